@@ -47,7 +47,7 @@ def views_of_run(run: Path) -> tuple[list[View], float]:
     meta = json.loads((run / "meta.json").read_text())
     settings = FitSettings(
         keypoints=tuple(run / f"cam{camera}.csv" for camera in meta["cameras"]),
-        camera=run / "scene.json",
+        camera=(run / "scene.json",),
         camera_name=tuple(f"cam{camera}" for camera in meta["cameras"]),
         fps=meta["fps"],
         skeleton=SKELETON,

@@ -234,7 +234,9 @@ def main() -> None:
         clips = {}
         for clip, skeleton in (("whole", None), ("noisy", "cheetah-8u")):
             camera, out = samples / "camera.toml", Path(folder) / clip
-            run_clip(FitSettings(keypoints=(samples / f"{clip}.csv",), camera=camera, fps=FPS, skeleton=skeleton), out)
+            run_clip(
+                FitSettings(keypoints=(samples / f"{clip}.csv",), camera=(camera,), fps=FPS, skeleton=skeleton), out
+            )
             clips[clip] = Motion.load(out).upright
         for extension, readers in READERS.items():
             for clip in clips:

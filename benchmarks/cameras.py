@@ -71,7 +71,7 @@ def run_of(folder: Path) -> Run:
     given = prepare(
         FitSettings(
             keypoints=tuple(folder / f"cam{c}.csv" for c in cameras),
-            camera=folder / "scene.json",
+            camera=(folder / "scene.json",),
             fps=meta_of(folder)["fps"],
         )
     )

@@ -30,7 +30,7 @@ def view_row(run: Path, camera: int, skeleton: str, meta: dict, **options) -> di
     """One view as one row of the table."""
     settings = FitSettings(
         keypoints=(run / f"cam{camera}.csv",),
-        camera=run / "scene.json",
+        camera=(run / "scene.json",),
         camera_name=(f"cam{camera}",),
         fps=meta["fps"],
         method="frame",

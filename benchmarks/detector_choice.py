@@ -45,7 +45,7 @@ def mpjpe_mm(folder: Path, number: int, detector: str | None) -> tuple[float, st
     motion = fit_clip(
         FitSettings(
             keypoints=(folder / f"cam{number}.csv",),
-            camera=scene if scene.is_file() else folder / f"cam{number}.toml",
+            camera=(scene if scene.is_file() else folder / f"cam{number}.toml",),
             fps=meta["fps"],
             subject=meta["subject"] if meta["subject"] in WITH_LENGTHS else None,
             detector=detector,
@@ -95,7 +95,7 @@ def plate_run(folder: Path) -> Run:
     cameras, given = meta_of(folder)["cameras"], []
     for number in cameras:
         one = FitSettings(
-            keypoints=(folder / f"cam{number}.csv",), camera=folder / f"cam{number}.toml", fps=meta_of(folder)["fps"]
+            keypoints=(folder / f"cam{number}.csv",), camera=(folder / f"cam{number}.toml",), fps=meta_of(folder)["fps"]
         )
         given.append(prepare(one).sources[0])
     sources = together(given, (0.0,) * len(given))

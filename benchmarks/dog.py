@@ -209,7 +209,10 @@ def write_view(clip: Clip, folder: Path, seed: int) -> tuple[FitSettings, float]
     pd.DataFrame(table, columns=columns).to_csv(folder / f"{clip.name}.csv")
     write_camera(camera, folder / f"{clip.name}.toml")
     settings = FitSettings(
-        keypoints=(folder / f"{clip.name}.csv",), camera=folder / f"{clip.name}.toml", fps=clip.fps, skeleton=SKELETON
+        keypoints=(folder / f"{clip.name}.csv",),
+        camera=(folder / f"{clip.name}.toml",),
+        fps=clip.fps,
+        skeleton=SKELETON,
     )
     return settings, hfov_deg
 

@@ -65,7 +65,7 @@ def measured(run: Path, kept: tuple[str, ...], options: dict[str, Any]) -> tuple
     camera = meta["monocular_camera"]
     settings = FitSettings(
         keypoints=(run / f"cam{camera}.csv",),
-        camera=run / "scene.json",
+        camera=(run / "scene.json",),
         camera_name=(f"cam{camera}",),
         fps=meta["fps"],
         method="frame",

@@ -18,7 +18,6 @@ import tempfile
 from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -107,7 +106,7 @@ def sample_rows() -> list[dict]:
 def fitted_row(name: str, sample: str, fps: int, options: dict, truth: Pose3D, truth_fps: int) -> dict:
     with tempfile.TemporaryDirectory() as folder:
         settings = FitSettings(
-            keypoints=(SAMPLES / f"{sample}.csv",), camera=SAMPLES / "camera.toml", fps=fps, **options
+            keypoints=(SAMPLES / f"{sample}.csv",), camera=(SAMPLES / "camera.toml",), fps=fps, **options
         )
         run_clip(settings, Path(folder) / "fit")
         found = analyse(Motion.load(Path(folder) / "fit"))
@@ -157,12 +156,10 @@ Events = list[tuple[float, float, bool]]
 
 def fitted(run: Path, camera: int, about: dict) -> Motion:
     scene = run / "scene.json"
-    where: dict[str, Any] = (
-        {"camera": scene, "camera_name": (f"cam{camera}",)}
-        if scene.is_file()
-        else {"camera": run / f"cam{camera}.toml"}
+    one, name = (scene, (f"cam{camera}",)) if scene.is_file() else (run / f"cam{camera}.toml", None)
+    return fit_clip(
+        FitSettings(keypoints=(run / f"cam{camera}.csv",), camera=(one,), camera_name=name, fps=about["fps"])
     )
-    return fit_clip(FitSettings(keypoints=(run / f"cam{camera}.csv",), fps=about["fps"], **where))
 
 
 def found_gait(motion: Motion) -> Gait:

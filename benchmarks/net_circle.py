@@ -83,7 +83,7 @@ def run_circle(
     for name, file in (("predicted", points), ("noisy", noisy)):
         options = FitSettings(
             keypoints=(file,),
-            camera=samples / "rendered_camera.toml",
+            camera=(samples / "rendered_camera.toml",),
             fps=found.fps,
             detector="none",  # the film's points lie on the markers
             **fit,

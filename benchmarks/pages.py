@@ -78,7 +78,7 @@ def pages(args: argparse.Namespace, folder: Path) -> None:
 def summary(args: argparse.Namespace, folder: Path) -> None:
     """One in fifty has failed; doubt is drawn at random."""
     one, out, rng = folder / "one", folder / "all", np.random.default_rng(0)
-    settings = FitSettings(keypoints=(SAMPLES / "whole.csv",), camera=SAMPLES / "camera.toml", fps=60)
+    settings = FitSettings(keypoints=(SAMPLES / "whole.csv",), camera=(SAMPLES / "camera.toml",), fps=60)
     report = run_clip(settings, one)
     row: dict[str, Any] = dict.fromkeys(COLUMNS, "") | results_of(report)
     out.mkdir()

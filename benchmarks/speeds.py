@@ -56,7 +56,7 @@ def main() -> None:
             views = [
                 FitSettings(
                     keypoints=(run / f"cam{camera}.csv",),
-                    camera=run / "scene.json",
+                    camera=(run / "scene.json",),
                     camera_name=(f"cam{camera}",),
                     fps=meta["fps"],
                     **options,

@@ -217,7 +217,7 @@ def test_common_options_lie_over_config(clips, tmp_path):
     config = tmp_path / "settings.toml"
     config.write_text(f'[recon.fit]\nfps = 25\nsigma_px = 5.0\ncamera = "{CAMERA.as_posix()}"\nmethod = "frame"\n')
     (clip,), _ = find_clips([clips / "a.csv"], {"fps": 50.0, "camera": None}, config)
-    assert (clip.settings.fps, clip.settings.sigma_px, clip.settings.camera) == (50, 5, CAMERA)
+    assert (clip.settings.fps, clip.settings.sigma_px, clip.settings.camera) == (50, 5, (CAMERA,))
 
 
 def test_common_options_of_one_method_are_not_for_rows_of_the_other(clips):
@@ -429,7 +429,7 @@ def test_projects_of_anipose(tmp_path):
     common = {"fps": 120, "fast": True, "camera_unit": "mm"}
     clips, notes = find_clips([tmp_path], common)
     assert [(clip.name, clip.settings.camera_name) for clip in clips] == [("walk", ("A", "B")), ("trot", ("B",))]
-    assert {clip.settings.camera for clip in clips} == {tmp_path / "rex/calibration/calibration.toml"}
+    assert {clip.settings.camera for clip in clips} == {(tmp_path / "rex/calibration/calibration.toml",)}
     assert input_problems(clips) == [(), ()]
     assert notes == [
         "2 sessions of Anipose: 3 files of pose-2d and pose-2d-filtered",
@@ -441,7 +441,7 @@ def test_projects_of_anipose(tmp_path):
     assert cameras(both, common) == {"day1-walk": ("A", "B"), "trot": ("A",), "day2-walk": ("A",)}
     assert cameras(both[:1], common, "none") == {"walk-camA": ("A",), "walk-camB": ("B",)}
     (clip,), _ = find_clips(both[:1], common | {"camera": SCENE})
-    assert clip.settings.camera == SCENE
+    assert clip.settings.camera == (SCENE,)
     (tmp_path / "config.toml").unlink()  # then the cameras' names are those of the calibration
     assert cameras(both[:1], common) == {"walk": ("A", "B")}
 

@@ -255,7 +255,7 @@ def test_results_can_be_moved_with_what_they_were_made_from(tmp_path, monkeypatc
     monkeypatch.chdir(tmp_path)
     moved = (tmp_path / "home").rename(tmp_path / "elsewhere") / "me"
     settings = read_settings(moved / "out" / "config.toml", {})
-    assert (settings.keypoints, settings.camera) == ((moved / "noisy.csv",), moved / "camera.toml")
+    assert (settings.keypoints, settings.camera) == ((moved / "noisy.csv",), (moved / "camera.toml",))
     assert run("solver", moved / "out", "--no-figures", "-q") == (0, "", "")
 
 

@@ -13,6 +13,7 @@ from rich.text import Text
 
 from recon.base.errors import InputError
 from recon.fit import TrajectoryOptions
+from recon.io import read_camera, read_cameras
 from recon.thesis import FrameOptions, frame_options
 from recon.workflows.cli import app, commands
 from recon.workflows.settings import SETTINGS, FitSettings, of_method, read_settings
@@ -104,7 +105,7 @@ def test_paths_in_a_config_are_relative_to_it(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     settings = read_settings(Path("cats") / config.name)
     assert settings.keypoints == (tmp_path / "cats" / "a_cam1.csv", Path("/data/a_cam2.csv"))
-    assert settings.camera == tmp_path / "cats" / "scene.json"
+    assert settings.camera == (tmp_path / "cats" / "scene.json",)
     assert (settings.skeleton, settings.subject) == (str(tmp_path / "cats" / "cat.toml"), "jules")
     assert settings.prior == str(tmp_path / "cats" / "cat.npz")
 
@@ -123,7 +124,7 @@ def test_paths_become_absolute(tmp_path, monkeypatch):
     given = {"skeleton": "mine.toml", "subject": "my-cat.toml", "prior": "cats.npz"}
     settings = FitSettings(keypoints="a/clip.csv", camera="camera.toml", fps=30, **given)  # pyright: ignore[reportArgumentType]
     assert settings.keypoints == (tmp_path / "a" / "clip.csv",)
-    assert settings.camera == tmp_path / "camera.toml"
+    assert settings.camera == (tmp_path / "camera.toml",)
     assert settings.skeleton == str(tmp_path / "mine.toml")
     assert settings.subject == str(tmp_path / "my-cat.toml")
     assert settings.prior == str(tmp_path / "cats.npz")
@@ -313,18 +314,18 @@ def test_command_line_overrules_config(tmp_path):
     config = saved(tmp_path, side="left", frames="0:9")
     settings = read_settings(config, {"fps": 60.0, "side": "right", "frames": None})
     assert (settings.fps, settings.side, settings.frames) == (60.0, "right", "0:9")
-    assert settings.camera == Path("/data/camera.toml")
+    assert settings.camera == (Path("/data/camera.toml"),)
 
 
 def test_another_camera_replaces_the_one_of_the_config(tmp_path):
     config = saved(tmp_path, camera_name="cam2", image_size_px=(1920, 1080), tilt_deg=5)
     other = read_settings(config, {"camera": Path("/other.json")})
-    assert (other.camera, other.camera_name, other.image_size_px) == (Path("/other.json"), None, None)
+    assert (other.camera, other.camera_name, other.image_size_px) == ((Path("/other.json"),), None, None)
     assert other.tilt_deg is None
     rough = read_settings(config, {"hfov_deg": 60.0})
     assert (rough.camera, rough.camera_name, rough.image_size_px) == (None, None, (1920, 1080))
     again = read_settings(write_config(tmp_path, rough.to_toml()), {"camera": Path("/c.toml")})
-    assert (again.camera, again.hfov_deg, again.image_size_px) == (Path("/c.toml"), None, None)
+    assert (again.camera, again.hfov_deg, again.image_size_px) == ((Path("/c.toml"),), None, None)
 
 
 def test_mistakes_in_a_config_name_the_file(tmp_path):
@@ -467,3 +468,22 @@ def test_options_that_are_numbers(arguments):
     with pytest.raises(InputError) as caught:
         app(arguments)
     assert (arguments[-2], "'90fps'") in [(problem.file, problem.found) for problem in caught.value.problems]
+
+
+def test_each_camera_may_have_its_own_file(tmp_path):
+    """Files whose only camera has no name, or one that another has, are told apart by their own names."""
+    given = (Path(__file__).parents[1] / "data" / "samples" / "camera.toml").read_text()
+    for name in ("left", "right"):
+        (tmp_path / f"{name}.toml").write_text(given)
+    files = tmp_path / "left.toml", tmp_path / "right.toml"
+    assert [camera.name for camera in read_cameras(files)] == ["left", "right"]
+    assert read_camera(files, "right").name == "right"
+    with pytest.raises(InputError, match="2 cameras and no choice"):
+        read_camera(files)
+    (tmp_path / "more").mkdir()
+    (tmp_path / "more" / "left.toml").write_text(given)
+    with pytest.raises(InputError, match="left, as in another file"):
+        read_cameras((files[0], tmp_path / "more" / "left.toml"))
+    settings = read_settings(None, {"keypoints": Path("clip.csv"), "camera": files, "fps": 60.0})
+    assert settings.camera == files
+    assert settings.plain()["camera"] == [str(file) for file in files]

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,12 +15,14 @@ from scipy.spatial.transform import Rotation
 
 from recon.base.arrays import Array
 from recon.base.documents import parse_json, read_text
-from recon.base.errors import InputError, Problem, refuse
+from recon.base.errors import InputError, Problem, all_of, refuse
 from recon.geometry.camera import Camera, is_rotation
 from recon.geometry.lens import LENS_MODELS
 from recon.io.camera_files import MAX_BYTES, CameraRecord
 from recon.io.formats import FORMATS, recognised, titles
 
+CameraFiles = str | Path | Sequence[Path]
+"""One file, or several."""
 AS_GIVEN = ", as was given"
 LARGEST = 1e9
 """Of any number: more can only be damage."""
@@ -26,12 +30,15 @@ MAX_SIZE_PX = 1_000_000
 ROTATION_TOLERANCE = 1e-3
 
 
-def read_cameras(path: str | Path, image_size_px: tuple[int, int] | None = None) -> tuple[Camera, ...]:
-    """All cameras of a calibration file, in its order. Cameras without a name are called cam1, cam2, ...
+def read_cameras(path: CameraFiles, image_size_px: tuple[int, int] | None = None) -> tuple[Camera, ...]:
+    """All cameras of a calibration file, in its order. Cameras without a name are called cam1, cam2, ... Of several
+    files, one after the other; a file's only camera is called as the file where two have one name.
 
     image_size_px: (width, height) for files that do not hold it. Raises InputError with every problem of the file,
     also where image_size_px contradicts it (a calibration holds for one resolution only).
     """
+    if not isinstance(path, str | Path):
+        return _of_several_files([*path], image_size_px)
     path = Path(path)
     problems: list[Problem] = []
     records = _records(path)
@@ -46,6 +53,20 @@ def read_cameras(path: str | Path, image_size_px: tuple[int, int] | None = None)
     return tuple(camera for camera in cameras if camera)
 
 
+def _of_several_files(paths: Sequence[Path], image_size_px: tuple[int, int] | None) -> tuple[Camera, ...]:
+    """Raises InputError with every problem of every file."""
+    of_file = all_of(*(partial(read_cameras, path, image_size_px) for path in paths))
+    names = [camera.name for cameras in of_file for camera in cameras]
+    found: list[Camera] = []
+    for path, cameras in zip(paths, of_file, strict=True):
+        alone = len(cameras) == 1 and names.count(cameras[0].name) > 1
+        found += [replace(camera, name=path.stem) for camera in cameras] if alone else cameras
+    names = [camera.name for camera in found]
+    twice = {name for name in names if names.count(name) > 1}
+    refuse(Problem(paths[-1], "camera", f"{name}, as in another file", "a name of its own") for name in sorted(twice))
+    return tuple(found)
+
+
 def _contradicted_once(problems: list[Problem]) -> list[Problem]:
     """The size that was given contradicts all cameras of a file alike."""
     kept: list[Problem] = []
@@ -57,7 +78,7 @@ def _contradicted_once(problems: list[Problem]) -> list[Problem]:
 
 
 def read_camera(
-    path: str | Path, name: str | int | None = None, image_size_px: tuple[int, int] | None = None
+    path: CameraFiles, name: str | int | None = None, image_size_px: tuple[int, int] | None = None
 ) -> Camera:
     """One camera of a calibration file.
 
@@ -66,6 +87,7 @@ def read_camera(
     file has a problem (see `read_cameras`), no such camera, or several and no name is given.
     """
     cameras = read_cameras(path, image_size_px)
+    path = path if isinstance(path, str | Path) else ", ".join(map(str, path))
     choices = f"one of {', '.join(camera.name for camera in cameras)}"
     if name is None:
         if len(cameras) == 1:

@@ -40,7 +40,7 @@ def read_clip_cameras(settings: FitSettings) -> Cameras:
     if settings.tilt_deg is None:
         return moving
     if any(camera.knows_up for camera, _ in moving):
-        found = f"{settings.tilt_deg:g} beside the pose in {settings.camera}, which says which way is up"
+        found = f"{settings.tilt_deg:g} beside the pose in {settings.camera_text}, which says which way is up"
         raise InputError(Problem("--tilt-deg", "tilt_deg", found, "one of the two"))
     tilt_rad = math.radians(settings.tilt_deg)
     return tuple((replace(camera, tilt_rad=tilt_rad), track) for camera, track in moving)
@@ -110,7 +110,7 @@ def _cameras_of_one(settings: FitSettings, tracks: Sequence[io.CameraTrack]) -> 
             raise InputError(Problem("--camera-track", "camera", found, "one of the two"))
         return ((_own_lens(track.camera, settings, 0), track),)
     if settings.camera is not None:
-        (camera,) = _cameras_in_file(settings.camera, settings)
+        (camera,) = _cameras_in_file(settings, settings.camera)
     elif settings.hfov_deg is not None and settings.image_size_px is not None:
         camera = Camera.from_hfov(settings.hfov_deg, settings.image_size_px)
     else:
@@ -150,8 +150,8 @@ def _cameras_of_several(settings: FitSettings, tracks: Sequence[io.CameraTrack])
         cameras = tuple(all_of(*reads))
     else:
         assert settings.camera is not None
-        cameras = _cameras_in_file(settings.camera, settings)
-    refuse(_problems_of_several(settings.camera, cameras, tracks))
+        cameras = _cameras_in_file(settings, settings.camera)
+    refuse(_problems_of_several(settings.camera_text, cameras, tracks))
     chosen, names = [], [camera.name for camera in cameras]
     for i, camera in enumerate(cameras):
         track = next((one for one in tracks if camera.name in cameras_in(io.track_label(one.source), names)), None)
@@ -172,12 +172,12 @@ def _camera_by_name(settings: FitSettings, place: int, name: str, tracks: Sequen
     return io.read_camera(settings.camera, name, settings.image_size_px)
 
 
-def _cameras_in_file(path: Path, settings: FitSettings) -> tuple[Camera, ...]:
+def _cameras_in_file(settings: FitSettings, files: Sequence[Path]) -> tuple[Camera, ...]:
     """By name as given; else the only one, or the one whose name the keypoint file's name contains."""
     if settings.camera_name is not None:
-        named = (lambda name=name: io.read_camera(path, name, settings.image_size_px) for name in settings.camera_name)
+        named = (lambda name=name: io.read_camera(files, name, settings.image_size_px) for name in settings.camera_name)
         return tuple(all_of(*named))
-    cameras = io.read_cameras(path, settings.image_size_px)
+    path, cameras = settings.camera_text, io.read_cameras(files, settings.image_size_px)
     if len(cameras) == 1 == len(settings.keypoints):
         return cameras
     if len(cameras) < len(settings.keypoints):
@@ -197,9 +197,7 @@ def _cameras_in_file(path: Path, settings: FitSettings) -> tuple[Camera, ...]:
     return tuple(chosen)
 
 
-def _problems_of_several(
-    path: Path | None, cameras: Sequence[Camera], tracks: Sequence[io.CameraTrack]
-) -> Iterator[Problem]:
+def _problems_of_several(path: str, cameras: Sequence[Camera], tracks: Sequence[io.CameraTrack]) -> Iterator[Problem]:
     """What cameras that film together must have."""
     file = path or "--camera"
     names = [camera.name for camera in cameras]

@@ -327,7 +327,7 @@ def _require_inside(camera: Camera, keypoints: Keypoints, settings: FitSettings)
     width, height = camera.image_size_px
     raise InputError(
         Problem(
-            settings.camera or "--image-size",
+            settings.camera_text or "--image-size",
             "image size",
             f"{width}x{height}, but keypoints at x {x0:.0f} to {x1:.0f}, y {y0:.0f} to {y1:.0f} px",
             "the camera and the size of the video that the keypoints were found in"

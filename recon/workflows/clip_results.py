@@ -114,7 +114,7 @@ def _followed(settings: FitSettings, video: Path, folder: Path, progress: Progre
     run_camera_motion(
         CameraMotionSettings(
             video=video,
-            camera=settings.camera,
+            camera=settings.camera[0],
             out=track,
             camera_name=next(iter(settings.camera_name or ()), None),
             keypoints=keypoints,

@@ -25,6 +25,6 @@ def run_demo(out: Path, overwrite: bool, progress: Progress) -> tuple[dict[str, 
     """Fit the whole animal of the samples into the folder `out`: the report, and its errors against the truth."""
     samples = samples_folder()
     camera = samples / "camera.toml"
-    settings = FitSettings(keypoints=(samples / "whole.csv",), camera=camera, fps=60)
+    settings = FitSettings(keypoints=(samples / "whole.csv",), camera=(camera,), fps=60)
     report = run_clip(settings, out, overwrite, progress)
     return report, evaluate_files(out / "pose3d.csv", samples / "whole_truth.csv")

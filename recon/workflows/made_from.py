@@ -17,8 +17,7 @@ def input_files(settings: FitSettings) -> dict[str, Path]:
     """By the setting that names them; built-in skeletons, subjects, detectors, priors and maps are no files."""
     first, *others = settings.keypoints
     files = {"keypoints": first} | {f"keypoints {i}": path for i, path in enumerate(others, start=2)}
-    if settings.camera is not None:
-        files["camera"] = settings.camera
+    files |= {f"camera {i}" if i > 1 else "camera": path for i, path in enumerate(settings.camera or (), start=1)}
     tracks = [path for track in settings.camera_track or () for path in io.track_files(track)]
     files |= {f"camera_track {i}" if i else "camera_track": path for i, path in enumerate(tracks)}
     for role in ("skeleton", "subject", "detector", "prior", "rename"):

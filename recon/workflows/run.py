@@ -233,7 +233,7 @@ def _detection(job: Job, progress: Progress) -> list[Path]:
 def _motion_identity(job: Job) -> dict[str, Any]:
     settings = job.settings
     assert settings.camera is not None
-    files = {"video": job.video, "camera": settings.camera, "keypoints": settings.keypoints[0]}
+    files = {"video": job.video, "camera": settings.camera[0], "keypoints": settings.keypoints[0]}
     options = {
         "motion": job.camera_motion,
         "first_frame": job.first_frame,
@@ -252,7 +252,7 @@ def _camera_motion(job: Job, progress: Progress) -> Iterable[Path]:
     _, files = run_camera_motion(
         CameraMotionSettings(
             video=job.video,
-            camera=settings.camera,
+            camera=settings.camera[0],
             out=job.track,
             camera_name=settings.camera_name[0] if settings.camera_name else None,
             keypoints=settings.keypoints[0],

@@ -119,8 +119,12 @@ class FitSettings(Settings):
         ),
     ]
     camera: Annotated[
-        File | None,
-        Option("Calibration: OpenCV yaml/json/xml, AcinoSet scene.json, Anipose or recon toml.", "a camera file"),
+        OneOrMore[File] | None,
+        Option(
+            "Calibration: OpenCV yaml/json/xml, AcinoSet scene.json, Anipose or recon toml; or one such file for each "
+            "camera.",
+            "a camera file, or a list of them",
+        ),
     ] = None
     camera_name: Annotated[
         OneOrMore[str] | None,
@@ -400,6 +404,11 @@ class FitSettings(Settings):
         if len(set(self.keypoints)) < count:
             found = ", ".join(str(path) for path in self.keypoints)
             yield Problem("settings", "keypoints", found, "a different file for each camera")
+
+    @property
+    def camera_text(self) -> str:
+        """The camera files in one line; empty without."""
+        return ", ".join(str(path) for path in self.camera or ())
 
     @property
     def keypoints_text(self) -> str:

@@ -307,7 +307,7 @@ class _CamerasOf:
         self._common = _without_lists(common)
         self._config = config
         self._posed = posed
-        self._known: dict[tuple[Path, tuple[int, int] | None], tuple[str, ...]] = {}
+        self._known: dict[tuple[tuple[Path, ...], tuple[int, int] | None], tuple[str, ...]] = {}
 
     def __call__(self, draft: ClipDraft) -> tuple[str, ...]:
         try:
