@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import pickle
 import shutil
+from dataclasses import replace
 from itertools import count
 from pathlib import Path
 from types import SimpleNamespace
@@ -42,7 +43,7 @@ def report(small_trajectory, tmp_path_factory) -> str:
 
 
 @pytest.fixture
-def called(monkeypatch, report) -> list[str]:
+def called(monkeypatch, report, small_trajectory) -> list[str]:
     """The stages that are carried out; each only writes its files."""
     names: list[str] = []
     numbers = count()
@@ -67,11 +68,13 @@ def called(monkeypatch, report) -> list[str]:
         names.append("camera-motion")
         return {}, (write(settings.out, "track"),)
 
-    def write_results(motion, settings, out: Path, seconds: float) -> None:
+    def write_results(motion, settings, out: Path, seconds: float) -> dict:
         names.append("fit")
         with staged_results(out, output_files(out)) as folder:
+            replace(small_trajectory, timing_s={"solve_s": 0.1}).save(folder)
             (folder / "report.json").write_text(report, encoding="utf-8")
             (folder / "pose3d.csv").write_text(f"poses {next(numbers)}")
+        return json.loads(report)
 
     monkeypatch.setattr("recon.keypoint_net.run_prediction", predict)
     monkeypatch.setattr("recon.workflows.camera_motion.run_camera_motion", track)
@@ -202,9 +205,10 @@ def test_without_a_pose_there_is_a_page_and_no_more(film, called, report, monkey
     nothing["summary"] |= {"frames_with_pose": 0}
     nothing["unsolved"] = True
 
-    def write(motion, settings, out: Path, seconds: float) -> None:
+    def write(motion, settings, out: Path, seconds: float) -> dict:
         with staged_results(out, output_files(out)) as folder:
             (folder / "report.json").write_text(json.dumps(nothing))
+        return nothing
 
     monkeypatch.setattr("recon.workflows.run.write_clip", write)
     ended = run(
@@ -224,7 +228,7 @@ def test_the_command_says_what_was_done(film, called):
     )  # fmt: skip
     first, again = run(*args), run(*args)
     assert (first.code, first.err) == (0, "")
-    assert "fit           3 files, " in first.out
+    assert "fit           4 files, " in first.out
     assert "overlay       overlay.mp4, " in first.out
     assert "overlay       overlay.mp4, as before" in again.out
     assert "8 of 8 with a pose" in again.out

@@ -10,19 +10,20 @@ import json
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import Any, Literal
 
-from recon.base.documents import read_json
 from recon.base.errors import InputError, Problem, all_of, refuse
 from recon.base.files import sole_writer, staged_file
 from recon.base.manifest import MANIFEST, read_manifest, sha256_of
 from recon.base.progress import Progress, silent
+from recon.fit.motion import Motion
 from recon.gait.path import MIN_POINTS
 from recon.io.video import probe
 from recon.show.page import PAGE
-from recon.show.report import REPORT
+from recon.show.report import build_report
 from recon.workflows.batch.record import file_sha256, identity, identity_of
 from recon.workflows.clip import fit_clip, read_model_and_cameras
 from recon.workflows.clip_results import output_files, write_clip
@@ -35,7 +36,7 @@ STAGES = ("detect", "camera-motion", "fit", "analyse", "overlay", "page")
 OVERLAY = "overlay.mp4"
 DETECTOR = "recon.keypoint_net"
 """The package that finds keypoints. It is imported by its name, where a job has a network: no room needs a wing."""
-Motion = Literal["turns", "zooms"]
+CameraMotion = Literal["turns", "zooms"]
 Status = Literal["done", "unchanged", "left out"]
 
 
@@ -54,7 +55,7 @@ class Job:
     """Of that."""
     threads: int | None = None
     """Of that."""
-    camera_motion: Motion | None = None
+    camera_motion: CameraMotion | None = None
     """What the camera does, if that is to be found."""
     first_frame: int = 0
     """The number that the video's first frame has in the keypoint file."""
@@ -129,7 +130,11 @@ def job_of(
 
 
 def _check(
-    given: Mapping[str, Any], camera_motion: Motion | None, start: str | None, quality: str | None, model: Path | None
+    given: Mapping[str, Any],
+    camera_motion: CameraMotion | None,
+    start: str | None,
+    quality: str | None,
+    model: Path | None,
 ) -> None:
     """Raises InputError for options that cannot be used, or not with each other."""
     problems = []
@@ -159,20 +164,21 @@ def run_video(
     file_sha256.cache_clear()  # files may have changed since
     with sole_writer(job.out):
         record = _read_record(job.out)
-        stages, dones, again = [*_stages(job)], [], False
+        result = _Result(job.out)
+        stages, dones, again = [*_stages(job, result)], [], False
         for number, stage in enumerate(stages):
             again = again or stage.name == job.start
 
             def tell(what: str, share: float, number: int = number, name: str = stage.name) -> None:
                 progress(f"{name}: {what}", (number + share) / len(stages))
 
-            if stage.name in ("analyse", "overlay") and _report(job.out)["summary"]["frames_with_pose"] < MIN_POINTS:
+            if stage.name in ("analyse", "overlay") and result.frames_with_pose < MIN_POINTS:
                 done = Done(stage.name, "left out", 0.0)
             else:
                 done = _carry_out(stage, job, record, again, tell)
             dones.append(done)
             ended(done)
-        return dones, _report(job.out)
+        return dones, result.report
 
 
 def _carry_out(stage: _Stage, job: Job, record: dict[str, Any], again: bool, progress: Progress) -> Done:
@@ -204,7 +210,7 @@ def _check_inputs(job: Job) -> None:
         raise InputError(Problem(job.video, "size", found, expected))
 
 
-def _stages(job: Job) -> Iterator[_Stage]:
+def _stages(job: Job, result: _Result) -> Iterator[_Stage]:
     """Those that this job has."""
     keypoints = job.settings.keypoints[0]
     if job.model is not None:
@@ -213,12 +219,12 @@ def _stages(job: Job) -> Iterator[_Stage]:
     if job.camera_motion is not None:
         yield _Stage("camera-motion", lambda: _motion_identity(job), (job.track,), _camera_motion)
     places = tuple(job.out / name for name in output_files(job.out) if name != PAGE)
-    yield _Stage("fit", lambda: identity(job.fitted), places, _fit)
+    yield _Stage("fit", lambda: identity(job.fitted), places, result.fit)
     fit, film = {"fit": job.out / MANIFEST}, {"video": job.video}
     options = {"first_frame": job.first_frame}
     yield _Stage("analyse", lambda: identity_of(fit, {}), (job.out / "analysis" / "analysis.json",), _analysis)
     yield _Stage("overlay", lambda: identity_of(fit | film, options), (job.out / OVERLAY,), _overlay)
-    yield _Stage("page", lambda: identity_of(fit | film, options), (), _page)
+    yield _Stage("page", lambda: identity_of(fit | film, options), (), partial(_page, result))
 
 
 def _detection(job: Job, progress: Progress) -> list[Path]:
@@ -267,11 +273,28 @@ def _camera_motion(job: Job, progress: Progress) -> Iterable[Path]:
     return files
 
 
-def _fit(job: Job, progress: Progress) -> list[Path]:
-    began = time.perf_counter()
-    motion = fit_clip(job.fitted, progress)
-    write_clip(motion, job.fitted, job.out, time.perf_counter() - began)
-    return [job.out / name for name in (*read_manifest(job.out).files, MANIFEST)]
+class _Result:
+    """What a video became: of the fit that this run makes, or of the one that it found done."""
+
+    def __init__(self, out: Path) -> None:
+        self.out = out
+        self._report: dict[str, Any] | None = None
+
+    def fit(self, job: Job, progress: Progress) -> list[Path]:
+        began = time.perf_counter()
+        motion = fit_clip(job.fitted, progress)
+        self._report = write_clip(motion, job.fitted, self.out, time.perf_counter() - began)
+        return [self.out / name for name in (*read_manifest(self.out).files, MANIFEST)]
+
+    @property
+    def report(self) -> dict[str, Any]:
+        if self._report is None:
+            self._report = build_report(Motion.load(self.out))
+        return self._report
+
+    @property
+    def frames_with_pose(self) -> int:
+        return self.report["summary"]["frames_with_pose"]
 
 
 def _analysis(job: Job, progress: Progress) -> list[Path]:
@@ -290,19 +313,14 @@ def _overlay(job: Job, progress: Progress) -> list[Path]:
     return [out]
 
 
-def _page(job: Job, progress: Progress) -> list[Path]:
+def _page(result: _Result, job: Job, progress: Progress) -> list[Path]:
     from recon.workflows.page import PageSettings, run_page
 
-    posed = _report(job.out)["summary"]["frames_with_pose"] > 0
-    video = job.video if posed else None
+    video = job.video if result.frames_with_pose else None
     return [run_page(PageSettings(folder=job.out, video=video, first_frame=job.first_frame), progress=progress)]
 
 
 # -- what was done ----------------------------------------------------------------------------------------------------
-
-
-def _report(out: Path) -> dict[str, Any]:
-    return read_json(out / REPORT, "the report of `recon fit`")
 
 
 def _read_record(out: Path) -> dict[str, Any]:
