@@ -844,7 +844,10 @@ def test_evaluate_names_what_could_not_be_compared(tmp_path):
 def test_demo(tmp_path):
     ended = run("demo", "--out", tmp_path / "demo")
     assert (ended.code, ended.err) == (0, "")
-    assert sorted(path.name for path in (tmp_path / "demo").iterdir()) == sorted(OUTPUT_FILES)
+    names = sorted(path.name for path in (tmp_path / "demo").iterdir())
+    assert names == sorted([*OUTPUT_FILES, "report.html"])
+    assert f"Open {tmp_path / 'demo' / 'report.html'} in a browser." in ended.out.replace("\n", " ").replace("  ", " ")
+    assert "Gait: transverse gallop" in ended.out
     error_mm = 1000 * evaluate_files(tmp_path / "demo" / "pose3d.csv", SAMPLES / "whole_truth.csv").mpjpe_m.mean
     assert error_mm < 60
     assert f"Error against the sample's truth: {error_mm:.0f} mm (MPJPE)" in ended.out

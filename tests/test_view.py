@@ -18,7 +18,7 @@ from recon.clip import Source, views_of
 from recon.fit import MotionSegment, Solution
 from recon.fit.motion import Motion
 from recon.gait.clip import standing
-from recon.show.view import open_viewer, write
+from recon.show.view import DISPLAYS, open_viewer, write
 from recon.show.view.world import BRIGHT_BLUE, FAINT_BLUE, UNSEEN, share_colours
 from recon.thesis import FrameOptions, FrameSolution, solve_frames
 
@@ -478,6 +478,15 @@ def test_viewer_needs_a_file(tmp_path: Path) -> None:
     assert str(tmp_path) in str(caught.value)
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="others always have a screen, or say it otherwise")
+def test_viewer_needs_a_display(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "motion.rrd").touch()
+    for name in DISPLAYS:
+        monkeypatch.delenv(name, raising=False)
+    with pytest.raises(InputError, match="no display, expected a screen; without one: a page, by recon report DIR"):
+        open_viewer(tmp_path / "motion.rrd")
+
+
 @pytest.mark.parametrize("code", [0, 1])
 def test_viewer_is_rerun_of_this_python(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: int) -> None:
     path = tmp_path / "motion.rrd"
@@ -489,6 +498,7 @@ def test_viewer_is_rerun_of_this_python(tmp_path: Path, monkeypatch: pytest.Monk
         return subprocess.CompletedProcess(command, code)
 
     monkeypatch.setattr(subprocess, "run", run)
+    monkeypatch.setenv("DISPLAY", ":0")
     if code:
         with pytest.raises(InputError, match="exit code 1"):
             open_viewer(path)

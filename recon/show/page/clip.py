@@ -76,6 +76,11 @@ def clip_page(
     )
 
 
+def in_sentences(motion: Motion) -> list[str]:
+    """What was found, as a page says it; of a motion with enough poses."""
+    return list(_words(motion, build_report(motion), reference_motion(motion), gait_of(motion)))
+
+
 def _base(path: str | None) -> str:
     """Of a file of any system."""
     return (path or "clip").replace("\\", "/").rsplit("/", 1)[-1]

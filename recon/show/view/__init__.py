@@ -28,6 +28,7 @@ Timelines: `frame`, the frame number of the keypoint file, and `time`, seconds s
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -43,6 +44,9 @@ from recon.show.view.picture import write_pictures
 from recon.show.view.scene import Log, Scene, limb_colours
 from recon.show.view.series import write_series, write_states
 from recon.show.view.world import write_observability, write_uncertainty, write_world
+
+DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET")
+"""Environment variables, one of which says where a screen is on Linux."""
 
 
 def write(motion: Motion, path: Path, start_frame: int | None = None) -> None:
@@ -73,6 +77,9 @@ def open_viewer(path: Path) -> None:
     path = Path(path)
     if not path.is_file():
         raise InputError(Problem(path, "file", "no such file", "a recording (.rrd) that `recon fit` has written"))
+    if sys.platform == "linux" and not any(os.environ.get(name) for name in DISPLAYS):
+        expected = "a screen; without one: a page, by recon report DIR, or a recording, by --out FILE.rrd, for rerun"
+        raise InputError(Problem("recon view", "viewer", "no display", expected))
     command = [sys.executable, "-m", "rerun", "--bind", "127.0.0.1", str(path)]
     code = subprocess.run(command, check=False).returncode
     if code:
