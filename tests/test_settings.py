@@ -487,3 +487,16 @@ def test_each_camera_may_have_its_own_file(tmp_path):
     settings = read_settings(None, {"keypoints": Path("clip.csv"), "camera": files, "fps": 60.0})
     assert settings.camera == files
     assert settings.plain()["camera"] == [str(file) for file in files]
+
+
+def test_the_schema_takes_configs_and_names_mistakes(tmp_path):
+    jsonschema = pytest.importorskip("jsonschema")
+    schema = json.loads(run("settings", "--schema").out)
+    check = jsonschema.Draft202012Validator(schema)
+    settings = FitSettings(keypoints="a.csv", camera=("c.toml", "d.toml"), fps=60, frames="3:9", image_size_px="9x8")
+    assert list(check.iter_errors(tomllib.loads(settings.to_toml()))) == []
+    fit = schema["properties"]["recon"]["properties"]["fit"]["properties"]
+    assert fit.keys() == SETTINGS.keys()
+    assert all(one["description"] for one in fit.values())
+    for wrong in ({"fps": -1}, {"camera_unit": "yards"}, {"speed": 3}, {"fast": 3}):
+        assert list(check.iter_errors({"recon": {"fit": wrong}})), wrong

@@ -163,6 +163,8 @@ def _files_in(folder: Path) -> tuple[list[Path], list[str]]:
                 twins.append(chosen[path.stem])
             chosen[path.stem] = path
     notes = []
+    if inside := [path.name for path in sorted(folder.iterdir()) if path.is_dir() and not path.name.startswith(".")]:
+        notes.append(f"Folders in {folder} are not read ({names_text(inside)}); '{folder}/**/*.csv' reads them, too.")
     reasons = {"beside a file of the same name": twins, "of no known format": others, "not readable": unreadable}
     for why, left_out in reasons.items():
         if left_out:
