@@ -33,6 +33,7 @@ from recon.base.errors import InputError
 from recon.fit.motion import Motion
 from recon.io.pose3d import read_pose_segments
 from recon.workflows.cli import app
+from recon.workflows.cli.prior import _notes
 from recon.workflows.clip_results import write_clip
 from recon.workflows.prior import PriorFitSettings, _sound_states, run_prior_fit
 from recon.workflows.settings import FitSettings
@@ -279,11 +280,12 @@ def test_running_cheetah_can_be_made_again(shared_data, body, tmp_path):
             apart=["tail_1", "tail_2"],
         )
     )
-    assert max(made.rms_mm) < 1
+    assert max(row["misfit_mm"] for row in made["segments"]) < 1
+    prior = load_prior(tmp_path / "running-cheetah.npz", body)
     shipped = load_prior("running-cheetah", body)
     for field in ("mean", "covariance", "acceleration_covariance"):
-        np.testing.assert_allclose(getattr(made.prior, field), getattr(shipped, field), rtol=1e-3, atol=1e-3)
-    assert len(shipped.weights) == len(made.prior.weights)
+        np.testing.assert_allclose(getattr(prior, field), getattr(shipped, field), rtol=1e-3, atol=1e-3)
+    assert len(shipped.weights) == len(prior.weights)
 
 
 def altered(prior: MotionPrior, path: Path, changes: dict) -> Path:
@@ -409,14 +411,13 @@ def test_files_of_one_name_and_too_few_frames(body, tmp_path):
         (tmp_path / f"run{k}").mkdir()
         files.append(pose_csv(tmp_path / f"run{k}" / "truth.csv", body, states, np.arange(60)))
     done = run_prior_fit(PriorFitSettings(poses=files, out=tmp_path / "a.npz", skeleton="cheetah-24", fps="100"))
-    assert [row.name for row in done.prior.segments] == ["run0-truth", "run1-truth"]
-    assert len(done.prior.weights) == 6
-    assert "6 components in place of 16: each takes 20 frames." in list(done.notes())
-    assert (done.to_dict()["components"], done.to_dict()["components_asked"]) == (6, 16)
+    assert [row["name"] for row in done["segments"]] == ["run0-truth", "run1-truth"]
+    assert (done["components"], done["components_asked"]) == (6, 16)
+    assert "6 components in place of 16: each takes 20 frames." in list(_notes(done))
     few = run_prior_fit(
         PriorFitSettings(poses=files, out=tmp_path / "b.npz", skeleton="cheetah-24", fps="100", components=6)
     )
-    assert not [note for note in few.notes() if "in place of" in note]
+    assert not [note for note in _notes(few) if "in place of" in note]
 
 
 def test_every_problem_of_a_command(body, tmp_path):
@@ -500,15 +501,15 @@ def test_results_and_pose_files_together(whole_results, body, tmp_path):
     done = run_prior_fit(
         PriorFitSettings(poses=[file, whole_results], out=tmp_path / "x.npz", skeleton=None, fps="100")
     )
-    assert [(row.name, row.fps) for row in done.prior.segments] == [(whole_results.name, 60.0), ("a", 100.0)]
-    assert done.rms_mm[1] > 20  # an animal that is larger than the skeleton
+    assert [(row["name"], row["fps"]) for row in done["segments"]] == [(whole_results.name, 60.0), ("a", 100.0)]
+    assert done["segments"][1]["misfit_mm"] > 20  # an animal that is larger than the skeleton
     sized = run_prior_fit(
         PriorFitSettings(
             poses=[file, whole_results], out=tmp_path / "y.npz", skeleton="cheetah-24", fps="100", estimate_size=True
         )
     )
-    assert sized.rms_mm[1] < 1
-    assert np.isnan(sized.rms_mm[0])
+    assert sized["segments"][1]["misfit_mm"] < 1
+    assert sized["segments"][0]["misfit_mm"] is None
 
 
 def test_what_results_do_not_go_with(whole_results, frame_results, body, tmp_path):

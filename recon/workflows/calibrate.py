@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -14,9 +13,6 @@ from recon.base.files import require_free_file, staged_folder, write_bytes
 from recon.base.progress import Progress, silent
 from recon.base.settings import OneOrMore, Option, Settings
 from recon.calibrate.intrinsics import (
-    BoardViews,
-    Calibration,
-    CalibrationCheck,
     calibrate,
     check,
     collect,
@@ -26,56 +22,6 @@ from recon.calibrate.intrinsics import (
 )
 from recon.geometry.lens import LENS_MODELS
 from recon.io import write_camera
-
-
-@dataclass(frozen=True)
-class CalibrationRun:
-    """A calibration with the views it came from and what was checked."""
-
-    views: BoardViews
-    calibration: Calibration
-    checks: tuple[CalibrationCheck, ...]
-    picture: Path
-    written: Path | None
-    """The camera file, or None."""
-
-    @property
-    def refused(self) -> tuple[CalibrationCheck, ...]:
-        return tuple(c for c in self.checks if c.verdict == "refused")
-
-    def to_dict(self) -> dict[str, Any]:
-        """Plain strings, numbers and lists."""
-        calibration = self.calibration
-        return {
-            "board": str(self.views.board),
-            "camera": calibration.camera.to_dict(),
-            "rms_px": calibration.rms_px,
-            "parameters": [
-                {"name": name, "value": value, "sigma": _finite(sigma)}
-                for (name, value), sigma in zip(calibration.parameters.items(), calibration.sigma, strict=True)
-            ],
-            "pictures": [
-                {
-                    "name": view.name,
-                    "used": view.used,
-                    "corners": len(view.ids),
-                    "rms_px": view.rms_px,
-                    "max_px": view.max_px,
-                    "tilt_rad": view.tilt_rad,
-                    "distance_m": math.hypot(*view.translation_m),
-                }
-                for view in calibration.views
-            ],
-            "examined": self.views.examined,
-            "found": self.views.found,
-            "without_board": list(self.views.without_board),
-            "checks": [
-                {name: _finite(value) for name, value in vars(c).items() if name != "advice"} | {"verdict": c.verdict}
-                for c in self.checks
-            ],
-            "picture": str(self.picture),
-            "written": None if self.written is None else str(self.written),
-        }
 
 
 def _finite(value: Any) -> Any:
@@ -109,8 +55,9 @@ class CalibrationSettings(Settings):
     overwrite: Annotated[bool, Option("Replace the camera file.")] = False
 
 
-def run_calibration(settings: CalibrationSettings, progress: Progress = silent) -> CalibrationRun:
-    """`recon calibrate`: write `out` (`recon.io.write_camera`) and, beside it, `<stem>_coverage.png`.
+def run_calibration(settings: CalibrationSettings, progress: Progress = silent) -> dict[str, Any]:
+    """`recon calibrate`: write `out` (`recon.io.write_camera`) and, beside it, `<stem>_coverage.png`;
+    what was found and checked, as plain types.
 
     A calibration that a check refuses is not written unless `force`; the picture is, since it shows what is missing.
     Raises InputError, with every problem, for inputs that cannot be used.
@@ -131,7 +78,35 @@ def run_calibration(settings: CalibrationSettings, progress: Progress = silent) 
         write_bytes(folder / picture.name, cv2.imencode(".png", draw(calibration))[1].tobytes())
         if settings.force or not refused:
             write_camera(calibration.camera, folder / settings.out.name)
-    return CalibrationRun(views, calibration, checks, picture, settings.out if settings.force or not refused else None)
+    parameters = zip(calibration.parameters.items(), calibration.sigma, strict=True)
+    return {
+        "board": str(views.board),
+        "camera": calibration.camera.to_dict(),
+        "rms_px": calibration.rms_px,
+        "parameters": [{"name": name, "value": value, "sigma": _finite(sigma)} for (name, value), sigma in parameters],
+        "pictures": [
+            {
+                "name": view.name,
+                "used": view.used,
+                "corners": len(view.ids),
+                "rms_px": view.rms_px,
+                "max_px": view.max_px,
+                "tilt_rad": view.tilt_rad,
+                "distance_m": math.hypot(*view.translation_m),
+            }
+            for view in calibration.views
+        ],
+        "examined": views.examined,
+        "found": views.found,
+        "without_board": list(views.without_board),
+        "checks": [
+            {name: _finite(value) for name, value in vars(c).items() if name != "advice"}
+            | {"verdict": c.verdict, "text": str(c)}
+            for c in checks
+        ],
+        "picture": str(picture),
+        "written": str(settings.out) if settings.force or not refused else None,
+    }
 
 
 def _model(model: str) -> str:

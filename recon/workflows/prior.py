@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
@@ -29,66 +29,6 @@ from recon.workflows.settings import ANYWAY
 Segment = tuple[str, Array, float]
 """Name, states (T, D), frames per second."""
 T = TypeVar("T")
-
-
-@dataclass(frozen=True, eq=False)
-class PriorFit:
-    """A prior, and what there is to say of it."""
-
-    prior: MotionPrior
-    rms_mm: tuple[float, ...]
-    """Of each segment of prior.segments: the body's misfit to a pose file, NaN where no frame had enough markers."""
-    sizes: dict[Path, float]
-    """The factor on the body's lengths by pose file."""
-    lacking: tuple[str, ...]
-    """Markers of the body that no pose file has."""
-    frames: int
-    """That the prior was fitted to."""
-    left_out: int
-    """Frames of results that have a flag or no pose."""
-    held_out: dict[str, float] | None
-    """Mean log-likelihood per frame of segments that a prior was not fitted to, each left out once: of the `mixture`,
-    and of `one_gaussian`; and the fewest `components` of all these fits. None if it was not asked for, or if no segment
-    can be left out."""
-    components_asked: int
-    """The prior has as many, or what its frames allow."""
-
-    def to_dict(self) -> dict[str, Any]:
-        """The table of segments and what is said beside it, as plain types; unknown is None."""
-        rows = zip(self.prior.segments, self.rms_mm, strict=True)
-        return {
-            "segments": [asdict(row) | {"misfit_mm": rms if math.isfinite(rms) else None} for row, rms in rows],
-            "components": len(self.prior.weights),
-            "components_asked": self.components_asked,
-            "sizes": {str(path): size for path, size in self.sizes.items()},
-            "lacking": list(self.lacking),
-            "frames": self.frames,
-            "left_out": self.left_out,
-            "held_out": self.held_out,
-        }
-
-    def notes(self) -> Iterator[str]:
-        """What there is to say beside the table of segments."""
-        rows = self.prior.segments
-        used = f"{sum(row.used for row in rows)} of {len(rows)} segments, {self.frames} frames"
-        yield f"Used: {used} and their mirror images."
-        if len(self.prior.weights) < self.components_asked:
-            yield (
-                f"{len(self.prior.weights)} components in place of {self.components_asked}: each takes "
-                f"{FRAMES_PER_COMPONENT} frames."
-            )
-        if self.left_out:
-            yield f"{self.left_out} frames of results have a flag or no pose: left out."
-        if self.lacking:
-            yield f"Markers that no file has: {', '.join(self.lacking)}"
-        for path, size in self.sizes.items():
-            if size != 1.0:
-                yield f"{path}: {size:.3f} times the skeleton's lengths"
-        if self.held_out is not None:
-            yield (
-                f"Held-out log-likelihood per frame: {self.held_out['mixture']:.2f} with {self.held_out['components']} "
-                f"components, {self.held_out['one_gaussian']:.2f} with one Gaussian"
-            )
 
 
 class PriorFitSettings(Settings):
@@ -123,8 +63,14 @@ class PriorFitSettings(Settings):
     overwrite: Annotated[bool, Option("Replace the file.")] = False
 
 
-def run_prior_fit(settings: PriorFitSettings) -> PriorFit:
+def run_prior_fit(settings: PriorFitSettings) -> dict[str, Any]:
     """`recon prior fit`: fit a prior to results of `recon fit`, which are folders, and to pose files, and write it.
+
+    Gives, as plain types, the table of segments with the body's misfit to each (None for results, and where no frame
+    had enough markers), the `sizes` that the body's lengths were multiplied by for each pose file, the markers that no
+    pose file has (`lacking`), on how many `frames` it was fitted, how many frames of results have a flag or no pose
+    (`left_out`), and `held_out`: the mean log-likelihood per frame of segments that a prior was not fitted to, each
+    left out once, None if it was not asked for or no segment can be left out.
 
     Of results, frames without a pose or with a flag are left out. skeleton: None for that of the results. fps: of the
     pose files, a number, or a JSON file with one for every piece of motion in their order; None without any. Raises
@@ -161,13 +107,22 @@ def run_prior_fit(settings: PriorFitSettings) -> PriorFit:
     held_out = _held_out(body, segments, prior) if settings.check else None
     save_prior(prior, settings.out)
     rms_mm = (*(math.nan for _ in of_results), *misfits_mm)
-    left_out = sum(int(np.isnan(states[:, 0]).sum()) for _, states, _ in of_results)
-    return PriorFit(prior, rms_mm, sizes, _lacking(body, files), frames, left_out, held_out, settings.components)
+    rows = zip(prior.segments, rms_mm, strict=True)
+    return {
+        "segments": [asdict(row) | {"misfit_mm": rms if math.isfinite(rms) else None} for row, rms in rows],
+        "components": len(prior.weights),
+        "components_asked": settings.components,
+        "sizes": {str(path): size for path, size in sizes.items()},
+        "lacking": _lacking(body, files),
+        "frames": frames,
+        "left_out": sum(int(np.isnan(states[:, 0]).sum()) for _, states, _ in of_results),
+        "held_out": held_out,
+    }
 
 
-def _lacking(body: Body, files: Mapping[Path, Mapping[str, Pose3D]]) -> tuple[str, ...]:
+def _lacking(body: Body, files: Mapping[Path, Mapping[str, Pose3D]]) -> list[str]:
     there = {joint for pieces in files.values() for pose in pieces.values() for joint in pose.names}
-    return tuple(marker for marker in body.markers if files and marker not in there)
+    return [marker for marker in body.markers if files and marker not in there]
 
 
 def _sound_states(motion: Motion) -> Array:

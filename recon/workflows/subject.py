@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -30,40 +30,17 @@ LEAST_SIZE_SIGMA = 0.01
 """Of a measured animal: its lengths are known no better than a keypoint's place on it is."""
 
 
-@dataclass(frozen=True, eq=False)
-class SubjectFit:
-    """What was found, of `frames` frames with enough detections in `clips` clips."""
-
-    fit: ShapeFit
-    clips: int
-    frames: int
-    size: float
-    """The lengths' mean factor on the skeleton's, and its standard deviation."""
-    size_sigma: float
-
-    def rows(self) -> Iterator[tuple[str, float, float, str]]:
-        """Name, value, standard deviation and unit: lengths in metres, offsets in millimetres."""
-        shape, values, sigma = self.fit.shape, self.fit.values, self.fit.sigma
-        body = shape.applied(shape.body, values)
-        items = {item.name: item for item in (*body.tree.segments, *body.tree.markers)}
-        for name, s in zip(shape.lengths, sigma, strict=False):
-            length = float(np.linalg.norm(items[name].offset_m))
-            yield name, length, float(length * s), "m"
-        first = len(shape.lengths)
-        for name, value, s in zip(shape.names[first:], values[first:], sigma[first:], strict=True):
-            yield name, 1e3 * float(value), 1e3 * float(s), "mm"
-
-    def to_dict(self) -> dict[str, Any]:
-        """As plain types."""
-        rows = [dict(zip(("name", "value", "sigma", "unit"), row, strict=True)) for row in self.rows()]
-        return {
-            "clips": self.clips,
-            "frames": self.frames,
-            "converged": self.fit.converged,
-            "size": self.size,
-            "size_sigma": self.size_sigma,
-            "values": rows,
-        }
+def _rows(fit: ShapeFit) -> Iterator[dict[str, Any]]:
+    """What was measured: lengths in metres, offsets in millimetres."""
+    shape, values, sigma = fit.shape, fit.values, fit.sigma
+    body = shape.applied(shape.body, values)
+    items = {item.name: item for item in (*body.tree.segments, *body.tree.markers)}
+    for name, s in zip(shape.lengths, sigma, strict=False):
+        length = float(np.linalg.norm(items[name].offset_m))
+        yield {"name": name, "value": length, "sigma": float(length * s), "unit": "m"}
+    first = len(shape.lengths)
+    for name, value, s in zip(shape.names[first:], values[first:], sigma[first:], strict=True):
+        yield {"name": name, "value": 1e3 * float(value), "sigma": 1e3 * float(s), "unit": "mm"}
 
 
 class SubjectFitSettings(Settings):
@@ -87,9 +64,9 @@ class SubjectFitSettings(Settings):
     overwrite: Annotated[bool, Option("Replace the file.")] = False
 
 
-def run_subject_fit(settings: SubjectFitSettings) -> SubjectFit:
+def run_subject_fit(settings: SubjectFitSettings) -> dict[str, Any]:
     """`recon subject fit`: measure an animal and its detector, and write the subject file; without lengths, the
-    detector file.
+    detector file. What was found is given as plain types; its size is the lengths' mean factor on the skeleton's.
 
     clips: result folders of `recon fit`, or their config.toml. lengths: of the segments; offsets: of the keypoints from
     the markers. poses: of each clip, its 3D poses in the cameras' world as another method knows them, and then the
@@ -123,9 +100,9 @@ def run_subject_fit(settings: SubjectFitSettings) -> SubjectFit:
         size = float(np.exp(fit.values[:n].mean()))
         sigma = max(float(np.sqrt(fit.covariance[:n, :n].mean())), LEAST_SIZE_SIGMA)
     frames = sum(int((one.present().sum(axis=1) > 0).sum()) for one in given)
-    found = SubjectFit(fit, len(settings.clips), frames, size, sigma)
+    rows = list(_rows(fit))
     body = replace(shape.applied(shape.body, fit.values), size_sigma=sigma)
-    notes = [f"{name}: {value:.4g} ± {s:.2g} {unit}" for name, value, s, unit in found.rows()]
+    notes = ["{name}: {value:.4g} ± {sigma:.2g} {unit}".format(**row) for row in rows]
     count = f"measured in {len(settings.clips)} clip{'s' * (len(settings.clips) > 1)}"
     if settings.lengths:
         if not settings.offsets:  # the detector's are not the animal's
@@ -135,7 +112,8 @@ def run_subject_fit(settings: SubjectFitSettings) -> SubjectFit:
         text = detector_toml(fit.seen(shape.body), settings.title or f"a detector, {count}", notes)
     with staged_file(settings.out) as staged:
         staged.write_text(text, encoding="utf-8")
-    return found
+    counts = {"clips": len(settings.clips), "frames": frames, "converged": fit.converged}
+    return {**counts, "size": size, "size_sigma": sigma, "values": rows}
 
 
 # -- input --------------------------------------------------------------------------------------------------------

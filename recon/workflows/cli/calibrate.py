@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 import math
+from typing import Any
 
 import typer
 from rich.console import Console
 from rich.text import Text
 
-from recon.workflows.calibrate import CalibrationRun, CalibrationSettings, run_calibration
+from recon.workflows.calibrate import CalibrationSettings, run_calibration
 from recon.workflows.cli.common import error_text, progress_bar, say, table_of, terminal
 
 EXIT_REFUSED = 1
@@ -24,47 +25,49 @@ def calibrate(settings: CalibrationSettings, as_json: bool) -> None:
     """
     errors = terminal(stderr=True, soft_wrap=True)
     with progress_bar(errors) as progress:
-        run = run_calibration(settings, progress)
+        report = run_calibration(settings, progress)
     if as_json:
-        typer.echo(json.dumps(run.to_dict(), indent=1))
+        typer.echo(json.dumps(report, indent=1))
     else:
-        _print(run, terminal())
-    if run.written is None:
-        for failed in run.refused:
-            errors.print(error_text(f"refused: {failed}"))
-        errors.print(Text(f"{settings.out} was not written: mend that, or say --force. What there is: {run.picture}"))
+        _print(report, terminal())
+    if report["written"] is None:
+        for failed in report["checks"]:
+            if failed["verdict"] == "refused":
+                errors.print(error_text(f"refused: {failed['text']}"))
+        what = f"mend that, or say --force. What there is: {report['picture']}"
+        errors.print(Text(f"{settings.out} was not written: {what}"))
         raise typer.Exit(EXIT_REFUSED)
 
 
-def _print(run: CalibrationRun, console: Console) -> None:
-    calibration = run.calibration
+def _print(report: dict[str, Any], console: Console) -> None:
+    pictures, written = report["pictures"], report["written"]
     table = table_of("picture", numbers=("corners", "error px", "worst px", "tilt", "distance m", ""))
-    for view in calibration.views:
+    for view in pictures:
         table.add_row(
-            Text(view.name),
-            str(len(view.ids)),
-            f"{view.rms_px:.2f}",
-            f"{view.max_px:.2f}",
-            f"{math.degrees(view.tilt_rad):.0f}°",
-            f"{math.hypot(*view.translation_m):.2f}",
-            "" if view.used else Text("left out", style="red"),
+            Text(view["name"]),
+            str(view["corners"]),
+            f"{view['rms_px']:.2f}",
+            f"{view['max_px']:.2f}",
+            f"{math.degrees(view['tilt_rad']):.0f}°",
+            f"{view['distance_m']:.2f}",
+            "" if view["used"] else Text("left out", style="red"),
         )
     console.print(table)
-    looked = f"{run.views.board}: found in {run.views.found} of {run.views.examined} pictures"
-    if run.views.found > len(calibration.views):
-        looked += f", the {len(calibration.views)} sharpest and most different were taken"
+    looked = f"{report['board']}: found in {report['found']} of {report['examined']} pictures"
+    if report["found"] > len(pictures):
+        looked += f", the {len(pictures)} sharpest and most different were taken"
     say(console, looked)
-    if run.views.without_board:
-        names = run.views.without_board
+    if names := report["without_board"]:
         more = f" and {len(names) - 10} more" if len(names) > 10 else ""
         say(console, f"Not found in: {', '.join(names[:10])}{more}")
     console.print()
-    for (name, value), sigma in zip(calibration.parameters.items(), calibration.sigma, strict=True):
-        digits = 1 if name in ("fx", "fy", "cx", "cy") else 4
-        console.print(f"{name}  {value:.{digits}f} ± {sigma:.{digits}f}", highlight=False)
-    console.print(f"reprojection error {calibration.rms_px:.3f} px (root mean square)", highlight=False)
-    for check in run.checks:
-        if check.verdict == "warning" or (check.verdict == "refused" and run.written is not None):
-            say(console, Text.assemble(("warning: ", "yellow"), str(check)))
-    if run.written is not None:
-        say(console, f"Written: {run.written}, and what it rests on: {run.picture}")
+    for row in report["parameters"]:
+        digits = 1 if row["name"] in ("fx", "fy", "cx", "cy") else 4
+        sigma = math.inf if row["sigma"] is None else row["sigma"]
+        console.print(f"{row['name']}  {row['value']:.{digits}f} ± {sigma:.{digits}f}", highlight=False)
+    console.print(f"reprojection error {report['rms_px']:.3f} px (root mean square)", highlight=False)
+    for check in report["checks"]:
+        if check["verdict"] == "warning" or (check["verdict"] == "refused" and written is not None):
+            say(console, Text.assemble(("warning: ", "yellow"), check["text"]))
+    if written is not None:
+        say(console, f"Written: {written}, and what it rests on: {report['picture']}")

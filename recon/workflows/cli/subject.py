@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
 
 import typer
-from rich.table import Table
 from rich.text import Text
 
 from recon.workflows.cli.common import counted, table_of, terminal
-from recon.workflows.subject import SubjectFit, SubjectFitSettings, run_subject_fit
+from recon.workflows.subject import SubjectFitSettings, run_subject_fit
 
 
 def subject_fit(settings: SubjectFitSettings, as_json: bool) -> None:
@@ -21,32 +19,25 @@ def subject_fit(settings: SubjectFitSettings, as_json: bool) -> None:
     """
     found = run_subject_fit(settings)
     if as_json:
-        typer.echo(json.dumps({"out": str(settings.out), **found.to_dict()}, indent=1))
+        typer.echo(json.dumps({"out": str(settings.out), **found}, indent=1))
         return
-    for table in _tables(found):
-        terminal().print(table)
-    if found.fit.shape.lengths:
-        typer.echo(f"Size: {found.size:.3f} ± {found.size_sigma:.3f} of the skeleton's lengths.")
-    if not found.fit.converged:
-        typer.echo("The last step was not small yet: more frames would say more.")
-    kind = "subject" if found.fit.shape.lengths else "detector"
-    use = f"--subject {settings.out}" if found.fit.shape.lengths else f"--set detector={settings.out}"
-    typer.echo(f"From {counted(found.clips, 'clip')}, {found.frames} frames. The {kind} is in {settings.out}.")
-    typer.echo(f"Use it with: recon fit {use}")
-
-
-def _tables(found: SubjectFit) -> Iterator[Table]:
-    rows, shape = list(found.rows()), found.fit.shape
-    first = len(shape.lengths)
-    if shape.lengths:
+    lengths, offsets = ([row for row in found["values"] if row["unit"] == unit] for unit in ("m", "mm"))
+    if lengths:
         table = table_of("length of", numbers=("m", "±"))
-        for name, value, sigma, _ in rows[:first]:
-            table.add_row(Text(name), f"{value:.3f}", f"{sigma:.3f}")
-        yield table
-    if shape.offsets:
+        for row in lengths:
+            table.add_row(Text(row["name"]), f"{row['value']:.3f}", f"{row['sigma']:.3f}")
+        terminal().print(table)
+    if offsets:
         table = table_of("keypoint off its marker, mm", numbers=("forwards", "left", "up", "±"))
-        for i, name in enumerate(shape.offsets):
-            three = rows[first + 3 * i : first + 3 * i + 3]
-            sigma = max(s for _, _, s, _ in three)
-            table.add_row(Text(name), *(f"{value:.0f}" for _, value, _, _ in three), f"{sigma:.0f}")
-        yield table
+        for three in zip(offsets[::3], offsets[1::3], offsets[2::3], strict=True):
+            sigma = max(row["sigma"] for row in three)
+            name = three[0]["name"].removesuffix("_x")
+            table.add_row(Text(name), *(f"{row['value']:.0f}" for row in three), f"{sigma:.0f}")
+        terminal().print(table)
+    if lengths:
+        typer.echo(f"Size: {found['size']:.3f} ± {found['size_sigma']:.3f} of the skeleton's lengths.")
+    if not found["converged"]:
+        typer.echo("The last step was not small yet: more frames would say more.")
+    kind, use = ("subject", "--subject ") if lengths else ("detector", "--set detector=")
+    typer.echo(f"From {counted(found['clips'], 'clip')}, {found['frames']} frames. The {kind} is in {settings.out}.")
+    typer.echo(f"Use it with: recon fit {use}{settings.out}")
