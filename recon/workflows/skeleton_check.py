@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -25,74 +24,15 @@ _EVEN = 0.2
 mean over strides, not a stance."""
 
 
-@dataclass(frozen=True)
-class AngleRow:
-    """An expected angle, degrees: the middle of its range, and from there to either end."""
-
-    name: str
-    mean_deg: float
-    low_deg: float
-    """A chain's tolerance, or `REACH_SIGMAS` standard deviations."""
-    high_deg: float
-    """A chain's tolerance, or `REACH_SIGMAS` standard deviations."""
-    rate: str
-    """What is expected of its changes, with its unit."""
+Row = dict[str, Any]
+"""Plain JSON types by name."""
 
 
-@dataclass(frozen=True)
-class PartRow:
-    """A segment or a link."""
-
-    name: str
-    parent: str
-    """The segment that it turns on, empty for the root, or the joint where the link begins."""
-    end: str
-    """The joint where it ends."""
-    joint: str
-    length_m: float
-    """From the parent's origin to its own, or along the link."""
-    angles: tuple[AngleRow, ...]
-    points: tuple[str, ...]
-    """Markers on it, or the keypoints of its end."""
-
-
-@dataclass(frozen=True, eq=False)
-class SkeletonCheck:
-    """What a skeleton's file describes."""
-
-    name: str
-    title: str
-    kind: str
-    """Either "whole animal" or "chain"."""
-    body: Body
-    unknowns: int
-    """Per frame."""
-    length_m: float
-    """Of the expected pose."""
-    height_m: float
-    """Of the expected pose."""
-    size_sigma: float
-    keypoint_sigma_m: float
-    prior: str
-    """The one that a fit takes by default, "none" if there is none."""
-    parts: tuple[PartRow, ...]
-    feet: dict[str, str]
-    """Markers by label, LF, RF, LH, RH, of a chain F, H."""
-    limbs: dict[str, tuple[str, ...]]
-    remarks: tuple[str, ...]
-    """What is allowed, but looks like a mistake."""
-
-    def to_dict(self) -> dict[str, Any]:
-        """Plain JSON types."""
-        markers = [{"name": m.name, "segment": m.segment, "at_m": m.offset_m} for m in self.body.tree.markers]
-        rows = {"parts": [asdict(part) for part in self.parts], "markers": markers}
-        return {name: value for name, value in vars(self).items() if name not in ("body", "parts")} | rows
-
-
-def list_skeletons() -> list[dict[str, Any]]:
+def list_skeletons() -> list[Row]:
     """Those that come with the package: name, title, kind, and how many markers and unknowns they have."""
     return [
-        {"name": c.name, "title": c.title, "kind": c.kind, "markers": len(c.body.markers), "unknowns": c.unknowns}
+        {name: c[name] for name in ("name", "title", "kind")}
+        | {"markers": len(c["markers"]), "unknowns": c["unknowns"]}
         for c in map(check_skeleton, builtin_names())
     ]
 
@@ -108,36 +48,38 @@ class SkeletonCheckSettings(Settings):
     overwrite: Annotated[bool, Option("Replace pictures in the folder.")] = False
 
 
-def run_skeleton_check(settings: SkeletonCheckSettings) -> SkeletonCheck:
+def run_skeleton_check(settings: SkeletonCheckSettings) -> Row:
     """`recon skeleton check`: read and describe a skeleton, and draw it into the folder `out`. Raises InputError."""
     check = check_skeleton(settings.skeleton, settings.subject)
     if settings.out is not None:
-        _draw(check, settings.out, settings.overwrite)
+        _draw(check, load_skeleton(settings.skeleton, settings.subject), settings.out, settings.overwrite)
     return check
 
 
-def check_skeleton(name_or_path: str | Path, subject: str | Path | None = None) -> SkeletonCheck:
-    """Raises InputError, naming every problem, for a file that describes no skeleton."""
+def check_skeleton(name_or_path: str | Path, subject: str | Path | None = None) -> Row:
+    """What a skeleton's file describes: `length_m` and `height_m` are those of the expected pose, `unknowns` those of a
+    frame, `prior` is the one that a fit takes by default, and `remarks` say what is allowed, but looks like a mistake.
+    Raises InputError, naming every problem, for a file that describes no skeleton."""
     body = load_skeleton(name_or_path, subject)
     chain = load_chain(name_or_path) if body.one_sided else None
     points = body.tree.pose(_mean_state(body)[None]).points_m[0]
     length, _, height = np.ptp(points, axis=0).tolist()
-    return SkeletonCheck(
-        name=body.name,
-        title=body.title,
-        kind="chain" if chain else "whole animal",
-        body=body,
-        unknowns=chain.n_state if chain else body.n_state,
-        length_m=length,
-        height_m=height,
-        size_sigma=body.size_sigma,
-        keypoint_sigma_m=body.keypoint_sigma_m,
-        prior=load_prior(None, body).name,
-        parts=tuple(_links(chain) if chain else _segments(body)),
-        feet=body.feet_by_label(),
-        limbs=body.limbs,
-        remarks=tuple(_remarks(body)),
-    )
+    return {
+        "name": body.name,
+        "title": body.title,
+        "kind": "chain" if chain else "whole animal",
+        "unknowns": chain.n_state if chain else body.n_state,
+        "length_m": length,
+        "height_m": height,
+        "size_sigma": body.size_sigma,
+        "keypoint_sigma_m": body.keypoint_sigma_m,
+        "prior": load_prior(None, body).name,
+        "feet": body.feet_by_label(),
+        "limbs": body.limbs,
+        "remarks": [*_remarks(body)],
+        "parts": [*(_links(chain) if chain else _segments(body))],
+        "markers": [{"name": m.name, "segment": m.segment, "at_m": m.offset_m} for m in body.tree.markers],
+    }
 
 
 def _mean_state(body: Body) -> np.ndarray:
@@ -147,7 +89,21 @@ def _mean_state(body: Body) -> np.ndarray:
 # -- what it consists of -------------------------------------------------------------------------------------------
 
 
-def _segments(body: Body) -> Iterator[PartRow]:
+def _part(*values: Any) -> Row:
+    """A segment or a link. parent: the segment that it turns on, empty for the root, or the joint where the link
+    begins; end: the joint where that ends; length_m: from the parent's origin to its own, or along the link; points:
+    markers on it, or the keypoints of the link's end."""
+    return dict(zip(("name", "parent", "end", "joint", "length_m", "angles", "points"), values, strict=True))
+
+
+def _angle(name: str, mean_deg: float, reach_deg: float, rate: str) -> Row:
+    """An expected angle: the middle of its range, its ends, a chain's tolerance or `REACH_SIGMAS` standard deviations
+    away, and what is expected of its changes, with its unit."""
+    low_deg, high_deg = mean_deg - reach_deg, mean_deg + reach_deg
+    return {"name": name, "mean_deg": mean_deg, "low_deg": low_deg, "high_deg": high_deg, "rate": rate}
+
+
+def _segments(body: Body) -> Iterator[Row]:
     expected = dict(
         zip(
             body.state_names[4:], zip(body.mean_rad, body.sigma_rad, body.acceleration_rad_s2, strict=True), strict=True
@@ -159,14 +115,13 @@ def _segments(body: Body) -> Iterator[PartRow]:
             name = f"{segment.name}_{ANGLE_OF_AXIS[axis]}"
             if name in expected:  # all but the root's heading
                 mean, sigma, acceleration = np.rad2deg(expected[name]).tolist()
-                low, high = mean - REACH_SIGMAS * sigma, mean + REACH_SIGMAS * sigma
-                rows.append(AngleRow(ANGLE_OF_AXIS[axis], mean, low, high, f"{acceleration:.0f} °/s²"))
-        markers = tuple(m.name for m in body.tree.markers if m.segment == segment.name)
+                rows.append(_angle(ANGLE_OF_AXIS[axis], mean, REACH_SIGMAS * sigma, f"{acceleration:.0f} °/s²"))
+        markers = [m.name for m in body.tree.markers if m.segment == segment.name]
         length_m = float(np.linalg.norm(segment.offset_m))
-        yield PartRow(segment.name, segment.parent or "", "", segment.joint, length_m, tuple(rows), markers)
+        yield _part(segment.name, segment.parent or "", "", segment.joint, length_m, rows, markers)
 
 
-def _links(chain: Chain) -> Iterator[PartRow]:
+def _links(chain: Chain) -> Iterator[Row]:
     a = 0
     for link, names in zip(chain.links, chain.keypoints[1:], strict=True):
         rows = []
@@ -174,13 +129,13 @@ def _links(chain: Chain) -> Iterator[PartRow]:
             rows = [_range(name, ranges, a) for name, ranges in (("theta", chain.theta), ("phi", chain.phi))]
             a += 1
         length_m = link.length_ratio * chain.nominal_base_length_m
-        joint, points = "free" if link.free else "fixed", tuple(dict.fromkeys(names))
-        yield PartRow(link.name, link.start, link.end, joint, length_m, tuple(rows), points)
+        joint, points = "free" if link.free else "fixed", [*dict.fromkeys(names)]
+        yield _part(link.name, link.start, link.end, joint, length_m, rows, points)
 
 
-def _range(name: str, ranges: AngleRanges, a: int) -> AngleRow:
+def _range(name: str, ranges: AngleRanges, a: int) -> Row:
     mean, reach, rate = np.rad2deg([ranges.mean_rad[a], ranges.tolerance_rad[a], ranges.max_rate_rad_s[a]]).tolist()
-    return AngleRow(name, mean, mean - reach, mean + reach, f"{rate:.0f} °/s")
+    return _angle(name, mean, reach, f"{rate:.0f} °/s")
 
 
 # -- what looks odd ------------------------------------------------------------------------------------------------
@@ -252,33 +207,28 @@ def _names_text(names: Sequence[str]) -> str:
 # -- pictures ------------------------------------------------------------------------------------------------------
 
 
-def _draw(check: SkeletonCheck, out: Path, overwrite: bool) -> None:
+def _draw(check: Row, body: Body, out: Path, overwrite: bool) -> None:
     from recon.show.plots.skeleton import angle_ranges, views
     from recon.show.plots.style import save
 
     pictures = [f"{stem}{end}" for stem in STEMS for end in (".png", ".svg")]
     require_free_folder(out, pictures, overwrite, "these pictures")
-    rows = _by_angle(check)
-    reach_rad = np.deg2rad([(row.high_deg - row.low_deg) / 2 for row in rows])
-    low, high = [f"{row.low_deg:.0f}°" for row in rows], [f"{row.high_deg:.0f}°" for row in rows]
-    title = f"{check.name}: {check.title}"
-    figures = views(check.body, title), angle_ranges(check.body, low, high, reach_rad, title)
+    rows = _by_angle(check, body)
+    reach_rad = np.deg2rad([(row["high_deg"] - row["low_deg"]) / 2 for row in rows])
+    low, high = ([f"{row[end]:.0f}°" for row in rows] for end in ("low_deg", "high_deg"))
+    title = f"{body.name}: {body.title}"
+    figures = views(body, title), angle_ranges(body, low, high, reach_rad, title)
     for stem, figure in zip(STEMS, figures, strict=True):
         save(figure, out, stem)
 
 
-def _by_angle(check: SkeletonCheck) -> list[AngleRow]:
+def _by_angle(check: Row, body: Body) -> list[Row]:
     """What the body expects of each angle of state[4:]."""
-    body = check.body
-    if check.kind == "whole animal":
-        return [row for part in check.parts for row in part.angles]
-    of_links = {f"{row.name}_{part.end.lstrip('J')}": row for part in check.parts for row in part.angles}
+    if check["kind"] == "whole animal":
+        return [row for part in check["parts"] for row in part["angles"]]
+    of_links = {f"{row['name']}_{part['end'].lstrip('J')}": row for part in check["parts"] for row in part["angles"]}
     rows = []
     for name, mean, sigma in zip(body.state_names[4:], body.mean_rad, body.sigma_rad, strict=True):
-        if name in of_links:
-            rows.append(of_links[name])
-        else:  # of the root
-            angle = name.rsplit("_", 1)[1]
-            mean_deg, sigma_deg = np.rad2deg([mean, sigma]).tolist()
-            rows.append(AngleRow(angle, mean_deg, mean_deg - 2 * sigma_deg, mean_deg + 2 * sigma_deg, ""))
+        mean_deg, reach_deg = np.rad2deg([mean, REACH_SIGMAS * sigma]).tolist()
+        rows.append(of_links.get(name, _angle(name.rsplit("_", 1)[1], mean_deg, reach_deg, "")))
     return rows

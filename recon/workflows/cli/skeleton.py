@@ -6,23 +6,14 @@ import json
 import shlex
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import TypeVar
 
 import typer
 from rich.table import Table
 from rich.text import Text
 
 from recon.base.words import length_text
-from recon.geometry.kinematics import Marker
 from recon.workflows.cli.common import say, table_of, terminal
-from recon.workflows.skeleton_check import (
-    AngleRow,
-    PartRow,
-    SkeletonCheck,
-    SkeletonCheckSettings,
-    list_skeletons,
-    run_skeleton_check,
-)
+from recon.workflows.skeleton_check import Row, SkeletonCheckSettings, list_skeletons, run_skeleton_check
 from recon.workflows.skeleton_draft import SkeletonDraftSettings, run_skeleton_draft
 
 
@@ -52,12 +43,12 @@ def skeleton_check(settings: SkeletonCheckSettings, as_json: bool) -> None:
     """
     check = run_skeleton_check(settings)
     if as_json:
-        typer.echo(json.dumps(check.to_dict(), indent=1))
+        typer.echo(json.dumps(check, indent=1))
         return
     console = terminal()
     for line in _summary(check):
         say(console, line)
-    for table in [_chain_table(check)] if check.kind == "chain" else _body_tables(check):
+    for table in [_chain_table(check)] if check["kind"] == "chain" else _body_tables(check):
         console.print(table)
     for line in _notes(check, settings.out):
         say(console, line)
@@ -79,100 +70,90 @@ def skeleton_from_keypoints(settings: SkeletonDraftSettings) -> None:
     say(console, f"Look at it with: recon skeleton check {shlex.quote(str(out))} --out pictures")
 
 
-def _summary(check: SkeletonCheck) -> Iterator[str]:
-    yield f"{check.name}: {check.title}"
+def _summary(check: Row) -> Iterator[str]:
+    yield f"{check['name']}: {check['title']}"
     yield (
-        f"A {check.kind} with {len(check.body.markers)} markers and {check.unknowns} unknowns a frame, "
-        f"{length_text(check.length_m)} long and {length_text(check.height_m)} high in its expected pose "
-        f"(size ± {100 * check.size_sigma:.0f} %, keypoints within {100 * check.keypoint_sigma_m:.0f} cm)."
+        f"A {check['kind']} with {len(check['markers'])} markers and {check['unknowns']} unknowns a frame, "
+        f"{length_text(check['length_m'])} long and {length_text(check['height_m'])} high in its expected pose "
+        f"(size ± {100 * check['size_sigma']:.0f} %, keypoints within {100 * check['keypoint_sigma_m']:.0f} cm)."
     )
 
 
-def _body_tables(check: SkeletonCheck) -> Iterator[Table]:
+def _body_tables(check: Row) -> Iterator[Table]:
     """Segments, then markers: left and right in one row where they are mirror images."""
     table = table_of("segment", "turns on", numbers=("m", "yaw °", "pitch °", "roll °"))
-    for part, star in _pairs_as_one(check.parts, _alike):
-        angles = {angle.name: _range(angle) for angle in part.angles}
-        length = f"{part.length_m:.3f}" if part.parent else ""
-        of_angles = (angles.get(name, "") for name in ("yaw", "pitch", "roll"))
-        table.add_row(Text(part.name + star), Text(part.parent), length, *of_angles)
+    for part, star in _pairs_as_one(check["parts"], _alike):
+        length = f"{part['length_m']:.3f}" if part["parent"] else ""
+        ranges = _ranges(part, ("yaw", "pitch", "roll"), "")
+        table.add_row(Text(part["name"] + star), Text(part["parent"]), length, *ranges)
     yield table
     table = table_of("marker", "on segment", numbers=("x m", "y m", "z m"))
-    for marker, star in _pairs_as_one(check.body.tree.markers, _opposite):
-        numbers = (f"{x:.3f}" for x in marker.offset_m)
-        table.add_row(Text(marker.name + star), Text(marker.segment), *numbers)
+    for marker, star in _pairs_as_one(check["markers"], _opposite):
+        numbers = (f"{x:.3f}" for x in marker["at_m"])
+        table.add_row(Text(marker["name"] + star), Text(marker["segment"]), *numbers)
     yield table
 
 
-_Row = TypeVar("_Row", "PartRow", "Marker")
-
-
-def _pairs_as_one(rows: Sequence[_Row], alike: Callable[[_Row, _Row], bool]) -> Iterator[tuple[_Row, str]]:
+def _pairs_as_one(rows: Sequence[Row], alike: Callable[[Row, Row], bool]) -> Iterator[tuple[Row, str]]:
     """Rows without the right ones that are alike their left counterparts, and the star of these."""
     from recon.animal.body import other_side, side_of
 
-    named = {row.name: row for row in rows}
+    named = {row["name"]: row for row in rows}
     for row in rows:
-        twin = named.get(other_side(row.name)) if side_of(row.name) else None
+        twin = named.get(other_side(row["name"])) if side_of(row["name"]) else None
         paired = twin is not None and alike(row, twin)
-        if not (paired and side_of(row.name) == "right"):
+        if not (paired and side_of(row["name"]) == "right"):
             yield row, " *" if paired else ""
 
 
-def _alike(part: PartRow, twin: PartRow) -> bool:
+def _alike(part: Row, twin: Row) -> bool:
     """Mirror images: yaw and roll with the opposite sign."""
     return (
-        part.joint == twin.joint
-        and abs(part.length_m - twin.length_m) < 1e-9
+        part["joint"] == twin["joint"]
+        and abs(part["length_m"] - twin["length_m"]) < 1e-9
         and all(
-            abs(a.mean_deg - (b.mean_deg if a.name == "pitch" else -b.mean_deg)) < 1e-9
-            and abs((a.high_deg - a.low_deg) - (b.high_deg - b.low_deg)) < 1e-9
-            for a, b in zip(part.angles, twin.angles, strict=True)
+            abs(a["mean_deg"] - (b["mean_deg"] if a["name"] == "pitch" else -b["mean_deg"])) < 1e-9
+            and abs((a["high_deg"] - a["low_deg"]) - (b["high_deg"] - b["low_deg"])) < 1e-9
+            for a, b in zip(part["angles"], twin["angles"], strict=True)
         )
     )
 
 
-def _opposite(marker: Marker, twin: Marker) -> bool:
+def _opposite(marker: Row, twin: Row) -> bool:
     from recon.animal.body import other_side
 
-    (x, y, z), on = marker.offset_m, other_side(marker.segment)
-    return on == twin.segment and max(abs(a - b) for a, b in zip((x, -y, z), twin.offset_m, strict=True)) < 1e-9
+    (x, y, z), on = marker["at_m"], other_side(marker["segment"])
+    return on == twin["segment"] and max(abs(a - b) for a, b in zip((x, -y, z), twin["at_m"], strict=True)) < 1e-9
 
 
-def _chain_table(check: SkeletonCheck) -> Table:
+def _chain_table(check: Row) -> Table:
     table = table_of("link", "from", "to", numbers=("length m", "theta °", "phi °"))
     table.add_column("keypoints of its end")
-    for part in check.parts:
-        angles = {angle.name: _range(angle) for angle in part.angles}
-        table.add_row(
-            Text(part.name),
-            Text(part.parent),
-            Text(part.end),
-            f"{part.length_m:.3f}",
-            angles.get("theta", "-"),
-            angles.get("phi", "-"),
-            Text(", ".join(part.points)),
-        )
+    for part in check["parts"]:
+        numbers = f"{part['length_m']:.3f}", *_ranges(part, ("theta", "phi"), "-")
+        names = (Text(part[name]) for name in ("name", "parent", "end"))
+        table.add_row(*names, *numbers, Text(", ".join(part["points"])))
     return table
 
 
-def _range(angle: AngleRow) -> str:
-    return f"{angle.low_deg:.0f} to {angle.high_deg:.0f}"
+def _ranges(part: Row, names: Sequence[str], none: str) -> Iterator[str]:
+    angles = {angle["name"]: f"{angle['low_deg']:.0f} to {angle['high_deg']:.0f}" for angle in part["angles"]}
+    return (angles.get(name, none) for name in names)
 
 
-def _notes(check: SkeletonCheck, out: Path | None) -> Iterator[str]:
-    if check.kind == "chain":
+def _notes(check: Row, out: Path | None) -> Iterator[str]:
+    if check["kind"] == "chain":
         yield "Angles: the expected range, relative to the link before; - for none."
     else:
         yield "Angles: mean ± 2 standard deviations. *: the same on the right, mirrored."
-    yield f"Feet: {', '.join(f'{foot} ({label})' for label, foot in check.feet.items()) or 'none'}"
-    for limb, markers in check.limbs.items():
+    yield f"Feet: {', '.join(f'{foot} ({label})' for label, foot in check['feet'].items()) or 'none'}"
+    for limb, markers in check["limbs"].items():
         yield f"Limb {limb}: {', '.join(markers)}"
-    if check.kind == "whole animal":
-        alone = "none, each angle on its own" if check.prior == "none" else check.prior
+    if check["kind"] == "whole animal":
+        alone = "none, each angle on its own" if check["prior"] == "none" else check["prior"]
         yield f"Prior of a fit, unless --prior says otherwise: {alone}"
-    yield from (f"Look at this: {remark}" for remark in check.remarks)
-    if not check.remarks:
+    yield from (f"Look at this: {remark}" for remark in check["remarks"])
+    if not check["remarks"]:
         yield "Nothing looks odd."
     if out is not None:
         yield f"Pictures are in {out}."
