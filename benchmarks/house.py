@@ -100,12 +100,19 @@ def imported_by(module: str, tree: ast.Module, is_package: bool, modules: Mappin
             # a submodule where there is one of that name, else what the module itself has
             called = [alias.name for alias in node.names if not alias.name.startswith("__")]  # __version__ is no API
             names = [f"{origin}.{name}" if f"{origin}.{name}" in modules else origin for name in called]
-        elif isinstance(node, ast.Call) and node.args and ast.unparse(node.func).endswith("import_module"):
+        elif isinstance(node, ast.Call) and node.args and _called(node.func) == "import_module":
             names = [node.args[0].value] if isinstance(node.args[0], ast.Constant) else []
         else:
             continue
         found.update(name for name in names if name in modules)
     return found - {module}
+
+
+def _called(function: ast.expr) -> str:
+    """The name of a function that is called, without what it is an attribute of."""
+    return (
+        function.id if isinstance(function, ast.Name) else function.attr if isinstance(function, ast.Attribute) else ""
+    )
 
 
 def imports() -> dict[str, set[str]]:

@@ -349,12 +349,12 @@ def test_tables_are_written_where_figures_fail(whole_results, tmp_path, monkeypa
     assert {path.name for path in (tmp_path / "a").iterdir()} == written
 
 
-def test_speeds_that_are_not_known_are_in_no_table_and_grey(frame_results, whole_results):
+def test_speeds_that_are_not_known_are_in_no_table_and_grey(whole, one_sided):
     """The frame method's path in depth: errors, no speeds."""
-    columns, rows = analysis_csv.joints(analyse(Motion.load(whole_results)))
+    columns, rows = analysis_csv.joints(whole)
     assert {row[-1] for row in rows} == {"yes"}
     assert np.isfinite([row[1] for row in rows]).all()
-    motion = Motion.load(frame_results)
+    motion = one_sided.motion
     points_m = motion.solution.joints_m.copy()
     # To and fro across its way, along which the camera looks.
     points_m += np.random.default_rng(0).normal(0, 1.0, len(points_m))[:, None, None] * [0.0, 1.0, 0.0]
@@ -367,7 +367,7 @@ def test_speeds_that_are_not_known_are_in_no_table_and_grey(frame_results, whole
     figure = figures_of(found)["speed"]()
     assert "not known" in figure.legends[0].get_texts()[0].get_text()
     low, high = summarise(found, "clip")["speed"]["net_acceleration_interval_m_s2"]
-    known_low, known_high = summarise(analyse(motion), "clip")["speed"]["net_acceleration_interval_m_s2"]
+    known_low, known_high = summarise(one_sided, "clip")["speed"]["net_acceleration_interval_m_s2"]
     assert high - low > known_high - known_low
 
 

@@ -153,7 +153,7 @@ def test_extended_jacobian_closes_paths_and_least_norm_drifts(dim):
     q = optimum.q[-1]
     path = circle(chain, q)
     runs = {
-        name: follow(chain, q, path, method, turns=10)
+        name: follow(chain, q, path, method, turns=3)
         for name, method in (
             ("full", ExtendedJacobian(cost)),
             ("constant", ExtendedJacobian(cost, full=False)),
@@ -162,7 +162,7 @@ def test_extended_jacobian_closes_paths_and_least_norm_drifts(dim):
     }
     for run in runs.values():
         assert run.distance_m.max() < 1e-3
-        assert run.turns == 10
+        assert run.turns == 3
     closures = {name: run.closures() for name, run in runs.items()}
     assert not runs["full"].singular.any()
     assert closures["full"]["angle"].min() >= 99.9

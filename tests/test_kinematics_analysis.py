@@ -5,12 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from gallop import gallop
+from scipy.interpolate import make_smoothing_spline
 
 from recon.base.errors import InputError
 from recon.gait.kinematics import (
     Errors,
     _curve,
     _evaluate,
+    _smoothed,
     angle_between,
     angle_kinematics,
     angle_sigma,
@@ -253,3 +255,20 @@ def test_bad_input():
         point_kinematics(TIME_S, circle(TIME_S), [Errors(np.zeros((60, 3)))])
     with pytest.raises(ValueError, match="not negative"):
         point_kinematics(TIME_S, circle(TIME_S), [Errors(np.ones((60, 3)), -1.0)])
+
+
+@pytest.mark.parametrize("points", [5, 6, 60])
+@pytest.mark.parametrize("lam", [1e-12, 1e-5, 1e-1])
+def test_the_smoothing_spline_is_scipys(points, lam):
+    """At uneven times, with uneven weights."""
+    rng = np.random.default_rng(points)
+    time_s, values = np.cumsum(rng.choice([1 / 120, 1 / 60, 0.1], points)), rng.normal(size=(points, 2))
+    weight = rng.uniform(0.5, 2.0, points)
+    ours = _curve(time_s, values, weight, lam)
+    for k, column in enumerate(values.T):
+        theirs = make_smoothing_spline(time_s, column, w=weight**2, lam=lam)
+        np.testing.assert_allclose(_smoothed(time_s, values, weight, lam)[:, k], theirs(time_s), atol=1e-8)
+        at = np.linspace(time_s[0], time_s[-1], 100)
+        for order in range(3):
+            known = theirs(at, nu=order)
+            np.testing.assert_allclose(ours(at, order)[:, k], known, atol=1e-6 * np.abs(known).max())
