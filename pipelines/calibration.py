@@ -15,7 +15,7 @@ config = tomllib.loads(FILE.read_text(encoding="utf-8"))
 pictures = [FILE.parent / path for path in config["pictures"]]
 
 # Nothing is written where a check refuses the calibration.
-run = recon.run_calibration(
+found = recon.run_calibration(
     recon.CalibrationSettings(
         inputs=tuple(pictures),
         board=config["board"],
@@ -24,21 +24,21 @@ run = recon.run_calibration(
         overwrite=True,
     )
 )
-views = run.calibration.views
-print(f"{run.views.found} of {run.views.examined} pictures show the board, {len(views)} were used")
+used = [picture for picture in found["pictures"] if picture["used"]]
+print(f"{found['found']} of {found['examined']} pictures show the board, {len(used)} were used")
 
 # Each check says what it is about, and how the calibration stands to its limit.
-for check in run.checks:
-    print(f"{check.verdict}: {check.what}: {check.value:.3g} {check.unit}")
-for view in views:
-    if view.rms_px > 2 * run.calibration.rms_px:
-        print(f"look at {view.name}: its corners are {view.rms_px:.2f} px off")
-if run.written is None:
-    sys.exit(f"The calibration was refused. Where boards are missing: {run.picture}")
+for check in found["checks"]:
+    print(f"{check['verdict']}: {check['text']}")
+for picture in used:
+    if picture["rms_px"] > 2 * found["rms_px"]:
+        print(f"look at {picture['name']}: its corners are {picture['rms_px']:.2f} px off")
+if found["written"] is None:
+    sys.exit(f"The calibration was refused. Where boards are missing: {found['picture']}")
 
 # The camera as every other script and command reads it.
-camera = recon.read_camera(run.written)
+camera = recon.read_camera(found["written"])
 width, height = camera.image_size_px
 field_deg = math.degrees(2 * math.atan(width / 2 / camera.matrix[0, 0]))
-print(f"{width}x{height} px, about {field_deg:.0f} degrees wide, corners {run.calibration.rms_px:.2f} px off")
-print(f"The camera is in {run.written}, a picture of the evidence in {run.picture}")
+print(f"{width}x{height} px, about {field_deg:.0f} degrees wide, corners {found['rms_px']:.2f} px off")
+print(f"The camera is in {found['written']}, a picture of the evidence in {found['picture']}")

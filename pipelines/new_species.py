@@ -32,12 +32,13 @@ first = [fit(name, "1-first", prior="none") for name in config["runs"]]
 measured = recon.run_subject_fit(
     recon.SubjectFitSettings(clips=tuple(first), out=subject, offsets=config["offsets"], overwrite=True)
 )
-print(f"size {measured.size:.3f} ± {measured.size_sigma:.3f} of the skeleton's lengths")
+print(f"size {measured['size']:.3f} ± {measured['size_sigma']:.3f} of the skeleton's lengths")
 
 # The runs with these lengths, and what its motion is like.
 runs = [fit(name, "2-measured", prior="none", subject=subject) for name in config["runs"]]
 learned = recon.run_prior_fit(recon.PriorFitSettings(poses=tuple(runs), out=prior, overwrite=True))
-print("\n".join(learned.notes()))
+used = [segment["used"] for segment in learned["segments"]]
+print(f"Used: {sum(used)} of {len(used)} segments, {learned['frames']} frames")
 
 # From now on, one camera is enough.
 for name in config["clips"]:
