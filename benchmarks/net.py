@@ -89,7 +89,7 @@ def large(args: argparse.Namespace, out: Path) -> None:
             print_row((
                 seed, quality, report["steps"], round(report["seconds"]), round(used), f"{found.all.median_px:.2f}",
                 "/".join(f"{share:.2f}" for share in found.all.pck_px.values()),
-                f"{found.reliability.expected_calibration_error:.3f}",
+                f"{found.reliability['expected_calibration_error']:.3f}",
             ))  # fmt: skip
 
 
@@ -187,7 +187,7 @@ def _row(seed: int, quality: str, report: dict, result: Evaluation2D) -> tuple[o
         seed, quality, report["steps"], round(report["seconds"]), f"{score.median_px:.2f}",
         "/".join(f"{share:.2f}" for share in score.pck_px.values()),
         f"{forgiven.median_px:.2f} px, {forgiven.pck_px['5.0']:.2f}",
-        f"{table.expected_calibration_error:.3f}",
+        f"{table['expected_calibration_error']:.3f}",
     )  # fmt: skip
 
 

@@ -8,7 +8,6 @@ import shutil
 from dataclasses import replace
 from itertools import count
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -81,9 +80,7 @@ def called(monkeypatch, report, small_trajectory) -> list[str]:
     monkeypatch.setattr("recon.workflows.run._check_inputs", lambda job: None)
     monkeypatch.setattr("recon.workflows.run.fit_clip", lambda settings, progress: None)
     monkeypatch.setattr("recon.workflows.run.write_clip", write_results)
-    analysed = does(
-        "analyse", "analysis/analysis.json", lambda path: SimpleNamespace(out=path.parent, files=[path.name])
-    )
+    analysed = does("analyse", "analysis/analysis.json", lambda path: (None, {}, [path]))
     monkeypatch.setattr("recon.workflows.analyse.run_analyse", analysed)
     monkeypatch.setattr("recon.workflows.run.run_overlay", does("overlay", "overlay.mp4"))
     monkeypatch.setattr("recon.workflows.page.run_page", does("page", "report.html"))

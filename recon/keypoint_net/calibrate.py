@@ -8,6 +8,7 @@ them, and a table of reliability says how well it holds.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.optimize import minimize
@@ -55,20 +56,11 @@ def fit_calibration(raw: Array, right: Bools) -> LikelihoodCalibration:
     return LikelihoodCalibration(float(found.x[0]), float(found.x[1]), len(raw))
 
 
-@dataclass(frozen=True)
-class Reliability:
-    """Likelihoods against shares of right points."""
-
-    points: int
-    expected_calibration_error: float
-    """The mean difference of the two weighted by the points; NaN without any."""
-    bins: tuple[dict[str, float], ...]
-    """Of those with points in them: points, how many; their likelihoods lie in [low, high), and likelihood is their
-    mean; right, the share of them that is right."""
-
-
-def reliability(likelihood: Array, right: Bools, bins: int = BINS) -> Reliability:
-    """Over likelihoods (N,) in 0 to 1 and whether their points are right (N,), in bins of equal width."""
+def reliability(likelihood: Array, right: Bools, bins: int = BINS) -> dict[str, Any]:
+    """Of likelihoods (N,) in 0 to 1 and whether their points are right (N,): how many `points` they are; their
+    `expected_calibration_error`, the mean difference of likelihood and share of right points, NaN without any; and for
+    the `bins` of equal width with points in them how many; low and high, between which their likelihoods lie; their
+    mean; and the share of them that is right."""
     which = np.minimum((likelihood * bins).astype(int), bins - 1)
     rows = []
     for b in np.unique(which):
@@ -77,4 +69,4 @@ def reliability(likelihood: Array, right: Bools, bins: int = BINS) -> Reliabilit
         rows.append(ends | {"likelihood": float(likelihood[here].mean()), "right": float(right[here].mean())})
     total = len(likelihood)
     error = sum(r["points"] * abs(r["likelihood"] - r["right"]) for r in rows) / total if total else float("nan")
-    return Reliability(total, float(error), tuple(rows))
+    return {"points": total, "expected_calibration_error": float(error), "bins": rows}

@@ -14,7 +14,7 @@ from recon.base.errors import Problem, all_of, refuse
 from recon.base.settings import Integer, Number, Option, Positive, Settings
 from recon.clip.keypoints import Keypoints, mark_missing, parse_frame_range
 from recon.io import read_keypoints
-from recon.keypoint_net.calibrate import Reliability, reliability
+from recon.keypoint_net.calibrate import reliability
 from recon.keypoint_net.labels import body_length_px, known_points, read_label_file, sides
 from recon.workflows.settings import RENAME, FrameRange
 
@@ -71,7 +71,7 @@ class Evaluation2D:
     swaps_forgiven: Score2D | None
     per_keypoint: dict[str, Score2D]
     likely_per_keypoint: dict[str, Score2D]
-    reliability: Reliability | None
+    reliability: dict[str, Any] | None
 
 
 def evaluate_2d_files(predicted: Path, labels: Path, **options: Any) -> Evaluation2D:

@@ -14,7 +14,7 @@ from recon.base.arrays import Array, Integers, mean, median
 from recon.base.files import write_bytes
 from recon.io import write_rows
 from recon.keypoint_net.batches import crop_size
-from recon.keypoint_net.calibrate import Reliability, reliability
+from recon.keypoint_net.calibrate import reliability
 from recon.keypoint_net.draw import draw_comparison
 from recon.keypoint_net.evaluate2d import Evaluation2D, evaluate_2d
 from recon.keypoint_net.labels import Labels, extents_px
@@ -74,7 +74,7 @@ def write_training_report(run: TrainingRun, state: State, folder: Path) -> dict[
         "best_validation": None if state.best is None else {"median_px": state.best_error_px, "step": state.best_step},
         "validation_in_training_from": _finish_step(state),
         "calibrations": {quality: dataclasses.asdict(c) for quality, c in spec.calibrations.items()},
-        "reliability_validation": {quality: dataclasses.asdict(table) for quality, table in before.items()},
+        "reliability_validation": before,
         "errors": {name: dataclasses.asdict(e) for name, e in judged.items()},
         "suspicious_labels": suspects,
         "history": _thinned(state.history),
@@ -184,13 +184,13 @@ def _draw_keypoints(judged: dict[str, Evaluation2D], folder: Path) -> None:
     save(figure, folder, "keypoints")
 
 
-def _draw_reliability(tables: dict[str, Reliability], folder: Path) -> None:
+def _draw_reliability(tables: dict[str, dict[str, Any]], folder: Path) -> None:
     with drawing(80, 100) as figure:
         axes = figure.subplots()
         axes.plot([0, 1], [0, 1], color=GREY, lw=0.6)
         for i, (part, table) in enumerate(tables.items()):
-            label = f"{part}: {table.points} points, error {table.expected_calibration_error:.3f}"
-            likelihood, right = ([b[name] for b in table.bins] for name in ("likelihood", "right"))
+            label = f"{part}: {table['points']} points, error {table['expected_calibration_error']:.3f}"
+            likelihood, right = ([b[name] for b in table["bins"]] for name in ("likelihood", "right"))
             axes.plot(likelihood, right, marker="os"[i], color=COLOURS[i], label=label)
         axes.set(xlabel="likelihood", ylabel="share of right points", xlim=(0, 1), ylim=(0, 1), aspect="equal")
         if tables:

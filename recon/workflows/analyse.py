@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -39,16 +38,8 @@ SHOWN = 3
 """Of strides that do not count, by method: said one by one."""
 
 
-@dataclass(frozen=True, eq=False)
-class Analysed:
-    """found: all of it; summary: what analysis.json holds; files: the names of what was written, in the folder out;
-    plots: the file of those that go with the playback, None without one."""
-
-    found: ClipAnalysis
-    summary: dict[str, Any]
-    out: Path
-    files: tuple[str, ...]
-    plots: Path | None
+Analysed = tuple[ClipAnalysis, dict[str, Any], list[Path]]
+"""All of it, what analysis.json holds, and the files that were written, in one folder."""
 
 
 class AnalyseSettings(Settings):
@@ -92,7 +83,7 @@ def run_analyse(settings: AnalyseSettings, progress: Progress = silent) -> Analy
             with staged_folder(out) as staging:
                 write_figures(found, staging, progress)
                 files += [path.name for path in staging.iterdir()]
-    return Analysed(found, summary, out, tuple(sorted(files)), out / PLOTS if PLOTS in files else None)
+    return found, summary, [out / name for name in sorted(files)]
 
 
 def _write_plots(found: ClipAnalysis, folder: Path, out: Path) -> None:

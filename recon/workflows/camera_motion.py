@@ -34,7 +34,7 @@ from recon.io import read_camera, read_keypoints, write_table
 from recon.io.camera_track import INTRINSICS, POSE, SIGMA
 from recon.io.video import Image, probe, read_frames, require_codec, video_writer
 from recon.show.report import to_json
-from recon.workflows.settings import FIRST_FRAME
+from recon.workflows.settings import FIRST_FRAME, FitSettings
 
 MIN_LIKELIHOOD = 0.3
 """Keypoints that are less sure do not hide anything."""
@@ -74,6 +74,21 @@ class CameraMotionSettings(Settings):
         Path | None, Option("A video with the background at rest, .mp4 or .avi, as in still.mp4.")
     ] = None
     overwrite: Annotated[bool, Option("Replace the track and the video.")] = False
+
+
+def of_clip(settings: FitSettings, video: Path, out: Path, **more: Any) -> CameraMotionSettings:
+    """For the one camera of a clip, which has a calibration. more: other fields."""
+    assert settings.camera is not None
+    return CameraMotionSettings(
+        video=video,
+        camera=settings.camera[0],
+        out=out,
+        camera_name=next(iter(settings.camera_name or ()), None),
+        keypoints=settings.keypoints[0],
+        individual=settings.individual,
+        tilt_deg=settings.tilt_deg,
+        **more,
+    )
 
 
 def run_camera_motion(

@@ -10,7 +10,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from recon.base.errors import InputError, Problem
+from recon.base.errors import Problem, refuse
 from recon.base.files import require_free_folder, sole_writer, staged_results, write_bytes
 from recon.base.manifest import MANIFEST
 from recon.base.progress import Progress, silent
@@ -97,30 +97,17 @@ def run_clip(
 
 def _followed(settings: FitSettings, video: Path, folder: Path, progress: Progress) -> FitSettings:
     """With the track of a camera that turns, which its video shows, in that folder."""
-    keypoints, *others = settings.keypoints
     problems = []
     if settings.camera_track is not None:
         problems.append(Problem("--camera-motion", "camera", "a video beside --camera-track", "one of the two"))
-    if others:
+    if len(settings.keypoints) > 1:
         expected = "one camera; for several, make each one's track by recon camera-motion"
         problems.append(Problem("--camera-motion", "cameras", f"{len(settings.keypoints)}", expected))
     if settings.camera is None:
         problems.append(Problem("--camera-motion", "camera", "no --camera", "the camera's calibration, for its lens"))
-    if problems or settings.camera is None:
-        raise InputError(problems)
-    from recon.workflows.camera_motion import CameraMotionSettings, run_camera_motion
+    refuse(problems)
+    from recon.workflows.camera_motion import of_clip, run_camera_motion
 
     track = folder.absolute() / TRACK_FILES[0]
-    run_camera_motion(
-        CameraMotionSettings(
-            video=video,
-            camera=settings.camera[0],
-            out=track,
-            camera_name=next(iter(settings.camera_name or ()), None),
-            keypoints=keypoints,
-            individual=settings.individual,
-            tilt_deg=settings.tilt_deg,
-        ),
-        progress=progress,
-    )
+    run_camera_motion(of_clip(settings, video, track), progress)
     return replace(settings, camera_track=(track,), tilt_deg=None)

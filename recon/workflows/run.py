@@ -251,25 +251,10 @@ def _motion_identity(job: Job) -> dict[str, Any]:
 
 
 def _camera_motion(job: Job, progress: Progress) -> Iterable[Path]:
-    from recon.workflows.camera_motion import CameraMotionSettings, run_camera_motion
+    from recon.workflows.camera_motion import of_clip, run_camera_motion
 
-    settings = job.settings
-    assert settings.camera is not None
-    _, files = run_camera_motion(
-        CameraMotionSettings(
-            video=job.video,
-            camera=settings.camera[0],
-            out=job.track,
-            camera_name=settings.camera_name[0] if settings.camera_name else None,
-            keypoints=settings.keypoints[0],
-            individual=settings.individual,
-            first_frame=job.first_frame,
-            tilt_deg=settings.tilt_deg,
-            zoom=job.camera_motion == "zooms",
-            overwrite=True,
-        ),
-        progress=progress,
-    )
+    more = {"first_frame": job.first_frame, "zoom": job.camera_motion == "zooms", "overwrite": True}
+    _, files = run_camera_motion(of_clip(job.settings, job.video, job.track, **more), progress=progress)
     return files
 
 
@@ -300,8 +285,8 @@ class _Result:
 def _analysis(job: Job, progress: Progress) -> list[Path]:
     from recon.workflows.analyse import AnalyseSettings, run_analyse
 
-    done = run_analyse(AnalyseSettings(folder=job.out, overwrite=True), progress=progress)
-    return [done.out / name for name in done.files]
+    *_, files = run_analyse(AnalyseSettings(folder=job.out, overwrite=True), progress=progress)
+    return files
 
 
 def _overlay(job: Job, progress: Progress) -> list[Path]:

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -29,13 +28,8 @@ MAX_SIGMA_RAD = math.radians(3.0)
 """Marks that say less of the upward direction do not say it: a single vertical, or parallel ones."""
 
 
-@dataclass(frozen=True)
-class LevelMark:
-    """Two points of the horizon, or of something upright, in the picture of a frame."""
-
-    kind: Literal["horizon", "vertical"]
-    frame: int
-    ends_px: tuple[tuple[float, float], tuple[float, float]]
+LevelMark = tuple[str, int, tuple[tuple[float, float], tuple[float, float]]]
+"""horizon or vertical, a frame, and two points (px) of the horizon, or of something upright, in its picture."""
 
 
 def as_level(turns: Sequence[Orientation], up: Array | None) -> tuple[Orientation, ...]:
@@ -66,15 +60,15 @@ def up_by_marks(
     """
     first = turns[min(turns)].rotation
     rows, problems = [], []
-    for mark in marks:
-        turn = turns.get(mark.frame)
-        rays, valid = rays_of(camera, np.array(mark.ends_px), turn.zoom if turn else 1.0)
+    for kind, frame, ends_px in marks:
+        turn = turns.get(frame)
+        rays, valid = rays_of(camera, np.array(ends_px), turn.zoom if turn else 1.0)
         if turn is None:
-            problems.append(Problem(source, "frame", str(mark.frame), "one of the video in which the turn was found"))
+            problems.append(Problem(source, "frame", str(frame), "one of the video in which the turn was found"))
         elif not valid.all():
-            problems.append(Problem(source, f"frame {mark.frame}", str(mark.ends_px), "points of the picture"))
+            problems.append(Problem(source, f"frame {frame}", str(ends_px), "points of the picture"))
         else:
-            level = rays if mark.kind == "horizon" else np.cross(*rays)[None]
+            level = rays if kind == "horizon" else np.cross(*rays)[None]
             rows.append(level @ turn.rotation @ first.T)
     refuse(dict.fromkeys(problems))
     # A ray is as exact as a mark over the focal length; a plane's normal as two marks over the length between them,
@@ -113,4 +107,4 @@ def _mark(cells: Sequence[str]) -> LevelMark | None:
         return None
     if frame is None or not np.isfinite([x1, y1, x2, y2]).all() or (x1, y1) == (x2, y2):
         return None
-    return LevelMark("horizon" if cells[0].strip() == "horizon" else "vertical", frame, ((x1, y1), (x2, y2)))
+    return cells[0].strip(), frame, ((x1, y1), (x2, y2))

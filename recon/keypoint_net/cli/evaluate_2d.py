@@ -64,8 +64,8 @@ def _notes(result: Evaluation2D) -> Iterator[str]:
     yield f"Compared: {result.frames} frames."
     table = result.reliability
     if table is not None:
-        yield f"Likelihood against the share of points within {result.tolerance_px:g} px, {table.points} points:"
-        for b in table.bins:
+        yield f"Likelihood against the share of points within {result.tolerance_px:g} px, {table['points']} points:"
+        for b in table["bins"]:
             shares = f"likelihood {b['likelihood']:.2f}  right {b['right']:.2f}"
             yield f"  {b['low']:.1f} to {b['high']:.1f}  {b['points']:6d} points  {shares}"
-        yield f"Expected calibration error: {table.expected_calibration_error:.3f}"
+        yield f"Expected calibration error: {table['expected_calibration_error']:.3f}"

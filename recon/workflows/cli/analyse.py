@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from typing import Any
 
 import typer
 from rich.table import Table
 
 from recon.base.words import length_text
+from recon.gait.clip import ClipAnalysis
 from recon.gait.gait import Gait
 from recon.show.report import to_json
-from recon.workflows.analyse import Analysed, AnalyseSettings, run_analyse
+from recon.workflows.analyse import FOLDER, PLOTS, AnalyseSettings, run_analyse
 from recon.workflows.cli.common import (
     counted,
     progress_bar,
@@ -36,29 +38,28 @@ def analyse(settings: AnalyseSettings, as_json: bool, quiet: bool) -> None:
 
     console = terminal(quiet=quiet, stderr=as_json)
     with progress_bar(console) as progress:
-        done = run_analyse(settings, progress)
+        found, summary, files = run_analyse(settings, progress)
     if as_json:
-        typer.echo(to_json(done.summary), nl=False)
+        typer.echo(to_json(summary), nl=False)
         return
-    say_verdict(console, done.found.motion.verdict)
-    for line in _lines(done):
+    say_verdict(console, found.motion.verdict)
+    for line in _lines(found, summary["speed"]):
         say(console, line)
-    count = 0 if done.found.gait is None else len(done.found.gait.stances)
+    out, count = files[0].parent, 0 if found.gait is None else len(found.gait.stances)
     if count > MOST_STANCES:
-        say(console, f"{count} stances are in {done.out / 'stances.csv'}.")
-    elif done.found.gait is not None:
-        console.print(_stances(done, done.found.gait))
-    for note in done.summary["notes"]:
+        say(console, f"{count} stances are in {out / 'stances.csv'}.")
+    elif found.gait is not None:
+        console.print(_stances(found.motion.foot_names, found.gait))
+    for note in summary["notes"]:
         say(console, f"note: {note}")
     say_what_is_gone(console, settings.folder)
-    say(console, f"{len(done.files)} files are in {done.out}.")
-    if done.plots is not None:
-        own = "" if done.out == settings.folder / "analysis" else f" --analysis {done.out}"
+    say(console, f"{len(files)} files are in {out}.")
+    if out / PLOTS in files:
+        own = "" if out == settings.folder / FOLDER else f" --analysis {out}"
         say(console, f"See them beside the playback with: recon view {settings.folder}{own}")
 
 
-def _lines(done: Analysed) -> Iterator[str]:
-    speed, found = done.summary["speed"], done.found
+def _lines(found: ClipAnalysis, speed: dict[str, Any]) -> Iterator[str]:
     sigma = speed["peak_sigma_m_s"]
     spread = "" if sigma is None else f" ± {sigma:.1f}"
     if speed["doubt"] is None:
@@ -92,10 +93,10 @@ def _lines(done: Analysed) -> Iterator[str]:
         yield f"phase portraits: the stride from {stride.start_s:.3f} to {stride.end_s:.3f} s, {which}"
 
 
-def _stances(done: Analysed, gait: Gait) -> Table:
+def _stances(foot_names: Mapping[str, str], gait: Gait) -> Table:
     """By foot."""
     table = table_of("foot", "stances, s", title="times: seconds since frame 0")
-    for foot, joint in done.found.motion.foot_names.items():
+    for foot, joint in foot_names.items():
         spans = [
             f"{'' if s.begins else '≤'}{s.start_s:.3f}-{s.end_s:.3f}{'' if s.ends else '+'}"
             for s in gait.stances
