@@ -61,6 +61,8 @@ MARGINS = (5.0, 10.0, 14.0, 16.0, 18.0, 20.0, 22.0, 25.0, 30.0)
 """Of `recon.check.inputs.likelihood.MARGIN`."""
 WORSE = 1.02
 """No clip may be so many times worse when mended."""
+SPARE = 1.2
+"""The margin is so many times the least that runs at hand need: those that are not may need more."""
 Change = Callable[["View"], tuple[np.ndarray, np.ndarray]]
 
 
@@ -382,15 +384,16 @@ def _of(rows: slice, T: int) -> np.ndarray:
 
 def print_folds(table: pd.DataFrame) -> None:
     """The least margin with which in no other run more than `FALSE` of the frames are named wrongly and no clip is
-    `WORSE` when mended, as given or with an exchange put in, and what it does on the run that was left out; last, on
-    all runs."""
+    `WORSE` when mended, as given or with an exchange put in, with `SPARE`, and what it does on the run that was left
+    out; last, on all runs."""
     head = ["left out", "margin", "named wrongly", "with exchanges", "worst mended / not", "ten frames", "fore legs"]
     print_header([*head, "hind legs", "whole clip", "one or other"])
     for run in [*table["run"].unique(), "none"]:
         rest = table[table["run"] != run]
         wrong = rest.groupby(["margin", "run"])["wrong"].mean().groupby("margin").max()
         allowed = (wrong <= FALSE) & (rest.groupby("margin")["mended"].max() <= WORSE)
-        best = next((margin for margin in MARGINS if allowed[margin]), MARGINS[-1])
+        least = SPARE * next((margin for margin in MARGINS if allowed[margin]), MARGINS[-1])
+        best = next((margin for margin in MARGINS if margin >= least), MARGINS[-1])
         part = (table if run == "none" else table[table["run"] == run]).loc[lambda t, best=best: t["margin"] == best]
         untouched, of_case = part[part["case"] == "untouched"], part[part["case"] != "untouched"]
         found = [f"{int(one.sum())} of {len(one)}" for _, one in of_case.groupby("case", sort=False)["right"]]

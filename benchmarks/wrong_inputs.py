@@ -49,7 +49,7 @@ CAUSES = {
     *("cameras_apart_in_time", "cameras_exchanged", "cameras_disagree", "camera_turned", "camera_late", "camera_off"),
 }
 """Codes that say what is wrong with an input."""
-SWAPS = ("left_right_swap",)
+SWAPS = ("left_right_swap", "left_right_swap_possible")
 OFF = ("cameras_disagree", "cameras_exchanged", "cameras_out_of_step", "size_unexpected", "size_by_two_cameras")
 
 
@@ -345,7 +345,7 @@ CASES = {
     "a quarter of frames dropped": Case(dropped, ("path_jolts", "frame_rate")),
     "missing as (-1, -1)": Case(missing_as(-1.0), ("missing_as_constant",)),
     "missing as (0, 0)": Case(missing_as(0.0), ("missing_as_constant",)),
-    "mirrored": Case(lambda c, g: g.seen([g.size_px[0] - 1, 0] + g.xy_px * [-1, 1]), ("left_right_swap",)),
+    "mirrored": Case(lambda c, g: g.seen([g.size_px[0] - 1, 0] + g.xy_px * [-1, 1]), SWAPS),
     "portrait": Case(
         lambda c, g: g.seen(np.stack([g.xy_px[..., 1], g.size_px[0] - 1 - g.xy_px[..., 0]], axis=-1)),
         ("picture_turned", "picture_upside_down", "keypoints_y_up", "refused"),

@@ -44,6 +44,7 @@ SENTENCES = {
         "swapped in frame 10, of the fore legs, or in frames 11 to 20, of the hind legs: which, cannot be told",
         {"part": "the fore legs", "other_part": "the hind legs", "other_first": 11, "other_last": 20},
     ),
+    "left_right_swap_possible": ("looks likelier with left and right exchanged, or mirrored", {}),
     "left_right_swap_mended": ("were swapped in frame 10, of all keypoints, and", {"part": "all keypoints"}),
     "frame_rate_stated": ("file says 60 frames per second, but --fps is 30", {"other_hz": 60.0, "given_hz": 30.0}),
     "frame_rate": ("at about 60 frames per second, not 30", {"other_hz": 60.0, "given_hz": 30.0}),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
 from functools import cache
 from typing import Any
@@ -148,6 +149,25 @@ def test_of_two_that_exclude_each_other_the_likelier_has_to_lead():
     assert first.likelier(second) > CLEAR
     assert contradicts(undone(swapped, other, first), other, one)
     assert not contradicts(undone(swapped, other, first), other, stretch("hind", 21, T))
+
+
+@pytest.mark.parametrize(
+    ("kind", "rows", "ratio", "code"),
+    [
+        ("all", (0, T), 12.0, "left_right_swap_possible"),
+        ("all", (0, T), 8.0, None),
+        ("all", (0, T), 31.0, "left_right_swap"),
+        ("fore", (15, 25), 12.0, None),
+    ],
+)
+def test_of_a_whole_clip_less_evidence_is_said_as_such(monkeypatch, kind, rows, ratio, code):
+    trials = iter([[(SwapTrial(stretch(kind, *rows), ratio), None)]])
+    monkeypatch.setattr(sys.modules[swaps.__module__], "refits", lambda *args: next(trials, []))
+    monkeypatch.setattr(sys.modules[swaps.__module__], "undone", lambda given, stretch, refit: given)
+    (source,) = motion_of(plain()).sources
+    found = [swap_finding(trial, source, BODY) for trial in swaps(given(view()))]
+    assert [one.code for one in found] == ([code] if code else [])
+    assert all(one.severity == "warning" for one in found)
 
 
 def test_a_clip_without_states_has_no_exchanged_stretch():

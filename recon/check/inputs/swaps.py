@@ -46,6 +46,9 @@ LIKELY, TRIED, STRETCHES = 6.0, 3, 4
 found in a clip."""
 QUICK, REFITTED = 10.0, 3
 """Stretches that a quick fit makes so much likelier are solved anew, so many of them at a time."""
+POSSIBLE = 10.0
+"""A whole clip that is so much likelier exchanged, and not as much as is believed, is to be looked at: nothing else
+shows a mirrored video, and clips that are right hardly reach half of it (docs/benchmarks.md, mistakes)."""
 ELSEWHERE = 3
 """Of a whole clip, so many seconds besides the one in which most is seen."""
 OF_LEG = 3
@@ -107,7 +110,11 @@ def swaps(given: Baseline, unlike: bool = False) -> list[SwapTrial]:
     kinds, found = pairs_of(given.clip.body), list[SwapTrial]()
     while len(found) < STRETCHES and "all" in kinds:
         compared = sorted(refits(given, kinds, unlike), key=lambda one: -one[0].ratio)
-        if not compared or not believed(compared[0][0].ratio):
+        if not compared:
+            break
+        if not believed(compared[0][0].ratio):
+            whole = [one for one, _ in compared if one.is_whole(len(given.states)) and one.ratio > POSSIBLE]
+            found += whole if not found else []
             break
         (best, refit), *others = compared
         then = undone(given, best.stretch, refit)
@@ -170,6 +177,10 @@ class SwapTrial:
     def lead(self) -> float:
         """How much likelier than its rival."""
         return self.ratio - (self.rival.ratio if self.rival else 0.0)
+
+    def is_whole(self, T: int) -> bool:
+        """Whether it is all of a clip of so many frames."""
+        return self.stretch.rows == slice(0, T)
 
     @property
     def clear(self) -> bool:
@@ -294,6 +305,8 @@ def swap_finding(trial: SwapTrial, source: Source, body: Body) -> Finding:
         rival, other_part = _told_as(trial.rival.stretch, source, body)
         numbers |= {"part": part, "other_part": other_part, "other_first": rival[0], "other_last": rival[1] - 1}
         return finding("left_right_swap_unclear", frames, source.camera.name, **numbers)
+    if not believed(trial.ratio):
+        return finding("left_right_swap_possible", frames, source.camera.name, **numbers)
     names = tuple(source.keypoints.names[j] for j in trial.stretch.markers)
     return finding("left_right_swap", frames, source.camera.name, part=part, keypoints=names, **numbers)
 

@@ -26,6 +26,7 @@ COMMANDS = {
         "view": (_CORE + "view:view", "The playback in the rerun viewer, with the plots of its analysis."),
         "report": (_CORE + "report:report", "A page of a result, or of a batch, to look at and to pass on."),
         "analyse": (_CORE + "analyse:analyse", "Speeds, angles, gait, vector fields and phase portraits."),
+        "compare": (_CORE + "compare:compare", "Strides and speeds of several clips, by group."),
         "evaluate": (_CORE + "evaluate:evaluate", "Compare a result with a reference."),
         "convert": (_CORE + "convert:convert", "Keypoints, 3D positions or results in another file format."),
         "overlay": (_CORE + "overlay:overlay", "Draw a result on its video."),

@@ -1,0 +1,84 @@
+"""Clips beside each other: means with their uncertainty, groups, and what is refused."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from command_line import run
+
+from recon.fit.motion import Motion
+from recon.workflows.compare import QUANTITIES, _mean_of
+
+
+@pytest.fixture(scope="module")
+def whole_motion(whole_results: Path) -> Motion:
+    return Motion.load(whole_results)
+
+
+@pytest.fixture(scope="module")
+def clips(tmp_path_factory: pytest.TempPathFactory, whole_motion: Motion) -> Path:
+    folder = tmp_path_factory.mktemp("batch")
+    for name in ("a", "b", "c"):
+        whole_motion.save(folder / name)
+    (folder / "animals.csv").write_text("clip,sex\na,f\nb,m\nc,f\n")
+    return folder
+
+
+def test_groups_have_a_row_each_and_strides_one_each(clips: Path, tmp_path: Path):
+    out = tmp_path / "out"
+    ended = run("compare", clips, "--table", clips / "animals.csv", "--by", "sex", "--out", out)
+    assert (ended.code, ended.err) == (0, "")
+    groups, by_clip, strides = (pd.read_csv(out / f"{name}.csv") for name in ("groups", "clips", "strides"))
+    assert list(groups["group"]) == ["f", "m"]
+    assert list(groups["clips"]) == [2, 1]
+    assert groups["strides"].sum() == len(strides) == by_clip["strides"].sum() > 6
+    assert (out / "comparison.png").stat().st_size > 5000
+    for name in QUANTITIES:
+        # The same clip thrice: the same means, no spread, and two clips know what is no clip's own as well as one.
+        np.testing.assert_allclose(groups[name], by_clip[name].iloc[0], rtol=1e-9)
+        assert (groups[f"{name}_spread"] == 0).all()
+        f, m = groups[f"{name}_sigma"]
+        if QUANTITIES[name]:
+            shared = by_clip["size_sigma"].iloc[0] * by_clip[name].iloc[0]
+            assert f**2 - shared**2 == pytest.approx((m**2 - shared**2) / 2, rel=1e-6)
+        else:
+            assert f == pytest.approx(m / 2**0.5, rel=1e-6)
+
+
+def test_the_mean_of_clips_knows_their_spread():
+    rng = np.random.default_rng(0)
+    inside, spreads = [], []
+    for _ in range(300):
+        sigma = rng.uniform(0.1, 0.4, 8)
+        values = 5 + rng.normal(0, 0.5, 8) + rng.normal(0, sigma)
+        found = _mean_of(values, sigma, 0.0)
+        inside.append(abs(found.mean - 5) < 1.64 * found.sigma)
+        spreads.append(found.spread)
+    assert 0.8 < np.mean(inside) < 0.97
+    assert np.median(spreads) == pytest.approx(0.5, rel=0.15)
+
+
+def test_what_cannot_be_compared_is_refused(clips: Path, tmp_path: Path, whole_motion: Motion):
+    out = tmp_path / "out"
+    lacking = tmp_path / "lacking.csv"
+    lacking.write_text("clip,sex\na,f\n")
+    ended = run("compare", clips, "--table", lacking, "--by", "sex", "--out", out)
+    assert ended.code == 2
+    assert "no row for b" in ended.err
+    assert "no row for c" in ended.err
+    ended = run("compare", clips, "--table", lacking, "--by", "age", "--out", out)
+    assert (ended.code, "no 'age' (clip, sex)" in ended.err) == (2, True)
+    assert run("compare", clips, "--by", "age", "--out", out).code == 2
+    assert "no results" in run("compare", tmp_path, "--out", out).err
+    assert whole_motion.verdict is not None
+    wreck = replace(whole_motion, verdict=replace(whole_motion.verdict, level="do not use"))
+    wreck.save(tmp_path / "wreck")
+    ended = run("compare", tmp_path / "wreck", clips / "a", "--out", out)
+    assert (ended.code, "do not use" in ended.err) == (2, True)
+    assert not out.exists()
+    assert run("compare", tmp_path / "wreck", clips / "a", "--out", out, "--anyway").code == 0
+    assert run("compare", clips, "--out", out).code == 2
