@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import json
 import os
 import re
 import shlex
@@ -11,7 +12,7 @@ from contextlib import suppress
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 # Before numpy is loaded: matrices are small here, and several processes share the cores.
 os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"))
@@ -86,6 +87,17 @@ def whole_results(made_once) -> Path:
     """Folder of `recon fit` on the whole-animal sample, all options by default. Not to be written to."""
     settings = FitSettings(keypoints=SAMPLES / "whole.csv", camera=SAMPLES / "camera.toml", fps=60)
     return made_once("whole", lambda out: run_clip(settings, out))
+
+
+@pytest.fixture
+def fitted_demo(whole_results: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """`recon demo` has its fit from `whole_results`, and makes no page: `test_demo` does both."""
+
+    def copied(settings: FitSettings, out: Path, *more: object) -> dict[str, Any]:
+        return json.loads((copy_results(whole_results, out) / "report.json").read_text(encoding="utf-8"))
+
+    monkeypatch.setattr("recon.workflows.demo.run_clip", copied)
+    monkeypatch.setattr("recon.workflows.demo.run_page", lambda settings, *more: settings.folder / "report.html")
 
 
 def draw_small(patch: pytest.MonkeyPatch) -> None:

@@ -649,17 +649,22 @@ def test_options_that_cannot_be_parsed(args):
 
 
 @pytest.mark.parametrize(
-    ("args", "message"),
+    ("start", "args", "message"),
     [
-        (fit_args(Path("a/b"), keypoints=Path("no.csv")), "error: {here}/no.csv: file: found no such file, expected "),
-        (fit_args(Path("a/b"), fps=0), "error: --fps: found '0', expected "),
-        (["evaluate", "no.csv", TRUTH], "error: no.csv: file: found no such file, expected "),
-        (["view", "no"], "error: no/motion.rrd: file: found no such file, expected "),
+        (
+            run_process,
+            fit_args(Path("a/b"), keypoints=Path("no.csv")),
+            "error: {here}/no.csv: file: found no such file, ",
+        ),
+        (run, fit_args(Path("a/b"), fps=0), "error: --fps: found '0', expected "),
+        (run, ["evaluate", "no.csv", TRUTH], "error: no.csv: file: found no such file, expected "),
+        (run_process, ["view", "no"], "error: no/motion.rrd: file: found no such file, expected "),
     ],
 )
-def test_bad_input_as_a_process(args, message, tmp_path, monkeypatch):
+def test_bad_input_is_one_line(start, args, message, tmp_path, monkeypatch):
+    """Also of a process of its own."""
     monkeypatch.chdir(tmp_path)
-    ended = run_process(*args)
+    ended = start(*args)
     assert ended.code == 2
     assert ended.out == ""
     assert ended.err.startswith(message.replace("{here}", str(tmp_path)))

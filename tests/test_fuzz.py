@@ -8,7 +8,6 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
-from contextlib import contextmanager
 from functools import cache
 from multiprocessing import get_context
 from pathlib import Path
@@ -35,52 +34,30 @@ def good_files(kinds: str, folder: Path) -> list[Seed]:
     return list(corpus.of_formats(folder) if kinds == "formats" else corpus.of_settings(folder))
 
 
-def make(kinds: str, folder: Path) -> None:
-    good_files(kinds, folder)
-
-
 def cases(kinds: str, folder: Path, count: int) -> Tally:
     from tests.fuzz.pool import run_all
 
     return run_all(0, count, 1, good_files(kinds, folder), folder, 1)
 
 
-@contextmanager
-def prepared(kinds: str, folder: Path) -> Iterator[Callable[[int], Tally]]:
-    """`cases_from(count)` is what becomes of the first so many cases: in a process that has no threads, so that it
-    can be forked, and in which the good files are made once."""
+@pytest.fixture(scope="module")
+def cases_from(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[[str, int], Tally]]:
+    """`cases_from(kinds, count)` is what becomes of the first so many cases: in a process that has no threads, so that
+    it can be forked, and in which the good files are made once."""
+    folder = tmp_path_factory.mktemp("fuzz")
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(ROOT)
         with ProcessPoolExecutor(1, get_context("spawn")) as pool:
-            pool.submit(make, kinds, folder).result()
-            yield lambda count: pool.submit(cases, kinds, folder, count).result()
+            yield lambda kinds, count: pool.submit(cases, kinds, folder / kinds, count).result()
 
 
-@pytest.fixture(scope="session")
-def format_cases(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[[int], Tally]]:
-    with prepared("formats", tmp_path_factory.mktemp("fuzz") / "good") as cases_from:
-        yield cases_from
-
-
-@pytest.fixture(scope="session")
-def setting_cases(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[[int], Tally]]:
-    with prepared("settings", tmp_path_factory.mktemp("fuzz") / "good") as cases_from:
-        yield cases_from
-
-
-def test_spoilt_clips_and_poses_are_read_or_refused(format_cases) -> None:
-    check(format_cases(CASES["formats"]), CASES["formats"])
-
-
-def test_other_spoilt_files_are_read_or_refused(setting_cases) -> None:
-    check(setting_cases(CASES["settings"]), CASES["settings"])
-
-
-def check(tally: Tally, cases: int) -> None:
+@pytest.mark.parametrize("kinds", CASES)
+def test_spoilt_files_are_read_or_refused(kinds: str, cases_from) -> None:
     """More than a tenth is read, as not all are spoilt beyond recognition."""
+    tally, count = cases_from(kinds, CASES[kinds]), CASES[kinds]
     assert tally.causes == {}
-    assert tally.done == tally.read + tally.refused == cases
-    assert tally.read > cases / 10
+    assert tally.done == tally.read + tally.refused == count
+    assert tally.read > count / 10
 
 
 FEW_KINDS = """
