@@ -301,6 +301,7 @@ def test_choice_of_camera_and_animal(inputs, tmp_path):
     assert report_of(tmp_path)["settings"]["camera_name"] == "cam_b"
 
 
+@pytest.mark.usefixtures("fitted_demo")
 @pytest.mark.parametrize("command", ["fit", "demo"])
 def test_quiet_prints_nothing(command, tmp_path):
     args = fit_args(tmp_path / "a", "--frames", ":3") if command == "fit" else ["demo", "--out", tmp_path / "a"]

@@ -205,6 +205,7 @@ def test_self_test_that_does_not_end(monkeypatch):
 # -- JSON for every table -----------------------------------------------------------------------------------------
 
 
+@pytest.mark.usefixtures("fitted_demo")
 def test_fit_and_demo_print_their_summary_as_json(tmp_path):
     clip = [
         "fit",
