@@ -47,6 +47,12 @@ def pose() -> Pose3D:
     return replace(read_pose3d(SAMPLES / "whole_truth.csv"), fps=60.0)
 
 
+def _half(path: Path) -> None:
+    """The first 30 frames of the sample, where a page only fits them."""
+    lines = (SAMPLES / "whole.csv").read_text().splitlines(keepends=True)
+    path.write_text("".join(lines[:33]))
+
+
 def _clips(path: Path) -> None:
     """Two, the first 20 frames of the sample."""
     path.mkdir()
@@ -228,6 +234,9 @@ OF_PAGE: dict[str, dict[str, Callable[[Path], None]]] = {
         "recordings": lambda path: _filmed_twice(path, "walk"),
         "scene.json": sample("whole_scene.json"),
     },
+    "how-to/moving-camera.md": {"clip.csv": _half},
+    "how-to/scale.md": {"clip.csv": _half},
+    "how-to/uncalibrated.md": {"clip.csv": _half},
     "how-to/other-formats.md": {"clip.analysis.h5": _of_other_names, "results_clip.json": mmpose},
     "how-to/new-species.md": {"my-cat.toml": _toml("writing-a-skeleton.md", -1)},
     "robot.md": {"arm.toml": _toml("robot.md", 0)},
