@@ -27,6 +27,7 @@ from recon.check import verdict_lines
 from recon.fit.motion import Motion
 from recon.gait.evaluation import evaluate_files
 from recon.io import read_keypoints
+from recon.show.plain import to_plain
 from recon.show.view.added import AddedSeries, write_plots
 from recon.workflows.cli.common import error_text, say, table_of, terminal
 from recon.workflows.clip_results import OUTPUT_FILES
@@ -829,7 +830,7 @@ def test_evaluate_as_json(fitted):
     pose = fitted[0] / "pose3d.csv"
     ended = run("evaluate", pose, TRUTH, "--json")
     assert (ended.code, ended.err) == (0, "")
-    assert json.loads(ended.out) == evaluate_files(pose, TRUTH).to_dict()
+    assert json.loads(ended.out) == to_plain(evaluate_files(pose, TRUTH).to_dict())
 
 
 def test_evaluate_names_what_could_not_be_compared(tmp_path):

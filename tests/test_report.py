@@ -16,13 +16,8 @@ from rich.console import Console
 from recon.check import findings_of
 from recon.fit import MotionSegment
 from recon.show import report as reports
-from recon.show.report import (
-    SCHEMA_VERSION,
-    console_summary,
-    is_unsolved,
-    to_plain,
-    write_report,
-)
+from recon.show.plain import to_plain, write_report
+from recon.show.report import SCHEMA_VERSION, console_summary, is_unsolved
 from recon.thesis import FrameReport
 from recon.thesis.frame import in_world
 

@@ -24,8 +24,8 @@ from recon.keypoint_net.suspicious import suspicious_labels
 from recon.keypoint_net.torch_extra import require_torch
 from recon.keypoint_net.train import judge
 from recon.keypoint_net.trained import Trained, prepared
+from recon.show.plain import to_json
 from recon.show.plots.style import COLOURS, GREY, drawing, plain_logarithm, save
-from recon.show.report import to_json
 
 WORST = 6
 CURVE_POINTS = 400

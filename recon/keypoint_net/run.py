@@ -25,7 +25,7 @@ from recon.keypoint_net.labels import Labels, body_length_px, sides
 from recon.keypoint_net.split import Split
 from recon.keypoint_net.torch_extra import placed, require_torch
 from recon.keypoint_net.trained import Spec, load_file, new_network
-from recon.show.report import to_plain
+from recon.show.plain import to_plain
 
 if TYPE_CHECKING:
     import torch  # pyright: ignore[reportMissingImports]

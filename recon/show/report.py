@@ -12,20 +12,9 @@ from rich.text import Text
 from recon.base.package import version
 from recon.check import sentences
 from recon.fit.motion import Motion
-from recon.show.plain import to_json, to_plain, write_report
+from recon.show.plain import to_json as to_json
+from recon.show.plain import to_plain
 from recon.show.sections import sections_of
-
-__all__ = [
-    "SCHEMA_NAME",
-    "SCHEMA_VERSION",
-    "build_report",
-    "console_summary",
-    "is_unsolved",
-    "to_json",
-    "to_plain",
-    "warnings",
-    "write_report",
-]
 
 SCHEMA_NAME, SCHEMA_VERSION = "recon.fit.report", 3
 REPORT = "report.json"

@@ -26,7 +26,7 @@ from recon.fit.motion import Motion
 from recon.io.table import write_rows
 from recon.show import plots
 from recon.show.export.analysis_csv import Table
-from recon.show.report import to_json
+from recon.show.plain import to_json
 from recon.thesis.clip import frame_options
 from recon.thesis.plots import image_errors, solver_root, solver_search, solver_unknowns
 from recon.thesis.solver import SolverRecord, frame_solution, linearised_clip, linearised_frames, trajectory_solution

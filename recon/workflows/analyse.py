@@ -19,7 +19,8 @@ from recon.fit.motion import MEASURED_SHARE, Motion
 from recon.gait.clip import ClipAnalysis, analyse, net_acceleration_m_s2
 from recon.gait.gait import Gait, doubt_text
 from recon.show.export import analysis_csv
-from recon.show.report import build_report, to_json
+from recon.show.plain import to_json
+from recon.show.report import build_report
 from recon.workflows.settings import ANYWAY, STRIDE, StrideTimes
 
 if TYPE_CHECKING:

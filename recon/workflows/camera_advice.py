@@ -16,8 +16,8 @@ from recon.calibrate.camera_advice import PICTURE_PX, Advice, advise
 from recon.fit.motion import MEASURED_SHARE
 from recon.io import write_rows
 from recon.show import plots
+from recon.show.plain import to_json
 from recon.show.plots.advice import in_words
-from recon.show.report import to_json
 
 REPORT, TABLE, FIGURE = "camera_advice.json", "camera_advice.csv", "camera_advice"
 DIRECTIONS = (

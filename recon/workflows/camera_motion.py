@@ -33,7 +33,7 @@ from recon.geometry.rotations import quaternions
 from recon.io import read_camera, read_keypoints, write_table
 from recon.io.camera_track import INTRINSICS, POSE, SIGMA
 from recon.io.video import Image, probe, read_frames, require_codec, video_writer
-from recon.show.report import to_json
+from recon.show.plain import to_json
 from recon.workflows.settings import FIRST_FRAME, FitSettings
 
 MIN_LIKELIHOOD = 0.3

@@ -18,7 +18,8 @@ from recon.fit.motion import MOTION, Motion
 from recon.io import write_cameras
 from recon.show.export.clip_csv import CAMERA_OUTPUTS, CLIP_OUTPUTS, of_any_camera, write_tables
 from recon.show.page import PAGE
-from recon.show.report import build_report, write_report
+from recon.show.plain import write_report
+from recon.show.report import build_report
 from recon.workflows.clip import fit_clip
 from recon.workflows.made_from import digests
 from recon.workflows.settings import FitSettings

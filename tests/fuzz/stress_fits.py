@@ -35,7 +35,8 @@ from recon.geometry.camera import Camera
 from recon.io import write_camera
 from recon.io.deeplabcut import write_csv
 from recon.show.export.clip_csv import write_tables
-from recon.show.report import build_report, write_report
+from recon.show.plain import write_report
+from recon.show.report import build_report
 from recon.thesis import FrameSolution
 from recon.workflows.clip import fit_clip
 from recon.workflows.settings import FitSettings

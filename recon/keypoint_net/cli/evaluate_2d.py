@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import asdict
+from typing import Any
 
 import typer
 from rich.table import Table
@@ -17,19 +18,17 @@ from recon.keypoint_net.evaluate2d import (
     Score2D,
     evaluate_2d_files,
 )
-from recon.show.report import to_json
 from recon.workflows.cli.common import table_of, terminal
 
 
-def evaluate_2d(settings: Evaluate2DSettings, as_json: bool) -> None:
+def evaluate_2d(settings: Evaluate2DSettings, as_json: bool) -> Any:
     """Compare 2D keypoints with labels: errors in pixels, shares of good points, reliability of the likelihoods.
 
     Example: recon evaluate-2d run.csv CollectedData_me.csv
     """
     result = evaluate_2d_files(**{name: getattr(settings, name) for name in settings.infos()})
     if as_json:
-        typer.echo(to_json(asdict(result)), nl=False)
-        return
+        return asdict(result)
     terminal().print(_table(result))
     for line in _notes(result):
         typer.echo(line)

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import typer
+from typing import Any
 
-from recon.show.report import to_json
 from recon.thesis.inspection import SolverSettings, run_solver
 from recon.workflows.cli.common import progress_bar, say, terminal
 
 
-def solver(settings: SolverSettings, as_json: bool, quiet: bool) -> None:
+def solver(settings: SolverSettings, as_json: bool, quiet: bool) -> Any:
     """What the optimiser did for a reconstruction: cost, gradient, Jacobian, limits.
 
     Writes tables (CSV), the Jacobian (NPZ), figures (PNG, SVG), and plots beside the playback.
@@ -20,7 +19,6 @@ def solver(settings: SolverSettings, as_json: bool, quiet: bool) -> None:
     with progress_bar(console) as progress:
         record, out, files = run_solver(settings, progress)
     if as_json:
-        typer.echo(to_json(record.summary()), nl=False)
-        return
+        return record.summary()
     say(console, f"{len(files)} files are in {out}.")
     say(console, f"See them beside the playback with: recon view {settings.folder} --analysis {out}")

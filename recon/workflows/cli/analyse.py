@@ -6,13 +6,11 @@ import math
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-import typer
 from rich.table import Table
 
 from recon.base.words import length_text
 from recon.gait.clip import ClipAnalysis
 from recon.gait.gait import Gait
-from recon.show.report import to_json
 from recon.workflows.analyse import FOLDER, PLOTS, AnalyseSettings, run_analyse
 from recon.workflows.cli.common import (
     counted,
@@ -28,7 +26,7 @@ MOST_STANCES = 100
 """That are printed, of all feet."""
 
 
-def analyse(settings: AnalyseSettings, as_json: bool, quiet: bool) -> None:
+def analyse(settings: AnalyseSettings, as_json: bool, quiet: bool) -> Any:
     """Kinematics, gait, vector fields and phase portraits of a reconstruction.
 
     Writes tables (CSV), figures (PNG, SVG), and plots that recon view shows beside the playback.
@@ -40,8 +38,7 @@ def analyse(settings: AnalyseSettings, as_json: bool, quiet: bool) -> None:
     with progress_bar(console) as progress:
         found, summary, files = run_analyse(settings, progress)
     if as_json:
-        typer.echo(to_json(summary), nl=False)
-        return
+        return summary
     say_verdict(console, found.motion.verdict)
     for line in _lines(found, summary["speed"]):
         say(console, line)

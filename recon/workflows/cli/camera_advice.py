@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import typer
+from typing import Any
 
-from recon.show.report import to_json
 from recon.workflows.camera_advice import CameraAdviceSettings, run_camera_advice
 from recon.workflows.cli.common import progress_bar, say, terminal
 
 
-def camera_advice(settings: CameraAdviceSettings, as_json: bool) -> None:
+def camera_advice(settings: CameraAdviceSettings, as_json: bool) -> Any:
     """Where to put a camera, or two, so that an angle or a joint is seen and not guessed.
 
     Example: recon camera-advice --skeleton cheetah-24 --angle front_trunk_yaw --out advice
@@ -17,8 +16,7 @@ def camera_advice(settings: CameraAdviceSettings, as_json: bool) -> None:
     with progress_bar(terminal(stderr=True)) as progress:
         report = run_camera_advice(settings, progress)
     if as_json:
-        typer.echo(to_json(report), nl=False)
-        return
+        return report
     for line in report["words"]:
         say(terminal(), line)
     say(terminal(), f"The figure and the table are in {settings.out}.")

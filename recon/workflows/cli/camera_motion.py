@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import json
-
-import typer
+from typing import Any
 
 from recon.workflows.camera_motion import CameraMotionSettings, run_camera_motion
 from recon.workflows.cli.common import counted, progress_bar, say, terminal
 
 
-def camera_motion(settings: CameraMotionSettings, as_json: bool) -> None:
+def camera_motion(settings: CameraMotionSettings, as_json: bool) -> Any:
     """Find how a camera turned (and zoomed) from the background of its video: a camera track.
 
     Example: recon camera-motion clip.mp4 --camera camera.toml --keypoints clip.csv --out track.csv
@@ -18,8 +16,7 @@ def camera_motion(settings: CameraMotionSettings, as_json: bool) -> None:
     with progress_bar(terminal(stderr=True)) as progress:
         report, files = run_camera_motion(settings, progress)
     if as_json:
-        typer.echo(json.dumps(report, indent=1))
-        return
+        return report
     console = terminal()
     lost = len(report["frames_without_background"])
     keyframes = counted(len(report["keyframes"]), "keyframe")

@@ -6,7 +6,7 @@ A command is a function whose parameters say what it takes, all by name:
 
 settings: of the class that is annotated. given: what was given of another class, for example those of every fit of a
 batch, as a dictionary by name (annotated with `OptionsOf`). as_json, quiet: the options --json and --quiet. Its
-docstring is the help.
+docstring is the help. What it gives back is printed as JSON.
 """
 
 from __future__ import annotations
@@ -56,13 +56,13 @@ class OptionsOf:
 class Takes:
     """What a command's function takes: settings of its own class, and those of another one."""
 
-    function: Callable[..., None]
+    function: Callable[..., Any]
     own: type[Settings]
     others: OptionsOf | None
     parameters: frozenset[str]
 
     @staticmethod
-    def of(function: Callable[..., None]) -> Takes:
+    def of(function: Callable[..., Any]) -> Takes:
         hints = typing.get_type_hints(function, include_extras=True)
         given = hints.get("given")
         others = None if given is None else next(one for one in given.__metadata__ if isinstance(one, OptionsOf))
@@ -94,7 +94,11 @@ class Takes:
             settings = {"settings": self.own(**own)} if "settings" in self.parameters else {}
         except InputError as error:
             raise InputError(on_command_line(problem, self.own_infos) for problem in error.problems) from None
-        self.function(**settings, **more, **flags)
+        said = self.function(**settings, **more, **flags)
+        if said is not None:
+            from recon.show.plain import to_json  # numpy is slow to import
+
+            typer.echo(to_json(said), nl=False)
 
     def _set(self, texts: list[str]) -> dict[str, Any]:
         """The values of --set. Raises InputError for those that are none."""
@@ -145,7 +149,7 @@ def _no_options(args: list[str], by_set: Mapping[str, SettingInfo]) -> Iterator[
             yield Problem(option, info.field, "no option of this name", f"--set {name}={value or 'VALUE'}")
 
 
-def make_command(name: str, function: Callable[..., None]) -> SettingsCommand:
+def make_command(name: str, function: Callable[..., Any]) -> SettingsCommand:
     """The command of a function, see the text of the module."""
     takes = Takes.of(function)
     of_others = {} if takes.others is None else takes.others.infos

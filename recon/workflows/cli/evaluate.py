@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.table import Table
@@ -31,7 +30,7 @@ class _EvaluateSettings(Settings):
     anyway: Annotated[bool, ANYWAY] = False
 
 
-def evaluate(settings: _EvaluateSettings, as_json: bool) -> None:
+def evaluate(settings: _EvaluateSettings, as_json: bool) -> Any:
     """Compare a reconstruction with a reference, over the joints and frames that both have.
 
     Example: recon evaluate results/clip truth.csv
@@ -40,8 +39,7 @@ def evaluate(settings: _EvaluateSettings, as_json: bool) -> None:
 
     result = evaluate_files(settings.pose3d, settings.truth, settings.anyway)
     if as_json:
-        typer.echo(json.dumps(result.to_dict(), indent=1))
-        return
+        return result.to_dict()
     console = terminal()
     say_verdict(console, result.verdict)
     say(console, f"{result.pose} against the reference {result.truth}")

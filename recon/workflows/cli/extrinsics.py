@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import json
 import math
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
 from pydantic import Field
 
 from recon.base.settings import Number, OneOrMore, Option, Settings
@@ -49,7 +47,7 @@ class _ExtrinsicsSettings(Settings):
 
 def extrinsics(
     settings: _ExtrinsicsSettings, given: Annotated[dict[str, Any], OptionsOf(FitSettings, _SETTINGS)], as_json: bool
-) -> None:
+) -> Any:
     """Find where cameras stand, from their lenses and clips of the animal: one tells it roughly, several well.
 
     With --set refine-cameras=true, the poses in the camera file are taken for as good as 2 degrees and 5 cm, and are
@@ -68,8 +66,7 @@ def extrinsics(
         level_rad = None if settings.level_deg is None else math.radians(settings.level_deg)
         run = run_extrinsics(clips, settings.out, settings.overwrite, level_rad, progress)
     if as_json:
-        typer.echo(json.dumps(run.to_dict(), indent=1))
-        return
+        return run.to_dict()
     console = terminal()
     for line in run.lines():
         say(console, line)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from typing import Any
 
@@ -14,15 +13,14 @@ from recon.workflows.cli.common import table_of, terminal
 from recon.workflows.prior import PriorFitSettings, run_prior_fit
 
 
-def prior_fit(settings: PriorFitSettings, as_json: bool) -> None:
+def prior_fit(settings: PriorFitSettings, as_json: bool) -> Any:
     """Fit a motion prior to results or 3D poses, and list what it was fitted to.
 
     Example: recon prior fit results/run1 results/run2 --out my-cat.npz
     """
     done = run_prior_fit(settings)
     if as_json:
-        typer.echo(json.dumps({"out": str(settings.out), **done}, indent=1))
-        return
+        return {"out": settings.out, **done}
     table = table_of("segment", numbers=("frames", "fps", "speed m/s", "misfit mm", "used"))
     for row in done["segments"]:
         rms_mm = "-" if row["misfit_mm"] is None else f"{row['misfit_mm']:.1f}"

@@ -6,7 +6,6 @@ import json
 from dataclasses import MISSING
 from typing import Annotated, Any
 
-import typer
 from pydantic import TypeAdapter
 from rich.text import Text
 
@@ -28,14 +27,13 @@ class _ListedSettings(Settings):
     ] = False
 
 
-def settings(settings: _ListedSettings, as_json: bool) -> None:
+def settings(settings: _ListedSettings, as_json: bool) -> Any:
     """List all settings of a command: those that are options, and those that only --set and config.toml have.
 
     Example: recon settings fit
     """
     if settings.schema:
-        typer.echo(json.dumps(config_schema(), indent=1))
-        return
+        return config_schema()
     from recon.workflows.cli import commands
 
     command = commands().get(settings.command)
@@ -44,8 +42,7 @@ def settings(settings: _ListedSettings, as_json: bool) -> None:
         raise InputError(Problem("COMMAND", "command", repr(settings.command), expected))
     rows = [row_of(info) for info in command.takes.infos.values()]
     if as_json:
-        typer.echo(json.dumps(rows, indent=1))
-        return
+        return rows
     table = table_of("setting", "default", "meaning")
     for row in rows:
         default = "" if row["default"] is None else json.dumps(row["default"]).strip('"')

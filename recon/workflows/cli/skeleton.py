@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import json
 import shlex
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
-import typer
 from rich.table import Table
 from rich.text import Text
 
@@ -17,15 +16,14 @@ from recon.workflows.skeleton_check import Row, SkeletonCheckSettings, list_skel
 from recon.workflows.skeleton_draft import SkeletonDraftSettings, run_skeleton_draft
 
 
-def skeleton_list(as_json: bool) -> None:
+def skeleton_list(as_json: bool) -> Any:
     """List the skeletons that come with the package.
 
     Example: recon skeleton list
     """
     found = list_skeletons()
     if as_json:
-        typer.echo(json.dumps(found, indent=1))
-        return
+        return found
     table = table_of("name", "kind", numbers=("markers", "unknowns"))
     table.add_column("title")
     for row in found:
@@ -34,7 +32,7 @@ def skeleton_list(as_json: bool) -> None:
     terminal().print(table)
 
 
-def skeleton_check(settings: SkeletonCheckSettings, as_json: bool) -> None:
+def skeleton_check(settings: SkeletonCheckSettings, as_json: bool) -> Any:
     """Check a skeleton file, list what is in it, and draw it.
 
     Example: recon skeleton check my-dog.toml --out my-dog
@@ -43,8 +41,7 @@ def skeleton_check(settings: SkeletonCheckSettings, as_json: bool) -> None:
     """
     check = run_skeleton_check(settings)
     if as_json:
-        typer.echo(json.dumps(check, indent=1))
-        return
+        return check
     console = terminal()
     for line in _summary(check):
         say(console, line)

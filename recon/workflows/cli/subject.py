@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import json
+from typing import Any
 
 import typer
 from rich.text import Text
@@ -11,7 +11,7 @@ from recon.workflows.cli.common import counted, table_of, terminal
 from recon.workflows.subject import SubjectFitSettings, run_subject_fit
 
 
-def subject_fit(settings: SubjectFitSettings, as_json: bool) -> None:
+def subject_fit(settings: SubjectFitSettings, as_json: bool) -> Any:
     """Measure one animal in clips that several cameras filmed, for `recon fit --subject`; without its lengths the
     detector only, for `recon fit --set detector`, also from several measured animals.
 
@@ -19,8 +19,7 @@ def subject_fit(settings: SubjectFitSettings, as_json: bool) -> None:
     """
     found = run_subject_fit(settings)
     if as_json:
-        typer.echo(json.dumps({"out": str(settings.out), **found}, indent=1))
-        return
+        return {"out": settings.out, **found}
     lengths, offsets = ([row for row in found["values"] if row["unit"] == unit] for unit in ("m", "mm"))
     if lengths:
         table = table_of("length of", numbers=("m", "±"))
