@@ -235,6 +235,7 @@ def test_a_motion_that_was_just_fitted(small_trajectory):
 
 
 FIGURES = (
+    "forces",
     "body_fixed",
     "body_fixed_limbs",
     "composites",
@@ -275,7 +276,7 @@ def test_command_writes_tables_figures_and_plots(of_results, whole_results, monk
         assert (folder / name).stat().st_mtime_ns < (folder / "analysis").stat().st_mtime_ns
     assert "transverse gallop" in printed
     assert "peak" in printed
-    labels = [line.partition(": ")[0] for line in printed.splitlines() if ": " in line]
+    labels = [line.partition(": ")[0] for line in printed.splitlines() if ": " in line and not line.startswith("note")]
     assert len(set(labels)) == len(labels)
     written = {path.name for path in (folder / "analysis").iterdir()}
     assert {*analysis_csv.TABLES, "analysis.json", "analysis.rrd"} <= written

@@ -150,6 +150,10 @@ class Body:
     """How far off in a single frame, of markers of which it is known; of others it is keypoint_sigma_m."""
     detector: str | None = None
     """Whose keypoints are expected (`recon.animal.detector`)."""
+    mass: dict[str, tuple[float, float]] = field(default_factory=dict)
+    """By segment: its share of the body's mass, and one standard deviation; empty where it is not known."""
+    mass_source: str | None = None
+    """What the masses rest on."""
     subject: str | None = None
     """The measured animal whose lengths these are, as it was named; None: those of the skeleton."""
 

@@ -134,6 +134,11 @@ class _Marker(FileTable):
     mirrored: bool = False
 
 
+class _Mass(FileTable):
+    source: str
+    share: dict[str, tuple[Sigma, Sigma]]
+
+
 class _BodyFile(FileTable):
     name: str
     title: str
@@ -145,6 +150,7 @@ class _BodyFile(FileTable):
     segments: tuple[_Segment, ...] = Field(min_length=1)
     markers: tuple[_Marker, ...]
     limbs: dict[str, tuple[str, ...]]
+    mass: _Mass | None = None
 
 
 class _Extension(FileTable):
@@ -477,6 +483,13 @@ def _body_problems(file: _BodyFile, source: str) -> Iterator[Problem]:
         for name in names:
             if name not in markers:
                 yield Problem(source, field, repr(name), f"one of {', '.join(sorted(markers)) or 'the markers'}")
+    shares = {} if file.mass is None else file.mass.share
+    for name in shares:
+        if name not in segments:
+            yield Problem(source, f"mass.share.{name}", "no such segment", f"one of {', '.join(sorted(segments))}")
+    for name in sorted(segments if shares else ()):
+        if name not in shares and other_side(name) not in shares:
+            yield Problem(source, f"mass.share.{name}", "none", "a share and its sigma, as [0.05, 0.01]")
     if file.forward[0] == file.forward[1]:
         yield Problem(source, "forward", f"{file.forward[0]!r} twice", "two markers, from rear to front")
     yield from _foot_problems(file.feet, source)
@@ -533,4 +546,11 @@ def _body(f: _BodyFile) -> Body:
         acceleration_rad_s2=np.array([e.acceleration_rad_s2 for e in expected]),
         keypoint_offset_m={m.name: m.keypoint_offset_m for m in markers if any(m.keypoint_offset_m)},
         detector=f.detector,
+        mass={} if f.mass is None else {s.name: _share(f.mass, s.name) for s in segments},
+        mass_source=None if f.mass is None else f.mass.source,
     )
+
+
+def _share(mass: _Mass, segment: str) -> tuple[float, float]:
+    """Of a segment, or of its counterpart on the other side."""
+    return mass.share[segment] if segment in mass.share else mass.share[other_side(segment)]

@@ -24,6 +24,7 @@ from recon.base.errors import InputError, Problem
 from recon.clip.keypoints import frame_ranges
 from recon.fit.motion import MEASURED_SHARE, Motion
 from recon.fit.regions import radius
+from recon.gait.dynamics import Dynamics, dynamics
 from recon.gait.gait import BODY, INTERVAL, Gait, Stride, Tracks, gait, pose_tracks, stances
 from recon.gait.kinematics import (
     AngleKinematics,
@@ -93,6 +94,12 @@ class ClipAnalysis:
         strides = () if self.gait is None else self.gait.strides
         feet = [stride.foot for stride in strides]
         return min(strides, key=lambda s: (-feet.count(s.foot), s.start_s), default=None)
+
+    @cached_property
+    def dynamics(self) -> Dynamics | None:
+        """Centre of mass, energy and vertical forces; None of a skeleton without masses, or of one side."""
+        errors = lasting_errors(self.motion.upright.xyz_m, self.motion.fps) if self.smoothed else _errors(self.motion)
+        return dynamics(self.motion, self.gait, errors)
 
     @property
     def speed(self) -> pd.DataFrame:

@@ -124,6 +124,7 @@ def summarise(found: ClipAnalysis, results: str) -> dict[str, Any]:
         "spine_flexion_rad": found.angles["spine_flexion"].range_rad if "spine_flexion" in found.angles else None,
         "angles": {"data_share": found.motion.data_shares, "not_measured": list(found.not_measured)},
         "gait": None if found.gait is None else _gait_summary(found.gait),
+        "dynamics": _dynamics_summary(found),
         "stride": None
         if found.stride is None
         else {
@@ -163,9 +164,29 @@ def notes(found: ClipAnalysis) -> list[str]:
         said += [doubt_text(doubt) for doubt in doubtful[:SHOWN]]
         if (more := len(doubtful) - SHOWN) > 0:
             said.append(f"{more} more strides do not count, for reasons of the same kind")
+    if found.dynamics is not None:
+        said.append(
+            f"Forces and energies rest on the masses of {found.motion.body.mass_source}; forces are validated on "
+            "galloping cheetahs, on level ground."
+        )
+    elif found.motion.side is None and found.gait is not None:
+        said.append("The skeleton has no masses ([mass]): no centre of mass, energy or forces.")
     if found.gait is not None and found.stride is None:
         said.append("No complete stride in the clip: no stride figures, and phase portraits are of the whole clip.")
     return said
+
+
+def _dynamics_summary(found: ClipAnalysis) -> dict[str, Any] | None:
+    if (d := found.dynamics) is None:
+        return None
+    peaks = [force.peak for force in d.forces]
+    return {
+        "masses": found.motion.body.mass_source,
+        "stride_s": d.stride_s,
+        "stride_sigma_s": d.stride_sigma_s,
+        "mean_peak_bw": float(np.mean(peaks)) if peaks else None,
+        "energy_mean_j_kg": {name: float(np.nanmean(values)) for name, values in d.energy_j_kg.items()},
+    }
 
 
 def _gait_summary(gait: Gait) -> dict[str, Any]:
@@ -212,6 +233,7 @@ def figures_of(found: ClipAnalysis) -> dict[str, Callable[[], Figure]]:
         "speed": lambda: plots.speeds(
             {found.reference: found.joints[found.reference]}, unknown=found.speed_doubt is not None
         ),
+        **({} if found.dynamics is None else {"forces": partial(plots.forces, found)}),
         **({} if found.gait is None else {"footfalls": partial(plots.footfall, {"gait": found.gait}, motion.fps)}),
         **{
             f"vector_field_{limb.replace(' ', '_')}": partial(plots.vector_fields, fields, time_s, title=limb)

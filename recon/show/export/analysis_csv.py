@@ -186,6 +186,39 @@ def closures(found: ClipAnalysis) -> Table:
     return columns.split(", "), rows
 
 
+def centre_of_mass(found: ClipAnalysis) -> Columns:
+    """The centre of mass on the fine grid, and energies per kilogram."""
+    if (d := found.dynamics) is None:
+        return {}
+    s = d.centre.series
+    columns = {"time_s": s.time_s} | _axes("{}_m", s.value)
+    for name, of in (("{}_sigma_m", s.value_sigma), ("v{}_m_s", s.rate), ("v{}_sigma_m_s", s.rate_sigma)):
+        columns |= _axes(name, np.full(s.value.shape, np.nan) if of is None else of)
+    columns |= _axes("angular_momentum_{}_m2_s", d.angular_momentum)
+    columns |= {f"{name}_j_kg": values for name, values in d.energy_j_kg.items()}
+    return columns | {"energy_sigma_j_kg": d.energy_sigma_j_kg}
+
+
+def forces(found: ClipAnalysis) -> Table:
+    """Peak and impulse of the vertical force of every whole stance, body weights, with intervals of 90 %."""
+    columns = "foot, start_s, end_s, peak_bw, peak_low_bw, peak_high_bw, impulse_bw_s, impulse_low_bw_s"
+    rows = [
+        (f.stance.foot, f.stance.start_s, f.stance.end_s, f.peak, *f.peak_interval, f.impulse, *f.impulse_interval)
+        for f in (found.dynamics.forces if found.dynamics else ())
+    ]
+    return [*columns.split(", "), "impulse_high_bw_s"], rows
+
+
+def force_over_time(found: ClipAnalysis) -> Columns:
+    """The vertical force of every foot on the fine grid, body weights; empty within stances that the clip cuts."""
+    if (d := found.dynamics) is None or found.gait is None:
+        return {}
+    columns = {"time_s": found.gait.tracks.time_s}
+    for foot, force in d.force.items():
+        columns |= dict(zip((f"{foot}_bw", f"{foot}_low_bw", f"{foot}_high_bw"), force.T, strict=True))
+    return columns
+
+
 TABLES: dict[str, Callable[[ClipAnalysis], Table | Columns]] = {
     "joints.csv": joints,
     "reference.csv": reference,
@@ -198,6 +231,9 @@ TABLES: dict[str, Callable[[ClipAnalysis], Table | Columns]] = {
     "vector_field.csv": vector_field,
     "vector_field_means.csv": vector_field_means,
     "closures.csv": closures,
+    "centre_of_mass.csv": centre_of_mass,
+    "forces.csv": forces,
+    "force_over_time.csv": force_over_time,
 }
 """By file name."""
 

@@ -5,6 +5,7 @@ from recon.show.plots.composite import composites
 from recon.show.plots.configurations import body_fixed, in_body, limbs_apart
 from recon.show.plots.field import vector_fields
 from recon.show.plots.footfall import footfall
+from recon.show.plots.forces import forces
 from recon.show.plots.observability import observability
 from recon.show.plots.phase import phase_portraits
 from recon.show.plots.speed import speeds

@@ -1,0 +1,291 @@
+"""Centre of mass, energy and vertical forces of the feet, with intervals, from a skeleton's masses.
+
+Everything is per kilogram of the animal, forces in body weights. The centre of mass is that of the segments, each in
+the middle of its capsules; what is not known of it is the place's and the pose's error (`recon.gait.clip`) and the
+masses'. Derivatives are those of splines (`recon.gait.kinematics`). Differentiated twice, the centre of mass says
+nothing of the forces of one stance: 0.6 to 1.3 body weights off even from several cameras. Instead each stance has a
+shape,
+
+    F(s) = peak * sin(pi s^SKEW),  s from 0 at touch-down to 1 at lift-off,
+
+and all stances of a stride together the impulse of the body's weight over it, as over a level stride the height comes
+back. The stride's time is that of complete strides, and without one the stances' mean duration over `DUTY`. Fore and
+hind feet share it as `FORE` says, feet of a pair alike but for `FOOT`. Intervals come from draws of all of these and of
+the stances' times. Shape, shares and spreads are those of force plates under two galloping cheetahs
+(`benchmarks/dynamics.py`); another animal's, or gait's, may differ by more. There are no joint torques: their intervals
+would be wider than the values.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from recon.animal.capsules import capsules
+from recon.base.arrays import Array
+from recon.fit.motion import Motion
+from recon.fit.regions import radius
+from recon.gait.gait import INTERVAL, Gait, Stance
+from recon.gait.kinematics import Errors, JointKinematics, point_kinematics
+from recon.geometry.kinematics import Marker, Tree
+
+G_M_S2 = 9.81
+SKEW = 0.8
+"""Of the force over a stance: it rises faster than it falls, its centre is at 0.41 of the stance (0.36 to 0.48)."""
+DUTY, DUTY_SIGMA = 0.2, 0.05
+"""A foot's stance of a stride, of a gallop without a complete one in the clip."""
+FORE, FORE_SIGMA = 0.42, 0.08
+"""The fore feet's share of the impulse: cheetahs that speed up push with the hind feet. Of other gaits a half, with
+twice the spread."""
+FOOT = 0.4
+"""One sigma of the logarithm by which a foot's impulse differs from its pair's mean."""
+DRAWS, SEED = 400, 0
+MASS_LASTS_S = 10.0
+"""Errors of masses are the same all the time."""
+
+
+@dataclass(frozen=True, eq=False)
+class Force:
+    """Vertical force of one stance. Body weights, and body weights times seconds."""
+
+    stance: Stance
+    peak: float
+    peak_interval: tuple[float, float]
+    impulse: float
+    impulse_interval: tuple[float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Dynamics:
+    """Of a clip, T frames, N times on the grid of ten times the frame rate."""
+
+    centre: JointKinematics
+    """Of mass, in the upright frame."""
+    internal_j_kg: Array
+    """(N,): kinetic energy of the segments about the centre of mass, of their middles' motion."""
+    angular_momentum: Array
+    """(N, 3): about the centre of mass, m^2/s per kilogram, of the segments' middles."""
+    ground_m: Array
+    """(N,): height of the ground under the centre of mass."""
+    forces: tuple[Force, ...]
+    force: Mapping[str, Array]
+    """By foot (N, 3): the vertical force, and the ends of the interval that holds it with 90 %."""
+    stride_s: float
+    """How long a stride lasts."""
+    stride_sigma_s: float
+
+    @cached_property
+    def energy_j_kg(self) -> dict[str, Array]:
+        """Potential, kinetic forwards, sideways and up, internal, and total, each (N,)."""
+        series = self.centre.series
+        known = np.isfinite(series.value[:, 0])
+        way = np.diff(series.value[known][[0, -1], :2], axis=0)[0] if known.sum() > 1 else np.array([1.0, 0.0])
+        ahead = way / max(float(np.linalg.norm(way)), 1e-9)
+        forwards, sideways = series.rate[:, :2] @ ahead, series.rate[:, :2] @ [-ahead[1], ahead[0]]
+        found = {
+            "potential": G_M_S2 * (series.value[:, 2] - self.ground_m),
+            "kinetic_forwards": 0.5 * forwards**2,
+            "kinetic_sideways": 0.5 * sideways**2,
+            "kinetic_up": 0.5 * series.rate[:, 2] ** 2,
+            "internal": self.internal_j_kg,
+        }
+        return found | {"total": np.sum([*found.values()], axis=0)}
+
+    @cached_property
+    def energy_sigma_j_kg(self) -> Array:
+        """(N,): one standard deviation of the total without the internal one."""
+        series = self.centre.series
+        if series.rate_sigma is None or series.value_sigma is None:
+            return np.full(len(series.time_s), np.nan)
+        moved = np.sum((series.rate * series.rate_sigma) ** 2, axis=1)
+        return np.sqrt(moved + (G_M_S2 * series.value_sigma[:, 2]) ** 2)
+
+
+def dynamics(motion: Motion, gait: Gait | None, errors: Sequence[Errors]) -> Dynamics | None:
+    """errors: of the joints, as `recon.gait.clip` has them, the place's first. None of a skeleton without masses or
+    feet, and of a chain."""
+    shares = motion.body.mass
+    if not shares or gait is None or motion.side is not None:
+        return None
+    share, sigma = np.array([shares[s.name] for s in motion.body.tree.segments]).T
+    middles_m = _middles(motion)
+    share, total = share / share.sum(), share.sum()
+    centre_m = np.einsum("tsk,s->tk", middles_m, share)
+    apart_m = middles_m - centre_m[:, None]
+    by_mass = np.sqrt(np.einsum("tsk,s->tk", apart_m**2, (sigma / total) ** 2))
+    rear, front = (motion.upright.names.index(name) for name in motion.forward_names)
+    of_centre = [
+        Errors(np.sqrt(np.mean(error.sigma[:, [rear, front]] ** 2, axis=1)), error.correlation_s) for error in errors
+    ]
+    of_centre.append(Errors(np.maximum(by_mass, 1e-6), MASS_LASTS_S))
+    centre = point_kinematics(motion.time_s, centre_m, of_centre if errors else ())
+    about = [point_kinematics(motion.time_s, apart_m[:, s]).series for s in range(len(share))]
+    internal = 0.5 * sum(w * np.sum(one.rate**2, axis=1) for w, one in zip(share, about, strict=True))
+    spin = sum(w * np.cross(one.value, one.rate) for w, one in zip(share, about, strict=True))
+    level_m = centre.series.value[:, 2] - gait.tracks.above_ground(centre.series.value)
+    period_s, period_sigma_s = stride_time(gait)
+    draws = _drawn(gait, period_s, period_sigma_s)
+    return Dynamics(
+        centre=centre,
+        internal_j_kg=np.asarray(internal),
+        angular_momentum=np.asarray(spin),
+        ground_m=level_m,
+        forces=_forces(gait.stances, draws),
+        force=_force_over_time(gait, draws),
+        stride_s=period_s,
+        stride_sigma_s=period_sigma_s,
+    )
+
+
+def _middles(motion: Motion) -> Array:
+    """(T, S, 3): of each segment's capsules, upright."""
+    tree = motion.body.tree
+    ends: dict[int, list[tuple[float, float, float]]] = {}
+    for capsule in capsules(tree, motion.body.markers):
+        ends.setdefault(capsule.segment, []).append(capsule.end_m)
+    markers = []
+    for i, segment in enumerate(tree.segments):
+        middle = np.mean(ends.get(i, [(0.0, 0.0, 0.0)]), axis=0) / 2
+        markers.append(Marker(segment.name, segment.name, (float(middle[0]), float(middle[1]), float(middle[2]))))
+    return Tree(tree.segments, tuple(markers)).pose(motion.states, motion.size).points_m
+
+
+def stride_time(gait: Gait) -> tuple[float, float]:
+    """Seconds and one standard deviation: of complete strides, or from the stances' durations; NaN without either."""
+    if gait.strides:
+        lasts = np.array([stride.end_s - stride.start_s for stride in gait.strides])
+        events = np.array([stride.duty_sigma for stride in gait.strides]) * lasts
+        return float(lasts.mean()), float(np.hypot(lasts.std() / len(lasts) ** 0.5, np.median(events)))
+    whole = [s.duration_s for s in gait.stances if s.begins and s.ends]
+    if not whole:
+        return np.nan, np.nan
+    period = float(np.mean(whole)) / DUTY
+    return period, period * DUTY_SIGMA / DUTY
+
+
+def shape(into: Array) -> Array:
+    """Force relative to its peak at shares of a stance, 0 outside."""
+    inside = (into > 0) & (into < 1)
+    return np.where(inside, np.sin(np.pi * np.clip(into, 0, 1) ** SKEW), 0.0)
+
+
+_GRID = (np.arange(1000) + 0.5) / 1000
+MEAN_OF_PEAK = float(shape(_GRID).mean())
+"""Mean force over a stance, of the peak."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Draws:
+    """(D, S): of S stances; the first draw is the middle of everything."""
+
+    start_s: Array
+    end_s: Array
+    impulse: Array
+
+    @property
+    def peak(self) -> Array:
+        return self.impulse / (MEAN_OF_PEAK * (self.end_s - self.start_s))
+
+
+def _drawn(gait: Gait, period_s: float, period_sigma_s: float) -> _Draws:
+    rng, stances = np.random.default_rng(SEED), gait.stances
+    S, feet = len(stances), gait.tracks.feet
+
+    def normal(*shape: int) -> Array:
+        return np.concatenate([np.zeros((1, *shape)), rng.standard_normal((DRAWS, *shape))])
+
+    start, end = (np.array([getattr(s, name) for s in stances]) for name in ("start_s", "end_s"))
+    sigmas = (np.nan_to_num([getattr(s, name) for s in stances]) for name in ("start_sigma_s", "end_sigma_s"))
+    starts, ends = (
+        at + normal(S) * sigma for at, sigma in zip((start, end), (np.reshape(s, S) for s in sigmas), strict=True)
+    )
+    ends = np.maximum(ends, starts + 0.3 * (end - start))
+    known = "gallop" in gait.name.name or gait.name.name == "unknown"
+    fore = np.clip((FORE if known else 0.5) + (FORE_SIGMA if known else 2 * FORE_SIGMA) * normal(1)[:, 0], 0.1, 0.9)
+    factor = np.exp(FOOT * normal(len(feet)))
+    is_fore = np.array([foot.endswith("F") for foot in feet])
+    share = np.where(is_fore, fore[:, None], 1 - fore[:, None]) * factor
+    for side in (is_fore, ~is_fore):  # a pair has what it has
+        if side.any():
+            of_pair = fore if side is is_fore else 1 - fore
+            share[:, side] *= (of_pair / share[:, side].sum(axis=1))[:, None]
+    period = np.maximum(period_s + period_sigma_s * normal(1), 0.2 * period_s)
+    of_foot = np.array([feet.index(s.foot) for s in stances], dtype=int)
+    return _Draws(starts, ends, (share * period)[:, of_foot])
+
+
+def _interval(draws: Array) -> tuple[float, float]:
+    low, high = np.quantile(draws, [(1 - INTERVAL) / 2, (1 + INTERVAL) / 2])
+    return float(low), float(high)
+
+
+def _forces(stances: Sequence[Stance], draws: _Draws) -> tuple[Force, ...]:
+    """Of stances that lie in the clip from beginning to end."""
+    return tuple(
+        Force(
+            stance=stance,
+            peak=float(draws.peak[0, i]),
+            peak_interval=_interval(draws.peak[1:, i]),
+            impulse=float(draws.impulse[0, i]),
+            impulse_interval=_interval(draws.impulse[1:, i]),
+        )
+        for i, stance in enumerate(stances)
+        if stance.begins and stance.ends and np.isfinite(draws.impulse[0, i])
+    )
+
+
+def _force_over_time(gait: Gait, draws: _Draws) -> dict[str, Array]:
+    """NaN within stances that the clip cuts."""
+    time_s, found = gait.tracks.time_s, {}
+    for foot in gait.tracks.feet:
+        force = np.zeros((len(time_s), 3))
+        for i, stance in enumerate(gait.stances):
+            if stance.foot != foot:
+                continue
+            reach = 4 * np.nanmax([stance.start_sigma_s, stance.end_sigma_s, 0.0])
+            near = np.flatnonzero((time_s > stance.start_s - reach) & (time_s < stance.end_s + reach))
+            if not (stance.begins and stance.ends):
+                force[near] = np.nan
+                continue
+            into = (time_s[near] - draws.start_s[:, i, None]) / (draws.end_s - draws.start_s)[:, i, None]
+            drawn = draws.peak[:, i, None] * shape(into)
+            low, high = np.quantile(drawn[1:], [(1 - INTERVAL) / 2, (1 + INTERVAL) / 2], axis=0)
+            force[near] = np.stack([drawn[0], low, high], axis=1)
+        found[foot] = force
+    return found
+
+
+def against_gravity(found: Dynamics, gait: Gait) -> list[tuple[float, float, float]]:
+    """Of every time in which no foot stands: when it begins, and by how much the acceleration of the centre of mass
+    upwards differs from gravity's, with one standard deviation. A parabola through its heights."""
+    time_s, series = gait.tracks.time_s, found.centre.series
+    if series.value_sigma is None:
+        return []
+    flies = np.ones(len(time_s), dtype=bool)
+    for stance in gait.stances:
+        flies &= (time_s < stance.start_s) | (time_s > stance.end_s)
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], flies.astype(int), [0]])))
+    rows = []
+    for first, stop in zip(edges[::2], edges[1::2], strict=True):
+        inside = slice(first, stop)
+        known = np.isfinite(series.value[inside, 2])
+        if first == 0 or stop == len(time_s) or known.sum() < 4 * series.oversampling or not known.all():
+            continue
+        t = time_s[inside] - time_s[inside].mean()
+        bend = float(2 * np.polyfit(t, series.value[inside, 2], 2)[0])
+        # Heights within a flight err together but for what the pose leaves, which a parabola takes for a bend.
+        sigma = float(np.nanmean(series.value_sigma[inside, 2])) * 8 / float(np.ptp(t)) ** 2
+        rows.append((float(time_s[first]), bend + G_M_S2, sigma))
+    return rows
+
+
+def net_work_j_kg(found: Dynamics, start_s: float, end_s: float) -> tuple[float, float]:
+    """By how much the total energy without the internal one changes in a time, and one standard deviation."""
+    total = found.energy_j_kg["total"] - found.internal_j_kg
+    at = np.searchsorted(found.centre.series.time_s, [start_s, end_s - 1e-9])
+    ends = total[np.minimum(at, len(total) - 1)]
+    sigma = found.energy_sigma_j_kg[np.minimum(at, len(total) - 1)]
+    return float(ends[1] - ends[0]), float(radius(0.6827) * np.hypot(*sigma))

@@ -1,0 +1,111 @@
+"""Centre of mass, energy and forces: against what is known of them without the code that makes them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from recon.animal.skeleton_file import load_skeleton
+from recon.base.errors import InputError
+from recon.fit.motion import Motion
+from recon.gait.clip import ClipAnalysis, analyse
+from recon.gait.dynamics import G_M_S2, MEAN_OF_PEAK, SKEW, shape, stride_time
+
+SKELETON = Path(__file__).parents[1] / "recon" / "animal" / "skeletons" / "cheetah-24.toml"
+
+
+@pytest.fixture(scope="module")
+def motion(whole_results: Path) -> Motion:
+    return Motion.load(whole_results)
+
+
+@pytest.fixture(scope="module")
+def found(motion: Motion) -> ClipAnalysis:
+    return analyse(motion)
+
+
+def test_masses_are_shares_of_every_segment():
+    body = load_skeleton("cheetah-24")
+    assert body.mass.keys() == {segment.name for segment in body.tree.segments}
+    assert sum(share for share, _ in body.mass.values()) == pytest.approx(1.0, abs=0.03)
+    assert body.mass["r_hind_thigh"] == body.mass["l_hind_thigh"]
+    assert body.mass_source is not None
+    assert load_skeleton("dog-27").mass == {}
+
+
+def test_mistakes_in_masses_are_named(tmp_path: Path):
+    text = SKELETON.read_text(encoding="utf-8")
+    (tmp_path / "s.toml").write_text(text.replace("head = [0.10, 0.03]", "hat = [0.10, 0.03]"), encoding="utf-8")
+    with pytest.raises(InputError) as error:
+        load_skeleton(tmp_path / "s.toml")
+    said = [str(problem) for problem in error.value.problems]
+    assert any("mass.share.hat: found no such segment" in one for one in said)
+    assert any("mass.share.head: found none" in one for one in said)
+
+
+def test_the_centre_of_mass_moves_as_the_body_and_is_within_it(motion: Motion, found: ClipAnalysis):
+    d = found.dynamics
+    assert d is not None
+    centre = d.centre.series.value[:: d.centre.series.oversampling]
+    trunk = [motion.upright.names.index(name) for name in motion.forward_names]
+    middle = motion.upright.xyz_m[:, trunk].mean(axis=1)
+    assert np.abs(centre - middle).max() < 0.35
+    # Moved and with other shares: all mass on one segment puts it into that one's middle, here between knee and ankle.
+    shares = {name: (1.0 if name == "l_fore_lower" else 1e-12, 1e-12) for name in motion.body.mass}
+    body = replace(motion.body, mass=shares)
+    one = analyse(replace(motion, solution=replace(motion.solution, body=body))).dynamics
+    assert one is not None
+    knee, ankle = (motion.upright.xyz_m[:, motion.upright.names.index(f"l_front_{n}")] for n in ("knee", "ankle"))
+    at_frames = one.centre.series.value[:: one.centre.series.oversampling]
+    np.testing.assert_allclose(at_frames, (knee + ankle) / 2, atol=0.03)
+
+
+def test_energies_are_those_of_the_path(found: ClipAnalysis):
+    d = found.dynamics
+    assert d is not None
+    series, energy = d.centre.series, d.energy_j_kg
+    kinetic = sum(energy[f"kinetic_{way}"] for way in ("forwards", "sideways", "up"))
+    np.testing.assert_allclose(kinetic, 0.5 * d.centre.speed_m_s**2, rtol=1e-9)
+    np.testing.assert_allclose(energy["potential"], G_M_S2 * (series.value[:, 2] - d.ground_m), rtol=1e-9)
+    np.testing.assert_allclose(energy["total"], kinetic + energy["potential"] + energy["internal"], rtol=1e-9)
+    assert (energy["internal"] > 0).all()
+    assert (d.energy_sigma_j_kg > 0).all()
+
+
+def test_forces_of_a_stride_carry_the_body(found: ClipAnalysis):
+    d, gait = found.dynamics, found.gait
+    assert d is not None
+    assert gait is not None
+    assert (d.stride_s, d.stride_sigma_s) == stride_time(gait)
+    by_foot = {foot: [f.impulse for f in d.forces if f.stance.foot == foot] for foot in d.force}
+    assert sum(np.mean(some) for some in by_foot.values()) == pytest.approx(d.stride_s, rel=1e-9)
+    for force in d.forces:
+        time_s = gait.tracks.time_s
+        inside = (time_s > force.stance.start_s) & (time_s < force.stance.end_s)
+        middle, low, high = d.force[force.stance.foot].T
+        assert np.trapezoid(np.where(inside, middle, 0.0), time_s) == pytest.approx(force.impulse, rel=0.05)
+        assert middle[inside].max() == pytest.approx(force.peak, rel=0.02)
+        assert force.peak_interval[0] < force.peak < force.peak_interval[1]
+        assert force.impulse_interval[0] < force.impulse < force.impulse_interval[1]
+        assert (low[inside] <= high[inside]).all()
+
+
+def test_the_shape_begins_and_ends_at_nothing_and_leans_forwards():
+    into = np.linspace(-0.2, 1.2, 1401)
+    force = shape(into)
+    assert (force[(into <= 0) | (into >= 1)] == 0).all()
+    assert into[force.argmax()] == pytest.approx(0.5 ** (1 / SKEW), abs=1e-3)
+    assert np.trapezoid(force, into) == pytest.approx(MEAN_OF_PEAK, rel=1e-4)
+    assert np.trapezoid(into * force, into) / MEAN_OF_PEAK == pytest.approx(0.44, abs=0.03)
+
+
+def test_without_masses_nothing_is_said(motion: Motion):
+    from recon.workflows.analyse import notes
+
+    plain = replace(motion, solution=replace(motion.solution, body=replace(motion.body, mass={}, mass_source=None)))
+    found = analyse(plain)
+    assert found.dynamics is None
+    assert any("no masses ([mass])" in note for note in notes(found))
