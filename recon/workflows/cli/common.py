@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shlex
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
@@ -112,12 +111,13 @@ def progress_bar(console: Console, doing: str = "") -> Iterator[Any]:
 
 def finish(console: Console, report: dict[str, Any], out: Path, as_json: bool = False, **more: Any) -> None:
     """Print what there is to say of a fit; as_json: to the standard output, with `more` fields."""
+    from recon.show.plain import to_json
     from recon.show.report import console_summary, is_unsolved
 
     if as_json:
         own = {name: report[name] for name in ("method", "summary", "findings")}
         seconds = report["timing_s"]["solve_s"]
-        typer.echo(json.dumps({"out": str(out), **own, "seconds": seconds, **more}, indent=1))
+        typer.echo(to_json({"out": out, **own, "seconds": seconds, **more}), nl=False)
     else:
         console.print(console_summary(report))
     if is_unsolved(report):
