@@ -12,7 +12,8 @@ from recon.animal.skeleton_file import load_skeleton
 from recon.base.errors import InputError
 from recon.fit.motion import Motion
 from recon.gait.clip import ClipAnalysis, analyse
-from recon.gait.dynamics import G_M_S2, MEAN_OF_PEAK, SKEW, shape, stride_time
+from recon.gait.dynamics import G_M_S2, MEAN_OF_PEAK, OFF_GRAVITY, SKEW, findings_of_dynamics, shape, stride_time
+from recon.workflows.analyse import summarise
 
 SKELETON = Path(__file__).parents[1] / "recon" / "animal" / "skeletons" / "cheetah-24.toml"
 
@@ -109,3 +110,32 @@ def test_without_masses_nothing_is_said(motion: Motion):
     found = analyse(plain)
     assert found.dynamics is None
     assert any("no masses ([mass])" in note for note in notes(found))
+
+
+def test_a_body_in_flight_falls_freely(motion: Motion, found: ClipAnalysis):
+    d = found.dynamics
+    assert d is not None
+    assert d.flights
+    for flight in d.flights:
+        inside = motion.time_s[flight.first : flight.stop]
+        assert all(((inside < s.start_s) | (inside > s.end_s)).all() for s in found.gait.stances)
+        assert abs(flight.off) < OFF_GRAVITY
+    assert findings_of_dynamics(motion, d) == ()
+    # A path that is thrown at twice the frame rate falls at four times the acceleration.
+    fast = replace(d.flights[0], up_m_s2=-4 * G_M_S2, sigma_m_s2=5.0)
+    (one,) = findings_of_dynamics(motion, replace(d, flights=(*d.flights, fast)))
+    assert one.code == "flight_against_gravity"
+    assert one.frames == (motion.frames[fast.first], motion.frames[fast.stop - 1] + 1)
+
+
+def test_the_work_of_a_stride_is_what_the_energy_gains(found: ClipAnalysis):
+    d, gait = found.dynamics, found.gait
+    assert d is not None
+    assert gait is not None
+    for stride, row in zip(gait.strides, summarise(found, "clip")["dynamics"]["strides"], strict=True):
+        time_s = d.centre.series.time_s
+        total = d.energy_j_kg["total"] - d.internal_j_kg
+        ends = np.interp([stride.start_s, stride.end_s], time_s, total)
+        assert row["net_work_j_kg"] == pytest.approx(ends[1] - ends[0], abs=0.5)
+        low, high = row["net_work_interval_j_kg"]
+        assert low < row["net_work_j_kg"] < high

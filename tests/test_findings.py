@@ -104,6 +104,7 @@ SENTENCES = {
     "reference_scaled": ("One scale, by 0.001, brings", {"factor": 0.001, "error_mm": 410.2, "left_mm": 20.0}),
     "reference_scaled_rotated": ("by 0.001, bring MPJPE", {"factor": 0.001, "error_mm": 410.2, "left_mm": 20.0}),
     "reference_elsewhere": ("about (1.00, 2.00, 3.00) m apart", {"x_m": 1.0, "y_m": 2.0, "z_m": 3.0}),
+    "flight_against_gravity": ("upwards by 3.1 ± 1.2 m/s^2, where free", {"up_m_s2": 3.1, "sigma_m_s2": 1.2}),
     "camera_agreement": ("up to 1.6 sigma agree", {"max_level": 1.6, **AGAINST}),
 }
 

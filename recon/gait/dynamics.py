@@ -26,6 +26,9 @@ import numpy as np
 
 from recon.animal.capsules import capsules
 from recon.base.arrays import Array
+from recon.check import finding
+from recon.clip.keypoints import frame_ranges
+from recon.fit.finding import Finding
 from recon.fit.motion import Motion
 from recon.fit.regions import radius
 from recon.gait.gait import INTERVAL, Gait, Stance
@@ -43,6 +46,8 @@ twice the spread."""
 FOOT = 0.4
 """One sigma of the logarithm by which a foot's impulse differs from its pair's mean."""
 DRAWS, SEED = 400, 0
+FLIGHT_FRAMES, OFF_GRAVITY = 5, 3.0
+"""Fewer frames of a flight tell no acceleration; and how many standard deviations from gravity's are a finding."""
 MASS_LASTS_S = 10.0
 """Errors of masses are the same all the time."""
 
@@ -56,6 +61,25 @@ class Force:
     peak_interval: tuple[float, float]
     impulse: float
     impulse_interval: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Flight:
+    """Frames in which no foot stands, whatever the errors of touch-down and lift-off."""
+
+    first: int
+    """Row of the clip."""
+    stop: int
+    """The first row after it."""
+    up_m_s2: float
+    """Acceleration of the centre of mass upwards, by the parabola through its heights: -`G_M_S2` in free fall."""
+    sigma_m_s2: float
+    """One standard deviation, by the errors of place, pose and masses as they last."""
+
+    @property
+    def off(self) -> float:
+        """From free fall, in standard deviations."""
+        return (self.up_m_s2 + G_M_S2) / max(self.sigma_m_s2, 1e-9)
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,6 +100,7 @@ class Dynamics:
     stride_s: float
     """How long a stride lasts."""
     stride_sigma_s: float
+    flights: tuple[Flight, ...] = ()
 
     @cached_property
     def energy_j_kg(self) -> dict[str, Array]:
@@ -121,6 +146,7 @@ def dynamics(motion: Motion, gait: Gait | None, errors: Sequence[Errors]) -> Dyn
         Errors(np.sqrt(np.mean(error.sigma[:, [rear, front]] ** 2, axis=1)), error.correlation_s) for error in errors
     ]
     of_centre.append(Errors(np.maximum(by_mass, 1e-6), MASS_LASTS_S))
+    by_pose = [*of_centre[:-1]]
     centre = point_kinematics(motion.time_s, centre_m, of_centre if errors else ())
     about = [point_kinematics(motion.time_s, apart_m[:, s]).series for s in range(len(share))]
     internal = 0.5 * sum(w * np.sum(one.rate**2, axis=1) for w, one in zip(share, about, strict=True))
@@ -137,6 +163,7 @@ def dynamics(motion: Motion, gait: Gait | None, errors: Sequence[Errors]) -> Dyn
         force=_force_over_time(gait, draws),
         stride_s=period_s,
         stride_sigma_s=period_sigma_s,
+        flights=_flights(motion, gait, centre_m, apart_m, sigma / total, by_pose if errors else ()),
     )
 
 
@@ -258,28 +285,47 @@ def _force_over_time(gait: Gait, draws: _Draws) -> dict[str, Array]:
     return found
 
 
-def against_gravity(found: Dynamics, gait: Gait) -> list[tuple[float, float, float]]:
-    """Of every time in which no foot stands: when it begins, and by how much the acceleration of the centre of mass
-    upwards differs from gravity's, with one standard deviation. A parabola through its heights."""
-    time_s, series = gait.tracks.time_s, found.centre.series
-    if series.value_sigma is None:
-        return []
-    flies = np.ones(len(time_s), dtype=bool)
+def _flights(
+    motion: Motion, gait: Gait, centre_m: Array, apart_m: Array, sigma: Array, errors: Sequence[Errors]
+) -> tuple[Flight, ...]:
+    """Of an animal whose four feet are known, between its first stance and its last. apart_m (T, S, 3): the segments'
+    middles from the centre; sigma (S,): of their shares; errors (T, 3) of the centre."""
+    if len(gait.tracks.feet) < 4 or not gait.stances or not errors:
+        return ()
+    time_s, found = motion.time_s, []
+    free = np.isfinite(gait.tracks.foot_m[:: _centre_rate(gait, motion)]).all(axis=(1, 2)) & motion.solved
+    free &= (time_s > min(s.end_s for s in gait.stances)) & (time_s < max(s.start_s for s in gait.stances))
     for stance in gait.stances:
-        flies &= (time_s < stance.start_s) | (time_s > stance.end_s)
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], flies.astype(int), [0]])))
-    rows = []
-    for first, stop in zip(edges[::2], edges[1::2], strict=True):
-        inside = slice(first, stop)
-        known = np.isfinite(series.value[inside, 2])
-        if first == 0 or stop == len(time_s) or known.sum() < 4 * series.oversampling or not known.all():
+        early, late = stance.start_interval_s[0], stance.end_interval_s[1]
+        free &= (time_s < (early if stance.begins else -np.inf)) | (time_s > (late if stance.ends else np.inf))
+    for first, stop in frame_ranges(np.flatnonzero(free)):
+        if stop - first < FLIGHT_FRAMES:
             continue
-        t = time_s[inside] - time_s[inside].mean()
-        bend = float(2 * np.polyfit(t, series.value[inside, 2], 2)[0])
-        # Heights within a flight err together but for what the pose leaves, which a parabola takes for a bend.
-        sigma = float(np.nanmean(series.value_sigma[inside, 2])) * 8 / float(np.ptp(t)) ** 2
-        rows.append((float(time_s[first]), bend + G_M_S2, sigma))
-    return rows
+        rows = slice(first, stop)
+        t = time_s[rows] - time_s[rows].mean()
+        shares = 2 * np.linalg.pinv(np.stack([np.ones(len(t)), t, t**2], axis=1))[2]
+        variance = float(np.sum((shares @ apart_m[rows, :, 2] * sigma) ** 2))
+        for error in errors:
+            alike = np.exp(-0.5 * ((t[:, None] - t) / max(error.correlation_s, 1e-9)) ** 2)
+            weighted = shares * error.sigma[rows, 2]
+            variance += max(float(weighted @ alike @ weighted), 0.0)
+        up = float(shares @ centre_m[rows, 2])
+        found.append(Flight(int(first), int(stop), up, variance**0.5))
+    return tuple(found)
+
+
+def _centre_rate(gait: Gait, motion: Motion) -> int:
+    """Samples of the gait's grid for each frame."""
+    return max(1, (len(gait.tracks.time_s) - 1) // max(1, len(motion.time_s) - 1))
+
+
+def findings_of_dynamics(motion: Motion, found: Dynamics) -> tuple[Finding, ...]:
+    """Whether the flight that is furthest off free fall, in standard deviations, is so beyond its uncertainty."""
+    worst = max(found.flights, key=lambda one: abs(one.off), default=None)
+    if worst is None or abs(worst.off) <= OFF_GRAVITY:
+        return ()
+    frames = int(motion.frames[worst.first]), int(motion.frames[worst.stop - 1]) + 1
+    return (finding("flight_against_gravity", frames, up_m_s2=worst.up_m_s2, sigma_m_s2=worst.sigma_m_s2),)
 
 
 def net_work_j_kg(found: Dynamics, start_s: float, end_s: float) -> tuple[float, float]:

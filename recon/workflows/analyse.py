@@ -14,10 +14,13 @@ from recon.base.files import require_free_folder, sole_writer, staged_folder
 from recon.base.manifest import read_manifest
 from recon.base.progress import Progress, silent
 from recon.base.settings import Option, Settings
-from recon.check import usable, verdict_fields
+from recon.check import sentence, usable, verdict_fields
 from recon.fit.motion import MEASURED_SHARE, Motion
+from recon.fit.regions import radius
 from recon.gait.clip import ClipAnalysis, analyse, net_acceleration_m_s2
-from recon.gait.gait import Gait, doubt_text
+from recon.gait.dynamics import Dynamics, findings_of_dynamics, net_work_j_kg
+from recon.gait.gait import INTERVAL as REGION
+from recon.gait.gait import Gait, Stride, doubt_text
 from recon.show.export import analysis_csv
 from recon.show.plain import to_json
 from recon.show.report import build_report
@@ -169,6 +172,7 @@ def notes(found: ClipAnalysis) -> list[str]:
             f"Forces and energies rest on the masses of {found.motion.body.mass_source}; forces are validated on "
             "galloping cheetahs, on level ground."
         )
+        said += [sentence(one, named=False) for one in findings_of_dynamics(found.motion, found.dynamics)]
     elif found.motion.side is None and found.gait is not None:
         said.append("The skeleton has no masses ([mass]): no centre of mass, energy or forces.")
     if found.gait is not None and found.stride is None:
@@ -185,7 +189,33 @@ def _dynamics_summary(found: ClipAnalysis) -> dict[str, Any] | None:
         "stride_s": d.stride_s,
         "stride_sigma_s": d.stride_sigma_s,
         "mean_peak_bw": float(np.mean(peaks)) if peaks else None,
+        "flights": [
+            {
+                "start_s": found.motion.time_s[flight.first],
+                "end_s": found.motion.time_s[flight.stop - 1],
+                "up_m_s2": flight.up_m_s2,
+                "sigma_m_s2": flight.sigma_m_s2,
+            }
+            for flight in d.flights
+        ],
+        "strides": [_stride_energy(d, stride) for stride in (found.gait.strides if found.gait else ())],
+        "findings": [one.code for one in findings_of_dynamics(found.motion, d)],
         "energy_mean_j_kg": {name: float(np.nanmean(values)) for name, values in d.energy_j_kg.items()},
+    }
+
+
+def _stride_energy(d: Dynamics, stride: Stride) -> dict[str, Any]:
+    """What the animal's energy gains over a stride, per kilogram, and in the mean per second."""
+    work, sigma = net_work_j_kg(d, stride.start_s, stride.end_s)
+    reach, lasts = radius(REGION) * sigma, stride.end_s - stride.start_s
+    return {
+        "foot": stride.foot,
+        "start_s": stride.start_s,
+        "end_s": stride.end_s,
+        "net_work_j_kg": work,
+        "net_work_interval_j_kg": [work - reach, work + reach],
+        "net_power_w_kg": work / lasts,
+        "net_power_interval_w_kg": [(work - reach) / lasts, (work + reach) / lasts],
     }
 
 
