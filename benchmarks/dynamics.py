@@ -22,6 +22,7 @@ from recordings import recordings
 import recon.gait.dynamics as method
 from recon import FitSettings, fit_clip, samples_folder
 from recon.gait.clip import ClipAnalysis, analyse
+from recon.gait.dynamics import G_M_S2
 from recon.gait.gait import FEET
 
 
@@ -123,7 +124,7 @@ def main() -> None:
     print(
         f"\nThe sample: mean vertical force over a stride {impulse:.2f} body weights; flights against gravity: ", end=""
     )
-    print(", ".join(f"{off:+.0f} ± {sigma:.0f} m/s²" for _, off, sigma in method.against_gravity(d, gait)) or "none")
+    print(", ".join(f"{one.up_m_s2 + G_M_S2:+.0f} ± {one.sigma_m_s2:.0f} m/s²" for one in d.flights) or "none")
 
 
 if __name__ == "__main__":
