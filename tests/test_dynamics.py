@@ -13,6 +13,8 @@ from recon.base.errors import InputError
 from recon.fit.motion import Motion
 from recon.gait.clip import ClipAnalysis, analyse
 from recon.gait.dynamics import G_M_S2, MEAN_OF_PEAK, OFF_GRAVITY, SKEW, findings_of_dynamics, shape, stride_time
+from recon.show.page.clip import clip_page
+from recon.show.view.analysis import _arrows
 from recon.workflows.analyse import summarise
 
 SKELETON = Path(__file__).parents[1] / "recon" / "animal" / "skeletons" / "cheetah-24.toml"
@@ -34,7 +36,7 @@ def test_masses_are_shares_of_every_segment():
     assert sum(share for share, _ in body.mass.values()) == pytest.approx(1.0, abs=0.03)
     assert body.mass["r_hind_thigh"] == body.mass["l_hind_thigh"]
     assert body.mass_source is not None
-    assert load_skeleton("dog-27").mass == {}
+    assert load_skeleton("cheetah-8u").mass == {}
 
 
 def test_mistakes_in_masses_are_named(tmp_path: Path):
@@ -139,3 +141,32 @@ def test_the_work_of_a_stride_is_what_the_energy_gains(found: ClipAnalysis):
         assert row["net_work_j_kg"] == pytest.approx(ends[1] - ends[0], abs=0.5)
         low, high = row["net_work_interval_j_kg"]
         assert low < row["net_work_j_kg"] < high
+
+
+@pytest.mark.parametrize("name", ["horse-22", "dog-27", "quadruped"])
+def test_masses_of_other_animals_are_of_a_whole_one_on_four_legs(name: str):
+    body = load_skeleton(SKELETON.with_name(f"{name}.toml"))
+    assert body.mass_source
+    assert {*body.mass} == {segment.name for segment in body.tree.segments}
+    assert sum(share for share, _ in body.mass.values()) == pytest.approx(1, abs=0.05)
+    legs = sum(share for segment, (share, _) in body.mass.items() if segment.startswith(("l_", "r_")))
+    assert 0.2 < legs < 0.35
+
+
+def test_the_playback_has_forces_under_the_feet(found: ClipAnalysis):
+    arrows = _arrows(found)
+    assert arrows is not None
+    d, tracks = found.dynamics, found.gait.tracks
+    assert d is not None
+    # A body weight is as long as the centre of mass is high, and points up.
+    up = arrows.vectors_m[:, 0, 2] / np.nanmedian(d.centre.series.value[:, 2] - d.ground_m)
+    np.testing.assert_allclose(up, d.force[tracks.feet[0]][:, 0], atol=1e-9)
+    assert np.nanmax(np.abs(arrows.vectors_m[..., :2])) < 1e-9
+    np.testing.assert_allclose(arrows.origins_m, found.motion.in_reference(tracks.foot_m))
+
+
+def test_the_page_shows_the_forces(motion: Motion):
+    page = clip_page(motion, [], None, [])
+    assert "Vertical forces" in page
+    plain = replace(motion, solution=replace(motion.solution, body=replace(motion.body, mass={}, mass_source=None)))
+    assert "Vertical forces" not in clip_page(plain, [], None, [])

@@ -168,6 +168,7 @@ def test_both_jobs_with_all_methods(folder):
     assert pd.read_csv(folder / "ik" / "target.csv").set_index("method").loc["damped", "reached"] == "yes"
 
 
+@pytest.mark.usefixtures("small_pictures")
 def test_rates_for_control(folder, tmp_path):
     """Of every method and joint over the animal's time; those of a path that closes meet at its ends."""
     options = {"compare": True, "dim": 2, "limits": False, "out": tmp_path / "a"}

@@ -22,6 +22,7 @@ from recon.base.errors import InputError, Problem, refuse
 from recon.geometry.kinematics import ANGLE_OF_AXIS, AXES, Marker, Segment, Tree
 
 Number = Annotated[float, Field(gt=-1e6, lt=1e6, allow_inf_nan=False)]
+_Share = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
 Sigma = Annotated[float, Field(gt=1e-9, lt=1e6, allow_inf_nan=False)]
 """More, or less, can only be damage."""
 
@@ -136,7 +137,8 @@ class _Marker(FileTable):
 
 class _Mass(FileTable):
     source: str
-    share: dict[str, tuple[Sigma, Sigma]]
+    share: dict[str, tuple[_Share, _Share]]
+    """By segment, and one standard deviation; 0 of what only carries markers."""
 
 
 class _BodyFile(FileTable):

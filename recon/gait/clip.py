@@ -98,8 +98,7 @@ class ClipAnalysis:
     @cached_property
     def dynamics(self) -> Dynamics | None:
         """Centre of mass, energy and vertical forces; None of a skeleton without masses, or of one side."""
-        errors = lasting_errors(self.motion.upright.xyz_m, self.motion.fps) if self.smoothed else _errors(self.motion)
-        return dynamics(self.motion, self.gait, errors)
+        return dynamics_of(self.motion, self.gait, self.smoothed)
 
     @property
     def speed(self) -> pd.DataFrame:
@@ -214,6 +213,11 @@ def stride_given(motion: Motion, stride_s: tuple[float, float]) -> Stride:
 def gait_of(motion: Motion) -> Gait | None:
     """Only the gait of `analyse`; None without feet."""
     return _gait(motion, _quiet(motion))
+
+
+def dynamics_of(motion: Motion, gait: Gait | None, smoothed: bool = False) -> Dynamics | None:
+    """Only the centre of mass, energy and forces of `analyse`."""
+    return dynamics(motion, gait, lasting_errors(motion.upright.xyz_m, motion.fps) if smoothed else _errors(motion))
 
 
 def standing(motion: Motion) -> Bools:

@@ -263,7 +263,9 @@ def figures_of(found: ClipAnalysis) -> dict[str, Callable[[], Figure]]:
         "speed": lambda: plots.speeds(
             {found.reference: found.joints[found.reference]}, unknown=found.speed_doubt is not None
         ),
-        **({} if found.dynamics is None else {"forces": partial(plots.forces, found)}),
+        **(
+            {} if not (found.dynamics and found.gait) else {"forces": partial(plots.forces, found.dynamics, found.gait)}
+        ),
         **({} if found.gait is None else {"footfalls": partial(plots.footfall, {"gait": found.gait}, motion.fps)}),
         **{
             f"vector_field_{limb.replace(' ', '_')}": partial(plots.vector_fields, fields, time_s, title=limb)

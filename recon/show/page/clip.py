@@ -13,7 +13,7 @@ from recon.base.arrays import Array
 from recon.base.words import length_text
 from recon.check import FLAGS, verdict_lines
 from recon.fit.motion import MEASURED_SHARE, Motion
-from recon.gait.clip import gait_of, reference_motion, speed_doubt
+from recon.gait.clip import dynamics_of, gait_of, reference_motion, speed_doubt
 from recon.gait.gait import Gait
 from recon.gait.kinematics import JointKinematics
 from recon.gait.path import MIN_POINTS
@@ -170,6 +170,13 @@ def _sections(motion: Motion, moved: JointKinematics, gait: Gait | None) -> Iter
     if gait is not None:
         text = "When each foot stands: by its speed over the ground and its height, and by its path below the body."
         yield _FigureGroup("Footfalls", text, _inline([plots.footfall({"gait": gait}, motion.fps)]))
+        dynamics = None if motion.jitters else dynamics_of(motion, gait)
+        if dynamics is not None and dynamics.forces:
+            text = (
+                "Of each foot, in body weights: from its stances and the impulse that a stride needs on level ground, "
+                f"with the masses of {motion.body.mass_source}. Forces are validated on galloping cheetahs."
+            )
+            yield _FigureGroup("Vertical forces", text, _inline([plots.forces(dynamics, gait)]))
     panels = together(_angle_curves(motion)).items()
     doubtful = np.array([bool(flags) for flags in motion.flags])
     yield _FigureGroup(

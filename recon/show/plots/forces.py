@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from recon.gait.clip import ClipAnalysis
+from recon.gait.dynamics import Dynamics
+from recon.gait.gait import Gait
 from recon.show.plots.footfall import ROWS
 from recon.show.plots.style import COLOURS, drawing
 
@@ -14,12 +15,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-def forces(found: ClipAnalysis) -> Figure:
+def forces(d: Dynamics, gait: Gait) -> Figure:
     """Footfalls above, and beneath each other the vertical force of each foot in body weights with the band that holds
     it with 90 %; below, the height of the centre of mass with one standard deviation."""
-    d, gait = found.dynamics, found.gait
-    assert d is not None
-    assert gait is not None
     feet = [foot for foot in ROWS if foot in d.force] or list(d.force)
     with drawing(26.0 + 24.0 * (len(feet) + 1)) as figure:
         heights = [0.7, *[1.0] * len(feet), 1.0]

@@ -19,7 +19,8 @@ Entities of the recording; those without "(static)" have a row a frame, which is
   in parts where they are many; `speed` of the reference point in m/s; `residuals` in px, of all
   cameras: the median of a frame, and the largest but for outliers.
 - `uncertainty` in m, and states over time: `doubtful`, the frames' flags, and by its name each foot, where it stands.
-- `analysis/...` and more states, with samples between frames on `time`, of a file that `recon.show.view.added` writes.
+- `analysis/...`, more states, and `world/forces`, arrows under the feet, with the path `world/forces/centre_of_mass`:
+  with samples between frames on `time`, of a file that `recon.show.view.added` writes.
 
 Those files are parts of the same recording; `recon.show.view.together` makes one file of it.
 

@@ -51,12 +51,30 @@ class AddedStates:
     tab: str
 
 
+@dataclass(frozen=True, kw_only=True)
+class AddedArrows:
+    """Arrows in the world: from origins_m (N, A, 3) by vectors_m (N, A, 3) at time_s (N,), in its frame of reference;
+    one whose vector is NaN or 0 is not there. path_m (M, 3): a line that stays."""
+
+    entity: str
+    origins_m: Array
+    vectors_m: Array
+    path_m: Array
+    time_s: Array
+    colour: Colour
+
+    @property
+    def title(self) -> str:
+        return self.entity
+
+
 def write_plots(
     path: Path,
     playback: Path,
     series: Sequence[AddedSeries],
     states: Sequence[AddedStates],
     start_frame: int | None = None,
+    arrows: AddedArrows | None = None,
 ) -> None:
     """Write plots that go with the playback of a clip, and the layout of both (`recon.show.view.together`).
 
@@ -81,12 +99,28 @@ def write_plots(
     )
 
     with recording(path, _layout(whole, plots, start_frame), part_of=whole.id) as stream:
+        if arrows is not None:
+            _write_arrows(stream, arrows, *whole.on_frames(arrows.time_s))
         for p, (rows, frames) in zip(plots, found, strict=True):
             # Two chunks, each on one timeline: the samples between frames have no place on the other.
             for entity, values, columns, style in _lines(p) if isinstance(p, AddedSeries) else _states(p):
                 stream.send_columns(entity, [rr.TimeColumn("frame", sequence=frames)], columns(values[rows]))
                 stream.send_columns(entity, [rr.TimeColumn("time", duration=p.time_s)], columns(values))
                 stream.log(entity, style, static=True)
+
+
+def _write_arrows(stream: rr.RecordingStream, arrows: AddedArrows, rows: Array, frames: Array) -> None:
+    there = np.isfinite(arrows.vectors_m).all(axis=2) & (np.abs(arrows.vectors_m).max(axis=2) > 0)
+    of_frames = rr.TimeColumn("frame", sequence=frames)
+    for index, at in ((of_frames, rows), (rr.TimeColumn("time", duration=arrows.time_s), slice(None))):
+        seen = there[at]
+        columns = rr.Arrows3D.columns(vectors=arrows.vectors_m[at][seen], origins=arrows.origins_m[at][seen])
+        stream.send_columns(arrows.entity, [index], columns.partition(seen.sum(axis=1)))
+    stream.log(arrows.entity, rr.Arrows3D.from_fields(colors=arrows.colour, radii=0.01), static=True)
+    path = arrows.path_m[np.isfinite(arrows.path_m).all(axis=1)]
+    stream.log(
+        f"{arrows.entity}/centre_of_mass", rr.LineStrips3D([path], colors=arrows.colour, radii=0.006), static=True
+    )
 
 
 _Entity = tuple[str, NDArray[Any], Callable[[NDArray[Any]], rr.ComponentColumnList], rr.AsComponents]

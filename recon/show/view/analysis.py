@@ -10,14 +10,16 @@ import numpy as np
 from recon.base.arrays import Array
 from recon.fit.motion import MEASURED_SHARE
 from recon.gait.clip import ClipAnalysis
-from recon.show.view.added import AddedSeries, AddedStates, write_plots
+from recon.show.view.added import AddedArrows, AddedSeries, AddedStates, write_plots
 from recon.show.view.scene import GRID, LEFT, LIMB_COLOURS, LINK, MIDDLE, RIGHT, TRAIL
 
 
 def write_analysis(found: ClipAnalysis, path: Path, playback: Path) -> None:
     """Speed, acceleration and flexion with one sigma, the links' speeds, the stances, and which
-    angles the pixels show. Raises InputError as `write_plots`."""
-    write_plots(path, playback, [*_kinematics(found), *_links(found)], [*_stances(found), *_observability(found)])
+    angles the pixels show; of a skeleton with masses the feet's vertical forces, as arrows too, and the centre of mass.
+    Raises InputError as `write_plots`."""
+    series, states = [*_kinematics(found), *_forces(found), *_links(found)], [*_stances(found), *_observability(found)]
+    write_plots(path, playback, series, states, arrows=_arrows(found))
 
 
 def _kinematics(found: ClipAnalysis) -> Iterator[AddedSeries]:
@@ -43,6 +45,39 @@ def _with_sigma(found: ClipAnalysis, entity: str, title: str, values: Array, sig
         shown=values[:, None] if entity == "acceleration" else None,  # its deviations are many times as large
         time_s=found.joints[found.reference].series.time_s,
         tab="Kinematics",
+    )
+
+
+def _forces(found: ClipAnalysis) -> Iterator[AddedSeries]:
+    if (d := found.dynamics) is None or found.gait is None:
+        return
+    yield AddedSeries(
+        entity="forces",
+        title="Vertical force (body weights)",
+        names=[*d.force],
+        colours=[LIMB_COLOURS[i % len(LIMB_COLOURS)] for i in range(len(d.force))],
+        values=np.stack([force[:, 0] for force in d.force.values()], axis=1),
+        time_s=found.gait.tracks.time_s,
+        tab="Forces",
+    )
+
+
+def _arrows(found: ClipAnalysis) -> AddedArrows | None:
+    """A body weight is as long as the centre of mass is high."""
+    if (d := found.dynamics) is None or found.gait is None:
+        return None
+    tracks, motion = found.gait.tracks, found.motion
+    force = np.stack([d.force[foot][:, 0] for foot in tracks.feet], axis=1)
+    centre_m = d.centre.series.value
+    high_m = float(np.nanmedian(centre_m[:, 2] - d.ground_m))
+    up = motion.in_reference(np.array([0.0, 0.0, high_m])) - motion.in_reference(np.zeros(3))
+    return AddedArrows(
+        entity="world/forces",
+        origins_m=motion.in_reference(tracks.foot_m),
+        vectors_m=force[..., None] * up,
+        path_m=motion.in_reference(centre_m),
+        time_s=tracks.time_s,
+        colour=TRAIL,
     )
 
 
