@@ -156,6 +156,7 @@ def test_masses_of_other_animals_are_of_a_whole_one_on_four_legs(name: str):
 def test_the_playback_has_forces_under_the_feet(found: ClipAnalysis):
     arrows = _arrows(found)
     assert arrows is not None
+    assert found.gait is not None
     d, tracks = found.dynamics, found.gait.tracks
     assert d is not None
     # A body weight is as long as the centre of mass is high, and points up.

@@ -110,7 +110,7 @@ class RetargetSettings(Settings):
     """What `recon retarget` is told."""
 
     folder: Annotated[Path, _RESULTS]
-    robot: Annotated[str, Option("a1, aibo, or a file .urdf or .toml.")]
+    robot: Annotated[str, Option("a1, go2, aibo, or a file .urdf or .toml.")]
     out: Annotated[Path, Option("Folder for tables, report and playback.")]
     scale: Annotated[
         Positive | None,
@@ -131,6 +131,11 @@ class RetargetSettings(Settings):
         ),
     ] = 0.0
     stride: Annotated[StrideTimes | None, STRIDE] = None
+    format: Annotated[
+        Literal["amp", "isaaclab", "mjlab", "mjlab-csv"] | None,
+        Option("For programs that train policies, also: amp, isaaclab, mjlab or mjlab-csv, with velocities."),
+    ] = None
+    rate: Annotated[Positive, Option("Frames a second of --format.", "a number above 0")] = 50.0
     anyway: Annotated[bool, ANYWAY] = False
     overwrite: Annotated[bool, _OVERWRITE] = False
 

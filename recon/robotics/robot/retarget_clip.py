@@ -29,6 +29,7 @@ from recon.robotics.robot.reference import (
 )
 from recon.robotics.robot.retarget import LEGS_APART, Retargeted, RobotMotion, retarget
 from recon.robotics.robot.robot_file import load_robot
+from recon.robotics.robot.trainers import write_for_trainer
 from recon.robotics.settings import RetargetSettings
 from recon.show.report import to_json
 
@@ -71,6 +72,13 @@ def run_retarget(settings: RetargetSettings) -> RetargetRun:
         solved.report["robot"]["source"] = name_seen_from(out, machine.source)
         with staged_results(out) as staging:
             write(solved, staging)
+            if settings.format is not None:
+                said = {
+                    "verdict": solved.report["verdict"],
+                    **{k: solved.report[k] for k in ("robot", "animal", "scale", "slower")},
+                }
+                for motion, prefix in ((solved.motion.clip, ""), (solved.motion.stride, "stride_")):
+                    write_for_trainer(motion, settings.format, settings.rate, staging, prefix, said)
     return solved
 
 

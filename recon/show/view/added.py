@@ -109,10 +109,10 @@ def write_plots(
                 stream.log(entity, style, static=True)
 
 
-def _write_arrows(stream: rr.RecordingStream, arrows: AddedArrows, rows: Array, frames: Array) -> None:
+def _write_arrows(stream: rr.RecordingStream, arrows: AddedArrows, rows: NDArray[Any], frames: NDArray[Any]) -> None:
     there = np.isfinite(arrows.vectors_m).all(axis=2) & (np.abs(arrows.vectors_m).max(axis=2) > 0)
     of_frames = rr.TimeColumn("frame", sequence=frames)
-    for index, at in ((of_frames, rows), (rr.TimeColumn("time", duration=arrows.time_s), slice(None))):
+    for index, at in ((of_frames, rows), (rr.TimeColumn("time", duration=arrows.time_s), np.arange(len(there)))):
         seen = there[at]
         columns = rr.Arrows3D.columns(vectors=arrows.vectors_m[at][seen], origins=arrows.origins_m[at][seen])
         stream.send_columns(arrows.entity, [index], columns.partition(seen.sum(axis=1)))

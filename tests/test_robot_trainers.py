@@ -1,0 +1,162 @@
+"""A robot's motion as programs that train policies read it: by readers written from the layouts' definitions."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from command_line import run
+from scipy.spatial.transform import Rotation
+
+from recon.base.errors import InputError
+from recon.fit.motion import Motion
+from recon.robotics.robot.reference import reference_of
+from recon.robotics.robot.retarget_clip import RetargetRun, solve
+from recon.robotics.robot.robot_file import builtin_robots, load_robot
+from recon.robotics.robot.trainers import FORMATS, sampled, write_for_trainer
+
+LATERAL, THIGH, SHIN = 0.0838, 0.2, 0.2
+"""Of the Unitree A1, metres."""
+HIPS = {"FL": (0.1805, 0.047), "FR": (0.1805, -0.047), "RL": (-0.1805, 0.047), "RR": (-0.1805, -0.047)}
+
+
+@pytest.fixture(scope="module")
+def animal(whole_results):
+    return reference_of(Motion.load(whole_results))
+
+
+@pytest.fixture(scope="module")
+def solved(animal) -> RetargetRun:
+    return solve(animal, load_robot("a1"))
+
+
+def a1_bodies(name: str, q: np.ndarray) -> dict[str, tuple[np.ndarray, Rotation]]:
+    """Of one leg, angles (3,), in the trunk's axes: as its URDF has it, joint by joint."""
+    side = 1 if name[1] == "L" else -1
+    hip, thigh = Rotation.from_euler("x", q[0]), Rotation.from_euler("y", q[1])
+    at = np.array([*HIPS[name], 0.0])
+    found = {f"{name}_hip": (at, hip)}
+    at = at + hip.apply([0.0, side * LATERAL, 0.0])
+    turned = hip * thigh
+    found[f"{name}_thigh"] = (at, turned)
+    at = at + turned.apply([0.0, 0.0, -THIGH])
+    turned = turned * Rotation.from_euler("y", q[2])
+    found[f"{name}_calf"] = (at, turned)
+    found[f"{name}_foot"] = (at + turned.apply([0.0, 0.0, -SHIN]), turned)
+    return found
+
+
+@pytest.mark.parametrize("part", ["clip", "stride"])
+def test_bodies_are_where_the_robots_own_file_has_them(solved, part):
+    found = sampled(getattr(solved.motion, part), 50)
+    assert abs(found.rate_hz - 50) < 2
+    for t in range(0, len(found.time_s), 7):
+        at = dict(zip(found.joints, found.angles_rad[t], strict=True))
+        base = found.turned[t * len(found.bodies)]
+        for name in HIPS:
+            q = np.array([at[f"{name}_{joint}_joint"] for joint in ("hip", "thigh", "calf")])
+            for body, (place, turned) in a1_bodies(name, q).items():
+                k = found.bodies.index(body)
+                np.testing.assert_allclose(found.place_m[t, k], found.place_m[t, 0] + base.apply(place), atol=1e-9)
+                off = (base * turned).inv() * found.turned[t * len(found.bodies) + k]
+                assert off.magnitude() < 1e-7
+
+
+@pytest.mark.parametrize("robot", builtin_robots())
+@pytest.mark.parametrize("part", ["clip", "stride"])
+def test_velocities_are_the_derivatives_of_what_is_written(animal, robot, part):
+    found = sampled(getattr(solve(animal, load_robot(robot)).motion, part), 20_000)
+    twice = 2 * (found.time_s[1] - found.time_s[0])
+    matrices = found.turned.as_matrix().reshape(len(found.time_s), -1, 3, 3)
+    turns = Rotation.from_matrix((matrices[2:] @ matrices[:-2].swapaxes(-1, -2)).reshape(-1, 3, 3)).as_rotvec()
+    spins = found.angular_velocity_rad_s
+    for differences, rates in (
+        ((found.angles_rad[2:] - found.angles_rad[:-2]) / twice, found.rates_rad_s),
+        ((found.place_m[2:] - found.place_m[:-2]) / twice, found.velocity_m_s),
+        (turns.reshape(spins[1:-1].shape) / twice, spins),
+    ):
+        np.testing.assert_allclose(differences, rates[1:-1], atol=1e-3 * np.abs(rates).max())
+
+
+def test_the_feet_that_stand_are_still_and_a_stride_goes_on_where_it_ends(solved):
+    found = sampled(solved.motion.stride, 200)
+    feet = [found.foot(label) for label in ("LF", "RF", "LH", "RH")]
+    speed = np.linalg.norm(found.velocity_m_s[:, feet], axis=2)
+    within = found.feet_stand[1:-1] & found.feet_stand[:-2] & found.feet_stand[2:]
+    assert np.median(speed[1:-1][within]) < 0.02 * speed.max()
+    assert solved.motion.stride.advance_m is not None
+    on = np.append(solved.motion.stride.advance_m, 0.0)
+    np.testing.assert_allclose(found.place_m[-1], found.place_m[0] + on, atol=1e-9)
+    np.testing.assert_allclose(found.angles_rad[-1], found.angles_rad[0], atol=1e-12)
+    np.testing.assert_allclose(found.velocity_m_s[-1], found.velocity_m_s[0], atol=1e-9)
+    steps = np.sum(found.quaternions[1:] * found.quaternions[:-1], axis=2)
+    assert (steps > 0).all()
+
+
+def test_what_each_program_reads(solved, tmp_path):
+    motion = solved.motion.clip
+    found = sampled(motion, 50)
+    K = len(found.time_s)
+    for name, (file, _) in FORMATS.items():
+        write_for_trainer(motion, name, 50, tmp_path, "", {"robot": "a1"})
+        assert (tmp_path / file).is_file()
+    amp = json.loads((tmp_path / "amp.json").read_text(encoding="utf-8"))
+    frames = np.array(amp["Frames"])
+    assert frames.shape == (K, 61)
+    assert amp["LoopMode"] == "Clamp"
+    assert amp["FrameDuration"] == pytest.approx(found.time_s[1])
+    assert amp["JointNames"][:3] == ["FR_hip_joint", "FR_thigh_joint", "FR_calf_joint"]
+    assert np.array(amp["Contacts"]).shape == (K, 4)
+    base = Rotation.from_quat(frames[:, 3:7])
+    for t in range(0, K, 9):  # toes are where the joints put them, in the base's axes
+        for i, name in enumerate(("FR", "FL", "RR", "RL")):
+            toe = a1_bodies(name, frames[t, 7 + 3 * i : 10 + 3 * i])[f"{name}_foot"][0]
+            np.testing.assert_allclose(frames[t, 19 + 3 * i : 22 + 3 * i], toe, atol=1e-9)
+    # Velocities in the base's axes: turned back they are those of its path; toes' are those of the toes' places.
+    fine = sampled(motion, 20_000)
+    np.testing.assert_allclose(base.apply(frames[:, 31:34]), found.velocity_m_s[:, 0], atol=1e-9)
+    np.testing.assert_allclose(base.apply(frames[:, 34:37]), found.angular_velocity_rad_s[:, 0], atol=1e-9)
+    write_for_trainer(motion, "amp", 20_000, tmp_path, "fine_", {})
+    fine_frames = np.array(json.loads((tmp_path / "fine_amp.json").read_text(encoding="utf-8"))["Frames"])
+    toes = (fine_frames[2:, 19:31] - fine_frames[:-2, 19:31]) / (2 * fine.time_s[1])
+    np.testing.assert_allclose(toes, fine_frames[1:-1, 49:61], atol=1e-3 * np.abs(toes).max())
+
+    with np.load(tmp_path / "isaaclab.npz") as isaac, np.load(tmp_path / "mjlab.npz") as mjlab:
+        assert [*isaac["dof_names"]] == [*found.joints] == [*mjlab["joint_names"]]
+        assert isaac["body_rotations"].shape == (K, len(found.bodies), 4)
+        table = np.loadtxt(tmp_path / "mjlab.csv", delimiter=",")
+        np.testing.assert_array_equal(table[:, :3], isaac["body_positions"][:, 0])
+        np.testing.assert_array_equal(table[:, 3:7], isaac["body_rotations"][:, 0][:, [1, 2, 3, 0]])
+        np.testing.assert_array_equal(table[:, 7:], isaac["dof_positions"])
+        for one, other in (
+            ("dof_positions", "joint_pos"),
+            ("dof_velocities", "joint_vel"),
+            ("body_positions", "body_pos_w"),
+            ("body_rotations", "body_quat_w"),
+            ("body_linear_velocities", "body_lin_vel_w"),
+            ("body_angular_velocities", "body_ang_vel_w"),
+        ):
+            np.testing.assert_array_equal(isaac[one], mjlab[other])
+        assert isaac["contacts"].dtype == bool
+        assert json.loads(str(mjlab["source"])) == {"robot": "a1"}
+    beside = json.loads((tmp_path / "mjlab.json").read_text(encoding="utf-8"))
+    assert beside["joint_names"] == [*found.joints]
+
+
+def test_the_command_writes_both_with_the_verdict(whole_results, tmp_path):
+    options = ("--robot", "go2", "--format", "isaaclab", "--out", tmp_path / "go2")
+    ended = run("retarget", whole_results, *options)
+    assert ended.code == 0, ended.err
+    for name in ("isaaclab.npz", "stride_isaaclab.npz"):
+        with np.load(tmp_path / "go2" / name) as file:
+            assert "FL_foot" in file["body_names"]
+            assert json.loads(str(file["source"]))["verdict"]["level"] in ("use", "check")
+    ended = run("retarget", whole_results, *options, "--rate", "0.5", "--overwrite")
+    assert ended.code == 2
+    assert "--rate" in ended.err
+
+
+def test_a_robot_for_which_a_layout_has_no_room(solved, tmp_path):
+    with pytest.raises(InputError, match="two frames"):
+        sampled(solved.motion.stride, 0.1)
