@@ -39,7 +39,6 @@ PAGES = [ROOT / "README.md", *sorted(DOCS.rglob("*.md"))]
 
 NOT_RUN = {
     r"\.venv/bin/python pipelines/": "tests/test_pipelines.py",
-    r"recon demo": "tests/test_cli.py runs it",
     r"make (demo|test)": "sets up an environment; .ci/run does it",
     r"(\.venv/bin/)?recon view ": "opens a window: needs a display",
     r"python3 -m venv |\. \.venv/bin/activate": "an environment of its own",

@@ -117,6 +117,7 @@ def test_without_masses_nothing_is_said(motion: Motion):
 def test_a_body_in_flight_falls_freely(motion: Motion, found: ClipAnalysis):
     d = found.dynamics
     assert d is not None
+    assert found.gait is not None
     assert d.flights
     for flight in d.flights:
         inside = motion.time_s[flight.first : flight.stop]
