@@ -13,6 +13,7 @@ from recon.base.errors import InputError
 from recon.fit.motion import Motion
 from recon.gait.clip import ClipAnalysis, analyse
 from recon.gait.dynamics import G_M_S2, MEAN_OF_PEAK, OFF_GRAVITY, SKEW, findings_of_dynamics, shape, stride_time
+from recon.show.export.analysis_csv import forces
 from recon.show.page.clip import clip_page
 from recon.show.view.analysis import _arrows
 from recon.workflows.analyse import summarise
@@ -172,3 +173,18 @@ def test_the_page_shows_the_forces(motion: Motion):
     assert "Vertical forces" in page
     plain = replace(motion, solution=replace(motion.solution, body=replace(motion.body, mass={}, mass_source=None)))
     assert "Vertical forces" not in clip_page(plain, [], None, [])
+
+
+def test_forces_in_newtons_of_an_animal_that_was_weighed(found: ClipAnalysis):
+    plain, rows = forces(found)
+    assert not any(name.endswith("_n") for name in plain)
+    weighed, in_newtons = forces(replace(found, body_mass_kg=40.0))
+    assert weighed[len(plain) :] == [
+        "peak_n",
+        "peak_low_n",
+        "peak_high_n",
+        *(f"impulse{x}_n_s" for x in ("", "_low", "_high")),
+    ]
+    for row, more in zip(rows, in_newtons, strict=True):
+        assert more[: len(row)] == row
+        np.testing.assert_allclose(more[len(row) :], np.multiply(row[3:], 40.0 * G_M_S2))

@@ -24,6 +24,7 @@ from recon.animal.naming import (
     renamed,
     suggestions,
 )
+from recon.animal.skeleton_file import skeleton_of
 from recon.fit.motion import Motion
 from recon.gait.clip import gait_of
 from recon.io import read_keypoints
@@ -384,3 +385,10 @@ def test_a_batch_knows_a_map_by_its_content(tmp_path):
     bundled = identity(settings(SAMPLES / "whole.csv", rename="ap-10k"))
     assert bundled["settings"]["rename"] == "ap-10k"
     assert json.dumps(bundled)
+
+
+@pytest.mark.parametrize("name", ["horse-22", "dog-27", "quadruped", "cheetah-24"])
+def test_the_skeleton_whose_keypoints_these_are(name):
+    markers = load_skeleton(name).markers
+    assert skeleton_of([*markers, "another"]) == name
+    assert skeleton_of(markers[1:]) is None

@@ -31,7 +31,7 @@ from recon.show.overlay import (
 )
 from recon.workflows.cli import app
 from recon.workflows.clip_results import write_clip
-from recon.workflows.overlay import OverlaySettings, camera_number, overlay_of, run_overlay
+from recon.workflows.overlay import OverlaySettings, camera_number, overlay_of, rate_note, run_overlay
 from recon.workflows.settings import FitSettings
 
 SIZE = (1920, 1080)
@@ -292,3 +292,11 @@ def test_a_small_animal_is_shown_enlarged_where_it_is_not(overlay):
     assert close_ups(small, (960, 540)) == [True, False, False]
     assert close_ups(small, (1700, 950)) == [False, True, False]
     assert close_ups(large, (960, 540)) == [False, False, False]
+
+
+def test_a_video_of_another_rate_is_named(tmp_path):
+    film = Path(__file__).parents[1] / "data" / "samples" / "rendered.mp4"
+    stated = probe(film).fps
+    assert rate_note(film, stated) is None
+    assert rate_note(film, None) is None
+    assert "right if it was filmed so" in rate_note(film, stated * 2)

@@ -114,7 +114,7 @@ def test_a_page_says_what_the_report_says(page, folder):
         *(one["text"] for one in report["findings"] if one["severity"] != "note"),
         *report["assumptions"]["sentences"],
         "few joints were seen and trusted",
-        "The acceleration is hardly known: most of the time it is less than its standard deviation.",
+        "The acceleration is hardly known, most of the time less than its standard deviation, and not shown.",
     ):
         assert text in page.text
     assert "as if left and right were swapped" not in page.text  # no frame has that flag

@@ -175,6 +175,15 @@ def builtin_names() -> tuple[str, ...]:
     return package.builtin_names("animal/skeletons", ".toml")
 
 
+def skeleton_of(keypoints: Iterable[str]) -> str | None:
+    """The built-in skeleton of a whole animal whose markers, all of them, are called as some of these keypoints; of
+    several the one with most."""
+    names, chains = {*keypoints}, builtin_chains()
+    markers = {name: {*load_skeleton(name).markers} for name in builtin_names() if name not in chains}
+    fitting = [name for name, own in markers.items() if own <= names]
+    return max(fitting, key=lambda name: len(markers[name]), default=None)
+
+
 def builtin_chains() -> tuple[str, ...]:
     """Those of them that are chains, for the frame method."""
     return tuple(name for name in builtin_names() if "segments" not in read_named(name)[0])

@@ -84,6 +84,8 @@ class ClipAnalysis:
     """By limb."""
     given: Stride | None = None
     """A stride, if the user gave one."""
+    body_mass_kg: float | None = None
+    """What the animal weighs, if that is known."""
 
     @cached_property
     def stride(self) -> Stride | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -13,7 +14,7 @@ from threadpoolctl import threadpool_limits
 from recon.base.files import require_free_folder, sole_writer, staged_folder
 from recon.base.manifest import read_manifest
 from recon.base.progress import Progress, silent
-from recon.base.settings import Option, Settings
+from recon.base.settings import Option, Positive, Settings
 from recon.check import sentence, usable, verdict_fields
 from recon.fit.motion import MEASURED_SHARE, Motion
 from recon.fit.regions import radius
@@ -56,6 +57,9 @@ class AnalyseSettings(Settings):
         Option("Smooth paths and angles by their jitter. (default: only where the fit gives no uncertainty)"),
     ] = None
     stride: Annotated[StrideTimes | None, STRIDE] = None
+    body_mass_kg: Annotated[
+        Positive | None, Option("What the animal weighs, for forces in newtons too.", "a number above 0")
+    ] = None
     figures: Annotated[bool, Option("PNG and SVG beside the tables.")] = True
     anyway: Annotated[bool, ANYWAY] = False
     overwrite: Annotated[bool, Option("Replace an earlier analysis.")] = False
@@ -75,6 +79,7 @@ def run_analyse(settings: AnalyseSettings, progress: Progress = silent) -> Analy
         progress("analysis", 0.1)
         with threadpool_limits(1, user_api="blas"):  # of small matrices, threads cost more than they bring
             found = analyse(motion, settings.smooth, settings.stride, lean=True)
+        found = replace(found, body_mass_kg=settings.body_mass_kg)
         summary = summarise(found, settings.folder.absolute().name)
         progress("tables", FIGURES_BEGIN - 0.1)
         with staged_folder(out) as staging:
@@ -186,6 +191,7 @@ def _dynamics_summary(found: ClipAnalysis) -> dict[str, Any] | None:
     peaks = [force.peak for force in d.forces]
     return {
         "masses": found.motion.body.mass_source,
+        "body_mass_kg": found.body_mass_kg,
         "stride_s": d.stride_s,
         "stride_sigma_s": d.stride_sigma_s,
         "mean_peak_bw": float(np.mean(peaks)) if peaks else None,

@@ -16,7 +16,7 @@ from recon import animal, check, io
 from recon.animal.body import Body, Side, facing_side
 from recon.animal.detector import seen_by
 from recon.animal.prior import MotionPrior, load_prior
-from recon.animal.skeleton_file import load_chain, load_skeleton
+from recon.animal.skeleton_file import load_chain, load_skeleton, skeleton_of
 from recon.base.arrays import Array, Bools
 from recon.base.errors import InputError, Problem, all_of
 from recon.base.progress import Progress, silent
@@ -304,13 +304,17 @@ def _require_keypoints_of(wanted: Sequence[str], skeleton: str, keypoints: Keypo
     known = [name for name in keypoints.names if name in wanted]
     if known and (len(known) >= FEW_OF_SKELETON * len(wanted) or len(known) >= FEW_OF_FILE * len(keypoints.names)):
         return
+    found = f"{', '.join(keypoints.names)}: {', '.join(known) or 'none'} of the skeleton's"
+    where = keypoints.source or "keypoints"
+    if own := skeleton_of(keypoints.names):
+        raise InputError(Problem(where, "bodyparts", found, f"with these names, which are its own: --skeleton {own}"))
     maps = animal.fitting_maps(keypoints.names, wanted)
     hint = f"--rename {maps[0]}, or" if maps else "another animal's --skeleton, or"
     raise InputError(
         Problem(
-            keypoints.source or "keypoints",
+            where,
             "bodyparts",
-            f"{', '.join(keypoints.names)}: {', '.join(known) or 'none'} of the skeleton's",
+            found,
             f"those of the skeleton {skeleton}: {', '.join(wanted)}; {hint} --rename with a file of these lines, "
             "completed",
             tuple(animal.map_to_write(keypoints.names, wanted)),

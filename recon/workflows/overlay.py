@@ -56,6 +56,10 @@ class OverlaySettings(ResultSettings):
             yield Problem("--video", "file", "nothing", "the video that the keypoints came from")
 
 
+RATE_SAME = 0.01
+"""Rates within this, relative, are the same, as 29.97 and 30."""
+
+
 def run_overlay(settings: OverlaySettings, progress: Progress = silent) -> tuple[int, float, float, Verdict | None]:
     """`recon overlay`: every frame of a result's clip, drawn on the video that it came from. Gives how many there are,
     how many a second, the speed, 1 being real time, and the verdict on the clip.
@@ -196,6 +200,18 @@ def _flags(motion: Motion, number: int) -> Iterator[list[str]]:
 def _enlarged(xy_px: Array, zoom: int) -> Array:
     """Pixels' centres are whole numbers, before and after."""
     return zoom * xy_px + 0.5 * (zoom - 1)
+
+
+def rate_note(video: Path, fps: float | None) -> str | None:
+    """What to say where a video states another frame rate than the clip has; it may well have been filmed faster than
+    it is played."""
+    stated = probe(video).fps
+    if fps is None or stated is None or abs(stated / fps - 1) < RATE_SAME:
+        return None
+    return (
+        f"{video.name} says {stated:.4g} frames a second, the clip has {fps:.4g}: right if it was filmed so and is "
+        "played back otherwise; if not, times and speeds are wrong by that factor"
+    )
 
 
 def _check_video(motion: Motion, number: int, video: Path, info: VideoInfo, first_frame: int) -> None:

@@ -29,7 +29,9 @@ SHOWN = 100
 SPEED_MM = 130.0
 LENGTHS, POSES, STRETCHES = 4.0, 7, 3
 """How many times its length an animal runs in a figure of so many poses, in so many stretches of the clip at most."""
-UNKNOWN_ACCELERATION = " The acceleration is hardly known: most of the time it is less than its standard deviation."
+UNKNOWN_ACCELERATION = (
+    " The acceleration is hardly known, most of the time less than its standard deviation, and not shown."
+)
 
 
 @dataclass(frozen=True)
@@ -158,13 +160,14 @@ def _sections(motion: Motion, moved: JointKinematics, gait: Gait | None) -> Iter
         "Poses evenly spaced in time, turned so that the animal runs to the right.",
         _inline([plots.composites(m, motion.limbs, motion.time_s, **drawn) for m in _stretches(motion, moved)]),
     )
-    name = motion.reference
+    name, hardly = motion.reference, _is_unknown(moved.acceleration_m_s2, moved.acceleration_sigma_m_s2)
+    doubted = speed_doubt(motion) is not None
     yield _FigureGroup(
         "Speed",
         f"Of {name}, along its path"
         + ("." if moved.speed_sigma_m_s is None else ", with bands of one standard deviation.")
-        + (UNKNOWN_ACCELERATION if _is_unknown(moved.acceleration_m_s2, moved.acceleration_sigma_m_s2) else ""),
-        _inline([plots.speeds({name: moved}, width_mm=SPEED_MM, unknown=speed_doubt(motion) is not None)]),
+        + (UNKNOWN_ACCELERATION if hardly else ""),
+        _inline([plots.speeds({name: moved}, width_mm=SPEED_MM, unknown=doubted, acceleration=not hardly)]),
         "narrow",
     )
     if gait is not None:

@@ -33,25 +33,32 @@ BAND_ROOM = 1.6
 
 
 def speeds(
-    curves: Mapping[str, JointKinematics], title: str = "", width_mm: float = WIDTH_MM, unknown: bool = False
+    curves: Mapping[str, JointKinematics],
+    title: str = "",
+    width_mm: float = WIDTH_MM,
+    unknown: bool = False,
+    acceleration: bool = True,
 ) -> Figure:
     """Speed and acceleration of one joint or of several, by name, with bands of one sigma where known.
 
     Dots are frames, the rest is the spline between them; it is open where the path is not known. The legend gives the
     peak, which has a ring. unknown: that they are errors of the path rather than speeds; grey, without peaks.
+    acceleration: whether it is drawn, too.
     """
     peaks = ["not known, errors of the path" if unknown else _peak(motion) for motion in curves.values()]
     labels = [f"{name}: {peak}" for name, peak in zip(curves, peaks, strict=True)]
-    with drawing(98 + legend_shape(labels, width_mm)[1], width_mm, title) as figure:
-        above, below = figure.subplots(2, 1, sharex=True)
+    rows = 2 if acceleration else 1
+    with drawing(14 + 42 * rows + legend_shape(labels, width_mm)[1], width_mm, title) as figure:
+        above, below = figure.subplots(2, 1, sharex=True) if acceleration else [figure.subplots()] * 2
         handles = []
         for i, motion in enumerate(curves.values()):
             handles.append(_curve(above, i, motion, motion.speed_m_s, motion.speed_sigma_m_s, unknown))
-            _curve(below, i, motion, motion.acceleration_m_s2, motion.acceleration_sigma_m_s2, unknown)
+            if acceleration:
+                _curve(below, i, motion, motion.acceleration_m_s2, motion.acceleration_sigma_m_s2, unknown)
         for axes, unit, values, sigmas in (
             (above, "speed (m/s)", "speed_m_s", "speed_sigma_m_s"),
             (below, "acceleration (m/s²)", "acceleration_m_s2", "acceleration_sigma_m_s2"),
-        ):
+        )[:rows]:
             axes.set_ylabel(unit)
             _limit(axes, [(getattr(m, values), getattr(m, sigmas)) for m in curves.values()])
         below.set_xlabel("time (s)")

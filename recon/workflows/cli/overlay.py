@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from recon.workflows.cli.common import progress_bar, say, say_verdict, terminal
-from recon.workflows.overlay import OverlaySettings, run_overlay, run_sheet
+from recon.workflows.overlay import OverlaySettings, rate_note, run_overlay, run_sheet
 
 
 def overlay(settings: OverlaySettings, quiet: bool) -> None:
@@ -21,4 +21,6 @@ def overlay(settings: OverlaySettings, quiet: bool) -> None:
     with progress_bar(console) as progress:
         frames, fps, speed, verdict = run_overlay(settings, progress)
     say_verdict(console, verdict)
+    if settings.video and (note := rate_note(settings.video, fps / speed)):
+        say(console, f"note: {note}")
     say(console, f"{frames} frames at {speed:.3g} times their speed ({fps:.4g} a second) are in {settings.out}.")

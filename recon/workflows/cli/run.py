@@ -75,11 +75,14 @@ def run(
         return
     if jobs is not None:
         raise InputError(Problem("--jobs", "processes", f"{jobs} for one video", "a folder of videos"))
+    from recon.workflows.overlay import rate_note
     from recon.workflows.run import job_of, run_video
 
     with progress_bar(console) as progress:
         job = job_of(video, out, given, config, **more)
         done, report = run_video(job, progress, lambda stage: _say_stage(console, stage))
+    if note := rate_note(video, job.settings.fps):
+        say(console, f"note: {note}")
     stages = [{"stage": s.stage, "status": s.status, "seconds": round(s.seconds, 3)} for s in done]
     finish(console, report, out, as_json, stages=stages)
     if not as_json:
