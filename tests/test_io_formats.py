@@ -16,7 +16,7 @@ from recon.base.errors import InputError
 from recon.clip.keypoints import Keypoints
 from recon.io import FORMATS, read_keypoints
 from recon.io.column_map import parse_map
-from recon.io.common import frames_of_text, frames_of_times, frames_text
+from recon.io.common import NoChoiceError, frames_of_text, frames_of_times, frames_text
 from recon.io.pose3d import Pose3D, read_pose3d
 
 NAN = float("nan")
@@ -783,3 +783,43 @@ def test_every_format_is_on_its_page():
     for f in FORMATS:
         assert f.title in page or f.title.split()[0] in page
         assert f"`{f.suffixes[0]}`" in page
+
+
+# OpenPose, a file for each frame
+
+
+def openpose_files(folder: Path, frames: dict[int, list[np.ndarray]], name: str = "run_{:012d}_keypoints.json") -> Path:
+    folder.mkdir(exist_ok=True)
+    for number, people in frames.items():
+        content = {"version": 1.3, "people": [{"pose_keypoints_2d": points.ravel().tolist()} for points in people]}
+        (folder / name.format(number)).write_text(json.dumps(content), encoding="utf-8")
+    return folder / name.format(min(frames))
+
+
+@pytest.mark.parametrize("name", ["run_{:012d}_keypoints.json", "run_{:06d}.json"])
+def test_openpose_one_file_stands_for_all(tmp_path, name):
+    points = np.arange(75.0).reshape(25, 3) + 1
+    points[:, 2] = 0.9
+    points[4] = 0
+    path = openpose_files(tmp_path / "a", {7: [points], 8: [], 10: [points]}, name)
+    openpose_files(tmp_path / "a", {9: [points]}, "other_{:06d}.json")
+    found = read_keypoints(path)
+    assert found.frames.tolist() == [7, 8, 10]
+    assert found.names[:2] == ("Nose", "Neck")
+    assert found.names[19:22] == ("LBigToe", "LSmallToe", "LHeel")
+    np.testing.assert_array_equal(found.xy_px[0, 5], points[5, :2])
+    assert np.isnan(found.xy_px[0, 4]).all()
+    assert np.isnan(found.xy_px[1]).all()
+
+
+def test_openpose_with_two_persons_and_other_lists(tmp_path):
+    one = np.ones((17, 3))
+    path = openpose_files(tmp_path / "a", {0: [one, one * [2, 2, 1]], 1: [one, one * [2, 2, 1]]})
+    with pytest.raises(NoChoiceError):
+        read_keypoints(path)
+    assert read_keypoints(path, "2").xy_px[1, 0].tolist() == [2, 2]
+    path = openpose_files(tmp_path / "b", {0: [one], 1: [np.ones((25, 3))]})
+    with pytest.raises(InputError, match="17 and 25"):
+        read_keypoints(path)
+    with pytest.raises(InputError, match="a name without a number"):
+        read_keypoints(path.rename(path.with_name("run.json")))

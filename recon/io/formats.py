@@ -87,6 +87,8 @@ FORMATS: tuple[Format, ...] = (
     Format("coco", "COCO JSON", (".json",), _of("coco.recognises"), _of("coco.read"), _2D,
            _of("coco.write"), _2D, "in info", "kept"),
     Format("mmpose", "MMPose JSON", (".json",), _of("mmpose.recognises"), _of("mmpose.read"), _2D),
+    Format("openpose", "OpenPose JSON, a file a frame", (".json",), _of("openpose.recognises"),
+           _of("openpose.read"), _2D),
     Format("trc", "TRC", (".trc",), _of("trc.recognises"), _of("trc.read"), _3D,
            _of("trc.write"), _3D, "needed", "kept", "m, y up", up="y"),
     Format("c3d", "C3D", (".c3d",), _of("c3d.recognises"), _of("c3d.read"), _3D,
