@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 from recon.base.errors import InputError
 from recon.fit.finding import Finding
 from recon.fit.motion import Motion
-from recon.io.video import probe, read_frames, video_writer
+from recon.io.video import missing_note, probe, read_frames, video_writer
 from recon.show.overlay import (
     CLOSE_UP,
     DETECTION,
@@ -300,3 +300,18 @@ def test_a_video_of_another_rate_is_named(tmp_path):
     assert rate_note(film, stated) is None
     assert rate_note(film, None) is None
     assert "right if it was filmed so" in rate_note(film, stated * 2)
+
+
+def test_frames_that_cannot_be_decoded_are_counted(tmp_path):
+    film = tmp_path / "film.avi"
+    rng = np.random.default_rng(0)
+    with video_writer(film, (64, 48), 25) as write:
+        for _ in range(30):
+            write(rng.integers(0, 255, (48, 64, 3), dtype=np.uint8))
+    assert missing_note(film, sum(1 for _ in read_frames(film))) is None
+    content = film.read_bytes()
+    film.write_bytes(content[: len(content) // 2])
+    decoded = sum(1 for _ in read_frames(film))
+    note = missing_note(film, decoded)
+    assert note is not None
+    assert f"states 30 frames, {decoded} can be decoded" in note

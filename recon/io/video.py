@@ -56,6 +56,17 @@ def probe(path: str | Path) -> VideoInfo:
     return VideoInfo((image.shape[1], image.shape[0]), float(fps) if known else None, int(count) if count > 0 else None)
 
 
+def missing_note(path: str | Path, decoded: int) -> str | None:
+    """What to say of a video of which fewer frames can be decoded than its file states."""
+    stated = probe(path).stated_frames
+    if stated is None or decoded >= stated:
+        return None
+    return (
+        f"{Path(path).name} states {stated} frames, {decoded} can be decoded: it is damaged or cut short, and frames "
+        "after a hole are numbered as if nothing were missing"
+    )
+
+
 def read_frames(
     path: str | Path, first: int = 0, stop: int | None = None, step: int = 1
 ) -> Iterator[tuple[int, Image]]:

@@ -32,7 +32,7 @@ from recon.geometry.camera import Camera
 from recon.geometry.rotations import quaternions
 from recon.io import read_camera, read_keypoints, write_table
 from recon.io.camera_track import INTRINSICS, POSE, SIGMA
-from recon.io.video import Image, probe, read_frames, require_codec, video_writer
+from recon.io.video import Image, missing_note, probe, read_frames, require_codec, video_writer
 from recon.show.plain import to_json
 from recon.workflows.settings import FIRST_FRAME, FitSettings
 
@@ -247,11 +247,12 @@ def _report(s: CameraMotionSettings, motion: TurningMotion, lens: Camera, level:
     if s.zoom:
         rounded |= {"zoom": np.array([turn.zoom for turn in motion.turns]), "sigma_zoom": motion.sigma_zoom}
     rounded["residual_px"] = motion.residual_px
+    missing = filter(None, [missing_note(s.video, len(motion.frames) + len(motion.lost))])
     return {
         "video": s.video.name,
         "camera": {"file": s.camera.name, "name": lens.name},
         "level": level,
-        "notes": [*NOTES, *(["the first frame has the camera file's focal length"] if s.zoom else [])],
+        "notes": [*NOTES, *(["the first frame has the camera file's focal length"] if s.zoom else []), *missing],
         "frames": len(motion.frames) + len(motion.lost),
         "frames_without_background": (motion.lost + s.first_frame).tolist(),
         "keyframes": (motion.frames[motion.keys] + s.first_frame).tolist(),
