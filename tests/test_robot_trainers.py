@@ -13,7 +13,7 @@ from recon.base.errors import InputError
 from recon.fit.motion import Motion
 from recon.robotics.robot.reference import reference_of
 from recon.robotics.robot.retarget_clip import RetargetRun, solve
-from recon.robotics.robot.robot_file import builtin_robots, load_robot
+from recon.robotics.robot.robot_file import load_robot
 from recon.robotics.robot.trainers import FORMATS, sampled, write_for_trainer
 
 LATERAL, THIGH, SHIN = 0.0838, 0.2, 0.2
@@ -63,10 +63,15 @@ def test_bodies_are_where_the_robots_own_file_has_them(solved, part):
                 assert off.magnitude() < 1e-7
 
 
-@pytest.mark.parametrize("robot", builtin_robots())
+@pytest.fixture(scope="module")
+def aibo(animal) -> RetargetRun:
+    return solve(animal, load_robot("aibo"))
+
+
+@pytest.mark.parametrize("robot", ["solved", "aibo"])
 @pytest.mark.parametrize("part", ["clip", "stride"])
-def test_velocities_are_the_derivatives_of_what_is_written(animal, robot, part):
-    found = sampled(getattr(solve(animal, load_robot(robot)).motion, part), 20_000)
+def test_velocities_are_the_derivatives_of_what_is_written(robot, part, request):
+    found = sampled(getattr(request.getfixturevalue(robot).motion, part), 20_000)
     twice = 2 * (found.time_s[1] - found.time_s[0])
     matrices = found.turned.as_matrix().reshape(len(found.time_s), -1, 3, 3)
     turns = Rotation.from_matrix((matrices[2:] @ matrices[:-2].swapaxes(-1, -2)).reshape(-1, 3, 3)).as_rotvec()

@@ -107,6 +107,11 @@ class SerialChain:
             return self._moved(q)[0]
         return (self.tree.pose(self._states(q)).points_m[:, 0] @ self.base.T).reshape(*q.shape[:-1], self.dim)
 
+    def frames(self, q: Array) -> Array:
+        """Of a chain of `joint_chain` (N, n, 3, 3), for q (N, n): the frames that the joints move, each with its
+        joint's axis as z, in the base frame."""
+        return (self.base @ self.tree.orientations(self._states(q)))[:, self._moving]
+
     def pose(self, q: Array) -> tuple[Array, Array]:
         """Of a chain in space, T_base_end: rotation (3, 3) and position (3,) of the end effector, for q (n,)."""
         return self.base @ self.tree.orientations(self._states(q))[0, -1] @ self.tool_rotation, self.end(q)

@@ -153,26 +153,19 @@ def _links(leg: RobotLeg, q: Array, qd: Array) -> tuple[list[Array], list[Rotati
     0, its velocity and its angular velocity."""
     chain, n = leg.chain, len(leg.joints)
     points = chain.positions(q)
-    straight, turned = (chain.base @ chain.tree.orientations(chain._states(x)) for x in (np.zeros((1, n)), q))
-    moving = chain._moving
-    axes = turned[:, moving][..., 2]
+    straight, turned = chain.frames(np.zeros((1, n))), chain.frames(q)
+    axes = turned[..., 2]
     slides = chain.sliding
     places, rotations, velocities, spins = [], [], [], []
     for k in range(n + 1):
-        before = range(min(k, n))
+        link = min(k, n - 1)
         velocity, spin = np.zeros((len(q), 3)), np.zeros((len(q), 3))
-        for i in before:
+        for i in range(link + 1):
             by = qd[:, i, None] * axes[:, i]
             velocity += by if slides[i] else np.cross(by, points[:, k] - points[:, i])
             spin += 0.0 if slides[i] else by
-        link = min(k, n - 1)
-        if k < n:
-            if slides[k]:
-                velocity += qd[:, k, None] * axes[:, k]
-            else:
-                spin = spin + qd[:, k, None] * axes[:, k]
         places.append(points[:, k])
-        rotations.append(Rotation.from_matrix(turned[:, moving[link]] @ straight[0, moving[link]].T))
+        rotations.append(Rotation.from_matrix(turned[:, link] @ straight[0, link].T))
         velocities.append(velocity)
         spins.append(spin)
     return places, rotations, velocities, spins
