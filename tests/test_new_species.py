@@ -14,7 +14,9 @@ from command_line import run
 from docs_files import toml_of
 from test_docs import DOCS, blocks, commands
 
-from recon import Evaluation, evaluate_files, load_skeleton
+from recon import Evaluation, InputError, evaluate_files, load_skeleton
+from recon.io.openpose import LISTS
+from recon.workflows.skeleton_draft import draft_skeleton
 
 PAGE = DOCS / "how-to" / "new-species.md"
 STEPS = [block for block in blocks(PAGE) if block.language == "sh"]
@@ -98,3 +100,9 @@ def test_one_camera_is_enough_afterwards(after):
     assert both < lengths < file / 2
     assert both_place < 0.7 * lengths_place < 0.5 * file_place
     assert both < 9
+
+
+@pytest.mark.parametrize("points", [17, 25, 26])
+def test_a_person_is_no_quadruped(points):
+    with pytest.raises(InputError, match="a person's"):
+        draft_skeleton(LISTS[points], "person", Path("person.csv"))

@@ -47,7 +47,11 @@ def run_skeleton_draft(settings: SkeletonDraftSettings) -> SkeletonDraft:
 
 
 def draft_skeleton(names: Sequence[str], title: str, source: Path) -> SkeletonDraft:
-    """Raises InputError where too few names are understood to place an animal, or none of either end of its trunk."""
+    """Raises InputError where too few names are understood to place an animal, or none of either end of its trunk, and
+    for names of a person's points."""
+    if _of_a_person(names):
+        expected = "those of a four-legged animal: a draft is one; a person's skeleton has to be written by hand"
+        raise InputError(Problem(source, "bodyparts", f"a person's: {', '.join(names)}", expected))
     body = load_skeleton(BASE)
     known = _understood(names, body.markers)
     called = {marker: name for name, marker in known.items()}
@@ -62,6 +66,16 @@ def draft_skeleton(names: Sequence[str], title: str, source: Path) -> SkeletonDr
     others = tuple(name for name in names if name not in known)
     parts = (_head(title, source, rear, front, called, body, others), _segments(body, names))
     return known, others, "".join((*parts, *_markers(body, called), *_limbs(body, called)))
+
+
+def _of_a_person(names: Iterable[str]) -> bool:
+    """By names that only people's points have, or by arms and legs without anything of an animal's."""
+    text = " ".join(names).lower().replace("_", "")
+    if any(word in text for word in ("bigtoe", "midhip")):
+        return True
+    limbs = all(word in text for word in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle"))
+    of_animals = ("tail", "paw", "hoof", "hock", "withers", "front", "fore", "hind")
+    return limbs and not any(word in text for word in of_animals)
 
 
 def _understood(names: Sequence[str], markers: Sequence[str]) -> dict[str, str]:
