@@ -810,6 +810,10 @@ def test_openpose_one_file_stands_for_all(tmp_path, name):
     np.testing.assert_array_equal(found.xy_px[0, 5], points[5, :2])
     assert np.isnan(found.xy_px[0, 4]).all()
     assert np.isnan(found.xy_px[1]).all()
+    with pytest.raises(
+        InputError, match=r"a folder, expected one of its files, which stands for all: other_000009\.json"
+    ):
+        read_keypoints(path.parent)
 
 
 def test_openpose_with_two_persons_and_other_lists(tmp_path):

@@ -178,6 +178,8 @@ def read_points(
     kind: what they have to be; by: the columns of a plain table (`recon.io.column_map.parse_map`).
     """
     path = Path(path)
+    if path.is_dir() and (files := sorted(path.glob("*.json"))):
+        raise InputError(Problem(path, "file", "a folder", f"one of its files, which stands for all: {files[0].name}"))
     head = file_head(path)
     if by is not None:
         from recon.io import columns
