@@ -106,6 +106,22 @@ def draw_small(patch: pytest.MonkeyPatch) -> None:
     patch.setitem(style._SETTINGS, "text.hinting", "none")
 
 
+def draw_two_methods(patch: pytest.MonkeyPatch) -> None:
+    """Of the methods that `recon ik --compare` runs, the first two are drawn."""
+    write_ik_figures = ik_clip.write_figures
+
+    def of_two(solved: ik_clip.IKRun, folder: Path) -> None:
+        two = {kind: dict(islice(getattr(solved, kind).items(), 2)) for kind in ("drives", "follows")}
+        write_ik_figures(replace(solved, **two), folder)
+
+    patch.setattr(ik_clip, "write_figures", of_two)
+
+
+@pytest.fixture
+def two_methods_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    draw_two_methods(monkeypatch)
+
+
 @pytest.fixture(scope="session")
 def optimiser() -> None:
     """For tests that train: torch imports half of itself when the first optimiser is made."""
@@ -129,11 +145,7 @@ def of_results(made_once, whole_results) -> Callable[[str], tuple[str, Path]]:
     that it ran in, which is not to be written to. Each command is run once for all tests. Figures of an analysis are
     there and empty: each is drawn by `test_each_figure_is_drawn`. Those of `recon ik` are of two methods."""
 
-    figures_of, write_ik_figures = analyse.figures_of, ik_clip.write_figures
-
-    def of_two_methods(solved: ik_clip.IKRun, folder: Path) -> None:
-        two = {kind: dict(islice(getattr(solved, kind).items(), 2)) for kind in ("drives", "follows")}
-        write_ik_figures(replace(solved, **two), folder)
+    figures_of = analyse.figures_of
 
     def once(command: str) -> tuple[str, Path]:
         def make(folder: Path) -> None:
@@ -141,7 +153,7 @@ def of_results(made_once, whole_results) -> Callable[[str], tuple[str, Path]]:
             with pytest.MonkeyPatch.context() as patch:
                 draw_small(patch)
                 patch.setattr(analyse, "figures_of", lambda found: dict.fromkeys(figures_of(found), empty_figure))
-                patch.setattr(ik_clip, "write_figures", of_two_methods)
+                draw_two_methods(patch)
                 patch.chdir(folder)
                 ended = run(*shlex.split(command)[1:])
             assert (ended.code, ended.err) == (0, ""), f"{command}\n{ended.out}{ended.err}"
