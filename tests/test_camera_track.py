@@ -9,14 +9,17 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from recon import FitSettings, InputError, Motion, fit_clip, read_keypoints
 from recon.clip import View, held, views_of
 from recon.clip.keypoints import Keypoints
+from recon.geometry.camera import Camera
 from recon.geometry.frames import rigid
 from recon.geometry.rotations import part_of_turn, quaternion_rotations, quaternions
 from recon.io.camera_track import read_camera_track
 from recon.io.deeplabcut import write_csv
+from recon.io.pose3d import read_pose3d
 from recon.workflows.batch.inputs import find_clips
 from recon.workflows.batch.record import identity
 from recon.workflows.clip import prepare
@@ -30,6 +33,7 @@ folder = test_cameras.folder
 """A fixture: run_cam1.csv, run_cam2.csv and scene.json."""
 SAMPLES = Path(__file__).resolve().parents[1] / "data" / "samples"
 HEAD = "frame,qw,qx,qy,qz,tx,ty,tz"
+DRONE = Camera.from_hfov(64.0, (1920, 1080))
 LEVEL = pose([1.0, 2.0, 3.0], 0.3)
 
 
@@ -235,6 +239,28 @@ def test_a_world_whose_z_does_not_point_up_is_refused(tmp_path):
     assert "expected a world with z up" in problems(error)
     down[:2] = LEVEL
     assert len(read_camera_track(write_track(tmp_path / "track.csv", np.arange(3), down)).frames) == 3
+
+
+@pytest.mark.parametrize(("down_deg", "rolled_deg"), [(90, 0), (90, 130), (70, 0)])
+def test_a_drone_that_looks_down_on_the_animal_and_follows_it(tmp_path, down_deg, rolled_deg):
+    """At 12 m; where in the picture up is may be anything. The depth is known to the animal's size."""
+    truth = read_pose3d(SAMPLES / "whole_truth.csv")
+    turn = Rotation.from_euler("xz", [-90 - down_deg, rolled_deg], degrees=True).as_matrix()
+    ahead = turn[2] / abs(turn[2, 2])
+    above = truth.xyz_m.mean(axis=1) * [1, 1, 0] - 12.0 * ahead
+    poses = np.stack([rigid(turn, -turn @ place) for place in above])
+    blank = View(DRONE, poses, np.zeros((*truth.xyz_m.shape[:2], 2)), np.ones(truth.xyz_m.shape[:2]))
+    xy_px = blank.project(truth.xyz_m)[0] + 2.0 * np.random.default_rng(0).normal(size=blank.xy_px.shape)
+    seen = Keypoints(truth.names, xy_px, np.full(blank.confidence.shape, 0.9), truth.frames, fps=60.0)
+    write_csv(seen, tmp_path / "drone.csv")
+    track = write_track(tmp_path / "track.csv", truth.frames, poses)
+    lens = {"hfov_deg": 64.0, "image_size_px": (1920, 1080)}
+    motion = fit_clip(FitSettings(keypoints=tmp_path / "drone.csv", camera_track=track, fps=60, fast=True, **lens))
+    found = motion.upright.xyz_m[:, [motion.names.index(name) for name in truth.names]]
+    off_m = found - truth.xyz_m
+    assert np.linalg.norm(off_m - off_m.mean(axis=1, keepdims=True), axis=2).mean() < 0.1
+    assert (np.abs(turn @ off_m.mean(axis=(0, 1))) < [0.1, 0.1, 2.5]).all()
+    assert motion.verdict.level != "do not use"
 
 
 def test_files_of_other_kinds(tmp_path):

@@ -36,7 +36,10 @@ UNIT_TOLERANCE = 1e-2
 """Of a quaternion's length: rounded to three digits it is within this."""
 MAX_PLACE_M, MAX_PX, MAX_SIGMA_DEG = 1e7, 1e6, 10.0
 LEANING_MAX_RAD = np.radians(60)
-"""A camera that leans further for most of the time hangs in a world whose z axis does not point up."""
+"""A camera that leans further for most of the time, and does not look down, hangs in a world whose z axis does not
+point up."""
+LOOKING_DOWN_RAD = np.radians(45)
+"""Of a camera that looks down more steeply, as a drone's, any edge of the picture may be the upper one."""
 IMAGES, CAMERAS = "images.txt", "cameras.txt"
 EXPECTED = f"a table (.csv) with the columns frame, {', '.join(POSE)}, or a COLMAP model as text ({IMAGES})"
 
@@ -127,7 +130,8 @@ def read_camera_track(path: Path) -> CameraTrack:
 
 def _require_upright(track: CameraTrack, path: Path) -> None:
     upward = -track.T_camera_world[:, 1, 2]  # of the picture's upward direction, along z
-    leans = upward < np.cos(LEANING_MAX_RAD)
+    downward = -track.T_camera_world[:, 2, 2]
+    leans = (upward < np.cos(LEANING_MAX_RAD)) & (downward < np.sin(LOOKING_DOWN_RAD))
     if leans.mean() > 0.5:
         found = f"a camera whose picture's upper edge is not up by z in {leans.sum()} of {len(leans)} frames"
         expected = (

@@ -62,7 +62,7 @@ class CameraMotionSettings(Settings):
         Number | None,
         Option(
             "How far the camera looks down in the first frame. (default: level in the mean of all frames)",
-            "degrees between -60 and 60",
+            "degrees between -90 and 90",
         ),
     ] = None
     level_marks: Annotated[
@@ -162,8 +162,8 @@ def _require_out(s: CameraMotionSettings) -> None:
 def _require_tilt(tilt_deg: float | None, level_marks: Path | None) -> None:
     if tilt_deg is not None and level_marks is not None:
         raise InputError(Problem("--tilt-deg", "level", f"{tilt_deg:g} beside {level_marks}", "one of the two"))
-    if tilt_deg is not None and not abs(tilt_deg) < 60:
-        raise InputError(Problem("--tilt-deg", "angle", f"{tilt_deg:g}", "between -60 and 60 degrees, down positive"))
+    if tilt_deg is not None and not abs(tilt_deg) < 90:
+        raise InputError(Problem("--tilt-deg", "angle", f"{tilt_deg:g}", "between -90 and 90 degrees, down positive"))
 
 
 def _require_turning(s: CameraMotionSettings, motion: TurningMotion) -> None:
