@@ -51,7 +51,9 @@ PER_FRAME = {
     "/world/stance": "Points3D:positions",
     "/world/observability": "LineStrips3D:strips",
     "/world/observability/limbs": "LineStrips3D:strips",
-    "/doubtful": "StateChange:state",
+}
+FLAGS = {
+    f"/{flag}": "StateChange:state" for flag in ("no_data", "data_poor", "ambiguous_depth", "outliers", "few_points")
 }
 CHAIN = {
     **PER_FRAME,
@@ -93,7 +95,7 @@ class Recording:
                     self.time_s[row["frame"]] = row["time"].total_seconds()
 
     def values(self, entity: str, frame: int) -> list[Any]:
-        return self.frames[entity][frame][{**CHAIN, **WHOLE}[entity]] or []
+        return self.frames[entity][frame][{**CHAIN, **WHOLE, **FLAGS}[entity]] or []
 
 
 @pytest.fixture(scope="module")
@@ -118,7 +120,7 @@ def recording(world_motion: Motion, tmp_path_factory: pytest.TempPathFactory) ->
 
 
 def test_holds_every_entity_at_every_frame(recording: Recording, world_motion: Motion) -> None:
-    assert set(recording.frames) == set(CHAIN)
+    assert set(recording.frames) - set(FLAGS) == set(CHAIN)
     for rows in recording.frames.values():
         assert sorted(rows) == list(world_motion.frames)
     assert {"/", "/world/path", "/world/ground", "/world/camera", "/picture/frame"} <= set(recording.static)
@@ -159,9 +161,9 @@ def test_capsules_lie_along_the_segments(recording: Recording, world_motion: Mot
 
 def test_a_frame_without_data_shows_nothing(recording: Recording, world_motion: Motion) -> None:
     assert not world_motion.solved[3]
-    for entity in {*CHAIN} - {"/doubtful"}:
+    for entity in CHAIN:
         assert recording.values(entity, 13) == [], entity
-    assert recording.values("/doubtful", 13) == ["no data"]
+    assert recording.values("/no_data", 13) == ["no data"]
 
 
 def test_trail_follows_the_root_and_does_not_bridge_the_gap(recording: Recording, world_motion: Motion) -> None:
@@ -282,7 +284,7 @@ def played(world_trajectory: Motion, tmp_path_factory: pytest.TempPathFactory) -
 
 
 def test_a_trajectory_has_every_entity_at_every_frame(played: Recording, world_trajectory: Motion) -> None:
-    assert set(played.frames) == set(WHOLE)
+    assert set(played.frames) - set(FLAGS) == set(WHOLE)
     for rows in played.frames.values():
         assert sorted(rows) == list(world_trajectory.frames)
 
@@ -333,11 +335,8 @@ def test_shells_are_one_sigma_of_the_pose(played: Recording, world_trajectory: M
 
 
 def test_doubtful_frames_are_marked(played: Recording, world_trajectory: Motion) -> None:
-    shown = {frame: played.values("/doubtful", frame) for frame in range(10, 18)}
-    assert {frame: value for frame, value in shown.items() if value} == {
-        13: ["no data"],
-        15: ["data poor, ambiguous depth"],
-    }
+    shown = {flag: [f for f in range(10, 18) if played.values(flag, f)] for flag in FLAGS if flag in played.frames}
+    assert shown == {"/no_data": [13], "/data_poor": [15], "/ambiguous_depth": [15]}
     assert [frame for frame in range(10, 18) if played.values("/world/doubt", frame)] == [13, 15]
     assert played.frames["/world/doubt"][15]["Points3D:labels"] == ["data poor, ambiguous depth"]
     ((x, y, z),) = played.values("/world/doubt", 15)
@@ -410,8 +409,8 @@ def test_a_trajectory_without_any_pose_can_be_written(small_trajectory: Motion, 
     )
     write(motion, tmp_path / "motion.rrd")
     recording = Recording(tmp_path / "motion.rrd")
-    assert recording.values("/doubtful", 12) == ["no data"]
-    assert all(not recording.values(entity, 12) for entity in WHOLE if entity != "/doubtful")
+    assert recording.values("/no_data", 12) == ["no data"]
+    assert all(not recording.values(entity, 12) for entity in WHOLE)
 
 
 # -- several cameras ------------------------------------------------------------------------------------------------

@@ -55,10 +55,11 @@ def test_every_frame_has_its_picture(playback, video, tmp_path):
     before = rows(playback, "recordings")
     assert write_video(tmp_path / "video.rrd", playback, video, first_frame=8) == 90
     assert rows(playback, "recordings") == before
-    assert rows(tmp_path / "video.rrd", "recordings").keys() == {"/picture/video"}
+    assert rows(tmp_path / "video.rrd", "recordings").keys() == {"/picture/video", "/closeup/video"}
     assert put_together(tmp_path / "together.rrd", playback, None, tmp_path / "video.rrd") == []
     after = rows(tmp_path / "together.rrd", "recordings")
     pictures = after.pop("/picture/video")
+    assert after.pop("/closeup/video")
     assert after == before
     assert [row["frame"] for row in pictures] == FRAMES
     np.testing.assert_allclose([row["time"].total_seconds() for row in pictures], np.array(FRAMES) / 30, atol=1e-6)
@@ -69,28 +70,34 @@ def test_every_frame_has_its_picture(playback, video, tmp_path):
         assert float(image.mean()) == pytest.approx(10 * number, abs=3)
 
 
-@pytest.mark.parametrize("alone", [True, False], ids=["alone", "together"])
-def test_the_whole_picture_is_in_front(playback, video, tmp_path, alone):
-    before = rows(playback, "blueprints")
-    path = tmp_path / "video.rrd"
-    write_video(path, playback, video, first_frame=8)
-    if not alone:
-        path = tmp_path / "together.rrd"
-        put_together(path, playback, None, tmp_path / "video.rrd")
-    after = rows(path, "blueprints")
-    name, origin, active = "ViewBlueprint:display_name", "ViewBlueprint:space_origin", "ContainerBlueprint:active_tab"
-    (view,) = [path for path, (row, *_) in after.items() if row.get(origin) == ["picture"]]
-    assert after[view][0][name] == ["Whole picture"]
-    changed = {path for path in after if after[path] != before.get(path)}
-    assert [after[path][-1][active] for path in changed if active in after[path][-1]] == [[view[1:]]]
-    assert {path for path in changed if path.startswith(("/view/", "/container/"))} == {
-        path for path in changed if active in after[path][-1]
-    }
-    assert before.keys() <= after.keys()
+def test_the_close_look_has_what_lies_around_the_animal(playback, tmp_path):
+    """Its middle is at (0, 0), as that of the points is; what lies beyond the picture is dark. The layout stays."""
+    (wide, high), ramp = (1920, 1080), tmp_path / "ramp.avi"
+    with video_writer(ramp, (wide, high), 30.0) as write_frame:
+        for _ in FRAMES:
+            write_frame(np.broadcast_to((np.arange(wide) // 8).astype(np.uint8)[None, :, None], (high, wide, 3)).copy())
+    write_video(tmp_path / "video.rrd", playback, ramp, first_frame=10)
+    of_playback, found = rows(playback, "recordings"), rows(tmp_path / "video.rrd", "recordings")
+    fixed = [row["Transform3D:translation"] for row in found["/closeup/video"] if "Transform3D:translation" in row]
+    assert len(fixed) == 1
+    left = fixed[0][0][0]
+    shown = [row for row in found["/closeup/video"] if "frame" in row]
+    assert [row["frame"] for row in shown] == FRAMES
+    joints = {row["frame"]: row["Points2D:positions"] for row in of_playback["/picture/reprojections/joints"]
+              if "Points2D:positions" in row}  # fmt: skip
+    for row in shown:
+        image = cv2.imdecode(np.array(row["EncodedImage:blob"][0], np.uint8), cv2.IMREAD_GRAYSCALE)
+        assert image is not None
+        assert image.shape[1] == -2 * left
+        middle = float(np.mean([x for x, _ in joints[row["frame"]]]))
+        column = image.shape[1] // 2
+        if 20 < middle < wide - 20:
+            assert float(image[image.shape[0] // 2, column]) == pytest.approx(middle / 8, abs=4)
+    assert rows(tmp_path / "video.rrd", "blueprints").keys() >= rows(playback, "blueprints").keys()
 
 
 def test_plots_and_video_together(playback, video, tmp_path):
-    """Whichever was written first: the layout has the tabs of the one, and the picture of the other in front."""
+    """Whichever was written first: the layout has the tabs of the one, and the pictures of the other."""
     time_s = np.arange(10, 18) / 30
     series = AddedSeries("x", "Speed", ["x"], [(0, 0, 0)], np.ones((8, 1)), time_s=time_s, tab="Kinematics")
     write_video(tmp_path / "video.rrd", playback, video, first_frame=8)
@@ -103,8 +110,6 @@ def test_plots_and_video_together(playback, video, tmp_path):
     named = {row["ContainerBlueprint:display_name"][0] for of in layout.values() for row in of
              if "ContainerBlueprint:display_name" in row}  # fmt: skip
     assert {"Reconstruction", "Kinematics"} <= named
-    (view,) = [path for path, (row, *_) in layout.items() if row.get("ViewBlueprint:space_origin") == ["picture"]]
-    assert [view[1:]] in [of[-1].get("ContainerBlueprint:active_tab") for of in layout.values()]
 
 
 def test_large_pictures_are_stored_at_a_lower_quality(playback, tmp_path):
@@ -135,22 +140,14 @@ def test_what_does_not_fit_leaves_the_playback_as_it_is(playback, video, tmp_pat
 
 
 def test_a_video_goes_into_the_picture_of_its_camera(two_cameras, video, tmp_path):
-    """Into one of several that stand side by side in a tab, which comes to the front."""
+    """And into its close look, of several that stand side by side."""
     playback, path = tmp_path / "motion.rrd", tmp_path / "video.rrd"
     write(two_cameras, playback)
     for camera in (None, "cam3"):
         with pytest.raises(InputError, match="expected one of cam1, cam2, whose video it is"):
             write_video(path, playback, video, first_frame=8, camera=camera)
     write_video(path, playback, video, first_frame=8, camera="cam2")
-    assert rows(path, "recordings").keys() == {"/picture/cam2/video"}
-    put_together(tmp_path / "together.rrd", playback, None, path)
-    for written in (path, tmp_path / "together.rrd"):
-        before, after = rows(playback, "blueprints"), rows(written, "blueprints")
-        (changed,) = [entity for entity in before if after[entity] != before[entity]]
-        grid = after[changed][-1]["ContainerBlueprint:active_tab"][0].strip("/")
-        shown = [v.strip("/") for v in after[f"/{grid}"][0]["ContainerBlueprint:contents"]]
-        origins = [after[f"/{view}"][0]["ViewBlueprint:space_origin"] for view in shown]
-        assert origins == [["picture/cam1"], ["picture/cam2"]]
+    assert rows(path, "recordings").keys() == {"/picture/cam2/video", "/closeup/cam2/video"}
 
 
 def test_the_only_camera_needs_no_name(playback, video, tmp_path):

@@ -11,7 +11,7 @@ from rerun.blueprint.archetypes import PlotBackground
 from rerun.encodings import AbsoluteTimeRange
 
 from recon.fit.motion import MEASURED_SHARE, Motion, Picture
-from recon.show.view.picture import middle_and_reach_px, picture_bounds
+from recon.show.view.picture import CLOSE, middle_and_reach_px, picture_bounds
 from recon.show.view.scene import BACKGROUND, BODY, CLOSEUP, GRID_SPACING_M, PICTURE, Scene, by_camera
 from recon.show.view.series import TimePlot, angle_series, other_series, state_entities
 
@@ -50,7 +50,7 @@ def blueprint(motion: Motion, scene: Scene, start_frame: int | None) -> rrb.Blue
         contents=["$origin/**", "- world/doubt", f"- {BODY}", f"- {_SEEN}"],
         background=BACKGROUND,
         line_grid=False,
-        eye_controls=_eye_behind_camera(motion, scene),
+        eye_controls=_eye_on_all(motion, scene),
         overrides=trail,  # pyright: ignore[reportArgumentType]
     )
     angles, others = angle_series(motion), other_series(motion)
@@ -100,7 +100,7 @@ _MARKS = "close up: + detected, ● reprojected, red: outlier"
 
 
 def _closeup(entity: str, picture: Picture) -> rrb.Spatial2DView:
-    wide, high = 1.1 * middle_and_reach_px(picture)[1]
+    wide, high = CLOSE * middle_and_reach_px(picture)[1]
     bounds = rrb.VisualBounds2D(x_range=(-wide, wide), y_range=(-high, high))
     return rrb.Spatial2DView(origin=entity, name=picture.name, background=BACKGROUND, visual_bounds=bounds)
 
@@ -183,12 +183,29 @@ def _eye_on_animal(motion: Motion, scene: Scene, turn_rad: float) -> rrb.EyeCont
     )
 
 
-def _eye_behind_camera(motion: Motion, scene: Scene) -> rrb.EyeControls3D:
-    """From behind and above the camera over its shoulder, so that left and right are as in the picture."""
+_HALF_FIELD, _ASPECT = np.tan(np.radians(55 / 2)), 2.2
+"""Of the viewer's eye: the tangent of half its vertical field of view; width to height of the overview."""
+
+
+def _eye_on_all(motion: Motion, scene: Scene) -> rrb.EyeControls3D:
+    """From above, and nearest to the animal among the directions, rather from behind the first camera, that have all
+    cameras and the whole path in sight."""
     up = scene.axes[2]
-    ahead = scene.centre_m - scene.camera_m
-    distance = max(float(np.linalg.norm(ahead)), 1.0)
-    ahead = ahead / distance
-    position = scene.camera_m + distance * (0.28 * up - 0.3 * ahead + 0.2 * np.cross(ahead, up))
-    target = scene.camera_m + 0.4 * distance * ahead
+    cameras = [picture.T_reference_camera.reshape(-1, 4, 4)[:, :3, 3].mean(axis=0) for picture in motion.pictures]
+    corners = np.stack(np.meshgrid(*np.stack((scene.low_m, scene.high_m), axis=1), indexing="ij"), axis=-1)
+    points = np.concatenate((cameras, corners.reshape(-1, 3) @ scene.axes))
+    ahead = (scene.centre_m - scene.camera_m) @ scene.axes[:2].T
+    nearest, position, target = np.inf, scene.camera_m, scene.centre_m
+    for turned in np.arctan2(*ahead[::-1]) + np.radians(np.arange(-60, 61, 15)):
+        look = np.array([np.cos(turned), np.sin(turned), -0.5]) @ scene.axes / np.hypot(1.0, 0.5)
+        right = np.cross(look, up) / np.linalg.norm(np.cross(look, up))
+        axes = np.stack((right, np.cross(right, look), look))
+        seen = points @ axes.T
+        middle = (seen.min(axis=0) + seen.max(axis=0)) / 2
+        x, y, z = (seen - middle).T
+        distance = 1.05 * np.max(np.maximum(np.abs(x) / _ASPECT, np.abs(y)) / _HALF_FIELD - z)
+        at = middle @ axes
+        away = float((scene.centre_m - at) @ look + distance)
+        if away < nearest:
+            nearest, target, position = away, at, at - distance * look
     return rrb.EyeControls3D(kind=rrb.Eye3DKind.Orbital, position=position, look_target=target, eye_up=up)

@@ -21,6 +21,9 @@ from recon.show.view.scene import (
     unbroken,
 )
 
+CLOSE = 1.1
+"""Of the animal's reach, what the close look shows."""
+
 
 def write_pictures(motion: Motion, log: Log) -> None:
     """The points twice: where they are in the picture, and around the middle of the animal, for a close look."""

@@ -17,7 +17,6 @@ from recon.show.view.scene import EDGE, LEFT, LIMB_COLOURS, LINK, OUTLIER, RIGHT
 
 MAX_LINES = 4
 """Of angles in one plot, as far as they can be told apart by what they belong to: their names stand above them."""
-FLAGGED = "doubtful"
 LINE_COLOURS: tuple[Colour, ...] = (*LIMB_COLOURS, LINK, (213, 94, 0), (200, 200, 210))
 
 
@@ -44,14 +43,14 @@ def write_series(motion: Motion, log: Log) -> None:
 
 
 def write_states(motion: Motion, log: Log, stands: Bools) -> None:
-    """Which flags a frame has, and which feet stand, (T, F) (`state_entities`)."""
+    """Which flags a frame has, a row for each, and which feet stand, (T, F) (`state_entities`)."""
 
     def state(entity: str, values: list[str], colours: dict[str, Colour]) -> None:
         log.send(entity, state_columns(values))
         log.fix(entity, state_style(colours))
 
-    flagged = [", ".join(flags) for flags in motion.flags]
-    state(FLAGGED, flagged, dict.fromkeys(dict.fromkeys(filter(None, flagged)), OUTLIER))
+    for row, flag in _flags(motion).items():
+        state(state_entity(row), [flag if flag in flags else "" for flags in motion.flags], {flag: OUTLIER})
     colours = {"L": LEFT, "R": RIGHT}
     for foot, label, stood in zip(motion.feet, motion.foot_labels, stands.T, strict=True):
         stances = ["stance" if on_ground else "" for on_ground in stood]
@@ -60,7 +59,12 @@ def write_states(motion: Motion, log: Log, stands: Bools) -> None:
 
 def state_entities(motion: Motion) -> list[str]:
     """What `write_states` writes."""
-    return [FLAGGED, *(state_entity(motion.names[foot]) for foot in motion.feet)]
+    return [state_entity(name) for name in (*_flags(motion), *(motion.names[foot] for foot in motion.feet))]
+
+
+def _flags(motion: Motion) -> dict[str, str]:
+    """Those that a frame has, by the names of their rows, without blanks, which the viewer writes with backslashes."""
+    return {flag.replace(" ", "_"): flag for flags in motion.flags for flag in flags}
 
 
 # -- how it is written ----------------------------------------------------------------------------------------------
@@ -81,8 +85,9 @@ def state_columns(texts: Sequence[str]) -> rr.ComponentColumnList:
 
 
 def state_style(colours: Mapping[str, Colour]) -> rr.StateConfiguration:
-    """A stance has a blank for its text, which would be cut; without any the viewer writes the value."""
-    labels = [" " if value == "stance" else value for value in colours]
+    """A stance, and whatever is the only one of its row and so named by it, has a blank for its text, which would be
+    cut; without any the viewer writes the value."""
+    labels = [" " if value == "stance" or len(colours) == 1 else value for value in colours]
     return rr.StateConfiguration(values=list(colours), labels=labels, colors=list(colours.values()))
 
 
@@ -160,11 +165,9 @@ def _speed(motion: Motion) -> TimePlot:
         return TimePlot("speed", f"Speed, {low} to {high} m/s", ["speed"], [TRAIL], speed[:, None])
     straight = np.where(motion.solved, run_m_s, np.nan)
     exact, smooth = _speeds_m_s(motion)
-    # Splines overshoot, at the ends above all.
-    shown = smooth[smooth <= 1.5 * np.nanpercentile(exact, 90)] if np.isfinite(exact).any() else smooth
     lines = ["cubic spline", "smoothed by its jitter", "straight run"]
     values = np.stack((exact, smooth, straight), axis=1)
-    return TimePlot("speed", "Speed (m/s)", lines, [EDGE, TRAIL, LIMB_COLOURS[0]], values, shown)
+    return TimePlot("speed", "Speed (m/s)", lines, [EDGE, TRAIL, LIMB_COLOURS[0]], values)
 
 
 def _limb_tints(motion: Motion) -> tuple[dict[str, str], dict[str, Colour]]:

@@ -13,7 +13,6 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 from numpy.typing import NDArray
-from rerun.blueprint.archetypes import ContainerBlueprint
 from rerun.blueprint.components import ContainerKind
 from rerun.chunk import Chunk, RrdReader
 from rerun.error_utils import RerunWarning
@@ -132,9 +131,8 @@ class _Layout:
     def _field(self, container: str, name: str) -> list[Any]:
         return self.values.get(container, {}).get(f"ContainerBlueprint:{name}", [])
 
-    def in_front(self, origin: str | None) -> rrb.Blueprint:
-        """The layout as it is, with the view of this entity in front, if one is given."""
-        return _InFront(self, origin)
+    def as_stored(self) -> rrb.Blueprint:
+        return _Stored(self.chunks)
 
 
 class _Restored(rrb.Blueprint):
@@ -149,22 +147,11 @@ class _Restored(rrb.Blueprint):
         super()._log_to_stream(stream)
 
 
-class _InFront(rrb.Blueprint):
-    """A stored layout, with the tabs in front that lead to the view of this entity; without one, as it is."""
-
-    def __init__(self, layout: _Layout, origin: str | None) -> None:
-        super().__init__(auto_layout=False, auto_views=False)
-        self.layout, self.origin = layout, origin
+class _Stored(_Restored):
+    """A blueprint that is stored, and nothing more."""
 
     def _log_to_stream(self, stream: rr.RecordingStream) -> None:
-        stream.send_chunks(self.layout.chunks)
-        values = self.layout.values
-        shown = next((p for p, v in values.items() if v.get("ViewBlueprint:space_origin") == [self.origin]), None)
-        while shown is not None:
-            around = next((p for p, v in values.items() if shown in v.get("ContainerBlueprint:contents", [])), None)
-            if around is not None and "ContainerBlueprint:active_tab" in values[around]:
-                stream.log(around, ContainerBlueprint.from_fields(active_tab=shown))
-            shown = around
+        stream.send_chunks(self.chunks)
 
 
 class _Kept(rrb.Container):

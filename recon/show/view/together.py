@@ -9,7 +9,6 @@ from pathlib import Path
 
 from recon.show.recording import recording
 from recon.show.view.stored import Part, Playback
-from recon.show.view.video import picture_of
 
 
 def put_together(path: Path, playback: Path, plots: Path | None, video: Path | None) -> list[Path]:
@@ -22,7 +21,7 @@ def put_together(path: Path, playback: Path, plots: Path | None, video: Path | N
     parts = {part: Part.read(part) for part in (plots, video) if part is not None}
     own = {part: content for part, content in parts.items() if content.id == whole.id}
     layout = own[plots].layout if plots in own else whole.layout
-    with recording(path, layout.in_front(picture_of(own[video]) if video in own else None), part_of=whole.id) as stream:
+    with recording(path, layout.as_stored(), part_of=whole.id) as stream:
         for content in (whole, *own.values()):
             stream.send_chunks(content.data)
     return [part for part in parts if part not in own]
