@@ -1,6 +1,6 @@
 """Inverse kinematics: time per step, success rates, iterations and closures, and strides of a folder of real runs.
 
-    python benchmarks/ik.py [FOLDER] [--only steps targets alphas circle strides fits held-out]
+    python benchmarks/ik.py [FOLDER] [--only steps targets alphas circle costs strides fits held-out]
 
 Joints of `cheetah-8u`'s spine and front leg in their level base frame, and of `cheetah-24`'s left front leg. One core,
 warm. Tables in Markdown, as in docs/ik.md. The last three need real runs: each is a folder with truth.csv and meta.json
@@ -34,7 +34,7 @@ from recon.gait.gait import pose_gait
 from recon.robotics.ik.animal import body_chain, body_chain_angles, chain_angles, projected_chain, spine_front_leg
 from recon.robotics.ik.chain import SerialChain
 from recon.robotics.ik.clip import stride_lasts_s
-from recon.robotics.ik.costs import harmonic_map, joint_differences, pose_distance, rotational_energy
+from recon.robotics.ik.costs import Cost, harmonic_map, joint_differences, pose_distance, rotational_energy
 from recon.robotics.ik.drive import degree_of_closure, drive_to, follow
 from recon.robotics.ik.fit import (
     Fit,
@@ -81,6 +81,17 @@ PUBLISHED = {
     "extended Jacobian (energy)": "587, ended 32.7 mm away",
 }
 """Iterations to a target that the publication does not state; its cost is not stated either."""
+
+
+HARMONIC = "harmonic map"
+COSTS: dict[str, Callable[[SerialChain], Cost]] = {
+    "joint differences": joint_differences,
+    "rotational energy": rotational_energy,
+    "distance from the middle pose": lambda chain: pose_distance(np.zeros(chain.n)),
+    HARMONIC: lambda chain: harmonic_map(),
+}
+NEAR_RAD, CLOSED_RAD, APART = 1e-6, 1e-3, 1e3
+"""Of two starts; of a path that closes; how much further apart than they began two ways end that are called chaotic."""
 
 
 def chains(limited: bool) -> dict[str, SerialChain]:
@@ -199,14 +210,55 @@ def circle_closure(chain: SerialChain, q: Array, name: str) -> str:
     if method is None:
         return ""
     q = start_of(chain, q, method)
+    run = follow(chain, q, circle(chain, q), method, turns=TURNS)
+    closures = run.closures()
+    singular = ", singular on the way" if run.singular.any() else ""
+    return f"{np.nanmin(closures['angle']):.2f} / {np.nanmin(closures['plane']):.2f}{singular}"
+
+
+def circle(chain: SerialChain, q: Array) -> Array:
+    """(POINTS + 1, dim), closed, from where the end is at q."""
     angle, start = np.linspace(0, 2 * np.pi, POINTS + 1), chain.end(q)
     u, v = np.array([1.0, 0.0, 0.0])[: chain.dim], np.array([0.0, 0.8, 0.6])[: chain.dim]
     path = start + RADIUS_M * ((np.cos(angle) - 1)[:, None] * u + np.sin(angle)[:, None] * v)
     path[-1] = path[0]
+    return path
+
+
+def cost_verdict(chain: SerialChain, q: Array, cost: Cost) -> str:
+    """What the extended Jacobian does with a cost on the circle, from its optimum: convergent where the angles after
+    every turn are those at its beginning, singular where the matrix was on the way, chaotic where a start that is off
+    by `NEAR_RAD` ends `APART` times as far away, drifting otherwise; with how many joints limits held."""
+    method = ExtendedJacobian(cost)
+    q = to_null_space_optimum(chain, q, cost).q[-1]
+    path = circle(chain, q)
     run = follow(chain, q, path, method, turns=TURNS)
-    closures = run.closures()
-    singular = ", singular on the way" if run.singular.any() else ""
-    return f"{np.nanmin(closures['angle']):.2f} / {np.nanmin(closures['plane']):.2f}{singular}"
+    held = f", {len(run.limits)} joints at limits" if run.limits else ""
+    if np.nanmax(np.abs(run.q[:: len(path) - 1] - run.q[0])) < CLOSED_RAD:
+        return f"convergent{held}"
+    if run.singular.any():
+        return f"singular{held}"
+    near = follow(chain, q + NEAR_RAD, path, method, turns=TURNS)
+    apart = np.nanmax(np.abs(near.q[-1] - run.q[-1]))
+    return f"{'chaotic' if apart > APART * NEAR_RAD else 'drifting'}{held}"
+
+
+def print_costs() -> None:
+    print(f"\nThe extended Jacobian by cost, {TURNS} turns on a circle of {RADIUS_M} m:\n")
+    rows = []
+    for name, cost_of in COSTS.items():
+        cells = [name]
+        for (title, free), limited in zip(chains(False).items(), chains(True).values(), strict=True):
+            q = (limited.lower_rad + limited.upper_rad) / 2
+            if title.startswith("3D"):
+                q[5:] = [0.1, 0.15, -0.1, 0.2, 0.15]
+            cells += [
+                cost_verdict(chain, q, cost_of(chain)) if name != HARMONIC or title[0] in "23" else ""
+                for chain in (free, limited)
+            ]
+        rows.append(cells)
+    heads = [f"{title}, {limits}" for title in chains(False) for limits in ("free", "limits")]
+    print_table(["cost", *heads], rows)
 
 
 def print_circle() -> None:
@@ -465,6 +517,7 @@ def held_out_row(
 def main() -> None:
     default = recordings("cheetah-runs")
     tables = {"steps": print_steps, "targets": print_targets, "alphas": print_alphas, "circle": print_circle}
+    tables |= {"costs": print_costs}
     real = {"strides": print_strides, "fits": print_fits, "held-out": print_held_out}
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path, nargs="?", default=default)
