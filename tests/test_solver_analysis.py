@@ -113,6 +113,7 @@ def test_tables(whole, frame, tmp_path):
         frames, errors = tables["solver_frames.csv"], tables["image_errors.csv"]
         np.testing.assert_array_equal(frames["frame"], record.motion.frames)
         np.testing.assert_array_equal(frames["optimality"], record.optimality)
+        assert (tmp_path / "solver_frame.csv").exists() == record.motion.jitters
         assert len(tables["solver_unknowns.csv"]) == len(record.problem.unknowns)
         told = build_report(record.motion)["summary"]["reprojection_px"]["mean"]
         assert np.nanmean(errors.iloc[:, 2:]) == pytest.approx(told, rel=1e-6)
@@ -133,6 +134,46 @@ def test_figures(whole, frame, chain):
     gradient, norm = solver_plots.solver_unknowns(whole).axes
     np.testing.assert_allclose(norm.lines[0].get_xdata(), np.median(whole.problem.column_norm, axis=0))
     assert [label.get_text() for label in gradient.get_yticklabels()] == [*whole.problem.unknowns]
+
+
+def test_the_search_of_a_frame_ends_where_the_fit_did(frame):
+    """And its dampings make the steps that were taken."""
+    search = frame.search
+    row = int(np.argmax(frame.of_frames("function_evaluations")))
+    assert search.frame == row
+    assert search.cost[-1] == pytest.approx(sum(cost[row] for cost in frame.problem.cost.values()), rel=1e-6)
+    assert search.evaluations[-1] == frame.of_frames("function_evaluations")[row]
+    assert (np.diff(search.evaluations) > 0).all()
+    assert search.damping.max() > 1e-5
+    np.testing.assert_allclose(np.linalg.norm(search.jacobian, axis=0), frame.problem.column_norm[row], rtol=1e-3)
+    free, held = (
+        np.ptp(s.chain_states[:, s.chain.euler_slice], axis=0) for s in (frame.motion.solution, frame.otherwise)
+    )
+    assert held.max() < 1e-12 < 0.05 < free.max()
+
+
+def test_the_frame_that_is_looked_into_has_a_pose(frame_results, whole_results):
+    motion = Motion.load(frame_results)
+    assert read_solver(motion, frame_results, int(motion.frames[4])).search.frame == 4
+    with pytest.raises(InputError, match="expected one with a pose, from 0 to 29"):
+        read_solver(motion, frame_results, 99)
+    with pytest.raises(InputError, match="all frames were solved at once"):
+        read_solver(Motion.load(whole_results), whole_results, 3)
+
+
+def test_figures_of_the_frame_method(frame):
+    bars = solver_plots.solver_evaluations(frame).axes[0].containers
+    assert sum(bar.get_height() for one in bars for bar in one) == frame.of_frames("function_evaluations").sum()
+    above, below = solver_plots.solver_frame(frame).axes
+    np.testing.assert_array_equal(above.lines[0].get_ydata(), frame.search.cost)
+    assert below.lines[0].get_ydata().max() == frame.search.damping.max()
+    jacobian, *_ = solver_plots.solver_matrices(frame).axes
+    assert jacobian.images[0].get_array().shape == frame.search.jacobian.shape
+    *_, errors = solver_plots.solver_rotation(frame).axes
+    shown = np.nanmean(errors.lines[0].get_ydata())
+    assert shown == pytest.approx(
+        np.nanmean([np.nanmean(column) for e in frame.image_error_px.values() for column in e.T])
+    )
 
 
 def test_figures_are_written(chain, small_pictures, tmp_path):

@@ -19,7 +19,7 @@ from scipy.linalg import eigh
 from scipy.optimize import OptimizeResult, least_squares
 
 from recon.animal.chain import MIN_JOINTS, MIN_REACH_PX, Chain, Posed
-from recon.base.arrays import Array, median
+from recon.base.arrays import Array, Index, median
 from recon.check import Finding, finding
 from recon.clip import View
 from recon.fit.motion import MEASURED_SHARE
@@ -270,6 +270,46 @@ def frame_rows(
         yield frame, {term.name: part for term, part in zip(terms, parts, strict=True)}
 
 
+@dataclass(frozen=True, eq=False)
+class FrameSearch:
+    """The way of one frame from the start that won to its minimum, K accepted points, the approach with a wide loss
+    included."""
+
+    frame: int
+    cost: Array
+    """(K,): half the squared residuals, of the last loss."""
+    damping: Array
+    """(K - 1,): lambda of the step from each point, (J'J + lambda S) step = -J'r, S with the largest squared norms that
+    columns of J have had: MINPACK's, found from the step that it took."""
+    evaluations: Index
+    """(K,): of the residuals, when the point was accepted."""
+    jacobian: Array
+    """(M, D), at the minimum."""
+
+
+def frame_search(view: View, chain: Chain, fps: float, options: FrameOptions, states: Array, frame: int) -> FrameSearch:
+    """How a frame was solved, by solving it again. As given to `solve_frames`, and what that found: states (T, D)."""
+    view = view.credible()
+    solver, travel = _solver(view, chain, fps, options)
+    before = np.flatnonzero(np.isfinite(states[:frame, 0]))[-2:].tolist()
+    rays, _ = view.camera.rays(view.xy_px[frame])
+    best, fixed, _ = solver.search(frame, rays, travel.heading[frame], states, before, fps)
+
+    def at(x: Array, sigma_px: float) -> tuple[Array, Array]:
+        terms = solver.terms(replace(fixed, sigma_px=sigma_px))
+        return evaluate(terms, solver.chain, frame, x, fixed.previous, fixed.dt_s)
+
+    damping, scale, sigma_px = [], np.zeros(chain.n_state), 0.0
+    for x, step, own_px in zip(best.points, np.diff(best.points, axis=0), best.sigma_px, strict=False):
+        r, J = at(x, own_px)
+        scale = np.maximum(scale if own_px == sigma_px else 0.0, np.sum(J**2, axis=0))
+        scaled, sigma_px = np.where(scale > 0, scale, 1.0) * step, own_px
+        damping.append(max(float(-(scaled @ J.T @ (r + J @ step)) / max(float(scaled @ scaled), 1e-300)), 0.0))
+    cost = [0.5 * float(np.sum(at(x, fixed.sigma_px)[0] ** 2)) for x in best.points]
+    jacobian = at(best.points[-1], fixed.sigma_px)[1]
+    return FrameSearch(frame, np.array(cost), np.array(damping), best.evaluations_at, jacobian)
+
+
 def _solver(view: View, chain: Chain, fps: float, options: FrameOptions) -> tuple[_FrameSolver, Travel]:
     """Of what a still camera saw, as far as it is credible."""
     nominal, sigma = base_length(chain, options)
@@ -445,6 +485,12 @@ class _Candidate:
     step_norm: float
     function_evaluations: int
     jacobian_evaluations: int
+    points: Array
+    """(K, D): those that were accepted, from the start on."""
+    evaluations_at: Index
+    """(K,): of the residuals, by then."""
+    sigma_px: Array
+    """(K,): of the loss that the step from there had, the last ones' the detections' own."""
 
 
 @dataclass(frozen=True)
@@ -473,6 +519,13 @@ class _FrameSolver:
     ) -> tuple[Array, Array, FrameReport]:
         """State (D,), its covariance (D, D) given the frame before, and what was done."""
         began = time.perf_counter()
+        best, fixed, starts = self.search(frame, rays, heading, states, before, fps)
+        return best.x, *self._report(fixed, best, starts, began)
+
+    def search(
+        self, frame: int, rays: Array, heading: Array, states: Array, before: Sequence[int], fps: float
+    ) -> tuple[_Candidate, _Given, int]:
+        """The best of the minima, what was held, and from how many starts."""
         self.evaluations_left = max(self.evaluations_left + self.options.max_evaluations, 1)
         self.stopped = False
         starts = [self._carried_on(frame, states, before)] if before else self._first_starts(rays, heading)
@@ -482,7 +535,7 @@ class _FrameSolver:
         if before and not self._explained(fixed, best):
             tried += self._tried(self._more_starts(rays, heading, states[before[-1]]), fixed)
             best = self._best(fixed, tried)
-        return best.x, *self._report(fixed, best, len(tried), began)
+        return best, fixed, len(tried)
 
     def given(self, frame: int, states: Array, before: int | None, fps: float, sigma_px: float) -> _Given:
         """before: the last solved frame, None at the start."""
@@ -547,6 +600,11 @@ class _FrameSolver:
                 best,
                 function_evaluations=near.function_evaluations + best.function_evaluations,
                 jacobian_evaluations=near.jacobian_evaluations + best.jacobian_evaluations,
+                points=np.concatenate([near.points[:-1], best.points]),
+                evaluations_at=np.concatenate(
+                    [near.evaluations_at[:-1], near.evaluations_at[-1] + best.evaluations_at]
+                ),
+                sigma_px=np.concatenate([near.sigma_px[:-1], best.sigma_px]),
             )
         return self._minimise(start, fixed, self.options.tolerance)
 
@@ -558,8 +616,11 @@ class _FrameSolver:
         x = start.copy()
         last: dict[str, Array] = {}
         steps: list[Array] = []
+        counts, evaluations = [], 0
 
         def residual(y: Array) -> Array:
+            nonlocal evaluations
+            evaluations += 1
             x[free] = y
             last["y"] = y.copy()
             last["r"], last["J"] = evaluate(terms, self.chain, fixed.frame, x, fixed.previous, fixed.dt_s)
@@ -568,6 +629,7 @@ class _FrameSolver:
         def jacobian(y: Array) -> Array:
             # MINPACK asks for the Jacobian at accepted points only: their differences are the steps taken.
             steps.append(y.copy())
+            counts.append(evaluations)
             if not np.array_equal(last["y"], y):
                 residual(y)
             return last["J"][:, free]
@@ -587,9 +649,17 @@ class _FrameSolver:
         self.evaluations_left -= int(result.nfev)
         self.stopped |= self.evaluations_left <= 0 and result.status not in CONVERGED
         x[free] = result.x
-        moves = np.linalg.norm(np.diff([*steps, result.x], axis=0), axis=1)
+        if not np.array_equal(steps[-1], result.x):
+            steps.append(result.x)
+            counts.append(evaluations)
+        points = np.tile(start, (len(steps), 1))
+        points[:, free] = steps
+        moves = np.linalg.norm(np.diff(points, axis=0), axis=1)
         step_norm = float(moves[moves > 0][-1]) if np.any(moves > 0) else 0.0
-        return _Candidate(x.copy(), float(result.cost), result, step_norm, int(result.nfev), int(result.njev or 0))
+        return _Candidate(
+            *(x.copy(), float(result.cost), result, step_norm, int(result.nfev), int(result.njev or 0)),
+            *(points, np.array(counts), np.full(len(points), fixed.sigma_px)),
+        )
 
     def _noise_px(self, start: Array) -> float:
         """Standard deviation of a detection: the detector's noise and, at a start's distance, the keypoints'."""

@@ -6,6 +6,7 @@ Columns of the tables: docs/solver.md.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -19,7 +20,7 @@ from recon.base.errors import InputError, Problem
 from recon.base.files import require_free_folder, sole_writer, staged_folder
 from recon.base.manifest import read_manifest
 from recon.base.progress import Progress, silent
-from recon.base.settings import Option, Settings
+from recon.base.settings import Integer, Option, Settings
 from recon.clip import views_of
 from recon.fit.clip_problem import ClipProblem
 from recon.fit.motion import Motion
@@ -28,7 +29,17 @@ from recon.show import plots
 from recon.show.export.analysis_csv import Table
 from recon.show.plain import to_json
 from recon.thesis.clip import frame_options
-from recon.thesis.plots import image_errors, solver_root, solver_search, solver_unknowns
+from recon.thesis.frame import frame_search, solve_frames
+from recon.thesis.plots import (
+    image_errors,
+    solver_evaluations,
+    solver_frame,
+    solver_matrices,
+    solver_root,
+    solver_rotation,
+    solver_search,
+    solver_unknowns,
+)
 from recon.thesis.solver import SolverRecord, frame_solution, linearised_clip, linearised_frames, trajectory_solution
 from recon.workflows.analyse import PLAYBACK, PLOTS
 from recon.workflows.made_from import read_config
@@ -39,6 +50,7 @@ if TYPE_CHECKING:
     from recon.show.view.added import AddedSeries
 
 FOLDER, SUMMARY, JACOBIAN = "solver", "solver.json", "jacobian.npz"
+SEARCH = "solver_frame.csv"
 """By default the folder lies in the results' own."""
 FIGURES_BEGIN = 0.5
 """Of the progress."""
@@ -53,6 +65,9 @@ class SolverSettings(Settings):
 
     folder: Annotated[Path, Option("Folder of results, as in results/clip.", argument="DIR")]
     out: Annotated[Path | None, Option("Folder for tables and figures. (default: solver in DIR)")] = None
+    frame: Annotated[
+        Integer | None, Option("Of the frame method: whose search is shown. (default: the one with most evaluations)")
+    ] = None
     figures: Annotated[bool, Option("PNG and SVG beside the tables.")] = True
     overwrite: Annotated[bool, Option("Replace earlier tables.")] = False
 
@@ -67,10 +82,12 @@ def run_solver(settings: SolverSettings, progress: Progress = silent) -> tuple[S
     progress("reading", 0.0)
     motion = Motion.load(settings.folder)
     with sole_writer(out):
-        require_free_folder(out, (SUMMARY, PLOTS, *TABLES, JACOBIAN), settings.overwrite, "what the optimiser did")
+        require_free_folder(
+            out, (SUMMARY, PLOTS, *TABLES, SEARCH, JACOBIAN), settings.overwrite, "what the optimiser did"
+        )
         progress("problem", 0.1)
         with threadpool_limits(1, user_api="blas"):  # of small matrices, threads cost more than they bring
-            record = read_solver(motion, settings.folder)
+            record = read_solver(motion, settings.folder, settings.frame)
             summary = record.summary()
         progress("tables", FIGURES_BEGIN - 0.1)
         with staged_folder(out) as staging:
@@ -89,9 +106,10 @@ def run_solver(settings: SolverSettings, progress: Progress = silent) -> tuple[S
     return record, out, sorted(files)
 
 
-def read_solver(motion: Motion, folder: Path) -> SolverRecord:
-    """folder: of the results that the motion was loaded from, for the fit's settings. Raises InputError where these, or
-    the prior, are no longer there, or are others."""
+def read_solver(motion: Motion, folder: Path, frame: int | None = None) -> SolverRecord:
+    """folder: of the results that the motion was loaded from, for the fit's settings. frame: whose search is looked
+    into, of the frame method; by default that with most evaluations. Raises InputError where settings or the prior are
+    no longer there, or are others, and for a frame without a pose."""
     read_manifest(folder).require(CONFIG)
     config = folder / CONFIG
     settings = read_config(config, {})
@@ -112,7 +130,29 @@ def read_solver(motion: Motion, folder: Path) -> SolverRecord:
     cost = sum(float(np.nansum(of_term)) for of_term in problem.cost.values())
     if problem.solved.all() and max(cost, told) > _ALIKE * max(min(cost, told), 1.0):
         raise InputError(Problem(config, "settings", f"a cost of {cost:.4g}, where the fit had {told:.4g}", EXPECTED))
-    return SolverRecord(motion, problem, motion.chain)
+    if not motion.jitters:
+        if frame is not None:
+            raise InputError(Problem("--frame", "frame", str(frame), "none: all frames were solved at once"))
+        return SolverRecord(motion, problem, motion.chain)
+    solution, options = frame_solution(motion), frame_options(settings)
+    given = solution.views[0], solution.chain, motion.fps
+    search = frame_search(*given, options, solution.chain_states, _looked_into(motion, frame))
+    other = "free" if options.camera_rotation == "fixed" else "fixed"
+    otherwise = solve_frames(*given, replace(options, camera_rotation=other))
+    return SolverRecord(motion, problem, motion.chain, search, otherwise)
+
+
+def _looked_into(motion: Motion, frame: int | None) -> int:
+    """Its row."""
+    if frame is None:
+        spent = [-1 if one is None or not solved else one.function_evaluations
+                 for one, solved in zip(frame_solution(motion).reports, motion.solved, strict=True)]  # fmt: skip
+        return int(np.argmax(spent))
+    rows = np.flatnonzero((motion.frames == frame) & motion.solved)
+    if not len(rows):
+        posed = motion.frames[motion.solved]
+        raise InputError(Problem("--frame", "frame", str(frame), f"one with a pose, from {posed[0]} to {posed[-1]}"))
+    return int(rows[0])
 
 
 # -- tables -------------------------------------------------------------------------------------------------------
@@ -123,7 +163,8 @@ def _frames(record: SolverRecord) -> Table:
     motion, jitters = record.motion, record.motion.jitters
     columns = {"time_s": motion.time_s}
     if jitters:
-        columns |= {name: record.of_frames(name) for name in ("iterations", "function_evaluations", "starts")}
+        counts = ("iterations", "function_evaluations", "starts", "optimizer_status")
+        columns |= {name: record.of_frames(name) for name in counts}
     columns |= {"optimality": record.optimality, "last_step" if jitters else "next_step": record.step_norm}
     columns |= {f"cost_{term.replace(' ', '_')}": cost for term, cost in record.problem.cost.items()}
     columns |= {f"{limit}_passed": count for limit, count in record.active.items()}
@@ -154,6 +195,15 @@ def _image_errors(record: SolverRecord) -> Table:
     return ["camera", "frame", *(f"{name}_px" for name in pose.names)], rows
 
 
+def _search(record: SolverRecord) -> Table:
+    """From point to point of one frame's search."""
+    search = record.search
+    assert search is not None
+    frame, damping = int(record.motion.frames[search.frame]), [*search.damping.tolist(), None]
+    rows = zip(search.evaluations.tolist(), search.cost.tolist(), damping, strict=True)
+    return ["frame", "point", "evaluations", "cost", "damping"], ((frame, k, *row) for k, row in enumerate(rows))
+
+
 TABLES: dict[str, Callable[[SolverRecord], Table]] = {
     "solver_frames.csv": _frames,
     "solver_unknowns.csv": _unknowns,
@@ -164,7 +214,8 @@ TABLES: dict[str, Callable[[SolverRecord], Table]] = {
 
 def write_tables(record: SolverRecord, folder: Path) -> None:
     """Every table and the Jacobian, into a folder that exists."""
-    for name, table in TABLES.items():
+    tables = TABLES if record.search is None else TABLES | {SEARCH: _search}
+    for name, table in tables.items():
         columns, rows = table(record)
         write_rows(folder / name, [columns], rows)
     record.problem.write_jacobian(folder / JACOBIAN)
@@ -176,6 +227,8 @@ def write_tables(record: SolverRecord, folder: Path) -> None:
 def solver_figures(record: SolverRecord) -> dict[str, Callable[[], Figure]]:
     """By file name, what draws it."""
     draw = (solver_search, solver_root, solver_unknowns, image_errors)
+    if record.search is not None:
+        draw = (*draw, solver_evaluations, solver_frame, solver_matrices, solver_rotation)
     return {one.__name__: partial(one, record) for one in draw}
 
 

@@ -22,7 +22,8 @@ from recon.show.plots.style import (
     look,
     plain_logarithm,
 )
-from recon.thesis.solver import SolverRecord, frame_solution, trajectory_solution
+from recon.thesis.frame import FrameSearch
+from recon.thesis.solver import CAMERA_ANGLES, SolverRecord, frame_solution, named_unknowns, trajectory_solution
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -32,6 +33,16 @@ _LEAST = 1e-12
 """Of what is drawn on a logarithmic axis."""
 _DECADES = 1e-6
 """The least of a logarithmic axis, of its most: what is less hardly matters."""
+_UNDAMPED = 1e-8
+"""Below it a step is Gauss and Newton's."""
+EXIT_FLAGS = {
+    0: "evaluations used up",
+    1: "gradient small",
+    2: "cost settled",
+    3: "step small",
+    4: "cost and step settled",
+}
+"""Of scipy's `least_squares`."""
 NAMES = {"base_length_m": "base length (m)", "size": "size"}
 
 
@@ -145,6 +156,93 @@ def solver_unknowns(record: SolverRecord) -> Figure:
         panels[0].set_yticks(range(len(names)), names, fontsize=SMALL)
         panels[0].set_ylim(len(names) - 0.5, -0.5)
     return figure
+
+
+def solver_evaluations(record: SolverRecord) -> Figure:
+    """How often the residuals were evaluated in each frame, coloured by why MINPACK ended."""
+    flags, spent = record.of_frames("optimizer_status"), record.of_frames("function_evaluations")
+    ended, time_s = [int(flag) for flag in np.unique(flags[np.isfinite(flags)])], record.motion.time_s
+    with drawing(52, title=_outcome(record)) as figure:
+        axes = figure.subplots()
+        bars = [
+            axes.bar(time_s[flags == flag], spent[flags == flag], 0.7 / record.motion.fps, color=look(i)["color"])
+            for i, flag in enumerate(ended)
+        ]
+        axes.set_ylabel("evaluations")
+        axes.set_xlabel("time (s)")
+        add_legend(figure, bars, [f"{flag}: {EXIT_FLAGS.get(flag, 'ended otherwise')}" for flag in ended])
+    return figure
+
+
+def solver_frame(record: SolverRecord) -> Figure:
+    """Within the frame that is looked into: objective and damping from one accepted point to the next."""
+    search, frame = _looked_into(record)
+    title = f"frame {frame}: {len(search.damping)} steps, {search.evaluations[-1]} evaluations"
+    with drawing(80, title=title) as figure:
+        above, below = figure.subplots(2, 1, sharex=True)
+        above.plot(np.arange(len(search.cost)), search.cost, **dots(len(search.cost), 3.0), **look(0))
+        above.set_ylabel("objective (½σ²)")
+        damping = np.maximum(search.damping, _UNDAMPED)
+        below.plot(np.arange(len(damping)), damping, **dots(len(damping), 3.0), **look(1))
+        below.set_ylabel(f"damping λ ({_UNDAMPED:g}: none)")
+        below.set_xlabel("accepted point")
+        for axes in (above, below):
+            axes.set_yscale("log")
+            plain_logarithm(axes.yaxis)
+            axes.xaxis.get_major_locator().set_params(integer=True)
+        figure.align_ylabels()
+    return figure
+
+
+def solver_matrices(record: SolverRecord) -> Figure:
+    """Of the frame that is looked into: the Jacobian at its minimum, residuals x unknowns, and J'J; white is zero."""
+    from matplotlib.colors import LogNorm
+
+    (search, frame), names = _looked_into(record), record.problem.unknowns
+    with drawing(110, title=f"frame {frame}, at the minimum") as figure:
+        panels = figure.subplots(1, 2)
+        J = search.jacobian
+        for axes, (matrix, label) in zip(panels, ((J, "|J|"), (J.T @ J, "|J'J|")), strict=True):
+            size = np.where(matrix == 0, np.nan, np.abs(matrix))
+            most = float(np.nanmax(size, initial=1.0))
+            image = axes.imshow(size, aspect="auto", norm=LogNorm(_DECADES * most, most), interpolation="none")
+            axes.set_xticks(range(len(names)), names, rotation=90, fontsize=SMALL)
+            axes.tick_params(length=0)
+            bar = figure.colorbar(image, ax=axes, label=label, extend="min", aspect=40, pad=0.02)
+            plain_logarithm(bar.ax.yaxis)
+        panels[0].set_ylabel("residual")
+        panels[1].set_yticks(range(len(names)), names, fontsize=SMALL)
+    return figure
+
+
+def solver_rotation(record: SolverRecord) -> Figure:
+    """The camera's rotation held still beside free: its angles, and the mean error in the picture, over time."""
+    assert record.otherwise is not None
+    solutions = frame_solution(record.motion), record.otherwise
+    (view,) = record.otherwise.views
+    labels = (*(f"{name} (°)" for name in CAMERA_ANGLES), "error (px)")
+    names = []
+    with drawing(24 * len(labels) + 20) as figure:
+        rows = figure.subplots(len(labels), 1, sharex=True)
+        for i, (solution, which) in enumerate(zip(solutions, ("as fitted", "otherwise"), strict=True)):
+            off_px = np.linalg.norm(view.xy_px - view.project(solution.joints_m)[0], axis=2)
+            angles = [np.degrees(angle) for angle in named_unknowns(solution, *CAMERA_ANGLES).values()]
+            still = max(float(np.nanmax(angle) - np.nanmin(angle)) for angle in angles) < _LEAST
+            names.append(f"{which}: {'held still' if still else 'free'}")
+            curves = (*angles, np.array([mean(of_frame) for of_frame in off_px]))
+            for axes, label, values in zip(rows, labels, curves, strict=True):
+                axes.plot(record.motion.time_s, values, **dots(len(values), 2.2), **look(i))
+                axes.set_ylabel(label)
+        rows[-1].set_xlabel("time (s)")
+        figure.align_ylabels()
+        add_legend(figure, rows[0].lines, names)
+    return figure
+
+
+def _looked_into(record: SolverRecord) -> tuple[FrameSearch, int]:
+    """And its frame's number."""
+    assert record.search is not None
+    return record.search, int(record.motion.frames[record.search.frame])
 
 
 def _logarithmic(axes: Axes, time_s: Array, curves: Sequence[Array]) -> None:

@@ -25,8 +25,9 @@ from recon.fit.least_squares import LeastSquares
 from recon.fit.motion import Motion
 from recon.fit.terms import SIDESLIP, SIZE, time_offset
 from recon.geometry.kinematics import ROOT, YAW
-from recon.thesis.frame import FrameOptions, FrameSolution, beyond_range_rad, beyond_rate_rad_s, frame_rows
+from recon.thesis.frame import FrameOptions, FrameSearch, FrameSolution, beyond_range_rad, beyond_rate_rad_s, frame_rows
 
+CAMERA_ANGLES = ("xi", "psi", "zeta")
 _LEAST_DAMPING = 1e-4
 """Of the step that is left: as of the solver's last ones."""
 
@@ -205,11 +206,15 @@ def _rows(problem: LeastSquares, states: Array, shared: Mapping[str, Array]) -> 
 
 @dataclass(frozen=True, eq=False)
 class SolverRecord:
-    """What `recon solver` shows, of T frames. problem: at the solution. chain: of a result of a chain."""
+    """What `recon solver` shows, of T frames. problem: at the solution. chain: of a result of a chain. Of the frame
+    method: search, of the frame that is looked into, and otherwise, the clip with the camera's rotation held still, or
+    free where the fit held it."""
 
     motion: Motion
     problem: _Linearised
     chain: Chain | None
+    search: FrameSearch | None = None
+    otherwise: FrameSolution | None = None
 
     @cached_property
     def optimality(self) -> Array:
@@ -236,7 +241,7 @@ class SolverRecord:
         """The root's angles by name, (T,)."""
         motion = self.motion
         if motion.jitters:
-            return self._named("xi", "psi", "zeta")
+            return named_unknowns(frame_solution(motion), *CAMERA_ANGLES)
         turned = motion.states[:, YAW : YAW + 3].copy()
         known = np.isfinite(turned[:, 0])
         if known.any():
@@ -248,7 +253,7 @@ class SolverRecord:
     def length(self) -> dict[str, Array]:
         """The base length, metres, or the size of all frames, by name (T,)."""
         if self.motion.jitters:
-            return self._named("base_length_m")
+            return named_unknowns(frame_solution(self.motion), "base_length_m")
         return {"size": np.where(np.isfinite(self.motion.states[:, 0]), self.motion.size, np.nan)}
 
     @cached_property
@@ -265,10 +270,6 @@ class SolverRecord:
     def active(self) -> dict[str, Array]:
         """By name of `limits` (T,): how many are passed."""
         return {name: (beyond > 0).sum(axis=1) for name, beyond in self.limits.items()}
-
-    def _named(self, *names: str) -> dict[str, Array]:
-        at = [frame_solution(self.motion).chain.state_names.index(name) for name in names]
-        return dict(zip(names, _unknowns(self.motion)[:, at].T, strict=True))
 
     def summary(self) -> dict[str, object]:
         """For solver.json."""
@@ -291,6 +292,12 @@ class SolverRecord:
 def frame_solution(motion: Motion) -> FrameSolution:
     assert isinstance(motion.solution, FrameSolution)
     return motion.solution
+
+
+def named_unknowns(solution: FrameSolution, *names: str) -> dict[str, Array]:
+    """(T,) each, NaN without a pose."""
+    at = [solution.chain.state_names.index(name) for name in names]
+    return dict(zip(names, solution.chain_states[:, at].T, strict=True))
 
 
 def trajectory_solution(motion: Motion) -> TrajectorySolution:
