@@ -883,7 +883,7 @@ def test_view_shows_what_goes_with_the_recording(fitted, tmp_path, monkeypatch):
     plots.parent.mkdir()
     time_s = np.arange(30) / 90
     series = AddedSeries("x", "x", ["x"], [(0, 0, 0)], time_s[:, None], time_s=time_s, tab="x")
-    write_plots(plots, out / "motion.rrd", [series], [])
+    write_plots(plots, out / "motion.rrd", Motion.load(out), [series], [])
     seen = []
 
     def look(path):

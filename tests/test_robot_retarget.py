@@ -24,7 +24,6 @@ from recon.robotics.robot.retarget_clip import companion, repeated, run_retarget
 from recon.robotics.robot.robot_file import load_robot
 from recon.robotics.settings import RetargetSettings
 from recon.show.view.scene import LEFT, MIDDLE, RIGHT
-from recon.show.view.stored import Part
 
 # -- footholds ---------------------------------------------------------------------------------------------------------
 
@@ -283,8 +282,9 @@ def test_the_animal_beside_the_robot_has_the_colours_of_its_sides(whole, chain, 
     assert {drawn["near fore leg"], drawn["near hind leg"]} == {LEFT}
     assert {drawn["off fore leg"], drawn["off hind leg"]} == {RIGHT}
     assert {drawn["trunk"], drawn["head"]} == {MIDDLE}
-    shown = Part.read(tmp_path / "motion.rrd").layout.values
-    contents = {str(v["ViewContents:query"]) for v in shown.values() if "- world/" in str(v.get("ViewContents:query"))}
+    (layout,) = reader.blueprints()
+    shown = [row for chunk in reader.stream(store=layout) for row in chunk.to_record_batch().to_pylist()]
+    contents = {str(v["ViewContents:query"]) for v in shown if "- world/" in str(v.get("ViewContents:query"))}
     # Side by side, each in a view of its own.
     assert len(contents) == 2
     assert {"- world/animal/**" in c for c in contents} == {"- world/robot/**" in c for c in contents} == {True, False}

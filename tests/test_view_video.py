@@ -50,10 +50,10 @@ def rows(path: Path, kind: str) -> dict[str, list[dict[str, Any]]]:
     return found
 
 
-def test_every_frame_has_its_picture(playback, video, tmp_path):
+def test_every_frame_has_its_picture(playback, small_trajectory, video, tmp_path):
     """The video begins with frame 8, so that the playback has its pictures 2 to 9."""
     before = rows(playback, "recordings")
-    assert write_video(tmp_path / "video.rrd", playback, video, first_frame=8) == 90
+    assert write_video(tmp_path / "video.rrd", playback, small_trajectory, video, first_frame=8) == 90
     assert rows(playback, "recordings") == before
     assert rows(tmp_path / "video.rrd", "recordings").keys() == {"/picture/video", "/closeup/video"}
     assert put_together(tmp_path / "together.rrd", playback, None, tmp_path / "video.rrd") == []
@@ -70,13 +70,13 @@ def test_every_frame_has_its_picture(playback, video, tmp_path):
         assert float(image.mean()) == pytest.approx(10 * number, abs=3)
 
 
-def test_the_close_look_has_what_lies_around_the_animal(playback, tmp_path):
+def test_the_close_look_has_what_lies_around_the_animal(playback, small_trajectory, tmp_path):
     """Its middle is at (0, 0), as that of the points is; what lies beyond the picture is dark. The layout stays."""
     (wide, high), ramp = (1920, 1080), tmp_path / "ramp.avi"
     with video_writer(ramp, (wide, high), 30.0) as write_frame:
         for _ in FRAMES:
             write_frame(np.broadcast_to((np.arange(wide) // 8).astype(np.uint8)[None, :, None], (high, wide, 3)).copy())
-    write_video(tmp_path / "video.rrd", playback, ramp, first_frame=10)
+    write_video(tmp_path / "video.rrd", playback, small_trajectory, ramp, first_frame=10)
     of_playback, found = rows(playback, "recordings"), rows(tmp_path / "video.rrd", "recordings")
     fixed = [row["Transform3D:translation"] for row in found["/closeup/video"] if "Transform3D:translation" in row]
     assert len(fixed) == 1
@@ -96,12 +96,12 @@ def test_the_close_look_has_what_lies_around_the_animal(playback, tmp_path):
     assert rows(tmp_path / "video.rrd", "blueprints").keys() >= rows(playback, "blueprints").keys()
 
 
-def test_plots_and_video_together(playback, video, tmp_path):
+def test_plots_and_video_together(playback, small_trajectory, video, tmp_path):
     """Whichever was written first: the layout has the tabs of the one, and the pictures of the other."""
     time_s = np.arange(10, 18) / 30
     series = AddedSeries("x", "Speed", ["x"], [(0, 0, 0)], np.ones((8, 1)), time_s=time_s, tab="Kinematics")
-    write_video(tmp_path / "video.rrd", playback, video, first_frame=8)
-    write_plots(tmp_path / "plots.rrd", playback, [series], [])
+    write_video(tmp_path / "video.rrd", playback, small_trajectory, video, first_frame=8)
+    write_plots(tmp_path / "plots.rrd", playback, small_trajectory, [series], [])
     path = tmp_path / "together.rrd"
     assert put_together(path, playback, tmp_path / "plots.rrd", tmp_path / "video.rrd") == []
     data = rows(path, "recordings")
@@ -112,29 +112,31 @@ def test_plots_and_video_together(playback, video, tmp_path):
     assert {"Reconstruction", "Kinematics"} <= named
 
 
-def test_large_pictures_are_stored_at_a_lower_quality(playback, tmp_path):
+def test_large_pictures_are_stored_at_a_lower_quality(playback, small_trajectory, tmp_path):
     rng = np.random.default_rng(0)
     noisy = tmp_path / "noisy.avi"
     with video_writer(noisy, (1920, 1080), 30.0) as write_frame:
         for _ in FRAMES:
             write_frame(rng.integers(0, 255, (1080, 1920, 3)).astype(np.uint8))
-    quality = write_video(tmp_path / "video.rrd", playback, noisy, first_frame=10, max_bytes=8_000_000)
+    quality = write_video(
+        tmp_path / "video.rrd", playback, small_trajectory, noisy, first_frame=10, max_bytes=8_000_000
+    )
     assert quality < 90
     assert (tmp_path / "video.rrd").stat().st_size < 8_800_000
     with pytest.raises(InputError, match=r"8 frames that take [\d.]+ MB as JPEG, expected at most 1 MB"):
-        write_video(tmp_path / "more.rrd", playback, noisy, first_frame=10, max_bytes=1_000_000)
+        write_video(tmp_path / "more.rrd", playback, small_trajectory, noisy, first_frame=10, max_bytes=1_000_000)
 
 
-def test_what_does_not_fit_leaves_the_playback_as_it_is(playback, video, tmp_path):
+def test_what_does_not_fit_leaves_the_playback_as_it_is(playback, small_trajectory, video, tmp_path):
     content = playback.read_bytes()
     small = tmp_path / "small.avi"
     with video_writer(small, (64, 48), 30.0) as write_frame:
         write_frame(np.zeros((48, 64, 3), np.uint8))
     with pytest.raises(InputError) as caught:
-        write_video(tmp_path / "video.rrd", playback, small, first_frame=11)
+        write_video(tmp_path / "video.rrd", playback, small_trajectory, small, first_frame=11)
     assert [problem.field for problem in caught.value.problems] == ["size", "number"]
     with pytest.raises(InputError, match="found 11 frames that can be decoded, expected 18 or more"):
-        write_video(tmp_path / "video.rrd", playback, video)
+        write_video(tmp_path / "video.rrd", playback, small_trajectory, video)
     assert playback.read_bytes() == content
     assert {path.name for path in tmp_path.iterdir()} == {"motion.rrd", "small.avi"}
 
@@ -145,11 +147,11 @@ def test_a_video_goes_into_the_picture_of_its_camera(two_cameras, video, tmp_pat
     write(two_cameras, playback)
     for camera in (None, "cam3"):
         with pytest.raises(InputError, match="expected one of cam1, cam2, whose video it is"):
-            write_video(path, playback, video, first_frame=8, camera=camera)
-    write_video(path, playback, video, first_frame=8, camera="cam2")
+            write_video(path, playback, two_cameras, video, first_frame=8, camera=camera)
+    write_video(path, playback, two_cameras, video, first_frame=8, camera="cam2")
     assert rows(path, "recordings").keys() == {"/picture/cam2/video", "/closeup/cam2/video"}
 
 
-def test_the_only_camera_needs_no_name(playback, video, tmp_path):
+def test_the_only_camera_needs_no_name(playback, small_trajectory, video, tmp_path):
     with pytest.raises(InputError, match="expected nothing: the playback has one camera"):
-        write_video(tmp_path / "video.rrd", playback, video, first_frame=8, camera="cam2")
+        write_video(tmp_path / "video.rrd", playback, small_trajectory, video, first_frame=8, camera="cam2")

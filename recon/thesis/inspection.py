@@ -236,7 +236,7 @@ def _write_plots(record: SolverRecord, playback: Path, path: Path) -> None:
     from recon.show.view.added import write_plots  # rerun is slow to import
 
     read_manifest(playback.parent).require(PLAYBACK)
-    write_plots(path, playback, [*playback_series(record)], [])
+    write_plots(path, playback, record.motion, [*playback_series(record)], [])
 
 
 def playback_series(record: SolverRecord) -> Iterator[AddedSeries]:

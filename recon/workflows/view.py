@@ -12,6 +12,7 @@ from recon.base.errors import InputError, Problem
 from recon.base.files import require_free_file, staged_file
 from recon.base.manifest import read_manifest
 from recon.base.settings import Option
+from recon.fit.motion import Motion
 from recon.show.view import open_viewer
 from recon.show.view.together import put_together
 from recon.show.view.video import write_video
@@ -60,7 +61,8 @@ def run_view(settings: ViewSettings, say: Callable[[str], None] = lambda note: N
         pictures = (place if settings.video is not None else settings.folder) / VIDEO
         if settings.video is not None:
             with staged_file(pictures) as staged:
-                write_video(staged, playback, settings.video, settings.first_frame, settings.camera_name)
+                motion = Motion.load(settings.folder)
+                write_video(staged, playback, motion, settings.video, settings.first_frame, settings.camera_name)
         present = [path if path.is_file() else None for path in (plots, pictures)]
         if any(present) or settings.out is not None:
             together = Path(temporary) / PLAYBACK if settings.out is None else settings.out

@@ -11,14 +11,14 @@ Entities of the recording; those without "(static)" have a row a frame, which is
   pixels show of their angles, in a view of their own.
 - `picture`: pixels of the distorted picture. `picture/frame` (static), its edge; `picture/detections`,
   `picture/outliers`, `picture/reprojections` with the skeleton's lines in it, `picture/links` between the two.
-- `picture/video`: a video's frames, of a file that `recon.show.view.video` writes.
+- `picture/video`, `closeup/video`: a video's frames, of a file that `recon.show.view.video` writes.
 - `closeup`: the same points, relative to the middle of the reprojected skeleton in each frame.
 - Of several cameras each has its own `world/camera/<name>`, `picture/<name>/...` and `closeup/<name>/...`, and there is
   `world/camera_names` (static, unless one moves).
 - `angles/...` in degrees: a chain's `theta` and `phi`, or the `left` and `right` of a whole animal, and the `middle`,
   in parts where they are many; `speed` of the reference point in m/s; `residuals` in px, of all
   cameras: the median of a frame, and the largest but for outliers.
-- `uncertainty` in m, and states over time: `doubtful`, the frames' flags, and by its name each foot, where it stands.
+- `uncertainty` in m, and states over time: by its name each flag of a frame, and each foot, where it stands.
 - `analysis/...`, more states, and `world/forces`, arrows under the feet, with the path `world/forces/centre_of_mass`:
   with samples between frames on `time`, of a file that `recon.show.view.added` writes.
 

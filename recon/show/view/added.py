@@ -17,15 +17,16 @@ import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
 from recon.base.errors import Problem, refuse
+from recon.fit.motion import Motion
 from recon.show.recording import recording
-from recon.show.view.layout import held_at, plot, state_rows
-from recon.show.view.scene import Array, Colour
+from recon.show.view.layout import blueprint, plot, state_rows
+from recon.show.view.scene import Array, Colour, Scene
 from recon.show.view.series import TimePlot, line_style, state_columns, state_entity, state_style
-from recon.show.view.stored import Playback
+from recon.show.view.stored import Part
 
 ROOT = "analysis"
-PRESENT = "Reconstruction"
-"""The tab of the plots that the playback has without additions."""
+SAME_TIME_S = 1e-6
+"""A time this close to a frame's is the frame's."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,12 +72,13 @@ class AddedArrows:
 def write_plots(
     path: Path,
     playback: Path,
+    motion: Motion,
     series: Sequence[AddedSeries],
     states: Sequence[AddedStates],
     start_frame: int | None = None,
     arrows: AddedArrows | None = None,
 ) -> None:
-    """Write plots that go with the playback of a clip, and the layout of both (`recon.show.view.together`).
+    """Write plots that go with the playback of a motion, and the layout of both (`recon.show.view.together`).
 
     start_frame: a frame number to hold, with the first of the new tabs in front, for pictures.
 
@@ -88,8 +90,8 @@ def write_plots(
     entities = [*(s.entity for s in series), *(state_entity(name) for s in states for name, *_ in s.rows)]
     if len({*entities}) < len(entities):
         raise ValueError(f"entities must differ: {', '.join(entities)}")
-    whole = replace(Playback.read(playback), data=())  # of a long clip a lot of memory
-    found = [whole.on_frames(p.time_s) for p in plots]
+    part_of = Part.read(playback).id
+    found = [_on_frames(motion, p.time_s) for p in plots]
     refuse(
         Problem(
             playback, "frames", f"none at the {len(p.time_s)} times of {p.title!r}", "the playback of the same clip"
@@ -98,9 +100,9 @@ def write_plots(
         if not len(rows)  # an empty chunk would make the viewer crash
     )
 
-    with recording(path, _layout(whole, plots, start_frame), part_of=whole.id) as stream:
+    with recording(path, _layout(motion, plots, start_frame), part_of=part_of) as stream:
         if arrows is not None:
-            _write_arrows(stream, arrows, *whole.on_frames(arrows.time_s))
+            _write_arrows(stream, arrows, *_on_frames(motion, arrows.time_s))
         for p, (rows, frames) in zip(plots, found, strict=True):
             # Two chunks, each on one timeline: the samples between frames have no place on the other.
             for entity, values, columns, style in _lines(p) if isinstance(p, AddedSeries) else _states(p):
@@ -143,7 +145,15 @@ def _states(states: AddedStates) -> Iterator[_Entity]:
         yield state_entity(name), texts, lambda values: state_columns(values.tolist()), state_style(colours)
 
 
-def _layout(playback: Playback, plots: Sequence[AddedSeries | AddedStates], start_frame: int | None) -> rrb.Blueprint:
+def _on_frames(motion: Motion, time_s: Array) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
+    """Which of the times (N,) are those of frames, and of which frames."""
+    of_frames = motion.time_s
+    nearest = np.searchsorted((of_frames[1:] + of_frames[:-1]) / 2, time_s)
+    rows = np.flatnonzero(np.abs(of_frames[nearest] - time_s) < SAME_TIME_S)
+    return rows, motion.frames[nearest[rows]]
+
+
+def _layout(motion: Motion, plots: Sequence[AddedSeries | AddedStates], start_frame: int | None) -> rrb.Blueprint:
     tabs = {
         tab: rrb.Horizontal(
             *(
@@ -155,7 +165,4 @@ def _layout(playback: Playback, plots: Sequence[AddedSeries | AddedStates], star
         )
         for tab in dict.fromkeys(p.tab for p in plots)
     }
-    if start_frame is None:
-        return playback.layout.with_tabs(PRESENT, list(tabs.values()), 0, None)
-    time = held_at(start_frame, len(playback.frames))
-    return playback.layout.with_tabs(PRESENT, list(tabs.values()), 1, time)
+    return blueprint(motion, Scene.of(motion), start_frame, list(tabs.values()))

@@ -19,7 +19,7 @@ def write_analysis(found: ClipAnalysis, path: Path, playback: Path) -> None:
     angles the pixels show; of a skeleton with masses the feet's vertical forces, as arrows too, and the centre of mass.
     Raises InputError as `write_plots`."""
     series, states = [*_kinematics(found), *_forces(found), *_links(found)], [*_stances(found), *_observability(found)]
-    write_plots(path, playback, series, states, arrows=_arrows(found))
+    write_plots(path, playback, found.motion, series, states, arrows=_arrows(found))
 
 
 def _kinematics(found: ClipAnalysis) -> Iterator[AddedSeries]:

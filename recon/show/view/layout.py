@@ -16,7 +16,10 @@ from recon.show.view.scene import BACKGROUND, BODY, CLOSEUP, GRID_SPACING_M, PIC
 from recon.show.view.series import TimePlot, angle_series, other_series, state_entities
 
 
-def blueprint(motion: Motion, scene: Scene, start_frame: int | None) -> rrb.Blueprint:
+def blueprint(
+    motion: Motion, scene: Scene, start_frame: int | None, added: Sequence[rrb.Container] = ()
+) -> rrb.Blueprint:
+    """added: tabs beside the plots, of which the first is in front where a frame is held."""
     upto_now = rrb.VisibleTimeRanges(
         [
             rr.VisibleTimeRange(t, start=rr.TimeRangeBoundary.infinite(), end=rr.TimeRangeBoundary.cursor_relative())
@@ -58,13 +61,17 @@ def blueprint(motion: Motion, scene: Scene, start_frame: int | None) -> rrb.Blue
     plots += [plot(series) for series in others]
     plots.append(state_rows(state_entities(motion), "Doubtful frames, feet that stand"))
     shares = [4, *([3] * len(others)), 4]
+    below: rrb.Container = rrb.Horizontal(*plots, column_shares=shares)
+    if added:
+        front = 0 if start_frame is None else 1
+        below = rrb.Tabs(rrb.Vertical(below, name=PRESENT), *added, active_tab=front)
     content = rrb.Vertical(
         rrb.Horizontal(
             rrb.Tabs(sticks, body, seen, active_tab=0),
             rrb.Vertical(_pictures(motion.pictures), overview, row_shares=[5, 4]),
             column_shares=[11, 9],
         ),
-        rrb.Horizontal(*plots, column_shares=shares),
+        below,
         row_shares=[5, 3],
     )
     fps = min(motion.fps, max(5.0, len(motion.frames) / 5))
@@ -95,6 +102,8 @@ def _pictures(pictures: Sequence[Picture]) -> rrb.Tabs:
     return rrb.Tabs(*grids, active_tab=0)
 
 
+PRESENT = "Reconstruction"
+"""The tab of the fit's own plots, where there are others."""
 _SEEN = "world/observability/**"
 _MARKS = "close up: + detected, ● reprojected, red: outlier"
 

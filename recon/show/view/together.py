@@ -8,7 +8,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from recon.show.recording import recording
-from recon.show.view.stored import Part, Playback
+from recon.show.view.stored import Part
 
 
 def put_together(path: Path, playback: Path, plots: Path | None, video: Path | None) -> list[Path]:
@@ -17,11 +17,11 @@ def put_together(path: Path, playback: Path, plots: Path | None, video: Path | N
     plots, video: as `recon.show.view.added` and `recon.show.view.video` wrote them. Raises InputError for a file of
     another kind.
     """
-    whole = Playback.read(playback)
+    whole = Part.read(playback)
     parts = {part: Part.read(part) for part in (plots, video) if part is not None}
     own = {part: content for part, content in parts.items() if content.id == whole.id}
     layout = own[plots].layout if plots in own else whole.layout
-    with recording(path, layout.as_stored(), part_of=whole.id) as stream:
+    with recording(path, layout, part_of=whole.id) as stream:
         for content in (whole, *own.values()):
             stream.send_chunks(content.data)
     return [part for part in parts if part not in own]
