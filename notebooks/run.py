@@ -4,7 +4,8 @@
 
 NAME: a notebook or its number, by default all. --out: where to write them, by default where they are. The kernel is the
 interpreter that runs this, on one thread and without the user's IPython settings, so that a second run of the same code
-gives the same file. A notebook whose cells fail or warn is not written.
+gives the same file. A notebook whose cells fail or warn is not written. Recordings ($RECON_SHARED_DATA) are found with
+--out only: nothing of them is saved in the project.
 """
 
 from __future__ import annotations
@@ -80,8 +81,9 @@ def kernel(connection_file: str, folder: str, environment: dict[str, str]) -> No
     IPKernelApp.launch_instance(["-f", connection_file, "--quiet"])
 
 
-def run(notebook: Path) -> nbformat.NotebookNode:
-    """A notebook with the outputs of this run. Raises CellExecutionError; ValueError where a cell warned."""
+def run(notebook: Path, recordings: str) -> nbformat.NotebookNode:
+    """A notebook with the outputs of this run. recordings: their folder, "" for none. Raises CellExecutionError;
+    ValueError where a cell warned."""
     node = nbformat.read(notebook, as_version=4)
     with tempfile.TemporaryDirectory() as settings:
         # Without folders to look into, the kernel named python3 is this interpreter. It is spoken to through files.
@@ -99,7 +101,8 @@ def run(notebook: Path) -> nbformat.NotebookNode:
             coalesce_streams=True,
             shutdown_kernel="immediate",
         )
-        client.execute(cleanup_kc=True, cwd=str(notebook.parent), env={**os.environ, "IPYTHONDIR": settings})
+        own = {"IPYTHONDIR": settings, "RECON_SHARED_DATA": recordings}
+        client.execute(cleanup_kc=True, cwd=str(notebook.parent), env={**os.environ, **own})
     node.metadata = nbformat.from_dict(METADATA)
     for number, cell in enumerate(node.cells):
         cell.id = f"cell-{number}"
@@ -119,10 +122,11 @@ def main() -> int:
     if len(chosen) < len(names) or not chosen:
         parser.error(f"the notebooks are {', '.join(path.stem for path in everything)}")
     out = given.out or HERE
+    recordings = "" if out.resolve() == HERE else os.environ.get("RECON_SHARED_DATA", "")
     out.mkdir(parents=True, exist_ok=True)
     for path in chosen:
         try:
-            node = run(path)
+            node = run(path, recordings)
         except (CellExecutionError, ValueError) as error:
             print(f"{path.name}: {error}", file=sys.stderr)
             return 1
