@@ -91,6 +91,10 @@ SENTENCES = {
     "at_range_limits": ("2 of 9 frames have angles beyond", {"count": 2, "frames_total": 9}),
     "pose_mostly_expected": ("30% of their precision is the pixels'", {"share": 0.3}),
     "scale_not_measured": ("assume an animal of the expected size", {}),
+    "up_from_feet": (
+        "to ±1.5 degrees: the first camera is 1.9 m above the ground that they stand on, which is z = 0",
+        {"height_m": 1.9, "sigma_rad": np.radians(1.5), "up": "0.000,-0.900,0.400"},
+    ),
     "camera_taken_level": ("taken to be level", {}),
     "track_gaps": ("track has no pose for 2 of 9 frames", {"count": 2, "frames_total": 9}),
     "reference_unlike": ("410 mm from the reference's, 61% of", {"left_mm": 410.2, "share": 0.61}),

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from recon.check.offsets import solved_in_step
     from recon.check.refined import cameras_made_worse
     from recon.check.rules import findings_of
+    from recon.check.upward import Upward, up_from_feet
     from recon.check.verdict import judged, usable, verdict_fields, verdict_lines
     from recon.fit.finding import Finding, Severity
 

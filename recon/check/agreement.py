@@ -344,6 +344,11 @@ def sights_of(views: Sequence[View], sigma_px: float, keypoint_sigma_m: float) -
     return [_with_keypoint_noise(sight, points, keypoint_sigma_m) for sight in sights]
 
 
+def points_m(views: Sequence[View], sigma_px: float, keypoint_sigma_m: float) -> Array:
+    """(T, J, 3): where the rays of several views meet, in their world, NaN where fewer than two do."""
+    return _points(sights_of(views, sigma_px, keypoint_sigma_m)).place_m
+
+
 def _with_keypoint_noise(sight: Sight, points: _Points, keypoint_sigma_m: float) -> Sight:
     """That of a place on the body, at the points' typical distance from the camera."""
     distance = np.linalg.norm(points.place_m - sight.centre_m[:, None], axis=-1)

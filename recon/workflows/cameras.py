@@ -66,11 +66,14 @@ def _turned_up(cameras: Cameras, up: str) -> Cameras:
         for camera, _ in cameras
         for why in (["no pose"] if not camera.has_extrinsics else ["a pose that says it"] if camera.world_z_up else [])
     )
-    R = _z_up_from(direction / np.linalg.norm(direction))
-    return tuple(
-        (replace(camera, rotation=np.asarray(camera.rotation) @ R.T, world_z_up=True), track)
-        for camera, track in cameras
-    )
+    return tuple((with_up(camera, direction / np.linalg.norm(direction)), track) for camera, track in cameras)
+
+
+def with_up(camera: Camera, up: Array, origin_m: Array | float = 0.0) -> Camera:
+    """With its pose in a world with z up, of one where the unit vector (3,) points up, and about a point (3,) of it."""
+    R_camera = np.asarray(camera.rotation)
+    translation_m = np.asarray(camera.translation_m) + R_camera @ np.broadcast_to(origin_m, 3)
+    return replace(camera, rotation=R_camera @ _z_up_from(up).T, translation_m=translation_m, world_z_up=True)
 
 
 def _z_up_from(up: Array) -> Array:

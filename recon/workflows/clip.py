@@ -34,7 +34,16 @@ from recon.clip.keypoints import CleaningReport, Keypoints, clean, leave_out, pa
 from recon.fit import TrajectorySolution, solve_trajectory
 from recon.fit.motion import Motion
 from recon.geometry.camera import Camera
-from recon.workflows.cameras import Cameras, ClipCamera, cameras_in, other_camera_in, other_cameras, read_clip_cameras
+from recon.geometry.frames import rigid
+from recon.workflows.cameras import (
+    Cameras,
+    ClipCamera,
+    cameras_in,
+    other_camera_in,
+    other_cameras,
+    read_clip_cameras,
+    with_up,
+)
 from recon.workflows.settings import METHODS, FitSettings
 
 RATES_HZ = (1.0, 10_000.0)
@@ -94,7 +103,7 @@ def fit_clip(settings: FitSettings, progress: Progress = silent) -> Motion:
     agreement: tuple[Finding, ...] = ()
     if len(sources) > 1:
         agreement = check.agreement_findings(motion, options.sigma_px, options.keypoint_noise_m(body))
-    found = (*unrefined, *outliers, *found, *agreement)
+    found = (*given.found, *unrefined, *outliers, *found, *agreement)
     if settings.seeks_cameras:
         placed = zip(sources, solution.extrinsic_correction, solution.focal, strict=True)
         sources = tuple(replace(s, camera=s.camera.corrected(by).with_focal_scale(longer)) for s, by, longer in placed)
@@ -131,6 +140,8 @@ class Prepared:
     fps: float
     side: Side | None
     side_reason: str
+    found: tuple[Finding, ...] = ()
+    """Of the cameras, before the fit."""
 
     @cached_property
     def sources(self) -> tuple[Source, ...]:
@@ -163,7 +174,26 @@ def prepare(settings: FitSettings, read_shared: Callable[[FitSettings], Shared] 
         side, reason = _side(body, cleaned[0].keypoints, settings)
     names = body.keypoint_names(side)
     sources = tuple(replace(source, keypoints=arrange(source.keypoints, names)) for source in cleaned)
-    return Prepared(seen, prior, sources, later_frames, fps, side, reason)
+    given = Prepared(seen, prior, sources, later_frames, fps, side, reason)
+    cameras = [source.camera for source in sources]
+    unsaid = all(camera.has_extrinsics and not camera.world_z_up and not camera.tilt_rad for camera in cameras)
+    return _turned_up(given, settings) if len(cameras) > 1 and unsaid and settings.up is None else given
+
+
+def _turned_up(given: Prepared, settings: FitSettings) -> Prepared:
+    """With z up and the ground at 0, where the feet say which way is up."""
+    views = [
+        replace(view, T_camera_world=rigid(np.asarray(view.camera.rotation), np.asarray(view.camera.translation_m)))
+        for view in views_of(given.sources)
+    ]
+    upward = check.up_from_feet(views, given.body, given.fps, settings.trajectory_options().sigma_px)
+    if upward is None:
+        return given
+    apart = tuple(replace(s, camera=with_up(s.camera, upward.up, upward.ground_m)) for s in given.apart)
+    height_m = float(upward.up @ (views[0].centre_m[0] - upward.ground_m))
+    up = ",".join(f"{x:.3f}" for x in upward.up)
+    said = check.finding("up_from_feet", up=up, height_m=height_m, sigma_rad=upward.sigma_rad)
+    return replace(given, apart=apart, found=(said,))
 
 
 def read_model_and_cameras(settings: FitSettings) -> Shared:

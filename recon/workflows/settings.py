@@ -198,7 +198,8 @@ class FitSettings(Settings):
         str | None,
         _RareOption(
             "Where the calibration's poses do not say it: which of their axes points up, as in z or -y, or a "
-            "direction, as in 0,-0.9,0.4. (default: what the file says; otherwise first-camera, which counts as level)"
+            "direction, as in 0,-0.9,0.4. (default: what the file says; then the ground that several cameras see feet "
+            "stand on; otherwise first-camera, which counts as level)"
         ),
     ] = None
     tilt_deg: Annotated[
