@@ -14,8 +14,8 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -118,6 +118,23 @@ def _with_subject(picture: np.ndarray, still: np.ndarray, covered: float, second
     return (mask * patch + (1 - mask) * picture).round().astype(np.uint8)
 
 
+def lens_rows(video: Path, cases: Sequence[str]) -> Iterator[tuple[object, ...]]:
+    """A camera file whose focal length is another: what the turns say of it."""
+    for name in cases:
+        if CASES[name].zoom != 1:
+            continue
+        one = film(video, CASES[name])
+        for by in LENSES:
+            camera = replace(one.camera, matrix=one.camera.matrix * [[by, 1, 1], [1, by, 1], [1, 1, 1]])
+            error, _, motion, _ = measured(replace(one, camera=camera), False)
+            found, sigma = motion.focal or (np.nan, np.nan)
+            yield (
+                *(video.stem, name, f"{by - 1:+.0%}", f"{len(error)} of {len(one.pictures)}"),
+                *(f"{np.exp(found) * by - 1:+.1%}", f"{sigma:.1%}"),
+                *(f"{error.max():.2f}", f"{np.degrees(motion.sigma_rad[int(error.argmax())]):.2f}"),
+            )
+
+
 def measured(one: Film, zoom: bool) -> tuple[np.ndarray, np.ndarray, TurningMotion, float]:
     """Errors of the turn in degrees (N,), relative ones of the zoom (N,), the motion, CPU seconds a frame."""
     tracker = Tracker(one.camera, solve_zoom=zoom)
@@ -167,6 +184,9 @@ def rows(video: Path, cases: Sequence[str]):
         )
 
 
+LENSES = (1.0, 1.05, 0.9, 1.3, 0.58)
+"""Focal lengths of camera files, in the camera's own; the last is 90 degrees for 60."""
+LENS_HEADER = ("video", "pan", "file", "frames", "found, off by", "sigma", "worst °", "sigma there °")
 HEADER = (
     "video", "pan", "frames", "median °", "worst °", "last °", "sigma °", "zoom, worst", "residual px", "keyframes",
     "CPU ms a frame",
@@ -181,7 +201,10 @@ def main() -> None:
     videos = sorted(arguments.folder.glob("*.mp4"))
     if not videos:
         parser.exit(message=f"no videos in {arguments.folder}: nothing measured\n")
-    print_table(HEADER, (row for video in videos for row in rows(video, arguments.case or list(CASES))))
+    cases = arguments.case or list(CASES)
+    print_table(HEADER, (row for video in videos for row in rows(video, cases)))
+    print("\nCamera files with another focal length:\n")
+    print_table(LENS_HEADER, (row for video in videos for row in lens_rows(video, cases)))
 
 
 if __name__ == "__main__":

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import re
+from dataclasses import replace
 from functools import cache
 
 import cv2
@@ -15,6 +17,7 @@ from recon.base.errors import InputError
 from recon.base.manifest import read_manifest
 from recon.calibrate.camera_motion import Orientation, Tracker, as_level, read_marks, tilted, up_by_marks
 from recon.calibrate.camera_motion.features import rays_of
+from recon.calibrate.camera_motion.track import CLEARLY
 from recon.fit.motion import Motion
 from recon.geometry.camera import Camera
 from recon.io import write_camera
@@ -103,6 +106,19 @@ def test_a_pan_is_found_and_the_return_shows_no_drift(camera):
     assert np.median(error) < 0.01
     assert error.max() < 0.03
     assert error[-1] < 0.02
+
+
+@pytest.mark.parametrize(("camera", "by"), [(PINHOLE, 1.0), (PINHOLE, 1.06), (PINHOLE, 0.8), (FISHEYE, 0.9)])
+def test_the_focal_length_is_found_beside_the_turn(camera, by):
+    """The camera file's, and others, in which the stated deviations of the turns have what that does to them."""
+    rotations = pan(24, 20.0)
+    told = replace(camera, matrix=camera.matrix * [[by, 1, 1], [1, by, 1], [1, 1, 1]])
+    motion = tracked((seen(R, camera, px_rad=camera.matrix[0, 0]) for R in rotations), told)
+    found, sigma = motion.focal
+    assert sigma < 0.05
+    assert abs(found + np.log(by)) < 3 * sigma
+    assert (abs(found) > CLEARLY * sigma) == (by != 1)
+    assert (errors_deg(motion, rotations) <= 0.02 + 2 * np.degrees(motion.sigma_rad)).all()
 
 
 @pytest.mark.parametrize("contrast", [1.0, 0.25])
@@ -342,6 +358,26 @@ def test_bad_input_is_one_clear_message(tmp_path):
     said = refusal(tmp_path, still, PINHOLE, "--keypoints", tmp_path / "points.csv")
     assert "1 of 1 frames that" in said
     assert "--first-frame" in said
+
+
+def test_another_lens_is_named_with_the_focal_length_that_the_turns_have(tmp_path):
+    """Off by a tenth or more it is refused, with less it is noted."""
+    film(tmp_path / "pan.avi", (seen(R) for R in pan(16, 16.0)))
+    (tmp_path / "off").mkdir()
+    for by, code in ((0.8, 2), (1.05, 0)):
+        other = replace(PINHOLE, matrix=PINHOLE.matrix * [[by, 1, 1], [1, by, 1], [1, 1, 1]])
+        write_camera(other, tmp_path / "other.toml")
+        out = tmp_path / "off" / "track.csv"
+        ended = run("camera-motion", tmp_path / "pan.avi", "--camera", tmp_path / "other.toml", "--out", out)
+        said = " ".join((ended.err if code else ended.out).split())
+        assert ended.code == code, said
+        length = re.search(r"turns as with a focal length of (\d+) px", said)
+        assert length is not None, said
+        assert abs(int(length[1]) - 300) < 6
+        assert f"the camera file has {300 * by:.0f} px" in said
+        assert out.exists() == (code == 0)
+    with out.with_name("track_report.json").open() as file:
+        assert json.load(file)["focal_px"]["file"] == pytest.approx(315)
 
 
 def test_zoom_that_is_not_asked_for_is_refused_and_so_is_a_carried_camera(tmp_path):

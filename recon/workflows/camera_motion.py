@@ -27,6 +27,7 @@ from recon.calibrate.camera_motion import (
 )
 from recon.calibrate.camera_motion.features import rays_of
 from recon.calibrate.camera_motion.panorama import ANIMAL, PATH, Canvas, draw_path, draw_view, panorama
+from recon.calibrate.camera_motion.track import CLEARLY
 from recon.clip.keypoints import Keypoints
 from recon.geometry.camera import Camera
 from recon.geometry.rotations import quaternions
@@ -39,6 +40,8 @@ from recon.workflows.settings import FIRST_FRAME, FitSettings
 MIN_LIKELIHOOD = 0.3
 """Keypoints that are less sure do not hide anything."""
 MAX_LOST = 0.5
+MAX_FOCAL_OFF = 0.1
+"""A focal length that is further off makes turns wrong by as much."""
 NOTES = (
     "the camera is taken to turn about its centre: its place is the world's origin in every frame",
     "a rolling shutter is not modelled: in a fast turn the rows of a picture were seen at different times",
@@ -125,7 +128,7 @@ def run_camera_motion(
             break
         progress("following the background", min(1.0, number / (info.stated_frames or number + 1)))
     motion = tracker.finish()
-    _require_turning(settings, motion)
+    _require_turning(settings, motion, lens)
     if animal is not None:
         _require_same_frames(settings, points, motion)
     up, level = _up(settings, motion, lens, marks)
@@ -166,7 +169,19 @@ def _require_tilt(tilt_deg: float | None, level_marks: Path | None) -> None:
         raise InputError(Problem("--tilt-deg", "angle", f"{tilt_deg:g}", "between -90 and 90 degrees, down positive"))
 
 
-def _require_turning(s: CameraMotionSettings, motion: TurningMotion) -> None:
+def _focal_note(motion: TurningMotion, lens: Camera) -> str | None:
+    """Where the turns close with another focal length than the camera file's."""
+    if motion.focal is None or abs(motion.focal[0]) <= CLEARLY * motion.focal[1]:
+        return None
+    px = _focal_px(motion.focal, lens)
+    wide = 2 * np.degrees(np.arctan(lens.image_size_px[0] / 2 / px["found"]))
+    return (
+        f"the background turns as with a focal length of {px['found']:.0f} px (standard deviation {px['sigma']:.1g}; "
+        f"{wide:.1f} degrees across the picture, without distortion), and the camera file has {px['file']:.0f} px"
+    )
+
+
+def _require_turning(s: CameraMotionSettings, motion: TurningMotion, lens: Camera) -> None:
     """Raises InputError for a cut, for too little background, and for a camera that did more than turn."""
     if motion.cut is not None:
         found = f"a cut, or a jump of the whole view, at frame {motion.cut + s.first_frame}"
@@ -175,10 +190,16 @@ def _require_turning(s: CameraMotionSettings, motion: TurningMotion) -> None:
         found = "a background that no turn explains: parts of it move against each other"
         if not s.zoom:
             found += ", or it grows"
+        if note := _focal_note(motion, lens):
+            found += f"; {note}"
         expected = "a camera that turns about a fixed point, and is calibrated"
         expected += "" if s.zoom else " (--zoom if its focal length changes)"
         expected += "; of one that is carried or driven, make the track with COLMAP, and give that to --camera-track"
         raise InputError(Problem(s.video, "motion", found, expected))
+    if motion.focal is not None and abs(motion.focal[0]) > MAX_FOCAL_OFF and (note := _focal_note(motion, lens)):
+        raise InputError(
+            Problem(s.camera, "focal length", note, "the lens that the video was filmed with, as it was set")
+        )
     number = len(motion.frames) + len(motion.lost)
     if not len(motion.frames) or len(motion.lost) > MAX_LOST * number:
         found = (
@@ -247,12 +268,13 @@ def _report(s: CameraMotionSettings, motion: TurningMotion, lens: Camera, level:
     if s.zoom:
         rounded |= {"zoom": np.array([turn.zoom for turn in motion.turns]), "sigma_zoom": motion.sigma_zoom}
     rounded["residual_px"] = motion.residual_px
-    missing = filter(None, [missing_note(s.video, len(motion.frames) + len(motion.lost))])
+    missing = filter(None, [missing_note(s.video, len(motion.frames) + len(motion.lost)), _focal_note(motion, lens)])
     return {
         "video": s.video.name,
         "camera": {"file": s.camera.name, "name": lens.name},
         "level": level,
         "notes": [*NOTES, *(["the first frame has the camera file's focal length"] if s.zoom else []), *missing],
+        "focal_px": None if motion.focal is None else _focal_px(motion.focal, lens),
         "frames": len(motion.frames) + len(motion.lost),
         "frames_without_background": (motion.lost + s.first_frame).tolist(),
         "keyframes": (motion.frames[motion.keys] + s.first_frame).tolist(),
@@ -265,6 +287,13 @@ def _report(s: CameraMotionSettings, motion: TurningMotion, lens: Camera, level:
             "inliers": motion.inliers.tolist(),
         },
     }
+
+
+def _focal_px(focal: tuple[float, float], lens: Camera) -> dict[str, float]:
+    """The camera file's, and what the turns say."""
+    own = float(lens.matrix[0, 0])
+    found = own * float(np.exp(focal[0]))
+    return {"file": own, "found": found, "sigma": found * focal[1]}
 
 
 def _pictures(camera: Camera, motion: TurningMotion, points: dict[int, Array]) -> tuple[Canvas, Image, Image]:

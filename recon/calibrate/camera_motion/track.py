@@ -8,6 +8,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from recon.base.arrays import Array, Bools, Integers
 from recon.calibrate.camera_motion.adjust import FLOOR_PX, FrameLink, adjust
@@ -23,6 +24,8 @@ from recon.calibrate.camera_motion.features import (
     rays_of,
     same_scene,
 )
+from recon.calibrate.camera_motion.focal import MIN_POINTS as MIN_PAIR_POINTS
+from recon.calibrate.camera_motion.focal import TurnedPair, focal_factor
 from recon.calibrate.camera_motion.rotation import (
     AgreedOrientation,
     Orientation,
@@ -48,6 +51,11 @@ LEARNING = 0.15
 SETTLED, COME_APART, MAX_APART = 0.75, 0.6, 0.25
 """A point that has mostly agreed is background; where fewer than so many of these agree, the background has come apart,
 and in more than so many frames it does so for a camera that has not only turned."""
+MAX_PAIRS, MIN_TRUST = 60, 0.4
+"""Of pictures that tell the focal length: those that are turned furthest apart, and how far their points have to have
+been background."""
+CLEARLY = 3.0
+"""Standard deviations from which on a focal length is another than the camera file's."""
 MIN_STILL, MAX_TORN = 0.4, 1
 """Of an old keyframe's background as much is still in its place, but for so many times."""
 THUMBNAIL_PX = 400
@@ -81,9 +89,10 @@ class _Keyframe:
 @dataclass(frozen=True, eq=False)
 class TurningMotion:
     """Of F frames of the video, N of which have a turn. frames: (N,) numbers from 0. inliers, residual_px, sigma_rad,
-    sigma_zoom: (N,). lost: numbers of the frames without enough background. keys: (K,) places among the N frames, and
-    their pictures. turned_only: whether the background has kept together. cut: the number of the frame where another
-    take begins."""
+    sigma_zoom: (N,). focal: what the turns say of the focal length, the log factor on the camera file's and its
+    standard deviation; where it differs clearly, sigma_rad has what that does to the turns in it. lost: numbers of the
+    frames without enough background. keys: (K,) places among the N frames, and their pictures. turned_only: whether the
+    background has kept together. cut: the number of the frame where another take begins."""
 
     frames: Integers
     turns: tuple[Orientation, ...]
@@ -91,6 +100,7 @@ class TurningMotion:
     residual_px: Array
     sigma_rad: Array
     sigma_zoom: Array
+    focal: tuple[float, float] | None
     lost: Integers
     keys: Integers
     pictures: tuple[Image, ...]
@@ -119,6 +129,7 @@ class Tracker:
     last: GreyPicture | None = None
     still: list[float] = field(default_factory=list)
     cut: int | None = None
+    pairs: list[TurnedPair] = field(default_factory=list)
 
     def add(self, number: int, picture: Image) -> bool:
         """Whether the frame could be placed; afterwards `cut` says whether it is another take."""
@@ -264,10 +275,23 @@ class Tracker:
         error = np.linalg.norm(agreement.residual_px[agree], axis=1)
         self.supports.append((int(agree.sum()), float(np.sqrt((error**2).mean()))))
         place = len(self.frames) - 1
+        self._keep_pair(agreement.turn, seen)
         for k, key in enumerate(seen.keys):
             own = (seen.of_key == k) & agree
             if own.sum() >= 8:
                 self.links.append(self._link(place, key, agreement, seen, own))
+
+    def _keep_pair(self, turn: Orientation, seen: _Seen) -> None:
+        """The points of the keyframe that the camera has turned furthest from, of the frames that have turned most."""
+        if self.solve_zoom:
+            return
+        for k, key in enumerate(seen.keys):
+            own = (seen.of_key == k) & (seen.trust > MIN_TRUST)
+            if own.sum() >= MIN_PAIR_POINTS:
+                between = turn.rotation @ key.turn.rotation.T
+                self.pairs.append(TurnedPair(key.number, key.points_px[seen.index[own]], seen.pixels[own], between))
+        if len(self.pairs) > 2 * MAX_PAIRS:
+            self.pairs = sorted(self.pairs, key=lambda pair: -pair.angle_rad)[:MAX_PAIRS]
 
     def _link(self, place: int, key: _Keyframe, agreement: AgreedOrientation, seen: _Seen, own: Bools) -> FrameLink:
         turn, J = agreement.turn, agreement.jacobian[own]
@@ -327,8 +351,15 @@ class Tracker:
             turns, sigma, sigma_zoom = adjust(turns, self.links, self.solve_zoom, FLOOR_PX / self.camera.matrix[0, 0])
         torn = sum(share < MIN_STILL for share in self.still)
         turned_only = self.apart <= MAX_APART * (len(frames) + len(lost)) and torn <= MAX_TORN
+        pairs = sorted(self.pairs, key=lambda pair: -pair.angle_rad)[:MAX_PAIRS]
+        focal = focal_factor(self.camera, pairs, self._limit_px)
+        if focal is not None and abs(focal[0]) > CLEARLY * focal[1]:
+            first = turns[0].rotation
+            angle = np.array([Rotation.from_matrix(turn.rotation @ first.T).magnitude() for turn in turns])
+            sigma = np.hypot(sigma, abs(focal[0]) * angle)
         return TurningMotion(
-            frames, tuple(turns), inliers, residual, sigma, sigma_zoom, lost, keys, pictures, turned_only, self.cut
+            *(frames, tuple(turns), inliers, residual, sigma, sigma_zoom, focal),
+            *(lost, keys, pictures, turned_only, self.cut),
         )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from recon.workflows.camera_motion import CameraMotionSettings, run_camera_motion
+from recon.workflows.camera_motion import NOTES, CameraMotionSettings, run_camera_motion
 from recon.workflows.cli.common import counted, progress_bar, say, terminal
 
 
@@ -24,5 +24,7 @@ def camera_motion(settings: CameraMotionSettings, as_json: bool) -> Any:
     if lost:
         say(console, f"{lost} frames have too little background: no pose there.")
     say(console, f"Off by {report['residual_px']:.2f} px, turned to {report['sigma_deg']:.3f} degrees.")
+    for note in report["notes"][len(NOTES) :]:
+        say(console, f"Note: {note}.")
     say(console, f"Level: {report['level']}. A rolling shutter is not modelled.")
     say(console, "Written: " + ", ".join(map(str, files)))
