@@ -10,11 +10,13 @@ from command_line import run
 from scipy.spatial.transform import Rotation
 
 from recon.base.errors import InputError
+from recon.fit.draws import draws
 from recon.fit.motion import Motion
 from recon.robotics.robot.reference import reference_of
 from recon.robotics.robot.retarget_clip import RetargetRun, solve
 from recon.robotics.robot.robot_file import load_robot
 from recon.robotics.robot.trainers import FORMATS, sampled, write_for_trainer
+from recon.workflows.made_from import problem_of
 
 LATERAL, THIGH, SHIN = 0.0838, 0.2, 0.2
 """Of the Unitree A1, metres."""
@@ -165,3 +167,38 @@ def test_the_command_writes_both_with_the_verdict(whole_results, tmp_path):
 def test_a_robot_for_which_a_layout_has_no_room(solved, tmp_path):
     with pytest.raises(InputError, match="two frames"):
         sampled(solved.motion.stride, 0.1)
+
+
+def test_draws_scatter_as_the_fit_states_and_last_from_frame_to_frame(whole_results):
+    motion = Motion.load(whole_results)
+    solution = motion.solution
+    found = np.stack([one.joints_m for one in draws(problem_of(motion, whole_results), solution, 2000)])
+    for points, stated in (
+        (found, solution.covariance_m2),
+        (found - found.mean(axis=2, keepdims=True), solution.relative_covariance_m2),
+    ):
+        ratio = points.std(axis=0) / np.sqrt(np.diagonal(stated, axis1=-2, axis2=-1))
+        assert abs(np.median(ratio) - 1) < 0.03
+        assert np.all(np.abs(np.quantile(ratio, [0.01, 0.99]) - 1) < 0.1)
+    apart = (found - found.mean(axis=0)).reshape(len(found), len(motion.frames), -1)
+    neighbours = (apart[:, 1:] * apart[:, :-1]).mean(axis=0) / (apart[:, 1:].std(axis=0) * apart[:, :-1].std(axis=0))
+    assert np.median(neighbours) > 0.9
+
+
+def test_the_command_draws_an_ensemble(whole_results, frame_results, tmp_path):
+    options = ("--robot", "a1", "--samples", "3", "--format", "mjlab")
+    ended = run("retarget", whole_results, *options, "--out", tmp_path / "a1")
+    assert ended.code == 0, ended.err
+    report = json.loads((tmp_path / "a1" / "report.json").read_text(encoding="utf-8"))
+    assert report["samples"]["count"] == 3
+    assert 0 < report["samples"]["base_sigma_m"]["x"] < 0.5
+    with np.load(tmp_path / "a1" / "samples.npz") as stacked:
+        assert stacked["joint_positions"].shape == (3, len(stacked["time_s"]), 12)
+        assert json.loads(str(stacked["source"]))["verdict"]["level"] in ("use", "check")
+    for number in (1, 2, 3):
+        with np.load(tmp_path / "a1" / f"sample_{number:02d}_mjlab.npz") as file:
+            assert json.loads(str(file["source"]))["sample"] == number
+    ended = run("retarget", frame_results, *options, "--anyway", "--out", tmp_path / "frames")
+    assert ended.code == 2
+    assert "expected a fit of all frames at once" in ended.err
+    assert not (tmp_path / "frames").exists()

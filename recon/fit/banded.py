@@ -30,6 +30,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import cho_solve_banded, cholesky_banded
+from scipy.linalg.lapack import dtbtrs
 
 from recon.base.arrays import Array, Index
 
@@ -124,6 +125,12 @@ class Factor:
             part = slice(first, first + _COLUMNS_AT_ONCE)
             found[:, part] = cho_solve_banded((self.band, True), flat[:, part], check_finite=False)
         return found.reshape(columns.shape)
+
+    def coloured(self, white: Array) -> Array:
+        """x (T, D) = L^-T z of z (T, D): of a white z one whose covariance is H's inverse."""
+        found, info = dtbtrs(self.band, white.ravel(), uplo="L", trans="T")
+        assert info == 0
+        return np.asarray(found, dtype=float).reshape(self.shape)
 
     def marginal_blocks(self) -> Array:
         """(T, W+1, D, D), the inverse's blocks: [t, k] is the covariance of frame t + k (rows) with frame t (columns),

@@ -60,43 +60,71 @@ class Posterior:
         return np.clip(1.0 - with_pixels / without, 0.0, 1.0)
 
 
-def posterior(problem: LeastSquares, body: Body, found: Estimate, variance_factor: float) -> Posterior:
-    """variance_factor: on all variances (errors of neighbouring frames are alike, which the cost does not know)."""
-    states, size = found.states, size_of(found.shared)
-    solved_for = [unknown.name for unknown in problem.shared]
+@dataclass(frozen=True, eq=False)
+class Curvature:
+    """Of a problem at its solution, T frames with D unknowns each: the factored normal equations, how the states move
+    with the P unknowns that all frames share besides the size (T, D, P), a root (P, P) of their covariance, the
+    precision (1 + P, 1 + P) of all that is shared, and how the states follow the size (T, D)."""
+
+    solved: Factor
+    H: BlockBanded
+    others: Array
+    root: Array
+    shared_precision: Array
+    state_by_size: Array
+    size_known: float
+    """The size's precision by the pixels, before the factor on variances; 0 where it is not among the unknowns."""
+
+    def draw(self, rng: np.random.Generator) -> Array:
+        """(T, D): a step from the solution, at the solution's size."""
+        return self.solved.coloured(rng.normal(size=self.solved.shape)) - self.others @ (
+            self.root @ rng.normal(size=len(self.root))
+        )
+
+
+def curvature(problem: LeastSquares, found: Estimate) -> Curvature:
+    """With the unknowns that are taken for what is expected of them (`LeastSquares.doubtful`) as free."""
     problem = replace(problem, shared=[*problem.shared, *problem.doubtful], doubtful=())
-    normal = problem.normal(states, problem.expected() | dict(found.shared))
+    normal = problem.normal(found.states, problem.expected() | dict(found.shared))
     solved = factored(normal.H)
     Y = solved.solve_many(normal.border)
     S = normal.corner - np.tensordot(normal.border, Y, ((0, 1), (0, 1)))
     first = int(SIZE in problem.columns)  # the size comes first
     others, of_others = Y[..., first:], np.linalg.inv(S[first:, first:])
-    follows, precision = np.zeros(states.shape), 0.0
+    follows, known = np.zeros(found.states.shape), 0.0
     if first:
         others_by_size = -of_others @ S[1:, 0]
         follows = -Y[..., 0] - others @ others_by_size
-        known = S[0, 0] + S[0, 1:] @ others_by_size - problem.shared[0].sigma[0] ** -2
-        precision = max(float(known), 0.0) / variance_factor
-    sigma = np.sqrt(variance_factor * np.diagonal(np.linalg.inv(S)))
-    root = np.linalg.cholesky(of_others)
+        known = float(S[0, 0] + S[0, 1:] @ others_by_size - problem.shared[0].sigma[0] ** -2)
+    return Curvature(
+        solved, normal.H, others, np.asarray(np.linalg.cholesky(of_others), dtype=float), S, follows, max(known, 0.0)
+    )
+
+
+def posterior(problem: LeastSquares, body: Body, found: Estimate, variance_factor: float) -> Posterior:
+    """variance_factor: on all variances (errors of neighbouring frames are alike, which the cost does not know)."""
+    states, size, known = found.states, size_of(found.shared), curvature(problem, found)
+    solved_for = [unknown.name for unknown in problem.shared]
+    problem = replace(problem, shared=[*problem.shared, *problem.doubtful], doubtful=())
+    sigma = np.sqrt(variance_factor * np.diagonal(np.linalg.inv(known.shared_precision)))
     held = np.zeros(states.shape)
     held[:, ROOT] = held[:, YAW, None] = _HELD
     priors = replace(problem, terms=[term for term in problem.terms if term.name != "reprojection"], shared=())
-    blocks = [solved.marginal_blocks()[:, 0].copy()]
+    blocks = [known.solved.marginal_blocks()[:, 0].copy()]
     for start in range(0, len(states), _FRAMES_AT_ONCE):
-        lasting = others[start : start + _FRAMES_AT_ONCE] @ root
+        lasting = known.others[start : start + _FRAMES_AT_ONCE] @ known.root
         blocks[0][start : start + _FRAMES_AT_ONCE] += lasting @ lasting.swapaxes(1, 2)
     without = priors.normal(states).H
-    blocks += [factored(H, held).marginal_blocks()[:, 0] for H in (normal.H, without)]
-    (absolute, relative), *shares, by_size = _of_joints(body, states, blocks, size, follows)
+    blocks += [factored(H, held).marginal_blocks()[:, 0] for H in (known.H, without)]
+    (absolute, relative), *shares, by_size = _of_joints(body, states, blocks, size, known.state_by_size)
     return Posterior(
         covariance_m2=variance_factor * absolute,
         relative_covariance_m2=variance_factor * relative,
         data_share=_data_share(*shares),
         angle_variance=variance_factor * _of_angles(blocks[0], without),
-        state_by_size=follows,
+        state_by_size=known.state_by_size,
         joint_by_size_m=by_size,
-        size_precision=precision,
+        size_precision=known.size_known / variance_factor,
         shared_sigma={name: sigma[problem.columns[name]] for name in solved_for},
     )
 

@@ -106,6 +106,9 @@ class IkSettings(Settings):
             yield Problem("settings", "alpha", "0", self.infos()["alpha"].expected())
 
 
+MOST_SAMPLES = 10_000
+
+
 class RetargetSettings(Settings):
     """What `recon retarget` is told."""
 
@@ -136,6 +139,13 @@ class RetargetSettings(Settings):
         Option("For programs that train policies, also: amp, isaaclab, mjlab or mjlab-csv, with velocities."),
     ] = None
     rate: Annotated[Positive, Option("Frames a second of --format.", "a number above 0")] = 50.0
+    samples: Annotated[
+        Annotated[Integer, Field(ge=2, le=MOST_SAMPLES)] | None,
+        Option(
+            "Beside it, so many motions as the animal's may have been, drawn from the fit's posterior, as in 32.",
+            f"a number from 2 to {MOST_SAMPLES}",
+        ),
+    ] = None
     anyway: Annotated[bool, ANYWAY] = False
     overwrite: Annotated[bool, _OVERWRITE] = False
 

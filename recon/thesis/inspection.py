@@ -14,15 +14,12 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from recon.animal.prior import load_prior
 from recon.base.arrays import Array
 from recon.base.errors import InputError, Problem
 from recon.base.files import require_free_folder, sole_writer, staged_folder
 from recon.base.manifest import read_manifest
 from recon.base.progress import Progress, silent
 from recon.base.settings import Integer, Option, Settings
-from recon.clip import views_of
-from recon.fit.clip_problem import ClipProblem
 from recon.fit.motion import Motion
 from recon.io.table import write_rows
 from recon.show import plots
@@ -42,7 +39,7 @@ from recon.thesis.plots import (
 )
 from recon.thesis.solver import SolverRecord, frame_solution, linearised_clip, linearised_frames, trajectory_solution
 from recon.workflows.analyse import PLAYBACK, PLOTS
-from recon.workflows.made_from import read_config
+from recon.workflows.made_from import AS_THEY_WERE, CONFIG, problem_of, read_config
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -54,8 +51,6 @@ SEARCH = "solver_frame.csv"
 """By default the folder lies in the results' own."""
 FIGURES_BEGIN = 0.5
 """Of the progress."""
-CONFIG = "config.toml"
-EXPECTED = "the prior and the settings of the fit, as they were: fit the clip again"
 _ALIKE = 2.0
 """Costs that differ by a larger factor are of another prior, or other settings."""
 
@@ -110,31 +105,28 @@ def read_solver(motion: Motion, folder: Path, frame: int | None = None) -> Solve
     """folder: of the results that the motion was loaded from, for the fit's settings. frame: whose search is looked
     into, of the frame method; by default that with most evaluations. Raises InputError where settings or the prior are
     no longer there, or are others, and for a frame without a pose."""
-    read_manifest(folder).require(CONFIG)
     config = folder / CONFIG
-    settings = read_config(config, {})
     if motion.jitters:
-        problem = linearised_frames(motion, frame_options(settings))
+        read_manifest(folder).require(CONFIG)
+        problem = linearised_frames(motion, frame_options(read_config(config, {})))
         posed = [one for one, solved in zip(frame_solution(motion).reports, motion.solved, strict=True) if solved]
         told = 0.5 * sum(one.squared_norm for one in posed if one is not None)
     else:
-        prior, views = load_prior(settings.prior, motion.body), views_of(motion.sources)
-        if prior.name != (fitted := trajectory_solution(motion).prior):
-            raise InputError(Problem(config, "prior", prior.name, f"{fitted}: {EXPECTED}"))
-        clip = ClipProblem.of(views, motion.body, prior, motion.fps, settings.trajectory_options())
-        problem = linearised_clip(clip, motion)
+        problem = linearised_clip(problem_of(motion, folder), motion)
         told = sum(trajectory_solution(motion).cost_by_term.values())
     if not problem.solved.any():
         expected = "one between two gaps, at least, with a pose in every frame"
         raise InputError(Problem(folder, "segments", "none with a pose throughout", expected))
     cost = sum(float(np.nansum(of_term)) for of_term in problem.cost.values())
     if problem.solved.all() and max(cost, told) > _ALIKE * max(min(cost, told), 1.0):
-        raise InputError(Problem(config, "settings", f"a cost of {cost:.4g}, where the fit had {told:.4g}", EXPECTED))
+        raise InputError(
+            Problem(config, "settings", f"a cost of {cost:.4g}, where the fit had {told:.4g}", AS_THEY_WERE)
+        )
     if not motion.jitters:
         if frame is not None:
             raise InputError(Problem("--frame", "frame", str(frame), "none: all frames were solved at once"))
         return SolverRecord(motion, problem, motion.chain)
-    solution, options = frame_solution(motion), frame_options(settings)
+    solution, options = frame_solution(motion), frame_options(read_config(config, {}))
     given = solution.views[0], solution.chain, motion.fps
     search = frame_search(*given, options, solution.chain_states, _looked_into(motion, frame))
     other = "free" if options.camera_rotation == "fixed" else "fixed"

@@ -16,15 +16,14 @@ from pathlib import Path
 import numpy as np
 
 from recon.animal.chain import Chain
-from recon.base.arrays import Array, Bools, Index, mean
+from recon.base.arrays import Array, Bools, Index
 from recon.base.files import write_bytes
 from recon.fit import TrajectorySolution
 from recon.fit.clip_problem import ClipProblem
-from recon.fit.contacts import contacts
+from recon.fit.draws import at_solution
 from recon.fit.least_squares import LeastSquares
 from recon.fit.motion import Motion
-from recon.fit.terms import SIDESLIP, SIZE, time_offset
-from recon.geometry.kinematics import ROOT, YAW
+from recon.geometry.kinematics import YAW
 from recon.thesis.frame import FrameOptions, FrameSearch, FrameSolution, beyond_range_rad, beyond_rate_rad_s, frame_rows
 
 CAMERA_ANGLES = ("xi", "psi", "zeta")
@@ -157,26 +156,13 @@ def linearised_frames(motion: Motion, options: FrameOptions) -> _Linearised:
 def linearised_clip(clip: ClipProblem, motion: Motion) -> _Linearised:
     """Of the trajectory method. The noise of the joints is the solution's, the mean of several segments; contacts
     follow from the solution. A segment with a frame that ran away is left out."""
-    o, solution = clip.options, trajectory_solution(motion)
-    told_px = np.array([[mean(of_joint) for of_joint in noise_px.T] for noise_px in solution.noise_px])
-    size = motion.size if clip.shows_size else 1.0
-    told = {time_offset(i): np.array([later]) for i, later in enumerate(solution.time_offset_frames)}
-    told |= {SIZE: np.array([size]), SIDESLIP: np.array([solution.sideslip_rad])}
-    states = motion.states.copy()
-    states[:, ROOT] = (states[:, ROOT] - clip.origin_m) / motion.size
+    states = motion.states
     segments, step = [], np.full(states.shape, np.nan)
-    for segment in motion.segments:
-        part, found = replace(clip.part(segment.rows), prior_weight=segment.prior_weight), states[segment.rows]
-        if not np.isfinite(found).all():
-            continue
-        points = part.markers(found)
-        noise_px = part.noise_px(points, np.ones_like(told_px), size)
-        noise_px *= (told_px / noise_px.mean(axis=1))[:, None]
-        stand = o.ground == "auto" and len(part.feet) > 0 and len(found) > 2
-        problem = part.problem(noise_px, 1.0, contacts(part, points, size)[2] if stand else (), points, size)
-        shared = {name: (problem.expected() | told)[name] for name in problem.columns}  # refined cameras are in place
-        step[segment.rows] = replace(problem).normal(found, shared).step(_LEAST_DAMPING)[0]  # what a copy caches goes
-        segments.append((segment.rows.start, problem, found, shared))
+    for one in at_solution(clip, trajectory_solution(motion)):
+        problem, rows_of = one.problem, one.segment.rows
+        # Of a copy: what a problem caches goes.
+        step[rows_of] = replace(problem).normal(one.states, one.shared).step(_LEAST_DAMPING)[0]
+        segments.append((rows_of.start, problem, one.states, one.shared))
 
     def rows() -> Iterator[Rows]:
         for start, *of_spell in segments:

@@ -4,13 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from recon import io
 from recon.base.documents import read_toml
 from recon.base.errors import InputError, Problem
-from recon.base.manifest import sha256_of
+from recon.base.manifest import read_manifest, sha256_of
 from recon.workflows.settings import FitSettings, read_settings
+
+if TYPE_CHECKING:
+    from recon.fit.clip_problem import ClipProblem
+    from recon.fit.motion import Motion
+
+CONFIG = "config.toml"
+AS_THEY_WERE = "the prior and the settings of the fit, as they were: fit the clip again"
 
 
 def input_files(settings: FitSettings) -> dict[str, Path]:
@@ -49,6 +56,25 @@ def read_config(config: Path, given: Mapping[str, Any]) -> FitSettings:
         expected = "the file that config.toml names, seen from its own folder: move both together, or name it anew"
         raise InputError(Problem(config, role, f"{path}, no such file", expected) for role, path in gone.items())
     return settings
+
+
+def problem_of(motion: Motion, folder: Path) -> ClipProblem:
+    """What a loaded motion was solved for, set up again from the settings in its folder. Raises InputError where these,
+    or the prior, are no longer there or are others, and for a motion of the frame method."""
+    from recon.animal.prior import load_prior
+    from recon.clip import views_of
+    from recon.fit.clip_problem import ClipProblem
+    from recon.fit.result import TrajectorySolution
+
+    config = folder / CONFIG
+    if not isinstance(motion.solution, TrajectorySolution):
+        raise InputError(Problem(folder, "method", "frame by frame", "a fit of all frames at once"))
+    read_manifest(folder).require(CONFIG)
+    settings = read_config(config, {})
+    prior = load_prior(settings.prior, motion.body)
+    if prior.name != motion.solution.prior:
+        raise InputError(Problem(config, "prior", prior.name, f"{motion.solution.prior}: {AS_THEY_WERE}"))
+    return ClipProblem.of(views_of(motion.sources), motion.body, prior, motion.fps, settings.trajectory_options())
 
 
 def replaced_files(config: Path, given: Mapping[str, Any], settings: FitSettings) -> list[Path]:

@@ -71,13 +71,8 @@ def _solved(
     for _ in range(steps + 1):
         cost = 0.0
         for i, pair in enumerate(pairs):
-            for _ in range(2):  # the turn follows the factor
-                r, J = _linearised(camera, pair, turns[i], log_factor)
-                size = np.linalg.norm(r, axis=1)
-                limit = max(4 * float(np.median(size)), 1.0)
-                weights = np.maximum(1 - (size / limit) ** 2, 0) ** 2
-                H, g = normal_equations(J, weights, r)
-                turns[i] = Rotation.from_rotvec(np.linalg.solve(H[:3, :3], g[:3])).as_matrix() @ turns[i]
+            turns[i], *_ = _turned(camera, pair, turns[i], log_factor)
+            turns[i], H, g, size, weights = _turned(camera, pair, turns[i], log_factor)
             used = max(float(weights.sum()), 1.0)
             sigma2 = max(float((weights * size**2).sum()) / (2 * used), 1e-4) + FLOOR_PX**2 * used
             information[i] = (H[3, 3] - H[3, :3] @ np.linalg.solve(H[:3, :3], H[:3, 3])) / sigma2
@@ -86,6 +81,19 @@ def _solved(
         if information.sum() > 0:
             log_factor = float(np.clip(log_factor + pull.sum() / information.sum(), -2 * WIDEST, 2 * WIDEST))
     return log_factor, (information, pull), cost
+
+
+def _turned(
+    camera: Camera, pair: TurnedPair, turn: Array, log_factor: float
+) -> tuple[Array, Array, Array, Array, Array]:
+    """The turn after a step, for it follows the factor; the normal equations H (4, 4) and g (4,) before it; sizes of
+    the residuals (N,), in pixels, and their weights (N,)."""
+    r, J = _linearised(camera, pair, turn, log_factor)
+    size = np.linalg.norm(r, axis=1)
+    limit = max(4 * float(np.median(size)), 1.0)
+    weights = np.maximum(1 - (size / limit) ** 2, 0) ** 2
+    H, g = normal_equations(J, weights, r)
+    return Rotation.from_rotvec(np.linalg.solve(H[:3, :3], g[:3])).as_matrix() @ turn, H, g, size, weights
 
 
 def _linearised(camera: Camera, pair: TurnedPair, turn: Array, log_factor: float) -> tuple[Array, Array]:
@@ -100,5 +108,5 @@ def _linearised(camera: Camera, pair: TurnedPair, turn: Array, log_factor: float
     ends = [(Rotation.from_rotvec(STEP * axis).as_matrix() @ turn, log_factor) for axis in np.eye(3)]
     ends.append((turn, log_factor + STEP))
     J = np.stack([(expected(*end) - at) / STEP for end in ends], axis=2)
-    known = np.isfinite(J).all(axis=(1, 2))
+    known = np.asarray(np.isfinite(J).all(axis=(1, 2)))
     return np.where(known[:, None], pair.b_px - at, 1e9), np.where(known[:, None, None], J, 0.0)

@@ -44,6 +44,11 @@ def _print(console: Console, report: dict[str, Any], out: Path) -> None:
         if name == "stride":
             text += f"; its ends meet to {max(part['closing_percent'], 0.1):.1g} %"
         say(console, text)
+    if "samples" in report:
+        apart = report["samples"]
+        place, angle = (max(apart[name].values()) for name in ("base_sigma_m", "joint_sigma_rad"))
+        text = f"{apart['count']} motions that it may have been, in {out / 'samples.npz'}: the base's place is known to"
+        say(console, f"{text} {place:.3f} m, joint angles to {angle:.2f} rad (one standard deviation, the worst)")
     for note in report["notes"]:
         say(console, f"note: {note}")
     say(

@@ -70,22 +70,34 @@ def run_retarget(settings: RetargetSettings) -> RetargetRun:
         solved = solve(animal, machine, settings.scale, settings.slower, lag)
         solved.report["animal"]["results"] = seen_from(out, folder)
         solved.report["robot"]["source"] = name_seen_from(out, machine.source)
+        said = {k: solved.report[k] for k in ("verdict", "robot", "animal", "scale", "slower")}
         with staged_results(out) as staging:
+            if settings.samples is not None:
+                from recon.robotics.robot.ensemble import drawn, write_ensemble
+
+                given = machine, solved.motion.clip.scale, solved.motion.clip.slower, lag, solved.window
+                motions = [
+                    solve(reference_of(one, settings.stride), *given).motion.clip
+                    for one in drawn(animal.analysis.motion, folder, settings.samples)
+                ]
+                solved.report["samples"] = write_ensemble(motions, staging, said, settings.format, settings.rate)
             write(solved, staging)
             if settings.format is not None:
-                said = {
-                    "verdict": solved.report["verdict"],
-                    **{k: solved.report[k] for k in ("robot", "animal", "scale", "slower")},
-                }
                 for motion, prefix in ((solved.motion.clip, ""), (solved.motion.stride, "stride_")):
                     write_for_trainer(motion, settings.format, settings.rate, staging, prefix, said)
     return solved
 
 
 def solve(
-    animal: Animal, robot: Quadruped, scale: float | None = None, slower: float | None = None, lag: float = 0.0
+    animal: Animal,
+    robot: Quadruped,
+    scale: float | None = None,
+    slower: float | None = None,
+    lag: float = 0.0,
+    window: StrideWindow | None = None,
 ) -> RetargetRun:
-    window = stride_window(animal)
+    """window: of the stride, by default the one that is found."""
+    window = window or stride_window(animal)
     stride = closed_stride(animal, window)
     period = float(stride.time_s[-1])
     clip, stride = (with_other_side(reference, lag, period) for reference in (animal.reference, stride))

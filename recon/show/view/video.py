@@ -98,7 +98,7 @@ class _Closeup:
             return None
         off = (np.array(self.size_px) - 1) / 2 - self.middle_px[frame]
         move = np.hstack([np.eye(2), off[:, None]])
-        return cv2.warpAffine(image, move, self.size_px, borderValue=BACKGROUND[::-1])
+        return np.asarray(cv2.warpAffine(image, move, self.size_px, borderValue=BACKGROUND[::-1]), dtype=np.uint8)
 
 
 def _write(
