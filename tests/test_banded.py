@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.linalg import solveh_banded
 
-from recon.fit.banded import BlockBanded, add_normal, factor
+from recon.fit.banded import BlockBanded, Normal, Reduced, add_normal, eliminated, factor, step
 
 SIZES = [
     # T, D, W
@@ -230,3 +230,53 @@ def test_marginals_of_a_stiff_smoother_are_columns_of_the_inverse(rng):
             unit[t, d] = 1.0
             column = factored.solve(unit)
             assert_close(marginals[t, : T - t, :, d], column[t : t + W + 1])
+
+
+def in_pieces(rng, dense, T, D, W, P, stops):
+    """A clip's normal equations with P shared unknowns as pieces that end at the stops; and dense, bordered."""
+    border, gradient = rng.normal(size=(T, D, P)), rng.normal(size=(T, D))
+    flat = border.reshape(T * D, P)
+    corner, of_shared = flat.T @ np.linalg.solve(dense, flat) + 2 * np.eye(P), rng.normal(size=P)
+    blocks, pieces, start = blocks_of(dense, T, D, W), [], 0
+    for stop in stops:
+        own, share = slice(start, stop), (stop - start) / T
+        pieces.append(Normal(BlockBanded(blocks[own]), gradient[own], border[own], share * corner, share * of_shared))
+        start = stop
+    whole = np.block([[dense, flat], [flat.T, corner]])
+    return pieces, whole, np.concatenate([gradient.ravel(), of_shared])
+
+
+@pytest.mark.parametrize("P", [0, 3])
+@pytest.mark.parametrize(("D", "W"), [(3, 1), (2, 2), (4, 2)])
+def test_a_step_in_two_pieces_that_see_each_other_is_exact(rng, D, W, P):
+    T = 12
+    pieces, whole, right = in_pieces(rng, dense_system(rng, T, D, W), T, D, W, P, [6, T])
+    moved, shared = step(pieces, 0.01)
+    expected = np.linalg.solve(whole + 0.01 * np.eye(len(whole)), -right)
+    assert_close(moved.ravel(), expected[: T * D])
+    assert_close(np.append(shared, 0.0), np.append(expected[T * D :], 0.0))
+
+
+def test_what_lies_before_a_piece_is_eliminated_exactly(rng):
+    """The last piece's covariances and unknowns, and all that is left of the shared unknowns."""
+    T, D, W, P = 17, 3, 2, 2
+    dense = dense_system(rng, T, D, W)
+    pieces, whole, right = in_pieces(rng, dense, T, D, W, P, [4, 8, 12, T])
+    reduced = Reduced()
+    for window in eliminated(pieces):
+        reduced.add(window)
+    assert window.rows == slice(12, 17)
+    inverse = np.linalg.inv(dense)
+    assert_close(window.marginal_blocks(), blocks_of(inverse, T, D, W)[12:])
+    assert_close(window.solved()[..., 0].ravel(), (inverse @ right[: T * D])[12 * D :])
+    schur = whole[T * D :, T * D :] - whole[T * D :, : T * D] @ inverse @ whole[: T * D, T * D :]
+    assert_close(reduced.corner, schur)
+    assert_close(reduced.gradient, right[T * D :] - whole[T * D :, : T * D] @ inverse @ right[: T * D])
+
+
+def test_what_comes_after_the_frames_taken_along_hardly_matters(rng):
+    T, D, W = 60, 2, 2
+    dense = dense_system(rng, T, D, W)
+    pieces, whole, right = in_pieces(rng, dense, T, D, W, 0, [20, 40, T])
+    moved, _ = step(pieces, 0.0)
+    assert_close(moved.ravel(), np.linalg.solve(whole, -right), rtol=1e-3)

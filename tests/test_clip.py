@@ -21,7 +21,7 @@ from recon.workflows.clip_results import OUTPUT_FILES, run_clip, write_clip
 from recon.workflows.demo import samples_folder
 from recon.workflows.settings import FitSettings
 
-EXAMPLE = (Path(__file__).parents[1] / "docs" / "skeletons.md").read_text().split("```toml")[2].split("```")[0]
+EXAMPLE = (Path(__file__).parent / "files" / "trunk-and-leg.toml").read_text()
 # The same chain, hung from its front end: the root is the joint that the animal's front is known by.
 FRONT_ROOT = EXAMPLE
 for old, new in (

@@ -192,6 +192,24 @@ def test_pieces_of_a_clip_add_up(monkeypatch):
     np.testing.assert_allclose(cut_g, g, rtol=1e-9, atol=1e-6)
 
 
+@pytest.mark.parametrize("piece", [2, 3])
+def test_the_equations_of_a_long_clip_come_in_pieces(monkeypatch, piece):
+    """One after the other they are those of the whole, with what all frames share."""
+    monkeypatch.setattr(module, "_FRAMES_AT_ONCE", 1)
+    problem, states = seen_late(shared=True), some_states()
+    shared = some_shared(problem)
+    whole, parts = problem.normal(states, shared), [*replace(problem, piece=piece).normals(states, shared)]
+    assert len(parts) == (T - 1) // piece
+    for name in ("gradient", "border"):
+        both = np.concatenate([getattr(part, name) for part in parts]), getattr(whole, name)
+        np.testing.assert_allclose(*both, rtol=1e-9, atol=1e-6)
+    joined = BlockBanded(np.concatenate([part.H.blocks for part in parts]))
+    np.testing.assert_allclose(to_dense(joined), to_dense(whole.H), rtol=1e-9, atol=1e-6)
+    for name in ("corner", "shared_gradient"):
+        both = sum(getattr(part, name) for part in parts), getattr(whole, name)
+        np.testing.assert_allclose(*both, rtol=1e-9, atol=1e-6)
+
+
 def test_minimum_of_a_linear_problem_takes_one_step():
     """All terms linear: least squares in closed form."""
     D = BODY.n_state

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
         parse_frame_range,
         select_frames,
     )
-    from recon.clip.source import FramePoses, Source, at_rate, held, together, views_of
+    from recon.clip.source import BRIDGED_S, FramePoses, Source, at_rate, held, together, views_of
     from recon.clip.view import View, camera_poses, still_view, world_from_reference
 
 __getattr__ = lazily(__name__, __file__)

@@ -95,7 +95,7 @@ class Keypoints:
     @property
     def present(self) -> np.ndarray:
         """(T, K) bool: both coordinates are known."""
-        return np.all(~np.isnan(self.xy_px), axis=2)
+        return ~np.isnan(self.xy_px[..., 0]) & ~np.isnan(self.xy_px[..., 1])
 
 
 @dataclass(frozen=True)
@@ -265,6 +265,8 @@ def select_frames(keypoints: Keypoints, frames: tuple[int | None, int | None] | 
         raise InputError(
             Problem(_source(keypoints), "frames", f"none in the range {shown}", f"a range within its frames ({has})")
         )
+    if keep.all():
+        return keypoints
     return dataclasses.replace(
         keypoints, xy_px=keypoints.xy_px[keep], confidence=keypoints.confidence[keep], frames=keypoints.frames[keep]
     )
@@ -311,6 +313,8 @@ def constant_px(keypoints: Keypoints) -> tuple[float, float] | None:
 def assume_likely(keypoints: Keypoints) -> tuple[Keypoints, np.ndarray]:
     """Present points of unknown (NaN) confidence get confidence 1, as hand labels have. Returns their count, (K,)."""
     unknown = keypoints.present & np.isnan(keypoints.confidence)
+    if not unknown.any():
+        return keypoints, unknown.sum(axis=0)
     return dataclasses.replace(keypoints, confidence=np.where(unknown, 1.0, keypoints.confidence)), unknown.sum(axis=0)
 
 
@@ -355,6 +359,8 @@ def frame_ranges(frames: np.ndarray) -> tuple[tuple[int, int], ...]:
 
 
 def _without_points(keypoints: Keypoints, points: np.ndarray) -> Keypoints:
+    if not (keypoints.present & points).any() and not keypoints.confidence[points].any():
+        return keypoints
     return dataclasses.replace(
         keypoints,
         xy_px=np.where(points[..., None], np.nan, keypoints.xy_px),

@@ -13,6 +13,9 @@ from recon.clip.keypoints import CleaningReport, Keypoints
 from recon.clip.view import View, camera_poses
 from recon.geometry.camera import Camera
 
+BRIDGED_S = 2.0
+"""Without detections for longer than this, what comes before and after are two clips."""
+
 
 @dataclass(frozen=True, eq=False)
 class FramePoses:
@@ -80,7 +83,8 @@ def held(values: Array) -> Array:
 
 
 def together(sources: Sequence[Source], later_frames: Sequence[float]) -> tuple[Source, ...]:
-    """Sources on their own frames, put on the frames from the first to the last that one of them has.
+    """Sources on their own frames, put on the frames from the first to the last that one of them has, without those
+    that are far from all that was seen (`_near_detections`).
 
     later_frames: how much later each camera's frame 0 was taken than the first's, in frames.
     """
@@ -88,8 +92,9 @@ def together(sources: Sequence[Source], later_frames: Sequence[float]) -> tuple[
     starts = [int(s.keypoints.frames[0]) + shift for s, shift in zip(sources, shifts, strict=True)]
     stops = [int(s.keypoints.frames[-1]) + shift + 1 for s, shift in zip(sources, shifts, strict=True)]
     frames, fps = np.arange(min(starts), max(stops)), sources[0].keypoints.fps or np.nan
+    near = _near_detections(sources, starts, frames, BRIDGED_S * fps)
     return tuple(
-        replace(_on_frames(source, start - int(frames[0]), frames), lead_frames=later - shift, offset_s=later / fps)
+        replace(_on_frames(source, start, frames[near]), lead_frames=later - shift, offset_s=later / fps)
         for source, start, later, shift in zip(sources, starts, later_frames, shifts, strict=True)
     )
 
@@ -120,13 +125,31 @@ def at_rate(keypoints: Keypoints, fps: float) -> Keypoints:
     return replace(keypoints, xy_px=xy_px, confidence=confidence, frames=frames, fps=fps)
 
 
+def _near_detections(sources: Sequence[Source], starts: Sequence[int], frames: Integers, bridged: float) -> Bools:
+    """(T,): the first and the last of consecutive frames, and those near ones in which something is seen: of a stretch
+    in which nothing is, so many are left that it is still not bridged."""
+    seen = np.zeros(len(frames), dtype=bool)
+    for source, start in zip(sources, starts, strict=True):
+        seen[np.flatnonzero(source.keypoints.present.any(axis=1)) + start - frames[0]] = True
+    at = np.concatenate([[-np.inf], np.flatnonzero(seen), [np.inf]])
+    rows = np.arange(len(frames))
+    after = np.searchsorted(at, rows)
+    near = np.minimum(at[after] - rows, rows - at[after - 1]) <= bridged / 2 + 1
+    near[[0, -1]] = True
+    return near
+
+
 def _on_frames(source: Source, start: int, frames: Integers) -> Source:
-    """What was seen in frames without a gap, as rows from `start` on; missing before and after."""
-    keypoints, T = source.keypoints, len(frames)
+    """What was seen in consecutive frames from `start` on, in these; missing before and after."""
+    keypoints = source.keypoints
+    rows = np.arange(start, start + len(keypoints.frames))
+    has, own = np.intersect1d(frames, rows, assume_unique=True, return_indices=True)[1:]
+    if len(has) == len(frames) == len(rows):
+        return replace(source, keypoints=replace(keypoints, frames=frames))
 
     def spread(values: Array, missing: float = np.nan) -> Array:
-        spread = np.full((T, *values.shape[1:]), missing)
-        spread[start : start + len(values)] = values
+        spread = np.full((len(frames), *values.shape[1:]), missing)
+        spread[has] = values[own]
         return spread
 
     return replace(

@@ -13,7 +13,7 @@ from recon.animal.prior import MotionPrior, prior_from_body
 from recon.base.arrays import Array, Bools, Index
 from recon.clip import View
 from recon.fit import constants
-from recon.fit.least_squares import LeastSquares, Shared
+from recon.fit.least_squares import LeastSquares, Shared, piece_of
 from recon.fit.terms import (
     COMMON_KEYPOINT_BIAS,
     SIDESLIP,
@@ -222,8 +222,9 @@ class ClipProblem:
         turned = np.array([np.broadcast_to(view.turn_px, len(self)) for view in self.views])
         return np.hypot(noise, turned[..., None])
 
-    def shared(self) -> tuple[list[Shared], list[Shared]]:
-        """What all frames share: the unknowns that pictures can tell, and those that only add to the doubt.
+    def shared(self, shifts_m: Array | None = None) -> tuple[list[Shared], list[Shared]]:
+        """What all frames share: the unknowns that pictures can tell, and those that only add to the doubt. shifts_m
+        (V,): how far cameras that are refined may stand from their places.
 
         A single camera cannot tell its lag from a place further on, an animal that goes beside where it looks from one
         that looks elsewhere, nor keypoints that stay beside their markers from another pose. A standard deviation is
@@ -235,10 +236,11 @@ class ClipProblem:
         first, late = (1, constants.SOUGHT_OFFSET_FRAMES) if o.find_offsets else (0, self.time_offset_frames)
         time_offsets = [Shared(time_offset(i), np.zeros(1), np.array([late / root])) for i in range(first, V)]
         sideslip = [Shared(SIDESLIP, np.zeros(1), np.array([constants.SIDESLIP_RAD / root]))] if len(self) > 1 else []
-        sigma = np.repeat([constants.CAMERA_TURN_RAD, constants.CAMERA_SHIFT_M], 3) / root
-        corrections = (
-            [Shared(extrinsic_correction(i), np.zeros(6), sigma) for i in range(1, V)] if o.refine_cameras else []
-        )
+        shifts = [] if shifts_m is None or not o.refine_cameras else shifts_m.tolist()
+        corrections = [
+            Shared(extrinsic_correction(i), np.zeros(6), np.repeat([constants.CAMERA_TURN_RAD, shift_m], 3) / root)
+            for i, shift_m in [*enumerate(shifts)][1:]
+        ]
         if o.focal_sigma is not None and V > 1:
             width = np.array([o.focal_sigma / root])
             corrections += [Shared(focal(i), np.zeros(1), width) for i in range(V)]
@@ -253,6 +255,12 @@ class ClipProblem:
             if V > 1
             else (size, [*time_offsets, *displaced])
         )
+
+    def _shifts_m(self, around_m: Array, size: float) -> Array:
+        """(V,): how far cameras may stand from their places. Those of a small rig are measured as much better."""
+        middle = self.in_world(around_m.mean(axis=1), size)
+        distances_m = [np.median(np.linalg.norm(middle - view.centre_m, axis=1)) for view in self.views]
+        return np.minimum(constants.CAMERA_SHIFT_M, constants.CAMERA_SHIFT_SHARE * np.array(distances_m))
 
     def problem(
         self,
@@ -274,7 +282,7 @@ class ClipProblem:
         shared: list[Shared] = []
         doubtful: list[Shared] = []
         if around_m is not None:
-            shared, doubtful = self.shared()
+            shared, doubtful = self.shared(self._shifts_m(around_m, size))
             drift_m = np.gradient(around_m, axis=0) if T > 1 else np.zeros_like(around_m)
             px_per_m = self.px_per_m(around_m, size)
             seen = [replace(term, drift_m=drift_m, px_per_m=px) for term, px in zip(seen, px_per_m, strict=True)]
@@ -297,4 +305,4 @@ class ClipProblem:
             linear.append(dynamics_term(self.prior, D, self.fps, constants.MOTION_WEIGHT * self.prior_weight))
             accelerations = np.array(constants.ACCELERATION_M_S2), constants.YAW_ACCELERATION_RAD_S2
             linear.append(root_term(D, self.fps, *accelerations))
-        return LeastSquares(self.body.detected, linear, [*terms, *contact_terms], shared, doubtful)
+        return LeastSquares(self.body.detected, linear, [*terms, *contact_terms], shared, doubtful, piece_of(self.fps))

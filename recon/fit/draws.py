@@ -64,10 +64,14 @@ def draws(clip: ClipProblem, solution: TrajectorySolution, count: int, seed: int
     states = np.full((count, *solution.states.shape), np.nan)
     for one in at_solution(clip, solution):
         known = curvature(one.problem, Estimate(one.states, 0.0, 0, True, one.shared))
-        by_size = known.state_by_size
-        for k in range(count):
-            step = known.draw(rng) * np.sqrt(clip.correlation_frames)
-            states[k, one.segment.rows] = one.states + step + by_size * (sizes[k] - solution.size)
+        white = rng.normal(size=(*one.states.shape, count))
+        others = known.root @ rng.normal(size=(len(known.root), count))
+        first = one.segment.rows.start
+        for window in known.windows():
+            rows, taken = window.of.rows, slice(window.of.rows.start, window.of.rows.start + len(window.of.white))
+            steps = window.of.coloured(white[taken]) - window.others @ others
+            steps = np.sqrt(clip.correlation_frames) * steps + window.by_size[..., None] * (sizes - solution.size)
+            states[:, first + rows.start : first + rows.stop] = one.states[rows] + np.moveaxis(steps, 2, 0)
     return [_drawn(clip, solution, of_one, size) for of_one, size in zip(states, sizes.tolist(), strict=True)]
 
 

@@ -25,9 +25,9 @@ from recon.base.arrays import Array
 from recon.base.progress import Progress, silent
 from recon.clip import View
 from recon.fit import constants
+from recon.fit.banded import factored
 from recon.fit.clip_problem import ClipProblem
 from recon.fit.least_squares import Shared
-from recon.fit.posterior import factored
 from recon.fit.terms import OnGround, extrinsic_correction, time_offset
 from recon.fit.trajectory import Solved, refined, solve_segments, solve_trajectory
 from recon.geometry.frames import level_from_camera, rigid

@@ -14,23 +14,31 @@ them together, and damping relative to the diagonal would freeze it.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 
 from recon.base.arrays import Array
-from recon.fit.banded import BlockBanded, Normal, add_normal
+from recon.fit.banded import Again, BlockBanded, Normal, add_normal, step
 from recon.fit.terms import COMMON_KEYPOINT_BIAS, Linear, Span, Term
 from recon.geometry.kinematics import Tree
 
 BANDS = 2
 """Frames before and after that a frame is coupled with."""
 _FRAMES_AT_ONCE = 256
+_PIECE_S = 5.5
+"""Frames so far apart do not matter for each other: a clip solved in pieces has the states of the whole to 1e-6."""
 _FIRST_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-3, 1e-4, 1e6
 _SHORTER = (1.0, 0.5, 0.2)
 """Steps tried along a direction before it is damped more."""
+
+
+def piece_of(fps: float) -> int:
+    """How many frames of a long clip are solved at once."""
+    return _FRAMES_AT_ONCE * math.ceil(_PIECE_S * fps / _FRAMES_AT_ONCE)
 
 
 @dataclass(frozen=True)
@@ -65,6 +73,8 @@ class LeastSquares:
     terms: Sequence[Term]
     shared: Sequence[Shared] = ()
     doubtful: Sequence[Shared] = ()
+    piece: int = 2 * _FRAMES_AT_ONCE
+    """Frames of a piece of a long clip, a multiple of `_FRAMES_AT_ONCE`, which takes as many along."""
 
     @cached_property
     def columns(self) -> dict[str, slice]:
@@ -92,7 +102,8 @@ class LeastSquares:
     def only(self, names: Sequence[str]) -> LeastSquares:
         """Of the terms with these names alone, and no shared unknowns."""
         linear = [term for term in self.linear if term.name in names]
-        return LeastSquares(self.tree, linear, [term for term in self.terms if term.name in names])
+        terms = [term for term in self.terms if term.name in names]
+        return replace(self, linear=linear, terms=terms, shared=(), doubtful=())
 
     def squares(self, states: Array) -> float:
         """The sum of all squared residuals."""
@@ -109,31 +120,59 @@ class LeastSquares:
 
     def normal(self, states: Array, shared: Mapping[str, Array] | None = None) -> Normal:
         """The curvature and the gradient at a point."""
+        (whole,) = self._pieces(states, shared, [len(states)])
+        return whole
+
+    def normals(self, states: Array, shared: Mapping[str, Array] | None = None) -> Iterable[Normal]:
+        """The same in pieces, which are made anew each time that they are gone through, unless the clip is short."""
+        T = len(states)
+        if 2 * self.piece >= T:
+            return [self.normal(states, shared)]
+        return Again(lambda: self._pieces(states, shared, [*range(self.piece, T - self.piece, self.piece), T]))
+
+    def _pieces(self, states: Array, shared: Mapping[str, Array] | None, stops: Sequence[int]) -> Iterator[Normal]:
+        """stops: where each piece ends; all but the last are multiples of `_FRAMES_AT_ONCE`."""
         shared = self.expected() if shared is None else shared
-        (T, D), columns = states.shape, self.columns
-        blocks, gradient = self._linear_blocks(T).copy(), np.zeros((T, D))
-        none = np.zeros(0)
+        (T, D), columns, none = states.shape, self.columns, np.zeros(0)
         precision = np.concatenate([none, *(unknown.sigma**-2.0 for unknown in self.shared)])
         off = np.concatenate([none, *(shared[unknown.name] - unknown.mean for unknown in self.shared)])
-        border, corner, shared_gradient = np.zeros((T, D, len(off))), np.diag(precision), off * precision
-        for term in self.linear:
-            at, r = term.frames(T), term.residual(states)
-            for offset, slot in zip(term.stencil, term.slots, strict=True):
-                gradient[at + offset] += r @ slot
-        for span in self.spans(states, shared, jacobian=True):
-            for term in self.terms:
-                rows = term.evaluate(span, jacobian=True)
-                assert rows.residual is not None
-                assert rows.jacobian is not None
-                add_normal(blocks, gradient, rows.frames, term.stencil, rows.residual, rows.jacobian)
-                for name, by_own in rows.by_shared.items():
-                    own = columns[name]
-                    for slot, offset in enumerate(term.stencil):
-                        border[rows.frames + offset, :, own] += rows.jacobian[:, :, slot].swapaxes(1, 2) @ by_own
-                    for other, by_other in rows.by_shared.items():
-                        corner[own, columns[other]] += np.tensordot(by_own, by_other, ((0, 1), (0, 1)))
-                    shared_gradient[own] += np.tensordot(by_own, rows.residual, ((0, 1), (0, 1)))
-        return Normal(BlockBanded(blocks), gradient, border, corner, shared_gradient)
+        linear = [(term, term.residual(states)) for term in self.linear]
+        spans, start, P = self.spans(states, shared, jacobian=True), 0, len(off)
+        span, over = next(spans, None), None
+        for stop in stops:
+            n, more = stop - start, int(stop < T)  # terms of the last frame may reach one further
+            blocks, gradient = np.zeros((n + more, BANDS + 1, D, D)), np.zeros((n + more, D))
+            border, corner, shared_gradient = np.zeros((n + more, D, P)), np.zeros((P, P)), np.zeros(P)
+            blocks[:n] = self._linear_blocks(start, stop, T)
+            if over is None:
+                corner, shared_gradient = np.diag(precision), off * precision
+            else:
+                blocks[0] += over[0]
+                gradient[0] += over[1]
+                border[0] += over[2]
+            for term, residual in linear:
+                at = term.frames(T)
+                for offset, slot in zip(term.stencil, term.slots, strict=True):
+                    first, last = np.searchsorted(at + offset, [start, stop])
+                    gradient[at[first:last] + offset - start] += residual[first:last] @ slot
+            while span is not None and span.first < stop:
+                for term in self.terms:
+                    rows = term.evaluate(span, jacobian=True)
+                    assert rows.residual is not None
+                    assert rows.jacobian is not None
+                    frames = rows.frames - start
+                    add_normal(blocks, gradient, frames, term.stencil, rows.residual, rows.jacobian)
+                    for name, by_own in rows.by_shared.items():
+                        own = columns[name]
+                        for slot, offset in enumerate(term.stencil):
+                            border[frames + offset, :, own] += rows.jacobian[:, :, slot].swapaxes(1, 2) @ by_own
+                        for other, by_other in rows.by_shared.items():
+                            corner[own, columns[other]] += np.tensordot(by_own, by_other, ((0, 1), (0, 1)))
+                        shared_gradient[own] += np.tensordot(by_own, rows.residual, ((0, 1), (0, 1)))
+                span = next(spans, None)
+            over = (blocks[n], gradient[n], border[n]) if more else None
+            yield Normal(BlockBanded(blocks[:n]), gradient[:n], border[:n], corner, shared_gradient)
+            start = stop
 
     def minimise(
         self,
@@ -159,12 +198,12 @@ class LeastSquares:
 
     def _lower(self, here: _Point) -> _Point | None:
         """A point of lower cost along a step, damped as much as that needs."""
-        normal, damping = self.normal(here.states, here.shared), here.damping
+        normals, damping = self.normals(here.states, here.shared), here.damping
         while damping <= _MOST_DAMPING:
             try:
-                step, shared_step = normal.step(damping)
+                moved, shared_step = step(normals, damping)
                 for share in _SHORTER:
-                    trial = here.states + share * step
+                    trial = here.states + share * moved
                     shared = {name: here.shared[name] + share * shared_step[own] for name, own in self.columns.items()}
                     cost = self.cost(trial, shared)
                     if cost < here.cost:
@@ -189,20 +228,23 @@ class LeastSquares:
                 return
 
     @cached_property
-    def _linear_cache(self) -> dict[int, Array]:
+    def _linear_cache(self) -> dict[tuple[int, int, int], Array]:
         return {}
 
-    def _linear_blocks(self, T: int) -> Array:
-        """(T, BANDS + 1, D, D): the curvature of the linear terms, the same at every point."""
-        if T not in self._linear_cache:
-            blocks = np.zeros((T, BANDS + 1, self.tree.n_state, self.tree.n_state))
+    def _linear_blocks(self, start: int, stop: int, T: int) -> Array:
+        """(stop - start, BANDS + 1, D, D): the curvature of the linear terms in frames of a clip of T, the same at
+        every point, and in all pieces of one length that lie as near to the clip's ends."""
+        key = (stop - start, min(start, BANDS), min(T - stop, BANDS))
+        if key not in self._linear_cache:
+            blocks = np.zeros((stop - start, BANDS + 1, self.tree.n_state, self.tree.n_state))
             for term in self.linear:
                 at = term.frames(T)
                 for a, column in enumerate(term.stencil):
+                    own = at[np.searchsorted(at + column, start) : np.searchsorted(at + column, stop)] + column - start
                     for b, row in enumerate(term.stencil[a:], start=a):
-                        blocks[at + column, row - column] += term.slots[b].T @ term.slots[a]
-            self._linear_cache[T] = blocks
-        return self._linear_cache[T]
+                        blocks[own, row - column] += term.slots[b].T @ term.slots[a]
+            self._linear_cache[key] = blocks
+        return self._linear_cache[key]
 
 
 @dataclass(frozen=True, eq=False)

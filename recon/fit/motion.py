@@ -123,7 +123,7 @@ class Motion:
     def __repr__(self) -> str:
         """One line: what it is of, and the verdict on it."""
         posed, level = int(self.solved.sum()), "not judged" if self.verdict is None else self.verdict.level
-        return f"<Motion of {Path(self.file).name}: {self.body.name}, {posed} of {len(self.frames)} frames, {level}>"
+        return f"<Motion of {Path(self.file).name}: {self.body.name}, {posed} of {self.clip_frames} frames, {level}>"
 
     def _repr_html_(self) -> str:
         """What a notebook shows: the verdict, the errors to expect, a picture of the poses, and what they are of."""
@@ -134,7 +134,7 @@ class Motion:
         rows["clip"] = f"{Path(self.file).name}, frames {self.frames[0]} to {self.frames[-1]} at {self.fps:g} fps"
         rows["camera"] = ", ".join(camera.name for camera in self.cameras)
         rows["animal"] = self.title
-        rows["frames"] = f"{self.solved.sum()} of {len(self.frames)} with a pose, {sum(map(bool, self.flags))} flagged"
+        rows["frames"] = f"{self.solved.sum()} of {self.clip_frames} with a pose, {sum(map(bool, self.flags))} flagged"
         return f"<div>{table(rows)}{from_the_side(self.upright.xyz_m, [*self.limbs.values()])}</div>"
 
     # -- handed over ----------------------------------------------------------------------------------------------
@@ -343,8 +343,13 @@ class Motion:
 
     @property
     def frames(self) -> Integers:
-        """(T,): frame numbers of the first keypoint file."""
+        """(T,): frame numbers of the first keypoint file, without most of those far from all detections."""
         return self.keypoints.frames
+
+    @property
+    def clip_frames(self) -> int:
+        """How many frames the clip has, with those that are far from all detections."""
+        return int(self.frames[-1] - self.frames[0]) + 1
 
     @cached_property
     def time_s(self) -> Array:

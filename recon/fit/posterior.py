@@ -12,21 +12,20 @@ and relative to the mean of all joints with the means of J and q taken off.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from recon.animal.body import Body
 from recon.base.arrays import Array
-from recon.fit.banded import BlockBanded, Factor, factor
+from recon.fit.banded import Again, Normal, Reduced, Window, eliminated
 from recon.fit.least_squares import Estimate, LeastSquares
 from recon.fit.terms import SIZE, size_of
-from recon.geometry.kinematics import ROOT, YAW
+from recon.geometry.kinematics import ROOT, YAW, TreePose
 
 _HELD = 1e8
 """Precision that holds an unknown fixed."""
-_UNKNOWN = 1e-9
-"""Part of its own precision that is added to an unknown where rounding leaves no covariance: nothing but a bound."""
 _HARDLY = 1e-3
 """Precision of a place and a heading of which next to nothing is known (1 / m^2, 1 / rad^2)."""
 _FRAMES_AT_ONCE = 256
@@ -60,45 +59,56 @@ class Posterior:
         return np.clip(1.0 - with_pixels / without, 0.0, 1.0)
 
 
+@dataclass(frozen=True)
+class KnownWindow:
+    """n frames of a clip with D unknowns each, at the solution: their window of the normal equations; how they move
+    with the P unknowns that all frames share besides the size (n, D, P), and with the size (n, D)."""
+
+    of: Window
+    others: Array
+    by_size: Array
+
+
 @dataclass(frozen=True, eq=False)
 class Curvature:
-    """Of a problem at its solution, T frames with D unknowns each: the factored normal equations, how the states move
-    with the P unknowns that all frames share besides the size (T, D, P), a root (P, P) of their covariance, the
-    precision (1 + P, 1 + P) of all that is shared, and how the states follow the size (T, D)."""
+    """Of a problem at its solution: the normal equations in pieces and their windows, a root (P, P) of the covariance
+    of the P unknowns that all frames share besides the size, and the precision (1 + P, 1 + P) of all that is shared."""
 
-    solved: Factor
-    H: BlockBanded
-    others: Array
+    normals: Iterable[Normal]
+    eliminated: Iterable[Window]
     root: Array
+    others_by_size: Array
+    """(P,): how the others follow the size."""
     shared_precision: Array
-    state_by_size: Array
     size_known: float
     """The size's precision by the pixels, before the factor on variances; 0 where it is not among the unknowns."""
 
-    def draw(self, rng: np.random.Generator) -> Array:
-        """(T, D): a step from the solution, at the solution's size."""
-        return self.solved.coloured(rng.normal(size=self.solved.shape)) - self.others @ (
-            self.root @ rng.normal(size=len(self.root))
-        )
+    def windows(self) -> Iterator[KnownWindow]:
+        size = len(self.shared_precision) - len(self.root)  # it comes first
+        for window in self.eliminated:
+            follows = window.solved()[..., 1:]
+            others = follows[..., size:]
+            by_size = -follows[..., 0] - others @ self.others_by_size if size else np.zeros(others.shape[:2])
+            yield KnownWindow(window, others, by_size)
 
 
 def curvature(problem: LeastSquares, found: Estimate) -> Curvature:
     """With the unknowns that are taken for what is expected of them (`LeastSquares.doubtful`) as free."""
     problem = replace(problem, shared=[*problem.shared, *problem.doubtful], doubtful=())
-    normal = problem.normal(found.states, problem.expected() | dict(found.shared))
-    solved = factored(normal.H)
-    Y = solved.solve_many(normal.border)
-    S = normal.corner - np.tensordot(normal.border, Y, ((0, 1), (0, 1)))
-    first = int(SIZE in problem.columns)  # the size comes first
-    others, of_others = Y[..., first:], np.linalg.inv(S[first:, first:])
-    follows, known = np.zeros(found.states.shape), 0.0
+    normals, reduced = problem.normals(found.states, problem.expected() | dict(found.shared)), Reduced()
+    windows: Iterable[Window] = Again(lambda: eliminated(normals, bounded=True))
+    if isinstance(normals, list):  # a short clip
+        windows = [*windows]
+    for window in windows:
+        reduced.add(window)
+    S, first = reduced.corner, int(SIZE in problem.columns)
+    of_others, known = np.linalg.inv(S[first:, first:]), 0.0
+    others_by_size = np.zeros(len(of_others))
     if first:
         others_by_size = -of_others @ S[1:, 0]
-        follows = -Y[..., 0] - others @ others_by_size
         known = float(S[0, 0] + S[0, 1:] @ others_by_size - problem.shared[0].sigma[0] ** -2)
-    return Curvature(
-        solved, normal.H, others, np.asarray(np.linalg.cholesky(of_others), dtype=float), S, follows, max(known, 0.0)
-    )
+    root = np.asarray(np.linalg.cholesky(of_others), dtype=float)
+    return Curvature(normals, windows, root, others_by_size, S, max(known, 0.0))
 
 
 def posterior(problem: LeastSquares, body: Body, found: Estimate, variance_factor: float) -> Posterior:
@@ -107,26 +117,43 @@ def posterior(problem: LeastSquares, body: Body, found: Estimate, variance_facto
     solved_for = [unknown.name for unknown in problem.shared]
     problem = replace(problem, shared=[*problem.shared, *problem.doubtful], doubtful=())
     sigma = np.sqrt(variance_factor * np.diagonal(np.linalg.inv(known.shared_precision)))
-    held = np.zeros(states.shape)
-    held[:, ROOT] = held[:, YAW, None] = _HELD
     priors = replace(problem, terms=[term for term in problem.terms if term.name != "reprojection"], shared=())
-    blocks = [known.solved.marginal_blocks()[:, 0].copy()]
-    for start in range(0, len(states), _FRAMES_AT_ONCE):
-        lasting = known.others[start : start + _FRAMES_AT_ONCE] @ known.root
-        blocks[0][start : start + _FRAMES_AT_ONCE] += lasting @ lasting.swapaxes(1, 2)
-    without = priors.normal(states).H
-    blocks += [factored(H, held).marginal_blocks()[:, 0] for H in (known.H, without)]
-    (absolute, relative), *shares, by_size = _of_joints(body, states, blocks, size, known.state_by_size)
+    D, without = len(states[0]), priors.normals(states)
+    parts, variances, expected = [], [], []
+    for window in known.windows():  # one after the other: a window is large
+        own, rows = window.of.marginal_blocks()[:, 0], window.of.rows
+        for first in range(0, len(own), _FRAMES_AT_ONCE):
+            lasting = window.others[first : first + _FRAMES_AT_ONCE] @ known.root
+            own[first : first + _FRAMES_AT_ONCE] += lasting @ lasting.swapaxes(1, 2)
+        of_joints = _of_joints(body, states[rows], own, size, window.by_size)
+        parts.append((*of_joints, _of_angles(own), window.by_size))
+    for normals in (Again(lambda: map(_frames_only, known.normals)), without):
+        for window in eliminated(normals, _at_place(D, _HELD), bounded=True):
+            variances.append(_about_mean(body, states[window.rows], window.marginal_blocks()[:, 0]))
+    for window in eliminated(without, _at_place(D, _HARDLY), bounded=True):
+        expected.append(_of_angles(window.marginal_blocks()[:, 0]))
+    absolute, relative, by_size, angles, state_by_size = (_joined(of) for of in zip(*parts, strict=True))
     return Posterior(
         covariance_m2=variance_factor * absolute,
         relative_covariance_m2=variance_factor * relative,
-        data_share=_data_share(*shares),
-        angle_variance=variance_factor * _of_angles(blocks[0], without),
-        state_by_size=known.state_by_size,
+        data_share=_data_share(*np.split(_joined(variances), 2)),
+        angle_variance=variance_factor * np.stack([angles, _joined(expected)]),
+        state_by_size=state_by_size,
         joint_by_size_m=by_size,
         size_precision=known.size_known / variance_factor,
         shared_sigma={name: sigma[problem.columns[name]] for name in solved_for},
     )
+
+
+def _frames_only(piece: Normal) -> Normal:
+    """Without what all frames share."""
+    none = np.zeros(0)
+    return Normal(piece.H, piece.gradient, piece.border[..., :0], np.zeros((0, 0)), none)
+
+
+def _at_place(D: int, precision: float) -> Array:
+    """(D,): a precision of a frame's place and heading, of which priors alone say nothing."""
+    return np.where(np.isin(np.arange(D), [*range(D)[ROOT], YAW]), precision, 0.0)
 
 
 def with_size(covariance_m2: Array, by_size_m: Array, size: float, size_sigma: float) -> Array:
@@ -145,46 +172,45 @@ def _data_share(with_pixels_m2: Array, without_m2: Array) -> Array:
     return np.clip(share, 0.0, 1.0)
 
 
-def _of_angles(with_pixels: Array, without: BlockBanded) -> Array:
-    """(2, T, D - 3): variances of the angles, from the states' covariance (T, D, D) and from the priors' curvature,
-    which says nothing of place and heading."""
-    free = np.zeros(with_pixels.shape[:2])
-    free[:, ROOT] = free[:, YAW, None] = _HARDLY
-    expected = factored(without, free).marginal_blocks()[:, 0]
-    return np.stack([np.diagonal(C, axis1=1, axis2=2)[:, YAW:] for C in (with_pixels, expected)])
+def _joined(parts: Sequence[Array]) -> Array:
+    return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
 
-def _of_joints(
-    body: Body, states: Array, blocks: list[Array], size: float, follows: Array
-) -> tuple[tuple[Array, Array], Array, Array, Array]:
-    """Covariances of the joints, absolute and relative, (T, J, 3, 3), from the first of the states' (T, D, D);
-    variances (T, J) of the joints relative to their mean from the others; and q (T, J, 3)."""
-    (T, D), J = states.shape, len(body.markers)
-    absolute, relative = np.empty((T, J, 3, 3)), np.empty((T, J, 3, 3))
-    variances, by_size = np.empty((2, T, J)), np.empty((T, J, 3))
-    for first in range(0, T, _FRAMES_AT_ONCE):
+def _of_angles(own: Array) -> Array:
+    """(T, D - 3): variances of the angles, of the states' covariance (T, D, D)."""
+    return np.diagonal(own, axis1=1, axis2=2)[:, YAW:].copy()
+
+
+def _of_joints(body: Body, states: Array, own: Array, size: float, follows: Array) -> tuple[Array, Array, Array]:
+    """Covariances of the joints, absolute and relative, (T, J, 3, 3), from the states' (T, D, D); and q (T, J, 3)."""
+    T, J = len(states), len(body.markers)
+    absolute, relative, by_size = np.empty((T, J, 3, 3)), np.empty((T, J, 3, 3)), np.empty((T, J, 3))
+    for part, pose, jacobian in _posed(body, states):
+        centred = jacobian - jacobian.mean(axis=1, keepdims=True)
+        absolute[part] = _spread(jacobian, own[part]) @ jacobian.swapaxes(2, 3)
+        relative[part] = _spread(centred, own[part]) @ centred.swapaxes(2, 3)
+        by_size[part] = pose.points_m + size * (jacobian @ follows[part, None, :, None])[..., 0]
+    return absolute, relative, by_size
+
+
+def _about_mean(body: Body, states: Array, own: Array) -> Array:
+    """(T, J): variances of the joints relative to their mean."""
+    variances = np.empty((len(states), len(body.markers)))
+    for part, _, jacobian in _posed(body, states):
+        centred = jacobian - jacobian.mean(axis=1, keepdims=True)
+        variances[part] = np.sum(_spread(centred, own[part]) * centred, axis=(2, 3))
+    return variances
+
+
+def _posed(body: Body, states: Array) -> Iterator[tuple[slice, TreePose, Array]]:
+    for first in range(0, len(states), _FRAMES_AT_ONCE):
         part = slice(first, first + _FRAMES_AT_ONCE)
         pose = body.tree.pose_with_jacobian(states[part])
         assert pose.jacobian is not None
-        centred = pose.jacobian - pose.jacobian.mean(axis=1, keepdims=True)
-        n = len(centred)
-
-        def spread(jacobian: Array, own: Array, n: int = n) -> Array:
-            return (jacobian.reshape(n, 3 * J, D) @ own).reshape(n, J, 3, D)
-
-        absolute[part] = spread(pose.jacobian, blocks[0][part]) @ pose.jacobian.swapaxes(2, 3)
-        relative[part] = spread(centred, blocks[0][part]) @ centred.swapaxes(2, 3)
-        for variance, own in zip(variances, blocks[1:], strict=True):
-            variance[part] = np.sum(spread(centred, own[part]) * centred, axis=(2, 3))
-        by_size[part] = pose.points_m + size * (pose.jacobian @ follows[part, None, :, None])[..., 0]
-    return (absolute, relative), variances[0], variances[1], by_size
+        yield part, pose, pose.jacobian
 
 
-def factored(H: BlockBanded, damping: Array | None = None) -> Factor:
-    """H's factor; where nothing determines an unknown, as the place of a frame beside a single other one, it is held so
-    weakly that its variance is that of nothing known."""
-    try:
-        return factor(H, damping)
-    except np.linalg.LinAlgError:
-        own = np.diagonal(H.blocks[:, 0], axis1=1, axis2=2)
-        return factor(H, _UNKNOWN * np.maximum(own, 1.0) + (0.0 if damping is None else damping))
+def _spread(jacobian: Array, own: Array) -> Array:
+    """(T, J, 3, D): J C."""
+    T, J, _, D = jacobian.shape
+    return (jacobian.reshape(T, 3 * J, D) @ own).reshape(T, J, 3, D)

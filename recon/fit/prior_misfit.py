@@ -12,8 +12,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from recon.animal.prior import ANGLES
+from recon.fit.banded import eliminated
 from recon.fit.least_squares import Estimate, LeastSquares
-from recon.fit.posterior import factored
 from recon.fit.terms import PRIOR_TERMS
 
 LASTS_S = 0.04
@@ -47,8 +47,10 @@ class PriorMisfit:
 
 def prior_misfit_of(problem: LeastSquares, found: Estimate, fps: float) -> PriorMisfit:
     """Of the prior as the problem weighs it, at its minimum."""
-    covariance = factored(problem.normal(found.states, found.shared).H).marginal_blocks()
-    prior = problem.only(PRIOR_TERMS)
-    said = covariance * prior.normal(found.states).H.blocks
-    freedom = max(found.states[:, ANGLES].size - float(said[:, 0].sum() + 2 * said[:, 1:].sum()), 1.0)
+    prior, said = problem.only(PRIOR_TERMS), 0.0
+    windows = eliminated(problem.normals(found.states, found.shared), bounded=True)
+    for window, of_prior in zip(windows, prior.normals(found.states), strict=True):
+        both = window.marginal_blocks() * of_prior.H.blocks
+        said += float(both[:, 0].sum() + 2 * both[:, 1:].sum())
+    freedom = max(found.states[:, ANGLES].size - said, 1.0)
     return PriorMisfit(prior.squares(found.states) / freedom / max(LASTS_S * fps, 1.0), freedom)

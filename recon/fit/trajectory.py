@@ -34,7 +34,7 @@ from recon.animal.chain import MIN_JOINTS, MIN_REACH_PX
 from recon.animal.prior import ANGLES, NONE, MotionPrior
 from recon.base.arrays import Array, Bools
 from recon.base.progress import Progress, silent
-from recon.clip import View
+from recon.clip import BRIDGED_S, View
 from recon.fit import constants
 from recon.fit.clip_problem import ClipProblem, TrajectoryOptions
 from recon.fit.contacts import contacts
@@ -46,8 +46,6 @@ from recon.fit.starts import Approached, approach, between
 from recon.fit.terms import SIDESLIP, Reprojection, extrinsic_correction, focal, size_of, time_offset
 from recon.geometry.kinematics import ROOT, YAW
 
-BRIDGED_S = 2.0
-"""Without detections for longer than this, what comes before and after are two clips."""
 MARGIN_S = 0.25
 """How far a clip is carried on beyond its first and last detections."""
 WINDOW_S = 1.0

@@ -19,6 +19,7 @@ from recon.animal.chain import Chain
 from recon.base.arrays import Array, Bools, Index
 from recon.base.files import write_bytes
 from recon.fit import TrajectorySolution
+from recon.fit.banded import step as newton_step
 from recon.fit.clip_problem import ClipProblem
 from recon.fit.draws import at_solution
 from recon.fit.least_squares import LeastSquares
@@ -161,7 +162,7 @@ def linearised_clip(clip: ClipProblem, motion: Motion) -> _Linearised:
     for one in at_solution(clip, trajectory_solution(motion)):
         problem, rows_of = one.problem, one.segment.rows
         # Of a copy: what a problem caches goes.
-        step[rows_of] = replace(problem).normal(one.states, one.shared).step(_LEAST_DAMPING)[0]
+        step[rows_of] = newton_step(replace(problem).normals(one.states, one.shared), _LEAST_DAMPING)[0]
         segments.append((rows_of.start, problem, one.states, one.shared))
 
     def rows() -> Iterator[Rows]:

@@ -53,6 +53,8 @@ an animal does from one frame to the next is lost in the rounding of its acceler
 
 FEW_OF_SKELETON, FEW_OF_FILE = 0.25, 0.5
 """A file with fewer of the skeleton's keypoints, to which fewer of its own belong, has other names for them."""
+_MOST_OF_FILE = 0.8
+"""Another skeleton that has so many of a file's keypoints is probably theirs."""
 PADDED, INSIDE = 0.05, 0.9
 """Detectors pad the picture: keypoints that many times its width or height outside are as good as in it. At least so
 many of a clip's have to be."""
@@ -146,7 +148,7 @@ class Prepared:
     @cached_property
     def sources(self) -> tuple[Source, ...]:
         """On the frames of the clip."""
-        return together(self.apart, self.later_frames) if len(self.apart) > 1 else self.apart
+        return together(self.apart, self.later_frames)
 
 
 def prepare(settings: FitSettings, read_shared: Callable[[FitSettings], Shared] | None = None) -> Prepared:
@@ -339,7 +341,11 @@ def _require_keypoints_of(wanted: Sequence[str], skeleton: str, keypoints: Keypo
     if own := skeleton_of(keypoints.names):
         raise InputError(Problem(where, "bodyparts", found, f"with these names, which are its own: --skeleton {own}"))
     maps = animal.fitting_maps(keypoints.names, wanted)
-    hint = f"--rename {maps[0]}, or" if maps else "another animal's --skeleton, or"
+    options, count = animal.fitting_skeleton(keypoints.names)
+    if count >= _MOST_OF_FILE * len(keypoints.names) and f"--skeleton {skeleton} " not in f"{options} ":
+        hint = f"{options}, or"
+    else:
+        hint = f"--rename {maps[0]}, or" if maps else "another animal's --skeleton, or"
     raise InputError(
         Problem(
             where,

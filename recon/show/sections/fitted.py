@@ -92,7 +92,8 @@ def solver(motion: Motion) -> dict[str, Any]:
 def summary(motion: Motion) -> dict[str, Any]:
     flags = dict.fromkeys((*FLAGS, *(flag for flags in motion.flags for flag in flags)))
     return {
-        "frames": len(motion.frames),
+        "frames": motion.clip_frames,
+        "frames_left_out": motion.clip_frames - len(motion.frames),
         "frames_with_pose": int(motion.solved.sum()),
         "frames_flagged": sum(bool(flags) for flags in motion.flags),
         "flags": {flag: sum(flag in of_frame for of_frame in motion.flags) for flag in flags},
@@ -106,7 +107,9 @@ def summary(motion: Motion) -> dict[str, Any]:
 def summary_lines(motion: Motion, data: Any) -> Iterator[Line]:
     why = [f"{count} {flag}" for flag, count in data["flags"].items() if count]
     flagged = f"{data['frames_flagged']} doubtful ({', '.join(why)})" if why else "none doubtful"
-    yield "frames", f"{data['frames_with_pose']} of {data['frames']} with a pose, {flagged}"
+    left_out = data["frames_left_out"]
+    far = f"; {left_out} far from all detections, and in no table" if left_out else ""
+    yield "frames", f"{data['frames_with_pose']} of {data['frames']} with a pose, {flagged}{far}"
     sigma_m, distances = data["place_sigma_m"], [mean(picture.distance_m) for picture in motion.pictures]
     known = [(away, _called(motion, v)) for v, away in enumerate(distances) if math.isfinite(away)]
     if sigma_m is not None and known and sigma_m > HARDLY_TOLD * min(known)[0]:
@@ -251,10 +254,10 @@ def _ground(motion: Motion, segment: MotionSegment) -> dict[str, Any] | None:
 def stances(motion: Motion) -> dict[str, Any]:
     """By foot: the ranges of frame numbers in which it stands, as `recon.gait` has them."""
     found = gait_of(motion) if motion.solved.sum() >= MIN_POINTS else None
-    first, ranges = int(motion.frames[0]), {name: [] for name in motion.foot_names.values()}
+    ranges, last = {name: [] for name in motion.foot_names.values()}, len(motion.frames) - 1
     for stance in found.stances if found else ():
-        frames = (first + round(stance.start_frame), first + round(stance.end_frame) + 1)
-        ranges[motion.foot_names[stance.foot]].append(frames)
+        first, stop = (min(round(row), last) for row in (stance.start_frame, stance.end_frame))
+        ranges[motion.foot_names[stance.foot]].append((motion.frames[first], motion.frames[stop] + 1))
     return ranges
 
 

@@ -290,7 +290,7 @@ def camera_lines(motion: Motion, data: Any) -> Iterator[Line]:
         rejected = f", {points['rejected']} rejected" if points["rejected"] else ""
         yield (
             "camera",
-            f"{camera['name']}: {camera['frames_seen']} of {len(motion.frames)} frames, {points['used']} points used"
+            f"{camera['name']}: {camera['frames_seen']} of {motion.clip_frames} frames, {points['used']} points used"
             f"{rejected}; {number(errors['mean'], '.1f')} px mean, {number(errors['median'], '.1f')} px median, "
             f"{outliers}; {number(camera['distance_m'], '.1f')} m away{_found_text(motion, camera)}",
         )

@@ -17,6 +17,7 @@ from recon.show.view.scene import (
     Log,
     by_camera,
     joint_limbs,
+    lines,
     strips,
     unbroken,
 )
@@ -44,14 +45,14 @@ def _write_points(root: str, origin_px: Array, arm: float, motion: Motion, pictu
     detected, reprojected = (xy - origin_px[:, None] for xy in (picture.detected_px, picture.reprojected_px))
     for entity, colour, chosen in (("detections", DETECTION, ~outliers), ("outliers", OUTLIER, outliers)):
         log.fix(f"{root}/{entity}", rr.LineStrips2D.from_fields(colors=colour, radii=rr.Radius.ui_points(1.0)))
-        points = [xy[keep & np.isfinite(xy[:, 0])] for xy, keep in zip(detected, chosen, strict=True)]
-        log.send(f"{root}/{entity}", strips(rr.LineStrips2D, [_crosses(xy, arm) for xy in points]))
+        shown = chosen & np.isfinite(detected[..., 0])
+        log.send(f"{root}/{entity}", lines(rr.LineStrips2D, _crosses(detected[shown], arm), 2 * shown.sum(axis=1)))
 
     limbs = [list(limb) for limb in motion.limbs.values()]
-    lines = [[(c, part) for c, limb in enumerate(limbs) for part in unbroken(pose[limb])] for pose in reprojected]
-    classes = [c for frame in lines for c, _ in frame]
-    columns = rr.LineStrips2D.columns(strips=[xy for frame in lines for _, xy in frame], class_ids=classes)
-    log.send(f"{root}/reprojections", columns.partition([len(frame) for frame in lines]))
+    parts = [[(c, part) for c, limb in enumerate(limbs) for part in unbroken(pose[limb])] for pose in reprojected]
+    classes = [c for frame in parts for c, _ in frame]
+    drawn = [[part for _, part in frame] for frame in parts]
+    log.send(f"{root}/reprojections", strips(rr.LineStrips2D, drawn, class_ids=classes))
     log.fix(f"{root}/reprojections", rr.LineStrips2D.from_fields(radii=rr.Radius.ui_points(1.5), show_labels=False))
     seen = np.isfinite(reprojected[..., 0])
     classes = np.broadcast_to(joint_limbs(motion), seen.shape)[seen]
@@ -61,10 +62,8 @@ def _write_points(root: str, origin_px: Array, arm: float, motion: Motion, pictu
 
     both = np.isfinite(picture.distance_px)
     ends = np.stack((detected, reprojected), axis=2)
-    columns = rr.LineStrips2D.columns(
-        strips=list(ends[both]), colors=np.where(outliers[both][:, None], OUTLIER, LINK).astype(np.uint8)
-    )
-    log.send(f"{root}/links", columns.partition(both.sum(axis=1)))
+    colours = np.where(outliers[both][:, None], OUTLIER, LINK).astype(np.uint8)
+    log.send(f"{root}/links", lines(rr.LineStrips2D, ends[both], both.sum(axis=1), colors=colours))
     log.fix(f"{root}/links", rr.LineStrips2D.from_fields(radii=rr.Radius.ui_points(1.5)))
 
 
@@ -91,7 +90,7 @@ def picture_bounds(picture: Picture) -> tuple[Array, Array]:
     return low - margin, high + margin
 
 
-def _crosses(points_px: Array, arm_px: float) -> list[Array]:
-    """Upright crosses at points (N, 2): two strips each."""
+def _crosses(points_px: Array, arm_px: float) -> Array:
+    """(2N, 2, 2): the ends of upright crosses at points (N, 2)."""
     arms = np.array([[[-arm_px, 0.0], [arm_px, 0.0]], [[0.0, -arm_px], [0.0, arm_px]]])
-    return list((points_px[:, None, None] + arms).reshape(-1, 2, 2))
+    return (points_px[:, None, None] + arms).reshape(-1, 2, 2)

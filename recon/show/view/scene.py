@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import rerun as rr
@@ -201,16 +202,41 @@ def grid_lines(low_m: Array, high_m: Array, spacing_m: float) -> list[Array]:
 # -- lines --------------------------------------------------------------------------------------------------------
 
 
-def strips(
-    archetype: type[rr.LineStrips2D | rr.LineStrips3D], frames: Sequence[Sequence[Array]]
-) -> rr.ComponentColumnList:
-    """Columns of line strips: any number a frame, each of shape (points, 2 or 3)."""
-    columns = archetype.columns(strips=[strip for strips in frames for strip in strips])
-    return columns.partition([len(strips) for strips in frames])
+Strips = type[rr.LineStrips2D | rr.LineStrips3D]
+
+
+def strips(archetype: Strips, frames: Sequence[Sequence[Array]], **columns: Any) -> rr.ComponentColumnList:
+    """Columns of line strips: any number a frame, each of shape (points, 2 or 3). columns: others, by strip."""
+    every = [strip for strips in frames for strip in strips]
+    points = np.concatenate(every) if every else np.zeros((0, 2 if archetype is rr.LineStrips2D else 3))
+    made = archetype.columns(strips=_arrow(archetype, points, [len(strip) for strip in every]), **columns)
+    return made.partition([len(strips) for strips in frames])
+
+
+def lines(archetype: Strips, ends: Array, counts: Integers, **columns: Any) -> rr.ComponentColumnList:
+    """The same of straight lines between ends (N, 2, 2 or 3), so many in each frame (T,)."""
+    made = archetype.columns(
+        strips=_arrow(archetype, ends.reshape(-1, ends.shape[-1]), np.full(len(ends), 2)), **columns
+    )
+    return made.partition(counts)
+
+
+def _arrow(archetype: Strips, points: Array, counts: Sequence[int] | Integers) -> Any:
+    """Strips of so many of the points (N, 2 or 3) each, as rerun has them in the end: its own way there makes an
+    object of every strip, which takes longer than the fit of a long clip."""
+    import pyarrow as pa  # rerun has it
+
+    batch = rr.components.LineStrip2DBatch if archetype is rr.LineStrips2D else rr.components.LineStrip3DBatch
+    kind = batch([]).as_arrow_array().type
+    values = pa.array(np.ascontiguousarray(points, dtype=np.float32).ravel())
+    ends = pa.array(np.concatenate([[0], np.cumsum(counts)]), pa.int32())
+    return pa.ListArray.from_arrays(ends, pa.FixedSizeListArray.from_arrays(values, type=kind.value_type), type=kind)
 
 
 def unbroken(points: Array) -> list[Array]:
     """The stretches of a line (N, 2 or 3) without NaN that have at least two points."""
     known = np.isfinite(points[:, 0])
+    if known.all():
+        return [points] if len(points) > 1 else []
     runs = np.split(np.arange(len(points)), np.flatnonzero(np.diff(known)) + 1)
     return [points[run] for run in runs if len(run) > 1 and known[run[0]]]

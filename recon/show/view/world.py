@@ -38,6 +38,7 @@ from recon.show.view.scene import (
     grid_lines,
     joint_limbs,
     limb_colours,
+    lines,
     strips,
     unbroken,
 )
@@ -56,10 +57,10 @@ def write_world(motion: Motion, scene: Scene, log: Log) -> None:
 
     limbs = [list(limb) for limb in motion.limbs.values()]
     log.fix("world/skeleton", rr.LineStrips3D.from_fields(class_ids=range(len(limbs)), radii=0.017, show_labels=False))
-    lines = [
+    drawn = [
         [pose[limb] for limb in limbs] if solved else [] for pose, solved in zip(joints, motion.solved, strict=True)
     ]
-    log.send("world/skeleton", strips(rr.LineStrips3D, lines))
+    log.send("world/skeleton", strips(rr.LineStrips3D, drawn))
     log.fix(
         "world/skeleton/joints",
         rr.Points3D.from_fields(class_ids=joint_limbs(motion), radii=0.028, labels=motion.names, show_labels=False),
@@ -193,8 +194,8 @@ def write_observability(motion: Motion, scene: Scene, log: Log) -> None:
     states = motion.states[solved]
     limbs = [list(limb) for limb in motion.limbs.values()]
     log.fix("world/observability/limbs", rr.LineStrips3D.from_fields(colors=EDGE, radii=0.005))
-    lines = [[pose[limb] for limb in limbs] if s else [] for pose, s in zip(motion.joints_m, solved, strict=True)]
-    log.send("world/observability/limbs", strips(rr.LineStrips3D, lines))
+    drawn = [[pose[limb] for limb in limbs] if s else [] for pose, s in zip(motion.joints_m, solved, strict=True)]
+    log.send("world/observability/limbs", strips(rr.LineStrips3D, drawn))
 
     turning = [i for i, segment in enumerate(tree.segments) for _ in AXES[segment.joint]]
     columns = ["xyz".index(axis) for axis in tree.axes]
@@ -203,10 +204,9 @@ def write_observability(motion: Motion, scene: Scene, log: Log) -> None:
     axes = tree.orientations(states)[:, turning, :, columns]  # the angles come first, as indices on both sides do
     along = AXIS_SHARE * scene.size_m * np.moveaxis(axes, 0, 1) @ motion.T_reference_world[:3, :3].T
     ends = np.stack((centres - along, centres + along), axis=2)
-    drawn = rr.LineStrips3D.columns(
-        strips=[*ends.reshape(-1, 2, 3)], colors=share_colours(motion.solution.angle_data_share[solved]).reshape(-1, 3)
-    )
-    log.send("world/observability", drawn.partition(np.where(solved, len(turning), 0)))
+    colours = share_colours(motion.solution.angle_data_share[solved]).reshape(-1, 3)
+    counts = np.where(solved, len(turning), 0)
+    log.send("world/observability", lines(rr.LineStrips3D, ends.reshape(-1, 2, 3), counts, colors=colours))
     style = rr.LineStrips3D.from_fields(radii=0.013, labels=motion.angle_names, show_labels=False)
     log.fix("world/observability", style)
 
