@@ -191,6 +191,31 @@ class TestAcinoSet:
         assert "no list of cameras" in problems_of(write("scene.json", {"cameras": cameras}))
 
 
+class TestOpenDroneMap:
+    def test_by_hand(self, write):
+        """Shares of the longer side, from the middle of the picture; a reconstruction has them among the rest."""
+        lens = {"width": 1600, "height": 1000, "focal_x": 0.75, "focal_y": 0.5, "c_x": 0.01, "c_y": -0.02}
+        brown = lens | {"projection_type": "brown", "k1": -0.2, "k2": 0.1, "p1": 0.001, "p2": 0.002, "k3": -0.03}
+        old = {"width": 1600, "height": 1000, "projection_type": "perspective", "focal": 0.75, "k1": -0.2, "k2": 0.1}
+        bent = lens | {"projection_type": "fisheye", "k1": -0.2, "k2": 0.1}
+        document = {"v2 dji": brown, "old": old, "wide": bent}
+        for content in (document, [{"cameras": document, "shots": {}, "points": {}}]):
+            dji, plain, wide = read_cameras(write("cameras.json", json.dumps(content)))
+            assert [dji.name, plain.name, wide.name] == [*document]
+            np.testing.assert_allclose(dji.matrix, [[1200, 0, 815.5], [0, 800, 467.5], [0, 0, 1]])
+            assert dji.distortion.tolist() == [-0.2, 0.1, 0.001, 0.002, -0.03]
+            assert (dji.model, dji.image_size_px, dji.rotation) == ("radtan", (1600, 1000), None)
+            np.testing.assert_allclose(plain.matrix, [[1200, 0, 799.5], [0, 1200, 499.5], [0, 0, 1]])
+            assert (wide.model, wide.distortion.tolist()) == ("fisheye", [-0.2, 0.1, 0.0, 0.0])
+
+    def test_what_cannot_be_used(self, write):
+        path = write("cameras.json", {"a": {"projection_type": "spherical", "width": 10, "height": 5}})
+        found = problems_of(path)
+        assert "a: projection_type: found 'spherical', expected a known lens model" in found
+        assert "a: matrix: found nothing" in found
+        assert "no tables by name" in problems_of(write("other.json", {"projection_type": "brown"}))
+
+
 class TestAnipose:
     def test_anipose(self, write):
         content = anipose("cam_0", "cam_1")

@@ -15,7 +15,7 @@ from recon import FitSettings, InputError, Motion, fit_clip, read_keypoints
 from recon.clip import View, held, views_of
 from recon.clip.keypoints import Keypoints
 from recon.geometry.camera import Camera
-from recon.geometry.frames import rigid
+from recon.geometry.frames import inverse, rigid
 from recon.geometry.rotations import part_of_turn, quaternion_rotations, quaternions
 from recon.io.camera_track import read_camera_track
 from recon.io.deeplabcut import write_csv
@@ -99,6 +99,39 @@ def test_a_table(tmp_path):
     track = read_camera_track(write_track(tmp_path / "zoom.csv", frames, poses, zoom))
     assert track.intrinsics_px is not None
     np.testing.assert_allclose(track.intrinsics_px, zoom)
+
+
+def test_a_table_of_poses_from_the_camera_to_the_world(tmp_path):
+    """The camera's place stands in x, y, z."""
+    poses, frames = turning(4), np.arange(4)
+    path = write_track(tmp_path / "track.csv", frames, inverse(poses))
+    path.write_text(path.read_text().replace("tx,ty,tz", "x,y,z"))
+    np.testing.assert_allclose(read_camera_track(path).T_camera_world, poses, atol=1e-12)
+    assert "no tx" in refused(path.read_text().replace("x,y,z", "x,y"), path)
+
+
+@pytest.mark.parametrize("name", ["reconstruction.json", "shots.geojson"])
+def test_poses_of_opendronemap(name, tmp_path):
+    """By hand, as OpenSfM has them: turns as vectors from the world to the camera; shots.geojson has places."""
+    poses, frames = turning(3), [7, 8, 11]
+    shots = {}
+    for frame, T in zip(frames, poses, strict=True):
+        at = T[:3, 3] if name.startswith("rec") else inverse(T)[:3, 3]
+        turn = Rotation.from_matrix(T[:3, :3]).as_rotvec()
+        shots[f"DJI_0004_{frame:05d}.jpg"] = {"rotation": turn.tolist(), "translation": at.tolist(), "camera": "v2 dji"}
+    document = [{"cameras": {}, "shots": shots, "points": {}}]
+    if name == "shots.geojson":
+        features = [{"type": "Feature", "properties": {"filename": key} | shot} for key, shot in shots.items()]
+        document = {"type": "FeatureCollection", "features": features}
+    path = tmp_path / name
+    path.write_text(json.dumps(document))
+    track = read_camera_track(path)
+    assert track.frames.tolist() == frames
+    np.testing.assert_allclose(track.T_camera_world, poses, atol=1e-9)
+    assert "shots" in refused("[]", path)
+    assert "shots.DJI_0004_00007.jpg" in refused(
+        json.dumps(document).replace('"rotation": [', '"rotation": [1, ', 1), path
+    )
 
 
 def test_a_table_in_another_order_with_other_columns_and_semicolons(tmp_path):
@@ -264,7 +297,7 @@ def test_a_drone_that_looks_down_on_the_animal_and_follows_it(tmp_path, down_deg
 
 
 def test_files_of_other_kinds(tmp_path):
-    assert "found suffix '.json', expected a table (.csv)" in refused("{}", tmp_path / "track.json")
+    assert "found suffix '.yml', expected a table (.csv)" in refused("{}", tmp_path / "track.yml")
     with pytest.raises(InputError, match=r"images\.txt: file: found no such file"):
         read_camera_track(tmp_path)
 

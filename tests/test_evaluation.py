@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import run
 from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
@@ -20,7 +22,8 @@ from recon.gait.evaluation import (
     evaluate_files,
     joint_errors,
 )
-from recon.io.pose3d import Pose3D
+from recon.io import trc
+from recon.io.pose3d import Pose3D, read_pose3d
 
 NAN = float("nan")
 SAMPLES = Path(__file__).parents[1] / "data" / "samples"
@@ -250,6 +253,27 @@ def test_a_result_folder(whole_results, level_results, tmp_path):
     assert "different frames of reference" in note
     with pytest.raises(InputError, match=r"no motion\.npz, expected the folder of results"):
         evaluate_files(tmp_path, truth)
+
+
+def test_a_reference_that_counts_from_1_and_says_neither_unit_nor_up(tmp_path):
+    """As TRC files and plain tables of other programs do."""
+    pose = read_pose3d(SAMPLES / "whole_truth.csv")
+    pose = replace(pose, frames=pose.frames - pose.frames[0], fps=60.0)
+    trc.write(pose, tmp_path / "pose.trc")
+    trc.write(replace(pose, frames=pose.frames + 1), tmp_path / "truth.trc")
+    (note,) = [n for n in evaluate_files(tmp_path / "pose.trc", tmp_path / "truth.trc").notes if "counts" in n]
+    assert note.startswith(
+        "the reference counts frames from 1, the reconstruction from 0: counted alike they are 0.0 mm"
+    )
+    assert not evaluate_files(tmp_path / "pose.trc", tmp_path / "pose.trc").notes
+    rows = ["frame,joint,x,y,z"]
+    for frame, points in zip(pose.frames, 1000 * pose.xyz_m, strict=True):
+        rows += [f"{frame},{n},{x!r},{z!r},{-y!r}" for n, (x, y, z) in zip(pose.names, points.tolist(), strict=True)]
+    (tmp_path / "mm.csv").write_text("\n".join(rows).replace("nan", "") + "\n")
+    with pytest.raises(InputError, match="--unit"):
+        evaluate_files(tmp_path / "pose.trc", tmp_path / "mm.csv")
+    ended = run("evaluate", tmp_path / "pose.trc", tmp_path / "mm.csv", "--unit", "mm", "--up", "y", "--json")
+    assert json.loads(ended.out)["mpe_mm"] == pytest.approx(0, abs=1e-6)
 
 
 def test_a_result_folder_of_two_fits_is_refused(whole_results, level_results, tmp_path):

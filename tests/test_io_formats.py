@@ -11,13 +11,16 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.io import savemat
+from scipy.spatial.transform import Rotation
 
 from recon.base.errors import InputError
 from recon.clip.keypoints import Keypoints
-from recon.io import FORMATS, read_keypoints
+from recon.io import FORMATS, read_cameras, read_keypoints
 from recon.io.column_map import parse_map
 from recon.io.common import NoChoiceError, frames_of_text, frames_of_times, frames_text
 from recon.io.pose3d import Pose3D, read_pose3d
+from recon.workflows.settings import FitSettings
 
 NAN = float("nan")
 
@@ -778,6 +781,15 @@ def test_a_bvh_file_of_infinite_size(tmp_path):
         read_pose3d(path, unit="m")
 
 
+def test_the_help_of_a_fit_names_what_it_reads():
+    """Both of keypoints and of cameras."""
+    infos = FitSettings.infos()
+    for f in FORMATS:
+        for kind, name in (("2D", "keypoints"), ("cameras", "camera")):
+            if kind in f.reads:
+                assert f.title.split()[0] in infos[name].option.help.replace("recon toml", "camera"), f.title
+
+
 def test_every_format_is_on_its_page():
     page = (Path(__file__).parents[1] / "docs" / "formats.md").read_text(encoding="utf-8")
     for f in FORMATS:
@@ -827,3 +839,98 @@ def test_openpose_with_two_persons_and_other_lists(tmp_path):
         read_keypoints(path)
     with pytest.raises(InputError, match="a name without a number"):
         read_keypoints(path.rename(path.with_name("run.json")))
+
+
+# DANNCE, sleap-anipose
+
+
+def dannce_file(path: Path, packed: bool = True, **changes) -> Path:
+    """As Label3D writes it, two cameras, two frames of two points."""
+    points = np.array([[[1.0, 2, 3], [4, 5, 6]], [[7, 8, 9], [NAN, NAN, NAN]]])
+    label = {"data_3d": points.reshape(2, 6), "data_frame": np.array([[10], [20]], np.int32)}
+    lens = {
+        "K": np.array([[1000.0, 0, 0], [0, 1100, 0], [641, 513, 1]]),
+        "RDistort": [[-0.1, 0.02]],
+        "TDistort": [[1e-3, 2e-3]],
+    }
+    poses = [{"r": TURN.T, "t": np.array([[10.0, 20, 900]])}, {"r": np.eye(3), "t": np.array([[0.0, 0, 800]])}]
+    content = {
+        "labelData": cell(label, label),
+        "params": cell(*(lens | pose for pose in poses)),
+        "camnames": cell("Camera1", "Camera2").T,
+    } | changes
+    savemat(path, {name: value for name, value in content.items() if value is not None}, do_compression=packed)
+    return path
+
+
+def cell(*items: object) -> np.ndarray:
+    found = np.empty((len(items), 1), dtype=object)
+    found[:, 0] = items
+    return found
+
+
+TURN = Rotation.from_euler("xyz", [0.3, -0.2, 0.1]).as_matrix()
+
+
+@pytest.mark.parametrize("packed", [True, False])
+def test_dannce(tmp_path, packed):
+    """A point is projected as DANNCE does it: rows, K and r on the right, the first pixel (1, 1)."""
+    path = dannce_file(tmp_path / "run_dannce.mat", packed)
+    pose = read_pose3d(path, unit="mm")
+    assert (pose.names, pose.frames.tolist()) == (("point1", "point2"), [10, 20])
+    np.testing.assert_allclose(pose.xyz_m[:, 0], [[0.001, 0.002, 0.003], [0.007, 0.008, 0.009]])
+    assert np.isnan(pose.xyz_m[1, 1]).all()
+    one, two = read_cameras(path, (1280, 1024))
+    assert (one.name, two.name, one.knows_up) == ("Camera1", "Camera2", False)
+    assert one.distortion.tolist() == [-0.1, 0.02, 0.001, 0.002, 0.0]
+    at = np.array([[30.0, -40, 100]])
+    x, y, z = (at @ TURN.T + [10.0, 20, 900]).ravel()
+    plain = replace(one, distortion=np.zeros(4))
+    px, _ = plain.project(plain.world_to_camera(at))
+    np.testing.assert_allclose(px + 1, [[1000 * x / z + 641, 1100 * y / z + 513]])
+    with pytest.raises(InputError, match="image size"):
+        read_cameras(path)
+
+
+def test_dannce_predictions_and_names(tmp_path):
+    savemat(tmp_path / "save_data_AVG.mat", {"pred": np.arange(12.0).reshape(2, 3, 2), "sampleID": [[1, 2]]})
+    pose = read_pose3d(tmp_path / "save_data_AVG.mat", unit="m")
+    np.testing.assert_array_equal(pose.xyz_m[0], [[0, 2, 4], [1, 3, 5]])
+    path = dannce_file(tmp_path / "a.mat", skeleton={"joint_names": cell("nose", "tail")})
+    assert read_pose3d(path, unit="mm").names == ("nose", "tail")
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"labelData": None}, "data_3d: found nothing"),
+        ({"labelData": cell({"data_3d": np.ones((2, 5)), "data_frame": [1, 2]})}, r"data_3d: found \(2, 5\)"),
+        ({"labelData": cell({"data_3d": np.ones((2, 6)), "data_frame": [2, 2]})}, "2 increasing frame numbers"),
+    ],
+)
+def test_dannce_problems(tmp_path, changes, said):
+    with pytest.raises(InputError, match=said):
+        read_pose3d(dannce_file(tmp_path / "a.mat", **changes), unit="mm")
+    save(tmp_path / "b.mat", "MATLAB 7.3 MAT-file, Platform: x")
+    with pytest.raises(InputError, match=r"save\(name, '-v7'\)"):
+        read_pose3d(tmp_path / "b.mat", unit="mm")
+    with pytest.raises(InputError, match="params: found no cameras"):
+        read_cameras(dannce_file(tmp_path / "a.mat", params=cell("none")))
+
+
+def test_sleap_anipose(tmp_path):
+    import h5py
+
+    values = np.random.default_rng(0).normal(size=(5, 2, 3, 3))
+    with h5py.File(tmp_path / "points3d.h5", "w") as file:
+        file.create_dataset("tracks", data=values, compression="gzip", chunks=True)
+        file["frames"] = [100, 105]
+    with pytest.raises(InputError, match="track_0, track_1"):
+        read_pose3d(tmp_path / "points3d.h5", unit="m")
+    pose = read_pose3d(tmp_path / "points3d.h5", "track_1", unit="m")
+    np.testing.assert_array_equal(pose.xyz_m, values[:, 1])
+    assert (pose.names, pose.frames.tolist()) == (("point1", "point2", "point3"), [100, 101, 102, 103, 104])
+    with h5py.File(tmp_path / "points3d.h5", "a") as file:
+        file["node_names"], file["recording_frame_rate"] = [b"nose", b"neck", b"tail"], 120.0
+    pose = read_pose3d(tmp_path / "points3d.h5", "track_0", unit="m")
+    assert (pose.names, pose.fps) == (("nose", "neck", "tail"), 120.0)

@@ -9,6 +9,7 @@ are known.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -108,26 +109,46 @@ class Evaluation:
         return result
 
 
-def evaluate_files(pose_path: str | Path, truth_path: str | Path, anyway: bool = True) -> Evaluation:
+def evaluate_files(
+    pose_path: str | Path, truth_path: str | Path, anyway: bool = True, unit: str | None = None, up: str | None = None
+) -> Evaluation:
     """Evaluates a file of 3D positions (see `read_pose3d`) against another; either may be the folder of results that
     `recon fit` wrote, whose standard deviations are then compared with the errors. anyway: also results that are not to
-    be used. Raises InputError."""
+    be used; unit, up: of the reference, where its file does not say them (see `read_pose3d`). Raises InputError."""
     pose_path, truth_path = Path(pose_path), Path(truth_path)
     (pose, sigmas_m, verdict), (truth, *_) = all_of(
-        lambda: _positions(pose_path, anyway), lambda: _positions(truth_path, anyway)
+        lambda: _positions(pose_path, anyway), lambda: _positions(truth_path, anyway, unit, up)
     )
     found = replace(evaluate(pose, truth, sigmas_m), verdict=verdict)
+    found = replace(found, notes=(*found.notes, *_counted_from_one(pose, truth, found)))
     if _is_result(truth_path) and not _is_result(pose_path):
         note = f"the reference, {truth_path}, is a result of recon fit, and what is scored is not: perhaps exchanged"
         return replace(found, notes=(*found.notes, note))
     return found
 
 
-def _positions(path: Path, anyway: bool) -> tuple[Pose3D, tuple[np.ndarray, np.ndarray] | None, Verdict | None]:
+def _counted_from_one(pose: Pose3D, truth: Pose3D, found: Evaluation) -> Iterator[str]:
+    """Where one side counts its frames from 1 and the other from 0, as TRC files of other programs do, and all fits
+    better once they are counted alike."""
+    first = int(pose.frames[0]), int(truth.frames[0])
+    if sorted(first) != [0, 1]:
+        return
+    moved = evaluate(pose, replace(truth, frames=truth.frames + first[0] - first[1]))
+    if moved.mpe_m.mean < found.mpe_m.mean:
+        which, other = ("the reconstruction", "the reference")[:: 1 if first[0] else -1]
+        yield (
+            f"{which} counts frames from 1, {other} from 0: counted alike they are {1000 * moved.mpe_m.mean:.1f} mm "
+            f"apart in place of {1000 * found.mpe_m.mean:.1f} mm (MPE); give both the same numbers"
+        )
+
+
+def _positions(
+    path: Path, anyway: bool, unit: str | None = None, up: str | None = None
+) -> tuple[Pose3D, tuple[np.ndarray, np.ndarray] | None, Verdict | None]:
     """Those of a file, or of a folder of results in their frame of reference, with standard deviations of the positions
     and of those relative to the mean of all joints, and the verdict on them."""
     if not path.is_dir():
-        return read_pose3d(path), None, None
+        return read_pose3d(path, unit=unit, up=up), None, None
     motion = usable(Motion.load(path), path, anyway)
     pose = Pose3D(motion.names, motion.joints_m, motion.frames, str(path), motion.fps)
     return pose, (motion.joint_sigma_m, motion.relative_sigma_m), motion.verdict

@@ -536,7 +536,7 @@ def gait(moved: Tracks) -> Gait:
         stride_frequency_hz=1.0 / mean(durations) if durations else np.nan,
         duty_factor={foot: median([s.duty_factor for s in taken if s.foot == foot]) for foot in moved.feet},
         speed_m_s=mean(moved.body_speed_m_s),
-        name=name_gait(found, taken, float(moved.time_s[-1]), ground_doubt(moved)),
+        name=name_gait(found, taken, float(moved.time_s[-1]), ground_doubt(moved) or _too_few(moved.feet)),
         doubtful=doubtful,
     )
 
@@ -622,11 +622,17 @@ def _return_lag(values: Array) -> int | None:
     return None
 
 
+def _too_few(feet: Sequence[str]) -> str | None:
+    """Why no gait has a name; None where all four feet are there."""
+    return None if {*FEET} <= {*feet} else f"only gaits of four feet have names; here are {', '.join(feet)}"
+
+
 def name_gait(
     found: tuple[Stance, ...], taken: tuple[Stride, ...], until_s: float, doubt: str | None = None
 ) -> GaitName:
     """The gait by the four feet's phases: see `classify`. The stride's period is the median over the strides; without a
-    complete one see `classify_within`. until_s: the end of the clip; doubt: why there are no stances."""
+    complete one see `classify_within`. until_s: the end of the clip; doubt: why there are no stances, or not of all
+    four."""
     duties = np.array([s.duty_factor for s in taken])
     feet = len({s.foot for s in taken})
     duty = median(duties), float(np.sqrt(mean([s.duty_sigma**2 for s in taken]) / feet)) if feet else np.nan

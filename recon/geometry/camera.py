@@ -173,8 +173,9 @@ class Camera:
         Trackers and interpolation carry points a little over the edge. What lies further out is a mistake, and a lens
         model has no say there.
         """
-        near = self.near(pixels)
-        return near & self.rays(np.where(near[..., None], np.asarray(pixels, dtype=float), np.nan))[1]
+        seen, uv = self.near(pixels), np.asarray(pixels, dtype=float)
+        seen[seen] = self.rays(uv[seen])[1]
+        return seen
 
     def near(self, pixels: npt.ArrayLike) -> Bools:
         """Whether pixels (..., 2) lie no further outside the picture than it is wide and high."""

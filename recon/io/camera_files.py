@@ -9,6 +9,8 @@
 - Anipose and Pose2Sim TOML: one table per camera. World to camera in the length unit of the calibration board, which
   the file does not name: it is taken to be metres here, and `camera_unit` of a fit's settings says otherwise. The board
   defines the world, so z need not point up.
+- OpenDroneMap's `cameras.json` and OpenSfM's `camera_models.json`: by name, focal lengths and centres as shares of the
+  picture's longer side. No poses: those are tracks (`recon.io.camera_track`).
 - This package's own TOML: one table `[camera]` with `format = "recon-camera"`, or several in `[[cameras]]`.
 
 `recon.io.calibration` checks the values and makes cameras of them.
@@ -175,6 +177,66 @@ def read_acinoset(path: Path, individual: str | None = None) -> list[CameraRecor
         CameraRecord(entry.get("name"), place, "fisheye", True, entry | size, keys)
         for place, entry in zip(places, entries, strict=True)
     ]
+
+
+# -- OpenDroneMap, OpenSfM -------------------------------------------------------------------------------------------
+
+OPENSFM_LENSES = {
+    "perspective": ("radtan", ("k1", "k2")),
+    "simple_radial": ("radtan", ("k1",)),
+    "radial": ("radtan", ("k1", "k2")),
+    "brown": ("radtan", ("k1", "k2", "p1", "p2", "k3")),
+    "fisheye": ("fisheye", ("k1", "k2")),
+    "fisheye_opencv": ("fisheye", ("k1", "k2", "k3", "k4")),
+}
+"""By OpenSfM's name: our lens, and the first of its coefficients, of which the others are 0."""
+
+
+def recognises_opensfm(path: Path) -> bool:
+    return _is(path, (".json",), r'"projection_type"\s*:')
+
+
+def read_opensfm(path: Path, individual: str | None = None) -> list[CameraRecord]:
+    """Raises InputError."""
+    document = parse_json(_text(path), path)
+    if isinstance(document, list) and document and isinstance(document[0], dict):  # reconstruction.json
+        document = document[0].get("cameras")
+    if not isinstance(document, dict) or not document or not all(isinstance(of, dict) for of in document.values()):
+        expected = "a table for each camera, by its name, as in OpenDroneMap's cameras.json"
+        raise InputError(Problem(path, "cameras", "no tables by name", expected))
+    return [opensfm_record(name, table) for name, table in document.items()]
+
+
+def opensfm_record(name: str, table: dict[str, Any]) -> CameraRecord:
+    """Its shares of the longer side in pixels, from the picture's middle."""
+    lens = table.get("projection_type")
+    model, given = OPENSFM_LENSES.get(lens, (lens, ())) if isinstance(lens, str) else (lens, ())
+    changed: dict[str, Any] = {"width, height": None}
+    try:
+        w, h = (float(table[side]) for side in ("width", "height"))
+        fx, fy = (float(table[f"focal_{axis}"] if f"focal_{axis}" in table else table["focal"]) for axis in "xy")
+        cx, cy = (float(table.get(f"c_{axis}", 0.0)) for axis in "xy")
+        longer = max(w, h)
+        changed["width, height"] = [w, h]
+        changed["matrix"] = [
+            [longer * fx, 0.0, longer * cx + (w - 1) / 2],
+            [0.0, longer * fy, longer * cy + (h - 1) / 2],
+            [0.0, 0.0, 1.0],
+        ]
+        bent = {key: float(table.get(key, 0.0)) for key in given}
+        order = ("k1", "k2", "k3", "k4") if model == "fisheye" else ("k1", "k2", "p1", "p2", "k3")
+        changed["distortion"] = [bent.get(key, 0.0) for key in order]
+    except (KeyError, TypeError, ValueError, OverflowError):
+        pass  # what is missing then is said
+    keys = {
+        "matrix": "matrix",
+        "distortion": "distortion",
+        "image_size_px": "width, height",
+        "rotation": "rotation",
+        "translation_m": "translation",
+        "model": "projection_type",
+    }
+    return CameraRecord(name, f"{name}: ", model, False, changed, keys)
 
 
 # -- OpenCV, ROS -----------------------------------------------------------------------------------------------------

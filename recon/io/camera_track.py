@@ -1,12 +1,17 @@
-"""Where a camera that moves was in each frame: tracks, read from a CSV table or from a COLMAP model as text.
+"""Where a camera that moves was in each frame: tracks, from a CSV table, a COLMAP model as text, or OpenDroneMap.
 
 - CSV: columns frame, qw, qx, qy, qz, tx, ty, tz, of a camera that zooms fx, fy, cx, cy, and sigma_deg where it is known
   how exact a turn is, in any order; others are not read. Unit quaternion and translation take points from the world to
   the camera, X_camera = R X_world + t.
+  The camera's place may stand in x, y, z in the place of tx, ty, tz: then the quaternion goes the other way, from the
+  camera to the world, X_world = R X_camera + (x, y, z).
 - COLMAP: images.txt with cameras.txt beside it, or their folder. Frame numbers are the last digits of the images'
   names. Its pixels begin at the corner of the first one, ours in its middle: half a pixel is taken off.
 
-In either the world has to be in metres with z up, which neither format promises.
+- OpenDroneMap, OpenSfM: reconstruction.json (`shots`), or shots.geojson with the cameras' places in UTM. Frame numbers
+  are the last digits of the pictures' names.
+
+In all the world has to be in metres with z up, which no format promises.
 """
 
 from __future__ import annotations
@@ -18,9 +23,10 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from recon.base.arrays import Array, Bools, Integers
-from recon.base.documents import read_text, require_file
+from recon.base.documents import parse_json, read_text, require_file
 from recon.base.errors import InputError, Problem, refuse
 from recon.clip import FramePoses
 from recon.geometry.camera import Camera
@@ -34,14 +40,22 @@ POSE, INTRINSICS = ("qw", "qx", "qy", "qz", "tx", "ty", "tz"), ("fx", "fy", "cx"
 SIGMA = "sigma_deg"
 UNIT_TOLERANCE = 1e-2
 """Of a quaternion's length: rounded to three digits it is within this."""
-MAX_PLACE_M, MAX_PX, MAX_SIGMA_DEG = 1e7, 1e6, 10.0
+MAX_PLACE_M, MAX_PX, MAX_SIGMA_DEG, MAX_TURN_RAD = 1e7, 1e6, 10.0, 100.0
 LEANING_MAX_RAD = np.radians(60)
 """A camera that leans further for most of the time, and does not look down, hangs in a world whose z axis does not
 point up."""
 LOOKING_DOWN_RAD = np.radians(45)
 """Of a camera that looks down more steeply, as a drone's, any edge of the picture may be the upper one."""
+PLACE = ("x", "y", "z")
+"""In the place of tx, ty, tz: poses from the camera to the world."""
 IMAGES, CAMERAS = "images.txt", "cameras.txt"
-EXPECTED = f"a table (.csv) with the columns frame, {', '.join(POSE)}, or a COLMAP model as text ({IMAGES})"
+SHOTS = (".json", ".geojson")
+EXPECTED = (
+    f"a table (.csv) with the columns frame, {', '.join(POSE)}, a COLMAP model as text ({IMAGES}), or OpenDroneMap's "
+    "reconstruction.json or shots.geojson"
+)
+MAX_SHOTS_BYTES = 1 << 28
+"""Of a reconstruction, which has its points, too."""
 
 COLMAP_MODELS = {name: (lens, of_it) for lens in LENS_MODELS.values() for name, of_it in lens.colmap.items()}
 """By COLMAP's name: our lens, and the parameters in their order."""
@@ -103,7 +117,7 @@ def _between(a: Array, b: Array, share: Array) -> Array:
 def track_files(path: Path) -> tuple[Path, ...]:
     """Of a track as it is given: the files that it is read from."""
     images = path / IMAGES if path.is_dir() else path
-    if images.suffix.lower() == ".csv":
+    if images.suffix.lower() in (".csv", *SHOTS):
         return (images,)
     beside = images.with_name(CAMERAS)
     return (images, beside) if beside.is_file() else (images,)
@@ -111,7 +125,9 @@ def track_files(path: Path) -> tuple[Path, ...]:
 
 def track_label(path: Path) -> str:
     """What a track is called by, for whose it is: a table's name without suffix, or the folder of a COLMAP model."""
-    return path.stem if path.suffix.lower() == ".csv" else path.parent.name if path.name == IMAGES else path.name
+    if path.suffix.lower() in (".csv", *SHOTS):
+        return path.stem
+    return path.parent.name if path.name == IMAGES else path.name
 
 
 def read_camera_track(path: Path) -> CameraTrack:
@@ -120,6 +136,9 @@ def read_camera_track(path: Path) -> CameraTrack:
     if first.suffix.lower() == ".csv":
         require_file(path, EXPECTED)
         track = _read_csv(path)
+    elif first.suffix.lower() in SHOTS:
+        require_file(path, EXPECTED)
+        track = _read_shots(path)
     elif first.suffix.lower() == ".txt":
         track = _read_colmap(first, beside[0] if beside else None)
     else:
@@ -209,7 +228,9 @@ def _read_csv(path: Path) -> CameraTrack:
     rows = text_rows(path)
     header = [cell.strip().lower() for cell in next(rows, (1, []))[1]]
     zooms = any(name in header for name in INTRINSICS)
-    wanted = ("frame", *POSE, *(INTRINSICS if zooms else ()), *([SIGMA] if SIGMA in header else []))
+    outward = {*PLACE} <= {*header} and not {"tx", "ty", "tz"} & {*header}
+    pose = (*POSE[:4], *PLACE) if outward else POSE
+    wanted = ("frame", *pose, *(INTRINSICS if zooms else ()), *([SIGMA] if SIGMA in header else []))
     problems = [Problem(path, "columns", f"no {name}", EXPECTED) for name in wanted if name not in header]
     problems += [
         Problem(path, "columns", f"{name} more than once", "each once") for name in wanted if header.count(name) > 1
@@ -234,7 +255,57 @@ def _read_csv(path: Path) -> CameraTrack:
     table = np.reshape(found, (-1, len(wanted)))
     sigma_deg = table[:, -1] if SIGMA in header else None
     poses = table[:, 1 : 12 if zooms else 8]
+    if outward:
+        poses[:, :4] *= [1.0, -1.0, -1.0, -1.0]
+        with np.errstate(all="ignore"):
+            poses[:, 4:7] = _translations(poses[:, :4], poses[:, 4:7])
     return _checked_track(path, places, table[:, 0].astype(np.int64), poses, sigma_deg, problems=problems)
+
+
+def _translations(quaternion: Array, place_m: Array) -> Array:
+    """(N, 3): of cameras that turn the world by unit quaternions (N, 4), w first, and stand at places (N, 3)."""
+    if not len(quaternion):
+        return place_m
+    usable = (np.abs(quaternion).max(axis=1) > 0.1) & (np.abs(quaternion).max(axis=1) < 10)  # others are refused later
+    unit = np.where(usable[:, None], quaternion, [1.0, 0.0, 0.0, 0.0])
+    unit = unit / np.linalg.norm(unit, axis=1, keepdims=True)
+    return -(quaternion_rotations(unit[:, [1, 2, 3, 0]]) @ place_m[..., None])[..., 0]
+
+
+# -- OpenDroneMap, OpenSfM ------------------------------------------------------------------------------------------
+
+
+def _read_shots(path: Path) -> CameraTrack:
+    """Of one video; its lens comes from elsewhere, as from cameras.json. Raises InputError."""
+    document = parse_json(read_text(path, EXPECTED, MAX_SHOTS_BYTES), path)
+    whole = document[0] if isinstance(document, list) and len(document) == 1 else document
+    features = whole.get("features") if isinstance(whole, dict) else None
+    shots = whole.get("shots") if isinstance(whole, dict) else None
+    if isinstance(features, list):
+        found = [of.get("properties") for of in features if isinstance(of, dict)]
+        shots = {str(of.get("filename")): of for of in found if isinstance(of, dict)}
+    if not isinstance(shots, dict) or not shots:
+        several = f"{len(document)} reconstructions" if isinstance(document, list) else "no shots"
+        raise InputError(Problem(path, "shots", several, EXPECTED))
+    places, frames, poses, problems = [], [], [], []
+    for name, shot in shots.items():
+        frame = _frame_of_name(name)
+        try:
+            turn, at = (np.array(shot[key], dtype=float).reshape(3) for key in ("rotation", "translation"))
+        except (KeyError, TypeError, ValueError, OverflowError):
+            turn = at = np.full(3, np.nan)
+        if frame is None or not np.isfinite([turn, at]).all() or np.abs(turn).max() > MAX_TURN_RAD:
+            expected = "rotation and translation of 3 numbers each, and the frame's number last in the name"
+            problems.append(Problem(path, f"shots.{name[:60]}", "others", expected))
+            continue
+        x, y, z, w = Rotation.from_rotvec(turn).as_quat().tolist()
+        places.append(f"shots.{name}")
+        frames.append(frame)
+        poses.append([w, x, y, z, *at])
+    table = np.reshape(poses, (-1, 7))
+    if features is not None:  # places, not translations
+        table[:, 4:] = _translations(table[:, :4], table[:, 4:])
+    return _checked_track(path, places, np.array(frames, dtype=np.int64), table, problems=problems)
 
 
 # -- COLMAP ---------------------------------------------------------------------------------------------------------

@@ -10,7 +10,6 @@ Here are the table and its CSV files; `recon.io.deeplabcut_h5` has its H5 files.
 from __future__ import annotations
 
 import re
-from array import array
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path, PureWindowsPath
@@ -30,6 +29,8 @@ HEADERS = (
     ("bodyparts", "coords"),
     ("individuals", "bodyparts", "coords"),
 )
+_CELLS_AT_ONCE = 1 << 14
+"""As Python's own text and numbers."""
 COORDS = ("x", "y", "z", "likelihood")
 # DeepLabCut files the bodyparts that belong to no animal, such as the corners of the arena, under this individual.
 UNIQUE_BODYPARTS = "single"
@@ -135,18 +136,22 @@ def read_csv(path: Path) -> PointTable:
     levels, index_columns = _read_header(path, rows)
     labels = list(zip(*levels.values(), strict=True))
     index: list[tuple[str, ...]] = []
-    values = array("d")
+    values: list[np.ndarray] = []
+    cells: list[str] = []
     bad: list[tuple[int, int, str]] = []
     problems: list[Problem] = []
     width = index_columns + len(labels)
     for line, row in rows:
         if len(row) == width:
-            values.extend(row_numbers(row[index_columns:], len(index), bad))
+            cells += row[index_columns:]
             index.append(tuple(row[:index_columns]))
+            if len(cells) >= _CELLS_AT_ONCE:
+                values.append(row_numbers(cells, len(labels), sum(map(len, values)), bad))
+                cells = []
         else:
             problems.append(Problem(path, f"line {line}", f"{len(row)} cells", f"{width}, as in the header"))
-    cells = np.array(values).reshape(len(index), len(labels))
-    return table_of(path, tuple(levels), labels, index, cells, bad, problems)
+    values.append(row_numbers(cells, len(labels), sum(map(len, values)), bad))
+    return table_of(path, tuple(levels), labels, index, np.concatenate(values), bad, problems)
 
 
 def _read_header(path: Path, rows: Iterator[tuple[int, list[str]]]) -> tuple[dict[str, list[str]], int]:
@@ -243,13 +248,14 @@ def table_of(
         distinct, count = np.unique(np.array(frames), return_counts=True)
         problems = [Problem(path, f"frame {frame}", "more than one row", "one") for frame in distinct[count > 1]]
     refuse(first_problems(problems, path))
-    order = np.argsort(frames)
-    if np.any(np.diff(order) != 1):
+    in_order = np.array(frames, dtype=np.int64)
+    if np.any(np.diff(in_order) < 0):
         notes += ("The rows were not in the order of their frame numbers and have been sorted.",)
-    in_order = np.array(frames, dtype=np.int64)[order]
+        order = np.argsort(in_order)
+        in_order, values = in_order[order], values[order]
     scorer = named[0].get("scorer")
     scorer, fps = (None, None) if scorer is None else _without_fps(scorer)
-    return PointTable(columns, values[order], in_order, notes, fps, scorer)
+    return PointTable(columns, values, in_order, notes, fps, scorer)
 
 
 def _frame_numbers(path: Path, index: Sequence[tuple[str, ...]]) -> tuple[list[int | str], list[Problem]]:
@@ -279,11 +285,12 @@ def _frame_numbers(path: Path, index: Sequence[tuple[str, ...]]) -> tuple[list[i
     return frames, problems
 
 
-def row_numbers(cells: Sequence[str], row: int, bad: list[tuple[int, int, str]]) -> list[float]:
-    """The cells of one row as floats; those that are none are added to `bad` as (row, column, text)."""
+def row_numbers(cells: Sequence[str], columns: int, first: int, bad: list[tuple[int, int, str]]) -> np.ndarray:
+    """(T, C): the cells of rows of so many columns as floats; those that are none are added to `bad` as (row, column,
+    text), the rows counted from `first` on."""
     values, wrong = numbers(cells)
-    bad += [(row, j, cells[j]) for j in wrong if np.isnan(values[j])]
-    return values.tolist()
+    bad += [(first + j // columns, j % columns, cells[j]) for j in wrong if np.isnan(values[j])]
+    return values.reshape(-1, max(columns, 1))
 
 
 def of_one_animal(table: PointTable, path: Path, individual: str | None) -> tuple[PointTable, str | None]:

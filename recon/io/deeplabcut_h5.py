@@ -49,8 +49,8 @@ def read_table(path: Path) -> PointTable:
     bad: list[tuple[int, int, str]] = []
     cells = frame.cells
     if cells.dtype == object:
-        rows = [["" if cell != cell else str(cell) for cell in row] for row in cells.tolist()]
-        cells = np.array([row_numbers(row, i, bad) for i, row in enumerate(rows)]).reshape(cells.shape)
+        texts = ["" if cell != cell else str(cell) for cell in cells.ravel().tolist()]
+        cells = row_numbers(texts, cells.shape[1], 0, bad).reshape(cells.shape)
     return table_of(path, levels, frame.columns, frame.index, cells, bad, [])
 
 

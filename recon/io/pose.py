@@ -86,6 +86,11 @@ class StoredPoints:
         return self.values.shape[-1] == 3
 
 
+def numbered_names(count: int) -> tuple[str, ...]:
+    """For the points of a file that has no names."""
+    return tuple(f"point{k}" for k in range(1, count + 1))
+
+
 def points_of(data: Keypoints | Pose3D) -> StoredPoints:
     """As a file is to have them: px, or metres with z up."""
     if isinstance(data, Keypoints):

@@ -9,7 +9,9 @@ from importlib import resources
 from importlib.util import find_spec
 from pathlib import Path
 
+import h5py
 import numpy as np
+from scipy.io import savemat
 
 from recon.animal.detector import seen_by
 from recon.animal.naming import load_names
@@ -97,6 +99,18 @@ translation = [1.0, 2.0, 3.0]
 [metadata]
 adjusted = false
 """
+OPENDRONEMAP = {
+    "v2 dji": {"projection_type": "brown", "width": 1920, "height": 1080, "focal_x": 0.7, "focal_y": 0.7, "k1": 0.1}
+}
+SHOTS = [
+    {
+        "cameras": OPENDRONEMAP,
+        "shots": {
+            f"a{i:04d}.jpg": {"rotation": [1.5, 0.1, 0], "translation": [1, 2, 3], "camera": "v2 dji"} for i in (7, 9)
+        },
+    }
+]
+FEATURES = {"features": [{"properties": {"filename": name} | shot} for name, shot in SHOTS[0]["shots"].items()]}
 MMPOSE = {
     "meta_info": {"keypoint_id2name": {"0": "nose", "1": "tail"}},
     "instance_info": [
@@ -158,6 +172,17 @@ def _cameras_of(path: Path) -> object:
     return [camera.project(np.array([[0.1, 0.2, 5.0]])) for camera in cameras]
 
 
+def _sized_cameras_of(path: Path) -> object:
+    return read_cameras(path, (1920, 1080))
+
+
+def _cell(*items: object) -> np.ndarray:
+    """MATLAB's."""
+    found = np.empty((len(items), 1), dtype=object)
+    found[:, 0] = items
+    return found
+
+
 def _body_of(path: Path) -> object:
     skeleton = load_skeleton(path)
     return skeleton.tree.pose(np.zeros((1, skeleton.n_state)))
@@ -185,6 +210,23 @@ def of_formats(folder: Path) -> Iterator[Seed]:
     rig = make_rig(chain, 1.0, chain.markers, FRAMES, random.normal(size=(5, chain.n_state)).round(2), 50.0)
     bvh.write(rig, folder / "3d.bvh")
     yield Seed("3d.bvh", (folder / "3d.bvh").read_bytes(), _positions)
+    label = {"data_3d": np.arange(12.0).reshape(2, 6), "data_frame": np.array([[3], [5]])}
+    params = {
+        "K": np.array(MATRIX).T,
+        "r": np.eye(3),
+        "t": np.ones((1, 3)),
+        "RDistort": [[0.1, 0]],
+        "TDistort": [[0, 0]],
+    }
+    for packed in (True, False):
+        cells = {"labelData": _cell(label, label), "params": _cell(params), "camnames": _cell("Camera1")}
+        savemat(folder / "dannce.mat", cells, do_compression=packed)
+        for read in (_positions, _sized_cameras_of):
+            yield Seed(f"dannce-{packed}.mat", (folder / "dannce.mat").read_bytes(), read, 0.7)
+    with h5py.File(folder / "points3d.h5", "w") as file:
+        file.create_dataset("tracks", data=random.normal(size=(4, 1, 3, 3)), compression="gzip")
+        file["node_names"], file["frames"] = [b"nose", b"ear", b"tail"], [2, 6]
+    yield Seed("points3d.h5", (folder / "points3d.h5").read_bytes(), _positions)
     yield Seed("2d-mmpose.json", json.dumps(MMPOSE).encode(), _points)
     yield Seed("2d-fixed.h5", _fixed_h5(folder / "fixed.h5", clip), _points)
     yield Seed("2d-classic.cdf", _classic_netcdf(folder / "classic.cdf", clip), _points)
@@ -260,6 +302,7 @@ def _cameras(folder: Path) -> Iterator[Seed]:
         ("opencv.xml", XML),
         ("scene.json", json.dumps(ACINOSET)),
         ("anipose.toml", ANIPOSE),
+        ("opendronemap.json", json.dumps(OPENDRONEMAP)),
     ):
         yield Seed(name, content.encode(), _cameras_of, 1.5)
 
@@ -272,7 +315,14 @@ def _tracks() -> Iterator[Seed]:
     images = "# Image list\n" + "".join(
         f"{i} 0.7071 0.7071 0 0 0.1 0.2 5 1 a/img{i:04d}.png\n1.5 2 -1\n" for i in (1, 2)
     )
-    for name, content in (("track.csv", table), ("images.txt", images)):
+    places = table.replace("tx,ty,tz", "x,y,z")
+    for name, content in (
+        ("track.csv", table),
+        ("places.csv", places),
+        ("images.txt", images),
+        ("reconstruction.json", json.dumps(SHOTS)),
+        ("shots.geojson", json.dumps(FEATURES)),
+    ):
         yield Seed(name, content.encode(), _track)
 
 

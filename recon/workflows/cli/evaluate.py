@@ -27,6 +27,10 @@ class _EvaluateSettings(Settings):
     truth: Annotated[
         Path, Option("The reference, with the same frame numbers: likewise, as truth.csv.", argument="TRUTH")
     ]
+    unit: Annotated[str | None, Option("Unit of the reference, if its file does not say it: m, cm or mm.")] = None
+    up: Annotated[str | None, Option("Axis of the reference that points up, if its file does not say it: y or z.")] = (
+        None
+    )
     anyway: Annotated[bool, ANYWAY] = False
 
 
@@ -37,7 +41,7 @@ def evaluate(settings: _EvaluateSettings, as_json: bool) -> Any:
     """
     from recon.gait.evaluation import evaluate_files
 
-    result = evaluate_files(settings.pose3d, settings.truth, settings.anyway)
+    result = evaluate_files(settings.pose3d, settings.truth, settings.anyway, settings.unit, settings.up)
     if as_json:
         return result.to_dict()
     console = terminal()

@@ -1,0 +1,124 @@
+"""MATLAB's files of versions 5 to 7, read without running or trusting anything: numbers, texts, structs and cells.
+
+A file is a list of elements: a type, a size in bytes, and as much data, or, compressed, one such element. A matrix
+holds its flags, sizes, name and data as elements again. Every size is checked against what there is before anything is
+taken. What is no number, text, struct or cell, such as functions and objects, is None. Version 7.3 is HDF5.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from recon.base.documents import read_content
+from recon.base.errors import InputError, Problem
+from recon.io.common import starts_with
+
+MAX_BYTES, MAX_UNPACKED = 1 << 28, 1 << 28
+MAX_DEPTH, MAX_ITEMS = 12, 100_000
+_MATRIX, _COMPRESSED = 14, 15
+_NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
+"""NumPy's by the type of an element."""
+_TEXTS = {1: "latin-1", 2: "latin-1", 4: "utf-16", 16: "utf-8", 17: "utf-16"}
+_CELL, _STRUCT, _CHAR = 1, 2, 4
+_NUMERIC = range(6, 16)
+_COMPLEX = 0x0800
+
+
+def recognises(path: Path) -> bool:
+    return starts_with(path, b"MATLAB ") and path.suffix.lower() == ".mat"
+
+
+def variables(path: Path) -> dict[str, Any]:
+    """By name: arrays of numbers (with MATLAB's shape), texts, dictionaries of structs (lists of them, where there are
+    several), and lists of cells. Raises InputError for a damaged file, and one of version 7.3."""
+    content = read_content(path, "a MATLAB file", MAX_BYTES)
+    if content.startswith(b"MATLAB 7.3"):
+        expected = "version 7 or older: in MATLAB, save(name, '-v7')"
+        raise InputError(Problem(path, "file", "a MATLAB file of version 7.3", expected))
+    try:
+        order = {b"IM": "<", b"MI": ">"}[content[126:128]]
+        return dict(_File(order).top(memoryview(content)[128:]))
+    except (KeyError, ValueError, IndexError, struct.error, zlib.error, UnicodeError, OverflowError) as error:
+        found = f"data that cannot be read ({str(error)[:100] or type(error).__name__})"
+        raise InputError(Problem(path, "content", found, "a whole MATLAB file")) from None
+
+
+class _File:
+    def __init__(self, order: str) -> None:
+        self.order, self.left, self.items = order, MAX_UNPACKED, MAX_ITEMS
+
+    def top(self, data: memoryview) -> Iterator[tuple[str, Any]]:
+        for kind, body in self.elements(data, packed=True):
+            if kind == _COMPRESSED:
+                unpacker = zlib.decompressobj()
+                whole = unpacker.decompress(bytes(body), self.left)
+                if unpacker.unconsumed_tail:
+                    raise ValueError("more than a file of poses can hold")
+                self.left -= len(whole)
+                kind, body = next(self.elements(memoryview(whole)), (0, body))
+            if kind == _MATRIX:
+                name, value = self.matrix(body, 0)
+                yield name, value
+
+    def elements(self, data: memoryview, packed: bool = False) -> Iterator[tuple[int, memoryview]]:
+        """Type and data of each. packed: at the top of a file, where compressed ones are not padded."""
+        at = 0
+        while at + 8 <= len(data):
+            kind, size = struct.unpack_from(f"{self.order}II", data, at)
+            if kind >> 16:  # up to 4 bytes beside the type
+                size, kind, begin, step = kind >> 16, kind & 0xFFFF, at + 4, 8
+                if size > 4:
+                    raise ValueError("an element that is too large for its place")
+            else:
+                begin = at + 8
+                step = 8 + (size if packed and kind == _COMPRESSED else (size + 7) // 8 * 8)
+            if begin + size > len(data):
+                raise ValueError("an element beyond the end")
+            yield kind, data[begin : begin + size]
+            at += step
+
+    def matrix(self, body: memoryview, depth: int) -> tuple[str, Any]:
+        """Its name and its value. Raises ValueError, IndexError."""
+        self.items -= 1
+        if depth > MAX_DEPTH or self.items < 0:
+            raise ValueError("more in one another than a file of poses has")
+        if not len(body):
+            return "", None
+        parts = [*self.elements(body)]
+        flags = int(self.numbers(*parts[0])[0])
+        kind, shape = flags & 0xFF, tuple(int(n) for n in self.numbers(*parts[1]))
+        name = bytes(parts[2][1]).decode("ascii")
+        count = int(np.prod(shape, dtype=float)) if min(shape, default=0) >= 0 else -1
+        if kind == _CELL:
+            return name, [self.matrix(part, depth + 1)[1] for _, part in parts[3:]]
+        if kind == _STRUCT:
+            return name, self.structs(parts[3:], depth)
+        if kind == _CHAR:
+            of, text = parts[3]
+            ends = ("-le" if self.order == "<" else "-be") if _TEXTS[of] == "utf-16" else ""
+            return name, bytes(text).decode(_TEXTS[of] + ends)
+        if kind not in _NUMERIC or flags & _COMPLEX:
+            return name, None
+        values = self.numbers(*parts[3]) if len(parts) > 3 else np.zeros(0)
+        if len(values) != count:
+            raise ValueError(f"{len(values)} numbers for {' x '.join(map(str, shape))}")
+        return name, values.reshape(shape, order="F")
+
+    def structs(self, parts: list[tuple[int, memoryview]], depth: int) -> Any:
+        length = int(self.numbers(*parts[0])[0])
+        text = bytes(parts[1][1])
+        if not 0 < length <= 64:
+            raise ValueError("names of another length than MATLAB's")
+        fields = [text[i : i + length].split(b"\0")[0].decode("ascii") for i in range(0, len(text), length)]
+        values = [self.matrix(part, depth + 1)[1] for _, part in parts[2:]]
+        rows = [dict(zip(fields, values[i:], strict=False)) for i in range(0, len(values), max(len(fields), 1))]
+        return rows[0] if len(rows) == 1 else rows
+
+    def numbers(self, kind: int, data: memoryview) -> np.ndarray:
+        return np.frombuffer(data, np.dtype(self.order + _NUMBERS[kind]))
