@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import runpy
 import shlex
 from collections.abc import Callable
 from pathlib import Path
@@ -11,15 +12,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command_line import run
-from docs_files import toml_of
+from docs_files import cat_file
 from test_docs import DOCS, blocks, commands
 
-from recon import Evaluation, InputError, evaluate_files, load_skeleton
-from recon.io.openpose import LISTS
-from recon.workflows.skeleton_draft import draft_skeleton
+from recon import Evaluation, evaluate_files, load_skeleton
 
 PAGE = DOCS / "how-to" / "new-species.md"
-STEPS = [block for block in blocks(PAGE) if block.language == "sh"]
+STEPS = [block for block in blocks(PAGE) if block.language == "sh"][1:]  # without the simulation
 LINKS = {
     "neck": 1.1 * 0.14,
     "l_fore_lower": 0.85 * 0.1,
@@ -34,11 +33,10 @@ LINKS = {
 def after(tmp_path_factory: pytest.TempPathFactory) -> Callable[[int], Path]:
     """`after(n)`: a folder in which the page's first n steps were done, and perhaps more."""
     folder = tmp_path_factory.mktemp("new-species")
-    (folder / "my-cat.toml").write_text(toml_of("writing-a-skeleton.md")[-1], encoding="utf-8")
-    (simulation,) = (block for block in blocks(PAGE) if block.language == "python")
+    cat_file(folder / "my-cat.toml")
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
-        exec(compile(simulation.text, str(PAGE), "exec"), {"__name__": "page"})
+        runpy.run_path(str(DOCS / "simulated_cat.py"))
     left = list(STEPS)
 
     def done(n: int) -> Path:
@@ -100,9 +98,3 @@ def test_one_camera_is_enough_afterwards(after):
     assert both < lengths < file / 2
     assert both_place < 0.7 * lengths_place < 0.5 * file_place
     assert both < 9
-
-
-@pytest.mark.parametrize("points", [17, 25, 26])
-def test_a_person_is_no_quadruped(points):
-    with pytest.raises(InputError, match="a person's"):
-        draft_skeleton(LISTS[points], "person", Path("person.csv"))

@@ -12,6 +12,7 @@ if TYPE_CHECKING:
         NameMap,
         builtin_maps,
         fitting_maps,
+        fitting_skeleton,
         load_names,
         map_to_write,
         new_names,

@@ -37,7 +37,7 @@ def capsules(tree: Tree, names: Sequence[str]) -> tuple[Capsule, ...]:
     for segment in segments:
         on_it = [(m.offset_m, name) for m, name in zip(tree.markers, names, strict=True) if m.segment == segment.name]
         points = [s.offset_m for s in segments if s.parent == segment.name] + [offset_m for offset_m, _ in on_it]
-        ends.append(list(dict.fromkeys((x, 0.0, z) for x, y, z in points if (x, y, z) != (0.0, 0.0, 0.0))))
+        ends.append(list(dict.fromkeys((x, 0.0, z) for x, _, z in points if (x, z) != (0.0, 0.0))))
         reach = max((float(np.hypot(x, z)) for x, _, z in ends[-1]), default=0.0)
         radii.append(max([_SLENDER * reach, *(abs(y) for _, y, _ in points)]))
         sides.append(common_side(side_of(name) for name in (segment.name, *(name for _, name in on_it))))

@@ -14,9 +14,10 @@ from difflib import SequenceMatcher
 from pathlib import Path
 
 from recon.animal.body import side_of, without_side
+from recon.animal.skeleton_file import builtin_chains, builtin_names, load_skeleton
+from recon.base import package
 from recon.base.documents import read_text
 from recon.base.errors import InputError, Problem, refuse
-from recon.base.package import builtin_file, builtin_names
 from recon.clip.keypoints import Keypoints
 
 HEADER = ("file", "skeleton")
@@ -46,14 +47,14 @@ class NameMap:
 
 def builtin_maps() -> tuple[str, ...]:
     """Names of the maps that come with the package."""
-    return builtin_names("animal/names", ".csv")
+    return package.builtin_names("animal/names", ".csv")
 
 
 def load_names(name_or_path: str | Path) -> NameMap:
     """The built-in map of that name, or the one in a CSV file. Raises InputError with every problem."""
     source = str(name_or_path)
     if source in builtin_maps():
-        text = builtin_file("animal/names", f"{source}.csv").read_text(encoding="utf-8")
+        text = package.builtin_file("animal/names", f"{source}.csv").read_text(encoding="utf-8")
     elif Path(source).is_file():
         text = read_text(Path(source), _EXPECTED)
     else:
@@ -144,6 +145,23 @@ def fitting_maps(names: Sequence[str], wanted: Iterable[str]) -> list[str]:
     shares = {by.source: len({by.names.get(name, name) for name in names} & wanted) for by in maps}
     better = [name for name, share in shares.items() if share > len({*names} & wanted)]
     return sorted(better, key=lambda name: -shares[name])
+
+
+def fitting_skeleton(names: Sequence[str]) -> tuple[str, int]:
+    """The options of the built-in skeleton of a whole animal that has most of these keypoints, with the map that it
+    takes (`--skeleton human-25 --rename coco-17`), and how many they are; without a map where it takes none."""
+    chains, maps = builtin_chains(), [NameMap("", {}), *map(load_names, builtin_maps())]
+    found = {
+        f"--skeleton {skeleton}{by.source and ' --rename '}{by.source}": len(
+            {by.names.get(name, name) for name in names} & markers
+        )
+        for skeleton in builtin_names()
+        if skeleton not in chains
+        for markers in [{*load_skeleton(skeleton).markers}]
+        for by in maps
+    }
+    best = max(found, key=lambda options: found[options])
+    return best, found[best]
 
 
 def map_to_write(names: Iterable[str], wanted: Iterable[str]) -> Iterator[str]:

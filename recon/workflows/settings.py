@@ -112,8 +112,9 @@ class FitSettings(Settings):
     keypoints: Annotated[
         OneOrMore[File],
         Option(
-            "Keypoint file, as in clip.csv: DeepLabCut, SLEAP, movement, NWB, COCO or a plain table. Of a clip "
-            "that several cameras filmed, one file for each of them.",
+            "Keypoint file, as in clip.csv: DeepLabCut, SLEAP, movement, NWB (ndx-pose), COCO, MMPose, OpenPose (any "
+            "of its files) or a plain table, long or wide. Of a clip that several cameras filmed, one file for each of "
+            "them.",
             "a keypoint file, as of DeepLabCut or SLEAP, or a list of them, one for each camera",
             argument="KEYPOINTS",
         ),
@@ -121,8 +122,8 @@ class FitSettings(Settings):
     camera: Annotated[
         OneOrMore[File] | None,
         Option(
-            "Calibration: OpenCV yaml/json/xml, AcinoSet scene.json, Anipose or recon toml; or one such file for each "
-            "camera.",
+            "Calibration: OpenCV or ROS yaml/json/xml, AcinoSet scene.json, OpenDroneMap cameras.json, DANNCE "
+            "mat, Anipose, Pose2Sim or recon toml; or one such file for each camera.",
             "a camera file, or a list of them",
         ),
     ] = None
@@ -140,10 +141,11 @@ class FitSettings(Settings):
     camera_track: Annotated[
         OneOrMore[File] | None,
         Option(
-            "Where a camera that moves was in each frame: a CSV table or a COLMAP text model, once for each "
-            "such camera. With several keypoint files it is that of the camera whose name its own name "
+            "Where a camera that moves was in each frame: a CSV table, a COLMAP text model, or OpenDroneMap's "
+            "reconstruction.json or shots.geojson, once for each such camera. With several keypoint files it is that "
+            "of the camera whose name its own name "
             "contains. (default: cameras stand still)",
-            "a CSV table of poses, or a COLMAP text model, one for each camera that moves",
+            "a CSV table of poses, a COLMAP text model or OpenDroneMap's poses, one for each camera that moves",
             method="trajectory",
         ),
     ] = None
@@ -249,8 +251,8 @@ class FitSettings(Settings):
     refine_cameras: Annotated[
         bool,
         _TrajectoryOption(
-            "Take the poses of all cameras but the first for as good as 2 degrees and 5 cm, and find them with "
-            "the fit; the refined cameras go into cameras.toml."
+            "Take the poses of all cameras but the first for as good as 2 degrees and 5 cm (2 % of their distance, if "
+            "that is less), and find them with the fit; the refined cameras go into cameras.toml."
         ),
     ] = False
     focal_sigma: Annotated[

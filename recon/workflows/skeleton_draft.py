@@ -7,7 +7,17 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Annotated
 
-from recon.animal import MIN_JOINTS, Body, fitting_maps, load_names, load_skeleton, other_side, side_of, suggestions
+from recon.animal import (
+    MIN_JOINTS,
+    Body,
+    fitting_maps,
+    fitting_skeleton,
+    load_names,
+    load_skeleton,
+    other_side,
+    side_of,
+    suggestions,
+)
 from recon.animal.body import PLACES
 from recon.base.errors import InputError, Problem
 from recon.base.files import require_free_file, staged_file
@@ -48,12 +58,17 @@ def run_skeleton_draft(settings: SkeletonDraftSettings) -> SkeletonDraft:
 
 def draft_skeleton(names: Sequence[str], title: str, source: Path) -> SkeletonDraft:
     """Raises InputError where too few names are understood to place an animal, or none of either end of its trunk, and
-    for names of a person's points."""
-    if _of_a_person(names):
-        expected = "those of a four-legged animal: a draft is one; a person's skeleton has to be written by hand"
-        raise InputError(Problem(source, "bodyparts", f"a person's: {', '.join(names)}", expected))
+    for names of a person's points, or of another built-in skeleton's."""
     body = load_skeleton(BASE)
     known = _understood(names, body.markers)
+    options, count = fitting_skeleton(names)
+    if (person := _of_a_person(names)) or count > len(known):
+        found = f"{'a person' if person else 'another animal'}'s: {', '.join(names)}"
+        takes = f"recon fit {options} takes {count} of these {len(names)} as they are"
+        if person and "human-25" not in options:
+            takes = "for a person recon fit --skeleton human-25 with --rename"
+        expected = f"a four-legged animal's: a draft is one; {takes}"
+        raise InputError(Problem(source, "bodyparts", found, expected))
     called = {marker: name for name, marker in known.items()}
     rear, front = (next((called[m] for m in ends if m in called), None) for ends in (REAR, FRONT))
     if rear is None or front is None or len(known) < MIN_JOINTS:
