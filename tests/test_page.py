@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import base64
 import csv
 import html
+import json
 import re
 import shutil
+import subprocess
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
@@ -22,7 +25,7 @@ from recon.base.manifest import read_manifest, write_manifest
 from recon.check import findings_of
 from recon.fit.motion import Motion
 from recon.io.video import video_writer
-from recon.show.page.clip import doubtful_frames
+from recon.show.page.clip import _solid, doubtful_frames
 from recon.show.page.render import _without_direction, inline
 from recon.show.plots.angles import angle_over_time, together
 from recon.show.plots.style import drawing
@@ -35,6 +38,7 @@ from recon.workflows.settings import FitSettings
 
 EVIL = '<img src=x onerror="alert(1)">&\'.csv'
 MOST_BYTES = 3_000_000
+CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), "")
 GENERATED = '<meta name="generator" content="recon">'
 
 
@@ -93,10 +97,54 @@ def page(folder) -> Page:
 
 
 def test_a_page_is_one_file_in_which_names_are_text(page, folder):
-    require_self_contained(page, folder)
+    require_self_contained(page, folder, scripts=2)
     assert EVIL in page.text
     assert "<script>.toml" in page.text
     assert page.text.count("\n") > 20
+
+
+def test_the_poses_that_can_be_turned_are_the_motions(page, folder):
+    """Read as the page's script does."""
+    motion = Motion.load(folder)
+    solid = json.loads(re.findall(r'<script type="application/json">(.*?)</script>', page.html)[0])
+    units = np.frombuffer(base64.b64decode(solid["positions"]), "<i2").reshape(-1, solid["joints"], 3)
+    shown = np.array(solid["origin_m"]) + solid["unit_m"] * units
+    np.testing.assert_allclose(shown, motion.upright.xyz_m, atol=2e-4)
+    assert (solid["frames"], solid["every"], solid["fps"]) == (motion.frames.tolist(), 1, motion.fps)
+    assert [joints for _, joints in solid["limbs"]] == [[*limb] for limb in motion.limbs.values()]
+
+
+def test_of_a_long_clip_some_poses_can_be_turned(small_trajectory, monkeypatch):
+    monkeypatch.setattr("recon.show.page.clip.SOLID_FRAMES", 3)
+    solid = _solid(small_trajectory, small_trajectory.solved, None)
+    assert solid is not None
+    assert (solid["frames"], solid["every"]) == (small_trajectory.frames[::3].tolist(), 3)
+
+
+@pytest.mark.skipif(not CHROMIUM, reason="without Chromium")
+@pytest.mark.parametrize(("wide", "scheme"), [(390, 0), (1280, 1)])
+def test_a_browser_shows_all_of_a_page(page, tmp_path, wide, scheme):
+    """On a phone by night, on a desk by day: the pose is drawn, nothing cut off, and the browser has nothing to say."""
+    told = """<script>window.addEventListener("load", () => {
+      const canvas = document.querySelector("canvas"), pen = canvas.getContext("2d");
+      const drawn = pen.getImageData(0, 0, canvas.width, canvas.height).data.filter((x) => x).length;
+      document.querySelector("input").value = 3;
+      document.querySelector("input").oninput();
+      const said = document.querySelector("output").textContent;
+      document.title = JSON.stringify([document.documentElement.scrollWidth, drawn > 1000, said]);
+    });</script>"""
+    copy = tmp_path / "page.html"
+    copy.write_text(page.html.replace("</body>", told + "</body>"), encoding="utf-8")
+    command = [CHROMIUM, "--headless=new", "--no-sandbox", "--disable-gpu", "--enable-logging=stderr", "--dump-dom"]
+    command += [f"--window-size={wide},900", f"--blink-settings=preferredColorScheme={scheme}", copy.as_uri()]
+    shown = subprocess.run(command, capture_output=True, text=True, check=True, timeout=120)
+    assert "CONSOLE" not in shown.stderr
+    title = re.search("<title>(.*?)</title>", shown.stdout)
+    assert title is not None
+    found, drawn, said = json.loads(html.unescape(title[1]))
+    assert found <= max(wide, 500)  # a window has at least that in some versions
+    assert drawn
+    assert said.startswith("frame 13")
 
 
 def test_marks_of_direction_are_shown_as_codes():
@@ -121,7 +169,7 @@ def test_a_page_says_what_the_report_says(page, folder):
     assert list(doubtful_frames(results)) == [("13", "no data"), ("15", "data poor, ambiguous depth")]
     headings = re.findall(r"<h2>(.*?)</h2>", page.html)
     assert headings[:6] == [
-        "Pictures", "From the side, from above and from ahead", "Speed", "Footfalls", "Angles", "Doubtful frames",
+        "Pictures", "In 3D", "From the side, from above and from ahead", "Speed", "Footfalls", "Angles",
     ]  # fmt: skip
     assert len(page.attributes("img", "src")) == 8
     assert set(page.attributes("img", "alt")) == {f"frame {frame}" for frame in range(10, 18)}

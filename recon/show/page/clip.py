@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby
@@ -9,7 +10,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from recon.base.arrays import Array
+from recon.base.arrays import Array, Bools
 from recon.base.words import length_text
 from recon.check import FLAGS, verdict_lines
 from recon.fit.motion import MEASURED_SHARE, Motion
@@ -29,6 +30,8 @@ SHOWN = 100
 SPEED_MM = 130.0
 LENGTHS, POSES, STRETCHES = 4.0, 7, 3
 """How many times its length an animal runs in a figure of so many poses, in so many stretches of the clip at most."""
+SOLID_FRAMES = 600
+"""Of a longer clip every other one, or fewer, can be turned by hand: 100 kB of the page."""
 UNKNOWN_ACCELERATION = (
     " The acceleration is hardly known, most of the time less than its standard deviation, and not shown."
 )
@@ -67,6 +70,7 @@ def clip_page(
         stills=stills,
         behind=behind,
         camera=motion.cameras[number].name if len(motion.cameras) > 1 else "the camera",
+        solid=_solid(motion, np.asarray(posed), gait),
         sections=[] if moved is None else list(_sections(motion, moved, gait)),
         doubtful=doubtful[:SHOWN],
         more_doubtful=max(0, len(doubtful) - SHOWN),
@@ -189,6 +193,38 @@ def _sections(motion: Motion, moved: JointKinematics, gait: Gait | None) -> Iter
         _inline([angle_over_time(motion.time_s, curves, doubtful, title) for title, curves in panels]),
         "small",
     )
+
+
+def _solid(motion: Motion, posed: Bools, gait: Gait | None) -> dict[str, Any] | None:
+    """What `solid.js` draws: of up to `SOLID_FRAMES` frames with a pose their numbers, the joints as whole numbers of
+    `unit_m` from `origin_m`, little-endian and three after the other, and the ground below each pose; and the limbs."""
+    rows = np.flatnonzero(posed)
+    if not len(rows):
+        return None
+    every = -(-len(rows) // SOLID_FRAMES)
+    rows = rows[::every]
+    joints_m = motion.upright.xyz_m[rows]
+    origin_m = (joints_m.min(axis=(0, 1)) + joints_m.max(axis=(0, 1))) / 2
+    unit_m = max(float(np.abs(joints_m - origin_m).max()) / 32_000, 1e-5)
+    middle_m, ground_m = joints_m.mean(axis=1), joints_m[..., 2].min(axis=1)
+    for within, plane in () if gait is None else gait.tracks.grounds:
+        own = (rows >= (within.start or 0)) & (rows < (len(posed) if within.stop is None else within.stop))
+        ground_m[own] = middle_m[own, 2] - plane.above(middle_m[own])
+    limbs = zip(motion.limbs.values(), motion.limb_sides.values(), strict=True)
+    size_m = float(np.median(np.ptp(joints_m, axis=1).max(axis=1)))
+    units = np.round((joints_m - origin_m) / unit_m).astype("<i2")
+    return {
+        "frames": motion.frames[rows].tolist(),
+        "every": every,
+        "fps": motion.fps / every,
+        "joints": units.shape[1],
+        "origin_m": np.round(origin_m, 4).tolist(),
+        "unit_m": unit_m,
+        "positions": base64.b64encode(units.tobytes()).decode(),
+        "grid_m": 1.0 if size_m > 0.3 else 0.1 if size_m > 0.03 else 0.01,
+        "ground_m": np.round(ground_m, 3).tolist(),
+        "limbs": [[side or "middle", [int(j) for j in limb]] for limb, side in limbs],
+    }
 
 
 def _is_unknown(values: Array, sigma: Array | None) -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import re
+from datetime import date
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -35,7 +36,8 @@ def rendered(template: str, **content: Any) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    return environment.get_template(template).render(generated=GENERATED, version=version(), **content)
+    given = {"generated": GENERATED, "version": version(), "today": date.today().isoformat()}
+    return environment.get_template(template).render(given | content)
 
 
 def _without_direction(value: Any) -> Any:
