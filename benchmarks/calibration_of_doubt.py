@@ -49,8 +49,8 @@ from recon.animal.prior import ANGLES, MotionPrior, as_one_gaussian, builtin_pri
 from recon.base.errors import InputError
 from recon.clip import View, still_view
 from recon.fit import TrajectoryOptions, constants, solve_trajectory
+from recon.fit.banded import factored
 from recon.fit.clip_problem import ClipProblem
-from recon.fit.posterior import factored
 from recon.fit.prior_misfit import LASTS_S
 from recon.fit.terms import dynamics_term, pose_term
 from recon.fit.trajectory import Solved, solve_segments

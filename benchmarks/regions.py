@@ -28,8 +28,8 @@ from scipy.special import gammaln
 from trajectory import body_of, prior_of
 
 from recon.fit import TrajectoryOptions
+from recon.fit.banded import factored
 from recon.fit.clip_problem import ClipProblem
-from recon.fit.posterior import factored
 from recon.fit.regions import DEGREES_OF_FREEDOM, radius, sigmas
 from recon.fit.trajectory import Solved, solve_segments
 

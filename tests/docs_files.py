@@ -28,6 +28,7 @@ from recon.show.export.rig import make_rig
 
 ROOT = Path(__file__).resolve().parents[1]
 SAMPLES = ROOT / "data" / "samples"
+CAT = ROOT / "docs" / "my-cat.toml"
 CAT_FPS = 100.0
 
 
@@ -174,11 +175,15 @@ def _toml(page: str, number: int) -> Callable[[Path], None]:
     return lambda path: path.write_text(toml_of(page)[number], encoding="utf-8") and None
 
 
+def cat_file(path: Path) -> None:
+    path.write_text(CAT.read_text(encoding="utf-8"), encoding="utf-8")
+
+
 def _cat(folder: Path, seed: int = 0) -> tuple[Body, Pose3D]:
     """400 frames of the cat of writing-a-skeleton.md in slow waves of all its angles, as it trots past at 3 m/s."""
     file = folder / "my-cat.toml"
     if not file.exists():
-        _toml("writing-a-skeleton.md", -1)(file)
+        cat_file(file)
     body = load_skeleton(str(file))
     rng, time_s = np.random.default_rng(seed), np.arange(400) / CAT_FPS
     states = np.zeros((400, body.n_state))
@@ -238,10 +243,10 @@ OF_PAGE: dict[str, dict[str, Callable[[Path], None]]] = {
     "how-to/scale.md": {"clip.csv": _half},
     "how-to/uncalibrated.md": {"clip.csv": _half},
     "how-to/other-formats.md": {"clip.analysis.h5": _of_other_names, "results_clip.json": mmpose},
-    "how-to/new-species.md": {"my-cat.toml": _toml("writing-a-skeleton.md", -1)},
+    "how-to/new-species.md": {"my-cat.toml": cat_file},
     "robot.md": {"arm.toml": _toml("robot.md", 0)},
     "writing-a-skeleton.md": {
-        "my-cat.toml": _toml("writing-a-skeleton.md", -1),
+        "my-cat.toml": cat_file,
         "poses.csv": _cat_poses,
         "clip.csv": _cat_clip,
     },
