@@ -50,6 +50,7 @@ NOT_RUN = {
     r"recon (fit run\d_cam|subject fit results/run1|prior fit tom/|evaluate one/)": "tests/test_new_species.py runs it",
     r"recon retarget .* --robot robot\.urdf ": "takes half a minute; tests/test_robot_retarget.py",
     r"recon (train|predict|evaluate-2d) |recon fit run\.csv ": "trains for minutes; tests/test_net_train.py",
+    r"recon climb published-50 ": "takes two seconds; tests/test_robot_climb.py runs one of its own",
     r"recon run ": "takes half a minute; tests/test_run.py",
     r"recon report ": "tests/test_page.py",
     r"recon (fit|calibrate extrinsics) run\d?_cam": "of several cameras; tests/test_offsets.py, test_cameras.py",
