@@ -15,7 +15,7 @@ from recon.geometry.frames import rigid
 from recon.geometry.rotations import euler_rotation
 
 DOCS = (Path(__file__).parents[1] / "docs" / "skeletons.md").read_text(encoding="utf-8")
-SUBJECT = DOCS.split("```toml")[2].split("```")[0]
+SUBJECT = DOCS.split("```toml")[1].split("```")[0]
 EXAMPLE = (Path(__file__).parent / "files" / "trunk-and-front-legs.toml").read_text()
 
 MARKERS = (

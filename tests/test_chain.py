@@ -132,7 +132,7 @@ def test_unknown_name_lists_the_known_ones():
 
 def test_the_documented_example_is_a_chain(tmp_path):
     text = (Path(__file__).parents[1] / "docs" / "skeletons.md").read_text()
-    extends, _ = (block.split("```")[0] for block in text.split("```toml")[1:])  # the other: see test_body.py
+    _, extends = (block.split("```")[0] for block in text.split("```toml")[1:])  # the other: see test_body.py
     (tmp_path / "chain.toml").write_text(extends)
     assert len(load_chain(tmp_path / "chain.toml").joints) >= 5
 
