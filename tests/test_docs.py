@@ -55,7 +55,6 @@ NOT_RUN = {
     r"recon report ": "tests/test_page.py",
     r"recon (fit|calibrate extrinsics) run\d?_cam": "of several cameras; tests/test_offsets.py, test_cameras.py",
     r"recon camera-motion ": "needs a video of a camera that turns; tests/test_camera_motion.py",
-    r"recon --install-completion": "changes the user's shell; tests/test_doctor.py",
     r"recon doctor": "looks at this machine; tests/test_doctor.py",
 }
 """Commands, from their beginning, and why they are not run."""

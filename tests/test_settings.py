@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import tomllib
 from pathlib import Path
 
@@ -404,12 +405,12 @@ def test_every_setting_is_listed():
 
 
 def test_settings_that_are_no_options_are_in_the_docs():
+    """By name, and what they are for; their help and defaults are what `recon settings` prints."""
     text = (Path(__file__).parents[1] / "docs" / "commands.md").read_text(encoding="utf-8")
+    listed = set(re.findall(r"`([a-z-]+)`", text.partition("## Settings that are no options")[2]))
     for info in SETTINGS.values():
         if not info.option.common and info.option.method != "frame":
-            default = "" if info.default is None else str(info.plain(info.default))
-            cells = [info.field.replace("_", "-").join("``"), default.lower(), info.option.help.replace("|", "\\|")]
-            assert "| " + " | ".join(cells).replace("  ", " ") + " |" in text.replace("  ", " "), info.field
+            assert info.field.replace("_", "-") in listed, info.field
 
 
 @pytest.mark.parametrize(
