@@ -265,7 +265,8 @@ def test_a_reference_that_counts_from_1_and_says_neither_unit_nor_up(tmp_path):
     assert note.startswith(
         "the reference counts frames from 1, the reconstruction from 0: counted alike they are 0.0 mm"
     )
-    assert not evaluate_files(tmp_path / "pose.trc", tmp_path / "pose.trc").notes
+    alike = evaluate_files(tmp_path / "pose.trc", tmp_path / "pose.trc").notes
+    assert not [note for note in alike if "counts" in note]
     rows = ["frame,joint,x,y,z"]
     for frame, points in zip(pose.frames, 1000 * pose.xyz_m, strict=True):
         rows += [f"{frame},{n},{x!r},{z!r},{-y!r}" for n, (x, y, z) in zip(pose.names, points.tolist(), strict=True)]

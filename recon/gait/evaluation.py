@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from recon.animal import fitting_maps, load_names, new_names
 from recon.base.errors import InputError, Problem, all_of
 from recon.base.manifest import MANIFEST
 from recon.check import mismatches, sentence, usable
@@ -110,21 +111,43 @@ class Evaluation:
 
 
 def evaluate_files(
-    pose_path: str | Path, truth_path: str | Path, anyway: bool = True, unit: str | None = None, up: str | None = None
+    pose_path: str | Path,
+    truth_path: str | Path,
+    anyway: bool = True,
+    unit: str | None = None,
+    up: str | None = None,
+    rename: str | None = None,
 ) -> Evaluation:
     """Evaluates a file of 3D positions (see `read_pose3d`) against another; either may be the folder of results that
     `recon fit` wrote, whose standard deviations are then compared with the errors. anyway: also results that are not to
-    be used; unit, up: of the reference, where its file does not say them (see `read_pose3d`). Raises InputError."""
+    be used; unit, up: of the reference, where its file does not say them (see `read_pose3d`); rename: a map of the
+    joints' names, of the file that is scored, or of the reference where a folder of results is. Raises InputError."""
     pose_path, truth_path = Path(pose_path), Path(truth_path)
     (pose, sigmas_m, verdict), (truth, *_) = all_of(
         lambda: _positions(pose_path, anyway), lambda: _positions(truth_path, anyway, unit, up)
     )
+    if rename is not None:
+        pose, truth = (pose, _renamed(truth, rename)) if pose_path.is_dir() else (_renamed(pose, rename), truth)
     found = replace(evaluate(pose, truth, sigmas_m), verdict=verdict)
-    found = replace(found, notes=(*found.notes, *_counted_from_one(pose, truth, found)))
+    notes = *pose.notes, *truth.notes, *found.notes, *_counted_from_one(pose, truth, found)
+    notes += () if rename else tuple(_other_names(pose, truth, found))
+    found = replace(found, notes=tuple(dict.fromkeys(notes)))
     if _is_result(truth_path) and not _is_result(pose_path):
         note = f"the reference, {truth_path}, is a result of recon fit, and what is scored is not: perhaps exchanged"
         return replace(found, notes=(*found.notes, note))
     return found
+
+
+def _renamed(pose: Pose3D, rename: str) -> Pose3D:
+    keep, names, note = new_names(pose.names, load_names(rename), str(pose.source))
+    return Pose3D(names, pose.xyz_m[:, keep], pose.frames, pose.source, pose.fps, notes=(*pose.notes, note))
+
+
+def _other_names(pose: Pose3D, truth: Pose3D, found: Evaluation) -> Iterator[str]:
+    """Where a map that comes with the package gives the two more joints in common."""
+    for name in fitting_maps(pose.names, truth.names)[:1]:
+        count = len({*_renamed(pose, name).names} & {*truth.names})
+        yield f"--rename {name}: {count} joints are in common, not {len(found.names)}."
 
 
 def _counted_from_one(pose: Pose3D, truth: Pose3D, found: Evaluation) -> Iterator[str]:

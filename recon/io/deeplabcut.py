@@ -20,6 +20,7 @@ import numpy as np
 from recon.base.errors import InputError, Problem, refuse
 from recon.clip.keypoints import Keypoints
 from recon.io.common import MAX_FRAME, PROBLEMS_SHOWN, choose, first_problems, frame_number, numbers, rate
+from recon.io.fmpose3d import LENGTHS, MODEL, true_names
 from recon.io.pose import Pose3D, StoredPoints, points_of
 from recon.io.table import text_rows, write_table
 
@@ -92,10 +93,13 @@ def points_in(table: PointTable, path: Path, individual: str | None) -> StoredPo
     table, animal = of_one_animal(table, path, individual)
     if any(c.coord == "z" for c in table.columns):
         names, xyz = gather(table, path, required=("x", "y", "z"))
-        return StoredPoints(names, xyz, table.frames, fps=table.fps, notes=table.notes)
+        names, notes = true_names(names, table.scorer or "")
+        notes = (*table.notes, *notes, *[LENGTHS] * (MODEL in (table.scorer or "")))
+        return StoredPoints(names, xyz, table.frames, fps=table.fps, notes=notes)
     names, values = gather(table, path, required=("x", "y"), optional=("likelihood",))
     values[(values == PADDING).all(axis=2)] = np.nan, np.nan, 0.0
-    notes = table.notes
+    names, notes = true_names(names, table.scorer or "")
+    notes = (*table.notes, *notes)
     if table.scorer is None:
         notes += ("The header's first row, scorer, is missing; the others say what each column is.",)
     likelihood = values[..., 2]

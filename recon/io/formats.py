@@ -19,6 +19,7 @@ from recon.base.errors import InputError, Problem
 from recon.clip.keypoints import Keypoints
 from recon.io import camera_files, deeplabcut
 from recon.io.common import MAX_FRAME, NoChoiceError, with_likelihoods
+from recon.io.deeplabcut_project import find_project
 from recon.io.pose import StoredPoints
 
 Kind = Literal["2D", "3D", "bones", "cameras"]
@@ -91,6 +92,8 @@ FORMATS: tuple[Format, ...] = (
     Format("mmpose", "MMPose JSON", (".json",), _of("mmpose.recognises"), _of("mmpose.read"), _2D),
     Format("openpose", "OpenPose JSON, a file a frame", (".json",), _of("openpose.recognises"),
            _of("openpose.read"), _2D),
+    Format("fmpose3d", "FMPose3D JSON of DeepLabCut", (".json",), _of("fmpose3d.recognises"),
+           _of("fmpose3d.read"), _3D, unit="m"),
     Format("trc", "TRC", (".trc",), _of("trc.recognises"), _of("trc.read"), _3D,
            _of("trc.write"), _3D, "needed", "kept", "m, y up", up="y"),
     Format("c3d", "C3D", (".c3d",), _of("c3d.recognises"), _of("c3d.read"), _3D,
@@ -186,6 +189,12 @@ def read_points(
     path = Path(path)
     if path.is_dir() and (files := sorted(path.glob("*.json"))):
         raise InputError(Problem(path, "file", "a folder", f"one of its files, which stands for all: {files[0].name}"))
+    if find_project(path):
+        expected = (
+            "one of its tables, as videos/run1DLC_*.h5; the project as a whole is for recon batch, recon train and "
+            "recon skeleton from-keypoints"
+        )
+        raise InputError(Problem(path, "file", "a project of DeepLabCut", expected))
     head = file_head(path)
     if by is not None:
         from recon.io import columns

@@ -16,6 +16,7 @@ from recon.base.errors import InputError, Problem, all_of, refuse
 from recon.clip.keypoints import Keypoints, mark_missing
 from recon.io import as_keypoints, deeplabcut, deeplabcut_h5, file_head
 from recon.io.common import first_problems
+from recon.io.deeplabcut_project import Project, find_project, label_files
 from recon.io.hdf5 import is_hdf5
 from recon.io.table import text_rows
 from recon.io.video import Image, probe, read_frames
@@ -90,16 +91,17 @@ def read_labels(
     individual: str | None = None,
     rename: str | None = None,
 ) -> Labels:
-    """A project folder, or a video with its label file.
+    """A project folder, or its config.yaml, or a video with its label file.
 
     first_frame: the number that the label file gives to the video's first frame. rename: a map of the keypoints' names.
     Raises InputError with every problem: labels without a picture, pictures that cannot be read, files that do not fit
     each other.
     """
     if labels is None:
-        if data.is_file():
+        project = find_project(data)
+        if data.is_file() and project is None:
             raise InputError(Problem("--labels", "file", "none", f"the label file (CSV or H5) of the video {data}"))
-        return _inside(_renamed(_read_project(data, individual), rename))
+        return _inside(_renamed(_read_project(data, project, individual), rename))
     if data.is_dir():
         raise InputError(Problem("--labels", "file", str(labels), f"none: the folder {data} has its own label files"))
     return _inside(_renamed(_read_video(data, labels, first_frame, individual), rename))
@@ -199,12 +201,13 @@ def _of_clip(clip: Path, keypoints: Keypoints, images: tuple[str, ...], pictures
     return Labels(*points, images, zeros, (str(clip),), tuple(pictures), str(source), keypoints.notes)
 
 
-def _read_project(folder: Path, individual: str | None) -> Labels:
-    if not folder.is_dir():
+def _read_project(folder: Path, project: Project | None, individual: str | None) -> Labels:
+    if project is None and not folder.is_dir():
         raise InputError(Problem(folder, "data", "nothing there", "a video, or a DeepLabCut project folder"))
-    files = _label_files(folder)
+    folder, scorer = (folder, "") if project is None else (project.folder, project.scorer)
+    files = label_files(folder, scorer)
     if not files:
-        expected = "labeled-data/*/CollectedData_*.csv, as in a DeepLabCut project"
+        expected = "labeled-data/*/CollectedData_*.csv or .h5, as in a DeepLabCut project whose frames are labelled"
         raise InputError(Problem(folder, "label files", "none", expected))
     parts = [part for part in all_of(*(lambda f=f: _read_folder(f, individual) for f in files)) if part is not None]
     if not parts:
@@ -226,17 +229,6 @@ def _read_project(folder: Path, individual: str | None) -> Labels:
         str(folder),
         tuple(note for p in parts for note in p.notes),
     )
-
-
-def _label_files(folder: Path) -> list[Path]:
-    """One a folder; where several people labelled it, H5 and CSV of the first in the alphabet."""
-    for pattern in ("labeled-data/*/CollectedData_*.csv", "*/CollectedData_*.csv", "CollectedData_*.csv"):
-        by_folder: dict[Path, Path] = {}
-        for file in sorted(folder.glob(pattern)):
-            by_folder.setdefault(file.parent, file)
-        if by_folder:
-            return list(by_folder.values())
-    return []
 
 
 def _read_folder(path: Path, individual: str | None) -> Labels | None:

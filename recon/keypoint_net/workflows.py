@@ -29,7 +29,9 @@ WRITERS = {".csv": write_csv, ".h5": deeplabcut_h5.write}
 class LabelSource(Settings):
     """Labelled pictures, and which of them to learn from."""
 
-    data: Annotated[Path, Option("DeepLabCut project folder, or a video (with --labels).", argument="DATA")]
+    data: Annotated[
+        Path, Option("DeepLabCut project (its folder or config.yaml), or a video (with --labels).", argument="DATA")
+    ]
     labels: Annotated[Path | None, Option("Label file of the video, as in CollectedData_me.csv.")] = None
     first_frame: Annotated[
         Integer, Option("Number that the labels give to the video's first frame: 50 where 0050.png is frame 0.")

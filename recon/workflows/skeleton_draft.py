@@ -25,6 +25,7 @@ from recon.base.package import builtin_file
 from recon.base.settings import Option, Settings
 from recon.geometry.kinematics import Marker
 from recon.io import read_keypoints
+from recon.io.deeplabcut_project import bodyparts, find_project
 
 BASE = "quadruped"
 REAR, FRONT = ("tail_base", "l_hip", "spine"), ("neck_base", "withers", "l_shoulder", "nose")
@@ -39,7 +40,13 @@ and the text of a skeleton file, to be completed."""
 class SkeletonDraftSettings(Settings):
     """What `recon skeleton from-keypoints` is told."""
 
-    keypoints: Annotated[Path, Option("Keypoint file of any known format, as in clip.csv.", argument="KEYPOINTS")]
+    keypoints: Annotated[
+        Path,
+        Option(
+            "Keypoint file of any known format, as in clip.csv, or DeepLabCut's project: its folder, or config.yaml.",
+            argument="KEYPOINTS",
+        ),
+    ]
     out: Annotated[Path, Option("Skeleton file to write, as in my-animal.toml.")]
     individual: Annotated[str | None, Option("Which animal of a multi-animal file, as in animal1.")] = None
     overwrite: Annotated[bool, Option("Replace the file.")] = False
@@ -48,9 +55,9 @@ class SkeletonDraftSettings(Settings):
 def run_skeleton_draft(settings: SkeletonDraftSettings) -> SkeletonDraft:
     """`recon skeleton from-keypoints`: write a draft of a skeleton for a keypoint file. Raises InputError."""
     require_free_file(settings.out, settings.overwrite, source=settings.keypoints)
-    draft = draft_skeleton(
-        read_keypoints(settings.keypoints, settings.individual).names, settings.out.stem, settings.keypoints
-    )
+    source, project = settings.keypoints, find_project(settings.keypoints)
+    names = bodyparts(project) if project else read_keypoints(source, settings.individual).names
+    draft = draft_skeleton(names, settings.out.stem, project.folder if project else source)
     with staged_file(settings.out) as staged:
         staged.write_text(draft[-1], encoding="utf-8")
     return draft

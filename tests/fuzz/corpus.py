@@ -227,6 +227,8 @@ def of_formats(folder: Path) -> Iterator[Seed]:
         file.create_dataset("tracks", data=random.normal(size=(4, 1, 3, 3)), compression="gzip")
         file["node_names"], file["frames"] = [b"nose", b"ear", b"tail"], [2, 6]
     yield Seed("points3d.h5", (folder / "points3d.h5").read_bytes(), _positions)
+    lifted = {"model": "fmpose3d_animals", "bodyparts": ["nose", "neck"], "poses_3d": [[[1, 2, 3], [4, 5, 6]], []]}
+    yield Seed("3d-fmpose3d.json", json.dumps(lifted).encode(), _positions)
     yield Seed("2d-mmpose.json", json.dumps(MMPOSE).encode(), _points)
     yield Seed("2d-fixed.h5", _fixed_h5(folder / "fixed.h5", clip), _points)
     yield Seed("2d-classic.cdf", _classic_netcdf(folder / "classic.cdf", clip), _points)

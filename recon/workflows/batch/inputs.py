@@ -17,6 +17,7 @@ from recon.base.errors import InputError, Problem, refuse
 from recon.check import names_text
 from recon.io import file_head, individuals, recognised, titles
 from recon.io.calibration import read_cameras
+from recon.io.deeplabcut_project import Project, find_project, predictions
 from recon.io.table import SEPARATORS, text_rows
 from recon.show.page import SUMMARY_PAGE
 from recon.workflows.batch.anipose import Session, sessions_in
@@ -49,7 +50,8 @@ def find_clips(
 ) -> tuple[list[Clip], list[str]]:
     """The clips of all inputs in their order, and notes: what was left out, and which files are one clip.
 
-    inputs: keypoint files, quoted globs, folders (every file that a reader recognises; of files that differ in their
+    inputs: keypoint files, quoted globs, DeepLabCut's projects (a folder with config.yaml, or that file: the tables
+    beside its videos), other folders (every file that a reader recognises; of files that differ in their
     suffix only the last one, .h5 rather than .csv, as DeepLabCut writes its tables twice; Anipose's sessions) and CSV
     manifests (a header with `keypoints`). common: settings of every clip by name, None where not given; a manifest's
     cells overrule them, and they overrule those of config. Each animal of a file of several is a clip, unless one is
@@ -95,7 +97,9 @@ def find_clips(
 
 def _drafts_of(given: str, common: Mapping[str, Any]) -> tuple[list[ClipDraft], list[str]]:
     path = Path(given)
-    if os.path.isdir(path):  # a Path raises OSError where a name is too long
+    if os.path.exists(path) and (project := find_project(path)):  # a Path raises OSError where a name is too long
+        return _drafts_of_project(project)
+    if os.path.isdir(path):
         files, notes = _files_in(path)
         of_anipose = sessions_in(path) if not files or path.absolute().name.startswith("pose-2d") else []
         if of_anipose:
@@ -115,6 +119,19 @@ def _drafts_of(given: str, common: Mapping[str, Any]) -> tuple[list[ClipDraft], 
 
 def _drafts_of_file(path: Path) -> list[ClipDraft]:
     return _drafts_of_manifest(path) if is_manifest(path) else [ClipDraft((path.absolute(),))]
+
+
+def _drafts_of_project(project: Project) -> tuple[list[ClipDraft], list[str]]:
+    """A draft for each video of DeepLabCut's project that a network has analysed, called as the video."""
+    found, left_out = predictions(project)
+    drafts = [
+        ClipDraft((file.absolute(),), called=file.absolute().with_name(f"{video}{file.suffix}"))
+        for video, file in found.items()
+    ]
+    notes = [f"{project.folder} is a project of DeepLabCut: {len(drafts)} of its videos are analysed."]
+    if left_out:
+        notes.append(f"Left out, other tables of the same videos: {names_text(left_out)}")
+    return drafts, notes
 
 
 def _drafts_of_sessions(sessions: Sequence[Session], common: Mapping[str, Any]) -> tuple[list[ClipDraft], list[str]]:

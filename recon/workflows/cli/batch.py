@@ -44,8 +44,8 @@ class _BatchSettings(Settings):
     inputs: Annotated[
         OneOrMore[str],
         Option(
-            "Keypoint files, quoted patterns as in 'clips/*.csv', folders, also Anipose's, or manifests: CSV tables "
-            "with a column keypoints, and one for every setting that differs between clips.",
+            "Keypoint files, quoted patterns as in 'clips/*.csv', folders, also projects of DeepLabCut and Anipose, or "
+            "manifests: CSV tables with a column keypoints, and one for every setting that differs between clips.",
             argument="INPUT",
         ),
     ]

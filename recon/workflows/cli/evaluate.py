@@ -31,6 +31,13 @@ class _EvaluateSettings(Settings):
     up: Annotated[str | None, Option("Axis of the reference that points up, if its file does not say it: y or z.")] = (
         None
     )
+    rename: Annotated[
+        str | None,
+        Option(
+            "New names of the joints of POSE3D, or of TRUTH where POSE3D is a folder: a CSV file with two columns, old "
+            "and new, or a built-in map, as in animal3d."
+        ),
+    ] = None
     anyway: Annotated[bool, ANYWAY] = False
 
 
@@ -41,7 +48,9 @@ def evaluate(settings: _EvaluateSettings, as_json: bool) -> Any:
     """
     from recon.gait.evaluation import evaluate_files
 
-    result = evaluate_files(settings.pose3d, settings.truth, settings.anyway, settings.unit, settings.up)
+    result = evaluate_files(
+        settings.pose3d, settings.truth, settings.anyway, settings.unit, settings.up, settings.rename
+    )
     if as_json:
         return result.to_dict()
     console = terminal()
