@@ -21,7 +21,7 @@ _AT_ONCE = 1 << 20
 
 @contextmanager
 def recording(path: Path, layout: rrb.Blueprint, part_of: str | None = None) -> Iterator[rr.RecordingStream]:
-    """A recording to log to, which is written to `path`; it is whole when the block ends without an exception.
+    """A recording to log to, which is written to `path`; there is none when the block raises.
 
     part_of: the id of a recording that this one adds to. Raises OSError that names the path.
     """
@@ -43,8 +43,12 @@ def recording(path: Path, layout: rrb.Blueprint, part_of: str | None = None) -> 
             try:
                 stream.send_blueprint(layout, make_active=False, make_default=True)
                 yield stream
-            finally:
+            except BaseException:
                 stream.disconnect()  # which ends what is read
+                written.exception()
+                path.unlink(missing_ok=True)
+                raise
+            stream.disconnect()
             written.result()
     finally:
         stream.disconnect()
