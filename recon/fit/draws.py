@@ -63,7 +63,7 @@ def draws(clip: ClipProblem, solution: TrajectorySolution, count: int, seed: int
     sizes = solution.size + solution.size_sigma * rng.normal(size=count)
     states = np.full((count, *solution.states.shape), np.nan)
     for one in at_solution(clip, solution):
-        known = curvature(one.problem, Estimate(one.states, 0.0, 0, True, one.shared))
+        known = curvature(one.problem, Estimate(one.states, 0.0, 0, True, one.shared), clip.correlation_frames)
         white = rng.normal(size=(*one.states.shape, count))
         others = known.root @ rng.normal(size=(len(known.root), count))
         first = one.segment.rows.start

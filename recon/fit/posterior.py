@@ -21,7 +21,7 @@ from recon.animal.body import Body
 from recon.base.arrays import Array
 from recon.fit.banded import Again, Normal, Reduced, Window, eliminated
 from recon.fit.least_squares import Estimate, LeastSquares
-from recon.fit.terms import SIZE, size_of
+from recon.fit.terms import COMMON_KEYPOINT_BIAS, SIZE, size_of
 from recon.geometry.kinematics import ROOT, YAW, TreePose
 
 _HELD = 1e8
@@ -29,6 +29,8 @@ _HELD = 1e8
 _HARDLY = 1e-3
 """Precision of a place and a heading of which next to nothing is known (1 / m^2, 1 / rad^2)."""
 _FRAMES_AT_ONCE = 256
+_WIDER_ROUNDS, _AS_EXPECTED = 10, 8
+"""Of expectation and maximisation; and unknowns' worth of what is expected of their variance."""
 
 
 @dataclass(frozen=True)
@@ -82,6 +84,9 @@ class Curvature:
     shared_precision: Array
     size_known: float
     """The size's precision by the pixels, before the factor on variances; 0 where it is not among the unknowns."""
+    beyond_m2: Array | float
+    """(J,): by how much the variance of the keypoint bias that all cameras share is larger than expected. Perhaps the
+    animal's lengths are others, and then the joint lies where the keypoints are, not the marker."""
 
     def windows(self) -> Iterator[KnownWindow]:
         size = len(self.shared_precision) - len(self.root)  # it comes first
@@ -92,8 +97,9 @@ class Curvature:
             yield KnownWindow(window, others, by_size)
 
 
-def curvature(problem: LeastSquares, found: Estimate) -> Curvature:
-    """With the unknowns that are taken for what is expected of them (`LeastSquares.doubtful`) as free."""
+def curvature(problem: LeastSquares, found: Estimate, variance_factor: float) -> Curvature:
+    """With the unknowns that are taken for what is expected of them (`LeastSquares.doubtful`) as free, and the keypoint
+    bias that all cameras share as wide as they show it. variance_factor: see `posterior`."""
     problem = replace(problem, shared=[*problem.shared, *problem.doubtful], doubtful=())
     normals, reduced = problem.normals(found.states, problem.expected() | dict(found.shared)), Reduced()
     windows: Iterable[Window] = Again(lambda: eliminated(normals, bounded=True))
@@ -101,19 +107,38 @@ def curvature(problem: LeastSquares, found: Estimate) -> Curvature:
         windows = [*windows]
     for window in windows:
         reduced.add(window)
-    S, first = reduced.corner, int(SIZE in problem.columns)
+    S, first, beyond_m2 = reduced.corner, int(SIZE in problem.columns), 0.0
+    if (own := problem.columns.get(COMMON_KEYPOINT_BIAS)) is not None:
+        (variance_m2,) = (u.sigma**2 for u in problem.shared if u.name == COMMON_KEYPOINT_BIAS)
+        wider = _wider(reduced, own, variance_m2, variance_factor)
+        S[own, own] += np.diag((1.0 / wider - 1.0) / variance_m2)
+        beyond_m2 = (wider - 1.0) * variance_m2[::3]
     of_others, known = np.linalg.inv(S[first:, first:]), 0.0
     others_by_size = np.zeros(len(of_others))
     if first:
         others_by_size = -of_others @ S[1:, 0]
         known = float(S[0, 0] + S[0, 1:] @ others_by_size - problem.shared[0].sigma[0] ** -2)
     root = np.asarray(np.linalg.cholesky(of_others), dtype=float)
-    return Curvature(normals, windows, root, others_by_size, S, max(known, 0.0))
+    return Curvature(normals, windows, root, others_by_size, S, max(known, 0.0), beyond_m2)
+
+
+def _wider(reduced: Reduced, own: slice, variance: Array, variance_factor: float) -> float:
+    """The likeliest factor on the expected variances of some shared unknowns, by expectation and maximisation; 1 at
+    least."""
+    S, g, every = reduced.corner, reduced.gradient, np.arange(len(reduced.gradient))
+    rest = np.delete(every, own)
+    across = np.linalg.solve(S[np.ix_(rest, rest)], S[rest, own]).T
+    precision, pull, wider = S[own, own] - across @ S[rest, own], g[own] - across @ g[rest], 1.0
+    for _ in range(_WIDER_ROUNDS):
+        of_own = np.linalg.inv(precision + np.diag((1.0 / wider - 1.0) / variance))
+        squares = ((of_own @ pull) ** 2 / variance_factor + np.diagonal(of_own)) / variance
+        wider = float((squares.sum() + _AS_EXPECTED) / (len(squares) + _AS_EXPECTED))
+    return max(wider, 1.0)
 
 
 def posterior(problem: LeastSquares, body: Body, found: Estimate, variance_factor: float) -> Posterior:
     """variance_factor: on all variances (errors of neighbouring frames are alike, which the cost does not know)."""
-    states, size, known = found.states, size_of(found.shared), curvature(problem, found)
+    states, size, known = found.states, size_of(found.shared), curvature(problem, found, variance_factor)
     solved_for = [unknown.name for unknown in problem.shared]
     problem = replace(problem, shared=[*problem.shared, *problem.doubtful], doubtful=())
     sigma = np.sqrt(variance_factor * np.diagonal(np.linalg.inv(known.shared_precision)))
@@ -133,6 +158,8 @@ def posterior(problem: LeastSquares, body: Body, found: Estimate, variance_facto
     for window in eliminated(without, _at_place(D, _HARDLY), bounded=True):
         expected.append(_of_angles(window.marginal_blocks()[:, 0]))
     absolute, relative, by_size, angles, state_by_size = (_joined(of) for of in zip(*parts, strict=True))
+    beyond_m2 = np.multiply.outer(known.beyond_m2, np.eye(3))
+    absolute, relative = absolute + beyond_m2, relative + beyond_m2
     return Posterior(
         covariance_m2=variance_factor * absolute,
         relative_covariance_m2=variance_factor * relative,
