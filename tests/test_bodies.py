@@ -17,7 +17,7 @@ from detector_files import HORSE_10, words
 from rigs import clip, scored
 from scipy.spatial.transform import Rotation
 
-from recon import FitSettings, InputError, Motion, load_skeleton, read_keypoints
+from recon import FitSettings, InputError, Keypoints, Motion, load_skeleton, read_keypoints, write_cameras
 from recon.animal.naming import fitting_maps, load_names, new_names
 from recon.animal.prior import prior_from_body
 from recon.clip import View, camera_poses
@@ -30,7 +30,8 @@ from recon.io.deeplabcut import write_csv
 from recon.io.openpose import LISTS
 from recon.workflows.clip import prepare
 from recon.workflows.clip_results import run_clip
-from recon.workflows.skeleton_draft import draft_skeleton
+from recon.workflows.skeleton_draft import SkeletonDraftSettings, draft_skeleton, run_skeleton_draft
+from recon.workflows.skeleton_geometry import drafted
 
 OBLIQUE_M = [[1.0, -5.5, 1.5], [4.5, -4.0, 1.7], [-4.5, 4.0, 1.8], [5.0, 4.0, 2.0]]
 ABOVE_M = [[0.35, 0.1, 0.45], [-0.1, 0.4, 0.45], [-0.35, -0.1, 0.5], [0.1, -0.4, 0.4]]
@@ -166,6 +167,49 @@ def test_a_person_of_coco(tmp_path):
 def test_no_quadruped_is_drafted_of_another_skeletons_points(names: Iterable[str], options):
     with pytest.raises(InputError, match=f"'s: .*{options}"):
         draft_skeleton([*names], "mine", Path("clip.csv"))
+
+
+@pytest.mark.parametrize(("skeleton", "alone"), [("mouse-top", 0), ("human-25", 2)])
+def test_a_draft_from_geometry(skeleton, alone, tmp_path):
+    """Names tell nothing; points of one of the true segments come to one of the draft's, which then fits the clip."""
+    true = load_skeleton(skeleton)
+    views, true_m = clip(true, 0.0, 4, 0)
+    names, files = tuple(f"point {j}" for j in range(len(true.markers))), []
+    for view in views:
+        files.append(tmp_path / f"{view.camera.name}.csv")
+        write_csv(Keypoints(names, view.xy_px, view.confidence, np.arange(len(true_m)), fps=rigs.FPS), files[-1])
+    out, rig = tmp_path / "mine.toml", tmp_path / "rig.toml"
+    write_cameras([view.camera for view in views], rig)
+    ended = run("skeleton", "from-keypoints", *files, "--camera", rig, "--fps", str(rigs.FPS), "--out", out)
+    assert (ended.code, ended.err) == (0, "")
+    assert f"{len(names)} of {len(names)} keypoints have a place." in ended.out
+    body = load_skeleton(out)
+    of = {int(marker.name.split()[1]): marker.segment for marker in body.tree.markers}
+    groups = [[j for j, m in enumerate(true.tree.markers) if m.segment == s.name] for s in true.tree.segments]
+    apart = [len({of[j] for j in group}) - 1 for group in groups if len(group) > 3]
+    assert len(apart) > 1
+    assert sum(apart) <= alone
+    order = [names.index(marker) for marker in body.markers]
+    seen = [replace(v, xy_px=v.xy_px[:, order], confidence=v.confidence[:, order]) for v in views]
+    found = solve_trajectory(seen, body, prior_from_body(body), rigs.FPS, TrajectoryOptions(fast=True))
+    off_m = np.linalg.norm(found.joints_m - true_m[:, order], axis=2)  # with the keypoints' bias
+    assert np.median(off_m) < 1.5 * true.keypoint_sigma_m
+    with pytest.raises(InputError, match=r"2 files without --camera"):
+        run_skeleton_draft(SkeletonDraftSettings(keypoints=tuple(files[:2]), out=tmp_path / "a.toml"))
+    with pytest.raises(InputError, match=r"1 camera\(s\): cam1.*two or more with poses"):
+        run_skeleton_draft(
+            SkeletonDraftSettings(keypoints=(files[0],), camera=(rig,), fps=rigs.FPS, out=tmp_path / "a.toml")
+        )
+
+
+@pytest.mark.parametrize(("path_m", "bends"), [(0.0, True), (2.0, False)])
+def test_no_draft_of_what_does_not_move(path_m, bends):
+    time = np.linspace(0, 1, 60)
+    still = np.array([[0.2 * k, 0.01 * k**2, 0.5] for k in range(8)])
+    points = still + np.stack([path_m * time, 0 * time, 0 * time], axis=1)[:, None]
+    points[:, 5:, 2] += 0.3 * bends * np.sin(20 * time)[:, None]
+    with pytest.raises(InputError, match="half its length, to know its front, and two bodies or more"):
+        drafted([*"abcdefgh"], points, 60.0, "mine", Path("clip.csv"))
 
 
 # -- small rigs ----------------------------------------------------------------------------------------------------

@@ -1,8 +1,8 @@
-"""A skeleton file from the names of a detector's keypoints: the quadruped's segments, with markers of these names."""
+"""A skeleton file from the names of a detector's keypoints: the quadruped's segments, with markers of these names. With
+cameras, from where the keypoints are (`recon.workflows.skeleton_geometry`), whatever they are called."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Annotated
@@ -19,13 +19,20 @@ from recon.animal import (
     suggestions,
 )
 from recon.animal.body import PLACES
-from recon.base.errors import InputError, Problem
+from recon.base.errors import InputError, Problem, all_of
 from recon.base.files import require_free_file, staged_file
 from recon.base.package import builtin_file
-from recon.base.settings import Option, Settings
+from recon.base.settings import File, OneOrMore, Option, Positive, Settings
+from recon.check.agreement import points_m
+from recon.clip import Source, together, views_of
+from recon.clip.keypoints import clean
 from recon.geometry.kinematics import Marker
 from recon.io import read_keypoints
 from recon.io.deeplabcut_project import bodyparts, find_project
+from recon.workflows.cameras import read_clip_cameras
+from recon.workflows.clip import arrange, read_clips
+from recon.workflows.settings import FitSettings
+from recon.workflows.skeleton_geometry import drafted, toml_text
 
 BASE = "quadruped"
 REAR, FRONT = ("tail_base", "l_hip", "spine"), ("neck_base", "withers", "l_shoulder", "nose")
@@ -41,26 +48,69 @@ class SkeletonDraftSettings(Settings):
     """What `recon skeleton from-keypoints` is told."""
 
     keypoints: Annotated[
-        Path,
+        OneOrMore[Path],
         Option(
-            "Keypoint file of any known format, as in clip.csv, or DeepLabCut's project: its folder, or config.yaml.",
+            "Keypoint file of any known format, as in clip.csv, or DeepLabCut's project: its folder, or config.yaml. "
+            "With --camera one file for each camera.",
             argument="KEYPOINTS",
         ),
     ]
     out: Annotated[Path, Option("Skeleton file to write, as in my-animal.toml.")]
     individual: Annotated[str | None, Option("Which animal of a multi-animal file, as in animal1.")] = None
+    camera: Annotated[
+        OneOrMore[File] | None,
+        Option(
+            "Calibration of several cameras, as recon fit reads it: the draft is made from the distances between "
+            "keypoints that stay the same. (default: from the keypoints' names)"
+        ),
+    ] = None
+    fps: Annotated[Positive | None, Option("With --camera: the frame rate in Hz. (default: what the file says)")] = None
+    up: Annotated[str | None, Option("With --camera: as of recon fit. (default: what the file says)")] = None
     overwrite: Annotated[bool, Option("Replace the file.")] = False
 
 
 def run_skeleton_draft(settings: SkeletonDraftSettings) -> SkeletonDraft:
     """`recon skeleton from-keypoints`: write a draft of a skeleton for a keypoint file. Raises InputError."""
-    require_free_file(settings.out, settings.overwrite, source=settings.keypoints)
-    source, project = settings.keypoints, find_project(settings.keypoints)
-    names = bodyparts(project) if project else read_keypoints(source, settings.individual).names
-    draft = draft_skeleton(names, settings.out.stem, project.folder if project else source)
+    for path in settings.keypoints:
+        require_free_file(settings.out, settings.overwrite, source=path)
+    source = settings.keypoints[0]
+    if settings.camera is not None:
+        draft = _of_geometry(settings)
+    elif len(settings.keypoints) > 1:
+        found = f"{len(settings.keypoints)} files without --camera"
+        raise InputError(Problem("KEYPOINTS", "files", found, "one, for its names; or --camera beside several"))
+    else:
+        project = find_project(source)
+        names = bodyparts(project) if project else read_keypoints(source, settings.individual).names
+        draft = draft_skeleton(names, settings.out.stem, project.folder if project else source)
     with staged_file(settings.out) as staged:
         staged.write_text(draft[-1], encoding="utf-8")
     return draft
+
+
+def _of_geometry(settings: SkeletonDraftSettings) -> SkeletonDraft:
+    """Raises InputError also where the cameras' poses are not known, or which way is up."""
+    given = FitSettings(
+        keypoints=settings.keypoints,
+        camera=settings.camera,
+        fps=settings.fps,
+        up=settings.up,
+        individual=settings.individual,
+    )
+    files, cameras = all_of(lambda: read_clips(given), lambda: read_clip_cameras(given))
+    first, source = files[0], settings.keypoints[0]
+    assert first.fps is not None
+    if len(files) < 2 or not all(camera.knows_up for camera, _ in cameras):
+        found = f"{len(files)} camera(s): {', '.join(camera.name for camera, _ in cameras)}"
+        raise InputError(Problem("--camera", "poses", found, "two or more with poses, and --up unless these say it"))
+    sources = [
+        Source(camera, *clean(arrange(file, first.names), given.likelihood_min), file.names)
+        for file, (camera, _) in zip(files, cameras, strict=True)
+    ]
+    views = views_of(together(sources, (0.0,) * len(sources)))
+    places_m = points_m(views, given.trajectory_options().sigma_px, 0.0)
+    known, text = drafted(first.names, places_m, first.fps, settings.out.stem, source)
+    return {name: name for name in known}, tuple(n for n in first.names if n not in known), text
 
 
 def draft_skeleton(names: Sequence[str], title: str, source: Path) -> SkeletonDraft:
@@ -119,18 +169,18 @@ def _head(
     labels = dict(zip(PLACES.values(), PLACES, strict=True))
     feet = {labels[label]: called[foot] for label, foot in body.feet_by_label().items() if foot in called}
     lines = [
-        f"# A draft for the keypoints of {_text(source.name)}: proportions and expectations are those of the skeleton",
+        f"# A draft for the keypoints of {toml_text(source.name)}: proportions and expectations are of the skeleton",
         f"# {BASE}, which are no animal's, and its markers are called as the keypoints. Look at it with recon skeleton",
         "# check, and replace the lengths by those of your animal. The fields are explained in docs/skeletons.md.",
         *([f"# Keypoints without a place yet: {', '.join(others)}"] if others else []),
-        f"name = {_text(title)}",
-        f"title = {_text(f'{title}, drafted from the names of its keypoints')}",
-        f"forward = [{_text(rear)}, {_text(front)}]",
+        f"name = {toml_text(title)}",
+        f"title = {toml_text(f'{title}, drafted from the names of its keypoints')}",
+        f"forward = [{toml_text(rear)}, {toml_text(front)}]",
         f"keypoint_sigma_m = {body.keypoint_sigma_m}",
         f"size_sigma = {body.size_sigma}",
         "",
         "[feet]",
-        *(f"{place} = {_text(foot)}" for place, foot in feet.items()),
+        *(f"{place} = {toml_text(foot)}" for place, foot in feet.items()),
     ]
     return "\n".join(lines) + "\n\n"
 
@@ -160,7 +210,10 @@ def _markers(body: Body, called: dict[str, str]) -> Iterator[str]:
 
 
 def _marker(marker: Marker, called: dict[str, str], mirrored: bool) -> str:
-    lines = [f"name = {_text(called[marker.name])}", f"segment = {_text(_segment(marker.segment, called.values()))}"]
+    lines = [
+        f"name = {toml_text(called[marker.name])}",
+        f"segment = {toml_text(_segment(marker.segment, called.values()))}",
+    ]
     lines += ["mirrored = true"] * mirrored
     lines += [f"at_m = {list(marker.offset_m)}"] * any(marker.offset_m)
     return "\n".join(["[[markers]]", *lines]) + "\n\n"
@@ -169,10 +222,6 @@ def _marker(marker: Marker, called: dict[str, str], mirrored: bool) -> str:
 def _limbs(body: Body, called: dict[str, str]) -> Iterator[str]:
     yield "[limbs]\n"
     for limb, along in body.limbs.items():
-        there = [_text(called[marker]) for marker in along if marker in called]
+        there = [toml_text(called[marker]) for marker in along if marker in called]
         if len(there) > 1:
-            yield f"{_text(limb)} = [{', '.join(there)}]\n"
-
-
-def _text(text: str) -> str:
-    return json.dumps(text, ensure_ascii=False)
+            yield f"{toml_text(limb)} = [{', '.join(there)}]\n"

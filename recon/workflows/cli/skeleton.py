@@ -52,7 +52,8 @@ def skeleton_check(settings: SkeletonCheckSettings, as_json: bool) -> Any:
 
 
 def skeleton_from_keypoints(settings: SkeletonDraftSettings) -> None:
-    """Draft a skeleton for the keypoints of a file: the proportions of the quadruped, with markers called so.
+    """Draft a skeleton for the keypoints of a file: the proportions of the quadruped, with markers called so; or, with
+    several calibrated cameras, whatever they are called, the bodies and joints that their distances show.
 
     Example: recon skeleton from-keypoints clip.csv --out my-animal.toml
     """
