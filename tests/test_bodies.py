@@ -202,13 +202,21 @@ def test_a_draft_from_geometry(skeleton, alone, tmp_path):
         )
 
 
-@pytest.mark.parametrize(("path_m", "bends"), [(0.0, True), (2.0, False)])
-def test_no_draft_of_what_does_not_move(path_m, bends):
+@pytest.mark.parametrize(
+    ("path_m", "bends", "noise_m", "refused"),
+    [
+        (0.0, True, 0.0, "half its length, to know its front, and two bodies or more"),
+        (2.0, False, 0.0, "half its length, to know its front, and two bodies or more"),
+        (2.0, True, 0.03, "to tell what bends from noise"),
+    ],
+)
+def test_no_draft_of_what_does_not_show_its_joints(path_m, bends, noise_m, refused):
     time = np.linspace(0, 1, 60)
     still = np.array([[0.2 * k, 0.01 * k**2, 0.5] for k in range(8)])
     points = still + np.stack([path_m * time, 0 * time, 0 * time], axis=1)[:, None]
     points[:, 5:, 2] += 0.3 * bends * np.sin(20 * time)[:, None]
-    with pytest.raises(InputError, match="half its length, to know its front, and two bodies or more"):
+    points += np.random.default_rng(0).normal(0, noise_m, points.shape)
+    with pytest.raises(InputError, match=refused):
         drafted([*"abcdefgh"], points, 60.0, "mine", Path("clip.csv"))
 
 

@@ -19,8 +19,9 @@ from recon.base.arrays import Array
 from recon.base.errors import InputError, Problem
 
 FEWEST_FRAMES = 20
-RIGID = 0.01
-"""Of the animal's length: a distance that changes by less (one standard deviation) stays the same."""
+RIGID, TOO_MUCH, NOISE = 0.01, 0.02, 2.0
+"""Of the animal's length: a distance that changes by less (one standard deviation) stays the same; and of noisy
+keypoints, by so many times what those between steady neighbours do, but not by more than the second."""
 KEYPOINT_SHARE, SIZE_SIGMA = 0.02, 0.05
 """Of the skeleton: keypoint_sigma_m as a share of its length, and size_sigma of an animal that was measured."""
 SWING_RAD, SWING_HZ = (0.2, 1.2), (0.5, 8.0)
@@ -36,6 +37,9 @@ class _Part:
     points: tuple[int, ...] = ()
     line: tuple[int, ...] = ()
 
+    def name(self, labels: Sequence[str]) -> str:
+        return toml_text(f"part_{self.number}_at_{labels[self.origin]}")
+
 
 def drafted(names: Sequence[str], points_m: Array, fps: float, title: str, source: Path) -> tuple[list[str], str]:
     """The keypoints that were seen often enough, and the text of a skeleton of them. points_m (T, K, 3): in a world
@@ -49,8 +53,14 @@ def drafted(names: Sequence[str], points_m: Array, fps: float, title: str, sourc
     apart = np.stack([np.linalg.norm(points - point[:, None], axis=2) for point in points.swapaxes(0, 1)], axis=1)
     usual_m = np.nanmedian(apart, axis=0)
     changes_m, long_m = 1.4826 * np.nanmedian(np.abs(apart - usual_m), axis=0), float(usual_m.max())
-    jitter_m = float(np.nanmedian(np.abs(np.diff(points, 2, axis=0)))) / (0.6745 * 6**0.5)
-    same_m = max(2 * 2**0.5 * jitter_m, RIGID * long_m)
+    nearest_m = np.where(np.eye(len(kept), dtype=bool), np.inf, changes_m).min(axis=1)
+    same_m = max(NOISE * float(np.median(nearest_m)), RIGID * long_m)  # nearly every point is on a body with another
+    if same_m > TOO_MUCH * long_m:
+        found = f"distances between neighbours change by {1000 * same_m / NOISE:.1f} mm in an animal of {long_m:.3g} m"
+        expected = (
+            f"by {TOO_MUCH / NOISE:.0%} or less of its length, to tell what bends from noise: more or nearer cameras"
+        )
+        raise InputError(Problem(source, "keypoints", found, expected))
     of = fcluster(linkage(squareform(changes_m, checks=False), "complete"), same_m, "distance")
     bodies = [np.flatnonzero(of == i).tolist() for i in np.unique(of)]
     root = min(range(len(bodies)), key=lambda i: (len(bodies[i]) < 3, usual_m[bodies[i]].min(axis=0).mean()))
@@ -75,7 +85,7 @@ def drafted(names: Sequence[str], points_m: Array, fps: float, title: str, sourc
     along = pose - pose[:, None]  # from a point to another, of the length that it usually has
     along *= (usual_m / np.linalg.norm(along, axis=2).clip(1e-9))[..., None]
     lines = [
-        f"# A draft from the geometry of the keypoints of {source.name}: distances that change by less than",
+        f"# A draft from the geometry of the keypoints of {toml_text(source.name)}: distances that change by less than",
         f"# {1000 * same_m:.1f} mm stay the same. Look at it with recon skeleton check, and give its segments names.",
         f"name = {toml_text(title)}",
         f"title = {toml_text(f'{title}, drafted from the geometry of its keypoints')}",
@@ -83,7 +93,7 @@ def drafted(names: Sequence[str], points_m: Array, fps: float, title: str, sourc
         f"keypoint_sigma_m = {KEYPOINT_SHARE * long_m:.5f}",
         f"size_sigma = {SIZE_SIGMA}",
         "\n[feet]",
-        *_segments(parts, turned, along, fps),
+        *_segments(parts, labels, turned, along, fps),
         *_markers(parts, labels, along),
         "\n[limbs]",
         *(f"part_{p.number} = [{', '.join(toml_text(labels[i]) for i in p.line)}]" for p in parts if len(p.line) > 1),
@@ -121,11 +131,11 @@ def _tree(bodies: Sequence[list[int]], root: int, costs: Array, same_m: float) -
     return parts
 
 
-def _segments(parts: Sequence[_Part], turned: Array, along: Array, fps: float) -> Iterator[str]:
+def _segments(parts: Sequence[_Part], labels: Sequence[str], turned: Array, along: Array, fps: float) -> Iterator[str]:
     for part in parts:
-        yield f'\n[[segments]]\nname = "part_{part.number}"\njoint = "{"ball" if part.parent else "free"}"'
+        yield f'\n[[segments]]\nname = {part.name(labels)}\njoint = "{"ball" if part.parent else "free"}"'
         if part.parent:
-            yield f'parent = "part_{part.parent.number}"\nat_m = {_at(along[part.parent.origin, part.origin])}'
+            yield f"parent = {part.parent.name(labels)}\nat_m = {_at(along[part.parent.origin, part.origin])}"
         ends = [*part.points, *(child.origin for child in parts if child.parent is part)]
         far = max(ends, key=lambda p: np.linalg.norm(along[part.origin, p]))
         to_m = turned[:, far] - turned[:, part.origin]
@@ -142,7 +152,7 @@ def _segments(parts: Sequence[_Part], turned: Array, along: Array, fps: float) -
 def _markers(parts: Sequence[_Part], labels: Sequence[str], along: Array) -> Iterator[str]:
     for part in parts:
         for point in part.points:
-            yield f'\n[[markers]]\nname = {toml_text(labels[point])}\nsegment = "part_{part.number}"'
+            yield f"\n[[markers]]\nname = {toml_text(labels[point])}\nsegment = {part.name(labels)}"
             yield f"at_m = {_at(along[part.origin, point])}"
 
 
