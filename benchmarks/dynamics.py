@@ -3,7 +3,7 @@
     python benchmarks/dynamics.py
 
 The plate-trials of $RECON_SHARED_DATA, or of ../shared/data: single views and both cameras. What forces rest on (the
-fore feet's share, a foot's share of a stride) is taken from the plates of the other trials. A dog's motion capture has
+fore feet's share) is taken from the plates of the other trials. A dog's motion capture has
 no masses; the simulated gallop of the samples has stances and a stride, so that its mean force is known.
 """
 
@@ -40,19 +40,17 @@ def measured(run: Path) -> tuple[pd.DataFrame, dict[str, np.ndarray]]:
 @contextmanager
 def of_others(runs: Sequence[Path], fps: float):
     """What plates of these runs say in place of the constants."""
-    shares, duties = [], []
+    shares = []
     for run in runs:
-        force, stance = measured(run)
+        force, _ = measured(run)
         impulse = force.sum() / fps
         shares.append(impulse[[j for f, j in FEET.items() if f.endswith("F")]].sum() / impulse.sum())
-        durations_s = np.diff([*stance.values()], axis=1) / fps
-        duties.append(durations_s.mean() / impulse.sum())
-    before = method.FORE, method.DUTY
-    method.FORE, method.DUTY = float(np.mean(shares)), float(np.mean(duties))
+    before = method.FORE
+    method.FORE = float(np.mean(shares))
     try:
         yield
     finally:
-        method.FORE, method.DUTY = before
+        method.FORE = before
 
 
 def against_plates(run: Path, found: ClipAnalysis, fps: float) -> list[dict[str, float]]:

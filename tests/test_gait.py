@@ -16,6 +16,7 @@ from recon.base.errors import InputError
 from recon.fit.regions import radius
 from recon.gait.gait import (
     FEET,
+    PERIOD_SIGMA,
     SLOW,
     Stance,
     classify,
@@ -25,6 +26,7 @@ from recon.gait.gait import (
     ground_plane,
     match_stances,
     pose_gait,
+    pose_period_s,
     pose_return_s,
     pose_tracks,
     stances,
@@ -366,6 +368,16 @@ def test_the_pose_returns_after_a_stride(stride_s, feet):
         for start_s, end_s in ((0.0, stride_s), (0.3 * stride_s, 2.3 * stride_s)):  # one stride, and two
             found = pose_return_s(moved, start_s, end_s)
             assert found == said if said is None else found == pytest.approx(said, rel=0.03)
+
+
+@pytest.mark.parametrize("share", [0.75, 0.9, 1.0])
+@pytest.mark.parametrize("name", ["trot", "rotary gallop"])
+def test_the_period_of_less_than_a_stride_is_told(name, share):
+    pose = runner(*PATTERNS[name], n=round(share * 0.4 * FPS))
+    noisy = replace(pose, xyz_m=pose.xyz_m + 0.01 * np.random.default_rng(0).normal(size=pose.xyz_m.shape))
+    assert pose_period_s(pose_tracks(noisy, FPS)) == pytest.approx(0.4, rel=1.6 * PERIOD_SIGMA)
+    noise = replace(pose, xyz_m=np.random.default_rng(0).normal(size=pose.xyz_m.shape))
+    assert np.isnan(pose_period_s(pose_tracks(noise, FPS)))
 
 
 def test_strides_with_a_stance_too_few_or_too_many_do_not_count():

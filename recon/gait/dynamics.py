@@ -9,11 +9,11 @@ shape,
     F(s) = peak * sin(pi s^SKEW),  s from 0 at touch-down to 1 at lift-off,
 
 and all stances of a stride together the impulse of the body's weight over it, as over a level stride the height comes
-back. The stride's time is that of complete strides, and without one the stances' mean duration over `DUTY`. Fore and
-hind feet share it as `FORE` says, feet of a pair alike but for `FOOT`. Intervals come from draws of all of these and of
-the stances' times. Shape, shares and spreads are those of force plates under two galloping cheetahs
-(`benchmarks/dynamics.py`); another animal's, or gait's, may differ by more. There are no joint torques: their intervals
-would be wider than the values.
+back. The stride's time is that of complete strides, and without one that in which the feet's motion relative to the
+body would be periodic (`recon.gait.gait.pose_period_s`). Fore and hind feet share it as `FORE` says, feet of a pair
+alike but for `FOOT`. Intervals come from draws of all of these and of the stances' times. Shape, shares and spreads
+are those of force plates under two galloping cheetahs (`benchmarks/dynamics.py`); another animal's, or gait's, may
+differ by more. There are no joint torques: their intervals would be wider than the values.
 """
 
 from __future__ import annotations
@@ -31,15 +31,13 @@ from recon.clip.keypoints import frame_ranges
 from recon.fit.finding import Finding
 from recon.fit.motion import Motion
 from recon.fit.regions import radius
-from recon.gait.gait import INTERVAL, Gait, Stance
+from recon.gait.gait import INTERVAL, PERIOD_SIGMA, Gait, Stance, pose_period_s
 from recon.gait.kinematics import Errors, JointKinematics, point_kinematics
 from recon.geometry.kinematics import Marker, Tree
 
 G_M_S2 = 9.81
 SKEW = 0.8
 """Of the force over a stance: it rises faster than it falls, its centre is at 0.41 of the stance (0.36 to 0.48)."""
-DUTY, DUTY_SIGMA = 0.2, 0.05
-"""A foot's stance of a stride, of a gallop without a complete one in the clip."""
 FORE, FORE_SIGMA = 0.42, 0.08
 """The fore feet's share of the impulse: cheetahs that speed up push with the hind feet. Of other gaits a half, with
 twice the spread."""
@@ -181,16 +179,13 @@ def _middles(motion: Motion) -> Array:
 
 
 def stride_time(gait: Gait) -> tuple[float, float]:
-    """Seconds and one standard deviation: of complete strides, or from the stances' durations; NaN without either."""
+    """Seconds and one standard deviation: of complete strides, or by the pose's period; NaN without either."""
     if gait.strides:
         lasts = np.array([stride.end_s - stride.start_s for stride in gait.strides])
         events = np.array([stride.duty_sigma for stride in gait.strides]) * lasts
         return float(lasts.mean()), float(np.hypot(lasts.std() / len(lasts) ** 0.5, np.median(events)))
-    whole = [s.duration_s for s in gait.stances if s.begins and s.ends]
-    if not whole:
-        return np.nan, np.nan
-    period = float(np.mean(whole)) / DUTY
-    return period, period * DUTY_SIGMA / DUTY
+    period = pose_period_s(gait.tracks)
+    return period, period * PERIOD_SIGMA
 
 
 def shape(into: Array) -> Array:

@@ -79,6 +79,10 @@ RETURN_SEEN = 0.5
 """A lag is told only from a clip that is longer by this share of it: fewer pairs of poses meet by chance."""
 WIDER = (1, 2, 4)
 """Times as long as a stride, in which the pose is looked for: a stance that was cut makes a part of a stride one."""
+PERIOD_OF_CLIP, PERIOD_SIGMA, PERIODIC = (0.5, 1 / 0.6), 0.08, 0.9
+"""A stride that is longer than half of a clip without a complete one, of the clip's time; one standard deviation of a
+period so found, relative to it, of a dog's strides cut to 0.7 to 1.2 of their time; and the least share of the feet's
+motion that it has to explain."""
 AGREE = 0.2
 """A stride that misses a stance is twice as long; the ends of a right one are off by two frames of some ten at most."""
 
@@ -600,6 +604,29 @@ def pose_return_s(moved: Tracks, start_s: float, end_s: float) -> float | None:
     if lag is not None:
         return float(lag * step * (time[1] - time[0]))
     return np.nan if time[b - 1] - time[a] >= (1 + AGREE) * (1 + RETURN_SEEN) * length else None
+
+
+def pose_period_s(moved: Tracks) -> float:
+    """Seconds of the stride of a clip that holds no complete one, NaN where it cannot be told.
+
+    It is the period whose first two harmonics, with a weak prior against them, fit best where the feet are relative to
+    the body."""
+    below = moved.foot_m[::OVERSAMPLING, :, 2] - moved.body_m[::OVERSAMPLING, None, 2]
+    values = np.concatenate([moved.reach_m[::OVERSAMPLING], below], axis=1)
+    known = np.isfinite(values).all(axis=1)
+    time, values = moved.time_s[::OVERSAMPLING][known], values[known]
+    if len(time) < MIN_POINTS + 5:
+        return np.nan
+    periods = np.linspace(*PERIOD_OF_CLIP, 100) * (time[-1] - time[0])
+    phase = 2 * np.pi / periods[:, None] * (time - time.mean())
+    waves = np.stack([np.ones_like(phase), *(f(n * phase) for n in (1, 2) for f in (np.cos, np.sin))], axis=-1)
+    moment = np.einsum("pta,tf->paf", waves, values)
+    prior = 1e-3 * len(time) * np.diag([0, 1, 1, 4, 4])
+    by_wave = np.linalg.solve(np.einsum("pta,ptb->pab", waves, waves) + prior, moment)
+    left = np.sum(values**2) - np.einsum("paf,paf->p", moment, by_wave)
+    best = int(left.argmin())
+    explained = left[best] < (1 - PERIODIC) * len(time) * values.var(axis=0).sum()
+    return float(periods[best]) if explained and 0 < best < len(periods) - 1 else np.nan
 
 
 def _return_lag(values: Array) -> int | None:
