@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from recon.base.arrays import Array
-from recon.calibrate.intrinsics.board import Board, Charuco, Chessboard, Gray
+from recon.calibrate.intrinsics.board import Board, Gray
 from recon.geometry.camera import Camera
 
 EDGE_PARTS = 8
@@ -89,23 +89,24 @@ def poses(
 
 def _dark_quads_m(board: Board) -> Array:
     """Everything dark on the board, as quadrilaterals (Q, 4, 3)."""
-    return _dark_squares_m(board) if isinstance(board, Chessboard) else _dark_of_charuco_m(board)
+    return _dark_squares_m(board) if board.marker_m is None else _dark_of_charuco_m(board)
 
 
-def _dark_squares_m(board: Chessboard) -> Array:
+def _dark_squares_m(board: Board) -> Array:
     cells = [(x, y) for y in range(-1, board.rows) for x in range(-1, board.columns) if (x + y) % 2 == 0]
     return board.square_m * np.array([_unit_square(x, y) for x, y in cells])
 
 
-def _dark_of_charuco_m(board: Charuco) -> Array:
+def _dark_of_charuco_m(board: Board) -> Array:
     """The squares without a marker, and the dark bits of the markers."""
-    markers = np.asarray(board.opencv.getObjPoints(), dtype=float).reshape(-1, 4, 3)
+    assert board.marker_m is not None
+    markers = np.asarray(board.charuco.getObjPoints(), dtype=float).reshape(-1, 4, 3)
     light = {tuple((m.mean(axis=0)[:2] / board.square_m).astype(int)) for m in markers}
     cells = [(x, y) for y in range(board.rows) for x in range(board.columns) if (x, y) not in light]
     quads = [board.square_m * _unit_square(x, y) for x, y in cells]
-    dictionary = board.opencv.getDictionary()
+    dictionary = board.charuco.getDictionary()
     side = dictionary.markerSize + 2
-    for marker, number in zip(markers, np.ravel(board.opencv.getIds()), strict=True):
+    for marker, number in zip(markers, np.ravel(board.charuco.getIds()), strict=True):
         bits = dictionary.generateImageMarker(int(number), side)
         quads += [marker[0] + board.marker_m / side * _unit_square(x, y) for y, x in np.argwhere(bits == 0)]
     return np.array(quads)

@@ -6,8 +6,6 @@ import math
 from pathlib import Path
 from typing import Annotated, Any
 
-import cv2
-
 from recon.base.errors import InputError, Problem, all_of
 from recon.base.files import require_free_file, staged_folder, write_bytes
 from recon.base.progress import Progress, silent
@@ -75,7 +73,7 @@ def run_calibration(settings: CalibrationSettings, progress: Progress = silent) 
     checks = check(calibration)
     refused = any(c.verdict == "refused" for c in checks)
     with staged_folder(settings.out.absolute().parent) as folder:
-        write_bytes(folder / picture.name, cv2.imencode(".png", draw(calibration))[1].tobytes())
+        write_bytes(folder / picture.name, draw(calibration))
         if settings.force or not refused:
             write_camera(calibration.camera, folder / settings.out.name)
     parameters = zip(calibration.parameters.items(), calibration.sigma, strict=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from recon.calibrate.intrinsics.board import Board, Charuco, Chessboard, parse_board
+from recon.calibrate.intrinsics.board import Board, parse_board
 from recon.calibrate.intrinsics.checks import LIMITS, CalibrationCheck, check, coverage
 from recon.calibrate.intrinsics.picture import draw
 from recon.calibrate.intrinsics.solve import Calibration, FittedBoardView, calibrate

@@ -9,7 +9,6 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from functools import cached_property
-from typing import ClassVar
 
 import cv2
 import numpy as np
@@ -32,69 +31,32 @@ Corners = tuple[Index, Array]
 
 
 @dataclass(frozen=True)
-class Chessboard:
-    """A board of squares."""
+class Board:
+    """A board of squares, or a ChArUco board, which has markers in the light ones."""
 
     columns: int
-    """Inner corners."""
+    """Of inner corners; of squares, where there are markers."""
     rows: int
-    """Inner corners."""
     square_m: float
     """Side of a square."""
-    needs_all: ClassVar[bool] = True
-
-    def __str__(self) -> str:
-        return f"chessboard of {self.columns}x{self.rows} inner corners, squares of {1000 * self.square_m:g} mm"
-
-    @cached_property
-    def points_m(self) -> Array:
-        """Corners (K, 3), board frame, metres: row by row."""
-        y, x = np.mgrid[: self.rows, : self.columns]
-        return self.square_m * np.stack((x.ravel(), y.ravel(), np.zeros(x.size)), axis=1)
-
-    @cached_property
-    def outline_m(self) -> Array:
-        """Corners (4, 3) of the outermost squares."""
-        (x0, y0), (x1, y1) = (-1, -1), (self.columns, self.rows)
-        return self.square_m * np.array([(x0, y0, 0.0), (x1, y0, 0), (x1, y1, 0), (x0, y1, 0)])
-
-    def detect(self, image: Gray) -> Corners | None:
-        """All corners in a picture (height, width), or None: a chessboard is found whole or not at all."""
-        found, xy = cv2.findChessboardCornersSB(image, (self.columns, self.rows), flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
-        if not found:
-            return None
-        xy = np.asarray(xy, dtype=float).reshape(-1, 2)
-        if xy[0].sum() > xy[-1].sum():
-            xy = xy[::-1]  # half a turn maps the board onto itself, and which end comes first is arbitrary
-        return np.arange(len(xy)), _refined_corners(image, xy, 0.28)
-
-
-@dataclass(frozen=True)
-class Charuco:
-    """A board of squares with markers in them."""
-
-    columns: int
-    """Squares."""
-    rows: int
-    """Squares."""
-    square_m: float
-    """Side of a square."""
-    marker_m: float
-    """Side of a marker."""
-    dictionary: str
+    marker_m: float | None = None
+    """Side of a marker; None: a chessboard."""
+    dictionary: str = ""
     """OpenCV's name of the markers' dictionary."""
     legacy: bool = False
     """The layout of OpenCV before 4.6, which differs for an even number of rows."""
-    needs_all: ClassVar[bool] = False
 
     def __str__(self) -> str:
-        return (
-            f"ChArUco board of {self.columns}x{self.rows} squares of {1000 * self.square_m:g} mm, "
-            f"markers of {1000 * self.marker_m:g} mm from {self.dictionary}" + self.legacy * ", legacy layout"
-        )
+        size, side = f"{self.columns}x{self.rows}", f"squares of {1000 * self.square_m:g} mm"
+        if self.marker_m is None:
+            return f"chessboard of {size} inner corners, {side}"
+        markers = f"markers of {1000 * self.marker_m:g} mm from {self.dictionary}" + self.legacy * ", legacy layout"
+        return f"ChArUco board of {size} {side}, {markers}"
 
     @cached_property
-    def opencv(self) -> cv2.aruco.CharucoBoard:
+    def charuco(self) -> cv2.aruco.CharucoBoard:
+        """OpenCV's board, of one with markers."""
+        assert self.marker_m is not None
         dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, self.dictionary))
         board = cv2.aruco.CharucoBoard((self.columns, self.rows), self.square_m, self.marker_m, dictionary)
         board.setLegacyPattern(self.legacy)
@@ -102,28 +64,37 @@ class Charuco:
 
     @cached_property
     def points_m(self) -> Array:
-        """Corners (K, 3), board frame, metres, by their ids in OpenCV."""
-        return np.asarray(self.opencv.getChessboardCorners(), dtype=float).reshape(-1, 3)
+        """Corners (K, 3), board frame, metres: row by row, as OpenCV numbers them."""
+        first = 0 if self.marker_m is None else 1
+        y, x = np.mgrid[first : self.rows, first : self.columns]
+        return self.square_m * np.stack((x.ravel(), y.ravel(), np.zeros(x.size)), axis=1)
 
     @cached_property
     def outline_m(self) -> Array:
         """Corners (4, 3) of the outermost squares."""
-        x, y = self.columns, self.rows
-        return self.square_m * np.array([(0.0, 0, 0), (x, 0, 0), (x, y, 0), (0, y, 0)])
+        x0 = y0 = -1 if self.marker_m is None else 0
+        x1, y1 = self.columns, self.rows
+        return self.square_m * np.array([(x0, y0, 0.0), (x1, y0, 0), (x1, y1, 0), (x0, y1, 0)])
 
     def detect(self, image: Gray) -> Corners | None:
-        """The corners of a picture (height, width) between markers that were read, or None if they are too few."""
-        detector = cv2.aruco.CharucoDetector(self.opencv)
-        xy, ids, _, _ = detector.detectBoard(image)
+        """The corners in a picture (height, width), or None: a chessboard is found whole or not at all, of a ChArUco
+        board the corners between markers that were read, where they are enough."""
+        if self.marker_m is None:
+            size = (self.columns, self.rows)
+            found, xy = cv2.findChessboardCornersSB(image, size, flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
+            if not found:
+                return None
+            xy = np.asarray(xy, dtype=float).reshape(-1, 2)
+            if xy[0].sum() > xy[-1].sum():
+                xy = xy[::-1]  # half a turn maps the board onto itself, and which end comes first is arbitrary
+            return np.arange(len(xy)), _refined_corners(image, xy, 0.28)
+        xy, ids, _, _ = cv2.aruco.CharucoDetector(self.charuco).detectBoard(image)
         if ids is None or len(ids) < MIN_CORNERS:
             return None
         # As far as the nearest marker, which would pull the corner towards its own.
         reach = 0.45 * (1 - self.marker_m / self.square_m)
         xy = _refined_corners(image, np.asarray(xy, dtype=float).reshape(-1, 2), reach)
         return np.ravel(ids).astype(np.intp), xy
-
-
-Board = Chessboard | Charuco
 
 
 def parse_board(text: str) -> Board:
@@ -149,7 +120,7 @@ def parse_board(text: str) -> Board:
     square = _length(parts[1], "side of a square", fault)
     if kind == "chessboard":
         refuse(problems)
-        return Chessboard(columns, rows, square)
+        return Board(columns, rows, square)
     marker = _length(parts[2], "side of a marker", fault)
     if 0 < square <= marker:
         fault("side of a marker", parts[2], f"less than the side of a square, {parts[1]}")
@@ -164,7 +135,7 @@ def parse_board(text: str) -> Board:
     if len(parts) == 5 and parts[4] != "legacy":
         fault("layout", repr(parts[4]), "legacy (printed with OpenCV before 4.6), or nothing")
     refuse(problems)
-    return Charuco(columns, rows, square, marker, dictionary, legacy=len(parts) == 5)
+    return Board(columns, rows, square, marker, dictionary, legacy=len(parts) == 5)
 
 
 def _refined_corners(image: Gray, xy_px: Array, reach: float) -> Array:

@@ -2,58 +2,55 @@
 
 from __future__ import annotations
 
-import cv2
+from io import BytesIO
+
 import numpy as np
 
 from recon.base.arrays import Array
 from recon.calibrate.intrinsics.checks import coverage
 from recon.calibrate.intrinsics.solve import Calibration
 from recon.geometry.camera import Camera
-from recon.io.video import Image
 
-MAX_SIDE_PX = 1400
-MARGIN_PX, FOOT_PX = 40, 90
-PAPER, FRAME, COVERED, GRID, INK = (255, 255, 255), (243, 243, 243), (225, 232, 220), (190, 170, 140), (40, 40, 40)
-DROPPED = (60, 60, 230)
-FONT = cv2.FONT_HERSHEY_SIMPLEX
-SHIFT = 4
+MAX_SIDE_PX, MARGIN_PX, FOOT_PX = 1400, 40, 130
+_DPI = 100
 
 
-def draw(calibration: Calibration) -> Image:
-    """Picture (height, width, 3; blue, green, red).
+def draw(calibration: Calibration) -> bytes:
+    """A PNG. Shaded: covered by a board. Lines: a square grid as this lens sees it. Dots: all corners, coloured by the
+    error of their picture; red crosses: those of pictures that were left out."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.collections import LineCollection
+    from matplotlib.figure import Figure
 
-    Shaded: covered by a board. Lines: a square grid as this lens sees it. Dots: all corners, coloured by their
-    picture's error; red crosses: those of pictures that were left out.
-    """
-    camera = calibration.camera
+    camera, used, covered = calibration.camera, calibration.used, coverage(calibration)
     width, height = camera.image_size_px
-    scale = MAX_SIDE_PX / max(width, height)
-    inner_w, inner_h = round(width * scale), round(height * scale)
-    image = np.full((inner_h + 2 * MARGIN_PX + FOOT_PX, inner_w + 2 * MARGIN_PX, 3), PAPER, dtype=np.uint8)
-    inside = image[MARGIN_PX : MARGIN_PX + inner_h, MARGIN_PX : MARGIN_PX + inner_w]
-    covered = cv2.resize(coverage(calibration).astype(np.uint8), (inner_w, inner_h), interpolation=cv2.INTER_NEAREST)
-    inside[:] = np.where(covered[..., None] > 0, COVERED, FRAME)
-
-    def place(xy_px: Array) -> np.ndarray:
-        """Fixed-point coordinates (..., 2) in the drawing."""
-        return np.rint((((xy_px + 0.5) * scale - 0.5) + MARGIN_PX) * 2**SHIFT).astype(np.int32)
-
-    for line in _grid_lines(camera):
-        cv2.polylines(image, [place(line)], False, GRID, 1, cv2.LINE_AA, SHIFT)
-    last = (MARGIN_PX + inner_w - 1, MARGIN_PX + inner_h - 1)
-    cv2.rectangle(image, (MARGIN_PX, MARGIN_PX), last, INK, 1)
-
-    top = max(view.rms_px for view in calibration.used)
-    for view in calibration.views:
-        spots = place(view.xy_px)
-        for x, y in spots:
-            if view.used:
-                colour = _colours(np.array([view.rms_px / top]))[0]
-                cv2.circle(image, (int(x), int(y)), 4 << SHIFT, colour, -1, cv2.LINE_AA, SHIFT)
-            else:
-                cv2.drawMarker(image, (int(x) >> SHIFT, int(y) >> SHIFT), DROPPED, cv2.MARKER_TILTED_CROSS, 9, 1)
-    _legend(image, calibration, top, (MARGIN_PX, 2 * MARGIN_PX + inner_h))
-    return image
+    inner = np.rint(np.array([width, height]) * MAX_SIDE_PX / max(width, height))
+    whole = inner + np.array([2 * MARGIN_PX, MARGIN_PX + FOOT_PX])
+    figure = Figure(figsize=tuple(whole / _DPI), dpi=_DPI)
+    FigureCanvasAgg(figure)
+    corner, size = np.array([MARGIN_PX, FOOT_PX]) / whole, inner / whole
+    axes = figure.add_axes((*corner.tolist(), *size.tolist()), xticks=[], yticks=[])
+    edges = (-0.5, width - 0.5, height - 0.5, -0.5)
+    axes.imshow(covered, extent=edges, cmap="Greys", vmax=4, aspect="auto", interpolation="nearest")
+    axes.add_collection(LineCollection(_grid_lines(camera), colors="#8caabe", linewidths=0.7))
+    at, errors = np.concatenate([view.xy_px for view in used]), [np.full(len(v.ids), v.rms_px) for v in used]
+    dots = axes.scatter(*at.T, c=np.concatenate(errors), s=16, vmin=0.0, linewidths=0)
+    left_out = [view for view in calibration.views if not view.used]
+    for view in left_out:
+        axes.plot(*view.xy_px.T, "x", color="#e63c3c", markersize=5)
+    axes.set(xlim=edges[:2], ylim=edges[2:])
+    bar = figure.add_axes((corner[0], 0.6 * corner[1], 300 / whole[0], 16 / whole[1]))
+    figure.colorbar(dots, cax=bar, orientation="horizontal").set_label("error of the picture, px (root mean square)")
+    notes = (
+        f"{camera.model}, {width}x{height} px, {len(used)} pictures"
+        + (f", {len(left_out)} left out (red)" if left_out else ""),
+        f"reprojection error {calibration.rms_px:.2f} px",
+        f"covered: {covered.mean():.0%} of the picture",
+    )
+    figure.text(360 / whole[0] + corner[0], 0.75 * corner[1], "\n".join(notes), va="top")
+    content = BytesIO()
+    figure.savefig(content, format="png", metadata={"Software": None})
+    return content.getvalue()
 
 
 def _grid_lines(camera: Camera) -> list[Array]:
@@ -78,31 +75,3 @@ def _grid_lines(camera: Camera) -> list[Array]:
             edges = np.flatnonzero(np.diff(np.concatenate(([0], shown.astype(int), [0]))))
             lines += [xy[a:b] for a, b in edges.reshape(-1, 2) if b - a > 1]
     return lines
-
-
-def _legend(image: Image, calibration: Calibration, top: float, corner: tuple[int, int]) -> None:
-    x, y = corner
-    bar_w = 300
-    bar = _colours(np.linspace(0, 1, bar_w))
-    image[y : y + 16, x : x + bar_w] = np.array(bar, dtype=np.uint8)[None]
-    for share in (0.0, 0.5, 1.0):
-        label = f"{share * top:.2f}" + " px" * (share == 1.0)
-        cv2.putText(image, label, (x + round(share * bar_w) - 12, y + 36), FONT, 0.5, INK, 1, cv2.LINE_AA)
-    cv2.putText(image, "error of the picture (root mean square)", (x, y + 58), FONT, 0.5, INK, 1, cv2.LINE_AA)
-    dropped = len(calibration.views) - len(calibration.used)
-    camera = calibration.camera
-    notes = [
-        f"{camera.model}, {camera.image_size_px[0]}x{camera.image_size_px[1]} px, {len(calibration.used)} pictures",
-        f"reprojection error {calibration.rms_px:.2f} px",
-        f"covered: {coverage(calibration).mean():.0%} of the picture",
-    ]
-    if dropped:
-        notes[0] += f", {dropped} left out (red)"
-    for number, note in enumerate(notes):
-        cv2.putText(image, note, (x + bar_w + 60, y + 14 + 22 * number), FONT, 0.5, INK, 1, cv2.LINE_AA)
-
-
-def _colours(shares: Array) -> list[tuple[int, int, int]]:
-    values = np.rint(255 * np.clip(shares, 0, 1)).astype(np.uint8).reshape(-1, 1)
-    colours = cv2.applyColorMap(values, cv2.COLORMAP_VIRIDIS).reshape(-1, 3)
-    return [(int(b), int(g), int(r)) for b, g, r in colours]

@@ -98,7 +98,7 @@ def find_views(files: Sequence[Path], board: Board, progress: Progress = silent)
         expected = (
             f"a {board}, whole and with a white margin: is that the board? --board counts inner corners, one fewer "
             "than squares each way"
-            if board.needs_all
+            if board.marker_m is None
             else f"a {board}: is that the board? It may have the layout of OpenCV before 4.6: try :legacy"
         )
         looked = f"in {views.examined} {'frames' if is_video else 'pictures'}"
