@@ -26,8 +26,7 @@ from recon.animal.prior import (
     prior_from_body,
     save_prior,
 )
-from recon.animal.prior.fit import POSE_FLOOR_RAD
-from recon.animal.prior.motion import ACCELERATION_FLOOR_RAD_S2, RIDGE_PER_ROW
+from recon.animal.prior.fit import ACCELERATION_FLOOR_RAD_S2, POSE_FLOOR_RAD, RIDGE_PER_ROW
 from recon.animal.skeleton_file import load_chain, load_skeleton
 from recon.base.errors import InputError
 from recon.fit.motion import Motion

@@ -18,7 +18,7 @@ from recon.animal.body import CHAIN_PLACES, PLACES, Body, other_side, side_of
 from recon.animal.chain import MIN_JOINTS, AngleRanges, Chain, Link, PriorScales
 from recon.base import package
 from recon.base.documents import parse_toml, read_toml, validated
-from recon.base.errors import InputError, Problem, refuse
+from recon.base.errors import InputError, Problem
 from recon.geometry.kinematics import ANGLE_OF_AXIS, AXES, Marker, Segment, Tree
 
 Number = Annotated[float, Field(gt=-1e6, lt=1e6, allow_inf_nan=False)]
@@ -102,6 +102,8 @@ class _ChainFile(FileTable):
     softness_rad: Sigma
     prior: _Prior
     links: tuple[_Link, ...] = Field(min_length=1)
+    length_m: dict[str, Sigma] = {}
+    """Measured lengths of links, in place of their ratios."""
 
 
 Offset = tuple[Number, Number, Number]
@@ -153,13 +155,6 @@ class _BodyFile(FileTable):
     markers: tuple[_Marker, ...]
     limbs: dict[str, tuple[str, ...]]
     mass: _Mass | None = None
-
-
-class _Extension(FileTable):
-    """What a chain says of another one that it is made from."""
-
-    extends: str
-    length_m: dict[str, Sigma] = {}
 
 
 class _SubjectFile(FileTable):
@@ -273,50 +268,25 @@ def subject_toml(skeleton: str | Path, body: Body, title: str, notes: Sequence[s
 
 
 def _load_chain(raw: dict[str, Any], source: str) -> Chain:
-    if "extends" in raw:
-        raw = _extended(raw, source)
-    return _chain(_checked_chain(raw, source))
-
-
-def _checked_chain(raw: dict[str, Any], source: str) -> _ChainFile:
-    parsed, problems = parsed_file(_ChainFile, raw, source)
-    if parsed is not None:
-        problems = list(_chain_problems(parsed, source))
-    if parsed is None or problems:
+    file, problems = parsed_file(_ChainFile, _extended(raw, source), source)
+    if file is not None:
+        problems = [*_chain_problems(file, source)]
+    if file is None or problems:
         raise InputError(problems)
-    return parsed
+    return _chain(file)
 
 
 def _extended(raw: dict[str, Any], source: str) -> dict[str, Any]:
-    """`extends` takes another skeleton's tables; `length_m` gives its links measured lengths."""
-    extension = validated(_Extension, {key: raw[key] for key in ("extends", "length_m") if key in raw}, source)
-    name, lengths = extension.extends, extension.length_m
+    """With the tables of the skeleton that it `extends`, where it has none of its own."""
+    if "extends" not in raw:
+        return raw
+    if not isinstance(name := raw["extends"], str):
+        raise InputError(Problem(source, "extends", repr(name), "the name or the file of a skeleton"))
     parent, parent_source = read_named(_beside(name, source))
-    if "segments" in parent:
-        raise InputError(Problem(source, "extends", parent_source, "a chain; a body's lengths stand in a subject file"))
-    if "extends" in parent:
-        raise InputError(Problem(source, "extends", parent_source, "a skeleton that does not extend another"))
-    if lengths and "links" in raw:
-        raise InputError(Problem(source, "length_m", "links beside it", "one of the two"))
-    _checked_chain(parent, parent_source)
-    links = [dict(link) for link in parent["links"]]
-    base = raw.get("base_length", parent.get("base_length"))
-    base = base.get("nominal_m") if isinstance(base, dict) else base
-    names = {str(link.get("name")) for link in links}
-    problems = [
-        Problem(source, f"length_m.{name}", repr(length), f"a length in metres of one of {', '.join(sorted(names))}")
-        for name, length in lengths.items()
-        if name not in names
-    ]
-    known_m = base if isinstance(base, int | float) and 0 < base < float("inf") else None
-    if lengths and known_m is None:
-        problems.append(Problem(source, "base_length.nominal_m", repr(base), "a length in metres"))
-    refuse(problems)
-    for link in links:
-        if known_m is not None and link["name"] in lengths:
-            link["length_ratio"] = lengths[link["name"]] / known_m
-    own = {key: value for key, value in raw.items() if key not in ("extends", "length_m")}
-    return {**parent, "links": links, **own}
+    if "segments" in parent or "extends" in parent:
+        expected = "a chain that extends none; a body's lengths stand in a subject file"
+        raise InputError(Problem(source, "extends", parent_source, expected))
+    return {**parent, **{key: value for key, value in raw.items() if key != "extends"}}
 
 
 def _beside(name: str, source: str) -> str:
@@ -325,7 +295,7 @@ def _beside(name: str, source: str) -> str:
     return str(file) if file.is_file() and name not in builtin_names() else name
 
 
-def _chain_problems(parsed: _ChainFile, source: str):
+def _chain_problems(parsed: _ChainFile, source: str) -> Iterator[Problem]:
     known = {parsed.root}
     for i, link in enumerate(parsed.links):
         if link.start not in known:
@@ -335,10 +305,12 @@ def _chain_problems(parsed: _ChainFile, source: str):
         if (link.theta is None) != (link.phi is None):
             yield Problem(source, f"links[{i}]", "only one of theta and phi", "both or neither")
         known.add(link.end)
-    if len(parsed.links) + 1 < MIN_JOINTS:
-        yield Problem(
-            source, "links", f"{len(parsed.links)}", f"at least {MIN_JOINTS - 1}: fewer joints do not place it"
-        )
+    names = [link.name for link in parsed.links]
+    for name in parsed.length_m:
+        if name not in names:
+            yield Problem(source, f"length_m.{name}", repr(name), f"one of {', '.join(sorted(names))}")
+    if len(names) + 1 < MIN_JOINTS:
+        yield Problem(source, "links", f"{len(names)}", f"at least {MIN_JOINTS - 1}: fewer joints do not place it")
     if not any(link.theta is None and link.start == parsed.root for link in parsed.links):
         expected = f"one from {parsed.root} without theta and phi: the body's forward axis lies along it"
         yield Problem(source, "links", "none without angles from the root", expected)
@@ -360,10 +332,12 @@ def _ranges(links: tuple[_Link, ...], kind: Literal["theta", "phi"]) -> AngleRan
 
 
 def _chain(f: _ChainFile) -> Chain:
+    ratios = {x.name: x.length_ratio for x in f.links}
+    ratios |= {name: length_m / f.base_length.nominal_m for name, length_m in f.length_m.items()}
     return Chain(
         name=f.name,
         title=f.title,
-        links=tuple(Link(x.name, x.start, x.end, x.limb, x.length_ratio, free=x.theta is not None) for x in f.links),
+        links=tuple(Link(x.name, x.start, x.end, x.limb, ratios[x.name], free=x.theta is not None) for x in f.links),
         joints=(f.root, *(x.end for x in f.links)),
         keypoints=(_sides(f.root_keypoint), *(_sides(x.keypoint) for x in f.links)),
         forward=f.forward,

@@ -11,7 +11,14 @@ from recon.base.front_door import lazily
 if TYPE_CHECKING:
     from recon.animal.prior.file import builtin_priors, load_prior, save_prior
     from recon.animal.prior.fit import FRAMES_PER_COMPONENT, fit_prior
-    from recon.animal.prior.mixture import log_likelihood
-    from recon.animal.prior.model import ANGLES, NONE, MotionPrior, as_one_gaussian, mean_speed_m_s, prior_from_body
+    from recon.animal.prior.model import (
+        ANGLES,
+        NONE,
+        MotionPrior,
+        as_one_gaussian,
+        log_likelihood,
+        mean_speed_m_s,
+        prior_from_body,
+    )
 
 __getattr__ = lazily(__name__, __file__)

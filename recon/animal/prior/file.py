@@ -109,14 +109,10 @@ def _prior(content: bytes, source: str, body: Body) -> MotionPrior:
 
 def _other_angles(angles: Sequence[str], body: Body, source: str) -> Problem:
     expected = body.state_names[ANGLES]
-    differing = (
-        ("missing", [name for name in expected if name not in angles]),
-        ("of another body", [name for name in angles if name not in expected]),
-    )
-    parts = [
-        f"{len(names)} {what} ({', '.join(names[:3])}{', ...' * (len(names) > 3)})"
-        for what, names in differing
-        if names
-    ]
+    differing = {
+        "missing": [name for name in expected if name not in angles],
+        "of another body": [name for name in angles if name not in expected],
+    }
+    parts = [f"{len(names)} {what} ({', '.join(names[:3])})" for what, names in differing.items() if names]
     found = f"{len(angles)} angles, {' and '.join(parts) or 'in another order'}"
     return Problem(source, "angles", found, f"the {len(expected)} angles of {body.name}, in its order")

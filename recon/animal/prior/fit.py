@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.cluster.vq import kmeans2
+from scipy.special import logsumexp
 
 from recon.animal.body import Body
-from recon.animal.prior.mixture import mixture, still
-from recon.animal.prior.model import ANGLES, MotionPrior, SegmentRow, mean_speed_m_s
-from recon.animal.prior.motion import ridge
-from recon.base.arrays import Array
+from recon.animal.prior.model import ANGLES, MotionPrior, SegmentRow, log_densities, mean_speed_m_s
+from recon.base.arrays import Array, Bools
 from recon.base.errors import Problem, refuse
 
 FRAMES_PER_COMPONENT = 20
@@ -18,10 +19,15 @@ FRAMES_PER_COMPONENT = 20
 POSE_FLOOR_RAD = 0.1
 """Added to the spread of every angle: no reconstruction that a prior is fitted to is exact. Held-out segments like it
 best (docs/priors.md)."""
-
-
 STILL_SIGMA_RAD = 0.15
 """The spread of angles that do not move in the data."""
+MISSING_BELOW_RAD = 0.01
+"""Angles that spread by less are no part of the model that the poses come from."""
+_EM_ITERATIONS, _K_MEANS_ITERATIONS = 30, 50
+RIDGE_PER_ROW = 0.1
+"""Held-out accelerations like it best (docs/priors.md)."""
+ACCELERATION_FLOOR_RAD_S2 = 10.0
+"""Added to the spread of every acceleration."""
 
 
 def fit_prior(
@@ -63,8 +69,8 @@ def fit_prior(
     refuse(problems)
 
     mean = poses.mean(axis=0)
-    extra = np.diag(POSE_FLOOR_RAD**2 + np.where(still(poses), STILL_SIGMA_RAD**2, 0.0))
-    weights, means, covariances = mixture(poses, components, shrink, extra, np.random.default_rng(0))
+    extra = np.diag(POSE_FLOOR_RAD**2 + np.where(_still(poses), STILL_SIGMA_RAD**2, 0.0))
+    weights, means, covariances = _mixture(poses, components, shrink, extra, np.random.default_rng(0))
     loose = np.isin(owners, apart)
     drift, acceleration_covariance = ridge(np.concatenate([at - mean, rates], axis=1), accelerations, loose)
     covariance = np.cov(poses.T, bias=True) + extra
@@ -88,3 +94,50 @@ def _poses_and_changes(body: Body, segments: Sequence[tuple[Array, float]]) -> t
                 part.append(values)
     poses, at, rates, accelerations = (np.concatenate(part) for part in parts)
     return poses, at, rates, accelerations
+
+
+def _still(poses: Array) -> Bools:
+    """(A,): angles of poses (N, A) that do not move."""
+    return poses.std(axis=0) < MISSING_BELOW_RAD
+
+
+def _mixture(
+    poses: Array, components: int, shrink: float, extra: Array, rng: np.random.Generator
+) -> tuple[Array, Array, Array]:
+    """Weights (K,), means (K, A), covariances (K, A, A) of poses (N, A).
+
+    shrink: how far each covariance is moved towards the average within all components; extra (A, A): added to it.
+    """
+    scaled = poses / np.maximum(poses.std(axis=0), MISSING_BELOW_RAD)
+    with warnings.catch_warnings(action="ignore"):  # of a cluster that stays empty, where poses repeat
+        _, nearest = kmeans2(scaled, components, _K_MEANS_ITERATIONS, minit="++", rng=rng)
+    share = np.eye(components)[nearest]
+    for _ in range(_EM_ITERATIONS):
+        density = log_densities(poses, *_mixture_parameters(poses, share, shrink, extra))
+        share = np.exp(density - logsumexp(density, axis=1, keepdims=True))
+    return _mixture_parameters(poses, share, shrink, extra)
+
+
+def _mixture_parameters(poses: Array, share: Array, shrink: float, extra: Array) -> tuple[Array, Array, Array]:
+    count = np.maximum(share.sum(axis=0), 1e-9)
+    means = share.T @ poses / count[:, None]
+    off = (poses - mean for mean in means)
+    own = np.stack([(part[:, None] * one).T @ one for part, one in zip((share / count).T, off, strict=True)])
+    weights = count / count.sum()
+    return weights, means, (1 - shrink) * own + shrink * np.tensordot(weights, own, axes=1) + extra
+
+
+def ridge(states: Array, accelerations: Array, loose: Bools) -> tuple[Array, Array]:
+    """Drift (A, 2A) from states (M, 2A) to accelerations (M, A), and the covariance of what is left (A, A). The loose
+    angles (A,) have no part in it."""
+    scale = states.std(axis=0)
+    n_angles = accelerations.shape[1]
+    # What does not move, or only by the noise of the fit, explains nothing.
+    moves = np.tile(~_still(states[:, :n_angles]) & ~loose, 2) & (scale > 0)
+    scaled = np.where(moves, states / np.where(moves, scale, 1.0), 0.0)
+    normal = scaled.T @ scaled + RIDGE_PER_ROW * len(scaled) * np.eye(scaled.shape[1])
+    drift = np.linalg.solve(normal, scaled.T @ accelerations).T / np.where(moves, scale, 1.0)
+    drift[loose] = 0.0
+    left = accelerations - states @ drift.T
+    covariance = np.where(loose[:, None] == loose, left.T @ left / len(left), 0.0)
+    return drift, covariance + ACCELERATION_FLOOR_RAD_S2**2 * np.eye(n_angles)

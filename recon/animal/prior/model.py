@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.linalg import solve_triangular
+from scipy.special import logsumexp
 
 from recon.animal.body import Body
 from recon.base.arrays import Array
@@ -108,3 +110,18 @@ def mean_speed_m_s(states: Array, fps: float) -> float:
     """Mean horizontal speed of the root over states (T, D), 0 if no two frames follow each other."""
     steps = np.linalg.norm(np.diff(states[:, :2], axis=0), axis=1) * fps
     return float(np.nanmean(steps)) if np.isfinite(steps).any() else 0.0
+
+
+def log_likelihood(prior: MotionPrior, states: Array) -> float:
+    """Mean over frames of the natural logarithm of the mixture's density (per rad^A) at states (T, D)."""
+    poses = states[np.isfinite(states).all(axis=1)][:, ANGLES]
+    return float(logsumexp(log_densities(poses, prior.weights, prior.means, prior.covariances), axis=1).mean())
+
+
+def log_densities(poses: Array, weights: Array, means: Array, covariances: Array) -> Array:
+    """(N, K): the logarithm of each component's density times its weight."""
+    roots = np.linalg.cholesky(covariances)
+    white = (solve_triangular(L, (poses - mean).T, lower=True) for L, mean in zip(roots, means, strict=True))
+    squares = np.stack([(one**2).sum(axis=0) for one in white], axis=1)
+    constants = np.log(np.diagonal(roots, axis1=1, axis2=2)).sum(axis=1) + 0.5 * means.shape[1] * np.log(2 * np.pi)
+    return np.log(np.maximum(weights, 1e-300)) - constants - 0.5 * squares
