@@ -31,9 +31,8 @@ from recon import FitSettings, load_skeleton
 from recon.check.agreement import camera_findings
 from recon.clip import View, views_of
 from recon.fit import TrajectoryOptions
-from recon.fit.finding import Finding
-from recon.geometry.frames import rigid
-from recon.geometry.rotations import euler_rotation
+from recon.fit.result import Finding
+from recon.geometry.frames import euler_rotation, rigid
 from recon.workflows.clip import prepare
 
 SKELETON = "cheetah-24"

@@ -51,7 +51,6 @@ from recon.clip import View, still_view
 from recon.fit import TrajectoryOptions, constants, solve_trajectory
 from recon.fit.banded import factored
 from recon.fit.clip_problem import ClipProblem
-from recon.fit.prior_misfit import LASTS_S
 from recon.fit.terms import dynamics_term, pose_term
 from recon.fit.trajectory import Solved, solve_segments
 from recon.geometry.kinematics import ROOT, YAW
@@ -231,7 +230,7 @@ def pull_of_the_mode(setting: ClipProblem, solved: Solved) -> float:
 
     _, variance, along = at(states)
     slope = (at(states + STEP * along)[0] - at(states - STEP * along)[0]) / (2 * STEP)
-    return max(LASTS_S * setting.fps, 1.0) * variance * slope
+    return max(constants.MISFIT_LASTS_S * setting.fps, 1.0) * variance * slope
 
 
 def summary(label: str, rows: Sequence[dict[str, float]]) -> list[object]:

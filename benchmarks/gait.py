@@ -28,7 +28,7 @@ from recordings import recordings
 
 from recon import FitSettings, Pose3D, fit_clip, load_skeleton, read_pose3d
 from recon.fit.motion import Motion
-from recon.fit.regions import radius
+from recon.fit.posterior import radius
 from recon.gait.clip import analyse, gait_of
 from recon.gait.gait import FEET, INTERVAL, Gait, Stance, gait, match_stances, pose_tracks, stances
 from recon.gait.kinematics import joint_kinematics, spine_flexion

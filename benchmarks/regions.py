@@ -30,7 +30,7 @@ from trajectory import body_of, prior_of
 from recon.fit import TrajectoryOptions
 from recon.fit.banded import factored
 from recon.fit.clip_problem import ClipProblem
-from recon.fit.regions import DEGREES_OF_FREEDOM, radius, sigmas
+from recon.fit.posterior import DEGREES_OF_FREEDOM, radius, sigmas
 from recon.fit.trajectory import Solved, solve_segments
 
 NUMBERS = (2.5, 3, 3.5, 4, 4.5, 5, 5.5, 6, 6.5, 7, 7.5, 8, 9, 10, 12, 15, 20, 30, 50, 100, 1e6)

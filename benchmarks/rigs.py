@@ -27,7 +27,7 @@ from recon import Body, Camera, load_skeleton
 from recon.animal.prior import ANGLES, prior_from_body
 from recon.clip import View, still_view
 from recon.fit import TrajectoryOptions, TrajectorySolution, solve_trajectory
-from recon.fit.regions import radius
+from recon.fit.posterior import radius
 from recon.fit.shape import Shape
 from recon.gait.evaluation import centre
 

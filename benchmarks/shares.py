@@ -1,11 +1,11 @@
-"""How much of the truth lies in the regions and intervals of `recon.fit.regions`."""
+"""How much of the truth lies in the regions and intervals of `recon.fit.posterior`."""
 
 from __future__ import annotations
 
 import numpy as np
 from scipy.special import stdtr
 
-from recon.fit.regions import DEGREES_OF_FREEDOM, radius, sigmas
+from recon.fit.posterior import DEGREES_OF_FREEDOM, radius, sigmas
 
 
 def share_below(off: float) -> float:

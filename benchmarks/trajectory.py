@@ -40,7 +40,7 @@ from recon.clip import View, still_view
 from recon.clip.keypoints import clean
 from recon.fit import TrajectoryOptions, TrajectorySolution, constants, solve_trajectory
 from recon.fit.points import solve_points_and_size
-from recon.fit.regions import radius, sigmas
+from recon.fit.posterior import radius, sigmas
 from recon.gait.clip import PLACE_LASTS_S, POSE_LASTS_S
 from recon.gait.evaluation import centre, joint_errors, score
 from recon.gait.kinematics import Errors, series_kinematics

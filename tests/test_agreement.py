@@ -12,8 +12,7 @@ import pytest
 from recon.check import Finding, agreement_findings, sentence
 from recon.check.agreement import FRAMES, camera_findings
 from recon.clip import View
-from recon.geometry.frames import rigid
-from recon.geometry.rotations import euler_rotation
+from recon.geometry.frames import euler_rotation, rigid
 from tests.test_trajectory import FPS
 from tests.test_views import AHEAD, ASIDE, pose, truth_m, view_of
 

@@ -11,8 +11,7 @@ from recon.animal.body import Body, other_side
 from recon.animal.chain import Chain
 from recon.animal.skeleton_file import builtin_chains, builtin_names, builtin_subjects, load_chain, load_skeleton
 from recon.base.errors import InputError
-from recon.geometry.frames import rigid
-from recon.geometry.rotations import euler_rotation
+from recon.geometry.frames import euler_rotation, rigid
 
 DOCS = (Path(__file__).parents[1] / "docs" / "skeletons.md").read_text(encoding="utf-8")
 SUBJECT = DOCS.split("```toml")[1].split("```")[0]

@@ -15,8 +15,7 @@ from recon import FitSettings, InputError, Motion, fit_clip, read_keypoints
 from recon.clip import View, held, views_of
 from recon.clip.keypoints import Keypoints
 from recon.geometry.camera import Camera
-from recon.geometry.frames import inverse, rigid
-from recon.geometry.rotations import part_of_turn, quaternion_rotations, quaternions
+from recon.geometry.frames import inverse, part_of_turn, quaternion_rotations, quaternions, rigid
 from recon.io.camera_track import read_camera_track
 from recon.io.deeplabcut import write_csv
 from recon.io.pose3d import read_pose3d

@@ -9,8 +9,8 @@ from gallop import gallop
 from recon.animal.body import facing_side
 from recon.animal.chain import upright_rotation
 from recon.animal.skeleton_file import load_chain
-from recon.fit import constant_velocity as runs
-from recon.fit.constant_velocity import constant_velocity, place_on_rays
+from recon.fit import starts
+from recon.fit.starts import constant_velocity, place_on_rays
 from recon.thesis.starts import estimate_travel, geometric_start, mean_pose, state_from_joints
 
 SK = load_chain("cheetah-8u")
@@ -94,4 +94,4 @@ def test_normal_equations_that_rounding_leaves_singular_are_solved():
     right = np.array([[[2.0], [4.0]], [[3.0], [3.0]]])
     with pytest.raises(np.linalg.LinAlgError):
         np.linalg.solve(matrix, right)
-    np.testing.assert_allclose(runs._solution(matrix, right), [[[1.0], [1.0]], [[1.5], [1.5]]], rtol=1e-6)
+    np.testing.assert_allclose(starts._solution(matrix, right), [[[1.0], [1.0]], [[1.5], [1.5]]], rtol=1e-6)

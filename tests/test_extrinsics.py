@@ -12,8 +12,7 @@ from recon.clip import View, still_view
 from recon.fit import TrajectoryOptions
 from recon.fit.clip_problem import ClipProblem
 from recon.fit.extrinsics import TooLittleInCommonError, _beside_first, _level, _placed, solve_extrinsics
-from recon.geometry.frames import inverse, moved, rigid
-from recon.geometry.rotations import euler_rotation
+from recon.geometry.frames import euler_rotation, inverse, moved, rigid
 from recon.workflows.extrinsics import DISAGREEMENT
 from tests.test_trajectory import BODY, FPS, PRIOR
 from tests.test_views import AHEAD, ASIDE, pose, truth_m, view_of

@@ -13,7 +13,7 @@ from gallop import KEYPOINT_NAMES, gallop
 
 from recon.animal.skeleton_file import load_skeleton
 from recon.base.errors import InputError
-from recon.fit.regions import radius
+from recon.fit.posterior import radius
 from recon.gait.gait import (
     FEET,
     PERIOD_SIGMA,

@@ -12,8 +12,8 @@ from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
 from recon.base.errors import InputError
-from recon.fit.finding import Finding
 from recon.fit.motion import Motion
+from recon.fit.result import Finding
 from recon.io.video import missing_note, probe, read_frames, video_writer
 from recon.show.overlay import (
     CLOSE_UP,

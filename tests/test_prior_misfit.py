@@ -10,9 +10,9 @@ import pytest
 from recon.animal.prior import ANGLES, MotionPrior, prior_from_body
 from recon.animal.skeleton_file import load_skeleton
 from recon.clip import still_view
-from recon.fit import TrajectoryOptions, TrajectorySolution, solve_trajectory
+from recon.fit import TrajectoryOptions, TrajectorySolution, constants, solve_trajectory
 from recon.fit.least_squares import Estimate, LeastSquares
-from recon.fit.prior_misfit import LASTS_S, PriorMisfit, prior_misfit_of
+from recon.fit.posterior import PriorMisfit, prior_misfit_of
 from recon.fit.terms import POSE, Linear, pose_term
 from recon.geometry.camera import Camera
 
@@ -38,7 +38,9 @@ def test_the_level_is_the_scale_of_the_variances():
     sigma = np.sqrt(np.diagonal(NARROW.covariance) * fps / 90.0)
     for scale, weight in ((1.0, 1.0), (np.sqrt(3.0), 1 / 3)):
         truth = np.zeros((300, BODY.n_state))
-        truth[:, ANGLES] = NARROW.mean + scale * np.sqrt(LASTS_S * fps) * sigma * rng.normal(size=(300, len(sigma)))
+        truth[:, ANGLES] = NARROW.mean + scale * np.sqrt(constants.MISFIT_LASTS_S * fps) * sigma * rng.normal(
+            size=(300, len(sigma))
+        )
         # seen so well that the prior hardly draws
         seen = Linear("seen", (0,), 1e3 * np.eye(BODY.n_state)[None], np.zeros(BODY.n_state))
         problem = LeastSquares(BODY.tree, [prior, seen], [])

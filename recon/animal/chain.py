@@ -29,8 +29,8 @@ import numpy as np
 
 from recon.animal.body import Body, Side
 from recon.base.arrays import Array, Index
+from recon.geometry.frames import euler_rotation, euler_rotation_with_jacobian
 from recon.geometry.kinematics import PITCH, ROLL, ROOT, YAW, Joint, Marker, Segment, Tree
-from recon.geometry.rotations import euler_rotation, euler_rotation_with_jacobian
 
 MIN_JOINTS = 5
 """Fewer detected joints than this do not place a chain."""

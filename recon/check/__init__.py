@@ -20,6 +20,6 @@ if TYPE_CHECKING:
     from recon.check.rules import findings_of
     from recon.check.upward import Upward, up_from_feet
     from recon.check.verdict import judged, usable, verdict_fields, verdict_lines
-    from recon.fit.finding import Finding, Severity
+    from recon.fit.result import Finding, Severity
 
 __getattr__ = lazily(__name__, __file__)

@@ -22,8 +22,8 @@ import numpy as np
 from recon.base.arrays import Array, Index
 from recon.check.codes import finding
 from recon.clip import View
-from recon.fit.finding import Finding
 from recon.fit.motion import Motion
+from recon.fit.result import Finding
 
 Levels = Mapping[int, float]
 """By the camera's place. NaN: too few points to tell."""

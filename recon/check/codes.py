@@ -11,8 +11,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from recon.base.package import builtin_file
-from recon.fit.finding import Finding, Severity
 from recon.fit.motion import Motion
+from recon.fit.result import Finding, Severity
 
 NAMED = 5
 """Up to so many names are listed in a sentence."""

@@ -14,7 +14,7 @@ import numpy as np
 from recon.animal.body import other_side
 from recon.base.arrays import Array, Bools
 from recon.check.codes import finding
-from recon.fit.finding import Finding
+from recon.fit.result import Finding
 
 SHARE = 1 / 3
 """An error that falls to this part of itself has been explained."""

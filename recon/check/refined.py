@@ -6,7 +6,7 @@ import numpy as np
 
 from recon.check.codes import finding
 from recon.fit import TrajectorySolution
-from recon.fit.finding import Finding
+from recon.fit.result import Finding
 
 WORSE = 1.1
 """Times a camera's median reprojection that is no change: what one camera gains, another may lose a little."""

@@ -18,9 +18,8 @@ from recon.base.arrays import mean
 from recon.check.codes import finding, ordered
 from recon.check.inputs import FASTEST_M_S
 from recon.fit import TrajectorySolution, constants
-from recon.fit.finding import Finding
 from recon.fit.motion import MEASURED_SHARE, Motion
-from recon.fit.prior_misfit import LEVEL
+from recon.fit.result import Finding
 from recon.fit.trajectory import ALTERNATIVE_M
 
 Rule = Callable[[Motion], Iterator[Finding]]
@@ -196,7 +195,9 @@ def motion_unlike_prior(motion: Motion) -> Iterator[Finding]:
         if share > UNEXPLAINED_SHARE:
             yield finding("motion_unexplained", prior=solution.prior, misfit=misfit, share=share)
             return
-        yield finding("motion_unlike_prior", prior=solution.prior, misfit=misfit, limit=LEVEL, weight=weight)
+        yield finding(
+            "motion_unlike_prior", prior=solution.prior, misfit=misfit, limit=constants.MISFIT_LEVEL, weight=weight
+        )
 
 
 def ground_above_camera(motion: Motion) -> Iterator[Finding]:

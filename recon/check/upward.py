@@ -24,7 +24,7 @@ POSTURE_RAD = np.radians(15.0)
 FOOT_SHARE = 1 / 15
 """How far from the ground feet stand, as a part of the body's height above them: `GROUND_FOOT_M` of a cheetah."""
 MIN_STANDING = 3
-"""Fewer feet that stand, over all frames, say nothing: as in `recon.fit.contacts`."""
+"""Fewer feet that stand, over all frames, say nothing: as in `recon.fit.clip_problem`."""
 
 
 @dataclass(frozen=True, eq=False)

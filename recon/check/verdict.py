@@ -20,10 +20,9 @@ from recon.base.errors import InputError, Problem
 from recon.check.codes import sentence
 from recon.check.rules import findings_of
 from recon.fit import TrajectorySolution
-from recon.fit.finding import Finding
 from recon.fit.motion import Motion
-from recon.fit.regions import radius
-from recon.fit.verdict import Expected, Level, Verdict
+from recon.fit.posterior import radius
+from recon.fit.result import Expected, Finding, Level, Verdict
 
 LIMIT_OF_TRUNK = 0.2
 """A mean error of the joints as large as this, of the trunk's length, spoils most uses: with a cheetah 14 cm. A clip is

@@ -17,7 +17,18 @@ if TYPE_CHECKING:
         parse_frame_range,
         select_frames,
     )
-    from recon.clip.source import BRIDGED_S, FramePoses, Source, at_rate, held, together, views_of
-    from recon.clip.view import View, camera_poses, still_view, world_from_reference
+    from recon.clip.source import (
+        BRIDGED_S,
+        FramePoses,
+        Source,
+        View,
+        at_rate,
+        camera_poses,
+        held,
+        still_view,
+        together,
+        views_of,
+        world_from_reference,
+    )
 
 __getattr__ = lazily(__name__, __file__)

@@ -14,8 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from recon.base.arrays import Array, mean
-from recon.fit.clip_problem import ClipProblem
-from recon.fit.contacts import contacts
+from recon.fit.clip_problem import ClipProblem, contacts
 from recon.fit.least_squares import Estimate, LeastSquares
 from recon.fit.posterior import curvature
 from recon.fit.result import MotionSegment, TrajectorySolution

@@ -19,9 +19,7 @@ from recon.base.manifest import MANIFEST, read_manifest
 from recon.base.records import load_record, save_record
 from recon.clip import Source, world_from_reference
 from recon.clip.keypoints import CleaningReport, Keypoints
-from recon.fit.finding import Finding
-from recon.fit.result import OUTLIER_SIGMAS, MotionSegment, Solution
-from recon.fit.verdict import Verdict
+from recon.fit.result import OUTLIER_SIGMAS, Finding, MotionSegment, Solution, Verdict
 from recon.geometry.camera import Camera
 from recon.geometry.frames import inverse, moved
 from recon.geometry.kinematics import PITCH, ROOT, YAW
@@ -127,7 +125,7 @@ class Motion:
 
     def _repr_html_(self) -> str:
         """What a notebook shows: the verdict, the errors to expect, a picture of the poses, and what they are of."""
-        from recon.fit.html import from_the_side, table
+        from recon.fit.tables import from_the_side, table
 
         said = () if self.verdict is None else self.verdict.lines
         rows: dict[str, str] = dict(zip(("verdict", "expected"), said, strict=False))

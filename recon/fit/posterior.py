@@ -8,6 +8,18 @@ dx with the frame's unknowns, and by p ds with the size; where the pixels tie th
     cov(joint) = s^2 J C J' + var(s) q q'
 
 and relative to the mean of all joints with the means of J and q taken off.
+
+**Misfit of the prior**, and how far the prior counts after that. At a minimum the angles lie off what the prior expects
+of poses and changes by whitened residuals r. With P the prior's curvature, H that of all terms and n unknowns, pixels
+that say nothing leave r = 0, and pixels that say all leave one sigma for each unknown: where the prior fits, |r|^2 is n
+- tr(H^-1 P), the number of unknowns that the pixels say, times for how many frames an error lasts (D. MacKay, *Bayesian
+interpolation*, 1992). What it is relative to that is the scale of the prior's variances that is most likely.
+
+**Regions and intervals** that hold the truth as often as said. Errors have heavier tails than a Gaussian: a clip's
+noise and the weight of its prior are themselves estimated, from few independent samples, and in a clip for which they
+come out too small all errors are larger than stated. Such a scale makes a Student's t of a Gaussian. Stated covariances
+S are covariances of these errors, too, so that e' S^-1 e of an error e in k dimensions is k (nu - 2) / nu times a
+variable of Fisher's F with k and nu degrees of freedom.
 """
 
 from __future__ import annotations
@@ -16,12 +28,15 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import fdtri
 
 from recon.animal.body import Body
+from recon.animal.prior import ANGLES
 from recon.base.arrays import Array
+from recon.fit import constants
 from recon.fit.banded import Again, Normal, Reduced, Window, eliminated
 from recon.fit.least_squares import Estimate, LeastSquares
-from recon.fit.terms import COMMON_KEYPOINT_BIAS, SIZE, size_of
+from recon.fit.terms import COMMON_KEYPOINT_BIAS, PRIOR_TERMS, SIZE, size_of
 from recon.geometry.kinematics import ROOT, YAW, TreePose
 
 _HELD = 1e8
@@ -241,3 +256,56 @@ def _spread(jacobian: Array, own: Array) -> Array:
     """(T, J, 3, D): J C."""
     T, J, _, D = jacobian.shape
     return (jacobian.reshape(T, 3 * J, D) @ own).reshape(T, J, 3, D)
+
+
+@dataclass(frozen=True)
+class PriorMisfit:
+    """level: the squared residuals against the prior, relative to what is expected where it fits, 1; freedom: how many
+    unknowns the pixels say."""
+
+    level: float
+    freedom: float
+
+    @property
+    def prior_weight(self) -> float:
+        """The part of its weight that the prior keeps: one over the scale, 1 at most."""
+        return 1.0 / max(self.level, 1.0)
+
+    @property
+    def unlike(self) -> bool:
+        """Whether the motion is none that the prior knows."""
+        variance = 2.0 / (9.0 * self.freedom)  # a chi square's cube root is nearly normal (Wilson and Hilferty)
+        by_chance = (1.0 - variance + constants.MISFIT_SIGMAS * variance**0.5) ** 3
+        return self.level >= max(constants.MISFIT_LEVEL, by_chance)
+
+
+def prior_misfit_of(problem: LeastSquares, found: Estimate, fps: float) -> PriorMisfit:
+    """Of the prior as the problem weighs it, at its minimum."""
+    prior, said = problem.only(PRIOR_TERMS), 0.0
+    windows = eliminated(problem.normals(found.states, found.shared), bounded=True)
+    for window, of_prior in zip(windows, prior.normals(found.states), strict=True):
+        both = window.marginal_blocks() * of_prior.H.blocks
+        said += float(both[:, 0].sum() + 2 * both[:, 1:].sum())
+    freedom = max(found.states[:, ANGLES].size - said, 1.0)
+    return PriorMisfit(prior.squares(found.states) / freedom / max(constants.MISFIT_LASTS_S * fps, 1.0), freedom)
+
+
+DEGREES_OF_FREEDOM = 7.0
+"""nu: the most likely one for the errors of 28 real views, and 5.5 to 8 without one of their five runs
+(`benchmarks/regions.py`)."""
+_ROUNDING_M2 = 1e-12
+"""Added to variances: those of a pose relative to its own middle may be singular to rounding."""
+
+
+def radius(level: float, dimensions: int = 1, nu: float = DEGREES_OF_FREEDOM) -> float:
+    """In standard deviations (square root of e' S^-1 e), of the region that holds a share `level` of the truth."""
+    return float(np.sqrt(dimensions * fdtri(dimensions, nu, level) * (nu - 2) / nu))
+
+
+def sigmas(error: Array, covariance: Array) -> Array:
+    """(...): how many standard deviations errors (..., k) with covariances (..., k, k) are, NaN where not known."""
+    known = np.isfinite(error).all(axis=-1) & np.isfinite(covariance).all(axis=(-2, -1))
+    off = np.full(known.shape, np.nan)
+    e, S = error[known], covariance[known] + _ROUNDING_M2 * np.eye(error.shape[-1])
+    off[known] = np.sqrt(np.sum(e * np.linalg.solve(S, e[..., None])[..., 0], axis=-1))
+    return off

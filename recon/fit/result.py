@@ -1,8 +1,8 @@
-"""What the methods give back: a `Solution`, and what the trajectory method adds."""
+"""What a fit gives back, as data: findings, the verdict, a `Solution`, and what the trajectory method adds."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, field, replace
 from functools import cached_property
 from typing import ClassVar, Literal
 
@@ -11,7 +11,80 @@ import numpy as np
 from recon.animal.body import Body
 from recon.base.arrays import Array, Bools
 from recon.clip import View
-from recon.fit.finding import Finding
+
+Severity = Literal["error", "warning", "note"]
+"""error: the result is not to be used as it is; warning: it is to be used with care; note: nothing is wrong."""
+Number = float | int | str | tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What a check found. `recon.check.CODES` has the severity and the words of each code."""
+
+    code: str
+    severity: Severity
+    frames: tuple[int, int] | None = None
+    """First frame number, and the one after the last; None: the whole clip."""
+    camera: str | None = None
+    """The name of the camera that it is about; None: all of them, or the clip."""
+    numbers: dict[str, Number] = field(default_factory=dict)
+    """What says so, plain numbers and names. Radians, metres, seconds and pixels, as the names end."""
+
+    def names(self, number: str) -> tuple[str, ...]:
+        """The names that stand there; none where there is none."""
+        found = self.numbers.get(number, ())
+        return found if isinstance(found, tuple) else ()
+
+
+Level = Literal["do not use", "check", "use"]
+LEVELS: tuple[Level, ...] = ("do not use", "check", "use")
+"""In the order in which they are to be looked at."""
+
+
+@dataclass(frozen=True)
+class Expected:
+    """An error before it is known: the middle of its distribution, and the ends of the interval that holds 90 %."""
+
+    expected: float
+    low: float
+    high: float
+
+    @property
+    def in_words(self) -> str:
+        """Of metres, in metres, or in millimetres where the largest is below half a metre."""
+        unit, error = ("mm", self.times(1000.0)) if self.high < 0.5 else ("m", self)
+        expected, low, high = (f"{value:.2g}" if value < 10 else f"{value:.0f}" for value in astuple(error))
+        return f"{expected} {unit} ({low} to {high})"
+
+    def times(self, factor: float) -> Expected:
+        """The same in another unit."""
+        return Expected(factor * self.expected, factor * self.low, factor * self.high)
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """On one clip. `recon.check.verdict` makes it; docs/verdict.md says what to do with it."""
+
+    level: Level
+    reason: str
+    """One sentence."""
+    pose_m: Expected | None = None
+    """Mean distance of the joints from their true places once the mean of all joints is taken off (MPJPE); None
+    without a pose."""
+    pose_of_trunk: Expected | None = None
+    """The same, relative to the length of the trunk."""
+    position_m: Expected | None = None
+    """Distance of the mean of all joints from its true place, mean over the frames."""
+
+    @property
+    def lines(self) -> tuple[str, ...]:
+        """In words: the level and why, and what errors are expected, where that is known."""
+        said = f"{self.level}: {self.reason}"
+        if self.pose_m is None or self.pose_of_trunk is None or self.position_m is None:
+            return (said,)
+        share = f"{self.pose_of_trunk.expected:.0%} of the trunk's length"
+        return said, f"pose off by {self.pose_m.in_words}, {share}; position by {self.position_m.in_words}"
+
 
 OUTLIER_SIGMAS = 3.0
 """A detection further than this from its joint's reprojection is named an outlier."""

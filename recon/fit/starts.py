@@ -1,4 +1,11 @@
-"""Where a clip's solution starts from: straight runs of the mean pose, and the way in from the best of them."""
+"""Where a clip's solution starts from: straight runs of the mean pose, and the way in from the best of them.
+
+A rigid shape on viewing rays: the place that brings its points nearest to them, and straight runs along headings.
+
+For a given heading, the place that brings a shape nearest to the rays of one frame is a small linear problem, and its
+distance follows from the shape's size. Over the frames of a stretch, a heading is the better the better the shape fits
+while it runs along it. The path decides what a single frame cannot: whether the animal comes nearer or goes away.
+"""
 
 from __future__ import annotations
 
@@ -10,9 +17,139 @@ from recon.animal.chain import MIN_JOINTS
 from recon.animal.prior import ANGLES
 from recon.base.arrays import Array, Index
 from recon.fit.clip_problem import UP, ClipProblem
-from recon.fit.constant_velocity import constant_velocity, run_path
 from recon.fit.least_squares import Estimate
 from recon.geometry.kinematics import ROOT, YAW
+
+_MISFIT_M = 0.15
+"""Distance from a ray at which a joint of the mean pose counts half: a leg's swing."""
+
+
+def place_on_rays(joints_m: Array, rays: Array) -> tuple[Array, Array]:
+    """Translations (N, 3) that bring a rigid shape nearest to viewing rays, and the joints' distances (N, J) from them.
+
+    joints_m (J, 3) or (N, J, 3): the shape, turned into the camera frame; rays (N, J, 3): unit vectors, NaN where
+    missing, at least two a row. The first guess is the median over joints, at the median distance over pairs of joints;
+    Gauss-Newton steps on the angles, with Geman-McClure weights, follow (distances from the rays themselves would draw
+    the shape towards the camera, where they vanish).
+    """
+    seen = np.isfinite(rays[..., 0])
+    middle = np.nanmedian(rays, axis=1)
+    middle /= np.linalg.norm(middle, axis=1, keepdims=True)
+    i, j = np.triu_indices(rays.shape[1], 1)
+    between = joints_m[..., i, :] - joints_m[..., j, :]
+    along = (between @ middle[..., None])[..., 0]
+    apart_m = np.sqrt(np.maximum(np.sum(between**2, axis=-1) - along**2, 0.0))
+    apart_rad = np.linalg.norm(rays[:, i] - rays[:, j], axis=2)
+    depth = np.nanmedian(apart_m / np.maximum(apart_rad, 1e-6), axis=1)
+    t = np.nanmedian(rays * depth[:, None, None] - joints_m, axis=1)
+
+    across = _across(rays)
+    for _ in range(6):
+        off, slope, _ = _off_rays(joints_m + t[:, None], across)
+        miss = np.linalg.norm(off, axis=2) * depth[:, None]
+        weight = seen / (1.0 + (miss / _MISFIT_M) ** 2) ** 2
+        normal, pull = _normal(off, slope, weight)
+        step = -_solution(normal + 1e-9 * np.eye(3), pull)[..., 0]
+        length = np.linalg.norm(step, axis=1)
+        t = t + step * np.minimum(1.0, 0.3 * depth / np.maximum(length, 1e-9))[:, None]
+    q = joints_m + t[:, None]
+    miss = np.linalg.norm((across @ q[..., None])[..., 0], axis=2)
+    return t, np.where(seen, miss, np.nan)
+
+
+def _across(rays: Array) -> Array:
+    """(N, J, 3, 3): what of a vector lies across each ray (N, J, 3); all of it where the ray is missing (NaN)."""
+    d = np.nan_to_num(rays)
+    return np.eye(3) - d[..., :, None] * d[..., None, :]
+
+
+def _off_rays(points_m: Array, across: Array) -> tuple[Array, Array, Array]:
+    """How far points (N, J, 3) lie off their rays as seen from the camera, (N, J, 3) without unit, the derivative
+    (N, J, 3, 3) by the points, and the directions (N, J, 3) of the points;
+    leading axes broadcast."""
+    distance = np.linalg.norm(points_m, axis=-1, keepdims=True)
+    q = points_m / distance
+    slope = across @ (np.eye(3) - q[..., :, None] * q[..., None, :]) / distance[..., None]
+    return (across @ q[..., None])[..., 0], slope, q
+
+
+def _normal(off: Array, slope: Array, weight: Array) -> tuple[Array, Array]:
+    """Normal equations (..., 3, 3) and (..., 3, 1) of a translation, summed over the J joints of off (..., J, 3)."""
+    rows = slope.reshape(*slope.shape[:-3], -1, 3)
+    weighted = (slope * weight[..., None, None]).reshape(rows.shape).swapaxes(-1, -2)
+    return weighted @ rows, weighted @ off.reshape(*rows.shape[:-1], 1)
+
+
+def run_path(heading: Array, up: Array, time_s: Array) -> Array:
+    """(F, 3, 6): places at times (F,) by the unknowns of `constant_velocity`."""
+    motion = np.zeros((len(time_s), 3, 6))
+    motion[:, :, :3] = np.eye(3)
+    motion[:, :, 3] = heading * time_s[:, None]
+    motion[:, :, 4] = heading * (time_s**2)[:, None] / 2
+    motion[:, :, 5] = up * time_s[:, None]
+    return motion
+
+
+def constant_velocity(
+    headings: Array, shapes: Array, up: Array, rays: Array, time_s: Array, centres_m: Array | None = None
+) -> tuple[Array, Array]:
+    """Shapes (H, J, 3), each running along its heading (H, 3), fitted to rays (F, J, 3) at times (F,) of mean zero.
+
+    centres_m (F, 3): where the rays of each row come from, by default the origin. Returns the runs'
+     misfits (H,), 0 to 1 (or up to 2 where one would run backwards), and their unknowns (H, 6): place at
+    time zero, m, speed and acceleration along the heading, m/s and m/s^2, and climb, m/s. Gauss-Newton with
+    Geman-McClure weights, all headings at once.
+    """
+    (H, J), F = shapes.shape[:2], len(rays)
+    centres = np.zeros((F, 3)) if centres_m is None else centres_m
+    each = np.broadcast_to(rays, (H, F, J, 3)).reshape(H * F, J, 3)
+    places = place_on_rays(np.repeat(shapes, F, axis=0), each)[0].reshape(H, F, 3)
+    depth = np.median(np.linalg.norm(places, axis=2), axis=1)[:, None, None, None]
+    seen = np.isfinite(rays[..., 0])
+    across = _across(rays)
+    motion = np.stack([run_path(heading, up, time_s) for heading in headings])  # (H, F, 3, 6)
+    # A wide, soft preference keeps what short clips do not show in bounds: m, m/s, m/s^2, m/s.
+    prior = np.diag(1.0 / np.array([1e3, 1e3, 1e3, 15.0, 10.0, 1.0]) ** 2)
+    x = np.zeros((H, 6))
+    x[:, :3] = np.median(places + centres, axis=1)
+    x[:, 3] = np.maximum(np.sum(_robust_slopes(time_s, places + centres) * headings, axis=1), 0.0)
+    miss = np.zeros((H, F, J))
+    for _ in range(8):
+        path = (motion @ x[:, None, :, None])[..., 0] - centres  # (H, F, 3)
+        off, slope, direction = _off_rays(shapes[:, None] + path[:, :, None], across)
+        off, slope = off * (depth / _MISFIT_M), slope * (depth / _MISFIT_M)[..., None]
+        ahead = np.sum(direction * np.nan_to_num(rays), axis=-1) > 0
+        miss = np.where(ahead, np.linalg.norm(off, axis=-1), np.inf)
+        weight = seen / (1.0 + miss**2) ** 2
+        curvature, pull = _normal(off, slope, weight)
+        turned = motion.swapaxes(-1, -2)
+        normal = np.sum(turned @ curvature @ motion, axis=1) + prior + 1e-9 * np.eye(6)
+        gradient = np.sum(turned @ pull, axis=1)[..., 0] + x @ prior
+        x = x - _solution(normal, gradient[..., None])[..., 0]
+    share = np.where(seen, 1.0 - 1.0 / (1.0 + miss**2), 0.0)
+    return share.sum(axis=(1, 2)) / max(int(seen.sum()), 1) + (x[:, 3] < 0), x
+
+
+def _solution(matrix: Array, right: Array) -> Array:
+    """matrix^-1 right (N, n, m) of normal equations (N, n, n). Where rounding leaves one singular, as where all rays
+    are one, all are held a little."""
+    try:
+        return np.asarray(np.linalg.solve(matrix, right), dtype=float)
+    except np.linalg.LinAlgError:
+        held = 1e-9 * np.trace(matrix, axis1=-2, axis2=-1)[..., None, None] * np.eye(matrix.shape[-1])
+        return np.linalg.solve(matrix + held, right)
+
+
+def _robust_slopes(time_s: Array, places_m: Array) -> Array:
+    """Velocities (H, 3) of straight paths through places (H, N, 3), by least absolute distances."""
+    design = np.stack([np.ones_like(time_s), time_s - time_s.mean()], axis=1)
+    weight, line = np.ones(places_m.shape[:2]), np.zeros((len(places_m), 2, 3))
+    for _ in range(10):
+        weighted = (design * weight[..., None]).swapaxes(1, 2)  # (H, 2, N)
+        line = np.asarray(np.linalg.solve(weighted @ design + 1e-12 * np.eye(2), weighted @ places_m), dtype=float)
+        weight = 1.0 / np.maximum(np.linalg.norm(places_m - design @ line, axis=2), 0.05)
+    return line[:, 1]
+
 
 APPROACH_HZ = 30.0
 """Frames a second that are enough on the way in."""

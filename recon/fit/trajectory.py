@@ -6,13 +6,13 @@ that stays there sees the same for any size, so that the size is known as its pr
 views or the ground's distance below the camera say it. The way to the minimum:
 
 1. Starts. The prior's mean pose runs straight through about a second of clip, in 18 headings, and is fitted to the
-   viewing rays (`recon.fit.constant_velocity`); the best headings, and the best one mirrored in depth, start the clip.
+   viewing rays (`recon.fit.starts`); the best headings, and the best one mirrored in depth, start the clip.
 2. Approach, at a lower frame rate, each start with one Gaussian of poses and wide noise that narrows; the two best
    starts go to the end.
 3. The mixture of poses takes the Gaussian's place, flattened at first.
 4. Rounds of: the noise of every joint in every view from its residuals (maximum likelihood under the robust loss),
    contacts and the ground from the feet, and the minimum again, the size free where several views show it. If the
-   first finds the motion surprising under the prior, this loses weight for the rest (`recon.fit.prior_misfit`).
+   first finds the motion surprising under the prior, this loses weight for the rest (`recon.fit.posterior`).
 5. The posterior covariance from the banded factor.
 
 Clips of several seconds are started and approached about a second at a time, and then solved as one. Where nothing is
@@ -36,11 +36,9 @@ from recon.base.arrays import Array, Bools
 from recon.base.progress import Progress, silent
 from recon.clip import BRIDGED_S, View
 from recon.fit import constants
-from recon.fit.clip_problem import ClipProblem, TrajectoryOptions
-from recon.fit.contacts import contacts
+from recon.fit.clip_problem import ClipProblem, TrajectoryOptions, contacts
 from recon.fit.least_squares import Estimate, LeastSquares
-from recon.fit.posterior import Posterior, posterior, with_size
-from recon.fit.prior_misfit import PriorMisfit, prior_misfit_of
+from recon.fit.posterior import Posterior, PriorMisfit, posterior, prior_misfit_of, with_size
 from recon.fit.result import Ground, MotionSegment, Start, TrajectorySolution
 from recon.fit.starts import Approached, approach, between
 from recon.fit.terms import SIDESLIP, Reprojection, extrinsic_correction, focal, size_of, time_offset

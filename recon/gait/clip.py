@@ -23,7 +23,7 @@ from recon.base.arrays import Array, Bools
 from recon.base.errors import InputError, Problem
 from recon.clip.keypoints import frame_ranges
 from recon.fit.motion import MEASURED_SHARE, Motion
-from recon.fit.regions import radius
+from recon.fit.posterior import radius
 from recon.gait.dynamics import Dynamics, dynamics
 from recon.gait.gait import BODY, INTERVAL, Gait, Stride, Tracks, gait, pose_tracks, stances
 from recon.gait.kinematics import (

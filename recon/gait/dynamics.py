@@ -28,9 +28,9 @@ from recon.animal.capsules import capsules
 from recon.base.arrays import Array
 from recon.check import finding
 from recon.clip.keypoints import frame_ranges
-from recon.fit.finding import Finding
 from recon.fit.motion import Motion
-from recon.fit.regions import radius
+from recon.fit.posterior import radius
+from recon.fit.result import Finding
 from recon.gait.gait import INTERVAL, PERIOD_SIGMA, Gait, Stance, pose_period_s
 from recon.gait.kinematics import Errors, JointKinematics, point_kinematics
 from recon.geometry.kinematics import Marker, Tree

@@ -22,8 +22,8 @@ from recon.base.manifest import MANIFEST
 from recon.check import mismatches, sentence, usable
 from recon.clip.keypoints import frame_ranges
 from recon.fit.motion import Motion
-from recon.fit.regions import radius
-from recon.fit.verdict import Verdict
+from recon.fit.posterior import radius
+from recon.fit.result import Verdict
 from recon.io.pose3d import Pose3D, read_pose3d
 
 PCK_THRESHOLDS_M = (0.05, 0.1, 0.15)

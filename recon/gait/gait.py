@@ -45,7 +45,7 @@ from scipy.spatial.distance import cdist
 
 from recon.base.arrays import Array, Bools, mean, median
 from recon.clip.keypoints import frame_ranges
-from recon.fit.regions import radius
+from recon.fit.posterior import radius
 from recon.gait.kinematics import Errors, Series, frame_times, joint_index, series_kinematics
 from recon.gait.path import MIN_POINTS
 from recon.io.pose3d import Pose3D

@@ -16,8 +16,8 @@ import numpy as np
 import numpy.typing as npt
 
 from recon.base.arrays import Array, Bools
+from recon.geometry.frames import euler_rotation
 from recon.geometry.lens import LENS_MODELS, Lens
-from recon.geometry.rotations import euler_rotation
 
 MIN_DEPTH_M = 1e-6
 
@@ -262,7 +262,7 @@ class Camera:
 
     def corrected(self, correction: Array) -> Camera:
         """This camera with an extrinsic correction (6,): turned by angles about its own axes
-        (`recon.geometry.rotations`), then moved along them by metres. Raises ValueError when the pose is unknown."""
+        (`recon.geometry.frames`), then moved along them by metres. Raises ValueError when the pose is unknown."""
         rotation, translation = self._pose()
         turn = euler_rotation(correction[:3])
         return replace(self, rotation=turn @ rotation, translation_m=turn @ translation + correction[3:])

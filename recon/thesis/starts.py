@@ -1,6 +1,6 @@
 """Where the frame method starts: direction of travel, and a rough placement of the chain, from geometry alone.
 
-The mean pose is put at the detections' bearings (`recon.fit.constant_velocity`), over many headings and all frames of a
+The mean pose is put at the detections' bearings (`recon.fit.starts`), over many headings and all frames of a
 stretch: the heading is chosen whose chain fits and which agrees with the path that it implies.
 """
 
@@ -12,10 +12,9 @@ import numpy as np
 
 from recon.animal.chain import MIN_JOINTS, Chain, upright_rotation
 from recon.base.arrays import Array
-from recon.fit.constant_velocity import constant_velocity, place_on_rays
+from recon.fit.starts import constant_velocity, place_on_rays
 from recon.geometry.camera import Camera
-from recon.geometry.frames import level_axes
-from recon.geometry.rotations import euler_angles
+from recon.geometry.frames import euler_angles, level_axes
 
 _HEADINGS = 36
 _STRETCH_S = 1.0

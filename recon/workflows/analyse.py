@@ -17,7 +17,7 @@ from recon.base.progress import Progress, silent
 from recon.base.settings import Option, Positive, Settings
 from recon.check import sentence, usable, verdict_fields
 from recon.fit.motion import MEASURED_SHARE, Motion
-from recon.fit.regions import radius
+from recon.fit.posterior import radius
 from recon.gait.clip import ClipAnalysis, analyse, net_acceleration_m_s2
 from recon.gait.dynamics import Dynamics, findings_of_dynamics, net_work_j_kg
 from recon.gait.gait import INTERVAL as REGION

@@ -18,7 +18,7 @@ from recon.base.progress import Progress, silent
 from recon.base.settings import Integer, Number, Option
 from recon.check import FLAG_OF, usable
 from recon.fit.motion import Motion
-from recon.fit.verdict import Verdict
+from recon.fit.result import Verdict
 from recon.io.video import Image, VideoInfo, probe, read_frames, require_codec, video_writer
 from recon.show.overlay import LEFT, MIDDLE, RIGHT, Colour, Overlay, canvas_size, draw_frame, draw_sheet
 from recon.workflows.cameras import cameras_in

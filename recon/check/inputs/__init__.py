@@ -23,8 +23,8 @@ from recon.check.inputs.rate import other_rate
 from recon.check.inputs.swaps import swap_finding, swaps
 from recon.fit import TrajectoryOptions, TrajectorySolution
 from recon.fit.clip_problem import ClipProblem
-from recon.fit.finding import Finding
 from recon.fit.motion import Motion
+from recon.fit.result import Finding
 from recon.geometry.camera import Camera
 from recon.geometry.kinematics import ROOT
 

@@ -15,7 +15,7 @@ from recon.base.arrays import Bools
 from recon.check.codes import finding
 from recon.clip import Source
 from recon.clip.keypoints import Keypoints, frame_ranges
-from recon.fit.finding import Finding
+from recon.fit.result import Finding
 
 SHARE = 0.2
 """So many identical coordinates, of those that could be, are no chance: hand labels in whole pixels may have a few."""

@@ -21,11 +21,9 @@ from recon.animal.prior import ANGLES
 from recon.base.arrays import Array, Bools
 from recon.clip import View
 from recon.clip.keypoints import frame_ranges
-from recon.fit import solve_trajectory
-from recon.fit.clip_problem import ClipProblem
-from recon.fit.contacts import above_ground
+from recon.fit import constants, solve_trajectory
+from recon.fit.clip_problem import ClipProblem, above_ground
 from recon.fit.least_squares import LeastSquares
-from recon.fit.prior_misfit import LASTS_S
 from recon.fit.starts import APPROACH_HZ, approach, between
 from recon.fit.terms import POSE, REFERENCE_HZ
 from recon.geometry.kinematics import ROOT, YAW
@@ -44,7 +42,7 @@ TOGETHER = 0.4
 out (docs/benchmarks.md, mistakes)."""
 TAILS = 3.0
 """Degrees of freedom of Student's distribution, which errors have."""
-POSES = 1.0 / (LASTS_S * REFERENCE_HZ)
+POSES = 1.0 / (constants.MISFIT_LASTS_S * REFERENCE_HZ)
 """Weight of the prior's poses, of which each frame's counts, where those that are alike count once."""
 AT_ONCE_S = 1.0
 """So much of a clip is judged at once."""

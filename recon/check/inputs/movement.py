@@ -13,8 +13,8 @@ import numpy as np
 from recon.base.arrays import Array
 from recon.check.codes import finding
 from recon.fit import TrajectorySolution
-from recon.fit.finding import Finding
 from recon.fit.motion import Motion
+from recon.fit.result import Finding
 from recon.fit.terms import REFERENCE_HZ
 
 LEAST_S = 0.25

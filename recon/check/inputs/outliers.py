@@ -13,7 +13,7 @@ from recon.check.inputs.likelihood import CLEAR, TAILS
 from recon.clip import Source, View
 from recon.clip.keypoints import frame_ranges, leave_out
 from recon.fit import TrajectorySolution
-from recon.fit.finding import Finding
+from recon.fit.result import Finding
 
 _WHY = "in frames whose detections are gross outliers"
 MOST = 0.5

@@ -17,7 +17,7 @@ from recon.check.codes import finding
 from recon.check.inputs.likelihood import CLEAR, Baseline, best_seen, judged, off_ground
 from recon.clip import View, camera_poses
 from recon.fit.clip_problem import ClipProblem
-from recon.fit.finding import Finding
+from recon.fit.result import Finding
 from recon.geometry.camera import Camera
 
 SMALLER = (2, 3, 4)

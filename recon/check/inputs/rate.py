@@ -15,9 +15,9 @@ from recon.base.arrays import Array
 from recon.check.codes import finding
 from recon.check.inputs.likelihood import believed
 from recon.fit.clip_problem import ClipProblem
-from recon.fit.finding import Finding
 from recon.fit.least_squares import Estimate, LeastSquares
-from recon.fit.prior_misfit import prior_misfit_of
+from recon.fit.posterior import prior_misfit_of
+from recon.fit.result import Finding
 from recon.fit.starts import APPROACH_HZ
 
 OTHER_RATES = (0.25, 1 / 3, 0.5, 2.0, 3.0, 4.0)

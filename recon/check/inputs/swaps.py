@@ -37,7 +37,7 @@ from recon.check.inputs.likelihood import (
     refitted,
 )
 from recon.clip import Source, View
-from recon.fit.finding import Finding
+from recon.fit.result import Finding
 
 JUMP = -3.0
 """Exchanges begin and end where that makes the tracks so much likelier, as a logarithm: legs that cross hardly jump."""
@@ -105,7 +105,7 @@ def pairs_of(body: Body) -> dict[str, Index]:
 
 def swaps(given: Baseline, unlike: bool = False) -> list[SwapTrial]:
     """Of one view of a clip, under a prior learned from motions; nothing follows one that is not clear. unlike: the
-    prior does not know this motion (`recon.fit.prior_misfit`); a whole clip, in which no keypoints jump, is then not
+    prior does not know this motion (`recon.fit.posterior`); a whole clip, in which no keypoints jump, is then not
     tried: nothing but the prior tells it."""
     kinds, found = pairs_of(given.clip.body), list[SwapTrial]()
     while len(found) < STRETCHES and "all" in kinds:

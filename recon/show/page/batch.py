@@ -12,7 +12,7 @@ import numpy as np
 
 from recon.base.errors import InputError
 from recon.fit.motion import Motion
-from recon.fit.verdict import LEVELS
+from recon.fit.result import LEVELS
 from recon.show.page import PAGE
 from recon.show.page.render import rendered
 

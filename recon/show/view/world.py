@@ -13,8 +13,8 @@ from rerun.components import FillMode
 from recon.animal.capsules import capsule_ends, capsules
 from recon.base.arrays import Bools
 from recon.fit.motion import MEASURED_SHARE, Motion, Picture
+from recon.geometry.frames import quaternions
 from recon.geometry.kinematics import AXES, Marker
-from recon.geometry.rotations import quaternions
 from recon.show.view.scene import (
     BODY,
     CAMERA,

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from recon.base.files import seen_from, staged_file
-from recon.fit.verdict import LEVELS
+from recon.fit.result import LEVELS
 from recon.show.page import SUMMARY_PAGE, require_own_page
 from recon.show.report import warnings
 from recon.workflows.batch.inputs import SUMMARY

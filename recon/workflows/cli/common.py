@@ -20,7 +20,7 @@ from rich.text import Text
 from recon.base.errors import InputError, Problem, printable
 from recon.base.interrupts import EXIT_INTERRUPTED, MESSAGE, installed
 from recon.base.manifest import read_manifest
-from recon.fit.verdict import Verdict
+from recon.fit.result import Verdict
 
 EXIT_UNSOLVED = 1
 EXIT_BAD_INPUT = 2
