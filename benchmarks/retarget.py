@@ -119,7 +119,7 @@ def main() -> None:
                 solved = solve(reference_of(results), robot)
                 print("| " + " | ".join(row(clip, solved, time.perf_counter() - started)) + " |", flush=True)
     if arguments.picture and solved is not None:
-        write_robot(solved.motion.clip, arguments.picture, companion(solved), len(solved.clip.time_s) // 2)
+        write_robot(solved.motion.clip, arguments.picture, companion(solved))
 
 
 if __name__ == "__main__":

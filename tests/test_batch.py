@@ -605,7 +605,7 @@ def test_what_comes_after_the_fit_does_not_have_it_made_again(clips, tmp_path):
     out = tmp_path / "out"
     fit(found(clips / "a.csv"), out)
     run_analyse(AnalyseSettings(folder=out / "a", figures=False))
-    (out / "a" / "video.rrd").write_bytes(b"of recon view --video")
+    (out / "a" / "notes.txt").write_text("of the user")
     (planned,) = plan_batch(found(clips / "a.csv"), out)
     assert planned.action == "done"
     table = (out / "a" / "pose3d.csv").read_bytes()

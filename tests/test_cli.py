@@ -28,7 +28,6 @@ from recon.fit.motion import Motion
 from recon.gait.evaluation import evaluate_files
 from recon.io import read_keypoints
 from recon.show.plain import to_plain
-from recon.show.view.added import AddedSeries, write_plots
 from recon.workflows.cli.common import error_text, say, table_of, terminal
 from recon.workflows.clip_results import OUTPUT_FILES
 from recon.workflows.settings import FitSettings, read_settings
@@ -871,47 +870,31 @@ def test_view_without_a_recording(tmp_path):
 
 def test_view_opens_the_recording(fitted, monkeypatch):
     opened = []
-    monkeypatch.setattr("recon.workflows.view.open_viewer", opened.append)
+    monkeypatch.setattr("recon.show.view.open_viewer", opened.append)
     assert run("view", fitted[0]).code == 0
     assert opened == [fitted[0] / "motion.rrd"]
 
 
 def test_view_shows_what_goes_with_the_recording(fitted, tmp_path, monkeypatch):
-    """The plots of an analysis, in the results' folder or elsewhere, but not those of an earlier fit."""
-    out, plots = tmp_path / "clip", tmp_path / "elsewhere" / "analysis.rrd"
+    """The plots of an analysis, and nothing in the results' folder changes."""
+    out, seen = tmp_path / "clip", []
     shutil.copytree(fitted[0], out)
-    plots.parent.mkdir()
-    time_s = np.arange(30) / 90
-    series = AddedSeries("x", "x", ["x"], [(0, 0, 0)], time_s[:, None], time_s=time_s, tab="x")
-    write_plots(plots, out / "motion.rrd", Motion.load(out), [series], [])
-    seen = []
+    (out / "analysis").mkdir()
+    (out / "analysis" / "analysis.json").write_text("{}")
 
     def look(path):
-        seen.append({"/analysis/x", "/speed"} & {chunk.entity_path for chunk in RrdReader(path).stream()})
+        seen.append({"/analysis/speed", "/speed"} & {chunk.entity_path for chunk in RrdReader(path).stream()})
 
-    monkeypatch.setattr("recon.workflows.view.open_viewer", look)
-    assert run("view", out, "--analysis", plots.parent) == Ended(0, "", "")
-    shutil.copytree(plots.parent, out / "analysis")
+    monkeypatch.setattr("recon.show.view.open_viewer", look)
     before = {path: path.read_bytes() for path in out.rglob("*") if path.is_file()}
     assert run("view", out) == Ended(0, "", "")
-    assert seen == [{"/analysis/x", "/speed"}] * 2
-    assert {path: path.read_bytes() for path in out.rglob("*") if path.is_file()} == before
     said = f"The recording is in {tmp_path / 'all.rrd'}. Watch it with: rerun {tmp_path / 'all.rrd'}\n"
     assert run("view", out, "--out", tmp_path / "all.rrd") == Ended(0, said, "")
     look(tmp_path / "all.rrd")
-    assert seen.pop() == {"/analysis/x", "/speed"}
+    assert seen == [{"/analysis/speed", "/speed"}] * 2
+    assert {path: path.read_bytes() for path in out.rglob("*") if path.is_file()} == before
     assert "which is there already" in run("view", out, "--out", tmp_path / "all.rrd").err
     assert run("view", out, "--out", tmp_path / "all.rrd", "--overwrite").code == 0
-    ended = run("view", out, "--analysis", tmp_path)
-    assert ended.err.startswith(f"error: {tmp_path / 'analysis.rrd'}: file: found no such file")
-    run(*fit_args(out, "--overwrite", "-q"))
-    ended = run("view", out)
-    assert ended.err == f"Left out, because it is of another fit: {out / 'analysis' / 'analysis.rrd'}\n"
-    assert seen[2] == {"/speed"}
-
-
-def test_version():
-    assert run("--version") == Ended(0, f"recon {metadata.version('recon-motion')}\n", "")
 
 
 @pytest.mark.parametrize("command", ["fit", "evaluate", "view", "demo"])

@@ -21,7 +21,6 @@ from recon.io.pose3d import read_pose3d
 from recon.show.export import analysis_csv
 from recon.show.plots import save
 from recon.show.report import build_report
-from recon.show.view.series import state_entity
 from recon.workflows.analyse import figures_of, notes, summarise
 
 SAMPLES = Path(__file__).parents[1] / "data" / "samples"
@@ -265,7 +264,6 @@ def test_each_figure_is_drawn(name, whole, tmp_path):
 
 
 def test_command_writes_tables_figures_and_plots(of_results, whole_results, monkeypatch):
-    from rerun.chunk import RrdReader
 
     printed, ran_in = of_results("recon analyse results/clip")
     monkeypatch.chdir(ran_in)
@@ -279,7 +277,7 @@ def test_command_writes_tables_figures_and_plots(of_results, whole_results, monk
     labels = [line.partition(": ")[0] for line in printed.splitlines() if ": " in line and not line.startswith("note")]
     assert len(set(labels)) == len(labels)
     written = {path.name for path in (folder / "analysis").iterdir()}
-    assert {*analysis_csv.TABLES, "analysis.json", "analysis.rrd"} <= written
+    assert {*analysis_csv.TABLES, "analysis.json"} <= written
     assert {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()} == results
     assert f"with: recon view {folder}\n" in printed
     assert {name for name in written if name.endswith((".png", ".svg"))} == {
@@ -288,9 +286,6 @@ def test_command_writes_tables_figures_and_plots(of_results, whole_results, monk
     summary = json.loads((folder / "analysis" / "analysis.json").read_text(encoding="utf-8"))
     assert summary["gait"]["name"] == "transverse gallop"
     assert summary["speed"]["peak_m_s"] == pytest.approx(16.05, abs=0.3)
-    entities = {chunk.entity_path for chunk in RrdReader(folder / "analysis" / "analysis.rrd").stream()}
-    assert "/head_roll" in entities
-    assert {"/analysis/speed", f"/{state_entity('l_back_paw')}", "/analysis/links/trunk"} <= entities
 
 
 def test_command_writes_over_an_analysis_only_if_asked_to(of_results, tmp_path, monkeypatch):
@@ -346,7 +341,7 @@ def test_tables_are_written_where_figures_fail(whole_results, tmp_path, monkeypa
     done = run("analyse", whole_results, "--out", tmp_path / "a")
     assert done.code == 2
     assert "No space left on device" in done.err
-    written = {*analysis_csv.TABLES, "analysis.json", "analysis.rrd"}
+    written = {*analysis_csv.TABLES, "analysis.json"}
     assert {path.name for path in (tmp_path / "a").iterdir()} == written
 
 

@@ -15,7 +15,6 @@ from recon.gait.clip import ClipAnalysis, analyse
 from recon.gait.dynamics import G_M_S2, MEAN_OF_PEAK, OFF_GRAVITY, SKEW, findings_of_dynamics, shape, stride_time
 from recon.show.export.analysis_csv import forces
 from recon.show.page.clip import clip_page
-from recon.show.view.analysis import _arrows
 from recon.workflows.analyse import summarise
 
 SKELETON = Path(__file__).parents[1] / "recon" / "animal" / "skeletons" / "cheetah-24.toml"
@@ -153,19 +152,6 @@ def test_masses_of_other_animals_are_of_a_whole_one_on_four_legs(name: str):
     assert sum(share for share, _ in body.mass.values()) == pytest.approx(1, abs=0.05)
     legs = sum(share for segment, (share, _) in body.mass.items() if segment.startswith(("l_", "r_")))
     assert 0.2 < legs < 0.35
-
-
-def test_the_playback_has_forces_under_the_feet(found: ClipAnalysis):
-    arrows = _arrows(found)
-    assert arrows is not None
-    assert found.gait is not None
-    d, tracks = found.dynamics, found.gait.tracks
-    assert d is not None
-    # A body weight is as long as the centre of mass is high, and points up.
-    up = arrows.vectors_m[:, 0, 2] / np.nanmedian(d.centre.series.value[:, 2] - d.ground_m)
-    np.testing.assert_allclose(up, d.force[tracks.feet[0]][:, 0], atol=1e-9)
-    assert np.nanmax(np.abs(arrows.vectors_m[..., :2])) < 1e-9
-    np.testing.assert_allclose(arrows.origins_m, found.motion.in_reference(tracks.foot_m))
 
 
 def test_the_page_shows_the_forces(motion: Motion):

@@ -20,7 +20,7 @@ from recon.show import plots
 from recon.show.report import build_report
 from recon.thesis import SolverRecord, read_solver
 from recon.thesis import plots as solver_plots
-from recon.thesis.inspection import TABLES, playback_series, solver_figures, write_tables
+from recon.thesis.inspection import TABLES, solver_figures, write_tables
 from recon.workflows.settings import read_settings
 
 SAMPLES = Path(__file__).parents[1] / "data" / "samples"
@@ -181,14 +181,6 @@ def test_figures_are_written(chain, small_pictures, tmp_path):
         plots.save(draw(), tmp_path, name)
     stems = ("image_errors", "solver_root", "solver_search", "solver_unknowns")
     assert {path.name for path in tmp_path.iterdir()} == {f"{stem}.{end}" for stem in stems for end in ("png", "svg")}
-
-
-def test_plots_beside_the_playback(frame):
-    shown = [*playback_series(frame)]
-    assert {series.tab for series in shown} == {"Solver", "Picture and root"}
-    lines = {s.entity: dict(zip(s.names, np.transpose(s.values), strict=True)) for s in shown}
-    np.testing.assert_array_equal(lines["solver/limits"]["rates"], frame.active["rates"])
-    np.testing.assert_allclose(lines["solver/optimality"]["largest of the gradient"], np.log10(frame.optimality))
 
 
 def test_command_writes_all_of_it(of_results):

@@ -1,374 +1,187 @@
-"""Plots that go with a playback, read back with rerun's own reader, alone and together with it."""
+"""What a playback shows besides the fit: the plots of an analysis and the frames of a video, read back with rerun."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
-from uuid import UUID
 
+import cv2
 import numpy as np
 import pytest
-import rerun as rr
-import rerun.blueprint as rrb
-from rerun.chunk import Chunk, RrdReader
+from rerun.chunk import RrdReader
 
 from recon.base.errors import InputError
 from recon.fit.motion import Motion
+from recon.gait.clip import ClipAnalysis, analyse
+from recon.io.video import video_writer
 from recon.show.view import write
-from recon.show.view.added import AddedSeries, AddedStates, write_plots
-from recon.show.view.together import put_together
 
-BLUE, ORANGE = (86, 180, 233), (230, 159, 0)
-TABS, HORIZONTAL = 1, 2
-
-# The motions have frames 10 to 17 (trajectory) or 10 to 15 (frame method) at 30 fps; three samples a frame.
-TIME_S = np.arange(30, 46) / 90.0
-FEET_M = np.column_stack((np.sin(TIME_S), 2.0 + TIME_S**2))
-FEET_M[4:6, 0] = np.nan
-SPEED = AddedSeries(
-    "speed", "Tail base (m/s)", ["tail base"], [BLUE], 10.0 * FEET_M[:, 1:], time_s=TIME_S, tab="Path and speed"
-)
-FEET = AddedSeries("feet/height", "Height (m)", ["LF", "RF"], [BLUE, ORANGE], FEET_M, time_s=TIME_S, tab="Gait")
-STANDS = ["", "", "stance", "stance", "stance", "", "", "late", *[""] * 8]
-STANCE = AddedStates(
-    title="Stances",
-    rows=[
-        ("LF.ground", STANDS, {"stance": BLUE, "late": ORANGE}),
-        ("RF/by body", [""] * 16, {"stance": ORANGE}),
-    ],
-    time_s=TIME_S,
-    tab="Gait",
-)
+FRAMES = list(range(10, 18))
 
 
-class Stored:
-    """What a file holds. data, layout: by entity, its static and its timed rows; row ids are left out."""
-
-    def __init__(self, path: Path) -> None:
-        reader = RrdReader(path)
-        (self.store,) = reader.recordings()
-        (layout,) = reader.blueprints()
-        assert layout.application_id == self.store.application_id
-        self.data = _rows(reader.stream(store=self.store).to_chunks())
-        self.layout = _rows(reader.stream(store=layout).to_chunks())
-
-    def on(self, timeline: str, entity: str, component: str) -> dict[Any, Any]:
-        rows = [row for row in self.data[entity] if row.get(timeline) is not None]
-        assert all({"frame", "time"} & {*row} == {timeline} for row in rows)
-        return {row[timeline]: row[component] for row in rows}
-
-    def static(self, entity: str) -> dict[str, Any]:
-        (row,) = [row for row in self.data[entity] if not {"frame", "time"} & {*row}]
-        return row
-
-    def field(self, path: str, component: str) -> list[Any]:
-        (value,) = [row[component] for row in self.layout[f"/{path}"] if row.get(component) is not None]
-        return value
-
-    def contents(self, container: str) -> list[str]:
-        return self.field(container, "ContainerBlueprint:contents")
-
-    @property
-    def root(self) -> str:
-        (root,) = self.field("viewport", "ViewportBlueprint:root_container")
-        return f"container/{UUID(bytes=bytes(root))}"
-
-    def names(self) -> dict[str, str]:
-        """Paths of views by their names."""
-        component = "ViewBlueprint:display_name"
-        found = {}
-        for path in self.layout:
-            for row in self.layout[path]:
-                if component in row:
-                    assert row[component][0] not in found
-                    found[row[component][0]] = path.removeprefix("/")
-        return found
-
-    def without_ids(self) -> dict[str, list[dict[str, Any]]]:
-        """The layout with its parts numbered as they are met from the root: ids and times differ from file to file."""
-        order = [self.root]
-        for path in order:
-            if path.startswith("container"):
-                order += self.contents(path)
-        assert len(order) == len({*order})
-        parts = {"/".join(path.split("/")[1:3]) for path in self.layout if path.startswith(("/container", "/view/"))}
-        assert parts == {*order}  # nothing lies about that is not shown
-        number = {path: f"part {i}" for i, path in enumerate(order)}
-        plain = {}
-        for path, rows in self.layout.items():
-            head, rest = "/".join(path.split("/")[1:3]), "/".join(path.split("/")[3:])
-            plain[f"{number.get(head, head)} {rest}"] = [
-                {
-                    k: [number.get(x, x) if isinstance(x, str) else x for x in v] if isinstance(v, list) else v
-                    for k, v in row.items()
-                    if k not in ("log_time", "ViewportBlueprint:root_container")
-                }
-                for row in rows
-            ]
-        return plain
-
-
-def _rows(chunks: list[Chunk]) -> dict[str, list[dict[str, Any]]]:
+def rows(path: Path, kind: str = "recordings") -> dict[str, list[dict[str, Any]]]:
+    """By entity, what is stored about it; row ids are left out."""
+    reader = RrdReader(path)
+    (store,) = getattr(reader, kind)()
     found: dict[str, list[dict[str, Any]]] = {}
-    for chunk in chunks:
+    for chunk in reader.stream(store=store).to_chunks():
         for row in chunk.to_record_batch().to_pylist():
-            row.pop("rerun.controls.RowId")
-            found.setdefault(chunk.entity_path, []).append(row)
+            known = {name: value for name, value in row.items() if name != "rerun.controls.RowId" and value is not None}
+            found.setdefault(chunk.entity_path, []).append(known)
     return found
 
 
-@pytest.fixture(scope="module")
-def plain(world_trajectory: Motion, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("plain") / "motion.rrd"
-    write(world_trajectory, path)
-    return path
+def by_frame(of: list[dict[str, Any]], component: str) -> dict[int, Any]:
+    return {row["frame"]: row[component] for row in of if "frame" in row and component in row}
 
 
-@pytest.fixture
-def copy(plain: Path, tmp_path: Path) -> Path:
-    path = tmp_path / "motion.rrd"
-    path.write_bytes(plain.read_bytes())
-    return path
+# -- an analysis ----------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
-def both(plain: Path, world_trajectory: Motion, tmp_path_factory: pytest.TempPathFactory) -> tuple[Stored, Stored]:
-    """Before and after."""
-    folder = tmp_path_factory.mktemp("added")
-    write_plots(folder / "plots.rrd", plain, world_trajectory, [SPEED, FEET], [STANCE])
-    return Stored(plain), together(plain, folder / "plots.rrd")
+def found(whole_results: Path) -> ClipAnalysis:
+    return analyse(Motion.load(whole_results))
 
 
-def together(playback: Path, plots: Path) -> Stored:
-    path = plots.with_name("together.rrd")
-    assert put_together(path, playback, plots, None) == []
-    return Stored(path)
+@pytest.fixture(scope="module")
+def analysed(found: ClipAnalysis, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("view") / "motion.rrd"
+    write(found.motion, path, found)
+    return path
 
 
-# -- data -----------------------------------------------------------------------------------------------------------
+def test_plots_of_an_analysis_are_those_at_the_frames(found: ClipAnalysis, analysed: Path) -> None:
+    data, moved = rows(analysed), found.joints[found.reference]
+    speed = by_frame(data["/analysis/speed"], "Scalars:scalars")
+    assert list(speed) == found.motion.frames.tolist()
+    at = moved.series.oversampling * 7
+    assert moved.speed_sigma_m_s is not None
+    value, sigma = moved.speed_m_s[at], moved.speed_sigma_m_s[at]
+    np.testing.assert_allclose(speed[found.motion.frames[7]], [value, value - sigma, value + sigma])
+    (names,) = [row["SeriesLines:names"] for row in data["/analysis/speed"] if "SeriesLines:names" in row]
+    assert names == ["speed", "minus one sigma", "plus one sigma"]
+    trunk = by_frame(data["/analysis/links/trunk"], "Scalars:scalars")
+    np.testing.assert_allclose(trunk[found.motion.frames[7]], [field.speed_m_s[7] for field in found.fields["trunk"]])
 
 
-def test_samples_between_frames_are_on_time_alone(both: tuple[Stored, Stored]) -> None:
-    _, after = both
-    by_time = after.on("time", "/analysis/speed", "Scalars:scalars")
-    np.testing.assert_allclose([t.total_seconds() for t in by_time], TIME_S, atol=1e-8)
-    np.testing.assert_array_equal(list(by_time.values()), SPEED.values)
-    by_frame = after.on("frame", "/analysis/speed", "Scalars:scalars")
-    assert by_frame == {frame: [10.0 * (2.0 + (frame / 30.0) ** 2)] for frame in range(10, 16)}
+def test_forces_stand_under_the_feet(found: ClipAnalysis, analysed: Path) -> None:
+    """A body weight is as long as the centre of mass is high, and points up; a gap breaks its own line only."""
+    d, gait, data = found.dynamics, found.gait, rows(analysed)
+    assert d is not None
+    assert gait is not None
+    at = np.searchsorted(gait.tracks.time_s, found.motion.time_s - 1e-6)
+    force = np.stack([d.force[foot][at, 0] for foot in gait.tracks.feet], axis=1)
+    lines = by_frame(data["/analysis/forces"], "Scalars:scalars")
+    for t, frame in enumerate(found.motion.frames):
+        np.testing.assert_allclose(lines[frame], force[t])
+    t = int(np.argmax(np.nanmax(force, axis=1)))
+    arrows = np.array(by_frame(data["/world/forces"], "Arrows3D:vectors")[found.motion.frames[t]])
+    high_m = np.nanmedian(d.centre.series.value[:, 2] - d.ground_m)
+    up = found.motion.in_reference(np.array([0.0, 0.0, high_m])) - found.motion.in_reference(np.zeros(3))
+    np.testing.assert_allclose(arrows, force[t][force[t] > 0][:, None] * up, atol=1e-5)
+    origins = by_frame(data["/world/forces"], "Arrows3D:origins")[found.motion.frames[t]]
+    feet_m = found.motion.in_reference(gait.tracks.foot_m[at[t]])
+    np.testing.assert_allclose(origins, feet_m[force[t] > 0], atol=1e-5)
 
 
-def test_a_gap_breaks_its_own_line_only(both: tuple[Stored, Stored]) -> None:
-    _, after = both
-    values = np.array(list(after.on("time", "/analysis/feet/height", "Scalars:scalars").values()))
-    np.testing.assert_array_equal(values, FEET_M)
-    assert np.isnan(values[4:6, 0]).all()
-    assert np.isfinite(values[:, 1]).all()
+def test_each_kind_has_a_tab_behind_the_fits_own_plots(found: ClipAnalysis, analysed: Path, tmp_path: Path) -> None:
+    layout = rows(analysed, "blueprints")
+    named = [row["ContainerBlueprint:display_name"][0] for of in layout.values() for row in of
+             if "ContainerBlueprint:display_name" in row]  # fmt: skip
+    tabs = {"Reconstruction", "Kinematics", "Forces", "Legs, tips about parents", "Trunk, tips about parents"}
+    assert {*named} >= tabs
+    views = [row["ViewBlueprint:display_name"][0] for of in layout.values() for row in of
+             if "ViewBlueprint:display_name" in row]  # fmt: skip
+    assert {f"Speed of {found.reference} (m/s)", "Vertical force (body weights)", "Reprojection (px)"} <= {*views}
+    write(found.motion, tmp_path / "plain.rrd")
+    plain = rows(tmp_path / "plain.rrd")
+    assert not any(entity.startswith(("/analysis", "/world/forces")) for entity in plain)
+    assert plain.keys() < rows(analysed).keys()
 
 
-def test_lines_have_their_names_and_colours(both: tuple[Stored, Stored]) -> None:
-    static = both[1].static("/analysis/feet/height")
-    assert static["SeriesLines:names"] == ["LF", "RF"]
-    assert static["SeriesLines:colors"] == [int(f"{r:02x}{g:02x}{b:02x}ff", 16) for r, g, b in (BLUE, ORANGE)]
+def test_without_masses_there_are_no_forces(found: ClipAnalysis, tmp_path: Path) -> None:
+    solution = found.motion.solution
+    plain = replace(solution, body=replace(solution.body, mass={}, mass_source=None))
+    found = replace(found, motion=replace(found.motion, solution=plain))
+    write(found.motion, tmp_path / "motion.rrd", found)
+    data = rows(tmp_path / "motion.rrd")
+    assert "/analysis/speed" in data
+    assert not {"/analysis/forces", "/world/forces"} & {*data}
 
 
-def test_states_are_rows_with_gaps(both: tuple[Stored, Stored]) -> None:
-    _, after = both
-    by_time = after.on("time", "/LF.ground", "StateChange:state")
-    assert [value[0] if value else "" for value in by_time.values()] == STANDS
-    by_frame = after.on("frame", "/LF.ground", "StateChange:state")
-    assert {frame: value for frame, value in by_frame.items() if value} == {11: ["stance"]}
-    assert sorted(by_frame) == list(range(10, 16))
-    assert after.static("/LF.ground")["StateConfiguration:values"] == ["stance", "late"]
-    assert after.static("/LF.ground")["StateConfiguration:labels"] == [" ", "late"]
-    assert not any(after.on("time", r"/RF\/by\ body", "StateChange:state").values())
+# -- a video --------------------------------------------------------------------------------------------------------
 
 
-def test_the_rest_of_the_recording_is_as_it_was(both: tuple[Stored, Stored]) -> None:
-    before, after = both
-    assert before.store == after.store
-    kept = {entity: rows for entity, rows in after.data.items() if entity in before.data}
-    np.testing.assert_equal(kept, before.data)
-    assert {entity for entity in after.data if entity not in kept} == {
-        "/analysis/speed",
-        "/analysis/feet/height",
-        "/LF.ground",
-        r"/RF\/by\ body",
-    }
+@pytest.fixture(scope="module")
+def video(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Eleven frames of 1920x1080, ten times the number as their grey level."""
+    path = tmp_path_factory.mktemp("video") / "clip.avi"
+    with video_writer(path, (1920, 1080), 30.0) as write_frame:
+        for number in range(11):
+            write_frame(np.full((1080, 1920, 3), 10 * number, np.uint8))
+    return path
 
 
-def test_frames_are_found_by_time_whatever_the_sampling(copy: Path, world_trajectory: Motion) -> None:
-    """Times outside the clip lie on no frame, nor does one that is two microseconds off."""
-    time_s = np.array([0.0, 10 / 30 - 2e-6, 11 / 30 + 1e-9, 0.4, 17 / 30, 18 / 30])
-    values = np.arange(6.0)[:, None]
-    plots = copy.with_name("plots.rrd")
-    write_plots(
-        plots, copy, world_trajectory, [AddedSeries("x", "x", ["x"], [BLUE], values, time_s=time_s, tab="x")], []
-    )
-    stored = Stored(plots)
-    assert stored.on("frame", "/analysis/x", "Scalars:scalars") == {11: [2.0], 12: [3.0], 17: [4.0]}
-    assert len(stored.on("time", "/analysis/x", "Scalars:scalars")) == 6
+def picture(row: dict[str, Any], flag: int) -> np.ndarray:
+    image = cv2.imdecode(np.array(row["EncodedImage:blob"][0], np.uint8), flag)
+    assert image is not None
+    return image
 
 
-# -- layout ---------------------------------------------------------------------------------------------------------
+def test_every_frame_has_its_picture(small_trajectory: Motion, video: Path, tmp_path: Path) -> None:
+    """The video begins with frame 8, so that the playback has its pictures 2 to 9."""
+    write(small_trajectory, tmp_path / "plain.rrd")
+    write(small_trajectory, tmp_path / "motion.rrd", video=video, first_frame=8)
+    data = rows(tmp_path / "motion.rrd")
+    pictures = data.pop("/picture/video")
+    assert data.pop("/closeup/video")
+    assert data.keys() == rows(tmp_path / "plain.rrd").keys()
+    assert [row["frame"] for row in pictures] == FRAMES
+    np.testing.assert_allclose([row["time"].total_seconds() for row in pictures], np.array(FRAMES) / 30, atol=1e-6)
+    for number, row in enumerate(pictures, 2):
+        image = picture(row, cv2.IMREAD_COLOR)
+        assert image.shape == (1080, 1920, 3)
+        assert float(image.mean()) == pytest.approx(10 * number, abs=3)
 
 
-def test_the_plots_become_the_first_of_the_tabs(both: tuple[Stored, Stored]) -> None:
-    before, after = both
-    *_, row = before.contents(before.root)
-    *_, tabs = after.contents(after.root)
-    assert after.field(after.root, "ContainerBlueprint:row_shares") == [5.0, 3.0]
-    assert after.field(tabs, "ContainerBlueprint:container_kind") == [TABS]
-    first, path, gait = after.contents(tabs)
-    assert after.field(tabs, "ContainerBlueprint:active_tab") == [first]
-    titles = [after.field(tab, "ContainerBlueprint:display_name") for tab in (first, path, gait)]
-    assert titles == [["Reconstruction"], ["Path and speed"], ["Gait"]]
-    (inside,) = after.contents(first)
-    assert len(after.contents(inside)) == len(before.contents(row))
-    views = after.names()
-    assert after.contents(path) == [views["Tail base (m/s)"]]
-    assert after.contents(gait) == [views["Height (m)"], views["Stances"]]
-    assert after.field(gait, "ContainerBlueprint:container_kind") == [HORIZONTAL]
+def test_the_close_look_has_what_lies_around_the_animal(small_trajectory: Motion, tmp_path: Path) -> None:
+    """Its middle is at (0, 0), as that of the points is; what lies beyond the picture is dark. It is in front."""
+    (wide, high), ramp = (1920, 1080), tmp_path / "ramp.avi"
+    with video_writer(ramp, (wide, high), 30.0) as write_frame:
+        for _ in FRAMES:
+            write_frame(np.broadcast_to((np.arange(wide) // 8).astype(np.uint8)[None, :, None], (high, wide, 3)).copy())
+    write(small_trajectory, tmp_path / "motion.rrd", video=ramp, first_frame=10)
+    data = rows(tmp_path / "motion.rrd")
+    ((left, _, _),) = [row["Transform3D:translation"][0] for row in data["/closeup/video"] if "frame" not in row]
+    shown = [row for row in data["/closeup/video"] if "frame" in row]
+    assert [row["frame"] for row in shown] == FRAMES
+    joints = by_frame(data["/picture/reprojections/joints"], "Points2D:positions")
+    compared = 0
+    for row in shown:
+        image = picture(row, cv2.IMREAD_GRAYSCALE)
+        assert image.shape[1] == -2 * left
+        middle = float(np.mean([x for x, _ in joints[row["frame"]]]))
+        if 20 < middle < wide - 20:
+            assert float(image[image.shape[0] // 2, image.shape[1] // 2]) == pytest.approx(middle / 8, abs=4)
+            compared += 1
+    assert compared
+    layout = rows(tmp_path / "motion.rrd", "blueprints")
+    (close,) = [path for path, of in layout.items() for row in of
+                if row.get("ViewBlueprint:display_name", [""])[0].startswith("Picture, close up")]  # fmt: skip
+    fronts = [row["ContainerBlueprint:active_tab"][0] for of in layout.values() for row in of
+              if row.get("ContainerBlueprint:active_tab")]  # fmt: skip
+    assert close.removeprefix("/") in fronts
 
 
-def test_the_views_of_the_playback_are_all_there(both: tuple[Stored, Stored]) -> None:
-    before, after = both
-    assert {*after.names()} - {*before.names()} == {"Tail base (m/s)", "Height (m)", "Stances"}
-    for panel in ("/time_panel", "/blueprint_panel", "/selection_panel"):
-        assert [{**row, "log_time": 0} for row in after.layout[panel]] == [
-            {**row, "log_time": 0} for row in before.layout[panel]
-        ]
-    after.without_ids()
+def test_a_video_that_is_too_short_leaves_no_file(small_trajectory: Motion, video: Path, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="found 11 frames that can be decoded, expected 18 or more"):
+        write(small_trajectory, tmp_path / "motion.rrd", video=video)
+    assert [*tmp_path.iterdir()] == []
 
 
-def test_plots_look_as_those_of_the_playback(both: tuple[Stored, Stored]) -> None:
-    _, after = both
-    view = after.names()["Height (m)"]
-    assert after.field(view, "ViewBlueprint:class_identifier") == ["TimeSeries"]
-    assert after.field(view, "ViewBlueprint:space_origin") == ["analysis/feet/height"]
-    # From zero, which is always in sight, to the largest value, and 6 % on either side; above it the two lines' names.
-    most = 2.0 + (45 / 90) ** 2
-    ((low, high),) = after.field(f"{view}/ScalarAxis", "ScalarAxis:range")
-    assert (low, high) == pytest.approx((-0.06 * most - 1e-3, low + (1.12 * most + 2e-3) / 0.8))
-    alone = after.names()["Tail base (m/s)"]
-    assert after.field(f"{alone}/PlotLegend", "PlotLegend:visible") == [False]
-    ((low, high),) = after.field(f"{alone}/ScalarAxis", "ScalarAxis:range")
-    assert high == pytest.approx(10.6 * most + 1e-3)
-    old = after.names()["Reprojection (px)"]
-    for part in ("PlotLegend", "PlotBackground"):
-        new_rows, old_rows = ([{**row, "log_time": 0} for row in after.layout[f"/{v}/{part}"]] for v in (view, old))
-        assert new_rows == old_rows
-    states = after.names()["Stances"]
-    assert after.field(states, "ViewBlueprint:class_identifier") == ["StateTimeline"]
-    assert after.field(states, "ViewBlueprint:space_origin") == ["/"]
-    assert after.field(f"{states}/ViewContents", "ViewContents:query") == ["/LF.ground", r"/RF\/by\ body"]
-
-
-def test_the_playback_of_the_frame_method_takes_them_too(small_motion: Motion, tmp_path: Path) -> None:
-    write(small_motion, tmp_path / "motion.rrd")
-    write_plots(tmp_path / "plots.rrd", tmp_path / "motion.rrd", small_motion, [SPEED], [])
-    after = together(tmp_path / "motion.rrd", tmp_path / "plots.rrd")
-    assert sorted(after.on("frame", "/analysis/speed", "Scalars:scalars")) == list(range(10, 16))
-    after.without_ids()
-
-
-def test_a_picture_holds_a_frame_and_shows_the_first_tab(copy: Path, world_trajectory: Motion) -> None:
-    write_plots(copy.with_name("plots.rrd"), copy, world_trajectory, [FEET], [], start_frame=12)
-    stored = together(copy, copy.with_name("plots.rrd"))
-    ((start, end),) = (r.values() for r in stored.field("time_panel", "TimePanelBlueprint:time_selection"))
-    assert (start, end) == (12, 12)
-    tabs = stored.contents(stored.root)[-1]
-    assert stored.field(tabs, "ContainerBlueprint:active_tab") == stored.contents(tabs)[1:]
-
-
-# -- files ----------------------------------------------------------------------------------------------------------
-
-
-def test_the_file_holds_the_plots_and_the_layout_alone(copy: Path, world_trajectory: Motion) -> None:
-    content = copy.read_bytes()
-    plots = copy.with_name("plots.rrd")
-    write_plots(plots, copy, world_trajectory, [SPEED, FEET], [STANCE])
-    alone = Stored(plots)
-    assert alone.store == Stored(copy).store
-    assert {entity.split("/")[1] for entity in alone.data} == {"analysis", "LF.ground", "RF\\"}
-    assert {"Tail base (m/s)", "Reprojection (px)"} <= {*alone.names()}
-    assert copy.read_bytes() == content
-    assert sorted(file.name for file in copy.parent.iterdir()) == ["motion.rrd", "plots.rrd"]
-
-
-def test_plots_of_another_recording_are_left_out(copy: Path, world_trajectory: Motion, tmp_path: Path) -> None:
-    """As those of a fit that has been made again."""
-    plots, path = tmp_path / "plots.rrd", tmp_path / "together.rrd"
-    write_plots(plots, copy, world_trajectory, [SPEED], [])
-    before = Stored(copy)
-    write(world_trajectory, copy)
-    assert put_together(path, copy, plots, None) == [plots]
-    assert Stored(path).data.keys() == before.data.keys()
-    assert Stored(path).without_ids() == before.without_ids()
-
-
-def test_a_playback_alone_stays_as_it_is(plain: Path, tmp_path: Path) -> None:
-    assert put_together(tmp_path / "together.rrd", plain, None, None) == []
-    np.testing.assert_equal(Stored(tmp_path / "together.rrd").data, Stored(plain).data)
-    assert Stored(tmp_path / "together.rrd").without_ids() == Stored(plain).without_ids()
-
-
-def _foreign(path: Path) -> None:
-    stream = rr.RecordingStream("other")
-    stream.save(path, default_blueprint=rrb.Blueprint(rrb.TimeSeriesView(origin="a")))
-    stream.send_columns("a", [rr.TimeColumn("step", sequence=[1, 2])], rr.Scalars.columns(scalars=[1.0, 2.0]))
-    stream.flush()
-    stream.disconnect()
-
-
-def _without_layout(path: Path) -> None:
-    stream = rr.RecordingStream("recon")
-    stream.save(path)
-    times = [rr.TimeColumn("frame", sequence=[10, 11]), rr.TimeColumn("time", duration=[10 / 30, 11 / 30])]
-    stream.send_columns("speed", times, rr.Scalars.columns(scalars=[1.0, 2.0]))
-    stream.flush()
-    stream.disconnect()
-
-
-@pytest.mark.parametrize(
-    ("spoil", "found"),
-    [
-        (Path.unlink, "no such file"),
-        (lambda path: path.write_bytes(b""), "cannot read"),
-        (lambda path: path.write_text("frame,x\n1,2\n"), "cannot read"),
-        (lambda path: path.write_bytes(path.read_bytes()[:-40]), "lost its end"),
-        (lambda path: path.write_bytes(path.read_bytes()[: path.stat().st_size // 2]), "lost its end"),
-        (_foreign, "of another kind"),
-        (_without_layout, "of another kind"),
-    ],
-    ids=["missing", "empty", "text", "no end", "half", "foreign", "no layout"],
-)
-def test_what_is_no_playback_is_refused_and_left(
-    copy: Path, world_trajectory: Motion, spoil: Callable[[Path], Any], found: str
-) -> None:
-    spoil(copy)
-    content = copy.read_bytes() if copy.exists() else None
-    with pytest.raises(InputError, match=found) as caught:
-        write_plots(copy.with_name("plots.rrd"), copy, world_trajectory, [SPEED], [STANCE])
-    (problem,) = caught.value.problems
-    assert problem.file == copy
-    assert (copy.read_bytes() if copy.exists() else None) == content
-    assert [file.name for file in copy.parent.iterdir()] == ([] if content is None else ["motion.rrd"])
-
-
-def test_series_of_another_clip_are_refused(copy: Path, world_trajectory: Motion) -> None:
-    later = AddedSeries("x", "Far away", ["x"], [BLUE], FEET_M[:, 1:], time_s=TIME_S + 100.0, tab="x")
-    between = AddedSeries("y", "Between", ["y"], [BLUE], FEET_M[:, 1:], time_s=TIME_S + 1 / 300, tab="x")
-    empty = AddedStates(title="Empty", rows=[("LF", [], {})], time_s=np.empty(0), tab="x")
-    with pytest.raises(InputError) as caught:
-        write_plots(copy.with_name("plots.rrd"), copy, world_trajectory, [SPEED, later, between], [STANCE, empty])
-    assert [problem.found for problem in caught.value.problems] == [
-        "none at the 16 times of 'Far away'",
-        "none at the 16 times of 'Between'",
-        "none at the 0 times of 'Empty'",
-    ]
-
-
-def test_two_plots_of_one_entity_are_a_mistake(copy: Path, world_trajectory: Motion) -> None:
-    with pytest.raises(ValueError, match="entities must differ: analysis/speed, analysis/speed"):
-        write_plots(copy.with_name("plots.rrd"), copy, world_trajectory, [SPEED, SPEED], [])
+def test_a_video_goes_into_the_picture_of_its_camera(two_cameras: Motion, video: Path, tmp_path: Path) -> None:
+    """And into its close look, of several that stand side by side."""
+    write(two_cameras, tmp_path / "motion.rrd", video=video, first_frame=8, camera=1)
+    videos = {entity for entity in rows(tmp_path / "motion.rrd") if entity.endswith("/video")}
+    assert videos == {"/picture/cam2/video", "/closeup/cam2/video"}

@@ -15,17 +15,16 @@ import rerun.blueprint as rrb
 
 from recon.base.files import write_bytes
 
-APPLICATION = "recon"
 _AT_ONCE = 1 << 20
 
 
 @contextmanager
-def recording(path: Path, layout: rrb.Blueprint, part_of: str | None = None) -> Iterator[rr.RecordingStream]:
+def recording(path: Path, layout: rrb.Blueprint) -> Iterator[rr.RecordingStream]:
     """A recording to log to, which is written to `path`; there is none when the block raises.
 
-    part_of: the id of a recording that this one adds to. Raises OSError that names the path.
+    Raises OSError that names the path.
     """
-    stream = rr.RecordingStream(APPLICATION, recording_id=part_of, send_properties=part_of is None)
+    stream = rr.RecordingStream("recon")
     try:
         if not hasattr(os, "mkfifo"):  # Windows
             memory = stream.memory_recording()

@@ -5,7 +5,7 @@ Columns of the tables: docs/solver.md.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from recon.base.arrays import Array
 from recon.base.errors import InputError, Problem
 from recon.base.files import require_free_folder, sole_writer, staged_folder
 from recon.base.manifest import read_manifest
@@ -38,13 +37,10 @@ from recon.thesis.plots import (
     solver_unknowns,
 )
 from recon.thesis.solver import SolverRecord, frame_solution, linearised_clip, linearised_frames, trajectory_solution
-from recon.workflows.analyse import PLAYBACK, PLOTS
 from recon.workflows.made_from import AS_THEY_WERE, CONFIG, problem_of, read_config
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-    from recon.show.view.added import AddedSeries
 
 FOLDER, SUMMARY, JACOBIAN = "solver", "solver.json", "jacobian.npz"
 SEARCH = "solver_frame.csv"
@@ -77,9 +73,7 @@ def run_solver(settings: SolverSettings, progress: Progress = silent) -> tuple[S
     progress("reading", 0.0)
     motion = Motion.load(settings.folder)
     with sole_writer(out):
-        require_free_folder(
-            out, (SUMMARY, PLOTS, *TABLES, SEARCH, JACOBIAN), settings.overwrite, "what the optimiser did"
-        )
+        require_free_folder(out, (SUMMARY, *TABLES, SEARCH, JACOBIAN), settings.overwrite, "what the optimiser did")
         progress("problem", 0.1)
         with threadpool_limits(1, user_api="blas"):  # of small matrices, threads cost more than they bring
             record = read_solver(motion, settings.folder, settings.frame)
@@ -88,8 +82,6 @@ def run_solver(settings: SolverSettings, progress: Progress = silent) -> tuple[S
         with staged_folder(out) as staging:
             write_tables(record, staging)
             (staging / SUMMARY).write_text(to_json(summary), encoding="utf-8")
-            if (settings.folder / PLAYBACK).is_file():
-                _write_plots(record, settings.folder / PLAYBACK, staging / PLOTS)
             files = [path.name for path in staging.iterdir()]
         if settings.figures:
             drawn = solver_figures(record)
@@ -213,7 +205,7 @@ def write_tables(record: SolverRecord, folder: Path) -> None:
     record.problem.write_jacobian(folder / JACOBIAN)
 
 
-# -- figures and playback -----------------------------------------------------------------------------------------
+# -- figures -----------------------------------------------------------------------------------------
 
 
 def solver_figures(record: SolverRecord) -> dict[str, Callable[[], Figure]]:
@@ -222,47 +214,3 @@ def solver_figures(record: SolverRecord) -> dict[str, Callable[[], Figure]]:
     if record.search is not None:
         draw = (*draw, solver_evaluations, solver_frame, solver_matrices, solver_rotation)
     return {one.__name__: partial(one, record) for one in draw}
-
-
-def _write_plots(record: SolverRecord, playback: Path, path: Path) -> None:
-    from recon.show.view.added import write_plots  # rerun is slow to import
-
-    read_manifest(playback.parent).require(PLAYBACK)
-    write_plots(path, playback, record.motion, [*playback_series(record)], [])
-
-
-def playback_series(record: SolverRecord) -> Iterator[AddedSeries]:
-    """The plots that go with the playback; what is of very different sizes in powers of ten."""
-    from recon.show.view.added import AddedSeries  # rerun is slow to import
-    from recon.show.view.series import LINE_COLOURS
-
-    cost = {name: _log10(of_term) for name, of_term in record.problem.cost.items() if np.nansum(of_term) > 0}
-    search = {"largest of the gradient": _log10(record.optimality), "step": _log10(record.step_norm)}
-    worst = {name: np.fmax.reduce(values, axis=0) for name, values in record.image_error_px.items()}
-    rotation = {name: np.degrees(values) for name, values in record.rotation_rad.items()}
-    shown = [
-        ("cost", "Cost by term (log10)", cost),
-        ("optimality", "Gradient and step (log10)", search),
-        ("iterations", "Iterations", {"iterations": record.of_frames("iterations")} if record.motion.jitters else {}),
-        ("limits", "Limits passed", {name: count.astype(float) for name, count in record.active.items()}),
-        ("image_error", "Error in the picture (px), worst joint", worst),
-        ("rotation", "Rotation of the root (°)", rotation),
-        ("length", "Base length (m)" if record.motion.jitters else "Size", record.length),
-    ]
-    for entity, title, lines in shown:
-        if not lines:
-            continue
-        yield AddedSeries(
-            entity=f"solver/{entity}",
-            title=title,
-            names=[*lines],
-            colours=[LINE_COLOURS[i % len(LINE_COLOURS)] for i in range(len(lines))],
-            values=np.stack([*lines.values()], axis=1),
-            time_s=record.motion.time_s,
-            tab="Picture and root" if entity in ("image_error", "rotation", "length") else "Solver",
-        )
-
-
-def _log10(values: Array) -> Array:
-    """NaN where there is nothing."""
-    return np.log10(np.where(values > 0, values, np.nan))

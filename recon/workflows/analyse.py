@@ -12,7 +12,6 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from recon.base.files import require_free_folder, sole_writer, staged_folder
-from recon.base.manifest import read_manifest
 from recon.base.progress import Progress, silent
 from recon.base.settings import Option, Positive, Settings
 from recon.check import sentence, usable, verdict_fields
@@ -33,7 +32,7 @@ if TYPE_CHECKING:
 SUMMARY = "analysis.json"
 FOLDER = "analysis"
 """In the results' own, by default."""
-PLAYBACK, PLOTS = "motion.rrd", "analysis.rrd"
+PLAYBACK = "motion.rrd"
 """What the fit wrote, and what goes with it."""
 INTERVAL = 1.96
 """Standard deviations to either side that hold 95 %."""
@@ -75,7 +74,7 @@ def run_analyse(settings: AnalyseSettings, progress: Progress = silent) -> Analy
     progress("reading", 0.0)
     motion = usable(Motion.load(settings.folder), settings.folder, settings.anyway)
     with sole_writer(out):
-        require_free_folder(out, (SUMMARY, PLOTS, *analysis_csv.TABLES), settings.overwrite, "an analysis")
+        require_free_folder(out, (SUMMARY, *analysis_csv.TABLES), settings.overwrite, "an analysis")
         progress("analysis", 0.1)
         with threadpool_limits(1, user_api="blas"):  # of small matrices, threads cost more than they bring
             found = analyse(motion, settings.smooth, settings.stride, lean=True)
@@ -85,21 +84,12 @@ def run_analyse(settings: AnalyseSettings, progress: Progress = silent) -> Analy
         with staged_folder(out) as staging:
             analysis_csv.write(found, staging)
             (staging / SUMMARY).write_text(to_json(summary), encoding="utf-8")
-            if (settings.folder / PLAYBACK).is_file():
-                _write_plots(found, settings.folder, staging)
             files = [path.name for path in staging.iterdir()]
         if settings.figures:
             with staged_folder(out) as staging:
                 write_figures(found, staging, progress)
                 files += [path.name for path in staging.iterdir()]
     return found, summary, [out / name for name in sorted(files)]
-
-
-def _write_plots(found: ClipAnalysis, folder: Path, out: Path) -> None:
-    from recon.show.view.analysis import write_analysis  # rerun is slow to import
-
-    read_manifest(folder).require(PLAYBACK)
-    write_analysis(found, out / PLOTS, folder / PLAYBACK)
 
 
 # -- summary ---------------------------------------------------------------------------------------------------------

@@ -25,8 +25,7 @@ from recon.robotics.robot.robot_file import load_robot
 from recon.robotics.settings import ClimbSettings
 from recon.show.plots.style import save
 from recon.show.report import to_json
-from recon.show.view.scene import LIMB_COLOURS
-from recon.show.view.series import TimePlot
+from recon.show.view.scene import LIMB_COLOURS, TimePlot
 
 REPORT = "report.json"
 

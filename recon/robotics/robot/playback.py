@@ -22,7 +22,7 @@ from recon.robotics.climb.paths import Step
 from recon.robotics.robot.quadruped import LEGS
 from recon.robotics.robot.retarget import RobotMotion
 from recon.show.recording import recording
-from recon.show.view.layout import laid_out, plot, state_rows
+from recon.show.view.layout import laid_out, state_rows, time_view
 from recon.show.view.scene import (
     BACKGROUND,
     DETECTION,
@@ -34,11 +34,11 @@ from recon.show.view.scene import (
     SIDE_COLOURS,
     TRAIL,
     Log,
-    follow,
+    TimePlot,
     grid_lines,
+    limb_strips,
     strips,
 )
-from recon.show.view.series import TimePlot, line_style, state_columns, state_style
 
 ROBOT = DETECTION
 STEP = (58, 62, 72)
@@ -61,16 +61,15 @@ def write_robot(
     motion: RobotMotion,
     path: Path,
     companion: Companion | None = None,
-    start_frame: int | None = None,
     step: Step | None = None,
     more: Sequence[TimePlot] = (),
     title: str = "",
 ) -> None:
-    """The recording; start_frame: a sample to hold, for pictures; step: one across the way, along which x is forwards;
-    more: plots before those of the angles, which share one place then."""
+    """The recording; step: one across the way, along which x is forwards; more: plots before those of the angles, which
+    share one place then."""
     series = [_angles(motion, label) for label in LEGS]
     seen = _middle(motion, step)
-    layout = _blueprint(motion, companion, series, start_frame, seen, more, title)
+    layout = _blueprint(motion, companion, series, seen, more, title)
     with recording(path, layout) as stream:
         stream.send_recording_name(f"{motion.robot.name} {path.stem}")
         log = Log(stream, np.arange(len(motion.time_s)), motion.time_s)
@@ -94,7 +93,6 @@ def _write_motion(
     motion: RobotMotion, companion: Companion | None, series: Sequence[TimePlot], seen: tuple[Array, float], log: Log
 ) -> None:
     legs = np.stack([motion.points(label) for label in LEGS], axis=1)
-    count = len(motion.time_s)
     log.fix("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP)
     size = motion.robot.stand_m
 
@@ -105,31 +103,22 @@ def _write_motion(
     log.fix("world/robot", style)
     lines = [[*of_legs, of_body] for of_legs, of_body in zip(legs, body, strict=True)]
     log.send("world/robot", strips(rr.LineStrips3D, lines))
-    log.fix("world/robot/feet", rr.Points3D.from_fields(colors=TRAIL, radii=0.06 * size))
-    down = motion.feet_m[motion.standing]
-    columns = rr.Points3D.columns(positions=down).partition(motion.standing.sum(axis=1))
-    log.send("world/robot/feet", columns)
+    log.points("world/robot/feet", motion.feet_m, motion.standing, colors=TRAIL, radii=0.06 * size)
     log.fix("world/support", rr.LineStrips3D.from_fields(colors=TRAIL, radii=0.008 * size))
     polygons = [_polygon(feet, stand) for feet, stand in zip(motion.feet_m, motion.standing, strict=True)]
     log.send("world/support", strips(rr.LineStrips3D, polygons))
     if companion is not None:
-        animal = companion.points_m
-        limbs = [list(along) for along in companion.limbs.values()]
         colours_of_limbs = [SIDE_COLOURS[companion.limb_sides[limb]] for limb in companion.limbs]
         style = rr.LineStrips3D.from_fields(colors=colours_of_limbs, radii=0.02 * size)
         log.fix("world/animal", style)
-        lines = [[pose[along] for along in limbs] for pose in animal]
-        log.send("world/animal", strips(rr.LineStrips3D, lines))
-        follow(log, "world/animal/followed", *_beside(seen, companion))
-    follow(log, "world/followed", *seen)
+        shown = np.ones(len(motion.time_s), bool)
+        log.send("world/animal", limb_strips(rr.LineStrips3D, companion.points_m, companion.limbs, shown))
+        log.follow("world/animal/followed", *_beside(seen, companion))
+    log.follow("world/followed", *seen)
     for s in series:
-        columns = rr.Scalars.columns(scalars=s.values.ravel()).partition([s.values.shape[1]] * count)
-        log.send(s.entity, columns)
-        log.fix(s.entity, line_style(s))
+        log.plot(s)
     for k, label in enumerate(LEGS):
-        texts = ["stance" if stands else "" for stands in motion.standing[:, k]]
-        log.send(label, state_columns(texts))
-        log.fix(label, state_style({"stance": colours[k]}))
+        log.state(label, "stance", colours[k], motion.standing[:, k])
 
 
 def _polygon(feet_m: Array, standing: Bools) -> list[Array]:
@@ -187,7 +176,6 @@ def _blueprint(
     motion: RobotMotion,
     companion: Companion | None,
     series: Sequence[TimePlot],
-    start_frame: int | None,
     seen: tuple[Array, float],
     more: Sequence[TimePlot],
     title: str,
@@ -201,12 +189,12 @@ def _blueprint(
         of_robot = ["world/robot", "world/support", "world/path", "world/step"]
         beside = _scene(other, "world/animal/followed", _beside(seen, companion), of_robot)
         scene = rrb.Horizontal(scene, beside)
-    angles = [plot(s) for s in series]
+    angles = [time_view(s) for s in series]
     angles = [rrb.Tabs(*angles)] if more else angles
     stands = state_rows(LEGS, "Feet that stand")
     fps = min(len(motion.time_s) / float(motion.time_s[-1]), len(motion.time_s) / 4)
-    content = rrb.Vertical(scene, rrb.Horizontal(*(plot(s) for s in more), *angles, stands), row_shares=[3, 2])
-    return laid_out(content, len(motion.time_s), fps, start_frame)
+    content = rrb.Vertical(scene, rrb.Horizontal(*(time_view(s) for s in more), *angles, stands), row_shares=[3, 2])
+    return laid_out(content, fps)
 
 
 def _scene(name: str, followed: str, seen: tuple[Array, float], hidden: Sequence[str]) -> rrb.Spatial3DView:

@@ -3,26 +3,22 @@
 Entities of the recording; those without "(static)" have a row a frame, which is empty where the frame has no pose:
 
 - `world`: metres, in the motion's frame of reference. `world/skeleton` and its joints, `world/path` (static) and
-  `world/trail` of the reference point, `world/ground` (static; of a clip with several segments each one's, from its
-  first frame on), `world/camera` (static, but for one that moves), its frustum, and `world/followed`, invisible;
-  `world/body`, capsules along the segments, which a view of its own shows in place of the skeleton;
+  `world/trail` of the reference point, `world/ground` (of a clip with several segments each one's, from its first frame
+  on), `world/camera` (static, but for one that moves), its frustum, and `world/followed`, invisible;
   `world/uncertainty`, one sigma of the joints' positions relative to their mean, `world/stance`, the feet that stand,
-  and `world/doubt`, a label in frames with a flag; `world/observability`, the joints' axes in the colour of what the
-  pixels show of their angles, in a view of their own.
+  and `world/doubt`, a label in frames with a flag.
 - `picture`: pixels of the distorted picture. `picture/frame` (static), its edge; `picture/detections`,
   `picture/outliers`, `picture/reprojections` with the skeleton's lines in it, `picture/links` between the two.
-- `picture/video`, `closeup/video`: a video's frames, of a file that `recon.show.view.video` writes.
 - `closeup`: the same points, relative to the middle of the reprojected skeleton in each frame.
+- `picture/video`, `closeup/video`: the frames of a video, where one was given.
 - Of several cameras each has its own `world/camera/<name>`, `picture/<name>/...` and `closeup/<name>/...`, and there is
-  `world/camera_names` (static, unless one moves).
+  `world/camera_names`.
 - `angles/...` in degrees: a chain's `theta` and `phi`, or the `left` and `right` of a whole animal, and the `middle`,
   in parts where they are many; `speed` of the reference point in m/s; `residuals` in px, of all
   cameras: the median of a frame, and the largest but for outliers.
 - `uncertainty` in m, and states over time: by its name each flag of a frame, and each foot, where it stands.
-- `analysis/...`, more states, and `world/forces`, arrows under the feet, with the path `world/forces/centre_of_mass`:
-  with samples between frames on `time`, of a file that `recon.show.view.added` writes.
-
-Those files are parts of the same recording; `recon.show.view.together` makes one file of it.
+- With an analysis `analysis/...`, and `world/forces`, arrows under the feet, with the path
+  `world/forces/centre_of_mass`.
 
 Timelines: `frame`, the frame number of the keypoint file, and `time`, seconds since its frame 0.
 """
@@ -38,36 +34,50 @@ import rerun as rr
 
 from recon.base.errors import InputError, Problem
 from recon.fit.motion import Motion
-from recon.gait.clip import standing
+from recon.gait.clip import ClipAnalysis, standing
 from recon.show.recording import recording
 from recon.show.view.layout import blueprint
-from recon.show.view.picture import write_pictures
 from recon.show.view.scene import Log, Scene, limb_colours
-from recon.show.view.series import write_series, write_states
-from recon.show.view.world import write_observability, write_uncertainty, write_world
+from recon.show.view.series import analysis_plots, angle_plots, other_plots, states, write_forces
+from recon.show.view.video import write_video
+from recon.show.view.world import write_pictures, write_uncertainty, write_world
 
 DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET")
 """Environment variables, one of which says where a screen is on Linux."""
 
 
-def write(motion: Motion, path: Path, start_frame: int | None = None) -> None:
+def write(
+    motion: Motion,
+    path: Path,
+    found: ClipAnalysis | None = None,
+    video: Path | None = None,
+    first_frame: int = 0,
+    camera: int = 0,
+) -> None:
     """Write the recording `motion.rrd`, with the blueprint that lays out its views.
 
-    The viewer plays it in a loop, slowly where it is short. start_frame: a frame number to hold instead, for pictures.
+    The viewer plays it in a loop, slowly where it is short. found: the analysis, whose plots get tabs of their own;
+    video: what is behind the picture of a camera, by its number, with the number of the video's first frame.
     """
-    scene = Scene.of(motion)
-    with recording(path, blueprint(motion, scene, start_frame)) as stream:
+    scene, stands = Scene.of(motion), standing(motion)
+    plots = [*angle_plots(motion), *other_plots(motion), *(() if found is None else analysis_plots(found))]
+    rows = states(motion, stands)
+    with recording(path, blueprint(motion, scene, plots, [*rows])) as stream:
         stream.send_recording_name(Path(motion.keypoints.source or motion.title).stem)
         log = Log(stream, motion.frames, motion.time_s)
         labels = zip(motion.limbs, limb_colours(motion), strict=True)
         log.fix("/", rr.AnnotationContext([(i, limb, colour) for i, (limb, colour) in enumerate(labels)]))
         write_world(motion, scene, log)
         write_pictures(motion, log)
-        write_series(motion, log)
-        stands = standing(motion)
         write_uncertainty(motion, scene, log, stands)
-        write_observability(motion, scene, log)
-        write_states(motion, log, stands)
+        for plot in plots:
+            log.plot(plot)
+        for entity, (text, colour, holds) in rows.items():
+            log.state(entity, text, colour, holds)
+        if found is not None:
+            write_forces(found, log)
+        if video is not None:
+            write_video(motion, log, video, first_frame, camera)
 
 
 def open_viewer(path: Path) -> None:

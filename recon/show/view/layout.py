@@ -8,93 +8,67 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 from rerun.blueprint.archetypes import PlotBackground
-from rerun.encodings import AbsoluteTimeRange
 
-from recon.fit.motion import MEASURED_SHARE, Motion, Picture
-from recon.show.view.picture import CLOSE, middle_and_reach_px, picture_bounds
-from recon.show.view.scene import BACKGROUND, BODY, CLOSEUP, GRID_SPACING_M, PICTURE, Scene, by_camera
-from recon.show.view.series import TimePlot, angle_series, other_series, state_entities
+from recon.base.arrays import Array
+from recon.fit.motion import Motion, Picture
+from recon.show.view.scene import BACKGROUND, CLOSEUP, GRID_SPACING_M, PICTURE, Scene, TimePlot, by_camera
+from recon.show.view.world import CLOSE, middle_and_reach_px, picture_bounds
 
 
-def blueprint(
-    motion: Motion, scene: Scene, start_frame: int | None, added: Sequence[rrb.Container] = ()
-) -> rrb.Blueprint:
-    """added: tabs beside the plots, of which the first is in front where a frame is held."""
-    upto_now = rrb.VisibleTimeRanges(
-        [
-            rr.VisibleTimeRange(t, start=rr.TimeRangeBoundary.infinite(), end=rr.TimeRangeBoundary.cursor_relative())
-            for t in ("frame", "time")
-        ]
-    )
-    trail = {"world/trail": [upto_now]}
-    sticks, body, seen = (
-        rrb.Spatial3DView(
-            origin="world",
-            name=name,
-            contents=["$origin/**", *(f"- {entity}" for entity in without)],
-            background=BACKGROUND,
-            line_grid=False,
-            eye_controls=_eye_on_animal(motion, scene, turn_rad),
-            overrides=trail,  # pyright: ignore[reportArgumentType]
-        )
-        for name, turn_rad, without in (
-            (_title(motion), 0.0, [BODY, _SEEN]),
-            ("Body", 0.0, ["world/skeleton/**", "world/uncertainty", "world/stance", _SEEN]),
-            (
-                f"What is seen: axes of the joints, blue: {MEASURED_SHARE:.0%} or more by the pixels",
-                0.7,  # so that axes across the animal do not point at the eye
-                ["world/skeleton/**", "world/uncertainty", "world/stance", BODY],
-            ),
-        )
-    )
-    overview = rrb.Spatial3DView(
-        origin="world",
-        name="Overview with the camera" + ("s" if len(motion.pictures) > 1 else ""),
-        contents=["$origin/**", "- world/doubt", f"- {BODY}", f"- {_SEEN}"],
-        background=BACKGROUND,
-        line_grid=False,
-        eye_controls=_eye_on_all(motion, scene),
-        overrides=trail,  # pyright: ignore[reportArgumentType]
-    )
-    angles, others = angle_series(motion), other_series(motion)
-    plots: list[rrb.View | rrb.Container] = [rrb.Tabs(*(plot(series) for series in angles), active_tab=0)]
-    plots += [plot(series) for series in others]
-    plots.append(state_rows(state_entities(motion), "Doubtful frames, feet that stand"))
+def blueprint(motion: Motion, scene: Scene, plots: Sequence[TimePlot], rows: Sequence[str]) -> rrb.Blueprint:
+    """plots: those without a tab stand in the row that is in front, the angles among them in one place; rows: entities
+    of states."""
+    several = "s" if len(motion.pictures) > 1 else ""
+    skeleton = _in_space(_title(motion), _eye_on_animal(motion, scene))
+    overview = _in_space(f"Overview with the camera{several}", _eye_on_all(motion, scene), ["- world/doubt"])
+    front = [plot for plot in plots if not plot.tab]
+    angles = [time_view(plot) for plot in front if plot.entity.startswith("angles/")]
+    others = [time_view(plot) for plot in front if not plot.entity.startswith("angles/")]
+    marks = state_rows(rows, "Doubtful frames, feet that stand")
     shares = [4, *([3] * len(others)), 4]
-    below: rrb.Container = rrb.Horizontal(*plots, column_shares=shares)
-    if added:
-        front = 0 if start_frame is None else 1
-        below = rrb.Tabs(rrb.Vertical(below, name=PRESENT), *added, active_tab=front)
-    content = rrb.Vertical(
-        rrb.Horizontal(
-            rrb.Tabs(sticks, body, seen, active_tab=0),
-            rrb.Vertical(_pictures(motion.pictures), overview, row_shares=[5, 4]),
-            column_shares=[11, 9],
-        ),
-        below,
-        row_shares=[5, 3],
-    )
-    fps = min(motion.fps, max(5.0, len(motion.frames) / 5))
-    return laid_out(content, len(motion.frames), fps, start_frame)
+    below: rrb.Container = rrb.Horizontal(rrb.Tabs(*angles, active_tab=0), *others, marks, column_shares=shares)
+    if tabs := dict.fromkeys(plot.tab for plot in plots if plot.tab):
+        added = [rrb.Horizontal(*(time_view(plot) for plot in plots if plot.tab == tab), name=tab) for tab in tabs]
+        below = rrb.Tabs(rrb.Vertical(below, name="Reconstruction"), *added, active_tab=0)
+    seen = rrb.Vertical(_pictures(motion.pictures), overview, row_shares=[5, 4])
+    content = rrb.Vertical(rrb.Horizontal(skeleton, seen, column_shares=[11, 9]), below, row_shares=[5, 3])
+    return laid_out(content, min(motion.fps, max(5.0, len(motion.frames) / 5)))
 
 
-def laid_out(content: rrb.Container, count: int, fps: float, start_frame: int | None) -> rrb.Blueprint:
-    """The viewer shows this and nothing else. It plays `count` frames in a loop, or holds start_frame."""
-    time = rrb.TimePanel(state="collapsed", timeline="frame", fps=fps, play_state="playing", loop_mode="all")
+def laid_out(content: rrb.Container, fps: float) -> rrb.Blueprint:
+    """The viewer shows this and nothing else, and plays it in a loop."""
     return rrb.Blueprint(
         content,
         rrb.BlueprintPanel(state="hidden"),
         rrb.SelectionPanel(state="hidden"),
-        time if start_frame is None else held_at(start_frame, count),
+        rrb.TimePanel(state="collapsed", timeline="frame", fps=fps, play_state="playing", loop_mode="all"),
         auto_layout=False,
         auto_views=False,
     )
 
 
+def _in_space(name: str, eye: rrb.EyeControls3D, without: Sequence[str] = ()) -> rrb.Spatial3DView:
+    """The world, with the trail up to the current frame."""
+    start, end = rr.TimeRangeBoundary.infinite(), rr.TimeRangeBoundary.cursor_relative()
+    upto_now = rrb.VisibleTimeRanges([rr.VisibleTimeRange(t, start=start, end=end) for t in ("frame", "time")])
+    return rrb.Spatial3DView(
+        origin="world",
+        name=name,
+        contents=["$origin/**", *without],
+        background=BACKGROUND,
+        line_grid=False,
+        eye_controls=eye,
+        overrides={"world/trail": [upto_now]},  # pyright: ignore[reportArgumentType]
+    )
+
+
 def _pictures(pictures: Sequence[Picture]) -> rrb.Tabs:
     """A close look and the whole picture; of several cameras all of them side by side."""
-    closeups = [_closeup(*of_one) for of_one in zip(by_camera(CLOSEUP, pictures), pictures, strict=True)]
-    wholes = [_whole(*of_one) for of_one in zip(by_camera(PICTURE, pictures), pictures, strict=True)]
+    closeups, wholes = [], []
+    for picture, close, whole in zip(pictures, by_camera(CLOSEUP, pictures), by_camera(PICTURE, pictures), strict=True):
+        reach, (low, high) = CLOSE * middle_and_reach_px(picture)[1], picture_bounds(picture)
+        closeups.append(_flat(close, picture.name, -reach, reach))
+        wholes.append(_flat(whole, picture.name, low, high))
     if len(pictures) == 1:
         closeups[0].name, wholes[0].name = f"Picture, {_MARKS}", "Whole picture"
         return rrb.Tabs(closeups[0], wholes[0], active_tab=0)
@@ -102,35 +76,12 @@ def _pictures(pictures: Sequence[Picture]) -> rrb.Tabs:
     return rrb.Tabs(*grids, active_tab=0)
 
 
-PRESENT = "Reconstruction"
-"""The tab of the fit's own plots, where there are others."""
-_SEEN = "world/observability/**"
 _MARKS = "close up: + detected, ● reprojected, red: outlier"
 
 
-def _closeup(entity: str, picture: Picture) -> rrb.Spatial2DView:
-    wide, high = CLOSE * middle_and_reach_px(picture)[1]
-    bounds = rrb.VisualBounds2D(x_range=(-wide, wide), y_range=(-high, high))
-    return rrb.Spatial2DView(origin=entity, name=picture.name, background=BACKGROUND, visual_bounds=bounds)
-
-
-def _whole(entity: str, picture: Picture) -> rrb.Spatial2DView:
-    low, high = picture_bounds(picture)
+def _flat(entity: str, name: str, low: Array, high: Array) -> rrb.Spatial2DView:
     bounds = rrb.VisualBounds2D(x_range=(low[0], high[0]), y_range=(low[1], high[1]))
-    return rrb.Spatial2DView(origin=entity, name=picture.name, background=BACKGROUND, visual_bounds=bounds)
-
-
-def held_at(frame: int, count: int) -> rrb.TimePanel:
-    """The time held at one of `count` frames."""
-    # A blueprint has no place for the current time, but a loop over one frame, soon reached, stays there.
-    return rrb.TimePanel(
-        state="collapsed",
-        timeline="frame",
-        fps=100.0 * count,
-        play_state="playing",
-        loop_mode="selection",
-        time_selection=AbsoluteTimeRange(frame, frame),  # pyright: ignore[reportArgumentType]
-    )
+    return rrb.Spatial2DView(origin=entity, name=name, background=BACKGROUND, visual_bounds=bounds)
 
 
 def _title(motion: Motion) -> str:
@@ -144,7 +95,7 @@ _LINE_SHARE, _LEGEND_SHARE, _MOST_SHARE = 0.075, 0.05, 0.6
 """Of a plot's height in a window of 1080 px: what each line's name takes of it, all their frame, and at most."""
 
 
-def plot(series: TimePlot) -> rrb.TimeSeriesView:
+def time_view(series: TimePlot) -> rrb.TimeSeriesView:
     """With room above the lines for their names; one line alone is named by the title."""
     values = series.values if series.shown is None else series.shown
     known = np.append(values[np.isfinite(values)], 0.0)  # all of them have zero in sight
@@ -166,8 +117,8 @@ def state_rows(entities: Sequence[str], name: str) -> rrb.StateTimelineView:
     return rrb.StateTimelineView(origin="/", contents=[f"/{entity}" for entity in entities], name=name)
 
 
-def _eye_on_animal(motion: Motion, scene: Scene, turn_rad: float) -> rrb.EyeControls3D:
-    """Going along with the animal, on the camera's side of it, turned about the vertical, and slightly raised."""
+def _eye_on_animal(motion: Motion, scene: Scene) -> rrb.EyeControls3D:
+    """Going along with the animal, on the camera's side of it, and slightly raised."""
     up = scene.axes[2]
     poses, path = motion.joints_m[motion.solved], motion.root_m[motion.solved]
     if not len(poses):
@@ -179,8 +130,7 @@ def _eye_on_animal(motion: Motion, scene: Scene, turn_rad: float) -> rrb.EyeCont
     if np.linalg.norm(travel) > scene.size_m:
         across = np.cross(up, travel)
         side = across if across @ side >= 0 else -across
-    side = side / max(float(np.linalg.norm(side)), 1e-9)
-    direction = np.cos(turn_rad) * side + np.sin(turn_rad) * np.cross(up, side) + 0.3 * up
+    direction = side / max(float(np.linalg.norm(side)), 1e-9) + 0.3 * up
     target = poses[0].mean(axis=0)
     position = target + (1.05 * scene.size_m + 0.4) * direction
     return rrb.EyeControls3D(

@@ -1,8 +1,8 @@
-"""What the views share: colours, the geometry of the scene, and how to write lines."""
+"""What the views share: colours, the geometry of the scene, and how lines, plots and states are written."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,6 +16,35 @@ from recon.fit.motion import Motion, Picture
 from recon.geometry.frames import level_from_camera
 
 Colour = tuple[int, int, int]
+
+# Okabe and Ito's palette, which the colour-blind can tell apart.
+LIMB_COLOURS: tuple[Colour, ...] = ((0, 158, 115), (86, 180, 233), (230, 159, 0), (0, 114, 178), (240, 228, 66))
+"""Of the limbs of one side, in their order: hind leg, spine, front leg, and two to spare."""
+LEFT, RIGHT, MIDDLE = (86, 180, 233), (230, 159, 0), (0, 158, 115)
+"""Of the limbs of a whole animal."""
+SIDE_COLOURS: dict[Side | None, Colour] = {"left": LEFT, "right": RIGHT, None: MIDDLE}
+DETECTION, OUTLIER, LINK = (255, 255, 255), (235, 60, 40), (204, 121, 167)
+PATH, TRAIL, GRID, CAMERA, EDGE = (110, 110, 120), (240, 228, 66), (58, 64, 74), (190, 190, 200), (130, 130, 140)
+LINE_COLOURS: tuple[Colour, ...] = (*LIMB_COLOURS, LINK, (213, 94, 0), (200, 200, 210))
+BACKGROUND = (18, 21, 27)
+
+CAMERAS, PICTURE, CLOSEUP = "world/camera", "picture", "closeup"
+"""Entities of a camera, or of all (`by_camera`)."""
+GRID_SPACING_M = 1.0
+
+
+@dataclass(frozen=True)
+class TimePlot:
+    """One plot: values (T, lines), and a name and a colour for each line. shown: what sets its range, where that is not
+    all of it; tab: the name of the tab that it stands in, side by side with others of that name."""
+
+    entity: str
+    title: str
+    names: Sequence[str]
+    colours: Sequence[Colour]
+    values: Array
+    shown: Array | None = None
+    tab: str = ""
 
 
 @dataclass(frozen=True)
@@ -40,23 +69,31 @@ class Log:
         """What is the same in all frames."""
         self.stream.log(entity, archetype, static=True)
 
+    def points(self, entity: str, points_m: Array, shown: Bools, **style: Any) -> None:
+        """Points (T, N, 3), in each frame those that are shown, (T, N)."""
+        self.send(entity, rr.Points3D.columns(positions=points_m[shown]).partition(shown.sum(axis=1)))
+        self.fix(entity, rr.Points3D.from_fields(**style))
 
-# Okabe and Ito's palette, which the colour-blind can tell apart.
-LIMB_COLOURS: tuple[Colour, ...] = ((0, 158, 115), (86, 180, 233), (230, 159, 0), (0, 114, 178), (240, 228, 66))
-"""Of the limbs of one side, in their order: hind leg, spine, front leg, and two to spare."""
-LEFT, RIGHT, MIDDLE = (86, 180, 233), (230, 159, 0), (0, 158, 115)
-"""Of the limbs of a whole animal."""
-SIDE_COLOURS: dict[Side | None, Colour] = {"left": LEFT, "right": RIGHT, None: MIDDLE}
-DETECTION, OUTLIER, LINK = (255, 255, 255), (235, 60, 40), (204, 121, 167)
-PATH, TRAIL, GRID, CAMERA, EDGE = (110, 110, 120), (240, 228, 66), (58, 64, 74), (190, 190, 200), (130, 130, 140)
-BACKGROUND = (18, 21, 27)
+    def plot(self, plot: TimePlot) -> None:
+        """A value that is NaN breaks its line; where all are, the row is empty."""
+        known, count = np.isfinite(plot.values).any(axis=1), plot.values.shape[1]
+        columns = rr.Scalars.columns(scalars=plot.values[known].ravel())
+        self.send(plot.entity, columns.partition(np.where(known, count, 0)))
+        self.fix(plot.entity, rr.SeriesLines(names=plot.names, colors=plot.colours, widths=[1.8] * count))
 
-BODY = "world/body"
-CAMERAS, PICTURE, CLOSEUP = "world/camera", "picture", "closeup"
-"""Entities of a camera, or of all (`by_camera`)."""
-GRID_SPACING_M = 1.0
-GRID_MARGIN_M = 1.5
-MAX_GRID_LINES = 200
+    def state(self, entity: str, text: str, colour: Colour, holds: Bools) -> None:
+        """A row of states: when something holds, (T,). Its text is blank: the row's name says it, and the viewer would
+        write the value without one."""
+        columns = rr.StateChange.columns(state=[text] * int(holds.sum()))
+        self.send(entity, columns.partition(holds.astype(int)))
+        self.fix(entity, rr.StateConfiguration(values=[text], labels=[" "], colors=[colour]))
+
+    def follow(self, entity: str, middle_m: Array, half_m: float, rows: Bools | None = None) -> None:
+        """An invisible entity for the viewer to go along with, which it frames by its bounds: middle_m (T, 3) and half
+        their size. rows (T,): those that have one, None: all."""
+        corners = np.stack((middle_m - half_m, middle_m + half_m), axis=1)
+        shown = np.ones(corners.shape[:2], bool) if rows is None else np.repeat(rows[:, None], 2, axis=1)
+        self.points(entity, corners, shown, colors=(0, 0, 0, 0), radii=0.0)
 
 
 @dataclass(frozen=True)
@@ -165,44 +202,19 @@ def joint_limbs(motion: Motion) -> Integers:
     return np.array(chosen)
 
 
-def shade(colour: Colour, number: int, count: int) -> Colour:
-    """The number-th of count tints of a colour, from dark to light."""
-    if count == 1:
-        return colour
-    share = number / (count - 1)
-    target, amount = (0.0, 0.35 * (1 - 2 * share)) if share < 0.5 else (255.0, 0.55 * (2 * share - 1))
-    red, green, blue = (round(c + (target - c) * amount) for c in colour)
-    return red, green, blue
-
-
-# -- what is in every scene ----------------------------------------------------------------------------------------
-
-
-def follow(log: Log, entity: str, middle_m: Array, half_m: float, rows: Bools | None = None) -> None:
-    """An invisible entity for the viewer to go along with, which it frames by its bounds: middle_m (T, 3) and half
-    their size. rows (T,): those that have one, None: all."""
-    kept = np.ones(len(middle_m), bool) if rows is None else rows
-    corners = np.stack((middle_m - half_m, middle_m + half_m), axis=1)[kept]
-    log.fix(entity, rr.Points3D.from_fields(colors=(0, 0, 0, 0), radii=0.0))
-    log.send(entity, rr.Points3D.columns(positions=corners.reshape(-1, 3)).partition(np.where(kept, 2, 0)))
-
-
-def grid_lines(low_m: Array, high_m: Array, spacing_m: float) -> list[Array]:
-    """Lines (2, 2) at multiples of the spacing, from corner to corner (2,) of a rectangle."""
-    lines = []
-    for axis in (0, 1):
-        for at in np.arange(low_m[axis], high_m[axis] + spacing_m / 2, spacing_m):
-            line = np.empty((2, 2))
-            line[:, axis] = at
-            line[:, 1 - axis] = low_m[1 - axis], high_m[1 - axis]
-            lines.append(line)
-    return lines
-
-
 # -- lines --------------------------------------------------------------------------------------------------------
 
 
 Strips = type[rr.LineStrips2D | rr.LineStrips3D]
+
+
+def limb_strips(
+    archetype: Strips, points: Array, limbs: Mapping[str, Sequence[int]], shown: Bools, **columns: Any
+) -> rr.ComponentColumnList:
+    """Lines along the limbs of joints (T, J, 2 or 3), in frames that are shown (T,)."""
+    along = [list(limb) for limb in limbs.values()]
+    frames = [[pose[limb] for limb in along] if there else [] for pose, there in zip(points, shown, strict=True)]
+    return strips(archetype, frames, **columns)
 
 
 def strips(archetype: Strips, frames: Sequence[Sequence[Array]], **columns: Any) -> rr.ComponentColumnList:
@@ -215,10 +227,8 @@ def strips(archetype: Strips, frames: Sequence[Sequence[Array]], **columns: Any)
 
 def lines(archetype: Strips, ends: Array, counts: Integers, **columns: Any) -> rr.ComponentColumnList:
     """The same of straight lines between ends (N, 2, 2 or 3), so many in each frame (T,)."""
-    made = archetype.columns(
-        strips=_arrow(archetype, ends.reshape(-1, ends.shape[-1]), np.full(len(ends), 2)), **columns
-    )
-    return made.partition(counts)
+    arrow = _arrow(archetype, ends.reshape(-1, ends.shape[-1]), np.full(len(ends), 2))
+    return archetype.columns(strips=arrow, **columns).partition(counts)
 
 
 def _arrow(archetype: Strips, points: Array, counts: Sequence[int] | Integers) -> Any:
@@ -236,7 +246,17 @@ def _arrow(archetype: Strips, points: Array, counts: Sequence[int] | Integers) -
 def unbroken(points: Array) -> list[Array]:
     """The stretches of a line (N, 2 or 3) without NaN that have at least two points."""
     known = np.isfinite(points[:, 0])
-    if known.all():
-        return [points] if len(points) > 1 else []
     runs = np.split(np.arange(len(points)), np.flatnonzero(np.diff(known)) + 1)
     return [points[run] for run in runs if len(run) > 1 and known[run[0]]]
+
+
+def grid_lines(low_m: Array, high_m: Array, spacing_m: float) -> list[Array]:
+    """Lines (2, 2) at multiples of the spacing, from corner to corner (2,) of a rectangle."""
+    found = []
+    for axis in (0, 1):
+        for at in np.arange(low_m[axis], high_m[axis] + spacing_m / 2, spacing_m):
+            line = np.empty((2, 2))
+            line[:, axis] = at
+            line[:, 1 - axis] = low_m[1 - axis], high_m[1 - axis]
+            found.append(line)
+    return found

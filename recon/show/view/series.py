@@ -1,131 +1,73 @@
-"""Quantities over time."""
+"""Quantities over time: what the playback's plots show."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import rerun as rr
 
 from recon.animal import side_of, without_side
-from recon.base.arrays import Bools
+from recon.base.arrays import Array, Bools
 from recon.fit.motion import Motion
+from recon.gait.clip import ClipAnalysis
 from recon.gait.kinematics import speed_at_frames
 from recon.gait.path import frame_jitter_m
-from recon.show.view.scene import EDGE, LEFT, LIMB_COLOURS, LINK, OUTLIER, RIGHT, TRAIL, Array, Colour, Log, shade
+from recon.show.view.scene import (
+    EDGE,
+    LEFT,
+    LIMB_COLOURS,
+    LINE_COLOURS,
+    LINK,
+    OUTLIER,
+    RIGHT,
+    TRAIL,
+    Colour,
+    Log,
+    TimePlot,
+)
 
 MAX_LINES = 4
 """Of angles in one plot, as far as they can be told apart by what they belong to: their names stand above them."""
-LINE_COLOURS: tuple[Colour, ...] = (*LIMB_COLOURS, LINK, (213, 94, 0), (200, 200, 210))
+_KINDS = {"theta": "θ", "phi": "φ", "left": "Left", "right": "Right", "middle": "Middle"}
 
 
-@dataclass(frozen=True)
-class TimePlot:
-    """One plot: values (T, lines), and a name and a colour for each line. shown: what sets its range, where that is not
-    all of it."""
-
-    entity: str
-    title: str
-    names: Sequence[str]
-    colours: Sequence[Colour]
-    values: Array
-    shown: Array | None = None
-
-
-def write_series(motion: Motion, log: Log) -> None:
-    """A row with NaN is left empty, which breaks the lines there."""
-    for s in (*angle_series(motion), *other_series(motion)):
-        known = np.isfinite(s.values).all(axis=1)
-        columns = rr.Scalars.columns(scalars=s.values[known].ravel())
-        log.send(s.entity, columns.partition(np.where(known, s.values.shape[1], 0)))
-        log.fix(s.entity, line_style(s))
-
-
-def write_states(motion: Motion, log: Log, stands: Bools) -> None:
-    """Which flags a frame has, a row for each, and which feet stand, (T, F) (`state_entities`)."""
-
-    def state(entity: str, values: list[str], colours: dict[str, Colour]) -> None:
-        log.send(entity, state_columns(values))
-        log.fix(entity, state_style(colours))
-
-    for row, flag in _flags(motion).items():
-        state(state_entity(row), [flag if flag in flags else "" for flags in motion.flags], {flag: OUTLIER})
-    colours = {"L": LEFT, "R": RIGHT}
+def states(motion: Motion, stands: Bools) -> dict[str, tuple[str, Colour, Bools]]:
+    """By entity: which frames have a flag, a row for each, and when the feet stand, (T, F). An entity has no parent,
+    whose name the viewer would write beside it, and no blanks, which it writes with backslashes."""
+    flags = {flag: np.array([flag in some for some in motion.flags]) for some in motion.flags for flag in some}
+    rows = {flag.replace(" ", "_"): (flag, OUTLIER, holds) for flag, holds in flags.items()}
     for foot, label, stood in zip(motion.feet, motion.foot_labels, stands.T, strict=True):
-        stances = ["stance" if on_ground else "" for on_ground in stood]
-        state(state_entity(motion.names[foot]), stances, {"stance": colours[label[0]]})
+        rows[motion.names[foot]] = "stance", LEFT if label[0] == "L" else RIGHT, stood
+    return {rr.escape_entity_path_part(name): row for name, row in rows.items()}
 
 
-def state_entities(motion: Motion) -> list[str]:
-    """What `write_states` writes."""
-    return [state_entity(name) for name in (*_flags(motion), *(motion.names[foot] for foot in motion.feet))]
+# -- of every motion ----------------------------------------------------------------------------------------------
 
 
-def _flags(motion: Motion) -> dict[str, str]:
-    """Those that a frame has, by the names of their rows, without blanks, which the viewer writes with backslashes."""
-    return {flag.replace(" ", "_"): flag for flags in motion.flags for flag in flags}
-
-
-# -- how it is written ----------------------------------------------------------------------------------------------
-
-
-def line_style(series: TimePlot) -> rr.SeriesLines:
-    return rr.SeriesLines(names=series.names, colors=series.colours, widths=[1.8] * len(series.names))
-
-
-def state_entity(name: str) -> str:
-    """Of a row of states. It has no parent: the viewer writes the whole path beside it."""
-    return rr.escape_entity_path_part(name)
-
-
-def state_columns(texts: Sequence[str]) -> rr.ComponentColumnList:
-    """Empty texts are gaps."""
-    return rr.StateChange.columns(state=[t for t in texts if t]).partition([int(bool(t)) for t in texts])
-
-
-def state_style(colours: Mapping[str, Colour]) -> rr.StateConfiguration:
-    """A stance, and whatever is the only one of its row and so named by it, has a blank for its text, which would be
-    cut; without any the viewer writes the value."""
-    labels = [" " if value == "stance" or len(colours) == 1 else value for value in colours]
-    return rr.StateConfiguration(values=list(colours), labels=labels, colors=list(colours.values()))
-
-
-# -- what is shown ------------------------------------------------------------------------------------------------
-
-
-def angle_series(motion: Motion) -> list[TimePlot]:
+def angle_plots(motion: Motion) -> Iterator[TimePlot]:
     """In degrees: a chain's by their kind, a whole animal's by their side, and the others; those that are too many for
     one plot by limb, by end of the animal, or by kind."""
-    degrees = np.rad2deg(motion.angles_rad)
-    limb_of, tints = _limb_tints(motion)
-    rest, found = list(motion.angle_names), []
-    for entity, title, kind in (
-        ("angles/theta", "θ", "theta_"),
-        ("angles/phi", "φ", "phi_"),
-        ("angles/left", "Left", "left"),
-        ("angles/right", "Right", "right"),
-        ("angles/middle", "Middle", ""),
-    ):
-        names = [name for name in rest if name.startswith(kind) or side_of(name) == kind]
-        rest = [name for name in rest if name not in names]
-        of_chain = kind.endswith("_")
-        words = {name: without_side(name).split("_") for name in names}
-        if of_chain:
-            keys = {name: limb_of[name.removeprefix(kind)] for name in names}
+    limb_of = {
+        f"{kind}_{end.lstrip('J')}": limb
+        for limb, along in motion.body.limbs.items()
+        for end in along[1:]
+        for kind in ("theta", "phi")
+    }
+    keys: dict[str, dict[str, str]] = {kind: {} for kind in _KINDS}
+    labels = {}
+    for name in motion.angle_names:
+        words, side, (kind, _, number) = without_side(name).split("_"), side_of(name), name.partition("_")
+        if name in limb_of:
+            keys[kind][name], labels[name] = limb_of[name], f"{_KINDS[kind]}{number} {limb_of[name]}"
         else:
-            keys = {name: words[name][0 if kind else -1] for name in names}
-        for key, chosen in _parts(keys):
-            if of_chain:
-                labels = [f"{title}{name.removeprefix(kind)} {keys[name]}" for name in chosen]
-                colours = [tints[name.removeprefix(kind)] for name in chosen]
-            else:
-                labels = [" ".join(words[name]) for name in chosen]
-                colours = [LINE_COLOURS[i % len(LINE_COLOURS)] for i in range(len(chosen))]
-            columns = [motion.angle_names.index(name) for name in chosen]
-            part = f"{entity}/{key.replace(', ', '_').replace(' ', '_')}" if key else entity
-            found.append(TimePlot(part, f"{title} {key}".strip() + " (°)", labels, colours, degrees[:, columns]))
-    return found
+            keys[side or "middle"][name], labels[name] = words[0 if side else -1], " ".join(words)
+    for kind, title in _KINDS.items():
+        for key, names in _parts(keys[kind]):
+            entity = f"angles/{kind}" + f"/{key.replace(', ', '_').replace(' ', '_')}" * bool(key)
+            degrees = np.degrees(motion.angles_rad[:, [motion.angle_names.index(name) for name in names]])
+            colours = [LINE_COLOURS[i % len(LINE_COLOURS)] for i in range(len(names))]
+            yield TimePlot(entity, f"{title} {key}".strip() + " (°)", [labels[n] for n in names], colours, degrees)
 
 
 def _parts(keys: Mapping[str, str]) -> Iterator[tuple[str, list[str]]]:
@@ -144,57 +86,86 @@ def _parts(keys: Mapping[str, str]) -> Iterator[tuple[str, list[str]]]:
     yield from parts
 
 
-def other_series(motion: Motion) -> list[TimePlot]:
-    residuals = TimePlot(
-        "residuals",
-        "Reprojection (px)",
-        ["median of the joints", "worst but for outliers"],
-        [LIMB_COLOURS[1], EDGE],
-        np.stack(_residuals_px(motion), axis=1),
-    )
+def other_plots(motion: Motion) -> list[TimePlot]:
+    """Speed, errors in the pictures (the largest without outliers, which would hide the rest), and uncertainty."""
+    distance = np.concatenate([picture.distance_px for picture in motion.pictures], axis=1)
+    outliers = np.concatenate([picture.outliers for picture in motion.pictures], axis=1)
+    known = np.isfinite(distance).any(axis=1)
+    residuals = np.full((len(distance), 2), np.nan)
+    residuals[known, 0] = np.nanmedian(distance[known], axis=1)
+    residuals[:, 1] = np.fmax.reduce(np.where(outliers, np.nan, distance), axis=1)
+    names = ["median of the joints", "worst but for outliers"]
+    errors = TimePlot("residuals", "Reprojection (px)", names, [LIMB_COLOURS[1], EDGE], residuals)
     names = ["joint within the pose", "place in depth"]
     sigmas = np.stack((motion.relative_rms_m, motion.place_sigma_m), axis=1)
-    return [_speed(motion), residuals, TimePlot("uncertainty", "One sigma (m)", names, [LIMB_COLOURS[1], LINK], sigmas)]
+    return [_speed(motion), errors, TimePlot("uncertainty", "One sigma (m)", names, [LIMB_COLOURS[1], LINK], sigmas)]
 
 
 def _speed(motion: Motion) -> TimePlot:
-    run_m_s = motion.solution.straight_run_m_s
-    if run_m_s is None:
-        speed = np.where(motion.solved, speed_at_frames(motion.time_s, motion.root_m), np.nan)
-        low, high = (f"{end:.1f}" for end in (np.nanmin(speed), np.nanmax(speed))) if np.isfinite(speed).any() else "??"
-        return TimePlot("speed", f"Speed, {low} to {high} m/s", ["speed"], [TRAIL], speed[:, None])
-    straight = np.where(motion.solved, run_m_s, np.nan)
-    exact, smooth = _speeds_m_s(motion)
-    lines = ["cubic spline", "smoothed by its jitter", "straight run"]
-    values = np.stack((exact, smooth, straight), axis=1)
-    return TimePlot("speed", "Speed (m/s)", lines, [EDGE, TRAIL, LIMB_COLOURS[0]], values)
+    speed = speed_at_frames(motion.time_s, motion.root_m)
+    run_m_s, lines = motion.solution.straight_run_m_s, {"speed": speed}
+    if run_m_s is not None:
+        told = np.isfinite(frame_jitter_m(motion.root_m)).all()
+        smooth = speed_at_frames(motion.time_s, motion.root_m, smooth=True) if told else speed
+        lines = {"smoothed by its jitter": smooth, "straight run": run_m_s, "cubic spline": speed}
+    values = np.where(motion.solved[:, None], np.stack([*lines.values()], axis=1), np.nan)
+    ends = f", {np.nanmin(values):.1f} to {np.nanmax(values):.1f} m/s" if np.isfinite(values).any() else " (m/s)"
+    title = "Speed (m/s)" if len(lines) > 1 else f"Speed{ends}"
+    return TimePlot("speed", title, [*lines], [TRAIL, LIMB_COLOURS[0], EDGE][: len(lines)], values)
 
 
-def _limb_tints(motion: Motion) -> tuple[dict[str, str], dict[str, Colour]]:
-    """Of a chain, by the number of a link's end: its limb, and a tint of the limb's colour."""
-    limb_of, tints = {}, {}
-    for i, (limb, along) in enumerate(motion.body.limbs.items()):
-        ends = [end.lstrip("J") for end in along[1:] if f"theta_{end.lstrip('J')}" in motion.angle_names]
-        limb_of |= dict.fromkeys(ends, limb)
-        tints |= {end: shade(LIMB_COLOURS[i % 5], number, len(ends)) for number, end in enumerate(ends)}
-    return limb_of, tints
+# -- of an analysis -----------------------------------------------------------------------------------------------
 
 
-def _speeds_m_s(motion: Motion) -> tuple[Array, Array]:
-    """Speed of the reference joint in solved frames, (T,) each: from the exact spline, and from one smoothed by the
-    jitter from frame to frame (the exact one where that cannot be told)."""
-    exact = speed_at_frames(motion.time_s, motion.root_m)
-    told = np.isfinite(frame_jitter_m(motion.root_m)).all()
-    smooth = speed_at_frames(motion.time_s, motion.root_m, smooth=True) if told else exact
-    return np.where(motion.solved, exact, np.nan), np.where(motion.solved, smooth, np.nan)
+def analysis_plots(found: ClipAnalysis) -> Iterator[TimePlot]:
+    """Speed, acceleration and flexion with one sigma, the links' speeds, and the feet's vertical forces."""
+    moved, times_s = found.joints[found.reference], found.motion.time_s
+    every, name = moved.series.oversampling, found.reference
+    shown: list[tuple[str, str, Array, Array | None]] = [
+        ("speed", f"Speed of {name} (m/s)", moved.speed_m_s, moved.speed_sigma_m_s),
+        ("acceleration", f"Acceleration of {name} (m/s²)", moved.acceleration_m_s2, moved.acceleration_sigma_m_s2),
+    ]
+    if "spine_flexion" in found.angles:
+        flexion = found.angles["spine_flexion"].series
+        sigma = None if flexion.value_sigma is None else np.degrees(flexion.value_sigma[:, 0])
+        shown.append(("spine", "Flexion of the spine (°)", np.degrees(flexion.value[:, 0]), sigma))
+    for entity, title, values, sigma in shown:
+        lines = {entity: values}
+        if sigma is not None:
+            lines |= {"minus one sigma": values - sigma, "plus one sigma": values + sigma}
+        at_frames = np.stack([*lines.values()], axis=1)[::every]
+        # The deviations of an acceleration are many times as large as it is.
+        range_of = at_frames[:, :1] if entity == "acceleration" else None
+        colours = [TRAIL, LINK, LINK][: len(lines)]
+        yield TimePlot(f"analysis/{entity}", title, [*lines], colours, at_frames, range_of, "Kinematics")
+    if found.dynamics is not None and found.gait is not None:
+        rows = np.searchsorted(found.gait.tracks.time_s, times_s - 1e-6)
+        forces = {foot: force[rows, 0] for foot, force in found.dynamics.force.items()}
+        yield _lines("analysis/forces", "Vertical force (body weights)", forces, "Forces")
+    paws = {*found.motion.foot_names.values()}
+    for limb, fields in found.fields.items():
+        speeds = {field.link[1].replace("_", " "): field.speed_m_s for field in fields}
+        tab = "Legs, tips about parents" if fields[-1].link[1] in paws else "Trunk, tips about parents"
+        yield _lines(f"analysis/links/{limb.replace(' ', '_')}", f"{limb} (m/s)", speeds, tab)
 
 
-def _residuals_px(motion: Motion) -> tuple[Array, Array]:
-    """(T,), (T,): distances of detections from reprojections: the median of all, and the largest but for outliers (the
-    pictures show those, and they would hide the rest); NaN in frames without any."""
-    distance = np.concatenate([picture.distance_px for picture in motion.pictures], axis=1)
-    explained = np.where(np.concatenate([picture.outliers for picture in motion.pictures], axis=1), np.nan, distance)
-    known = np.isfinite(distance).any(axis=1)
-    median = np.full(len(distance), np.nan)
-    median[known] = np.nanmedian(distance[known], axis=1)
-    return median, np.fmax.reduce(explained, axis=1)
+def _lines(entity: str, title: str, lines: Mapping[str, Array], tab: str) -> TimePlot:
+    colours: Sequence[Colour] = [LINE_COLOURS[i % len(LINE_COLOURS)] for i in range(len(lines))]
+    return TimePlot(entity, title, [*lines], colours, np.stack([*lines.values()], axis=1), tab=tab)
+
+
+def write_forces(found: ClipAnalysis, log: Log) -> None:
+    """Arrows under the feet, of which a body weight is as long as the centre of mass is high, and its path."""
+    if (d := found.dynamics) is None or found.gait is None:
+        return
+    tracks, motion, centre_m = found.gait.tracks, found.motion, d.centre.series.value
+    rows = np.searchsorted(tracks.time_s, motion.time_s - 1e-6)
+    force = np.stack([d.force[foot][rows, 0] for foot in tracks.feet], axis=1)
+    high_m = float(np.nanmedian(centre_m[:, 2] - d.ground_m))
+    up = motion.in_reference(np.array([0.0, 0.0, high_m])) - motion.in_reference(np.zeros(3))
+    there, origins_m = force > 0, motion.in_reference(tracks.foot_m[rows])
+    columns = rr.Arrows3D.columns(vectors=force[there][:, None] * up, origins=origins_m[there])
+    log.send("world/forces", columns.partition(there.sum(axis=1)))
+    log.fix("world/forces", rr.Arrows3D.from_fields(colors=TRAIL, radii=0.01))
+    path = motion.in_reference(centre_m[np.isfinite(centre_m).all(axis=1)])
+    log.fix("world/forces/centre_of_mass", rr.LineStrips3D([path], colors=TRAIL, radii=0.006))

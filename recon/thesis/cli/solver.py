@@ -11,7 +11,7 @@ from recon.workflows.cli.common import progress_bar, say, terminal
 def solver(settings: SolverSettings, as_json: bool, quiet: bool) -> Any:
     """What the optimiser did for a reconstruction: cost, gradient, Jacobian, limits.
 
-    Writes tables (CSV), the Jacobian (NPZ), figures (PNG, SVG), and plots beside the playback.
+    Writes tables (CSV), the Jacobian (NPZ) and figures (PNG, SVG).
 
     Example: recon solver results/clip
     """
@@ -21,4 +21,3 @@ def solver(settings: SolverSettings, as_json: bool, quiet: bool) -> Any:
     if as_json:
         return record.summary()
     say(console, f"{len(files)} files are in {out}.")
-    say(console, f"See them beside the playback with: recon view {settings.folder} --analysis {out}")

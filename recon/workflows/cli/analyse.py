@@ -11,7 +11,7 @@ from rich.table import Table
 from recon.base.words import length_text
 from recon.gait.clip import ClipAnalysis
 from recon.gait.gait import Gait
-from recon.workflows.analyse import FOLDER, PLOTS, AnalyseSettings, run_analyse
+from recon.workflows.analyse import FOLDER, PLAYBACK, AnalyseSettings, run_analyse
 from recon.workflows.cli.common import (
     counted,
     progress_bar,
@@ -29,7 +29,7 @@ MOST_STANCES = 100
 def analyse(settings: AnalyseSettings, as_json: bool, quiet: bool) -> Any:
     """Kinematics, gait, vector fields and phase portraits of a reconstruction.
 
-    Writes tables (CSV), figures (PNG, SVG), and plots that recon view shows beside the playback.
+    Writes tables (CSV) and figures (PNG, SVG); recon view shows the plots beside the playback from then on.
 
     Example: recon analyse results/clip
     """
@@ -51,9 +51,8 @@ def analyse(settings: AnalyseSettings, as_json: bool, quiet: bool) -> Any:
         say(console, f"note: {note}")
     say_what_is_gone(console, settings.folder)
     say(console, f"{len(files)} files are in {out}.")
-    if out / PLOTS in files:
-        own = "" if out == settings.folder / FOLDER else f" --analysis {out}"
-        say(console, f"See them beside the playback with: recon view {settings.folder}{own}")
+    if out == settings.folder / FOLDER and (settings.folder / PLAYBACK).is_file():
+        say(console, f"See them beside the playback with: recon view {settings.folder}")
 
 
 def _lines(found: ClipAnalysis, speed: dict[str, Any]) -> Iterator[str]:

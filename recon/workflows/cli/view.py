@@ -15,10 +15,7 @@ def view(settings: ViewSettings) -> None:
     Example: recon view results/clip --video clip.mp4
     """
 
-    def note(text: str) -> None:
-        typer.echo(text, err=True)
-
-    run_view(settings, note)
+    run_view(settings)
     if settings.out is not None:
         file = settings.out
         typer.echo(f"The recording is in {file}. Watch it with: rerun {shlex.quote(str(file))}")
