@@ -94,6 +94,14 @@ def test_what_no_animal_does_is_named(code):
     assert found.code == code
 
 
+def test_a_body_that_speeds_up_more_than_feet_can_push_is_named():
+    states = plain().states.copy()
+    time_s = np.arange(len(states)) / FPS
+    states[:, 1] += 0.5 * 20.0 * (time_s - time_s.mean()) ** 2
+    (found,) = movement(moved(states))
+    assert (found.code, found.numbers["push_m_s2"]) == ("path_pushed", pytest.approx(20.0, rel=0.1))
+
+
 def test_a_path_that_no_animal_takes_is_named():
     motion = moved(plain().states)
     costs = {**plain().cost_by_term, "heading": 2.0 * 90 * len(motion.frames) / FPS}

@@ -314,7 +314,7 @@ class ClipProblem:
 
 LOW_FEET = 0.1
 """Of the frames, the part in which the lowest foot is taken to be on the ground."""
-ELSEWHERE = 2.5
+ELSEWHERE = 2.0
 """A ground further off z = 0, in standard deviations of what is expected, is not taken to lie there."""
 
 
