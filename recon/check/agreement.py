@@ -15,7 +15,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import combinations
-from typing import Any
 
 import numpy as np
 
@@ -24,9 +23,6 @@ from recon.check.codes import finding
 from recon.clip import View
 from recon.fit.motion import Motion
 from recon.fit.result import Finding
-
-Levels = Mapping[int, float]
-"""By the camera's place. NaN: too few points to tell."""
 
 MAX_LEVEL = 1.6
 """A camera agrees up to this level, or more where the others are noisier than expected."""
@@ -47,6 +43,14 @@ LAG_S, LITTLE_LAG = 0.5, 3
 """How far a lag is sought: seconds for a camera that does not agree, frames for one that does."""
 FRAMES = 480
 """Of longer clips the stretch of so many frames in which most is seen together is compared."""
+OFFSET_S = 1.0
+"""How far off a camera is sought that is known to be out of step, at most; and not further than half a clip."""
+CLEARLY = 0.9
+"""An offset counts only if it makes the level so many times as high as none does, or less."""
+_OFFSET_ROWS = 200
+"""Frames that are compared for it."""
+_COMPARED = 0.3
+"""A lag that leaves less than this part of the most points that can be compared says nothing."""
 _ROBUST = 3.0
 """Rays of that many sigmas count half in a point."""
 _ROUNDS = 3
@@ -74,11 +78,6 @@ class _CameraAgreement:
     """How much later than said its pictures seem to have been taken; negative: earlier."""
     level_late: float
     """What the level would be with that."""
-
-    @property
-    def numbers(self) -> dict[str, Any]:
-        """For a finding."""
-        return asdict(self)
 
 
 def agreement_findings(motion: Motion, sigma_px: float, keypoint_sigma_m: float) -> tuple[Finding, ...]:
@@ -109,32 +108,34 @@ def camera_findings(
     views = [view.part(rows) for view in views]
     compared = (int(frames[rows][0]), int(frames[rows][-1]) + 1)
     names, noise = [view.camera.name for view in views], (sigma_px, keypoint_sigma_m)
-    sights = sights_of(views, *noise)
+    sights = _sights(views, *noise)
     everyone = tuple(range(len(views)))
     levels, limit = _levels(sights, everyone), MAX_LEVEL
     exchanged, judged = None, sights
     if not _agree(levels, limit):
-        doubtful = {v for v in everyone if not _fits(levels[v], limit)}
-        pairs = [pair for pair in combinations(everyone, 2) if doubtful & {*pair}]
-        trials = {pair: sights_of(_with_exchanged(views, *pair), *noise) for pair in pairs}
+        pairs = [pair for pair in combinations(everyone, 2) if not _agree(levels[[*pair]], limit)]
+        trials = {pair: _sights(_with_exchanged(views, *pair), *noise) for pair in pairs}
         of_trials = {pair: _levels(trial, everyone) for pair, trial in trials.items()}
         without = [_levels(sights, rest) for rest in combinations(everyone, len(everyone) - 1) if len(rest) > 1]
-        noisiest = NOISIEST if len(views) > 2 else NOISIEST_OF_TWO
-        limit *= float(np.clip(min(_median_level(of) for of in (*without, *of_trials.values())), 1.0, noisiest))
+        noise_levels = [np.nanmedian(of) for of in (*without, *of_trials.values()) if np.isfinite(of).any()]
+        limit *= float(np.clip(min(noise_levels, default=np.inf), 1.0, NOISIEST if len(views) > 2 else NOISIEST_OF_TWO))
         exchanged = _exchanged_pair(levels, of_trials, limit)
         judged = trials[exchanged] if exchanged else sights
     among = _agreeing(judged, fps, limit)
     found = _agreements(judged, among or everyone, fps)
-    while len(among) > 2 and (turned := _standing_out(found, among)) is not None:
-        among = tuple(v for v in among if v != turned)
+    while len(among) > 2 and _gain(found[worst := max(among, key=lambda v: _gain(found[v]))]) >= CLEAR_GAIN:
+        # about its line of sight a camera can be turned by some degrees, and its level is still low
+        among = tuple(v for v in among if v != worst)
         found = _agreements(judged, among, fps)
-    off = [v for v in everyone if among and v not in among and not _passes(found[v], limit)]
+    off = [
+        v for v in everyone if among and v not in among and (found[v].level > limit or _gain(found[v]) >= CLEAR_GAIN)
+    ]
     findings = [
         finding(
             _code(found[v], limit),
             compared,
             names[v],
-            **found[v].numbers,
+            **asdict(found[v]),
             offset_s=offsets_s[v] + found[v].late_frames / fps,
         )
         for v in off
@@ -143,18 +144,13 @@ def camera_findings(
         found[v] = _agreement(sights[v], [judged[o] for o in among or everyone if o != v], fps, wide=False)
     for code, which in (("cameras_exchanged", exchanged), ("cameras_disagree", None if among else everyone)):
         if which:
-            of_first = found[which[0]].numbers
-            findings.append(finding(code, compared, cameras=tuple(names[v] for v in which), **of_first))
+            cameras = tuple(names[v] for v in which)
+            findings.append(finding(code, compared, cameras=cameras, **asdict(found[which[0]])))
     if not any(one.points for one in found):
         findings.append(finding("cameras_apart_in_time", compared))
     notes = zip(names, found, strict=True)
-    findings += [finding("camera_agreement", compared, name, max_level=limit, **of.numbers) for name, of in notes]
+    findings += [finding("camera_agreement", compared, name, max_level=limit, **asdict(of)) for name, of in notes]
     return tuple(findings)
-
-
-def _passes(found: _CameraAgreement, limit: float) -> bool:
-    """Whether a camera that was put aside agrees all the same."""
-    return _fits(found.level, limit) and _gain(found) < CLEAR_GAIN
 
 
 def _best_seen(views: Sequence[View]) -> slice:
@@ -169,42 +165,28 @@ def _best_seen(views: Sequence[View]) -> slice:
 # -- who agrees ----------------------------------------------------------------------------------------------------
 
 
-def _fits(level: float, limit: float) -> bool:
-    """Whether a level is no reason to doubt: NaN is none."""
-    return not level > limit
-
-
-def _agree(levels: Levels, limit: float) -> bool:
-    return all(_fits(level, limit) for level in levels.values())
-
-
-def _median_level(levels: Levels) -> float:
-    """Infinite where nothing is known."""
-    known = [level for level in levels.values() if np.isfinite(level)]
-    return float(np.median(known)) if known else np.inf
-
-
-def _level_sum(levels: Levels) -> float:
-    return sum(level for level in levels.values() if np.isfinite(level))
+def _agree(levels: Array, limit: float) -> bool:
+    """Whether no level is a reason to doubt: NaN is none."""
+    return not (levels > limit).any()
 
 
 def _is_explained(level: float, before: float, limit: float) -> bool:
     return level <= max(limit, EXPLAINED * before)
 
 
-def _exchanged_pair(levels: Levels, trials: Mapping[tuple[int, int], Levels], limit: float) -> tuple[int, int] | None:
+def _exchanged_pair(levels: Array, trials: Mapping[tuple[int, int], Array], limit: float) -> tuple[int, int] | None:
     """The two cameras whose levels exchanged files explain."""
     good = {
-        pair: _level_sum(after)
+        pair: np.nansum(after)
         for pair, after in trials.items()
-        if _level_sum(after) < _level_sum(levels) / 2
+        if np.nansum(after) < np.nansum(levels) / 2
         and all(_is_explained(after[v], levels[v], limit) for v in pair)
         and (len(levels) > 2 or _agree(after, limit))
     }
     return min(good, key=lambda pair: good[pair], default=None)
 
 
-def _agreements(sights: Sequence[Sight], among: Sequence[int], fps: float) -> list[_CameraAgreement]:
+def _agreements(sights: Sequence[_Sight], among: Sequence[int], fps: float) -> list[_CameraAgreement]:
     """Each camera with those of them that are others."""
     return [
         _agreement(sight, [sights[o] for o in among if o != v], fps, wide=v not in among)
@@ -225,13 +207,6 @@ def _gain(found: _CameraAgreement) -> float:
     return max(clear, default=1.0)
 
 
-def _standing_out(found: Sequence[_CameraAgreement], among: Sequence[int]) -> int | None:
-    """The camera that a turn or a lag improves most, if it does so clearly: about its line of sight a camera can be
-    turned by some degrees, and its level is still low."""
-    worst = max(among, key=lambda v: _gain(found[v]))
-    return worst if _gain(found[worst]) >= CLEAR_GAIN else None
-
-
 def _with_exchanged(views: Sequence[View], a: int, b: int) -> list[View]:
     there = dict(enumerate(views)) | {a: views[b], b: views[a]}
     return [
@@ -239,7 +214,7 @@ def _with_exchanged(views: Sequence[View], a: int, b: int) -> list[View]:
     ]
 
 
-def _agreeing(sights: Sequence[Sight], fps: float, limit: float) -> tuple[int, ...]:
+def _agreeing(sights: Sequence[_Sight], fps: float, limit: float) -> tuple[int, ...]:
     """The cameras that are left when those that agree least have gone one by one; () if no two agree.
 
     Of three cameras the two that are left can only be compared with each other, which a camera beside another may pass
@@ -255,18 +230,18 @@ def _agreeing(sights: Sequence[Sight], fps: float, limit: float) -> tuple[int, .
 
 
 def _cost_without(
-    sights: Sequence[Sight], among: Sequence[int], rest: Sequence[int], fps: float, limit: float
+    sights: Sequence[_Sight], among: Sequence[int], rest: Sequence[int], fps: float, limit: float
 ) -> tuple[bool, float]:
     """To be made small: whether nothing brings the camera that is left out back, and how well the rest agrees."""
     (v,) = {*among} - {*rest}
     if len(rest) > 2:
-        return False, _level_sum(_levels(sights, rest))
+        return False, float(np.nansum(_levels(sights, rest)))
     points = _points([sights[o] for o in rest])
     turned, _ = _best_turned(sights[v], points)
     late, _ = _best_shifted(sights[v], points, fps, wide=True)
     levels = [_levels([*sights[:v], sight, *sights[v + 1 :]], among) for sight in (turned, late)]
-    best = min(levels, key=_level_sum)
-    return not _agree(best, limit), _level_sum(best)
+    best = min(levels, key=np.nansum)
+    return not _agree(best, limit), float(np.nansum(best))
 
 
 def _code(found: _CameraAgreement, limit: float) -> str:
@@ -281,7 +256,7 @@ def _code(found: _CameraAgreement, limit: float) -> str:
 
 
 @dataclass(frozen=True, eq=False)
-class Sight:
+class _Sight:
     """The directions in which one camera saw J keypoints in T frames, as unit vectors of the world frame."""
 
     rays: Array
@@ -294,7 +269,7 @@ class Sight:
     noise_rad: Array
     """(T, 1)"""
 
-    def later(self, frames: float) -> Sight:
+    def later(self, frames: float) -> _Sight:
         """If the pictures were taken that much later."""
         if not frames:
             return self
@@ -305,10 +280,10 @@ class Sight:
             rotation=_shifted(self.rotation, round(frames)),
         )
 
-    def part(self, rows: Index) -> Sight:
+    def part(self, rows: Index) -> _Sight:
         """Of these rows only."""
         parts = (self.rays[rows], self.centre_m[rows], self.rotation[rows], self.focal_px, self.noise_rad[rows])
-        return Sight(*parts)
+        return _Sight(*parts)
 
 
 @dataclass(frozen=True, eq=False)
@@ -332,13 +307,13 @@ def _shifted(values: Array, frames: float) -> Array:
     return (1 - share) * result[0] + share * result[1] if share else result[0]
 
 
-def sights_of(views: Sequence[View], sigma_px: float, keypoint_sigma_m: float) -> list[Sight]:
+def _sights(views: Sequence[View], sigma_px: float, keypoint_sigma_m: float) -> list[_Sight]:
     T = len(views[0].xy_px)
     sights = []
     for view in views:
         focal_px = float(np.mean(view.focal_px))
         rotation = np.broadcast_to(view.T_camera_world[..., :3, :3], (T, 3, 3))
-        sight = Sight(view.rays(), view.centre_m, rotation, focal_px, np.full((T, 1), sigma_px / focal_px))
+        sight = _Sight(view.rays(), view.centre_m, rotation, focal_px, np.full((T, 1), sigma_px / focal_px))
         sights.append(sight.later(view.lead_frames))
     points = _points(sights)
     return [_with_keypoint_noise(sight, points, keypoint_sigma_m) for sight in sights]
@@ -346,10 +321,10 @@ def sights_of(views: Sequence[View], sigma_px: float, keypoint_sigma_m: float) -
 
 def points_m(views: Sequence[View], sigma_px: float, keypoint_sigma_m: float) -> Array:
     """(T, J, 3): where the rays of several views meet, in their world, NaN where fewer than two do."""
-    return _points(sights_of(views, sigma_px, keypoint_sigma_m)).place_m
+    return _points(_sights(views, sigma_px, keypoint_sigma_m)).place_m
 
 
-def _with_keypoint_noise(sight: Sight, points: _Points, keypoint_sigma_m: float) -> Sight:
+def _with_keypoint_noise(sight: _Sight, points: _Points, keypoint_sigma_m: float) -> _Sight:
     """That of a place on the body, at the points' typical distance from the camera."""
     distance = np.linalg.norm(points.place_m - sight.centre_m[:, None], axis=-1)
     known = np.isfinite(distance)
@@ -361,7 +336,7 @@ def _with_keypoint_noise(sight: Sight, points: _Points, keypoint_sigma_m: float)
     return replace(sight, noise_rad=np.hypot(sight.noise_rad, keypoint_sigma_m / typical[:, None]))
 
 
-def _points(sights: Sequence[Sight]) -> _Points:
+def _points(sights: Sequence[_Sight]) -> _Points:
     """Where the rays of two or more cameras come nearest to each other, those far off counting less."""
     rays = np.array([sight.rays for sight in sights])
     centres = np.array([sight.centre_m for sight in sights])[:, :, None]
@@ -390,18 +365,19 @@ def _points(sights: Sequence[Sight]) -> _Points:
 # -- one camera against others -------------------------------------------------------------------------------------
 
 
-def _levels(sights: Sequence[Sight], among: Sequence[int]) -> Levels:
-    """Of each of these cameras against the others of them."""
-    if len(among) == 2:
-        a, b = among
-        return dict.fromkeys(among, pair_level(sights[a], sights[b])[0])
-    return {v: _level(sights[v], _points([sights[o] for o in among if o != v])) for v in among}
+def _levels(sights: Sequence[_Sight], among: Sequence[int]) -> Array:
+    """(V,): of each of these cameras against the others of them; NaN where too few points tell, and of the rest."""
+    levels = np.full(len(sights), np.nan)
+    for v in among:
+        others = [sights[o] for o in among if o != v]
+        levels[v] = _pair_level(sights[v], *others)[0] if len(among) == 2 else _level(sights[v], _points(others))
+    return levels
 
 
-def _agreement(sight: Sight, others: Sequence[Sight], fps: float, wide: bool) -> _CameraAgreement:
+def _agreement(sight: _Sight, others: Sequence[_Sight], fps: float, wide: bool) -> _CameraAgreement:
     """wide: a lag is sought far and wide."""
     if len(others) == 1:
-        level, error_rad, n = pair_level(sight, others[0])
+        level, error_rad, n = _pair_level(sight, others[0])
         return _CameraAgreement(n, error_rad * sight.focal_px, level, np.nan, np.nan, np.nan, np.nan)
     points = _points(others)
     towards, squared = _errors(sight, points)
@@ -421,7 +397,7 @@ def _agreement(sight: Sight, others: Sequence[Sight], fps: float, wide: bool) ->
     )
 
 
-def pair_level(a: Sight, b: Sight) -> tuple[float, float, int]:
+def _pair_level(a: _Sight, b: _Sight) -> tuple[float, float, int]:
     """Level, median angle between a's rays and the planes through both centres and b's rays, and number of points."""
     line = b.centre_m - a.centre_m
     plane_a, plane_b = np.cross(b.rays, line[:, None]), np.cross(line[:, None], a.rays)
@@ -435,7 +411,7 @@ def pair_level(a: Sight, b: Sight) -> tuple[float, float, int]:
     return float(level), float(np.median(off[known] / size_a[known])), int(known.sum())
 
 
-def _errors(sight: Sight, points: _Points) -> tuple[Array, Array]:
+def _errors(sight: _Sight, points: _Points) -> tuple[Array, Array]:
     """Unit vectors (T, J, 3) towards the points, and by how many sigmas squared (T, J) the rays lie beside them."""
     off = points.place_m - sight.centre_m[:, None]
     distance = np.linalg.norm(off, axis=-1, keepdims=True)
@@ -460,13 +436,13 @@ def _across(rays: Array) -> tuple[Array, Array]:
     return x, np.asarray(np.cross(rays, x), dtype=float)
 
 
-def _level(sight: Sight, points: _Points) -> float:
+def _level(sight: _Sight, points: _Points) -> float:
     _, squared = _errors(sight, points)
     known = squared[~np.isnan(squared)]
     return float(np.sqrt(np.median(known) / _MEDIAN_OF_POINT)) if len(known) >= MIN_POINTS else np.nan
 
 
-def _best_turned(sight: Sight, points: _Points) -> tuple[Sight, float]:
+def _best_turned(sight: _Sight, points: _Points) -> tuple[_Sight, float]:
     """With the rotation of the camera that brings its rays nearest to the points, and the rotation's angle."""
     R = np.eye(3)
     towards, _ = _errors(sight, points)
@@ -486,7 +462,7 @@ def _best_turned(sight: Sight, points: _Points) -> tuple[Sight, float]:
     return replace(sight, rays=np.einsum("tij,tkj->tki", in_world, sight.rays)), angle
 
 
-def _best_shifted(sight: Sight, points: _Points, fps: float, wide: bool) -> tuple[Sight, float]:
+def _best_shifted(sight: _Sight, points: _Points, fps: float, wide: bool) -> tuple[_Sight, float]:
     """If its pictures were taken when they fit best, and how many frames later that is."""
     reach = min(max(round(LAG_S * fps), LITTLE_LAG) if wide else LITTLE_LAG, len(sight.rays) // 2)
     levels = {float(by): _level(sight.later(by), points) for by in range(-reach, reach + 1)}
@@ -499,3 +475,44 @@ def _best_shifted(sight: Sight, points: _Points, fps: float, wide: bool) -> tupl
         levels[best + by] = _level(sight.later(best + by), points)
     best = min(levels, key=lambda by: (np.nan_to_num(levels[by], nan=np.inf), abs(by)))
     return sight.later(best), best
+
+
+# -- cameras out of step -------------------------------------------------------------------------------------------
+
+
+def search_offsets(views: Sequence[View], fps: float, sigma_px: float, keypoint_sigma_m: float) -> Array:
+    """(V,): how many whole frames later than said each camera's pictures were taken, beside the first's; NaN where it
+    sees too little together with the others to compare.
+
+    Of views of the same T frames; noise as in `camera_findings`. Each camera in turn is put
+    where its rays pass those of the cameras before it most closely, then, a few times, those of all others. 0 where
+    nothing else is clearly better.
+    """
+    sights = _sights(views, sigma_px, keypoint_sigma_m)
+    T = len(views[0].xy_px)
+    rows = np.arange(0, T, max(1, T // _OFFSET_ROWS))
+    reach = max(min(round(OFFSET_S * fps), T // 2), 1)
+    found = np.full(len(views), np.nan)
+    found[0] = 0.0
+    for turn in range(_ROUNDS):
+        before = found.copy()
+        for v in range(1, len(views)):
+            others = [o for o in range(len(views)) if o != v and np.isfinite(found[o])]
+            found[v] = _best_lag(sights[v], [sights[o].later(found[o]) for o in others], reach, rows)
+        if turn and np.array_equal(before, found, equal_nan=True):
+            break
+    return found
+
+
+def _best_lag(sight: _Sight, others: Sequence[_Sight], reach: int, rows: Index) -> float:
+    lags = np.arange(-reach, reach + 1)
+    partners = [other.part(rows) for other in others]
+    pairs = np.array([[_pair_level(sight.later(by).part(rows), other) for other in partners] for by in lags.tolist()])
+    levels, points = pairs[..., 0], pairs[..., 2]
+    compared = np.isfinite(levels) & (points >= _COMPARED * points.max(axis=0))
+    if not compared.any():
+        return np.nan
+    total, number = np.where(compared, levels, 0.0).sum(axis=1), compared.sum(axis=1)
+    mean = np.where(number > 0, total / np.maximum(number, 1), np.inf)
+    best = int(np.argmin(mean))
+    return 0.0 if mean[best] > CLEARLY * mean[reach] else float(lags[best])

@@ -1,5 +1,5 @@
-"""By how many frames cameras are out of step: sought in what they see, where rays of the same keypoint meet, and then
-solved with the fit."""
+"""What is solved of cameras with the fit: by how many frames they are out of step, sought first where rays of the same
+keypoint meet; and whether poses that were refined are taken, which is only where no camera's pictures fit worse."""
 
 from __future__ import annotations
 
@@ -7,24 +7,19 @@ from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
-from recon.base.arrays import Array, Index
+from recon.base.arrays import Array
 from recon.base.errors import InputError, Problem, refuse
-from recon.check.agreement import Sight, pair_level, sights_of
-from recon.clip import Source, View, together, views_of
+from recon.check.agreement import search_offsets
+from recon.check.codes import finding
+from recon.clip import Source, together, views_of
 from recon.fit import TrajectorySolution
+from recon.fit.finding import Finding
 
-REACH_S = 1.0
-"""How far off a camera is sought, at most; and not further than half a clip."""
-CLEARLY = 0.9
-"""An offset counts only if it makes the level so many times as high as none does, or less."""
-_ROWS = 200
-"""Frames that are compared."""
-_ENOUGH = 0.3
-"""A lag that leaves less than this part of the most points that can be compared says nothing."""
-_ROUNDS = 3
 FIT_ROUNDS = 5
 CLOSE_FRAMES = 0.05
 """Lags this small are left to the solver, which takes the motion for straight over them."""
+WORSE = 1.1
+"""Times a camera's median reprojection that is no change: what one camera gains, another may lose a little."""
 MAX_SIGMA_FRAMES = 1.0
 """Offsets that are known less well, or do not settle so far, are refused."""
 
@@ -68,39 +63,24 @@ def _problems(names: Sequence[str], later: Array, lags: Array, sigmas: Array) ->
             yield Problem("--set find-offsets", f"camera {name}", found, expected)
 
 
-def search_offsets(views: Sequence[View], fps: float, sigma_px: float, keypoint_sigma_m: float) -> Array:
-    """(V,): how many whole frames later than said each camera's pictures were taken, beside the first's; NaN where it
-    sees too little together with the others to compare.
+def cameras_made_worse(refined: TrajectorySolution, held: TrajectorySolution) -> tuple[Finding, ...]:
+    """Of the camera whose median reprojection got worst by refining all; none where that is no worse than `WORSE`.
 
-    Of views of the same T frames; noise as in `recon.check.agreement.camera_findings`. Each camera in turn is put
-    where its rays pass those of the cameras before it most closely, then, a few times, those of all others. 0 where
-    nothing else is clearly better.
-    """
-    sights = sights_of(views, sigma_px, keypoint_sigma_m)
-    T = len(views[0].xy_px)
-    rows = np.arange(0, T, max(1, T // _ROWS))
-    reach = max(min(round(REACH_S * fps), T // 2), 1)
-    found = np.full(len(views), np.nan)
-    found[0] = 0.0
-    for turn in range(_ROUNDS):
-        before = found.copy()
-        for v in range(1, len(views)):
-            others = [o for o in range(len(views)) if o != v and np.isfinite(found[o])]
-            found[v] = _best(sights[v], [sights[o].later(found[o]) for o in others], reach, rows)
-        if turn and np.array_equal(before, found, equal_nan=True):
-            break
-    return found
+    A camera that leaves its place becomes an outlier as a whole, which a robust cost rewards."""
+    before, after = _medians_px(held), _medians_px(refined)
+    worst = int(np.argmax(after / before))
+    if not after[worst] > WORSE * before[worst]:
+        return ()
+    name = held.views[worst].camera.name
+    return (finding("cameras_not_refined", camera=name, before_px=before[worst], after_px=after[worst]),)
 
 
-def _best(sight: Sight, others: Sequence[Sight], reach: int, rows: Index) -> float:
-    lags = np.arange(-reach, reach + 1)
-    partners = [other.part(rows) for other in others]
-    pairs = np.array([[pair_level(sight.later(by).part(rows), other) for other in partners] for by in lags.tolist()])
-    levels, points = pairs[..., 0], pairs[..., 2]
-    compared = np.isfinite(levels) & (points >= _ENOUGH * points.max(axis=0))
-    if not compared.any():
-        return np.nan
-    total, number = np.where(compared, levels, 0.0).sum(axis=1), compared.sum(axis=1)
-    mean = np.where(number > 0, total / np.maximum(number, 1), np.inf)
-    best = int(np.argmin(mean))
-    return 0.0 if mean[best] > CLEARLY * mean[reach] else float(lags[best])
+def _medians_px(solution: TrajectorySolution) -> np.ndarray:
+    """(V,): median distance between detections and reprojected markers; infinite where none has a pose."""
+    medians = []
+    for view in solution.views:
+        pixels, _ = view.project(view.at_its_time(solution.markers_m))
+        off = np.linalg.norm(pixels - view.xy_px, axis=-1)[view.present]
+        off = np.where(np.isfinite(off), off, np.inf)
+        medians.append(float(np.median(off)) if off.size else 1.0)
+    return np.maximum(medians, 1e-9)
