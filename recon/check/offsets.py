@@ -13,7 +13,7 @@ from recon.check.agreement import search_offsets
 from recon.check.codes import finding
 from recon.clip import Source, together, views_of
 from recon.fit import TrajectorySolution
-from recon.fit.finding import Finding
+from recon.fit.result import Finding
 
 FIT_ROUNDS = 5
 CLOSE_FRAMES = 0.05
