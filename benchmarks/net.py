@@ -21,6 +21,7 @@ import time
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -29,13 +30,11 @@ from net_circle import run_circle
 from net_large import run_large, write_large_film
 
 from recon.io.video import video_writer
-from recon.keypoint_net.evaluate2d import Evaluation2D, evaluate_2d_files
+from recon.keypoint_net.evaluate2d import evaluate_2d_files
 from recon.keypoint_net.labels import read_label_file
-from recon.keypoint_net.model import build_network
+from recon.keypoint_net.network import Spec, Trained, choose_device, load_model, new_network, placed, require_torch
 from recon.keypoint_net.predict import PredictSettings, predict_video
-from recon.keypoint_net.run import TrainSettings
-from recon.keypoint_net.torch_extra import choose_device, fast_half, require_torch
-from recon.keypoint_net.trained import CHANNELS, Spec, Trained, load_model, prepared
+from recon.keypoint_net.train import TrainSettings
 from recon.keypoint_net.workflows import LabelSource, run_prediction, run_training
 
 FIRST = 50
@@ -51,7 +50,7 @@ def main() -> None:
     parser.add_argument("--random-half", action="store_true")
     parser.add_argument("--model", type=Path)
     parser.add_argument("--device", default="auto")
-    parser.add_argument("--threads", type=int, help="on the CPU (default: those that are fastest)")
+    parser.add_argument("--threads", type=int, help="on the CPU (default: all)")
     parser.add_argument("--out", type=Path, help="where the networks go (default: a folder that is removed)")
     args = parser.parse_args()
     require_torch()
@@ -68,10 +67,10 @@ def circle(args: argparse.Namespace, out: Path) -> None:
     print_header(("seed", "steps", "s", "median, px", "PCK@5px", "MPJPE, mm", "with true points + 2 px, mm", "ratio"))
     for seed in args.seeds:
         found = run_circle(out / f"circle{seed}", settings(args, seed), device=args.device, threads=args.threads)
-        score = found.points.all
+        score = found.points["all"]
         print_row((
-            seed, found.training["steps"], round(found.training["seconds"]), f"{score.median_px:.2f}",
-            f"{score.pck_px['5.0']:.2f}", f"{1000 * found.predicted_m:.1f}", f"{1000 * found.noisy_m:.1f}",
+            seed, found.training["steps"], round(found.training["seconds"]), f"{score['median_px']:.2f}",
+            f"{score['pck_px']['5.0']:.2f}", f"{1000 * found.predicted_m:.1f}", f"{1000 * found.noisy_m:.1f}",
             f"{found.ratio:.2f}",
         ))  # fmt: skip
 
@@ -79,18 +78,16 @@ def circle(args: argparse.Namespace, out: Path) -> None:
 def large(args: argparse.Namespace, out: Path) -> None:
     """Processor times are those of the whole process: training, and its report."""
     write_large_film(out)
-    print_header(("seed", "quality", "steps", "s", "processor, s", "median, px", "PCK@2.5/5/10px", "ECE"))
+    print_header(("seed", "steps", "s", "processor, s", "median, px", "PCK@2.5/5/10px", "ECE"))
     for seed in args.seeds:
         before = time.process_time()
-        report, scores = run_large(out, out / f"large{seed}", settings(args, seed), args.device, args.threads)
+        report, found = run_large(out, out / f"large{seed}", settings(args, seed), args.device, args.threads)
         used = time.process_time() - before
-        for quality, found in scores.items():
-            assert found.reliability is not None
-            print_row((
-                seed, quality, report["steps"], round(report["seconds"]), round(used), f"{found.all.median_px:.2f}",
-                "/".join(f"{share:.2f}" for share in found.all.pck_px.values()),
-                f"{found.reliability['expected_calibration_error']:.3f}",
-            ))  # fmt: skip
+        print_row((
+            seed, report["steps"], round(report["seconds"]), round(used), f"{found['all']['median_px']:.2f}",
+            "/".join(f"{share:.2f}" for share in found["all"]["pck_px"].values()),
+            f"{found['reliability']['expected_calibration_error']:.3f}",
+        ))  # fmt: skip
 
 
 def speed(args: argparse.Namespace, out: Path) -> None:
@@ -98,17 +95,14 @@ def speed(args: argparse.Namespace, out: Path) -> None:
 
     With the weights of a network or random ones, which are as fast; pictures are not scaled then.
     """
-    device = choose_device(args.device)
     trained = _network(args.model, args.device)
-    print_header(("video", "type", "frames/s"))
+    print_header(("video", "frames/s"))
     for size, frames in (((288, 162), 900), ((640, 360), 300)):
         video = out / f"noise{size[0]}.mp4"
         _noise_video(video, size, frames)
-        for half in (False, True) if fast_half(device) else (False,):
-            start = time.perf_counter()
-            predict_video(trained, _settings(video, args.threads, half))
-            rate = frames / (time.perf_counter() - start)
-            print_row((f"{size[0]}x{size[1]}", "16 bits" if half else "float32", f"{rate:.0f}"))
+        start = time.perf_counter()
+        predict_video(trained, _settings(video, args.threads))
+        print_row((f"{size[0]}x{size[1]}", f"{frames / (time.perf_counter() - start):.0f}"))
     print()
     print_header(("frames of 640x360", "most memory, MB"))
     for frames in (300, 3000):
@@ -119,16 +113,17 @@ def speed(args: argparse.Namespace, out: Path) -> None:
         print_row((frames, f"{megabytes:.0f}"))
 
 
-def _settings(video: Path, threads: int | None, half: bool = True) -> PredictSettings:
+def _settings(video: Path, threads: int | None) -> PredictSettings:
     """Of a prediction that is not written."""
-    return PredictSettings(video=video, model=Path(), out=Path(), threads=threads, half=half)
+    return PredictSettings(video=video, model=Path(), out=Path(), threads=threads)
 
 
 def _network(model: Path | None, device: str) -> Trained:
     if model:
         return load_model(model, choose_device(device))
-    spec = Spec(tuple(f"point{k}" for k in range(22)), 1.0, 120.0, 5.0, tuple(range(22)), False, {})
-    return Trained(spec, prepared(build_network(22, CHANNELS), choose_device(device)), choose_device(device))
+    spec = Spec(tuple(f"point{k}" for k in range(22)), 1.0, 120.0, 5.0)
+    on = choose_device(device)
+    return Trained(spec, placed(new_network(22, two_stages=False), on).eval(), on)
 
 
 def _noise_video(path: Path, size_px: tuple[int, int], frames: int) -> None:
@@ -151,7 +146,7 @@ def horse(args: argparse.Namespace, out: Path) -> None:
     shared = Path(os.environ.get("RECON_SHARED_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"))
     video = shared / "horse-side" / "BrownHorseinShadow.mp4"
     labels = shared / "horse-side" / "CollectedData_Byron.csv"
-    print_header(("seed", "quality", "steps", "s", "median, px", "PCK@2.5/5/10px", "swaps forgiven", "ECE"))
+    print_header(("seed", "steps", "s", "median, px", "PCK@2.5/5/10px", "swaps forgiven", "ECE"))
     for seed in args.seeds:
         folder = out / f"horse{seed}{'random' if args.random_half else ''}"
         validation, test = f"{FIRST + 110}:{FIRST + 150}", f"{FIRST + 150}:"
@@ -165,28 +160,20 @@ def horse(args: argparse.Namespace, out: Path) -> None:
             source, settings(args, seed), folder,
             device=args.device, threads=args.threads, overwrite=True,
         )  # fmt: skip
-        for quality in ("fast", "best"):
-            points = folder / f"{quality}.csv"
-            run_prediction(
-                video, folder, points, quality=quality, device=args.device, threads=args.threads, overwrite=True
-            )
-            if args.random_half:
-                result = evaluate_2d_files(points, held_out, first_frame=FIRST)
-            else:
-                result = evaluate_2d_files(points, labels, first_frame=FIRST, frames=f"{FIRST + 150}:{FIRST + 200}")
-            print_row(_row(seed, quality, report, result))
+        points = folder / "points.csv"
+        run_prediction(video, folder, points, device=args.device, threads=args.threads, overwrite=True)
+        frames = {} if args.random_half else {"frames": f"{FIRST + 150}:{FIRST + 200}"}
+        print_row(_row(seed, report, evaluate_2d_files(points, held_out, first_frame=FIRST, **frames)))
         if args.random_half:
             print(f"Interpolation of the labels in time: {_interpolated(file, held_out):.2f} px (median)", flush=True)
 
 
-def _row(seed: int, quality: str, report: dict, result: Evaluation2D) -> tuple[object, ...]:
-    score, forgiven, table = result.all, result.swaps_forgiven, result.reliability
-    assert forgiven is not None
-    assert table is not None
+def _row(seed: int, report: dict[str, Any], result: dict[str, Any]) -> tuple[object, ...]:
+    score, forgiven, table = result["all"], result["swaps_forgiven"], result["reliability"]
     return (
-        seed, quality, report["steps"], round(report["seconds"]), f"{score.median_px:.2f}",
-        "/".join(f"{share:.2f}" for share in score.pck_px.values()),
-        f"{forgiven.median_px:.2f} px, {forgiven.pck_px['5.0']:.2f}",
+        seed, report["steps"], round(report["seconds"]), f"{score['median_px']:.2f}",
+        "/".join(f"{share:.2f}" for share in score["pck_px"].values()),
+        f"{forgiven['median_px']:.2f} px, {forgiven['pck_px']['5.0']:.2f}",
         f"{table['expected_calibration_error']:.3f}",
     )  # fmt: skip
 

@@ -13,9 +13,9 @@ from recon.clip.keypoints import Keypoints
 from recon.gait.evaluation import Evaluation, evaluate_files
 from recon.io import read_keypoints
 from recon.io.deeplabcut import write_csv
-from recon.keypoint_net.evaluate2d import Evaluation2D, evaluate_2d
+from recon.keypoint_net.evaluate2d import evaluate_2d
 from recon.keypoint_net.labels import body_length_px, read_label_file
-from recon.keypoint_net.run import TrainSettings
+from recon.keypoint_net.train import TrainSettings
 from recon.keypoint_net.workflows import LabelSource, run_prediction, run_training
 from recon.workflows.clip_results import run_clip
 from recon.workflows.demo import samples_folder
@@ -31,7 +31,7 @@ class Circle:
     noisy: of all frames in 3D, fitted to predictions and to true points with noise."""
 
     training: dict[str, Any]
-    points: Evaluation2D
+    points: dict[str, Any]
     predicted: Evaluation
     noisy: Evaluation
 

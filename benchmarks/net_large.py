@@ -13,9 +13,9 @@ import numpy as np
 from recon.clip.keypoints import Keypoints
 from recon.io import read_keypoints
 from recon.io.video import video_writer
-from recon.keypoint_net.evaluate2d import Evaluation2D, evaluate_2d
+from recon.keypoint_net.evaluate2d import evaluate_2d
 from recon.keypoint_net.labels import body_length_px, read_label_file
-from recon.keypoint_net.run import TrainSettings
+from recon.keypoint_net.train import TrainSettings
 from recon.keypoint_net.workflows import LabelSource, run_prediction, run_training
 from recon.workflows.demo import samples_folder
 
@@ -62,8 +62,8 @@ def write_large_film(folder: Path) -> Keypoints:
 
 def run_large(
     film: Path, out: Path, settings: TrainSettings, device: str, threads: int | None
-) -> tuple[dict[str, Any], dict[str, Evaluation2D]]:
-    """The training's report, and by quality the scores in the frames that were not labelled; film: a folder of
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """The training's report, and the scores in the frames that were not labelled; film: a folder of
     `write_large_film`."""
     video, labels = film / "large.mp4", film / "large_labels.csv"
     report = run_training(
@@ -71,13 +71,8 @@ def run_large(
     )  # fmt: skip
     truth, labelled = read_keypoints(film / "large_points.csv"), read_label_file(labels)[0]
     others, length_px = ~np.isin(truth.frames, labelled.frames), body_length_px(truth.xy_px)
-    scores = {}
-    for quality in ("fast", "best"):
-        found = run_prediction(
-            video, out, out / f"{quality}.csv", quality=quality, device=device, threads=threads, overwrite=True
-        )
-        scores[quality] = evaluate_2d(
-            truth.names, found.xy_px[others], found.confidence[others], truth.xy_px[others], length_px,
-            tolerance_px=report["tolerance_px"],
-        )  # fmt: skip
-    return report, scores
+    found = run_prediction(video, out, out / "points.csv", device=device, threads=threads, overwrite=True)
+    return report, evaluate_2d(
+        truth.names, found.xy_px[others], found.confidence[others], truth.xy_px[others], length_px,
+        tolerance_px=report["tolerance_px"],
+    )  # fmt: skip

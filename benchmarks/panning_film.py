@@ -28,7 +28,7 @@ from scipy.spatial.transform import Rotation
 
 from recon.geometry.camera import Camera
 from recon.io.camera_track import read_camera_track
-from recon.keypoint_net.run import TrainSettings
+from recon.keypoint_net.train import TrainSettings
 from recon.workflows.demo import samples_folder
 
 sys.path.insert(0, str(samples_folder()))
@@ -110,9 +110,9 @@ def row(name: str, seed: int, circle: Circle, truth: np.ndarray | None, out: Pat
     if truth is not None:
         error = turn_errors_deg(out / "predicted" / "track.csv", truth)
         turned = (f"{np.median(error):.3f}", f"{error.max():.3f}")
-    score, predicted, noisy = circle.points.all, circle.predicted, circle.noisy
+    score, predicted, noisy = circle.points["all"], circle.predicted, circle.noisy
     return (
-        name, seed, f"{score.median_px:.2f}", f"{score.pck_px['5.0']:.2f}", *turned,
+        name, seed, f"{score['median_px']:.2f}", f"{score['pck_px']['5.0']:.2f}", *turned,
         *(f"{1000 * error.mean:.1f}" for error in (predicted.mpjpe_m, noisy.mpjpe_m)),
         *(f"{1000 * error.mean:.0f}" for error in (predicted.mpe_m, noisy.mpe_m)),
     )  # fmt: skip

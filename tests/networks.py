@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
-
 import pytest
 
 EVALUATIONS = 3
@@ -11,12 +9,10 @@ EVALUATIONS = 3
 
 def narrow_networks(patch: pytest.MonkeyPatch) -> None:
     """Networks as deep as those of users, but narrow, judged three times in a run, and the same on every machine."""
-    from recon.keypoint_net import model, predict, train, trained
+    from recon.keypoint_net import network, predict, train
 
-    narrow = partial(model.build_network, widths=(4, 8, 12, 16, 16), head=8)
-    patch.setattr(model, "SECOND_WIDTHS", (4, 8, 12, 16))
-    for module in (model, trained):
-        patch.setattr(module, "build_network", narrow)
+    for name, value in (("WIDTHS", (4, 8, 12, 16, 16)), ("SECOND_WIDTHS", (4, 8, 12, 16)), ("HEAD", 8)):
+        patch.setattr(network, name, value)
     patch.setattr(train, "EVALUATIONS", EVALUATIONS)
     for module in (train, predict):
         patch.setattr(module, "fast_half", lambda device: None)

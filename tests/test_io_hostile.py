@@ -245,7 +245,7 @@ def test_data_in_other_files(tmp_path):
 
 def test_hostile_network_runs_nothing(tmp_path):
     torch = pytest.importorskip("torch")
-    from recon.keypoint_net.trained import load_model
+    from recon.keypoint_net.network import load_model
 
     marker, path = tmp_path / "ran", tmp_path / "model.pt"
     torch.save({"format": Touch(str(marker))}, path)
@@ -258,14 +258,14 @@ def test_hostile_network_runs_nothing(tmp_path):
 
 @pytest.mark.parametrize(
     "change",
-    [{"spec": None}, {"spec": {}}, {"weights": {}}, {"weights": None}, {"spec": {"names": 1, "partner": 2}}],
+    [{"spec": None}, {"spec": {}}, {"weights": {}}, {"weights": None}, {"spec": {"names": 1}}],
 )
 def test_altered_network(tmp_path, change):
     torch = pytest.importorskip("torch")
-    from recon.keypoint_net.trained import FORMAT, load_model
+    from recon.keypoint_net.network import FORMAT, load_model
 
-    spec = {"names": ["a"], "scale": 0.5, "body_length_px": 9.0, "tolerance_px": 9.0, "partner": [0], "mirrored": True}
-    content = {"format": FORMAT, "spec": spec | {"calibrations": {}}, "weights": {}} | change
+    spec = {"names": ["a"], "scale": 0.5, "body_length_px": 9.0, "tolerance_px": 9.0}
+    content = {"format": FORMAT, "spec": spec, "weights": {}} | change
     torch.save(content, tmp_path / "model.pt")
     with pytest.raises(InputError, match="a network with parts missing or altered"):
         load_model(tmp_path / "model.pt", torch.device("cpu"))

@@ -6,9 +6,15 @@ import numpy as np
 import pytest
 
 from recon.io.video import Image
-from recon.keypoint_net.augment import Augmentation, Example, augment, motion_blur
-from recon.keypoint_net.background import background_of, moving_mask
-from recon.keypoint_net.batches import BatchSource
+from recon.keypoint_net.pictures import (
+    Augmentation,
+    Example,
+    augment,
+    background_of,
+    make_batch,
+    motion_blur,
+    moving_mask,
+)
 
 SIZE = (96, 80)
 GEOMETRY_ONLY = {"contrast": 0.0, "brightness": 0.0, "gamma": 0.0, "colour": 0.0, "light_patch": 0.0, "cutout": 0.0,
@@ -82,8 +88,7 @@ def test_missing_labels_stay_missing():
 
 def test_a_batch_depends_on_seed_and_step_only():
     pool = np.arange(1)
-    source = BatchSource([example()], SIZE, Augmentation(), 3, seed=4)
-    one, again, other = source.batch(7, pool), source.batch(7, pool), source.batch(8, pool)
+    one, again, other = (make_batch([example()], SIZE, Augmentation(), 3, 4, step, pool) for step in (7, 7, 8))
     np.testing.assert_array_equal(one[0], again[0])
     np.testing.assert_array_equal(one[2], again[2])
     assert not np.array_equal(one[0], other[0])

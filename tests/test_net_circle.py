@@ -102,13 +102,13 @@ def test_the_circle_at_a_small_size(tmp_path, monkeypatch):
     """A few steps of a narrow network: the points are poor, but every part gives what the next one takes."""
     from net_circle import run_circle
 
-    from recon.keypoint_net.run import TrainSettings
+    from recon.keypoint_net.train import TrainSettings
 
     narrow_networks(monkeypatch)
     settings, film = TrainSettings(steps=12, batch=2), first_frames(tmp_path / "film", 32)
     fit = {"likelihood_min": 0.0, "fast": True, "frames": "16:32"}
     circle = run_circle(tmp_path, settings, samples=film, device="cpu", threads=1, **fit)
-    assert circle.points.frames == 32 - 14
+    assert circle.points["frames"] == 32 - 14
     assert circle.training["labelled_points"]["train"] > 270
     assert 0.01 < circle.noisy_m < 0.2
     assert circle.ratio > 0.5

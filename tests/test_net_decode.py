@@ -9,8 +9,7 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
-from recon.keypoint_net.decode import Window, decode, loss, probabilities, targets, variance  # noqa: E402
-from recon.keypoint_net.model import build_network, count_parameters  # noqa: E402
+from recon.keypoint_net.network import SIGMA, decode, loss, new_network, probabilities, variance  # noqa: E402
 
 
 def gaussian_scores(xy: np.ndarray, size: tuple[int, int], sigma: float) -> torch.Tensor:
@@ -50,14 +49,6 @@ def test_a_peak_in_a_corner_stays_in_the_picture():
     assert (within > 0.2).all()
 
 
-def test_targets_are_gaussians_that_add_up_to_one():
-    xy = torch.tensor([[[4.25, 3.5]]])
-    aim = targets(xy, (8, 10), 0.9)[0, 0].numpy()
-    y, x = np.mgrid[:8, :10]
-    expected = np.exp(-0.5 * ((x - 4.25) ** 2 + (y - 3.5) ** 2) / 0.9**2)
-    np.testing.assert_allclose(aim, expected / expected.sum(), atol=1e-6)
-
-
 def test_the_loss_is_the_mean_cross_entropy_of_the_labelled_points():
     scores = torch.randn(2, 3, 6, 7, generator=torch.Generator().manual_seed(1))
     xy = torch.full((2, 3, 2), math.nan)
@@ -65,25 +56,26 @@ def test_the_loss_is_the_mean_cross_entropy_of_the_labelled_points():
     by_hand = []
     for b, k in ((0, 0), (1, 2)):
         p = np.exp(scores[b, k].double().numpy())
-        aim = targets(xy[b : b + 1, k : k + 1], (6, 7), 0.9)[0, 0].double().numpy()
-        by_hand.append(-(aim * np.log(p / p.sum())).sum())
-    assert float(loss(scores, xy, 0.9)) == pytest.approx(np.mean(by_hand), rel=1e-5)
+        y, x = np.mgrid[:6, :7]
+        aim = np.exp(-0.5 * ((x - float(xy[b, k, 0])) ** 2 + (y - float(xy[b, k, 1])) ** 2) / SIGMA**2)
+        by_hand.append(-(aim / aim.sum() * np.log(p / p.sum())).sum())
+    assert float(loss(scores, xy)) == pytest.approx(np.mean(by_hand), rel=1e-5)
 
 
 def test_missing_labels_pull_at_nothing():
     scores = torch.randn(2, 3, 6, 7, requires_grad=True)
     xy = torch.full((2, 3, 2), math.nan)
     xy[0, 1] = torch.tensor([2.0, 3.0])
-    loss(scores, xy, 0.9).backward()
+    loss(scores, xy).backward()
     assert scores.grad is not None
     pulled = scores.grad.abs().sum(dim=(2, 3)) > 0
     assert pulled.tolist() == [[False, True, False], [False, False, False]]
-    assert float(loss(scores.detach(), torch.full((2, 3, 2), math.nan), 0.9)) == 0
+    assert float(loss(scores.detach(), torch.full((2, 3, 2), math.nan))) == 0
 
 
 @pytest.mark.parametrize(("keypoints", "height", "width"), [(1, 40, 64), (22, 53, 71)])
 def test_any_number_of_keypoints_and_any_size_go_through(keypoints, height, width):
-    network = build_network(keypoints, 6).eval()
+    network = new_network(keypoints, two_stages=False).eval()
     with torch.inference_mode():
         scores = network(torch.zeros(2, 6, height, width))
     assert scores.shape == (2, keypoints, -(-height // 4), -(-width // 4))
@@ -91,7 +83,7 @@ def test_any_number_of_keypoints_and_any_size_go_through(keypoints, height, widt
 
 @pytest.mark.parametrize("keypoints", [1, 22, 200])
 def test_the_network_is_small(keypoints):
-    assert count_parameters(build_network(keypoints, 6)) <= 3_000_000
+    assert sum(p.numel() for p in new_network(keypoints, two_stages=False).parameters()) <= 3_000_000
 
 
 def test_a_broad_probability_is_less_sure_of_its_point():
@@ -111,15 +103,15 @@ def test_a_broad_probability_is_less_sure_of_its_point():
 def test_a_window_leaves_out_what_is_elsewhere():
     scores = gaussian_scores(np.array([[6.0, 6.0], [6.0, 6.0]]), (16, 30), 1.0)
     scores[0, :, 12, 24] = 50.0  # far likelier, and outside
-    window = Window(torch.tensor([[[8.0, 5.0], [math.nan, math.nan]]]), 4.0)
+    window = (torch.tensor([[[8.0, 5.0], [math.nan, math.nan]]]), 4.0)
     probability = probabilities(scores, window)
     xy, _ = decode(probability, 1.0)
     np.testing.assert_allclose(xy[0, 0].numpy(), [6, 6], atol=0.05)
     assert float(probability[0, 0, 12, 24]) == 0
     label = torch.tensor([[[6.2, 6.0], [math.nan, math.nan]]])
-    assert float(loss(scores, label, 1.0, window)) < 3 < float(loss(scores, label, 1.0))
+    assert float(loss(scores, label, window)) < 3 < float(loss(scores, label))
     inside = scores.clone().requires_grad_()
-    loss(inside, label, 1.0, window).backward()
+    loss(inside, label, window).backward()
     assert inside.grad is not None
     assert torch.isfinite(inside.grad).all()
     assert inside.grad[0, 0, 12, 24] == 0

@@ -8,10 +8,10 @@ from command_line import run
 from scipy.special import expit, logit
 
 from recon.base.errors import InputError
-from recon.keypoint_net.calibrate import LikelihoodCalibration, fit_calibration, reliability
-from recon.keypoint_net.evaluate2d import evaluate_2d, evaluate_2d_files
+from recon.keypoint_net.evaluate2d import evaluate_2d, evaluate_2d_files, reliability
 from recon.keypoint_net.labels import Labels
-from recon.keypoint_net.suspicious import suspicious_labels
+from recon.keypoint_net.network import calibrated, fit_calibration
+from recon.keypoint_net.report import suspicious_labels
 
 NAN = float("nan")
 
@@ -33,15 +33,15 @@ def test_calibration_finds_what_made_the_points():
     raw = rng.uniform(0.02, 0.98, 20_000)
     right = rng.random(20_000) < expit(0.6 * logit(raw) - 0.8)
     found = fit_calibration(raw, right)
-    assert (found.slope, found.offset) == (pytest.approx(0.6, abs=0.03), pytest.approx(-0.8, abs=0.05))
-    assert reliability(found.apply(raw), right)["expected_calibration_error"] < 0.01
+    assert found == (pytest.approx(0.6, abs=0.03), pytest.approx(-0.8, abs=0.05))
+    assert reliability(calibrated(raw, found), right)["expected_calibration_error"] < 0.01
     assert reliability(raw, right)["expected_calibration_error"] > 0.1
 
 
 def test_calibration_stays_finite_where_all_points_are_right():
     found = fit_calibration(np.full(50, 0.9), np.ones(50, bool))
-    assert 0.9 < float(found.apply(np.array([0.9]))[0]) < 1
-    np.testing.assert_array_equal(LikelihoodCalibration().apply(np.array([0.3])), [0.3])
+    assert 0.9 < float(calibrated(np.array([0.9]), found)[0]) < 1
+    np.testing.assert_array_equal(calibrated(np.array([0.3]), fit_calibration(np.zeros(0), np.zeros(0, bool))), [0.3])
 
 
 def test_scores_by_hand():
@@ -52,18 +52,18 @@ def test_scores_by_hand():
     label[1, 1] = [NAN, NAN]
     likelihood = np.array([[0.9, 0.4, 0.0], [0.8, 0.9, 0.9]])
     result = evaluate_2d(("nose", "l_paw", "r_paw"), xy, likelihood, label, 50.0, 0.5, 5.0)
-    score = result.all
-    assert score.points == 4
-    assert score.found == pytest.approx(0.75)
-    assert score.rmse_px == pytest.approx(np.sqrt((9 + 16 + 144) / 3))
-    assert score.median_px == pytest.approx(4)
-    assert score.pck_px == pytest.approx({"2.5": 0, "5.0": 0.5, "10.0": 0.5})
-    assert score.pck_relative == pytest.approx({"0.05": 0, "0.1": 0.5, "0.2": 0.5})  # 2.5, 5 and 10 px
-    assert result.likely.found == pytest.approx(0.5)
-    assert result.likely.median_px == pytest.approx(7.5)
-    assert result.per_keypoint["nose"].median_px == pytest.approx(7.5)
-    assert result.reliability is not None
-    assert result.reliability["points"] == 3
+    score = result["all"]
+    assert score["points"] == 4
+    assert score["found"] == pytest.approx(0.75)
+    assert score["rmse_px"] == pytest.approx(np.sqrt((9 + 16 + 144) / 3))
+    assert score["median_px"] == pytest.approx(4)
+    assert score["pck_px"] == pytest.approx({"2.5": 0, "5.0": 0.5, "10.0": 0.5})
+    assert score["pck_relative"] == pytest.approx({"0.05": 0, "0.1": 0.5, "0.2": 0.5})  # 2.5, 5 and 10 px
+    assert result["likely"]["found"] == pytest.approx(0.5)
+    assert result["likely"]["median_px"] == pytest.approx(7.5)
+    assert result["per_keypoint"]["nose"]["median_px"] == pytest.approx(7.5)
+    assert result["reliability"] is not None
+    assert result["reliability"]["points"] == 3
 
 
 def test_swapped_sides_are_forgiven_by_the_pair():
@@ -71,11 +71,11 @@ def test_swapped_sides_are_forgiven_by_the_pair():
     xy = label[:, [1, 0, 2, 3]] + [[[1, 0], [1, 0], [2, 0], [19, 0]]]
     names = ("l_knee", "r_knee", "l_paw", "r_paw")
     result = evaluate_2d(names, xy, np.ones((1, 4)), label, 40.0)
-    assert result.swaps_forgiven is not None
+    assert result["swaps_forgiven"] is not None
     # The knees are swapped: errors of 1. The right paw is 19 px off and not swapped: its pair stays as it is.
-    assert result.swaps_forgiven.pck_px == pytest.approx(dict.fromkeys(("2.5", "5.0", "10.0"), 0.75))
-    assert result.all.pck_px == pytest.approx(dict.fromkeys(("2.5", "5.0", "10.0"), 0.25))
-    assert evaluate_2d(("nose", "hip"), xy[:, :2], np.ones((1, 2)), label[:, :2], 40.0).swaps_forgiven is None
+    assert result["swaps_forgiven"]["pck_px"] == pytest.approx(dict.fromkeys(("2.5", "5.0", "10.0"), 0.75))
+    assert result["all"]["pck_px"] == pytest.approx(dict.fromkeys(("2.5", "5.0", "10.0"), 0.25))
+    assert evaluate_2d(("nose", "hip"), xy[:, :2], np.ones((1, 2)), label[:, :2], 40.0)["swaps_forgiven"] is None
 
 
 def write(path, kind, rows, names):
@@ -95,10 +95,10 @@ def test_files_are_matched_by_frame_and_name(tmp_path):
     rows = [(f"labeled-data/a/{n + 50}.png", (5, 8, n + 1, 0)) for n in range(2, 6)]
     labels = write(tmp_path / "l.csv", "labels", rows, ("hip", "nose"))
     result = evaluate_2d_files(points, labels, first_frame=50)
-    assert result.frames == 2
-    assert result.per_keypoint["nose"].median_px == pytest.approx(1)
-    assert result.per_keypoint["hip"].median_px == pytest.approx(3)
-    assert evaluate_2d_files(points, labels, first_frame=50, frames="53:").frames == 1
+    assert result["frames"] == 2
+    assert result["per_keypoint"]["nose"]["median_px"] == pytest.approx(1)
+    assert result["per_keypoint"]["hip"]["median_px"] == pytest.approx(3)
+    assert evaluate_2d_files(points, labels, first_frame=50, frames="53:")["frames"] == 1
     with pytest.raises(InputError, match="--first-frame"):
         evaluate_2d_files(points, labels)
 

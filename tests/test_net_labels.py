@@ -10,8 +10,16 @@ import pytest
 
 from recon.base.errors import InputError
 from recon.io.video import video_writer
-from recon.keypoint_net.labels import body_length_px, read_labels, resize, scale_points, sides
-from recon.keypoint_net.split import parse_choice, split_labels
+from recon.keypoint_net.labels import (
+    PARTS,
+    body_length_px,
+    frames_by_part,
+    read_labels,
+    resize,
+    scale_points,
+    sides,
+    split_labels,
+)
 
 NAMES = ("nose", "left_paw", "right_paw")
 
@@ -182,22 +190,22 @@ def test_the_body_length_is_that_of_whole_animals():
 
 def test_splits_are_disjoint_runs_that_repeat(clip):
     labels = read_labels(*clip, first_frame=50)
-    split = split_labels(labels, 0.25, (55, 57), seed=3)
-    assert split.test.tolist() == [5, 6]
-    assert sorted([*split.train, *split.validation, *split.test]) == list(range(8))
-    assert len(split.validation) == 2
-    again = split_labels(labels, 0.25, (55, 57), seed=3)
-    assert all(np.array_equal(getattr(split, p), getattr(again, p)) for p in ("train", "validation", "test"))
-    assert split.to_dict(labels)["test"] == {labels.clips[0]: ["55-56"]}
+    split = split_labels(labels, "0.25", "55:57", seed=3)
+    assert split["test"].tolist() == [5, 6]
+    assert sorted(np.concatenate([split[part] for part in PARTS])) == list(range(8))
+    assert len(split["validation"]) == 2
+    again = split_labels(labels, "0.25", "55:57", seed=3)
+    assert all(np.array_equal(split[part], again[part]) for part in PARTS)
+    assert frames_by_part(labels, split)["test"] == {labels.clips[0]: ["55-56"]}
 
 
 def test_splits_that_leave_nothing(clip):
     labels = read_labels(*clip, first_frame=50)
     with pytest.raises(InputError, match="none in the range 90:"):
-        split_labels(labels, (90, None), 0.0, seed=0)
+        split_labels(labels, "90:", "0", seed=0)
     with pytest.raises(InputError, match="left to train on"):
-        split_labels(labels, 0.0, (50, 58), seed=0)
+        split_labels(labels, "0", "50:58", seed=0)
     with pytest.raises(InputError, match="--test"):
-        parse_choice("many", "--test")
-    assert parse_choice("0.2", "--test") == 0.2
-    assert parse_choice("110:", "--test") == (110, None)
+        split_labels(labels, "0.2", "many", seed=0)
+    assert len(split_labels(labels, "0.5", "0", seed=0)["validation"]) == 4
+    assert split_labels(labels, "0.2", "54:", seed=0)["test"].tolist() == [4, 5, 6, 7]

@@ -13,11 +13,10 @@ torch = pytest.importorskip("torch")
 
 from recon.base.errors import InputError  # noqa: E402
 from recon.io.video import video_writer  # noqa: E402
-from recon.keypoint_net import batches, torch_extra  # noqa: E402
-from recon.keypoint_net.batches import network_scales  # noqa: E402
-from recon.keypoint_net.run import CHECKPOINT_FILE, TrainSettings  # noqa: E402
-from recon.keypoint_net.torch_extra import fastest_threads  # noqa: E402
-from recon.keypoint_net.trained import MODEL_FILE, Spec, Trained, load_file, load_model, part_of  # noqa: E402
+from recon.keypoint_net import network, pictures  # noqa: E402
+from recon.keypoint_net.network import MODEL_FILE, Spec, Trained, load_model, load_torch, part_of  # noqa: E402
+from recon.keypoint_net.pictures import network_scales  # noqa: E402
+from recon.keypoint_net.train import CHECKPOINT_FILE, TrainSettings  # noqa: E402
 from recon.keypoint_net.workflows import LabelSource, run_prediction, run_training  # noqa: E402
 
 SIZE, FRAMES = (160, 96), 12
@@ -29,8 +28,7 @@ SETTINGS = TrainSettings(steps=8, batch=2, seed=3, mirror=True)
 def no_report(monkeypatch: pytest.MonkeyPatch) -> None:
     """Only what is in it on threads."""
     monkeypatch.setattr(
-        "recon.keypoint_net.workflows.write_training_report",
-        lambda run, state, folder: {"threads": state.threads, "step_s_by_threads": state.threads_s},
+        "recon.keypoint_net.workflows.write_training_report", lambda run, state, folder: {"threads": state.threads}
     )
 
 
@@ -42,7 +40,7 @@ class Killed(Exception):
 def small(monkeypatch: pytest.MonkeyPatch) -> None:
     """Narrow networks, for which an animal of 24 px is large."""
     narrow_networks(monkeypatch)
-    monkeypatch.setattr(batches, "NETWORK_LENGTH_PX", 15.0)
+    monkeypatch.setattr(pictures, "NETWORK_LENGTH_PX", 15.0)
 
 
 @pytest.fixture(scope="module")
@@ -71,7 +69,7 @@ def train_in(out: Path, clip: Path, threads: int | None = 1, **options: object) 
 def test_what_is_small_has_one_stage_and_what_is_large_two():
     box = np.array([[[0.0, 0.0], [3, 4]]])
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(batches, "NETWORK_LENGTH_PX", 120.0)
+        patch.setattr(pictures, "NETWORK_LENGTH_PX", 120.0)
         assert network_scales(box * 24) == (1.0, 1.0)
         assert network_scales(box * 34) == (pytest.approx(120 / 170, abs=1e-3), 1.0)
         assert network_scales(box * 90) == (1.0, pytest.approx(120 / 450, abs=1e-3))
@@ -94,26 +92,23 @@ def test_two_stages_from_labels_to_points(clip, tmp_path):
     with pytest.raises(Killed):
         train_in(tmp_path / "broken", clip, progress=stop)
     train_in(tmp_path / "broken", clip, threads=None, resume=True)
-    one, other = (load_file(tmp_path / name / MODEL_FILE) for name in ("whole", "broken"))
+    one, other = (load_torch(tmp_path / name / MODEL_FILE) for name in ("whole", "broken"))
     assert one["spec"] == other["spec"]
-    assert set(one["spec"]["calibrations"]) == {"fast", "best"}
+    assert len(one["spec"]["calibration"]) == 2
     assert all(torch.equal(w, other["weights"][name]) for name, w in one["weights"].items())
     assert {name.partition(".")[0] for name in one["weights"]} == {"first", "second"}
-    for quality in ("fast", "best"):
-        found = run_prediction(
-            clip / "clip.avi", tmp_path / "whole", tmp_path / f"{quality}.csv", quality=quality, device="cpu", threads=1
-        )
-        assert np.isfinite(found.xy_px).all()
-        assert (found.xy_px > -10).all()
-        assert (found.xy_px < 170).all()
+    found = run_prediction(clip / "clip.avi", tmp_path / "whole", tmp_path / "p.csv", device="cpu", threads=1)
+    assert np.isfinite(found.xy_px).all()
+    assert (found.xy_px > -10).all()
+    assert (found.xy_px < 170).all()
 
 
 @pytest.mark.usefixtures("no_report")
 def test_a_run_that_began_with_one_stage_does_not_go_on_with_two(clip, tmp_path, monkeypatch):
-    monkeypatch.setattr(batches, "NETWORK_LENGTH_PX", 30.0)
+    monkeypatch.setattr(pictures, "NETWORK_LENGTH_PX", 30.0)
     train_in(tmp_path, clip)
     assert (tmp_path / CHECKPOINT_FILE).is_file()
-    monkeypatch.setattr(batches, "NETWORK_LENGTH_PX", 15.0)
+    monkeypatch.setattr(pictures, "NETWORK_LENGTH_PX", 15.0)
     with pytest.raises(InputError, match="one that another version began"):
         train_in(tmp_path, clip, resume=True)
     assert load_model(tmp_path, torch.device("cpu")).spec.first == 1
@@ -121,12 +116,16 @@ def test_a_run_that_began_with_one_stage_does_not_go_on_with_two(clip, tmp_path,
 
 @pytest.mark.usefixtures("no_report")
 def test_a_network_of_before_is_read(clip, tmp_path, monkeypatch):
-    monkeypatch.setattr(batches, "NETWORK_LENGTH_PX", 30.0)
+    monkeypatch.setattr(pictures, "NETWORK_LENGTH_PX", 30.0)
     train_in(tmp_path, clip)
-    content = load_file(tmp_path / MODEL_FILE)
-    del content["spec"]["first"]
+    content = load_torch(tmp_path / MODEL_FILE)
+    del content["spec"]["first"], content["spec"]["calibration"]
+    of_old = {"slope": 0.5, "offset": 0.1, "points": 9}
+    content["spec"] |= {"partner": (0, 2, 1), "mirrored": True, "calibrations": {"fast": of_old, "best": of_old}}
     torch.save(content, tmp_path / MODEL_FILE)
-    assert not load_model(tmp_path, torch.device("cpu")).spec.two_stages
+    spec = load_model(tmp_path, torch.device("cpu")).spec
+    assert not spec.two_stages
+    assert spec.calibration == (0.5, 0.1)
 
 
 class Stage(torch.nn.Module):
@@ -140,16 +139,15 @@ class Stage(torch.nn.Module):
         return self.weight * x[:, :1, ::4, ::4]
 
 
-@pytest.mark.parametrize("quality", ["fast", "best"])
-def test_the_second_stage_looks_near_the_first_ones_points(quality):
+def test_the_second_stage_looks_near_the_first_ones_points():
     """Each stage sees the brightest: the first a large spot, the second would see a small one, which is too far."""
     picture = np.full((200, 400, 3), 100, np.uint8)
     y, x = np.mgrid[:200, :400]
     for at, level, radius in (((305.5, 97.5), 210, 6), ((60, 50), 250, 3)):
         picture[(x - at[0]) ** 2 + (y - at[1]) ** 2 <= radius**2] = level
-    spec = Spec(("point",), 1.0, 400.0, 16.0, (0,), True, {}, 0.25)
+    spec = Spec(("point",), 1.0, 400.0, 16.0, 0.25)
     network = torch.nn.ModuleDict({"first": Stage(60.0), "second": Stage(60.0)})
-    xy, _ = Trained(spec, network, torch.device("cpu")).points([picture, picture], None, quality)
+    xy, _ = Trained(spec, network, torch.device("cpu")).points([picture, picture], None)
     np.testing.assert_allclose(xy[:, 0], [[305.5, 97.5]] * 2, atol=2.0)
 
 
@@ -165,39 +163,14 @@ def test_the_part_of_a_picture_where_the_points_are():
     assert low.tolist() == [[84, 84]]
 
 
-def test_the_fastest_number_of_threads_is_taken(monkeypatch):
-    """Of a machine with 6 cores, on which 2 are best; so many that they are slow are tried once, and no more after."""
-    import time
-
+@pytest.mark.usefixtures("no_report")
+def test_all_threads_are_taken_unless_given_and_kept_on_resume(clip, tmp_path, monkeypatch):
     before = torch.get_num_threads()
-    done: list[int] = []
-
-    def work() -> None:
-        done.append(torch.get_num_threads())
-        time.sleep({1: 0.02, 2: 0.01, 4: 0.06}[done[-1]])
-
-    monkeypatch.setattr(torch_extra, "available_cores", lambda: 6)
+    monkeypatch.setattr(network, "available_cores", lambda: 2)
     try:
-        took = fastest_threads(work)
-        assert torch.get_num_threads() == 2
+        assert train_in(tmp_path, clip, threads=None)["threads"] == 2
+        monkeypatch.setattr(network, "available_cores", lambda: 1)
+        assert train_in(tmp_path, clip, threads=None, resume=True)["threads"] == 2
+        assert train_in(tmp_path, clip, threads=1, overwrite=True)["threads"] == 1
     finally:
         torch.set_num_threads(before)
-    assert list(took) == [2, 1, 4]
-    assert done == [1] * 4 + [2] * 4 + [4] * 2
-
-
-@pytest.mark.usefixtures("no_report")
-def test_threads_are_timed_unless_given_and_kept_on_resume(clip, tmp_path, monkeypatch):
-    monkeypatch.setattr(torch_extra, "available_cores", lambda: 1)
-    report = train_in(tmp_path, clip, threads=None)
-    assert report["threads"] == 1
-    assert list(report["step_s_by_threads"]) == [1]
-    again = train_in(tmp_path, clip, threads=None, resume=True)
-    assert again["threads"] == 1
-    assert again["step_s_by_threads"] == report["step_s_by_threads"]
-    given = train_in(tmp_path, clip, threads=1, overwrite=True)
-    assert given["step_s_by_threads"] == {}
-    weights = [load_file(tmp_path / MODEL_FILE)["weights"]["first.scores.weight"]]
-    train_in(tmp_path, clip, threads=None, overwrite=True)
-    weights.append(load_file(tmp_path / MODEL_FILE)["weights"]["first.scores.weight"])
-    assert torch.equal(*weights)

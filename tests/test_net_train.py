@@ -19,9 +19,8 @@ from recon.io import read_keypoints  # noqa: E402
 from recon.io.video import VideoInfo, probe, video_writer  # noqa: E402
 from recon.keypoint_net import predict as predict_module  # noqa: E402
 from recon.keypoint_net import train as train_module  # noqa: E402
-from recon.keypoint_net.run import TrainSettings  # noqa: E402
-from recon.keypoint_net.train import schedule  # noqa: E402
-from recon.keypoint_net.trained import load_file, load_model  # noqa: E402
+from recon.keypoint_net.network import load_torch  # noqa: E402
+from recon.keypoint_net.train import TrainSettings, schedule  # noqa: E402
 from recon.keypoint_net.workflows import LabelSource, run_prediction, run_training  # noqa: E402
 
 SIZE, FRAMES = (96, 64), 20
@@ -123,7 +122,7 @@ def test_a_run_that_is_killed_and_resumed_ends_in_the_same_weights(clip, whole, 
         run_training(source(clip), SHORT, tmp_path / "broken", device="cpu", threads=1, progress=stop)
     assert not (tmp_path / "broken" / "model.pt").exists()
     train_in(tmp_path / "broken", clip, resume=True)
-    one, other = (load_file(folder / "model.pt") for folder in (whole, tmp_path / "broken"))
+    one, other = (load_torch(folder / "model.pt") for folder in (whole, tmp_path / "broken"))
     assert one["spec"] == other["spec"]
     assert all(torch.equal(w, other["weights"][name]) for name, w in one["weights"].items())
     assert len(one["weights"]) > 50
@@ -173,21 +172,21 @@ def test_training_and_prediction_on_cuda(clip, tmp_path):
     with pytest.raises(Killed):
         run_training(source(clip), settings, tmp_path / "broken", device="cuda", progress=stop)
     run_training(source(clip), settings, tmp_path / "broken", device="cuda", resume=True)
-    one, other = (load_file(tmp_path / name / "model.pt")["weights"] for name in ("whole", "broken"))
+    one, other = (load_torch(tmp_path / name / "model.pt")["weights"] for name in ("whole", "broken"))
     assert all(torch.equal(w, other[name]) for name, w in one.items())
     points = [
-        run_prediction(clip / "clip.avi", tmp_path / "whole", tmp_path / f"{device}.csv", device=device, half=False)
+        run_prediction(clip / "clip.avi", tmp_path / "whole", tmp_path / f"{device}.csv", device=device)
         for device in ("cuda", "cpu")
     ]
     truth = np.stack([places(frame) for frame in range(FRAMES)])
     assert np.median(np.linalg.norm(points[0].xy_px - truth, axis=2)) < 2.5
-    np.testing.assert_allclose(points[0].xy_px, points[1].xy_px, atol=0.1)
+    assert np.median(np.linalg.norm(points[0].xy_px - points[1].xy_px, axis=2)) < 0.2  # bfloat16 on one or both
 
 
 def test_another_seed_gives_other_weights(clip, quick, tmp_path):
     for seed in (3, 4):
         train_in(tmp_path / str(seed), clip, TrainSettings(steps=2, batch=1, seed=seed))
-    a, b = (load_file(tmp_path / name / "model.pt")["weights"]["scores.weight"] for name in "34")
+    a, b = (load_torch(tmp_path / name / "model.pt")["weights"]["scores.weight"] for name in "34")
     assert not torch.equal(a, b)
 
 
@@ -199,9 +198,9 @@ def test_the_network_learns_the_blobs_and_the_report_says_so(clip, model):
     assert report["parameters"] <= 3_000_000
     assert report["mirror_partners"] == {"l_paw": "r_paw", "r_paw": "l_paw"}
     assert report["labelled_points"]["train"] + report["labelled_points"]["validation"] == 29
-    assert set(report["calibrations"]) == {"fast", "best"}
-    for quality, calibration in report["calibrations"].items():
-        assert calibration["points"] == report["reliability_validation"][quality]["points"] > 0
+    assert report["calibration"]["slope"] > 0
+    assert report["reliability_validation"]["points"] > 0
+    assert 0 < report["best_validation"]["step"] <= report["validation_in_training_from"]
     files = {"curves.png", "keypoints.png", "reliability.png", "worst.png", "suspicious.csv", "model.pt"}
     assert files <= {file.name for file in model.iterdir()}
 
@@ -231,18 +230,6 @@ def test_h5_and_csv_hold_the_same(clip, model, tmp_path):
     one, other = read_keypoints(tmp_path / "points.csv"), read_keypoints(tmp_path / "points.h5")
     np.testing.assert_allclose(one.xy_px, other.xy_px, atol=1e-9)
     assert pd.DataFrame(pd.read_hdf(tmp_path / "points.h5")).columns.names == ["scorer", "bodyparts", "coords"]
-
-
-def test_averaged_views_agree_with_the_plain_one(clip, model):
-    trained = load_model(model, torch.device("cpu"))
-    from recon.keypoint_net.labels import read_labels
-
-    labels = read_labels(clip / "clip.avi", clip / "labels.csv", 50).scaled(trained.spec.scale)
-    truth = np.stack([places(int(n) - 50) for n in labels.numbers])
-    for quality in ("fast", "best"):
-        xy, raw = trained.points(labels.pictures, None, quality)
-        assert np.median(np.linalg.norm(xy - truth, axis=2)) < 3.0, quality
-        assert ((raw >= 0) & (raw <= 1)).all()
 
 
 def test_a_video_that_ends_before_its_stated_end(clip, model, tmp_path, monkeypatch):
@@ -280,10 +267,6 @@ def test_a_checkpoint_of_other_keypoints(clip, quick, tmp_path):
         (("predict", "{clip}/clip.avi", "--model", "{clip}", "--out", "p.csv"), "no such file"),
         (("predict", "{clip}/clip.avi", "--model", "{clip}/labels.csv", "--out", "p.csv"), "torch cannot read"),
         (("predict", "{clip}/clip.avi", "--model", "{model}", "--out", "p.txt"), "that ends in .csv or .h5"),
-        (
-            ("predict", "{clip}/clip.avi", "--model", "{model}", "--out", "p.csv", "--quality", "odd"),
-            "fast or best",
-        ),
         (("predict", "{clip}/clip.avi", "--model", "{model}", "--out", "p.csv", "--device", "tpu"), "--device"),
         (("train", "{clip}/clip.avi", "--labels", "{clip}/labels.csv", "--out", "o", "--steps", "0"), "1 or more"),
         (
@@ -303,19 +286,17 @@ def test_bad_input_is_one_message_and_nothing_is_written(arguments, text, clip, 
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("finish", [False, True])
-def test_the_learning_rate_warms_up_and_falls_to_nothing(finish):
+def test_the_learning_rate_warms_up_and_falls_to_nothing_twice():
     shares = np.linspace(0, 1, 501)
-    rates = np.array([schedule(s, finish) for s in shares])
+    rates = np.array([schedule(s) for s in shares])
     assert rates[0] < 0.05
     assert rates.max() == pytest.approx(1, abs=0.02)
     assert shares[rates.argmax()] <= 0.05
     assert rates[-1] < 0.002
     rises = shares[1:][(np.diff(rates) > 0) & (shares[1:] > 0.06)]
-    assert len(rises) == finish  # where the last part begins, from a rest to half the rate
-    if finish:
-        assert rates[shares < train_module.FINISH][-1] < 0.01
-        assert rates[shares >= train_module.FINISH][0] == pytest.approx(0.5, abs=0.01)
+    assert len(rises) == 1  # where the last part begins, from a rest to half the rate
+    assert rates[shares < train_module.FINISH][-1] < 0.01
+    assert rates[shares >= train_module.FINISH][0] == pytest.approx(0.5, abs=0.01)
 
 
 def test_without_torch_the_command_says_what_to_install(clip, monkeypatch, tmp_path):

@@ -9,9 +9,9 @@ from recon.base.front_door import lazily
 
 if TYPE_CHECKING:
     from recon.keypoint_net.evaluate2d import evaluate_2d_files
+    from recon.keypoint_net.network import model_file
     from recon.keypoint_net.predict import PredictSettings
-    from recon.keypoint_net.run import TrainSettings
-    from recon.keypoint_net.trained import model_file
+    from recon.keypoint_net.train import TrainSettings
     from recon.keypoint_net.workflows import LabelSource, run_prediction, run_training
 
 __getattr__ = lazily(__name__, __file__)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -14,10 +13,10 @@ from recon.base.errors import Problem, all_of, refuse
 from recon.base.settings import Integer, Number, Option, Positive, Settings
 from recon.clip.keypoints import Keypoints, mark_missing, parse_frame_range
 from recon.io import read_keypoints
-from recon.keypoint_net.calibrate import reliability
 from recon.keypoint_net.labels import body_length_px, known_points, read_label_file, sides
 from recon.workflows.settings import RENAME, FrameRange
 
+BINS = 10
 PCK_PX = (2.5, 5.0, 10.0)
 PCK_RELATIVE = (0.05, 0.1, 0.2)
 """Of the body length, the median diagonal of the box around an animal's labels."""
@@ -38,43 +37,7 @@ class Evaluate2DSettings(Settings):
     ] = 5.0
 
 
-@dataclass(frozen=True)
-class Score2D:
-    """Of predictions, over labelled points."""
-
-    points: int
-    """How many."""
-    found: float
-    """The share of them that was predicted (and likely enough)."""
-    rmse_px: float
-    """Over those found, NaN without any."""
-    median_px: float
-    """Over those found, NaN without any."""
-    pck_px: dict[str, float]
-    """By distance, shares of all labelled points, those not found being wrong."""
-    pck_relative: dict[str, float]
-    """The same by parts of the body length."""
-
-
-@dataclass(frozen=True, eq=False)
-class Evaluation2D:
-    """Scores over everything, by keypoint, with a likelihood cut-off (likely), and with the two sides of the animal
-    allowed to be the wrong way round (swaps_forgiven; None where no names differ in their side). reliability: of the
-    likelihoods, against points within tolerance_px; None without likelihoods."""
-
-    frames: int
-    body_length_px: float
-    likelihood_min: float
-    tolerance_px: float
-    all: Score2D
-    likely: Score2D
-    swaps_forgiven: Score2D | None
-    per_keypoint: dict[str, Score2D]
-    likely_per_keypoint: dict[str, Score2D]
-    reliability: dict[str, Any] | None
-
-
-def evaluate_2d_files(predicted: Path, labels: Path, **options: Any) -> Evaluation2D:
+def evaluate_2d_files(predicted: Path, labels: Path, **options: Any) -> dict[str, Any]:
     """options: further fields of `Evaluate2DSettings`. Raises InputError for files that cannot be read or have nothing
     in common."""
     o = Evaluate2DSettings(predicted=predicted, labels=labels, **options)
@@ -130,29 +93,37 @@ def evaluate_2d(
     length_px: float,
     likelihood_min: float = 0.5,
     tolerance_px: float = 5.0,
-) -> Evaluation2D:
-    """Of points (N, K, 2) with likelihoods (N, K), against labels (N, K, 2), each NaN where there is none."""
+) -> dict[str, Any]:
+    """Of points (N, K, 2) with likelihoods (N, K), against labels (N, K, 2), each NaN where there is none: how many
+    `frames`; scores (`_score`) of `all`, of those with a likelihood cut-off (`likely`), and with the two sides of the
+    animal allowed to be the wrong way round (`swaps_forgiven`, None where no names differ in their side), by keypoint
+    (`per_keypoint`, `likely_per_keypoint`); and the `reliability` of the likelihoods, None without any."""
     labelled = known_points(label_px)
     errors = np.linalg.norm(xy_px - label_px, axis=2)
     likely = np.where(likelihood >= likelihood_min, errors, np.nan)
     partner = sides(names)
     paired = any(p != k for k, p in enumerate(partner))
-    forgiven = _score(_forgiving_errors_px(xy_px, label_px, partner), labelled, length_px) if paired else None
     known = np.isfinite(errors) & np.isfinite(likelihood)
-    by_keypoint = {n: _score(errors[:, k], labelled[:, k], length_px) for k, n in enumerate(names)}
-    likely_by_keypoint = {n: _score(likely[:, k], labelled[:, k], length_px) for k, n in enumerate(names)}
-    return Evaluation2D(
-        len(label_px),
-        length_px,
-        likelihood_min,
-        tolerance_px,
-        _score(errors, labelled, length_px),
-        _score(likely, labelled, length_px),
-        forgiven,
-        by_keypoint,
-        likely_by_keypoint,
-        reliability(np.clip(likelihood[known], 0, 1), errors[known] <= tolerance_px) if known.any() else None,
-    )
+
+    def by_keypoint(values: Array) -> dict[str, dict[str, Any]]:
+        return {n: _score(values[:, k], labelled[:, k], length_px) for k, n in enumerate(names)}
+
+    return {
+        "frames": len(label_px),
+        "body_length_px": length_px,
+        "likelihood_min": likelihood_min,
+        "tolerance_px": tolerance_px,
+        "all": _score(errors, labelled, length_px),
+        "likely": _score(likely, labelled, length_px),
+        "swaps_forgiven": _score(_forgiving_errors_px(xy_px, label_px, partner), labelled, length_px)
+        if paired
+        else None,
+        "per_keypoint": by_keypoint(errors),
+        "likely_per_keypoint": by_keypoint(likely),
+        "reliability": reliability(np.clip(likelihood[known], 0, 1), errors[known] <= tolerance_px)
+        if known.any()
+        else None,
+    }
 
 
 def _forgiving_errors_px(xy_px: Array, label_px: Array, partner: tuple[int, ...]) -> Array:
@@ -164,20 +135,37 @@ def _forgiving_errors_px(xy_px: Array, label_px: Array, partner: tuple[int, ...]
     return np.where(of_pair[1] < of_pair[0], other, own)
 
 
-def _score(errors: Array, labelled: Bools, length_px: float) -> Score2D:
-    """errors: NaN where not labelled or not found."""
+def _score(errors: Array, labelled: Bools, length_px: float) -> dict[str, Any]:
+    """Of errors that are NaN where not labelled or not found: how many labelled `points`, the share of them `found`
+    (and likely enough), RMSE and median over those, NaN without any, and by distance (`pck_px`) and by part of the body
+    length (`pck_relative`) shares of all labelled points, those not found being wrong."""
     n = int(labelled.sum())
     found = errors[labelled & np.isfinite(errors)]
-    nan = float("nan")
 
     def share(limit_px: float) -> float:
-        return float((found <= limit_px).sum() / n) if n and np.isfinite(limit_px) else nan
+        return float((found <= limit_px).sum() / n) if n and np.isfinite(limit_px) else np.nan
 
-    return Score2D(
-        n,
-        len(found) / n if n else nan,
-        float(np.sqrt(np.mean(found**2))) if len(found) else nan,
-        float(np.median(found)) if len(found) else nan,
-        {str(limit): share(limit) for limit in PCK_PX},
-        {str(limit): share(limit * length_px) for limit in PCK_RELATIVE},
-    )
+    return {
+        "points": n,
+        "found": len(found) / n if n else np.nan,
+        "rmse_px": float(np.sqrt(np.mean(found**2))) if len(found) else np.nan,
+        "median_px": float(np.median(found)) if len(found) else np.nan,
+        "pck_px": {str(limit): share(limit) for limit in PCK_PX},
+        "pck_relative": {str(limit): share(limit * length_px) for limit in PCK_RELATIVE},
+    }
+
+
+def reliability(likelihood: Array, right: Bools, bins: int = BINS) -> dict[str, Any]:
+    """Of likelihoods (N,) in 0 to 1 and whether their points are right (N,): how many `points` they are; their
+    `expected_calibration_error`, the mean difference of likelihood and share of right points, NaN without any; and for
+    the `bins` of equal width with points in them how many; low and high, between which their likelihoods lie; their
+    mean; and the share of them that is right."""
+    which = np.minimum((likelihood * bins).astype(int), bins - 1)
+    rows = []
+    for b in np.unique(which):
+        here = which == b
+        ends = {"low": float(b / bins), "high": float((b + 1) / bins), "points": int(here.sum())}
+        rows.append(ends | {"likelihood": float(likelihood[here].mean()), "right": float(right[here].mean())})
+    total = len(likelihood)
+    error = sum(r["points"] * abs(r["likelihood"] - r["right"]) for r in rows) / total if total else float("nan")
+    return {"points": total, "expected_calibration_error": float(error), "bins": rows}

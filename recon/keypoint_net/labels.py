@@ -1,4 +1,5 @@
-"""Labelled pictures: DeepLabCut's label files with the images of a project folder, or with the frames of one video."""
+"""Labelled pictures: DeepLabCut's label files with the images of a project folder, or with the frames of one video; and
+which of them a network is trained on, and which it is judged by."""
 
 from __future__ import annotations
 
@@ -10,12 +11,12 @@ from pathlib import Path, PureWindowsPath
 import cv2
 import numpy as np
 
-from recon.animal import load_names, new_names
+from recon.animal import load_names, new_names, other_side
 from recon.base.arrays import Array, Bools, Integers, median
 from recon.base.errors import InputError, Problem, all_of, refuse
-from recon.clip.keypoints import Keypoints, mark_missing
+from recon.clip.keypoints import Keypoints, mark_missing, parse_frame_range
 from recon.io import as_keypoints, deeplabcut, deeplabcut_h5, file_head
-from recon.io.common import first_problems
+from recon.io.common import first_problems, frames_text
 from recon.io.deeplabcut_project import Project, find_project, label_files
 from recon.io.hdf5 import is_hdf5
 from recon.io.table import text_rows
@@ -270,32 +271,93 @@ def body_length_px(xy_px: Array) -> float:
 
 
 def sides(names: Sequence[str]) -> tuple[int, ...]:
-    """For each keypoint, the one that it becomes in a mirror: names that differ in left/right, near/off or near/far at
-    their beginning or end, or in those, l/r or a leg's letters (fl/fr, lf/rf) as a word, as in paw_l, pawFL and l-eye.
-    A keypoint without a partner is its own."""
-    plain = [_as_words(name) for name in names]
-    by_name = {name: i for i, name in enumerate(plain)}
-    return tuple(next((by_name[m] for m in _mirrored(name) if m in by_name), i) for i, name in enumerate(plain))
+    """For each keypoint, the one that it becomes in a mirror: names that differ in their side as `recon.animal` knows
+    it, or in a leg's letters (fl/fr, lf/rf). A keypoint without a partner is its own."""
+    by_name = {name: k for k, name in enumerate(names)}
+    return tuple(next((by_name[m] for m in _mirrored(name) if m in by_name), k) for k, name in enumerate(names))
 
 
-_LONG = (("left", "right"), ("near", "off"), ("near", "far"))
-_SHORT = (("l", "r"), *((leg + "l", leg + "r") for leg in "fhbr"), *(("l" + leg, "r" + leg) for leg in "fhbr"))
-"""Front, hind, back and rear legs."""
-
-
-def _as_words(name: str) -> str:
-    """pawFL and PawLeft as paw_fl and paw_left."""
-    return re.sub(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", "_", name).lower()
+_LEG = re.compile(r"(?:(?<![A-Za-z])|(?<=[a-z])(?=[A-Z]))[fhbrlFHBRL]{2}(?![A-Za-z])")
+_OTHER = str.maketrans("lrLR", "rlRL")
 
 
 def _mirrored(name: str) -> Iterator[str]:
-    """Names that the mirror picture of a keypoint may have."""
-    for pair in (*_LONG, *_SHORT):
-        for a, b in (pair, pair[::-1]):
-            swapped = re.sub(rf"(?<![a-z0-9]){a}(?![a-z0-9])", b, name)
-            if swapped != name:
-                yield swapped
-            if pair in _LONG and name.startswith(a):
-                yield b + name[len(a) :]
-            if pair in _LONG and name.endswith(a):
-                yield name[: -len(a)] + b
+    """Names that the mirror picture of a keypoint may have; rl is a rear left leg, or a right one."""
+    if (other := other_side(name)) != name:
+        yield other
+    for leg in _LEG.finditer(name):
+        for at in (leg.start(), leg.end() - 1):
+            if name[at] in "lrLR":
+                yield name[:at] + name[at].translate(_OTHER) + name[at + 1 :]
+
+
+# -- which pictures are learned from ---------------------------------------------------------------------------------
+
+PARTS = ("train", "validation", "test")
+"""What is learned from; what judges the network meanwhile and calibrates it; what is looked at once, at the end."""
+BLOCKS = 10
+"""A share of the pictures is held out in this many runs of neighbours in time, or in fewer, longer ones: neighbours
+look alike, and what was seen in training would judge itself."""
+
+
+_Choice = float | tuple[int | None, int | None]
+"""A share of the pictures, or a half-open range of their numbers."""
+
+
+def split_labels(labels: Labels, validation: str, test: str, seed: int) -> dict[str, Integers]:
+    """For each of `PARTS` its indices into the labelled pictures, increasing. validation, test: a share as in "0.2", or
+    frame numbers as in "110:150". Raises InputError where nothing would be left to train on."""
+    chosen = all_of(lambda: _parse(validation, "--validation"), lambda: _parse(test, "--test"))
+    rest = np.arange(len(labels.images))
+    of_test = _choose(labels, rest, chosen[1], seed, "--test")
+    rest = np.setdiff1d(rest, of_test)
+    of_validation = _choose(labels, rest, chosen[0], seed + 1, "--validation")
+    train = np.setdiff1d(rest, of_validation)
+    if not labels.labelled[train].any():
+        found = f"no labelled picture of {len(labels.images)} left to train on"
+        raise InputError(Problem("--validation, --test", "split", found, "smaller parts"))
+    return dict(zip(PARTS, (train, of_validation, of_test), strict=True))
+
+
+def frames_by_part(labels: Labels, split: dict[str, Integers]) -> dict[str, dict[str, list[str]]]:
+    """Frame numbers by part and clip."""
+    return {
+        part: {
+            labels.clips[c]: frames_text(labels.numbers[which][labels.clip[which] == c])
+            for c in np.unique(labels.clip[which])
+        }
+        for part, which in split.items()
+    }
+
+
+def _parse(text: str, option: str) -> _Choice:
+    if ":" in text:
+        try:
+            return parse_frame_range(text)
+        except InputError as error:
+            raise InputError(Problem(option, p.field, p.found, p.expected) for p in error.problems) from None
+    try:
+        share = float(text)
+    except ValueError:
+        share = -1.0
+    if not 0 <= share < 1:
+        raise InputError(Problem(option, "part", f"'{text}'", "a share from 0 to 1, or frame numbers A:B (B excluded)"))
+    return share
+
+
+def _choose(labels: Labels, rest: Integers, choice: _Choice, seed: int, option: str) -> Integers:
+    if isinstance(choice, tuple):
+        low, high = choice
+        numbers = labels.numbers[rest]
+        chosen = rest[(numbers >= (low or 0)) & (numbers < (np.inf if high is None else high))]
+        if not len(chosen):
+            shown = f"{'' if low is None else low}:{'' if high is None else high}"
+            has = f"{numbers.min()} to {numbers.max()}" if len(numbers) else "none"
+            raise InputError(Problem(option, "frames", f"none in the range {shown}", f"numbers of the labels ({has})"))
+        return chosen
+    if choice == 0 or len(rest) < 2:
+        return rest[:0]
+    blocks = np.array_split(rest, min(len(rest), max(BLOCKS, round(2 / choice))))
+    count = min(len(blocks) - 1, max(1, round(choice * len(blocks))))
+    picked = np.random.default_rng(seed).permutation(len(blocks))[:count]
+    return np.sort(np.concatenate([blocks[i] for i in picked]))

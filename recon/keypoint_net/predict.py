@@ -5,39 +5,42 @@ Pictures are held for a few batches only; what grows with the video are the poin
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator
+from collections.abc import Generator
 from contextlib import ExitStack, closing
-from functools import partial as partial_of
 from itertools import islice
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
 from recon.base.errors import InputError, Problem
 from recon.base.progress import Progress, silent
-from recon.base.settings import Count, Number, Option, Settings
+from recon.base.settings import Count, Option, Settings
 from recon.clip.keypoints import Keypoints
 from recon.io.video import Image, VideoInfo, probe, read_frames, video_writer
-from recon.keypoint_net.ahead import ahead
-from recon.keypoint_net.background import background_of_video
 from recon.keypoint_net.draw import draw_points
 from recon.keypoint_net.labels import resize
-from recon.keypoint_net.torch_extra import DEVICE, THREADS, fast_half, fastest_threads, use_threads
-from recon.keypoint_net.trained import Trained
+from recon.keypoint_net.network import (
+    DEVICE,
+    THREADS,
+    Trained,
+    calibrated,
+    fast_half,
+    use_threads,
+)
+from recon.keypoint_net.pictures import ahead, background_of_video
 
+LIKELY = 0.5
+"""Points less likely than this are rings in the overlay."""
 PIXELS = 2**20
 """Of a batch, at the network's scale."""
 WAITING = 2
 """Batches that are decoded ahead."""
-TO_TIME = 12
-"""Batches of a video from which on it is worth the time to see how many threads are fastest."""
 LOST_SHARE, LOST_FRAMES = 0.01, 3
 """So many frames fewer than the video states are its count's fault; more are the video's."""
 
-
-Chunk = tuple[list[int], list[Image], list[Image]]
+_Chunk = tuple[list[int], list[Image], list[Image]]
 """Numbers of consecutive frames, their pictures at the network's scale, and as they are, if they are drawn on."""
 
 
@@ -50,22 +53,6 @@ class PredictSettings(Settings):
     overlay: Annotated[
         Path | None, Option("A new video with the points drawn, .mp4 (MPEG-4) or .avi (Motion JPEG).")
     ] = None
-    quality: Annotated[
-        Literal["fast", "best"],
-        Option(
-            "fast, or best: averaged over three scales and, if trained with them, mirror pictures; three to six times "
-            "the work."
-        ),
-    ] = "fast"
-    likelihood_min: Annotated[
-        Number,
-        Option(
-            "Points less likely than this are small rings in the overlay; the file has them all.",
-            "a number from 0 to 1",
-        ),
-    ] = 0.5
-    background: Annotated[bool, Option("Use the still background of a camera that stands still.")] = True
-    half: Annotated[bool, Option("Compute in 16 bits where the device is faster with them.")] = True
     device: Annotated[str, DEVICE] = "auto"
     threads: Annotated[Count | None, THREADS] = None
     partial: Annotated[bool, Option("Accept a video of which fewer frames can be decoded than it states.")] = False
@@ -73,15 +60,14 @@ class PredictSettings(Settings):
 
 
 def predict_video(trained: Trained, settings: PredictSettings, progress: Progress = silent) -> Keypoints:
-    """Every frame's points as the network sees them, without smoothing, with calibrated likelihoods; without a number
-    of threads with as many as are fastest for the first frames of a long video, and one for a short one. Raises
+    """Every frame's points as the network sees them, without smoothing, with calibrated likelihoods. Raises
     InputError."""
-    video, quality = settings.video, settings.quality
+    video, spec = settings.video, trained.spec
     info = probe(video)
-    spec = trained.spec
     progress("background", 0.0)
-    background = background_of_video(video, spec.scale) if settings.background else None
-    precision = fast_half(trained.device) if settings.half else None
+    background = background_of_video(video, spec.scale)
+    half = fast_half(trained.device)
+    use_threads(settings.threads)
     numbers: list[int] = []
     xy_px: list[NDArray[np.float32]] = []
     likelihood: list[NDArray[np.float32]] = []
@@ -91,19 +77,16 @@ def predict_video(trained: Trained, settings: PredictSettings, progress: Progres
         if settings.overlay is not None:
             even = (info.size_px[0] // 2 * 2, info.size_px[1] // 2 * 2)
             write = stack.enter_context(video_writer(settings.overlay, even, info.fps or 30.0))
-        made = chunks(video, info, spec.scale, keep=write is not None)
+        made = _chunks(video, info, spec.scale, keep=write is not None)
         for of_chunk, pictures, originals in stack.enter_context(closing(ahead(made, 1 + WAITING))):
-            points = partial_of(trained.points, pictures, background, quality, precision)
-            if not numbers:
-                _choose_threads(settings.threads, points, total / len(of_chunk), trained.device.type == "cpu")
-            xy, raw = points()
-            sure = spec.likelihood(raw, quality)
+            xy, raw = trained.points(pictures, background, half)
+            sure = calibrated(raw, spec.calibration)
             numbers += of_chunk
             xy_px.append(xy.astype(np.float32))
             likelihood.append(sure.astype(np.float32))
             if write is not None:
                 for picture, points, how in zip(originals, xy, sure, strict=True):
-                    drawn = draw_points(picture, points, how, settings.likelihood_min)
+                    drawn = draw_points(picture, points, how, LIKELY)
                     write(drawn[: drawn.shape[0] // 2 * 2, : drawn.shape[1] // 2 * 2])
             progress(f"frame {numbers[-1]}", min(1.0, len(numbers) / total))
         _check_count(video, info, len(numbers), settings.partial)
@@ -118,7 +101,7 @@ def predict_video(trained: Trained, settings: PredictSettings, progress: Progres
     )
 
 
-def chunks(video: Path, info: VideoInfo, scale: float, keep: bool) -> Generator[Chunk]:
+def _chunks(video: Path, info: VideoInfo, scale: float, keep: bool) -> Generator[_Chunk]:
     """The frames of a video in batches. keep: the original pictures, too."""
     width, height = info.size_px
     size = int(np.clip(PIXELS / (width * height * scale**2), 1, 32))
@@ -126,14 +109,6 @@ def chunks(video: Path, info: VideoInfo, scale: float, keep: bool) -> Generator[
     while some := list(islice(frames, size)):
         pictures = [resize(picture, scale) for _, picture in some]
         yield [number for number, _ in some], pictures, [picture for _, picture in some if keep]
-
-
-def _choose_threads(given: int | None, work: Callable[[], object], times: float, on_cpu: bool) -> None:
-    """times: how often the work will be done, about."""
-    if given or not on_cpu or times < TO_TIME:
-        use_threads(given or (1 if on_cpu else None))
-    else:
-        fastest_threads(work)
 
 
 def _check_count(video: Path, info: VideoInfo, decoded: int, partial: bool) -> None:

@@ -1,8 +1,16 @@
-"""What a training run tells about itself: figures, curves, the worst pictures, doubtful labels, reliability."""
+"""What a training run tells about itself: figures, curves, the worst pictures, reliability, and labels that are
+probably wrong, found in three ways.
+
+- The network, once trained, puts the keypoint somewhere else and is not tempted by the label.
+- The label is farther from every other label of its picture than this keypoint is anywhere else from them.
+- It leaves the line through its neighbours in time.
+
+The distances are in body lengths; a label's rank is the sum of those in which it stands out, half of it where the label
+lies on the line in time: of two labels that are too far from each other, that is the right one.
+"""
 
 from __future__ import annotations
 
-import dataclasses
 from pathlib import Path
 from typing import Any
 
@@ -13,52 +21,54 @@ from recon import __version__
 from recon.base.arrays import Array, Integers, mean, median
 from recon.base.files import write_bytes
 from recon.io import write_rows
-from recon.keypoint_net.batches import crop_size
-from recon.keypoint_net.calibrate import reliability
 from recon.keypoint_net.draw import draw_comparison
-from recon.keypoint_net.evaluate2d import Evaluation2D, evaluate_2d
-from recon.keypoint_net.labels import Labels, extents_px
-from recon.keypoint_net.model import count_parameters
-from recon.keypoint_net.run import State, TrainingRun
-from recon.keypoint_net.suspicious import suspicious_labels
-from recon.keypoint_net.torch_extra import require_torch
-from recon.keypoint_net.train import judge
-from recon.keypoint_net.trained import Trained, prepared
+from recon.keypoint_net.evaluate2d import evaluate_2d, reliability
+from recon.keypoint_net.labels import Labels, extents_px, frames_by_part, sides
+from recon.keypoint_net.network import Trained, calibrated, require_torch
+from recon.keypoint_net.pictures import crop_size
+from recon.keypoint_net.train import State, TrainingRun, calibrated_spec, judge
 from recon.show.plain import to_json
 from recon.show.plots.style import COLOURS, GREY, drawing, plain_logarithm, save
 
 WORST = 6
 CURVE_POINTS = 400
+FAR, APART, JUMP = 0.2, 0.15, 0.15
+"""Body lengths from which on a label stands out: from the network's point, from the others, from the line in time."""
+LEARNED = 5.0
+"""Times a keypoint's median distance that the network's point must be away, too: it has to know the keypoint."""
+USUAL = 0.95
+"""A distance between two keypoints is usual up to this quantile of it."""
+MOST = 30
+NEAR_FRAMES = 3
+"""Neighbours in time are at most this many frames away."""
 
 
 def write_training_report(run: TrainingRun, state: State, folder: Path) -> dict[str, Any]:
     """Into an existing folder; returns what stands in training.json."""
-    spec = dataclasses.replace(run.spec, calibrations=state.calibrations)
-    trained = Trained(spec, prepared(state.average, run.device), run.device)
-    everything = np.arange(len(run.labels.images))
-    errors, raw, xy_px = judge(trained, run, everything)
-    likelihood = spec.likelihood(raw, "fast")
-    parts = {name: getattr(run.split, name) for name in ("train", "validation", "test")}
-    judged = {name: _evaluation(run, which, xy_px, likelihood) for name, which in parts.items() if len(which)}
+    spec, split, history = calibrated_spec(run, state), run.split, _thinned(state.history)
+    errors, raw, xy_px = judge(Trained(spec, state.average, run.device), run, np.arange(len(run.labels.images)))
+    likelihood = calibrated(raw, spec.calibration)
+    judged = {name: _evaluation(run, which, xy_px, likelihood) for name, which in split.items() if len(which)}
     # Of the network as it was calibrated: before it learned from the validation pictures.
-    before = {quality: reliability(*judged) for quality, judged in state.judged.items()}
+    before = reliability(np.array(state.judged[0]), np.array(state.judged[1], bool))
     # Elsewhere, that the network disagrees says more about the network.
-    learned = np.concatenate([run.split.train, *([run.split.validation] if run.settings.finish else [])])
+    learned = np.concatenate([split["train"], split["validation"]])
     seen = np.full_like(xy_px, np.nan)
     seen[learned] = xy_px[learned]
     suspects = suspicious_labels(run.labels, seen, spec.body_length_px)
+    held_out = [row for row in history if "validation_px" in row and "finishing" not in row]
+    best = min(held_out, key=lambda row: row["validation_px"], default=None)
     report = {
         "recon": __version__,
         "torch": str(require_torch().__version__),
         "device": str(run.device),
         "threads": state.threads,
-        "step_s_by_threads": state.threads_s,
         "source": run.labels.source,
         "keypoints": list(spec.names),
         "mirror_partners": {
-            n: spec.names[p] for n, p in zip(spec.names, spec.partner, strict=True) if spec.names[p] != n
+            n: spec.names[p] for n, p in zip(spec.names, sides(spec.names), strict=True) if spec.names[p] != n
         },
-        "parameters": count_parameters(state.network),
+        "parameters": sum(p.numel() for p in state.network.parameters()),
         "scale": spec.scale,
         "first_stage_scale": spec.first,
         "training_picture_px": list(crop_size(run.scaled, spec.first)),
@@ -66,40 +76,39 @@ def write_training_report(run: TrainingRun, state: State, folder: Path) -> dict[
         "tolerance_px": spec.tolerance_px,
         "still_background": [b is not None for b in run.still],
         "settings": run.settings.of_training(),
-        "split": run.split.to_dict(run.labels),
-        "labelled_points": {name: int(run.labels.labelled[which].sum()) for name, which in parts.items()},
+        "split": frames_by_part(run.labels, split),
+        "labelled_points": {name: int(run.labels.labelled[which].sum()) for name, which in split.items()},
         "steps": state.step,
         "seconds": round(state.seconds, 1),
-        "stopped_early": state.stopped_early,
-        "best_validation": None if state.best is None else {"median_px": state.best_error_px, "step": state.best_step},
-        "validation_in_training_from": _finish_step(state),
-        "calibrations": {quality: dataclasses.asdict(c) for quality, c in spec.calibrations.items()},
+        "best_validation": best and {"median_px": best["validation_px"], "step": best["step"]},
+        "validation_in_training_from": _finish_step(history),
+        "calibration": spec.calibration and dict(zip(("slope", "offset"), spec.calibration, strict=True)),
         "reliability_validation": before,
-        "errors": {name: dataclasses.asdict(e) for name, e in judged.items()},
+        "errors": judged,
         "suspicious_labels": suspects,
-        "history": _thinned(state.history),
+        "history": history,
         "notes": list(run.labels.notes),
     }
     (folder / "training.json").write_text(to_json(report), encoding="utf-8")
     _write_suspects(suspects, folder / "suspicious.csv")
-    held_out = np.concatenate([run.split.validation, run.split.test])
-    _write_worst(run.labels, errors, xy_px, held_out if len(held_out) else run.split.train, folder / "worst.png")
-    _draw_curves(state, folder)
+    held = np.concatenate([split["validation"], split["test"]])
+    _write_worst(run.labels, errors, xy_px, held if len(held) else split["train"], folder / "worst.png")
+    _draw_curves(history, folder)
     _draw_keypoints(judged, folder)
-    tables = {"validation": before.get("fast"), "test": judged["test"].reliability if "test" in judged else None}
-    _draw_reliability({name: table for name, table in tables.items() if table is not None}, folder)
+    tables = {"validation": before, "test": judged["test"]["reliability"] if "test" in judged else None}
+    _draw_reliability({name: table for name, table in tables.items() if table and table["points"]}, folder)
     return report
 
 
-def _evaluation(run: TrainingRun, which: Integers, xy_px: Array, likelihood: Array) -> Evaluation2D:
+def _evaluation(run: TrainingRun, which: Integers, xy_px: Array, likelihood: Array) -> dict[str, Any]:
     length_px = median(extents_px(run.labels.xy_px[which]))
     length_px = length_px if np.isfinite(length_px) else run.spec.body_length_px
     names, truth = run.spec.names, run.labels.xy_px[which]
     return evaluate_2d(names, xy_px[which], likelihood[which], truth, length_px, tolerance_px=run.spec.tolerance_px)
 
 
-def _finish_step(state: State) -> int | None:
-    return next((int(h["step"]) for h in state.history if h.get("finishing")), None)
+def _finish_step(history: list[dict[str, float]]) -> int | None:
+    return next((int(row["step"]) for row in history if "finishing" in row), None)
 
 
 def _thinned(history: list[dict[str, float]]) -> list[dict[str, float]]:
@@ -146,8 +155,7 @@ def _write_worst(labels: Labels, errors: Array, xy_px: Array, which: Integers, p
     write_bytes(path, cv2.imencode(path.suffix, np.vstack(rows))[1].tobytes())
 
 
-def _draw_curves(state: State, folder: Path) -> None:
-    rows = _thinned(state.history)
+def _draw_curves(rows: list[dict[str, float]], folder: Path) -> None:
     judged = [row for row in rows if "validation_px" in row]
     with drawing(60) as figure:
         left, right = figure.subplots(1, 2)
@@ -160,20 +168,20 @@ def _draw_curves(state: State, folder: Path) -> None:
         else:
             right.text(0.5, 0.5, "no validation pictures", transform=right.transAxes, ha="center", color=GREY)
         right.set(xlabel="step", ylabel="median validation error (px)")
-        begin = _finish_step(state)
+        begin = _finish_step(rows)
         if begin is not None and judged:
             right.axvspan(begin, rows[-1]["step"], color=GREY, alpha=0.15, lw=0)
             right.set_title("grey: learned from, too", color=GREY)
     save(figure, folder, "curves")
 
 
-def _draw_keypoints(judged: dict[str, Evaluation2D], folder: Path) -> None:
+def _draw_keypoints(judged: dict[str, dict[str, Any]], folder: Path) -> None:
     """Median error of each keypoint on each part of the labels."""
-    names = list(next(iter(judged.values())).per_keypoint)
+    names = list(next(iter(judged.values()))["per_keypoint"])
     with drawing(20 + 4.5 * len(names)) as figure:
         axes = figure.subplots()
         for i, (part, evaluation) in enumerate(judged.items()):
-            medians = [evaluation.per_keypoint[name].median_px for name in names]
+            medians = [evaluation["per_keypoint"][name]["median_px"] for name in names]
             axes.plot(medians, np.arange(len(names)), ls="", marker="os^"[i], ms=4, color=COLOURS[i], label=part)
         axes.set_yticks(np.arange(len(names)), names)
         axes.invert_yaxis()
@@ -196,3 +204,67 @@ def _draw_reliability(tables: dict[str, dict[str, Any]], folder: Path) -> None:
         if tables:
             axes.legend(loc="upper left")
     save(figure, folder, "reliability")
+
+
+# -- labels that are probably wrong ------------------------------------------------------------------------------------
+
+
+def suspicious_labels(labels: Labels, xy_px: Array, length_px: float) -> list[dict[str, Any]]:
+    """The most suspicious first: image and keypoint, x_px and y_px; what speaks against the label, by the network, the
+    others and time, in body lengths (NaN where it says nothing); its rank and the reasons in words.
+
+    xy_px (N, K, 2): what the network says, in pixels of the clip, NaN in pictures that it has not learned from."""
+    network = np.linalg.norm(xy_px - labels.xy_px, axis=2) / length_px
+    others, time = _excess_distance_px(labels.xy_px) / length_px, _off_line_px(labels) / length_px
+    far = np.fmax(FAR, LEARNED * np.array([median(of_one) for of_one in network.T]))
+    found = []
+    for i, k in np.argwhere(labels.labelled):
+        parts = (
+            (float(network[i, k]), float(far[k]), "{:.2f} body lengths from where the network sees it"),
+            (float(others[i, k]), APART, "{:.2f} body lengths farther from every other label than usual"),
+            (float(time[i, k]), JUMP, "{:.2f} body lengths off the line through its neighbours in time"),
+        )
+        reasons = tuple(text.format(value) for value, limit, text in parts if value > limit)
+        if reasons:
+            rank = sum(value for value, limit, _ in parts if value > limit)
+            if time[i, k] <= JUMP:
+                rank *= 0.5
+            (x, y), against = labels.xy_px[i, k].tolist(), [value for value, *_ in parts]
+            row = {"image": labels.images[i], "keypoint": labels.names[k], "x_px": x, "y_px": y}
+            row |= dict(zip(("network", "others", "time"), against, strict=True))
+            found.append(row | {"rank": rank, "reasons": reasons})
+    return sorted(found, key=lambda row: -row["rank"])[:MOST]
+
+
+def _excess_distance_px(xy_px: Array) -> Array:
+    """(N, K): by how much a label is farther than usual from that of the others to which this is least so; px."""
+    n, k = xy_px.shape[:2]
+    least = np.full((n, k), np.inf)
+    for j in range(k):
+        distance = np.linalg.norm(xy_px - xy_px[:, j : j + 1], axis=2)
+        distance[:, j] = np.nan
+        known = np.isfinite(distance).sum(axis=0) >= 5
+        usual = np.full(k, np.nan)
+        usual[known] = np.nanquantile(distance[:, known], USUAL, axis=0)
+        least = np.fmin(least, distance - usual)
+    return np.where(np.isfinite(least), least, np.nan)
+
+
+def _off_line_px(labels: Labels) -> Array:
+    """(N, K): distance from a line through two near neighbours in time, before, after or on both sides, whichever is
+    least: a label beside a wrong one is not wrong itself; px."""
+    off = np.full(labels.labelled.shape, np.nan)
+    for c in range(len(labels.clips)):
+        here = np.flatnonzero(labels.clip == c)
+        here = here[np.argsort(labels.numbers[here])]
+        for k in range(len(labels.names)):
+            known = here[labels.labelled[here, k]]
+            t, p = labels.numbers[known].astype(float), labels.xy_px[known, k]
+            index = np.arange(len(known))
+            for a, b in ((-1, 1), (1, 2), (-1, -2)):
+                i = index[(index + min(a, b, 0) >= 0) & (index + max(a, b, 0) < len(known))]
+                i = i[np.maximum(np.abs(t[i + a] - t[i]), np.abs(t[i + b] - t[i])) <= NEAR_FRAMES]
+                share = ((t[i] - t[i + a]) / (t[i + b] - t[i + a]))[:, None]
+                line = p[i + a] + share * (p[i + b] - p[i + a])
+                off[known[i], k] = np.fmin(off[known[i], k], np.linalg.norm(p[i] - line, axis=1))
+    return off

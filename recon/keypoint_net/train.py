@@ -16,32 +16,63 @@ import dataclasses
 import math
 import time
 from contextlib import closing
+from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
+from pydantic import Field
 
-from recon.base.arrays import Array, Integers
+from recon.base.arrays import Array, Bools, Integers
+from recon.base.errors import InputError, Problem, refuse
 from recon.base.progress import Progress, silent
-from recon.keypoint_net.augment import Augmentation
-from recon.keypoint_net.batches import (
+from recon.base.settings import Count, Integer, Number, Option, Settings
+from recon.io.video import Image
+from recon.keypoint_net.labels import Labels, body_length_px, frames_by_part, resize, sides
+from recon.keypoint_net.network import (
+    MODEL_FILE,
+    STRIDE,
+    Calibration,
+    Spec,
+    Trained,
+    as_input,
+    calibrated,
+    fast_half,
+    fit_calibration,
+    load_torch,
+    loss,
+    new_network,
+    placed,
+    places,
+    require_torch,
+    save_model,
+    save_torch,
+    stages,
+    use_threads,
+)
+from recon.keypoint_net.pictures import (
     NETWORK_LENGTH_PX,
     OFF,
     PART_PX,
+    Augmentation,
     Batch,
-    BatchSource,
+    backgrounds,
     batches,
     crop_size,
     examples_of,
+    make_batch,
+    network_scales,
 )
-from recon.keypoint_net.calibrate import fit_calibration
-from recon.keypoint_net.decode import SIGMA, Window, loss
-from recon.keypoint_net.labels import resize
-from recon.keypoint_net.model import STRIDE, stages
-from recon.keypoint_net.run import LEARNING_RATE, State, TrainingRun, TrainSettings, begin, resumed, save_checkpoint
-from recon.keypoint_net.torch_extra import fast_half, fastest_threads, require_torch, use_threads
-from recon.keypoint_net.trained import MODEL_FILE, VIEWS, Trained, as_input, places, prepared, save_model
+from recon.show.plain import to_plain
 
+if TYPE_CHECKING:
+    import torch  # pyright: ignore[reportMissingImports]
+
+CHECKPOINT_FILE = "checkpoint.pt"
+TOLERANCE = 0.04
+"""Within this, relative to the body length, a point counts as right for its likelihood."""
+LEARNING_RATE, WEIGHT_DECAY = 2e-3, 0.05
 FINISH = 0.6
 """Share of a run after which the validation pictures are learned from, too."""
 FINISH_RATE = 0.5
@@ -50,6 +81,85 @@ WARM_UP = 0.04
 EVALUATIONS = 30
 MOST_AVERAGED = 300.0
 """Steps over which the weights are averaged, at most; fewer at the beginning."""
+TRAINING, SPLIT = "Training", "Which pictures"
+
+
+class TrainSettings(Settings):
+    """How a network is trained."""
+
+    minutes: Annotated[Number, Field(ge=0.05), Option("Time to train.", "0.05 minutes or more", panel=TRAINING)] = 15.0
+    steps: Annotated[
+        Count | None, Option("Steps to train, instead of a time: the same in every run.", "1 or more", panel=TRAINING)
+    ] = None
+    batch: Annotated[Count, Option("Pictures in a step.", "1 or more", panel=TRAINING)] = 8
+    seed: Annotated[
+        Integer, Field(ge=0), Option("Of weights, split and augmentation.", "0 or more", panel=TRAINING)
+    ] = 0
+    mirror: Annotated[
+        bool,
+        Option(
+            "Train on mirror pictures, too, in which left and right, or near and off, change their names: for animals "
+            "that are labelled going one way and filmed going both. Takes longer to learn.",
+            panel=TRAINING,
+        ),
+    ] = False
+
+    def of_training(self) -> dict[str, Any]:
+        """Those of training alone, where there are others beside them."""
+        return {name: getattr(self, name) for name in TrainSettings.infos()}
+
+
+@dataclass(frozen=True, eq=False)
+class TrainingRun:
+    """What stays the same from step to step; pictures are at the network's scale."""
+
+    settings: TrainSettings
+    spec: Spec
+    labels: Labels
+    scaled: Labels
+    split: dict[str, Integers]
+    still: tuple[Image | None, ...]
+    device: torch.device
+
+    @property
+    def judges(self) -> Integers:
+        """The validation pictures, if there is a label in any."""
+        which = self.split["validation"]
+        return which if self.labels.labelled[which].any() else which[:0]
+
+
+@dataclass
+class State:
+    """All that a run carries from step to step."""
+
+    network: torch.nn.Module
+    average: torch.nn.Module
+    optimizer: torch.optim.Optimizer
+    step: int = 0
+    share: float = 0.0
+    """Of the run that is done; it decides the learning rate."""
+    seconds: float = 0.0
+    """Of all its parts."""
+    calibration: Calibration | None = None
+    judged: tuple[list[float], list[bool]] = ([], [])
+    """Of the labelled validation points, calibrated likelihoods, and which of them are right."""
+    history: list[dict[str, float]] = field(default_factory=list)
+    threads: int = 0
+    """With which it computes on the CPU; 0 where none were chosen yet."""
+
+    @property
+    def finishing(self) -> bool:
+        return self.share >= FINISH
+
+
+def prepare(labels: Labels, split: dict[str, Integers], settings: TrainSettings, device: torch.device) -> TrainingRun:
+    known = np.concatenate([split["train"], split["validation"]])
+    scale, first = network_scales(labels.xy_px[known])
+    length = body_length_px(labels.xy_px[known])
+    length = length if np.isfinite(length) else 100.0
+    spec = Spec(labels.names, scale, float(length), float(TOLERANCE * length), first)
+    scaled = labels.scaled(scale)
+    return TrainingRun(settings, spec, labels, scaled, split, backgrounds(scaled, split["test"]), device)
 
 
 def train(
@@ -57,76 +167,68 @@ def train(
 ) -> State:
     """Trains, or goes on, to the end; `out` gets a checkpoint at each evaluation, and the model at the end.
 
-    threads: for the CPU; None: those that a run had before, or those with which a step is fastest now.
+    threads: for the CPU; None: those that a run had before, or all.
     """
     torch = require_torch()
     torch.backends.cudnn.deterministic, torch.backends.cudnn.benchmark = True, False
-    state = resumed(run, out) if resume else begin(run)
-    settings, split = run.settings, run.split
-    half = fast_half(run.device) if settings.half else None
+    state = _resumed(run, out) if resume else _begin(run)
+    settings, half = run.settings, fast_half(run.device)
     shown = np.flatnonzero(run.labels.labelled.any(axis=1))
-    first = np.intersect1d(split.train, shown)
-    both = np.intersect1d(np.concatenate([split.train, split.validation]), shown)
+    first = np.intersect1d(run.split["train"], shown)
+    both = np.union1d(first, np.intersect1d(run.split["validation"], shown))
     sources = _sources(run)
-    if threads or state.threads or run.device.type != "cpu":
-        use_threads(threads or state.threads)
-    else:
-        progress("timing threads", 0.0)
-        trial = begin(run)
-        with closing(batches(sources, 0, first)) as drawn:
-            state.threads_s = fastest_threads(lambda: _learn(trial, next(drawn), 0.0, run, half))
+    use_threads(threads or state.threads)
     state.threads = torch.get_num_threads()
     began_s = time.monotonic() - state.seconds
     while state.share < 1.0:
         held_out = not state.finishing
         with closing(batches(sources, state.step, first if held_out else both)) as drawn:
             while state.share < 1.0 and held_out != state.finishing:
-                rate = LEARNING_RATE * schedule(state.share, settings.finish)
+                rate, before = LEARNING_RATE * schedule(state.share), state.share
                 value = _learn(state, next(drawn), rate, run, half)
                 state.seconds = time.monotonic() - began_s
-                _advance(state, settings)
+                timed = max(before, state.seconds / (60 * settings.minutes))
+                share = before + 1 / settings.steps if settings.steps else timed
+                state.share = 1.0 if share > 1 - 1e-9 else share
                 row = {"step": state.step, "loss": value, "rate": rate, "share": state.share}
                 state.history.append(row | ({} if held_out else {"finishing": 1.0}))
-                if _is_evaluation_due(state) or (held_out and state.finishing):
-                    _evaluate(state, run, held_out)
-                    _stop_early(state, settings)
-                    if held_out and (state.finishing or state.share >= 1):
-                        _end_first_part(state, run)
-                    save_checkpoint(state, run, out)
+                due = math.floor(state.share * EVALUATIONS) > math.floor(before * EVALUATIONS) or state.share >= 1
+                if due or (held_out and state.finishing):
+                    _evaluate(state, run, calibrates=held_out and state.finishing)
+                    _save_checkpoint(state, run, out)
                 progress(f"{'finishing' if state.finishing else 'learning'}: {_figures_text(state)}", state.share)
-    spec = dataclasses.replace(run.spec, calibrations=state.calibrations)
-    save_model(spec, state.average.state_dict(), out / MODEL_FILE)
+    save_model(calibrated_spec(run, state), state.average.state_dict(), out / MODEL_FILE)
     return state
 
 
-def _sources(run: TrainingRun) -> tuple[BatchSource, ...]:
-    """One for each stage."""
+def calibrated_spec(run: TrainingRun, state: State) -> Spec:
+    return dataclasses.replace(run.spec, calibration=state.calibration)
+
+
+def _sources(run: TrainingRun) -> tuple[Any, ...]:
+    """Of each stage, what makes the batch of a step from a pool of pictures."""
     settings, spec = run.settings, run.spec
-    options = Augmentation(partner=spec.partner if settings.mirror else None)
+    options = Augmentation(partner=sides(spec.names) if settings.mirror else None)
     labels, still = run.scaled, run.still
     if spec.two_stages:
         labels = labels.scaled(spec.first)
         still = tuple(None if b is None else resize(b, spec.first) for b in still)
-    examples = examples_of(labels, still)
-    first = BatchSource(examples, crop_size(run.scaled, spec.first), options, settings.batch, settings.seed)
+    size_px, last = crop_size(run.scaled, spec.first), (options, settings.batch, settings.seed)
+    first = partial(make_batch, examples_of(labels, still), size_px, *last)
     if not spec.two_stages:
         return (first,)
     # What is drawn or blurred on a part is as large in it as on the whole animal in its smaller picture.
     parts = [dataclasses.replace(e, part=True, length_px=NETWORK_LENGTH_PX) for e in examples_of(run.scaled, run.still)]
-    off_px = OFF * spec.reach_places * STRIDE
-    return first, BatchSource(parts, PART_PX, options, settings.batch, settings.seed, off_px)
+    return first, partial(make_batch, parts, PART_PX, *last, off_px=OFF * spec.reach_places * STRIDE)
 
 
-def schedule(share: float, finish: bool) -> float:
+def schedule(share: float) -> float:
     """Factor of the learning rate at a share of the run: a warm-up and a cosine, and another one for the last part.
 
     The network is at rest when it is calibrated, as it is at the end.
     """
-    warm = min(1.0, (share + 1e-3) / WARM_UP)
-    if not finish:
-        return warm * _cosine(share)
     if share < FINISH:
-        return warm * _cosine(share / FINISH)
+        return min(1.0, (share + 1e-3) / WARM_UP) * _cosine(share / FINISH)
     return FINISH_RATE * _cosine((share - FINISH) / (1 - FINISH))
 
 
@@ -144,13 +246,12 @@ def _learn(state: State, batch: tuple[Batch, ...], rate: float, run: TrainingRun
     state.optimizer.zero_grad(set_to_none=True)
     value = 0.0
     for stage, part in zip(stages(state.network), batch, strict=True):
-        pictures, backgrounds, xy_px, near_px = part
-        x = as_input(pictures, backgrounds, run.device)
-        xy = places(xy_px, run.device)
-        window = None if near_px is None else Window(places(near_px, run.device), run.spec.reach_places)
+        pictures, stills, xy_px, near_px = part
+        x = as_input(pictures, stills, run.device)
+        window = None if near_px is None else (places(near_px, run.device), run.spec.reach_places)
         with torch.autocast(run.device.type, half, enabled=half is not None):
             scores = stage(x)
-        error = loss(scores, xy, SIGMA, window)
+        error = loss(scores, places(xy_px, run.device), window)
         error.backward()
         value += float(error.detach())
     torch.nn.utils.clip_grad_norm_(state.network.parameters(), 5.0)
@@ -166,74 +267,28 @@ def _learn(state: State, batch: tuple[Batch, ...], rate: float, run: TrainingRun
     return value
 
 
-def _advance(state: State, settings: TrainSettings) -> None:
-    """The share of the run that is done: of its steps, or of its time."""
-    if settings.steps is not None:
-        share = state.share + 1 / settings.steps
-    else:
-        share = max(state.share, state.seconds / (60 * settings.minutes) + state.skipped)
-    state.share = 1.0 if share > 1 - 1e-9 else share
-    state.finishing = settings.finish and state.share >= FINISH
-
-
-def _stop_early(state: State, settings: TrainSettings) -> None:
-    """Where the validation error has not fallen for long, the first part of the run ends."""
-    if state.finishing or state.since_best < settings.patience:
+def _evaluate(state: State, run: TrainingRun, calibrates: bool) -> None:
+    """By the validation pictures; calibrates: at the end of the first part, when they have not been learned from."""
+    which = run.judges
+    if not len(which):
         return
-    to = FINISH if settings.finish else 1.0
-    state.skipped += to - state.share
-    state.share, state.stopped_early, state.finishing = to, True, settings.finish
+    errors, raw, _ = judge(Trained(run.spec, state.average, run.device), run, which)
+    labelled = np.isfinite(errors)
+    known = errors[labelled]
+    state.history[-1] |= {"validation_px": float(np.median(known)), "validation_mean_px": float(known.mean())}
+    if calibrates:
+        right: Bools = known <= run.spec.tolerance_px
+        state.calibration = fit_calibration(raw[labelled], right)
+        state.judged = calibrated(raw[labelled], state.calibration).tolist(), right.tolist()
 
 
-def _is_evaluation_due(state: State) -> bool:
-    """At each `EVALUATIONS`th of the run."""
-    before = state.history[-2]["share"] if len(state.history) > 1 else 0.0
-    return math.floor(state.share * EVALUATIONS) > math.floor(before * EVALUATIONS) or state.share >= 1
-
-
-def _evaluate(state: State, run: TrainingRun, held_out: bool) -> None:
-    """held_out: whether the validation pictures have not been learned from yet."""
-    which = run.split.validation
-    if not len(which) or not run.labels.labelled[which].any():
-        return
-    errors, _, _ = judge(Trained(run.spec, prepared(state.average, run.device), run.device), run, which)
-    known = errors[np.isfinite(errors)]
-    median = float(np.median(known))
-    state.history[-1].update({"validation_px": median, "validation_mean_px": float(known.mean())})
-    if not held_out:
-        return
-    if median < state.best_error_px:
-        state.best, state.best_error_px = copy.deepcopy(state.average.state_dict()), median
-        state.best_step, state.since_best = state.step, 0
-    else:
-        state.since_best += 1
-
-
-def _end_first_part(state: State, run: TrainingRun) -> None:
-    """Calibrates by the validation pictures, which have not been learned from so far. Where they never are, the best
-    weights are the result."""
-    if not run.settings.finish and state.best is not None:
-        state.average.load_state_dict(state.best)
-    which = run.split.validation
-    if not len(which) or not run.labels.labelled[which].any():
-        return
-    trained = Trained(run.spec, prepared(state.average, run.device), run.device)
-    for quality in VIEWS:
-        errors, raw, _ = judge(trained, run, which, quality)
-        labelled = np.isfinite(errors)
-        right = errors[labelled] <= run.spec.tolerance_px
-        calibration = fit_calibration(raw[labelled], right)
-        state.calibrations[quality] = calibration
-        state.judged[quality] = (calibration.apply(raw[labelled]), right)
-
-
-def judge(trained: Trained, run: TrainingRun, which: Integers, quality: str = "fast") -> tuple[Array, Array, Array]:
+def judge(trained: Trained, run: TrainingRun, which: Integers) -> tuple[Array, Array, Array]:
     """Errors (n, K) in px of the clip, NaN where there is no label; raw likelihoods (n, K); points (n, K, 2)."""
     xy, raw = np.zeros((len(which), len(run.spec.names), 2)), np.zeros((len(which), len(run.spec.names)))
     for c in np.unique(run.scaled.clip[which]):
         here = np.flatnonzero(run.scaled.clip[which] == c)
         for part in np.array_split(here, -(-len(here) // 8)):
-            xy[part], raw[part] = trained.points([run.scaled.pictures[which[i]] for i in part], run.still[c], quality)
+            xy[part], raw[part] = trained.points([run.scaled.pictures[which[i]] for i in part], run.still[c])
     return np.linalg.norm(xy - run.labels.xy_px[which], axis=2), raw, xy
 
 
@@ -242,3 +297,61 @@ def _figures_text(state: State) -> str:
     judged = next((h["validation_px"] for h in reversed(state.history) if "validation_px" in h), None)
     error = "" if judged is None else f", validation error {judged:.2f} px"
     return f"step {state.step}, loss {np.mean(recent):.3f}{error}"
+
+
+# -- checkpoints -----------------------------------------------------------------------------------------------------
+
+_PLAIN = ("step", "share", "seconds", "calibration", "judged", "history", "threads")
+_TORCH = ("network", "average", "optimizer")
+
+
+def _begin(run: TrainingRun) -> State:
+    torch = require_torch()
+    with torch.random.fork_rng():
+        torch.manual_seed(run.settings.seed)
+        network = new_network(len(run.spec.names), run.spec.two_stages)
+    network = placed(network, run.device)
+    decayed = [p for p in network.parameters() if p.ndim > 1]
+    others = [p for p in network.parameters() if p.ndim <= 1]
+    groups = [{"params": decayed, "weight_decay": WEIGHT_DECAY}, {"params": others, "weight_decay": 0.0}]
+    optimizer = torch.optim.AdamW(groups, lr=LEARNING_RATE)
+    return State(network, copy.deepcopy(network).requires_grad_(False).eval(), optimizer)
+
+
+def _save_checkpoint(state: State, run: TrainingRun, out: Path) -> None:
+    """Everything that the rest of a run depends on, whole or not at all."""
+    content = {
+        "settings": run.settings.of_training(),
+        "names": list(run.spec.names),
+        "split": frames_by_part(run.labels, run.split),
+        **{name: getattr(state, name).state_dict() for name in _TORCH},
+        **{name: getattr(state, name) for name in _PLAIN},
+    }
+    save_torch(content, out / CHECKPOINT_FILE)
+
+
+def _resumed(run: TrainingRun, out: Path) -> State:
+    """The state of a checkpoint. Raises InputError where it belongs to other keypoints, settings or pictures."""
+    path = out / CHECKPOINT_FILE
+    content = load_torch(path)
+    if not isinstance(content, dict) or "optimizer" not in content:
+        raise InputError(Problem(path, "checkpoint", "a file of another kind", "one that `recon train` wrote"))
+    problems = []
+    if content["names"] != list(run.spec.names):
+        expected = f"those of the labels: {', '.join(run.spec.names)}"
+        problems.append(Problem(path, "keypoints", ", ".join(content["names"]), expected))
+    for name, value in run.settings.of_training().items():
+        was = content["settings"].get(name)
+        if to_plain(value) != to_plain(was):
+            problems.append(Problem(path, f"setting {name}", str(was), f"{value}, as now given"))
+    if not problems and content["split"] != frames_by_part(run.labels, run.split):
+        problems.append(Problem(path, "pictures", "another split of them", "the labels and split of the run so far"))
+    state = _begin(run)
+    same = content["network"].keys() == state.network.state_dict().keys() and {*_PLAIN} <= content.keys()
+    if not problems and not same:
+        expected = "one of this version of recon; --overwrite begins again"
+        problems.append(Problem(path, "network", "one that another version began", expected))
+    refuse(problems)
+    for name in _TORCH:
+        getattr(state, name).load_state_dict(content[name])
+    return dataclasses.replace(state, **{name: content[name] for name in _PLAIN})

@@ -13,14 +13,11 @@ from recon.clip.keypoints import Keypoints
 from recon.io import deeplabcut_h5
 from recon.io.deeplabcut import write_csv
 from recon.io.video import require_codec
-from recon.keypoint_net.labels import read_labels
+from recon.keypoint_net.labels import read_labels, split_labels
+from recon.keypoint_net.network import MODEL_FILE, choose_device, load_model, model_file, require_torch
 from recon.keypoint_net.predict import PredictSettings, predict_video
 from recon.keypoint_net.report import write_training_report
-from recon.keypoint_net.run import CHECKPOINT_FILE, SPLIT, TrainSettings, prepare
-from recon.keypoint_net.split import parse_choice, split_labels
-from recon.keypoint_net.torch_extra import choose_device, require_torch
-from recon.keypoint_net.train import train
-from recon.keypoint_net.trained import MODEL_FILE, load_model, model_file
+from recon.keypoint_net.train import CHECKPOINT_FILE, SPLIT, TrainSettings, prepare, train
 from recon.workflows.settings import RENAME
 
 WRITERS = {".csv": write_csv, ".h5": deeplabcut_h5.write}
@@ -60,14 +57,12 @@ def run_training(
     Raises InputError, with every problem, before anything is written.
     """
     require_torch()
-    chosen, labels, validation, test, _ = all_of(
+    chosen, labels, _ = all_of(
         lambda: choose_device(device),
         lambda: read_labels(source.data, source.labels, source.first_frame, source.individual, source.rename),
-        lambda: parse_choice(source.validation, "--validation"),
-        lambda: parse_choice(source.test, "--test"),
         lambda: _check_folder(out, resume, overwrite),
     )
-    run = prepare(labels, split_labels(labels, validation, test, settings.seed), settings, chosen)
+    run = prepare(labels, split_labels(labels, source.validation, source.test, settings.seed), settings, chosen)
     with sole_writer(out):
         _check_folder(out, resume, overwrite)
         state = train(run, out, resume, threads, progress)

@@ -411,11 +411,10 @@ def _models(folder: Path) -> Iterator[Seed]:
         return
     import torch
 
-    from recon.keypoint_net.trained import FORMAT, load_model
+    from recon.keypoint_net.network import FORMAT, load_model
 
-    calibration = {"slope": 1.0, "offset": 0.0, "points": 0}
-    spec = {"names": ["nose", "tail"], "scale": 0.5, "body_length_px": 300.0, "tolerance_px": 9.0, "partner": [0, 1]}
-    spec |= {"mirrored": True, "calibrations": {"best": calibration}}
+    spec = {"names": ["nose", "tail"], "scale": 0.5, "body_length_px": 300.0, "tolerance_px": 9.0}
+    spec |= {"calibration": [1.0, 0.0]}
     torch.save({"format": FORMAT, "spec": spec, "weights": {}}, folder / "model.pt")
     content = (folder / "model.pt").read_bytes()
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 
-from recon.keypoint_net.predict import PredictSettings
+from recon.keypoint_net.predict import LIKELY, PredictSettings
 from recon.keypoint_net.workflows import run_prediction
 from recon.workflows.cli.common import progress_bar, say, terminal
 
@@ -19,11 +19,10 @@ def predict(settings: PredictSettings, quiet: bool) -> None:
     with progress_bar(console, "predicting: ") as progress:
         keypoints = run_prediction(**{name: getattr(settings, name) for name in settings.infos()}, progress=progress)
     frames, seconds = len(keypoints.frames), time.monotonic() - start
-    least = settings.likelihood_min
-    sure = float((keypoints.confidence >= least).mean())
+    sure = float((keypoints.confidence >= LIKELY).mean())
     drawn = f", drawn on the video in {settings.overlay}" if settings.overlay else ""
     say(
         console,
         f"{frames} frames in {seconds:.1f} s ({frames / seconds:.0f} a second); {sure:.0%} of the points have a "
-        f"likelihood of {least:g} or more. They are in {settings.out}{drawn}.",
+        f"likelihood of {LIKELY:g} or more. They are in {settings.out}{drawn}.",
     )

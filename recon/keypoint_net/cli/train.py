@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from recon.base.settings import Count, Option
-from recon.keypoint_net.run import CHECKPOINT_FILE, TrainSettings
-from recon.keypoint_net.torch_extra import DEVICE, THREADS
+from recon.keypoint_net.network import DEVICE, THREADS
+from recon.keypoint_net.train import CHECKPOINT_FILE, TrainSettings
 from recon.keypoint_net.workflows import LabelSource, run_training
 from recon.workflows.cli.common import progress_bar, say, stop, terminal
 
@@ -52,11 +52,7 @@ def train(settings: _TrainRunSettings, quiet: bool) -> None:
 
 
 def _summary(report: dict[str, Any], out: Path) -> Iterator[str]:
-    early = ", stopped early" if report["stopped_early"] else ""
-    yield f"{report['steps']} steps in {report['seconds']:.0f} s on {report['device']}{early}."
-    if report["device"] == "cpu":
-        timed = ", ".join(f"{1000 * s:.0f} ms with {n}" for n, s in report["step_s_by_threads"].items())
-        yield f"Threads: {report['threads']}{timed and f' (a step took {timed})'}; --threads chooses others."
+    yield f"{report['steps']} steps in {report['seconds']:.0f} s on {report['device']}."
     best = report["best_validation"]
     if best:
         yield f"Validation pictures, before any was learned from: median error {best['median_px']:.2f} px at best."
