@@ -30,7 +30,7 @@ from recon import FitSettings, Pose3D, fit_clip, load_skeleton, read_pose3d
 from recon.fit.motion import Motion
 from recon.fit.posterior import radius
 from recon.gait.clip import analyse, gait_of
-from recon.gait.gait import FEET, INTERVAL, Gait, Stance, gait, match_stances, pose_tracks, stances
+from recon.gait.gait import FEET, INTERVAL, Gait, Stance, gait, pose_tracks, stances
 from recon.gait.kinematics import joint_kinematics, spine_flexion
 from recon.gait.phase import field_means, pose_vector_field
 from recon.workflows.clip_results import run_clip
@@ -75,7 +75,7 @@ def link_speeds(pose: Pose3D, fps: float) -> dict[str, float]:
     found = {}
     for limb, chain in CHAINS.items():
         sides = [
-            [m.speed_m_s for m in field_means(pose_vector_field(pose, tuple(j.format(side) for j in chain), fps))]
+            field_means(pose_vector_field(pose, tuple(j.format(side) for j in chain), fps))["speed_m_s"].tolist()
             for side in "lr"
         ]
         found |= dict(zip(LINKS[limb], np.mean(sides, axis=0).tolist(), strict=True))
@@ -137,10 +137,11 @@ def sample_row(name: str, pose: Pose3D, fps: int, truth: Pose3D, truth_fps: int,
         "peak acceleration m/s2 (true)": f"{moved.peak_acceleration_m_s2:.0f} ({true.peak_acceleration_m_s2:.0f})",
     }
     found, exact = (stances(t) for t in tracks)
-    match = match_stances(exact, found)
-    off = [fps * (b.start_s - a.start_s) for a, b in match.pairs if a.begins and b.begins]
-    off += [fps * (b.end_s - a.end_s) for a, b in match.pairs if a.ends and b.ends]
-    row["stances: paired, missed, extra"] = f"{len(match.pairs)}, {len(match.only_first)}, {len(match.only_second)}"
+    pairs = match_stances(exact, found)
+    off = [fps * (b.start_s - a.start_s) for a, b in pairs if a.begins and b.begins]
+    off += [fps * (b.end_s - a.end_s) for a, b in pairs if a.ends and b.ends]
+    missed, extra = len(exact) - len(pairs), len(found) - len(pairs)
+    row["stances: paired, missed, extra"] = f"{len(pairs)}, {missed}, {extra}"
     row["events: median, worst error, frames"] = (
         f"{np.median(np.abs(off)):.1f}, {np.max(np.abs(off)):.1f}" if off else "-"
     )
@@ -148,6 +149,18 @@ def sample_row(name: str, pose: Pose3D, fps: int, truth: Pose3D, truth_fps: int,
 
 
 # -- force plates and motion capture ---------------------------------------------------------------------------------
+
+
+def match_stances(first: Sequence[Stance], second: Sequence[Stance]) -> list[tuple[Stance, Stance]]:
+    """Pairs stances of the same foot that overlap, each with the one it overlaps most, if that is mutual."""
+
+    def most(of: Stance, others: Sequence[Stance]) -> Stance | None:
+        shared = [(min(of.end_s, o.end_s) - max(of.start_s, o.start_s), -i) for i, o in enumerate(others)]
+        same = [pair for pair in shared if pair[0] > 0 and others[-pair[1]].foot == of.foot]
+        return others[-max(same)[1]] if same else None
+
+    pairs = [(a, b) for a in first if (b := most(a, second)) is not None]
+    return [(a, b) for a, b in pairs if most(b, first) is a]
 
 
 Events = list[tuple[float, float, bool]]
@@ -170,7 +183,7 @@ def found_gait(motion: Motion) -> Gait:
 
 def events(found: Sequence[Stance], exact: Sequence[Stance]) -> Events:
     """Of the stances that are in both."""
-    both = match_stances(tuple(exact), tuple(found)).pairs
+    both = match_stances(exact, found)
     late = [(b.start_s - a.start_s, b.start_sigma_s, True) for a, b in both if a.begins and b.begins]
     return late + [(b.end_s - a.end_s, b.end_sigma_s, False) for a, b in both if a.ends and b.ends]
 
@@ -197,7 +210,7 @@ def plate_rows() -> list[dict]:
 
 def event_row(kind: str, some: Sequence[tuple[Sequence[Stance], Sequence[Stance]]]) -> dict:
     late = [event for found, exact in some for event in events(found, exact)]
-    pairs = [pair for found, exact in some for pair in match_stances(tuple(exact), tuple(found)).pairs]
+    pairs = [pair for found, exact in some for pair in match_stances(exact, found)]
     down, up = (1000 * np.array([off for off, _, lands in late if lands == which]) for which in (True, False))
     whole = [(a, b) for a, b in pairs if b.begins and b.ends and a.begins and a.ends]
     known = np.array([abs(off) < radius(INTERVAL) * sigma for off, sigma, _ in late])

@@ -169,7 +169,7 @@ def analyse(
         raise InputError(Problem(motion.file, "frames", found, f"at least {MIN_POINTS}"))
     smooth = motion.jitters if smooth is None else smooth
     pose, fps, options = motion.upright, motion.fps, {"smooth": smooth}
-    errors = lasting_errors(pose.xyz_m, fps) if smooth else _errors(motion)
+    errors = _errors(motion, smooth)
     reference = motion.reference
     joints = {}
     for name in pose.names:
@@ -219,7 +219,7 @@ def gait_of(motion: Motion) -> Gait | None:
 
 def dynamics_of(motion: Motion, gait: Gait | None, smoothed: bool = False) -> Dynamics | None:
     """Only the centre of mass, energy and forces of `analyse`."""
-    return dynamics(motion, gait, lasting_errors(motion.upright.xyz_m, motion.fps) if smoothed else _errors(motion))
+    return dynamics(motion, gait, _errors(motion, smoothed))
 
 
 def standing(motion: Motion) -> Bools:
@@ -243,15 +243,14 @@ def _quiet(motion: Motion) -> Pose3D:
 
 def reference_motion(motion: Motion) -> JointKinematics:
     """Only the motion of the joint that stands for the animal's place, as `analyse` has it."""
-    errors = lasting_errors(motion.upright.xyz_m, motion.fps) if motion.jitters else _errors(motion)
-    name = motion.reference
-    return joint_kinematics(motion.upright, name, motion.fps, errors, smooth=motion.jitters)
+    errors, smooth = _errors(motion, motion.jitters), motion.jitters
+    return joint_kinematics(motion.upright, motion.reference, motion.fps, errors, smooth=smooth)
 
 
 def net_acceleration_m_s2(motion: Motion) -> tuple[float, float]:
     """`net_acceleration` of the joint that stands for the animal's place."""
     points_m, at = motion.upright.xyz_m, motion.names.index(motion.reference)
-    errors = lasting_errors(points_m, motion.fps) if motion.jitters else _errors(motion)
+    errors = _errors(motion, motion.jitters)
     return net_acceleration(motion.time_s, points_m[:, at], [error[:, at] for error in errors])
 
 
@@ -280,15 +279,17 @@ def limb_chains(motion: Motion) -> dict[str, tuple[str, ...]]:
     return chains
 
 
-def _errors(motion: Motion) -> Sequence[Errors]:
-    """Of the place, of the pose; none where the fit does not give them over time."""
+def _errors(motion: Motion, smooth: bool) -> Sequence[Errors]:
+    """Of the place, of the pose; smooth: by the jitter; none where the fit does not give them over time."""
+    if smooth:
+        return lasting_errors(motion.upright.xyz_m, motion.fps)
     if motion.jitters:
-        return []
+        return ()
     # What is common to all joints; the relative errors of a single one can be larger than its absolute ones.
     floor = 1e-4
     place = np.sqrt(np.maximum(motion.upright_sigma_m**2 - motion.upright_relative_sigma_m**2, floor**2))
     pose = np.maximum(motion.upright_relative_sigma_m, floor)
-    return [Errors(place, PLACE_LASTS_S), Errors(pose, POSE_LASTS_S)]
+    return Errors(place, PLACE_LASTS_S), Errors(pose, POSE_LASTS_S)
 
 
 def _angle_errors(motion: Motion, smooth: bool) -> list[Sequence[Errors]]:
@@ -361,8 +362,7 @@ def _angles(
 def _gait(motion: Motion, pose: Pose3D) -> Gait | None:
     if not motion.foot_names:
         return None
-    errors = lasting_errors(motion.upright.xyz_m, motion.fps) if motion.jitters else _errors(motion)
-    return gait(_tracks(motion, pose, errors))
+    return gait(_tracks(motion, pose, _errors(motion, motion.jitters)))
 
 
 def _tracks(motion: Motion, pose: Pose3D, errors: Sequence[Errors] = ()) -> Tracks:

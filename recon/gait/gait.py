@@ -34,7 +34,7 @@ been `AWAY` of it apart. A stride counts if it is within `AGREE` of that time, o
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from types import MappingProxyType
 from typing import Literal
@@ -206,19 +206,12 @@ class Stride:
     """One standard deviation of it."""
     at: Literal["touchdown", "lift-off", "given"]
     """What it goes from and to."""
+    returns_s: float = np.nan
+    """Of one that does not count: after how long the pose returns about then."""
 
     @property
     def frequency_hz(self) -> float:
         return 1.0 / (self.end_s - self.start_s)
-
-
-@dataclass(frozen=True)
-class Doubt:
-    """A stride that is not counted."""
-
-    stride: Stride
-    returns_s: float
-    """After how long the pose returns about then."""
 
 
 @dataclass(frozen=True)
@@ -259,26 +252,8 @@ class Gait:
     duty_factor: Mapping[str, float]
     speed_m_s: float
     name: GaitName
-    doubtful: tuple[Doubt, ...] = ()
+    doubtful: tuple[Stride, ...] = ()
     """Strides that the return of the pose speaks against; none of them is in `strides`."""
-
-
-@dataclass(frozen=True)
-class Match:
-    """Two lists of stances, paired one to one. Lags are second less first, in frames; means over pairs whose ends
-    both lie in the clip, NaN without any."""
-
-    pairs: tuple[tuple[Stance, Stance], ...]
-    only_first: tuple[Stance, ...]
-    only_second: tuple[Stance, ...]
-    start_lag_frames: float
-    end_lag_frames: float
-
-    @property
-    def share(self) -> float:
-        """Pairs among all stances, a pair counting once; NaN without stances."""
-        total = len(self.pairs) + len(self.only_first) + len(self.only_second)
-        return len(self.pairs) / total if total else np.nan
 
 
 def _interval(value: float, sigma: float) -> tuple[float, float]:
@@ -490,38 +465,6 @@ def _event_sigma_s(moved: Tracks, k: int, i: int, most_s: float) -> float:
     return min(sigma / max(changes, 1e-9), most_s / radius(INTERVAL))
 
 
-def match_stances(first: tuple[Stance, ...], second: tuple[Stance, ...]) -> Match:
-    """Pairs stances of the same foot that overlap, each with the one it overlaps most, if that is mutual."""
-    partners = {}
-    for foot in dict.fromkeys(s.foot for s in first):
-        ours, theirs = ([s for s in some if s.foot == foot] for some in (first, second))
-        if theirs:
-            overlap = _overlap(ours, theirs)
-            best, back = overlap.argmax(axis=1), overlap.argmax(axis=0)
-            partners |= {id(ours[i]): theirs[k] for i, k in enumerate(best) if overlap[i, k] > 0 and back[k] == i}
-    pairs = [(a, partners[id(a)]) for a in first if id(a) in partners]
-    starts = [b.start_frame - a.start_frame for a, b in pairs if a.begins and b.begins]
-    ends = [b.end_frame - a.end_frame for a, b in pairs if a.ends and b.ends]
-    return Match(
-        pairs=tuple(pairs),
-        only_first=_without(first, [a for a, _ in pairs]),
-        only_second=_without(second, [b for _, b in pairs]),
-        start_lag_frames=mean(starts),
-        end_lag_frames=mean(ends),
-    )
-
-
-def _overlap(ours: Sequence[Stance | Stride], theirs: Sequence[Stance | Stride]) -> Array:
-    """(N, M): seconds that each of the one shares with each of the other, negative for what lies between them."""
-    start, end = (np.array([[s.start_s, s.end_s] for s in some]).T for some in (ours, theirs))
-    return np.minimum.outer(start[1], end[1]) - np.maximum.outer(start[0], end[0])
-
-
-def _without(found: Sequence[Stance], paired: Sequence[Stance]) -> tuple[Stance, ...]:
-    gone = {*map(id, paired)}
-    return tuple(s for s in found if id(s) not in gone)
-
-
 # -- strides and gait ------------------------------------------------------------------------------------------------
 
 
@@ -569,7 +512,7 @@ def strides(moved: Tracks, found: tuple[Stance, ...]) -> tuple[Stride, ...]:
     return tuple(sorted(taken, key=lambda s: (s.start_s, s.foot)))
 
 
-def checked(moved: Tracks, own: tuple[Stride, ...]) -> tuple[tuple[Stride, ...], tuple[Doubt, ...]]:
+def checked(moved: Tracks, own: tuple[Stride, ...]) -> tuple[tuple[Stride, ...], tuple[Stride, ...]]:
     """Strides that count, and those that do not, held against the return of the pose."""
     counted, doubtful = [], []
     for stride in own:
@@ -580,15 +523,14 @@ def checked(moved: Tracks, own: tuple[Stride, ...]) -> tuple[tuple[Stride, ...],
         if returns_s is None or abs(returns_s * stride.frequency_hz - 1) <= AGREE:
             counted.append(stride)
         else:
-            doubtful.append(Doubt(stride, returns_s))
+            doubtful.append(replace(stride, returns_s=returns_s))
     return tuple(counted), tuple(doubtful)
 
 
-def doubt_text(doubt: Doubt) -> str:
-    """One sentence."""
-    stride = doubt.stride
+def doubt_text(stride: Stride) -> str:
+    """Why a stride does not count, in one sentence."""
     text = f"{stride.foot}'s stride from {stride.start_s:.3f} to {stride.end_s:.3f} s does not count"
-    return f"{text}: the pose returns after {doubt.returns_s:.3f} s"
+    return f"{text}: the pose returns after {stride.returns_s:.3f} s"
 
 
 def pose_return_s(moved: Tracks, start_s: float, end_s: float) -> float | None:

@@ -23,16 +23,21 @@ well, and the ratio of the two says how fast z changes), so that start, end and 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, fields, replace
 from statistics import NormalDist
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
-from recon.base.arrays import Array
+from recon.base.arrays import Array, mean
 from recon.gait.kinematics import AngleKinematics, frame_times, joint_index, series_kinematics
 from recon.io.pose3d import Pose3D
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 FORWARD = ("tail_base", "neck_base")
 CHUNK = 1000
@@ -66,26 +71,6 @@ class LinkField:
     """(T,), likewise."""
     speed_sigma_m_s: Array | None = None
     """(T,), likewise."""
-
-
-@dataclass(frozen=True)
-class LinkMeans:
-    """Means over a link's known frames; NaN without any."""
-
-    link: tuple[str, str]
-    parent: tuple[str, str]
-    speed_m_s: float
-    """Of the speed in the plane."""
-    speed_3d_m_s: float
-    """Of the speed in space."""
-    dr_m_s: float
-    """Of |dr|."""
-    dtheta_rad_s: float
-    """Of |dtheta|."""
-    speed_sigma_m_s: float
-    """Of the speed in the plane at one frame, root mean square over them; NaN where it is not known."""
-    frames: int
-    """Their number."""
 
 
 @dataclass(frozen=True)
@@ -140,20 +125,21 @@ def pose_vector_field(
     return vector_field(frame_times(pose.frames, fps), pose.xyz_m[:, where], chain, ahead)
 
 
-def field_means(fields: tuple[LinkField, ...]) -> tuple[LinkMeans, ...]:
-    """The table of mean magnitudes, one row per link."""
+def field_means(fields: Sequence[LinkField]) -> pd.DataFrame:
+    """A row for each link: means over its known frames of the speed in the plane and in space, |dr| and |dtheta|; the
+    speed's deviation at one frame, root mean square over them; and their number. NaN without any."""
+    import pandas as pd
+
     rows = []
     for field in fields:
         space = np.linalg.norm(field.velocity_m_s, axis=1)
         values = np.abs(np.stack([field.speed_m_s, space, field.dr_m_s, field.dtheta_rad_s]))
         known = np.isfinite(values).all(axis=0)
-        speed, speed_3d, dr, dtheta = values[:, known].mean(axis=1) if known.any() else np.full(4, np.nan)
-        sigma = np.nan
-        if field.speed_sigma_m_s is not None and known.any():
-            sigma = float(np.sqrt(np.nanmean(field.speed_sigma_m_s[known] ** 2)))
-        means = (float(speed), float(speed_3d), float(dr), float(dtheta), sigma)
-        rows.append(LinkMeans(field.link, field.parent, *means, int(known.sum())))
-    return tuple(rows)
+        means = [mean(of[known]) for of in values]
+        sigma = np.nan if field.speed_sigma_m_s is None else np.sqrt(mean(field.speed_sigma_m_s[known] ** 2))
+        rows.append(("-".join(field.link), "-".join(field.parent), *means, float(sigma), int(known.sum())))
+    columns = ["link", "parent", "speed_m_s", "speed_3d_m_s", "dr_m_s", "dtheta_rad_s", "speed_sigma_m_s", "frames"]
+    return pd.DataFrame(rows, columns=columns)
 
 
 def tips(joints_m: Array, forward_m: Array) -> Array:

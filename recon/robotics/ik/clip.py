@@ -421,7 +421,7 @@ def stride_of(motion: Motion, limb: Limb, stride_s: tuple[float, float] | None =
     gait = gait_of(motion)
     assert gait is not None  # the limb has a foot
     label = next(label for label, joint in motion.foot_names.items() if joint == limb.foot)
-    doubts = [doubt_text(doubt) for doubt in gait.doubtful if doubt.stride.foot == label]
+    doubts = [doubt_text(doubt) for doubt in gait.doubtful if doubt.foot == label]
     # Of poses that jitter, touch-downs are told worse than the pose's return is.
     if not motion.jitters and (complete := next((s for s in gait.strides if s.foot == label), None)):
         return _found_stride(motion, limb, "gait", (complete.start_s, complete.end_s), doubts)

@@ -160,14 +160,7 @@ def vector_field(found: ClipAnalysis) -> Columns:
 def vector_field_means(found: ClipAnalysis) -> Table:
     """Mean magnitudes over the frames."""
     columns = "limb, link, parent, speed_m_s, speed_3d_m_s, dr_m_s, dtheta_rad_s, speed_sigma_m_s, frames"
-    rows = [
-        (
-            *(limb, "-".join(m.link), "-".join(m.parent), m.speed_m_s, m.speed_3d_m_s),
-            *(m.dr_m_s, m.dtheta_rad_s, m.speed_sigma_m_s, m.frames),
-        )
-        for limb, fields in found.fields.items()
-        for m in field_means(fields)
-    ]
+    rows = [(limb, *row) for limb, of in found.fields.items() for row in field_means(of).itertuples(index=False)]
     return columns.split(", "), rows
 
 

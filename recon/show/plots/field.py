@@ -52,8 +52,8 @@ def vector_fields(fields: tuple[LinkField, ...], time_s: Array, title: str = "")
             larger = _larger(float(np.nanmax(field.speed_m_s)), float(fastest))
             if larger > 1:
                 left.set_title(f"drawn {larger:g} times larger", loc="right", pad=2, fontsize=SMALL, color=GREY)
-            (means,) = field_means((field,))
-            colour = GREY if means.speed_sigma_m_s > means.speed_m_s else COLOURS[0]
+            means = field_means((field,)).iloc[0]
+            colour = GREY if means["speed_sigma_m_s"] > means["speed_m_s"] else COLOURS[0]
             arrows = _arrows(left, field, time_s, every, float(fastest) / larger, colour)
             if not keyed and larger == 1:
                 _key(left, arrows, float(fastest), every, height)
@@ -67,8 +67,8 @@ def vector_fields(fields: tuple[LinkField, ...], time_s: Array, title: str = "")
                     highest = max(highest, float(np.nanmax(field.speed_m_s + sigma, initial=0.0)))
             right.set_ylim(0, 1.08 * highest or 1.0)
             right.locator_params(axis="y", nbins=3)
-            deviation = f", sigma {means.speed_sigma_m_s:.2f}" if np.isfinite(means.speed_sigma_m_s) else ""
-            text = f"mean {means.speed_m_s:.2f}{deviation} m/s"
+            speed, sigma = means["speed_m_s"], means["speed_sigma_m_s"]
+            text = f"mean {speed:.2f}{f', sigma {sigma:.2f}' if np.isfinite(sigma) else ''} m/s"
             right.set_title(text, loc="right", pad=2, fontsize=SMALL, color="k" if colour != GREY else GREY)
         span = _span(time_s)
         for axes in panels[:, 0]:
