@@ -27,7 +27,7 @@ from recon.gait.evaluation import LEVELS, evaluate_files
 from recon.geometry.frames import rigid
 from recon.io import trc
 from recon.io.deeplabcut import write_csv
-from recon.io.openpose import LISTS
+from recon.io.json_poses import LISTS
 from recon.workflows.clip import prepare
 from recon.workflows.clip_results import run_clip
 from recon.workflows.skeleton_draft import SkeletonDraftSettings, draft_skeleton, run_skeleton_draft

@@ -213,7 +213,7 @@ class TestOpenDroneMap:
         found = problems_of(path)
         assert "a: projection_type: found 'spherical', expected a known lens model" in found
         assert "a: matrix: found nothing" in found
-        assert "no tables by name" in problems_of(write("other.json", {"projection_type": "brown"}))
+        assert "no table of a camera" in problems_of(write("other.json", {"projection_type": "brown"}))
 
 
 class TestAnipose:

@@ -176,8 +176,8 @@ def test_a_faulty_file_of_fmpose3d(of_fmpose3d):
     content = json.loads(of_fmpose3d.read_text(encoding="utf-8"))
     for change, text in (
         ({"poses_3d": []}, "no frames"),
-        ({"bodyparts": ["nose"]}, "an entry of another form"),
-        ({"bodyparts": None}, "an entry of another form"),
+        ({"bodyparts": ["nose"]}, "data that cannot be read"),
+        ({"bodyparts": None}, "data that cannot be read"),
     ):
         of_fmpose3d.write_text(json.dumps(content | change), encoding="utf-8")
         with pytest.raises(InputError, match=text):

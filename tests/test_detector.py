@@ -15,7 +15,7 @@ from recon.animal.prior import prior_from_body
 from recon.clip import still_view
 from recon.fit import TrajectoryOptions
 from recon.fit.clip_problem import ClipProblem
-from recon.io import coco, deeplabcut, deeplabcut_h5, nwb
+from recon.io import deeplabcut, deeplabcut_h5, json_poses, nwb
 from recon.show.report import build_report
 from recon.workflows.clip import prepare
 from tests.test_cameras import folder, settings  # noqa: F401
@@ -35,7 +35,7 @@ def with_scorers(run: Path, out: Path, *scorers: str | None, suffix: str = ".csv
         csv, path = run / f"run_cam{number}.csv", out / f"run_cam{number}{suffix}"
         if scorer is None:
             path = path.with_suffix(".json")
-            coco.write(read_keypoints(csv), path)
+            json_poses.write_coco(read_keypoints(csv), path)
         else:
             table = pd.read_csv(csv, header=[0, 1, 2], index_col=0)
             named = [(scorer, *rest) for _, *rest in table.columns]

@@ -23,8 +23,9 @@ from recon.animal.skeleton_file import load_skeleton
 from recon.base.errors import InputError
 from recon.calibrate.camera_motion.level import read_marks
 from recon.clip.keypoints import Keypoints
-from recon.io import deeplabcut_h5, movement, nwb, plain_pickle, read_keypoints
+from recon.io import deeplabcut_h5, movement, nwb, read_keypoints
 from recon.io.camera_track import read_camera_track
+from recon.io.deeplabcut_h5 import plain_pickle
 from recon.io.pose3d import read_pose3d
 from recon.keypoint_net.labels import read_label_file
 from recon.workflows.cli import app, main
@@ -143,16 +144,16 @@ def test_what_is_pickled_is_named(tmp_path):
 @pytest.mark.parametrize("protocol", range(6))
 def test_plain_pickles(protocol):
     value = {1: {"names": ["a", "ä"], "none": None, "numbers": [1, -5, 2**70, 3.5, True]}, "labels": [("a",) * 5, ()]}
-    assert plain_pickle.loads(pickle.dumps(value, protocol)) == value
+    assert plain_pickle(pickle.dumps(value, protocol)) == value
     for other in (Touch("x"), {1}, 1j, np.float64(3), len, [Touch("x")]):
         with pytest.raises(ValueError, match="a pickled Python object"):
-            plain_pickle.loads(pickle.dumps(other, protocol))
+            plain_pickle(pickle.dumps(other, protocol))
 
 
 @pytest.mark.parametrize("content", [b"", b".", b"(", b"l.", b"N", b"g1\n.", b"I1\n0.", b"(I1\nd.", b"Na."])
 def test_damaged_pickles(content):
     with pytest.raises(ValueError):  # noqa: PT011 (in its own or in pickletools' words)
-        plain_pickle.loads(content)
+        plain_pickle(content)
 
 
 def test_small_file_that_asks_for_terabytes(tmp_path):
@@ -191,7 +192,7 @@ def test_a_table_of_equal_rows_that_asks_for_the_memory(tmp_path, monkeypatch):
     arrow, parquet = pytest.importorskip("pyarrow"), pytest.importorskip("pyarrow.parquet")
     columns = {name: np.zeros(10_000) for name in ("frame", "x_m", "y_m", "z_m")}
     parquet.write_table(arrow.table({"joint": ["a"] * 10_000, **columns}), tmp_path / "equal.parquet")
-    monkeypatch.setattr("recon.io.parquet.VALUES_MAX", 40_000)
+    monkeypatch.setattr("recon.io.columns.VALUES_MAX", 40_000)
     with pytest.raises(InputError, match="10000 rows of 5 columns are too much"):
         read_pose3d(tmp_path / "equal.parquet")
 

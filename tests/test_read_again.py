@@ -16,8 +16,7 @@ from recon.animal.skeleton_file import builtin_names, load_skeleton
 from recon.clip import camera_poses
 from recon.gait.clip import analyse
 from recon.gait.evaluation import evaluate_files
-from recon.io import CONVERTED, read_points, write_camera
-from recon.io.camera_files import write_cameras
+from recon.io import CONVERTED, read_points, write_camera, write_cameras
 from recon.io.deeplabcut import write_csv
 from recon.workflows import analyse as analysis
 from recon.workflows.clip_results import run_clip

@@ -9,8 +9,7 @@ from recon.base.front_door import lazily
 
 if TYPE_CHECKING:
     from recon.io.bones import Armature, Bone, BoneAngle
-    from recon.io.calibration import read_camera, read_cameras
-    from recon.io.camera_files import write_camera, write_cameras
+    from recon.io.calibration import read_camera, read_cameras, write_camera, write_cameras
     from recon.io.camera_track import CameraTrack, read_camera_track, track_files, track_label
     from recon.io.formats import (
         CONVERTED,

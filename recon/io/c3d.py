@@ -1,10 +1,9 @@
 """C3D files of marker positions: the unit and the screen's axes in the header; a missing point has residual -1.
 
 C3D counts frames from 1: its frame 1 is frame 0 here. Our own files list their frame numbers, which may have gaps, in
-which all points are missing. The format (c3d.org,
-user guide): blocks of 512 bytes; a header, a section of parameters in groups, and for each frame four numbers of every
-point, x, y, z and a word with the residual, followed by the analog samples. Numbers are those of one of three kinds of
-processor.
+which all points are missing. The format (c3d.org, user guide): blocks of 512 bytes; a header, a section of parameters
+in groups, and for each frame four numbers of every point, x, y, z and a word with the residual, followed by the analog
+samples. Numbers are those of Intel's or MIPS' processors; DEC's floats are not read. (ezc3d dies of damaged files.)
 """
 
 from __future__ import annotations
@@ -12,7 +11,6 @@ from __future__ import annotations
 import errno
 import os
 import struct
-from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -23,6 +21,7 @@ from recon.base.errors import InputError, Problem, refuse
 from recon.base.files import write_bytes
 from recon.io.common import (
     choose,
+    damage_named,
     formats_extra,
     frames_of_text,
     frames_text,
@@ -41,22 +40,11 @@ OWN_GROUP = "RECON"
 WORD_MAX, TEXT_MAX = 65_535, 255
 BLOCK = 512
 KEY = 0x50
-INTEL, DEC, MIPS = 84, 85, 86
-"""Kinds of processor: the order of bytes, and DEC's own floats."""
+INTEL, MIPS = 84, 86
+"""Kinds of processor, which say the order of bytes."""
 
 Parameters = dict[str, dict[str, Any]]
-"""By group and name: lists of texts, or arrays."""
-
-
-@dataclass(frozen=True, eq=False)
-class _Content:
-    """What a file holds, of T frames and J points."""
-
-    parameters: Parameters
-    xyz: np.ndarray
-    """(T, J, 3), NaN where a point is missing."""
-    first: int
-    """The number of the first frame, from 1."""
+"""By group and name: lists of texts, or arrays of numbers."""
 
 
 def recognises(path: Path) -> bool:
@@ -66,21 +54,20 @@ def recognises(path: Path) -> bool:
         if len(head) < 2 or head[1] != KEY or not head[0]:
             return False
         file.seek(BLOCK * (head[0] - 1) + 3)
-        return file.read(1) in {bytes([p]) for p in (INTEL, DEC, MIPS)}
+        return file.read(1) in {bytes([p]) for p in (INTEL, MIPS)}
 
 
 def read(path: Path, individual: str | None = None) -> StoredPoints:
     """Raises InputError for a damaged file, and for a choice of animals: C3D has one."""
     choose(path, [""], individual)
-    try:
-        content = _content(path.read_bytes())
-    except (ValueError, IndexError, struct.error) as error:
-        raise InputError(Problem(path, "content", f"data that cannot be read ({error})", "a whole C3D file")) from None
-    xyz, point = content.xyz, content.parameters.get("POINT", {})
-    T, J = xyz.shape[:2]
-    names = tuple(_labels(point))[:J]
+    with damage_named(path, "a whole C3D file"):
+        parameters, xyz, first = _content(path.read_bytes())
+        point = parameters.get("POINT", {})
+        labels = sorted((name for name in point if name.startswith("LABELS")), key=len)  # of 255 names each
+        T, J = xyz.shape[:2]
+        names = tuple(text for name in labels for text in _texts(point[name]))[:J]
+        fps = rate(str(np.float32(point["RATE"].ravel()[0]))) if "RATE" in point else None
     problems = name_problems(path, "POINT:LABELS", names)
-    fps = rate(str(np.float32(number))) if (number := _first_number(point.get("RATE"))) is not None else None
     if len(names) != J:
         problems.append(Problem(path, "POINT:LABELS", f"{len(names)} names", f"{J}, one for each point"))
     if not T:
@@ -88,130 +75,90 @@ def read(path: Path, individual: str | None = None) -> StoredPoints:
     if fps is None:
         problems.append(Problem(path, "POINT:RATE", "nothing", "frames per second"))
     refuse(problems)
-    listed = frames_of_text(_texts(content.parameters.get(OWN_GROUP, {}).get("FRAMES")))
-    frames = np.arange(T) + content.first - 1
+    listed = frames_of_text(_texts(parameters.get(OWN_GROUP, {}).get("FRAMES")))
+    frames = np.arange(T) + first - 1
     if listed is not None and len(listed) <= T and listed[-1] - listed[0] == T - 1:
         frames, xyz = listed, xyz[listed - listed[0]]
-    unit = UNIT_NAMES.get("".join(_texts(point.get("UNITS"))[:1]))
-    return StoredPoints(names, xyz, frames, fps=fps, unit=unit, up=_up(point))
-
-
-def _labels(point: dict[str, Any]) -> list[str]:
-    """LABELS holds 255 names; more follow in LABELS2, LABELS3, ..."""
-    found = _texts(point.get("LABELS"))
-    more = 2
-    while f"LABELS{more}" in point:
-        found += _texts(point[f"LABELS{more}"])
-        more += 1
-    return found
-
-
-def _up(point: dict[str, Any]) -> str | None:
-    """The axis that points up on the screen."""
-    screen = [text.upper() for text in _texts(point.get("Y_SCREEN"))]
-    return {"+Z": "z", "Z": "z", "+Y": "y", "Y": "y"}.get(screen[0]) if screen else None
+    unit, screen = ("".join(_texts(point.get(name))[:1]) for name in ("UNITS", "Y_SCREEN"))
+    up = {"+Z": "z", "Z": "z", "+Y": "y", "Y": "y"}.get(screen.upper())
+    return StoredPoints(names, xyz, frames, fps=fps, unit=UNIT_NAMES.get(unit), up=up)
 
 
 # -- the file -----------------------------------------------------------------------------------------------------
 
 
-def _content(content: bytes) -> _Content:
-    """Raises ValueError, IndexError or struct.error for a file that is damaged or cut off."""
+def _content(content: bytes) -> tuple[Parameters, np.ndarray, int]:
+    """Parameters, positions (T, J, 3), NaN where a point is missing, and the number of the first frame, from 1. Raises
+    what `damage_named` takes for a file that is damaged or cut off."""
     start = BLOCK * (content[0] - 1)
-    processor = content[start + 3]
-    order = ">" if processor == MIPS else "<"
-    points, analogs, first, last, _ = struct.unpack_from(f"{order}5H", content, 2)
-    block = struct.unpack_from(f"{order}H", content, 16)[0]
-    scale = float(_floats(content[12:16], processor)[0])
-    parameters = _parameters(content[start : start + BLOCK * content[start + 2]], processor)
-    point = parameters.get("POINT", {})
-    if (stated := _first_number(point.get("SCALE"))) is not None:
-        scale = float(stated)
-    first, last = _range(parameters, first, last)
-    T, width = max(last - first + 1, 0) if points or analogs else 0, 4 * points + analogs
-    begin, item = BLOCK * (block - 1), 4 if scale < 0 else 2
-    if block < 2 or not np.isfinite(scale) or begin + T * width * item > len(content):
-        raise ValueError(f"{len(content)} bytes of {begin + T * width * item} that the header announces")
-    values = content[begin : begin + T * width * item]
-    if item == 4:
-        rows = _floats(values, processor).reshape(T, width)[:, : 4 * points].reshape(T, points, 4)
-        with np.errstate(invalid="ignore"):  # a NaN that signals, as damaged floats can be
-            xyz, word = rows[..., :3].astype(float), rows[..., 3]
-    else:
-        rows = np.frombuffer(values, f"{order}i2").reshape(T, width)[:, : 4 * points].reshape(T, points, 4)
-        xyz, word = rows[..., :3] * scale, rows[..., 3]
-    xyz[~(word >= 0)] = np.nan
-    return _Content(parameters, xyz, max(first, 1))
-
-
-def _range(parameters: Parameters, first: int, last: int) -> tuple[int, int]:
-    """First and last frame, from 1: of TRIAL, whose two words hold what the header is too small for, or the header."""
+    order = ">" if content[start + 3] == MIPS else "<"
+    points, analogs, first, last, _, scale, block = struct.unpack_from(f"{order}5HfH", content, 2)
+    parameters = _parameters(content[start : start + BLOCK * content[start + 2]], order)
+    if "SCALE" in parameters.get("POINT", {}):
+        scale = float(parameters["POINT"]["SCALE"].ravel()[0])
+    # What the header is too small for stands in two words each of TRIAL, the lower first.
     trial = parameters.get("TRIAL", {})
-    return _of_words(trial.get("ACTUAL_START_FIELD"), first), _of_words(trial.get("ACTUAL_END_FIELD"), last)
+    first = _of_words(trial.get("ACTUAL_START_FIELD"), first)
+    last = _of_words(trial.get("ACTUAL_END_FIELD"), last)
+    T, width = max(last - first + 1, 0) if points or analogs else 0, 4 * points + analogs
+    kind = f"{order}f4" if scale < 0 else f"{order}i2"
+    begin, size = BLOCK * (block - 1), T * width * np.dtype(kind).itemsize
+    if block < 2 or not np.isfinite(scale) or begin + size > len(content):
+        raise ValueError(f"{len(content)} bytes of {begin + size} that the header announces")
+    rows = np.frombuffer(content[begin : begin + size], kind).reshape(T, width)[:, : 4 * points].reshape(T, points, 4)
+    with np.errstate(invalid="ignore"):  # a NaN that signals, as damaged floats can be
+        xyz = rows[..., :3].astype(float) * (1.0 if scale < 0 else scale)
+        xyz[~(rows[..., 3] >= 0)] = np.nan
+    return parameters, xyz, max(first, 1)
 
 
 def _of_words(value: Any, otherwise: int) -> int:
-    """The number that two words make, the lower first; another one for anything else than two words."""
+    """The number that two words make; another one for anything else than two words."""
     if not isinstance(value, np.ndarray) or value.size != 2 or value.dtype.kind != "i":
         return otherwise
     low, high = (int(word) & 0xFFFF for word in value.ravel())
     return low | high << 16
 
 
-def _parameters(section: bytes, processor: int) -> Parameters:
+def _parameters(section: bytes, order: str) -> Parameters:
     """Records: length of the name (negative: locked), number of the group (negative: a group itself), name, distance
     to the next record from here, and for a parameter its type, dimensions and data."""
     groups: dict[int, str] = {}
     found: dict[int, dict[str, Any]] = {}
-    order = ">h" if processor == MIPS else "<h"
-    at = 4
-    while at + 2 <= len(section):
+    at, distance = 4, 2
+    while at + 2 <= len(section) and distance:
         length, group = struct.unpack_from("bb", section, at)
         if not length or not group:
             break
         name = section[at + 2 : at + 2 + abs(length)].decode("latin-1").upper()
         at += 2 + abs(length)
-        distance = struct.unpack_from(order, section, at)[0]
+        distance = struct.unpack_from(f"{order}h", section, at)[0]
         if group < 0:
             groups[-group] = name
         else:
-            found.setdefault(group, {})[name] = _value(section, at + 2, processor)
-        if not distance:
-            break
-        if distance < 2:
+            found.setdefault(group, {})[name] = _value(section, at + 2, order)
+        if distance and distance < 2:
             raise ValueError("parameters that do not follow one another")
         at += distance
     return {groups.get(group, f"{group}"): values for group, values in found.items()}
 
 
-def _value(section: bytes, at: int, processor: int) -> Any:
+def _value(section: bytes, at: int, order: str) -> Any:
     """A parameter's data: texts of type -1, bytes of 1, whole numbers of 2, floats of 4."""
     kind, dimensions = struct.unpack_from("bB", section, at)
     shape = tuple(section[at + 2 : at + 2 + dimensions])
     at += 2 + dimensions
-    if len(shape) != dimensions or dimensions > 7 or kind not in (-1, 1, 2, 4):
-        raise ValueError("a parameter of an unknown type")
     size = int(np.prod(shape, dtype=np.int64)) * abs(kind)
     data = section[at : at + size]
-    if len(data) < size:
+    if len(shape) != dimensions or dimensions > 7 or len(data) < size:
         raise ValueError("a parameter that is cut off")
     if kind == -1:
         width = shape[0] if shape else 1
-        return [_decoded_text(data[i : i + width]) for i in range(0, size, width or 1)]
-    order = ">" if processor == MIPS else "<"
-    values = _floats(data, processor) if kind == 4 else np.frombuffer(data, "i1" if kind == 1 else f"{order}i2")
-    return values.reshape(shape[::-1])
+        return [_text(data[i : i + width]) for i in range(0, size, width or 1)]
+    return np.frombuffer(data, {1: "i1", 2: f"{order}i2", 4: f"{order}f4"}[kind]).reshape(shape[::-1])
 
 
-def _floats(data: bytes, processor: int) -> np.ndarray:
-    """(N,): DEC's have their halves swapped, and another exponent."""
-    if processor == DEC:
-        halves = np.frombuffer(data, "<u2").reshape(-1, 2)
-        return np.ascontiguousarray(halves[:, ::-1]).view("<f4").ravel() / 4
-    return np.frombuffer(data, ">f4" if processor == MIPS else "<f4")
-
-
-def _decoded_text(data: bytes) -> str:
+def _text(data: bytes) -> str:
     try:
         return data.decode("utf-8").strip(" \0")
     except UnicodeDecodeError:
@@ -219,12 +166,7 @@ def _decoded_text(data: bytes) -> str:
 
 
 def _texts(value: Any) -> list[str]:
-    return list(value) if isinstance(value, list) else []
-
-
-def _first_number(value: Any) -> float | None:
-    """The first number of a parameter."""
-    return float(value.ravel()[0]) if isinstance(value, np.ndarray) and value.size else None
+    return value if isinstance(value, list) else []
 
 
 # -- writing ---------------------------------------------------------------------------------------------------------
@@ -270,13 +212,10 @@ def _encoded(file: Any, points: np.ndarray) -> bytes:
         path = Path(folder) / "positions.c3d"
         file.write(str(path))
         content = path.read_bytes()
-        start = 512 * (int.from_bytes(content[16:18], "little") - 1)
-        stored = content[max(start, 0) :][: 4 * points.size]
-        if len(stored) != 4 * points.size or not _same(stored, points):
-            raise OSError(errno.ENOSPC, "a temporary file could not be written: is the disk full?", str(folder))
-        return content
-
-
-def _same(stored: bytes, points: np.ndarray) -> bool:
-    found = np.frombuffer(stored, "<f4").reshape(points.shape[::-1]).T
-    return np.array_equal(found[:3], points[:3].astype(np.float32))
+    start = BLOCK * (int.from_bytes(content[16:18], "little") - 1)
+    stored = content[max(start, 0) :][: 4 * points.size]
+    wanted = points.astype("<f4").T
+    whole = len(stored) == 4 * points.size
+    if not whole or (np.frombuffer(stored, "<f4").reshape(wanted.shape)[..., :3] != wanted[..., :3]).any():
+        raise OSError(errno.ENOSPC, "a temporary file could not be written: is the disk full?", folder)
+    return content

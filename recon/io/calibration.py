@@ -1,11 +1,15 @@
-"""Cameras from calibration files of any known format (`recon.io.camera_files`), with every value checked."""
+"""Cameras from calibration files of any known format, with every value checked; and our own camera files.
+
+A reader gives a `CameraRecord` for each camera, a table of unchecked values. Ours are TOML with one table `[camera]`
+with `format = "recon-camera"`, or several in `[[cameras]]`; those of other programs are in `recon.io.camera_files`.
+"""
 
 from __future__ import annotations
 
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -14,15 +18,17 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from recon.base.arrays import Array
-from recon.base.documents import parse_json, read_text
+from recon.base.documents import parse_json, parse_toml, read_text
 from recon.base.errors import InputError, Problem, all_of, refuse
+from recon.base.files import staged_file
 from recon.geometry.camera import Camera, is_rotation
 from recon.geometry.lens import LENS_MODELS
-from recon.io.camera_files import MAX_BYTES, CameraRecord
 from recon.io.formats import FORMATS, recognised, titles
 
 CameraFiles = str | Path | Sequence[Path]
 """One file, or several."""
+FORMAT, VERSION = "recon-camera", 1
+MAX_BYTES = 1 << 23
 AS_GIVEN = ", as was given"
 LARGEST = 1e9
 """Of any number: more can only be damage."""
@@ -30,51 +36,61 @@ MAX_SIZE_PX = 1_000_000
 ROTATION_TOLERANCE = 1e-3
 
 
+@dataclass(frozen=True)
+class CameraRecord:
+    """One camera as its file has it."""
+
+    name: Any
+    place: str
+    values: Mapping[str, Any]
+    """Unchecked, by field of `Camera`."""
+    called: Mapping[str, str]
+    """What the file calls a field, where it calls it otherwise."""
+
+    @classmethod
+    def of_table(
+        cls, name: Any, place: str, table: Mapping[str, Any], called: Mapping[str, str], **more: Any
+    ) -> CameraRecord:
+        """Of a table with keys of its own, and more values by field."""
+        values = {"model": "radtan", "world_z_up": False, **{field: table.get(key) for field, key in called.items()}}
+        return cls(name, place, values | more, called)
+
+
 def read_cameras(path: CameraFiles, image_size_px: tuple[int, int] | None = None) -> tuple[Camera, ...]:
     """All cameras of a calibration file, in its order. Cameras without a name are called cam1, cam2, ... Of several
     files, one after the other; a file's only camera is called as the file where two have one name.
 
-    image_size_px: (width, height) for files that do not hold it. Raises InputError with every problem of the file,
+    image_size_px: (width, height) for files that do not hold it. Raises InputError with every problem of every file,
     also where image_size_px contradicts it (a calibration holds for one resolution only).
     """
     if not isinstance(path, str | Path):
-        return _of_several_files([*path], image_size_px)
+        of_file = all_of(*(partial(read_cameras, one, image_size_px) for one in path))
+        names = [camera.name for cameras in of_file for camera in cameras]
+        found: list[Camera] = []
+        for one, cameras in zip(path, of_file, strict=True):
+            alone = len(cameras) == 1 and names.count(cameras[0].name) > 1
+            found += [replace(cameras[0], name=one.stem)] if alone else cameras
+        refuse(
+            Problem(path[-1], "camera", f"{name}, as in another file", "a name of its own") for name in _twice(found)
+        )
+        return tuple(found)
     path = Path(path)
     problems: list[Problem] = []
-    records = _records(path)
-    cameras = [_build(record, number, path, image_size_px, problems) for number, record in enumerate(records, 1)]
-    names = [camera.name for camera in cameras if camera]
+    built = [_build(record, i, path, image_size_px, problems) for i, record in enumerate(_records(path), 1)]
+    cameras = tuple(camera for camera in built if camera)
     problems += [
-        Problem(path, "camera names", f"{name!r} {names.count(name)} times", "a name of its own for each camera")
-        for name in dict.fromkeys(names)
-        if names.count(name) > 1
+        Problem(path, "camera names", f"{name!r} {count} times", "a name of its own for each camera")
+        for name, count in _twice(cameras).items()
     ]
-    refuse(_contradicted_once(problems))
-    return tuple(camera for camera in cameras if camera)
+    # A size that was given contradicts all cameras of a file alike.
+    alike = [(p.found, p.expected) if p.expected.endswith(AS_GIVEN) else i for i, p in enumerate(problems)]
+    refuse(problem for i, problem in enumerate(problems) if alike.index(alike[i]) == i)
+    return cameras
 
 
-def _of_several_files(paths: Sequence[Path], image_size_px: tuple[int, int] | None) -> tuple[Camera, ...]:
-    """Raises InputError with every problem of every file."""
-    of_file = all_of(*(partial(read_cameras, path, image_size_px) for path in paths))
-    names = [camera.name for cameras in of_file for camera in cameras]
-    found: list[Camera] = []
-    for path, cameras in zip(paths, of_file, strict=True):
-        alone = len(cameras) == 1 and names.count(cameras[0].name) > 1
-        found += [replace(camera, name=path.stem) for camera in cameras] if alone else cameras
-    names = [camera.name for camera in found]
-    twice = {name for name in names if names.count(name) > 1}
-    refuse(Problem(paths[-1], "camera", f"{name}, as in another file", "a name of its own") for name in sorted(twice))
-    return tuple(found)
-
-
-def _contradicted_once(problems: list[Problem]) -> list[Problem]:
-    """The size that was given contradicts all cameras of a file alike."""
-    kept: list[Problem] = []
-    for problem in problems:
-        said = (problem.found, problem.expected) in [(other.found, other.expected) for other in kept]
-        if not (said and problem.expected.endswith(AS_GIVEN)):
-            kept.append(problem)
-    return kept
+def _twice(cameras: Sequence[Camera]) -> dict[str, int]:
+    names = [camera.name for camera in cameras]
+    return {name: names.count(name) for name in names if names.count(name) > 1}
 
 
 def read_camera(
@@ -87,26 +103,18 @@ def read_camera(
     file has a problem (see `read_cameras`), no such camera, or several and no name is given.
     """
     cameras = read_cameras(path, image_size_px)
-    path = path if isinstance(path, str | Path) else ", ".join(map(str, path))
-    choices = f"one of {', '.join(camera.name for camera in cameras)}"
-    if name is None:
-        if len(cameras) == 1:
-            return cameras[0]
-        raise InputError(
-            Problem(path, "camera", f"{len(cameras)} cameras and no choice", f"{choices} by --camera-name")
-        )
-    wanted = str(name)
-    matches = [camera for camera in cameras if camera.name == wanted]
+    wanted = "" if name is None else str(name)
+    matches = [camera for camera in cameras if name is None or camera.name == wanted]
     if not matches and wanted.isascii() and wanted.isdigit():
         pattern = re.compile(rf"cam_?0*{int(wanted)}", re.IGNORECASE)
         matches = [camera for camera in cameras if pattern.fullmatch(camera.name)]
-    if len(matches) != 1:
-        raise InputError(
-            Problem(
-                path, "camera", f"{len(matches) or 'no'} camera{'s' * (len(matches) > 1)} called {wanted!r}", choices
-            )
-        )
-    return matches[0]
+    if len(matches) == 1:
+        return matches[0]
+    many = f"{len(matches) or 'no'} camera{'s' * (len(matches) > 1)}"
+    found = f"{many} and no choice" if name is None else f"{many} called {wanted!r}"
+    expected = f"one of {', '.join(camera.name for camera in cameras)}{' by --camera-name' if name is None else ''}"
+    path = path if isinstance(path, str | Path) else ", ".join(map(str, path))
+    raise InputError(Problem(path, "camera", found, expected))
 
 
 def _records(path: Path) -> list[CameraRecord]:
@@ -115,40 +123,95 @@ def _records(path: Path) -> list[CameraRecord]:
         expected = f"a calibration file: {', '.join(suffixes)}"
         raise InputError(Problem(path, "format", f"suffix {path.suffix!r}", expected))
     found = recognised(path, "cameras")
-    if found is not None and found.read is not None:
+    if found is not None:
         return found.read(path, None)
-    parse_json(read_text(path, "a calibration", MAX_BYTES), path)
+    parse_json(read_calibration(path), path)
     raise InputError(Problem(path, "format", "JSON of another kind", f"one of: {titles('cameras')}"))
 
 
-# ---- from records to cameras ----
+def read_calibration(path: Path) -> str:
+    """Its text. Raises InputError for anything but a text that is not empty."""
+    text = read_text(path, "a calibration", MAX_BYTES)
+    if not text.strip():
+        raise InputError(Problem(path, "file", "an empty file", "a calibration"))
+    return text
+
+
+# -- our own ----------------------------------------------------------------------------------------------------------
+
+
+def recognises_own(path: Path) -> bool:
+    return path.suffix.lower() == ".toml" and re.search(r"(?m)^\s*format\s*=", read_calibration(path)) is not None
+
+
+def read_own(path: Path, individual: str | None = None) -> list[CameraRecord]:
+    """Raises InputError for another version, too."""
+    document = parse_toml(read_calibration(path), path)
+    one, several = document.get("camera"), document.get("cameras")
+    tables = {"camera.": one} if one is not None else {}
+    if not tables and isinstance(several, list):
+        tables = {f"cameras[{i}].": table for i, table in enumerate(several)}
+    if not tables or not all(isinstance(table, dict) for table in tables.values()):
+        raise InputError(Problem(path, "format", "no table of a camera", f'[camera] with format = "{FORMAT}"'))
+    refuse(
+        Problem(path, f"{place}format", f"format {table.get('format')!r}, version {table.get('version')!r}", expected)
+        for place, table in tables.items()
+        for expected in [f"format {FORMAT!r}, version {VERSION}"]
+        if (table.get("format"), table.get("version")) != (FORMAT, VERSION)
+    )
+    up = {"world_z_up": True}
+    return [CameraRecord(table.get("name"), place, up | table, {}) for place, table in tables.items()]
+
+
+def write_cameras(cameras: Sequence[Camera], path: str | Path) -> None:
+    """Write cameras as TOML that `read_cameras` reads back exactly; whole or not at all."""
+    _write({"cameras": [_table(camera) for camera in cameras]}, path)
+
+
+def write_camera(camera: Camera, path: str | Path) -> None:
+    """The same of one, that `read_camera` reads back without its name."""
+    _write({"camera": _table(camera)}, path)
+
+
+def _table(camera: Camera) -> dict[str, Any]:
+    return {"format": FORMAT, "version": VERSION, **camera.to_dict()}
+
+
+def _write(document: dict[str, Any], path: str | Path) -> None:
+    import tomli_w
+
+    with staged_file(path) as staged:
+        staged.write_text(tomli_w.dumps(document), encoding="utf-8")
+
+
+# -- from records to cameras ------------------------------------------------------------------------------------------
 
 
 def _build(
     record: CameraRecord, number: int, path: Path, image_size_px: tuple[int, int] | None, problems: list[Problem]
 ) -> Camera | None:
     """The camera of a record; or None, with every reason appended to problems."""
-    before = len(problems)
+    before, values = len(problems), record.values
 
     def fault(field: str, found: str, expected: str) -> None:
-        problems.append(Problem(path, record.place + record.keys.get(field, field), found, expected))
+        problems.append(Problem(path, record.place + record.called.get(field, field), found, expected))
 
     def block(field: str, sizes: tuple[int, ...], expected: str) -> Array | None:
         """The numbers of a field, where they have one of the sizes (any, for no sizes) and are finite."""
-        array = _numbers(record.value(field))
-        if record.value(field) is None:
-            fault(field, "nothing", expected)
+        array = _numbers(values.get(field))
+        if values.get(field) is None:
+            found = "nothing"
         elif array is None:
-            fault(field, "something other than a block of numbers", expected)
+            found = "something other than a block of numbers"
         elif sizes and array.size not in sizes:
-            fault(field, f"shape {array.shape}", expected)
+            found = f"shape {array.shape}"
         elif not np.isfinite(array).all():
-            fault(field, "values that are not finite", expected)
+            found = "values that are not finite"
         elif (np.abs(array) > LARGEST).any():
-            fault(field, f"values up to {np.abs(array).max():g}", expected)
+            found = f"values up to {np.abs(array).max():g}"
         else:
             return array
-        return None
+        return fault(field, found, expected)
 
     expected = "[[fx, s, ox], [0, fy, oy], [0, 0, 1]], fx and fy > 0"
     matrix = block("matrix", (9,), expected)
@@ -157,15 +220,14 @@ def _build(
         if min(matrix[0, 0], matrix[1, 1]) <= 0 or matrix[1, 0] != 0 or (matrix[2] != (0, 0, 1)).any():
             fault("matrix", str(matrix.tolist()), expected)
 
-    model = record.model
+    model: Any = values.get("model")
     known = model in tuple(LENS_MODELS)
     if not known:
         fault("model", repr(model), "a known lens model")
     distortion = block("distortion", (), "the lens coefficients")
     if distortion is not None and known:
         distortion = distortion.ravel()
-        if not distortion.size:
-            model = "pinhole"
+        model = model if distortion.size else "pinhole"
         counts = LENS_MODELS[model].counts
         while distortion.size not in counts and distortion.size > min(counts) and distortion[-1] == 0:
             distortion = distortion[:-1]  # such as OpenCV's thin prism and tilt, not estimated
@@ -173,10 +235,10 @@ def _build(
             expected = f"{' or '.join(map(str, counts))} coefficients of a {model} lens"
             fault("distortion", f"{distortion.size} coefficients", expected)
 
-    size = _image_size(record.value("image_size_px"), image_size_px, fault)
+    size = _image_size(values.get("image_size_px"), image_size_px, fault)
 
     rotation = translation = None
-    if record.value("rotation") is not None or record.value("translation_m") is not None:
+    if values.get("rotation") is not None or values.get("translation_m") is not None:
         rotation = block("rotation", (3, 9), "a rotation, world to camera: 3x3 or a Rodrigues vector")
         translation = block("translation_m", (3,), "a translation of 3 numbers")
         if rotation is not None:
@@ -185,25 +247,16 @@ def _build(
                 expected = f"an orthonormal, right-handed matrix (to {ROTATION_TOLERANCE:g})"
                 fault("rotation", "a matrix that is not a rotation", expected)
 
-    if not isinstance(record.world_z_up, bool):
-        fault("world_z_up", repr(record.world_z_up), "true or false")
-    knows_up = rotation is not None and record.world_z_up
-    tilt = record.tilt_rad
-    if not isinstance(tilt, int | float) or not abs(tilt) < math.pi / 2 or (tilt and knows_up):
+    up, tilt = values["world_z_up"], values.get("tilt_rad", 0.0)
+    if not isinstance(up, bool):
+        fault("world_z_up", repr(up), "true or false")
+    if not isinstance(tilt, int | float) or not abs(tilt) < math.pi / 2 or (tilt and up and rotation is not None):
         fault("tilt_rad", repr(tilt), "radians between -pi/2 and pi/2, and 0 beside a pose that says which way is up")
     if len(problems) > before or matrix is None or distortion is None or size is None:
         return None
-    return Camera(
-        name=f"cam{number}" if record.name is None else str(record.name),
-        matrix=matrix,
-        distortion=distortion,
-        model=model,
-        image_size_px=size,
-        rotation=rotation,
-        translation_m=None if translation is None else translation.ravel(),
-        world_z_up=record.world_z_up,
-        tilt_rad=float(tilt),
-    )
+    name = f"cam{number}" if record.name is None else str(record.name)
+    translation = None if translation is None else translation.ravel()
+    return Camera(name, matrix, distortion, model, size, rotation, translation, up, float(tilt))
 
 
 def _image_size(
@@ -217,8 +270,7 @@ def _image_size(
         return given
     array = _numbers(value)
     if array is None or array.shape != (2,) or not ((array > 0) & (array < MAX_SIZE_PX)).all() or (array % 1).any():
-        fault("image_size_px", str(value), expected)
-        return None
+        return fault("image_size_px", str(value), expected)
     size = (int(array[0]), int(array[1]))
     if given is not None and size != tuple(given):
         fault("image_size_px", f"{size[0]}x{size[1]}", f"{given[0]}x{given[1]}{AS_GIVEN}")

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+import struct
+import zlib
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
@@ -16,6 +18,8 @@ from recon.clip.keypoints import Keypoints, frame_ranges
 
 # What tools call the only animal of a file when nobody named it.
 UNNAMED = ("individual_0", "id_0", "track_0")
+FMPOSE3D = "fmpose3d_"
+"""In the name of the network that files and scorers of FMPose3D's poses have."""
 MISSING = ("", "nan", "na", "none", "null")
 # Enough to see what is wrong with a file; a file of the wrong kind has thousands.
 PROBLEMS_SHOWN = 10
@@ -49,6 +53,26 @@ def starts_with_text(path: Path, word: bytes) -> bool:
     """Whether it is the first of the text, after blanks and a byte order mark."""
     with path.open("rb") as file:
         return file.read(256).removeprefix(b"\xef\xbb\xbf").lstrip().startswith(word)
+
+
+DAMAGE = (
+    *(OSError, LookupError, TypeError, ValueError, RuntimeError, AttributeError, StopIteration),
+    *(ArithmeticError, MemoryError, SystemError, struct.error, zlib.error),
+)
+"""What Python and libraries say of damaged files."""
+
+
+@contextmanager
+def damage_named(path: Path, expected: str, field: str = "content") -> Iterator[None]:
+    """Around the reading of a file: what is said of a damaged one becomes an InputError. expected: of a whole one."""
+    try:
+        yield
+    except InputError:
+        raise
+    except DAMAGE as error:
+        said = " ".join(str(error).split())[:200] or type(error).__name__
+        found = f"an entry without {said}" if isinstance(error, KeyError) else f"data that cannot be read ({said})"
+        raise InputError(Problem(path, field, found, expected)) from None
 
 
 class NoChoiceError(InputError):

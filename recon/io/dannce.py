@@ -4,30 +4,48 @@ predictions (`save_data_AVG.mat`: `pred`, `sampleID`).
 Poses and matrices are MATLAB's: rows are points, X_camera = X_world r + t and pixels X_camera K, and the first pixel is
 (1, 1). Lengths are in the unit of the calibration, by custom millimetres. Points have no names unless the file has a
 `skeleton`. Frames are those of the first camera's video, `data_frame`, and of predictions `sampleID`.
+
+MATLAB's files of versions 5 to 7 are read here without running or trusting anything (damaged ones crash scipy): a file
+is a list of elements, a type, a size in bytes, and as much data, or, compressed, one such element. A matrix holds its
+flags, sizes, name and data as elements again. Every size is checked against what there is before anything is taken.
+Version 7.3 is HDF5.
 """
 
 from __future__ import annotations
 
+import struct
+import zlib
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from recon.base.documents import read_content
 from recon.base.errors import InputError, Problem
-from recon.io import matlab
-from recon.io.camera_files import CameraRecord
-from recon.io.common import choose
-from recon.io.pose import StoredPoints, numbered_names
+from recon.io.calibration import CameraRecord
+from recon.io.common import choose, damage_named, starts_with
+from recon.io.pose import UNNAMED_POINTS, StoredPoints, numbered_names
+
+MAX_BYTES, MAX_UNPACKED = 1 << 28, 1 << 28
+MAX_DEPTH, MAX_ITEMS = 12, 100_000
+_MATRIX, _COMPRESSED = 14, 15
+_NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
+"""NumPy's by the type of an element."""
+_TEXTS = {1: "latin-1", 2: "latin-1", 4: "utf-16-", 16: "utf-8", 17: "utf-16-"}
+_CELL, _STRUCT, _CHAR = 1, 2, 4
+_NUMERIC = range(6, 16)
+_COMPLEX = 0x0800
 
 
 def recognises(path: Path) -> bool:
-    return matlab.recognises(path)
+    return starts_with(path, b"MATLAB ") and path.suffix.lower() == ".mat"
 
 
 def read(path: Path, individual: str | None = None) -> StoredPoints:
     """3D labels or predictions. Raises InputError."""
     choose(path, [""], individual)
-    found = matlab.variables(path)
+    found = _variables(path)
     labels = found.get("labelData")
     label = labels[0] if isinstance(labels, list) and labels else labels
     if isinstance(label, dict):
@@ -42,18 +60,16 @@ def read(path: Path, individual: str | None = None) -> StoredPoints:
         expected = "labelData with data_3d (frames, 3 for each point), or pred (frames, 3, points)"
         raise InputError(Problem(path, "data_3d", shape, expected))
     frames = np.zeros(0) if frames is None else frames.ravel()
-    counted = len(frames) == len(values) and np.isfinite(frames).all() and not (np.abs(frames) > 1e15).any()
-    if not counted or (np.diff(frames) <= 0).any():
+    if len(frames) != len(values) or not (np.abs(frames) < 1e15).all() or (np.diff(frames) <= 0).any():
         raise InputError(Problem(path, "data_frame", "others", f"{len(values)} increasing frame numbers"))
     skeleton = found.get("skeleton")
-    names = skeleton.get("joint_names") if isinstance(skeleton, dict) else None
-    names = tuple(names) if isinstance(names, list) and all(isinstance(n, str) and n for n in names) else ()
-    named = len({*names}) == len(names) == values.shape[1]
+    names = _all_texts(skeleton.get("joint_names")) if isinstance(skeleton, dict) else ()
+    named = all(names) and len({*names}) == len(names) == values.shape[1]
     return StoredPoints(
         names if named else numbered_names(values.shape[1]),
         values.astype(float),
         frames.astype(np.int64),
-        notes=() if named else ("The file names no points: they are called point1, point2, ... in its order.",),
+        notes=() if named else (UNNAMED_POINTS,),
     )
 
 
@@ -61,30 +77,122 @@ def _numbers(value: Any) -> np.ndarray | None:
     return value.astype(float) if isinstance(value, np.ndarray) else None
 
 
+def _all_texts(value: Any) -> tuple[str, ...]:
+    """A cell of texts; none for anything else."""
+    return tuple(value) if isinstance(value, list) and all(isinstance(text, str) for text in value) else ()
+
+
+recognises_cameras = recognises
+
+
 def read_cameras(path: Path, individual: str | None = None) -> list[CameraRecord]:
     """Of `params`, called as `camnames` says, or the one that the file is of. Raises InputError."""
-    found = matlab.variables(path)
-    params, names = found.get("params", [found]), found.get("camnames")
-    tables: list[dict[str, Any]] = [
-        table for table in (params if isinstance(params, list) else [params]) if isinstance(table, dict)
-    ]
-    if not tables or not any("K" in table for table in tables):
+    found = _variables(path)
+    params = found.get("params", [found])
+    tables = [one for one in (params if isinstance(params, list) else [params]) if isinstance(one, dict)]
+    if not any("K" in table for table in tables):
         raise InputError(Problem(path, "params", "no cameras", "K, r, t, RDistort and TDistort of each"))
-    called: list[Any] = names if isinstance(names, list) and all(isinstance(name, str) for name in names) else []
-    if len(called) != len(tables):
-        called = [None] * len(tables)
-    places = [f"params[{i}]." * ("params" in found) for i in range(len(tables))]
-    return [_record(*of) for of in zip(called, tables, places, strict=True)]
+    names = _all_texts(found.get("camnames"))
+    records = []
+    for i, table in enumerate(tables):
+        K, r, t, radial, sideways = (_numbers(table.get(key)) for key in ("K", "r", "t", "RDistort", "TDistort"))
+        r = _numbers(table.get("R")) if r is None else r
+        values: dict[str, Any] = {"r": None if r is None else r.T, "t": t}
+        if K is not None and K.shape == (3, 3):
+            values["K"] = K.T - np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 1.0], [0.0, 0.0, 0.0]])
+        if radial is not None and sideways is not None and radial.size in (2, 3) and sideways.size == 2:
+            k = [*radial.ravel(), 0.0]
+            values["RDistort"] = [k[0], k[1], *sideways.ravel(), k[2]]
+        keys = {"matrix": "K", "distortion": "RDistort", "rotation": "r", "translation_m": "t", "image_size_px": "size"}
+        name, place = names[i] if len(names) == len(tables) else None, f"params[{i}]." * ("params" in found)
+        records.append(CameraRecord.of_table(name, place, values, keys))
+    return records
 
 
-def _record(name: str | None, table: dict[str, Any], place: str) -> CameraRecord:
-    K, r, t, radial, sideways = (_numbers(table.get(key)) for key in ("K", "r", "t", "RDistort", "TDistort"))
-    r = _numbers(table.get("R")) if r is None else r
-    changed: dict[str, Any] = {"r": None if r is None else r.T, "t": t}
-    if K is not None and K.shape == (3, 3):
-        changed["K"] = K.T - np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 1.0], [0.0, 0.0, 0.0]])
-    if radial is not None and sideways is not None and radial.size in (2, 3) and sideways.size == 2:
-        k = [*radial.ravel(), 0.0]
-        changed["RDistort"] = [k[0], k[1], *sideways.ravel(), k[2]]
-    keys = {"matrix": "K", "distortion": "RDistort", "rotation": "r", "translation_m": "t", "image_size_px": "size"}
-    return CameraRecord(name, place, "radtan", False, changed, keys)
+# -- MATLAB's files ---------------------------------------------------------------------------------------------------
+
+
+def _variables(path: Path) -> dict[str, Any]:
+    """By name: arrays of numbers (with MATLAB's shape), texts, dictionaries of structs (lists of them, where there are
+    several), lists of cells, and None for anything else. Raises InputError."""
+    content = read_content(path, "a MATLAB file", MAX_BYTES)
+    if content.startswith(b"MATLAB 7.3"):
+        expected = "version 7 or older: in MATLAB, save(name, '-v7')"
+        raise InputError(Problem(path, "file", "a MATLAB file of version 7.3", expected))
+    with damage_named(path, "a whole MATLAB file"):
+        order = {b"IM": "<", b"MI": ">"}[content[126:128]]
+        return dict(_File(order).top(memoryview(content)[128:]))
+
+
+class _File:
+    """What is left of the memory and of the items that a file may ask for. Its methods raise what `DAMAGE` lists."""
+
+    def __init__(self, order: str) -> None:
+        self.order, self.left, self.items = order, MAX_UNPACKED, MAX_ITEMS
+
+    def top(self, data: memoryview) -> Iterator[tuple[str, Any]]:
+        for kind, body in self.elements(data, packed=True):
+            if kind == _COMPRESSED:
+                unpacker = zlib.decompressobj()
+                whole = unpacker.decompress(bytes(body), self.left)
+                if unpacker.unconsumed_tail:
+                    raise ValueError("more than a file of poses can hold")
+                self.left -= len(whole)
+                kind, body = next(self.elements(memoryview(whole)), (0, body))
+            if kind == _MATRIX:
+                yield self.matrix(body, 0)
+
+    def elements(self, data: memoryview, packed: bool = False) -> Iterator[tuple[int, memoryview]]:
+        """Type and data of each. packed: at the top of a file, where compressed ones are not padded."""
+        at = 0
+        while at + 8 <= len(data):
+            kind, size = struct.unpack_from(f"{self.order}II", data, at)
+            if kind >> 16:  # up to 4 bytes beside the type
+                size, kind, begin, step = kind >> 16, kind & 0xFFFF, at + 4, 8
+                if size > 4:
+                    raise ValueError("an element that is too large for its place")
+            else:
+                begin = at + 8
+                step = 8 + (size if packed and kind == _COMPRESSED else (size + 7) // 8 * 8)
+            if begin + size > len(data):
+                raise ValueError("an element beyond the end")
+            yield kind, data[begin : begin + size]
+            at += step
+
+    def matrix(self, body: memoryview, depth: int) -> tuple[str, Any]:
+        """Its name and its value."""
+        self.items -= 1
+        if depth > MAX_DEPTH or self.items < 0:
+            raise ValueError("more in one another than a file of poses has")
+        if not len(body):
+            return "", None
+        parts = [*self.elements(body)]
+        flags, shape = int(self.numbers(*parts[0])[0]), self.numbers(*parts[1]).tolist()
+        kind, name = flags & 0xFF, bytes(parts[2][1]).decode("ascii")
+        if kind == _CELL:
+            return name, [self.matrix(part, depth + 1)[1] for _, part in parts[3:]]
+        if kind == _STRUCT:
+            return name, self.structs(parts[3:], depth)
+        if kind == _CHAR:
+            of, text = parts[3]
+            ends = ("le" if self.order == "<" else "be") if _TEXTS[of].endswith("-") else ""
+            return name, bytes(text).decode(_TEXTS[of] + ends)
+        if kind not in _NUMERIC or flags & _COMPLEX:
+            return name, None
+        values = self.numbers(*parts[3]) if len(parts) > 3 else np.zeros(0)
+        if min(shape) < 0:
+            raise ValueError("sizes below 0")
+        return name, values.reshape(shape, order="F")
+
+    def structs(self, parts: list[tuple[int, memoryview]], depth: int) -> Any:
+        length = int(self.numbers(*parts[0])[0])
+        text = bytes(parts[1][1])
+        if not 0 < length <= 64:
+            raise ValueError("names of another length than MATLAB's")
+        fields = [text[i : i + length].split(b"\0")[0].decode("ascii") for i in range(0, len(text), length)]
+        values = [self.matrix(part, depth + 1)[1] for _, part in parts[2:]]
+        rows = [dict(zip(fields, values[i:], strict=False)) for i in range(0, len(values), max(len(fields), 1))]
+        return rows[0] if len(rows) == 1 else rows
+
+    def numbers(self, kind: int, data: memoryview) -> np.ndarray:
+        return np.frombuffer(data, np.dtype(self.order + _NUMBERS[kind]))

@@ -19,8 +19,7 @@ import numpy as np
 
 from recon.base.errors import InputError, Problem, refuse
 from recon.clip.keypoints import Keypoints
-from recon.io.common import MAX_FRAME, PROBLEMS_SHOWN, choose, first_problems, frame_number, numbers, rate
-from recon.io.fmpose3d import LENGTHS, MODEL, true_names
+from recon.io.common import FMPOSE3D, MAX_FRAME, PROBLEMS_SHOWN, choose, first_problems, frame_number, numbers, rate
 from recon.io.pose import Pose3D, StoredPoints, points_of
 from recon.io.table import text_rows, write_table
 
@@ -32,7 +31,7 @@ HEADERS = (
 )
 _CELLS_AT_ONCE = 1 << 14
 """As Python's own text and numbers."""
-COORDS = ("x", "y", "z", "likelihood")
+COORDS, COORDS_2D = ("x", "y", "z", "likelihood"), ("x", "y", "likelihood")
 # DeepLabCut files the bodyparts that belong to no animal, such as the corners of the arena, under this individual.
 UNIQUE_BODYPARTS = "single"
 PADDING = -1.0
@@ -71,74 +70,71 @@ class PointTable:
     """Of the first column; None where there is no header row or level of that name."""
 
 
-def recognises(path: Path) -> bool:
+def recognises_csv(path: Path) -> bool:
     """Whether a text has DeepLabCut's header rows."""
     with path.open("rb") as file:
         head = file.read(64).removeprefix(b"\xef\xbb\xbf")
     return re.match(rb'\s*"?\s*(scorer|individuals|bodyparts)\s*"?\s*([,;\t\r\n]|$)', head) is not None
 
 
-def read(path: Path, individual: str | None = None) -> StoredPoints:
+def read_csv(path: Path, individual: str | None = None) -> StoredPoints:
     """The points of one animal in a CSV file (see `points_in`). Raises InputError."""
-    return points_in(read_csv(path), path, individual)
+    return points_in(_csv_table(path), path, individual)
 
 
 def points_in(table: PointTable, path: Path, individual: str | None) -> StoredPoints:
     """The points of one animal as the file states them: likelihoods are NaN where it has none, and the unit of 3D
     positions is not in it.
 
-    individual: which animal, where there are several. Raises InputError naming what is wrong: header, cells, frame
-    numbers, or a choice that is missing.
+    individual: which animal, where there are several. Raises InputError for a choice that is missing, a bodypart that
+    appears twice or lacks a coordinate.
     """
-    table, animal = of_one_animal(table, path, individual)
-    if any(c.coord == "z" for c in table.columns):
-        names, xyz = gather(table, path, required=("x", "y", "z"))
-        names, notes = true_names(names, table.scorer or "")
-        notes = (*table.notes, *notes, *[LENGTHS] * (MODEL in (table.scorer or "")))
-        return StoredPoints(names, xyz, table.frames, fps=table.fps, notes=notes)
-    names, values = gather(table, path, required=("x", "y"), optional=("likelihood",))
-    values[(values == PADDING).all(axis=2)] = np.nan, np.nan, 0.0
-    names, notes = true_names(names, table.scorer or "")
-    notes = (*table.notes, *notes)
-    if table.scorer is None:
-        notes += ("The header's first row, scorer, is missing; the others say what each column is.",)
-    likelihood = values[..., 2]
-    return StoredPoints(names, values[..., :2], table.frames, likelihood, table.fps, animal, table.scorer, notes=notes)
-
-
-def gather(
-    table: PointTable, path: Path, required: Sequence[str], optional: Sequence[str] = ()
-) -> tuple[tuple[str, ...], np.ndarray]:
-    """The table by bodypart: names (K), in the order of the file, and values (T, K, coords), required ones first.
-
-    Raises InputError for a bodypart that appears twice or lacks a required coordinate.
-    """
+    table, animal = _of_one_animal(table, path, individual)
+    in_space = any(c.coord == "z" for c in table.columns)
+    required = ("x", "y", "z") if in_space else ("x", "y")
+    coords = required if in_space else COORDS_2D
     names = tuple(dict.fromkeys(c.bodypart for c in table.columns))
-    coords = (*required, *optional)
     values = np.full((len(table.frames), len(names), len(coords)), np.nan)
-    where: dict[tuple[str, str], int] = {}
-    twice: dict[str, None] = {}
-    for j, column in enumerate(table.columns):
-        if (column.bodypart, column.coord) in where:
-            twice[column.bodypart] = None
-        where[column.bodypart, column.coord] = j
-    problems = [Problem(path, f"bodypart {name}", "more than one column of a kind", "one") for name in twice]
+    columns = [(c.bodypart, c.coord) for c in table.columns]
+    problems = [
+        Problem(path, f"bodypart {name}", "more than one column of a kind", "one")
+        for name in dict.fromkeys(column[0] for column in columns if columns.count(column) > 1)
+    ]
     for k, name in enumerate(names):
-        lacking = [c for c in required if (name, c) not in where]
-        if lacking:
+        if lacking := [coord for coord in required if (name, coord) not in columns]:
             problems.append(Problem(path, f"bodypart {name}", f"no {', '.join(lacking)}", ", ".join(required)))
         for i, coord in enumerate(coords):
-            if (name, coord) in where:
-                values[:, k, i] = table.numbers[:, where[name, coord]]
+            if (name, coord) in columns:
+                values[:, k, i] = table.numbers[:, columns.index((name, coord))]
     refuse(first_problems(problems, path))
-    return names, values
+    notes, likelihood = table.notes, None
+    if not in_space:
+        values[(values == PADDING).all(axis=2)] = np.nan, np.nan, 0.0
+        values, likelihood = values[..., :2], values[..., 2]
+        if table.scorer is None:
+            notes += ("The header's first row, scorer, is missing; the others say what each column is.",)
+    if FMPOSE3D in (table.scorer or ""):
+        from recon.io.json_poses import true_names
+
+        names, more = true_names(names, table.scorer or "", in_space)
+        notes += more
+    scorer = None if in_space else table.scorer
+    return StoredPoints(names, values, table.frames, likelihood, table.fps, animal, scorer, notes=notes)
 
 
-def read_csv(path: Path) -> PointTable:
+def _csv_table(path: Path) -> PointTable:
     """A file with DeepLabCut's header rows (see `HEADERS`), whatever its coordinates. Raises InputError."""
     rows = text_rows(path, ",")
     levels, index_columns = _read_header(path, rows)
-    labels = list(zip(*levels.values(), strict=True))
+    return table_of_rows(path, levels, rows, index_columns)
+
+
+def table_of_rows(
+    path: Path, header: dict[str, list[str]], rows: Iterable[tuple[int, list[str]]], index_columns: int
+) -> PointTable:
+    """header: the texts of the data's columns by level; rows: with their lines, each of so many cells that say the
+    frame, and one for each column. Raises InputError."""
+    labels = list(zip(*header.values(), strict=True))
     index: list[tuple[str, ...]] = []
     values: list[np.ndarray] = []
     cells: list[str] = []
@@ -146,16 +142,16 @@ def read_csv(path: Path) -> PointTable:
     problems: list[Problem] = []
     width = index_columns + len(labels)
     for line, row in rows:
-        if len(row) == width:
-            cells += row[index_columns:]
-            index.append(tuple(row[:index_columns]))
-            if len(cells) >= _CELLS_AT_ONCE:
-                values.append(row_numbers(cells, len(labels), sum(map(len, values)), bad))
-                cells = []
-        else:
+        if len(row) != width:
             problems.append(Problem(path, f"line {line}", f"{len(row)} cells", f"{width}, as in the header"))
-    values.append(row_numbers(cells, len(labels), sum(map(len, values)), bad))
-    return table_of(path, tuple(levels), labels, index, np.concatenate(values), bad, problems)
+            continue
+        cells += row[index_columns:]
+        index.append(tuple(row[:index_columns]))
+        if len(cells) >= _CELLS_AT_ONCE:
+            values.append(row_numbers(cells, len(labels), bad, sum(map(len, values))))
+            cells = []
+    values.append(row_numbers(cells, len(labels), bad, sum(map(len, values))))
+    return table_of(path, tuple(header), labels, index, np.concatenate(values), bad, problems)
 
 
 def _read_header(path: Path, rows: Iterator[tuple[int, list[str]]]) -> tuple[dict[str, list[str]], int]:
@@ -192,7 +188,7 @@ def _without_fps(scorer: str) -> tuple[str, float | None]:
 
 def _with_fps(scorer: str | None, fps: float | None) -> str:
     """The opposite: of points that another program found, its scorer stays."""
-    ours = SCORER if fps is None else f"{SCORER}_{_shortest(fps)}fps"
+    ours = SCORER if fps is None else f"{SCORER}_{repr(fps).removesuffix('.0')}fps"
     if scorer in (None, SCORER):
         return ours
     return str(scorer) if fps is None else f"{scorer}_{ours}"
@@ -201,24 +197,17 @@ def _with_fps(scorer: str | None, fps: float | None) -> str:
 def _columns(path: Path, raw: Sequence[Column]) -> tuple[tuple[Column, ...], tuple[str, ...]]:
     """Columns with stray blanks removed from their names, and a note for each name that had some."""
     columns = tuple(Column(*(part.strip() for part in column)) for column in raw)
-    problems = [
-        Problem(path, f"column {column or j + 1}", f"coordinate '{column.coord}'", ", ".join(COORDS))
-        for j, column in enumerate(columns)
-        if column.coord not in COORDS
-    ]
-    problems += [
-        Problem(path, f"column {j + 1} of the data", "no bodypart", "a name")
-        for j, column in enumerate(columns)
-        if not column.bodypart
-    ]
-    problems += [
-        Problem(path, f"column {column}", "a name that cannot be printed", "letters, digits and signs")
-        for column in dict.fromkeys(columns)
-        if not str(column).isprintable()
-    ]
-    if not columns:
-        problems = [Problem(path, "header rows", "no columns", "at least one bodypart")]
-    refuse(first_problems(problems, path))
+    problems = [] if columns else [Problem(path, "header rows", "no columns", "at least one bodypart")]
+    for j, column in enumerate(columns):
+        if column.coord not in COORDS:
+            found = f"coordinate '{column.coord}'"
+            problems.append(Problem(path, f"column {column or j + 1}", found, ", ".join(COORDS)))
+        if not column.bodypart:
+            problems.append(Problem(path, f"column {j + 1} of the data", "no bodypart", "a name"))
+        if not str(column).isprintable():
+            found = "a name that cannot be printed"
+            problems.append(Problem(path, f"column {column}", found, "letters, digits and signs"))
+    refuse(first_problems(list(dict.fromkeys(problems)), path))
     names = dict.fromkeys(name for column in raw for name in column[:2])
     return columns, tuple(f"'{name}' is read as '{name.strip()}'." for name in names if name != name.strip())
 
@@ -289,7 +278,7 @@ def _frame_numbers(path: Path, index: Sequence[tuple[str, ...]]) -> tuple[list[i
     return frames, problems
 
 
-def row_numbers(cells: Sequence[str], columns: int, first: int, bad: list[tuple[int, int, str]]) -> np.ndarray:
+def row_numbers(cells: Sequence[str], columns: int, bad: list[tuple[int, int, str]], first: int = 0) -> np.ndarray:
     """(T, C): the cells of rows of so many columns as floats; those that are none are added to `bad` as (row, column,
     text), the rows counted from `first` on."""
     values, wrong = numbers(cells)
@@ -297,16 +286,15 @@ def row_numbers(cells: Sequence[str], columns: int, first: int, bad: list[tuple[
     return values.reshape(-1, max(columns, 1))
 
 
-def of_one_animal(table: PointTable, path: Path, individual: str | None) -> tuple[PointTable, str | None]:
+def _of_one_animal(table: PointTable, path: Path, individual: str | None) -> tuple[PointTable, str | None]:
     """The columns of the chosen animal, and its name where the file names animals. Raises InputError."""
     everyone = list(dict.fromkeys(c.individual for c in table.columns))
-    if everyone == [""] and prefixes(c.bodypart for c in table.columns):
+    if everyone == [""] and _prefixes(c.bodypart for c in table.columns):
         split = ((c.bodypart.partition("_"), c.coord) for c in table.columns)
         table = replace(table, columns=tuple(Column(animal, part, coord) for (animal, _, part), coord in split))
         everyone = list(dict.fromkeys(c.individual for c in table.columns))
     if everyone == [""]:
-        if individual is not None:
-            raise InputError(Problem(path, "individual", "a file without named animals", f"an animal '{individual}'"))
+        choose(path, everyone, individual)
         return table, None
     animals = [name for name in everyone if name != UNIQUE_BODYPARTS] or everyone
     chosen = animals[choose(path, animals, individual, (_has_points(table, animal) for animal in animals))]
@@ -319,7 +307,7 @@ def of_one_animal(table: PointTable, path: Path, individual: str | None) -> tupl
     return replace(table, columns=columns, numbers=table.numbers[:, keep], notes=notes), chosen
 
 
-def prefixes(bodyparts: Iterable[str]) -> tuple[str, ...]:
+def _prefixes(bodyparts: Iterable[str]) -> tuple[str, ...]:
     """Of animals that are told apart by the first part of every name, as B and W in B_nose, B_tail, W_nose, W_tail;
     none where that is a place on an animal, or where some parts are one's only."""
     parts: dict[str, set[str]] = {}
@@ -362,8 +350,3 @@ def layout(data: Keypoints | Pose3D) -> tuple[dict[str, list[str]], np.ndarray, 
         header["individuals"] = [points.individual] * n
     header |= {"bodyparts": [name for name in points.names for _ in coords], "coords": [*coords] * len(points.names)}
     return header, points.frames, values.reshape(len(values), -1)
-
-
-def _shortest(fps: float) -> str:
-    """Text that reads back exactly: 90, 29.97."""
-    return repr(fps).removesuffix(".0")

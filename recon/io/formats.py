@@ -17,9 +17,7 @@ import numpy as np
 from recon.base.documents import require_file
 from recon.base.errors import InputError, Problem
 from recon.clip.keypoints import Keypoints
-from recon.io import camera_files, deeplabcut
 from recon.io.common import MAX_FRAME, NoChoiceError, with_likelihoods
-from recon.io.deeplabcut_project import find_project
 from recon.io.pose import StoredPoints
 
 Kind = Literal["2D", "3D", "bones", "cameras"]
@@ -35,15 +33,10 @@ class Format:
     title: str
     suffixes: tuple[str, ...]
     """The first is the usual one."""
-    recognises: Callable[[Path], bool] | None = None
-    """Whether a readable file, not empty, is of this format. It looks at the content, not at the name, and raises
-    InputError for a file so damaged that this cannot be told. None for one that is not read."""
-    read: Callable[[Path, str | None], Any] | None = None
-    """From a file that is recognised, the `StoredPoints` of one animal, by its name, or a list of `CameraRecord`;
-    raises InputError."""
+    code: str
+    """The module of this room that reads and writes it, which is imported when it is used; for "module/ending" its
+    functions end so, as in `read_ending`."""
     reads: tuple[Kind, ...] = ()
-    write: Callable[[Any, Path], None] | None = None
-    """`Keypoints`, `Pose3D`, `Armature` or cameras, whichever of them it `writes`, as a new file; raises InputError."""
     writes: tuple[Kind, ...] = ()
     fps: str = ""
     """Where it has the frame rate, or needed if it cannot be without."""
@@ -58,12 +51,24 @@ class Format:
     beside: tuple[str, ...] = ()
     """Suffixes of further files that are written under the same name."""
 
+    def recognises(self, path: Path) -> bool:
+        """Whether a readable file, not empty, is of this format. It looks at the content, not at the name, and raises
+        InputError for a file so damaged that this cannot be told."""
+        return self._function("recognises")(path)
 
-def _of(name: str) -> Callable[..., Any]:
-    """A function of a module of this room, "module.function", which is imported when it is called: a fit reads one
-    format, or two."""
-    module, function = name.split(".")
-    return lambda *args: getattr(import_module(f"recon.io.{module}"), function)(*args)
+    def read(self, path: Path, individual: str | None = None) -> Any:
+        """From a file that is recognised, the `StoredPoints` of one animal, by its name, or a list of `CameraRecord`;
+        raises InputError."""
+        return self._function("read")(path, individual)
+
+    def write(self, data: Any, path: Path) -> None:
+        """`Keypoints`, `Pose3D`, `Armature` or cameras, whichever of them it `writes`, as a new file; raises
+        InputError."""
+        self._function("write")(data, path)
+
+    def _function(self, verb: str) -> Callable[..., Any]:
+        module, _, ending = self.code.partition("/")
+        return getattr(import_module(f"recon.io.{module}"), f"{verb}_{ending}" if ending else verb)
 
 
 _2D: tuple[Kind, ...] = ("2D",)
@@ -74,61 +79,41 @@ _CAMERAS: tuple[Kind, ...] = ("cameras",)
 
 # fmt: off
 FORMATS: tuple[Format, ...] = (
-    Format("deeplabcut", "DeepLabCut CSV", (".csv",), deeplabcut.recognises, deeplabcut.read, _BOTH,
-           deeplabcut.write_csv, _BOTH, "in the scorer", "kept", "m, z up", unit="m"),
-    Format("deeplabcut", "DeepLabCut H5", (".h5", ".hdf5"), _of("deeplabcut_h5.recognises"),
-           _of("deeplabcut_h5.read"), _BOTH, _of("deeplabcut_h5.write"), _BOTH,
+    Format("deeplabcut", "DeepLabCut CSV", (".csv",), "deeplabcut/csv", _BOTH, _BOTH,
            "in the scorer", "kept", "m, z up", unit="m"),
-    Format("sleap-anipose", "sleap-anipose's points3d.h5", (".h5",), _of("points3d.recognises"),
-           _of("points3d.read"), _3D),
-    Format("sleap", "SLEAP analysis H5", (".analysis.h5", ".h5"), _of("sleap.recognises"), _of("sleap.read"), _2D,
-           _of("sleap.write"), _2D, "in provenance", "from frame 0"),
-    Format("movement", "movement netCDF", (".nc",), _of("movement.recognises"), _of("movement.read"), _BOTH,
-           _of("movement.write"), _BOTH, "kept", "as times", "m, z up"),
-    Format("nwb", "ndx-pose NWB", (".nwb",), _of("nwb.recognises"), _of("nwb.read"), _BOTH,
-           _of("nwb.write"), _BOTH, "needed", "as times", "m, z up"),
-    Format("coco", "COCO JSON", (".json",), _of("coco.recognises"), _of("coco.read"), _2D,
-           _of("coco.write"), _2D, "in info", "kept"),
-    Format("mmpose", "MMPose JSON", (".json",), _of("mmpose.recognises"), _of("mmpose.read"), _2D),
-    Format("openpose", "OpenPose JSON, a file a frame", (".json",), _of("openpose.recognises"),
-           _of("openpose.read"), _2D),
-    Format("fmpose3d", "FMPose3D JSON of DeepLabCut", (".json",), _of("fmpose3d.recognises"),
-           _of("fmpose3d.read"), _3D, unit="m"),
-    Format("trc", "TRC", (".trc",), _of("trc.recognises"), _of("trc.read"), _3D,
-           _of("trc.write"), _3D, "needed", "kept", "m, y up", up="y"),
-    Format("c3d", "C3D", (".c3d",), _of("c3d.recognises"), _of("c3d.read"), _3D,
-           _of("c3d.write"), _3D, "needed", "RECON:FRAMES", "mm, z up"),
-    Format("npz", "NPZ", (".npz",), _of("npz.recognises"), _of("npz.read"), _3D,
-           _of("npz.write"), _3D, "kept", "kept", "m, z up"),
-    Format("parquet", "Parquet", (".parquet",), _of("parquet.recognises"), _of("parquet.read"), _3D,
-           _of("parquet.write"), _3D, "in metadata", "kept", "m, z up"),
-    Format("dannce", "DANNCE MAT", (".mat",), _of("dannce.recognises"), _of("dannce.read"), _3D),
-    Format("bvh", "BVH", (".bvh",), _of("bvh.recognises"), _of("bvh.read"), _3D,
-           _of("bvh.write"), _BONES, "kept", "from 0", "m, y up", up="y"),
-    Format("opensim", "OpenSim model", (".osim",), None, None, (),
-           _of("opensim.write"), _BONES, "as times", "as times", "m, y up", beside=(".mot", ".trc")),
-    Format("gltf", "glTF", (".glb",), None, None, (),
-           _of("gltf.write"), _BONES, "as times", "from 0", "m, y up"),
-    Format("long", "long CSV", (".csv",), _of("columns.recognises"), _of("columns.read"), _BOTH,
-           _of("columns.write_long"), _2D, "as a column", "kept"),
-    Format("wide", "wide CSV", (".csv",), _of("columns.recognises"), _of("columns.read"), _BOTH,
-           _of("columns.write_wide"), _2D, "as a column", "kept"),
-    Format("camera", "camera file of recon", (".toml",), camera_files.recognises_own, camera_files.read_own, _CAMERAS,
-           camera_files.write_cameras, _CAMERAS),
-    Format("anipose", "Anipose or Pose2Sim TOML", (".toml",),
-           camera_files.recognises_anipose, camera_files.read_anipose, _CAMERAS),
-    Format("opendronemap", "OpenDroneMap cameras.json", (".json",),
-           camera_files.recognises_opensfm, camera_files.read_opensfm, _CAMERAS),
-    Format("acinoset", "AcinoSet JSON", (".json",),
-           camera_files.recognises_acinoset, camera_files.read_acinoset, _CAMERAS),
-    Format("dannce", "DANNCE MAT", (".mat",), _of("dannce.recognises"), _of("dannce.read_cameras"), _CAMERAS),
+    Format("deeplabcut", "DeepLabCut H5", (".h5", ".hdf5"), "deeplabcut_h5", _BOTH, _BOTH,
+           "in the scorer", "kept", "m, z up", unit="m"),
+    Format("sleap-anipose", "sleap-anipose's points3d.h5", (".h5",), "sleap/points3d", _3D),
+    Format("sleap", "SLEAP analysis H5", (".analysis.h5", ".h5"), "sleap", _2D, _2D, "in provenance", "from frame 0"),
+    Format("movement", "movement netCDF", (".nc",), "movement", _BOTH, _BOTH, "kept", "as times", "m, z up"),
+    Format("nwb", "ndx-pose NWB", (".nwb",), "nwb", _BOTH, _BOTH, "needed", "as times", "m, z up"),
+    Format("coco", "COCO JSON", (".json",), "json_poses/coco", _2D, _2D, "in info", "kept"),
+    Format("mmpose", "MMPose JSON", (".json",), "json_poses/mmpose", _2D),
+    Format("openpose", "OpenPose JSON, a file a frame", (".json",), "json_poses/openpose", _2D),
+    Format("fmpose3d", "FMPose3D JSON of DeepLabCut", (".json",), "json_poses/fmpose3d", _3D, unit="m"),
+    Format("trc", "TRC", (".trc",), "trc", _3D, _3D, "needed", "kept", "m, y up", up="y"),
+    Format("c3d", "C3D", (".c3d",), "c3d", _3D, _3D, "needed", "RECON:FRAMES", "mm, z up"),
+    Format("npz", "NPZ", (".npz",), "npz", _3D, _3D, "kept", "kept", "m, z up"),
+    Format("parquet", "Parquet", (".parquet",), "columns/parquet", _3D, _3D, "in metadata", "kept", "m, z up"),
+    Format("dannce", "DANNCE MAT", (".mat",), "dannce", _3D),
+    Format("bvh", "BVH", (".bvh",), "bvh", _3D, _BONES, "kept", "from 0", "m, y up", up="y"),
+    Format("opensim", "OpenSim model", (".osim",), "opensim", (), _BONES, "as times", "as times", "m, y up",
+           beside=(".mot", ".trc")),
+    Format("gltf", "glTF", (".glb",), "gltf", (), _BONES, "as times", "from 0", "m, y up"),
+    Format("long", "long CSV", (".csv",), "columns/long", _BOTH, _2D, "as a column", "kept"),
+    Format("wide", "wide CSV", (".csv",), "columns/wide", _BOTH, _2D, "as a column", "kept"),
+    Format("camera", "camera file of recon", (".toml",), "calibration/own", _CAMERAS),
+    Format("anipose", "Anipose or Pose2Sim TOML", (".toml",), "camera_files/anipose", _CAMERAS),
+    Format("opendronemap", "OpenDroneMap cameras.json", (".json",), "camera_files/opensfm", _CAMERAS),
+    Format("acinoset", "AcinoSet JSON", (".json",), "camera_files/acinoset", _CAMERAS),
+    Format("dannce", "DANNCE MAT", (".mat",), "dannce/cameras", _CAMERAS),
     Format("opencv", "OpenCV YAML, XML or JSON, ROS camera_info", (".yaml", ".yml", ".xml", ".json"),
-           camera_files.recognises_opencv, camera_files.read_opencv, _CAMERAS),
+           "camera_files/opencv", _CAMERAS),
 )
 # fmt: on
 """A file is of the first that recognises it. Where an extension has several, the first that writes it is meant unless
 `--to` names another."""
-CONVERTED = tuple(f for f in FORMATS if f.writes and "cameras" not in f.writes)
+CONVERTED = tuple(f for f in FORMATS if f.writes)
 """What `recon convert` can write."""
 PLAIN = next(f for f in FORMATS if f.name == "long")
 
@@ -154,7 +139,7 @@ def recognised(path: Path, kind: Kind | None = None) -> Format | None:
 
     Raises InputError for a file so damaged that this cannot be told.
     """
-    return next((f for f in _reading(kind) if f.recognises and f.recognises(path)), None)
+    return next((f for f in _reading(kind) if f.recognises(path)), None)
 
 
 def titles(kind: Kind | None = None) -> str:
@@ -184,24 +169,18 @@ def read_points(
 ) -> tuple[Format, StoredPoints]:
     """The points of one animal, and the format of the file. Raises InputError likewise.
 
-    kind: what they have to be; by: the columns of a plain table (`recon.io.column_map.parse_map`).
+    kind: what they have to be; by: the columns of a plain table (`recon.io.columns.parse_map`).
     """
     path = Path(path)
-    if path.is_dir() and (files := sorted(path.glob("*.json"))):
-        raise InputError(Problem(path, "file", "a folder", f"one of its files, which stands for all: {files[0].name}"))
-    if find_project(path):
-        expected = (
-            "one of its tables, as videos/run1DLC_*.h5; the project as a whole is for recon batch, recon train and "
-            "recon skeleton from-keypoints"
-        )
-        raise InputError(Problem(path, "file", "a project of DeepLabCut", expected))
+    if path.is_dir() or path.suffix.lower() in (".yaml", ".yml"):
+        _refuse_several(path)
     head = file_head(path)
     if by is not None:
-        from recon.io import columns
+        from recon.io.columns import read_long
 
-        return PLAIN, columns.read(path, individual, by)
+        return PLAIN, read_long(path, individual, by)
     found = recognised(path)
-    if found is None or found.read is None:
+    if found is None:
         raise InputError(Problem(path, "format", describe(head), f"one of: {titles(kind)}"))
     try:
         stored = found.read(path, individual) if kind is None or kind in found.reads else None
@@ -215,6 +194,20 @@ def read_points(
     if np.isinf(stored.values).any():
         raise InputError(Problem(path, "points", "infinite coordinates", "numbers, or nothing where one is missing"))
     return found, stored
+
+
+def _refuse_several(path: Path) -> None:
+    """Raises InputError for a folder, and for a project, which have several files to choose from."""
+    from recon.io.deeplabcut_project import find_project
+
+    if path.is_dir() and (files := sorted(path.glob("*.json"))):
+        raise InputError(Problem(path, "file", "a folder", f"one of its files, which stands for all: {files[0].name}"))
+    if find_project(path):
+        expected = (
+            "one of its tables, as videos/run1DLC_*.h5; the project as a whole is for recon batch, recon train and "
+            "recon skeleton from-keypoints"
+        )
+        raise InputError(Problem(path, "file", "a project of DeepLabCut", expected))
 
 
 def _require_kind(path: Path, kind: Kind | None, found: Format, stored: StoredPoints | None) -> StoredPoints:
@@ -246,22 +239,12 @@ def as_keypoints(path: Path, stored: StoredPoints) -> Keypoints:
 def individuals(path: str | Path) -> tuple[str, ...]:
     """The animals with points in a file of several; none for a file of one, or one that cannot be read."""
     try:
-        if not _is_of_one(Path(path)):
-            read_keypoints(path)
+        read_keypoints(path)
     except NoChoiceError as error:
         return error.animals
     except InputError:  # said when it is read
         pass
     return ()
-
-
-def _is_of_one(path: Path) -> bool:
-    """Whether it can be told without reading all of it: DeepLabCut's CSV names animals in its first rows."""
-    head = file_head(path, 1 << 18)  # a row with the network's name in every column is before those that count
-    if b"individuals" in head or not deeplabcut.recognises(path):
-        return False
-    row = next((line for line in head.splitlines() if line.startswith(b"bodyparts")), b"")
-    return not deeplabcut.prefixes(row.decode(errors="replace").split(",")[1:] or [""])
 
 
 def file_head(path: Path, length: int = 64) -> bytes:
@@ -272,11 +255,10 @@ def file_head(path: Path, length: int = 64) -> bytes:
             head = file.read(length)
     except OSError as error:
         found = f"a file that cannot be opened ({error.strerror})"
-    else:
-        if head:
-            return head
-        found = "an empty file"
-    raise InputError(Problem(path, "file", found, "a file that can be read"))
+        raise InputError(Problem(path, "file", found, "a file that can be read")) from None
+    if not head:
+        raise InputError(Problem(path, "file", "an empty file", "a file that can be read"))
+    return head
 
 
 def describe(head: bytes) -> str:

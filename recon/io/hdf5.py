@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from recon.base.errors import InputError, Problem
+from recon.io.common import damage_named, starts_with
 
 if TYPE_CHECKING:
     import h5py
@@ -34,15 +35,7 @@ MAX_HOPS = 8
 
 
 def is_hdf5(path: Path) -> bool:
-    with path.open("rb") as file:
-        return file.read(len(SIGNATURE)) == SIGNATURE
-
-
-DAMAGE = (
-    *(OSError, KeyError, TypeError, ValueError, RuntimeError, AttributeError, IndexError),
-    *(ArithmeticError, MemoryError, SystemError, NotImplementedError),
-)
-"""What h5py says of damaged files."""
+    return starts_with(path, SIGNATURE)
 
 
 @contextmanager
@@ -53,7 +46,7 @@ def opened(path: Path, outline: bool = False) -> Iterator[h5py.File]:
     """
     import h5py
 
-    try:
+    with damage_named(path, "an undamaged file"):
         if not outline:
             _require_sound_heaps(path)
         try:
@@ -63,44 +56,31 @@ def opened(path: Path, outline: bool = False) -> Iterator[h5py.File]:
             raise InputError(Problem(path, "file", found, "a whole file")) from None
         with file:
             yield file
-    except InputError:
-        raise
-    except DAMAGE as error:
-        raise InputError(_damaged_problem(path, error)) from None
-
-
-def _damaged_problem(path: Path, error: Exception) -> Problem:
-    found = f"data that cannot be read ({' '.join(str(error).split())[:200] or type(error).__name__})"
-    return Problem(path, "content", found, "an undamaged file")
 
 
 def _require_sound_heaps(path: Path) -> None:
     """Raises ValueError where a global heap, which holds texts of any length, has an object without an end: the
-    library would look for the next one for ever."""
+    library would look for the next one for ever.
+
+    Header: signature, version, 3 bytes, size (8); objects: number (2), references (2), 4 bytes, size (8), data in steps
+    of 8 bytes; number 0 is the free rest, which counts its header in its size."""
     with path.open("rb") as file:
         head = file.read(24)
-        sizes = head[13:15] if head[8:9] < b"\2" else head[9:11]
-        if sizes != b"\x08\x08":
+        if (head[13:15] if head[8:9] < b"\2" else head[9:11]) != b"\x08\x08":
             raise ValueError("addresses of another size than 8 bytes")
         with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
-            at = content.find(b"GCOL\1")
-            while at >= 0:
-                _require_sound_heap(content, at)
-                at = content.find(b"GCOL\1", at + 5)
-
-
-def _require_sound_heap(content: mmap.mmap, start: int) -> None:
-    """Header: signature, version, 3 bytes, size (8); objects: number (2), references (2), 4 bytes, size (8), data in
-    steps of 8 bytes; number 0 is the free rest, which counts its header in its size."""
-    size = int.from_bytes(content[start + 8 : start + 16], "little")
-    at, end = start + 16, min(start + size, len(content))
-    while at + 16 <= end:
-        number = int.from_bytes(content[at : at + 2], "little")
-        length = int.from_bytes(content[at + 8 : at + 16], "little")
-        step = 16 + (length + 7) // 8 * 8 if number else length
-        if step < 16 or at + step > start + size:
-            raise ValueError("a damaged heap of texts")
-        at += step
+            heap = content.find(b"GCOL\1")
+            while heap >= 0:
+                end = heap + int.from_bytes(content[heap + 8 : heap + 16], "little")
+                at = heap + 16
+                while at + 16 <= min(end, len(content)):
+                    number = int.from_bytes(content[at : at + 2], "little")
+                    length = int.from_bytes(content[at + 8 : at + 16], "little")
+                    step = 16 + (length + 7) // 8 * 8 if number else length
+                    if step < 16 or at + step > end:
+                        raise ValueError("a damaged heap of texts")
+                    at += step
+                heap = content.find(b"GCOL\1", heap + 5)
 
 
 def outline(path: Path) -> frozenset[str]:
@@ -226,7 +206,7 @@ def raw_attribute(holder: h5py.Group | h5py.Dataset, name: str) -> Any:
 
 def numbers(dataset: Any) -> np.ndarray:
     """A dataset of numbers. Raises ValueError for one of another kind, or that asks for more than the file has."""
-    values = read(dataset)
+    values = read_values(dataset)
     if values.dtype.kind not in "fiub":
         raise ValueError(f"{dataset.name} has no numbers")
     return values
@@ -246,7 +226,7 @@ def texts(dataset: Any) -> list[str]:
     if not dataset.size:
         return []
     if not _of_any_length(dataset.id.get_type()):
-        return [_text_of(item) for item in read(dataset).ravel().tolist()]
+        return [_text_of(item) for item in read_values(dataset).ravel().tolist()]
     if dataset.size > MAX_TEXTS:
         raise ValueError(f"{dataset.name} has {dataset.size} texts")
     _require_short_texts(dataset)
@@ -260,7 +240,7 @@ def texts(dataset: Any) -> list[str]:
     return found
 
 
-def read(dataset: Any) -> np.ndarray:
+def read_values(dataset: Any) -> np.ndarray:
     """A dataset of numbers, of texts of one length, or of records of those. Raises ValueError as `numbers` does."""
     _require_readable(dataset)
     if _of_any_length(dataset.id.get_type()):

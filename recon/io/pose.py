@@ -86,8 +86,11 @@ class StoredPoints:
         return self.values.shape[-1] == 3
 
 
+UNNAMED_POINTS = "The file names no points: they are called point1, point2, ... in its order."
+
+
 def numbered_names(count: int) -> tuple[str, ...]:
-    """For the points of a file that has no names."""
+    """For the points of a file that has no names, which has the note `UNNAMED_POINTS`."""
     return tuple(f"point{k}" for k in range(1, count + 1))
 
 

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from recon.base.errors import InputError, Problem, refuse
-from recon.io.common import MAX_FRAME, PROBLEMS_SHOWN, frame_number, numbers
-from recon.io.deeplabcut import Column, PointTable, gather
+from recon.base.errors import InputError, Problem, all_of
+from recon.io.deeplabcut import points_in, table_of_rows
 from recon.io.formats import Format, file_head, read_points
 from recon.io.pose import PER_METRE, Pose3D, StoredPoints, z_up_from_y_up
 from recon.io.table import text_rows
@@ -64,44 +63,24 @@ def read_pose_segments(path: str | Path) -> dict[str, Pose3D]:
     """Several pieces of motion in one CSV file, by name: a first header row `segment, frame, <joints>`, a second with
     x, y, z, and metres. A file as `read_pose3d` takes it is one piece, named after the file. Raises InputError."""
     path = Path(path)
-    head = file_head(path)
-    if not head.removeprefix(b"\xef\xbb\xbf").startswith(b"segment,frame,"):
+    if not file_head(path).removeprefix(b"\xef\xbb\xbf").startswith(b"segment,frame,"):
         return {path.stem: read_pose3d(path)}
-    rows = [row for _, row in text_rows(path, ",")]
-    if len(rows) < 2:
-        raise InputError(Problem(path, "text", f"{len(rows)} rows", "two header rows and a row per frame"))
-    names, coords, *rows = rows
-    problems = list(_segment_problems(path, names, coords, rows))
-    refuse(problems[:PROBLEMS_SHOWN])
-    columns = tuple(Column("", name.strip(), c.strip()) for name, c in zip(names[2:], coords[2:], strict=True))
-    values = np.array([numbers(row[2:])[0] for row in rows])
-    pieces = np.array([row[0] for row in rows])
-    frames = np.array([int(row[1]) for row in rows])
-    segments = {}
-    for piece in dict.fromkeys(pieces.tolist()):
-        of = pieces == piece
-        joints, xyz_m = gather(PointTable(columns, values[of], frames[of], ()), path, required=("x", "y", "z"))
-        segments[piece] = Pose3D(joints, xyz_m, frames[of], source=str(path))
-    return segments
+    rows = text_rows(path, ",")
+    names, coords = next(rows)[1], next(rows, (2, []))[1]
+    if len(coords) != len(names):
+        raise InputError(Problem(path, "line 2", f"{len(coords)} cells", f"{len(names)}, as in line 1"))
+    pieces: dict[str, list[tuple[int, list[str]]]] = {}
+    for line, row in rows:
+        pieces.setdefault(row[0], []).append((line, row[1:]))
+    if not pieces:
+        raise InputError(Problem(path, "rows", "no frames", "at least one row below the header"))
+    header = {"bodyparts": names[2:], "coords": coords[2:]}
+    found = all_of(*(partial(_piece, path, header, rows) for rows in pieces.values()))
+    return dict(zip(pieces, found, strict=True))
 
 
-def _segment_problems(path: Path, names: list[str], coords: list[str], rows: list[list[str]]) -> Iterator[Problem]:
-    if len(coords) != len(names) or not {c.strip() for c in coords[2:]} <= {"x", "y", "z"}:
-        yield Problem(path, "line 2", ", ".join(dict.fromkeys(coords)), f"two blanks and {len(names) - 2} of x, y, z")
-    if not rows:
-        yield Problem(path, "rows", "no frames", "at least one row below the header")
-    last: dict[str, int] = {}
-    for line, row in enumerate(rows, start=3):
-        if len(row) != len(names):
-            yield Problem(path, f"line {line}", f"{len(row)} cells", f"{len(names)}, as in the header")
-            continue
-        frame = frame_number(row[1], -MAX_FRAME)
-        if frame is None or frame <= last.get(row[0], -MAX_FRAME - 1):
-            expected = f"a frame number after {last[row[0]]}" if row[0] in last else "a frame number (0, 1, 2, ...)"
-            yield Problem(path, f"line {line}, frame", f"'{row[1]}'", expected)
-        else:
-            last[row[0]] = frame
-        cells = list(zip(names[2:], coords[2:], row[2:], strict=False))
-        for i in numbers(cell for _, _, cell in cells)[1]:
-            name, coord, cell = cells[i]
-            yield Problem(path, f"line {line}, column {name}/{coord}", f"'{cell}'", "a number or an empty cell")
+def _piece(path: Path, header: dict[str, list[str]], rows: list[tuple[int, list[str]]]) -> Pose3D:
+    stored = points_in(table_of_rows(path, header, rows, 1), path, None)
+    if not stored.in_space:
+        raise InputError(Problem(path, "line 2", "no z", "x, y, z of each joint"))
+    return Pose3D(stored.names, stored.values, stored.frames, source=str(path), notes=stored.notes)

@@ -1,13 +1,17 @@
-"""SLEAP's analysis files (HDF5): `tracks`, `point_scores`, `track_occupancy`, `node_names`, `track_names`.
+"""SLEAP's analysis files and sleap-anipose's 3D points (HDF5).
 
-The order of the axes stands in the attribute `dims` of each dataset; files without it have SLEAP's first order. The
-frame axis counts from frame 0 of the video. Frames in which a track is not occupied are left out. Our own have the
-frame rate in `provenance`: there is no other place.
+- Analysis: `tracks`, `point_scores`, `track_occupancy`, `node_names`, `track_names`. The order of the axes is in the
+  attribute `dims` of each dataset; files without it have SLEAP's first order. The frame axis counts from frame 0 of the
+  video. Frames in which a track is not occupied are left out. Our own have the frame rate in `provenance`: there is no
+  other place.
+- points3d.h5: `tracks` (frame, track, node, xyz), and perhaps `frames`, the first and the end. Files of others have
+  names beside them, and the rate as `recording_frame_rate`.
 """
 
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -17,9 +21,9 @@ import numpy as np
 from recon.base.errors import InputError, Problem, refuse
 from recon.base.files import write_bytes
 from recon.clip.keypoints import Keypoints
-from recon.io.common import choose, formats_extra, name_problems, rate, require_span
+from recon.io.common import choose, name_problems, rate, require_span
 from recon.io.hdf5 import attribute, child, numbers, opened, outline, texts
-from recon.io.pose import StoredPoints
+from recon.io.pose import UNNAMED_POINTS, StoredPoints, numbered_names
 
 TITLE = "SLEAP analysis H5"
 ORDERS = {
@@ -28,11 +32,7 @@ ORDERS = {
     "track_occupancy": ("frame", "track"),
 }
 """Without `dims`."""
-WANTED = {
-    "tracks": ("frame", "track", "node", "xy"),
-    "point_scores": ("frame", "track", "node"),
-    "track_occupancy": ("frame", "track"),
-}
+WANTED = ("frame", "track", "node", "xy")
 
 
 def recognises(path: Path) -> bool:
@@ -40,29 +40,33 @@ def recognises(path: Path) -> bool:
 
 
 def read(path: Path, individual: str | None = None) -> StoredPoints:
-    """The keypoints of one track. Raises InputError for a file that is damaged or whose arrays do not fit."""
+    """The keypoints of one track: a file without scores has unknown ones, without occupancy every track in every frame.
+    Raises InputError for a file that is damaged or whose arrays do not fit."""
     with opened(path) as file:
-        names = _texts(file, "node_names")
-        tracks = _texts(file, "track_names")
+        names, tracks = _texts(file, "node_names"), _texts(file, "track_names")
         stored = {name: child(file, name) for name in ORDERS}
         if stored["tracks"] is None:
             raise InputError(Problem(path, "tracks", "a link to nowhere", "a dataset"))
         arrays = {name: _array(path, dataset, name) for name, dataset in stored.items() if dataset is not None}
         fps = _fps(file)
-    xy, score, occupied = _checked_arrays(path, names, tracks, arrays)
-    animals = tracks or [f"track_{i}" for i in range(xy.shape[1])]
+    xy = arrays["tracks"]
+    T, N, K, two = xy.shape
+    score = arrays.get("point_scores", np.full((T, N, K), np.nan))
+    occupied = arrays.get("track_occupancy", np.ones((T, N))) > 0
+    problems = [] if two == 2 else [Problem(path, "tracks", f"{two} coordinates", "2: x, y")]
+    problems += name_problems(path, "node_names", names)[: not names] + _misfits(path, names, tracks, K, N)
+    for name, array, shape in (("point_scores", score, (T, N, K)), ("track_occupancy", occupied, (T, N))):
+        if array.shape != shape:
+            axes = ", ".join(WANTED[: len(shape)])
+            problems.append(Problem(path, name, f"{array.shape} ({axes})", f"{shape}, as in tracks"))
+    refuse(problems)
+    animals = tracks or [f"track_{i}" for i in range(N)]
     which = choose(path, animals, individual, (np.isfinite(xy[frames, n]).any() for n, frames in enumerate(occupied.T)))
     frames = np.flatnonzero(occupied[:, which])
     if not len(frames):
         raise InputError(Problem(path, f"track {animals[which]}", "no frame with it", "at least one"))
-    return StoredPoints(
-        tuple(names),
-        xy[frames, which],
-        frames,
-        score[frames, which],
-        fps=fps,
-        individual=animals[which] if tracks else None,
-    )
+    individual = animals[which] if tracks else None
+    return StoredPoints(tuple(names), xy[frames, which], frames, score[frames, which], fps=fps, individual=individual)
 
 
 def _texts(file: Any, name: str) -> list[str]:
@@ -71,9 +75,20 @@ def _texts(file: Any, name: str) -> list[str]:
     return texts(dataset) if dataset is not None and getattr(dataset, "size", 0) else []
 
 
+def _misfits(path: Path, nodes: Sequence[str], tracks: Sequence[str], K: int, N: int) -> list[Problem]:
+    """What is wrong with the names of K nodes and N tracks, as far as there are any."""
+    problems: list[Problem] = []
+    for name, found, wanted in (("node_names", nodes, K), ("track_names", tracks, N)):
+        problems += name_problems(path, name, found) if found else []
+        if found and len(found) != wanted:
+            problems.append(Problem(path, name, f"{len(found)} names", f"{wanted}, as in tracks"))
+    return problems
+
+
 def _array(path: Path, dataset: Any, name: str) -> np.ndarray:
-    """One array with its axes in the order that is wanted."""
-    order, wanted = ORDERS[name], WANTED[name]
+    """One array with its axes in the order of `WANTED`."""
+    order = ORDERS[name]
+    wanted = [axis for axis in WANTED if axis in order]
     dims = attribute(dataset, "dims")
     if dims is not None:
         order = tuple(str(axis) for axis in json.loads(dims))
@@ -82,53 +97,65 @@ def _array(path: Path, dataset: Any, name: str) -> np.ndarray:
     values = numbers(dataset)
     if sorted(order) != sorted(wanted) or values.ndim != len(wanted):
         found = f"{values.dtype} {values.shape} with the axes {', '.join(order)[:80]}"
-        raise InputError(
-            Problem(path, name, found, f"numbers with the axes {', '.join(ORDERS[name])}, or as dims says")
-        )
+        expected = f"numbers with the axes {', '.join(ORDERS[name])}, or as dims says"
+        raise InputError(Problem(path, name, found, expected))
     return np.transpose(values.astype(float), [order.index(axis) for axis in wanted])
 
 
 def _fps(file: Any) -> float | None:
     """As our own files have it; SLEAP's have none."""
-    dataset = child(file, "provenance")
     try:
-        provenance = json.loads("".join(texts(dataset)))
+        provenance = json.loads("".join(texts(child(file, "provenance"))))
     except (ValueError, RecursionError):
         return None
     return rate(provenance.get("fps")) if isinstance(provenance, dict) else None
 
 
-def _checked_arrays(
-    path: Path, names: list[str], tracks: list[str], arrays: dict[str, np.ndarray]
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """xy (T, N, K, 2), scores (T, N, K) and occupancy (T, N) bool of N tracks. Raises InputError where they do not fit
-    together; a file without scores has unknown ones, without occupancy every track in every frame."""
-    xy = arrays["tracks"]
-    T, N, K, two = xy.shape
-    problems = name_problems(path, "node_names", names)
-    if two != 2:
-        problems.append(Problem(path, "tracks", f"{two} coordinates", "2: x, y"))
-    if len(names) != K:
-        problems.append(Problem(path, "node_names", f"{len(names)} names", f"{K}, as in tracks"))
-    if tracks and len(tracks) != N:
-        problems.append(Problem(path, "track_names", f"{len(tracks)} names", f"{N}, as in tracks"))
-    problems += name_problems(path, "track_names", tracks) if tracks else []
-    score = arrays.get("point_scores", np.full((T, N, K), np.nan))
-    occupied = arrays.get("track_occupancy", np.ones((T, N)))
-    for name, array, shape in (("point_scores", score, (T, N, K)), ("track_occupancy", occupied, (T, N))):
-        if array.shape != shape:
-            axes = ", ".join(WANTED[name])
-            problems.append(Problem(path, name, f"{array.shape} ({axes})", f"{shape}, as in tracks"))
+# -- sleap-anipose's points3d.h5 --------------------------------------------------------------------------------------
+
+
+def recognises_points3d(path: Path) -> bool:
+    names = outline(path)
+    if "tracks" not in names or {"point_scores", "track_occupancy", "edge_inds", "instance_scores"} & names:
+        return False
+    with opened(path) as file:
+        shape = getattr(child(file, "tracks"), "shape", ())
+        return len(shape) == 4 and shape[-1] == 3
+
+
+def read_points3d(path: Path, individual: str | None = None) -> StoredPoints:
+    """The 3D points of one track. Raises InputError."""
+    with opened(path) as file:
+        values = numbers(child(file, "tracks")).astype(float)
+        nodes, tracks = _texts(file, "node_names"), _texts(file, "track_names")
+        span, fps = (child(file, name) for name in ("frames", "recording_frame_rate"))
+        first = 0.0 if span is None else float(numbers(span).ravel()[0])
+        fps = None if fps is None else rate(numbers(fps).ravel()[0])
+    T, N, K, _ = values.shape
+    problems = _misfits(path, nodes, tracks, K, N)
+    if not values.size:
+        problems.append(Problem(path, "tracks", f"{values.shape}", "(frames, tracks, nodes, 3), none of them 0"))
+    if not (abs(first) < 1e15 and first == int(first)):
+        problems.append(Problem(path, "frames", f"{first:g}", "the first frame's number"))
     refuse(problems)
-    return xy, score, occupied > 0
+    animals = tracks or ([""] if N == 1 else [f"track_{i}" for i in range(N)])
+    which = choose(path, animals, individual, [bool(np.isfinite(values[:, n]).any()) for n in range(N)])
+    return StoredPoints(
+        tuple(nodes) or numbered_names(K),
+        values[:, which],
+        int(first) + np.arange(T),
+        fps=fps,
+        individual=tracks[which] if tracks else None,
+        notes=() if nodes else (UNNAMED_POINTS,),
+    )
 
 
-# -- writing ---------------------------------------------------------------------------------------------------------
+# -- writing ----------------------------------------------------------------------------------------------------------
 
 
 def write(keypoints: Keypoints, path: Path) -> None:
-    with formats_extra(TITLE):
-        import h5py
+    import h5py
+
     if keypoints.frames[0] < 0:
         raise InputError(Problem(TITLE, "frames", f"{keypoints.frames[0]}", "numbers from 0 on"))
     T, K = int(keypoints.frames[-1]) + 1, len(keypoints.names)
@@ -138,18 +165,21 @@ def write(keypoints: Keypoints, path: Path) -> None:
     scores[0, :, keypoints.frames] = keypoints.confidence
     occupied = np.zeros((T, 1), np.uint8)
     occupied[keypoints.frames] = 1
-    instance_scores = np.where(occupied.T == 1, 1.0, np.nan)
-    named = [] if keypoints.individual is None else [keypoints.individual.encode()]
+    instances = np.where(occupied.T == 1, 1.0, np.nan)
+    arrays = {
+        "tracks": (tracks, ORDERS["tracks"]),
+        "point_scores": (scores, ORDERS["point_scores"]),
+        "track_occupancy": (occupied, ORDERS["track_occupancy"]),
+        "instance_scores": (instances, ("track", "frame")),
+        "tracking_scores": (instances, ("track", "frame")),
+    }
     provenance = {"written_by": "recon"} | ({} if keypoints.fps is None else {"fps": keypoints.fps})
     made = BytesIO()
     with h5py.File(made, "w") as file:
-        for name, array in (("tracks", tracks), ("point_scores", scores), ("track_occupancy", occupied)):
-            file.create_dataset(name, data=array, compression="gzip").attrs["dims"] = json.dumps(ORDERS[name])
-        for name in ("instance_scores", "tracking_scores"):
-            dataset = file.create_dataset(name, data=instance_scores, compression="gzip")
-            dataset.attrs["dims"] = json.dumps(("track", "frame"))
+        for name, (array, dims) in arrays.items():
+            file.create_dataset(name, data=array, compression="gzip").attrs["dims"] = json.dumps(dims)
         file["node_names"] = np.array([name.encode() for name in keypoints.names])
-        file["track_names"] = np.array(named)
+        file["track_names"] = np.array([] if keypoints.individual is None else [keypoints.individual.encode()])
         file["edge_names"], file["edge_inds"] = np.zeros((0, 2)), np.zeros((0, 2), np.int32)
         file["labels_path"], file["video_path"], file["video_ind"] = "", "", np.int32(0)
         file["provenance"] = json.dumps(provenance)

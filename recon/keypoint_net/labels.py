@@ -15,7 +15,7 @@ from recon.animal import load_names, new_names, other_side
 from recon.base.arrays import Array, Bools, Integers, median
 from recon.base.errors import InputError, Problem, all_of, refuse
 from recon.clip.keypoints import Keypoints, mark_missing, parse_frame_range
-from recon.io import as_keypoints, deeplabcut, deeplabcut_h5, file_head
+from recon.io import FORMATS, as_keypoints, deeplabcut_h5, file_head
 from recon.io.common import first_problems, frames_text
 from recon.io.deeplabcut_project import Project, find_project, label_files
 from recon.io.hdf5 import is_hdf5
@@ -144,10 +144,11 @@ def read_label_file(path: Path, individual: str | None = None) -> tuple[Keypoint
 
 def _read_rows(path: Path, individual: str | None) -> tuple[Keypoints, tuple[str, ...]]:
     file_head(path)
-    tables = deeplabcut_h5 if is_hdf5(path) else deeplabcut
-    if not tables.recognises(path):
+    code = "deeplabcut_h5" if is_hdf5(path) else "deeplabcut/csv"
+    table = next(f for f in FORMATS if f.code == code)
+    if not table.recognises(path):
         raise InputError(Problem(path, "format", "another kind of file", "labels in DeepLabCut's layout, CSV or H5"))
-    keypoints, _ = mark_missing(as_keypoints(path, tables.read(path, individual)))
+    keypoints, _ = mark_missing(as_keypoints(path, table.read(path, individual)))
     named = dict(_image_names(path))
     return keypoints, tuple(named.get(int(n), str(n)) for n in keypoints.frames)
 

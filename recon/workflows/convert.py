@@ -15,7 +15,7 @@ from recon.check import usable, verdict_lines
 from recon.clip.keypoints import Keypoints, mark_missing
 from recon.fit.motion import Motion
 from recon.io import Format, Pose3D, as_keypoints, choose_format, in_metres, read_points
-from recon.io.column_map import parse_map
+from recon.io.columns import parse_map
 from recon.show.export.rig import rig_of
 from recon.workflows.settings import ANYWAY, RENAME
 

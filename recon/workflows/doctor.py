@@ -26,7 +26,7 @@ from recon.base.progress import Progress, silent
 Status = Literal["ok", "absent", "note", "broken"]
 
 EXTRAS = {
-    "formats": "writing movement, NWB and C3D files",
+    "formats": "writing movement, NWB, C3D and DeepLabCut's H5 files",
     "cluster": "batches on a Dask cluster",
     "net": "the keypoint network",
     "urdf": "robots from URDF files",

@@ -22,9 +22,9 @@ from recon.base.manifest import MANIFEST, write_manifest
 from recon.clip.keypoints import Keypoints, clean
 from recon.fit.motion import MOTION, Motion
 from recon.geometry.camera import Camera
-from recon.io import FORMATS, bvh, columns, read_cameras, read_keypoints, write_camera
+from recon.io import FORMATS, bvh, read_cameras, read_keypoints, write_camera
 from recon.io.camera_track import read_camera_track
-from recon.io.column_map import parse_map
+from recon.io.columns import parse_map, read_long
 from recon.io.pose3d import Pose3D, read_pose3d, read_pose_segments
 from recon.keypoint_net.labels import read_label_file
 from recon.robotics.climb.recipe import load_recipe
@@ -231,7 +231,6 @@ def of_formats(folder: Path) -> Iterator[Seed]:
     yield Seed("3d-fmpose3d.json", json.dumps(lifted).encode(), _positions)
     yield Seed("2d-mmpose.json", json.dumps(MMPOSE).encode(), _points)
     yield Seed("2d-fixed.h5", _fixed_h5(folder / "fixed.h5", clip), _points)
-    yield Seed("2d-classic.cdf", _classic_netcdf(folder / "classic.cdf", clip), _points)
 
 
 def _fixed_h5(path: Path, clip: Keypoints) -> bytes:
@@ -241,24 +240,6 @@ def _fixed_h5(path: Path, clip: Keypoints) -> bytes:
     columns = pd.MultiIndex.from_product([["me"], clip.names, ["x", "y"]], names=["scorer", "bodyparts", "coords"])
     rows = pd.MultiIndex.from_tuples([("labeled-data", "run", f"img{n:04d}.png") for n in clip.frames])
     pd.DataFrame(clip.xy_px.reshape(5, -1), index=rows, columns=columns).to_hdf(path, key="df_with_missing")
-    return path.read_bytes()
-
-
-def _classic_netcdf(path: Path, clip: Keypoints) -> bytes:
-    """As movement writes it without netCDF 4."""
-    from scipy.io import netcdf_file
-
-    with netcdf_file(path, "w") as file:
-        sizes = {"time": 5, "space": 2, "keypoints": 3, "individuals": 1, "letters": 5}
-        for name, size in sizes.items():
-            file.createDimension(name, size)
-        file.fps, file.ds_type, file.time_unit = 50.0, "poses", "seconds"
-        position = file.createVariable("position", "d", ("time", "space", "keypoints", "individuals"))
-        position[:] = clip.xy_px.transpose(0, 2, 1)[..., None]
-        time = file.createVariable("time", "d", ("time",))
-        time[:] = clip.frames / 50.0
-        labels = file.createVariable("keypoints", "c", ("keypoints", "letters"))
-        labels[:] = np.array([list(name.ljust(5, "\0")) for name in clip.names], "S1")
     return path.read_bytes()
 
 
@@ -280,7 +261,7 @@ def _texts() -> Iterator[Seed]:
 def _by_map(path: Path) -> object:
     table = path.with_name("table.csv")
     table.write_text("Frame,Node,X,Y,Score,nose X,nose Y\n0,nose,1,2,0.9,1,2\n1,tail,3,4,0.8,3,4\n")
-    return columns.read(table, None, parse_map(path.read_text(encoding="utf-8", errors="replace")))
+    return read_long(table, None, parse_map(path.read_text(encoding="utf-8", errors="replace")))
 
 
 def _rates(path: Path) -> object:
