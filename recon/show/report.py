@@ -59,11 +59,14 @@ def console_summary(report: Mapping[str, Any]) -> Table:
     table.add_column(no_wrap=True)
     table.add_column()
     verdict = report["verdict"] or {"level": "", "reason": ""}
-    for label, text in report["lines"]:
+    found = [one for one in report["findings"] if one["severity"] != "note" and one["text"] != verdict["reason"]]
+    begins = sum(label in ("verdict", "expected") for label, _ in report["lines"])  # below, what may be wrong
+    for label, text in report["lines"][:begins]:
         level = verdict["level"] if label == "verdict" else ""
         table.add_row(Text(label, style="bold"), Text.assemble((level, STYLES.get(level, "")), text[len(level) :]))
-    for one in report["findings"]:
-        if one["severity"] != "note" and one["text"] != verdict["reason"]:
-            colour = {"error": "red", "warning": "yellow"}[one["severity"]]
-            table.add_row(Text(one["severity"], style=f"bold {colour}"), Text(one["text"], colour))
+    for one in found:
+        colour = {"error": "red", "warning": "yellow"}[one["severity"]]
+        table.add_row(Text(one["severity"], style=f"bold {colour}"), Text(one["text"], colour))
+    for label, text in report["lines"][begins:]:
+        table.add_row(Text(label, style="bold"), text)
     return table

@@ -138,8 +138,8 @@ def _gait_sentences(gait: Gait | None) -> Iterator[str]:
     yield f"Gait: {gait.name.name} ({gait.name.criterion})."
     if gait.strides:
         yield (
-            f"Strides are {length_text(gait.stride_length_m)} long, {gait.stride_frequency_hz:.2f} a second (means "
-            f"over {len(gait.strides)} of single feet); a foot stands {gait.name.duty_factor:.0%} of the time "
+            f"Strides are {length_text(gait.stride_length_m)} long, {gait.stride_frequency_hz:.2f} a second (average "
+            f"of {len(gait.strides)} strides); a foot stands {gait.name.duty_factor:.0%} of the time "
             "(90 %: {:.0%} to {:.0%}).".format(*gait.name.duty_interval)
         )
 

@@ -20,7 +20,7 @@ from recon.fit.motion import MEASURED_SHARE, Motion
 from recon.fit.result import MotionSegment, TrajectorySolution
 from recon.gait.clip import gait_of
 from recon.gait.path import MIN_POINTS
-from recon.show.plain import by_name, file_name, frame_count, number
+from recon.show.plain import by_name, file_name, frame_count
 from recon.show.sections.given import counts, heading_text, sentences, upright
 from recon.show.sections.section import Line
 
@@ -47,7 +47,7 @@ def _sentences(motion: Motion) -> Iterator[str]:
     solution, body = _solution(motion), motion.body
     of_animal = "not measured on this one" if body.subject is None else "measured on this animal"
     size_told = "this clip hardly says it"
-    if telling := [SAID_BY[what] for what in _telling(solution)]:
+    if telling := _telling(solution):
         size_told = f"by {' and '.join(telling)} it is {solution.size:.3f} ± {solution.size_sigma:.3f}"
     yield (
         f"The proportions are those of {body.title!r}, {of_animal}. How large the animal is, a factor on all its "
@@ -173,12 +173,14 @@ def size(motion: Motion) -> dict[str, Any]:
 
 
 def size_lines(motion: Motion, data: Any) -> Iterator[Line]:
-    measured = " and ".join(f"the {what}" for what in _telling(_solution(motion)))
-    yield (
-        "size",
-        f"{data['factor']:.3f} ± {data['sigma']:.3f} of the lengths of {data['lengths']!r} "
-        f"({f'from {measured}; ' if measured else ''}1 ± {data['prior_sigma']:.2g} expected)",
-    )
+    by, animal = _telling(_solution(motion)), data["lengths"].split(",")[0]
+    if by:
+        relative = data["sigma"] / data["factor"]
+        yield "size", f"{data['factor']:.2f} times the {animal} of the skeleton, ±{relative:.0%}, by {' and '.join(by)}"
+    elif data["measured"]:
+        yield "size", f"as measured ({data['subject']}), ±{data['sigma']:.0%}"
+    else:
+        yield "size", f"not measured: all metres and m/s assume a {animal} of average size (±{data['sigma']:.0%})"
 
 
 def _size_share(solution: TrajectorySolution) -> float:
@@ -186,8 +188,8 @@ def _size_share(solution: TrajectorySolution) -> float:
 
 
 def _telling(solution: TrajectorySolution) -> list[str]:
-    """Of `SAID_BY`, where they say more than the expectation; the ground often says a little only."""
-    return [what for what in solution.size_from if what in SAID_BY and _size_share(solution) >= MEASURED_SHARE]
+    """By what the size was measured, where that says more than the expectation; the ground often says a little only."""
+    return [SAID_BY[what] for what in solution.size_from if what in SAID_BY and _size_share(solution) >= MEASURED_SHARE]
 
 
 # -- how sure ---------------------------------------------------------------------------------------------------------
@@ -217,8 +219,10 @@ def prior(motion: Motion) -> dict[str, Any]:
 
 
 def prior_lines(motion: Motion, data: Any) -> Iterator[Line]:
-    name = "none, the skeleton's own expectations" if data["name"] == NONE else data["name"]
-    yield "prior", f"{name}; {number(data['mean_data_share'], '.0%')} of the joints' precision from pixels"
+    name = "the skeleton's own expectations" if data["name"] == NONE else data["name"]
+    share = data["mean_data_share"]
+    if share is not None:
+        yield "prior", f"{share:.0%} of the pose rests on the video, {1 - share:.0%} on {name}"
 
 
 # -- the ground and the stances ---------------------------------------------------------------------------------------
@@ -294,14 +298,12 @@ def alternative(motion: Motion) -> dict[str, Any] | None:
 
 def alternative_lines(motion: Motion, data: Any) -> Iterator[Line]:
     if data is None:
-        text = "no other solution nearly as good"
+        text = "no other pose fits nearly as well"
     elif not any(one.code == "second_solution" for one in motion.findings):
-        text = f"another start ended nearby, with joints {length_text(data['mean_m'])} away on average"
+        text = f"a second solution differs by {length_text(data['mean_m'])}: harmless"
     else:
-        text = (
-            f"joints {length_text(data['mean_m'])} away on average in {frame_count(data['frames'])}, "
-            f"at a cost higher by {number(data['cost_difference'], '.1f')}"
-        )
+        text = f"another pose, {length_text(data['mean_m'])} away on average in {frame_count(data['frames'])}, fits "
+        text += "equally well: the data cannot tell which is right" if data["cost_difference"] < 1 else "nearly as well"
     yield "alternative", text
 
 
@@ -324,6 +326,5 @@ def convergence(motion: Motion) -> dict[str, Any]:
 
 
 def effort_lines(motion: Motion, data: Any) -> Iterator[Line]:
-    seconds = motion.timing_s.get("solve_s", motion.solution.stage_s.get("all"))
-    end = "" if data["status"] == "converged" else ", not converged"
-    yield "effort", f"{number(seconds, '.1f')} s, {data['iterations']} iterations{end}"
+    if data["status"] != "converged":
+        yield "search", f"not converged after {data['iterations']} iterations: the pose may be far off"

@@ -17,7 +17,6 @@ from recon.base.arrays import Array, finite, mean, median
 from recon.clip.keypoints import KeypointCounts
 from recon.fit import TrajectorySolution
 from recon.fit.motion import Motion, Picture
-from recon.fit.result import OUTLIER_SIGMAS
 from recon.gait.kinematics import jitter_errors, point_kinematics
 from recon.gait.path import frame_jitter_m
 from recon.show.plain import by_name, file_name, number
@@ -205,22 +204,22 @@ def keypoint_lines(motion: Motion, data: Any) -> Iterator[Line]:
     }
     listed = "".join(f"; {what}: {check.names_text(names)}" for what, names in parts.items() if names)
     share = f"{found['keypoints']['used']}" if lacking else "all"
-    yield "keypoints", f"{share} of the skeleton's {len(fitted)} used{listed}"
     points = [_points(picture) for picture in motion.pictures]
     used, missing, rejected = (sum(one[count] for one in points) for count in ("used", "missing", "rejected"))
-    yield "points", f"{used} used, {missing} missing, {rejected} rejected as unlikely or far outside"
+    yield "keypoints", f"{share} of the skeleton's {len(fitted)} used{listed}"
+    yield "detections", f"{used} used, {missing} missing, {rejected} rejected as unlikely or far outside"
     errors = found["reprojection_px"]
     yield (
         "reprojection",
         "none: no pose"
         if errors["worst_joint"] is None
         else f"{errors['mean']:.1f} px mean, {errors['median']:.1f} px median; worst joint {errors['worst_joint']}, "
-        f"{errors['worst_joint_mean']:.1f} px (outliers included)",
+        f"{errors['worst_joint_mean']:.1f} px",
     )
     off = sorted(((row["outliers"], row["name"]) for row in fitted if row["outliers"]), reverse=True)
     most = ", ".join(f"{name} {count}" for count, name in off[:3]) + (", ..." if len(off) > 3 else "")
     where = f": {most}" if off else ""
-    yield "outliers", f"{found['outliers']} points further off than {OUTLIER_SIGMAS:g} sigma of the detector{where}"
+    yield "outliers", f"{found['outliers']} of {used} detections disagree with the pose{where}"
 
 
 def cleaning(motion: Motion) -> dict[str, Any]:

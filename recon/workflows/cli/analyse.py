@@ -80,7 +80,7 @@ def _lines(found: ClipAnalysis, speed: dict[str, Any]) -> Iterator[str]:
         yield f"gait: {gait.name.name} ({gait.name.criterion})"
         if gait.strides:
             yield (
-                f"  means over {counted(len(gait.strides), 'stride')} of single feet: "
+                f"  average of {counted(len(gait.strides), 'stride')}: "
                 f"{length_text(gait.stride_length_m)}, {gait.stride_frequency_hz:.2f} Hz, "
                 "duty factor {:.2f} (90 %: {:.2f} to {:.2f})".format(gait.name.duty_factor, *gait.name.duty_interval)
             )
