@@ -42,7 +42,7 @@ from recon.animal.skeleton_file import builtin_subjects
 from recon.check import FileFacts, Finding, input_findings
 from recon.check.inputs import likelihood
 from recon.check.inputs.likelihood import CLEAR, baseline_of, unlikely
-from recon.check.inputs.swaps import Stretch, exchanged, pairs_of, swaps
+from recon.check.inputs.swaps import _Stretch, exchanged, pairs_of, swaps
 from recon.clip import Source, views_of
 from recon.clip.keypoints import Keypoints, clean
 from recon.fit import TrajectoryOptions, constants, solve_trajectory
@@ -203,12 +203,12 @@ def of_input(motion: Motion) -> list[Finding]:
     return [one for one in motion.findings if one.code in {SWAP, *(case.code for case in CASES.values())}]
 
 
-def stretch_of(motion: Motion, one: Finding) -> Stretch:
+def stretch_of(motion: Motion, one: Finding) -> _Stretch:
     """The rows, and the permutation of the keypoints, of a swap."""
     places, to = np.arange(len(motion.names)), [motion.names.index(name) for name in one.names("keypoints")]
     places[to] = _opposites(motion.names, None)[to]
     first, stop = np.searchsorted(motion.frames, one.frames or ())
-    return Stretch(slice(int(first), int(stop)), places)
+    return _Stretch(slice(int(first), int(stop)), places)
 
 
 def named(motion: Motion, code: str, markers: tuple[int, ...] | None = None) -> np.ndarray:
@@ -220,7 +220,7 @@ def named(motion: Motion, code: str, markers: tuple[int, ...] | None = None) -> 
     return frames
 
 
-def agreed(view: View, motion: Motion, one: Stretch) -> bool:
+def agreed(view: View, motion: Motion, one: _Stretch) -> bool:
     """Whether the reconstruction from all cameras says, too, that the detector exchanged those keypoints there."""
     projected, _ = view.lens.project(view.truth_m)
     sigma_px = motion.solution.noise_px[0]
@@ -478,16 +478,16 @@ def bound_rows(view: View, folder: Path) -> list[dict[str, Any]]:
     alike = max(constants.ERROR_TIME_S * motion.fps, 1.0)
     projected, _ = view.lens.project(view.truth_m)
 
-    def surprise(stretch: Stretch) -> float:
+    def surprise(stretch: _Stretch) -> float:
         return unlikely(exchanged(seen, stretch), projected, sigma_px, alike)
 
     rows = []
     for name in LEGS:
         places = pairs_of(motion.body)[name]
-        as_it_is = surprise(Stretch(slice(0, 0), places))
-        told = surprise(Stretch(slice(_half(view), T), places)) - as_it_is
+        as_it_is = surprise(_Stretch(slice(0, 0), places))
+        told = surprise(_Stretch(slice(_half(view), T), places)) - as_it_is
         gains = {
-            (a, b): as_it_is - surprise(Stretch(slice(a, b), places)) for a in range(T) for b in range(a + 1, T + 1)
+            (a, b): as_it_is - surprise(_Stretch(slice(a, b), places)) for a in range(T) for b in range(a + 1, T + 1)
         }
         (first, stop), gain = max(gains.items(), key=lambda one: one[1])
         rows.append({"run": view.run.name, "cam": view.camera, "legs": name, "told": told, "gain": gain})

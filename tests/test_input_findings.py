@@ -18,8 +18,8 @@ from recon.check.inputs.outliers import outlier_ratios
 from recon.check.inputs.picture import of_other_camera, of_smaller_video, of_unit_square, smaller, turned_over
 from recon.check.inputs.rate import other_rate
 from recon.check.inputs.swaps import (
-    Stretch,
-    SwapTrial,
+    _Stretch,
+    _SwapTrial,
     contradicts,
     exchanged,
     jumps,
@@ -77,8 +77,8 @@ def moved(xy_px: np.ndarray) -> View:
     return replace(view(), xy_px=xy_px)
 
 
-def stretch(kind: str, first: int, stop: int) -> Stretch:
-    return Stretch(slice(first, stop), pairs_of(BODY)[kind])
+def stretch(kind: str, first: int, stop: int) -> _Stretch:
+    return _Stretch(slice(first, stop), pairs_of(BODY)[kind])
 
 
 # -- sides ---------------------------------------------------------------------------------------------------------
@@ -128,8 +128,8 @@ def test_exchanged_sides_are_found(kind, first, stop):
 
 def test_what_is_not_clear_is_not_said():
     assert swaps(fitted(exchanged(view(), stretch("hind", 14, 24)))) == []
-    place = Stretch(slice(14, 24), pairs_of(BODY)["hind"])
-    best = SwapTrial(place, MARGIN + 10.0, rival=SwapTrial(stretch("fore", 24, T), 11.0))
+    place = _Stretch(slice(14, 24), pairs_of(BODY)["hind"])
+    best = _SwapTrial(place, MARGIN + 10.0, rival=_SwapTrial(stretch("fore", 24, T), 11.0))
     (source,) = motion_of(plain()).sources
     unclear = swap_finding(best, source, BODY)
     assert (unclear.code, unclear.frames) == ("left_right_swap_unclear", (114, 124))
@@ -161,7 +161,7 @@ def test_of_two_that_exclude_each_other_the_likelier_has_to_lead():
     ],
 )
 def test_of_a_whole_clip_less_evidence_is_said_as_such(monkeypatch, kind, rows, ratio, code):
-    trials = iter([[(SwapTrial(stretch(kind, *rows), ratio), None)]])
+    trials = iter([[(_SwapTrial(stretch(kind, *rows), ratio), None)]])
     monkeypatch.setattr(sys.modules[swaps.__module__], "refits", lambda *args: next(trials, []))
     monkeypatch.setattr(sys.modules[swaps.__module__], "undone", lambda given, stretch, refit: given)
     (source,) = motion_of(plain()).sources

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from recon.check.mismatch import mismatches
     from recon.check.offsets import cameras_made_worse, solved_in_step
     from recon.check.rules import findings_of
-    from recon.check.upward import Upward, up_from_feet
+    from recon.check.upward import up_from_feet
     from recon.check.verdict import judged, usable, verdict_fields, verdict_lines
     from recon.fit.result import Finding, Severity
 

@@ -28,7 +28,7 @@ MIN_STANDING = 3
 
 
 @dataclass(frozen=True, eq=False)
-class Upward:
+class _Upward:
     """The unit vector (3,) that points up, a point (3,) of the ground below the animal, metres, in the poses' world,
     and the standard deviation of the direction about its less known axis."""
 
@@ -37,7 +37,7 @@ class Upward:
     sigma_rad: float
 
 
-def up_from_feet(views: Sequence[View], body: Body, fps: float, sigma_px: float) -> Upward | None:
+def up_from_feet(views: Sequence[View], body: Body, fps: float, sigma_px: float) -> _Upward | None:
     """Up as the feet of an animal say it that several cameras saw, None where they say too little.
 
     The plane through the feet that stand: slow ones, and, of those, the ones that others stand with. The body, which is
@@ -74,4 +74,4 @@ def up_from_feet(views: Sequence[View], body: Body, fps: float, sigma_px: float)
     sigma = float(np.sqrt(np.linalg.eigvalsh(np.linalg.inv(normal)[1:, 1:])[-1]))
     if not weight.sum() >= MIN_STANDING or not sigma < MAX_SIGMA_RAD:
         return None
-    return Upward(up / np.linalg.norm(up), middle + plane[0] * axes[0], sigma)
+    return _Upward(up / np.linalg.norm(up), middle + plane[0] * axes[0], sigma)

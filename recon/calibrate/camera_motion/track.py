@@ -8,10 +8,11 @@ from typing import Any
 
 import cv2
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.linalg import splu
 from scipy.spatial.transform import Rotation
 
-from recon.base.arrays import Array, Bools, Integers
-from recon.calibrate.camera_motion.adjust import FLOOR_PX, FrameLink, adjust
+from recon.base.arrays import Array, Bools, Index, Integers
 from recon.calibrate.camera_motion.features import (
     GreyPicture,
     alike,
@@ -24,8 +25,6 @@ from recon.calibrate.camera_motion.features import (
     rays_of,
     same_scene,
 )
-from recon.calibrate.camera_motion.focal import MIN_POINTS as MIN_PAIR_POINTS
-from recon.calibrate.camera_motion.focal import TurnedPair, focal_factor
 from recon.calibrate.camera_motion.rotation import (
     AgreedOrientation,
     Orientation,
@@ -59,6 +58,15 @@ CLEARLY = 3.0
 MIN_STILL, MAX_TORN = 0.4, 1
 """Of an old keyframe's background as much is still in its place, but for so many times."""
 THUMBNAIL_PX = 400
+ADJUST_STEPS = 4
+PICTURE_FLOOR_PX = 0.1
+"""Of what all points of a picture may be off together, which their scatter does not show."""
+MIN_PAIR_POINTS, MIN_PAIRS = 30, 4
+WIDEST = 0.7
+"""Of the log factors that are tried."""
+STEP, STEPS, ROUNDS = 1e-3, 6, 4
+PAIR_FLOOR_PX = 0.15
+"""Of what all points of a pair may be off together."""
 
 
 @dataclass(eq=False)
@@ -122,14 +130,14 @@ class Tracker:
     frames: list[int] = field(default_factory=list)
     turns: list[Orientation] = field(default_factory=list)
     supports: list[tuple[int, float]] = field(default_factory=list)
-    links: list[FrameLink] = field(default_factory=list)
+    links: list[_FrameLink] = field(default_factory=list)
     lost: list[int] = field(default_factory=list)
     apart: int = 0
     support: float = 0.0
     last: GreyPicture | None = None
     still: list[float] = field(default_factory=list)
     cut: int | None = None
-    pairs: list[TurnedPair] = field(default_factory=list)
+    pairs: list[_TurnedPair] = field(default_factory=list)
 
     def add(self, number: int, picture: Image) -> bool:
         """Whether the frame could be placed; afterwards `cut` says whether it is another take."""
@@ -289,11 +297,11 @@ class Tracker:
             own = (seen.of_key == k) & (seen.trust > MIN_TRUST)
             if own.sum() >= MIN_PAIR_POINTS:
                 between = turn.rotation @ key.turn.rotation.T
-                self.pairs.append(TurnedPair(key.number, key.points_px[seen.index[own]], seen.pixels[own], between))
+                self.pairs.append(_TurnedPair(key.number, key.points_px[seen.index[own]], seen.pixels[own], between))
         if len(self.pairs) > 2 * MAX_PAIRS:
             self.pairs = sorted(self.pairs, key=lambda pair: -pair.angle_rad)[:MAX_PAIRS]
 
-    def _link(self, place: int, key: _Keyframe, agreement: AgreedOrientation, seen: _Seen, own: Bools) -> FrameLink:
+    def _link(self, place: int, key: _Keyframe, agreement: AgreedOrientation, seen: _Seen, own: Bools) -> _FrameLink:
         turn, J = agreement.turn, agreement.jacobian[own]
         by_key = np.zeros((len(J), 2, 1))
         if self.solve_zoom:
@@ -307,7 +315,7 @@ class Tracker:
         weights = agreement.weights[own] / agreement.sigma_px**2
         normal, gradient = normal_equations(J, weights, agreement.residual_px[own])
         zooms = np.log([turn.zoom, key.turn.zoom])
-        return FrameLink(place, key.number, turn.rotation @ key.turn.rotation.T, zooms, normal, gradient)
+        return _FrameLink(place, key.number, turn.rotation @ key.turn.rotation.T, zooms, normal, gradient)
 
     def _new_key(
         self, frame: GreyPicture, picture: Image, mask: Bools | None, agreement: AgreedOrientation, seen: _Seen
@@ -348,11 +356,13 @@ class Tracker:
         turns: Sequence[Orientation] = self.turns
         sigma, sigma_zoom = np.zeros(len(frames)), np.zeros(len(frames))
         if self.links:
-            turns, sigma, sigma_zoom = adjust(turns, self.links, self.solve_zoom, FLOOR_PX / self.camera.matrix[0, 0])
+            turns, sigma, sigma_zoom = _adjust(
+                turns, self.links, self.solve_zoom, PICTURE_FLOOR_PX / self.camera.matrix[0, 0]
+            )
         torn = sum(share < MIN_STILL for share in self.still)
         turned_only = self.apart <= MAX_APART * (len(frames) + len(lost)) and torn <= MAX_TORN
         pairs = sorted(self.pairs, key=lambda pair: -pair.angle_rad)[:MAX_PAIRS]
-        focal = focal_factor(self.camera, pairs, self._limit_px)
+        focal = _focal_factor(self.camera, pairs, self._limit_px)
         if focal is not None and abs(focal[0]) > CLEARLY * focal[1]:
             first = turns[0].rotation
             angle = np.array([Rotation.from_matrix(turn.rotation @ first.T).magnitude() for turn in turns])
@@ -400,3 +410,153 @@ class _Seen:
     def where(self, kept: Bools) -> _Seen:
         parts: tuple[Any, ...] = (self.of_key, self.index, self.rays, self.pixels, self.trust)
         return _Seen(self.keys, *(part[kept] for part in parts))
+
+
+# -- all frames and keyframes, adjusted to what each saw of the others: a return shows no drift ------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class _FrameLink:
+    """A frame's points in a keyframe (both by their place among the frames). Their cost is e'He - 2 g'e; e: how much
+    further the frame is turned (rad) from the keyframe than by `turn` (3, 3), and how far the log zooms of frame and
+    keyframe are from `log_zooms` (2,). normal: H (5, 5). gradient: g (5,)."""
+
+    frame: int
+    key: int
+    turn: Array
+    log_zooms: Array
+    normal: Array
+    gradient: Array
+
+
+def _adjust(
+    turns: Sequence[Orientation], links: Sequence[_FrameLink], solve_zoom: bool, floor_rad: float
+) -> tuple[tuple[Orientation, ...], Array, Array]:
+    """The turns of the N frames, of which the first stays; their standard deviations (N,), rad per axis, against the
+    first frame; and those of the zooms (N,), relative. links: of every other frame at least one. floor_rad: see
+    PICTURE_FLOOR_PX."""
+    n, p = len(turns), 4 if solve_zoom else 3
+    rotation = np.stack([turn.rotation for turn in turns])
+    log_zoom = np.log([turn.zoom for turn in turns])
+    frame = np.array([link.frame for link in links], dtype=np.intp)
+    key = np.array([link.key for link in links], dtype=np.intp)
+    columns = np.concatenate([(end[:, None] * p + np.arange(p)) for end in (frame, key)], axis=1)
+    rows_of, columns_of = np.repeat(columns, 2 * p, axis=1), np.tile(columns, (1, 2 * p))
+    normal = np.stack([link.normal for link in links])
+    gradient = np.stack([link.gradient for link in links])
+    measured, at = np.stack([link.turn for link in links]), np.stack([link.log_zooms for link in links])
+    factor = None
+    blocks = np.zeros((0, 2 * p, 2 * p))
+    for _ in range(ADJUST_STEPS):
+        between = rotation[frame] @ rotation[key].swapaxes(1, 2)
+        e = np.zeros((len(links), 5))
+        e[:, :3] = Rotation.from_matrix(between @ measured.swapaxes(1, 2)).as_rotvec()
+        e[:, 3], e[:, 4] = log_zoom[frame] - at[:, 0], log_zoom[key] - at[:, 1]
+        J = np.zeros((len(links), 5, 2 * p))
+        J[:, :3, :3], J[:, :3, p : p + 3] = np.eye(3), -between
+        if solve_zoom:
+            J[:, 3, 3] = J[:, 4, 7] = 1.0
+        blocks = J.swapaxes(1, 2) @ normal @ J
+        downhill = np.einsum("lea,le->la", J, gradient - np.einsum("lef,lf->le", normal, e))
+        fixed = np.arange(p), np.arange(p), np.full(p, 1e6 * blocks[:, range(p), range(p)].max())
+        values = np.concatenate([blocks.ravel(), fixed[2]])
+        places = np.concatenate([rows_of.ravel(), fixed[0]]), np.concatenate([columns_of.ravel(), fixed[1]])
+        factor = splu(coo_array((values, places), shape=(n * p, n * p)).tocsc())
+        right = np.bincount(columns.ravel(), downhill.ravel(), minlength=n * p)
+        step = factor.solve(right).reshape(n, p)
+        rotation = Rotation.from_rotvec(step[:, :3]).as_matrix() @ rotation
+        if solve_zoom:
+            log_zoom = log_zoom + step[:, 3]
+    assert factor is not None
+    sigma = _sigma(factor.solve, blocks, frame, key, n, p)
+    found = tuple(Orientation(r, float(z)) for r, z in zip(rotation, np.exp(log_zoom), strict=True))
+    sigma_zoom = sigma[:, 3] if solve_zoom else np.zeros(n)
+    return found, np.hypot(np.sqrt((sigma[:, :3] ** 2).mean(axis=1)), floor_rad), sigma_zoom
+
+
+def _sigma(solve: Callable[[Array], Array], blocks: Array, frame: Index, key: Index, n: int, p: int) -> Array:
+    """(n, p): of keyframes from the inverse; of a frame that is none, its own and its keyframes' on average."""
+    variance = np.full((n, p), np.nan)
+    for k in np.unique(key):
+        unit = np.zeros((n * p, p))
+        unit[k * p + np.arange(p), np.arange(p)] = 1.0
+        variance[k] = np.diag(solve(unit)[k * p : (k + 1) * p])
+    own, keys, count = np.zeros((n, p, p)), np.zeros((n, p)), np.zeros(n)
+    np.add.at(own, frame, blocks[:, :p, :p])
+    np.add.at(keys, frame, variance[key])
+    np.add.at(count, frame, 1)
+    others = np.flatnonzero(np.isnan(variance[:, 0]))
+    inverse = np.linalg.inv(own[others])
+    variance[others] = inverse[:, range(p), range(p)] + keys[others] / count[others, None]
+    return np.sqrt(np.maximum(variance, 0))
+
+
+# -- the focal length: points that a turn takes across the picture keep their angles at one length only ---------------
+
+
+@dataclass(frozen=True, eq=False)
+class _TurnedPair:
+    """Points (N, 2), (N, 2) of two pictures that were followed from one to the other, and the rotation (3, 3) that was
+    found between them. key: of the earlier picture."""
+
+    key: int
+    a_px: Array
+    b_px: Array
+    turn: Array
+
+    @property
+    def angle_rad(self) -> float:
+        return float(Rotation.from_matrix(self.turn).magnitude())
+
+
+def _focal_factor(camera: Camera, pairs: Sequence[_TurnedPair], limit_px: float) -> tuple[float, float] | None:
+    """By how much the focal length is longer than the camera file's, as a log factor, and its standard deviation.
+
+    limit_px: what a point may be off. The deviation is that of the points and of what earlier pictures say one by one.
+    None where too few pairs have points.
+    """
+    if len(pairs) < MIN_PAIRS:
+        return None
+    some = pairs[:: max(1, len(pairs) // 12)]
+
+    def cost(log_factor: float) -> float:
+        sizes = [np.linalg.norm(_left_px(camera, pair, log_factor), axis=1) for pair in some]
+        return sum(float(np.minimum(size / limit_px, 1.0).mean()) for size in sizes)
+
+    log_factor = min(np.linspace(-WIDEST, WIDEST, 29).tolist(), key=cost)
+    information, pull = np.ones((2, len(pairs)))
+    for _ in range(STEPS):
+        information, pull = np.transpose([_told(camera, pair, log_factor) for pair in pairs])
+        log_factor = float(np.clip(log_factor + pull.sum() / information.sum(), -2 * WIDEST, 2 * WIDEST))
+    keys, total = np.array([pair.key for pair in pairs]), float(information.sum())
+    scatter = sum(pull[keys == key].sum() ** 2 for key in np.unique(keys)) / total**2
+    return log_factor, float(np.sqrt(1 / total + scatter))
+
+
+def _told(camera: Camera, pair: _TurnedPair, log_factor: float) -> tuple[float, float]:
+    """What a pair says of the log factor: information, and pull (gradient)."""
+    left, *ends = (_left_px(camera, pair, log_factor + by) for by in (0.0, STEP, -STEP))
+    slope, weights, size = (ends[0] - ends[1]) / (2 * STEP), _weights(left), np.linalg.norm(left, axis=1)
+    used = max(float(weights.sum()), 1.0)
+    sigma2 = max(float(weights @ size**2) / (2 * used), 1e-4) + PAIR_FLOOR_PX**2 * used
+    return float(weights @ (slope**2).sum(axis=1)) / sigma2, -float(weights @ (slope * left).sum(axis=1)) / sigma2
+
+
+def _left_px(camera: Camera, pair: _TurnedPair, log_factor: float) -> Array:
+    """(N, 2): how far the points of a pair are apart in its second picture, by the rotation that fits best then."""
+    zoom = float(np.exp(log_factor))
+    (a, known), (b, seen) = (rays_of(camera, points_px, zoom) for points_px in (pair.a_px, pair.b_px))
+    known &= seen
+    turn = Rotation.from_rotvec(Rotation.from_matrix(pair.turn).as_rotvec() / zoom)  # as far in the picture
+    left = np.full(pair.a_px.shape, 1e9)
+    for _ in range(ROUNDS):
+        pixels, valid = pixels_of(camera, turn.apply(np.where(known[:, None], a, b)), zoom)
+        left = np.where((known & valid)[:, None], pixels - pair.b_px, 1e9)
+        turn, _ = Rotation.align_vectors(b[known], a[known], weights=_weights(left)[known])
+    return left
+
+
+def _weights(left_px: Array) -> Array:
+    """(N,): Tukey's, of residuals (N, 2)."""
+    size = np.linalg.norm(left_px, axis=1)
+    return np.maximum(1 - (size / max(4 * float(np.median(size)), 1.0)) ** 2, 0) ** 2

@@ -22,7 +22,7 @@ Verdict = Literal["ok", "warning", "refused"]
 
 
 @dataclass(frozen=True)
-class CalibrationCheck:
+class _CalibrationCheck:
     """A measured value, and what it is held against."""
 
     name: str
@@ -60,44 +60,44 @@ class CalibrationCheck:
 
 
 LIMITS = (
-    CalibrationCheck(
+    _CalibrationCheck(
         "images", "pictures used", "", 10, 6, True, "take more pictures"
     ),  # three determine the matrix, two more the lens; with six an error of one can still be seen in the others
-    CalibrationCheck(
+    _CalibrationCheck(
         "dropped", "pictures left out as outliers", "%", 10, 25, False, "look for a board that bends, or moves"
     ),  # one in four is no exception any more: the median itself is in doubt
-    CalibrationCheck(
+    _CalibrationCheck(
         "rms", "reprojection error", "px of 1920", 0.5, 1.0, False, "check the board's numbers, flatness, and --model"
     ),  # corners are found to 0.05-0.3 px; more is a wrong lens model or board. Relative to the width above 1920
-    CalibrationCheck(
+    _CalibrationCheck(
         "coverage", "share of the picture where the board was", "%", 60, 30, True, "move the board over all of it"
     ),  # the lens is measured there and extrapolated elsewhere, by polynomials
-    CalibrationCheck(
+    _CalibrationCheck(
         "border", "widest strip along a border without a corner", "% of the side", 12, math.nan, False,
         "hold the board at the borders, partly outside if it is a ChArUco board",
     ),  # the distortion is largest there
-    CalibrationCheck(
+    _CalibrationCheck(
         "tilt", "largest angle between two boards", "degrees", 40, 20, True, "tilt the board by 30 to 45 degrees"
     ),  # parallel boards say nothing new: a longer focal length and a longer distance look alike
-    CalibrationCheck(
+    _CalibrationCheck(
         "tilt axes", "spread of the tilt in its least varied direction", "degrees", 6, 2, True,
         "tilt the board sideways as well as forwards",
     ),  # about one axis, only one of fx and fy is determined by perspective
-    CalibrationCheck(
+    _CalibrationCheck(
         "focal length", "standard deviation of fx or fy", "%", 0.3, 1.0, False, "take more pictures, closer and tilted"
     ),  # what the lens model cannot express is not in it: take it for a third of the truth
-    CalibrationCheck(
+    _CalibrationCheck(
         "principal point", "standard deviation of cx or cy", "% of the width", 0.3, 1.0, False,
         "take more pictures, tilted and at the borders",
     ),
-    CalibrationCheck(
+    _CalibrationCheck(
         "aspect", "difference between fx and fy", "%", 0.5, 5.0, False, "check that the video is not stretched"
     ),  # pixels of today's sensors are square to 0.1 %
-    CalibrationCheck(
+    _CalibrationCheck(
         "centre", "distance of the principal point from the middle", "% of the width", 5, 15, False,
         "check that the picture is not cropped",
     ),  # lenses are centred to some 2 %
-    CalibrationCheck(
+    _CalibrationCheck(
         "folded", "part of the picture where the lens model has no ray", "%", 0.0, 5.0, False,
         "cover the borders, or use another --model",
     ),  # there the fitted polynomial turns back; a circular fisheye picture has such corners by nature
@@ -105,7 +105,7 @@ LIMITS = (
 """Without their values."""
 
 
-def check(calibration: Calibration) -> tuple[CalibrationCheck, ...]:
+def check(calibration: Calibration) -> tuple[_CalibrationCheck, ...]:
     """Those of `LIMITS`, with their values."""
     camera, used = calibration.camera, calibration.used
     width, height = camera.image_size_px

@@ -39,7 +39,7 @@ _CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-10)
 
 
 @dataclass(frozen=True)
-class FittedBoardView(BoardView):
+class _FittedBoardView(BoardView):
     """One picture, of N corners."""
 
     rotation: Array
@@ -71,13 +71,13 @@ class Calibration:
 
     camera: Camera
     board: Board
-    views: tuple[FittedBoardView, ...]
+    views: tuple[_FittedBoardView, ...]
     sigma: tuple[float, ...]
     """One standard deviation of each parameter (see `parameters`), from the residuals and the views' geometry; what
     the lens model cannot express is not in it."""
 
     @cached_property
-    def used(self) -> tuple[FittedBoardView, ...]:
+    def used(self) -> tuple[_FittedBoardView, ...]:
         return tuple(view for view in self.views if view.used)
 
     @cached_property
@@ -120,19 +120,19 @@ def calibrate(views: BoardViews, model: str, name: str = "cam1") -> Calibration:
 
 def _fitted_view(
     view: BoardView, points: Array, camera: Camera, rotation_vector: Array, translation: Array
-) -> FittedBoardView:
+) -> _FittedBoardView:
     rotation = np.asarray(cv2.Rodrigues(rotation_vector)[0], dtype=float)
     translation = np.ravel(translation)
     projected, valid = camera.project(points[view.ids] @ rotation.T + translation)
     # Where the lens model folds there is no projection: as wrong as can be, and finite.
     far = float(np.hypot(*camera.image_size_px))
     residual = np.where(valid[:, None], projected - view.xy_px, far)
-    return FittedBoardView(view.name, view.ids, view.xy_px, rotation, translation, residual, used=True)
+    return _FittedBoardView(view.name, view.ids, view.xy_px, rotation, translation, residual, used=True)
 
 
 def _solve(
     views: Sequence[BoardView], points: Array, size: tuple[int, int], model: str, name: str
-) -> tuple[Camera, list[FittedBoardView]]:
+) -> tuple[Camera, list[_FittedBoardView]]:
     try:
         solve = _solve_fisheye if LENS_MODELS[model].opencv == "fisheye" else _solve_standard
         matrix, distortion, rotations, translations = solve(views, points, size, LENS_MODELS[model].calibrated)
@@ -193,7 +193,7 @@ def _pose(view: BoardView, points: Array, camera: Camera) -> tuple[Array, Array]
     return np.zeros(3), np.array([0.0, 0.0, 1.0])
 
 
-def _sigma(views: Sequence[FittedBoardView], points: Array, camera: Camera) -> Array:
+def _sigma(views: Sequence[_FittedBoardView], points: Array, camera: Camera) -> Array:
     """Standard deviations of the camera's parameters, with the poses marginalised.
 
     With the Jacobian [A B] of a view's residuals to camera and pose, the information about the camera is the sum of
@@ -218,7 +218,7 @@ def _sigma(views: Sequence[FittedBoardView], points: Array, camera: Camera) -> A
     return np.where(diagonal > 0, np.sqrt(variance * np.abs(diagonal)) * scale, np.inf)
 
 
-def _jacobian(view: FittedBoardView, points: Array, camera: Camera) -> tuple[Array, Array]:
+def _jacobian(view: _FittedBoardView, points: Array, camera: Camera) -> tuple[Array, Array]:
     """Derivatives of a view's pixels with respect to the camera (2N, 4 + coefficients) and the pose (2N, 6)."""
     rotation = np.asarray(cv2.Rodrigues(view.rotation)[0], dtype=float)
     objects = points[view.ids].reshape(-1, 1, 3)

@@ -62,7 +62,7 @@ def alone(clip: ClipProblem, view: View) -> ClipProblem:
 
 
 @dataclass(frozen=True)
-class Likelihood:
+class _Likelihood:
     """Minus the logarithm of the likelihood of one view's keypoints at a minimum, but for a constant, by what it is of:
     the keypoints and the ground, the prior's poses, and what else is expected of the motion."""
 
@@ -124,12 +124,12 @@ def refitted(clip: ClipProblem) -> Refit:
 
 def judged(
     clip: ClipProblem, start: Array | None = None, widen: Sequence[float] = (1.0,), wanted: float = np.inf
-) -> Likelihood:
+) -> _Likelihood:
     """Infinite without keypoints. start: states (T, D) to begin with; by default it is sought. widen: factors on the
     noise of the fits on the way in from there. wanted: the cost of what it is compared with; a fit that will not come
     to it ends early."""
     if (clip.present().sum(axis=1) >= MIN_JOINTS).sum() < 2:
-        return Likelihood(np.inf, 0.0, 0.0)
+        return _Likelihood(np.inf, 0.0, 0.0)
     step = max(1, round(clip.fps / APPROACH_HZ))
     thin, ones = clip.thinned(step), np.ones((1, len(clip.body.markers)))
     states = (approach(clip)[0].estimate.states if start is None else start)[::step]
@@ -144,7 +144,7 @@ def judged(
     costs = problem.costs(states)
     seen = _seen(clip, between(states, np.arange(0, len(clip), step), len(clip)))
     rest = sum(cost for name, cost in costs.items() if name not in ("reprojection", POSE))
-    return Likelihood(seen + off_ground(clip, states), costs[POSE], rest, sum(costs.values()))
+    return _Likelihood(seen + off_ground(clip, states), costs[POSE], rest, sum(costs.values()))
 
 
 def _seen(clip: ClipProblem, states: Array) -> float:
@@ -193,10 +193,10 @@ class Baseline:
         return alone(self.clip, view)
 
     @cached_property
-    def _judged(self) -> dict[tuple[int, int], Likelihood]:
+    def _judged(self) -> dict[tuple[int, int], _Likelihood]:
         return {}
 
-    def judged(self, part: slice) -> Likelihood:
+    def judged(self, part: slice) -> _Likelihood:
         """Of a part of the clip, by a quick fit from the states that were found."""
         key = (part.start, part.stop)
         if key not in self._judged:

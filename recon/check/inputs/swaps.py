@@ -61,7 +61,7 @@ STEADY = 1.0
 
 
 @dataclass(frozen=True, eq=False)
-class Stretch:
+class _Stretch:
     """Rows of a clip, first and stop, and the permutation (J,) of its markers there."""
 
     rows: slice
@@ -78,7 +78,7 @@ class Stretch:
         return of
 
 
-def exchanged(view: View, stretch: Stretch) -> View:
+def exchanged(view: View, stretch: _Stretch) -> View:
     """The view with the sides of a stretch exchanged."""
     xy_px, confidence = view.xy_px.copy(), view.confidence.copy()
     xy_px[stretch.rows] = xy_px[stretch.rows][:, stretch.places]
@@ -103,11 +103,11 @@ def pairs_of(body: Body) -> dict[str, Index]:
     return {name: places for name, places in kinds.items() if (places != none).any()}
 
 
-def swaps(given: Baseline, unlike: bool = False) -> list[SwapTrial]:
+def swaps(given: Baseline, unlike: bool = False) -> list[_SwapTrial]:
     """Of one view of a clip, under a prior learned from motions; nothing follows one that is not clear. unlike: the
     prior does not know this motion (`recon.fit.posterior`); a whole clip, in which no keypoints jump, is then not
     tried: nothing but the prior tells it."""
-    kinds, found = pairs_of(given.clip.body), list[SwapTrial]()
+    kinds, found = pairs_of(given.clip.body), list[_SwapTrial]()
     while len(found) < STRETCHES and "all" in kinds:
         compared = sorted(refits(given, kinds, unlike), key=lambda one: -one[0].ratio)
         if not compared:
@@ -126,15 +126,15 @@ def swaps(given: Baseline, unlike: bool = False) -> list[SwapTrial]:
     return found
 
 
-def contradicts(then: Baseline, best: Stretch, other: Stretch) -> bool:
+def contradicts(then: Baseline, best: _Stretch, other: _Stretch) -> bool:
     """Whether another stretch is none of nearly the same keypoints, and undoing it, too, makes the clip less likely."""
     of_best, of_other = (one.mask(len(then.states)) for one in (best, other))
     return 2 * (of_best & of_other).sum() < (of_best | of_other).sum() and _judged(then, other).ratio < 0
 
 
-def refits(given: Baseline, kinds: dict[str, Index], unlike: bool) -> list[tuple[SwapTrial, Refit]]:
+def refits(given: Baseline, kinds: dict[str, Index], unlike: bool) -> list[tuple[_SwapTrial, Refit]]:
     """The likeliest stretches, each undone and its part of the clip solved anew, against that part as it is."""
-    whole = [] if unlike else [_judged(given, Stretch(slice(0, len(given.states)), kinds["all"]))]
+    whole = [] if unlike else [_judged(given, _Stretch(slice(0, len(given.states)), kinds["all"]))]
     likely = sorted((one for one in [*tried(given, kinds), *whole] if one.ratio > QUICK), key=lambda one: -one.ratio)
     compared = []
     for one in likely[:REFITTED]:
@@ -146,7 +146,7 @@ def refits(given: Baseline, kinds: dict[str, Index], unlike: bool) -> list[tuple
             (refit := refitted(other.part(rows)), refit.likelier(given.refit(rows)))
             for rows in (part, *_elsewhere(part, one.stretch.rows, len(given.states)))
         )
-        compared.append((SwapTrial(one.stretch, first[1] + sum(ratio for _, ratio in more)), first[0]))
+        compared.append((_SwapTrial(one.stretch, first[1] + sum(ratio for _, ratio in more)), first[0]))
     return compared
 
 
@@ -157,7 +157,7 @@ def _elsewhere(part: slice, rows: slice, T: int) -> list[slice]:
     return [slice(int(i), int(i) + n) for i in firsts if i + n <= part.start or part.stop <= i]
 
 
-def undone(given: Baseline, stretch: Stretch, refit: Refit) -> Baseline:
+def undone(given: Baseline, stretch: _Stretch, refit: Refit) -> Baseline:
     """With a stretch exchanged, and the motion that was found then."""
     states = given.states.copy()
     states[_part(given.view, stretch.rows, given.clip.fps)] = refit.states
@@ -165,13 +165,13 @@ def undone(given: Baseline, stretch: Stretch, refit: Refit) -> Baseline:
 
 
 @dataclass(frozen=True, eq=False)
-class SwapTrial:
+class _SwapTrial:
     """A stretch that was exchanged: how much likelier that makes the clip, as a logarithm. rival: the likeliest that
     may be exchanged in its place."""
 
-    stretch: Stretch
+    stretch: _Stretch
     ratio: float
-    rival: SwapTrial | None = None
+    rival: _SwapTrial | None = None
 
     @property
     def lead(self) -> float:
@@ -188,7 +188,7 @@ class SwapTrial:
         return believed(self.lead)
 
 
-def tried(given: Baseline, kinds: dict[str, Index]) -> list[SwapTrial]:
+def tried(given: Baseline, kinds: dict[str, Index]) -> list[_SwapTrial]:
     """The stretches that tracks and looks say most of."""
     T, fps = len(given.view.xy_px), given.clip.fps
     if not np.isfinite(given.states).any():
@@ -199,20 +199,20 @@ def tried(given: Baseline, kinds: dict[str, Index]) -> list[SwapTrial]:
         one for name, places in kinds.items() for one in _told(jumps(given.view, places), looks[name], name, most)
     ]
     chosen = [(name, rows) for _, name, ends in sorted(likely, reverse=True)[:most] for rows in _parts(*ends, T)]
-    return [_judged(given, Stretch(slice(*ends), kinds[name])) for name, ends in dict.fromkeys(chosen)]
+    return [_judged(given, _Stretch(slice(*ends), kinds[name])) for name, ends in dict.fromkeys(chosen)]
 
 
-def _judged(given: Baseline, stretch: Stretch) -> SwapTrial:
+def _judged(given: Baseline, stretch: _Stretch) -> _SwapTrial:
     """By a quick fit from what was found; of a whole clip, from that exchanged, and mirrored."""
     whole = stretch.rows.stop - stretch.rows.start == len(given.states)
     part = _part(given.view, stretch.rows, given.clip.fps)
     as_given, other = given.judged(part), given.other(exchanged(given.view, stretch)).part(part)
     if not whole:
         found = judged(other, given.found(part), wanted=as_given.cost)
-        return SwapTrial(stretch, as_given.of_stretch - found.of_stretch)
+        return _SwapTrial(stretch, as_given.of_stretch - found.of_stretch)
     starts = {(1.0,): given.exchanged(part), (LOOSE, 1.0): given.mirrored(part)}
     tries = [judged(other, start, widen, as_given.cost) for widen, start in starts.items()]
-    return SwapTrial(stretch, as_given.surprise - min(one.surprise for one in tries))
+    return _SwapTrial(stretch, as_given.surprise - min(one.surprise for one in tries))
 
 
 def _parts(first: int, stop: int, T: int) -> list[tuple[int, int]]:
@@ -258,7 +258,7 @@ def _looks(given: Baseline, kinds: dict[str, Index]) -> dict[str, Array]:
     legs = {name: places != np.arange(len(places)) for name, places in kinds.items() if name != "all"}
     which = np.any([np.zeros(len(kinds["all"]), dtype=bool), *legs.values()], axis=0)
     places, seen = np.where(which, kinds["all"], np.arange(len(which))), given.view.xy_px
-    projected, sigma_px = either_side(given, exchanged(given.view, Stretch(slice(None), places)), which)
+    projected, sigma_px = either_side(given, exchanged(given.view, _Stretch(slice(None), places)), which)
     straight, other = (log_tail((points - seen) / sigma_px[..., None]) for points in (projected, projected[:, places]))
     likelier = np.where(np.isfinite(given.states[:, :1]), straight - other, 0.0)
     return {name: likelier[:, of].sum(axis=1) for name, of in (legs | {"all": which}).items()}
@@ -297,7 +297,7 @@ PARTS = {"all": "all keypoints", "fore": "the fore legs", "hind": "the hind legs
 """What is swapped, in words."""
 
 
-def swap_finding(trial: SwapTrial, source: Source, body: Body) -> Finding:
+def swap_finding(trial: _SwapTrial, source: Source, body: Body) -> Finding:
     """What a swap in one camera's keypoints is said by."""
     numbers: dict[str, Any] = {"log_likelihood_ratio": trial.ratio}
     frames, part = _told_as(trial.stretch, source, body)
@@ -311,7 +311,7 @@ def swap_finding(trial: SwapTrial, source: Source, body: Body) -> Finding:
     return finding("left_right_swap", frames, source.camera.name, part=part, keypoints=names, **numbers)
 
 
-def _told_as(stretch: Stretch, source: Source, body: Body) -> tuple[tuple[int, int], str]:
+def _told_as(stretch: _Stretch, source: Source, body: Body) -> tuple[tuple[int, int], str]:
     """Its frames, the first and the one after the last, and its keypoints in words."""
     numbers, rows = source.keypoints.frames, stretch.rows
     part = next(PARTS[name] for name, places in pairs_of(body).items() if np.array_equal(places, stretch.places))
