@@ -9,7 +9,7 @@ import pytest
 
 from recon.check.inputs.copies import copies
 from recon.check.inputs.movement import movement
-from recon.check.rules import ground_elsewhere, size_by_two_cameras, subject_unlike_species
+from recon.check.rules import ground_elsewhere, size, subject_unlike_species
 from recon.clip import Source
 from recon.clip.keypoints import Keypoints, clean
 from recon.fit.motion import Motion
@@ -166,10 +166,10 @@ def test_a_fit_is_the_same_wherever_the_ground_is(height_m):
     assert segment.ground.height_m == pytest.approx(height_m, abs=0.2)
 
 
-@pytest.mark.parametrize(("size", "named"), [(0.93, False), (0.84, True), (0.6, False)])
-def test_a_size_that_only_two_cameras_say_is_named(size, named):
+@pytest.mark.parametrize(("found", "of_one", "of_two"), [(0.93, False, False), (0.84, False, True), (0.6, True, True)])
+def test_a_size_is_named_sooner_where_only_two_cameras_say_it(found, of_one, of_two):
     motion = moved(plain().states)
-    solution = replace(motion.solution, size=size, size_prior_sigma=0.1)
-    assert not [*size_by_two_cameras(replace(motion, solution=solution))]
-    two = replace(motion, sources=(source(noisy()), source(noisy(1), "cam2")), solution=solution)
-    assert bool([*size_by_two_cameras(two)]) is named
+    one = replace(motion, solution=replace(motion.solution, size=found, size_prior_sigma=0.1))
+    two = replace(one, sources=(source(noisy()), source(noisy(1), "cam2")))
+    said = [any(finding.code == "size_unexpected" for finding in size(of)) for of in (one, two)]
+    assert said == [of_one, of_two]

@@ -17,6 +17,7 @@ from dataclasses import asdict, dataclass, replace
 from itertools import combinations
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from recon.base.arrays import Array, Index
 from recon.check.codes import finding
@@ -444,22 +445,20 @@ def _level(sight: _Sight, points: _Points) -> float:
 
 def _best_turned(sight: _Sight, points: _Points) -> tuple[_Sight, float]:
     """With the rotation of the camera that brings its rays nearest to the points, and the rotation's angle."""
-    R = np.eye(3)
     towards, _ = _errors(sight, points)
     goal, rays = (np.einsum("tij,tkj->tki", sight.rotation, v) for v in (towards, sight.rays))
     known = np.isfinite(goal[..., 0]) & np.isfinite(rays[..., 0])
     if known.sum() < MIN_POINTS:
         return sight, np.nan
     noise = np.broadcast_to(sight.noise_rad, known.shape)[known]
+    turn = Rotation.identity()
     for _ in range(10):
-        error = np.linalg.norm(goal[known] - rays[known] @ R.T, axis=-1)
+        error = np.linalg.norm(goal[known] - turn.apply(rays[known]), axis=-1)
         scale = max(float(np.median(error / noise)), 1.0)
         weight = noise**-2 / (1.0 + (error / noise / scale / _ROBUST) ** 2)
-        u, _, vt = np.linalg.svd((weight[:, None] * goal[known]).T @ rays[known])
-        R = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
-    angle = float(np.arccos(np.clip((np.trace(R) - 1) / 2, -1.0, 1.0)))
-    in_world = sight.rotation.swapaxes(-1, -2) @ R @ sight.rotation
-    return replace(sight, rays=np.einsum("tij,tkj->tki", in_world, sight.rays)), angle
+        turn, _ = Rotation.align_vectors(goal[known], rays[known], weight)
+    in_world = sight.rotation.swapaxes(-1, -2) @ turn.as_matrix() @ sight.rotation
+    return replace(sight, rays=np.einsum("tij,tkj->tki", in_world, sight.rays)), float(turn.magnitude())
 
 
 def _best_shifted(sight: _Sight, points: _Points, fps: float, wide: bool) -> tuple[_Sight, float]:

@@ -6,10 +6,12 @@ two stand in different axes, units or names instead.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from recon.animal.body import other_side
 from recon.base.arrays import Array, Bools
@@ -65,7 +67,7 @@ def _explanations(
     """What the matter could be, the simplest first: its code, the error that would then be left, and its numbers."""
     pose, truth = _centred(pose_m, common), _centred(truth_m, common)
     turn = _turn(pose, truth)
-    angle = float(np.arccos(np.clip((np.trace(turn) - 1) / 2, -1, 1)))
+    angle = float(Rotation.from_matrix(turn).magnitude())
     yield "reference_rotated", _error(pose @ turn, truth, common), {"turn_rad": angle}
     sides = [names.index(other_side(name)) if other_side(name) in names else j for j, name in enumerate(names)]
     if sides != [*range(len(names))]:
@@ -102,7 +104,6 @@ def _error(pose: Array, truth: Array, common: Bools) -> float:
 
 def _turn(pose: Array, truth: Array) -> Array:
     """(3, 3): pose @ this is nearest to the truth, by one rotation for all frames."""
-    u, _, vt = np.linalg.svd(np.einsum("tja,tjb->ab", pose, truth))
-    if np.linalg.det(u @ vt) < 0:
-        u[:, 2] *= -1
-    return u @ vt
+    with warnings.catch_warnings(action="ignore"):  # of points on a line, which several rotations fit
+        turn, _ = Rotation.align_vectors(truth.reshape(-1, 3), pose.reshape(-1, 3))
+    return turn.as_matrix().T

@@ -33,8 +33,8 @@ UNEXPLAINED_SHARE = 0.1
 has misfits of up to 5, and hardly an outlier more (dogs that run, with the prior of dogs that walk)."""
 AMBIGUOUS_SHARE = 0.1
 """Share of the frames that another solution explains, from which it is named."""
-KEYPOINT_SHARE, KEYPOINT_LEAST, KEYPOINTS_NAMED = 1 / 3, 10, 5
-"""Share, and number, of one keypoint's detections from which it is named, and up to how many are, each by itself."""
+KEYPOINT_SHARE, KEYPOINT_LEAST = 1 / 3, 10
+"""Share, and number, of one keypoint's detections that are outliers from which it is named."""
 OUT_OF_STEP_SIGMAS = 3.0
 """Two cameras' lags further apart than this, of what is expected of their difference, are a mistake in time."""
 MOST_REJECTED = 0.5
@@ -93,17 +93,12 @@ def detections_not_explained(motion: Motion) -> Iterator[Finding]:
 
 def keypoints_that_do_not_fit(motion: Motion) -> Iterator[Finding]:
     counted = [{k.name: k.used for k in source.cleaning.keypoints} for source in motion.sources]
-    off = []
-    for j, name in enumerate(motion.names):
-        count = sum(int(picture.outliers[:, j].sum()) for picture in motion.pictures)
-        used = sum(of_file.get(name, 0) for of_file in counted)
-        if count > max(KEYPOINT_SHARE * used, KEYPOINT_LEAST):
-            off.append(finding("keypoint_does_not_fit", keypoint=name, share=count / used, used=used))
-    if len(off) > KEYPOINTS_NAMED:
-        names = tuple(one.numbers["keypoint"] for one in off)
-        yield finding("keypoints_do_not_fit", count=len(off), keypoints=names)
-    else:
-        yield from off
+    used = np.array([sum(of_file.get(name, 0) for of_file in counted) for name in motion.names])
+    off = np.sum([picture.outliers.sum(axis=0) for picture in motion.pictures], axis=0)
+    rows = np.flatnonzero(off > np.maximum(KEYPOINT_SHARE * used, KEYPOINT_LEAST))
+    if len(rows):
+        names, share = tuple(motion.names[j] for j in rows), float(off[rows].sum() / used[rows].sum())
+        yield finding("keypoints_do_not_fit", keypoints=names, share=share, used=int(used[rows].sum()))
 
 
 def camera_taken_level(motion: Motion) -> Iterator[Finding]:
@@ -232,16 +227,6 @@ def ground_elsewhere(motion: Motion) -> Iterator[Finding]:
             return
 
 
-def size_by_two_cameras(motion: Motion) -> Iterator[Finding]:
-    """Of exactly two: a third would tell a camera that is turned or moved from an animal of another size."""
-    solution = _solution(motion)
-    expected = math.hypot(solution.size_prior_sigma, TWO_CAMERAS_SIGMA)
-    off = abs(solution.size - 1)
-    if len(motion.sources) == 2 and TWO_CAMERAS_SIGMAS * expected < off <= SIZE_SIGMAS * solution.size_prior_sigma:
-        names = tuple(source.camera.name for source in motion.sources)
-        yield finding("size_by_two_cameras", cameras=names, size=solution.size)
-
-
 def subject_unlike_species(motion: Motion) -> Iterator[Finding]:
     """Measured lengths against those of the skeleton that they belong to."""
     skeleton = motion.settings.get("skeleton") or motion.body.name
@@ -265,9 +250,13 @@ def not_converged(motion: Motion) -> Iterator[Finding]:
 
 
 def size(motion: Motion) -> Iterator[Finding]:
+    """Two cameras cannot tell an animal of another size from one of them that is turned or moved."""
     solution = _solution(motion)
     expected = solution.size_prior_sigma
-    if abs(solution.size - 1) > SIZE_SIGMAS * expected:
+    far = SIZE_SIGMAS * expected
+    if len(motion.sources) == 2:
+        far = min(far, TWO_CAMERAS_SIGMAS * math.hypot(expected, TWO_CAMERAS_SIGMA))
+    if abs(solution.size - 1) > far:
         yield finding("size_unexpected", size=solution.size, expected_sigma=expected)
     share = max(0.0, 1.0 - (solution.size_sigma / expected) ** 2)
     if motion.body.subject is None and share < MEASURED_SHARE:
@@ -306,7 +295,6 @@ OF_TRAJECTORY: tuple[Rule, ...] = (
     motion_unlike_prior,
     ground_above_camera,
     ground_elsewhere,
-    size_by_two_cameras,
     subject_unlike_species,
     not_converged,
     size,

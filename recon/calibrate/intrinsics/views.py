@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,8 +27,6 @@ SHARPNESS_KEPT = 0.7
 """A frame that is less sharp than this share of the sharp ones (their 75th percentile) is left out."""
 MIN_DIFFERENCE = 0.02
 """Two frames between which the board's outline moved by less, relative to the picture's diagonal, are the same view."""
-
-"""Called with what is being done, and how much of it is done, 0 to 1."""
 
 
 @dataclass(frozen=True)
@@ -145,17 +142,10 @@ def _read_gray(file: Path) -> Gray | None:
 
 
 def _mixed_sizes(sizes: dict[str, tuple[int, int]]) -> Problem:
-    counted = Counter(sizes.values()).most_common()
-    parts = []
-    for size, count in counted:
-        names = [name for name, other in sizes.items() if other == size]
-        more = "" if count <= 3 else f" and {count - 3} more"
-        parts.append(f"{size[0]}x{size[1]} ({', '.join(names[:3])}{more})")
-    turned = any((h, w) in dict(counted) for (w, h), _ in counted)
-    expected = "one size, that of the clips: a calibration holds for one resolution and crop" + (
-        " (some pictures are stored upright, others lying)" if turned else ""
-    )
-    return Problem("pictures", "size", "; ".join(parts), expected)
+    named = {size: [name for name, other in sizes.items() if other == size] for size in sizes.values()}
+    found = "; ".join(f"{width}x{height} ({', '.join(names[:3])})" for (width, height), names in named.items())
+    expected = "one size, that of the clips, and all upright or all lying: a calibration holds for one resolution"
+    return Problem("pictures", "size", found, expected)
 
 
 # ---- videos ----
