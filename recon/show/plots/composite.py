@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
@@ -41,16 +41,16 @@ def composites(
     joints_m: Array,
     limbs: Mapping[str, Sequence[int]],
     time_s: Array,
-    ground: float | Sequence[tuple[slice, Plane]] | None = None,
+    ground: Sequence[tuple[slice, Plane]] | None = None,
     title: str = "",
     sides: Mapping[str, Side | None] = NO_SIDES,
 ) -> Figure:
     """Up to `CONFIGURATIONS` configurations, evenly spaced among the known ones, coloured by time.
 
     joints_m (T, J, 3): metres, upright, z up; time_s (T,). limbs: joints along each, by name; sides: of the limbs,
-    those on the left are dashed, and those without a side thick. ground: height of a level one, or planes with the rows
-    that they lie under. The mean motion is turned to run to the right; places count from the mean of the first
-    configuration, heights are as given. The front view looks back at the animal and has its own scale.
+    those on the left are dashed, and those without a side thick. ground: planes with the rows that they lie under. The
+    mean motion is turned to run to the right; places count from the mean of the first configuration, heights are as
+    given. The front view looks back at the animal and has its own scale.
     """
     rows = chosen(joints_m, limbs)
     if not len(rows):
@@ -85,7 +85,10 @@ def composites(
         cmap, norm = time_colours(time_s[rows])
         for axes, i, j, limits, mm_per_m in views:
             for pose, t in zip(points, time_s[rows], strict=True):
-                _draw(axes, pose[:, [i, j]], limbs, sides, cmap(norm(t)))
+                for limb, joints in limbs.items():
+                    dashes, thick, _ = STYLES[sides.get(limb)]
+                    style = {"color": cmap(norm(t)), "lw": thick, "linestyle": dashes, "zorder": 2}
+                    axes.plot(*pose[list(joints)][:, [i, j]].T, **style)
             axes.set_xlim(*limits[i])
             axes.set_ylim(*limits[j])
             axes.set_aspect("equal")
@@ -93,9 +96,16 @@ def composites(
                 span = limits[at][1] - limits[at][0]
                 bins = int(np.clip(mm_per_m * span / (label_mm if span > 0.2 else 2 * label_mm), 1, 9))
                 axis.set_major_locator(MaxNLocator(bins, steps=[1, 2, 5, 10], min_n_ticks=1))
-        for axes, i, limits in ((side, 0, boxes), (ahead, 1, close)):
-            for under, plane in _under(ground, rows, points, limits):
-                axes.plot(*_ground_line(plane, R, origin, under, i), color=GREY, lw=0.8, zorder=1, gid="ground")
+        for part, plane in ground or ():
+            inside = np.isin(rows, np.arange(rows.max() + 1)[part])
+            if not inside.any():
+                continue
+            own = close if inside.all() else _boxes(points[inside])
+            for axes, i in ((side, 0), (ahead, 1)):
+                ends = np.tile([sum(box) / 2 for box in own], (2, 1))
+                ends[:, 2] = 0.0
+                ends[:, i] = axes.get_xlim() if inside.all() else own[i]
+                axes.plot(ends[:, i], -plane.above(ends @ R + origin), color=GREY, lw=0.8, zorder=1, gid="ground")
         side.tick_params(bottom=False, labelbottom=False)
         side.spines["bottom"].set_visible(False)
         names = (
@@ -148,14 +158,6 @@ def run_frame(joints_m: Array, time_s: Array, rows: Index) -> tuple[Array, Array
     return np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]), origin
 
 
-def _draw(
-    axes: Axes, points: Array, limbs: Mapping[str, Sequence[int]], sides: Mapping[str, Side | None], colour: tuple
-) -> None:
-    for limb, joints in limbs.items():
-        dashes, wide, _ = STYLES[sides.get(limb)]
-        axes.plot(*points[list(joints)].T, color=colour, lw=wide, linestyle=dashes, zorder=2)
-
-
 def _handles(sides: set[Side | None], ground: bool) -> list[Line2D]:
     from matplotlib.lines import Line2D
 
@@ -176,27 +178,3 @@ def _boxes(points: Array) -> Boxes:
 def _at_least(box: tuple[float, float], length: float) -> tuple[float, float]:
     more = max(0.0, length - (box[1] - box[0])) / 2
     return box[0] - more, box[1] + more
-
-
-def _under(
-    ground: float | Sequence[tuple[slice, Plane]] | None, rows: Index, points: Array, boxes: Boxes
-) -> Iterator[tuple[Boxes, float | Plane]]:
-    """Every ground and where it is drawn: from edge to edge, or of several each under its own configurations."""
-    if ground is None:
-        return
-    grounds = ground if isinstance(ground, Sequence) else [(slice(None), ground)]
-    for part, plane in grounds:
-        inside = np.isin(rows, np.arange(rows.max() + 1)[part])
-        if len(grounds) == 1:
-            yield boxes, plane
-        elif inside.any():
-            yield _boxes(points[inside]), plane
-
-
-def _ground_line(ground: float | Plane, R: Array, origin: Array, boxes: Boxes, axis: int) -> tuple[list[float], Array]:
-    """Ends of the ground's section along x or y, through the middle of the other."""
-    ends = np.tile([sum(box) / 2 for box in boxes], (2, 1))
-    ends[:, axis] = boxes[axis]
-    ends[:, 2] = 0.0
-    height = -ground.above(ends @ R + origin) if isinstance(ground, Plane) else np.full(2, float(ground))
-    return list(boxes[axis]), height

@@ -12,18 +12,16 @@ from recon.animal.chain import UVW_BODY
 from recon.base.arrays import Array
 from recon.geometry.kinematics import ROOT
 from recon.show.plots.composite import NO_SIDES, chosen
-from recon.show.plots.style import COLOURS, GREY, MM, PAGE_MM, SMALL, WIDTH_MM, blank, drawing
+from recon.show.plots.style import COLOURS, GREY, PAGE_MM, SMALL, WIDTH_MM, blank, drawing
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 SIDE_COLOURS: Mapping[Side | None, str] = {"left": COLOURS[0], "right": COLOURS[1], None: COLOURS[-1]}
-SIDE_NAMES: dict[Side | None, str] = {"left": "left", "right": "right", None: "middle"}
-VIEWS = (("UV, side", 0, 1), ("UW, top", 0, 2), ("WV, front", 2, 1))
+SIDE, TOP, FRONT = ("UV, side", 0, 1), ("UW, top", 0, 2), ("WV, front", 2, 1)
 LABELS = ("U, forwards (m)", "V, down (m)", "W, to the left (m)")
-SHORT = ("U (m)", "V (m)", "W (m)")
-_SAYS = "U forwards, V down, W to the left of +, the reference joint; pale: first, full colour: last configuration"
+_SAYS = "left blue, right orange; pale: first, full colour: last configuration; +: the reference joint"
 _PALEST = 0.25
 """Of a side's colour, in the first configuration."""
 _ROOM = 0.04
@@ -54,20 +52,7 @@ def body_fixed(
     joints_m (T, J, 3): as `in_body` gives them; limbs: joints along each, by name; time_s (T,). The first configuration
     is pale, the last has the full colour of its side.
     """
-    rows = chosen(joints_m, limbs)
-    box = _extents(joints_m[rows], limbs)
-    u, v, w = np.ptp(box, axis=1).tolist()
-    scale = min((WIDTH_MM - 2 * _MARGIN_MM) / (u + w), (PAGE_MM - 90) / (v + w))
-    with drawing(scale * (v + w) + 2 * _MARGIN_MM + 6 * bool(title), title=title) as figure:
-        if not len(rows):
-            return figure
-        (side, front), (top, rest) = figure.subplots(2, 2, width_ratios=(u, w), height_ratios=(v, w))
-        for axes, (name, i, j) in zip((side, top, front), VIEWS, strict=True):
-            for limb, along in limbs.items():
-                _draw(axes, joints_m[rows][:, list(along)][..., [i, j]], sides.get(limb))
-            _frame(axes, name, (i, j), box)
-        _key(rest, {sides.get(limb) for limb in limbs}, time_s[rows])
-    return figure
+    return _figure(joints_m, {"": limbs}, ((SIDE, FRONT), (TOP,)), time_s, sides, title)
 
 
 def limbs_apart(
@@ -78,96 +63,90 @@ def limbs_apart(
     title: str = "",
 ) -> Figure:
     """As `body_fixed`, a row for the spine with all else in the middle, and one for each limb of a side."""
-    rows = chosen(joints_m, limbs)
     middle = {limb: along for limb, along in limbs.items() if sides.get(limb) is None}
     groups = {"spine" if sides else "all": middle} if middle else {}
     groups |= {limb: {limb: along} for limb, along in limbs.items() if sides.get(limb) is not None}
-    boxes = [_extents(joints_m[rows], drawn) for drawn in groups.values()]
-    spans = [np.ptp(box, axis=1) for box in boxes]
-    most_mm = (PAGE_MM - 8) / max(len(groups), 1) - _MARGIN_MM
-    scales = [min((WIDTH_MM - 3 * _MARGIN_MM - 2) / (2 * u + w), most_mm / max(v, w)) for u, v, w in spans]
-    tall = [scale * max(v, w) + _MARGIN_MM for scale, (_, v, w) in zip(scales, spans, strict=True)]
-    height = sum(tall) + 6.0 + 6.0 * bool(title)
-    with drawing(height if len(rows) else 40.0) as figure:
-        figure.suptitle(title, y=1 - 1 / height, va="top")
-        if not len(rows):
+    return _figure(joints_m, groups, ((SIDE, TOP, FRONT),), time_s, sides, title)
+
+
+def _figure(
+    joints_m: Array,
+    groups: Mapping[str, Mapping[str, Sequence[int]]],
+    rows_of_views: Sequence[Sequence[tuple[str, int, int]]],
+    time_s: Array,
+    sides: Mapping[str, Side | None],
+    title: str,
+) -> Figure:
+    """Rows of views for each group of limbs, a group's at one scale: as large as the page allows."""
+    every = {limb: along for limbs in groups.values() for limb, along in limbs.items()}
+    rows = chosen(joints_m, every)
+    if not len(rows):
+        with drawing(40.0, title=title) as figure:
             blank(figure.subplots())
-            return figure
+        return figure
+    shown, placed = joints_m[rows], []
+    top = 4.0 + 6.0 * bool(title)
+    for name, limbs in groups.items():
+        box = _extents(shown, limbs)
+        span = np.ptp(box, axis=1)
+        widest = min(
+            (WIDTH_MM - (len(views) + 0.2) * _MARGIN_MM) / sum(span[i] for _, i, _ in views) for views in rows_of_views
+        )
+        high = sum(max(span[j] for *_, j in views) for views in rows_of_views)
+        scale = min(widest, ((PAGE_MM - 8) / len(groups) - len(rows_of_views) * _MARGIN_MM) / high)
+        for views in rows_of_views:
+            left = _MARGIN_MM
+            for view, i, j in views:
+                heading = f"{name}: {view}" if name and (view, i, j) == views[0] else view
+                placed.append((heading, limbs, box, (i, j), (left, top, scale * span[i], scale * span[j])))
+                left += scale * span[i] + _MARGIN_MM
+            top += scale * max(span[j] for *_, j in views) + _MARGIN_MM
+    height = top + 4.0
+    with drawing(height) as figure:
         figure.set_layout_engine("none")
-        top = 6.0 * bool(title) + 4.0
-        for (name, drawn), box, span, scale, row_mm in zip(groups.items(), boxes, spans, scales, tall, strict=True):
-            left = _MARGIN_MM - 3.0
-            for view, i, j in VIEWS:
-                wide, high = scale * span[i], scale * span[j]
-                place = left / WIDTH_MM, 1 - (top + high) / height, wide / WIDTH_MM, high / height
-                axes = figure.add_axes(place)
-                for limb, along in drawn.items():
-                    _draw(axes, joints_m[rows][:, list(along)][..., [i, j]], sides.get(limb))
-                _frame(axes, f"{name}: {view}" if (i, j) == (0, 1) else view, (i, j), box, SHORT)
-                left += wide + _MARGIN_MM
-            top += row_mm
-        figure.text(0.5, 1 / height, _SAYS, ha="center", va="bottom", fontsize=SMALL, color=GREY)
+        figure.suptitle(title, y=1 - 1 / height, va="top")
+        for heading, limbs, box, at, (left, above, wide, high) in placed:
+            place = left / WIDTH_MM, 1 - (above + high) / height, wide / WIDTH_MM, high / height
+            axes = figure.add_axes(place)
+            for limb, along in limbs.items():
+                _draw(axes, shown[:, list(along)][..., list(at)], sides.get(limb))
+            _frame(axes, heading, at, box, (wide, high))
+        says = f"{_SAYS}; {time_s[rows[0]]:.2f} to {time_s[rows[-1]]:.2f} s"
+        figure.text(0.5, 1 / height, says, ha="center", va="bottom", fontsize=SMALL, color=GREY)
     return figure
 
 
 def _draw(axes: Axes, paths_m: Array, side: Side | None) -> None:
     """paths_m (N, n, 2), the first the palest."""
     from matplotlib.collections import LineCollection
-
-    colours = _shades(side, len(paths_m))
-    axes.scatter(*paths_m.reshape(-1, 2).T, s=4.0, c=np.repeat(colours, paths_m.shape[1], axis=0), zorder=2)
-    axes.add_collection(
-        LineCollection(list(paths_m), colors=colours, lw=1.2, capstyle="round", zorder=2), autolim=False
-    )
-
-
-def _shades(side: Side | None, count: int) -> Array:
-    """(count, 3)"""
     from matplotlib.colors import to_rgb
 
-    share = np.linspace(_PALEST if count > 1 else 1.0, 1.0, count)[:, None]
-    return 1.0 - share * (1.0 - np.array(to_rgb(SIDE_COLOURS[side])))
+    share = np.linspace(_PALEST if len(paths_m) > 1 else 1.0, 1.0, len(paths_m))[:, None]
+    colours = 1.0 - share * (1.0 - np.array(to_rgb(SIDE_COLOURS[side])))
+    axes.scatter(*paths_m.reshape(-1, 2).T, s=4.0, c=np.repeat(colours, paths_m.shape[1], axis=0), zorder=2)
+    lines = LineCollection(list(paths_m), colors=colours, lw=1.2, capstyle="round", zorder=2)
+    axes.add_collection(lines, autolim=False)
 
 
-def _frame(axes: Axes, name: str, at: tuple[int, int], box: Array, labels: Sequence[str] = LABELS) -> None:
+def _frame(axes: Axes, name: str, at: tuple[int, int], box: Array, size_mm: tuple[float, float]) -> None:
+    from matplotlib.ticker import MaxNLocator
+
     axes.plot(0, 0, "+", color=GREY, ms=7, zorder=0, gid="reference")
     axes.set_title(name, loc="left", fontsize=SMALL, color=GREY, pad=2)
     axes.set_xlim(*box[at[0]])
     low, high = box[at[1]]
     axes.set_ylim((high, low) if at[1] == 1 else (low, high))  # V is down
     axes.set_aspect("equal")
-    axes.set_xlabel(labels[at[0]])
-    axes.set_ylabel(labels[at[1]])
-    from matplotlib.ticker import MaxNLocator
-
-    place, figure = axes.get_position(), axes.get_figure(root=True)
-    assert figure is not None
-    height_mm = figure.get_size_inches()[1] / MM
-    for axis, room in ((axes.xaxis, place.width * WIDTH_MM / 8), (axes.yaxis, place.height * height_mm / 5)):
-        axis.set_major_locator(MaxNLocator(int(np.clip(room, 1, 6)), steps=[1, 2, 5, 10], min_n_ticks=1))
-
-
-def _key(axes: Axes, shown: set[Side | None], time_s: Array) -> None:
-    """Colours by side and time."""
-    kinds: list[Side | None] = [side for side in SIDE_COLOURS if side in shown]
-    axes.imshow(
-        np.stack([_shades(side, len(time_s)) for side in kinds]), aspect="auto", interpolation="nearest", origin="lower"
-    )
-    axes.set_yticks(range(len(kinds)), [SIDE_NAMES[side] for side in kinds])
-    ends = sorted({0, len(time_s) - 1})
-    axes.set_xticks(ends, [f"{time_s[i]:.2f} s" for i in ends])
-    axes.tick_params(length=0)
-    axes.set_box_aspect(0.5)
-    for spine in axes.spines.values():
-        spine.set_visible(False)
+    for axis, label, side_mm, needed_mm in zip((axes.xaxis, axes.yaxis), at, size_mm, (8, 5), strict=True):
+        axis.set_label_text(LABELS[label] if side_mm > 30 else LABELS[label][0] + " (m)")
+        bins = int(np.clip(side_mm / needed_mm, 1, 6))
+        axis.set_major_locator(MaxNLocator(bins, steps=[1, 2, 5, 10], min_n_ticks=1))
 
 
 def _extents(joints_m: Array, limbs: Mapping[str, Sequence[int]]) -> Array:
     """(3, 2): lowest and highest U, V and W, with some room."""
     flat = joints_m[:, sorted({j for along in limbs.values() for j in along})].reshape(-1, 3)
     flat = flat[np.isfinite(flat).all(axis=1)]
-    if not len(flat):
-        return np.tile([-1.0, 1.0], (3, 1))
     low, high = flat.min(axis=0), flat.max(axis=0)
     room = np.maximum(_ROOM * np.max(high - low), 0.5 * (0.3 * np.max(high - low) - (high - low)))
     return np.stack([low - room, high + room], axis=1)
