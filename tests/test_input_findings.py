@@ -13,10 +13,16 @@ import pytest
 from recon.animal.body import other_side
 from recon.animal.prior import prior_from_body
 from recon.check import FileFacts, Finding, finding, flagged, input_findings, without_gross_outliers, without_swaps
+from recon.check.inputs.certain import outlier_ratios
+from recon.check.inputs.likelier import (
+    of_other_camera,
+    of_smaller_video,
+    of_unit_square,
+    other_rate,
+    smaller,
+    turned_over,
+)
 from recon.check.inputs.likelihood import CLEAR, MARGIN, baseline_of, refitted, unlikely
-from recon.check.inputs.outliers import outlier_ratios
-from recon.check.inputs.picture import of_other_camera, of_smaller_video, of_unit_square, smaller, turned_over
-from recon.check.inputs.rate import other_rate
 from recon.check.inputs.swaps import (
     _Stretch,
     _SwapTrial,

@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from recon.check.inputs.copies import copies
-from recon.check.inputs.movement import movement
+from recon.check.inputs.certain import copies, movement
 from recon.check.rules import ground_elsewhere, size, subject_unlike_species
 from recon.clip import Source
 from recon.clip.keypoints import Keypoints, clean

@@ -15,11 +15,9 @@ from threadpoolctl import threadpool_limits
 
 from recon.animal.prior import NONE, MotionPrior, mean_speed_m_s
 from recon.check.codes import FLAG_OF
-from recon.check.inputs.copies import copies
+from recon.check.inputs.certain import copies, movement
+from recon.check.inputs.likelier import of_other_camera, of_smaller_video, of_unit_square, other_rate, turned_over
 from recon.check.inputs.likelihood import Baseline, baseline_of
-from recon.check.inputs.movement import movement
-from recon.check.inputs.picture import of_other_camera, of_smaller_video, of_unit_square, turned_over
-from recon.check.inputs.rate import other_rate
 from recon.check.inputs.swaps import swap_finding, swaps
 from recon.fit import TrajectoryOptions, TrajectorySolution
 from recon.fit.clip_problem import ClipProblem

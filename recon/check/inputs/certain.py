@@ -1,0 +1,209 @@
+"""What is certain of a clip without fitting it again: coordinates that no detector finds twice, a motion that no animal
+has, and frames whose detections are gross outliers as a whole.
+
+Two detections are never the same to the last digit: where they are, one of them was copied, and not measured. A camera
+that pans or follows the animal leaves its limbs as they were, and changes how it goes over the ground: feet that stand
+in a real run then slide, all of them alike.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from itertools import combinations
+
+import numpy as np
+
+from recon.animal.body import other_side
+from recon.base.arrays import Array, Bools
+from recon.check.codes import finding
+from recon.check.inputs.likelihood import CLEAR, TAILS
+from recon.clip import Source, View
+from recon.clip.keypoints import Keypoints, frame_ranges, leave_out
+from recon.fit import TrajectorySolution
+from recon.fit.motion import Motion
+from recon.fit.result import Finding
+from recon.fit.terms import REFERENCE_HZ
+
+# -- copied coordinates ------------------------------------------------------------------------------------------------
+
+SHARE = 0.2
+"""So many identical coordinates, of those that could be, are no chance: hand labels in whole pixels may have a few."""
+FRAMES = 0.05
+"""Of a clip's frames: fewer that repeat the one before are a hiccup of a camera."""
+FEWEST = 4
+"""Fewer keypoints of a frame may be identical by chance."""
+STRAIGHT_PX, STRAIGHT = 0.01, 0.02
+"""A point lies on the line between its neighbours within the digits of a file, and within this part of its way."""
+
+
+def copies(sources: Sequence[Source], resampled: bool = False) -> Iterator[Finding]:
+    """Of all cameras' files. resampled: points were taken between frames here, and straight lines say nothing."""
+    for source in sources:
+        keypoints, camera = source.keypoints, source.camera.name
+        yield from ([] if resampled else _interpolated(keypoints, camera)) or _repeated(keypoints, camera)
+        yield from _copied_sides(keypoints, camera)
+    for a, b in combinations(sources, 2):
+        identical, both = _identical(a.keypoints.xy_px, b.keypoints.xy_px)
+        if _many(identical, both):
+            yield finding(
+                "same_keypoints", cameras=(a.camera.name, b.camera.name), share=float(identical.sum() / both.sum())
+            )
+
+
+def _identical(a: np.ndarray, b: np.ndarray) -> tuple[Bools, Bools]:
+    """Of points (..., 2): which are the same in both, and which are in both."""
+    both = np.asarray(np.isfinite(a + b).all(axis=-1))
+    return both & np.asarray((a == b).all(axis=-1)), both
+
+
+def _many(identical: Bools, of: Bools) -> bool:
+    return bool(identical.sum() > SHARE * of.sum() and identical.sum() >= FEWEST)
+
+
+def _repeated(keypoints: Keypoints, camera: str) -> Iterator[Finding]:
+    """Frames whose points are those of the frame before: every second, as of a video at twice its rate, or some."""
+    identical, both = _identical(keypoints.xy_px[1:], keypoints.xy_px[:-1])
+    repeats = np.concatenate(
+        [[False], (identical.sum(axis=1) >= FEWEST) & (2 * identical.sum(axis=1) > both.sum(axis=1))]
+    )
+    if repeats.sum() <= FRAMES * len(repeats):
+        return
+    new = np.flatnonzero(~repeats)
+    times = int(np.median(np.diff(new))) if len(new) > 2 else 1
+    if times > 1 and repeats.mean() < 1 - 0.5 / times:
+        numbers = {"times": times, "given_hz": keypoints.fps or np.nan, "other_hz": (keypoints.fps or np.nan) / times}
+        yield finding("detections_repeated", camera=camera, **numbers)
+        return
+    runs = frame_ranges(np.flatnonzero(repeats))
+    first, stop = max(runs, key=lambda run: run[1] - run[0])
+    frames = (int(keypoints.frames[first - 1]), int(keypoints.frames[stop - 1]) + 1)
+    yield finding("detections_frozen", frames, camera, count=int(repeats.sum()), frames_total=len(repeats))
+
+
+def _interpolated(keypoints: Keypoints, camera: str) -> list[Finding]:
+    """Points halfway between those before and after, although they move."""
+    xy_px = keypoints.xy_px
+    bend = np.linalg.norm(xy_px[2:] - 2 * xy_px[1:-1] + xy_px[:-2], axis=-1)
+    way = 0.5 * np.linalg.norm(xy_px[2:] - xy_px[:-2], axis=-1)
+    moving = way > 0
+    straight = moving & (bend < np.minimum(STRAIGHT_PX, STRAIGHT * way))
+    if not _many(straight, moving):
+        return []
+    return [finding("detections_interpolated", camera=camera, share=float(straight.sum() / moving.sum()))]
+
+
+def _copied_sides(keypoints: Keypoints, camera: str) -> Iterator[Finding]:
+    names = keypoints.names
+    pairs = [(i, names.index(other_side(n))) for i, n in enumerate(names) if other_side(n) in names]
+    left, right = ([pair[k] for pair in pairs if pair[0] < pair[1]] for k in (0, 1))
+    identical, both = _identical(keypoints.xy_px[:, left], keypoints.xy_px[:, right])
+    if _many(identical, both):
+        yield finding("far_side_copied", camera=camera, share=float(identical.sum() / both.sum()))
+
+
+# -- how no animal moves ----------------------------------------------------------------------------------------------
+
+LEAST_S = 0.25
+"""Shorter motions say nothing."""
+STILL, STILL_M_S, STILL_RAD_S = 0.95, 0.3, 0.6
+"""An animal that stands still is not faster in so many frames, nor are its joints' angular speeds, by their median."""
+BACKWARDS_M_S, BACKWARDS = 1.0, 0.9
+"""No animal runs backwards as fast, for so much of a clip."""
+SLOWEST = 0.1
+"""The part of the feet, over all frames, that has the speeds of feet that stand, or less."""
+SLIDE_M_S, GLIDE_M_S = -2.5, 8.0
+"""Feet that stand are not as fast, backwards or forwards. 32 real views of running cheetahs: -0.7 to 4.1 m/s."""
+PUSH_M_S2 = 12.0
+"""No animal speeds up, brakes or turns as much for a whole clip: cheetahs reach 13 m/s^2 for moments (A. M. Wilson et
+al., *Locomotion dynamics of hunting in wild cheetahs*, Nature 2013). A picture that zooms or pans seems to; so does a
+clip without some of its frames. Up to 9.1 in 32 real views."""
+JOLTS = {"root acceleration": 1.2, "heading": 0.55, "climb": 1.1}
+"""Costs in 1/90 s, half squared sigmas, from which a body's path is no animal's; up to 0.5, 0.35 and 0.7 in real views,
+and 0.8 of the first in the drawn film (benchmarks/wrong_inputs.py)."""
+
+
+def movement(motion: Motion) -> Iterator[Finding]:
+    """At most one: the clearest."""
+    solution, posed = motion.solution, motion.solved
+    assert isinstance(solution, TrajectorySolution)
+    if posed.sum() < max(LEAST_S * motion.fps, 3):
+        return
+    forward, feet = _along(motion)
+    turns = np.abs(np.diff(motion.states[:, 6:], axis=0)) * motion.fps
+    speed = np.linalg.norm(np.gradient(solution.joints_m.mean(axis=1), axis=0), axis=1) * motion.fps
+    if np.nanquantile(speed, STILL) < STILL_M_S and np.nanmedian(turns) < STILL_RAD_S:
+        yield finding("animal_still", speed_m_s=float(np.nanmedian(speed)))
+    elif np.mean(forward[np.isfinite(forward)] < -BACKWARDS_M_S) > BACKWARDS:
+        yield finding("time_reversed", speed_m_s=-float(np.nanmedian(forward)))
+    elif len(feet[0]) and not SLIDE_M_S < (slowest := float(np.nanquantile(feet, SLOWEST))) < GLIDE_M_S:
+        yield finding("camera_moves", slide_m_s=slowest, speed_m_s=float(np.nanmedian(forward)))
+    elif (push := _push_m_s2(motion)) > PUSH_M_S2:
+        yield finding("path_pushed", push_m_s2=push)
+    else:
+        frames = REFERENCE_HZ * float(posed.sum()) / motion.fps
+        costs = {name: float(solution.cost_by_term.get(name, 0.0)) / frames for name in JOLTS}
+        worst = max(JOLTS, key=lambda name: costs[name] / JOLTS[name])
+        if costs[worst] > JOLTS[worst]:
+            yield finding("path_jolts", of=worst, cost=costs[worst])
+
+
+def _push_m_s2(motion: Motion) -> float:
+    """The body's mean acceleration over the ground, that of the parabola through its path."""
+    time_s, path_m = motion.time_s[motion.solved], motion.solution.joints_m[motion.solved, :, :2].mean(axis=1)
+    return 2.0 * float(np.linalg.norm(np.polyfit(time_s - time_s.mean(), path_m, 2)[0]))
+
+
+def _along(motion: Motion) -> tuple[Array, Array]:
+    """Speeds (T,) of the body and (T, F) of the feet along the trunk, over the ground; NaN without a pose."""
+    rear, front = motion.forward
+    joints_m = motion.solution.joints_m
+    trunk = (joints_m[:, front] - joints_m[:, rear])[:, :2]
+    trunk = trunk / np.maximum(np.linalg.norm(trunk, axis=1, keepdims=True), 1e-9)
+    velocity = np.gradient(joints_m, axis=0)[..., :2] * motion.fps
+    along = np.einsum("tja,ta->tj", velocity, trunk)
+    return along.mean(axis=1), along[:, motion.feet]
+
+
+# -- gross outliers ---------------------------------------------------------------------------------------------------
+
+_WHY = "in frames whose detections are gross outliers"
+MOST = 0.5
+"""Where more of the frames are, the fit is wrong, or another mistake was made."""
+
+
+def outlier_ratios(view: View, markers_m: Array, noise_px: Array) -> Array:
+    """(T,): how many times as likely a frame's keypoints are if each lies anywhere in the picture rather than where the
+    motion has its marker, as a logarithm; NaN without keypoints or a pose. markers_m, world (T, J, 3); noise_px (T, J).
+    """
+    projected, valid = view.project(view.at_its_time(markers_m))
+    q = np.sum((projected - view.xy_px) ** 2, axis=-1) / noise_px**2
+    density = -2.0 * np.log(noise_px) - np.log(2 * np.pi) - (TAILS + 2) / 2 * np.log1p(q / TAILS)
+    width, height = view.camera.image_size_px
+    anywhere = -float(np.log(width * height))
+    known = view.present & np.isfinite(markers_m[:, :1, 0])
+    each = np.where(known, anywhere - np.where(valid, density, -np.inf), 0.0)
+    return np.where(known.any(axis=1), each.sum(axis=1), np.nan)
+
+
+def outlier_frames(view: View, ratios: Array) -> Bools:
+    """(T,): frames of gross outliers, by their `outlier_ratios`; none where most are."""
+    found: Bools = ratios > CLEAR
+    return found if found.sum() <= MOST * view.present.any(axis=1).sum() else np.zeros(len(found), dtype=bool)
+
+
+def without_gross_outliers(
+    sources: Sequence[Source], solution: TrajectorySolution
+) -> tuple[tuple[Source, ...], tuple[Finding, ...]]:
+    """The sources without the detections of frames that are gross outliers as a whole, and which those were."""
+    kept, found = [], []
+    for source, view, noise_px in zip(sources, solution.views, solution.noise_px, strict=True):
+        ratios = outlier_ratios(view, solution.markers_m, noise_px)
+        rows = outlier_frames(view, ratios)
+        points, numbers = source.keypoints.present & rows[:, None], source.keypoints.frames
+        keypoints, cleaning = leave_out(source.keypoints, source.cleaning, points, _WHY)
+        kept.append(replace(source, keypoints=keypoints, cleaning=cleaning))
+        for first, stop in frame_ranges(np.flatnonzero(rows)):
+            frames, ratio = (int(numbers[first]), int(numbers[stop - 1]) + 1), float(ratios[first:stop].sum())
+            found.append(finding("gross_outliers", frames, source.camera.name, log_likelihood_ratio=ratio))
+    return tuple(kept), tuple(found)
