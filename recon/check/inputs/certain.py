@@ -118,6 +118,8 @@ PUSH_M_S2 = 12.0
 """No animal speeds up, brakes or turns as much for a whole clip: cheetahs reach 13 m/s^2 for moments (A. M. Wilson et
 al., *Locomotion dynamics of hunting in wild cheetahs*, Nature 2013). A picture that zooms or pans seems to; so does a
 clip without some of its frames. Up to 9.1 in 32 real views."""
+STRIDE_S = 0.3
+"""A shorter clip is part of a stride, in which the body slows down and speeds up again."""
 JOLTS = {"root acceleration": 1.2, "heading": 0.55, "climb": 1.1}
 """Costs in 1/90 s, half squared sigmas, from which a body's path is no animal's; up to 0.5, 0.35 and 0.7 in real views,
 and 0.8 of the first in the drawn film (benchmarks/wrong_inputs.py)."""
@@ -138,7 +140,7 @@ def movement(motion: Motion) -> Iterator[Finding]:
         yield finding("time_reversed", speed_m_s=-float(np.nanmedian(forward)))
     elif len(feet[0]) and not SLIDE_M_S < (slowest := float(np.nanquantile(feet, SLOWEST))) < GLIDE_M_S:
         yield finding("camera_moves", slide_m_s=slowest, speed_m_s=float(np.nanmedian(forward)))
-    elif (push := _push_m_s2(motion)) > PUSH_M_S2:
+    elif posed.sum() > STRIDE_S * motion.fps and (push := _push_m_s2(motion)) > PUSH_M_S2:
         yield finding("path_pushed", push_m_s2=push)
     else:
         frames = REFERENCE_HZ * float(posed.sum()) / motion.fps
