@@ -66,17 +66,17 @@ def against_plates(run: Path, found: ClipAnalysis, fps: float) -> list[dict[str,
         plate = force[joint].reindex(range(int(down), int(up) + 1), fill_value=0.0).to_numpy()
         time_s = found.gait.tracks.time_s
         said = np.stack([np.interp(at_s, time_s, d.force[foot][:, k], left=np.nan, right=np.nan) for k in range(3)])
-        near = [f for f in d.forces if f.stance.foot == foot and abs(f.stance.start_s - down / fps) < 0.1]
-        if not near or not np.isfinite(said).all() or at_s[0] < start_s:
+        near = d.forces[(d.forces["foot"] == foot) & ((d.forces["start_s"] - down / fps).abs() < 0.1)]
+        if near.empty or not np.isfinite(said).all() or at_s[0] < start_s:
             continue
-        one, impulse = near[0], plate.sum() / fps
+        one, impulse = near.iloc[0], plate.sum() / fps
         rows.append(
             {
                 "rms": float(np.sqrt(np.mean((said[0] - plate) ** 2))),
                 "inside": float(np.mean((said[1] - 1e-9 <= plate) & (plate <= said[2] + 1e-9))),
-                "peak": one.peak / plate.max() - 1,
-                "peak inside": float(one.peak_interval[0] <= plate.max() <= one.peak_interval[1]),
-                "impulse inside": float(one.impulse_interval[0] <= impulse <= one.impulse_interval[1]),
+                "peak": one["peak_bw"] / plate.max() - 1,
+                "peak inside": float(one["peak_low_bw"] <= plate.max() <= one["peak_high_bw"]),
+                "impulse inside": float(one["impulse_low_bw_s"] <= impulse <= one["impulse_high_bw_s"]),
             }
         )
     return rows
@@ -118,11 +118,14 @@ def main() -> None:
     d, gait = found_sample.dynamics, found_sample.gait
     assert d is not None
     assert gait is not None
-    impulse = np.mean([force.impulse for force in d.forces]) * len(d.force) / d.stride_s
+    impulse = d.forces["impulse_bw_s"].mean() * len(d.force) / d.stride_s
     print(
         f"\nThe sample: mean vertical force over a stride {impulse:.2f} body weights; flights against gravity: ", end=""
     )
-    print(", ".join(f"{one.up_m_s2 + G_M_S2:+.0f} ± {one.sigma_m_s2:.0f} m/s²" for one in d.flights) or "none")
+    print(
+        ", ".join(f"{one.up_m_s2 + G_M_S2:+.0f} ± {one.sigma_m_s2:.0f} m/s²" for one in d.flights.itertuples())
+        or "none"
+    )
 
 
 if __name__ == "__main__":

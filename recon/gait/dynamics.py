@@ -21,6 +21,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -32,8 +33,18 @@ from recon.fit.motion import Motion
 from recon.fit.posterior import radius
 from recon.fit.result import Finding
 from recon.gait.gait import INTERVAL, PERIOD_SIGMA, Gait, Stance, pose_period_s
-from recon.gait.kinematics import Errors, JointKinematics, point_kinematics
+from recon.gait.kinematics import (
+    OVERSAMPLING,
+    Errors,
+    JointKinematics,
+    parabola_acceleration,
+    point_kinematics,
+    series_kinematics,
+)
 from recon.geometry.kinematics import Marker, Tree
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 G_M_S2 = 9.81
 SKEW = 0.8
@@ -51,36 +62,6 @@ MASS_LASTS_S = 10.0
 
 
 @dataclass(frozen=True, eq=False)
-class Force:
-    """Vertical force of one stance. Body weights, and body weights times seconds."""
-
-    stance: Stance
-    peak: float
-    peak_interval: tuple[float, float]
-    impulse: float
-    impulse_interval: tuple[float, float]
-
-
-@dataclass(frozen=True)
-class Flight:
-    """Frames in which no foot stands, whatever the errors of touch-down and lift-off."""
-
-    first: int
-    """Row of the clip."""
-    stop: int
-    """The first row after it."""
-    up_m_s2: float
-    """Acceleration of the centre of mass upwards, by the parabola through its heights: -`G_M_S2` in free fall."""
-    sigma_m_s2: float
-    """One standard deviation, by the errors of place, pose and masses as they last."""
-
-    @property
-    def off(self) -> float:
-        """From free fall, in standard deviations."""
-        return (self.up_m_s2 + G_M_S2) / max(self.sigma_m_s2, 1e-9)
-
-
-@dataclass(frozen=True, eq=False)
 class Dynamics:
     """Of a clip, T frames, N times on the grid of ten times the frame rate."""
 
@@ -92,13 +73,18 @@ class Dynamics:
     """(N, 3): about the centre of mass, m^2/s per kilogram, of the segments' middles."""
     ground_m: Array
     """(N,): height of the ground under the centre of mass."""
-    forces: tuple[Force, ...]
+    forces: pd.DataFrame
+    """Of each stance that lies in the clip from beginning to end: foot, start_s and end_s; peak_bw of the vertical
+    force and impulse_bw_s, each with the ends of its interval (peak_low_bw, ...)."""
     force: Mapping[str, Array]
     """By foot (N, 3): the vertical force, and the ends of the interval that holds it with 90 %."""
     stride_s: float
     """How long a stride lasts."""
     stride_sigma_s: float
-    flights: tuple[Flight, ...] = ()
+    flights: pd.DataFrame
+    """Rows of the clip in which no foot stands, whatever the errors of touch-down and lift-off: first, stop, start_s
+    and end_s; up_m_s2, the acceleration of the centre of mass by the parabola through its heights (-`G_M_S2` in free
+    fall), and sigma_m_s2, one standard deviation by the errors of place, pose and masses as they last."""
 
     @cached_property
     def energy_j_kg(self) -> dict[str, Array]:
@@ -134,34 +120,28 @@ def dynamics(motion: Motion, gait: Gait | None, errors: Sequence[Errors]) -> Dyn
     if not shares or gait is None or motion.side is not None:
         return None
     share, sigma = np.array([shares[s.name] for s in motion.body.tree.segments]).T
+    share, sigma = share / share.sum(), sigma / share.sum()
     middles_m = _middles(motion)
-    share, total = share / share.sum(), share.sum()
     centre_m = np.einsum("tsk,s->tk", middles_m, share)
     apart_m = middles_m - centre_m[:, None]
-    by_mass = np.sqrt(np.einsum("tsk,s->tk", apart_m**2, (sigma / total) ** 2))
-    rear, front = (motion.upright.names.index(name) for name in motion.forward_names)
-    of_centre = [
-        Errors(np.sqrt(np.mean(error.sigma[:, [rear, front]] ** 2, axis=1)), error.correlation_s) for error in errors
-    ]
-    of_centre.append(Errors(np.maximum(by_mass, 1e-6), MASS_LASTS_S))
-    by_pose = [*of_centre[:-1]]
-    centre = point_kinematics(motion.time_s, centre_m, of_centre if errors else ())
-    about = [point_kinematics(motion.time_s, apart_m[:, s]).series for s in range(len(share))]
-    internal = 0.5 * sum(w * np.sum(one.rate**2, axis=1) for w, one in zip(share, about, strict=True))
-    spin = sum(w * np.cross(one.value, one.rate) for w, one in zip(share, about, strict=True))
-    level_m = centre.series.value[:, 2] - gait.tracks.above_ground(centre.series.value)
+    ends = [motion.upright.names.index(name) for name in motion.forward_names]
+    by_pose = [Errors(np.sqrt(np.mean(e.sigma[:, ends] ** 2, axis=1)), e.correlation_s) for e in errors]
+    by_mass = Errors(np.maximum(np.sqrt(np.einsum("tsk,s->tk", apart_m**2, sigma**2)), 1e-6), MASS_LASTS_S)
+    centre = point_kinematics(motion.time_s, centre_m, [*by_pose, by_mass] if errors else ())
+    about = series_kinematics(motion.time_s, apart_m.reshape(len(apart_m), -1))
+    value, rate = (of.reshape(len(of), *apart_m.shape[1:]) for of in (about.value, about.rate))
     period_s, period_sigma_s = stride_time(gait)
     draws = _drawn(gait, period_s, period_sigma_s)
     return Dynamics(
         centre=centre,
-        internal_j_kg=np.asarray(internal),
-        angular_momentum=np.asarray(spin),
-        ground_m=level_m,
+        internal_j_kg=0.5 * np.sum(rate**2, axis=2) @ share,
+        angular_momentum=np.einsum("nsk,s->nk", np.cross(value, rate), share),
+        ground_m=centre.series.value[:, 2] - gait.tracks.above_ground(centre.series.value),
         forces=_forces(gait.stances, draws),
         force=_force_over_time(gait, draws),
         stride_s=period_s,
         stride_sigma_s=period_sigma_s,
-        flights=_flights(motion, gait, centre_m, apart_m, sigma / total, by_pose if errors else ()),
+        flights=_flights(motion, gait, centre_m, apart_m * sigma[:, None], by_pose),
     )
 
 
@@ -219,12 +199,10 @@ def _drawn(gait: Gait, period_s: float, period_sigma_s: float) -> _Draws:
     def normal(*shape: int) -> Array:
         return np.concatenate([np.zeros((1, *shape)), rng.standard_normal((DRAWS, *shape))])
 
-    start, end = (np.array([getattr(s, name) for s in stances]) for name in ("start_s", "end_s"))
-    sigmas = (np.nan_to_num([getattr(s, name) for s in stances]) for name in ("start_sigma_s", "end_sigma_s"))
-    starts, ends = (
-        at + normal(S) * sigma for at, sigma in zip((start, end), (np.reshape(s, S) for s in sigmas), strict=True)
-    )
-    ends = np.maximum(ends, starts + 0.3 * (end - start))
+    events = np.array([[s.start_s, s.end_s, s.start_sigma_s, s.end_sigma_s] for s in stances]).reshape(S, 4)
+    start, end, start_sigma, end_sigma = np.nan_to_num(events).T
+    starts = start + normal(S) * start_sigma
+    ends = np.maximum(end + normal(S) * end_sigma, starts + 0.3 * (end - start))
     known = "gallop" in gait.name.name or gait.name.name == "unknown"
     fore = np.clip((FORE if known else 0.5) + (FORE_SIGMA if known else 2 * FORE_SIGMA) * normal(1)[:, 0], 0.1, 0.9)
     factor = np.exp(FOOT * normal(len(feet)))
@@ -239,24 +217,22 @@ def _drawn(gait: Gait, period_s: float, period_sigma_s: float) -> _Draws:
     return _Draws(starts, ends, (share * period)[:, of_foot])
 
 
-def _interval(draws: Array) -> tuple[float, float]:
-    low, high = np.quantile(draws, [(1 - INTERVAL) / 2, (1 + INTERVAL) / 2])
-    return float(low), float(high)
+FORCE_COLUMNS = (
+    *("foot", "start_s", "end_s", "peak_bw", "peak_low_bw", "peak_high_bw"),
+    *("impulse_bw_s", "impulse_low_bw_s", "impulse_high_bw_s"),
+)
+_ENDS = [(1 - INTERVAL) / 2, (1 + INTERVAL) / 2]
 
 
-def _forces(stances: Sequence[Stance], draws: _Draws) -> tuple[Force, ...]:
-    """Of stances that lie in the clip from beginning to end."""
-    return tuple(
-        Force(
-            stance=stance,
-            peak=float(draws.peak[0, i]),
-            peak_interval=_interval(draws.peak[1:, i]),
-            impulse=float(draws.impulse[0, i]),
-            impulse_interval=_interval(draws.impulse[1:, i]),
-        )
-        for i, stance in enumerate(stances)
-        if stance.begins and stance.ends and np.isfinite(draws.impulse[0, i])
-    )
+def _forces(stances: Sequence[Stance], draws: _Draws) -> pd.DataFrame:
+    import pandas as pd
+
+    rows = []
+    for i, stance in enumerate(stances):
+        if stance.begins and stance.ends and np.isfinite(draws.impulse[0, i]):
+            peak, impulse = ((of[0, i], *np.quantile(of[1:, i], _ENDS)) for of in (draws.peak, draws.impulse))
+            rows.append((stance.foot, stance.start_s, stance.end_s, *map(float, (*peak, *impulse))))
+    return pd.DataFrame(rows, columns=[*FORCE_COLUMNS])
 
 
 def _force_over_time(gait: Gait, draws: _Draws) -> dict[str, Array]:
@@ -274,53 +250,48 @@ def _force_over_time(gait: Gait, draws: _Draws) -> dict[str, Array]:
                 continue
             into = (time_s[near] - draws.start_s[:, i, None]) / (draws.end_s - draws.start_s)[:, i, None]
             drawn = draws.peak[:, i, None] * shape(into)
-            low, high = np.quantile(drawn[1:], [(1 - INTERVAL) / 2, (1 + INTERVAL) / 2], axis=0)
+            low, high = np.quantile(drawn[1:], _ENDS, axis=0)
             force[near] = np.stack([drawn[0], low, high], axis=1)
         found[foot] = force
     return found
 
 
-def _flights(
-    motion: Motion, gait: Gait, centre_m: Array, apart_m: Array, sigma: Array, errors: Sequence[Errors]
-) -> tuple[Flight, ...]:
-    """Of an animal whose four feet are known, between its first stance and its last. apart_m (T, S, 3): the segments'
-    middles from the centre; sigma (S,): of their shares; errors (T, 3) of the centre."""
-    if len(gait.tracks.feet) < 4 or not gait.stances or not errors:
-        return ()
+def _flights(motion: Motion, gait: Gait, centre_m: Array, by_mass_m: Array, errors: Sequence[Errors]) -> pd.DataFrame:
+    """Of an animal whose four feet are known, between its first stance and its last. by_mass_m (T, S, 3): what one
+    standard deviation of each segment's share does to the centre; errors (T, 3) of the centre, without those."""
+    import pandas as pd
+
     time_s, found = motion.time_s, []
-    free = np.isfinite(gait.tracks.foot_m[:: _centre_rate(gait, motion)]).all(axis=(1, 2)) & motion.solved
-    free &= (time_s > min(s.end_s for s in gait.stances)) & (time_s < max(s.start_s for s in gait.stances))
-    for stance in gait.stances:
-        early, late = stance.start_interval_s[0], stance.end_interval_s[1]
-        free &= (time_s < (early if stance.begins else -np.inf)) | (time_s > (late if stance.ends else np.inf))
-    for first, stop in frame_ranges(np.flatnonzero(free)):
-        if stop - first < FLIGHT_FRAMES:
-            continue
-        rows = slice(first, stop)
-        t = time_s[rows] - time_s[rows].mean()
-        shares = 2 * np.linalg.pinv(np.stack([np.ones(len(t)), t, t**2], axis=1))[2]
-        variance = float(np.sum((shares @ apart_m[rows, :, 2] * sigma) ** 2))
-        for error in errors:
-            alike = np.exp(-0.5 * ((t[:, None] - t) / max(error.correlation_s, 1e-9)) ** 2)
-            weighted = shares * error.sigma[rows, 2]
-            variance += max(float(weighted @ alike @ weighted), 0.0)
-        up = float(shares @ centre_m[rows, 2])
-        found.append(Flight(int(first), int(stop), up, variance**0.5))
-    return tuple(found)
+    if len(gait.tracks.feet) >= 4 and gait.stances and errors:
+        free = np.isfinite(gait.tracks.foot_m[::OVERSAMPLING]).all(axis=(1, 2)) & motion.solved
+        free &= (time_s > min(s.end_s for s in gait.stances)) & (time_s < max(s.start_s for s in gait.stances))
+        for stance in gait.stances:
+            early, late = stance.start_interval_s[0], stance.end_interval_s[1]
+            free &= (time_s < (early if stance.begins else -np.inf)) | (time_s > (late if stance.ends else np.inf))
+        for first, stop in frame_ranges(np.flatnonzero(free)):
+            rows = slice(first, stop)
+            if stop - first >= FLIGHT_FRAMES:
+                of_rows = [Errors(e.sigma[rows, 2], e.correlation_s) for e in errors]
+                of_rows += [Errors(one, np.inf) for one in by_mass_m[rows, :, 2].T]
+                up = parabola_acceleration(time_s[rows], centre_m[rows, 2], of_rows)
+                found.append((int(first), int(stop), time_s[first], time_s[stop - 1], *up))
+    return pd.DataFrame(found, columns=["first", "stop", "start_s", "end_s", "up_m_s2", "sigma_m_s2"])
 
 
-def _centre_rate(gait: Gait, motion: Motion) -> int:
-    """Samples of the gait's grid for each frame."""
-    return max(1, (len(gait.tracks.time_s) - 1) // max(1, len(motion.time_s) - 1))
+def off_gravity(flights: pd.DataFrame) -> pd.Series:
+    """How far each flight is from free fall, in standard deviations."""
+    return (flights["up_m_s2"] + G_M_S2) / flights["sigma_m_s2"].clip(lower=1e-9)
 
 
 def findings_of_dynamics(motion: Motion, found: Dynamics) -> tuple[Finding, ...]:
     """Whether the flight that is furthest off free fall, in standard deviations, is so beyond its uncertainty."""
-    worst = max(found.flights, key=lambda one: abs(one.off), default=None)
-    if worst is None or abs(worst.off) <= OFF_GRAVITY:
+    off = off_gravity(found.flights).abs()
+    if not (off > OFF_GRAVITY).any():
         return ()
-    frames = int(motion.frames[worst.first]), int(motion.frames[worst.stop - 1]) + 1
-    return (finding("flight_against_gravity", frames, up_m_s2=worst.up_m_s2, sigma_m_s2=worst.sigma_m_s2),)
+    worst = found.flights.loc[off.idxmax()]
+    frames = int(motion.frames[int(worst["first"])]), int(motion.frames[int(worst["stop"]) - 1]) + 1
+    numbers = {name: float(worst[name]) for name in ("up_m_s2", "sigma_m_s2")}
+    return (finding("flight_against_gravity", frames, **numbers),)
 
 
 def net_work_j_kg(found: Dynamics, start_s: float, end_s: float) -> tuple[float, float]:

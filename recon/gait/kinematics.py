@@ -443,14 +443,17 @@ def net_acceleration(time_s: Array, xyz_m: Array, errors: Sequence[Errors] = ())
     way = xyz_m[known[-1], :2] - xyz_m[known[0], :2] if len(known) >= MIN_POINTS else np.zeros(2)
     if not way.any():
         return np.nan, np.nan
-    ahead, t = way / np.linalg.norm(way), time_s[known] - time_s[known].mean()
+    ahead = way / np.linalg.norm(way)
+    along = [Errors(ahead[k] * e.sigma[known, k], e.correlation_s) for e in errors for k in range(2)]
+    return parabola_acceleration(time_s[known], xyz_m[known, :2] @ ahead, along)
+
+
+def parabola_acceleration(time_s: Array, values: Array, errors: Sequence[Errors]) -> tuple[float, float]:
+    """Of the parabola in time through values (T,), by least squares, and its standard deviation, NaN without errors."""
+    t = time_s - time_s.mean()
     shares = 2 * np.linalg.pinv(np.stack([np.ones(len(t)), t, t**2], axis=1))[2]
-    variance = sum(
-        float(_propagate((shares * ahead[k] * e.sigma[known, k])[None], t, e.correlation_s)[0])
-        for e in errors
-        for k in range(2)
-    )
-    return float(shares @ xyz_m[known, :2] @ ahead), float(np.sqrt(variance)) if len(errors) else np.nan
+    variance = sum(float(_propagate((shares * e.sigma)[None], t, e.correlation_s)[0]) for e in errors)
+    return float(shares @ values), float(np.sqrt(variance)) if len(errors) else np.nan
 
 
 def speed_at_frames(time_s: Array, xyz_m: Array, smooth: bool = False) -> Array:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from recon.gait.clip import ClipAnalysis
-from recon.gait.dynamics import G_M_S2
+from recon.gait.dynamics import FORCE_COLUMNS, G_M_S2
 from recon.gait.gait import Gait
 from recon.gait.kinematics import AngleKinematics
 from recon.gait.phase import LinkField, field_means
@@ -196,12 +196,8 @@ def centre_of_mass(found: ClipAnalysis) -> Columns:
 def forces(found: ClipAnalysis) -> Table:
     """Peak and impulse of the vertical force of every whole stance, body weights, with intervals of 90 %; the same in
     newtons where the animal's mass is known."""
-    columns = "foot, start_s, end_s, peak_bw, peak_low_bw, peak_high_bw, impulse_bw_s, impulse_low_bw_s"
-    rows = [
-        (f.stance.foot, f.stance.start_s, f.stance.end_s, f.peak, *f.peak_interval, f.impulse, *f.impulse_interval)
-        for f in (found.dynamics.forces if found.dynamics else ())
-    ]
-    head = [*columns.split(", "), "impulse_high_bw_s"]
+    head = [*FORCE_COLUMNS]
+    rows = [] if found.dynamics is None else [*found.dynamics.forces.itertuples(index=False, name=None)]
     if found.body_mass_kg is not None:
         weight_n = found.body_mass_kg * G_M_S2
         head += [name.replace("_bw", "_n") for name in head[3:]]

@@ -178,7 +178,7 @@ def _sections(motion: Motion, moved: JointKinematics, gait: Gait | None) -> Iter
         text = "When each foot stands: by its speed over the ground and its height, and by its path below the body."
         yield _FigureGroup("Footfalls", text, _inline([plots.footfall({"gait": gait}, motion.fps)]))
         dynamics = None if motion.jitters else dynamics_of(motion, gait)
-        if dynamics is not None and dynamics.forces:
+        if dynamics is not None and len(dynamics.forces):
             text = (
                 "Of each foot, in body weights: from its stances and the impulse that a stride needs on level ground, "
                 f"with the masses of {motion.body.mass_source}. Forces are validated on galloping cheetahs."
