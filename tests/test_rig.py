@@ -18,6 +18,7 @@ from recon.base.errors import InputError
 from recon.fit.motion import Motion
 from recon.io import bvh, gltf, opensim
 from recon.io.bones import Armature
+from recon.io.pose import y_up_from_z_up
 from recon.io.pose3d import read_pose3d
 from recon.show.export.rig import make_rig, rig_of
 from recon.workflows.convert import ConvertSettings, convert
@@ -74,8 +75,31 @@ def test_an_opensim_model(rig, tmp_path):
     model = ElementTree.parse(path).getroot()
     coordinates = {c.get("name"): c for c in model.iter("Coordinate")}
     assert [*motion] == [*coordinates]
-    assert {body.findtext("mass") for body in model.iter("Body")} == {"0"}
+    masses = [float(body.findtext("mass") or "nan") for body in model.iter("Body")]
+    assert sum(masses) == pytest.approx(1.0 if load_skeleton(rig.name).mass else 0.0)
     assert sum(1 for _ in model.iter("Cylinder")) == len(rig.capsules)
+
+
+def test_an_opensim_model_has_masses_and_inertias(tmp_path):
+    """Of solid cylinders: a slender one's moments are 1/12 of its length squared, across; twins have the same."""
+    body = load_skeleton("cheetah-24")
+    rig = make_rig(body, 1.0, body.markers, np.arange(2), np.zeros((2, body.n_state)), 50.0, body_mass_kg=40.0)
+    opensim.write(rig, tmp_path / "run.osim")
+    found = {b.get("name"): b for b in ElementTree.parse(tmp_path / "run.osim").getroot().iter("Body")}
+    assert sum(float(b.findtext("mass") or "nan") for b in found.values()) == pytest.approx(40.0)
+    left, right = (found[f"{side}_hind_shin"] for side in "lr")
+    assert [left.findtext(t) for t in ("mass", "inertia")] == [right.findtext(t) for t in ("mass", "inertia")]
+    i = next(i for i, bone in enumerate(rig.bones) if bone.name == "l_hind_shin")
+    (shin,) = (c for c in rig.capsules if c.segment == i)
+    mass, length = rig.bones[i].mass_kg, float(np.linalg.norm(shin.end_m))
+    along = y_up_from_z_up(np.array(shin.end_m)) / length
+    inertia = rig.bones[i].inertia_kg_m2
+    assert along @ inertia @ along == pytest.approx(mass * shin.radius_m**2 / 2)
+    assert inertia[2, 2] == pytest.approx(mass * (length**2 / 12 + shin.radius_m**2 / 4))
+    np.testing.assert_allclose(rig.bones[i].centre_m, along * length / 2)
+    for bone in rig.bones:  # what a body can have: no moment is larger than the other two together
+        moments = np.linalg.eigvalsh(bone.inertia_kg_m2)
+        assert 0 <= moments[2] <= moments[:2].sum() * (1 + 1e-9)
 
 
 def test_coordinates_of_an_opensim_model_are_the_skeletons(tmp_path):

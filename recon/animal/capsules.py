@@ -59,3 +59,24 @@ def capsule_ends(tree: Tree, shape: Sequence[Capsule], states: Array, size: floa
     ends = [Marker(segment, segment, capsule.end_m) for segment, capsule in zip(at, shape, strict=True)]
     points = Tree(tree.segments, (*begins, *ends)).pose(states, size).points_m
     return points[:, : len(shape)], points[:, len(shape) :]
+
+
+def middles_m(tree: Tree, shape: Sequence[Capsule]) -> Array:
+    """(S, 3): of each segment's capsules, in its frame; its origin where it has none."""
+    ends = [[c.end_m for c in shape if c.segment == i] or [(0.0, 0.0, 0.0)] for i in range(len(tree.segments))]
+    return np.array([np.mean(of_one, axis=0) / 2 for of_one in ends])
+
+
+def inertias_m2(tree: Tree, shape: Sequence[Capsule]) -> Array:
+    """(S, 3, 3): moments of inertia about `middles_m`, per kilogram, of solid cylinders of one density, without their
+    round ends."""
+    found, volume = np.zeros((len(tree.segments), 3, 3)), np.zeros(len(tree.segments))
+    middles = middles_m(tree, shape)
+    for capsule in shape:
+        end, square = np.array(capsule.end_m), capsule.radius_m**2
+        length = float(np.linalg.norm(end))
+        along, off = np.outer(end, end) / length**2, end / 2 - middles[capsule.segment]
+        own = square / 2 * along + (square / 4 + length**2 / 12) * (np.eye(3) - along)
+        found[capsule.segment] += length * square * (own + off @ off * np.eye(3) - np.outer(off, off))
+        volume[capsule.segment] += length * square
+    return found / np.maximum(volume, 1e-12)[:, None, None]

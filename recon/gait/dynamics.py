@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from recon.animal.capsules import capsules
+from recon.animal.capsules import capsules, middles_m
 from recon.base.arrays import Array
 from recon.check import finding
 from recon.clip.keypoints import frame_ranges
@@ -148,14 +148,9 @@ def dynamics(motion: Motion, gait: Gait | None, errors: Sequence[Errors]) -> Dyn
 def _middles(motion: Motion) -> Array:
     """(T, S, 3): of each segment's capsules, upright."""
     tree = motion.body.tree
-    ends: dict[int, list[tuple[float, float, float]]] = {}
-    for capsule in capsules(tree, motion.body.markers):
-        ends.setdefault(capsule.segment, []).append(capsule.end_m)
-    markers = []
-    for i, segment in enumerate(tree.segments):
-        middle = np.mean(ends.get(i, [(0.0, 0.0, 0.0)]), axis=0) / 2
-        markers.append(Marker(segment.name, segment.name, (float(middle[0]), float(middle[1]), float(middle[2]))))
-    return Tree(tree.segments, tuple(markers)).pose(motion.states, motion.size).points_m
+    at = middles_m(tree, capsules(tree, motion.body.markers)).tolist()
+    markers = tuple(Marker(s.name, s.name, (x, y, z)) for s, (x, y, z) in zip(tree.segments, at, strict=True))
+    return Tree(tree.segments, markers).pose(motion.states, motion.size).points_m
 
 
 def stride_time(gait: Gait) -> tuple[float, float]:

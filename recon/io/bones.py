@@ -42,6 +42,12 @@ class Bone:
     offset_m: Array
     """(3,): its origin in its parent's frame."""
     turns: tuple[BoneAngle, ...]
+    mass_kg: float
+    """0 where the skeleton has no masses."""
+    centre_m: Array
+    """(3,): of its mass, in its frame."""
+    inertia_kg_m2: Array
+    """(3, 3): about that centre."""
 
 
 @dataclass(frozen=True, eq=False)

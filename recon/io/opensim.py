@@ -1,7 +1,7 @@
 """An OpenSim model (.osim), with its motion (.mot) and its markers' paths (.trc) beside it.
 
-Metres, rad, y up (see `recon.io.bones`). Bodies have no mass, as skeletons state none: the model is for
-kinematics. Times are as in the keypoint file.
+Metres, rad, kg, y up (see `recon.io.bones`). Without masses in the skeleton bodies have none: the model is for
+kinematics then. Times are as in the keypoint file.
 """
 
 from __future__ import annotations
@@ -36,7 +36,8 @@ def write(rig: Armature, path: Path) -> None:
     for bone in rig.bones:
         body = SubElement(bodies, "Body", name=bone.name)
         _draw(body, rig, bone)
-        _texts(body, mass="0", mass_center="0 0 0", inertia="0 0 0 0 0 0")
+        moments = _numbers(bone.inertia_kg_m2[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]])
+        _texts(body, mass=repr(bone.mass_kg), mass_center=_numbers(bone.centre_m), inertia=moments)
         _join(joints, rig, bone)
     for name, at, offset_m in zip(rig.joints, rig.joint_bones, rig.joint_offsets_m, strict=True):
         marker = SubElement(markers, "Marker", name=name)

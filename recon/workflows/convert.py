@@ -48,6 +48,9 @@ class ConvertSettings(Settings):
         None
     )
     rename: Annotated[str | None, RENAME] = None
+    body_mass_kg: Annotated[
+        Positive, Option("Mass of the animal in an OpenSim model; 1: forces per kilogram.", "kilograms above 0")
+    ] = 1.0
     anyway: Annotated[bool, ANYWAY] = False
     overwrite: Annotated[bool, Option("Replace the file.")] = False
     show_list: Annotated[bool, Option("Print the formats.", name="--list")] = False
@@ -74,7 +77,7 @@ def convert(settings: ConvertSettings) -> Conversion:
     )
     notes = data.notes
     if "bones" in target.writes:
-        return _as_bones(source, data, target, out, settings.overwrite)
+        return _as_bones(settings, source, data, target, out)
     if isinstance(data, Keypoints):
         if "2D" not in target.writes:
             expected = f"3D positions for {target.title}: fit the clip first (recon fit)"
@@ -90,15 +93,17 @@ def convert(settings: ConvertSettings) -> Conversion:
     return data, target, notes
 
 
-def _as_bones(source: Path, data: Keypoints | Pose3D, target: Format, out: Path, overwrite: bool) -> Conversion:
+def _as_bones(
+    settings: ConvertSettings, source: Path, data: Keypoints | Pose3D, target: Format, out: Path
+) -> Conversion:
     """data: what was read of the source."""
     if not source.is_dir():
         found = "2D keypoints" if isinstance(data, Keypoints) else "3D positions"
         expected = f"a folder of results of recon fit: {target.title} has bones, which turn"
         raise InputError(Problem(source, "content", found, expected))
     beside = [out.with_suffix(extension) for extension in target.beside]
-    all_of(*(partial(require_free_file, path, overwrite, "OUT") for path in beside))
-    rig = rig_of(Motion.load(source), data.fps)
+    all_of(*(partial(require_free_file, path, settings.overwrite, "OUT") for path in beside))
+    rig = rig_of(Motion.load(source), data.fps, settings.body_mass_kg)
     _write(target, rig, out)
     notes = data.notes + rig.notes
     if beside:

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from recon.animal.body import Body
-from recon.animal.capsules import capsules
+from recon.animal.capsules import capsules, inertias_m2, middles_m
 from recon.base.arrays import Array, Index
 from recon.base.errors import InputError, Problem
 from recon.fit.motion import Motion
@@ -24,10 +24,11 @@ SAME_M = 1e-4
 """Lengths by which joints are further off than this are others."""
 
 
-def rig_of(motion: Motion, fps: float | None = None) -> Armature:
+def rig_of(motion: Motion, fps: float | None = None, body_mass_kg: float = 1.0) -> Armature:
     """From the first to the last frame with a pose; those without one in between are interpolated, which a note says.
 
-    fps: in place of the motion's. Raises InputError without any pose, and where lengths change from frame to frame.
+    fps: in place of the motion's; body_mass_kg: which the skeleton's masses add up to. Raises InputError without any
+    pose, and where lengths change from frame to frame.
     """
     frames, states, joints_m = motion.frames, motion.states, motion.upright.xyz_m
     off_m = np.abs(motion.body.tree.pose(states, motion.size).points_m - joints_m).max(axis=(1, 2))
@@ -44,25 +45,36 @@ def rig_of(motion: Motion, fps: float | None = None) -> Armature:
         frames[known],
         states[known],
         motion.fps if fps is None else fps,
+        body_mass_kg,
     )
     filled = np.setdiff1d(rig.pose.frames, frames[known])
     note = f"Without a pose, and interpolated: frames {', '.join(frames_text(filled))}."
     return replace(rig, notes=(note,) if len(filled) else ())
 
 
-def make_rig(body: Body, size: float, names: tuple[str, ...], frames: Index, states: Array, fps: float) -> Armature:
+def make_rig(
+    body: Body, size: float, names: tuple[str, ...], frames: Index, states: Array, fps: float, body_mass_kg: float = 1.0
+) -> Armature:
     """Of states (N, D) in these frames (N,), and between them. names: of the J joints."""
     tree = body.tree.scaled(size)
     frames, states = _without_gaps(frames, states)
     at = {segment.name: i for i, segment in enumerate(tree.segments)}
+    shape = capsules(tree, names)
+    share = np.array([body.mass.get(segment.name, (0.0, 0.0))[0] for segment in tree.segments])
+    mass_kg = body_mass_kg * share / max(float(share.sum()), 1e-9)
+    inertia = y_up_from_z_up(np.swapaxes(y_up_from_z_up(inertias_m2(tree, shape)), 1, 2))
+    middles = y_up_from_z_up(middles_m(tree, shape))
     bones = tuple(
         Bone(
             f"{segment.name}_bone" if segment.name in names else segment.name,
             None if segment.parent is None else at[segment.parent],
             y_up_from_z_up(np.array(segment.offset_m)),
             turns,
+            float(mass_kg[i]),
+            middles[i],
+            mass_kg[i] * inertia[i],
         )
-        for segment, turns in zip(tree.segments, _turns(body, states), strict=True)
+        for i, (segment, turns) in enumerate(zip(tree.segments, _turns(body, states), strict=True))
     )
     return Armature(
         name=body.name,
@@ -71,7 +83,7 @@ def make_rig(body: Body, size: float, names: tuple[str, ...], frames: Index, sta
         joints=names,
         joint_bones=tuple(at[marker.segment] for marker in tree.markers),
         joint_offsets_m=y_up_from_z_up(np.array([marker.offset_m for marker in tree.markers])),
-        capsules=capsules(tree, names),
+        capsules=shape,
         root_m=y_up_from_z_up(states[:, ROOT]),
         pose=Pose3D(names, tree.pose(states).points_m, frames, fps=fps),
         fps=fps,
