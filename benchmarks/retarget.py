@@ -20,11 +20,14 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
+
 from recon import FitSettings
 from recon.fit.motion import Motion
 from recon.robotics.robot.playback import write_robot
 from recon.robotics.robot.reference import reference_of
-from recon.robotics.robot.retarget_clip import RetargetRun, companion, solve
+from recon.robotics.robot.retarget import Retargeted, retarget
+from recon.robotics.robot.retarget_clip import companion
 from recon.robotics.robot.robot_file import builtin_robots, load_robot
 from recon.workflows.clip_results import run_clip
 
@@ -76,27 +79,27 @@ def fitted(out: Path, settings: FitSettings) -> Motion:
     return Motion.load(out)
 
 
-def row(clip: str, solved: RetargetRun, seconds: float) -> list[str]:
-    both = (solved.motion.clip, solved.motion.stride)
+def row(clip: str, solved: Retargeted, seconds: float) -> list[str]:
+    both = (solved.clip, solved.stride)
     most = both[0].robot.stand_m / solved.animal.reference.leg_m
     slips = " / ".join(f"{1000 * motion.slip_m.max():.2f}" for motion in both)
-    stride = solved.report["stride"]
+    window, way = solved.window, both[0].pose.translation[-1, :2] - both[0].pose.translation[0, :2]
     return [
         clip,
         both[0].robot.name,
         f"{both[0].scale:.3f} ({most:.3f})",
         f"{both[0].slower:.2f}",
-        f"{solved.report['clip']['speed_m_s']:.2f}",
+        f"{float(np.hypot(*way)) / both[0].time_s[-1]:.2f}",
         slips,
         f"{min(motion.margin_rad.min() for motion in both):.3f}",
         f"{100 * max(motion.rate_share.max() for motion in both):.0f}",
         f"{max(0.0, *(-1000 * motion.lowest_m for motion in both)):.2f}",
-        f"{1000 * solved.motion.spread_m:.0f}",
-        f"{1000 * solved.motion.apart_m:.0f}",
+        f"{1000 * solved.spread_m:.0f}",
+        f"{1000 * min(motion.apart_m for motion in both):.0f}",
         f"{100 * max(motion.short.mean() for motion in both):.0f}",
-        {"stride": "a complete one", "return": "nearest return"}[stride["how"]],
-        f"{stride['gap_percent']:.0f}",
-        f"{stride['closing_percent']:.2f}",
+        {"stride": "a complete one", "return": "nearest return"}[window.how],
+        f"{window.gap_percent:.0f}",
+        f"{solved.stride.closing_percent:.2f}",
         f"{seconds:.1f}",
     ]
 
@@ -116,10 +119,10 @@ def main() -> None:
         for clip, results in fits(arguments.folder, Path(work)):
             for robot in robots:
                 started = time.perf_counter()
-                solved = solve(reference_of(results), robot)
+                solved = retarget(reference_of(results), robot)
                 print("| " + " | ".join(row(clip, solved, time.perf_counter() - started)) + " |", flush=True)
     if arguments.picture and solved is not None:
-        write_robot(solved.motion.clip, arguments.picture, companion(solved))
+        write_robot(solved.clip, arguments.picture, companion(solved))
 
 
 if __name__ == "__main__":

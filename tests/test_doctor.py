@@ -77,7 +77,7 @@ def test_prints_a_table_of_80_columns_or_json_and_ends_with_0_or_1(doctor, monke
 def test_versions_that_are_too_old_or_missing_are_broken():
     found = {
         check.name: check
-        for check in versions(["numpy>=1.2", "scipy>=999", "no-such-thing>=2.5", "rich; extra == 'urdf'"])
+        for check in versions(["numpy>=1.2", "scipy>=999", "no-such-thing>=2.5", "rich; extra == 'robots'"])
     }
     assert statuses(found.values()) == {
         "recon": "ok",
@@ -131,13 +131,13 @@ def test_the_package_of_somebody_else_is_found(monkeypatch):
 
 def test_optional_parts_say_how_to_get_them():
     requires = [
-        "rich>=1; extra == 'urdf'",
+        "rich>=1; extra == 'robots'",
         "no-such-thing>=1; extra == 'formats'",
         "rich>=999; extra == 'formats'",
         "x; extra == 'dev'",
     ]
     found = {check.name: check for check in extras(requires)}
-    assert statuses(found.values()) == {"urdf": "ok", "formats": "absent", "GPU": "ok"}
+    assert statuses(found.values()) == {"robots": "ok", "formats": "absent", "GPU": "ok"}
     assert found["formats"].hint == install_command("formats")
     assert f"no no-such-thing, rich {metadata.version('rich')} < 999" in found["formats"].found
 

@@ -31,7 +31,7 @@ from recon.io import read_keypoints
 from recon.io.deeplabcut import write_csv
 from recon.keypoint_net.evaluate2d import evaluate_2d_files
 from recon.robotics.robot.reference import reference_of
-from recon.robotics.robot.retarget_clip import solve
+from recon.robotics.robot.retarget import retarget
 from recon.robotics.robot.robot_file import load_robot
 from recon.show.plots.skeleton import expected_pose
 from recon.show.report import build_report
@@ -308,7 +308,7 @@ def test_from_superanimals_file_to_a_robot(whole_results, tmp_path):
     assert found.foot_names == {"LF": "l_front_paw", "RF": "r_front_paw", "LH": "l_back_paw", "RH": "r_back_paw"}
     assert all(side == limb.partition(" ")[0] for limb, side in found.limb_sides.items() if "leg" in limb)
     assert gait_of(found).name.name == gait_of(native).name.name == "transverse gallop"
-    assert solve(reference_of(found), load_robot("a1")).motion.clip.margin_rad.min() >= 0
+    assert retarget(reference_of(found), load_robot("a1")).clip.margin_rad.min() >= 0
     truth = read_pose3d(SAMPLES / "whole_truth.csv")
     renamed_m, native_m = (evaluate(results.upright, truth).mpjpe_m.mean for results in (found, native))
     assert renamed_m < 1.3 * native_m

@@ -74,7 +74,7 @@ def test_extras_come_from_where_the_package_came(installed, monkeypatch, tmp_pat
     monkeypatch.chdir("/")
     assert install_command("formats") == f"pip install '{checkout.relative_to('/')}[formats]'"
     installed({"url": wheel.as_uri(), "archive_info": {}})
-    assert install_command("urdf").endswith(f"{wheel.name}[urdf]'")
+    assert install_command("robots").endswith(f"{wheel.name}[robots]'")
     checkout.rmdir()
     installed({"url": checkout.as_uri(), "dir_info": {}})
     assert install_command("net") == "pip install 'recon-motion[net]'"

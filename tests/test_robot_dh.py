@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from recon.robotics.ik.chain import joint_chain
 from recon.robotics.ik.costs import joint_differences
@@ -147,19 +148,20 @@ def random_rows():
 )
 def test_the_table_of_a_chain_is_the_chain(rows, convention):
     chain = dh_chain(rows, convention)
-    table = dh_table(chain)
-    assert (table.rows[0].a_m, table.rows[0].alpha_rad) == (0, 0)
-    assert [row.slides for row in table.rows] == [row.slides for row in rows]
+    base, found, tool = dh_table(chain)
+    assert (found[0].a_m, found[0].alpha_rad) == (0, 0)
+    assert [row.slides for row in found] == [row.slides for row in rows]
     for q in np.random.default_rng(1).uniform(-1, 1, (5, chain.n)):
         R, p = chain.pose(q)
-        found = table.pose(q)
-        np.testing.assert_allclose(found.rotation.as_matrix(), R, atol=1e-12)
-        np.testing.assert_allclose(found.translation, p, atol=1e-12)
+        along, at = dh_chain(found, "modified").pose(q)
+        end = base * RigidTransform.from_components(at, Rotation.from_matrix(along)) * tool
+        np.testing.assert_allclose(end.rotation.as_matrix(), R, atol=1e-12)
+        np.testing.assert_allclose(end.translation, p, atol=1e-12)
 
 
 def test_the_table_of_the_puma_has_the_published_lengths():
     sizes = [
-        (abs(row.a_m), abs(row.d_m), abs(row.alpha_rad)) for row in dh_table(dh_chain(PUMA_STANDARD, "standard")).rows
+        (abs(row.a_m), abs(row.d_m), abs(row.alpha_rad)) for row in dh_table(dh_chain(PUMA_STANDARD, "standard"))[1]
     ]
     expected = [(abs(row.a_m), abs(row.d_m), abs(row.alpha_rad)) for row in PUMA_MODIFIED]
     np.testing.assert_allclose(sizes, expected, atol=1e-12)
@@ -169,23 +171,23 @@ def test_the_puma_has_eight_solutions():
     chain = dh_chain(PUMA_MODIFIED, "modified")
     q = np.array([0.3, -0.8, 0.4, 0.9, 0.6, -0.5])
     R, p = chain.pose(q)
-    found = all_solutions(chain, p, R)
-    assert found.isolated
-    assert found.q.shape == (8, 6)
-    assert np.abs(np.angle(np.exp(1j * (found.q - q)))).max(axis=1).min() < 1e-6
-    for other in found.q:
+    found, isolated = all_solutions(chain, p, R)
+    assert isolated
+    assert found.shape == (8, 6)
+    assert np.abs(np.angle(np.exp(1j * (found - q)))).max(axis=1).min() < 1e-6
+    for other in found:
         np.testing.assert_allclose(chain.pose(other)[0], R, atol=1e-6)
         np.testing.assert_allclose(chain.end(other), p, atol=1e-6)
     # The wrist's two ways: a half turn of the fourth and the sixth joint, the fifth the other way.
     flipped = np.angle(np.exp(1j * (q * [1, 1, 1, 1, -1, 1] + [0, 0, 0, np.pi, 0, np.pi])))
-    assert np.abs(found.q - flipped).max(axis=1).min() < 1e-6
+    assert np.abs(found - flipped).max(axis=1).min() < 1e-6
 
 
 def test_endless_and_no_solutions():
     chain = dh_chain(PUMA_MODIFIED, "modified")
-    free = all_solutions(chain, (0.4, 0.1, 0.3), starts=3)
-    assert (len(free.q), free.isolated) == (1, False)
-    assert all_solutions(chain, (2.0, 0.0, 0.0), starts=3).q.shape == (0, 6)
+    free, isolated = all_solutions(chain, (0.4, 0.1, 0.3), starts=3)
+    assert (len(free), isolated) == (1, False)
+    assert all_solutions(chain, (2.0, 0.0, 0.0), starts=3)[0].shape == (0, 6)
 
 
 def test_rows_and_convention_are_checked():
@@ -209,9 +211,9 @@ def test_lift_arm_published_values(hand, height, expected):
     """Links of 4.5 and 4 inches. The wrist angles in print take the hand's angle in radians among degrees; these are
     in degrees throughout."""
     x, y, degrees = hand
-    solution = lift_arm((4.5, 4.0), (x, y, np.radians(degrees)), height)
-    assert solution.reason == ""
-    found = np.column_stack([solution.branches[:, 0], np.degrees(solution.branches[:, 1:])])
+    branches, reason = lift_arm((4.5, 4.0), (x, y, np.radians(degrees)), height)
+    assert reason == ""
+    found = np.column_stack([branches[:, 0], np.degrees(branches[:, 1:])])
     # The published place has three decimals, and angles near the stretched arm hang on them.
     np.testing.assert_allclose(found, expected, atol=0.05)
 
@@ -229,27 +231,27 @@ def test_lift_arm_there_and_back():
     for q in rng.uniform(-3, 3, (50, 4)):
         hand, height = lift_arm_hand(lengths, q)
         assert chain.end(q) == pytest.approx([hand[0], hand[1], height])
-        solution = lift_arm(lengths, hand, float(height))
-        again, heights = lift_arm_hand(lengths, solution.branches)
+        branches, _ = lift_arm(lengths, hand, float(height))
+        again, heights = lift_arm_hand(lengths, branches)
         turns = np.exp(1j * (again[:, 2] - hand[2]))
         np.testing.assert_allclose(again[:, :2], np.tile(hand[:2], (2, 1)), atol=1e-9)
         np.testing.assert_allclose(turns, 1.0, atol=1e-9)
         np.testing.assert_allclose(heights, height)
         k = int(q[2] > 0)
-        np.testing.assert_allclose(np.exp(1j * solution.branches[k, 1:]), np.exp(1j * q[1:]), atol=1e-6)
+        np.testing.assert_allclose(np.exp(1j * branches[k, 1:]), np.exp(1j * q[1:]), atol=1e-6)
 
 
 def test_lift_arm_out_of_reach():
-    solution = lift_arm((0.45, 0.4), (1.0, 0.0, 0.0), 0.1)
-    assert "unreachable" in solution.reason
-    assert np.isnan(solution.branches).all()
+    branches, reason = lift_arm((0.45, 0.4), (1.0, 0.0, 0.0), 0.1)
+    assert "unreachable" in reason
+    assert np.isnan(branches).all()
 
 
 @pytest.mark.parametrize("name", list(METHODS))
 def test_methods_drive_the_lift_arm(name):
     chain = lift_arm_chain((0.45, 0.4))
     method = weighted_least_norm(np.array([1.0, 2.0, 1.0, 1.0])) if name == "weighted" else METHODS[name]
-    hand = lift_arm((0.45, 0.4), (0.5, 0.3, 0.0), 0.2).branches[1]
+    hand = lift_arm((0.45, 0.4), (0.5, 0.3, 0.0), 0.2)[0][1]
     run = drive_to(chain, (0.0, 0.1, 0.5, 0.0), chain.end(hand), method)
     assert run.reason == "reached"
     assert chain.end(run.q[-1]) == pytest.approx([0.5, 0.3, 0.2], abs=0.003)

@@ -1,12 +1,14 @@
 """Legs in closed form against their chains of joints, and there and back."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from recon.robotics.robot.leg import NOT_FINITE, REASONS, TOO_FAR, TOO_LATERAL, TOO_NEAR, FlapLeg, Leg, SwingLeg
+from recon.robotics.robot.leg import Leg
 
-AIBO = SwingLeg(thigh_m=0.0695, shin_m=0.0715, knee_offset_m=0.009, foot_offset_m=-0.009)
-FLAP = FlapLeg(thigh_m=0.213, shin_m=0.213, lateral_m=0.08)
+AIBO = Leg("swing", thigh_m=0.0695, shin_m=0.0715, knee_offset_m=0.009, foot_offset_m=-0.009)
+FLAP = Leg("flap", thigh_m=0.213, shin_m=0.213, lateral_m=0.08)
 GEOMETRIES = pytest.mark.parametrize("geometry", [AIBO, FLAP], ids=["swing first", "flap first"])
 MIRRORS = pytest.mark.parametrize("mirror", [(1, 1, 1), (-1, 1, 1), (1, -1, 1), (-1, -1, 1)])
 
@@ -19,20 +21,19 @@ def random_angles(n, geometry, seed=0):
 
 @GEOMETRIES
 def test_agrees_with_the_chain_of_its_joints(geometry):
-    chain = geometry.chain()
+    chain = geometry.chain
     for angles in random_angles(50, geometry):
-        assert geometry.forward(angles) == pytest.approx(chain.end(angles[list(geometry.order)]), abs=1e-15)
+        assert geometry.forward(angles) == pytest.approx(chain.end(angles[geometry.order]), abs=1e-15)
 
 
 @GEOMETRIES
 @MIRRORS
 def test_forward_of_inverse_is_the_identity(geometry, mirror):
-    leg = Leg(geometry, mirror)
+    leg = replace(geometry, mirror=mirror)
     feet = leg.forward(random_angles(10_000, geometry))
     solution = leg.inverse(feet)
-    assert solution.reached.all()
-    np.testing.assert_allclose(leg.forward(solution.angles_rad), feet, rtol=0, atol=1e-9)
-    assert (solution.angles_rad[:, 2] >= geometry.stretched_rad).all()
+    np.testing.assert_allclose(leg.forward(solution), feet, rtol=0, atol=1e-9)
+    assert (solution[:, 2] >= geometry.stretched_rad).all()
 
 
 @GEOMETRIES
@@ -43,13 +44,13 @@ def test_inverse_of_forward_is_the_identity_with_the_leg_down(geometry):
     # The flap is taken within 90 degrees of down, seen from the swing joint where that comes after it.
     down = geometry.forward(angles * [1, 0, 1])[:, 2] < 0
     assert down.mean() > 0.9
-    np.testing.assert_allclose(geometry.inverse(geometry.forward(angles)).angles_rad[down], angles[down], atol=1e-6)
+    np.testing.assert_allclose(geometry.inverse(geometry.forward(angles))[down], angles[down], atol=1e-6)
 
 
 @GEOMETRIES
 @MIRRORS
 def test_all_four_solutions_put_the_foot_there(geometry, mirror):
-    leg = Leg(geometry, mirror)
+    leg = replace(geometry, mirror=mirror)
     q = np.array([0.3, 0.2, 0.9])
     foot = leg.forward(q)
     found = leg.solutions(foot)
@@ -74,53 +75,25 @@ def test_the_stretched_and_the_folded_leg_are_reached():
     for s in (AIBO.stretched_rad, AIBO.stretched_rad + np.pi):
         foot = AIBO.forward(np.array([0.3, 0.2, s]))
         solution = AIBO.inverse(foot)
-        assert solution.reached
-        assert AIBO.forward(solution.angles_rad) == pytest.approx(foot, abs=1e-12)
+        assert AIBO.forward(solution) == pytest.approx(foot, abs=1e-12)
 
 
 @pytest.mark.parametrize(
-    ("geometry", "foot", "code"),
+    ("geometry", "foot"),
     [
-        (AIBO, (0.0, 0.0, -0.15), TOO_FAR),
-        (AIBO, (0.0, 0.001, 0.0), TOO_NEAR),
-        (AIBO, (0.13, 0.001, 0.0), TOO_LATERAL),
-        (AIBO, (np.nan, 0.0, -0.1), NOT_FINITE),
-        (FLAP, (0.08, 0.0, -0.5), TOO_FAR),
-        (FlapLeg(0.2, 0.1, lateral_m=0.08), (0.08, 0.0, -0.05), TOO_NEAR),
-        (FLAP, (0.05, 0.2, 0.0), TOO_LATERAL),
+        (AIBO, (0.0, 0.0, -0.15)),  # too far
+        (AIBO, (0.0, 0.001, 0.0)),  # too near
+        (AIBO, (0.13, 0.001, 0.0)),  # too close to the hip's axis
+        (AIBO, (np.nan, 0.0, -0.1)),
+        (FLAP, (0.08, 0.0, -0.5)),
+        (replace(FLAP, thigh_m=0.2, shin_m=0.1), (0.08, 0.0, -0.05)),
+        (FLAP, (0.05, 0.2, 0.0)),
     ],
 )
-def test_out_of_reach_has_a_reason(geometry, foot, code):
-    solution = Leg(geometry).inverse(foot)
-    assert (int(solution.code), solution.reasons()) == (code, [REASONS[code]])
-    assert np.isnan(solution.angles_rad).all()
-
-
-def test_margins_and_the_configuration_space():
-    leg = Leg(AIBO, limits_rad=((-1.0, -0.2, 0.0), (1.0, 1.5, 2.0)))
-    angles = np.array([[0.0, 0.0, 1.0], [1.2, 0.0, 1.0], [0.0, -0.15, 1.9]])
-    np.testing.assert_allclose(leg.margins(angles), [[1.0, 0.2, 1.0], [-0.2, 0.2, 1.0], [1.0, 0.05, 0.1]])
-    feet = leg.forward(angles)
-    assert leg.allowed(feet).tolist() == [True, False, True]
-    assert leg.allowed(feet, 0.1).tolist() == [True, False, False]
-    assert not leg.allowed((0.0, 0.0, -1.0))
+def test_out_of_reach(geometry, foot):
+    assert np.isnan(geometry.inverse(foot)).all()
 
 
 def test_any_leading_dimensions():
     angles = random_angles(24, AIBO).reshape(2, 3, 4, 3)
-    solution = AIBO.inverse(AIBO.forward(angles))
-    assert solution.angles_rad.shape == (2, 3, 4, 3)
-    assert solution.code.shape == (2, 3, 4)
-
-
-@pytest.mark.parametrize("lengths", [(0.0, 0.1), (0.1, -1.0), (0.1, np.nan)])
-def test_lengths_are_positive(lengths):
-    with pytest.raises(ValueError, match="positive"):
-        SwingLeg(*lengths)
-
-
-def test_limits_and_mirror_are_checked():
-    with pytest.raises(ValueError, match="signs"):
-        Leg(AIBO, (1, 2, 1))
-    with pytest.raises(ValueError, match="signs"):
-        Leg(AIBO, limits_rad=(1.0, -1.0))
+    assert AIBO.inverse(AIBO.forward(angles)).shape == (2, 3, 4, 3)

@@ -29,7 +29,8 @@ knee = { limits_rad = [0, 2], max_rate_rad_s = 5 }
 def test_legs_are_mirror_images(name):
     robot = load_robot(name)
     left = {
-        label: robot.legs[label].foot(robot.legs[label].angles(robot.legs[label].neutral_m[None])) for label in LEGS
+        label: robot.legs[label].chain.end(robot.legs[label].angles(robot.legs[label].neutral_m[None]))
+        for label in LEGS
     }
     np.testing.assert_allclose(left["LF"] * (1, -1, 1), left["RF"], atol=1e-12)
     np.testing.assert_allclose(left["LH"] * (1, -1, 1), left["RH"], atol=1e-12)
@@ -44,15 +45,15 @@ def test_legs_are_mirror_images(name):
 def test_angles_and_feet_in_the_robots_own_joints(name, label):
     leg = load_robot(name).legs[label]
     rng = np.random.default_rng(0)
-    angles = rng.uniform(leg.lower_rad, leg.upper_rad, (500, 3))
-    feet = leg.foot(angles)
-    np.testing.assert_allclose(leg.points(angles)[:, -1], feet, atol=1e-12)
+    angles = rng.uniform(leg.chain.lower_rad, leg.chain.upper_rad, (500, 3))
+    feet = leg.chain.end(angles)
+    np.testing.assert_allclose(leg.chain.positions(angles)[:, -1], feet, atol=1e-12)
     solved = leg.angles(feet)
     inside = np.isfinite(solved).all(axis=1)
     assert inside.mean() > 0.3  # the others have the leg up, or the knee bent backwards
-    np.testing.assert_allclose(leg.foot(solved[inside]), feet[inside], atol=1e-9)
-    assert (solved[inside] >= leg.lower_rad).all()
-    assert (solved[inside] <= leg.upper_rad).all()
+    np.testing.assert_allclose(leg.chain.end(solved[inside]), feet[inside], atol=1e-9)
+    assert (solved[inside] >= leg.chain.lower_rad).all()
+    assert (solved[inside] <= leg.chain.upper_rad).all()
 
 
 def test_signs_of_the_a1():
@@ -61,7 +62,7 @@ def test_signs_of_the_a1():
     for leg in robot.legs.values():
         (home,) = leg.angles(leg.neutral_m[None])
         assert home[2] < 0
-        hip, thigh = (leg.foot((home + step)[None])[0] - leg.neutral_m for step in 0.1 * np.eye(3)[:2])
+        hip, thigh = (leg.chain.end((home + step)[None])[0] - leg.neutral_m for step in 0.1 * np.eye(3)[:2])
         assert hip[1] > 0.02
         assert thigh[0] < -0.02
 
@@ -71,12 +72,12 @@ def test_signs_of_the_aibo():
     robot = load_robot("aibo")
     for label, leg in robot.legs.items():
         (home,) = leg.angles(leg.neutral_m[None])
-        rotator, elevator = (leg.foot((home + step)[None])[0] - leg.neutral_m for step in 0.1 * np.eye(3)[:2])
+        rotator, elevator = (leg.chain.end((home + step)[None])[0] - leg.neutral_m for step in 0.1 * np.eye(3)[:2])
         assert rotator[0] > 0.005
         assert elevator[1] * (1 if label[0] == "L" else -1) > 0.005
         assert home[2] > 0
         # The elbow is behind the fore foot, the knee before the hind foot.
-        knee = leg.points(home[None])[0, 2]
+        knee = leg.chain.positions(home[None])[0, 2]
         assert (knee[0] < leg.neutral_m[0]) == (label[1] == "F")
 
 

@@ -13,7 +13,7 @@ from recon.base.errors import InputError
 from recon.fit.draws import draws
 from recon.fit.motion import Motion
 from recon.robotics.robot.reference import reference_of
-from recon.robotics.robot.retarget_clip import RetargetRun, solve
+from recon.robotics.robot.retarget import Retargeted, retarget
 from recon.robotics.robot.robot_file import load_robot
 from recon.robotics.robot.trainers import FORMATS, sampled, write_for_trainer
 from recon.workflows.made_from import problem_of
@@ -29,8 +29,8 @@ def animal(whole_results):
 
 
 @pytest.fixture(scope="module")
-def solved(animal) -> RetargetRun:
-    return solve(animal, load_robot("a1"))
+def solved(animal) -> Retargeted:
+    return retarget(animal, load_robot("a1"))
 
 
 def a1_bodies(name: str, q: np.ndarray) -> dict[str, tuple[np.ndarray, Rotation]]:
@@ -51,31 +51,31 @@ def a1_bodies(name: str, q: np.ndarray) -> dict[str, tuple[np.ndarray, Rotation]
 
 @pytest.mark.parametrize("part", ["clip", "stride"])
 def test_bodies_are_where_the_robots_own_file_has_them(solved, part):
-    found = sampled(getattr(solved.motion, part), 50)
+    found = sampled(getattr(solved, part), 50)
     assert abs(found.rate_hz - 50) < 2
     for t in range(0, len(found.time_s), 7):
-        at = dict(zip(found.joints, found.angles_rad[t], strict=True))
-        base = found.turned[t * len(found.bodies)]
+        at = dict(zip(found.robot.joints, found.angles_rad[t], strict=True))
+        base = Rotation.from_matrix(found.turned[t, 0])
         for name in HIPS:
             q = np.array([at[f"{name}_{joint}_joint"] for joint in ("hip", "thigh", "calf")])
             for body, (place, turned) in a1_bodies(name, q).items():
                 k = found.bodies.index(body)
                 np.testing.assert_allclose(found.place_m[t, k], found.place_m[t, 0] + base.apply(place), atol=1e-9)
-                off = (base * turned).inv() * found.turned[t * len(found.bodies) + k]
+                off = (base * turned).inv() * Rotation.from_matrix(found.turned[t, k])
                 assert off.magnitude() < 1e-7
 
 
 @pytest.fixture(scope="module")
-def aibo(animal) -> RetargetRun:
-    return solve(animal, load_robot("aibo"))
+def aibo(animal) -> Retargeted:
+    return retarget(animal, load_robot("aibo"))
 
 
 @pytest.mark.parametrize("robot", ["solved", "aibo"])
 @pytest.mark.parametrize("part", ["clip", "stride"])
 def test_velocities_are_the_derivatives_of_what_is_written(robot, part, request):
-    found = sampled(getattr(request.getfixturevalue(robot).motion, part), 5_000)
+    found = sampled(getattr(request.getfixturevalue(robot), part), 5_000)
     twice = 2 * (found.time_s[1] - found.time_s[0])
-    matrices = found.turned.as_matrix().reshape(len(found.time_s), -1, 3, 3)
+    matrices = found.turned
     turns = Rotation.from_matrix((matrices[2:] @ matrices[:-2].swapaxes(-1, -2)).reshape(-1, 3, 3)).as_rotvec()
     spins = found.angular_velocity_rad_s
     for differences, rates in (
@@ -87,13 +87,13 @@ def test_velocities_are_the_derivatives_of_what_is_written(robot, part, request)
 
 
 def test_the_feet_that_stand_are_still_and_a_stride_goes_on_where_it_ends(solved):
-    found = sampled(solved.motion.stride, 200)
+    found = sampled(solved.stride, 200)
     feet = [found.foot(label) for label in ("LF", "RF", "LH", "RH")]
     speed = np.linalg.norm(found.velocity_m_s[:, feet], axis=2)
     within = found.feet_stand[1:-1] & found.feet_stand[:-2] & found.feet_stand[2:]
     assert np.median(speed[1:-1][within]) < 0.02 * speed.max()
-    assert solved.motion.stride.advance_m is not None
-    on = np.append(solved.motion.stride.advance_m, 0.0)
+    assert solved.stride.advance_m is not None
+    on = np.append(solved.stride.advance_m, 0.0)
     np.testing.assert_allclose(found.place_m[-1], found.place_m[0] + on, atol=1e-9)
     np.testing.assert_allclose(found.angles_rad[-1], found.angles_rad[0], atol=1e-12)
     np.testing.assert_allclose(found.velocity_m_s[-1], found.velocity_m_s[0], atol=1e-9)
@@ -102,7 +102,7 @@ def test_the_feet_that_stand_are_still_and_a_stride_goes_on_where_it_ends(solved
 
 
 def test_what_each_program_reads(solved, tmp_path):
-    motion = solved.motion.clip
+    motion = solved.clip
     found = sampled(motion, 50)
     K = len(found.time_s)
     for name, (file, _) in FORMATS.items():
@@ -130,7 +130,7 @@ def test_what_each_program_reads(solved, tmp_path):
     np.testing.assert_allclose(toes, fine_frames[1:-1, 49:61], atol=1e-3 * np.abs(toes).max())
 
     with np.load(tmp_path / "isaaclab.npz") as isaac, np.load(tmp_path / "mjlab.npz") as mjlab:
-        assert [*isaac["dof_names"]] == [*found.joints] == [*mjlab["joint_names"]]
+        assert [*isaac["dof_names"]] == [*found.robot.joints] == [*mjlab["joint_names"]]
         assert isaac["body_rotations"].shape == (K, len(found.bodies), 4)
         table = np.loadtxt(tmp_path / "mjlab.csv", delimiter=",")
         np.testing.assert_array_equal(table[:, :3], isaac["body_positions"][:, 0])
@@ -148,7 +148,7 @@ def test_what_each_program_reads(solved, tmp_path):
         assert isaac["contacts"].dtype == bool
         assert json.loads(str(mjlab["source"])) == {"robot": "a1"}
     beside = json.loads((tmp_path / "mjlab.json").read_text(encoding="utf-8"))
-    assert beside["joint_names"] == [*found.joints]
+    assert beside["joint_names"] == [*found.robot.joints]
 
 
 def test_the_command_writes_both_with_the_verdict(whole_results, tmp_path):
@@ -166,7 +166,7 @@ def test_the_command_writes_both_with_the_verdict(whole_results, tmp_path):
 
 def test_a_robot_for_which_a_layout_has_no_room(solved, tmp_path):
     with pytest.raises(InputError, match="two frames"):
-        sampled(solved.motion.stride, 0.1)
+        sampled(solved.stride, 0.1)
 
 
 def test_draws_scatter_as_the_fit_states_and_last_from_frame_to_frame(whole_results):

@@ -18,9 +18,9 @@ from recon.robotics.ik.methods import (
     damped_least_squares,
     weighted_least_norm,
 )
+from recon.robotics.robot.model_file import model_chain, read_model
 from recon.robotics.robot.quadruped import LEGS
 from recon.robotics.robot.robot_file import load_robot
-from recon.robotics.robot.urdf import read_urdf, urdf_chain
 
 ARM = (
     (
@@ -57,33 +57,66 @@ def write_a1(folder):
     return path
 
 
-def test_chain_against_the_readers_own_kinematics(arm):
-    from yourdfpy import URDF
+def chain_of(path, tip, base=None):
+    return model_chain(read_model(path), path, tip, base)
 
-    found = urdf_chain(arm, "hand")
+
+def test_chain_against_mujocos_kinematics(arm):
+    import mujoco
+
+    found = chain_of(arm, "hand")
     assert found.names == ("turn", "slide", "swing", "bend")
     np.testing.assert_allclose(found.lower_rad, [-np.inf, -0.1, -1.5, -2])
     np.testing.assert_allclose(found.upper_rad, [np.inf, 0.3, 1.5, 2])
     np.testing.assert_allclose(found.max_rate_rad_s, [3, 21, 21, 21])
-    oracle = URDF.load(str(arm), load_meshes=False)
+    model = read_model(arm)
+    data = mujoco.MjData(model)
     for q in np.random.default_rng(0).uniform(-1, 1, (10, 4)):
-        oracle.update_cfg(dict(zip(found.names, q, strict=True)))
-        T = oracle.get_transform("hand", "base")
+        data.qpos[:] = q
+        mujoco.mj_kinematics(model, data)
         R, p = found.pose(q)
-        np.testing.assert_allclose(R, T[:3, :3], atol=1e-9)
-        np.testing.assert_allclose(p, T[:3, 3], atol=1e-9)
+        np.testing.assert_allclose(R.ravel(), data.body("hand").xmat, atol=1e-9)
+        np.testing.assert_allclose(p, data.body("hand").xpos, atol=1e-9)
+
+
+MJCF = """<mujoco model="rig"><compiler angle="radian"/><worldbody><geom type="plane" size="1 1 1"/>
+<body name="trunk" pos="1 2 3"><freejoint/><geom size="0.1"/>
+<body name="crank" pos="0.1 0 0.2" euler="0.3 0.2 0.1"><joint name="a" axis="0 1 0" pos="0.05 0.02 0" range="-1 2"/>
+<joint name="b" type="slide" axis="1 0 0"/><geom size="0.1"/>
+<body pos="0 0 -0.3"><joint axis="0 0 1" pos="0 0.1 0"/><geom size="0.1"/><body name="tip" pos="0 0.1 -0.2"/></body>
+</body></body></worldbody></mujoco>
+"""
+
+
+def test_chain_of_an_mjcf_file(tmp_path):
+    """Joints beside their bodies' origins, two on one body, names left out; in the axes of the body that moves."""
+    import mujoco
+
+    path = tmp_path / "rig.xml"
+    path.write_text(MJCF)
+    found, model = chain_of(path, "tip"), read_model(path)
+    assert found.names == ("a", "b", "joint 3")
+    assert found.sliding.tolist() == [False, True, False]
+    np.testing.assert_allclose(found.upper_rad, [2, np.inf, np.inf])
+    data = mujoco.MjData(model)
+    for q in np.random.default_rng(1).uniform(-1, 1, (5, 3)):
+        data.qpos[:] = [0, 0, 0, 1, 0, 0, 0, *q]
+        mujoco.mj_kinematics(model, data)
+        R, p = found.pose(q)
+        np.testing.assert_allclose(R.ravel(), data.body("tip").xmat, atol=1e-12)
+        np.testing.assert_allclose(p, data.body("tip").xpos, atol=1e-12)
 
 
 def test_part_of_a_chain(arm):
-    found = urdf_chain(arm, "e", base="b")
+    found = chain_of(arm, "e", base="b")
     assert found.names == ("slide", "swing", "bend")
-    whole = urdf_chain(arm, "e")
-    R, p = urdf_chain(arm, "b").pose(np.zeros(1))
+    whole = chain_of(arm, "e")
+    R, p = chain_of(arm, "b").pose(np.zeros(1))
     assert R @ found.end(np.array([0.1, 0.2, 0.3])) + p == pytest.approx(whole.end(np.array([0, 0.1, 0.2, 0.3])))
 
 
 def test_every_method_drives_it(arm):
-    chain = urdf_chain(arm, "hand")
+    chain = chain_of(arm, "hand")
     start, goal = np.array([0.0, 0.1, 0.2, 0.3]), np.array([0.2, 0.15, 0.5, -0.1])
     for method in (
         LeastNorm(),
@@ -105,34 +138,35 @@ def test_quadruped_is_the_same_as_in_closed_form(tmp_path):
     for label in LEGS:
         one, other = read.legs[label], closed.legs[label]
         np.testing.assert_allclose(one.neutral_m, other.neutral_m, atol=1e-12)
-        np.testing.assert_allclose([one.lower_rad, one.upper_rad], [other.lower_rad, other.upper_rad], atol=1e-4)
-        angles = rng.uniform(other.lower_rad, other.upper_rad, (20, 3))
-        np.testing.assert_allclose(one.foot(angles), other.foot(angles), atol=1e-12)
-        np.testing.assert_allclose(one.points(angles), other.points(angles), atol=1e-12)
+        np.testing.assert_allclose(
+            [one.chain.lower_rad, one.chain.upper_rad], [other.chain.lower_rad, other.chain.upper_rad], atol=1e-4
+        )
+        angles = rng.uniform(other.chain.lower_rad, other.chain.upper_rad, (20, 3))
+        np.testing.assert_allclose(one.chain.end(angles), other.chain.end(angles), atol=1e-12)
+        np.testing.assert_allclose(one.chain.positions(angles), other.chain.positions(angles), atol=1e-12)
         feet = other.neutral_m + rng.uniform(-0.04, 0.04, (20, 3))
         np.testing.assert_allclose(one.angles(feet), other.angles(feet), atol=1e-3)
-        np.testing.assert_allclose(one.foot(one.angles(feet)), feet, atol=1e-5)
+        np.testing.assert_allclose(one.chain.end(one.angles(feet)), feet, atol=1e-5)
         assert np.isnan(one.angles(other.neutral_m[None] - [0, 0, 0.5])).all()
 
 
 @pytest.mark.parametrize(
     ("change", "field"),
     [
-        (lambda text: text.replace('<child link="RR_foot"/>', '<child link="nowhere"/>'), "joints"),
-        (lambda text: text.replace("</robot>", '<link name="loose"/></robot>'), "links"),
+        (lambda text: text.replace('<child link="RR_foot"/>', '<child link="nowhere"/>'), "content"),
         (lambda text: text.replace("</robot>", ""), "content"),
         (lambda text: HEAD + "</robot>", "legs"),
         (
             lambda text: text.replace('name="RR_calf_joint" type="revolute"', 'name="RR_calf_joint" type="floating"'),
-            "legs",
+            "content",
         ),
         (lambda text: text.replace("0 0 -0.2", "0 0 0"), "legs"),
         (lambda text: text.replace("-0.1805 0.047", "-0.1805 -0.2"), "hips"),
         (lambda text: text.replace('lower="-2.69653"', 'lower="2.69653"'), "joint FL_calf_joint"),
-        (lambda text: text.replace('<axis xyz="0 1 0"/>', '<axis xyz="0 1e-320 0"/>'), "joint FL_thigh_joint"),
+        (lambda text: text.replace('<axis xyz="0 1 0"/>', '<axis xyz="0 1e-320 0"/>'), "content"),
         (lambda text: text.replace('velocity="21.0"', 'velocity="-1"'), "joint FL_hip_joint"),
-        (lambda text: text.replace('xyz="0 0 -0.2"', 'xyz="0 0 1e308"'), "joint FL_calf_joint"),
-        (lambda text: text.replace('<parent link="trunk"/>', '<parent link="FL_foot"/>'), "links"),  # a ring
+        (lambda text: text.replace('xyz="0 0 -0.2"', 'xyz="0 0 1e308"'), "links"),
+        (lambda text: text.replace('<parent link="trunk"/>', '<parent link="FL_foot"/>'), "content"),  # a ring
     ],
 )
 def test_files_that_cannot_be_used(tmp_path, change, field):
@@ -145,14 +179,14 @@ def test_files_that_cannot_be_used(tmp_path, change, field):
 
 def test_links_that_are_not_there(arm):
     with pytest.raises(InputError, match=r"'finger'.*base, a, b"):
-        urdf_chain(arm, "finger")
+        chain_of(arm, "finger")
     with pytest.raises(InputError, match="none that moves from hand to a"):
-        urdf_chain(read_urdf(arm), "a", base="hand")
+        chain_of(arm, "a", base="hand")
     with pytest.raises(InputError, match="no such file"):
-        read_urdf(arm.with_name("none.urdf"))
+        read_model(arm.with_name("none.urdf"))
 
 
 def test_without_the_reader(arm, monkeypatch):
-    monkeypatch.setitem(sys.modules, "yourdfpy", None)
-    with pytest.raises(InputError, match=r"\[urdf\]"):
-        read_urdf(arm)
+    monkeypatch.setitem(sys.modules, "mujoco", None)
+    with pytest.raises(InputError, match=r"\[robots\]"):
+        read_model(arm)

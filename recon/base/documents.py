@@ -12,12 +12,12 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from pydantic import ValidationError
+from pydantic import TypeAdapter, ValidationError
 
 from recon.base.errors import InputError, Problem
 
 if TYPE_CHECKING:
-    from pydantic import BaseModel
+    pass
 
 MAX_BYTES = 1 << 28
 MAX_TOML_BYTES = 1 << 23
@@ -94,13 +94,13 @@ def _parsed(parse: Callable[[str], Any], text: str, source: str | Path, expected
     raise InputError(Problem(source, "content", found, expected))
 
 
-_Model = TypeVar("_Model", bound="BaseModel")
+_Model = TypeVar("_Model")
 
 
 def validated(model: type[_Model], table: Mapping[str, Any], source: str | Path) -> _Model:
-    """A table with the fields of a model. Raises InputError with everything that is wrong with it."""
+    """A table as a model, pydantic's or a dataclass. Raises InputError with everything that is wrong with it."""
     try:
-        return model.model_validate(table)
+        return TypeAdapter(model).validate_python(table)
     except ValidationError as error:
         raise InputError(
             Problem(source, _field(e["loc"]), repr(e["input"])[:60], e["msg"].removeprefix("Value error, "))

@@ -113,7 +113,7 @@ class RetargetSettings(Settings):
     """What `recon retarget` is told."""
 
     folder: Annotated[Path, _RESULTS]
-    robot: Annotated[str, Option("a1, go2, aibo, or a file .urdf or .toml.")]
+    robot: Annotated[str, Option("a1, go2, aibo, or a file .toml, .urdf or .xml (MJCF).")]
     out: Annotated[Path, Option("Folder for tables, report and playback.")]
     scale: Annotated[
         Positive | None,
@@ -156,7 +156,7 @@ class ClimbSettings(Settings):
     recipe: Annotated[
         str,
         Option(
-            "found-50, published-50, published-35, spatial-50, highest, highest-spatial, or a file .toml.",
+            "found-50, published-50, highest-spatial, or a file .toml.",
             argument="RECIPE",
         ),
     ] = "found-50"
@@ -175,9 +175,6 @@ class ClimbSettings(Settings):
             "(default: the recipe's)"
         ),
     ] = None
-    method: Annotated[
-        Literal["solve", "ride"], Option("How the torso finds its equilibrium: solve, or ride, as published.")
-    ] = "solve"
     at: Annotated[
         Number | None,
         Option("When its field is drawn, seconds. (default: where a margin is least)", "seconds, as in 3.5"),
@@ -199,11 +196,9 @@ def _split(given: Any) -> Any:
 
 
 _NUMBERS = "numbers with commas, as in 0.1,-20,3"
-Two = Annotated[tuple[Number, Number], BeforeValidator(_split)]
 Three = Annotated[tuple[Number, Number, Number], BeforeValidator(_split)]
-Four = Annotated[tuple[Number, Number, Number, Number], BeforeValidator(_split)]
 """Several numbers; as text with commas between them."""
-_ROBOT = Option("a1, aibo, or a file .urdf or .toml.", argument="ROBOT")
+_ROBOT = Option("a1, go2, aibo, or a file .toml, .urdf or .xml (MJCF).", argument="ROBOT")
 _ANGLES = Option("Where is the end at these, degrees (metres of joints that slide)? As in 0,45,-90.", metavar="NUMBERS")
 
 
@@ -238,32 +233,12 @@ class LegSettings(Settings):
 class TableSettings(Settings):
     """What `recon robot dh` is told."""
 
-    file: Annotated[Path, Option("A table of parameters (.toml), or a .urdf.", argument="FILE")]
-    tip: Annotated[str | None, Option("Of a URDF: the link at the end. (default: the only leaf)")] = None
+    file: Annotated[Path, Option("A table of parameters (.toml), or a robot's .urdf or .xml.", argument="FILE")]
+    tip: Annotated[str | None, Option("Of a robot: the link at the end. (default: the only leaf)")] = None
     angles: Annotated[str | None, _ANGLES] = None
     place: Annotated[
         Three | None, _three("All angles that put the end there: base axes, metres, as in 0.4,0.1,0.2.")
     ] = None
     turned: Annotated[
         Three | None, _three("With --place: the end's roll, pitch and yaw, degrees, as in 0,90,0. (default: any)")
-    ] = None
-
-
-class ArmSettings(Settings):
-    """What `recon robot arm` is told."""
-
-    lengths: Annotated[
-        Two, Option("The two links, as in 4.5,4, in any unit.", f"2 {_NUMBERS}", argument="LENGTHS", metavar="L1,L2")
-    ]
-    hand: Annotated[
-        Three | None, _three("Both branches of a hand at x, y and angle (degrees), as in 3.165,-7.811,-45.")
-    ] = None
-    height: Annotated[Number, Option("Of the hand.", "a number")] = 0.0
-    angles: Annotated[
-        Four | None,
-        Option(
-            "Where is the hand at this height and these degrees? As in 0.5,-75,15,15.",
-            f"4 {_NUMBERS}",
-            metavar="NUMBERS",
-        ),
     ] = None

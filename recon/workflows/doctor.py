@@ -29,7 +29,7 @@ EXTRAS = {
     "formats": "writing movement, NWB, C3D and DeepLabCut's H5 files",
     "cluster": "batches on a Dask cluster",
     "net": "the keypoint network",
-    "urdf": "robots from URDF files",
+    "robots": "robots from URDF and MJCF files",
     "docs": "building this documentation",
 }
 """Extras that a user may want, with what they are for."""

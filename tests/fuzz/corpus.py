@@ -331,7 +331,7 @@ def _built_in() -> Iterator[Seed]:
         content = (resources.files("recon.robotics.robot") / "robots" / f"{name}.toml").read_bytes()
         yield Seed(f"robot-{name}.toml", content, _walking, 1.5)
     yield Seed("dh.toml", DH, load_dh)
-    if find_spec("yourdfpy") is not None:
+    if find_spec("mujoco") is not None:
         yield Seed("robot.urdf", _urdf().encode(), _walking, 0.3)
     recipe = sorted((resources.files("recon.robotics.climb") / "recipes").iterdir(), key=str)[0]
     yield Seed("recipe.toml", recipe.read_bytes(), load_recipe)

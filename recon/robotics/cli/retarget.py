@@ -20,8 +20,7 @@ def retarget(settings: RetargetSettings, as_json: bool) -> None:
     from recon.robotics.robot.retarget_clip import run_retarget
     from recon.show.report import to_json
 
-    done = run_retarget(settings)
-    report = done.report
+    done, report = run_retarget(settings)
     if as_json:
         typer.echo(to_json(report), nl=False)
         return

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import degrees, isinf, radians
+from math import degrees, isinf
 from typing import Any
 
 import typer
 from rich.console import Console
 
-from recon.robotics.settings import ArmSettings, LegSettings, PoseSettings, TableSettings
+from recon.robotics.settings import LegSettings, PoseSettings, TableSettings
 from recon.workflows.cli.common import numbers, say, table_of, terminal
 
 
@@ -20,8 +20,7 @@ def pose(settings: PoseSettings, as_json: bool) -> None:
     """
     from recon.robotics.robot.answers import pose_of
 
-    turned = (radians(x) for x in (settings.roll, settings.pitch, settings.yaw))
-    answer = pose_of(settings.robot, settings.move or (0.0, 0.0, 0.0), *turned)
+    answer = pose_of(settings)
     if as_json:
         _json(answer)
         return
@@ -45,7 +44,7 @@ def leg(settings: LegSettings, as_json: bool) -> None:
     """
     from recon.robotics.robot.answers import leg_of
 
-    answer = leg_of(settings.robot, settings.leg, _angles(settings.angles), settings.foot)
+    answer = leg_of(settings, _angles(settings.angles))
     if as_json:
         _json(answer)
         return
@@ -57,45 +56,13 @@ def dh(settings: TableSettings, as_json: bool) -> None:
 
     Example: recon robot dh arm.toml --angles 10,20,30,40,50,60
     """
-    from recon.robotics.robot.answers import table_answer
+    from recon.robotics.robot.answers import chain_of
 
-    turned = None if settings.turned is None else [radians(x) for x in settings.turned]
-    answer = table_answer(settings.file, settings.tip, _angles(settings.angles), settings.place, turned)
+    answer = chain_of(settings, _angles(settings.angles))
     if as_json:
         _json(answer)
         return
     _print_chain(terminal(), answer, str(settings.file))
-
-
-def arm(settings: ArmSettings, as_json: bool) -> None:
-    """The arm of a lift, two planar joints and a wrist, in closed form; without the wrist it is the arm of two links.
-
-    Example: recon robot arm 4.5,4 --hand 3.165,-7.811,-45 --height 0.5
-    """
-    from recon.robotics.robot.answers import arm_of
-
-    hand, q = settings.hand, settings.angles
-    answer = arm_of(
-        settings.lengths,
-        None if hand is None else [*hand[:2], radians(hand[2])],
-        settings.height,
-        None if q is None else [q[0], *(radians(x) for x in q[1:])],
-    )
-    if as_json:
-        _json(answer)
-        return
-    console = terminal()
-    if "forward" in answer:
-        x, y, angle = answer["forward"]["hand"]
-        say(console, f"hand at {x:.4f}, {y:.4f}, turned by {degrees(angle):.2f}°, height {q[0] if q else 0:g}")
-    if "inverse" in answer:
-        table = table_of("branch", numbers=("height", "first °", "second °", "wrist °"))
-        for k, branch in enumerate(answer["inverse"]["solutions"]):
-            table.add_row(str(k + 1), f"{branch[0]:g}", *_deg(branch[1:]))
-        if answer["inverse"]["solutions"]:
-            console.print(table)
-        if answer["inverse"]["note"]:
-            say(console, answer["inverse"]["note"])
 
 
 def _print_chain(console: Console, answer: dict[str, Any], title: str) -> None:

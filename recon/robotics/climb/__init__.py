@@ -3,7 +3,6 @@
 After D. Cohen, SUNFEST, University of Pennsylvania, 2005. World: x to the right, y forward, z up.
 """
 
-from recon.robotics.climb.check import ClimbCheck, check
-from recon.robotics.climb.plan import Climb, plan
+from recon.robotics.climb.check import ClimbCheck
+from recon.robotics.climb.plan import Climb, Walker, plan
 from recon.robotics.climb.recipe import Recipe, bundled, load_recipe, raised, scaled
-from recon.robotics.climb.walker import Walker

@@ -1,4 +1,4 @@
-"""Potential fields of a torso on four feet: energy, wrench and its exact Jacobian.
+"""Potential fields of a torso on four feet: energy, wrench and its exact Jacobian, and where they hold the torso.
 
 Body axes: x to the right, y forward, z up, at the centre of mass. r is a leg's vector from hip to foot in body axes, X
 and Y the lateral and the forward axis. Every leg has three fields of one form, that of a `Well`,
@@ -16,106 +16,153 @@ gain tanh(sharpness d).
 
 The publication (D. Cohen, SUNFEST, University of Pennsylvania, 2005) leaves open how an angle's force is divided by
 the length of the leg, and what it does to the torso's rotation. Here each field is the gradient of one energy in all of
-the torso's degrees of freedom, so that there is a minimum to ride to: the force of an angle is
-slope (X x r) / |X x r|^2, and its moment that of the same force at the foot.
+the torso's degrees of freedom, so that there is a minimum: the force of an angle is slope (X x r) / |X x r|^2, and its
+moment that of the same force at the foot.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
+from pydantic import BeforeValidator, ConfigDict, Field
+from scipy.spatial.transform import Rotation
 
 from recon.base.arrays import Array
 
-Number = float | Array
+LARGEST = 1e9
+Number = Annotated[float, Field(strict=True, gt=-LARGEST, lt=LARGEST, allow_inf_nan=False)]
+Positive = Annotated[float, Field(strict=True, gt=0, lt=LARGEST, allow_inf_nan=False)]
+"""In a recipe's file: what more or less than these would be can only be damage."""
+FORBID = ConfigDict(extra="forbid", frozen=True)
+"""Of tables: a name that is not known is a mistake."""
 
 PLANAR = (0, 1, 2, 3)
 """Degrees of freedom of a torso that only pitches: x, y, z, pitch."""
 SPATIAL = (0, 1, 2, 3, 4, 5)
 """And roll (about y) and yaw (about z)."""
 
+MAX_EVALUATIONS = 100
+"""Of the fields, in one frame."""
+SETTLED_M = 1e-8
+"""A torso whose next step is shorter, turns included, stands still."""
+TRUST_M = 0.03
+"""Longest Newton step, turns included."""
+GIVE_UP = 1e12
+"""Damping, relative to the stiffness."""
+
 _EYE = np.eye(3)
 
 
-@dataclass(frozen=True, eq=False)
+def _all_legs(given: Any) -> Any:
+    """One number for all legs, or two: of the front and of the rear legs."""
+    front, rear = given if isinstance(given, list) and len(given) == 2 else (given, given)
+    return (front, rear, front, rear)
+
+
+_Legs = Annotated[tuple[Number, Number, Number, Number], BeforeValidator(_all_legs)]
+_PositiveLegs = Annotated[tuple[Positive, Positive, Positive, Positive], BeforeValidator(_all_legs)]
+
+
+@dataclass(frozen=True)
 class Well:
-    """A potential of a coordinate q, with a wall at either end.
+    """A potential of a coordinate q of each leg, with a wall at either end. Raises ValueError."""
 
-    All are numbers, or arrays that broadcast against the values, (..., legs).
-    """
-
-    gain: Number
+    __pydantic_config__ = FORBID
+    gain: _PositiveLegs
     """Slope per unit of q."""
-    natural: Number
+    natural: _Legs
     """The q of the least energy."""
-    least: Number
+    least: _Legs
     """The q of the lower wall."""
-    most: Number
+    most: _Legs
     """The q of the upper wall."""
-    low: Number
+    low: _PositiveLegs
     """Sharpness of the lower wall, per unit of q."""
-    high: Number
+    high: _PositiveLegs
     """Sharpness of the upper wall, per unit of q."""
 
+    def __post_init__(self) -> None:
+        if any(not a <= b <= c for a, b, c in zip(self.least, self.natural, self.most, strict=True)):
+            raise ValueError("least <= natural <= most")
+
     def of(self, q: Array) -> tuple[Array, Array, Array]:
-        """Energy, slope and curvature at q."""
-        off = q - self.natural
-        up = self.gain * np.exp(self.high * (q - self.most))
-        down = self.gain * np.exp(self.low * (self.least - q))
-        energy = up * (off - 1 / self.high) / self.high - down * (off + 1 / self.low) / self.low
-        return energy, off * (up + down), up * (1 + self.high * off) + down * (1 - self.low * off)
+        """Energy, slope and curvature at q (..., legs)."""
+        gain, natural, least, most, low, high = np.array([getattr(self, name) for name in self.__dataclass_fields__])
+        off = q - natural
+        up, down = gain * np.exp(high * (q - most)), gain * np.exp(low * (least - q))
+        energy = up * (off - 1 / high) / high - down * (off + 1 / low) / low
+        return energy, off * (up + down), up * (1 + high * off) + down * (1 - low * off)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
+class _Balance:
+    """What pulls the torso over its feet."""
+
+    __pydantic_config__ = FORBID
+    gain: Positive
+    """Force far from the centroid."""
+    sharpness: Positive
+    """Per metre."""
+
+
+@dataclass(frozen=True)
 class Fields:
-    """The wells of the legs, and what balances the torso. Arrays broadcast against (...)."""
+    """The wells of the legs, and what balances the torso."""
 
+    __pydantic_config__ = FORBID
     radial: Well
     swing: Well
     flap: Well
-    balance_gain: Number
-    """Force far from the centroid."""
-    balance_sharpness: Number
-    """Per metre."""
+    balance: _Balance
+
+
+class Torso(NamedTuple):
+    """Where a torso is."""
+
+    position_m: Array
+    """(..., 3), of the centre of mass in the world."""
+    rotation: Array
+    """(..., 3, 3), body to world."""
+
+    def moved(self, step: Array) -> Torso:
+        """Shifted in world axes and turned (rotation vector) in body axes by the step (..., 6)."""
+        turn = Rotation.from_rotvec(step[..., 3:]).as_matrix()
+        return Torso(self.position_m + step[..., :3], self.rotation @ turn)
+
+    def step_to(self, other: Torso) -> Array:
+        """(..., 6): the step that moves it there."""
+        vector = Rotation.from_matrix(np.swapaxes(self.rotation, -1, -2) @ other.rotation).as_rotvec()
+        return np.concatenate([other.position_m - self.position_m, vector], axis=-1)
 
 
 @dataclass(frozen=True, eq=False)
 class Stand:
-    """Where the torso is held."""
+    """What holds a torso, and where."""
 
+    fields: Fields
     hips_m: Array
     """(4, 3), in body axes."""
     side: Array
     """(4,), 1 for legs on the right, -1 on the left."""
     feet_m: Array
-    """(..., 4, 3), in the world."""
+    """(4, 3), in the world."""
     target_m: Array
-    """(..., 2), the centroid to which balance pulls, in the world."""
+    """(2,), the centroid to which balance pulls, in the world."""
 
 
-class FieldValues(NamedTuple):
-    """What the fields do to a torso."""
-
-    energy: Array
-    """(...)"""
-    wrench: Array
-    """(..., 6): force in world axes, moment about the centre of mass in body axes."""
-    jacobian: Array
-    """(..., 6, 6): the wrench's derivative by a shift in world axes and a turn (rotation vector) in body axes."""
+def leg_vectors(torso: Torso, hips_m: Array, feet_m: Array) -> Array:
+    """(..., 4, 3): from hip to foot in body axes."""
+    return (feet_m - torso.position_m[..., None, :]) @ torso.rotation - hips_m
 
 
-def leg_vectors(position_m: Array, rotation: Array, hips_m: Array, feet_m: Array) -> Array:
-    """(..., 4, 3): from hip to foot in body axes; position_m (..., 3), rotation (..., 3, 3) body to world."""
-    return (feet_m - position_m[..., None, :]) @ rotation - hips_m
-
-
-def evaluate(fields: Fields, stand: Stand, position_m: Array, rotation: Array) -> FieldValues:
-    """Of the torso at position_m (..., 3), turned by rotation (..., 3, 3), body to world."""
-    arm = (stand.feet_m - position_m[..., None, :]) @ rotation
-    r = arm - stand.hips_m
-    energy, gradient, hessian = _legs(fields, r, stand.side)
+def evaluate(stand: Stand, torso: Torso) -> tuple[Array, Array, Array]:
+    """Energy (...) of a torso, the wrench (..., 6) on it, force in world axes and moment about the centre of mass in
+    body axes, and its derivative (..., 6, 6) by a shift in world axes and a turn (rotation vector) in body axes."""
+    position, rotation = torso
+    arm = leg_vectors(torso, np.zeros(3), stand.feet_m)
+    energy, gradient, hessian = _legs(stand, arm - stand.hips_m)
     force = gradient.sum(axis=-2)
 
     # dr = -R' dp + arm x dphi, and so with H the Hessian of the legs' energy:
@@ -126,32 +173,25 @@ def evaluate(fields: Fields, stand: Stand, position_m: Array, rotation: Array) -
     along = (gradient * arm).sum(axis=(-1, -2))
     ff = (turned @ hessian_turned).sum(axis=-3) - (np.swapaxes(arm, -1, -2) @ gradient - along[..., None, None] * _EYE)
 
-    pull, stiffness, held = _balance(fields, stand.target_m - position_m[..., :2])
-    wrench = np.empty((*position_m.shape[:-1], 6))
-    wrench[..., :3] = (rotation @ force[..., None])[..., 0]
+    held, pull, stiffness = _balance(stand.fields.balance, stand.target_m - position[..., :2])
+    wrench = np.concatenate([(rotation @ force[..., None])[..., 0], np.cross(arm, gradient).sum(axis=-2)], axis=-1)
     wrench[..., :2] += pull
-    wrench[..., 3:] = np.cross(arm, gradient).sum(axis=-2)
-    jacobian = np.empty((*position_m.shape[:-1], 6, 6))
-    jacobian[..., :3, :3] = -pp
+    jacobian = np.block([[-pp, pf], [np.swapaxes(pf, -1, -2), ff]])
     jacobian[..., :2, :2] -= stiffness
-    jacobian[..., :3, 3:] = pf
-    jacobian[..., 3:, :3] = np.swapaxes(pf, -1, -2)
-    jacobian[..., 3:, 3:] = ff
-    return FieldValues(energy.sum(axis=-1) + held, wrench, jacobian)
+    return energy.sum(axis=-1) + held, wrench, jacobian
 
 
-def leg_forces(fields: Fields, r: Array, side: Array) -> Array:
+def leg_forces(stand: Stand, r: Array) -> Array:
     """(..., 3 fields, legs, 3), body axes: what the radial, the swing and the flap field do to the torso."""
-    n, axes = _coordinates(r, side)
+    fields, (n, axes) = stand.fields, _coordinates(r, stand.side)
     slopes = [well.of(q)[1] for well, q in zip((fields.radial, fields.swing, fields.flap), n, strict=True)]
     return np.stack([s[..., None] * a for s, a in zip(slopes, axes, strict=True)], axis=-3)
 
 
 def _coordinates(r: Array, side: Array) -> tuple[tuple[Array, Array, Array], tuple[Array, Array, Array]]:
     """The coordinates (..., legs) of the three fields and their gradients (..., legs, 3) by r."""
-    x, y, z = r[..., 0], r[..., 1], r[..., 2]
-    zero = np.zeros_like(x)
-    length = np.sqrt(x * x + y * y + z * z)
+    x, y, z = np.moveaxis(r, -1, 0)
+    zero, length = np.zeros_like(x), np.sqrt(x * x + y * y + z * z)
     swing2, flap2 = y * y + z * z, x * x + z * z
     axes = (
         r / length[..., None],
@@ -161,51 +201,79 @@ def _coordinates(r: Array, side: Array) -> tuple[tuple[Array, Array, Array], tup
     return (length, np.arctan2(y, -z), np.arctan2(side * x, -z)), axes
 
 
-def _legs(fields: Fields, r: Array, side: Array) -> tuple[Array, Array, Array]:
+def _legs(stand: Stand, r: Array) -> tuple[Array, Array, Array]:
     """Energy (..., legs), gradient (..., legs, 3) and Hessian (..., legs, 3, 3) of the legs' fields by r."""
-    (length, swing, flap), (u, a, b) = _coordinates(r, side)
-    e0, s0, c0 = fields.radial.of(length)
-    e1, s1, c1 = fields.swing.of(swing)
-    e2, s2, c2 = fields.flap.of(flap)
-    gradient = s0[..., None] * u + s1[..., None] * a + s2[..., None] * b
+    fields, (values, axes) = stand.fields, _coordinates(r, stand.side)
+    wells = [well.of(q) for well, q in zip((fields.radial, fields.swing, fields.flap), values, strict=True)]
+    energy = sum((e for e, _, _ in wells), np.zeros(r.shape[:-1]))
+    gradient, hessian = np.zeros(r.shape), np.zeros((*r.shape, 3))
+    # Second derivatives of a distance, (1 - u u') / |r|, and of an angle: with its gradient (g, h) in its plane, 2 g h,
+    # h^2 - g^2 and -2 g h.
+    for kind, ((_, slope, curvature), axis) in enumerate(zip(wells, axes, strict=True)):
+        gradient += slope[..., None] * axis
+        outer = axis[..., :, None] * axis[..., None, :]
+        hessian += curvature[..., None, None] * outer
+        if kind == 0:
+            hessian += (slope / values[0])[..., None, None] * (_EYE - outer)
+            continue
+        level, way = 2 - kind, (1.0, stand.side)[kind - 1]  # the plane's axis beside z, and its direction
+        twist = 2 * slope * way * axis[..., level] * axis[..., 2]
+        bend = slope * way * (axis[..., level] ** 2 - axis[..., 2] ** 2)
+        hessian[..., level, level] -= twist
+        hessian[..., 2, 2] += twist
+        hessian[..., level, 2] += bend
+        hessian[..., 2, level] += bend
+    return energy, gradient, hessian
 
-    rest = s0 / length
-    hessian = (c0 - rest)[..., None, None] * (u[..., :, None] * u[..., None, :])
-    hessian += c1[..., None, None] * (a[..., :, None] * a[..., None, :])
-    hessian += c2[..., None, None] * (b[..., :, None] * b[..., None, :])
-    # Second derivatives of an angle: with its gradient (g, h) in its plane, 2 g h, h^2 - g^2 and -2 g h.
-    twist1, bend1 = 2 * s1 * a[..., 1] * a[..., 2], s1 * (a[..., 1] ** 2 - a[..., 2] ** 2)
-    twist2, bend2 = 2 * s2 * b[..., 0] * b[..., 2], s2 * (b[..., 0] ** 2 - b[..., 2] ** 2)
-    hessian[..., 0, 0] += rest - side * twist2
-    hessian[..., 1, 1] += rest - twist1
-    hessian[..., 2, 2] += rest + twist1 + side * twist2
-    hessian[..., 1, 2] += bend1
-    hessian[..., 2, 1] += bend1
-    hessian[..., 0, 2] += side * bend2
-    hessian[..., 2, 0] += side * bend2
-    return e0 + e1 + e2, gradient, hessian
 
-
-def _balance(fields: Fields, to_target: Array) -> tuple[Array, Array, Array]:
-    """Force (..., 2) on the torso, its stiffness (..., 2, 2) and the energy (...), for level vectors (..., 2)."""
-    gain, sharp = np.asarray(fields.balance_gain), np.asarray(fields.balance_sharpness)
-    d = np.sqrt((to_target * to_target).sum(axis=-1))
-    tanh = np.tanh(sharp * d)
+def _balance(balance: _Balance, to_target: Array) -> tuple[Array, Array, Array]:
+    """The energy (...) for level vectors (..., 2), the force (..., 2) on the torso and its stiffness (..., 2, 2)."""
+    gain, sharp = balance.gain, balance.sharpness
+    d = np.linalg.norm(to_target, axis=-1)
     near = d < 1e-12
-    over = gain * np.where(near, sharp, tanh / np.where(near, 1.0, d))
-    n = to_target / np.where(near, 1.0, d)[..., None]
-    steep = gain * sharp * (1 - tanh * tanh)
-    stiffness = over[..., None, None] * _EYE[:2, :2] + (steep - over)[..., None, None] * (
-        n[..., :, None] * n[..., None, :]
-    )
+    safe, tanh = np.where(near, 1.0, d), np.tanh(sharp * d)
+    over = gain * np.where(near, sharp, tanh / safe)
+    n = to_target / safe[..., None]
+    steep = gain * sharp * (1 - tanh * tanh) - over
+    stiffness = over[..., None, None] * np.eye(2) + steep[..., None, None] * (n[..., :, None] * n[..., None, :])
     # ln cosh without overflow.
     energy = gain / sharp * (sharp * d + np.log1p(np.exp(-2 * sharp * d)) - np.log(2.0))
-    return over[..., None] * to_target, stiffness, energy
+    return energy, over[..., None] * to_target, stiffness
 
 
 def _cross_matrix(v: Array) -> Array:
     """(..., 3, 3): M with M u = v x u."""
-    matrix = np.zeros((*v.shape, 3))
-    matrix[..., 0, 1], matrix[..., 0, 2], matrix[..., 1, 2] = -v[..., 2], v[..., 1], -v[..., 0]
-    matrix[..., 1, 0], matrix[..., 2, 0], matrix[..., 2, 1] = v[..., 2], -v[..., 1], v[..., 0]
-    return matrix
+    return np.cross(_EYE, v[..., None, :])
+
+
+def equilibrium(stand: Stand, start: Torso, dofs: tuple[int, ...], arm_m: float) -> tuple[Torso, int, bool]:
+    """The torso in the least energy next to the start, how often fields were evaluated, and whether it stands still.
+
+    Newton steps on the balance of forces and moments, damped (Levenberg) where one would not lead downhill. dofs: which
+    of x, y, z, pitch, roll, yaw are free; arm_m: a turn by one radian counts as this way.
+    """
+    free, pick = list(dofs), np.ix_(dofs, dofs)
+    scale = np.array([1.0] * 3 + [1 / arm_m] * 3)[free]
+    torso, damping = start, 0.0
+    energy, wrench, jacobian = evaluate(stand, torso)
+    for count in range(1, MAX_EVALUATIONS):
+        force = wrench[free] * scale
+        stiffness = -jacobian[pick] * (scale[:, None] * scale)
+        size = float(np.trace(stiffness)) / len(free)
+        way = np.linalg.solve(stiffness + damping * (size if size > 0 else 1.0) * np.eye(len(free)), force)
+        length, downhill = float(np.linalg.norm(way)), float(way @ force) > 0
+        if downhill and length < SETTLED_M and damping < 1:
+            return torso, count, True
+        step = np.zeros(6)
+        step[free] = way * scale * min(1.0, TRUST_M / max(length, TRUST_M))
+        there = torso.moved(step)
+        then = evaluate(stand, there)
+        # At the minimum the energy no longer tells two places apart.
+        if downhill and then[0] <= energy + 1e-12 * abs(energy):
+            torso, (energy, wrench, jacobian) = there, then
+            damping = damping / 10 if damping > 1e-3 else 0.0
+        else:
+            damping = max(10 * damping, 1e-3)
+            if damping > GIVE_UP:
+                break
+    return torso, MAX_EVALUATIONS, False

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from recon.base.arrays import Array
-from recon.robotics.climb.equilibrium import moved
-from recon.robotics.climb.fields import evaluate, leg_forces, leg_vectors
-from recon.robotics.climb.margins import RULES
-from recon.robotics.climb.plan import Climb, field_at
-from recon.robotics.climb.walker import AROUND, LEGS
+from recon.robotics.climb.check import RULES, ClimbCheck
+from recon.robotics.climb.fields import Torso, evaluate, leg_forces, leg_vectors
+from recon.robotics.climb.plan import AROUND, LEGS, Climb
 from recon.show.plots.style import COLOURS, GREY, PALE, SMALL, add_legend, drawing
 
 if TYPE_CHECKING:
@@ -51,12 +47,13 @@ def climb_footfalls(climb: Climb) -> Figure:
     return figure
 
 
-def climb_margins(climb: Climb, found: Mapping[str, Array]) -> Figure:
-    """Of each rule, the least in every frame (T,) by the names of `RULES`; bands are where a foot is up."""
+def climb_margins(found: ClimbCheck) -> Figure:
+    """Of each rule, the least in every frame; bands are where a foot is up."""
+    climb = found.climb
     with drawing(130.0, title=f"{_title(climb)}: distance from what it must not do") as figure:
         panels = np.ravel(figure.subplots(-(-len(RULES) // 2), 2, sharex=True))
         for axes, (name, rule) in zip(panels, RULES.items(), strict=True):
-            values = np.where(np.isfinite(found[name]), found[name], np.nan) * rule.per_unit
+            values = np.where(np.isfinite(found.margins[name]), found.margins[name], np.nan) * rule.per_unit
             for leg in range(4):
                 colour = RIGHT if climb.walker.side[leg] > 0 else LEFT
                 axes.fill_between(
@@ -84,9 +81,9 @@ def climb_margins(climb: Climb, found: Mapping[str, Array]) -> Figure:
 def climb_field(climb: Climb, frame: int) -> Figure:
     """Energy of the torso's places around where it is, from the right and from above, everything else as it is, and
     by its pitch; arrows are the force on the torso, thick ones that of each leg at its hip."""
-    fields, stand = field_at(climb, frame)
+    stand = climb.stand(frame)
     size = _AROUND_M * float(climb.position_m[:, 2].mean())
-    here = climb.torso._replace(position_m=climb.position_m[frame], rotation=climb.rotation[frame])
+    here = Torso(climb.position_m[frame], climb.rotation[frame])
     with drawing(74.0) as figure:
         up = int(climb.lifted[frame])
         what = "all feet planted" if up < 0 else f"{LEGS[up]} foot up"
@@ -96,13 +93,13 @@ def climb_field(climb: Climb, frame: int) -> Figure:
         for axes, view, names in zip(panels, ((1, 2), (0, 1)), (("forward", "up"), ("right", "forward")), strict=False):
             step = np.zeros((_GRID, _GRID, 6))
             step[..., view[0]], step[..., view[1]] = offsets[None, :], offsets[:, None]
-            values = evaluate(fields, stand, *moved(here, step))
-            above = values.energy - values.energy.min()
+            energy, wrench, _ = evaluate(stand, here.moved(step))
+            above = energy - energy.min()
             at = [here.position_m[k] + offsets for k in view]
             shown = np.log10(above + 1e-3 * np.median(above))
             light = {"cmap": "Greys", "vmax": shown.max() + np.ptp(shown)}
             axes.pcolormesh(*at, shown, **light, shading="gouraud", zorder=0, rasterized=True)  # 20 MB as an SVG else
-            force = values.wrench[every, every][..., list(view)]
+            force = wrench[every, every][..., list(view)]
             force = force / np.linalg.norm(force, axis=-1, keepdims=True)
             axes.quiver(*(a[every] for a in at), force[..., 0], force[..., 1], color=GREY, width=0.006, scale=16)
             _robot(axes, climb, frame, view)
@@ -121,7 +118,7 @@ def climb_field(climb: Climb, frame: int) -> Figure:
         turns = np.linspace(-_AROUND_RAD, _AROUND_RAD, _GRID)
         step = np.zeros((_GRID, 6))
         step[:, 3] = turns
-        energy = evaluate(fields, stand, *moved(here, step)).energy
+        energy = evaluate(stand, here.moved(step))[0]
         pitch = np.degrees(climb.pitch_rad[frame] + turns)
         panels[2].plot(pitch, 1000 * (energy - energy.min()), color="k")
         panels[2].plot(pitch[_GRID // 2], 1000 * (energy[_GRID // 2] - energy.min()), "o", ms=4, color="k")
@@ -132,10 +129,9 @@ def climb_field(climb: Climb, frame: int) -> Figure:
 
 
 def _leg_forces(axes: Axes, climb: Climb, frame: int, view: tuple[int, int], size: float) -> None:
-    fields, stand = field_at(climb, frame)
     rotation = climb.rotation[frame]
-    r = leg_vectors(climb.position_m[frame], rotation, climb.walker.hips_m, climb.feet_m[frame])
-    forces = leg_forces(fields, r, stand.side).sum(axis=0) @ rotation.T
+    r = leg_vectors(Torso(climb.position_m[frame], rotation), climb.walker.hips_m, climb.feet_m[frame])
+    forces = leg_forces(climb.stand(frame), r).sum(axis=0) @ rotation.T
     hips = climb.position_m[frame] + climb.walker.hips_m @ rotation.T
     ways = forces / np.linalg.norm(forces, axis=1).max() * size
     colours = [RIGHT if side > 0 else LEFT for side in climb.walker.side]
@@ -156,7 +152,7 @@ def _leg_forces(axes: Axes, climb: Climb, frame: int, view: tuple[int, int], siz
 
 def _robot(axes: Axes, climb: Climb, frame: int, view: tuple[int, int]) -> None:
     """Legs, torso and ground."""
-    posture = climb.walker.posture(climb.torso, climb.feet_m)
+    _, _, hips, knees = climb.posture
     i, j = view
     step, ends = climb.recipe.step, climb.feet_m[..., 1]
     first, last = float(ends.min()) - 0.05, float(ends.max()) + 0.05
@@ -165,11 +161,11 @@ def _robot(axes: Axes, climb: Climb, frame: int, view: tuple[int, int]) -> None:
     else:
         axes.axhline(step.edge_m, color=GREY, lw=1)
     for leg in range(4):
-        chain = np.array([posture.hips_m[frame, leg], posture.knees_m[frame, leg], climb.feet_m[frame, leg]])
+        chain = np.array([hips[frame, leg], knees[frame, leg], climb.feet_m[frame, leg]])
         colour = RIGHT if climb.walker.side[leg] > 0 else LEFT
         dashed = (0, (2, 1)) if climb.lifted[frame] == leg else "-"
         axes.plot(chain[:, i], chain[:, j], marker="o", ms=2, color=colour, ls=dashed)
-    outline = posture.hips_m[frame, [*AROUND, AROUND[0]]]
+    outline = hips[frame, [*AROUND, AROUND[0]]]
     axes.plot(outline[:, i], outline[:, j], color=TORSO, lw=2)
 
 
@@ -182,4 +178,4 @@ def _sides(figure: Figure) -> None:
 
 
 def _title(climb: Climb) -> str:
-    return f"{climb.walker.name}, step of {1000 * climb.recipe.step.height_m:.0f} mm"
+    return f"{climb.walker.robot.name}, step of {1000 * climb.recipe.step.height_m:.0f} mm"

@@ -15,11 +15,12 @@ from itertools import pairwise
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
+from pydantic import ConfigDict, StrictBool
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from recon.base.arrays import Array
-from recon.robotics.ik.chain import MAX_RATE_RAD_S, SerialChain, joint_chain
+from recon.robotics.ik.chain import SerialChain, joint_chain
+from recon.robotics.robot.leg import Length, Limits
 
 Convention = Literal["modified", "standard"]
 _PARALLEL = 1e-9
@@ -30,25 +31,23 @@ _PARALLEL = 1e-9
 class DHRow:
     """One link of a table of Denavit and Hartenberg."""
 
-    a_m: float = 0.0
+    __pydantic_config__ = ConfigDict(extra="forbid")
+    a_m: Length = 0.0
     """Of the link."""
-    alpha_rad: float = 0.0
+    alpha_rad: Length = 0.0
     """Of the link."""
-    d_m: float = 0.0
+    d_m: Length = 0.0
     """With q = 0."""
-    theta_rad: float = 0.0
+    theta_rad: Length = 0.0
     """With q = 0."""
-    slides: bool = False
+    slides: StrictBool = False
     """q adds to d, not to theta."""
+    limits: Limits | None = None
+    """Of q."""
 
 
-def dh_chain(
-    rows: Sequence[DHRow],
-    convention: Convention,
-    limits_rad: tuple[ArrayLike, ArrayLike] | None = None,
-    max_rate_rad_s: ArrayLike = MAX_RATE_RAD_S,
-) -> SerialChain:
-    """The chain of the rows from the base. limits_rad, max_rate_rad_s: as `SerialChain`. Raises ValueError."""
+def dh_chain(rows: Sequence[DHRow], convention: Convention) -> SerialChain:
+    """The chain of the rows from the base. Raises ValueError."""
     if convention not in ("modified", "standard") or not rows:
         raise ValueError(f"rows and the convention, modified or standard, expected, got {len(rows)}, {convention!r}")
     link = [_along("x", row.a_m, row.alpha_rad) for row in rows]
@@ -56,6 +55,7 @@ def dh_chain(
     nothing = RigidTransform.identity()
     before, tool = (link, nothing) if convention == "modified" else ([nothing, *link[:-1]], link[-1])
     placed = [a * b for a, b in zip(before, joint, strict=True)]
+    lower, upper = np.transpose([row.limits or (-np.inf, np.inf) for row in rows])
     return joint_chain(
         np.array([t.translation for t in placed]),
         np.tile([0.0, 0.0, 1.0], (len(rows), 1)),
@@ -63,29 +63,14 @@ def dh_chain(
         [row.slides for row in rows],
         tool.translation,
         tool.rotation,
-        limits_rad,
-        max_rate_rad_s,
+        (lower, upper),
     )
 
 
-@dataclass(frozen=True, eq=False)
-class DHTable:
-    """A chain as base * rows * tool, the rows modified (Craig) with a_m and alpha_rad 0 in the first: base and tool are
-    what the parameters of Denavit and Hartenberg leave out."""
-
-    base: RigidTransform
-    rows: tuple[DHRow, ...]
-    tool: RigidTransform
-
-    def pose(self, q: ArrayLike) -> RigidTransform:
-        """T_base_end of q (n,)."""
-        R, p = dh_chain(self.rows, "modified").pose(np.asarray(q, float))
-        return self.base * RigidTransform.from_components(p, Rotation.from_matrix(R)) * self.tool
-
-
-def dh_table(chain: SerialChain) -> DHTable:
-    """Of any chain: z along each joint's axis, x along the common normal to the next; where axes are parallel, through
-    the origin before."""
+def dh_table(chain: SerialChain) -> tuple[RigidTransform, tuple[DHRow, ...], RigidTransform]:
+    """Any chain as base * rows * tool, the rows modified (Craig) with a_m and alpha_rad 0 in the first: base and tool
+    are what the parameters leave out. z goes along each joint's axis, x along the common normal to the next; where axes
+    are parallel, through the origin before."""
     zero = np.zeros(chain.n)
     axes, places = chain.joint_axes(zero), chain.positions(zero)
     end = _transform(*chain.pose(zero))
@@ -103,7 +88,7 @@ def dh_table(chain: SerialChain) -> DHTable:
         frames.append(_transform(np.column_stack([x, np.cross(z, x), z]), origin))
     steps = [a.inv() * b for a, b in pairwise(frames)]
     rows = [DHRow(slides=bool(chain.sliding[0])), *map(_row, steps, chain.sliding[1:])]
-    return DHTable(frames[0], tuple(rows), frames[-1].inv() * end)
+    return frames[0], tuple(rows), frames[-1].inv() * end
 
 
 def _row(step: RigidTransform, slides: bool) -> DHRow:

@@ -9,8 +9,6 @@ so that the wrist takes what the two-link arm (`recon.robotics.ik.two_link`) lea
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -18,25 +16,16 @@ from recon.base.arrays import Array
 from recon.robotics.ik.two_link import two_link
 
 
-@dataclass(frozen=True, eq=False)
-class LiftArmAngles:
-    """The arm's joint values for a place of its end."""
-
-    branches: Array
-    """(2, 4): (height, q1, q2, q3) with q2 <= 0, then with q2 >= 0; NaN without a solution."""
-    reason: str = ""
-    """Why there is none or only one, empty for two."""
-
-
-def lift_arm(lengths_m: tuple[float, float], hand: ArrayLike, height_m: float) -> LiftArmAngles:
-    """Both branches for a hand at (x, y, angle), metres and rad, at a height. Raises ValueError for lengths that are
-    not two positive ones."""
+def lift_arm(lengths_m: tuple[float, float], hand: ArrayLike, height_m: float) -> tuple[Array, str]:
+    """Both branches (2, 4) for a hand at (x, y, angle), metres and rad, at a height: (height, q1, q2, q3) with q2 <= 0,
+    then with q2 >= 0, NaN without a solution; and why there is none or only one, empty for two. Raises ValueError for
+    lengths that are not two positive ones."""
     x, y, angle = np.asarray(hand, float)
     planar = two_link(lengths_m, (x, y))
     wrist = angle - planar.branches_rad.sum(axis=1)
     wrist = np.pi - (np.pi - wrist) % (2 * np.pi)
     height = np.where(np.isfinite(wrist), height_m, np.nan)
-    return LiftArmAngles(np.column_stack([height, planar.branches_rad, wrist]), planar.reason)
+    return np.column_stack([height, planar.branches_rad, wrist]), planar.reason
 
 
 def lift_arm_hand(lengths_m: tuple[float, float], q: ArrayLike) -> tuple[Array, Array]:

@@ -18,7 +18,7 @@ import rerun.blueprint as rrb
 
 from recon.animal.body import Side
 from recon.base.arrays import Array, Bools
-from recon.robotics.climb.paths import Step
+from recon.robotics.climb.recipe import Step
 from recon.robotics.robot.quadruped import LEGS
 from recon.robotics.robot.retarget import RobotMotion
 from recon.show.recording import recording

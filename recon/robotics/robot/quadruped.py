@@ -1,25 +1,25 @@
-"""Four-legged robots: hips, legs with their joints' names, limits and rates, from a TOML file or a URDF file.
+"""Four-legged robots: hips, legs with their joints' names, limits and rates.
 
 Body axes: x forwards, y left, z up. Legs are LF, RF, LH, RH (left or right, fore or hind). Joint angles are the robot's
 own: of the bundled robots, and of others described by their dimensions, those of `recon.robotics.robot.leg` with signs;
-of URDF files, the file's.
+of URDF and MJCF files, the file's.
 """
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from recon.base.arrays import Array
+from recon.geometry.kinematics import Marker, Segment, Tree
 from recon.robotics.ik.chain import SerialChain, joint_chain
 from recon.robotics.ik.drive import drive_to
 from recon.robotics.ik.methods import LeastNorm
-from recon.robotics.robot.leg import FlapLeg, Leg
+from recon.robotics.robot.leg import Leg
 from recon.robotics.robot.solutions import all_solutions
 
 LEGS = ("LF", "RF", "LH", "RH")
@@ -28,105 +28,46 @@ _BISECTIONS = 12
 
 
 @dataclass(frozen=True, eq=False)
-class RobotLeg(ABC):
+class RobotLeg:
     """n joints, in their order from the hip down; feet are points in body axes, from the body's origin."""
 
-    joints: tuple[str, ...]
-    """Their names."""
     chain: SerialChain
-    """Joint by joint in body axes, its end effector the foot."""
+    """Joint by joint in body axes, with names and limits, its end effector the foot."""
     neutral_m: Array
     """(3,): the foot of the standing leg."""
+    home_rad: Array | None = None
+    """(n,): the standing leg, from where a leg without a closed form is solved."""
+    closed: Leg | None = None
+    """Its closed form, in leg axes."""
+    signs: Array | None = None
+    """(n,): of the joints' own angles against those of the closed form."""
 
     @property
-    def lower_rad(self) -> Array:
-        return self.chain.lower_rad
-
-    @property
-    def upper_rad(self) -> Array:
-        return self.chain.upper_rad
-
-    @property
-    def max_rate_rad_s(self) -> Array:
-        return self.chain.max_rate_rad_s
-
-    def points(self, angles_rad: Array) -> Array:
-        """The hip, the joints after it and the foot (T, n + 1, 3)."""
-        return self.chain.positions(angles_rad)
-
-    @abstractmethod
-    def foot(self, angles_rad: Array) -> Array:
-        """(T, 3)"""
-
-    @abstractmethod
-    def angles(self, feet_m: Array) -> Array:
-        """Angles (T, n) of feet (T, 3) that follow each other, NaN where there are none within the limits."""
-
-    @abstractmethod
-    def solutions(self, foot_m: Array) -> Array:
-        """All angles (m, n) of one foot (3,), whatever the limits."""
-
-
-@dataclass(frozen=True, eq=False)
-class ClosedLeg(RobotLeg):
-    """A leg in closed form."""
-
-    leg: Leg
-    """In leg axes."""
-    hip_m: Array
-    """(3,), in body axes."""
-    signs: Array
-    """(3,): of the joints' own angles, in the order of the joints."""
-
-    @classmethod
-    def of(
-        cls, leg: Leg, hip_m: Array, joints: tuple[str, ...], signs: Array, max_rate_rad_s: Array, stand_m: float
-    ) -> ClosedLeg:
-        """signs, max_rate_rad_s (3,): in the order of the joints; stand_m: the height that the hip stands at."""
-        straight, order = leg.geometry.chain(), list(leg.geometry.order)
-        places = hip_m + _from_leg_axes(straight.positions(np.zeros(3)) * leg.mirror)
-        # A rotation's axis is mirrored with the opposite sign.
-        axes = _from_leg_axes(straight.joint_axes(np.zeros(3)) * leg.mirror) * np.prod(leg.mirror)
-        offsets = np.diff(places, axis=0, prepend=0.0)
-        lower, upper = np.sort(np.stack([leg.lower_rad, leg.upper_rad])[:, order] * signs, axis=0)
-        chain = joint_chain(
-            offsets[:3],
-            axes * signs[:, None],
-            tool_m=offsets[3],
-            limits_rad=(lower, upper),
-            max_rate_rad_s=max_rate_rad_s,
-        )
-        lateral = leg.geometry.lateral_m if isinstance(leg.geometry, FlapLeg) else 0.0
-        neutral = hip_m + _from_leg_axes(np.array([lateral, 0.0, -stand_m]) * leg.mirror)
-        return cls(joints, chain, neutral, leg, hip_m, signs)
+    def joints(self) -> tuple[str, ...]:
+        """Their names."""
+        return self.chain.names
 
     @cached_property
-    def _order(self) -> list[int]:
-        return list(self.leg.geometry.order)
+    def hip_m(self) -> Array:
+        """(3,): where the first joint is."""
+        return self.chain.positions(np.zeros(self.chain.n))[0]
+
+    def margins(self, angles_rad: Array) -> Array:
+        """(..., n): how far each angle is within its limits, negative outside, NaN without an angle."""
+        return np.minimum(angles_rad - self.chain.lower_rad, self.chain.upper_rad - angles_rad)
+
+    def own(self, swing_flap_knee_rad: Array) -> Array:
+        """The joints' own angles of those of the closed form (..., 3)."""
+        assert self.closed is not None
+        assert self.signs is not None
+        return swing_flap_knee_rad[..., self.closed.order] * self.signs
 
     def angles(self, feet_m: Array) -> Array:
-        solved = self.leg.inverse(_to_leg_axes(feet_m - self.hip_m)).angles_rad
-        inside = np.all(self.leg.margins(solved) >= 0, axis=-1)
-        return np.where(inside[..., None], solved[..., self._order] * self.signs, np.nan)
-
-    def foot(self, angles_rad: Array) -> Array:
-        swing_flap_knee = np.empty_like(angles_rad)
-        swing_flap_knee[..., self._order] = angles_rad * self.signs
-        return self.hip_m + _from_leg_axes(self.leg.forward(swing_flap_knee))
-
-    def solutions(self, foot_m: Array) -> Array:
-        found = self.leg.solutions(_to_leg_axes(foot_m - self.hip_m))
-        return found[:, self._order] * self.signs
-
-
-@dataclass(frozen=True, eq=False)
-class ChainLeg(RobotLeg):
-    """A leg of any joints, from the body's origin on, solved by `recon.robotics.ik`."""
-
-    home_rad: Array
-    """(n,): the standing leg."""
-
-    def angles(self, feet_m: Array) -> Array:
+        """Angles (T, n) of feet (T, 3) that follow each other, NaN where there are none within the limits."""
+        if self.closed is not None:
+            solved = self.own(self.closed.inverse(_to_leg_axes(feet_m - self.hip_m)))
+            return np.where(np.all(self.margins(solved) >= 0, axis=-1)[..., None], solved, np.nan)
+        assert self.home_rad is not None
         out, q = np.full((len(feet_m), self.chain.n), np.nan), self.home_rad
         for k, foot in enumerate(feet_m):
             found = reach(self.chain, q, foot)
@@ -136,11 +77,40 @@ class ChainLeg(RobotLeg):
                 out[k] = q = found
         return out
 
-    def solutions(self, foot_m: Array) -> Array:
-        return all_solutions(self.chain, foot_m).q
+    def solutions(self, foot_m: Array) -> tuple[Array, bool]:
+        """As `all_solutions`: all angles (m, n) of one foot (3,), whatever the limits."""
+        if self.closed is None:
+            return all_solutions(self.chain, foot_m)
+        return self.own(self.closed.solutions(_to_leg_axes(foot_m - self.hip_m))), True
 
-    def foot(self, angles_rad: Array) -> Array:
-        return self.chain.end(angles_rad)
+
+def closed_leg(
+    leg: Leg,
+    hip_m: Array,
+    names: tuple[str, ...],
+    signs: Array,
+    limits_rad: tuple[Array, Array],
+    max_rate_rad_s: Array,
+    stand_m: float,
+) -> RobotLeg:
+    """names, signs (3,) and max_rate_rad_s (3,): in the order of the joints; limits_rad: (3,) each, of swing, flap and
+    knee; stand_m: the height that the hip stands at."""
+    zero = np.zeros(3)
+    places = hip_m + _from_leg_axes(leg.chain.positions(zero) * leg.mirror)
+    # A rotation's axis is mirrored with the opposite sign.
+    axes = _from_leg_axes(leg.chain.joint_axes(zero) * leg.mirror) * np.prod(leg.mirror)
+    offsets = np.diff(places, axis=0, prepend=0.0)
+    lower, upper = np.sort(np.stack(limits_rad)[:, leg.order] * signs, axis=0)
+    chain = joint_chain(
+        offsets[:3],
+        axes * signs[:, None],
+        tool_m=offsets[3],
+        limits_rad=(lower, upper),
+        max_rate_rad_s=max_rate_rad_s,
+        names=names,
+    )
+    neutral = hip_m + _from_leg_axes(np.array([leg.lateral_m, 0.0, -stand_m]) * leg.mirror)
+    return RobotLeg(chain, neutral, closed=leg, signs=signs)
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,7 +120,7 @@ class Quadruped:
     name: str
     title: str
     legs: Mapping[str, RobotLeg]
-    """By LF, RF, LH, RH."""
+    """By LF, RF, LH, RH, in this order."""
     stand_m: float
     """The height that its hips stand at."""
     source: str = ""
@@ -158,7 +128,30 @@ class Quadruped:
     @property
     def joints(self) -> tuple[str, ...]:
         """All legs', in the order of `LEGS`."""
-        return tuple(name for label in LEGS for name in self.legs[label].joints)
+        return tuple(name for leg in self.legs.values() for name in leg.joints)
+
+    def limits(self) -> tuple[Array, Array, Array]:
+        """Lower, upper and rate (joints,) of all legs' joints."""
+        chains = [leg.chain for leg in self.legs.values()]
+        each = [(chain.lower_rad, chain.upper_rad, chain.max_rate_rad_s) for chain in chains]
+        lower, upper, rate = (np.concatenate(of) for of in zip(*each, strict=True))
+        return lower, upper, rate
+
+    @cached_property
+    def tree(self) -> Tree:
+        """Of the body, free in the world, and all legs: its state is the body's place, yaw, pitch and roll and then
+        `joints`; its markers are the body's origin and, of each leg, its joints and its foot."""
+        segments, markers = [Segment("base", None, "free")], [Marker("base", "base")]
+        for label, leg in self.legs.items():
+            own = leg.chain.tree
+            called = {segment.name: f"{label} {segment.name}" for segment in own.segments[1:]} | {"base": "base"}
+            for segment in own.segments[1:]:
+                on = called[segment.parent or "base"]
+                segments.append(replace(segment, name=called[segment.name], parent=on))
+                markers.append(Marker(called[segment.name], called[segment.name]))
+            foot = own.markers[0]
+            markers.append(replace(foot, name=f"{label} foot", segment=called[foot.segment]))
+        return Tree(tuple(segments), tuple(markers))
 
     @cached_property
     def ground_m(self) -> float:
@@ -169,7 +162,7 @@ class Quadruped:
     def folding_m(self) -> Array:
         """(4,): how high the legs lift their feet straight up from where they stand, in the order of `LEGS`."""
         heights = []
-        for leg in (self.legs[label] for label in LEGS):
+        for leg in self.legs.values():
             near, far = 0.0, -float(leg.neutral_m[2])
             for _ in range(_BISECTIONS):
                 height = (near + far) / 2

@@ -84,12 +84,6 @@ class Animal:
     origin_m: Array
     rows: Index
     """(N,), samples of the analysis' fine grid that the reference is made from."""
-    stances: tuple[Stance, ...]
-    """Those that the reference has."""
-
-    def in_world(self, points_m: Array) -> Array:
-        """Points (..., 3) of the upright frame in the reference's world, still of the animal's size."""
-        return ((points_m - self.origin_m).reshape(-1, 3) @ self.rotation.as_matrix().T).reshape(points_m.shape)
 
 
 # -- the clip --------------------------------------------------------------------------------------------------------
@@ -139,7 +133,7 @@ def reference_of(motion: Motion, stride_s: tuple[float, float] | None = None) ->
         standing=standing[:, order],
         leg_m=tracks.leg_m,
     )
-    return Animal(reference, analysis, to_world, origin, rows, gait.stances)
+    return Animal(reference, analysis, to_world, origin, rows)
 
 
 def _checked(motion: Motion, analysis: ClipAnalysis) -> Gait:
@@ -232,7 +226,7 @@ def stride_window(animal: Animal) -> StrideWindow:
         stride = min(strides, key=lambda s: (-feet.count(s.foot), s.start_s))
         first, last = (int(np.argmin(np.abs(time - t))) for t in (stride.start_s, stride.end_s))
         return StrideWindow(first, last, "stride", _gap_percent(reference.feet_m, first, last))
-    landed = [s.start_s for s in animal.stances if s.begins]
+    landed = [s.start_s for s in (animal.analysis.gait.stances if animal.analysis.gait else ()) if s.begins]
     duration = float(time[-1] - time[0])
     least = min(duration, max(duration / 2, float(time[-1]) - min(landed, default=float(time[0]))))
     flat = reference.feet_m.reshape(len(time), -1)

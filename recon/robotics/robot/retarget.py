@@ -22,14 +22,21 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.spatial.transform import RigidTransform, Rotation
+from scipy.interpolate import CubicSpline
+from scipy.spatial.transform import RigidTransform
 
 from recon.base.arrays import Array, Bools
-from recon.robotics.control import control_rates
-from recon.robotics.robot.body_pose import body_pose, feet_in_world, leg_targets
 from recon.robotics.robot.footholds import planted, stances
 from recon.robotics.robot.quadruped import LEGS, Quadruped, RobotLeg
-from recon.robotics.robot.reference import Reference
+from recon.robotics.robot.reference import (
+    Animal,
+    Reference,
+    StrideWindow,
+    closed_stride,
+    stride_window,
+    with_other_side,
+)
+from recon.robotics.robot.rigid import body_pose, feet_in_world, leg_targets
 
 PITCH_RAD, ROLL_RAD = 0.25, 0.15
 LIFT = 0.15
@@ -70,47 +77,50 @@ class RobotMotion:
     """(N, 4)"""
     short: Bools
     """(N, 4): feet that were out of reach."""
-    advance_m: Array | None
+    advance_m: Array | None = None
     """As of the reference."""
 
     def leg_angles(self, label: str, angles_rad: Array | None = None) -> Array:
         """(N, n) of one leg."""
-        start = 0
-        for other in LEGS[: LEGS.index(label)]:
-            start += len(self.robot.legs[other].joints)
+        counts = [len(leg.joints) for leg in self.robot.legs.values()]
+        start = sum(counts[: LEGS.index(label)])
         angles = self.angles_rad if angles_rad is None else angles_rad
-        return angles[:, start : start + len(self.robot.legs[label].joints)]
+        return angles[:, start : start + counts[LEGS.index(label)]]
 
     @cached_property
-    def rates_rad_s(self) -> Array:
-        """(N - 1, joints), between the samples."""
-        return np.diff(self.angles_rad, axis=0) / np.diff(self.time_s)[:, None]
-
-    @cached_property
-    def control(self) -> tuple[Array, Array]:
-        """Rates and accelerations (N, joints) as a controller takes them: `control_rates`. The last of a stride that
-        repeats are the first, too."""
-        q, interval_s = self.angles_rad, float(self.time_s[-1] - self.time_s[0]) / (len(self.time_s) - 1)
+    def _spline(self) -> CubicSpline:
+        """Through the states of `Quadruped.tree`, less the way of a stride that repeats."""
+        turn = np.unwrap(self.pose.rotation.as_euler("ZYX"), axis=0)
+        states = np.hstack([self.pose.translation, turn, self.angles_rad])
         if self.advance_m is None:
-            return control_rates(q, interval_s, None, None)
-        return control_rates(q, interval_s, q[0] - (q[-1] - q[-2]), q[-1] + (q[1] - q[0]))
+            return CubicSpline(self.time_s, states)
+        states[:, :2] -= np.linspace(0.0, 1.0, len(states))[:, None] * self.advance_m
+        return CubicSpline(self.time_s, np.concatenate([states[:-1], states[:1]]), bc_type="periodic")
+
+    def states(self, time_s: Array, derivative: int = 0) -> Array:
+        """The states (K, 6 + joints) of `Quadruped.tree` at times (K,), or their derivatives: of cubic splines through
+        the samples, of which there are ten for each of the clip's frames."""
+        found = self._spline(time_s, derivative)
+        if self.advance_m is not None and derivative < 2:
+            share = (time_s - self.time_s[0], np.ones(len(time_s)))[derivative] / (self.time_s[-1] - self.time_s[0])
+            found[:, :2] += share[:, None] * self.advance_m
+        return found
 
     @cached_property
     def rate_share(self) -> Array:
-        """(joints,): the fastest rate, of the limit."""
-        limits = np.concatenate([self.robot.legs[label].max_rate_rad_s for label in LEGS])
-        return np.abs(self.rates_rad_s).max(axis=0) / limits
+        """(joints,): the fastest rate between two samples, of the limit."""
+        rates = np.diff(self.angles_rad, axis=0) / np.diff(self.time_s)[:, None]
+        return np.abs(rates).max(axis=0) / self.robot.limits()[2]
 
     @cached_property
     def margin_rad(self) -> Array:
         """(joints,): the least distance from a limit, negative beyond it."""
-        lower = np.concatenate([self.robot.legs[label].lower_rad for label in LEGS])
-        upper = np.concatenate([self.robot.legs[label].upper_rad for label in LEGS])
+        lower, upper, _ = self.robot.limits()
         return np.minimum(self.angles_rad - lower, upper - self.angles_rad).min(axis=0)
 
     def points(self, label: str) -> Array:
         """A leg's hip, joints and foot in the world (N, ., 3)."""
-        along = self.robot.legs[label].points(self.leg_angles(label))
+        along = self.robot.legs[label].chain.positions(self.leg_angles(label))
         return feet_in_world(self.pose, np.zeros(3), along)
 
     @cached_property
@@ -134,19 +144,16 @@ class RobotMotion:
     @cached_property
     def slip_m(self) -> Array:
         """(4,): farthest that a foot gets from where it stood first, in any stance, by the joints' angles. Also looked
-        at between the samples, with angles and base between theirs. 0 for a foot that never stands."""
-        middle = (self.angles_rad[1:] + self.angles_rad[:-1]) / 2
-        half = RigidTransform.from_components(
-            (self.pose.translation[1:] + self.pose.translation[:-1]) / 2, _between(self.pose)
-        )
+        at between the samples. 0 for a foot that never stands."""
+        half = (self.time_s[1:] + self.time_s[:-1]) / 2
+        tree, names = self.robot.tree, [marker.name for marker in self.robot.tree.markers]
+        feet = [names.index(f"{label} foot") for label in LEGS]
+        at, between = (tree.pose(self.states(time)).points_m[:, feet] for time in (self.time_s, half))
         slip = np.zeros(len(LEGS))
-        for k, label in enumerate(LEGS):
-            leg = self.robot.legs[label]
-            at = feet_in_world(self.pose, np.zeros(3), leg.foot(self.leg_angles(label))[:, None])[:, 0]
-            between = feet_in_world(half, np.zeros(3), leg.foot(self.leg_angles(label, middle))[:, None])[:, 0]
+        for k in range(len(LEGS)):
             for first, last in stances(self.standing[:, k]):
-                stood = np.concatenate([at[first : last + 1], between[first:last]])
-                slip[k] = max(slip[k], float(np.linalg.norm(stood - at[first], axis=1).max()))
+                stood = np.concatenate([at[first : last + 1, k], between[first:last, k]])
+                slip[k] = max(slip[k], float(np.linalg.norm(stood - at[first, k], axis=1).max()))
         return slip
 
     @cached_property
@@ -159,39 +166,57 @@ class RobotMotion:
 class Retargeted:
     """A robot's motion after an animal's."""
 
+    animal: Animal
+    window: StrideWindow
     clip: RobotMotion
     """The whole of it."""
     stride: RobotMotion
     """One that repeats."""
-    found: bool
-    """Whether the scale was sought, rather than given."""
+    start_s: float
+    """Of the clip, in the animal's time."""
     spread_m: float
     """How far outside of its neutral place each hind foot goes."""
-
-    @property
-    def apart_m(self) -> float:
-        return min(self.clip.apart_m, self.stride.apart_m)
+    lag: float = 0.0
+    """As of `with_other_side`."""
 
 
 def retarget(
-    clip: Reference, stride: Reference, robot: Quadruped, scale: float | None = None, slower: float | None = None
+    animal: Animal,
+    robot: Quadruped,
+    scale: float | None = None,
+    slower: float | None = None,
+    lag: float = 0.0,
+    window: StrideWindow | None = None,
 ) -> Retargeted:
-    """A clip and a closed stride of it, four feet each, on a robot. scale: of lengths, None: the largest that fits;
-    slower: factor on times, None: as the rates ask for. ValueError for factors that are not positive."""
-    if any(factor is not None and not factor > 0 for factor in (scale, slower)):
-        raise ValueError(f"positive factors expected: {scale}, {slower}")
-    tried: list[Retargeted] = []
+    """scale: of lengths, None: the largest that fits; slower: factor on times, None: as the rates ask for; window: of
+    the stride, by default the one that is found."""
+    window = window or stride_window(animal)
+    stride = closed_stride(animal, window)
+    period = float(stride.time_s[-1])
+    clip, stride = (with_other_side(reference, lag, period) for reference in (animal.reference, stride))
+    moved, repeats, spread = on_robot(clip, stride, robot, scale, slower)
+    return Retargeted(animal, window, moved, repeats, float(clip.time_s[0]), spread, lag)
+
+
+def on_robot(
+    clip: Reference, stride: Reference, robot: Quadruped, scale: float | None = None, slower: float | None = None
+) -> tuple[RobotMotion, RobotMotion, float]:
+    """A clip and a closed stride of it, four feet each, as a robot's motions, and how far its hind feet go outside.
+    scale, slower: as of `retarget`."""
+    tried: list[tuple[float, RobotMotion, RobotMotion, float]] = []
+    enough = LEGS_APART * robot.stand_m
     for share in SPREADS:
         spread = share * robot.stand_m
         chosen = largest_scale((clip, stride), robot, spread) if scale is None else scale
-        moved = [_robot_motion(reference, robot, chosen, spread) for reference in (clip, stride)]
-        tried.append(Retargeted(moved[0], moved[1], scale is None, spread))
-        if tried[-1].apart_m >= LEGS_APART * robot.stand_m:
+        both = (_robot_motion(clip, robot, chosen, spread), _robot_motion(stride, robot, chosen, spread))
+        tried.append((min(motion.apart_m for motion in both), *both, spread))
+        if tried[-1][0] >= enough:
             break
-    best = max(tried, key=lambda motion: min(motion.apart_m, LEGS_APART * robot.stand_m))
+    _, *motions, spread = max(tried, key=lambda one: min(one[0], enough))
     if slower is None:
-        slower = max(1.0, *(float(motion.rate_share.max()) for motion in (best.clip, best.stride)))
-    return replace(best, clip=_slowed(best.clip, slower), stride=_slowed(best.stride, slower))
+        slower = max(1.0, *(float(motion.rate_share.max()) for motion in motions))
+    moved, repeats = (replace(motion, slower=slower, time_s=slower * motion.time_s) for motion in motions)
+    return moved, repeats, spread
 
 
 def largest_scale(references: tuple[Reference, ...], robot: Quadruped, spread_m: float = 0.0) -> float:
@@ -202,7 +227,7 @@ def largest_scale(references: tuple[Reference, ...], robot: Quadruped, spread_m:
         for reference in references:
             pose, feet, _ = place(reference, robot, scale, spread_m)
             targets = leg_targets(pose, np.zeros(3), feet)[::every]
-            if not all(np.isfinite(leg.angles(targets[:, k])).all() for k, leg in enumerate(_legs(robot))):
+            if not all(np.isfinite(leg.angles(targets[:, k])).all() for k, leg in enumerate(robot.legs.values())):
                 return False
         return True
 
@@ -224,7 +249,7 @@ def place(
     pose = body_pose(position, _within(roll, ROLL_RAD), _within(pitch, PITCH_RAD), yaw)
     level = body_pose(position * (1.0, 1.0, 0.0), 0.0, 0.0, yaw)
     columns = [reference.feet.index(label) for label in LEGS]
-    neutral = np.array([leg.neutral_m * (1.0, 1.0, 0.0) for leg in _legs(robot)])
+    neutral = np.array([leg.neutral_m * (1.0, 1.0, 0.0) for leg in robot.legs.values()])
     neutral[:, 1] += [spread_m * (label[1] == "H") * (1 if label[0] == "L" else -1) for label in LEGS]
     ways = scale * reference.feet_m[:, columns]
     room = np.maximum(CLEARANCE * robot.folding_m, TINY_M)
@@ -252,10 +277,10 @@ def _robot_motion(reference: Reference, robot: Quadruped, scale: float, spread_m
 def posed(robot: Quadruped, time_s: Array, pose: RigidTransform, feet_m: Array, standing: Bools) -> RobotMotion:
     """Of T_world_body (N), feet in the world (N, 4, 3) and which stand (N, 4); feet out of reach are drawn in."""
     targets = leg_targets(pose, np.zeros(3), feet_m)
-    solved = [drawn_in(leg, targets[:, k]) for k, leg in enumerate(_legs(robot))]
+    solved = [drawn_in(leg, targets[:, k]) for k, leg in enumerate(robot.legs.values())]
     angles = np.concatenate([angles for angles, _ in solved], axis=1)
     short = np.stack([short for _, short in solved], axis=1)
-    return RobotMotion(robot, 1.0, 1.0, time_s, angles, pose, feet_m, standing, short, None)
+    return RobotMotion(robot, 1.0, 1.0, time_s, angles, pose, feet_m, standing, short)
 
 
 def drawn_in(leg: RobotLeg, feet_m: Array) -> tuple[Array, Bools]:
@@ -278,20 +303,5 @@ def drawn_in(leg: RobotLeg, feet_m: Array) -> tuple[Array, Bools]:
     return angles, short
 
 
-def _slowed(motion: RobotMotion, slower: float) -> RobotMotion:
-    return replace(motion, slower=slower, time_s=slower * motion.time_s)
-
-
-def _between(pose: RigidTransform) -> Rotation:
-    """Rotations halfway between those that follow each other (N - 1)."""
-    R = pose.rotation
-    first = R[:-1]
-    return first * Rotation.from_rotvec((first.inv() * R[1:]).as_rotvec() / 2)
-
-
 def _within(values: Array, limit: float) -> Array:
     return limit * np.tanh(values / limit)
-
-
-def _legs(robot: Quadruped) -> list[RobotLeg]:
-    return [robot.legs[label] for label in LEGS]

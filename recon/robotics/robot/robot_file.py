@@ -1,52 +1,49 @@
-"""Robot files -> Quadruped: TOML with dimensions and limits (docs/robot.md), or URDF; Denavit-Hartenberg tables.
+"""Robot files -> Quadruped: TOML with dimensions and limits (docs/robot.md), URDF or MJCF; Denavit-Hartenberg tables.
 
 Built-in robots are the files of `recon/robotics/robot/robots`.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, StrictBool
+from pydantic import BaseModel, ConfigDict, Field
 
+from recon.base.arrays import Array
 from recon.base.documents import parse_toml, read_toml, validated
 from recon.base.errors import InputError, Problem
 from recon.base.package import builtin_file, builtin_names
 from recon.robotics.ik.chain import SerialChain
 from recon.robotics.robot.dh import Convention, DHRow, dh_chain
-from recon.robotics.robot.leg import LEG_ANGLES, FlapLeg, Leg, SwingLeg
-from recon.robotics.robot.quadruped import LEGS, ChainLeg, ClosedLeg, Quadruped, standing
-from recon.robotics.robot.urdf import MOVING, UrdfRobot, read_urdf, urdf_chain
+from recon.robotics.robot.leg import LEG_ANGLES, Leg, Length, Limits, PositiveLength
+from recon.robotics.robot.model_file import (
+    SUFFIXES,
+    body_names,
+    leaves_of,
+    model_chain,
+    moving,
+    read_model,
+    root_of,
+    way_to,
+)
+from recon.robotics.robot.quadruped import LEGS, Quadruped, RobotLeg, closed_leg, standing
 
 STAND = 0.7
+"""Height of the hips of a robot from a URDF or MJCF file, of the stretched leg's length."""
 SHORTEST_M = 1e-3
 """Below which a leg of a URDF is none."""
-"""Height of the hips of a robot from a URDF file, of the stretched leg's length."""
-
-
-FiniteFloat = Annotated[float, Field(gt=-1e6, lt=1e6, allow_inf_nan=False)]
-PositiveFloat = Annotated[float, Field(gt=1e-6, lt=1e6, allow_inf_nan=False)]
-"""More, or less, can only be damage."""
 
 
 class _Table(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-class _Leg(_Table):
-    first: Literal["swing", "flap"]
-    thigh_m: PositiveFloat
-    shin_m: PositiveFloat
-    knee_offset_m: FiniteFloat = 0.0
-    foot_offset_m: FiniteFloat = 0.0
-    lateral_m: FiniteFloat = 0.0
-
-
 class _Joint(_Table):
-    limits_rad: tuple[FiniteFloat, FiniteFloat]
-    max_rate_rad_s: PositiveFloat
+    limits_rad: Limits
+    max_rate_rad_s: PositiveLength
 
 
 class _Joints(_Table):
@@ -56,7 +53,7 @@ class _Joints(_Table):
 
 
 class _Placed(_Table):
-    hip_m: tuple[FiniteFloat, FiniteFloat, FiniteFloat]
+    hip_m: tuple[Length, Length, Length]
     knee_bends: Literal["backwards", "forwards"] = "backwards"
     swing: str
     flap: str
@@ -73,24 +70,15 @@ class _Legs(_Table):
 class _RobotFile(_Table):
     name: str
     title: str
-    stand_m: PositiveFloat
-    leg: _Leg
+    stand_m: PositiveLength
+    leg: Leg
     joints: _Joints
     legs: _Legs
 
 
-class _DHJoint(_Table):
-    a_m: FiniteFloat = 0.0
-    alpha_rad: FiniteFloat = 0.0
-    d_m: FiniteFloat = 0.0
-    theta_rad: FiniteFloat = 0.0
-    slides: StrictBool = False
-    limits: tuple[FiniteFloat, FiniteFloat] | None = None
-
-
 class _DHFile(_Table):
     convention: Convention
-    joints: Annotated[list[_DHJoint], Field(min_length=1)]
+    joints: Annotated[list[DHRow], Field(min_length=1)]
 
 
 def builtin_robots() -> tuple[str, ...]:
@@ -99,68 +87,49 @@ def builtin_robots() -> tuple[str, ...]:
 
 
 def load_robot(robot: str | Path) -> Quadruped:
-    """A built-in robot by name, or one of a file, .toml or .urdf. Raises InputError."""
-    text = str(robot)
+    """A built-in robot by name, or one of a file, .toml, .urdf or .xml (MJCF). Raises InputError."""
+    text, path = str(robot), Path(robot)
+    suffix = path.suffix.lower()
     if text in builtin_robots():
         content = builtin_file("robotics/robot/robots", f"{text}.toml").read_text(encoding="utf-8")
-        return _quadruped(text, parse_toml(content, text))
-    path = Path(robot)
-    if path.suffix.lower() == ".urdf":
-        return quadruped_from_urdf(read_urdf(path))
-    if path.suffix.lower() == ".toml" and path.is_file():
-        return _quadruped(text, read_toml(path))
-    found = "no such file" if path.suffix.lower() in (".toml", ".urdf") else "no such robot"
-    expected = f"{', '.join(builtin_robots())}, or a file .toml or .urdf"
+        return _checked_robot(_quadruped(text, parse_toml(content, text)))
+    if suffix in SUFFIXES:
+        return _checked_robot(_quadruped_of_model(path))
+    if suffix == ".toml" and path.is_file():
+        return _checked_robot(_quadruped(text, read_toml(path)))
+    found = "no such file" if suffix == ".toml" else "no such robot"
+    expected = f"{', '.join(builtin_robots())}, or a file .toml, .urdf or .xml"
     raise InputError(Problem(text, "robot", found, expected))
 
 
 def load_dh(path: Path) -> tuple[SerialChain, Convention, list[DHRow]]:
     """The chain of a table in TOML (docs/robot.md), and the table. Raises InputError."""
     file = validated(_DHFile, read_toml(path, "a table of Denavit-Hartenberg parameters (TOML)"), path)
-    limits = [joint.limits or (-np.inf, np.inf) for joint in file.joints]
-    problems = [
-        Problem(path, f"joints[{k}].limits", str(limit), "the lower one first")
-        for k, limit in enumerate(limits)
-        if limit[0] > limit[1]
-    ]
-    if problems:
-        raise InputError(problems)
-    rows = [DHRow(**joint.model_dump(exclude={"limits"})) for joint in file.joints]
-    lower, upper = np.transpose(limits)
-    return dh_chain(rows, file.convention, (lower, upper)), file.convention, rows
+    return dh_chain(file.joints, file.convention), file.convention, file.joints
 
 
 def _quadruped(source: str, table: dict[str, Any]) -> Quadruped:
     file = validated(_RobotFile, table, source)
-    lengths = file.leg.model_dump(exclude={"first"})
-    lateral = lengths.pop("lateral_m")
-    geometry = FlapLeg(**lengths, lateral_m=lateral) if file.leg.first == "flap" else SwingLeg(**lengths)
-    joints = {name: getattr(file.joints, name) for name in LEG_ANGLES}
-    problems = [
-        Problem(source, f"joints.{name}.limits_rad", str(joint.limits_rad), "the lower one first")
-        for name, joint in joints.items()
-        if joint.limits_rad[0] > joint.limits_rad[1]
-    ]
-    if lateral and file.leg.first == "swing":
-        problems.append(Problem(source, "leg.lateral_m", str(lateral), "0 for a leg whose swing joint comes first"))
-    if problems:
-        raise InputError(problems)
-    limits = np.array([joint.limits_rad for joint in joints.values()]).T
+    if file.leg.lateral_m and file.leg.first == "swing":
+        expected = "0 for a leg whose swing joint comes first"
+        raise InputError(Problem(source, "leg.lateral_m", str(file.leg.lateral_m), expected))
+    joints: list[_Joint] = [getattr(file.joints, name) for name in LEG_ANGLES]
+    limits = np.array([joint.limits_rad for joint in joints]).T
     legs = {}
     for label in LEGS:
         placed = getattr(file.legs, label)
         mirror = (1.0 if label[0] == "R" else -1.0, 1.0 if placed.knee_bends == "backwards" else -1.0, 1.0)
-        named = [LEG_ANGLES[k] for k in geometry.order]
-        names = [getattr(placed, name) for name in named]
-        legs[label] = ClosedLeg.of(
-            Leg(geometry, mirror, (limits[0], limits[1])),
+        names = [getattr(placed, LEG_ANGLES[k]) for k in file.leg.order]
+        legs[label] = closed_leg(
+            replace(file.leg, mirror=mirror),
             np.array(placed.hip_m),
             tuple(name.removeprefix("-") for name in names),
             np.array([-1.0 if name.startswith("-") else 1.0 for name in names]),
-            np.array([joints[name].max_rate_rad_s for name in named]),
+            (limits[0], limits[1]),
+            np.array([joints[k].max_rate_rad_s for k in file.leg.order]),
             file.stand_m,
         )
-    return _checked_robot(Quadruped(file.name, file.title, legs, file.stand_m, source))
+    return Quadruped(file.name, file.title, legs, file.stand_m, source)
 
 
 def _checked_robot(robot: Quadruped) -> Quadruped:
@@ -177,50 +146,51 @@ def _checked_robot(robot: Quadruped) -> Quadruped:
     return robot
 
 
-def quadruped_from_urdf(robot: UrdfRobot) -> Quadruped:
+def _quadruped_of_model(path: Path) -> Quadruped:
     """The four chains of at least three moving joints that end in a leaf, told apart by where their hips are.
 
     Of leaves on the same joints the farthest down is the foot. The hips stand at `STAND` of the stretched legs' length,
     each foot below the leg's second joint. Raises InputError.
     """
-    found = {}
-    for leaf in robot.leaves():
-        moving = tuple(joint.name for joint in robot.way(leaf, robot.base) if joint.type in MOVING)
-        if len(moving) >= 3:
-            chain = urdf_chain(robot, leaf)
+    model = read_model(path)
+    names, root, found = body_names(model), root_of(model), {}
+    for leaf in leaves_of(model):
+        joints = tuple(moving(model, way_to(model, leaf, root)))
+        if len(joints) >= 3:
+            chain = model_chain(model, path, names[leaf - 1])
             low = chain.end(_middle(chain.lower_rad, chain.upper_rad))[2]
-            if moving not in found or low < found[moving][0]:
-                found[moving] = (low, leaf, chain)
+            if joints not in found or low < found[joints][0]:
+                found[joints] = (low, names[leaf - 1], chain)
     if len(found) != 4:
         ends = ", ".join(leaf for _, leaf, _ in found.values()) or "none"
         expected = "four legs of three or more joints, and no arm"
-        raise InputError(Problem(robot.path, "legs", f"{len(found)} chains: {ends}", expected))
+        raise InputError(Problem(path, "legs", f"{len(found)} chains: {ends}", expected))
     chains = [chain for _, _, chain in found.values()]
     hips = np.array([chain.positions(np.zeros(chain.n))[1] for chain in chains])
-    middle = hips.mean(axis=0)
-    labels = [f"{'L' if y > 0 else 'R'}{'F' if x > 0 else 'H'}" for x, y, _ in hips - middle]
+    labels = [f"{'L' if y > 0 else 'R'}{'F' if x > 0 else 'H'}" for x, y, _ in hips - hips.mean(axis=0)]
     if sorted(labels) != sorted(LEGS):
         places = "; ".join(f"({x:.2f}, {y:.2f})" for x, y, _ in hips)
-        expected = "one at each corner, x forwards and y left"
-        raise InputError(Problem(robot.path, "hips", places, expected))
-    lengths = [float(chain.lengths_m[1:].sum()) for chain in chains]
-    stand = STAND * min(lengths)
+        raise InputError(Problem(path, "hips", places, "one at each corner, x forwards and y left"))
+    shortest = min(float(chain.lengths_m[1:].sum()) for chain in chains)
+    stand = STAND * shortest
     if not stand > SHORTEST_M:
-        raise InputError(Problem(robot.path, "legs", f"{min(lengths):g} m long", f"legs longer than {SHORTEST_M:g} m"))
-    legs, problems = {}, []
-    for label, hip, chain in zip(labels, hips, chains, strict=True):
-        neutral = hip - [0.0, 0.0, stand]
-        home = standing(chain, neutral)
-        if home is None:
-            problems.append(Problem(robot.path, f"leg {label}", f"no way to stand {stand:.3f} m high", "one"))
-        else:
-            legs[label] = ChainLeg(chain.names, chain, neutral, home)
+        raise InputError(Problem(path, "legs", f"{shortest:g} m long", f"legs longer than {SHORTEST_M:g} m"))
+    neutral = hips - [0.0, 0.0, stand]
+    homes = [standing(chain, foot) for chain, foot in zip(chains, neutral, strict=True)]
+    problems = [
+        Problem(path, f"leg {label}", f"no way to stand {stand:.3f} m high", "one")
+        for label, home in zip(labels, homes, strict=True)
+        if home is None
+    ]
     if problems:
         raise InputError(problems)
-    ordered = {label: legs[label] for label in LEGS}
-    return _checked_robot(Quadruped(robot.name, robot.name, ordered, stand, str(robot.path)))
+    every = zip(labels, chains, neutral, homes, strict=True)
+    legs = {label: RobotLeg(chain, foot, home) for label, chain, foot, home in every}
+    called = model.names.split(b"\0")[0].decode() or path.stem
+    return Quadruped(called, called, {label: legs[label] for label in LEGS}, stand, str(path))
 
 
-def _middle(lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+def _middle(lower: Array, upper: Array) -> Array:
+    """Of limits; 0 of a joint that has none."""
     bounded = np.isfinite(lower) & np.isfinite(upper)
     return np.where(bounded, np.where(bounded, lower, 0.0) + np.where(bounded, upper, 0.0), 0.0) / 2

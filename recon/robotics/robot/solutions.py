@@ -8,7 +8,6 @@ more: that there is no other solution is not proven.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -24,20 +23,12 @@ REACHED = 1e-7
 """Error of a solution, of the chain's length."""
 
 
-@dataclass(frozen=True, eq=False)
-class Solutions:
-    """All solutions of a chain's inverse kinematics, m configurations of n joints."""
-
-    q: Array
-    """(m, n): turning joints in [-pi, pi), whatever the limits."""
-    isolated: bool = True
-    """False where the joints can move on without moving the end effector: q is one of endlessly many then."""
-
-
 def all_solutions(
     chain: SerialChain, place_m: ArrayLike, rotation: ArrayLike | None = None, starts: int = STARTS
-) -> Solutions:
-    """Of an end effector at place_m (3,), turned by rotation (3, 3), None: turned anyhow."""
+) -> tuple[Array, bool]:
+    """Configurations (m, n) with the end effector at place_m (3,), turned by rotation (3, 3), None: turned anyhow;
+    turning joints in [-pi, pi), whatever the limits. And whether they are isolated: False where the joints can move on
+    without moving the end effector, and one of endlessly many is given."""
     target = np.asarray(place_m, float)
     size = max(float(chain.lengths_m.sum()), float(np.linalg.norm(target)), 1e-9)
     turns = ~np.asarray(chain.sliding, bool)
@@ -62,7 +53,7 @@ def all_solutions(
     ]
     isolated = all(np.linalg.matrix_rank(equations(q)[1], 1e-6) == chain.n for q in found)
     kept = distinct_angles(found if isolated else found[:1], turns)
-    return Solutions(kept[np.lexsort(kept.round(6).T[::-1])], isolated)
+    return kept[np.lexsort(kept.round(6).T[::-1])], isolated
 
 
 def distinct_angles(every: Iterable[Array], turns: Bools) -> Array:
