@@ -291,6 +291,6 @@ def write(data: Keypoints | Pose3D, path: Path) -> None:
     in_memory: dict[str, Any] = {"driver": "H5FD_CORE", "driver_core_backing_store": 0}
     with pd.HDFStore(str(path), mode="w", **in_memory) as store:
         store.put(KEY, table, format="table", index=False, track_times=False)
-        store.get_storer(KEY).attrs.pandas_version = ANY_PANDAS
+        cast(Any, store).get_storer(KEY).attrs.pandas_version = ANY_PANDAS
         content = cast(Any, store)._handle.get_file_image()
     write_bytes(path, content)
