@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import time
 from pathlib import Path
 
 import h5py
@@ -613,16 +612,13 @@ def test_h5_problems(tmp_path):
     assert problems(path) == [f"{path}: frame 1, column nose/x: found 'four', expected a number or an empty cell"]
 
 
-def test_reading_is_fast(tmp_path):
+def test_a_long_file_is_read_to_its_last_value(tmp_path):
     columns = [(f"p{i}", c) for i in range(25) for c in ("x", "y", "likelihood")]
     frame = pd.DataFrame(np.random.default_rng(0).random((10_000, 75)), columns=pd.MultiIndex.from_tuples(columns))
     frame.columns.names = ["bodyparts", "coords"]
     path = tmp_path / "clip.csv"
     frame.to_csv(path)
-    start = time.perf_counter()
     keypoints = read_keypoints(path)
-    # Generous, for slow machines: it takes a third of a second.
-    assert time.perf_counter() - start < 3
     np.testing.assert_array_equal(keypoints.xy_px[:, 24, 1], frame[("p24", "y")])
 
 
