@@ -326,7 +326,7 @@ def test_lean_holds_what_is_written_all_the_same(whole, whole_results, tables, t
 def test_quiet_prints_nothing_and_many_stances_are_not_listed(whole_results, tmp_path, monkeypatch):
     quiet = run("analyse", whole_results, "--out", tmp_path / "a", "--no-figures", "--quiet")
     assert (quiet.code, quiet.out, quiet.err) == (0, "", "")
-    monkeypatch.setattr(sys.modules["recon.workflows.cli.analyse"], "MOST_STANCES", 3)
+    monkeypatch.setattr(sys.modules["recon.workflows.analyse"], "MOST_STANCES", 3)
     many = run("analyse", whole_results, "--out", tmp_path / "b", "--no-figures")
     assert f"stances are in {tmp_path / 'b' / 'stances.csv'}." in many.out
     assert "LH l_back_paw" not in many.out

@@ -32,9 +32,8 @@ from recon.base.errors import InputError
 from recon.fit.motion import Motion
 from recon.io.pose3d import read_pose_segments
 from recon.workflows.cli import app
-from recon.workflows.cli.prior import _notes
 from recon.workflows.clip_results import write_clip
-from recon.workflows.prior import PriorFitSettings, _sound_states, run_prior_fit
+from recon.workflows.prior import PriorFitSettings, _notes, _sound_states, run_prior_fit
 from recon.workflows.settings import FitSettings
 
 OMEGA_RAD_S = 12.0

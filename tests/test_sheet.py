@@ -89,7 +89,7 @@ def test_video_that_is_too_short(folder, video, tmp_path):
         ((), "--out: file: found nothing, expected the new video, or --sheet with a picture"),
         (("--out", "a.mp4"), "--video: file: found nothing, expected the video that the keypoints came from"),
         (("--sheet", "a.jpg"), "--sheet: file: found 'a.jpg', expected a file name that ends in .png"),
-        (("--sheet", "a.png", "--count", "0"), "--count: number: found 0, expected 1 to 60 frames"),
+        (("--sheet", "a.png", "--count", "0"), "--count: found '0', expected a whole number from 1 to 60"),
     ],
 )
 def test_what_cannot_be_drawn(folder, arguments, said, tmp_path, monkeypatch):

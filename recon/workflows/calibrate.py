@@ -1,25 +1,28 @@
-"""A camera's calibration: pictures or a video of a board in, a camera file and a picture of the evidence out."""
+"""`recon calibrate`: pictures or a video of a board in, a camera file and a picture of the evidence out."""
 
 from __future__ import annotations
 
+import json
 import math
 from pathlib import Path
 from typing import Annotated, Any
 
-from recon.base.errors import InputError, Problem, all_of
+import typer
+from rich.console import Console
+from rich.text import Text
+
+from recon.base.errors import Problem, all_of, refuse
 from recon.base.files import require_free_file, staged_folder, write_bytes
 from recon.base.progress import Progress, silent
 from recon.base.settings import OneOrMore, Option, Settings
-from recon.calibrate.intrinsics import (
-    calibrate,
-    check,
-    collect,
-    draw,
-    find_views,
-    parse_board,
-)
+from recon.calibrate.intrinsics import calibrate as solved
+from recon.calibrate.intrinsics import check as checked
+from recon.calibrate.intrinsics import collect, draw, find_views, parse_board
 from recon.geometry.lens import LENS_MODELS
 from recon.io import write_camera
+from recon.workflows.cli.common import error_text, progress_bar, say, table_of, terminal
+
+EXIT_REFUSED = 1
 
 
 def _finite(value: Any) -> Any:
@@ -53,24 +56,83 @@ class CalibrationSettings(Settings):
     overwrite: Annotated[bool, Option("Replace the camera file.")] = False
 
 
+def calibrate(settings: CalibrationSettings, as_json: bool) -> None:
+    """Calibrate a camera: pictures or a video of a board in, a camera file and a picture of the coverage out.
+
+    Example: recon calibrate board/ --board chessboard:9x6:25mm --model radtan --out camera.toml
+
+    Exit code 0: written. 1: refused, because a check failed. 2: the input cannot be used.
+    """
+    errors = terminal(stderr=True, soft_wrap=True)
+    with progress_bar(errors) as progress:
+        report = run_calibration(settings, progress)
+    if as_json:
+        typer.echo(json.dumps(report, indent=1))
+    else:
+        _print(report, terminal())
+    if report["written"] is None:
+        for failed in report["checks"]:
+            if failed["verdict"] == "refused":
+                errors.print(error_text(f"refused: {failed['text']}"))
+        what = f"mend that, or say --force. What there is: {report['picture']}"
+        errors.print(Text(f"{settings.out} was not written: {what}"))
+        raise typer.Exit(EXIT_REFUSED)
+
+
+def _print(report: dict[str, Any], console: Console) -> None:
+    pictures, written = report["pictures"], report["written"]
+    table = table_of("picture", numbers=("corners", "error px", "worst px", "tilt", "distance m", ""))
+    for view in pictures:
+        table.add_row(
+            Text(view["name"]),
+            str(view["corners"]),
+            f"{view['rms_px']:.2f}",
+            f"{view['max_px']:.2f}",
+            f"{math.degrees(view['tilt_rad']):.0f}°",
+            f"{view['distance_m']:.2f}",
+            "" if view["used"] else Text("left out", style="red"),
+        )
+    console.print(table)
+    looked = f"{report['board']}: found in {report['found']} of {report['examined']} pictures"
+    if report["found"] > len(pictures):
+        looked += f", the {len(pictures)} sharpest and most different were taken"
+    say(console, looked)
+    if names := report["without_board"]:
+        more = f" and {len(names) - 10} more" if len(names) > 10 else ""
+        say(console, f"Not found in: {', '.join(names[:10])}{more}")
+    console.print()
+    for row in report["parameters"]:
+        digits = 1 if row["name"] in ("fx", "fy", "cx", "cy") else 4
+        sigma = math.inf if row["sigma"] is None else row["sigma"]
+        console.print(f"{row['name']}  {row['value']:.{digits}f} ± {sigma:.{digits}f}", highlight=False)
+    console.print(f"reprojection error {report['rms_px']:.3f} px (root mean square)", highlight=False)
+    for check in report["checks"]:
+        if check["verdict"] == "warning" or (check["verdict"] == "refused" and written is not None):
+            say(console, Text.assemble(("warning: ", "yellow"), check["text"]))
+    if written is not None:
+        say(console, f"Written: {written}, and what it rests on: {report['picture']}")
+
+
 def run_calibration(settings: CalibrationSettings, progress: Progress = silent) -> dict[str, Any]:
-    """`recon calibrate`: write `out` (`recon.io.write_camera`) and, beside it, `<stem>_coverage.png`;
+    """Write `out` (`recon.io.write_camera`) and, beside it, `<stem>_coverage.png`;
     what was found and checked, as plain types.
 
     A calibration that a check refuses is not written unless `force`; the picture is, since it shows what is missing.
     Raises InputError, with every problem, for inputs that cannot be used.
     """
     picture = settings.out.with_name(f"{settings.out.stem}_coverage.png")
-    files, the_board, lens, _ = all_of(
+    known = [name for name, lens in LENS_MODELS.items() if lens.opencv]
+    unknown = Problem("--model", "lens model", repr(settings.model), f"one of {', '.join(known)}")
+    files, board, *_ = all_of(
         lambda: collect(settings.inputs),
         lambda: parse_board(settings.board),
-        lambda: _model(settings.model),
+        lambda: refuse([unknown] if settings.model not in known else []),
         lambda: require_free_file(settings.out, settings.overwrite, suffixes=(".toml",)),
     )
-    views = find_views(files, the_board, progress)
+    views = find_views(files, board, progress)
     progress("solving", 1.0)
-    calibration = calibrate(views, lens, settings.out.stem)
-    checks = check(calibration)
+    calibration = solved(views, settings.model, settings.out.stem)
+    checks = checked(calibration)
     refused = any(c.verdict == "refused" for c in checks)
     with staged_folder(settings.out.absolute().parent) as folder:
         write_bytes(folder / picture.name, draw(calibration))
@@ -105,10 +167,3 @@ def run_calibration(settings: CalibrationSettings, progress: Progress = silent) 
         "picture": str(picture),
         "written": str(settings.out) if settings.force or not refused else None,
     }
-
-
-def _model(model: str) -> str:
-    known = [name for name, lens in LENS_MODELS.items() if lens.opencv]
-    if model in known:
-        return model
-    raise InputError(Problem("--model", "lens model", repr(model), "one of " + ", ".join(known)))

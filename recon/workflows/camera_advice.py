@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
+from pydantic import Field
 
-from recon.animal import Body, load_prior, load_skeleton
+from recon.animal import load_prior, load_skeleton
 from recon.base.errors import Problem, refuse
 from recon.base.files import require_free_folder, staged_folder
+from recon.base.progress import Progress, silent
 from recon.base.settings import Integer, Number, Option, Settings
 from recon.calibrate.camera_advice import PICTURE_PX, Advice, advise
 from recon.fit.motion import MEASURED_SHARE
@@ -18,6 +20,7 @@ from recon.io import write_rows
 from recon.show import plots
 from recon.show.plain import to_json
 from recon.show.plots.advice import in_words
+from recon.workflows.cli.common import progress_bar, say, terminal
 
 REPORT, TABLE, FIGURE = "camera_advice.json", "camera_advice.csv", "camera_advice"
 DIRECTIONS = (
@@ -64,71 +67,65 @@ class CameraAdviceSettings(Settings):
     ] = None
     angle: Annotated[str | None, Option("The angle to be seen, as in front_trunk_yaw.")] = None
     joint: Annotated[str | None, Option("The joint to be seen. (default: all)")] = None
-    cameras: Annotated[Integer, Option("1, or 2: the best second one beside the best first one.")] = 1
-    hfov_deg: Annotated[Number, Option("Horizontal field of view, degrees.", "degrees, as in 60")] = 60.0
+    cameras: Annotated[
+        Annotated[Integer, Field(ge=1, le=2)],
+        Option("1, or 2: the best second one beside the best first one.", "1 or 2"),
+    ] = 1
+    hfov_deg: Annotated[
+        Annotated[Number, Field(gt=0, lt=180)],
+        Option("Horizontal field of view, degrees.", "degrees between 0 and 180, as in 60"),
+    ] = 60.0
     distance_m: Annotated[
-        Number | None,
-        Option("From the animal's middle, metres. (default: 4 of its lengths)", "metres, as in 8"),
+        Annotated[Number, Field(gt=0, lt=1e4)] | None,
+        Option("From the animal's middle, metres. (default: 4 of its lengths)", "metres above 0, as in 8"),
     ] = None
     subject: Annotated[str | None, Option("A measured animal: built-in name or TOML file.")] = None
     overwrite: Annotated[bool, Option("Replace earlier advice.")] = False
 
+    def problems(self) -> Iterator[Problem]:
+        if self.angle is not None and self.joint is not None:
+            yield Problem("--angle", "value", "--joint as well", "one of the two, or neither for all joints")
 
-def run_camera_advice(
-    settings: CameraAdviceSettings, progress: Callable[[str, float], None] = lambda stage, share: None
-) -> dict[str, Any]:
-    """See `recon.calibrate.camera_advice.advise`; cameras: 1, or 2, of which the second is looked for beside the best
-    first one. Writes a report, which it gives, a table and a figure into `out`. Raises InputError."""
+
+def camera_advice(settings: CameraAdviceSettings, as_json: bool) -> Any:
+    """Where to put a camera, or two, so that an angle or a joint is seen and not guessed.
+
+    Example: recon camera-advice --skeleton cheetah-24 --angle front_trunk_yaw --out advice
+    """
+    with progress_bar(terminal(stderr=True)) as progress:
+        report = run_camera_advice(settings, progress)
+    if as_json:
+        return report
+    for line in report["words"]:
+        say(terminal(), line)
+    say(terminal(), f"The figure and the table are in {settings.out}.")
+
+
+def run_camera_advice(settings: CameraAdviceSettings, progress: Progress = silent) -> dict[str, Any]:
+    """See `recon.calibrate.camera_advice.advise`. Writes a report, which it gives, a table and a figure. Raises
+    InputError."""
     body = load_skeleton(settings.skeleton, settings.subject)
-    _require(body, settings.angle, settings.joint, settings.cameras, settings.hfov_deg, settings.distance_m)
+    given = {"angle": (settings.angle, body.state_names[4:]), "joint": (settings.joint, body.markers)}
+    refuse(
+        Problem(f"--{what}", "value", repr(name), f"one of {', '.join(names)}")
+        for what, (name, names) in given.items()
+        if name is not None and name not in names
+    )
     motions = load_prior(settings.prior, body)
     require_free_folder(settings.out, (REPORT, TABLE, f"{FIGURE}.png", f"{FIGURE}.svg"), settings.overwrite, "advice")
     found: list[Advice] = []
     for number in range(settings.cameras):
+        what = body, motions, settings.angle, settings.joint, settings.hfov_deg, settings.distance_m
         beside = found[0].place if found else None
         found.append(
-            advise(
-                body,
-                motions,
-                settings.angle,
-                settings.joint,
-                settings.hfov_deg,
-                settings.distance_m,
-                beside,
-                progress=lambda share, done=number: progress("cameras", (done + share) / settings.cameras),
-            )
+            advise(*what, beside, progress=lambda share, n=number: progress("cameras", (n + share) / settings.cameras))
         )
-    report = _report(found, body, motions.name, settings.hfov_deg) | {"words": [*in_sentences(found)]}
-    with staged_folder(settings.out) as staging:
-        (staging / REPORT).write_text(to_json(report), encoding="utf-8")
-        columns = "camera, azimuth_rad, elevation_rad, height_m, sigma_" + found[0].unit + ", data_share"
-        write_rows(staging / TABLE, [columns.split(", ")], _rows(found))
-        plots.save(plots.camera_advice(found), staging, FIGURE)
-    return report
-
-
-def _require(
-    body: Body, angle: str | None, joint: str | None, cameras: int, hfov_deg: float, distance_m: float | None
-) -> None:
-    angles = body.state_names[4:]
-    checks = [
-        (angle is None or joint is None, "--angle", "--joint as well", "one of the two, or neither for all joints"),
-        (angle is None or angle in angles, "--angle", repr(angle), f"one of {', '.join(angles)}"),
-        (joint is None or joint in body.markers, "--joint", repr(joint), f"one of {', '.join(body.markers)}"),
-        (cameras in (1, 2), "--cameras", str(cameras), "1 or 2"),
-        (0 < hfov_deg < 180, "--hfov-deg", f"{hfov_deg:g}", "degrees between 0 and 180"),
-        (distance_m is None or 0 < distance_m < 1e4, "--distance-m", f"{distance_m}", "metres above 0, up to 10,000"),
-    ]
-    refuse(Problem(option, "value", found, expected) for ok, option, found, expected in checks if not ok)
-
-
-def _report(found: Sequence[Advice], body: Body, prior: str, hfov_deg: float) -> dict[str, Any]:
-    return {
+    report = {
         "schema": {"name": "recon.camera_advice", "version": 1},
         "skeleton": body.name,
-        "prior": prior,
+        "prior": motions.name,
         "of": found[0].of,
-        "hfov_deg": hfov_deg,
+        "hfov_deg": settings.hfov_deg,
         "image_size_px": PICTURE_PX,
         "distance_m": found[0].distance_m,
         "cameras": [
@@ -141,7 +138,14 @@ def _report(found: Sequence[Advice], body: Body, prior: str, hfov_deg: float) ->
             }
             for advice in found
         ],
+        "words": [*in_sentences(found)],
     }
+    with staged_folder(settings.out) as staging:
+        (staging / REPORT).write_text(to_json(report), encoding="utf-8")
+        columns = "camera, azimuth_rad, elevation_rad, height_m, sigma_" + found[0].unit + ", data_share"
+        write_rows(staging / TABLE, [columns.split(", ")], _rows(found))
+        plots.save(plots.camera_advice(found), staging, FIGURE)
+    return report
 
 
 def _rows(found: Sequence[Advice]) -> Iterator[Sequence[Any]]:

@@ -1,4 +1,4 @@
-"""How a camera turned while it filmed: a video in, a camera track, a report and a panorama out."""
+"""`recon camera-motion`: the video of a camera that turns in, a camera track, a report and a panorama out."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Annotated, Any
 
 import cv2
 import numpy as np
+from pydantic import Field
 
 from recon.base.arrays import Array, Integers
 from recon.base.errors import InputError, Problem, all_of
@@ -35,6 +36,7 @@ from recon.io import read_camera, read_keypoints, write_table
 from recon.io.camera_track import INTRINSICS, POSE, SIGMA
 from recon.io.video import Image, missing_note, probe, read_frames, require_codec, video_writer
 from recon.show.plain import to_json
+from recon.workflows.cli.common import counted, progress_bar, say, terminal
 from recon.workflows.settings import FIRST_FRAME, FitSettings
 
 MIN_LIKELIHOOD = 0.3
@@ -62,7 +64,7 @@ class CameraMotionSettings(Settings):
     individual: Annotated[str | None, Option("Which animal of a keypoint file with several.")] = None
     first_frame: Annotated[Integer, FIRST_FRAME] = 0
     tilt_deg: Annotated[
-        Number | None,
+        Annotated[Number, Field(gt=-90, lt=90)] | None,
         Option(
             "How far the camera looks down in the first frame. (default: level in the mean of all frames)",
             "degrees between -90 and 90",
@@ -77,6 +79,10 @@ class CameraMotionSettings(Settings):
         Path | None, Option("A video with the background at rest, .mp4 or .avi, as in still.mp4.")
     ] = None
     overwrite: Annotated[bool, Option("Replace the track and the video.")] = False
+
+    def problems(self) -> Iterator[Problem]:
+        if self.tilt_deg is not None and self.level_marks is not None:
+            yield Problem("--tilt-deg", "level", f"{self.tilt_deg:g} beside {self.level_marks}", "one of the two")
 
 
 def of_clip(settings: FitSettings, video: Path, out: Path, **more: Any) -> CameraMotionSettings:
@@ -94,18 +100,34 @@ def of_clip(settings: FitSettings, video: Path, out: Path, **more: Any) -> Camer
     )
 
 
+def camera_motion(settings: CameraMotionSettings, as_json: bool) -> Any:
+    """Find how a camera turned (and zoomed) from the background of its video: a camera track.
+
+    Example: recon camera-motion clip.mp4 --camera camera.toml --keypoints clip.csv --out track.csv
+    """
+    with progress_bar(terminal(stderr=True)) as progress:
+        report, files = run_camera_motion(settings, progress)
+    if as_json:
+        return report
+    console = terminal()
+    lost = len(report["frames_without_background"])
+    keyframes = counted(len(report["keyframes"]), "keyframe")
+    say(console, f"{report['frames'] - lost} of {report['frames']} frames placed, {keyframes}.")
+    if lost:
+        say(console, f"{lost} frames have too little background: no pose there.")
+    say(console, f"Off by {report['residual_px']:.2f} px, turned to {report['sigma_deg']:.3f} degrees.")
+    for note in report["notes"][len(NOTES) :]:
+        say(console, f"Note: {note}.")
+    say(console, f"Level: {report['level']}. A rolling shutter is not modelled.")
+    say(console, "Written: " + ", ".join(map(str, files)))
+
+
 def run_camera_motion(
     settings: CameraMotionSettings, progress: Progress = silent
 ) -> tuple[dict[str, Any], tuple[Path, ...]]:
-    """`recon camera-motion`: the report and the files.
-
-    Writes `out` (`recon.io.camera_track`), and beside it <stem>_report.json and <stem>_panorama.png;
-    `stabilised` is the video laid over the panorama.
-
-    first_frame: the number that the video's first frame has in the keypoint file and the track. tilt_deg: how far the
-    camera looks down in the first frame, level to the sides; level_marks: a table of horizons and verticals in its
-    pictures; neither: it is level in the mean of all frames. Raises InputError, with every problem, for inputs that
-    cannot be used, and for a camera that did more than turn.
+    """The report and the files: the track (`recon.io.camera_track`), beside it <stem>_report.json and
+    <stem>_panorama.png, and the stabilised video. Raises InputError, with every problem, for inputs that cannot be
+    used, and for a camera that did more than turn.
     """
     info, lens, animal, marks, *_ = all_of(
         lambda: probe(settings.video),
@@ -113,7 +135,6 @@ def run_camera_motion(
         lambda: None if settings.keypoints is None else read_keypoints(settings.keypoints, settings.individual),
         lambda: () if settings.level_marks is None else read_marks(settings.level_marks),
         lambda: _require_out(settings),
-        lambda: _require_tilt(settings.tilt_deg, settings.level_marks),
     )
     if info.size_px != lens.image_size_px:
         found, wanted = ("{}x{} px".format(*size) for size in (info.size_px, lens.image_size_px))
@@ -160,13 +181,6 @@ def _require_out(s: CameraMotionSettings) -> None:
     if s.stabilised is not None:
         require_codec(s.stabilised)
         require_free_file(s.stabilised, s.overwrite, "--stabilised", source=s.video)
-
-
-def _require_tilt(tilt_deg: float | None, level_marks: Path | None) -> None:
-    if tilt_deg is not None and level_marks is not None:
-        raise InputError(Problem("--tilt-deg", "level", f"{tilt_deg:g} beside {level_marks}", "one of the two"))
-    if tilt_deg is not None and not abs(tilt_deg) < 90:
-        raise InputError(Problem("--tilt-deg", "angle", f"{tilt_deg:g}", "between -90 and 90 degrees, down positive"))
 
 
 def _focal_note(motion: TurningMotion, lens: Camera) -> str | None:

@@ -1,4 +1,4 @@
-"""Strides and speeds of several clips beside each other, by group, with the uncertainty of each.
+"""`recon compare`: strides and speeds of several clips beside each other, by group, with the uncertainty of each.
 
 A clip's mean has a standard deviation s of its own: of its strides' scatter, and of what the fit does not know. Clips
 of a group differ by more than that, by tau. The group's mean weighs each clip by 1 / (s^2 + tau^2), with tau by the
@@ -9,23 +9,23 @@ is that of all clips and adds to the mean of lengths and speeds, however many cl
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Annotated, NamedTuple
+from typing import Annotated
 
 import numpy as np
 import pandas as pd
+import typer
 
 from recon.base.arrays import Array
 from recon.base.errors import InputError, Problem, all_of, refuse
-from recon.base.files import staged_folder
-from recon.base.progress import Progress, silent
+from recon.base.files import require_free_folder, staged_folder
 from recon.base.settings import OneOrMore, Option, Settings
 from recon.check import usable
 from recon.fit import TrajectorySolution
 from recon.fit.motion import MOTION, Motion
 from recon.gait.clip import PLACE_LASTS_S, ClipAnalysis, analyse
+from recon.workflows.cli.common import counted, progress_bar, say, table_of, terminal
 from recon.workflows.settings import ANYWAY
 
 STRIDES, CLIPS, GROUPS, FIGURE = "strides.csv", "clips.csv", "groups.csv", "comparison.png"
@@ -35,7 +35,7 @@ ALL = "all"
 """The group, where there is no column to go by."""
 
 
-class CompareSettings(Settings):
+class _CompareSettings(Settings):
     """What `recon compare` is told."""
 
     folders: Annotated[
@@ -55,48 +55,51 @@ class CompareSettings(Settings):
             yield Problem("--by", "table", "one of --table and --by", "both: a table, and its column")
 
 
-@dataclass(frozen=True, eq=False)
-class Comparison:
-    """strides: a row for each, or one for a clip without; clips: means and standard deviations; groups: the same of
-    groups, `_spread` between clips."""
+def compare(settings: _CompareSettings, as_json: bool, quiet: bool) -> None:
+    """Strides and speeds of several clips, by group: each with its uncertainty, and the groups' means and spreads.
 
-    strides: pd.DataFrame
-    clips: pd.DataFrame
-    groups: pd.DataFrame
-    out: Path
-
-
-def run_compare(settings: CompareSettings, progress: Progress = silent) -> Comparison:
-    """`recon compare`. Raises InputError with every folder that cannot be used."""
+    Example: recon compare results/a results/b results/c --table animals.csv --by sex --out comparison
+    """
+    console, out = terminal(quiet=quiet, stderr=as_json), settings.out
     folders = [folder for given in settings.folders for folder in _results_in(given)]
     names = [folder.absolute().name for folder in folders]
     refuse(Problem(n, "clip", f"{names.count(n)} folders of that name", "one") for n in {*names} if names.count(n) > 1)
-    groups = _groups(settings.table, settings.by, names)
-    if not settings.overwrite and (settings.out / GROUPS).exists():
-        raise InputError(Problem(settings.out, "folder", "a comparison", "another folder, or --overwrite"))
+    of_clip = _groups(settings.table, settings.by, names)
+    require_free_folder(out, [GROUPS], settings.overwrite, "a comparison")
     motions = all_of(
         *(lambda folder=folder: usable(Motion.load(folder), folder, settings.anyway) for folder in folders)
     )
-    strides, clips = [], []
-    for i, (name, motion) in enumerate(zip(names, motions, strict=True)):
-        progress("analysis", i / len(names))
-        found = analyse(motion, lean=True)
-        head = {"group": groups[name], "clip": name, "verdict": motion.verdict.level if motion.verdict else ""}
-        own = [head | row for row in _stride_rows(found)]
-        strides += own
-        clips.append(head | _clip_row(found, own))
-    by_clip = pd.DataFrame(clips)
-    made = Comparison(pd.DataFrame(strides), by_clip, _group_rows(by_clip), settings.out)
-    progress("tables", 0.95)
-    with staged_folder(settings.out) as staging:
-        for name, table in ((STRIDES, made.strides), (CLIPS, made.clips), (GROUPS, made.groups)):
-            table.to_csv(staging / name, index=False)
-            if find_spec("pyarrow") is not None:  # of the extra [formats]
-                table.to_parquet(staging / Path(name).with_suffix(".parquet"), index=False)
-        from recon.show.plots.comparison import comparison  # matplotlib is slow to import
+    rows, clip_rows = [], []
+    with progress_bar(console) as progress:
+        for i, (name, motion) in enumerate(zip(names, motions, strict=True)):
+            progress("analysis", i / len(names))
+            found = analyse(motion, lean=True)
+            head = {"group": of_clip[name], "clip": name, "verdict": motion.verdict.level if motion.verdict else ""}
+            own = [head | row for row in _stride_rows(found)]
+            rows += own
+            clip_rows.append(head | _clip_row(found, own))
+        clips = pd.DataFrame(clip_rows)
+        groups = _group_rows(clips)
+        progress("tables", 0.95)
+        with staged_folder(out) as staging:
+            for name, table in ((STRIDES, pd.DataFrame(rows)), (CLIPS, clips), (GROUPS, groups)):
+                table.to_csv(staging / name, index=False)
+                if find_spec("pyarrow") is not None:  # of the extra [formats]
+                    table.to_parquet(staging / Path(name).with_suffix(".parquet"), index=False)
+            from recon.show.plots.comparison import comparison  # matplotlib is slow to import
 
-        comparison(made.clips, made.groups, list(QUANTITIES)).savefig(staging / FIGURE)
-    return made
+            comparison(clips, groups, list(QUANTITIES)).savefig(staging / FIGURE)
+    if as_json:
+        typer.echo(groups.to_json(orient="records", indent=1))
+        return
+    levels = clips["verdict"].value_counts()
+    say(console, f"{counted(len(clips), 'clip')}: " + ", ".join(f"{n} {level}" for level, n in levels.items()))
+    table = table_of("group", numbers=("clips", "strides", *QUANTITIES), title="mean ± its sigma (spread of clips)")
+    for row in groups.to_dict("records"):
+        cells = [f"{row[q]:.3g} ± {row[f'{q}_sigma']:.2g} ({row[f'{q}_spread']:.2g})" for q in QUANTITIES]
+        table.add_row(str(row["group"]), str(row["clips"]), str(row["strides"]), *cells)
+    console.print(table)
+    say(console, f"Rows by stride, clip and group, and {FIGURE}, are in {out}.")
 
 
 def _results_in(folder: Path) -> list[Path]:
@@ -172,20 +175,13 @@ def _clip_row(found: ClipAnalysis, strides: Sequence[dict]) -> dict:
     return row
 
 
-class _Mean(NamedTuple):
-    mean: float
-    sigma: float
-    spread: float
-    """Between clips, one standard deviation."""
-    clips: int
-
-
-def _mean_of(values: Array, sigmas: Array, shared: float) -> _Mean:
-    """shared: relative standard deviation of what all clips have in common."""
+def _mean_of(values: Array, sigmas: Array, shared: float) -> tuple[float, float, float]:
+    """Mean, its standard deviation, and the spread between clips (one standard deviation). shared: relative standard
+    deviation of what all clips have in common."""
     known = np.isfinite(values) & np.isfinite(sigmas)
     x, variance = values[known], np.maximum(sigmas[known], 1e-12) ** 2
     if not len(x):
-        return _Mean(np.nan, np.nan, np.nan, 0)
+        return np.nan, np.nan, np.nan
     w = 1 / variance
     fixed = np.average(x, weights=w)
     freedom = len(x) - 1
@@ -193,7 +189,7 @@ def _mean_of(values: Array, sigmas: Array, shared: float) -> _Mean:
     between = max(0.0, (float(w @ (x - fixed) ** 2) - freedom) / scale) if freedom else 0.0
     w = 1 / (variance + between)
     mean = float(np.average(x, weights=w))
-    return _Mean(mean, float(np.hypot(w.sum() ** -0.5, shared * mean)), between**0.5, len(x))
+    return mean, float(np.hypot(w.sum() ** -0.5, shared * mean)), between**0.5
 
 
 def _group_rows(clips: pd.DataFrame) -> pd.DataFrame:
@@ -205,6 +201,6 @@ def _group_rows(clips: pd.DataFrame) -> pd.DataFrame:
         for name, with_size in QUANTITIES.items():
             shared = common if with_size else 0.0
             found = _mean_of(of[name].to_numpy(float), of[f"{name}_sigma"].to_numpy(float), shared)
-            row |= {name: found.mean, f"{name}_sigma": found.sigma, f"{name}_spread": found.spread}
+            row |= zip((name, f"{name}_sigma", f"{name}_spread"), found, strict=True)
         rows.append(row)
     return pd.DataFrame(rows)

@@ -1,4 +1,4 @@
-"""From one file format to another: 2D keypoints among themselves, 3D positions among themselves, results to bones."""
+"""`recon convert`: 2D keypoints, 3D positions, or the bones of results, in another file format."""
 
 from __future__ import annotations
 
@@ -7,6 +7,9 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
+import typer
+from rich.text import Text
+
 from recon.animal.naming import load_names, renamed
 from recon.base.errors import InputError, Problem, all_of
 from recon.base.files import require_free_file, staged_file
@@ -14,9 +17,10 @@ from recon.base.settings import Option, Positive, Settings
 from recon.check import usable, verdict_lines
 from recon.clip.keypoints import Keypoints, mark_missing
 from recon.fit.motion import Motion
-from recon.io import Format, Pose3D, as_keypoints, choose_format, in_metres, read_points
+from recon.io import CONVERTED, Format, Pose3D, as_keypoints, choose_format, in_metres, read_points
 from recon.io.columns import parse_map
 from recon.show.export.rig import rig_of
+from recon.workflows.cli.common import table_of, terminal
 from recon.workflows.settings import ANYWAY, RENAME
 
 
@@ -48,9 +52,6 @@ class ConvertSettings(Settings):
         None
     )
     rename: Annotated[str | None, RENAME] = None
-    body_mass_kg: Annotated[
-        Positive, Option("Mass of the animal in an OpenSim model; 1: forces per kilogram.", "kilograms above 0")
-    ] = 1.0
     anyway: Annotated[bool, ANYWAY] = False
     overwrite: Annotated[bool, Option("Replace the file.")] = False
     show_list: Annotated[bool, Option("Print the formats.", name="--list")] = False
@@ -60,12 +61,34 @@ Conversion = tuple[Keypoints | Pose3D, Format, tuple[str, ...]]
 """What was read, the format that it was written in, and notes."""
 
 
-def convert(settings: ConvertSettings) -> Conversion:
-    """Read a file, or a folder of results (its 3D positions), and write it as `out`, whole or not at all.
+def convert_command(settings: ConvertSettings, as_json: bool) -> Any:
+    """Convert 2D keypoints, 3D positions or results from one file format to another, by the extension of OUT.
 
-    to: the name of a format where the extension of `out` leaves a choice. A missing point is written as the format has
-    it, whichever way the source had it. Raises InputError for what cannot be read or written.
+    Example: recon convert results/clip model.osim
+
+    3D positions are metres, z up, in all formats but those that have another custom; see recon convert --list.
     """
+    if not settings.show_list:
+        data, written, notes = convert(settings)
+        what = f"{len(data.names)} keypoints, 2D" if isinstance(data, Keypoints) else f"{len(data.names)} joints, 3D"
+        frames = f"frames {data.frames[0]} to {data.frames[-1]} ({len(data.frames)})"
+        fps = "frame rate not known" if data.fps is None else f"{data.fps:g} frames per second"
+        typer.echo("\n".join([*notes, f"{settings.out}: {written.title}, {what}, {frames}, {fps}"]))
+        return None
+    rows = [(f.name, " ".join(f.suffixes), ", ".join(f.writes), f.fps, f.frames, f.axes) for f in CONVERTED]
+    names = ("--to", "extension", "holds", "frame rate", "frame numbers", "3D axes")
+    if as_json:
+        return [dict(zip(names, row, strict=True)) for row in rows]
+    table = table_of(*names)
+    for row in rows:
+        table.add_row(*map(Text, row))
+    terminal().print(table)
+    typer.echo("Where an extension has several formats, the first is meant unless --to names another.")
+
+
+def convert(settings: ConvertSettings) -> Conversion:
+    """Read a file, or a folder of results (its 3D positions), and write it as `out`, whole or not at all. A missing
+    point is written as the format has it, whichever way the source had it. Raises InputError."""
     source, out = settings.source, settings.out
     if source is None or out is None:
         found = "nothing" if source is None else "one file"
@@ -75,46 +98,32 @@ def convert(settings: ConvertSettings) -> Conversion:
         lambda: choose_format(out, settings.to),
         lambda: require_free_file(out, settings.overwrite, "OUT"),
     )
-    notes = data.notes
+    notes, content, wanted = data.notes, "2D keypoints" if isinstance(data, Keypoints) else "3D positions", ""
+    written: Any = data
     if "bones" in target.writes:
-        return _as_bones(settings, source, data, target, out)
-    if isinstance(data, Keypoints):
+        if source.is_dir():
+            beside = [out.with_suffix(extension) for extension in target.beside]
+            all_of(*(partial(require_free_file, path, settings.overwrite, "OUT") for path in beside))
+            written = rig_of(Motion.load(source), data.fps, settings.body_mass_kg)
+            data, notes = written.pose, notes + written.notes
+            notes += (f"Beside it: {', '.join(map(str, beside))}.",) if beside else ()
+        else:
+            wanted = f"a folder of results of recon fit: {target.title} has bones, which turn"
+    elif isinstance(data, Keypoints):
         if "2D" not in target.writes:
-            expected = f"3D positions for {target.title}: fit the clip first (recon fit)"
-            raise InputError(Problem(source, "content", "2D keypoints", expected))
+            wanted = f"3D positions for {target.title}: fit the clip first (recon fit)"
         data, missing = mark_missing(data)
-        if zeros := missing["missing_zero_zero"].sum():
-            notes += (f"{zeros} points that were stored as (0, 0) are missing ones.",)
-        if constants := missing["missing_constant"].sum():
-            notes += (f"{constants} points that were stored as one constant are missing ones.",)
+        written = data
+        for name, stored in (("missing_zero_zero", "(0, 0)"), ("missing_constant", "one constant")):
+            if count := missing[name].sum():
+                notes += (f"{count} points that were stored as {stored} are missing ones.",)
     elif "3D" not in target.writes:
-        raise InputError(Problem(source, "content", "3D positions", f"2D keypoints for {target.title}"))
-    _write(target, data, out)
-    return data, target, notes
-
-
-def _as_bones(
-    settings: ConvertSettings, source: Path, data: Keypoints | Pose3D, target: Format, out: Path
-) -> Conversion:
-    """data: what was read of the source."""
-    if not source.is_dir():
-        found = "2D keypoints" if isinstance(data, Keypoints) else "3D positions"
-        expected = f"a folder of results of recon fit: {target.title} has bones, which turn"
-        raise InputError(Problem(source, "content", found, expected))
-    beside = [out.with_suffix(extension) for extension in target.beside]
-    all_of(*(partial(require_free_file, path, settings.overwrite, "OUT") for path in beside))
-    rig = rig_of(Motion.load(source), data.fps, settings.body_mass_kg)
-    _write(target, rig, out)
-    notes = data.notes + rig.notes
-    if beside:
-        notes += (f"Beside it: {', '.join(map(str, beside))}.",)
-    return rig.pose, target, notes
-
-
-def _write(target: Format, data: Any, out: Path) -> None:
-    assert target.write is not None
+        wanted = f"2D keypoints for {target.title}"
+    if wanted or target.write is None:
+        raise InputError(Problem(source, "content", content, wanted))
     with staged_file(out) as staged:
-        target.write(data, staged)
+        target.write(written, staged)
+    return data, target, notes
 
 
 def read_any(source: Path, settings: ConvertSettings) -> Keypoints | Pose3D:

@@ -1,15 +1,16 @@
-"""The bundled sample, reconstructed and compared with its truth."""
+"""`recon demo`: the bundled sample, reconstructed and compared with its truth."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Annotated
 
 from recon.base.errors import InputError, Problem
-from recon.base.progress import Progress
+from recon.base.settings import Option, Settings
 from recon.fit.motion import Motion
-from recon.gait.evaluation import Evaluation, evaluate_files
+from recon.gait.evaluation import evaluate_files
 from recon.show.page.clip import in_sentences
+from recon.workflows.cli.common import finish, progress_bar, say, terminal
 from recon.workflows.clip_results import run_clip
 from recon.workflows.page import PageSettings, run_page
 from recon.workflows.settings import FitSettings
@@ -24,13 +25,28 @@ def samples_folder() -> Path:
     raise InputError(Problem("recon", "samples", "no samples beside the package", "a complete installation"))
 
 
-def run_demo(out: Path, overwrite: bool, progress: Progress) -> tuple[dict[str, Any], Evaluation, list[str], Path]:
-    """Fit the whole animal of the samples into the folder `out`: the report, its errors against the truth, what was
-    found in sentences, and the page."""
-    samples = samples_folder()
-    camera = samples / "camera.toml"
-    settings = FitSettings(keypoints=(samples / "whole.csv",), camera=(camera,), fps=60)
-    report = run_clip(settings, out, overwrite, progress)
-    found = in_sentences(Motion.load(out))
-    page = run_page(PageSettings(folder=out), progress)
-    return report, evaluate_files(out / "pose3d.csv", samples / "whole_truth.csv"), found, page
+class _DemoSettings(Settings):
+    """What `recon demo` is told."""
+
+    out: Annotated[Path, Option("Folder for the results.")] = Path("demo-output")
+    overwrite: Annotated[bool, Option("Replace results in the folder.")] = False
+
+
+def demo(settings: _DemoSettings, as_json: bool, quiet: bool) -> None:
+    """Reconstruct the bundled sample, a noisy synthetic gallop, and compare it with its truth.
+
+    Example: recon demo --out demo-output
+    """
+    samples, out = samples_folder(), settings.out
+    console = terminal(quiet=quiet, stderr=as_json)
+    of_sample = FitSettings(keypoints=(samples / "whole.csv",), camera=(samples / "camera.toml",), fps=60)
+    with progress_bar(console, "fitting: ") as progress:
+        report = run_clip(of_sample, out, settings.overwrite, progress)
+        page = run_page(PageSettings(folder=out), progress)
+        mpjpe_mm = 1000 * evaluate_files(out / "pose3d.csv", samples / "whole_truth.csv").mpjpe_m.mean
+    finish(console, report, out, as_json, mpjpe_mm=mpjpe_mm)
+    if not as_json:
+        console.print(f"Error against the sample's truth: {mpjpe_mm:.0f} mm (MPJPE)\n")
+        for sentence in in_sentences(Motion.load(out)):
+            say(console, sentence)
+        say(console, f"Open {page} in a browser.")

@@ -1,4 +1,4 @@
-"""Where cameras stand, from clips of the animal alone: lenses and keypoints in, a file of all cameras out."""
+"""`recon calibrate extrinsics`: lenses and clips of the animal in, where the cameras stand out."""
 
 from __future__ import annotations
 
@@ -6,14 +6,16 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from pydantic import Field
 
 from recon.base.arrays import Array
 from recon.base.errors import InputError, Problem, all_of, refuse
 from recon.base.files import require_free_file
 from recon.base.progress import Progress, silent
+from recon.base.settings import Number, OneOrMore, Option, Settings
 from recon.base.words import length_text
 from recon.clip import Source, View, camera_poses, together
 from recon.fit.clip_problem import ClipProblem
@@ -23,6 +25,8 @@ from recon.geometry.frames import level_from_camera, rigid
 from recon.io import write_cameras
 from recon.workflows.batch.groups import AUTO
 from recon.workflows.batch.inputs import find_clips
+from recon.workflows.cli.command import OptionsOf
+from recon.workflows.cli.common import progress_bar, say, terminal
 from recon.workflows.clip import Prepared, prepare
 from recon.workflows.settings import FitSettings, read_settings
 
@@ -33,7 +37,7 @@ LEAST_MOVED = 0.5
 
 
 @dataclass(frozen=True, eq=False)
-class ExtrinsicsRun:
+class _ExtrinsicsRun:
     """cameras: with poses in a world with z up, the ground at z = 0, or that of the camera file if those are refined.
     sigma (V, 6): of each one's place beside the first (`Camera.corrected`)."""
 
@@ -92,6 +96,64 @@ class ExtrinsicsRun:
             yield "The search had not settled when it was ended: more clips, of other ways through the view, tell more."
 
 
+_SETTINGS = (
+    *("camera", "camera_name", "camera_unit", "image_size_px", "tilt_deg", "refine_cameras", "offset_s"),
+    *("find_offsets", "fps"),
+    *("skeleton", "subject", "detector", "prior", "individual", "rename", "frames", "likelihood_min", "sigma_px"),
+    "keypoint_sigma_m",
+)
+"""Those of a fit that are read."""
+
+
+class _ExtrinsicsSettings(Settings):
+    """What `recon calibrate extrinsics` is told besides the settings of the clips."""
+
+    inputs: Annotated[
+        OneOrMore[str],
+        Option(
+            "Keypoint files, quoted patterns, folders, or manifests, as for recon batch. Files whose names are the "
+            "same but for the camera's are one clip.",
+            argument="INPUT",
+        ),
+    ]
+    out: Annotated[Path, Option("The file of all cameras, as in cameras.toml.")]
+    cameras_by: Annotated[str, Option("Which files are one clip, as for recon batch.", metavar="auto|PATTERN")] = "auto"
+    level_deg: Annotated[
+        Annotated[Number, Field(ge=0.01, le=90)] | None,
+        Option(
+            "How far each camera is from level, or from its tilt, about each axis; 1 with a bubble. (default: 5)",
+            "degrees from 0.01 to 90",
+        ),
+    ] = None
+    overwrite: Annotated[bool, Option("Replace the file.")] = False
+
+
+def extrinsics(
+    settings: _ExtrinsicsSettings, given: Annotated[dict[str, Any], OptionsOf(FitSettings, _SETTINGS)], as_json: bool
+) -> Any:
+    """Find where cameras stand, from their lenses and clips of the animal: one tells it roughly, several well.
+
+    With --set refine-cameras=true, the poses in the camera file are taken for as good as 2 degrees and 5 cm, and are
+    refined.
+
+    Example: recon calibrate extrinsics run*_cam*.csv --camera lenses.toml --fps 90 --out cameras.toml
+
+    Exit code 0: written. 2: the input cannot be used.
+    """
+    clips, notes = clips_of(settings.inputs, given, settings.cameras_by)
+    for note in notes:
+        say(terminal(stderr=True), note, "yellow")
+    with progress_bar(terminal(stderr=True), "solving: ") as progress:
+        level_rad = None if settings.level_deg is None else math.radians(settings.level_deg)
+        run = run_extrinsics(clips, settings.out, settings.overwrite, level_rad, progress)
+    if as_json:
+        return run.to_dict()
+    console = terminal()
+    for line in run.lines():
+        say(console, line)
+    say(console, f"Written: {settings.out}. Fit clips with: recon fit ... --camera {settings.out}")
+
+
 def clips_of(
     inputs: Sequence[str | Path], given: Mapping[str, Any], cameras_by: str = AUTO
 ) -> tuple[list[FitSettings], list[str]]:
@@ -109,7 +171,7 @@ def run_extrinsics(
     overwrite: bool = False,
     level_rad: float | None = None,
     progress: Progress = silent,
-) -> ExtrinsicsRun:
+) -> _ExtrinsicsRun:
     """`recon calibrate extrinsics`: write `out`, which `recon.io.calibration.read_cameras` reads.
 
     level_rad: how far cameras are from level, or from the tilt that is said, by default `LEVEL_RAD`. Poses in the
@@ -154,7 +216,7 @@ def run_extrinsics(
         began_s = np.array([source.offset_s + late_s[source.camera.name] for source in sources])
         offsets_s.append(tuple((began_s - began_s[0]).tolist()))
     high_sigma = np.full(len(found), np.nan) if posed else rig.height_sigma_m
-    return ExtrinsicsRun(
+    return _ExtrinsicsRun(
         found, rig.sigma, high_sigma, rig.converged, tuple(clips), rig.disagreement, tuple(offsets_s), out
     )
 
@@ -255,18 +317,14 @@ def _all_cameras(given: Sequence[Sequence[Prepared]]) -> list[Camera]:
 
 def _tilt_rad(clips: Sequence[FitSettings], level_rad: float | None, posed: bool) -> float | None:
     """Of all cameras in all clips, where it is said."""
-    tilts = sorted({clip.tilt_deg for clip in clips if clip.tilt_deg is not None})
-    levels = [] if level_rad is None else [math.degrees(level_rad)]
-    problems = []
-    for name, values in (("tilt_deg", tilts), ("level_deg", levels)):
-        option, found = "--" + name.replace("_", "-"), ", ".join(f"{value:g}" for value in values)
-        if posed and values:
-            found += " beside --set refine-cameras=true, where the camera file says which way is up"
-            problems.append(Problem(option, name, found, "one of the two"))
-        elif len(values) > 1:
-            problems.append(Problem(option, name, found, "one for all clips, whose cameras stand still"))
-    refuse(problems)
-    return math.radians(tilts[0]) if tilts else None
+    tilt_deg, level_deg = clips[0].tilt_deg, None if level_rad is None else math.degrees(level_rad)
+    both = "beside --set refine-cameras=true, where the camera file says which way is up"
+    refuse(
+        Problem(f"--{name}", name.replace("-", "_"), f"{value:g} {both}", "one of the two")
+        for name, value in (("tilt-deg", tilt_deg), ("level-deg", level_deg))
+        if posed and value is not None
+    )
+    return None if tilt_deg is None else math.radians(tilt_deg)
 
 
 def _require_poses(cameras: Sequence[Camera]) -> None:

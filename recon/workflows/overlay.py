@@ -1,4 +1,4 @@
-"""A result drawn on its video, or some of its frames side by side, as one picture."""
+"""`recon overlay`: a result drawn on its video, or some of its frames side by side, as one picture."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Annotated
 
 import cv2
 import numpy as np
+from pydantic import Field
 
 from recon.animal.body import Side
 from recon.base.arrays import Array, Index
@@ -22,13 +23,14 @@ from recon.fit.result import Verdict
 from recon.io.video import Image, VideoInfo, probe, read_frames, require_codec, video_writer
 from recon.show.overlay import LEFT, MIDDLE, RIGHT, Colour, Overlay, canvas_size, draw_frame, draw_sheet
 from recon.workflows.cameras import cameras_in
+from recon.workflows.cli.common import progress_bar, say, say_verdict, terminal
 from recon.workflows.settings import ANYWAY, ResultSettings
 
 SLOW_FPS = 30.0
 """Every frame is shown, and no more than this many in a second, unless a speed is given."""
+RATE_SAME = 0.01
+"""Rates within this, relative, are the same, as 29.97 and 30."""
 SIDES: dict[Side | None, Colour] = {"left": LEFT, "right": RIGHT, None: MIDDLE}
-COUNT, MOST = 12, 60
-"""Of the stills of a sheet."""
 MIN_WIDTH_PX = 640
 """Smaller videos are enlarged, by a whole number: the text would not be read."""
 
@@ -38,13 +40,15 @@ class OverlaySettings(ResultSettings):
 
     out: Annotated[Path | None, Option("The new video, .mp4 (MPEG-4) or .avi (Motion JPEG), as in overlay.mp4.")] = None
     sheet: Annotated[Path | None, Option("Stills side by side, as in sheet.png; without --video plain.")] = None
-    count: Annotated[Integer, Option("Of the stills.")] = COUNT
+    count: Annotated[
+        Annotated[Integer, Field(ge=1, le=60)], Option("Of the stills.", "a whole number from 1 to 60")
+    ] = 12
     anyway: Annotated[bool, ANYWAY] = False
     speed: Annotated[
-        Number | None,
+        Annotated[Number, Field(gt=0, le=10)] | None,
         Option(
             "Of the playback, 1 is real time. (default: so that 30 frames are shown in a second)",
-            "a number above 0, as in 0.25",
+            "a number above 0 and at most 10, as in 0.25",
         ),
     ] = None
     overwrite: Annotated[bool, Option("Replace the new files.")] = False
@@ -56,29 +60,39 @@ class OverlaySettings(ResultSettings):
             yield Problem("--video", "file", "nothing", "the video that the keypoints came from")
 
 
-RATE_SAME = 0.01
-"""Rates within this, relative, are the same, as 29.97 and 30."""
+def overlay(settings: OverlaySettings, quiet: bool) -> None:
+    """Draw a reconstruction on its video, or some frames of it as one picture.
+
+    Shown are detections, skeleton, doubtful frames, and in the video the pose from three sides.
+
+    Example: recon overlay results/clip --video clip.mp4 --out overlay.mp4
+    """
+    console = terminal(quiet=quiet)
+    if settings.sheet is not None:
+        say(console, f"{run_sheet(settings)} frames are in {settings.sheet}.")
+    if settings.out is None or settings.video is None:
+        return
+    with progress_bar(console) as progress:
+        frames, fps, speed, verdict = run_overlay(settings, progress)
+    say_verdict(console, verdict)
+    if note := rate_note(settings.video, fps / speed):
+        say(console, f"note: {note}")
+    say(console, f"{frames} frames at {speed:.3g} times their speed ({fps:.4g} a second) are in {settings.out}.")
 
 
 def run_overlay(settings: OverlaySettings, progress: Progress = silent) -> tuple[int, float, float, Verdict | None]:
-    """`recon overlay`: every frame of a result's clip, drawn on the video that it came from. Gives how many there are,
-    how many a second, the speed, 1 being real time, and the verdict on the clip.
-
-    first_frame: the number that the video's first frame has in the result. camera: whose video it is, by name, which
-    may be left out where the result has one, or the video's own name contains it. speed: of the playback. Raises
-    InputError, with every problem, for inputs that do not belong together; then nothing is written.
-    """
-    video, out, speed = settings.video, settings.out, settings.speed
-    if video is None or out is None:
-        raise InputError(Problem("--out", "file", "nothing", "the new video, and --video beside it"))
-    motion, number, (wide, high) = result_and_video(
-        settings, lambda: _check_out(out, settings.overwrite, video), lambda: _check_speed(speed)
-    )
+    """Every frame of a result's clip, drawn on the video that it came from. Gives how many there are, how many a
+    second, the speed, 1 being real time, and the verdict on the clip. Raises InputError, with every problem, for inputs
+    that do not belong together; then nothing is written."""
+    video, out = settings.video, settings.out
+    assert video is not None
+    assert out is not None
+    free = partial(require_free_file, out, settings.overwrite, source=video)
+    motion, number, (wide, high) = result_and_video(settings, lambda: require_codec(out), free)
     usable(motion, settings.folder, settings.anyway)
-    if speed is None:
-        speed = min(1.0, SLOW_FPS / motion.fps)
+    speed = min(1.0, SLOW_FPS / motion.fps) if settings.speed is None else settings.speed
     zoom = -(-MIN_WIDTH_PX // wide)
-    overlay = overlay_of(motion, speed, zoom, number)
+    drawn = overlay_of(motion, speed, zoom, number)
     rows = {int(frame): t for t, frame in enumerate(motion.frames)}
     first, last = min(rows), max(rows)
     fps = motion.fps * speed
@@ -87,55 +101,52 @@ def run_overlay(settings: OverlaySettings, progress: Progress = silent) -> tuple
         for index, picture in read_frames(video, first - settings.first_frame, last + 1 - settings.first_frame):
             frame = index + settings.first_frame
             enlarged = np.asarray(cv2.resize(picture, None, fx=zoom, fy=zoom), dtype=np.uint8)
-            write(draw_frame(overlay, rows.get(frame), frame, enlarged))
+            write(draw_frame(drawn, rows.get(frame), frame, enlarged))
             written += 1
             progress("drawing", written / (last + 1 - first))
         if written < last + 1 - first:
             found = f"{first - settings.first_frame + written} frames that can be decoded"
-            expected = f"{last + 1 - settings.first_frame} or more, for the result's frames {first} to {last}" + (
-                f" (the video's first frame being {settings.first_frame})" if settings.first_frame else ""
-            )
+            expected = f"{last + 1 - settings.first_frame} or more, for the result's frames {first} to {last}"
             raise InputError(Problem(video, "video", found, f"{expected}: the video of this clip, or --first-frame"))
     return written, fps, speed, motion.verdict
 
 
 def run_sheet(settings: OverlaySettings) -> int:
-    """`recon overlay --sheet`: `count` frames with a pose, evenly spaced, as one PNG; how many there are. video: what
-    is behind them, plain without one, and then the first camera's unless another is named; the others: see
-    `run_overlay`. Raises InputError, with every problem."""
+    """`count` frames with a pose, evenly spaced, as one PNG; how many there are. Without a video the pictures are
+    plain, and the first camera's unless another is named. Raises InputError, with every problem."""
     sheet = settings.sheet
-    if sheet is None:
-        raise InputError(Problem("--sheet", "file", "nothing", "a picture, as in sheet.png"))
+    assert sheet is not None
     free = partial(require_free_file, sheet, settings.overwrite, "--sheet", settings.video, (".png",))
-    motion, number, _ = result_and_video(settings, free, lambda: _check_count(settings.count))
+    motion, number, _ = result_and_video(settings, free)
     usable(motion, settings.folder, settings.anyway)
-    overlay = overlay_of(motion, number=number)
-    rows = rows_to_show(overlay, settings.count)
+    drawn, rows, pictures = stills(motion, number, settings, settings.count)
     if not len(rows):
         raise InputError(Problem(settings.folder, "frames", "none with a pose", "one at least"))
-    pictures = None if settings.video is None else pictures_of(settings.video, motion, rows, settings.first_frame)
     with staged_file(sheet) as staged:
-        write_bytes(staged, cv2.imencode(".png", draw_sheet(overlay, rows, pictures))[1].tobytes())
+        write_bytes(staged, cv2.imencode(".png", draw_sheet(drawn, rows, pictures))[1].tobytes())
     return len(rows)
 
 
-def rows_to_show(overlay: Overlay, count: int) -> Index:
-    """Rows of up to `count` frames with a pose, evenly spaced."""
-    posed = np.flatnonzero(np.isfinite(overlay.reprojected_px).any(axis=(1, 2)))
-    return posed[np.unique(np.round(np.linspace(0, len(posed) - 1, count)).astype(int))] if len(posed) else posed
-
-
-def pictures_of(video: Path, motion: Motion, rows: Index, first_frame: int) -> list[Image]:
-    """The video's frames for these rows of a result. Raises InputError for one that is not in it."""
-    wanted = [int(motion.frames[t]) - first_frame for t in rows]
-    found = {at: picture for at, picture in read_frames(video, wanted[0], wanted[-1] + 1) if at in wanted}
+def stills(
+    motion: Motion, number: int, settings: ResultSettings, count: int
+) -> tuple[Overlay, Index, list[Image] | None]:
+    """What there is to draw of up to `count` frames with a pose, evenly spaced: all of it, their rows, and the video's
+    pictures of them, if there is one. Raises InputError for a frame that the video lacks."""
+    drawn = overlay_of(motion, number=number)
+    posed = np.flatnonzero(np.isfinite(drawn.reprojected_px).any(axis=(1, 2)))
+    rows = posed[np.unique(np.round(np.linspace(0, len(posed) - 1, count)).astype(int))] if len(posed) else posed
+    if settings.video is None or not len(rows):
+        return drawn, rows, None
+    wanted = (motion.frames[rows] - settings.first_frame).tolist()
+    found = {at: picture for at, picture in read_frames(settings.video, wanted[0], wanted[-1] + 1) if at in wanted}
     if len(found) < len(wanted):
-        number = next(at for at in wanted if at not in found) + first_frame
-        raise InputError(Problem(video, "video", f"no frame {number}", "the video of this clip, or --first-frame"))
-    return [found[at] for at in wanted]
+        number = next(at for at in wanted if at not in found) + settings.first_frame
+        expected = "the video of this clip, or --first-frame"
+        raise InputError(Problem(settings.video, "video", f"no frame {number}", expected))
+    return drawn, rows, [found[at] for at in wanted]
 
 
-def result_and_video(settings: ResultSettings, *checks: Callable[[], None]) -> tuple[Motion, int, tuple[int, int]]:
+def result_and_video(settings: ResultSettings, *checks: Callable[[], object]) -> tuple[Motion, int, tuple[int, int]]:
     """A result, which of its cameras is meant, and the size of the pictures: the video's, if there is one, which has to
     be of that camera. checks: of what else was given. Raises InputError."""
     video = settings.video
@@ -143,12 +154,22 @@ def result_and_video(settings: ResultSettings, *checks: Callable[[], None]) -> t
     def opened() -> tuple[Motion, int]:
         motion, info = all_of(lambda: Motion.load(settings.folder), lambda: None if video is None else probe(video))
         number = camera_number(motion, settings.camera_name, video)
-        if video is not None:
-            _check_video(motion, number, video, info, settings.first_frame)
+        if info is not None:
+            refuse(_video_problems(motion, number, settings, info))
         return motion, number
 
     (motion, number), *_ = all_of(opened, *checks)
     return motion, number, motion.cameras[number].image_size_px
+
+
+def _video_problems(motion: Motion, number: int, settings: ResultSettings, info: VideoInfo) -> Iterator[Problem]:
+    size, first = motion.cameras[number].image_size_px, int(motion.frames.min())
+    if info.size_px != size:
+        expected = f"{size[0]}x{size[1]}, the size that the camera is calibrated for"
+        yield Problem(settings.video or "", "size", f"{info.size_px[0]}x{info.size_px[1]}", expected)
+    if settings.first_frame > first:
+        expected = f"{first} or less: the result begins with frame {first}"
+        yield Problem("--first-frame", "number", str(settings.first_frame), expected)
 
 
 def camera_number(motion: Motion, camera: str | None, video: Path | None) -> int:
@@ -212,31 +233,3 @@ def rate_note(video: Path, fps: float | None) -> str | None:
         f"{video.name} says {stated:.4g} frames a second, the clip has {fps:.4g}: right if it was filmed so and is "
         "played back otherwise; if not, times and speeds are wrong by that factor"
     )
-
-
-def _check_video(motion: Motion, number: int, video: Path, info: VideoInfo, first_frame: int) -> None:
-    problems = []
-    size = motion.cameras[number].image_size_px
-    if info.size_px != size:
-        expected = f"{size[0]}x{size[1]}, the size that the camera is calibrated for"
-        problems.append(Problem(video, "size", f"{info.size_px[0]}x{info.size_px[1]}", expected))
-    first = int(motion.frames.min())
-    if first_frame > first:
-        expected = f"{first} or less: the result begins with frame {first}"
-        problems.append(Problem("--first-frame", "number", str(first_frame), expected))
-    refuse(problems)
-
-
-def _check_speed(speed: float | None) -> None:
-    if speed is not None and not 0 < speed <= 10:
-        raise InputError(Problem("--speed", "factor", f"{speed:g}", "more than 0 and at most 10; 1 is real time"))
-
-
-def _check_out(out: Path, overwrite: bool, video: Path) -> None:
-    require_codec(out)
-    require_free_file(out, overwrite, source=video)
-
-
-def _check_count(count: int) -> None:
-    if not 1 <= count <= MOST:
-        raise InputError(Problem("--count", "number", str(count), f"1 to {MOST} frames"))

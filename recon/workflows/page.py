@@ -1,16 +1,16 @@
-"""Pages to look at: `report.html` of a result, `summary.html` of a batch."""
+"""`recon report`: pages to look at, `report.html` of a result, `summary.html` of a batch."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import Annotated
 
+from recon.base.errors import InputError, Problem
 from recon.base.files import sole_writer, staged_file
 from recon.base.manifest import MANIFEST, read_manifest
 from recon.base.parallel import Event, carry_out
 from recon.base.progress import Progress, silent
 from recon.base.settings import Option
-from recon.fit.motion import Motion
 from recon.show.overlay import draw_tiles
 from recon.show.page import PAGE, require_own_page
 from recon.show.page.clip import clip_page
@@ -18,7 +18,8 @@ from recon.show.page.render import jpeg
 from recon.show.report import REPORT
 from recon.workflows.batch.inputs import SUMMARY
 from recon.workflows.batch.summary import write_summary_page
-from recon.workflows.overlay import overlay_of, pictures_of, result_and_video, rows_to_show
+from recon.workflows.cli.common import error_text, progress_bar, say, say_what_is_gone, terminal
+from recon.workflows.overlay import result_and_video, stills
 from recon.workflows.settings import ResultSettings
 
 STILLS = 9
@@ -32,30 +33,42 @@ class PageSettings(ResultSettings):
     folder: Annotated[Path, Option("Folder of results, as in results/clip, or of a batch.", argument="DIR")]
 
 
+def report(settings: PageSettings, quiet: bool) -> None:
+    """Make a page of a result to look at and to pass on: report.html in its folder, one file that opens in any browser.
+
+    In the folder of a batch, those of all clips, and summary.html with links to them. A page that was made before is
+    replaced.
+
+    Example: recon report results/clip --video clip.mp4
+    """
+    console, folder = terminal(quiet=quiet), settings.folder
+    of_batch = (folder / SUMMARY).is_file() and not (folder / REPORT).is_file()
+    if of_batch and settings.video is not None:
+        raise InputError(
+            Problem("--video", "file", f"{settings.video} for many clips", "the folder of one clip's results")
+        )
+    with progress_bar(console) as progress:
+        page, failed = _batch_pages(folder, progress) if of_batch else (run_page(settings, progress), {})
+    for clip, error in failed.items():
+        terminal(stderr=True, soft_wrap=True).print(error_text(f"{clip}: {error}"))
+    if not of_batch:
+        say_what_is_gone(console, folder)
+    say(console, f"Open {page} in a browser.")
+
+
 def run_page(settings: PageSettings, progress: Progress = silent) -> Path:
-    """`recon report`: the page of a result, in its folder; an earlier one is replaced. video: what is behind the
-    pictures, plain without one; the others: see `run_overlay`. Raises InputError, with every problem."""
-    page = settings.folder / PAGE
+    """The page of a result, in its folder; an earlier one is replaced. Raises InputError, with every problem."""
+    page, video = settings.folder / PAGE, settings.video
     motion, number, _ = result_and_video(settings, lambda: require_own_page(page))
     progress("pictures", 0.1)
-    stills = _stills(motion, settings.video, settings.first_frame, number)
+    drawn, rows, pictures = stills(motion, number, settings, STILLS)
+    tiles = draw_tiles(drawn, rows, pictures) if len(rows) else []
+    shown = [(jpeg(tile), f"frame {drawn.frames[t]}") for tile, t in zip(tiles, rows, strict=True)]
     progress("figures", 0.3)
-    html = clip_page(
-        motion, stills, None if settings.video is None else settings.video.name, _files(settings.folder), number
-    )
+    html = clip_page(motion, shown, None if video is None else video.name, _files(settings.folder), number)
     with staged_file(page) as staged:
         staged.write_text(html, encoding="utf-8")
     return page
-
-
-def _stills(motion: Motion, video: Path | None, first_frame: int, number: int) -> list[tuple[str, str]]:
-    overlay = overlay_of(motion, number=number)
-    rows = rows_to_show(overlay, STILLS)
-    if not len(rows):
-        return []
-    pictures = None if video is None else pictures_of(video, motion, rows, first_frame)
-    tiles = draw_tiles(overlay, rows, pictures)
-    return [(jpeg(tile), f"frame {overlay.frames[t]}") for tile, t in zip(tiles, rows, strict=True)]
 
 
 def _files(folder: Path) -> list[str]:
@@ -63,14 +76,9 @@ def _files(folder: Path) -> list[str]:
     return [name for name in names if (folder / name).is_file()]
 
 
-def is_batch(folder: Path) -> bool:
-    """Whether a folder holds results of many clips, rather than of one."""
-    return (folder / SUMMARY).is_file() and not (folder / REPORT).is_file()
-
-
-def run_batch_pages(out: Path, progress: Progress = silent) -> tuple[Path, dict[str, str]]:
-    """`recon report` on the folder of a batch: the page of every result in it, in parallel, and the summary's page; its
-    path, and what went wrong by clip."""
+def _batch_pages(out: Path, progress: Progress) -> tuple[Path, dict[str, str]]:
+    """The page of every result in the folder of a batch, in parallel, and the summary's page; its path, and what went
+    wrong by clip."""
     failed: dict[str, str] = {}
     with sole_writer(out):
         clips = [path.parent for path in sorted(out.glob(f"*/{REPORT}"))]

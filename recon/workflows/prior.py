@@ -1,4 +1,4 @@
-"""Results of fits or 3D poses of a class of motions in, a motion prior out."""
+"""`recon prior fit`: results of fits or 3D poses of a class of motions in, a motion prior out."""
 
 from __future__ import annotations
 
@@ -11,6 +11,8 @@ from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
 import numpy as np
+import typer
+from rich.text import Text
 
 from recon.animal import Body, MotionPrior, fit_prior, load_skeleton, save_prior
 from recon.animal.prior import FRAMES_PER_COMPONENT, as_one_gaussian, log_likelihood, mean_speed_m_s
@@ -24,6 +26,7 @@ from recon.fit.motion import Motion
 from recon.fit.points import MIN_MARKERS, solve_points_and_size
 from recon.io import Pose3D, read_pose_segments
 from recon.workflows.batch.inputs import file_names
+from recon.workflows.cli.common import table_of, terminal
 from recon.workflows.settings import ANYWAY
 
 Segment = tuple[str, Array, float]
@@ -61,6 +64,46 @@ class PriorFitSettings(Settings):
     check: Annotated[bool, Option("Score each segment under a prior from the others.")] = False
     anyway: Annotated[bool, ANYWAY] = False
     overwrite: Annotated[bool, Option("Replace the file.")] = False
+
+
+def prior_fit(settings: PriorFitSettings, as_json: bool) -> Any:
+    """Fit a motion prior to results or 3D poses, and list what it was fitted to.
+
+    Example: recon prior fit results/run1 results/run2 --out my-cat.npz
+    """
+    done = run_prior_fit(settings)
+    if as_json:
+        return {"out": settings.out, **done}
+    table = table_of("segment", numbers=("frames", "fps", "speed m/s", "misfit mm", "used"))
+    for row in done["segments"]:
+        rms_mm = "-" if row["misfit_mm"] is None else f"{row['misfit_mm']:.1f}"
+        numbers = f"{row['frames']}", f"{row['fps']:g}", f"{row['speed_m_s']:.1f}", rms_mm
+        table.add_row(Text(row["name"]), *numbers, "yes" if row["used"] else "no")
+    terminal().print(table)
+    for line in _notes(done):
+        typer.echo(line)
+    typer.echo(f"The prior is in {settings.out}.")
+
+
+def _notes(done: dict[str, Any]) -> Iterator[str]:
+    """What there is to say beside the table of segments."""
+    used, components, held_out = [row["used"] for row in done["segments"]], done["components"], done["held_out"]
+    yield f"Used: {sum(used)} of {len(used)} segments, {done['frames']} frames and their mirror images."
+    if components < done["components_asked"]:
+        place = f"{components} components in place of {done['components_asked']}"
+        yield f"{place}: each takes {FRAMES_PER_COMPONENT} frames."
+    if done["left_out"]:
+        yield f"{done['left_out']} frames of results have a flag or no pose: left out."
+    if done["lacking"]:
+        yield f"Markers that no file has: {', '.join(done['lacking'])}"
+    for path, size in done["sizes"].items():
+        if size != 1.0:
+            yield f"{path}: {size:.3f} times the skeleton's lengths"
+    if held_out is not None:
+        yield (
+            "Held-out log-likelihood per frame: {mixture:.2f} with {components} components, {one_gaussian:.2f} with "
+            "one Gaussian"
+        ).format(**held_out)
 
 
 def run_prior_fit(settings: PriorFitSettings) -> dict[str, Any]:

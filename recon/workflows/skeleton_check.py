@@ -1,18 +1,21 @@
-"""A skeleton file in, a description of it, remarks on what looks odd, and pictures out."""
+"""`recon skeleton list` and `check`: a description of skeletons, remarks on what looks odd, and pictures."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
+from rich.text import Text
 
 from recon.animal import Body, Chain, builtin_names, load_chain, load_prior, load_skeleton, other_side
 from recon.animal.chain import AngleRanges
 from recon.base.files import require_free_folder
 from recon.base.settings import Option, Settings
+from recon.base.words import length_text
 from recon.geometry.kinematics import ANGLE_OF_AXIS, AXES
+from recon.workflows.cli.common import say, table_of, terminal
 
 STEMS = ("skeleton", "angles")
 """Pictures, each as .png and .svg: the expected pose with names; every angle at both ends of its range."""
@@ -28,15 +31,6 @@ Row = dict[str, Any]
 """Plain JSON types by name."""
 
 
-def list_skeletons() -> list[Row]:
-    """Those that come with the package: name, title, kind, and how many markers and unknowns they have."""
-    return [
-        {name: c[name] for name in ("name", "title", "kind")}
-        | {"markers": len(c["markers"]), "unknowns": c["unknowns"]}
-        for c in map(check_skeleton, builtin_names())
-    ]
-
-
 class SkeletonCheckSettings(Settings):
     """What `recon skeleton check` is told."""
 
@@ -48,8 +42,70 @@ class SkeletonCheckSettings(Settings):
     overwrite: Annotated[bool, Option("Replace pictures in the folder.")] = False
 
 
+def skeleton_list(as_json: bool) -> Any:
+    """List the skeletons that come with the package.
+
+    Example: recon skeleton list
+    """
+    shown = ("name", "kind", "markers", "unknowns", "title")
+    found = [
+        {name: c[name] for name in shown} | {"markers": len(c["markers"])} for c in map(check_skeleton, builtin_names())
+    ]
+    if as_json:
+        return found
+    table = table_of(*shown)
+    for row in found:
+        table.add_row(*(Text(str(cell)) for cell in row.values()))
+    terminal().print(table)
+
+
+def skeleton_check(settings: SkeletonCheckSettings, as_json: bool) -> Any:
+    """Check a skeleton file, list what is in it, and draw it.
+
+    Example: recon skeleton check my-dog.toml --out my-dog
+
+    Exit code 0: it can be used. 2: it cannot; every problem is named.
+    """
+    check = run_skeleton_check(settings)
+    if as_json:
+        return check
+    console = terminal()
+    say(console, f"{check['name']}: {check['title']}")
+    say(
+        console,
+        f"A {check['kind']} with {len(check['markers'])} markers and {check['unknowns']} unknowns a frame, "
+        f"{length_text(check['length_m'])} long and {length_text(check['height_m'])} high in its expected pose "
+        f"(size ± {100 * check['size_sigma']:.0f} %, keypoints within {100 * check['keypoint_sigma_m']:.0f} cm).",
+    )
+    chain = check["kind"] == "chain"
+    names, ends = (("theta", "phi"), ("end",)) if chain else (("yaw", "pitch", "roll"), ())
+    table = table_of("segment", "turns on", *ends, numbers=("length m", *(f"{name} °" for name in names)))
+    for part in check["parts"]:
+        ranges = {angle["name"]: f"{angle['low_deg']:.0f} to {angle['high_deg']:.0f}" for angle in part["angles"]}
+        texts = (Text(part[name]) for name in ("name", "parent", *ends))
+        table.add_row(*texts, f"{part['length_m']:.3f}", *(ranges.get(name, "-") for name in names))
+    console.print(table)
+    table = table_of("marker", "on segment", numbers=("x m", "y m", "z m"))
+    for marker in check["markers"]:
+        table.add_row(Text(marker["name"]), Text(marker["segment"]), *(f"{x:.3f}" for x in marker["at_m"]))
+    console.print(table)
+    relative = "the expected range, relative to the link before" if chain else "mean ± 2 standard deviations"
+    say(console, f"Angles: {relative}; - for none.")
+    say(console, f"Feet: {', '.join(f'{foot} ({label})' for label, foot in check['feet'].items()) or 'none'}")
+    for limb, markers in check["limbs"].items():
+        say(console, f"Limb {limb}: {', '.join(markers)}")
+    if not chain:
+        say(console, f"Prior of a fit, unless --prior says otherwise: {check['prior']}")
+    for remark in check["remarks"]:
+        say(console, f"Look at this: {remark}")
+    if not check["remarks"]:
+        say(console, "Nothing looks odd.")
+    if settings.out is not None:
+        say(console, f"Pictures are in {settings.out}.")
+
+
 def run_skeleton_check(settings: SkeletonCheckSettings) -> Row:
-    """`recon skeleton check`: read and describe a skeleton, and draw it into the folder `out`. Raises InputError."""
+    """Read and describe a skeleton, and draw it into the folder `out`. Raises InputError."""
     check = check_skeleton(settings.skeleton, settings.subject)
     if settings.out is not None:
         _draw(check, load_skeleton(settings.skeleton, settings.subject), settings.out, settings.overwrite)
@@ -89,13 +145,6 @@ def _mean_state(body: Body) -> np.ndarray:
 # -- what it consists of -------------------------------------------------------------------------------------------
 
 
-def _part(*values: Any) -> Row:
-    """A segment or a link. parent: the segment that it turns on, empty for the root, or the joint where the link
-    begins; end: the joint where that ends; length_m: from the parent's origin to its own, or along the link; points:
-    markers on it, or the keypoints of the link's end."""
-    return dict(zip(("name", "parent", "end", "joint", "length_m", "angles", "points"), values, strict=True))
-
-
 def _angle(name: str, mean_deg: float, reach_deg: float, rate: str) -> Row:
     """An expected angle: the middle of its range, its ends, a chain's tolerance or `REACH_SIGMAS` standard deviations
     away, and what is expected of its changes, with its unit."""
@@ -118,7 +167,14 @@ def _segments(body: Body) -> Iterator[Row]:
                 rows.append(_angle(ANGLE_OF_AXIS[axis], mean, REACH_SIGMAS * sigma, f"{acceleration:.0f} °/s²"))
         markers = [m.name for m in body.tree.markers if m.segment == segment.name]
         length_m = float(np.linalg.norm(segment.offset_m))
-        yield _part(segment.name, segment.parent or "", "", segment.joint, length_m, rows, markers)
+        yield {
+            "name": segment.name,
+            "parent": segment.parent or "",
+            "joint": segment.joint,
+            "length_m": length_m,
+            "angles": rows,
+            "points": markers,
+        }
 
 
 def _links(chain: Chain) -> Iterator[Row]:
@@ -129,8 +185,15 @@ def _links(chain: Chain) -> Iterator[Row]:
             rows = [_range(name, ranges, a) for name, ranges in (("theta", chain.theta), ("phi", chain.phi))]
             a += 1
         length_m = link.length_ratio * chain.nominal_base_length_m
-        joint, points = "free" if link.free else "fixed", [*dict.fromkeys(names)]
-        yield _part(link.name, link.start, link.end, joint, length_m, rows, points)
+        yield {
+            "name": link.name,
+            "parent": link.start,
+            "end": link.end,
+            "joint": "free" if link.free else "fixed",
+            "length_m": length_m,
+            "angles": rows,
+            "points": [*dict.fromkeys(names)],
+        }
 
 
 def _range(name: str, ranges: AngleRanges, a: int) -> Row:
@@ -151,7 +214,7 @@ def _remarks(body: Body) -> Iterator[str]:
         yield "feet: none. Contacts with the ground and gait need them."
     high = [foot for foot in body.feet if at[foot][2] >= min(rear[2], front[2])]
     if high:
-        yield f"feet: in the expected pose {_names_text(high)} not below {' and '.join(body.forward)}."
+        yield f"feet: in the expected pose {', '.join(high)} not below {' and '.join(body.forward)}."
     elif body.feet:
         heights = np.array([at[foot][2] for foot in body.feet])
         if np.ptp(heights) > _EVEN * np.ptp(points[:, 2]):
@@ -166,27 +229,27 @@ def _remarks(body: Body) -> Iterator[str]:
             yield f"feet: in the expected pose {foot} lies {there} the middle of the trunk, but is a {said} foot."
     drawn = {marker for limb in body.limbs.values() for marker in limb}
     if lacking := [marker for marker in body.markers if marker not in drawn]:
-        yield f"limbs: no line leads to {_names_text(lacking)}."
+        yield f"limbs: no line leads to {', '.join(lacking)}."
     yield from _side_remarks(body, at)
     if loose := _loose_angles(body):
-        yield f"segments: no marker is moved by {_names_text(loose)}: they stay at their means."
+        yield f"segments: no marker is moved by {', '.join(loose)}: they stay at their means."
 
 
 def _side_remarks(body: Body, at: dict[str, np.ndarray]) -> Iterator[str]:
     side_of = body.side_of
     single = [m for m in body.markers if side_of(m) is not None and other_side(m) not in at]
     if single:
-        yield f"markers: only one side has {_names_text(single)}."
+        yield f"markers: only one side has {', '.join(single)}."
     wrong = [m for m, p in at.items() if (side_of(m) == "left" and p[1] < 0) or (side_of(m) == "right" and p[1] > 0)]
     if wrong:
-        yield f"markers: on the other side of the middle (y is to the left) {_names_text(wrong)}."
+        yield f"markers: on the other side of the middle (y is to the left) {', '.join(wrong)}."
     uneven = [
         m
         for m, p in at.items()
         if side_of(m) == "left" and other_side(m) in at and np.abs(p - at[other_side(m)] * (1, -1, 1)).max() > _SAME_M
     ]
     if uneven and not wrong:
-        yield f"markers: not the mirror image of the other side {_names_text(uneven)}."
+        yield f"markers: not the mirror image of the other side {', '.join(uneven)}."
 
 
 def _loose_angles(body: Body) -> list[str]:
@@ -198,10 +261,6 @@ def _loose_angles(body: Body) -> list[str]:
     assert moved is not None
     still = np.abs(moved[..., 4:]).max(axis=(0, 1, 2)) < _SAME_M
     return [name for name, is_still in zip(body.state_names[4:], still, strict=True) if is_still]
-
-
-def _names_text(names: Sequence[str]) -> str:
-    return ", ".join(names)
 
 
 # -- pictures ------------------------------------------------------------------------------------------------------

@@ -1,8 +1,12 @@
-"""A skeleton file from the names of a detector's keypoints: the quadruped's segments, with markers of these names. With
-cameras, from where the keypoints are (`recon.workflows.skeleton_geometry`), whatever they are called."""
+"""`recon skeleton from-keypoints`: a skeleton file from the names of a detector's keypoints.
+
+It has the quadruped's segments, with markers of these names; with cameras, segments from where the keypoints are
+(`recon.workflows.skeleton_geometry`), whatever they are called.
+"""
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Annotated
@@ -30,6 +34,7 @@ from recon.geometry.kinematics import Marker
 from recon.io import read_keypoints
 from recon.io.deeplabcut_project import bodyparts, find_project
 from recon.workflows.cameras import read_clip_cameras
+from recon.workflows.cli.common import say, terminal
 from recon.workflows.clip import arrange, read_clips
 from recon.workflows.settings import FitSettings
 from recon.workflows.skeleton_geometry import drafted, toml_text
@@ -67,6 +72,23 @@ class SkeletonDraftSettings(Settings):
     fps: Annotated[Positive | None, Option("With --camera: the frame rate in Hz. (default: what the file says)")] = None
     up: Annotated[str | None, Option("With --camera: as of recon fit. (default: what the file says)")] = None
     overwrite: Annotated[bool, Option("Replace the file.")] = False
+
+
+def skeleton_from_keypoints(settings: SkeletonDraftSettings) -> None:
+    """Draft a skeleton for the keypoints of a file: the proportions of the quadruped, with markers called so; or, with
+    several calibrated cameras, whatever they are called, the bodies and joints that their distances show.
+
+    Example: recon skeleton from-keypoints clip.csv --out my-animal.toml
+    """
+    (markers, others, _), out = run_skeleton_draft(settings), settings.out
+    console = terminal()
+    say(console, f"{out}: {len(markers)} of {len(markers) + len(others)} keypoints have a place.")
+    other = [f"{name} as {marker}" for name, marker in markers.items() if name != marker]
+    if other:
+        say(console, f"Taken for the quadruped's: {', '.join(other)}.")
+    if others:
+        say(console, f"Without a place: {', '.join(others)}.")
+    say(console, f"Look at it with: recon skeleton check {shlex.quote(str(out))} --out pictures")
 
 
 def run_skeleton_draft(settings: SkeletonDraftSettings) -> SkeletonDraft:

@@ -1,4 +1,4 @@
-"""Clips that several cameras filmed in, one animal's lengths and its detector's offsets out."""
+"""`recon subject fit`: clips that several cameras filmed in, one animal's lengths and its detector's offsets out."""
 
 from __future__ import annotations
 
@@ -8,11 +8,12 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from numpy.typing import NDArray
+import typer
+from rich.text import Text
 
 from recon.animal import detector_toml, subject_toml
 from recon.animal.detector import NONE
-from recon.base.arrays import Array
+from recon.base.arrays import Array, Integers
 from recon.base.errors import InputError, Problem, all_of
 from recon.base.files import require_free_file, staged_file
 from recon.base.settings import OneOrMore, Option, Settings
@@ -21,6 +22,7 @@ from recon.fit.clip_problem import ClipProblem
 from recon.fit.points import MIN_MARKERS, solve_points
 from recon.fit.shape import POSED_OFFSET_SIGMA_M, Shape, ShapeFit, fit_shape
 from recon.io import Pose3D, read_pose3d
+from recon.workflows.cli.common import counted, table_of, terminal
 from recon.workflows.clip import prepare
 from recon.workflows.made_from import read_config
 from recon.workflows.settings import FitSettings
@@ -62,6 +64,37 @@ class SubjectFitSettings(Settings):
     ] = ()
     title: Annotated[str | None, Option("Of the animal, in words. (default: made up)")] = None
     overwrite: Annotated[bool, Option("Replace the file.")] = False
+
+
+def subject_fit(settings: SubjectFitSettings, as_json: bool) -> Any:
+    """Measure one animal in clips that several cameras filmed, for `recon fit --subject`; without its lengths the
+    detector only, for `recon fit --set detector`, also from several measured animals.
+
+    Example: recon subject fit results/run1 results/run2 --offsets --out my-cat.toml
+    """
+    found = run_subject_fit(settings)
+    if as_json:
+        return {"out": settings.out, **found}
+    lengths, offsets = ([row for row in found["values"] if row["unit"] == unit] for unit in ("m", "mm"))
+    if lengths:
+        table = table_of("length of", numbers=("m", "±"))
+        for row in lengths:
+            table.add_row(Text(row["name"]), f"{row['value']:.3f}", f"{row['sigma']:.3f}")
+        terminal().print(table)
+    if offsets:
+        table = table_of("keypoint off its marker, mm", numbers=("forwards", "left", "up", "±"))
+        for three in zip(offsets[::3], offsets[1::3], offsets[2::3], strict=True):
+            sigma = max(row["sigma"] for row in three)
+            name = three[0]["name"].removesuffix("_x")
+            table.add_row(Text(name), *(f"{row['value']:.0f}" for row in three), f"{sigma:.0f}")
+        terminal().print(table)
+    if lengths:
+        typer.echo(f"Size: {found['size']:.3f} ± {found['size_sigma']:.3f} of the skeleton's lengths.")
+    if not found["converged"]:
+        typer.echo("The last step was not small yet: more frames would say more.")
+    kind, use = ("subject", "--subject ") if lengths else ("detector", "--set detector=")
+    typer.echo(f"From {counted(found['clips'], 'clip')}, {found['frames']} frames. The {kind} is in {settings.out}.")
+    typer.echo(f"Use it with: recon fit {use}{settings.out}")
 
 
 def run_subject_fit(settings: SubjectFitSettings) -> dict[str, Any]:
@@ -165,7 +198,7 @@ def _setting_reader(settings: FitSettings, path: Path, pose: Pose3D | None) -> C
     return read
 
 
-def _states_known(setting: ClipProblem, frames: NDArray[np.int_], pose: Pose3D) -> Array:
+def _states_known(setting: ClipProblem, frames: Integers, pose: Pose3D) -> Array:
     """(T, D): states of the setting's body, whose markers are nearest to a pose, NaN where it has none. Raises
     InputError where it has no frame or too few of the markers."""
     markers = setting.body.markers

@@ -1,24 +1,27 @@
-"""The playback of a result with all that goes with it, in the viewer."""
+"""`recon view`: the playback of a result with all that goes with it, in the viewer."""
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Annotated
 
-from recon.base.errors import InputError, Problem
+import typer
+
+from recon.base.errors import Problem
 from recon.base.files import require_free_file, staged_file
 from recon.base.manifest import read_manifest
 from recon.base.settings import Option
 from recon.gait.clip import analyse
-from recon.show import view
+from recon.show.view import open_viewer, write
 from recon.workflows.analyse import FOLDER, PLAYBACK, SUMMARY
 from recon.workflows.overlay import result_and_video
 from recon.workflows.settings import ResultSettings
 
 
-class ViewSettings(ResultSettings):
+class _ViewSettings(ResultSettings):
     """What `recon view` is told."""
 
     video: Annotated[Path | None, Option("Show the frames of this video with it, as in clip.mp4.")] = None
@@ -33,16 +36,13 @@ class ViewSettings(ResultSettings):
                 yield Problem("settings", name, "no --video", "one beside the other")
 
 
-def run_view(settings: ViewSettings) -> None:
-    """`recon view`: open the playback, with the plots of `recon analyse`, where that has run, and a video.
+def view(settings: _ViewSettings) -> None:
+    """Open the playback of a reconstruction in the rerun viewer, with the plots of its analysis.
 
-    camera_name: whose video it is, where the clip has several. out: one recording of it all, which is written and not
-    opened. Returns when the viewer is closed. Raises InputError.
+    Example: recon view results/clip --video clip.mp4
     """
     folder, out = settings.folder, settings.out
     playback = folder / PLAYBACK
-    if not playback.is_file():
-        raise InputError(Problem(playback, "file", "no such file", "a recording (.rrd) that `recon fit` has written"))
     read_manifest(folder).require(PLAYBACK)
     if out is not None:
         require_free_file(out, settings.overwrite)
@@ -53,6 +53,8 @@ def run_view(settings: ViewSettings) -> None:
             found = analyse(motion, lean=True) if analysed else None
             playback = Path(temporary) / PLAYBACK if out is None else out
             with staged_file(playback) as staged:
-                view.write(motion, staged, found, settings.video, settings.first_frame, number)
+                write(motion, staged, found, settings.video, settings.first_frame, number)
         if out is None:
-            view.open_viewer(playback)
+            open_viewer(playback)
+    if out is not None:
+        typer.echo(f"The recording is in {out}. Watch it with: rerun {shlex.quote(str(out))}")

@@ -12,23 +12,26 @@ from recon.base.interrupts import Interrupts, installed
 from recon.workflows.cli.command import HELP, CommandGroup, SettingsCommand
 from recon.workflows.cli.common import EXIT_BAD_INPUT, EXIT_UNSOLVED, error_text, stop, terminal
 
-_CORE, _ROBOTICS, _NET = "recon.workflows.cli.", "recon.robotics.cli.", "recon.keypoint_net.cli."
+_CORE, _ROBOTICS, _NET = "recon.workflows.", "recon.robotics.cli.", "recon.keypoint_net.cli."
 _THESIS = "recon.thesis.cli."
 COMMANDS = {
     "From a clip to its motion": {
-        "fit": (_CORE + "fit:fit", "One clip: keypoints and a camera in, a folder of results out."),
-        "batch": (_CORE + "batch:batch", "Many clips in parallel, from where it was stopped."),
-        "run": (_CORE + "run:run", "From a video to a page: keypoints, fit, analysis, overlay, report.html."),
+        "fit": (_CORE + "cli.fit:fit", "One clip: keypoints and a camera in, a folder of results out."),
+        "batch": (_CORE + "cli.batch:batch", "Many clips in parallel, from where it was stopped."),
+        "run": (_CORE + "cli.run:run", "From a video to a page: keypoints, fit, analysis, overlay, report.html."),
         "demo": (_CORE + "demo:demo", "Fit the bundled sample and compare it with its truth."),
-        "settings": (_CORE + "settings:settings", "List all settings of a command, also those that are no options."),
+        "settings": (
+            _CORE + "cli.settings:settings",
+            "List all settings of a command, also those that are no options.",
+        ),
     },
     "Look at it and use it": {
         "view": (_CORE + "view:view", "The playback in the rerun viewer, with the plots of its analysis."),
-        "report": (_CORE + "report:report", "A page of a result, or of a batch, to look at and to pass on."),
-        "analyse": (_CORE + "analyse:analyse", "Speeds, angles, gait, vector fields and phase portraits."),
+        "report": (_CORE + "page:report", "A page of a result, or of a batch, to look at and to pass on."),
+        "analyse": (_CORE + "analyse:analyse_command", "Speeds, angles, gait, vector fields and phase portraits."),
         "compare": (_CORE + "compare:compare", "Strides and speeds of several clips, by group."),
         "evaluate": (_CORE + "evaluate:evaluate", "Compare a result with a reference."),
-        "convert": (_CORE + "convert:convert", "Keypoints, 3D positions or results in another file format."),
+        "convert": (_CORE + "convert:convert_command", "Keypoints, 3D positions or results in another file format."),
         "overlay": (_CORE + "overlay:overlay", "Draw a result on its video."),
     },
     "Cameras": {
@@ -43,13 +46,13 @@ COMMANDS = {
         "evaluate-2d": (_NET + "evaluate_2d:evaluate_2d", "Compare keypoints with labels."),
     },
     "Models and priors": {
-        "skeleton list": (_CORE + "skeleton:skeleton_list", "List the skeletons that come with the package."),
+        "skeleton list": (_CORE + "skeleton_check:skeleton_list", "List the skeletons that come with the package."),
         "skeleton check": (
-            _CORE + "skeleton:skeleton_check",
+            _CORE + "skeleton_check:skeleton_check",
             "Check a skeleton file, list what is in it, and draw it.",
         ),
         "skeleton from-keypoints": (
-            _CORE + "skeleton:skeleton_from_keypoints",
+            _CORE + "skeleton_draft:skeleton_from_keypoints",
             "Draft a skeleton for the keypoints of a file.",
         ),
         "subject fit": (_CORE + "subject:subject_fit", "Measure one animal in clips of several cameras."),
