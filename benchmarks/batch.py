@@ -28,8 +28,9 @@ from recon.base.package import install_command
 from recon.clip.keypoints import Keypoints
 from recon.fit.synthetic import add_noise
 from recon.io import read_keypoints
-from recon.workflows.batch.record import read_record
+from recon.workflows.batch import RECORD
 from recon.workflows.demo import samples_folder
+from recon.workflows.made_from import Record
 
 SAMPLE = samples_folder() / "whole.csv"
 CAMERA = samples_folder() / "camera.toml"
@@ -145,8 +146,8 @@ def ended(out: Path) -> int:
 def finished(out: Path) -> dict[str, int]:
     """The moment at which each finished clip's report was written."""
     found = {}
-    for name, row in read_record(out).items():
-        if row["state"] == "finished":
+    for name, row in Record(out / RECORD).rows.items():
+        if "made" in row:
             found[name] = (out / name / "report.json").stat().st_mtime_ns
     return found
 

@@ -17,6 +17,7 @@ from recon.keypoint_net.evaluate2d import evaluate_2d
 from recon.keypoint_net.labels import body_length_px, read_label_file
 from recon.keypoint_net.train import TrainSettings
 from recon.keypoint_net.workflows import LabelSource, run_prediction, run_training
+from recon.workflows.camera_motion import of_clip, run_camera_motion
 from recon.workflows.clip_results import run_clip
 from recon.workflows.demo import samples_folder
 from recon.workflows.settings import FitSettings
@@ -88,7 +89,11 @@ def run_circle(
             detector="none",  # the film's points lie on the markers
             **fit,
         )
-        run_clip(options, out / name, overwrite=True, video=film if turns else None)
+        if turns:
+            track = (out / f"{name}_track.csv").absolute()
+            run_camera_motion(of_clip(options, film, track, overwrite=True))
+            options = replace(options, camera_track=(track,), tilt_deg=None)
+        run_clip(options, out / name, overwrite=True)
         errors.append(evaluate_files(out / name / "pose3d.csv", samples / "rendered_truth.csv"))
     return Circle(training, score, errors[0], errors[1])
 

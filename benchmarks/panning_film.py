@@ -2,11 +2,12 @@
 
     python benchmarks/panning_film.py [--steps 1000] [--seeds 0 1 2] [--out DIR]
 
-The same animal in the same world, filmed from the same place through the same lens at the same times; the camera turns
-after the animal, and shakes. Each film's labels, of the same frames, train a network of its own, which
-finds the points of all frames; the camera's turn is found in the film, as `recon fit --camera-motion` does it, with the
-tilt of the first picture given; the still camera's pose is that of its calibration. Errors are those of all frames, in
-the world that each fit gives. Tables in Markdown, as in docs/benchmarks.md. With --film, the film alone is drawn.
+The same animal in the same world, filmed from the same place through the same lens at the same times; the camera
+turns after the animal, and shakes. Each film's labels, of the same frames, train a network of its own, which finds
+the points of all frames; the camera's turn is found in the film, as `recon run --camera-motion turns` does it, with
+the tilt of the first picture given; the still camera's pose is that of its calibration. Errors are those of all
+frames, in the world that each fit gives. Tables in Markdown, as in docs/benchmarks.md. With --film, the film alone is
+drawn.
 """
 
 from __future__ import annotations

@@ -39,11 +39,12 @@ from recon.workflows.batch import (
     plan_batch,
     run_batch,
 )
-from recon.workflows.batch.record import RECORD, note_end, note_start, read_record
+from recon.workflows.batch.plan import RECORD
 from recon.workflows.batch.summary import _meant
 from recon.workflows.cli import main
 from recon.workflows.clip import fit_clip
 from recon.workflows.clip_results import run_clip
+from recon.workflows.made_from import Record, digest
 from recon.workflows.settings import FitSettings
 
 SAMPLES = Path(__file__).parents[1] / "data" / "samples"
@@ -226,11 +227,6 @@ def test_common_options_of_one_method_are_not_for_rows_of_the_other(clips):
     first, second = (clip.settings for clip in find_clips([path], common)[0])
     assert (first.method, first.fast) == ("trajectory", True)
     assert (second.method, second.fast, second.form) == ("frame", False, "printed")
-    path.write_text("keypoints,method\na.csv,frame\nb.csv,frame\n")
-    assert problems(path, common=common) == [
-        "--set fast: found True, and no clip of the trajectory method, expected nothing, or --set method=trajectory "
-        "with it"
-    ]
 
 
 def test_clips_of_one_file_are_told_apart(clips):
@@ -268,7 +264,8 @@ def test_all_problems_of_a_manifest_at_once(clips):
         f"{path}: line 3, frames: found '9:2', expected frame numbers A:B with A < B, from A up to but without B, "
         "as in 100:160",
         f"{path}: line 3, method: found 'walk', expected trajectory or frame",
-        f"{path}: line 3, out: found 'X', as in line 2, expected a name of its own",
+        f"{path}: line 2, out: found 'x' more than once, expected a name of its own",
+        f"{path}: line 3, out: found 'X' more than once, expected a name of its own",
         f"{path}: line 4, out: found '../up', expected a plain name of a folder below --out, other than summary.csv "
         "and summary.html",
     ]
@@ -283,7 +280,7 @@ def test_names_that_are_too_long_are_no_files(clips):
 
 
 def test_problems_of_several_inputs_at_once(clips, tmp_path):
-    path = manifest(clips, "keypoints,speed,fps,fps\na.csv,1,2,3,4\n")
+    path = manifest(clips, "keypoints,speed,fps\na.csv,1,2,3,4\n")
     empty = manifest(clips, "keypoints\n", "empty_manifest.csv")
     (tmp_path / "none").mkdir()
     said = problems(tmp_path / "typo.csv", tmp_path / "*.h5", tmp_path / "none", path, empty)
@@ -292,8 +289,7 @@ def test_problems_of_several_inputs_at_once(clips, tmp_path):
         f"{tmp_path / '*.h5'}: files: found none that match",
         f"{tmp_path / 'none'}: files: found no keypoint files",
         f"{path}: column 'speed': found an unknown column, expected one of out, keypoints, camera",
-        f"{path}: column 'fps': found more than one",
-        f"{path}: line 2: found 5 cells, expected 4",
+        f"{path}: line 2: found 5 cells, expected 3",
         f"{empty}: rows: found none",
     ]
     assert len(said) == len(starts)
@@ -380,9 +376,8 @@ def test_what_is_wrong_with_cameras_in_names(tmp_path):
         (problem,) = caught.value.problems
         return str(problem)
 
-    assert said("auto").startswith(
-        f"{tmp_path / 'a_cam1.csv'}: camera: found cam1, and so has a-cam1.csv, expected one"
-    )
+    (twice, _), _ = find_clips([tmp_path], TWO)
+    assert input_problems([twice])[0][0].found == "cam1 for two keypoint files"
     assert "no camera in a-cam1.csv, a_cam1.csv, b-cam2.csv" in said("view(.)")
     assert "'(' (missing ), unterminated subpattern at position 0), expected a regular" in said("(")
     assert "found cam2 beside --cameras-by" in said("cam.$", TWO | {"camera_name": "cam2"})
@@ -467,9 +462,9 @@ def test_a_row_of_a_manifest_with_several_cameras(tmp_path):
         "keypoints,camera_name,offset_s,out\nwalk-cam*.csv,,,\ny2.csv|x1.csv,cam2 | cam1,0|0.25,other\nx1.csv,1,,\n",
     )
     first, second, third = (clip for clip in find_clips([path], TWO | {"camera": scene})[0])
-    assert [first.name, second.name, third.name] == ["walk", "other", "x1"]
+    assert [first.name, second.name, third.name] == ["walk-cam1", "other", "x1"]
     assert first.settings.keypoints == (tmp_path / "walk-cam1.csv", tmp_path / "walk-cam2.csv")
-    assert first.settings.camera_name == ("cam1", "cam2")
+    assert first.settings.camera_name is None  # the fit finds them in the files' names
     assert second.settings.keypoints == (tmp_path / "y2.csv", tmp_path / "x1.csv")
     assert (second.settings.camera_name, second.settings.offset_s) == (("cam2", "cam1"), (0.0, 0.25))
     assert third.settings.camera_name == ("1",)
@@ -485,9 +480,11 @@ def test_a_camera_more_or_less_is_the_same_clip_again(tmp_path):
     (planned,) = plan_batch(both, out)
     planned.out.mkdir(parents=True)
     (planned.out / "pose3d.csv").write_text("results")
-    note_start(out, planned)
+    record = Record(out / RECORD)
+    begun = {"identity": planned.identity, "keypoints": planned.clip.settings.keypoints_from(out)}
+    record.note("walk", **begun)
     assert plan_batch(both, out)[0].reason == "not finished before"
-    note_end(out, planned, {})
+    record.note("walk", **begun, made=digest(planned.out / "manifest.json"), row={})
     assert plan_batch(both, out)[0].reason == "not complete"
     assert Summary([planned], out).rows["walk"]["cameras"] == 2
     for camera in ("cam1", "cam2"):
@@ -658,15 +655,13 @@ def test_the_record_has_one_row_a_clip_when_a_batch_begins(clips, tmp_path):
     out = tmp_path / "out"
     fit(found(clips / "a.csv", clips / "b.csv"), out)
     assert len((out / RECORD).read_text().splitlines()) == 4
-    before = read_record(out)
+    before = Record(out / RECORD).rows
     with (out / RECORD).open("a") as file:
-        file.write('{"schema": 1}\n[]\nnonsense\n{"clip": "a", "sch')
+        file.write('{"schema": 1}\n[]\nnonsense\n{"part": "a", "sch')
     assert fit(found(clips), out) == [("done", ""), ("done", ""), ("new", "")]
     rows = [json.loads(line) for line in (out / RECORD).read_text().splitlines()]
-    assert [(row["clip"], row["state"]) for row in rows] == [
-        ("a", "finished"), ("b", "finished"), ("c", "started"), ("c", "finished"),
-    ]  # fmt: skip
-    assert read_record(out).items() > before.items()
+    assert [(row["part"], "made" in row) for row in rows] == [("a", True), ("b", True), ("c", False), ("c", True)]
+    assert Record(out / RECORD).rows.items() > before.items()
 
 
 def test_input_problems(clips, tmp_path):
@@ -711,7 +706,7 @@ def test_what_many_clips_lack_is_said_once(clips, tmp_path):
     assert ended.err == f"error: {clips / 'a.toml'} and 2 more files: camera: {expected}\n"
     assert not (tmp_path / "out").exists()
     ended = run(path, "--set", "method=frame", "--fps", 30, "--out", tmp_path / "out", "--dry-run")
-    assert f"a, b, c: {clips / 'a.toml'}: camera: {expected}" in ended.out
+    assert f"a, b, c: {clips / 'a.toml'} and 2 more files: camera: {expected}" in ended.out
     assert ended.out.count("no choice") == 1
     assert "3 clips: 0 new, 0 to fit again, 0 done, 3 that cannot be fitted" in ended.out
 
@@ -784,7 +779,7 @@ def test_faults_take_only_their_clip(clips, tmp_path):
 def test_what_failed_is_done_again_beside_what_is_done(clips, tmp_path):
     out = tmp_path / "out"
     fit(found(clips / "a.csv"), out)
-    speed = str(read_record(out)["a"]["row"]["peak_speed_m_s"])
+    speed = str(Record(out / RECORD).rows["a"]["row"]["peak_speed_m_s"])
     (out / "b").mkdir()
     (out / "b" / "crash.log").write_text("the worker was killed")
     assert fit(found(clips / "[ab].csv"), out) == [("done", ""), ("new", "")]
@@ -898,7 +893,7 @@ def in_the_middle(clips, tmp_path) -> Iterator[tuple[subprocess.Popen[str], Path
 
 def finished(out: Path) -> dict[str, int]:
     """The moment of each finished clip."""
-    done = [name for name, row in read_record(out).items() if row["state"] == "finished"]
+    done = [name for name, row in Record(out / RECORD).rows.items() if "made" in row]
     return {name: (out / name / "report.json").stat().st_mtime_ns for name in done}
 
 

@@ -111,9 +111,10 @@ def test_command(tmp_path, small_pictures):
 
 
 def test_every_mistake_is_said(tmp_path):
-    wrong = ("--angle", "theta_9", "--joint", "J77", "--cameras", "3", "--hfov-deg", "0", "--distance-m", "-1")
-    done = run("camera-advice", "--skeleton", "cheetah-8u", "--out", tmp_path / "a", *wrong)
-    assert done.code == 2
-    assert done.err.count("error:") == 6
-    assert "one of J0_pitch" in done.err
+    given = ("camera-advice", "--skeleton", "cheetah-8u", "--out", tmp_path / "a")
+    done = run(*given, "--cameras", "3", "--hfov-deg", "0", "--distance-m", "-1")
+    assert (done.code, done.err.count("error:")) == (2, 3)
+    done = run(*given, "--angle", "theta_9")
+    assert (done.code, "one of J0_pitch" in done.err) == (2, True)
+    assert "one of the two" in run(*given, "--angle", "theta_6", "--joint", "J1").err
     assert not (tmp_path / "a").exists()

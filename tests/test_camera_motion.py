@@ -14,17 +14,13 @@ from command_line import run
 from scipy.spatial.transform import Rotation
 
 from recon.base.errors import InputError
-from recon.base.manifest import read_manifest
 from recon.calibrate.camera_motion import Orientation, Tracker, as_level, read_marks, tilted, up_by_marks
 from recon.calibrate.camera_motion.features import rays_of
 from recon.calibrate.camera_motion.track import CLEARLY
-from recon.fit.motion import Motion
 from recon.geometry.camera import Camera
 from recon.io import write_camera
 from recon.io.camera_track import read_camera_track
-from recon.io.pose3d import read_pose3d
 from recon.io.video import video_writer
-from tests.conftest import SAMPLES
 
 SIZE = (320, 180)
 PINHOLE = Camera("cam", np.array([[300.0, 0, 160], [0, 300.0, 90], [0, 0, 1]]), np.zeros(0), "pinhole", SIZE)
@@ -256,7 +252,6 @@ def test_command_writes_a_track_that_the_fit_reads(pan_film, tmp_path):
     ended = run(
         "camera-motion", pan_film / "pan.avi", "--camera", pan_film / "camera.toml", "--out", tmp_path / "track.csv",
         "--keypoints", tmp_path / "points.csv", "--first-frame", 5, "--tilt-deg", 10, "--zoom",
-        "--stabilised", tmp_path / "still.avi",
     )  # fmt: skip
     assert ended.code == 0, ended.err
     assert "8 of 8 frames placed" in ended.out
@@ -276,42 +271,6 @@ def test_command_writes_a_track_that_the_fit_reads(pan_film, tmp_path):
     panorama = cv2.imread(str(tmp_path / "track_panorama.png"))
     assert panorama is not None
     assert panorama.shape[1] > 1000
-    assert (tmp_path / "still.avi").stat().st_size > 0
-
-
-def test_fit_finds_the_track_and_keeps_it_with_the_results(pan_film, tmp_path):
-    """The results can be fitted again from their own folder, as any."""
-    turns, truth = pan(8, 6.0), read_pose3d(SAMPLES / "whole_truth.csv")
-    points = (truth.xyz_m[26:34] - truth.xyz_m[30].mean(axis=0)) @ np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
-    pixels, _ = PINHOLE.project((points + np.array([0.0, 0.0, 5.0])) @ turns.swapaxes(1, 2))
-    rows = [
-        f"{t},{name},{x:.2f},{y:.2f},0.9" for t in range(8) for name, (x, y) in zip(truth.names, pixels[t], strict=True)
-    ]
-    (tmp_path / "clip.csv").write_text("frame,keypoint,x,y,likelihood\n" + "\n".join(rows) + "\n")
-    out = tmp_path / "out"
-    ended = run(
-        "fit", tmp_path / "clip.csv", "--camera", pan_film / "camera.toml", "--fps", 60,
-        "--set", "fast=true", "--out", out,
-        "--camera-motion", pan_film / "pan.avi", "--tilt-deg", 4,
-    )  # fmt: skip
-    assert ended.code == 0, ended.err
-    track = read_camera_track(out / "track.csv")
-    assert track.turn_sigma_rad is not None
-    assert 0 < np.degrees(track.turn_sigma_rad).max() < 0.1
-    again = run("fit", "--config", out / "config.toml", "--out", out, "--overwrite")
-    assert again.code == 0, again.err
-    assert {"track.csv", "track_report.json", "track_panorama.png"} <= set(read_manifest(out).files)
-    poses = Motion.load(out).sources[0].poses
-    assert poses is not None
-    np.testing.assert_allclose(poses.T_camera_world, track.T_camera_world, atol=1e-6)
-
-
-def test_fit_says_what_a_turning_camera_needs(pan_film, tmp_path):
-    given = ("fit", SAMPLES / "whole.csv", "--fps", 60, "--out", tmp_path / "out")
-    ended = run(*given, "--camera-motion", pan_film / "pan.avi", "--hfov-deg", 60, "--image-size", "320x180")
-    assert ended.code == 2
-    assert "no --camera" in " ".join(ended.err.split())
-    assert not (tmp_path / "out").exists()
 
 
 def test_without_a_tilt_the_mean_frame_is_said_to_be_level(pan_film, tmp_path):

@@ -20,8 +20,8 @@ from recon.io.camera_track import read_camera_track
 from recon.io.deeplabcut import write_csv
 from recon.io.pose3d import read_pose3d
 from recon.workflows.batch.inputs import find_clips
-from recon.workflows.batch.record import identity
 from recon.workflows.clip import prepare
+from recon.workflows.made_from import identity
 from tests import test_cameras
 from tests.command_line import run as command
 from tests.test_cameras import FISHEYE, problems, settings

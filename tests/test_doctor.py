@@ -304,7 +304,6 @@ def called(monkeypatch: pytest.MonkeyPatch, *args: str, **environment: str) -> s
             "recon fit --camera",
             {
                 "--camera",
-                "--camera-motion",
                 "--camera-name",
                 "--camera-track",
                 "--camera-unit",

@@ -35,10 +35,10 @@ from recon.robotics.robot.retarget import retarget
 from recon.robotics.robot.robot_file import load_robot
 from recon.show.plots.skeleton import expected_pose
 from recon.show.report import build_report
-from recon.workflows.batch.record import file_sha256, identity
 from recon.workflows.clip import prepare
 from recon.workflows.clip_results import run_clip
 from recon.workflows.convert import ConvertSettings, read_any
+from recon.workflows.made_from import file_sha256, identity
 from recon.workflows.skeleton_check import check_skeleton
 from recon.workflows.skeleton_draft import draft_skeleton
 

@@ -17,8 +17,7 @@ from recon.base.errors import InputError
 from recon.base.files import staged_results
 from recon.io.video import video_writer
 from recon.workflows.clip_results import output_files, write_clip
-from recon.workflows.run import Job, job_of, run_video
-from recon.workflows.run_folder import jobs_of, keypoints_of, run_folder
+from recon.workflows.run import Job, RunSettings, job_of, jobs_of, keypoints_of, run_folder, run_video
 from recon.workflows.settings import FitSettings
 
 SAMPLES = Path(__file__).parents[1] / "data" / "samples"
@@ -81,9 +80,9 @@ def called(monkeypatch, report, small_trajectory) -> list[str]:
     monkeypatch.setattr("recon.workflows.run.fit_clip", lambda settings, progress: None)
     monkeypatch.setattr("recon.workflows.run.write_clip", write_results)
     analysed = does("analyse", "analysis/analysis.json", lambda path: (None, {}, [path]))
-    monkeypatch.setattr("recon.workflows.analyse.run_analyse", analysed)
+    monkeypatch.setattr("recon.workflows.run.run_analyse", analysed)
     monkeypatch.setattr("recon.workflows.run.run_overlay", does("overlay", "overlay.mp4"))
-    monkeypatch.setattr("recon.workflows.page.run_page", does("page", "report.html"))
+    monkeypatch.setattr("recon.workflows.run.run_page", does("page", "report.html"))
     return names
 
 
@@ -99,7 +98,7 @@ def job(film: Path, **more) -> Job:
     given = {"camera": SAMPLES / "camera.toml", **more.pop("given", {})}
     if "model" not in more:
         more["keypoints"] = film.parent / "points.csv"
-    return job_of(film, film.parent / "out", given, **more)
+    return job_of(RunSettings(video=film, out=film.parent / "out", **more), given)
 
 
 def done(job: Job, called: list[str]) -> list[str]:
@@ -112,7 +111,7 @@ def done(job: Job, called: list[str]) -> list[str]:
 
 def test_nothing_is_done_twice(film, called):
     assert done(job(film), called) == ALL
-    assert job(film).settings.fps == 60
+    assert job(film).fit.fps == 60
     assert done(job(film), called) == []
     assert done(job(film, given={"likelihood_min": 0.4}), called) == ALL
     assert done(job(film, given={"likelihood_min": 0.4}, first_frame=3), called) == ["overlay", "page"]
@@ -141,7 +140,8 @@ def test_the_network_finds_the_keypoints_once(film, called):
 def test_names_of_files_are_relative_to_where_one_is(film, called, monkeypatch):
     monkeypatch.chdir(film.parent)
     camera = {"camera": SAMPLES / "camera.toml"}
-    here = job_of(Path("run.avi"), Path("out"), camera, model=Path("net"), camera_motion="turns")
+    turns = RunSettings(video=Path("run.avi"), out=Path("out"), model=Path("net"), camera_motion="turns")
+    here = job_of(turns, camera)
     assert done(here, called) == ["detect", "camera-motion", *ALL]
     assert done(here, called) == []
     monkeypatch.chdir("/")
@@ -208,6 +208,8 @@ def test_without_a_pose_there_is_a_page_and_no_more(film, called, report, monkey
         return nothing
 
     monkeypatch.setattr("recon.workflows.run.write_clip", write)
+    monkeypatch.setattr("recon.workflows.run.Motion.load", lambda folder: None)
+    monkeypatch.setattr("recon.workflows.run.build_report", lambda motion: nothing)
     ended = run(
         "run", film, "--camera", SAMPLES / "camera.toml", "--keypoints", film.parent / "points.csv",
         "--out", film.parent / "out",
@@ -238,21 +240,24 @@ def test_the_command_says_what_was_done(film, called):
 
 
 def test_all_mistakes_are_said_before_any_work(film, called):
-    options = ("--camera-motion", "spins", "--from", "detect", "--fps", -1, "--keypoints", film.parent / "points.csv")
-    options += ("--quality", "high")
+    options = ("--camera-motion", "spins", "--from", "detekt", "--quality", "high")
     ended = run("run", film, "--out", film.parent / "out", *options)
     assert ended.code == 2
     for said in (
-        "--fps: found '-1'",
-        "--camera-motion: motion: found 'spins', expected turns or zooms",
-        "--camera-motion: camera: found nothing",
+        "--camera-motion: found 'spins', expected turns or zooms",
         "--quality: found 'high', expected fast or best",
-        "--from: stage: found 'detect', expected one of camera-motion, fit, analyse, overlay, page",
+        "--from: start: found 'detekt', expected detect, camera-motion, fit, analyse, overlay or page",
     ):
         assert said in ended.err
+    options = ("--camera-motion", "turns", "--fps", -1, "--keypoints", film.parent / "points.csv")
+    ended = run("run", film, "--out", film.parent / "out", *options)
+    assert "--fps: found '-1'" in ended.err
+    assert "--camera-motion: camera: found nothing" in ended.err
     for wrong in ((), ("--keypoints", "a.csv", "--model", "net")):
         ended = run("run", film, "--camera", "camera.toml", "--out", film.parent / "out", *wrong)
         assert "expected a keypoint file, or --model with a network" in ended.err
+    ended = run("run", film, "--camera", "c.toml", "--out", film, "--keypoints", "a.csv", "--from", "detect")
+    assert "--from: stage: found 'detect', expected a stage that this run has" in ended.err
     ended = run("run", film, "--camera", "camera.toml", "--out", film.parent / "out", "--model", "none")
     assert ended.err.startswith("error: --model: file: found none, no such file, expected the model.pt of a folder")
     assert called == []
@@ -280,16 +285,19 @@ def test_the_stages_are_those_of_the_commands(tmp_path, monkeypatch):
         "recon.workflows.page.clip_page", lambda _, stills, behind, files, camera: f"{page} {behind} {files}"
     )
     given = {"camera": SAMPLES / "rendered_camera.toml", "fast": True, "frames": "0:6"}
-    job = job_of(SAMPLES / "rendered.mp4", tmp_path / "out", given, keypoints=SAMPLES / "rendered_points.csv")
+    job = job_of(
+        RunSettings(video=SAMPLES / "rendered.mp4", out=tmp_path / "out", keypoints=SAMPLES / "rendered_points.csv"),
+        given,
+    )
     stages, shares = [], []
     done, _ = run_video(job, lambda what, share: shares.append((what.split(":")[0], share)), stages.append)
     assert done == stages
     assert [(stage.stage, stage.status) for stage in stages] == [(name, "done") for name in ALL]
     assert [*dict(shares)] == ALL
     assert shares == sorted(shares, key=lambda pair: pair[1])
-    written = {path.relative_to(job.out).as_posix() for path in job.out.rglob("*") if path.is_file()}
-    assert written == {name for stage in stages for name in stage.files} | {"run.json"}
-    assert "rendered.mp4 ['overlay.mp4', 'analysis/analysis.json'," in (job.out / "report.html").read_text()
+    written = {path.relative_to(job.run.out).as_posix() for path in job.run.out.rglob("*") if path.is_file()}
+    assert written == {name for stage in stages for name in stage.files} | {"run.jsonl"}
+    assert "rendered.mp4 ['overlay.mp4', 'analysis/analysis.json'," in (job.run.out / "report.html").read_text()
     assert all(stage.status != "done" for stage in run_video(job)[0])
 
 
@@ -316,7 +324,7 @@ def test_a_folder_is_a_batch(tmp_path, called, monkeypatch):
         assert [job.threads for _, job in tasks] == [1] * len(tasks)
         carry_out_here(work, pickle.loads(pickle.dumps(tasks)), tell, **more)
 
-    monkeypatch.setattr("recon.workflows.run_folder.carry_out", carry_out)
+    monkeypatch.setattr("recon.workflows.run.carry_out", carry_out)
     videos = tmp_path / "videos"
     videos.mkdir()
     for name in ("a", "b"):
@@ -338,7 +346,7 @@ def test_a_folder_is_a_batch(tmp_path, called, monkeypatch):
     assert 'href="a/report.html"' in table
     (videos / "b.csv").unlink()
     with pytest.raises(InputError, match=r"keypoints of b.avi: found none"):
-        jobs_of(videos, tmp_path / "all", {"camera": SAMPLES / "camera.toml"}, keypoints=videos)
+        jobs_of(RunSettings(video=videos, out=tmp_path / "all", keypoints=videos), {"camera": SAMPLES / "camera.toml"})
     with pytest.raises(InputError, match="no videos"):
-        jobs_of(tmp_path / "all", tmp_path / "all", {})
+        jobs_of(RunSettings(video=tmp_path / "all", out=tmp_path / "all", keypoints=videos), {})
     assert run_folder([], tmp_path / "none").counts() == {}

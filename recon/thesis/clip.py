@@ -12,7 +12,7 @@ from recon.clip import views_of
 from recon.fit.motion import Motion
 from recon.thesis.frame import FrameOptions, solve_frames
 from recon.workflows.clip import prepare
-from recon.workflows.settings import FitSettings
+from recon.workflows.settings import SETTINGS, FitSettings
 
 
 def fit_clip(settings: FitSettings, progress: Progress = silent) -> Motion:
@@ -36,4 +36,6 @@ def load_body(settings: FitSettings) -> Body:
 
 def frame_options(settings: FitSettings) -> FrameOptions:
     """The options of the frame method among the settings of a fit."""
-    return FrameOptions(**{field.name: getattr(settings, field.name) for field in fields(FrameOptions)})
+    return FrameOptions(
+        **{name: getattr(settings, name) for field in fields(FrameOptions) if (name := field.name) in SETTINGS}
+    )

@@ -34,7 +34,7 @@ from recon.geometry.camera import Camera
 from recon.geometry.frames import quaternions
 from recon.io import read_camera, read_keypoints, write_table
 from recon.io.camera_track import INTRINSICS, POSE, SIGMA
-from recon.io.video import Image, missing_note, probe, read_frames, require_codec, video_writer
+from recon.io.video import Image, missing_note, probe, read_frames
 from recon.show.plain import to_json
 from recon.workflows.cli.common import counted, progress_bar, say, terminal
 from recon.workflows.settings import FIRST_FRAME, FitSettings
@@ -75,10 +75,7 @@ class CameraMotionSettings(Settings):
         Option("Instead: a table (kind,frame,x1,y1,x2,y2) of horizons and verticals, as in level.csv."),
     ] = None
     zoom: Annotated[bool, Option("The focal length changes; the first frame has the file's.")] = False
-    stabilised: Annotated[
-        Path | None, Option("A video with the background at rest, .mp4 or .avi, as in still.mp4.")
-    ] = None
-    overwrite: Annotated[bool, Option("Replace the track and the video.")] = False
+    overwrite: Annotated[bool, Option("Replace the track.")] = False
 
     def problems(self) -> Iterator[Problem]:
         if self.tilt_deg is not None and self.level_marks is not None:
@@ -125,8 +122,8 @@ def camera_motion(settings: CameraMotionSettings, as_json: bool) -> Any:
 def run_camera_motion(
     settings: CameraMotionSettings, progress: Progress = silent
 ) -> tuple[dict[str, Any], tuple[Path, ...]]:
-    """The report and the files: the track (`recon.io.camera_track`), beside it <stem>_report.json and
-    <stem>_panorama.png, and the stabilised video. Raises InputError, with every problem, for inputs that cannot be
+    """The report and the files: the track (`recon.io.camera_track`), and beside it <stem>_report.json and
+    <stem>_panorama.png. Raises InputError, with every problem, for inputs that cannot be
     used, and for a camera that did more than turn.
     """
     info, lens, animal, marks, *_ = all_of(
@@ -134,7 +131,7 @@ def run_camera_motion(
         lambda: read_camera(settings.camera, settings.camera_name),
         lambda: None if settings.keypoints is None else read_keypoints(settings.keypoints, settings.individual),
         lambda: () if settings.level_marks is None else read_marks(settings.level_marks),
-        lambda: _require_out(settings),
+        lambda: require_free_file(settings.out, settings.overwrite, suffixes=(".csv",)),
     )
     if info.size_px != lens.image_size_px:
         found, wanted = ("{}x{} px".format(*size) for size in (info.size_px, lens.image_size_px))
@@ -155,32 +152,18 @@ def run_camera_motion(
     up, level = _up(settings, motion, lens, marks)
     motion = replace(motion, turns=as_level(motion.turns, up))
     report = _report(settings, motion, lens, level)
-    canvas, background, picture = _pictures(lens, motion, points)
+    picture = _panorama(lens, motion, points)
     report_file, picture_file = (
         settings.out.with_name(settings.out.stem + end) for end in ("_report.json", "_panorama.png")
     )
-    if settings.stabilised is not None:
-        path = _animal(lens, motion.frames, motion.turns, points)
-        with video_writer(settings.stabilised, canvas.size_px, info.fps or 30.0) as write:
-            for number, drawn in _stabilised(settings.video, lens, motion, path, canvas, background):
-                write(drawn)
-                progress("writing the stabilised video", number / (len(motion.frames) + len(motion.lost)))
     with staged_folder(settings.out.absolute().parent) as folder:
         _write_track(folder / settings.out.name, settings, motion, lens)
         (folder / report_file.name).write_text(to_json(report), encoding="utf-8")
         write_bytes(folder / picture_file.name, cv2.imencode(".png", picture)[1].tobytes())
-    written = (settings.out, report_file, picture_file, *([] if settings.stabilised is None else [settings.stabilised]))
-    return report, written
+    return report, (settings.out, report_file, picture_file)
 
 
 # -- what cannot be used ----------------------------------------------------------------------------------------------
-
-
-def _require_out(s: CameraMotionSettings) -> None:
-    require_free_file(s.out, s.overwrite, suffixes=(".csv",))
-    if s.stabilised is not None:
-        require_codec(s.stabilised)
-        require_free_file(s.stabilised, s.overwrite, "--stabilised", source=s.video)
 
 
 def _focal_note(motion: TurningMotion, lens: Camera) -> str | None:
@@ -310,16 +293,15 @@ def _focal_px(focal: tuple[float, float], lens: Camera) -> dict[str, float]:
     return {"file": own, "found": found, "sigma": found * focal[1]}
 
 
-def _pictures(camera: Camera, motion: TurningMotion, points: dict[int, Array]) -> tuple[Canvas, Image, Image]:
-    """The canvas, the panorama, and the panorama with the camera's and the animal's path."""
+def _panorama(camera: Camera, motion: TurningMotion, points: dict[int, Array]) -> Image:
+    """All that was seen, with the camera's and the animal's path."""
     canvas = Canvas.around(camera, motion.turns)
-    background = panorama(canvas, camera, [motion.turns[key] for key in motion.keys], motion.pictures)
-    drawn = background.copy()
+    drawn = panorama(canvas, camera, [motion.turns[key] for key in motion.keys], motion.pictures)
     for turn in (motion.turns[0], motion.turns[len(motion.turns) // 2], motion.turns[-1]):
         draw_view(canvas, drawn, camera, turn)
     draw_path(canvas, drawn, np.stack([turn.rotation[2] for turn in motion.turns]), PATH)
     draw_path(canvas, drawn, _animal(camera, motion.frames, motion.turns, points), ANIMAL)
-    return canvas, background, drawn
+    return drawn
 
 
 def _animal(camera: Camera, frames: Integers, turns: tuple[Orientation, ...], points: dict[int, Array]) -> Array:
@@ -329,19 +311,3 @@ def _animal(camera: Camera, frames: Integers, turns: tuple[Orientation, ...], po
         if frame in points:
             rays[t] = rays_of(camera, np.nanmean(points[frame], axis=0)[None], turn.zoom)[0][0] @ turn.rotation
     return rays
-
-
-def _stabilised(
-    video: Path, camera: Camera, motion: TurningMotion, path: Array, canvas: Canvas, background: Image
-) -> Iterator[tuple[int, Image]]:
-    """Every frame where it belongs in the panorama, which stands still behind it, darker, with the animal's path."""
-    turns = dict(zip(motion.frames.tolist(), motion.turns, strict=True))
-    dark = (background * 0.4).astype(np.uint8)
-    for number, picture in read_frames(video):
-        drawn = dark.copy()
-        if number in turns:
-            warped, depth = canvas.warped(camera, turns[number], picture)
-            drawn = np.where(depth[..., None] > 0, warped, dark)
-            draw_view(canvas, drawn, camera, turns[number])
-        draw_path(canvas, drawn, path[: np.searchsorted(motion.frames, number, side="right")], ANIMAL)
-        yield number, drawn

@@ -52,6 +52,9 @@ class ConvertSettings(Settings):
         None
     )
     rename: Annotated[str | None, RENAME] = None
+    body_mass_kg: Annotated[
+        Positive, Option("Mass of the animal in an OpenSim model; 1: forces per kilogram.", "kilograms above 0")
+    ] = 1.0
     anyway: Annotated[bool, ANYWAY] = False
     overwrite: Annotated[bool, Option("Replace the file.")] = False
     show_list: Annotated[bool, Option("Print the formats.", name="--list")] = False

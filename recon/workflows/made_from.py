@@ -1,15 +1,19 @@
-"""Which files a fit was made from, and whether they are still the same."""
+"""What results were made from, and whether it is still the same: files by their content, settings, the version."""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from recon import io
 from recon.base.documents import read_toml
 from recon.base.errors import InputError, Problem
+from recon.base.files import staged_file
 from recon.base.manifest import read_manifest, sha256_of
+from recon.base.package import version
 from recon.workflows.settings import FitSettings, read_settings
 
 if TYPE_CHECKING:
@@ -17,6 +21,7 @@ if TYPE_CHECKING:
     from recon.fit.motion import Motion
 
 CONFIG = "config.toml"
+SCHEMA = {"name": "recon.record", "version": 1}
 AS_THEY_WERE = "the prior and the settings of the fit, as they were: fit the clip again"
 
 
@@ -34,6 +39,10 @@ def input_files(settings: FitSettings) -> dict[str, Path]:
     return files
 
 
+file_sha256 = cache(lambda path: digest(path))
+"""As `digest`; remembered, as a batch asks again and again."""
+
+
 def digest(path: Path) -> str | None:
     """Of a file's content; None where it cannot be read."""
     try:
@@ -42,10 +51,52 @@ def digest(path: Path) -> str | None:
         return None
 
 
-def digests(settings: FitSettings, known: Mapping[str, str | None] | None = None) -> dict[str, str]:
-    """Of all input files that can be read, for config.toml; known: from before."""
-    found = {role: digest(path) for role, path in input_files(settings).items()} if known is None else known
-    return {role: sha256 for role, sha256 in found.items() if sha256 is not None}
+def identity(settings: FitSettings) -> dict[str, Any]:
+    """What the results of a fit follow from. Where a file lies is not part of it, nor are settings that only the other
+    method reads. A file that cannot be read has no content, None."""
+    files = input_files(settings)
+    plain = {name: value for name, value in settings.plain().items() if value is not None and name not in files}
+    return identity_of(files, plain)
+
+
+def identity_of(files: Mapping[str, Path], settings: Mapping[str, Any]) -> dict[str, Any]:
+    """The same of any files, by their role, and settings."""
+    inputs = {role: file_sha256(path) for role, path in files.items()}
+    return {"inputs": inputs, "settings": dict(settings), "version": version()}
+
+
+class Record:
+    """What each part of a work was made from, and what became of it: lines of JSON, of which the last of a part counts.
+
+    Only one process writes it. A part has a row before it begins and another one, with what was made, when it has
+    ended: what a run that is killed at any moment leaves does not look finished. Rows that are damaged, as by a full
+    disk, and those of other versions count as none.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.rows: dict[str, dict[str, Any]] = {}
+        try:
+            lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
+        except OSError:
+            return
+        for line in lines:
+            try:
+                row = json.loads(line)
+                if row["schema"] == SCHEMA:
+                    self.rows[row["part"]] = row
+            except (ValueError, KeyError, TypeError, RecursionError):
+                continue
+
+    def tidy(self) -> None:
+        """Leave the last row of each part, before others come behind it."""
+        with staged_file(self.path) as staged:
+            staged.write_text("".join(json.dumps(row) + "\n" for row in self.rows.values()), encoding="utf-8")
+
+    def note(self, part: str, identity: Mapping[str, Any], **more: Any) -> None:
+        self.rows[part] = {"schema": SCHEMA, "part": part, "identity": identity, **more}
+        with self.path.open("a", encoding="utf-8") as file:
+            file.write(json.dumps(self.rows[part]) + "\n")
 
 
 def read_config(config: Path, given: Mapping[str, Any]) -> FitSettings:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from functools import partial
@@ -20,7 +19,7 @@ from recon.base.arrays import Array, Integers
 from recon.base.documents import read_json
 from recon.base.errors import InputError, Problem, all_of, refuse
 from recon.base.files import require_free_file
-from recon.base.settings import Integer, Number, OneOrMore, Option, Settings
+from recon.base.settings import Count, NotNegative, OneOrMore, Option, Settings
 from recon.check import usable
 from recon.fit.motion import Motion
 from recon.fit.points import MIN_MARKERS, solve_points_and_size
@@ -53,10 +52,10 @@ class PriorFitSettings(Settings):
     subject: Annotated[str | None, Option("Measured animal, by name or TOML file, as in phantom.")] = None
     estimate_size: Annotated[bool, Option("Scale the skeleton to the animal of each file.")] = False
     components: Annotated[
-        Integer, Option("Gaussians in the mixture of poses; fewer if there are not 20 frames for each.")
+        Count, Option("Gaussians in the mixture of poses; fewer if there are not 20 frames for each.")
     ] = 16
     min_speed_m_s: Annotated[
-        Number, Option("Leave out slower segments, as in 8.5.", "metres per second, as in 8.5")
+        NotNegative, Option("Leave out slower segments, as in 8.5.", "metres per second, as in 8.5")
     ] = 0.0
     apart: Annotated[tuple[str, ...], Option("Segment whose movement says nothing of the others', as in tail_1.")] = ()
     name: Annotated[str | None, Option("Name of the prior. (default: the file's)")] = None
@@ -127,7 +126,6 @@ def run_prior_fit(settings: PriorFitSettings) -> dict[str, Any]:
         lambda: _by_path(read_pose_segments, tables),
         lambda: _rates(settings.fps, tables),
         lambda: require_free_file(settings.out, settings.overwrite, suffixes=(".npz",)),
-        lambda: _check_options(settings.components, settings.min_speed_m_s),
     )
     body = _common_body(given, results)
     all_of(lambda: _require_markers(body, files), lambda: _require_rates(rates, files, settings.fps or "--fps"))
@@ -203,16 +201,15 @@ def _solved_segments(
 
 def _labels(files: Mapping[Path, Mapping[str, Pose3D]], names: Mapping[Path, str]) -> dict[tuple[Path, str], str]:
     """A name of its own for every piece of motion: that in the file, or the file's of `names`, or both."""
-    count = Counter(piece for pieces in files.values() for piece in pieces)
-    labels = {}
-    for path, pieces in files.items():
-        for piece in pieces:
-            if piece == path.stem and len(names) > 1:
-                labels[path, piece] = names[path.absolute()]
-            else:
-                plain = len(names) == 1 or (len(pieces) == 1 and count[piece] == 1)
-                labels[path, piece] = piece if plain else f"{names[path.absolute()]} {piece}"
-    return labels
+    return {
+        (path, piece): piece
+        if len(names) == 1
+        else names[path.absolute()]
+        if piece == path.stem
+        else f"{names[path.absolute()]} {piece}"
+        for path, pieces in files.items()
+        for piece in pieces
+    }
 
 
 def _used_frames(segments: Sequence[Segment], min_speed_m_s: float) -> int:
@@ -297,15 +294,6 @@ def _rates(fps: str | None, tables: Sequence[Path]) -> list[float]:
     if not rates or not all(math.isfinite(rate) and rate > 0 for rate in rates):
         raise InputError(Problem("--fps", "frame rate", ", ".join(f"{rate:g}" for rate in rates) or "none", expected))
     return rates
-
-
-def _check_options(components: int, min_speed_m_s: float) -> None:
-    problems = []
-    if components < 1:
-        problems.append(Problem("--components", "number", f"{components}", "1 or more"))
-    if not (math.isfinite(min_speed_m_s) and min_speed_m_s >= 0):
-        problems.append(Problem("--min-speed-m-s", "speed", f"{min_speed_m_s:g}", "0 m/s or more"))
-    refuse(problems)
 
 
 def _require_markers(body: Body, files: dict[Path, dict[str, Pose3D]]) -> None:

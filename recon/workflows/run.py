@@ -1,156 +1,191 @@
 """`recon run`: from a video to a page. Stages in their order, each left out if it has been done with the same inputs.
 
-`run.json` in the folder says of each stage what it was made from (the content of its input files, its settings, the
-version of recon) and what it wrote. A stage that has begun and not ended has written nothing down, and is done again.
+`run.jsonl` in the folder says of each stage what it was made from and what it wrote. A stage that has begun and not
+ended has written nothing down, and is done again. A folder of videos is a batch of it.
 """
 
 from __future__ import annotations
 
-import json
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from importlib import import_module
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 from recon.base.errors import InputError, Problem, all_of, refuse
-from recon.base.files import sole_writer, staged_file
+from recon.base.files import sole_writer
 from recon.base.manifest import MANIFEST, read_manifest, sha256_of
+from recon.base.parallel import Event, carry_out
 from recon.base.progress import Progress, silent
+from recon.base.settings import Count, Integer, Option, Settings
 from recon.fit.motion import Motion
 from recon.gait.path import MIN_POINTS
-from recon.io.video import probe
-from recon.show.page import PAGE
-from recon.show.report import build_report
-from recon.workflows.batch.record import file_sha256, identity, identity_of
+from recon.io import recognised
+from recon.io.video import SUFFIXES, probe
+from recon.show.page import PAGE, SUMMARY_PAGE, require_own_page
+from recon.show.report import build_report, is_unsolved
+from recon.workflows.analyse import AnalyseSettings, run_analyse
+from recon.workflows.batch import Clip, Planned, Summary, work_off
+from recon.workflows.batch.inputs import file_names
+from recon.workflows.batch.summary import results_of
+from recon.workflows.cli.batch import shown_batch
+from recon.workflows.cli.command import OptionsOf
+from recon.workflows.cli.common import finish, progress_bar, say, terminal
 from recon.workflows.clip import fit_clip, read_model_and_cameras
 from recon.workflows.clip_results import output_files, write_clip
-from recon.workflows.overlay import OverlaySettings, run_overlay
-from recon.workflows.settings import FitSettings, read_settings
+from recon.workflows.made_from import Record, file_sha256, identity, identity_of
+from recon.workflows.overlay import OverlaySettings, rate_note, run_overlay
+from recon.workflows.page import PageSettings, run_page
+from recon.workflows.settings import FIRST_FRAME, SETTINGS, FitSettings, read_settings
 
-RECORD = "run.json"
-SCHEMA = {"name": "recon.run", "version": 1}
-STAGES = ("detect", "camera-motion", "fit", "analyse", "overlay", "page")
+RECORD = "run.jsonl"
+Stage = Literal["detect", "camera-motion", "fit", "analyse", "overlay", "page"]
 OVERLAY = "overlay.mp4"
 DETECTOR = "recon.keypoint_net"
 """The package that finds keypoints. It is imported by its name, where a job has a network: no room needs a wing."""
-CameraMotion = Literal["turns", "zooms"]
-Status = Literal["done", "unchanged", "left out"]
+_OF_THE_FIT = tuple(name for name in SETTINGS if name != "keypoints")
+
+
+class RunSettings(Settings):
+    """What `recon run` is told besides the settings of the fit."""
+
+    video: Annotated[Path, Option("The video, as in run.mp4, or a folder of videos.", argument="VIDEO")]
+    out: Annotated[Path, Option("Folder for everything; of a folder of videos one in it for each.")]
+    model: Annotated[Path | None, Option("Folder of a trained network, as in models/run.", metavar="DIR")] = None
+    keypoints: Annotated[
+        Path | None,
+        Option("Instead of a network: the keypoint file; of a folder of videos the folder with a file for each."),
+    ] = None
+    camera_motion: Annotated[
+        Literal["turns", "zooms"] | None,
+        Option("Find how the camera turned, or turned and zoomed, from the background. (default: it stands still)"),
+    ] = None
+    start: Annotated[Stage | None, Option("Do this stage again, and all after it.", metavar="STAGE", name="--from")] = (
+        None
+    )
+    first_frame: Annotated[Integer, FIRST_FRAME] = 0
+    quality: Annotated[Literal["fast", "best"], Option("Of the network's points.")] = "fast"
+    jobs: Annotated[
+        Count | None, Option("Of a folder: videos at a time, each in a process. (default: one for each core)")
+    ] = None
+    config: Annotated[Path | None, Option("Settings as in the config.toml of a fit; options here overrule it.")] = None
+    overwrite: Annotated[bool, Option("Replace files that no run has made, or that were changed since.")] = False
+
+    def problems(self) -> Iterator[Problem]:
+        if (self.model is None) == (self.keypoints is None):
+            found = "nothing" if self.model is None else f"{self.keypoints} beside --model"
+            yield Problem("--keypoints", "keypoints", found, "a keypoint file, or --model with a network")
+        if {"detect": self.model, "camera-motion": self.camera_motion}.get(self.start or "", ()) is None:
+            yield Problem("--from", "stage", repr(self.start), "a stage that this run has")
+
+    @property
+    def track(self) -> Path:
+        """Where the camera's motion goes."""
+        return self.out / f"{self.video.stem}_camera.csv"
 
 
 @dataclass(frozen=True)
 class Job:
-    """What is to be done with a video."""
+    """A video and what is to be done with it."""
 
-    video: Path
-    out: Path
-    settings: FitSettings
-    """Of the fit. Its keypoints are those that were given, or where those that are found go; its track, if the camera's
-    motion is to be found, is still missing."""
-    model: Path | None = None
-    """Folder of the network that finds the keypoints."""
-    quality: str = "fast"
-    """Of that."""
+    run: RunSettings
+    given: FitSettings
+    """Its keypoints are those that were given, or where those that are found go."""
     threads: int | None = None
-    """Of that."""
-    camera_motion: CameraMotion | None = None
-    """What the camera does, if that is to be found."""
-    first_frame: int = 0
-    """The number that the video's first frame has in the keypoint file."""
-    start: str | None = None
-    """The stage from which on all is done again."""
-    overwrite: bool = False
-    """Whether files that no run has made, or that were changed since, may be replaced."""
+    """Of the network."""
 
     @property
-    def track(self) -> Path:
-        return self.out / f"{self.video.stem}_camera.csv"
-
-    @property
-    def fitted(self) -> FitSettings:
-        """With the track that is found."""
-        if self.camera_motion is None:
-            return self.settings
-        return replace(self.settings, camera_track=(self.track,), tilt_deg=None)
+    def fit(self) -> FitSettings:
+        """With the track that is found, if the camera's motion is to be."""
+        return replace(self.given, camera_track=self.run.track, tilt_deg=None) if self.run.camera_motion else self.given
 
 
-@dataclass(frozen=True)
-class _Stage:
+class _Stage(NamedTuple):
     """A part of the work."""
 
-    name: str
     identity: Callable[[], dict[str, Any]]
     """What it is made from."""
-    places: tuple[Path, ...]
-    """Files that are in its way, unless a run has made them; none where it looks for itself what it may replace."""
     work: Callable[[Job, Progress], Iterable[Path]]
     """Does it, over what is there, and gives the files that it wrote."""
+    places: tuple[Path, ...] = ()
+    """Files that are in its way, unless a run has made them; none where it looks for itself what it may replace."""
 
 
-@dataclass(frozen=True)
-class Done:
+class Done(NamedTuple):
     """What became of a stage."""
 
     stage: str
-    status: Status
+    status: Literal["done", "unchanged", "left out"]
     seconds: float
     files: tuple[str, ...] = ()
     """Relative to the folder."""
 
 
-def job_of(
-    video: Path,
-    out: Path,
-    given: Mapping[str, Any],
-    config: Path | None = None,
-    *,
-    model: Path | None = None,
-    keypoints: Path | None = None,
-    **more: Any,
-) -> Job:
-    """given: settings of the fit by name, None where not given; more: other fields of `Job`. The frame rate is the
-    video's own unless it is given. Raises InputError with every problem."""
-    if (model is None) == (keypoints is None):
-        found = "nothing" if model is None else f"{keypoints} beside --model"
-        raise InputError(Problem("--keypoints", "keypoints", found, "a keypoint file, or --model with a network"))
-    found_here = out / f"{video.stem}_keypoints.csv"
+def run(
+    settings: RunSettings,
+    given: Annotated[dict[str, Any], OptionsOf(FitSettings, _OF_THE_FIT, "Settings of the fit")],
+    as_json: bool,
+    quiet: bool,
+) -> None:
+    """From a video to a page: find the keypoints, fit, analyse, draw the overlay, and write report.html.
+
+    What has been done with the same files and settings is not done again. The frame rate is the video's unless --fps is
+    given. The stages: detect, camera-motion, fit, analyse, overlay, page.
+
+    Example: recon run run.mp4 --camera camera.toml --model models/run --out results/run
+
+    Exit code 0: done. 1: no frame could be solved. 2: the input cannot be used; what was done before stays.
+    """
+    console, out = terminal(quiet=quiet, stderr=as_json), settings.out
+    if settings.video.is_dir():
+        plan = jobs_of(settings, given)
+        shown_batch(console, len(plan), as_json, partial(run_folder, plan, out, settings.jobs))
+        return
+    with progress_bar(console) as progress:
+        job = job_of(settings, given)
+        done, report = run_video(job, progress, lambda stage: say(console, _line(stage)))
+    if note := rate_note(settings.video, job.fit.fps):
+        say(console, f"note: {note}")
+    stages = [{"stage": s.stage, "status": s.status, "seconds": round(s.seconds, 3)} for s in done]
+    finish(console, report, out, as_json, stages=stages)
+    if not as_json:
+        say(console, f"Open {out / PAGE} in a browser.")
+
+
+def _line(done: Done) -> str:
+    names = done.files[0] if len(done.files) == 1 else f"{len(done.files)} files"
+    text = {
+        "done": f"{names}, {done.seconds:.1f} s",
+        "unchanged": f"{names}, as before",
+        "left out": "left out: too few frames have a pose",
+    }[done.status]
+    return f"{done.stage:<14}{text}"
+
+
+def job_of(run: RunSettings, given: Mapping[str, Any]) -> Job:
+    """given: settings of the fit by name. The frame rate is the video's own unless it is given. Raises InputError with
+    every problem."""
+    keypoints = run.keypoints or run.out / f"{run.video.stem}_keypoints.csv"
     info, _, settings, _ = all_of(
-        lambda: probe(video),
-        lambda: None if model is None else import_module(DETECTOR).model_file(model),
-        lambda: read_settings(config, {**given, "keypoints": keypoints or found_here}),
-        lambda: _check(given, more.get("camera_motion"), more.get("start"), more.get("quality"), model),
+        lambda: probe(run.video),
+        lambda: None if run.model is None else import_module(DETECTOR).model_file(run.model),
+        lambda: read_settings(run.config, {**given, "keypoints": keypoints}),
+        lambda: refuse(_motion_problems(run, given)),
     )
     if settings.fps is None:
         if info.fps is None:
-            raise InputError(Problem("--fps", "fps", f"nothing, and {video} does not say", "frames per second"))
+            raise InputError(Problem("--fps", "fps", f"nothing, and {run.video} does not say", "frames per second"))
         settings = replace(settings, fps=info.fps)
-    return Job(video, out, settings, model, **more)
+    return Job(run, settings)
 
 
-def _check(
-    given: Mapping[str, Any],
-    camera_motion: CameraMotion | None,
-    start: str | None,
-    quality: str | None,
-    model: Path | None,
-) -> None:
-    """Raises InputError for options that cannot be used, or not with each other."""
-    problems = []
-    if quality not in (None, "fast", "best"):
-        problems.append(Problem("--quality", "quality", repr(quality), "fast or best"))
-    if camera_motion is not None and camera_motion not in ("turns", "zooms"):
-        problems.append(Problem("--camera-motion", "motion", repr(camera_motion), "turns or zooms"))
-    if camera_motion is not None and given.get("camera") is None:
-        problems.append(Problem("--camera-motion", "camera", "nothing", "--camera with the camera's lens"))
-    if camera_motion is not None and given.get("camera_track"):
-        problems.append(Problem("--camera-motion", "motion", "a camera track beside it", "one of the two"))
-    left_out = {"detect": model is None, "camera-motion": camera_motion is None}
-    stages = [name for name in STAGES if not left_out.get(name)]
-    if start is not None and start not in stages:
-        problems.append(Problem("--from", "stage", repr(start), f"one of {', '.join(stages)}"))
-    refuse(problems)
+def _motion_problems(run: RunSettings, given: Mapping[str, Any]) -> Iterator[Problem]:
+    if run.camera_motion is not None and given.get("camera") is None:
+        yield Problem("--camera-motion", "camera", "nothing", "--camera with the camera's lens")
+    if run.camera_motion is not None and given.get("camera_track"):
+        yield Problem("--camera-motion", "motion", "a camera track beside it", "one of the two")
 
 
 # -- the work ---------------------------------------------------------------------------------------------------------
@@ -159,186 +194,180 @@ def _check(
 def run_video(
     job: Job, progress: Progress = silent, ended: Callable[[Done], None] = lambda done: None
 ) -> tuple[list[Done], dict[str, Any]]:
-    """`recon run`: all stages of a video, and the report of its fit; ended: told of each. Raises InputError where one
-    cannot be done; what was done before stays."""
+    """All stages of a video, and the report of its fit; ended: told of each. Raises InputError where one cannot be
+    done; what was done before stays."""
     file_sha256.cache_clear()  # files may have changed since
-    with sole_writer(job.out):
-        record = _read_record(job.out)
-        result = _Result(job.out)
-        stages, dones, again = [*_stages(job, result)], [], False
-        for number, stage in enumerate(stages):
-            again = again or stage.name == job.start
+    out, report = job.run.out, {}
+    with sole_writer(out):
+        record, stages, dones, again = Record(out / RECORD), _stages(job), [], False
+        for number, (name, stage) in enumerate(stages.items()):
+            again = again or name == job.run.start
 
-            def tell(what: str, share: float, number: int = number, name: str = stage.name) -> None:
+            def tell(what: str, share: float, number: int = number, name: str = name) -> None:
                 progress(f"{name}: {what}", (number + share) / len(stages))
 
-            if stage.name in ("analyse", "overlay") and result.frames_with_pose < MIN_POINTS:
-                done = Done(stage.name, "left out", 0.0)
+            if name in ("analyse", "overlay") and report["summary"]["frames_with_pose"] < MIN_POINTS:
+                done = Done(name, "left out", 0.0)
             else:
-                done = _carry_out(stage, job, record, again, tell)
+                done = _carry_out(name, stage, job, record, again, tell)
+            if name == "fit":
+                report = build_report(Motion.load(out))
             dones.append(done)
             ended(done)
-        return dones, result.report
+        return dones, report
 
 
-def _carry_out(stage: _Stage, job: Job, record: dict[str, Any], again: bool, progress: Progress) -> Done:
-    began, known, before = time.perf_counter(), stage.identity(), record.get(stage.name)
-    changed = _changed(job.out, before)
-    if not again and not job.overwrite:
-        _require_own(stage, before, changed)
-    if before is not None and before["identity"] == known and not again and before["files"] and not changed:
-        return Done(stage.name, "unchanged", time.perf_counter() - began, tuple(before["files"]))
-    if stage.name in ("detect", "camera-motion", "fit"):
+def _carry_out(name: str, stage: _Stage, job: Job, record: Record, again: bool, progress: Progress) -> Done:
+    began, known, before = time.perf_counter(), stage.identity(), record.rows.get(name)
+    out, files = job.run.out, (before or {}).get("files", {})
+    changed = [path for path, digest in files.items() if not (out / path).is_file() or sha256_of(out / path) != digest]
+    if not again and not job.run.overwrite:
+        _require_own(name, stage, before is None, [out / path for path in changed])
+    if files and before is not None and before["identity"] == known and not again and not changed:
+        return Done(name, "unchanged", time.perf_counter() - began, tuple(files))
+    if name in ("detect", "camera-motion", "fit"):
         _check_inputs(job)
-    record[stage.name] = {"identity": known, "files": None}
-    _write_record(job.out, record)
+    record.note(name, known)
     progress("starting", 0.0)
-    folder, paths = job.out.absolute(), [path.absolute() for path in stage.work(job, progress)]
-    files = {path.relative_to(folder).as_posix(): sha256_of(path) for path in paths}
-    record[stage.name] = {"identity": known, "files": files}
-    _write_record(job.out, record)
-    return Done(stage.name, "done", time.perf_counter() - began, tuple(files))
+    paths = [path.absolute() for path in stage.work(job, progress)]
+    files = {path.relative_to(out.absolute()).as_posix(): sha256_of(path) for path in paths}
+    record.note(name, known, files=files)
+    return Done(name, "done", time.perf_counter() - began, tuple(files))
+
+
+def _require_own(name: str, stage: _Stage, is_first: bool, changed: Sequence[Path]) -> None:
+    """Raises InputError where files are in the way of a stage that no run has made, or that were changed since."""
+    found, expected = "one that recon run has not made", "another --out, or --overwrite"
+    if not is_first:
+        found = "other than recon run wrote it"
+        expected = f"--from {name} to write it again; --keypoints takes a file of your own"
+    foreign = [path for path in (stage.places if is_first else changed if stage.places else ()) if path.exists()]
+    if foreign:
+        more = f", and so are {len(foreign) - 1} more" if len(foreign) > 1 else ""
+        raise InputError(Problem(foreign[0], "file", found + more, expected))
 
 
 def _check_inputs(job: Job) -> None:
     """What would only be said after minutes of work. Raises InputError."""
-    info, (_, _, cameras) = all_of(lambda: probe(job.video), lambda: read_model_and_cameras(job.settings))
+    info, (_, _, cameras) = all_of(lambda: probe(job.run.video), lambda: read_model_and_cameras(job.given))
     size = cameras[0][0].image_size_px
     if info.size_px != size:
         found = "{}x{}".format(*info.size_px)
         expected = "{}x{}, the size that the camera is calibrated for".format(*size)
-        raise InputError(Problem(job.video, "size", found, expected))
+        raise InputError(Problem(job.run.video, "size", found, expected))
 
 
-def _stages(job: Job, result: _Result) -> Iterator[_Stage]:
-    """Those that this job has."""
-    keypoints = job.settings.keypoints[0]
-    if job.model is not None:
-        files = {"video": job.video, "model": import_module(DETECTOR).model_file(job.model)}
-        yield _Stage("detect", lambda: identity_of(files, {"quality": job.quality}), (keypoints,), _detection)
-    if job.camera_motion is not None:
-        yield _Stage("camera-motion", lambda: _motion_identity(job), (job.track,), _camera_motion)
-    places = tuple(job.out / name for name in output_files(job.out) if name != PAGE)
-    yield _Stage("fit", lambda: identity(job.fitted), places, result.fit)
-    fit, film = {"fit": job.out / MANIFEST}, {"video": job.video}
-    options = {"first_frame": job.first_frame}
-    yield _Stage("analyse", lambda: identity_of(fit, {}), (job.out / "analysis" / "analysis.json",), _analysis)
-    yield _Stage("overlay", lambda: identity_of(fit | film, options), (job.out / OVERLAY,), _overlay)
-    yield _Stage("page", lambda: identity_of(fit | film, options), (), partial(_page, result))
+def _stages(job: Job) -> dict[str, _Stage]:
+    """Those that this job has, by name."""
+    run, given, out = job.run, job.given, job.run.out
+    keypoints, film = given.keypoints[0], {"video": run.video}
+    fit, options = {"fit": out / MANIFEST}, {"first_frame": run.first_frame}
+    stages = {}
+    if run.model is not None:
+        network = film | {"model": import_module(DETECTOR).model_file(run.model)}
+        stages["detect"] = _Stage(lambda: identity_of(network, {"quality": run.quality}), _detect, (keypoints,))
+    if run.camera_motion is not None and given.camera is not None:
+        files = film | {"camera": given.camera[0], "keypoints": keypoints}
+        names = "camera_name", "tilt_deg", "individual"
+        of_motion = options | {"motion": run.camera_motion} | {name: getattr(given, name) for name in names}
+        stages["camera-motion"] = _Stage(lambda: identity_of(files, of_motion), _follow, (run.track,))
+    places = tuple(out / name for name in output_files(out) if name != PAGE)
+    return stages | {
+        "fit": _Stage(lambda: identity(job.fit), _fit, places),
+        "analyse": _Stage(lambda: identity_of(fit, {}), _analyse, (out / "analysis" / "analysis.json",)),
+        "overlay": _Stage(lambda: identity_of(fit | film, options), _overlay, (out / OVERLAY,)),
+        "page": _Stage(lambda: identity_of(fit | film, options), _page),
+    }
 
 
-def _detection(job: Job, progress: Progress) -> list[Path]:
-    assert job.model is not None
-    (out,) = job.settings.keypoints
-    import_module(DETECTOR).run_prediction(
-        job.video, job.model, out, quality=job.quality, threads=job.threads, overwrite=True, progress=progress
-    )
+def _detect(job: Job, progress: Progress) -> Iterable[Path]:
+    (out,), how = job.given.keypoints, {"quality": job.run.quality, "threads": job.threads}
+    import_module(DETECTOR).run_prediction(job.run.video, job.run.model, out, **how, overwrite=True, progress=progress)
     return [out]
 
 
-def _motion_identity(job: Job) -> dict[str, Any]:
-    settings = job.settings
-    assert settings.camera is not None
-    files = {"video": job.video, "camera": settings.camera[0], "keypoints": settings.keypoints[0]}
-    options = {
-        "motion": job.camera_motion,
-        "first_frame": job.first_frame,
-        "camera_name": settings.camera_name and settings.camera_name[0],
-        "tilt_deg": settings.tilt_deg,
-        "individual": settings.individual,
-    }
-    return identity_of(files, options)
-
-
-def _camera_motion(job: Job, progress: Progress) -> Iterable[Path]:
+def _follow(job: Job, progress: Progress) -> Iterable[Path]:
     from recon.workflows.camera_motion import of_clip, run_camera_motion
 
-    more = {"first_frame": job.first_frame, "zoom": job.camera_motion == "zooms", "overwrite": True}
-    _, files = run_camera_motion(of_clip(job.settings, job.video, job.track, **more), progress=progress)
-    return files
+    more = {"first_frame": job.run.first_frame, "zoom": job.run.camera_motion == "zooms", "overwrite": True}
+    return run_camera_motion(of_clip(job.given, job.run.video, job.run.track, **more), progress=progress)[1]
 
 
-class _Result:
-    """What a video became: of the fit that this run makes, or of the one that it found done."""
-
-    def __init__(self, out: Path) -> None:
-        self.out = out
-        self._report: dict[str, Any] | None = None
-
-    def fit(self, job: Job, progress: Progress) -> list[Path]:
-        began = time.perf_counter()
-        motion = fit_clip(job.fitted, progress)
-        self._report = write_clip(motion, job.fitted, self.out, time.perf_counter() - began)
-        return [self.out / name for name in (*read_manifest(self.out).files, MANIFEST)]
-
-    @property
-    def report(self) -> dict[str, Any]:
-        if self._report is None:
-            self._report = build_report(Motion.load(self.out))
-        return self._report
-
-    @property
-    def frames_with_pose(self) -> int:
-        return self.report["summary"]["frames_with_pose"]
+def _fit(job: Job, progress: Progress) -> Iterable[Path]:
+    began, out = time.perf_counter(), job.run.out
+    motion = fit_clip(job.fit, progress)
+    write_clip(motion, job.fit, out, time.perf_counter() - began)
+    return [out / name for name in (*read_manifest(out).files, MANIFEST)]
 
 
-def _analysis(job: Job, progress: Progress) -> list[Path]:
-    from recon.workflows.analyse import AnalyseSettings, run_analyse
-
-    *_, files = run_analyse(AnalyseSettings(folder=job.out, overwrite=True), progress=progress)
-    return files
+def _analyse(job: Job, progress: Progress) -> Iterable[Path]:
+    return run_analyse(AnalyseSettings(folder=job.run.out, overwrite=True), progress=progress)[2]
 
 
-def _overlay(job: Job, progress: Progress) -> list[Path]:
-    out = job.out / OVERLAY
-    run_overlay(
-        OverlaySettings(folder=job.out, video=job.video, out=out, first_frame=job.first_frame, overwrite=True),
-        progress=progress,
-    )
+def _overlay(job: Job, progress: Progress) -> Iterable[Path]:
+    folder, out = job.run.out, job.run.out / OVERLAY
+    how = {"video": job.run.video, "first_frame": job.run.first_frame, "overwrite": True}
+    run_overlay(OverlaySettings(folder=folder, out=out, **how), progress=progress)
     return [out]
 
 
-def _page(result: _Result, job: Job, progress: Progress) -> list[Path]:
-    from recon.workflows.page import PageSettings, run_page
-
-    video = job.video if result.frames_with_pose else None
-    return [run_page(PageSettings(folder=job.out, video=video, first_frame=job.first_frame), progress=progress)]
+def _page(job: Job, progress: Progress) -> Iterable[Path]:
+    of = PageSettings(folder=job.run.out, video=job.run.video, first_frame=job.run.first_frame)
+    return [run_page(of, progress=progress)]
 
 
-# -- what was done ----------------------------------------------------------------------------------------------------
+# -- a folder of videos -----------------------------------------------------------------------------------------------
 
 
-def _read_record(out: Path) -> dict[str, Any]:
-    """By stage; nothing where there is none."""
-    try:
-        record = json.loads((out / RECORD).read_text(encoding="utf-8"))
-        return record["stages"] if record["schema"] == SCHEMA else {}
-    except (OSError, ValueError, KeyError, TypeError, RecursionError):
-        return {}
+def jobs_of(run: RunSettings, given: Mapping[str, Any]) -> list[Job]:
+    """One for each video of a folder, into a folder with its name. Raises InputError with the problems of all."""
+    videos = sorted(p for p in run.video.iterdir() if p.suffix.lower() in SUFFIXES and not p.name.startswith("."))
+    if not videos:
+        raise InputError(Problem(run.video, "files", "no videos", f"files that end in {', '.join(SUFFIXES)}"))
+    names = file_names(videos)
+    jobs, problems = [], []
+    for video in videos:
+        try:
+            keypoints = None if run.keypoints is None else keypoints_of(video, run.keypoints)
+            jobs.append(job_of(replace(run, video=video, out=run.out / names[video], keypoints=keypoints), given))
+        except InputError as error:
+            problems += error.problems
+    refuse(dict.fromkeys(problems))  # what all videos have in common is said once
+    return jobs
 
 
-def _write_record(out: Path, stages: Mapping[str, Any]) -> None:
-    with staged_file(out / RECORD) as staged:
-        staged.write_text(json.dumps({"schema": SCHEMA, "stages": stages}, indent=1) + "\n", encoding="utf-8")
+def keypoints_of(video: Path, folder: Path) -> Path:
+    """The file of a folder that is called as the video, or as DeepLabCut calls its keypoints; of the same in two
+    formats the last. Raises InputError where there is none, or several."""
+    if not folder.is_dir():
+        raise InputError(Problem("--keypoints", "folder", str(folder), "a folder with a file for each video"))
+    called = [p for p in sorted(folder.iterdir()) if p.stem == video.stem or p.stem.startswith(f"{video.stem}DLC")]
+    files = {path.stem: path for path in called if path != video and recognised(path, "2D")}
+    if len(files) != 1:
+        found = ", ".join(path.name for path in files.values()) or "none"
+        expected = f"one keypoint file called {video.stem}, or {video.stem}DLC..."
+        raise InputError(Problem(folder, f"keypoints of {video.name}", found, expected))
+    return next(iter(files.values()))
 
 
-def _changed(out: Path, before: Mapping[str, Any] | None) -> list[Path]:
-    """What a stage wrote, and is not as it was written, or not there."""
-    files = {out / name: digest for name, digest in ((before or {}).get("files") or {}).items()}
-    return [path for path, digest in files.items() if not path.is_file() or sha256_of(path) != digest]
+def run_folder(
+    jobs: Sequence[Job],
+    out: Path,
+    processes: int | None = None,
+    on_event: Callable[[Event, Summary], None] = lambda event, summary: None,
+) -> Summary:
+    """`run_video` for all jobs, and summary.csv and summary.html of them in `out`. processes: at a time, by default one
+    for each core, each with one thread. A video that fails stops nothing; KeyboardInterrupt as in `run_batch`."""
+    with sole_writer(out):
+        require_own_page(out / SUMMARY_PAGE)
+        folders = [(job.run.out.name, job) for job in jobs]
+        plan = [Planned(Clip(name, job.given), job.run.out, "new", "", identity(job.given)) for name, job in folders]
+        tasks = [(name, replace(job, threads=1)) for name, job in folders]
+        return work_off(plan, out, partial(carry_out, _row_of, tasks, jobs=processes), on_event)
 
 
-def _require_own(stage: _Stage, before: Mapping[str, Any] | None, changed: Iterable[Path]) -> None:
-    """Raises InputError where files are in the way of a stage that no run has made, or that were changed since."""
-    if not stage.places:
-        return
-    if before is None:
-        foreign, found = [path for path in stage.places if path.exists()], "one that recon run has not made"
-        expected = "another --out, or --overwrite"
-    else:
-        foreign, found = [path for path in changed if path.exists()], "other than recon run wrote it"
-        expected = f"--from {stage.name} to write it again; --keypoints takes a file of your own"
-    if foreign:
-        first, *others = foreign
-        more = f", and so {'are' if len(others) > 1 else 'is'} {len(others)} more" if others else ""
-        raise InputError(Problem(first, "file", found + more, expected))
+def _row_of(job: Job, progress: Progress) -> dict[str, Any]:
+    """All of `recon run` on one video: columns of its summary."""
+    stages, report = run_video(job, progress)
+    new = any(done.status == "done" for done in stages)
+    return {"status": "unsolved" if is_unsolved(report) else "done" if new else "done earlier", **results_of(report)}

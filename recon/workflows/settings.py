@@ -131,8 +131,7 @@ class FitSettings(Settings):
         OneOrMore[str] | None,
         Option(
             "Which camera of the file, by name or number, as in cam2 or 2; with several keypoint files once for"
-            " each, in their order. (default: the one whose name the keypoint file's name contains)",
-            "the name or number of a camera in the camera file, as text; with several keypoint files one for each",
+            " each, in their order. (default: the one whose name the keypoint file's name contains)"
         ),
     ] = None
     camera_unit: Annotated[
@@ -143,9 +142,7 @@ class FitSettings(Settings):
         Option(
             "Where a camera that moves was in each frame: a CSV table, a COLMAP text model, or OpenDroneMap's "
             "reconstruction.json or shots.geojson, once for each such camera. With several keypoint files it is that "
-            "of the camera whose name its own name "
-            "contains. (default: cameras stand still)",
-            "a CSV table of poses, a COLMAP text model or OpenDroneMap's poses, one for each camera that moves",
+            "of the camera whose name its own name contains. (default: cameras stand still)",
             method="trajectory",
         ),
     ] = None
@@ -158,16 +155,12 @@ class FitSettings(Settings):
     ] = None
     skeleton: Annotated[
         NameOrFile | None,
-        Option(
-            "Name of a built-in skeleton or a TOML file. (default: cheetah-24; cheetah-8u for the frame method)",
-            "the name of a built-in skeleton, or a TOML file",
-        ),
+        Option("Name of a built-in skeleton or a TOML file. (default: cheetah-24; cheetah-8u for the frame method)"),
     ] = None
     subject: Annotated[
         NameOrFile | None,
         Option(
             "Lengths measured on one animal: built-in name or TOML file, as in jules. (default: the skeleton's)",
-            "the name of a built-in subject, or a TOML file with one animal's lengths",
             method="trajectory",
         ),
     ] = None
@@ -176,7 +169,6 @@ class FitSettings(Settings):
         Option(
             "What motions are like: a built-in name, a file of `recon prior fit`, or none. (default: the "
             "built-in one for this skeleton, if any)",
-            "the name of a built-in prior, a file that `recon prior fit` wrote, or none",
             method="trajectory",
         ),
     ] = None
@@ -211,16 +203,12 @@ class FitSettings(Settings):
             "degrees that the camera looks down, above -90 and below 90, as in 5",
         ),
     ] = None
-    individual: Annotated[
-        str | None,
-        Option("Which animal of a multi-animal file, as in animal1.", "the name of an animal in the keypoint file"),
-    ] = None
+    individual: Annotated[str | None, Option("Which animal of a multi-animal file, as in animal1.")] = None
     rename: Annotated[
         NameOrFile | None,
         Option(
             "New names of the keypoints: a CSV file with two columns, old name and new one, or a built-in map, "
-            "as in superanimal-quadruped. (default: the file's names)",
-            "the name of a built-in map of names, or a CSV file with two columns",
+            "as in superanimal-quadruped. (default: the file's names)"
         ),
     ] = None
     frames: Annotated[
@@ -237,8 +225,7 @@ class FitSettings(Settings):
         OneOrMore[Number] | None,
         _TrajectoryOption(
             "How much later a camera began to film than the first, in seconds, as in 0.025 or -1.5; once for "
-            "each keypoint file, in their order. (default: all began together)",
-            "seconds, as in 0.025 or -1.5, one for each keypoint file",
+            "each keypoint file, in their order. (default: all began together)"
         ),
     ] = None
     find_offsets: Annotated[
@@ -260,16 +247,14 @@ class FitSettings(Settings):
         _TrajectoryOption(
             "How well the cameras' focal lengths are known, relative, as in 0.1: one camera's makes the position so "
             "much less certain; of several cameras they are found with the fit and go into cameras.toml. (default: "
-            "exactly)",
-            "a share of the focal length above 0, as in 0.1",
+            "exactly)"
         ),
     ] = None
     camera_fps: Annotated[
         OneOrMore[Positive] | None,
         _TrajectoryOption(
             "Frame rates of cameras that differ in it, once for each keypoint file, as in 120 and 59.94. The "
-            "result has the first one's. (default: all have the same)",
-            "frames per second above 0, one number for each keypoint file",
+            "result has the first one's. (default: all have the same)"
         ),
     ] = None
     method: Annotated[
@@ -280,8 +265,7 @@ class FitSettings(Settings):
         NameOrFile | None,
         _TrajectoryOption(
             "Where the detector's keypoints lie beside the markers: a built-in name, as in acinoset, a TOML "
-            "file, or none. (default: as the subject's or the skeleton's file says, or the keypoint file's scorer)",
-            "the name of a built-in detector, a file that `recon subject fit` wrote, or none",
+            "file, or none. (default: as the subject's or the skeleton's file says, or the keypoint file's scorer)"
         ),
     ] = None
     likelihood_min: Annotated[
@@ -289,8 +273,7 @@ class FitSettings(Settings):
         _RareOption("Leave out points less likely than this, 0 to 1.", "a number from 0 to 1"),
     ] = 0.5
     side: Annotated[
-        Literal["auto", "left", "right"],
-        _RareOption("With a skeleton of one side, which to fit: auto, left or right."),
+        Literal["auto", "left", "right"], _RareOption("With a skeleton of one side, which to fit: auto, left or right.")
     ] = "auto"
     ground: Annotated[
         Literal["auto", "none"],
@@ -299,16 +282,12 @@ class FitSettings(Settings):
     size: Annotated[
         Positive | None,
         _TrajectoryOption(
-            "How many times as large as the skeleton the animal is, as in 0.1: a factor on all its lengths.",
-            "a factor above 0, as in 0.1",
+            "How many times as large as the skeleton the animal is, as in 0.1: a factor on all its lengths."
         ),
     ] = None
     size_sigma: Annotated[
         Positive | None,
-        _TrajectoryOption(
-            "Standard deviation of the animal's size, relative, as in 0.1. (default: the skeleton's)",
-            "a share of the size above 0, as in 0.1",
-        ),
+        _TrajectoryOption("Standard deviation of the animal's size, relative, as in 0.1. (default: the skeleton's)"),
     ] = None
     fast: Annotated[bool, _TrajectoryOption("Quicker: fewer directions to start from.")] = False
     form: Annotated[
@@ -316,50 +295,23 @@ class FitSettings(Settings):
         _FrameOption("Ranges and rates: deadband (beyond the limit) or printed (two-sided)."),
     ] = "deadband"
     angle_prior: Annotated[
-        Literal["gaussian", "none"],
-        _FrameOption("Gaussian priors on angles and heading: gaussian or none."),
+        Literal["gaussian", "none"], _FrameOption("Gaussian priors on angles and heading: gaussian or none.")
     ] = "gaussian"
     camera_rotation: Annotated[
-        Literal["free", "fixed"],
-        _FrameOption("The body's rotation: free, or fixed to the first frame's."),
+        Literal["free", "fixed"], _FrameOption("The body's rotation: free, or fixed to the first frame's.")
     ] = "free"
     base_length_m: Annotated[
-        Positive | None,
-        _FrameOption(
-            "Base length of the chain in metres, as in 0.203. (default: the skeleton's)", "metres above 0, as in 0.203"
-        ),
+        Positive | None, _FrameOption("Base length of the chain in metres, as in 0.203. (default: the skeleton's)")
     ] = None
     base_sigma_m: Annotated[
         Positive | None,
-        _FrameOption(
-            "Standard deviation of the base length in metres, as in 0.001. (default: the skeleton's)",
-            "metres above 0, as in 0.001",
-        ),
+        _FrameOption("Standard deviation of the base length in metres, as in 0.001. (default: the skeleton's)"),
     ] = None
-    sigma_px: Annotated[
-        Positive,
-        _RareOption("Noise of the detector in pixels, one standard deviation.", "pixels above 0, as in 3"),
-    ] = 3.0
+    sigma_px: Annotated[Positive, _RareOption("Noise of the detector in pixels, one standard deviation.")] = 3.0
     keypoint_sigma_m: Annotated[
         NotNegative | None,
-        _RareOption(
-            "How far keypoints lie from the joints, metres, as in 0.05. (default: the skeleton's)",
-            "metres, 0 or more, as in 0.05",
-        ),
+        _RareOption("How far keypoints lie from the joints, metres, as in 0.05. (default: the skeleton's)"),
     ] = None
-    keypoint_sigma_max_px: Annotated[
-        Positive,
-        _FrameOption("The most that keypoint_sigma_m may be in the picture, pixels.", "pixels above 0, as in 12"),
-    ] = 12.0
-    robust_c: Annotated[
-        Positive,
-        _FrameOption("Residuals of this many standard deviations count half.", "a number above 0, as in 4.5"),
-    ] = 4.5
-    tolerance: Annotated[Positive, _FrameOption("When the optimiser stops.", "a number above 0, as in 1e-8")] = 1e-08
-    max_evaluations: Annotated[
-        Count,
-        _FrameOption("How often the optimiser may evaluate a frame.", "a whole number above 0, as in 400"),
-    ] = 400
 
     @model_validator(mode="before")
     @classmethod
@@ -490,9 +442,6 @@ def _camera_problems(given: Mapping[str, Any]) -> Iterator[Problem]:
     if not given.keys() & {"camera", "camera_track"} and "camera_name" in given:
         found = f"{given['camera_name']!r} without a camera file"
         yield Problem("settings", "camera_name", found, "--camera with it")
-    if "camera" not in given and given.get("camera_unit", "m") != "m":
-        found = f"{given['camera_unit']!r} without a camera file"
-        yield Problem("settings", "camera_unit", found, "--camera with it")
     if "camera" not in given and "hfov_deg" in given and "image_size_px" not in given:
         expected = "the size of the video beside --hfov-deg, as in 1920x1080"
         yield Problem("settings", "image_size_px", "nothing", expected)

@@ -15,7 +15,7 @@ from recon.base.files import require_free_file, staged_file
 from recon.base.manifest import read_manifest
 from recon.base.settings import Option
 from recon.gait.clip import analyse
-from recon.show.view import open_viewer, write
+from recon.show import view as viewer
 from recon.workflows.analyse import FOLDER, PLAYBACK, SUMMARY
 from recon.workflows.overlay import result_and_video
 from recon.workflows.settings import ResultSettings
@@ -53,8 +53,8 @@ def view(settings: _ViewSettings) -> None:
             found = analyse(motion, lean=True) if analysed else None
             playback = Path(temporary) / PLAYBACK if out is None else out
             with staged_file(playback) as staged:
-                write(motion, staged, found, settings.video, settings.first_frame, number)
+                viewer.write(motion, staged, found, settings.video, settings.first_frame, number)
         if out is None:
-            open_viewer(playback)
+            viewer.open_viewer(playback)
     if out is not None:
         typer.echo(f"The recording is in {out}. Watch it with: rerun {shlex.quote(str(out))}")

@@ -34,8 +34,8 @@ from recon.robotics.robot.retarget import place
 from recon.robotics.robot.robot_file import load_dh, load_robot
 from recon.show.export.rig import make_rig
 from recon.workflows.batch.inputs import find_clips
-from recon.workflows.batch.record import read_record
 from recon.workflows.clip_results import run_clip
+from recon.workflows.made_from import Record
 from recon.workflows.settings import FitSettings, read_settings
 
 SAMPLES = Path(__file__).resolve().parents[2] / "data" / "samples"
@@ -271,10 +271,7 @@ def _rates(path: Path) -> object:
 
 
 def _record(path: Path) -> object:
-    folder = path.with_name("clip")
-    folder.mkdir(exist_ok=True)
-    (folder / "batch.jsonl").write_bytes(path.read_bytes())
-    return read_record(folder)
+    return Record(path).rows
 
 
 def _cameras(folder: Path) -> Iterator[Seed]:

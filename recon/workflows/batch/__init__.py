@@ -13,18 +13,19 @@ from typing import Any
 from threadpoolctl import threadpool_limits
 
 from recon.base.files import sole_writer
+from recon.base.manifest import MANIFEST
 from recon.base.package import version
-from recon.base.parallel import STARTING, Event, Outcome, carry_out
+from recon.base.parallel import STARTING, Event, carry_out
 from recon.base.progress import Progress
 from recon.show.page import SUMMARY_PAGE, require_own_page
 from recon.show.report import is_unsolved
-from recon.workflows.batch.checks import check_shared, input_problems, repeated
 from recon.workflows.batch.cluster import carry_out_on_cluster
 from recon.workflows.batch.inputs import Clip, find_clips
-from recon.workflows.batch.record import Planned, note_end, note_start, plan_batch, tidy_record
+from recon.workflows.batch.plan import RECORD, Planned, check_shared, input_problems, plan_batch, repeated
 from recon.workflows.batch.summary import COLUMNS, STATUSES, Summary, results_of, write_summary_page
 from recon.workflows.clip import fit_clip
 from recon.workflows.clip_results import write_clip
+from recon.workflows.made_from import Record, digest
 
 CRASH_LOG = "crash.log"
 DYING_S = 5.0
@@ -50,16 +51,26 @@ def run_batch(
     todo = {planned.clip.name: planned for planned in plan if planned.action != "done"}
 
     def note(event: Event, summary: Summary) -> None:
-        planned = todo[event.name]
+        planned, outcome = todo[event.name], event.outcome
+        keypoints = planned.clip.settings.keypoints_from(out)
+        log = planned.out / CRASH_LOG
         if event.stage == STARTING:
-            note_start(out, planned)
-        elif event.kind == "ended":
-            _note_outcome(out, planned, event.outcome)
+            record.note(event.name, planned.identity, keypoints=keypoints)
+        elif event.kind == "ended" and outcome["status"] != "failed":
+            log.unlink(missing_ok=True)
+            row = {name: outcome[name] for name in COLUMNS if name in outcome and name != "attempts"}
+            made = digest(planned.out / MANIFEST)
+            record.note(event.name, planned.identity, keypoints=keypoints, made=made, row=row)
+        elif "log" in outcome:
+            with suppress(OSError):
+                planned.out.mkdir(parents=True, exist_ok=True)
+                log.write_text(f"{outcome['error']}\n\n{outcome['log']}", encoding="utf-8")
         on_event(event, summary)
 
     with sole_writer(out):
         require_own_page(out / SUMMARY_PAGE)
-        tidy_record(out)
+        record = Record(out / RECORD)
+        record.tidy()
         tasks = [(name, replace(planned, out=planned.out.absolute())) for name, planned in todo.items()]
         run = partial(carry_out_on_cluster, scheduler) if scheduler else partial(carry_out, jobs=jobs)
         return work_off(plan, out, partial(run, fit_planned, tasks, retries=retries), note)
@@ -68,7 +79,7 @@ def run_batch(
 def work_off(
     plan: Sequence[Planned],
     out: Path,
-    run: Callable[..., None],
+    run: Callable[[Callable[[Event], None]], None],
     on_event: Callable[[Event, Summary], None],
 ) -> Summary:
     """The clips of a plan by `carry_out` with its tasks given, and the summary of it all, written again and again."""
@@ -78,10 +89,12 @@ def work_off(
         if event.kind == "ended":
             summary.end(event.name, event.outcome)
         on_event(event, summary)
+        if event.kind == "ended":  # and all else has been told
+            summary.write_now_and_then()
 
     summary.write()
     try:
-        run(tell, now_and_then=summary.write_now_and_then)
+        run(tell)
     finally:
         summary.write()
         write_summary_page(out)
@@ -101,15 +114,3 @@ def fit_planned(planned: Planned, progress: Progress) -> dict[str, Any]:
         known = planned.identity["inputs"]
         report = write_clip(motion, planned.clip.settings, planned.out, solve_s, sha256=known)
     return {"status": "unsolved" if is_unsolved(report) else "done", **results_of(report)}
-
-
-def _note_outcome(out: Path, planned: Planned, outcome: Outcome) -> None:
-    log = planned.out / CRASH_LOG
-    if outcome["status"] != "failed":
-        log.unlink(missing_ok=True)
-        row = {name: outcome[name] for name in COLUMNS if name in outcome and name != "attempts"}
-        note_end(out, planned, row)
-    elif "log" in outcome:
-        with suppress(OSError):
-            planned.out.mkdir(parents=True, exist_ok=True)
-            log.write_text(f"{outcome['error']}\n\n{outcome['log']}", encoding="utf-8")

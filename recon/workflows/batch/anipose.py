@@ -3,42 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from recon.base.documents import read_toml
 
 POSES = {"pose_2d_filter": "pose-2d-filtered", "pose_2d": "pose-2d"}
 """Folders of a session by what config.toml calls them, the better one first."""
 
+SQUARE = "board_square_side_length"
 
-@dataclass(frozen=True)
-class Session:
+
+class Session(NamedTuple):
     """A session of Anipose."""
 
     folder: Path
-    """The session's."""
     poses: Path
     """The folder with its keypoint files."""
-    calibration: Path | None = None
+    calibration: Path | None
     """Its own, or the next one above it."""
-    config: Mapping[str, Any] = field(default_factory=dict)
-    """Anipose's settings."""
-    config_file: Path | None = None
-    """Their file."""
-
-    @property
-    def cam_regex(self) -> tuple[Path, str] | None:
-        """The pattern of cameras in names, with the file that has it."""
-        text = _table(self.config, "triangulation").get("cam_regex")
-        return (self.config_file, text) if self.config_file is not None and isinstance(text, str) else None
-
-    @property
-    def square_length(self) -> float | None:
-        """Of the calibration's board, in the unit of the calibration."""
-        length = _table(self.config, "calibration").get("board_square_side_length")
-        return float(length) if isinstance(length, int | float) else None
+    cam_regex: tuple[Path, str] | None
+    """The pattern of cameras in names, with the file that has it."""
+    square_length: float | None
+    """Of the calibration's board, in the unit of the calibration."""
 
 
 def sessions_in(folder: Path) -> list[Session]:
@@ -64,7 +51,10 @@ def _session(folder: Path, poses: Path) -> Session:
     if file is not None:
         above = above[: above.index(file.parent) + 1]
     calibrations = (parent / name / "calibration.toml" for parent in above)
-    return Session(folder, poses, next((path for path in calibrations if path.is_file()), None), config, file)
+    calibration = next((path for path in calibrations if path.is_file()), None)
+    regex, length = _table(config, "triangulation").get("cam_regex"), _table(config, "calibration").get(SQUARE)
+    cam_regex = (file, regex) if file is not None and isinstance(regex, str) else None
+    return Session(folder, poses, calibration, cam_regex, float(length) if isinstance(length, int | float) else None)
 
 
 def _config(folder: Path) -> tuple[Mapping[str, Any], Path | None]:

@@ -32,7 +32,6 @@ def carry_out_on_cluster(
     tell: Callable[[Event], None],
     *,
     retries: int = 0,
-    now_and_then: Callable[[], None] = lambda: None,
 ) -> None:
     """All tasks as futures of the scheduler at an address, told of as they end; a Dask worker that dies costs no task,
     as others take them. After an exception the tasks under way are stopped. Raises InputError where there is no
@@ -58,7 +57,6 @@ def carry_out_on_cluster(
                 name, _ = underway.pop(str(future.key))
                 tell(Event("ended", name, outcome=_outcome(future)))
                 future.release()  # else it is computed again when the Dask worker that holds it dies
-            now_and_then()
     finally:
         if client.status == "running":
             client.cancel([future for _, future in underway.values()], force=True)

@@ -7,8 +7,9 @@ import glob
 import os
 import re
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -20,8 +21,8 @@ from recon.io.calibration import read_cameras
 from recon.io.deeplabcut_project import Project, find_project, predictions
 from recon.io.table import SEPARATORS, text_rows
 from recon.show.page import SUMMARY_PAGE
-from recon.workflows.batch.anipose import Session, sessions_in
-from recon.workflows.batch.groups import AUTO, ClipDraft, join_cameras, missing_cameras
+from recon.workflows.batch.anipose import SQUARE, Session, sessions_in
+from recon.workflows.batch.groups import AUTO, NONE, ClipDraft, join_cameras, missing_cameras
 from recon.workflows.settings import SETTINGS, FitSettings, beside, read_settings
 
 SUMMARY = "summary.csv"
@@ -69,9 +70,8 @@ def find_clips(
             drafts += found
             notes += said
     try:
-        drafts, said = join_cameras(
-            _without_repeats(drafts), cameras_by, common.get("camera_name"), _CamerasOf(common, config, posed)
-        )
+        cameras_of = _cameras_of(common, config, posed)
+        drafts, said = join_cameras(_without_repeats(drafts), cameras_by, common.get("camera_name"), cameras_of)
         notes += said
     except InputError as error:
         problems += error.problems
@@ -82,14 +82,13 @@ def find_clips(
         except InputError as error:
             problems += error.problems
     problems += _name_problems(drafts)
-    drafts, settings = [draft for draft, _ in every], [its for _, its in every]
-    problems += _effect_problems(common, settings)
+    drafts = [draft for draft, _ in every]
     refuse(dict.fromkeys(problems))  # what all clips have in common is said once
     if not drafts:
         raise InputError(Problem("INPUT", "clips", "none", "keypoint files, a folder of them, or a manifest"))
     names = _names(drafts)
-    notes += missing_cameras(drafts, names)
-    return [Clip(*pair) for pair in zip(names, settings, strict=True)], notes
+    notes += [] if cameras_by == NONE else missing_cameras(drafts, names)
+    return [Clip(name, settings) for name, (_, settings) in zip(names, every, strict=True)], notes
 
 
 # -- inputs -------------------------------------------------------------------------------------------------------
@@ -105,7 +104,7 @@ def _drafts_of(given: str, common: Mapping[str, Any]) -> tuple[list[ClipDraft], 
         if of_anipose:
             return _drafts_of_sessions(of_anipose, common)
         if not files:
-            raise InputError(Problem(path, "files", "no keypoint files", f"files of a known format: {_format_names()}"))
+            raise InputError(Problem(path, "files", "no keypoint files", f"files of a known format: {titles('2D')}"))
         return [ClipDraft((file,)) for file in files], notes
     if not os.path.exists(path) and glob.has_magic(given):
         matches = [Path(match) for match in sorted(glob.glob(given, recursive=True))]
@@ -151,7 +150,7 @@ def _drafts_of_sessions(sessions: Sequence[Session], common: Mapping[str, Any]) 
                 found = f"{session.square_length:g}, so that the calibration is not in metres"
                 expected = "its unit besides, as in --camera-unit mm"
                 problems.append(
-                    Problem(session.config_file or session.folder, "board_square_side_length", found, expected)
+                    Problem(session.cam_regex[0] if session.cam_regex else session.folder, SQUARE, found, expected)
                 )
         drafts += [
             ClipDraft((file,), row, called=session.folder / file.name, cam_regex=session.cam_regex) for file in files
@@ -159,7 +158,7 @@ def _drafts_of_sessions(sessions: Sequence[Session], common: Mapping[str, Any]) 
     refuse(dict.fromkeys(problems))
     if not drafts:
         places = names_text([str(session.poses) for session in sessions])
-        raise InputError(Problem(places, "files", "no keypoint files", f"files of a known format: {_format_names()}"))
+        raise InputError(Problem(places, "files", "no keypoint files", f"files of a known format: {titles('2D')}"))
     folders = dict.fromkeys(session.poses.name for session in sessions)
     said = (
         f"{len(sessions)} session{'s' * (len(sessions) > 1)} of Anipose: {len(drafts)} files of {' and '.join(folders)}"
@@ -201,10 +200,6 @@ def _is_recognised(path: Path) -> bool:
         return True
 
 
-def _format_names() -> str:
-    return titles("2D")
-
-
 def _without_repeats(drafts: Sequence[ClipDraft]) -> list[ClipDraft]:
     """A file that two patterns name is one clip; the rows of a manifest are all meant."""
     seen: set[Path] = set()
@@ -244,8 +239,6 @@ def _drafts_of_manifest(path: Path) -> list[ClipDraft]:
         for name in header
         if name not in known
     ]
-    twice = [name for name, count in Counter(header).items() if count > 1 and name in known]
-    problems += [Problem(path, f"column {name!r}", "more than one", "one") for name in twice]
     drafts = []
     for line_number, cells in islice(text_rows(path), 1, None):
         line = f"line {line_number}"
@@ -311,51 +304,28 @@ def _each_animal(draft: ClipDraft, settings: FitSettings) -> list[tuple[ClipDraf
 
 
 _OF_SEVERAL = ("offset_s", "camera_track", "camera_fps", "find_offsets", "refine_cameras", "focal_sigma")
+"""What may be there once for each camera of a clip."""
 
 
-def _without_lists(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Without what may be there once for each camera of a clip."""
-    return {name: value for name, value in values.items() if name not in _OF_SEVERAL}
+def _cameras_of(common: Mapping[str, Any], config: Path | None, posed: bool) -> Callable[[ClipDraft], tuple[str, ...]]:
+    """A function of a draft, which may still be a part of a clip: the names of the cameras in its file that can film a
+    clip together, none where they cannot, or where it is given which camera is meant. posed: without poses they
+    cannot."""
+    read = cache(read_cameras)
 
-
-class _CamerasOf:
-    """Of a draft: the names of the cameras in its file that can film a clip together, none where they cannot, or where
-    it is given which camera is meant. The draft may still be a part of a clip. posed: without poses they cannot."""
-
-    def __init__(self, common: Mapping[str, Any], config: Path | None, posed: bool = True) -> None:
-        self._common = _without_lists(common)
-        self._config = config
-        self._posed = posed
-        self._known: dict[tuple[tuple[Path, ...], tuple[int, int] | None], tuple[str, ...]] = {}
-
-    def __call__(self, draft: ClipDraft) -> tuple[str, ...]:
+    def names_of(draft: ClipDraft) -> tuple[str, ...]:
+        own, of_all = ({n: v for n, v in of.items() if n not in _OF_SEVERAL} for of in (draft.row, common))
         try:
-            settings = _settings(
-                replace(draft, paths=draft.paths[:1], row=_without_lists(draft.row)), self._common, self._config
-            )
+            settings = _settings(replace(draft, paths=draft.paths[:1], row=own), of_all, config)
+            if settings.camera is None or settings.camera_name is not None or settings.method == "frame":
+                return ()
+            cameras = read(settings.camera, settings.image_size_px)
         except InputError:  # said later
             return ()
-        if settings.camera is None or settings.camera_name is not None or settings.method == "frame":
-            return ()
-        key = settings.camera, settings.image_size_px
-        if key not in self._known:
-            try:
-                cameras = read_cameras(*key)
-            except InputError:
-                cameras = ()
-            usable = not self._posed or all(camera.has_extrinsics for camera in cameras)
-            self._known[key] = tuple(camera.name for camera in cameras) if usable else ()
-        return self._known[key]
+        usable = not posed or all(camera.has_extrinsics for camera in cameras)
+        return tuple(camera.name for camera in cameras) if usable else ()
 
-
-def _effect_problems(common: Mapping[str, Any], settings: Sequence[FitSettings]) -> Iterator[Problem]:
-    """Of the common options: where every clip has the other method, nothing reads them."""
-    methods = {clip.method for clip in settings}
-    for name, value in common.items():
-        method = SETTINGS[name].option.method
-        if value is not None and settings and method is not None and method not in methods:
-            found = f"{value!r}, and no clip of the {method} method"
-            yield Problem(SETTINGS[name].on_command_line, name, found, f"nothing, or --set method={method} with it")
+    return names_of
 
 
 def _problem_of_row(problem: Problem, draft: ClipDraft, common: Mapping[str, Any]) -> Problem:
@@ -372,7 +342,7 @@ def _problem_of_row(problem: Problem, draft: ClipDraft, common: Mapping[str, Any
 def _name_problems(drafts: Sequence[ClipDraft]) -> list[Problem]:
     """Of names given in manifests: they must be plain, and different."""
     problems = []
-    first: dict[str, str] = {}
+    count = Counter(draft.name.casefold() for draft in drafts if draft.name is not None)
     for draft in drafts:
         if draft.name is None or draft.where is None:
             continue
@@ -380,11 +350,8 @@ def _name_problems(drafts: Sequence[ClipDraft]) -> list[Problem]:
         if _UNFIT.search(draft.name) or draft.name.startswith(".") or draft.name.casefold() in (SUMMARY, SUMMARY_PAGE):
             expected = f"a plain name of a folder below --out, other than {SUMMARY} and {SUMMARY_PAGE}"
             problems.append(Problem(manifest, f"{line}, out", repr(draft.name), expected))
-        elif draft.name.casefold() in first:
-            found = f"{draft.name!r}, as in {first[draft.name.casefold()]}"
-            problems.append(Problem(manifest, f"{line}, out", found, "a name of its own"))
-        else:
-            first[draft.name.casefold()] = line
+        elif count[draft.name.casefold()] > 1:
+            problems.append(Problem(manifest, f"{line}, out", f"{draft.name!r} more than once", "a name of its own"))
     return problems
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import csv
+import hashlib
+import json
 import time
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -15,7 +17,7 @@ from recon.fit.result import LEVELS
 from recon.show.page import SUMMARY_PAGE, require_own_page
 from recon.show.report import warnings
 from recon.workflows.batch.inputs import SUMMARY
-from recon.workflows.batch.record import Planned, short_hash
+from recon.workflows.batch.plan import Planned
 
 RESULTS = (
     "verdict",
@@ -82,12 +84,16 @@ class Summary:
         self.path = out / SUMMARY
         self.rows: dict[str, dict[str, Any]] = {planned.clip.name: _row(planned, out) for planned in plan}
         self._written_s = -WRITE_EVERY_S
-        self._changed = True
 
     def end(self, clip: str, outcome: Mapping[str, Any]) -> None:
         """outcome: some of the columns."""
         self.rows[clip] |= {column: outcome[column] for column in COLUMNS if column in outcome}
-        self._changed = True
+
+    def write_now_and_then(self) -> None:
+        """Not all the time; a file that is open elsewhere can wait."""
+        if time.monotonic() - self._written_s >= WRITE_EVERY_S:
+            with suppress(PermissionError):
+                self.write()
 
     def counts(self) -> dict[str, int]:
         """By status, in the order of `STATUSES`, without those that no clip has."""
@@ -99,19 +105,13 @@ class Summary:
         count = Counter(row["verdict"] for row in self.rows.values() if row["status"].startswith("done"))
         return {level: count[level] for level in LEVELS if count[level]}
 
-    def write_now_and_then(self) -> None:
-        """If something has changed, but not all the time; a file that is open elsewhere can wait."""
-        if self._changed and time.monotonic() - self._written_s >= WRITE_EVERY_S:
-            with suppress(PermissionError):
-                self.write()
-
     def write(self) -> None:
         with staged_file(self.path) as staged, staged.open("w", encoding="utf-8", newline="") as f:
             writer = csv.writer(f, lineterminator="\n")
             writer.writerow(COLUMNS)
             rows = sorted(self.rows.values(), key=_rank)
             writer.writerows([_no_formula(row[column]) for column in COLUMNS] for row in rows)
-        self._written_s, self._changed = time.monotonic(), False
+        self._written_s = time.monotonic()
 
 
 def _rank(row: Mapping[str, Any]) -> int:
@@ -141,6 +141,11 @@ def _meant(cell: str) -> str:
     return cell[1:] if cell.startswith("'") and cell.lstrip("'").startswith(FORMULAS) else cell
 
 
+def _short_hash(part: Any) -> str:
+    """Sixteen digits for a table."""
+    return hashlib.sha256(json.dumps(part, sort_keys=True).encode()).hexdigest()[:16]
+
+
 def _row(planned: Planned, out: Path) -> dict[str, Any]:
     row = dict.fromkeys(COLUMNS) | {
         "clip": planned.clip.name,
@@ -149,8 +154,8 @@ def _row(planned: Planned, out: Path) -> dict[str, Any]:
         "out": seen_from(out, planned.out),
         "status": "pending",
         "attempts": 0,
-        "settings_hash": short_hash([planned.identity["settings"], planned.identity["version"]]),
-        "inputs_hash": short_hash(planned.identity["inputs"]),
+        "settings_hash": _short_hash([planned.identity["settings"], planned.identity["version"]]),
+        "inputs_hash": _short_hash(planned.identity["inputs"]),
     }
     if planned.row is not None:
         earlier = dict(planned.row)

@@ -18,7 +18,7 @@ COMMANDS = {
     "From a clip to its motion": {
         "fit": (_CORE + "cli.fit:fit", "One clip: keypoints and a camera in, a folder of results out."),
         "batch": (_CORE + "cli.batch:batch", "Many clips in parallel, from where it was stopped."),
-        "run": (_CORE + "cli.run:run", "From a video to a page: keypoints, fit, analysis, overlay, report.html."),
+        "run": (_CORE + "run:run", "From a video to a page: keypoints, fit, analysis, overlay, report.html."),
         "demo": (_CORE + "demo:demo", "Fit the bundled sample and compare it with its truth."),
         "settings": (
             _CORE + "cli.settings:settings",

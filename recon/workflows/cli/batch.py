@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -11,16 +12,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from pydantic import Field
-from rich.box import SIMPLE_HEAD
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
-from rich.table import Column, Table
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.text import Text
 
 from recon.base.settings import Count, Integer, OneOrMore, Option, Settings
 from recon.show.report import STYLES
 from recon.workflows.cli.command import OptionsOf
-from recon.workflows.cli.common import counted, say, stop, terminal
+from recon.workflows.cli.common import counted, say, stop, table_of, terminal
 from recon.workflows.settings import SETTINGS, FitSettings
 
 if TYPE_CHECKING:
@@ -32,7 +31,7 @@ EXIT_STRICT = 1
 CANNOT = "cannot be fitted"
 NAMED = 3
 """Clips with the same problem are named up to this number."""
-_STYLES = {"done": "", "done earlier": "", "unsolved": "red", "failed": "red", "pending": "yellow"}
+_STYLES = {"unsolved": "red", "failed": "red", "pending": "yellow"}
 """Of the statuses; what is done has a verdict."""
 _COMMON, _WORK = "Settings of every clip", "How the work is done"
 _OF_CLIPS = tuple(name for name in SETTINGS if name != "keypoints")
@@ -166,29 +165,25 @@ def _print_plan(
     if as_json:
         typer.echo(json.dumps({"clips": rows}))
         return
-    named = any(row["cameras"] for row in rows)
-    headings = ["clip", *(["cameras"] if named else []), "out"]
-    table = Table(*(Column(heading, overflow="fold") for heading in headings), "what", box=SIMPLE_HEAD)
+    table = table_of("clip", "cameras", "out", "what")
     for row in rows:
         reason = f" ({row['reason']})" if row["reason"] else ""
-        cameras = [", ".join(row["cameras"])] if named else []
-        table.add_row(*map(Text, (row["clip"], *cameras, row["out"], row["action"] + reason)))
+        table.add_row(*map(Text, (row["clip"], ", ".join(row["cameras"]), row["out"], row["action"] + reason)))
     console.print(table)
     for problem, places in repeated(problems):
         names = ", ".join(rows[place]["clip"] for place in places[:NAMED])
         more = "" if len(places) <= NAMED else f" and {len(places) - NAMED} more clips"
         say(console, Text.assemble((f"{names}{more}: ", "bold red"), str(problem)))
-    count = [row["action"] for row in rows]
-    bad = count.count(CANNOT)
-    parts = [f"{count.count('new')} new", f"{count.count('refit')} to fit again", f"{count.count('done')} done"]
-    parts += [f"{bad} that cannot be fitted"] if bad else []
-    console.print(f"{counted(len(rows), 'clip')}: {', '.join(parts)}")
+    count = Counter(row["action"] for row in rows)
+    bad = f", {count[CANNOT]} that {CANNOT}" if count[CANNOT] else ""
+    said = f"{count['new']} new, {count['refit']} to fit again, {count['done']} done{bad}"
+    console.print(f"{counted(len(rows), 'clip')}: {said}")
 
 
 def _print_end(console: Console, summary: Summary, seconds: float) -> None:
     counts = summary.counts()
     parts = [Text(f"{n} {level}", STYLES[level]) for level, n in reversed(summary.verdicts().items())]
-    parts += [Text(f"{n} {status}", style) for status, n in counts.items() if (style := _STYLES[status])]
+    parts += [Text(f"{n} {status}", style) for status, n in counts.items() if (style := _STYLES.get(status))]
     say(console, Text.assemble(Text(", ").join(parts), f" in {seconds:.0f} s. Summary: {summary.path}"))
 
 
@@ -196,49 +191,32 @@ def _print_end(console: Console, summary: Summary, seconds: float) -> None:
 
 
 @contextmanager
-def _shown(console: Console, left: int) -> Iterator[Any]:
-    """A function of an event and the summary that shows it: bars on a terminal, a line a clip elsewhere. Trouble goes
-    to stderr, even where nothing else is printed."""
-    errors = terminal(stderr=True, soft_wrap=True)
-    if console.quiet or not console.is_terminal:
-        ended = 0
+def _shown(console: Console, left: int) -> Iterator[Callable[[Event, Summary], None]]:
+    """A function of an event and the summary that shows it: a line a clip, and a bar on a terminal. Trouble goes to
+    stderr, even where nothing else is printed."""
+    plain, ended = console.quiet or not console.is_terminal, 0
+    errors = terminal(stderr=True, soft_wrap=True) if plain else console
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console, transient=True, disable=plain) as bar:
+        task = bar.add_task("all clips", total=left)
 
-        def line(event: Event, summary: Summary) -> None:
+        def show(event: Event, summary: Summary) -> None:
             nonlocal ended
-            if event.kind == "ended":
-                ended += 1
-                row = summary.rows[event.name]
-                where = errors if row["status"] == "failed" else console
-                say(where, Text(f"[{ended}/{left}] ").append_text(_row_text(row)))
-
-        yield line
-        return
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console, transient=True) as bar:
-        overall = bar.add_task("all clips", total=left)
-        running: dict[str, TaskID] = {}
-
-        def bars(event: Event, summary: Summary) -> None:
             if event.kind == "progress":
-                if event.name not in running:
-                    running[event.name] = bar.add_task(event.name, total=100)
-                bar.update(
-                    running[event.name], description=f"{event.name}: {event.stage}", completed=int(100 * event.share)
-                )
-            else:
-                if event.name in running:
-                    bar.remove_task(running.pop(event.name))
-                bar.advance(overall)
-                row = summary.rows[event.name]
-                if row["verdict"] != "use":
-                    say(bar.console, _row_text(row))
+                bar.update(task, description=f"{event.name}: {event.stage}")
+                return
+            ended += 1
+            bar.advance(task)
+            row = summary.rows[event.name]
+            where = errors if row["status"] == "failed" else console
+            say(where, Text(f"[{ended}/{left}] ").append_text(_row_text(row)))
 
-        yield bars
+        yield show
 
 
 def _row_text(row: Mapping[str, Any]) -> Text:
     """One clip's end in a line."""
-    text = Text.assemble((row["status"], _STYLES[row["status"]]), f"  {row['clip']}")
+    text = Text.assemble((row["status"], _STYLES.get(row["status"], "")), f"  {row['clip']}")
     if row["error"]:
         return text.append(f": {row['error']}")
     level = row["verdict"] or ""

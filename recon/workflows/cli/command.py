@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import inspect
 import typing
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import MISSING, dataclass, replace
 from importlib import import_module
 from pathlib import Path
@@ -53,7 +53,7 @@ class OptionsOf:
 
 
 @dataclass(frozen=True)
-class Takes:
+class _Takes:
     """What a command's function takes: settings of its own class, and those of another one."""
 
     function: Callable[..., Any]
@@ -62,11 +62,11 @@ class Takes:
     parameters: frozenset[str]
 
     @staticmethod
-    def of(function: Callable[..., Any]) -> Takes:
+    def of(function: Callable[..., Any]) -> _Takes:
         hints = typing.get_type_hints(function, include_extras=True)
         given = hints.get("given")
         others = None if given is None else next(one for one in given.__metadata__ if isinstance(one, OptionsOf))
-        return Takes(function, hints.get("settings", Settings), others, frozenset(hints))
+        return _Takes(function, hints.get("settings", Settings), others, frozenset(hints))
 
     @property
     def infos(self) -> dict[str, SettingInfo]:
@@ -122,10 +122,16 @@ class Takes:
 class SettingsCommand(TyperCommand):
     """A command whose settings say themselves what is missing or wrong, all at once."""
 
-    takes: Takes
+    takes: _Takes
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        refuse(_no_options(args, self.takes.by_set))
+        settings = {info.on_command_line.removeprefix("--set "): info.field for info in self.takes.by_set.values()}
+        written = {word: word.partition("=")[0].removeprefix("--").removeprefix("no-") for word in args}
+        refuse(
+            Problem(word.partition("=")[0], settings[name], "no option of this name", f"--set {name}=VALUE")
+            for word, name in written.items()
+            if word.startswith("--") and name in settings
+        )
         return super().parse_args(ctx, args)
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
@@ -135,23 +141,9 @@ class SettingsCommand(TyperCommand):
         super().format_help(ctx, formatter)
 
 
-def _no_options(args: list[str], by_set: Mapping[str, SettingInfo]) -> Iterator[Problem]:
-    """Settings that were written as options, and how they are written."""
-    settings = {info.on_command_line.removeprefix("--set "): info for info in by_set.values()}
-    for word, following in zip(args, [*args[1:], ""], strict=False):
-        option, equals, value = word.partition("=")
-        name = option.removeprefix("--").removeprefix("no-")
-        if option.startswith("--") and name in settings:
-            info = settings[name]
-            value = value if equals else following
-            if info.is_flag:
-                value = "false" if option.startswith("--no-") else "true"
-            yield Problem(option, info.field, "no option of this name", f"--set {name}={value or 'VALUE'}")
-
-
 def make_command(name: str, function: Callable[..., Any]) -> SettingsCommand:
     """The command of a function, see the text of the module."""
-    takes = Takes.of(function)
+    takes = _Takes.of(function)
     of_others = {} if takes.others is None else takes.others.infos
     parameters = [_parameter(info, name in of_others) for name, info in takes.infos.items() if info.option.common]
     if takes.by_set:

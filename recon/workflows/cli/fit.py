@@ -17,10 +17,6 @@ class _FitRunSettings(Settings):
 
     out: Annotated[Path | None, Option("Folder for the results, as in results/clip1.")] = None
     config: Annotated[Path | None, Option("config.toml of an earlier run; options given here overrule it.")] = None
-    camera_motion: Annotated[
-        Path | None,
-        Option("A camera that turns: its video, in which the track is found first, as in clip.mp4."),
-    ] = None
     overwrite: Annotated[bool, Option("Replace results in the folder.")] = False
 
 
@@ -50,5 +46,5 @@ def fit(
     for path in [] if config is None else replaced_files(config, given, fitted):
         say(console, f"note: {path} is not the file that {config} was written for: its content is another")
     with progress_bar(console, "fitting: ") as progress:
-        report = run_clip(fitted, out, settings.overwrite, progress, settings.camera_motion)
+        report = run_clip(fitted, out, settings.overwrite, progress)
     finish(console, report, out, as_json)
