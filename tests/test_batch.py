@@ -989,6 +989,39 @@ def test_dask_cluster(clips, tmp_path, cluster):
     assert [planned.action for planned in plan_batch(found(clips / "*.csv"), out)].count("done") == 4
 
 
+@pytest.fixture
+def certificates(tmp_path) -> dict[str, str]:
+    """Dask's settings of a cluster with encryption: one key for all, with a certificate that it signed itself."""
+    openssl = shutil.which("openssl")
+    if openssl is None:
+        pytest.skip("no openssl")
+    key, certificate = str(tmp_path / "key.pem"), str(tmp_path / "certificate.pem")
+    made = ("req", "-x509", "-newkey", "rsa:2048", "-nodes", "-days", "2", "-subj", "/CN=localhost")
+    subprocess.run([openssl, *made, "-keyout", key, "-out", certificate], check=True, capture_output=True)
+    own = {
+        f"distributed.comm.tls.{who}": {"key": key, "cert": certificate} for who in ("scheduler", "worker", "client")
+    }
+    return {"distributed.comm.tls.ca-file": certificate, "distributed.comm.require-encryption": True} | own
+
+
+@pytest.mark.filterwarnings("default")  # Dask's own
+def test_a_cluster_with_certificates(clips, tmp_path, certificates):
+    """They are those of Dask's own configuration; without them there is a message, and nothing is done."""
+    dask, distributed = pytest.importorskip("dask"), pytest.importorskip("distributed")
+    one, out = clips / "a.csv", tmp_path / "out"
+    with dask.config.set(certificates):
+        how = {"n_workers": 1, "threads_per_worker": 1, "dashboard_address": None, "protocol": "tls://"}
+        cluster = distributed.LocalCluster(**how, security=distributed.Security())
+    with cluster:
+        assert cluster.scheduler_address.startswith("tls://")
+        ended = run(*args(one, out, "--scheduler", cluster.scheduler_address))
+        assert ended.code == 2
+        assert "tls:// with the certificates of Dask's configuration (distributed.comm.tls)" in ended.err
+        with dask.config.set(certificates):
+            ended = run(*args(one, out, "--scheduler", cluster.scheduler_address))
+        assert (ended.code, statuses(out)) == (0, ["done"])
+
+
 def test_no_cluster(clips, tmp_path):
     pytest.importorskip("distributed")
     ended = run(*args(clips, tmp_path / "out", "--scheduler", "nonsense://here"))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,11 +13,13 @@ import pytest
 from command_line import run
 from rich.text import Text
 
+from recon.animal import load_skeleton
 from recon.base.errors import InputError
 from recon.fit import TrajectoryOptions
 from recon.io import read_camera, read_cameras
 from recon.thesis import FrameOptions, frame_options
 from recon.workflows.cli import app, commands
+from recon.workflows.clip import read_model_and_cameras
 from recon.workflows.settings import SETTINGS, FitSettings, of_method, read_settings
 
 GIVEN = {"keypoints": Path("/data/clip.csv"), "camera": Path("/data/camera.toml"), "fps": 30.0}
@@ -112,7 +115,7 @@ def test_config_holds_every_setting_that_has_a_value():
     plain = tomllib.loads(FitSettings(**GIVEN).to_toml())["recon"]["fit"]
     unset = {"camera_name", "hfov_deg", "image_size_px", "tilt_deg", "individual", "frames", "skeleton", "subject"}
     unset |= {"rename", "camera_track", "offset_s", "camera_fps", "focal_sigma", "prior", "detector"}
-    unset |= {"up", "size", "size_sigma", "keypoint_sigma_m"}
+    unset |= {"up", "size", "size_sigma", "height_m", "keypoint_sigma_m"}
     assert set(plain) == set(SETTINGS) - unset - set(of_method("frame"))
     assert plain["keypoints"] == "/data/clip.csv"
 
@@ -493,3 +496,18 @@ def test_the_schema_takes_configs_and_names_mistakes(tmp_path):
     assert all(one["description"] for one in fit.values())
     for wrong in ({"fps": -1}, {"camera_unit": "yards"}, {"speed": 3}, {"fast": 3}):
         assert list(check.iter_errors({"recon": {"fit": wrong}})), wrong
+
+
+def test_the_height_at_the_withers_is_a_size():
+    settings = FitSettings(keypoints="a.csv", hfov_deg=40, image_size_px="9x8", skeleton="horse-22", height_m=1.3)
+    (horse, _, _), usual = read_model_and_cameras(settings), load_skeleton("horse-22")
+    heights = [body.tree.pose(np.append(np.zeros(4), body.mean_rad)[None]).points_m[0, :, 2] for body in (horse, usual)]
+    wither, feet = horse.markers.index("Wither"), [horse.markers.index(foot) for foot in horse.feet]
+    assert heights[0][wither] - heights[0][feet].min() == pytest.approx(1.3)
+    times = 1.3 / (heights[1][wither] - heights[1][feet].min())
+    np.testing.assert_allclose(heights[0], times * heights[1], atol=1e-12)
+    assert horse.size_sigma == 0.05
+    with pytest.raises(InputError, match="no feet"):
+        read_model_and_cameras(replace(settings, skeleton="mouse-top"))
+    (found,) = messages({**GIVEN, "height_m": 1.3, "size": 2.0})
+    assert found == "--height-m: found 1.3 beside size, 2, expected one of the two"

@@ -72,6 +72,7 @@ def read(path: Path, individual: str | None = None) -> StoredPoints:
 
 def write(pose: Pose3D, path: Path) -> None:
     made = BytesIO()
+    of_fit = {} if pose.sigma_m is None else {"sigma_m": pose.sigma_m, "flags": np.array(pose.flags, dtype=str)}
     np.savez_compressed(
         made,
         names=np.array(pose.names),
@@ -80,5 +81,6 @@ def write(pose: Pose3D, path: Path) -> None:
         fps=np.array(np.nan if pose.fps is None else pose.fps),
         edges=index_edges(pose.names, pose.edges),
         notes=np.array(pose.notes, dtype=str),
+        **of_fit,
     )
     write_bytes(path, made.getvalue())

@@ -33,7 +33,11 @@ class Pose3D:
     edges: tuple[tuple[str, str], ...] = ()
     """Pairs of joints that are linked, where they are known."""
     notes: tuple[str, ...] = ()
-    """What a reader had to decide, in plain sentences."""
+    """What a reader had to decide, or the verdict on a fit, in plain sentences."""
+    sigma_m: np.ndarray | None = None
+    """(T, J, 3): standard deviations of a fit."""
+    flags: tuple[str, ...] | None = None
+    """(T,): what is doubtful about a fit's frames."""
 
     def __post_init__(self) -> None:
         if self.xyz_m.shape != (len(self.frames), len(self.names), 3):

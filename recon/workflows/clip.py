@@ -55,6 +55,8 @@ FEW_OF_SKELETON, FEW_OF_FILE = 0.25, 0.5
 """A file with fewer of the skeleton's keypoints, to which fewer of its own belong, has other names for them."""
 _MOST_OF_FILE = 0.8
 """Another skeleton that has so many of a file's keypoints is probably theirs."""
+HEIGHT_SIGMA = 0.05
+"""Relative, of a size that follows from the height at the withers: animals differ in their proportions."""
 PADDED, INSIDE = 0.05, 0.9
 """Detectors pad the picture: keypoints that many times its width or height outside are as good as in it. At least so
 many of a clip's have to be."""
@@ -259,8 +261,20 @@ def _model(settings: FitSettings) -> tuple[Body, MotionPrior]:
         return body, load_prior(None, body)
     body = seen_by(load_skeleton(settings.skeleton_name, settings.subject), settings.detector)
     body = body if settings.size is None else body.scaled(settings.size)
+    body = body if settings.height_m is None else _as_high(body, settings.height_m)
     prior, _ = all_of(lambda: load_prior(settings.prior, body), lambda: _require_no_side(settings, body))
     return body, prior
+
+
+def _as_high(body: Body, height_m: float) -> Body:
+    """So large that the withers, or the front end of the trunk, are as high above the feet in the expected pose."""
+    if not body.feet:
+        raise InputError(Problem("--height-m", "height_m", f"{body.name}, which has no feet", "--set size"))
+    points_m = body.tree.pose(np.concatenate([np.zeros(4), body.mean_rad])[None]).points_m[0]
+    heights_m = dict(zip(body.markers, points_m[:, 2], strict=True))
+    top = next((name for name in body.markers if "wither" in name.lower()), body.forward[1])
+    usual_m = heights_m[top] - min(heights_m[foot] for foot in body.feet)
+    return replace(body.scaled(height_m / usual_m), size_sigma=HEIGHT_SIGMA)
 
 
 def _as_its_files_say(body: Body, files: Sequence[Keypoints]) -> Body:

@@ -158,4 +158,5 @@ def _of_results(folder: Path, anyway: bool) -> Pose3D:
     notes = verdict_lines(motion.verdict)
     if not motion.knows_up:
         notes += ("Positions are in the level frame, z up: the camera file does not say where the camera is.",)
-    return replace(motion.upright, notes=notes)
+    flags = tuple(", ".join(some) for some in motion.flags)
+    return replace(motion.upright, notes=notes, sigma_m=motion.upright_sigma_m, flags=flags)

@@ -203,6 +203,13 @@ class FitSettings(Settings):
             "degrees that the camera looks down, above -90 and below 90, as in 5",
         ),
     ] = None
+    height_m: Annotated[
+        Positive | None,
+        Option(
+            "How high the animal is at the withers, in metres, as in 1.6. (default: the skeleton's)",
+            method="trajectory",
+        ),
+    ] = None
     individual: Annotated[str | None, Option("Which animal of a multi-animal file, as in animal1.")] = None
     rename: Annotated[
         NameOrFile | None,
@@ -344,6 +351,8 @@ class FitSettings(Settings):
                 yield Problem("settings", name, "one keypoint file", "files of several cameras")
             if getattr(self, name) and name != "find_offsets" and self.camera_track is not None:
                 yield Problem("settings", name, "beside a camera track", "cameras that stand still")
+        if self.height_m is not None and self.size is not None:
+            yield Problem("settings", "height_m", f"{self.height_m:g} beside size, {self.size:g}", "one of the two")
         if self.camera_fps is not None and self.fps is not None:
             yield Problem("settings", "camera_fps", f"beside fps, {self.fps:g}", "one of the two")
         if count > 1 and self.method == "frame":
