@@ -456,7 +456,6 @@ def test_help_is_printed_whole():
         ["retarget", "dir", "--lag", "90fps"],
         ["evaluate-2d", "a.csv", "b.csv", "--likelihood-min", "90fps"],
         ["train", "a.mp4", "--minutes", "90fps"],
-        ["predict", "a.mp4", "--likelihood-min", "90fps"],
         ["prior", "fit", "a.csv", "--min-speed-m-s", "90fps"],
     ],
 )

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import asyncio
 import queue
-import threading
 import uuid
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
@@ -66,31 +66,25 @@ def carry_out_on_cluster(
 
 def _client(address: str) -> Client:
     try:
-        from distributed import Client
+        from distributed import Client, Security
+        from distributed.comm import connect
     except ImportError:
         expected = f"Dask: {install_command('cluster')}"
         raise InputError(Problem("--scheduler", "package", "no package distributed", expected)) from None
-    made: queue.SimpleQueue[Client | Exception] = queue.SimpleQueue()
 
-    def connect() -> None:
-        try:
-            made.put(Client(address, timeout=CONNECT_S, set_as_default=False))
-        except Exception as error:  # of addresses, of the network, of certificates that there are not
-            made.put(error)
+    async def answers() -> None:
+        (await connect(address, CONNECT_S, **Security().get_connection_args("client"))).abort()
 
-    # Dask's own limit of time does not hold at a port that accepts and says nothing.
-    threading.Thread(target=connect, daemon=True, name="connect to the scheduler").start()
     try:
-        client = made.get(timeout=CONNECT_S + TICK_S)
-    except queue.Empty:
-        client = TimeoutError(f"no answer within {CONNECT_S:g} s")
-    if isinstance(client, Exception):
-        found = " ".join(str(client).split())[:200] or type(client).__name__
+        asyncio.run(asyncio.wait_for(answers(), CONNECT_S))  # a client would wait on where a port only accepts
+        return Client(address, timeout=CONNECT_S, set_as_default=False)
+    except Exception as error:  # of addresses, of the network, of certificates that there are not
+        silent = f"no answer within {CONNECT_S:g} s" if isinstance(error, TimeoutError) else type(error).__name__
+        found = " ".join(str(error).split())[:200] or silent
         expected = "a running Dask scheduler, as in tcp://host:8786"
         if address.startswith("tls://"):
             expected += ", or tls:// with the certificates of Dask's configuration (distributed.comm.tls)"
-        raise InputError(Problem("--scheduler", address, found, expected))
-    return client
+        raise InputError(Problem("--scheduler", address, found, expected)) from None
 
 
 def _outcome(future: Future) -> dict[str, Any]:
