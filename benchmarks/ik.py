@@ -14,7 +14,7 @@ import json
 import os
 from collections.abc import Callable, Sequence
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 
@@ -47,6 +47,7 @@ from recon.robotics.ik.fit import (
     fit_selectively_damped,
     fit_transpose,
     fit_weights,
+    rates_of,
 )
 from recon.robotics.ik.methods import (
     ExtendedJacobian,
@@ -54,7 +55,6 @@ from recon.robotics.ik.methods import (
     JacobianTranspose,
     LeastNorm,
     Method,
-    Scaled,
     SelectivelyDamped,
     damped_least_squares,
     weighted_least_norm,
@@ -187,7 +187,7 @@ def print_alphas() -> None:
     for name, method in methods(chain).items():
         cells = []
         for alpha in ALPHAS:
-            drives = [drive_to(chain, q, x, Scaled(method, alpha)) for q, x in some]
+            drives = [drive_to(chain, q, x, replace(method, alpha=alpha)) for q, x in some]
             steps = [drive.iterations for drive in drives if drive.reached]
             all_of_them = len(steps) == len(drives)
             cells.append((f"{np.median(steps):.0f}" if steps else "") + ("" if all_of_them else f" ({len(steps)})"))
@@ -201,7 +201,7 @@ def print_alphas() -> None:
 def start_of(chain: SerialChain, q: Array, method: Method) -> Array:
     """The optimum of the method's cost (or the energy's) that the null space leads to."""
     cost = method.cost if isinstance(method, ExtendedJacobian) else rotational_energy(chain)
-    return to_null_space_optimum(chain, q, cost).q[-1]
+    return to_null_space_optimum(chain, q, cost)[0]
 
 
 def circle_closure(chain: SerialChain, q: Array, name: str) -> str:
@@ -230,7 +230,7 @@ def cost_verdict(chain: SerialChain, q: Array, cost: Cost) -> str:
     every turn are those at its beginning, singular where the matrix was on the way, chaotic where a start that is off
     by `NEAR_RAD` ends `APART` times as far away, drifting otherwise; with how many joints limits held."""
     method = ExtendedJacobian(cost)
-    q = to_null_space_optimum(chain, q, cost).q[-1]
+    q = to_null_space_optimum(chain, q, cost)[0]
     path = circle(chain, q)
     run = follow(chain, q, path, method, turns=TURNS)
     held = f", {len(run.limits)} joints at limits" if run.limits else ""
@@ -475,7 +475,7 @@ def print_held_out(folder: Path) -> None:
                 fit_of(s.leg.chain)(Frames.joined([o.frames for o in of])) for s, of in zip(data, others, strict=True)
             ]
             own = [fit_of(s.leg.chain)(s.frames).explained for s in data]
-            rates = [fit.formula(s.frames) for fit, s in zip(fits, data, strict=True)]
+            rates = [rates_of(fit.method, s.frames) for fit, s in zip(fits, data, strict=True)]
             value = ", ".join(f"{v:.2g}" for v in np.median([fit.parameter for fit in fits], axis=0)) + unit
             scales = [fit.alpha for fit in fits]
             rows.append(held_out_row(name, value, own, rates, scales, data, [fit.method for fit in fits]))

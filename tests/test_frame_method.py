@@ -14,7 +14,7 @@ from recon.fit.synthetic import add_noise
 from recon.geometry.frames import inverse
 from recon.thesis import FrameOptions, base_length, frame, solve_frames, solve_joints
 from recon.thesis.frame import CONVERGED, evaluate, posterior_covariance, precision_shares
-from recon.thesis.objectives import JointPositions, JointReprojection
+from recon.thesis.objectives import JointReprojection
 from recon.thesis.starts import Travel, mean_pose
 
 SK = load_chain("cheetah-8u")
@@ -94,8 +94,8 @@ def test_rank_18_from_pixels_and_20_from_joints(seed: int):
     state = level_states(5)[seed]
     joints = SK.pose(state[None]).joints_m
     pixels = JointReprojection(camera, camera.project(joints)[0], np.ones((1, 9)), 1.0, 1e9)
-    for term, rank in ((pixels, 18), (JointPositions(joints, 1.0), 20)):
-        _, J = evaluate((term,), SK, 0, state, None, 0.0)
+    in_space = SK.pose_with_jacobian(state[None]).joints_jacobian.reshape(-1, SK.n_state)
+    for J, rank in ((evaluate((pixels,), SK, 0, state, None, 0.0)[1], 18), (in_space, 20)):
         singular = np.linalg.svd(J / np.linalg.norm(J, axis=0), compute_uv=False)
         assert len(J) >= rank
         assert np.sum(singular > 1e-9 * singular[0]) == rank

@@ -11,14 +11,11 @@ from recon.animal.skeleton_file import load_chain
 from recon.geometry.camera import Camera
 from recon.thesis.objectives import (
     AngleRange,
+    DirectionPrior,
     GaussianPrior,
-    HeadingTie,
-    JointPositions,
     JointReprojection,
     Objective,
     RateLimit,
-    RollPrior,
-    TravelPrior,
 )
 
 SK = load_chain("cheetah-8u")
@@ -46,20 +43,20 @@ def states(seed: int) -> np.ndarray:
 NOW, BEFORE = states(1), states(2)
 DETECTED = CAMERA.project(SK.pose(NOW).joints_m)[0] + RNG.normal(0, 20, (N, 9, 2))
 DETECTED[2, 3] = np.nan
+LEVEL = np.eye(3) - np.outer(UP, UP)
 HEADING = np.tile(np.array([1.0, 0, 0]), (N, 1))
 
 TERMS: list[Objective] = [
     JointReprojection(CAMERA, DETECTED, RNG.uniform(0.2, 1, (N, 9)), 8.0, 4.0),
-    *(AngleRange("theta range", SK.theta_slice, SK.theta, 0.15, form) for form in ("deadband", "printed")),
-    *(AngleRange("phi range", SK.phi_slice, SK.phi, 0.15, form) for form in ("deadband", "printed")),
-    *(RateLimit("theta rate", SK.theta_slice, SK.theta.max_rate_rad_s, 0.15, f) for f in ("deadband", "printed")),
-    *(RateLimit("phi rate", SK.phi_slice, SK.phi.max_rate_rad_s, 0.15, f) for f in ("deadband", "printed")),
+    *(AngleRange("theta range", SK.theta_slice, 0.15, form, SK.theta) for form in ("deadband", "printed")),
+    *(AngleRange("phi range", SK.phi_slice, 0.15, form, SK.phi) for form in ("deadband", "printed")),
+    *(RateLimit("theta rate", SK.theta_slice, 0.15, f, SK.theta.max_rate_rad_s) for f in ("deadband", "printed")),
+    *(RateLimit("phi rate", SK.phi_slice, 0.15, f, SK.phi.max_rate_rad_s) for f in ("deadband", "printed")),
     GaussianPrior("theta prior", SK.theta_slice, SK.theta.mean_rad, 0.8),
     GaussianPrior("base length prior", slice(SK.base_index, SK.base_index + 1), 0.21, 0.02),
-    RollPrior(UP, 0.12, SK.euler_slice),
-    HeadingTie(UP, 1.0, SK.euler_slice),
-    TravelPrior(UP, HEADING, 0.25, SK.euler_slice),
-    JointPositions(RNG.normal(0, 3, (N, 9, 3)), 0.01),
+    DirectionPrior("roll prior", 2, UP[None], np.zeros((N, 3)), 0.12, SK.euler_slice),
+    DirectionPrior("heading tie", 0, LEVEL, None, 1.0, SK.euler_slice),
+    DirectionPrior("travel prior", 0, LEVEL, HEADING, 0.25, SK.euler_slice),
 ]
 
 
@@ -101,7 +98,7 @@ def test_every_deadband_term_is_active_somewhere_and_zero_within():
 def test_printed_form_pulls_towards_the_edge():
     at_mean = NOW.copy()
     at_mean[:, SK.theta_slice] = SK.theta.mean_rad
-    printed, deadband = (AngleRange("f2", SK.theta_slice, SK.theta, 0.15, f) for f in ("printed", "deadband"))
+    printed, deadband = (AngleRange("f2", SK.theta_slice, 0.15, f, SK.theta) for f in ("printed", "deadband"))
     np.testing.assert_allclose(evaluate(printed, at_mean)[0], np.tile(-SK.theta.tolerance_rad / 0.15, (N, 1)))
     assert np.all(evaluate(deadband, at_mean)[0] == 0)
 
@@ -111,7 +108,7 @@ def test_rate_limit_counts_the_chord_so_that_a_flip_is_not_free():
     after = BEFORE.copy()
     after[:, 0] += np.pi
     for form, swept in (("deadband", 2.0), ("printed", 0.0)):
-        term = RateLimit("f4", SK.theta_slice, SK.theta.max_rate_rad_s, 0.15, form)
+        term = RateLimit("f4", SK.theta_slice, 0.15, form, SK.theta.max_rate_rad_s)
         residual = evaluate(term, after, dt=0.01)[0][:, 0]
         np.testing.assert_allclose(residual, (swept - 30 * 0.01) / 0.15, atol=1e-12)
 
@@ -144,7 +141,7 @@ def test_reprojection_weighs_by_confidence():
 
 def test_roll_prior_is_zero_for_a_level_animal_and_grows_with_roll():
     level = np.zeros((1, SK.n_state))
-    term = RollPrior(np.array([0.0, -1, 0]), 0.1, SK.euler_slice)
+    term = DirectionPrior("roll prior", 2, np.array([[0.0, -1, 0]]), np.zeros((1, 3)), 0.1, SK.euler_slice)
     assert term.evaluate(SK.pose_with_jacobian(level), None, 0, 1.0)[0] == 0
     level[0, SK.euler_slice] = [0.1, 0, 0]
     rolled = term.evaluate(SK.pose_with_jacobian(level), None, 0, 1.0)[0]
@@ -152,7 +149,7 @@ def test_roll_prior_is_zero_for_a_level_animal_and_grows_with_roll():
 
 
 def test_travel_that_says_nothing_gives_no_rows():
-    silent = TravelPrior(UP, np.full((N, 3), np.nan), 0.25, SK.euler_slice)
+    silent = DirectionPrior("travel prior", 0, LEVEL, np.full((N, 3), np.nan), 0.25, SK.euler_slice)
     residual, jacobian = evaluate(silent, NOW)
     assert np.all(residual == 0)
     assert np.all(jacobian == 0)

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import matplotlib as mpl
 import numpy as np
+import pandas as pd
 import pytest
 from matplotlib.collections import FillBetweenPolyCollection, LineCollection, PolyCollection
 from matplotlib.colors import to_rgb, to_rgba
@@ -22,7 +23,6 @@ from recon.gait.phase import Closure, Portrait, phase_portrait, vector_field
 from recon.robotics.ik import plots as ik_plots
 from recon.robotics.ik.chain import planar_chain, summed_chain
 from recon.robotics.ik.drive import drive_to, follow
-from recon.robotics.ik.fit import FittedSeries
 from recon.robotics.ik.methods import JacobianTranspose, LeastNorm, damped_least_squares
 from recon.show import plots
 from recon.show.plots import composite, phase, style
@@ -110,11 +110,12 @@ def thick_lines(axes, least=0.85):
 def parameters():
     """Of nine configurations."""
     rng = np.random.default_rng(2)
-    shapes = {"least-norm": 0, "transpose": 1, "gradient-projection": 1, "weighted": 3, "damped": 1}
-    return {
-        name: FittedSeries(rng.uniform(0.1, 3.0, (9, p)), rng.uniform(0.9, 1.3, 9), rng.uniform(0.1, 1.0, 9))
-        for name, p in shapes.items()
-    }
+    columns = {"transpose_alpha_1_m2": 3.0, "gradient-projection_k_1_s": 3.0, "damped_lambda_m": 3.0}
+    columns |= {f"weighted_{joint}": 3.0 for joint in ("shoulder_pitch", "elbow", "wrist")}
+    for name in ("least-norm", "transpose", "gradient-projection", "weighted", "damped"):
+        columns |= {f"{name}_best_alpha": 1.3, f"{name}_explained": 1.0}
+    values = {name: rng.uniform(0.1, most, 9) for name, most in columns.items()}
+    return pd.DataFrame({"time_s": times(31)[:9], **values})
 
 
 def every_figure():
@@ -149,7 +150,7 @@ def every_figure():
         "distances": ik_plots.distances(found, title="a title"),
         "distances, many": ik_plots.distances(names),
         "distances from a path": ik_plots.distances(turns),
-        "parameters": ik_plots.parameter_series(t[:9], parameters(), ("shoulder_pitch", "elbow", "wrist")),
+        "parameters": ik_plots.parameter_series(parameters()),
         "closures": ik_plots.closures({k: m.closures() for k, m in names.items()}, title="a title"),
     }
 

@@ -29,15 +29,12 @@ from recon.geometry.frames import inverse, moved
 from recon.geometry.kinematics import ROLL, YAW
 from recon.thesis.objectives import (
     AngleRange,
+    DirectionPrior,
     Form,
     GaussianPrior,
-    HeadingTie,
-    JointPositions,
     JointReprojection,
     Objective,
     RateLimit,
-    RollPrior,
-    TravelPrior,
 )
 from recon.thesis.starts import Travel, estimate_travel, geometric_start, state_from_joints
 
@@ -54,6 +51,8 @@ WARN_FEW_POINTS, WARN_LIMITS = 0.2, 0.25
 """Shares of the solved frames from which few points and angles beyond their ranges are findings."""
 MOST_SIZE = 10.0
 """A base length so many times larger or smaller than expected is no animal's."""
+SIGMA_M = 0.01
+"""Of joints that are known in space."""
 SPARE_SEARCHES = 4
 """A clip may take `FrameOptions.max_evaluations` for each of its frames, and so many times that for all of them."""
 
@@ -190,23 +189,24 @@ def frame_objectives(
 
     xy_px (T, J, 2), NaN where missing; confidence (T, J).
     """
-    s, form = chain.scales, options.form
+    s, form, up = chain.scales, options.form, camera.up
     terms: list[Objective] = [
         JointReprojection(camera, xy_px, confidence, options.sigma_px, options.robust_c),
-        AngleRange("theta range", chain.theta_slice, chain.theta, s.softness_rad, form),
-        AngleRange("phi range", chain.phi_slice, chain.phi, s.softness_rad, form),
-        RateLimit("theta rate", chain.theta_slice, chain.theta.max_rate_rad_s, s.softness_rad, form),
-        RateLimit("phi rate", chain.phi_slice, chain.phi.max_rate_rad_s, s.softness_rad, form),
+        AngleRange("theta range", chain.theta_slice, s.softness_rad, form, chain.theta),
+        AngleRange("phi range", chain.phi_slice, s.softness_rad, form, chain.phi),
+        RateLimit("theta rate", chain.theta_slice, s.softness_rad, form, chain.theta.max_rate_rad_s),
+        RateLimit("phi rate", chain.phi_slice, s.softness_rad, form, chain.phi.max_rate_rad_s),
         GaussianPrior("base length prior", slice(chain.base_index, chain.base_index + 1), *base_length(chain, options)),
     ]
     if options.angle_prior == "gaussian":
+        level, euler = np.eye(3) - np.outer(up, up), chain.euler_slice
         moving = np.where(travel.speed_m_s[:, None] > 0, travel.heading, np.nan)
         terms += [
             GaussianPrior("theta prior", chain.theta_slice, chain.theta.mean_rad, s.theta_rad),
             GaussianPrior("phi prior", chain.phi_slice, chain.phi.mean_rad, s.phi_rad),
-            RollPrior(camera.up, s.roll_rad, chain.euler_slice),
-            HeadingTie(camera.up, s.heading_rad_per_sqrt_s, chain.euler_slice),
-            TravelPrior(camera.up, moving, s.travel_rad, chain.euler_slice),
+            DirectionPrior("roll prior", 2, up[None], np.zeros_like(moving), s.roll_rad, euler),
+            DirectionPrior("heading tie", 0, level, None, s.heading_rad_per_sqrt_s, euler),
+            DirectionPrior("travel prior", 0, level, moving, s.travel_rad, euler),
         ]
     return tuple(terms)
 
@@ -387,21 +387,18 @@ def _of_angles(
     """Standard deviations and the pixels' shares (N, D' - 3) of the body's angles, from the chain's states (N, D),
     their covariance (N, D, D) and shares (N, D). The root's rotation follows the Euler angles: its shares are theirs,
     weighted by what they contribute to its variance."""
-    euler, step, n = chain.euler_slice, 1e-6, 2 * chain.n_angles
-    turned = np.zeros((len(states), 3, 3))  # how yaw, pitch and roll follow the Euler angles
-    for k in range(3):
-        ends = [states.copy(), states.copy()]
-        ends[0][:, euler][:, k] -= step
-        ends[1][:, euler][:, k] += step
-        before, after = (chain.to_body(end, T_world_camera)[0][:, YAW : ROLL + 1] for end in ends)
-        turned[..., k] = (np.mod(after - before + np.pi, 2 * np.pi) - np.pi) / (2 * step)
-    own, variance = np.diagonal(covariance, axis1=1, axis2=2), np.empty((len(states), chain.body.n_state - 3))
-    share, angles = np.empty_like(variance), chain.body_angles - YAW
-    variance[:, angles], share[:, angles] = own[:, :n], shares[:, :n]
-    weight = turned**2 * own[:, None, euler]
-    variance[:, :3] = np.einsum("nik,nkl,nil->ni", turned, covariance[:, euler, euler], turned)
-    share[:, :3] = np.sum(weight * shares[:, None, euler], axis=2) / np.sum(weight, axis=2)
-    return np.sqrt(variance), share
+    angles, step = np.arange(2 * chain.n_angles), 1e-6
+    by_state = np.zeros((len(states), chain.body.n_state - YAW, chain.n_state))
+    by_state[:, chain.body_angles - YAW, angles] = 1.0
+    for k in range(chain.n_state)[chain.euler_slice]:
+        unit = step * np.eye(chain.n_state)[k]
+        before, after = (
+            chain.to_body(end, T_world_camera)[0][:, YAW : ROLL + 1] for end in (states - unit, states + unit)
+        )
+        by_state[:, :3, k] = (np.mod(after - before + np.pi, 2 * np.pi) - np.pi) / (2 * step)
+    weight = by_state**2 * np.diagonal(covariance, axis1=1, axis2=2)[:, None]
+    variance = np.einsum("nik,nkl,nil->ni", by_state, covariance, by_state)
+    return np.sqrt(variance), np.sum(weight * shares[:, None], axis=2) / np.sum(weight, axis=2)
 
 
 def _flags(
@@ -458,20 +455,22 @@ def solve_joints(chain: Chain, joints_m: Array, up: Array, tolerance: float = 1e
     For joints from several cameras or motion capture. The roll about the first link is not determined by joints and
     stays near zero against the unit vector up (3,). NaN for frames in which a joint is missing.
     """
-    target = JointPositions(joints_m, sigma_m=0.01)
     states = np.full((len(joints_m), chain.n_state), np.nan)
     for frame in np.flatnonzero(np.isfinite(joints_m).all(axis=(1, 2))):
-        start = state_from_joints(chain, joints_m[frame], up)
-        result = least_squares(
-            lambda x, f=frame: evaluate((target,), chain, f, x, None, 0.0)[0],
-            start,
-            lambda x, f=frame: evaluate((target,), chain, f, x, None, 0.0)[1],
-            method="lm",
-            ftol=tolerance,
-            xtol=tolerance,
-            gtol=tolerance,
+
+        def off(x: Array, target_m: Array = joints_m[frame]) -> Array:
+            return (chain.pose(x[None]).joints_m[0] - target_m).ravel() / SIGMA_M
+
+        def jacobian(x: Array) -> Array:
+            by_state = chain.pose_with_jacobian(x[None]).joints_jacobian
+            assert by_state is not None
+            return by_state[0].reshape(-1, chain.n_state) / SIGMA_M
+
+        start, tolerances = (
+            state_from_joints(chain, joints_m[frame], up),
+            dict.fromkeys(("ftol", "xtol", "gtol"), tolerance),
         )
-        states[frame] = result.x
+        states[frame] = least_squares(off, start, jacobian, method="lm", **tolerances).x
     return states
 
 

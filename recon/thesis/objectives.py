@@ -17,7 +17,7 @@ a roll of the chain about its axis and one mode of depth undetermined, and depth
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -33,7 +33,7 @@ class Objective:
     """A term of the problem: see the module's text."""
 
     name: str
-    ties: ClassVar[bool] = False
+    ties: bool = False
 
     def evaluate(self, now: Posed, before: Posed | None, frame: int, dt_s: float) -> ResidualAndJacobian:
         raise NotImplementedError
@@ -84,28 +84,35 @@ class JointReprojection(Objective):
 
 
 @dataclass(frozen=True)
-class AngleRange(Objective):
-    """f2 (theta) and f3 (phi): (|angle - mean| - tolerance) / softness; deadband: only where that is positive."""
+class _Limit(Objective):
+    """What one of some unknowns (A,) is beyond its limit: (size - limit) / softness; deadband: only where positive."""
 
     name: str
     where: slice
-    ranges: AngleRanges
     softness_rad: float
     form: Form
 
-    def evaluate(self, now: Posed, before: Posed | None, frame: int, dt_s: float) -> ResidualAndJacobian:
-        state = now.state[0]
-        off = state[self.where] - self.ranges.mean_rad
-        residual = (np.abs(off) - self.ranges.tolerance_rad) / self.softness_rad
-        slope = np.sign(off) / self.softness_rad
+    def beyond(self, size: Array, slope: Array, limit: Array, n_state: int) -> ResidualAndJacobian:
+        """Of sizes (A,) with their derivatives (A,) by the unknowns."""
+        residual, slope = (size - limit) / self.softness_rad, slope / self.softness_rad
         if self.form == "deadband":
-            slope = np.where(residual > 0, slope, 0.0)
-            residual = np.maximum(residual, 0.0)
-        return residual, _diagonal(slope, self.where, len(state))
+            residual, slope = np.maximum(residual, 0.0), np.where(residual > 0, slope, 0.0)
+        return residual, _diagonal(slope, self.where, n_state)
 
 
 @dataclass(frozen=True)
-class RateLimit(Objective):
+class AngleRange(_Limit):
+    """f2 (theta) and f3 (phi): (|angle - mean| - tolerance) / softness."""
+
+    ranges: AngleRanges
+
+    def evaluate(self, now: Posed, before: Posed | None, frame: int, dt_s: float) -> ResidualAndJacobian:
+        off = now.state[0, self.where] - self.ranges.mean_rad
+        return self.beyond(np.abs(off), np.sign(off), self.ranges.tolerance_rad, now.state.shape[1])
+
+
+@dataclass(frozen=True)
+class RateLimit(_Limit):
     """f4 (theta) and f5 (phi): the speed of a link's tip stays below length times max_rate.
 
     For a relative angle change a over the interval dt the tip moves along a chord of 2 r |sin(a / 2)|. deadband: that
@@ -114,11 +121,7 @@ class RateLimit(Objective):
     weighed as what it is over the interval, an angle: divided by r softness / dt, which cancels the length.
     """
 
-    name: str
-    where: slice
     max_rate_rad_s: Array
-    softness_rad: float
-    form: Form
     ties = True
 
     def evaluate(self, now: Posed, before: Posed | None, frame: int, dt_s: float) -> ResidualAndJacobian:
@@ -130,12 +133,7 @@ class RateLimit(Objective):
         else:
             swept = np.abs(np.cos(a / 2) * a)
             slope = np.sign(np.cos(a / 2) * a) * (np.cos(a / 2) - 0.5 * a * np.sin(a / 2))
-        residual = (swept - self.max_rate_rad_s * dt_s) / self.softness_rad
-        slope = slope / self.softness_rad
-        if self.form == "deadband":
-            slope = np.where(residual > 0, slope, 0.0)
-            residual = np.maximum(residual, 0.0)
-        return residual, _diagonal(slope, self.where, now.state.shape[1])
+        return self.beyond(swept, slope, self.max_rate_rad_s * dt_s, now.state.shape[1])
 
 
 @dataclass(frozen=True)
@@ -153,88 +151,35 @@ class GaussianPrior(Objective):
 
 
 @dataclass(frozen=True)
-class RollPrior(Objective):
-    """Gaussian prior on the roll: the lateral axis W is level, (W . up) / sigma = sin(roll) cos(pitch) / sigma.
+class DirectionPrior(Objective):
+    """Where one of the root's axes points: part (axis - expected) / sigma, of rows part (M, 3).
 
-    up (3,): unit vector, camera frame. Measured against the vertical and not as one of R's angles, because R's axes
-    are the camera's and mean roll only for an animal seen from the side.
+    Axis 0 is forward, U, and axis 2 lateral, W. The parts are measured against the vertical and not as R's angles,
+    because R's axes are the camera's and mean roll only for an animal seen from the side. expected (T, 3): unit
+    vectors, camera frame, NaN where nothing is (zero rows); None: the axis of the frame before, of which it is a random
+    walk, sigma times the root of the interval.
     """
 
-    up: Array
-    sigma_rad: float
+    name: str
+    axis: int
+    part: Array
+    expected: Array | None
+    sigma: float
     euler: slice
-    name: str = "roll prior"
+
+    @property
+    def ties(self) -> bool:  # type: ignore[override]
+        return self.expected is None
 
     def evaluate(self, now: Posed, before: Posed | None, frame: int, dt_s: float) -> ResidualAndJacobian:
         assert now.rotation_jacobian is not None
-        jacobian = np.zeros_like(now.state)
-        jacobian[0, self.euler] = self.up @ now.rotation_jacobian[0, ..., 2].T / self.sigma_rad
-        return now.rotation[:, :, 2] @ self.up / self.sigma_rad, jacobian
-
-
-@dataclass(frozen=True)
-class HeadingTie(Objective):
-    """The heading, the level part of the forward axis U, walks randomly: (h_now - h_before) / (sigma sqrt(dt)).
-
-    up (3,): unit vector, camera frame. Three rows of rank two.
-    """
-
-    up: Array
-    sigma_rad_per_sqrt_s: float
-    euler: slice
-    name: str = "heading tie"
-    ties = True
-
-    def evaluate(self, now: Posed, before: Posed | None, frame: int, dt_s: float) -> ResidualAndJacobian:
-        assert before is not None
-        assert now.rotation_jacobian is not None
-        level = np.eye(3) - np.outer(self.up, self.up)
-        weight = 1.0 / (self.sigma_rad_per_sqrt_s * np.sqrt(dt_s))
-        residual = (now.rotation - before.rotation)[0, :, 0] @ level * weight
-        jacobian = np.zeros((3, now.state.shape[1]))
-        jacobian[:, self.euler] = level @ now.rotation_jacobian[0, ..., 0].T * weight
-        return residual, jacobian
-
-
-@dataclass(frozen=True)
-class TravelPrior(Objective):
-    """The animal faces the way it travels: (level part of U - direction) / sigma.
-
-    direction (T, 3): level unit vectors, camera frame, NaN where the travel says nothing (zero rows). up (3,).
-    """
-
-    up: Array
-    direction: Array
-    sigma_rad: float
-    euler: slice
-    name: str = "travel prior"
-
-    def evaluate(self, now: Posed, before: Posed | None, frame: int, dt_s: float) -> ResidualAndJacobian:
-        assert now.rotation_jacobian is not None
-        residual, jacobian = np.zeros(3), np.zeros((3, now.state.shape[1]))
-        direction = self.direction[frame]
-        if np.isfinite(direction[0]):
-            level = np.eye(3) - np.outer(self.up, self.up)
-            residual = (now.rotation[0, :, 0] @ level - direction) / self.sigma_rad
-            jacobian[:, self.euler] = level @ now.rotation_jacobian[0, ..., 0].T / self.sigma_rad
-        return residual, jacobian
-
-
-@dataclass(frozen=True)
-class JointPositions(Objective):
-    """Joints against known places in the camera frame, as from several cameras: (joint - target) / sigma.
-
-    target_m (T, J, 3), NaN where unknown (zero rows).
-    """
-
-    target_m: Array
-    sigma_m: float
-    name: str = "joint positions"
-
-    def evaluate(self, now: Posed, before: Posed | None, frame: int, dt_s: float) -> ResidualAndJacobian:
-        assert now.joints_jacobian is not None
-        target = self.target_m[frame]
-        known = np.isfinite(target)
-        residual = np.where(known, now.joints_m[0] - target, 0.0) / self.sigma_m
-        jacobian = now.joints_jacobian[0] * known[..., None] / self.sigma_m
-        return residual.ravel(), jacobian.reshape(residual.size, -1)
+        if self.expected is None:
+            assert before is not None
+            expected, weight = before.rotation[0, :, self.axis], 1.0 / (self.sigma * np.sqrt(dt_s))
+        else:
+            expected, weight = self.expected[frame], 1.0 / self.sigma
+        jacobian = np.zeros((len(self.part), now.state.shape[1]))
+        if not np.isfinite(expected[0]):
+            return np.zeros(len(self.part)), jacobian
+        jacobian[:, self.euler] = self.part @ now.rotation_jacobian[0, ..., self.axis].T * weight
+        return self.part @ (now.rotation[0, :, self.axis] - expected) * weight, jacobian

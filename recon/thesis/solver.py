@@ -7,13 +7,13 @@ robust terms r and J are as the solver weighs them, so that J'r is the gradient 
 from __future__ import annotations
 
 import io
-import zipfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
+from scipy.sparse import csr_array, vstack
 
 from recon.animal.chain import Chain
 from recon.base.arrays import Array, Bools, Index
@@ -33,7 +33,7 @@ _LEAST_DAMPING = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
-class Rows:
+class _Rows:
     """Of a term, N frames with M rows each."""
 
     term: str
@@ -56,7 +56,7 @@ class _Linearised:
     """(D,)"""
     frames: int
     """T"""
-    rows: Callable[[], Iterable[Rows]]
+    rows: Callable[[], Iterable[_Rows]]
     """All rows, a few frames at a time: of a long clip they take gigabytes together."""
     step: Array
     """(T, D): what one more step would change, by the method that has one for the clip; NaN of the other."""
@@ -100,44 +100,31 @@ class _Linearised:
     def write_jacobian(self, path: Path) -> None:
         """As NPZ that `scipy.sparse.load_npz` reads as a matrix (M, T D), column t D + d: the unknown d of row t of the
         clip; with it unknowns (D,), and of every row its residual, term, and the frame that it stands for."""
-        D, of_rows = len(self.unknowns), []
+        D, parts, residual, term, frame = len(self.unknowns), [], [], [], []
         for rows in self.rows():
-            wide = rows.residual.shape[1]
-            entries = np.count_nonzero(rows.jacobian, axis=(2, 3)).ravel()
-            term = np.full(rows.residual.size, [*self.cost].index(rows.term))
-            of_rows.append((rows.residual.ravel(), entries, term, np.repeat(rows.frames, wide)))
-        residual, entries, term, frame = (np.concatenate(part) for part in zip(*of_rows, strict=True))
-        ends = np.concatenate([[0], np.cumsum(entries)])
-
-        def columns(rows: Rows) -> Index:
-            n, _, s, d = np.nonzero(rows.jacobian)
-            return (rows.frames[n] + np.array(rows.stencil)[s]) * D + d
-
+            n, m, slot, d = np.nonzero(rows.jacobian)
+            columns = (rows.frames[n] + np.array(rows.stencil)[slot]) * D + d
+            shape = rows.residual.size, self.frames * D
+            row = n * rows.residual.shape[1] + m
+            parts.append(csr_array((rows.jacobian[n, m, slot, d], (row, columns)), shape))
+            residual.append(rows.residual.ravel())
+            term += [rows.term] * rows.residual.size
+            frame.append(np.repeat(rows.frames, rows.residual.shape[1]))
+        matrix = vstack(parts, "csr")
         made = io.BytesIO()
         np.savez_compressed(
             made,
             format=np.array(b"csr"),
-            shape=np.array([len(residual), self.frames * D]),
-            indptr=ends,
-            residual=residual,
-            term=np.array([*self.cost])[term],
-            clip_row=frame,
+            shape=np.array(matrix.shape),
+            indptr=matrix.indptr,
+            indices=matrix.indices,
+            data=matrix.data,
+            residual=np.concatenate(residual),
+            term=np.array(term),
+            clip_row=np.concatenate(frame),
             unknowns=np.array(self.unknowns),
         )
-        # A few frames at a time, and as fast as they can be packed: these are by far the largest.
-        with zipfile.ZipFile(made, "a", zipfile.ZIP_DEFLATED, compresslevel=1) as file:
-            _add(file, "indices", np.dtype(np.int32), ends[-1], map(columns, self.rows()))
-            _add(file, "data", np.dtype(float), ends[-1], (rows.jacobian[rows.jacobian != 0] for rows in self.rows()))
         write_bytes(path, made.getvalue())
-
-
-def _add(file: zipfile.ZipFile, name: str, dtype: np.dtype, length: int, parts: Iterable[Array | Index]) -> None:
-    """One more array (length,) to a file of NPZ, part by part."""
-    with file.open(f"{name}.npy", "w", force_zip64=True) as member:
-        header = {"descr": dtype.str, "fortran_order": False, "shape": (int(length),)}
-        np.lib.format.write_array_header_1_0(member, header)
-        for part in parts:
-            member.write(part.astype(dtype).tobytes())
 
 
 def linearised_frames(motion: Motion, options: FrameOptions) -> _Linearised:
@@ -147,7 +134,7 @@ def linearised_frames(motion: Motion, options: FrameOptions) -> _Linearised:
     states = _unknowns(motion)
     sigma_px = np.array([np.nan if one is None else one.sigma_px for one in solution.reports])
     rows = [
-        Rows(term, np.array([t]), (0,), np.array([0.5 * r @ r]), r[None], J[None, :, None])
+        _Rows(term, np.array([t]), (0,), np.array([0.5 * r @ r]), r[None], J[None, :, None])
         for t, by_term in frame_rows(view, chain, motion.fps, options, states, sigma_px)
         for term, (r, J) in by_term.items()
     ]
@@ -165,7 +152,7 @@ def linearised_clip(clip: ClipProblem, motion: Motion) -> _Linearised:
         step[rows_of] = newton_step(replace(problem).normals(one.states, one.shared), _LEAST_DAMPING)[0]
         segments.append((rows_of.start, problem, one.states, one.shared))
 
-    def rows() -> Iterator[Rows]:
+    def rows() -> Iterator[_Rows]:
         for start, *of_spell in segments:
             for one in _rows(*of_spell):
                 yield replace(one, frames=one.frames + start)
@@ -173,19 +160,19 @@ def linearised_clip(clip: ClipProblem, motion: Motion) -> _Linearised:
     return _Linearised(clip.body.state_names, len(states), rows, step)
 
 
-def _rows(problem: LeastSquares, states: Array, shared: Mapping[str, Array]) -> Iterator[Rows]:
+def _rows(problem: LeastSquares, states: Array, shared: Mapping[str, Array]) -> Iterator[_Rows]:
     linear = [(term, term.frames(len(states)), term.residual(states)) for term in problem.linear]
     for span in problem.spans(states, shared, jacobian=True):
         for term, frames, residual in linear:
             own = (frames >= span.first) & (frames < span.first + len(span.states[span.own]))
             slots = term.slots.swapaxes(0, 1)
             r, jacobian = residual[own], np.broadcast_to(slots, (own.sum(), *slots.shape))
-            yield Rows(term.name, frames[own], term.stencil, 0.5 * np.sum(r**2, axis=1), r, jacobian)
+            yield _Rows(term.name, frames[own], term.stencil, 0.5 * np.sum(r**2, axis=1), r, jacobian)
         for term in problem.terms:
             found = term.evaluate(span, jacobian=True)
             assert found.residual is not None
             assert found.jacobian is not None
-            yield Rows(term.name, found.frames, term.stencil, found.cost, found.residual, found.jacobian)
+            yield _Rows(term.name, found.frames, term.stencil, found.cost, found.residual, found.jacobian)
 
 
 # -- frame by frame -----------------------------------------------------------------------------------------------

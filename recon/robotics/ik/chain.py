@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -27,7 +27,6 @@ from recon.base.arrays import Array, Bools, Index
 from recon.geometry.kinematics import AXES, Marker, Segment, Tree
 
 Curvature = Callable[[Array], Array]
-"""mu (dim,) -> sum_i mu_i Hess f_i (n, n)."""
 Limits = tuple[ArrayLike, ArrayLike]
 """Lower and upper."""
 
@@ -103,8 +102,6 @@ class SerialChain:
 
     def end(self, q: Array) -> Array:
         """The end effector (..., dim), metres."""
-        if q.ndim == 1:
-            return self._moved(q)[0]
         return (self.tree.pose(self._states(q)).points_m[:, 0] @ self.base.T).reshape(*q.shape[:-1], self.dim)
 
     def frames(self, q: Array) -> Array:
@@ -119,18 +116,15 @@ class SerialChain:
     # -- how it moves, for q (n,) ------------------------------------------------------------------------------------
 
     def derivatives(self, q: Array) -> tuple[Array, Curvature]:
-        """The end effector's Jacobian (dim, n), and its curvature, which is worked out where it is asked for."""
+        """The end effector's Jacobian (dim, n), and its curvature, a function that makes of mu (dim,) the sum (n, n) of
+        mu_i times the Hessian of coordinate i."""
+        jacobian, _, curvature = self.tree.derivatives(self._states(q)[0])
         pick = np.ix_(self.columns - 3, self.columns - 3)
-        of_tree = cache(lambda: self.tree.derivatives(self._states(q)[0])[2])
-
-        def curvature(mu: Array) -> Array:
-            return of_tree()(mu[None] @ self.base)[pick]
-
-        return self.jacobian(q), curvature
+        return self.base @ jacobian[0, :, self.columns].T, lambda mu: curvature(mu[None] @ self.base)[pick]
 
     def jacobian(self, q: Array) -> Array:
         """(dim, n) of the end effector."""
-        return self._moved(q)[1]
+        return self.derivatives(q)[0]
 
     def hessian(self, q: Array) -> Array:
         """(dim, n, n)"""
@@ -151,60 +145,6 @@ class SerialChain:
         states = np.zeros((q.size // self.n, self.tree.n_state))
         states[:, self.columns] = q.reshape(-1, self.n)
         return states
-
-    # -- one configuration, in floats: numpy takes as long for one of so few numbers as all of this does -----------
-
-    @cached_property
-    def _steps(self) -> list[tuple[str, tuple[float, ...], tuple[tuple[float, ...], ...] | None, list[int]]]:
-        """Of each segment its joint, offset and rotation, and which of the joints turn it about z, y, x; -1: none."""
-        joint_of = {int(column): j for j, column in enumerate(self.columns)}
-        steps, column = [], 3
-        for segment in self.tree.segments:
-            turning = [joint_of.get(k, -1) for k in range(column, column + len(AXES[segment.joint]))]
-            column += len(turning)
-            steps.append((segment.joint, segment.offset_m, segment.rotation, turning))
-        return steps
-
-    def _moved(self, q: Array) -> tuple[Array, Array]:
-        """The end effector (dim,) and its Jacobian (dim, n) for q (n,)."""
-        angles = [*q.tolist(), 0.0]
-        place, x, y, z = (0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
-        moving = []  # (joint, whether it turns, axis, place of a joint that turns)
-        links = []  # of summed joints: (of theta, of phi, own axis of theta, place)
-        theta = phi = 0.0
-        for joint, offset, rotation, turning in self._steps:
-            place = _combined(place, offset, x, y, z)
-            if joint == "summed":
-                phi, theta = phi + angles[turning[0]], theta + angles[turning[1]]
-                c, s, ct, st = math.cos(phi), math.sin(phi), math.cos(theta), math.sin(theta)
-                x, y, z = (c * ct, s * ct, -st), (-s, c, 0.0), (c * st, s * st, ct)
-                links.append((turning[1], turning[0], y, place))
-                continue
-            if rotation is not None:
-                x, y, z = (_combined((0.0, 0.0, 0.0), column, x, y, z) for column in zip(*rotation, strict=True))
-            for axis, j in zip(AXES[joint], turning, strict=True):
-                if axis == "s":
-                    place = _combined(place, (0.0, 0.0, angles[j]), x, y, z)
-                    moving.append((j, False, z, place))
-                    continue
-                c, s = math.cos(angles[j]), math.sin(angles[j])
-                moving.append((j, True, {"x": x, "y": y, "z": z}[axis], place))
-                if axis == "z":
-                    x, y = _mixed(x, y, c, s), _mixed(y, x, c, -s)
-                elif axis == "y":
-                    z, x = _mixed(z, x, c, s), _mixed(x, z, c, -s)
-                else:
-                    y, z = _mixed(y, z, c, s), _mixed(z, y, c, -s)
-        end = _combined(place, self.tree.markers[0].offset_m, x, y, z)
-        columns = [(0.0, 0.0, 0.0)] * (self.n + 1)
-        for j, turns, axis, at in moving:
-            columns[j] = _cross(axis, _less(end, at)) if turns else axis
-        swept, tip = (0.0, 0.0, 0.0), end
-        for of_theta, of_phi, axis, at in reversed(links):
-            along = _cross(axis, _less(tip, at))  # theta turns each later link about that link's own axis
-            swept, tip = (swept[0] + along[0], swept[1] + along[1], swept[2] + along[2]), at
-            columns[of_theta], columns[of_phi] = swept, (at[1] - end[1], end[0] - at[0], 0.0)
-        return self.base @ end, self.base @ np.array(columns[: self.n]).T
 
     # -- how long it is ----------------------------------------------------------------------------------------------
 
@@ -255,32 +195,6 @@ class SerialChain:
         return max(0.0, float((shortest - others).max())), float(longest.sum())
 
 
-_Vector = tuple[float, float, float]
-
-
-def _combined(start: _Vector, of: tuple[float, ...], x: _Vector, y: _Vector, z: _Vector) -> _Vector:
-    """start + of[0] x + of[1] y + of[2] z."""
-    a, b, c = of
-    return (
-        start[0] + a * x[0] + b * y[0] + c * z[0],
-        start[1] + a * x[1] + b * y[1] + c * z[1],
-        start[2] + a * x[2] + b * y[2] + c * z[2],
-    )
-
-
-def _mixed(u: _Vector, v: _Vector, c: float, s: float) -> _Vector:
-    """c u + s v."""
-    return c * u[0] + s * v[0], c * u[1] + s * v[1], c * u[2] + s * v[2]
-
-
-def _less(u: _Vector, v: _Vector) -> _Vector:
-    return u[0] - v[0], u[1] - v[1], u[2] - v[2]
-
-
-def _cross(u: _Vector, v: _Vector) -> _Vector:
-    return u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]
-
-
 # -- chains that are made --------------------------------------------------------------------------------------------
 
 
@@ -296,22 +210,18 @@ def mobility(bodies: int, freedoms: Sequence[int], of_a_body: Literal[3, 6] = 6)
 def planar_chain(
     lengths_m: ArrayLike, limits_rad: Limits | None = None, max_rate_rad_s: ArrayLike = MAX_RATE_RAD_S
 ) -> SerialChain:
-    """Links in a plane: q (L,), angle 0 along +x, positive towards +y, of lengths_m (L,). Limits and rates as
-    `SerialChain.of`. Raises ValueError."""
-    return _summed(lengths_m, 2, limits_rad, max_rate_rad_s)
+    """Links in a plane: q (L,), angle 0 along +x, positive towards +y. Otherwise as `summed_chain`."""
+    return summed_chain(lengths_m, limits_rad, max_rate_rad_s, dim=2)
 
 
 def summed_chain(
-    lengths_m: ArrayLike, limits_rad: Limits | None = None, max_rate_rad_s: ArrayLike = MAX_RATE_RAD_S
+    lengths_m: ArrayLike,
+    limits_rad: Limits | None = None,
+    max_rate_rad_s: ArrayLike = MAX_RATE_RAD_S,
+    dim: Literal[2, 3] = 3,
 ) -> SerialChain:
     """Universal joints in space whose angles add up: q (2 L,) = [theta..., phi...], base frame UVW, of lengths_m (L,).
-    Limits and rates as `SerialChain.of`. Raises ValueError."""
-    return _summed(lengths_m, 3, limits_rad, max_rate_rad_s)
-
-
-def _summed(
-    lengths_m: ArrayLike, dim: Literal[2, 3], limits_rad: Limits | None, max_rate_rad_s: ArrayLike
-) -> SerialChain:
+    dim 2: only the thetas. Limits and rates as `SerialChain.of`. Raises ValueError."""
     lengths = np.array(lengths_m, float)
     if lengths.ndim != 1 or not len(lengths) or not np.all(np.isfinite(lengths) & (lengths > 0)):
         raise ValueError(f"positive lengths (L,) expected, got {lengths_m}")
@@ -410,3 +320,36 @@ def null_basis(J: Array, like: Array | None = None) -> Array:
         return N
     u, _, vt = np.linalg.svd(N.T @ like)
     return N @ u @ vt
+
+
+def inside_limits(chain: SerialChain, q: Array) -> Array:
+    return np.clip(q, chain.lower_rad, chain.upper_rad)
+
+
+# -- the planar arm of two links in closed form ----------------------------------------------------------------------
+
+
+def two_link(lengths_m: tuple[float, float], target_m: ArrayLike) -> tuple[Array, str]:
+    """Both branches (2, 2) of a planar arm for a target (2,), metres: (q1, q2) with q2 <= 0, then with q2 >= 0, in
+    (-pi, pi], NaN without a solution; and why there is none or only one, empty for two.
+
+    cos q2 = (x^2 + y^2 - r1^2 - r2^2) / (2 r1 r2),   q1 = atan2(y, x) - atan2(r2 sin q2, r1 + r2 cos q2)
+
+    Angle 0 lies along +x, the second is relative to the first link. Raises ValueError for lengths that are not two
+    positive ones.
+    """
+    if len(lengths_m) != 2:
+        raise ValueError(f"two lengths expected, got {len(lengths_m)}")
+    target = np.asarray(target_m, float)
+    # Rounding must not put the stretched arm out of its own reach.
+    reason = unreachable(planar_chain(lengths_m), target, 1e-12 * sum(lengths_m))
+    if reason:
+        return np.full((2, 2), np.nan), reason
+    (r1, r2), (x, y) = lengths_m, target.tolist()
+    cosine = (x * x + y * y - r1 * r1 - r2 * r2) / (2 * r1 * r2)
+    bend = math.acos(max(-1.0, min(1.0, cosine)))
+    q2 = np.array([-bend, bend])
+    q1 = math.atan2(y, x) - np.arctan2(r2 * np.sin(q2), r1 + r2 * np.cos(q2))
+    singular = "singular: " + ("stretched" if bend < 1.0 else "folded") + ", the branches coincide"
+    branches = np.column_stack([math.pi - (math.pi - q1) % (2 * math.pi), q2])
+    return branches, singular if math.sin(bend) < 1e-9 else ""

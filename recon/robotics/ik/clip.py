@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+import pandas as pd
 from scipy.interpolate import CubicSpline
 from threadpoolctl import threadpool_limits
 
@@ -41,61 +42,27 @@ from recon.robotics.ik.costs import (
     rotational_energy,
     weighted_sum,
 )
-from recon.robotics.ik.drive import Drive, Follow, drive_to, follow
-from recon.robotics.ik.fit import (
-    PULL,
-    Fit,
-    Fitted,
-    FittedSeries,
-    Frames,
-    fit_damped,
-    fit_gradient,
-    fit_least_norm,
-    fit_selectively_damped,
-    fit_series,
-    fit_transpose,
-    fit_weights,
-)
+from recon.robotics.ik.drive import Run, drive_to, follow
+from recon.robotics.ik.fit import PARAMETERS, PULL, Fitted, Frames, fit_weights, fits
 from recon.robotics.ik.methods import (
     ExtendedJacobian,
     GradientProjection,
     JacobianTranspose,
     LeastNorm,
     Method,
-    Scaled,
     SelectivelyDamped,
     damped_least_squares,
-    kept_cost,
 )
 from recon.robotics.ik.null_space import to_null_space_optimum
 from recon.robotics.ik.stride import StridePath, farthest_reach, find_stride
-from recon.robotics.settings import EXTENDED, METHODS, STRIDE_MAX, IkSettings
+from recon.robotics.settings import EXTENDED, STRIDE_MAX, IkSettings
 from recon.show.report import to_json
 
 Dim = Literal[2, 3]
 
-COSTS = ("differences", "energy", "harmonic", "pose")
-PARAMETERS = {
-    "transpose": "alpha_1_m2",
-    "gradient-projection": "k_1_s",
-    "weighted": "weight",
-    "damped": "lambda_m",
-    "selectively-damped": "gamma_max_rad",
-}
-"""What is fitted to each configuration, of the weights one for each joint."""
-FITTED = METHODS[:6]
-"""Methods with a parameter that can be fitted, and least norm for comparison."""
 SLOWER = 10
 """How many times slower than the animal a stride is followed: rate limits are what is expected of its joints, and would
 hold back a method that moves others than the animal does. Closures do not depend on it."""
-TARGET_TABLE = (
-    "method, reached, reason, iterations, us_per_step, length_m, roughness_rad2, least_manipulability, limits_hit, "
-    "first_limit"
-)
-FOLLOW_TABLE = (
-    "method, worst_error_m, note, us_per_step, length_m, roughness_rad2, least_manipulability, limits_hit, "
-    "first_limit, least_closure_angle_percent, least_closure_plane_percent"
-)
 SUMMARY = "ik.json"
 
 
@@ -121,6 +88,14 @@ class Limb:
         return self.chain.names
 
 
+COSTS: dict[str, Callable[[Limb], Cost]] = {
+    "differences": lambda limb: joint_differences(limb.chain),
+    "energy": lambda limb: rotational_energy(limb.chain),
+    "harmonic": lambda limb: harmonic_map(joints=max(limb.chain.groups, key=len)[-3:]),
+    "pose": lambda limb: pose_distance(np.nanmean(limb.q, axis=0)),
+}
+
+
 @dataclass(frozen=True, eq=False)
 class IKRun:
     """What was moved, and how."""
@@ -131,43 +106,31 @@ class IKRun:
     stride: StridePath
     target_m: Array | None
     """(dim,)"""
-    drives: Mapping[str, Drive]
-    """By method, empty where not asked for."""
-    follows: Mapping[str, Follow]
-    """By method, empty where not asked for."""
+    drives: Mapping[str, Run]
+    """To the target, by method, empty where not asked for."""
+    follows: Mapping[str, Run]
+    """Along the stride, by method, empty where not asked for."""
     parameters: Mapping[str, Fitted]
     """Fitted to the clip, by method."""
-    series: Mapping[str, FittedSeries] | None
-    """Fitted to each frame of the stride by itself, by method; None where not asked for."""
-    series_time_s: Array
-    """(F,): times in the clip of those frames."""
+    series: pd.DataFrame | None
+    """Fitted to each frame of the stride by itself (`fit_parameter_series`); None where not asked for."""
 
     @cached_property
     def summary(self) -> dict[str, Any]:
         """What ik.json holds."""
         limb, stride, settings = self.limb, self.stride, self.settings
-
-        def shared(run: Drive | Follow) -> dict[str, Any]:
-            return {
-                "us_per_step": 1e6 * float(np.median(run.solve_s)) if len(run.solve_s) else None,
-                "length_m": run.length_m,
-                "roughness_rad2": run.roughness_rad2,
-                "least_manipulability": float(run.manipulability.min()),
-                "limits_hit": [limb.names[stop.joint] for stop in run.limits],
-                "first_limit": run.limits[0].text(limb.names) if run.limits else "",
-            }
-
         followed = {}
         for name, run in self.follows.items():
             closed = run.closures()
             followed[name] = {
                 "worst_error_m": float(run.distance_m.max()),
                 "note": run.note,
-                **shared(run),
-                "least_closure_angle_percent": _least(closed["angle"]),
-                "least_closure_plane_percent": _least(closed["plane"]),
-                "closure_angle_percent": dict(zip(limb.names, closed["angle"].tolist(), strict=True)),
-                "closure_plane_percent": dict(zip(limb.names, closed["plane"].tolist(), strict=True)),
+                **run.measures(),
+                **{f"least_closure_{kind}_percent": _least(closed[kind]) for kind in closed},
+                **{
+                    f"closure_{kind}_percent": dict(zip(limb.names, closed[kind].tolist(), strict=True))
+                    for kind in closed
+                },
             }
         return {
             "schema": {"name": "recon.ik", "version": 1},
@@ -201,7 +164,7 @@ class IKRun:
             },
             "target_m": self.target_m,
             "to_target": {
-                name: {"reached": run.reached, "reason": run.reason, "iterations": run.iterations, **shared(run)}
+                name: {"reached": run.reached, "reason": run.reason, "iterations": run.iterations, **run.measures()}
                 for name, run in self.drives.items()
             },
             "turns": settings.turns if self.follows else None,
@@ -273,48 +236,35 @@ def methods_of(
     cost: of `EXTENDED`, which needs one, and of gradient projection, by default the joint differences. alpha: a factor
     on all rates, or "step" for the one of each step with which the foot moves nearest to what is asked for.
     """
-    chain = limb.chain
-    standard: dict[str, Callable[[], Method]] = {
-        "least-norm": LeastNorm,
-        "transpose": JacobianTranspose,
-        "gradient-projection": lambda: GradientProjection(cost or joint_differences(chain)),
-        "weighted": lambda: parameters["weighted"].method,
-        "damped": damped_least_squares,
-        "selectively-damped": SelectivelyDamped,
+    standard: dict[str, Method] = {
+        "least-norm": LeastNorm(),
+        "transpose": JacobianTranspose(),
+        "gradient-projection": GradientProjection(cost or joint_differences(limb.chain)),
+        "weighted": parameters["weighted"].method,
+        "damped": damped_least_squares(),
+        "selectively-damped": SelectivelyDamped(),
     }
     chosen: dict[str, Method] = {}
     for name in names:
         if name == EXTENDED and cost is not None:
             chosen[name] = ExtendedJacobian(cost)
         elif name.startswith("extended-"):
-            chosen[name] = ExtendedJacobian(_costs(limb)[name.removeprefix("extended-")]())
+            chosen[name] = ExtendedJacobian(COSTS[name.removeprefix("extended-")](limb))
         else:
-            chosen[name] = parameters[name].method if fitted else standard[name]()
+            chosen[name] = parameters[name].method if fitted else standard[name]
     if alpha is None:
         return chosen
-    return {name: Scaled(method, None if alpha == "step" else alpha) for name, method in chosen.items()}
-
-
-def _costs(limb: Limb) -> dict[str, Callable[[], Cost]]:
-    """By name (`COSTS`)."""
-    chain = limb.chain
-    last = max(chain.groups, key=len)[-3:]
-    return {
-        "differences": lambda: joint_differences(chain),
-        "energy": lambda: rotational_energy(chain),
-        "harmonic": lambda: harmonic_map(joints=(last[0], last[1], last[2])),
-        "pose": lambda: pose_distance(np.nanmean(limb.q, axis=0)),
-    }
+    return {name: replace(method, alpha=None if alpha == "step" else alpha) for name, method in chosen.items()}
 
 
 def cost_of(limb: Limb, text: str) -> Cost:
     """A cost of `COSTS`, or a sum of some with weights, as in "energy,differences=0.1". Raises InputError."""
-    every, costs, weights, problems = _costs(limb), [], [], []
+    costs, weights, problems = [], [], []
     for part in text.split(","):
         name, _, weight = part.strip().partition("=")
         try:
             weights.append(float(weight or 1))
-            costs.append(every[name]())
+            costs.append(COSTS[name](limb))
         except (ValueError, KeyError):
             expected = f"{', '.join(COSTS)}, or a sum with weights, as in energy,differences=0.1"
             problems.append(Problem("--cost", "cost", repr(part), expected))
@@ -324,37 +274,32 @@ def cost_of(limb: Limb, text: str) -> Cost:
 
 
 def fit_parameters(limb: Limb, cost: Cost | None = None) -> dict[str, Fitted]:
-    """Of `FITTED`, by least squares to the joint rates of the clip, from a spline through its angles. cost: of gradient
+    """By method, by least squares to the joint rates of the clip, from a spline through its angles. cost: of gradient
     projection; None: any constant vector. Raises InputError for fewer than four frames in a row."""
     frames = _rates_of(limb)
-    return {name: fit(frames) for name, fit in _fits(cost).items()}
+    return {name: fit(frames) for name, fit in fits(cost).items()}
 
 
-def fit_parameter_series(
-    limb: Limb, stride: StridePath, cost: Cost | None = None
-) -> tuple[Array, dict[str, FittedSeries]]:
-    """Of `FITTED`, to each frame of a stride by itself: their times in the clip (F,), and what is fitted by method.
+def fit_parameter_series(limb: Limb, stride: StridePath, cost: Cost | None = None) -> pd.DataFrame:
+    """The same fitted to each frame of a stride by itself, a row each: time_s in the clip, and of every method its
+    parameter (`PARAMETERS`; of the weights one for each joint), <method>_best_alpha and <method>_explained.
 
     cost: of gradient projection, by default the joint differences, of which k is fitted. Raises InputError as
     `fit_parameters`.
     """
     at_s = np.flatnonzero(np.isfinite(limb.q).all(axis=1)) / limb.fps
     first, last = np.searchsorted(at_s, [stride.start_s - 1e-6, stride.end_s + 1e-6]).tolist()
-    frames = _rates_of(limb)[first:last]
-    fits = _fits(cost or joint_differences(limb.chain))
-    fits["weighted"] = lambda one: fit_weights(one, PULL)
-    return limb.first_s + at_s[first:last], {name: fit_series(fit, frames) for name, fit in fits.items()}
-
-
-def _fits(cost: Cost | None) -> dict[str, Fit]:
-    return {
-        "least-norm": fit_least_norm,
-        "transpose": fit_transpose,
-        "gradient-projection": lambda frames: fit_gradient(frames, () if cost is None else (cost,)),
-        "weighted": fit_weights,
-        "damped": fit_damped,
-        "selectively-damped": fit_selectively_damped,
-    }
+    frames = _rates_of(limb)
+    every = fits(cost or joint_differences(limb.chain)) | {"weighted": lambda one: fit_weights(one, PULL)}
+    columns: dict[str, Any] = {"time_s": limb.first_s + at_s[first:last]}
+    for name, fit in every.items():
+        found = [fit(frames[t : t + 1]) for t in range(first, last)]
+        called = limb.names if name == "weighted" else PARAMETERS.get(name, ())[:1]
+        values = np.array([one.parameter for one in found])
+        columns |= {f"{name}_{part}": of_part for part, of_part in zip(called, values.T, strict=True)}
+        columns[f"{name}_best_alpha"] = [one.alpha for one in found]
+        columns[f"{name}_explained"] = [one.explained for one in found]
+    return pd.DataFrame(columns)
 
 
 def _rates_of(limb: Limb) -> Frames:
@@ -383,14 +328,14 @@ def run_ik(settings: IkSettings) -> IKRun:
         with threadpool_limits(1, user_api="blas"):
             stride = stride_of(motion, limb, settings.stride)
             parameters = fit_parameters(limb, cost)
-            times, series = fit_parameter_series(limb, stride, cost) if settings.fitted else (np.empty(0), None)
+            series = fit_parameter_series(limb, stride, cost) if settings.fitted else None
             methods = methods_of(limb, settings.methods, parameters, settings.fitted, cost, settings.alpha)
             start, foremost = farthest_reach(limb.chain, stride.q)
             goal = foremost if target == STRIDE_MAX else goal
             drives = {} if goal is None else {n: drive_to(limb.chain, start, goal, m) for n, m in methods.items()}
             followed = methods if settings.both or settings.follow is not None else {}
             follows = {n: follow_stride(limb.chain, stride, m, settings.turns) for n, m in followed.items()}
-        solved = IKRun(settings, motion, limb, stride, goal, drives, follows, parameters, series, times)
+        solved = IKRun(settings, motion, limb, stride, goal, drives, follows, parameters, series)
         with staged_folder(out) as staging:
             _write(solved, staging)
         if settings.figures:  # after the tables, which are there whatever befalls them
@@ -459,12 +404,12 @@ def _found_stride(
     return replace(stride, how=how or stride.how, notes=tuple(notes))
 
 
-def follow_stride(chain: SerialChain, stride: StridePath, method: Method, turns: int = 1) -> Follow:
+def follow_stride(chain: SerialChain, stride: StridePath, method: Method, turns: int = 1) -> Run:
     """Along the stride, `SLOWER` than the animal; times and rates are the animal's again. The extended Jacobian starts
     where its cost is stationary, with the foot in the same place."""
     q0 = stride.q[0]
-    if (cost := kept_cost(method)) is not None:
-        q0 = to_null_space_optimum(chain, q0, cost).q[-1]
+    if isinstance(method, ExtendedJacobian):
+        q0 = to_null_space_optimum(chain, q0, method.cost)[0]
     run = follow(chain, q0, stride.path_m, method, turns, SLOWER * stride.interval_s)
     return replace(run, dq=SLOWER * run.dq, interval_s=stride.interval_s)
 
@@ -480,19 +425,17 @@ def _least(values: Array) -> float:
 def _write(solved: IKRun, folder: Path) -> None:
     summary, names = solved.summary, solved.limb.names
     (folder / SUMMARY).write_text(to_json(summary), encoding="utf-8")
-    for file, columns, rows in (
-        ("target.csv", TARGET_TABLE.split(", "), summary["to_target"]),
-        ("follow.csv", FOLLOW_TABLE.split(", "), summary["along_stride"]),
-    ):
+    for file, rows in (("target.csv", summary["to_target"]), ("follow.csv", summary["along_stride"])):
         if rows:
-            cells = [[name, *(_cell(row[column]) for column in columns[1:])] for name, row in rows.items()]
-            write_rows(folder / file, [columns], cells)
+            cells = [[name, *(_cell(v) for v in row.values() if not isinstance(v, dict))] for name, row in rows.items()]
+            columns = [name for name, v in next(iter(rows.values())).items() if not isinstance(v, dict)]
+            write_rows(folder / file, [["method", *columns]], cells)
     if followed := summary["along_stride"]:
         kinds = [(name, kind) for name in followed for kind in ("angle", "plane")]
         rows = [[j, *(followed[name][f"closure_{kind}_percent"][j] for name, kind in kinds)] for j in names]
         write_rows(folder / "closures.csv", [["joint", *(f"{name}_{kind}" for name, kind in kinds)]], rows)
     if solved.series is not None:
-        write_rows(folder / "parameters.csv", *_parameter_table(solved.series_time_s, solved.series, names))
+        write_rows(folder / "parameters.csv", [[*solved.series.columns]], solved.series.to_numpy().tolist())
     axes = list(solved.limb.base)[: solved.limb.chain.dim]
     for job, runs in (("target", solved.drives), ("follow", solved.follows)):
         for name, run in runs.items():
@@ -501,20 +444,6 @@ def _write(solved: IKRun, folder: Path) -> None:
             columns += [*(f"end_{axis}_m" for axis in axes), "distance_m"]
             values = np.column_stack((time_s, run.q, *run.control, run.end_m, run.distance_m)).tolist()
             write_rows(folder / f"{job}_{name}.csv", [columns], [[k, *row] for k, row in enumerate(values)])
-
-
-def _parameter_table(
-    time_s: Array, series: Mapping[str, FittedSeries], joints: tuple[str, ...]
-) -> tuple[list[list[str]], list[list[float]]]:
-    columns, values = ["time_s"], [time_s]
-    for name, of_method in series.items():
-        if name == "weighted":
-            columns += [f"weighted_{joint}" for joint in joints]
-        elif name in PARAMETERS:
-            columns.append(f"{name}_{PARAMETERS[name]}")
-        columns += [f"{name}_best_alpha", f"{name}_explained"]
-        values += [*of_method.parameter.T, of_method.alpha, of_method.explained]
-    return [columns], np.column_stack(values).tolist()
 
 
 def _cell(value: Any) -> Any:
@@ -532,7 +461,7 @@ def write_figures(solved: IKRun, folder: Path) -> None:
 
     limb = solved.limb
     if solved.series is not None:
-        save(plots.parameter_series(solved.series_time_s, solved.series, limb.names), folder, "parameters")
+        save(plots.parameter_series(solved.series), folder, "parameters")
     if solved.drives:
         figure = plots.task_space(solved.drives, solved.target_m, chain=limb.chain, base=limb.base)
         save(figure, folder, "target_task_space")

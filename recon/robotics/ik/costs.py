@@ -68,7 +68,7 @@ def weighted_sum(costs: Sequence[Cost], weights: Sequence[float]) -> Cost:
     )
 
 
-def harmonic_map(a: float = 1.0, b: float = 0.0, joints: tuple[int, int, int] = (2, 3, 4)) -> Cost:
+def harmonic_map(a: float = 1.0, b: float = 0.0, joints: Sequence[int] = (2, 3, 4)) -> Cost:
     """g = q2 (a q1 + b) sqrt(1 + q1^2) with q1 = q[i] - q[j], q2 = q[k] - q[j].
 
     joints: (i, j, k), by default theta_2, theta_3, theta_4 of the spine-front-leg chain. Its Hessian has rank 2, and

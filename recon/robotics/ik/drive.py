@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -22,9 +22,9 @@ from numpy.typing import ArrayLike
 from recon.base.arrays import Array, Bools
 from recon.gait import phase
 from recon.robotics.control import control_rates
-from recon.robotics.ik.chain import SerialChain, manipulability, unreachable
-from recon.robotics.ik.methods import INTERVAL_S, ExtendedJacobian, JointRates, Method, Scaled, kept_cost
-from recon.robotics.ik.null_space import inside_limits, listed, to_null_space_optimum
+from recon.robotics.ik.chain import SerialChain, inside_limits, manipulability, unreachable
+from recon.robotics.ik.methods import INTERVAL_S, ExtendedJacobian, JointRates, Method
+from recon.robotics.ik.null_space import listed, to_null_space_optimum
 
 TOLERANCE_M = 0.003
 MAX_STEP_M = 0.02
@@ -36,30 +36,15 @@ STILL_RAD = 1e-10
 """Rounding, no motion."""
 
 
-@dataclass(frozen=True)
-class LimitStop:
-    """A limit that stopped a joint."""
-
-    joint: int
-    limit_rad: float
-    upper: bool
-    step: int
-    """The first in which it did."""
-
-    def text(self, names: Sequence[str]) -> str:
-        """names (n,): of the chain's joints."""
-        at = f"{'upper' if self.upper else 'lower'} limit of {self.limit_rad:.2f} rad"
-        return f"{names[self.joint]} at its {at} (step {self.step})"
-
-
 @dataclass(frozen=True, eq=False)
-class _Run:
-    """What the chain did: K configurations, K - 1 steps."""
+class Run:
+    """What a chain did on its way to a target or along a path: K configurations, K - 1 steps."""
 
     q: Array
     """(K, n), rad."""
     dq: Array
-    """(K, n), rad/s: the rates with which each configuration is left."""
+    """(K, n), rad/s: the rates with which each configuration is left. The last ones are 0 at a target, those with which
+    a closed path begins anew, or those with which an open one ends."""
     interval_s: float
     """From one configuration to the next."""
     end_m: Array
@@ -72,10 +57,24 @@ class _Run:
     """(K - 1,): whether the step was damped at a singular configuration."""
     solve_s: Array
     """(K - 1,): computing time of each step."""
-    limits: tuple[LimitStop, ...]
-    """Of every joint that one stopped the first, in their order."""
+    limits: dict[str, str]
+    """By joint that a limit stopped, in their order: which limit, and in which step the first time."""
+    driven: bool
+    """Whether it was to a target."""
     closed: bool
     """Whether it was along a closed path."""
+    note: str
+    """What kept it from a target, "unreachable: ...", "singular: ...", "limits: ..." or "no progress: ..."; along a
+    path the first thing that went wrong, with its step. Empty where nothing did."""
+
+    @property
+    def reached(self) -> bool:
+        return not self.note
+
+    @property
+    def reason(self) -> str:
+        """Why a way to a target ended."""
+        return self.note or "reached"
 
     @property
     def time_s(self) -> Array:
@@ -91,11 +90,6 @@ class _Run:
         return control_rates(q, self.interval_s, before, q[-1] + self.interval_s * self.dq[-1])
 
     @property
-    def limits_hit(self) -> tuple[int, ...]:
-        """The joints that were stopped by a limit."""
-        return tuple(sorted(stop.joint for stop in self.limits))
-
-    @property
     def iterations(self) -> int:
         return len(self.q) - 1
 
@@ -107,7 +101,7 @@ class _Run:
     @property
     def roughness_rad2(self) -> float:
         """Mean over the inner configurations of |q_{k+1} - 2 q_k + q_{k-1}|^2: 0 is smoothest."""
-        return roughness(self.q)
+        return float(np.mean(np.sum(np.diff(self.q, 2, axis=0) ** 2, axis=1))) if len(self.q) > 2 else 0.0
 
     def closures(self) -> dict[str, Array]:
         """Degrees of closure in percent of each joint (n,), from the first configuration to the last: of its "angle",
@@ -116,29 +110,16 @@ class _Run:
         angle, plane = np.array([[degree_of_closure(path) for path in of_joint] for of_joint in paths]).T
         return {"angle": angle, "plane": plane}
 
-
-@dataclass(frozen=True, eq=False)
-class Drive(_Run):
-    """The way to a target, where the chain stops: the last rates are 0.
-
-    reason: "reached", or what stopped it: "unreachable: ...", "singular: ...", "limits: ..." or "no progress: ...".
-    """
-
-    reason: str
-
-    @property
-    def reached(self) -> bool:
-        return self.reason == "reached"
-
-
-@dataclass(frozen=True, eq=False)
-class Follow(_Run):
-    """The way along a path, turns times. The last rates are those with which a closed path begins anew, or an open
-    one ends."""
-
-    note: str
-    """The first thing that went wrong, with its step, or empty."""
-    turns: int
+    def measures(self) -> dict[str, Any]:
+        """For the tables."""
+        return {
+            "us_per_step": 1e6 * float(np.median(self.solve_s)) if len(self.solve_s) else None,
+            "length_m": self.length_m,
+            "roughness_rad2": self.roughness_rad2,
+            "least_manipulability": float(self.manipulability.min()),
+            "limits_hit": list(self.limits),
+            "first_limit": next(iter(self.limits.values()), ""),
+        }
 
 
 def drive_to(
@@ -149,36 +130,38 @@ def drive_to(
     tolerance_m: float = TOLERANCE_M,
     max_iterations: int = 2000,
     interval_s: float = INTERVAL_S,
-) -> Drive:
-    """Drives the end effector from q0 (n,) to a target (dim,). What goes wrong is a reason in the result.
+) -> Run:
+    """Drives the end effector from q0 (n,) to a target (dim,). What goes wrong is the run's note.
 
     The extended Jacobian goes to G = 0 first; those configurations are not part of the path.
     """
     q, target = inside_limits(chain, np.asarray(q0, float)), np.asarray(target_m, float)
-    reason = unreachable(chain, target, tolerance_m)
+    note = unreachable(chain, target, tolerance_m)
     if not np.isfinite(q).all():
-        reason = "no progress: the start is not finite"
-        q = np.zeros(chain.n)
-    if not reason and (cost := kept_cost(method)) is not None:
-        q = to_null_space_optimum(chain, q, cost).q[-1]
-    method = _with_gain(method, interval_s)
+        q, note = np.zeros(chain.n), "no progress: the start is not finite"
+    if not note and isinstance(method, ExtendedJacobian):
+        q = to_null_space_optimum(chain, q, method.cost)[0]
+    distances, best, best_at = [], np.inf, 0
 
-    taken = _Taken(chain, q)
-    distance = float(np.linalg.norm(target - taken.end))
-    distances, best, best_at, last = [distance], distance, 0, JointRates(np.zeros(chain.n))
-    stopped: tuple[int, ...] = ()
-    while not reason and distance > tolerance_m:
-        k = len(taken.rates)
-        if k >= max_iterations or k - best_at >= PATIENCE or (k and float(np.abs(last.dq).max()) <= STILL_RAD):
-            reason = _reason(chain, k, max_iterations, distance, last, stopped)
-            break
-        dx = (target - taken.end) * (min(1.0, MAX_STEP_M / distance) / interval_s)
-        last, stopped = taken.step(dx, method, interval_s)
-        distance = float(np.linalg.norm(target - taken.end))
-        if distance < (1 - PROGRESS) * best:
-            best, best_at = distance, k + 1
+    def ask(k: int, end: Array, last: JointRates, stopped: tuple[int, ...]) -> Array | str:
+        nonlocal best, best_at
+        distance = float(np.linalg.norm(target - end))
         distances.append(distance)
-    return Drive(**taken.run(np.zeros(chain.n), np.array(distances), interval_s, False), reason=reason or "reached")
+        if note or distance <= tolerance_m:
+            return note
+        if distance < (1 - PROGRESS) * best:
+            best, best_at = distance, k
+        if k >= max_iterations or k - best_at >= PATIENCE or (k and float(np.abs(last.dq).max()) <= STILL_RAD):
+            left = f"{1000 * distance:.1f} mm left after {k} iterations"
+            if stopped:
+                return f"limits: joints {listed(chain, stopped)} at theirs, {left}"
+            if last.singular:
+                return f"{last.note}, {left}"
+            return f"no progress: {left}" + (", the most that are allowed" if k >= max_iterations else "")
+        return (target - end) * (min(1.0, MAX_STEP_M / distance) / interval_s)
+
+    run, _ = _moved(chain, q, ask, _with_gain(method, interval_s), interval_s)
+    return replace(run, distance_m=np.array(distances))
 
 
 def follow(
@@ -189,7 +172,7 @@ def follow(
     turns: int = 1,
     interval_s: float = INTERVAL_S,
     correct: bool = True,
-) -> Follow:
+) -> Run:
     """Follows a path (K, dim), whose points are an interval apart, from q0 (n,), whose end effector is at its start.
 
     correct: each step goes from where the end effector is to the next point, and the extended Jacobian (full) keeps
@@ -203,61 +186,61 @@ def follow(
     if turns > 1 and not closed:
         raise ValueError("only a closed path can be followed more than once")
     points = np.concatenate([path[:1], *[path[1:]] * turns])
-    if correct:
-        method = _with_gain(method, interval_s)
-    taken, note = _Taken(chain, inside_limits(chain, np.asarray(q0, float))), ""
-    for k in range(len(points) - 1):
-        dx = (points[k + 1] - (taken.end if correct else points[k])) / interval_s
-        step, _ = taken.step(dx, method, interval_s)
-        if not note and step.note:
-            note = f"{step.note} (step {k})"
+    method = _with_gain(method, interval_s) if correct else method
+    note = ""
+
+    def ask(k: int, end: Array, last: JointRates, stopped: tuple[int, ...]) -> Array | str:
+        nonlocal note
+        if not note and last.note:
+            note = f"{last.note} (step {k - 1})"
+        return note if k == len(points) - 1 else (points[k + 1] - (end if correct else points[k])) / interval_s
+
+    run, q = _moved(chain, inside_limits(chain, np.asarray(q0, float)), ask, method, interval_s)
     again = path[1] - path[0] if closed else path[-1] - path[-2]
-    last = _one_interval(chain, taken.q, again / interval_s, method, interval_s)[0].dq
-    error = np.linalg.norm(np.array(taken.ends) - points, axis=1)
-    return Follow(**taken.run(last, error, interval_s, closed), note=note, turns=turns)
+    last = _one_interval(chain, q, again / interval_s, method, interval_s)[0].dq
+    off = np.linalg.norm(run.end_m - points, axis=1)
+    return replace(run, dq=np.vstack([run.dq[:-1], last]), distance_m=off, driven=False, closed=closed)
 
 
-class _Taken:
-    """The steps of a run so far."""
-
-    def __init__(self, chain: SerialChain, q: Array) -> None:
-        self.chain, self.q, self.end = chain, q, chain.end(q)
-        self.path, self.ends = [q], [self.end]
-        self.rates: list[Array] = []
-        self.singular: list[bool] = []
-        self.times: list[float] = []
-        self.limits: dict[int, LimitStop] = {}
-
-    def step(self, dx: Array, method: Method, interval_s: float) -> tuple[JointRates, tuple[int, ...]]:
-        """One interval at the velocity dx; what the method gave, and the joints that a limit stopped."""
+def _moved(
+    chain: SerialChain,
+    q: Array,
+    ask: Callable[[int, Array, JointRates, tuple[int, ...]], Array | str],
+    method: Method,
+    interval_s: float,
+) -> tuple[Run, Array]:
+    """From q (n,) on, an interval after the other, at the velocity (dim,) that ask(k, end, last rates, joints stopped)
+    wants in step k, until it gives the run's note in its place; and the last configuration (n,)."""
+    path, ends, limits = [q], [chain.end(q)], {}
+    steps: list[JointRates] = []
+    times: list[float] = []
+    last, stopped = JointRates(np.zeros(chain.n)), ()
+    while not isinstance(dx := ask(len(steps), ends[-1], last, stopped), str):
         started = time.perf_counter()
-        step, self.q, stopped = _one_interval(self.chain, self.q, dx, method, interval_s)
-        self.times.append(time.perf_counter() - started)
+        last, q, stopped = _one_interval(chain, q, dx, method, interval_s)
+        times.append(time.perf_counter() - started)
         for joint in stopped:
-            low, high = float(self.chain.lower_rad[joint]), float(self.chain.upper_rad[joint])
-            upper = 2 * float(self.q[joint]) > low + high
-            self.limits.setdefault(joint, LimitStop(joint, high if upper else low, upper, len(self.rates)))
-        self.end = self.chain.end(self.q)
-        self.path.append(self.q)
-        self.ends.append(self.end)
-        self.rates.append(step.dq)
-        self.singular.append(step.singular)
-        return step, stopped
-
-    def run(self, last_dq: Array, distance_m: Array, interval_s: float, closed: bool) -> dict[str, Any]:
-        """The fields of `_Run`."""
-        return {
-            "q": np.array(self.path),
-            "dq": np.array([*self.rates, last_dq]),
-            "interval_s": interval_s,
-            "closed": closed,
-            "end_m": np.array(self.ends),
-            "distance_m": distance_m,
-            "manipulability": np.array([manipulability(self.chain.jacobian(q)) for q in self.path]),
-            "singular": np.array(self.singular, bool),
-            "solve_s": np.array(self.times),
-            "limits": tuple(self.limits.values()),
-        }
+            low, high = float(chain.lower_rad[joint]), float(chain.upper_rad[joint])
+            side, limit = ("upper", high) if 2 * float(q[joint]) > low + high else ("lower", low)
+            name = chain.names[joint]
+            limits.setdefault(name, f"{name} at its {side} limit of {limit:.2f} rad (step {len(steps)})")
+        steps.append(last)
+        path.append(q)
+        ends.append(chain.end(q))
+    return Run(
+        q=np.array(path),
+        dq=np.array([*(step.dq for step in steps), np.zeros(chain.n)]),
+        interval_s=interval_s,
+        end_m=np.array(ends),
+        distance_m=np.empty(0),
+        manipulability=np.array([manipulability(chain.jacobian(q)) for q in path]),
+        singular=np.array([step.singular for step in steps], bool),
+        solve_s=np.array(times),
+        limits=limits,
+        driven=True,
+        closed=False,
+        note=dx,
+    ), q
 
 
 def degree_of_closure(path: Array) -> float:
@@ -269,11 +252,6 @@ def degree_of_closure(path: Array) -> float:
     if np.ptp(path if path.ndim == 1 else path[:, 0]) <= STILL_RAD:
         return math.nan
     return phase.degree_of_closure(path[:, None] if path.ndim == 1 else phase.scaled(path))
-
-
-def roughness(q: Array) -> float:
-    """Mean squared second difference of a path (K, n): mean over the inner points of |q_{k+1} - 2 q_k + q_{k-1}|^2."""
-    return float(np.mean(np.sum(np.diff(q, 2, axis=0) ** 2, axis=1))) if len(q) > 2 else 0.0
 
 
 def _one_interval(
@@ -299,19 +277,6 @@ def _one_interval(
 
 def _with_gain(method: Method, interval_s: float) -> Method:
     """The extended Jacobian with the gain that keeps it at G = 0."""
-    if isinstance(method, Scaled):
-        return replace(method, method=_with_gain(method.method, interval_s))
     if isinstance(method, ExtendedJacobian) and method.full and not method.gain_per_s:
         return replace(method, gain_per_s=1 / interval_s)
     return method
-
-
-def _reason(
-    chain: SerialChain, k: int, max_iterations: int, distance: float, step: JointRates, stopped: tuple[int, ...]
-) -> str:
-    left = f"{1000 * distance:.1f} mm left after {k} iterations"
-    if stopped:
-        return f"limits: joints {listed(chain, stopped)} at theirs, {left}"
-    if step.singular:
-        return f"{step.note}, {left}"
-    return f"no progress: {left}" + (", the most that are allowed" if k >= max_iterations else "")

@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -48,17 +48,32 @@ class JointRates(NamedTuple):
     """What is held back or damped, in words, or empty."""
 
 
+@dataclass(frozen=True, eq=False)
 class Method(ABC):
-    """A way to joint rates."""
+    """A way to joint rates, with a factor on all of them."""
+
+    alpha: float | None = field(default=1.0, kw_only=True)
+    """None: <dx, J dq> / |J dq|^2 at every step, with which J dq is nearest to dx."""
 
     def rates(self, chain: SerialChain, q: Array, dx: Array, free: Bools | None = None) -> JointRates:
         """Rates for q (n,) and dx (dim,)."""
         free = np.ones(chain.n, bool) if free is None else free
-        return _within_limits(chain, free, *self._solve(chain, q, dx, free))
+        J, curvature = chain.derivatives(q)
+        step = _within_limits(chain, free, *self._solve(J[:, free], dx, q, free, curvature))
+        if self.alpha == 1.0:
+            return step
+        alpha = nearest_scale(J @ step.dq, dx) if self.alpha is None else self.alpha
+        return _within_limits(chain, free, alpha * step.dq[free], step.singular, None, step.note)
+
+    def formula(self, J: Array, dx: Array, q: Array) -> Array:
+        """Rates (n,) without limits, for J (dim, n), dx (dim,) and q (n,); of the extended Jacobian with N constant."""
+        dq, _, *rest = self._solve(J, dx, q, np.ones(len(q), bool), None)
+        total = dq if not rest or rest[0] is None else dq + rest[0]
+        return total * (nearest_scale(J @ total, dx) if self.alpha is None else self.alpha)
 
     @abstractmethod
-    def _solve(self, chain: SerialChain, q: Array, dx: Array, free: Bools) -> tuple[Any, ...]:
-        """What `_within_limits` takes after the free joints."""
+    def _solve(self, J: Array, dx: Array, q: Array, free: Bools, curvature: Curvature | None) -> tuple[Any, ...]:
+        """What `_within_limits` takes after the free joints, of which J (dim, m) is; q, curvature: of all."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,8 +88,7 @@ class LeastNorm(Method):
     damping_m: float = 0.0
     """lambda, metres."""
 
-    def _solve(self, chain: SerialChain, q: Array, dx: Array, free: Bools) -> tuple[Any, ...]:
-        J = chain.jacobian(q)[:, free]
+    def _solve(self, J: Array, dx: Array, q: Array, free: Bools, curvature: Curvature | None) -> tuple[Any, ...]:
         along = J if self.weights is None else J / self.weights[free]
         inverse, singular = right_inverse(J, along, self.damping_m**2)
         return inverse @ dx, singular
@@ -90,20 +104,17 @@ def damped_least_squares(damping_m: float = 0.05) -> LeastNorm:
     return LeastNorm(damping_m=damping_m)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class JacobianTranspose(Method):
-    """alpha J' dx; alpha None: <dx, J J' dx> / |J J' dx|^2 at every step, with which J dq is nearest to dx."""
+    """alpha J' dx, by default with the alpha of every step."""
 
     alpha: float | None = None
 
-    def _solve(self, chain: SerialChain, q: Array, dx: Array, free: Bools) -> tuple[Any, ...]:
-        J = chain.jacobian(q)[:, free]
-        dq = J.T @ dx
-        alpha = nearest_scale(J @ dq, dx) if self.alpha is None else self.alpha
-        return alpha * dq, _inverse(J @ J.T)[1]
+    def _solve(self, J: Array, dx: Array, q: Array, free: Bools, curvature: Curvature | None) -> tuple[Any, ...]:
+        return J.T @ dx, _inverse(J @ J.T)[1]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class GradientProjection(Method):
     """J+ dx + k (I - J+ J) g."""
 
@@ -112,15 +123,14 @@ class GradientProjection(Method):
     k: float = -1.0
     """1/s, negative to descend."""
 
-    def _solve(self, chain: SerialChain, q: Array, dx: Array, free: Bools) -> tuple[Any, ...]:
-        J = chain.jacobian(q)[:, free]
+    def _solve(self, J: Array, dx: Array, q: Array, free: Bools, curvature: Curvature | None) -> tuple[Any, ...]:
         gradient = self.gradient.gradient if isinstance(self.gradient, Cost) else self.gradient
         g = self.k * gradient(q)[free]
         pseudo, singular = right_inverse(J)
         return pseudo @ dx, singular, g - pseudo @ (J @ g)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class SelectivelyDamped(Method):
     """Each singular direction i damped by itself: (v_i (u_i . dx) / s_i), no joint of which turns more than
 
@@ -132,8 +142,7 @@ class SelectivelyDamped(Method):
     gamma_max_rad: float = math.pi / 4
     interval_s: float = INTERVAL_S
 
-    def _solve(self, chain: SerialChain, q: Array, dx: Array, free: Bools) -> tuple[Any, ...]:
-        J = chain.jacobian(q)[:, free]
+    def _solve(self, J: Array, dx: Array, q: Array, free: Bools, curvature: Curvature | None) -> tuple[Any, ...]:
         limit = self.gamma_max_rad / self.interval_s
         dq = np.zeros(J.shape[1])
         if not J.size or not np.isfinite(J).all():
@@ -146,7 +155,7 @@ class SelectivelyDamped(Method):
         return _clamped(dq, limit), bool(s[-1] ** 2 <= SINGULAR * s[0] ** 2)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ExtendedJacobian(Method):
     """Keeps G = N' grad g = 0, N an orthonormal basis of the null space of J: [J; dG/dq] dq = [dx; -gain G].
 
@@ -167,8 +176,7 @@ class ExtendedJacobian(Method):
     full: bool = True
     gain_per_s: float = 0.0
 
-    def _solve(self, chain: SerialChain, q: Array, dx: Array, free: Bools) -> tuple[Any, ...]:
-        J, curvature = derivatives(chain, q, free)
+    def _solve(self, J: Array, dx: Array, q: Array, free: Bools, curvature: Curvature | None) -> tuple[Any, ...]:
         pseudo, singular = right_inverse(J)
         dq = pseudo @ dx
         if J.shape[1] <= J.shape[0] or (singular and not np.isfinite(J).all()):
@@ -186,24 +194,10 @@ class ExtendedJacobian(Method):
 def reduced_gradient(
     cost: Cost, q: Array, pseudo: Array, curvature: Curvature | None, free: Bools
 ) -> tuple[Array, Array]:
-    """grad g (n,) and M = Hess g - sum_i mu_i Hess f_i (n, n) of the free joints, whose J+ is pseudo (n, dim) and whose
-    curvature is given; None leaves the sum out."""
+    """grad g (m,) and M = Hess g - sum_i mu_i Hess f_i (m, m) of the free joints, whose J+ is pseudo (m, dim).
+    curvature: of all joints; None leaves the sum out."""
     g, M = cost.gradient(q)[free], cost.hessian(q)[np.ix_(free, free)]
-    return g, M if curvature is None else M - curvature(g @ pseudo)
-
-
-@dataclass(frozen=True, eq=False)
-class Scaled(Method):
-    """alpha times the rates of another method; alpha None: <dx, J dq> / |J dq|^2 at every step, with which J dq is
-    nearest to dx."""
-
-    method: Method
-    alpha: float | None = None
-
-    def _solve(self, chain: SerialChain, q: Array, dx: Array, free: Bools) -> tuple[Any, ...]:
-        step = self.method.rates(chain, q, dx, free)
-        alpha = nearest_scale(chain.jacobian(q) @ step.dq, dx) if self.alpha is None else self.alpha
-        return alpha * step.dq[free], step.singular, None, step.note
+    return g, M if curvature is None else M - curvature(g @ pseudo)[np.ix_(free, free)]
 
 
 def nearest_scale(moved: Array, dx: Array) -> float:
@@ -212,20 +206,7 @@ def nearest_scale(moved: Array, dx: Array) -> float:
     return float(dx @ moved) / square if square > 0 else 1.0
 
 
-def kept_cost(method: Method) -> Cost | None:
-    """What the extended Jacobian keeps stationary, scaled or not; None for other methods."""
-    if isinstance(method, Scaled):
-        return kept_cost(method.method)
-    return method.cost if isinstance(method, ExtendedJacobian) else None
-
-
 # -- small linear algebra --------------------------------------------------------------------------------------------
-
-
-def derivatives(chain: SerialChain, q: Array, free: Bools) -> tuple[Array, Curvature]:
-    """Those of the free joints: J (dim, n), and the curvature (n, n)."""
-    J, curvature = chain.derivatives(q)
-    return J[:, free], lambda mu: curvature(mu)[np.ix_(free, free)]
 
 
 def right_inverse(J: Array, along: Array | None = None, damping: float = 0.0) -> tuple[Array, bool]:
@@ -298,8 +279,7 @@ def _within_limits(
 
 def _share_within(rates: Array, along: Array, limit: Array) -> float:
     """The largest share of `along`, up to 1, that brings no rate beyond its limit."""
-    share = 1.0
-    for rate, more, most in zip(rates.tolist(), along.tolist(), limit.tolist(), strict=True):
-        if abs(rate + share * more) > most:
-            share = max(0.0, (math.copysign(most, more) - rate) / more) if more else 0.0
-    return share
+    with np.errstate(divide="ignore", invalid="ignore"):
+        room = (np.copysign(limit, along) - rates) / along
+        shares = np.where(along != 0, room, np.abs(rates) <= limit)
+    return max(0.0, float(np.fmin.reduce(shares, initial=1.0)))

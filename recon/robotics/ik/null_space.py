@@ -2,45 +2,27 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from recon.base.arrays import Array, Bools
-from recon.robotics.ik.chain import SerialChain, null_basis
+from recon.robotics.ik.chain import SerialChain, inside_limits, null_basis
 from recon.robotics.ik.costs import Cost
-from recon.robotics.ik.methods import LeastNorm, derivatives, reduced_gradient, right_inverse
+from recon.robotics.ik.methods import LeastNorm, reduced_gradient, right_inverse
 
 _NULL_STEP_RAD = 0.3
 """Longest step along the null space."""
 _TOLERANCE = 1e-10
 """On |G|, relative to 1 + |Hess g|."""
 _MAX_ITERATIONS = 500
+KINDS = ("minimum", "saddle", "maximum", "degenerate")
 
 
-@dataclass(frozen=True, eq=False)
-class Optimum:
-    """Where the null space leads."""
-
-    reason: str
-    """Either "reached" or what stopped it."""
-    q: Array
-    """(K, n): the configurations on the way."""
-    gradient: float
-    """|G| at the end."""
-    kind: str
-    """One of "minimum", "saddle" or "maximum" of the cost with the end effector held, or "degenerate"."""
-
-    @property
-    def reached(self) -> bool:
-        return self.reason == "reached"
-
-
-def to_null_space_optimum(chain: SerialChain, q0: ArrayLike, cost: Cost) -> Optimum:
-    """Moves along the null space of J to G = N' grad g = 0 and keeps the end effector where it is at q0 (n,).
+def to_null_space_optimum(chain: SerialChain, q0: ArrayLike, cost: Cost) -> tuple[Array, str]:
+    """Moves along the null space of J to G = N' grad g = 0 and keeps the end effector where it is at q0 (n,): q (n,),
+    and what it is of the cost, "minimum", "saddle", "maximum" or "degenerate", or what kept it from there.
 
     Newton steps on N' M N (see `ExtendedJacobian`), with the eigenvalues' magnitudes and a line search, down to a
     minimum; where that finds none, plain ones to the stationary point nearby, which can be a saddle. Limits hold; a
@@ -48,33 +30,31 @@ def to_null_space_optimum(chain: SerialChain, q0: ArrayLike, cost: Cost) -> Opti
     """
     q0 = inside_limits(chain, np.asarray(q0, float))
     found = _null_space_newton(chain, q0, cost, descend=True)
-    if found.reached:
+    if found[1] in KINDS:
         return found
     other = _null_space_newton(chain, q0, cost, descend=False)
-    return other if other.reached else found
+    return other if other[1] in KINDS else found
 
 
-def _null_space_newton(chain: SerialChain, q0: Array, cost: Cost, descend: bool) -> Optimum:
-    home, path = chain.end(q0), [q0]
-    q, stuck = q0, np.zeros(chain.n, bool)
-    reason, gradient, values = "no progress: out of iterations", math.inf, np.zeros(0)
+def _null_space_newton(chain: SerialChain, q0: Array, cost: Cost, descend: bool) -> tuple[Array, str]:
+    home, q, stuck = chain.end(q0), q0, np.zeros(chain.n, bool)
     for _ in range(_MAX_ITERATIONS):
         free = ~stuck
-        J, curvature = derivatives(chain, q, free)
+        J, curvature = chain.derivatives(q)
+        J = J[:, free]
         if J.shape[1] <= chain.dim:
-            reason = f"limits: joints {listed(chain, stuck.nonzero()[0].tolist())}"
-            break
+            return q, f"limits: joints {listed(chain, stuck.nonzero()[0].tolist())}"
         N = null_basis(J)
         g, M = reduced_gradient(cost, q, right_inverse(J)[0], curvature, free)
         G = N.T @ g
         gradient = float(np.linalg.norm(G))
         if not (np.isfinite(gradient) and np.isfinite(M).all()):
-            reason = "no progress: the cost's derivatives are not finite"
-            break
+            return q, "no progress: the cost's derivatives are not finite"
         values, vectors = np.linalg.eigh(N.T @ M @ N)
         if gradient <= _TOLERANCE * (1 + float(np.abs(M).max())):
-            reason = "reached"
-            break
+            if np.abs(values).min() <= 1e-8 * np.abs(values).max():
+                return q, "degenerate"
+            return q, "minimum" if values[0] > 0 else "maximum" if values[-1] < 0 else "saddle"
         floor = 1e-8 * float(np.abs(values).max()) + 1e-300
         size = np.maximum(np.abs(values), floor)
         parts = (vectors.T @ G) / (size if descend else np.where(values < 0, -size, size))
@@ -88,8 +68,7 @@ def _null_space_newton(chain: SerialChain, q0: Array, cost: Cost, descend: bool)
                 break
             share /= 2
         else:
-            reason = "singular: no step along the null space keeps the end effector and lowers the cost"
-            break
+            return q, "singular: no step along the null space keeps the end effector and lowers the cost"
         assert moved is not None
         inside = inside_limits(chain, moved)
         outside = (inside != moved) & free
@@ -98,11 +77,7 @@ def _null_space_newton(chain: SerialChain, q0: Array, cost: Cost, descend: bool)
             stuck = stuck | outside
             continue
         q = moved
-        path.append(q)
-    kind = "degenerate"
-    if len(values) and np.abs(values).min() > 1e-8 * np.abs(values).max():
-        kind = "minimum" if values[0] > 0 else "maximum" if values[-1] < 0 else "saddle"
-    return Optimum(reason, np.array(path), gradient, kind)
+    return q, "no progress: out of iterations"
 
 
 def _back_home(chain: SerialChain, q: Array, home: Array, free: Bools) -> Array | None:
@@ -113,10 +88,6 @@ def _back_home(chain: SerialChain, q: Array, home: Array, free: Bools) -> Array 
             return q
         q = q + LeastNorm().rates(chain, q, miss, free).dq
     return q if float(np.linalg.norm(home - chain.end(q))) <= 1e-9 else None
-
-
-def inside_limits(chain: SerialChain, q: Array) -> Array:
-    return np.minimum(np.maximum(q, chain.lower_rad), chain.upper_rad)
 
 
 def listed(chain: SerialChain, joints: Iterable[int]) -> str:

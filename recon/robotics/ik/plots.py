@@ -6,11 +6,12 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
+import pandas as pd
 
 from recon.base.arrays import Array
 from recon.robotics.ik.chain import SerialChain
-from recon.robotics.ik.drive import TOLERANCE_M, Drive, Follow
-from recon.robotics.ik.fit import FittedSeries
+from recon.robotics.ik.drive import TOLERANCE_M, Run
+from recon.robotics.ik.fit import PARAMETERS
 from recon.show.plots.style import (
     COLOURS,
     GREY,
@@ -43,7 +44,7 @@ _NONE_MM = 0.001
 
 
 def task_space(
-    moves: Mapping[str, Drive | Follow],
+    moves: Mapping[str, Run],
     target_m: Array | None = None,
     path_m: Array | None = None,
     chain: SerialChain | None = None,
@@ -93,25 +94,25 @@ def task_space(
     return figure
 
 
-def joint_space(moves: Mapping[str, Drive | Follow], names: Sequence[str] | None = None, title: str = "") -> Figure:
+def joint_space(moves: Mapping[str, Run], names: Sequence[str] | None = None, title: str = "") -> Figure:
     """Each joint's angle (deg) by method, over the iterations to a target or the time along a path. names (n,)."""
     n = next((m.q.shape[1] for m in moves.values()), 0)
     least, aspect = (3, 0.62) if n <= 6 else (5, 0.9)
     rows, columns = grid_shape(n, WIDTH_MM, aspect, least) if n else (0, 0)
     labels = [f"{name}{_outcome(move)}" for name, move in moves.items()]
+    driven = any(move.driven for move in moves.values())
     with drawing(rows * aspect * WIDTH_MM / max(columns, 1) + 14 + legend_shape(labels)[1], title=title) as figure:
         if not n:
             return figure
         panels = figure.subplots(rows, columns, sharex=True, squeeze=False).ravel()
         for joint, axes in enumerate(panels[:n]):
             for k, move in enumerate(moves.values()):
-                along = np.arange(len(move.q)) if isinstance(move, Drive) else move.time_s
+                along = np.arange(len(move.q)) if driven else move.time_s
                 axes.plot(along, np.degrees(move.q[:, joint]), **look(k))
             axes.set_title(f"joint {joint + 1}" if names is None else names[joint], fontsize=SMALL, pad=2)
             axes.locator_params(axis="y", nbins=4)
         for axes in panels[n:]:
             axes.set_axis_off()
-        driven = any(isinstance(m, Drive) for m in moves.values())
         for axes in panels[max(0, n - columns) : n]:
             axes.set_xlabel("iteration" if driven else "time (s)")
             axes.tick_params(labelbottom=True)
@@ -120,7 +121,7 @@ def joint_space(moves: Mapping[str, Drive | Follow], names: Sequence[str] | None
     return figure
 
 
-def distances(moves: Mapping[str, Drive | Follow], tolerance_m: float = TOLERANCE_M, title: str = "") -> Figure:
+def distances(moves: Mapping[str, Run], tolerance_m: float = TOLERANCE_M, title: str = "") -> Figure:
     """Distance (mm) to the target over the iterations, by method; a ring where it was reached, a cross where not. Or
     from the path over its points."""
     labels = [f"{name}: {_figure(move)}{_outcome(move)}" for name, move in moves.items()]
@@ -133,12 +134,12 @@ def distances(moves: Mapping[str, Drive | Follow], tolerance_m: float = TOLERANC
         for k, move in enumerate(moves.values()):
             style, distance_mm = look(k), 1000 * move.distance_m
             handles += axes.plot(distance_mm, **style)
-            if isinstance(move, Drive):
+            if move.driven:
                 end = {"marker": "o", "mfc": "w", "ms": 5} if move.reached else {"marker": "X", "ms": 7}
                 axes.plot(move.iterations, distance_mm[-1], **end, color=style["color"], mec=style["color"], zorder=4)
         axes.set_yscale("log", nonpositive="clip")
         axes.yaxis.set_major_formatter(LogFormatter())
-        driven = any(isinstance(move, Drive) for move in moves.values())
+        driven = any(move.driven for move in moves.values())
         if driven:
             axes.axhline(1000 * tolerance_m, color=GREY, lw=0.8, zorder=1, gid="tolerance")
             axes.annotate(
@@ -165,17 +166,16 @@ def _chain(axes: Axes, chain: SerialChain, q: Array, view: tuple[int, int], **op
     axes.plot(*points.T, marker="o", ms=2, **options)
 
 
-def _figure(move: Drive | Follow) -> str:
-    if isinstance(move, Drive):
-        return str(move.iterations)
-    return f"{1000 * float(np.max(move.distance_m)):.3g} mm"
+def _figure(move: Run) -> str:
+    return str(move.iterations) if move.driven else f"{1000 * float(np.max(move.distance_m)):.3g} mm"
 
 
-def _outcome(move: Drive | Follow) -> str:
+def _outcome(move: Run) -> str:
     """What did not go as it should, in a few words."""
-    if isinstance(move, Drive):
-        return "" if move.reached else f" (not reached, {move.reason.split(':')[0]})"
-    return f" ({move.note.split(':')[0].split(' (')[0]})" if move.note else ""
+    if not move.note:
+        return ""
+    what = move.note.split(":")[0].split(" (")[0]
+    return f" (not reached, {what})" if move.driven else f" ({what})"
 
 
 def _marks(target: bool, path: bool, chain: bool) -> list[Line2D]:
@@ -239,35 +239,30 @@ def closures(found: Mapping[str, Mapping[str, Array]], names: Sequence[str] | No
     return figure
 
 
-_PANELS = {
-    "transpose": ("alpha of the transpose (1/m²)", "linear"),
-    "gradient-projection": ("k of gradient projection (1/s)", "linear"),
-    "damped": ("lambda of damping (m), 0.0001: none", "log"),
-    "selectively-damped": ("gamma_max (rad)", "log"),
-}
-"""Of methods with one parameter: what it is called, and its axis."""
-
-
-def parameter_series(
-    time_s: Array, found: Mapping[str, FittedSeries], joints: Sequence[str], title: str = ""
-) -> Figure:
-    """Over the times (F,) of a stride: the share of the joint rates that each method explains, the factor alpha with
-    which it would explain the most, and the parameters that are found, of the weights one for each of joints (n,)."""
-    single = [name for name in _PANELS if name in found]
+def parameter_series(table: pd.DataFrame) -> Figure:
+    """Over the times of a stride, of a table of `fit_parameter_series`: the share of the joint rates that each method
+    explains, the factor alpha with which it would explain the most, and the parameters that are found, of the weights
+    one for each joint."""
+    time_s = table["time_s"].to_numpy()
+    columns = [str(column) for column in table]
+    names = [column.removesuffix("_explained") for column in columns if column.endswith("_explained")]
+    weights = [c for c in columns if c.startswith("weighted_") and not c.endswith(("_explained", "_alpha"))]
+    joints = [column.removeprefix("weighted_") for column in weights]
+    single = [name for name in PARAMETERS if name in names]
     rows = 1 + -(-len(single) // 2)
-    legend_mm = legend_shape(list(found))[1] + legend_shape(joints)[1]
-    with drawing(38 * (rows + ("weighted" in found)) + 18 + legend_mm, title=title) as figure:
-        parts: Any = figure.subfigures(2, 1, height_ratios=(rows, 1.15)) if "weighted" in found else (figure, None)
+    with drawing(38 * (rows + bool(joints)) + 18 + legend_shape(names)[1] + legend_shape(joints)[1]) as figure:
+        parts: Any = figure.subfigures(2, 1, height_ratios=(rows, 1.15)) if joints else (figure, None)
         upper, lower = parts
         panels = np.ravel(upper.subplots(rows, 2, sharex=True, squeeze=False))
-        for k, (name, series) in enumerate(found.items()):
-            panels[0].plot(time_s, 100 * series.explained, **look(k), label=name)
-            panels[1].plot(time_s, series.alpha, **look(k))
-            if name in _PANELS:
-                axes, (label, scale) = panels[2 + single.index(name)], _PANELS[name]
-                axes.plot(time_s, series.parameter[:, 0], **look(k), marker="o", ms=2)
-                if scale == "log":
-                    _logarithmic(axes, series.parameter)
+        for k, name in enumerate(names):
+            panels[0].plot(time_s, 100 * table[f"{name}_explained"], **look(k), label=name)
+            panels[1].plot(time_s, table[f"{name}_best_alpha"], **look(k))
+            if name in PARAMETERS:
+                axes, (column, label) = panels[2 + single.index(name)], PARAMETERS[name]
+                values = table[f"{name}_{column}"].to_numpy()
+                axes.plot(time_s, values, **look(k), marker="o", ms=2)
+                if name.endswith("damped"):
+                    _logarithmic(axes, values)
                 axes.set_title(label, loc="left", fontsize=SMALL, color=GREY)
         panels[0].set_title("explained of the joint rates (%)", loc="left", fontsize=SMALL, color=GREY)
         panels[0].set_ylim(0, 105)
@@ -278,7 +273,7 @@ def parameter_series(
             axes.set_xlabel("time (s)")
         add_legend(upper, *panels[0].get_legend_handles_labels())
         if lower is not None:
-            _weights(lower.subplots(), time_s, found["weighted"].parameter)
+            _weights(lower.subplots(), time_s, table[weights].to_numpy())
             add_legend(lower, lower.axes[0].get_lines(), joints)
     return figure
 

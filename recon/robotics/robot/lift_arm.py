@@ -4,7 +4,7 @@ q = (height, q1, q2, q3): metres (or whatever unit the links have) and rad; the 
 
     x = l1 cos q1 + l2 cos(q1 + q2)    y = l1 sin q1 + l2 sin(q1 + q2)    angle = q1 + q2 + q3
 
-so that the wrist takes what the two-link arm (`recon.robotics.ik.two_link`) leaves of the angle.
+so that the wrist takes what the two-link arm (`recon.robotics.ik.chain.two_link`) leaves of the angle.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from recon.base.arrays import Array
-from recon.robotics.ik.two_link import two_link
+from recon.robotics.ik.chain import two_link
 
 
 def lift_arm(lengths_m: tuple[float, float], hand: ArrayLike, height_m: float) -> tuple[Array, str]:
@@ -21,11 +21,11 @@ def lift_arm(lengths_m: tuple[float, float], hand: ArrayLike, height_m: float) -
     then with q2 >= 0, NaN without a solution; and why there is none or only one, empty for two. Raises ValueError for
     lengths that are not two positive ones."""
     x, y, angle = np.asarray(hand, float)
-    planar = two_link(lengths_m, (x, y))
-    wrist = angle - planar.branches_rad.sum(axis=1)
+    branches_rad, reason = two_link(lengths_m, (x, y))
+    wrist = angle - branches_rad.sum(axis=1)
     wrist = np.pi - (np.pi - wrist) % (2 * np.pi)
     height = np.where(np.isfinite(wrist), height_m, np.nan)
-    return np.column_stack([height, planar.branches_rad, wrist]), planar.reason
+    return np.column_stack([height, branches_rad, wrist]), reason
 
 
 def lift_arm_hand(lengths_m: tuple[float, float], q: ArrayLike) -> tuple[Array, Array]:
