@@ -142,16 +142,16 @@ def every_figure():
         "one portrait": plots.phase_portraits(dict([*portraits.items()][:1]), closed, "a title"),
         "four portraits": plots.phase_portraits(dict([*portraits.items()][:4])),
         "footfall": plots.footfall(gaits(), FPS, "a title"),
-        "task space": ik_plots.task_space(found, target, chain=chain, title="a title"),
-        "task space in 3D": ik_plots.task_space(found3, target3, chain=chain3, title="a title"),
-        "task space of a stride": ik_plots.task_space(turns, path_m=circle),
-        "joint space": ik_plots.joint_space(found3, title="a title"),
-        "joint space, many": ik_plots.joint_space(names),
-        "distances": ik_plots.distances(found, title="a title"),
+        "task space": ik_plots.task_space(found, chain, target),
+        "task space in 3D": ik_plots.task_space(found3, chain3, target3),
+        "task space of a stride": ik_plots.task_space(turns, chain, path_m=circle),
+        "joint space": ik_plots.joint_space(found3, chain3.names),
+        "joint space, many": ik_plots.joint_space(names, chain.names),
+        "distances": ik_plots.distances(found),
         "distances, many": ik_plots.distances(names),
         "distances from a path": ik_plots.distances(turns),
         "parameters": ik_plots.parameter_series(parameters()),
-        "closures": ik_plots.closures({k: m.closures() for k, m in names.items()}, title="a title"),
+        "closures": ik_plots.closures({k: m.closures() for k, m in names.items()}, chain.names),
     }
 
 
@@ -203,12 +203,12 @@ def test_files_are_reproducible_whatever_the_users_settings(tmp_path):
 
 
 def test_resolution_and_text(tmp_path):
-    png, svg = plots.save(ik_plots.distances(drives()[2], title="way & aim"), tmp_path, "d")
+    png, svg = plots.save(ik_plots.distances({"way & aim": drives()[2]["a"]}), tmp_path, "d")
     with Image.open(png) as image:
         assert image.width == int(180 / 25.4 * 200)
         assert image.info["dpi"] == pytest.approx((200, 200), abs=0.1)
     text = svg.read_text(encoding="utf-8")
-    assert ">way &amp; aim</text>" in text
+    assert ">way &amp; aim: " in text
     assert ">distance to the target (mm)</text>" in text
     assert "date" not in text.lower()
 
@@ -235,16 +235,14 @@ def test_nothing_known_is_said():
         plots.vector_fields((), t),
         plots.phase_portraits({}),
         plots.footfall({}, FPS),
-        ik_plots.task_space({}),
-        ik_plots.joint_space({}),
-        ik_plots.distances({}),
-        ik_plots.closures({}),
     ]
     for i, figure in enumerate(empty):
         assert "no data" in texts(figure), i
     still = gait(still_tracks())
     assert "no stances" in texts(plots.footfall({"ground": replace(still, stances=(), strides=())}, FPS))
-    unmoved = ik_plots.closures({"a": {"angle": np.array([99.0, np.nan]), "plane": np.array([98.0, np.nan])}})
+    unmoved = ik_plots.closures(
+        {"a": {"angle": np.array([99.0, np.nan]), "plane": np.array([98.0, np.nan])}}, ("a", "b")
+    )
     assert texts(unmoved).count("does not move") == 2
 
 
@@ -545,7 +543,7 @@ def test_bars_stand_where_feet_do():
 
 def test_paths_in_the_plane():
     chain, target, found = drives()
-    figure = ik_plots.task_space(found, target, chain=chain)
+    figure = ik_plots.task_space(found, chain, target)
     (axes,) = figure.axes
     ways = {line.get_label(): line for line in axes.get_lines() if not line.get_label().startswith("_")}
     assert list(ways) == ["a", "b", "far (not reached, unreachable)"]
@@ -562,11 +560,12 @@ def test_paths_in_the_plane():
 
 @pytest.mark.parametrize(("base", "columns"), [("UVW", ((0, 1), (0, 2))), ("xyz", ((0, 2), (0, 1)))])
 def test_paths_in_space_from_the_side_and_from_above(base, columns):
-    _, target, found = drives(3)
-    figure = ik_plots.task_space(found, target, base=base)
+    chain, target, found = drives(3)
+    figure = ik_plots.task_space(found, chain, target, base=base)
     for axes, view, name in zip(figure.axes, columns, ("side", "top"), strict=True):
         assert axes.get_title(loc="left") == name
-        np.testing.assert_array_equal(axes.get_lines()[0].get_xydata(), found["a"].end_m[:, view])
+        (way,) = (line for line in axes.get_lines() if line.get_label() == "a")
+        np.testing.assert_array_equal(way.get_xydata(), found["a"].end_m[:, view])
     assert figure.axes[0].yaxis_inverted() == (base == "UVW")
     assert not figure.axes[1].yaxis_inverted()
 
@@ -598,16 +597,17 @@ def test_distances_in_millimetres():
 
 
 def test_parameters_of_each_configuration():
-    found, t = parameters(), times(9)
-    figure = ik_plots.parameter_series(t, found, ("a", "b", "c"))
+    table = parameters()
+    figure = ik_plots.parameter_series(table)
     explained, alpha, transpose, _, damped, _, weights = figure.axes
-    for k, series in enumerate(found.values()):
-        np.testing.assert_allclose(explained.get_lines()[k].get_ydata(), 100 * series.explained)
-        np.testing.assert_allclose(alpha.get_lines()[k].get_ydata(), series.alpha)
-    np.testing.assert_allclose(transpose.get_lines()[0].get_ydata(), found["transpose"].parameter[:, 0])
+    for k, name in enumerate(("least-norm", "transpose", "gradient-projection", "weighted", "damped")):
+        np.testing.assert_allclose(explained.get_lines()[k].get_ydata(), 100 * table[f"{name}_explained"])
+        np.testing.assert_allclose(alpha.get_lines()[k].get_ydata(), table[f"{name}_best_alpha"])
+    np.testing.assert_allclose(transpose.get_lines()[0].get_ydata(), table["transpose_alpha_1_m2"])
     assert (transpose.get_yscale(), damped.get_yscale(), weights.get_yscale()) == ("linear", "log", "log")
     shown = np.array([line.get_ydata() for line in weights.get_lines()])
-    np.testing.assert_allclose(shown, found["weighted"].parameter.T)
+    joints = ("shoulder_pitch", "elbow", "wrist")
+    np.testing.assert_allclose(shown, [table[f"weighted_{joint}"] for joint in joints])
 
 
 def test_closures_by_joint_and_method():

@@ -459,28 +459,23 @@ def write_figures(solved: IKRun, folder: Path) -> None:
     from recon.show.plots.phase import phase_portraits
     from recon.show.plots.style import save
 
-    limb = solved.limb
+    limb, first_s = solved.limb, solved.limb.first_s + solved.stride.start_s
     if solved.series is not None:
         save(plots.parameter_series(solved.series), folder, "parameters")
-    if solved.drives:
-        figure = plots.task_space(solved.drives, solved.target_m, chain=limb.chain, base=limb.base)
-        save(figure, folder, "target_task_space")
-        save(plots.joint_space(solved.drives, limb.names), folder, "target_joint_space")
-        save(plots.distances(solved.drives), folder, "target_distance")
+    for job, runs, aim in (
+        ("target", solved.drives, {"target_m": solved.target_m}),
+        ("follow", solved.follows, {"path_m": solved.stride.path_m}),
+    ):
+        if runs:
+            save(plots.task_space(runs, limb.chain, base=limb.base, **aim), folder, f"{job}_task_space")
+            save(plots.joint_space(runs, limb.names), folder, f"{job}_joint_space")
+            save(plots.distances(runs), folder, f"{job}_distance")
     if solved.follows:
-        figure = plots.task_space(solved.follows, path_m=solved.stride.path_m, chain=limb.chain, base=limb.base)
-        save(figure, folder, "follow_task_space")
-        save(plots.joint_space(solved.follows, limb.names), folder, "follow_joint_space")
-        save(plots.distances(solved.follows), folder, "follow_distance")
-        found = {name: run.closures() for name, run in solved.follows.items()}
-        save(plots.closures(found, limb.names), folder, "follow_closures")
-        begins_s = limb.first_s + solved.stride.start_s
-        for name, run in solved.follows.items():
-            rates, closed = run.control[0], zip(found[name]["angle"], found[name]["plane"], strict=True)
-            portraits = [Portrait(begins_s + run.time_s, *of_joint) for of_joint in zip(run.q.T, rates.T, strict=True)]
-            figure = phase_portraits(
-                dict(zip(limb.names, portraits, strict=True)),
-                {joint: Closure(*values) for joint, values in zip(limb.names, closed, strict=True)},
-                name,
-            )
-            save(figure, folder, f"follow_phase_{name}")
+        closed = {name: run.closures() for name, run in solved.follows.items()}
+        save(plots.closures(closed, limb.names), folder, "follow_closures")
+    for name, run in solved.follows.items():
+        of_joints = zip(limb.names, run.q.T, run.control[0].T, *run.closures().values(), strict=True)
+        portraits, closed = {}, {}
+        for joint, angle, rate, *closures in of_joints:
+            portraits[joint], closed[joint] = Portrait(first_s + run.time_s, angle, rate), Closure(*closures)
+        save(phase_portraits(portraits, closed, name), folder, f"follow_phase_{name}")

@@ -30,7 +30,6 @@ from recon.show.plots.style import (
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-    from matplotlib.lines import Line2D
 
 
 VIEWS = {
@@ -45,71 +44,70 @@ _NONE_MM = 0.001
 
 def task_space(
     moves: Mapping[str, Run],
+    chain: SerialChain,
     target_m: Array | None = None,
     path_m: Array | None = None,
-    chain: SerialChain | None = None,
     base: Literal["UVW", "xyz"] = "UVW",
-    title: str = "",
 ) -> Figure:
-    """The end effector's paths by method: in the plane, or in space from the side and from above.
+    """The end effector's paths by method: in the plane, or in space from the side and from above, with the chain as it
+    stood at first and, of every method, at last.
 
-    target_m (dim,) is a cross, path_m (K, dim) the way that was to be followed. chain: draws the first configuration
-    of the first method and the last one of every method. base: what the coordinates mean, forwards, down and left or
-    forwards, left and up; two are U and V.
+    target_m (dim,) is a cross, path_m (K, dim) the way that was to be followed. base: what the coordinates mean,
+    forwards, down and left or forwards, left and up; two are U and V.
     """
-    dim = next((m.end_m.shape[1] for m in moves.values()), 2)
-    views = VIEWS[base][: dim - 1]
-    labels = [f"{name}{_outcome(move)}" for name, move in moves.items()]
-    with drawing(92 + legend_shape([*labels, *("start", "target", "path", "chain")])[1], title=title) as figure:
-        if not moves:
-            return figure
+    from matplotlib.lines import Line2D
+
+    labels, first = [f"{name}{_outcome(move)}" for name, move in moves.items()], next(iter(moves.values()))
+    begins = {"marker": "o", "mfc": "w", "mec": "k", "ms": 5, "linestyle": ""}
+    aim = {"marker": "+", "color": "k", "ms": 10, "mew": 1.2, "linestyle": ""}
+    stood = {"color": GREY, "lw": 2.2, "alpha": 0.5, "marker": "o", "ms": 2}
+    marks = [Line2D([], [], label="start", **begins), Line2D([], [], label="chain at the start", **stood)]
+    if target_m is not None:
+        marks.append(Line2D([], [], label="target", **aim))
+    if path_m is not None:
+        marks.append(Line2D([], [], label="path to follow", color=PALE, lw=3.5))
+    with drawing(92 + legend_shape([*labels, *(str(mark.get_label()) for mark in marks)])[1]) as figure:
+        views = VIEWS[base][: chain.dim - 1]
         panels = np.ravel(figure.subplots(1, len(views), squeeze=False))
         for axes, (view, i, j, across, upwards) in zip(panels, views, strict=True):
-            if chain is not None:
-                first = next(iter(moves.values()))
-                _chain(axes, chain, first.q[0], (i, j), color=GREY, lw=2.2, alpha=0.5, zorder=1)
+            axes.plot(*chain.positions(first.q[0])[:, [i, j]].T, **stood, zorder=1)
             if path_m is not None:
                 axes.plot(path_m[:, i], path_m[:, j], color=PALE, lw=3.5, zorder=1, gid="path")
             for k, move in enumerate(moves.values()):
                 style = look(k)
-                if chain is not None:
-                    _chain(axes, chain, move.q[-1], (i, j), **style, lw=0.7, alpha=0.8, zorder=2)
+                last = chain.positions(move.q[-1])[:, [i, j]]
+                axes.plot(*last.T, **style, marker="o", ms=2, lw=0.7, alpha=0.8, zorder=2)
                 axes.plot(move.end_m[:, i], move.end_m[:, j], **style, zorder=3, label=labels[k])
                 axes.plot(*move.end_m[-1, [i, j]], "o", ms=3.5, color=style["color"], zorder=4)
-            start = next(iter(moves.values())).end_m[0]
-            axes.plot(*start[[i, j]], "o", ms=5, mfc="w", mec="k", zorder=5)
+            axes.plot(*first.end_m[0, [i, j]], **begins, zorder=5)
             if target_m is not None:
-                axes.plot(*np.asarray(target_m)[[i, j]], "k+", ms=10, mew=1.2, zorder=5, gid="target")
+                axes.plot(*np.asarray(target_m)[[i, j]], **aim, zorder=5, gid="target")
             axes.set_xlabel(across)
             axes.set_ylabel(upwards)
             axes.set_aspect("equal", adjustable="datalim")
             axes.margins(_ROOM)
             if upwards.startswith("down"):
                 axes.invert_yaxis()
-            if dim == 3:
+            if chain.dim == 3:
                 axes.set_title(view, loc="left", fontsize=SMALL, color=GREY)
-        marks = _marks(target_m is not None, path_m is not None, chain is not None)
         handles, _ = panels[0].get_legend_handles_labels()
         add_legend(figure, [*handles, *marks], [*labels, *(str(mark.get_label()) for mark in marks)])
     return figure
 
 
-def joint_space(moves: Mapping[str, Run], names: Sequence[str] | None = None, title: str = "") -> Figure:
+def joint_space(moves: Mapping[str, Run], names: Sequence[str]) -> Figure:
     """Each joint's angle (deg) by method, over the iterations to a target or the time along a path. names (n,)."""
-    n = next((m.q.shape[1] for m in moves.values()), 0)
+    n, driven = len(names), any(move.driven for move in moves.values())
     least, aspect = (3, 0.62) if n <= 6 else (5, 0.9)
-    rows, columns = grid_shape(n, WIDTH_MM, aspect, least) if n else (0, 0)
+    rows, columns = grid_shape(n, WIDTH_MM, aspect, least)
     labels = [f"{name}{_outcome(move)}" for name, move in moves.items()]
-    driven = any(move.driven for move in moves.values())
-    with drawing(rows * aspect * WIDTH_MM / max(columns, 1) + 14 + legend_shape(labels)[1], title=title) as figure:
-        if not n:
-            return figure
+    with drawing(rows * aspect * WIDTH_MM / columns + 14 + legend_shape(labels)[1]) as figure:
         panels = figure.subplots(rows, columns, sharex=True, squeeze=False).ravel()
         for joint, axes in enumerate(panels[:n]):
             for k, move in enumerate(moves.values()):
                 along = np.arange(len(move.q)) if driven else move.time_s
                 axes.plot(along, np.degrees(move.q[:, joint]), **look(k))
-            axes.set_title(f"joint {joint + 1}" if names is None else names[joint], fontsize=SMALL, pad=2)
+            axes.set_title(names[joint], fontsize=SMALL, pad=2)
             axes.locator_params(axis="y", nbins=4)
         for axes in panels[n:]:
             axes.set_axis_off()
@@ -121,30 +119,27 @@ def joint_space(moves: Mapping[str, Run], names: Sequence[str] | None = None, ti
     return figure
 
 
-def distances(moves: Mapping[str, Run], tolerance_m: float = TOLERANCE_M, title: str = "") -> Figure:
+def distances(moves: Mapping[str, Run]) -> Figure:
     """Distance (mm) to the target over the iterations, by method; a ring where it was reached, a cross where not. Or
     from the path over its points."""
-    labels = [f"{name}: {_figure(move)}{_outcome(move)}" for name, move in moves.items()]
-    with drawing(72 + legend_shape(labels)[1], title=title) as figure:
-        if not moves:
-            return figure
-        from matplotlib.ticker import LogFormatter, MaxNLocator
+    from matplotlib.ticker import MaxNLocator
 
+    labels = [f"{name}: {_figure(move)}{_outcome(move)}" for name, move in moves.items()]
+    driven = any(move.driven for move in moves.values())
+    with drawing(72 + legend_shape(labels)[1]) as figure:
         axes, handles = figure.subplots(), []
         for k, move in enumerate(moves.values()):
             style, distance_mm = look(k), 1000 * move.distance_m
             handles += axes.plot(distance_mm, **style)
-            if move.driven:
+            if driven:
                 end = {"marker": "o", "mfc": "w", "ms": 5} if move.reached else {"marker": "X", "ms": 7}
                 axes.plot(move.iterations, distance_mm[-1], **end, color=style["color"], mec=style["color"], zorder=4)
         axes.set_yscale("log", nonpositive="clip")
-        axes.yaxis.set_major_formatter(LogFormatter())
-        driven = any(move.driven for move in moves.values())
         if driven:
-            axes.axhline(1000 * tolerance_m, color=GREY, lw=0.8, zorder=1, gid="tolerance")
+            axes.axhline(1000 * TOLERANCE_M, color=GREY, lw=0.8, zorder=1, gid="tolerance")
             axes.annotate(
-                f"{1000 * tolerance_m:g} mm",
-                (0, 1000 * tolerance_m),
+                f"{1000 * TOLERANCE_M:g} mm",
+                (0, 1000 * TOLERANCE_M),
                 (2, 2),
                 xycoords=("axes fraction", "data"),
                 textcoords="offset points",
@@ -161,11 +156,6 @@ def distances(moves: Mapping[str, Run], tolerance_m: float = TOLERANCE_M, title:
     return figure
 
 
-def _chain(axes: Axes, chain: SerialChain, q: Array, view: tuple[int, int], **options) -> None:
-    points = chain.positions(q)[:, list(view)]
-    axes.plot(*points.T, marker="o", ms=2, **options)
-
-
 def _figure(move: Run) -> str:
     return str(move.iterations) if move.driven else f"{1000 * float(np.max(move.distance_m)):.3g} mm"
 
@@ -178,62 +168,45 @@ def _outcome(move: Run) -> str:
     return f" (not reached, {what})" if move.driven else f" ({what})"
 
 
-def _marks(target: bool, path: bool, chain: bool) -> list[Line2D]:
-    """What the legend explains besides the methods."""
-    from matplotlib.lines import Line2D
-
-    marks = [Line2D([], [], linestyle="", marker="o", mfc="w", mec="k", ms=5, label="start")]
-    if target:
-        marks.append(Line2D([], [], linestyle="", marker="+", color="k", ms=10, mew=1.2, label="target"))
-    if path:
-        marks.append(Line2D([], [], color=PALE, lw=3.5, label="path to follow"))
-    if chain:
-        marks.append(Line2D([], [], color=GREY, lw=2.2, alpha=0.5, marker="o", ms=2, label="chain at the start"))
-    return marks
-
-
 # -- closures and parameters ------------------------------------------------------------------------------------------
 
 _ROW = 0.7
 """Of a joint's row, all methods together."""
 
 
-def closures(found: Mapping[str, Mapping[str, Array]], names: Sequence[str] | None = None, title: str = "") -> Figure:
-    """Closure of each joint's path (percent) by method, as `Follow.closures` gives it: of the angle, and
-    in the (angle, rate) plane. names (n,).
+def closures(found: Mapping[str, Mapping[str, Array]], names: Sequence[str]) -> Figure:
+    """Closure of each joint's path (percent) by method, as `Run.closures` gives it: of the angle, and in the
+    (angle, rate) plane. names (n,).
 
     A joint that does not move has no closure and no mark.
     """
-    n = next((len(c["angle"]) for c in found.values()), 0)
-    row_mm, legend_mm = max(6.0, 1.5 * len(found)), legend_shape([*found])[1]
-    with drawing(row_mm * n + 20 + legend_mm, title=title) as figure:
-        if not n:
-            return figure
+    n = len(names)
+    with drawing(max(6.0, 1.5 * len(found)) * n + 20 + legend_shape([*found])[1]) as figure:
         panels = figure.subplots(1, 2, sharey=True)
         for axes, kind in zip(panels, ("angle", "plane"), strict=True):
             for k, (name, values) in enumerate(found.items()):
-                rows = [j + _ROW * ((k + 0.5) / len(found) - 0.5) for j in range(n)]
+                rows = np.arange(n) + _ROW * ((k + 0.5) / len(found) - 0.5)
+                colour = COLOURS[k % len(COLOURS)]
                 axes.plot(
                     values[kind],
                     rows,
                     linestyle="",
                     marker=MARKERS[k % len(MARKERS)],
-                    color=COLOURS[k % len(COLOURS)],
-                    mfc=COLOURS[k % len(COLOURS)] if k < len(COLOURS) else "w",
+                    color=colour,
+                    mfc=colour if k < len(COLOURS) else "w",
                     ms=4,
                     label=name,
                     clip_on=False,
                 )
-            for row in range(n):
-                if not any(np.isfinite(values[kind][row]) for values in found.values()):
-                    axes.text(1.5, row, "does not move", va="center", fontsize=SMALL, color=GREY)
+            for row in np.flatnonzero(~np.isfinite([values[kind] for values in found.values()]).any(axis=0)):
+                axes.text(1.5, row, "does not move", va="center", fontsize=SMALL, color=GREY)
             for row in range(1, n):
                 axes.axhline(row - 0.5, color=PALE, lw=0.5, zorder=0)
             axes.set_xlim(0, 100)
             axes.grid(axis="x", color=PALE, lw=0.4)
             axes.set_axisbelow(True)
             axes.set_xlabel("of the angle (%)" if kind == "angle" else "in the (angle, rate) plane (%)")
-        panels[0].set_yticks(range(n), [f"joint {j + 1}" for j in range(n)] if names is None else names)
+        panels[0].set_yticks(range(n), names)
         panels[0].set_ylim(n - 0.5, -0.5)
         add_legend(figure, *panels[0].get_legend_handles_labels())
     return figure
