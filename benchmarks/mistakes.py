@@ -39,13 +39,13 @@ from recon import Camera, FitSettings, Motion, fit_clip, read_keypoints
 from recon.animal.body import other_side
 from recon.animal.prior import fit_prior, prior_from_body
 from recon.animal.skeleton_file import builtin_subjects
-from recon.check import FileFacts, Finding, input_findings
+from recon.check import FileFacts, Finding, input_findings, mends
 from recon.check.inputs import likelihood
 from recon.check.inputs.likelihood import CLEAR, baseline_of, unlikely
 from recon.check.inputs.swaps import _Stretch, exchanged, pairs_of, swaps
 from recon.clip import Source, views_of
 from recon.clip.keypoints import Keypoints, clean
-from recon.fit import TrajectoryOptions, constants, solve_trajectory
+from recon.fit import TrajectoryOptions, TrajectorySolution, constants, solve_trajectory
 from recon.fit.clip_problem import ClipProblem
 from recon.gait.evaluation import centre, joint_errors
 from recon.io.deeplabcut import write_csv
@@ -57,7 +57,7 @@ FALSE = 0.02
 """So many frames of untouched clips may be named wrongly."""
 LEGS = {"fore": "fore legs exchanged, second half", "hind": "hind legs exchanged, second half"}
 FOLDED = ("untouched", "ten frames exchanged", *LEGS.values(), "whole clip exchanged")
-MARGINS = (5.0, 10.0, 14.0, 16.0, 18.0, 20.0, 22.0, 25.0, 30.0)
+MARGINS = (5.0, 8.0, 10.0, 12.0, 15.0, 18.0, 20.0, 25.0, 30.0)
 """Of `recon.check.inputs.likelihood.MARGIN`."""
 WORSE = 1.02
 """No clip may be so many times worse when mended."""
@@ -356,6 +356,10 @@ def margin_rows(view: View, name: str, case: Case, folder: Path, **told: Any) ->
         xy_px[rows] = xy_px[rows][:, places]
         mended = replace(mended, file=replace(mended.file, xy_px=xy_px))
         again, _ = fitted(mended, CASES["untouched"], folder, **told)
+        assert isinstance(solution, TrajectorySolution)
+        assert isinstance(again.solution, TrajectorySolution)
+        if not mends(again.solution, solution):  # nothing is said of it, and nothing mended
+            break
         wrong.append(wrongly)
         ratios.append(error_mm(view, again, everywhere) / mm)
         overlap = 2 * changed[rows].sum() >= (changed | _of(rows, len(changed))).sum()
@@ -365,7 +369,7 @@ def margin_rows(view: View, name: str, case: Case, folder: Path, **told: Any) ->
     found = []
     for margin in MARGINS:
         passed = [trial.ratio > margin and trial.lead > margin for trial in trials]
-        n = next((i for i, one in enumerate(passed) if not one), len(passed))
+        n = min(next((i for i, one in enumerate(passed) if not one), len(passed)), len(ratios) - 1)
         unclear = n < len(trials) and trials[n].ratio > margin
         said = {"wrong": wrong[n].mean(), "mended": ratios[n], "right": right[n], "unclear": unclear}
         found.append({"run": view.run.name, "case": name, "margin": margin, **said})

@@ -12,7 +12,17 @@ import pytest
 
 from recon.animal.body import other_side
 from recon.animal.prior import prior_from_body
-from recon.check import FileFacts, Finding, finding, flagged, input_findings, without_gross_outliers, without_swaps
+from recon.check import (
+    FileFacts,
+    Finding,
+    doubted,
+    finding,
+    flagged,
+    input_findings,
+    mends,
+    without_gross_outliers,
+    without_swaps,
+)
 from recon.check.inputs.certain import outlier_ratios
 from recon.check.inputs.likelier import (
     of_other_camera,
@@ -98,6 +108,16 @@ def test_pairs_are_those_of_the_other_side():
     np.testing.assert_array_equal(opposites(BODY)[opposites(BODY)], np.arange(24))
 
 
+def test_swaps_are_undone_only_where_the_whole_clip_is_likelier_then():
+    swapped = solved(exchanged(view(), stretch("all", 15, 25)))
+    assert mends(plain(), swapped)
+    assert not mends(swapped, plain())
+    assert not mends(plain(), plain())
+    one = finding("left_right_swap", (15, 25), "cam1", part="all keypoints", keypoints=(), log_likelihood_ratio=31.0)
+    assert doubted(one).code == "left_right_swap_possible"
+    assert doubted(finding("animal_still", speed_m_s=0.1)).code == "animal_still"
+
+
 def test_tracks_jump_where_an_exchange_begins_and_ends():
     gain = jumps(exchanged(view(), stretch("all", 15, 25)), pairs_of(BODY)["all"])
     assert sorted(np.argsort(-gain)[:2].tolist()) == [15, 25]
@@ -133,7 +153,7 @@ def test_exchanged_sides_are_found(kind, first, stop):
 
 
 def test_what_is_not_clear_is_not_said():
-    assert swaps(fitted(exchanged(view(), stretch("hind", 14, 24)))) == []
+    assert swaps(fitted(exchanged(view(), stretch("hind", 17, 20)))) == []
     place = _Stretch(slice(14, 24), pairs_of(BODY)["hind"])
     best = _SwapTrial(place, MARGIN + 10.0, rival=_SwapTrial(stretch("fore", 24, T), 11.0))
     (source,) = motion_of(plain()).sources

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from recon.check.codes import CODES, FLAG_OF, FLAGS, finding, names_text, sentence, sentences
     from recon.check.inputs import FileFacts, flagged, input_findings
     from recon.check.inputs.certain import without_gross_outliers
-    from recon.check.inputs.swaps import without_swaps
+    from recon.check.inputs.swaps import doubted, mends, without_swaps
     from recon.check.mismatch import mismatches
     from recon.check.offsets import cameras_made_worse, solved_in_step
     from recon.check.rules import findings_of

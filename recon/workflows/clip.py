@@ -23,9 +23,11 @@ from recon.base.progress import Progress, silent
 from recon.check import (
     FileFacts,
     Finding,
+    doubted,
     flagged,
     input_findings,
     judged,
+    mends,
     without_gross_outliers,
     without_swaps,
 )
@@ -99,9 +101,13 @@ def fit_clip(settings: FitSettings, progress: Progress = silent) -> Motion:
     chain = load_chain(settings.skeleton_name) if body.one_sided else None
     motion = Motion(sources, given.side, given.side_reason, solution, chain=chain, settings=settings.plain())
     found = input_findings(motion, prior, options, _file_facts(given, settings))
-    if settings.fix_swaps and any(one.code == "left_right_swap" for one in found):
-        sources, found = without_swaps(sources, found, body)
-        solution = solved(sources)
+    if any(one.code == "left_right_swap" for one in found):
+        mended, marked = without_swaps(sources, found, body)
+        again = solved(mended)
+        if not mends(again, solution):
+            found = tuple(doubted(one) for one in found)
+        elif settings.fix_swaps:
+            sources, found, solution = mended, marked, again
     stage_s = solution.stage_s | {"input_findings": time.perf_counter() - began}
     motion = replace(motion, sources=sources, solution=replace(solution, stage_s=stage_s))
     agreement: tuple[Finding, ...] = ()

@@ -37,6 +37,7 @@ from recon.check.inputs.likelihood import (
     refitted,
 )
 from recon.clip import Source, View
+from recon.fit import TrajectorySolution
 from recon.fit.result import Finding
 
 JUMP = -3.0
@@ -316,6 +317,21 @@ def _told_as(stretch: _Stretch, source: Source, body: Body) -> tuple[tuple[int, 
     numbers, rows = source.keypoints.frames, stretch.rows
     part = next(PARTS[name] for name, places in pairs_of(body).items() if np.array_equal(places, stretch.places))
     return (int(numbers[rows.start]), int(numbers[rows.stop - 1]) + 1), part
+
+
+def mends(mended: TrajectorySolution, given: TrajectorySolution) -> bool:
+    """Whether a fit of a clip with its swaps undone is clearly likelier as a whole than that of the clip as it came."""
+    before, after = (sum(solution.cost_by_term.values()) for solution in (given, mended))
+    likelier = before - after + float(np.nansum(np.log(given.noise_px / mended.noise_px)))
+    return believed(likelier, of_whole=True)
+
+
+def doubted(one: Finding) -> Finding:
+    """A swap that does not make the whole clip likelier is only to be looked at."""
+    if one.code != "left_right_swap":
+        return one
+    ratio = one.numbers["log_likelihood_ratio"]
+    return finding("left_right_swap_possible", one.frames, one.camera, log_likelihood_ratio=ratio)
 
 
 def without_swaps(
