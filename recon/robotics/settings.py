@@ -146,6 +146,16 @@ class RetargetSettings(Settings):
             f"a number from 2 to {MOST_SAMPLES}",
         ),
     ] = None
+    check: Annotated[
+        bool,
+        Option(
+            "By MuJoCo, frame by frame: limits, torques, forces on the ground, legs that meet: table, figure, and what "
+            "to change."
+        ),
+    ] = False
+    fit_limits: Annotated[
+        bool, Option("As much slower as joint rates and torques ask for, by MuJoCo; the check of before and after.")
+    ] = False
     anyway: Annotated[bool, ANYWAY] = False
     overwrite: Annotated[bool, _OVERWRITE] = False
 

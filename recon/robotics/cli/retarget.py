@@ -9,7 +9,7 @@ import typer
 from rich.console import Console
 
 from recon.robotics.settings import RetargetSettings
-from recon.workflows.cli.common import say, say_verdict, terminal
+from recon.workflows.cli.common import say, say_verdict, table_of, terminal
 
 
 def retarget(settings: RetargetSettings, as_json: bool) -> None:
@@ -48,9 +48,31 @@ def _print(console: Console, report: dict[str, Any], out: Path) -> None:
         place, angle = (max(apart[name].values()) for name in ("base_sigma_m", "joint_sigma_rad"))
         text = f"{apart['count']} motions that it may have been, in {out / 'samples.npz'}: the base's place is known to"
         say(console, f"{text} {place:.3f} m, joint angles to {angle:.2f} rad (one standard deviation, the worst)")
+    if "check" in report:
+        _print_check(console, report["check"])
     for note in report["notes"]:
         say(console, f"note: {note}")
     say(
         console,
         f"Joint angles: {out / 'joints.csv'}, of one stride stride_joints.csv; the playback is motion.rrd.",
     )
+
+
+def _print_check(console: Console, check: dict[str, Any]) -> None:
+    from recon.robotics.robot.physics import RULES
+
+    before = check.get("before")
+    numbers = [*(["before, %"] if before else []), "clip, %", "stride, %", "least", ""]
+    table, advice = table_of("frames that keep it", numbers=numbers), {}
+    for name, rule in RULES.items():
+        clip, stride = check["clip"][name], check["stride"][name]
+        earlier = [f"{100 * min(before[part][name]['share'] for part in ('clip', 'stride')):.0f}"] if before else []
+        shares = [f"{100 * part['share']:.0f}" for part in (clip, stride)]
+        table.add_row(rule.what, *earlier, *shares, f"{min(clip['least'], stride['least']):.2f}", rule.unit)
+        if min(clip["share"], stride["share"]) < 1:
+            advice[rule.what] = rule.advice
+    console.print(table)
+    if before:
+        say(console, f"{check['slower']:.2f} times slower than the animal, {before['slower']:.2f} before")
+    for what, change in advice.items():
+        say(console, f"{what}: {change}")

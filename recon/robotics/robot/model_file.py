@@ -24,15 +24,19 @@ LEAST_MASS_KG, LEAST_INERTIA_KG_M2 = 1e-6, 1e-9
 """Of links whose file does not say: their places do not depend on it."""
 
 
-def read_model(path: str | Path) -> Any:
-    """The file as MuJoCo's model (`MjModel`), fixed joints kept. Raises InputError for a file that is none, and without
-    MuJoCo."""
-    path = Path(path)
+def the_mujoco(source: str | Path) -> Any:
+    """The module. Raises InputError where it is not installed; source: what it is needed for."""
     try:
-        mujoco: Any = import_module("mujoco")
+        return import_module("mujoco")
     except ImportError:
         expected = f"the package mujoco: {install_command('robots')}"
-        raise InputError(Problem(path, "format", "a robot's own file", expected)) from None
+        raise InputError(Problem(source, "robot", "no MuJoCo to read or to simulate it", expected)) from None
+
+
+def read_model(path: str | Path, free: bool = False) -> Any:
+    """The file as MuJoCo's model (`MjModel`), fixed joints kept; free: its root moves freely in the world. Raises
+    InputError for a file that is none, and without MuJoCo."""
+    path, mujoco = Path(path), the_mujoco(path)
     if not path.is_file():
         raise InputError(Problem(path, "file", "no such file", "a URDF or MJCF file"))
     mujoco.set_mju_user_warning(lambda message: None)  # instead of a file in the working folder
@@ -44,6 +48,8 @@ def read_model(path: str | Path) -> Any:
             spec.delete(geom)
         for mesh in list(spec.meshes):
             spec.delete(mesh)
+        if free and not any(joint.type == mujoco.mjtJoint.mjJNT_FREE for joint in spec.joints):
+            spec.worldbody.first_body().add_freejoint()
         model = spec.compile()
     except (ValueError, mujoco.FatalError) as error:
         found = " ".join(str(error).split())[:160]

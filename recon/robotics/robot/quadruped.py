@@ -13,13 +13,14 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
+from pydantic import ConfigDict
 
 from recon.base.arrays import Array
 from recon.geometry.kinematics import Marker, Segment, Tree
 from recon.robotics.ik.chain import SerialChain, joint_chain
 from recon.robotics.ik.drive import drive_to
 from recon.robotics.ik.methods import LeastNorm
-from recon.robotics.robot.leg import Leg
+from recon.robotics.robot.leg import Leg, PositiveLength
 from recon.robotics.robot.solutions import all_solutions
 
 LEGS = ("LF", "RF", "LH", "RH")
@@ -113,6 +114,18 @@ def closed_leg(
     return RobotLeg(chain, neutral, closed=leg, signs=signs)
 
 
+@dataclass(frozen=True)
+class Masses:
+    """What a robot weighs, and what its motors give: the links and torques of a leg in the order of its joints."""
+
+    __pydantic_config__ = ConfigDict(extra="forbid")
+    body_kg: PositiveLength
+    body_inertia_kg_m2: tuple[PositiveLength, PositiveLength, PositiveLength]
+    links_kg: tuple[PositiveLength, PositiveLength, PositiveLength]
+    foot_kg: PositiveLength
+    max_torque_n_m: tuple[PositiveLength, PositiveLength, PositiveLength]
+
+
 @dataclass(frozen=True, eq=False)
 class Quadruped:
     """A robot with four legs."""
@@ -124,6 +137,8 @@ class Quadruped:
     stand_m: float
     """The height that its hips stand at."""
     source: str = ""
+    masses: Masses | None = None
+    """Of a robot that is described by its dimensions."""
 
     @property
     def joints(self) -> tuple[str, ...]:

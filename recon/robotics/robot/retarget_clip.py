@@ -17,12 +17,14 @@ from recon.fit.motion import Motion
 from recon.gait.gait import doubt_text
 from recon.io.table import write_rows
 from recon.robotics.control import control_columns
-from recon.robotics.robot.quadruped import LEGS
+from recon.robotics.robot import physics
+from recon.robotics.robot.quadruped import LEGS, Quadruped
 from recon.robotics.robot.reference import reference_of
 from recon.robotics.robot.retarget import LEGS_APART, Retargeted, RobotMotion, retarget
 from recon.robotics.robot.robot_file import load_robot
 from recon.robotics.robot.trainers import write_for_trainer
 from recon.robotics.settings import RetargetSettings
+from recon.show.plots.style import save
 from recon.show.report import to_json
 
 REPORT = "report.json"
@@ -47,6 +49,10 @@ def run_retarget(settings: RetargetSettings) -> tuple[Retargeted, dict[str, Any]
     with sole_writer(out):
         require_free_folder(out, (REPORT,), settings.overwrite)
         done = retarget(animal, machine, settings.scale, settings.slower, lag)
+        checks = _Checks(machine) if settings.check or settings.fit_limits else None
+        before = checks.of(done) if checks and settings.fit_limits else None
+        if checks and settings.fit_limits:
+            done = checks.slow_enough(done)
         report: dict[str, Any] = report_of(done) | {
             "scale_found": settings.scale is None,
             "slower_found": settings.slower is None,
@@ -60,11 +66,37 @@ def run_retarget(settings: RetargetSettings) -> tuple[Retargeted, dict[str, Any]
 
                 motions = drawn(done, settings, settings.samples)
                 report["samples"] = write_ensemble(motions, settings, staging, said)
+            if checks:
+                report["check"] = checks.of(done, staging) | ({"before": before} if before else {})
             _write(done, report, staging)
             if settings.format is not None:
                 for motion, prefix in ((done.clip, ""), (done.stride, "stride_")):
                     write_for_trainer(motion, settings.format, settings.rate, staging, prefix, said)
     return done, report
+
+
+class _Checks:
+    """What MuJoCo says of motions of a robot. Raises InputError without it, and of a robot without masses."""
+
+    def __init__(self, robot: Quadruped) -> None:
+        self.model = physics.simulated(robot)
+
+    def slow_enough(self, done: Retargeted) -> Retargeted:
+        """With the slowest change that keeps rates and torques; as it is where no pace does."""
+        paces = [physics.pace_that_holds(motion, self.model) for motion in (done.clip, done.stride)]
+        factor = max(pace or 1.0 for pace in paces)
+        return replace(done, clip=physics.slowed(done.clip, factor), stride=physics.slowed(done.stride, factor))
+
+    def of(self, done: Retargeted, folder: Path | None = None) -> dict[str, Any]:
+        """For the report; folder: where tables and figures go."""
+        found = {}
+        for name, motion, prefix in (("clip", done.clip, ""), ("stride", done.stride, "stride_")):
+            time, margins = physics.check(motion, self.model)
+            found[name] = physics.kept(margins)
+            if folder is not None:
+                _table(folder / f"{prefix}check.csv", ["time_s", *margins], np.column_stack([time, *margins.values()]))
+                save(physics.margins_figure(time, margins, f"{motion.robot.title}, {name}"), folder, f"{prefix}check")
+        return found | {"slower": done.clip.slower}
 
 
 # -- the report ------------------------------------------------------------------------------------------------------

@@ -29,7 +29,7 @@ from recon.robotics.robot.model_file import (
     root_of,
     way_to,
 )
-from recon.robotics.robot.quadruped import LEGS, Quadruped, RobotLeg, closed_leg, standing
+from recon.robotics.robot.quadruped import LEGS, Masses, Quadruped, RobotLeg, closed_leg, standing
 
 STAND = 0.7
 """Height of the hips of a robot from a URDF or MJCF file, of the stretched leg's length."""
@@ -74,6 +74,7 @@ class _RobotFile(_Table):
     leg: Leg
     joints: _Joints
     legs: _Legs
+    masses: Masses | None = None
 
 
 class _DHFile(_Table):
@@ -129,7 +130,7 @@ def _quadruped(source: str, table: dict[str, Any]) -> Quadruped:
             np.array([joints[k].max_rate_rad_s for k in file.leg.order]),
             file.stand_m,
         )
-    return Quadruped(file.name, file.title, legs, file.stand_m, source)
+    return Quadruped(file.name, file.title, legs, file.stand_m, source, file.masses)
 
 
 def _checked_robot(robot: Quadruped) -> Quadruped:

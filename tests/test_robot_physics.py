@@ -1,0 +1,144 @@
+"""MuJoCo as the oracle of what is written for trainers, and the checks of a motion by its inverse dynamics."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+from command_line import run
+from robot_urdf import a1_urdf
+
+from recon.base.errors import InputError
+from recon.fit.motion import Motion
+from recon.robotics.robot.model_file import read_model
+from recon.robotics.robot.physics import FRICTION, RULES, check, kept, pace_that_holds, simulated, slowed
+from recon.robotics.robot.quadruped import LEGS
+from recon.robotics.robot.reference import reference_of
+from recon.robotics.robot.retarget import RobotMotion, posed, retarget
+from recon.robotics.robot.rigid import body_pose
+from recon.robotics.robot.robot_file import load_robot
+from recon.robotics.robot.trainers import sampled
+
+
+@pytest.fixture(scope="module")
+def a1(whole_results):
+    return retarget(reference_of(Motion.load(whole_results)), load_robot("a1"))
+
+
+@pytest.mark.parametrize("part", ["clip", "stride"])
+def test_bodies_velocities_and_contacts_are_those_of_mujoco(a1, part, tmp_path):
+    """MuJoCo has the robot from its URDF, we from its dimensions."""
+    path = tmp_path / "a1.urdf"
+    path.write_text(a1_urdf())
+    model = read_model(path, free=True)
+    data, found = mujoco.MjData(model), sampled(getattr(a1, part), 50)
+    at = {name: model.joint(name) for name in found.robot.joints}
+    placed = {name: name.replace("base", "trunk") for name in found.bodies}
+    for k in range(len(found.time_s)):
+        data.qpos[:7] = [*found.place_m[k, 0], *found.quaternions[k, 0, [3, 0, 1, 2]]]
+        data.qvel[:6] = [*found.velocity_m_s[k, 0], *found.angular_velocity_rad_s[k, 0] @ found.turned[k, 0]]
+        for j, joint in enumerate(at.values()):
+            data.qpos[joint.qposadr[0]], data.qvel[joint.dofadr[0]] = found.angles_rad[k, j], found.rates_rad_s[k, j]
+        mujoco.mj_fwdPosition(model, data)
+        mujoco.mj_fwdVelocity(model, data)
+        for b, name in enumerate(found.bodies):
+            body, velocity = data.body(placed[name]), np.zeros(6)
+            np.testing.assert_allclose(body.xpos, found.place_m[k, b], atol=1e-6)
+            np.testing.assert_allclose(body.xmat, found.turned[k, b].ravel(), atol=1e-6)
+            mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_XBODY, body.id, velocity, 0)
+            np.testing.assert_allclose(velocity[:3], found.angular_velocity_rad_s[k, b], atol=1e-5)
+            np.testing.assert_allclose(velocity[3:], found.velocity_m_s[k, b], atol=1e-5)
+        heights = np.array([data.body(f"{name}_foot").xpos[2] for name in ("FL", "FR", "RL", "RR")])
+        assert (np.abs(heights[found.feet_stand[k]]) < 1e-4).all()
+
+
+def still(time_s: np.ndarray, way_m: np.ndarray, stand: bool = True) -> RobotMotion:
+    """The A1 on planted feet, its body (N, 3) away from where it stands."""
+    robot = load_robot("a1")
+    up = np.array([0, 0, robot.stand_m])
+    feet = up + [leg.neutral_m for leg in robot.legs.values()]
+    pose = body_pose(up + way_m, 0.0, 0.0, 0.0)
+    n = len(time_s)
+    return posed(robot, time_s, pose, np.tile(feet, (n, 1, 1)), np.full((n, 4), stand))
+
+
+TIME = np.linspace(0, 0.4, 41)
+
+
+def test_standing_asks_for_the_weight():
+    motion = still(TIME, np.zeros((41, 3)))
+    model = simulated(motion.robot)
+    assert model.body_subtreemass[1] == pytest.approx(6.0 + 4 * (0.595 + 0.888 + 0.151 + 0.06))
+    _, margins = check(motion, model)
+    assert {name: found["share"] for name, found in kept(margins).items()} == dict.fromkeys(RULES, 1.0)
+    assert np.abs(margins["forces"]).max() < 0.01
+    # A quarter of the weight at each foot; the knee is 0.14 m from its line, and holds it.
+    leg = motion.robot.legs["LF"]
+    knee = leg.chain.positions(motion.leg_angles("LF")[0])[2] - leg.neutral_m
+    torque = model.body_subtreemass[1] * 9.81 / 4 * abs(knee[0])
+    assert 1 - margins["torques"].mean() == pytest.approx(torque / 33.5, rel=0.25)
+    # In the air nothing holds it.
+    _, margins = check(still(TIME, np.zeros((41, 3)), stand=False), model)
+    assert kept(margins)["forces"]["share"] == 0
+    assert margins["forces"].mean() == pytest.approx(-1, abs=0.1)
+    # But for a free fall.
+    fall = np.outer(-4.905 * (TIME[:21] - 0.1) ** 2, [0, 0, 1])
+    motion = still(TIME[:21], fall, stand=False)
+    frozen = replace(motion, angles_rad=np.tile(motion.angles_rad[:1], (21, 1)))
+    np.testing.assert_allclose(check(frozen, model)[1]["forces"][2:-2], 0, atol=0.01)
+
+
+def test_friction_limits_what_pushes_sideways():
+    model = simulated(load_robot("a1"))
+    for share, enough in ((0.6, True), (1.6, False)):
+        aside = np.outer(share * FRICTION * 9.81 * (TIME[:11] - 0.05) ** 2 / 2, [0, 1, 0])
+        lacks = check(still(TIME[:11], aside), model)[1]["forces"][5]
+        assert (lacks > -0.1) == enough, (share, lacks)
+
+
+def test_legs_that_meet():
+    motion = still(TIME[:3], np.zeros((3, 3)))
+    feet = motion.feet_m.copy()
+    feet[:, LEGS.index("LF"), 0] = feet[:, LEGS.index("LH"), 0] = 0.0
+    near = posed(motion.robot, motion.time_s, motion.pose, feet, motion.standing)
+    assert kept(check(near, simulated(motion.robot))[1])["legs_apart"]["share"] == 0
+
+
+def test_the_pace_that_holds_is_the_least(a1):
+    quick = slowed(a1.stride, 0.7)
+    model = simulated(quick.robot)
+    pace = pace_that_holds(quick, model)
+    assert pace is not None
+    assert pace > 1
+    for factor, holds in ((pace, True), (pace / 1.05, False)):
+        found = kept(check(slowed(quick, factor), model)[1])
+        assert (found["torques"]["share"] == found["joint_rates"]["share"] == 1) == holds
+
+
+def test_the_command_says_what_to_change(whole_results, tmp_path):
+    out = tmp_path / "out"
+    ended = run("retarget", whole_results, "--robot", "go2", "--fit-limits", "--out", out)
+    assert ended.code == 0, ended.err
+    assert "times slower than the animal, 1.00 before" in ended.out
+    report = json.loads((out / "report.json").read_text())
+    assert report["slower"] == report["check"]["slower"] > 1
+    assert report["check"]["before"]["stride"]["torques"]["share"] < 1
+    for part, prefix in (("clip", ""), ("stride", "stride_")):
+        table = np.genfromtxt(out / f"{prefix}check.csv", delimiter=",", names=True)
+        assert table.dtype.names == ("time_s", *RULES)
+        assert (out / f"{prefix}check.png").is_file()
+        for name in ("torques", "joint_rates", "joint_limits"):
+            assert report["check"][part][name]["share"] == 1
+            assert table[name].min() == pytest.approx(report["check"][part][name]["least"])
+    ended = run("retarget", whole_results, "--robot", "aibo", "--check", "--out", tmp_path / "no")
+    assert ended.code == 2
+    assert "masses" in ended.err
+    assert not (tmp_path / "no").exists()
+
+
+def test_without_masses():
+    with pytest.raises(InputError, match="masses"):
+        simulated(load_robot("aibo"))
