@@ -25,11 +25,11 @@ from recon.base.manifest import read_manifest, write_manifest
 from recon.check import findings_of
 from recon.fit.motion import Motion
 from recon.io.video import video_writer
-from recon.show.page.clip import _solid, doubtful_frames
+from recon.show.page.clip import _solid, clip_page, doubtful_frames
 from recon.show.page.render import _without_direction, inline
 from recon.show.plots.angles import angle_over_time, together
 from recon.show.plots.style import drawing
-from recon.show.report import build_report
+from recon.show.report import TO_DO, build_report
 from recon.workflows.batch import COLUMNS
 from recon.workflows.batch.summary import write_summary_page
 from recon.workflows.clip_results import write_clip
@@ -168,15 +168,29 @@ def test_a_page_says_what_the_report_says(page, folder):
     assert "as if left and right were swapped" not in page.text  # no frame has that flag
     assert list(doubtful_frames(results)) == [("13", "no data"), ("15", "data poor, ambiguous depth")]
     headings = re.findall(r"<h2>(.*?)</h2>", page.html)
-    assert headings[:6] == [
-        "Pictures", "In 3D", "From the side, from above and from ahead", "Speed", "Footfalls", "Angles",
-    ]  # fmt: skip
+    assert headings[:5] == ["In 3D", "From the side, from above and from ahead", "Speed", "Footfalls", "Angles"]
+    # A picture comes before the words.
+    assert page.html.index("<img") < page.html.index("Frames: 8 of 8")
     assert len(page.attributes("img", "src")) == 8
     assert set(page.attributes("img", "alt")) == {f"frame {frame}" for frame in range(10, 18)}
     panels = together(dict.fromkeys(results.posture_names, None))
     assert len(panels) == 18
     assert page.html.count("<svg") == 3 + len(panels)
     assert set(page.attributes("a", "href")) == set(read_manifest(folder).files)
+
+
+def test_a_page_begins_with_the_verdict_the_error_and_what_to_do(whole_results):
+    motion = Motion.load(whole_results)
+    assert motion.verdict is not None
+    html = clip_page(motion, [("still.jpg", "frame 0")], None, [])
+    told = [
+        motion.verdict.reason,
+        "Expected: pose off by",
+        TO_DO[motion.verdict.level],
+        "still.jpg",
+        "Frames: 60 of 60",
+    ]
+    assert sorted(told, key=html.index) == told
 
 
 def test_a_page_has_the_video_behind_its_pictures(folder, tmp_path, monkeypatch):

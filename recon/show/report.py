@@ -16,10 +16,17 @@ from recon.show.plain import to_json as to_json
 from recon.show.plain import to_plain
 from recon.show.sections import sections_of
 
-SCHEMA_NAME, SCHEMA_VERSION = "recon.fit.report", 3
+SCHEMA_NAME, SCHEMA_VERSION = "recon.fit.report", 4
 REPORT = "report.json"
 STYLES = {"use": "bold green", "check": "bold yellow", "do not use": "bold red"}
 """Of the levels of a verdict, on a terminal."""
+TO_DO = {
+    "use": "Use it, with the expected error.",
+    "check": "Do what the reason says, and look at the poses on the video before you use them.",
+    "do not use": "Do not use these numbers: mend what the reason names, and fit again.",
+}
+FRONT = ("clip", "frames", "distance", "side", "keypoints", "note", "speed", "path", "size")
+"""Lines of the summary that a terminal shows below the verdict; the page has all."""
 
 
 def build_report(motion: Motion) -> dict[str, Any]:
@@ -54,7 +61,8 @@ def is_unsolved(report: Mapping[str, Any]) -> bool:
 
 
 def console_summary(report: Mapping[str, Any]) -> Table:
-    """The lines and the warnings for a terminal, to be printed with rich."""
+    """What there is to conclude, for a terminal, to be printed with rich: verdict, expected error, what to do and what
+    may be wrong, then `FRONT`."""
     table = Table.grid(padding=(0, 2))
     table.add_column(no_wrap=True)
     table.add_column()
@@ -64,9 +72,12 @@ def console_summary(report: Mapping[str, Any]) -> Table:
     for label, text in report["lines"][:begins]:
         level = verdict["level"] if label == "verdict" else ""
         table.add_row(Text(label, style="bold"), Text.assemble((level, STYLES.get(level, "")), text[len(level) :]))
+    if verdict["level"]:
+        table.add_row(Text("to do", style="bold"), TO_DO[verdict["level"]])
     for one in found:
         colour = {"error": "red", "warning": "yellow"}[one["severity"]]
         table.add_row(Text(one["severity"], style=f"bold {colour}"), Text(one["text"], colour))
     for label, text in report["lines"][begins:]:
-        table.add_row(Text(label, style="bold"), text)
+        if label in FRONT:
+            table.add_row(Text(label, style="bold"), text)
     return table

@@ -21,7 +21,7 @@ from recon.gait.path import MIN_POINTS
 from recon.show import plots
 from recon.show.page.render import inline, rendered
 from recon.show.plots.angles import AngleCurve, angle_over_time, together
-from recon.show.report import build_report, warnings
+from recon.show.report import TO_DO, build_report, warnings
 
 SECTION_CHARACTERS = 600_000
 """The most that the vector graphics of a section take; three sections and the stills are below 3 MB."""
@@ -65,6 +65,7 @@ def clip_page(
         words=list(_words(motion, report, moved, gait)),
         verdict=motion.verdict,
         expected=verdict_lines(motion.verdict)[1:],
+        to_do="" if motion.verdict is None else TO_DO[motion.verdict.level],
         warnings=[text for text in warnings(report) if motion.verdict is None or text != motion.verdict.reason],
         notes=[one["text"] for one in report["findings"] if one["severity"] == "note"],
         stills=stills,

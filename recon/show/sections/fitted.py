@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import asdict, fields
 from typing import Any
 
 import numpy as np
@@ -12,15 +11,14 @@ import numpy as np
 from recon.animal.detector import NONE as NO_DETECTOR
 from recon.animal.detector import OWN
 from recon.animal.prior import NONE
-from recon.base.arrays import Array, finite, mean, median
+from recon.base.arrays import finite, mean, median
 from recon.base.words import length_text
 from recon.check import FLAGS
-from recon.fit import TrajectoryOptions
 from recon.fit.motion import MEASURED_SHARE, Motion
 from recon.fit.result import MotionSegment, TrajectorySolution
 from recon.gait.clip import gait_of
 from recon.gait.path import MIN_POINTS
-from recon.show.plain import by_name, file_name, frame_count
+from recon.show.plain import file_name, frame_count
 from recon.show.sections.given import counts, heading_text, sentences, upright
 from recon.show.sections.section import Line
 
@@ -76,14 +74,6 @@ def _sentences(motion: Motion) -> Iterator[str]:
         )
     if motion.settings.get("fast"):
         yield "The fast search was asked for: fewer headings to start from, and looser tolerances."
-
-
-def solver(motion: Motion) -> dict[str, Any]:
-    """Every value that the solver ran with, those that are no settings included."""
-    names = [field.name for field in fields(TrajectoryOptions) if motion.settings.get(field.name) is not None]
-    ran = asdict(TrajectoryOptions(**{name: motion.settings[name] for name in names}))
-    of_body = {"keypoint_sigma_m": motion.body.keypoint_sigma_m, "size_sigma": motion.body.size_sigma}
-    return {name: of_body.get(name) if value is None else value for name, value in ran.items()}
 
 
 # -- the frames -------------------------------------------------------------------------------------------------------
@@ -195,22 +185,12 @@ def _telling(solution: TrajectorySolution) -> list[str]:
 # -- how sure ---------------------------------------------------------------------------------------------------------
 
 
-def uncertainty(motion: Motion) -> dict[str, Any]:
-    """Medians over the frames."""
-
-    def medians(values: Array) -> dict[str, Any]:
-        return by_name(motion.names, [[median(column) for column in joint.T] for joint in values.swapaxes(0, 1)])
-
-    return {"joint_sigma_m": medians(motion.joint_sigma_m), "relative_sigma_m": medians(motion.relative_sigma_m)}
-
-
 def prior(motion: Motion) -> dict[str, Any]:
     """The surprise and the weight are those of the segment that the prior fits least."""
     solution = _solution(motion)
     return {
         "name": file_name(solution.prior),
         "mean_data_share": mean(solution.data_share),
-        "data_share": by_name(motion.names, list(solution.data_share)),
         "prior_misfit": max(
             (segment.prior_misfit for segment in solution.segments if segment.prior_misfit is not None), default=None
         ),
@@ -313,15 +293,6 @@ def convergence(motion: Motion) -> dict[str, Any]:
         "status": solution.status,
         "iterations": solution.iterations,
         "cost_by_term": solution.cost_by_term,
-        "starts": [
-            {
-                "heading_rad": float(np.angle(np.exp(1j * start.heading_rad))),
-                "heading_to_picture_rad": math.asin(math.sin(start.heading_rad)),
-                "cost": start.cost,
-                "kept": start.kept,
-            }
-            for start in solution.starts
-        ],
     }
 
 

@@ -12,7 +12,7 @@ from rerun.blueprint.archetypes import PlotBackground
 from recon.base.arrays import Array
 from recon.fit.motion import Motion, Picture
 from recon.show.view.scene import BACKGROUND, CLOSEUP, GRID_SPACING_M, PICTURE, Scene, TimePlot, by_camera
-from recon.show.view.world import CLOSE, middle_and_reach_px, picture_bounds
+from recon.show.view.world import CLOSE, frustum_m, middle_and_reach_px, picture_bounds
 
 
 def blueprint(motion: Motion, scene: Scene, plots: Sequence[TimePlot], rows: Sequence[str]) -> rrb.Blueprint:
@@ -142,29 +142,27 @@ def _eye_on_animal(motion: Motion, scene: Scene) -> rrb.EyeControls3D:
     )
 
 
-_HALF_FIELD, _ASPECT = np.tan(np.radians(55 / 2)), 2.2
-"""Of the viewer's eye: the tangent of half its vertical field of view; width to height of the overview."""
+_FIELD = 0.92 * np.tan(np.radians(55 / 2)) * np.array([3.2, 1.0])
+"""Of the viewer's eye: tangents of half its field of view, with a margin; the overview is 3.2 times as wide as high."""
 
 
 def _eye_on_all(motion: Motion, scene: Scene) -> rrb.EyeControls3D:
     """From above, and nearest to the animal among the directions, rather from behind the first camera, that have all
-    cameras and the whole path in sight."""
+    cameras and the whole path in sight: as near as the frustum of the eye allows."""
     up = scene.axes[2]
-    cameras = [picture.T_reference_camera.reshape(-1, 4, 4)[:, :3, 3].mean(axis=0) for picture in motion.pictures]
-    corners = np.stack(np.meshgrid(*np.stack((scene.low_m, scene.high_m), axis=1), indexing="ij"), axis=-1)
-    points = np.concatenate((cameras, corners.reshape(-1, 3) @ scene.axes))
+    bounds = np.stack(np.meshgrid(*np.stack((scene.low_m, scene.high_m), axis=1), indexing="ij"), axis=-1)
+    points = np.concatenate([bounds.reshape(-1, 3) @ scene.axes, *(frustum_m(p, scene) for p in motion.pictures)])
     ahead = (scene.centre_m - scene.camera_m) @ scene.axes[:2].T
     nearest, position, target = np.inf, scene.camera_m, scene.centre_m
     for turned in np.arctan2(*ahead[::-1]) + np.radians(np.arange(-60, 61, 15)):
         look = np.array([np.cos(turned), np.sin(turned), -0.5]) @ scene.axes / np.hypot(1.0, 0.5)
         right = np.cross(look, up) / np.linalg.norm(np.cross(look, up))
         axes = np.stack((right, np.cross(right, look), look))
-        seen = points @ axes.T
-        middle = (seen.min(axis=0) + seen.max(axis=0)) / 2
-        x, y, z = (seen - middle).T
-        distance = 1.05 * np.max(np.maximum(np.abs(x) / _ASPECT, np.abs(y)) / _HALF_FIELD - z)
-        at = middle @ axes
-        away = float((scene.centre_m - at) @ look + distance)
+        across, along = (points @ axes.T)[:, :2] / _FIELD, points @ look
+        # Planes through the eye along both edges of the field, pushed against the points.
+        low, high = (along[:, None] - across).min(axis=0), (along[:, None] + across).min(axis=0)
+        eye = np.append(_FIELD * (high - low) / 2, ((low + high) / 2).min()) @ axes
+        away = float((scene.centre_m - eye) @ look)
         if away < nearest:
-            nearest, target, position = away, at, at - distance * look
+            nearest, position, target = away, eye, eye + away * look
     return rrb.EyeControls3D(kind=rrb.Eye3DKind.Orbital, position=position, look_target=target, eye_up=up)

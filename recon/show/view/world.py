@@ -86,18 +86,34 @@ def _write_camera(entity: str, picture: Picture, scene: Scene, log: Log) -> None
         log.send(entity, rr.Transform3D.columns(translation=pose[:, :3, 3], mat3x3=pose[:, :3, :3]))
     else:
         log.fix(entity, rr.Transform3D(translation=pose[:3, 3], mat3x3=pose[:3, :3]))
-    distance = float(np.linalg.norm(scene.centre_m - np.nanmean(pose[..., :3, 3].reshape(-1, 3), axis=0)))
     log.fix(
         entity,
         rr.Pinhole(
             image_from_camera=camera.matrix,
             resolution=camera.image_size_px,
             camera_xyz=rr.ViewCoordinates.RDF,
-            image_plane_distance=max(0.25, 0.15 * distance),
+            image_plane_distance=_frustum_depth_m(picture, scene),
             color=CAMERA,
             line_width=-1.0,  # negative: on the screen, not in metres
         ),
     )
+
+
+def _frustum_depth_m(picture: Picture, scene: Scene) -> float:
+    centre_m = np.nanmean(picture.T_reference_camera[..., :3, 3].reshape(-1, 3), axis=0)
+    return max(0.25, 0.15 * float(np.linalg.norm(scene.centre_m - centre_m)))
+
+
+def frustum_m(picture: Picture, scene: Scene) -> Array:
+    """(N, 3): the corners of what is drawn of a camera, of one that moves in all frames."""
+    wide, high = picture.camera.image_size_px
+    corners = (
+        np.array([[0, 0, 1], [wide, 0, 1], [0, high, 1], [wide, high, 1]]) @ np.linalg.inv(picture.camera.matrix).T
+    )
+    points = np.concatenate([np.zeros((1, 3)), _frustum_depth_m(picture, scene) * corners])
+    poses = picture.T_reference_camera.reshape(-1, 4, 4)
+    poses = poses[np.isfinite(poses).all(axis=(1, 2))]
+    return (points @ poses[:, :3, :3].swapaxes(1, 2) + poses[:, None, :3, 3]).reshape(-1, 3)
 
 
 def _grid(scene: Scene, floor: Floor) -> list[Array]:

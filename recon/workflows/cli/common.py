@@ -125,4 +125,6 @@ def finish(console: Console, report: dict[str, Any], out: Path, as_json: bool = 
         terminal(stderr=True, soft_wrap=True).print(error_text(message))
         raise typer.Exit(EXIT_UNSOLVED)
     if not as_json:
-        say(console, f"Results are in {out}. Watch them with: recon view {shlex.quote(str(out))}")
+        folder = shlex.quote(str(out))
+        say(console, f"Results are in {out}. Watch them with: recon view {folder}")
+        say(console, f"A page with pictures, figures and all numbers: recon report {folder}")
