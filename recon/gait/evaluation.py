@@ -32,7 +32,7 @@ LEVELS = (0.5, 0.9)
 
 
 @dataclass(frozen=True, eq=False)
-class Score:
+class _Score:
     """One metric. NaN where nothing could be scored."""
 
     mean: float
@@ -52,15 +52,15 @@ class Evaluation:
     truth: str
     names: tuple[str, ...]
     frames: np.ndarray
-    mpjpe_m: Score
+    mpjpe_m: _Score
     """Centred on the mean of the frame's common joints."""
-    mpe_m: Score
+    mpe_m: _Score
     """As is."""
-    scale_mpjpe_m: Score
+    scale_mpjpe_m: _Score
     """Centred, with one scale per frame."""
-    pa_mpjpe_m: Score
+    pa_mpjpe_m: _Score
     """After a similarity (Procrustes) per frame."""
-    pck: tuple[tuple[float, Score], ...]
+    pck: tuple[tuple[float, _Score], ...]
     """For each threshold (m), the fraction of centred errors up to it."""
     inside: dict[str, tuple[float, ...]]
     """Of each of `LEVELS` the share of the coordinates within the intervals that the reconstruction states for it, as
@@ -257,10 +257,10 @@ def correct(errors_m: np.ndarray, threshold_m: float) -> np.ndarray:
     return np.where(np.isnan(errors_m), np.nan, errors_m <= threshold_m)
 
 
-def score(values: np.ndarray) -> Score:
+def score(values: np.ndarray) -> _Score:
     """The means of (T, J) values that may be NaN."""
     per_frame = _mean(values, axis=1)
-    return Score(mean=float(_mean(per_frame, axis=0)), per_frame=per_frame, per_joint=_mean(values, axis=0))
+    return _Score(mean=float(_mean(per_frame, axis=0)), per_frame=per_frame, per_joint=_mean(values, axis=0))
 
 
 def centre(pose_m: np.ndarray, truth_m: np.ndarray) -> np.ndarray:

@@ -215,7 +215,7 @@ class Stride:
 
 
 @dataclass(frozen=True)
-class GaitName:
+class _GaitName:
     """What a gait is called."""
 
     name: str
@@ -251,7 +251,7 @@ class Gait:
     stride_frequency_hz: float
     duty_factor: Mapping[str, float]
     speed_m_s: float
-    name: GaitName
+    name: _GaitName
     doubtful: tuple[Stride, ...] = ()
     """Strides that the return of the pose speaks against; none of them is in `strides`."""
 
@@ -598,7 +598,7 @@ def _too_few(feet: Sequence[str]) -> str | None:
 
 def name_gait(
     found: tuple[Stance, ...], taken: tuple[Stride, ...], until_s: float, doubt: str | None = None
-) -> GaitName:
+) -> _GaitName:
     """The gait by the four feet's phases: see `classify`. The stride's period is the median over the strides; without a
     complete one see `classify_within`. until_s: the end of the clip; doubt: why there are no stances, or not of all
     four."""
@@ -607,10 +607,10 @@ def name_gait(
     duty = median(duties), float(np.sqrt(mean([s.duty_sigma**2 for s in taken]) / feet)) if feet else np.nan
     lacking = [foot for foot in FEET if not any(s.foot == foot for s in found)]
     if lacking:
-        return GaitName("unknown", doubt or f"no stance of {', '.join(lacking)}", dict.fromkeys(FEET, np.nan), *duty)
+        return _GaitName("unknown", doubt or f"no stance of {', '.join(lacking)}", dict.fromkeys(FEET, np.nan), *duty)
     if not taken:
         landed = {s.foot: s.start_s for s in reversed(found) if s.begins}
-        return GaitName(*classify_within(landed, until_s), dict.fromkeys(FEET, np.nan), *duty)
+        return _GaitName(*classify_within(landed, until_s), dict.fromkeys(FEET, np.nan), *duty)
     period = float(np.median([s.end_s - s.start_s for s in taken]))
     phase = {"LH": 0.0} | {foot: _lag(found, "LH", foot, period) for foot in ("RH", "LF", "RF")}
     # A foot that never landed together with LH in view may have done so with RH.
@@ -620,7 +620,7 @@ def name_gait(
     name, criterion = classify(phase, duty[0])
     if name in ("walk", "trot", "pace") and 1 - MOST < (share := float(np.mean(duties > 0.5))) < MOST:
         name, criterion = "unknown", f"{criterion}: over 0.5 in {share:.0%} of the strides, walk or run is open"
-    return GaitName(name, criterion, phase, *duty)
+    return _GaitName(name, criterion, phase, *duty)
 
 
 def _lag(found: tuple[Stance, ...], reference: str, foot: str, period_s: float) -> float:

@@ -5,6 +5,7 @@ Pictures are held for a few batches only; what grows with the video are the poin
 
 from __future__ import annotations
 
+import colorsys
 from collections.abc import Generator
 from contextlib import ExitStack, closing
 from itertools import islice
@@ -14,12 +15,12 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
+from recon.base.arrays import Array
 from recon.base.errors import InputError, Problem
 from recon.base.progress import Progress, silent
 from recon.base.settings import Count, Option, Settings
 from recon.clip.keypoints import Keypoints
 from recon.io.video import Image, VideoInfo, probe, read_frames, video_writer
-from recon.keypoint_net.draw import draw_points
 from recon.keypoint_net.labels import resize
 from recon.keypoint_net.network import (
     DEVICE,
@@ -30,6 +31,7 @@ from recon.keypoint_net.network import (
     use_threads,
 )
 from recon.keypoint_net.pictures import ahead, background_of_video
+from recon.show.overlay import Colour, draw_circle
 
 LIKELY = 0.5
 """Points less likely than this are rings in the overlay."""
@@ -86,7 +88,7 @@ def predict_video(trained: Trained, settings: PredictSettings, progress: Progres
             likelihood.append(sure.astype(np.float32))
             if write is not None:
                 for picture, points, how in zip(originals, xy, sure, strict=True):
-                    drawn = draw_points(picture, points, how, LIKELY)
+                    drawn = draw_points(picture, points, how)
                     write(drawn[: drawn.shape[0] // 2 * 2, : drawn.shape[1] // 2 * 2])
             progress(f"frame {numbers[-1]}", min(1.0, len(numbers) / total))
         _check_count(video, info, len(numbers), settings.partial)
@@ -117,3 +119,25 @@ def _check_count(video: Path, info: VideoInfo, decoded: int, partial: bool) -> N
         return
     expected = f"the {stated} that the file states; --partial takes what can be decoded"
     raise InputError(Problem(video, "frames", f"{decoded} that can be decoded", expected))
+
+
+def colours(count: int) -> list[Colour]:
+    """One for each keypoint, blue, green, red: evenly around the colour wheel, bright and dark by turns."""
+    found = []
+    for k in range(count):
+        r, g, b = colorsys.hsv_to_rgb(k / max(count, 1), 0.85, 1.0 if k % 2 == 0 else 0.75)
+        found.append((round(255 * b), round(255 * g), round(255 * r)))
+    return found
+
+
+def draw_points(picture: Image, xy_px: Array, likelihood: Array) -> Image:
+    """A copy with dots at points (K, 2); those less likely than `LIKELY` are rings."""
+    drawn = picture.copy()
+    radius = max(2.0, max(picture.shape[:2]) / 160)
+    for at, how, colour in zip(xy_px, likelihood, colours(len(xy_px)), strict=True):
+        if np.isfinite(at).all():
+            likely = how >= LIKELY
+            if likely:
+                draw_circle(drawn, at, radius + 1, (0, 0, 0), -1)
+            draw_circle(drawn, at, radius if likely else 0.7 * radius, colour, -1 if likely else 1)
+    return drawn

@@ -21,16 +21,21 @@ from recon import __version__
 from recon.base.arrays import Array, Integers, mean, median
 from recon.base.files import write_bytes
 from recon.io import write_rows
-from recon.keypoint_net.draw import draw_comparison
+from recon.io.video import Image
 from recon.keypoint_net.evaluate2d import evaluate_2d, reliability
 from recon.keypoint_net.labels import Labels, extents_px, frames_by_part, sides
 from recon.keypoint_net.network import Trained, calibrated, require_torch
 from recon.keypoint_net.pictures import crop_size
+from recon.keypoint_net.predict import colours
 from recon.keypoint_net.train import State, TrainingRun, calibrated_spec, judge
+from recon.show.overlay import draw_circle, draw_line, draw_text
 from recon.show.plain import to_json
 from recon.show.plots.style import COLOURS, GREY, drawing, plain_logarithm, save
 
 WORST = 6
+LEAST_WIDTH_PX = 560
+"""Smaller pictures are enlarged."""
+LABEL, LINE = (255, 255, 255), (60, 60, 230)
 CURVE_POINTS = 400
 FAR, APART, JUMP = 0.2, 0.15, 0.15
 """Body lengths from which on a label stands out: from the network's point, from the others, from the line in time."""
@@ -143,9 +148,7 @@ def _write_worst(labels: Labels, errors: Array, xy_px: Array, which: Integers, p
         if apart and np.isfinite(errors[i]).any() and len(chosen) < WORST:
             chosen.append(int(i))
     tiles = [
-        draw_comparison(
-            labels.pictures[i], labels.xy_px[i], xy_px[i], f"{labels.images[i]}: mean {mean(errors[i]):.1f} px"
-        )
+        _compared(labels.pictures[i], labels.xy_px[i], xy_px[i], f"{labels.images[i]}: mean {mean(errors[i]):.1f} px")
         for i in chosen
     ]
     size = np.max([t.shape[:2] for t in tiles], axis=0)
@@ -153,6 +156,21 @@ def _write_worst(labels: Labels, errors: Array, xy_px: Array, which: Integers, p
     padded += [np.zeros_like(padded[0])] * (len(padded) % 2)
     rows = [np.hstack(padded[i : i + 2]) for i in range(0, len(padded), 2)]
     write_bytes(path, cv2.imencode(path.suffix, np.vstack(rows))[1].tobytes())
+
+
+def _compared(picture: Image, label_px: Array, xy_px: Array, title: str) -> Image:
+    """A copy, enlarged, with a ring at each label, a dot at its prediction, and a line between them."""
+    factor = max(1, -(-LEAST_WIDTH_PX // picture.shape[1]))
+    drawn = np.asarray(cv2.resize(picture, None, fx=factor, fy=factor, interpolation=cv2.INTER_CUBIC), np.uint8)
+    radius = max(3.0, drawn.shape[1] / 160)
+    for label, at, colour in zip(label_px, xy_px, colours(len(xy_px)), strict=True):
+        if np.isfinite(label).all():
+            a, b = (factor * (p + 0.5) - 0.5 for p in (label, at))
+            draw_line(drawn, a, b, LINE, 1)
+            draw_circle(drawn, a, radius + 1, LABEL, 1)
+            draw_circle(drawn, b, 0.6 * radius, colour, -1)
+    draw_text(drawn, title, (8, 20), 0.5, LABEL)
+    return drawn
 
 
 def _draw_curves(rows: list[dict[str, float]], folder: Path) -> None:
