@@ -30,7 +30,7 @@ from recon import FitSettings, Pose3D, fit_clip, load_skeleton, read_pose3d
 from recon.fit.motion import Motion
 from recon.fit.posterior import radius
 from recon.gait.clip import analyse, gait_of
-from recon.gait.gait import FEET, INTERVAL, Gait, Stance, gait, pose_tracks, stances
+from recon.gait.gait import FEET, INTERVAL, Gait, Stance, gait, match_stances, pose_tracks, stances
 from recon.gait.kinematics import joint_kinematics, spine_flexion
 from recon.gait.phase import field_means, pose_vector_field
 from recon.workflows.clip_results import run_clip
@@ -149,18 +149,6 @@ def sample_row(name: str, pose: Pose3D, fps: int, truth: Pose3D, truth_fps: int,
 
 
 # -- force plates and motion capture ---------------------------------------------------------------------------------
-
-
-def match_stances(first: Sequence[Stance], second: Sequence[Stance]) -> list[tuple[Stance, Stance]]:
-    """Pairs stances of the same foot that overlap, each with the one it overlaps most, if that is mutual."""
-
-    def most(of: Stance, others: Sequence[Stance]) -> Stance | None:
-        shared = [(min(of.end_s, o.end_s) - max(of.start_s, o.start_s), -i) for i, o in enumerate(others)]
-        same = [pair for pair in shared if pair[0] > 0 and others[-pair[1]].foot == of.foot]
-        return others[-max(same)[1]] if same else None
-
-    pairs = [(a, b) for a in first if (b := most(a, second)) is not None]
-    return [(a, b) for a, b in pairs if most(b, first) is a]
 
 
 Events = list[tuple[float, float, bool]]

@@ -18,11 +18,13 @@ from recon.gait.gait import (
     FEET,
     PERIOD_SIGMA,
     SLOW,
+    Stance,
     classify,
     classify_within,
     doubt_text,
     gait,
     ground_plane,
+    match_stances,
     pose_gait,
     pose_period_s,
     pose_return_s,
@@ -217,13 +219,7 @@ def test_events_are_as_uncertain_as_the_paths_and_the_thresholds():
     for _ in range(5):
         noise = 0.02 * np.einsum("st,tjk->sjk", together, rng.normal(size=pose.xyz_m.shape))
         noisy = pose_gait(replace(pose, xyz_m=pose.xyz_m + noise), FPS, errors)
-        near = [
-            (a, b)
-            for a in exact.stances
-            for b in noisy.stances
-            if a.foot == b.foot and abs(a.start_s + a.end_s - b.start_s - b.end_s) < a.duration_s
-        ]
-        for a, b in near:
+        for a, b in match_stances(exact.stances, noisy.stances):
             if a.begins and b.begins:
                 inside.append(abs(b.start_s - a.start_s) < radius(0.9) * b.start_sigma_s)
             if a.ends and b.ends:
@@ -342,6 +338,17 @@ def test_names_do_not_depend_on_where_phases_start():
     for name, (phase, duty) in PATTERNS.items():
         for shift in (0.3, 0.77):
             assert classify({foot: (p + shift) % 1 for foot, p in phase.items()}, duty)[0] == name
+
+
+def test_matching_is_one_to_one():
+    def stance(foot: str, start: float, end: float, begins: bool = True) -> Stance:
+        return Stance(foot, start, end, 10 * start, 10 * end, begins)
+
+    first = (stance("LF", 0.0, 1.0), stance("LF", 2.0, 3.0), stance("RF", 0.0, 1.0, begins=False), stance("LH", 0, 1))
+    second = (stance("LF", 0.1, 0.4), stance("LF", 0.5, 1.2), stance("LF", 2.1, 2.8), stance("RF", 0.3, 0.9))
+    pairs = match_stances(first, second)
+    assert pairs == [(first[0], second[1]), (first[1], second[2]), (first[2], second[3])]
+    assert match_stances((), ()) == []
 
 
 @pytest.mark.parametrize("stride_s", [0.2, 0.4, 0.9])

@@ -465,6 +465,18 @@ def _event_sigma_s(moved: Tracks, k: int, i: int, most_s: float) -> float:
     return min(sigma / max(changes, 1e-9), most_s / radius(INTERVAL))
 
 
+def match_stances(first: Sequence[Stance], second: Sequence[Stance]) -> list[tuple[Stance, Stance]]:
+    """Pairs stances of the same foot that overlap, each with the one it overlaps most, if that is mutual."""
+
+    def most(of: Stance, others: Sequence[Stance]) -> Stance | None:
+        shared = [(min(of.end_s, o.end_s) - max(of.start_s, o.start_s), -i) for i, o in enumerate(others)]
+        same = [pair for pair in shared if pair[0] > 0 and others[-pair[1]].foot == of.foot]
+        return others[-max(same)[1]] if same else None
+
+    pairs = [(a, b) for a in first if (b := most(a, second)) is not None]
+    return [(a, b) for a, b in pairs if most(b, first) is a]
+
+
 # -- strides and gait ------------------------------------------------------------------------------------------------
 
 
