@@ -33,7 +33,7 @@ _TOLERANCE, _ITERATIONS = 3e-3, 12
 CLEAR = float(np.log(1000.0))
 """A hypothesis is worth a closer look, or believed where nothing is like it, if it makes what was seen so many times as
 likely, as a logarithm."""
-MARGIN, WHOLE = 15.0, 30.0
+MARGIN, WHOLE = 20.0, 30.0
 """A swap is believed where it makes a solution so much likelier, as a logarithm, than without it and than any other in
 its place, and where the whole clip with its swaps undone is likelier by the second, as with another frame rate. Far
 more than chance needs: what a model of the animal gets wrong is not noise. Chosen on real clips, by leaving runs out
