@@ -368,7 +368,7 @@ def margin_rows(view: View, name: str, case: Case, folder: Path, **told: Any) ->
         )
     found = []
     for margin in MARGINS:
-        passed = [trial.ratio > margin and trial.lead > margin for trial in trials]
+        passed = [trial.ratio > margin and trial.clear for trial in trials]
         n = min(next((i for i, one in enumerate(passed) if not one), len(passed)), len(ratios) - 1)
         unclear = n < len(trials) and trials[n].ratio > margin
         said = {"wrong": wrong[n].mean(), "mended": ratios[n], "right": right[n], "unclear": unclear}

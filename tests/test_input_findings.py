@@ -32,7 +32,7 @@ from recon.check.inputs.likelier import (
     smaller,
     turned_over,
 )
-from recon.check.inputs.likelihood import CLEAR, MARGIN, baseline_of, refitted, unlikely
+from recon.check.inputs.likelihood import CLEAR, MARGIN, SURE, baseline_of, refitted, unlikely
 from recon.check.inputs.swaps import (
     _Stretch,
     _SwapTrial,
@@ -162,7 +162,7 @@ def test_what_is_not_clear_is_not_said():
     assert unclear.numbers["part"] == "the hind legs"
     assert unclear.numbers["other_part"] == "the fore legs"
     assert (unclear.numbers["other_first"], unclear.numbers["other_last"]) == (124, 139)
-    assert swap_finding(replace(best, ratio=MARGIN + 12.0), source, BODY).code == "left_right_swap"
+    assert swap_finding(replace(best, ratio=SURE + 12.0), source, BODY).code == "left_right_swap"
     assert not any("left-right swap" in flags for flags in flagged(motion_of(plain()), [unclear]).flags)
 
 

@@ -169,7 +169,7 @@ def other_rate(clip: ClipProblem, states: Array, stated_hz: float | None) -> Fin
         return None
     given = _cost(clip, states, 1.0)
     cost, factor = min((_cost(clip, states, factor), factor) for factor in factors)
-    if not (believed(given - cost, of_whole=True) and _known(clip, states, factor)):
+    if not (believed(given - cost, surely=True) and _known(clip, states, factor)):
         return None
     other_hz = clip.fps * factor
     return finding("frame_rate", given_hz=clip.fps, other_hz=other_hz, log_likelihood_ratio=given - cost)

@@ -33,11 +33,10 @@ _TOLERANCE, _ITERATIONS = 3e-3, 12
 CLEAR = float(np.log(1000.0))
 """A hypothesis is worth a closer look, or believed where nothing is like it, if it makes what was seen so many times as
 likely, as a logarithm."""
-MARGIN, WHOLE = 20.0, 30.0
-"""A swap is believed where it makes a solution so much likelier, as a logarithm, than without it and than any other in
-its place, and where the whole clip with its swaps undone is likelier by the second, as with another frame rate. Far
-more than chance needs: what a model of the animal gets wrong is not noise. Chosen on real clips, by leaving runs out
-(docs/benchmarks.md, mistakes)."""
+MARGIN, SURE = 15.0, 30.0
+"""A swap is believed where it makes a solution so much likelier, as a logarithm; by the second where another in its
+place contradicts it, and for the whole clip with all swaps undone, as another frame rate is. Far more than chance
+needs: what a model of the animal gets wrong is not noise. Chosen on real clips (docs/benchmarks.md, mistakes)."""
 TOGETHER = 0.4
 """Keypoints of one limb err together: so much of what they say is each one's own. Chosen on real clips, by leaving runs
 out (docs/benchmarks.md, mistakes)."""
@@ -51,9 +50,9 @@ LOOSE = 2.0
 """Factor on the noise of a fit that does not know which side is which."""
 
 
-def believed(ratio: float, of_whole: bool = False) -> bool:
-    """Whether a swap is, or all of a clip's swaps or its other frame rate, by how much likelier, as a logarithm."""
-    return ratio > (WHOLE if of_whole else MARGIN)
+def believed(ratio: float, surely: bool = False) -> bool:
+    """Whether a hypothesis is, by how much likelier it is, as a logarithm: see `MARGIN`."""
+    return ratio > (SURE if surely else MARGIN)
 
 
 def alone(clip: ClipProblem, view: View) -> ClipProblem:

@@ -186,7 +186,7 @@ class _SwapTrial:
     @property
     def clear(self) -> bool:
         """Which of the two is exchanged."""
-        return believed(self.lead)
+        return self.rival is None or believed(self.lead, surely=True)
 
 
 def tried(given: Baseline, kinds: dict[str, Index]) -> list[_SwapTrial]:
@@ -323,7 +323,7 @@ def mends(mended: TrajectorySolution, given: TrajectorySolution) -> bool:
     """Whether a fit of a clip with its swaps undone is clearly likelier as a whole than that of the clip as it came."""
     before, after = (sum(solution.cost_by_term.values()) for solution in (given, mended))
     likelier = before - after + float(np.nansum(np.log(given.noise_px / mended.noise_px)))
-    return believed(likelier, of_whole=True)
+    return believed(likelier, surely=True)
 
 
 def doubted(one: Finding) -> Finding:
