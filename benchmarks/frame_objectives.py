@@ -42,6 +42,8 @@ CASES: dict[str, tuple[tuple[str, ...], dict[str, str]]] = {
     "f1, base length, priors": ((*SIZE, *PRIORS), {}),
     "all, as by default": (EVERY, {}),
     "all, f2 to f5 as printed": (EVERY, {"form": "printed"}),
+    "all, f1 as printed": (EVERY, {"reprojection": "printed"}),
+    "all as printed": (EVERY, {"form": "printed", "reprojection": "printed"}),
     "f1 to f5, base length, rotation fixed": ((*LIMITS, *SIZE), {"camera_rotation": "fixed"}),
     "all, rotation fixed": (EVERY, {"camera_rotation": "fixed"}),
 }

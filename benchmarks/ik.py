@@ -1,9 +1,9 @@
 """Inverse kinematics: time per step, success rates, iterations and closures, and strides of a folder of real runs.
 
-    python benchmarks/ik.py [FOLDER] [--only steps targets alphas circle costs strides fits held-out]
+    python benchmarks/ik.py [FOLDER] [--only steps targets alphas circle costs strides fits held-out online]
 
 Joints of `cheetah-8u`'s spine and front leg in their level base frame, and of `cheetah-24`'s left front leg. One core,
-warm. Tables in Markdown, as in docs/ik.md. The last three need real runs: each is a folder with truth.csv and meta.json
+warm. Tables in Markdown, as in docs/ik.md. The last four need real runs: each is a folder with truth.csv and meta.json
 (fps), by default those of cheetah-runs in $RECON_SHARED_DATA, or in ../shared/data.
 """
 
@@ -70,6 +70,8 @@ ALPHA_TASKS = 10
 TASKS, SEED = 50, 0
 STEPS, WARM = 4000, 500
 TURNS, POINTS, RADIUS_M = 10, 400, 0.1
+LAST = 3
+"""Frames that a parameter is refitted to on the way."""
 SLOWER = 10
 """Strides are followed in slow motion, so that the limits of the rates do not hold the methods back."""
 UP = np.array([0.0, 0.0, 1.0])
@@ -495,6 +497,23 @@ def print_held_out(folder: Path) -> None:
         print_table([*columns, "joints off, deg"], rows)
 
 
+def print_online(folder: Path) -> None:
+    """Parameters from the strides of all other runs, and refitted at every frame to the animal's rates just before."""
+    data = [Shown.of(leg) for leg in real_legs(folder)["2D"]]
+    print(f"\n2D, {len(data)} strides, explained of the joint rates, percent, median:\n")
+    rows = []
+    for name, fit_of, _ in FITS:
+        kept, online = [], []
+        for s in data:
+            fit, dq = fit_of(s.leg.chain), s.frames.dq[LAST:]
+            method = fit(Frames.joined([o.frames for o in data if o.run != s.run])).method
+            kept.append(100 * explained_by(rates_of(method, s.frames)[LAST:], dq))
+            each = [(fit(s.frames[t - LAST : t]).method, s.frames[t : t + 1]) for t in range(LAST, len(s.frames.q))]
+            online.append(100 * explained_by(np.concatenate([rates_of(*one) for one in each]), dq))
+        rows.append([name, f"{np.median(kept):.0f}", f"{np.median(online):.0f}"])
+    print_table(["method", "from the other runs", f"from the {LAST} frames before"], rows)
+
+
 def held_out_row(
     name: str,
     value: str,
@@ -518,7 +537,7 @@ def main() -> None:
     default = recordings("cheetah-runs")
     tables = {"steps": print_steps, "targets": print_targets, "alphas": print_alphas, "circle": print_circle}
     tables |= {"costs": print_costs}
-    real = {"strides": print_strides, "fits": print_fits, "held-out": print_held_out}
+    real = {"strides": print_strides, "fits": print_fits, "held-out": print_held_out, "online": print_online}
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path, nargs="?", default=default)
     parser.add_argument("--only", nargs="+", choices=[*tables, *real], default=[*tables, *real])

@@ -127,6 +127,7 @@ def test_noisy_gallop(camera_model):
         replace(NOISY, angle_prior="none"),
         replace(NOISY, angle_prior="none", form="printed"),
         replace(NOISY, camera_rotation="fixed"),
+        replace(NOISY, reprojection="printed"),
         replace(NOISY, max_evaluations=3),
     ],
 )
@@ -313,3 +314,17 @@ def test_what_a_clip_may_take_is_bounded(monkeypatch):
     assert all("evaluations that the clip may take" in r.message for r in stopped)
     ample = fit(clip, clip.keypoints, NOISY)
     assert not any(r is not None and r.stopped for r in ample.reports)
+
+
+def test_reprojection_as_printed_is_neither_weighted_nor_robust():
+    """One detection 500 px off and of no confidence: its row is its distance in standard deviations."""
+    clip = gallop(n_frames=1)
+    xy, confidence = near(clip, clip.keypoints.xy_px).copy(), near(clip, clip.keypoints.confidence).copy()
+    pixels = clip.camera.project(SK.pose(mean_start := level_states(1)).joints_m)[0]
+    xy[0], confidence[0, 4] = pixels[0], 0.01
+    xy[0, 4] += (300.0, 400.0)
+    solver, _ = frame._solver(still_view(clip.camera, xy, confidence), SK, 30.0, replace(NOISY, reprojection="printed"))
+    residual, _ = evaluate((replace(solver.reprojection, sigma_px=2.0),), SK, 0, mean_start[0], None, 0.0)
+    expected = np.zeros((9, 2))
+    expected[4] = -150.0, -200.0
+    np.testing.assert_allclose(residual.reshape(9, 2), expected, atol=1e-3)

@@ -43,8 +43,8 @@ def test_derivatives_agree_with_differences(chain):
     for _ in range(5):
         q, mu = rng.normal(size=chain.n), rng.normal(size=chain.dim)
         np.testing.assert_allclose(chain.jacobian(q), differences(chain.end, q), atol=1e-8)
-        np.testing.assert_allclose(chain.hessian(q), differences(chain.jacobian, q), atol=1e-8)
-        np.testing.assert_allclose(chain.derivatives(q)[1](mu), np.tensordot(mu, chain.hessian(q), 1), atol=1e-12)
+        hessian = differences(chain.jacobian, q)
+        np.testing.assert_allclose(chain.derivatives(q)[1](mu), np.tensordot(mu, hessian, 1), atol=1e-8)
 
 
 @pytest.mark.parametrize("chain", CHAINS.values(), ids=CHAINS)

@@ -171,17 +171,6 @@ def test_extended_jacobian_closes_paths_and_least_norm_drifts(dim):
     assert closures["least norm"]["angle"].min() < 95
 
 
-def test_without_correction_the_error_shrinks_with_the_step():
-    chain = front_leg(2)
-    cost = rotational_energy(chain)
-    q = to_null_space_optimum(chain, bent(chain), cost)[0]
-    coarse, fine = (
-        follow(chain, q, circle(chain, q, points=n), ExtendedJacobian(cost), interval_s=2 / n, correct=False)
-        for n in (200, 400)
-    )
-    assert fine.distance_m[-1] == pytest.approx(coarse.distance_m[-1] / 2, rel=0.2)
-
-
 def test_follow_refuses_what_is_no_path():
     chain = front_leg(2)
     with pytest.raises(ValueError, match="closed"):

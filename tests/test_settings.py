@@ -63,6 +63,7 @@ def test_options_of_the_trajectory_method():
 def test_every_solver_option_is_a_setting():
     changed = {
         "form": "printed",
+        "reprojection": "printed",
         "angle_prior": "none",
         "camera_rotation": "fixed",
         "base_length_m": 0.21,

@@ -51,6 +51,8 @@ WARN_FEW_POINTS, WARN_LIMITS = 0.2, 0.25
 """Shares of the solved frames from which few points and angles beyond their ranges are findings."""
 MOST_SIZE = 10.0
 """A base length so many times larger or smaller than expected is no animal's."""
+PLAIN_C = 1e6
+"""In place of `FrameOptions.robust_c` where f1 is as printed: nothing saturates."""
 SIGMA_M = 0.01
 """Of joints that are known in space."""
 SPARE_SEARCHES = 4
@@ -61,14 +63,16 @@ SPARE_SEARCHES = 4
 class FrameOptions:
     """How the frame method weighs and searches.
 
-    form: of f1-f5, see `recon.thesis.objectives`. angle_prior: the Gaussian priors on angles, roll and heading, or
-    none of them. camera_rotation: "fixed" holds R at the first frame's. base_length_m, base_sigma_m: in place of the
-    skeleton's. sigma_px: the detector's noise; keypoint_sigma_m: how far keypoints lie from the model's joints, in
-    place of the skeleton's, and at most keypoint_sigma_max_px in the picture. robust_c: residuals of this many sigmas
-    count half. max_evaluations: of the residuals, in one search, and a frame on average (`SPARE_SEARCHES`).
+    form: of f2-f5, see `recon.thesis.objectives`. reprojection: f1 robust and weighted by confidence, or as
+    printed. angle_prior: the Gaussian priors on angles, roll and heading, or none of them. camera_rotation: "fixed"
+    holds R at the first frame's. base_length_m, base_sigma_m: in place of the skeleton's. sigma_px: the detector's
+    noise; keypoint_sigma_m: how far keypoints lie from the model's joints, in place of the skeleton's, and at most
+    keypoint_sigma_max_px in the picture. robust_c: residuals of this many sigmas count half. max_evaluations: of
+    the residuals, in one search, and a frame on average (`SPARE_SEARCHES`).
     """
 
     form: Form = "deadband"
+    reprojection: Literal["robust", "printed"] = "robust"
     angle_prior: Literal["gaussian", "none"] = "gaussian"
     camera_rotation: Literal["free", "fixed"] = "free"
     base_length_m: float | None = None
@@ -190,8 +194,10 @@ def frame_objectives(
     xy_px (T, J, 2), NaN where missing; confidence (T, J).
     """
     s, form, up = chain.scales, options.form, camera.up
+    printed = options.reprojection == "printed"
+    weights, robust_c = (np.ones_like(confidence), PLAIN_C) if printed else (confidence, options.robust_c)
     terms: list[Objective] = [
-        JointReprojection(camera, xy_px, confidence, options.sigma_px, options.robust_c),
+        JointReprojection(camera, xy_px, weights, options.sigma_px, robust_c),
         AngleRange("theta range", chain.theta_slice, s.softness_rad, form, chain.theta),
         AngleRange("phi range", chain.phi_slice, s.softness_rad, form, chain.phi),
         RateLimit("theta rate", chain.theta_slice, s.softness_rad, form, chain.theta.max_rate_rad_s),
@@ -285,6 +291,8 @@ class FrameSearch:
     """(K,): of the residuals, when the point was accepted."""
     jacobian: Array
     """(M, D), at the minimum."""
+    rows: dict[str, int]
+    """How many of those each term has, in their order."""
 
 
 def frame_search(view: View, chain: Chain, fps: float, options: FrameOptions, states: Array, frame: int) -> FrameSearch:
@@ -306,8 +314,11 @@ def frame_search(view: View, chain: Chain, fps: float, options: FrameOptions, st
         scaled, sigma_px = np.where(scale > 0, scale, 1.0) * step, own_px
         damping.append(max(float(-(scaled @ J.T @ (r + J @ step)) / max(float(scaled @ scaled), 1e-300)), 0.0))
     cost = [0.5 * float(np.sum(at(x, fixed.sigma_px)[0] ** 2)) for x in best.points]
-    jacobian = at(best.points[-1], fixed.sigma_px)[1]
-    return FrameSearch(frame, np.array(cost), np.array(damping), best.evaluations_at, jacobian)
+    terms, x = solver.terms(fixed), best.points[-1]
+    parts = by_term(terms, solver.chain, frame, x, fixed.previous, fixed.dt_s)
+    rows = {term.name: len(r) for term, (r, _) in zip(terms, parts, strict=True)}
+    jacobian = np.concatenate([J for _, J in parts])
+    return FrameSearch(frame, np.array(cost), np.array(damping), best.evaluations_at, jacobian, rows)
 
 
 def _solver(view: View, chain: Chain, fps: float, options: FrameOptions) -> tuple[_FrameSolver, Travel]:

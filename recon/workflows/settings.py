@@ -301,6 +301,10 @@ class FitSettings(Settings):
         Literal["deadband", "printed"],
         _FrameOption("Ranges and rates: deadband (beyond the limit) or printed (two-sided)."),
     ] = "deadband"
+    reprojection: Annotated[
+        Literal["robust", "printed"],
+        _FrameOption("Errors in the picture: robust and weighted by confidence, or as printed."),
+    ] = "robust"
     angle_prior: Annotated[
         Literal["gaussian", "none"], _FrameOption("Gaussian priors on angles and heading: gaussian or none.")
     ] = "gaussian"

@@ -126,11 +126,6 @@ class SerialChain:
         """(dim, n) of the end effector."""
         return self.derivatives(q)[0]
 
-    def hessian(self, q: Array) -> Array:
-        """(dim, n, n)"""
-        curvature = self.derivatives(q)[1]
-        return np.stack([curvature(axis) for axis in np.eye(self.dim)])
-
     def joint_axes(self, q: Array) -> Array:
         """Of a chain of `joint_chain` (n, 3): unit vectors along the joints' axes, in the base frame."""
         return self.tree.derivatives(self._states(q)[0])[1]

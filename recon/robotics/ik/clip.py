@@ -183,9 +183,11 @@ def limb_of(motion: Motion, foot: str | None = None, dim: Dim = 3, limited: bool
     """
     label = _foot_label(motion, foot)
     name = motion.foot_names[label]
-    if motion.chain is not None:
-        return _spine_front_leg(motion, label, dim, limited)
     travel, first_s = body_travel(motion.states), float(motion.time_s[0])
+    if motion.chain is not None:
+        leg = spine_front_leg(motion.chain, motion.size * motion.chain.nominal_base_length_m, dim, limited)
+        q = chain_angles(motion.chain, motion.states, dim=dim)
+        return Limb(name, leg, q, motion.fps, first_s, "UVW", 0.0)
     if dim == 3:
         marker = motion.joints[motion.names.index(name)]
         chain = body_chain(motion.body, marker, motion.size, limited)
@@ -209,14 +211,6 @@ def _foot_label(motion: Motion, foot: str | None) -> str:
         expected = ", ".join(f"{label} ({motion.foot_names[label]})" for label in there) or "a skeleton with feet"
         raise InputError(Problem("--foot", "foot", repr(foot or "none"), expected))
     return found
-
-
-def _spine_front_leg(motion: Motion, label: str, dim: Dim, limited: bool) -> Limb:
-    chain = motion.chain
-    assert chain is not None
-    leg = spine_front_leg(chain, motion.size * chain.nominal_base_length_m, dim, limited)
-    q = chain_angles(chain, motion.states, dim=dim)
-    return Limb(motion.foot_names[label], leg, q, motion.fps, float(motion.time_s[0]), "UVW", 0.0)
 
 
 # -- methods ---------------------------------------------------------------------------------------------------------

@@ -171,13 +171,11 @@ def follow(
     method: Method,
     turns: int = 1,
     interval_s: float = INTERVAL_S,
-    correct: bool = True,
 ) -> Run:
     """Follows a path (K, dim), whose points are an interval apart, from q0 (n,), whose end effector is at its start.
 
-    correct: each step goes from where the end effector is to the next point, and the extended Jacobian (full) keeps
-    G; otherwise the velocities of the path alone are integrated. turns: a closed path (last point = first) again and
-    again. Raises ValueError for a path that is not one.
+    Each step goes from where the end effector is to the next point, and the extended Jacobian (full) keeps G. turns: a
+    closed path (last point = first) again and again. Raises ValueError for a path that is not one.
     """
     path = np.asarray(path_m, float)
     if path.ndim != 2 or len(path) < 2 or path.shape[1] != chain.dim or not np.isfinite(path).all():
@@ -186,14 +184,13 @@ def follow(
     if turns > 1 and not closed:
         raise ValueError("only a closed path can be followed more than once")
     points = np.concatenate([path[:1], *[path[1:]] * turns])
-    method = _with_gain(method, interval_s) if correct else method
-    note = ""
+    method, note = _with_gain(method, interval_s), ""
 
     def ask(k: int, end: Array, last: JointRates, stopped: tuple[int, ...]) -> Array | str:
         nonlocal note
         if not note and last.note:
             note = f"{last.note} (step {k - 1})"
-        return note if k == len(points) - 1 else (points[k + 1] - (end if correct else points[k])) / interval_s
+        return note if k == len(points) - 1 else (points[k + 1] - end) / interval_s
 
     run, q = _moved(chain, inside_limits(chain, np.asarray(q0, float)), ask, method, interval_s)
     again = path[1] - path[0] if closed else path[-1] - path[-2]
