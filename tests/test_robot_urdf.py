@@ -19,6 +19,7 @@ from recon.robotics.ik.methods import (
     weighted_least_norm,
 )
 from recon.robotics.robot.model_file import model_chain, read_model
+from recon.robotics.robot.physics import described, simulated
 from recon.robotics.robot.quadruped import LEGS
 from recon.robotics.robot.robot_file import load_robot
 
@@ -105,6 +106,21 @@ def test_chain_of_an_mjcf_file(tmp_path):
         R, p = found.pose(q)
         np.testing.assert_allclose(R.ravel(), data.body("tip").xmat, atol=1e-12)
         np.testing.assert_allclose(p, data.body("tip").xpos, atol=1e-12)
+
+
+def test_legs_of_an_mjcf_file_end_in_their_feet(tmp_path):
+    """Which are shapes there, not links of their own."""
+    closed, path = load_robot("a1"), tmp_path / "a1.xml"
+    spec = described(closed)
+    spec.compile()
+    path.write_text(spec.to_xml())
+    found = load_robot(path)
+    assert {*found.joints} == {*closed.joints}
+    for label, leg in found.legs.items():
+        np.testing.assert_allclose(leg.neutral_m, closed.legs[label].neutral_m, atol=1e-6)
+        angles = np.linspace(leg.chain.lower_rad, leg.chain.upper_rad, 5).clip(-1, 1)
+        np.testing.assert_allclose(leg.chain.end(angles), closed.legs[label].chain.end(angles), atol=1e-6)
+    assert simulated(found).nv == 18  # free in the world
 
 
 def test_part_of_a_chain(arm):

@@ -11,8 +11,10 @@ from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from recon.base.arrays import Array
 from recon.base.errors import InputError, Problem
 from recon.base.package import install_command
 from recon.robotics.ik.chain import MAX_RATE_RAD_S, SerialChain, joint_chain
@@ -96,6 +98,16 @@ def leaves_of(model: Any) -> list[int]:
     return [k for k in range(1, model.nbody) if k not in model.body_parentid[1:]]
 
 
+def foot_of(model: Any, leaf: int) -> Array:
+    """(3,) in the leaf's axes: its origin, or, of a link that a joint moves, as MJCF files end their legs, the middle
+    of the farthest sphere on it, or else shape."""
+    shapes = [g for g in range(model.ngeom) if model.geom_bodyid[g] == leaf]
+    shapes = [g for g in shapes if model.geom_type[g] == 2] or shapes
+    if not model.body_jntnum[leaf] or not shapes:
+        return np.zeros(3)
+    return np.array(max((model.geom_pos[g] for g in shapes), key=np.linalg.norm))
+
+
 def way_to(model: Any, tip: int, base: int) -> list[int]:
     """The bodies after base as far as tip; empty where the tip does not hang on the base."""
     bodies = []
@@ -110,11 +122,14 @@ def moving(model: Any, bodies: list[int]) -> list[int]:
     return [j for k in bodies for j in range(model.body_jntadr[k], model.body_jntadr[k] + model.body_jntnum[k])]
 
 
-def model_chain(model: Any, path: Path, tip: str, base: str | None = None) -> SerialChain:
+def model_chain(
+    model: Any, path: Path, tip: str, base: str | None = None, end_m: ArrayLike = (0.0, 0.0, 0.0)
+) -> SerialChain:
     """The chain from a body, by default the root, to another, with its limits; fixed joints are part of the links.
 
-    It is in the axes of its base, its end effector the tip's origin, its joints those that move. Joints without limits
-    of their angle turn freely, without one of the rate as fast as `MAX_RATE_RAD_S`. Raises InputError.
+    It is in the axes of its base, its end effector at end_m (3,) in those of the tip, its joints those that move.
+    Joints without limits of their angle turn freely, without one of the rate as fast as `MAX_RATE_RAD_S`. Raises
+    InputError.
     """
     names = body_names(model)
     problems = [Problem(path, "link", repr(n), ", ".join(names)) for n in (base, tip) if n not in (None, *names)]
@@ -138,6 +153,7 @@ def model_chain(model: Any, path: Path, tip: str, base: str | None = None) -> Se
         for j in moving(model, [k]):
             placed.append(here * RigidTransform.from_translation(model.jnt_pos[j]))
             here = RigidTransform.from_translation(-model.jnt_pos[j])
+    here = here * RigidTransform.from_translation(end_m)
     rates = rates_of(path)
     limits = np.where(model.jnt_limited[joints, None], model.jnt_range[joints], [-np.inf, np.inf])
     called = tuple(model.joint(j).name or f"joint {j}" for j in joints)

@@ -59,10 +59,16 @@ def simulated(robot: Quadruped) -> Any:
     """MuJoCo's model (`MjModel`) of the robot, free in the world. Raises InputError for one without masses."""
     if Path(robot.source).suffix.lower() in SUFFIXES:
         return read_model(robot.source, free=True)
+    return described(robot).compile()
+
+
+def described(robot: Quadruped) -> Any:
+    """What MuJoCo makes a model from (`MjSpec`), of a robot that is described by its dimensions. Raises InputError."""
     mujoco = the_mujoco(robot.source)
     if robot.masses is None:
         raise InputError(Problem(robot.source, "masses", "none", "masses and max_torque_n_m (docs/robot.md)"))
     spec, masses = mujoco.MjSpec(), robot.masses
+    spec.compiler.degree = False
     base = spec.worldbody.add_body(name="base", mass=masses.body_kg, inertia=masses.body_inertia_kg_m2)
     base.explicitinertial = True
     base.add_freejoint()
@@ -74,14 +80,15 @@ def simulated(robot: Quadruped) -> Any:
             body = body.add_body(name=name, pos=places[j] - at)
             at, way = places[j], places[j + 1] - places[j]
             limit = masses.max_torque_n_m[j]
-            body.add_joint(name=name, axis=axes[j], actfrclimited=1, actfrcrange=[-limit, limit])
+            within = {"limited": 1, "range": [leg.chain.lower_rad[j], leg.chain.upper_rad[j]]}
+            body.add_joint(name=name, axis=axes[j], actfrclimited=1, actfrcrange=[-limit, limit], **within)
             capsule, sphere = mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_SPHERE
             kind = {"type": capsule, "fromto": [*np.zeros(3), *way]} if np.linalg.norm(way) > 1e-3 else {"type": sphere}
             # Legs meet those of other legs only.
             meet = {"contype": (1 << k) if j else 0, "conaffinity": (15 & ~(1 << k)) if j else 0}
             body.add_geom(**kind, size=[thick, 0, 0], mass=masses.links_kg[j], **meet)
         body.add_geom(type=sphere, pos=way, size=[1e-3, 0, 0], mass=masses.foot_kg, contype=0, conaffinity=0)
-    return spec.compile()
+    return spec
 
 
 def check(motion: RobotMotion, model: Any) -> tuple[Array, dict[str, Array]]:

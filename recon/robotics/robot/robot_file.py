@@ -22,6 +22,7 @@ from recon.robotics.robot.leg import LEG_ANGLES, Leg, Length, Limits, PositiveLe
 from recon.robotics.robot.model_file import (
     SUFFIXES,
     body_names,
+    foot_of,
     leaves_of,
     model_chain,
     moving,
@@ -158,7 +159,7 @@ def _quadruped_of_model(path: Path) -> Quadruped:
     for leaf in leaves_of(model):
         joints = tuple(moving(model, way_to(model, leaf, root)))
         if len(joints) >= 3:
-            chain = model_chain(model, path, names[leaf - 1])
+            chain = model_chain(model, path, names[leaf - 1], end_m=foot_of(model, leaf))
             low = chain.end(_middle(chain.lower_rad, chain.upper_rad))[2]
             if joints not in found or low < found[joints][0]:
                 found[joints] = (low, names[leaf - 1], chain)
