@@ -199,8 +199,8 @@ def solver_matrices(record: SolverRecord) -> Figure:
     from matplotlib.colors import LogNorm
 
     (search, frame), names = _looked_into(record), record.problem.unknowns
-    terms, begins = [*search.rows], np.cumsum([0, *search.rows.values()])[:-1]
-    with drawing(110, title=f"frame {frame}, at the minimum") as figure:
+    counts = np.array([*search.rows.values()])
+    with drawing(140, title=f"frame {frame}, at the minimum") as figure:
         panels = figure.subplots(1, 2)
         J = search.jacobian
         for axes, (matrix, label) in zip(panels, ((J, "|J|"), (J.T @ J, "|J'J|")), strict=True):
@@ -211,7 +211,7 @@ def solver_matrices(record: SolverRecord) -> Figure:
             axes.tick_params(length=0)
             bar = figure.colorbar(image, ax=axes, label=label, extend="min", aspect=40, pad=0.02)
             plain_logarithm(bar.ax.yaxis)
-        panels[0].set_yticks(begins - 0.5, terms, fontsize=SMALL, va="top")
+        panels[0].set_yticks(np.cumsum(counts) - counts / 2 - 0.5, [*search.rows], fontsize=SMALL)
         panels[1].set_yticks(range(len(names)), names, fontsize=SMALL)
     return figure
 
