@@ -223,8 +223,8 @@ def pull_of_the_mode(setting: ClipProblem, solved: Solved) -> float:
         middle_m = setting.body.tree.pose(states).points_m.mean(axis=1)
         by_state = np.zeros(states.shape)
         by_state[:, ROOT] = middle_m / np.sum(middle_m**2, axis=1, keepdims=True) / len(states)
-        H = factored(problem.normal(states).H)
-        followed = H.solve(by_state)
+        H = factored(problem.normal(states).blocks)
+        followed = H.coloured(H.white(by_state))
         variance = float(np.sum(by_state * followed))
         return float(np.log(H.band[0]).sum() + np.log(variance) / 2), variance, followed / variance
 

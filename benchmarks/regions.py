@@ -124,14 +124,13 @@ def drawn(setting: ClipProblem, solved: Solved, rng: np.random.Generator) -> dic
     problem, states = solved.problem, solved.estimate.states
     problem = replace(problem, shared=[*problem.shared, *problem.doubtful], doubtful=())
     normal, (T, D) = problem.normal(states, problem.expected() | dict(solved.estimate.shared)), states.shape
-    own = factored(normal.H)
-    Y = own.solve_many(normal.border)
+    own = factored(normal.blocks)
+    Y = own.coloured(own.white(normal.border))
     S = normal.corner - np.tensordot(normal.border, Y, ((0, 1), (0, 1)))
     shared = np.linalg.solve(np.linalg.cholesky(S).T, rng.normal(size=(len(S), DRAWS)))
     moved, _ = dtbtrs(own.band, rng.normal(size=(T * D, DRAWS)), uplo="L", trans="T")
     moved = np.sqrt(setting.correlation_frames) * (moved.reshape(T, D, DRAWS) - Y @ shared)
     pose = setting.body.tree.pose_with_jacobian(states)
-    assert pose.jacobian is not None
     place = np.einsum("tjid,tdn->ntji", pose.jacobian, moved)
     place += setting.size_sigma * rng.normal(size=(DRAWS, 1, 1, 1)) * pose.points_m
     off = {}

@@ -117,8 +117,6 @@ def test_a_body_fitted_to_itself(body: Body):
     state, size = truth + np.random.default_rng(1).normal(0, 0.05, truth.shape), np.ones(5)
     for _ in range(30):
         posed = body.tree.pose_with_jacobian(state, size)
-        assert posed.jacobian is not None
-        assert posed.d_size is not None
         J = np.concatenate([posed.jacobian, posed.d_size[..., None]], axis=-1).reshape(5, -1, body.n_state + 1)
         step = np.linalg.pinv(J, rcond=1e-6) @ (target - posed.points_m).reshape(5, -1, 1)
         state, size = state + step[:, :-1, 0], size * np.exp(step[:, -1, 0])

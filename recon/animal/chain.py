@@ -278,7 +278,6 @@ class Chain:
         """Joints in the camera frame and their exact derivatives with respect to the state (N, D)."""
         N, J, A = len(state), len(self.joints), self.n_angles
         tree = self._local_tree.pose_with_jacobian(self._local_state(state))
-        assert tree.jacobian is not None
         size = state[:, self.base_index, None, None] / self.nominal_base_length_m
         c_per_size = UVW_BODY @ tree.points_m.transpose(0, 2, 1)  # (N, 3, J)
         p = c_per_size * size + state[:, self.place_slice, None]

@@ -29,7 +29,6 @@ import numpy as np
 
 from recon.base.documents import parse_json, read_content
 from recon.base.errors import InputError, Problem
-from recon.base.files import staged_file, write_bytes
 
 RECORD = "record"
 SMALL = 64
@@ -58,6 +57,8 @@ def save_record(value: Any, path: Path, schema: Mapping[str, Any]) -> None:
         for name, array in {RECORD: np.frombuffer(text.encode(), np.uint8), **packer.arrays}.items():
             with archive.open(zipfile.ZipInfo(f"{name}.npy"), "w", force_zip64=True) as member:
                 np.lib.format.write_array(member, array, allow_pickle=False)
+    from recon.base.files import staged_file, write_bytes
+
     with staged_file(path) as staged:
         write_bytes(staged, made.getvalue())
 

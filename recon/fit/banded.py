@@ -31,51 +31,31 @@ all that come after it: what lies further on matters less and less, as e to the 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Generic, TypeVar
+from functools import cached_property
 
 import numpy as np
-from scipy.linalg import cho_solve_banded, cholesky_banded
+from numpy.lib.stride_tricks import as_strided
+from scipy.linalg import cholesky_banded
+from scipy.linalg.blas import dtrsm
 from scipy.linalg.lapack import dtbtrs
 
-from recon.base.arrays import Array, Index
+from recon.base.arrays import Array
 
-_COLUMNS_AT_ONCE = 32
+_MANY = 32
+"""Right-hand sides that are solved by blocks, all of them at once."""
 _UNKNOWN = 1e-9
 """Part of its own precision that is added to an unknown where rounding leaves no covariance: nothing but a bound."""
 
 
 @dataclass(frozen=True)
-class BlockBanded:
-    """A symmetric block-banded matrix H, by the blocks of its lower triangle.
-
-    blocks (T, W+1, D, D): blocks[t, k] is the block in block row t + k and block column t. blocks[:, 0] are symmetric.
-    Blocks with t + k >= T lie outside and are ignored.
-    """
+class Normal:
+    """Normal equations of a clip, or what a piece of T frames of it has in them: the blocks (T, W+1, D, D) of H, of
+    which [t, k] stands in block row t + k and block column t (those beyond the clip are ignored), its gradient (T, D),
+    and the border of P shared unknowns: border (T, D, P), corner (P, P) and their gradient (P,). P may be 0."""
 
     blocks: Array
-
-    def to_lower_band(self) -> Array:
-        """LAPACK's lower band storage, ((W+1)D, TD) in Fortran order: band[i - j, j] = H[i, j] for i >= j."""
-        T, n_blocks, D, _ = self.blocks.shape
-        P = n_blocks * D
-        columns = np.zeros((T, D, P))  # one column of H each, from its diagonal down
-        for j in range(D):
-            columns[:, j, : P - j] = self.blocks[..., j].reshape(T, P)[:, j:]
-        band = columns.reshape(T * D, P).T
-        last = min(P, T * D)
-        band[:, -last:][np.add.outer(np.arange(P), np.arange(last)) >= last] = 0.0  # what lies outside
-        return band
-
-
-@dataclass(frozen=True)
-class Normal:
-    """Normal equations of a clip, or what a piece of T frames of it has in them: H, whose blocks lead from its frames
-    to those that follow, its gradient (T, D), and the border of P shared unknowns: border (T, D, P), corner (P, P) and
-    their gradient (P,). P may be 0."""
-
-    H: BlockBanded
     gradient: Array
     border: Array
     corner: Array
@@ -89,38 +69,28 @@ class Window:
 
     rows: slice
     piece: Normal
-    factor: Factor
+    factor: _Factor
     white: Array
-
-    @property
-    def own_white(self) -> Array:
-        """(n, D, 1 + P)"""
-        return self.white[: len(self.piece.gradient)]
 
     def solved(self) -> Array:
         """(n, D, 1 + P): H^-1 of the gradient and the border."""
         return self.coloured(self.white)
 
     def coloured(self, white: Array) -> Array:
-        """(n, D, ...): of white values of these frames and those taken along, see `Factor.coloured`."""
+        """(n, D, ...): of white values of these frames and those taken along, see `_Factor.coloured`."""
         return self.factor.coloured(white)[: len(self.piece.gradient)]
 
     def marginal_blocks(self) -> Array:
-        """(n, W+1, D, D), see `Factor.marginal_blocks`."""
+        """(n, W+1, D, D), see `_Factor.marginal_blocks`."""
         return self.factor.marginal_blocks()[: len(self.piece.gradient)]
 
-
-Made = TypeVar("Made")
-
-
-@dataclass(frozen=True)
-class Again(Generic[Made]):
-    """What is made anew each time that it is gone through, a piece at a time."""
-
-    made: Callable[[], Iterator[Made]]
-
-    def __iter__(self) -> Iterator[Made]:
-        return self.made()
+    def reduced(self) -> Array:
+        """(P, P + 1): what is left of the shared unknowns' corner and gradient once these frames are eliminated. The
+        sum over the windows is that of the clip: S and c - Y' b."""
+        flat = self.white[: len(self.piece.gradient)].reshape(-1, self.white.shape[-1])
+        by_frames = flat.T @ flat
+        corner, gradient = self.piece.corner - by_frames[1:, 1:], self.piece.shared_gradient - by_frames[1:, 0]
+        return np.concatenate([corner, gradient[:, None]], axis=1)
 
 
 def step(pieces: Iterable[Normal], damping: float) -> tuple[Array, Array]:
@@ -128,33 +98,11 @@ def step(pieces: Iterable[Normal], damping: float) -> tuple[Array, Array]:
 
     Raises numpy.linalg.LinAlgError if the matrix is not positive definite to rounding.
     """
-    solved: list[Array] = []
-    reduced = Reduced()
-    for window in eliminated(pieces, damping):
-        solved.append(window.solved())
-        reduced.add(window)
-    every = solved[0] if len(solved) == 1 else np.concatenate(solved)
-    if not len(reduced.corner):
-        return -every[..., 0], reduced.gradient
-    schur = reduced.corner + damping * np.eye(len(reduced.corner))
-    shared = -np.asarray(np.linalg.solve(schur, reduced.gradient), dtype=float)
-    return -every[..., 0] - every[..., 1:] @ shared, shared
-
-
-class Reduced:
-    """What is left of the shared unknowns once all frames are eliminated, summed up over the windows: the corner S
-    (P, P) and the gradient c - Y' b (P,)."""
-
-    def __init__(self) -> None:
-        self.corner: Array = np.zeros((0, 0))
-        self.gradient: Array = np.zeros(0)
-
-    def add(self, window: Window) -> None:
-        piece, flat = window.piece, window.own_white.reshape(-1, window.white.shape[-1])
-        by_frames = flat.T @ flat
-        corner, gradient = piece.corner - by_frames[1:, 1:], piece.shared_gradient - by_frames[1:, 0]
-        first = window.rows.start == 0
-        self.corner, self.gradient = (corner, gradient) if first else (self.corner + corner, self.gradient + gradient)
+    both = [(window.solved(), window.reduced()) for window in eliminated(pieces, damping)]
+    solved, reduced = np.concatenate([one for one, _ in both]), np.sum([one for _, one in both], axis=0)
+    corner, gradient = reduced[:, :-1], reduced[:, -1]
+    shared = -np.asarray(np.linalg.solve(corner + damping * np.eye(len(corner)), gradient), dtype=float)
+    return -solved[..., 0] - solved[..., 1:] @ shared, shared
 
 
 def eliminated(pieces: Iterable[Normal], damping: float | Array = 0.0, bounded: bool = False) -> Iterator[Window]:
@@ -167,19 +115,19 @@ def eliminated(pieces: Iterable[Normal], damping: float | Array = 0.0, bounded: 
     piece = next(follow, None)
     while piece is not None:
         ahead, n = next(follow, None), len(piece.gradient)
-        blocks, right = piece.H.blocks, np.concatenate([piece.gradient[..., None], piece.border], axis=2)
+        blocks, right = piece.blocks, np.concatenate([piece.gradient[..., None], piece.border], axis=2)
         if ahead is not None:
-            blocks = np.concatenate([blocks, ahead.H.blocks[:n]])
+            blocks = np.concatenate([blocks, ahead.blocks[:n]])
             taken = [ahead.gradient[:n, :, None], ahead.border[:n]]
             right = np.concatenate([right, np.concatenate(taken, axis=2)])
         if carried is not None:
             blocks = blocks if ahead is not None else blocks.copy()
             of_blocks, of_right = carried
-            for row in range(len(of_blocks)):
+            for row in range(len(of_right)):
                 for column in range(row + 1):
-                    blocks[column, row - column] += of_blocks[row][column]
+                    blocks[column, row - column] += of_blocks[row, :, column]
             right[: len(of_right)] += of_right
-        solved = (factored if bounded else factor)(BlockBanded(blocks), damping)
+        solved = factored(blocks, damping, bounded)
         white = solved.white(right)
         if ahead is not None:
             carried = _carried(solved, white, n)
@@ -187,80 +135,103 @@ def eliminated(pieces: Iterable[Normal], damping: float | Array = 0.0, bounded: 
         start, piece = start + n, ahead
 
 
-def _carried(solved: Factor, white: Array, n: int) -> tuple[list[list[Array]], Array]:
-    """What the elimination of a window's first n frames leaves on the W frames after them: on H by block, and on the
-    right-hand sides (W, D, ...)."""
-    (_, D), P = solved.shape, len(solved.band)
-    width = P - D  # W frames
-    first = n * D - width
-    below = width + np.subtract.outer(np.arange(width), np.arange(width))
-    L21 = np.where(below < P, solved.band[np.minimum(below, P - 1), first + np.arange(width)], 0.0)
+def _carried(solved: _Factor, white: Array, n: int) -> tuple[Array, Array]:
+    """What the elimination of a window's first n frames leaves on the W frames after them: on H (W, D, W, D), and on
+    the right-hand sides (W, D, ...)."""
+    D, width = white.shape[1], solved.width
+    L21 = solved.below(n * D // width - 1, width)
     W = width // D
-    by_block = (-L21 @ L21.T).reshape(W, D, W, D)
     on_right = -L21 @ white[n - W : n].reshape(width, -1)
-    return [[by_block[r, :, c] for c in range(W)] for r in range(W)], on_right.reshape(W, D, -1)
+    return (-L21 @ L21.T).reshape(W, D, W, D), on_right.reshape(W, D, -1)
 
 
 def add_normal(
-    blocks: Array, gradient: Array, frames: Index, stencil: Sequence[int], residual: Array, jacobian: Array
+    blocks: Array, gradient: Array, first: int, stencil: Sequence[int], residual: Array, jacobian: Array
 ) -> None:
     """Add a term's J'J to blocks (T, W+1, D, D) and its J'r to gradient (T, D), in place.
 
-    residual (N, M) and jacobian (N, M, S, D) stand for the frames (N,), all distinct; slot s of the jacobian is by the
-    unknowns of frame + stencil[s]. The stencil's S offsets are distinct and at most W apart.
+    residual (N, M) and jacobian (N, M, S, D) stand for the frames first, first + 1, ...; slot s of the jacobian is by
+    the unknowns of frame + stencil[s]. The stencil's S offsets are distinct and at most W apart.
     """
-    if len(frames) and (frames.min() + min(stencil) < 0 or frames.max() + max(stencil) >= len(blocks)):
+    if len(residual) and (first + min(stencil) < 0 or first + len(residual) + max(stencil) > len(blocks)):
         raise IndexError("the stencil reaches beyond the first or the last frame")  # numpy would wrap around
     for a, column in enumerate(stencil):
-        by_column = jacobian[:, :, a]
-        # within one pair of slots every frame has a target of its own, so += loses nothing
-        gradient[frames + column] += (residual[:, None] @ by_column)[:, 0]
+        by_column, at = jacobian[:, :, a], slice(first + column, first + column + len(residual))
+        gradient[at] += (residual[:, None] @ by_column)[:, 0]
         for b, row in enumerate(stencil):
             if row >= column:
-                blocks[frames + column, row - column] += jacobian[:, :, b].swapaxes(1, 2) @ by_column
+                blocks[at, row - column] += jacobian[:, :, b].swapaxes(1, 2) @ by_column
 
 
 @dataclass(frozen=True)
-class Factor:
-    """The factored system; `factor` makes it. band ((W+1)D, TD): L in LAPACK's lower band storage. shape: (T, D)."""
+class _Factor:
+    """The factored system of T frames; `factored` makes it. band ((W+1)D, TD): L in LAPACK's lower band storage."""
 
     band: Array
-    shape: tuple[int, int]
+    D: int
 
-    def solve(self, gradient: Array) -> Array:
-        """x (T, D) for the right-hand side b (T, D)."""
-        return cho_solve_banded((self.band, True), gradient.ravel(), check_finite=False).reshape(self.shape)
-
-    def solve_many(self, columns: Array) -> Array:
-        """X (T, D, P) for P right-hand sides (T, D, P)."""
-        flat = columns.reshape(len(self.band.T), -1)
-        found = np.empty_like(flat)
-        for first in range(0, flat.shape[1], _COLUMNS_AT_ONCE):  # LAPACK works on copies
-            part = slice(first, first + _COLUMNS_AT_ONCE)
-            found[:, part] = cho_solve_banded((self.band, True), flat[:, part], check_finite=False)
-        return found.reshape(columns.shape)
+    @property
+    def width(self) -> int:
+        """How many rows of L one block of it has here: no row reaches beyond the block before its own."""
+        return max(len(self.band) - self.D, self.D)
 
     def white(self, right: Array) -> Array:
         """L^-1 b of right-hand sides (T, D, ...)."""
-        return self._triangular(right, "N")
+        found, parts = self._parts(right)
+        if found.shape[1] < _MANY:
+            return self._few(found, "N").reshape(right.shape)
+        for i, part in enumerate(parts):
+            if i > 0:
+                part -= self.below(i - 1, len(part)) @ parts[i - 1]
+            dtrsm(1.0, self._lower[i, : len(part), : len(part)], part.T, 1, 1, 1, overwrite_b=1)
+        return found.reshape(right.shape)
 
     def coloured(self, white: Array) -> Array:
         """x (T, D, ...) = L^-T z of z (T, D, ...): of a white z one whose covariance is H's inverse."""
-        return self._triangular(white, "T")
+        found, parts = self._parts(white)
+        if found.shape[1] < _MANY:
+            return self._few(found, "T").reshape(white.shape)
+        for i, part in reversed([*enumerate(parts)]):
+            if i + 1 < len(parts):
+                part -= self.below(i, len(parts[i + 1])).T @ parts[i + 1]
+            dtrsm(1.0, self._lower[i, : len(part), : len(part)], part.T, 1, 1, 0, overwrite_b=1)
+        return found.reshape(white.shape)
 
-    def _triangular(self, right: Array, transposed: str) -> Array:
-        flat = right.reshape(len(self.band.T), -1)
-        found = np.empty_like(flat)
-        for first in range(0, flat.shape[1], _COLUMNS_AT_ONCE):  # LAPACK works on copies
-            part = slice(first, first + _COLUMNS_AT_ONCE)
-            found[:, part], info = dtbtrs(self.band, flat[:, part], uplo="L", trans=transposed)
-            assert info == 0
-        return found.reshape(right.shape)
+    def _few(self, columns: Array, transposed: str) -> Array:
+        """By LAPACK, which takes one column after the other."""
+        return dtbtrs(self.band, columns, uplo="L", trans=transposed)[0]
+
+    def _parts(self, right: Array) -> tuple[Array, list[Array]]:
+        """A copy (TD, ...), and its rows by block."""
+        found = np.array(right, dtype=float, order="C").reshape(self.band.shape[1], -1)
+        return found, [found[first : first + self.width] for first in range(0, len(found), self.width)]
+
+    @cached_property
+    def _lower(self) -> Array:
+        """The blocks of L on its diagonal, which are lower triangles: above it stands what does elsewhere in the band,
+        and in the last one what lies outside."""
+        return self._blocks(0)
+
+    @cached_property
+    def _below(self) -> Array:
+        """The blocks of L below those on its diagonal, beyond the band with what stands elsewhere in it."""
+        return self._blocks(self.width)
+
+    def _blocks(self, down: int) -> Array:
+        P, B, item = len(self.band), self.width, self.band.itemsize
+        count = -(-self.band.shape[1] // B)
+        return as_strided(self.band.T.reshape(-1)[down:], (count, B, B), (B * P * item, item, (P - 1) * item))
+
+    def below(self, i: int, rows: int) -> Array:
+        """The first rows of the block of L below the i-th on its diagonal."""
+        inside = np.subtract.outer(np.arange(rows), np.arange(self.width)) < len(self.band) - self.width
+        return np.where(inside, self._below[i, :rows], 0.0)
 
     def marginal_blocks(self) -> Array:
         """(T, W+1, D, D), the inverse's blocks: [t, k] is the covariance of frame t + k (rows) with frame t (columns),
         of which [:, 0] are the frames' own; zero where t + k >= T."""
-        (T, D), P = self.shape, len(self.band)
+        D, P = self.D, len(self.band)
+        T = self.band.shape[1] // D
         columns = self.band.T.reshape(T, D, P)
         rows = np.zeros((T, D, P))  # rows[t] is L_tt', L_t+1,t', ... at first, and Z[t, t], Z[t, later] in the end
         for j in range(D):
@@ -283,25 +254,36 @@ class Factor:
         return rows.reshape(T, D, P // D, D).transpose(0, 2, 3, 1)
 
 
-def factor(H: BlockBanded, damping: float | Array = 0.0) -> Factor:
-    """Factor H, with damping added to its diagonal: (T, D), or what is that for all frames or unknowns.
+def factored(blocks: Array, damping: float | Array = 0.0, bounded: bool = False) -> _Factor:
+    """The factor of H, of which these are the blocks (T, W+1, D, D), with damping added to its diagonal: (T, D), or
+    what is that for all frames or unknowns.
 
-    Raises numpy.linalg.LinAlgError if that is not positive definite.
+    Raises numpy.linalg.LinAlgError if that is not positive definite. bounded: where nothing determines an unknown, as
+    the place of a frame beside a single other one, it is held so weakly that its variance is that of nothing known.
     """
-    T, _, D, _ = H.blocks.shape
-    band = H.to_lower_band()
+    T, _, D, _ = blocks.shape
+    band = lower_band(blocks)
     band[0] += np.broadcast_to(damping, (T, D)).ravel()
-    band = cholesky_banded(band, lower=True, overwrite_ab=True, check_finite=False)
-    if not np.isfinite(band[0]).all():  # LAPACK lets NaN pass
-        raise np.linalg.LinAlgError("a matrix that is not finite is not positive definite")
-    return Factor(band, (T, D))
-
-
-def factored(H: BlockBanded, damping: float | Array = 0.0) -> Factor:
-    """H's factor; where nothing determines an unknown, as the place of a frame beside a single other one, it is held so
-    weakly that its variance is that of nothing known."""
     try:
-        return factor(H, damping)
+        band = cholesky_banded(band, lower=True, overwrite_ab=True, check_finite=False)
+        if not np.isfinite(band[0]).all():  # LAPACK lets NaN pass
+            raise np.linalg.LinAlgError("a matrix that is not finite is not positive definite")
     except np.linalg.LinAlgError:
-        own = np.diagonal(H.blocks[:, 0], axis1=1, axis2=2)
-        return factor(H, _UNKNOWN * np.maximum(own, 1.0) + damping)
+        if not bounded:
+            raise
+        own = np.diagonal(blocks[:, 0], axis1=1, axis2=2)
+        return factored(blocks, _UNKNOWN * np.maximum(own, 1.0) + damping)
+    return _Factor(band, D)
+
+
+def lower_band(blocks: Array) -> Array:
+    """LAPACK's lower band storage, ((W+1)D, TD) in Fortran order: band[i - j, j] = H[i, j] for i >= j."""
+    T, n_blocks, D, _ = blocks.shape
+    P = n_blocks * D
+    columns = np.zeros((T, D, P))  # one column of H each, from its diagonal down
+    for j in range(D):
+        columns[:, j, : P - j] = blocks[..., j].reshape(T, P)[:, j:]
+    band = columns.reshape(T * D, P).T
+    last = min(P, T * D)
+    band[:, -last:][np.add.outer(np.arange(P), np.arange(last)) >= last] = 0.0  # what lies outside
+    return band

@@ -8,8 +8,8 @@ beside it, and the size, which the states follow.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
@@ -22,20 +22,12 @@ from recon.fit.terms import SIDESLIP, SIZE, time_offset
 from recon.geometry.kinematics import ROOT
 
 
-@dataclass(frozen=True, eq=False)
-class SegmentProblem:
-    """What a segment of T frames was solved for, at its solution: states (T, D), about the clip's origin and at nominal
-    size, and the unknowns that its frames share, by name."""
-
-    segment: MotionSegment
-    problem: LeastSquares
-    states: Array
-    shared: Mapping[str, Array]
-
-
-def at_solution(clip: ClipProblem, solution: TrajectorySolution) -> Iterator[SegmentProblem]:
-    """The noise of the joints is the solution's, the mean of several segments; contacts follow from the solution. A
-    segment with a frame that ran away is left out."""
+def at_solution(
+    clip: ClipProblem, solution: TrajectorySolution
+) -> Iterator[tuple[MotionSegment, LeastSquares, Estimate]]:
+    """Every segment with what it was solved for, and its solution: states (T, D) about the clip's origin and at nominal
+    size, and the unknowns that its frames share. The noise of the joints is the solution's, the mean of several
+    segments; contacts follow from the solution. A segment with a frame that ran away is left out."""
     told_px = np.array([[mean(of_joint) for of_joint in noise_px.T] for noise_px in solution.noise_px])
     size = solution.size if clip.shows_size else 1.0
     told = {time_offset(i): np.array([later]) for i, later in enumerate(solution.time_offset_frames)}
@@ -52,7 +44,8 @@ def at_solution(clip: ClipProblem, solution: TrajectorySolution) -> Iterator[Seg
         stand = clip.options.ground == "auto" and len(part.feet) > 0 and len(found) > 2
         problem = part.problem(noise_px, 1.0, contacts(part, points, size)[2] if stand else (), points, size)
         # refined cameras are in place
-        yield SegmentProblem(segment, problem, found, {n: (problem.expected() | told)[n] for n in problem.columns})
+        shared = {name: (problem.expected() | told)[name] for name in problem.columns}
+        yield segment, problem, Estimate(found, 0.0, 0, True, shared)
 
 
 def draws(clip: ClipProblem, solution: TrajectorySolution, count: int, seed: int = 0) -> list[TrajectorySolution]:
@@ -61,16 +54,16 @@ def draws(clip: ClipProblem, solution: TrajectorySolution, count: int, seed: int
     rng = np.random.default_rng(seed)
     sizes = solution.size + solution.size_sigma * rng.normal(size=count)
     states = np.full((count, *solution.states.shape), np.nan)
-    for one in at_solution(clip, solution):
-        known = curvature(one.problem, Estimate(one.states, 0.0, 0, True, one.shared), clip.correlation_frames)
-        white = rng.normal(size=(*one.states.shape, count))
+    for segment, problem, found in at_solution(clip, solution):
+        known = curvature(problem, found, clip.correlation_frames)
+        white = rng.normal(size=(*found.states.shape, count))
         others = known.root @ rng.normal(size=(len(known.root), count))
-        first = one.segment.rows.start
-        for window in known.windows():
-            rows, taken = window.of.rows, slice(window.of.rows.start, window.of.rows.start + len(window.of.white))
-            steps = window.of.coloured(white[taken]) - window.others @ others
-            steps = np.sqrt(clip.correlation_frames) * steps + window.by_size[..., None] * (sizes - solution.size)
-            states[:, first + rows.start : first + rows.stop] = one.states[rows] + np.moveaxis(steps, 2, 0)
+        first = segment.rows.start
+        for window, by_others, by_size in known.windows():
+            rows, taken = window.rows, slice(window.rows.start, window.rows.start + len(window.white))
+            steps = window.coloured(white[taken]) - by_others @ others
+            steps = np.sqrt(clip.correlation_frames) * steps + by_size[..., None] * (sizes - solution.size)
+            states[:, first + rows.start : first + rows.stop] = found.states[rows] + np.moveaxis(steps, 2, 0)
     return [_drawn(clip, solution, of_one, size) for of_one, size in zip(states, sizes.tolist(), strict=True)]
 
 

@@ -25,7 +25,7 @@ from recon.base.arrays import Array
 from recon.base.progress import Progress, silent
 from recon.clip import View
 from recon.fit import constants
-from recon.fit.banded import factored
+from recon.fit.banded import eliminated
 from recon.fit.clip_problem import ClipProblem
 from recon.fit.least_squares import Shared
 from recon.fit.terms import OnGround, extrinsic_correction, time_offset
@@ -256,9 +256,8 @@ def _reduced(clip: ClipProblem, solved: Solved) -> _Reduced:
         doubtful=(),
     )
     normal = problem.normal(solved.estimate.states, problem.expected() | dict(solved.estimate.shared))
-    Y = factored(normal.H).solve_many(np.concatenate([normal.border, normal.gradient[..., None]], axis=2))
-    corner = np.concatenate([normal.corner, normal.shared_gradient[:, None]], axis=1)
-    S = corner - np.tensordot(normal.border, Y, ((0, 1), (0, 1)))
+    (window,) = eliminated([normal], bounded=True)
+    Y, S = np.roll(window.solved(), -1, axis=2), window.reduced()
     n = len(S) - 6 * V
     own = np.asarray(np.linalg.solve(S[:n, :n], S[:n, n:]), dtype=float)
     left = S[n:, n:] - S[n:, :n] @ own

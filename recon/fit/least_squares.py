@@ -15,14 +15,14 @@ them together, and damping relative to the diagonal would freeze it.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 
 from recon.base.arrays import Array
-from recon.fit.banded import Again, BlockBanded, Normal, add_normal, step
+from recon.fit.banded import Normal, add_normal, step
 from recon.fit.terms import COMMON_KEYPOINT_BIAS, Linear, Span, Term
 from recon.geometry.kinematics import Tree
 
@@ -110,9 +110,7 @@ class LeastSquares:
         total = sum(float(np.sum(term.residual(states) ** 2)) for term in self.linear)
         for span in self.spans(states, self.expected(), jacobian=True):
             for term in self.terms:
-                residual = term.evaluate(span, jacobian=True).residual
-                assert residual is not None
-                total += float(np.sum(residual**2))
+                total += float(np.sum(term.evaluate(span, jacobian=True).residual ** 2))
         return total
 
     def cost(self, states: Array, shared: Mapping[str, Array] | None = None) -> float:
@@ -123,12 +121,13 @@ class LeastSquares:
         (whole,) = self._pieces(states, shared, [len(states)])
         return whole
 
-    def normals(self, states: Array, shared: Mapping[str, Array] | None = None) -> Iterable[Normal]:
-        """The same in pieces, which are made anew each time that they are gone through, unless the clip is short."""
+    def normals(self, states: Array, shared: Mapping[str, Array] | None = None) -> Callable[[], Iterable[Normal]]:
+        """The same in pieces, which are made anew with each call, unless the clip is short."""
         T = len(states)
-        if 2 * self.piece >= T:
-            return [self.normal(states, shared)]
-        return Again(lambda: self._pieces(states, shared, [*range(self.piece, T - self.piece, self.piece), T]))
+        if 2 * self.piece < T:
+            return lambda: self._pieces(states, shared, [*range(self.piece, T - self.piece, self.piece), T])
+        whole = [self.normal(states, shared)]
+        return lambda: whole
 
     def _pieces(self, states: Array, shared: Mapping[str, Array] | None, stops: Sequence[int]) -> Iterator[Normal]:
         """stops: where each piece ends; all but the last are multiples of `_FRAMES_AT_ONCE`."""
@@ -158,20 +157,21 @@ class LeastSquares:
             while span is not None and span.first < stop:
                 for term in self.terms:
                     rows = term.evaluate(span, jacobian=True)
-                    assert rows.residual is not None
-                    assert rows.jacobian is not None
-                    frames = rows.frames - start
-                    add_normal(blocks, gradient, frames, term.stencil, rows.residual, rows.jacobian)
-                    for name, by_own in rows.by_shared.items():
-                        own = columns[name]
-                        for slot, offset in enumerate(term.stencil):
-                            border[frames + offset, :, own] += rows.jacobian[:, :, slot].swapaxes(1, 2) @ by_own
-                        for other, by_other in rows.by_shared.items():
-                            corner[own, columns[other]] += np.tensordot(by_own, by_other, ((0, 1), (0, 1)))
-                        shared_gradient[own] += np.tensordot(by_own, rows.residual, ((0, 1), (0, 1)))
+                    first = span.first - start
+                    add_normal(blocks, gradient, first, term.stencil, rows.residual, rows.jacobian)
+                    if not rows.by_shared:
+                        continue
+                    own = np.concatenate([np.r_[columns[name]] for name in rows.by_shared])
+                    by_shared = np.concatenate([*rows.by_shared.values()], axis=2)
+                    for slot, offset in enumerate(term.stencil):
+                        at = slice(first + offset, first + offset + len(by_shared))
+                        border[at, :, own] += rows.jacobian[:, :, slot].swapaxes(1, 2) @ by_shared
+                    flat = by_shared.reshape(-1, len(own))
+                    corner[np.ix_(own, own)] += flat.T @ flat
+                    shared_gradient[own] += flat.T @ rows.residual.ravel()
                 span = next(spans, None)
             over = (blocks[n], gradient[n], border[n]) if more else None
-            yield Normal(BlockBanded(blocks[:n]), gradient[:n], border[:n], corner, shared_gradient)
+            yield Normal(blocks[:n], gradient[:n], border[:n], corner, shared_gradient)
             start = stop
 
     def minimise(
@@ -201,7 +201,7 @@ class LeastSquares:
         normals, damping = self.normals(here.states, here.shared), here.damping
         while damping <= _MOST_DAMPING:
             try:
-                moved, shared_step = step(normals, damping)
+                moved, shared_step = step(normals(), damping)
                 for share in _SHORTER:
                     trial = here.states + share * moved
                     shared = {name: here.shared[name] + share * shared_step[own] for name, own in self.columns.items()}

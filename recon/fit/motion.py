@@ -15,8 +15,6 @@ from recon.animal.body import Body, Side
 from recon.animal.chain import Chain
 from recon.base.arrays import Array, Bools, Integers, median
 from recon.base.errors import InputError, Problem
-from recon.base.manifest import MANIFEST, read_manifest
-from recon.base.records import load_record, save_record
 from recon.clip import Source, world_from_reference
 from recon.clip.keypoints import CleaningReport, Keypoints
 from recon.fit.result import OUTLIER_SIGMAS, Finding, MotionSegment, Solution, Verdict
@@ -31,6 +29,19 @@ if TYPE_CHECKING:
 MOTION = "motion.npz"
 SCHEMA = {"name": "recon.motion", "version": 1}
 EXPECTED = "the motion that `recon fit` or `Motion.save` wrote"
+_SHAPES = {
+    "states": "TD",
+    "joints_m": "TJ3",
+    "covariance_m2": "TJ33",
+    "relative_covariance_m2": "TJ33",
+    "angle_sigma_rad": "TA",
+    "angle_data_share": "TA",
+    "noise_px": "VTJ",
+    "weight": "VTJ",
+    "alternative_m": "T",
+    "contact": "TF",
+}
+"""Of a solution's arrays: T frames, J joints, V views, D unknowns a frame, A angles, F feet."""
 MEASURED_SHARE = 0.5
 """A quantity with less of its precision from the pixels is not called measured."""
 _REPORT, _CONFIG = "report.json", "config.toml"
@@ -159,6 +170,8 @@ class Motion:
     def save(self, folder: str | Path) -> Path:
         """Write motion.npz into a folder, which is made if need be, whole or not at all; its path. `load` gives back
         the same motion, bit for bit."""
+        from recon.base.records import save_record
+
         path = Path(folder) / MOTION
         save_record(self, path, SCHEMA)
         return path
@@ -169,6 +182,9 @@ class Motion:
 
         Raises InputError where there is none, where it is damaged or of another version, and where the folder holds
         what an interrupted run left, or the files of several runs."""
+        from recon.base.manifest import MANIFEST, read_manifest
+        from recon.base.records import load_record
+
         folder = Path(folder)
         path = folder / MOTION
         if not path.is_file():
@@ -187,33 +203,20 @@ class Motion:
 
     def _misfits(self) -> list[tuple[str, str, str]]:
         """Arrays whose shapes do not fit each other: their names, the shapes that they have, and those expected."""
-        T, J, solution = len(self.frames), len(self.joints), self.solution
-        V, D, F = len(self.sources), self.body.n_state, len(self.body.feet)
-        shapes: dict[str, tuple[int, ...]] = {
-            "states": (T, D),
-            "joints_m": (T, J, 3),
-            "covariance_m2": (T, J, 3, 3),
-            "relative_covariance_m2": (T, J, 3, 3),
-            "angle_sigma_rad": (T, D - YAW),
-            "angle_data_share": (T, D - YAW),
-            "noise_px": (V, T, J),
-            "weight": (V, T, J),
-            "alternative_m": (T,),
-            "contact": (T, F),
-        }
-        found = {f"solution.{name}": (getattr(solution, name).shape, shape) for name, shape in shapes.items()}
-        found["solution.flags"] = ((len(solution.flags),), (T,))
-        found["solution.views"] = ((len(solution.views),), (V,))
-        for number, source in enumerate(self.sources):
-            keypoints, poses = source.keypoints, source.poses
-            found[f"sources.{number}.keypoints.frames"] = (keypoints.frames.shape, (T,))
-            found[f"sources.{number}.keypoints.xy_px"] = (keypoints.xy_px.shape, (T, J, 2))
-            found[f"sources.{number}.keypoints.confidence"] = (keypoints.confidence.shape, (T, J))
-            if poses is not None:
-                found[f"sources.{number}.poses.T_camera_world"] = (poses.T_camera_world.shape, (T, 4, 4))
-        for number, view in enumerate(solution.views):
-            found[f"solution.views.{number}.xy_px"] = (view.xy_px.shape, (T, J, 2))
-        return [(name, str(shape), str(fits)) for name, (shape, fits) in found.items() if shape != fits]
+        sizes = {"T": len(self.frames), "J": len(self.joints), "V": len(self.sources), "D": self.body.n_state}
+        sizes |= {"F": len(self.body.feet), "A": self.body.n_state - YAW, "2": 2, "3": 3, "4": 4}
+        solution = self.solution
+        arrays = {f"solution.{name}": (getattr(solution, name), letters) for name, letters in _SHAPES.items()}
+        arrays["solution.flags"] = (np.zeros(len(solution.flags)), "T")
+        arrays["solution.views"] = (np.zeros(len(solution.views)), "V")
+        for i, source in enumerate(self.sources):
+            for name, letters in (("frames", "T"), ("xy_px", "TJ2"), ("confidence", "TJ")):
+                arrays[f"sources.{i}.keypoints.{name}"] = (getattr(source.keypoints, name), letters)
+            if source.poses is not None:
+                arrays[f"sources.{i}.poses.T_camera_world"] = (source.poses.T_camera_world, "T44")
+        arrays |= {f"solution.views.{i}.xy_px": (view.xy_px, "TJ2") for i, view in enumerate(solution.views)}
+        fits = {name: tuple(sizes[letter] for letter in letters) for name, (_, letters) in arrays.items()}
+        return [(name, str(of.shape), str(fits[name])) for name, (of, _) in arrays.items() if of.shape != fits[name]]
 
     def __post_init__(self) -> None:
         if self.keypoints.fps is None:

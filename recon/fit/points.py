@@ -120,8 +120,6 @@ def _normal_equations(
     entry; then its gradient (N,)."""
     N, D = states.shape
     pose = body.tree.pose_with_jacobian(states, size)
-    assert pose.jacobian is not None
-    assert pose.d_size is not None
     jacobian = (pose.jacobian * weight[..., None, None]).reshape(N, -1, D)
     residual = ((pose.points_m - targets) * weight[..., None]).reshape(N, -1)
     d_size = (pose.d_size * weight[..., None]).reshape(N, -1)

@@ -24,7 +24,7 @@ variable of Fisher's F with k and nu degrees of freedom.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -34,7 +34,7 @@ from recon.animal.body import Body
 from recon.animal.prior import ANGLES
 from recon.base.arrays import Array
 from recon.fit import constants
-from recon.fit.banded import Again, Normal, Reduced, Window, eliminated
+from recon.fit.banded import Normal, Window, eliminated
 from recon.fit.least_squares import Estimate, LeastSquares
 from recon.fit.terms import COMMON_KEYPOINT_BIAS, PRIOR_TERMS, SIZE, size_of
 from recon.geometry.kinematics import ROOT, YAW, TreePose
@@ -76,23 +76,13 @@ class Posterior:
         return np.clip(1.0 - with_pixels / without, 0.0, 1.0)
 
 
-@dataclass(frozen=True)
-class KnownWindow:
-    """n frames of a clip with D unknowns each, at the solution: their window of the normal equations; how they move
-    with the P unknowns that all frames share besides the size (n, D, P), and with the size (n, D)."""
-
-    of: Window
-    others: Array
-    by_size: Array
-
-
 @dataclass(frozen=True, eq=False)
-class Curvature:
+class _Curvature:
     """Of a problem at its solution: the normal equations in pieces and their windows, a root (P, P) of the covariance
     of the P unknowns that all frames share besides the size, and the precision (1 + P, 1 + P) of all that is shared."""
 
-    normals: Iterable[Normal]
-    eliminated: Iterable[Window]
+    normals: Callable[[], Iterable[Normal]]
+    eliminated: Callable[[], Iterable[Window]]
     root: Array
     others_by_size: Array
     """(P,): how the others follow the size."""
@@ -103,29 +93,31 @@ class Curvature:
     """(J,): by how much the variance of the keypoint bias that all cameras share is larger than expected. Perhaps the
     animal's lengths are others, and then the joint lies where the keypoints are, not the marker."""
 
-    def windows(self) -> Iterator[KnownWindow]:
+    def windows(self) -> Iterator[tuple[Window, Array, Array]]:
+        """Each with how its n frames move with the P unknowns besides the size (n, D, P), and with the size (n, D)."""
         size = len(self.shared_precision) - len(self.root)  # it comes first
-        for window in self.eliminated:
+        for window in self.eliminated():
             follows = window.solved()[..., 1:]
             others = follows[..., size:]
             by_size = -follows[..., 0] - others @ self.others_by_size if size else np.zeros(others.shape[:2])
-            yield KnownWindow(window, others, by_size)
+            yield window, others, by_size
 
 
-def curvature(problem: LeastSquares, found: Estimate, variance_factor: float) -> Curvature:
+def curvature(problem: LeastSquares, found: Estimate, variance_factor: float) -> _Curvature:
     """With the unknowns that are taken for what is expected of them (`LeastSquares.doubtful`) as free, and the keypoint
     bias that all cameras share as wide as they show it. variance_factor: see `posterior`."""
     problem = replace(problem, shared=[*problem.shared, *problem.doubtful], doubtful=())
-    normals, reduced = problem.normals(found.states, problem.expected() | dict(found.shared)), Reduced()
-    windows: Iterable[Window] = Again(lambda: eliminated(normals, bounded=True))
-    if isinstance(normals, list):  # a short clip
-        windows = [*windows]
-    for window in windows:
-        reduced.add(window)
-    S, first, beyond_m2 = reduced.corner, int(SIZE in problem.columns), 0.0
+    normals = problem.normals(found.states, problem.expected() | dict(found.shared))
+
+    def windows() -> Iterable[Window]:
+        return eliminated(normals(), bounded=True)
+
+    kept = [*windows()] if 2 * problem.piece >= len(found.states) else None  # of a short clip
+    reduced = np.sum([window.reduced() for window in kept or windows()], axis=0)
+    S, first, beyond_m2 = reduced[:, :-1].copy(), int(SIZE in problem.columns), 0.0
     if (own := problem.columns.get(COMMON_KEYPOINT_BIAS)) is not None:
         (variance_m2,) = (u.sigma**2 for u in problem.shared if u.name == COMMON_KEYPOINT_BIAS)
-        wider = _wider(reduced, own, variance_m2, variance_factor)
+        wider = _wider(S, reduced[:, -1], own, variance_m2, variance_factor)
         S[own, own] += np.diag((1.0 / wider - 1.0) / variance_m2)
         beyond_m2 = (wider - 1.0) * variance_m2[::3]
     of_others, known = np.linalg.inv(S[first:, first:]), 0.0
@@ -134,14 +126,15 @@ def curvature(problem: LeastSquares, found: Estimate, variance_factor: float) ->
         others_by_size = -of_others @ S[1:, 0]
         known = float(S[0, 0] + S[0, 1:] @ others_by_size - problem.shared[0].sigma[0] ** -2)
     root = np.asarray(np.linalg.cholesky(of_others), dtype=float)
-    return Curvature(normals, windows, root, others_by_size, S, max(known, 0.0), beyond_m2)
+    return _Curvature(
+        normals, windows if kept is None else lambda: kept, root, others_by_size, S, max(known, 0.0), beyond_m2
+    )
 
 
-def _wider(reduced: Reduced, own: slice, variance: Array, variance_factor: float) -> float:
+def _wider(S: Array, g: Array, own: slice, variance: Array, variance_factor: float) -> float:
     """The likeliest factor on the expected variances of some shared unknowns, by expectation and maximisation; 1 at
     least."""
-    S, g, every = reduced.corner, reduced.gradient, np.arange(len(reduced.gradient))
-    rest = np.delete(every, own)
+    rest = np.delete(np.arange(len(g)), own)
     across = np.linalg.solve(S[np.ix_(rest, rest)], S[rest, own]).T
     precision, pull, wider = S[own, own] - across @ S[rest, own], g[own] - across @ g[rest], 1.0
     for _ in range(_WIDER_ROUNDS):
@@ -160,26 +153,26 @@ def posterior(problem: LeastSquares, body: Body, found: Estimate, variance_facto
     priors = replace(problem, terms=[term for term in problem.terms if term.name != "reprojection"], shared=())
     D, without = len(states[0]), priors.normals(states)
     parts, variances, expected = [], [], []
-    for window in known.windows():  # one after the other: a window is large
-        own, rows = window.of.marginal_blocks()[:, 0], window.of.rows
+    for window, others, follows in known.windows():  # one after the other: a window is large
+        own, rows = window.marginal_blocks()[:, 0], window.rows
         for first in range(0, len(own), _FRAMES_AT_ONCE):
-            lasting = window.others[first : first + _FRAMES_AT_ONCE] @ known.root
+            lasting = others[first : first + _FRAMES_AT_ONCE] @ known.root
             own[first : first + _FRAMES_AT_ONCE] += lasting @ lasting.swapaxes(1, 2)
-        of_joints = _of_joints(body, states[rows], own, size, window.by_size)
-        parts.append((*of_joints, _of_angles(own), window.by_size))
-    for normals in (Again(lambda: map(_frames_only, known.normals)), without):
+        of_joints = _of_joints(body, states[rows], own, size, follows)
+        parts.append((*of_joints, _of_angles(own), follows))
+    for normals in (map(_frames_only, known.normals()), without()):
         for window in eliminated(normals, _at_place(D, _HELD), bounded=True):
             variances.append(_about_mean(body, states[window.rows], window.marginal_blocks()[:, 0]))
-    for window in eliminated(without, _at_place(D, _HARDLY), bounded=True):
+    for window in eliminated(without(), _at_place(D, _HARDLY), bounded=True):
         expected.append(_of_angles(window.marginal_blocks()[:, 0]))
-    absolute, relative, by_size, angles, state_by_size = (_joined(of) for of in zip(*parts, strict=True))
+    absolute, relative, by_size, angles, state_by_size = (np.concatenate(of) for of in zip(*parts, strict=True))
     beyond_m2 = np.multiply.outer(known.beyond_m2, np.eye(3))
     absolute, relative = absolute + beyond_m2, relative + beyond_m2
     return Posterior(
         covariance_m2=variance_factor * absolute,
         relative_covariance_m2=variance_factor * relative,
-        data_share=_data_share(*np.split(_joined(variances), 2)),
-        angle_variance=variance_factor * np.stack([angles, _joined(expected)]),
+        data_share=_data_share(*np.split(np.concatenate(variances), 2)),
+        angle_variance=variance_factor * np.stack([angles, np.concatenate(expected)]),
         state_by_size=state_by_size,
         joint_by_size_m=by_size,
         size_precision=known.size_known / variance_factor,
@@ -190,7 +183,7 @@ def posterior(problem: LeastSquares, body: Body, found: Estimate, variance_facto
 def _frames_only(piece: Normal) -> Normal:
     """Without what all frames share."""
     none = np.zeros(0)
-    return Normal(piece.H, piece.gradient, piece.border[..., :0], np.zeros((0, 0)), none)
+    return Normal(piece.blocks, piece.gradient, piece.border[..., :0], np.zeros((0, 0)), none)
 
 
 def _at_place(D: int, precision: float) -> Array:
@@ -214,10 +207,6 @@ def _data_share(with_pixels_m2: Array, without_m2: Array) -> Array:
     return np.clip(share, 0.0, 1.0)
 
 
-def _joined(parts: Sequence[Array]) -> Array:
-    return parts[0] if len(parts) == 1 else np.concatenate(parts)
-
-
 def _of_angles(own: Array) -> Array:
     """(T, D - 3): variances of the angles, of the states' covariance (T, D, D)."""
     return np.diagonal(own, axis1=1, axis2=2)[:, YAW:].copy()
@@ -227,7 +216,8 @@ def _of_joints(body: Body, states: Array, own: Array, size: float, follows: Arra
     """Covariances of the joints, absolute and relative, (T, J, 3, 3), from the states' (T, D, D); and q (T, J, 3)."""
     T, J = len(states), len(body.markers)
     absolute, relative, by_size = np.empty((T, J, 3, 3)), np.empty((T, J, 3, 3)), np.empty((T, J, 3))
-    for part, pose, jacobian in _posed(body, states):
+    for part, pose in _posed(body, states):
+        jacobian = pose.jacobian
         centred = jacobian - jacobian.mean(axis=1, keepdims=True)
         absolute[part] = _spread(jacobian, own[part]) @ jacobian.swapaxes(2, 3)
         relative[part] = _spread(centred, own[part]) @ centred.swapaxes(2, 3)
@@ -238,18 +228,16 @@ def _of_joints(body: Body, states: Array, own: Array, size: float, follows: Arra
 def _about_mean(body: Body, states: Array, own: Array) -> Array:
     """(T, J): variances of the joints relative to their mean."""
     variances = np.empty((len(states), len(body.markers)))
-    for part, _, jacobian in _posed(body, states):
-        centred = jacobian - jacobian.mean(axis=1, keepdims=True)
+    for part, pose in _posed(body, states):
+        centred = pose.jacobian - pose.jacobian.mean(axis=1, keepdims=True)
         variances[part] = np.sum(_spread(centred, own[part]) * centred, axis=(2, 3))
     return variances
 
 
-def _posed(body: Body, states: Array) -> Iterator[tuple[slice, TreePose, Array]]:
+def _posed(body: Body, states: Array) -> Iterator[tuple[slice, TreePose]]:
     for first in range(0, len(states), _FRAMES_AT_ONCE):
         part = slice(first, first + _FRAMES_AT_ONCE)
-        pose = body.tree.pose_with_jacobian(states[part])
-        assert pose.jacobian is not None
-        yield part, pose, pose.jacobian
+        yield part, body.tree.pose_with_jacobian(states[part])
 
 
 def _spread(jacobian: Array, own: Array) -> Array:
@@ -282,9 +270,9 @@ class PriorMisfit:
 def prior_misfit_of(problem: LeastSquares, found: Estimate, fps: float) -> PriorMisfit:
     """Of the prior as the problem weighs it, at its minimum."""
     prior, said = problem.only(PRIOR_TERMS), 0.0
-    windows = eliminated(problem.normals(found.states, found.shared), bounded=True)
-    for window, of_prior in zip(windows, prior.normals(found.states), strict=True):
-        both = window.marginal_blocks() * of_prior.H.blocks
+    windows = eliminated(problem.normals(found.states, found.shared)(), bounded=True)
+    for window, of_prior in zip(windows, prior.normals(found.states)(), strict=True):
+        both = window.marginal_blocks() * of_prior.blocks
         said += float(both[:, 0].sum() + 2 * both[:, 1:].sum())
     freedom = max(found.states[:, ANGLES].size - said, 1.0)
     return PriorMisfit(prior.squares(found.states) / freedom / max(constants.MISFIT_LASTS_S * fps, 1.0), freedom)

@@ -18,7 +18,7 @@ from threadpoolctl import threadpool_limits
 
 from recon.animal.body import Body, other_side, side_of
 from recon.base.arrays import Array
-from recon.fit.banded import factor
+from recon.fit.banded import eliminated
 from recon.fit.clip_problem import ClipProblem
 from recon.fit.terms import OnGround, Reprojection, Span, Standing
 from recon.fit.trajectory import Solved, in_step, refined, solve_segments
@@ -252,16 +252,12 @@ def _reduced(shape: Shape, clip: ClipProblem, solved: Solved) -> tuple[Array, Ar
         shared = solved.estimate.shared
         by_state = term.evaluate(Span(0, states, pose, True, shared), jacobian=True)
         rows = term.evaluate(Span(0, states, TreePose(pose.points_m, by_shape), True, shared), jacobian=True)
-        assert rows.residual is not None
-        assert rows.jacobian is not None
-        assert by_state.jacobian is not None
         of_shape = rows.jacobian.sum(axis=2)
         for slot, offset in enumerate(term.stencil):
-            border[rows.frames + offset] += by_state.jacobian[:, :, slot].swapaxes(1, 2) @ of_shape
+            border[offset : offset + len(of_shape)] += by_state.jacobian[:, :, slot].swapaxes(1, 2) @ of_shape
         corner += np.tensordot(of_shape, of_shape, ((0, 1), (0, 1)))
         gradient += np.tensordot(of_shape, rows.residual, ((0, 1), (0, 1)))
-    solver = factor(normal.H)
-    Y = solver.solve_many(border)
-    follows = solver.solve(normal.gradient)
-    gradient -= np.tensordot(border, follows, ((0, 1), (0, 1)))
-    return corner - np.tensordot(border, Y, ((0, 1), (0, 1))), gradient
+    by_shape = replace(normal, border=border, corner=corner, shared_gradient=gradient)
+    (window,) = eliminated([by_shape])
+    reduced = window.reduced()
+    return reduced[:, :-1], reduced[:, -1]

@@ -25,40 +25,41 @@ _MISFIT_M = 0.15
 
 
 def place_on_rays(joints_m: Array, rays: Array) -> tuple[Array, Array]:
-    """Translations (N, 3) that bring a rigid shape nearest to viewing rays, and the joints' distances (N, J) from them.
+    """Translations (..., 3) that bring a rigid shape nearest to viewing rays, and the joints' distances (..., J) from
+    them.
 
-    joints_m (J, 3) or (N, J, 3): the shape, turned into the camera frame; rays (N, J, 3): unit vectors, NaN where
-    missing, at least two a row. The first guess is the median over joints, at the median distance over pairs of joints;
-    Gauss-Newton steps on the angles, with Geman-McClure weights, follow (distances from the rays themselves would draw
-    the shape towards the camera, where they vanish).
+    joints_m (..., J, 3): the shape, turned into the camera frame; rays (..., J, 3): unit vectors, NaN where missing, at
+    least two a row; leading axes broadcast. The first guess is the median over joints, at the median distance over
+    pairs of joints; Gauss-Newton steps on the angles, with Geman-McClure weights, follow (distances from the rays
+    themselves would draw the shape towards the camera, where they vanish).
     """
     seen = np.isfinite(rays[..., 0])
-    middle = np.nanmedian(rays, axis=1)
-    middle /= np.linalg.norm(middle, axis=1, keepdims=True)
-    i, j = np.triu_indices(rays.shape[1], 1)
+    middle = np.nanmedian(rays, axis=-2)
+    middle /= np.linalg.norm(middle, axis=-1, keepdims=True)
+    i, j = np.triu_indices(rays.shape[-2], 1)
     between = joints_m[..., i, :] - joints_m[..., j, :]
     along = (between @ middle[..., None])[..., 0]
     apart_m = np.sqrt(np.maximum(np.sum(between**2, axis=-1) - along**2, 0.0))
-    apart_rad = np.linalg.norm(rays[:, i] - rays[:, j], axis=2)
-    depth = np.nanmedian(apart_m / np.maximum(apart_rad, 1e-6), axis=1)
-    t = np.nanmedian(rays * depth[:, None, None] - joints_m, axis=1)
+    apart_rad = np.linalg.norm(rays[..., i, :] - rays[..., j, :], axis=-1)
+    depth = np.nanmedian(apart_m / np.maximum(apart_rad, 1e-6), axis=-1)
+    t = np.nanmedian(rays * depth[..., None, None] - joints_m, axis=-2)
 
     across = _across(rays)
     for _ in range(6):
-        off, slope, _ = _off_rays(joints_m + t[:, None], across)
-        miss = np.linalg.norm(off, axis=2) * depth[:, None]
+        off, slope, _ = _off_rays(joints_m + t[..., None, :], across)
+        miss = np.linalg.norm(off, axis=-1) * depth[..., None]
         weight = seen / (1.0 + (miss / _MISFIT_M) ** 2) ** 2
         normal, pull = _normal(off, slope, weight)
         step = -_solution(normal + 1e-9 * np.eye(3), pull)[..., 0]
-        length = np.linalg.norm(step, axis=1)
-        t = t + step * np.minimum(1.0, 0.3 * depth / np.maximum(length, 1e-9))[:, None]
-    q = joints_m + t[:, None]
-    miss = np.linalg.norm((across @ q[..., None])[..., 0], axis=2)
+        length = np.linalg.norm(step, axis=-1)
+        t = t + step * np.minimum(1.0, 0.3 * depth / np.maximum(length, 1e-9))[..., None]
+    q = joints_m + t[..., None, :]
+    miss = np.linalg.norm((across @ q[..., None])[..., 0], axis=-1)
     return t, np.where(seen, miss, np.nan)
 
 
 def _across(rays: Array) -> Array:
-    """(N, J, 3, 3): what of a vector lies across each ray (N, J, 3); all of it where the ray is missing (NaN)."""
+    """(..., J, 3, 3): what of a vector lies across each ray (..., J, 3); all of it where the ray is missing (NaN)."""
     d = np.nan_to_num(rays)
     return np.eye(3) - d[..., :, None] * d[..., None, :]
 
@@ -69,8 +70,8 @@ def _off_rays(points_m: Array, across: Array) -> tuple[Array, Array, Array]:
     leading axes broadcast."""
     distance = np.linalg.norm(points_m, axis=-1, keepdims=True)
     q = points_m / distance
-    slope = across @ (np.eye(3) - q[..., :, None] * q[..., None, :]) / distance[..., None]
-    return (across @ q[..., None])[..., 0], slope, q
+    off = (across @ q[..., None])[..., 0]
+    return off, (across - off[..., :, None] * q[..., None, :]) / distance[..., None], q
 
 
 def _normal(off: Array, slope: Array, weight: Array) -> tuple[Array, Array]:
@@ -102,8 +103,7 @@ def constant_velocity(
     """
     (H, J), F = shapes.shape[:2], len(rays)
     centres = np.zeros((F, 3)) if centres_m is None else centres_m
-    each = np.broadcast_to(rays, (H, F, J, 3)).reshape(H * F, J, 3)
-    places = place_on_rays(np.repeat(shapes, F, axis=0), each)[0].reshape(H, F, 3)
+    places = place_on_rays(shapes[:, None], rays)[0]  # (H, F, 3)
     depth = np.median(np.linalg.norm(places, axis=2), axis=1)[:, None, None, None]
     seen = np.isfinite(rays[..., 0])
     across = _across(rays)

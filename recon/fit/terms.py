@@ -5,8 +5,10 @@ is the exact gradient of the cost and J'J its curvature: residuals divided by st
 reweighted by the square root of its slope (so that the cost is not half of r'r). With N frames, M rows, S offsets and D
 unknowns a frame:
 
-    evaluate(span, jacobian) -> Rows: frames (N,), cost (N,), residual (N, M), jacobian (N, M, S, D), and of the rows
-                                that read unknowns which all frames share, the derivatives (N, M, P) by those of a name
+    evaluate(span, jacobian) -> _TermRows: cost (N,), residual (N, M), jacobian (N, M, S, D), and of the rows that read
+                                    unknowns which all frames share, the derivatives (N, M, P) by those of a name
+
+They stand for N frames one after the other, from the span's first on
 
 stencil (S,) are the offsets of the frames that a row reads, relative to the frame it stands for. The rows of a `Linear`
 term have a constant Jacobian: the solver works out their curvature once.
@@ -98,13 +100,12 @@ class Span:
 
 
 @dataclass(frozen=True)
-class TermRows:
-    """See the module's text. Without Jacobian, residual and what follows are left out."""
+class _TermRows:
+    """See the module's text. Without Jacobian, residual and what follows are empty."""
 
-    frames: Index
     cost: Array
-    residual: Array | None = None
-    jacobian: Array | None = None
+    residual: Array = field(default_factory=lambda: _ZERO[:0])
+    jacobian: Array = field(default_factory=lambda: _ZERO[:0])
     by_shared: Mapping[str, Array] = field(default_factory=dict)
 
 
@@ -115,7 +116,7 @@ class Term(Protocol):
     def name(self) -> str: ...
     @property
     def stencil(self) -> tuple[int, ...]: ...
-    def evaluate(self, span: Span, jacobian: bool) -> TermRows: ...
+    def evaluate(self, span: Span, jacobian: bool) -> _TermRows: ...
 
 
 @dataclass(frozen=True)
@@ -211,7 +212,7 @@ class PoseMixture:
         object.__setattr__(self, "_precision", white.swapaxes(1, 2) @ white)
         object.__setattr__(self, "_offset", offset - offset.min())
 
-    def evaluate(self, span: Span, jacobian: bool) -> TermRows:
+    def evaluate(self, span: Span, jacobian: bool) -> _TermRows:
         z = span.states[span.own, ANGLES]
         N, A = z.shape
         off = (z[:, None] - self.prior.means).transpose(1, 0, 2)  # (K, N, A)
@@ -221,17 +222,16 @@ class PoseMixture:
         share = np.exp(-(level - least) / self.temperature)
         total = share.sum(axis=1)
         weight = self.weight * REFERENCE_HZ / self.fps
-        frames = np.arange(span.first, span.first + N)
         cost = weight * (least[:, 0] - self.temperature * np.log(total))
         if not jacobian:
-            return TermRows(frames, cost)
+            return _TermRows(cost)
         share /= total[:, None]
         gradient = weight * np.einsum("nk,kna->na", share, white @ self._white)
         precision = weight * (share @ self._precision.reshape(-1, A * A)).reshape(N, A, A)
         root = np.linalg.cholesky(precision)  # root root' = precision; rows root' dz, residual root^-1 gradient
         rows = np.zeros((N, A, 1, span.states.shape[1]))
         rows[:, :, 0, ANGLES] = root.swapaxes(1, 2)
-        return TermRows(frames, cost, np.linalg.solve(root, gradient[..., None])[..., 0], rows)
+        return _TermRows(cost, np.linalg.solve(root, gradient[..., None])[..., 0], rows)
 
 
 @dataclass(frozen=True)
@@ -259,11 +259,11 @@ class Reprojection:
     def stencil(self) -> tuple[int, ...]:
         return (0, 1) if self.view.lead_frames else (0,)
 
-    def evaluate(self, span: Span, jacobian: bool) -> TermRows:
+    def evaluate(self, span: Span, jacobian: bool) -> _TermRows:
         parts = self._parts(span)
         points = np.sum([share * span.pose.points_m[part] for part, share in parts], axis=0)
-        frames = np.arange(span.first, span.first + len(points))
-        view, sigma = self.view.part(slice(span.first, span.first + len(points))), self.sigma_px[frames]
+        frames = slice(span.first, span.first + len(points))
+        view, sigma = self.view.part(frames), self.sigma_px[frames]
         size, late, off = (
             size_of(span.shared),
             span.shared.get(time_offset(self.number)),
@@ -290,8 +290,7 @@ class Reprojection:
         loss = np.where(valid, np.log1p(q), OUT_OF_SIGHT)
         cost = 0.5 * self.c**2 * np.sum(loss * trust, axis=1)
         if by_point is None:
-            return TermRows(frames, cost)
-        assert span.pose.jacobian is not None
+            return _TermRows(cost)
         root = np.sqrt(np.where(seen, trust / (1.0 + q), 0.0))[..., None]
         by_point = by_point * np.where(seen[..., None], root / sigma[..., None], 0.0)[..., None]
         N, J = q.shape
@@ -317,7 +316,7 @@ class Reprojection:
             turn = euler_rotation_with_jacobian(place[:3])[1] @ before.to_camera(world)[..., None, :, None]
             by_correction = np.concatenate([by_camera @ turn[..., 0].swapaxes(-1, -2), by_camera], axis=-1)
             by_shared[extrinsic_correction(self.number)] = by_correction.reshape(N, 2 * J, 6)
-        return TermRows(frames, cost, (e * root).reshape(N, 2 * J), rows, by_shared)
+        return _TermRows(cost, (e * root).reshape(N, 2 * J), rows, by_shared)
 
     def _parts(self, span: Span) -> list[tuple[slice, float]]:
         """The span's frames that each picture lies between, and their shares."""
@@ -340,16 +339,16 @@ class KnownAngles:
     name: str = "known angles"
     stencil: tuple[int, ...] = (0,)
 
-    def evaluate(self, span: Span, jacobian: bool) -> TermRows:
+    def evaluate(self, span: Span, jacobian: bool) -> _TermRows:
         own = span.states[span.own]
-        frames = np.arange(span.first, span.first + len(own))
+        frames = slice(span.first, span.first + len(own))
         r = np.nan_to_num((own - self.states[frames])[:, YAW:] / self.sigma_rad)
         cost = 0.5 * np.sum(r * r, axis=1)
         if not jacobian:
-            return TermRows(frames, cost)
+            return _TermRows(cost)
         known = np.isfinite(self.states[frames][:, YAW:])[..., None]
         rows = np.where(known, np.eye(own.shape[1])[YAW:] / self.sigma_rad, 0.0)
-        return TermRows(frames, cost, r, rows[:, :, None])
+        return _TermRows(cost, r, rows[:, :, None])
 
 
 @dataclass(frozen=True)
@@ -366,7 +365,7 @@ class Heading:
     name: str = "heading"
     stencil: tuple[int, ...] = (0, 1)
 
-    def evaluate(self, span: Span, jacobian: bool) -> TermRows:
+    def evaluate(self, span: Span, jacobian: bool) -> _TermRows:
         n = len(span.states) - 1
         forward = span.pose.points_m[:, self.front, :2] - span.pose.points_m[:, self.rear, :2]
         length = np.maximum(np.linalg.norm(forward, axis=1, keepdims=True), 1e-6)
@@ -377,10 +376,8 @@ class Heading:
         scale = _rate(self.fps, 1.0) / self.sigma_m_s
         mean = 0.5 * (u[1:] + u[:-1])
         r = scale * (mean[:, 0] * v[:, 1] - mean[:, 1] * v[:, 0])
-        frames = np.arange(span.first, span.first + n)
         if not jacobian:
-            return TermRows(frames, 0.5 * r**2)
-        assert span.pose.jacobian is not None
+            return _TermRows(0.5 * r**2)
         D = span.states.shape[1]
         turn = span.pose.jacobian[:, self.front, :2] - span.pose.jacobian[:, self.rear, :2]  # (n + 1, 2, D)
         d_u = (turn - u[..., None] * (u[:, None] @ turn)) / length[..., None]
@@ -392,7 +389,7 @@ class Heading:
             rows[:, 0, slot, :2] += sign * scale * self.fps * by_velocity
         along = -scale * np.sum(mean * v, axis=1)
         by_shared = {SIDESLIP: along[:, None, None]} if SIDESLIP in span.shared else {}
-        return TermRows(frames, 0.5 * r**2, r[:, None], rows, by_shared)
+        return _TermRows(0.5 * r**2, r[:, None], rows, by_shared)
 
 
 @dataclass(frozen=True)
@@ -417,21 +414,19 @@ class Standing:
         shrink = 1.0 / (1.0 + q / self.c**2)
         return v, q * shrink, shrink**2
 
-    def evaluate(self, span: Span, jacobian: bool) -> TermRows:
+    def evaluate(self, span: Span, jacobian: bool) -> _TermRows:
         n, F = len(span.states) - 1, len(self.feet)
         size = size_of(span.shared)
         v, loss, slope = self.contact(span.pose.points_m, size)
         weight = REFERENCE_HZ / self.fps
-        frames = np.arange(span.first, span.first + n)
         cost = 0.5 * weight * loss.sum(axis=1)
         if not jacobian:
-            return TermRows(frames, cost)
-        assert span.pose.jacobian is not None
+            return _TermRows(cost)
         root = np.sqrt(weight * slope)[..., None] / self.sigma_m_s
         foot = span.pose.jacobian[:, self.feet] * self.fps * size
         rows = np.stack([-foot[:-1] * root[..., None], foot[1:] * root[..., None]], axis=3)
         by_shared = {SIZE: (v / size * root).reshape(n, 3 * F, 1)} if SIZE in span.shared else {}
-        return TermRows(frames, cost, (v * root).reshape(n, 3 * F), rows.reshape(n, 3 * F, 2, -1), by_shared)
+        return _TermRows(cost, (v * root).reshape(n, 3 * F), rows.reshape(n, 3 * F, 2, -1), by_shared)
 
 
 @dataclass(frozen=True)
@@ -450,18 +445,17 @@ class OnGround:
     name: str = "ground"
     stencil: tuple[int, ...] = (0, 1)
 
-    def evaluate(self, span: Span, jacobian: bool) -> TermRows:
+    def evaluate(self, span: Span, jacobian: bool) -> _TermRows:
         n = len(span.states) - 1
-        frames = np.arange(span.first, span.first + n)
+        frames = slice(span.first, span.first + n)
         foot = span.pose.points_m[:, self.feet]
         middle = 0.5 * (foot[1:] + foot[:-1])
         root = np.sqrt(self.contact[frames] * REFERENCE_HZ / self.fps) / self.sigma_m
         r = (middle[..., 2] - self.plane[0] - (middle[..., :2] - self.middle) @ self.plane[1:]) * root
         cost = 0.5 * np.sum(r * r, axis=1)
         if not jacobian:
-            return TermRows(frames, cost)
-        assert span.pose.jacobian is not None
+            return _TermRows(cost)
         normal = np.array([-self.plane[1], -self.plane[2], 1.0])
         lift = 0.5 * np.einsum("a,njad->njd", normal, span.pose.jacobian[:, self.feet])
         rows = np.stack([lift[:-1] * root[..., None], lift[1:] * root[..., None]], axis=2)
-        return TermRows(frames, cost, r, rows)
+        return _TermRows(cost, r, rows)

@@ -27,7 +27,7 @@ the inner moves: the second derivative is the outer's axis x the derivative by t
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
 from typing import Literal
@@ -52,7 +52,7 @@ _BLOCK = 64
 """Frames whose Jacobian is worked out at once: the arrays in between stay in the processor's cache."""
 
 _CYCLE = np.array([0, 1, 2, 0, 1])
-_IDENTITY = np.eye(3)
+_IDENTITY, _NONE = np.eye(3), np.zeros(0)
 
 ROOT = slice(0, 3)
 """The root's origin in the state."""
@@ -86,13 +86,13 @@ class Marker:
 
 @dataclass(frozen=True)
 class TreePose:
-    """Where N states put a tree's J markers; the derivatives are None unless they were asked for."""
+    """Where N states put a tree's J markers; the derivatives are empty unless they were asked for."""
 
     points_m: Array
     """(N, J, 3), the markers in the world."""
-    jacobian: Array | None = None
+    jacobian: Array = field(default_factory=lambda: _NONE)
     """(N, J, 3, D), by the state."""
-    d_size: Array | None = None
+    d_size: Array = field(default_factory=lambda: _NONE)
     """(N, J, 3), by the logarithm of the size."""
 
 

@@ -20,7 +20,6 @@ from scipy.spatial.transform import Rotation
 from recon.base.arrays import Array
 from recon.base.documents import parse_json, parse_toml, read_text
 from recon.base.errors import InputError, Problem, all_of, refuse
-from recon.base.files import staged_file
 from recon.geometry.camera import Camera, is_rotation
 from recon.geometry.lens import LENS_MODELS
 from recon.io.formats import FORMATS, recognised, titles
@@ -179,6 +178,8 @@ def _table(camera: Camera) -> dict[str, Any]:
 
 def _write(document: dict[str, Any], path: str | Path) -> None:
     import tomli_w
+
+    from recon.base.files import staged_file
 
     with staged_file(path) as staged:
         staged.write_text(tomli_w.dumps(document), encoding="utf-8")

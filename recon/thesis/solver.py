@@ -146,11 +146,11 @@ def linearised_clip(clip: ClipProblem, motion: Motion) -> _Linearised:
     follow from the solution. A segment with a frame that ran away is left out."""
     states = motion.states
     segments, step = [], np.full(states.shape, np.nan)
-    for one in at_solution(clip, trajectory_solution(motion)):
-        problem, rows_of = one.problem, one.segment.rows
+    for segment, problem, found in at_solution(clip, trajectory_solution(motion)):
+        rows_of = segment.rows
         # Of a copy: what a problem caches goes.
-        step[rows_of] = newton_step(replace(problem).normals(one.states, one.shared), _LEAST_DAMPING)[0]
-        segments.append((rows_of.start, problem, one.states, one.shared))
+        step[rows_of] = newton_step(replace(problem).normals(found.states, found.shared)(), _LEAST_DAMPING)[0]
+        segments.append((rows_of.start, problem, found.states, found.shared))
 
     def rows() -> Iterator[_Rows]:
         for start, *of_spell in segments:
@@ -170,9 +170,8 @@ def _rows(problem: LeastSquares, states: Array, shared: Mapping[str, Array]) -> 
             yield _Rows(term.name, frames[own], term.stencil, 0.5 * np.sum(r**2, axis=1), r, jacobian)
         for term in problem.terms:
             found = term.evaluate(span, jacobian=True)
-            assert found.residual is not None
-            assert found.jacobian is not None
-            yield _Rows(term.name, found.frames, term.stencil, found.cost, found.residual, found.jacobian)
+            frames = np.arange(span.first, span.first + len(found.cost))
+            yield _Rows(term.name, frames, term.stencil, found.cost, found.residual, found.jacobian)
 
 
 # -- frame by frame -----------------------------------------------------------------------------------------------

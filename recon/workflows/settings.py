@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tomli_w
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
-from recon.base import files
 from recon.base.documents import read_toml
 from recon.base.errors import InputError, Problem
 from recon.base.settings import (
@@ -427,7 +426,9 @@ def beside(folder: Path, name: str, given: Any) -> Any:
 
 def seen_from(folder: Path, name: str, given: Any) -> Any:
     """The value as it has to stand in a file of that folder, see `files.seen_from`."""
-    return _with_paths(name, given, lambda path: files.seen_from(folder, path))
+    from recon.base.files import seen_from
+
+    return _with_paths(name, given, lambda path: seen_from(folder, path))
 
 
 def _with_paths(name: str, given: Any, change: Callable[[str], str]) -> Any:

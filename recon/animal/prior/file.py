@@ -18,7 +18,6 @@ from recon.animal.prior.model import ANGLES, NONE, SHAPES, MotionPrior, SegmentR
 from recon.animal.skeleton_file import FileTable, parsed_file
 from recon.base.documents import read_content
 from recon.base.errors import InputError, Problem
-from recon.base.files import staged_file, write_bytes
 from recon.base.package import builtin_file, builtin_names
 from recon.base.records import KINDS, MAX_BYTES, arrays_of
 
@@ -52,6 +51,8 @@ def save_prior(prior: MotionPrior, path: str | Path) -> None:
     arrays = {name: getattr(prior, name).astype(np.float32) for name in SHAPES}
     made = io.BytesIO()
     np.savez_compressed(made, about=np.array(json.dumps(about)), **arrays)
+    from recon.base.files import staged_file, write_bytes
+
     with staged_file(Path(path)) as staged:
         write_bytes(staged, made.getvalue())
 
