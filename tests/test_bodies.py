@@ -161,7 +161,6 @@ def test_a_person_of_coco(tmp_path):
         (MOUSE_15, "--skeleton mouse-top --rename mouse-15 takes 13 of these 15"),
         (load_skeleton("mouse-top").markers, "--skeleton mouse-top takes 27 of these 27"),
         (HORSE_10, "--skeleton horse-22 takes 22 of these 22"),
-        ([f"{name} of the person" for name in COCO_17], "a person recon fit --skeleton human-25 with --rename"),
     ],
 )
 def test_no_quadruped_is_drafted_of_another_skeletons_points(names: Iterable[str], options):

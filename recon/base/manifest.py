@@ -39,10 +39,6 @@ class Manifest:
             if (fault := self._fault(name)) is not None
         ]
 
-    def gone(self) -> list[str]:
-        """The names of files that are no longer there."""
-        return [name for name in self.files if not (self.folder / name).is_file()]
-
     def require(self, *names: str) -> None:
         """Raises InputError unless these files are there and as the run wrote them."""
         refuse(self.changed(names))

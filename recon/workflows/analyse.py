@@ -32,7 +32,6 @@ from recon.workflows.cli.common import (
     progress_bar,
     say,
     say_verdict,
-    say_what_is_gone,
     table_of,
     terminal,
 )
@@ -111,7 +110,6 @@ def analyse_command(settings: AnalyseSettings, as_json: bool, quiet: bool) -> An
         console.print(table)
     for note in summary["notes"]:
         say(console, f"note: {note}")
-    say_what_is_gone(console, settings.folder)
     say(console, f"{len(files)} files are in {out}.")
     if out == settings.folder / FOLDER and (settings.folder / PLAYBACK).is_file():
         say(console, f"See them beside the playback with: recon view {settings.folder}")

@@ -51,7 +51,7 @@ NOTES = (
 )
 
 
-class CameraMotionSettings(Settings):
+class _CameraMotionSettings(Settings):
     """What `recon camera-motion` is told."""
 
     video: Annotated[Path, Option("The video of a camera that turns, as in clip.mp4.", argument="VIDEO")]
@@ -82,10 +82,10 @@ class CameraMotionSettings(Settings):
             yield Problem("--tilt-deg", "level", f"{self.tilt_deg:g} beside {self.level_marks}", "one of the two")
 
 
-def of_clip(settings: FitSettings, video: Path, out: Path, **more: Any) -> CameraMotionSettings:
+def of_clip(settings: FitSettings, video: Path, out: Path, **more: Any) -> _CameraMotionSettings:
     """For the one camera of a clip, which has a calibration. more: other fields."""
     assert settings.camera is not None
-    return CameraMotionSettings(
+    return _CameraMotionSettings(
         video=video,
         camera=settings.camera[0],
         out=out,
@@ -97,7 +97,7 @@ def of_clip(settings: FitSettings, video: Path, out: Path, **more: Any) -> Camer
     )
 
 
-def camera_motion(settings: CameraMotionSettings, as_json: bool) -> Any:
+def camera_motion(settings: _CameraMotionSettings, as_json: bool) -> Any:
     """Find how a camera turned (and zoomed) from the background of its video: a camera track.
 
     Example: recon camera-motion clip.mp4 --camera camera.toml --keypoints clip.csv --out track.csv
@@ -120,7 +120,7 @@ def camera_motion(settings: CameraMotionSettings, as_json: bool) -> Any:
 
 
 def run_camera_motion(
-    settings: CameraMotionSettings, progress: Progress = silent
+    settings: _CameraMotionSettings, progress: Progress = silent
 ) -> tuple[dict[str, Any], tuple[Path, ...]]:
     """The report and the files: the track (`recon.io.camera_track`), and beside it <stem>_report.json and
     <stem>_panorama.png. Raises InputError, with every problem, for inputs that cannot be
@@ -178,7 +178,7 @@ def _focal_note(motion: TurningMotion, lens: Camera) -> str | None:
     )
 
 
-def _require_turning(s: CameraMotionSettings, motion: TurningMotion, lens: Camera) -> None:
+def _require_turning(s: _CameraMotionSettings, motion: TurningMotion, lens: Camera) -> None:
     """Raises InputError for a cut, for too little background, and for a camera that did more than turn."""
     if motion.cut is not None:
         found = f"a cut, or a jump of the whole view, at frame {motion.cut + s.first_frame}"
@@ -206,7 +206,7 @@ def _require_turning(s: CameraMotionSettings, motion: TurningMotion, lens: Camer
         raise InputError(Problem(s.video, "background", found, f"no more than {MAX_LOST:.0%} of such frames"))
 
 
-def _require_same_frames(s: CameraMotionSettings, points: dict[int, Array], motion: TurningMotion) -> None:
+def _require_same_frames(s: _CameraMotionSettings, points: dict[int, Array], motion: TurningMotion) -> None:
     """Raises InputError where the keypoint file counts otherwise than the video."""
     last = len(motion.frames) + len(motion.lost) - 1
     outside = [number for number in points if not 0 <= number <= last]
@@ -227,7 +227,7 @@ def _points(keypoints: Keypoints, first_frame: int) -> dict[int, Array]:
 
 
 def _up(
-    s: CameraMotionSettings, motion: TurningMotion, lens: Camera, marks: Sequence[LevelMark]
+    s: _CameraMotionSettings, motion: TurningMotion, lens: Camera, marks: Sequence[LevelMark]
 ) -> tuple[Array | None, str]:
     """Up (3,) in the first frame's camera, None if the mean frame is to be level, and how that is known."""
     if s.tilt_deg is not None:
@@ -243,7 +243,7 @@ def _up(
 # -- what comes out ---------------------------------------------------------------------------------------------------
 
 
-def _write_track(path: Path, s: CameraMotionSettings, motion: TurningMotion, camera: Camera) -> None:
+def _write_track(path: Path, s: _CameraMotionSettings, motion: TurningMotion, camera: Camera) -> None:
     q = quaternions(np.stack([turn.rotation for turn in motion.turns]))[:, [3, 0, 1, 2]]
     q *= np.where(q[:, :1] < 0, -1.0, 1.0)
     poses = np.round(np.concatenate([q, np.zeros((len(q), 3))], axis=1), 9)
@@ -255,7 +255,7 @@ def _write_track(path: Path, s: CameraMotionSettings, motion: TurningMotion, cam
     write_table(path, [["frame", *POSE, *(INTRINSICS if s.zoom else ()), SIGMA]], motion.frames + s.first_frame, poses)
 
 
-def _report(s: CameraMotionSettings, motion: TurningMotion, lens: Camera, level: str) -> dict[str, Any]:
+def _report(s: _CameraMotionSettings, motion: TurningMotion, lens: Camera, level: str) -> dict[str, Any]:
     axes = np.stack([turn.rotation[2] for turn in motion.turns])
     pan = np.degrees(np.unwrap(np.arctan2(axes[:, 0], axes[:, 1])))
     tilt = np.degrees(-np.arcsin(np.clip(axes[:, 2], -1, 1)))

@@ -18,7 +18,7 @@ from recon.show.page.render import jpeg
 from recon.show.report import REPORT
 from recon.workflows.batch.inputs import SUMMARY
 from recon.workflows.batch.summary import write_summary_page
-from recon.workflows.cli.common import error_text, progress_bar, say, say_what_is_gone, terminal
+from recon.workflows.cli.common import error_text, progress_bar, say, terminal
 from recon.workflows.overlay import result_and_video, stills
 from recon.workflows.settings import ResultSettings
 
@@ -51,8 +51,6 @@ def report(settings: PageSettings, quiet: bool) -> None:
         page, failed = _batch_pages(folder, progress) if of_batch else (run_page(settings, progress), {})
     for clip, error in failed.items():
         terminal(stderr=True, soft_wrap=True).print(error_text(f"{clip}: {error}"))
-    if not of_batch:
-        say_what_is_gone(console, folder)
     say(console, f"Open {page} in a browser.")
 
 

@@ -137,17 +137,13 @@ def _of_geometry(settings: SkeletonDraftSettings) -> SkeletonDraft:
 
 def draft_skeleton(names: Sequence[str], title: str, source: Path) -> SkeletonDraft:
     """Raises InputError where too few names are understood to place an animal, or none of either end of its trunk, and
-    for names of a person's points, or of another built-in skeleton's."""
+    for names of another built-in skeleton's points."""
     body = load_skeleton(BASE)
     known = _understood(names, body.markers)
     options, count = fitting_skeleton(names)
-    if (person := _of_a_person(names)) or count > len(known):
-        found = f"{'a person' if person else 'another animal'}'s: {', '.join(names)}"
-        takes = f"recon fit {options} takes {count} of these {len(names)} as they are"
-        if person and "human-25" not in options:
-            takes = "for a person recon fit --skeleton human-25 with --rename"
-        expected = f"a four-legged animal's: a draft is one; {takes}"
-        raise InputError(Problem(source, "bodyparts", found, expected))
+    if count > len(known):
+        expected = f"a four-legged animal's: a draft is one; recon fit {options} takes {count} of these {len(names)}"
+        raise InputError(Problem(source, "bodyparts", f"another animal's: {', '.join(names)}", expected))
     called = {marker: name for name, marker in known.items()}
     rear, front = (next((called[m] for m in ends if m in called), None) for ends in (REAR, FRONT))
     if rear is None or front is None or len(known) < MIN_JOINTS:
@@ -160,16 +156,6 @@ def draft_skeleton(names: Sequence[str], title: str, source: Path) -> SkeletonDr
     others = tuple(name for name in names if name not in known)
     parts = (_head(title, source, rear, front, called, body, others), _segments(body, names))
     return known, others, "".join((*parts, *_markers(body, called), *_limbs(body, called)))
-
-
-def _of_a_person(names: Iterable[str]) -> bool:
-    """By names that only people's points have, or by arms and legs without anything of an animal's."""
-    text = " ".join(names).lower().replace("_", "")
-    if any(word in text for word in ("bigtoe", "midhip")):
-        return True
-    limbs = all(word in text for word in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle"))
-    of_animals = ("tail", "paw", "hoof", "hock", "withers", "front", "fore", "hind")
-    return limbs and not any(word in text for word in of_animals)
 
 
 def _understood(names: Sequence[str], markers: Sequence[str]) -> dict[str, str]:

@@ -12,8 +12,9 @@ from dataclasses import dataclass, replace
 from functools import cache
 from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
+from recon.base.documents import read_toml
 from recon.base.errors import InputError, Problem, refuse
 from recon.check import names_text
 from recon.io import file_head, individuals, recognised, titles
@@ -21,7 +22,6 @@ from recon.io.calibration import read_cameras
 from recon.io.deeplabcut_project import Project, find_project, predictions
 from recon.io.table import SEPARATORS, text_rows
 from recon.show.page import SUMMARY_PAGE
-from recon.workflows.batch.anipose import SQUARE, Session, sessions_in
 from recon.workflows.batch.groups import AUTO, NONE, ClipDraft, join_cameras, missing_cameras
 from recon.workflows.settings import SETTINGS, FitSettings, beside, read_settings
 
@@ -32,6 +32,11 @@ BETWEEN = "|"
 """In a manifest's cell, between the files, names or numbers of several cameras."""
 LEAST_NO_METRES = 1.0
 """No board has squares of a metre: a calibration with such a number is in another unit."""
+
+POSES = {"pose_2d_filter": "pose-2d-filtered", "pose_2d": "pose-2d"}
+"""Folders of a session by what config.toml calls them, the better one first."""
+
+SQUARE = "board_square_side_length"
 
 
 @dataclass(frozen=True)
@@ -100,7 +105,7 @@ def _drafts_of(given: str, common: Mapping[str, Any]) -> tuple[list[ClipDraft], 
         return _drafts_of_project(project)
     if os.path.isdir(path):
         files, notes = _files_in(path)
-        of_anipose = sessions_in(path) if not files or path.absolute().name.startswith("pose-2d") else []
+        of_anipose = _sessions_in(path) if not files or path.absolute().name.startswith("pose-2d") else []
         if of_anipose:
             return _drafts_of_sessions(of_anipose, common)
         if not files:
@@ -133,7 +138,7 @@ def _drafts_of_project(project: Project) -> tuple[list[ClipDraft], list[str]]:
     return drafts, notes
 
 
-def _drafts_of_sessions(sessions: Sequence[Session], common: Mapping[str, Any]) -> tuple[list[ClipDraft], list[str]]:
+def _drafts_of_sessions(sessions: Sequence[_Session], common: Mapping[str, Any]) -> tuple[list[ClipDraft], list[str]]:
     """A draft for each file of 2D poses, with the calibration of its session unless another camera is given."""
     own_cameras = common.get("camera") is None and common.get("hfov_deg") is None
     drafts, notes, problems = [], [], []
@@ -210,6 +215,68 @@ def _without_repeats(drafts: Sequence[ClipDraft]) -> list[ClipDraft]:
         if draft.where is None:
             seen.update(draft.paths)
     return kept
+
+
+# -- sessions of Anipose: at any depth, with 2D poses, and a calibration there or above -------------------------------
+
+
+class _Session(NamedTuple):
+    """A session of Anipose."""
+
+    folder: Path
+    poses: Path
+    """The folder with its keypoint files."""
+    calibration: Path | None
+    """Its own, or the next one above it."""
+    cam_regex: tuple[Path, str] | None
+    """The pattern of cameras in names, with the file that has it."""
+    square_length: float | None
+    """Of the calibration's board, in the unit of the calibration."""
+
+
+def _sessions_in(folder: Path) -> list[_Session]:
+    """The sessions of a project, one session, or that of a folder of 2D poses. Of filtered 2D poses and others of one
+    session the filtered ones. Raises InputError for a config.toml that cannot be read."""
+    folder = folder.absolute()
+    pipeline = _table(_config(folder)[0], "pipeline")
+    names = [str(pipeline.get(key, name)) for key, name in POSES.items()]
+    if folder.name in names:
+        return [_session(folder.parent, folder)]
+    found: dict[Path, Path] = {}
+    for name in names:
+        for poses in folder.rglob(name):
+            if poses.is_dir() and any(path.is_file() for path in poses.iterdir()):
+                found.setdefault(poses.parent, poses)
+    return [_session(session, found[session]) for session in sorted(found)]
+
+
+def _session(folder: Path, poses: Path) -> _Session:
+    config, file = _config(folder)
+    name = str(_table(config, "pipeline").get("calibration_results", "calibration"))
+    above = [folder, *folder.parents]
+    if file is not None:
+        above = above[: above.index(file.parent) + 1]
+    calibrations = (parent / name / "calibration.toml" for parent in above)
+    calibration = next((path for path in calibrations if path.is_file()), None)
+    regex, length = _table(config, "triangulation").get("cam_regex"), _table(config, "calibration").get(SQUARE)
+    cam_regex = (file, regex) if file is not None and isinstance(regex, str) else None
+    return _Session(folder, poses, calibration, cam_regex, float(length) if isinstance(length, int | float) else None)
+
+
+def _config(folder: Path) -> tuple[Mapping[str, Any], Path | None]:
+    """Of the project that a folder belongs to, with its file, if there is one."""
+    for parent in (folder, *folder.parents):
+        path = parent / "config.toml"
+        if path.is_file():
+            config = read_toml(path, "Anipose's settings")
+            if config.keys() & {"triangulation", "pipeline", "nesting", "model_folder"}:
+                return config, path
+    return {}, None
+
+
+def _table(config: Mapping[str, Any], name: str) -> Mapping[str, Any]:
+    table = config.get(name)
+    return table if isinstance(table, dict) else {}
 
 
 # -- manifests ----------------------------------------------------------------------------------------------------

@@ -19,7 +19,6 @@ from rich.text import Text
 
 from recon.base.errors import InputError, Problem, printable
 from recon.base.interrupts import EXIT_INTERRUPTED, MESSAGE, installed
-from recon.base.manifest import read_manifest
 from recon.fit.result import Verdict
 
 EXIT_UNSOLVED = 1
@@ -44,13 +43,6 @@ class _Terminal(Console):
 def say(console: Console, text: str | Text, style: str = "") -> None:
     """One line, however long: no markup, and no breaks that a terminal would not make."""
     console.print(Text(printable(text), style) if isinstance(text, str) else text, soft_wrap=True)
-
-
-def say_what_is_gone(console: Console, folder: Path) -> None:
-    """Of results, the files that a command can do without."""
-    names = read_manifest(folder).gone()
-    if names:
-        say(console, f"note: no longer in {folder}: {', '.join(names)}; left out where it would be shown")
 
 
 def say_verdict(console: Console, verdict: Verdict | None) -> None:
