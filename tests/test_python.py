@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import re
 from pathlib import Path
 
@@ -116,3 +117,15 @@ def test_keypoints_are_read_from_tables_in_memory():
 def test_other_tables_are_refused(table: pd.DataFrame, message: str):
     with pytest.raises(recon.InputError, match=message):
         recon.Keypoints.from_dataframe(table)
+
+
+def test_all_that_is_public_explains_itself_and_completion_shows_no_more():
+    assert dir(recon) == sorted([*recon.__all__, "__version__"])
+    for name in recon.__all__:
+        one = getattr(recon, name)
+        assert one.__doc__, name
+        for attribute in dir(one) if isinstance(one, type) else ():
+            found = inspect.getattr_static(one, attribute)
+            function = getattr(found, "fget", None) or getattr(found, "func", None) or found
+            if not attribute.startswith("_") and callable(function):
+                assert function.__doc__, f"{name}.{attribute}"

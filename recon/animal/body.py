@@ -229,10 +229,12 @@ class Body:
 
     @property
     def n_state(self) -> int:
+        """D: how many unknowns a frame has."""
         return self.tree.n_state
 
     @property
     def state_names(self) -> tuple[str, ...]:
+        """(D,): of the unknowns, the root's position and heading first."""
         return self.tree.state_names
 
     @cached_property

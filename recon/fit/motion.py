@@ -229,6 +229,7 @@ class Motion:
 
     @property
     def method(self) -> str:
+        """Of fitting: trajectory or frame."""
         return self.solution.method
 
     @property
@@ -238,6 +239,7 @@ class Motion:
 
     @property
     def body(self) -> Body:
+        """The animal that was fitted."""
         return self.solution.body
 
     @property
@@ -284,6 +286,7 @@ class Motion:
 
     @cached_property
     def feet(self) -> tuple[int, ...]:
+        """Joints of the feet, as indices."""
         return tuple(self.joints.index(foot) for foot in self.body.feet)
 
     @cached_property
@@ -310,10 +313,12 @@ class Motion:
 
     @property
     def camera(self) -> Camera:
+        """Of the first, or only, keypoint file."""
         return self.sources[0].camera
 
     @property
     def keypoints(self) -> Keypoints:
+        """Detections of the first, or only, camera, after cleaning."""
         return self.sources[0].keypoints
 
     @property
@@ -323,6 +328,7 @@ class Motion:
 
     @property
     def cameras(self) -> tuple[Camera, ...]:
+        """(V,): of all that filmed the clip."""
         return tuple(source.camera for source in self.sources)
 
     @property
@@ -339,6 +345,7 @@ class Motion:
 
     @property
     def fps(self) -> float:
+        """Frames per second."""
         assert self.keypoints.fps is not None
         return self.keypoints.fps
 

@@ -222,6 +222,7 @@ class Camera:
 
     @property
     def has_extrinsics(self) -> bool:
+        """Whether it is known where the camera stands."""
         return self.rotation is not None
 
     @property

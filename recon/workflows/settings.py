@@ -338,6 +338,7 @@ class FitSettings(Settings):
 
     @classmethod
     def problems_of_given(cls, given: Mapping[str, Any]) -> Iterator[Problem]:
+        """A camera given in one way only, and nothing that the method does not read."""
         yield from _camera_problems(given)
         yield from _of_the_other_method(given)
 
@@ -397,6 +398,7 @@ class FitSettings(Settings):
         return bool(self.refine_cameras) or (self.focal_sigma is not None and len(self.keypoints) > 1)
 
     def trajectory_options(self) -> TrajectoryOptions:
+        """Those that the trajectory method's solver reads."""
         from recon.fit import TrajectoryOptions
 
         return TrajectoryOptions(**{field.name: getattr(self, field.name) for field in fields(TrajectoryOptions)})
