@@ -275,24 +275,18 @@ def _motion(folder: Path, anyway: bool) -> Motion:
 def _rates(fps: str | None, tables: Sequence[Path]) -> list[float]:
     """The number, or those of a JSON file; none where there are no pose files."""
     expected = 'frames per second above 0, as in 120, or a JSON file with {"fps": [120, 90]}'
-    if fps is None and not tables:
-        return []
-    if fps is None or not tables:
+    if (fps is None) != (not tables):
         wanted = expected if tables else "nothing: results have their own"
         raise InputError(Problem("--fps", "frame rate", fps or "nothing", wanted))
+    if fps is None:
+        return []
+    where = Path(fps) if Path(fps).is_file() else None
     try:
-        rates = [float(fps)]
-    except ValueError:
-        path = Path(fps)
-        if not path.is_file():
-            raise InputError(Problem("--fps", "frame rate", repr(fps), expected)) from None
-        content = read_json(path, expected)
-        try:
-            rates = [float(rate) for rate in np.ravel(content["fps"])]
-        except (ValueError, KeyError, TypeError, OverflowError):
-            raise InputError(Problem(path, "fps", "no such list of numbers", expected)) from None
-    if not rates or not all(math.isfinite(rate) and rate > 0 for rate in rates):
-        raise InputError(Problem("--fps", "frame rate", ", ".join(f"{rate:g}" for rate in rates) or "none", expected))
+        rates = [float(rate) for rate in np.ravel(fps if where is None else read_json(where, expected)["fps"])]
+    except (ValueError, KeyError, TypeError, OverflowError):
+        rates = []
+    if not rates or not all(0 < rate < math.inf for rate in rates):
+        raise InputError(Problem(where or "--fps", "frame rate", repr(fps), expected))
     return rates
 
 
