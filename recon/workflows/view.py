@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-from recon.base.errors import Problem
+from recon.base.errors import InputError, Problem
 from recon.base.files import require_free_file, staged_file
 from recon.base.manifest import read_manifest
 from recon.base.settings import Option
@@ -43,6 +43,8 @@ def view(settings: _ViewSettings) -> None:
     """
     folder, out = settings.folder, settings.out
     playback = folder / PLAYBACK
+    if not playback.is_file():
+        raise InputError(Problem(playback, "file", "no such file", "a recording (.rrd) that `recon fit` has written"))
     read_manifest(folder).require(PLAYBACK)
     if out is not None:
         require_free_file(out, settings.overwrite)
