@@ -526,6 +526,7 @@ def test_console_summary_of_a_trajectory(trajectory):
     for text in (
         "run.csv, frames 10 to 17 at 30 fps",
         "8 of 8 with a pose, 2 doubtful (1 no data, 1 data poor, 1 ambiguous depth)",
+        "161 used, 31 missing",
         "23 of the skeleton's 24 used; missing: r_eye; not used: ear",
         "9.0 m/s mean",
         "not measured: all metres and m/s assume a cheetah of average size (±6%)",
@@ -534,7 +535,6 @@ def test_console_summary_of_a_trajectory(trajectory):
         assert text in shown
     lines = str(summary_lines(trajectory))
     for text in (
-        "161 used, 31 missing",
         "in the picture's plane",
         "70% of the pose rests on the video, 30% on running-cheetah",
         "stances: l_front_paw 0, r_front_paw 0",

@@ -27,7 +27,7 @@ SECTION_CHARACTERS = 600_000
 """The most that the vector graphics of a section take; three sections and the stills are below 3 MB."""
 SHOWN = 100
 """Rows of the table of doubtful frames."""
-SPEED_MM = 130.0
+SPEED_MM = 100.0
 LENGTHS, POSES, STRETCHES = 4.0, 7, 3
 """How many times its length an animal runs in a figure of so many poses, in so many stretches of the clip at most."""
 SOLID_FRAMES = 600

@@ -45,7 +45,7 @@ def speeds(
     peak, which has a ring. unknown: that they are errors of the path rather than speeds; grey, without peaks.
     acceleration: whether it is drawn, too.
     """
-    peaks = ["not known, errors of the path" if unknown else _peak(motion) for motion in curves.values()]
+    peaks = ["not known, errors of the path" if unknown else _peak(motion, acceleration) for motion in curves.values()]
     labels = [f"{name}: {peak}" for name, peak in zip(curves, peaks, strict=True)]
     rows = 2 if acceleration else 1
     with drawing(14 + 42 * rows + legend_shape(labels, width_mm)[1], width_mm, title) as figure:
@@ -80,12 +80,15 @@ def _curve(axes: Axes, i: int, motion: JointKinematics, value: Array, sigma: Arr
     return line
 
 
-def _peak(motion: JointKinematics) -> str:
+def _peak(motion: JointKinematics, acceleration: bool) -> str:
     if not np.isfinite(motion.peak_speed_m_s):
         return "no data"
     speed = f"{motion.peak_speed_m_s:.2f}{_deviation(motion.peak_speed_sigma_m_s, 2)} m/s"
-    acceleration = f"{motion.peak_acceleration_m_s2:.0f}{_deviation(motion.peak_acceleration_sigma_m_s2, 0)} m/s²"
-    return f"peak {speed} at {motion.peak_speed_time_s:.3f} s, {acceleration}"
+    text = f"peak {speed} at {motion.peak_speed_time_s:.3f} s"
+    if acceleration:
+        spread = _deviation(motion.peak_acceleration_sigma_m_s2, 0)
+        text += f", {motion.peak_acceleration_m_s2:.0f}{spread} m/s²"
+    return text
 
 
 def _deviation(sigma: float, digits: int) -> str:
