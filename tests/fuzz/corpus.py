@@ -28,6 +28,7 @@ from recon.io.columns import parse_map, read_long
 from recon.io.pose3d import Pose3D, read_pose3d, read_pose_segments
 from recon.keypoint_net.labels import read_label_file
 from recon.robotics.climb.recipe import load_recipe
+from recon.robotics.robot.physics import described
 from recon.robotics.robot.quadruped import LEGS
 from recon.robotics.robot.reference import Reference
 from recon.robotics.robot.retarget import place
@@ -330,6 +331,9 @@ def _built_in() -> Iterator[Seed]:
     yield Seed("dh.toml", DH, load_dh)
     if find_spec("mujoco") is not None:
         yield Seed("robot.urdf", _urdf().encode(), _walking, 0.3)
+        spec = described(load_robot("a1"))
+        spec.compile()
+        yield Seed("robot.xml", spec.to_xml().encode(), _walking, 0.3)
     recipe = sorted((resources.files("recon.robotics.climb") / "recipes").iterdir(), key=str)[0]
     yield Seed("recipe.toml", recipe.read_bytes(), load_recipe)
 

@@ -5,6 +5,7 @@ Meshes are not read: they need files beside it, and no kinematics needs them.
 
 from __future__ import annotations
 
+import warnings
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -52,7 +53,9 @@ def read_model(path: str | Path, free: bool = False) -> Any:
             spec.delete(mesh)
         if free and not any(joint.type == mujoco.mjtJoint.mjJNT_FREE for joint in spec.joints):
             spec.worldbody.first_body().add_freejoint()
-        model = spec.compile()
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # masses that nothing moves by: kinematics do not need them
+            model = spec.compile()
     except (ValueError, mujoco.FatalError) as error:
         found = " ".join(str(error).split())[:160]
         raise InputError(Problem(path, "content", found, "a URDF or MJCF file")) from None
@@ -66,11 +69,16 @@ def rates_of(path: Path) -> dict[str, float]:
     """The joints' fastest rates that a URDF file states, which MuJoCo does not keep; MJCF has none. Raises InputError
     for limits of joints that it takes for none."""
     rates, problems = {}, []
-    for joint in ElementTree.parse(path).getroot().iter("joint"):
-        limit, name = joint.find("limit"), joint.get("name", "")
-        if limit is None:
-            continue
-        lower, upper, rate = (float(limit.get(what) or 0) for what in ("lower", "upper", "velocity"))
+    try:
+        stated = {j.get("name", ""): j.find("limit") for j in ElementTree.parse(path).getroot().iter("joint")}
+        numbers = {
+            name: [float(limit.get(what) or 0) for what in ("lower", "upper", "velocity")]
+            for name, limit in stated.items()
+            if limit is not None
+        }
+    except (ElementTree.ParseError, ValueError) as error:
+        raise InputError(Problem(path, "limit", str(error)[:120], "numbers in a whole file")) from None
+    for name, (lower, upper, rate) in numbers.items():
         if lower > upper:
             problems.append(Problem(path, f"joint {name}", f"limits {lower:g}, {upper:g}", "the lower one first"))
         if rate and not 1e-6 < rate < LARGEST:
