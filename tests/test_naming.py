@@ -373,7 +373,7 @@ def test_labels_and_predictions_of_other_names(tmp_path):
     by = in_file(tmp_path, "nose,label nose\nspine,label spine\n")
     found = evaluate_2d_files(SAMPLES / "rendered_points.csv", named, rename=str(by))
     same = evaluate_2d_files(SAMPLES / "rendered_points.csv", SAMPLES / "rendered_labels.csv")
-    assert found.per_keypoint == {f"label {n}": same.per_keypoint[n] for n in ("nose", "spine")}
+    assert found["per_keypoint"] == {f"label {n}": same["per_keypoint"][n] for n in ("nose", "spine")}
 
 
 def test_a_batch_knows_a_map_by_its_content(tmp_path):
