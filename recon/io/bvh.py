@@ -15,9 +15,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from recon.base.documents import read_text
-from recon.base.errors import InputError, Problem, refuse
+from recon.base.errors import Problem, refuse
 from recon.io.bones import AXIS, Armature
-from recon.io.common import choose, frame_number, name_problems, number, require_names, starts_with_text
+from recon.io.common import choose, damage_named, frame_number, name_problems, number, require_names, starts_with_text
 from recon.io.pose import StoredPoints
 
 AXES = "XYZ"
@@ -49,13 +49,11 @@ def read(path: Path, individual: str | None = None) -> StoredPoints:
     choose(path, [""], individual)
     text = read_text(path, "a BVH file")
     lines = iter([line.strip() for line in text.splitlines() if line.strip()])
-    try:
+    with damage_named(path, "a whole BVH file"):
         joints = _hierarchy(lines)
         count = frame_number(_value(lines, r"Frames:\s*(\S+)")) or 0
         frame_time_s = number(_value(lines, r"Frame Time:\s*(\S+)"))
         rows = [[number(cell) for cell in line.split()] for line in lines]
-    except (ValueError, StopIteration) as error:
-        raise InputError(Problem(path, "content", f"{error or 'the end of the file'}", "a whole BVH file")) from None
     width = sum(len(joint.channels) for joint in joints)
     problems = [
         Problem(path, f"frame {i + 1} of MOTION", f"{len(row)} numbers", f"{width}, one for each channel")
@@ -129,23 +127,19 @@ def _value(lines: Iterator[str], pattern: str) -> str:
 
 def _positions(joints: list[_Joint], motion: np.ndarray) -> np.ndarray:
     """(T, J, 3): p = p_parent + R_parent t, with R = R_parent R_1 R_2 R_3 in the order of the channels."""
-    T = len(motion)
-    xyz = np.zeros((T, len(joints), 3))
-    turned: list[np.ndarray] = []
+    xyz = np.zeros((len(motion), len(joints), 3))
+    turned: list[Rotation] = []
     for j, joint in enumerate(joints):
-        local = np.tile(joint.offset, (T, 1)).astype(float)
-        turn = np.tile(np.eye(3), (T, 1, 1))
-        for c, channel in enumerate(joint.channels):
-            axis, values = AXES.index(channel[0]), motion[:, joint.column + c]
+        xyz[:, j] = joint.offset
+        turn = Rotation.identity(len(motion))
+        for c, channel in enumerate(joint.channels, start=joint.column):
             if channel.endswith("position"):
-                local[:, axis] = values
+                xyz[:, j, AXES.index(channel[0])] = motion[:, c]
             else:
-                turn = turn @ Rotation.from_euler(channel[0].lower(), values[:, None], degrees=True).as_matrix()
+                turn = turn * Rotation.from_euler(channel[0].lower(), motion[:, [c]], degrees=True)
         if joint.parent >= 0:
-            above = turned[joint.parent]
-            local = xyz[:, joint.parent] + np.einsum("tij,tj->ti", above, local)
-            turn = above @ turn
-        xyz[:, j] = local
+            xyz[:, j] = xyz[:, joint.parent] + turned[joint.parent].apply(xyz[:, j])
+            turn = turned[joint.parent] * turn
         turned.append(turn)
     return xyz
 

@@ -159,25 +159,27 @@ def _require_upright(track: CameraTrack, path: Path) -> None:
         raise InputError(Problem(path, "poses", found, expected))
 
 
+Row = tuple[str, int, Sequence[float]]
+"""A place in the file, the frame, and qw, qx, qy, qz, tx, ty, tz, of a camera that zooms fx, fy, cx, cy, and perhaps
+the sigma of the turn in degrees."""
+
+
 def _checked_track(
-    path: Path,
-    places: Sequence[str],
-    frames: Integers,
-    table: Array,
-    sigma_deg: Array | None = None,
-    camera: Camera | None = None,
-    problems: Sequence[Problem] = (),
+    path: Path, rows: Sequence[Row], problems: Sequence[Problem], camera: Camera | None = None, has_sigma: bool = False
 ) -> CameraTrack:
-    """Of rows, each from a place in the file: frames (N,), and a table (N, 7) of poses, or (N, 11) with the intrinsics
-    of a camera that zooms. Raises InputError with what is wrong with them, after the problems that are known."""
+    """Raises InputError with what is wrong with the rows, after the problems that are known."""
     problems = first_problems(problems, path)
-    if not len(frames) and not problems:
+    if not len(rows) and not problems:
         problems.append(Problem(path, "rows", "none", "a pose for each frame"))
-    for kind, expected, wrong in _CHECKS if len(frames) else ():
+    refuse(problems if not rows else ())
+    places, frames = [place for place, _, _ in rows], np.array([frame for _, frame, _ in rows], dtype=np.int64)
+    table = np.array([values for _, _, values in rows], dtype=float)
+    table, sigma_deg = (table[:, :-1], table[:, -1]) if has_sigma else (table, None)
+    for kind, expected, wrong in _CHECKS:
         with np.errstate(all="ignore"):
-            rows = np.flatnonzero(wrong(table).any(axis=1))
-        if len(rows):
-            problems.append(Problem(path, kind, f"others in {_some([places[row] for row in rows.tolist()])}", expected))
+            found = np.flatnonzero(wrong(table).any(axis=1))
+        if len(found):
+            problems.append(Problem(path, kind, f"others in {_some([places[row] for row in found])}", expected))
     if sigma_deg is not None and len(beyond := sigma_deg[~((sigma_deg >= 0) & (sigma_deg <= MAX_SIGMA_DEG))]):
         problems.append(Problem(path, SIGMA, f"{beyond[0]:g}", f"0 to {MAX_SIGMA_DEG:g} degrees"))
     distinct, count = np.unique(frames, return_counts=True)
@@ -187,15 +189,20 @@ def _checked_track(
     refuse(problems)
     order = np.argsort(frames)
     table = table[order]
-    quaternion = table[:, :4] / np.linalg.norm(table[:, :4], axis=1, keepdims=True)
     return CameraTrack(
         path,
         frames[order],
-        rigid(quaternion_rotations(quaternion[:, [1, 2, 3, 0]]), table[:, 4:7]),
+        rigid(_rotations(table[:, :4]), table[:, 4:7]),
         table[:, 7:] if table.shape[1] > 7 else None,
         camera,
         None if sigma_deg is None else np.radians(sigma_deg[order]),
     )
+
+
+def _rotations(quaternion: Array) -> Array:
+    """(N, 3, 3), of quaternions (N, 4) with w first and nearly of length 1."""
+    unit = quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)
+    return quaternion_rotations(unit[:, [1, 2, 3, 0]])
 
 
 _CHECKS: tuple[tuple[str, str, Callable[[Array], Bools]], ...] = (
@@ -236,7 +243,7 @@ def _read_csv(path: Path) -> CameraTrack:
     ]
     refuse(problems)
     at = [header.index(name) for name in wanted]
-    places, found = [], []
+    found: list[Row] = []
     for line, cells in rows:
         if len(cells) <= max(at):
             problems.append(Problem(path, f"line {line}", f"{len(cells)} cells", f"{len(header)}, as in the header"))
@@ -249,26 +256,19 @@ def _read_csv(path: Path) -> CameraTrack:
             said = ", ".join(f"{wanted[i]} {cells[at[i]].strip()!r}" for i in sorted(wrong))
             problems.append(Problem(path, f"line {line}", said, "numbers, and a whole one for the frame"))
             continue
-        places.append(f"line {line}")
-        found.append(values)
-    table = np.reshape(found, (-1, len(wanted)))
-    sigma_deg = table[:, -1] if SIGMA in header else None
-    poses = table[:, 1 : 12 if zooms else 8]
-    if outward:
-        poses[:, :4] *= [1.0, -1.0, -1.0, -1.0]
-        with np.errstate(all="ignore"):
-            poses[:, 4:7] = _translations(poses[:, :4], poses[:, 4:7])
-    return _checked_track(path, places, table[:, 0].astype(np.int64), poses, sigma_deg, problems=problems)
+        if outward:
+            values[1:8] = _from_world(values[1:8])
+        found.append((f"line {line}", int(values[0]), values[1:].tolist()))
+    return _checked_track(path, found, problems, has_sigma=SIGMA in header)
 
 
-def _translations(quaternion: Array, place_m: Array) -> Array:
-    """(N, 3): of cameras that turn the world by unit quaternions (N, 4), w first, and stand at places (N, 3)."""
-    if not len(quaternion):
-        return place_m
-    usable = (np.abs(quaternion).max(axis=1) > 0.1) & (np.abs(quaternion).max(axis=1) < 10)  # others are refused later
-    unit = np.where(usable[:, None], quaternion, [1.0, 0.0, 0.0, 0.0])
-    unit = unit / np.linalg.norm(unit, axis=1, keepdims=True)
-    return -(quaternion_rotations(unit[:, [1, 2, 3, 0]]) @ place_m[..., None])[..., 0]
+def _from_world(pose: Array) -> Array:
+    """(7,): what takes points to the camera, of the camera's own pose: the quaternion's opposite, and the place turned
+    by it. A quaternion that is none stays, to be refused."""
+    inverse = pose * [1.0, -1.0, -1.0, -1.0, 1.0, 1.0, 1.0]
+    if np.isfinite(pose).all() and 0.1 < np.abs(pose[:4]).max() < 10:
+        inverse[4:] = -(_rotations(inverse[None, :4])[0] @ pose[4:])
+    return inverse
 
 
 # -- OpenDroneMap, OpenSfM ------------------------------------------------------------------------------------------
@@ -286,7 +286,8 @@ def _read_shots(path: Path) -> CameraTrack:
     if not isinstance(shots, dict) or not shots:
         several = f"{len(document)} reconstructions" if isinstance(document, list) else "no shots"
         raise InputError(Problem(path, "shots", several, EXPECTED))
-    places, frames, poses, problems = [], [], [], []
+    rows: list[Row] = []
+    problems: list[Problem] = []
     for name, shot in shots.items():
         frame = _frame_of_name(name)
         try:
@@ -297,37 +298,24 @@ def _read_shots(path: Path) -> CameraTrack:
             expected = "rotation and translation of 3 numbers each, and the frame's number last in the name"
             problems.append(Problem(path, f"shots.{name[:60]}", "others", expected))
             continue
-        x, y, z, w = Rotation.from_rotvec(turn).as_quat().tolist()
-        places.append(f"shots.{name}")
-        frames.append(frame)
-        poses.append([w, x, y, z, *at])
-    table = np.reshape(poses, (-1, 7))
-    if features is not None:  # places, not translations
-        table[:, 4:] = _translations(table[:, :4], table[:, 4:])
-    return _checked_track(path, places, np.array(frames, dtype=np.int64), table, problems=problems)
+        rotation = Rotation.from_rotvec(turn)
+        if features is not None:  # places, not translations
+            at = -rotation.apply(at)
+        x, y, z, w = rotation.as_quat().tolist()
+        rows.append((f"shots.{name}", frame, [w, x, y, z, *at]))
+    return _checked_track(path, rows, problems)
 
 
 # -- COLMAP ---------------------------------------------------------------------------------------------------------
 
 
 def _read_colmap(images: Path, cameras: Path | None) -> CameraTrack:
-    """Without cameras.txt the lens is to come from elsewhere."""
-    places, frames, table, of_camera = _images(images)
-    if cameras is None:
-        return _checked_track(images, places, frames, table)
-    lenses = _lenses(cameras, dict.fromkeys(of_camera))
-    own = np.array([_intrinsics(lenses[key]) for key in of_camera])
-    if np.ptp(own, axis=0).any():
-        table = np.column_stack([table, own])
-    camera = replace(lenses[of_camera[0]], name=track_label(images))
-    return _checked_track(images, places, frames, table, camera=camera)
-
-
-def _images(path: Path) -> tuple[list[str], Integers, Array, list[str]]:
-    """Where each pose stands, its frame (N,), the poses (N, 7), and which camera each is of. Every image has two lines,
-    the second for its points. Raises InputError."""
-    lines = enumerate(read_text(path, EXPECTED).splitlines(), start=1)
-    places, frames, poses, of_camera, problems = [], [], [], [], []
+    """Every image has two lines, the second for its points. Without cameras.txt the lens is to come from elsewhere.
+    Raises InputError."""
+    lines = enumerate(read_text(images, EXPECTED).splitlines(), start=1)
+    rows: list[Row] = []
+    of_camera: list[str] = []
+    problems: list[Problem] = []
     for at, line in lines:
         if not line.strip() or line.lstrip().startswith("#"):
             continue
@@ -336,19 +324,22 @@ def _images(path: Path) -> tuple[list[str], Integers, Array, list[str]]:
         frame = _frame_of_name(cells[9]) if len(cells) == 10 else None
         if len(values) < 7 or any(np.isnan(values[wrong])) or frame is None:
             expected = "IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, with the frame's number last in the name"
-            problems.append(Problem(path, f"line {at}", repr(line.strip()[:60]), expected))
+            problems.append(Problem(images, f"line {at}", repr(line.strip()[:60]), expected))
         else:
-            places.append(f"line {number}")
-            frames.append(frame)
-            poses.append(values)
+            rows.append((f"line {at}", frame, values.tolist()))
             of_camera.append(cells[8])
         at, points = next(lines, (0, ""))
         if len(points.split()) % 3:
             expected = "the points of the image above, X Y POINT3D_ID each, or an empty line"
-            problems.append(Problem(path, f"line {at}", repr(points.strip()[:60]), expected))
-    found = np.array(frames, dtype=np.int64), np.reshape(poses, (-1, 7))
-    _checked_track(path, places, *found, problems=problems)
-    return places, *found, of_camera
+            problems.append(Problem(images, f"line {at}", repr(points.strip()[:60]), expected))
+    track = _checked_track(images, rows, problems)
+    if cameras is None:
+        return track
+    lenses = _lenses(cameras, dict.fromkeys(of_camera))
+    own = np.array([lenses[key].matrix[[0, 1, 0, 1], [0, 1, 2, 2]] for key in of_camera])
+    if np.ptp(own, axis=0).any():
+        rows = [(place, frame, [*pose, *lens]) for (place, frame, pose), lens in zip(rows, own, strict=True)]
+    return _checked_track(images, rows, problems, replace(lenses[of_camera[0]], name=track_label(images)))
 
 
 def _frame_of_name(name: str) -> int | None:
@@ -372,7 +363,7 @@ def _lenses(path: Path, wanted: dict[str, None]) -> dict[str, Camera]:
     if not problems:
         missing = [key for key in wanted if key not in found]
         problems += [Problem(path, "cameras", f"no camera {_some(missing)}", f"those of {IMAGES}")] if missing else []
-    if not problems and len({_bending(lens) for lens in found.values()}) > 1:
+    if not problems and len({(c.model, c.image_size_px, *c.distortion.tolist()) for c in found.values()}) > 1:
         expected = "one lens, whose focal length and centre alone may change from image to image"
         problems.append(Problem(path, "cameras", f"{len(found)} with different lenses or picture sizes", expected))
     refuse(first_problems(problems, path))
@@ -400,11 +391,3 @@ def _lens(cells: Sequence[str]) -> Camera:
     if None in sizes or not max(sizes) <= MAX_PX:  # type: ignore[type-var]
         raise ValueError(f"picture of {cells[2]} by {cells[3]} px")
     return Camera(cells[0], matrix, distortion, lens.name, (sizes[0], sizes[1]))  # type: ignore[arg-type]
-
-
-def _intrinsics(lens: Camera) -> tuple[float, ...]:
-    return tuple(lens.matrix[[0, 1, 0, 1], [0, 1, 2, 2]].tolist())
-
-
-def _bending(lens: Camera) -> tuple[Any, ...]:
-    return lens.model, lens.image_size_px, *lens.distortion.tolist()

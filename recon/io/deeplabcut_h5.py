@@ -289,8 +289,8 @@ def write(data: Keypoints | Pose3D, path: Path) -> None:
     columns = pd.MultiIndex.from_arrays([*header.values()], names=[*header])
     table = pd.DataFrame(values, pd.Index(frames), columns)
     in_memory: dict[str, Any] = {"driver": "H5FD_CORE", "driver_core_backing_store": 0}
-    with pd.HDFStore(str(path), mode="w", **in_memory) as store:
+    with cast(Any, pd.HDFStore(str(path), mode="w", **in_memory)) as store:
         store.put(KEY, table, format="table", index=False, track_times=False)
-        cast(Any, store).get_storer(KEY).attrs.pandas_version = ANY_PANDAS
-        content = cast(Any, store)._handle.get_file_image()
+        store.get_storer(KEY).attrs.pandas_version = ANY_PANDAS
+        content = store._handle.get_file_image()
     write_bytes(path, content)

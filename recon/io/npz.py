@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 
 from recon.base.documents import read_content
-from recon.base.errors import InputError, Problem, refuse
+from recon.base.errors import Problem, refuse
 from recon.base.files import write_bytes
 from recon.base.records import KINDS, MAX_BYTES, arrays_of
-from recon.io.common import choose, name_problems, rate, starts_with
+from recon.io.common import choose, damage_named, name_problems, rate, starts_with
 from recon.io.pose import Pose3D, StoredPoints, index_edges
 
 WANTED = {"names": "U", "xyz_m": "f", "frames": "i", "fps": "f", "edges": "i"}
@@ -35,11 +35,9 @@ def read(path: Path, individual: str | None = None) -> StoredPoints:
     """Raises InputError for a damaged file or arrays that do not fit, and for a choice of animals: it has one."""
     choose(path, [""], individual)
     content = read_content(path, "a whole file", MAX_BYTES)
-    try:
+    with damage_named(path, "a whole file"):
         arrays = arrays_of(content, f"{KINDS}U")
         names = [str(name) for name in np.atleast_1d(arrays.get("names", [])).tolist()]
-    except ValueError as error:
-        raise InputError(Problem(path, "content", f"data that cannot be read ({error})", "a whole file")) from None
     refuse(
         Problem(path, name, "nothing" if name not in arrays else f"values of type {arrays[name].dtype}", expected)
         for name, kind in WANTED.items()

@@ -7,7 +7,7 @@ are taken alike. Ours are given 1970-01-01 as the start of their session, which 
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from io import BytesIO
 from pathlib import Path
@@ -19,15 +19,7 @@ import numpy as np
 from recon.base.errors import InputError, Problem, refuse
 from recon.base.files import write_bytes
 from recon.clip.keypoints import Keypoints
-from recon.io.common import (
-    choose,
-    formats_extra,
-    frames_of_times,
-    name_problems,
-    rate,
-    require_names,
-    required_fps,
-)
+from recon.io.common import choose, formats_extra, frames_of_times, name_problems, rate, require_names, required_fps
 from recon.io.hdf5 import attribute, child, groups, names, numbers, opened, outline, texts
 from recon.io.pose import UNIT_NAMES, Pose3D, StoredPoints, index_edges, points_of
 
@@ -56,15 +48,6 @@ class _PoseSeries:
     z_up: bool
 
 
-@dataclass(frozen=True, eq=False)
-class _Container:
-    name: str
-    series: list[_PoseSeries]
-    nodes: list[str]
-    edges: np.ndarray
-    scorer: str
-
-
 def recognises(path: Path) -> bool:
     """Whether the file is NWB's, with poses or without."""
     return "nwb_version" in outline(path)
@@ -72,81 +55,86 @@ def recognises(path: Path) -> bool:
 
 def read(path: Path, individual: str | None = None) -> StoredPoints:
     """The points of one animal, which a file of several calls by its container. Raises InputError."""
-    containers = _load(path)
-    container = containers[choose(path, [c.name for c in containers], individual)]
-    series, frames, fps = _checked_series(path, container)
-    points = tuple(s.name for s in series)
-    edges = container.edges if set(container.nodes) == set(points) else ()
-    named = len(containers) > 1 or not container.name.startswith("PoseEstimation")
-    return StoredPoints(
-        points,
-        np.stack([s.values for s in series], axis=1),
-        frames,
-        np.stack([s.confidence for s in series], axis=1),
-        fps=fps,
-        individual=container.name if named else None,
-        scorer=container.scorer,
-        unit=UNIT_NAMES.get(series[0].unit),
-        up="z" if series[0].z_up else None,
-        edges=tuple((container.nodes[a], container.nodes[b]) for a, b in edges),
-    )
-
-
-def _load(path: Path) -> list[_Container]:
-    """Every container of points. Raises InputError for a damaged file, or one without any."""
-    import h5py
-
-    found: list[_Container] = []
+    found: dict[str, StoredPoints | InputError] = {}
     with opened(path) as file:
         for group in groups(file):
             inside = [child(group, name) for name in names(group)]
-            points = [g for g in inside if isinstance(g, h5py.Group) and _type(g) == "PoseEstimationSeries"]
+            points = [one for one in inside if one is not None and _type(one) == "PoseEstimationSeries"]
+            name = str(group.name).rsplit("/", 1)[-1]
             if points:
-                nodes, edges = _skeleton(group, inside)
-                series = [_series(path, point) for point in points]
-                order = {node: i for i, node in enumerate(nodes)}
-                series.sort(key=lambda s: order.get(s.name, len(order)))
-                stored = child(group, "scorer")
-                scorer = "" if stored is None else "".join(texts(stored))
-                found.append(_Container(_last_part(group.name), series, nodes, edges, scorer))
+                try:
+                    found[name] = _points(path, name, group, inside, [_series(path, point) for point in points])
+                except InputError as error:  # of another animal, perhaps
+                    found[name] = error
     if not found:
         raise InputError(Problem(path, "PoseEstimationSeries", "none", "poses of the extension ndx-pose"))
-    return found
-
-
-def _last_part(name: str | None) -> str:
-    return str(name or "").rsplit("/", 1)[-1]
+    chosen = [*found.values()][choose(path, [*found], individual)]
+    if isinstance(chosen, InputError):
+        raise chosen
+    named = len(found) > 1 or not str(chosen.individual).startswith("PoseEstimation")
+    return chosen if named else replace(chosen, individual=None)
 
 
 def _type(group: Any) -> Any:
     return attribute(group, "neurodata_type")
 
 
+def _points(path: Path, name: str, group: Any, inside: list[Any], series: list[_PoseSeries]) -> StoredPoints:
+    """What a container has. Raises InputError where its series do not fit together."""
+    nodes, edges = _skeleton(group, inside)
+    order = {node: i for i, node in enumerate(nodes)}
+    first, *others = series = sorted(series, key=lambda s: order.get(s.name, len(order)))
+    points = tuple(s.name for s in series)
+    problems = name_problems(path, name, points)
+    for s in others:
+        where = f"{name}/{s.name}"
+        if s.values.shape[1] != first.values.shape[1]:
+            found = f"{s.values.shape[1]} coordinates, and {first.values.shape[1]} in {first.name}"
+            problems.append(Problem(path, where, found, "2D points or 3D points, not both"))
+        if s.times_s.shape != first.times_s.shape or not np.allclose(s.times_s, first.times_s, rtol=0, atol=1e-6):
+            problems.append(Problem(path, where, f"other times than in {first.name}", "one time line"))
+    if not len(first.times_s):
+        problems.append(Problem(path, name, "no frames", "at least one"))
+    refuse(problems)
+    frames, fps = frames_of_times(path, first.times_s, first.fps)
+    scorer = child(group, "scorer")
+    return StoredPoints(
+        points,
+        np.stack([s.values for s in series], axis=1),
+        frames,
+        np.stack([s.confidence for s in series], axis=1),
+        fps=fps,
+        individual=name,
+        scorer="" if scorer is None else "".join(texts(scorer)),
+        unit=UNIT_NAMES.get(first.unit),
+        up="z" if first.z_up else None,
+        edges=tuple((nodes[a], nodes[b]) for a, b in edges) if {*nodes} == {*points} else (),
+    )
+
+
 def _skeleton(group: Any, inside: list[Any]) -> tuple[list[str], np.ndarray]:
     """Nodes and edges (E, 2) of a container's skeleton, or of the container itself, as the first version had it."""
-    for holder in (group, *(g for g in inside if g is not None and _type(g) == "Skeleton")):
-        stored = child(holder, "nodes")
-        if stored is not None:
+    for holder in (group, *(one for one in inside if one is not None and _type(one) == "Skeleton")):
+        if (stored := child(holder, "nodes")) is not None:
             nodes, linked = texts(stored), child(holder, "edges")
-            edges = np.zeros((0, 2)) if linked is None else numbers(linked)
-            edges = edges.reshape(-1, 2)
-            edges = edges[((edges >= 0) & (edges < len(nodes))).all(axis=1)]
-            return nodes, edges.astype(np.int64)
+            edges = np.zeros((0, 2)) if linked is None else numbers(linked).reshape(-1, 2)
+            return nodes, edges[((edges >= 0) & (edges < len(nodes))).all(axis=1)].astype(np.int64)
     return [], np.zeros((0, 2), np.int64)
 
 
 def _series(path: Path, group: Any) -> _PoseSeries:
-    data, name = child(group, "data"), _last_part(group.name)
+    data, name = child(group, "data"), str(group.name).rsplit("/", 1)[-1]
     values = numbers(data)
     if values.ndim != 2 or values.shape[1] not in (2, 3) or values.dtype.kind not in "fiu":
         raise InputError(Problem(path, name, f"{values.dtype} {values.shape}", "numbers, (frames, 2) or (frames, 3)"))
     T = len(values)
-    values = values.astype(float) * _number(data, "conversion", 1.0) + _number(data, "offset", 0.0)
+    scale, shift = attribute(data, "conversion"), attribute(data, "offset")
+    values = values.astype(float) * float(1 if scale is None else scale) + float(shift or 0)
     confidence = child(group, "confidence")
     sure = np.full(T, np.nan) if confidence is None else numbers(confidence).astype(float)
     comment = str(attribute(group, "comments") or "")
-    comments = re.search(re.escape(RATE_TEXT).replace(r"\{fps!r\}", "([0-9.e+-]+)"), comment)
-    fps = rate(comments[1]) if comments else None
+    ours = re.search(re.escape(RATE_TEXT).replace(r"\{fps!r\}", "([0-9.e+-]+)"), comment)
+    fps = rate(ours[1]) if ours else None
     stamps, start = child(group, "timestamps"), child(group, "starting_time")
     if stamps is not None:
         times_s = numbers(stamps).astype(float)
@@ -161,31 +149,6 @@ def _series(path: Path, group: Any) -> _PoseSeries:
     reference = "".join(texts(frame)) if (frame := child(group, "reference_frame")) is not None else ""
     unit = str(attribute(data, "unit") or "")
     return _PoseSeries(name, values, sure, times_s, fps, unit, reference.endswith(UP_TEXT))
-
-
-def _number(dataset: Any, name: str, otherwise: float) -> float:
-    """An attribute that is a number."""
-    value = attribute(dataset, name)
-    return otherwise if value is None else float(value)
-
-
-def _checked_series(path: Path, container: _Container) -> tuple[list[_PoseSeries], np.ndarray, float | None]:
-    """The series of one animal with their frame numbers and rate. Raises InputError where they do not fit together."""
-    series = container.series
-    first = series[0]
-    problems = name_problems(path, container.name, [s.name for s in series])
-    for s in series:
-        where = f"{container.name}/{s.name}"
-        if s.values.shape[1] != first.values.shape[1]:
-            found = f"{s.values.shape[1]} coordinates, and {first.values.shape[1]} in {first.name}"
-            problems.append(Problem(path, where, found, "2D points or 3D points, not both"))
-        if s.times_s.shape != first.times_s.shape or not np.allclose(s.times_s, first.times_s, rtol=0, atol=1e-6):
-            problems.append(Problem(path, where, f"other times than in {first.name}", "one time line"))
-    if not len(first.times_s):
-        problems.append(Problem(path, container.name, "no frames", "at least one"))
-    refuse(problems)
-    frames, fps = frames_of_times(path, first.times_s, first.fps)
-    return series, frames, fps
 
 
 def write(data: Keypoints | Pose3D, path: Path) -> None:
