@@ -8,6 +8,8 @@ import warnings
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
+from importlib import resources
+from io import BytesIO
 from pathlib import Path
 from zipfile import ZIP_DEFLATED, ZipFile
 
@@ -270,3 +272,26 @@ def test_altered_network(tmp_path, change):
     torch.save(content, tmp_path / "model.pt")
     with pytest.raises(InputError, match="a network with parts missing or altered"):
         load_model(tmp_path / "model.pt", torch.device("cpu"))
+
+
+def test_a_skeleton_that_extends_a_name_too_long_for_a_file(tmp_path):
+    (tmp_path / "a.toml").write_text(f'extends = "{"a" * 300}"\n')
+    with pytest.raises(InputError, match="aaa"):
+        load_skeleton(tmp_path / "a.toml")
+
+
+def test_a_prior_with_numbers_that_signal(tmp_path):
+    """A NaN of four bytes that is damaged: wider numbers cannot hold it, of which NumPy warns."""
+    content = resources.files("recon") / "animal" / "priors" / "running-cheetah.npz"
+    with np.load(BytesIO(content.read_bytes())) as file:
+        arrays = dict(file)
+    name = next(name for name, array in arrays.items() if array.dtype.kind == "f" and array.size)
+    arrays[name] = np.full(arrays[name].shape, 0x7FA00000, "<u4").view("<f4")
+    np.savez(tmp_path / "a.npz", **arrays)
+    with pytest.raises(InputError):
+        load_prior(tmp_path / "a.npz", load_skeleton("cheetah-24"))
+
+
+def test_a_name_too_long_for_a_file(tmp_path):
+    with pytest.raises(InputError, match="cannot be opened"):
+        read_keypoints(tmp_path / f"{'a' * 300}.csv")

@@ -6,6 +6,7 @@ Built-in skeletons are the files of `recon/animal/skeletons`, built-in subjects 
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -224,7 +225,7 @@ def read_named(
         file = package.builtin_file(folder, f"{name_or_path}.toml")
         return parse_toml(file.read_text(encoding="utf-8"), name_or_path), f"{kind} {name_or_path}"
     path = Path(name_or_path)
-    if not path.is_file():
+    if not os.path.isfile(path):
         names = package.builtin_names(folder, ".toml") if suggested is None else suggested()
         expected = f"one of {', '.join(names)}, or a {kind} file (.toml)"
         option = "--set detector" if kind == "detector" else f"--{kind}"
@@ -291,8 +292,8 @@ def _extended(raw: dict[str, Any], source: str) -> dict[str, Any]:
 
 def _beside(name: str, source: str) -> str:
     """A skeleton that a file names: built in, or a file that lies beside it, or is found from where the user is."""
-    file = Path(source).parent / name
-    return str(file) if file.is_file() and name not in builtin_names() else name
+    file = os.path.join(Path(source).parent, name)
+    return file if os.path.isfile(file) and name not in builtin_names() else name
 
 
 def _chain_problems(parsed: _ChainFile, source: str) -> Iterator[Problem]:

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from recon.base.arrays import Array
-from recon.io.movement import dataset_of
 from recon.io.pose import Pose3D
 
 if TYPE_CHECKING:
@@ -34,6 +33,8 @@ def dataframe(pose: Pose3D, sigma_m: Array, time_s: Array, flags: Sequence[Seque
 
 def dataset(pose: Pose3D, sigma_m: Array, attributes: dict[str, str]) -> Any:
     """See `recon.Motion.to_xarray`; sigma_m (T, J, 3)."""
+    from recon.io.movement import dataset_of
+
     made = dataset_of(pose)
     made["position_sigma"] = (made["position"].dims, sigma_m.transpose(0, 2, 1)[..., None])
     return made.assign_attrs(attributes)

@@ -49,6 +49,10 @@ def starts_with(path: Path, signature: bytes) -> bool:
         return file.read(len(signature)) == signature
 
 
+def is_hdf5(path: Path) -> bool:
+    return starts_with(path, b"\x89HDF\r\n\x1a\n")
+
+
 def starts_with_text(path: Path, word: bytes) -> bool:
     """Whether it is the first of the text, after blanks and a byte order mark."""
     with path.open("rb") as file:

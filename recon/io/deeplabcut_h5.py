@@ -13,14 +13,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
 
+import h5py
 import numpy as np
 
 from recon.base.errors import InputError, Problem
 from recon.base.files import write_bytes
 from recon.clip.keypoints import Keypoints
-from recon.io.common import formats_extra
+from recon.io.common import formats_extra, is_hdf5
 from recon.io.deeplabcut import HEADERS, PointTable, header_problem, layout, points_in, row_numbers, table_of
-from recon.io.hdf5 import attribute, child, groups, is_hdf5, names, numbers, opened, raw_attribute, read_values
+from recon.io.hdf5 import attribute, child, groups, names, numbers, opened, raw_attribute, read_values
 from recon.io.pose import Pose3D, StoredPoints
 
 KEY = "df_with_missing"
@@ -90,8 +91,6 @@ def image_names(path: Path) -> list[str]:
 
 def _keys(path: Path) -> list[str]:
     """Where in an HDF5 file pandas stored something. Raises InputError for a file that cannot be opened."""
-    import h5py
-
     with opened(path, outline=True) as file:
         return [str(group.name) for group in groups(file) if h5py.h5a.exists(group.id, b"pandas_type")]
 

@@ -6,6 +6,7 @@ and one line in `FORMATS`: `recon fit`, `batch`, `evaluate` and `convert` take i
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib import import_module
@@ -172,7 +173,7 @@ def read_points(
     kind: what they have to be; by: the columns of a plain table (`recon.io.columns.parse_map`).
     """
     path = Path(path)
-    if path.is_dir() or path.suffix.lower() in (".yaml", ".yml"):
+    if os.path.isdir(path) or path.suffix.lower() in (".yaml", ".yml"):
         _refuse_several(path)
     head = file_head(path)
     if by is not None:

@@ -81,19 +81,28 @@ def write(rig: Armature, path: Path) -> None:
     skin = {"joints": list(range(len(nodes))), "inverseBindMatrices": buffer.add(unbind.reshape(-1, 16)), "skeleton": 0}
     sides: list[Side | None] = [side for side in COLOURS if any(capsule.side == side for capsule in rig.capsules)]
     primitives = [_primitive(buffer, rig, side, at_rest, i) for i, side in enumerate(sides)]
-    animation = _animation(buffer, rig, turns)
+    time_s = buffer.add(np.arange(len(rig.root_m)) / rig.fps)
+    moved = [(0, "translation", rig.root_m)]
+    moved += [(i, "rotation", turns[i]) for i, bone in enumerate(rig.bones) if bone.turns]
+    animation = {
+        "name": rig.name,
+        "channels": [{"sampler": k, "target": {"node": i, "path": what}} for k, (i, what, _) in enumerate(moved)],
+        "samplers": [{"input": time_s, "output": buffer.add(values)} for _, _, values in moved],
+    }
+    surface = {"metallicFactor": 0.0, "roughnessFactor": 0.7}
+    materials = [
+        {"name": side or "middle", "pbrMetallicRoughness": {"baseColorFactor": [*COLOURS[side], 1.0], **surface}}
+        for side in sides
+    ]
+    about = {"version": "2.0", "generator": f"recon {version()}", "extras": {"first_frame": int(rig.pose.frames[0])}}
     document: dict[str, Any] = {
-        "asset": {
-            "version": "2.0",
-            "generator": f"recon {version()}",
-            "extras": {"first_frame": int(rig.pose.frames[0])},
-        },
+        "asset": about,
         "scene": 0,
         "scenes": [{"name": rig.title, "nodes": [0, len(nodes)]}],
         "nodes": [*nodes, {"name": rig.name, "mesh": 0, "skin": 0}],
         "skins": [skin],
         "meshes": [{"name": rig.name, "primitives": primitives}],
-        "materials": [_material(side) for side in sides],
+        "materials": materials,
         "animations": [animation],
         "bufferViews": buffer.views,
         "accessors": buffer.accessors,
@@ -104,18 +113,6 @@ def write(rig: Armature, path: Path) -> None:
     chunks = struct.pack("<I4s", len(text), b"JSON") + text
     chunks += struct.pack("<I4s", len(buffer.content), b"BIN\0") + buffer.content
     path.write_bytes(struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks)
-
-
-def _animation(buffer: _Buffer, rig: Armature, turns: list[Array]) -> dict[str, Any]:
-    """The root's path, and the turns of the bones that do."""
-    time_s = buffer.add(np.arange(len(rig.root_m)) / rig.fps)
-    moved = [(0, "translation", rig.root_m)]
-    moved += [(i, "rotation", turns[i]) for i, bone in enumerate(rig.bones) if bone.turns]
-    return {
-        "name": rig.name,
-        "channels": [{"sampler": k, "target": {"node": i, "path": what}} for k, (i, what, _) in enumerate(moved)],
-        "samplers": [{"input": time_s, "output": buffer.add(values)} for _, _, values in moved],
-    }
 
 
 def _primitive(buffer: _Buffer, rig: Armature, side: Side | None, at_rest: Array, material: int) -> dict[str, Any]:
@@ -139,11 +136,6 @@ def _primitive(buffer: _Buffer, rig: Armature, side: Side | None, at_rest: Array
         "indices": buffer.add(np.concatenate(triangles).ravel(), "uint32"),
         "material": material,
     }
-
-
-def _material(side: Side | None) -> dict[str, Any]:
-    surface = {"baseColorFactor": [*COLOURS[side], 1.0], "metallicFactor": 0.0, "roughnessFactor": 0.7}
-    return {"name": side or "middle", "pbrMetallicRoughness": surface}
 
 
 def _triangles() -> Array:

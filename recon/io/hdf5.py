@@ -10,17 +10,15 @@ import mmap
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import h5py
 import numpy as np
+from h5py import h5t
 
 from recon.base.errors import InputError, Problem
-from recon.io.common import damage_named, starts_with
+from recon.io.common import damage_named, is_hdf5
 
-if TYPE_CHECKING:
-    import h5py
-
-SIGNATURE = b"\x89HDF\r\n\x1a\n"
 FREE_BYTES = 1 << 26
 """What a dataset or a piece of it may take in any case; beyond that `MAX_RATIO` times what it takes in the file."""
 MAX_RATIO = 1100
@@ -34,18 +32,12 @@ MAX_GROUPS = 20_000
 MAX_HOPS = 8
 
 
-def is_hdf5(path: Path) -> bool:
-    return starts_with(path, SIGNATURE)
-
-
 @contextmanager
 def opened(path: Path, outline: bool = False) -> Iterator[h5py.File]:
     """A file to read. Raises InputError where it is damaged, also for what h5py says of that inside the block.
 
     outline: only names and types are looked at, which is safe without `_require_sound_heaps`.
     """
-    import h5py
-
     with damage_named(path, "an undamaged file"):
         if not outline:
             _require_sound_heaps(path)
@@ -105,8 +97,6 @@ def names(group: h5py.Group) -> tuple[str, ...]:
 def child(group: h5py.Group, path: str, hops: int = MAX_HOPS) -> Any:
     """The group or dataset that a group holds under a name, or a path; None where there is nothing, or a link into
     another file."""
-    import h5py
-
     found: Any = group.file["/"] if path.startswith("/") else group
     for name in path.split("/"):
         if name in ("", ".") or found is None:
@@ -125,8 +115,6 @@ def child(group: h5py.Group, path: str, hops: int = MAX_HOPS) -> Any:
 
 def groups(file: h5py.File) -> Iterator[h5py.Group]:
     """All groups, the root first, each once. Raises ValueError for more than a file of poses can have."""
-    import h5py
-
     seen: set[Any] = set()
     pending: list[tuple[h5py.Group, int]] = [(file["/"], 0)]  # pyright: ignore[reportAssignmentType]
     while pending:
@@ -146,23 +134,19 @@ def groups(file: h5py.File) -> Iterator[h5py.Group]:
 
 def is_scale(item: Any) -> bool:
     """Whether it is a dataset that names a dimension of others."""
-    import h5py
-
     return isinstance(item, h5py.Dataset) and attribute(item, "CLASS") == "DIMENSION_SCALE"
 
 
 def scale_of(scale: Any, dataset: Any) -> list[int]:
     """The axes of a dataset that a scale says it belongs to."""
-    import h5py
-
     if not h5py.h5a.exists(scale.id, b"REFERENCE_LIST"):
         return []
     stored = h5py.h5a.open(scale.id, b"REFERENCE_LIST")
     kind = stored.get_type()
-    if kind.get_class() != h5py.h5t.COMPOUND or np.prod(stored.shape or (1,)) > MAX_TEXTS:
+    if kind.get_class() != h5t.COMPOUND or np.prod(stored.shape or (1,)) > MAX_TEXTS:
         return []
     members = [kind.get_member_class(i) for i in range(kind.get_nmembers())]
-    if members != [h5py.h5t.REFERENCE, h5py.h5t.INTEGER]:
+    if members != [h5t.REFERENCE, h5t.INTEGER]:
         return []
     listed = scale.attrs["REFERENCE_LIST"].ravel().tolist()
     return [int(axis) for reference, axis in listed if reference and scale.file[reference] == dataset]
@@ -187,13 +171,11 @@ def attribute(holder: h5py.Group | h5py.Dataset, name: str) -> Any:
 
 def raw_attribute(holder: h5py.Group | h5py.Dataset, name: str) -> Any:
     """The same, with bytes as they are."""
-    import h5py
-
     if not h5py.h5a.exists(holder.id, name.encode()):
         return None
     stored = h5py.h5a.open(holder.id, name.encode())
     kind = stored.get_type()
-    if not _is_readable(kind) or kind.get_class() == h5py.h5t.COMPOUND:
+    if not _is_readable(kind) or kind.get_class() == h5t.COMPOUND:
         raise ValueError(f"attribute {name} is neither number nor text")
     many = int(np.prod(stored.shape or (1,), dtype=float))
     if many * kind.get_size() > MAX_ATTRIBUTE_BYTES or (many > MAX_TEXTS and _of_any_length(kind)):
@@ -213,15 +195,11 @@ def numbers(dataset: Any) -> np.ndarray:
 
 
 def is_text(dataset: h5py.Dataset) -> bool:
-    from h5py import h5t
-
     return dataset.id.get_type().get_class() == h5t.STRING
 
 
 def texts(dataset: Any) -> list[str]:
     """A dataset of texts, of any shape, one after the other. Raises ValueError as `numbers` does."""
-    import h5py
-
     _require_readable(dataset)
     if not dataset.size:
         return []
@@ -255,8 +233,6 @@ def _text_of(item: Any) -> str:
 def _require_readable(dataset: Any) -> None:
     """Raises ValueError for a dataset that is none, whose type is none of ours, whose data lie in other files, or that
     asks for more than the file has."""
-    import h5py
-
     if not isinstance(dataset, h5py.Dataset):
         raise ValueError(f"{getattr(dataset, 'name', 'something')} is no dataset")
     kind, layout = dataset.id.get_type(), dataset.id.get_create_plist()
@@ -283,8 +259,6 @@ def _require_readable(dataset: Any) -> None:
 
 def _is_readable(kind: Any, inside: bool = False) -> bool:
     """Whether a type is of numbers or texts, or of records or short rows of those."""
-    from h5py import h5t
-
     which = kind.get_class()
     if which == h5t.COMPOUND:
         members = [kind.get_member_type(i) for i in range(kind.get_nmembers())]
@@ -297,8 +271,6 @@ def _is_readable(kind: Any, inside: bool = False) -> bool:
 
 
 def _of_any_length(kind: Any) -> bool:
-    from h5py import h5t
-
     return kind.get_class() == h5t.STRING and bool(kind.is_variable_str())
 
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 
 from recon.base.errors import InputError, Problem, refuse
@@ -113,8 +114,6 @@ def _frames(
 
 def _stored(path: Path) -> tuple[dict[str, _Variable], dict[str, Any]]:
     """The variables that are needed, by their names of today, and the attributes that are plain values or None."""
-    import h5py
-
     found = {}
     with opened(path) as file:
         scales = {name: item for name in names(file) if is_scale(item := child(file, name))}

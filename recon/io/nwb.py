@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 from uuid import uuid4
 
+import h5py
 import numpy as np
 
 from recon.base.errors import InputError, Problem, refuse
@@ -161,7 +162,6 @@ def write(data: Keypoints | Pose3D, path: Path) -> None:
     fps = float(required_fps(points.fps, TITLE))
     require_names((container, *points.names), NO_NAMES, TITLE)
     with formats_extra(TITLE):
-        import h5py
         from ndx_pose import PoseEstimation, PoseEstimationSeries, Skeleton, Skeletons
         from pynwb import NWBHDF5IO, NWBFile
     frames, edges = points.frames, points.edges

@@ -16,6 +16,7 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 
 from recon.base.errors import InputError, Problem, refuse
@@ -154,8 +155,6 @@ def read_points3d(path: Path, individual: str | None = None) -> StoredPoints:
 
 
 def write(keypoints: Keypoints, path: Path) -> None:
-    import h5py
-
     if keypoints.frames[0] < 0:
         raise InputError(Problem(TITLE, "frames", f"{keypoints.frames[0]}", "numbers from 0 on"))
     T, K = int(keypoints.frames[-1]) + 1, len(keypoints.names)

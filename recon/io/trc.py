@@ -52,15 +52,25 @@ def read(path: Path, individual: str | None = None) -> StoredPoints:
     if header.get("NumMarkers") != str(len(names)):
         found = f"{len(names)} names, but NumMarkers {header.get('NumMarkers', 'is missing')}"
         problems.append(Problem(path, "line 4", found, "as many"))
-    frames, rows = [], []
+    frames: list[int] = []
+    rows: list[np.ndarray] = []
     width = 2 + 3 * len(names)
     for line, row in enumerate(cells[HEADER_LINES:], start=HEADER_LINES + 1):
-        if any(row):
-            frame, values, faults = _row(path, line, row, width)
-            problems += faults
-            frames.append(frame)
-            rows.append(values)
-    if not rows:
+        if not any(row):
+            continue
+        if len(row) < width or any(row[width:]):
+            problems.append(Problem(path, f"line {line}", f"{len(row)} cells", f"{width}, as in the header"))
+            continue
+        frame = frame_number(row[0], -MAX_FRAME)
+        if frame is None:
+            problems.append(Problem(path, f"line {line}, Frame#", f"'{row[0]}'", "a frame number"))
+        values, wrong = numbers(row[2:width])
+        problems += [
+            Problem(path, f"line {line}, column {i + 3}", f"'{row[i + 2]}'", "a number or an empty cell") for i in wrong
+        ]
+        frames.append(frame or 0)
+        rows.append(values)
+    if not rows and not problems:
         problems.append(Problem(path, "rows", "no frames", "at least one below the header"))
     if not problems and (np.diff(frames) <= 0).any():
         problems.append(Problem(path, "Frame#", "numbers that do not increase", "an increasing number in each row"))
@@ -70,30 +80,13 @@ def read(path: Path, individual: str | None = None) -> StoredPoints:
         notes = (f"The header announces {header.get('NumFrames', 'no number of')} frames, the file has {len(rows)}.",)
     return StoredPoints(
         names,
-        np.array(rows).reshape(len(rows), len(names), 3),
+        np.reshape(rows, (len(rows), len(names), 3)),
         np.array(frames, dtype=np.int64),
         fps=fps,
         unit=unit,
         up="y" if UP_TEXT in cells[0] else None,
         notes=notes,
     )
-
-
-def _row(path: Path, line: int, row: list[str], width: int) -> tuple[int, list[float], list[Problem]]:
-    """Frame number, numbers (NaN where a cell is empty), problems."""
-    problems = []
-    if len(row) < width or any(row[width:]):
-        problems.append(Problem(path, f"line {line}", f"{len(row)} cells", f"{width}, as in the header"))
-        return 0, [], problems
-    frame = frame_number(row[0], -MAX_FRAME)
-    if frame is None:
-        frame = 0
-        problems.append(Problem(path, f"line {line}, Frame#", f"'{row[0]}'", "a frame number"))
-    values, wrong = numbers(row[2:width])
-    problems += [
-        Problem(path, f"line {line}, column {i + 3}", f"'{row[i + 2]}'", "a number or an empty cell") for i in wrong
-    ]
-    return frame, values.tolist(), problems
 
 
 # -- writing ---------------------------------------------------------------------------------------------------------

@@ -15,10 +15,9 @@ from recon.animal import load_names, new_names, other_side
 from recon.base.arrays import Array, Bools, Integers, median
 from recon.base.errors import InputError, Problem, all_of, refuse
 from recon.clip.keypoints import Keypoints, mark_missing, parse_frame_range
-from recon.io import FORMATS, as_keypoints, deeplabcut_h5, file_head
-from recon.io.common import first_problems, frames_text
+from recon.io import FORMATS, as_keypoints, file_head
+from recon.io.common import first_problems, frames_text, is_hdf5
 from recon.io.deeplabcut_project import Project, find_project, label_files
-from recon.io.hdf5 import is_hdf5
 from recon.io.table import text_rows
 from recon.io.video import Image, probe, read_frames
 
@@ -156,7 +155,9 @@ def _read_rows(path: Path, individual: str | None) -> tuple[Keypoints, tuple[str
 def _image_names(path: Path) -> list[tuple[int, str]]:
     """Frame numbers and image names of a CSV file of labels."""
     if is_hdf5(path):
-        return _numbered(deeplabcut_h5.image_names(path))
+        from recon.io.deeplabcut_h5 import image_names
+
+        return _numbered(image_names(path))
     found, wide = [], False
     for _, row in text_rows(path, ","):
         if row[0].strip() in ("scorer", "individuals", "bodyparts", "coords"):

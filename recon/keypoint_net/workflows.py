@@ -10,8 +10,7 @@ from recon.base.files import require_free_file, sole_writer, staged_file, staged
 from recon.base.progress import Progress, silent
 from recon.base.settings import Integer, Option, Settings
 from recon.clip.keypoints import Keypoints
-from recon.io import deeplabcut_h5
-from recon.io.deeplabcut import write_csv
+from recon.io import FORMATS
 from recon.io.video import require_codec
 from recon.keypoint_net.labels import read_labels, split_labels
 from recon.keypoint_net.network import MODEL_FILE, choose_device, load_model, model_file, require_torch
@@ -20,7 +19,7 @@ from recon.keypoint_net.report import write_training_report
 from recon.keypoint_net.train import CHECKPOINT_FILE, SPLIT, TrainSettings, prepare, train
 from recon.workflows.settings import RENAME
 
-WRITERS = {".csv": write_csv, ".h5": deeplabcut_h5.write}
+WRITERS = {f.suffixes[0]: f.write for f in FORMATS if f.name == "deeplabcut"}
 
 
 class LabelSource(Settings):

@@ -92,7 +92,8 @@ def _prior(content: bytes, source: str, body: Body) -> MotionPrior:
     about, arrays = None if texts is None else texts.about, {}
     for key in SHAPES:
         if stored[key].dtype.kind == "f":
-            arrays[key] = stored[key].astype(float)
+            with np.errstate(invalid="ignore"):  # a NaN that signals, as damaged floats can be
+                arrays[key] = stored[key].astype(float)
         else:
             problems.append(Problem(source, key, f"an array of {stored[key].dtype}", "floating-point numbers"))
     if about is not None and about.angles != list(body.state_names[ANGLES]):
