@@ -42,13 +42,12 @@ def test_a_world_with_z_up_stays_as_it_is(whole_results):
 
 def test_shares_and_deviations_belong_to_their_angles(whole_results):
     found = Motion.load(whole_results)
-    table, report = pd.read_csv(whole_results / "angles_sigma.csv"), build_report(found)["angles"]
+    table = pd.read_csv(whole_results / "angles_sigma.csv")
     i = found.posture_names.index("head_yaw")
     np.testing.assert_allclose(found.posture_sigma_rad[:, i], table["head_yaw_sigma_rad"], atol=1e-6)
     np.testing.assert_allclose(found.posture_data_share[:, i], table["head_yaw_data_share"], atol=1e-6)
-    assert [*report] == [*found.state_names[3:]]
     for name, share in found.data_shares.items():
-        assert report[name]["data_share"] == pytest.approx(share, rel=1e-8)
+        assert np.nanmedian(table[f"{name}_data_share"]) == pytest.approx(share, rel=1e-8)
 
 
 @pytest.mark.parametrize("results", ["whole_results", "level_results"])
