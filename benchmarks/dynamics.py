@@ -123,7 +123,9 @@ def main() -> None:
         f"\nThe sample: mean vertical force over a stride {impulse:.2f} body weights; flights against gravity: ", end=""
     )
     print(
-        ", ".join(f"{one.up_m_s2 + G_M_S2:+.0f} ± {one.sigma_m_s2:.0f} m/s²" for one in d.flights.itertuples())
+        ", ".join(
+            f"{up + G_M_S2:+.0f} ± {sigma:.0f} m/s²" for up, sigma in d.flights[["up_m_s2", "sigma_m_s2"]].to_numpy()
+        )
         or "none"
     )
 

@@ -204,8 +204,11 @@ def test_what_does_not_fit_is_named_at_once(folder, tmp_path):
     with video_writer(small, (64, 48), 30.0) as write:
         write(np.zeros((48, 64, 3), np.uint8))
     with pytest.raises(InputError) as caught:
-        run_overlay(OverlaySettings(folder=folder, video=small, out=tmp_path / "o.mp4", first_frame=11, speed=-1))
-    assert [problem.field for problem in caught.value.problems] == ["size", "number", "factor"]
+        run_overlay(OverlaySettings(folder=folder, video=small, out=tmp_path / "o.mp4", first_frame=11))
+    assert [problem.field for problem in caught.value.problems] == ["size", "number"]
+    with pytest.raises(InputError) as caught:
+        OverlaySettings(folder=folder, video=small, out=tmp_path / "o.mp4", speed=-1)
+    assert [problem.field for problem in caught.value.problems] == ["speed"]
     with pytest.raises(InputError) as caught:
         run_overlay(OverlaySettings(folder=tmp_path, video=tmp_path / "none.mp4", out=small))
     assert [problem.field for problem in caught.value.problems] == ["folder", "video", "file"]

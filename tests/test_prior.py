@@ -558,15 +558,15 @@ def test_pose_segments(tmp_path):
 @pytest.mark.parametrize(
     ("old", "new", "expected"),
     [
-        ("0,6,4", "0,5,4", ["line 4, frame: found '5', expected a frame number after 5"]),
-        ("0,6,4,5,", "0,6,4", ["line 4: found 3 cells, expected 5"]),
-        ("7,8,9", "seven,8,inf", ["line 5, column nose/x: found 'seven'", "line 5, column nose/z: found 'inf'"]),
-        ("0,5,1", "0,5.5,1", ["line 3, frame: found '5.5'"]),
-        (",,x,y,z", ",,x,y,likelihood", ["line 2: found"]),
+        ("0,6,4", "0,5,4", ["frame 5: found more than one row, expected one"]),
+        ("0,6,4,5,", "0,6,4", ["line 4: found 2 cells, expected 4"]),
+        ("7,8,9", "seven,8,inf", ["frame 5, column nose/x: found 'seven'", "frame 5, column nose/z: found 'inf'"]),
+        ("0,5,1", "0,5.5,1", ["row 1 below the header: found '5.5'"]),
+        (",,x,y,z", ",,x,y,likelihood", ["line 2: found no z"]),
         (",,x,y,z\n0,5,1,2,3", ",,x\n0,5,1,two,3", ["line 2: found"]),
-        (",,x,y,z", ",,x,y,y", ["bodypart nose: found more than one column", "bodypart nose: found no z"]),
+        (",,x,y,z", ",,x,y,y", ["bodypart nose: found more than one column"]),
         (SEGMENTS, "segment,frame,nose,nose,nose\n,,x,y,z\n", ["rows: found no frames"]),
-        (SEGMENTS, "segment,frame,nose\n", ["text: found"]),
+        (SEGMENTS, "segment,frame,nose\n", ["line 2: found 0 cells"]),
     ],
 )
 def test_pose_segments_problems(tmp_path, old, new, expected):

@@ -283,7 +283,7 @@ def findings_of_dynamics(motion: Motion, found: Dynamics) -> tuple[Finding, ...]
     off = off_gravity(found.flights).abs()
     if not (off > OFF_GRAVITY).any():
         return ()
-    worst = found.flights.loc[off.idxmax()]
+    worst = found.flights.iloc[int(off.to_numpy().argmax())]
     frames = int(motion.frames[int(worst["first"])]), int(motion.frames[int(worst["stop"]) - 1]) + 1
     numbers = {name: float(worst[name]) for name in ("up_m_s2", "sigma_m_s2")}
     return (finding("flight_against_gravity", frames, **numbers),)

@@ -6,6 +6,7 @@ import struct
 import zipfile
 from io import BytesIO
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -70,7 +71,9 @@ def read(path: Path, individual: str | None = None) -> StoredPoints:
 
 def write(pose: Pose3D, path: Path) -> None:
     made = BytesIO()
-    of_fit = {} if pose.sigma_m is None else {"sigma_m": pose.sigma_m, "flags": np.array(pose.flags, dtype=str)}
+    of_fit: dict[str, Any] = (
+        {} if pose.sigma_m is None else {"sigma_m": pose.sigma_m, "flags": np.array(pose.flags, dtype=str)}
+    )
     np.savez_compressed(
         made,
         names=np.array(pose.names),

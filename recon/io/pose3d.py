@@ -75,7 +75,10 @@ def read_pose_segments(path: str | Path) -> dict[str, Pose3D]:
     if not pieces:
         raise InputError(Problem(path, "rows", "no frames", "at least one row below the header"))
     header = {"bodyparts": names[2:], "coords": coords[2:]}
-    found = all_of(*(partial(_piece, path, header, rows) for rows in pieces.values()))
+    try:
+        found = all_of(*(partial(_piece, path, header, rows) for rows in pieces.values()))
+    except InputError as error:  # all pieces have the same header
+        raise InputError(list(dict.fromkeys(error.problems))) from None
     return dict(zip(pieces, found, strict=True))
 
 

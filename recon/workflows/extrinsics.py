@@ -317,14 +317,18 @@ def _all_cameras(given: Sequence[Sequence[Prepared]]) -> list[Camera]:
 
 def _tilt_rad(clips: Sequence[FitSettings], level_rad: float | None, posed: bool) -> float | None:
     """Of all cameras in all clips, where it is said."""
-    tilt_deg, level_deg = clips[0].tilt_deg, None if level_rad is None else math.degrees(level_rad)
-    both = "beside --set refine-cameras=true, where the camera file says which way is up"
-    refuse(
-        Problem(f"--{name}", name.replace("-", "_"), f"{value:g} {both}", "one of the two")
-        for name, value in (("tilt-deg", tilt_deg), ("level-deg", level_deg))
-        if posed and value is not None
-    )
-    return None if tilt_deg is None else math.radians(tilt_deg)
+    tilts = sorted({clip.tilt_deg for clip in clips if clip.tilt_deg is not None})
+    levels = [] if level_rad is None else [math.degrees(level_rad)]
+    problems = []
+    for name, values in (("tilt_deg", tilts), ("level_deg", levels)):
+        option, found = "--" + name.replace("_", "-"), ", ".join(f"{value:g}" for value in values)
+        if posed and values:
+            found += " beside --set refine-cameras=true, where the camera file says which way is up"
+            problems.append(Problem(option, name, found, "one of the two"))
+        elif len(values) > 1:
+            problems.append(Problem(option, name, found, "one for all clips, whose cameras stand still"))
+    refuse(problems)
+    return math.radians(tilts[0]) if tilts else None
 
 
 def _require_poses(cameras: Sequence[Camera]) -> None:

@@ -458,6 +458,9 @@ def _camera_problems(given: Mapping[str, Any]) -> Iterator[Problem]:
     if not given.keys() & {"camera", "camera_track"} and "camera_name" in given:
         found = f"{given['camera_name']!r} without a camera file"
         yield Problem("settings", "camera_name", found, "--camera with it")
+    if "camera" not in given and given.get("camera_unit", "m") != "m":
+        found = f"{given['camera_unit']!r} without a camera file"
+        yield Problem("settings", "camera_unit", found, "--camera with it")
     if "camera" not in given and "hfov_deg" in given and "image_size_px" not in given:
         expected = "the size of the video beside --hfov-deg, as in 1920x1080"
         yield Problem("settings", "image_size_px", "nothing", expected)

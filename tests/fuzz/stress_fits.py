@@ -242,9 +242,6 @@ OPTIONS: dict[str, tuple[dict[str, Any], ...]] = {
         {"base_length_m": 2.0, "base_sigma_m": 1e-6},
         {"sigma_px": 1e-6, "keypoint_sigma_m": 0.0},
         {"sigma_px": 1e6},
-        {"robust_c": 1e-3},
-        {"tolerance": 1e-300},
-        {"max_evaluations": 1},
     ),
     "trajectory": (
         {},

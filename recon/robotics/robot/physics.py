@@ -72,17 +72,17 @@ def described(robot: Quadruped) -> Any:
     base = spec.worldbody.add_body(name="base", mass=masses.body_kg, inertia=masses.body_inertia_kg_m2)
     base.explicitinertial = True
     base.add_freejoint()
+    capsule, sphere = mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_SPHERE
     thick = LEGS_APART * robot.stand_m / 2
     for k, leg in enumerate(robot.legs.values()):
         places, axes = leg.chain.positions(np.zeros(leg.chain.n)), leg.chain.joint_axes(np.zeros(leg.chain.n))
-        body, at = base, np.zeros(3)
+        body, at, way = base, np.zeros(3), np.zeros(3)
         for j, name in enumerate(leg.joints):
             body = body.add_body(name=name, pos=places[j] - at)
             at, way = places[j], places[j + 1] - places[j]
             limit = masses.max_torque_n_m[j]
             within = {"limited": 1, "range": [leg.chain.lower_rad[j], leg.chain.upper_rad[j]]}
             body.add_joint(name=name, axis=axes[j], actfrclimited=1, actfrcrange=[-limit, limit], **within)
-            capsule, sphere = mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_SPHERE
             kind = {"type": capsule, "fromto": [*np.zeros(3), *way]} if np.linalg.norm(way) > 1e-3 else {"type": sphere}
             # Legs meet those of other legs only.
             meet = {"contype": (1 << k) if j else 0, "conaffinity": (15 & ~(1 << k)) if j else 0}

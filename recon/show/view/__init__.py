@@ -39,7 +39,6 @@ from recon.show.recording import recording
 from recon.show.view.layout import blueprint
 from recon.show.view.scene import Log, Scene, limb_colours
 from recon.show.view.series import analysis_plots, angle_plots, other_plots, states, write_forces
-from recon.show.view.video import write_video
 from recon.show.view.world import write_pictures, write_uncertainty, write_world
 
 DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET")
@@ -77,6 +76,8 @@ def write(
         if found is not None:
             write_forces(found, log)
         if video is not None:
+            from recon.show.view.video import write_video  # OpenCV
+
             write_video(motion, log, video, first_frame, camera)
 
 

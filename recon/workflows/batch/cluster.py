@@ -67,7 +67,7 @@ def carry_out_on_cluster(
 def _client(address: str) -> Client:
     try:
         from distributed import Client, Security
-        from distributed.comm import connect
+        from distributed.comm.core import connect
     except ImportError:
         expected = f"Dask: {install_command('cluster')}"
         raise InputError(Problem("--scheduler", "package", "no package distributed", expected)) from None

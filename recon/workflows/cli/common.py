@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from math import isfinite
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import typer
 from rich.box import SIMPLE_HEAD
@@ -19,7 +19,9 @@ from rich.text import Text
 
 from recon.base.errors import InputError, Problem, printable
 from recon.base.interrupts import EXIT_INTERRUPTED, MESSAGE, installed
-from recon.fit.result import Verdict
+
+if TYPE_CHECKING:
+    from recon.fit.result import Verdict  # numpy is slow to import
 
 EXIT_UNSOLVED = 1
 EXIT_BAD_INPUT = 2
@@ -47,7 +49,7 @@ def say(console: Console, text: str | Text, style: str = "") -> None:
 
 def say_verdict(console: Console, verdict: Verdict | None) -> None:
     """The first lines of what is made of a clip; nothing of a motion that was not judged."""
-    from recon.check import verdict_lines  # numpy is slow to import
+    from recon.check import verdict_lines
     from recon.show.report import STYLES
 
     for line in verdict_lines(verdict):
