@@ -28,7 +28,7 @@ RESULTS = [
     ("fit", "camera", "spoilt", "frames"), RESULTS, ids=[f"{fit[0]}-{spoilt.__name__}" for fit, _, spoilt, _ in RESULTS]
 )
 def test_a_spoilt_clip_ends_in_a_result(fit, camera, spoilt, frames):
-    options = (("fast", True),) if fit is WHOLE else (("max_evaluations", 40),)
+    options = (("fast", True),) if fit is WHOLE else ()
     ended = stress_fits.run(Case(*fit, camera, spoilt, frames, 60.0, options, 3))
     assert (ended.how, ended.why) == ("result", ())
 

@@ -21,7 +21,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -285,7 +285,7 @@ def findings_of_dynamics(motion: Motion, found: Dynamics) -> tuple[Finding, ...]
         return ()
     worst = found.flights.iloc[int(off.to_numpy().argmax())]
     frames = int(motion.frames[int(worst["first"])]), int(motion.frames[int(worst["stop"]) - 1]) + 1
-    numbers = {name: float(worst[name]) for name in ("up_m_s2", "sigma_m_s2")}
+    numbers: dict[str, Any] = {name: float(worst[name]) for name in ("up_m_s2", "sigma_m_s2")}
     return (finding("flight_against_gravity", frames, **numbers),)
 
 

@@ -159,9 +159,9 @@ def model_chain(
         turn = Rotation.from_quat(model.body_quat[k], scalar_first=True)
         here = here * RigidTransform.from_components(model.body_pos[k], turn)
         for j in moving(model, [k]):
-            placed.append(here * RigidTransform.from_translation(np.asarray(model.jnt_pos[j])))
-            here = RigidTransform.from_translation(-np.asarray(model.jnt_pos[j]))
-    here = here * RigidTransform.from_translation(end_m)
+            placed.append(here * RigidTransform.from_translation(model.jnt_pos[j]))
+            here = RigidTransform.from_translation(-model.jnt_pos[j])
+    here = here * RigidTransform.from_translation(np.asarray(end_m, dtype=float))
     rates = rates_of(path)
     limits = np.where(model.jnt_limited[joints, None], model.jnt_range[joints], [-np.inf, np.inf])
     called = tuple(model.joint(j).name or f"joint {j}" for j in joints)
