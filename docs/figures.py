@@ -6,7 +6,6 @@ in writing-a-skeleton.md, made smaller. `playback.png` is a screenshot of the vi
 
 from __future__ import annotations
 
-import re
 import tempfile
 from pathlib import Path
 
@@ -71,10 +70,7 @@ def main() -> None:
             CameraAdviceSettings(skeleton="cheetah-24", out=out / "advice", angle="front_trunk_yaw", cameras=2)
         )
         save(out / "advice" / "camera_advice.png", "camera_advice.png", 900)
-        page = (HERE / "writing-a-skeleton.md").read_text(encoding="utf-8")
-        toml = re.findall(r"```toml\n(.*?)```", page, re.DOTALL)[-1]
-        (out / "my-cat.toml").write_text(toml, encoding="utf-8")
-        run_skeleton_check(SkeletonCheckSettings(skeleton=str(out / "my-cat.toml"), subject=None, out=out / "my-cat"))
+        run_skeleton_check(SkeletonCheckSettings(skeleton=str(HERE / "my-cat.toml"), subject=None, out=out / "my-cat"))
         save(out / "my-cat" / "skeleton.png", "skeleton.png", 900)
 
 
