@@ -9,7 +9,7 @@ import numpy as np
 
 from recon.animal.body import Side, common_side, side_of
 from recon.base.arrays import Array
-from recon.geometry.kinematics import Marker, Tree
+from recon.geometry.kinematics import Tree
 
 _SLENDER = 0.12
 """Radius of a segment, at least, relative to its longest capsule."""
@@ -50,15 +50,6 @@ def capsules(tree: Tree, names: Sequence[str]) -> tuple[Capsule, ...]:
             radius = max(radius, min(radii[at[segment.parent]], max(beyond, default=0.0)))
         found += [Capsule(i, end, radius, sides[i]) for end in ends[i]]
     return tuple(found)
-
-
-def capsule_ends(tree: Tree, shape: Sequence[Capsule], states: Array, size: float) -> tuple[Array, Array]:
-    """Where states (T, D) put both ends of C capsules of a tree: (T, C, 3) each."""
-    at = [tree.segments[capsule.segment].name for capsule in shape]
-    begins = [Marker(segment, segment) for segment in at]
-    ends = [Marker(segment, segment, capsule.end_m) for segment, capsule in zip(at, shape, strict=True)]
-    points = Tree(tree.segments, (*begins, *ends)).pose(states, size).points_m
-    return points[:, : len(shape)], points[:, len(shape) :]
 
 
 def middles_m(tree: Tree, shape: Sequence[Capsule]) -> Array:
