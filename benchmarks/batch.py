@@ -22,11 +22,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from gallop import add_noise
 from markdown_table import print_table
 
 from recon.base.package import install_command
 from recon.clip.keypoints import Keypoints
-from recon.fit.synthetic import add_noise
 from recon.io import read_keypoints
 from recon.workflows.batch import RECORD
 from recon.workflows.demo import samples_folder

@@ -37,7 +37,8 @@ from trajectory import GROUPS, PRIOR, body_of, meta_of, prior_of, view_of
 
 from recon import Camera, FitSettings, Motion, fit_clip, read_keypoints
 from recon.animal.body import other_side
-from recon.animal.prior import fit_prior, prior_from_body
+from recon.animal.prior import prior_from_body
+from recon.animal.prior_fit import fit_prior
 from recon.animal.skeleton_file import builtin_subjects
 from recon.check import FileFacts, Finding, input_findings, mends
 from recon.check.inputs import likelihood

@@ -13,13 +13,12 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from gallop import SyntheticClip, gallop
+from gallop import SyntheticClip, add_noise, gallop
 
 from recon.animal.chain import MIN_JOINTS
 from recon.animal.skeleton_file import load_chain
 from recon.clip import still_view
 from recon.fit.result import OUTLIER_SIGMAS
-from recon.fit.synthetic import add_noise
 from recon.thesis import FrameOptions, solve_frames
 
 SKELETON = load_chain("cheetah-8u")

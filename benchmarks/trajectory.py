@@ -34,7 +34,8 @@ from recordings import recordings
 
 from recon import Body, Camera, load_skeleton, read_camera, read_keypoints, read_pose3d
 from recon.animal.body import other_side
-from recon.animal.prior import MotionPrior, as_one_gaussian, load_prior
+from recon.animal.prior import MotionPrior, load_prior
+from recon.animal.prior_fit import as_one_gaussian
 from recon.animal.skeleton_file import load_chain
 from recon.clip import View, still_view
 from recon.clip.keypoints import clean

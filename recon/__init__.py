@@ -9,7 +9,7 @@ motion.joints_m  # (frames, joints, 3), metres
 
 from typing import TYPE_CHECKING, Any
 
-from recon.base.front_door import lazily
+from recon.base import lazily
 
 if TYPE_CHECKING:
     from recon.animal.body import Body

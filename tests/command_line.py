@@ -13,9 +13,9 @@ from typing import Any, NamedTuple
 
 import pytest
 
+from recon.base import silent
 from recon.base.manifest import write_manifest
 from recon.base.parallel import STARTING, Event, Work, outcome_of
-from recon.base.progress import silent
 from recon.workflows.cli import main
 from recon.workflows.settings import read_settings
 

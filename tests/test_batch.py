@@ -23,10 +23,10 @@ import pytest
 import tomli_w
 from command_line import carry_out_here
 
+from recon.base import silent
 from recon.base.errors import InputError
 from recon.base.files import sole_writer
 from recon.base.parallel import Event, outcome_of
-from recon.base.progress import silent
 from recon.io.calibration import read_cameras
 from recon.workflows.analyse import AnalyseSettings, run_analyse
 from recon.workflows.batch import (

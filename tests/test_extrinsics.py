@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from recon.base.progress import silent
+from recon.base import silent
 from recon.clip import View, still_view
 from recon.fit import TrajectoryOptions
 from recon.fit.clip_problem import ClipProblem

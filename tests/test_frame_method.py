@@ -6,11 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from gallop import gallop
+from gallop import add_noise, gallop
 
 from recon.animal.skeleton_file import load_chain
 from recon.clip import still_view
-from recon.fit.synthetic import add_noise
 from recon.geometry.frames import inverse
 from recon.thesis import FrameOptions, base_length, frame, solve_frames, solve_joints
 from recon.thesis.frame import CONVERGED, evaluate, posterior_covariance, precision_shares

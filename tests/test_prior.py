@@ -15,18 +15,15 @@ from scipy.stats import multivariate_normal
 from typer.testing import CliRunner
 
 from recon.animal.body import Body
-from recon.animal.prior import (
-    MotionPrior,
+from recon.animal.prior import MotionPrior, builtin_priors, load_prior, mean_speed_m_s, prior_from_body, save_prior
+from recon.animal.prior_fit import (
+    ACCELERATION_FLOOR_RAD_S2,
+    POSE_FLOOR_RAD,
+    RIDGE_PER_ROW,
     as_one_gaussian,
-    builtin_priors,
     fit_prior,
-    load_prior,
     log_likelihood,
-    mean_speed_m_s,
-    prior_from_body,
-    save_prior,
 )
-from recon.animal.prior.fit import ACCELERATION_FLOOR_RAD_S2, POSE_FLOOR_RAD, RIDGE_PER_ROW
 from recon.animal.skeleton_file import load_chain, load_skeleton
 from recon.base.errors import InputError
 from recon.fit.motion import Motion

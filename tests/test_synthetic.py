@@ -9,13 +9,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from gallop import KEYPOINT_NAMES, MARGIN_PX, SLOPE, gallop
+from gallop import KEYPOINT_NAMES, MARGIN_PX, SLOPE, add_noise, gallop
 
 from recon.animal.detector import seen_by
 from recon.animal.skeleton_file import load_chain, load_skeleton
 from recon.clip.keypoints import clean
 from recon.fit.points import solve_points_and_size
-from recon.fit.synthetic import add_noise
 from recon.io import read_keypoints
 from recon.io.calibration import read_camera, read_cameras
 from recon.io.pose3d import read_pose3d

@@ -155,7 +155,7 @@ def test_a_steady_gait_of_the_prior_costs_no_motion():
 
 def test_a_component_on_its_own_is_a_gaussian():
     """K = 1: the mixture's cost less its constant is the Gaussian's."""
-    from recon.animal.prior import as_one_gaussian
+    from recon.animal.prior_fit import as_one_gaussian
 
     one = as_one_gaussian(PRIOR)
     a, b = some_states(0), some_states(1)

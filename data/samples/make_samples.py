@@ -13,12 +13,11 @@ from recon.animal import detector
 from recon.animal.skeleton_file import load_skeleton
 from recon.clip.keypoints import Keypoints
 from recon.fit import solve_points
-from recon.fit.synthetic import add_noise
 from recon.geometry.camera import Camera
 from recon.io import write_camera
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
-from gallop import SyntheticClip, gallop
+from gallop import SyntheticClip, add_noise, gallop
 
 SCORER = "recon_synthetic"
 AS_ACINOSET = "recon_synthetic_acinoset"

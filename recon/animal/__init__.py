@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from recon.base.front_door import lazily
+from recon.base import lazily
 
 if TYPE_CHECKING:
     from recon.animal.body import Body, Side, both_sides, facing_side, other_side, side_of, without_side
@@ -19,7 +19,8 @@ if TYPE_CHECKING:
         renamed,
         suggestions,
     )
-    from recon.animal.prior import MotionPrior, builtin_priors, fit_prior, load_prior, prior_from_body, save_prior
+    from recon.animal.prior import MotionPrior, builtin_priors, load_prior, prior_from_body, save_prior
+    from recon.animal.prior_fit import fit_prior
     from recon.animal.skeleton_file import (
         builtin_chains,
         builtin_names,

@@ -1,1 +1,34 @@
-"""What every room uses: errors, whole-or-nothing files, documents, progress, interrupts."""
+"""What every room uses: errors, whole-or-nothing files, documents, interrupts; here front doors and progress."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Callable
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+Progress = Callable[[str, float], None]
+"""Called with what is being done, and how much of all is done, 0 to 1."""
+
+
+def silent(stage: str, share: float) -> None:
+    """For work that nobody watches."""
+
+
+def lazily(package: str, file: str) -> Callable[[str], Any]:
+    """The `__getattr__` of a package that names what others may use in imports under `if TYPE_CHECKING:` only.
+
+    file: the package's `__file__`. A room then costs nothing until one of its names is used: `recon --help` imports the
+    commands of all rooms.
+    """
+    tree = ast.parse(Path(file).read_text(encoding="utf-8"))
+    imports = [node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
+    module_of = {alias.name: str(node.module) for node in imports for alias in node.names}
+
+    def attribute(name: str) -> Any:
+        if name not in module_of:
+            raise AttributeError(f"module {package!r} has no attribute {name!r}")
+        return getattr(import_module(module_of[name]), name)
+
+    return attribute

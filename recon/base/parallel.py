@@ -25,8 +25,8 @@ from tempfile import TemporaryDirectory
 from types import ModuleType
 from typing import Any, Literal
 
+from recon.base import Progress
 from recon.base.errors import InputError, Problem
-from recon.base.progress import Progress
 
 Outcome = Mapping[str, Any]
 """What became of a task, by name, at least its status; a task that failed has an error."""

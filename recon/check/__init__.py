@@ -6,7 +6,7 @@
 
 from typing import TYPE_CHECKING
 
-from recon.base.front_door import lazily
+from recon.base import lazily
 
 if TYPE_CHECKING:
     from recon.check.agreement import agreement_findings

@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from recon.base.front_door import lazily
+from recon.base import lazily
 
 if TYPE_CHECKING:
     from recon.clip.keypoints import (

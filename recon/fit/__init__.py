@@ -6,7 +6,7 @@ that no user sets.
 
 from typing import TYPE_CHECKING
 
-from recon.base.front_door import lazily
+from recon.base import lazily
 
 if TYPE_CHECKING:
     from recon.fit.clip_problem import ClipProblem, TrajectoryOptions

@@ -21,8 +21,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from recon.base import Progress, silent
 from recon.base.arrays import Array
-from recon.base.progress import Progress, silent
 from recon.clip import View
 from recon.fit import constants
 from recon.fit.banded import eliminated

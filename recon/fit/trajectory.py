@@ -32,8 +32,8 @@ from threadpoolctl import threadpool_limits
 from recon.animal.body import Body
 from recon.animal.chain import MIN_JOINTS, MIN_REACH_PX
 from recon.animal.prior import ANGLES, NONE, MotionPrior
+from recon.base import Progress, silent
 from recon.base.arrays import Array, Bools
-from recon.base.progress import Progress, silent
 from recon.clip import BRIDGED_S, View
 from recon.fit import constants
 from recon.fit.clip_problem import ClipProblem, TrajectoryOptions, contacts

@@ -5,7 +5,7 @@ Videos are in `recon.io.video`, which OpenCV makes slow to import.
 
 from typing import TYPE_CHECKING
 
-from recon.base.front_door import lazily
+from recon.base import lazily
 
 if TYPE_CHECKING:
     from recon.io.bones import Armature, Bone, BoneAngle

@@ -5,7 +5,7 @@ It needs torch (extra `net`), which is imported where it is used.
 
 from typing import TYPE_CHECKING
 
-from recon.base.front_door import lazily
+from recon.base import lazily
 
 if TYPE_CHECKING:
     from recon.keypoint_net.evaluate2d import evaluate_2d_files

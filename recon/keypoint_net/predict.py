@@ -15,9 +15,9 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
+from recon.base import Progress, silent
 from recon.base.arrays import Array
 from recon.base.errors import InputError, Problem
-from recon.base.progress import Progress, silent
 from recon.base.settings import Count, Option, Settings
 from recon.clip.keypoints import Keypoints
 from recon.io.video import Image, VideoInfo, probe, read_frames, video_writer

@@ -24,9 +24,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 from pydantic import Field
 
+from recon.base import Progress, silent
 from recon.base.arrays import Array, Bools, Integers
 from recon.base.errors import InputError, Problem, refuse
-from recon.base.progress import Progress, silent
 from recon.base.settings import Count, Integer, Number, Option, Settings
 from recon.io.video import Image
 from recon.keypoint_net.labels import Labels, body_length_px, frames_by_part, resize, sides

@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any
 
+from recon.base import Progress, silent
 from recon.base.errors import InputError, Problem, all_of
 from recon.base.files import require_free_file, sole_writer, staged_file, staged_folder
-from recon.base.progress import Progress, silent
 from recon.base.settings import Integer, Option, Settings
 from recon.clip.keypoints import Keypoints
 from recon.io import FORMATS

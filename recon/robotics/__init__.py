@@ -5,7 +5,7 @@ A wing: it imports rooms only, and no room imports it.
 
 from typing import TYPE_CHECKING
 
-from recon.base.front_door import lazily
+from recon.base import lazily
 
 if TYPE_CHECKING:
     from recon.robotics.climb.run import run_climb

@@ -8,7 +8,7 @@ priors that they need besides, one small class each; starts: where the first fra
 
 from typing import TYPE_CHECKING
 
-from recon.base.front_door import lazily
+from recon.base import lazily
 
 if TYPE_CHECKING:
     from recon.thesis.clip import fit_clip, frame_options, load_body

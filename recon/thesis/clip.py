@@ -6,7 +6,7 @@ from dataclasses import fields
 
 from recon.animal.body import Body
 from recon.animal.skeleton_file import load_chain
-from recon.base.progress import Progress, silent
+from recon.base import Progress, silent
 from recon.check import judged
 from recon.clip import views_of
 from recon.fit.motion import Motion

@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from recon.base import Progress, silent
 from recon.base.errors import InputError, Problem
 from recon.base.files import require_free_folder, sole_writer, staged_folder
 from recon.base.manifest import read_manifest
-from recon.base.progress import Progress, silent
 from recon.base.settings import Integer, Option, Settings
 from recon.fit.motion import Motion
 from recon.io.table import write_rows

@@ -13,8 +13,8 @@ import numpy as np
 from rich.text import Text
 from threadpoolctl import threadpool_limits
 
+from recon.base import Progress, silent
 from recon.base.files import require_free_folder, sole_writer, staged_folder
-from recon.base.progress import Progress, silent
 from recon.base.settings import Option, Positive, Settings
 from recon.base.words import length_text
 from recon.check import sentence, usable, verdict_fields

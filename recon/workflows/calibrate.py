@@ -11,9 +11,9 @@ import typer
 from rich.console import Console
 from rich.text import Text
 
+from recon.base import Progress, silent
 from recon.base.errors import Problem, all_of, refuse
 from recon.base.files import require_free_file, staged_folder, write_bytes
-from recon.base.progress import Progress, silent
 from recon.base.settings import OneOrMore, Option, Settings
 from recon.calibrate.intrinsics import calibrate as solved
 from recon.calibrate.intrinsics import check as checked

@@ -10,9 +10,9 @@ import numpy as np
 from pydantic import Field
 
 from recon.animal import load_prior, load_skeleton
+from recon.base import Progress, silent
 from recon.base.errors import Problem, refuse
 from recon.base.files import require_free_folder, staged_folder
-from recon.base.progress import Progress, silent
 from recon.base.settings import Integer, Number, Option, Settings
 from recon.calibrate.camera_advice import PICTURE_PX, Advice, advise
 from recon.fit.motion import MEASURED_SHARE

@@ -11,10 +11,10 @@ import cv2
 import numpy as np
 from pydantic import Field
 
+from recon.base import Progress, silent
 from recon.base.arrays import Array, Integers
 from recon.base.errors import InputError, Problem, all_of
 from recon.base.files import require_free_file, staged_folder, write_bytes
-from recon.base.progress import Progress, silent
 from recon.base.settings import Integer, Number, Option, Settings
 from recon.calibrate.camera_motion import (
     LevelMark,

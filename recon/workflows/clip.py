@@ -17,9 +17,9 @@ from recon.animal.body import Body, Side, facing_side
 from recon.animal.detector import seen_by
 from recon.animal.prior import MotionPrior, load_prior
 from recon.animal.skeleton_file import load_chain, load_skeleton, skeleton_of
+from recon.base import Progress, silent
 from recon.base.arrays import Array, Bools
 from recon.base.errors import InputError, Problem, all_of
-from recon.base.progress import Progress, silent
 from recon.check import (
     FileFacts,
     Finding,

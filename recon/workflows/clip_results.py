@@ -8,9 +8,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from recon.base import Progress, silent
 from recon.base.files import require_free_folder, sole_writer, staged_results
 from recon.base.manifest import MANIFEST
-from recon.base.progress import Progress, silent
 from recon.fit.motion import MOTION, Motion
 from recon.io import write_cameras
 from recon.show.export.clip_csv import CAMERA_OUTPUTS, CLIP_OUTPUTS, of_any_camera, write_tables

@@ -22,8 +22,8 @@ from rich.console import Console
 from rich.table import Column, Table
 from rich.text import Text
 
+from recon.base import Progress, silent
 from recon.base.package import DISTRIBUTION, install_command, version
-from recon.base.progress import Progress, silent
 from recon.workflows.cli.common import progress_bar, say, terminal
 
 if TYPE_CHECKING:

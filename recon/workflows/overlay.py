@@ -12,10 +12,10 @@ import numpy as np
 from pydantic import Field
 
 from recon.animal.body import Side
+from recon.base import Progress, silent
 from recon.base.arrays import Array, Index
 from recon.base.errors import InputError, Problem, all_of, refuse
 from recon.base.files import require_free_file, staged_file, write_bytes
-from recon.base.progress import Progress, silent
 from recon.base.settings import Integer, Number, Option
 from recon.check import FLAG_OF, usable
 from recon.fit.motion import Motion

@@ -5,11 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
+from recon.base import Progress, silent
 from recon.base.errors import InputError, Problem
 from recon.base.files import sole_writer, staged_file
 from recon.base.manifest import MANIFEST, read_manifest
 from recon.base.parallel import Event, carry_out
-from recon.base.progress import Progress, silent
 from recon.base.settings import Option
 from recon.show.overlay import draw_tiles
 from recon.show.page import PAGE, require_own_page

@@ -14,7 +14,8 @@ import typer
 from rich.text import Text
 
 from recon.animal import Body, MotionPrior, fit_prior, load_skeleton, save_prior
-from recon.animal.prior import FRAMES_PER_COMPONENT, as_one_gaussian, log_likelihood, mean_speed_m_s
+from recon.animal.prior import mean_speed_m_s
+from recon.animal.prior_fit import FRAMES_PER_COMPONENT, as_one_gaussian, log_likelihood
 from recon.base.arrays import Array, Integers
 from recon.base.documents import read_json
 from recon.base.errors import InputError, Problem, all_of, refuse

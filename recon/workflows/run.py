@@ -14,11 +14,11 @@ from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
+from recon.base import Progress, silent
 from recon.base.errors import InputError, Problem, all_of, refuse
 from recon.base.files import sole_writer
 from recon.base.manifest import MANIFEST, read_manifest, sha256_of
 from recon.base.parallel import Event, carry_out
-from recon.base.progress import Progress, silent
 from recon.base.settings import Count, Integer, Option, Settings
 from recon.fit.motion import Motion
 from recon.gait.path import MIN_POINTS

@@ -10,9 +10,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from recon.base import Progress, silent
 from recon.base.arrays import Array, Index
 from recon.base.errors import InputError, Problem, refuse
-from recon.base.progress import Progress, silent
 from recon.calibrate.intrinsics.board import Board, Gray
 from recon.io.video import SUFFIXES as VIDEO_SUFFIXES
 from recon.io.video import probe, read_frames

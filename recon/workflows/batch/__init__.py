@@ -12,11 +12,11 @@ from typing import Any
 
 from threadpoolctl import threadpool_limits
 
+from recon.base import Progress
 from recon.base.files import sole_writer
 from recon.base.manifest import MANIFEST
 from recon.base.package import version
 from recon.base.parallel import STARTING, Event, carry_out
-from recon.base.progress import Progress
 from recon.show.page import SUMMARY_PAGE, require_own_page
 from recon.show.report import is_unsolved
 from recon.workflows.batch.cluster import carry_out_on_cluster

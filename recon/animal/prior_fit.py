@@ -1,16 +1,18 @@
-"""Segments of motion in, a prior out."""
+"""Segments of motion in, a prior out; and how likely poses are under one."""
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy.cluster.vq import kmeans2
+from scipy.linalg import solve_triangular
 from scipy.special import logsumexp
 
 from recon.animal.body import Body
-from recon.animal.prior.model import ANGLES, MotionPrior, SegmentRow, log_densities, mean_speed_m_s
+from recon.animal.prior import ANGLES, MotionPrior, SegmentRow, mean_speed_m_s
 from recon.base.arrays import Array, Bools
 from recon.base.errors import Problem, refuse
 
@@ -141,3 +143,23 @@ def ridge(states: Array, accelerations: Array, loose: Bools) -> tuple[Array, Arr
     left = accelerations - states @ drift.T
     covariance = np.where(loose[:, None] == loose, left.T @ left / len(left), 0.0)
     return drift, covariance + ACCELERATION_FLOOR_RAD_S2**2 * np.eye(n_angles)
+
+
+def as_one_gaussian(prior: MotionPrior) -> MotionPrior:
+    """The same prior with its one Gaussian of poses in the place of the mixture."""
+    return replace(prior, weights=np.ones(1), means=prior.mean[None], covariances=prior.covariance[None])
+
+
+def log_likelihood(prior: MotionPrior, states: Array) -> float:
+    """Mean over frames of the natural logarithm of the mixture's density (per rad^A) at states (T, D)."""
+    poses = states[np.isfinite(states).all(axis=1)][:, ANGLES]
+    return float(logsumexp(log_densities(poses, prior.weights, prior.means, prior.covariances), axis=1).mean())
+
+
+def log_densities(poses: Array, weights: Array, means: Array, covariances: Array) -> Array:
+    """(N, K): the logarithm of each component's density times its weight."""
+    roots = np.linalg.cholesky(covariances)
+    white = (solve_triangular(L, (poses - mean).T, lower=True) for L, mean in zip(roots, means, strict=True))
+    squares = np.stack([(one**2).sum(axis=0) for one in white], axis=1)
+    constants = np.log(np.diagonal(roots, axis1=1, axis2=2)).sum(axis=1) + 0.5 * means.shape[1] * np.log(2 * np.pi)
+    return np.log(np.maximum(weights, 1e-300)) - constants - 0.5 * squares
