@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from recon.base.documents import read_text
 from recon.base.errors import Problem, refuse
 from recon.io.bones import AXIS, Armature
-from recon.io.common import choose, damage_named, frame_number, name_problems, number, require_names, starts_with_text
+from recon.io.common import frame_number, number, points_of_arrays, require_names, starts_with_text
 from recon.io.pose import StoredPoints
 
 AXES = "XYZ"
@@ -45,37 +45,35 @@ def recognises(path: Path) -> bool:
 
 
 def read(path: Path, individual: str | None = None) -> StoredPoints:
-    """Raises InputError for a file that is cut off or no BVH, and for a choice of animals: BVH has one."""
-    choose(path, [""], individual)
+    """Raises InputError for a file that is cut off or no BVH."""
     text = read_text(path, "a BVH file")
     lines = iter([line.strip() for line in text.splitlines() if line.strip()])
-    with damage_named(path, "a whole BVH file"):
-        joints = _hierarchy(lines)
-        count = frame_number(_value(lines, r"Frames:\s*(\S+)")) or 0
-        frame_time_s = number(_value(lines, r"Frame Time:\s*(\S+)"))
-        rows = [[number(cell) for cell in line.split()] for line in lines]
+    joints = _hierarchy(lines)
+    count = frame_number(_value(lines, r"Frames:\s*(\S+)")) or 0
+    frame_time_s = number(_value(lines, r"Frame Time:\s*(\S+)"))
+    rows = [[number(cell) for cell in line.split()] for line in lines]
     width = sum(len(joint.channels) for joint in joints)
     problems = [
         Problem(path, f"frame {i + 1} of MOTION", f"{len(row)} numbers", f"{width}, one for each channel")
         for i, row in enumerate(rows)
         if len(row) != width
     ][:3]
-    if len(rows) != count or not count:
-        problems.append(Problem(path, "MOTION", f"{len(rows)} rows, and Frames: {count}", "as many, at least one"))
+    if len(rows) != count:
+        problems.append(Problem(path, "MOTION", f"{len(rows)} rows, and Frames: {count}", "as many"))
     if not 0 < frame_time_s < float("inf"):
         problems.append(Problem(path, "Frame Time", f"{frame_time_s:g}", "seconds above 0"))
-    kept = [j for j, joint in enumerate(joints) if not joint.end or any(joint.offset)]
-    names = tuple(joints[j].name for j in kept)
-    problems += name_problems(path, "joints", names)
-    motion = np.array(rows) if not problems else np.zeros((0, width))
-    if not np.isfinite(motion).all():
-        problems.append(Problem(path, "MOTION", "numbers that are not finite", "numbers"))
     refuse(problems)
-    xyz = _positions(joints, motion)[:, kept]
-    fps = float(f"{1 / frame_time_s:.9g}")
-    inner = {j: joints[j].parent for j in kept}
-    edges = tuple((joints[p].name, joints[j].name) for j, p in inner.items() if p in inner)
-    return StoredPoints(names, xyz, np.arange(count), fps=fps, edges=edges)
+    kept = {j: joint.parent for j, joint in enumerate(joints) if not joint.end or any(joint.offset)}
+    xyz = _positions(joints, np.array(rows).reshape(-1, width))[:, [*kept]]
+    return points_of_arrays(
+        path,
+        individual,
+        xyz,
+        np.arange(count),
+        [joints[j].name for j in kept],
+        fps=float(f"{1 / frame_time_s:.9g}"),
+        edges=tuple((joints[p].name, joints[j].name) for j, p in kept.items() if p in kept),
+    )
 
 
 def _hierarchy(lines: Iterator[str]) -> list[_Joint]:

@@ -9,23 +9,18 @@ samples. Numbers are those of Intel's or MIPS' processors; DEC's floats are not 
 from __future__ import annotations
 
 import errno
-import os
 import struct
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 
-from recon.base.errors import InputError, Problem, refuse
-from recon.base.files import write_bytes
+from recon.base.errors import InputError, Problem
 from recon.io.common import (
-    choose,
-    damage_named,
     formats_extra,
     frames_of_text,
     frames_text,
-    name_problems,
+    points_of_arrays,
     rate,
     require_names,
     required_fps,
@@ -58,30 +53,19 @@ def recognises(path: Path) -> bool:
 
 
 def read(path: Path, individual: str | None = None) -> StoredPoints:
-    """Raises InputError for a damaged file, and for a choice of animals: C3D has one."""
-    choose(path, [""], individual)
-    with damage_named(path, "a whole C3D file"):
-        parameters, xyz, first = _content(path.read_bytes())
-        point = parameters.get("POINT", {})
-        labels = sorted((name for name in point if name.startswith("LABELS")), key=len)  # of 255 names each
-        T, J = xyz.shape[:2]
-        names = tuple(text for name in labels for text in _texts(point[name]))[:J]
-        fps = rate(str(np.float32(point["RATE"].ravel()[0]))) if "RATE" in point else None
-    problems = name_problems(path, "POINT:LABELS", names)
-    if len(names) != J:
-        problems.append(Problem(path, "POINT:LABELS", f"{len(names)} names", f"{J}, one for each point"))
-    if not T:
-        problems.append(Problem(path, "points", "no frames", "at least one"))
-    if fps is None:
-        problems.append(Problem(path, "POINT:RATE", "nothing", "frames per second"))
-    refuse(problems)
-    listed = frames_of_text(_texts(parameters.get(OWN_GROUP, {}).get("FRAMES")))
-    frames = np.arange(T) + first - 1
-    if listed is not None and len(listed) <= T and listed[-1] - listed[0] == T - 1:
+    """Raises InputError for a damaged file."""
+    parameters, xyz, first = _content(path.read_bytes())
+    point = parameters.get("POINT", {})
+    labels = sorted((name for name in point if name.startswith("LABELS")), key=len)  # of 255 names each
+    names = [text for name in labels for text in point[name]][: xyz.shape[1]]
+    fps = rate(str(np.float32(point["RATE"].ravel()[0])))
+    frames = np.arange(len(xyz)) + first - 1
+    listed = frames_of_text(parameters.get(OWN_GROUP, {}).get("FRAMES", ()))
+    if listed is not None:
         frames, xyz = listed, xyz[listed - listed[0]]
-    unit, screen = ("".join(_texts(point.get(name))[:1]) for name in ("UNITS", "Y_SCREEN"))
+    unit, screen = ("".join(point.get(name, ())[:1]) for name in ("UNITS", "Y_SCREEN"))
     up = {"+Z": "z", "Z": "z", "+Y": "y", "Y": "y"}.get(screen.upper())
-    return StoredPoints(names, xyz, frames, fps=fps, unit=UNIT_NAMES.get(unit), up=up)
+    return points_of_arrays(path, individual, xyz, frames, names, fps=fps, unit=UNIT_NAMES.get(unit), up=up)
 
 
 # -- the file -----------------------------------------------------------------------------------------------------
@@ -165,10 +149,6 @@ def _text(data: bytes) -> str:
         return data.decode("latin-1").strip(" \0")
 
 
-def _texts(value: Any) -> list[str]:
-    return value if isinstance(value, list) else []
-
-
 # -- writing ---------------------------------------------------------------------------------------------------------
 
 
@@ -198,24 +178,7 @@ def write(pose: Pose3D, path: Path) -> None:
     file.add_parameter("POINT", "X_SCREEN", ["+X"])
     file.add_parameter("POINT", "Y_SCREEN", ["+Z"])
     file.add_parameter(OWN_GROUP, "FRAMES", ranges)
-    write_bytes(path, _encoded(file, points))
-
-
-def _encoded(file: Any, points: np.ndarray) -> bytes:
-    """The content of the file, with its points (4, J, T).
-
-    The library writes to a path only, and does not say when a disk is full: it writes to memory, where the system has a
-    folder for that, and the points are compared.
-    """
-    memory = "/dev/shm"
-    with TemporaryDirectory(dir=memory if os.access(memory, os.W_OK | os.X_OK) else None) as folder:
-        path = Path(folder) / "positions.c3d"
-        file.write(str(path))
-        content = path.read_bytes()
-    start = BLOCK * (int.from_bytes(content[16:18], "little") - 1)
-    stored = content[max(start, 0) :][: 4 * points.size]
-    wanted = points.astype("<f4").T
-    whole = len(stored) == 4 * points.size
-    if not whole or (np.frombuffer(stored, "<f4").reshape(wanted.shape)[..., :3] != wanted[..., :3]).any():
-        raise OSError(errno.ENOSPC, "a temporary file could not be written: is the disk full?", folder)
-    return content
+    file.write(str(path))
+    stored = read(path).values
+    if not np.array_equal(stored, xyz[pose.frames - first].astype(np.float32), equal_nan=True):
+        raise OSError(errno.ENOSPC, "the file could not be written: is the disk full?", str(path))

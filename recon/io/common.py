@@ -9,12 +9,14 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from recon.base.errors import InputError, Problem, refuse
 from recon.base.package import install_command
 from recon.clip.keypoints import Keypoints, frame_ranges
+from recon.io.pose import UNNAMED_POINTS, StoredPoints, numbered_names
 
 # What tools call the only animal of a file when nobody named it.
 UNNAMED = ("individual_0", "id_0", "track_0")
@@ -105,6 +107,65 @@ def choose(path: Path, animals: Sequence[str], individual: str | None, seen: Ite
     return animals.index(individual)
 
 
+def points_of_arrays(
+    path: Path,
+    individual: str | None,
+    values: np.ndarray,
+    frames: np.ndarray,
+    names: Sequence[str] = (),
+    animals: Sequence[str] = (),
+    likelihood: np.ndarray | None = None,
+    occupied: np.ndarray | None = None,
+    notes: tuple[str, ...] = (),
+    **more: Any,
+) -> StoredPoints:
+    """The points of one animal, once all that a reader found in a file fits together.
+
+    values: (T, N, K, 2 or 3), or without N of a file of one animal; likelihood: likewise, without the last axis;
+    frames: (T,); names, animals: of the K points and the N animals, where the file has them; occupied: (T, N), in which
+    frames each animal is, the others being left out; more: other fields of `StoredPoints`. Raises InputError with all
+    that does not fit, and for the choice of the animal (`choose`).
+    """
+    if values.ndim == 3:
+        values, likelihood = values[:, None], None if likelihood is None else likelihood[:, None]
+    if values.ndim != 4 or values.shape[3] not in (2, 3) or not values.size:
+        found = f"an array of the shape {values.shape}" if len(values) else "no frames"
+        raise InputError(Problem(path, "points", found, "frames x animals x points x 2 or 3, each at least one"))
+    T, N, K, _ = values.shape
+    problems = []
+    for field, found, count in (("names of points", names, K), ("names of animals", animals, N)):
+        if len(found):
+            problems += name_problems(path, field, found)
+            if len(found) != count:
+                problems.append(Problem(path, field, str(len(found)), f"{count}, as there are in the data"))
+    for field, array, shape in (("likelihoods", likelihood, (T, N, K)), ("occupied frames", occupied, (T, N))):
+        if array is not None and array.shape != shape:
+            problems.append(Problem(path, field, f"an array of the shape {array.shape}", f"{shape}, as the points"))
+    if len(frames) != T:
+        problems.append(Problem(path, "frames", f"{len(frames)} numbers", f"{T}, one for each frame"))
+    elif not (np.abs(frames) <= MAX_FRAME).all() or (np.diff(frames) <= 0).any() or (frames % 1 != 0).any():
+        said = f"{frames.min():.15g} to {frames.max():.15g}"
+        expected = f"increasing whole numbers up to {MAX_FRAME}, and no time stamps"
+        problems.append(Problem(path, "frames", said, expected))
+    refuse(problems)
+    called = list(animals) or ([""] if N == 1 else [f"track_{n}" for n in range(N)])
+    there = np.ones((T, N), dtype=bool) if occupied is None else occupied > 0
+    which = choose(path, called, individual, (bool(np.isfinite(values[there[:, n], n]).any()) for n in range(N)))
+    rows = np.flatnonzero(there[:, which])
+    if not len(rows):
+        raise InputError(Problem(path, "frames", "none with the animal", "at least one"))
+    named = bool(len(animals)) and (N > 1 or called[0] not in UNNAMED)
+    return StoredPoints(
+        tuple(names) or numbered_names(K),
+        values[rows, which].astype(float),
+        frames[rows].astype(np.int64),
+        None if likelihood is None else likelihood[rows, which].astype(float),
+        individual=called[which] if named else None,
+        notes=notes if len(names) else (*notes, UNNAMED_POINTS),
+        **more,
+    )
+
+
 def first_problems(problems: Sequence[Problem], path: Path) -> list[Problem]:
     """The first problems, and how many more there are."""
     more = len(problems) - PROBLEMS_SHOWN
@@ -187,6 +248,8 @@ def frames_of_times(path: Path, times_s: np.ndarray, fps: float | None) -> tuple
     Frame 0 is at 0 s. A gap must be a whole number of frames. Without a rate, a single time is frame 0.
     Raises InputError for times that do not increase or that no frame rate fits.
     """
+    if not len(times_s):
+        return np.zeros(0, np.int64), fps
     steps_s = np.diff(times_s)
     if not np.isfinite(times_s).all() or (steps_s <= 0).any():
         raise InputError(Problem(path, "time", "times that do not increase", "one increasing time for each frame"))

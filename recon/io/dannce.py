@@ -24,8 +24,8 @@ import numpy as np
 from recon.base.documents import read_content
 from recon.base.errors import InputError, Problem
 from recon.io.calibration import CameraRecord
-from recon.io.common import choose, damage_named, starts_with
-from recon.io.pose import UNNAMED_POINTS, StoredPoints, numbered_names
+from recon.io.common import points_of_arrays, starts_with
+from recon.io.pose import StoredPoints
 
 MAX_BYTES, MAX_UNPACKED = 1 << 28, 1 << 28
 MAX_DEPTH, MAX_ITEMS = 12, 100_000
@@ -44,33 +44,20 @@ def recognises(path: Path) -> bool:
 
 def read(path: Path, individual: str | None = None) -> StoredPoints:
     """3D labels or predictions. Raises InputError."""
-    choose(path, [""], individual)
     found = _variables(path)
-    labels = found.get("labelData")
-    label = labels[0] if isinstance(labels, list) and labels else labels
+    label = found.get("labelData", [None])
+    label = label[0] if isinstance(label, list) else label
     if isinstance(label, dict):
-        values, frames = _numbers(label.get("data_3d")), _numbers(label.get("data_frame"))
-        if values is not None and values.ndim == 2 and values.shape[1] % 3 == 0:
-            values = values.reshape(len(values), -1, 3)
+        values, frames = label["data_3d"], label["data_frame"]
+        values = values.reshape(len(values), -1, 3)
+    elif "pred" in found:
+        values, frames = found["pred"].transpose(0, 2, 1), found["sampleID"]
     else:
-        values, frames = _numbers(found.get("pred")), _numbers(found.get("sampleID"))
-        values = values.transpose(0, 2, 1) if values is not None and values.ndim == 3 else values
-    if values is None or values.ndim != 3 or values.shape[2] != 3 or not values.size:
-        shape = "nothing" if values is None else f"{values.shape}"
         expected = "labelData with data_3d (frames, 3 for each point), or pred (frames, 3, points)"
-        raise InputError(Problem(path, "data_3d", shape, expected))
-    frames = np.zeros(0) if frames is None else frames.ravel()
-    if len(frames) != len(values) or not (np.abs(frames) < 1e15).all() or (np.diff(frames) <= 0).any():
-        raise InputError(Problem(path, "data_frame", "others", f"{len(values)} increasing frame numbers"))
+        raise InputError(Problem(path, "data_3d", "nothing", expected))
     skeleton = found.get("skeleton")
     names = _all_texts(skeleton.get("joint_names")) if isinstance(skeleton, dict) else ()
-    named = all(names) and len({*names}) == len(names) == values.shape[1]
-    return StoredPoints(
-        names if named else numbered_names(values.shape[1]),
-        values.astype(float),
-        frames.astype(np.int64),
-        notes=() if named else (UNNAMED_POINTS,),
-    )
+    return points_of_arrays(path, individual, values, frames.ravel(), names)
 
 
 def _numbers(value: Any) -> np.ndarray | None:
@@ -119,9 +106,8 @@ def _variables(path: Path) -> dict[str, Any]:
     if content.startswith(b"MATLAB 7.3"):
         expected = "version 7 or older: in MATLAB, save(name, '-v7')"
         raise InputError(Problem(path, "file", "a MATLAB file of version 7.3", expected))
-    with damage_named(path, "a whole MATLAB file"):
-        order = {b"IM": "<", b"MI": ">"}[content[126:128]]
-        return dict(_File(order).top(memoryview(content)[128:]))
+    order = {b"IM": "<", b"MI": ">"}[content[126:128]]
+    return dict(_File(order).top(memoryview(content)[128:]))
 
 
 class _File:

@@ -18,7 +18,7 @@ import numpy as np
 from recon.base.documents import require_file
 from recon.base.errors import InputError, Problem
 from recon.clip.keypoints import Keypoints
-from recon.io.common import MAX_FRAME, NoChoiceError, with_likelihoods
+from recon.io.common import NoChoiceError, damage_named, with_likelihoods
 from recon.io.pose import StoredPoints
 
 Kind = Literal["2D", "3D", "bones", "cameras"]
@@ -59,8 +59,9 @@ class Format:
 
     def read(self, path: Path, individual: str | None = None) -> Any:
         """From a file that is recognised, the `StoredPoints` of one animal, by its name, or a list of `CameraRecord`;
-        raises InputError."""
-        return self._function("read")(path, individual)
+        raises InputError, also for what Python and libraries say of a damaged file."""
+        with damage_named(path, f"a whole file: {self.title}"):
+            return self._function("read")(path, individual)
 
     def write(self, data: Any, path: Path) -> None:
         """`Keypoints`, `Pose3D`, `Armature` or cameras, whichever of them it `writes`, as a new file; raises
@@ -189,9 +190,6 @@ def read_points(
         _require_kind(path, kind, found, found.read(path, error.animals[0]))  # or else a choice would not help
         raise
     stored = _require_kind(path, kind, found, stored)
-    if np.abs(stored.frames).max(initial=0) > MAX_FRAME:
-        said = f"{stored.frames[0]} to {stored.frames[-1]}"
-        raise InputError(Problem(path, "frames", said, f"frame numbers up to {MAX_FRAME}, not time stamps"))
     if np.isinf(stored.values).any():
         raise InputError(Problem(path, "points", "infinite coordinates", "numbers, or nothing where one is missing"))
     return found, stored

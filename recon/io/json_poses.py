@@ -19,25 +19,16 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from recon.base.documents import read_json
 from recon.base.errors import InputError, Problem, refuse
 from recon.clip.keypoints import Keypoints
-from recon.io.common import (
-    FMPOSE3D,
-    MAX_FRAME,
-    choose,
-    damage_named,
-    first_problems,
-    name_problems,
-    rate,
-    starts_with_text,
-)
+from recon.io.common import FMPOSE3D, choose, damage_named, first_problems, points_of_arrays, rate, starts_with_text
 from recon.io.pose import StoredPoints
 
 FRAME_KEYS = ("frame_id", "frame_index", "frame_number")
@@ -45,10 +36,61 @@ _EXPECTED = "a whole file of JSON"
 Table = dict[str, Any]
 
 
+class _Seen(NamedTuple):
+    """One animal in one picture."""
+
+    where: str
+    """In the file, for a message."""
+    frame: int
+    animal: str
+    """Empty where the file does not tell animals apart."""
+    xy_px: np.ndarray
+    """(K, 2), NaN where a point is missing."""
+    score: np.ndarray
+    """(K,): 0 where a point is missing, NaN where the file does not say."""
+
+
 def _mentions(path: Path, *keys: bytes) -> bool:
     """Whether it is JSON with one of the keys; it need not be whole."""
     content = path.read_bytes() if starts_with_text(path, b"{") else b""
     return any(b'"%s"' % key in content for key in keys)
+
+
+def _points(
+    path: Path,
+    individual: str | None,
+    names: Sequence[str],
+    frames: Iterable[int],
+    seen: Sequence[_Seen],
+    named: bool = False,
+    **more: Any,
+) -> StoredPoints:
+    """The points of one animal in all frames, whatever the format. named: whether a file's only animal has a name.
+    Raises InputError."""
+    animals = list(dict.fromkeys(one.animal for one in seen)) or [""]
+    if "" in animals and len(animals) > 1:
+        raise InputError(
+            Problem(path, "annotations", "some without track_id", "one for each animal in every annotation")
+        )
+    chosen = animals[choose(path, animals, individual)]
+    numbers = np.array(sorted(frames), dtype=np.int64)
+    row = {int(number): t for t, number in enumerate(numbers)}
+    xy, score = np.full((len(numbers), len(names), 2), np.nan), np.zeros((len(numbers), len(names)))
+    problems: list[Problem] = []
+    taken: set[int] = set()
+    for one in (one for one in seen if one.animal == chosen):
+        if one.xy_px.shape != xy.shape[1:] or one.score.shape != score.shape[1:]:
+            found = f"{len(one.xy_px)} points and {len(one.score)} scores"
+            problems.append(Problem(path, one.where, found, f"one for each of {len(names)} keypoints"))
+        elif one.frame in taken:
+            found = f"a second animal in frame {one.frame}"
+            problems.append(Problem(path, one.where, found, "one animal, or a track_id for each"))
+        else:
+            taken.add(one.frame)
+            xy[row[one.frame]], score[row[one.frame]] = one.xy_px, one.score
+    refuse(first_problems(problems, path))
+    called = [chosen] if len(animals) > 1 or named else []
+    return points_of_arrays(path, None, xy, numbers, names, called, score, **more)
 
 
 # -- COCO -------------------------------------------------------------------------------------------------------------
@@ -61,66 +103,28 @@ def recognises_coco(path: Path) -> bool:
 def read_coco(path: Path, individual: str | None = None) -> StoredPoints:
     """The keypoints of one animal. Raises InputError."""
     content = read_json(path, _EXPECTED)
-    if not isinstance(content, dict):
-        raise InputError(Problem(path, "content", "something else than a table", "COCO keypoints"))
-    return _of_content(path, content, individual)
-
-
-def _of_content(path: Path, content: Table, individual: str | None) -> StoredPoints:
-    """The same of what such a file has, or another format's put the same way."""
-    missing = [key for key in ("images", "annotations", "categories") if not isinstance(content.get(key), list)]
-    refuse(Problem(path, key, "no list", "a list") for key in missing)
-    with damage_named(path, "entries as COCO has them for keypoints", "images, annotations, categories"):
-        return _keypoints(path, content, individual)
-
-
-def _keypoints(path: Path, content: Table, individual: str | None) -> StoredPoints:
-    annotations: list[Table] = [one for one in content["annotations"] if "keypoints" in one]
-    names = _names(path, content["categories"], content["annotations"])
+    annotations = [one for one in content["annotations"] if "keypoints" in one]
     numbers, notes = _frame_numbers(path, content["images"])
-    frames = np.array(sorted(numbers.values()), dtype=np.int64)
-    row = {image: int(np.searchsorted(frames, number)) for image, number in numbers.items()}
-    named = [one.get("individual", one.get("track_id")) for one in annotations]
-    animals = list(dict.fromkeys("" if name is None else str(name) for name in named)) or [""]
-    if "" in animals and len(animals) > 1:
-        expected = "one for each animal in every annotation"
-        raise InputError(Problem(path, "annotations", "some without track_id", expected))
-    chosen = animals[choose(path, animals, individual)]
-    xy, score = np.full((len(frames), len(names), 2), np.nan), np.zeros((len(frames), len(names)))
-    problems: list[Problem] = []
-    taken: set[int] = set()
-    for annotation, name in zip(annotations, named, strict=True):
-        if ("" if name is None else str(name)) != chosen:
-            continue
-        where, image = f"annotation {annotation.get('id', '?')}", annotation["image_id"]
-        values = np.asarray(annotation["keypoints"], dtype=float)
-        scores = np.array([np.nan if s is None else s for s in annotation.get("keypoint_scores", ())], dtype=float)
-        if values.shape != (3 * len(names),) or len(scores) not in (0, len(names)):
-            found = f"{values.size} numbers and {len(scores)} scores"
-            problems.append(Problem(path, where, found, f"x, y, v for each of {len(names)} keypoints"))
-        elif image not in row:
-            problems.append(Problem(path, where, f"image {image}", "an image of the file"))
-        elif row[image] in taken:
-            expected = "one animal, or a track_id for each"
-            problems.append(Problem(path, where, f"a second animal in image {image}", expected))
-        else:
-            taken.add(row[image])
-            known = values[2::3] > 0
-            xy[row[image]] = np.where(known[:, None], values.reshape(-1, 3)[:, :2], np.nan)
-            score[row[image]] = scores if len(scores) else np.where(known, np.nan, 0.0)
-    if not frames.size:
-        problems.append(Problem(path, "images", "none", "at least one"))
-    refuse(first_problems(problems, path))
+    seen = []
+    for one in annotations:
+        points = np.asarray(one["keypoints"], dtype=float).reshape(-1, 3)
+        known = points[:, 2] > 0
+        xy = np.where(known[:, None], points[:, :2], np.nan)
+        stated = [np.nan if score is None else score for score in one.get("keypoint_scores", ())]
+        score = np.array(stated, dtype=float) if stated else np.where(known, np.nan, 0.0)
+        animal = one.get("individual", one.get("track_id"))
+        place = f"annotation {one.get('id', '?')}", numbers[one["image_id"]]
+        seen.append(_Seen(*place, "" if animal is None else str(animal), xy, score))
     info = content.get("info")
-    return StoredPoints(
-        names,
-        xy,
-        frames,
-        score,
+    return _points(
+        path,
+        individual,
+        _names(path, content["categories"], annotations),
+        numbers.values(),
+        seen,
         fps=rate(info.get("fps")) if isinstance(info, dict) else None,
         image_size_px=_size(content["images"]),
-        # The number of the only track is no name.
-        individual=chosen if len(animals) > 1 or any("individual" in one for one in annotations) else None,
+        named=any("individual" in one for one in annotations),  # the number of the only track is no name
         notes=notes,
     )
 
@@ -132,9 +136,7 @@ def _names(path: Path, categories: list[Table], annotations: list[Table]) -> tup
     lists = {tuple(str(name) for name in c["keypoints"]) for c in with_points}
     if len(lists) != 1:
         raise InputError(Problem(path, "categories", f"{len(lists)} lists of keypoints in use", "one"))
-    (names,) = lists
-    refuse(name_problems(path, "categories, keypoints", names))
-    return names
+    return lists.pop()
 
 
 def _frame_numbers(path: Path, images: list[Table]) -> tuple[dict[Any, int], tuple[str, ...]]:
@@ -150,9 +152,6 @@ def _frame_numbers(path: Path, images: list[Table]) -> tuple[dict[Any, int], tup
         numbers, notes = ids, ("Frames are numbered by the images' ids.",)
     if len(set(numbers)) != len(numbers) or len(set(ids)) != len(ids) or not all(type(n) is int for n in numbers):
         raise InputError(Problem(path, "images", "frame numbers that are not unique", "one image for each frame"))
-    if numbers and not -MAX_FRAME <= min(numbers) <= max(numbers) <= MAX_FRAME:
-        found = f"frame numbers from {min(numbers):.15g} to {max(numbers):.15g}"
-        raise InputError(Problem(path, "images", found, "0, 1, 2, ..."))
     return dict(zip(ids, numbers, strict=True)), notes
 
 
@@ -211,24 +210,22 @@ def recognises_mmpose(path: Path) -> bool:
 def read_mmpose(path: Path, individual: str | None = None) -> StoredPoints:
     """The keypoints of one animal. Raises InputError."""
     content = read_json(path, _EXPECTED)
-    with damage_named(path, "meta_info and instance_info as MMPose writes them for a video"):
-        names = content["meta_info"]["keypoint_id2name"]
-        names = [str(names[str(k)]) for k in range(len(names))]
-        frames = {frame["frame_id"]: frame["instances"] for frame in content["instance_info"]}
-        first = min(1, min(frames, default=1))
-        annotations = [
-            {
-                "image_id": number,
-                "keypoints": [value for x, y in one["keypoints"] for value in (x, y, 2)],
-                "keypoint_scores": one["keypoint_scores"],
-                **({"track_id": one["track_id"]} if "track_id" in one else {}),
-            }
-            for number, instances in frames.items()
-            for one in instances
-        ]
-        images = [{"id": number, "frame_id": number - first} for number in frames]
-    categories = [{"keypoints": names}]
-    return _of_content(path, {"images": images, "annotations": annotations, "categories": categories}, individual)
+    names = content["meta_info"]["keypoint_id2name"]
+    instances = {frame["frame_id"]: frame["instances"] for frame in content["instance_info"]}
+    first = min(1, min(instances, default=1))
+    seen = [
+        _Seen(
+            f"frame {number}",
+            number - first,
+            str(one.get("track_id", "")),
+            np.array(one["keypoints"], dtype=float),
+            np.array(one["keypoint_scores"], dtype=float),
+        )
+        for number, some in instances.items()
+        for one in some
+    ]
+    names = [str(names[str(k)]) for k in range(len(names))]
+    return _points(path, individual, names, [number - first for number in instances], seen)
 
 
 # -- OpenPose ---------------------------------------------------------------------------------------------------------
@@ -265,28 +262,23 @@ def read_openpose(path: Path, individual: str | None = None) -> StoredPoints:
         other: found for other in path.parent.iterdir() if (found := _FILE_NAME.fullmatch(other.name))
     }
     files = {file: int(found[2]) for file, found in named.items() if (found[1], found[3]) == (own[1], own[3])}
-    annotations: list[Table] = []
-    counts = set()
-    for file, number in sorted(files.items(), key=lambda item: item[1]):
+    seen: list[_Seen] = []
+    for file, number in files.items():
         content = read_json(file, _EXPECTED)
         with damage_named(file, "x, y, confidence of each point", "people"):
             rows = [np.array(person[KEY], dtype=float) for person in content["people"]]
             people = [row.reshape(-1, 3) for row in rows if row.size]
         for k, points in enumerate(people, start=1):
-            counts.add(len(points))
             known = np.isfinite(points).all(axis=1) & (points[:, 2] > 0)
-            flat = np.where(known[:, None], points, 0.0)
-            scores = flat[:, 2].tolist()
-            place = {"id": f"of frame {number}", "image_id": number, "track_id": str(k)}
-            annotations.append({**place, "keypoints": flat.ravel().tolist(), "keypoint_scores": scores})
-    if len(counts) > 1 or not counts <= {*LISTS}:
+            xy, score = np.where(known[:, None], points[:, :2], np.nan), np.where(known, points[:, 2], 0.0)
+            seen.append(_Seen(f"frame {number}", number, str(k), xy, score))
+    counts = sorted({len(one.score) for one in seen})
+    if len(counts) > 1 or not {*counts} <= {*LISTS}:
         expected = f"one number of points throughout, of {', '.join(map(str, LISTS))}"
-        raise InputError(Problem(path, KEY, " and ".join(map(str, sorted(counts))), expected))
-    if all(annotation["track_id"] == "1" for annotation in annotations):
-        annotations = [{key: value for key, value in one.items() if key != "track_id"} for one in annotations]
-    images = [{"id": number, "frame_id": number} for number in sorted(files.values())]
-    categories = [{"keypoints": LISTS[counts.pop()] if counts else LISTS[25]}]
-    return _of_content(path, {"images": images, "annotations": annotations, "categories": categories}, individual)
+        raise InputError(Problem(path, KEY, " and ".join(map(str, counts)), expected))
+    if all(one.animal == "1" for one in seen):
+        seen = [one._replace(animal="") for one in seen]
+    return _points(path, individual, LISTS[counts[0] if counts else 25], files.values(), seen)
 
 
 # -- FMPose3D ---------------------------------------------------------------------------------------------------------
@@ -329,17 +321,9 @@ def recognises_fmpose3d(path: Path) -> bool:
 
 def read_fmpose3d(path: Path, individual: str | None = None) -> StoredPoints:
     """The poses of the one animal. Raises InputError."""
-    choose(path, [""], individual)
     content = read_json(path, _EXPECTED)
-    with damage_named(path, "bodyparts, and poses_3d with x, y, z of each in every frame"):
-        written, poses = tuple(map(str, content["bodyparts"])), list(content["poses_3d"])
-        values = np.full((len(poses), len(written), 3), np.nan)
-        for frame, pose in enumerate(poses):
-            if pose:
-                values[frame] = np.array(pose, dtype=float)
-    problems = name_problems(path, "bodyparts", written)
-    if not poses:
-        problems.append(Problem(path, "poses_3d", "no frames", "at least one frame"))
-    refuse(problems)
+    written = tuple(map(str, content["bodyparts"]))
+    nothing = np.full((len(written), 3), np.nan)
+    values = np.array([pose or nothing for pose in content["poses_3d"]], dtype=float)
     names, notes = true_names(written, str(content.get("model")))
-    return StoredPoints(names, values, np.arange(len(values)), notes=notes)
+    return points_of_arrays(path, individual, values, np.arange(len(values)), names, notes=notes)

@@ -18,15 +18,15 @@ import numpy as np
 from recon.base.errors import InputError, Problem, refuse
 from recon.base.files import write_bytes
 from recon.clip.keypoints import Keypoints
-from recon.io.common import UNNAMED, choose, formats_extra, frames_of_times, name_problems, rate, starts_with
+from recon.io.common import UNNAMED, formats_extra, frames_of_times, points_of_arrays, rate, starts_with
 from recon.io.hdf5 import attribute, child, is_scale, is_text, names, numbers, opened, outline, scale_of, texts
 from recon.io.pose import UNIT_NAMES, Pose3D, StoredPoints, points_of
 
 CLASSIC = b"CDF"
 VARIABLES = ("position", "confidence", "time", "space", "keypoint", "individual", "keypoints", "individuals")
 ATTRIBUTES = ("ds_type", "fps", "time_unit", "length_unit", "up_axis")
-FACTS = {"_FillValue": np.nan, "missing_value": np.nan, "scale_factor": 1.0, "add_offset": 0.0}
-"""What says how numbers are packed, and what nothing of it says."""
+PACKING = ("scale_factor", "add_offset", "missing_value")
+"""Attributes of variables that netCDF packs in another unit, which nobody does with poses."""
 NO_VARIABLE = "This is a netCDF dimension but not a netCDF variable"
 """At the beginning of the attribute NAME of a dimension without labels."""
 POSITION = ("time", "individual", "keypoint", "space")
@@ -38,10 +38,6 @@ class _Variable:
 
     dims: tuple[str, ...]
     values: np.ndarray
-
-    def along(self, dims: tuple[str, ...]) -> np.ndarray:
-        """With its axes in this order, as floats."""
-        return self.values.transpose([self.dims.index(dim) for dim in dims]).astype(float)
 
 
 def recognises(path: Path) -> bool:
@@ -55,57 +51,47 @@ def recognises(path: Path) -> bool:
 def read(path: Path, individual: str | None = None) -> StoredPoints:
     """The points of one animal. Raises InputError."""
     stored, attributes = _stored(path)
-    if (kind := attributes["ds_type"] or "poses") != "poses":
-        raise InputError(Problem(path, "ds_type", str(kind), "poses: keypoints, not boxes"))
-    if "position" not in stored:
-        raise InputError(Problem(path, "position", "none", ", ".join(POSITION)))
-    dims_of = {"position": POSITION, "confidence": POSITION[:-1]}
-    refuse(
-        Problem(path, name, f"{v.values.dtype} with the dimensions {', '.join(v.dims)}", ", ".join(dims))
-        for name, dims in dims_of.items()
-        if (v := stored.get(name)) is not None
-        and (sorted(v.dims) != sorted(dims) or v.values.ndim != len(dims) or v.values.dtype.kind not in "fiu")
-    )
-    position, confidence = stored["position"], stored.get("confidence")
-    sizes = dict(zip(position.dims, position.values.shape, strict=True))
+    values, confidence = (_ordered(path, stored, *of) for of in (("position", POSITION), ("confidence", POSITION[:-1])))
+    kind, space = attributes["ds_type"] or "poses", _labels(stored, "space") or list("xyz"[: values.shape[-1]])
     problems = []
-    for name, v in stored.items():
-        expected = tuple(sizes[dim] for dim in (v.dims if name == "confidence" else (name,)) if dim in sizes)
-        if name in (*POSITION, "confidence") and v.values.shape != expected:
-            problems.append(Problem(path, name, f"{v.values.shape} ({', '.join(v.dims)})", f"{expected}, as position"))
-    if not sizes["time"]:
-        problems.append(Problem(path, "time", "no frames", "at least one"))
-    refuse(problems)
-    labels = {dim: [str(t) for t in stored[dim].values.tolist()] if dim in stored else [] for dim in POSITION[1:]}
-    animals = labels["individual"] or [f"individual_{i}" for i in range(sizes["individual"])]
-    space = labels["space"] or list("xyz"[: sizes["space"]])
-    if space not in (["x", "y"], ["x", "y", "z"]):
+    if kind != "poses":
+        problems.append(Problem(path, "ds_type", str(kind), "poses: keypoints, not boxes"))
+    if space != list("xyz"[: values.shape[-1]]):
         problems.append(Problem(path, "space", ", ".join(space)[:80], "x, y or x, y, z"))
-    problems += name_problems(path, "keypoint", labels["keypoint"]) + name_problems(path, "individual", animals)
     refuse(problems)
-    frames, fps = _frames(path, stored.get("time"), sizes["time"], attributes)
-    values = position.along(POSITION)
-    which = choose(path, animals, individual, [bool(np.isfinite(values[:, n]).any()) for n in range(len(animals))])
-    return StoredPoints(
-        tuple(labels["keypoint"]),
-        values[:, which],
+    time = stored["time"].values if "time" in stored else np.arange(len(values))
+    frames, fps = _frames(path, time, attributes)
+    return points_of_arrays(
+        path,
+        individual,
+        values,
         frames,
-        None if confidence is None else confidence.along(POSITION[:-1])[:, which],
+        _labels(stored, "keypoint"),
+        _labels(stored, "individual"),
+        confidence if "confidence" in stored else None,
         fps=fps,
-        individual=animals[which] if len(animals) > 1 or animals[0] not in UNNAMED else None,
         unit=UNIT_NAMES.get(str(attributes["length_unit"])),
         up=up if (up := str(attributes["up_axis"])) in ("x", "y", "z") else None,
     )
 
 
-def _frames(
-    path: Path, time: _Variable | None, T: int, attributes: Mapping[str, Any]
-) -> tuple[np.ndarray, float | None]:
+def _ordered(path: Path, stored: Mapping[str, _Variable], name: str, dims: tuple[str, ...]) -> np.ndarray:
+    """A variable with its axes in this order; without any element where there is none. Raises InputError for others."""
+    variable = stored.get(name, _Variable(dims, np.zeros([0] * len(dims))))
+    if sorted(variable.dims) != sorted(dims):
+        found = f"{variable.values.dtype} with the dimensions {', '.join(variable.dims)}"
+        raise InputError(Problem(path, name, found, ", ".join(dims)))
+    return variable.values.transpose([variable.dims.index(dim) for dim in dims])
+
+
+def _labels(stored: Mapping[str, _Variable], dim: str) -> list[str]:
+    """The coordinates of a dimension; empty where it has none."""
+    return [str(text) for text in stored[dim].values.tolist()] if dim in stored else []
+
+
+def _frames(path: Path, ticks: np.ndarray, attributes: Mapping[str, Any]) -> tuple[np.ndarray, float | None]:
     """Frame numbers and rate. Without the attribute `time_unit`, whole numbers are frames."""
     fps = rate(attributes["fps"])
-    ticks = np.arange(T) if time is None else time.values
-    if ticks.dtype.kind not in "fiu":
-        raise InputError(Problem(path, "time", f"values of type {ticks.dtype}", "seconds, or frames"))
     unit = attributes["time_unit"] or ("frames" if ticks.dtype.kind in "iu" else "seconds")
     if unit == "frames":
         return frames_of_times(path, ticks.astype(float), 1.0)[0], fps
@@ -122,8 +108,10 @@ def _stored(path: Path) -> tuple[dict[str, _Variable], dict[str, Any]]:
             about = "" if dataset is None else str(attribute(dataset, "NAME") or "")
             if not isinstance(dataset, h5py.Dataset) or about.startswith(NO_VARIABLE):
                 continue
+            if any(attribute(dataset, packing) is not None for packing in PACKING):
+                raise ValueError(f"{name} has packed numbers ({', '.join(PACKING)})")
             values = np.array(texts(dataset), object).reshape(dataset.shape) if is_text(dataset) else numbers(dataset)
-            found[name.removesuffix("s")] = _Variable(_axes(dataset, name, scales), _unpacked(values, dataset))
+            found[name.removesuffix("s")] = _Variable(_axes(dataset, name, scales), values)
         attributes = {name: attribute(file, name) for name in ATTRIBUTES}
     plain = str | int | float | np.integer | np.floating
     return found, {name: value if isinstance(value, plain) else None for name, value in attributes.items()}
@@ -142,17 +130,6 @@ def _axes(dataset: Any, name: str, scales: Mapping[str, Any]) -> tuple[str, ...]
         found = {axis: other for other, scale in scales.items() for axis in scale_of(scale, dataset)}
         numbered = range(dataset.ndim)
     return tuple(found.get(number, "?").removesuffix("s") for number in numbered)
-
-
-def _unpacked(values: np.ndarray, dataset: Any) -> np.ndarray:
-    """Packed numbers as they are meant, NaN where they are missing."""
-    facts = {name: attribute(dataset, name) for name in FACTS}
-    if values.dtype.kind not in "fiu" or all(fact is None for fact in facts.values()):
-        return values
-    *missing, scale, offset = (float(FACTS[name] if fact is None else fact) for name, fact in facts.items())
-    if values.dtype.kind in "iu" and scale == 1 and offset == 0 and not np.isin(values, missing).any():
-        return values
-    return np.where(np.isin(values, missing), np.nan, values.astype(float) * scale + offset)
 
 
 # -- writing ----------------------------------------------------------------------------------------------------------

@@ -7,11 +7,10 @@ are taken alike. Ours are given 1970-01-01 as the start of their session, which 
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from io import BytesIO
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 from uuid import uuid4
 
 import h5py
@@ -20,7 +19,15 @@ import numpy as np
 from recon.base.errors import InputError, Problem, refuse
 from recon.base.files import write_bytes
 from recon.clip.keypoints import Keypoints
-from recon.io.common import choose, formats_extra, frames_of_times, name_problems, rate, require_names, required_fps
+from recon.io.common import (
+    choose,
+    formats_extra,
+    frames_of_times,
+    points_of_arrays,
+    rate,
+    require_names,
+    required_fps,
+)
 from recon.io.hdf5 import attribute, child, groups, names, numbers, opened, outline, texts
 from recon.io.pose import UNIT_NAMES, Pose3D, StoredPoints, index_edges, points_of
 
@@ -33,8 +40,7 @@ UP_TEXT = "z up"
 """At the end of the frame of reference of our own 3D series."""
 
 
-@dataclass(frozen=True, eq=False)
-class _PoseSeries:
+class _Series(NamedTuple):
     """One point in T frames."""
 
     name: str
@@ -56,87 +62,71 @@ def recognises(path: Path) -> bool:
 
 def read(path: Path, individual: str | None = None) -> StoredPoints:
     """The points of one animal, which a file of several calls by its container. Raises InputError."""
-    found: dict[str, StoredPoints | InputError] = {}
     with opened(path) as file:
+        containers = {}
         for group in groups(file):
-            inside = [child(group, name) for name in names(group)]
-            points = [one for one in inside if one is not None and _type(one) == "PoseEstimationSeries"]
-            name = str(group.name).rsplit("/", 1)[-1]
-            if points:
-                try:
-                    found[name] = _points(path, name, group, inside, [_series(path, point) for point in points])
-                except InputError as error:  # of another animal, perhaps
-                    found[name] = error
-    if not found:
-        raise InputError(Problem(path, "PoseEstimationSeries", "none", "poses of the extension ndx-pose"))
-    chosen = [*found.values()][choose(path, [*found], individual)]
-    if isinstance(chosen, InputError):
-        raise chosen
-    named = len(found) > 1 or not str(chosen.individual).startswith("PoseEstimation")
-    return chosen if named else replace(chosen, individual=None)
-
-
-def _type(group: Any) -> Any:
-    return attribute(group, "neurodata_type")
-
-
-def _points(path: Path, name: str, group: Any, inside: list[Any], series: list[_PoseSeries]) -> StoredPoints:
-    """What a container has. Raises InputError where its series do not fit together."""
-    nodes, edges = _skeleton(group, inside)
-    order = {node: i for i, node in enumerate(nodes)}
-    first, *others = series = sorted(series, key=lambda s: order.get(s.name, len(order)))
-    points = tuple(s.name for s in series)
-    problems = name_problems(path, name, points)
-    for s in others:
-        where = f"{name}/{s.name}"
-        if s.values.shape[1] != first.values.shape[1]:
-            found = f"{s.values.shape[1]} coordinates, and {first.values.shape[1]} in {first.name}"
-            problems.append(Problem(path, where, found, "2D points or 3D points, not both"))
-        if s.times_s.shape != first.times_s.shape or not np.allclose(s.times_s, first.times_s, rtol=0, atol=1e-6):
-            problems.append(Problem(path, where, f"other times than in {first.name}", "one time line"))
-    if not len(first.times_s):
-        problems.append(Problem(path, name, "no frames", "at least one"))
-    refuse(problems)
+            of_type: dict[str, list[Any]] = {}
+            for one in (child(group, name) for name in names(group)):
+                of_type.setdefault("" if one is None else str(attribute(one, "neurodata_type")), []).append(one)
+            if "PoseEstimationSeries" in of_type:
+                containers[_last(group)] = group, of_type
+        if not containers:
+            raise InputError(Problem(path, "PoseEstimationSeries", "none", "poses of the extension ndx-pose"))
+        name = [*containers][choose(path, [*containers], individual)]
+        group, of_type = containers[name]
+        # The first version of the extension had the skeleton's nodes in the container itself.
+        skeleton = next((one for one in (group, *of_type.get("Skeleton", ())) if child(one, "nodes") is not None), None)
+        nodes = [] if skeleton is None else texts(child(skeleton, "nodes"))
+        linked = None if skeleton is None else child(skeleton, "edges")
+        edges = [] if linked is None else numbers(linked).reshape(-1, 2).tolist()
+        scorer = child(group, "scorer")
+        scorer = "" if scorer is None else "".join(texts(scorer))
+        series = [_series(path, one) for one in of_type["PoseEstimationSeries"]]
+    first, *others = series = sorted(series, key=lambda s: nodes.index(s.name) if s.name in nodes else len(nodes))
+    refuse(
+        Problem(path, f"{name}/{s.name}", f"{s.values.shape} positions", f"{first.values.shape}, as in {first.name}")
+        for s in others
+        if s.values.shape != first.values.shape
+    )
+    refuse(
+        Problem(path, f"{name}/{s.name}", f"other times than in {first.name}", "one time line")
+        for s in others
+        if not np.allclose(s.times_s, first.times_s, rtol=0, atol=1e-6)
+    )
     frames, fps = frames_of_times(path, first.times_s, first.fps)
-    scorer = child(group, "scorer")
-    return StoredPoints(
-        points,
+    points = [s.name for s in series]
+    return points_of_arrays(
+        path,
+        None,
         np.stack([s.values for s in series], axis=1),
         frames,
+        points,
+        [name] if len(containers) > 1 or not name.startswith("PoseEstimation") else [],
         np.stack([s.confidence for s in series], axis=1),
         fps=fps,
-        individual=name,
-        scorer="" if scorer is None else "".join(texts(scorer)),
+        scorer=scorer,
         unit=UNIT_NAMES.get(first.unit),
         up="z" if first.z_up else None,
         edges=tuple((nodes[a], nodes[b]) for a, b in edges) if {*nodes} == {*points} else (),
     )
 
 
-def _skeleton(group: Any, inside: list[Any]) -> tuple[list[str], np.ndarray]:
-    """Nodes and edges (E, 2) of a container's skeleton, or of the container itself, as the first version had it."""
-    for holder in (group, *(one for one in inside if one is not None and _type(one) == "Skeleton")):
-        if (stored := child(holder, "nodes")) is not None:
-            nodes, linked = texts(stored), child(holder, "edges")
-            edges = np.zeros((0, 2)) if linked is None else numbers(linked).reshape(-1, 2)
-            return nodes, edges[((edges >= 0) & (edges < len(nodes))).all(axis=1)].astype(np.int64)
-    return [], np.zeros((0, 2), np.int64)
+def _last(group: Any) -> str:
+    return str(group.name).rsplit("/", 1)[-1]
 
 
-def _series(path: Path, group: Any) -> _PoseSeries:
-    data, name = child(group, "data"), str(group.name).rsplit("/", 1)[-1]
-    values = numbers(data)
-    if values.ndim != 2 or values.shape[1] not in (2, 3) or values.dtype.kind not in "fiu":
-        raise InputError(Problem(path, name, f"{values.dtype} {values.shape}", "numbers, (frames, 2) or (frames, 3)"))
-    T = len(values)
+def _series(path: Path, group: Any) -> _Series:
+    data, confidence, stamps, start, frame = (
+        child(group, name) for name in ("data", "confidence", "timestamps", "starting_time", "reference_frame")
+    )
+    name, values = _last(group), numbers(data)
     scale, shift = attribute(data, "conversion"), attribute(data, "offset")
     values = values.astype(float) * float(1 if scale is None else scale) + float(shift or 0)
-    confidence = child(group, "confidence")
-    sure = np.full(T, np.nan) if confidence is None else numbers(confidence).astype(float)
+    T = len(values)
+    sure = np.full(T, np.nan) if confidence is None else numbers(confidence)
     comment = str(attribute(group, "comments") or "")
     ours = re.search(re.escape(RATE_TEXT).replace(r"\{fps!r\}", "([0-9.e+-]+)"), comment)
     fps = rate(ours[1]) if ours else None
-    stamps, start = child(group, "timestamps"), child(group, "starting_time")
     if stamps is not None:
         times_s = numbers(stamps).astype(float)
     elif start is not None:
@@ -147,9 +137,8 @@ def _series(path: Path, group: Any) -> _PoseSeries:
     if sure.shape != (T,) or times_s.shape != (T,):
         found = f"{T} positions, {len(sure)} confidences and {len(times_s)} times"
         raise InputError(Problem(path, name, found, "as many of each"))
-    reference = "".join(texts(frame)) if (frame := child(group, "reference_frame")) is not None else ""
-    unit = str(attribute(data, "unit") or "")
-    return _PoseSeries(name, values, sure, times_s, fps, unit, reference.endswith(UP_TEXT))
+    z_up = frame is not None and "".join(texts(frame)).endswith(UP_TEXT)
+    return _Series(name, values, sure, times_s, fps, str(attribute(data, "unit") or ""), z_up)
 
 
 def write(data: Keypoints | Pose3D, path: Path) -> None:

@@ -11,7 +11,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -19,12 +18,12 @@ from typing import Any
 import h5py
 import numpy as np
 
-from recon.base.errors import InputError, Problem, refuse
+from recon.base.errors import InputError, Problem
 from recon.base.files import write_bytes
 from recon.clip.keypoints import Keypoints
-from recon.io.common import choose, name_problems, rate, require_span
+from recon.io.common import points_of_arrays, rate, require_span
 from recon.io.hdf5 import attribute, child, numbers, opened, outline, texts
-from recon.io.pose import UNNAMED_POINTS, StoredPoints, numbered_names
+from recon.io.pose import StoredPoints
 
 TITLE = "SLEAP analysis H5"
 ORDERS = {
@@ -44,30 +43,13 @@ def read(path: Path, individual: str | None = None) -> StoredPoints:
     """The keypoints of one track: a file without scores has unknown ones, without occupancy every track in every frame.
     Raises InputError for a file that is damaged or whose arrays do not fit."""
     with opened(path) as file:
-        names, tracks = _texts(file, "node_names"), _texts(file, "track_names")
-        stored = {name: child(file, name) for name in ORDERS}
-        if stored["tracks"] is None:
-            raise InputError(Problem(path, "tracks", "a link to nowhere", "a dataset"))
-        arrays = {name: _array(path, dataset, name) for name, dataset in stored.items() if dataset is not None}
+        arrays = {name: _array(path, dataset, name) for name in ORDERS if (dataset := child(file, name)) is not None}
+        names, tracks = (_texts(file, name) for name in ("node_names", "track_names"))
         fps = _fps(file)
     xy = arrays["tracks"]
-    T, N, K, two = xy.shape
-    score = arrays.get("point_scores", np.full((T, N, K), np.nan))
-    occupied = arrays.get("track_occupancy", np.ones((T, N))) > 0
-    problems = [] if two == 2 else [Problem(path, "tracks", f"{two} coordinates", "2: x, y")]
-    problems += name_problems(path, "node_names", names)[: not names] + _misfits(path, names, tracks, K, N)
-    for name, array, shape in (("point_scores", score, (T, N, K)), ("track_occupancy", occupied, (T, N))):
-        if array.shape != shape:
-            axes = ", ".join(WANTED[: len(shape)])
-            problems.append(Problem(path, name, f"{array.shape} ({axes})", f"{shape}, as in tracks"))
-    refuse(problems)
-    animals = tracks or [f"track_{i}" for i in range(N)]
-    which = choose(path, animals, individual, (np.isfinite(xy[frames, n]).any() for n, frames in enumerate(occupied.T)))
-    frames = np.flatnonzero(occupied[:, which])
-    if not len(frames):
-        raise InputError(Problem(path, f"track {animals[which]}", "no frame with it", "at least one"))
-    individual = animals[which] if tracks else None
-    return StoredPoints(tuple(names), xy[frames, which], frames, score[frames, which], fps=fps, individual=individual)
+    score = arrays.get("point_scores", np.full(xy.shape[:3], np.nan))
+    occupied = arrays.get("track_occupancy")
+    return points_of_arrays(path, individual, xy, np.arange(len(xy)), names, tracks, score, occupied, fps=fps)
 
 
 def _texts(file: Any, name: str) -> list[str]:
@@ -76,31 +58,17 @@ def _texts(file: Any, name: str) -> list[str]:
     return texts(dataset) if dataset is not None and getattr(dataset, "size", 0) else []
 
 
-def _misfits(path: Path, nodes: Sequence[str], tracks: Sequence[str], K: int, N: int) -> list[Problem]:
-    """What is wrong with the names of K nodes and N tracks, as far as there are any."""
-    problems: list[Problem] = []
-    for name, found, wanted in (("node_names", nodes, K), ("track_names", tracks, N)):
-        problems += name_problems(path, name, found) if found else []
-        if found and len(found) != wanted:
-            problems.append(Problem(path, name, f"{len(found)} names", f"{wanted}, as in tracks"))
-    return problems
-
-
 def _array(path: Path, dataset: Any, name: str) -> np.ndarray:
     """One array with its axes in the order of `WANTED`."""
-    order = ORDERS[name]
-    wanted = [axis for axis in WANTED if axis in order]
     dims = attribute(dataset, "dims")
-    if dims is not None:
-        order = tuple(str(axis) for axis in json.loads(dims))
-    elif name == "tracks" and attribute(dataset.file, "transpose") in (False, 0):
-        order = ("frame", "node", "xy", "track")
+    order = ORDERS[name] if dims is None else tuple(str(axis) for axis in json.loads(dims))
+    wanted = [axis for axis in WANTED if axis in ORDERS[name]]
     values = numbers(dataset)
     if sorted(order) != sorted(wanted) or values.ndim != len(wanted):
         found = f"{values.dtype} {values.shape} with the axes {', '.join(order)[:80]}"
         expected = f"numbers with the axes {', '.join(ORDERS[name])}, or as dims says"
         raise InputError(Problem(path, name, found, expected))
-    return np.transpose(values.astype(float), [order.index(axis) for axis in wanted])
+    return values.transpose([order.index(axis) for axis in wanted])
 
 
 def _fps(file: Any) -> float | None:
@@ -127,28 +95,14 @@ def recognises_points3d(path: Path) -> bool:
 def read_points3d(path: Path, individual: str | None = None) -> StoredPoints:
     """The 3D points of one track. Raises InputError."""
     with opened(path) as file:
-        values = numbers(child(file, "tracks")).astype(float)
-        nodes, tracks = _texts(file, "node_names"), _texts(file, "track_names")
-        span, fps = (child(file, name) for name in ("frames", "recording_frame_rate"))
-        first = 0.0 if span is None else float(numbers(span).ravel()[0])
-        fps = None if fps is None else rate(numbers(fps).ravel()[0])
-    T, N, K, _ = values.shape
-    problems = _misfits(path, nodes, tracks, K, N)
-    if not values.size:
-        problems.append(Problem(path, "tracks", f"{values.shape}", "(frames, tracks, nodes, 3), none of them 0"))
-    if not (abs(first) < 1e15 and first == int(first)):
-        problems.append(Problem(path, "frames", f"{first:g}", "the first frame's number"))
-    refuse(problems)
-    animals = tracks or ([""] if N == 1 else [f"track_{i}" for i in range(N)])
-    which = choose(path, animals, individual, [bool(np.isfinite(values[:, n]).any()) for n in range(N)])
-    return StoredPoints(
-        tuple(nodes) or numbered_names(K),
-        values[:, which],
-        int(first) + np.arange(T),
-        fps=fps,
-        individual=tracks[which] if tracks else None,
-        notes=() if nodes else (UNNAMED_POINTS,),
-    )
+        values = numbers(child(file, "tracks"))
+        names, tracks = (_texts(file, name) for name in ("node_names", "track_names"))
+        first, fps = (
+            None if (dataset := child(file, name)) is None else float(numbers(dataset).ravel()[0])
+            for name in ("frames", "recording_frame_rate")
+        )
+    frames = (first or 0.0) + np.arange(len(values))
+    return points_of_arrays(path, individual, values, frames, names, tracks, fps=rate(fps))
 
 
 # -- writing ----------------------------------------------------------------------------------------------------------

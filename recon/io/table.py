@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from recon.base.errors import InputError, Problem
+from recon.io.common import numbers
 
 SEPARATORS = (",", ";", "\t")
 
@@ -34,6 +35,29 @@ def text_rows(path: Path, separator: str | None = None) -> Iterator[tuple[int, l
             raise InputError(Problem(path, "text", "bytes that are not UTF-8", "a text file in UTF-8")) from None
         except csv.Error as error:
             raise InputError(Problem(path, f"line {line + 1}", str(error), "a table of text")) from None
+
+
+def number_rows(
+    path: Path, rows: Iterable[tuple[int, list[str]]], columns: Sequence[str], index: int = 0
+) -> tuple[list[list[str]], np.ndarray, list[Problem]]:
+    """Rows with the numbers of their lines: of each the first `index` cells, which are texts, and the others as numbers
+    (T, C), one for each of `columns`, NaN for an empty cell; and what is wrong with them."""
+    texts: list[list[str]] = []
+    values: list[np.ndarray] = []
+    problems: list[Problem] = []
+    width = index + len(columns)
+    for line, row in rows:
+        if len(row) != width:
+            problems.append(Problem(path, f"line {line}", f"{len(row)} cells", f"{width}, as in the header"))
+            continue
+        found, wrong = numbers(row[index:])
+        problems += [
+            Problem(path, f"line {line}, {columns[j]}", f"'{row[index + j].strip()}'", "a number or an empty cell")
+            for j in wrong
+        ]
+        texts.append(row[:index])
+        values.append(found)
+    return texts, np.array(values).reshape(-1, len(columns)), problems
 
 
 def write_table(path: Path, header: Iterable[Sequence[str]], frames: np.ndarray, values: np.ndarray) -> None:
