@@ -33,7 +33,6 @@ from recon.keypoint_net.evaluate2d import evaluate_2d_files
 from recon.robotics.robot.reference import reference_of
 from recon.robotics.robot.retarget import retarget
 from recon.robotics.robot.robot_file import load_robot
-from recon.show.plots.skeleton import expected_pose
 from recon.show.report import build_report
 from recon.workflows.clip import prepare
 from recon.workflows.clip_results import run_clip
@@ -216,7 +215,7 @@ def test_a_skeleton_is_drafted_from_names(names, placed, tmp_path):
     file.write_text(text, encoding="utf-8")
     body, quadruped = load_skeleton(file), load_skeleton("quadruped")
     assert {*body.markers} == {*markers}
-    at, of = (dict(zip(b.markers, expected_pose(b), strict=True)) for b in (body, quadruped))
+    at, of = (dict(zip(b.markers, b.expected_points_m(), strict=True)) for b in (body, quadruped))
     for name, marker in markers.items():
         np.testing.assert_allclose(at[name], of[marker], atol=1e-12)
     assert {label: markers[foot] for label, foot in body.feet_by_label().items()} == quadruped.feet_by_label()

@@ -16,7 +16,7 @@ from recon import Body, Camera, FitSettings, InputError, Keypoints, Motion, fit_
 from recon.animal.body import both_sides, other_side, side_of, without_side
 from recon.animal.naming import builtin_maps, load_names
 from recon.animal.prior import prior_from_body
-from recon.animal.skeleton_file import builtin_chains, builtin_names, load_chain
+from recon.animal.skeleton_file import builtin_chains, builtin_names
 from recon.clip import still_view
 from recon.fit import TrajectoryOptions, solve_trajectory
 from recon.gait.evaluation import centre, joint_errors, score
@@ -338,7 +338,7 @@ def test_a_chain_may_extend_a_file_beside_it(tmp_path, monkeypatch):
     monkeypatch.chdir("/")
     check = check_skeleton(own)
     assert (check["name"], check["kind"]) == ("mine", "chain")
-    assert next(part["length_m"] for part in check["parts"] if part["name"] == "r5") == pytest.approx(0.5)
+    assert next(part["length_m"] for part in check["parts"] if part["name"] == "J1") == pytest.approx(0.5)
 
 
 # -- recon skeleton ------------------------------------------------------------------------------------------------
@@ -360,11 +360,8 @@ def test_nothing_looks_odd_about_builtin_skeletons(name):
     no_feet = ["feet: none. Contacts with the ground and gait need them."]
     assert check["remarks"] == (no_feet if name == "mouse-top" else [])
     assert check["prior"] == {"cheetah-24": "running-cheetah"}.get(name, "none")
-    model = load_chain(name) if check["kind"] == "chain" else load_skeleton(name)
-    assert check["unknowns"] == model.n_state
-    assert sum(len(part["angles"]) for part in check["parts"]) == (
-        check["unknowns"] - 7 if check["kind"] == "chain" else check["unknowns"] - 4
-    )
+    assert check["unknowns"] == load_skeleton(name).n_state
+    assert sum(len(part["angles"]) for part in check["parts"]) == check["unknowns"] - 4
 
 
 def test_check_lists_what_is_in_a_file(tmp_path):
@@ -388,10 +385,12 @@ def test_check_lists_what_is_in_a_file(tmp_path):
 
 def test_check_of_a_chain():
     text = output("skeleton", "check", "cheetah-8u")
-    # r1: theta 0.05 +- 0.45 rad, 0.203 m x 1.547
-    (row,) = (line.split() for line in text.splitlines() if line.split()[:1] == ["r1"])
-    assert row[:9] == ["r1", "J9", "J1", "0.314", "-23", "to", "29", "-29", "to"]
-    assert "relative to the link before" in text
+    # J2 begins where the link r1 ends: 0.203 m x 1.547
+    (row,) = (line.split() for line in text.splitlines() if line.split()[:3] == ["J2", "J1", "0.314"])
+    body = load_skeleton("cheetah-8u")
+    i = body.state_names.index("phi_2") - 4
+    ends = np.degrees(body.mean_rad[i] + np.array([-2, 2]) * body.sigma_rad[i])
+    assert row[3:6] == [f"{ends[0]:.0f}", "to", f"{ends[1]:.0f}"]
 
 
 @pytest.mark.parametrize(

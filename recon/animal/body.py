@@ -237,6 +237,13 @@ class Body:
         """(D,): of the unknowns, the root's position and heading first."""
         return self.tree.state_names
 
+    def expected_points_m(self, angle: int | None = None, off_rad: float = 0.0) -> Array:
+        """(J, 3): the markers with all angles at their means, but for one of state[4:]; the root's origin is zero."""
+        state = np.concatenate([np.zeros(4), self.mean_rad])
+        if angle is not None:
+            state[4 + angle] += off_rad
+        return self.tree.pose(state[None]).points_m[0]
+
     @cached_property
     def mirror(self) -> tuple[Index, Array]:
         """Permutation and sign, both (D,): state[..., permutation] * sign is the animal mirrored left to right.

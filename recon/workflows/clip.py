@@ -276,8 +276,7 @@ def _as_high(body: Body, height_m: float) -> Body:
     """So large that the withers, or the front end of the trunk, are as high above the feet in the expected pose."""
     if not body.feet:
         raise InputError(Problem("--height-m", "height_m", f"{body.name}, which has no feet", "--set size"))
-    points_m = body.tree.pose(np.concatenate([np.zeros(4), body.mean_rad])[None]).points_m[0]
-    heights_m = dict(zip(body.markers, points_m[:, 2], strict=True))
+    heights_m = dict(zip(body.markers, body.expected_points_m()[:, 2], strict=True))
     top = next((name for name in body.markers if "wither" in name.lower()), body.forward[1])
     usual_m = heights_m[top] - min(heights_m[foot] for foot in body.feet)
     return replace(body.scaled(height_m / usual_m), size_sigma=HEIGHT_SIGMA)

@@ -7,13 +7,12 @@ It has the quadruped's segments, with markers of these names; with cameras, segm
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
 from recon.animal import (
     MIN_JOINTS,
-    Body,
     fitting_maps,
     fitting_skeleton,
     load_names,
@@ -30,14 +29,13 @@ from recon.base.settings import File, OneOrMore, Option, Positive, Settings
 from recon.check.agreement import points_m
 from recon.clip import Source, together, views_of
 from recon.clip.keypoints import clean
-from recon.geometry.kinematics import Marker
 from recon.io import read_keypoints
 from recon.io.deeplabcut_project import bodyparts, find_project
 from recon.workflows.cameras import read_clip_cameras
 from recon.workflows.cli.common import say, terminal
 from recon.workflows.clip import arrange, read_clips
 from recon.workflows.settings import FitSettings
-from recon.workflows.skeleton_geometry import drafted, toml_text
+from recon.workflows.skeleton_geometry import drafted, head_text, table_text, toml_text
 
 BASE = "quadruped"
 REAR, FRONT = ("tail_base", "l_hip", "spine"), ("neck_base", "withers", "l_shoulder", "nose")
@@ -154,8 +152,30 @@ def draft_skeleton(names: Sequence[str], title: str, source: Path) -> SkeletonDr
         )
         raise InputError(Problem(source, "bodyparts", found, expected))
     others = tuple(name for name in names if name not in known)
-    parts = (_head(title, source, rear, front, called, body, others), _segments(body, names))
-    return known, others, "".join((*parts, *_markers(body, called), *_limbs(body, called)))
+    comments = [
+        f"A draft for the keypoints of {toml_text(source.name)}: proportions and expectations are of the skeleton",
+        f"{BASE}, which are no animal's, and its markers are called as the keypoints. Look at it with recon skeleton",
+        "check, and replace the lengths by those of your animal. The fields are explained in docs/skeletons.md.",
+        *([f"Keypoints without a place yet: {', '.join(others)}"] if others else []),
+    ]
+    labels = {label: place for place, label in PLACES.items()}
+    feet = {labels[label]: called[foot] for label, foot in body.feet_by_label().items() if foot in called}
+    limbs = {limb: [called[m] for m in along if m in called] for limb, along in body.limbs.items()}
+    text = builtin_file("animal/skeletons", f"{BASE}.toml").read_text(encoding="utf-8")
+    segments = text[text.index("[[segments]]") : text.index("[[markers]]")]
+    renamed = {s.name: f"{s.name}_part" if s.name in names else s.name for s in body.tree.segments}
+    for name, other in renamed.items():
+        segments = segments.replace(f'"{name}"', f'"{other}"')
+    parts = [head_text(comments, title, "the names", (rear, front), body.keypoint_sigma_m, body.size_sigma)]
+    parts += [table_text("[feet]", feet), segments]
+    for marker in body.tree.markers:
+        name, twin = called.get(marker.name), called.get(other_side(marker.name))
+        paired = name is not None and twin == other_side(name) != name
+        if name is not None and not (paired and side_of(name) == "right"):  # pairs are written once
+            of = {"name": name, "segment": renamed[marker.segment]} | ({"mirrored": True} if paired else {})
+            parts.append(table_text("[[markers]]", of | {"at_m": list(marker.offset_m)}))
+    parts.append(table_text("[limbs]", {limb: along for limb, along in limbs.items() if len(along) > 1}))
+    return known, others, "".join(parts)
 
 
 def _understood(names: Sequence[str], markers: Sequence[str]) -> dict[str, str]:
@@ -169,67 +189,3 @@ def _understood(names: Sequence[str], markers: Sequence[str]) -> dict[str, str]:
             known[name] = marker
     lacking = [marker for marker in markers if marker not in known.values()]
     return known | suggestions([name for name in names if name not in known], lacking)
-
-
-def _head(
-    title: str, source: Path, rear: str, front: str, called: dict[str, str], body: Body, others: Iterable[str]
-) -> str:
-    labels = dict(zip(PLACES.values(), PLACES, strict=True))
-    feet = {labels[label]: called[foot] for label, foot in body.feet_by_label().items() if foot in called}
-    lines = [
-        f"# A draft for the keypoints of {toml_text(source.name)}: proportions and expectations are of the skeleton",
-        f"# {BASE}, which are no animal's, and its markers are called as the keypoints. Look at it with recon skeleton",
-        "# check, and replace the lengths by those of your animal. The fields are explained in docs/skeletons.md.",
-        *([f"# Keypoints without a place yet: {', '.join(others)}"] if others else []),
-        f"name = {toml_text(title)}",
-        f"title = {toml_text(f'{title}, drafted from the names of its keypoints')}",
-        f"forward = [{toml_text(rear)}, {toml_text(front)}]",
-        f"keypoint_sigma_m = {body.keypoint_sigma_m}",
-        f"size_sigma = {body.size_sigma}",
-        "",
-        "[feet]",
-        *(f"{place} = {toml_text(foot)}" for place, foot in feet.items()),
-    ]
-    return "\n".join(lines) + "\n\n"
-
-
-def _segments(body: Body, names: Sequence[str]) -> str:
-    """As they stand in the skeleton's own file; those that are called as a keypoint get another name."""
-    text = builtin_file("animal/skeletons", f"{BASE}.toml").read_text(encoding="utf-8")
-    text = text[text.index("[[segments]]") : text.index("[[markers]]")]
-    for segment in body.tree.segments:
-        if segment.name in names:
-            text = text.replace(f'"{segment.name}"', f'"{_segment(segment.name, names)}"')
-    return text
-
-
-def _segment(segment: str, names: Iterable[str]) -> str:
-    return f"{segment}_part" if segment in names else segment
-
-
-def _markers(body: Body, called: dict[str, str]) -> Iterator[str]:
-    """Pairs of which the names are a pair's, too, are written once."""
-    for marker in body.tree.markers:
-        if marker.name in called:
-            twin = called.get(other_side(marker.name))
-            paired = twin is not None and twin == other_side(called[marker.name])
-            if not paired or side_of(called[marker.name]) != "right":
-                yield _marker(marker, called, mirrored=paired and side_of(called[marker.name]) == "left")
-
-
-def _marker(marker: Marker, called: dict[str, str], mirrored: bool) -> str:
-    lines = [
-        f"name = {toml_text(called[marker.name])}",
-        f"segment = {toml_text(_segment(marker.segment, called.values()))}",
-    ]
-    lines += ["mirrored = true"] * mirrored
-    lines += [f"at_m = {list(marker.offset_m)}"] * any(marker.offset_m)
-    return "\n".join(["[[markers]]", *lines]) + "\n\n"
-
-
-def _limbs(body: Body, called: dict[str, str]) -> Iterator[str]:
-    yield "[limbs]\n"
-    for limb, along in body.limbs.items():
-        there = [toml_text(called[marker]) for marker in along if marker in called]
-        if len(there) > 1:
-            yield f"{toml_text(limb)} = [{', '.join(there)}]\n"

@@ -5,9 +5,11 @@ best. Expected is a pose that the animal had, out of which its segments swing as
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
+import re
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.cluster.hierarchy import fcluster, linkage
@@ -38,7 +40,7 @@ class _Part:
     line: tuple[int, ...] = ()
 
     def name(self, labels: Sequence[str]) -> str:
-        return toml_text(f"part_{self.number}_at_{labels[self.origin]}")
+        return f"part_{self.number}_at_{labels[self.origin]}"
 
 
 def drafted(names: Sequence[str], points_m: Array, fps: float, title: str, source: Path) -> tuple[list[str], str]:
@@ -84,21 +86,21 @@ def drafted(names: Sequence[str], points_m: Array, fps: float, title: str, sourc
     pose = np.where(np.isfinite(turned[off.argmin()]), turned[off.argmin()], typical)
     along = pose - pose[:, None]  # from a point to another, of the length that it usually has
     along *= (usual_m / np.linalg.norm(along, axis=2).clip(1e-9))[..., None]
-    lines = [
-        f"# A draft from the geometry of the keypoints of {toml_text(source.name)}: distances that change by less than",
-        f"# {1000 * same_m:.1f} mm stay the same. Look at it with recon skeleton check, and give its segments names.",
-        f"name = {toml_text(title)}",
-        f"title = {toml_text(f'{title}, drafted from the geometry of its keypoints')}",
-        f"forward = [{toml_text(labels[rear])}, {toml_text(labels[front])}]",
-        f"keypoint_sigma_m = {KEYPOINT_SHARE * long_m:.5f}",
-        f"size_sigma = {SIZE_SIGMA}",
-        "\n[feet]",
-        *_segments(parts, labels, turned, along, fps),
-        *_markers(parts, labels, along),
-        "\n[limbs]",
-        *(f"part_{p.number} = [{', '.join(toml_text(labels[i]) for i in p.line)}]" for p in parts if len(p.line) > 1),
+    comments = [
+        f"A draft from the geometry of the keypoints of {toml_text(source.name)}: distances that change by less than",
+        f"{1000 * same_m:.1f} mm stay the same. Look at it with recon skeleton check, and give its segments names.",
     ]
-    return labels, "\n".join(lines) + "\n"
+    ends = labels[rear], labels[front]
+    text = head_text(comments, title, "the geometry", ends, round(KEYPOINT_SHARE * long_m, 5), SIZE_SIGMA)
+    text += table_text("[feet]", {})
+    for part in parts:
+        text += table_text("[[segments]]", _segment(part, parts, labels, turned, along, fps))
+    for part in parts:
+        for point in part.points:
+            of = {"name": labels[point], "segment": part.name(labels)}
+            text += table_text("[[markers]]", of | {"at_m": _at(along[part.origin, point])})
+    limbs = {f"part_{part.number}": [labels[i] for i in part.line] for part in parts if len(part.line) > 1}
+    return labels, text + table_text("[limbs]", limbs)
 
 
 def _tree(bodies: Sequence[list[int]], root: int, costs: Array, same_m: float) -> list[_Part]:
@@ -131,34 +133,53 @@ def _tree(bodies: Sequence[list[int]], root: int, costs: Array, same_m: float) -
     return parts
 
 
-def _segments(parts: Sequence[_Part], labels: Sequence[str], turned: Array, along: Array, fps: float) -> Iterator[str]:
-    for part in parts:
-        yield f'\n[[segments]]\nname = {part.name(labels)}\njoint = "{"ball" if part.parent else "free"}"'
-        if part.parent:
-            yield f"parent = {part.parent.name(labels)}\nat_m = {_at(along[part.parent.origin, part.origin])}"
-        ends = [*part.points, *(child.origin for child in parts if child.parent is part)]
-        far = max(ends, key=lambda p: np.linalg.norm(along[part.origin, p]))
-        to_m = turned[:, far] - turned[:, part.origin]
-        unit = to_m[np.isfinite(to_m[:, 0])] / np.linalg.norm(along[part.origin, far]).clip(1e-9)
-        swings = unit - along[part.origin, far] / np.linalg.norm(along[part.origin, far]).clip(1e-9)
-        main = (swings - swings.mean(axis=0)) @ np.linalg.svd(swings - swings.mean(axis=0), full_matrices=False)[2][0]
-        sigma = np.clip(np.sqrt(np.mean(np.sum(swings**2, axis=1))), *SWING_RAD)
-        hz = np.clip(np.sum(np.diff(np.sign(main)) != 0) * fps / 2 / len(main), *SWING_HZ)
-        for angle in ("yaw", "pitch", "roll")[0 if part.parent else 1 :]:
-            quick = 1.5 * sigma * (2 * np.pi * hz) ** 2
-            yield f"{angle} = {{ mean_rad = 0.0, sigma_rad = {sigma:.2f}, acceleration_rad_s2 = {quick:.0f} }}"
-
-
-def _markers(parts: Sequence[_Part], labels: Sequence[str], along: Array) -> Iterator[str]:
-    for part in parts:
-        for point in part.points:
-            yield f"\n[[markers]]\nname = {toml_text(labels[point])}\nsegment = {part.name(labels)}"
-            yield f"at_m = {_at(along[part.origin, point])}"
+def _segment(
+    part: _Part, parts: Sequence[_Part], labels: Sequence[str], turned: Array, along: Array, fps: float
+) -> dict[str, Any]:
+    """The table of a segment, which swings as far and as often as the line to its farthest point did."""
+    found: dict[str, Any] = {"name": part.name(labels), "joint": "ball" if part.parent else "free"}
+    if part.parent:
+        found |= {"parent": part.parent.name(labels), "at_m": _at(along[part.parent.origin, part.origin])}
+    ends = [*part.points, *(child.origin for child in parts if child.parent is part)]
+    far = max(ends, key=lambda p: np.linalg.norm(along[part.origin, p]))
+    to_m, usual_m = turned[:, far] - turned[:, part.origin], along[part.origin, far]
+    swings = (to_m[np.isfinite(to_m[:, 0])] - usual_m) / np.linalg.norm(usual_m).clip(1e-9)
+    main = (swings - swings.mean(axis=0)) @ np.linalg.svd(swings - swings.mean(axis=0), full_matrices=False)[2][0]
+    sigma = np.clip(np.sqrt(np.mean(np.sum(swings**2, axis=1))), *SWING_RAD)
+    hz = np.clip(np.sum(np.diff(np.sign(main)) != 0) * fps / 2 / len(main), *SWING_HZ)
+    quick = round(float(1.5 * sigma * (2 * np.pi * hz) ** 2))
+    expected = {"mean_rad": 0.0, "sigma_rad": round(float(sigma), 2), "acceleration_rad_s2": quick}
+    return found | dict.fromkeys(("yaw", "pitch", "roll")[0 if part.parent else 1 :], expected)
 
 
 def _at(place_m: Array) -> list[float]:
     return [round(float(x), 5) for x in place_m]
 
 
-def toml_text(text: str) -> str:
-    return json.dumps(text, ensure_ascii=False)
+# -- a skeleton file ----------------------------------------------------------------------------------------------
+
+
+def head_text(
+    comments: Iterable[str],
+    title: str,
+    of: str,
+    forward: Sequence[str],
+    keypoint_sigma_m: float,
+    size_sigma: float,
+) -> str:
+    """What a skeleton file begins with."""
+    values = {"name": title, "title": f"{title}, drafted from {of} of its keypoints", "forward": list(forward)}
+    values |= {"keypoint_sigma_m": keypoint_sigma_m, "size_sigma": size_sigma}
+    return table_text("\n".join(f"# {line}" for line in comments), values)
+
+
+def table_text(header: str, values: Mapping[str, Any]) -> str:
+    """A table of a TOML file, each value on a line, as people write it."""
+    names = {name: name if re.fullmatch(r"[\w-]+", name, re.ASCII) else toml_text(name) for name in values}
+    return "\n".join([header, *(f"{names[name]} = {toml_text(value)}" for name, value in values.items())]) + "\n\n"
+
+
+def toml_text(value: Any) -> str:
+    if isinstance(value, dict):
+        return "{ " + ", ".join(f"{name} = {toml_text(one)}" for name, one in value.items()) + " }"
+    return json.dumps(value, ensure_ascii=False)

@@ -17,137 +17,108 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-VIEWS = {"side": (0, 2), "top": (0, 1), "front": (1, 2)}
+VIEWS = {"side": [0, 2], "top": [0, 1], "front": [1, 2]}
 """Coordinates to the right and upwards, x forwards, y left, z up: the animal faces right, and in the last view us."""
 _SIDE_COLOURS = {"left": COLOURS[0], "right": COLOURS[1], None: "#333333"}
-_LOW, _HIGH = COLOURS[4], COLOURS[5]
 _NAME_MM = 3.4
 _SAME = 0.01
 """Points nearer to each other than this part of the picture share a name."""
 
 
 def views(body: Body, title: str = "") -> Figure:
-    """The expected pose from the side, from above and from ahead, with names."""
-    points = expected_pose(body)
+    """The expected pose from the side, from above and from ahead, with names in columns beside it."""
+    points = body.expected_points_m()
+    long = np.ptp(points[:, 0])
     labels = {view: _labels(points[:, axes], body.markers) for view, axes in VIEWS.items()}
-    across = np.ptp(points[:, [0]])
-    heights = []
-    for view, axes in VIEWS.items():
-        shape = np.ptp(points[:, axes[1]]) / across * 0.42 * WIDTH_MM
-        names = max(map(len, _columns(labels[view])))
-        heights.append(max(shape + 8, _NAME_MM * names + 6, 30.0))
+    heights = [
+        max(0.42 * WIDTH_MM * np.ptp(points[:, axes[1]]) / long + 8, _NAME_MM * (len(labels[view]) + 1) / 2 + 6, 30.0)
+        for view, axes in VIEWS.items()
+    ]
     with drawing(sum(heights) + 12, title=title) as figure:
         panels = figure.subplots(len(VIEWS), 1, height_ratios=heights)
         for axes, (view, coordinates) in zip(panels, VIEWS.items(), strict=True):
-            draw_limbs(axes, body, points[:, coordinates])
+            _draw_limbs(axes, body, points[:, coordinates])
             for point, marker in zip(points[:, coordinates], body.markers, strict=True):
                 axes.plot(*point, ".", color=_SIDE_COLOURS[body.side_of(marker)], markersize=4)
-            _name(axes, points[:, coordinates], labels[view], across)
-            _scale(axes, points[:, coordinates], across)
-            _frame(axes, view)
+            _name(axes, points[:, coordinates], labels[view], long)
+            _scale(axes, points[:, coordinates], long)
+            _frame(axes)
+            axes.set_title(view, loc="left")
     return figure
 
 
-def angle_ranges(body: Body, low: Sequence[str], high: Sequence[str], reach_rad: Array, title: str = "") -> Figure:
-    """What each angle does at both ends of its expected range, all others at their means.
-
-    reach_rad (D - 4,): from the mean to either end, in the order of state[4:]; low, high: texts for the ends. Where a
-    left angle has a right counterpart, the left one stands for both.
-    """
+def angle_ranges(body: Body, reach_sigmas: float, title: str = "") -> Figure:
+    """What each angle does so many standard deviations to either side of its mean, all others at their means. Where a
+    left angle has a right counterpart, the left one stands for both."""
     names = body.state_names[4:]
     shown = [i for i, name in enumerate(names) if not (side_of(name) == "right" and other_side(name) in names)]
-    mean = expected_pose(body)
+    mean = body.expected_points_m()
     rows, columns = grid_shape(len(shown), WIDTH_MM, 0.9, least=4)
     with drawing(rows * 38 + 14, title=title) as figure:
-        panels = figure.subplots(rows, columns, squeeze=False).flat
+        panels = figure.subplots(rows, columns, squeeze=False).ravel()
         for axes, i in zip(panels, shown, strict=False):
-            view = {"y": "side", "z": "top", "x": "front"}[body.tree.axes[i + 1]]
-            coordinates = VIEWS[view]
-            draw_limbs(axes, body, mean[:, coordinates], PALE)
-            for end, colour in ((-1, _LOW), (1, _HIGH)):
-                moved = expected_pose(body, i, end * reach_rad[i])
-                draw_limbs(axes, body, moved[:, coordinates], colour, only=np.any(moved != mean, axis=1))
-            axes.set_title(f"{names[i].replace('_', ' ')}\n{low[i]} to {high[i]}", fontsize=SMALL)
-            _frame(axes, "")
-        for axes in figure.axes[len(shown) :]:
-            axes.set_visible(False)
+            coordinates = VIEWS[{"y": "side", "z": "top", "x": "front"}[body.tree.axes[i + 1]]]
+            _draw_limbs(axes, body, mean[:, coordinates], PALE)
+            reach_rad = reach_sigmas * body.sigma_rad[i]
+            for end, colour in ((-reach_rad, COLOURS[4]), (reach_rad, COLOURS[5])):
+                moved = body.expected_points_m(i, end)
+                _draw_limbs(axes, body, moved[:, coordinates], colour, (moved != mean).any(axis=1))
+            low, high = np.degrees(body.mean_rad[i] + np.array([-reach_rad, reach_rad]))
+            axes.set_title(f"{names[i].replace('_', ' ')}\n{low:.0f}° to {high:.0f}°", fontsize=SMALL)
+        for axes in panels:
+            _frame(axes)
     return figure
 
 
-def expected_pose(body: Body, angle: int | None = None, off_rad: float = 0.0) -> Array:
-    """(J, 3): markers with all angles at their means, but for one of state[4:]; the root's origin is zero."""
-    state = np.concatenate([np.zeros(4), body.mean_rad])
-    if angle is not None:
-        state[4 + angle] += off_rad
-    return body.tree.pose(state[None]).points_m[0]
-
-
-def draw_limbs(axes: Axes, body: Body, points: Array, colour: str | None = None, only: Bools | None = None) -> None:
-    """Lines along the limbs; only: those that lead to a marker that is in it. One call for each colour: lines are slow
-    to lay out."""
-    lines: dict[str, list[Array]] = {}
+def _draw_limbs(axes: Axes, body: Body, points: Array, colour: str | None = None, only: Bools | None = None) -> None:
+    """Lines along the limbs; only: those that end in a marker that is in it."""
     sides = body.limb_sides()
     for limb, along in body.limb_rows.items():
+        parts = [
+            [points[a], points[b], [np.nan, np.nan]] for a, b in pairwise(along) if only is None or only[[a, b]].any()
+        ]
         own = colour or _SIDE_COLOURS[sides[limb]]
-        for a, b in pairwise(along):
-            if only is None or only[a] or only[b]:
-                lines.setdefault(own, []).append(np.stack([points[a], points[b], [np.nan, np.nan]]))
-    for own, parts in lines.items():
-        axes.plot(*np.concatenate(parts).T, color=own, linewidth=1.2, solid_capstyle="round")
+        axes.plot(*np.reshape(parts, (-1, 2)).T, color=own, linewidth=1.2, solid_capstyle="round")
 
 
 def _labels(points: Array, markers: Sequence[str]) -> list[tuple[float, float, str]]:
-    """(right, up, text) of every place with markers; a pair that is seen as one is named once."""
+    """(right, up, text) of every place with markers, from the left; a pair that is seen as one is named once."""
     near = _SAME * float(np.ptp(points, axis=0).max())
-    places: list[tuple[Array, list[str]]] = []
-    for point, marker in zip(points, markers, strict=True):
-        same = next((names for place, names in places if np.linalg.norm(place - point) < near), None)
-        if same is None:
-            places.append((point, [marker]))
-        else:
-            same.append(marker)
-    return [(float(x), float(y), ", ".join(_paired(names))) for (x, y), names in places]
+    places: dict[int, list[str]] = {}
+    for i, marker in enumerate(markers):
+        same = next((k for k in places if np.linalg.norm(points[k] - points[i]) < near), i)
+        places.setdefault(same, []).append(marker)
+    found = []
+    for k, names in places.items():
+        said = dict.fromkeys(both_sides(name) if other_side(name) in names else name for name in names)
+        found.append((*points[k].tolist(), ", ".join(said)))
+    return sorted(found)
 
 
-def _paired(names: Sequence[str]) -> list[str]:
-    """l_paw and r_paw -> l/r_paw."""
-    return list(dict.fromkeys(both_sides(name) if other_side(name) in names else name for name in names))
-
-
-def _columns(labels: Sequence[tuple[float, float, str]]) -> tuple[list, list]:
-    """Those that are named on the left and on the right of the picture, from below."""
-    order = sorted(labels)
-    half = len(order) // 2
-    return sorted(order[:half], key=lambda label: label[1]), sorted(order[half:], key=lambda label: label[1])
-
-
-def _name(axes: Axes, points: Array, labels: Sequence[tuple[float, float, str]], across: float) -> None:
+def _name(axes: Axes, points: Array, labels: Sequence[tuple[float, float, str]], long: float) -> None:
     """Names in a column on each side, with lines to their points."""
     (low_x, low_y), (high_x, high_y) = points.min(axis=0), points.max(axis=0)
-    centre = (low_x + high_x) / 2
-    for column, sign, align in zip(_columns(labels), (-1, 1), ("right", "left"), strict=True):
-        x = centre + sign * 0.62 * across
-        step = max(_NAME_MM / (0.42 * WIDTH_MM) * across, (high_y - low_y) / max(len(column), 1))
-        first = (low_y + high_y) / 2 - step * (len(column) - 1) / 2
-        for i, (at_x, at_y, text) in enumerate(column):
-            y = first + i * step
-            axes.plot([at_x, x - sign * 0.01 * across], [at_y, y], color=PALE, linewidth=0.4, zorder=0)
+    centre, half = (low_x + high_x) / 2, len(labels) // 2
+    for column, sign, align in ((labels[:half], -1, "right"), (labels[half:], 1, "left")):
+        x = centre + sign * 0.62 * long
+        step = max(_NAME_MM / (0.42 * WIDTH_MM) * long, (high_y - low_y) / max(len(column), 1))
+        for i, (at_x, at_y, text) in enumerate(sorted(column, key=lambda label: label[1])):
+            y = (low_y + high_y) / 2 + step * (i - (len(column) - 1) / 2)
+            axes.plot([at_x, x - sign * 0.01 * long], [at_y, y], color=PALE, linewidth=0.4, zorder=0)
             axes.text(x, y, text, ha=align, va="center", fontsize=SMALL)
-    axes.set_xlim(centre - 1.15 * across, centre + 1.15 * across)
+    axes.set_xlim(centre - 1.15 * long, centre + 1.15 * long)
 
 
-def _scale(axes: Axes, points: Array, across: float) -> None:
+def _scale(axes: Axes, points: Array, long: float) -> None:
     """A bar of at most a half of the animal's length, below it."""
-    length = max(x for x in (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0) if x < 0.5 * across or x == 0.01)
-    x, y = float(points[:, 0].min() + points[:, 0].max() - length) / 2, float(points[:, 1].min() - 0.08 * across)
+    length = max(x for x in (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0) if x < 0.5 * long or x == 0.01)
+    x, y = float(points[:, 0].min() + points[:, 0].max() - length) / 2, float(points[:, 1].min() - 0.08 * long)
     axes.plot([x, x + length], [y, y], color=GREY, linewidth=2, solid_capstyle="butt")
-    axes.text(x + length / 2, y - 0.02 * across, f"{length:g} m", ha="center", va="top", fontsize=SMALL, color=GREY)
+    axes.text(x + length / 2, y - 0.02 * long, f"{length:g} m", ha="center", va="top", fontsize=SMALL, color=GREY)
 
 
-def _frame(axes: Axes, title: str) -> None:
+def _frame(axes: Axes) -> None:
     axes.set_aspect("equal")
     axes.set_xticks([])  # an axis that is off is laid out with its ticks, for most of the time that a picture takes
     axes.set_yticks([])
     axes.axis("off")
-    if title:
-        axes.set_title(title, loc="left")

@@ -62,11 +62,14 @@ def counted(count: int, what: str) -> str:
     return f"{count} {what}{'s' * (count != 1)}"
 
 
-def table_of(*texts: str, numbers: Iterable[str] = (), **more: Any) -> Table:
-    """A table without rows: columns of texts, the first of which names the row, then of numbers."""
+def table_of(*texts: str, numbers: Iterable[str] = (), rows: Iterable[Iterable[str | Text]] = (), **more: Any) -> Table:
+    """A table: columns of texts, the first of which names the row, then of numbers."""
     first, *others = texts
     columns = (Column(first, no_wrap=True), *others, *(Column(name, justify="right") for name in numbers))
-    return Table(*columns, box=SIMPLE_HEAD, title_justify="left", **more)
+    table = Table(*columns, box=SIMPLE_HEAD, title_justify="left", **more)
+    for row in rows:
+        table.add_row(*(Text(cell) if isinstance(cell, str) else cell for cell in row))
+    return table
 
 
 def error_text(message: str) -> Text:
