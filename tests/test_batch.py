@@ -40,7 +40,6 @@ from recon.workflows.batch import (
     run_batch,
 )
 from recon.workflows.batch.plan import RECORD
-from recon.workflows.batch.summary import _meant
 from recon.workflows.cli import main
 from recon.workflows.clip import fit_clip
 from recon.workflows.clip_results import run_clip
@@ -136,23 +135,23 @@ def test_a_file_that_may_not_be_read_is_said(clips, monkeypatch):
     assert notes == [f"Left out of {clips}, not readable: b.csv"]
 
 
-def test_no_cell_of_the_summary_is_a_formula(tmp_path):
-    summary = Summary([], tmp_path)
-    names = ["=1+1", "@a", "'b", "'=c", "plain"]
-    summary.rows = {name: dict.fromkeys(COLUMNS, name) | {"frames": -1} for name in names}
-    summary.write()
-    with summary.path.open(newline="") as file:
-        rows = list(csv.DictReader(file))
-    assert [row["clip"] for row in rows] == ["'=1+1", "'@a", "'b", "''=c", "plain"]
-    assert {row["frames"] for row in rows} == {"-1"}
-    assert [_meant(row["clip"]) for row in rows] == names
-
-
 def test_a_folder_has_one_clip_for_a_table_in_two_formats(clips):
     (clips / "b.h5").write_bytes(b"\x89HDF\r\n\x1a\n" + bytes(600))  # damaged: the clip will say so
     of_folder, notes = find_clips([clips], QUICK)
     assert [clip.settings.keypoints[0].name for clip in of_folder] == ["a.csv", "b.h5", "c.csv"]
     assert notes == [f"Left out of {clips}, beside a file of the same name: b.csv"]
+
+
+def test_folders_within_a_folder(clips):
+    (clips / "day2" / "late").mkdir(parents=True)
+    shutil.copy(clips / "a.csv", clips / "day2" / "late" / "d.csv")
+    of_folder, notes = find_clips([clips], QUICK)
+    assert [clip.name for clip in of_folder] == ["a", "b", "c"]
+    assert notes == [f"Folders in {clips} are not read (day2): see --recursive."]
+    everything, notes = find_clips([clips], QUICK, recursive=True)
+    assert [clip.name for clip in everything] == ["a", "b", "c", "d"]
+    assert notes == []
+    assert [clip.name for clip in find_clips([clips / "day2"], QUICK, recursive=True)[0]] == ["d"]
 
 
 def test_names_are_unique_and_follow_from_the_paths(tmp_path):

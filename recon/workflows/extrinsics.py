@@ -23,8 +23,7 @@ from recon.fit.extrinsics import LEVEL_RAD, TooLittleInCommonError, search_offse
 from recon.geometry.camera import Camera
 from recon.geometry.frames import level_from_camera, rigid
 from recon.io import write_cameras
-from recon.workflows.batch.groups import AUTO
-from recon.workflows.batch.inputs import find_clips
+from recon.workflows.batch.inputs import AUTO, find_clips
 from recon.workflows.cli.command import OptionsOf
 from recon.workflows.cli.common import progress_bar, say, terminal
 from recon.workflows.clip import Prepared, prepare

@@ -1,42 +1,45 @@
-"""Which clips a batch has: files, globs, folders and manifests in, one `Clip` with its settings and name each out."""
+"""Which clips a batch has: files, patterns, folders and manifests in, a `Clip` with its settings and name each out."""
 
 from __future__ import annotations
 
-import csv
 import glob
 import os
 import re
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cache
 from itertools import islice
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from recon.base.documents import read_toml
 from recon.base.errors import InputError, Problem, refuse
 from recon.check import names_text
 from recon.io import file_head, individuals, recognised, titles
 from recon.io.calibration import read_cameras
-from recon.io.deeplabcut_project import Project, find_project, predictions
-from recon.io.table import SEPARATORS, text_rows
+from recon.io.deeplabcut_project import find_project, predictions
+from recon.io.table import text_rows
 from recon.show.page import SUMMARY_PAGE
-from recon.workflows.batch.groups import AUTO, NONE, ClipDraft, join_cameras, missing_cameras
+from recon.workflows.cameras import cameras_in
 from recon.workflows.settings import SETTINGS, FitSettings, beside, read_settings
 
 SUMMARY = "summary.csv"
+AUTO, NONE = "auto", "none"
+OPTION = "--cameras-by"
+SEPARATORS = "-_. "
+"""In a file's name, beside the camera's."""
 _UNFIT = re.compile(r'[<>:"/\\|?*\x00-\x1f]')
 """Characters that some file system does not take in a name."""
 BETWEEN = "|"
 """In a manifest's cell, between the files, names or numbers of several cameras."""
 LEAST_NO_METRES = 1.0
 """No board has squares of a metre: a calibration with such a number is in another unit."""
-
 POSES = {"pose_2d_filter": "pose-2d-filtered", "pose_2d": "pose-2d"}
-"""Folders of a session by what config.toml calls them, the better one first."""
-
+"""Folders of Anipose's session by what config.toml calls them, the better one first."""
 SQUARE = "board_square_side_length"
+_OF_SEVERAL = ("offset_s", "camera_track", "camera_fps", "find_offsets", "refine_cameras", "focal_sigma")
+"""What may be there once for each camera of a clip."""
 
 
 @dataclass(frozen=True)
@@ -47,73 +50,94 @@ class Clip:
     settings: FitSettings
 
 
+@dataclass(frozen=True)
+class _Draft:
+    """A clip, or a part of one, with the settings that it has of its own."""
+
+    paths: tuple[Path, ...]
+    row: Mapping[str, Any] = field(default_factory=dict)
+    name: str | None = None
+    where: tuple[Path, str] | None = None
+    """The manifest and the line that say so."""
+    called: Path | None = None
+    """What it is named after, where that is not its only file."""
+    cam_regex: tuple[Path, str] | None = None
+    """Anipose's pattern of cameras in names, with the file that has it."""
+    by: str | None = None
+    """Whose rule found the camera in its files' names."""
+
+    @property
+    def title(self) -> Path:
+        return self.called or self.paths[0]
+
+
+Drafts = tuple[list[_Draft], list[str]]
+"""With notes: what was left out, and which files are one clip."""
+
+
 def find_clips(
     inputs: Sequence[str | Path],
     common: Mapping[str, Any],
     config: Path | None = None,
     cameras_by: str = AUTO,
     posed: bool = True,
+    recursive: bool = False,
 ) -> tuple[list[Clip], list[str]]:
     """The clips of all inputs in their order, and notes: what was left out, and which files are one clip.
 
-    inputs: keypoint files, quoted globs, DeepLabCut's projects (a folder with config.yaml, or that file: the tables
+    inputs: keypoint files, quoted patterns, DeepLabCut's projects (a folder with config.yaml, or that file: the tables
     beside its videos), other folders (every file that a reader recognises; of files that differ in their
     suffix only the last one, .h5 rather than .csv, as DeepLabCut writes its tables twice; Anipose's sessions) and CSV
     manifests (a header with `keypoints`). common: settings of every clip by name, None where not given; a manifest's
     cells overrule them, and they overrule those of config. Each animal of a file of several is a clip, unless one is
-    chosen. cameras_by: which files are one clip, see `join_cameras`; posed: only if the camera file says where its
-    cameras stand.
-    Raises InputError with the problems of all inputs and rows.
+    chosen. cameras_by: which files are one clip, see `_joined`; posed: only if the camera file says where its cameras
+    stand. recursive: folders within folders, too. Raises InputError with the problems of all inputs and rows.
     """
-    drafts, notes, problems = [], [], []
-    for given in inputs:
+    problems: list[Problem] = []
+
+    def tried(make: Callable[..., Any], *given: Any, otherwise: Any = ((), ())) -> Any:
         try:
-            found, said = _drafts_of(str(given), common)
+            return make(*given)
         except InputError as error:
-            problems += error.problems
-        else:
-            drafts += found
-            notes += said
-    try:
-        cameras_of = _cameras_of(common, config, posed)
-        drafts, said = join_cameras(_without_repeats(drafts), cameras_by, common.get("camera_name"), cameras_of)
-        notes += said
-    except InputError as error:
-        problems += error.problems
-    every: list[tuple[ClipDraft, FitSettings]] = []
-    for draft in drafts:
-        try:
-            every += _each_animal(draft, _settings(draft, common, config))
-        except InputError as error:
-            problems += error.problems
-    problems += _name_problems(drafts)
-    drafts = [draft for draft, _ in every]
-    refuse(dict.fromkeys(problems))  # what all clips have in common is said once
-    if not drafts:
+            problems.extend(error.problems)
+            return otherwise
+
+    found = [tried(_drafts_of, str(given), common, recursive) for given in inputs]
+    notes = [note for _, said in found for note in said]
+    drafts = _without_repeats([draft for some, _ in found for draft in some])
+    cameras_of = _cameras_of(common, config, posed)
+    drafts, said = tried(_joined, drafts, cameras_by, common.get("camera_name"), cameras_of, otherwise=(drafts, []))
+    every = [one for draft in drafts for one in tried(_with_settings, draft, common, config, otherwise=[])]
+    refuse(dict.fromkeys((*problems, *_name_problems(drafts))))  # what all clips have in common is said once
+    if not every:
         raise InputError(Problem("INPUT", "clips", "none", "keypoint files, a folder of them, or a manifest"))
-    names = _names(drafts)
-    notes += [] if cameras_by == NONE else missing_cameras(drafts, names)
-    return [Clip(name, settings) for name, (_, settings) in zip(names, every, strict=True)], notes
+    names = _names([draft for draft, _ in every])
+    lacking = [] if cameras_by == NONE else _missing_cameras([draft for draft, _ in every], names)
+    clips = [Clip(name, settings) for name, (_, settings) in zip(names, every, strict=True)]
+    return clips, [*notes, *said, *lacking]
 
 
 # -- inputs -------------------------------------------------------------------------------------------------------
 
 
-def _drafts_of(given: str, common: Mapping[str, Any]) -> tuple[list[ClipDraft], list[str]]:
+def _drafts_of(given: str, common: Mapping[str, Any], recursive: bool) -> Drafts:
     path = Path(given)
     if os.path.exists(path) and (project := find_project(path)):  # a Path raises OSError where a name is too long
-        return _drafts_of_project(project)
+        found, left_out = predictions(project)
+        files = [(file.absolute(), f"{video}{file.suffix}") for video, file in found.items()]
+        notes = [f"{project.folder} is a project of DeepLabCut: {len(files)} of its videos are analysed."]
+        notes += [f"Left out, other tables of the same videos: {names_text(left_out)}"] if left_out else []
+        return [_Draft((file,), called=file.with_name(name)) for file, name in files], notes
     if os.path.isdir(path):
-        files, notes = _files_in(path)
-        of_anipose = _sessions_in(path) if not files or path.absolute().name.startswith("pose-2d") else []
-        if of_anipose:
-            return _drafts_of_sessions(of_anipose, common)
+        files, notes = _files_in(path, recursive)
+        here = any(file.parent == path.absolute() for file in files)
+        if (not here or path.absolute().name.startswith("pose-2d")) and (sessions := _sessions_in(path)):
+            return _drafts_of_sessions(sessions, common)
         if not files:
             raise InputError(Problem(path, "files", "no keypoint files", f"files of a known format: {titles('2D')}"))
-        return [ClipDraft((file,)) for file in files], notes
+        return [_Draft((file,)) for file in files], notes
     if not os.path.exists(path) and glob.has_magic(given):
-        matches = [Path(match) for match in sorted(glob.glob(given, recursive=True))]
-        files = [match for match in matches if not match.is_dir()]
+        files = _matching_files(path)
         if not files:
             raise InputError(Problem(given, "files", "none that match", "a pattern such as 'clips/*.csv'"))
         return [draft for file in files for draft in _drafts_of_file(file)], []
@@ -121,76 +145,44 @@ def _drafts_of(given: str, common: Mapping[str, Any]) -> tuple[list[ClipDraft], 
     return _drafts_of_file(path), []
 
 
-def _drafts_of_file(path: Path) -> list[ClipDraft]:
-    return _drafts_of_manifest(path) if is_manifest(path) else [ClipDraft((path.absolute(),))]
+def _drafts_of_file(path: Path) -> list[_Draft]:
+    return _drafts_of_manifest(path) if is_manifest(path) else [_Draft((path.absolute(),))]
 
 
-def _drafts_of_project(project: Project) -> tuple[list[ClipDraft], list[str]]:
-    """A draft for each video of DeepLabCut's project that a network has analysed, called as the video."""
-    found, left_out = predictions(project)
-    drafts = [
-        ClipDraft((file.absolute(),), called=file.absolute().with_name(f"{video}{file.suffix}"))
-        for video, file in found.items()
-    ]
-    notes = [f"{project.folder} is a project of DeepLabCut: {len(drafts)} of its videos are analysed."]
-    if left_out:
-        notes.append(f"Left out, other tables of the same videos: {names_text(left_out)}")
-    return drafts, notes
+def _matching_files(path: Path) -> list[Path]:
+    """A file, or those of a pattern."""
+    if os.path.exists(path) or not glob.has_magic(str(path)):
+        return [path]
+    return [file for match in sorted(glob.glob(str(path), recursive=True)) if (file := Path(match)).is_file()]
 
 
-def _drafts_of_sessions(sessions: Sequence[_Session], common: Mapping[str, Any]) -> tuple[list[ClipDraft], list[str]]:
-    """A draft for each file of 2D poses, with the calibration of its session unless another camera is given."""
-    own_cameras = common.get("camera") is None and common.get("hfov_deg") is None
-    drafts, notes, problems = [], [], []
-    for session in sessions:
-        files, said = _files_in(session.poses)
-        notes += said
-        row = {}
-        if own_cameras and session.calibration is None:
-            expected = "calibration/calibration.toml in it or above it, or --camera"
-            problems.append(Problem(session.folder, "calibration", "none", expected))
-        elif own_cameras:
-            row = {"camera": str(session.calibration)}
-            if common.get("camera_unit") is None and (session.square_length or 0.0) >= LEAST_NO_METRES:
-                found = f"{session.square_length:g}, so that the calibration is not in metres"
-                expected = "its unit besides, as in --camera-unit mm"
-                problems.append(
-                    Problem(session.cam_regex[0] if session.cam_regex else session.folder, SQUARE, found, expected)
-                )
-        drafts += [
-            ClipDraft((file,), row, called=session.folder / file.name, cam_regex=session.cam_regex) for file in files
-        ]
-    refuse(dict.fromkeys(problems))
-    if not drafts:
-        places = names_text([str(session.poses) for session in sessions])
-        raise InputError(Problem(places, "files", "no keypoint files", f"files of a known format: {titles('2D')}"))
-    folders = dict.fromkeys(session.poses.name for session in sessions)
-    said = (
-        f"{len(sessions)} session{'s' * (len(sessions) > 1)} of Anipose: {len(drafts)} files of {' and '.join(folders)}"
-    )
-    return drafts, [said, *notes]
-
-
-def _files_in(folder: Path) -> tuple[list[Path], list[str]]:
+def _files_in(folder: Path, recursive: bool = False) -> tuple[list[Path], list[str]]:
     chosen: dict[str, Path] = {}
-    twins, others, unreadable = [], [], []
-    for path in sorted(p for p in folder.iterdir() if p.is_file() and not p.name.startswith(".")):
-        if not os.access(path, os.R_OK):
-            unreadable.append(path)
+    left_out: dict[str, list[str]] = {
+        "beside a file of the same name": [],
+        "of no known format": [],
+        "not readable": [],
+    }
+    inside = []
+    for path in sorted(p for p in folder.iterdir() if not p.name.startswith(".")):
+        if path.is_dir():
+            inside.append(path)
+        elif not os.access(path, os.R_OK):
+            left_out["not readable"].append(path.name)
         elif not _is_recognised(path):
-            others.append(path)
+            left_out["of no known format"].append(path.name)
         else:
             if path.stem in chosen:
-                twins.append(chosen[path.stem])
-            chosen[path.stem] = path
-    notes = []
-    if inside := [path.name for path in sorted(folder.iterdir()) if path.is_dir() and not path.name.startswith(".")]:
-        notes.append(f"Folders in {folder} are not read ({names_text(inside)}); '{folder}/**/*.csv' reads them, too.")
-    reasons = {"beside a file of the same name": twins, "of no known format": others, "not readable": unreadable}
-    for why, left_out in reasons.items():
-        if left_out:
-            notes.append(f"Left out of {folder}, {why}: {names_text([path.name for path in left_out])}")
-    return [path.absolute() for path in chosen.values()], notes
+                left_out["beside a file of the same name"].append(chosen[path.stem].name)
+            chosen[path.stem] = path.absolute()
+    notes = [f"Left out of {folder}, {why}: {names_text(names)}" for why, names in left_out.items() if names]
+    files = [*chosen.values()]
+    for sub in inside if recursive else ():
+        more, said = _files_in(sub, recursive)
+        files, notes = files + more, notes + said
+    if files and inside and not recursive:
+        notes.insert(0, f"Folders in {folder} are not read ({names_text([p.name for p in inside])}): see --recursive.")
+    return files, notes
 
 
 def _is_recognised(path: Path) -> bool:
@@ -205,7 +197,7 @@ def _is_recognised(path: Path) -> bool:
         return True
 
 
-def _without_repeats(drafts: Sequence[ClipDraft]) -> list[ClipDraft]:
+def _without_repeats(drafts: Sequence[_Draft]) -> list[_Draft]:
     """A file that two patterns name is one clip; the rows of a manifest are all meant."""
     seen: set[Path] = set()
     kept = []
@@ -220,50 +212,57 @@ def _without_repeats(drafts: Sequence[ClipDraft]) -> list[ClipDraft]:
 # -- sessions of Anipose: at any depth, with 2D poses, and a calibration there or above -------------------------------
 
 
-class _Session(NamedTuple):
-    """A session of Anipose."""
-
-    folder: Path
-    poses: Path
-    """The folder with its keypoint files."""
-    calibration: Path | None
-    """Its own, or the next one above it."""
-    cam_regex: tuple[Path, str] | None
-    """The pattern of cameras in names, with the file that has it."""
-    square_length: float | None
-    """Of the calibration's board, in the unit of the calibration."""
-
-
-def _sessions_in(folder: Path) -> list[_Session]:
-    """The sessions of a project, one session, or that of a folder of 2D poses. Of filtered 2D poses and others of one
-    session the filtered ones. Raises InputError for a config.toml that cannot be read."""
+def _sessions_in(folder: Path) -> list[tuple[Path, Path]]:
+    """The sessions of a project, one session, or that of a folder of 2D poses, each with its folder of keypoint files:
+    of filtered 2D poses and others the filtered ones. Raises InputError for a config.toml that cannot be read."""
     folder = folder.absolute()
-    pipeline = _table(_config(folder)[0], "pipeline")
+    pipeline = _table(_anipose_config(folder)[0], "pipeline")
     names = [str(pipeline.get(key, name)) for key, name in POSES.items()]
     if folder.name in names:
-        return [_session(folder.parent, folder)]
+        return [(folder.parent, folder)]
     found: dict[Path, Path] = {}
     for name in names:
         for poses in folder.rglob(name):
             if poses.is_dir() and any(path.is_file() for path in poses.iterdir()):
                 found.setdefault(poses.parent, poses)
-    return [_session(session, found[session]) for session in sorted(found)]
+    return sorted(found.items())
 
 
-def _session(folder: Path, poses: Path) -> _Session:
-    config, file = _config(folder)
-    name = str(_table(config, "pipeline").get("calibration_results", "calibration"))
-    above = [folder, *folder.parents]
-    if file is not None:
-        above = above[: above.index(file.parent) + 1]
-    calibrations = (parent / name / "calibration.toml" for parent in above)
-    calibration = next((path for path in calibrations if path.is_file()), None)
-    regex, length = _table(config, "triangulation").get("cam_regex"), _table(config, "calibration").get(SQUARE)
-    cam_regex = (file, regex) if file is not None and isinstance(regex, str) else None
-    return _Session(folder, poses, calibration, cam_regex, float(length) if isinstance(length, int | float) else None)
+def _drafts_of_sessions(sessions: Sequence[tuple[Path, Path]], common: Mapping[str, Any]) -> Drafts:
+    """A draft for each file of 2D poses, with the calibration of its session, its own or the next one above it, unless
+    another camera is given."""
+    drafts, notes, problems = [], [], []
+    for folder, poses in sessions:
+        config, file = _anipose_config(folder)
+        above = [folder, *folder.parents]
+        above = above if file is None else above[: above.index(file.parent) + 1]
+        name = str(_table(config, "pipeline").get("calibration_results", "calibration"))
+        calibration = next((p for parent in above if (p := parent / name / "calibration.toml").is_file()), None)
+        square, regex = _table(config, "calibration").get(SQUARE), _table(config, "triangulation").get("cam_regex")
+        own = common.get("camera") is None and common.get("hfov_deg") is None
+        if own and calibration is None:
+            expected = "calibration/calibration.toml in it or above it, or --camera"
+            problems.append(Problem(folder, "calibration", "none", expected))
+        elif (
+            own and common.get("camera_unit") is None and isinstance(square, int | float) and square >= LEAST_NO_METRES
+        ):
+            found = f"{square:g}, so that the calibration is not in metres"
+            problems.append(Problem(file or folder, SQUARE, found, "its unit besides, as in --camera-unit mm"))
+        row = {"camera": str(calibration)} if own else {}
+        cam_regex = (file, regex) if file is not None and isinstance(regex, str) else None
+        files, said = _files_in(poses)
+        drafts += [_Draft((path,), row, called=folder / path.name, cam_regex=cam_regex) for path in files]
+        notes += said
+    refuse(dict.fromkeys(problems))
+    if not drafts:
+        places = names_text([str(poses) for _, poses in sessions])
+        raise InputError(Problem(places, "files", "no keypoint files", f"files of a known format: {titles('2D')}"))
+    folders = " and ".join(dict.fromkeys(poses.name for _, poses in sessions))
+    count = f"{len(sessions)} session{'s' * (len(sessions) > 1)}"
+    return drafts, [f"{count} of Anipose: {len(drafts)} files of {folders}", *notes]
 
 
-def _config(folder: Path) -> tuple[Mapping[str, Any], Path | None]:
+def _anipose_config(folder: Path) -> tuple[Mapping[str, Any], Path | None]:
     """Of the project that a folder belongs to, with its file, if there is one."""
     for parent in (folder, *folder.parents):
         path = parent / "config.toml"
@@ -284,23 +283,19 @@ def _table(config: Mapping[str, Any], name: str) -> Mapping[str, Any]:
 
 def is_manifest(path: Path) -> bool:
     """Whether a file is a CSV table whose header has a column `keypoints`."""
-    return path.suffix.lower() == ".csv" and os.path.isfile(path) and "keypoints" in _header(path)
+    try:
+        return path.suffix.lower() == ".csv" and os.path.isfile(path) and "keypoints" in _header(path)
+    except InputError:  # no table of text
+        return False
 
 
 def _header(path: Path) -> list[str]:
-    with path.open("rb") as file:
-        line = file.readline(65536).decode("utf-8-sig", errors="replace")
-    line = next(iter(line.strip().splitlines()), "")  # lines may end as on old Macs
-    try:
-        return [cell.strip() for cell in next(csv.reader([line], delimiter=max(SEPARATORS, key=line.count)), [])]
-    except csv.Error:
-        return []
+    return [cell.strip() for cell in next(text_rows(path), (0, []))[1]]
 
 
-def _drafts_of_manifest(path: Path) -> list[ClipDraft]:
+def _drafts_of_manifest(path: Path) -> list[_Draft]:
     """One draft a row. Raises InputError with everything that is wrong with the table itself."""
-    header = _header(path)
-    known = ("out", *SETTINGS)
+    header, known = _header(path), ("out", *SETTINGS)
     problems = [
         Problem(path, f"column {name!r}" if name else "header", "an unknown column", f"one of {', '.join(known)}")
         for name in header
@@ -321,7 +316,7 @@ def _drafts_of_manifest(path: Path) -> list[ClipDraft]:
         if not files:
             problems.append(Problem(path, f"{line}, keypoints", f"no files that match {row['keypoints']}", "some"))
             continue
-        drafts.append(ClipDraft(tuple(files), values, out, (path, line)))
+        drafts.append(_Draft(tuple(files), values, out, (path, line)))
     if not drafts and not problems:
         problems.append(Problem(path, "rows", "none", "one row a clip below the header"))
     refuse(problems)
@@ -333,54 +328,104 @@ def _cell_value(name: str, cell: str) -> str | list[str]:
     return [one.strip() for one in cell.split(BETWEEN)] if name in SETTINGS and SETTINGS[name].is_many else cell
 
 
-def _matching_files(path: Path) -> list[Path]:
-    """A file, or those of a pattern."""
-    if os.path.exists(path) or not glob.has_magic(str(path)):
-        return [path]
-    return [file for match in sorted(glob.glob(str(path), recursive=True)) if (file := Path(match)).is_file()]
+# -- which files are one clip that several cameras filmed ---------------------------------------------------------
 
 
-# -- settings -----------------------------------------------------------------------------------------------------
+def _joined(
+    drafts: Sequence[_Draft],
+    cameras_by: str,
+    camera_name: str | Sequence[str] | None,
+    cameras_of: Callable[[_Draft], Sequence[str]],
+) -> Drafts:
+    """The files of one clip in one draft, in the order of the drafts. camera_name: as given for every clip.
+
+    cameras_by: a pattern; `AUTO`: Anipose's pattern, or the names of a draft's cameras, as `cameras_of` gives them, if
+    any two files are one clip by them; `NONE`: nothing is joined. Files of one folder are one clip if their names are
+    the same without what the pattern fits, or without the camera's name. A manifest's rows say themselves which files
+    they have. Raises InputError for a faulty pattern, and one that fits no file.
+    """
+    pattern = None if cameras_by in (AUTO, NONE) else _compiled(cameras_by, OPTION)
+    if pattern is not None and camera_name is not None:
+        found = f"{camera_name if isinstance(camera_name, str) else ', '.join(camera_name)} beside {OPTION}"
+        raise InputError(Problem("--camera-name", "camera_name", found, "one of the two"))
+    groups: dict[Any, list[tuple[_Draft, _Draft]]] = {}  # as it was, and with its camera
+    lost = []
+    for draft in drafts:
+        one = _with_camera(draft, pattern, cameras_by, cameras_of)
+        if one.by is None and one.where is None and (pattern or one.cam_regex):
+            lost.append(one.paths[0].name)
+        elif one.by is None or cameras_by == NONE:
+            groups[len(groups)] = [(draft, one)]
+        else:
+            row = {name: value for name, value in one.row.items() if name != "camera_name"}
+            clip = one.title.parent, one.title.name.casefold(), repr(row)
+            groups.setdefault(clip, []).append((draft, one))
+    if lost and not any(one.by for group in groups.values() for _, one in group):
+        found = f"no camera in {names_text(lost)}"
+        raise InputError(Problem(OPTION, "pattern", found, "one that fits the files' names"))
+    several = [[one for _, one in group] for group in groups.values() if len(group) > 1]
+    joined = []
+    for group in groups.values():
+        draft, first = group[0]
+        if first.by is None or (first.by == AUTO and not several):
+            joined.append(draft)
+        else:
+            paths = tuple(path for _, one in group for path in one.paths)
+            cameras = tuple(name for _, one in group for name in one.row["camera_name"])
+            joined.append(replace(first, paths=paths, row={**first.row, "camera_name": cameras}))
+    notes = [f"Left out, without a camera in the name: {names_text(lost)}"] if lost else []
+    if several:
+        rules = dict.fromkeys(one.by for group in several for one in group)
+        by = " and ".join("the cameras' names in theirs" if rule == AUTO else str(rule) for rule in rules)
+        clips = f"{len(several)} clips" if len(several) > 1 else "1 clip"
+        otherwise = f" ({OPTION} {NONE} takes each by itself)" if OPTION not in rules else ""
+        notes.append(f"{sum(map(len, several))} files are {clips} of several cameras, by {by}{otherwise}.")
+    return joined, notes
 
 
-def _settings(draft: ClipDraft, common: Mapping[str, Any], config: Path | None) -> FitSettings:
-    """A row over the common options over config. Problems of a row are said of the manifest's line."""
-    row = draft.row
-    under = {name: value for name, value in common.items() if value is not None and name not in row}
-    if "camera" in row and under.pop("hfov_deg", None) is not None:
-        under.pop("image_size_px", None)
-    if "hfov_deg" in row:
-        under = {name: value for name, value in under.items() if name not in ("camera", "camera_name")}
-    if "method" in row:  # the common options are for the clips of the other method
-        under = {name: value for name, value in under.items() if SETTINGS[name].option.method in (None, row["method"])}
+def _with_camera(
+    draft: _Draft, pattern: re.Pattern[str] | None, cameras_by: str, cameras_of: Callable[[_Draft], Sequence[str]]
+) -> _Draft:
+    """With the camera that its file's name says, and called after what is left of the name, or, if that is nothing,
+    after its folder; as it is where the name says none, or a manifest has it."""
+    if draft.where is not None:
+        return draft
+    title, by = draft.title, OPTION
+    if pattern is None and draft.cam_regex is not None:
+        pattern, by = _compiled(draft.cam_regex[1], draft.cam_regex[0]), f"cam_regex in {draft.cam_regex[0]}"
+    if pattern is not None:  # its first group is the camera's name, or all of it, as in Anipose
+        match = pattern.search(title.stem)
+        found = {} if match is None else {((match[1] if pattern.groups else match[0]) or "").strip(): match}
+    else:
+        by, found = AUTO, {} if cameras_by == NONE else cameras_in(title.stem, cameras_of(draft))
+    if len(found) > 1:
+        expected = f"the name of one camera; {OPTION} with a pattern that finds it, or {OPTION} {NONE}"
+        raise InputError(Problem(title, "name", f"the cameras {' and '.join(found)}", expected))
+    for camera, match in found.items():
+        if camera:
+            if cameras_by != NONE:
+                rest = title.stem[: match.start()].rstrip(SEPARATORS) + title.stem[match.end() :]
+                rest, folder = rest.strip(SEPARATORS), title.parent
+                title = (folder if rest else folder.parent) / f"{rest or folder.name}{title.suffix}"
+            return replace(draft, row={**draft.row, "camera_name": (camera,)}, called=title, by=by)
+    return draft
+
+
+def _compiled(text: str, where: Path | str) -> re.Pattern[str]:
     try:
-        return read_settings(config, {"keypoints": draft.paths, **under, **row})
-    except InputError as error:
-        raise InputError(_problem_of_row(problem, draft, under) for problem in error.problems) from None
+        return re.compile(text)
+    except re.error as error:
+        expected = "a regular expression that finds the camera's name in a file's name, as in '-cam([A-Z])'"
+        raise InputError(Problem(where, "pattern", f"{text!r} ({error})", expected)) from None
 
 
-def _each_animal(draft: ClipDraft, settings: FitSettings) -> list[tuple[ClipDraft, FitSettings]]:
-    animals = () if settings.individual is not None else individuals(settings.keypoints[0])
-    if not animals:
-        return [(draft, settings)]
-    names = [None if draft.name is None else f"{draft.name}-{animal}" for animal in animals]
-    return [
-        (replace(draft, row={**draft.row, "individual": animal}, name=name), replace(settings, individual=animal))
-        for animal, name in zip(animals, names, strict=True)
-    ]
-
-
-_OF_SEVERAL = ("offset_s", "camera_track", "camera_fps", "find_offsets", "refine_cameras", "focal_sigma")
-"""What may be there once for each camera of a clip."""
-
-
-def _cameras_of(common: Mapping[str, Any], config: Path | None, posed: bool) -> Callable[[ClipDraft], tuple[str, ...]]:
+def _cameras_of(common: Mapping[str, Any], config: Path | None, posed: bool) -> Callable[[_Draft], tuple[str, ...]]:
     """A function of a draft, which may still be a part of a clip: the names of the cameras in its file that can film a
     clip together, none where they cannot, or where it is given which camera is meant. posed: without poses they
     cannot."""
     read = cache(read_cameras)
 
-    def names_of(draft: ClipDraft) -> tuple[str, ...]:
+    def names_of(draft: _Draft) -> tuple[str, ...]:
         own, of_all = ({n: v for n, v in of.items() if n not in _OF_SEVERAL} for of in (draft.row, common))
         try:
             settings = _settings(replace(draft, paths=draft.paths[:1], row=own), of_all, config)
@@ -395,34 +440,77 @@ def _cameras_of(common: Mapping[str, Any], config: Path | None, posed: bool) -> 
     return names_of
 
 
-def _problem_of_row(problem: Problem, draft: ClipDraft, common: Mapping[str, Any]) -> Problem:
-    in_row = problem.field in draft.row or (problem.found == "nothing" and problem.field not in common)
-    if draft.where is None or not in_row:
-        return problem
-    manifest, line = draft.where
-    return replace(problem, file=manifest, field=f"{line}, {problem.field}")
+def _missing_cameras(drafts: Sequence[_Draft], names: Sequence[str]) -> list[str]:
+    """A note of the joined clips, by name, that do not have all the cameras that others have."""
+    every: dict[Any, dict[str, None]] = {}  # by project, whose cameras have names of their own
+    by_name = [(name, draft) for name, draft in zip(names, drafts, strict=True) if draft.by]
+    for _, draft in by_name:
+        every.setdefault(draft.cam_regex, {}).update(dict.fromkeys(draft.row["camera_name"]))
+    lacks = [
+        f"{name} ({', '.join(missing)})"
+        for name, draft in by_name
+        if (missing := [one for one in every[draft.cam_regex] if one not in draft.row["camera_name"]])
+    ]
+    return [f"Fitted without cameras that others have: {names_text(lacks)}"] if lacks else []
+
+
+# -- settings -----------------------------------------------------------------------------------------------------
+
+
+def _with_settings(draft: _Draft, common: Mapping[str, Any], config: Path | None) -> list[tuple[_Draft, FitSettings]]:
+    """A draft, or one for each animal in its file, with all settings."""
+    settings = _settings(draft, common, config)
+    animals = () if settings.individual is not None else individuals(settings.keypoints[0])
+    if not animals:
+        return [(draft, settings)]
+    return [
+        (
+            replace(draft, row={**draft.row, "individual": one}, name=draft.name and f"{draft.name}-{one}"),
+            replace(settings, individual=one),
+        )
+        for one in animals
+    ]
+
+
+def _settings(draft: _Draft, common: Mapping[str, Any], config: Path | None) -> FitSettings:
+    """A row over the common options over config. Problems of a row are said of the manifest's line."""
+    row = draft.row
+    under = {name: value for name, value in common.items() if value is not None and name not in row}
+    if "camera" in row and under.pop("hfov_deg", None) is not None:
+        under.pop("image_size_px", None)
+    if "hfov_deg" in row:
+        under = {name: value for name, value in under.items() if name not in ("camera", "camera_name")}
+    if "method" in row:  # the common options are for the clips of the other method
+        under = {name: value for name, value in under.items() if SETTINGS[name].option.method in (None, row["method"])}
+
+    def of_row(problem: Problem) -> Problem:
+        in_row = problem.field in row or (problem.found == "nothing" and problem.field not in under)
+        if draft.where is None or not in_row:
+            return problem
+        return replace(problem, file=draft.where[0], field=f"{draft.where[1]}, {problem.field}")
+
+    try:
+        return read_settings(config, {"keypoints": draft.paths, **under, **row})
+    except InputError as error:
+        raise InputError(map(of_row, error.problems)) from None
 
 
 # -- names --------------------------------------------------------------------------------------------------------
 
 
-def _name_problems(drafts: Sequence[ClipDraft]) -> list[Problem]:
+def _name_problems(drafts: Sequence[_Draft]) -> Iterator[Problem]:
     """Of names given in manifests: they must be plain, and different."""
-    problems = []
-    count = Counter(draft.name.casefold() for draft in drafts if draft.name is not None)
-    for draft in drafts:
-        if draft.name is None or draft.where is None:
-            continue
-        manifest, line = draft.where
-        if _UNFIT.search(draft.name) or draft.name.startswith(".") or draft.name.casefold() in (SUMMARY, SUMMARY_PAGE):
+    named = [(draft.name, draft.where) for draft in drafts if draft.name is not None and draft.where is not None]
+    count = Counter(name.casefold() for name, _ in named)
+    for name, (manifest, line) in named:
+        if _UNFIT.search(name) or name.startswith(".") or name.casefold() in (SUMMARY, SUMMARY_PAGE):
             expected = f"a plain name of a folder below --out, other than {SUMMARY} and {SUMMARY_PAGE}"
-            problems.append(Problem(manifest, f"{line}, out", repr(draft.name), expected))
-        elif count[draft.name.casefold()] > 1:
-            problems.append(Problem(manifest, f"{line}, out", f"{draft.name!r} more than once", "a name of its own"))
-    return problems
+            yield Problem(manifest, f"{line}, out", repr(name), expected)
+        elif count[name.casefold()] > 1:
+            yield Problem(manifest, f"{line}, out", f"{name!r} more than once", "a name of its own")
 
 
-def _names(drafts: Sequence[ClipDraft]) -> list[str]:
+def _names(drafts: Sequence[_Draft]) -> list[str]:
     """As given; else the file's name, with its suffix or its folders where files share it, the animal and the frames
     where the row says them, and a number where that is still not enough."""
     base = file_names(dict.fromkeys(draft.title for draft in drafts))
@@ -431,8 +519,9 @@ def _names(drafts: Sequence[ClipDraft]) -> list[str]:
     for draft in drafts:
         name = draft.name
         if name is None:
-            plain = _UNFIT.sub("_", base[draft.title] + draft.tag).strip(". ") or "clip"
-            name, count = plain, 1
+            tags = (str(draft.row[key]).replace(":", "-") for key in ("individual", "frames") if key in draft.row)
+            name = plain = _UNFIT.sub("_", "-".join((base[draft.title], *tags))).strip(". ") or "clip"
+            count = 1
             while name.casefold() in taken:
                 count += 1
                 name = f"{plain}-{count}"

@@ -48,7 +48,6 @@ COLUMNS = (
 STATUSES = ("done", "done earlier", "unsolved", "failed", "pending")
 """unsolved: fitted, but no frame has a pose. pending: not tried, because the batch was interrupted."""
 WRITE_EVERY_S = 0.5
-FORMULAS = ("=", "+", "-", "@", "\t", "\r")
 
 
 def results_of(report: Mapping[str, Any]) -> dict[str, Any]:
@@ -107,10 +106,9 @@ class Summary:
 
     def write(self) -> None:
         with staged_file(self.path) as staged, staged.open("w", encoding="utf-8", newline="") as f:
-            writer = csv.writer(f, lineterminator="\n")
-            writer.writerow(COLUMNS)
-            rows = sorted(self.rows.values(), key=_rank)
-            writer.writerows([_no_formula(row[column]) for column in COLUMNS] for row in rows)
+            writer = csv.DictWriter(f, COLUMNS, lineterminator="\n")
+            writer.writeheader()
+            writer.writerows(sorted(self.rows.values(), key=_rank))
         self._written_s = time.monotonic()
 
 
@@ -125,40 +123,23 @@ def write_summary_page(out: Path) -> Path:
     page = out / SUMMARY_PAGE
     require_own_page(page)
     with (out / SUMMARY).open(encoding="utf-8", newline="") as file:
-        rows = [{name: _meant(cell) for name, cell in row.items()} for row in csv.DictReader(file)]
-    html = batch_page(out, rows)
+        html = batch_page(out, [*csv.DictReader(file)])
     with staged_file(page) as staged:
         staged.write_text(html, encoding="utf-8")
     return page
 
 
-def _no_formula(cell: Any) -> Any:
-    """A text that a spreadsheet would take for a formula after an apostrophe, which makes it a text there."""
-    return f"'{cell}" if isinstance(cell, str) and cell.lstrip("'").startswith(FORMULAS) else cell
-
-
-def _meant(cell: str) -> str:
-    return cell[1:] if cell.startswith("'") and cell.lstrip("'").startswith(FORMULAS) else cell
-
-
-def _short_hash(part: Any) -> str:
-    """Sixteen digits for a table."""
-    return hashlib.sha256(json.dumps(part, sort_keys=True).encode()).hexdigest()[:16]
-
-
 def _row(planned: Planned, out: Path) -> dict[str, Any]:
+    settings, known = planned.clip.settings, planned.identity
     row = dict.fromkeys(COLUMNS) | {
         "clip": planned.clip.name,
-        "keypoints": ", ".join(planned.clip.settings.keypoints_from(out)),
-        "cameras": len(planned.clip.settings.keypoints),
+        "keypoints": ", ".join(settings.keypoints_from(out)),
+        "cameras": len(settings.keypoints),
         "out": seen_from(out, planned.out),
         "status": "pending",
         "attempts": 0,
-        "settings_hash": _short_hash([planned.identity["settings"], planned.identity["version"]]),
-        "inputs_hash": _short_hash(planned.identity["inputs"]),
     }
-    if planned.row is not None:
-        earlier = dict(planned.row)
-        earlier["status"] = "done earlier" if earlier["status"] == "done" else earlier["status"]
-        row |= earlier
-    return row
+    for name, part in (("settings", [known["settings"], known["version"]]), ("inputs", known["inputs"])):
+        row[f"{name}_hash"] = hashlib.sha256(json.dumps(part, sort_keys=True).encode()).hexdigest()[:16]
+    earlier = planned.row or {}
+    return row | earlier | ({"status": "done earlier"} if earlier.get("status") == "done" else {})

@@ -7,6 +7,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -62,6 +63,7 @@ class _BatchSettings(Settings):
             panel=_COMMON,
         ),
     ] = "auto"
+    recursive: Annotated[bool, Option("Read the folders within a folder, too.", panel=_COMMON)] = False
     jobs: Annotated[
         Count | None, Option("Clips at a time, each in a process. (default: one for each core)", panel=_WORK)
     ] = None
@@ -96,7 +98,9 @@ def batch(
     from recon.workflows.batch import check_shared, find_clips, input_problems, plan_batch, run_batch
 
     console = terminal(quiet=quiet, stderr=as_json)
-    clips, notes = find_clips(settings.inputs, given, settings.config, settings.cameras_by)
+    clips, notes = find_clips(
+        settings.inputs, given, settings.config, settings.cameras_by, recursive=settings.recursive
+    )
     for note in notes:
         say(console, note, "yellow")
     plan = plan_batch(clips, settings.out, settings.overwrite)
@@ -119,30 +123,31 @@ def shown_batch(
     console: Console, left: int, as_json: bool, work: Callable[[Callable[[Event, Summary], None]], Summary]
 ) -> Summary:
     """Do what tells of its events, and say how it went. left: how many clips there are to do."""
-    summary: Summary | None = None
+    summaries: list[Summary] = []
     began = time.monotonic()
     try:
         with _shown(console, left) as show:
 
             def tell(event: Event, so_far: Summary) -> None:
-                nonlocal summary
-                summary = so_far
+                summaries[:] = [so_far]
                 show(event, so_far)
 
             summary = work(tell)
     except KeyboardInterrupt:
-        counts = {} if summary is None else summary.counts()
+        counts = summaries[0].counts() if summaries else {}
         said = ", ".join(f"{n} {status}" for status, n in counts.items()) or "nothing was done"
         stop(f"Stopped: {said}. What is done is kept: the same command again goes on from here.")
+    counts = summary.counts()
     if as_json:
-        typer.echo(
-            json.dumps({"summary": str(summary.path), "counts": summary.counts(), "clips": [*summary.rows.values()]})
-        )
-    _print_end(console, summary, time.monotonic() - began)
+        typer.echo(json.dumps({"summary": str(summary.path), "counts": counts, "clips": [*summary.rows.values()]}))
+    parts = [Text(f"{n} {level}", STYLES[level]) for level, n in reversed(summary.verdicts().items())]
+    parts += [Text(f"{n} {status}", style) for status, n in counts.items() if (style := _STYLES.get(status))]
+    seconds = time.monotonic() - began
+    say(console, Text.assemble(Text(", ").join(parts), f" in {seconds:.0f} s. Summary: {summary.path}"))
     return summary
 
 
-# -- before and after ---------------------------------------------------------------------------------------------
+# -- before ---------------------------------------------------------------------------------------------
 
 
 def _print_plan(
@@ -165,26 +170,24 @@ def _print_plan(
     if as_json:
         typer.echo(json.dumps({"clips": rows}))
         return
-    table = table_of("clip", "cameras", "out", "what")
-    for row in rows:
-        reason = f" ({row['reason']})" if row["reason"] else ""
-        table.add_row(*map(Text, (row["clip"], ", ".join(row["cameras"]), row["out"], row["action"] + reason)))
-    console.print(table)
+    cells = (
+        (
+            row["clip"],
+            ", ".join(row["cameras"]),
+            row["out"],
+            row["action"] + f" ({row['reason']})" * bool(row["reason"]),
+        )
+        for row in rows
+    )
+    console.print(table_of("clip", "cameras", "out", "what", rows=cells))
     for problem, places in repeated(problems):
         names = ", ".join(rows[place]["clip"] for place in places[:NAMED])
         more = "" if len(places) <= NAMED else f" and {len(places) - NAMED} more clips"
         say(console, Text.assemble((f"{names}{more}: ", "bold red"), str(problem)))
-    count = Counter(row["action"] for row in rows)
-    bad = f", {count[CANNOT]} that {CANNOT}" if count[CANNOT] else ""
-    said = f"{count['new']} new, {count['refit']} to fit again, {count['done']} done{bad}"
+    of = Counter(row["action"] for row in rows)
+    bad = f", {of[CANNOT]} that {CANNOT}" if of[CANNOT] else ""
+    said = f"{of['new']} new, {of['refit']} to fit again, {of['done']} done{bad}"
     console.print(f"{counted(len(rows), 'clip')}: {said}")
-
-
-def _print_end(console: Console, summary: Summary, seconds: float) -> None:
-    counts = summary.counts()
-    parts = [Text(f"{n} {level}", STYLES[level]) for level, n in reversed(summary.verdicts().items())]
-    parts += [Text(f"{n} {status}", style) for status, n in counts.items() if (style := _STYLES.get(status))]
-    say(console, Text.assemble(Text(", ").join(parts), f" in {seconds:.0f} s. Summary: {summary.path}"))
 
 
 # -- meanwhile ----------------------------------------------------------------------------------------------------
@@ -194,34 +197,34 @@ def _print_end(console: Console, summary: Summary, seconds: float) -> None:
 def _shown(console: Console, left: int) -> Iterator[Callable[[Event, Summary], None]]:
     """A function of an event and the summary that shows it: a line a clip, and a bar on a terminal. Trouble goes to
     stderr, even where nothing else is printed."""
-    plain, ended = console.quiet or not console.is_terminal, 0
+    plain = console.quiet or not console.is_terminal
     errors = terminal(stderr=True, soft_wrap=True) if plain else console
     columns = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console, transient=True, disable=plain) as bar:
-        task = bar.add_task("all clips", total=left)
+        task, ended = bar.add_task("all clips", total=left), count(1)
 
         def show(event: Event, summary: Summary) -> None:
-            nonlocal ended
             if event.kind == "progress":
                 bar.update(task, description=f"{event.name}: {event.stage}")
                 return
-            ended += 1
             bar.advance(task)
             row = summary.rows[event.name]
             where = errors if row["status"] == "failed" else console
-            say(where, Text(f"[{ended}/{left}] ").append_text(_row_text(row)))
+            say(where, Text(f"[{next(ended)}/{left}] ").append_text(_row_text(row)))
 
         yield show
 
 
 def _row_text(row: Mapping[str, Any]) -> Text:
     """One clip's end in a line."""
+    level = row["verdict"] or ""
     text = Text.assemble((row["status"], _STYLES.get(row["status"], "")), f"  {row['clip']}")
     if row["error"]:
         return text.append(f": {row['error']}")
-    level = row["verdict"] or ""
-    text.append("  ").append(level, STYLES.get(level, ""))
-    if row["pose_mm"] is not None:
-        text.append(f", pose ± {row['pose_mm']:.0f} mm")
+    pose = "" if row["pose_mm"] is None else f", pose ± {row['pose_mm']:.0f} mm"
     why = "" if level in ("", "use") else f": {row['reason']}"
-    return text.append(f", {row['frames']} frames, {row['seconds']:.1f} s{why}")
+    return text.append_text(
+        Text.assemble(
+            "  ", (level, STYLES.get(level, "")), f"{pose}, {row['frames']} frames, {row['seconds']:.1f} s{why}"
+        )
+    )
