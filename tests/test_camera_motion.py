@@ -93,34 +93,28 @@ def with_patch(pictures, share: float):
         yield picture
 
 
-@pytest.mark.parametrize("camera", [PINHOLE, FISHEYE], ids=lambda camera: camera.model)
-def test_a_pan_is_found_and_the_return_shows_no_drift(camera):
-    rotations = pan(24, 20.0)
-    motion = tracked((seen(R, camera, px_rad=camera.matrix[0, 0]) for R in rotations), camera)
-    error = errors_deg(motion, rotations)
-    assert len(error) == 24
-    assert np.median(error) < 0.01
-    assert error.max() < 0.03
-    assert error[-1] < 0.02
-
-
-@pytest.mark.parametrize(("camera", "by"), [(PINHOLE, 1.0), (PINHOLE, 1.06), (PINHOLE, 0.8), (FISHEYE, 0.9)])
-def test_the_focal_length_is_found_beside_the_turn(camera, by):
-    """The camera file's, and others, in which the stated deviations of the turns have what that does to them."""
+@pytest.mark.parametrize(("camera", "by"), [(PINHOLE, 1.0), (PINHOLE, 1.06), (FISHEYE, 1.0), (FISHEYE, 0.9)])
+def test_a_pan_is_found_and_the_focal_length_beside_it(camera, by):
+    """Without drift with the true focal length; with another the stated deviations hold its error."""
     rotations = pan(24, 20.0)
     told = replace(camera, matrix=camera.matrix * [[by, 1, 1], [1, by, 1], [1, 1, 1]])
     motion = tracked((seen(R, camera, px_rad=camera.matrix[0, 0]) for R in rotations), told)
     found, sigma = motion.focal
+    error = errors_deg(motion, rotations)
+    assert len(error) == 24
     assert sigma < 0.05
     assert abs(found + np.log(by)) < 3 * sigma
     assert (abs(found) > CLEARLY * sigma) == (by != 1)
-    assert (errors_deg(motion, rotations) <= 0.02 + 2 * np.degrees(motion.sigma_rad)).all()
+    assert (error <= 0.02 + 2 * np.degrees(motion.sigma_rad)).all()
+    if by == 1:
+        assert np.median(error) < 0.01
+        assert error.max() < 0.03
+        assert error[-1] < 0.02
 
 
-@pytest.mark.parametrize("contrast", [1.0, 0.25])
-def test_a_followed_subject_over_40_percent_is_not_taken_for_the_background(contrast):
+def test_a_followed_subject_over_40_percent_is_not_taken_for_the_background():
     rotations = pan(20, 16.0)
-    pictures = ((128 + contrast * (seen(R) - 128.0)).astype(np.uint8) for R in rotations)
+    pictures = ((128 + 0.25 * (seen(R) - 128.0)).astype(np.uint8) for R in rotations)
     motion = tracked(with_patch(pictures, 0.4))
     error = errors_deg(motion, rotations)
     assert len(error) >= 18

@@ -527,7 +527,10 @@ def _focal_factor(camera: Camera, pairs: Sequence[_TurnedPair], limit_px: float)
     information, pull = np.ones((2, len(pairs)))
     for _ in range(STEPS):
         information, pull = np.transpose([_told(camera, pair, log_factor) for pair in pairs])
-        log_factor = float(np.clip(log_factor + pull.sum() / information.sum(), -2 * WIDEST, 2 * WIDEST))
+        step = pull.sum() / information.sum()
+        log_factor = float(np.clip(log_factor + step, -2 * WIDEST, 2 * WIDEST))
+        if abs(step) < 0.01 / np.sqrt(information.sum()):
+            break
     keys, total = np.array([pair.key for pair in pairs]), float(information.sum())
     scatter = sum(pull[keys == key].sum() ** 2 for key in np.unique(keys)) / total**2
     return log_factor, float(np.sqrt(1 / total + scatter))
