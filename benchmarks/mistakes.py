@@ -51,7 +51,7 @@ from recon.fit.clip_problem import ClipProblem
 from recon.gait.evaluation import centre, joint_errors
 from recon.io.deeplabcut import write_csv
 
-SWAP, UNCLEAR, OUTLIERS = "left_right_swap", "left_right_swap_unclear", "gross_outliers"
+SWAP, UNCLEAR, OUTLIERS = "left_right_swap", "left_right_swap_possible", "gross_outliers"
 TEN, END = 10, 12
 """Frames exchanged in the middle, and of garbage at an end."""
 FALSE = 0.02
@@ -523,7 +523,7 @@ def dog_rows(folder: Path) -> list[dict[str, Any]]:
             source = Source(camera, *clean(keypoints, 0.0), body.markers)
             solution = solve_trajectory(views_of([source]), body, prior, one.clip.fps)
             motion = Motion((source,), None, "", solution)
-            found = input_findings(motion, prior, TrajectoryOptions(), FileFacts(((),), (None,)))
+            found = input_findings(motion, prior, TrajectoryOptions(), FileFacts((None,)))
             rows.append(_others(f"dog {one.clip.name}", len(px), prior.name, found))
     return rows
 

@@ -44,7 +44,7 @@ from recon.io.deeplabcut import write_csv
 CAUSES = {
     *("detections_frozen", "detections_repeated", "detections_interpolated", "far_side_copied", "same_keypoints"),
     *("missing_as_constant", "keypoints_normalised", "keypoints_y_up", "picture_upside_down", "picture_turned"),
-    *("world_not_z_up", "smaller_video", "other_camera_named", "other_camera", "left_right_swap", "frame_rate_stated"),
+    *("world_not_z_up", "smaller_video", "other_camera_named", "left_right_swap", "frame_rate_stated"),
     *("frame_rate", "animal_still", "time_reversed", "camera_moves", "camera_unit", "subject_unlike_species"),
     *("cameras_apart_in_time", "cameras_exchanged", "cameras_disagree", "camera_turned", "camera_late", "camera_off"),
 }
@@ -330,7 +330,7 @@ CASES = {
         lambda c, g: g.moved(t=np.asarray(g.camera.rotation).T @ g.camera.translation_m), ("ground_elsewhere",)
     ),
     "only camera is another": Case(other_only_camera, ("other_camera_named",)),
-    "the same, called as this one": Case(other_renamed, ("other_camera", "ground_elsewhere")),
+    "the same, called as this one": Case(other_renamed, ("ground_elsewhere",)),
     "cropped video": Case(cropped, ("smaller_video", "ground_elsewhere")),
     "focal length x 1.5": Case(focal_15),
     "tilt 15 degrees": Case(lambda c, g: g.turned(about("x", 15)), ("ground_elsewhere",)),
@@ -358,7 +358,7 @@ CASES = {
     "unit feet": Case(in_unit(3.28084), ("camera_unit", "ground_elsewhere")),
     "lengths x 1.5": Case(lengths_15, ("subject_unlike_species",)),
     "of another clip": Case(of_other_clip),
-    "of another camera": Case(of_other_camera, ("other_camera", "other_camera_named")),
+    "of another camera": Case(of_other_camera, ("other_camera_named", "ground_elsewhere")),
     "shifted by half the clip": Case(lambda c, g: g.seen(np.roll(g.xy_px, len(g.xy_px) // 2, axis=0))),
     "shuffled": Case(shuffled, ("gross_outliers",)),
     "30 % garbage": Case(garbage(0.3), ("gross_outliers",)),

@@ -38,13 +38,11 @@ SENTENCES = {
     "picture_upside_down": ("looks upside down", {}),
     "smaller_video": ("a video 2 times smaller than", {"times": 2}),
     "other_camera_named": ("file's name says cam3, but the camera is cam1", {"other": "cam3", "given": "cam1"}),
-    "other_camera": ("look like those of cam3 of the camera file, not of cam1", {"other": "cam3", "given": "cam1"}),
     "left_right_swap": ("look swapped in frame 10, of the fore legs. --fix-swaps", {"part": "the fore legs"}),
-    "left_right_swap_unclear": (
-        "swapped in frame 10, of the fore legs, or in frames 11 to 20, of the hind legs: which, cannot be told",
-        {"part": "the fore legs", "other_part": "the hind legs", "other_first": 11, "other_last": 20},
+    "left_right_swap_possible": (
+        "may be swapped in frame 10, of the fore legs, or",
+        {"part": "the fore legs"},
     ),
-    "left_right_swap_possible": ("looks likelier with left and right exchanged, or mirrored", {}),
     "left_right_swap_mended": ("were swapped in frame 10, of all keypoints, and", {"part": "all keypoints"}),
     "frame_rate_stated": ("file says 60 frames per second, but --fps is 30", {"other_hz": 60.0, "given_hz": 30.0}),
     "frame_rate": ("at about 60 frames per second, not 30", {"other_hz": 60.0, "given_hz": 30.0}),

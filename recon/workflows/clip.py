@@ -123,15 +123,14 @@ def fit_clip(settings: FitSettings, progress: Progress = silent) -> Motion:
 
 def _file_facts(given: Prepared, settings: FitSettings) -> FileFacts:
     """What the files say of a clip besides its keypoints."""
-    others, named = [], []
+    named = []
     for source, path in zip(given.sources, settings.keypoints, strict=True):
         cameras = () if source.moves else other_cameras(source.camera, settings)
         names = cameras_in(path.stem, [source.camera.name, *(camera.name for camera in cameras)])
-        others.append(() if names else tuple(camera for camera in cameras if camera.has_extrinsics))
         other = next(iter(names), None) or other_camera_in(path.stem, source.camera.name)
         named.append(None if source.camera.name in names else other)
     stated_hz = next((s.keypoints.stated_fps for s in given.sources if s.keypoints.stated_fps is not None), None)
-    return FileFacts(tuple(others), tuple(named), stated_hz, swaps=not settings.fast or bool(settings.fix_swaps))
+    return FileFacts(tuple(named), stated_hz, swaps=not settings.fast or bool(settings.fix_swaps))
 
 
 Shared = tuple[Body, MotionPrior, Cameras]

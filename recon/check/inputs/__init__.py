@@ -1,5 +1,5 @@
 """Input findings: copied coordinates, a camera that moves, left-right swaps, gross outliers, a picture turned over,
-another camera's, a wrong frame rate.
+another camera's by its file's name, a wrong frame rate.
 
 What was copied, and how no animal moves, is said first: it is certain, and leaves nothing else to be told. The rest is
 recognised by how much likelier the clip is with it undone (`likelihood`), where that can be told.
@@ -14,16 +14,15 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from recon.animal.prior import NONE, MotionPrior, mean_speed_m_s
-from recon.check.codes import FLAG_OF
+from recon.check.codes import FLAG_OF, finding
 from recon.check.inputs.certain import copies, movement
-from recon.check.inputs.likelier import of_other_camera, of_smaller_video, of_unit_square, other_rate, turned_over
+from recon.check.inputs.likelier import of_other_picture, of_unit_square, other_rate
 from recon.check.inputs.likelihood import Baseline, baseline_of
 from recon.check.inputs.swaps import swap_finding, swaps
 from recon.fit import TrajectoryOptions, TrajectorySolution
 from recon.fit.clip_problem import ClipProblem
 from recon.fit.motion import Motion
 from recon.fit.result import Finding
-from recon.geometry.camera import Camera
 from recon.geometry.kinematics import ROOT
 
 FASTEST_M_S = 40.0
@@ -35,11 +34,9 @@ MOVES = ("animal_still", "time_reversed", "camera_moves")
 
 @dataclass(frozen=True)
 class FileFacts:
-    """What is known besides the keypoints: by view, other cameras that it might be of, none where its file's name says
-    which it is, and the one that the name says instead; the frame rate that a file states, where another was given; and
-    whether left-right swaps are looked for, which takes longest."""
+    """What is known besides the keypoints: by view, the other camera that its file's name says; the frame rate that a
+    file states, where another was given; and whether left-right swaps are looked for, which takes longest."""
 
-    others: tuple[tuple[Camera, ...], ...]
     named: tuple[str | None, ...]
     stated_hz: float | None = None
     swaps: bool = True
@@ -59,7 +56,6 @@ def input_findings(
     found = [*copies(motion.sources, resampled=bool(motion.settings.get("camera_fps")))]
     certain = any(one.severity == "error" for one in found)
     elsewhere = any(segment.ground and segment.ground.near_zero is False for segment in solution.segments)
-    misfit = max((segment.prior_misfit or 0.0 for segment in solution.segments), default=0.0)
     seeks_swaps = facts.swaps and prior.name != NONE and bool(solution.posed.any())
     moves = [] if certain else [*movement(motion)]
     seeks_swaps = seeks_swaps and not certain and not any(one.code in MOVES for one in moves)
@@ -67,7 +63,7 @@ def input_findings(
     with threadpool_limits(1, user_api="blas"):
         for number, source in enumerate(motion.sources):
             given = baseline_of(clip, number, solution.states, solution.size)
-            of_picture = _of_picture(given, facts.others[number], facts.named[number], misfit)
+            of_picture = _of_picture(given, facts.named[number])
             if of_picture is not None:
                 pictures.append(of_picture)
             elif seeks_swaps:
@@ -85,14 +81,12 @@ def input_findings(
     return tuple(found)
 
 
-def _of_picture(given: Baseline, others: Sequence[Camera], named: str | None, misfit: float) -> Finding | None:
+def _of_picture(given: Baseline, named: str | None) -> Finding | None:
     """The first of those that leave nothing else to be told."""
-    return (
-        of_unit_square(given)
-        or turned_over(given, misfit)
-        or of_smaller_video(given)
-        or of_other_camera(given, others, named)
-    )
+    if named is not None:
+        name = given.view.camera.name
+        return finding("other_camera_named", camera=name, given=name, other=named)
+    return of_unit_square(given) or of_other_picture(given)
 
 
 def _of_rate(clip: ClipProblem, solution: TrajectorySolution, stated_hz: float | None) -> Sequence[Finding]:

@@ -1,5 +1,5 @@
-"""What a clip is likelier as: keypoints of another picture than the camera's (of 0 to 1, upside down or y up, of a
-smaller video, another camera's), and another frame rate.
+"""What a clip is likelier as: keypoints of another picture than the camera's (of 0 to 1, turned over, of a smaller
+video), and another frame rate.
 
 What could make a clip so at all is looked at first, and costs nothing; only then is the animal sought under the other
 hypothesis. Played too slowly or too fast, an animal's angles do not swing as the motion prior knows it: poses stay as
@@ -8,7 +8,7 @@ they are, but speeds and accelerations change.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -17,8 +17,8 @@ import numpy as np
 from recon.animal.prior import ANGLES, NONE
 from recon.base.arrays import Array
 from recon.check.codes import finding
-from recon.check.inputs.likelihood import CLEAR, Baseline, believed, best_seen, judged, off_ground
-from recon.clip import View, camera_poses
+from recon.check.inputs.likelihood import CLEAR, Baseline, believed, best_seen, refitted
+from recon.clip import View
 from recon.fit.clip_problem import ClipProblem
 from recon.fit.least_squares import Estimate, LeastSquares
 from recon.fit.posterior import prior_misfit_of
@@ -28,10 +28,14 @@ from recon.geometry.camera import Camera
 
 SMALLER = (2, 3, 4)
 """A video may be so many times smaller than the camera's calibration says."""
-UNUSUAL = 1.5
-"""A prior's misfit from which a quarter's turn is tried; up to 1.3 in 32 real views of running cheetahs."""
+LEANING = 0.7
+"""Feet that are less far below the trunk, as a part of how far they are from it, are sought elsewhere: 0.83 or more in
+32 real views."""
 NEARLY_ALL = 99.0
 """Percentile of the points that have to lie in a part of the picture."""
+
+_Other = tuple[str, dict[str, Any], View]
+"""What the view of a clip may be: the finding's code and numbers, and the view that the camera has then."""
 
 
 def of_unit_square(given: Baseline) -> Finding | None:
@@ -47,62 +51,61 @@ def of_unit_square(given: Baseline) -> Finding | None:
     return finding("keypoints_normalised", camera=view.camera.name, log_likelihood_ratio=ratio)
 
 
-def turned_over(given: Baseline, misfit: float = 0.0) -> Finding | None:
-    """A picture upside down, or with y up, if the feet are above the trunk; where the prior does not know the motion,
-    by its misfit, also one turned by a quarter, and a world whose z is not up."""
-    view = given.view
-    width, height = view.camera.image_size_px
-    x, y = view.xy_px[..., 0], view.xy_px[..., 1]
-    turned: list[tuple[str, dict[str, Any], View]] = []
-    if _feet_up(given.clip, view):
-        turned += [
-            ("picture_upside_down", {}, replace(view, xy_px=[width - 1, height - 1] - view.xy_px)),
-            ("keypoints_y_up", {}, replace(view, xy_px=[0, height - 1] + [1, -1] * view.xy_px)),
-        ]
-    if misfit > UNUSUAL:
-        for degrees, xy_px in ((90, [y, height - 1 - x]), (270, [width - 1 - y, x])):
-            turned.append(("picture_turned", {"degrees": degrees}, replace(view, xy_px=np.stack(xy_px, axis=-1))))
-        for axis, sign in (("y", 1.0), ("-y", -1.0)):
-            up = np.array([[1, 0, 0, 0], [0, 0, -sign, 0], [0, sign, 0, 0], [0, 0, 0, 1.0]])
-            turned.append(("world_not_z_up", {"axis": axis}, replace(view, T_camera_world=view.T_camera_world @ up.T)))
-    ratios = [_ratio(given, other) for _, _, other in turned]
-    best = int(np.argmax(ratios)) if ratios else 0
-    if not ratios or not ratios[best] > CLEAR:
+def of_other_picture(given: Baseline) -> Finding | None:
+    """A picture that is upside down, has y up or is turned by a quarter, or a world whose z is not up, looked for where
+    the feet are not below the trunk; or a smaller version of the video, where all lies in the part that it would
+    fill."""
+    view, part = given.view, best_seen(given.view, given.clip.fps)
+    others = [*_turned(view), *_smaller(view)] if _feet_below(given.clip, view) < LEANING else [*_smaller(view)]
+    if not others:
         return None
-    code, numbers, _ = turned[best]
+    as_given = given.refit(part)
+    ratios = [refitted(given.other(other).part(part)).likelier(as_given) for _, _, other in others]
+    best = int(np.argmax(ratios))
+    if not ratios[best] > CLEAR:
+        return None
+    code, numbers, _ = others[best]
     return finding(code, camera=view.camera.name, log_likelihood_ratio=ratios[best], **numbers)
 
 
-def _feet_up(clip: ClipProblem, view: View) -> bool:
-    """Whether the feet are above the trunk's ends in the picture, for the most part."""
+def _turned(view: View) -> Iterator[_Other]:
+    (width, height), (x, y) = view.camera.image_size_px, np.moveaxis(view.xy_px, -1, 0)
+    pictures: list[tuple[str, dict[str, Any], tuple[Array, Array]]] = [
+        ("picture_upside_down", {}, (width - 1 - x, height - 1 - y)),
+        ("keypoints_y_up", {}, (x, height - 1 - y)),
+        ("picture_turned", {"degrees": 90}, (y, height - 1 - x)),
+        ("picture_turned", {"degrees": 270}, (width - 1 - y, x)),
+    ]
+    for code, numbers, xy_px in pictures:
+        yield code, numbers, replace(view, xy_px=np.stack(xy_px, axis=-1))
+    for axis, sign in (("y", 1.0), ("-y", -1.0)):
+        up = np.array([[1, 0, 0, 0], [0, 0, -sign, 0], [0, sign, 0, 0], [0, 0, 0, 1.0]])
+        yield "world_not_z_up", {"axis": axis}, replace(view, T_camera_world=view.T_camera_world @ up.T)
+
+
+def _smaller(view: View) -> Iterator[_Other]:
+    points, size = view.xy_px[view.present], np.array(view.camera.image_size_px)
+    for times in SMALLER:
+        if len(points) and (np.percentile(points, NEARLY_ALL, axis=0) < size / times).all():
+            yield "smaller_video", {"times": times}, replace(view, camera=smaller(view.camera, times))
+
+
+def _feet_below(clip: ClipProblem, view: View) -> float:
+    """How far the feet are below the trunk's ends, as a part of how far they are from them in the picture: 1 of an
+    animal that stands on the ground, -1 of one that is upside down; less, too, where the camera looks up or down."""
     trunk = [clip.body.markers.index(marker) for marker in clip.body.forward]
-    up = view.rotation.reshape(-1, 3, 3)[0, :2, 2]  # of the camera, in its picture
-    height = view.xy_px @ up
-    with np.errstate(invalid="ignore"):
-        above = _mean(height[:, clip.feet]) - _mean(height[:, trunk])
-    above = above[np.isfinite(above)]
-    return bool(len(above)) and float(np.median(above)) > 0.0
+    off_px = _mean(view.xy_px[:, clip.feet]) - _mean(view.xy_px[:, trunk])
+    off_px = off_px[np.isfinite(off_px[:, 0])]
+    if not len(off_px):
+        return 1.0
+    away, up = np.median(off_px, axis=0), view.rotation.reshape(-1, 3, 3)[0, :2, 2]
+    return -float(away @ up) / max(float(np.linalg.norm(away)), 1e-9)
 
 
 def _mean(values: Array) -> Array:
-    """(T,) of (T, N), over what is known."""
+    """(T, 2) of points (T, N, 2), over what is known."""
     count = np.isfinite(values).sum(axis=1)
     return np.where(count > 0, np.nansum(values, axis=1) / np.maximum(count, 1), np.nan)
-
-
-def of_smaller_video(given: Baseline) -> Finding | None:
-    """Keypoints found in a smaller version of the video: all lie in the part of the picture that it would fill."""
-    view = given.view
-    points, size = view.xy_px[view.present], np.array(view.camera.image_size_px)
-    ratios = {
-        times: _ratio(given, replace(view, camera=smaller(view.camera, times)))
-        for times in SMALLER
-        if len(points) and (np.percentile(points, NEARLY_ALL, axis=0) < size / times).all()
-    }
-    times = max(ratios, key=lambda n: ratios[n], default=None)
-    if times is None or ratios[times] <= CLEAR:
-        return None
-    return finding("smaller_video", camera=view.camera.name, times=times, log_likelihood_ratio=ratios[times])
 
 
 def smaller(camera: Camera, times: float) -> Camera:
@@ -113,40 +116,6 @@ def smaller(camera: Camera, times: float) -> Camera:
     width, height = camera.image_size_px
     size_px = (max(round(width / times), 1), max(round(height / times), 1))
     return replace(camera, matrix=scale * camera.matrix + shift, image_size_px=size_px)
-
-
-def of_other_camera(given: Baseline, others: Sequence[Camera], named: str | None) -> Finding | None:
-    """Keypoints that another camera of the file found. named: whose name their own file has.
-
-    Where no name says so, the height of the ground may: cameras look alike, but stand elsewhere and are tilted.
-    """
-    view, part = given.view, best_seen(given.view, given.clip.fps)
-    name = view.camera.name
-    if named is not None:
-        return finding("other_camera_named", camera=name, given=name, other=named)
-    posed = np.isfinite(given.states[part]).all()
-    if not (others and posed and off_ground(given.clip, given.states[part]) > CLEAR):
-        return None
-    correlation_frames = given.clip.correlation_frames
-    seen = [
-        (judged(given.other(_seen_by(view, camera)).part(part)).lasting(correlation_frames), camera.name)
-        for camera in others
-    ]
-    least, other = min(seen)
-    ratio = given.judged(part).lasting(correlation_frames) - least
-    if not ratio > CLEAR:
-        return None
-    return finding("other_camera", camera=name, given=name, other=other, log_likelihood_ratio=ratio)
-
-
-def _seen_by(view: View, camera: Camera) -> View:
-    return replace(view, camera=camera, T_camera_world=camera_poses([camera])[0])
-
-
-def _ratio(given: Baseline, other: View) -> float:
-    """How many times as likely the keypoints are with another view in place of the given one, as a logarithm."""
-    part = best_seen(given.view, given.clip.fps)
-    return given.judged(part).surprise - judged(given.other(other).part(part)).surprise
 
 
 # -- the frame rate ---------------------------------------------------------------------------------------------------

@@ -1,8 +1,7 @@
 """How likely what a camera saw is, under what is expected of an animal and its motion, as it was given or otherwise.
 
-A hypothesis is a `ClipProblem`: other keypoints, or another camera. Its animal is sought from the start, as the fast
-search does, at the approach's frame rate; or from the motion that was found, where the hypothesis leaves the animal
-there: its minimum is then nearly always the same one, in a third of the time.
+A hypothesis is a `ClipProblem`: other keypoints, or another camera. A second of the clip is solved anew under it, and
+compared with the same second solved as it was given. That takes as long as a fit: whoever asks has a cheap reason.
 
 A detector's errors last, and keypoints of one limb err together. An error that stays is hardly surprising, one that
 jumps is (`unlikely`): where sides are exchanged, the motion or the errors of all of a limb's keypoints jump at once.
@@ -10,22 +9,17 @@ jumps is (`unlikely`): where sides are exchanged, the motion or the errors of al
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 
-from recon.animal.chain import MIN_JOINTS
 from recon.animal.prior import ANGLES
 from recon.base.arrays import Array, Bools
 from recon.clip import View
 from recon.clip.keypoints import frame_ranges
-from recon.fit import constants, solve_trajectory
+from recon.fit import solve_trajectory
 from recon.fit.clip_problem import ClipProblem, above_ground
-from recon.fit.least_squares import LeastSquares
-from recon.fit.starts import APPROACH_HZ, approach, between
-from recon.fit.terms import POSE, REFERENCE_HZ
+from recon.fit.starts import APPROACH_HZ, between
 from recon.geometry.kinematics import ROOT, YAW
 
 _TOLERANCE, _ITERATIONS = 3e-3, 12
@@ -42,8 +36,6 @@ TOGETHER = 0.4
 out (docs/benchmarks.md, mistakes)."""
 TAILS = 3.0
 """Degrees of freedom of Student's distribution, which errors have."""
-POSES = 1.0 / (constants.MISFIT_LASTS_S * REFERENCE_HZ)
-"""Weight of the prior's poses, of which each frame's counts, where those that are alike count once."""
 AT_ONCE_S = 1.0
 """So much of a clip is judged at once."""
 LOOSE = 2.0
@@ -59,31 +51,6 @@ def alone(clip: ClipProblem, view: View) -> ClipProblem:
     """Of one camera's view, by the fast search."""
     origin_m = np.mean(view.centre_m, axis=0)
     return replace(clip, views=(view,), origin_m=origin_m, options=replace(clip.options, fast=True))
-
-
-@dataclass(frozen=True)
-class _Likelihood:
-    """Minus the logarithm of the likelihood of one view's keypoints at a minimum, but for a constant, by what it is of:
-    the keypoints and the ground, the prior's poses, and what else is expected of the motion."""
-
-    seen: float
-    poses: float
-    rest: float
-    cost: float = np.inf
-    """Of the least-squares problem."""
-
-    @property
-    def surprise(self) -> float:
-        return self.seen + self.poses + self.rest
-
-    @property
-    def of_stretch(self) -> float:
-        """Against another stretch of the clip: what is unlikely of its poses lasts as long as it."""
-        return self.seen + POSES * self.poses + self.rest
-
-    def lasting(self, correlation_frames: float) -> float:
-        """Where all that is expected is off in the same way all the time, and counts once in so many frames."""
-        return self.seen + (self.poses + self.rest) / correlation_frames
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,8 +75,9 @@ class Refit:
 
     def likelier(self, other: Refit) -> float:
         """Than another by so much, whichever the errors are."""
-        by = min(other.alike - self.alike, other.own - self.own)
-        return by if np.isfinite(by) else -np.inf
+        if not np.isfinite(self.own):
+            return -np.inf
+        return min(other.alike - self.alike, other.own - self.own)
 
 
 def refitted(clip: ClipProblem) -> Refit:
@@ -120,31 +88,6 @@ def refitted(clip: ClipProblem) -> Refit:
     )
     solved = baseline_of(replace(clip, views=solution.views), 0, solution.states, solution.size)
     return Refit.of(solved.clip, solved.states)
-
-
-def judged(
-    clip: ClipProblem, start: Array | None = None, widen: Sequence[float] = (1.0,), wanted: float = np.inf
-) -> _Likelihood:
-    """Infinite without keypoints. start: states (T, D) to begin with; by default it is sought. widen: factors on the
-    noise of the fits on the way in from there. wanted: the cost of what it is compared with; a fit that will not come
-    to it ends early."""
-    if (clip.present().sum(axis=1) >= MIN_JOINTS).sum() < 2:
-        return _Likelihood(np.inf, 0.0, 0.0)
-    step = max(1, round(clip.fps / APPROACH_HZ))
-    thin, ones = clip.thinned(step), np.ones((1, len(clip.body.markers)))
-    states = (approach(clip)[0].estimate.states if start is None else start)[::step]
-
-    def minimum(states: Array, times: float, temperature: float | None) -> tuple[LeastSquares, Array]:
-        problem = thin.problem(times * thin.noise_px(thin.markers(states), ones), temperature)
-        return problem, problem.minimise(states, _TOLERANCE, _ITERATIONS, wanted=wanted).states
-
-    for times in widen[:-1]:
-        _, states = minimum(states, times, None)
-    problem, states = minimum(states, widen[-1], 1.0)
-    costs = problem.costs(states)
-    seen = _seen(clip, between(states, np.arange(0, len(clip), step), len(clip)))
-    rest = sum(cost for name, cost in costs.items() if name not in ("reprojection", POSE))
-    return _Likelihood(seen + off_ground(clip, states), costs[POSE], rest, sum(costs.values()))
 
 
 def _seen(clip: ClipProblem, states: Array) -> float:
@@ -192,46 +135,11 @@ class Baseline:
         """With another view in its place."""
         return alone(self.clip, view)
 
-    @cached_property
-    def _judged(self) -> dict[tuple[int, int], _Likelihood]:
-        return {}
-
-    def judged(self, part: slice) -> _Likelihood:
-        """Of a part of the clip, by a quick fit from the states that were found."""
-        key = (part.start, part.stop)
-        if key not in self._judged:
-            self._judged[key] = judged(self.clip.part(part), self.found(part))
-        return self._judged[key]
-
     def refit(self, part: slice) -> Refit:
         """Of a part of the clip as it is: of all of it, what was found."""
         if part.stop - part.start == len(self.states):
             return Refit.of(self.clip, self.states)
         return refitted(self.clip.part(part))
-
-    def found(self, part: slice) -> Array | None:
-        """The states (n, D) of a part; None where some frame has none."""
-        states = self.states[part]
-        return states if np.isfinite(states).all() else None
-
-    def exchanged(self, part: slice) -> Array | None:
-        """States (n, D) of a part, with the limbs' angles exchanged left to right."""
-        found = self.found(part)
-        if found is None:
-            return None
-        to, sign = self.clip.body.mirror
-        return np.where(to == np.arange(len(to)), found, found[:, to] * sign)
-
-    def mirrored(self, part: slice) -> Array | None:
-        """States (n, D) of the mean pose that goes along where the animal was found, mirrored in depth."""
-        found = self.found(part)
-        if found is None:
-            return None
-        start, right, away = _mean_pose(self.clip, found), self.clip.right, self.clip.away
-        start[:, YAW] = 2 * np.arctan2(right[1], right[0]) - start[:, YAW]
-        off = start[:, ROOT] - start[:, ROOT].mean(axis=0)
-        start[:, ROOT] -= 2 * np.outer(off @ away, away)
-        return start
 
 
 def _mean_pose(clip: ClipProblem, found: Array) -> Array:
@@ -278,9 +186,10 @@ def off_ground(clip: ClipProblem, states: Array) -> float:
 
 
 def best_seen(view: View, fps: float) -> slice:
-    """The stretch of `AT_ONCE_S` in which most is seen."""
+    """The stretch of `AT_ONCE_S`, or less, in which most is seen."""
     counts = view.present.sum(axis=1)
     n = min(round(AT_ONCE_S * fps), len(counts))
     total = np.concatenate([[0], np.cumsum(counts)])
     first = int(np.argmax(total[n:] - total[: len(total) - n]))
-    return slice(first, first + n)
+    seen = first + np.flatnonzero(counts[first : first + n])
+    return slice(int(seen[0]), int(seen[-1]) + 1) if len(seen) else slice(0, 0)

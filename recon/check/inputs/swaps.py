@@ -3,12 +3,11 @@
 A fit follows exchanged keypoints, and its residuals say little. Stretches are proposed cheaply. Where an exchange
 begins or ends, the keypoints of both sides jump at once, unless the legs cross there: their tracks in the picture say
 where that may be. A fit to which each keypoint of a leg may be either side's says which of them it looks like in each
-frame. A whole clip is proposed in any case; exchanged, it looks like the animal mirrored in depth.
+frame; over a whole clip, which looks like the animal mirrored in depth when it is exchanged, the frames add up.
 
-Of the stretches that a quick fit makes likelier, the few best are undone, one by one, and their second of the clip is
-solved anew; of a whole clip that is long, some of its seconds. What makes it clearly likelier than it is (`believed`)
-is a swap, and clearly means: than with any other stretch undone that contradicts it, too. Between two that are about as
-likely, none is chosen.
+The few likeliest stretches are undone, one by one, and their second of the clip is solved anew. What makes it clearly
+likelier than it is (`believed`) is a swap, and clearly means: than with any other stretch undone that contradicts it,
+too. Between two that are about as likely, none is chosen.
 """
 
 from __future__ import annotations
@@ -16,7 +15,6 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -25,14 +23,12 @@ from recon.base.arrays import Array, Bools, Index
 from recon.check.codes import finding
 from recon.check.inputs.likelihood import (
     AT_ONCE_S,
-    LOOSE,
     TAILS,
     Baseline,
     Refit,
     believed,
     best_seen,
     either_side,
-    judged,
     log_tail,
     refitted,
 )
@@ -42,16 +38,12 @@ from recon.fit.result import Finding
 
 JUMP = -3.0
 """Exchanges begin and end where that makes the tracks so much likelier, as a logarithm: legs that cross hardly jump."""
-LIKELY, TRIED, STRETCHES = 6.0, 3, 4
-"""Stretches are tried of which tracks and looks say so much, so many of them for each second, and so many exchanges
-found in a clip."""
-QUICK, REFITTED = 10.0, 3
-"""Stretches that a quick fit makes so much likelier are solved anew, so many of them at a time."""
+LIKELY, REFITTED, STRETCHES = 10.0, 3, 4
+"""Stretches are undone of which tracks and looks say so much, so many of them at a time, and so many exchanges found in
+a clip."""
 POSSIBLE = 10.0
 """A whole clip that is so much likelier exchanged, and not as much as is believed, is to be looked at: nothing else
 shows a mirrored video, and clips that are right hardly reach half of it (docs/benchmarks.md, mistakes)."""
-ELSEWHERE = 3
-"""Of a whole clip, so many seconds besides the one in which most is seen."""
 OF_LEG = 3
 """Of a leg, the last markers: what is above hardly tells its side."""
 _STRAIGHT = 3
@@ -110,18 +102,18 @@ def swaps(given: Baseline, unlike: bool = False) -> list[_SwapTrial]:
     tried: nothing but the prior tells it."""
     kinds, found = pairs_of(given.clip.body), list[_SwapTrial]()
     while len(found) < STRETCHES and "all" in kinds:
-        compared = sorted(refits(given, kinds, unlike), key=lambda one: -one[0].ratio)
-        if not compared:
+        trials = sorted((undone(given, one) for one in likely(given, kinds, unlike)), key=lambda one: -one.ratio)
+        if not trials or not believed(trials[0].ratio):
+            T = len(given.states)
+            whole = [one for one in trials if one.stretch.rows == slice(0, T) and one.ratio > POSSIBLE]
+            found += [replace(one, clear=False) for one in whole if not found]
             break
-        if not believed(compared[0][0].ratio):
-            whole = [one for one, _ in compared if one.is_whole(len(given.states)) and one.ratio > POSSIBLE]
-            found += whole if not found else []
-            break
-        (best, refit), *others = compared
-        then = undone(given, best.stretch, refit)
-        rival = next((one for one, _ in others if contradicts(then, best.stretch, one.stretch)), None)
-        found.append(replace(best, rival=rival))
-        if not found[-1].clear:
+        best, *others = trials
+        then = with_undone(given, best)
+        rival = next((one for one in others if contradicts(then, best.stretch, one.stretch)), None)
+        clear = rival is None or believed(best.ratio - rival.ratio, surely=True)
+        found.append(replace(best, clear=clear))
+        if not clear:
             break
         given = then
     return found
@@ -130,95 +122,50 @@ def swaps(given: Baseline, unlike: bool = False) -> list[_SwapTrial]:
 def contradicts(then: Baseline, best: _Stretch, other: _Stretch) -> bool:
     """Whether another stretch is none of nearly the same keypoints, and undoing it, too, makes the clip less likely."""
     of_best, of_other = (one.mask(len(then.states)) for one in (best, other))
-    return 2 * (of_best & of_other).sum() < (of_best | of_other).sum() and _judged(then, other).ratio < 0
-
-
-def refits(given: Baseline, kinds: dict[str, Index], unlike: bool) -> list[tuple[_SwapTrial, Refit]]:
-    """The likeliest stretches, each undone and its part of the clip solved anew, against that part as it is."""
-    whole = [] if unlike else [_judged(given, _Stretch(slice(0, len(given.states)), kinds["all"]))]
-    likely = sorted((one for one in [*tried(given, kinds), *whole] if one.ratio > QUICK), key=lambda one: -one.ratio)
-    compared = []
-    for one in likely[:REFITTED]:
-        part, other = (
-            _part(given.view, one.stretch.rows, given.clip.fps),
-            given.other(exchanged(given.view, one.stretch)),
-        )
-        first, *more = (
-            (refit := refitted(other.part(rows)), refit.likelier(given.refit(rows)))
-            for rows in (part, *_elsewhere(part, one.stretch.rows, len(given.states)))
-        )
-        compared.append((_SwapTrial(one.stretch, first[1] + sum(ratio for _, ratio in more)), first[0]))
-    return compared
-
-
-def _elsewhere(part: slice, rows: slice, T: int) -> list[slice]:
-    """More parts of a whole clip, as long: what is so in one second of a long clip need not be so in another."""
-    n = part.stop - part.start
-    firsts = np.linspace(0, T - n, ELSEWHERE, dtype=int) if rows == slice(0, T) else ()
-    return [slice(int(i), int(i) + n) for i in firsts if i + n <= part.start or part.stop <= i]
-
-
-def undone(given: Baseline, stretch: _Stretch, refit: Refit) -> Baseline:
-    """With a stretch exchanged, and the motion that was found then."""
-    states = given.states.copy()
-    states[_part(given.view, stretch.rows, given.clip.fps)] = refit.states
-    return Baseline(given.other(exchanged(given.view, stretch)), states)
+    return 2 * (of_best & of_other).sum() < (of_best | of_other).sum() and undone(then, other).ratio < 0
 
 
 @dataclass(frozen=True, eq=False)
 class _SwapTrial:
-    """A stretch that was exchanged: how much likelier that makes the clip, as a logarithm. rival: the likeliest that
-    may be exchanged in its place."""
+    """A stretch that was exchanged, the solution of its part of the clip then, and how much likelier that is than the
+    part as it is, as a logarithm. clear: no other stretch is about as likely in its place."""
 
     stretch: _Stretch
+    refit: Refit
     ratio: float
-    rival: _SwapTrial | None = None
-
-    @property
-    def lead(self) -> float:
-        """How much likelier than its rival."""
-        return self.ratio - (self.rival.ratio if self.rival else 0.0)
-
-    def is_whole(self, T: int) -> bool:
-        """Whether it is all of a clip of so many frames."""
-        return self.stretch.rows == slice(0, T)
-
-    @property
-    def clear(self) -> bool:
-        """Which of the two is exchanged."""
-        return self.rival is None or believed(self.lead, surely=True)
+    clear: bool = True
 
 
-def tried(given: Baseline, kinds: dict[str, Index]) -> list[_SwapTrial]:
+def undone(given: Baseline, stretch: _Stretch) -> _SwapTrial:
+    """With its part of the clip solved anew."""
+    part = _part(given.view, stretch.rows, given.clip.fps)
+    refit = refitted(given.other(exchanged(given.view, stretch)).part(part))
+    return _SwapTrial(stretch, refit, refit.likelier(given.refit(part)))
+
+
+def with_undone(given: Baseline, trial: _SwapTrial) -> Baseline:
+    """With a stretch exchanged, and the motion that was found then."""
+    states = given.states.copy()
+    states[_part(given.view, trial.stretch.rows, given.clip.fps)] = trial.refit.states
+    return Baseline(given.other(exchanged(given.view, trial.stretch)), states)
+
+
+def likely(given: Baseline, kinds: dict[str, Index], unlike: bool) -> list[_Stretch]:
     """The stretches that tracks and looks say most of."""
-    T, fps = len(given.view.xy_px), given.clip.fps
     if not np.isfinite(given.states).any():
         return []
-    looks = _looks(given, kinds)
-    most = TRIED * max(1, round(T / fps))
-    likely = [
-        one for name, places in kinds.items() for one in _told(jumps(given.view, places), looks[name], name, most)
-    ]
-    chosen = [(name, rows) for _, name, ends in sorted(likely, reverse=True)[:most] for rows in _parts(*ends, T)]
-    return [_judged(given, _Stretch(slice(*ends), kinds[name])) for name, ends in dict.fromkeys(chosen)]
-
-
-def _judged(given: Baseline, stretch: _Stretch) -> _SwapTrial:
-    """By a quick fit from what was found; of a whole clip, from that exchanged, and mirrored."""
-    whole = stretch.rows.stop - stretch.rows.start == len(given.states)
-    part = _part(given.view, stretch.rows, given.clip.fps)
-    as_given, other = given.judged(part), given.other(exchanged(given.view, stretch)).part(part)
-    if not whole:
-        found = judged(other, given.found(part), wanted=as_given.cost)
-        return _SwapTrial(stretch, as_given.of_stretch - found.of_stretch)
-    starts = {(1.0,): given.exchanged(part), (LOOSE, 1.0): given.mirrored(part)}
-    tries = [judged(other, start, widen, as_given.cost) for widen, start in starts.items()]
-    return _SwapTrial(stretch, as_given.surprise - min(one.surprise for one in tries))
+    T, looks = len(given.states), _looks(given, kinds)
+    told = [one for name, places in kinds.items() for one in _told(jumps(given.view, places), looks[name], name)]
+    whole = float(looks["all"].sum())
+    if whole > LIKELY and not unlike:
+        told.append((whole, "all", (0, T)))
+    chosen = [(name, rows) for _, name, ends in sorted(told, reverse=True)[:REFITTED] for rows in _parts(*ends, T)]
+    return [_Stretch(slice(*ends), kinds[name]) for name, ends in dict.fromkeys(chosen)]
 
 
 def _parts(first: int, stop: int, T: int) -> list[tuple[int, int]]:
     """A stretch, and what is left of the clip before or after it: which of them is exchanged only the motion tells."""
-    rest = [(stop, T)] if first == 0 else [(0, first)] if stop == T else []
+    rest = [] if stop - first == T else [(stop, T)] if first == 0 else [(0, first)] if stop == T else []
     return [(first, stop), *rest]
 
 
@@ -234,7 +181,7 @@ def _part(view: View, rows: slice, fps: float) -> slice:
     return slice(first, min(first + n, T))
 
 
-def _told(jump: Array, looks: Array, name: str, most: int) -> list[tuple[float, str, tuple[int, int]]]:
+def _told(jump: Array, looks: Array, name: str) -> list[tuple[float, str, tuple[int, int]]]:
     """Stretches of a kind that hardly overlap, the likeliest first: by how much tracks and looks (T,) say so, the kind,
     first and stop."""
     T = len(jump)
@@ -245,7 +192,7 @@ def _told(jump: Array, looks: Array, name: str, most: int) -> list[tuple[float, 
     score = np.where(stop > first, sums[None] - sums[:, None] + gain[:, None] + gain[None], -np.inf)
     score[0, -1] = -np.inf
     found: list[tuple[float, str, tuple[int, int]]] = []
-    while len(found) < most and score.max() > LIKELY:
+    while len(found) < REFITTED and score.max() > LIKELY:
         a, b = np.unravel_index(np.argmax(score), score.shape)
         found.append((float(score[a, b]), name, (int(ends[a]), int(ends[b]))))
         both = np.minimum(stop, ends[b]) - np.maximum(first, ends[a])
@@ -300,23 +247,12 @@ PARTS = {"all": "all keypoints", "fore": "the fore legs", "hind": "the hind legs
 
 def swap_finding(trial: _SwapTrial, source: Source, body: Body) -> Finding:
     """What a swap in one camera's keypoints is said by."""
-    numbers: dict[str, Any] = {"log_likelihood_ratio": trial.ratio}
-    frames, part = _told_as(trial.stretch, source, body)
-    if trial.rival is not None and not trial.clear:
-        rival, other_part = _told_as(trial.rival.stretch, source, body)
-        numbers |= {"part": part, "other_part": other_part, "other_first": rival[0], "other_last": rival[1] - 1}
-        return finding("left_right_swap_unclear", frames, source.camera.name, **numbers)
-    if not believed(trial.ratio):
-        return finding("left_right_swap_possible", frames, source.camera.name, **numbers)
-    names = tuple(source.keypoints.names[j] for j in trial.stretch.markers)
-    return finding("left_right_swap", frames, source.camera.name, part=part, keypoints=names, **numbers)
-
-
-def _told_as(stretch: _Stretch, source: Source, body: Body) -> tuple[tuple[int, int], str]:
-    """Its frames, the first and the one after the last, and its keypoints in words."""
-    numbers, rows = source.keypoints.frames, stretch.rows
+    stretch, numbers = trial.stretch, source.keypoints.frames
+    frames = int(numbers[stretch.rows.start]), int(numbers[stretch.rows.stop - 1]) + 1
     part = next(PARTS[name] for name, places in pairs_of(body).items() if np.array_equal(places, stretch.places))
-    return (int(numbers[rows.start]), int(numbers[rows.stop - 1]) + 1), part
+    names = tuple(source.keypoints.names[j] for j in stretch.markers)
+    code = "left_right_swap" if trial.clear else "left_right_swap_possible"
+    return finding(code, frames, source.camera.name, part=part, keypoints=names, log_likelihood_ratio=trial.ratio)
 
 
 def mends(mended: TrajectorySolution, given: TrajectorySolution) -> bool:
@@ -330,8 +266,7 @@ def doubted(one: Finding) -> Finding:
     """A swap that does not make the whole clip likelier is only to be looked at."""
     if one.code != "left_right_swap":
         return one
-    ratio = one.numbers["log_likelihood_ratio"]
-    return finding("left_right_swap_possible", one.frames, one.camera, log_likelihood_ratio=ratio)
+    return finding("left_right_swap_possible", one.frames, one.camera, **one.numbers)
 
 
 def without_swaps(
