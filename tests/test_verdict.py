@@ -10,7 +10,9 @@ import pytest
 from recon.check import finding, judged, usable, verdict_lines
 from recon.check.verdict import LIMIT_OF_TRUNK, evidence_of, expected_pose_of_trunk, expected_position
 from recon.fit.motion import Motion
+from recon.fit.result import Expected, Verdict
 from recon.io.deeplabcut import write_csv
+from recon.show.sections import given
 from tests.command_line import run
 
 
@@ -54,6 +56,14 @@ def test_how_well_a_focal_length_is_known_is_expected_of_the_position(small_traj
     vague = evidence_of(replace(small_trajectory, settings={**small_trajectory.settings, "focal_sigma": 0.5}))
     assert vague.position_sigma_m == pytest.approx(np.hypot(evidence.position_sigma_m, 0.5 * evidence.distance_m))
     assert expected_pose_of_trunk(vague) == expected_pose_of_trunk(evidence)
+
+
+def test_the_summary_says_what_one_camera_cannot_tell(small_trajectory):
+    motion = replace(judged(small_trajectory), settings={**small_trajectory.settings, "focal_sigma": 0.1})
+    known = replace(Verdict("use", "It is so."), position_m=Expected(0.1, 0.05, 0.2))
+    said = dict(given.verdict_lines(replace(motion, verdict=known), None))["assumed"]
+    assert "(its focal length to 10%, as given): one camera cannot tell" in said
+    assert "assumed" not in dict(given.verdict_lines(replace(motion, verdict=known, sources=2 * motion.sources), None))
 
 
 @pytest.mark.parametrize("name", ["posterior_m", "misfit", "distance_m", "end_on"])

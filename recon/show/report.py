@@ -25,7 +25,7 @@ TO_DO = {
     "check": "Do what the reason says, and look at the poses on the video before you use them.",
     "do not use": "Do not use these numbers: mend what the reason names, and fit again.",
 }
-FRONT = ("clip", "frames", "distance", "side", "keypoints", "detections", "note", "speed", "path", "size")
+FRONT = ("assumed", "clip", "frames", "distance", "side", "keypoints", "detections", "note", "speed", "path", "size")
 """Lines of the summary that a terminal shows below the verdict; the page has all."""
 
 

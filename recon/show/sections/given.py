@@ -31,6 +31,10 @@ SCORER_SHOWN = 60
 
 def verdict_lines(motion: Motion, data: Any) -> Iterator[Line]:
     yield from zip(("verdict", "expected"), check.verdict_lines(motion.verdict), strict=False)
+    if len(motion.sources) == 1 and motion.verdict is not None and motion.verdict.position_m is not None:
+        share = motion.settings.get("focal_sigma")
+        known = f" (its focal length to {share:.0%}, as given)" if share else ""
+        yield "assumed", f"The camera is as said{known}: one camera cannot tell its focal length, nor where it stands."
 
 
 # -- the clip ---------------------------------------------------------------------------------------------------------
