@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import ast
 import json
 import re
 import sys
 import tomllib
+from collections.abc import Iterator
 from importlib import metadata
 from pathlib import Path
 from types import SimpleNamespace
@@ -105,3 +107,26 @@ def test_no_text_names_the_package_of_somebody_else():
             text = path.read_text(encoding="utf-8")
             assert "recon[" not in text, path
             assert "pip install recon " not in text, path
+
+
+def docstrings(path: Path) -> Iterator[tuple[int, str, str]]:
+    """Line, name and text of every docstring of a file, those beneath constants and fields included."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef):
+            if text := ast.get_docstring(node):
+                yield getattr(node, "lineno", 1), getattr(node, "name", path.stem), text
+            for named, said in zip(node.body, node.body[1:], strict=False):
+                value = said.value if isinstance(said, ast.Expr) else None
+                if isinstance(named, ast.Assign | ast.AnnAssign) and isinstance(value, ast.Constant):
+                    yield value.lineno, "", str(value.value)
+
+
+def test_docstrings_are_understood_by_themselves():
+    """None leaves out its noun, and none of a public name is but a few words."""
+    poor = [
+        f"{path.relative_to(ROOT)}:{line}: {text}"
+        for path in sorted((ROOT / "recon").rglob("*.py"))
+        for line, name, text in docstrings(path)
+        if re.match(r"(Of|That of|Those)\b", text) or (name[:1] not in ("", "_") and len(text.split()) <= 4)
+    ]
+    assert poor == []

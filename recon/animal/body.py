@@ -94,7 +94,7 @@ def _opposite(word: str) -> str:
 
 
 def common_side(sides: Iterable[Side | None]) -> Side | None:
-    """Of what has points of these sides: None where they are of both, or all in the middle."""
+    """The side that all these sides agree on: None where there are several, or all are in the middle."""
     found: set[Side] = {side for side in sides if side is not None}
     return found.pop() if len(found) == 1 else None
 
@@ -135,7 +135,7 @@ class Body:
     keypoint_sigma_m: float
     """How far keypoints lie from the markers."""
     size_sigma: float
-    """Of the size, the factor on all lengths, around 1."""
+    """The standard deviation of the size, the factor on all lengths, around 1."""
     mean_rad: Array
     """(D - 4,): expected angles state[:, 4:], that is the root's pitch and roll and the joints' angles."""
     sigma_rad: Array
@@ -158,7 +158,7 @@ class Body:
     """The measured animal whose lengths these are, as it was named; None: those of the skeleton."""
 
     def scaled(self, size: float) -> Body:
-        """Of an animal with the same proportions that is so many times as large."""
+        """The body of an animal with the same proportions that is so many times as large."""
 
         def times(lengths_m: dict[str, float]) -> dict[str, float]:
             return {name: size * length_m for name, length_m in lengths_m.items()}
@@ -190,7 +190,7 @@ class Body:
 
     @cached_property
     def markers(self) -> tuple[str, ...]:
-        """(J,)"""
+        """The names of the J markers, in the order of all arrays of joints."""
         return tuple(m.name for m in self.tree.markers)
 
     @cached_property

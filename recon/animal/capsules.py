@@ -20,14 +20,14 @@ class Capsule:
     """A cylinder with round ends, from a segment's origin to a point (x, y, z) of its frame. Metres."""
 
     segment: int
-    """Of the tree's."""
+    """The name of the tree's segment that the capsule is fixed on."""
     end_m: tuple[float, float, float]
     radius_m: float
     side: Side | None
 
 
 def capsules(tree: Tree, names: Sequence[str]) -> tuple[Capsule, ...]:
-    """Of a tree whose J markers have these names, which say the sides with those of the segments.
+    """The capsules of a tree whose J markers have these names, which say the sides with those of the segments.
 
     They lie in a segment's middle plane, from its origin to those of the next segments and to its markers. It is as
     thick as these are far apart; between two others of the trunk, at least as the thinner of them.

@@ -180,7 +180,7 @@ class Chain:
 
     @cached_property
     def length_ratios(self) -> Array:
-        """(L,)"""
+        """The lengths of the L links divided by the base length, shape (L,)."""
         return np.array([link.length_ratio for link in self.links])
 
     @cached_property

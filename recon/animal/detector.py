@@ -23,7 +23,7 @@ from recon.base.errors import InputError, Problem
 NONE = "none"
 """The detector whose keypoints lie on the markers."""
 OWN = "own"
-"""That of a skeleton or a subject whose own file says where its keypoints lie."""
+"""The name of the detector where a skeleton's or a subject's own file says where its keypoints lie."""
 
 
 class _Keypoint(FileTable):

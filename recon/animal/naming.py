@@ -185,7 +185,7 @@ def _likeness(a: str, b: str) -> float:
 
 
 def _words(name: str) -> list[str]:
-    """Of a name without its side, in lower case: rootOfTail -> base, tail."""
+    """The words of a name without its side, in lower case: rootOfTail -> base, tail."""
     parts = re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|[0-9]+|[^\W\d_a-zA-Z]+", without_side(name))
     lower: list[str] = [part.lower() for part in parts]
     return [_SAME_WORDS.get(word, word) for word in lower if word not in _FILLERS]

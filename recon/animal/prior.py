@@ -31,7 +31,7 @@ ANGLES = slice(4, None)
 NONE = "none"
 """The name of the prior that knows the body's own expectations only."""
 LARGEST = 1e12
-"""Of a number in a prior: more can only be damage."""
+"""The largest number in a prior: more can only be damage."""
 SHAPES = {
     "weights": "K",
     "means": "KA",

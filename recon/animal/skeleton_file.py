@@ -181,7 +181,7 @@ def skeleton_of(keypoints: Iterable[str]) -> str | None:
 
 
 def builtin_chains() -> tuple[str, ...]:
-    """Those of them that are chains, for the frame method."""
+    """The names of the built-in skeletons that are chains, for the frame method."""
     return tuple(name for name in builtin_names() if "segments" not in read_named(name)[0])
 
 
@@ -538,5 +538,5 @@ def _body(f: _BodyFile) -> Body:
 
 
 def _share(mass: _Mass, segment: str) -> tuple[float, float]:
-    """Of a segment, or of its counterpart on the other side."""
+    """The share of the mass of a segment, or of its counterpart on the other side."""
     return mass.share[segment] if segment in mass.share else mass.share[other_side(segment)]

@@ -15,18 +15,18 @@ Index = NDArray[np.intp]
 
 
 def finite(values: Array | Sequence[float]) -> Array:
-    """(N,)"""
+    """Which rows (N,) of an array (N, ...) have no NaN and no infinity."""
     values = np.asarray(values, dtype=float)
     return values[np.isfinite(values)]
 
 
 def mean(values: Array | Sequence[float]) -> float:
-    """Of those that are known, NaN without any."""
+    """The mean of the values that are known, NaN where none is."""
     known = finite(values)
     return float(known.mean()) if len(known) else np.nan
 
 
 def median(values: Array | Sequence[float]) -> float:
-    """The same."""
+    """The median of the values that are known, NaN where none is."""
     known = finite(values)
     return float(np.median(known)) if len(known) else np.nan

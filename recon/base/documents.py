@@ -38,7 +38,7 @@ def read_text(path: Path, expected: str, most: int = MAX_BYTES) -> str:
 
 
 def read_content(path: Path, expected: str, most: int = MAX_BYTES) -> bytes:
-    """The same as bytes."""
+    """The content of a file as bytes, with the same checks as `read_text`."""
     require_file(path, expected)
     try:
         with path.open("rb") as file:

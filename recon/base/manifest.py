@@ -73,7 +73,7 @@ def read_manifest(folder: Path) -> Manifest:
 
 
 def write_manifest(folder: Path) -> None:
-    """Of the files that are in the folder now."""
+    """Write the manifest of the files that are in the folder now."""
     files = {
         path.name: {"size": path.stat().st_size, "sha256": sha256_of(path)}
         for path in sorted(folder.iterdir())

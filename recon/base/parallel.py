@@ -53,18 +53,18 @@ class Event:
 
     kind: Literal["progress", "ended"]
     name: str
-    """Of the task."""
+    """The name of the task."""
     pid: int | None = None
     """The process that it runs in."""
     stage: str = ""
     share: float = 0.0
     """How much of all is done, 0 to 1."""
     outcome: Outcome = field(default_factory=dict)
-    """Of one that ended."""
+    """The outcome of a task that has ended."""
 
 
 def available_cores() -> int:
-    """Those that this process may use."""
+    """How many processor cores this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 

@@ -34,11 +34,11 @@ RECORD = "record"
 SMALL = 64
 """Arrays with no more numbers than this stand in the text: an archive of thousands of tiny files is slow to read."""
 MAX_BYTES, MAX_ARRAYS = 1 << 30, 1 << 16
-"""Of an archive that is unpacked, and of what it is unpacked to."""
+"""The largest archive that is unpacked, and the largest size and number of arrays that it is unpacked to."""
 PACKAGE, CLASS = __name__.partition(".")[0], "class"
 """Whose dataclasses may be in an archive, and where their names stand in it."""
 KINDS = "biuf"
-"""Of the arrays' types, as NumPy names them: truth values, whole numbers and floats."""
+"""The types of arrays that are read, as NumPy names them: truth values, whole numbers and floats."""
 _DAMAGE = (OSError, ValueError, KeyError, TypeError, EOFError, MemoryError, RuntimeError, ImportError)
 _DAMAGE_OF_ZIP = (zipfile.BadZipFile, zlib.error, lzma.LZMAError, struct.error, SyntaxError, tokenize.TokenError)
 """The last two are of an array's header."""
@@ -116,7 +116,7 @@ def _text(array: np.ndarray) -> str:
 
 
 def _array(content: bytes, kinds: str) -> np.ndarray:
-    """Of an .npy file whose header says what follows. Raises ValueError for any other."""
+    """The array of an .npy file whose header says what follows. Raises ValueError for any other."""
     file = BytesIO(content)
     version = np.lib.format.read_magic(file)
     read_header = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}[version]
@@ -218,7 +218,7 @@ class _Unpacker:
         self.arrays = arrays
 
     def unpacked(self, value: Any, hint: Any, where: str) -> Any:
-        """As `_Packer.packed`."""
+        """The value that `_Packer.packed` made this of, by its type."""
         for arm in _arms(hint):
             if self._is(value, arm):
                 return self._of_type(value, arm, where)

@@ -28,7 +28,7 @@ AZIMUTHS_RAD = np.radians(np.arange(0, 360, 30))
 ELEVATIONS_RAD = np.radians([5, 30, 55, 80])
 FPS, FRAMES = 60.0, 21
 STRIDES_HZ, LENGTHS_S = 3.0, 5.0
-"""Of the stride: how often it repeats, and how many of its own lengths the animal runs in a second."""
+"""How often the stride repeats in a second, and how many of its own lengths the animal runs in a second."""
 AWAY_LENGTHS = 4.0
 """Distance of the camera by default, in lengths of the animal."""
 PICTURE_PX = (1920, 1080)
@@ -58,8 +58,8 @@ class Advice:
 
     @property
     def best(self) -> tuple[int, int]:
-        """Of the least deviation: indices of elevation and azimuth. Of places that are equally good, as both sides of
-        an animal can be, the first."""
+        """Indices of elevation and azimuth of the place with the least deviation. Of places that are equally good, as
+        both sides of an animal can be, it is the first."""
         row, column = np.argwhere(self.sigma <= (1 + SAME) * self.sigma.min())[0]
         return int(row), int(column)
 

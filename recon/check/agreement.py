@@ -43,7 +43,7 @@ MIN_POINTS = 30
 LAG_S, LITTLE_LAG = 0.5, 3
 """How far a lag is sought: seconds for a camera that does not agree, frames for one that does."""
 FRAMES = 480
-"""Of longer clips the stretch of so many frames in which most is seen together is compared."""
+"""How many frames of a longer clip are compared: the stretch in which most is seen together."""
 OFFSET_S = 1.0
 """How far off a camera is sought that is known to be out of step, at most; and not further than half a clip."""
 CLEARLY = 0.9
@@ -56,7 +56,7 @@ _ROBUST = 3.0
 """Rays of that many sigmas count half in a point."""
 _ROUNDS = 3
 _MEDIAN_OF_LINE, _MEDIAN_OF_POINT = 0.4549, 1.3863
-"""Of a squared error in sigmas with one dimension, and with two."""
+"""The medians of a squared error in sigmas with one dimension, and with two."""
 _PARALLEL = 1e-4
 """Rays that fix a point less well along than across, in variances, than this make none."""
 
@@ -82,7 +82,8 @@ class _CameraAgreement:
 
 
 def agreement_findings(motion: Motion, sigma_px: float, keypoint_sigma_m: float) -> tuple[Finding, ...]:
-    """Of a motion's cameras, as they were given: the lags that a fit found do not hide others. None of one camera.
+    """What a motion's cameras, as they were given, say of each other: the time offsets that a fit found do not hide
+    others.
 
     sigma_px: noise of the detector; keypoint_sigma_m: how far off a keypoint's place on the body it may lie as well.
     """
@@ -102,9 +103,9 @@ def camera_findings(
     sigma_px: float,
     keypoint_sigma_m: float,
 ) -> tuple[Finding, ...]:
-    """Of two or more views of the same T frames with these numbers: a note on each camera, and which do not agree with
-    the others and why, as if their files were exchanged, turned, late, for a reason unknown, or, where it cannot be
-    said which of them is off, with each other. Deterministic."""
+    """What two or more views of the same T frames with these numbers say: a note on each camera, and which do not agree
+    with the others and why, as if their files were exchanged, turned, late, for a reason unknown, or, where it cannot
+    be said which of them is off, with each other. Deterministic."""
     rows = _best_seen(views)
     views = [view.part(rows) for view in views]
     compared = (int(frames[rows][0]), int(frames[rows][-1]) + 1)
@@ -282,7 +283,7 @@ class _Sight:
         )
 
     def part(self, rows: Index) -> _Sight:
-        """Of these rows only."""
+        """The same, cut to these rows."""
         parts = (self.rays[rows], self.centre_m[rows], self.rotation[rows], self.focal_px, self.noise_rad[rows])
         return _Sight(*parts)
 
@@ -326,7 +327,7 @@ def points_m(views: Sequence[View], sigma_px: float, keypoint_sigma_m: float) ->
 
 
 def _with_keypoint_noise(sight: _Sight, points: _Points, keypoint_sigma_m: float) -> _Sight:
-    """That of a place on the body, at the points' typical distance from the camera."""
+    """The noise with that of a keypoint's place on the body, at the points' typical distance from the camera."""
     distance = np.linalg.norm(points.place_m - sight.centre_m[:, None], axis=-1)
     known = np.isfinite(distance)
     if not known.any():

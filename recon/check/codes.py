@@ -69,7 +69,7 @@ def sentences(motion: Motion) -> Iterator[tuple[Finding, str]]:
 
 
 def names_text(names: Sequence[str]) -> str:
-    """The first of them."""
+    """The first of the names, as a sentence lists them."""
     more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
     return ", ".join(names[:NAMED]) + more
 

@@ -33,7 +33,7 @@ FAR = 4.0
 
 
 def mismatches(pose_m: Array, truth_m: Array, names: Sequence[str]) -> tuple[Finding, ...]:
-    """Of two sets of positions (T, J, 3) in metres, NaN for missing; none where nothing is suspicious."""
+    """Findings on two sets of positions (T, J, 3) in metres, NaN for missing, that do not belong together."""
     joints = _common(pose_m, truth_m).sum(axis=1) >= 3
     pose_m, truth_m = pose_m[joints], truth_m[joints]
     common = _common(pose_m, truth_m)

@@ -64,7 +64,8 @@ def _problems(names: Sequence[str], later: Array, lags: Array, sigmas: Array) ->
 
 
 def cameras_made_worse(refined: TrajectorySolution, held: TrajectorySolution) -> tuple[Finding, ...]:
-    """Of the camera whose median reprojection got worst by refining all; none where that is no worse than `WORSE`.
+    """A finding on the camera whose median reprojection got worst by refining all; none where that is no worse than
+    `WORSE`.
 
     A camera that leaves its place becomes an outlier as a whole, which a robust cost rewards."""
     before, after = _medians_px(held), _medians_px(refined)

@@ -84,7 +84,7 @@ def many_outliers(motion: Motion) -> Iterator[Finding]:
 
 
 def detections_not_explained(motion: Motion) -> Iterator[Finding]:
-    """Of the outliers a few are far off, whatever the fit; the median detection is not where a fit is right."""
+    """A finding where the median detection is far off: a few far outliers say nothing of the fit, the median does."""
     off = np.concatenate([(one.distance_px / one.sigma_px)[one.present] for one in motion.pictures])
     sigmas = float(np.median(off[np.isfinite(off)])) if np.isfinite(off).any() else 0.0
     if sigmas >= EXPLAINED_SIGMAS:
@@ -179,7 +179,7 @@ def cameras_out_of_step(motion: Motion) -> Iterator[Finding]:
 
 
 def motion_unlike_prior(motion: Motion) -> Iterator[Finding]:
-    """Of the segment that the prior fits least; nothing where another frame rate explains it."""
+    """A finding on the segment that the prior fits least; nothing where another frame rate explains it."""
     solution = _solution(motion)
     if any(segment.unlike_prior for segment in solution.segments) and not any(
         one.code in ("frame_rate", "frame_rate_stated") for one in motion.findings
@@ -208,8 +208,8 @@ def ground_above_camera(motion: Motion) -> Iterator[Finding]:
 
 
 def ground_elsewhere(motion: Motion) -> Iterator[Finding]:
-    """Of the first segment whose feet stand elsewhere than near z = 0; a camera about as many times too high as there
-    are of another unit in a metre is in that unit. Nothing where the picture or the world is another."""
+    """A finding on the first segment whose feet stand elsewhere than near z = 0; a camera about as many times too high
+    as there are of another unit in a metre is in that unit. Nothing where the picture or the world is another."""
     if any(one.code in OF_PICTURE for one in motion.findings):
         return
     for segment in motion.solution.segments:

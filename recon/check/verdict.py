@@ -29,7 +29,7 @@ LIMIT_OF_TRUNK = 0.2
 to be used if its error is below that with 95 %, and not to be used if it is above more likely than not."""
 POWERS = {"posterior": 0.73, "misfit": 0.33, "distance": 0.19, "end_on": 0.71}
 SCALE, SPREAD = -1.19, 0.27
-"""Of the logarithm of the pose's error, relative to the trunk: its constant, and the standard deviation that is left in
+"""The constant of the logarithm of the pose's error, relative to the trunk, and the standard deviation that is left in
 runs left out (`benchmarks/verdict.py`)."""
 USUAL = {"posterior": -2.4, "misfit": 0.0, "distance": 1.9, "end_on": 0.05}
 """`Evidence.factors` of a view like most."""
@@ -61,7 +61,7 @@ class Evidence:
     """Mean distance of the joints that the posterior expects, both poses centred, at the size that was found: how large
     the animal is moves all joints alike, and animals are as large as expected more often than stated."""
     misfit: float
-    """Of the prior, 1 where there is none."""
+    """The misfit of the prior, 1 where there is none."""
     distance_m: float
     """From the nearest camera."""
     end_on: float
@@ -81,7 +81,7 @@ class Evidence:
 
 
 def evidence_of(motion: Motion) -> Evidence:
-    """Of a motion of which some frame has a pose."""
+    """The numbers of a motion, of which some frame has a pose, that a verdict rests on."""
     solution, posed = motion.solution, motion.solved
     joints_m, relative = solution.joints_m[posed], solution.relative_covariance_m2[posed]
     middle_m = joints_m.mean(axis=1)

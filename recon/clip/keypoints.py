@@ -70,8 +70,8 @@ class Keypoints:
 
     @classmethod
     def from_dataframe(cls, table: pd.DataFrame, fps: float | None = None, individual: str | None = None) -> Keypoints:
-        """Of a pandas table: as DeepLabCut's (levels scorer, bodyparts, coords, and individuals where there are
-        several), its index the frames; or long, with columns frame, keypoint (or bodypart), x, y and confidence (or
+        """Keypoints from a pandas table: as DeepLabCut's (levels scorer, bodyparts, coords, and individuals where there
+        are several), its index the frames; or long, with columns frame, keypoint (or bodypart), x, y and confidence (or
         likelihood). Pixels. individual: which of several animals. Raises InputError."""
         from recon.clip.tables import from_dataframe
 
@@ -79,8 +79,8 @@ class Keypoints:
 
     @classmethod
     def from_xarray(cls, dataset: Any, fps: float | None = None, individual: str | None = None) -> Keypoints:
-        """Of movement's dataset of poses, in pixels; its times are seconds where it, or fps, says the frame rate.
-        individual: which of several animals. Raises InputError."""
+        """Keypoints from movement's dataset of poses, in pixels; its times are seconds where it, or fps, says the frame
+        rate. individual: which of several animals. Raises InputError."""
         from recon.clip.tables import from_xarray
 
         return cls._checked("Dataset", from_xarray(dataset, fps, individual))

@@ -41,7 +41,7 @@ class View:
 
     @property
     def present(self) -> Bools:
-        """(T, J)"""
+        """Which of the J keypoints were detected in each of the T frames, shape (T, J)."""
         return np.isfinite(self.xy_px[..., 0])
 
     @property
@@ -69,7 +69,7 @@ class View:
         return variance[:, None, None, None] * across
 
     def part(self, frames: slice | Index) -> View:
-        """Of these frames only."""
+        """The same view, cut to these frames."""
         return replace(
             self,
             T_camera_world=self.T_camera_world if self.still else self.T_camera_world[frames],
@@ -204,7 +204,7 @@ class FramePoses:
 
     @property
     def known(self) -> Bools:
-        """(T,)"""
+        """Which of the T frames have a camera pose, shape (T,)."""
         return np.isfinite(self.T_camera_world[:, 0, 0])
 
     def each(self, change: Callable[[Array], Array]) -> FramePoses:
@@ -226,7 +226,8 @@ class Source:
     lead_frames: float = 0.0
     """0 up to 1: its pictures were taken that much later than the clip's frames."""
     poses: FramePoses | None = None
-    """Of a camera that moves; where they are not known, nothing is detected. The camera itself has no pose then."""
+    """The poses of a camera that moves; where they are not known, nothing is detected. The camera itself has no pose
+    then."""
     offset_s: float = 0.0
     """How much later than the first camera's frame 0 its own was taken, as given or found."""
 

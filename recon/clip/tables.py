@@ -22,7 +22,7 @@ Found = dict[str, Any]
 
 
 def from_dataframe(table: pd.DataFrame, fps: float | None, individual: str | None) -> Found:
-    """See `recon.Keypoints.from_dataframe`."""
+    """Keypoints from a pandas table; see `recon.Keypoints.from_dataframe`."""
     wide = _as_wide(table)
     animals = [*dict.fromkeys(animal for animal, _, _ in wide)]
     which = _chosen("DataFrame", animals, individual)
@@ -81,7 +81,7 @@ def _frames(table: pd.DataFrame) -> np.ndarray:
 
 
 def from_xarray(dataset: Any, fps: float | None, individual: str | None) -> Found:
-    """See `recon.Keypoints.from_xarray`."""
+    """Keypoints from movement's dataset; see `recon.Keypoints.from_xarray`."""
     lacking = [name for name in ("position", "confidence") if name not in dataset.variables]
     refuse(Problem("Dataset", name, "none", "movement's poses") for name in lacking)
     position, confidence = dataset["position"], dataset["confidence"]

@@ -110,7 +110,7 @@ class ClipProblem:
         options: TrajectoryOptions,
         ground_near_zero: bool | None = None,
     ) -> ClipProblem:
-        """Of a whole clip: see `recon.fit.trajectory.solve_trajectory`."""
+        """The problem of a whole clip: see `recon.fit.trajectory.solve_trajectory`."""
         if ground_near_zero is None:
             ground_near_zero = all(view.camera.knows_up for view in views)
         views = tuple(view.credible() for view in views)
@@ -126,7 +126,7 @@ class ClipProblem:
         return replace(self, views=tuple(view.part(frames) for view in self.views), known=known)
 
     def thinned(self, step: int) -> ClipProblem:
-        """Of every step-th frame, which counts for those left out."""
+        """The problem of every step-th frame, which counts for those left out."""
         thin = self.part(slice(None, None, step))
         views = tuple(
             replace(view, confidence=step * view.confidence, lead_frames=view.lead_frames / step) for view in thin.views
@@ -313,7 +313,7 @@ class ClipProblem:
 
 
 LOW_FEET = 0.1
-"""Of the frames, the part in which the lowest foot is taken to be on the ground."""
+"""The share of the frames in which the lowest foot is taken to be on the ground."""
 ELSEWHERE = 2.0
 """A ground further off z = 0, in standard deviations of what is expected, is not taken to lie there."""
 

@@ -32,16 +32,16 @@ metres or as a share of its distance from the animal, whichever is less."""
 POSE_WEIGHT, MOTION_WEIGHT = 1.0, 1.0
 """How many times the prior's poses and its motion count per 1/90 s; benchmarks take them away by next to nothing."""
 ACCELERATION_M_S2 = (12.0, 12.0, 9.0)
-"""Of the root in the level frame: the size of what is seen in the reconstructions that the prior `running-cheetah` is
-made of, as are the next and those of feet that stand."""
+"""The accelerations of the root in the level frame: the size of what is seen in the reconstructions that the prior
+`running-cheetah` is made of, as are the next and those of feet that stand."""
 YAW_ACCELERATION_RAD_S2 = 40.0
 LATERAL_M_S = 0.5
-"""Of the velocity across the trunk: an angle of 0.05 rad at 10 m/s."""
+"""The standard deviation of the velocity across the trunk: an angle of 0.05 rad at 10 m/s."""
 SIDESLIP_RAD = 0.1
-"""Of the angle to the trunk at which an animal goes all the time, of several cameras: that of the benchmark's real
-runs."""
+"""The standard deviation of the angle to the trunk at which an animal goes all the time, with several cameras: that of
+the benchmark's real runs."""
 CLIMB_M_S = 0.5
-"""Of the root's vertical velocity."""
+"""The standard deviation of the root's vertical velocity."""
 MISFIT_LASTS_S = 0.04
 """How long a surprise lasts: so that clips of a motion that the prior fits, but was not made from, have a level of
 about 1 (benchmarks/mismatch.py)."""
@@ -52,11 +52,13 @@ of 100 clips."""
 # -- feet and ground ----------------------------------------------------------------------------------------------
 
 SLIP_M_S, SLIP_C = 2.5, 2.0
-"""Of the velocity of a foot that stands, and the number of standard deviations at which the loss saturates."""
+"""The standard deviation of the velocity of a foot that stands, and the number of standard deviations at which the loss
+saturates."""
 GROUND_HEIGHT_M, GROUND_SLOPE = 0.12, 0.02
-"""Of the ground below the animal, where it is known to lie near z = 0, and of its slope in each direction."""
+"""Standard deviations of the ground's height, where it is known to lie near z = 0, and of its slope in each
+direction."""
 GROUND_FOOT_M = 0.04
-"""Of the height above the ground of a foot that stands."""
+"""The standard deviation of the height above the ground of a foot that stands."""
 
 # -- the search ---------------------------------------------------------------------------------------------------
 

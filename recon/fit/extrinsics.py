@@ -57,7 +57,7 @@ class TooLittleInCommonError(ValueError):
 
 @dataclass(frozen=True, eq=False)
 class Rig:
-    """Where V cameras stand."""
+    """Where V cameras stand in a common world, in metres."""
 
     T_camera_world: tuple[Array, ...]
     """(4, 4) each. The world is the given one, or level, with the first camera in its origin."""
@@ -132,8 +132,8 @@ def search_offsets(clip: ClipProblem) -> Array:
 
 
 def _offset(first: Array, own: Array, most: int) -> float:
-    """Of joints (T, J, 3) in two cameras' frames. Of offsets as near as each other, that with more frames in common: a
-    stride later the same pose comes again."""
+    """The offset in frames between joints (T, J, 3) in two cameras' frames. Of offsets as near as each other, that with
+    more frames in common: a stride later the same pose comes again."""
     T, found = len(first), np.nan
     seen = min(np.isfinite(joints[:, 0, 0]).sum() for joints in (first, own))
     size_m = np.nanmedian(np.linalg.norm(first - first.mean(axis=1, keepdims=True), axis=-1)) if seen else 0.0

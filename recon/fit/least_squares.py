@@ -83,7 +83,7 @@ class LeastSquares:
         return {u.name: slice(int(end) - len(u.mean), int(end)) for u, end in zip(self.shared, ends, strict=True)}
 
     def expected(self) -> dict[str, Array]:
-        """The shared unknowns' means."""
+        """The means that the shared unknowns are expected to have."""
         return {unknown.name: unknown.mean for unknown in self.shared}
 
     def costs(self, states: Array, shared: Mapping[str, Array] | None = None) -> dict[str, float]:
@@ -100,7 +100,7 @@ class LeastSquares:
         return costs
 
     def only(self, names: Sequence[str]) -> LeastSquares:
-        """Of the terms with these names alone, and no shared unknowns."""
+        """The problem of the terms with these names alone, without shared unknowns."""
         linear = [term for term in self.linear if term.name in names]
         terms = [term for term in self.terms if term.name in names]
         return replace(self, linear=linear, terms=terms, shared=(), doubtful=())

@@ -41,7 +41,7 @@ _SHAPES = {
     "alternative_m": "T",
     "contact": "TF",
 }
-"""Of a solution's arrays: T frames, J joints, V views, D unknowns a frame, A angles, F feet."""
+"""The shapes of a solution's arrays: T frames, J joints, V views, D unknowns a frame, A angles, F feet."""
 MEASURED_SHARE = 0.5
 """A quantity with less of its precision from the pixels is not called measured."""
 _REPORT, _CONFIG = "report.json", "config.toml"
@@ -72,7 +72,7 @@ class Picture:
 
     @property
     def name(self) -> str:
-        """Of the camera."""
+        """The name of the camera."""
         return self.camera.name
 
     @property
@@ -82,7 +82,7 @@ class Picture:
 
     @property
     def present(self) -> Bools:
-        """(T, J): detected."""
+        """Which of the J keypoints were detected in each of the T frames, shape (T, J)."""
         return self.source.keypoints.present
 
     @cached_property
@@ -123,7 +123,7 @@ class Motion:
     verdict: Verdict | None = None
     """Whether it may be used, and how far off it is expected to be; None before `recon.check.judged`."""
     chain: Chain | None = None
-    """Of a skeleton that is one: its own form, which `body` is made from."""
+    """The chain that a skeleton is, if it is one: its own form, which `body` is made from."""
     settings: Mapping[str, Any] = field(default_factory=dict)
     """All that the fit was told, as JSON has it; its paths are absolute, and in a folder of results relative to it."""
     timing_s: Mapping[str, float] = field(default_factory=dict)
@@ -229,7 +229,7 @@ class Motion:
 
     @property
     def method(self) -> str:
-        """Of fitting: trajectory or frame."""
+        """The method of fitting: trajectory or frame."""
         return self.solution.method
 
     @property
@@ -244,7 +244,7 @@ class Motion:
 
     @property
     def title(self) -> str:
-        """Of the skeleton, one line."""
+        """The title of the skeleton, one line."""
         return self.body.title
 
     @property
@@ -291,7 +291,7 @@ class Motion:
 
     @cached_property
     def foot_labels(self) -> tuple[str, ...]:
-        """Of the feet: LF, RF, LH, RH."""
+        """The labels of the feet: LF, RF, LH, RH (left or right, fore or hind)."""
         return tuple(self.body.feet_by_label(self.side))
 
     @cached_property
@@ -306,14 +306,14 @@ class Motion:
 
     @property
     def reference(self) -> str:
-        """Its keypoint."""
+        """The keypoint of the reference joint."""
         return self.names[self.joints.index(self.reference_joint)]
 
     # -- what was fitted, of the first camera ---------------------------------------------------------------------
 
     @property
     def camera(self) -> Camera:
-        """Of the first, or only, keypoint file."""
+        """The camera of the first, or only, keypoint file."""
         return self.sources[0].camera
 
     @property
@@ -345,7 +345,7 @@ class Motion:
 
     @property
     def fps(self) -> float:
-        """Frames per second."""
+        """How many frames there are in a second."""
         assert self.keypoints.fps is not None
         return self.keypoints.fps
 
@@ -371,12 +371,12 @@ class Motion:
 
     @property
     def unused_keypoints(self) -> tuple[str, ...]:
-        """Of a file, but not of the skeleton."""
+        """Keypoints of a file that the skeleton does not have."""
         return tuple(name for name in self._file_names if name not in self.names)
 
     @property
     def missing_keypoints(self) -> tuple[str, ...]:
-        """Of the skeleton, but of no file."""
+        """Keypoints of the skeleton that no file has."""
         return tuple(name for name in self.names if name not in self._file_names)
 
     @cached_property
@@ -393,7 +393,7 @@ class Motion:
 
     @property
     def state_names(self) -> tuple[str, ...]:
-        """(D,)"""
+        """The names of the D unknowns of a frame, with their units."""
         return self.body.state_names
 
     @property
@@ -408,7 +408,7 @@ class Motion:
 
     @property
     def angles_rad(self) -> Array:
-        """(T, A)"""
+        """The angles of the A joints' axes in each of the T frames, shape (T, A), in rad."""
         return self.states[:, YAW:]
 
     @property
@@ -418,7 +418,7 @@ class Motion:
 
     @property
     def posture_rad(self) -> Array:
-        """(T, P)"""
+        """The P angles that the prior knows (without the heading) in each of the T frames, shape (T, P), in rad."""
         return self.states[:, PITCH:]
 
     @property
@@ -506,7 +506,7 @@ class Motion:
 
     @cached_property
     def root_m(self) -> Array:
-        """(T, 3)"""
+        """The origin of the root in each of the T frames, shape (T, 3), in metres."""
         return self.in_reference(self.states[:, ROOT])
 
     def below_m(self, segment: MotionSegment) -> Array | None:
@@ -523,7 +523,7 @@ class Motion:
 
     @cached_property
     def pictures(self) -> tuple[Picture, ...]:
-        """Of each camera, in the order of the sources."""
+        """What each camera saw, in the order of the sources."""
         solution = self.solution
         given = zip(self.sources, solution.views, solution.noise_px, solution.weight, strict=True)
         return tuple(

@@ -45,12 +45,12 @@ _HARDLY = 1e-3
 """Precision of a place and a heading of which next to nothing is known (1 / m^2, 1 / rad^2)."""
 _FRAMES_AT_ONCE = 256
 _WIDER_ROUNDS, _AS_EXPECTED = 10, 8
-"""Of expectation and maximisation; and unknowns' worth of what is expected of their variance."""
+"""Rounds of expectation and maximisation, and how many unknowns the expectation of their variance is worth."""
 
 
 @dataclass(frozen=True)
 class Posterior:
-    """Of T frames of a body with J joints and D unknowns a frame, at nominal size about the origin."""
+    """The covariance of T frames of a body with J joints and D unknowns a frame, at nominal size about the origin."""
 
     covariance_m2: Array
     """(T, J, 3, 3): of the joints, the size given."""
@@ -78,8 +78,9 @@ class Posterior:
 
 @dataclass(frozen=True, eq=False)
 class _Curvature:
-    """Of a problem at its solution: the normal equations in pieces and their windows, a root (P, P) of the covariance
-    of the P unknowns that all frames share besides the size, and the precision (1 + P, 1 + P) of all that is shared."""
+    """The curvature of a problem at its solution: the normal equations in pieces and their windows, a root (P, P) of
+    the covariance of the P unknowns that all frames share besides the size, and the precision (1 + P, 1 + P) of all
+    that is shared."""
 
     normals: Callable[[], Iterable[Normal]]
     eliminated: Callable[[], Iterable[Window]]
@@ -268,7 +269,7 @@ class PriorMisfit:
 
 
 def prior_misfit_of(problem: LeastSquares, found: Estimate, fps: float) -> PriorMisfit:
-    """Of the prior as the problem weighs it, at its minimum."""
+    """The misfit of the prior as the problem weighs it, at its minimum."""
     prior, said = problem.only(PRIOR_TERMS), 0.0
     windows = eliminated(problem.normals(found.states, found.shared)(), bounded=True)
     for window, of_prior in zip(windows, prior.normals(found.states)(), strict=True):

@@ -51,7 +51,7 @@ class Expected:
 
     @property
     def in_words(self) -> str:
-        """Of metres, in metres, or in millimetres where the largest is below half a metre."""
+        """The error in words: in metres, or in millimetres where the largest is below half a metre."""
         unit, error = ("mm", self.times(1000.0)) if self.high < 0.5 else ("m", self)
         expected, low, high = (f"{value:.2g}" if value < 10 else f"{value:.0f}" for value in astuple(error))
         return f"{expected} {unit} ({low} to {high})"
@@ -154,7 +154,7 @@ class Solution:
     states: Array
     """(T, D): the root's place is in the world; the body's lengths are those of `body` times `size`."""
     size: float
-    """Of a method that has one for each frame, their median."""
+    """The factor on the skeleton's lengths; the median where a method has one for each frame."""
     joints_m: Array
     """(T, J, 3)"""
     covariance_m2: Array
@@ -212,12 +212,12 @@ class Solution:
 
 @dataclass(frozen=True, eq=False)
 class TrajectorySolution(Solution):
-    """Of the trajectory method. Flags: "no data", "ran away", "data poor", "ambiguous depth"."""
+    """A solution of the trajectory method. Flags: "no data", "ran away", "data poor", "ambiguous depth"."""
 
     size_sigma: float
-    """Of the size: its posterior standard deviation."""
+    """The posterior standard deviation of the size."""
     size_prior_sigma: float
-    """Of the size, what was expected around 1."""
+    """The standard deviation that the size was expected to have around 1."""
     size_from: tuple[str, ...]
     """What says the size: "prior", and where they do "views" and "ground"."""
     data_share: Array

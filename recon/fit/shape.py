@@ -67,7 +67,7 @@ class Shape:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """(K,)"""
+        """The names of the K lengths that are estimated."""
         return (*self.lengths, *(f"{name}_{axis}" for name in self.offsets for axis in "xyz"))
 
     def expected_precision(self, size_sigma: float) -> Array:
@@ -134,7 +134,7 @@ def _follows(name: str, body: Body) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class ShapeFit:
-    """What was found."""
+    """The lengths of an animal that were found, with their covariance."""
 
     shape: Shape
     values: Array
@@ -153,7 +153,7 @@ class ShapeFit:
 
     @cached_property
     def sigma(self) -> Array:
-        """(K,): standard deviations."""
+        """The standard deviations of the K lengths, shape (K,)."""
         return np.sqrt(np.diagonal(self.covariance))
 
     def seen(self, body: Body) -> Body:

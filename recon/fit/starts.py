@@ -169,7 +169,7 @@ class Approached:
     heading_rad: float
     """About the world's z axis, from the right of the first camera's picture."""
     first_cost: float
-    """Of the widest fit, by which the starts are chosen."""
+    """The cost of the widest fit, by which the starts are chosen."""
     estimate: Estimate
     finished: bool = False
     """It was carried to the end."""

@@ -154,7 +154,7 @@ def _whitener(covariance: Array) -> Array:
 
 
 def pose_term(prior: MotionPrior, n_state: int, fps: float, weight: float) -> Linear:
-    """One Gaussian of poses."""
+    """The term of one Gaussian of poses."""
     rows = np.zeros((len(prior.mean), n_state))
     rows[:, ANGLES] = _whitener(prior.covariance) * _rate(fps, weight)
     return Linear(POSE, (0,), rows[None], rows[:, ANGLES] @ prior.mean)
@@ -247,7 +247,7 @@ class Reprojection:
     c: float
     origin_m: Array
     number: int = 0
-    """Of the view, in the names of the unknowns that are its own (`time_offset`, `keypoint_bias`,
+    """The number of the view, in the names of the unknowns that are its own (`time_offset`, `keypoint_bias`,
     `extrinsic_correction`, `focal`)."""
     drift_m: Array | None = None
     """(T, J, 3), frozen: how far the markers go in a frame, at nominal size. None: no lag is read."""

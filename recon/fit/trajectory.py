@@ -48,7 +48,7 @@ MARGIN_S = 0.25
 """How far a clip is carried on beyond its first and last detections."""
 WINDOW_S = 1.0
 _TEMPERATURES = (8.0, 3.0, 1.0)
-"""Of the mixture of poses."""
+"""The temperatures by which the mixture of poses is flattened, one after the other."""
 _MORE_ROUNDS = 3
 """Where the prior has lost most of its weight: until noise and contacts have settled again."""
 POOR_SHARE, POORER_SHARE = 1 / 3, 0.8
@@ -108,7 +108,7 @@ class Solved:
     """A solved segment of n frames."""
 
     rows: slice
-    """Of the clip."""
+    """The rows of the clip that the piece covers."""
     estimate: Estimate
     problem: LeastSquares
     noise: Array
@@ -120,7 +120,7 @@ class Solved:
     ground: Ground | None
     """At nominal size about the origin."""
     prior_misfit: PriorMisfit | None = None
-    """Of the motion under the prior, as first found."""
+    """The misfit of the motion under the prior, as first found."""
     prior_weight: float = 1.0
     """The part of its weight that the prior has."""
     windows: list[tuple[slice, list[Approached]]] = field(default_factory=list)

@@ -138,7 +138,7 @@ class ClipAnalysis:
 
     @cached_property
     def portraits(self) -> dict[str, Portrait]:
-        """Of the fit's own angles: over `stride`, or without one over the whole clip."""
+        """Phase portraits of the fit's own angles: over `stride`, or without one over the whole clip."""
         portraits = {name: phase_portrait(angle) for name, angle in self.skeleton_angles.items()}
         if (stride := self.stride) is None:
             return portraits
@@ -146,7 +146,7 @@ class ClipAnalysis:
 
     @cached_property
     def closures(self) -> dict[str, Closure]:
-        """Of the portraits over `stride`, of those without gaps; empty without a stride."""
+        """Degrees of closure of the portraits over `stride`, those without gaps; empty without a stride."""
         if self.stride is None:
             return {}
         known = {n: p for n, p in self.portraits.items() if len(p.time_s) > 1 and np.isfinite(p.rate_rad_s).all()}
@@ -280,7 +280,8 @@ def limb_chains(motion: Motion) -> dict[str, tuple[str, ...]]:
 
 
 def _errors(motion: Motion, smooth: bool) -> Sequence[Errors]:
-    """Of the place, of the pose; smooth: by the jitter; none where the fit does not give them over time."""
+    """Errors of the position and of the pose; smooth: by the jitter; none where the fit does not give them over
+    time."""
     if smooth:
         return lasting_errors(motion.upright.xyz_m, motion.fps)
     if motion.jitters:
@@ -293,7 +294,7 @@ def _errors(motion: Motion, smooth: bool) -> Sequence[Errors]:
 
 
 def _angle_errors(motion: Motion, smooth: bool) -> list[Sequence[Errors]]:
-    """Of each of the fit's own angles."""
+    """The errors of each of the fit's own angles."""
     if smooth:
         return [jitter_errors(angle) for angle in motion.posture_rad.T]
     if motion.jitters:

@@ -48,7 +48,8 @@ if TYPE_CHECKING:
 
 G_M_S2 = 9.81
 SKEW = 0.8
-"""Of the force over a stance: it rises faster than it falls, its centre is at 0.41 of the stance (0.36 to 0.48)."""
+"""The exponent of time in the force over a stance: it rises faster than it falls, its centre is at 0.41 of the stance
+(0.36 to 0.48)."""
 FORE, FORE_SIGMA = 0.42, 0.08
 """The fore feet's share of the impulse: cheetahs that speed up push with the hind feet. Of other gaits a half, with
 twice the spread."""
@@ -63,10 +64,11 @@ MASS_LASTS_S = 10.0
 
 @dataclass(frozen=True, eq=False)
 class Dynamics:
-    """Of a clip, T frames, N times on the grid of ten times the frame rate."""
+    """The centre of mass, energies and forces of a clip of T frames, with N times on the grid of ten times the frame
+    rate."""
 
     centre: JointKinematics
-    """Of mass, in the upright frame."""
+    """The centre of mass, in the upright frame."""
     internal_j_kg: Array
     """(N,): kinetic energy of the segments about the centre of mass, of their middles' motion."""
     angular_momentum: Array
@@ -74,8 +76,8 @@ class Dynamics:
     ground_m: Array
     """(N,): height of the ground under the centre of mass."""
     forces: pd.DataFrame
-    """Of each stance that lies in the clip from beginning to end: foot, start_s and end_s; peak_bw of the vertical
-    force and impulse_bw_s, each with the ends of its interval (peak_low_bw, ...)."""
+    """A table with a row for each stance that lies in the clip from beginning to end: foot, start_s and end_s; peak_bw
+    of the vertical force and impulse_bw_s, each with the ends of its interval (peak_low_bw, ...)."""
     force: Mapping[str, Array]
     """By foot (N, 3): the vertical force, and the ends of the interval that holds it with 90 %."""
     stride_s: float
@@ -252,8 +254,9 @@ def _force_over_time(gait: Gait, draws: _Draws) -> dict[str, Array]:
 
 
 def _flights(motion: Motion, gait: Gait, centre_m: Array, by_mass_m: Array, errors: Sequence[Errors]) -> pd.DataFrame:
-    """Of an animal whose four feet are known, between its first stance and its last. by_mass_m (T, S, 3): what one
-    standard deviation of each segment's share does to the centre; errors (T, 3) of the centre, without those."""
+    """The flights of an animal whose four feet are known, between its first stance and its last. by_mass_m (T, S, 3):
+    what one standard deviation of each segment's share does to the centre; errors (T, 3) of the centre, without
+    those."""
     import pandas as pd
 
     time_s, found = motion.time_s, []

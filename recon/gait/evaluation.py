@@ -28,7 +28,7 @@ from recon.io.pose3d import Pose3D, read_pose3d
 
 PCK_THRESHOLDS_M = (0.05, 0.1, 0.15)
 LEVELS = (0.5, 0.9)
-"""Of the intervals that are compared with the truth."""
+"""The levels of the intervals that are compared with the truth."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +63,7 @@ class Evaluation:
     pck: tuple[tuple[float, _Score], ...]
     """For each threshold (m), the fraction of centred errors up to it."""
     inside: dict[str, tuple[float, ...]]
-    """Of each of `LEVELS` the share of the coordinates within the intervals that the reconstruction states for it, as
+    """By each of `LEVELS` the share of the coordinates within the intervals that the reconstruction states for it, as
     "place" and "pose", which is centred; empty where it states none."""
     frames_not_scored: int
     frames_without_pa: int
@@ -168,8 +168,8 @@ def _counted_from_one(pose: Pose3D, truth: Pose3D, found: Evaluation) -> Iterato
 def _positions(
     path: Path, anyway: bool, unit: str | None = None, up: str | None = None
 ) -> tuple[Pose3D, tuple[np.ndarray, np.ndarray] | None, Verdict | None]:
-    """Those of a file, or of a folder of results in their frame of reference, with standard deviations of the positions
-    and of those relative to the mean of all joints, and the verdict on them."""
+    """The positions of a file, or of a folder of results in their frame of reference, with standard deviations of the
+    positions and of those relative to the mean of all joints, and the verdict on them."""
     if not path.is_dir():
         return read_pose3d(path, unit=unit, up=up), None, None
     motion = usable(Motion.load(path), path, anyway)
@@ -237,7 +237,7 @@ def evaluate(pose: Pose3D, truth: Pose3D, sigmas_m: tuple[np.ndarray, np.ndarray
 
 
 def _inside(error_m: np.ndarray, sigma_m: np.ndarray) -> tuple[float, ...]:
-    """Of each of `LEVELS` the share of coordinates (T, J, 3) within its interval; NaN without any."""
+    """By each of `LEVELS` the share of coordinates (T, J, 3) within its interval; NaN without any."""
     off = (np.abs(error_m) / sigma_m)[np.isfinite(error_m) & (sigma_m > 0)]
     return tuple(float(np.mean(off < radius(level))) if len(off) else np.nan for level in LEVELS)
 

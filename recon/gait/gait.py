@@ -201,13 +201,13 @@ class Stride:
     length_m: float
     """The body's horizontal travel."""
     duty_factor: float
-    """Of its stance, which lies in the clip from its beginning to its end."""
+    """The duty factor of its stance, which lies in the clip from its beginning to its end."""
     duty_sigma: float
     """One standard deviation of it."""
     at: Literal["touchdown", "lift-off", "given"]
     """What it goes from and to."""
     returns_s: float = np.nan
-    """Of one that does not count: after how long the pose returns about then."""
+    """For a stride that does not count: after how long the pose returns about then."""
 
     @property
     def frequency_hz(self) -> float:
@@ -345,7 +345,7 @@ def _level_speed(path: Series) -> Array:
 
 
 def _fine(rows: slice) -> slice:
-    """Of the fine grid, from the first of the clip's rows to the last."""
+    """The fine grid, from the first of the clip's rows to the last."""
     return slice((rows.start or 0) * OVERSAMPLING, None if rows.stop is None else (rows.stop - 1) * OVERSAMPLING + 1)
 
 
@@ -456,7 +456,8 @@ def _stance(moved: Tracks, k: int, a: int, b: int, begins: bool, ends: bool) -> 
 
 
 def _event_sigma_s(moved: Tracks, k: int, i: int, most_s: float) -> float:
-    """Of a landing or lift-off of the k-th foot at an instant, most_s from the stance's middle (see the module)."""
+    """The standard deviation in seconds of a landing or lift-off of the k-th foot at an instant, most_s from the
+    stance's middle (see the module)."""
     about = slice(max(i - OVERSAMPLING // 2, 0), i + OVERSAMPLING // 2 + 1)
     speed, time = moved.foot_speed_m_s[about, k], moved.time_s[about]
     known = np.isfinite(speed)
@@ -695,7 +696,7 @@ def _asymmetrical(hind: float, fore: float, seen: str) -> tuple[str, str]:
 
 
 def _first(lag: float) -> str:
-    """Of a pair, by how much its right foot lands after its left one."""
+    """By how much the right foot of a pair lands after its left one."""
     return "left first" if lag > 0 else "right first"
 
 

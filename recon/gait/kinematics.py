@@ -73,7 +73,7 @@ class Errors:
     """How long an error lasts (see the module), 0 for frames that have nothing to do with each other."""
 
     def __getitem__(self, at) -> Errors:
-        """Of a part of the values."""
+        """The errors of a part of the values."""
         return Errors(self.sigma[at], self.correlation_s)
 
 
@@ -410,7 +410,7 @@ def point_kinematics(time_s: Array, xyz_m: Array, errors: Sequence[Errors] = (),
 
 
 def _at_peak(values: Array, others: Array | None) -> float:
-    """Of the others (N,), where values (N,) are largest; NaN without."""
+    """The others (N,), where values (N,) are largest; NaN without."""
     return np.nan if others is None or not np.isfinite(values).any() else float(others[np.nanargmax(values)])
 
 
@@ -422,9 +422,9 @@ def jitter_errors(values: Array, times: float = 1.0) -> tuple[Errors]:
 
 
 def lasting_errors(values: Array, fps: float) -> tuple[Errors, Errors]:
-    """Of values (T, ...) of a method that starts a frame from the one before and repeats its errors for some time:
-    `jitter_errors`, which smoothing goes by, and what comes with `JITTER_TIMES` the jitter from one `JITTER_LASTS_S` to
-    the next, single large errors included."""
+    """The errors of values (T, ...) of a method that starts a frame from the one before and repeats its errors for some
+    time: `jitter_errors`, which smoothing goes by, and what comes with `JITTER_TIMES` the jitter from one
+    `JITTER_LASTS_S` to the next, single large errors included."""
     (independent,) = jitter_errors(values)
     step = max(1, round(JITTER_LASTS_S * fps))
     differences = values[3 * step :] - 3 * values[2 * step : -step] + 3 * values[step : -2 * step] - values[: -3 * step]
@@ -449,7 +449,8 @@ def net_acceleration(time_s: Array, xyz_m: Array, errors: Sequence[Errors] = ())
 
 
 def parabola_acceleration(time_s: Array, values: Array, errors: Sequence[Errors]) -> tuple[float, float]:
-    """Of the parabola in time through values (T,), by least squares, and its standard deviation, NaN without errors."""
+    """The acceleration of the parabola in time through values (T,), by least squares, and its standard deviation, NaN
+    without errors."""
     t = time_s - time_s.mean()
     shares = 2 * np.linalg.pinv(np.stack([np.ones(len(t)), t, t**2], axis=1))[2]
     variance = sum(float(_propagate((shares * e.sigma)[None], t, e.correlation_s)[0]) for e in errors)

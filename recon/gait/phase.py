@@ -78,7 +78,7 @@ class Closure:
     """Degrees of closure in percent. NaN for a path that does not move."""
 
     angle: float
-    """Of the angle alone."""
+    """The degree of closure of the angle alone."""
     plane: float
     """In the (angle, rate) plane, both axes divided by their ranges."""
     angle_sigma: float = np.nan

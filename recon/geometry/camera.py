@@ -210,7 +210,7 @@ class Camera:
 
     @cached_property
     def lens(self) -> Lens:
-        """How it bends."""
+        """The model of how the lens bends rays, with its coefficients."""
         return LENS_MODELS[self.model](self.distortion.tolist())
 
     @cached_property

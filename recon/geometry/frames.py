@@ -46,7 +46,7 @@ def rigid(rotation: Array, translation_m: Array) -> Array:
 
 
 def inverse(T: Array) -> Array:
-    """Of rigid transforms (..., 4, 4)."""
+    """The inverse of rigid transforms (..., 4, 4)."""
     rotation = T[..., :3, :3].swapaxes(-1, -2)
     return rigid(rotation, -(rotation @ T[..., :3, 3, None])[..., 0])
 

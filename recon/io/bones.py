@@ -63,7 +63,7 @@ class Armature:
     joint_offsets_m: Array
     """(J, 3): in their bones' frames."""
     capsules: tuple[Capsule, ...]
-    """Of the bones, in the segments' frames, where z is up."""
+    """The capsules of the bones, in the segments' frames, where z is up."""
     root_m: Array
     """(T, 3): the origin of the first bone."""
     pose: Pose3D

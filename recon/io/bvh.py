@@ -36,7 +36,7 @@ class _Joint:
     channels: list[str] = field(default_factory=list)
     """Such as Xposition."""
     column: int = 0
-    """Of the first channel."""
+    """The column of the first channel."""
     end: bool = False
 
 

@@ -30,7 +30,7 @@ from recon.io.pose import PER_METRE, UNIT_NAMES, Pose3D, StoredPoints
 
 TITLE = "C3D"
 UNIT = "mm"
-"""Of our own files."""
+"""The unit that our own files are written in."""
 OWN_GROUP = "RECON"
 WORD_MAX, TEXT_MAX = 65_535, 255
 BLOCK = 512

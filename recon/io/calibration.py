@@ -30,7 +30,7 @@ FORMAT, VERSION = "recon-camera", 1
 MAX_BYTES = 1 << 23
 AS_GIVEN = ", as was given"
 LARGEST = 1e9
-"""Of any number: more can only be damage."""
+"""The largest number in a calibration: more can only be damage."""
 MAX_SIZE_PX = 1_000_000
 ROTATION_TOLERANCE = 1e-3
 
@@ -50,7 +50,7 @@ class CameraRecord:
     def of_table(
         cls, name: Any, place: str, table: Mapping[str, Any], called: Mapping[str, str], **more: Any
     ) -> CameraRecord:
-        """Of a table with keys of its own, and more values by field."""
+        """A record from a table with keys of its own, and more values by field."""
         values = {"model": "radtan", "world_z_up": False, **{field: table.get(key) for field, key in called.items()}}
         return cls(name, place, values | more, called)
 

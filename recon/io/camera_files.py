@@ -47,7 +47,7 @@ def recognises_anipose(path: Path) -> bool:
 
 
 def read_anipose(path: Path, individual: str | None = None) -> list[CameraRecord]:
-    """Raises InputError."""
+    """The cameras of an Anipose or Pose2Sim TOML file. Raises InputError."""
     document = parse_toml(read_calibration(path), path)
     expected = f'[camera] with format = "{FORMAT}", or one table per camera as Anipose and Pose2Sim write'
     tables = {key: table for key, table in document.items() if isinstance(table, dict) and key != "metadata"}
@@ -76,7 +76,7 @@ def recognises_acinoset(path: Path) -> bool:
 
 
 def read_acinoset(path: Path, individual: str | None = None) -> list[CameraRecord]:
-    """Raises InputError."""
+    """The cameras of an AcinoSet JSON file. Raises InputError."""
     document = parse_json(read_calibration(path), path)
     entries = document.get("cameras", [document]) if isinstance(document, dict) else None
     if not isinstance(entries, list) or not entries or not all(isinstance(entry, dict) for entry in entries):
@@ -152,7 +152,7 @@ def recognises_opencv(path: Path) -> bool:
 
 
 def read_opencv(path: Path, individual: str | None = None) -> list[CameraRecord]:
-    """Raises InputError."""
+    """The cameras of an OpenCV or ROS file. Raises InputError."""
     text = read_calibration(path)
     if path.suffix.lower() == ".json" and '"opencv-matrix"' not in text:
         document = parse_json(text, path)

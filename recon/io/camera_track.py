@@ -38,13 +38,13 @@ from recon.io.table import text_rows
 POSE, INTRINSICS = ("qw", "qx", "qy", "qz", "tx", "ty", "tz"), ("fx", "fy", "cx", "cy")
 SIGMA = "sigma_deg"
 UNIT_TOLERANCE = 1e-2
-"""Of a quaternion's length: rounded to three digits it is within this."""
+"""The tolerance of a quaternion's length: rounded to three digits it is within this."""
 MAX_PLACE_M, MAX_PX, MAX_SIGMA_DEG, MAX_TURN_RAD = 1e7, 1e6, 10.0, 100.0
 LEANING_MAX_RAD = np.radians(60)
 """A camera that leans further for most of the time, and does not look down, hangs in a world whose z axis does not
 point up."""
 LOOKING_DOWN_RAD = np.radians(45)
-"""Of a camera that looks down more steeply, as a drone's, any edge of the picture may be the upper one."""
+"""When a camera looks down more steeply, as a drone's, any edge of the picture may be the upper one."""
 PLACE = ("x", "y", "z")
 """In the place of tx, ty, tz: poses from the camera to the world."""
 IMAGES, CAMERAS = "images.txt", "cameras.txt"
@@ -54,7 +54,7 @@ EXPECTED = (
     "reconstruction.json or shots.geojson"
 )
 MAX_SHOTS_BYTES = 1 << 28
-"""Of a reconstruction, which has its points, too."""
+"""The largest size of a reconstruction, which has its points, too."""
 
 COLMAP_MODELS = {name: (lens, of_it) for lens in LENS_MODELS.values() for name, of_it in lens.colmap.items()}
 """By COLMAP's name: our lens, and the parameters in their order."""
@@ -114,7 +114,7 @@ def _between(a: Array, b: Array, share: Array) -> Array:
 
 
 def track_files(path: Path) -> tuple[Path, ...]:
-    """Of a track as it is given: the files that it is read from."""
+    """The files that a track, as it is given, is read from."""
     images = path / IMAGES if path.is_dir() else path
     if images.suffix.lower() in (".csv", *SHOTS):
         return (images,)
@@ -275,7 +275,7 @@ def _from_world(pose: Array) -> Array:
 
 
 def _read_shots(path: Path) -> CameraTrack:
-    """Of one video; its lens comes from elsewhere, as from cameras.json. Raises InputError."""
+    """The poses of one video; its lens comes from elsewhere, as from cameras.json. Raises InputError."""
     document = parse_json(read_text(path, EXPECTED, MAX_SHOTS_BYTES), path)
     whole = document[0] if isinstance(document, list) and len(document) == 1 else document
     features = whole.get("features") if isinstance(whole, dict) else None

@@ -65,14 +65,14 @@ METADATA = b"recon"
 
 @dataclass(frozen=True)
 class ColumnLayout:
-    """Which column holds what."""
+    """Which column of a plain table holds what."""
 
     of_role: dict[str, str]
     """The column of each role but, in a wide table, those of `OF_POINTS`."""
     of_part: dict[tuple[str, str], str]
-    """Those for each bodypart; empty for a long table."""
+    """The columns of each bodypart; empty for a long table."""
     unit: str | None
-    """That of the coordinates, if all have the same."""
+    """The unit of the coordinates, if all have the same."""
     ignored: tuple[str, ...]
     """Other columns."""
 
@@ -212,7 +212,7 @@ def recognises_parquet(path: Path) -> bool:
 
 
 def read_parquet(path: Path, individual: str | None = None) -> StoredPoints:
-    """Raises InputError."""
+    """The 3D positions of a Parquet file. Raises InputError."""
     with formats_extra(path):
         import pyarrow as pa
         import pyarrow.parquet as pq

@@ -29,7 +29,7 @@ MAX_FRAME = 10**9
 """Frame numbers on either side of 0 up to it, three months at 120 Hz; larger ones are time stamps or accidents. Those
 below 0 are of before the first camera's first frame."""
 POINTS_MAX = 20_000_000
-"""That are written to a file which has a row for every frame."""
+"""How many points are written at most to a file which has a row for every frame."""
 LIKELIHOOD_MARGIN = 0.5
 """Networks whose scores are no probabilities, such as SLEAP's, go somewhat beyond 1."""
 IRREGULAR = 0.25

@@ -73,7 +73,7 @@ recognises_cameras = recognises
 
 
 def read_cameras(path: Path, individual: str | None = None) -> list[CameraRecord]:
-    """Of `params`, called as `camnames` says, or the one that the file is of. Raises InputError."""
+    """The cameras of `params`, called as `camnames` says, or the one that the file is of. Raises InputError."""
     found = _variables(path)
     params = found.get("params", [found])
     tables = [one for one in (params if isinstance(params, list) else [params]) if isinstance(one, dict)]

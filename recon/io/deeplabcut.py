@@ -40,7 +40,7 @@ PLACES = {"l", "r", "left", "right", "f", "h", "front", "back", "fore", "hind", 
 MIN_PARTS = 3
 """What names of one animal's bodyparts may begin with, and of how many each animal has that names tell apart."""
 SCORER = "recon"
-"""Of our own files; where the frame rate is known, it stands in it: recon_90fps."""
+"""The scorer of our own files; where the frame rate is known, it stands in it: recon_90fps."""
 
 
 class Column(NamedTuple):
@@ -67,7 +67,7 @@ class PointTable:
     fps: float | None = None
     """As the scorer of our own files has it."""
     scorer: str | None = ""
-    """Of the first column; None where there is no header row or level of that name."""
+    """The scorer of the first column; None where there is no header row or level of that name."""
 
 
 def recognises_csv(path: Path) -> bool:
@@ -308,8 +308,8 @@ def _of_one_animal(table: PointTable, path: Path, individual: str | None) -> tup
 
 
 def _prefixes(bodyparts: Iterable[str]) -> tuple[str, ...]:
-    """Of animals that are told apart by the first part of every name, as B and W in B_nose, B_tail, W_nose, W_tail;
-    none where that is a place on an animal, or where some parts are one's only."""
+    """The prefixes of animals that are told apart by the first part of every name, as B and W in B_nose, B_tail,
+    W_nose, W_tail; none where that is a place on an animal, or where some parts are one's only."""
     parts: dict[str, set[str]] = {}
     for name in bodyparts:
         animal, _, part = name.partition("_")

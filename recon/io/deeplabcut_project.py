@@ -35,7 +35,7 @@ class Project:
     scorer: str
     """Who labelled."""
     bodyparts: tuple[str, ...]
-    """Of one animal."""
+    """The bodyparts of one animal."""
     individuals: tuple[str, ...]
     """None in a project of one animal."""
     video_sets: tuple[str, ...]
@@ -66,7 +66,7 @@ def find_project(path: Path) -> Project | None:
 
 
 def _entries(text: str) -> dict[str, list[str]]:
-    """Of each key of the document its value, the items of its list, or the keys of its mapping."""
+    """By each key of the document its value, the items of its list, or the keys of its mapping."""
     found: dict[str, list[str]] = {}
     key, depth = "", 0
     for line in text.splitlines():
@@ -102,7 +102,7 @@ def bodyparts(project: Project) -> tuple[str, ...]:
 
 
 def label_files(folder: Path, scorer: str = "") -> list[Path]:
-    """Of each folder with labels one file: where several people labelled it the scorer's, else that of the first in the
+    """One file of each folder with labels: where several people labelled it the scorer's, else that of the first in the
     alphabet; of CSV and H5 the first."""
     for pattern in _LABELS:
         by_folder: dict[Path, list[Path]] = {}

@@ -27,7 +27,7 @@ Kind = Literal["2D", "3D", "bones", "cameras"]
 
 @dataclass(frozen=True)
 class Format:
-    """One kind of file."""
+    """One kind of file: how it is recognised, read and written."""
 
     name: str
     """For `--to`."""
@@ -46,7 +46,8 @@ class Format:
     axes: str = ""
     """Unit and axes of 3D positions as they are written."""
     unit: str | None = None
-    """Of 3D positions that are read, where the file does not say it; None for one that the user has to give."""
+    """The unit of 3D positions that are read, where the file does not say it; None for one that the user has to
+    give."""
     up: str = "z"
     """Likewise, the axis that points up."""
     beside: tuple[str, ...] = ()

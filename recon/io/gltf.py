@@ -27,7 +27,7 @@ COLOURS: dict[Side | None, tuple[float, float, float]] = {
 }
 """Linear, of the playback's."""
 _RINGS, _SECTORS = 5, 16
-"""Of either end of a capsule, and around it."""
+"""The numbers of rings of either end of a capsule, and of sectors around it."""
 _TYPES = {1: "SCALAR", 3: "VEC3", 4: "VEC4", 16: "MAT4"}
 _COMPONENTS = {"float32": 5126, "uint32": 5125, "uint16": 5123}
 

@@ -90,7 +90,7 @@ def outline(path: Path) -> frozenset[str]:
 
 
 def names(group: h5py.Group) -> tuple[str, ...]:
-    """Of what a group holds."""
+    """The names of what a group holds."""
     return tuple(name for name in group if isinstance(name, str))
 
 

@@ -74,12 +74,12 @@ class StoredPoints:
     fps: float | None = None
     individual: str | None = None
     scorer: str | None = None
-    """Of points in the picture: the network or the labeller that found them, where the file names it."""
+    """For points in the picture: the network or the labeller that found them, where the file names it."""
     image_size_px: tuple[int, int] | None = None
     unit: str | None = None
-    """Of points in space: m, cm or mm; None where the file does not say."""
+    """For points in space: m, cm or mm; None where the file does not say."""
     up: str | None = None
-    """Of points in space: the axis that points up, y or z; None where the file does not say."""
+    """For points in space: the axis that points up, y or z; None where the file does not say."""
     edges: tuple[tuple[str, str], ...] = ()
     """Pairs of points that are linked, where they are known."""
     notes: tuple[str, ...] = ()
@@ -113,7 +113,7 @@ def z_up_from_y_up(xyz: np.ndarray) -> np.ndarray:
 
 
 def y_up_from_z_up(xyz: np.ndarray) -> np.ndarray:
-    """The opposite of `z_up_from_y_up`."""
+    """Points (..., 3) with y up from points with z up: the inverse of `z_up_from_y_up`."""
     return np.stack([xyz[..., 0], xyz[..., 2], -xyz[..., 1]], axis=-1)
 
 

@@ -19,11 +19,11 @@ from recon.workflows.settings import RENAME, FrameRange
 BINS = 10
 PCK_PX = (2.5, 5.0, 10.0)
 PCK_RELATIVE = (0.05, 0.1, 0.2)
-"""Of the body length, the median diagonal of the box around an animal's labels."""
+"""Distances as shares of the body length, the median diagonal of the box around an animal's labels."""
 
 
 class Evaluate2DSettings(Settings):
-    """What `recon evaluate-2d` compares."""
+    """What `recon evaluate-2d` compares, and how."""
 
     predicted: Annotated[Path, Option("Keypoints of any known format, as in run.csv.", argument="PREDICTED")]
     labels: Annotated[Path, Option("Labels in DeepLabCut's layout, as in CollectedData_me.csv.", argument="LABELS")]
@@ -94,10 +94,10 @@ def evaluate_2d(
     likelihood_min: float = 0.5,
     tolerance_px: float = 5.0,
 ) -> dict[str, Any]:
-    """Of points (N, K, 2) with likelihoods (N, K), against labels (N, K, 2), each NaN where there is none: how many
-    `frames`; scores (`_score`) of `all`, of those with a likelihood cut-off (`likely`), and with the two sides of the
-    animal allowed to be the wrong way round (`swaps_forgiven`, None where no names differ in their side), by keypoint
-    (`per_keypoint`, `likely_per_keypoint`); and the `reliability` of the likelihoods, None without any."""
+    """Scores of points (N, K, 2) with likelihoods (N, K), against labels (N, K, 2), each NaN where there is none: how
+    many `frames`; scores (`_score`) of `all`, of those with a likelihood cut-off (`likely`), and with the two sides of
+    the animal allowed to be the wrong way round (`swaps_forgiven`, None where no names differ in their side), by
+    keypoint (`per_keypoint`, `likely_per_keypoint`); and the `reliability` of the likelihoods, None without any."""
     labelled = known_points(label_px)
     errors = np.linalg.norm(xy_px - label_px, axis=2)
     likely = np.where(likelihood >= likelihood_min, errors, np.nan)
@@ -136,9 +136,9 @@ def _forgiving_errors_px(xy_px: Array, label_px: Array, partner: tuple[int, ...]
 
 
 def _score(errors: Array, labelled: Bools, length_px: float) -> dict[str, Any]:
-    """Of errors that are NaN where not labelled or not found: how many labelled `points`, the share of them `found`
-    (and likely enough), RMSE and median over those, NaN without any, and by distance (`pck_px`) and by part of the body
-    length (`pck_relative`) shares of all labelled points, those not found being wrong."""
+    """Scores of errors that are NaN where not labelled or not found: how many labelled `points`, the share of them
+    `found` (and likely enough), RMSE and median over those, NaN without any, and by distance (`pck_px`) and by part of
+    the body length (`pck_relative`) shares of all labelled points, those not found being wrong."""
     n = int(labelled.sum())
     found = errors[labelled & np.isfinite(errors)]
 
@@ -156,10 +156,10 @@ def _score(errors: Array, labelled: Bools, length_px: float) -> dict[str, Any]:
 
 
 def reliability(likelihood: Array, right: Bools, bins: int = BINS) -> dict[str, Any]:
-    """Of likelihoods (N,) in 0 to 1 and whether their points are right (N,): how many `points` they are; their
-    `expected_calibration_error`, the mean difference of likelihood and share of right points, NaN without any; and for
-    the `bins` of equal width with points in them how many; low and high, between which their likelihoods lie; their
-    mean; and the share of them that is right."""
+    """How reliable likelihoods (N,) in 0 to 1 are, given whether their points are right (N,): how many `points` they
+    are; their `expected_calibration_error`, the mean difference of likelihood and share of right points, NaN without
+    any; and for the `bins` of equal width with points in them how many; low and high, between which their likelihoods
+    lie; their mean; and the share of them that is right."""
     which = np.minimum((likelihood * bins).astype(int), bins - 1)
     rows = []
     for b in np.unique(which):

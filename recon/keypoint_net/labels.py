@@ -49,7 +49,7 @@ class Labels:
 
     @property
     def labelled(self) -> Bools:
-        """(N, K)."""
+        """Which of the K keypoints are labelled in each of the N pictures, shape (N, K)."""
         return known_points(self.xy_px)
 
     def scaled(self, scale: float) -> Labels:
@@ -64,7 +64,7 @@ def known_points(xy_px: Array) -> Bools:
 
 
 def resize(picture: Image, scale: float) -> Image:
-    """Of the size that `scaled_size` says; pixel (x, y) moves to `scale_points`."""
+    """The picture in the size that `scaled_size` says; pixel (x, y) moves to `scale_points`."""
     if scale == 1.0:
         return picture
     size = scaled_size((picture.shape[1], picture.shape[0]), scale)
@@ -80,7 +80,7 @@ def scaled_size(size_px: tuple[int, int], scale: float) -> tuple[int, int]:
 
 
 def scale_points(xy_px: Array, scale: float) -> Array:
-    """Of pixel coordinates with whole numbers at the centres of pixels, from one size of picture to another."""
+    """Scale pixel coordinates with whole numbers at the centres of pixels, from one size of picture to another."""
     return (xy_px + 0.5) * scale - 0.5
 
 
@@ -266,8 +266,8 @@ def extents_px(xy_px: Array) -> Array:
 
 
 def body_length_px(xy_px: Array) -> float:
-    """Of the animal in the pictures: the median diagonal of the box around its points, over the pictures that show
-    most of it (NaN where nothing has two points)."""
+    """The length of the animal in the pictures: the median diagonal of the box around its points, over the pictures
+    that show most of it (NaN where nothing has two points)."""
     known = known_points(xy_px).sum(axis=1)
     return median(extents_px(xy_px)[known >= max(2, 0.7 * known.max(initial=0))])
 

@@ -58,11 +58,12 @@ STRIDE = 4
 WIDTHS, BLOCKS = (16, 32, 64, 128, 192), (0, 1, 2, 2, 2)
 """Channels and residual blocks at 1/2, 1/4, ... 1/32 of the picture."""
 SECOND_WIDTHS, SECOND_BLOCKS = (16, 32, 64, 96), (0, 1, 2, 2)
-"""Of the second stage, which sees parts of a large animal at full size: less context, and less work."""
+"""Widths and blocks of the second stage, which sees parts of a large animal at full size: less context, and less
+work."""
 HEAD = 48
 
 SIGMA = 0.9
-"""Of the Gaussian that the network is to give, in places of the grid."""
+"""The standard deviation of the Gaussian that the network is to give, in places of the grid."""
 LEAST_SIGMA = 0.15
 """Standard deviation of a point in places, if the probability is no broader than that."""
 BLUR = 0.8
@@ -298,7 +299,7 @@ Calibration = tuple[float, float]
 
 
 def calibrated(raw: Array, calibration: Calibration | None) -> Array:
-    """Of raw likelihoods; NaN stays NaN."""
+    """Calibrated likelihoods from raw ones; NaN stays NaN."""
     if calibration is None:
         return np.clip(raw, 0.0, 1.0)
     slope, offset = calibration
@@ -330,15 +331,15 @@ class Spec:
     """What belongs to a network's weights."""
 
     names: tuple[str, ...]
-    """Of the keypoints."""
+    """The names of the keypoints."""
     scale: float
-    """Of the network's pictures to those of the clip."""
+    """The scale of the network's pictures to those of the clip."""
     body_length_px: float
-    """Of the animal in the labelled pictures, before scaling."""
+    """The length of the animal in the labelled pictures, before scaling."""
     tolerance_px: float
     """Within which a point counts as right, for its likelihood; in the labelled pictures, before scaling."""
     first: float = 1.0
-    """Of the pictures of the first stage to the network's; 1 where there is but one stage."""
+    """The scale of the pictures of the first stage to the network's; 1 where there is but one stage."""
     calibration: Calibration | None = None
 
     @property
@@ -409,8 +410,8 @@ class Trained:
 def part_of(
     xy_px: Array, raw: Array, margin_px: float, size_px: Sequence[int]
 ) -> tuple[NDArray[np.int64], tuple[int, int]]:
-    """Of pictures of size_px, the part around the points (B, K, 2) that are likely enough: its first pixel in each
-    (B, 2), and the size (width, height) of all."""
+    """The part of pictures of size_px around the points (B, K, 2) that are likely enough: its first pixel in each (B,
+    2), and the size (width, height) of all."""
     sure = (raw >= np.minimum(SURE, raw.max(axis=1, keepdims=True)))[..., None]
     low = np.where(sure, xy_px, np.inf).min(axis=1) - margin_px
     high = np.where(sure, xy_px, -np.inf).max(axis=1) + margin_px
@@ -421,7 +422,7 @@ def part_of(
 
 
 def places(xy_px: Array, device: torch.device) -> torch.Tensor:
-    """Of pixels, in the grid."""
+    """The places in the grid of points in pixels."""
     return require_torch().from_numpy((xy_px / STRIDE).astype(np.float32)).to(device)
 
 

@@ -43,7 +43,7 @@ OFF = 0.75
 CROP = 1.4
 """Size of training pictures, relative to the animal's length."""
 MARGIN = 0.12
-"""Of the animal around its labelled points, relative to its length."""
+"""The margin around the animal's labelled points, relative to its length."""
 NO_BACKGROUND = 0.2
 """Share of the training pictures whose difference to the background is left out."""
 AHEAD = 3
@@ -51,11 +51,11 @@ AHEAD = 3
 LEAST_PICTURES = 8
 MOST_PICTURES = 60
 MOST_BYTES = 2**28
-"""Of those that are held at a time of a video."""
+"""The most bytes of a video's pictures that are held at a time."""
 STILL_LEVELS = 12.0
 """Grey levels by which most of a picture differs at most from the background where the camera is still."""
 STILL_SHARE = 0.6
-"""Of a picture's pixels."""
+"""The share of a picture's pixels that stay the same where the camera stands still."""
 MOVED_LEVELS = 22.0
 """Grey levels by which the animal differs from the background, in some colour."""
 
@@ -89,13 +89,13 @@ class Example:
     picture: Image
     """(h, w, 3)"""
     background: Image | None
-    """Of the picture's shape, None where the camera moves."""
+    """The median picture of the clip, of the pictures' shape; None where the camera moves."""
     mask: Image | None
     """(h, w), the animal's, None where the camera moves."""
     xy_px: Array
     """(K, 2), NaN where not labelled."""
     length_px: float
-    """Of the animal."""
+    """The length of the animal in pixels."""
     part: bool = False
     """Whether pictures are made of what is around one of its points, rather than of all of it."""
 
@@ -367,5 +367,5 @@ def make_batch(
 def batches(
     sources: Sequence[Callable[[int, Integers], Batch]], step: int, pool: Integers
 ) -> Generator[tuple[Batch, ...]]:
-    """Of this step and all that follow, one batch of each source, made ahead."""
+    """The batches of this step and all that follow, one of each source, made ahead."""
     return ahead((tuple(source(s, pool) for source in sources) for s in count(step)), AHEAD)

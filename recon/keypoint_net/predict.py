@@ -36,7 +36,7 @@ from recon.show.overlay import Colour, draw_circle
 LIKELY = 0.5
 """Points less likely than this are rings in the overlay."""
 PIXELS = 2**20
-"""Of a batch, at the network's scale."""
+"""The most pixels of a batch, at the network's scale."""
 WAITING = 2
 """Batches that are decoded ahead."""
 LOST_SHARE, LOST_FRAMES = 0.01, 3
@@ -47,7 +47,7 @@ _Chunk = tuple[list[int], list[Image], list[Image]]
 
 
 class PredictSettings(Settings):
-    """What `recon predict` does."""
+    """What `recon predict` finds, and where."""
 
     video: Annotated[Path, Option("The video, as in run.mp4.", argument="VIDEO")]
     model: Annotated[Path, Option("Folder of a trained network, as in models/run.", metavar="DIR")]

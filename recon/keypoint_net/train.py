@@ -105,7 +105,7 @@ class TrainSettings(Settings):
     ] = False
 
     def of_training(self) -> dict[str, Any]:
-        """Those of training alone, where there are others beside them."""
+        """The settings of training alone, where there are others beside them."""
         return {name: getattr(self, name) for name in TrainSettings.infos()}
 
 
@@ -137,12 +137,12 @@ class State:
     optimizer: torch.optim.Optimizer
     step: int = 0
     share: float = 0.0
-    """Of the run that is done; it decides the learning rate."""
+    """The share of the run that is done; it decides the learning rate."""
     seconds: float = 0.0
-    """Of all its parts."""
+    """The time that all its parts have taken."""
     calibration: Calibration | None = None
     judged: tuple[list[float], list[bool]] = ([], [])
-    """Of the labelled validation points, calibrated likelihoods, and which of them are right."""
+    """The calibrated likelihoods of the labelled validation points, and which of them are right."""
     history: list[dict[str, float]] = field(default_factory=list)
     threads: int = 0
     """With which it computes on the CPU; 0 where none were chosen yet."""
@@ -206,7 +206,7 @@ def calibrated_spec(run: TrainingRun, state: State) -> Spec:
 
 
 def _sources(run: TrainingRun) -> tuple[Any, ...]:
-    """Of each stage, what makes the batch of a step from a pool of pictures."""
+    """For each stage, what makes the batch of a step from a pool of pictures."""
     settings, spec = run.settings, run.spec
     options = Augmentation(partner=sides(spec.names) if settings.mirror else None)
     labels, still = run.scaled, run.still

@@ -23,5 +23,5 @@ def control_rates(q: Array, interval_s: float, before: Array | None, after: Arra
 
 
 def control_columns(names: Sequence[str]) -> list[str]:
-    """Those of the rates and accelerations of joints."""
+    """The columns of the rates and accelerations of joints."""
     return [f"{name}_{what}" for what in ("rate_rad_s", "acceleration_rad_s2") for name in names]

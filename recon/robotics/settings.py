@@ -84,7 +84,7 @@ class IkSettings(Settings):
 
     @property
     def methods(self) -> tuple[str, ...]:
-        """Those that are run."""
+        """The names of the methods that are run."""
         own = () if self.cost is None else (EXTENDED,)
         return (*METHODS, *own) if self.compare else (self.method,)
 

@@ -35,14 +35,14 @@ STRIP_SHARE = 0.3
 COLUMNS = {"side": 0.38, "from above": 0.26, "from ahead": 0.18}
 """Shares of the width; what remains is the key's."""
 TILE_PX, SHEET_COLUMNS = (480, 300), 4
-"""Of a sheet of stills."""
+"""The size of a tile of a sheet of stills in pixels, and its columns."""
 TILE_UNIT, KEY_UNIT = 0.55, 0.85
 DARKENED = 0.35
 """What a text's ground keeps of the picture."""
 _FILLED = 0.8
-"""Of a tile, by the largest animal."""
+"""The share of a tile that the largest animal fills."""
 CLOSE_UP, WORTH = 0.36, 1.6
-"""Of the picture's sides, those of the close-up; what it has to enlarge by to be shown."""
+"""The close-up's share of the picture's sides, and what it has to enlarge by to be shown."""
 HEADING_S = 0.25
 """The views turn with the trunk's direction, averaged over this time, so that they do not shake."""
 
@@ -73,7 +73,7 @@ class Overlay:
     flags: Sequence[Sequence[str]]
     """(T): what is doubtful about each frame."""
     speed: float = 1.0
-    """Of the playback, 1 is real time."""
+    """The speed of the playback, 1 is real time."""
 
     @cached_property
     def nearness(self) -> Array:
@@ -238,7 +238,7 @@ class Cut:
         return self.scale * (points_px - self.corner_px)
 
     def of(self, picture: Image, size_px: tuple[int, int]) -> Image:
-        """(height, width, 3)"""
+        """The cut of a picture (height, width, 3)."""
         (x, y), scale = self.corner_px, self.scale
         to_cut = np.array([[scale, 0.0, -scale * x], [0.0, scale, -scale * y]])
         return np.asarray(cv2.warpAffine(picture, to_cut, size_px, flags=cv2.INTER_LINEAR, borderValue=PAPER), np.uint8)

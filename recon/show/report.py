@@ -19,7 +19,7 @@ from recon.show.sections import sections_of
 SCHEMA_NAME, SCHEMA_VERSION = "recon.fit.report", 4
 REPORT = "report.json"
 STYLES = {"use": "bold green", "check": "bold yellow", "do not use": "bold red"}
-"""Of the levels of a verdict, on a terminal."""
+"""Styles of the levels of a verdict, on a terminal."""
 TO_DO = {
     "use": "Use it, with the expected error.",
     "check": "Do what the reason says, and look at the poses on the video before you use them.",

@@ -54,7 +54,7 @@ MOST_SIZE = 10.0
 PLAIN_C = 1e6
 """In place of `FrameOptions.robust_c` where f1 is as printed: nothing saturates."""
 SIGMA_M = 0.01
-"""Of joints that are known in space."""
+"""The standard deviation of joints that are known in space."""
 SPARE_SEARCHES = 4
 """A clip may take `FrameOptions.max_evaluations` for each of its frames, and so many times that for all of them."""
 
@@ -129,7 +129,7 @@ class FrameReport:
 
 @dataclass(frozen=True, eq=False)
 class FrameSolution(Solution):
-    """Of the frame method, D unknowns of the chain. Covariances are given the frame before."""
+    """A solution of the frame method, with D unknowns of the chain. Covariances are given the frame before."""
 
     chain: Chain
     chain_states: Array
@@ -151,11 +151,11 @@ class FrameSolution(Solution):
 
     @cached_property
     def status(self) -> tuple[Status, ...]:
-        """(T,)"""
+        """The status of each of the T frames: converged, not_converged or no_data."""
         return tuple("no_data" if r is None else r.status for r in self.reports)
 
     def findings(self) -> tuple[Finding, ...]:
-        """Of frames that were not solved well, and of the base length, which says the scale."""
+        """Findings on frames that were not solved well, and on the base length, which says the scale."""
         total, flags = len(self.flags), [flag for flags in self.flags for flag in flags]
         solved = total - self.status.count("no_data")
         few, at_limit = flags.count("few points"), flags.count("at range limit")
@@ -264,9 +264,9 @@ def solve_frames(
 def frame_rows(
     view: View, chain: Chain, fps: float, options: FrameOptions, states: Array, sigma_px: Array
 ) -> Iterator[tuple[int, dict[str, tuple[Array, Array]]]]:
-    """Of every frame with a pose, its row, and by term what was solved there: residuals (M,) and their Jacobian (M, D)
-    by the frame's unknowns, the frame before being held. As given to `solve_frames`, and as it found them: states
-    (T, D), NaN without a pose, and sigma_px (T,)."""
+    """For every frame with a pose its row, and by term what was solved there: residuals (M,) and their Jacobian (M, D)
+    by the frame's unknowns, the frame before being held. As given to `solve_frames`, and as it found them: states (T,
+    D), NaN without a pose, and sigma_px (T,)."""
     solver, _ = _solver(view.credible(), chain, fps, options)
     solved = np.flatnonzero(np.isfinite(states[:, 0]))
     for frame, before in zip(solved.tolist(), [None, *solved.tolist()], strict=False):
@@ -322,7 +322,7 @@ def frame_search(view: View, chain: Chain, fps: float, options: FrameOptions, st
 
 
 def _solver(view: View, chain: Chain, fps: float, options: FrameOptions) -> tuple[_FrameSolver, Travel]:
-    """Of what a still camera saw, as far as it is credible."""
+    """The solver of what a still camera saw, as far as it is credible."""
     nominal, sigma = base_length(chain, options)
     expected, options = replace(chain, nominal_base_length_m=nominal), replace(options, base_sigma_m=sigma)
     travel = estimate_travel(view.camera, expected, view.xy_px, fps)

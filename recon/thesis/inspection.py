@@ -46,7 +46,7 @@ FOLDER, SUMMARY, JACOBIAN = "solver", "solver.json", "jacobian.npz"
 SEARCH = "solver_frame.csv"
 """By default the folder lies in the results' own."""
 FIGURES_BEGIN = 0.5
-"""Of the progress."""
+"""The share of the progress at which the figures begin."""
 _ALIKE = 2.0
 """Costs that differ by a larger factor are of another prior, or other settings."""
 

@@ -93,7 +93,7 @@ class _Limit(Objective):
     form: Form
 
     def beyond(self, size: Array, slope: Array, limit: Array, n_state: int) -> ResidualAndJacobian:
-        """Of sizes (A,) with their derivatives (A,) by the unknowns."""
+        """How far sizes (A,) with their derivatives (A,) by the unknowns are beyond the limit."""
         residual, slope = (size - limit) / self.softness_rad, slope / self.softness_rad
         if self.form == "deadband":
             residual, slope = np.maximum(residual, 0.0), np.where(residual > 0, slope, 0.0)

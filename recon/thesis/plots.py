@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _LEAST = 1e-12
-"""Of what is drawn on a logarithmic axis."""
+"""The least value that is drawn on a logarithmic axis."""
 _DECADES = 1e-6
 """The least of a logarithmic axis, of its most: what is less hardly matters."""
 _UNDAMPED = 1e-8
@@ -42,7 +42,7 @@ EXIT_FLAGS = {
     3: "step small",
     4: "cost and step settled",
 }
-"""Of scipy's `least_squares`."""
+"""The words for the exit flags of scipy's `least_squares`."""
 NAMES = {"base_length_m": "base length (m)", "size": "size"}
 
 
@@ -131,7 +131,7 @@ def image_errors(record: SolverRecord) -> Figure:
 
 
 def solver_unknowns(record: SolverRecord) -> Figure:
-    """Of every unknown: parts of the gradient, and norms of the Jacobian's columns, over the frames."""
+    """A figure of every unknown: parts of the gradient, and norms of the Jacobian's columns, over the frames."""
     names, problem = record.problem.unknowns, record.problem
     says = "dots: median of the frames, lines: from the least to the most"
     with drawing(min(4.0 * len(names) + 20, PAGE_MM), title=says) as figure:
@@ -195,7 +195,8 @@ def solver_frame(record: SolverRecord) -> Figure:
 
 
 def solver_matrices(record: SolverRecord) -> Figure:
-    """Of the frame that is looked into: the Jacobian at its minimum, residuals x unknowns, and J'J; white is zero."""
+    """A figure of the frame that is looked into: the Jacobian at its minimum, residuals x unknowns, and J'J; white is
+    zero."""
     from matplotlib.colors import LogNorm
 
     (search, frame), names = _looked_into(record), record.problem.unknowns

@@ -29,12 +29,12 @@ from recon.thesis.frame import FrameOptions, FrameSearch, FrameSolution, beyond_
 
 CAMERA_ANGLES = ("xi", "psi", "zeta")
 _LEAST_DAMPING = 1e-4
-"""Of the step that is left: as of the solver's last ones."""
+"""The least damping of the step that is left: that of the solver's last ones."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Rows:
-    """Of a term, N frames with M rows each."""
+    """The rows of a term, M for each of N frames."""
 
     term: str
     frames: Index
@@ -78,7 +78,7 @@ class _Linearised:
 
     @cached_property
     def solved(self) -> Bools:
-        """(T,)"""
+        """Which of the T frames were solved, shape (T,)."""
         return np.isfinite(self.gradient[:, 0])
 
     @cached_property
@@ -128,7 +128,7 @@ class _Linearised:
 
 
 def linearised_frames(motion: Motion, options: FrameOptions) -> _Linearised:
-    """Of the frame method: every frame's unknowns, the frame before being held."""
+    """The linearised frame method: every frame's unknowns, the frame before being held."""
     solution = frame_solution(motion)
     chain, (view,) = solution.chain, solution.views
     states = _unknowns(motion)
@@ -142,8 +142,8 @@ def linearised_frames(motion: Motion, options: FrameOptions) -> _Linearised:
 
 
 def linearised_clip(clip: ClipProblem, motion: Motion) -> _Linearised:
-    """Of the trajectory method. The noise of the joints is the solution's, the mean of several segments; contacts
-    follow from the solution. A segment with a frame that ran away is left out."""
+    """The linearised trajectory method. The noise of the joints is the solution's, the mean of several segments;
+    contacts follow from the solution. A segment with a frame that ran away is left out."""
     states = motion.states
     segments, step = [], np.full(states.shape, np.nan)
     for segment, problem, found in at_solution(clip, trajectory_solution(motion)):
@@ -245,7 +245,7 @@ class SolverRecord:
         return {name: (beyond > 0).sum(axis=1) for name, beyond in self.limits.items()}
 
     def summary(self) -> dict[str, object]:
-        """For solver.json."""
+        """The record in short, as solver.json holds it."""
         cost = {name: float(np.nansum(c)) for name, c in self.problem.cost.items()}
         found: dict[str, object] = {
             "cost_by_term": cost,

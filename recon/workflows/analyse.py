@@ -48,9 +48,9 @@ PLAYBACK = "motion.rrd"
 INTERVAL = 1.96
 """Standard deviations to either side that hold 95 %."""
 FIGURES_BEGIN = 0.5
-"""Of the progress."""
+"""The share of the progress at which the figures begin."""
 SHOWN = 3
-"""Of strides that do not count, by method: said one by one."""
+"""How many strides that do not count are said one by one, by method."""
 
 
 Analysed = tuple[ClipAnalysis, dict[str, Any], list[Path]]
@@ -76,7 +76,7 @@ class AnalyseSettings(Settings):
 
 
 MOST_STANCES = 100
-"""That are printed, of all feet."""
+"""How many stances are printed at most, of all feet."""
 
 
 def analyse_command(settings: AnalyseSettings, as_json: bool, quiet: bool) -> Any:

@@ -19,7 +19,7 @@ from recon.workflows.settings import UNITS_M, FitSettings, Unit
 
 AXES, FIRST_CAMERA = ("x", "y", "z"), "first-camera"
 LONGEST_ZOOM = 20.0
-"""Of lenses that film animals, from their shortest focal length to the longest."""
+"""The longest zoom of lenses that film animals, from their shortest focal length to the longest."""
 
 
 ClipCamera = tuple[Camera, "io.CameraTrack | None"]
@@ -135,7 +135,7 @@ def _require_like_lens(camera: Camera, track: io.CameraTrack) -> None:
 
 
 def _own_lens(camera: Camera, settings: FitSettings, place: int) -> Camera:
-    """Of a track, named as given. Raises InputError for another size of the picture than is given."""
+    """The lens of a track, named as given. Raises InputError for another size of the picture than is given."""
     size, given = camera.image_size_px, settings.image_size_px
     if given is not None and size != given:
         expected = f"{given[0]}x{given[1]}, as was given"
@@ -166,7 +166,7 @@ def _cameras_of_several(settings: FitSettings, tracks: Sequence[io.CameraTrack])
 
 
 def _camera_by_name(settings: FitSettings, place: int, name: str, tracks: Sequence[io.CameraTrack]) -> Camera:
-    """Of a track with a lens, or from the camera file."""
+    """The camera of a track with a lens, or from the camera file."""
     for track in tracks:
         if track.camera is not None and name in cameras_in(io.track_label(track.source), settings.camera_name or ()):
             return _own_lens(track.camera, settings, place)

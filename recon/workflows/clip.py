@@ -150,7 +150,7 @@ class Prepared:
     side: Side | None
     side_reason: str
     found: tuple[Finding, ...] = ()
-    """Of the cameras, before the fit."""
+    """Findings on the cameras, before the fit."""
 
     @cached_property
     def sources(self) -> tuple[Source, ...]:
@@ -240,7 +240,7 @@ def read_clips(settings: FitSettings) -> list[Keypoints]:
 
 
 def keypoint_problems(paths: Iterable[Path], individual: str | None) -> list[Problem]:
-    """Of the files themselves, beside settings that cannot be used."""
+    """The problems of the files themselves, beside settings that cannot be used."""
     try:
         all_of(*(lambda path=path: io.read_keypoints(path, individual) for path in paths))
     except InputError as error:

@@ -146,7 +146,7 @@ def _stride_rows(found: ClipAnalysis) -> Iterator[dict]:
 
 
 def _speed_sigma(found: ClipAnalysis, start_s: float, end_s: float) -> float:
-    """Of the mean speed in a time: errors of the path last `PLACE_LASTS_S` on either side."""
+    """The standard deviation of the mean speed in a time: errors of the path last `PLACE_LASTS_S` on either side."""
     moved = found.joints[found.reference]
     if moved.speed_sigma_m_s is None:
         return np.nan

@@ -39,7 +39,7 @@ EXTRAS = {
 }
 """Extras that a user may want, with what they are for."""
 MODULES = {"opencv-python-headless": "cv2", "rerun-sdk": "rerun", "pytables": "tables"}
-"""Of distributions that others may stand in for: opencv-python, or a build of one's own."""
+"""Modules of distributions that others may stand in for: opencv-python, or a build of one's own."""
 STYLES = {"ok": "green", "absent": "", "note": "yellow", "broken": "bold red"}
 SELF_TEST_MPJPE_MM = 100
 """The sample is fitted to about half of this: more is a solver that does not work here."""

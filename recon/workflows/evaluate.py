@@ -1,4 +1,4 @@
-"""`recon evaluate`."""
+"""The command `recon evaluate`, and the same from Python."""
 
 from __future__ import annotations
 

@@ -32,7 +32,7 @@ from recon.workflows.settings import FitSettings, read_settings
 DISAGREEMENT = 16.0
 """Squared deviations, of 6 unknowns, from which on a camera that stood still is unlikely (1 in 70)."""
 LEAST_MOVED = 0.5
-"""Of an animal's length in the picture: on its feet it swings by less."""
+"""The least way of an animal, in its lengths in the picture: on its feet it swings by less."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +49,7 @@ class _ExtrinsicsRun:
     disagreement: Array
     """(C, V): see `recon.fit.extrinsics.Rig`."""
     offsets_s: tuple[tuple[float, ...], ...]
-    """Of each clip's files: how much later than the first each camera began, as given or found."""
+    """For each clip's files: how much later than the first each camera began, as given or found."""
     out: Path
 
     def to_dict(self) -> dict[str, Any]:
@@ -75,7 +75,7 @@ class _ExtrinsicsRun:
         }
 
     def lines(self) -> Iterator[str]:
-        """For the terminal."""
+        """The result in lines of text, for the terminal."""
         first = self.cameras[0].camera_to_world(np.zeros(3))
         for camera, sigma, high in zip(self.cameras, self.sigma, self.height_sigma_m, strict=True):
             place = camera.camera_to_world(np.zeros(3))
@@ -101,7 +101,7 @@ _SETTINGS = (
     *("skeleton", "subject", "detector", "prior", "individual", "rename", "frames", "likelihood_min", "sigma_px"),
     "keypoint_sigma_m",
 )
-"""Those of a fit that are read."""
+"""The settings of a fit that are read."""
 
 
 class _ExtrinsicsSettings(Settings):
@@ -305,7 +305,7 @@ def _each_alone(settings: FitSettings) -> list[Prepared]:
 
 
 def _all_cameras(given: Sequence[Sequence[Prepared]]) -> list[Camera]:
-    """Of all clips, each once, those of the first clip first."""
+    """The cameras of all clips, each once, those of the first clip first."""
     cameras: dict[str, Camera] = {}
     for one in (prepared.sources[0].camera for clip in given for prepared in clip):
         if cameras.setdefault(one.name, one).to_dict() != one.to_dict():
@@ -315,7 +315,7 @@ def _all_cameras(given: Sequence[Sequence[Prepared]]) -> list[Camera]:
 
 
 def _tilt_rad(clips: Sequence[FitSettings], level_rad: float | None, posed: bool) -> float | None:
-    """Of all cameras in all clips, where it is said."""
+    """The tilts of all cameras in all clips, where they are said."""
     tilts = sorted({clip.tilt_deg for clip in clips if clip.tilt_deg is not None})
     levels = [] if level_rad is None else [math.degrees(level_rad)]
     problems = []

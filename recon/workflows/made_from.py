@@ -44,7 +44,7 @@ file_sha256 = cache(lambda path: digest(path))
 
 
 def digest(path: Path) -> str | None:
-    """Of a file's content; None where it cannot be read."""
+    """The digest of a file's content; None where it cannot be read."""
     try:
         return sha256_of(path)
     except OSError:
@@ -129,7 +129,7 @@ def problem_of(motion: Motion, folder: Path) -> ClipProblem:
 
 
 def replaced_files(config: Path, given: Mapping[str, Any], settings: FitSettings) -> list[Path]:
-    """Those that the config.toml names whose content is another than when it was written."""
+    """The files that the config.toml names whose content is another than when it was written."""
     table = read_toml(config, "a config.toml of an earlier run").get("recon", {}).get("sha256", {})
     known = table if isinstance(table, dict) else {}
     files = _named(given, settings).items()

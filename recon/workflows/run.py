@@ -94,7 +94,7 @@ class Job:
     given: FitSettings
     """Its keypoints are those that were given, or where those that are found go."""
     threads: int | None = None
-    """Of the network."""
+    """How many threads the network uses."""
 
     @property
     def fit(self) -> FitSettings:
@@ -258,7 +258,7 @@ def _check_inputs(job: Job) -> None:
 
 
 def _stages(job: Job) -> dict[str, _Stage]:
-    """Those that this job has, by name."""
+    """The stages that this job has, by name."""
     run, given, out = job.run, job.given, job.run.out
     keypoints, film = given.keypoints[0], {"video": run.video}
     fit, options = {"fit": out / MANIFEST}, {"first_frame": run.first_frame}

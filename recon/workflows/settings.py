@@ -66,7 +66,7 @@ def _start_and_end(given: Any) -> Any:
 
 
 Size = Annotated[tuple[Count, Count], BeforeValidator(_size)]
-"""Of a picture in pixels: (width, height), or the text "1920x1080"."""
+"""The size of a picture in pixels: (width, height), or the text "1920x1080"."""
 FrameRange = Annotated[str, AfterValidator(_frames)]
 """A:B, from A up to but without B."""
 StrideTimes = Annotated[tuple[Number, Number], BeforeValidator(_start_and_end)]
@@ -398,7 +398,7 @@ class FitSettings(Settings):
         return bool(self.refine_cameras) or (self.focal_sigma is not None and len(self.keypoints) > 1)
 
     def trajectory_options(self) -> TrajectoryOptions:
-        """Those that the trajectory method's solver reads."""
+        """The options that the trajectory method's solver reads."""
         from recon.fit import TrajectoryOptions
 
         return TrajectoryOptions(**{field.name: getattr(self, field.name) for field in fields(TrajectoryOptions)})

@@ -22,10 +22,10 @@ from recon.base.errors import InputError, Problem
 
 FEWEST_FRAMES = 20
 RIGID, TOO_MUCH, NOISE = 0.01, 0.02, 2.0
-"""Of the animal's length: a distance that changes by less (one standard deviation) stays the same; and of noisy
+"""Shares of the animal's length: a distance that changes by less (one standard deviation) stays the same; and of noisy
 keypoints, by so many times what those between steady neighbours do, but not by more than the second."""
 KEYPOINT_SHARE, SIZE_SIGMA = 0.02, 0.05
-"""Of the skeleton: keypoint_sigma_m as a share of its length, and size_sigma of an animal that was measured."""
+"""For the skeleton: keypoint_sigma_m as a share of its length, and size_sigma of an animal that was measured."""
 SWING_RAD, SWING_HZ = (0.2, 1.2), (0.5, 8.0)
 
 

@@ -29,7 +29,7 @@ from recon.workflows.settings import FitSettings
 
 CONFIG = "config.toml"
 LEAST_SIZE_SIGMA = 0.01
-"""Of a measured animal: its lengths are known no better than a keypoint's place on it is."""
+"""The least size_sigma of a measured animal: its lengths are known no better than a keypoint's place on it is."""
 
 
 def _rows(fit: ShapeFit) -> Iterator[dict[str, Any]]:

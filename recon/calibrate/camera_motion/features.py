@@ -134,7 +134,8 @@ def matched(a: Image, b: Image) -> Integers:
 
 
 def hull_mask(frame: GreyPicture, points_px: Array, margin: float = 0.15) -> Bools:
-    """Of the small picture (height, width): what the hull of points (N, 2) covers, widened by a share of its size."""
+    """A mask (height, width) of the small picture: what the hull of points (N, 2) covers, widened by a share of its
+    size."""
     mask = np.zeros(frame.grey.shape, np.uint8)
     points = frame.work_px(points_px[np.isfinite(points_px).all(axis=1)])
     if len(points):
@@ -157,6 +158,6 @@ def rays_of(camera: Camera, pixels: Array, zoom: float = 1.0) -> tuple[Array, Bo
 
 
 def pixels_of(camera: Camera, rays: Array, zoom: float = 1.0) -> tuple[Array, Bools]:
-    """The way back."""
+    """The pixels (N, 2) of rays: the inverse of `rays_of`."""
     pixels, valid = camera.project(rays)
     return focus_px(camera) + zoom * (pixels - focus_px(camera)), valid

@@ -19,11 +19,11 @@ from recon.geometry.camera import Camera
 GRID = (12, 12)
 TRIALS, CANDIDATES = 300, 10
 MIN_APART = 0.12
-"""Of a pair that a turn is tried from, in the picture's diagonal."""
+"""How far apart the two points are at least that a rotation is tried from, as a share of the picture's diagonal."""
 MIN_POINTS, MIN_SPREAD = 15, 0.2
 FINAL_LIMIT, LEAST_LIMIT = 0.5, 0.2
-"""Of the limit that turns are tried with: what a point may be off at most, however widely the others scatter, and what
-it may always be."""
+"""The limits that rotations are tried with: what a point may be off at most, however widely the others scatter, and
+what it may always be."""
 ROUNDS = 6
 
 

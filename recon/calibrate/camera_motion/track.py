@@ -36,11 +36,13 @@ from recon.geometry.camera import Camera
 from recon.io.video import Image
 
 LIMIT = 1 / 320
-"""Of the picture's longer side: a point that is further off does not agree with a turn that is tried."""
+"""A point that is further off than this share of the picture's longer side does not agree with a rotation that is
+tried."""
 MIN_CORNERS = 40
 NEW_KEY_LIKENESS, MIN_LIKENESS = 0.7, 0.25
 NEW_KEY_SUPPORT, MIN_SUPPORT = 0.6, 0.25
-"""Of the most that a turn has been worth since the last keyframe."""
+"""Shares of the most that a rotation has been worth since the last keyframe: below the first there is a new keyframe,
+below the second the frame is lost."""
 BY_ZOOM = 5.0
 """How much less alike two pictures are by the difference of their log zooms."""
 KEYS_AT_ONCE, KEYS_TO_LINK = 3, 5
@@ -51,22 +53,22 @@ SETTLED, COME_APART, MAX_APART = 0.75, 0.6, 0.25
 """A point that has mostly agreed is background; where fewer than so many of these agree, the background has come apart,
 and in more than so many frames it does so for a camera that has not only turned."""
 MAX_PAIRS, MIN_TRUST = 60, 0.4
-"""Of pictures that tell the focal length: those that are turned furthest apart, and how far their points have to have
-been background."""
+"""The number of pairs of pictures that tell the focal length, those that are rotated furthest apart, and how far their
+points have to have been background."""
 CLEARLY = 3.0
 """Standard deviations from which on a focal length is another than the camera file's."""
 MIN_STILL, MAX_TORN = 0.4, 1
-"""Of an old keyframe's background as much is still in its place, but for so many times."""
+"""The share of an old keyframe's background that has to be still in its place, but for so many times."""
 THUMBNAIL_PX = 400
 ADJUST_STEPS = 4
 PICTURE_FLOOR_PX = 0.1
-"""Of what all points of a picture may be off together, which their scatter does not show."""
+"""How far all points of a picture may be off together, in pixels, which their scatter does not show."""
 MIN_PAIR_POINTS, MIN_PAIRS = 30, 4
 WIDEST = 0.7
-"""Of the log factors that are tried."""
+"""The largest logarithm of a factor on the focal length that is tried."""
 STEP, STEPS, ROUNDS = 1e-3, 6, 4
 PAIR_FLOOR_PX = 0.15
-"""Of what all points of a pair may be off together."""
+"""How far all points of a pair of pictures may be off together, in pixels."""
 
 
 @dataclass(eq=False)
@@ -96,11 +98,11 @@ class _Keyframe:
 
 @dataclass(frozen=True, eq=False)
 class TurningMotion:
-    """Of F frames of the video, N of which have a turn. frames: (N,) numbers from 0. inliers, residual_px, sigma_rad,
-    sigma_zoom: (N,). focal: what the turns say of the focal length, the log factor on the camera file's and its
-    standard deviation; where it differs clearly, sigma_rad has what that does to the turns in it. lost: numbers of the
-    frames without enough background. keys: (K,) places among the N frames, and their pictures. turned_only: whether the
-    background has kept together. cut: the number of the frame where another take begins."""
+    """The rotations of a camera over F frames of a video, N of which have one. frames: (N,) numbers from 0. inliers,
+    residual_px, sigma_rad, sigma_zoom: (N,). focal: what the turns say of the focal length, the log factor on the
+    camera file's and its standard deviation; where it differs clearly, sigma_rad has what that does to the turns in it.
+    lost: numbers of the frames without enough background. keys: (K,) places among the N frames, and their pictures.
+    turned_only: whether the background has kept together. cut: the number of the frame where another take begins."""
 
     frames: Integers
     turns: tuple[Orientation, ...]
@@ -347,7 +349,7 @@ class Tracker:
     # -- all of them --
 
     def finish(self) -> TurningMotion:
-        """Everything adjusted together."""
+        """All frames adjusted together: the motion of the camera."""
         frames, lost = np.array(self.frames, dtype=np.int64), np.array(self.lost, dtype=np.int64)
         inliers = np.array([n for n, _ in self.supports], dtype=np.int64)
         residual = np.array([px for _, px in self.supports])

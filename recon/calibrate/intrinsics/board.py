@@ -35,7 +35,7 @@ class Board:
     """A board of squares, or a ChArUco board, which has markers in the light ones."""
 
     columns: int
-    """Of inner corners; of squares, where there are markers."""
+    """The number of inner corners across; of squares, where there are markers."""
     rows: int
     square_m: float
     """Side of a square."""

@@ -106,7 +106,7 @@ LIMITS = (
 
 
 def check(calibration: Calibration) -> tuple[_CalibrationCheck, ...]:
-    """Those of `LIMITS`, with their values."""
+    """The checks of a calibration: those of `LIMITS`, with their values."""
     camera, used = calibration.camera, calibration.used
     width, height = camera.image_size_px
     values, sigma = calibration.parameters, calibration.sigma

@@ -19,7 +19,8 @@ from recon.io.video import probe, read_frames
 
 IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp")
 MAX_VIEWS = 40
-"""Of a video. The standard deviations fall with the square root of the number: more add time and little else."""
+"""How many pictures of a video are taken. Standard deviations fall with the square root of the number: more add time
+and little else."""
 MAX_EXAMINED = 600
 """Frames of a video in which the board is looked for."""
 EXAMINED_HZ = 5.0
@@ -47,7 +48,7 @@ class BoardViews:
     board: Board
     image_size_px: tuple[int, int]
     views: tuple[BoardView, ...]
-    """Those to calibrate from."""
+    """The views of the board that the calibration is made from."""
     without_board: tuple[str, ...]
     """Names of the pictures in which it was not found."""
     examined: int

@@ -45,8 +45,8 @@ class FileFacts:
 def input_findings(
     motion: Motion, prior: MotionPrior, options: TrajectoryOptions, facts: FileFacts
 ) -> tuple[Finding, ...]:
-    """Of the keypoints that a motion was fitted to. Each angle on its own, where no prior was learned, tells neither
-    sides nor rates."""
+    """The findings on the keypoints that a motion was fitted to. Each angle on its own, where no prior was learned,
+    tells neither sides nor rates."""
     solution, body, fps = motion.solution, motion.body, motion.fps
     assert isinstance(solution, TrajectorySolution)
     clip = ClipProblem.of(solution.views, body, prior, fps, options)

@@ -30,7 +30,7 @@ from recon.fit.terms import REFERENCE_HZ
 SHARE = 0.2
 """So many identical coordinates, of those that could be, are no chance: hand labels in whole pixels may have a few."""
 FRAMES = 0.05
-"""Of a clip's frames: fewer that repeat the one before are a hiccup of a camera."""
+"""The least share of a clip's frames: fewer that repeat the one before are a hiccup of a camera."""
 FEWEST = 4
 """Fewer keypoints of a frame may be identical by chance."""
 STRAIGHT_PX, STRAIGHT = 0.01, 0.02
@@ -38,7 +38,8 @@ STRAIGHT_PX, STRAIGHT = 0.01, 0.02
 
 
 def copies(sources: Sequence[Source], resampled: bool = False) -> Iterator[Finding]:
-    """Of all cameras' files. resampled: points were taken between frames here, and straight lines say nothing."""
+    """Findings on points that are copies of others, in all cameras' files. resampled: points were taken between frames
+    here, and straight lines say nothing."""
     for source in sources:
         keypoints, camera = source.keypoints, source.camera.name
         yield from ([] if resampled else _interpolated(keypoints, camera)) or _repeated(keypoints, camera)
@@ -52,7 +53,7 @@ def copies(sources: Sequence[Source], resampled: bool = False) -> Iterator[Findi
 
 
 def _identical(a: np.ndarray, b: np.ndarray) -> tuple[Bools, Bools]:
-    """Of points (..., 2): which are the same in both, and which are in both."""
+    """For points (..., 2): which are the same in both, and which are in both."""
     both = np.asarray(np.isfinite(a + b).all(axis=-1))
     return both & np.asarray((a == b).all(axis=-1)), both
 

@@ -164,7 +164,7 @@ def _unexplained(clip: ClipProblem, states: Array, fps: float) -> float:
 
 
 def _cost(clip: ClipProblem, states: Array, factor: float) -> float:
-    """Of the keypoints and of how the angles move, not of the poses, which are as likely at any rate."""
+    """The cost of the keypoints and of how the angles move, not of the poses, which are as likely at any rate."""
     step = max(1, round(clip.fps / APPROACH_HZ))
     problem, found = _at_rate(clip.thinned(step), states[::step], factor)
     costs = problem.costs(found.states)

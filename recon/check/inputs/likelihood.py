@@ -48,7 +48,7 @@ def believed(ratio: float, surely: bool = False) -> bool:
 
 
 def alone(clip: ClipProblem, view: View) -> ClipProblem:
-    """Of one camera's view, by the fast search."""
+    """The motion by one camera's view alone, by the fast search."""
     origin_m = np.mean(view.centre_m, axis=0)
     return replace(clip, views=(view,), origin_m=origin_m, options=replace(clip.options, fast=True))
 
@@ -81,7 +81,7 @@ class Refit:
 
 
 def refitted(clip: ClipProblem) -> Refit:
-    """Of one camera's view, solved as a clip of its own."""
+    """The motion by one camera's view, solved as a clip of its own."""
     options = replace(clip.options, fast=False)
     solution = solve_trajectory(
         clip.views, clip.body, clip.prior, clip.fps, options, ground_near_zero=clip.ground_near_zero
@@ -91,7 +91,7 @@ def refitted(clip: ClipProblem) -> Refit:
 
 
 def _seen(clip: ClipProblem, states: Array) -> float:
-    """Of one view's keypoints around a motion (T, D)."""
+    """What one view sees of keypoints around a motion (T, D)."""
     (view,), markers = clip.views, clip.markers(states)
     (sigma_px,) = clip.noise_px(markers, np.ones((1, markers.shape[1])))
     projected, _ = view.project(view.at_its_time(clip.in_world(markers)))
@@ -136,7 +136,7 @@ class Baseline:
         return alone(self.clip, view)
 
     def refit(self, part: slice) -> Refit:
-        """Of a part of the clip as it is: of all of it, what was found."""
+        """The fit of a part of the clip as it is: for all of it, what was found."""
         if part.stop - part.start == len(self.states):
             return Refit.of(self.clip, self.states)
         return refitted(self.clip.part(part))
@@ -171,7 +171,7 @@ def either_side(given: Baseline, other: View, which: Bools) -> tuple[Array, Arra
 
 
 def baseline_of(clip: ClipProblem, number: int, states: Array, size: float) -> Baseline:
-    """Of one view of a clip. states (T, D) with the root in the world."""
+    """What one view of a clip is compared with. states (T, D) have the root in the world."""
     own = alone(clip, clip.views[number])
     found = states.copy()
     found[:, ROOT] = (states[:, ROOT] - own.origin_m) / size

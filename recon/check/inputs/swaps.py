@@ -45,7 +45,7 @@ POSSIBLE = 10.0
 """A whole clip that is so much likelier exchanged, and not as much as is believed, is to be looked at: nothing else
 shows a mirrored video, and clips that are right hardly reach half of it (docs/benchmarks.md, mistakes)."""
 OF_LEG = 3
-"""Of a leg, the last markers: what is above hardly tells its side."""
+"""How many of a leg's last markers tell its side: what is above hardly does."""
 _STRAIGHT = 3
 """So many frames before and after an end, tracks are straight lines."""
 _LEAST_OFF_PX = 3.0
@@ -97,9 +97,9 @@ def pairs_of(body: Body) -> dict[str, Index]:
 
 
 def swaps(given: Baseline, unlike: bool = False) -> list[_SwapTrial]:
-    """Of one view of a clip, under a prior learned from motions; nothing follows one that is not clear. unlike: the
-    prior does not know this motion (`recon.fit.posterior`); a whole clip, in which no keypoints jump, is then not
-    tried: nothing but the prior tells it."""
+    """The left-right swaps in one view of a clip, under a prior learned from motions; nothing follows one that is not
+    clear. unlike: the prior does not know this motion (`recon.fit.posterior`); a whole clip, in which no keypoints
+    jump, is then not tried: nothing but the prior tells it."""
     kinds, found = pairs_of(given.clip.body), list[_SwapTrial]()
     while len(found) < STRETCHES and "all" in kinds:
         trials = sorted((undone(given, one) for one in likely(given, kinds, unlike)), key=lambda one: -one.ratio)

@@ -1,4 +1,4 @@
-"""`recon evaluate-2d`."""
+"""The command `recon evaluate-2d`: its options, and what it prints."""
 
 from __future__ import annotations
 

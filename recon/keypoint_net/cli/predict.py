@@ -1,4 +1,4 @@
-"""`recon predict`."""
+"""The command `recon predict`: its options, and what it prints."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`recon train`."""
+"""The command `recon train`: its options, and what it prints."""
 
 from __future__ import annotations
 

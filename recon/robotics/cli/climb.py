@@ -1,4 +1,4 @@
-"""`recon climb`."""
+"""The command `recon climb`: its options, and what it prints."""
 
 from __future__ import annotations
 

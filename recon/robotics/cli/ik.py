@@ -1,4 +1,4 @@
-"""`recon ik`."""
+"""The command `recon ik`: its options, and what it prints."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`recon retarget`."""
+"""The command `recon retarget`: its options, and what it prints."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`recon robot`."""
+"""The commands of `recon robot`: pose, leg, dh and arm."""
 
 from __future__ import annotations
 

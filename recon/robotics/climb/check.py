@@ -12,7 +12,7 @@ from recon.base.arrays import Array, Integers
 from recon.robotics.climb.plan import AROUND, LABELS, Climb
 
 SHIN_POINTS = (0.25, 0.5, 0.75)
-"""Of the way from foot to knee, where a shin must not touch the ground or the step."""
+"""Shares of the way from foot to knee at which a shin must not touch the ground or the step."""
 ROUNDING_M = 1e-9
 """A planted foot may be this far under the surface that it stands on."""
 
@@ -50,7 +50,8 @@ class ClimbCheck:
 
     @cached_property
     def margins(self) -> dict[str, Array]:
-        """Of each rule the least in every frame (T,), negative where it is broken, infinite where it does not apply."""
+        """By rule the least margin in every frame (T,), negative where it is broken, infinite where it does not
+        apply."""
         climb, step = self.climb, self.climb.recipe.step
         feet, (angles, slack, hips, knees) = climb.feet_m, climb.posture
         up = climb.lifted[:, None] == np.arange(4)
@@ -77,7 +78,7 @@ class ClimbCheck:
 
     @property
     def least(self) -> dict[str, tuple[float, int]]:
-        """Of each rule the least margin, in its unit, and the frame."""
+        """By rule the least margin, in its unit, and the frame."""
         frames = {name: int(values.argmin()) for name, values in self.margins.items()}
         return {name: (float(self.margins[name][k]) * RULES[name].per_unit, k) for name, k in frames.items()}
 

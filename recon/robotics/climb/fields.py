@@ -36,7 +36,7 @@ Number = Annotated[float, Field(strict=True, gt=-LARGEST, lt=LARGEST, allow_inf_
 Positive = Annotated[float, Field(strict=True, gt=0, lt=LARGEST, allow_inf_nan=False)]
 """In a recipe's file: what more or less than these would be can only be damage."""
 FORBID = ConfigDict(extra="forbid", frozen=True)
-"""Of tables: a name that is not known is a mistake."""
+"""How tables are checked: a name that is not known is a mistake."""
 
 PLANAR = (0, 1, 2, 3)
 """Degrees of freedom of a torso that only pitches: x, y, z, pitch."""
@@ -44,7 +44,7 @@ SPATIAL = (0, 1, 2, 3, 4, 5)
 """And roll (about y) and yaw (about z)."""
 
 MAX_EVALUATIONS = 100
-"""Of the fields, in one frame."""
+"""The most evaluations of the fields in one frame."""
 SETTLED_M = 1e-8
 """A torso whose next step is shorter, turns included, stands still."""
 TRUST_M = 0.03
@@ -119,7 +119,7 @@ class Fields:
 
 
 class Torso(NamedTuple):
-    """Where a torso is."""
+    """The position and rotation of a robot's torso in the world."""
 
     position_m: Array
     """(..., 3), of the centre of mass in the world."""

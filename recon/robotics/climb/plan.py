@@ -62,9 +62,9 @@ class Walker:
         return np.array([leg.mirror[0] for leg in self.legs])
 
     def posture(self, torso: Torso, feet_m: Array) -> tuple[Array, Array, Array, Array]:
-        """Of feet (T, 4, 3) in the world under torsos (T): swing, flap and knee (T, 4, 3); how far each foot is within
-        its leg's reach (T, 4), negative outside; hips and knees (T, 4, 3) in the world. A foot out of reach has the
-        angles of the reach's end."""
+        """The posture of feet (T, 4, 3) in the world under torsos (T): swing, flap and knee (T, 4, 3); how far each
+        foot is within its leg's reach (T, 4), negative outside; hips and knees (T, 4, 3) in the world. A foot out of
+        reach has the angles of the reach's end."""
         r = leg_vectors(torso, self.hips_m, feet_m)
         angles, slack, knees = np.empty_like(r), np.empty(r.shape[:-1]), np.empty_like(r)
         for k, leg in enumerate(self.legs):
@@ -124,12 +124,12 @@ class Climb:
 
     @property
     def pitch_rad(self) -> Array:
-        """(T,): nose up."""
+        """The pitch of the torso in each of the T frames, shape (T,), positive with the nose up."""
         return np.arcsin(np.clip(self.rotation[:, 2, 1], -1, 1))
 
     @cached_property
     def posture(self) -> tuple[Array, Array, Array, Array]:
-        """As of `Walker.posture`."""
+        """Angles, reach, hips and knees of the climb, as `Walker.posture` gives them."""
         return self.walker.posture(self.torso, self.feet_m)
 
     @property

@@ -48,7 +48,7 @@ def climb_footfalls(climb: Climb) -> Figure:
 
 
 def climb_margins(found: ClimbCheck) -> Figure:
-    """Of each rule, the least in every frame; bands are where a foot is up."""
+    """The least margin of each rule in every frame; bands are where a foot is up."""
     climb = found.climb
     with drawing(130.0, title=f"{_title(climb)}: distance from what it must not do") as figure:
         panels = np.ravel(figure.subplots(-(-len(RULES) // 2), 2, sharex=True))

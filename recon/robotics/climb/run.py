@@ -37,7 +37,7 @@ TURNED = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 ROOM_M = 0.01
 """Between the step's edge and the foremost foot of what comes before a climb."""
 PART_S, PACE, LIFT = 0.4, 0.95, 0.1
-"""Of the steps into a climb's stance: the time for each, unless joints are too slow; the share of their rates that is
+"""For the steps into a climb's stance: the time for each, unless joints are too slow; the share of their rates that is
 used; how high a foot rises, of the standing height."""
 IN_TURN = ("LH", "LF", "RH", "RF")
 
@@ -81,7 +81,7 @@ def run_climb(settings: ClimbSettings) -> dict[str, Any]:
 
 
 def _reach(robot: Quadruped) -> float:
-    """Of the legs, from the first joint on; the mean."""
+    """The mean reach of the legs, from the first joint on."""
     return float(np.mean([leg.chain.lengths_m.sum() for leg in robot.legs.values()]))
 
 

@@ -40,7 +40,7 @@ class SerialChain:
     configurations at once, (..., n): rad, and metres of joints that slide."""
 
     tree: Tree
-    """Of one branch, with one marker: the end effector."""
+    """The tree of one branch, with one marker: the end effector."""
     columns: Index
     """(n,): where the tree's state has the joints."""
     lower_rad: Array
@@ -105,12 +105,13 @@ class SerialChain:
         return (self.tree.pose(self._states(q)).points_m[:, 0] @ self.base.T).reshape(*q.shape[:-1], self.dim)
 
     def frames(self, q: Array) -> Array:
-        """Of a chain of `joint_chain` (N, n, 3, 3), for q (N, n): the frames that the joints move, each with its
-        joint's axis as z, in the base frame."""
+        """The frames (N, n, 3, 3) that the joints of a chain of `joint_chain` move, for q (N, n), each with its joint's
+        axis as z, in the base frame."""
         return (self.base @ self.tree.orientations(self._states(q)))[:, self._moving]
 
     def pose(self, q: Array) -> tuple[Array, Array]:
-        """Of a chain in space, T_base_end: rotation (3, 3) and position (3,) of the end effector, for q (n,)."""
+        """The pose T_base_end of a chain in space: rotation (3, 3) and position (3,) of the end effector, for q
+        (n,)."""
         return self.base @ self.tree.orientations(self._states(q))[0, -1] @ self.tool_rotation, self.end(q)
 
     # -- how it moves, for q (n,) ------------------------------------------------------------------------------------
@@ -127,11 +128,12 @@ class SerialChain:
         return self.derivatives(q)[0]
 
     def joint_axes(self, q: Array) -> Array:
-        """Of a chain of `joint_chain` (n, 3): unit vectors along the joints' axes, in the base frame."""
+        """Unit vectors (n, 3) along the joints' axes of a chain of `joint_chain`, in the base frame."""
         return self.tree.derivatives(self._states(q)[0])[1]
 
     def geometric_jacobian(self, q: Array) -> Array:
-        """Of a chain of `joint_chain` (6, n): velocity (m/s) and angular velocity (rad/s) of the end effector."""
+        """The geometric Jacobian (6, n) of a chain of `joint_chain`: velocity (m/s) and angular velocity (rad/s) of the
+        end effector."""
         jacobian, axes, _ = self.tree.derivatives(self._states(q)[0])
         return np.concatenate([jacobian[0, :, self.columns].T, axes.T * ~self.sliding])
 

@@ -117,7 +117,7 @@ class IKRun:
 
     @cached_property
     def summary(self) -> dict[str, Any]:
-        """What ik.json holds."""
+        """The summary of the run, as ik.json holds it."""
         limb, stride, settings = self.limb, self.stride, self.settings
         followed = {}
         for name, run in self.follows.items():

@@ -78,7 +78,7 @@ class Run:
 
     @property
     def time_s(self) -> Array:
-        """(K,): from the start."""
+        """The times of the K steps from the start, shape (K,)."""
         return np.asarray(self.interval_s * np.arange(len(self.q)), float)
 
     @cached_property
@@ -95,7 +95,7 @@ class Run:
 
     @property
     def length_m(self) -> float:
-        """Of the end effector's path."""
+        """The length of the end effector's path."""
         return float(np.linalg.norm(np.diff(self.end_m, axis=0), axis=1).sum())
 
     @property
@@ -111,7 +111,7 @@ class Run:
         return {"angle": angle, "plane": plane}
 
     def measures(self) -> dict[str, Any]:
-        """For the tables."""
+        """The figures of the run for the tables."""
         return {
             "us_per_step": 1e6 * float(np.median(self.solve_s)) if len(self.solve_s) else None,
             "length_m": self.length_m,

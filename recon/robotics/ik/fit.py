@@ -34,8 +34,8 @@ GAMMA_RAD = (1e-4, 1e2)
 WEIGHT_RANGE = 1e3
 """Greatest ratio of a weight to the one it starts from."""
 PULL = 0.01
-"""Of the weights of one configuration towards even ones, which otherwise many explain: what a factor of e costs, as a
-share of the rates."""
+"""The pull of the weights of one configuration towards even ones, which otherwise many explain: what a factor of e
+costs, as a share of the rates."""
 
 PARAMETERS = {
     "transpose": ("alpha_1_m2", "alpha of the transpose (1/m²)"),
@@ -43,7 +43,7 @@ PARAMETERS = {
     "damped": ("lambda_m", "lambda of damping (m), 0.0001: none"),
     "selectively-damped": ("gamma_max_rad", "gamma_max (rad)"),
 }
-"""Of methods with one parameter: its column in tables, and what it is called in figures."""
+"""For methods with one parameter: its column in tables, and what it is called in figures."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +63,7 @@ class Frames:
 
     @classmethod
     def of(cls, chain: SerialChain, q: Array, dx: Array, dq: Array) -> Frames:
-        """Those without a NaN. Raises ValueError for no frame."""
+        """The frames without a NaN. Raises ValueError where there is none."""
         known = np.isfinite(np.concatenate([q, dx, dq], axis=1)).all(axis=1)
         if not known.any():
             raise ValueError("no frame without a missing value")
@@ -87,7 +87,7 @@ class Fitted:
     parameter: Array
     """(p,)"""
     rms_rad_s: float
-    """Of the residuals."""
+    """The root mean square of the residuals."""
     explained: float
     """As `explained_by`, of the frames that it was fitted to."""
     alpha: float
@@ -183,12 +183,12 @@ def fit_gradient(frames: Frames, costs: Sequence[Cost] = ()) -> Fitted:
 
 
 def fit_transpose(frames: Frames) -> Fitted:
-    """alpha, 1/m^2."""
+    """The alpha (1/m^2) of the Jacobian transpose that fits the rates best."""
     return _fitted_linear(lambda c: JacobianTranspose(float(c[0])), 1, frames)
 
 
 def _fitted_linear(method: Callable[[Array], Method], n: int, frames: Frames) -> Fitted:
-    """Of n coefficients on which the rates depend linearly."""
+    """A fit of n coefficients on which the rates depend linearly."""
     base = rates_of(method(np.zeros(n)), frames)
     columns = np.array([(rates_of(method(one), frames) - base).ravel() for one in np.eye(n)])
     c = np.array(np.linalg.lstsq(columns.T, (frames.dq - base).ravel())[0], float)

@@ -27,11 +27,12 @@ from recon.robotics.ik.costs import Cost
 INTERVAL_S = 1 / 90
 """What one iteration of `recon.robotics.ik.drive` takes."""
 SINGULAR = 1e-6
-"""Of the eigenvalues of J J', least over largest: a ratio of singular values of a thousandth."""
+"""The least over the largest eigenvalue of J J', below which it is singular: a ratio of singular values of a
+thousandth."""
 LOST = 1e-12
-"""Of the singular values of J: directions without motion."""
+"""The least share of the largest singular value of J: below are directions without motion."""
 EXTENDED_SINGULAR = 1e-3
-"""Of the eigenvalues of N' M N, least over largest by magnitude."""
+"""The least over the largest eigenvalue of N' M N, by magnitude, below which it is singular."""
 MAX_CORRECTION_RAD = 0.05
 """What the gain takes away at once, at most: a longer step along the null space would move the end effector, to second
 order, by more than millimetres."""

@@ -36,7 +36,7 @@ VIEWS = {
     "UVW": (("side", 0, 1, "forwards (m)", "down (m)"), ("top", 0, 2, "forwards (m)", "to the left (m)")),
     "xyz": (("side", 0, 2, "forwards (m)", "up (m)"), ("top", 0, 1, "forwards (m)", "to the left (m)")),
 }
-"""Of the base frames of `recon.robotics.ik.animal`: name, coordinates, and what the axes are called."""
+"""The views of the base frames of `recon.robotics.ik.animal`: name, coordinates, and what the axes are called."""
 _ROOM = 0.06
 _NONE_MM = 0.001
 """From a path: nothing."""
@@ -171,7 +171,7 @@ def _outcome(move: Run) -> str:
 # -- closures and parameters ------------------------------------------------------------------------------------------
 
 _ROW = 0.7
-"""Of a joint's row, all methods together."""
+"""The height of a joint's row, all methods together."""
 
 
 def closures(found: Mapping[str, Mapping[str, Array]], names: Sequence[str]) -> Figure:

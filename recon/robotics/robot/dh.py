@@ -33,9 +33,9 @@ class DHRow:
 
     __pydantic_config__ = ConfigDict(extra="forbid")
     a_m: Length = 0.0
-    """Of the link."""
+    """The length of the link."""
     alpha_rad: Length = 0.0
-    """Of the link."""
+    """The twist of the link."""
     d_m: Length = 0.0
     """With q = 0."""
     theta_rad: Length = 0.0
@@ -43,7 +43,7 @@ class DHRow:
     slides: StrictBool = False
     """q adds to d, not to theta."""
     limits: Limits | None = None
-    """Of q."""
+    """The limits of q."""
 
 
 def dh_chain(rows: Sequence[DHRow], convention: Convention) -> SerialChain:

@@ -110,13 +110,13 @@ class Leg:
         return 2 * (uo * lo + l1 * l2), 2 * (l2 * uo - l1 * lo), lo * lo + l2 * l2 + uo * uo + l1 * l1
 
     def in_plane(self, knee_rad: Array) -> tuple[Array, Array]:
-        """P and Q (...)."""
+        """The coordinates P and Q (...) of the foot in the leg's plane, in metres."""
         c, s = np.cos(knee_rad), np.sin(knee_rad)
         P = self.foot_offset_m * c + self.shin_m * s + self.knee_offset_m
         return P, self.thigh_m + self.shin_m * c - self.foot_offset_m * s
 
     def forward(self, angles_rad: ArrayLike) -> Array:
-        """The feet."""
+        """The places of the feet from the hip, for these angles."""
         a, b, s = np.moveaxis(np.asarray(angles_rad, float), -1, 0)
         P, Q = self.in_plane(s)
         if self.first == "swing":

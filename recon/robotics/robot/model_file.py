@@ -22,9 +22,9 @@ from recon.robotics.ik.chain import MAX_RATE_RAD_S, SerialChain, joint_chain
 
 SUFFIXES = (".urdf", ".xml")
 LARGEST = 1e6
-"""Of a length or an angle: more can only be damage."""
+"""The largest length or angle: more can only be damage."""
 LEAST_MASS_KG, LEAST_INERTIA_KG_M2 = 1e-6, 1e-9
-"""Of links whose file does not say: their places do not depend on it."""
+"""Mass and inertia of links whose file does not say: their places do not depend on it."""
 
 
 def the_mujoco(source: str | Path) -> Any:
@@ -91,7 +91,7 @@ def rates_of(path: Path) -> dict[str, float]:
 
 
 def body_names(model: Any) -> list[str]:
-    """Of all but the world; a body without a name is body 3, by its number."""
+    """The names of all bodies but the world; a body without a name is body 3, by its number."""
     return [model.body(k).name or f"body {k}" for k in range(1, model.nbody)]
 
 

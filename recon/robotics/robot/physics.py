@@ -164,12 +164,12 @@ def pace_that_holds(motion: RobotMotion, model: Any) -> float | None:
 
 
 def slowed(motion: RobotMotion, factor: float) -> RobotMotion:
-    """As much slower."""
+    """The motion, as much slower as is said."""
     return replace(motion, slower=factor * motion.slower, time_s=factor * motion.time_s)
 
 
 def margins_figure(time_s: Array, margins: dict[str, Array], title: str) -> Any:
-    """Of each rule the margin over time; grey: what it has to stay above."""
+    """A figure of the margin of each rule over time; grey: what it has to stay above."""
     with drawing(110.0, title=title) as figure:
         panels = np.ravel(figure.subplots(3, 2, sharex=True))
         for axes, (name, rule) in zip(panels, RULES.items(), strict=True):

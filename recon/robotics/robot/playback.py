@@ -134,7 +134,7 @@ def _angles(motion: RobotMotion, label: str) -> TimePlot:
 
 
 def _middle(motion: RobotMotion, step: Step | None) -> tuple[Array, float]:
-    """Of the robot (N, 3), near the ground, and half the size of what is to be seen."""
+    """The middle of the robot (N, 3), near the ground, and half the size of what is to be seen."""
     base = motion.pose.translation * (1.0, 1.0, 0.1)
     size = 1.2 * motion.robot.stand_m
     if step is not None:

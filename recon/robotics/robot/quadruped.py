@@ -45,7 +45,7 @@ class RobotLeg:
 
     @property
     def joints(self) -> tuple[str, ...]:
-        """Their names."""
+        """The names of the leg's joints."""
         return self.chain.names
 
     @cached_property
@@ -138,7 +138,7 @@ class Quadruped:
     """The height that its hips stand at."""
     source: str = ""
     masses: Masses | None = None
-    """Of a robot that is described by its dimensions."""
+    """The masses of a robot that is described by its dimensions."""
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -154,8 +154,8 @@ class Quadruped:
 
     @cached_property
     def tree(self) -> Tree:
-        """Of the body, free in the world, and all legs: its state is the body's place, yaw, pitch and roll and then
-        `joints`; its markers are the body's origin and, of each leg, its joints and its foot."""
+        """The tree of the body, free in the world, and all legs: its state is the body's place, yaw, pitch and roll and
+        then `joints`; its markers are the body's origin and, of each leg, its joints and its foot."""
         segments, markers = [Segment("base", None, "free")], [Marker("base", "base")]
         for label, leg in self.legs.items():
             own = leg.chain.tree
@@ -170,7 +170,7 @@ class Quadruped:
 
     @cached_property
     def ground_m(self) -> float:
-        """Of the standing robot, in body axes: the mean of the feet."""
+        """The ground of the standing robot, in body axes: the mean of the feet."""
         return float(np.mean([leg.neutral_m[2] for leg in self.legs.values()]))
 
     @cached_property

@@ -187,7 +187,7 @@ def _above_standing(tracks: Tracks, rows: Index, standing: Bools) -> Array:
 
 
 def standing_mask(stances: Sequence[Stance], feet: Sequence[str], time_s: Array) -> Bools:
-    """(N, F)"""
+    """Which of the F feet stand at each of the N times, shape (N, F)."""
     mask = np.zeros((len(time_s), len(feet)), bool)
     slack = 1e-9
     for s in stances:

@@ -40,7 +40,7 @@ from recon.robotics.robot.rigid import body_pose, feet_in_world, leg_targets
 
 PITCH_RAD, ROLL_RAD = 0.25, 0.15
 LIFT = 0.15
-"""Of the height that the hips stand at."""
+"""How high a swinging foot rises, as a share of the height that the hips stand at."""
 CLEARANCE = 0.7
 SPREADS = (0.0, 0.1, 0.2, 0.3, 0.4)
 LEGS_APART = 0.15
@@ -158,7 +158,7 @@ class RobotMotion:
 
     @cached_property
     def closing_percent(self) -> float:
-        """Of a stride that repeats: the largest difference of an angle between its ends, of the angle's range."""
+        """For a stride that repeats: the largest difference of an angle between its ends, of the angle's range."""
         return 100 * float(np.max(np.abs(self.angles_rad[-1] - self.angles_rad[0]) / np.ptp(self.angles_rad, axis=0)))
 
 
@@ -173,7 +173,7 @@ class Retargeted:
     stride: RobotMotion
     """One that repeats."""
     start_s: float
-    """Of the clip, in the animal's time."""
+    """When the clip begins, in the animal's time."""
     spread_m: float
     """How far outside of its neutral place each hind foot goes."""
     lag: float = 0.0
@@ -275,7 +275,8 @@ def _robot_motion(reference: Reference, robot: Quadruped, scale: float, spread_m
 
 
 def posed(robot: Quadruped, time_s: Array, pose: RigidTransform, feet_m: Array, standing: Bools) -> RobotMotion:
-    """Of T_world_body (N), feet in the world (N, 4, 3) and which stand (N, 4); feet out of reach are drawn in."""
+    """The motion of a robot from T_world_body (N), feet in the world (N, 4, 3) and which stand (N, 4); feet out of
+    reach are drawn in."""
     targets = leg_targets(pose, np.zeros(3), feet_m)
     solved = [drawn_in(leg, targets[:, k]) for k, leg in enumerate(robot.legs.values())]
     angles = np.concatenate([angles for angles, _ in solved], axis=1)

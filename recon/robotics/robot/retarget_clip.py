@@ -29,7 +29,7 @@ from recon.show.report import to_json
 
 REPORT = "report.json"
 REPEATS = 3
-"""Of the stride in its playback."""
+"""How often the stride is repeated in its playback."""
 SLIP_M, CLOSING_PERCENT = 0.002, 1.0
 """What a robot's stance and stride are allowed without a note."""
 

@@ -193,6 +193,6 @@ def _quadruped_of_model(path: Path) -> Quadruped:
 
 
 def _middle(lower: Array, upper: Array) -> Array:
-    """Of limits; 0 of a joint that has none."""
+    """The middle of limits; 0 for a joint that has none."""
     bounded = np.isfinite(lower) & np.isfinite(upper)
     return np.where(bounded, np.where(bounded, lower, 0.0) + np.where(bounded, upper, 0.0), 0.0) / 2

@@ -32,7 +32,7 @@ from recon.robotics.robot.retarget import RobotMotion
 
 AMP_LEGS = ("RF", "LF", "RH", "LH")
 AMP_JOINTS = 3
-"""Of a leg, in the layout."""
+"""The joints of a leg, in the layout."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,7 +218,7 @@ FORMATS: dict[str, tuple[str, Callable[[Sampled, Path, Mapping[str, Any]], None]
 
 
 def write_for_trainer(motion: RobotMotion, name: str, rate_hz: float, folder: Path, prefix: str, said: Any) -> None:
-    """Of `FORMATS`, into folder. said: what the file should say of where it comes from. Raises InputError as `sampled`,
-    and of a robot that the format has no room for."""
+    """Write the files of one of `FORMATS` into folder. said: what the file should say of where it comes from. Raises
+    InputError as `sampled`, and of a robot that the format has no room for."""
     file, write = FORMATS[name]
     write(sampled(motion, rate_hz), folder / f"{prefix}{file}", said)

@@ -103,7 +103,7 @@ def angle_rates(found: ClipAnalysis) -> Columns:
 
 
 def stances(found: ClipAnalysis) -> Table:
-    """Every stance."""
+    """A table of every stance."""
     columns = "foot, joint, start_s, end_s, start_frame, end_frame, duration_s, begins, ends, start_low_s, start_high_s"
     rows = [
         (
@@ -117,7 +117,7 @@ def stances(found: ClipAnalysis) -> Table:
 
 
 def strides(found: ClipAnalysis) -> Table:
-    """Every complete stride."""
+    """A table of every complete stride."""
     columns = "foot, at, start_s, end_s, duration_s, length_m, frequency_hz, duty_factor"
     rows = [
         (s.foot, s.at, s.start_s, s.end_s, s.end_s - s.start_s, s.length_m, s.frequency_hz, s.duty_factor)

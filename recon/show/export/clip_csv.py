@@ -36,7 +36,7 @@ def angles(motion: Motion, path: Path) -> None:
 
 
 def angles_sigma(motion: Motion, path: Path) -> None:
-    """Of every angle of angles.csv the standard deviation, then of every angle the pixels' share."""
+    """The standard deviation of every angle of angles.csv, then every angle's information fraction."""
     columns = [f"{name}_{what}" for what in ("sigma_rad", "data_share") for name in motion.angle_names]
     values = np.hstack((motion.solution.angle_sigma_rad, motion.solution.angle_data_share))
     write_table(path, [["frame", *columns]], motion.frames, values)
@@ -75,7 +75,7 @@ CLIP_OUTPUTS: dict[str, Callable[[Motion, Path], None]] = {
 """The tables that every clip gets, by file name."""
 
 CAMERA_OUTPUTS: dict[str, Callable[[Motion, Path, int], None]] = {"reprojection.csv": reprojection}
-"""Those that every clip gets for each camera, which is named in them where there are several (`camera_files`)."""
+"""The tables that every clip gets for each camera, which is named in them where there are several (`camera_files`)."""
 
 
 def write_tables(motion: Motion, folder: Path) -> None:

@@ -55,7 +55,7 @@ def rig_of(motion: Motion, fps: float | None = None, body_mass_kg: float = 1.0) 
 def make_rig(
     body: Body, size: float, names: tuple[str, ...], frames: Index, states: Array, fps: float, body_mass_kg: float = 1.0
 ) -> Armature:
-    """Of states (N, D) in these frames (N,), and between them. names: of the J joints."""
+    """The rig of states (N, D) in these frames (N,), and between them. names: of the J joints."""
     tree = body.tree.scaled(size)
     frames, states = _without_gaps(frames, states)
     at = {segment.name: i for i, segment in enumerate(tree.segments)}
@@ -100,8 +100,8 @@ def _without_gaps(frames: Index, states: Array) -> tuple[Index, Array]:
 
 
 def _turns(body: Body, states: Array) -> list[tuple[BoneAngle, ...]]:
-    """Of each segment, for states (T, D). A summed joint turns relative to the root: against its parent it turns as its
-    angles say, but in the order pitch, yaw, and a roll that is left over."""
+    """The rotations of each segment, for states (T, D). A summed joint turns relative to the root: against its parent
+    it turns as its angles say, but in the order pitch, yaw, and a roll that is left over."""
     tree, turns = body.tree, []
     column = 3
     expected = [(0.0, np.pi / RANGE_SIGMAS), *zip(body.mean_rad.tolist(), body.sigma_rad.tolist(), strict=True)]

@@ -17,7 +17,7 @@ from recon.show.page import PAGE
 from recon.show.page.render import rendered
 
 FIRST = ("failed", "unsolved", "pending")
-"""Of the statuses, those above all others."""
+"""The statuses that stand above all others."""
 NUMBERS = {
     "pose_mm": ("pose ± mm", ".0f"),
     "position_m": ("position ± m", ".2f"),
@@ -31,7 +31,7 @@ NUMBERS = {
 """Columns of summary.csv that the table has, with their headings and formats."""
 THUMBNAIL_PX = (96, 60)
 FOLDERS = re.compile(r"(?<![\w.])(?:[A-Za-z]:)?[/\\](?:[^/\\:]+[/\\])+")
-"""Of a file that an error names: they stay in the house."""
+"""The folders of a file that an error names: they stay in the house."""
 
 
 @dataclass(frozen=True)
@@ -48,11 +48,11 @@ class _ClipRow:
 
     @property
     def share(self) -> float:
-        """Of the frames that are doubtful; 0 where it is not known."""
+        """The share of the frames that are doubtful; 0 where it is not known."""
         return (self.doubtful or 0) / max(1.0, float(self.cells["frames"] or 0))
 
     def number(self, column: str, spec: str) -> str:
-        """Of summary.csv, rounded; nothing where it has none."""
+        """A number of summary.csv, rounded; nothing where it has none."""
         cell = self.cells[column]
         return format(int(cell) if spec == "d" else float(cell), spec) if cell else ""
 
@@ -92,7 +92,7 @@ def _clip_row(out: Path, cells: Mapping[str, str]) -> _ClipRow:
 
 
 def _thumbnail(motion: Motion) -> list[tuple[str, str]]:
-    """Of the frame with a pose that is nearest to the middle, in the first camera's picture."""
+    """The picture of the frame with a pose that is nearest to the middle, by the first camera."""
     reprojected_px = motion.pictures[0].reprojected_px
     posed = np.flatnonzero(np.isfinite(reprojected_px).any(axis=(1, 2)))
     if not len(posed):

@@ -31,7 +31,7 @@ SPEED_MM = 100.0
 LENGTHS, POSES, STRETCHES = 4.0, 7, 3
 """How many times its length an animal runs in a figure of so many poses, in so many stretches of the clip at most."""
 SOLID_FRAMES = 600
-"""Of a longer clip every other one, or fewer, can be turned by hand: 100 kB of the page."""
+"""How many frames can be turned by hand, every other one or fewer of a longer clip: 100 kB of the page."""
 UNKNOWN_ACCELERATION = (
     " The acceleration is hardly known, most of the time less than its standard deviation, and not shown."
 )
@@ -89,12 +89,12 @@ def in_sentences(motion: Motion) -> list[str]:
 
 
 def _base(path: str | None) -> str:
-    """Of a file of any system."""
+    """The name of a file of any system, without its folders."""
     return (path or "clip").replace("\\", "/").rsplit("/", 1)[-1]
 
 
 def _plain(value: Any) -> str:
-    """Of files the names: their folders are nobody's business whom the page is passed on to."""
+    """The names of files: their folders are nobody's business whom the page is passed on to."""
     return ", ".join(map(_plain, value)) if isinstance(value, list) else _base(str(value))
 
 

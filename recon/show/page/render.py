@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 JPEG_QUALITY = 80
 PNG_DPI = 190.0
 DIRECTION = re.compile("[\u061c\u200e\u200f\u202a-\u202e\u2066-\u2069]")
-"""Of text, as in names of files."""
+"""Characters for the direction of text, as in names of files."""
 
 
 def rendered(template: str, **content: Any) -> str:

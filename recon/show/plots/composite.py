@@ -28,7 +28,7 @@ STYLES: dict[Side | None, tuple[Any, float, str]] = {
     "right": ("-", 0.9, "right side"),
     None: ("-", 1.6, "the rest"),
 }
-"""Of the limbs of each side: dashes, width, and what to call them."""
+"""Styles of the limbs of each side: dashes, width, and what to call them."""
 NO_SIDES: Mapping[str, Side | None] = MappingProxyType({})
 _LEFT_MM, _RIGHT_MM, _TOP_MM, _GAP_MM, _LABELS_MM = 14.0, 4.0, 6.0, 3.0, 10.0
 _HEIGHT_MM, _FRONT_MM = 120.0, 45.0

@@ -23,7 +23,7 @@ SIDE, TOP, FRONT = ("UV, side", 0, 1), ("UW, top", 0, 2), ("WV, front", 2, 1)
 LABELS = ("U, forwards (m)", "V, down (m)", "W, to the left (m)")
 _SAYS = "left blue, right orange; pale: first, full colour: last configuration; +: the reference joint"
 _PALEST = 0.25
-"""Of a side's colour, in the first configuration."""
+"""The palest share of a side's colour, in the first configuration."""
 _ROOM = 0.04
 _MARGIN_MM = 16.0
 """Beside or below a panel, for its axis."""

@@ -20,7 +20,7 @@ ARROWS = 45
 """At most, in a row."""
 _ROW_MM, _REST_MM = 24.0, 26.0
 _LONGEST = 0.46
-"""Of the height of a row."""
+"""The longest arrow, as a share of the height of a row."""
 _STILL_M_S, _SLOW = 0.001, 0.1
 """Slower is no motion; of the fastest link, slower would be too small to see."""
 

@@ -20,7 +20,7 @@ ROWS = ("LH", "RH", "RF", "LF")
 """From the top."""
 HATCHES = ("", "////", "....", "xxxx")
 _BAR = 0.76
-"""Of a row, all gaits together."""
+"""The height of the bars of a row, all gaits together."""
 
 
 def footfall(gaits: Mapping[str, Gait], fps: float, title: str = "") -> Figure:
@@ -69,7 +69,7 @@ def footfall(gaits: Mapping[str, Gait], fps: float, title: str = "") -> Figure:
 
 
 def _bars(axes: Axes, stances: Sequence[Stance], y: float, height: float, m: int) -> None:
-    """Of one foot."""
+    """The bars of one foot."""
     from matplotlib.collections import LineCollection
 
     colour, low, high, edges = COLOURS[m % len(COLOURS)], y - height / 2, y + height / 2, []

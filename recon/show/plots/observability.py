@@ -19,7 +19,7 @@ _ROW_MM, _REST_MM = 3.3, 34.0
 
 
 def share_colours() -> ListedColormap:
-    """Of shares from 0 to 1: greys below `MEASURED_SHARE`, blues from there on."""
+    """Colours of information fractions from 0 to 1: greys below `MEASURED_SHARE`, blues from there on."""
     import matplotlib as mpl
     from matplotlib.colors import ListedColormap
 

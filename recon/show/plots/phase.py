@@ -25,7 +25,7 @@ _LEAST = (0.05, 0.5)
 """Half of the least range of an axis, degrees and degrees per second."""
 _ASPECT, _REST_MM = 0.9, 24.0
 _BAND, _UNSEEN = "#E6E6E6", "#9A9A9A"
-"""Of one standard deviation about a path; of a path that is mostly expected."""
+"""The opacity of a band of one standard deviation about a path, and of a path that is mostly expected."""
 _ALONG = 0.25
 """Standard deviations between ellipses of a band."""
 

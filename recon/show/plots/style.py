@@ -41,7 +41,7 @@ DASHES = ("-", (0, (5, 1.5)), (0, (1, 1)), (0, (5, 1, 1, 1)))
 MOST_DOTS = 500
 """In a line: more would touch, and take long to draw."""
 STRETCHES = 1500
-"""Of a line: as many as a page has pixels across."""
+"""How many stretches a line is drawn in: as many as a page has pixels across."""
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 GREY, PALE = "#666666", "#BBBBBB"
 SMALL = 7.0
@@ -111,7 +111,7 @@ def svg_of(figure: Figure) -> str:
 
 
 def png_of(figure: Figure, dpi: float) -> bytes:
-    """No ground behind it."""
+    """The PNG of a figure, with no ground behind it."""
     content = io.BytesIO()
     with _settings():
         figure.savefig(content, format="png", dpi=dpi, transparent=True, metadata={"Software": None})
@@ -134,7 +134,7 @@ def look(i: int) -> dict[str, Any]:
 
 
 def dots(count: int, size: float) -> dict[str, Any]:
-    """Of a line through count samples, where there is room for them."""
+    """The marker of a line through count samples, where there is room for them."""
     return {"marker": "o", "ms": size} if count <= MOST_DOTS else {}
 
 
@@ -169,7 +169,7 @@ def legend_shape(labels: Sequence[str], width_mm: float = WIDTH_MM) -> tuple[int
 
 
 def add_legend(figure: Figure, handles: Sequence[Any], labels: Sequence[str], width_mm: float = WIDTH_MM) -> None:
-    """Below everything else."""
+    """Add a legend below everything else."""
     figure.legend(handles, labels, loc="outside lower left", ncols=legend_shape(labels, width_mm)[0])
 
 
@@ -181,7 +181,7 @@ def blank(axes: Axes) -> None:
 
 
 def plain_logarithm(axis: Axis) -> None:
-    """Of a logarithmic axis: few ticks, as plain numbers."""
+    """Give a logarithmic axis few ticks, as plain numbers."""
     from matplotlib.ticker import LogLocator, NullFormatter
 
     low, high = sorted(axis.get_view_interval())

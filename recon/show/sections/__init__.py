@@ -36,7 +36,7 @@ SECTIONS: tuple[Section, ...] = (
     Section("alternative", fitted.alternative, fitted.alternative_lines),
     Section("convergence", fitted.convergence, fitted.effort_lines),
 )
-"""Of the trajectory method, in the order of the summary."""
+"""The sections of the trajectory method, in the order of the summary."""
 
 
 def sections_of(motion: Motion) -> tuple[Section, ...]:

@@ -286,7 +286,7 @@ def _points(picture: Picture) -> dict[str, int]:
 
 
 def camera_lines(motion: Motion, data: Any) -> Iterator[Line]:
-    """Where there are several."""
+    """Lines on each camera, where there are several."""
     for camera in data if len(data) > 1 else ():
         errors, points = camera["reprojection_px"], camera["points"]
         outliers = "1 outlier" if camera["outliers"] == 1 else f"{camera['outliers']} outliers"
@@ -318,8 +318,8 @@ def _found_text(motion: Motion, camera: dict[str, Any]) -> str:
 
 
 def root_path(motion: Motion) -> dict[str, Any]:
-    """Of the reference point, exactly as reconstructed, and without the jitter from frame to frame, where each frame
-    was solved by itself and that can be told."""
+    """The path of the reference point, exactly as reconstructed, and without the jitter from frame to frame, where each
+    frame was solved by itself and that can be told."""
     jitter, root = frame_jitter_m(motion.root_m), motion.root_name
     smooth = motion.solution.jitters and np.isfinite(jitter).all()
     return {

@@ -13,7 +13,7 @@ Line = tuple[str, str]
 
 
 def no_lines(motion: Motion, data: Any) -> Iterable[Line]:
-    """Of a section that a summary leaves out."""
+    """No lines, for a section that a summary leaves out."""
     return ()
 
 
@@ -26,4 +26,5 @@ class Section:
     data: Callable[[Motion], Any]
     """What stands there: numbers, texts, arrays, and lists and mappings of them."""
     lines: Callable[[Motion, Any], Iterable[Line]] = no_lines
-    """Of the summary, from the motion and from the data as JSON has them: null where a number is not known."""
+    """The lines of the summary, from the motion and from the data as JSON has them: null where a number is not
+    known."""

@@ -92,7 +92,7 @@ def _title(motion: Motion) -> str:
 
 
 _LINE_SHARE, _LEGEND_SHARE, _MOST_SHARE = 0.075, 0.05, 0.6
-"""Of a plot's height in a window of 1080 px: what each line's name takes of it, all their frame, and at most."""
+"""Shares of a plot's height in a window of 1080 px: what each line's name takes of it, all their frame, and at most."""
 
 
 def time_view(series: TimePlot) -> rrb.TimeSeriesView:
@@ -143,7 +143,8 @@ def _eye_on_animal(motion: Motion, scene: Scene) -> rrb.EyeControls3D:
 
 
 _FIELD = 0.92 * np.tan(np.radians(55 / 2)) * np.array([3.2, 1.0])
-"""Of the viewer's eye: tangents of half its field of view, with a margin; the overview is 3.2 times as wide as high."""
+"""The field of view of the viewer's eye: tangents of half of it, with a margin; the overview is 3.2 times as wide as
+high."""
 
 
 def _eye_on_all(motion: Motion, scene: Scene) -> rrb.EyeControls3D:

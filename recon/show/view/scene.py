@@ -19,9 +19,9 @@ Colour = tuple[int, int, int]
 
 # Okabe and Ito's palette, which the colour-blind can tell apart.
 LIMB_COLOURS: tuple[Colour, ...] = ((0, 158, 115), (86, 180, 233), (230, 159, 0), (0, 114, 178), (240, 228, 66))
-"""Of the limbs of one side, in their order: hind leg, spine, front leg, and two to spare."""
+"""Colours of the limbs of one side, in their order: hind leg, spine, front leg, and two to spare."""
 LEFT, RIGHT, MIDDLE = (86, 180, 233), (230, 159, 0), (0, 158, 115)
-"""Of the limbs of a whole animal."""
+"""Colours of the limbs of a whole animal: left, right, and in the middle."""
 SIDE_COLOURS: dict[Side | None, Colour] = {"left": LEFT, "right": RIGHT, None: MIDDLE}
 DETECTION, OUTLIER, LINK = (255, 255, 255), (235, 60, 40), (204, 121, 167)
 PATH, TRAIL, GRID, CAMERA, EDGE = (110, 110, 120), (240, 228, 66), (58, 64, 74), (190, 190, 200), (130, 130, 140)
@@ -154,7 +154,7 @@ class Scene:
 
 
 def _bounds(joints_m: Array) -> tuple[Array, Array]:
-    """Of joints (N, J, 3). Single poses that went astray do not enlarge them."""
+    """The box around joints (N, J, 3). Single poses that went astray do not enlarge it."""
     low, high = np.percentile(joints_m.reshape(-1, 3), (1, 99), axis=0)
     return low, high
 

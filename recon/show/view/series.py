@@ -28,7 +28,8 @@ from recon.show.view.scene import (
 )
 
 MAX_LINES = 4
-"""Of angles in one plot, as far as they can be told apart by what they belong to: their names stand above them."""
+"""How many angles one plot has at most, as far as they can be told apart by what they belong to: their names stand
+above them."""
 _KINDS = {"theta": "θ", "phi": "φ", "left": "Left", "right": "Right", "middle": "Middle"}
 
 

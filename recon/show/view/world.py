@@ -36,7 +36,7 @@ from recon.show.view.scene import (
 )
 
 CLOSE = 1.1
-"""Of the animal's reach, what the close look shows."""
+"""The share of the animal's reach that the close look shows."""
 GRID_MARGIN_M, MAX_GRID_LINES = 1.5, 200
 
 

@@ -1,4 +1,4 @@
-"""`recon frame`."""
+"""The command `recon frame`: its options, and what it prints."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`recon solver`."""
+"""The command `recon solver`: its options, and what it prints."""
 
 from __future__ import annotations
 

@@ -263,7 +263,7 @@ def _drafts_of_sessions(sessions: Sequence[tuple[Path, Path]], common: Mapping[s
 
 
 def _anipose_config(folder: Path) -> tuple[Mapping[str, Any], Path | None]:
-    """Of the project that a folder belongs to, with its file, if there is one."""
+    """The configuration of the project that a folder belongs to, with its file, if there is one."""
     for parent in (folder, *folder.parents):
         path = parent / "config.toml"
         if path.is_file():
@@ -499,7 +499,7 @@ def _settings(draft: _Draft, common: Mapping[str, Any], config: Path | None) -> 
 
 
 def _name_problems(drafts: Sequence[_Draft]) -> Iterator[Problem]:
-    """Of names given in manifests: they must be plain, and different."""
+    """The problems of names given in manifests: they must be plain, and different."""
     named = [(draft.name, draft.where) for draft in drafts if draft.name is not None and draft.where is not None]
     count = Counter(name.casefold() for name, _ in named)
     for name, (manifest, line) in named:

@@ -33,7 +33,7 @@ class Planned:
     identity: Mapping[str, Any]
     """What its results follow from."""
     row: Mapping[str, Any] | None = None
-    """Of the summary, if it is done."""
+    """The row of the summary, if the clip is done."""
 
 
 def plan_batch(clips: Sequence[Clip], out: Path, overwrite: bool = False) -> list[Planned]:
@@ -101,7 +101,7 @@ def _keypoints(known: Mapping[str, Any]) -> set[str]:
 
 
 def input_problems(clips: Sequence[Clip]) -> list[Problems]:
-    """Of each clip: everything that its fit would raise before solving."""
+    """The problems of each clip: everything that its fit would raise before solving."""
     read = _reader()
     return [_problems_of(lambda s=clip.settings: prepare(s, read)) for clip in clips]
 

@@ -1,4 +1,4 @@
-"""`recon batch`."""
+"""The command `recon batch`: its options, and what it prints."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ CANNOT = "cannot be fitted"
 NAMED = 3
 """Clips with the same problem are named up to this number."""
 _STYLES = {"unsolved": "red", "failed": "red", "pending": "yellow"}
-"""Of the statuses; what is done has a verdict."""
+"""Styles of the statuses; what is done has a verdict."""
 _COMMON, _WORK = "Settings of every clip", "How the work is done"
 _OF_CLIPS = tuple(name for name in SETTINGS if name != "keypoints")
 

@@ -79,7 +79,7 @@ class _Takes:
 
     @property
     def by_set(self) -> dict[str, SettingInfo]:
-        """Those that are no options of their own."""
+        """The names of settings that are no options of their own."""
         return {name: info for name, info in self.infos.items() if not info.option.common}
 
     def call(self, **arguments: Any) -> None:

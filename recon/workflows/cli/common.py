@@ -1,4 +1,4 @@
-"""What several commands print."""
+"""What several commands print in the same way."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ def stop(message: str = MESSAGE) -> NoReturn:
 
 
 def numbers(option: str, given: str, count: int | None = None) -> list[float]:
-    """Of "1,2.5,-3"; count: how many, None: any. Raises InputError."""
+    """The numbers of a text such as "1,2.5,-3"; count: how many, None: any. Raises InputError."""
     try:
         found = [float(part) for part in given.split(",")]
     except ValueError:

@@ -1,4 +1,4 @@
-"""`recon fit`."""
+"""The command `recon fit`: its options, and what it prints."""
 
 from __future__ import annotations
 

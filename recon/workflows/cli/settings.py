@@ -1,4 +1,4 @@
-"""`recon settings`."""
+"""The command `recon settings`: its options, and what it prints."""
 
 from __future__ import annotations
 
@@ -51,7 +51,8 @@ def settings(settings: _ListedSettings, as_json: bool) -> Any:
 
 
 def config_schema() -> dict[str, Any]:
-    """Of config.toml, with what each setting means; texts such as "1920x1080" stand for sizes and ranges."""
+    """The JSON schema of config.toml, with what each setting means; texts such as "1920x1080" stand for sizes and
+    ranges."""
     of_fit = TypeAdapter(FitSettings).json_schema()
     for name, info in SETTINGS.items():
         given = of_fit["properties"][name]
