@@ -25,7 +25,7 @@ from motions import with_first
 from recon.animal.skeleton_file import load_chain, load_skeleton
 from recon.clip import Source, camera_poses, still_view, views_of
 from recon.clip.keypoints import Keypoints, clean
-from recon.fit import Ground, MotionSegment, Start, TrajectorySolution
+from recon.fit import Ground, MotionSegment, TrajectorySolution
 from recon.fit.motion import Motion
 from recon.geometry.camera import Camera
 from recon.geometry.frames import inverse, moved
@@ -294,7 +294,7 @@ def small_trajectory() -> Motion:
         focal_sigma=np.zeros(1),
         sideslip_rad=0.0,
         sideslip_sigma_rad=0.0,
-        starts=(Start(0.1, 150.0, True), Start(np.pi - 0.1, 155.0, False)),
+        starts=2,
         stage_s={"starts": 0.2, "all": 0.5},
     )
     fitted = replace(cleaned, names=body.markers, xy_px=xy_px, confidence=np.where(np.isnan(xy_px[..., 0]), 0.0, 1.0))

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 from recon import InputError, Motion
+from recon.base.manifest import write_manifest
 from recon.base.records import load_record, save_record
 from recon.fit.motion import MOTION, SCHEMA
 
@@ -125,13 +126,16 @@ def test_pickles(saved: Path) -> None:
         (lambda a, r: r["schema"].update(version=9), "recon.motion, version 9"),
         (lambda a, r: r.update(schema={"name": "other", "version": 1}), "other, version 1"),
         (lambda a, r: r.pop("value"), "value"),
-        (lambda a, r: r["value"].pop("side"), "side of a Motion"),
-        (lambda a, r: r["value"].update(more=1), "more of a Motion"),
-        (lambda a, r: r["value"].update(side="up"), "side: 'up'"),
+        (lambda a, r: r["value"].pop("side"), "side: found {"),
+        (lambda a, r: r["value"].update(more=1), "more: found 1"),
+        (lambda a, r: r["value"].update(side="up"), "side: found 'up'"),
         (lambda a, r: r["value"]["solution"].update({"class": "os:system"}), "os:system"),
-        (lambda a, r: r["value"]["solution"].update({"class": "recon.animal.body:Body"}), "where a Solution belongs"),
+        (
+            lambda a, r: r["value"]["solution"].update({"class": "recon.animal.body:Body"}),
+            "Unexpected keyword argument",
+        ),
         (lambda a, r: r["value"]["solution"].update({"class": "recon.none:None"}), "recon.none"),
-        (lambda a, r: r["value"]["solution"].update(size="large"), "solution.size: 'large'"),
+        (lambda a, r: r["value"]["solution"].update(size="large"), "size: found 'large'"),
         (lambda a, r: r["value"]["sources"][0]["camera"].update(model="none"), "model"),
         (lambda a, r: r["value"].update(sources=[]), ""),
     ],
@@ -158,6 +162,14 @@ def test_results_of_an_earlier_version(tmp_path: Path) -> None:
         InputError, match=rf"earlier version.*recon fit --config {tmp_path}/config.toml --out {tmp_path}"
     ):
         Motion.load(tmp_path)
+
+
+def test_motion_of_an_earlier_version(saved: Path) -> None:
+    rewritten(saved, lambda arrays, record: record["schema"].update(version=1))
+    assert "recon fit" in refused(saved)
+    (saved.parent / "config.toml").write_text("")
+    write_manifest(saved.parent)
+    assert f"recon fit --config {saved.parent}/config.toml --out {saved.parent} --overwrite" in refused(saved)
 
 
 # -- other dataclasses ------------------------------------------------------------------------------------------------

@@ -507,7 +507,7 @@ def test_no_pose_at_all(small_trajectory):
         "data_share": np.full(24, np.nan),
     }
     motion = with_solution(
-        small_trajectory, **arrays, segments=(), flags=(("no data",),) * 8, starts=(), status="not_converged"
+        small_trajectory, **arrays, segments=(), flags=(("no data",),) * 8, starts=0, status="not_converged"
     )
     report = build_report(motion, {})
     json.dumps(report, allow_nan=False)

@@ -8,16 +8,13 @@ from __future__ import annotations
 
 import json
 import tomllib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 from pydantic import TypeAdapter, ValidationError
 
 from recon.base.errors import InputError, Problem
-
-if TYPE_CHECKING:
-    pass
 
 MAX_BYTES = 1 << 28
 MAX_TOML_BYTES = 1 << 23
@@ -102,12 +99,13 @@ def validated(model: type[_Model], table: Mapping[str, Any], source: str | Path)
     try:
         return TypeAdapter(model).validate_python(table)
     except ValidationError as error:
-        raise InputError(
-            Problem(source, _field(e["loc"]), repr(e["input"])[:60], e["msg"].removeprefix("Value error, "))
-            for e in error.errors()
-        ) from None
+        raise InputError(problems_of(error, source)) from None
 
 
-def _field(place: tuple[int | str, ...]) -> str:
-    """As in legs[0].hip_m."""
-    return "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in place).removeprefix(".")
+def problems_of(error: ValidationError, source: str | Path, within: int = 0) -> Iterator[Problem]:
+    """Each with its field, as in legs[0].hip_m; within: how many steps of the way to it go without saying."""
+    for one in error.errors():
+        field = "".join(
+            f"[{part}]" if isinstance(part, int) else f".{part}" for part in one["loc"][within:]
+        ).removeprefix(".")
+        yield Problem(source, field, repr(one["input"])[:60], one["msg"].removeprefix("Value error, "))

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from recon.fit.least_squares import Estimate, LeastSquares, Shared
     from recon.fit.motion import Motion, Picture
     from recon.fit.points import solve_points, solve_points_and_size
-    from recon.fit.result import Finding, Ground, MotionSegment, Solution, Start, TrajectorySolution
+    from recon.fit.result import Finding, Ground, MotionSegment, Solution, TrajectorySolution
     from recon.fit.shape import Shape, ShapeFit, fit_shape
     from recon.fit.trajectory import Solved, solve_segments, solve_trajectory
 

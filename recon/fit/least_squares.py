@@ -186,19 +186,19 @@ class LeastSquares:
         one: what a residual of a sigma and a half costs, below which rounding is all that is left to lower. And where
         another step like the last would not reach a wanted cost: nearly always they get smaller."""
         shared = self.expected() if shared is None else shared
-        here = _Point(states, shared, self.cost(states, shared), _FIRST_DAMPING)
+        here, damping = Estimate(states, self.cost(states, shared), 0, False, shared), _FIRST_DAMPING
         for iteration in range(1, max_iterations + 1):
-            lower = self._lower(here)
+            lower, damping = self._lower(here, damping)
             done = lower is None or here.cost - lower.cost < tolerance * max(here.cost, 1.0)
             hopeless = lower is not None and 2 * lower.cost - here.cost > wanted
-            here = lower or here
+            here = replace(lower or here, iterations=iteration, converged=done)
             if done or hopeless:  # without a direction that leads down, a minimum to rounding
-                return Estimate(here.states, here.cost, iteration, done, here.shared)
-        return Estimate(here.states, here.cost, max_iterations, False, here.shared)
+                break
+        return here
 
-    def _lower(self, here: _Point) -> _Point | None:
-        """A point of lower cost along a step, damped as much as that needs."""
-        normals, damping = self.normals(here.states, here.shared), here.damping
+    def _lower(self, here: Estimate, damping: float) -> tuple[Estimate | None, float]:
+        """A point of lower cost along a step, damped as much as that needs, and the damping to go on with."""
+        normals = self.normals(here.states, here.shared)
         while damping <= _MOST_DAMPING:
             try:
                 moved, shared_step = step(normals(), damping)
@@ -208,11 +208,11 @@ class LeastSquares:
                     cost = self.cost(trial, shared)
                     if cost < here.cost:
                         less = max(damping * (0.2 if share == 1.0 else 0.6), _LEAST_DAMPING)
-                        return _Point(trial, shared, cost, less)
+                        return replace(here, states=trial, cost=cost, shared=shared), less
             except np.linalg.LinAlgError:  # not positive definite to rounding: more damping
                 pass
             damping = max(20.0 * damping, _FIRST_DAMPING)
-        return None
+        return None, damping
 
     def spans(self, states: Array, shared: Mapping[str, Array], jacobian: bool) -> Iterator[Span]:
         """The clip in pieces that overlap by one frame."""
@@ -245,11 +245,3 @@ class LeastSquares:
                         blocks[own, row - column] += term.slots[b].T @ term.slots[a]
             self._linear_cache[key] = blocks
         return self._linear_cache[key]
-
-
-@dataclass(frozen=True, eq=False)
-class _Point:
-    states: Array
-    shared: Mapping[str, Array]
-    cost: float
-    damping: float

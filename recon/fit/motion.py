@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 MOTION = "motion.npz"
-SCHEMA = {"name": "recon.motion", "version": 1}
+SCHEMA = {"name": "recon.motion", "version": 2}
 EXPECTED = "the motion that `recon fit` or `Motion.save` wrote"
 _SHAPES = {
     "states": "TD",
@@ -191,7 +191,8 @@ class Motion:
             raise InputError(_no_motion(folder))
         if any((folder / name).exists() for name in (MANIFEST, *_OF_A_FIT)):  # not a motion that was saved by itself
             read_manifest(folder).require(MOTION)
-        motion = load_record(cls, path, SCHEMA, EXPECTED)
+        again = f"; of an earlier version, make it again by {_again(folder)}" if (folder / _CONFIG).is_file() else ""
+        motion = load_record(cls, path, SCHEMA, EXPECTED + again)
         try:
             faults = motion._misfits()
             _ = motion.limbs, motion.foot_names, motion.forward_names  # names of joints that there are
@@ -601,13 +602,16 @@ def _sigmas(covariance: Array) -> Array:
     return np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))
 
 
+def _again(folder: Path) -> str:
+    return f"recon fit --config {folder / _CONFIG} --out {folder} --overwrite"
+
+
 def _no_motion(folder: Path) -> Problem:
     """What a folder without a motion is instead."""
     own = "the folder of results that `recon fit` wrote"
     if (folder / _REPORT).is_file() and (folder / _CONFIG).is_file():
         found = f"no {MOTION}: results of an earlier version"
-        again = f"recon fit --config {folder / _CONFIG} --out {folder} --overwrite"
-        return Problem(folder, "folder", found, f"results of this one: make them again by {again}")
+        return Problem(folder, "folder", found, f"results of this one: make them again by {_again(folder)}")
     clips = sorted(path.parent for path in folder.glob(f"*/{MOTION}")) if folder.is_dir() else []
     found = f"no {MOTION}" if folder.is_dir() else "a file" if folder.is_file() else "no such folder"
     return Problem(folder, "folder", found, f"that of one clip, as in {clips[0]}" if clips else own)

@@ -91,17 +91,6 @@ OUTLIER_SIGMAS = 3.0
 
 
 @dataclass(frozen=True)
-class Start:
-    """One heading that the clip was started from: heading_rad about the world's z axis from the right of the first
-    camera's picture, cost of its first, wide
-    fit, and whether it was carried to the end."""
-
-    heading_rad: float
-    cost: float
-    kept: bool
-
-
-@dataclass(frozen=True)
 class Ground:
     """A plane: z = height_m + slope (2,) . (x, y), and the standard deviation of its height under
     the animal."""
@@ -229,7 +218,8 @@ class TrajectorySolution(Solution):
     cost_by_term: dict[str, float]
     """Half the squared norm, robust."""
     iterations: int
-    starts: tuple[Start, ...]
+    starts: int
+    """How many starts were tried."""
     time_offset_frames: Array
     """(V,): how much later than said each camera's pictures were taken, where several cameras show it, else 0."""
     time_offset_sigma_frames: Array

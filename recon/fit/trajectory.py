@@ -39,7 +39,7 @@ from recon.fit import constants
 from recon.fit.clip_problem import ClipProblem, TrajectoryOptions, contacts
 from recon.fit.least_squares import Estimate, LeastSquares
 from recon.fit.posterior import Posterior, PriorMisfit, posterior, prior_misfit_of, with_size
-from recon.fit.result import Ground, MotionSegment, Start, TrajectorySolution
+from recon.fit.result import Ground, MotionSegment, TrajectorySolution
 from recon.fit.starts import Approached, approach, between
 from recon.fit.terms import SIDESLIP, Reprojection, extrinsic_correction, focal, size_of, time_offset
 from recon.geometry.kinematics import ROOT, YAW
@@ -310,18 +310,18 @@ def _solution(clip: ClipProblem, solved: Sequence[Solved], began: float) -> Traj
     size, size_sigma, size_from = _size(clip, solved, known)
     stage_s = {"posterior": time.perf_counter() - clock}
     of_frames, of_views = _arrays(clip)
-    second = _Second(np.full(len(clip), np.nan), np.inf)
+    second_m, second_cost = np.full(len(clip), np.nan), np.inf
     for one, of_one in zip(solved, known, strict=True):
         by_frame, by_view = _of_segment(clip, one, of_one, size, size_sigma)
         for name, values in by_frame.items():
             of_frames[name][one.rows] = values
         for name, values in by_view.items():
             of_views[name][:, one.rows] = values
-        second = _with_seconds(clip, one, size, second)
+        second_cost = min(second_cost, _second(clip, one, size, second_m))
     posed = np.isfinite(of_frames["states"][:, 0]).sum()
     away = _out_of_sight(clip, of_frames["joints_m"])
-    flags = _flags(clip, of_frames["joints_m"], of_views["weight"], second, away)
-    for values in (*of_frames.values(), *(np.moveaxis(v, 0, 1) for v in of_views.values()), second.apart_m):
+    flags = _flags(clip, of_frames["joints_m"], of_views["weight"], second_m, away)
+    for values in (*of_frames.values(), *(np.moveaxis(v, 0, 1) for v in of_views.values()), second_m):
         values[away] = np.nan
     shares = [of_one.data_share * (one.rows.stop - one.rows.start) for one, of_one in zip(solved, known, strict=True)]
     shared = _of_clip(clip, solved, known)
@@ -337,8 +337,8 @@ def _solution(clip: ClipProblem, solved: Sequence[Solved], began: float) -> Traj
         size_from=size_from,
         data_share=np.sum(shares, axis=0) / posed if shares else np.full(len(clip.body.markers), np.nan),
         flags=flags,
-        alternative_m=second.apart_m,
-        alternative_cost=second.extra_cost if np.isfinite(second.extra_cost) else np.nan,
+        alternative_m=second_m,
+        alternative_cost=second_cost if np.isfinite(second_cost) else np.nan,
         segments=tuple(
             MotionSegment(
                 one.rows,
@@ -354,9 +354,7 @@ def _solution(clip: ClipProblem, solved: Sequence[Solved], began: float) -> Traj
         status="converged" if solved and all(one.estimate.converged for one in solved) else "not_converged",
         cost_by_term=costs,
         iterations=sum(one.iterations for one in solved),
-        starts=tuple(
-            Start(a.heading_rad, a.first_cost, a.finished) for one in solved for _, tried in one.windows for a in tried
-        ),
+        starts=sum(len(tried) for one in solved for _, tried in one.windows),
         **shared,
         stage_s=_summed([stage_s, *(one.stage_s for one in solved)]) | {"all": time.perf_counter() - began},
     )
@@ -457,18 +455,10 @@ def _size_of_offsets(clip: ClipProblem) -> float:
     return clip.keypoint_sigma_m / float(np.linalg.norm(points - points.mean(axis=0)))
 
 
-@dataclass(frozen=True, eq=False)
-class _Second:
-    """The second best solution of T frames: apart_m (T,), mean distance of its joints from the best one's, both
-    centred, NaN where there is none; and its extra cost."""
-
-    apart_m: Array
-    extra_cost: float
-
-
-def _with_seconds(clip: ClipProblem, one: Solved, size: float, second: _Second) -> _Second:
-    """With those of one segment: where a second start was carried to the end."""
-    apart_m, extra_cost = second.apart_m.copy(), second.extra_cost
+def _second(clip: ClipProblem, one: Solved, size: float, apart_m: Array) -> float:
+    """The least extra cost of a second solution of a segment, where another start was carried to the end; apart_m (T,)
+    gets the mean distance of its joints from the best one's, both centred."""
+    extra_cost = np.inf
     points = clip.body.tree.pose(one.estimate.states).points_m
     for window, (best, *others) in one.windows:
         other = next((a for a in others if a.finished), None)
@@ -479,7 +469,7 @@ def _with_seconds(clip: ClipProblem, one: Solved, size: float, second: _Second) 
         at = slice(one.rows.start + window.start, one.rows.start + window.stop)
         apart_m[at] = size * np.linalg.norm(here - there, axis=-1).mean(axis=1)
         extra_cost = min(extra_cost, other.estimate.cost - best.estimate.cost)
-    return _Second(apart_m, extra_cost)
+    return extra_cost
 
 
 def _out_of_sight(clip: ClipProblem, joints_m: Array) -> Bools:
@@ -497,7 +487,7 @@ def _out_of_sight(clip: ClipProblem, joints_m: Array) -> Bools:
 
 
 def _flags(
-    clip: ClipProblem, joints_m: Array, weight: Array, second: _Second, away: Bools
+    clip: ClipProblem, joints_m: Array, weight: Array, second_m: Array, away: Bools
 ) -> tuple[tuple[str, ...], ...]:
     """weight (V, T, J)."""
     detected = clip.present().sum(axis=1)
@@ -516,6 +506,6 @@ def _flags(
         "no data": ~np.isfinite(joints_m[:, 0, 0]) | (detected == 0),
         "ran away": away,
         "data poor": (detected > 0) & (trusted < max(POOR_SHARE * weight.shape[2], POORER_SHARE * good)),
-        "ambiguous depth": alone | (second.apart_m > ALTERNATIVE_M),
+        "ambiguous depth": alone | (second_m > ALTERNATIVE_M),
     }
     return tuple(tuple(name for name, which in doubtful.items() if which[t]) for t in range(len(joints_m)))

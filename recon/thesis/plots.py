@@ -262,4 +262,4 @@ def _outcome(record: SolverRecord) -> str:
         return f"{status.count('converged')} of {len(status)} frames converged, each solved by itself"
     found = trajectory_solution(record.motion)
     status = found.status.replace("_", " ")
-    return f"all frames at once: {status}, {found.iterations} iterations from {len(found.starts)} starts"
+    return f"all frames at once: {status}, {found.iterations} iterations from {found.starts} starts"
