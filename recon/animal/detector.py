@@ -16,9 +16,10 @@ from typing import Annotated
 from pydantic import Field
 
 from recon.animal.body import Body, other_side, side_of
-from recon.animal.skeleton_file import FileTable, Number, Sigma, parsed_file, read_named
+from recon.animal.skeleton_file import FileTable, Number, Sigma, read_named, unknown
 from recon.base import package
-from recon.base.errors import InputError, Problem
+from recon.base.documents import validated
+from recon.base.errors import InputError, Problem, refuse
 
 NONE = "none"
 """The detector whose keypoints lie on the markers."""
@@ -66,16 +67,10 @@ def seen_by(body: Body, detector: str | Path | None, scorers: Mapping[str, str |
     if str(detector) == NONE:
         return replace(body, detector=NONE, keypoint_offset_m={}, keypoint_spread_m={}, keypoint_noise_m={})
     raw, source = read_named(detector, "detector")
-    file, problems = parsed_file(_DetectorFile, raw, source)
-    if file is not None and file.skeleton != body.name:
-        problems = [Problem(source, "skeleton", repr(file.skeleton), f"{body.name}, the skeleton of the fit")]
-    elif file is not None:
-        expected = f"one of {', '.join(body.markers)}"
-        problems = [
-            Problem(source, f"keypoints.{m}", repr(m), expected) for m in file.keypoints if m not in body.markers
-        ]
-    if file is None or problems:
-        raise InputError(problems)
+    file = validated(_DetectorFile, raw, source)
+    if file.skeleton != body.name:
+        raise InputError(Problem(source, "skeleton", repr(file.skeleton), f"{body.name}, the skeleton of the fit"))
+    refuse(unknown(source, [(f"keypoints.{marker}", marker) for marker in file.keypoints], body.markers))
     offset_m, spread_m, noise_m = {}, {}, {}
     for marker in body.markers:
         follows = marker not in file.keypoints and side_of(marker) == "right"

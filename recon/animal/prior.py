@@ -16,13 +16,13 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from pydantic import ConfigDict, Json
+from pydantic import ConfigDict
 
 from recon.animal.body import Body
-from recon.animal.skeleton_file import FileTable, parsed_file
+from recon.animal.skeleton_file import FileTable
 from recon.base.arrays import Array
-from recon.base.documents import read_content
-from recon.base.errors import InputError, Problem
+from recon.base.documents import parse_json, read_content, validated
+from recon.base.errors import InputError, Problem, refuse
 from recon.base.package import builtin_file, builtin_names
 from recon.base.records import KINDS, MAX_BYTES, arrays_of
 
@@ -138,10 +138,6 @@ class _About(FileTable):
     segments: list[SegmentRow]
 
 
-class _Texts(FileTable):
-    about: Json[_About]
-
-
 def builtin_priors() -> tuple[str, ...]:
     """Names of the priors that come with the package."""
     return builtin_names("animal/priors", ".npz")
@@ -191,21 +187,17 @@ def _prior(content: bytes, source: str, body: Body) -> MotionPrior:
     lacking = [key for key in ("about", *SHAPES) if key not in stored]
     if lacking:
         raise InputError([Problem(source, key, "nothing", _EXPECTED) for key in lacking])
-    texts, problems = parsed_file(_Texts, {"about": text}, source)
-    about, arrays = None if texts is None else texts.about, {}
-    for key in SHAPES:
-        if stored[key].dtype.kind == "f":
-            with np.errstate(invalid="ignore"):  # a NaN that signals, as damaged floats can be
-                arrays[key] = stored[key].astype(float)
-        else:
-            problems.append(Problem(source, key, f"an array of {stored[key].dtype}", "floating-point numbers"))
-    if about is not None and about.angles != list(body.state_names[ANGLES]):
-        problems.append(_other_angles(about.angles, body, source))
-    elif about is not None and len(arrays) == len(SHAPES):
-        found = misfits(arrays, len(about.angles))
-        problems += [Problem(source, field, what, expected) for field, what, expected in found]
-    if about is None or problems:
-        raise InputError(problems)
+    about = validated(_About, parse_json(text, source, _EXPECTED), source)
+    if about.angles != list(body.state_names[ANGLES]):
+        raise InputError(_other_angles(about.angles, body, source))
+    refuse(
+        Problem(source, key, f"an array of {stored[key].dtype}", "floating-point numbers")
+        for key in SHAPES
+        if stored[key].dtype.kind != "f"
+    )
+    with np.errstate(invalid="ignore"):  # a NaN that signals, as damaged floats can be
+        arrays = {key: stored[key].astype(float) for key in SHAPES}
+    refuse(Problem(source, *misfit) for misfit in misfits(arrays, len(about.angles)))
     for key in ("covariances", "covariance", "acceleration_covariance"):
         arrays[key] = (arrays[key] + arrays[key].swapaxes(-1, -2)) / 2
     arrays["weights"] = arrays["weights"] / arrays["weights"].sum()

@@ -19,7 +19,7 @@ from recon.animal.body import CHAIN_PLACES, PLACES, Body, other_side, side_of
 from recon.animal.chain import MIN_JOINTS, AngleRanges, Chain, Link, PriorScales
 from recon.base import package
 from recon.base.documents import parse_toml, read_toml, validated
-from recon.base.errors import InputError, Problem
+from recon.base.errors import InputError, Problem, all_of, refuse
 from recon.geometry.kinematics import ANGLE_OF_AXIS, AXES, Marker, Segment, Tree
 
 Number = Annotated[float, Field(gt=-1e6, lt=1e6, allow_inf_nan=False)]
@@ -34,9 +34,14 @@ class FileTable(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-class _Sides(FileTable):
-    left: str
-    right: str
+def _both(given: Any) -> Any:
+    """A keypoint's name on either side, or a table of both, as (left, right)."""
+    if isinstance(given, dict) and {*given} == {"left", "right"}:
+        return given["left"], given["right"]
+    return (given, given) if isinstance(given, str) else given
+
+
+_Sides = Annotated[tuple[str, str], BeforeValidator(_both)]
 
 
 class _Range(FileTable):
@@ -51,7 +56,7 @@ class _Link(FileTable):
     end: str = Field(alias="to")
     limb: str
     length_ratio: Sigma
-    keypoint: str | _Sides
+    keypoint: _Sides
     theta: _Range | None = None
     phi: _Range | None = None
 
@@ -95,7 +100,7 @@ class _ChainFile(FileTable):
     name: str
     title: str
     root: str
-    root_keypoint: str | _Sides
+    root_keypoint: _Sides
     forward: tuple[str, str]
     feet: _ChainFeet = Field(default=None, validate_default=True)
     keypoint_sigma_m: Sigma
@@ -233,25 +238,12 @@ def read_named(
     return read_toml(path), str(path)
 
 
-_File = TypeVar("_File", bound=FileTable)
-
-
-def parsed_file(kind: type[_File], raw: dict[str, Any], source: str) -> tuple[_File | None, list[Problem]]:
-    """A file's content, None where something is wrong with it, and what that is."""
-    try:
-        return validated(kind, raw, source), []
-    except InputError as error:
-        return None, list(error.problems)
-
-
 def subject_toml(skeleton: str | Path, body: Body, title: str, notes: Sequence[str] = ()) -> str:
     """The text of a subject file: the lengths and keypoint offsets of a body, of that skeleton. notes: comments."""
     import tomli_w
 
     raw, source = read_named(skeleton)
-    file, _ = parsed_file(_BodyFile, raw, source)
-    if file is None:
-        raise ValueError(f"{source} is no skeleton of a whole animal")
+    file = validated(_BodyFile, raw, source)
     placed = {item.name: item.offset_m for item in (*body.tree.segments, *body.tree.markers)}
     given = [item.name for item in (*file.segments[1:], *file.markers)]
     offsets = {marker.name: body.keypoint_offset_m.get(marker.name) for marker in file.markers}
@@ -269,11 +261,8 @@ def subject_toml(skeleton: str | Path, body: Body, title: str, notes: Sequence[s
 
 
 def _load_chain(raw: dict[str, Any], source: str) -> Chain:
-    file, problems = parsed_file(_ChainFile, _extended(raw, source), source)
-    if file is not None:
-        problems = [*_chain_problems(file, source)]
-    if file is None or problems:
-        raise InputError(problems)
+    file = validated(_ChainFile, _extended(raw, source), source)
+    refuse(_chain_problems(file, source))
     return _chain(file)
 
 
@@ -296,40 +285,41 @@ def _beside(name: str, source: str) -> str:
     return file if os.path.isfile(file) and name not in builtin_names() else name
 
 
-def _chain_problems(parsed: _ChainFile, source: str) -> Iterator[Problem]:
-    known = {parsed.root}
-    for i, link in enumerate(parsed.links):
+def unknown(source: str, names: Iterable[tuple[str, str]], known: Iterable[str], what: str = "") -> Iterator[Problem]:
+    """The problems of names that are not among the known ones, each with the field that it stands in."""
+    known = [*known]
+    for field, name in names:
+        if name not in known:
+            yield Problem(
+                source, field, repr(name), f"{what}{', '.join(known)}" if what else f"one of {', '.join(known)}"
+            )
+
+
+def _chain_problems(file: _ChainFile, source: str) -> Iterator[Problem]:
+    known = [file.root]
+    for i, link in enumerate(file.links):
         if link.start not in known:
             yield Problem(source, f"links[{i}].from", repr(link.start), "the root or the `to` of an earlier link")
         if link.end in known:
             yield Problem(source, f"links[{i}].to", repr(link.end), "a joint that no earlier link ends in")
         if (link.theta is None) != (link.phi is None):
             yield Problem(source, f"links[{i}]", "only one of theta and phi", "both or neither")
-        known.add(link.end)
-    names = [link.name for link in parsed.links]
-    for name in parsed.length_m:
-        if name not in names:
-            yield Problem(source, f"length_m.{name}", repr(name), f"one of {', '.join(sorted(names))}")
+        known.append(link.end)
+    names = [link.name for link in file.links]
+    yield from unknown(source, [(f"length_m.{name}", name) for name in file.length_m], sorted(names))
     if len(names) + 1 < MIN_JOINTS:
         yield Problem(source, "links", f"{len(names)}", f"at least {MIN_JOINTS - 1}: fewer joints do not place it")
-    if not any(link.theta is None and link.start == parsed.root for link in parsed.links):
-        expected = f"one from {parsed.root} without theta and phi: the body's forward axis lies along it"
+    if not any(link.theta is None and link.start == file.root for link in file.links):
+        expected = f"one from {file.root} without theta and phi: the body's forward axis lies along it"
         yield Problem(source, "links", "none without angles from the root", expected)
-    for field, joints in (("forward", parsed.forward), ("feet", parsed.feet.values())):
-        for joint in joints:
-            if joint not in known:
-                yield Problem(source, field, repr(joint), f"one of {', '.join(sorted(known))}")
-    yield from _foot_problems(parsed.feet, source)
+    ends = [*(("forward", joint) for joint in file.forward), *(("feet", joint) for joint in file.feet.values())]
+    yield from unknown(source, ends, sorted(known))
+    yield from _foot_problems(file.feet, source)
 
 
-def _sides(keypoint: str | _Sides) -> tuple[str, str]:
-    return (keypoint, keypoint) if isinstance(keypoint, str) else (keypoint.left, keypoint.right)
-
-
-def _ranges(links: tuple[_Link, ...], kind: Literal["theta", "phi"]) -> AngleRanges:
-    ranges = [r for link in links if (r := getattr(link, kind)) is not None]
-    columns = ([r.mean_rad for r in ranges], [r.tolerance_rad for r in ranges], [r.max_rate_rad_s for r in ranges])
-    return AngleRanges(*(np.array(c, dtype=float) for c in columns))
+def _ranges(ranges: Iterable[_Range | None]) -> AngleRanges:
+    rows = [(r.mean_rad, r.tolerance_rad, r.max_rate_rad_s) for r in ranges if r is not None]
+    return AngleRanges(*np.array(rows, dtype=float).reshape(-1, 3).T)
 
 
 def _chain(f: _ChainFile) -> Chain:
@@ -340,12 +330,12 @@ def _chain(f: _ChainFile) -> Chain:
         title=f.title,
         links=tuple(Link(x.name, x.start, x.end, x.limb, ratios[x.name], free=x.theta is not None) for x in f.links),
         joints=(f.root, *(x.end for x in f.links)),
-        keypoints=(_sides(f.root_keypoint), *(_sides(x.keypoint) for x in f.links)),
+        keypoints=(f.root_keypoint, *(x.keypoint for x in f.links)),
         forward=f.forward,
         feet=tuple(f.feet.values()),
         foot_labels=tuple(CHAIN_PLACES[place] for place in f.feet),
-        theta=_ranges(f.links, "theta"),
-        phi=_ranges(f.links, "phi"),
+        theta=_ranges(x.theta for x in f.links),
+        phi=_ranges(x.phi for x in f.links),
         scales=PriorScales(
             softness_rad=f.softness_rad,
             theta_rad=f.prior.theta_sigma_rad,
@@ -364,18 +354,18 @@ def _chain(f: _ChainFile) -> Chain:
 
 
 def _load_body(raw: dict[str, Any], source: str, subject: str | Path | None) -> Body:
-    file, problems = parsed_file(_BodyFile, raw, source)
-    if subject is not None:
-        raw, subject_source = read_named(subject, "subject")
-        animal, more = parsed_file(_SubjectFile, raw, subject_source)
-        problems += more
-        if file is not None and animal is not None:
-            problems += _subject_problems(animal, file, subject_source)
-            file = _measured(file, animal)
-    if file is not None:
+    if subject is None:
+        file = validated(_BodyFile, raw, source)
+        problems = [*_body_problems(file, source)]
+    else:
+        measured, measured_source = read_named(subject, "subject")
+        file, animal = all_of(
+            lambda: validated(_BodyFile, raw, source), lambda: validated(_SubjectFile, measured, measured_source)
+        )
+        problems = [*_subject_problems(animal, file, measured_source)]
+        file = _measured(file, animal)
         problems += _body_problems(file, source)
-    if file is None or problems:
-        raise InputError(dict.fromkeys(problems))  # both sides of a mirrored segment can have the same
+    refuse(dict.fromkeys(problems))  # both sides of a mirrored segment can have the same
     return replace(_body(file), subject=None if subject is None else str(subject))
 
 
@@ -383,30 +373,23 @@ def _subject_problems(animal: _SubjectFile, file: _BodyFile, source: str) -> Ite
     if animal.skeleton != file.name:
         yield Problem(source, "skeleton", repr(animal.skeleton), f"{file.name!r}, the skeleton that it is used with")
         return
-    names = [item.name for item in (*file.segments[1:], *file.markers)]
-    for name in animal.at_m:
-        if name not in names:
-            expected = f"a segment but the root, or a marker, of {file.name}: {', '.join(names)}"
-            yield Problem(source, f"at_m.{name}", repr(name), expected)
     markers = [marker.name for marker in file.markers]
-    for name in animal.keypoint_offset_m:
-        if name not in markers:
-            expected = f"a marker of {file.name}: {', '.join(markers)}"
-            yield Problem(source, f"keypoint_offset_m.{name}", repr(name), expected)
+    names = [*(segment.name for segment in file.segments[1:]), *markers]
+    placed = [(f"at_m.{name}", name) for name in animal.at_m]
+    yield from unknown(source, placed, names, f"a segment but the root, or a marker, of {file.name}: ")
+    offset = [(f"keypoint_offset_m.{name}", name) for name in animal.keypoint_offset_m]
+    yield from unknown(source, offset, markers, f"a marker of {file.name}: ")
 
 
 def _measured(file: _BodyFile, animal: _SubjectFile) -> _BodyFile:
-    def placed(items: tuple[_Item, ...]) -> tuple[_Item, ...]:
-        return tuple(x.model_copy(update={"at_m": animal.at_m.get(x.name, x.at_m)}) for x in items)
-
-    def detected(marker: _Marker) -> _Marker:
-        offset = animal.keypoint_offset_m.get(marker.name, marker.keypoint_offset_m)
-        return marker.model_copy(update={"keypoint_offset_m": offset})
-
-    changed = {
-        "segments": (file.segments[0], *placed(file.segments[1:])),
-        "markers": tuple(detected(marker) for marker in placed(file.markers)),
-    }
+    """The skeleton with an animal's lengths and keypoint offsets; the root stays."""
+    segments, markers = (
+        tuple(x.model_copy(update={"at_m": animal.at_m.get(x.name, x.at_m)}) for x in items)
+        for items in (file.segments, file.markers)
+    )
+    of = animal.keypoint_offset_m
+    markers = tuple(m.model_copy(update={"keypoint_offset_m": of.get(m.name, m.keypoint_offset_m)}) for m in markers)
+    changed = {"segments": (file.segments[0], *segments[1:]), "markers": markers}
     return file.model_copy(update={"title": animal.title, "size_sigma": animal.size_sigma, **changed})
 
 
@@ -435,12 +418,18 @@ def _expected_angles(segment: _Segment) -> list[str]:
 
 
 def _body_problems(file: _BodyFile, source: str) -> Iterator[Problem]:
-    segments, used = set[str](), set[str]()
+    segments, used = list[str](), set[str]()
     for i, segment in _both_sides(file.segments):
         at = f"segments[{i}]"
         yield from _name_problems(segment, at, used, source)
         if i == 0:
-            yield from _root_problems(segment, source)
+            root = [("joint", segment.joint != "free", repr(segment.joint), "free: the first segment is the root")]
+            root.append(
+                ("parent", segment.parent is not None, repr(segment.parent), "none: the first segment is the root")
+            )
+            root.append(("at_m", any(segment.at_m), str([*segment.at_m]), "none: the root's origin is an unknown"))
+            root.append(("mirrored", segment.mirrored, "true", "one root"))
+            yield from (Problem(source, f"{at}.{field}", found, wanted) for field, bad, found, wanted in root if bad)
         elif segment.joint == "free":
             yield Problem(source, f"{at}.joint", "'free'", "ball, universal, hinge or fixed: only the root is free")
         if i > 0 and segment.parent not in segments:
@@ -452,30 +441,23 @@ def _body_problems(file: _BodyFile, source: str) -> Iterator[Problem]:
                 found = "an expectation" if given else "none"
                 wanted = f"{' and '.join(expected) or 'no angle'}, since its joint is {segment.joint}"
                 yield Problem(source, f"{at}.{angle}", found, wanted)
-        segments.add(segment.name)
-        used.add(segment.name)
-    markers = set[str]()
+        segments.append(segment.name)
+    markers = []
     for i, marker in _both_sides(file.markers):
         yield from _name_problems(marker, f"markers[{i}]", used, source)
         if marker.segment not in segments:
             yield Problem(source, f"markers[{i}].segment", repr(marker.segment), "the name of a segment")
-        markers.add(marker.name)
-        used.add(marker.name)
+        markers.append(marker.name)
     if len(markers) < MIN_JOINTS:
         yield Problem(source, "markers", f"{len(markers)}", f"at least {MIN_JOINTS}: fewer do not place it")
-    feet = tuple(file.feet.values())
-    named = [("forward", file.forward), ("feet", feet), *((f"limbs.{k}", v) for k, v in file.limbs.items())]
-    for field, names in named:
-        for name in names:
-            if name not in markers:
-                yield Problem(source, field, repr(name), f"one of {', '.join(sorted(markers)) or 'the markers'}")
-    shares = {} if file.mass is None else file.mass.share
-    for name in shares:
-        if name not in segments:
-            yield Problem(source, f"mass.share.{name}", "no such segment", f"one of {', '.join(sorted(segments))}")
-    for name in sorted(segments if shares else ()):
-        if name not in shares and other_side(name) not in shares:
-            yield Problem(source, f"mass.share.{name}", "none", "a share and its sigma, as [0.05, 0.01]")
+    named = {"forward": file.forward, "feet": file.feet.values()} | {f"limbs.{k}": v for k, v in file.limbs.items()}
+    yield from unknown(source, [(field, name) for field, names in named.items() for name in names], sorted(markers))
+    if file.mass is not None:
+        shares = file.mass.share
+        yield from unknown(source, [(f"mass.share.{name}", name) for name in shares], sorted(segments))
+        for name in sorted(segments):
+            if name not in shares and other_side(name) not in shares:
+                yield Problem(source, f"mass.share.{name}", "none", "a share and its sigma, as [0.05, 0.01]")
     if file.forward[0] == file.forward[1]:
         yield Problem(source, "forward", f"{file.forward[0]!r} twice", "two markers, from rear to front")
     yield from _foot_problems(file.feet, source)
@@ -491,28 +473,20 @@ def _foot_problems(feet: dict[str, str], source: str) -> Iterator[Problem]:
 
 
 def _name_problems(item: _Segment | _Marker, field: str, used: set[str], source: str) -> Iterator[Problem]:
+    """used: names of earlier segments and markers, which this one's joins."""
     if item.name in used:
         yield Problem(source, f"{field}.name", repr(item.name), "a name that no earlier segment or marker has")
     if item.mirrored and side_of(item.name) != "left":
         expected = "a name with a word of the left side in it, as l_paw, front_left_paw or LeftPaw"
         yield Problem(source, f"{field}.mirrored", repr(item.name), expected)
-
-
-def _root_problems(root: _Segment, source: str) -> Iterator[Problem]:
-    if root.joint != "free":
-        yield Problem(source, "segments[0].joint", repr(root.joint), "free: the first segment is the root")
-    if root.parent is not None:
-        yield Problem(source, "segments[0].parent", repr(root.parent), "none: the first segment is the root")
-    if any(root.at_m):
-        yield Problem(source, "segments[0].at_m", f"{list(root.at_m)}", "none: the root's origin is an unknown")
-    if root.mirrored:
-        yield Problem(source, "segments[0].mirrored", "true", "one root")
+    used.add(item.name)
 
 
 def _body(f: _BodyFile) -> Body:
     segments = [segment for _, segment in _both_sides(f.segments)]
     markers = [marker for _, marker in _both_sides(f.markers)]
     expected = [getattr(s, angle) for s in segments for angle in _expected_angles(s)]
+    shares = {} if f.mass is None else f.mass.share
     return Body(
         name=f.name,
         title=f.title,
@@ -532,11 +506,6 @@ def _body(f: _BodyFile) -> Body:
         acceleration_rad_s2=np.array([e.acceleration_rad_s2 for e in expected]),
         keypoint_offset_m={m.name: m.keypoint_offset_m for m in markers if any(m.keypoint_offset_m)},
         detector=f.detector,
-        mass={} if f.mass is None else {s.name: _share(f.mass, s.name) for s in segments},
+        mass={s.name: shares[s.name if s.name in shares else other_side(s.name)] for s in segments if shares},
         mass_source=None if f.mass is None else f.mass.source,
     )
-
-
-def _share(mass: _Mass, segment: str) -> tuple[float, float]:
-    """The share of the mass of a segment, or of its counterpart on the other side."""
-    return mass.share[segment] if segment in mass.share else mass.share[other_side(segment)]
