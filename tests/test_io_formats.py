@@ -342,7 +342,10 @@ def test_coco_of_several_animals(tmp_path):
         ({"images": [{"file_name": "x.png"}]}, "an entry without 'id'"),
         ({"images": {}}, "an entry without 5"),
         ({"images": [{"id": 5}, {"id": 5}]}, "frame numbers that are not unique"),
-        ({"images": [{"id": -(10**14)}, {"id": 6}], "annotations": []}, "frames: found -100000000000000 to 6"),
+        (
+            {"images": [{"id": -(10**14)}, {"id": 6}], "annotations": []},
+            "frames: found -100000000000000, expected increasing",
+        ),
         ({"images": [{"id": 0}, {"id": 2**70}], "annotations": []}, "data that cannot be read"),
     ],
 )
@@ -662,7 +665,7 @@ def test_npz_problems(tmp_path):
         fps=1.0,
         edges=np.zeros((1, 2), int),
     )
-    assert "frames: found 3 to 3, expected increasing" in refused(tmp_path / "b.npz", None, read_pose3d)[0]
+    assert "frames: found 3 after 3, expected increasing" in refused(tmp_path / "b.npz", None, read_pose3d)[0]
 
 
 def test_parquet_of_others(tmp_path):
@@ -908,7 +911,7 @@ def test_dannce_predictions_and_names(tmp_path):
         ({"labelData": cell({"data_3d": np.ones((2, 5)), "data_frame": [1, 2]})}, r"cannot reshape array of size 10"),
         (
             {"labelData": cell({"data_3d": np.ones((2, 6)), "data_frame": [2, 2]})},
-            "frames: found 2 to 2, expected increasing whole numbers",
+            "frames: found 2 after 2, expected increasing whole numbers",
         ),
     ],
 )

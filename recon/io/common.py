@@ -143,10 +143,14 @@ def points_of_arrays(
             problems.append(Problem(path, field, f"an array of the shape {array.shape}", f"{shape}, as the points"))
     if len(frames) != T:
         problems.append(Problem(path, "frames", f"{len(frames)} numbers", f"{T}, one for each frame"))
-    elif not (np.abs(frames) <= MAX_FRAME).all() or (np.diff(frames) <= 0).any() or (frames % 1 != 0).any():
-        said = f"{frames.min():.15g} to {frames.max():.15g}"
-        expected = f"increasing whole numbers up to {MAX_FRAME}, and no time stamps"
-        problems.append(Problem(path, "frames", said, expected))
+    else:
+        wrong = ~(np.abs(frames) <= MAX_FRAME) | (frames % 1 != 0) | (np.diff(frames, prepend=-np.inf) <= 0)
+        if wrong.any():
+            first = int(np.argmax(wrong))
+            said = " after ".join(f"{frame:.15g}" for frame in frames[max(first - 1, 0) : first + 1][::-1])
+            problems.append(
+                Problem(path, "frames", said, f"increasing whole numbers up to {MAX_FRAME}, no time stamps")
+            )
     refuse(problems)
     called = list(animals) or ([""] if N == 1 else [f"track_{n}" for n in range(N)])
     there = np.ones((T, N), dtype=bool) if occupied is None else occupied > 0

@@ -11,17 +11,15 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
 from pathlib import Path, PureWindowsPath
-from typing import NamedTuple
 
 import numpy as np
 
 from recon.base.errors import InputError, Problem, refuse
 from recon.clip.keypoints import Keypoints
-from recon.io.common import FMPOSE3D, MAX_FRAME, PROBLEMS_SHOWN, choose, first_problems, frame_number, numbers, rate
+from recon.io.common import FMPOSE3D, MAX_FRAME, choose, first_problems, frame_number, points_of_arrays, rate
 from recon.io.pose import Pose3D, StoredPoints, points_of
-from recon.io.table import text_rows, write_table
+from recon.io.table import number_rows, text_rows, write_table
 
 HEADERS = (
     ("scorer", "bodyparts", "coords"),
@@ -29,8 +27,6 @@ HEADERS = (
     ("bodyparts", "coords"),
     ("individuals", "bodyparts", "coords"),
 )
-_CELLS_AT_ONCE = 1 << 14
-"""As Python's own text and numbers."""
 COORDS, COORDS_2D = ("x", "y", "z", "likelihood"), ("x", "y", "likelihood")
 # DeepLabCut files the bodyparts that belong to no animal, such as the corners of the arena, under this individual.
 UNIQUE_BODYPARTS = "single"
@@ -43,33 +39,6 @@ SCORER = "recon"
 """The scorer of our own files; where the frame rate is known, it stands in it: recon_90fps."""
 
 
-class Column(NamedTuple):
-    """One column of a file; individual is empty in a file of one animal."""
-
-    individual: str
-    bodypart: str
-    coord: str
-
-    def __str__(self) -> str:
-        return "/".join(part for part in self if part)
-
-
-@dataclass(frozen=True, eq=False)
-class PointTable:
-    """All that a file of DeepLabCut's has: T frames of C columns."""
-
-    columns: tuple[Column, ...]
-    numbers: np.ndarray
-    """(T, C) float, NaN = empty cell, no infinities."""
-    frames: np.ndarray
-    """(T,) int, strictly increasing."""
-    notes: tuple[str, ...]
-    fps: float | None = None
-    """As the scorer of our own files has it."""
-    scorer: str | None = ""
-    """The scorer of the first column; None where there is no header row or level of that name."""
-
-
 def recognises_csv(path: Path) -> bool:
     """Whether a text has DeepLabCut's header rows."""
     with path.open("rb") as file:
@@ -78,80 +47,24 @@ def recognises_csv(path: Path) -> bool:
 
 
 def read_csv(path: Path, individual: str | None = None) -> StoredPoints:
-    """The points of one animal in a CSV file (see `points_in`). Raises InputError."""
-    return points_in(_csv_table(path), path, individual)
+    """The points of one animal in a CSV file (see `points_of_table`). Raises InputError."""
+    rows = text_rows(path)
+    header, index_columns = _read_header(path, rows)
+    return points_of_rows(path, header, rows, index_columns, individual)
 
 
-def points_in(table: PointTable, path: Path, individual: str | None) -> StoredPoints:
-    """The points of one animal as the file states them: likelihoods are NaN where it has none, and the unit of 3D
-    positions is not in it.
-
-    individual: which animal, where there are several. Raises InputError for a choice that is missing, a bodypart that
-    appears twice or lacks a coordinate.
-    """
-    table, animal = _of_one_animal(table, path, individual)
-    in_space = any(c.coord == "z" for c in table.columns)
-    required = ("x", "y", "z") if in_space else ("x", "y")
-    coords = required if in_space else COORDS_2D
-    names = tuple(dict.fromkeys(c.bodypart for c in table.columns))
-    values = np.full((len(table.frames), len(names), len(coords)), np.nan)
-    columns = [(c.bodypart, c.coord) for c in table.columns]
-    problems = [
-        Problem(path, f"bodypart {name}", "more than one column of a kind", "one")
-        for name in dict.fromkeys(column[0] for column in columns if columns.count(column) > 1)
-    ]
-    for k, name in enumerate(names):
-        if lacking := [coord for coord in required if (name, coord) not in columns]:
-            problems.append(Problem(path, f"bodypart {name}", f"no {', '.join(lacking)}", ", ".join(required)))
-        for i, coord in enumerate(coords):
-            if (name, coord) in columns:
-                values[:, k, i] = table.numbers[:, columns.index((name, coord))]
-    refuse(first_problems(problems, path))
-    notes, likelihood = table.notes, None
-    if not in_space:
-        values[(values == PADDING).all(axis=2)] = np.nan, np.nan, 0.0
-        values, likelihood = values[..., :2], values[..., 2]
-        if table.scorer is None:
-            notes += ("The header's first row, scorer, is missing; the others say what each column is.",)
-    if FMPOSE3D in (table.scorer or ""):
-        from recon.io.json_poses import true_names
-
-        names, more = true_names(names, table.scorer or "", in_space)
-        notes += more
-    scorer = None if in_space else table.scorer
-    return StoredPoints(names, values, table.frames, likelihood, table.fps, animal, scorer, notes=notes)
-
-
-def _csv_table(path: Path) -> PointTable:
-    """A file with DeepLabCut's header rows (see `HEADERS`), whatever its coordinates. Raises InputError."""
-    rows = text_rows(path, ",")
-    levels, index_columns = _read_header(path, rows)
-    return table_of_rows(path, levels, rows, index_columns)
-
-
-def table_of_rows(
-    path: Path, header: dict[str, list[str]], rows: Iterable[tuple[int, list[str]]], index_columns: int
-) -> PointTable:
+def points_of_rows(
+    path: Path,
+    header: dict[str, list[str]],
+    rows: Iterable[tuple[int, list[str]]],
+    index_columns: int,
+    individual: str | None = None,
+) -> StoredPoints:
     """header: the texts of the data's columns by level; rows: with their lines, each of so many cells that say the
     frame, and one for each column. Raises InputError."""
     labels = list(zip(*header.values(), strict=True))
-    index: list[tuple[str, ...]] = []
-    values: list[np.ndarray] = []
-    cells: list[str] = []
-    bad: list[tuple[int, int, str]] = []
-    problems: list[Problem] = []
-    width = index_columns + len(labels)
-    for line, row in rows:
-        if len(row) != width:
-            problems.append(Problem(path, f"line {line}", f"{len(row)} cells", f"{width}, as in the header"))
-            continue
-        cells += row[index_columns:]
-        index.append(tuple(row[:index_columns]))
-        if len(cells) >= _CELLS_AT_ONCE:
-            values.append(row_numbers(cells, len(labels), bad, sum(map(len, values))))
-            cells = []
-    values.append(row_numbers(cells, len(labels), bad, sum(map(len, values))))
-    return table_of(path, tuple(header), labels, index, np.concatenate(values), bad, problems)
+    index, values, problems = number_rows(path, rows, ["/".join(label[-2:]) for label in labels], index_columns)
+    return points_of_table(path, individual, tuple(header), labels, index, values, problems)
 
 
 def _read_header(path: Path, rows: Iterator[tuple[int, list[str]]]) -> tuple[dict[str, list[str]], int]:
@@ -166,9 +79,6 @@ def _read_header(path: Path, rows: Iterator[tuple[int, list[str]]]) -> tuple[dic
         if first == "coords":
             break
     if tuple(header) not in HEADERS:
-        for separator, name in ((";", "';'"), ("\t", "a tab")):
-            if separator in first:
-                raise InputError(Problem(path, "separator", name, "','"))
         found = ", ".join(dict.fromkeys((*header, first[:40])))
         raise InputError(header_problem(path, f"rows that begin with '{found}'"))
     if len({len(row) for row in header.values()}) != 1:
@@ -177,6 +87,10 @@ def _read_header(path: Path, rows: Iterator[tuple[int, list[str]]]) -> tuple[dic
     # Label files name the image in three columns, which have blank cells in all header rows but for the first cell.
     index_columns = 3 if [cell.strip() for cell in header["coords"][1:3]] == ["", ""] else 1
     return {level: row[index_columns:] for level, row in header.items()}, index_columns
+
+
+def header_problem(path: Path, found: str) -> Problem:
+    return Problem(path, "header", found, "; or ".join(", ".join(h) for h in HEADERS))
 
 
 def _without_fps(scorer: str) -> tuple[str, float | None]:
@@ -194,117 +108,127 @@ def _with_fps(scorer: str | None, fps: float | None) -> str:
     return str(scorer) if fps is None else f"{scorer}_{ours}"
 
 
-def _columns(path: Path, raw: Sequence[Column]) -> tuple[tuple[Column, ...], tuple[str, ...]]:
-    """Columns with stray blanks removed from their names, and a note for each name that had some."""
-    columns = tuple(Column(*(part.strip() for part in column)) for column in raw)
-    problems = [] if columns else [Problem(path, "header rows", "no columns", "at least one bodypart")]
-    for j, column in enumerate(columns):
-        if column.coord not in COORDS:
-            found = f"coordinate '{column.coord}'"
-            problems.append(Problem(path, f"column {column or j + 1}", found, ", ".join(COORDS)))
-        if not column.bodypart:
-            problems.append(Problem(path, f"column {j + 1} of the data", "no bodypart", "a name"))
-        if not str(column).isprintable():
-            found = "a name that cannot be printed"
-            problems.append(Problem(path, f"column {column}", found, "letters, digits and signs"))
-    refuse(first_problems(list(dict.fromkeys(problems)), path))
-    names = dict.fromkeys(name for column in raw for name in column[:2])
-    return columns, tuple(f"'{name}' is read as '{name.strip()}'." for name in names if name != name.strip())
-
-
-def table_of(
+def points_of_table(
     path: Path,
-    levels: tuple[str | None, ...],
+    individual: str | None,
+    levels: Sequence[str | None],
     labels: Sequence[tuple[str, ...]],
-    index: Sequence[tuple[str, ...]],
+    index: Sequence[Sequence[str]],
     values: np.ndarray,
-    bad: Sequence[tuple[int, int, str]],
-    problems: list[Problem],
-) -> PointTable:
-    """The table, once every label, cell and frame number of it is in order.
+    problems: Sequence[Problem] = (),
+) -> StoredPoints:
+    """The points of one animal as the file states them: likelihoods are NaN where it has none, and the unit of 3D
+    positions is not in it.
 
-    labels: of its C columns, one text for each level; index: of its T rows; values (T, C); bad: (row, column, text) of
-    the cells that are no numbers; problems: others that are known already.
+    labels: of its C columns, one text for each level; index: of its T rows, one text or several; values: (T, C), NaN in
+    empty cells; problems: those that are known already. Raises InputError.
     """
     named = [dict(zip(levels, label, strict=True)) for label in labels]
-    columns, notes = _columns(path, [Column(n.get("individuals", ""), n["bodyparts"], n["coords"]) for n in named])
-    if not index and not problems:
-        raise InputError(Problem(path, "rows", "no frames", "at least one row below the header"))
-    frames, frame_problems = _frame_numbers(path, index)
-    problems = problems + frame_problems
-    infinite = [(int(i), int(j), str(values[i, j])) for i, j in np.argwhere(np.isinf(values))]
-    problems += [
-        Problem(path, f"frame {frames[i]}, column {columns[j]}", f"'{cell}'", "a number or an empty cell")
-        for i, j, cell in sorted([*bad, *infinite])
-    ]
-    if not problems:
-        distinct, count = np.unique(np.array(frames), return_counts=True)
-        problems = [Problem(path, f"frame {frame}", "more than one row", "one") for frame in distinct[count > 1]]
-    refuse(first_problems(problems, path))
-    in_order = np.array(frames, dtype=np.int64)
-    if np.any(np.diff(in_order) < 0):
+    raw = [(n.get("individuals", ""), n["bodyparts"], n["coords"]) for n in named]
+    columns = [(animal.strip(), part.strip(), coord.strip()) for animal, part, coord in raw]
+    notes = tuple(
+        f"'{name}' is read as '{name.strip()}'."
+        for name in dict.fromkeys(name for column in raw for name in column[:2])
+        if name != name.strip()
+    )
+    frames, images, frame_problems = _frame_numbers(path, index)
+    refuse(first_problems([*_column_problems(path, columns), *problems, *frame_problems], path))
+    if {animal for animal, _, _ in columns} == {""} and _prefixes(part for _, part, _ in columns):
+        columns = [(part.partition("_")[0], part.partition("_")[2], coord) for _, part, coord in columns]
+    everyone = list(dict.fromkeys(animal for animal, _, _ in columns))
+    animals = [name for name in everyone if name != UNIQUE_BODYPARTS] or everyone
+    of_animal = {name: [j for j, column in enumerate(columns) if column[0] == name] for name in everyone}
+    # As DeepLabCut fills animals that it never saw.
+    coordinates = (values[:, [j for j in of_animal[name] if columns[j][2] != "likelihood"]] for name in animals)
+    seen = (not np.isin(np.nan_to_num(cells), (0.0, PADDING)).all() for cells in coordinates)
+    animal = animals[choose(path, animals, individual, seen)]
+    if animal != UNIQUE_BODYPARTS and UNIQUE_BODYPARTS in everyone:
+        left_out = dict.fromkeys(columns[j][1] for j in of_animal[UNIQUE_BODYPARTS])
+        notes += (f"Left out, because they are no part of an animal: {', '.join(left_out)}.",)
+    order = np.argsort(frames, kind="stable")
+    if (np.diff(order) < 0).any():
         notes += ("The rows were not in the order of their frame numbers and have been sorted.",)
-        order = np.argsort(in_order)
-        in_order, values = in_order[order], values[order]
-    scorer = named[0].get("scorer")
-    scorer, fps = (None, None) if scorer is None else _without_fps(scorer)
-    return PointTable(columns, values, in_order, notes, fps, scorer)
+    names, points = _points(path, [(j, *columns[j][1:]) for j in of_animal[animal]], values[order])
+    scorer, fps = _without_fps(named[0]["scorer"]) if "scorer" in named[0] else (None, None)
+    likelihood, in_space = None, any(columns[j][2] == "z" for j in of_animal[animal])
+    if not in_space:
+        points[(points == PADDING).all(axis=2)] = np.nan, np.nan, 0.0
+        points, likelihood = points[..., :2], points[..., 2]
+        if scorer is None:
+            notes += ("The header's first row, scorer, is missing; the others say what each column is.",)
+    if FMPOSE3D in (scorer or ""):
+        from recon.io.json_poses import true_names
+
+        names, more = true_names(names, scorer or "", in_space)
+        notes += more
+    return points_of_arrays(
+        path,
+        animal or None,
+        points,
+        frames[order],
+        names,
+        [animal] if animal else [],
+        likelihood,
+        fps=fps,
+        scorer=None if in_space else scorer,
+        images=tuple(images[i] for i in order) if images else (),
+        notes=notes,
+    )
 
 
-def _frame_numbers(path: Path, index: Sequence[tuple[str, ...]]) -> tuple[list[int | str], list[Problem]]:
-    """Frame numbers from the index cells; a cell without one stays as it is and becomes a problem."""
-    first = "/".join(index[0]) if index else ""
-    images = re.search(r"[/\\]|\.[A-Za-z]\w*$", first)
-    frames: list[int | str] = []
-    problems: list[Problem] = []
-    folders: dict[str, None] = {}
-    for cells in index:
-        text = "/".join(cells).strip()
-        if images:
-            # A Windows path splits at both kinds of slash.
-            image = PureWindowsPath(text)
-            folders[image.parent.as_posix()] = None
-            match = re.search(r"([0-9]+)$", image.stem)
-        else:
-            match = re.fullmatch(r"(-?[0-9]+)(\.0*)?", text)
+def _column_problems(path: Path, columns: Sequence[tuple[str, str, str]]) -> Iterator[Problem]:
+    if not columns:
+        yield Problem(path, "header rows", "no columns", "at least one bodypart")
+    for animal, part, coord in dict.fromkeys(columns):
+        place = f"column {'/'.join(filter(None, (animal, part, coord)))}"
+        if coord not in COORDS:
+            yield Problem(path, place, f"coordinate '{coord}'", ", ".join(COORDS))
+        if not part or not f"{animal}{part}".isprintable():
+            yield Problem(path, place, "a bodypart without a name that can be printed", "letters, digits and signs")
+
+
+def _points(
+    path: Path, columns: Sequence[tuple[int, str, str]], values: np.ndarray
+) -> tuple[tuple[str, ...], np.ndarray]:
+    """The bodyparts, and their coordinates (T, K, 3), of columns with their places in the table. Raises InputError."""
+    required = ("x", "y", "z") if any(coord == "z" for _, _, coord in columns) else ("x", "y")
+    coords = required if "z" in required else COORDS_2D
+    places: dict[str, dict[str, list[int]]] = {}
+    for j, part, coord in columns:
+        places.setdefault(part, {}).setdefault(coord, []).append(j)
+    problems = []
+    points = np.full((len(values), len(places), 3), np.nan)
+    for k, (part, of_part) in enumerate(places.items()):
+        if any(len(of) > 1 for of in of_part.values()):
+            problems.append(Problem(path, f"bodypart {part}", "more than one column of a kind", "one"))
+        if lacking := [coord for coord in required if coord not in of_part]:
+            problems.append(Problem(path, f"bodypart {part}", f"no {', '.join(lacking)}", ", ".join(required)))
+        for i, coord in enumerate(coords):
+            if coord in of_part:
+                points[:, k, i] = values[:, of_part[coord][0]]
+    refuse(first_problems(problems, path))
+    return tuple(places), points
+
+
+def _frame_numbers(path: Path, index: Sequence[Sequence[str]]) -> tuple[np.ndarray, list[str], list[Problem]]:
+    """Frame numbers (T,) from the index cells, the pictures' names of labels, and what is wrong with them."""
+    texts = ["/".join(cell for cell in cells if cell).strip() for cells in index]
+    labels = bool(texts) and re.search(r"[/\\]|\.[A-Za-z]\w*$", texts[0]) is not None
+    frames, problems = [], []
+    for row, text in enumerate(texts, 1):
+        # A Windows path splits at both kinds of slash.
+        stem, pattern = (PureWindowsPath(text).stem, r".*?([0-9]+)") if labels else (text, r"(-?[0-9]+)(?:\.0*)?")
+        match = re.fullmatch(pattern, stem, re.DOTALL)
         frame = frame_number(match[1], -MAX_FRAME) if match else None
         if frame is None:
-            expected = "an image name that ends in the frame number" if images else "a frame number (0, 1, 2, ...)"
-            problems.append(Problem(path, f"row {len(frames) + 1} below the header", f"'{text}'", expected))
-        frames.append(text if frame is None else frame)
+            expected = "an image name that ends in the frame number" if labels else "a frame number (0, 1, 2, ...)"
+            problems.append(Problem(path, f"row {row} below the header", f"'{text}'", expected))
+        frames.append(frame or 0)
+    folders = list(dict.fromkeys(PureWindowsPath(text).parent.as_posix() for text in texts)) if labels else []
     if len(folders) > 1:
-        shown = ", ".join(list(folders)[:PROBLEMS_SHOWN]) + (", ..." if len(folders) > PROBLEMS_SHOWN else "")
-        problems.append(Problem(path, "images", f"{len(folders)} folders: {shown}", "the images of one video"))
-    return frames, problems
-
-
-def row_numbers(cells: Sequence[str], columns: int, bad: list[tuple[int, int, str]], first: int = 0) -> np.ndarray:
-    """(T, C): the cells of rows of so many columns as floats; those that are none are added to `bad` as (row, column,
-    text), the rows counted from `first` on."""
-    values, wrong = numbers(cells)
-    bad += [(first + j // columns, j % columns, cells[j]) for j in wrong if np.isnan(values[j])]
-    return values.reshape(-1, max(columns, 1))
-
-
-def _of_one_animal(table: PointTable, path: Path, individual: str | None) -> tuple[PointTable, str | None]:
-    """The columns of the chosen animal, and its name where the file names animals. Raises InputError."""
-    everyone = list(dict.fromkeys(c.individual for c in table.columns))
-    if everyone == [""] and _prefixes(c.bodypart for c in table.columns):
-        split = ((c.bodypart.partition("_"), c.coord) for c in table.columns)
-        table = replace(table, columns=tuple(Column(animal, part, coord) for (animal, _, part), coord in split))
-        everyone = list(dict.fromkeys(c.individual for c in table.columns))
-    if everyone == [""]:
-        choose(path, everyone, individual)
-        return table, None
-    animals = [name for name in everyone if name != UNIQUE_BODYPARTS] or everyone
-    chosen = animals[choose(path, animals, individual, (_has_points(table, animal) for animal in animals))]
-    notes = table.notes
-    if chosen != UNIQUE_BODYPARTS and UNIQUE_BODYPARTS in everyone:
-        left_out = dict.fromkeys(c.bodypart for c in table.columns if c.individual == UNIQUE_BODYPARTS)
-        notes += (f"Left out, because they are no part of an animal: {', '.join(left_out)}.",)
-    keep = [j for j, c in enumerate(table.columns) if c.individual == chosen]
-    columns = tuple(table.columns[j] for j in keep)
-    return replace(table, columns=columns, numbers=table.numbers[:, keep], notes=notes), chosen
+        found = f"{len(folders)} folders: {', '.join(folders[:3])}"
+        problems.append(Problem(path, "images", found, "the images of one video"))
+    return np.array(frames, dtype=np.int64), texts if labels else [], problems
 
 
 def _prefixes(bodyparts: Iterable[str]) -> tuple[str, ...]:
@@ -317,16 +241,6 @@ def _prefixes(bodyparts: Iterable[str]) -> tuple[str, ...]:
     alike = len(parts) > 1 and len({*map(frozenset, parts.values())}) == 1
     many = min(map(len, parts.values()), default=0) >= MIN_PARTS
     return tuple(parts) if alike and many and not PLACES & {name.lower() for name in parts} else ()
-
-
-def _has_points(table: PointTable, animal: str) -> bool:
-    """Not NaN, 0 nor -1 everywhere, as DeepLabCut fills animals that it never saw."""
-    columns = [j for j, c in enumerate(table.columns) if c.individual == animal and c.coord != "likelihood"]
-    return not np.isin(np.nan_to_num(table.numbers[:, columns]), (0.0, PADDING)).all()
-
-
-def header_problem(path: Path, found: str) -> Problem:
-    return Problem(path, "header", found, "; or ".join(", ".join(h) for h in HEADERS))
 
 
 # -- writing ---------------------------------------------------------------------------------------------------------

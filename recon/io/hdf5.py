@@ -113,6 +113,14 @@ def child(group: h5py.Group, path: str, hops: int = MAX_HOPS) -> Any:
     return found if isinstance(found, h5py.Group | h5py.Dataset) else None
 
 
+def member(group: h5py.Group, name: str) -> Any:
+    """What a group has to hold. Raises ValueError where it does not."""
+    found = child(group, name)
+    if found is None:
+        raise ValueError(f"no {name} in {', '.join(names(group))[:200] or 'an empty group'}")
+    return found
+
+
 def groups(file: h5py.File) -> Iterator[h5py.Group]:
     """All groups, the root first, each once. Raises ValueError for more than a file of poses can have."""
     seen: set[Any] = set()

@@ -82,6 +82,8 @@ class StoredPoints:
     """For points in space: the axis that points up, y or z; None where the file does not say."""
     edges: tuple[tuple[str, str], ...] = ()
     """Pairs of points that are linked, where they are known."""
+    images: tuple[str, ...] = ()
+    """Of labels: the T pictures' names."""
     notes: tuple[str, ...] = ()
     """What a reader had to decide, in plain sentences."""
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from recon.base.errors import InputError, Problem, all_of
-from recon.io.deeplabcut import points_in, table_of_rows
+from recon.io.deeplabcut import points_of_rows
 from recon.io.formats import Format, file_head, read_points
 from recon.io.pose import PER_METRE, Pose3D, StoredPoints, z_up_from_y_up
 from recon.io.table import text_rows
@@ -83,7 +83,7 @@ def read_pose_segments(path: str | Path) -> dict[str, Pose3D]:
 
 
 def _piece(path: Path, header: dict[str, list[str]], rows: list[tuple[int, list[str]]]) -> Pose3D:
-    stored = points_in(table_of_rows(path, header, rows, 1), path, None)
+    stored = points_of_rows(path, header, rows, 1)
     if not stored.in_space:
         raise InputError(Problem(path, "line 2", "no z", "x, y, z of each joint"))
     return Pose3D(stored.names, stored.values, stored.frames, source=str(path), notes=stored.notes)

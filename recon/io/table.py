@@ -57,7 +57,7 @@ def number_rows(
         ]
         texts.append(row[:index])
         values.append(found)
-    return texts, np.array(values).reshape(-1, len(columns)), problems
+    return texts, np.array(values).reshape(len(values), len(columns)), problems
 
 
 def write_table(path: Path, header: Iterable[Sequence[str]], frames: np.ndarray, values: np.ndarray) -> None:

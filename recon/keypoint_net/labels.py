@@ -4,7 +4,7 @@ which of them a network is trained on, and which it is judged by."""
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path, PureWindowsPath
 
@@ -15,10 +15,9 @@ from recon.animal import load_names, new_names, other_side
 from recon.base.arrays import Array, Bools, Integers, median
 from recon.base.errors import InputError, Problem, all_of, refuse
 from recon.clip.keypoints import Keypoints, mark_missing, parse_frame_range
-from recon.io import FORMATS, as_keypoints, file_head
-from recon.io.common import first_problems, frames_text, is_hdf5
+from recon.io import as_keypoints, file_head, recognised
+from recon.io.common import first_problems, frames_text
 from recon.io.deeplabcut_project import Project, find_project, label_files
-from recon.io.table import text_rows
 from recon.io.video import Image, probe, read_frames
 
 OUTSIDE = 0.1
@@ -143,33 +142,12 @@ def read_label_file(path: Path, individual: str | None = None) -> tuple[Keypoint
 
 def _read_rows(path: Path, individual: str | None) -> tuple[Keypoints, tuple[str, ...]]:
     file_head(path)
-    code = "deeplabcut_h5" if is_hdf5(path) else "deeplabcut/csv"
-    table = next(f for f in FORMATS if f.code == code)
-    if not table.recognises(path):
+    found = recognised(path, "2D")
+    if found is None or found.name != "deeplabcut":
         raise InputError(Problem(path, "format", "another kind of file", "labels in DeepLabCut's layout, CSV or H5"))
-    keypoints, _ = mark_missing(as_keypoints(path, table.read(path, individual)))
-    named = dict(_image_names(path))
-    return keypoints, tuple(named.get(int(n), str(n)) for n in keypoints.frames)
-
-
-def _image_names(path: Path) -> list[tuple[int, str]]:
-    """Frame numbers and image names of a CSV file of labels."""
-    if is_hdf5(path):
-        from recon.io.deeplabcut_h5 import image_names
-
-        return _numbered(image_names(path))
-    found, wide = [], False
-    for _, row in text_rows(path, ","):
-        if row[0].strip() in ("scorer", "individuals", "bodyparts", "coords"):
-            wide = len(row) > 3 and not row[1].strip() and not row[2].strip()
-            continue
-        cells = row[: 3 if wide else 1]
-        found.append("/".join(cell for cell in cells if cell))
-    return _numbered(found)
-
-
-def _numbered(images: Iterable[str]) -> list[tuple[int, str]]:
-    return [(int(m[1]), text) for text in images if (m := re.search(r"([0-9]+)$", PureWindowsPath(text).stem))]
+    stored = found.read(path, individual)
+    keypoints, _ = mark_missing(as_keypoints(path, stored))
+    return keypoints, stored.images or tuple(map(str, keypoints.frames))
 
 
 def _read_video(video: Path, path: Path, first_frame: int, individual: str | None) -> Labels:
