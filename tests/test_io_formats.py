@@ -412,13 +412,13 @@ def test_anipose_3d_csv(tmp_path):
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("frame,node,x,y\n0,a,1,one\n0.5,a,1,2\n", ["line 3, frame: found 0.5, expected a frame number"]),
+        ("frame,node,x,y\n0,a,1,2\n0.5,a,1,2\n", ["frames: found 0.5 after 0, expected increasing whole"]),
         ("frame,node,x,y\n0,a,1,one\n1,a,inf,2\n", ["line 3, x: found 'inf'", "line 2, y: found 'one'"]),
-        ("frame,node,x,y\n0,a,1,2\n0,a,3,4\n", ["bodypart a: found 2 rows in one frame"]),
-        ("frame,node,x,y\n0,,1,2\n", ["bodypart: found an empty name"]),
+        ("frame,node,x,y\n0,a,1,2\n0,a,3,4\n", ["line 3: found a second row of a frame or of a point in it"]),
+        ("frame,node,x,y\n0,,1,2\n", ["names of points: found an empty name"]),
         ("frame,node,x,y\n0,a,1\n1,a,2,3,4\n", ["line 2: found 3 cells, expected 4", "line 3: found 5 cells"]),
-        ("frame,node,x,y\n", ["rows: found no frames"]),
-        ("frame,a_x,a_y\n0,1,2\n0,3,4\n", ["frames: found 2 rows for 1 frames"]),
+        ("frame,node,x,y\n", ["points: found no frames"]),
+        ("frame,a_x,a_y\n0,1,2\n0,3,4\n", ["line 3: found a second row of a frame"]),
     ],
 )
 def test_plain_csv_problems(tmp_path, text, said):

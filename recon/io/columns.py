@@ -26,15 +26,13 @@ from recon.base.errors import InputError, Problem, refuse
 from recon.base.files import write_bytes
 from recon.clip.keypoints import Keypoints
 from recon.io.common import (
-    MAX_FRAME,
     POINTS_MAX,
     choose,
-    damage_named,
     first_problems,
     formats_extra,
     frames_of_times,
-    name_problems,
     numbers,
+    points_of_arrays,
     rate,
     starts_with,
 )
@@ -57,28 +55,28 @@ ROLES: dict[str, tuple[str, ...]] = {
 """What a column is for, and what it may be called without a map; capitals do not matter."""
 OF_POINTS = ("x", "y", "z", "likelihood")
 UNIT = r"(?:[ _]?[\[(]?(px|m|cm|mm)[\])]?)?"
+OF_PART = re.compile(rf"(.+?)[ _.:/-](?:([xyz]){UNIT}|({'|'.join(ROLES['likelihood'])}))", re.IGNORECASE)
+"""A column of one bodypart."""
 PART = "{bodypart}"
 VALUES_MAX = 4 * POINTS_MAX
 METADATA = b"recon"
 """Key of our own metadata in Parquet: JSON with fps and up."""
 
 
-@dataclass(frozen=True)
-class ColumnLayout:
-    """Which column of a plain table holds what."""
+_Meaning = tuple[str, str, str | None]
+"""What a column is: a bodypart, empty where it is for all of them; a role of `ROLES`; and a unit, where it says one."""
 
-    of_role: dict[str, str]
-    """The column of each role but, in a wide table, those of `OF_POINTS`."""
-    of_part: dict[tuple[str, str], str]
-    """The columns of each bodypart; empty for a long table."""
+
+@dataclass(frozen=True)
+class _Layout:
+    """Which column holds what."""
+
+    columns: dict[tuple[str, str], str]
+    """By bodypart and role. A long table has none of a bodypart's own."""
     unit: str | None
     """The unit of the coordinates, if all have the same."""
     ignored: tuple[str, ...]
     """Other columns."""
-
-    @property
-    def has_z(self) -> bool:
-        return "z" in self.of_role or any(coord == "z" for _, coord in self.of_part)
 
 
 def parse_map(text: str) -> dict[str, str]:
@@ -106,71 +104,47 @@ def parse_map(text: str) -> dict[str, str]:
     return given
 
 
-def _layout(path: Path, columns: Sequence[str], given: Mapping[str, str] | None = None) -> ColumnLayout:
-    """The roles of a table's columns, by a map or by their names. Raises InputError where there are none."""
-    layout = layout_by_name(columns) if given is None else _by_map(path, columns, given)
-    if layout is None:
-        expected = "frame, bodypart, x, y or frame, NAME_x, NAME_y, ...; or a map of columns (--columns)"
-        raise InputError(Problem(path, "columns", ", ".join(columns)[:120], expected))
-    return layout
-
-
-def layout_by_name(columns: Sequence[str]) -> ColumnLayout | None:
-    """None where the columns are not obvious."""
-    of_role: dict[str, str] = {}
-    units: set[str | None] = set()
+def _layout(columns: Sequence[str], meaning: Callable[[str], _Meaning | None]) -> _Layout | None:
+    """None where there is no table of points in these columns. Bodyparts without x or y are none."""
+    found: dict[tuple[str, str], tuple[str, str | None]] = {}
     for column in columns:
-        for role, known in ROLES.items():
-            match = re.fullmatch(f"({'|'.join(known)}){UNIT if role in 'xyz' else ''}", column.strip().lower())
-            if match and role not in of_role:
-                of_role[role] = column
-                units |= {match[2]} if role in "xyz" else set()
-    if not {"frame", "time"} & of_role.keys():
+        if of := meaning(column):
+            found.setdefault(of[:2], (column, of[2]))
+    is_long = {("", "bodypart"), ("", "x"), ("", "y")} <= found.keys()
+    parts = {part for part, _ in found if part and {(part, "x"), (part, "y")} <= found.keys() and not is_long}
+    if not (is_long or parts) or not {("", "frame"), ("", "time")} & found.keys():
         return None
-    if {"bodypart", "x", "y"} <= of_role.keys():
-        ignored = tuple(c for c in columns if c not in of_role.values())
-        return ColumnLayout(of_role, {}, units.pop() if len(units) == 1 else None, ignored)
-    pattern = re.compile(rf"(.+?)[ _.:/-](?:([xyz]){UNIT}|({'|'.join(ROLES['likelihood'])}))", re.IGNORECASE)
-
-    def part_of(column: str) -> tuple[str, str, str | None] | None:
-        match = pattern.fullmatch(column.strip())
-        return (match[1], (match[2] or "likelihood").lower(), match[3]) if match else None
-
-    return _wide(columns, {r: c for r, c in of_role.items() if r in ("frame", "time", "individual", "fps")}, part_of)
+    of_all = [*ROLES] if is_long else ["frame", "time", "individual", "fps"]
+    kept = {key: of for key, of in found.items() if key[0] in parts or (not key[0] and key[1] in of_all)}
+    units = {unit for (_, role), (_, unit) in kept.items() if role in "xyz"}
+    used = {key: column for key, (column, _) in kept.items()}
+    ignored = tuple(column for column in columns if column.strip() and column not in used.values())
+    return _Layout(used, units.pop() if len(units) == 1 else None, ignored)
 
 
-def _by_map(path: Path, columns: Sequence[str], given: Mapping[str, str]) -> ColumnLayout | None:
-    fixed = {role: column for role, column in given.items() if PART not in column}
-    if absent := [column for column in fixed.values() if column not in columns]:
-        there = ", ".join(columns)[:120]
-        raise InputError([Problem(path, "columns", f"no '{column}'", f"one of: {there}") for column in absent])
-    if len(fixed) == len(given):
-        return ColumnLayout(dict(given), {}, None, ())
-    patterns = {}
-    for role in given.keys() - fixed.keys():
-        before, _, after = given[role].partition(PART)
-        patterns[role] = re.compile(f"{re.escape(before)}(.+){re.escape(after)}")
-
-    def part_of(column: str) -> tuple[str, str, None] | None:
-        found = [(m[1], role, None) for role, pattern in patterns.items() if (m := pattern.fullmatch(column))]
-        return found[0] if found else None
-
-    return _wide([c for c in columns if c not in fixed.values()], fixed, part_of)
+def _by_name(column: str) -> _Meaning | None:
+    """What a column is that is called as people call it."""
+    text = column.strip()
+    for role, known in ROLES.items():
+        if match := re.fullmatch(f"(?:{'|'.join(known)}){UNIT if role in 'xyz' else '()'}", text.lower()):
+            return "", role, match[1] or None
+    match = OF_PART.fullmatch(text)
+    return (match[1], (match[2] or "likelihood").lower(), match[3]) if match else None
 
 
-def _wide(
-    columns: Sequence[str], of_role: dict[str, str], part_of: Callable[[str], tuple[str, str, str | None] | None]
-) -> ColumnLayout | None:
-    """part_of: bodypart, coordinate and unit of a column, or None. Parts without x or y are none."""
-    found = {c: part for c in columns if c not in of_role.values() and (part := part_of(c))}
-    has = {(part, coord) for part, coord, _ in found.values()}
-    whole = {c: p for c, p in found.items() if (p[0], "x") in has and (p[0], "y") in has}
-    if not whole:
-        return None
-    of_part = {(part, coord): c for c, (part, coord, _) in whole.items()}
-    units = {unit for _, coord, unit in whole.values() if coord != "likelihood"}
-    ignored = tuple(c for c in columns if c not in of_role.values() and c not in of_part.values())
-    return ColumnLayout(of_role, of_part, units.pop() if len(units) == 1 else None, ignored)
+def _by_map(given: Mapping[str, str]) -> Callable[[str], _Meaning | None]:
+    """The same of columns that a map names."""
+    patterns = {
+        role: re.compile(re.escape(column).replace(re.escape(PART), "(.+)"))
+        for role, column in sorted(given.items(), key=lambda item: PART in item[1])
+    }
+
+    def meaning(column: str) -> _Meaning | None:
+        found = ((match, role) for role, pattern in patterns.items() if (match := pattern.fullmatch(column)))
+        match, role = next(found, (None, ""))
+        return ("".join(match.groups()), role, None) if match else None
+
+    return meaning
 
 
 # -- reading ----------------------------------------------------------------------------------------------------------
@@ -185,7 +159,7 @@ def recognises_long(path: Path) -> bool:
         header = next(csv.reader([text], delimiter=max(SEPARATORS, key=text.count)), [])
     except (UnicodeDecodeError, csv.Error):
         return False
-    return len(set(header)) == len(header) and layout_by_name(header) is not None
+    return len({*header}) == len(header) and _layout(header, _by_name) is not None
 
 
 def read_long(path: Path, individual: str | None = None, columns: Mapping[str, str] | None = None) -> StoredPoints:
@@ -193,7 +167,7 @@ def read_long(path: Path, individual: str | None = None, columns: Mapping[str, s
     rows = text_rows(path)
     header = next(rows, (1, []))[1]
     table, problems = [], []
-    if len(set(header)) != len(header):
+    if len({*header}) != len(header):
         problems = [Problem(path, "header", "a column more than once", "unique columns")]
     for line, row in rows:
         table.append(row)
@@ -201,7 +175,7 @@ def read_long(path: Path, individual: str | None = None, columns: Mapping[str, s
             problems.append(Problem(path, f"line {line}", f"{len(row)} cells", f"{len(header)}, as in line 1"))
     refuse(first_problems(problems, path))
     cells = list(zip(*table, strict=True)) or [()] * len(header)
-    return _gathered(path, dict(zip(header, cells, strict=True)), _layout(path, header, columns), individual)
+    return _gathered(path, dict(zip(header, cells, strict=True)), individual, columns)
 
 
 recognises_wide, read_wide = recognises_long, read_long
@@ -216,37 +190,34 @@ def read_parquet(path: Path, individual: str | None = None) -> StoredPoints:
     with formats_extra(path):
         import pyarrow as pa
         import pyarrow.parquet as pq
-    with damage_named(path, "a whole file"):
-        size = pq.read_metadata(path)  # a column of equal values takes no room in the file
-        if size.num_rows * size.num_columns > VALUES_MAX:
-            raise ValueError(f"{size.num_rows} rows of {size.num_columns} columns are too much")
-        table = pq.read_table(path)
-        own = json.loads((table.schema.metadata or {}).get(METADATA, b"{}"))
-        columns = {}
-        for name, column in zip(table.column_names, table.columns, strict=True):
-            numeric = pa.types.is_integer(column.type) or pa.types.is_floating(column.type)
-            columns[name] = np.asarray(column.to_numpy(), dtype=float) if numeric else column.to_pylist()
-    pose = _gathered(path, columns, _layout(path, table.column_names), individual)
-    if not isinstance(own, dict):
-        return pose
+    size = pq.read_metadata(path)  # a column of equal values takes no room in the file
+    if size.num_rows * size.num_columns > VALUES_MAX:
+        raise ValueError(f"{size.num_rows} rows of {size.num_columns} columns are too much")
+    table = pq.read_table(path)
+    own = json.loads((table.schema.metadata or {}).get(METADATA, b"{}"))
+    columns = {}
+    for name, column in zip(table.column_names, table.columns, strict=True):
+        numeric = pa.types.is_integer(column.type) or pa.types.is_floating(column.type)
+        columns[name] = np.asarray(column.to_numpy(), dtype=float) if numeric else column.to_pylist()
+    pose = _gathered(path, columns, individual, None)
     return replace(pose, fps=pose.fps or rate(own.get("fps")), up="z" if own.get("up") == "z" else None)
 
 
-def _gathered(path: Path, table: Columns, layout: ColumnLayout, individual: str | None) -> StoredPoints:
-    """The table by frame and point, of one animal. Raises InputError for cells that are no numbers, points that appear
-    twice in a frame, coordinates that are missing."""
-    role, problems = layout.of_role, list[Problem]()
-    rows = np.arange(len(next(iter(table.values()), ())))
-    animal = None
-    if "individual" in role:
-        whose = [str(cell).strip() for cell in table[role["individual"]]]
-        animals = list(dict.fromkeys(whose)) or [""]
-        animal = animals[choose(path, animals, individual)]
-        rows = np.flatnonzero([w == animal for w in whose])
-    else:
-        choose(path, [""], individual)
-    if not len(rows):
-        raise InputError(Problem(path, "rows", "no frames", "at least one row below the header"))
+def _gathered(path: Path, table: Columns, individual: str | None, given: Mapping[str, str] | None) -> StoredPoints:
+    """The table by frame and point, of one animal; given: a map of its columns. Raises InputError for columns that mean
+    nothing, cells that are no numbers, points that appear twice in a frame, coordinates that are missing."""
+    absent = [column for column in (given or {}).values() if PART not in column and column not in table]
+    layout = _layout([*table], _by_name if given is None else _by_map(given))
+    if layout is None or absent:
+        expected = "frame, bodypart, x, y or frame, NAME_x, NAME_y, ...; or a map of columns (--columns)"
+        found = f"no '{absent[0]}' in {', '.join(table)[:120]}" if absent else ", ".join(table)[:120]
+        raise InputError(Problem(path, "columns", found, expected))
+    role = {role: column for (part, role), column in layout.columns.items() if not part}
+    whose = [str(cell).strip() for cell in table[role["individual"]]] if "individual" in role else []
+    animals = list(dict.fromkeys(whose)) or [""]
+    animal = animals[choose(path, animals, individual)]
+    problems: list[Problem] = []
+    rows = np.flatnonzero([w == animal for w in whose] or np.ones(len(table[next(iter(role.values()))])))
 
     def cells_of(column: str) -> np.ndarray:
         """As floats; those that are no numbers, or infinite, become problems."""
@@ -259,71 +230,50 @@ def _gathered(path: Path, table: Columns, layout: ColumnLayout, individual: str 
         )
         return values
 
-    rates = set(cells_of(role["fps"]).tolist()) if "fps" in role else ()
+    rates = {*cells_of(role["fps"]).tolist()} if "fps" in role else {None}
     fps = rate(rates.pop()) if len(rates) == 1 else None
-    by_frame = "frame" in role
-    clock = role["frame" if by_frame else "time"]
+    clock = role.get("frame", role.get("time", ""))
     ticks = cells_of(clock)
-    usable = (np.abs(ticks) <= MAX_FRAME) & (np.rint(ticks) == ticks) if by_frame else ~np.isnan(ticks)
-    expected = "a frame number: 0, 1, 2, ..." if by_frame else "a time in seconds"
-    for i in np.flatnonzero(~usable & ~np.isinf(ticks)):
-        found = "nothing" if np.isnan(ticks[i]) else f"{ticks[i]:g}"
-        problems.append(Problem(path, f"line {rows[i] + 2}, {clock}", found, expected))
+    for i in np.flatnonzero(np.isnan(ticks)):
+        problems.append(Problem(path, f"line {rows[i] + 2}, {clock}", "nothing", "a frame number, or seconds"))
     refuse(first_problems(problems, path))
     distinct, row_of = np.unique(ticks, return_inverse=True)
-    coords = ("x", "y", "z") if layout.has_z else ("x", "y")
-    names, placed, faults = _placed(path, table, layout, coords, rows, row_of)
-    problems += faults
-    both = np.full((len(distinct), len(names), len(coords) + 1), np.nan)
-    for column, k, c in placed:
-        both[row_of, k, c] = cells_of(column)
-    problems += name_problems(path, "bodypart", names)
-    refuse(first_problems(problems, path))
-    frames, fps = (distinct.astype(np.int64), fps) if by_frame else frames_of_times(path, distinct, fps)
-    ignored = [column for column in layout.ignored if column.strip()]
-    return StoredPoints(
-        names,
-        both[..., :-1],
-        frames,
-        both[..., -1],
-        fps=fps,
-        individual=animal or None,
-        unit=layout.unit if layout.unit != "px" else None,
-        notes=(f"Columns left out: {', '.join(ignored)}.",) if ignored else (),
-    )
-
-
-def _placed(
-    path: Path, table: Columns, layout: ColumnLayout, coords: Sequence[str], rows: np.ndarray, row_of: np.ndarray
-) -> tuple[tuple[str, ...], Sequence[tuple[str, int | np.ndarray, int]], list[Problem]]:
-    """The points; columns with the point of their cells, or of each (N,), and the place of what they hold among the
-    coordinates and, last, the likelihood; and what is wrong with them. rows, row_of (N,): of the table, and frames."""
-    places = {coord: c for c, coord in enumerate((*coords, "likelihood"))}
-    if layout.of_part:
-        names = tuple(dict.fromkeys(part for part, _ in layout.of_part))
-        problems = [
-            Problem(path, f"bodypart {name}", f"no {coord}", ", ".join(coords))
-            for name in names
-            for coord in coords
-            if (name, coord) not in layout.of_part
-        ]
-        if row_of.max() + 1 < len(row_of):
-            found = f"{len(row_of)} rows for {row_of.max() + 1} frames"
-            problems.append(Problem(path, "frames", found, "one row for each"))
-        of_part = layout.of_part.items()
-        return names, [(column, names.index(part), places[coord]) for (part, coord), column in of_part], problems
-    labels = table[layout.of_role["bodypart"]]
-    points = [str(labels[row]).strip() for row in rows.tolist()]
-    index = {name: k for k, name in enumerate(dict.fromkeys(points))}
-    names, point_of = tuple(index), np.array([index[point] for point in points])
-    cells, count = np.unique(row_of * len(names) + point_of, return_counts=True)
-    problems = [
-        Problem(path, f"bodypart {names[cell % len(names)]}", f"{n} rows in one frame", "one")
-        for cell, n in zip(cells, count, strict=True)
-        if n > 1
+    if "bodypart" in role:
+        points = [str(table[role["bodypart"]][row]).strip() for row in rows.tolist()]
+        index = {name: k for k, name in enumerate(dict.fromkeys(points))}
+        point_of = np.array([index[point] for point in points], dtype=int)
+        repeated = row_of * len(index) + point_of
+    else:
+        index = {part: k for k, part in enumerate(dict.fromkeys(part for part, _ in layout.columns if part))}
+        point_of, repeated = row_of, row_of
+    if len(first := np.unique(repeated, return_index=True)[1]) < len(rows):
+        line = rows[np.setdiff1d(np.arange(len(rows)), first)[0]] + 2
+        problems.append(Problem(path, f"line {line}", "a second row of a frame or of a point in it", "one"))
+    coords = ("x", "y", "z") if any(role == "z" for _, role in layout.columns) else ("x", "y")
+    values = np.full((len(distinct), len(index), len(coords) + 1), np.nan)
+    for (part, what), column in layout.columns.items():
+        if what in OF_POINTS:
+            point: Any = index[part] if part else point_of
+            values[row_of, point, (*coords, "likelihood").index(what)] = cells_of(column)
+    problems += [
+        Problem(path, f"bodypart {part}", "no z", ", ".join(coords))
+        for part in index
+        if "z" in coords and "bodypart" not in role and (part, "z") not in layout.columns
     ]
-    placed = [(layout.of_role[coord], point_of, c) for coord, c in places.items() if coord in layout.of_role]
-    return names, placed, problems
+    refuse(first_problems(problems, path))
+    frames, fps = (distinct, fps) if "frame" in role else frames_of_times(path, distinct, fps)
+    return points_of_arrays(
+        path,
+        animal or None,
+        values[..., :-1],
+        frames,
+        [*index],
+        [animal] if animal else [],
+        values[..., -1],
+        fps=fps,
+        unit=layout.unit if layout.unit != "px" else None,
+        notes=(f"Columns left out: {', '.join(layout.ignored)}.",) if layout.ignored and given is None else (),
+    )
 
 
 # -- writing ---------------------------------------------------------------------------------------------------------
