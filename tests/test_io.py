@@ -218,8 +218,8 @@ def test_single_animal(tmp_path):
         SINGLE.replace("6,0.7,,,", "6,0.7,NaN, ,nan"),
         SINGLE.replace("5,6,0.7", '" 5","6 ",7e-1'),
     ],
-    ids=["bom", "crlf", "no-final-newline", "semicolons", "tabs", "blank-lines", "scorer-suffix", "float-index", "nan-cells",
-         "quotes-and-blanks"],
+    ids=["bom", "crlf", "no-final-newline", "semicolons", "tabs", "blank-lines", "scorer-suffix", "float-index",
+         "nan-cells", "quotes-and-blanks"],
 )  # fmt: skip
 def test_variants_that_say_the_same(tmp_path, text):
     plain, variant = read_keypoints(save(tmp_path, SINGLE)), read_keypoints(save(tmp_path, text, "variant.csv"))
@@ -376,9 +376,7 @@ def test_odd_likelihoods_are_noted(tmp_path):
 def test_names_that_command_a_terminal(tmp_path):
     """They are refused, in one line that commands nothing."""
     (said, *_) = problems(save(tmp_path, SINGLE.replace("nose", "\x1b[31mnose")))
-    assert said.endswith(
-        "column \\x1b[31mnose/x: found a bodypart without a name that can be printed, expected letters, digits and signs"
-    )
+    assert "column \\x1b[31mnose/x: found a bodypart without a name that can be printed, expected" in said
     (said,) = problems(save(tmp_path, "frame,bodypart,x,y\n0,no\x1b]0;se,1,2\n"))
     assert said.endswith("names of points: found 'no\\x1b]0;se', expected names that can be printed")
     (said,) = problems(tmp_path / "a\nb\u202e.csv")
