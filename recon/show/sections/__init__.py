@@ -1,7 +1,8 @@
 """All that is said of a motion: one list of sections, from which report.json, the summary and the page are made.
 
 To add a section: a function of a motion that gives its numbers, perhaps one that gives its lines of the summary, and an
-entry in `SECTIONS`. Another method has its own list (`Solution.described_by`).
+entry in `SECTIONS`; `FRONT` of `recon.show.report` has the labels of the lines that the terminal shows. Another method
+has its own list (`Solution.described_by`).
 """
 
 from __future__ import annotations
