@@ -8,13 +8,17 @@ import numpy as np
 import pytest
 
 from recon.check.inputs.certain import copies, movement
+from recon.check.inputs.likelier import zooms
+from recon.check.inputs.likelihood import baseline_of
 from recon.check.rules import ground_elsewhere, size, subject_unlike_species
 from recon.clip import Source
 from recon.clip.keypoints import Keypoints, clean
+from recon.fit import TrajectoryOptions
+from recon.fit.clip_problem import ClipProblem
 from recon.fit.motion import Motion
 from recon.fit.result import Ground
 from recon.workflows.cameras import other_camera_in
-from tests.test_trajectory import BODY, CAMERA, CAMERA_FROM_LEVEL, FPS, errors_m, plain, run, seen, solve
+from tests.test_trajectory import BODY, CAMERA, CAMERA_FROM_LEVEL, FPS, PRIOR, errors_m, plain, run, seen, solve
 
 NAMES = BODY.keypoint_names(None)
 
@@ -93,12 +97,14 @@ def test_what_no_animal_does_is_named(code):
     assert found.code == code
 
 
-def test_a_body_that_speeds_up_more_than_feet_can_push_is_named():
-    states = plain().states.copy()
-    time_s = np.arange(len(states)) / FPS
-    states[:, 1] += 0.5 * 20.0 * (time_s - time_s.mean()) ** 2
-    (found,) = movement(moved(states))
-    assert (found.code, found.numbers["push_m_s2"]) == ("path_pushed", pytest.approx(20.0, rel=0.1))
+@pytest.mark.parametrize(("times", "ways"), [(1.0, []), (1.5, ["in"]), (1 / 1.5, ["out"])])
+def test_a_picture_that_zooms_is_named(times, ways):
+    centre = CAMERA.matrix[:2, 2]
+    zoom = np.linspace(1.0, times, len(seen(run())))[:, None, None]
+    solution = solve(centre + zoom * (seen(run()) - centre))
+    setting = ClipProblem.of(solution.views, BODY, PRIOR, FPS, TrajectoryOptions())
+    found = [*zooms(baseline_of(setting, 0, solution.states, solution.size), solution.noise_px[0])]
+    assert [one.numbers["way"] for one in found] == ways
 
 
 def test_a_path_that_no_animal_takes_is_named():

@@ -16,7 +16,7 @@ from threadpoolctl import threadpool_limits
 from recon.animal.prior import NONE, MotionPrior, mean_speed_m_s
 from recon.check.codes import FLAG_OF, finding
 from recon.check.inputs.certain import copies, movement
-from recon.check.inputs.likelier import of_other_picture, of_unit_square, other_rate
+from recon.check.inputs.likelier import of_other_picture, of_unit_square, other_rate, zooms
 from recon.check.inputs.likelihood import Baseline, baseline_of
 from recon.check.inputs.swaps import swap_finding, swaps
 from recon.fit import TrajectoryOptions, TrajectorySolution
@@ -55,26 +55,27 @@ def input_findings(
     unlike = too_fast or any(segment.unlike_prior for segment in solution.segments)
     found = [*copies(motion.sources, resampled=bool(motion.settings.get("camera_fps")))]
     certain = any(one.severity == "error" for one in found)
-    elsewhere = any(segment.ground and segment.ground.near_zero is False for segment in solution.segments)
-    seeks_swaps = facts.swaps and prior.name != NONE and bool(solution.posed.any())
     moves = [] if certain else [*movement(motion)]
-    seeks_swaps = seeks_swaps and not certain and not any(one.code in MOVES for one in moves)
+    told = certain or any(one.code in MOVES for one in moves)
+    learned = prior.name != NONE and bool(solution.posed.any())
+    elsewhere = any(segment.ground and segment.ground.near_zero is False for segment in solution.segments)
+    on_ground = replace(weighed, ground_near_zero=weighed.ground_near_zero and not elsewhere)
     pictures: list[Finding] = []
     with threadpool_limits(1, user_api="blas"):
         for number, source in enumerate(motion.sources):
-            given = baseline_of(clip, number, solution.states, solution.size)
-            of_picture = _of_picture(given, facts.named[number])
+            of_picture = _of_picture(baseline_of(clip, number, solution.states, solution.size), facts.named[number])
             if of_picture is not None:
                 pictures.append(of_picture)
-            elif seeks_swaps:
-                if weighed.prior_weight < 1 or elsewhere:
-                    on_ground = replace(weighed, ground_near_zero=weighed.ground_near_zero and not elsewhere)
-                    given = baseline_of(on_ground, number, solution.states, solution.size)
-                found += [swap_finding(trial, source, body) for trial in swaps(given, unlike)]
+            elif learned and not told:
+                given = baseline_of(on_ground, number, solution.states, solution.size)
+                swapped = [swap_finding(trial, source, body) for trial in (swaps(given, unlike) if facts.swaps else ())]
+                found += swapped
+                if len(motion.sources) == 1 and not (swapped or moves):
+                    moves += zooms(given, solution.noise_px[number])
         found += pictures
         slides = [one.numbers.get("slide_m_s") for one in moves]
         glides = any(isinstance(one, float) and one > 0 for one in slides)  # as at a rate that is too high
-        if glides or not (certain or pictures or any(one.code in MOVES for one in moves)):
+        if glides or not (told or pictures):
             found += _of_rate(clip, solution, facts.stated_hz)
     if not pictures and not any(one.code.startswith("frame_rate") for one in found):
         found += moves

@@ -115,12 +115,6 @@ SLOWEST = 0.1
 """The part of the feet, over all frames, that has the speeds of feet that stand, or less."""
 SLIDE_M_S, GLIDE_M_S = -2.5, 8.0
 """Feet that stand are not as fast, backwards or forwards. 32 real views of running cheetahs: -0.7 to 4.1 m/s."""
-PUSH_M_S2 = 12.0
-"""No animal speeds up, brakes or turns as much for a whole clip: cheetahs reach 13 m/s^2 for moments (A. M. Wilson et
-al., *Locomotion dynamics of hunting in wild cheetahs*, Nature 2013). A picture that zooms or pans seems to; so does a
-clip without some of its frames. Up to 9.1 in 32 real views."""
-STRIDE_S = 0.3
-"""A shorter clip is part of a stride, in which the body slows down and speeds up again."""
 JOLTS = {"root acceleration": 1.2, "heading": 0.55, "climb": 1.1}
 """Costs in 1/90 s, half squared sigmas, from which a body's path is no animal's; up to 0.5, 0.35 and 0.7 in real views,
 and 0.8 of the first in the drawn film (benchmarks/wrong_inputs.py)."""
@@ -141,20 +135,12 @@ def movement(motion: Motion) -> Iterator[Finding]:
         yield finding("time_reversed", speed_m_s=-float(np.nanmedian(forward)))
     elif len(feet[0]) and not SLIDE_M_S < (slowest := float(np.nanquantile(feet, SLOWEST))) < GLIDE_M_S:
         yield finding("camera_moves", slide_m_s=slowest, speed_m_s=float(np.nanmedian(forward)))
-    elif posed.sum() > STRIDE_S * motion.fps and (push := _push_m_s2(motion)) > PUSH_M_S2:
-        yield finding("path_pushed", push_m_s2=push)
     else:
         frames = REFERENCE_HZ * float(posed.sum()) / motion.fps
         costs = {name: float(solution.cost_by_term.get(name, 0.0)) / frames for name in JOLTS}
         worst = max(JOLTS, key=lambda name: costs[name] / JOLTS[name])
         if costs[worst] > JOLTS[worst]:
             yield finding("path_jolts", of=worst, cost=costs[worst])
-
-
-def _push_m_s2(motion: Motion) -> float:
-    """The body's mean acceleration over the ground, that of the parabola through its path."""
-    time_s, path_m = motion.time_s[motion.solved], motion.solution.joints_m[motion.solved, :, :2].mean(axis=1)
-    return 2.0 * float(np.linalg.norm(np.polyfit(time_s - time_s.mean(), path_m, 2)[0]))
 
 
 def _along(motion: Motion) -> tuple[Array, Array]:

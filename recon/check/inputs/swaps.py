@@ -38,12 +38,12 @@ from recon.fit.result import Finding
 
 JUMP = -3.0
 """Exchanges begin and end where that makes the tracks so much likelier, as a logarithm: legs that cross hardly jump."""
-LIKELY, REFITTED, STRETCHES = 10.0, 3, 4
+LIKELY, REFITTED, STRETCHES = 15.0, 3, 4
 """Stretches are undone of which tracks and looks say so much, so many of them at a time, and so many exchanges found in
 a clip."""
 POSSIBLE = 10.0
-"""A whole clip that is so much likelier exchanged, and not as much as is believed, is to be looked at: nothing else
-shows a mirrored video, and clips that are right hardly reach half of it (docs/benchmarks.md, mistakes)."""
+"""A whole clip is undone that looks so much likelier exchanged: 32 that are right reach 8. One that then is so much
+likelier, and not as much as is believed, is to be looked at: nothing else shows a mirrored video."""
 OF_LEG = 3
 """How many of a leg's last markers tell its side: what is above hardly does."""
 _STRAIGHT = 3
@@ -157,9 +157,10 @@ def likely(given: Baseline, kinds: dict[str, Index], unlike: bool) -> list[_Stre
     T, looks = len(given.states), _looks(given, kinds)
     told = [one for name, places in kinds.items() for one in _told(jumps(given.view, places), looks[name], name)]
     whole = float(looks["all"].sum())
-    if whole > LIKELY and not unlike:
+    told = sorted(told, reverse=True)[:REFITTED]
+    if whole > POSSIBLE and not unlike:
         told.append((whole, "all", (0, T)))
-    chosen = [(name, rows) for _, name, ends in sorted(told, reverse=True)[:REFITTED] for rows in _parts(*ends, T)]
+    chosen = [(name, rows) for _, name, ends in told for rows in _parts(*ends, T)]
     return [_Stretch(slice(*ends), kinds[name]) for name, ends in dict.fromkeys(chosen)]
 
 
