@@ -42,7 +42,14 @@ from recon.io import write_cameras
 from recon.io.deeplabcut import write_csv
 
 CAUSES = {
-    *("detections_frozen", "detections_repeated", "detections_interpolated", "far_side_copied", "same_keypoints"),
+    *(
+        "frames_left_out",
+        "detections_frozen",
+        "detections_repeated",
+        "detections_interpolated",
+        "far_side_copied",
+        "same_keypoints",
+    ),
     *("missing_as_constant", "keypoints_normalised", "keypoints_y_up", "picture_upside_down", "picture_turned"),
     *("world_not_z_up", "smaller_video", "other_camera_named", "left_right_swap", "frame_rate_stated"),
     *("frame_rate", "animal_still", "time_reversed", "camera_moves", "camera_unit", "subject_unlike_species"),
@@ -342,7 +349,7 @@ CASES = {
     "interpolated, every 8th": Case(interpolated, ("detections_interpolated",)),
     "every frame doubled": Case(doubled, ("detections_repeated",)),
     "far side copied": Case(far_from_near, ("far_side_copied",)),
-    "a quarter of frames dropped": Case(dropped, ("picture_zooms", "path_jolts", "frame_rate")),
+    "a quarter of frames dropped": Case(dropped, ("frames_left_out", "picture_zooms", "path_jolts", "frame_rate")),
     "missing as (-1, -1)": Case(missing_as(-1.0), ("missing_as_constant",)),
     "missing as (0, 0)": Case(missing_as(0.0), ("missing_as_constant",)),
     "mirrored": Case(lambda c, g: g.seen([g.size_px[0] - 1, 0] + g.xy_px * [-1, 1]), SWAPS),
