@@ -7,8 +7,9 @@ does with each of `CASES` put into its files or settings; cases of two cameras t
 each run. --views: every so many of them. Errors are those in the world that the camera file is in, the pose's with both
 centred. A row counts the clips whose error in pose or position is at least twice that of the same clip without the
 mistake. Named: a finding says what it is, or something as true of it. Called something else: a finding of
-`CAUSES` that it is not, and that the clip does not have without the mistake. --findings: which findings each case has,
-and a horse that is fitted as a cheetah, the horse-side of the same folder.
+`CAUSES` that it is not, and that the clip does not have without the mistake. Of what was seen: the errors in the frame
+of the camera whose keypoints they are, and of the clip that they are of, which is all that one camera can tell.
+--findings: which findings each case has, and a horse that is fitted as a cheetah, the horse-side of the same folder.
 """
 
 from __future__ import annotations
@@ -61,6 +62,15 @@ OFF = ("cameras_disagree", "cameras_exchanged", "cameras_out_of_step", "size_une
 
 
 @dataclass(frozen=True, eq=False)
+class Seen:
+    """What keypoints are really of: a run, the camera that saw it, and how much later its frames' numbers are."""
+
+    run: Path
+    camera: Camera
+    later: int = 0
+
+
+@dataclass(frozen=True, eq=False)
 class Given:
     """What a camera's files say, and how the truth follows: which frame of the truth each of the clip is, and the world
     that the camera file is in, x' = R x + t."""
@@ -71,6 +81,7 @@ class Given:
     R: np.ndarray = field(default_factory=lambda: np.eye(3))
     t: np.ndarray = field(default_factory=lambda: np.zeros(3))
     told: dict[str, Any] = field(default_factory=dict)
+    really: Seen | None = None
 
     @property
     def xy_px(self) -> np.ndarray:
@@ -165,7 +176,8 @@ def other_only_camera(clip: Clip, given: Given) -> Given:
 
 
 def other_renamed(clip: Clip, given: Given) -> Given:
-    return replace(given, camera=replace(clip.given(clip.others[0]).camera, name=given.camera.name))
+    camera = replace(clip.given(clip.others[0]).camera, name=given.camera.name)
+    return replace(given, camera=camera, really=Seen(clip.run, given.camera))
 
 
 def cropped(clip: Clip, given: Given) -> Given:
@@ -270,14 +282,16 @@ def of_other_clip(clip: Clip, given: Given) -> Given:
             other = Clip(run, (name,)).given(name)
             if other.camera.image_size_px == given.camera.image_size_px:
                 T = min(len(other.xy_px), len(given.xy_px))
-                return given.seen(other.xy_px[:T], given.keypoints.frames[:T])
+                really = Seen(run, other.camera, int(other.keypoints.frames[0] - given.keypoints.frames[0]))
+                return given.seen(other.xy_px[:T], given.keypoints.frames[:T], really=really)
     return given
 
 
 def of_other_camera(clip: Clip, given: Given) -> Given:
-    T = len(given.xy_px)
-    xy_px = clip.given(clip.others[0]).xy_px[:T]
-    return given.seen(xy_px, given.keypoints.frames[: len(xy_px)])
+    other = clip.given(clip.others[0])
+    xy_px, later = other.xy_px[: len(given.xy_px)], int(other.keypoints.frames[0] - given.keypoints.frames[0])
+    really = Seen(clip.run, other.camera, later)
+    return given.seen(xy_px, given.keypoints.frames[: len(xy_px)], really=really)
 
 
 def shuffled(clip: Clip, given: Given) -> Given:
@@ -404,15 +418,37 @@ def fitted(clip: Clip, case: Case, folder: Path) -> tuple[Motion, Given]:
     return fit_clip(FitSettings(**settings | told)), given[0]
 
 
-def truth_on(clip: Clip, given: Given, motion: Motion) -> np.ndarray:
-    """(T, J, 3), NaN where there is none."""
-    pose = read_pose3d(clip.run / "truth.csv")
+def truth_of(run: Path, motion: Motion, frames: np.ndarray) -> np.ndarray:
+    """(T, J, 3) at these frames of the truth, NaN where there is none."""
+    pose = read_pose3d(run / "truth.csv")
     rows = {int(frame): row for row, frame in enumerate(pose.frames)}
     truth_m = np.full(motion.joints_m.shape, np.nan)
-    for t, frame in enumerate(given.frame(motion.frames)):
+    for t, frame in enumerate(frames):
         if int(frame) in rows:
             truth_m[t] = pose.xyz_m[rows[int(frame)]][[pose.names.index(name) for name in motion.names]]
-    return truth_m @ given.R.T + given.t
+    return truth_m
+
+
+def truth_on(clip: Clip, given: Given, motion: Motion) -> np.ndarray:
+    return truth_of(clip.run, motion, given.frame(motion.frames)) @ given.R.T + given.t
+
+
+def errors(off_m: np.ndarray) -> tuple[float, float]:
+    """Of the pose in mm and of the position in metres, of joints (T, J, 3) that are so far off."""
+    centred = off_m - off_m.mean(axis=1, keepdims=True)
+    return 1000 * float(np.linalg.norm(centred, axis=-1).mean()), float(
+        np.linalg.norm(off_m.mean(axis=1), axis=-1).mean()
+    )
+
+
+def of_what_was_seen(seen: Seen, motion: Motion) -> dict[str, float]:
+    """Errors in the frame of the camera that saw it, which is all that one camera can be right about."""
+    assert seen.camera.rotation is not None
+    assert seen.camera.translation_m is not None
+    truth_m = truth_of(seen.run, motion, motion.frames + seen.later)
+    off_m = motion.joints_camera_m - truth_m @ seen.camera.rotation.T - seen.camera.translation_m
+    off_m = off_m[np.isfinite(off_m).all(axis=(1, 2))]
+    return dict(zip(("seen pose_mm", "seen position_m"), errors(off_m), strict=True)) if len(off_m) else {}
 
 
 def measured(clip: Clip, given: Given, motion: Motion) -> dict[str, Any]:
@@ -423,9 +459,10 @@ def measured(clip: Clip, given: Given, motion: Motion) -> dict[str, Any]:
     known = motion.solved & np.isfinite(truth_on(clip, given, motion)).all(axis=(1, 2))
     centred, R = off_m - off_m.mean(axis=1, keepdims=True), motion.T_reference_world[:3, :3]
     solution = motion.solution
+    pose_mm, position_m = errors(off_m)
     return {
-        "pose_mm": 1000 * float(np.linalg.norm(centred, axis=-1).mean()),
-        "position_m": float(np.linalg.norm(off_m.mean(axis=1), axis=-1).mean()),
+        "pose_mm": pose_mm,
+        "position_m": position_m,
         "pose in 90 %": share_inside(centred, (R @ solution.relative_covariance_m2 @ R.T)[known], 0.9),
         "position in 90 %": share_inside(off_m, (R @ solution.covariance_m2 @ R.T)[known], 0.9),
     }
@@ -441,7 +478,8 @@ def row(clip: Clip, name: str) -> dict[str, Any]:
     codes = [one.code for one in motion.findings if one.severity != "note" or one.code == "missing_as_constant"]
     assert motion.verdict is not None
     said = {"codes": " ".join(sorted({*codes})), "level": motion.verdict.level}
-    return found | measured(clip, given, motion) | said
+    seen = {} if given.really is None else of_what_was_seen(given.really, motion)
+    return found | measured(clip, given, motion) | seen | said
 
 
 def rows_of(clip: Clip, names: Sequence[str]) -> list[dict[str, Any]]:
@@ -482,7 +520,9 @@ def cells(of: pd.DataFrame) -> list[str]:
     figures = [f"{of['pose_mm'].median():.0f}", f"{of['position_m'].median():.2f}"]
     figures += [part("named", of), part("named", hurt), part("else_named", of)]
     figures += [f"{(rows['level'] == 'use').sum()}" for rows in (of, hurt)]
-    return [*figures, *(f"{of[name].mean():.0%}" for name in ("pose in 90 %", "position in 90 %"))]
+    figures += [f"{of[name].mean():.0%}" for name in ("pose in 90 %", "position in 90 %")]
+    seen = [of[f"seen {name}"].median() for name in ("pose_mm", "position_m")]
+    return [*figures, f"{seen[0]:.0f}; {seen[1]:.2f}" if np.isfinite(seen[0]) else ""]
 
 
 def horse_as_cheetah() -> str:
@@ -522,12 +562,13 @@ def main() -> None:
                 pd.DataFrame(rows).to_csv(arguments.csv, index=False)
     if not rows:
         parser.exit(message="no recordings: nothing measured\n")
-    table = judged(pd.DataFrame(rows))
+    table = pd.DataFrame(rows)
+    table = judged(table.reindex(columns=[*dict.fromkeys([*table.columns, "seen pose_mm", "seen position_m"])]))
     use = ["use", "use of doubled"]
     header = ["case", "clips", "doubled", "pose mm", "position m", "named", "named of doubled", "called something else"]
     grouped = [(name, table[table["case"] == name]) for name in wanted if (table["case"] == name).any()]
     print_table(
-        [*header, *use, "pose in 90 %", "position in 90 %"],
+        [*header, *use, "pose in 90 %", "position in 90 %", "of what was seen: mm; m"],
         [[name, len(of), of["doubled"].sum(), *cells(of)] for name, of in grouped],
     )
     if arguments.findings:
