@@ -18,7 +18,7 @@ from recon.io.video import read_frames, video_writer
 from recon.workflows.analyse import AnalyseSettings, run_analyse
 from recon.workflows.camera_advice import CameraAdviceSettings, run_camera_advice
 from recon.workflows.clip_results import run_clip
-from recon.workflows.overlay import OverlaySettings, run_overlay, run_sheet
+from recon.workflows.overlay import OverlaySettings, run_overlay
 from recon.workflows.skeleton_check import SkeletonCheckSettings, run_skeleton_check
 
 HERE = Path(__file__).resolve().parent
@@ -62,8 +62,6 @@ def main() -> None:
         plain_video(out / "clip.avi", result.camera.image_size_px, result.fps, len(result.frames))
         run_overlay(OverlaySettings(folder=clip, video=out / "clip.avi", out=out / "overlay.avi"))
         ((_, image),) = read_frames(out / "overlay.avi", FRAME, FRAME + 1)
-        run_sheet(OverlaySettings(folder=clip, sheet=out / "sheet.png"))
-        save(out / "sheet.png", "sheet.png", 1200)
         cv2.imwrite(str(out / "overlay.png"), image)
         save(out / "overlay.png", "overlay.png", 960)
         run_camera_advice(

@@ -22,17 +22,20 @@ from recon.show.overlay import (
     INK,
     LEFT,
     OUTLIER,
+    PAPER,
     RIGHT,
+    TILE_PX,
     Overlay,
     canvas_size,
     draw_frame,
+    draw_tiles,
     shade,
     smoothed_headings,
 )
 from recon.workflows.cli import app
 from recon.workflows.clip_results import write_clip
-from recon.workflows.overlay import OverlaySettings, camera_number, overlay_of, rate_note, run_overlay
-from recon.workflows.settings import FitSettings
+from recon.workflows.overlay import OverlaySettings, camera_number, overlay_of, rate_note, run_overlay, stills
+from recon.workflows.settings import FitSettings, ResultSettings
 
 SIZE = (1920, 1080)
 GREY = np.full((1080, 1920, 3), 128, np.uint8)
@@ -222,6 +225,39 @@ def test_command(folder, video, tmp_path):
     assert "8 frames at 1 times their speed (30 a second)" in done.stdout
     assert isinstance(CliRunner().invoke(app, args).exception, InputError)
     assert CliRunner().invoke(app, [*args, "--overwrite", "-q"]).stdout == ""
+
+
+# -- stills -----------------------------------------------------------------------------------------------------------
+
+
+def test_every_still_has_its_animal(folder):
+    drawn, rows, _ = stills(Motion.load(folder), 0, ResultSettings(folder=folder), 20)
+    tiles = draw_tiles(drawn, rows)
+    assert len(tiles) == 8
+    for tile in tiles:
+        points = np.argwhere((tile[60:-2, 2:-2].astype(int).max(axis=2) - np.max(PAPER)) > 60)
+        assert np.ptp(points[:, 1]) > 0.7 * TILE_PX[0]  # large
+        assert abs(points[:, 1].mean() - TILE_PX[0] / 2) < 0.15 * TILE_PX[0]
+
+
+def test_rings_are_where_the_joints_were_seen(overlay):
+    """Of a pose whose joints are exactly where they were detected, rings lie on the skeleton."""
+    (picture,) = draw_tiles(overlay, [0])
+    xy = overlay.reprojected_px[0]
+    low, high = np.nanmin(xy, axis=0), np.nanmax(xy, axis=0)
+    scale = 0.8 * min(np.array(TILE_PX) / (high - low))
+    x, y = np.rint(np.array(TILE_PX) / 2 + scale * (overlay.detected_px[0, 10] - (low + high) / 2)).astype(int)
+    around = picture[y - 8 : y + 9, x - 8 : x + 9].reshape(-1, 3)
+    assert (np.abs(around.astype(int) - DETECTION).max(axis=1) < 60).any()
+
+
+def test_the_video_is_behind_each_still(folder, video):
+    motion = Motion.load(folder)
+    drawn, rows, pictures = stills(motion, 0, ResultSettings(folder=folder, video=video, first_frame=7), 3)
+    levels = [float(np.median(tile[-40:-4])) for tile in draw_tiles(drawn, rows, pictures)]
+    np.testing.assert_allclose(levels, [30, 70, 100], atol=8)  # frames 10, 14 and 17
+    with pytest.raises(InputError, match=r"no frame 17"):
+        stills(motion, 0, ResultSettings(folder=folder, video=video, first_frame=5), 2)
 
 
 # -- several cameras ------------------------------------------------------------------------------------------------

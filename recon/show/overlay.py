@@ -34,9 +34,8 @@ STRIP_SHARE = 0.3
 """Height of the strip with the three views, relative to 9/16 of the width."""
 COLUMNS = {"side": 0.38, "from above": 0.26, "from ahead": 0.18}
 """Shares of the width; what remains is the key's."""
-TILE_PX, SHEET_COLUMNS = (480, 300), 4
-"""The size of a tile of a sheet of stills in pixels, and its columns."""
-TILE_UNIT, KEY_UNIT = 0.55, 0.85
+TILE_PX, TILE_UNIT = (480, 300), 0.55
+"""The size of a still in pixels, and the scale of what is drawn on it."""
 DARKENED = 0.35
 """What a text's ground keeps of the picture."""
 _FILLED = 0.8
@@ -184,21 +183,6 @@ def draw_frame(overlay: Overlay, t: int | None, frame: int, picture: Image) -> I
         _draw_close_up(image, overlay, t, picture, unit)
     _draw_caption(canvas, overlay, t, frame, (width, height), unit)
     _draw_strip(canvas, overlay, t, height, width)
-    return canvas
-
-
-def draw_sheet(overlay: Overlay, rows: Sequence[int] | Index, pictures: Sequence[Image] | None = None) -> Image:
-    """`draw_tiles` side by side, and the key beneath."""
-    width, height = TILE_PX
-    columns = min(SHEET_COLUMNS, len(rows))
-    key_px = round(190 * KEY_UNIT)
-    canvas = np.empty((height * -(-len(rows) // columns) + key_px, width * columns, 3), dtype=np.uint8)
-    canvas[:] = PAPER
-    for i, tile in enumerate(draw_tiles(overlay, rows, pictures)):
-        x, y = width * (i % columns), height * (i // columns)
-        canvas[y : y + height, x : x + width] = tile
-        cv2.rectangle(canvas, (x, y), (x + width - 1, y + height - 1), FAINT, 1)
-    _draw_key(canvas, overlay, (round(24 * KEY_UNIT), len(canvas) - key_px + round(30 * KEY_UNIT)), KEY_UNIT)
     return canvas
 
 

@@ -1,4 +1,4 @@
-"""`recon overlay`: a result drawn on its video, or some of its frames side by side, as one picture."""
+"""`recon overlay`: a result drawn on its video; and some of its frames, for a page."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from recon.animal.body import Side
 from recon.base import Progress, silent
 from recon.base.arrays import Array, Index
 from recon.base.errors import InputError, Problem, all_of, refuse
-from recon.base.files import require_free_file, staged_file, write_bytes
-from recon.base.settings import Integer, Number, Option
+from recon.base.files import require_free_file
+from recon.base.settings import Number, Option
 from recon.check import FLAG_OF, usable
 from recon.fit.motion import Motion
 from recon.fit.result import Verdict
 from recon.io.video import Image, VideoInfo, probe, read_frames, require_codec, video_writer
-from recon.show.overlay import LEFT, MIDDLE, RIGHT, Colour, Overlay, canvas_size, draw_frame, draw_sheet
+from recon.show.overlay import LEFT, MIDDLE, RIGHT, Colour, Overlay, canvas_size, draw_frame
 from recon.workflows.cameras import cameras_in
 from recon.workflows.cli.common import progress_bar, say, say_verdict, terminal
 from recon.workflows.settings import ANYWAY, ResultSettings
@@ -38,11 +38,8 @@ MIN_WIDTH_PX = 640
 class OverlaySettings(ResultSettings):
     """What `recon overlay` is told."""
 
-    out: Annotated[Path | None, Option("The new video, .mp4 (MPEG-4) or .avi (Motion JPEG), as in overlay.mp4.")] = None
-    sheet: Annotated[Path | None, Option("Stills side by side, as in sheet.png; without --video plain.")] = None
-    count: Annotated[
-        Annotated[Integer, Field(ge=1, le=60)], Option("Of the stills.", "a whole number from 1 to 60")
-    ] = 12
+    video: Annotated[Path, Option("The video that the keypoints came from, as in clip.mp4.")]
+    out: Annotated[Path, Option("The new video, .mp4 (MPEG-4) or .avi (Motion JPEG), as in overlay.mp4.")]
     anyway: Annotated[bool, ANYWAY] = False
     speed: Annotated[
         Annotated[Number, Field(gt=0, le=10)] | None,
@@ -53,25 +50,13 @@ class OverlaySettings(ResultSettings):
     ] = None
     overwrite: Annotated[bool, Option("Replace the new files.")] = False
 
-    def problems(self) -> Iterator[Problem]:
-        if self.out is None and self.sheet is None:
-            yield Problem("--out", "file", "nothing", "the new video, or --sheet with a picture")
-        if self.out is not None and self.video is None:
-            yield Problem("--video", "file", "nothing", "the video that the keypoints came from")
-
 
 def overlay(settings: OverlaySettings, quiet: bool) -> None:
-    """Draw a reconstruction on its video, or some frames of it as one picture.
-
-    Shown are detections, skeleton, doubtful frames, and in the video the pose from three sides.
+    """Draw a reconstruction on its video: detections, skeleton, doubtful frames, and the pose from three sides.
 
     Example: recon overlay results/clip --video clip.mp4 --out overlay.mp4
     """
     console = terminal(quiet=quiet)
-    if settings.sheet is not None:
-        say(console, f"{run_sheet(settings)} frames are in {settings.sheet}.")
-    if settings.out is None or settings.video is None:
-        return
     with progress_bar(console) as progress:
         frames, fps, speed, verdict = run_overlay(settings, progress)
     say_verdict(console, verdict)
@@ -85,8 +70,6 @@ def run_overlay(settings: OverlaySettings, progress: Progress = silent) -> tuple
     second, the speed, 1 being real time, and the verdict on the clip. Raises InputError, with every problem, for inputs
     that do not belong together; then nothing is written."""
     video, out = settings.video, settings.out
-    assert video is not None
-    assert out is not None
     free = partial(require_free_file, out, settings.overwrite, source=video)
     motion, number, (wide, high) = result_and_video(settings, lambda: require_codec(out), free)
     usable(motion, settings.folder, settings.anyway)
@@ -109,22 +92,6 @@ def run_overlay(settings: OverlaySettings, progress: Progress = silent) -> tuple
             expected = f"{last + 1 - settings.first_frame} or more, for the result's frames {first} to {last}"
             raise InputError(Problem(video, "video", found, f"{expected}: the video of this clip, or --first-frame"))
     return written, fps, speed, motion.verdict
-
-
-def run_sheet(settings: OverlaySettings) -> int:
-    """`count` frames with a pose, evenly spaced, as one PNG; how many there are. Without a video the pictures are
-    plain, and the first camera's unless another is named. Raises InputError, with every problem."""
-    sheet = settings.sheet
-    assert sheet is not None
-    free = partial(require_free_file, sheet, settings.overwrite, "--sheet", settings.video, (".png",))
-    motion, number, _ = result_and_video(settings, free)
-    usable(motion, settings.folder, settings.anyway)
-    drawn, rows, pictures = stills(motion, number, settings, settings.count)
-    if not len(rows):
-        raise InputError(Problem(settings.folder, "frames", "none with a pose", "one at least"))
-    with staged_file(sheet) as staged:
-        write_bytes(staged, cv2.imencode(".png", draw_sheet(drawn, rows, pictures))[1].tobytes())
-    return len(rows)
 
 
 def stills(

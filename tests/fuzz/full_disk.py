@@ -150,7 +150,6 @@ def cases(folder: Path) -> list[Case]:
             lambda out: (read_results(out), read_video(out / "overlay.mp4"), read_page(out)),
         ),
         Case("report", ("report", "{out}"), "clip", False, read_page, clip),
-        Case("overlay sheet", ("overlay", clip, "--sheet", "{out}"), "sheet.png"),
         Case("skeleton draft", ("skeleton", "from-keypoints", SAMPLES / "whole.csv", "--out", "{out}"), "mine.toml"),
         Case("skeleton check", ("skeleton", "check", "cheetah-24", "--out", "{out}"), "pictures", False),
     ]
