@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.text import Text
 
 from recon.animal.naming import load_names, renamed
 from recon.base.errors import InputError, Problem, all_of
@@ -82,10 +81,7 @@ def convert_command(settings: ConvertSettings, as_json: bool) -> Any:
     names = ("--to", "extension", "holds", "frame rate", "frame numbers", "3D axes")
     if as_json:
         return [dict(zip(names, row, strict=True)) for row in rows]
-    table = table_of(*names)
-    for row in rows:
-        table.add_row(*map(Text, row))
-    terminal().print(table)
+    terminal().print(table_of(*names, rows=rows))
     typer.echo("Where an extension has several formats, the first is meant unless --to names another.")
 
 

@@ -8,17 +8,15 @@ import platform
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from importlib import metadata
-from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 import typer
 from rich.box import SIMPLE_HEAD
-from rich.console import Console
 from rich.table import Column, Table
 from rich.text import Text
 
@@ -68,40 +66,29 @@ def doctor(as_json: bool) -> None:
 
     Exit code 0: recon works here. 1: something that it cannot do without is broken.
     """
+    console = terminal()
     with progress_bar(terminal(stderr=True), "checking: ") as progress:
         checks = run_doctor(progress)
     broken = [check.name for check in checks if check.status == "broken"]
     if as_json:
         typer.echo(json.dumps({"ok": not broken, "checks": [asdict(check) for check in checks]}, indent=1))
     else:
-        _print(terminal(), checks)
-        say(terminal(), f"Broken: {', '.join(broken)}" if broken else "recon works here.")
+        columns = Column(no_wrap=True), Column(no_wrap=True), Column(overflow="fold")
+        table = Table(*columns, box=SIMPLE_HEAD, show_header=False)
+        for check, after in zip(checks, (*checks[1:], None), strict=True):
+            hint = f"\n{check.hint}" if check.hint and check.status != "ok" else ""
+            cells = Text(check.name), Text(check.status, STYLES[check.status]), Text(check.found).append(hint, "italic")
+            table.add_row(*cells, end_section=after is None or after.group != check.group)
+        console.print(table)
+        say(console, f"Broken: {', '.join(broken)}" if broken else "recon works here.")
     if broken:
         raise typer.Exit(EXIT_BROKEN)
-
-
-def _print(console: Console, checks: Sequence[_Check]) -> None:
-    columns = Column(no_wrap=True), Column(no_wrap=True), Column(overflow="fold")
-    table = Table(*columns, box=SIMPLE_HEAD, show_header=False)
-    for _, group in groupby(checks, key=lambda check: check.group):
-        for check in group:
-            text = Text(check.found)
-            if check.hint and check.status != "ok":
-                text.append(f"\n{check.hint}", "italic")
-            table.add_row(Text(check.name), Text(check.status, STYLES[check.status]), text)
-        table.add_section()
-    console.print(table)
 
 
 def run_doctor(progress: Progress = silent) -> tuple[_Check, ...]:
     """Every check; none of them raises for what it finds."""
     checks: list[_Check] = []
-    looks: dict[str, Callable[[], Iterator[_Check]]] = {
-        "versions": versions,
-        "optional parts": extras,
-        "viewer": viewer,
-        "self-test": self_test,
-    }
+    looks = {"versions": versions, "optional parts": extras, "viewer": viewer, "self-test": self_test}
     for i, (name, look) in enumerate(looks.items()):
         progress(name, i / len(looks))
         checks += look()
@@ -130,12 +117,12 @@ def extras(requires: Sequence[str] | None = None) -> Iterator[_Check]:
     """One row for each extra that the distribution has and a user may want."""
     for extra, what in EXTRAS.items():
         wanted = [one for one in _requirements(requires) if one.marker and one.marker.evaluate({"extra": extra})]
-        states = [_installed(one) for one in wanted]
-        if lacking := [f"{one.name} {lack}" for one, (lack, _) in zip(wanted, states, strict=True) if lack]:
+        states = [(one.name, *_installed(one)) for one in wanted]
+        if lacking := [f"{name} {lack}" for name, lack, _ in states if lack]:
             found = f"{what}: {', '.join(lacking)}"
             yield _Check("optional parts", extra, "absent", found, install_command(extra))
         elif wanted:
-            there = ", ".join(f"{one.name} {found}" for one, (_, found) in zip(wanted, states, strict=True))
+            there = ", ".join(f"{name} {found}" for name, _, found in states)
             yield _Check("optional parts", extra, "ok", f"{what}: {there}")
 
 
@@ -163,11 +150,11 @@ def _installed(wanted: Requirement) -> tuple[str, str]:
 
 def viewer(command: Sequence[str] = (sys.executable, "-m", "rerun")) -> Iterator[_Check]:
     """The program that `recon view` starts, and whether it has a display."""
-    found = _run([*command, "--version"], 60.0)
-    if found.returncode:
-        yield _Check("machine", "viewer", "broken", _last_line(found), "pip install --force-reinstall rerun-sdk")
+    code, said = _run([*command, "--version"], 60.0)
+    if code:
+        yield _Check("machine", "viewer", "broken", said, "pip install --force-reinstall rerun-sdk")
     else:
-        yield _Check("machine", "viewer", "ok", " ".join(found.stdout.split()[:2]))
+        yield _Check("machine", "viewer", "ok", " ".join(said.split()[:2]))
     if sys.platform in ("win32", "darwin") or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"):
         yield _Check("machine", "display", "ok", "there is one")
     else:
@@ -177,42 +164,36 @@ def viewer(command: Sequence[str] = (sys.executable, "-m", "rerun")) -> Iterator
 
 def self_test() -> Iterator[_Check]:
     """`recon demo` in a process of its own, so that a library that crashes is found and survived."""
+    name = "fit of the sample"
     try:
         with tempfile.TemporaryDirectory() as folder:
-            out = str(Path(folder) / "demo")
-            done = _run([sys.executable, "-c", _MODULE, "demo", "--out", out, "--json", "--quiet"], SELF_TEST_S)
+            arguments = ["demo", "--out", str(Path(folder) / "demo"), "--json", "--quiet"]
+            code, said = _run([sys.executable, "-c", _MODULE, *arguments], SELF_TEST_S)
     except OSError as error:
         hint = "free some space, or set TMPDIR to a folder that can be written to"
         yield _Check("self-test", "temporary files", "broken", f"{error.filename}: {error.strerror}", hint)
         return
-    if done.returncode:
-        yield _Check("self-test", "fit of the sample", "broken", _last_line(done), "recon demo shows all of it")
+    if code:
+        yield _Check("self-test", name, "broken", said, "recon demo shows all of it")
         return
-    shown = json.loads(done.stdout)
-    summary, error_mm, seconds = shown["summary"], shown["mpjpe_mm"], shown["seconds"]
-    found = (
-        f"{summary['frames_with_pose']} of {summary['frames']} frames in {seconds:.1f} s, "
-        f"{error_mm:.0f} mm from the truth (MPJPE)"
-    )
-    if error_mm > SELF_TEST_MPJPE_MM or summary["frames_with_pose"] < summary["frames"]:
-        hint = f"{SELF_TEST_MPJPE_MM} mm is the most: reinstall numpy and scipy, or report it"
-        yield _Check("self-test", "fit of the sample", "broken", found, hint)
-    else:
-        yield _Check("self-test", "fit of the sample", "ok", found)
+    shown = json.loads(said)
+    frames, posed, error_mm = shown["summary"]["frames"], shown["summary"]["frames_with_pose"], shown["mpjpe_mm"]
+    found = f"{posed} of {frames} frames in {shown['seconds']:.1f} s, {error_mm:.0f} mm from the truth (MPJPE)"
+    well = error_mm <= SELF_TEST_MPJPE_MM and posed == frames
+    hint = "" if well else f"{SELF_TEST_MPJPE_MM} mm is the most: reinstall numpy and scipy, or report it"
+    yield _Check("self-test", name, "ok" if well else "broken", found, hint)
 
 
-def _run(command: Sequence[str], timeout_s: float) -> subprocess.CompletedProcess[str]:
-    """Also for a program that is not there, or does not end."""
+def _run(command: Sequence[str], timeout_s: float) -> tuple[int, str]:
+    """A program's exit code, and what it printed, or of one that failed the last line; also for a program that is not
+    there, or does not end."""
     try:
-        return subprocess.run(command, capture_output=True, text=True, check=False, timeout=timeout_s)
+        done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=timeout_s)
     except subprocess.TimeoutExpired:
-        return subprocess.CompletedProcess(command, 1, "", f"did not end within {timeout_s:.0f} s")
+        return 1, f"did not end within {timeout_s:.0f} s"
     except OSError as error:
-        return subprocess.CompletedProcess(command, 1, "", f"{command[0]}: {error.strerror or error}")
-
-
-def _last_line(done: subprocess.CompletedProcess[str]) -> str:
+        return 1, f"{command[0]}: {error.strerror or error}"
+    if done.returncode <= 0:
+        return done.returncode, done.stdout if done.returncode == 0 else f"ended by signal {-done.returncode}"
     said = (done.stderr.strip() or done.stdout.strip()).splitlines()
-    if done.returncode < 0:
-        return f"ended by signal {-done.returncode}"
-    return said[-1] if said else f"exit code {done.returncode}"
+    return done.returncode, said[-1] if said else f"exit code {done.returncode}"

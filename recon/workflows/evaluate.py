@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -65,18 +65,17 @@ def evaluate(settings: _EvaluateSettings, as_json: bool) -> Any:
 
 def _table(result: Evaluation) -> Table:
     """Errors in millimetres and shares of good points, over all and by joint."""
-    scores = (result.mpjpe_m, result.mpe_m, result.scale_mpjpe_m, result.pa_mpjpe_m)
-    shares = [score for _, score in result.pck]
-    pck = (f"PCK {1000 * t:.0f}" for t, _ in result.pck)
-    table = table_of("errors in mm", numbers=("MPJPE", "MPE", "scaled", "PA", *pck))
+    scores, shares = (result.mpjpe_m, result.mpe_m, result.scale_mpjpe_m, result.pa_mpjpe_m), dict(result.pck)
 
-    def add_row(name: str, errors_m: Iterable[float], shares: Iterable[float], last: bool = False) -> None:
-        cells = [f"{1000 * e:.1f}" for e in errors_m] + [f"{share:.0%}" for share in shares]
-        table.add_row(Text(name), *(cell.replace("nan%", "-").replace("nan", "-") for cell in cells), end_section=last)
+    def row(name: str, of: Callable[[Any], float]) -> list[str]:
+        cells = [f"{1000 * of(one):.1f}" for one in scores] + [f"{of(one):.0%}" for one in shares.values()]
+        return [name, *(cell.replace("nan%", "-").replace("nan", "-") for cell in cells)]
 
-    add_row("all", (s.mean for s in scores), (s.mean for s in shares), last=True)
+    numbers = ("MPJPE", "MPE", "scaled", "PA", *(f"PCK {1000 * t:.0f}" for t in shares))
+    table = table_of("errors in mm", numbers=numbers, rows=[row("all", lambda one: one.mean)])
+    table.add_section()
     for j, name in enumerate(result.names):
-        add_row(name, (s.per_joint[j] for s in scores), (s.per_joint[j] for s in shares))
+        table.add_row(*map(Text, row(name, lambda one, j=j: one.per_joint[j])))
     return table
 
 
@@ -97,10 +96,9 @@ def _table_notes(result: Evaluation) -> Iterator[str]:
         ("Joints", result.joints_only_in_pose, result.joints_only_in_truth),
         ("Frames", _ranges(result.frames_only_in_pose), _ranges(result.frames_only_in_truth)),
     ):
-        if reconstruction:
-            yield f"{what} only in the reconstruction: {', '.join(reconstruction)}"
-        if reference:
-            yield f"{what} only in the reference: {', '.join(reference)}"
+        for where, names in (("reconstruction", reconstruction), ("reference", reference)):
+            if names:
+                yield f"{what} only in the {where}: {', '.join(names)}"
     if result.frames_not_scored:
         yield f"Frames of both without a joint known on both sides: {result.frames_not_scored}"
 

@@ -11,7 +11,6 @@ from typing import Annotated, Any, TypeVar
 
 import numpy as np
 import typer
-from rich.text import Text
 
 from recon.animal import Body, MotionPrior, fit_prior, load_skeleton, save_prior
 from recon.animal.prior import mean_speed_m_s
@@ -74,12 +73,16 @@ def prior_fit(settings: PriorFitSettings, as_json: bool) -> Any:
     done = run_prior_fit(settings)
     if as_json:
         return {"out": settings.out, **done}
-    table = table_of("segment", numbers=("frames", "fps", "speed m/s", "misfit mm", "used"))
-    for row in done["segments"]:
-        rms_mm = "-" if row["misfit_mm"] is None else f"{row['misfit_mm']:.1f}"
-        numbers = f"{row['frames']}", f"{row['fps']:g}", f"{row['speed_m_s']:.1f}", rms_mm
-        table.add_row(Text(row["name"]), *numbers, "yes" if row["used"] else "no")
-    terminal().print(table)
+    columns = ("frames", "fps", "speed m/s", "misfit mm", "used")
+    rows = (
+        (
+            *(row["name"], f"{row['frames']}", f"{row['fps']:g}", f"{row['speed_m_s']:.1f}"),
+            "-" if row["misfit_mm"] is None else f"{row['misfit_mm']:.1f}",
+            "yes" if row["used"] else "no",
+        )
+        for row in done["segments"]
+    )
+    terminal().print(table_of("segment", numbers=columns, rows=rows))
     for line in _notes(done):
         typer.echo(line)
     typer.echo(f"The prior is in {settings.out}.")

@@ -9,7 +9,6 @@ from typing import Annotated, Any
 
 import numpy as np
 import typer
-from rich.text import Text
 
 from recon.animal import detector_toml, subject_toml
 from recon.animal.detector import NONE
@@ -77,17 +76,19 @@ def subject_fit(settings: SubjectFitSettings, as_json: bool) -> Any:
         return {"out": settings.out, **found}
     lengths, offsets = ([row for row in found["values"] if row["unit"] == unit] for unit in ("m", "mm"))
     if lengths:
-        table = table_of("length of", numbers=("m", "±"))
-        for row in lengths:
-            table.add_row(Text(row["name"]), f"{row['value']:.3f}", f"{row['sigma']:.3f}")
-        terminal().print(table)
+        rows = ((row["name"], f"{row['value']:.3f}", f"{row['sigma']:.3f}") for row in lengths)
+        terminal().print(table_of("length of", numbers=("m", "±"), rows=rows))
     if offsets:
-        table = table_of("keypoint off its marker, mm", numbers=("forwards", "left", "up", "±"))
-        for three in zip(offsets[::3], offsets[1::3], offsets[2::3], strict=True):
-            sigma = max(row["sigma"] for row in three)
-            name = three[0]["name"].removesuffix("_x")
-            table.add_row(Text(name), *(f"{row['value']:.0f}" for row in three), f"{sigma:.0f}")
-        terminal().print(table)
+        rows = (
+            (
+                x["name"].removesuffix("_x"),
+                *(f"{v['value']:.0f}" for v in (x, *yz)),
+                f"{max(v['sigma'] for v in (x, *yz)):.0f}",
+            )
+            for x, *yz in zip(offsets[::3], offsets[1::3], offsets[2::3], strict=True)
+        )
+        columns = ("forwards", "left", "up", "±")
+        terminal().print(table_of("keypoint off its marker, mm", numbers=columns, rows=rows))
     if lengths:
         typer.echo(f"Size: {found['size']:.3f} ± {found['size_sigma']:.3f} of the skeleton's lengths.")
     if not found["converged"]:

@@ -7,7 +7,6 @@ from dataclasses import MISSING
 from typing import Annotated, Any
 
 from pydantic import TypeAdapter
-from rich.text import Text
 
 from recon.base.errors import InputError, Problem
 from recon.base.settings import Option, SettingInfo, Settings
@@ -43,11 +42,11 @@ def settings(settings: _ListedSettings, as_json: bool) -> Any:
     rows = [row_of(info) for info in command.takes.infos.values()]
     if as_json:
         return rows
-    table = table_of("setting", "default", "meaning")
-    for row in rows:
-        default = "" if row["default"] is None else json.dumps(row["default"]).strip('"')
-        table.add_row(*(Text(cell) for cell in (row["written"], default, row["meaning"])))
-    terminal().print(table)
+    cells = (
+        (r["written"], json.dumps(r["default"] if r["default"] is not None else "").strip('"'), r["meaning"])
+        for r in rows
+    )
+    terminal().print(table_of("setting", "default", "meaning", rows=cells))
 
 
 def config_schema() -> dict[str, Any]:
