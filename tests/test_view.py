@@ -45,7 +45,6 @@ PER_FRAME = {
     "/residuals": "Scalars:scalars",
     "/uncertainty": "Scalars:scalars",
     "/world/uncertainty": "Ellipsoids3D:centers",
-    "/world/doubt": "Points3D:positions",
     "/world/stance": "Points3D:positions",
 }
 FLAGS = {
@@ -53,12 +52,7 @@ FLAGS = {
 }
 CHAIN = {
     **PER_FRAME,
-    **{
-        f"/angles/{kind}/{part}": "Scalars:scalars"
-        for kind in ("theta", "phi")
-        for part in ("hind_leg_spine", "front_leg")
-    },
-    "/angles/middle": "Scalars:scalars",
+    **{f"/angles/middle/{kind}": "Scalars:scalars" for kind in ("theta", "phi", "yaw_pitch_roll")},
     **{f"/{foot}": "StateChange:state" for foot in ("r_front_paw", "r_back_paw")},
 }
 WHOLE = {
@@ -205,14 +199,13 @@ def test_the_close_up_is_the_picture_around_the_skeletons_middle(recording: Reco
 def test_series_have_the_units_of_plots(recording: Recording, world_motion: Motion) -> None:
     degrees = dict(zip(world_motion.angle_names, np.rad2deg(world_motion.angles_rad[2]), strict=True))
     for entity, names in (
-        ("theta/hind_leg_spine", ["theta_6", "theta_7", "theta_8", "theta_1"]),
-        ("phi/front_leg", ["phi_2", "phi_3", "phi_4"]),
-        ("middle", ["J0_yaw", "J0_pitch", "J0_roll"]),
+        ("middle/theta", ["theta_6", "theta_7", "theta_8", "theta_1", "theta_2", "theta_3", "theta_4"]),
+        ("middle/yaw_pitch_roll", ["J0_yaw", "J0_pitch", "J0_roll"]),
     ):
         expected = [degrees[name] for name in names]
         np.testing.assert_allclose(recording.values(f"/angles/{entity}", 12), expected, atol=1e-12)
-    labels = recording.static["/angles/theta/hind_leg_spine"]["SeriesLines:names"]
-    assert labels == ["θ6 hind leg", "θ7 hind leg", "θ8 hind leg", "θ1 spine"]
+    labels = recording.static["/angles/middle/yaw_pitch_roll"]["SeriesLines:names"]
+    assert labels == ["J0 yaw", "J0 pitch", "J0 roll"]
     picture = world_motion.pictures[0]
     assert picture.outliers[4].any()
     shown = [np.nanmedian(picture.distance_px[4]), np.nanmax(picture.distance_px[4][~picture.outliers[4]])]
@@ -301,12 +294,6 @@ def test_shells_are_one_sigma_of_the_pose(played: Recording, world_trajectory: M
 def test_doubtful_frames_are_marked(played: Recording, world_trajectory: Motion) -> None:
     shown = {flag: [f for f in range(10, 18) if played.values(flag, f)] for flag in FLAGS if flag in played.frames}
     assert shown == {"/no_data": [13], "/data_poor": [15], "/ambiguous_depth": [15]}
-    assert [frame for frame in range(10, 18) if played.values("/world/doubt", frame)] == [13, 15]
-    assert played.frames["/world/doubt"][15]["Points3D:labels"] == ["data poor, ambiguous depth"]
-    ((x, y, z),) = played.values("/world/doubt", 15)
-    middle = world_trajectory.joints_m[5].mean(axis=0)
-    np.testing.assert_allclose([x, y], middle[:2], atol=1e-5)
-    assert z > world_trajectory.joints_m[5, :, 2].max()
     red, plain = (played.frames["/world/uncertainty"][f]["Ellipsoids3D:colors"] for f in (15, 14))
     assert len(set(red)) == 1 < len(set(plain))
 

@@ -5,17 +5,16 @@ Entities of the recording; those without "(static)" have a row a frame, which is
 - `world`: metres, in the motion's frame of reference. `world/skeleton` and its joints, `world/path` (static) and
   `world/trail` of the reference point, `world/ground` (of a clip with several segments each one's, from its first frame
   on), `world/camera` (static, but for one that moves), its frustum, and `world/followed`, invisible;
-  `world/uncertainty`, one sigma of the joints' positions relative to their mean, `world/stance`, the feet that stand,
-  and `world/doubt`, a label in frames with a flag.
+  `world/uncertainty`, one sigma of the joints' positions relative to their mean, red in frames with a flag, and
+  `world/stance`, the feet that stand.
 - `picture`: pixels of the distorted picture. `picture/frame` (static), its edge; `picture/detections`,
   `picture/outliers`, `picture/reprojections` with the skeleton's lines in it, `picture/links` between the two.
 - `closeup`: the same points, relative to the middle of the reprojected skeleton in each frame.
 - `picture/video`, `closeup/video`: the frames of a video, where one was given.
 - Of several cameras each has its own `world/camera/<name>`, `picture/<name>/...` and `closeup/<name>/...`, and there is
   `world/camera_names`.
-- `angles/...` in degrees: a chain's `theta` and `phi`, or the `left` and `right` of a whole animal, and the `middle`,
-  in parts where they are many; `speed` of the reference point in m/s; `residuals` in px, of all
-  cameras: the median of a frame, and the largest but for outliers.
+- `angles/...` in degrees: `left`, `right` and `middle`, in parts where they are many; `speed` of the reference point in
+  m/s; `residuals` in px, of all cameras: the median of a frame, and the largest but for outliers.
 - `uncertainty` in m, and states over time: by its name each flag of a frame, and each foot, where it stands.
 - With an analysis `analysis/...`, and `world/forces`, arrows under the feet, with the path
   `world/forces/centre_of_mass`.
@@ -68,7 +67,7 @@ def write(
         log.fix("/", rr.AnnotationContext([(i, limb, colour) for i, (limb, colour) in enumerate(labels)]))
         write_world(motion, scene, log)
         write_pictures(motion, log)
-        write_uncertainty(motion, scene, log, stands)
+        write_uncertainty(motion, log, stands)
         for plot in plots:
             log.plot(plot)
         for entity, (text, colour, holds) in rows.items():

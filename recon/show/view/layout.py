@@ -12,7 +12,7 @@ from rerun.blueprint.archetypes import PlotBackground
 from recon.base.arrays import Array
 from recon.fit.motion import Motion, Picture
 from recon.show.view.scene import BACKGROUND, CLOSEUP, GRID_SPACING_M, PICTURE, Scene, TimePlot, by_camera
-from recon.show.view.world import CLOSE, frustum_m, middle_and_reach_px, picture_bounds
+from recon.show.view.world import CLOSE, middle_and_reach_px, picture_bounds
 
 
 def blueprint(motion: Motion, scene: Scene, plots: Sequence[TimePlot], rows: Sequence[str]) -> rrb.Blueprint:
@@ -20,7 +20,7 @@ def blueprint(motion: Motion, scene: Scene, plots: Sequence[TimePlot], rows: Seq
     of states."""
     several = "s" if len(motion.pictures) > 1 else ""
     skeleton = _in_space(_title(motion), _eye_on_animal(motion, scene))
-    overview = _in_space(f"Overview with the camera{several}", _eye_on_all(motion, scene), ["- world/doubt"])
+    overview = _in_space(f"Overview with the camera{several}", _eye_on_all(motion, scene))
     front = [plot for plot in plots if not plot.tab]
     angles = [time_view(plot) for plot in front if plot.entity.startswith("angles/")]
     others = [time_view(plot) for plot in front if not plot.entity.startswith("angles/")]
@@ -47,14 +47,13 @@ def laid_out(content: rrb.Container, fps: float) -> rrb.Blueprint:
     )
 
 
-def _in_space(name: str, eye: rrb.EyeControls3D, without: Sequence[str] = ()) -> rrb.Spatial3DView:
+def _in_space(name: str, eye: rrb.EyeControls3D) -> rrb.Spatial3DView:
     """The world, with the trail up to the current frame."""
     start, end = rr.TimeRangeBoundary.infinite(), rr.TimeRangeBoundary.cursor_relative()
     upto_now = rrb.VisibleTimeRanges([rr.VisibleTimeRange(t, start=start, end=end) for t in ("frame", "time")])
     return rrb.Spatial3DView(
         origin="world",
         name=name,
-        contents=["$origin/**", *without],
         background=BACKGROUND,
         line_grid=False,
         eye_controls=eye,
@@ -76,6 +75,8 @@ def _pictures(pictures: Sequence[Picture]) -> rrb.Tabs:
     return rrb.Tabs(*grids, active_tab=0)
 
 
+HALF_FIELD_DEG = 27.5
+"""Half the field of view of the viewer's eye, upright."""
 _MARKS = "close up: + detected, ● reprojected, red: outlier"
 
 
@@ -142,28 +143,16 @@ def _eye_on_animal(motion: Motion, scene: Scene) -> rrb.EyeControls3D:
     )
 
 
-_FIELD = 0.92 * np.tan(np.radians(55 / 2)) * np.array([3.2, 1.0])
-"""The field of view of the viewer's eye: tangents of half of it, with a margin; the overview is 3.2 times as wide as
-high."""
-
-
 def _eye_on_all(motion: Motion, scene: Scene) -> rrb.EyeControls3D:
-    """From above, and nearest to the animal among the directions, rather from behind the first camera, that have all
-    cameras and the whole path in sight: as near as the frustum of the eye allows."""
-    up = scene.axes[2]
-    bounds = np.stack(np.meshgrid(*np.stack((scene.low_m, scene.high_m), axis=1), indexing="ij"), axis=-1)
-    points = np.concatenate([bounds.reshape(-1, 3) @ scene.axes, *(frustum_m(p, scene) for p in motion.pictures)])
-    ahead = (scene.centre_m - scene.camera_m) @ scene.axes[:2].T
-    nearest, position, target = np.inf, scene.camera_m, scene.centre_m
-    for turned in np.arctan2(*ahead[::-1]) + np.radians(np.arange(-60, 61, 15)):
-        look = np.array([np.cos(turned), np.sin(turned), -0.5]) @ scene.axes / np.hypot(1.0, 0.5)
-        right = np.cross(look, up) / np.linalg.norm(np.cross(look, up))
-        axes = np.stack((right, np.cross(right, look), look))
-        across, along = (points @ axes.T)[:, :2] / _FIELD, points @ look
-        # Planes through the eye along both edges of the field, pushed against the points.
-        low, high = (along[:, None] - across).min(axis=0), (along[:, None] + across).min(axis=0)
-        eye = np.append(_FIELD * (high - low) / 2, ((low + high) / 2).min()) @ axes
-        away = float((scene.centre_m - eye) @ look)
-        if away < nearest:
-            nearest, position, target = away, eye, eye + away * look
+    """From above, behind the first camera, with all cameras and the whole path in sight."""
+    corners = np.stack((scene.low_m, scene.high_m)) @ scene.axes
+    centres = [picture.T_reference_camera.reshape(-1, 4, 4)[:, :3, 3] for picture in motion.pictures]
+    points = np.concatenate([corners, *centres])
+    points = points[np.isfinite(points).all(axis=1)]
+    target, up = (points.min(axis=0) + points.max(axis=0)) / 2, scene.axes[2]
+    ahead = scene.centre_m - scene.camera_m
+    ahead -= up * (ahead @ up)
+    look = ahead / max(float(np.linalg.norm(ahead)), 1e-9) - 0.5 * up
+    away = float(np.linalg.norm(points - target, axis=1).max()) / np.sin(np.radians(HALF_FIELD_DEG))
+    position = target - away * look / np.linalg.norm(look)
     return rrb.EyeControls3D(kind=rrb.Eye3DKind.Orbital, position=position, look_target=target, eye_up=up)

@@ -11,7 +11,6 @@ import rerun as rr
 
 from recon.animal import Side
 from recon.base.arrays import Array, Bools, Integers
-from recon.fit import MotionSegment
 from recon.fit.motion import Motion, Picture
 from recon.geometry.frames import level_from_camera
 
@@ -97,28 +96,15 @@ class Log:
 
 
 @dataclass(frozen=True)
-class Floor:
-    """The ground from a row of the clip on: a point of it and its normal (3,), in the motion's frame of reference, and
-    the bounds (2,) along the level axes of where the animal was meanwhile."""
-
-    start: int
-    point_m: Array
-    normal: Array
-    low_m: Array
-    high_m: Array
-
-
-@dataclass(frozen=True)
 class Scene:
     """Geometry that views and entities share, in the motion's frame of reference.
 
-    axes (3, 3): rows are two level unit vectors and the upward one. floors: the ground of every segment of the clip.
-    low_m, high_m (3,): bounds of the animal over the clip along the axes. size_m: diagonal of the animal.
-    camera_m (3,): centre of projection of the first camera, of one that moves the mean.
+    axes (3, 3): rows are two level unit vectors and the upward one. low_m, high_m (3,): bounds of the animal over the
+    clip along the axes. size_m: diagonal of the animal. camera_m (3,): centre of projection of the first camera, of
+    one that moves the mean.
     """
 
     axes: Array
-    floors: tuple[Floor, ...]
     low_m: Array
     high_m: Array
     size_m: float
@@ -134,42 +120,20 @@ class Scene:
             axes = np.eye(3) if camera.world_z_up else axes @ poses[0, :3, :3].T
         joints = motion.joints_m[motion.solved] @ axes.T
         if not len(joints):
-            floor = Floor(0, np.zeros(3), axes[2], -np.ones(2), np.ones(2))
-            return cls(axes, (floor,), -np.ones(3), np.ones(3), 1.0, centre)
-        low, high = _bounds(joints)
+            return cls(axes, -np.ones(3), np.ones(3), 1.0, centre)
         size = float(np.median(np.linalg.norm(np.ptp(joints, axis=1), axis=1)))
-        floors = tuple(_floor(motion, axes, segment) for segment in motion.solution.segments)
-        return cls(axes, floors, low, high, size, centre)
+        return cls(axes, *bounds(joints), size, centre)
 
     @property
     def centre_m(self) -> Array:
         """(3,): middle of the clip's motion."""
         return (self.low_m + self.high_m) / 2 @ self.axes
 
-    def on_ground(self, floor: Floor, level: Array) -> Array:
-        """(N, 3) in the frame of reference: the ground at (N, 2) along the level axes."""
-        flat = level @ self.axes[:2]
-        rise = (floor.point_m - flat) @ floor.normal / (self.axes[2] @ floor.normal)
-        return flat + rise[:, None] * self.axes[2]
 
-
-def _bounds(joints_m: Array) -> tuple[Array, Array]:
+def bounds(joints_m: Array) -> tuple[Array, Array]:
     """The box around joints (N, J, 3). Single poses that went astray do not enlarge it."""
     low, high = np.percentile(joints_m.reshape(-1, 3), (1, 99), axis=0)
     return low, high
-
-
-def _floor(motion: Motion, axes: Array, segment: MotionSegment) -> Floor:
-    """Where no foot stood, the ground is level, and as low as the feet."""
-    joints = motion.joints_m[segment.rows][motion.solved[segment.rows]] @ axes.T
-    low, high = _bounds(joints)
-    below = motion.below_m(segment)
-    if below is None or segment.ground is None:
-        lowest = joints[:, motion.feet or slice(None), 2]
-        return Floor(segment.rows.start, float(np.percentile(lowest, 10)) * axes[2], axes[2], low[:2], high[:2])
-    below, above = motion.in_reference(np.stack((below, below + np.append(-segment.ground.slope, 1.0))))
-    normal = (above - below) / np.linalg.norm(above - below)
-    return Floor(segment.rows.start, below, normal, low[:2], high[:2])
 
 
 def by_camera(root: str, pictures: Sequence[Picture]) -> list[str]:

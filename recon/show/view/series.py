@@ -30,7 +30,6 @@ from recon.show.view.scene import (
 MAX_LINES = 4
 """How many angles one plot has at most, as far as they can be told apart by what they belong to: their names stand
 above them."""
-_KINDS = {"theta": "θ", "phi": "φ", "left": "Left", "right": "Right", "middle": "Middle"}
 
 
 def states(motion: Motion, stands: Bools) -> dict[str, tuple[str, Colour, Bools]]:
@@ -47,28 +46,18 @@ def states(motion: Motion, stands: Bools) -> dict[str, tuple[str, Colour, Bools]
 
 
 def angle_plots(motion: Motion) -> Iterator[TimePlot]:
-    """In degrees: a chain's by their kind, a whole animal's by their side, and the others; those that are too many for
-    one plot by limb, by end of the animal, or by kind."""
-    limb_of = {
-        f"{kind}_{end.lstrip('J')}": limb
-        for limb, along in motion.body.limbs.items()
-        for end in along[1:]
-        for kind in ("theta", "phi")
-    }
-    keys: dict[str, dict[str, str]] = {kind: {} for kind in _KINDS}
-    labels = {}
+    """In degrees, by side; those that are too many for one plot by end of the animal, or by kind."""
+    keys: dict[str, dict[str, str]] = {kind: {} for kind in ("left", "right", "middle")}
     for name in motion.angle_names:
-        words, side, (kind, _, number) = without_side(name).split("_"), side_of(name), name.partition("_")
-        if name in limb_of:
-            keys[kind][name], labels[name] = limb_of[name], f"{_KINDS[kind]}{number} {limb_of[name]}"
-        else:
-            keys[side or "middle"][name], labels[name] = words[0 if side else -1], " ".join(words)
-    for kind, title in _KINDS.items():
-        for key, names in _parts(keys[kind]):
-            entity = f"angles/{kind}" + f"/{key.replace(', ', '_').replace(' ', '_')}" * bool(key)
+        words, side = without_side(name).split("_"), side_of(name)
+        keys[side or "middle"][name] = words[-1] if side is None and words[0] not in ("theta", "phi") else words[0]
+    for kind, own in keys.items():
+        for key, names in _parts(own):
+            entity = f"angles/{kind}" + f"/{key.replace(', ', '_')}" * bool(key)
             degrees = np.degrees(motion.angles_rad[:, [motion.angle_names.index(name) for name in names]])
+            labels = [without_side(name).replace("_", " ") for name in names]
             colours = [LINE_COLOURS[i % len(LINE_COLOURS)] for i in range(len(names))]
-            yield TimePlot(entity, f"{title} {key}".strip() + " (°)", [labels[n] for n in names], colours, degrees)
+            yield TimePlot(entity, f"{kind} {key}".strip().capitalize() + " (°)", labels, colours, degrees)
 
 
 def _parts(keys: Mapping[str, str]) -> Iterator[tuple[str, list[str]]]:

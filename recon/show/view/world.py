@@ -7,6 +7,7 @@ import rerun as rr
 from rerun.components import FillMode
 
 from recon.base.arrays import Array, Bools
+from recon.fit import MotionSegment
 from recon.fit.motion import Motion, Picture
 from recon.geometry.frames import quaternions
 from recon.show.view.scene import (
@@ -22,9 +23,9 @@ from recon.show.view.scene import (
     PATH,
     PICTURE,
     TRAIL,
-    Floor,
     Log,
     Scene,
+    bounds,
     by_camera,
     grid_lines,
     joint_limbs,
@@ -63,11 +64,13 @@ def write_world(motion: Motion, scene: Scene, log: Log) -> None:
     steps = [[root[i - 1 : i + 1]] if i and solved[i - 1 : i + 1].all() else [] for i in range(len(root))]
     log.send("world/trail", strips(rr.LineStrips3D, steps))
 
-    grids, style = [_grid(scene, floor) for floor in scene.floors], {"colors": GRID, "radii": rr.Radius.ui_points(0.75)}
+    segments = motion.solution.segments
+    grids = [_grid(motion, scene, segment) for segment in segments]
+    style = {"colors": GRID, "radii": rr.Radius.ui_points(0.75)}
     log.fix("world/ground", rr.LineStrips3D.from_fields(**style))
     if len(grids) > 1:
-        log.send("world/ground", strips(rr.LineStrips3D, grids), [floor.start for floor in scene.floors])
-    else:
+        log.send("world/ground", strips(rr.LineStrips3D, grids), [segment.rows.start for segment in segments])
+    elif grids:
         log.fix("world/ground", rr.LineStrips3D(grids[0], **style))
     for entity, picture in zip(by_camera(CAMERAS, motion.pictures), motion.pictures, strict=True):
         _write_camera(entity, picture, scene, log)
@@ -86,51 +89,43 @@ def _write_camera(entity: str, picture: Picture, scene: Scene, log: Log) -> None
         log.send(entity, rr.Transform3D.columns(translation=pose[:, :3, 3], mat3x3=pose[:, :3, :3]))
     else:
         log.fix(entity, rr.Transform3D(translation=pose[:3, 3], mat3x3=pose[:3, :3]))
+    away_m = float(np.linalg.norm(scene.centre_m - np.nanmean(pose[..., :3, 3].reshape(-1, 3), axis=0)))
     log.fix(
         entity,
         rr.Pinhole(
             image_from_camera=camera.matrix,
             resolution=camera.image_size_px,
             camera_xyz=rr.ViewCoordinates.RDF,
-            image_plane_distance=_frustum_depth_m(picture, scene),
+            image_plane_distance=max(0.25, 0.15 * away_m),
             color=CAMERA,
             line_width=-1.0,  # negative: on the screen, not in metres
         ),
     )
 
 
-def _frustum_depth_m(picture: Picture, scene: Scene) -> float:
-    centre_m = np.nanmean(picture.T_reference_camera[..., :3, 3].reshape(-1, 3), axis=0)
-    return max(0.25, 0.15 * float(np.linalg.norm(scene.centre_m - centre_m)))
-
-
-def frustum_m(picture: Picture, scene: Scene) -> Array:
-    """(N, 3): the corners of what is drawn of a camera, of one that moves in all frames."""
-    wide, high = picture.camera.image_size_px
-    corners = (
-        np.array([[0, 0, 1], [wide, 0, 1], [0, high, 1], [wide, high, 1]]) @ np.linalg.inv(picture.camera.matrix).T
-    )
-    points = np.concatenate([np.zeros((1, 3)), _frustum_depth_m(picture, scene) * corners])
-    poses = picture.T_reference_camera.reshape(-1, 4, 4)
-    poses = poses[np.isfinite(poses).all(axis=(1, 2))]
-    return (points @ poses[:, :3, :3].swapaxes(1, 2) + poses[:, None, :3, 3]).reshape(-1, 3)
-
-
-def _grid(scene: Scene, floor: Floor) -> list[Array]:
-    """Lines (2, 3) on the ground under the path over it, at whole metres of the level axes."""
-    low, high = np.floor(floor.low_m - GRID_MARGIN_M), np.ceil(floor.high_m + GRID_MARGIN_M)
-    spacing = GRID_SPACING_M
+def _grid(motion: Motion, scene: Scene, segment: MotionSegment) -> list[Array]:
+    """Lines (2, 3) on the ground under a segment's path, at whole metres of the level axes. Where no foot stood, the
+    ground is level, and as low as the feet."""
+    joints = motion.joints_m[segment.rows][motion.solved[segment.rows]] @ scene.axes.T
+    up, below = scene.axes[2], motion.below_m(segment)
+    point_m, normal = float(np.percentile(joints[:, motion.feet or slice(None), 2], 10)) * up, up
+    if below is not None and segment.ground is not None:
+        point_m, above = motion.in_reference(np.stack((below, below + np.append(-segment.ground.slope, 1.0))))
+        normal = above - point_m
+    low, high = bounds(joints)
+    low, high, spacing = np.floor(low[:2] - GRID_MARGIN_M), np.ceil(high[:2] + GRID_MARGIN_M), GRID_SPACING_M
     while np.max(high - low) / spacing > MAX_GRID_LINES:
         spacing *= 10
-    return [scene.on_ground(floor, line) for line in grid_lines(low, high, spacing)]
+    flat = np.array(grid_lines(low, high, spacing)) @ scene.axes[:2]
+    rise = (point_m - flat) @ normal / (up @ normal)
+    return [*(flat + rise[..., None] * up)]
 
 
-def write_uncertainty(motion: Motion, scene: Scene, log: Log, stands: Bools) -> None:
-    """How far the pose can be trusted: an ellipsoid around every joint, and a label in frames with a flag. And the feet
-    that stand, (T, F)."""
-    joints, flags = motion.joints_m, motion.flags
-    # The frame method has poses whose uncertainty is not known.
-    solved, flagged = motion.solved & np.isfinite(motion.relative_rms_m), np.array([bool(f) for f in flags])
+def write_uncertainty(motion: Motion, log: Log, stands: Bools) -> None:
+    """How far the pose can be trusted: an ellipsoid around every joint, red in frames with a flag. And the feet that
+    stand, (T, F)."""
+    joints, flagged = motion.joints_m, np.array([bool(flags) for flags in motion.flags])
+    solved = motion.solved & np.isfinite(motion.relative_rms_m)  # the frame method has poses without uncertainty
     variance, axes = np.linalg.eigh(motion.relative_covariance_m2[solved].reshape(-1, 3, 3))
     axes[np.linalg.det(axes) < 0, :, 0] *= -1
     of_limb = np.array(limb_colours(motion))[joint_limbs(motion)]
@@ -145,11 +140,6 @@ def write_uncertainty(motion: Motion, scene: Scene, log: Log, stands: Bools) -> 
     style = {"fill_mode": FillMode.MajorWireframe, "line_radii": rr.Radius.ui_points(0.8), "show_labels": False}
     log.fix("world/uncertainty", rr.Ellipsoids3D.from_fields(**style))
 
-    shown = flagged & motion.solved
-    above = joints[shown].mean(axis=1) + 0.35 * scene.size_m * scene.axes[2]
-    labels = [", ".join(of_frame) for of_frame, there in zip(flags, shown, strict=True) if there]
-    log.send("world/doubt", rr.Points3D.columns(positions=above, labels=labels).partition(shown.astype(int)))
-    log.fix("world/doubt", rr.Points3D.from_fields(colors=OUTLIER, radii=rr.Radius.ui_points(3.0), show_labels=True))
     log.points("world/stance", joints[:, motion.feet], stands, colors=DETECTION, radii=0.05)
 
 
