@@ -457,18 +457,3 @@ def test_command(tmp_path):
     again = command("fit", "--config", out / "config.toml", "--out", tmp_path / "again")
     assert again.code == 0, again.err
     assert (out / "pose3d.csv").read_bytes() == (tmp_path / "again" / "pose3d.csv").read_bytes()
-
-
-def test_a_focal_length_that_no_zoom_has_is_refused(folder, tmp_path):
-    T = len(read_keypoints(folder / "run_cam1.csv").frames)
-    lens = FISHEYE.matrix[0, 0]
-    for factor, refused in ((3.0, False), (60.0, True)):
-        zoom = np.tile([factor * lens, factor * lens, 960.0, 540.0], (T, 1))
-        track = write_track(tmp_path / "track_cam1.csv", np.arange(T), np.tile(LEVEL, (T, 1, 1)), zoom)
-        given = settings(folder, 1, camera_track=(track,))
-        if not refused:
-            prepare(given)
-            continue
-        with pytest.raises(InputError) as error:
-            prepare(given)
-        assert "px in the camera file, expected at most 20 times as long or short" in problems(error)

@@ -163,15 +163,6 @@ def test_up_is_not_said_twice_or_in_other_words(folder):
     assert "found no pose" in problems(error)
 
 
-def test_a_copied_entry_of_a_calibration_is_named(folder, tmp_path):
-    first, second = read_cameras(folder / "scene.json")
-    copied = replace(second, rotation=first.rotation, translation_m=first.translation_m)
-    write_cameras([first, copied], tmp_path / "copied.toml")
-    with pytest.raises(InputError) as error:
-        prepare(settings(folder, 1, 2, camera=tmp_path / "copied.toml"))
-    assert "camera cam2: found the pose of cam1, to the last digit, expected its own" in problems(error)
-
-
 def test_an_animal_of_a_tenth_of_the_skeleton_before_a_rig_of_a_tenth(folder, tmp_path):
     """The pictures are the same, and so is the motion, in metres a tenth."""
     cameras = [

@@ -631,19 +631,3 @@ def test_names_are_no_formulas(tmp_path):
         figure.subplots().set_title("$t_{$")
     _, svg = style.save(figure, tmp_path, "name")
     assert "$t_{$" in svg.read_text(encoding="utf-8")
-
-
-def test_long_lines_look_as_with_all_their_samples():
-    values = np.sin(np.arange(100_003) / 37.0)
-    values[[4321, 70_000]] = [5.0, -7.0]
-    values[50_000:50_040] = np.nan
-    other = np.cos(np.arange(100_003) / 11.0)
-    rows = style.telling(values, other)
-    assert len(rows) < 7 * style.STRETCHES
-    assert {0, 4321, 70_000, 100_002} <= {*rows.tolist()}
-    assert np.isnan(values[rows[(rows >= 50_000) & (rows < 50_040)]]).any()
-    for first in range(0, 100_003, 67):
-        shown = rows[(rows >= first) & (rows < first + 67)]
-        assert other[shown].min() == other[first : first + 67].min()
-        assert other[shown].max() == other[first : first + 67].max()
-    np.testing.assert_array_equal(style.telling(values[:6000]), np.arange(6000))

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from typing import Any
 
+import numpy as np
 from rich.table import Table
 from rich.text import Text
 
+from recon.base.arrays import median
 from recon.base.package import version
+from recon.base.words import length_text
 from recon.check import sentences
 from recon.fit.motion import Motion
+from recon.gait.gait import Gait
+from recon.gait.kinematics import JointKinematics
 from recon.show.plain import to_json as to_json
 from recon.show.plain import to_plain
 from recon.show.sections import sections_of
@@ -47,6 +52,32 @@ def build_report(motion: Motion) -> dict[str, Any]:
         data = report[section.name] = to_plain(section.data(motion))
         report["lines"] += [[label, text] for label, text in section.lines(motion, data)]
     return report
+
+
+def in_sentences(motion: Motion, moved: JointKinematics, gait: Gait | None, doubt: str | None) -> Iterator[str]:
+    """The movement of the reference joint and the gait; doubt: why no speed is known."""
+    sigma, run_m_s = moved.peak_speed_sigma_m_s, motion.solution.straight_run_m_s
+    if doubt is None:
+        spread = "" if np.isnan(sigma) else f" ± {sigma:.1f}"
+        yield (
+            f"It ran {moved.distance_m:.1f} m, at {moved.mean_speed_m_s:.1f} m/s in the mean and "
+            f"{moved.peak_speed_m_s:.1f}{spread} m/s at most."
+        )
+    else:
+        run = (
+            "" if run_m_s is None else f" A straight run through all frames has {median(run_m_s[run_m_s > 0]):.1f} m/s."
+        )
+        yield f"Its path is too uncertain in depth for a speed: {doubt}.{run}"
+    if gait is None:
+        yield "The skeleton has no feet: no gait."
+        return
+    yield f"Gait: {gait.name.name} ({gait.name.criterion})."
+    if gait.strides:
+        yield (
+            f"Strides are {length_text(gait.stride_length_m)} long, {gait.stride_frequency_hz:.2f} a second (average "
+            f"of {len(gait.strides)} strides); a foot stands {gait.name.duty_factor:.0%} of the time "
+            "(90 %: {:.0%} to {:.0%}).".format(*gait.name.duty_interval)
+        )
 
 
 def warnings(report: Mapping[str, Any]) -> list[str]:

@@ -10,13 +10,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
-from rich.text import Text
 from threadpoolctl import threadpool_limits
 
 from recon.base import Progress, silent
+from recon.base.arrays import median
 from recon.base.files import require_free_folder, sole_writer, staged_folder
 from recon.base.settings import Option, Positive, Settings
-from recon.base.words import length_text
 from recon.check import sentence, usable, verdict_fields
 from recon.fit.motion import MEASURED_SHARE, Motion
 from recon.fit.posterior import radius
@@ -26,9 +25,8 @@ from recon.gait.gait import INTERVAL as REGION
 from recon.gait.gait import Gait, Stride, doubt_text
 from recon.show.export import analysis_csv
 from recon.show.plain import to_json
-from recon.show.report import build_report
+from recon.show.report import in_sentences
 from recon.workflows.cli.common import (
-    counted,
     progress_bar,
     say,
     say_verdict,
@@ -92,22 +90,16 @@ def analyse_command(settings: AnalyseSettings, as_json: bool, quiet: bool) -> An
         found, summary, files = run_analyse(settings, progress)
     if as_json:
         return summary
-    say_verdict(console, found.motion.verdict)
-    for line in _lines(found, summary["speed"]):
+    out, motion = files[0].parent, found.motion
+    say_verdict(console, motion.verdict)
+    for line in (*in_sentences(motion, found.joints[found.reference], found.gait, found.speed_doubt), *_lines(found)):
         say(console, line)
-    out = files[0].parent
-    if found.gait is not None and len(found.gait.stances) > MOST_STANCES:
-        say(console, f"{len(found.gait.stances)} stances are in {out / 'stances.csv'}.")
-    elif found.gait is not None:
-        table = table_of("foot", "stances, s", title="times: seconds since frame 0")
-        for foot, joint in found.motion.foot_names.items():
-            spans = [
-                f"{'' if s.begins else '≤'}{s.start_s:.3f}-{s.end_s:.3f}{'' if s.ends else '+'}"
-                for s in found.gait.stances
-                if s.foot == foot
-            ]
-            table.add_row(Text(f"{foot} {joint}"), ", ".join(spans) or "none")
-        console.print(table)
+    if found.gait is not None and len(found.gait.stances) <= MOST_STANCES:
+        spans: dict[str, list[str]] = {foot: [] for foot in motion.foot_names}
+        for s in found.gait.stances:
+            spans[s.foot].append(f"{'' if s.begins else '≤'}{s.start_s:.3f}-{s.end_s:.3f}{'' if s.ends else '+'}")
+        rows = ((f"{foot} {motion.foot_names[foot]}", ", ".join(of) or "none") for foot, of in spans.items())
+        console.print(table_of("foot", "stances, s", rows=rows, title="times: seconds since frame 0"))
     for note in summary["notes"]:
         say(console, f"note: {note}")
     say(console, f"{len(files)} files are in {out}.")
@@ -115,38 +107,17 @@ def analyse_command(settings: AnalyseSettings, as_json: bool, quiet: bool) -> An
         say(console, f"See them beside the playback with: recon view {settings.folder}")
 
 
-def _lines(found: ClipAnalysis, speed: dict[str, Any]) -> Iterator[str]:
-    sigma = speed["peak_sigma_m_s"]
-    spread = "" if sigma is None else f" ± {sigma:.1f}"
-    if speed["doubt"] is None:
-        yield (
-            f"path of {found.reference}: {speed['distance_m']:.2f} m, mean {speed['mean_m_s']:.1f} m/s, "
-            f"peak {speed['peak_m_s']:.1f}{spread} m/s at {speed['peak_time_s']:.2f} s"
-        )
-    else:
-        run = speed["straight_run_m_s"]
-        other = "" if run is None else f"{run:.1f} m/s, of a straight run through all frames; "
-        yield f"speed of {found.reference}: {other}its path is too uncertain in depth for it: {speed['doubt']}"
-    if speed["net_acceleration_m_s2"] is not None and math.isfinite(speed["net_acceleration_m_s2"]):
-        low, high = speed["net_acceleration_interval_m_s2"]
-        yield (
-            f"acceleration along the way, over the whole clip: {speed['net_acceleration_m_s2']:+.1f} m/s² "
-            f"(95 %: {low:+.1f} to {high:+.1f})"
-        )
+def _lines(found: ClipAnalysis) -> Iterator[str]:
+    net, sigma = net_acceleration_m_s2(found.motion)
+    if math.isfinite(net):
+        low, high = net - INTERVAL * sigma, net + INTERVAL * sigma
+        yield f"Acceleration along the way, over the whole clip: {net:+.1f} m/s² (95 %: {low:+.1f} to {high:+.1f})."
     if "spine_flexion" in found.angles:
         low, high = (math.degrees(angle) for angle in found.angles["spine_flexion"].range_rad)
-        yield f"flexion of the spine: {low:+.0f}° to {high:+.0f}° (positive: arched up)"
-    if (gait := found.gait) is not None:
-        yield f"gait: {gait.name.name} ({gait.name.criterion})"
-        if gait.strides:
-            yield (
-                f"  average of {counted(len(gait.strides), 'stride')}: "
-                f"{length_text(gait.stride_length_m)}, {gait.stride_frequency_hz:.2f} Hz, "
-                "duty factor {:.2f} (90 %: {:.2f} to {:.2f})".format(gait.name.duty_factor, *gait.name.duty_interval)
-            )
+        yield f"Flexion of the spine: {low:+.0f}° to {high:+.0f}° (positive: arched up)."
     if (stride := found.stride) is not None:
         which = "as given" if found.given is not None else f"of {stride.foot}"
-        yield f"phase portraits: the stride from {stride.start_s:.3f} to {stride.end_s:.3f} s, {which}"
+        yield f"Phase portraits: the stride from {stride.start_s:.3f} to {stride.end_s:.3f} s, {which}."
 
 
 def run_analyse(settings: AnalyseSettings, progress: Progress = silent) -> Analysed:
@@ -202,7 +173,9 @@ def summarise(found: ClipAnalysis, results: str) -> dict[str, Any]:
             "doubt": found.speed_doubt,
             "net_acceleration_m_s2": net,
             "net_acceleration_interval_m_s2": [net - INTERVAL * net_sigma, net + INTERVAL * net_sigma],
-            "straight_run_m_s": _straight_run_m_s(found.motion),
+            "straight_run_m_s": None
+            if (run := found.motion.solution.straight_run_m_s) is None
+            else median(run[run > 0]),
         },
         "spine_flexion_rad": found.angles["spine_flexion"].range_rad if "spine_flexion" in found.angles else None,
         "angles": {"data_share": found.motion.data_shares, "not_measured": list(found.not_measured)},
@@ -218,11 +191,6 @@ def summarise(found: ClipAnalysis, results: str) -> dict[str, Any]:
         },
         "notes": notes(found),
     }
-
-
-def _straight_run_m_s(motion: Motion) -> float | None:
-    """The speed of a straight run through all frames, of a method that begins with one."""
-    return build_report(motion)["travel"]["median_speed_m_s"] if motion.jitters else None
 
 
 def notes(found: ClipAnalysis) -> list[str]:
@@ -324,31 +292,27 @@ def figures_of(found: ClipAnalysis) -> dict[str, Callable[[], Figure]]:
     """By file name, what draws it."""
     from recon.show import plots
 
-    motion, time_s, during = found.motion, found.motion.time_s, found.during_stride
-    ground = None if found.gait is None else found.gait.tracks.grounds
+    motion, time_s, during, gait = found.motion, found.motion.time_s, found.during_stride, found.gait
     joints_m = plots.in_body(motion.body, motion.states[during], motion.size, motion.reference_joint)
     title = f"one stride of {found.stride.foot}" if found.stride else "whole clip: no complete stride"
     title = "the stride that was given" if found.given is not None else title
     own = (joints_m, motion.limbs, time_s[during], motion.limb_sides, title)
-    return {
-        "composites": lambda: plots.composites(found.pose.xyz_m, motion.limbs, time_s, ground, sides=motion.limb_sides),
-        "speed": lambda: plots.speeds(
-            {found.reference: found.joints[found.reference]}, unknown=found.speed_doubt is not None
+    shares, ground = motion.posture_data_share[during], None if gait is None else gait.tracks.grounds
+    moved, unknown = {found.reference: found.joints[found.reference]}, found.speed_doubt is not None
+    drawn: dict[str, Callable[[], Figure]] = {
+        "composites": partial(
+            plots.composites, found.pose.xyz_m, motion.limbs, time_s, ground, sides=motion.limb_sides
         ),
-        **(
-            {} if not (found.dynamics and found.gait) else {"forces": partial(plots.forces, found.dynamics, found.gait)}
-        ),
-        **({} if found.gait is None else {"footfalls": partial(plots.footfall, {"gait": found.gait}, motion.fps)}),
-        **{
-            f"vector_field_{limb.replace(' ', '_')}": partial(plots.vector_fields, fields, time_s, title=limb)
-            for limb, fields in found.fields.items()
-        },
-        "phase_portraits": lambda: plots.phase_portraits(
-            found.portraits, found.closures, title=title, shares=motion.data_shares
-        ),
-        "observability": lambda: plots.observability(
-            motion.body, motion.posture_data_share[during], time_s[during], title=title
-        ),
+        "speed": partial(plots.speeds, moved, unknown=unknown),
+        "phase_portraits": lambda: plots.phase_portraits(found.portraits, found.closures, title, motion.data_shares),
+        "observability": partial(plots.observability, motion.body, shares, time_s[during], title),
         "body_fixed": partial(plots.body_fixed, *own),
         "body_fixed_limbs": partial(plots.limbs_apart, *own),
     }
+    for limb, fields in found.fields.items():
+        drawn[f"vector_field_{limb.replace(' ', '_')}"] = partial(plots.vector_fields, fields, time_s, limb)
+    if gait is not None:
+        drawn["footfalls"] = partial(plots.footfall, {"gait": gait}, motion.fps)
+        if found.dynamics is not None:
+            drawn["forces"] = partial(plots.forces, found.dynamics, gait)
+    return drawn

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,9 +18,6 @@ from recon.io.common import numbers
 from recon.workflows.settings import UNITS_M, FitSettings, Unit
 
 AXES, FIRST_CAMERA = ("x", "y", "z"), "first-camera"
-LONGEST_ZOOM = 20.0
-"""The longest zoom of lenses that film animals, from their shortest focal length to the longest."""
-
 
 ClipCamera = tuple[Camera, "io.CameraTrack | None"]
 """The camera of a keypoint file, with a track its lens only: it has no pose; and the track of a camera that moves."""
@@ -29,21 +26,18 @@ Cameras = tuple[ClipCamera, ...]
 
 def read_clip_cameras(settings: FitSettings) -> Cameras:
     """The camera of each keypoint file. Raises InputError."""
-    reads = (lambda path=path: io.read_camera_track(path) for path in settings.camera_track or ())
-    tracks = tuple(all_of(*reads))
-    chosen = (
-        _cameras_of_one(settings, tracks) if len(settings.keypoints) == 1 else _cameras_of_several(settings, tracks)
-    )
-    moving = tuple((_as_it_stands(*one, settings.camera_unit), one[1]) for one in chosen)
+    tracks = tuple(all_of(*(lambda path=path: io.read_camera_track(path) for path in settings.camera_track or ())))
+    choose = _cameras_of_one if len(settings.keypoints) == 1 else _cameras_of_several
+    chosen = tuple((_as_it_stands(*one, settings.camera_unit), one[1]) for one in choose(settings, tracks))
     if settings.up is not None:
-        moving = _turned_up(moving, settings.up)
+        chosen = _turned_up(chosen, settings.up)
     if settings.tilt_deg is None:
-        return moving
-    if any(camera.knows_up for camera, _ in moving):
+        return chosen
+    if any(camera.knows_up for camera, _ in chosen):
         found = f"{settings.tilt_deg:g} beside the pose in {settings.camera_text}, which says which way is up"
         raise InputError(Problem("--tilt-deg", "tilt_deg", found, "one of the two"))
     tilt_rad = math.radians(settings.tilt_deg)
-    return tuple((replace(camera, tilt_rad=tilt_rad), track) for camera, track in moving)
+    return tuple((replace(camera, tilt_rad=tilt_rad), track) for camera, track in chosen)
 
 
 def _turned_up(cameras: Cameras, up: str) -> Cameras:
@@ -113,25 +107,11 @@ def _cameras_of_one(settings: FitSettings, tracks: Sequence[io.CameraTrack]) -> 
             raise InputError(Problem("--camera-track", "camera", found, "one of the two"))
         return ((_own_lens(track.camera, settings, 0), track),)
     if settings.camera is not None:
-        (camera,) = _cameras_in_file(settings, settings.camera)
-    elif settings.hfov_deg is not None and settings.image_size_px is not None:
-        camera = Camera.from_hfov(settings.hfov_deg, settings.image_size_px)
-    else:
-        found = "nothing" if track is None else f"nothing, and {track.source.name} comes without a lens"
-        raise InputError(Problem("settings", "camera", found, "a camera file, or hfov_deg with image_size_px"))
-    if track is not None:
-        _require_like_lens(camera, track)
-    return ((camera, track),)
-
-
-def _require_like_lens(camera: Camera, track: io.CameraTrack) -> None:
-    """Raises InputError for focal lengths that no zoom has beside that of the camera file."""
-    if track.intrinsics_px is not None:
-        of_file, of_track = float(camera.matrix[0, 0]), track.intrinsics_px[:, 0]
-        off = of_track[np.abs(np.log(of_track / of_file)) > np.log(LONGEST_ZOOM)]
-        if len(off):
-            found = f"{off[0]:.0f} px, beside {of_file:.0f} px in the camera file"
-            raise InputError(Problem(track.source, "fx", found, f"at most {LONGEST_ZOOM:g} times as long or short"))
+        return ((_cameras_in_file(settings, settings.camera)[0], track),)
+    if settings.hfov_deg is not None and settings.image_size_px is not None:
+        return ((Camera.from_hfov(settings.hfov_deg, settings.image_size_px), track),)
+    found = "nothing" if track is None else f"nothing, and {track.source.name} comes without a lens"
+    raise InputError(Problem("settings", "camera", found, "a camera file, or hfov_deg with image_size_px"))
 
 
 def _own_lens(camera: Camera, settings: FitSettings, place: int) -> Camera:
@@ -152,16 +132,15 @@ def _cameras_of_several(settings: FitSettings, tracks: Sequence[io.CameraTrack])
         )
         cameras = tuple(all_of(*reads))
     else:
-        assert settings.camera is not None
-        cameras = _cameras_in_file(settings, settings.camera)
-    refuse(_problems_of_several(settings.camera_text, cameras, tracks))
-    chosen, names = [], [camera.name for camera in cameras]
+        cameras = _cameras_in_file(settings, settings.camera or ())
+    names = [camera.name for camera in cameras]
+    owners = {track.source: list(cameras_in(io.track_label(track.source), dict.fromkeys(names))) for track in tracks}
+    refuse(_problems_of_several(settings.camera_text or "--camera", cameras, owners))
+    chosen = []
     for i, camera in enumerate(cameras):
-        track = next((one for one in tracks if camera.name in cameras_in(io.track_label(one.source), names)), None)
-        lens = None if track is None else track.camera
-        if track is not None and lens is None:
-            _require_like_lens(camera, track)
-        chosen.append((camera if lens is None else _own_lens(replace(lens, name=camera.name), settings, i), track))
+        track = next((one for one in tracks if camera.name in owners[one.source]), None)
+        own = None if track is None else track.camera
+        chosen.append((camera if own is None else _own_lens(replace(own, name=camera.name), settings, i), track))
     return tuple(chosen)
 
 
@@ -200,36 +179,26 @@ def _cameras_in_file(settings: FitSettings, files: Sequence[Path]) -> tuple[Came
     return tuple(chosen)
 
 
-def _problems_of_several(path: str, cameras: Sequence[Camera], tracks: Sequence[io.CameraTrack]) -> Iterator[Problem]:
-    """What cameras that film together must have."""
-    file = path or "--camera"
+def _problems_of_several(
+    file: str, cameras: Sequence[Camera], owners: Mapping[Path, Sequence[str]]
+) -> Iterator[Problem]:
+    """What cameras that film together must have. owners: of each track the cameras whose names its own contains."""
     names = [camera.name for camera in cameras]
     for name in sorted({name for name in names if names.count(name) > 1}):
         yield Problem(file, "camera", f"{name} for two keypoint files", "a camera for each, by --camera-name")
-    of_track = {track.source: list(cameras_in(io.track_label(track.source), dict.fromkeys(names))) for track in tracks}
-    for track, owners in of_track.items():
-        if len(owners) != 1:
-            found = f"{io.track_label(track)}, with the name of {' and of '.join(owners) or 'no camera'}"
+    for track, of_track in owners.items():
+        if len(of_track) != 1:
+            found = f"{io.track_label(track)}, with the name of {' and of '.join(of_track) or 'no camera'}"
             yield Problem(track, "name", found, f"the name of one of {', '.join(names)} in it")
-    owned = [owners[0] for owners in of_track.values() if len(owners) == 1]
-    for name in sorted({name for name in owned if owned.count(name) > 1}):
-        yield Problem("--camera-track", name, f"{owned.count(name)} tracks of it", "one")
-    for camera in cameras:
-        if camera.name in owned:
-            continue
+    moving = [of_track[0] for of_track in owners.values() if len(of_track) == 1]
+    for name in sorted({name for name in moving if moving.count(name) > 1}):
+        yield Problem("--camera-track", name, f"{moving.count(name)} tracks of it", "one")
+    for camera in (camera for camera in cameras if camera.name not in moving):
         if not camera.has_extrinsics:
             yield Problem(file, f"camera {camera.name}", "no pose", "its rotation and translation beside the others'")
-        elif twin := next((o for o in cameras if o is not camera and _stands_as(o, camera)), None):
-            yield Problem(file, f"camera {camera.name}", f"the pose of {twin.name}, to the last digit", "its own")
-        elif tracks and not camera.knows_up:
+        elif owners and not camera.knows_up:
             expected = "one in the world of the camera track, z up (world_z_up)"
             yield Problem(file, f"camera {camera.name}", "a pose that does not say which way is up", expected)
-
-
-def _stands_as(one: Camera, other: Camera) -> bool:
-    """Whether two entries of a file have the same pose: one was copied."""
-    poses = [(camera.rotation, camera.translation_m) for camera in (one, other)]
-    return all(a is not None and b is not None and np.array_equal(a, b) for a, b in zip(*poses, strict=True))
 
 
 def cameras_in(stem: str, names: Iterable[str]) -> dict[str, re.Match[str]]:

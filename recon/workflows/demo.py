@@ -8,8 +8,9 @@ from typing import Annotated
 from recon.base.errors import InputError, Problem
 from recon.base.settings import Option, Settings
 from recon.fit.motion import Motion
+from recon.gait.clip import gait_of, reference_motion, speed_doubt
 from recon.gait.evaluation import evaluate_files
-from recon.show.page.clip import in_sentences
+from recon.show.report import in_sentences
 from recon.workflows.cli.common import finish, progress_bar, say, terminal
 from recon.workflows.clip_results import run_clip
 from recon.workflows.page import PageSettings, run_page
@@ -47,6 +48,8 @@ def demo(settings: _DemoSettings, as_json: bool, quiet: bool) -> None:
     finish(console, report, out, as_json, mpjpe_mm=mpjpe_mm)
     if not as_json:
         console.print(f"Error against the sample's truth: {mpjpe_mm:.0f} mm (MPJPE)\n")
-        for sentence in in_sentences(Motion.load(out)):
+        motion, lines = Motion.load(out), dict(report["lines"])
+        say(console, f"Frames: {lines['frames']}.")
+        for sentence in in_sentences(motion, reference_motion(motion), gait_of(motion), speed_doubt(motion)):
             say(console, sentence)
         say(console, f"Open {page} in a browser.")

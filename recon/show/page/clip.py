@@ -11,7 +11,6 @@ from typing import Any, Literal
 import numpy as np
 
 from recon.base.arrays import Array, Bools
-from recon.base.words import length_text
 from recon.check import FLAGS, verdict_lines
 from recon.fit.motion import MEASURED_SHARE, Motion
 from recon.gait.clip import dynamics_of, gait_of, reference_motion, speed_doubt
@@ -21,7 +20,7 @@ from recon.gait.path import MIN_POINTS
 from recon.show import plots
 from recon.show.page.render import inline, rendered
 from recon.show.plots.angles import AngleCurve, angle_over_time, together
-from recon.show.report import TO_DO, build_report, warnings
+from recon.show.report import TO_DO, build_report, in_sentences, warnings
 
 SECTION_CHARACTERS = 600_000
 """The most that the vector graphics of a section take; three sections and the stills are below 3 MB."""
@@ -83,11 +82,6 @@ def clip_page(
     )
 
 
-def in_sentences(motion: Motion) -> list[str]:
-    """What was found, as a page says it; of a motion with enough poses."""
-    return list(_words(motion, build_report(motion), reference_motion(motion), gait_of(motion)))
-
-
 def _base(path: str | None) -> str:
     """The name of a file of any system, without its folders."""
     return (path or "clip").replace("\\", "/").rsplit("/", 1)[-1]
@@ -111,38 +105,11 @@ def _words(
     motion: Motion, report: Mapping[str, Any], moved: JointKinematics | None, gait: Gait | None
 ) -> Iterator[str]:
     """The result in a few sentences."""
-    lines = dict(report["lines"])
-    yield f"Frames: {lines['frames']}."
+    yield f"Frames: {dict(report['lines'])['frames']}."
     if moved is None:
         yield "Too few frames have a pose for a speed or a gait."
-        return
-    yield _speed_sentence(report, moved)
-    yield from _gait_sentences(gait)
-
-
-def _speed_sentence(report: Mapping[str, Any], moved: JointKinematics) -> str:
-    run = report.get("travel", {}).get("median_speed_m_s")
-    if run is not None:
-        return f"A straight run through all frames has {run:.1f} m/s; this method's path jitters in depth."
-    sigma = moved.peak_speed_sigma_m_s
-    spread = "" if np.isnan(sigma) else f" ± {sigma:.1f}"
-    return (
-        f"It ran {moved.distance_m:.1f} m, at {moved.mean_speed_m_s:.1f} m/s in the mean and "
-        f"{moved.peak_speed_m_s:.1f}{spread} m/s at most."
-    )
-
-
-def _gait_sentences(gait: Gait | None) -> Iterator[str]:
-    if gait is None:
-        yield "The skeleton has no feet: no gait."
-        return
-    yield f"Gait: {gait.name.name} ({gait.name.criterion})."
-    if gait.strides:
-        yield (
-            f"Strides are {length_text(gait.stride_length_m)} long, {gait.stride_frequency_hz:.2f} a second (average "
-            f"of {len(gait.strides)} strides); a foot stands {gait.name.duty_factor:.0%} of the time "
-            "(90 %: {:.0%} to {:.0%}).".format(*gait.name.duty_interval)
-        )
+    else:
+        yield from in_sentences(motion, moved, gait, speed_doubt(motion))
 
 
 def doubtful_frames(motion: Motion) -> Iterator[tuple[str, str]]:

@@ -8,7 +8,7 @@ import numpy as np
 
 from recon.base.arrays import Array
 from recon.gait.phase import LinkField, field_means
-from recon.show.plots.style import COLOURS, GREY, PAGE_MM, PALE, SMALL, blank, dots, draw_band, drawing, telling
+from recon.show.plots.style import COLOURS, GREY, PAGE_MM, PALE, SMALL, blank, dots, draw_band, drawing
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -58,8 +58,7 @@ def vector_fields(fields: tuple[LinkField, ...], time_s: Array, title: str = "")
             if not keyed and larger == 1:
                 _key(left, arrows, float(fastest), every, height)
                 keyed = True
-            rows = telling(field.speed_m_s)
-            right.plot(time_s[rows], field.speed_m_s[rows], color=colour, **dots(len(time_s), 1.8))
+            right.plot(time_s, field.speed_m_s, color=colour, **dots(len(time_s), 1.8))
             highest = float(fastest) / larger
             if (sigma := field.speed_sigma_m_s) is not None:
                 draw_band(right, time_s, field.speed_m_s, sigma, colour)

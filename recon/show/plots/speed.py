@@ -19,7 +19,6 @@ from recon.show.plots.style import (
     drawing,
     legend_shape,
     look,
-    telling,
 )
 
 if TYPE_CHECKING:
@@ -70,8 +69,7 @@ def _curve(axes: Axes, i: int, motion: JointKinematics, value: Array, sigma: Arr
     style: dict[str, Any] = look(i) | ({"color": GREY} if unknown else {})
     t = motion.series.time_s
     every = motion.series.oversampling
-    rows = telling(value)
-    (line,) = axes.plot(t[rows], value[rows], **dots(len(t) // every, 2.2), markevery=every, zorder=3, **style)
+    (line,) = axes.plot(t, value, **dots(len(t) // every, 2.2), markevery=every, zorder=3, **style)
     if sigma is not None:
         draw_band(axes, t, value, sigma, style["color"])
     if np.isfinite(value).any() and not unknown:

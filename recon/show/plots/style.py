@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from recon.base.arrays import Array, Index
+from recon.base.arrays import Array
 from recon.base.files import staged_folder
 
 if TYPE_CHECKING:
@@ -40,8 +40,6 @@ COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#0
 DASHES = ("-", (0, (5, 1.5)), (0, (1, 1)), (0, (5, 1, 1, 1)))
 MOST_DOTS = 500
 """In a line: more would touch, and take long to draw."""
-STRETCHES = 1500
-"""How many stretches a line is drawn in: as many as a page has pixels across."""
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 GREY, PALE = "#666666", "#BBBBBB"
 SMALL = 7.0
@@ -138,27 +136,9 @@ def dots(count: int, size: float) -> dict[str, Any]:
     return {"marker": "o", "ms": size} if count <= MOST_DOTS else {}
 
 
-def telling(*lines: Array) -> Index:
-    """Rows that lines (N,) need to look as with all of them: the least and the greatest of each in every `STRETCHES`th
-    of them, and where gaps begin."""
-    N = len(lines[0])
-    each = -(-N // STRETCHES)
-    if each < 5:
-        return np.arange(N)
-    found = [np.array([0, N - 1])]
-    for values in lines:
-        parts = np.pad(values, (0, -N % each), mode="edge").reshape(-1, each)
-        gap = np.isnan(parts)
-        least, most = np.where(gap, np.inf, parts).argmin(axis=1), np.where(gap, -np.inf, parts).argmax(axis=1)
-        found += [np.arange(len(parts)) * each + place for place in (least, most, gap.argmax(axis=1))]
-    return np.unique(np.minimum(np.concatenate(found), N - 1))
-
-
 def draw_band(axes: Axes, time_s: Array, value: Array, sigma: Array, colour: str) -> None:
     """One standard deviation about a value that is never negative; all (N,)."""
-    low, high = np.maximum(value - sigma, 0.0), value + sigma
-    rows = telling(low, high)
-    axes.fill_between(time_s[rows], low[rows], high[rows], color=colour, alpha=0.2, lw=0)
+    axes.fill_between(time_s, np.maximum(value - sigma, 0.0), value + sigma, color=colour, alpha=0.2, lw=0)
 
 
 def legend_shape(labels: Sequence[str], width_mm: float = WIDTH_MM) -> tuple[int, float]:
