@@ -15,7 +15,7 @@ import typer
 from recon.animal import Body, MotionPrior, fit_prior, load_skeleton, save_prior
 from recon.animal.prior import mean_speed_m_s
 from recon.animal.prior_fit import FRAMES_PER_COMPONENT, as_one_gaussian, log_likelihood
-from recon.base.arrays import Array, Integers
+from recon.base.arrays import Array
 from recon.base.documents import read_json
 from recon.base.errors import InputError, Problem, all_of, refuse
 from recon.base.files import require_free_file
@@ -132,42 +132,41 @@ def run_prior_fit(settings: PriorFitSettings) -> dict[str, Any]:
         lambda: require_free_file(settings.out, settings.overwrite, suffixes=(".npz",)),
     )
     body = _common_body(given, results)
-    all_of(lambda: _require_markers(body, files), lambda: _require_rates(rates, files, settings.fps or "--fps"))
+    refuse(_problems_of_files(body, files, rates, settings.fps or "--fps"))
 
     names = file_names([*dict.fromkeys(path.absolute() for path in paths)])
-    of_results: list[Segment] = [(names[path.absolute()], _sound_states(one), one.fps) for path, one in results.items()]
-    of_files, misfits_mm, sizes = _solved_segments(body, files, _labels(files, names), rates, settings.estimate_size)
+    of_results = [(names[path.absolute()], _sound_states(one), one.fps) for path, one in results.items()]
+    of_files, misfits_mm, sizes = _solved_segments(body, files, names, rates, settings.estimate_size)
     segments = [*of_results, *of_files]
-    frames = _used_frames(segments, settings.min_speed_m_s)
-    fits = min(settings.components, max(frames // FRAMES_PER_COMPONENT, 1))
+    frames = sum(_count(states) for _, states, fps in segments if mean_speed_m_s(states, fps) >= settings.min_speed_m_s)
     prior = fit_prior(
         body,
         segments,
         settings.name or settings.out.stem,
         settings.source,
-        fits,
+        min(settings.components, max(frames // FRAMES_PER_COMPONENT, 1)),
         min_speed_m_s=settings.min_speed_m_s,
         apart=settings.apart,
     )
     held_out = _held_out(body, segments, prior) if settings.check else None
     save_prior(prior, settings.out)
-    rms_mm = (*(math.nan for _ in of_results), *misfits_mm)
-    rows = zip(prior.segments, rms_mm, strict=True)
+    rows = zip(prior.segments, (*(None for _ in of_results), *misfits_mm), strict=True)
+    there = {joint for pieces in files.values() for pose in pieces.values() for joint in pose.names}
     return {
-        "segments": [asdict(row) | {"misfit_mm": rms if math.isfinite(rms) else None} for row, rms in rows],
+        "segments": [asdict(row) | {"misfit_mm": misfit_mm} for row, misfit_mm in rows],
         "components": len(prior.weights),
         "components_asked": settings.components,
         "sizes": {str(path): size for path, size in sizes.items()},
-        "lacking": _lacking(body, files),
+        "lacking": [marker for marker in body.markers if files and marker not in there],
         "frames": frames,
         "left_out": sum(int(np.isnan(states[:, 0]).sum()) for _, states, _ in of_results),
         "held_out": held_out,
     }
 
 
-def _lacking(body: Body, files: Mapping[Path, Mapping[str, Pose3D]]) -> list[str]:
-    there = {joint for pieces in files.values() for pose in pieces.values() for joint in pose.names}
-    return [marker for marker in body.markers if files and marker not in there]
+def _count(states: Array) -> int:
+    """Frames with a pose."""
+    return int(np.isfinite(states).all(axis=1).sum())
 
 
 def _sound_states(motion: Motion) -> Array:
@@ -179,54 +178,38 @@ def _sound_states(motion: Motion) -> Array:
 def _solved_segments(
     body: Body,
     files: Mapping[Path, Mapping[str, Pose3D]],
-    labels: Mapping[tuple[Path, str], str],
+    names: Mapping[Path, str],
     rates: Sequence[float],
     estimate_size: bool,
-) -> tuple[list[Segment], list[float], dict[Path, float]]:
-    """The segments of pose files, the body's misfit to each (mm), and the factor on its lengths by file."""
+) -> tuple[list[Segment], list[float | None], dict[Path, float]]:
+    """The segments of pose files, between jumps of their frame numbers, called as their piece of motion, or as the file
+    of `names`, or both; the body's misfit to each (mm); and the factor on its lengths by file."""
     segments: list[Segment] = []
-    misfits_mm: list[float] = []
+    misfits_mm: list[float | None] = []
     sizes: dict[Path, float] = {}
     rate = iter(rates if len(rates) > 1 else list(rates) * sum(map(len, files.values())))
     for path, of_file in files.items():
         points_m = np.concatenate([pose.of_joints(body.markers) for pose in of_file.values()])
-        states, rms_m, sizes[path] = _states_of_points(body, points_m, None if estimate_size else 1.0, path)
+        if not (np.isfinite(points_m).all(axis=2).sum(axis=1) >= MIN_MARKERS).any():
+            raise InputError(Problem(path, "frames", "too few points in each", f"{MIN_MARKERS} markers in some frame"))
+        states, rms_m, sizes[path] = solve_points_and_size(body, points_m, None if estimate_size else 1.0)
         first = 0
         for piece, pose in of_file.items():
-            piece_fps = next(rate)
-            for part, suffix in _without_gaps(pose.frames):
-                own = slice(first + part.start, first + part.stop)
+            fps, jumps = next(rate), (np.nonzero(np.diff(pose.frames) != 1)[0] + 1).tolist()
+            whole = names[path.absolute()] if piece == path.stem else f"{names[path.absolute()]} {piece}"
+            for start, stop in zip([0, *jumps], [*jumps, len(pose.frames)], strict=True):
+                own = slice(first + start, first + stop)
                 known = rms_m[own][np.isfinite(rms_m[own])]
-                misfits_mm.append(1e3 * float(np.sqrt(np.mean(known**2))) if len(known) else math.nan)
-                segments.append((labels[path, piece] + suffix, states[own], piece_fps))
+                misfits_mm.append(1e3 * float(np.sqrt(np.mean(known**2))) if len(known) else None)
+                name = (piece if len(names) == 1 else whole) + (f" from {pose.frames[start]}" if jumps else "")
+                segments.append((name, states[own], fps))
             first += len(pose.frames)
     return segments, misfits_mm, sizes
 
 
-def _labels(files: Mapping[Path, Mapping[str, Pose3D]], names: Mapping[Path, str]) -> dict[tuple[Path, str], str]:
-    """A name of its own for every piece of motion: that in the file, or the file's of `names`, or both."""
-    return {
-        (path, piece): piece
-        if len(names) == 1
-        else names[path.absolute()]
-        if piece == path.stem
-        else f"{names[path.absolute()]} {piece}"
-        for path, pieces in files.items()
-        for piece in pieces
-    }
-
-
-def _used_frames(segments: Sequence[Segment], min_speed_m_s: float) -> int:
-    return sum(
-        int(np.isfinite(states).all(axis=1).sum())
-        for _, states, fps in segments
-        if mean_speed_m_s(states, fps) >= min_speed_m_s
-    )
-
-
 def _held_out(body: Body, segments: Sequence[Segment], prior: MotionPrior) -> dict[str, float] | None:
     used = [segment for segment, row in zip(segments, prior.segments, strict=True) if row.used]
-    frames = [int(np.isfinite(states).all(axis=1).sum()) for _, states, _ in used]
+    frames = [_count(states) for _, states, _ in used]
     scores, weights, fewest = [], [], len(prior.weights)
     for i, (_, states, _) in enumerate(used):
         components = min(len(prior.weights), (sum(frames) - frames[i]) // FRAMES_PER_COMPONENT)
@@ -294,31 +277,16 @@ def _rates(fps: str | None, tables: Sequence[Path]) -> list[float]:
     return rates
 
 
-def _require_markers(body: Body, files: dict[Path, dict[str, Pose3D]]) -> None:
-    problems = []
+def _problems_of_files(
+    body: Body, files: Mapping[Path, Mapping[str, Pose3D]], rates: Sequence[float], fps: str
+) -> Iterator[Problem]:
+    """Too few markers, and rates that are not one or one a piece."""
     for path, pieces in files.items():
         names = next(iter(pieces.values())).names
         there = sum(marker in names for marker in body.markers)
         if there < MIN_MARKERS:
             expected = f"at least {MIN_MARKERS} markers of {body.name}: {', '.join(body.markers)}"
-            problems.append(Problem(path, "joints", f"{there} of {len(body.markers)}: {', '.join(names)}", expected))
-    refuse(problems)
-
-
-def _require_rates(rates: list[float], files: dict[Path, dict[str, Pose3D]], fps: str) -> None:
-    pieces = sum(len(pieces) for pieces in files.values())
-    if len(rates) not in (1, pieces):
-        raise InputError(Problem(fps, "fps", f"{len(rates)} numbers", f"one, or {pieces}: one for every piece"))
-
-
-def _states_of_points(body: Body, points_m: Array, size: float | None, path: Path) -> tuple[Array, Array, float]:
-    if not (np.isfinite(points_m).all(axis=2).sum(axis=1) >= MIN_MARKERS).any():
-        raise InputError(Problem(path, "frames", "too few points in each", f"{MIN_MARKERS} markers in some frame"))
-    return solve_points_and_size(body, points_m, size)
-
-
-def _without_gaps(frames: Integers) -> Iterator[tuple[slice, str]]:
-    """The rows between two jumps of the frame numbers, and what sets their name apart."""
-    jumps = (np.nonzero(np.diff(frames) != 1)[0] + 1).tolist()
-    for start, stop in zip([0, *jumps], [*jumps, len(frames)], strict=True):
-        yield slice(start, stop), f" from {frames[start]}" if jumps else ""
+            yield Problem(path, "joints", f"{there} of {len(body.markers)}: {', '.join(names)}", expected)
+    count = sum(map(len, files.values()))
+    if files and len(rates) not in (1, count):
+        yield Problem(fps, "fps", f"{len(rates)} numbers", f"one, or {count}: one for every piece")
