@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -33,66 +33,6 @@ DISAGREEMENT = 16.0
 """Squared deviations, of 6 unknowns, from which on a camera that stood still is unlikely (1 in 70)."""
 LEAST_MOVED = 0.5
 """The least way of an animal, in its lengths in the picture: on its feet it swings by less."""
-
-
-@dataclass(frozen=True, eq=False)
-class _ExtrinsicsRun:
-    """cameras: with poses in a world with z up, the ground at z = 0, or that of the camera file if those are refined.
-    sigma (V, 6): of each one's place beside the first (`Camera.corrected`)."""
-
-    cameras: tuple[Camera, ...]
-    sigma: Array
-    height_sigma_m: Array
-    """(V,): of their heights above the ground, NaN where it was not found, or is the camera file's."""
-    converged: bool
-    clips: tuple[FitSettings, ...]
-    disagreement: Array
-    """(C, V): see `recon.fit.extrinsics.Rig`."""
-    offsets_s: tuple[tuple[float, ...], ...]
-    """For each clip's files: how much later than the first each camera began, as given or found."""
-    out: Path
-
-    def to_dict(self) -> dict[str, Any]:
-        """Plain strings, numbers and lists."""
-        names = [camera.name for camera in self.cameras]
-        return {
-            "cameras": [
-                camera.to_dict()
-                | {"turn_sigma_rad": sigma[:3].tolist(), "shift_sigma_m": sigma[3:].tolist()}
-                | {"height_sigma_m": None if math.isnan(high) else float(high)}
-                for camera, sigma, high in zip(self.cameras, self.sigma, self.height_sigma_m, strict=True)
-            ],
-            "clips": [
-                {
-                    "keypoints": [str(path) for path in clip.keypoints],
-                    "offset_s": list(offsets),
-                    "disagreement": dict(zip(names, apart.tolist(), strict=True)),
-                }
-                for clip, offsets, apart in zip(self.clips, self.offsets_s, self.disagreement, strict=True)
-            ],
-            "converged": self.converged,
-            "written": str(self.out),
-        }
-
-    def lines(self) -> Iterator[str]:
-        """The result in lines of text, for the terminal."""
-        first = self.cameras[0].camera_to_world(np.zeros(3))
-        for camera, sigma, high in zip(self.cameras, self.sigma, self.height_sigma_m, strict=True):
-            place = camera.camera_to_world(np.zeros(3))
-            turn, shift = math.degrees(np.linalg.norm(sigma[:3])), float(np.linalg.norm(sigma[3:]))
-            known = f", known to {turn:.1f}° and {length_text(shift)}" if sigma.any() else ""
-            height = length_text(place[2], None if math.isnan(high) else high)
-            apart = length_text(float(np.linalg.norm(place - first)))
-            yield f"{camera.name}: {height} high, {apart} from the first{known}"
-        for clip, offsets in zip(self.clips, self.offsets_s, strict=True):
-            if clip.find_offsets:
-                both = zip(clip.keypoints[1:], offsets[1:], strict=True)
-                yield f"After {clip.keypoints[0].name}: " + ", ".join(f"{path.name} {s:+.4f} s" for path, s in both)
-        if len(self.clips) > 1 and self.disagreement.max() > DISAGREEMENT:
-            most = self.cameras[int(np.argmax(self.disagreement.max(axis=0)))].name
-            yield f"The clips disagree on where the cameras stand, most on {most}: was one moved between them?"
-        if not self.converged:
-            yield "The search had not settled when it was ended: more clips, of other ways through the view, tell more."
 
 
 _SETTINGS = (
@@ -144,13 +84,35 @@ def extrinsics(
         say(terminal(stderr=True), note, "yellow")
     with progress_bar(terminal(stderr=True), "solving: ") as progress:
         level_rad = None if settings.level_deg is None else math.radians(settings.level_deg)
-        run = run_extrinsics(clips, settings.out, settings.overwrite, level_rad, progress)
+        cameras, report = run_extrinsics(clips, settings.out, settings.overwrite, level_rad, progress)
     if as_json:
-        return run.to_dict()
+        return report
     console = terminal()
-    for line in run.lines():
+    for line in lines_of(cameras, report):
         say(console, line)
     say(console, f"Written: {settings.out}. Fit clips with: recon fit ... --camera {settings.out}")
+
+
+def lines_of(cameras: Sequence[Camera], report: Mapping[str, Any]) -> Iterator[str]:
+    """Where the cameras stand, and what there is to say of the clips."""
+    first = cameras[0].centre_world
+    for camera, known in zip(cameras, report["cameras"], strict=True):
+        turn, shift = (float(np.linalg.norm(known[name])) for name in ("turn_sigma_rad", "shift_sigma_m"))
+        sure = f", known to {math.degrees(turn):.1f}° and {length_text(shift)}" if turn or shift else ""
+        height = length_text(camera.centre_world[2], known["height_sigma_m"])
+        yield f"{camera.name}: {height} high, {length_text(math.dist(camera.centre_world, first))} from the first{sure}"
+    for clip in report["clips"]:
+        if clip["found_offsets"]:
+            names, offsets = [Path(path).name for path in clip["keypoints"]], clip["offset_s"]
+            both = ", ".join(f"{name} {s:+.4f} s" for name, s in zip(names[1:], offsets[1:], strict=True))
+            yield f"After {names[0]}: {both}"
+    apart = [clip["disagreement"] for clip in report["clips"]]
+    most = {camera.name: max(of[camera.name] for of in apart) for camera in cameras}
+    if len(apart) > 1 and max(most.values()) > DISAGREEMENT:
+        name = max(most, key=most.__getitem__)
+        yield f"The clips disagree on where the cameras stand, most on {name}: was one moved between them?"
+    if not report["converged"]:
+        yield "The search had not settled when it was ended: more clips, of other ways through the view, tell more."
 
 
 def clips_of(
@@ -170,27 +132,31 @@ def run_extrinsics(
     overwrite: bool = False,
     level_rad: float | None = None,
     progress: Progress = silent,
-) -> _ExtrinsicsRun:
-    """`recon calibrate extrinsics`: write `out`, which `recon.io.calibration.read_cameras` reads.
+) -> tuple[tuple[Camera, ...], dict[str, Any]]:
+    """`recon calibrate extrinsics`: write `out`, which `recon.io.calibration.read_cameras` reads; the cameras, with
+    poses in a world with z up, the ground at z = 0, or that of the camera file if those are refined, and what `--json`
+    prints. There the sigmas of a camera are of its place beside the first (`Camera.corrected`), its height's is null
+    where the ground was not found, or is the camera file's, and offsets are as given or found.
 
     level_rad: how far cameras are from level, or from the tilt that is said, by default `LEVEL_RAD`. Poses in the
     camera file are read where the clips' settings say that they are refined; these know which way is up. Raises
     InputError, with every problem, for inputs that cannot be used.
     """
-    posed = bool(clips[0].refine_cameras)
-    given, tilt_rad, _ = all_of(
+    posed, tilt_deg = bool(clips[0].refine_cameras), clips[0].tilt_deg
+    given, *_ = all_of(
         lambda: all_of(*(lambda clip=clip: _each_alone(clip) for clip in clips)),
-        lambda: _tilt_rad(clips, level_rad, posed),
+        lambda: _require_one_up(posed, tilt_deg, level_rad),
         lambda: require_free_file(out, overwrite, suffixes=(".toml",)),
     )
     cameras = _all_cameras(given)
     if posed:
-        _require_poses(cameras)
+        if without := [camera.name for camera in cameras if not camera.has_extrinsics]:
+            expected = "a camera file with the poses of all cameras"
+            raise InputError(Problem("--set refine-cameras", "poses", f"none of {', '.join(without)}", expected))
         poses = camera_poses(cameras)
     else:  # each one's own level world
-        cameras = [replace(camera, rotation=None, translation_m=None) for camera in cameras]
-        if tilt_rad is not None:
-            cameras = [replace(camera, tilt_rad=tilt_rad) for camera in cameras]
+        tilt = {} if tilt_deg is None else {"tilt_rad": math.radians(tilt_deg)}
+        cameras = [replace(camera, rotation=None, translation_m=None, **tilt) for camera in cameras]
         poses = [rigid(level_from_camera(camera.up).T, np.zeros(3)) for camera in cameras]
     in_step = [_in_step(*of) for of in zip(clips, given, strict=True)]
     if not posed:
@@ -200,24 +166,40 @@ def run_extrinsics(
         rig = solve_extrinsics(settings, posed, LEVEL_RAD if level_rad is None else level_rad, progress)
     except TooLittleInCommonError as error:
         expected = "some in which it and another camera see enough of the animal for a pose"
-        raise InputError(
-            Problem("KEYPOINTS", f"camera {cameras[error.view].name}", "too few frames", expected)
-        ) from None
+        name = f"camera {cameras[error.view].name}"
+        raise InputError(Problem("KEYPOINTS", name, "too few frames", expected)) from None
     height_m = 0.0 if posed else -np.nan_to_num(rig.ground_m)
     found = tuple(
         replace(camera, rotation=T[:3, :3], translation_m=T[:3, 3] - height_m * T[:3, 2], world_z_up=True, tilt_rad=0.0)
         for camera, T in zip(cameras, rig.T_camera_world, strict=True)
     )
     write_cameras(found, out)
-    offsets_s = []
-    for sources, fps, lags in zip(in_step, (of[0].fps for of in given), rig.time_offset_frames, strict=True):
-        late_s = {camera.name: lag / fps for camera, lag in zip(cameras, lags, strict=True)}
+    names, rows = [camera.name for camera in found], []
+    for clip, sources, of, lags, apart in zip(
+        clips, in_step, given, rig.time_offset_frames, rig.disagreement, strict=True
+    ):
+        late_s = dict(zip(names, np.array(lags) / of[0].fps, strict=True))
         began_s = np.array([source.offset_s + late_s[source.camera.name] for source in sources])
-        offsets_s.append(tuple((began_s - began_s[0]).tolist()))
-    high_sigma = np.full(len(found), np.nan) if posed else rig.height_sigma_m
-    return _ExtrinsicsRun(
-        found, rig.sigma, high_sigma, rig.converged, tuple(clips), rig.disagreement, tuple(offsets_s), out
-    )
+        rows.append(
+            {
+                "keypoints": [str(path) for path in clip.keypoints],
+                "offset_s": (began_s - began_s[0]).tolist(),
+                "found_offsets": bool(clip.find_offsets),
+                "disagreement": dict(zip(names, apart.tolist(), strict=True)),
+            }
+        )
+    known = zip(found, rig.sigma, rig.height_sigma_m, strict=True)
+    return found, {
+        "cameras": [
+            camera.to_dict()
+            | {"turn_sigma_rad": sigma[:3].tolist(), "shift_sigma_m": sigma[3:].tolist()}
+            | {"height_sigma_m": None if posed or math.isnan(high) else float(high)}
+            for camera, sigma, high in known
+        ],
+        "clips": rows,
+        "converged": rig.converged,
+        "written": str(out),
+    }
 
 
 def _require_motion(clips: Sequence[Sequence[Source]]) -> None:
@@ -314,24 +296,12 @@ def _all_cameras(given: Sequence[Sequence[Prepared]]) -> list[Camera]:
     return list(cameras.values())
 
 
-def _tilt_rad(clips: Sequence[FitSettings], level_rad: float | None, posed: bool) -> float | None:
-    """The tilts of all cameras in all clips, where they are said."""
-    tilts = sorted({clip.tilt_deg for clip in clips if clip.tilt_deg is not None})
-    levels = [] if level_rad is None else [math.degrees(level_rad)]
-    problems = []
-    for name, values in (("tilt_deg", tilts), ("level_deg", levels)):
-        option, found = "--" + name.replace("_", "-"), ", ".join(f"{value:g}" for value in values)
-        if posed and values:
-            found += " beside --set refine-cameras=true, where the camera file says which way is up"
-            problems.append(Problem(option, name, found, "one of the two"))
-        elif len(values) > 1:
-            problems.append(Problem(option, name, found, "one for all clips, whose cameras stand still"))
-    refuse(problems)
-    return math.radians(tilts[0]) if tilts else None
-
-
-def _require_poses(cameras: Sequence[Camera]) -> None:
-    without = [camera.name for camera in cameras if not camera.has_extrinsics]
-    if without:
-        expected = "a camera file with the poses of all cameras"
-        raise InputError(Problem("--set refine-cameras", "poses", f"none of {', '.join(without)}", expected))
+def _require_one_up(posed: bool, tilt_deg: float | None, level_rad: float | None) -> None:
+    """Raises InputError for a tilt or a level beside poses that say which way is up."""
+    given = {"--tilt-deg": tilt_deg, "--level-deg": None if level_rad is None else math.degrees(level_rad)}
+    beside = "beside --set refine-cameras=true, where the camera file says which way is up"
+    refuse(
+        Problem(option, option[2:].replace("-", "_"), f"{value:g} {beside}", "one of the two")
+        for option, value in given.items()
+        if posed and value is not None
+    )
