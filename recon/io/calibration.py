@@ -33,6 +33,15 @@ LARGEST = 1e9
 """The largest number in a calibration: more can only be damage."""
 MAX_SIZE_PX = 1_000_000
 ROTATION_TOLERANCE = 1e-3
+ALIASES = {
+    "matrix": ("matrix", "camera_matrix", "cameraMatrix", "K", "k"),
+    "distortion": ("distortions", "distortion_coefficients", "dist_coeffs", "distCoeffs", "D", "d"),
+    "rotation": ("rotation", "R", "rvec", "r"),
+    "translation_m": ("translation", "T", "tvec", "t"),
+    "image_size_px": ("size", "camera_resolution", "image_size_px"),
+    "model": ("distortion_model",),
+}
+"""What programs call a field."""
 
 
 @dataclass(frozen=True)
@@ -47,12 +56,11 @@ class CameraRecord:
     """What the file calls a field, where it calls it otherwise."""
 
     @classmethod
-    def of_table(
-        cls, name: Any, place: str, table: Mapping[str, Any], called: Mapping[str, str], **more: Any
-    ) -> CameraRecord:
-        """A record from a table with keys of its own, and more values by field."""
-        values = {"model": "radtan", "world_z_up": False, **{field: table.get(key) for field, key in called.items()}}
-        return cls(name, place, values | more, called)
+    def of_table(cls, name: Any, place: str, table: Mapping[str, Any], **more: Any) -> CameraRecord:
+        """From a table with keys of its own (`ALIASES`), and more values by field."""
+        called = {field: next((key for key in keys if key in table), keys[0]) for field, keys in ALIASES.items()}
+        values = {field: table.get(key) for field, key in called.items()}
+        return cls(name, place, values | {"model": "radtan", "world_z_up": False} | more, called)
 
 
 def read_cameras(path: CameraFiles, image_size_px: tuple[int, int] | None = None) -> tuple[Camera, ...]:
@@ -206,9 +214,7 @@ def _build(
             found = "something other than a block of numbers"
         elif sizes and array.size not in sizes:
             found = f"shape {array.shape}"
-        elif not np.isfinite(array).all():
-            found = "values that are not finite"
-        elif (np.abs(array) > LARGEST).any():
+        elif not (np.abs(array) <= LARGEST).all():
             found = f"values up to {np.abs(array).max():g}"
         else:
             return array

@@ -51,20 +51,13 @@ def read_anipose(path: Path, individual: str | None = None) -> list[CameraRecord
     document = parse_toml(read_calibration(path), path)
     expected = f'[camera] with format = "{FORMAT}", or one table per camera as Anipose and Pose2Sim write'
     tables = {key: table for key, table in document.items() if isinstance(table, dict) and key != "metadata"}
-    called = {
-        "matrix": "matrix",
-        "distortion": "distortions",
-        "image_size_px": "size",
-        "rotation": "rotation",
-        "translation_m": "translation",
-    }
     records = []
     for section, table in _tables(path, tables, expected).items():
         bent = table.get("distortions")
         if isinstance(bent, list) and len(bent) == 1:
             table = table | {"distortions": bent + [0.0] * 3}  # k1 alone, the others were not estimated
         model = "fisheye" if table.get("fisheye") else "radtan"
-        records.append(CameraRecord.of_table(table.get("name", section), f"{section}.", table, called, model=model))
+        records.append(CameraRecord.of_table(table.get("name", section), f"{section}.", table, model=model))
     return records
 
 
@@ -81,13 +74,13 @@ def read_acinoset(path: Path, individual: str | None = None) -> list[CameraRecor
     entries = document.get("cameras", [document]) if isinstance(document, dict) else None
     if not isinstance(entries, list) or not entries or not all(isinstance(entry, dict) for entry in entries):
         raise InputError(Problem(path, "cameras", "no list of cameras", "a list with k, d, r and t of each camera"))
-    called = {"matrix": "k", "distortion": "d", "rotation": "r", "translation_m": "t"}
-    called["image_size_px"] = "camera_resolution"
-    more = {"model": "fisheye", "world_z_up": True, "image_size_px": document.get("camera_resolution")}
-    places = [f"cameras[{index}]." if "cameras" in document else "" for index in range(len(entries))]
+    of_all = {"camera_resolution": document.get("camera_resolution")}
+    more = {"model": "fisheye", "world_z_up": True}
     return [
-        CameraRecord.of_table(entry.get("name"), place, entry, called, **more)
-        for place, entry in zip(places, entries, strict=True)
+        CameraRecord.of_table(
+            entry.get("name"), f"cameras[{i}]." if "cameras" in document else "", of_all | entry, **more
+        )
+        for i, entry in enumerate(entries)
     ]
 
 
@@ -138,16 +131,9 @@ def read_opensfm(path: Path, individual: str | None = None) -> list[CameraRecord
 
 # -- OpenCV, ROS -----------------------------------------------------------------------------------------------------
 
-OPENCV_KEYS = {
-    "matrix": ("camera_matrix", "cameraMatrix", "K"),
-    "distortion": ("distortion_coefficients", "dist_coeffs", "distCoeffs", "D"),
-    "rotation": ("rotation", "R", "rvec"),
-    "translation_m": ("translation", "T", "tvec"),
-}
-
 
 def recognises_opencv(path: Path) -> bool:
-    keys = "|".join(("opencv-matrix", *OPENCV_KEYS["matrix"]))
+    keys = "opencv-matrix|camera_matrix|cameraMatrix|K"
     return _is(path, (".yaml", ".yml", ".xml")) or _is(path, (".json",), f'"({keys})"')
 
 
@@ -160,10 +146,6 @@ def read_opencv(path: Path, individual: str | None = None) -> list[CameraRecord]
         document = _of_file_storage(path, text)
     if not isinstance(document, dict):
         raise InputError(Problem(path, "content", "no keys", "camera_matrix, distortion_coefficients, ..."))
-    called = {
-        field: next((alias for alias in aliases if alias in document), aliases[0])
-        for field, aliases in OPENCV_KEYS.items()
-    }
     size = [document.get(f"image_{side}", document.get(side)) for side in ("width", "height")]
     model = document.get("distortion_model")
     if model is None:
@@ -173,10 +155,9 @@ def read_opencv(path: Path, individual: str | None = None) -> list[CameraRecord]
         "model": lens_named(str(model)) or model,
         "world_z_up": bool(document.get("world_z_up", False)),
     }
-    if called["rotation"] == "R" and document.get(called["translation_m"]) is None:
+    if "R" in document and not {"T", "translation", "tvec"} & document.keys():
         more["rotation"] = None  # ROS: the rectification, not a pose
-    called |= {"image_size_px": "image_width, image_height", "model": "distortion_model"}
-    return [CameraRecord.of_table(document.get("camera_name"), "", document, called, **more)]
+    return [CameraRecord.of_table(document.get("camera_name"), "", document, **more)]
 
 
 def _of_file_storage(path: Path, text: str) -> Any:

@@ -17,7 +17,7 @@ In all the world has to be in metres with z up, which no format promises.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar
@@ -33,7 +33,7 @@ from recon.geometry.camera import Camera
 from recon.geometry.frames import inverse, part_of_turn, quaternion_rotations, rigid
 from recon.geometry.lens import LENS_MODELS
 from recon.io.common import MAX_FRAME, first_problems, frame_number, number, numbers
-from recon.io.table import text_rows
+from recon.io.table import number_rows, text_rows
 
 POSE, INTRINSICS = ("qw", "qx", "qy", "qz", "tx", "ty", "tz"), ("fx", "fy", "cx", "cy")
 SIGMA = "sigma_deg"
@@ -159,39 +159,47 @@ def _require_upright(track: CameraTrack, path: Path) -> None:
         raise InputError(Problem(path, "poses", found, expected))
 
 
-Row = tuple[str, int, Sequence[float]]
-"""A place in the file, the frame, and qw, qx, qy, qz, tx, ty, tz, of a camera that zooms fx, fy, cx, cy, and perhaps
-the sigma of the turn in degrees."""
-
-
 def _checked_track(
-    path: Path, rows: Sequence[Row], problems: Sequence[Problem], camera: Camera | None = None, has_sigma: bool = False
+    path: Path,
+    places: Sequence[str],
+    frames: Array,
+    table: Array,
+    problems: Sequence[Problem],
+    camera: Camera | None = None,
+    sigma_deg: Array | None = None,
 ) -> CameraTrack:
-    """Raises InputError with what is wrong with the rows, after the problems that are known."""
-    problems = first_problems(problems, path)
-    if not len(rows) and not problems:
-        problems.append(Problem(path, "rows", "none", "a pose for each frame"))
-    refuse(problems if not rows else ())
-    places, frames = [place for place, _, _ in rows], np.array([frame for _, frame, _ in rows], dtype=np.int64)
-    table = np.array([values for _, _, values in rows], dtype=float)
-    table, sigma_deg = (table[:, :-1], table[:, -1]) if has_sigma else (table, None)
-    for kind, expected, wrong in _CHECKS:
-        with np.errstate(all="ignore"):
-            found = np.flatnonzero(wrong(table).any(axis=1))
-        if len(found):
-            problems.append(Problem(path, kind, f"others in {_some([places[row] for row in found])}", expected))
-    if sigma_deg is not None and len(beyond := sigma_deg[~((sigma_deg >= 0) & (sigma_deg <= MAX_SIGMA_DEG))]):
-        problems.append(Problem(path, SIGMA, f"{beyond[0]:g}", f"0 to {MAX_SIGMA_DEG:g} degrees"))
-    distinct, count = np.unique(frames, return_counts=True)
-    if (count > 1).any():
-        expected = "one pose for each frame, of one camera"
-        problems.append(Problem(path, "frame", f"{_some(distinct[count > 1].tolist())} more than once", expected))
-    refuse(problems)
+    """The track of N rows with their places in the file. table: (N, 7), qw, qx, qy, qz, tx, ty, tz, or (N, 11), with
+    fx, fy, cx, cy of a camera that zooms. Raises InputError with the known problems, or what is wrong in the rows."""
+    refuse(first_problems(problems, path))
+    if not len(places):
+        raise InputError(Problem(path, "rows", "none", "a pose for each frame"))
+    sigma = np.zeros(len(places)) if sigma_deg is None else sigma_deg
+    _, row_of, count = np.unique(frames, return_inverse=True, return_counts=True)
+    with np.errstate(all="ignore"):
+        lengths = np.linalg.norm(table[:, :4], axis=1)
+        checks = (
+            ("frame", f"a whole number up to {MAX_FRAME}", (np.abs(frames) <= MAX_FRAME) & (frames % 1 == 0)),
+            ("frame", "one pose for each frame, of one camera", count[row_of] == 1),
+            ("numbers", "finite numbers", np.isfinite(table).all(axis=1)),
+            ("qw, qx, qy, qz", f"unit quaternions (to {UNIT_TOLERANCE:g})", ~(np.abs(lengths - 1) > UNIT_TOLERANCE)),
+            ("tx, ty, tz", f"metres, no more than {MAX_PLACE_M:g}", ~(np.abs(table[:, 4:7]) > MAX_PLACE_M).any(axis=1)),
+            (
+                "fx, fy, cx, cy",
+                f"pixels, no more than {MAX_PX:g}, fx and fy above 0",
+                ~((table[:, 7:9] <= 0).any(axis=1) | (np.abs(table[:, 7:]) > MAX_PX).any(axis=1)),
+            ),
+            (SIGMA, f"0 to {MAX_SIGMA_DEG:g} degrees", (sigma >= 0) & (sigma <= MAX_SIGMA_DEG)),
+        )
+    refuse(
+        Problem(path, kind, f"others in {_some([places[row] for row in np.flatnonzero(~right)])}", expected)
+        for kind, expected, right in checks
+        if not right.all()
+    )
     order = np.argsort(frames)
     table = table[order]
     return CameraTrack(
         path,
-        frames[order],
+        frames[order].astype(np.int64),
         rigid(_rotations(table[:, :4]), table[:, 4:7]),
         table[:, 7:] if table.shape[1] > 7 else None,
         camera,
@@ -205,23 +213,6 @@ def _rotations(quaternion: Array) -> Array:
     return quaternion_rotations(unit[:, [1, 2, 3, 0]])
 
 
-_CHECKS: tuple[tuple[str, str, Callable[[Array], Bools]], ...] = (
-    ("numbers", "finite numbers", lambda table: ~np.isfinite(table)),
-    (
-        "qw, qx, qy, qz",
-        f"unit quaternions (to {UNIT_TOLERANCE:g})",
-        lambda table: np.abs(np.linalg.norm(table[:, :4], axis=1, keepdims=True) - 1) > UNIT_TOLERANCE,
-    ),
-    ("tx, ty, tz", f"metres, no more than {MAX_PLACE_M:g}", lambda table: np.abs(table[:, 4:7]) > MAX_PLACE_M),
-    (
-        "fx, fy, cx, cy",
-        f"pixels, no more than {MAX_PX:g}, fx and fy above 0",
-        lambda table: np.hstack([table[:, 7:9] <= 0, np.abs(table[:, 7:]) > MAX_PX]),
-    ),
-)
-"""Field, what is expected of it, and what is otherwise (N, any), by rows of a table."""
-
-
 def _some(items: Sequence[Any]) -> str:
     more = f" and {len(items) - 3} more" if len(items) > 3 else ""
     return ", ".join(map(str, items[:3])) + more
@@ -233,42 +224,32 @@ def _some(items: Sequence[Any]) -> str:
 def _read_csv(path: Path) -> CameraTrack:
     rows = text_rows(path)
     header = [cell.strip().lower() for cell in next(rows, (1, []))[1]]
-    zooms = any(name in header for name in INTRINSICS)
     outward = {*PLACE} <= {*header} and not {"tx", "ty", "tz"} & {*header}
-    pose = (*POSE[:4], *PLACE) if outward else POSE
-    wanted = ("frame", *pose, *(INTRINSICS if zooms else ()), *([SIGMA] if SIGMA in header else []))
-    problems = [Problem(path, "columns", f"no {name}", EXPECTED) for name in wanted if name not in header]
-    problems += [
-        Problem(path, "columns", f"{name} more than once", "each once") for name in wanted if header.count(name) > 1
-    ]
-    refuse(problems)
+    zooms = any(name in header for name in INTRINSICS)
+    wanted = ["frame", *POSE[:4], *(PLACE if outward else POSE[4:]), *(INTRINSICS if zooms else ())]
+    wanted += [SIGMA] * (SIGMA in header)
+    refuse(
+        Problem(path, "columns", f"{name} more than once" if name in header else f"no {name}", EXPECTED)
+        for name in wanted
+        if header.count(name) != 1
+    )
     at = [header.index(name) for name in wanted]
-    found: list[Row] = []
-    for line, cells in rows:
-        if len(cells) <= max(at):
-            problems.append(Problem(path, f"line {line}", f"{len(cells)} cells", f"{len(header)}, as in the header"))
-            continue
-        values, others = numbers(cells[column] for column in at)
-        wrong = {i for i in others if np.isnan(values[i])}
-        if not (abs(values[0]) <= MAX_FRAME and values[0] == int(values[0])):  # also 7.0, as spreadsheets write it
-            wrong.add(0)
-        if wrong:
-            said = ", ".join(f"{wanted[i]} {cells[at[i]].strip()!r}" for i in sorted(wrong))
-            problems.append(Problem(path, f"line {line}", said, "numbers, and a whole one for the frame"))
-            continue
-        if outward:
-            values[1:8] = _from_world(values[1:8])
-        found.append((f"line {line}", int(values[0]), values[1:].tolist()))
-    return _checked_track(path, found, problems, has_sigma=SIGMA in header)
+    lines: list[str] = []
 
+    def chosen() -> Iterator[tuple[int, list[str]]]:
+        for line, cells in rows:
+            yield line, [cells[column] for column in at if column < len(cells)]
+            lines.append(f"line {line}")
 
-def _from_world(pose: Array) -> Array:
-    """(7,): what takes points to the camera, of the camera's own pose: the quaternion's opposite, and the place turned
-    by it. A quaternion that is none stays, to be refused."""
-    inverse = pose * [1.0, -1.0, -1.0, -1.0, 1.0, 1.0, 1.0]
-    if np.isfinite(pose).all() and 0.1 < np.abs(pose[:4]).max() < 10:
-        inverse[4:] = -(_rotations(inverse[None, :4])[0] @ pose[4:])
-    return inverse
+    _, values, problems = number_rows(path, chosen(), wanted)
+    frames, table = values[:, 0], values[:, 1 : len(values[0]) - (SIGMA in header)] if len(values) else values
+    if outward and len(values):
+        inverse = table[:, :4] * [1.0, -1.0, -1.0, -1.0]
+        with np.errstate(all="ignore"):  # what is no quaternion stays, to be refused
+            places = -(_rotations(inverse) @ table[:, 4:7, None])[..., 0]
+        table = np.column_stack([inverse, places, table[:, 7:]])
+    sigma_deg = values[:, -1] if SIGMA in header else None
+    return _checked_track(path, lines, frames, table, problems, sigma_deg=sigma_deg)
 
 
 # -- OpenDroneMap, OpenSfM ------------------------------------------------------------------------------------------
@@ -286,7 +267,8 @@ def _read_shots(path: Path) -> CameraTrack:
     if not isinstance(shots, dict) or not shots:
         several = f"{len(document)} reconstructions" if isinstance(document, list) else "no shots"
         raise InputError(Problem(path, "shots", several, EXPECTED))
-    rows: list[Row] = []
+    frames: list[int] = []
+    table: list[list[float]] = []
     problems: list[Problem] = []
     for name, shot in shots.items():
         frame = _frame_of_name(name)
@@ -302,19 +284,23 @@ def _read_shots(path: Path) -> CameraTrack:
         if features is not None:  # places, not translations
             at = -rotation.apply(at)
         x, y, z, w = rotation.as_quat().tolist()
-        rows.append((f"shots.{name}", frame, [w, x, y, z, *at]))
-    return _checked_track(path, rows, problems)
+        frames.append(frame)
+        table.append([w, x, y, z, *at])
+    places = [f"shots.{name}" for name in shots]
+    return _checked_track(path, places, np.array(frames, dtype=float), np.array(table), problems)
 
 
 # -- COLMAP ---------------------------------------------------------------------------------------------------------
 
 
 def _read_colmap(images: Path, cameras: Path | None) -> CameraTrack:
-    """Every image has two lines, the second for its points. Without cameras.txt the lens is to come from elsewhere.
-    Raises InputError."""
+    """Every image has two lines, the second for its points. Without cameras.txt the lens comes from elsewhere. Raises
+    InputError."""
     lines = enumerate(read_text(images, EXPECTED).splitlines(), start=1)
-    rows: list[Row] = []
+    places: list[str] = []
+    frames: list[int] = []
     of_camera: list[str] = []
+    poses: list[Array] = []
     problems: list[Problem] = []
     for at, line in lines:
         if not line.strip() or line.lstrip().startswith("#"):
@@ -322,24 +308,25 @@ def _read_colmap(images: Path, cameras: Path | None) -> CameraTrack:
         cells = line.split(maxsplit=9)
         values, wrong = numbers(cells[1:8])
         frame = _frame_of_name(cells[9]) if len(cells) == 10 else None
-        if len(values) < 7 or any(np.isnan(values[wrong])) or frame is None:
+        if len(values) < 7 or wrong or frame is None:
             expected = "IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, with the frame's number last in the name"
             problems.append(Problem(images, f"line {at}", repr(line.strip()[:60]), expected))
         else:
-            rows.append((f"line {at}", frame, values.tolist()))
+            places.append(f"line {at}")
+            frames.append(frame)
             of_camera.append(cells[8])
+            poses.append(values)
         at, points = next(lines, (0, ""))
         if len(points.split()) % 3:
             expected = "the points of the image above, X Y POINT3D_ID each, or an empty line"
             problems.append(Problem(images, f"line {at}", repr(points.strip()[:60]), expected))
-    track = _checked_track(images, rows, problems)
-    if cameras is None:
-        return track
-    lenses = _lenses(cameras, dict.fromkeys(of_camera))
-    own = np.array([lenses[key].matrix[[0, 1, 0, 1], [0, 1, 2, 2]] for key in of_camera])
-    if np.ptp(own, axis=0).any():
-        rows = [(place, frame, [*pose, *lens]) for (place, frame, pose), lens in zip(rows, own, strict=True)]
-    return _checked_track(images, rows, problems, replace(lenses[of_camera[0]], name=track_label(images)))
+    lenses = {} if cameras is None else _lenses(cameras, dict.fromkeys(of_camera))
+    table, camera = np.array(poses).reshape(-1, 7), None
+    if lenses:
+        own = np.array([lenses[key].matrix[[0, 1, 0, 1], [0, 1, 2, 2]] for key in of_camera])
+        table = np.hstack([table, own]) if np.ptp(own, axis=0).any() else table
+        camera = replace(lenses[of_camera[0]], name=track_label(images))
+    return _checked_track(images, places, np.array(frames, dtype=float), table, problems, camera)
 
 
 def _frame_of_name(name: str) -> int | None:

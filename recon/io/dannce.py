@@ -89,10 +89,9 @@ def read_cameras(path: Path, individual: str | None = None) -> list[CameraRecord
             values["K"] = K.T - np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 1.0], [0.0, 0.0, 0.0]])
         if radial is not None and sideways is not None and radial.size in (2, 3) and sideways.size == 2:
             k = [*radial.ravel(), 0.0]
-            values["RDistort"] = [k[0], k[1], *sideways.ravel(), k[2]]
-        keys = {"matrix": "K", "distortion": "RDistort", "rotation": "r", "translation_m": "t", "image_size_px": "size"}
+            values["D"] = [k[0], k[1], *sideways.ravel(), k[2]]
         name, place = names[i] if len(names) == len(tables) else None, f"params[{i}]." * ("params" in found)
-        records.append(CameraRecord.of_table(name, place, values, keys))
+        records.append(CameraRecord.of_table(name, place, values))
     return records
 
 
