@@ -14,11 +14,10 @@ import numpy as np
 from recon.animal.body import Body
 from recon.animal.prior import mean_speed_m_s
 from recon.animal.skeleton_file import builtin_names, load_skeleton
-from recon.base.arrays import mean
 from recon.check.codes import finding, ordered
 from recon.check.inputs import FASTEST_M_S
 from recon.fit import TrajectorySolution, constants
-from recon.fit.motion import MEASURED_SHARE, Motion
+from recon.fit.motion import Motion
 from recon.fit.result import Finding
 from recon.fit.trajectory import ALTERNATIVE_M
 
@@ -43,8 +42,6 @@ USUAL, FARTHEST = 10.0, 100.0
 """Distance between cameras in animals' sizes: what is usual, and what can only be another unit."""
 FEW_FRAMES = 12
 """Fewer tell little more than one does."""
-POOR_SHARE = 0.2
-"""Share of the frames from which few data are named."""
 SIZE_SIGMAS = 2.5
 """A size further off what is expected, in standard deviations, says that something else is wrong."""
 TWO_CAMERAS_SIGMA, TWO_CAMERAS_SIGMAS = 0.03, 1.1
@@ -70,11 +67,6 @@ def findings_of(motion: Motion) -> tuple[Finding, ...]:
 
 
 # -- both methods -----------------------------------------------------------------------------------------------------
-
-
-def missing_keypoints(motion: Motion) -> Iterator[Finding]:
-    if motion.missing_keypoints:
-        yield finding("keypoints_missing", keypoints=motion.missing_keypoints)
 
 
 def many_outliers(motion: Motion) -> Iterator[Finding]:
@@ -126,7 +118,6 @@ def likelihoods_low(motion: Motion) -> Iterator[Finding]:
 
 COMMON: tuple[Rule, ...] = (
     likelihoods_low,
-    missing_keypoints,
     missing_as_constant,
     many_outliers,
     detections_not_explained,
@@ -148,20 +139,8 @@ def no_pose(motion: Motion) -> Iterator[Finding]:
     yield finding("no_pose_diverged" if _flagged(motion, "ran away") else "no_pose")
 
 
-def frames_without_pose(motion: Motion) -> Iterator[Finding]:
-    total, solved, away = len(motion.frames), int(motion.solved.sum()), _flagged(motion, "ran away")
-    unseen = total - solved - away
-    counts = {
-        "frames_diverged": away,
-        "frames_without_pose": unseen,
-        "frames_bridged": _flagged(motion, "no data") - unseen,
-    }
-    for code, count in counts.items():
-        if count > 0:
-            yield finding(code, count=count, frames_total=total)
-    poor = _flagged(motion, "data poor")
-    if poor > POOR_SHARE * solved:
-        yield finding("few_data", count=poor, frames_total=solved)
+def few_frames(motion: Motion) -> Iterator[Finding]:
+    solved = int(motion.solved.sum())
     if solved < FEW_FRAMES:
         yield finding("few_frames", count=solved)
 
@@ -258,9 +237,6 @@ def size(motion: Motion) -> Iterator[Finding]:
         far = min(far, TWO_CAMERAS_SIGMAS * math.hypot(expected, TWO_CAMERAS_SIGMA))
     if abs(solution.size - 1) > far:
         yield finding("size_unexpected", size=solution.size, expected_sigma=expected)
-    share = max(0.0, 1.0 - (solution.size_sigma / expected) ** 2)
-    if motion.body.subject is None and share < MEASURED_SHARE:
-        yield finding("scale_not_measured")
 
 
 def too_fast(motion: Motion) -> Iterator[Finding]:
@@ -277,19 +253,6 @@ def second_solution(motion: Motion) -> Iterator[Finding]:
         yield finding("second_solution", count=int(rows.sum()), frames_total=len(rows), apart_m=apart)
 
 
-def pose_mostly_expected(motion: Motion) -> Iterator[Finding]:
-    share = mean(_solution(motion).data_share)
-    if share < MEASURED_SHARE:
-        yield finding("pose_mostly_expected", share=share)
-
-
-def track_gaps(motion: Motion) -> Iterator[Finding]:
-    for source in motion.sources:
-        missing = 0 if source.poses is None else int((~source.poses.known).sum())
-        if missing:
-            yield finding("track_gaps", camera=source.camera.name, count=missing, frames_total=len(motion.frames))
-
-
 OF_TRAJECTORY: tuple[Rule, ...] = (
     cameras_out_of_step,
     motion_unlike_prior,
@@ -300,9 +263,7 @@ OF_TRAJECTORY: tuple[Rule, ...] = (
     size,
     too_fast,
     second_solution,
-    frames_without_pose,
-    pose_mostly_expected,
-    track_gaps,
+    few_frames,
 )
 
 

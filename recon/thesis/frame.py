@@ -19,10 +19,9 @@ from scipy.linalg import eigh
 from scipy.optimize import OptimizeResult, least_squares
 
 from recon.animal.chain import MIN_JOINTS, MIN_REACH_PX, Chain, Posed
-from recon.base.arrays import Array, Index, median
+from recon.base.arrays import Array, Index
 from recon.check import Finding, finding
 from recon.clip import View
-from recon.fit.motion import MEASURED_SHARE
 from recon.fit.result import OUTLIER_SIGMAS, MotionSegment, Solution
 from recon.geometry.camera import Camera
 from recon.geometry.frames import inverse, moved
@@ -47,8 +46,8 @@ FEW_POINTS_SHARE = 0.75
 """Frames with a smaller part of the joints detected are flagged "few points"."""
 TRUSTED_SHARE = 1 / 3
 """Frames with a smaller part of the joints detected and trusted are flagged "data poor"."""
-WARN_FEW_POINTS, WARN_LIMITS = 0.2, 0.25
-"""Shares of the solved frames from which few points and angles beyond their ranges are findings."""
+WARN_LIMITS = 0.25
+"""Share of the solved frames from which angles beyond their ranges are a finding."""
 MOST_SIZE = 10.0
 """A base length so many times larger or smaller than expected is no animal's."""
 PLAIN_C = 1e6
@@ -155,24 +154,17 @@ class FrameSolution(Solution):
         return tuple("no_data" if r is None else r.status for r in self.reports)
 
     def findings(self) -> tuple[Finding, ...]:
-        """Findings on frames that were not solved well, and on the base length, which says the scale."""
+        """Findings on frames that were not solved well."""
         total, flags = len(self.flags), [flag for flags in self.flags for flag in flags]
         solved = total - self.status.count("no_data")
-        few, at_limit = flags.count("few points"), flags.count("at range limit")
+        at_limit = flags.count("at range limit")
         counts = {
             "frames_not_converged": self.status.count("not_converged"),
-            "frames_diverged": flags.count("ran away"),
             "frames_stopped_early": flags.count("stopped early"),
-            "frames_without_pose": total - solved,
         }
         found = [finding(code, count=count, frames_total=total) for code, count in counts.items() if count]
-        if few > WARN_FEW_POINTS * solved:
-            found.append(finding("few_data", count=few, frames_total=solved))
         if at_limit > WARN_LIMITS * solved:
             found.append(finding("at_range_limits", count=at_limit, frames_total=solved))
-        shares = [r.data_share[self.chain.base_index] for r in self.reports if r is not None]
-        if not median(np.array(shares, dtype=float)) >= MEASURED_SHARE:
-            found.append(finding("scale_not_measured"))
         return tuple(found)
 
     @cached_property
