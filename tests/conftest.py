@@ -22,13 +22,10 @@ import pytest
 from command_line import copy_results, run
 from motions import with_first
 
-from recon.animal.skeleton_file import load_chain, load_skeleton
-from recon.clip import Source, camera_poses, still_view, views_of
-from recon.clip.keypoints import Keypoints, clean
-from recon.fit import Ground, MotionSegment, TrajectorySolution
-from recon.fit.motion import Motion
-from recon.geometry.camera import Camera
-from recon.geometry.frames import inverse, moved
+from recon.animal import load_chain, load_skeleton
+from recon.clip import Keypoints, Source, camera_poses, clean, still_view, views_of
+from recon.fit import Ground, Motion, MotionSegment, TrajectorySolution
+from recon.geometry import Camera, inverse, moved
 from recon.robotics.ik import clip as ik_clip
 from recon.show.plots import style
 from recon.thesis import FrameOptions, solve_frames

@@ -12,7 +12,7 @@ import pytest
 from recon.check import Finding, agreement_findings, sentence
 from recon.check.agreement import FRAMES, camera_findings
 from recon.clip import View
-from recon.geometry.frames import euler_rotation, rigid
+from recon.geometry import euler_rotation, rigid
 from tests.test_trajectory import FPS
 from tests.test_views import AHEAD, ASIDE, pose, truth_m, view_of
 

@@ -27,10 +27,11 @@ from recon.base import silent
 from recon.base.errors import InputError
 from recon.base.files import sole_writer
 from recon.base.parallel import Event, outcome_of
-from recon.io.calibration import read_cameras
+from recon.io import read_cameras
 from recon.workflows.analyse import AnalyseSettings, run_analyse
 from recon.workflows.batch import (
     COLUMNS,
+    RECORD,
     Clip,
     Summary,
     find_clips,
@@ -39,7 +40,6 @@ from recon.workflows.batch import (
     plan_batch,
     run_batch,
 )
-from recon.workflows.batch.plan import RECORD
 from recon.workflows.cli import main
 from recon.workflows.clip import fit_clip
 from recon.workflows.clip_results import run_clip

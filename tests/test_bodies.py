@@ -18,13 +18,12 @@ from rigs import clip, scored
 from scipy.spatial.transform import Rotation
 
 from recon import FitSettings, InputError, Keypoints, Motion, load_skeleton, read_keypoints, write_cameras
-from recon.animal.naming import fitting_maps, load_names, new_names
-from recon.animal.prior import prior_from_body
+from recon.animal import fitting_maps, load_names, new_names, prior_from_body
 from recon.clip import View, camera_poses
 from recon.fit import TrajectoryOptions, solve_trajectory
 from recon.gait.clip import analyse
 from recon.gait.evaluation import LEVELS, evaluate_files
-from recon.geometry.frames import rigid
+from recon.geometry import rigid
 from recon.io import trc
 from recon.io.deeplabcut import write_csv
 from recon.io.json_poses import LISTS

@@ -7,11 +7,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from recon.animal.body import Body, other_side
-from recon.animal.chain import Chain
-from recon.animal.skeleton_file import builtin_chains, builtin_names, builtin_subjects, load_chain, load_skeleton
+from recon.animal import (
+    Body,
+    Chain,
+    builtin_chains,
+    builtin_names,
+    builtin_subjects,
+    load_chain,
+    load_skeleton,
+    other_side,
+)
 from recon.base.errors import InputError
-from recon.geometry.frames import euler_rotation, rigid
+from recon.geometry import euler_rotation, rigid
 
 DOCS = (Path(__file__).parents[1] / "docs" / "skeletons.md").read_text(encoding="utf-8")
 SUBJECT = DOCS.split("```toml")[1].split("```")[0]

@@ -8,7 +8,7 @@ import tomli_w
 from scipy.spatial.transform import Rotation
 
 from recon.base.errors import InputError
-from recon.geometry.camera import Camera
+from recon.geometry import Camera
 from recon.io import read_camera, read_cameras, write_camera
 
 K = [[960.5, 0.0, 945.8], [0.0, 968.4, 584.5], [0.0, 0.0, 1.0]]

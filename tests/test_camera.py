@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from recon.geometry.camera import Camera
-from recon.geometry.frames import euler_rotation
-from recon.geometry.lens import LENS_MODELS
+from recon.geometry import LENS_MODELS, Camera, euler_rotation
 
 SIZE = (2704, 1520)
 K = np.array([[1240.0, 0, 1346.0], [0, 1210.0, 773.0], [0, 0, 1]])

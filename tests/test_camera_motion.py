@@ -17,9 +17,8 @@ from recon.base.errors import InputError
 from recon.calibrate.camera_motion import Orientation, Tracker, as_level, read_marks, tilted, up_by_marks
 from recon.calibrate.camera_motion.features import rays_of
 from recon.calibrate.camera_motion.track import CLEARLY
-from recon.geometry.camera import Camera
-from recon.io import write_camera
-from recon.io.camera_track import read_camera_track
+from recon.geometry import Camera
+from recon.io import read_camera_track, write_camera
 from recon.io.video import video_writer
 
 SIZE = (320, 180)

@@ -12,14 +12,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from recon import FitSettings, InputError, Motion, fit_clip, read_keypoints
-from recon.clip import View, held, views_of
-from recon.clip.keypoints import Keypoints
-from recon.geometry.camera import Camera
-from recon.geometry.frames import inverse, part_of_turn, quaternion_rotations, quaternions, rigid
-from recon.io.camera_track import read_camera_track
+from recon.clip import Keypoints, View, held, views_of
+from recon.geometry import Camera, inverse, part_of_turn, quaternion_rotations, quaternions, rigid
+from recon.io import read_camera_track, read_pose3d
 from recon.io.deeplabcut import write_csv
-from recon.io.pose3d import read_pose3d
-from recon.workflows.batch.inputs import find_clips
+from recon.workflows.batch import find_clips
 from recon.workflows.clip import prepare
 from recon.workflows.made_from import identity
 from tests import test_cameras

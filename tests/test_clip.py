@@ -8,12 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from recon.animal.skeleton_file import builtin_chains, load_chain
+from recon.animal import builtin_chains, load_chain
 from recon.base.errors import InputError
 from recon.base.manifest import read_manifest
 from recon.clip import still_view
-from recon.io import read_keypoints
-from recon.io.calibration import read_camera
+from recon.io import read_camera, read_keypoints
 from recon.io.deeplabcut import write_csv
 from recon.thesis import FrameOptions, solve_frames
 from recon.workflows.clip import fit_clip, prepare

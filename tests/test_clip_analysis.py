@@ -15,9 +15,9 @@ import pytest
 from command_line import run
 
 from recon.base.errors import InputError
-from recon.fit.motion import Motion
+from recon.fit import Motion
 from recon.gait.clip import ClipAnalysis, analyse, limb_chains
-from recon.io.pose3d import read_pose3d
+from recon.io import read_pose3d
 from recon.show.export import analysis_csv
 from recon.show.plots import save
 from recon.show.report import build_report

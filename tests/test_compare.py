@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 from command_line import run
 
-from recon.fit.motion import Motion
+from recon.fit import Motion
 from recon.workflows.compare import QUANTITIES, _mean_of
 
 

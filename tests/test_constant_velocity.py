@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from gallop import gallop
 
-from recon.animal.body import facing_side
+from recon.animal import facing_side, load_chain
 from recon.animal.chain import upright_rotation
-from recon.animal.skeleton_file import load_chain
 from recon.fit import starts
 from recon.fit.starts import constant_velocity, place_on_rays
 from recon.thesis.starts import estimate_travel, geometric_start, mean_pose, state_from_joints

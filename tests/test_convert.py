@@ -14,9 +14,8 @@ import tables
 from typer.testing import CliRunner
 
 from recon.base.errors import InputError
-from recon.clip.keypoints import Keypoints
-from recon.io import CONVERTED, FORMATS, Format, choose_format, read_keypoints
-from recon.io.pose3d import Pose3D, read_pose3d
+from recon.clip import Keypoints
+from recon.io import CONVERTED, FORMATS, Format, Pose3D, choose_format, read_keypoints, read_pose3d
 from recon.workflows.cli import app, main
 from recon.workflows.convert import ConvertSettings, convert
 

@@ -20,7 +20,7 @@ from recon.gait.evaluation import evaluate_files
 from recon.io import read_keypoints, read_pose3d
 from recon.io.deeplabcut_project import find_project, predictions
 from recon.keypoint_net.labels import read_labels
-from recon.workflows.batch.inputs import find_clips
+from recon.workflows.batch import find_clips
 from recon.workflows.skeleton_draft import SkeletonDraftSettings, run_skeleton_draft
 
 SAMPLE = Path(__file__).parents[1] / "data" / "samples" / "whole.csv"

@@ -10,11 +10,9 @@ import pandas as pd
 import pytest
 
 from recon import Body, Camera, FitSettings, InputError, load_skeleton, read_keypoints
-from recon.animal.detector import detector_toml, seen_by
-from recon.animal.prior import prior_from_body
+from recon.animal import detector_toml, prior_from_body, seen_by
 from recon.clip import still_view
-from recon.fit import TrajectoryOptions
-from recon.fit.clip_problem import ClipProblem
+from recon.fit import ClipProblem, TrajectoryOptions
 from recon.io import deeplabcut, deeplabcut_h5, json_poses, nwb
 from recon.show.report import build_report
 from recon.workflows.clip import prepare

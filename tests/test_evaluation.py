@@ -22,8 +22,7 @@ from recon.gait.evaluation import (
     evaluate_files,
     joint_errors,
 )
-from recon.io import trc
-from recon.io.pose3d import Pose3D, read_pose3d
+from recon.io import Pose3D, read_pose3d, trc
 
 NAN = float("nan")
 SAMPLES = Path(__file__).parents[1] / "data" / "samples"

@@ -8,8 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from recon.io import read_keypoints
-from recon.io.pose3d import read_pose3d
+from recon.io import read_keypoints, read_pose3d
 from recon.show.export import clip_csv
 from recon.show.export.clip_csv import CAMERA_OUTPUTS, CLIP_OUTPUTS, camera_files, of_any_camera, write_tables
 

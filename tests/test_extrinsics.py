@@ -9,10 +9,9 @@ import pytest
 
 from recon.base import silent
 from recon.clip import View, still_view
-from recon.fit import TrajectoryOptions
-from recon.fit.clip_problem import ClipProblem
-from recon.fit.extrinsics import TooLittleInCommonError, _beside_first, _level, _placed, solve_extrinsics
-from recon.geometry.frames import euler_rotation, inverse, moved, rigid
+from recon.fit import ClipProblem, TrajectoryOptions, solve_extrinsics
+from recon.fit.extrinsics import TooLittleInCommonError, _beside_first, _level, _placed
+from recon.geometry import euler_rotation, inverse, moved, rigid
 from recon.workflows.extrinsics import DISAGREEMENT
 from tests.test_trajectory import BODY, FPS, PRIOR
 from tests.test_views import AHEAD, ASIDE, pose, truth_m, view_of

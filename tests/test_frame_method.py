@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from gallop import add_noise, gallop
 
-from recon.animal.skeleton_file import load_chain
+from recon.animal import load_chain
 from recon.clip import still_view
-from recon.geometry.frames import inverse
+from recon.geometry import inverse
 from recon.thesis import FrameOptions, base_length, frame, solve_frames, solve_joints
 from recon.thesis.frame import CONVERGED, evaluate, posterior_covariance, precision_shares
 from recon.thesis.objectives import JointReprojection

@@ -14,12 +14,11 @@ import numpy as np
 import pytest
 from command_line import run
 
-from recon.animal.skeleton_file import load_skeleton
+from recon.animal import load_skeleton
 from recon.base.files import staged_file
-from recon.clip.keypoints import Keypoints
-from recon.fit.motion import Motion
-from recon.io import CONVERTED, FORMATS, Format
-from recon.io.pose import Pose3D
+from recon.clip import Keypoints
+from recon.fit import Motion
+from recon.io import CONVERTED, FORMATS, Format, Pose3D
 from recon.io.video import video_writer
 from recon.show.export.rig import make_rig
 from recon.workflows.clip_results import write_clip

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from gallop import gallop
 
-from recon.animal.skeleton_file import load_chain, load_skeleton
-from recon.geometry.frames import inverse, rigid
-from recon.geometry.kinematics import ROOT, YAW
+from recon.animal import load_chain, load_skeleton
+from recon.geometry import ROOT, YAW, inverse, rigid
 from recon.robotics.ik.animal import body_chain, body_chain_angles, chain_angles, projected_chain, spine_front_leg
 from recon.robotics.ik.chain import planar_chain
 

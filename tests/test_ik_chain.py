@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from recon import load_skeleton
-from recon.animal.skeleton_file import load_chain
+from recon.animal import load_chain
 from recon.robotics.ik.animal import body_chain
 from recon.robotics.ik.chain import (
     joint_chain,

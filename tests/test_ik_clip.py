@@ -14,23 +14,15 @@ from command_line import run
 from gallop import RISE_S, START_STRIDES_HZ, TOP_STRIDES_HZ, gallop
 
 from recon.base.errors import InputError
-from recon.fit.motion import Motion
+from recon.fit import Motion
 from recon.gait.gait import pose_gait
-from recon.io.pose3d import Pose3D
-from recon.robotics.ik.clip import (
-    cost_of,
-    fit_parameters,
-    follow_stride,
-    limb_of,
-    methods_of,
-    run_ik,
-    stride_lasts_s,
-    stride_of,
-)
+from recon.io import Pose3D
+from recon.robotics import IkSettings, limb_of, methods_of, run_ik
+from recon.robotics.ik.clip import cost_of, fit_parameters, follow_stride, stride_lasts_s, stride_of
 from recon.robotics.ik.drive import drive_to
 from recon.robotics.ik.fit import DAMPING_M, fits
 from recon.robotics.ik.methods import LeastNorm, damped_least_squares
-from recon.robotics.settings import METHODS, IkSettings
+from recon.robotics.settings import METHODS
 
 pytestmark = pytest.mark.usefixtures("small_pictures")
 

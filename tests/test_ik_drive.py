@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from recon.animal.skeleton_file import load_chain
+from recon.animal import load_chain
 from recon.robotics.ik.animal import spine_front_leg
 from recon.robotics.ik.chain import null_basis, planar_chain
 from recon.robotics.ik.costs import harmonic_map, joint_differences, rotational_energy, user_cost

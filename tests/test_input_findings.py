@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from recon.animal.body import other_side
-from recon.animal.prior import prior_from_body
+from recon.animal import other_side, prior_from_body
 from recon.check import (
     FileFacts,
     Finding,
@@ -23,9 +22,10 @@ from recon.check import (
     without_gross_outliers,
     without_swaps,
 )
+from recon.check.inputs import baseline_of, of_other_picture, of_unit_square, other_rate, swap_finding, swaps
 from recon.check.inputs.certain import outlier_ratios
-from recon.check.inputs.likelier import of_other_picture, of_unit_square, other_rate, smaller
-from recon.check.inputs.likelihood import CLEAR, MARGIN, Refit, baseline_of, unlikely
+from recon.check.inputs.likelier import smaller
+from recon.check.inputs.likelihood import CLEAR, MARGIN, Refit, unlikely
 from recon.check.inputs.swaps import (
     _Stretch,
     _SwapTrial,
@@ -35,16 +35,11 @@ from recon.check.inputs.swaps import (
     likely,
     opposites,
     pairs_of,
-    swap_finding,
-    swaps,
     undone,
     with_undone,
 )
-from recon.clip import Source, View, still_view
-from recon.clip.keypoints import CleaningReport, Keypoints, clean
-from recon.fit import TrajectoryOptions, TrajectorySolution, solve_trajectory
-from recon.fit.clip_problem import ClipProblem
-from recon.fit.motion import Motion
+from recon.clip import CleaningReport, Keypoints, Source, View, clean, still_view
+from recon.fit import ClipProblem, Motion, TrajectoryOptions, TrajectorySolution, solve_trajectory
 from recon.io import read_keypoints
 from recon.io.deeplabcut import write_csv
 from recon.workflows.clip import fit_clip, prepare

@@ -11,9 +11,8 @@ import pandas as pd
 import pytest
 
 from recon.base.errors import InputError
-from recon.clip.keypoints import Keypoints, clean
-from recon.io import deeplabcut_h5, individuals, read_keypoints
-from recon.io.pose3d import Pose3D, read_pose3d
+from recon.clip import Keypoints, clean
+from recon.io import Pose3D, deeplabcut_h5, individuals, read_keypoints, read_pose3d
 
 NAN = float("nan")
 SINGLE = """\

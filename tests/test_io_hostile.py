@@ -19,16 +19,12 @@ import pandas as pd
 import pytest
 from typer.testing import CliRunner
 
-from recon.animal.naming import load_names
-from recon.animal.prior import load_prior
-from recon.animal.skeleton_file import load_skeleton
+from recon.animal import load_names, load_prior, load_skeleton
 from recon.base.errors import InputError
-from recon.calibrate.camera_motion.level import read_marks
-from recon.clip.keypoints import Keypoints
-from recon.io import deeplabcut_h5, movement, nwb, read_keypoints
-from recon.io.camera_track import read_camera_track
+from recon.calibrate.camera_motion import read_marks
+from recon.clip import Keypoints
+from recon.io import deeplabcut_h5, movement, nwb, read_camera_track, read_keypoints, read_pose3d
 from recon.io.deeplabcut_h5 import plain_pickle
-from recon.io.pose3d import read_pose3d
 from recon.keypoint_net.labels import read_label_file
 from recon.workflows.cli import app, main
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from recon.base.errors import InputError
-from recon.clip.keypoints import Keypoints, clean, fill_gaps, frame_ranges, leave_out, parse_frame_range
+from recon.clip import Keypoints, clean, fill_gaps, frame_ranges, leave_out, parse_frame_range
 
 NAN = float("nan")
 

@@ -24,7 +24,7 @@ from recon.gait.kinematics import (
     series_kinematics,
     spine_flexion,
 )
-from recon.io.pose3d import Pose3D
+from recon.io import Pose3D
 
 FPS = 60.0
 TIME_S = np.arange(60) / FPS

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 from motions import with_first
 
-from recon.animal.skeleton_file import load_skeleton
-from recon.fit import TrajectorySolution
-from recon.fit.motion import Motion
+from recon.animal import load_skeleton
+from recon.fit import Motion, TrajectorySolution
 
 
 @pytest.fixture(params=["small_motion", "small_trajectory", "world_trajectory"])

@@ -14,25 +14,16 @@ from command_line import run
 from detector_files import ACINOSET, ANIMAL3D, AP_10K, HORSE_10, MMPOSE_AP_10K, SUPERANIMAL, UNSEEN
 
 from recon import FitSettings, InputError, Keypoints, evaluate, load_skeleton, read_pose3d
-from recon.animal.naming import (
-    NameMap,
-    builtin_maps,
-    fitting_maps,
-    load_names,
-    map_to_write,
-    new_names,
-    renamed,
-    suggestions,
-)
+from recon.animal import NameMap, builtin_maps, fitting_maps, load_names, map_to_write, new_names, renamed, suggestions
 from recon.animal.skeleton_file import skeleton_of
-from recon.fit.motion import Motion
+from recon.fit import Motion
 from recon.gait.clip import gait_of
 from recon.io import read_keypoints
 from recon.io.deeplabcut import write_csv
-from recon.keypoint_net.evaluate2d import evaluate_2d_files
+from recon.keypoint_net import evaluate_2d_files
+from recon.robotics import load_robot
 from recon.robotics.robot.reference import reference_of
 from recon.robotics.robot.retarget import retarget
-from recon.robotics.robot.robot_file import load_robot
 from recon.show.report import build_report
 from recon.workflows.clip import prepare
 from recon.workflows.clip_results import run_clip

@@ -8,7 +8,8 @@ from command_line import run
 from scipy.special import expit, logit
 
 from recon.base.errors import InputError
-from recon.keypoint_net.evaluate2d import evaluate_2d, evaluate_2d_files, reliability
+from recon.keypoint_net import evaluate_2d_files
+from recon.keypoint_net.evaluate2d import evaluate_2d, reliability
 from recon.keypoint_net.labels import Labels
 from recon.keypoint_net.network import calibrated, fit_calibration
 from recon.keypoint_net.report import suspicious_labels

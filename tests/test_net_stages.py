@@ -13,11 +13,17 @@ torch = pytest.importorskip("torch")
 
 from recon.base.errors import InputError  # noqa: E402
 from recon.io.video import video_writer  # noqa: E402
-from recon.keypoint_net import network, pictures  # noqa: E402
+from recon.keypoint_net import (  # noqa: E402
+    LabelSource,
+    TrainSettings,
+    network,
+    pictures,
+    run_prediction,
+    run_training,
+)
 from recon.keypoint_net.network import MODEL_FILE, Spec, Trained, load_model, load_torch, part_of  # noqa: E402
 from recon.keypoint_net.pictures import network_scales  # noqa: E402
-from recon.keypoint_net.train import CHECKPOINT_FILE, TrainSettings  # noqa: E402
-from recon.keypoint_net.workflows import LabelSource, run_prediction, run_training  # noqa: E402
+from recon.keypoint_net.train import CHECKPOINT_FILE  # noqa: E402
 
 SIZE, FRAMES = (160, 96), 12
 NAMES = ("nose", "l_paw", "r_paw")

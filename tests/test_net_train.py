@@ -17,11 +17,16 @@ from recon.base.errors import InputError  # noqa: E402
 from recon.base.package import install_command  # noqa: E402
 from recon.io import read_keypoints  # noqa: E402
 from recon.io.video import VideoInfo, probe, video_writer  # noqa: E402
+from recon.keypoint_net import (  # noqa: E402
+    LabelSource,
+    TrainSettings,
+    run_prediction,
+    run_training,
+)
 from recon.keypoint_net import predict as predict_module  # noqa: E402
 from recon.keypoint_net import train as train_module  # noqa: E402
 from recon.keypoint_net.network import load_torch  # noqa: E402
-from recon.keypoint_net.train import TrainSettings, schedule  # noqa: E402
-from recon.keypoint_net.workflows import LabelSource, run_prediction, run_training  # noqa: E402
+from recon.keypoint_net.train import schedule  # noqa: E402
 
 SIZE, FRAMES = (96, 64), 20
 NAMES = ("nose", "l_paw", "r_paw")

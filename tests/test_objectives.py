@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from recon.animal.skeleton_file import load_chain
-from recon.geometry.camera import Camera
+from recon.animal import load_chain
+from recon.geometry import Camera
 from recon.thesis.objectives import (
     AngleRange,
     DirectionPrior,

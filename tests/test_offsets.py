@@ -10,10 +10,9 @@ import pytest
 from test_cameras import folder, keypoints_of, problems, settings
 
 from recon.base.errors import InputError
+from recon.check import solved_in_step
 from recon.check.agreement import search_offsets
-from recon.check.offsets import solved_in_step
-from recon.clip import Source, at_rate
-from recon.clip.keypoints import clean
+from recon.clip import Source, at_rate, clean
 from recon.fit import TrajectoryOptions, TrajectorySolution, solve_trajectory
 from recon.workflows.clip import fit_clip, prepare
 from tests.test_agreement import KEYPOINT_M, cameras, late

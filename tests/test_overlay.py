@@ -12,8 +12,7 @@ from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
 from recon.base.errors import InputError
-from recon.fit.motion import Motion
-from recon.fit.result import Finding
+from recon.fit import Finding, Motion
 from recon.io.video import missing_note, probe, read_frames, video_writer
 from recon.show.overlay import (
     CLOSE_UP,

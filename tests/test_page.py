@@ -23,15 +23,14 @@ from motions import with_first
 from recon.base.errors import InputError
 from recon.base.manifest import read_manifest, write_manifest
 from recon.check import findings_of
-from recon.fit.motion import Motion
+from recon.fit import Motion
 from recon.io.video import video_writer
 from recon.show.page.clip import _solid, clip_page, doubtful_frames
 from recon.show.page.render import _without_direction, inline
 from recon.show.plots.angles import angle_over_time, together
 from recon.show.plots.style import drawing
 from recon.show.report import TO_DO, build_report
-from recon.workflows.batch import COLUMNS
-from recon.workflows.batch.summary import write_summary_page
+from recon.workflows.batch import COLUMNS, write_summary_page
 from recon.workflows.clip_results import write_clip
 from recon.workflows.page import PageSettings, run_page
 from recon.workflows.settings import FitSettings

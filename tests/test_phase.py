@@ -19,7 +19,7 @@ from recon.gait.phase import (
     scaled,
     vector_field,
 )
-from recon.io.pose3d import Pose3D
+from recon.io import Pose3D
 
 FPS = 90.0
 TIME_S = np.arange(90) / FPS

@@ -15,8 +15,7 @@ from matplotlib.patches import PathPatch
 from matplotlib.quiver import Quiver
 from PIL import Image
 
-from recon.animal.body import Side
-from recon.animal.skeleton_file import load_skeleton
+from recon.animal import Side, load_skeleton
 from recon.gait.gait import Plane, Stance, Stride, gait, tracks
 from recon.gait.kinematics import Errors, angle_kinematics, point_kinematics
 from recon.gait.phase import Closure, Portrait, phase_portrait, vector_field

@@ -14,20 +14,28 @@ from command_line import run
 from scipy.stats import multivariate_normal
 from typer.testing import CliRunner
 
-from recon.animal.body import Body
-from recon.animal.prior import MotionPrior, builtin_priors, load_prior, mean_speed_m_s, prior_from_body, save_prior
+from recon.animal import (
+    Body,
+    MotionPrior,
+    builtin_priors,
+    fit_prior,
+    load_chain,
+    load_prior,
+    load_skeleton,
+    prior_from_body,
+    save_prior,
+)
+from recon.animal.prior import mean_speed_m_s
 from recon.animal.prior_fit import (
     ACCELERATION_FLOOR_RAD_S2,
     POSE_FLOOR_RAD,
     RIDGE_PER_ROW,
     as_one_gaussian,
-    fit_prior,
     log_likelihood,
 )
-from recon.animal.skeleton_file import load_chain, load_skeleton
 from recon.base.errors import InputError
-from recon.fit.motion import Motion
-from recon.io.pose3d import read_pose_segments
+from recon.fit import Motion
+from recon.io import read_pose_segments
 from recon.workflows.cli import app
 from recon.workflows.clip_results import write_clip
 from recon.workflows.prior import PriorFitSettings, _notes, _sound_states, run_prior_fit

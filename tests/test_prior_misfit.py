@@ -7,14 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from recon.animal.prior import ANGLES, MotionPrior, prior_from_body
-from recon.animal.skeleton_file import load_skeleton
+from recon.animal import MotionPrior, load_skeleton, prior_from_body
+from recon.animal.prior import ANGLES
 from recon.clip import still_view
-from recon.fit import TrajectoryOptions, TrajectorySolution, constants, solve_trajectory
-from recon.fit.least_squares import Estimate, LeastSquares
+from recon.fit import Estimate, LeastSquares, TrajectoryOptions, TrajectorySolution, constants, solve_trajectory
 from recon.fit.posterior import PriorMisfit, prior_misfit_of
 from recon.fit.terms import POSE, Linear, pose_term
-from recon.geometry.camera import Camera
+from recon.geometry import Camera
 
 BODY = load_skeleton("cheetah-24", "phantom")
 PLAIN = prior_from_body(BODY)

@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 from recon import Camera, FitSettings, Keypoints, Motion, read_keypoints
-from recon.animal.body import Body
-from recon.animal.skeleton_file import builtin_names, load_skeleton
+from recon.animal import Body, builtin_names, load_skeleton
 from recon.clip import camera_poses
 from recon.gait.clip import analyse
 from recon.gait.evaluation import evaluate_files

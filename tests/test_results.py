@@ -12,8 +12,8 @@ import pytest
 
 from recon.base.errors import InputError
 from recon.base.manifest import write_manifest
-from recon.fit.motion import Motion
-from recon.io.pose3d import read_pose3d
+from recon.fit import Motion
+from recon.io import read_pose3d
 from recon.show.report import build_report
 
 

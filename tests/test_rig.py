@@ -13,13 +13,11 @@ import numpy as np
 import pytest
 from command_line import run
 
-from recon.animal.skeleton_file import builtin_names, load_skeleton
+from recon.animal import builtin_names, load_skeleton
 from recon.base.errors import InputError
-from recon.fit.motion import Motion
-from recon.io import bvh, gltf, opensim
-from recon.io.bones import Armature
+from recon.fit import Motion
+from recon.io import Armature, bvh, gltf, opensim, read_pose3d
 from recon.io.pose import y_up_from_z_up
-from recon.io.pose3d import read_pose3d
 from recon.show.export.rig import make_rig, rig_of
 from recon.workflows.convert import ConvertSettings, convert
 

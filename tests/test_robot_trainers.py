@@ -10,11 +10,11 @@ from command_line import run
 from scipy.spatial.transform import Rotation
 
 from recon.base.errors import InputError
+from recon.fit import Motion
 from recon.fit.draws import draws
-from recon.fit.motion import Motion
+from recon.robotics import load_robot
 from recon.robotics.robot.reference import reference_of
 from recon.robotics.robot.retarget import Retargeted, retarget
-from recon.robotics.robot.robot_file import load_robot
 from recon.robotics.robot.trainers import FORMATS, sampled, write_for_trainer
 from recon.workflows.made_from import problem_of
 

@@ -7,6 +7,7 @@ import pytest
 from robot_urdf import HEAD, JOINT, a1_urdf, moving
 
 from recon.base.errors import InputError
+from recon.robotics import load_robot
 from recon.robotics.ik.costs import joint_differences
 from recon.robotics.ik.drive import drive_to
 from recon.robotics.ik.methods import (
@@ -21,7 +22,6 @@ from recon.robotics.ik.methods import (
 from recon.robotics.robot.model_file import model_chain, read_model
 from recon.robotics.robot.physics import described, simulated
 from recon.robotics.robot.quadruped import LEGS
-from recon.robotics.robot.robot_file import load_robot
 
 ARM = (
     (

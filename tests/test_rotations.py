@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from recon.geometry.frames import euler_angles, euler_rotation, euler_rotation_with_jacobian, quaternions
+from recon.geometry import euler_angles, euler_rotation, euler_rotation_with_jacobian, quaternions
 
 
 def elementary(axis: str, angle: float) -> np.ndarray:

@@ -13,10 +13,17 @@ import pytest
 from typer.testing import CliRunner
 
 from recon import Body, Camera, FitSettings, InputError, Keypoints, Motion, fit_clip, load_skeleton
-from recon.animal.body import both_sides, other_side, side_of, without_side
-from recon.animal.naming import builtin_maps, load_names
-from recon.animal.prior import prior_from_body
-from recon.animal.skeleton_file import builtin_chains, builtin_names
+from recon.animal import (
+    both_sides,
+    builtin_chains,
+    builtin_maps,
+    builtin_names,
+    load_names,
+    other_side,
+    prior_from_body,
+    side_of,
+    without_side,
+)
 from recon.clip import still_view
 from recon.fit import TrajectoryOptions, solve_trajectory
 from recon.gait.evaluation import centre, joint_errors, score

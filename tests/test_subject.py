@@ -9,12 +9,9 @@ import numpy as np
 import pytest
 
 from recon import Body, InputError, load_skeleton
-from recon.fit import TrajectoryOptions, constants
-from recon.fit.clip_problem import ClipProblem
-from recon.fit.points import solve_points
-from recon.fit.shape import Shape, ShapeFit, fit_shape
+from recon.fit import ClipProblem, Shape, ShapeFit, TrajectoryOptions, constants, fit_shape, solve_points
+from recon.io import Pose3D
 from recon.io.deeplabcut import write_csv
-from recon.io.pose3d import Pose3D
 from recon.workflows.subject import SubjectFitSettings, run_subject_fit
 from tests.command_line import run
 from tests.test_cameras import folder, settings  # noqa: F401

@@ -11,13 +11,10 @@ import numpy as np
 import pytest
 from gallop import KEYPOINT_NAMES, MARGIN_PX, SLOPE, add_noise, gallop
 
-from recon.animal.detector import seen_by
-from recon.animal.skeleton_file import load_chain, load_skeleton
-from recon.clip.keypoints import clean
-from recon.fit.points import solve_points_and_size
-from recon.io import read_keypoints
-from recon.io.calibration import read_camera, read_cameras
-from recon.io.pose3d import read_pose3d
+from recon.animal import load_chain, load_skeleton, seen_by
+from recon.clip import clean
+from recon.fit import solve_points_and_size
+from recon.io import read_camera, read_cameras, read_keypoints, read_pose3d
 
 SAMPLES = Path(__file__).resolve().parents[1] / "data" / "samples"
 SKELETON = load_chain("cheetah-8u")

@@ -10,15 +10,13 @@ import numpy as np
 import pytest
 from gallop import gallop
 
-from recon.animal.body import other_side
-from recon.animal.prior import load_prior, prior_from_body
-from recon.animal.skeleton_file import load_chain, load_skeleton
+from recon.animal import load_chain, load_prior, load_skeleton, other_side, prior_from_body
 from recon.clip import still_view
 from recon.fit import ClipProblem, TrajectoryOptions, TrajectorySolution, solve_trajectory
 from recon.fit.starts import approach
 from recon.gait.evaluation import evaluate
-from recon.geometry.camera import Camera
-from recon.io.pose3d import Pose3D, read_pose3d
+from recon.geometry import Camera
+from recon.io import Pose3D, read_pose3d
 from recon.workflows.clip import fit_clip
 from recon.workflows.settings import FitSettings
 

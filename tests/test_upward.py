@@ -9,8 +9,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from recon import FitSettings, load_skeleton, write_cameras
-from recon.clip.keypoints import Keypoints
-from recon.geometry.camera import Camera
+from recon.clip import Keypoints
+from recon.geometry import Camera
 from recon.io.deeplabcut import write_csv
 from recon.workflows.clip import prepare
 

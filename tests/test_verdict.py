@@ -9,7 +9,7 @@ import pytest
 
 from recon.check import finding, judged, usable, verdict_lines
 from recon.check.verdict import LIMIT_OF_TRUNK, evidence_of, expected_pose_of_trunk, expected_position
-from recon.fit.motion import Motion
+from recon.fit import Motion
 from recon.fit.result import Expected, Verdict
 from recon.io.deeplabcut import write_csv
 from recon.show.sections import given

@@ -15,8 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from recon.base.errors import InputError
 from recon.clip import Source, views_of
-from recon.fit import MotionSegment, Solution
-from recon.fit.motion import Motion
+from recon.fit import Motion, MotionSegment, Solution
 from recon.gait.clip import standing
 from recon.show.view import DISPLAYS, open_viewer, write
 from recon.thesis import FrameOptions, FrameSolution, solve_frames

@@ -12,7 +12,7 @@ import pytest
 from rerun.chunk import RrdReader
 
 from recon.base.errors import InputError
-from recon.fit.motion import Motion
+from recon.fit import Motion
 from recon.gait.clip import ClipAnalysis, analyse
 from recon.io.video import video_writer
 from recon.show.view import write

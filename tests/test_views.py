@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 
 from recon.clip import View, camera_poses, still_view
-from recon.fit import TrajectoryOptions, TrajectorySolution, constants, solve_trajectory
-from recon.fit.clip_problem import ClipProblem
-from recon.geometry.frames import inverse, level_from_camera, moved, rigid
-from recon.io.pose3d import read_pose3d
+from recon.fit import ClipProblem, TrajectoryOptions, TrajectorySolution, constants, solve_trajectory
+from recon.geometry import inverse, level_from_camera, moved, rigid
+from recon.io import read_pose3d
 from tests.conftest import SAMPLES
 from tests.test_trajectory import BODY, CAMERA, FPS, PRIOR, run, seen
 

@@ -7,16 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from recon.check.inputs.certain import copies, movement
-from recon.check.inputs.likelier import zooms
-from recon.check.inputs.likelihood import baseline_of
+from recon.check.inputs import baseline_of, copies, movement, zooms
 from recon.check.rules import ground_elsewhere, size, subject_unlike_species
-from recon.clip import Source
-from recon.clip.keypoints import Keypoints, clean
-from recon.fit import TrajectoryOptions
-from recon.fit.clip_problem import ClipProblem
-from recon.fit.motion import Motion
-from recon.fit.result import Ground
+from recon.clip import Keypoints, Source, clean
+from recon.fit import ClipProblem, Ground, Motion, TrajectoryOptions
 from recon.workflows.cameras import other_camera_in
 from tests.test_trajectory import BODY, CAMERA, CAMERA_FROM_LEVEL, FPS, PRIOR, errors_m, plain, run, seen, solve
 

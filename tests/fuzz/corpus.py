@@ -13,28 +13,35 @@ import h5py
 import numpy as np
 from scipy.io import savemat
 
-from recon.animal.detector import seen_by
-from recon.animal.naming import load_names
-from recon.animal.prior import load_prior
-from recon.animal.skeleton_file import builtin_subjects, load_skeleton
+from recon.animal import builtin_subjects, load_names, load_prior, load_skeleton, seen_by
 from recon.base.errors import InputError
 from recon.base.manifest import MANIFEST, write_manifest
-from recon.clip.keypoints import Keypoints, clean
-from recon.fit.motion import MOTION, Motion
-from recon.geometry.camera import Camera
-from recon.io import FORMATS, bvh, read_cameras, read_keypoints, write_camera
-from recon.io.camera_track import read_camera_track
+from recon.clip import Keypoints, clean
+from recon.fit import Motion
+from recon.fit.motion import MOTION
+from recon.geometry import Camera
+from recon.io import (
+    FORMATS,
+    Pose3D,
+    bvh,
+    read_camera_track,
+    read_cameras,
+    read_keypoints,
+    read_pose3d,
+    read_pose_segments,
+    write_camera,
+)
 from recon.io.columns import parse_map, read_long
-from recon.io.pose3d import Pose3D, read_pose3d, read_pose_segments
 from recon.keypoint_net.labels import read_label_file
-from recon.robotics.climb.recipe import load_recipe
+from recon.robotics import load_robot
+from recon.robotics.climb import load_recipe
 from recon.robotics.robot.physics import described
 from recon.robotics.robot.quadruped import LEGS
 from recon.robotics.robot.reference import Reference
 from recon.robotics.robot.retarget import place
-from recon.robotics.robot.robot_file import load_dh, load_robot
+from recon.robotics.robot.robot_file import load_dh
 from recon.show.export.rig import make_rig
-from recon.workflows.batch.inputs import find_clips
+from recon.workflows.batch import find_clips
 from recon.workflows.clip_results import run_clip
 from recon.workflows.made_from import Record
 from recon.workflows.settings import FitSettings, read_settings

@@ -25,7 +25,7 @@ from typing import Any
 
 from recon.base.errors import InputError
 from recon.base.files import staged_results
-from recon.fit.motion import Motion
+from recon.fit import Motion
 from recon.workflows.clip_results import OUTPUT_FILES, run_clip
 from recon.workflows.settings import FitSettings
 

@@ -27,11 +27,11 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from recon.animal.skeleton_file import builtin_chains, builtin_names, load_skeleton
+from recon.animal import builtin_chains, builtin_names, load_skeleton
 from recon.base.errors import InputError
-from recon.clip.keypoints import Keypoints
-from recon.fit.motion import Motion
-from recon.geometry.camera import Camera
+from recon.clip import Keypoints
+from recon.fit import Motion
+from recon.geometry import Camera
 from recon.io import write_camera
 from recon.io.deeplabcut import write_csv
 from recon.show.export.clip_csv import write_tables
