@@ -118,7 +118,7 @@ def main() -> None:
     d, gait = found_sample.dynamics, found_sample.gait
     assert d is not None
     assert gait is not None
-    impulse = d.forces["impulse_bw_s"].mean() * len(d.force) / d.stride_s
+    impulse = d.forces["impulse_bw_s"].mean() * len(d.force) / gait.stride_s
     print(
         f"\nThe sample: mean vertical force over a stride {impulse:.2f} body weights; flights against gravity: ", end=""
     )

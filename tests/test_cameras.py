@@ -8,11 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from recon import FitSettings, InputError, Motion, fit_clip
 from recon.clip import Source, View, together
 from recon.clip.keypoints import Keypoints, clean
 from recon.fit import TrajectorySolution, solve_trajectory
+from recon.fit.extrinsics import solve_extrinsics
 from recon.geometry.camera import Camera
 from recon.io import read_cameras, read_keypoints, write_cameras
 from recon.io.deeplabcut import write_csv
@@ -222,14 +224,26 @@ def test_command(folder, tmp_path):
 
 
 def test_refined_cameras_are_those_of_the_result(folder, tmp_path):
-    motion = fit_clip(settings(folder, 1, 2, refine_cameras=True))
-    given, cameras = prepare(settings(folder, 1, 2)).sources, [source.camera for source in motion.sources]
+    """Taken where they fit better: of a camera that is turned by 2 degrees, not of one in its place."""
+    as_it_is = fit_clip(settings(folder, 1, 2, refine_cameras=True))
+    assert [one.code for one in as_it_is.findings if one.code.startswith("cameras_")] == ["cameras_as_calibrated"]
+    scene = json.loads((folder / "scene.json").read_text())
+    beside = View(FISHEYE, ASIDE, np.zeros((1, 1, 2)), np.ones((1, 1)))
+    turned = beside.corrected(np.radians([2, 0, 0, 0, 0, 0])).T_camera_world
+    scene["cameras"][1] |= {"r": turned[:3, :3].tolist(), "t": turned[:3, 3, None].tolist()}
+    (tmp_path / "scene.json").write_text(json.dumps(scene))
+    known = {"camera": tmp_path / "scene.json"}
+    motion = fit_clip(settings(folder, 1, 2, refine_cameras=True, **known))
+    given, cameras = prepare(settings(folder, 1, 2, **known)).sources, [source.camera for source in motion.sources]
     for camera, view in zip(cameras, motion.solution.views, strict=True):
         in_camera = camera.world_to_camera(motion.solution.joints_m)
         np.testing.assert_allclose(in_camera, view.to_camera(motion.solution.joints_m), atol=1e-9)
     assert cameras[0].to_dict() == given[0].camera.to_dict()
-    moved_m = np.array(cameras[1].to_dict()["translation_m"]) - given[1].camera.to_dict()["translation_m"]
-    assert 0 < np.linalg.norm(moved_m) < 0.3
+    off_rad = [
+        Rotation.from_matrix(np.asarray(camera.rotation) @ ASIDE[:3, :3].T).magnitude()
+        for camera in (given[1].camera, cameras[1])
+    ]
+    assert off_rad[1] < 0.5 * off_rad[0]
     write_cameras(cameras, tmp_path / "cameras.toml")
     assert [c.to_dict() for c in read_cameras(tmp_path / "cameras.toml")] == [c.to_dict() for c in cameras]
     (tmp_path / "cameras.toml").write_text('[[cameras]]\nformat = "recon-camera"\nversion = 99\n')
@@ -324,6 +338,21 @@ def test_clips_of_one_rig(folder, tmp_path):
     assert report["cameras"][0]["height_sigma_m"] is None  # the file says where the ground is
     (only,), _ = clips_of(clips[0].keypoints, given | {"camera_name": ["cam1", "cam2"]})
     assert only.keypoints == clips[0].keypoints
+
+
+def test_cameras_that_the_clips_do_not_tell_are_refused(folder, tmp_path, monkeypatch):
+    def solve(*given):
+        rig = solve_extrinsics(*given)
+        return replace(rig, sigma=np.where(np.arange(2)[:, None] == 1, np.radians(15.0), rig.sigma))
+
+    monkeypatch.setattr("recon.workflows.extrinsics.solve_extrinsics", solve)
+    clip = settings(folder, 1, 2, frames="10:36", refine_cameras=True)
+    with pytest.raises(InputError) as error:
+        run_extrinsics([clip], tmp_path / "out.toml")
+    assert problems(error).startswith(
+        "KEYPOINTS: camera cam2: found a turn known to 26 degrees only, expected clips in"
+    )
+    assert not (tmp_path / "out.toml").exists()
 
 
 def test_cameras_out_of_step_without_poses(folder, tmp_path):

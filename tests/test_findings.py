@@ -58,6 +58,8 @@ SENTENCES = {
     "camera_late": ("-2.5 frames late", {"late_frames": -2.5, "offset_s": 0.1, **AGAINST}),
     "camera_off": ("cam1 does not agree with the other cameras (31 px", AGAINST),
     "cameras_not_refined": ("would be 62.8 px off, and is 5.4", {"before_px": 5.4, "after_px": 62.8}),
+    "camera_left_its_pose": ("cam1 would be turned by 17 degrees", {"turn_deg": 17.2}),
+    "cameras_as_calibrated": ("fit as well as calibrated", {}),
     "cameras_out_of_step": ("by 1.5 frames or more", {"cameras": ("cam1", "cam2"), "apart_frames": 1.5}),
     "fit_explains_little": ("are 2.4 standard deviations or more off the pose", {"sigmas": 2.41}),
     "motion_unexplained": (

@@ -20,14 +20,12 @@ from recon.gait.gait import (
     SLOW,
     Stance,
     classify,
-    classify_within,
     doubt_text,
     gait,
     ground_plane,
     match_stances,
     pose_gait,
     pose_period_s,
-    pose_return_s,
     pose_tracks,
     stances,
     strides,
@@ -206,7 +204,9 @@ def test_events_are_as_uncertain_as_the_paths_and_the_thresholds():
     errors = (Errors(sigma, 0.05),)
     found = pose_gait(pose, FPS, errors)
     for a, b in zip(exact.stances, found.stances, strict=True):
-        assert (a.start_s, a.end_s) == (b.start_s, b.end_s)
+        # A foot that seems to move may stand: stances with errors are a little longer.
+        assert a.start_s - 0.005 < b.start_s <= a.start_s
+        assert a.end_s <= b.end_s < a.end_s + 0.005
         for known, before, after in (
             (a.begins, a.start_sigma_s, b.start_sigma_s),
             (a.ends, a.end_sigma_s, b.end_sigma_s),
@@ -272,8 +272,8 @@ def test_only_complete_strides_count():
         assert s.end_s - s.start_s == pytest.approx(0.4, abs=0.01)
     short = pose_gait(runner(*PATTERNS["rotary gallop"], n=28), FPS)
     assert short.strides == ()
-    assert short.name.name == "unknown"
-    assert "no " in short.name.criterion
+    assert short.name.name == "rotary gallop"
+    assert "no complete stride, but the motion is that of one of 0.4" in short.name.criterion
     assert np.isnan(short.stride_length_m)
     assert np.isnan(short.stride_frequency_hz)
 
@@ -293,14 +293,6 @@ def test_gaits_in_less_than_a_stride_are_named_right_or_not_at_all(name):
         assert names == {"unknown"}
     else:
         assert names in ({name}, {name, "unknown"})
-
-
-def test_within_a_stride_a_pair_may_be_too_near_to_call():
-    landed = {"LH": 0.0, "RH": 0.02, "LF": 0.15, "RF": 0.17}
-    assert classify_within(landed, 0.3)[0] == "unknown"  # 20 ms are 0.07 of 0.3 s, and might be 0.03 of a stride
-    assert classify_within(landed, 0.19)[0] == "transverse gallop"
-    assert classify_within(landed, 0.5)[0] == "bound"
-    assert classify_within(landed | {"RF": 0.29}, 0.3)[0] == "unknown"
 
 
 def test_an_animal_that_stands_has_no_gait():
@@ -351,20 +343,6 @@ def test_matching_is_one_to_one():
     assert match_stances((), ()) == []
 
 
-@pytest.mark.parametrize("stride_s", [0.2, 0.4, 0.9])
-@pytest.mark.parametrize("feet", [FEET, {"RH": FEET["RH"], "RF": FEET["RF"]}], ids=["four feet", "one side"])
-def test_the_pose_returns_after_a_stride(stride_s, feet):
-    for shares, said in ((2.5, stride_s), (1.6, stride_s), (1.1, None)):
-        pose = runner(
-            *PATTERNS["rotary gallop"], speed_m_s=2.4 / stride_s, stride_s=stride_s, n=round(shares * stride_s * FPS)
-        )
-        noisy = replace(pose, xyz_m=pose.xyz_m + 0.03 * np.random.default_rng(0).normal(size=pose.xyz_m.shape))
-        moved = pose_tracks(noisy, FPS, feet=feet)
-        for start_s, end_s in ((0.0, stride_s), (0.3 * stride_s, 2.3 * stride_s)):  # one stride, and two
-            found = pose_return_s(moved, start_s, end_s)
-            assert found == said if said is None else found == pytest.approx(said, rel=0.03)
-
-
 @pytest.mark.parametrize("share", [0.75, 0.9, 1.0])
 @pytest.mark.parametrize("name", ["trot", "rotary gallop"])
 def test_the_period_of_less_than_a_stride_is_told(name, share):
@@ -394,7 +372,7 @@ def test_strides_with_a_stance_too_few_or_too_many_do_not_count():
     assert len(found.strides) >= 8
     text = doubt_text(found.doubtful[0])
     assert text.startswith("RF's stride from ")
-    assert " does not count: the pose returns after 0.4" in text
+    assert " does not count: strides of all feet at its time last 0.4" in text
 
 
 def test_bad_input():

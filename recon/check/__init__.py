@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from recon.check.inputs.certain import without_gross_outliers
     from recon.check.inputs.swaps import doubted, mends, without_swaps
     from recon.check.mismatch import mismatches
-    from recon.check.offsets import cameras_made_worse, solved_in_step
+    from recon.check.offsets import solved_in_step, why_not_refined
     from recon.check.rules import findings_of
     from recon.check.upward import up_from_feet
     from recon.check.verdict import judged, usable, verdict_fields, verdict_lines

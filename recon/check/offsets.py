@@ -1,5 +1,5 @@
 """What is solved of cameras with the fit: by how many frames they are out of step, sought first where rays of the same
-keypoint meet; and whether poses that were refined are taken, which is only where no camera's pictures fit worse."""
+keypoint meet; and whether poses that were refined are taken."""
 
 from __future__ import annotations
 
@@ -12,14 +12,16 @@ from recon.base.errors import InputError, Problem, refuse
 from recon.check.agreement import search_offsets
 from recon.check.codes import finding
 from recon.clip import Source, together, views_of
-from recon.fit import TrajectorySolution
+from recon.fit import TrajectorySolution, constants
 from recon.fit.result import Finding
 
 FIT_ROUNDS = 5
 CLOSE_FRAMES = 0.05
 """Lags this small are left to the solver, which takes the motion for straight over them."""
-WORSE = 1.1
-"""Times a camera's median reprojection that is no change: what one camera gains, another may lose a little."""
+WORSE, BETTER, LOST, FAR = 1.1, 1.02, 5.0, 4.0
+"""Times a camera's median reprojection that is no change, as what one camera gains, another may lose a little, and that
+is none at all; times that of the rig's middle camera, of one that is an outlier all the time; and times the expected
+turn, of one that is not where the file says."""
 MAX_SIGMA_FRAMES = 1.0
 """Offsets that are known less well, or do not settle so far, are refused."""
 
@@ -63,17 +65,22 @@ def _problems(names: Sequence[str], later: Array, lags: Array, sigmas: Array) ->
             yield Problem("--set find-offsets", f"camera {name}", found, expected)
 
 
-def cameras_made_worse(refined: TrajectorySolution, held: TrajectorySolution) -> tuple[Finding, ...]:
-    """A finding on the camera whose median reprojection got worst by refining all; none where that is no worse than
-    `WORSE`.
+def why_not_refined(refined: TrajectorySolution, held: TrajectorySolution) -> tuple[Finding, ...]:
+    """Why cameras stay as calibrated; nothing where the refined ones are to be taken.
 
-    A camera that leaves its place becomes an outlier as a whole, which a robust cost rewards."""
+    A camera that leaves its pose becomes an outlier as a whole, which a robust cost rewards; and where none fits
+    better, the refined poses are only less certain."""
     before, after = _medians_px(held), _medians_px(refined)
-    worst = int(np.argmax(after / before))
-    if not after[worst] > WORSE * before[worst]:
-        return ()
-    name = held.views[worst].camera.name
-    return (finding("cameras_not_refined", camera=name, before_px=before[worst], after_px=after[worst]),)
+    names, turns_rad = [v.camera.name for v in held.views], np.linalg.norm(refined.extrinsic_correction[:, :3], axis=1)
+    lost = (after > WORSE * before) | (after > LOST * np.median(after))
+    worst, far = int(np.argmax(lost * after / before)), int(np.argmax(turns_rad))
+    if lost[worst]:
+        return (finding("cameras_not_refined", camera=names[worst], before_px=before[worst], after_px=after[worst]),)
+    if turns_rad[far] > FAR * constants.CAMERA_TURN_RAD:
+        return (finding("camera_left_its_pose", camera=names[far], turn_deg=float(np.degrees(turns_rad[far]))),)
+    if not (before > BETTER * after).any():
+        return (finding("cameras_as_calibrated"),)
+    return ()
 
 
 def _medians_px(solution: TrajectorySolution) -> np.ndarray:

@@ -9,9 +9,9 @@ shape,
     F(s) = peak * sin(pi s^SKEW),  s from 0 at touch-down to 1 at lift-off,
 
 and all stances of a stride together the impulse of the body's weight over it, as over a level stride the height comes
-back. The stride's time is that of complete strides, and without one that in which the feet's motion relative to the
-body would be periodic (`recon.gait.gait.pose_period_s`). Fore and hind feet share it as `FORE` says, feet of a pair
-alike but for `FOOT`. Intervals come from draws of all of these and of the stances' times. Shape, shares and spreads
+back. The stride's time is the gait's. Fore and hind feet share it as `FORE` says, feet of a pair
+alike but for `FOOT`. Intervals come from draws of all of these and of the stances' times, and so does the force at an
+instant, their mean: its maximum is lower than the peak, whose time is not known exactly. Shape, shares and spreads
 are those of force plates under two galloping cheetahs (`benchmarks/dynamics.py`); another animal's, or gait's, may
 differ by more. There are no joint torques: their intervals would be wider than the values.
 """
@@ -32,7 +32,7 @@ from recon.clip.keypoints import frame_ranges
 from recon.fit.motion import Motion
 from recon.fit.posterior import radius
 from recon.fit.result import Finding
-from recon.gait.gait import INTERVAL, PERIOD_SIGMA, Gait, Stance, pose_period_s
+from recon.gait.gait import INTERVAL, Gait, Stance
 from recon.gait.kinematics import (
     OVERSAMPLING,
     Errors,
@@ -79,10 +79,7 @@ class Dynamics:
     """A table with a row for each stance that lies in the clip from beginning to end: foot, start_s and end_s; peak_bw
     of the vertical force and impulse_bw_s, each with the ends of its interval (peak_low_bw, ...)."""
     force: Mapping[str, Array]
-    """By foot (N, 3): the vertical force, and the ends of the interval that holds it with 90 %."""
-    stride_s: float
-    """How long a stride lasts."""
-    stride_sigma_s: float
+    """By foot (N, 3): the expected vertical force, and the ends of the interval that holds it with 90 %."""
     flights: pd.DataFrame
     """Rows of the clip in which no foot stands, whatever the errors of touch-down and lift-off: first, stop, start_s
     and end_s; up_m_s2, the acceleration of the centre of mass by the parabola through its heights (-`G_M_S2` in free
@@ -132,8 +129,7 @@ def dynamics(motion: Motion, gait: Gait | None, errors: Sequence[Errors]) -> Dyn
     centre = point_kinematics(motion.time_s, centre_m, [*by_pose, by_mass] if errors else ())
     about = series_kinematics(motion.time_s, apart_m.reshape(len(apart_m), -1))
     value, rate = (of.reshape(len(of), *apart_m.shape[1:]) for of in (about.value, about.rate))
-    period_s, period_sigma_s = stride_time(gait)
-    draws = _drawn(gait, period_s, period_sigma_s)
+    draws = _drawn(gait)
     return Dynamics(
         centre=centre,
         internal_j_kg=0.5 * np.sum(rate**2, axis=2) @ share,
@@ -141,8 +137,6 @@ def dynamics(motion: Motion, gait: Gait | None, errors: Sequence[Errors]) -> Dyn
         ground_m=centre.series.value[:, 2] - gait.tracks.above_ground(centre.series.value),
         forces=_forces(gait.stances, draws),
         force=_force_over_time(gait, draws),
-        stride_s=period_s,
-        stride_sigma_s=period_sigma_s,
         flights=_flights(motion, gait, centre_m, apart_m * sigma[:, None], by_pose),
     )
 
@@ -153,16 +147,6 @@ def _middles(motion: Motion) -> Array:
     at = middles_m(tree, capsules(tree, motion.body.markers)).tolist()
     markers = tuple(Marker(s.name, s.name, (x, y, z)) for s, (x, y, z) in zip(tree.segments, at, strict=True))
     return Tree(tree.segments, markers).pose(motion.states, motion.size).points_m
-
-
-def stride_time(gait: Gait) -> tuple[float, float]:
-    """Seconds and one standard deviation: of complete strides, or by the pose's period; NaN without either."""
-    if gait.strides:
-        lasts = np.array([stride.end_s - stride.start_s for stride in gait.strides])
-        events = np.array([stride.duty_sigma for stride in gait.strides]) * lasts
-        return float(lasts.mean()), float(np.hypot(lasts.std() / len(lasts) ** 0.5, np.median(events)))
-    period = pose_period_s(gait.tracks)
-    return period, period * PERIOD_SIGMA
 
 
 def shape(into: Array) -> Array:
@@ -189,7 +173,7 @@ class _Draws:
         return self.impulse / (MEAN_OF_PEAK * (self.end_s - self.start_s))
 
 
-def _drawn(gait: Gait, period_s: float, period_sigma_s: float) -> _Draws:
+def _drawn(gait: Gait) -> _Draws:
     rng, stances = np.random.default_rng(SEED), gait.stances
     S, feet = len(stances), gait.tracks.feet
 
@@ -209,7 +193,7 @@ def _drawn(gait: Gait, period_s: float, period_sigma_s: float) -> _Draws:
         if side.any():
             of_pair = fore if side is is_fore else 1 - fore
             share[:, side] *= (of_pair / share[:, side].sum(axis=1))[:, None]
-    period = np.maximum(period_s + period_sigma_s * normal(1), 0.2 * period_s)
+    period = np.maximum(gait.stride_s + gait.stride_sigma_s * normal(1), 0.2 * gait.stride_s)
     of_foot = np.array([feet.index(s.foot) for s in stances], dtype=int)
     return _Draws(starts, ends, (share * period)[:, of_foot])
 
@@ -248,7 +232,7 @@ def _force_over_time(gait: Gait, draws: _Draws) -> dict[str, Array]:
             into = (time_s[near] - draws.start_s[:, i, None]) / (draws.end_s - draws.start_s)[:, i, None]
             drawn = draws.peak[:, i, None] * shape(into)
             low, high = np.quantile(drawn[1:], _ENDS, axis=0)
-            force[near] = np.stack([drawn[0], low, high], axis=1)
+            force[near] = np.stack([drawn[1:].mean(axis=0), low, high], axis=1)
         found[foot] = force
     return found
 

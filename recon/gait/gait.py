@@ -12,23 +12,23 @@ the last below `LIFTS`: a foot lands flat, and rolls over its toes before it lif
 95th percentile, or `SWING` times the body's mean speed where a clip shows less of it: at a gallop that is twice the
 body's speed and at a walk four times, because the swing is short or long. Held against the body's speed, one threshold
 cannot be right for both. The marker lies some centimetres above the sole and rises with the heel while the foot stands,
-hence 0.15 of the leg (9 cm of 0.6 m) to count as low at all, and 0.3 for the end of the push-off. Stances shorter than
-`MIN_STANCE_S` are noise. The ground is a plane through the slow feet's positions, fitted with Tukey weights; clips of a
-few strides hardly fix its slope across the track, so that slopes have a prior of 0 +- `SLOPE_SIGMA`. Every segment of a
-clip, a stretch that was reconstructed by itself, has a plane of its own. Where no foot is slow, or the slow ones are
-`LOW[0]` of the leg off a plane, the ground cannot be told, and there are no stances.
+hence 0.15 of the leg (9 cm of 0.6 m) to count as low at all, and 0.3 for the end of the push-off. A foot that stands
+seems to move by what the speed's error is, `SPEED_ERROR` of its stated deviation, whose square is taken off first.
+Stances shorter than `MIN_STANCE_S` are noise. The ground is a plane through the slow feet's positions, fitted with
+Tukey weights; clips of a few strides hardly fix its slope across the track, so that slopes have a prior of 0 +-
+`SLOPE_SIGMA`. Every segment of a clip, a stretch that was reconstructed by itself, has a plane of its own. Where no
+foot is slow, or the slow ones are `LOW[0]` of the leg off a plane, the ground cannot be told, and there are no stances.
 
 Events' standard deviations: a foot's speed is known to what the path's errors leave, and the speed at which it lands or
-lifts to `EVENT_SIGMA` of that in the swing; both over the foot's acceleration at the event are a time. No event is
+lifts to `EVENT_SIGMAS` of that in the swing; both over the foot's acceleration at the event are a time. No event is
 further off than the stance's middle. What stances and intervals are worth against force plates and motion capture:
 `benchmarks/gait.py`.
 
 The leg's length is the body's median height above the ground, the length of Froude numbers.
 
-Strides: a stance that was missed makes two strides one, and a stance that was cut makes one two. Each stride is held
-against the return of the pose, the feet's places before and below the body: the first lag after which, in the mean over
-the time of two such strides, they are less than `BACK` of the distance apart that two poses taken at random are, having
-been `AWAY` of it apart. A stride counts if it is within `AGREE` of that time, or if nothing can be said.
+Strides: a stance that was missed makes two strides one, and a stance that was cut makes one two. A stride counts if it
+is within `AGREE` of the median of all feet's strides at its time. How long a stride lasts is the mean of those that
+count or, in a clip without any, the period of the feet's motion relative to the body, if the clip holds enough of it.
 """
 
 from __future__ import annotations
@@ -40,8 +40,6 @@ from types import MappingProxyType
 from typing import Literal
 
 import numpy as np
-from numpy.lib.stride_tricks import as_strided
-from scipy.spatial.distance import cdist
 
 from recon.base.arrays import Array, Bools, mean, median
 from recon.clip.keypoints import frame_ranges
@@ -62,8 +60,10 @@ CHORD_S = 0.25
 SLOW, SWING = (0.16, 0.32), 1.3
 """Speed over the ground of a standing foot, of its speed in the swing: surely, and at most; and the least speed in the
 swing, of the body's."""
-LANDS, LIFTS, EVENT_SIGMA = 0.12, 0.22, 0.05
-"""The same when it lands and when it lifts, against force plates, and one standard deviation of either."""
+LANDS, LIFTS, EVENT_SIGMAS = 0.12, 0.22, (0.05, 0.1)
+"""The same when it lands and when it lifts, against force plates, and one standard deviation of each."""
+SPEED_ERROR = 0.42
+"""Errors of velocities, of their stated deviations: 0.8 of 1.9 m/s over 28 views (`python benchmarks/speeds.py`)."""
 LOW = (0.15, 0.3)
 """Height of a standing foot above the ground, leg lengths: surely, and at most."""
 INTERVAL = 0.9
@@ -73,12 +73,6 @@ MIN_STANCE_S = 0.02
 SLOPE_SIGMA, HEIGHT_SIGMA_M = 0.1, 0.03
 """One sigma of the ground's slopes, and of a standing foot's marker about the plane."""
 
-AWAY, BACK = 0.7, 0.5
-"""Root mean square distances of poses, of that between two taken at random, that make a return."""
-RETURN_SEEN = 0.5
-"""A lag is told only from a clip that is longer by this share of it: fewer pairs of poses meet by chance."""
-WIDER = (1, 2, 4)
-"""Times as long as a stride, in which the pose is looked for: a stance that was cut makes a part of a stride one."""
 PERIOD_OF_CLIP, PERIOD_SIGMA, PERIODIC = (0.5, 1 / 0.6), 0.08, 0.9
 """A stride that is longer than half of a clip without a complete one, of the clip's time; one standard deviation of a
 period so found, relative to it, of a dog's strides cut to 0.7 to 1.2 of their time; and the least share of the feet's
@@ -206,8 +200,8 @@ class Stride:
     """One standard deviation of it."""
     at: Literal["touchdown", "lift-off", "given"]
     """What it goes from and to."""
-    returns_s: float = np.nan
-    """For a stride that does not count: after how long the pose returns about then."""
+    others_s: float = np.nan
+    """For a stride that does not count: how long the strides of all feet at its time last, median."""
 
     @property
     def frequency_hz(self) -> float:
@@ -249,11 +243,15 @@ class Gait:
     """The feet in the order of their touchdowns (those the clip holds)."""
     stride_length_m: float
     stride_frequency_hz: float
+    stride_s: float
+    """How long a stride lasts: of complete ones, or by the pose's period; NaN where neither is known."""
+    stride_sigma_s: float
+    """One standard deviation of it."""
     duty_factor: Mapping[str, float]
     speed_m_s: float
     name: _GaitName
     doubtful: tuple[Stride, ...] = ()
-    """Strides that the return of the pose speaks against; none of them is in `strides`."""
+    """Strides that the other feet's speak against; none of them is in `strides`."""
 
 
 def _interval(value: float, sigma: float) -> tuple[float, float]:
@@ -427,7 +425,8 @@ def ground_doubt(moved: Tracks) -> str | None:
 
 
 def _stances_of(moved: Tracks, k: int) -> list[Stance]:
-    speed, height = moved.foot_speed_m_s[:, k], moved.height_m[:, k]
+    off, height = SPEED_ERROR * moved.foot_speed_sigma_m_s[:, k], moved.height_m[:, k]
+    speed = np.sqrt(np.maximum(moved.foot_speed_m_s[:, k] ** 2 - off**2, 0.0))
     surely, at_most, lands, lifts = moved.slow_m_s[:, k]
     still = np.flatnonzero(speed < surely)
     sure = still[height[still] < LOW[0] * moved.leg_m]
@@ -439,8 +438,8 @@ def _stances_of(moved: Tracks, k: int) -> list[Stance]:
             within = speed[first:end]
             landed = within < (lands if within.min() < lands else surely)
             a, b = first + int(landed.argmax()), end - 1 - int((within < lifts)[::-1].argmax())
-            # A time that the clip cuts may have begun earlier, even if the foot is not quite still at the edge.
-            found.append(_stance(moved, k, a, b, _inside(known, first - 1), _inside(known, end)))
+            begins, ends = a > first or _inside(known, first - 1), b < end - 1 or _inside(known, end)
+            found.append(_stance(moved, k, a, b, begins, ends))
     return [s for s in found if s.duration_s >= MIN_STANCE_S or not (s.begins and s.ends)]
 
 
@@ -451,18 +450,19 @@ def _inside(known: Bools, i: int) -> bool:
 def _stance(moved: Tracks, k: int, a: int, b: int, begins: bool, ends: bool) -> Stance:
     t, f = moved.time_s, moved.frame
     half_s = (t[b] - t[a]) / 2
-    sigmas = [_event_sigma_s(moved, k, i, half_s) if known else np.nan for i, known in ((a, begins), (b, ends))]
+    events = zip((a, b), (begins, ends), EVENT_SIGMAS, strict=True)
+    sigmas = [_event_sigma_s(moved, k, i, half_s, own) if known else np.nan for i, known, own in events]
     return Stance(moved.feet[k], float(t[a]), float(t[b]), float(f[a]), float(f[b]), begins, ends, *sigmas)
 
 
-def _event_sigma_s(moved: Tracks, k: int, i: int, most_s: float) -> float:
+def _event_sigma_s(moved: Tracks, k: int, i: int, most_s: float, own: float) -> float:
     """The standard deviation in seconds of a landing or lift-off of the k-th foot at an instant, most_s from the
-    stance's middle (see the module)."""
+    stance's middle (see the module); own: the threshold's, relative to the speed in the swing."""
     about = slice(max(i - OVERSAMPLING // 2, 0), i + OVERSAMPLING // 2 + 1)
     speed, time = moved.foot_speed_m_s[about, k], moved.time_s[about]
     known = np.isfinite(speed)
     changes = np.ptp(speed[known]) / np.ptp(time[known])
-    sigma = float(np.hypot(moved.foot_speed_sigma_m_s[i, k], EVENT_SIGMA * moved.swing_m_s[k]))
+    sigma = float(np.hypot(moved.foot_speed_sigma_m_s[i, k], own * moved.swing_m_s[k]))
     return min(sigma / max(changes, 1e-9), most_s / radius(INTERVAL))
 
 
@@ -482,10 +482,11 @@ def match_stances(first: Sequence[Stance], second: Sequence[Stance]) -> list[tup
 
 
 def gait(moved: Tracks) -> Gait:
-    """Stances, strides and the gait's name, the strides held against the pose's return."""
+    """Stances, strides and the gait's name, the strides of each foot held against those of all."""
     found = stances(moved)
-    taken, doubtful = checked(moved, strides(moved, found))
+    taken, doubtful = _counted(strides(moved, found))
     lengths, durations = [s.length_m for s in taken], [s.end_s - s.start_s for s in taken]
+    lasts_s, sigma_s = _stride_time(moved, taken)
     landed = sorted((s for s in found if s.begins), key=lambda s: s.start_s)
     return Gait(
         tracks=moved,
@@ -494,9 +495,11 @@ def gait(moved: Tracks) -> Gait:
         order=tuple(s.foot for s in landed),
         stride_length_m=mean(lengths),
         stride_frequency_hz=1.0 / mean(durations) if durations else np.nan,
+        stride_s=lasts_s,
+        stride_sigma_s=sigma_s,
         duty_factor={foot: median([s.duty_factor for s in taken if s.foot == foot]) for foot in moved.feet},
         speed_m_s=mean(moved.body_speed_m_s),
-        name=name_gait(found, taken, float(moved.time_s[-1]), ground_doubt(moved) or _too_few(moved.feet)),
+        name=name_gait(found, taken, lasts_s, ground_doubt(moved) or _too_few(moved.feet)),
         doubtful=doubtful,
     )
 
@@ -525,40 +528,33 @@ def strides(moved: Tracks, found: tuple[Stance, ...]) -> tuple[Stride, ...]:
     return tuple(sorted(taken, key=lambda s: (s.start_s, s.foot)))
 
 
-def checked(moved: Tracks, own: tuple[Stride, ...]) -> tuple[tuple[Stride, ...], tuple[Stride, ...]]:
-    """Strides that count, and those that do not, held against the return of the pose."""
+def _counted(own: tuple[Stride, ...]) -> tuple[tuple[Stride, ...], tuple[Stride, ...]]:
+    """Strides that count, and those that do not."""
     counted, doubtful = [], []
     for stride in own:
-        middle_s, half_s = (stride.start_s + stride.end_s) / 2, (stride.end_s - stride.start_s) / 2
-        about = (pose_return_s(moved, middle_s - n * half_s, middle_s + n * half_s) for n in WIDER)
-        returns_s = next((found for found in about if found is not None and found > 0), None)
-        # Without a return nothing speaks against it: in a motion that changes, the pose need not come back.
-        if returns_s is None or abs(returns_s * stride.frequency_hz - 1) <= AGREE:
+        at_its_time = [s for s in own if s.start_s < stride.end_s and s.end_s > stride.start_s]
+        others_s = median([s.end_s - s.start_s for s in at_its_time])
+        if abs(others_s * stride.frequency_hz - 1) <= AGREE:
             counted.append(stride)
         else:
-            doubtful.append(replace(stride, returns_s=returns_s))
+            doubtful.append(replace(stride, others_s=others_s))
     return tuple(counted), tuple(doubtful)
 
 
 def doubt_text(stride: Stride) -> str:
     """Why a stride does not count, in one sentence."""
     text = f"{stride.foot}'s stride from {stride.start_s:.3f} to {stride.end_s:.3f} s does not count"
-    return f"{text}: the pose returns after {stride.returns_s:.3f} s"
+    return f"{text}: strides of all feet at its time last {stride.others_s:.3f} s"
 
 
-def pose_return_s(moved: Tracks, start_s: float, end_s: float) -> float | None:
-    """After how long the feet are back where they were relative to the body (see the module), in a time twice as long
-    as that from start to end about it, as far as the clip has it; NaN if they are not, None if the clip is too short to
-    tell."""
-    time, length = moved.time_s, end_s - start_s
-    first_s = float(np.clip(start_s - length / 2, time[0], max(time[0], time[-1] - 2 * length)))
-    a, b = np.searchsorted(time, [first_s - 1e-9, first_s + 2 * length + 1e-9])
-    step = max(1, (b - a) // 200)  # of two strides
-    below = moved.foot_m[a:b:step, :, 2] - moved.body_m[a:b:step, None, 2]
-    lag = _return_lag(np.concatenate([moved.reach_m[a:b:step], below], axis=1))
-    if lag is not None:
-        return float(lag * step * (time[1] - time[0]))
-    return np.nan if time[b - 1] - time[a] >= (1 + AGREE) * (1 + RETURN_SEEN) * length else None
+def _stride_time(moved: Tracks, taken: Sequence[Stride]) -> tuple[float, float]:
+    """Seconds and one standard deviation: of complete strides, or by the pose's period; NaN without either."""
+    if taken:
+        lasts = np.array([stride.end_s - stride.start_s for stride in taken])
+        events = np.array([stride.duty_sigma for stride in taken]) * lasts
+        return float(lasts.mean()), float(np.hypot(lasts.std() / len(lasts) ** 0.5, np.median(events)))
+    period = pose_period_s(moved)
+    return period, period * PERIOD_SIGMA
 
 
 def pose_period_s(moved: Tracks) -> float:
@@ -584,53 +580,34 @@ def pose_period_s(moved: Tracks) -> float:
     return float(periods[best]) if explained and 0 < best < len(periods) - 1 else np.nan
 
 
-def _return_lag(values: Array) -> int | None:
-    """Rows after which values (N, D) are back, in the mean: the first least distance that is near enough."""
-    values = values[:, np.isfinite(values).any(axis=0)]
-    random = 2 * float(np.nanvar(values, axis=0).sum()) if values.size else 0.0
-    if not random > 0:
-        return None
-    lags = np.arange(1, int(len(values) / (1 + RETURN_SEEN)) + 1)
-    n = len(values)
-    apart = np.full((n, 2 * n), np.nan)
-    apart[:, :n] = cdist(values, values, "sqeuclidean")
-    by_lag = as_strided(apart[:, 1:], (n, len(lags)), ((2 * n + 1) * apart.itemsize, apart.itemsize))
-    pairs = np.isfinite(by_lag).sum(axis=0)
-    squares = np.divide(np.nansum(by_lag, axis=0), random * pairs, out=np.full(len(lags), np.nan), where=pairs > 0)
-    away = np.flatnonzero(squares > AWAY**2)
-    for i in range(away[0] + 1 if len(away) else len(lags), len(lags) - 1):
-        if squares[i] < BACK**2 and squares[i] <= squares[i - 1] and squares[i] < squares[i + 1]:
-            return int(lags[i])
-    return None
-
-
 def _too_few(feet: Sequence[str]) -> str | None:
     """Why no gait has a name; None where all four feet are there."""
     return None if {*FEET} <= {*feet} else f"only gaits of four feet have names; here are {', '.join(feet)}"
 
 
 def name_gait(
-    found: tuple[Stance, ...], taken: tuple[Stride, ...], until_s: float, doubt: str | None = None
+    found: tuple[Stance, ...], taken: tuple[Stride, ...], stride_s: float, doubt: str | None = None
 ) -> _GaitName:
-    """The gait by the four feet's phases: see `classify`. The stride's period is the median over the strides; without a
-    complete one see `classify_within`. until_s: the end of the clip; doubt: why there are no stances, or not of all
-    four."""
+    """The gait by the four feet's phases: see `classify`. stride_s: how long a stride lasts, NaN where that is not
+    known; doubt: why there are no stances, or not of all four."""
     duties = np.array([s.duty_factor for s in taken])
     feet = len({s.foot for s in taken})
     duty = median(duties), float(np.sqrt(mean([s.duty_sigma**2 for s in taken]) / feet)) if feet else np.nan
-    lacking = [foot for foot in FEET if not any(s.foot == foot for s in found)]
-    if lacking:
-        return _GaitName("unknown", doubt or f"no stance of {', '.join(lacking)}", dict.fromkeys(FEET, np.nan), *duty)
-    if not taken:
-        landed = {s.foot: s.start_s for s in reversed(found) if s.begins}
-        return _GaitName(*classify_within(landed, until_s), dict.fromkeys(FEET, np.nan), *duty)
-    period = float(np.median([s.end_s - s.start_s for s in taken]))
+    if doubt is None and (lacking := [foot for foot in FEET if not any(s.foot == foot for s in found)]):
+        doubt = f"no stance of {', '.join(lacking)}"
+    if doubt is None and np.isnan(stride_s):
+        doubt = "no complete stride, and too little of one to tell how long it lasts"
+    if doubt is not None:
+        return _GaitName("unknown", doubt, dict.fromkeys(FEET, np.nan), *duty)
+    period = float(np.median([s.end_s - s.start_s for s in taken])) if taken else stride_s
     phase = {"LH": 0.0} | {foot: _lag(found, "LH", foot, period) for foot in ("RH", "LF", "RF")}
     # A foot that never landed together with LH in view may have done so with RH.
     for foot in ("LF", "RF"):
         if np.isnan(phase[foot]):
             phase[foot] = (phase["RH"] + _lag(found, "RH", foot, period)) % 1.0
     name, criterion = classify(phase, duty[0])
+    if not taken:
+        criterion = f"no complete stride, but the motion is that of one of {period:.2f} s: {criterion}"
     if name in ("walk", "trot", "pace") and 1 - MOST < (share := float(np.mean(duties > 0.5))) < MOST:
         name, criterion = "unknown", f"{criterion}: over 0.5 in {share:.0%} of the strides, walk or run is open"
     return _GaitName(name, criterion, phase, *duty)
@@ -681,11 +658,6 @@ def classify(phase: Mapping[str, float], duty_factor: float) -> tuple[str, str]:
         return ("pace", seen) if abs(_signed(lateral)) <= IN_PHASE else ("unknown", seen + ": between trot and pace")
     if max(abs(hind), abs(fore)) >= ALTERNATE:
         return "unknown", seen + ": one pair alternates, the other does not"
-    return _asymmetrical(hind, fore, seen)
-
-
-def _asymmetrical(hind: float, fore: float, seen: str) -> tuple[str, str]:
-    """Lags within the pairs, right after left, strides."""
     if abs(hind) < TOGETHER:
         return ("bound" if abs(fore) < TOGETHER else "half-bound"), seen
     if abs(fore) < TOGETHER:
@@ -698,31 +670,6 @@ def _asymmetrical(hind: float, fore: float, seen: str) -> tuple[str, str]:
 def _first(lag: float) -> str:
     """By how much the right foot of a pair lands after its left one."""
     return "left first" if lag > 0 else "right first"
-
-
-def classify_within(landed_s: Mapping[str, float], until_s: float) -> tuple[str, str]:
-    """Name and criterion from the first touchdown of every foot in a clip without a complete stride, seconds.
-
-    No foot has landed again until the clip ends, so that a stride takes at least the time from the first touchdown to
-    then, and lags are at most so many strides: enough to tell that a gait is asymmetrical, which pairs land together,
-    and in gallops which feet lead. Pairs count as apart if they were even in a stride of twice that time. Symmetrical
-    gaits need a stride.
-    """
-    order = " ".join(sorted(landed_s, key=lambda foot: landed_s[foot])) or "none"
-    if any(foot not in landed_s for foot in FEET):
-        return "unknown", f"no complete stride; landed in the clip: {order}"
-    least_s = until_s - min(landed_s.values())
-    lags = landed_s["RH"] - landed_s["LH"], landed_s["RF"] - landed_s["LF"]
-    hind, fore = (lag / least_s for lag in lags)
-    seen = (
-        f"no complete stride, but one takes at least {least_s:.2f} s: hind feet {1000 * abs(lags[0]):.0f} ms apart, "
-        f"{_first(lags[0])}; fore feet {1000 * abs(lags[1]):.0f} ms, {_first(lags[1])}"
-    )
-    if max(abs(hind), abs(fore)) >= ALTERNATE:
-        return "unknown", seen + ": open whether they alternate"
-    if any(TOGETHER < abs(lag) <= 2 * TOGETHER for lag in (hind, fore)):
-        return "unknown", seen + ": open whether a pair lands together"
-    return _asymmetrical(hind, fore, seen)
 
 
 def _signed(phase: float) -> float:

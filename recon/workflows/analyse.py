@@ -229,16 +229,16 @@ def notes(found: ClipAnalysis) -> list[str]:
 
 
 def _dynamics_summary(found: ClipAnalysis) -> dict[str, Any] | None:
-    if (d := found.dynamics) is None:
+    if (d := found.dynamics) is None or found.gait is None:
         return None
     return {
         "masses": found.motion.body.mass_source,
         "body_mass_kg": found.body_mass_kg,
-        "stride_s": d.stride_s,
-        "stride_sigma_s": d.stride_sigma_s,
+        "stride_s": found.gait.stride_s,
+        "stride_sigma_s": found.gait.stride_sigma_s,
         "mean_peak_bw": float(d.forces["peak_bw"].mean()) if len(d.forces) else None,
         "flights": d.flights[["start_s", "end_s", "up_m_s2", "sigma_m_s2"]].to_dict("records"),
-        "strides": [_stride_energy(d, stride) for stride in (found.gait.strides if found.gait else ())],
+        "strides": [_stride_energy(d, stride) for stride in found.gait.strides],
         "findings": [one.code for one in findings_of_dynamics(found.motion, d)],
         "energy_mean_j_kg": {name: float(np.nanmean(values)) for name, values in d.energy_j_kg.items()},
     }

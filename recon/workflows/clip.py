@@ -89,7 +89,7 @@ def fit_clip(settings: FitSettings, progress: Progress = silent) -> Motion:
     if options.refine_cameras:
         tried, options = solution, replace(options, refine_cameras=False)
         held = solved(sources)
-        unrefined = check.cameras_made_worse(tried, held)
+        unrefined = check.why_not_refined(tried, held)
         solution, options = (held, options) if unrefined else (tried, replace(options, refine_cameras=True))
     began = time.perf_counter()
     cleaned, outliers = without_gross_outliers(sources, solution)

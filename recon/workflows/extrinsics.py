@@ -31,6 +31,8 @@ from recon.workflows.settings import FitSettings, read_settings
 
 DISAGREEMENT = 16.0
 """Squared deviations, of 6 unknowns, from which on a camera that stood still is unlikely (1 in 70)."""
+UNTOLD_RAD = math.radians(10.0)
+"""A camera whose turn is known no better is not told by its clips: it may stand anywhere (benchmarks/rigs.py)."""
 LEAST_MOVED = 0.5
 """The least way of an animal, in its lengths in the picture: on its feet it swings by less."""
 
@@ -168,6 +170,14 @@ def run_extrinsics(
         expected = "some in which it and another camera see enough of the animal for a pose"
         name = f"camera {cameras[error.view].name}"
         raise InputError(Problem("KEYPOINTS", name, "too few frames", expected)) from None
+    expected = "clips in which the animal goes other ways through the view"
+    refuse(
+        Problem(
+            "KEYPOINTS", f"camera {camera.name}", f"a turn known to {math.degrees(turn):.0f} degrees only", expected
+        )
+        for camera, turn in zip(cameras, np.linalg.norm(rig.sigma[:, :3], axis=1), strict=True)
+        if turn > UNTOLD_RAD
+    )
     height_m = 0.0 if posed else -np.nan_to_num(rig.ground_m)
     found = tuple(
         replace(camera, rotation=T[:3, :3], translation_m=T[:3, 3] - height_m * T[:3, 2], world_z_up=True, tilt_rad=0.0)

@@ -20,7 +20,7 @@ from recon.base.files import require_free_folder, sole_writer, staged_folder
 from recon.check import usable, verdict_fields
 from recon.fit.motion import Motion
 from recon.gait.clip import gait_of, limb_chains, stride_given
-from recon.gait.gait import AGREE, OVERSAMPLING, Gait, doubt_text, pose_return_s
+from recon.gait.gait import AGREE, OVERSAMPLING, Gait, doubt_text
 from recon.gait.path import MIN_POINTS
 from recon.gait.phase import Closure, Portrait
 from recon.io.table import write_rows
@@ -368,13 +368,12 @@ def stride_of(motion: Motion, limb: Limb, stride_s: tuple[float, float] | None =
 
 
 def stride_lasts_s(gait: Gait) -> tuple[float, float]:
-    """How long a stride of a clip without a complete one lasts, at least and at most: about as long as the pose takes
-    to return. In a clip that is too short to tell, and in which no foot lands twice, it takes the time from the first
-    touchdown to the end at least, to half a frame."""
+    """How long a stride of a foot without a complete one lasts, at least and at most: about as long as the clip says.
+    In one that is too short to tell, and in which no foot lands twice, it takes the time from the first touchdown to
+    the end at least, to half a frame."""
     time_s = gait.tracks.time_s
-    back_s = pose_return_s(gait.tracks, time_s[0], time_s[-1])
-    if back_s is not None and back_s > 0:
-        return (1 - AGREE) * back_s, (1 + AGREE) * back_s
+    if gait.stride_s > 0:
+        return (1 - AGREE) * gait.stride_s, (1 + AGREE) * gait.stride_s
     landed = [s for s in gait.stances if s.begins]
     if len({s.foot for s in landed}) < len(landed):
         return 0.0, np.inf
