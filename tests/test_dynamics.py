@@ -54,7 +54,7 @@ def test_mistakes_in_masses_are_named(tmp_path: Path):
     with pytest.raises(InputError) as error:
         load_skeleton(tmp_path / "s.toml")
     said = [str(problem) for problem in error.value.problems]
-    assert any("mass.share.hat: found no such segment" in one for one in said)
+    assert any("mass.share.hat: found 'hat', expected one of front_trunk, head" in one for one in said)
     assert any("mass.share.head: found none" in one for one in said)
 
 
