@@ -22,6 +22,7 @@ import pytest
 from command_line import copy_results, run
 from motions import with_first
 
+from recon import FitSettings
 from recon.animal import load_chain, load_skeleton
 from recon.clip import Keypoints, Source, camera_poses, clean, still_view, views_of
 from recon.fit import Ground, Motion, MotionSegment, TrajectorySolution
@@ -32,7 +33,6 @@ from recon.thesis import FrameOptions, solve_frames
 from recon.thesis.starts import mean_pose
 from recon.workflows import analyse
 from recon.workflows.clip_results import run_clip
-from recon.workflows.settings import FitSettings
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -23,8 +23,8 @@ import pytest
 import tomli_w
 from command_line import carry_out_here
 
+from recon import FitSettings, InputError, fit_clip
 from recon.base import silent
-from recon.base.errors import InputError
 from recon.base.files import sole_writer
 from recon.base.parallel import Event, outcome_of
 from recon.io import read_cameras
@@ -41,10 +41,8 @@ from recon.workflows.batch import (
     run_batch,
 )
 from recon.workflows.cli import main
-from recon.workflows.clip import fit_clip
 from recon.workflows.clip_results import run_clip
 from recon.workflows.made_from import Record, digest
-from recon.workflows.settings import FitSettings
 
 SAMPLES = Path(__file__).parents[1] / "data" / "samples"
 CAMERA = SAMPLES / "camera.toml"

@@ -17,12 +17,21 @@ from detector_files import HORSE_10, words
 from rigs import clip, scored
 from scipy.spatial.transform import Rotation
 
-from recon import FitSettings, InputError, Keypoints, Motion, load_skeleton, read_keypoints, write_cameras
+from recon import (
+    FitSettings,
+    InputError,
+    Keypoints,
+    Motion,
+    analyse,
+    evaluate_files,
+    load_skeleton,
+    read_keypoints,
+    write_cameras,
+)
 from recon.animal import fitting_maps, load_names, new_names, prior_from_body
 from recon.clip import View, camera_poses
 from recon.fit import TrajectoryOptions, solve_trajectory
-from recon.gait.clip import analyse
-from recon.gait.evaluation import LEVELS, evaluate_files
+from recon.gait.evaluation import LEVELS
 from recon.geometry import rigid
 from recon.io import trc
 from recon.io.deeplabcut import write_csv

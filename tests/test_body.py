@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from recon import InputError
 from recon.animal import (
     Body,
     Chain,
@@ -17,7 +18,6 @@ from recon.animal import (
     load_skeleton,
     other_side,
 )
-from recon.base.errors import InputError
 from recon.geometry import euler_rotation, rigid
 
 DOCS = (Path(__file__).parents[1] / "docs" / "skeletons.md").read_text(encoding="utf-8")

@@ -7,7 +7,7 @@ import pytest
 import tomli_w
 from scipy.spatial.transform import Rotation
 
-from recon.base.errors import InputError
+from recon import InputError
 from recon.geometry import Camera
 from recon.io import read_camera, read_cameras, write_camera
 

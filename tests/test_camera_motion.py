@@ -13,7 +13,7 @@ import pytest
 from command_line import run
 from scipy.spatial.transform import Rotation
 
-from recon.base.errors import InputError
+from recon import InputError
 from recon.calibrate.camera_motion import Orientation, Tracker, as_level, read_marks, tilted, up_by_marks
 from recon.calibrate.camera_motion.features import rays_of
 from recon.calibrate.camera_motion.track import CLEARLY

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from recon import InputError
 from recon.animal import Chain, builtin_chains, load_chain
-from recon.base.errors import InputError
 
 LINKS = ("r5", "r1", "r2", "r3", "r4", "r6", "r7", "r8")
 MEASURED_M = {

@@ -8,17 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from recon import FitSettings, InputError, fit_clip, samples_folder, write_clip
 from recon.animal import builtin_chains, load_chain
-from recon.base.errors import InputError
 from recon.base.manifest import read_manifest
 from recon.clip import still_view
 from recon.io import read_camera, read_keypoints
 from recon.io.deeplabcut import write_csv
 from recon.thesis import FrameOptions, solve_frames
-from recon.workflows.clip import fit_clip, prepare
-from recon.workflows.clip_results import OUTPUT_FILES, run_clip, write_clip
-from recon.workflows.demo import samples_folder
-from recon.workflows.settings import FitSettings
+from recon.workflows.clip import prepare
+from recon.workflows.clip_results import OUTPUT_FILES, run_clip
 
 EXAMPLE = (Path(__file__).parent / "files" / "trunk-and-leg.toml").read_text()
 # The same chain, hung from its front end: the root is the joint that the animal's front is known by.

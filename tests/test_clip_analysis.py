@@ -14,9 +14,9 @@ import pandas as pd
 import pytest
 from command_line import run
 
-from recon.base.errors import InputError
+from recon import ClipAnalysis, InputError, analyse
 from recon.fit import Motion
-from recon.gait.clip import ClipAnalysis, analyse, limb_chains
+from recon.gait.clip import limb_chains
 from recon.io import read_pose3d
 from recon.show.export import analysis_csv
 from recon.show.plots import save

@@ -14,9 +14,8 @@ from command_line import run
 from detector_files import ANIMAL3D, words
 from test_net_labels import NAMES, grey, write_labels
 
+from recon import InputError, evaluate_files
 from recon.animal import load_names
-from recon.base.errors import InputError
-from recon.gait.evaluation import evaluate_files
 from recon.io import read_keypoints, read_pose3d
 from recon.io.deeplabcut_project import find_project, predictions
 from recon.keypoint_net.labels import read_labels

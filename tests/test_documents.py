@@ -7,12 +7,11 @@ from importlib import resources
 
 import pytest
 
+from recon import InputError, read_settings
 from recon.animal import load_skeleton
 from recon.base.documents import MAX_TOML_BYTES, read_content, read_json, read_toml
-from recon.base.errors import InputError
 from recon.io import read_keypoints, read_pose3d
 from recon.robotics import load_robot
-from recon.workflows.settings import read_settings
 
 DIGITS = "1" * 5000
 TEXTS = {

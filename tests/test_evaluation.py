@@ -13,15 +13,8 @@ from command_line import run
 from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
-from recon.base.errors import InputError
-from recon.gait.evaluation import (
-    align_scale,
-    align_similarity,
-    centre,
-    evaluate,
-    evaluate_files,
-    joint_errors,
-)
+from recon import InputError, evaluate, evaluate_files
+from recon.gait.evaluation import align_scale, align_similarity, centre, joint_errors
 from recon.io import Pose3D, read_pose3d, trc
 
 NAN = float("nan")

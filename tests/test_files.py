@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from recon.base.errors import InputError
+from recon import InputError
 from recon.base.files import require_free_folder, sole_writer, staged_file, staged_folder, staged_results
 from recon.base.manifest import read_manifest
 

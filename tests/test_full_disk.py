@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from command_line import run
 
+from recon import FitSettings, write_clip
 from recon.animal import load_skeleton
 from recon.base.files import staged_file
 from recon.clip import Keypoints
@@ -21,8 +22,6 @@ from recon.fit import Motion
 from recon.io import CONVERTED, FORMATS, Format, Pose3D
 from recon.io.video import video_writer
 from recon.show.export.rig import make_rig
-from recon.workflows.clip_results import write_clip
-from recon.workflows.settings import FitSettings
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="limits are of POSIX")
 

@@ -13,7 +13,7 @@ import pytest
 from command_line import run
 from gallop import RISE_S, START_STRIDES_HZ, TOP_STRIDES_HZ, gallop
 
-from recon.base.errors import InputError
+from recon import InputError
 from recon.fit import Motion
 from recon.gait.gait import pose_gait
 from recon.io import Pose3D

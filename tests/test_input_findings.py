@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from recon import FitSettings, fit_clip, samples_folder
 from recon.animal import other_side, prior_from_body
 from recon.check import (
     FileFacts,
@@ -42,9 +43,7 @@ from recon.clip import CleaningReport, Keypoints, Source, View, clean, still_vie
 from recon.fit import ClipProblem, Motion, TrajectoryOptions, TrajectorySolution, solve_trajectory
 from recon.io import read_keypoints
 from recon.io.deeplabcut import write_csv
-from recon.workflows.clip import fit_clip, prepare
-from recon.workflows.demo import samples_folder
-from recon.workflows.settings import FitSettings
+from recon.workflows.clip import prepare
 from tests.test_trajectory import BODY, CAMERA, FPS, PRIOR, plain, run, seen
 
 T = 40

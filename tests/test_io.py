@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from recon.base.errors import InputError
+from recon import InputError
 from recon.clip import Keypoints, clean
 from recon.io import Pose3D, deeplabcut_h5, individuals, read_keypoints, read_pose3d
 

@@ -14,12 +14,11 @@ import pytest
 from scipy.io import savemat
 from scipy.spatial.transform import Rotation
 
-from recon.base.errors import InputError
+from recon import FitSettings, InputError
 from recon.clip import Keypoints
 from recon.io import FORMATS, Pose3D, read_cameras, read_keypoints, read_pose3d
 from recon.io.columns import parse_map
 from recon.io.common import NoChoiceError, frames_of_text, frames_of_times, frames_text
-from recon.workflows.settings import FitSettings
 
 NAN = float("nan")
 

@@ -19,8 +19,8 @@ import pandas as pd
 import pytest
 from typer.testing import CliRunner
 
+from recon import InputError
 from recon.animal import load_names, load_prior, load_skeleton
-from recon.base.errors import InputError
 from recon.calibrate.camera_motion import read_marks
 from recon.clip import Keypoints
 from recon.io import deeplabcut_h5, movement, nwb, read_camera_track, read_keypoints, read_pose3d

@@ -8,7 +8,7 @@ import json
 import numpy as np
 import pytest
 
-from recon.base.errors import InputError
+from recon import InputError
 from recon.clip import Keypoints, clean, fill_gaps, frame_ranges, leave_out, parse_frame_range
 
 NAN = float("nan")

@@ -7,7 +7,7 @@ import pytest
 from gallop import gallop
 from scipy.interpolate import make_smoothing_spline
 
-from recon.base.errors import InputError
+from recon import InputError
 from recon.gait.kinematics import (
     Errors,
     _curve,

@@ -7,7 +7,7 @@ import pytest
 from command_line import run
 from scipy.special import expit, logit
 
-from recon.base.errors import InputError
+from recon import InputError
 from recon.keypoint_net import evaluate_2d_files
 from recon.keypoint_net.evaluate2d import evaluate_2d, reliability
 from recon.keypoint_net.labels import Labels

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from recon.base.errors import InputError
+from recon import InputError
 from recon.io.video import video_writer
 from recon.keypoint_net.labels import (
     PARTS,

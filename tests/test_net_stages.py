@@ -11,7 +11,7 @@ from networks import narrow_networks
 
 torch = pytest.importorskip("torch")
 
-from recon.base.errors import InputError  # noqa: E402
+from recon import InputError  # noqa: E402
 from recon.io.video import video_writer  # noqa: E402
 from recon.keypoint_net import (  # noqa: E402
     LabelSource,

@@ -13,7 +13,7 @@ from networks import EVALUATIONS, narrow_networks
 
 torch = pytest.importorskip("torch")
 
-from recon.base.errors import InputError  # noqa: E402
+from recon import InputError  # noqa: E402
 from recon.base.package import install_command  # noqa: E402
 from recon.io import read_keypoints  # noqa: E402
 from recon.io.video import VideoInfo, probe, video_writer  # noqa: E402

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from test_cameras import folder, keypoints_of, problems, settings
 
-from recon.base.errors import InputError
+from recon import InputError, fit_clip
 from recon.check import solved_in_step
 from recon.check.agreement import search_offsets
 from recon.clip import Source, at_rate, clean
 from recon.fit import TrajectoryOptions, TrajectorySolution, solve_trajectory
-from recon.workflows.clip import fit_clip, prepare
+from recon.workflows.clip import prepare
 from tests.test_agreement import KEYPOINT_M, cameras, late
 from tests.test_trajectory import BODY, CAMERA, FPS, PRIOR
 

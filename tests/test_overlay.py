@@ -11,7 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
-from recon.base.errors import InputError
+from recon import FitSettings, InputError, write_clip
 from recon.fit import Finding, Motion
 from recon.io.video import missing_note, probe, read_frames, video_writer
 from recon.show.overlay import (
@@ -32,9 +32,8 @@ from recon.show.overlay import (
     smoothed_headings,
 )
 from recon.workflows.cli import app
-from recon.workflows.clip_results import write_clip
 from recon.workflows.overlay import OverlaySettings, camera_number, overlay_of, rate_note, run_overlay, stills
-from recon.workflows.settings import FitSettings, ResultSettings
+from recon.workflows.settings import ResultSettings
 
 SIZE = (1920, 1080)
 GREY = np.full((1080, 1920, 3), 128, np.uint8)

@@ -20,7 +20,7 @@ from command_line import carry_out_here, run
 from markupsafe import Markup
 from motions import with_first
 
-from recon.base.errors import InputError
+from recon import FitSettings, InputError, write_clip
 from recon.base.manifest import read_manifest, write_manifest
 from recon.check import findings_of
 from recon.fit import Motion
@@ -31,9 +31,7 @@ from recon.show.plots.angles import angle_over_time, together
 from recon.show.plots.style import drawing
 from recon.show.report import TO_DO, build_report
 from recon.workflows.batch import COLUMNS, write_summary_page
-from recon.workflows.clip_results import write_clip
 from recon.workflows.page import PageSettings, run_page
-from recon.workflows.settings import FitSettings
 
 EVIL = '<img src=x onerror="alert(1)">&\'.csv'
 MOST_BYTES = 3_000_000

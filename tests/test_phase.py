@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from recon.base.errors import InputError
+from recon import InputError
 from recon.gait.kinematics import angle_kinematics
 from recon.gait.phase import (
     Portrait,

@@ -14,6 +14,7 @@ from command_line import run
 from scipy.stats import multivariate_normal
 from typer.testing import CliRunner
 
+from recon import FitSettings, InputError, PriorFitSettings, run_prior_fit, write_clip
 from recon.animal import (
     Body,
     MotionPrior,
@@ -33,13 +34,10 @@ from recon.animal.prior_fit import (
     as_one_gaussian,
     log_likelihood,
 )
-from recon.base.errors import InputError
 from recon.fit import Motion
 from recon.io import read_pose_segments
 from recon.workflows.cli import app
-from recon.workflows.clip_results import write_clip
-from recon.workflows.prior import PriorFitSettings, _notes, _sound_states, run_prior_fit
-from recon.workflows.settings import FitSettings
+from recon.workflows.prior import _notes, _sound_states
 
 OMEGA_RAD_S = 12.0
 SPREAD_RAD = 0.3

@@ -10,11 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from recon import Camera, FitSettings, Keypoints, Motion, read_keypoints
+from recon import Camera, FitSettings, Keypoints, Motion, analyse, evaluate_files, read_keypoints
 from recon.animal import Body, builtin_names, load_skeleton
 from recon.clip import camera_poses
-from recon.gait.clip import analyse
-from recon.gait.evaluation import evaluate_files
 from recon.io import CONVERTED, read_points, write_camera, write_cameras
 from recon.io.deeplabcut import write_csv
 from recon.workflows import analyse as analysis

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from recon.base.errors import InputError
+from recon import InputError
 from recon.base.manifest import write_manifest
 from recon.fit import Motion
 from recon.io import read_pose3d

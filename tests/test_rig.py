@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 from command_line import run
 
+from recon import InputError
 from recon.animal import builtin_names, load_skeleton
-from recon.base.errors import InputError
 from recon.fit import Motion
 from recon.io import Armature, bvh, gltf, opensim, read_pose3d
 from recon.io.pose import y_up_from_z_up

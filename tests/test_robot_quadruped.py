@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from recon.base.errors import InputError
+from recon import InputError
 from recon.robotics import load_robot
 from recon.robotics.robot.quadruped import LEGS
 from recon.robotics.robot.robot_file import builtin_robots

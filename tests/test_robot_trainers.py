@@ -9,7 +9,7 @@ import pytest
 from command_line import run
 from scipy.spatial.transform import Rotation
 
-from recon.base.errors import InputError
+from recon import InputError
 from recon.fit import Motion
 from recon.fit.draws import draws
 from recon.robotics import load_robot

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from robot_urdf import HEAD, JOINT, a1_urdf, moving
 
-from recon.base.errors import InputError
+from recon import InputError
 from recon.robotics import load_robot
 from recon.robotics.ik.costs import joint_differences
 from recon.robotics.ik.drive import drive_to

@@ -13,12 +13,11 @@ import numpy as np
 import pytest
 from command_line import carry_out_here, run
 
-from recon.base.errors import InputError
+from recon import FitSettings, InputError, write_clip
 from recon.base.files import staged_results
 from recon.io.video import video_writer
-from recon.workflows.clip_results import output_files, write_clip
+from recon.workflows.clip_results import output_files
 from recon.workflows.run import Job, RunSettings, job_of, jobs_of, keypoints_of, run_folder, run_video
-from recon.workflows.settings import FitSettings
 
 SAMPLES = Path(__file__).parents[1] / "data" / "samples"
 ALL = ["fit", "analyse", "overlay", "page"]

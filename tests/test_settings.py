@@ -13,14 +13,14 @@ import pytest
 from command_line import run
 from rich.text import Text
 
+from recon import FitSettings, InputError, read_settings
 from recon.animal import load_skeleton
-from recon.base.errors import InputError
 from recon.fit import TrajectoryOptions
 from recon.io import read_camera, read_cameras
 from recon.thesis import FrameOptions, frame_options
 from recon.workflows.cli import app, commands
 from recon.workflows.clip import read_model_and_cameras
-from recon.workflows.settings import SETTINGS, FitSettings, of_method, read_settings
+from recon.workflows.settings import SETTINGS, of_method
 
 GIVEN = {"keypoints": Path("/data/clip.csv"), "camera": Path("/data/camera.toml"), "fps": 30.0}
 

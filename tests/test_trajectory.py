@@ -10,15 +10,13 @@ import numpy as np
 import pytest
 from gallop import gallop
 
+from recon import FitSettings, evaluate, fit_clip
 from recon.animal import load_chain, load_prior, load_skeleton, other_side, prior_from_body
 from recon.clip import still_view
 from recon.fit import ClipProblem, TrajectoryOptions, TrajectorySolution, solve_trajectory
 from recon.fit.starts import approach
-from recon.gait.evaluation import evaluate
 from recon.geometry import Camera
 from recon.io import Pose3D, read_pose3d
-from recon.workflows.clip import fit_clip
-from recon.workflows.settings import FitSettings
 
 FPS = 90.0
 CAMERA = Camera.from_hfov(60.0, (1920, 1080))

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from recon.base.errors import InputError
+from recon import InputError
 from recon.io.video import probe, read_frames, video_writer
 
 

@@ -13,7 +13,7 @@ import pytest
 from rerun.chunk import RrdReader
 from scipy.spatial.transform import Rotation
 
-from recon.base.errors import InputError
+from recon import InputError
 from recon.clip import Source, views_of
 from recon.fit import Motion, MotionSegment, Solution
 from recon.gait.clip import standing

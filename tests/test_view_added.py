@@ -11,9 +11,8 @@ import numpy as np
 import pytest
 from rerun.chunk import RrdReader
 
-from recon.base.errors import InputError
+from recon import ClipAnalysis, InputError, analyse
 from recon.fit import Motion
-from recon.gait.clip import ClipAnalysis, analyse
 from recon.io.video import video_writer
 from recon.show.view import write
 

@@ -23,11 +23,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from recon.base.errors import InputError
+from recon import FitSettings, InputError
 from recon.base.files import staged_results
 from recon.fit import Motion
 from recon.workflows.clip_results import OUTPUT_FILES, run_clip
-from recon.workflows.settings import FitSettings
 
 SAMPLES = Path(__file__).resolve().parents[2] / "data" / "samples"
 STEPS = ("mkdir", "replace")

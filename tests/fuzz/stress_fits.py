@@ -27,8 +27,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from recon import FitSettings, InputError, fit_clip
 from recon.animal import builtin_chains, builtin_names, load_skeleton
-from recon.base.errors import InputError
 from recon.clip import Keypoints
 from recon.fit import Motion
 from recon.geometry import Camera
@@ -38,8 +38,6 @@ from recon.show.export.clip_csv import write_tables
 from recon.show.plain import write_report
 from recon.show.report import build_report
 from recon.thesis import FrameSolution
-from recon.workflows.clip import fit_clip
-from recon.workflows.settings import FitSettings
 
 Array = NDArray[np.float64]
 Rng = np.random.Generator
