@@ -19,12 +19,14 @@ from recon.calibrate.intrinsics.board import parse_board
 from recon.clip.keypoints import Keypoints, select_frames
 from recon.geometry.camera import Camera
 from recon.geometry.frames import quaternions
-from recon.io import bvh, columns, read_keypoints, sleap
+from recon.io import bvh, columns, read_keypoints
 from recon.io.calibration import read_camera
 from recon.io.deeplabcut import write_csv
 from recon.io.pose3d import Pose3D, read_pose3d
+from recon.io.table import write_table
 from recon.io.video import video_writer
 from recon.show.export.rig import make_rig
+from tests.fuzz.corpus import write_sleap
 
 ROOT = Path(__file__).resolve().parents[1]
 SAMPLES = ROOT / "data" / "samples"
@@ -78,13 +80,13 @@ def _video(path: Path) -> None:
 
 
 def _sleap(path: Path) -> None:
-    sleap.write(keypoints(), path)
+    write_sleap(keypoints(), path)
 
 
 def _of_other_names(path: Path) -> None:
     names = {"spine": "mid_back", "l_eye": "left_eye", "r_eye": "left_ear"}
     file = select_frames(keypoints(), (0, 30))
-    sleap.write(replace(file, names=tuple(names.get(name, name) for name in file.names)), path)
+    write_sleap(replace(file, names=tuple(names.get(name, name) for name in file.names)), path)
 
 
 def _two_animals(path: Path) -> None:
@@ -117,26 +119,16 @@ def _track(path: Path) -> None:
     path.write_text("frame,qw,qx,qy,qz,tx,ty,tz\n" + "".join(f"{frame},{row}\n" for frame in range(60)))
 
 
-def _renamed_columns(names: dict[str, str], write: Callable[[Keypoints, Path], None]) -> Callable[[Path], None]:
-    def make(path: Path) -> None:
-        write(replace(keypoints(), fps=None), path)
-        head, _, rest = path.read_text().partition("\n")
-        cells = head.strip().split(",")
-        for pattern, new in names.items():
-            cells = [re.sub(pattern, new, cell) for cell in cells]
-        path.write_text(",".join(cells) + "\n" + rest)
-
-    return make
+def _long(path: Path) -> None:
+    columns.write_long(replace(keypoints(), fps=None), path)
+    head, _, rest = path.read_text().partition("\n")
+    path.write_text(head.replace("frame,bodypart,x,y,likelihood", "Nr,Node,X pos,Y pos,Q") + "\n" + rest)
 
 
-LONG = {
-    "^frame$": "Nr",
-    "^(keypoint|bodypart)$": "Node",
-    "^x(_px)?$": "X pos",
-    "^y(_px)?$": "Y pos",
-    "^likelihood$": "Q",
-}
-WIDE = {"^frame$": "Nr", r"^(.*)_x(_px)?$": r"X of \1", r"^(.*)_y(_px)?$": r"Y of \1"}
+def _wide(path: Path) -> None:
+    clip = keypoints()
+    names = ["Nr", *(f"{axis} of {name}" for name in clip.names for axis in "XY")]
+    write_table(path, [names], clip.frames, clip.xy_px.reshape(len(clip.frames), -1))
 
 
 def _runs(path: Path) -> None:
@@ -217,8 +209,8 @@ FILES: dict[str, Callable[[Path], None]] = {
     "clip.analysis.h5": _sleap,
     "pair.h5": _two_animals,
     "capture.bvh": _bvh,
-    "long.csv": _renamed_columns(LONG, columns.write_long),
-    "wide.csv": _renamed_columns(WIDE, columns.write_wide),
+    "long.csv": _long,
+    "wide.csv": _wide,
     "board": _pictures,
     "board.mp4": _board_video,
     "run1.csv": _runs,

@@ -77,42 +77,31 @@ def read(path: Path, individual: str | None = None) -> StoredPoints:
 
 
 def _hierarchy(lines: Iterator[str]) -> list[_Joint]:
-    """The joints in the order of their channels, each after its parent. Raises ValueError, StopIteration."""
+    """The joints in the order of their channels, each after its parent. Raises what `DAMAGE` lists."""
     if next(lines) != "HIERARCHY":
         raise ValueError("no HIERARCHY")
     joints: list[_Joint] = []
     open_: list[int] = []
-    columns = 0
     for line in lines:
         word, *rest = line.split()
         if word == "MOTION":
-            break
+            return joints
         if word in ("ROOT", "JOINT", "End"):
-            if (word == "ROOT") != (not joints):
-                raise ValueError(f"'{line}', which is a second ROOT or before one")
             parent = open_[-1] if open_ else -1
             name = f"{joints[parent].name}_end" if word == "End" else line[len(word) :].strip()
             joints.append(_Joint(name, parent, end=word == "End"))
-        elif word == "{" and joints:
+        elif word == "{":
             open_.append(len(joints) - 1)
-        elif word == "}" and open_:
+        elif word == "}":
             open_.pop()
-        elif word == "OFFSET" and len(rest) == 3 and open_ and not joints[open_[-1]].offset:
-            joints[open_[-1]].offset = [number(cell) for cell in rest]
-        elif word == "CHANNELS" and rest and open_ and not joints[open_[-1]].channels:
-            joint = joints[open_[-1]]
-            joint.channels = rest[1:]
-            if len(joint.channels) != frame_number(rest[0]) or not all(
-                re.fullmatch(r"[XYZ](position|rotation)", c) for c in joint.channels
-            ):
-                raise ValueError(f"'{line}', which are no channels")
-            joint.column = columns
-            columns += len(joint.channels)
+        elif word == "OFFSET":
+            joints[-1].offset = [number(cell) for cell in rest]
+        elif word == "CHANNELS":
+            joints[-1].column = sum(len(joint.channels) for joint in joints[:-1])
+            joints[-1].channels = rest[1:]
         else:
             raise ValueError(f"'{line[:60]}' in the hierarchy")
-    if open_ or not joints or not all(joint.offset for joint in joints):
-        raise ValueError("a hierarchy that is not closed, or a joint without OFFSET")
-    return joints
+    raise ValueError("no MOTION")
 
 
 def _value(lines: Iterator[str], pattern: str) -> str:

@@ -178,9 +178,6 @@ def read_long(path: Path, individual: str | None = None, columns: Mapping[str, s
     return _gathered(path, dict(zip(header, cells, strict=True)), individual, columns)
 
 
-recognises_wide, read_wide = recognises_long, read_long
-
-
 def recognises_parquet(path: Path) -> bool:
     return starts_with(path, b"PAR1")
 
@@ -281,31 +278,15 @@ def _gathered(path: Path, table: Columns, individual: str | None, given: Mapping
 
 def write_long(keypoints: Keypoints, path: Path) -> None:
     """One row for each frame and keypoint: frame, individual (if named), bodypart, x, y, likelihood, fps."""
-    start, end, values = _parts(keypoints)
+    start = {} if keypoints.individual is None else {"individual": keypoints.individual}
+    end = {} if keypoints.fps is None else {"fps": keypoints.fps}
+    values = np.concatenate([keypoints.xy_px, keypoints.confidence[..., None]], axis=2)
     rows = (
         [frame, *start.values(), name, *point, *end.values()]
         for frame, points in zip(keypoints.frames, values, strict=True)
         for name, point in zip(keypoints.names, points, strict=True)
     )
     write_rows(path, [["frame", *start, "bodypart", "x", "y", "likelihood", *end]], rows)
-
-
-def write_wide(keypoints: Keypoints, path: Path) -> None:
-    """One row for each frame: frame, individual (if named), NAME_x, NAME_y, NAME_likelihood, ..., fps."""
-    start, end, values = _parts(keypoints)
-    of_points = [f"{name}_{coord}" for name in keypoints.names for coord in ("x", "y", "likelihood")]
-    rows = (
-        [frame, *start.values(), *points.ravel(), *end.values()]
-        for frame, points in zip(keypoints.frames, values, strict=True)
-    )
-    write_rows(path, [["frame", *start, *of_points, *end]], rows)
-
-
-def _parts(keypoints: Keypoints) -> tuple[dict[str, str], dict[str, float], np.ndarray]:
-    """Columns that are the same in all rows, before and after the others; and x, y, likelihood (T, K, 3)."""
-    start = {} if keypoints.individual is None else {"individual": keypoints.individual}
-    end = {} if keypoints.fps is None else {"fps": keypoints.fps}
-    return start, end, np.concatenate([keypoints.xy_px, keypoints.confidence[..., None]], axis=2)
 
 
 def write_parquet(pose: Pose3D, path: Path) -> None:

@@ -2,8 +2,7 @@
 
 - COCO: `images`, `annotations` with `keypoints` [x, y, v, ...], and `categories` with their names. v is 0 for a missing
   point. A score for each point is read from `keypoint_scores`, where there is one. The animal of an annotation is its
-  `individual`, as our own files have it, or its `track_id`. Ours have the frame rate in `info`, and an annotation for
-  each frame in which a point is known.
+  `individual`, as files of recon 0.2 have it, or its `track_id`. Those have the frame rate in `info`.
 - MMPose: `meta_info` with the keypoints' names, `instance_info` with the animals of each frame. Its demo scripts write
   them (`--save-predictions`), and count a video's frames from 1.
 - OpenPose: a file for each frame; any one of them stands for all of its folder that are called alike:
@@ -17,7 +16,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -27,7 +25,6 @@ import numpy as np
 
 from recon.base.documents import read_json
 from recon.base.errors import InputError, Problem, refuse
-from recon.clip.keypoints import Keypoints
 from recon.io.common import FMPOSE3D, choose, damage_named, first_problems, points_of_arrays, rate, starts_with_text
 from recon.io.pose import StoredPoints
 
@@ -160,44 +157,6 @@ def _size(images: list[Table]) -> tuple[int, int] | None:
     sizes = {(image.get("width"), image.get("height")) for image in images}
     (width, height) = sizes.pop() if len(sizes) == 1 else (None, None)
     return (width, height) if isinstance(width, int) and isinstance(height, int) and width > 0 < height else None
-
-
-def write_coco(keypoints: Keypoints, path: Path) -> None:
-    size = (
-        {} if keypoints.image_size_px is None else dict(zip(("width", "height"), keypoints.image_size_px, strict=True))
-    )
-    named = {} if keypoints.individual is None else {"individual": keypoints.individual}
-    images, annotations = [], []
-    for t, frame in enumerate(keypoints.frames.tolist()):
-        images.append({"id": t + 1, "file_name": f"frame_{frame:06d}.png", "frame_id": frame, **size})
-        known = keypoints.present[t]
-        if known.any():
-            points = np.column_stack([np.where(known[:, None], keypoints.xy_px[t], 0.0), 2 * known])
-            low, high = keypoints.xy_px[t][known].min(axis=0), keypoints.xy_px[t][known].max(axis=0)
-            width, height = (high - low).tolist()
-            annotations.append(
-                {
-                    "id": t + 1,
-                    "image_id": t + 1,
-                    "category_id": 1,
-                    "track_id": 1,
-                    "keypoints": points.ravel().tolist(),
-                    "num_keypoints": int(known.sum()),
-                    "keypoint_scores": [None if c != c else c for c in keypoints.confidence[t].tolist()],
-                    "bbox": [*low.tolist(), width, height],
-                    "area": width * height,
-                    "iscrowd": 0,
-                    **named,
-                }
-            )
-    rate_hz = {} if keypoints.fps is None else {"fps": keypoints.fps}
-    content = {
-        "info": {"description": "keypoints of one animal", "contributor": "recon", **rate_hz},
-        "images": images,
-        "annotations": annotations,
-        "categories": [{"id": 1, "name": "animal", "keypoints": list(keypoints.names), "skeleton": []}],
-    }
-    path.write_text(json.dumps(content, ensure_ascii=False, allow_nan=False) + "\n", encoding="utf-8")
 
 
 # -- MMPose -----------------------------------------------------------------------------------------------------------

@@ -2,8 +2,7 @@
 
 - Analysis: `tracks`, `point_scores`, `track_occupancy`, `node_names`, `track_names`. The order of the axes is in the
   attribute `dims` of each dataset; files without it have SLEAP's first order. The frame axis counts from frame 0 of the
-  video. Frames in which a track is not occupied are left out. Our own have the frame rate in `provenance`: there is no
-  other place.
+  video. Frames in which a track is not occupied are left out.
 - points3d.h5: `tracks` (frame, track, node, xyz), and perhaps `frames`, the first and the end. Files of others have
   names beside them, and the rate as `recording_frame_rate`.
 """
@@ -11,21 +10,16 @@
 from __future__ import annotations
 
 import json
-from io import BytesIO
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 
 from recon.base.errors import InputError, Problem
-from recon.base.files import write_bytes
-from recon.clip.keypoints import Keypoints
-from recon.io.common import points_of_arrays, rate, require_span
+from recon.io.common import points_of_arrays, rate
 from recon.io.hdf5 import attribute, child, numbers, opened, outline, texts
 from recon.io.pose import StoredPoints
 
-TITLE = "SLEAP analysis H5"
 ORDERS = {
     "tracks": ("track", "xy", "node", "frame"),
     "point_scores": ("track", "node", "frame"),
@@ -45,11 +39,10 @@ def read(path: Path, individual: str | None = None) -> StoredPoints:
     with opened(path) as file:
         arrays = {name: _array(path, dataset, name) for name in ORDERS if (dataset := child(file, name)) is not None}
         names, tracks = (_texts(file, name) for name in ("node_names", "track_names"))
-        fps = _fps(file)
     xy = arrays["tracks"]
     score = arrays.get("point_scores", np.full(xy.shape[:3], np.nan))
     occupied = arrays.get("track_occupancy")
-    return points_of_arrays(path, individual, xy, np.arange(len(xy)), names, tracks, score, occupied, fps=fps)
+    return points_of_arrays(path, individual, xy, np.arange(len(xy)), names, tracks, score, occupied)
 
 
 def _texts(file: Any, name: str) -> list[str]:
@@ -69,15 +62,6 @@ def _array(path: Path, dataset: Any, name: str) -> np.ndarray:
         expected = f"numbers with the axes {', '.join(ORDERS[name])}, or as dims says"
         raise InputError(Problem(path, name, found, expected))
     return values.transpose([order.index(axis) for axis in wanted])
-
-
-def _fps(file: Any) -> float | None:
-    """As our own files have it; SLEAP's have none."""
-    try:
-        provenance = json.loads("".join(texts(child(file, "provenance"))))
-    except (ValueError, RecursionError):
-        return None
-    return rate(provenance.get("fps")) if isinstance(provenance, dict) else None
 
 
 # -- sleap-anipose's points3d.h5 --------------------------------------------------------------------------------------
@@ -103,38 +87,3 @@ def read_points3d(path: Path, individual: str | None = None) -> StoredPoints:
         )
     frames = (first or 0.0) + np.arange(len(values))
     return points_of_arrays(path, individual, values, frames, names, tracks, fps=rate(fps))
-
-
-# -- writing ----------------------------------------------------------------------------------------------------------
-
-
-def write(keypoints: Keypoints, path: Path) -> None:
-    if keypoints.frames[0] < 0:
-        raise InputError(Problem(TITLE, "frames", f"{keypoints.frames[0]}", "numbers from 0 on"))
-    T, K = int(keypoints.frames[-1]) + 1, len(keypoints.names)
-    require_span(T, K, TITLE)
-    tracks, scores = np.full((1, 2, K, T), np.nan), np.full((1, K, T), np.nan)
-    tracks[0, :, :, keypoints.frames] = keypoints.xy_px.transpose(0, 2, 1)
-    scores[0, :, keypoints.frames] = keypoints.confidence
-    occupied = np.zeros((T, 1), np.uint8)
-    occupied[keypoints.frames] = 1
-    instances = np.where(occupied.T == 1, 1.0, np.nan)
-    arrays = {
-        "tracks": (tracks, ORDERS["tracks"]),
-        "point_scores": (scores, ORDERS["point_scores"]),
-        "track_occupancy": (occupied, ORDERS["track_occupancy"]),
-        "instance_scores": (instances, ("track", "frame")),
-        "tracking_scores": (instances, ("track", "frame")),
-    }
-    provenance = {"written_by": "recon"} | ({} if keypoints.fps is None else {"fps": keypoints.fps})
-    made = BytesIO()
-    with h5py.File(made, "w") as file:
-        for name, (array, dims) in arrays.items():
-            file.create_dataset(name, data=array, compression="gzip").attrs["dims"] = json.dumps(dims)
-        file["node_names"] = np.array([name.encode() for name in keypoints.names])
-        file["track_names"] = np.array([] if keypoints.individual is None else [keypoints.individual.encode()])
-        file["edge_names"], file["edge_inds"] = np.zeros((0, 2)), np.zeros((0, 2), np.int32)
-        file["labels_path"], file["video_path"], file["video_ind"] = "", "", np.int32(0)
-        file["provenance"] = json.dumps(provenance)
-        file.attrs["preset"], file.attrs["format"] = "matlab", "analysis"
-    write_bytes(path, made.getvalue())

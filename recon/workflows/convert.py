@@ -28,9 +28,9 @@ class ConvertSettings(Settings):
 
     source: Annotated[Path | None, Option("File, or folder of results, as in results/clip.", argument="IN")] = None
     out: Annotated[Path | None, Option("File to write, as in clip.trc.", argument="OUT")] = None
-    to: Annotated[
-        str | None, Option("Format, where the extension has several, as in long or sleap. (default: see --list)")
-    ] = None
+    to: Annotated[str | None, Option("Format, where the extension has several, as in long. (default: see --list)")] = (
+        None
+    )
     fps: Annotated[
         Positive | None,
         Option(

@@ -125,6 +125,23 @@ MMPOSE = {
         {"frame_id": t, "instances": [{"keypoints": [[t, 2.5], [3, 4]], "keypoint_scores": [0.5, 1]}]} for t in (1, 2)
     ],
 }
+COCO = {
+    "images": [{"id": t, "file_name": f"img{t:03d}.png", "width": 64, "height": 48} for t in (3, 4)],
+    "annotations": [
+        {
+            "id": t,
+            "image_id": t,
+            "category_id": 1,
+            "track_id": a,
+            "keypoints": [t, 2, 2, 0, 0, 0],
+            "keypoint_scores": [1, None],
+        }
+        for t, a in ((3, 1), (4, 1), (4, 2))
+    ],
+    "categories": [{"id": 1, "name": "cheetah", "keypoints": ["nose", "tail"]}],
+}
+PEOPLE = {"version": 1.3, "people": [{"pose_keypoints_2d": [10.0, 20.0, 0.5] * 17}, {"pose_keypoints_2d": []}]}
+WIDE = "frame,nose_x,nose_y,nose_score,tail_x,tail_y,speed\n3,1,2,0.5,3,4,1\n5,1,2,,,,1\n"
 FRAMES = np.array([3, 4, 5, 6, 9])
 
 
@@ -238,7 +255,21 @@ def of_formats(folder: Path) -> Iterator[Seed]:
     lifted = {"model": "fmpose3d_animals", "bodyparts": ["nose", "neck"], "poses_3d": [[[1, 2, 3], [4, 5, 6]], []]}
     yield Seed("3d-fmpose3d.json", json.dumps(lifted).encode(), _positions)
     yield Seed("2d-mmpose.json", json.dumps(MMPOSE).encode(), _points)
+    yield Seed("2d-coco.json", json.dumps(COCO).encode(), lambda path: clean(read_keypoints(path, "1"), 0.5))
+    yield Seed("2d-openpose-000012_keypoints.json", json.dumps(PEOPLE).encode(), _points)
+    yield Seed("2d-wide.csv", WIDE.encode(), _points)
+    write_sleap(clip, folder / "2d.analysis.h5")
+    yield Seed("2d-sleap.analysis.h5", (folder / "2d.analysis.h5").read_bytes(), _points)
     yield Seed("2d-fixed.h5", _fixed_h5(folder / "fixed.h5", clip), _points)
+
+
+def write_sleap(points: Keypoints, path: Path) -> None:
+    """As SLEAP does."""
+    with h5py.File(path, "w") as file:
+        file["tracks"] = points.xy_px.transpose(2, 1, 0)[None]
+        file["point_scores"] = points.confidence.T[None]
+        file["track_occupancy"] = np.ones((len(points.frames), 1), np.uint8)
+        file["node_names"], file["track_names"] = [name.encode() for name in points.names], [b"track_0"]
 
 
 def _fixed_h5(path: Path, clip: Keypoints) -> bytes:

@@ -94,7 +94,7 @@ def read_summary(out: Path) -> object:
 def cases(folder: Path) -> list[Case]:
     """folder: with results to go on from, in `clip`."""
     clip = folder / "clip"
-    two = ("deeplabcut.csv", "deeplabcut.h5", "long.csv", "wide.csv", "sleap.h5", "movement.nc", "nwb.nwb", "coco.json")
+    two = ("deeplabcut.csv", "deeplabcut.h5", "long.csv", "movement.nc", "nwb.nwb")
     three = ("deeplabcut.csv", "deeplabcut.h5", "movement.nc", "nwb.nwb", "parquet.parquet", "trc.trc", "c3d.c3d",
              "npz.npz", "opensim.osim", "gltf.glb", "bvh.bvh")  # fmt: skip
     found = [
