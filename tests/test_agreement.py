@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from recon.check import Finding, agreement_findings, sentence
-from recon.check.agreement import FRAMES, camera_findings
+from recon.check.agreement import FRAMES
 from recon.clip import View
 from recon.geometry import euler_rotation, rigid
 from tests.test_trajectory import FPS
@@ -26,9 +26,14 @@ def cameras(n: int = 4) -> list[View]:
     return [replace(view, camera=replace(view.camera, name=f"cam{i + 1}")) for i, view in enumerate(views)]
 
 
-def judged(views: list[View]) -> tuple[Finding, ...]:
-    frames = np.arange(100, 100 + len(views[0].xy_px))
-    return camera_findings(views, FPS, frames, [0.0] * len(views), 2.0, KEYPOINT_M)
+def judged(views: list[View], offset_s: Sequence[float] = (0.0,) * 5) -> tuple[Finding, ...]:
+    """Of a motion that has what is read."""
+    late = replace(views[0], lead_frames=views[0].lead_frames + 0.3)  # a lag that was found does not hide another
+    leads = [view.lead_frames for view in views]
+    sources = [SimpleNamespace(lead_frames=lead, offset_s=s) for lead, s in zip(leads, offset_s, strict=False)]
+    frames, solution = np.arange(100, 100 + len(views[0].xy_px)), SimpleNamespace(views=[late, *views[1:]])
+    motion = SimpleNamespace(solution=solution, sources=sources, fps=FPS, frames=frames)
+    return agreement_findings(motion, 2.0, KEYPOINT_M)  # type: ignore[arg-type]
 
 
 def findings(found: Sequence[Finding]) -> list[tuple[str, tuple[int, ...]]]:
@@ -175,16 +180,9 @@ def test_of_a_long_clip_the_stretch_in_which_most_is_seen_is_compared():
 # -- in words ------------------------------------------------------------------------------------------------------
 
 
-def found_in(views: list[View], offset_s: Sequence[float] = (0.0, 0.0, 0.0, 0.0)) -> list[Finding]:
-    """But for notes, of a motion that has what is read."""
-    frames = np.arange(100, 100 + len(views[0].xy_px))
-    late = replace(views[0], lead_frames=views[0].lead_frames + 0.3)  # a lag that was found does not hide another
-    solution = SimpleNamespace(views=[late, *views[1:]])
-    leads = [view.lead_frames for view in views]
-    sources = [SimpleNamespace(lead_frames=lead, offset_s=s) for lead, s in zip(leads, offset_s, strict=False)]
-    motion = SimpleNamespace(solution=solution, sources=sources, fps=FPS, frames=frames)
-    found = agreement_findings(motion, 2.0, KEYPOINT_M)  # type: ignore[arg-type]
-    return [one for one in found if one.severity != "note"]
+def found_in(views: list[View], offset_s: Sequence[float] = (0.0,) * 5) -> list[Finding]:
+    """But for notes."""
+    return [one for one in judged(views, offset_s) if one.severity != "note"]
 
 
 def test_the_camera_is_named_and_what_to_do():
@@ -208,5 +206,4 @@ def test_exchanged_files_and_two_cameras():
 
 
 def test_one_camera_has_nobody_to_agree_with():
-    motion = SimpleNamespace(solution=SimpleNamespace(views=cameras(1)), sources=cameras(1))
-    assert agreement_findings(motion, 2.0, KEYPOINT_M) == ()  # type: ignore[arg-type]
+    assert judged(cameras(1)) == ()

@@ -82,8 +82,9 @@ class _CameraAgreement:
 
 
 def agreement_findings(motion: Motion, sigma_px: float, keypoint_sigma_m: float) -> tuple[Finding, ...]:
-    """What a motion's cameras, as they were given, say of each other: the time offsets that a fit found do not hide
-    others.
+    """Of a motion's two or more cameras, as they were given (the lags that a fit found do not hide others): a note on
+    each camera, and which do not agree with the others and why, as if their files were exchanged, turned, late, for a
+    reason unknown, or, where it cannot be said which of them is off, with each other. Deterministic.
 
     sigma_px: noise of the detector; keypoint_sigma_m: how far off a keypoint's place on the body it may lie as well.
     """
@@ -91,24 +92,9 @@ def agreement_findings(motion: Motion, sigma_px: float, keypoint_sigma_m: float)
     views = [replace(view, lead_frames=source.lead_frames) for view, source in both]
     if len(views) < 2:
         return ()
-    offsets_s = [source.offset_s for source in motion.sources]
-    return camera_findings(views, motion.fps, motion.frames, offsets_s, sigma_px, keypoint_sigma_m)
-
-
-def camera_findings(
-    views: Sequence[View],
-    fps: float,
-    frames: Index,
-    offsets_s: Sequence[float],
-    sigma_px: float,
-    keypoint_sigma_m: float,
-) -> tuple[Finding, ...]:
-    """What two or more views of the same T frames with these numbers say: a note on each camera, and which do not agree
-    with the others and why, as if their files were exchanged, turned, late, for a reason unknown, or, where it cannot
-    be said which of them is off, with each other. Deterministic."""
-    rows = _best_seen(views)
+    rows, fps = _best_seen(views), motion.fps
     views = [view.part(rows) for view in views]
-    compared = (int(frames[rows][0]), int(frames[rows][-1]) + 1)
+    compared = (int(motion.frames[rows][0]), int(motion.frames[rows][-1]) + 1)
     names, noise = [view.camera.name for view in views], (sigma_px, keypoint_sigma_m)
     sights = _sights(views, *noise)
     everyone = tuple(range(len(views)))
@@ -138,7 +124,7 @@ def camera_findings(
             compared,
             names[v],
             **asdict(found[v]),
-            offset_s=offsets_s[v] + found[v].late_frames / fps,
+            offset_s=motion.sources[v].offset_s + found[v].late_frames / fps,
         )
         for v in off
     ]
@@ -484,7 +470,7 @@ def search_offsets(views: Sequence[View], fps: float, sigma_px: float, keypoint_
     """(V,): how many whole frames later than said each camera's pictures were taken, beside the first's; NaN where it
     sees too little together with the others to compare.
 
-    Of views of the same T frames; noise as in `camera_findings`. Each camera in turn is put
+    Of views of the same T frames; noise as in `agreement_findings`. Each camera in turn is put
     where its rays pass those of the cameras before it most closely, then, a few times, those of all others. 0 where
     nothing else is clearly better.
     """
