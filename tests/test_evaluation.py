@@ -199,11 +199,11 @@ TURN = Rotation.from_rotvec([1.2, -0.7, 0.4]).as_matrix()
         (lambda xyz: xyz[:, [1, 0, 3, 2, 4, 5]], "named the other way round."),
         (
             lambda xyz: xyz[:, [1, 0, 3, 2, 4, 5]] @ TURN,
-            "the other way round, and the two in",
+            "a rotation of the whole clip by 8",
         ),
         (lambda xyz: xyz * [1.0, 1.0, -1.0], "left-handed axes"),
         (lambda xyz: 1000 * xyz, "One scale, by 0.00"),
-        (lambda xyz: 1000 * xyz @ TURN, "One scale and one rotation of the whole clip, by 0.00"),
+        (lambda xyz: 1000 * xyz @ TURN, "whole clip by 83°, bring"),
         (lambda xyz: xyz + np.array([0.0, 9.0, 0.0]), "m apart in all frames: they probably have different origins"),
     ],
 )

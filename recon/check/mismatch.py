@@ -64,23 +64,26 @@ def mismatches(pose_m: Array, truth_m: Array, names: Sequence[str]) -> tuple[Fin
 def _explanations(
     pose_m: Array, truth_m: Array, common: Bools, names: Sequence[str]
 ) -> Iterator[tuple[str, float, dict[str, Any]]]:
-    """What the matter could be, the simplest first: its code, the error that would then be left, and its numbers."""
+    """What the matter could be, the simplest first, each with the rotation of the whole clip that fits best: its code,
+    the error that would then be left, and its numbers."""
     pose, truth = _centred(pose_m, common), _centred(truth_m, common)
-    turn = _turn(pose, truth)
-    angle = float(Rotation.from_matrix(turn).magnitude())
-    yield "reference_rotated", _error(pose @ turn, truth, common), {"turn_rad": angle}
     sides = [names.index(other_side(name)) if other_side(name) in names else j for j, name in enumerate(names)]
+    both = _common(pose_m[:, sides], truth_m)
+    tries = [("reference_rotated", pose, truth, common)]
     if sides != [*range(len(names))]:
-        both = _common(pose_m[:, sides], truth_m)
-        swapped, of_them = _centred(pose_m[:, sides], both), _centred(truth_m, both)
-        yield "reference_swapped", _error(swapped, of_them, both), {}
-        yield "reference_swapped_rotated", _error(swapped @ _turn(swapped, of_them), of_them, both), {}
-    mirrored = pose * (1.0, -1.0, 1.0)
-    yield "reference_mirrored", _error(mirrored @ _turn(mirrored, truth), truth, common), {}
-    for code, moved in (("reference_scaled", pose), ("reference_scaled_rotated", pose @ turn)):
-        factor = float(np.sum(moved * truth) / max(np.sum(moved**2), 1e-300))
-        if not 1 / SCALED < factor < SCALED:
-            yield code, _error(factor * moved, truth, common), {"factor": factor}
+        tries.append(("reference_swapped", _centred(pose_m[:, sides], both), _centred(truth_m, both), both))
+    tries.append(("reference_mirrored", pose * (1.0, -1.0, 1.0), truth, common))
+    for code, of_pose, of_truth, known in tries:
+        turn = _turn(of_pose, of_truth)
+        yield code, _error(of_pose @ turn, of_truth, known), {"turn_rad": _angle(turn)}
+    turned = pose @ (turn := _turn(pose, truth))
+    factor = float(np.sum(turned * truth) / max(np.sum(turned**2), 1e-300))
+    if not 1 / SCALED < factor < SCALED:
+        yield "reference_scaled", _error(factor * turned, truth, common), {"factor": factor, "turn_rad": _angle(turn)}
+
+
+def _angle(turn: Array) -> float:
+    return float(Rotation.from_matrix(turn).magnitude())
 
 
 def _common(pose_m: Array, truth_m: Array) -> Bools:
