@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from recon.base.arrays import Array
-from recon.calibrate.intrinsics.board import Board, Gray
+from recon.calibrate.boards import Board, Gray
 from recon.geometry.camera import Camera
 
 EDGE_PARTS = 8

@@ -10,7 +10,8 @@ import time
 import numpy as np
 from board_pictures import poses, render
 
-from recon.calibrate.intrinsics import BoardView, BoardViews, Calibration, calibrate, check, parse_board
+from recon.calibrate.boards import BoardView, BoardViews, parse_board
+from recon.calibrate.intrinsics import Calibration, calibrate, check
 from recon.geometry.camera import Camera
 
 SIZE = (1280, 720)
@@ -41,7 +42,7 @@ def views_of(board_text: str, camera: Camera, count: int, rng: np.random.Generat
             without.append(str(number))
         else:
             views.append(BoardView(str(number), *corners))
-    return BoardViews(board, camera.image_size_px, tuple(views), tuple(without), count, len(views))
+    return BoardViews(board, camera.image_size_px, tuple(views), tuple(without), len(views))
 
 
 def worst_px(calibration: Calibration, truth: Camera) -> float:

@@ -15,7 +15,7 @@ from detector_files import mmpose
 
 from recon.animal.body import Body
 from recon.animal.skeleton_file import load_skeleton
-from recon.calibrate.intrinsics.board import parse_board
+from recon.calibrate.boards import parse_board
 from recon.clip.keypoints import Keypoints, select_frames
 from recon.geometry.camera import Camera
 from recon.geometry.frames import quaternions

@@ -16,7 +16,7 @@ from command_line import carry_out_here
 from networks import narrow_networks
 
 import recon
-from recon.calibrate.intrinsics import parse_board
+from recon.calibrate.boards import parse_board
 from recon.io.video import read_frames, video_writer
 from tests.test_calibrate import CAMERAS
 

@@ -15,9 +15,10 @@ from recon.base import Progress, silent
 from recon.base.errors import Problem, all_of, refuse
 from recon.base.files import require_free_file, staged_folder, write_bytes
 from recon.base.settings import OneOrMore, Option, Settings
+from recon.calibrate.boards import collect, find_views, parse_board
 from recon.calibrate.intrinsics import calibrate as solved
 from recon.calibrate.intrinsics import check as checked
-from recon.calibrate.intrinsics import collect, draw, find_views, parse_board
+from recon.calibrate.intrinsics import draw
 from recon.geometry.lens import LENS_MODELS
 from recon.io import write_camera
 from recon.workflows.cli.common import error_text, progress_bar, say, table_of, terminal

@@ -9,6 +9,12 @@ is left out, and the rest solved again, up to `ROUNDS` times. Errors of good pic
 median, whatever the lens; a picture beyond three has moved, bent or wrongly read corners, and since least squares are
 not robust, one of those moves the focal length by more than all others determine it. Errors below `DROP_FLOOR_PX` are
 those of a good detector and never dropped. Dropped pictures are listed with their error under the final camera.
+
+**Whether it is good enough to use.** Each limit has two steps: beyond the first it is a warning, beyond the second a
+reason to refuse. What matters for a reconstruction is the scale of the picture (the focal length: 1 % is 1 % of every
+distance from the camera, and little beside the 3 to 10 % to which an animal's size is known), the direction of the axis
+(the principal point: 1 % of the width is about 0.6 degrees), and a lens model that holds where the animal is, which is
+anywhere in the picture.
 """
 
 from __future__ import annotations
@@ -17,15 +23,15 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from io import BytesIO
+from typing import Any, Literal
 
 import cv2
 import numpy as np
 
-from recon.base.arrays import Array
+from recon.base.arrays import Array, Bools
 from recon.base.errors import InputError, Problem
-from recon.calibrate.intrinsics.board import Board
-from recon.calibrate.intrinsics.views import BoardView, BoardViews
+from recon.calibrate.boards import Board, BoardView, BoardViews
 from recon.geometry.camera import Camera
 from recon.geometry.lens import LENS_MODELS
 
@@ -230,3 +236,183 @@ def _jacobian(view: _FittedBoardView, points: Array, camera: Camera) -> tuple[Ar
     five = np.pad(camera.distortion, (0, 5 - n))
     jacobian = np.asarray(cv2.projectPoints(objects, *pose, camera.matrix, five)[1], dtype=float)
     return jacobian[:, 6 : 10 + n], jacobian[:, :6]
+
+
+# -- checks ---------------------------------------------------------------------------------------------------------
+
+Verdict = Literal["ok", "warning", "refused"]
+
+
+@dataclass(frozen=True)
+class _CalibrationCheck:
+    """A measured value, and what it is held against."""
+
+    name: str
+    what: str
+    unit: str
+    warn: float
+    """A warning where the value is beyond it (below it, if `at_least`)."""
+    refuse: float
+    """A reason to refuse where the value is beyond it (below it, if `at_least`)."""
+    at_least: bool
+    advice: str
+    value: float = math.nan
+
+    @property
+    def verdict(self) -> Verdict:
+        if self._beyond(self.refuse):
+            return "refused"
+        return "warning" if self._beyond(self.warn) else "ok"
+
+    def _beyond(self, bound: float) -> bool:
+        """Never of a bound that is NaN, and always of a value that is."""
+        return not math.isnan(bound) and not (self.value >= bound if self.at_least else self.value <= bound)
+
+    def __str__(self) -> str:
+        """What was found, the limit that it is beyond, by how much, and what to do."""
+        bound = self.refuse if self.verdict == "refused" else self.warn
+        unit = f" {self.unit}" if self.unit else ""
+        if self.verdict == "ok":
+            return f"{self.name}: {self.what} {self.value:.3g}{unit}"
+        side = "at least" if self.at_least else "at most"
+        return (
+            f"{self.name}: {self.what} {self.value:.3g}{unit}, {side} {bound:g} wanted "
+            f"({abs(self.value - bound):.2g} {'short' if self.at_least else 'over'}): {self.advice}"
+        )
+
+
+LIMITS = (
+    _CalibrationCheck(
+        "images", "pictures used", "", 10, 6, True, "take more pictures"
+    ),  # three determine the matrix, two more the lens; with six an error of one can still be seen in the others
+    _CalibrationCheck(
+        "dropped", "pictures left out as outliers", "%", 10, 25, False, "look for a board that bends, or moves"
+    ),  # one in four is no exception any more: the median itself is in doubt
+    _CalibrationCheck(
+        "rms", "reprojection error", "px of 1920", 0.5, 1.0, False, "check the board's numbers, flatness, and --model"
+    ),  # corners are found to 0.05-0.3 px; more is a wrong lens model or board. Relative to the width above 1920
+    _CalibrationCheck(
+        "coverage", "share of the picture where the board was", "%", 60, 30, True, "move the board over all of it"
+    ),  # the lens is measured there and extrapolated elsewhere, by polynomials
+    _CalibrationCheck(
+        "border", "widest strip along a border without a corner", "% of the side", 12, math.nan, False,
+        "hold the board at the borders, partly outside if it is a ChArUco board",
+    ),  # the distortion is largest there
+    _CalibrationCheck(
+        "tilt", "largest angle between two boards", "degrees", 40, 20, True, "tilt the board by 30 to 45 degrees"
+    ),  # parallel boards say nothing new: a longer focal length and a longer distance look alike
+    _CalibrationCheck(
+        "tilt axes", "spread of the tilt in its least varied direction", "degrees", 6, 2, True,
+        "tilt the board sideways as well as forwards",
+    ),  # about one axis, only one of fx and fy is determined by perspective
+    _CalibrationCheck(
+        "focal length", "standard deviation of fx or fy", "%", 0.3, 1.0, False, "take more pictures, closer and tilted"
+    ),  # what the lens model cannot express is not in it: take it for a third of the truth
+    _CalibrationCheck(
+        "principal point", "standard deviation of cx or cy", "% of the width", 0.3, 1.0, False,
+        "take more pictures, tilted and at the borders",
+    ),
+    _CalibrationCheck(
+        "aspect", "difference between fx and fy", "%", 0.5, 5.0, False, "check that the video is not stretched"
+    ),  # pixels of today's sensors are square to 0.1 %
+    _CalibrationCheck(
+        "centre", "distance of the principal point from the middle", "% of the width", 5, 15, False,
+        "check that the picture is not cropped",
+    ),  # lenses are centred to some 2 %
+    _CalibrationCheck(
+        "folded", "part of the picture where the lens model has no ray", "%", 0.0, 5.0, False,
+        "cover the borders, or use another --model",
+    ),  # there the fitted polynomial turns back; a circular fisheye picture has such corners by nature
+)  # fmt: skip
+"""Without their values."""
+
+
+def check(calibration: Calibration) -> tuple[_CalibrationCheck, ...]:
+    """The checks of a calibration: those of `LIMITS`, with their values."""
+    camera, used = calibration.camera, calibration.used
+    width, height = camera.image_size_px
+    values, sigma = calibration.parameters, calibration.sigma
+    covered = coverage(calibration)
+    corners = np.concatenate([view.xy_px for view in used])
+    gaps = [*(corners.min(axis=0) / (width, height)), *(1 - (corners.max(axis=0) + 1) / (width, height))]
+    normals = np.array([view.rotation[:, 2] * np.sign(view.rotation[2, 2] or 1.0) for view in used])
+    measured = {
+        "images": len(used),
+        "dropped": 100 * (1 - len(used) / len(calibration.views)),
+        "rms": calibration.rms_px / max(1.0, max(width, height) / 1920),
+        "coverage": 100 * covered.mean(),
+        "border": 100 * max(0.0, *gaps),
+        "tilt": math.degrees(np.arccos(np.clip(normals @ normals.T, -1, 1)).max()),
+        "tilt axes": math.degrees(math.sqrt(max(0.0, np.linalg.eigvalsh(np.cov(normals[:, :2].T, bias=True))[0]))),
+        "focal length": 100 * max(sigma[0] / values["fx"], sigma[1] / values["fy"]),
+        "principal point": 100 * max(sigma[2:4]) / width,
+        "aspect": 100 * abs(values["fx"] / values["fy"] - 1),
+        "centre": 100 * math.hypot(values["cx"] - (width - 1) / 2, values["cy"] - (height - 1) / 2) / width,
+        "folded": 100 * (1 - camera.rays(_pixel_grid(width, height))[1].mean()),
+    }
+    return tuple(replace(limit, value=float(measured[limit.name])) for limit in LIMITS)
+
+
+def coverage(calibration: Calibration, columns: int = 320) -> Bools:
+    """Which cells of the picture lie among the corners of some picture that was used: (rows, columns)."""
+    width, height = calibration.camera.image_size_px
+    scale = columns / width
+    mask = np.zeros((max(1, round(height * scale)), columns), dtype=np.uint8)
+    for view in calibration.used:
+        hull = cv2.convexHull(((view.xy_px + 0.5) * scale - 0.5).astype(np.float32))
+        cv2.fillConvexPoly(mask, np.rint(hull).astype(np.int32), 1)
+    return mask.astype(bool)
+
+
+def _pixel_grid(width: int, height: int) -> Array:
+    y, x = np.mgrid[0 : height - 1 : 41j, 0 : width - 1 : 41j]
+    return np.stack((x, y), axis=-1)
+
+
+# -- picture --------------------------------------------------------------------------------------------------------
+
+MAX_SIDE_PX, MARGIN_PX, FOOT_PX = 1400, 40, 130
+_DPI = 100
+
+
+def draw(calibration: Calibration) -> bytes:
+    """A PNG. Shaded: covered by a board. Lines: a square grid as this lens sees it. Dots: all corners, coloured by the
+    error of their picture; red crosses: those of pictures that were left out."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    camera, used, covered = calibration.camera, calibration.used, coverage(calibration)
+    width, height = camera.image_size_px
+    inner = np.rint(np.array([width, height]) * MAX_SIDE_PX / max(width, height))
+    whole = inner + np.array([2 * MARGIN_PX, MARGIN_PX + FOOT_PX])
+    figure = Figure(figsize=tuple(whole / _DPI), dpi=_DPI)
+    FigureCanvasAgg(figure)
+    corner, size = np.array([MARGIN_PX, FOOT_PX]) / whole, inner / whole
+    axes = figure.add_axes((*corner.tolist(), *size.tolist()), xticks=[], yticks=[])
+    edges = (-0.5, width - 0.5, height - 0.5, -0.5)
+    axes.imshow(covered, extent=edges, cmap="Greys", vmax=4, aspect="auto", interpolation="nearest")
+    x, y = np.meshgrid(np.linspace(0, width - 1, 160), np.linspace(0, height - 1, 160))
+    rays = camera.rays(np.stack((x, y), axis=-1))[0]
+    ideal = np.moveaxis(rays[..., :2] / rays[..., 2:], -1, 0)
+    # near a right angle from the axis, the plane of the grid is infinite
+    step = min(float(np.nanmax(np.abs(ideal[0]))), 3.0) / 8
+    for values in ideal:
+        axes.contour(x, y, values, step * np.arange(-24, 25), colors="#8caabe", linewidths=0.7, linestyles="solid")
+    at, errors = np.concatenate([view.xy_px for view in used]), [np.full(len(v.ids), v.rms_px) for v in used]
+    dots = axes.scatter(*at.T, c=np.concatenate(errors), s=16, vmin=0.0, linewidths=0)
+    left_out = [view for view in calibration.views if not view.used]
+    for view in left_out:
+        axes.plot(*view.xy_px.T, "x", color="#e63c3c", markersize=5)
+    axes.set(xlim=edges[:2], ylim=edges[2:])
+    bar = figure.add_axes((corner[0], 0.6 * corner[1], 300 / whole[0], 16 / whole[1]))
+    figure.colorbar(dots, cax=bar, orientation="horizontal").set_label("error of the picture, px (root mean square)")
+    notes = (
+        f"{camera.model}, {width}x{height} px, {len(used)} pictures"
+        + (f", {len(left_out)} left out (red)" if left_out else ""),
+        f"reprojection error {calibration.rms_px:.2f} px",
+        f"covered: {covered.mean():.0%} of the picture",
+    )
+    figure.text(360 / whole[0] + corner[0], 0.75 * corner[1], "\n".join(notes), va="top")
+    content = BytesIO()
+    figure.savefig(content, format="png", metadata={"Software": None})
+    return content.getvalue()

@@ -1,22 +1,39 @@
-"""Views of a board: from pictures, or from a video, of which the sharp and different frames are enough."""
+"""Calibration boards: what they look like, where their corners are in a picture, and views of them from pictures or
+from a video, of which the sharp and different frames are enough.
+
+A board's frame lies in its surface: x to the right, y down, z away from the viewer, metres; a board that is seen
+squarely is parallel to the camera frame. Corners are where four squares meet.
+"""
 
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 
 from recon.base import Progress, silent
 from recon.base.arrays import Array, Index
 from recon.base.errors import InputError, Problem, refuse
-from recon.calibrate.intrinsics.board import Board, Gray
 from recon.io.video import SUFFIXES as VIDEO_SUFFIXES
 from recon.io.video import probe, read_frames
 
+Gray = npt.NDArray[np.uint8]
+UNITS_M = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
+MIN_CORNERS = 8
+"""A pose has six unknowns and needs four corners; twice that leaves residuals which can show that it is wrong."""
+
+CHESSBOARD_FORM = "chessboard:9x6:25mm (inner corners, one fewer than squares each way; side of a square)"
+_SIZE = r"(\d+)x(\d+):(\d+(?:\.\d*)?|\.\d+)(mm|cm|m)"
+_CHESSBOARD = re.compile(f"chessboard:{_SIZE}")
+_CHARUCO = re.compile(rf"charuco:{_SIZE}:(\d+(?:\.\d*)?|\.\d+)(mm|cm|m):(\w+)(:legacy)?")
+CHARUCO_FORM = "charuco:5x7:40mm:30mm:DICT_4X4_50 (squares; side of a square; side of a marker; dictionary)"
 IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp")
 MAX_VIEWS = 40
 """How many pictures of a video are taken. Standard deviations fall with the square root of the number: more add time
@@ -28,6 +45,130 @@ SHARPNESS_KEPT = 0.7
 """A frame that is less sharp than this share of the sharp ones (their 75th percentile) is left out."""
 MIN_DIFFERENCE = 0.02
 """Two frames between which the board's outline moved by less, relative to the picture's diagonal, are the same view."""
+
+
+Corners = tuple[Index, Array]
+"""Corners of a board in one picture: rows (N,) of the board's `points_m`, and pixels (N, 2)."""
+
+
+@dataclass(frozen=True)
+class Board:
+    """A board of squares, or a ChArUco board, which has markers in the light ones."""
+
+    columns: int
+    """The number of inner corners across; of squares, where there are markers."""
+    rows: int
+    square_m: float
+    """Side of a square."""
+    marker_m: float | None = None
+    """Side of a marker; None: a chessboard."""
+    dictionary: str = ""
+    """OpenCV's name of the markers' dictionary."""
+    legacy: bool = False
+    """The layout of OpenCV before 4.6, which differs for an even number of rows."""
+
+    def __str__(self) -> str:
+        size, side = f"{self.columns}x{self.rows}", f"squares of {1000 * self.square_m:g} mm"
+        if self.marker_m is None:
+            return f"chessboard of {size} inner corners, {side}"
+        markers = f"markers of {1000 * self.marker_m:g} mm from {self.dictionary}" + self.legacy * ", legacy layout"
+        return f"ChArUco board of {size} {side}, {markers}"
+
+    @cached_property
+    def charuco(self) -> cv2.aruco.CharucoBoard:
+        """OpenCV's board, of one with markers."""
+        assert self.marker_m is not None
+        size = (self.columns, self.rows)
+        board = cv2.aruco.CharucoBoard(size, self.square_m, self.marker_m, _dictionary(self.dictionary))
+        board.setLegacyPattern(self.legacy)
+        return board
+
+    @cached_property
+    def points_m(self) -> Array:
+        """Corners (K, 3), board frame, metres: row by row, as OpenCV numbers them."""
+        first = 0 if self.marker_m is None else 1
+        y, x = np.mgrid[first : self.rows, first : self.columns]
+        return self.square_m * np.stack((x.ravel(), y.ravel(), np.zeros(x.size)), axis=1)
+
+    @cached_property
+    def outline_m(self) -> Array:
+        """Corners (4, 3) of the outermost squares."""
+        x0 = y0 = -1 if self.marker_m is None else 0
+        x1, y1 = self.columns, self.rows
+        return self.square_m * np.array([(x0, y0, 0.0), (x1, y0, 0), (x1, y1, 0), (x0, y1, 0)])
+
+    def detect(self, image: Gray) -> Corners | None:
+        """The corners in a picture (height, width), or None: a chessboard is found whole or not at all, of a ChArUco
+        board the corners between markers that were read, where they are enough."""
+        if self.marker_m is None:
+            size = (self.columns, self.rows)
+            found, xy = cv2.findChessboardCornersSB(image, size, flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
+            if not found:
+                return None
+            xy = np.asarray(xy, dtype=float).reshape(-1, 2)
+            if xy[0].sum() > xy[-1].sum():
+                xy = xy[::-1]  # half a turn maps the board onto itself, and which end comes first is arbitrary
+            return np.arange(len(xy)), _refined_corners(image, xy, 0.28)
+        xy, ids, _, _ = cv2.aruco.CharucoDetector(self.charuco).detectBoard(image)
+        if ids is None or len(ids) < MIN_CORNERS:
+            return None
+        # As far as the nearest marker, which would pull the corner towards its own.
+        reach = 0.45 * (1 - self.marker_m / self.square_m)
+        xy = _refined_corners(image, np.asarray(xy, dtype=float).reshape(-1, 2), reach)
+        return np.ravel(ids).astype(np.intp), xy
+
+
+def parse_board(text: str) -> Board:
+    """A board from its description, as in `CHESSBOARD_FORM` and `CHARUCO_FORM`; `:legacy` may follow the second.
+
+    Raises InputError.
+    """
+    form = _CHESSBOARD.fullmatch(text.strip()) or _CHARUCO.fullmatch(text.strip())
+    if form is None:
+        raise InputError(Problem("--board", "board", repr(text), f"{CHESSBOARD_FORM}, or {CHARUCO_FORM}"))
+    columns, rows, square, unit, *markers = form.groups()
+    board = Board(int(columns), int(rows), float(square) * UNITS_M[unit])
+    problems = []
+    if min(board.columns, board.rows) < 3 or not board.square_m > 0:
+        problems = [Problem("--board", "size", repr(text), "three or more columns and rows, of some size")]
+    if markers:
+        size, unit, dictionary, legacy = markers
+        board = replace(board, marker_m=float(size) * UNITS_M[unit], dictionary=dictionary.upper(), legacy=bool(legacy))
+        if not 0 < board.marker_m < board.square_m:
+            problems.append(
+                Problem("--board", "side of a marker", size + unit, f"less than {square}{unit} of a square")
+            )
+        known = sorted(name for name in dir(cv2.aruco) if name.startswith("DICT_") and name == name.upper())
+        needed = board.columns * board.rows // 2
+        if board.dictionary not in known:
+            problems.append(Problem("--board", "dictionary", repr(dictionary), f"one of {', '.join(known)}"))
+        elif (held := len(_dictionary(board.dictionary).bytesList)) < needed:
+            problems.append(Problem("--board", "dictionary", f"{held} markers in {dictionary}", f"{needed} or more"))
+    refuse(problems)
+    return board
+
+
+def _dictionary(name: str) -> cv2.aruco.Dictionary:
+    return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
+
+
+def _refined_corners(image: Gray, xy_px: Array, reach: float) -> Array:
+    """Corners (N, 2) moved to where the gradients around them say, within `reach` of the distance to the next corner.
+
+    That halves the error of what the detectors give. The window must see neither the board's edge nor a neighbour:
+    real chessboards have the smallest errors with 0.3, and from 0.4 outer corners drift. One that would move by more
+    than the window stays.
+    """
+    distance = np.linalg.norm(xy_px[:, None] - xy_px, axis=2) + np.diag(np.full(len(xy_px), np.inf))
+    # The window is the same for all; in a tilted board the far corners decide.
+    half = int(np.clip(round(reach * np.percentile(distance.min(axis=1), 20)), 2, 15))
+    criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_MAX_ITER, 100, 1e-4)
+    start = xy_px.astype(np.float32).reshape(-1, 1, 2)
+    moved = np.asarray(cv2.cornerSubPix(image, start, (half, half), (-1, -1), criteria), dtype=float).reshape(-1, 2)
+    return np.where(np.linalg.norm(moved - xy_px, axis=1, keepdims=True) <= half, moved, xy_px)
+
+
+# -- views ------------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -51,10 +192,13 @@ class BoardViews:
     """The views of the board that the calibration is made from."""
     without_board: tuple[str, ...]
     """Names of the pictures in which it was not found."""
-    examined: int
-    """How many pictures were looked at."""
     found: int
-    """In how many of them the board was."""
+    """In how many pictures the board was."""
+
+    @property
+    def examined(self) -> int:
+        """How many pictures were looked at."""
+        return self.found + len(self.without_board)
 
 
 def collect(paths: Iterable[Path]) -> list[Path]:
@@ -129,7 +273,7 @@ def _from_images(files: Sequence[Path], board: Board, progress: Progress) -> Boa
     if len(set(sizes.values())) > 1:
         problems.append(_mixed_sizes(sizes))
     refuse(problems)
-    return BoardViews(board, next(iter(sizes.values())), tuple(views), tuple(without), len(files), len(views))
+    return BoardViews(board, next(iter(sizes.values())), tuple(views), tuple(without), len(views))
 
 
 def _read_gray(file: Path) -> Gray | None:
@@ -172,7 +316,7 @@ def _from_video(path: Path, board: Board, progress: Progress) -> BoardViews:
         outlines.append(_outline(board, *corners) / math.hypot(*info.size_px))
     chosen = choose(np.array(sharpness), np.array(outlines)) if found else []
     views = tuple(found[i] for i in chosen)
-    return BoardViews(board, info.size_px, views, tuple(without), len(found) + len(without), len(found))
+    return BoardViews(board, info.size_px, views, tuple(without), len(found))
 
 
 def choose(sharpness: Array, outlines: Array, most: int = MAX_VIEWS) -> list[int]:
