@@ -34,7 +34,7 @@ from typing import Literal
 
 import numpy as np
 
-from recon.base.arrays import Array, Index
+from recon.base.arrays import Array
 
 Joint = Literal["free", "ball", "universal", "hinge", "fixed", "summed", "turn", "slide"]
 
@@ -96,7 +96,6 @@ class TreePose:
     """(N, J, 3), by the logarithm of the size."""
 
 
-@dataclass(frozen=True)
 class _Plan:
     """What a tree's kinematics need besides the state.
 
@@ -105,44 +104,111 @@ class _Plan:
     marker and an angle of the state.
     """
 
-    frame: Index
-    """(S,), of each segment."""
-    angle: Index
-    """(3, S + 1): which angle turns each frame about z, y and x; K: none."""
-    levels: list[tuple[slice, Index]]
-    """Frames that depend on earlier levels only, and the frames that they turn from."""
-    points: Array
-    """(S + J, 3 (S + 1)): each point as vectors in all frames."""
-    axes: Index
-    """(K,): the column of a frame that each rotation turns about."""
-    pitched: Index
-    """The axes that are turned back by the angles `rolls`, with the columns `z_axes`."""
-    rolls: Index
-    z_axes: Index
-    turning: Index
-    """(M,): rotation of each pair, which moves by axis x (arm - centre)."""
-    arm: Index
-    """(M,): point of each pair."""
-    centre: Index
-    """(M,): point of each pair."""
-    merge: Array | None
-    """(P, M): from the M pairs to those of a marker and an angle of the state. None: identity."""
-    entries: Index
-    """(P, 3): their places in a Jacobian (J, 3, D)."""
-    placed: Array | None
-    """(S + 1, 3, 3), the segments' rotations; None where none has any."""
-    slides: Index
-    """(L,): the rotations that are slides."""
-    slid: Array
-    """(S + J, L): 1 for the points that each slide shifts, otherwise 0."""
-    sliding: Index
-    """The pairs whose rotation is a slide."""
-    outer: Array
-    """(K, K): 1 where the first of two rotations turns what the second moves, otherwise 0."""
-    gathered: Array
-    """(K, M): 1 for the pairs of each rotation, otherwise 0."""
-    marker: Index
-    """(M,): marker of each pair."""
+    def __init__(self, tree: Tree) -> None:
+        segments, markers, rotations = tree.segments, tree.markers, tree.rotations
+        S, K, J = len(segments), len(rotations), len(markers)
+        at = {segment.name: i for i, segment in enumerate(segments)}
+        summed = [segment.joint == "summed" for segment in segments]
+        ways: list[list[int]] = []
+        """The segments from the root to each one."""
+        for i, segment in enumerate(segments):
+            ways.append([i] if segment.parent is None else [*ways[at[segment.parent]], i])
+        bases = [0 if summed[way[-1]] else way[-2] for way in ways[1:]]
+        """The segment whose frame each one but the root turns from: its parent's, of a summed one the root's."""
+        on = [way[-2] for way in ways[1:]] + [at[marker.segment] for marker in markers]
+        """The segment that each origin but the root's, and each marker, is fixed on."""
+
+        self.sums = np.eye(K + 1, K)
+        """(K + 1, K): which angles of the state add up to the angle that each rotation turns by; the last is 0."""
+        for k, (i, axis) in enumerate(rotations):
+            for j in ways[i][:-1]:
+                if summed[i] and summed[j]:
+                    self.sums[k, rotations.index((j, axis))] = 1.0
+
+        depth = [0]
+        for base in bases:
+            depth.append(depth[base] + 1)
+        order = np.argsort(depth, kind="stable")
+        self.frame = np.empty(S, dtype=np.intp)
+        """(S,): the frame of each segment."""
+        self.frame[order] = np.arange(1, S + 1)
+        base_frame = np.array([0, *self.frame[bases]], dtype=np.intp)
+        ends = (1 + np.cumsum(np.bincount(depth))).tolist()
+        self.levels = [(slice(a, b), base_frame[order[a - 1 : b - 1]]) for a, b in pairwise(ends)]
+        """Frames that depend on earlier levels only, and the frames that they turn from."""
+
+        points = np.zeros((S + J, 3, S + 1))
+        for i, (parent, item) in enumerate(zip(on, (*segments[1:], *markers), strict=True), start=1):
+            points[i] = points[parent]
+            points[i, :, self.frame[parent]] = item.offset_m
+        self.points = points.reshape(S + J, 3 * (S + 1))
+        """(S + J, 3 (S + 1)): each point as vectors in all frames."""
+
+        self.angle = np.full((3, S + 1), K, dtype=np.intp)
+        """(3, S + 1): which angle turns each frame about z, y and x; K: none."""
+        axes = np.empty((K, 2), dtype=np.intp)
+        for k, (i, axis) in enumerate(rotations):
+            if axis != "s":
+                self.angle["zyx".index(axis), self.frame[i]] = k
+            # Yaw turns about the z axis that the joint starts from, roll about the segment's x axis, and so does pitch
+            # about its y axis where there is no roll. A joint of z alone has it in common with its segment.
+            starts = axis == "z" and AXES[segments[i].joint] != "z"
+            axes[k] = "xyz".index("z" if axis == "s" else axis), base_frame[i] if starts else self.frame[i]
+        self.axes = axes @ (S + 1, 1)
+        """(K,): the column of a frame that each rotation turns about."""
+        pitched = [k for k, (i, axis) in enumerate(rotations) if axis == "y" and (i, "x") in rotations]
+        self.pitched = np.array(pitched, dtype=np.intp)
+        """The axes that are turned back by the angles `rolls`, with the columns `z_axes`."""
+        self.rolls = self.pitched + 1
+        self.z_axes = 2 * (S + 1) + axes[pitched, 1]
+
+        # The arm ends at the marker, or at the first summed joint on the way to it: what follows is not turned. The
+        # root turns all.
+        pairs = []
+        for j, way in enumerate(ways[i] for i in on[S - 1 :]):
+            for k, (i, axis) in enumerate(rotations):
+                later = way[way.index(i) + 1 :] if i in way and i > 0 else []
+                arm = next((s for s in later if summed[s]), S + j)
+                slides = axis == "s" or any(segments[s].joint == "slide" for s in later)
+                if i in way and (slides or (points[arm] != points[i]).any()):
+                    pairs.append((j, k, arm, i))
+        self.marker, self.turning, self.arm, self.centre = np.array(pairs, dtype=np.intp).reshape(-1, 4).T.copy()
+        """(M,) each: marker and rotation of each pair, which moves by axis x (arm - centre), two points."""
+        marker, by, self.merge = self.marker, self.turning, None
+        """merge (P, M): from the M pairs to those of a marker and an angle of the state. None: identity."""
+        if any(summed):
+            moving = (marker == np.arange(J)[:, None])[:, None] * self.sums[self.turning].T  # (J, K, M)
+            marker, by = np.nonzero(moving.any(axis=2))
+            self.merge = moving[marker, by]
+        self.entries = (3 * marker[:, None] + np.arange(3)) * tree.n_state + 3 + by[:, None]
+        """(P, 3): their places in a Jacobian (J, 3, D)."""
+
+        self.placed = None
+        """(S + 1, 3, 3), the segments' rotations; None where none has any."""
+        if any(segment.rotation is not None for segment in segments):
+            self.placed = np.tile(_IDENTITY, (S + 1, 1, 1))
+            for i, segment in enumerate(segments):
+                self.placed[self.frame[i]] = _IDENTITY if segment.rotation is None else segment.rotation
+        slides = [k for k, (_, axis) in enumerate(rotations) if axis == "s"]
+        self.slides = np.array(slides, dtype=np.intp)
+        """(L,): the rotations that are slides."""
+        reached = [*ways, *(ways[i] for i in on[S - 1 :])]
+        self.slid = np.array([[float(rotations[k][0] in way) for k in slides] for way in reached])
+        """(S + J, L): 1 for the points that each slide shifts, otherwise 0."""
+        self.sliding = np.flatnonzero(np.isin(self.turning, slides))
+        """The pairs whose rotation is a slide."""
+
+        # A segment is turned by those whose frames its own turns from, and by its own earlier angles.
+        self.outer = np.zeros((K, K))
+        """(K, K): 1 where the first of two rotations turns what the second moves, otherwise 0."""
+        for k, (inner, _) in enumerate(rotations):
+            turned_by = [inner]
+            while turned_by[-1] != 0:
+                turned_by.append(bases[turned_by[-1] - 1])
+            for i, (segment, axis) in enumerate(rotations[: k + 1]):
+                self.outer[i, k] = axis != "s" and segment in turned_by
+        self.gathered = (np.arange(K)[:, None] == self.turning).astype(float)
+        """(K, M): 1 for the pairs of each rotation, otherwise 0."""
 
 
 @dataclass(frozen=True)
@@ -177,164 +243,27 @@ class Tree:
     @cached_property
     def axes(self) -> tuple[str, ...]:
         """(D - 3,): what each angle of the state turns about, "x", "y" or "z"."""
-        return tuple(axis for _, axis in self._rotations)
+        return tuple(axis for _, axis in self.rotations)
 
     @cached_property
     def n_state(self) -> int:
         return len(self.state_names)
 
-    # -- what does not depend on the state -------------------------------------------------------------------------
-
     @cached_property
-    def _index(self) -> dict[str, int]:
-        return {s.name: i for i, s in enumerate(self.segments)}
-
-    def _way(self, name: str | None) -> list[int]:
-        """Segments from the root to that one."""
-        way: list[int] = []
-        while name is not None:
-            way.insert(0, self._index[name])
-            name = self.segments[way[0]].parent
-        return way
-
-    @cached_property
-    def _rotations(self) -> list[tuple[int, str]]:
-        """(segment, axis) of every angle of the state."""
+    def rotations(self) -> list[tuple[int, str]]:
+        """The segment, by its place, and the axis of every angle of the state."""
         return [(i, axis) for i, s in enumerate(self.segments) for axis in AXES[s.joint]]
 
     @cached_property
-    def _sums(self) -> Array:
-        """(K + 1, K): which angles of the state add up to the angle that each rotation turns by; the last is 0."""
-        sums = np.eye(len(self._rotations) + 1, len(self._rotations))
-        for k, (i, axis) in enumerate(self._rotations):
-            if self.segments[i].joint == "summed":
-                for j in self._way(self.segments[i].parent):
-                    if self.segments[j].joint == "summed":
-                        sums[k, self._rotations.index((j, axis))] = 1.0
-        return sums
-
-    @cached_property
-    def _ways(self) -> list[list[int]]:
-        return [self._way(s.name) for s in self.segments]
-
-    @cached_property
-    def _bases(self) -> list[int]:
-        """The segment whose frame each one but the root turns from: its parent's, of a summed one the root's."""
-        return [0 if self.segments[way[-1]].joint == "summed" else way[-2] for way in self._ways[1:]]
-
-    @cached_property
-    def _order(self) -> tuple[Index, Index, list[tuple[slice, Index]]]:
-        """Every segment's frame (S,), the frame that it turns from (S,), and the levels of `_Plan`."""
-        bases = self._bases
-        depth = [0]
-        for base in bases:
-            depth.append(depth[base] + 1)
-        order = np.argsort(depth, kind="stable")
-        frame = np.empty(len(depth), dtype=np.intp)
-        frame[order] = np.arange(1, len(depth) + 1)
-        base_frame = np.array([0, *frame[bases]], dtype=np.intp)
-        ends = (1 + np.cumsum(np.bincount(depth))).tolist()
-        return frame, base_frame, [(slice(a, b), base_frame[order[a - 1 : b - 1]]) for a, b in pairwise(ends)]
-
-    @cached_property
-    def _points(self) -> Array:
-        """(S + J, 3, S + 1): segments' origins and markers as the sum of one vector in every frame."""
-        S, frame = len(self.segments), self._order[0]
-        points = np.zeros((S + len(self.markers), 3, S + 1))
-        on = [way[-2] for way in self._ways[1:]] + [self._index[m.segment] for m in self.markers]
-        for i, (parent, item) in enumerate(zip(on, (*self.segments[1:], *self.markers), strict=True), start=1):
-            points[i] = points[parent]
-            points[i, :, frame[parent]] = item.offset_m
-        return points
-
-    @cached_property
-    def _pairs(self) -> list[tuple[int, int, int, int]]:
-        """(marker, rotation, arm, centre): every marker that a rotation moves, and the points of `_Plan` that say how.
-
-        The arm ends at the marker, or at the first summed joint on the way to it: what follows is not turned. The root
-        turns all.
-        """
-        S, pairs = len(self.segments), []
-        for j, marker in enumerate(self.markers):
-            way = self._ways[self._index[marker.segment]]
-            for k, (i, axis) in enumerate(self._rotations):
-                if i in way:
-                    later = way[way.index(i) + 1 :] if i > 0 else []
-                    arm = next((s for s in later if self.segments[s].joint == "summed"), S + j)
-                    slides = axis == "s" or any(self.segments[s].joint == "slide" for s in later)
-                    if slides or (self._points[arm] != self._points[i]).any():
-                        pairs.append((j, k, arm, i))
-        return pairs
-
-    @cached_property
-    def _outer(self) -> Array:
-        """As `_Plan.outer`: a segment is turned by those whose frames its own turns from, and by its own earlier
-        angles."""
-        outer = np.zeros((len(self._rotations), len(self._rotations)))
-        for k, (inner, _) in enumerate(self._rotations):
-            turned_by = [inner]
-            while turned_by[-1] != 0:
-                turned_by.append(self._bases[turned_by[-1] - 1])
-            for i, (segment, axis) in enumerate(self._rotations[: k + 1]):
-                outer[i, k] = axis != "s" and segment in turned_by
-        return outer
-
-    @cached_property
     def _plan(self) -> _Plan:
-        S, K, J = len(self.segments), len(self._rotations), len(self.markers)
-        frame, base_frame, levels = self._order
-        angle = np.full((3, S + 1), K, dtype=np.intp)
-        axes = np.empty((K, 2), dtype=np.intp)
-        for k, (i, axis) in enumerate(self._rotations):
-            if axis != "s":
-                angle["zyx".index(axis), frame[i]] = k
-            # Yaw turns about the z axis that the joint starts from, roll about the segment's x axis, and so does pitch
-            # about its y axis where there is no roll. A joint of z alone has it in common with its segment.
-            starts = axis == "z" and AXES[self.segments[i].joint] != "z"
-            axes[k] = "xyz".index("z" if axis == "s" else axis), base_frame[i] if starts else frame[i]
-        pitched = [k for k, (i, axis) in enumerate(self._rotations) if axis == "y" and (i, "x") in self._rotations]
-
-        marker, turning, arm, centre = np.array(self._pairs, dtype=np.intp).reshape(-1, 4).T
-        at, by, merge = marker, turning, None
-        if any(s.joint == "summed" for s in self.segments):
-            moving = (marker == np.arange(J)[:, None])[:, None] * self._sums[turning].T  # (J, K, M)
-            at, by = np.nonzero(moving.any(axis=2))
-            merge = moving[at, by]
-        placed = np.tile(_IDENTITY, (S + 1, 1, 1))
-        for i, segment in enumerate(self.segments):
-            if segment.rotation is not None:
-                placed[frame[i]] = segment.rotation
-        slides = [k for k, (_, axis) in enumerate(self._rotations) if axis == "s"]
-        ways = [*self._ways, *(self._ways[self._index[m.segment]] for m in self.markers)]
-        return _Plan(
-            frame=frame,
-            angle=angle,
-            levels=levels,
-            points=self._points.reshape(S + J, 3 * (S + 1)),
-            axes=axes @ (S + 1, 1),
-            pitched=np.array(pitched, dtype=np.intp),
-            rolls=np.array(pitched, dtype=np.intp) + 1,
-            z_axes=2 * (S + 1) + axes[pitched, 1],
-            turning=turning.copy(),
-            arm=arm.copy(),
-            centre=centre.copy(),
-            merge=merge,
-            entries=(3 * at[:, None] + np.arange(3)) * self.n_state + 3 + by[:, None],
-            placed=placed if any(segment.rotation is not None for segment in self.segments) else None,
-            slides=np.array(slides, dtype=np.intp),
-            slid=np.array([[float(self._rotations[k][0] in way) for k in slides] for way in ways]),
-            sliding=np.flatnonzero(np.isin(turning, slides)),
-            outer=self._outer,
-            gathered=(np.arange(K)[:, None] == turning).astype(float),
-            marker=marker.copy(),
-        )
+        return _Plan(self)
 
     # -- kinematics ------------------------------------------------------------------------------------------------
 
     def _frames(self, state: Array) -> tuple[Array, Array, Array]:
         """Frames (3 columns, S + 1, 3, N), and cosine and sine (K + 1, N) of the angles; the last angle is 0."""
         plan, N = self._plan, len(state)
-        angles = self._sums @ state[:, 3:].T
+        angles = plan.sums @ state[:, 3:].T
         cosine, sine = np.cos(angles), np.sin(angles)
         cz, cy, cx = cosine.take(plan.angle, axis=0)
         sz, sy, sx = sine.take(plan.angle, axis=0)
@@ -403,7 +332,7 @@ class Tree:
         jacobian = np.zeros((J, 3, self.n_state))
         jacobian.reshape(-1)[plan.entries] = moved if plan.merge is None else plan.merge @ moved
         jacobian[..., ROOT] = _IDENTITY
-        sums = self._sums[:-1]
+        sums = plan.sums[:-1]
 
         def curvature(weights: Array) -> Array:
             # weight . (outer axis x moved) = outer axis . (moved x weight)
