@@ -17,7 +17,7 @@ from recon.base.arrays import Array, Bools, Integers, median
 from recon.base.errors import InputError, Problem
 from recon.clip import Source, world_from_reference
 from recon.clip.keypoints import CleaningReport, Keypoints
-from recon.fit.result import OUTLIER_SIGMAS, Finding, MotionSegment, Solution, Verdict
+from recon.fit.result import OUTLIER_SIGMAS, SHAPES, Finding, MotionSegment, Solution, Verdict
 from recon.geometry.camera import Camera
 from recon.geometry.frames import inverse, moved
 from recon.geometry.kinematics import PITCH, ROOT, YAW
@@ -29,19 +29,6 @@ if TYPE_CHECKING:
 MOTION = "motion.npz"
 SCHEMA = {"name": "recon.motion", "version": 2}
 EXPECTED = "the motion that `recon fit` or `Motion.save` wrote"
-_SHAPES = {
-    "states": "TD",
-    "joints_m": "TJ3",
-    "covariance_m2": "TJ33",
-    "relative_covariance_m2": "TJ33",
-    "angle_sigma_rad": "TA",
-    "angle_data_share": "TA",
-    "noise_px": "VTJ",
-    "weight": "VTJ",
-    "alternative_m": "T",
-    "contact": "TF",
-}
-"""The shapes of a solution's arrays: T frames, J joints, V views, D unknowns a frame, A angles, F feet."""
 MEASURED_SHARE = 0.5
 """A quantity with less of its precision from the pixels is not called measured."""
 _REPORT, _CONFIG = "report.json", "config.toml"
@@ -207,7 +194,7 @@ class Motion:
         sizes = {"T": len(self.frames), "J": len(self.joints), "V": len(self.sources), "D": self.body.n_state}
         sizes |= {"F": len(self.body.feet), "A": self.body.n_state - YAW, "2": 2, "3": 3, "4": 4}
         solution = self.solution
-        arrays = {f"solution.{name}": (getattr(solution, name), letters) for name, letters in _SHAPES.items()}
+        arrays = {f"solution.{name}": (getattr(solution, name), letters) for name, letters in SHAPES.items()}
         arrays["solution.flags"] = (np.zeros(len(solution.flags)), "T")
         arrays["solution.views"] = (np.zeros(len(solution.views)), "V")
         for i, source in enumerate(self.sources):

@@ -86,6 +86,19 @@ class Verdict:
         return said, f"pose off by {self.pose_m.in_words}, {share}; position by {self.position_m.in_words}"
 
 
+SHAPES = {
+    "states": "TD",
+    "joints_m": "TJ3",
+    "covariance_m2": "TJ33",
+    "relative_covariance_m2": "TJ33",
+    "angle_sigma_rad": "TA",
+    "angle_data_share": "TA",
+    "noise_px": "VTJ",
+    "weight": "VTJ",
+    "alternative_m": "T",
+    "contact": "TF",
+}
+"""The shapes of a solution's arrays: T frames, J joints, V views, D unknowns a frame, A angles, F feet."""
 OUTLIER_SIGMAS = 3.0
 """A detection further than this from its joint's reprojection is named an outlier."""
 

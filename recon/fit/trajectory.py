@@ -39,7 +39,7 @@ from recon.fit import constants
 from recon.fit.clip_problem import ClipProblem, TrajectoryOptions, contacts
 from recon.fit.least_squares import Estimate, LeastSquares
 from recon.fit.posterior import Posterior, PriorMisfit, posterior, prior_misfit_of, with_size
-from recon.fit.result import Ground, MotionSegment, TrajectorySolution
+from recon.fit.result import SHAPES, Ground, MotionSegment, TrajectorySolution
 from recon.fit.starts import Approached, approach, between
 from recon.fit.terms import SIDESLIP, Reprojection, extrinsic_correction, focal, size_of, time_offset
 from recon.geometry.kinematics import ROOT, YAW
@@ -209,38 +209,32 @@ def _round(clip: ClipProblem, solved: Solved, temperature: float | None, whole: 
     )
 
 
-def _of_views(
-    clip: ClipProblem, solved: Sequence[Solved], known: Sequence[Posterior], name: Callable[[int], str], count: int
-) -> tuple[Array, Array]:
-    """(V, count): unknowns that each view has of its own, and their standard deviations; 0 where they are none.
-
-    Over the segments, by how many of their frames several cameras saw."""
-    V, none = range(len(clip.views)), np.zeros(count)
+def _shared(clip: ClipProblem, solved: Sequence[Solved], known: Sequence[Posterior]) -> dict[str, Any]:
+    """The solution's fields of what all frames share, besides the size: what was found and its standard deviations, 0
+    where it is no unknown; over the segments, by how many of their frames several cameras saw."""
+    V = range(len(clip.views))
     together = np.sum([view.present.any(axis=1) for view in clip.views], axis=0) > 1
     frames = np.array([together[one.rows].sum() for one in solved])
-    if not frames.any():
-        return np.zeros((len(V), count)), np.zeros((len(V), count))
-    found = [[one.found(name(i), count) for i in V] for one in solved]
-    sigmas = [[of_one.shared_sigma.get(name(i), none) for i in V] for of_one in known]
-    shares = (frames / frames.sum())[:, None, None]
-    return np.average(found, axis=0, weights=frames), np.linalg.norm(shares * np.array(sigmas), axis=0)
+    shares = (frames / max(frames.sum(), 1))[:, None, None]
 
+    def of_views(name: Callable[[int], str], count: int = 1) -> tuple[Array, Array]:
+        """(V, count) each."""
+        found = [[one.found(name(i), count) for i in V] for one in solved]
+        sigmas = [[one.shared_sigma.get(name(i), np.zeros(count)) for i in V] for one in known]
+        found, sigmas = (shares * np.reshape(of, (len(solved), len(V), count)) for of in (found, sigmas))
+        return found.sum(axis=0), np.linalg.norm(sigmas, axis=0)
 
-def _of_clip(clip: ClipProblem, solved: Sequence[Solved], known: Sequence[Posterior]) -> dict[str, Any]:
-    """The solution's fields of what all frames share, besides the size."""
-    late, late_sigma = _of_views(clip, solved, known, time_offset, 1)
-    places, places_sigma = _of_views(clip, solved, known, extrinsic_correction, 6)
-    longer, longer_sigma = _of_views(clip, solved, known, focal, 1)
-    sideslip, sideslip_sigma = _of_views(clip, solved, known, lambda _: SIDESLIP, 1)
+    late, longer, sideslip = of_views(time_offset), of_views(focal), of_views(lambda _: SIDESLIP)
+    places = of_views(extrinsic_correction, 6)
     return {
-        "time_offset_frames": late[:, 0],
-        "time_offset_sigma_frames": late_sigma[:, 0],
-        "extrinsic_correction": places,
-        "extrinsic_correction_sigma": places_sigma,
-        "focal": longer[:, 0],
-        "focal_sigma": longer_sigma[:, 0],
-        "sideslip_rad": float(sideslip[0, 0]),
-        "sideslip_sigma_rad": float(sideslip_sigma[0, 0]),
+        "time_offset_frames": late[0][:, 0],
+        "time_offset_sigma_frames": late[1][:, 0],
+        "extrinsic_correction": places[0],
+        "extrinsic_correction_sigma": places[1],
+        "focal": longer[0][:, 0],
+        "focal_sigma": longer[1][:, 0],
+        "sideslip_rad": float(sideslip[0][0, 0]),
+        "sideslip_sigma_rad": float(sideslip[1][0, 0]),
     }
 
 
@@ -309,35 +303,33 @@ def _solution(clip: ClipProblem, solved: Sequence[Solved], began: float) -> Traj
     known = [posterior(one.problem, clip.body, one.estimate, clip.correlation_frames) for one in solved]
     size, size_sigma, size_from = _size(clip, solved, known)
     stage_s = {"posterior": time.perf_counter() - clock}
-    of_frames, of_views = _arrays(clip)
-    second_m, second_cost = np.full(len(clip), np.nan), np.inf
+    sizes = {"T": len(clip), "J": len(clip.body.markers), "V": len(clip.views), "F": len(clip.feet), "3": 3}
+    sizes |= {"D": clip.body.n_state, "A": clip.body.n_state - YAW}
+    arrays = {name: np.full([sizes[letter] for letter in letters], np.nan) for name, letters in SHAPES.items()}
+    by_frame = {name: np.moveaxis(values, SHAPES[name].index("T"), 0) for name, values in arrays.items()}
+    second_cost = np.inf
     for one, of_one in zip(solved, known, strict=True):
-        by_frame, by_view = _of_segment(clip, one, of_one, size, size_sigma)
-        for name, values in by_frame.items():
-            of_frames[name][one.rows] = values
-        for name, values in by_view.items():
-            of_views[name][:, one.rows] = values
-        second_cost = min(second_cost, _second(clip, one, size, second_m))
-    posed = np.isfinite(of_frames["states"][:, 0]).sum()
-    away = _out_of_sight(clip, of_frames["joints_m"])
-    flags = _flags(clip, of_frames["joints_m"], of_views["weight"], second_m, away)
-    for values in (*of_frames.values(), *(np.moveaxis(v, 0, 1) for v in of_views.values()), second_m):
+        for name, values in _of_segment(clip, one, of_one, size, size_sigma).items():
+            by_frame[name][one.rows] = np.moveaxis(values, SHAPES[name].index("T"), 0)
+        second_cost = min(second_cost, _second(clip, one, size, arrays["alternative_m"]))
+    posed = np.isfinite(arrays["states"][:, 0]).sum()
+    away = _out_of_sight(clip, arrays["joints_m"])
+    flags = _flags(clip, arrays["joints_m"], arrays["weight"], arrays["alternative_m"], away)
+    for values in by_frame.values():
         values[away] = np.nan
     shares = [of_one.data_share * (one.rows.stop - one.rows.start) for one, of_one in zip(solved, known, strict=True)]
-    shared = _of_clip(clip, solved, known)
+    shared = _shared(clip, solved, known)
     costs = _summed([one.problem.costs(one.estimate.states, one.estimate.shared) for one in solved])
     return TrajectorySolution(
         body=clip.body,
         views=_found(clip.views, shared["time_offset_frames"], shared["extrinsic_correction"], shared["focal"]),
-        **of_frames,
-        **of_views,
+        **arrays,
         size=size,
         size_sigma=size_sigma,
         size_prior_sigma=clip.size_sigma,
         size_from=size_from,
         data_share=np.sum(shares, axis=0) / posed if shares else np.full(len(clip.body.markers), np.nan),
         flags=flags,
-        alternative_m=second_m,
         alternative_cost=second_cost if np.isfinite(second_cost) else np.nan,
         segments=tuple(
             MotionSegment(
@@ -360,26 +352,6 @@ def _solution(clip: ClipProblem, solved: Sequence[Solved], began: float) -> Traj
     )
 
 
-def _arrays(clip: ClipProblem) -> tuple[dict[str, Array], dict[str, Array]]:
-    """The solution's arrays with a row a frame, and those of each view, all NaN."""
-    T, V, J, D = len(clip), len(clip.views), len(clip.body.markers), clip.body.n_state
-    of_frames = {
-        "states": (T, D),
-        "joints_m": (T, J, 3),
-        "covariance_m2": (T, J, 3, 3),
-        "relative_covariance_m2": (T, J, 3, 3),
-        "angle_sigma_rad": (T, D - 3),
-        "angle_data_share": (T, D - 3),
-        "contact": (T, len(clip.feet)),
-    }
-    of_views = {"noise_px": (V, T, J), "weight": (V, T, J)}
-
-    def empty(shapes: dict[str, tuple[int, ...]]) -> dict[str, Array]:
-        return {name: np.full(shape, np.nan) for name, shape in shapes.items()}
-
-    return empty(of_frames), empty(of_views)
-
-
 def _summed(tables: Sequence[dict[str, float]]) -> dict[str, float]:
     total: dict[str, float] = {}
     for table in tables:
@@ -388,10 +360,8 @@ def _summed(tables: Sequence[dict[str, float]]) -> dict[str, float]:
     return total
 
 
-def _of_segment(
-    clip: ClipProblem, one: Solved, known: Posterior, size: float, size_sigma: float
-) -> tuple[dict[str, Array], dict[str, Array]]:
-    """The solution's arrays in the frames of one segment: those with a row a frame, and those of each view."""
+def _of_segment(clip: ClipProblem, one: Solved, known: Posterior, size: float, size_sigma: float) -> dict[str, Array]:
+    """The solution's arrays in the frames of one segment."""
     states = one.estimate.states + known.state_by_size * (size - one.size)
     points = clip.body.tree.pose(states).points_m
     by_size, markers = known.joint_by_size_m, clip.in_world(clip.markers(states), size)
@@ -413,7 +383,9 @@ def _of_segment(
         "angle_sigma_rad": np.sqrt(known.angle_variance[0] + (size_sigma * known.state_by_size[:, YAW:]) ** 2),
         "angle_data_share": known.angle_data_share,
         "contact": one.contact,
-    }, {"noise_px": one.noise_px, "weight": np.array(weight)}
+        "noise_px": one.noise_px,
+        "weight": np.array(weight),
+    }
 
 
 def _size(
