@@ -135,8 +135,7 @@ class Camera:
             r2 = a * a + b * b
             valid = (z > MIN_DEPTH_M) & (r2 < self.lens.max_radius**2)
             xd, yd, d_aa, d_ab, d_bb = self.lens.distort(a, b, r2)
-            if self.lens.can_fold:
-                valid &= d_aa * d_bb > d_ab * d_ab
+            valid &= d_aa * d_bb > d_ab * d_ab
             pixels = np.empty((len(z), 2))
             pixels[:, 0] = fx * xd + (s * yd + ox if s else ox)
             pixels[:, 1] = fy * yd + oy

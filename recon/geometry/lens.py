@@ -7,7 +7,7 @@ of. As in OpenCV's documentation (modules calib3d and fisheye):
 - "radtan": radial-tangential, k1 k2 p1 p2 [k3 [k4 k5 k6]]; with 8 coefficients the radial part is rational.
 - "fisheye": equidistant, k1 k2 k3 k4; theta_d = theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4 theta^8).
 
-To add one: a class below with `distort`, `undistorted_radius` and `max_radius`, and its place in `LENS_MODELS`.
+To add one: a class below with `distort` and `max_radius`, and its place in `LENS_MODELS`.
 Projection with its derivatives, rays, calibration files of every format and COLMAP's models follow, and `recon
 calibrate` where OpenCV can fit it. A line in tests/test_camera.py tests it.
 """
@@ -15,7 +15,7 @@ calibrate` where OpenCV can fit it. A line in tests/test_camera.py tests it.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 from typing import Any, ClassVar, Literal
 
@@ -24,6 +24,9 @@ import numpy.typing as npt
 from numpy.polynomial import polynomial
 
 from recon.base.arrays import Array, Bools
+
+_ANGLES, _LARGEST_RADIUS = 2048, 1e8
+"""How finely, and how far, the radial part is tabulated where Newton's method starts."""
 
 
 class Lens:
@@ -52,34 +55,29 @@ class Lens:
         """The radius sqrt(a^2 + b^2) up to which the distorted radius increases with it; inf where it always does."""
         return math.inf
 
-    @cached_property
-    def can_fold(self) -> bool:
-        """Whether the image can fold before `max_radius`: there the determinant of the derivatives turns negative."""
-        return False
-
     def distort(self, a: Array, b: Array, r2: Array) -> tuple[Any, ...]:
         """Distorted coordinates a', b' of ideal ones (N,), with r2 = a^2 + b^2, and their exact derivatives da'/da,
         da'/db = db'/da (symmetric in every model), db'/db."""
         raise NotImplementedError
 
-    def undistorted_radius(self, radius_d: Array) -> tuple[Array, Bools]:
-        """Ideal radii (N,) of distorted ones, leaving aside what is not radial, and whether there are any."""
-        raise NotImplementedError
+    @cached_property
+    def _radial(self) -> tuple[Array, Array]:
+        """Distorted radii on a line through the middle, and the angles from the optical axis that they are seen at."""
+        angles = np.linspace(0.0, math.atan(min(self.max_radius, _LARGEST_RADIUS)), _ANGLES)
+        r, zero = np.tan(angles), np.zeros(_ANGLES)
+        there, opposite = (self.distort(a, zero, r * r)[0] for a in (r, -r))
+        return 0.5 * (there - opposite), angles  # what is not radial is the same on both sides
 
     def undistort(self, xd: Array, yd: Array) -> tuple[Array, Array, Bools]:
         """Ideal coordinates (N,), (N,) of distorted ones, and whether there are any: the inverse of `distort`."""
-        radius_d = np.hypot(xd, yd)
-        radius, found = self.undistorted_radius(radius_d)
-        scale = np.where(radius_d > 0, radius / radius_d, 1.0)
-        a, b = scale * xd, scale * yd
-        if self.can_fold:
-            # It can carry pixels past the largest radius that the radial part alone reaches.
-            start = np.where(found, 1.0, 0.95)
-            return self._newton(xd, yd, start * a, start * b)
-        return a, b, found
+        radius_d, (radii_d, angles) = np.hypot(xd, yd), self._radial
+        scale = np.where(radius_d > 0, np.tan(np.interp(radius_d, radii_d, angles)) / radius_d, 1.0)
+        # what is not radial can carry pixels past the largest radius that the radial part alone reaches
+        scale = np.where(radius_d < radii_d[-1], scale, 0.95 * scale)
+        return self._newton(xd, yd, scale * xd, scale * yd)
 
     def _newton(self, xd: Array, yd: Array, a: Array, b: Array) -> tuple[Array, Array, Bools]:
-        """Newton's method on the whole distortion, started from the inverse of its radial part."""
+        """Newton's method on the whole distortion, from the inverse of its radial part."""
         tolerance = 1e-14 * (1 + np.hypot(xd, yd))
         error = determinant = np.full(a.shape, np.inf)
         for _ in range(30):
@@ -117,10 +115,6 @@ class _RadialTangential(Lens):
         slope = polynomial.polyadd(polynomial.polymul(n, d), polynomial.polymul((0, 2), cross))
         return math.sqrt(min(_first_positive_root(slope), _first_positive_root(d)))
 
-    @cached_property
-    def can_fold(self) -> bool:
-        return self.k[2:4] != (0.0, 0.0)
-
     def _factor(self, r2: Array) -> tuple[Array, Array]:
         """Radial factor f and df/d(r^2)."""
         k1, k2, _, _, k3, k4, k5, k6 = self.k
@@ -143,19 +137,6 @@ class _RadialTangential(Lens):
             df2 * ab + 2 * p1 * a + 2 * p2 * b,
             f + df2 * b * b + 6 * p1 * b + 2 * p2 * a,
         )
-
-    def undistorted_radius(self, radius_d: Array) -> tuple[Array, Bools]:
-        def radial(r: Array) -> tuple[Array, Array]:
-            f, df = self._factor(r * r)
-            return r * f, f + 2 * r * r * df
-
-        upper = self.max_radius
-        if not math.isfinite(upper):
-            upper = 2.0
-            # A rational model may level off: beyond the limit there is no ray.
-            while radial(np.array(upper))[0] <= np.max(radius_d, initial=0.0) and upper < 1e6:
-                upper *= 2
-        return _invert_increasing(radial, radius_d, upper)
 
 
 class _Pinhole(Lens):
@@ -200,10 +181,6 @@ class _Fisheye(Lens):
         df2 = (slope / (1 + r2) - f) / (r * r)
         return a * f, b * f, f + df2 * a * a, df2 * a * b, f + df2 * b * b
 
-    def undistorted_radius(self, radius_d: Array) -> tuple[Array, Bools]:
-        theta, found = _invert_increasing(self._angle, radius_d, math.atan(self.max_radius))
-        return np.tan(theta), found
-
 
 LENS_MODELS: dict[str, type[Lens]] = {lens.name: lens for lens in (_Pinhole, _RadialTangential, _Fisheye)}
 """By name."""
@@ -224,26 +201,3 @@ def _first_positive_root(coefficients: npt.ArrayLike) -> float:
     roots = polynomial.polyroots(trimmed) if trimmed.size > 1 else np.zeros(0)
     real = roots.real[(np.abs(roots.imag) <= 1e-9 * np.abs(roots)) & (roots.real > 0)]
     return float(real.min(initial=math.inf))
-
-
-def _invert_increasing(
-    function: Callable[[Array], tuple[Array, Array]], values: Array, upper: float
-) -> tuple[Array, Bools]:
-    """Solve function(x)[0] = values for x in [0, upper) by Newton's method kept inside a bracket.
-
-    function gives value and slope, starts at 0 and increases up to `upper`. Returns x and whether a solution exists.
-    """
-    found = np.asarray(values < function(np.array(upper))[0])
-    low, high = np.zeros_like(values), np.full_like(values, upper)
-    x = np.clip(values, 0.0, 0.5 * upper)
-    for _ in range(100):
-        value, slope = function(x)
-        error = value - values
-        low, high = np.where(error <= 0, x, low), np.where(error >= 0, x, high)
-        newton = x - error / slope
-        new = np.where((newton >= low) & (newton <= high), newton, 0.5 * (low + high))
-        done = np.abs(new - x) <= 1e-15 * np.abs(x)
-        x = new
-        if done[found].all():
-            break
-    return x, found
