@@ -7,6 +7,7 @@ motion = recon.fit_clip(settings)
 motion.joints_m  # (frames, joints, 3), metres
 """
 
+import logging
 from typing import TYPE_CHECKING, Any
 
 from recon.base import lazily
@@ -75,6 +76,7 @@ __all__ = [
 ]
 
 _public = lazily(__name__, __file__)
+logging.getLogger(__name__).addHandler(logging.NullHandler())  # messages are for who listens to them
 
 
 def __getattr__(name: str) -> Any:

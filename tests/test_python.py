@@ -129,3 +129,16 @@ def test_all_that_is_public_explains_itself_and_completion_shows_no_more():
             function = getattr(found, "fget", None) or getattr(found, "func", None) or found
             if not attribute.startswith("_") and callable(function):
                 assert function.__doc__, f"{name}.{attribute}"
+
+
+def test_messages_are_for_who_listens(caplog, capfd):
+    """Nothing is printed from Python; what a terminal would say goes to the logger "recon"."""
+    settings = recon.FitSettings(keypoints=SAMPLES / "whole.csv", camera=SAMPLES / "camera.toml", fps=60, frames="0:12")
+    with caplog.at_level("INFO", logger="recon"):
+        motion = recon.fit_clip(settings)
+    assert motion.verdict is not None
+    assert f"whole.csv: {motion.verdict.level}: {motion.verdict.reason}" in caplog.messages
+    loud = [record.getMessage() for record in caplog.records if record.levelname == "WARNING"]
+    assert len(loud) == sum(one.severity != "note" for one in motion.findings)
+    caplog.clear()
+    assert capfd.readouterr() == ("", "")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 import time
 from collections.abc import Callable, Iterable, Sequence
@@ -28,6 +29,8 @@ from recon.check import (
     input_findings,
     judged,
     mends,
+    sentences,
+    verdict_lines,
     without_gross_outliers,
     without_swaps,
 )
@@ -48,6 +51,7 @@ from recon.workflows.cameras import (
 )
 from recon.workflows.settings import METHODS, FitSettings
 
+LOGGER = logging.getLogger("recon")
 RATES_HZ = (1.0, 10_000.0)
 """Frame rates that a clip can have. Slower, a whole stride lies between two frames, and nothing ties them; faster, what
 an animal does from one frame to the next is lost in the rounding of its acceleration."""
@@ -117,8 +121,18 @@ def fit_clip(settings: FitSettings, progress: Progress = silent) -> Motion:
     if settings.seeks_cameras:
         placed = zip(sources, solution.extrinsic_correction, solution.focal, strict=True)
         sources = tuple(replace(s, camera=s.camera.corrected(by).with_focal_scale(longer)) for s, by, longer in placed)
-    motion = replace(flagged(motion, found), sources=sources, findings=found)
-    return judged(motion)
+    motion = judged(replace(flagged(motion, found), sources=sources, findings=found))
+    _log(motion)
+    return motion
+
+
+def _log(motion: Motion) -> None:
+    """What was decided about the files, what was found, and the verdict, for who listens to the logger "recon"."""
+    name = Path(motion.keypoints.source or "clip").name
+    said = [(logging.INFO, note) for source in motion.sources for note in source.cleaning.notes]
+    said += [(logging.INFO if one.severity == "note" else logging.WARNING, text) for one, text in sentences(motion)]
+    for level, text in (*said, *((logging.INFO, line) for line in verdict_lines(motion.verdict))):
+        LOGGER.log(level, "%s: %s", name, text)
 
 
 def _file_facts(given: Prepared, settings: FitSettings) -> FileFacts:
