@@ -25,6 +25,7 @@ from recon.check import usable
 from recon.fit import TrajectorySolution
 from recon.fit.motion import MOTION, Motion
 from recon.gait.clip import PLACE_LASTS_S, ClipAnalysis, analyse
+from recon.show.plots.comparison import TITLES, comparison
 from recon.workflows.cli.common import counted, progress_bar, say, table_of, terminal
 from recon.workflows.settings import ANYWAY
 
@@ -86,20 +87,28 @@ def compare(settings: _CompareSettings, as_json: bool, quiet: bool) -> None:
                 table.to_csv(staging / name, index=False)
                 if find_spec("pyarrow") is not None:  # of the extra [formats]
                     table.to_parquet(staging / Path(name).with_suffix(".parquet"), index=False)
-            from recon.show.plots.comparison import comparison  # matplotlib is slow to import
-
             comparison(clips, groups, list(QUANTITIES)).savefig(staging / FIGURE)
     if as_json:
         typer.echo(groups.to_json(orient="records", indent=1))
         return
     levels = clips["verdict"].value_counts()
     say(console, f"{counted(len(clips), 'clip')}: " + ", ".join(f"{n} {level}" for level, n in levels.items()))
-    table = table_of("group", numbers=("clips", "strides", *QUANTITIES), title="mean ± its sigma (spread of clips)")
-    for row in groups.to_dict("records"):
-        cells = [f"{row[q]:.3g} ± {row[f'{q}_sigma']:.2g} ({row[f'{q}_spread']:.2g})" for q in QUANTITIES]
-        table.add_row(str(row["group"]), str(row["clips"]), str(row["strides"]), *cells)
-    console.print(table)
+    rows = (
+        (
+            *map(str, (row["group"], TITLES[q], row["clips"], row["strides"])),
+            *_cells(row[q], row[f"{q}_sigma"], row[f"{q}_spread"]),
+        )
+        for row in groups.to_dict("records")
+        for q in QUANTITIES
+    )
+    console.print(table_of("group", "of", numbers=("clips", "strides", "mean", "±", "spread of clips"), rows=rows))
+    if not groups["strides"].sum():
+        say(console, "No clip has a complete stride.")
     say(console, f"Rows by stride, clip and group, and {FIGURE}, are in {out}.")
+
+
+def _cells(mean: float, sigma: float, spread: float) -> tuple[str, str, str]:
+    return (f"{mean:.3g}", f"{sigma:.2g}", f"{spread:.2g}") if np.isfinite(mean) else ("-", "-", "-")
 
 
 def _results_in(folder: Path) -> list[Path]:
