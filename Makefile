@@ -21,7 +21,7 @@ export PYRIGHT_PYTHON_IGNORE_WARNINGS := 1
 # Compiled modules are kept, whatever the environment says: the tests start many processes.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: help demo test lint format docs docs-figures notebooks samples benchmark wheel clean
+.PHONY: help demo test lint format docs docs-version docs-figures notebooks samples benchmark wheel clean
 
 help:
 	@echo 'make demo       reconstruct the sample clip into $(DEMO_OUT)/'
@@ -29,6 +29,7 @@ help:
 	@echo 'make lint       ruff and pyright only'
 	@echo 'make format     let ruff fix and format the code'
 	@echo 'make docs       the documentation site into site/'
+	@echo 'make docs-version SITES=folder  the same, beside the sites of earlier versions'
 	@echo 'make notebooks  run the notebooks and save their outputs'
 	@echo 'make samples    make the clips in data/samples again'
 	@echo 'make benchmark  tables of accuracy and speed; real recordings: RUNS=folder'
@@ -56,6 +57,9 @@ format: $(DEV)
 docs: $(DEV)
 	rm -rf site
 	PYTHONPATH=docs $(BIN)/python -m zensical build --clean --strict
+
+docs-version: docs
+	$(BIN)/python docs/versions.py $(SITES)
 
 docs-figures: $(DEV)
 	$(BIN)/python docs/figures.py

@@ -12,6 +12,7 @@ import io
 import json
 import os
 import re
+import runpy
 import shlex
 import shutil
 import subprocess
@@ -384,3 +385,17 @@ def test_the_site_is_built_and_read_without_the_net(tmp_path):
         "index.html: no.png",
         "index.html: gait.html#nowhere",
     ]
+
+
+def test_sites_of_several_versions_stand_beside_each_other(tmp_path):
+    (tmp_path / "site").mkdir()
+    (tmp_path / "site" / "index.html").write_text("first")
+    sites, add_version = tmp_path / "sites", runpy.run_path(str(DOCS / "versions.py"))["add_version"]
+    for version in ("0.9.0", "0.10.0", "0.2.0"):
+        add_version(sites, tmp_path / "site", version)
+    (tmp_path / "site" / "index.html").write_text("again")
+    assert add_version(sites, tmp_path / "site", "0.9.0") == ["0.10.0", "0.9.0", "0.2.0"]
+    listed = json.loads((sites / "versions.json").read_text(encoding="utf-8"))
+    assert [(one["version"], one["aliases"]) for one in listed][:2] == [("0.10.0", ["latest"]), ("0.9.0", [])]
+    assert (sites / "0.9.0" / "index.html").read_text() == "again"
+    assert "url=0.10.0/index.html" in (sites / "index.html").read_text(encoding="utf-8")

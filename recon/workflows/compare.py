@@ -101,7 +101,7 @@ def compare(settings: _CompareSettings, as_json: bool, quiet: bool) -> None:
         for row in groups.to_dict("records")
         for q in QUANTITIES
     )
-    console.print(table_of("group", "of", numbers=("clips", "strides", "mean", "±", "spread of clips"), rows=rows))
+    console.print(table_of("group", "of", numbers=("clips", "strides", "mean", "±", "spread"), rows=rows))
     if not groups["strides"].sum():
         say(console, "No clip has a complete stride.")
     say(console, f"Rows by stride, clip and group, and {FIGURE}, are in {out}.")
