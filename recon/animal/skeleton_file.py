@@ -383,12 +383,14 @@ def _subject_problems(animal: _SubjectFile, file: _BodyFile, source: str) -> Ite
 
 def _measured(file: _BodyFile, animal: _SubjectFile) -> _BodyFile:
     """The skeleton with an animal's lengths and keypoint offsets; the root stays."""
-    segments, markers = (
-        tuple(x.model_copy(update={"at_m": animal.at_m.get(x.name, x.at_m)}) for x in items)
-        for items in (file.segments, file.markers)
+    at, offset = animal.at_m, animal.keypoint_offset_m
+    segments = tuple(s.model_copy(update={"at_m": at.get(s.name, s.at_m)}) for s in file.segments)
+    markers = tuple(
+        m.model_copy(
+            update={"at_m": at.get(m.name, m.at_m), "keypoint_offset_m": offset.get(m.name, m.keypoint_offset_m)}
+        )
+        for m in file.markers
     )
-    of = animal.keypoint_offset_m
-    markers = tuple(m.model_copy(update={"keypoint_offset_m": of.get(m.name, m.keypoint_offset_m)}) for m in markers)
     changed = {"segments": (file.segments[0], *segments[1:]), "markers": markers}
     return file.model_copy(update={"title": animal.title, "size_sigma": animal.size_sigma, **changed})
 

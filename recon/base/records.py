@@ -202,6 +202,6 @@ def _validated(of: type[_Class], fields: Any) -> _Class:
 
 
 @cache
-def _adapter(of: type[_Class]) -> TypeAdapter[list[_Class]]:
+def _adapter(of: Any) -> TypeAdapter[Any]:
     """What checks a list of one such dataclass: one by itself takes no configuration."""
     return TypeAdapter(list[of], config=ConfigDict(extra="forbid", arbitrary_types_allowed=True))

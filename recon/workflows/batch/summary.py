@@ -141,5 +141,5 @@ def _row(planned: Planned, out: Path) -> dict[str, Any]:
     }
     for name, part in (("settings", [known["settings"], known["version"]]), ("inputs", known["inputs"])):
         row[f"{name}_hash"] = hashlib.sha256(json.dumps(part, sort_keys=True).encode()).hexdigest()[:16]
-    earlier = planned.row or {}
+    earlier = dict(planned.row or {})
     return row | earlier | ({"status": "done earlier"} if earlier.get("status") == "done" else {})
