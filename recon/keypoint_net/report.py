@@ -1,12 +1,10 @@
 """What a training run tells about itself: figures, curves, the worst pictures, reliability, and labels that are
-probably wrong, found in three ways.
+probably wrong, found in two ways.
 
 - The network, once trained, puts the keypoint somewhere else and is not tempted by the label.
 - The label is farther from every other label of its picture than this keypoint is anywhere else from them.
-- It leaves the line through its neighbours in time.
 
-The distances are in body lengths; a label's rank is the sum of those in which it stands out, half of it where the label
-lies on the line in time: of two labels that are too far from each other, that is the right one.
+The distances are in body lengths; a label's rank is the sum of those in which it stands out.
 """
 
 from __future__ import annotations
@@ -36,21 +34,22 @@ WORST = 6
 LEAST_WIDTH_PX = 560
 """Smaller pictures are enlarged."""
 LABEL, LINE = (255, 255, 255), (60, 60, 230)
-CURVE_POINTS = 400
-FAR, APART, JUMP = 0.2, 0.15, 0.15
-"""Body lengths from which on a label stands out: from the network's point, from the others, from the line in time."""
+FAR, APART = 0.2, 0.15
+"""Body lengths from which on a label stands out: from the network's point, from the others."""
+REASONS = {
+    "network": "body lengths from where the network sees it",
+    "others": "body lengths farther from every other label than usual",
+}
 LEARNED = 5.0
 """Times a keypoint's median distance that the network's point must be away, too: it has to know the keypoint."""
 USUAL = 0.95
 """A distance between two keypoints is usual up to this quantile of it."""
 MOST = 30
-NEAR_FRAMES = 3
-"""Neighbours in time are at most this many frames away."""
 
 
 def write_training_report(run: TrainingRun, state: State, folder: Path) -> dict[str, Any]:
     """Into an existing folder; returns what stands in training.json."""
-    spec, split, history = calibrated_spec(run, state), run.split, _thinned(state.history)
+    spec, split, history = calibrated_spec(run, state), run.split, state.history
     errors, raw, xy_px = judge(Trained(spec, state.average, run.device), run, np.arange(len(run.labels.images)))
     likelihood = calibrated(raw, spec.calibration)
     judged = {name: _evaluation(run, which, xy_px, likelihood) for name, which in split.items() if len(which)}
@@ -99,9 +98,6 @@ def write_training_report(run: TrainingRun, state: State, folder: Path) -> dict[
     held = np.concatenate([split["validation"], split["test"]])
     _write_worst(run.labels, errors, xy_px, held if len(held) else split["train"], folder / "worst.png")
     _draw_curves(history, folder)
-    _draw_keypoints(judged, folder)
-    tables = {"validation": before, "test": judged["test"]["reliability"] if "test" in judged else None}
-    _draw_reliability({name: table for name, table in tables.items() if table and table["points"]}, folder)
     return report
 
 
@@ -113,29 +109,18 @@ def _evaluation(run: TrainingRun, which: Integers, xy_px: Array, likelihood: Arr
 
 
 def _finish_step(history: list[dict[str, float]]) -> int | None:
-    return next((int(row["step"]) for row in history if "finishing" in row), None)
-
-
-def _thinned(history: list[dict[str, float]]) -> list[dict[str, float]]:
-    """Every evaluation, and as many other steps as a curve needs, with the mean loss since the last."""
-    every = max(1, len(history) // CURVE_POINTS)
-    found, since = [], []
-    for i, row in enumerate(history):
-        since.append(row["loss"])
-        if i % every == every - 1 or "validation_px" in row or i == len(history) - 1:
-            found.append({**row, "loss": float(np.mean(since))})
-            since = []
-    return found
+    """The step up to which the validation pictures were held out."""
+    return max((int(row["step"]) for row in history if "finishing" not in row), default=None)
 
 
 def _write_suspects(suspects: list[dict[str, Any]], path: Path) -> None:
     rows = []
     for s in suspects:
-        values = ["" if np.isnan(s[name]) else f"{s[name]:.3f}" for name in ("rank", "network", "others", "time")]
+        values = ["" if np.isnan(s[name]) else f"{s[name]:.3f}" for name in ("rank", "network", "others")]
         rows.append(
             [s["image"], s["keypoint"], f"{s['x_px']:.2f}", f"{s['y_px']:.2f}", *values, "; ".join(s["reasons"])]
         )
-    header = ["image", "keypoint", "x_px", "y_px", "rank", "network", "others", "time", "reasons"]
+    header = ["image", "keypoint", "x_px", "y_px", "rank", "network", "others", "reasons"]
     write_rows(path, [header], rows)
 
 
@@ -193,64 +178,27 @@ def _draw_curves(rows: list[dict[str, float]], folder: Path) -> None:
     save(figure, folder, "curves")
 
 
-def _draw_keypoints(judged: dict[str, dict[str, Any]], folder: Path) -> None:
-    """Median error of each keypoint on each part of the labels."""
-    names = list(next(iter(judged.values()))["per_keypoint"])
-    with drawing(20 + 4.5 * len(names)) as figure:
-        axes = figure.subplots()
-        for i, (part, evaluation) in enumerate(judged.items()):
-            medians = [evaluation["per_keypoint"][name]["median_px"] for name in names]
-            axes.plot(medians, np.arange(len(names)), ls="", marker="os^"[i], ms=4, color=COLOURS[i], label=part)
-        axes.set_yticks(np.arange(len(names)), names)
-        axes.invert_yaxis()
-        axes.grid(axis="x", lw=0.4, color="#DDDDDD")
-        axes.set(xlabel="median error (px)", xscale="log")
-        plain_logarithm(axes.xaxis)
-        axes.legend()
-    save(figure, folder, "keypoints")
-
-
-def _draw_reliability(tables: dict[str, dict[str, Any]], folder: Path) -> None:
-    with drawing(80, 100) as figure:
-        axes = figure.subplots()
-        axes.plot([0, 1], [0, 1], color=GREY, lw=0.6)
-        for i, (part, table) in enumerate(tables.items()):
-            label = f"{part}: {table['points']} points, error {table['expected_calibration_error']:.3f}"
-            likelihood, right = ([b[name] for b in table["bins"]] for name in ("likelihood", "right"))
-            axes.plot(likelihood, right, marker="os"[i], color=COLOURS[i], label=label)
-        axes.set(xlabel="likelihood", ylabel="share of right points", xlim=(0, 1), ylim=(0, 1), aspect="equal")
-        if tables:
-            axes.legend(loc="upper left")
-    save(figure, folder, "reliability")
-
-
 # -- labels that are probably wrong ------------------------------------------------------------------------------------
 
 
 def suspicious_labels(labels: Labels, xy_px: Array, length_px: float) -> list[dict[str, Any]]:
-    """The most suspicious first: image and keypoint, x_px and y_px; what speaks against the label, by the network, the
-    others and time, in body lengths (NaN where it says nothing); its rank and the reasons in words.
+    """The most suspicious first: image and keypoint, x_px and y_px; what speaks against the label, by the network and
+    the others, in body lengths (NaN where it says nothing); its rank and the reasons in words.
 
     xy_px (N, K, 2): what the network says, in pixels of the clip, NaN in pictures that it has not learned from."""
-    network = np.linalg.norm(xy_px - labels.xy_px, axis=2) / length_px
-    others, time = _excess_distance_px(labels.xy_px) / length_px, _off_line_px(labels) / length_px
-    far = np.fmax(FAR, LEARNED * np.array([median(of_one) for of_one in network.T]))
+    clues = {
+        "network": np.linalg.norm(xy_px - labels.xy_px, axis=2) / length_px,
+        "others": _excess_distance_px(labels.xy_px) / length_px,
+    }
+    known = np.array([median(of_one) for of_one in clues["network"].T])
+    limits = {"network": np.fmax(FAR, LEARNED * known), "others": np.full(len(known), APART)}
     found = []
     for i, k in np.argwhere(labels.labelled):
-        parts = (
-            (float(network[i, k]), float(far[k]), "{:.2f} body lengths from where the network sees it"),
-            (float(others[i, k]), APART, "{:.2f} body lengths farther from every other label than usual"),
-            (float(time[i, k]), JUMP, "{:.2f} body lengths off the line through its neighbours in time"),
-        )
-        reasons = tuple(text.format(value) for value, limit, text in parts if value > limit)
-        if reasons:
-            rank = sum(value for value, limit, _ in parts if value > limit)
-            if time[i, k] <= JUMP:
-                rank *= 0.5
-            (x, y), against = labels.xy_px[i, k].tolist(), [value for value, *_ in parts]
-            row = {"image": labels.images[i], "keypoint": labels.names[k], "x_px": x, "y_px": y}
-            row |= dict(zip(("network", "others", "time"), against, strict=True))
-            found.append(row | {"rank": rank, "reasons": reasons})
+        (x, y), against = labels.xy_px[i, k].tolist(), {name: float(of_all[i, k]) for name, of_all in clues.items()}
+        beyond = [name for name, value in against.items() if value > limits[name][k]]
+        reasons = tuple(f"{against[name]:.2f} {REASONS[name]}" for name in beyond)
+        row = {"image": labels.images[i], "keypoint": labels.names[k], "x_px": x, "y_px": y, **against}
+        found += [row | {"rank": sum(against[name] for name in beyond), "reasons": reasons}] if beyond else []
     return sorted(found, key=lambda row: -row["rank"])[:MOST]
 
 
@@ -266,23 +214,3 @@ def _excess_distance_px(xy_px: Array) -> Array:
         usual[known] = np.nanquantile(distance[:, known], USUAL, axis=0)
         least = np.fmin(least, distance - usual)
     return np.where(np.isfinite(least), least, np.nan)
-
-
-def _off_line_px(labels: Labels) -> Array:
-    """(N, K): distance from a line through two near neighbours in time, before, after or on both sides, whichever is
-    least: a label beside a wrong one is not wrong itself; px."""
-    off = np.full(labels.labelled.shape, np.nan)
-    for c in range(len(labels.clips)):
-        here = np.flatnonzero(labels.clip == c)
-        here = here[np.argsort(labels.numbers[here])]
-        for k in range(len(labels.names)):
-            known = here[labels.labelled[here, k]]
-            t, p = labels.numbers[known].astype(float), labels.xy_px[known, k]
-            index = np.arange(len(known))
-            for a, b in ((-1, 1), (1, 2), (-1, -2)):
-                i = index[(index + min(a, b, 0) >= 0) & (index + max(a, b, 0) < len(known))]
-                i = i[np.maximum(np.abs(t[i + a] - t[i]), np.abs(t[i + b] - t[i])) <= NEAR_FRAMES]
-                share = ((t[i] - t[i + a]) / (t[i + b] - t[i + a]))[:, None]
-                line = p[i + a] + share * (p[i + b] - p[i + a])
-                off[known[i], k] = np.fmin(off[known[i], k], np.linalg.norm(p[i] - line, axis=1))
-    return off

@@ -144,6 +144,9 @@ class State:
     judged: tuple[list[float], list[bool]] = ([], [])
     """The calibrated likelihoods of the labelled validation points, and which of them are right."""
     history: list[dict[str, float]] = field(default_factory=list)
+    """A row for each evaluation."""
+    losses: list[float] = field(default_factory=list)
+    """Those of the steps since the last evaluation."""
     threads: int = 0
     """With which it computes on the CPU; 0 where none were chosen yet."""
 
@@ -190,10 +193,12 @@ def train(
                 timed = max(before, state.seconds / (60 * settings.minutes))
                 share = before + 1 / settings.steps if settings.steps else timed
                 state.share = 1.0 if share > 1 - 1e-9 else share
-                row = {"step": state.step, "loss": value, "rate": rate, "share": state.share}
-                state.history.append(row | ({} if held_out else {"finishing": 1.0}))
+                state.losses.append(value)
                 due = math.floor(state.share * EVALUATIONS) > math.floor(before * EVALUATIONS) or state.share >= 1
                 if due or (held_out and state.finishing):
+                    row = {"step": state.step, "loss": float(np.mean(state.losses)), "rate": rate, "share": state.share}
+                    state.history.append(row | ({} if held_out else {"finishing": 1.0}))
+                    state.losses.clear()
                     _evaluate(state, run, calibrates=held_out and state.finishing)
                     _save_checkpoint(state, run, out)
                 progress(f"{'finishing' if state.finishing else 'learning'}: {_figures_text(state)}", state.share)
@@ -293,10 +298,10 @@ def judge(trained: Trained, run: TrainingRun, which: Integers) -> tuple[Array, A
 
 
 def _figures_text(state: State) -> str:
-    recent = [h["loss"] for h in state.history[-50:]]
-    judged = next((h["validation_px"] for h in reversed(state.history) if "validation_px" in h), None)
-    error = "" if judged is None else f", validation error {judged:.2f} px"
-    return f"step {state.step}, loss {np.mean(recent):.3f}{error}"
+    last = state.history[-1] if state.history else {}
+    loss = float(np.mean(state.losses)) if state.losses else last["loss"]
+    error = f", validation error {last['validation_px']:.2f} px" if "validation_px" in last else ""
+    return f"step {state.step}, loss {loss:.3f}{error}"
 
 
 # -- checkpoints -----------------------------------------------------------------------------------------------------
