@@ -22,6 +22,7 @@ from functools import cache
 from importlib import import_module
 from io import BytesIO
 from pathlib import Path
+from types import GenericAlias
 from typing import Any, TypeVar
 
 import numpy as np
@@ -202,6 +203,6 @@ def _validated(of: type[_Class], fields: Any) -> _Class:
 
 
 @cache
-def _adapter(of: Any) -> TypeAdapter[Any]:
+def _adapter(of: type) -> TypeAdapter[Any]:
     """What checks a list of one such dataclass: one by itself takes no configuration."""
-    return TypeAdapter(list[of], config=ConfigDict(extra="forbid", arbitrary_types_allowed=True))
+    return TypeAdapter(GenericAlias(list, (of,)), config=ConfigDict(extra="forbid", arbitrary_types_allowed=True))
