@@ -29,7 +29,7 @@ from recordings import recordings
 from recon import FitSettings, Pose3D, fit_clip, load_skeleton, read_pose3d
 from recon.fit.motion import Motion
 from recon.fit.posterior import radius
-from recon.gait.clip import analyse, gait_of
+from recon.gait.clip import ClipAnalysis, analyse
 from recon.gait.gait import FEET, INTERVAL, Gait, Stance, gait, match_stances, pose_tracks, stances
 from recon.gait.kinematics import joint_kinematics, spine_flexion
 from recon.gait.phase import field_means, pose_vector_field
@@ -164,7 +164,7 @@ def fitted(run: Path, camera: int, about: dict) -> Motion:
 
 
 def found_gait(motion: Motion) -> Gait:
-    found = gait_of(motion)
+    found = ClipAnalysis(motion).gait
     assert found is not None
     return found
 

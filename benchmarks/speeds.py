@@ -19,7 +19,7 @@ from markdown_table import print_table
 from recordings import recordings
 
 from recon import FitSettings, Motion, Pose3D, fit_clip, read_pose3d
-from recon.gait.clip import net_acceleration_m_s2, reference_motion, speed_doubt
+from recon.gait.clip import ClipAnalysis
 from recon.gait.kinematics import frame_times, net_acceleration, series_kinematics
 
 METHODS = {"frame": {"method": "frame", "skeleton": "cheetah-8u"}, "trajectory": {}}
@@ -28,7 +28,8 @@ METHODS = {"frame": {"method": "frame", "skeleton": "cheetah-8u"}, "trajectory":
 def measured(motion: Motion, truth: Pose3D) -> tuple[float, float, float, float, float, bool]:
     """Error and stated deviation of the velocity, their quotient's root mean square, error of the net acceleration and
     its deviation, and whether the speed is said to be known."""
-    series = reference_motion(motion).series.at_frames()
+    said = ClipAnalysis(motion)
+    series = said.reference_motion.series.at_frames()
     at = truth.names.index(motion.reference)
     _, here, there = np.intersect1d(motion.frames, truth.frames, return_indices=True)
     time_s = frame_times(truth.frames, motion.fps)
@@ -37,10 +38,10 @@ def measured(motion: Motion, truth: Pose3D) -> tuple[float, float, float, float,
     error, sigma = series.rate[here] - true, series.rate_sigma[here]
     points = np.full_like(motion.upright.xyz_m[:, 0], np.nan)
     points[here] = truth.xyz_m[there, at]
-    net, net_sigma = net_acceleration_m_s2(motion)
+    net, net_sigma = said.net_acceleration_m_s2
     off = net - net_acceleration(motion.time_s, points)[0]
     off_by, stated, share = (float(np.sqrt(np.nanmean(values**2))) for values in (error, sigma, error / sigma))
-    return off_by, stated, share, off, net_sigma, speed_doubt(motion) is None
+    return off_by, stated, share, off, net_sigma, said.speed_doubt is None
 
 
 def main() -> None:

@@ -17,7 +17,7 @@ from recon import FitSettings, InputError, Keypoints, evaluate, load_skeleton, r
 from recon.animal import NameMap, builtin_maps, fitting_maps, load_names, map_to_write, new_names, renamed, suggestions
 from recon.animal.skeleton_file import skeleton_of
 from recon.fit import Motion
-from recon.gait.clip import gait_of
+from recon.gait.clip import ClipAnalysis
 from recon.io import read_keypoints
 from recon.io.deeplabcut import write_csv
 from recon.keypoint_net import evaluate_2d_files
@@ -297,7 +297,7 @@ def test_from_superanimals_file_to_a_robot(whole_results, tmp_path):
     found, native = Motion.load(tmp_path / "clip"), Motion.load(whole_results)
     assert found.foot_names == {"LF": "l_front_paw", "RF": "r_front_paw", "LH": "l_back_paw", "RH": "r_back_paw"}
     assert all(side == limb.partition(" ")[0] for limb, side in found.limb_sides.items() if "leg" in limb)
-    assert gait_of(found).name.name == gait_of(native).name.name == "transverse gallop"
+    assert ClipAnalysis(found).gait.name.name == ClipAnalysis(native).gait.name.name == "transverse gallop"
     assert retarget(reference_of(found), load_robot("a1")).clip.margin_rad.min() >= 0
     truth = read_pose3d(SAMPLES / "whole_truth.csv")
     renamed_m, native_m = (evaluate(results.upright, truth).mpjpe_m.mean for results in (found, native))

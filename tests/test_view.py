@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from recon import InputError
 from recon.clip import Source, views_of
 from recon.fit import Motion, MotionSegment, Solution
-from recon.gait.clip import standing
+from recon.gait.clip import ClipAnalysis
 from recon.show.view import DISPLAYS, open_viewer, write
 from recon.thesis import FrameOptions, FrameSolution, solve_frames
 
@@ -299,7 +299,7 @@ def test_doubtful_frames_are_marked(played: Recording, world_trajectory: Motion)
 
 def test_feet_that_stand_are_marked(recording: Recording, world_motion: Motion) -> None:
     motion = world_motion
-    stands = standing(motion)
+    stands = ClipAnalysis(motion).standing
     assert stands.any()
     for row, frame in enumerate(motion.frames):
         for name, stood in zip((motion.names[foot] for foot in motion.feet), stands[row], strict=True):

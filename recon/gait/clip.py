@@ -12,7 +12,7 @@ benchmarks/trajectory.py --only rates`).
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import TYPE_CHECKING
@@ -25,7 +25,7 @@ from recon.clip.keypoints import frame_ranges
 from recon.fit.motion import MEASURED_SHARE, Motion
 from recon.fit.posterior import radius
 from recon.gait.dynamics import Dynamics, dynamics
-from recon.gait.gait import BODY, INTERVAL, Gait, Stride, Tracks, gait, pose_tracks, stances
+from recon.gait.gait import BODY, INTERVAL, Gait, Stride, gait, pose_tracks
 from recon.gait.kinematics import (
     AngleKinematics,
     Errors,
@@ -64,28 +64,112 @@ UNSEEN_S = 0.2
 
 @dataclass(frozen=True, eq=False)
 class ClipAnalysis:
-    """T frames of a clip, N times on the grid of ten times the frame rate."""
+    """What a motion of T frames says, each part worked out when it is asked for; N times on the grid of ten times the
+    frame rate. All but the gait's ground needs `MIN_POINTS` frames with a pose, for which `analyse` looks."""
 
     motion: Motion
-    pose: Pose3D
-    """What all is worked out from, upright, smoothed where `smoothed` says so."""
-    smoothed: bool
-    reference: str
-    """The joint that stands for the animal's place."""
-    joints: Mapping[str, JointKinematics]
-    """Motion by joint."""
-    angles: Mapping[str, AngleKinematics]
-    """The angle at every inner joint of a chain and the flexion of the spine, where the skeleton has one."""
-    skeleton_angles: Mapping[str, AngleKinematics]
-    """The fit's own angles."""
-    gait: Gait | None
-    """None without feet."""
-    fields: Mapping[str, tuple[LinkField, ...]]
-    """By limb."""
+    smooth: bool | None = None
+    """Whether paths and angles are smoothed by their jitter; None: where the fit gives no uncertainty."""
     given: Stride | None = None
     """A stride, if the user gave one."""
+    lean: bool = False
+    """Whether the series of joints other than the reference, and of the angles at them, hold the frames only."""
     body_mass_kg: float | None = None
     """What the animal weighs, if that is known."""
+
+    @property
+    def smoothed(self) -> bool:
+        return self.motion.jitters if self.smooth is None else self.smooth
+
+    @property
+    def reference(self) -> str:
+        """The joint that stands for the animal's place."""
+        return self.motion.reference
+
+    @cached_property
+    def pose(self) -> Pose3D:
+        """What angles, gait and fields are worked out from, upright, smoothed where `smoothed` says so."""
+        pose = self.motion.upright
+        if not self.smoothed:
+            return pose
+        of_joint = partial(joint_kinematics, errors=jitter_errors(pose.xyz_m), smooth=True, propagate=False)
+        paths = [of_joint(pose, name, self.motion.fps, oversampling=1).series.value for name in pose.names]
+        return replace(pose, xyz_m=np.stack(paths, axis=1))
+
+    @cached_property
+    def reference_motion(self) -> JointKinematics:
+        """The motion of the reference joint, on the fine grid."""
+        return self._moved(self.reference)
+
+    @cached_property
+    def joints(self) -> dict[str, JointKinematics]:
+        """Motion by joint."""
+        found = {}
+        for name in self.motion.upright.names:
+            moved = self.reference_motion if name == self.reference else self._moved(name)
+            found[name] = moved.at_frames() if self.lean and name != self.reference else moved
+        return found
+
+    def _moved(self, name: str) -> JointKinematics:
+        errors = _errors(self.motion, self.smoothed)
+        return joint_kinematics(self.motion.upright, name, self.motion.fps, errors, smooth=self.smoothed)
+
+    @cached_property
+    def angles(self) -> dict[str, AngleKinematics]:
+        """The angle at every inner joint of a chain and the flexion of the spine, where the skeleton has one."""
+        # A common displacement of all joints turns none of the angles.
+        errors = [] if self.smoothed else _errors(self.motion, smooth=False)[1:]
+        found, fps, (rear, front) = {}, self.motion.fps, self.motion.forward_names
+        for along in limb_chains(self.motion).values():
+            for i in range(1, len(along) - 1):
+                if along[i] not in found:
+                    angle = joint_angle(self.pose, (along[i - 1], along[i], along[i + 1]), fps, errors)
+                    found[along[i]] = angle.at_frames() if self.lean else angle
+            if {rear, front} <= {*along}:
+                first, last = sorted((along.index(rear), along.index(front)))
+                if between := along[first + 1 : last]:
+                    middle = between[len(between) // 2]
+                    found["spine_flexion"] = spine_flexion(self.pose, fps, errors, (rear, middle, front))
+        return found
+
+    @cached_property
+    def skeleton_angles(self) -> dict[str, AngleKinematics]:
+        """The fit's own angles."""
+        motion = self.motion
+        of_angles = zip(motion.posture_names, motion.posture_rad.T, _angle_errors(motion, self.smoothed), strict=True)
+        return {
+            name: angle_kinematics(motion.time_s, angle, errors, smooth=self.smoothed)
+            for name, angle, errors in of_angles
+        }
+
+    @cached_property
+    def gait(self) -> Gait | None:
+        """None without feet."""
+        motion = self.motion
+        if not motion.foot_names:
+            return None
+        body = BODY if set(BODY) <= {*self.pose.names} else motion.forward_names
+        segments, errors = [segment.rows for segment in motion.segments], _errors(motion, motion.jitters)
+        seen, feet = _seen(motion, self.pose), motion.foot_names
+        return gait(pose_tracks(seen, motion.fps, errors, feet, body, segments, restless=motion.jitters))
+
+    @cached_property
+    def standing(self) -> Bools:
+        """(T, F): whether each of the motion's feet stands."""
+        motion = self.motion
+        stands = np.zeros((len(motion.frames), len(motion.feet)), dtype=bool)
+        if len(stands) >= MIN_POINTS and self.gait is not None:
+            for stance in self.gait.stances:
+                rows = slice(math.ceil(stance.start_frame), math.floor(stance.end_frame) + 1)
+                stands[rows, motion.foot_labels.index(stance.foot)] = True
+        return stands & motion.solved[:, None]
+
+    @cached_property
+    def fields(self) -> dict[str, tuple[LinkField, ...]]:
+        """Vector fields of the links, by limb."""
+        motion, chains = self.motion, limb_chains(self.motion)
+        fields = {limb: pose_vector_field(self.pose, c, motion.fps, motion.forward_names) for limb, c in chains.items()}
+        return _with_sigma(fields, motion, chains, [*self.skeleton_angles.values()])
 
     @cached_property
     def stride(self) -> Stride | None:
@@ -100,7 +184,14 @@ class ClipAnalysis:
     @cached_property
     def dynamics(self) -> Dynamics | None:
         """Centre of mass, energy and vertical forces; None of a skeleton without masses, or of one side."""
-        return dynamics_of(self.motion, self.gait, self.smoothed)
+        return dynamics(self.motion, self.gait, _errors(self.motion, self.smoothed))
+
+    @property
+    def net_acceleration_m_s2(self) -> tuple[float, float]:
+        """`net_acceleration` of the reference joint."""
+        points_m, at = self.motion.upright.xyz_m, self.motion.names.index(self.reference)
+        errors = _errors(self.motion, self.motion.jitters)
+        return net_acceleration(self.motion.time_s, points_m[:, at], [error[:, at] for error in errors])
 
     @property
     def speed(self) -> pd.DataFrame:
@@ -111,7 +202,7 @@ class ClipAnalysis:
 
         if self.speed_doubt is not None:
             raise InputError(Problem(self.motion.file, "speed", self.speed_doubt, "a path whose speed can be told"))
-        moved = self.joints[self.reference]
+        moved = self.reference_motion
         sigma = np.full_like(moved.speed_m_s, np.nan) if moved.speed_sigma_m_s is None else moved.speed_sigma_m_s
         reach = radius(INTERVAL) * sigma
         values = {"speed_m_s": moved.speed_m_s, "sigma_m_s": sigma}
@@ -125,8 +216,10 @@ class ClipAnalysis:
 
     @cached_property
     def speed_doubt(self) -> str | None:
-        """Why no joint's speed is known; None where they are. An error of the animal's depth is one of all joints."""
-        return speed_doubt(self.motion, self.smoothed)
+        """Why no joint's speed is known; None where they are, or where the fit says how uncertain they are. An error of
+        the animal's depth is one of all joints."""
+        path_m = self.motion.upright.xyz_m[:, self.motion.names.index(self.reference)]
+        return peak_doubt(self.motion.time_s, path_m, self.smoothed) if self.motion.jitters else None
 
     @property
     def during_stride(self) -> Bools:
@@ -167,38 +260,7 @@ def analyse(
     if known.sum() < MIN_POINTS:
         found = f"{known.sum()} frames with a pose"
         raise InputError(Problem(motion.file, "frames", found, f"at least {MIN_POINTS}"))
-    smooth = motion.jitters if smooth is None else smooth
-    pose, fps, options = motion.upright, motion.fps, {"smooth": smooth}
-    errors = _errors(motion, smooth)
-    reference = motion.reference
-    joints = {}
-    for name in pose.names:
-        moved = joint_kinematics(pose, name, fps, errors, **options)
-        joints[name] = moved.at_frames() if lean and name != reference else moved
-    if smooth:
-        pose = _on_paths(pose, joints.values())
-    # A common displacement of all joints turns none of the angles.
-    of_pose = [] if smooth else errors[1:]
-    chains = limb_chains(motion)
-    skeleton_angles = {
-        name: angle_kinematics(motion.time_s, angle, error, **options)
-        for name, angle, error in zip(
-            motion.posture_names, motion.posture_rad.T, _angle_errors(motion, smooth), strict=True
-        )
-    }
-    fields = {limb: pose_vector_field(pose, chain, fps, motion.forward_names) for limb, chain in chains.items()}
-    return ClipAnalysis(
-        motion=motion,
-        pose=pose,
-        smoothed=smooth,
-        reference=reference,
-        joints=joints,
-        angles=_angles(motion, pose, chains, of_pose, lean),
-        skeleton_angles=skeleton_angles,
-        gait=_gait(motion, pose),
-        fields=_with_sigma(fields, motion, chains, [*skeleton_angles.values()]),
-        given=given,
-    )
+    return ClipAnalysis(motion, smooth, given, lean)
 
 
 def stride_given(motion: Motion, stride_s: tuple[float, float]) -> Stride:
@@ -210,56 +272,6 @@ def stride_given(motion: Motion, stride_s: tuple[float, float]) -> Stride:
         expected = f"two frames or more within {first_s:.3f}:{last_s:.3f}, in seconds"
         raise InputError(Problem("--stride", "times", f"{start_s:g}:{end_s:g}", expected))
     return Stride("", start_s, end_s, np.nan, np.nan, np.nan, "given")
-
-
-def gait_of(motion: Motion) -> Gait | None:
-    """Only the gait of `analyse`; None without feet."""
-    return _gait(motion, _quiet(motion))
-
-
-def dynamics_of(motion: Motion, gait: Gait | None, smoothed: bool = False) -> Dynamics | None:
-    """Only the centre of mass, energy and forces of `analyse`."""
-    return dynamics(motion, gait, _errors(motion, smoothed))
-
-
-def standing(motion: Motion) -> Bools:
-    """(T, F): whether each of `motion.feet` stands, by the stances of `analyse`."""
-    stands = np.zeros((len(motion.frames), len(motion.feet)), dtype=bool)
-    if len(motion.feet) and len(stands) >= MIN_POINTS:
-        for stance in stances(_tracks(motion, _quiet(motion))):
-            rows = slice(math.ceil(stance.start_frame), math.floor(stance.end_frame) + 1)
-            stands[rows, motion.foot_labels.index(stance.foot)] = True
-    return stands & motion.solved[:, None]
-
-
-def _quiet(motion: Motion) -> Pose3D:
-    """The upright pose, smoothed by its jitter where the fit gives no uncertainty."""
-    pose = motion.upright
-    if not motion.jitters:
-        return pose
-    of_joint = partial(joint_kinematics, errors=jitter_errors(pose.xyz_m), smooth=True, propagate=False)
-    return _on_paths(pose, [of_joint(pose, name, motion.fps) for name in pose.names])
-
-
-def reference_motion(motion: Motion) -> JointKinematics:
-    """Only the motion of the joint that stands for the animal's place, as `analyse` has it."""
-    errors, smooth = _errors(motion, motion.jitters), motion.jitters
-    return joint_kinematics(motion.upright, motion.reference, motion.fps, errors, smooth=smooth)
-
-
-def net_acceleration_m_s2(motion: Motion) -> tuple[float, float]:
-    """`net_acceleration` of the joint that stands for the animal's place."""
-    points_m, at = motion.upright.xyz_m, motion.names.index(motion.reference)
-    errors = _errors(motion, motion.jitters)
-    return net_acceleration(motion.time_s, points_m[:, at], [error[:, at] for error in errors])
-
-
-def speed_doubt(motion: Motion, smooth: bool = True) -> str | None:
-    """Why the speed of the animal's path is not known; None where it is, or where the fit says how uncertain it is.
-    smooth: by its jitter."""
-    if not motion.jitters:
-        return None
-    return peak_doubt(motion.time_s, motion.upright.xyz_m[:, motion.names.index(motion.reference)], smooth)
 
 
 def limb_chains(motion: Motion) -> dict[str, tuple[str, ...]]:
@@ -334,43 +346,6 @@ def _with_sigma(
         limb: tuple(field_with_sigma(field, np.stack(moved[limb])[:, :, i]) for i, field in enumerate(of_limb))
         for limb, of_limb in fields.items()
     }
-
-
-def _on_paths(pose: Pose3D, joints: Iterable[JointKinematics]) -> Pose3D:
-    """The frames' positions on the joints' splines."""
-    paths = [joint.series.value[:: joint.series.oversampling] for joint in joints]
-    return replace(pose, xyz_m=np.stack(paths, axis=1))
-
-
-def _angles(
-    motion: Motion, pose: Pose3D, chains: Mapping[str, tuple[str, ...]], errors: Sequence[Errors], lean: bool
-) -> dict[str, AngleKinematics]:
-    found = {}
-    rear, front = motion.forward_names
-    for along in chains.values():
-        for i in range(1, len(along) - 1):
-            if along[i] not in found:
-                angle = joint_angle(pose, (along[i - 1], along[i], along[i + 1]), motion.fps, errors)
-                found[along[i]] = angle.at_frames() if lean else angle
-        if {rear, front} <= {*along}:
-            first, last = sorted((along.index(rear), along.index(front)))
-            if between := along[first + 1 : last]:
-                middle = between[len(between) // 2]
-                found["spine_flexion"] = spine_flexion(pose, motion.fps, errors, (rear, middle, front))
-    return found
-
-
-def _gait(motion: Motion, pose: Pose3D) -> Gait | None:
-    if not motion.foot_names:
-        return None
-    return gait(_tracks(motion, pose, _errors(motion, motion.jitters)))
-
-
-def _tracks(motion: Motion, pose: Pose3D, errors: Sequence[Errors] = ()) -> Tracks:
-    body = BODY if set(BODY) <= {*pose.names} else motion.forward_names
-    segments = [segment.rows for segment in motion.segments]
-    feet = motion.foot_names
-    return pose_tracks(_seen(motion, pose), motion.fps, errors, feet, body, segments, restless=motion.jitters)
 
 
 def _seen(motion: Motion, pose: Pose3D) -> Pose3D:

@@ -19,7 +19,7 @@ from recon.base.settings import Option, Positive, Settings
 from recon.check import sentence, usable, verdict_fields
 from recon.fit.motion import MEASURED_SHARE, Motion
 from recon.fit.posterior import radius
-from recon.gait.clip import ClipAnalysis, analyse, net_acceleration_m_s2
+from recon.gait.clip import ClipAnalysis, analyse
 from recon.gait.dynamics import Dynamics, findings_of_dynamics, net_work_j_kg
 from recon.gait.gait import INTERVAL as REGION
 from recon.gait.gait import Gait, Stride, doubt_text
@@ -92,7 +92,7 @@ def analyse_command(settings: AnalyseSettings, as_json: bool, quiet: bool) -> An
         return summary
     out, motion = files[0].parent, found.motion
     say_verdict(console, motion.verdict)
-    for line in (*in_sentences(motion, found.joints[found.reference], found.gait, found.speed_doubt), *_lines(found)):
+    for line in (*in_sentences(motion, found.reference_motion, found.gait, found.speed_doubt), *_lines(found)):
         say(console, line)
     if found.gait is not None and len(found.gait.stances) <= MOST_STANCES:
         spans: dict[str, list[str]] = {foot: [] for foot in motion.foot_names}
@@ -108,7 +108,7 @@ def analyse_command(settings: AnalyseSettings, as_json: bool, quiet: bool) -> An
 
 
 def _lines(found: ClipAnalysis) -> Iterator[str]:
-    net, sigma = net_acceleration_m_s2(found.motion)
+    net, sigma = found.net_acceleration_m_s2
     if math.isfinite(net):
         low, high = net - INTERVAL * sigma, net + INTERVAL * sigma
         yield f"Acceleration along the way, over the whole clip: {net:+.1f} m/s² (95 %: {low:+.1f} to {high:+.1f})."
@@ -153,8 +153,8 @@ def run_analyse(settings: AnalyseSettings, progress: Progress = silent) -> Analy
 
 def summarise(found: ClipAnalysis, results: str) -> dict[str, Any]:
     """The figures of a clip in short; what they are is in docs/gait.md. results: what its folder is called."""
-    moved = found.joints[found.reference]
-    net, net_sigma = net_acceleration_m_s2(found.motion)
+    moved = found.reference_motion
+    net, net_sigma = found.net_acceleration_m_s2
     return {
         "schema": {"name": "recon.analysis", "version": 1},
         "results": results,
@@ -298,7 +298,7 @@ def figures_of(found: ClipAnalysis) -> dict[str, Callable[[], Figure]]:
     title = "the stride that was given" if found.given is not None else title
     own = (joints_m, motion.limbs, time_s[during], motion.limb_sides, title)
     shares, ground = motion.posture_data_share[during], None if gait is None else gait.tracks.grounds
-    moved, unknown = {found.reference: found.joints[found.reference]}, found.speed_doubt is not None
+    moved, unknown = {found.reference: found.reference_motion}, found.speed_doubt is not None
     drawn: dict[str, Callable[[], Figure]] = {
         "composites": partial(
             plots.composites, found.pose.xyz_m, motion.limbs, time_s, ground, sides=motion.limb_sides

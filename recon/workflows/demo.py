@@ -8,7 +8,7 @@ from typing import Annotated
 from recon.base.errors import InputError, Problem
 from recon.base.settings import Option, Settings
 from recon.fit.motion import Motion
-from recon.gait.clip import gait_of, reference_motion, speed_doubt
+from recon.gait.clip import ClipAnalysis
 from recon.gait.evaluation import evaluate_files
 from recon.show.report import in_sentences
 from recon.workflows.cli.common import finish, progress_bar, say, terminal
@@ -50,6 +50,7 @@ def demo(settings: _DemoSettings, as_json: bool, quiet: bool) -> None:
         console.print(f"Error against the sample's truth: {mpjpe_mm:.0f} mm (MPJPE)\n")
         motion, lines = Motion.load(out), dict(report["lines"])
         say(console, f"Frames: {lines['frames']}.")
-        for sentence in in_sentences(motion, reference_motion(motion), gait_of(motion), speed_doubt(motion)):
+        found = ClipAnalysis(motion)
+        for sentence in in_sentences(motion, found.reference_motion, found.gait, found.speed_doubt):
             say(console, sentence)
         say(console, f"Open {page} in a browser.")

@@ -19,7 +19,7 @@ from recon.base.errors import InputError, Problem
 from recon.base.files import require_free_folder, sole_writer, staged_folder
 from recon.check import usable, verdict_fields
 from recon.fit.motion import Motion
-from recon.gait.clip import gait_of, limb_chains, stride_given
+from recon.gait.clip import ClipAnalysis, limb_chains, stride_given
 from recon.gait.gait import AGREE, OVERSAMPLING, Gait, doubt_text
 from recon.gait.path import MIN_POINTS
 from recon.gait.phase import Closure, Portrait
@@ -357,7 +357,7 @@ def stride_of(motion: Motion, limb: Limb, stride_s: tuple[float, float] | None =
     if stride_s is not None:
         stride = stride_given(motion, stride_s)
         return _found_stride(motion, limb, "given", (stride.start_s, stride.end_s))
-    gait = gait_of(motion)
+    gait = ClipAnalysis(motion).gait
     assert gait is not None  # the limb has a foot
     label = next(label for label, joint in motion.foot_names.items() if joint == limb.foot)
     doubts = [doubt_text(doubt) for doubt in gait.doubtful if doubt.foot == label]

@@ -13,7 +13,7 @@ import numpy as np
 from recon.base.arrays import Array, Bools
 from recon.check import FLAGS, verdict_lines
 from recon.fit.motion import MEASURED_SHARE, Motion
-from recon.gait.clip import dynamics_of, gait_of, reference_motion, speed_doubt
+from recon.gait.clip import ClipAnalysis
 from recon.gait.gait import Gait
 from recon.gait.kinematics import JointKinematics
 from recon.gait.path import MIN_POINTS
@@ -55,13 +55,13 @@ def clip_page(
     number: of the camera whose stills they are."""
     report = build_report(motion)
     posed = np.isfinite(motion.upright.xyz_m).all(axis=(1, 2))
-    moved, gait = (reference_motion(motion), gait_of(motion)) if posed.sum() >= MIN_POINTS else (None, None)
+    found = ClipAnalysis(motion) if posed.sum() >= MIN_POINTS else None
     doubtful = list(doubtful_frames(motion))
     return rendered(
         "report.html",
         title=", ".join(dict.fromkeys(_base(camera["keypoints"]) for camera in report["cameras"])),
         subtitle=_subtitle(motion),
-        words=list(_words(motion, report, moved, gait)),
+        words=list(_words(report, found)),
         verdict=motion.verdict,
         expected=verdict_lines(motion.verdict)[1:],
         to_do="" if motion.verdict is None else TO_DO[motion.verdict.level],
@@ -70,8 +70,8 @@ def clip_page(
         stills=stills,
         behind=behind,
         camera=motion.cameras[number].name if len(motion.cameras) > 1 else "the camera",
-        solid=_solid(motion, np.asarray(posed), gait),
-        sections=[] if moved is None else list(_sections(motion, moved, gait)),
+        solid=_solid(motion, np.asarray(posed), found and found.gait),
+        sections=[] if found is None else list(_sections(found)),
         doubtful=doubtful[:SHOWN],
         more_doubtful=max(0, len(doubtful) - SHOWN),
         meaning={flag: text for flag, text in FLAGS.items() if any(flag in flags for flags in motion.flags)},
@@ -101,15 +101,13 @@ def _subtitle(motion: Motion) -> str:
 # -- words ------------------------------------------------------------------------------------------------------------
 
 
-def _words(
-    motion: Motion, report: Mapping[str, Any], moved: JointKinematics | None, gait: Gait | None
-) -> Iterator[str]:
+def _words(report: Mapping[str, Any], found: ClipAnalysis | None) -> Iterator[str]:
     """The result in a few sentences."""
     yield f"Frames: {dict(report['lines'])['frames']}."
-    if moved is None:
+    if found is None:
         yield "Too few frames have a pose for a speed or a gait."
     else:
-        yield from in_sentences(motion, moved, gait, speed_doubt(motion))
+        yield from in_sentences(found.motion, found.reference_motion, found.gait, found.speed_doubt)
 
 
 def doubtful_frames(motion: Motion) -> Iterator[tuple[str, str]]:
@@ -124,7 +122,8 @@ def doubtful_frames(motion: Motion) -> Iterator[tuple[str, str]]:
 # -- figures ----------------------------------------------------------------------------------------------------------
 
 
-def _sections(motion: Motion, moved: JointKinematics, gait: Gait | None) -> Iterator[_FigureGroup]:
+def _sections(found: ClipAnalysis) -> Iterator[_FigureGroup]:
+    motion, moved, gait = found.motion, found.reference_motion, found.gait
     ground = None if gait is None else gait.tracks.grounds
     drawn = {"ground": ground, "sides": motion.limb_sides}
     yield _FigureGroup(
@@ -133,19 +132,24 @@ def _sections(motion: Motion, moved: JointKinematics, gait: Gait | None) -> Iter
         _inline([plots.composites(m, motion.limbs, motion.time_s, **drawn) for m in _stretches(motion, moved)]),
     )
     name, hardly = motion.reference, _is_unknown(moved.acceleration_m_s2, moved.acceleration_sigma_m_s2)
-    doubted = speed_doubt(motion) is not None
     yield _FigureGroup(
         "Speed",
         f"Of {name}, along its path"
         + ("." if moved.speed_sigma_m_s is None else ", with bands of one standard deviation.")
         + (UNKNOWN_ACCELERATION if hardly else ""),
-        _inline([plots.speeds({name: moved}, width_mm=SPEED_MM, unknown=doubted, acceleration=not hardly)]),
+        _inline(
+            [
+                plots.speeds(
+                    {name: moved}, width_mm=SPEED_MM, unknown=found.speed_doubt is not None, acceleration=not hardly
+                )
+            ]
+        ),
         "narrow",
     )
     if gait is not None:
         text = "When each foot stands: by its speed over the ground and its height, and by its path below the body."
         yield _FigureGroup("Footfalls", text, _inline([plots.footfall({"gait": gait}, motion.fps)]))
-        dynamics = None if motion.jitters else dynamics_of(motion, gait)
+        dynamics = None if motion.jitters else found.dynamics
         if dynamics is not None and len(dynamics.forces):
             text = (
                 "Of each foot, in body weights: from its stances and the impulse that a stride needs on level ground, "

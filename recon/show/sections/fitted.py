@@ -16,7 +16,7 @@ from recon.base.words import length_text
 from recon.check import FLAGS
 from recon.fit.motion import MEASURED_SHARE, Motion
 from recon.fit.result import MotionSegment, TrajectorySolution
-from recon.gait.clip import gait_of
+from recon.gait.clip import ClipAnalysis
 from recon.gait.path import MIN_POINTS
 from recon.show.plain import file_name, frame_count
 from recon.show.sections.given import counts, heading_text, sentences, upright
@@ -237,7 +237,7 @@ def _ground(motion: Motion, segment: MotionSegment) -> dict[str, Any] | None:
 
 def stances(motion: Motion) -> dict[str, Any]:
     """By foot: the ranges of frame numbers in which it stands, as `recon.gait` has them."""
-    found = gait_of(motion) if motion.solved.sum() >= MIN_POINTS else None
+    found = ClipAnalysis(motion).gait if motion.solved.sum() >= MIN_POINTS else None
     ranges, last = {name: [] for name in motion.foot_names.values()}, len(motion.frames) - 1
     for stance in found.stances if found else ():
         first, stop = (min(round(row), last) for row in (stance.start_frame, stance.end_frame))

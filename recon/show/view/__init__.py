@@ -33,7 +33,7 @@ import rerun as rr
 
 from recon.base.errors import InputError, Problem
 from recon.fit.motion import Motion
-from recon.gait.clip import ClipAnalysis, standing
+from recon.gait.clip import ClipAnalysis
 from recon.show.recording import recording
 from recon.show.view.layout import blueprint
 from recon.show.view.scene import Log, Scene, limb_colours
@@ -57,7 +57,7 @@ def write(
     The viewer plays it in a loop, slowly where it is short. found: the analysis, whose plots get tabs of their own;
     video: what is behind the picture of a camera, by its number, with the number of the video's first frame.
     """
-    scene, stands = Scene.of(motion), standing(motion)
+    scene, stands = Scene.of(motion), (found or ClipAnalysis(motion)).standing
     plots = [*angle_plots(motion), *other_plots(motion), *(() if found is None else analysis_plots(found))]
     rows = states(motion, stands)
     with recording(path, blueprint(motion, scene, plots, [*rows])) as stream:
