@@ -8,6 +8,7 @@ import pytest
 from command_line import run
 from robot_urdf import a1_urdf
 
+from recon.robotics.robot.answers import all_solutions
 from recon.robotics.robot.robot_file import load_robot
 
 PUMA = """convention = "modified"
@@ -44,17 +45,18 @@ def urdf(tmp_path: Path) -> Path:
 
 @pytest.mark.parametrize("name", ["a1", "aibo"])
 def test_chains_and_all_solutions_of_the_legs(name):
-    """Joint by joint, with the robot's own signs, each leg is where it is by its closed form."""
+    """Joint by joint, with the robot's own signs, each leg is where it is by its closed form, which is one of four."""
     rng = np.random.default_rng(3)
     for leg in load_robot(name).legs.values():
         q = rng.uniform(leg.chain.lower_rad, leg.chain.upper_rad)
         foot = leg.chain.end(q[None])[0]
         np.testing.assert_allclose(leg.chain.end(q), foot, atol=1e-14)
-        found, isolated = leg.solutions(foot)
+        found, isolated = all_solutions(leg.chain, foot)
         assert isolated
         assert found.shape == (4, 3)
-        np.testing.assert_allclose(leg.chain.end(found), np.tile(foot, (4, 1)), atol=1e-12)
-        assert np.abs(np.angle(np.exp(1j * (found - q)))).max(axis=1).min() < 1e-6
+        np.testing.assert_allclose(leg.chain.end(found), np.tile(foot, (4, 1)), atol=1e-7)
+        for one in (q, leg.closed_angles(foot[None])[0]):
+            assert np.abs(np.angle(np.exp(1j * (found - one)))).max(axis=1).min() < 1e-6
 
 
 def test_pose_with_planted_feet():
@@ -73,28 +75,28 @@ def test_pose_with_planted_feet():
 
 def test_pose_beyond_limits_and_reach():
     low = answer("pose", "aibo", "--move", "0,0,-0.09")["legs"]["LF"]
-    assert (low["angles_rad"], low["why"]) == (None, "beyond a joint's limits")
+    assert (low["angles_rad"], low["why"]) == (None, "out of reach, or of a joint's limits")
     ended = run("robot", "pose", "aibo", "--move", "0,0,0.2")
     assert "RH: out of reach" in ended.out
 
 
 def test_leg_forward_and_inverse():
-    there = answer("leg", "aibo", "LH", "--angles", "-20,15,60")["forward"]
+    there = answer("dh", "aibo", "--tip", "LH", "--angles", "-20,15,60")["forward"]
     leg = load_robot("aibo").legs["LH"]
     q = np.radians([-20, 15, 60])
     assert there["place_m"] == pytest.approx(leg.chain.end(q[None])[0])
-    back = answer("leg", "aibo", "LH", "--foot", ",".join(map(str, there["place_m"])))
+    back = answer("dh", "aibo", "--tip", "LH", "--place", ",".join(map(str, there["place_m"])))
     solutions = back["inverse"]["solutions"]
     assert len(solutions) == 4
     allowed = [s["q"] for s in solutions if s["within_limits"]]
     assert any(np.allclose(s, q, atol=1e-6) for s in allowed)
     assert back["dh"]["rows"][2]["a_m"] == pytest.approx(0.0695)
-    assert "knee" in run("robot", "leg", "aibo", "LH").out
+    assert "knee" in run("robot", "dh", "aibo", "--tip", "LH").out
 
 
 def test_a_urdf_leg_has_the_solutions_of_the_closed_form(urdf):
     place = ("0.2", "0.14", "-0.25")
-    ours = [answer("leg", robot, "LF", "--foot", ",".join(place))["inverse"] for robot in (urdf, "a1")]
+    ours = [answer("dh", robot, "--tip", "LF", "--place", ",".join(place))["inverse"] for robot in (urdf, "a1")]
     one, other = (np.array(sorted(s["q"] for s in found["solutions"])) for found in ours)
     np.testing.assert_allclose(one, other, atol=1e-6)
     # A thigh beyond half a turn, as its limits are.
@@ -126,8 +128,8 @@ def test_dh_of_a_urdf(urdf):
         (("pose", "aibo", "--pitch", "x"), "--pitch"),
         (("pose", "aibo", "--move", "1,2"), "3 numbers with commas"),
         (("pose", "spot"), "no such robot"),
-        (("leg", "aibo", "LX"), "expected LF, RF, LH or RH"),
-        (("leg", "aibo", "LF", "--angles", "1,2"), "found 2 numbers, expected 3"),
+        (("dh", "aibo"), "one of LF, RF, LH, RH"),
+        (("dh", "aibo", "--tip", "LF", "--angles", "1,2"), "found 2 numbers, expected 3"),
         (("dh", "none.toml"), "no such file"),
     ],
 )

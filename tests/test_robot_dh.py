@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from recon.robotics.ik.chain import joint_chain
 from recon.robotics.ik.costs import joint_differences
 from recon.robotics.ik.drive import drive_to
 from recon.robotics.ik.methods import (
@@ -16,9 +15,8 @@ from recon.robotics.ik.methods import (
     damped_least_squares,
     weighted_least_norm,
 )
+from recon.robotics.robot.answers import all_solutions
 from recon.robotics.robot.dh import DHRow, dh_chain, dh_table
-from recon.robotics.robot.lift_arm import lift_arm, lift_arm_hand
-from recon.robotics.robot.solutions import all_solutions
 
 QUARTER = np.pi / 2
 PUMA_MODIFIED = tuple(
@@ -195,63 +193,3 @@ def test_rows_and_convention_are_checked():
         dh_chain(PUMA_MODIFIED, "craig")  # pyright: ignore[reportArgumentType]
     with pytest.raises(ValueError, match="rows"):
         dh_chain([], "standard")
-
-
-# -- the four-joint arm ------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("hand", "height", "expected"),
-    [
-        ((3.165, -7.811, -45), 0.5, [(0.5, -60.8874, -15, 30.8874), (0.5, -75, 15, 15)]),
-        ((7.328, 2.828, 75), 0.25, [(0.25, 42.2085, -45, 77.7915), (0.25, 0, 45, 30)]),
-    ],
-)
-def test_lift_arm_published_values(hand, height, expected):
-    """Links of 4.5 and 4 inches. The wrist angles in print take the hand's angle in radians among degrees; these are
-    in degrees throughout."""
-    x, y, degrees = hand
-    branches, reason = lift_arm((4.5, 4.0), (x, y, np.radians(degrees)), height)
-    assert reason == ""
-    found = np.column_stack([branches[:, 0], np.degrees(branches[:, 1:])])
-    # The published place has three decimals, and angles near the stretched arm hang on them.
-    np.testing.assert_allclose(found, expected, atol=0.05)
-
-
-def lift_arm_chain(lengths):
-    """The same arm joint by joint; its end effector is the hand's place."""
-    offsets = [(0, 0, 0), (0, 0, 0), (lengths[0], 0, 0), (lengths[1], 0, 0)]
-    return joint_chain(offsets, np.tile([0.0, 0.0, 1.0], (4, 1)), sliding=[True, False, False, False])
-
-
-def test_lift_arm_there_and_back():
-    rng = np.random.default_rng(3)
-    lengths = (0.45, 0.4)
-    chain = lift_arm_chain(lengths)
-    for q in rng.uniform(-3, 3, (50, 4)):
-        hand, height = lift_arm_hand(lengths, q)
-        assert chain.end(q) == pytest.approx([hand[0], hand[1], height])
-        branches, _ = lift_arm(lengths, hand, float(height))
-        again, heights = lift_arm_hand(lengths, branches)
-        turns = np.exp(1j * (again[:, 2] - hand[2]))
-        np.testing.assert_allclose(again[:, :2], np.tile(hand[:2], (2, 1)), atol=1e-9)
-        np.testing.assert_allclose(turns, 1.0, atol=1e-9)
-        np.testing.assert_allclose(heights, height)
-        k = int(q[2] > 0)
-        np.testing.assert_allclose(np.exp(1j * branches[k, 1:]), np.exp(1j * q[1:]), atol=1e-6)
-
-
-def test_lift_arm_out_of_reach():
-    branches, reason = lift_arm((0.45, 0.4), (1.0, 0.0, 0.0), 0.1)
-    assert "unreachable" in reason
-    assert np.isnan(branches).all()
-
-
-@pytest.mark.parametrize("name", list(METHODS))
-def test_methods_drive_the_lift_arm(name):
-    chain = lift_arm_chain((0.45, 0.4))
-    method = weighted_least_norm(np.array([1.0, 2.0, 1.0, 1.0])) if name == "weighted" else METHODS[name]
-    hand = lift_arm((0.45, 0.4), (0.5, 0.3, 0.0), 0.2)[0][1]
-    run = drive_to(chain, (0.0, 0.1, 0.5, 0.0), chain.end(hand), method)
-    assert run.reason == "reached"
-    assert chain.end(run.q[-1]) == pytest.approx([0.5, 0.3, 0.2], abs=0.003)

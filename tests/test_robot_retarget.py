@@ -14,13 +14,11 @@ from robot_urdf import a1_urdf
 from recon.animal.skeleton_file import load_skeleton
 from recon.base.errors import InputError
 from recon.fit.motion import Motion
-from recon.robotics.robot.footholds import planted, stances
 from recon.robotics.robot.playback import Companion, write_robot
-from recon.robotics.robot.quadruped import LEGS
+from recon.robotics.robot.quadruped import LEGS, feet_in_world
 from recon.robotics.robot.reference import closed_stride, reference_of, stride_window, with_other_side
-from recon.robotics.robot.retarget import drawn_in, on_robot, place, retarget
+from recon.robotics.robot.retarget import drawn_in, on_robot, place, planted, retarget, stances
 from recon.robotics.robot.retarget_clip import companion, repeated, report_of, run_retarget
-from recon.robotics.robot.rigid import feet_in_world
 from recon.robotics.robot.robot_file import load_robot
 from recon.robotics.settings import RetargetSettings
 from recon.show.view.scene import LEFT, MIDDLE, RIGHT

@@ -185,16 +185,7 @@ class ClimbSettings(Settings):
             "(default: the recipe's)"
         ),
     ] = None
-    at: Annotated[
-        Number | None,
-        Option("When its field is drawn, seconds. (default: where a margin is least)", "seconds, as in 3.5"),
-    ] = None
-    after: Annotated[
-        Path | None,
-        Option("Folder of results, whose animal's motion the robot follows up to the step.", metavar="DIR"),
-    ] = None
     figures: Annotated[bool, _FIGURES] = True
-    anyway: Annotated[bool, ANYWAY] = False
     overwrite: Annotated[bool, _OVERWRITE] = False
 
 
@@ -209,7 +200,6 @@ _NUMBERS = "numbers with commas, as in 0.1,-20,3"
 Three = Annotated[tuple[Number, Number, Number], BeforeValidator(_split)]
 """Several numbers; as text with commas between them."""
 _ROBOT = Option("a1, go2, aibo, or a file .toml, .urdf or .xml (MJCF).", argument="ROBOT")
-_ANGLES = Option("Where is the end at these, degrees (metres of joints that slide)? As in 0,45,-90.", metavar="NUMBERS")
 
 
 def _three(help: str) -> Option:
@@ -229,25 +219,25 @@ class PoseSettings(Settings):
     yaw: Annotated[Number, Option("Degrees, to the left.", "degrees, as in 10")] = 0.0
 
 
-class LegSettings(Settings):
-    """What `recon robot leg` is told."""
-
-    robot: Annotated[str, _ROBOT]
-    leg: Annotated[Literal["LF", "RF", "LH", "RH"], Option("LF, RF, LH or RH.", argument="LEG")]
-    angles: Annotated[str | None, _ANGLES] = None
-    foot: Annotated[
-        Three | None, _three("All angles that put the foot there: body axes, metres, as in 0.1,0.1,-0.2.")
-    ] = None
-
-
 class TableSettings(Settings):
     """What `recon robot dh` is told."""
 
-    file: Annotated[Path, Option("A table of parameters (.toml), or a robot's .urdf or .xml.", argument="FILE")]
-    tip: Annotated[str | None, Option("Of a robot: the link at the end. (default: the only leaf)")] = None
-    angles: Annotated[str | None, _ANGLES] = None
+    source: Annotated[
+        str,
+        Option(
+            "A table of parameters (.toml), a robot (a1, go2, aibo, or a file), or a .urdf or .xml.", argument="SOURCE"
+        ),
+    ]
+    tip: Annotated[
+        str | None,
+        Option("Of a robot LF, RF, LH or RH; of a .urdf or .xml, too, the link at the end. (default: the only leaf)"),
+    ] = None
+    angles: Annotated[
+        str | None,
+        Option("Where is the end at these, degrees (metres of joints that slide)? As in 0,45,-90.", metavar="NUMBERS"),
+    ] = None
     place: Annotated[
-        Three | None, _three("All angles that put the end there: base axes, metres, as in 0.4,0.1,0.2.")
+        Three | None, _three("All angles that put the end there: base or body axes, metres, as in 0.4,0.1,0.2.")
     ] = None
     turned: Annotated[
         Three | None, _three("With --place: the end's roll, pitch and yaw, degrees, as in 0,90,0. (default: any)")

@@ -18,7 +18,7 @@ def climb(settings: ClimbSettings, as_json: bool) -> None:
 
     Exit code 0: valid in every frame. 1: it is not, and all is written. 2: the input cannot be used.
     """
-    from math import degrees, isfinite
+    from math import degrees
 
     from recon.robotics.climb.run import run_climb
     from recon.show.report import to_json
@@ -29,22 +29,12 @@ def climb(settings: ClimbSettings, as_json: bool) -> None:
         _end(report)
         return
     console = terminal()
-    pitch, share = degrees(report["largest_pitch_rad"]), report["rate_share"]
-    rate = f"at {100 * share:.0f} % of the fastest rate at most" if isfinite(share) else "out of their reach"
+    pitch, rate = degrees(report["largest_pitch_rad"]), 100 * report["rate_share"]
     say(
         console,
         f"{report['robot']} climbs {1000 * report['step_m']:.0f} mm in {report['duration_s']:.1f} s, "
-        f"{report['frames']} frames; pitch up to {pitch:.0f}°; joints {rate}",
+        f"{report['frames']} frames; pitch up to {pitch:.0f}°; joints at {rate:.0f} % of the fastest rate at most",
     )
-    if "after" in report:
-        before = report["after"]
-        say(
-            console,
-            f"before it, for {before['climb_starts_s']:.1f} s, the animal's motion, {before['scale']:.3f} of its size "
-            f"and {before['slower']:.2f} times slower, and steps into the climb's stance",
-        )
-        if before["out_of_reach_share"]:
-            say(console, f"note: a foot out of reach in {100 * before['out_of_reach_share']:.0f} % of that, drawn in")
     table = table_of("least margin", numbers=("", "", "at s"))
     for row in report["least_margins"].values():
         table.add_row(row["what"], f"{row['value']:.1f}", row["unit"], f"{row['at_s']:.2f}")
@@ -52,8 +42,7 @@ def climb(settings: ClimbSettings, as_json: bool) -> None:
     say(console, "valid in every frame" if report["valid"] else f"not valid: {'; '.join(report['problems'])}")
     if report["settled_share"] < 1:
         say(console, f"note: in equilibrium in {100 * report['settled_share']:.0f} % of the frames only")
-    drawn = f"; the field is drawn at {report['field_drawn_at_s']:.2f} s" if settings.figures else ""
-    say(console, f"The playback is {settings.out / 'climb.rrd'}{drawn}.")
+    say(console, f"The playback is {settings.out / 'climb.rrd'}.")
     _end(report)
 
 

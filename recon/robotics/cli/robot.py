@@ -9,7 +9,7 @@ from typing import Any
 import typer
 from rich.console import Console
 
-from recon.robotics.settings import LegSettings, PoseSettings, TableSettings
+from recon.robotics.settings import PoseSettings, TableSettings
 from recon.workflows.cli.common import numbers, say, table_of, terminal
 
 
@@ -37,24 +37,10 @@ def pose(settings: PoseSettings, as_json: bool) -> None:
             say(console, f"{label}: {leg['why']}")
 
 
-def leg(settings: LegSettings, as_json: bool) -> None:
-    """A leg's Denavit-Hartenberg table and limits, its foot at given angles, and all angles of a given foot.
-
-    Example: recon robot leg aibo LF --foot 0.09,0.07,-0.1
-    """
-    from recon.robotics.robot.answers import leg_of
-
-    answer = leg_of(settings, _angles(settings.angles))
-    if as_json:
-        _json(answer)
-        return
-    _print_chain(terminal(), answer, f"{answer['robot']}, leg {settings.leg}")
-
-
 def dh(settings: TableSettings, as_json: bool) -> None:
-    """The Denavit-Hartenberg table of a chain, its end at given angles, and all angles of a given end.
+    """The Denavit-Hartenberg table of a chain or a robot's leg, its end at given angles, and all angles of a given end.
 
-    Example: recon robot dh arm.toml --angles 10,20,30,40,50,60
+    Example: recon robot dh aibo --tip LF --place 0.09,0.07,-0.1
     """
     from recon.robotics.robot.answers import chain_of
 
@@ -62,7 +48,7 @@ def dh(settings: TableSettings, as_json: bool) -> None:
     if as_json:
         _json(answer)
         return
-    _print_chain(terminal(), answer, str(settings.file))
+    _print_chain(terminal(), answer, f"{settings.source} {settings.tip or ''}".strip())
 
 
 def _print_chain(console: Console, answer: dict[str, Any], title: str) -> None:

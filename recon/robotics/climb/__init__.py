@@ -1,8 +1,7 @@
 """Climbing a step by potential fields: the torso moves by fields, the feet follow given paths (docs/climb.md).
 
-After D. Cohen, SUNFEST, University of Pennsylvania, 2005. World: x to the right, y forward, z up.
+After D. Cohen, SUNFEST, University of Pennsylvania, 2005. World: x forward, y left, z up.
 """
 
-from recon.robotics.climb.check import ClimbCheck
-from recon.robotics.climb.plan import Climb, Walker, plan
+from recon.robotics.climb.plan import Climb, plan
 from recon.robotics.climb.recipe import Recipe, bundled, load_recipe, raised, scaled

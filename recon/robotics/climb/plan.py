@@ -1,186 +1,269 @@
-"""A climb frame by frame: the feet follow their paths, the fields carry the torso.
+"""A climb frame by frame: the feet follow their paths, fields carry the torso, and what the plan keeps away from.
 
 Before each footfall the torso shifts over the three other feet, all four planted, at the pace of its caps; then the
 foot rises, crosses and sinks at the speeds of the phases, while the torso stays in the equilibrium of its fields. Where
 the caps of a frame hold the torso back, the foot waits.
 
-Body axes are those of the legs: x to the right, y forward, z up.
+r is a leg's vector from hip to foot in body axes, X and Y the lateral and the forward axis. Every leg has three fields
+of one form, the slope of a well of its coordinate q:
+
+    radial  q = |r|                        the hip is pushed along r
+    swing   q = atan2(forwards, down)      along X x r, in the plane whose normal is lateral
+    flap    q = atan2(outwards, down)      along r x Y, in the plane whose normal is forward
+
+and the balance field pulls the centre of mass to the level centroid of the planted feet, at distance d, with
+gain tanh(sharpness d).
+
+The publication (D. Cohen, SUNFEST, University of Pennsylvania, 2005) leaves open how an angle's force is divided by
+the length of the leg, and what it does to the torso's rotation. Here each field is the gradient of one energy in all of
+the torso's degrees of freedom, so that there is a minimum: the force of an angle is slope (X x r) / |X x r|^2, and its
+moment that of the same force at the foot.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from recon.base.arrays import Array, Bools, Integers
 from recon.base.errors import InputError, Problem
-from recon.robotics.climb.fields import Fields, Stand, Torso, equilibrium, leg_vectors
-from recon.robotics.climb.recipe import Footfall, Primitive, Recipe
-from recon.robotics.robot.leg import Leg
-from recon.robotics.robot.quadruped import Quadruped
+from recon.robotics.climb.recipe import Fields, Primitive, Recipe
+from recon.robotics.robot.quadruped import LEGS, Quadruped, leg_targets
+from recon.robotics.robot.retarget import RobotMotion, posed
 
-LEGS = ("left front", "left rear", "right front", "right rear")
-"""Numbered from 1 in this order, as the published footfalls are."""
-LABELS = ("LF", "LH", "RF", "RH")
-"""Their names in a robot's description."""
-AROUND = (0, 1, 3, 2)
-"""The legs counterclockwise, seen from above."""
 NONE = -1
 """The lifted leg where all are planted."""
+AROUND = (0, 2, 3, 1)
+"""The legs counterclockwise, seen from above."""
+LEFT = np.array([1.0 if label[0] == "L" else -1.0 for label in LEGS])
 MAX_WAIT = 400
 """Frames."""
+MAX_EVALUATIONS = 100
+"""Of the fields, in one frame."""
+NUDGE, SETTLED = 1e-6, 1e-8
+"""Metres and radians: between wrenches whose difference is a stiffness; a last step so short."""
+TRUST_M, TRUST_RAD = 0.03, 0.5
+"""Longest step of Newton's method."""
+SHIN_POINTS = (0.25, 0.5, 0.75)
+"""Of the way from foot to knee, where a shin must not touch the ground or the step."""
+ROUNDING_M = 1e-9
+"""A planted foot may be this far under the surface that it stands on."""
 
 
-@dataclass(frozen=True, eq=False)
-class Walker:
-    """A robot as a climb sees it, its centre of mass in the origin of its body. Raises InputError for legs of another
-    kind than swing, flap, knee in closed form."""
+class _Rule(NamedTuple):
+    """How one kind of margin is shown and weighed."""
 
-    robot: Quadruped
-
-    def __post_init__(self) -> None:
-        if any(leg.closed is None or leg.closed.first != "swing" for leg in self.robot.legs.values()):
-            expected = "a robot whose legs are given by dimensions, their swing joint first (aibo is one)"
-            raise InputError(Problem(self.robot.name, "legs", "other legs", expected))
-
-    @cached_property
-    def legs(self) -> list[Leg]:
-        """Four, in the order of `LEGS`."""
-        return [leg for label in LABELS if (leg := self.robot.legs[label].closed) is not None]
-
-    @cached_property
-    def hips_m(self) -> Array:
-        """(4, 3): in body axes."""
-        hips = np.array([self.robot.legs[label].hip_m for label in LABELS])
-        return np.stack([-hips[:, 1], hips[:, 0], hips[:, 2]], axis=1)
-
-    @property
-    def side(self) -> Array:
-        """(4,): 1 on the right, -1 on the left."""
-        return np.array([leg.mirror[0] for leg in self.legs])
-
-    def posture(self, torso: Torso, feet_m: Array) -> tuple[Array, Array, Array, Array]:
-        """The posture of feet (T, 4, 3) in the world under torsos (T): swing, flap and knee (T, 4, 3); how far each
-        foot is within its leg's reach (T, 4), negative outside; hips and knees (T, 4, 3) in the world. A foot out of
-        reach has the angles of the reach's end."""
-        r = leg_vectors(torso, self.hips_m, feet_m)
-        angles, slack, knees = np.empty_like(r), np.empty(r.shape[:-1]), np.empty_like(r)
-        for k, leg in enumerate(self.legs):
-            angles[:, k], slack[:, k] = _bent_leg(leg, r[:, k])
-            knees[:, k] = leg.chain.positions(angles[:, k])[:, 2] * leg.mirror
-        back = np.swapaxes(torso.rotation, -1, -2)
-        hips = torso.position_m[:, None] + self.hips_m @ back
-        return angles, slack, hips, hips + knees @ back
+    what: str
+    """For the table."""
+    unit: str
+    """How it is printed."""
+    per_unit: float
+    """What a value is multiplied by when it is printed."""
+    scale: float
+    """What counts as one unit of safety when margins of several kinds are weighed against each other."""
 
 
-def _bent_leg(leg: Leg, foot_m: Array) -> tuple[Array, Array]:
-    """Angles (T, 3) and slack (T,) of feet (T, 3) from the hip."""
-    x, y, z = np.moveaxis(foot_m * leg.mirror, -1, 0)
-    distance, (least, most) = np.linalg.norm(foot_m, axis=-1), leg.distances_m
-    inside = np.clip(distance, least * (1 + 1e-9), most * (1 - 1e-9))
-    angles = leg.inverse(foot_m * (inside / distance)[..., None])
-    middle, half = (most**2 + least**2) / 2, (most**2 - least**2) / 2
-    knee = leg.stretched_rad + np.arccos(np.clip((inside**2 - middle) / half, -1, 1))
-    # A bent leg does not come nearer to the axis of its swing joint than P.
-    aside = np.hypot(y, z) - np.abs(leg.in_plane(knee)[0])
-    lying = np.stack([np.arctan2(z, y), np.copysign(np.pi / 2, x), knee], axis=-1)
-    slack = np.min([distance - least, most - distance, aside], axis=0)
-    return np.where(np.isnan(angles), lying, angles), slack
+RULES = {
+    "reach": _Rule("foot within the leg's reach", "mm", 1e3, 0.003),
+    "limits": _Rule("joints within their limits", "deg", 180 / np.pi, 0.06),
+    "support": _Rule("centre of mass inside the polygon of the planted feet", "mm", 1e3, 0.008),
+    "knees": _Rule("knees above ground and step", "mm", 1e3, 0.006),
+    "shins": _Rule("shins above ground and step", "mm", 1e3, 0.003),
+    "hips": _Rule("hips above ground and step", "mm", 1e3, 0.02),
+    "corner": _Rule("lifted foot from the step's edge", "mm", 1e3, 0.006),
+    "footing": _Rule("planted feet from the step's edge", "mm", 1e3, 0.006),
+}
 
 
 @dataclass(frozen=True, eq=False)
 class Climb:
-    """A planned climb of T frames. World: x to the right, y forward, z up."""
+    """A planned climb of T frames. World: x forward, y left, z up."""
 
-    walker: Walker
     recipe: Recipe
-    time_s: Array
-    """(T,)"""
-    position_m: Array
-    """(T, 3), of the centre of mass."""
-    rotation: Array
-    """(T, 3, 3), body to world."""
-    feet_m: Array
-    """(T, 4, 3), in the world."""
+    motion: RobotMotion
     lifted: Integers
     """(T,): the leg that is up, or `NONE`."""
-    primitive: Integers
-    """(T,): index, counted through the recipe; the last for the final shift."""
     footfall: Integers
     """(T,): index, counted through the recipe; the last for the final shift."""
     evaluations: Integers
     """(T,), of the fields."""
     settled: Bools
-    """(T,): whether the minimum was found."""
-
-    def __len__(self) -> int:
-        return len(self.time_s)
+    """(T,): whether the equilibrium was found."""
 
     @property
-    def torso(self) -> Torso:
-        return Torso(self.position_m, self.rotation)
+    def position_m(self) -> Array:
+        """(T, 3), of the centre of mass."""
+        return self.motion.pose.translation
 
     @property
     def pitch_rad(self) -> Array:
-        """The pitch of the torso in each of the T frames, shape (T,), positive with the nose up."""
-        return np.arcsin(np.clip(self.rotation[:, 2, 1], -1, 1))
+        """(T,): nose up."""
+        return np.arcsin(np.clip(self.motion.pose.rotation.as_matrix()[:, 2, 0], -1, 1))
 
     @cached_property
-    def posture(self) -> tuple[Array, Array, Array, Array]:
-        """Angles, reach, hips and knees of the climb, as `Walker.posture` gives them."""
-        return self.walker.posture(self.torso, self.feet_m)
+    def margins(self) -> dict[str, Array]:
+        """Of each rule the least in every frame (T,), negative where it is broken, infinite where it does not apply."""
+        step, feet, robot = self.recipe.step, self.motion.feet_m, self.motion.robot
+        targets, places = leg_targets(self.motion.pose, np.zeros(3), feet), [self.motion.points(x) for x in LEGS]
+        hips, knees = (np.stack([of_leg[:, k] for of_leg in places], axis=1) for k in (0, 2))
+        shins = np.concatenate([feet + f * (knees - feet) for f in SHIN_POINTS], axis=1)
+        edge = np.where(feet[..., 2] > step.height_m / 2, 1, -1) * (feet[..., 0] - step.edge_m)
+        legs = list(enumerate(robot.legs.values()))
+        # Where a foot is out of reach, its leg has no angles; that it is out of reach is said already.
+        limits = [np.nan_to_num(leg.margins(leg.closed_angles(targets[:, k])), nan=np.inf) for k, leg in legs]
+        up = self.lifted[:, None] == np.arange(4)
+        found = {
+            "reach": np.column_stack([leg.slack_m(targets[:, k]) for k, leg in legs]),
+            "limits": np.concatenate(limits, axis=1),
+            "support": support_m(self.position_m[:, :2], feet[..., :2], self.lifted),
+            "knees": step.distance_m(knees),
+            "shins": step.distance_m(shins),
+            "hips": step.distance_m(hips),
+            "corner": np.where(up, step.corner_m(feet), np.inf),
+            "footing": np.where(up, np.inf, edge),
+        }
+        return {name: values.min(axis=1) for name, values in found.items()}
 
     @property
-    def angles_rad(self) -> Array:
-        """(T, 4, 3): swing, flap and knee of each leg, NaN where a foot is out of reach."""
-        angles, slack, _, _ = self.posture
-        return np.where(slack[..., None] >= 0, angles, np.nan)
+    def tightest(self) -> Array:
+        """(T,): of all rules, in units of their kind, so that they can be compared."""
+        return np.min([self.margins[name] / rule.scale for name, rule in RULES.items()], axis=0)
 
-    def stand(self, frame: int) -> Stand:
-        """What holds the torso in a frame: before a footfall already the fields without its foot."""
-        lifted = int(self.lifted[frame])
-        if lifted == NONE and (self.lifted[frame:] != NONE).any():
-            lifted = self.recipe.footfalls[int(self.footfall[frame])].leg
-        fields = self.recipe.primitives[int(self.primitive[frame])].fields
-        return _stand(self.walker, fields, self.feet_m[frame], lifted)
+    @property
+    def least(self) -> dict[str, tuple[float, int]]:
+        """Of each rule the least margin, in its unit, and the frame."""
+        frames = {name: int(values.argmin()) for name, values in self.margins.items()}
+        return {name: (float(self.margins[name][k]) * RULES[name].per_unit, k) for name, k in frames.items()}
 
-
-def plan(walker: Walker, recipe: Recipe) -> Climb:
-    """The climb of the recipe. Whether it is a valid one, `check` says."""
-    frames, number = _Frames(walker, recipe), 0
-    for k, primitive in enumerate(recipe.primitives):
-        for footfall in primitive.footfalls:
-            frames.settle(primitive.fields, footfall.leg, (NONE, k, number))
-            for point in swing_path(recipe, primitive, footfall, frames.feet[footfall.leg]):
-                frames.feet = frames.feet.copy()
-                frames.feet[footfall.leg] = point
-                frames.settle(primitive.fields, footfall.leg, (footfall.leg, k, number))
-            number += 1
-    frames.settle(recipe.primitives[-1].fields, NONE, (NONE, len(recipe.primitives) - 1, number - 1))
-    columns = [np.array(column) for column in zip(*frames.rows, strict=True)]
-    return Climb(walker, recipe, np.arange(len(columns[0])) / recipe.fps, *columns)
+    def problems(self) -> list[str]:
+        """What is wrong, in words; nothing of a climb that is valid."""
+        step, feet = self.recipe.step, self.motion.feet_m
+        least = ((RULES[name], *of) for name, of in self.least.items())
+        found = [f"{rule.what}: {value:.2f} {rule.unit} in frame {k}" for rule, value, k in least if not value >= 0]
+        deepest = -float(step.distance_m(feet).min())
+        if deepest > ROUNDING_M:
+            found.append(f"a foot is {1000 * deepest:.2f} mm under the surface")
+        if not np.all((feet[-1, :, 0] > step.edge_m) & (np.abs(feet[-1, :, 2] - step.height_m) < ROUNDING_M)):
+            found.append("not all feet end on top of the step")
+        return found
 
 
-def start(walker: Walker, recipe: Recipe) -> tuple[Torso, Array]:
-    """The torso in equilibrium over the stance, and the feet (4, 3)."""
-    feet = np.column_stack([recipe.stance_m, np.zeros(4)])
+def support_m(centre_m: Array, feet_m: Array, lifted: Integers) -> Array:
+    """(..., 8): from the centre of mass (..., 2) to the sides of the polygon of the planted feet, feet (..., 4, 2);
+    infinite for lines between feet that are not its sides."""
+    feet = feet_m[..., AROUND, :]
+    up = np.asarray(lifted)[..., None] == np.array(AROUND)
+    found = []
+    for apart in (1, 2):
+        a, b = feet, np.roll(feet, -apart, axis=-2)
+        way, there = b - a, centre_m[..., None, :] - a
+        # The legs go round counterclockwise: inside is on the left of every side.
+        left = (way[..., 0] * there[..., 1] - way[..., 1] * there[..., 0]) / np.linalg.norm(way, axis=-1)
+        applies = ~(up | np.roll(up, -1, axis=-1)) if apart == 1 else np.roll(up, -1, axis=-1)
+        found.append(np.where(applies, left, np.inf))
+    return np.concatenate(found, axis=-1)
+
+
+# -- planning --------------------------------------------------------------------------------------------------------
+
+
+def plan(robot: Quadruped, recipe: Recipe) -> Climb:
+    """The climb of the recipe. Whether it is a valid one, its `problems` say. Raises InputError for legs of another
+    kind than swing, flap, knee in closed form."""
+    if any(leg.closed is None or leg.closed.first != "swing" for leg in robot.legs.values()):
+        expected = "a robot whose legs are given by dimensions, their swing joint first (aibo is one)"
+        raise InputError(Problem(robot.name, "legs", "other legs", expected))
+    hips, feet, pace = np.array([leg.hip_m for leg in robot.legs.values()]), recipe.feet_m, recipe.motion
     fields = recipe.primitives[0].fields
-    height = float(np.mean(fields.radial.natural)) - walker.hips_m[:, 2].mean()
-    guess = Torso(np.array([*feet[:, :2].mean(axis=0), height]), np.eye(3))
-    return equilibrium(_stand(walker, fields, feet, NONE), guess, recipe.free, recipe.motion.arm_m)[0], feet
+    height = float(np.mean(fields.radial.natural)) - hips[:, 2].mean()
+    torso = RigidTransform.from_translation([*feet[:, :2].mean(axis=0), height])
+    torso = goal = equilibrium(fields, hips, feet, NONE, torso, recipe.free)[0]
+    rows: list[tuple] = []
+
+    def settle(fields: Fields, without: int, *label: int) -> None:
+        """One frame in the fields without a leg, and more while the caps hold the torso back: the feet wait for it."""
+        nonlocal torso, goal
+        for _ in range(MAX_WAIT):
+            goal, count, settled = equilibrium(fields, hips, feet, without, goal, recipe.free)
+            turn = (torso.rotation.inv() * goal.rotation).as_rotvec()
+            step = np.concatenate([goal.translation - torso.translation, turn])
+            short = capped(step, pace.max_step_m, pace.max_turn_rad)
+            torso = _moved(torso, short)
+            rows.append((torso.as_matrix(), feet, *label, count, settled))
+            if np.array_equal(short, step):
+                return
+
+    number = 0
+    for primitive in recipe.primitives:
+        fields = primitive.fields
+        for fall in primitive.footfalls:
+            settle(fields, fall.leg, NONE, number)
+            for point in swing_path(recipe, primitive, feet[fall.leg], feet[fall.leg] + fall.vector_m):
+                feet = feet.copy()
+                feet[fall.leg] = point
+                settle(fields, fall.leg, fall.leg, number)
+            number += 1
+    settle(fields, NONE, NONE, number - 1)
+    poses, places, lifted, *others = (np.array(column) for column in zip(*rows, strict=True))
+    time_s, standing = np.arange(len(rows)) / recipe.fps, lifted[:, None] != np.arange(4)
+    return Climb(recipe, posed(robot, time_s, RigidTransform.from_matrix(poses), places, standing), lifted, *others)
 
 
-def _stand(walker: Walker, fields: Fields, feet_m: Array, lifted: int) -> Stand:
-    planted = feet_m[np.arange(4) != lifted, :2]
-    return Stand(fields, walker.hips_m, walker.side, feet_m, planted.mean(axis=0))
+def wrench(fields: Fields, hips_m: Array, feet_m: Array, without: int, torso: RigidTransform) -> Array:
+    """(N, 6): force in world axes and moment about the centre of mass in body axes on torsos (N), of all legs; balance
+    pulls to the feet without that of one leg, or `NONE`. hips_m (4, 3): in body axes; feet_m (4, 3): in the world."""
+    rotation = torso.rotation.as_matrix()
+    arm = (feet_m - torso.translation[:, None]) @ rotation
+    x, y, z = np.moveaxis(arm - hips_m, -1, 0)
+    outwards, length = LEFT * y, np.sqrt(x * x + y * y + z * z)
+    radial = fields.radial.slope(length) / length
+    swing = fields.swing.slope(np.arctan2(x, -z)) / (x * x + z * z)
+    flap = fields.flap.slope(np.arctan2(outwards, -z)) / (y * y + z * z)
+    forces = np.stack(
+        [radial * x - swing * z, radial * y - flap * LEFT * z, radial * z + swing * x + flap * outwards], axis=-1
+    )
+    force, moment = (rotation @ forces.sum(axis=1)[..., None])[..., 0], np.cross(arm, forces).sum(axis=1)
+    away = feet_m[np.arange(4) != without, :2].mean(axis=0) - torso.translation[:, :2]
+    distance, balance = np.maximum(np.linalg.norm(away, axis=1), 1e-12)[:, None], fields.balance
+    force[:, :2] += balance.gain * np.tanh(balance.sharpness * distance) / distance * away
+    return np.concatenate([force, moment], axis=1)
 
 
-def swing_path(recipe: Recipe, primitive: Primitive, footfall: Footfall, start_m: Array) -> Array:
+def equilibrium(
+    fields: Fields, hips_m: Array, feet_m: Array, without: int, start: RigidTransform, free: tuple[int, ...]
+) -> tuple[RigidTransform, int, bool]:
+    """The torso of the least energy next to the start, how often the fields were evaluated around a place, and whether
+    it was found: by Newton's method on forces and moments, with the magnitudes of the stiffness. free: which of x, y,
+    z, roll, pitch, yaw are; the others as of `wrench`."""
+    picked, n, torso = list(free), len(free), start
+    nudges = np.zeros((2 * n + 1, 6))
+    nudges[1:, picked] = NUDGE * np.concatenate([np.eye(n), -np.eye(n)])
+    for count in range(1, MAX_EVALUATIONS):
+        found = wrench(fields, hips_m, feet_m, without, _moved(torso, nudges))[:, picked]
+        stiffness = (found[n + 1 :] - found[1 : n + 1]) / (2 * NUDGE)
+        values, vectors = np.linalg.eigh((stiffness + stiffness.T) / 2)
+        step = np.zeros(6)
+        step[picked] = vectors @ (vectors.T @ found[0] / np.abs(values))
+        torso = _moved(torso, capped(step, TRUST_M, TRUST_RAD))
+        if np.linalg.norm(step) < SETTLED:
+            return torso, count, True
+    return torso, MAX_EVALUATIONS, False
+
+
+def _moved(torso: RigidTransform, step: Array) -> RigidTransform:
+    """Shifted in world axes and turned (rotation vector) in body axes by the step, (6,) or (N, 6)."""
+    turned = torso.rotation * Rotation.from_rotvec(step[..., 3:])
+    return RigidTransform.from_components(torso.translation + step[..., :3], turned)
+
+
+def swing_path(recipe: Recipe, primitive: Primitive, start_m: Array, end_m: Array) -> Array:
     """(n, 3): where a foot is in the frames of its step: up at one angle, across, down at another."""
-    s, end = recipe.swing, start_m + footfall.vector_m
-    corners = path_corners(start_m, end, s.clearance_m, primitive.rise_rad, primitive.lower_rad)
+    s = recipe.swing
+    corners = path_corners(start_m, end_m, s.clearance_m, primitive.rise_rad, primitive.lower_rad)
     points = []
     for a, b, speed in zip(corners, corners[1:], (s.rise_m_s, s.traverse_m_s, s.lower_m_s), strict=False):
         n = int(np.ceil(float(np.linalg.norm(b - a)) / speed * recipe.fps - 1e-9))
@@ -192,15 +275,15 @@ def path_corners(start_m: Array, end_m: Array, clearance_m: float, rise_rad: flo
     """(4, 3): the corners of the path of a foot from start_m (3,) to end_m (3,), like a trapezoid.
 
     The foot rises at rise_rad above the forward direction (more than a right angle: leaning back) and sinks at
-    lower_rad above the backward direction, in the plane of forward (y) and up; between them it crosses, sideways too,
+    lower_rad above the backward direction, in the plane of forward (x) and up; between them it crosses, sideways too,
     clearance_m above the higher end. Where both slopes take up more than the way there is, they are steeper, and meet.
     """
     top = max(start_m[2], end_m[2]) + clearance_m
     ahead, back = (top - start_m[2]) / np.tan(rise_rad), (top - end_m[2]) / np.tan(lower_rad)
-    way = max(end_m[1] - start_m[1], 0.0)
+    way = max(end_m[0] - start_m[0], 0.0)
     over = way / max(ahead + back, 1e-12) if ahead + back > way else 1.0
-    first = [start_m[0], start_m[1] + over * ahead, top]
-    second = [end_m[0], end_m[1] - over * back, top]
+    first = [start_m[0] + over * ahead, start_m[1], top]
+    second = [end_m[0] - over * back, end_m[1], top]
     return np.array([start_m, first, second, end_m])
 
 
@@ -208,25 +291,3 @@ def capped(step: Array, max_step_m: float, max_turn_rad: float) -> Array:
     """The step (6,), shortened as a whole until its shift and its turn are within the caps."""
     shift, turn = float(np.linalg.norm(step[:3])), float(np.linalg.norm(step[3:]))
     return step / max(1.0, shift / max_step_m, turn / max_turn_rad)
-
-
-class _Frames:
-    """The frames so far; the torso and the feet are those of the last."""
-
-    def __init__(self, walker: Walker, recipe: Recipe) -> None:
-        self.walker, self.recipe = walker, recipe
-        self.torso, self.feet = start(walker, recipe)
-        self.goal = self.torso
-        self.rows: list[tuple] = []
-
-    def settle(self, fields: Fields, without: int, label: tuple[int, int, int]) -> None:
-        """One frame in the fields without a leg, and more while the caps hold the torso back: the feet wait for it."""
-        stand, pace = _stand(self.walker, fields, self.feet, without), self.recipe.motion
-        for _ in range(MAX_WAIT):
-            self.goal, count, settled = equilibrium(stand, self.goal, self.recipe.free, pace.arm_m)
-            step = self.torso.step_to(self.goal)
-            short = capped(step, pace.max_step_m, pace.max_turn_rad)
-            self.torso = self.torso.moved(short)
-            self.rows.append((*self.torso, self.feet, *label, count, settled))
-            if np.array_equal(short, step):
-                return

@@ -1,4 +1,8 @@
-"""What a climb is made of: footfalls in primitives with their fields, the step, the stance and speeds; and its file."""
+"""What a climb is made of: footfalls in primitives with their fields, the step, the stance and speeds; and its file.
+
+In a file, legs are numbered left front, left rear, right front, right rear, as the published footfalls are; places are
+given to the right and forwards. In Python legs stand in the order of `LEGS`, and x is forwards, y left, z up.
+"""
 
 from __future__ import annotations
 
@@ -7,18 +11,87 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field
 
 from recon.base.arrays import Array
 from recon.base.documents import read_toml, validated
-from recon.robotics.climb.fields import FORBID, PLANAR, SPATIAL, Fields, Number, Positive, Well
 
 RECIPES = Path(__file__).parent / "recipes"
+IN_FILES = (0, 2, 1, 3)
+"""Index into `LEGS` of the legs of a file, and the other way round."""
+PLANAR, SPATIAL = (0, 1, 2, 4), (0, 1, 2, 3, 4, 5)
+"""Degrees of freedom of a torso: x, y, z and pitch, or roll and yaw too."""
+LARGEST = 1e9
+Number = Annotated[float, Field(strict=True, gt=-LARGEST, lt=LARGEST, allow_inf_nan=False)]
+Positive = Annotated[float, Field(strict=True, gt=0, lt=LARGEST, allow_inf_nan=False)]
+"""In a recipe's file: what more or less than these would be can only be damage."""
+FORBID = ConfigDict(extra="forbid", frozen=True)
+"""Of tables: a name that is not known is a mistake."""
+
+
+def _all_legs(given: Any) -> Any:
+    """One number for all legs, or two: of the front and of the rear legs."""
+    front, rear = given if isinstance(given, list) and len(given) == 2 else (given, given)
+    return (front, front, rear, rear)
+
+
+_Legs = Annotated[tuple[Number, Number, Number, Number], BeforeValidator(_all_legs)]
+_PositiveLegs = Annotated[tuple[Positive, Positive, Positive, Positive], BeforeValidator(_all_legs)]
+
+
+@dataclass(frozen=True)
+class _Well:
+    """A potential of a coordinate q of each leg, with a wall at either end. Raises ValueError."""
+
+    __pydantic_config__ = FORBID
+    gain: _PositiveLegs
+    """Slope per unit of q."""
+    natural: _Legs
+    """The q of the least energy."""
+    least: _Legs
+    """The q of the lower wall."""
+    most: _Legs
+    """The q of the upper wall."""
+    low: _PositiveLegs
+    """Sharpness of the lower wall, per unit of q."""
+    high: _PositiveLegs
+    """Sharpness of the upper wall, per unit of q."""
+
+    def __post_init__(self) -> None:
+        if any(not a <= b <= c for a, b, c in zip(self.least, self.natural, self.most, strict=True)):
+            raise ValueError("least <= natural <= most")
+
+    def slope(self, q: Array) -> Array:
+        """At q (legs,): almost flat between least and most (the dead zone), and steep beyond."""
+        off, above, below = (q - np.array(of) for of in (self.natural, self.most, self.least))
+        return np.array(self.gain) * off * (np.exp(self.high * above) + np.exp(-np.array(self.low) * below))
+
+
+@dataclass(frozen=True)
+class _Balance:
+    """What pulls the torso over its feet."""
+
+    __pydantic_config__ = FORBID
+    gain: Positive
+    """Force far from the centroid."""
+    sharpness: Positive
+    """Per metre."""
+
+
+@dataclass(frozen=True)
+class Fields:
+    """The wells of the legs, and what balances the torso."""
+
+    __pydantic_config__ = FORBID
+    radial: _Well
+    swing: _Well
+    flap: _Well
+    balance: _Balance
 
 
 @dataclass(frozen=True)
 class Step:
-    """A step up across the way: the ground is level at 0 as far as edge_m forward (y), and at height_m beyond."""
+    """A step up across the way: the ground is level at 0 as far as edge_m forward (x), and at height_m beyond."""
 
     __pydantic_config__ = FORBID
     edge_m: Number
@@ -26,30 +99,31 @@ class Step:
 
     def distance_m(self, points_m: Array) -> Array:
         """(...): from points (..., 3) to the ground or the step, whichever is nearer, negative inside."""
-        y, z = points_m[..., 1] - self.edge_m, points_m[..., 2] - self.height_m
-        away = np.hypot(np.maximum(-y, 0), np.maximum(z, 0))
-        return np.minimum(points_m[..., 2], np.where((y > 0) & (z < 0), -np.minimum(y, -z), away))
+        x, z = points_m[..., 0] - self.edge_m, points_m[..., 2] - self.height_m
+        away = np.hypot(np.maximum(-x, 0), np.maximum(z, 0))
+        return np.minimum(points_m[..., 2], np.where((x > 0) & (z < 0), -np.minimum(x, -z), away))
 
     def corner_m(self, points_m: Array) -> Array:
         """(...): from points (..., 3) to the step's edge, negative inside the step."""
-        y, z = points_m[..., 1] - self.edge_m, points_m[..., 2] - self.height_m
-        return np.where((y > 0) & (z < 0), -1.0, 1.0) * np.hypot(y, z)
+        x, z = points_m[..., 0] - self.edge_m, points_m[..., 2] - self.height_m
+        return np.where((x > 0) & (z < 0), -1.0, 1.0) * np.hypot(x, z)
 
 
 @dataclass(frozen=True)
-class Footfall:
+class _Footfall:
     """A step that one leg takes."""
 
     __pydantic_config__ = FORBID
-    leg: Annotated[int, Field(strict=True, ge=1, le=4), AfterValidator(lambda number: number - 1)]
-    """Index into `LEGS`; in a file counted from 1."""
+    leg: Annotated[int, Field(strict=True, ge=1, le=4), AfterValidator(lambda number: IN_FILES[number - 1])]
+    """Index into `LEGS`."""
     forward_m: Number
     up_m: Number
     sideways_m: Number = 0.0
+    """To the right."""
 
     @property
     def vector_m(self) -> Array:
-        return np.array([self.sideways_m, self.forward_m, self.up_m])
+        return np.array([self.forward_m, -self.sideways_m, self.up_m])
 
 
 @dataclass(frozen=True)
@@ -62,7 +136,7 @@ class Primitive:
     """Angle of the feet's paths."""
     lower_rad: Positive
     """Angle of the feet's paths."""
-    footfalls: Annotated[tuple[Footfall, ...], Field(min_length=1)]
+    footfalls: Annotated[tuple[_Footfall, ...], Field(min_length=1)]
     fields: Fields
 
 
@@ -84,8 +158,6 @@ class _Pace:
     __pydantic_config__ = FORBID
     max_step_m: Positive
     max_turn_rad: Positive
-    arm_m: Positive = 0.065
-    """A turn by one radian counts as this way."""
 
 
 @dataclass(frozen=True)
@@ -99,7 +171,7 @@ class Recipe:
     """How many the torso has."""
     fps: Positive
     stance_m: Annotated[tuple[tuple[Number, Number], ...], Field(min_length=4, max_length=4)]
-    """Where the feet stand at first, right and forward."""
+    """Where the feet stand at first, right and forward, in the order of the file."""
     step: Step
     swing: _Swing
     motion: _Pace
@@ -108,13 +180,15 @@ class Recipe:
     """What it is for, and where its numbers are from."""
 
     @property
-    def footfalls(self) -> list[Footfall]:
-        return [f for p in self.primitives for f in p.footfalls]
-
-    @property
     def free(self) -> tuple[int, ...]:
         """The torso's degrees of freedom."""
         return PLANAR if self.dofs == 4 else SPATIAL
+
+    @property
+    def feet_m(self) -> Array:
+        """(4, 3): where they stand at first."""
+        right, forward = np.array(self.stance_m)[list(IN_FILES)].T
+        return np.column_stack([forward, -right, np.zeros(4)])
 
 
 def bundled() -> list[str]:
@@ -146,7 +220,7 @@ def scaled(recipe: Recipe, factor: float) -> Recipe:
         return replace(of, **{n: (np.array(getattr(of, n)) * factor**power).tolist() for n in names})
 
     def primitive(p: Primitive) -> Primitive:
-        radial: Well = times(times(p.fields.radial, 1, "natural", "least", "most"), -1, "low", "high")
+        radial = times(times(p.fields.radial, 1, "natural", "least", "most"), -1, "low", "high")
         balance = times(p.fields.balance, -1, "gain", "sharpness")
         fields = replace(p.fields, radial=times(radial, -2, "gain"), balance=balance)
         falls = tuple(times(fall, 1, "forward_m", "up_m", "sideways_m") for fall in p.footfalls)
@@ -157,5 +231,5 @@ def scaled(recipe: Recipe, factor: float) -> Recipe:
         step=times(recipe.step, 1, "edge_m", "height_m"),
         primitives=tuple(primitive(p) for p in recipe.primitives),
         swing=times(recipe.swing, 1, "clearance_m", "rise_m_s", "traverse_m_s", "lower_m_s"),
-        motion=times(recipe.motion, 1, "max_step_m", "arm_m"),
+        motion=times(recipe.motion, 1, "max_step_m"),
     )

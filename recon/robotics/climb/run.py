@@ -1,95 +1,63 @@
-"""A robot climbs a step by potential fields, if need be after an animal's motion: tables, report, figures, playback."""
+"""A robot climbs a step by potential fields: tables, report, figures, playback."""
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.spatial.transform import RigidTransform, Rotation, Slerp
 
-from recon.base.arrays import Array
-from recon.base.errors import InputError, Problem, all_of
-from recon.base.files import name_seen_from, require_free_folder, seen_from, sole_writer, staged_results
-from recon.check import usable
-from recon.fit.motion import Motion
+from recon.base.errors import all_of
+from recon.base.files import name_seen_from, require_free_folder, sole_writer, staged_results
 from recon.io.table import write_rows
-from recon.robotics.climb import plots
-from recon.robotics.climb.check import RULES, ClimbCheck
-from recon.robotics.climb.plan import LABELS, LEGS, NONE, Climb, Walker, plan
-from recon.robotics.climb.recipe import Step, load_recipe, raised, scaled
+from recon.robotics.climb.plan import NONE, RULES, Climb, plan
+from recon.robotics.climb.recipe import load_recipe, raised, scaled
 from recon.robotics.robot.playback import write_robot
-from recon.robotics.robot.quadruped import LEGS as ROBOT_LEGS
-from recon.robotics.robot.quadruped import Quadruped
-from recon.robotics.robot.reference import reference_of
-from recon.robotics.robot.retarget import RobotMotion, posed, retarget
+from recon.robotics.robot.quadruped import LEGS, Quadruped
 from recon.robotics.robot.retarget_clip import write_tables
 from recon.robotics.robot.robot_file import load_robot
 from recon.robotics.settings import ClimbSettings
-from recon.show.plots.style import save
+from recon.show.plots.style import COLOURS, GREY, PALE, SMALL, add_legend, drawing, save
 from recon.show.report import to_json
 from recon.show.view.scene import LIMB_COLOURS, TimePlot
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 REPORT = "report.json"
-TURNED = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-"""From the climb's axes (right, forwards, up) to the robot's (forwards, left, up)."""
-ROOM_M = 0.01
-"""Between the step's edge and the foremost foot of what comes before a climb."""
-PART_S, PACE, LIFT = 0.4, 0.95, 0.1
-"""For the steps into a climb's stance: the time for each, unless joints are too slow; the share of their rates that is
-used; how high a foot rises, of the standing height."""
-IN_TURN = ("LH", "LF", "RH", "RF")
+_COLUMNS = 4
 
 
 def run_climb(settings: ClimbSettings) -> dict[str, Any]:
     """`recon climb`: what report.json says. Raises InputError."""
-    out, after = settings.out, settings.after
-    recipe, results, _ = all_of(
-        lambda: load_recipe(settings.recipe),
-        lambda: None if after is None else usable(Motion.load(after), after, settings.anyway),
-        lambda: require_free_folder(out, (REPORT,), settings.overwrite),
+    out = settings.out
+    recipe, _ = all_of(
+        lambda: load_recipe(settings.recipe), lambda: require_free_folder(out, (REPORT,), settings.overwrite)
     )
     machine, own = all_of(lambda: load_robot(settings.robot or recipe.robot), lambda: load_robot(recipe.robot))
     recipe = scaled(recipe, _reach(machine) / _reach(own))
-    climb = plan(Walker(machine), recipe if settings.height is None else raised(recipe, settings.height))
-    if settings.at is not None and not 0 <= settings.at <= climb.time_s[-1]:
-        longest = f"0 to {climb.time_s[-1]:.2f} s, as long as it takes"
-        raise InputError(Problem("--at", "time", f"{settings.at:g} s", longest))
-    found = ClimbCheck(climb)
-    frame = int(found.tightest.argmin() if settings.at is None else np.abs(climb.time_s - settings.at).argmin())
+    climb = plan(machine, recipe if settings.height is None else raised(recipe, settings.height))
+    report = _report(climb, settings)
     with sole_writer(out):
         require_free_folder(out, (REPORT,), settings.overwrite)
-        motion, report = robot_motion(climb), _report(found, settings, frame)
-        if results is not None and after is not None:
-            run = retarget(reference_of(results), machine).clip
-            motion, start_s = before(run, motion, climb.recipe.step, climb.recipe.fps)
-            report["after"] = {
-                "results": seen_from(out, after),
-                "scale": motion.scale,
-                "slower": motion.slower,
-                "climb_starts_s": start_s,
-                "out_of_reach_share": float(motion.short[motion.time_s < start_s].any(axis=1).mean()),
-            }
         with staged_results(out) as staging:
-            _write(found, motion, report, staging)
+            _write(climb, report, staging)
             if settings.figures:
-                save(plots.climb_footfalls(climb), staging, "footfalls")
-                save(plots.climb_margins(found), staging, "margins")
-                save(plots.climb_field(climb, frame), staging, "field")
+                save(climb_footfalls(climb), staging, "footfalls")
+                save(climb_margins(climb), staging, "margins")
     return report
 
 
 def _reach(robot: Quadruped) -> float:
-    """The mean reach of the legs, from the first joint on."""
+    """Of the legs, from the first joint on; the mean."""
     return float(np.mean([leg.chain.lengths_m.sum() for leg in robot.legs.values()]))
 
 
-def _report(found: ClimbCheck, settings: ClimbSettings, frame: int) -> dict[str, Any]:
-    climb, recipe = found.climb, found.climb.recipe
+def _report(climb: Climb, settings: ClimbSettings) -> dict[str, Any]:
+    recipe, time_s = climb.recipe, climb.motion.time_s
     return {
         "schema": {"name": "recon.climb", "version": 1},
-        "robot": climb.walker.robot.name,
+        "robot": climb.motion.robot.name,
         "recipe": {
             "name": name_seen_from(settings.out, settings.recipe),
             "about": recipe.about,
@@ -97,114 +65,112 @@ def _report(found: ClimbCheck, settings: ClimbSettings, frame: int) -> dict[str,
         },
         "step_m": recipe.step.height_m,
         "edge_m": recipe.step.edge_m,
-        "valid": not found.problems(),
-        "problems": found.problems(),
+        "valid": not climb.problems(),
+        "problems": climb.problems(),
         "least_margins": {
             rule: {
                 "what": RULES[rule].what,
                 "value": value,
                 "unit": RULES[rule].unit,
-                "at_s": float(climb.time_s[k]),
-                "lifted": "none" if climb.lifted[k] == NONE else LEGS[climb.lifted[k]],
+                "at_s": float(time_s[k]),
+                "lifted": _lifted(climb, k) or "none",
             }
-            for rule, (value, k) in found.least.items()
+            for rule, (value, k) in climb.least.items()
         },
-        "frames": len(climb),
-        "duration_s": float(climb.time_s[-1]),
+        "frames": len(time_s),
+        "duration_s": float(time_s[-1]),
         "evaluations_per_frame": float(climb.evaluations.mean()),
         "settled_share": float(climb.settled.mean()),
         "largest_pitch_rad": float(climb.pitch_rad.max()),
-        "rate_share": found.rate_share,
-        "field_drawn_at_s": float(climb.time_s[frame]),
+        "rate_share": float(climb.motion.rate_share.max()),
     }
 
 
-def _write(found: ClimbCheck, motion: RobotMotion, report: dict[str, Any], folder: Path) -> None:
-    climb, least = found.climb, found.margins
-    write_tables(motion, folder, "")
+def _lifted(climb: Climb, frame: int) -> str:
+    """The leg that is up, empty where none is."""
+    leg = int(climb.lifted[frame])
+    return "" if leg == NONE else LEGS[leg]
+
+
+def _write(climb: Climb, report: dict[str, Any], folder: Path) -> None:
+    write_tables(climb.motion, folder, "")
     names = [f"{rule}_{'rad' if RULES[rule].unit == 'deg' else 'm'}" for rule in RULES]
-    columns = np.column_stack([climb.time_s, *(least[rule] for rule in RULES)])
+    columns = np.column_stack([climb.motion.time_s, *climb.margins.values()])
     rows = [["" if np.isinf(x) else x for x in row] for row in columns.tolist()]
     write_rows(folder / "margins.csv", [["time_s", *names]], rows)
     (folder / REPORT).write_text(to_json(report), encoding="utf-8")
-    title = f"{climb.walker.robot.name} climbs a step of {1000 * climb.recipe.step.height_m:.0f} mm"
-    title += ", after an animal's motion" if "after" in report else ""
-    # The least margin and the pitch; nothing before the climb.
-    empty = np.full(len(motion.time_s) - len(climb), np.nan)
     curves = [
-        TimePlot(name, text, (name,), LIMB_COLOURS[:1], np.concatenate([empty, values])[:, None])
+        TimePlot(name, text, (name,), LIMB_COLOURS[:1], values[:, None])
         for name, text, values in (
-            ("margin", "least margin, in units of its kind", found.tightest),
+            ("margin", "least margin, in units of its kind", climb.tightest),
             ("pitch", "pitch, degrees, nose up", np.degrees(climb.pitch_rad)),
         )
     ]
-    write_robot(motion, folder / "climb.rrd", step=climb.recipe.step, more=curves, title=title)
+    write_robot(climb.motion, folder / "climb.rrd", step=climb.recipe.step, more=curves, title=_title(climb))
 
 
-# -- as a motion of the robot, in the axes of retargeted ones, and after another motion --------------------------------
+def _title(climb: Climb) -> str:
+    return f"{climb.motion.robot.name} climbs a step of {1000 * climb.recipe.step.height_m:.0f} mm"
 
 
-def robot_motion(climb: Climb) -> RobotMotion:
-    """A foot that is out of reach, or beyond a joint's limits, is drawn in."""
-    order = [LABELS.index(label) for label in ROBOT_LEGS]
-    rotation = Rotation.from_matrix(TURNED @ climb.rotation @ TURNED.T)
-    pose = RigidTransform.from_components(climb.position_m @ TURNED.T, rotation)
-    standing = climb.lifted[:, None] != np.array(order)
-    return posed(climb.walker.robot, climb.time_s, pose, climb.feet_m[:, order] @ TURNED.T, standing)
+# -- figures ---------------------------------------------------------------------------------------------------------
 
 
-def before(run: RobotMotion, climb: RobotMotion, step: Step, fps: float) -> tuple[RobotMotion, float]:
-    """A motion along x and then a climb's, in one, and when the climb begins.
+def climb_footfalls(climb: Climb) -> Figure:
+    """The robot from the right: at first, in the middle of every footfall, and in the end."""
+    from matplotlib.lines import Line2D
 
-    The run ends where no foot of it comes nearer to the step's edge than `ROOM_M`. Between them the feet that are up
-    come down, and then step one after the other to the climb's first stance, while the body moves to its first pose:
-    no forces, and nothing says that it would keep its balance there.
-    """
-    at = np.arange(0.0, float(run.time_s[-1]), 1 / fps)
-    rows = np.append(np.searchsorted(run.time_s, at), len(run.time_s) - 1)
-    shift = np.array([step.edge_m - ROOM_M - run.feet_m[..., 0].max(), 0.0, 0.0])
-    shift[1] = climb.pose.translation[0, 1] - run.pose.translation[-1, 1]
-    place = RigidTransform.from_components(run.pose.translation[rows] + shift, run.pose.rotation[rows])
-    feet = run.feet_m[rows] + shift
-    first = posed(run.robot, np.append(at, run.time_s[-1]), place, feet, run.standing[rows])
-    between = _settling(first, climb, fps)
-    parts = [first, between, climb]
-    starts = np.cumsum([0.0, first.time_s[-1] + 1 / fps, between.time_s[-1] + 1 / fps])
-    whole = replace(
-        climb,
-        scale=run.scale,
-        slower=run.slower,
-        time_s=np.concatenate([part.time_s + start for part, start in zip(parts, starts, strict=True)]),
-        pose=RigidTransform.concatenate([part.pose for part in parts]),
-        **{
-            name: np.concatenate([getattr(part, name) for part in parts])
-            for name in ("angles_rad", "feet_m", "standing", "short")
-        },
-    )
-    return whole, float(starts[2])
-
-
-def _settling(run: RobotMotion, climb: RobotMotion, fps: float) -> RobotMotion:
-    """From the last sample of a run to the first of a climb, as slow as the joints' rates ask for."""
-    count = int(np.ceil(PART_S * fps))
-    share = np.arange(1, 5 * count) / (5 * count)
-    ends = RigidTransform.concatenate([run.pose[-1], climb.pose[0]])
-    smooth = (1 - np.cos(np.pi * share)) / 2
-    pose = RigidTransform.from_components(
-        ends.translation[0] + smooth[:, None] * (ends.translation[1] - ends.translation[0]),
-        Slerp([0.0, 1.0], ends.rotation)(smooth),
-    )
-    feet, standing = np.empty((len(share), 4, 3)), np.ones((len(share), 4), bool)
-    start, goal = run.feet_m[-1], climb.feet_m[0]
-    for k, label in enumerate(ROBOT_LEGS):
-        part = np.clip(5 * share - 1 - IN_TURN.index(label), 0.0, 1.0)
-        feet[:, k] = start[k] + ((1 - np.cos(np.pi * part)) / 2)[:, None] * (goal[k] - start[k])
-        feet[:, k, 2] = start[k, 2] * np.clip(1 - 5 * share, 0.0, 1.0) + _rise(part, run.robot)
-        standing[:, k] = feet[:, k, 2] <= 0
-    motion = posed(run.robot, np.arange(len(share)) / fps, pose, feet, standing)
-    slower = max(1.0, float(motion.rate_share.max()) / PACE)
-    return replace(motion, time_s=slower * motion.time_s)
+    frames = [0]
+    for k in np.unique(climb.footfall):
+        up = np.flatnonzero((climb.footfall == k) & (climb.lifted != NONE))
+        frames.append(int(up[len(up) // 2]))
+    frames.append(len(climb.lifted) - 1)
+    rows, dashed, step = -(-len(frames) // _COLUMNS), (0, (2, 1)), climb.recipe.step
+    legs = {label: climb.motion.points(label)[..., [0, 2]] for label in LEGS}
+    ends = climb.motion.feet_m[..., 0].min() - 0.05, climb.motion.feet_m[..., 0].max() + 0.05
+    with drawing(24.0 * rows + 20, title=_title(climb)) as figure:
+        panels = np.ravel(figure.subplots(rows, _COLUMNS, sharex=True, sharey=True, squeeze=False))
+        for axes, frame in zip(panels, frames, strict=False):
+            ground = [ends[0], step.edge_m, step.edge_m, ends[1]]
+            axes.plot(ground, [0, 0, step.height_m, step.height_m], color=GREY, lw=1)
+            up = _lifted(climb, frame)
+            for label, of_leg in legs.items():
+                line = dashed if label == up else "-"
+                axes.plot(*of_leg[frame].T, marker="o", ms=2, color=COLOURS[label[0] == "R"], ls=line)
+            hips = np.array([legs[label][frame, 0] for label in ("LF", "LH", "RH", "RF", "LF")])
+            axes.plot(*hips.T, color=COLOURS[2], lw=2)
+            text = f"{climb.motion.time_s[frame]:.1f} s, {up or 'all planted'}"
+            axes.set_title(text, fontsize=SMALL, pad=2)
+            axes.set_aspect("equal")
+        for axes in panels[len(frames) :]:
+            axes.set_axis_off()
+        for axes in panels[len(frames) - _COLUMNS : len(frames)]:
+            axes.tick_params(labelbottom=True)
+            axes.set_xlabel("forward (m)")
+        figure.supylabel("up (m)", fontsize=8)
+        lines = [Line2D([], [], color=colour) for colour in COLOURS[:2]]
+        lines.append(Line2D([], [], color=PALE, ls=dashed))
+        add_legend(figure, lines, ["left legs", "right legs", "foot that is up"])
+    return figure
 
 
-def _rise(part: Array, robot: Quadruped) -> Array:
-    return np.where(part < 1, LIFT * robot.stand_m * np.sin(np.pi * part), 0.0)
+def climb_margins(climb: Climb) -> Figure:
+    """Of each rule, the least in every frame; bands are where a foot is up."""
+    time_s = climb.motion.time_s
+    with drawing(130.0, title=f"{_title(climb)}: distance from what it must not do") as figure:
+        panels = np.ravel(figure.subplots(-(-len(RULES) // 2), 2, sharex=True))
+        for axes, (name, rule) in zip(panels, RULES.items(), strict=True):
+            values = np.where(np.isfinite(climb.margins[name]), climb.margins[name], np.nan) * rule.per_unit
+            for leg, label in enumerate(LEGS):
+                band = {"color": COLOURS[label[0] == "R"], "alpha": 0.1, "lw": 0}
+                axes.fill_between(time_s, 0, 1, climb.lifted == leg, transform=axes.get_xaxis_transform(), **band)
+            axes.axhline(0, color=GREY, lw=0.8)
+            axes.plot(time_s, values, color="k", lw=0.9)
+            least = int(np.nanargmin(values))
+            axes.plot(time_s[least], values[least], "o", ms=3, color="k")
+            axes.set_title(f"{rule.what}: least {values[least]:.1f} {rule.unit}", fontsize=SMALL, loc="left", pad=2)
+            axes.set_ylabel(rule.unit, fontsize=SMALL)
+            axes.set_ylim(min(0.0, float(np.nanmin(values)) * 1.1), None)
+        for axes in panels[-2:]:
+            axes.set_xlabel("time (s)")
+    return figure

@@ -1,14 +1,20 @@
-"""A robot's kinematics, forward and inverse: its body's pose, a leg, a Denavit-Hartenberg table.
+"""A robot's kinematics, forward and inverse: its body's pose, and chains by their Denavit-Hartenberg tables.
 
-Each answer is what `--json` prints: metres and radians. What is asked is as typed, in degrees.
+Each answer is what `--json` prints: metres and radians. What is asked is as typed, in degrees. All configurations of a
+chain that put its end in one place are found from many fixed random starts, by MINPACK's Levenberg-Marquardt with the
+exact Jacobian: every start that ends on the target counts, and equal ends count once. More starts can find more: that
+there is no other solution is not proven.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
+from scipy.optimize import root
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from recon.base.arrays import Array
@@ -16,13 +22,17 @@ from recon.base.errors import InputError, Problem
 from recon.robotics.ik.chain import SerialChain
 from recon.robotics.robot.dh import DHRow, dh_table
 from recon.robotics.robot.model_file import SUFFIXES, body_names, leaves_of, model_chain, read_model
-from recon.robotics.robot.rigid import body_pose, leg_targets
-from recon.robotics.robot.robot_file import load_dh, load_robot
-from recon.robotics.robot.solutions import all_solutions
-from recon.robotics.settings import LegSettings, PoseSettings, TableSettings
+from recon.robotics.robot.quadruped import LEGS, body_pose, leg_targets
+from recon.robotics.robot.robot_file import builtin_robots, load_dh, load_robot
+from recon.robotics.settings import PoseSettings, TableSettings
 
 Answer = dict[str, Any]
 ENDLESS = "the joints can move on without moving the end: one of endlessly many"
+STARTS = 100
+SAME = 1e-4
+"""rad or m: configurations that differ by less are one."""
+REACHED = 1e-7
+"""Error of a solution, of the chain's length."""
 
 
 def pose_of(settings: PoseSettings) -> Answer:
@@ -35,45 +45,45 @@ def pose_of(settings: PoseSettings) -> Answer:
     for (label, leg), foot in zip(machine.legs.items(), feet, strict=True):
         q = leg.angles(foot[None])[0]
         reached = bool(np.isfinite(q).all())
-        why = "" if reached else "beyond a joint's limits" if len(leg.solutions(foot)[0]) else "out of reach"
+        why = "" if reached else "out of reach, or of a joint's limits"
         angles, margin = q if reached else None, float(leg.margins(q).min())
         found[label] = {"joints": leg.joints, "foot_m": foot, "angles_rad": angles, "margin_rad": margin, "why": why}
     angles = {f"{name}_rad": angle for name, angle in turned.items()}
     return {"robot": machine.title, "position_m": position, **angles, "legs": found}
 
 
-def leg_of(settings: LegSettings, angles: Sequence[float] | None) -> Answer:
-    """A leg's table and limits; its foot, body axes, at angles; all angles of a foot."""
-    machine = load_robot(settings.robot)
-    leg = machine.legs[settings.leg]
-    answer = _chain_answer(leg.chain, angles) | {"robot": machine.title, "leg": settings.leg}
-    answer |= {"stands_at_m": leg.neutral_m}
-    if settings.foot is not None:
-        answer["inverse"] = _inverse(leg.chain, *leg.solutions(np.array(settings.foot))) | {"place_m": settings.foot}
+def chain_of(settings: TableSettings, angles: Sequence[float] | None) -> Answer:
+    """A table of parameters (TOML), a leg of a robot, or a chain of a URDF or MJCF file, by default to its only
+    leaf."""
+    chain, table = _chain(settings.source, settings.tip)
+    answer = _chain_answer(chain, angles, table)
+    if settings.place is not None:
+        turned = None if settings.turned is None else np.radians(settings.turned)
+        matrix = None if turned is None else Rotation.from_euler("ZYX", turned[::-1]).as_matrix()
+        every, isolated = all_solutions(chain, settings.place, matrix)
+        rows = [{"q": q, "within_limits": _within(chain, q)} for q in (_in_limits(chain, q) for q in every)]
+        note = "no solution" if not rows else "" if isolated else ENDLESS
+        answer["inverse"] = {"solutions": rows, "note": note, "place_m": settings.place, "roll_pitch_yaw_rad": turned}
     return answer
 
 
-def chain_of(settings: TableSettings, angles: Sequence[float] | None) -> Answer:
-    """A table of parameters (TOML), or that of a chain of a URDF or MJCF file, by default to its only leaf."""
-    file, tip = settings.file, settings.tip
+def _chain(source: str, tip: str | None) -> tuple[SerialChain, Answer | None]:
+    """And its table, where the source is one."""
+    if tip in LEGS:
+        return load_robot(source).legs[tip].chain, None
+    if source in builtin_robots():
+        raise InputError(Problem("--tip", "leg", str(tip or "none"), f"one of {', '.join(LEGS)}"))
+    file = Path(source)
     if file.suffix.lower() in SUFFIXES:
         model = read_model(file)
         ends = [tip] if tip is not None else [body_names(model)[leaf - 1] for leaf in leaves_of(model)]
         if len(ends) > 1:
             raise InputError(Problem("--tip", "link", "none", f"one of {', '.join(ends)}"))
-        chain, table = model_chain(model, file, ends[0]), None
-    else:
-        if tip is not None:
-            raise InputError(Problem("--tip", "link", tip, "none: the file has one chain"))
-        chain, convention, rows = load_dh(file)
-        table = _table(convention, rows)
-    answer = _chain_answer(chain, angles, table)
-    if settings.place is not None:
-        turned = None if settings.turned is None else np.radians(settings.turned)
-        matrix = None if turned is None else Rotation.from_euler("ZYX", turned[::-1]).as_matrix()
-        answer["inverse"] = _inverse(chain, *all_solutions(chain, settings.place, matrix))
-        answer["inverse"] |= {"place_m": settings.place, "roll_pitch_yaw_rad": turned}
-    return answer
+        return model_chain(model, file, ends[0]), None
+    if tip is not None:
+        raise InputError(Problem("--tip", "link", tip, "none: the file has one chain"))
+    chain, convention, rows = load_dh(file)
+    return chain, _table(convention, rows)
 
 
 def _chain_answer(chain: SerialChain, angles: Sequence[float] | None, table: Answer | None = None) -> Answer:
@@ -104,11 +114,6 @@ def _pose_answer(transform: RigidTransform) -> Answer:
     return {"place_m": transform.translation, "roll_pitch_yaw_rad": [roll, pitch, yaw]}
 
 
-def _inverse(chain: SerialChain, every: Array, isolated: bool) -> Answer:
-    rows = [{"q": q, "within_limits": _within(chain, q)} for q in (_in_limits(chain, q) for q in every)]
-    return {"solutions": rows, "note": "no solution" if not rows else "" if isolated else ENDLESS}
-
-
 def _in_limits(chain: SerialChain, q: Array) -> Array:
     """Turning joints by whole turns, to nearest the middle of their limits, if they have any."""
     bounded = np.isfinite(chain.lower_rad) & np.isfinite(chain.upper_rad) & ~chain.sliding
@@ -118,3 +123,41 @@ def _in_limits(chain: SerialChain, q: Array) -> Array:
 
 def _within(chain: SerialChain, q: Array) -> bool:
     return bool(((q >= chain.lower_rad - 1e-9) & (q <= chain.upper_rad + 1e-9)).all())
+
+
+def all_solutions(
+    chain: SerialChain, place_m: ArrayLike, rotation: ArrayLike | None = None, starts: int = STARTS
+) -> tuple[Array, bool]:
+    """Configurations (m, n) with the end effector at place_m (3,), turned by rotation (3, 3), None: turned anyhow;
+    turning joints in [-pi, pi), whatever the limits. And whether they are isolated: False where the joints can move on
+    without moving the end effector, and one of endlessly many is given."""
+    target = np.asarray(place_m, float)
+    size = max(float(chain.lengths_m.sum()), float(np.linalg.norm(target)), 1e-9)
+    turns = ~np.asarray(chain.sliding, bool)
+
+    def equations(q: Array) -> tuple[Array, Array]:
+        """(12 + n,), the last n are 0, so that there are never fewer than joints, and their derivatives."""
+        R, p = chain.pose(q)
+        J = chain.geometric_jacobian(q)
+        error, slope = np.zeros(12 + chain.n), np.zeros((12 + chain.n, chain.n))
+        error[:3], slope[:3] = (p - target) / size, J[:3] / size
+        if rotation is not None:
+            error[3:12] = (R - np.asarray(rotation, float)).T.ravel()
+            slope[3:12] = np.concatenate([np.cross(J[3:].T, axis).T for axis in R.T])
+        return error, slope
+
+    low = np.where(turns, -np.pi, np.maximum(chain.lower_rad, -size))
+    high = np.where(turns, np.pi, np.minimum(chain.upper_rad, size))
+    places = [(low + high) / 2, *np.random.default_rng(0).uniform(low, high, (starts, chain.n))]
+    ends = (root(equations, q, jac=True, method="lm", options={"xtol": 1e-12, "ftol": 1e-14}).x for q in places)
+    found = [
+        np.where(turns, (q + np.pi) % (2 * np.pi) - np.pi, q) for q in ends if np.abs(equations(q)[0]).max() < REACHED
+    ]
+    isolated = all(np.linalg.matrix_rank(equations(q)[1], 1e-6) == chain.n for q in found)
+    distinct: list[Array] = []
+    for q in found if isolated else found[:1]:
+        apart = [np.where(turns, np.angle(np.exp(1j * (q - other))), q - other) for other in distinct]
+        if all(np.abs(one).max() > SAME for one in apart):
+            distinct.append(q)
+    kept = np.array(distinct).reshape(len(distinct), chain.n)
+    return kept[np.lexsort(kept.round(6).T[::-1])], isolated

@@ -23,7 +23,7 @@ The inverse starts with the knee, from P^2 + Q^2 = n^2, the squared distance of 
 
 The two signs are the two ways to bend the knee; taken is the one beyond the stretched leg, atan2(q, p), so the knee is
 never bent backwards. The other angles follow from linear pairs. Of the two flaps that reach a foot, the leg pointing
-down or up, taken is the one within 90 degrees of down. `solutions` has all four.
+down or up, taken is the one within 90 degrees of down.
 """
 
 from __future__ import annotations
@@ -38,7 +38,6 @@ from pydantic import AfterValidator, ConfigDict, Field
 
 from recon.base.arrays import Array
 from recon.robotics.ik.chain import SerialChain, joint_chain
-from recon.robotics.robot.solutions import distinct_angles
 
 LEG_ANGLES = ("swing", "flap", "knee")
 Length = Annotated[float, Field(gt=-1e6, lt=1e6, allow_inf_nan=False)]
@@ -127,20 +126,19 @@ class Leg:
             foot = d * np.cos(b) - Z * np.sin(b), Q * np.sin(a) + P * np.cos(a), d * np.sin(b) + Z * np.cos(b)
         return np.stack(foot, axis=-1) * self.mirror
 
-    def inverse(self, feet_m: ArrayLike, knee: int = 1, down: int = 1) -> Array:
-        """Angles, whatever the limits, NaN out of reach. knee, down: -1 for the knee bent the other way, for the flap
-        that points the leg up."""
+    def inverse(self, feet_m: ArrayLike) -> Array:
+        """Angles, whatever the limits, NaN out of reach."""
         x, y, z = np.moveaxis(np.asarray(feet_m, float) * self.mirror, -1, 0)
         d, swing_first = self.lateral_m, self.first == "swing"
         z2 = x * x + z * z - d * d
         n2 = x * x + y * y + z * z if swing_first else np.maximum(z2, 0.0) + y * y
         p, q, rest = self._pqr
         cosine = (n2 - rest) / np.hypot(p, q)
-        s = np.arctan2(q, p) + knee * np.arccos(np.clip(cosine, -1.0, 1.0))
+        s = np.arctan2(q, p) + np.arccos(np.clip(cosine, -1.0, 1.0))
         P, Q = self.in_plane(s)
         # U^2 = y^2 + z^2 - P^2 and atan2 in place of asin(x / Q), which loses half the digits at 90 degrees.
         square = y * y + z * z - P * P if swing_first else z2
-        root = down * np.sqrt(np.maximum(square, 0.0))
+        root = np.sqrt(np.maximum(square, 0.0))
         if swing_first:
             up = np.where(Q < 0, -1.0, 1.0)
             a, b = _wrapped(np.arctan2(z, y) + np.arctan2(up * root, P)), np.arctan2(up * x, root)
@@ -152,10 +150,14 @@ class Leg:
         reached = (np.abs(cosine) <= 1 + _ROUNDING) & (square >= -_ROUNDING * longest**2)
         return np.where(reached[..., None], np.stack([a, b, s], axis=-1), np.nan)
 
-    def solutions(self, foot_m: ArrayLike) -> Array:
-        """All angles (m, 3), at most four, of one foot (3,), whatever the limits, in [-pi, pi)."""
-        every = [self.inverse(foot_m, knee, down) for down in (1, -1) for knee in (1, -1)]
-        return distinct_angles([_wrapped(q) for q in every if np.isfinite(q).all()], np.ones(3, bool))
+    def slack_m(self, feet_m: Array) -> Array:
+        """How far feet are within the reach of a leg whose swing joint is the first (...), negative outside."""
+        distance, (least, most) = np.linalg.norm(feet_m, axis=-1), self.distances_m
+        p, q, rest = self._pqr
+        bend = np.arccos(np.clip((distance**2 - rest) / np.hypot(p, q), -1.0, 1.0))
+        # A bent leg does not come nearer to the axis of its swing joint than P.
+        aside = np.hypot(feet_m[..., 1], feet_m[..., 2]) - np.abs(self.in_plane(self.stretched_rad + bend)[0])
+        return np.minimum(np.minimum(distance - least, most - distance), aside)
 
 
 def _wrapped(angle: Array) -> Array:

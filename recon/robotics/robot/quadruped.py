@@ -2,7 +2,8 @@
 
 Body axes: x forwards, y left, z up. Legs are LF, RF, LH, RH (left or right, fore or hind). Joint angles are the robot's
 own: of the bundled robots, and of others described by their dimensions, those of `recon.robotics.robot.leg` with signs;
-of URDF and MJCF files, the file's.
+of URDF and MJCF files, the file's. World: z up. Yaw, pitch and roll turn about z, y and x in this order, so that a
+positive pitch puts the nose down.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import ConfigDict
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from recon.base.arrays import Array
 from recon.geometry.kinematics import Marker, Segment, Tree
@@ -21,7 +23,6 @@ from recon.robotics.ik.chain import SerialChain, joint_chain
 from recon.robotics.ik.drive import drive_to
 from recon.robotics.ik.methods import LeastNorm
 from recon.robotics.robot.leg import Leg, PositiveLength
-from recon.robotics.robot.solutions import all_solutions
 
 LEGS = ("LF", "RF", "LH", "RH")
 IK_TOLERANCE_M = 1e-5
@@ -63,10 +64,20 @@ class RobotLeg:
         assert self.signs is not None
         return swing_flap_knee_rad[..., self.closed.order] * self.signs
 
+    def closed_angles(self, feet_m: Array) -> Array:
+        """In closed form, angles (T, n) of feet (T, 3) whatever the limits, NaN out of reach."""
+        assert self.closed is not None
+        return self.own(self.closed.inverse(_to_leg_axes(feet_m - self.hip_m)))
+
+    def slack_m(self, feet_m: Array) -> Array:
+        """The same, how far feet are within the reach (T,), negative outside."""
+        assert self.closed is not None
+        return self.closed.slack_m(_to_leg_axes(feet_m - self.hip_m))
+
     def angles(self, feet_m: Array) -> Array:
         """Angles (T, n) of feet (T, 3) that follow each other, NaN where there are none within the limits."""
         if self.closed is not None:
-            solved = self.own(self.closed.inverse(_to_leg_axes(feet_m - self.hip_m)))
+            solved = self.closed_angles(feet_m)
             return np.where(np.all(self.margins(solved) >= 0, axis=-1)[..., None], solved, np.nan)
         assert self.home_rad is not None
         out, q = np.full((len(feet_m), self.chain.n), np.nan), self.home_rad
@@ -77,12 +88,6 @@ class RobotLeg:
             if found is not None:
                 out[k] = q = found
         return out
-
-    def solutions(self, foot_m: Array) -> tuple[Array, bool]:
-        """As `all_solutions`: all angles (m, n) of one foot (3,), whatever the limits."""
-        if self.closed is None:
-            return all_solutions(self.chain, foot_m)
-        return self.own(self.closed.solutions(_to_leg_axes(foot_m - self.hip_m))), True
 
 
 def closed_leg(
@@ -210,3 +215,26 @@ def _to_leg_axes(v: Array) -> Array:
 def _from_leg_axes(v: ArrayLike) -> Array:
     v = np.asarray(v, float)
     return np.stack([v[..., 1], -v[..., 0], v[..., 2]], axis=-1)
+
+
+# -- the body on its feet --------------------------------------------------------------------------------------------
+
+
+def body_pose(position_m: ArrayLike, roll_rad: ArrayLike, pitch_rad: ArrayLike, yaw_rad: ArrayLike) -> RigidTransform:
+    """T_world_body of positions (..., 3) and angles (...)."""
+    angles = np.stack(np.broadcast_arrays(yaw_rad, pitch_rad, roll_rad), axis=-1)
+    return RigidTransform.from_components(np.asarray(position_m, float), Rotation.from_euler("ZYX", angles))
+
+
+def leg_targets(pose: RigidTransform, hips_m: ArrayLike, feet_m: ArrayLike) -> Array:
+    """Feet from their hips in body axes (..., L, 3), for T_world_body (...), hips (L, 3) in body axes and feet in the
+    world, (L, 3) or (..., L, 3)."""
+    hips, feet = np.asarray(hips_m, float), np.asarray(feet_m, float)
+    position, R = np.asarray(pose.translation), np.asarray(pose.rotation.as_matrix())
+    return np.einsum("...lj,...jk->...lk", feet - position[..., None, :], R) - hips
+
+
+def feet_in_world(pose: RigidTransform, hips_m: ArrayLike, targets_m: ArrayLike) -> Array:
+    """The inverse: feet (..., L, 3) in the world of targets (..., L, 3) from the hips."""
+    position, R = np.asarray(pose.translation), np.asarray(pose.rotation.as_matrix())
+    return np.einsum("...lk,...jk->...lj", np.asarray(targets_m) + np.asarray(hips_m), R) + position[..., None, :]

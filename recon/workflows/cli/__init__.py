@@ -65,8 +65,7 @@ COMMANDS = {
             _ROBOTICS + "robot:pose",
             "The legs' angles of a body that is moved and turned, the feet planted.",
         ),
-        "robot leg": (_ROBOTICS + "robot:leg", "A leg's table and limits, forward and inverse."),
-        "robot dh": (_ROBOTICS + "robot:dh", "A chain by its Denavit-Hartenberg table, forward and inverse."),
+        "robot dh": (_ROBOTICS + "robot:dh", "A leg or chain by its Denavit-Hartenberg table, forward and inverse."),
         "climb": (_ROBOTICS + "climb:climb", "A four-legged robot climbs a step by potential fields."),
         "frame": (_THESIS + "frame:frame", "Fit one side of the animal, one frame after the other."),
         "solver": (_THESIS + "solver:solver", "What the optimiser of a fit did: cost, gradient, Jacobian, limits."),
@@ -81,7 +80,7 @@ GROUPS = {
     "skeleton": "Skeletons: those that come with the package, and your own.",
     "subject": "Measured animals: lengths of one animal, and how a detector sees it.",
     "prior": "Motion priors: which poses occur, and how they change.",
-    "robot": "A robot's kinematics: its body's pose, a leg, a table of parameters; all solutions.",
+    "robot": "A robot's kinematics: its body's pose, legs, tables of parameters; all solutions.",
 }
 
 
