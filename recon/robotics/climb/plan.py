@@ -43,13 +43,13 @@ LEFT = np.array([1.0 if label[0] == "L" else -1.0 for label in LEGS])
 MAX_WAIT = 400
 """Frames."""
 MAX_EVALUATIONS = 100
-"""Of the fields, in one frame."""
+"""How often the fields are evaluated in one frame, at most."""
 NUDGE, SETTLED = 1e-6, 1e-8
 """Metres and radians: between wrenches whose difference is a stiffness; a last step so short."""
 TRUST_M, TRUST_RAD = 0.03, 0.5
 """Longest step of Newton's method."""
 SHIN_POINTS = (0.25, 0.5, 0.75)
-"""Of the way from foot to knee, where a shin must not touch the ground or the step."""
+"""Shares of the way from foot to knee, where a shin must not touch the ground or the step."""
 ROUNDING_M = 1e-9
 """A planted foot may be this far under the surface that it stands on."""
 
@@ -101,12 +101,12 @@ class Climb:
 
     @property
     def pitch_rad(self) -> Array:
-        """(T,): nose up."""
+        """(T,): positive with the nose up."""
         return np.arcsin(np.clip(self.motion.pose.rotation.as_matrix()[:, 2, 0], -1, 1))
 
     @cached_property
     def margins(self) -> dict[str, Array]:
-        """Of each rule the least in every frame (T,), negative where it is broken, infinite where it does not apply."""
+        """The least distance from each rule by frame (T,): negative where it is broken, infinite without one."""
         step, feet, robot = self.recipe.step, self.motion.feet_m, self.motion.robot
         targets, places = leg_targets(self.motion.pose, np.zeros(3), feet), [self.motion.points(x) for x in LEGS]
         hips, knees = (np.stack([of_leg[:, k] for of_leg in places], axis=1) for k in (0, 2))
@@ -135,7 +135,7 @@ class Climb:
 
     @property
     def least(self) -> dict[str, tuple[float, int]]:
-        """Of each rule the least margin, in its unit, and the frame."""
+        """The least margin of each rule, in its unit, and the frame."""
         frames = {name: int(values.argmin()) for name, values in self.margins.items()}
         return {name: (float(self.margins[name][k]) * RULES[name].per_unit, k) for name, k in frames.items()}
 

@@ -26,7 +26,7 @@ Number = Annotated[float, Field(strict=True, gt=-LARGEST, lt=LARGEST, allow_inf_
 Positive = Annotated[float, Field(strict=True, gt=0, lt=LARGEST, allow_inf_nan=False)]
 """In a recipe's file: what more or less than these would be can only be damage."""
 FORBID = ConfigDict(extra="forbid", frozen=True)
-"""Of tables: a name that is not known is a mistake."""
+"""A name that is not known is a mistake in any table."""
 
 
 def _all_legs(given: Any) -> Any:

@@ -49,7 +49,7 @@ def run_climb(settings: ClimbSettings) -> dict[str, Any]:
 
 
 def _reach(robot: Quadruped) -> float:
-    """Of the legs, from the first joint on; the mean."""
+    """Mean length of the legs, from the first joint on."""
     return float(np.mean([leg.chain.lengths_m.sum() for leg in robot.legs.values()]))
 
 
@@ -155,7 +155,7 @@ def climb_footfalls(climb: Climb) -> Figure:
 
 
 def climb_margins(climb: Climb) -> Figure:
-    """Of each rule, the least in every frame; bands are where a foot is up."""
+    """The least margin of each rule in every frame; bands are where a foot is up."""
     time_s = climb.motion.time_s
     with drawing(130.0, title=f"{_title(climb)}: distance from what it must not do") as figure:
         panels = np.ravel(figure.subplots(-(-len(RULES) // 2), 2, sharex=True))
