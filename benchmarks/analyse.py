@@ -3,8 +3,7 @@
 python benchmarks/analyse.py [FRAMES [FOLDER]]
 
 Fits a simulated animal that runs in circles over FRAMES frames (10,000 by default, which takes minutes) unless FOLDER
-holds such results from before, and times the command as a whole process, with the figures and without, and so
-`recon solver`.
+holds such results from before, and times the command as a whole process, with the figures and without.
 """
 
 from __future__ import annotations
@@ -56,7 +55,6 @@ def main() -> None:
         commands = {
             "figures": ("analyse",),
             "no figures": ("analyse", "--no-figures"),
-            "recon solver": ("solver",),
         }
         for name, (command, *options) in commands.items():
             taken_s, used_s, memory_mb = recon(command, str(folder), *options, "--overwrite")

@@ -3,7 +3,7 @@
 C. van der Leek, "Kinematic Modeling and Dynamic Aspects of an Accelerating Quadruped", MSc(Eng), University of Cape
 Town, 2022. The chain and its states as published stand in `recon.animal.chain`; objectives: the terms f1 to f5 and the
 priors that they need besides, one small class each; starts: where the first frame starts; frame: the solver; clip: what
-`recon frame` runs; solver: what the optimiser did, of this method and of the rooms', which `recon solver` shows.
+`recon frame` runs; solver: what the optimiser did, which `recon solver` shows.
 """
 
 from typing import TYPE_CHECKING
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
         solve_frames,
         solve_joints,
     )
-    from recon.thesis.inspection import SolverSettings, read_solver, run_solver
-    from recon.thesis.solver import SolverRecord
+    from recon.thesis.inspection import SolverSettings, run_solver
+    from recon.thesis.solver import SolverRecord, read_solver
 
 __getattr__ = lazily(__name__, __file__)

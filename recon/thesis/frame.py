@@ -22,6 +22,7 @@ from recon.animal.chain import MIN_JOINTS, MIN_REACH_PX, Chain, Posed
 from recon.base.arrays import Array, Index
 from recon.check import Finding, finding
 from recon.clip import View
+from recon.fit.motion import Motion
 from recon.fit.result import OUTLIER_SIGMAS, MotionSegment, Solution
 from recon.geometry.camera import Camera
 from recon.geometry.frames import inverse, moved
@@ -39,6 +40,7 @@ from recon.thesis.starts import Travel, estimate_travel, geometric_start, state_
 
 Status = Literal["converged", "not_converged", "no_data"]
 
+CAMERA_ANGLES = ("xi", "psi", "zeta")
 CONVERGED = (1, 2, 3, 4)
 """Status values of scipy's least_squares that name a tolerance that was met."""
 
@@ -148,6 +150,14 @@ class FrameSolution(Solution):
     def straight_run_m_s(self) -> Array:
         return self.travel.speed_m_s
 
+    def reported(self, field: str) -> Array:
+        """(T,): what is reported of each frame, NaN without data."""
+        return np.array([np.nan if one is None else getattr(one, field) for one in self.reports], dtype=float)
+
+    def unknown(self, name: str) -> Array:
+        """(T,): one of the chain's unknowns, NaN without a pose."""
+        return self.chain_states[:, self.chain.state_names.index(name)]
+
     @cached_property
     def status(self) -> tuple[Status, ...]:
         """The status of each of the T frames: converged, not_converged or no_data."""
@@ -176,6 +186,12 @@ class FrameSolution(Solution):
     def beyond_rate_rad_s(self) -> Array:
         """(T, 2 A): chord rate since the solved frame before, above its limit; NaN for the first and without a pose."""
         return beyond_rate_rad_s(self.chain, self.chain_states, self.fps)
+
+
+def frame_solution(motion: Motion) -> FrameSolution:
+    """The solution of a motion that the frame method found."""
+    assert isinstance(motion.solution, FrameSolution)
+    return motion.solution
 
 
 def frame_objectives(

@@ -16,8 +16,7 @@ from recon.geometry.frames import level_axes
 from recon.show.plain import by_name, number, spread
 from recon.show.sections import given
 from recon.show.sections.section import Line, Section
-from recon.thesis.frame import FrameOptions, FrameReport, FrameSolution, base_length
-from recon.thesis.solver import frame_solution
+from recon.thesis.frame import FrameOptions, FrameReport, FrameSolution, base_length, frame_solution
 
 
 def _options(motion: Motion) -> FrameOptions:

@@ -9,7 +9,7 @@ from recon.workflows.cli.common import progress_bar, say, terminal
 
 
 def solver(settings: SolverSettings, as_json: bool, quiet: bool) -> Any:
-    """What the optimiser did for a reconstruction: cost, gradient, Jacobian, limits.
+    """What the optimiser of `recon frame` did: cost, gradient, Jacobian, limits.
 
     Writes tables (CSV), the Jacobian (NPZ) and figures (PNG, SVG).
 

@@ -68,7 +68,10 @@ COMMANDS = {
         "robot dh": (_ROBOTICS + "robot:dh", "A leg or chain by its Denavit-Hartenberg table, forward and inverse."),
         "climb": (_ROBOTICS + "climb:climb", "A four-legged robot climbs a step by potential fields."),
         "frame": (_THESIS + "frame:frame", "Fit one side of the animal, one frame after the other."),
-        "solver": (_THESIS + "solver:solver", "What the optimiser of a fit did: cost, gradient, Jacobian, limits."),
+        "solver": (
+            _THESIS + "solver:solver",
+            "What the optimiser of recon frame did: costs, Jacobian, limits.",
+        ),
     },
     "This installation": {
         "doctor": (_CORE + "doctor:doctor", "Check versions, optional parts, the viewer, and a fit of the sample."),
