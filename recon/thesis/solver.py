@@ -125,7 +125,7 @@ class SolverRecord:
         return {name: (beyond > 0).sum(axis=1) for name, beyond in limits.items()}
 
     def summary(self) -> dict[str, object]:
-        """What solver.json holds."""
+        """The figures that solver.json holds."""
         steps = self.solution.reported("step_norm")
         return {
             "cost_by_term": {name: float(np.nansum(c)) for name, c in self.cost.items()},
