@@ -16,15 +16,16 @@ from PIL import Image
 from recon import FitSettings, Motion, samples_folder
 from recon.io.video import read_frames, video_writer
 from recon.workflows.analyse import AnalyseSettings, run_analyse
-from recon.workflows.camera_advice import CameraAdviceSettings, run_camera_advice
+from recon.workflows.cli import app
 from recon.workflows.clip_results import run_clip
 from recon.workflows.overlay import OverlaySettings, run_overlay
-from recon.workflows.skeleton_check import SkeletonCheckSettings, run_skeleton_check
 
 HERE = Path(__file__).resolve().parent
 COLOURS = 255
 FRAME = 30
 """Of the sample, for the overlay."""
+
+ADVICE = ("--skeleton", "cheetah-24", "--angle", "front_trunk_yaw", "--cameras", "2")
 
 
 def save(picture: Path, name: str, width: int) -> None:
@@ -64,11 +65,9 @@ def main() -> None:
         ((_, image),) = read_frames(out / "overlay.avi", FRAME, FRAME + 1)
         cv2.imwrite(str(out / "overlay.png"), image)
         save(out / "overlay.png", "overlay.png", 960)
-        run_camera_advice(
-            CameraAdviceSettings(skeleton="cheetah-24", out=out / "advice", angle="front_trunk_yaw", cameras=2)
-        )
+        app(["camera-advice", *ADVICE, "--out", str(out / "advice")], standalone_mode=False)
         save(out / "advice" / "camera_advice.png", "camera_advice.png", 900)
-        run_skeleton_check(SkeletonCheckSettings(skeleton=str(HERE / "my-cat.toml"), subject=None, out=out / "my-cat"))
+        app(["skeleton", "check", str(HERE / "my-cat.toml"), "--out", str(out / "my-cat")], standalone_mode=False)
         save(out / "my-cat" / "skeleton.png", "skeleton.png", 900)
 
 

@@ -38,7 +38,7 @@ from recon.io.deeplabcut import write_csv
 from recon.io.json_poses import LISTS
 from recon.workflows.clip import prepare
 from recon.workflows.clip_results import run_clip
-from recon.workflows.skeleton_draft import SkeletonDraftSettings, draft_skeleton, run_skeleton_draft
+from recon.workflows.skeleton_draft import _SkeletonDraftSettings, draft_skeleton, run_skeleton_draft
 from recon.workflows.skeleton_geometry import drafted
 
 OBLIQUE_M = [[1.0, -5.5, 1.5], [4.5, -4.0, 1.7], [-4.5, 4.0, 1.8], [5.0, 4.0, 2.0]]
@@ -202,10 +202,10 @@ def test_a_draft_from_geometry(skeleton, alone, tmp_path):
     off_m = np.linalg.norm(found.joints_m - true_m[:, order], axis=2)  # with the keypoints' bias
     assert np.median(off_m) < 1.5 * true.keypoint_sigma_m
     with pytest.raises(InputError, match=r"2 files without --camera"):
-        run_skeleton_draft(SkeletonDraftSettings(keypoints=tuple(files[:2]), out=tmp_path / "a.toml"))
+        run_skeleton_draft(_SkeletonDraftSettings(keypoints=tuple(files[:2]), out=tmp_path / "a.toml"))
     with pytest.raises(InputError, match=r"1 camera\(s\): cam1.*two or more with poses"):
         run_skeleton_draft(
-            SkeletonDraftSettings(keypoints=(files[0],), camera=(rig,), fps=rigs.FPS, out=tmp_path / "a.toml")
+            _SkeletonDraftSettings(keypoints=(files[0],), camera=(rig,), fps=rigs.FPS, out=tmp_path / "a.toml")
         )
 
 

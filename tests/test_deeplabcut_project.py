@@ -20,7 +20,7 @@ from recon.io import read_keypoints, read_pose3d
 from recon.io.deeplabcut_project import find_project, predictions
 from recon.keypoint_net.labels import read_labels
 from recon.workflows.batch import find_clips
-from recon.workflows.skeleton_draft import SkeletonDraftSettings, run_skeleton_draft
+from recon.workflows.skeleton_draft import _SkeletonDraftSettings, run_skeleton_draft
 
 SAMPLE = Path(__file__).parents[1] / "data" / "samples" / "whole.csv"
 CAMERA = {"hfov_deg": 60.0, "image_size_px": (1920, 1080), "fps": 60.0}
@@ -62,7 +62,7 @@ def project(tmp_path: Path) -> Path:
 
 @pytest.mark.parametrize("name", ["", "config.yaml"])
 def test_a_skeleton_of_a_project(project, tmp_path, name):
-    known, others, text = run_skeleton_draft(SkeletonDraftSettings(keypoints=project / name, out=tmp_path / "a.toml"))
+    known, others, text = run_skeleton_draft(_SkeletonDraftSettings(keypoints=project / name, out=tmp_path / "a.toml"))
     assert (list(known), others) == (["nose", "l_eye", "neck_base", "tail_base", "l_front_paw", "r_front_paw"], ())
     assert 'keypoints of "horse-me-2026-05-01"' in text
 
@@ -82,7 +82,7 @@ def test_a_configuration(project):
     assert find_project(config) is None
     config.write_text("Task: dogs\nscorer: me\nbodyparts:\n", encoding="utf-8")
     with pytest.raises(InputError, match="bodyparts: found none, expected the names of the keypoints"):
-        run_skeleton_draft(SkeletonDraftSettings(keypoints=config, out=project / "a.toml"))
+        run_skeleton_draft(_SkeletonDraftSettings(keypoints=config, out=project / "a.toml"))
 
 
 @pytest.mark.parametrize("name", ["", "config.yaml"])

@@ -17,7 +17,7 @@ from recon import FitSettings, InputError, write_clip
 from recon.base.files import staged_results
 from recon.io.video import video_writer
 from recon.workflows.clip_results import output_files
-from recon.workflows.run import Job, RunSettings, job_of, jobs_of, keypoints_of, run_folder, run_video
+from recon.workflows.run import _Job, _RunSettings, job_of, jobs_of, keypoints_of, run_folder, run_video
 
 SAMPLES = Path(__file__).parents[1] / "data" / "samples"
 ALL = ["fit", "analyse", "overlay", "page"]
@@ -93,14 +93,14 @@ def film(tmp_path) -> Path:
     return write_film(tmp_path / "run.avi")
 
 
-def job(film: Path, **more) -> Job:
+def job(film: Path, **more) -> _Job:
     given = {"camera": SAMPLES / "camera.toml", **more.pop("given", {})}
     if "model" not in more:
         more["keypoints"] = film.parent / "points.csv"
-    return job_of(RunSettings(video=film, out=film.parent / "out", **more), given)
+    return job_of(_RunSettings(video=film, out=film.parent / "out", **more), given)
 
 
-def done(job: Job, called: list[str]) -> list[str]:
+def done(job: _Job, called: list[str]) -> list[str]:
     """The stages that are carried out for it."""
     called.clear()
     stages, _ = run_video(job)
@@ -139,7 +139,7 @@ def test_the_network_finds_the_keypoints_once(film, called):
 def test_names_of_files_are_relative_to_where_one_is(film, called, monkeypatch):
     monkeypatch.chdir(film.parent)
     camera = {"camera": SAMPLES / "camera.toml"}
-    turns = RunSettings(video=Path("run.avi"), out=Path("out"), model=Path("net"), camera_motion="turns")
+    turns = _RunSettings(video=Path("run.avi"), out=Path("out"), model=Path("net"), camera_motion="turns")
     here = job_of(turns, camera)
     assert done(here, called) == ["detect", "camera-motion", *ALL]
     assert done(here, called) == []
@@ -285,7 +285,7 @@ def test_the_stages_are_those_of_the_commands(tmp_path, monkeypatch):
     )
     given = {"camera": SAMPLES / "rendered_camera.toml", "fast": True, "frames": "0:6"}
     job = job_of(
-        RunSettings(video=SAMPLES / "rendered.mp4", out=tmp_path / "out", keypoints=SAMPLES / "rendered_points.csv"),
+        _RunSettings(video=SAMPLES / "rendered.mp4", out=tmp_path / "out", keypoints=SAMPLES / "rendered_points.csv"),
         given,
     )
     stages, shares = [], []
@@ -345,7 +345,7 @@ def test_a_folder_is_a_batch(tmp_path, called, monkeypatch):
     assert 'href="a/report.html"' in table
     (videos / "b.csv").unlink()
     with pytest.raises(InputError, match=r"keypoints of b.avi: found none"):
-        jobs_of(RunSettings(video=videos, out=tmp_path / "all", keypoints=videos), {"camera": SAMPLES / "camera.toml"})
+        jobs_of(_RunSettings(video=videos, out=tmp_path / "all", keypoints=videos), {"camera": SAMPLES / "camera.toml"})
     with pytest.raises(InputError, match="no videos"):
-        jobs_of(RunSettings(video=tmp_path / "all", out=tmp_path / "all", keypoints=videos), {})
+        jobs_of(_RunSettings(video=tmp_path / "all", out=tmp_path / "all", keypoints=videos), {})
     assert run_folder([], tmp_path / "none").counts() == {}

@@ -29,7 +29,7 @@ from recon.fit import TrajectoryOptions, solve_trajectory
 from recon.gait.evaluation import centre, joint_errors, score
 from recon.io import read_keypoints
 from recon.workflows.cli import app
-from recon.workflows.skeleton_check import SkeletonCheckSettings, check_skeleton, run_skeleton_check
+from recon.workflows.skeleton_check import _SkeletonCheckSettings, check_skeleton, run_skeleton_check
 
 CAT = (Path(__file__).parents[1] / "docs" / "my-cat.toml").read_text(encoding="utf-8")
 
@@ -471,7 +471,7 @@ def test_every_fault_is_named(tmp_path):
     text = CAT.replace('parent = "loin"', 'parent = "lion"', 1).replace('left_fore = "left', 'left_fore = "lift')
     text = text.replace('tail = ["tail_base"', 'tail = ["tail"').replace('segment = "tail"', 'segment = "tale"', 1)
     with pytest.raises(InputError) as error:
-        run_skeleton_check(SkeletonCheckSettings(skeleton=str(in_file(tmp_path, text)), out=tmp_path / "out"))
+        run_skeleton_check(_SkeletonCheckSettings(skeleton=str(in_file(tmp_path, text)), out=tmp_path / "out"))
     fields = [problem.field for problem in error.value.problems]
     assert fields == ["segments[1].parent", "markers[4].segment", "feet", "limbs.tail"]
     assert not (tmp_path / "out").exists()
@@ -483,7 +483,7 @@ def test_every_fault_is_named(tmp_path):
 
 def test_pictures(tmp_path):
     file, out = in_file(tmp_path, CAT), tmp_path / "pictures"
-    run_skeleton_check(SkeletonCheckSettings(skeleton=str(file), out=out))
+    run_skeleton_check(_SkeletonCheckSettings(skeleton=str(file), out=out))
     names = ["angles.png", "angles.svg", "skeleton.png", "skeleton.svg"]
     assert sorted(path.name for path in out.iterdir()) == names
     picture = (out / "skeleton.svg").read_text(encoding="utf-8")
@@ -494,8 +494,8 @@ def test_pictures(tmp_path):
     assert "17° to 132°" in angles
     assert "r hind shin" not in angles
     with pytest.raises(InputError, match=r"skeleton\.png and 3 more.*--overwrite"):
-        run_skeleton_check(SkeletonCheckSettings(skeleton=str(file), out=out))
-    run_skeleton_check(SkeletonCheckSettings(skeleton="cheetah-8u", out=out, overwrite=True))
+        run_skeleton_check(_SkeletonCheckSettings(skeleton=str(file), out=out))
+    run_skeleton_check(_SkeletonCheckSettings(skeleton="cheetah-8u", out=out, overwrite=True))
     assert "theta 1" in (out / "angles.svg").read_text(encoding="utf-8")
 
 

@@ -192,7 +192,7 @@ def draw_tiles(overlay: Overlay, rows: Sequence[int] | Index, pictures: Sequence
     corners, scale = _cut_out(overlay, rows)
     tiles = []
     for i, (t, corner) in enumerate(zip(rows, corners, strict=True)):
-        tile, cut = np.empty((TILE_PX[1], TILE_PX[0], 3), dtype=np.uint8), Cut(corner, scale)
+        tile, cut = np.empty((TILE_PX[1], TILE_PX[0], 3), dtype=np.uint8), _Cut(corner, scale)
         tile[:] = PAPER
         if pictures is not None:
             tile[:] = cut.of(pictures[i], TILE_PX)
@@ -212,7 +212,7 @@ def _cut_out(overlay: Overlay, rows: Sequence[int] | Index) -> tuple[Array, floa
 
 
 @dataclass(frozen=True, eq=False)
-class Cut:
+class _Cut:
     """A part of the picture, from a corner (2,), px, enlarged by a scale."""
 
     corner_px: Array
@@ -228,7 +228,7 @@ class Cut:
         return np.asarray(cv2.warpAffine(picture, to_cut, size_px, flags=cv2.INTER_LINEAR, borderValue=PAPER), np.uint8)
 
 
-WHOLE = Cut(np.zeros(2), 1.0)
+WHOLE = _Cut(np.zeros(2), 1.0)
 
 
 def _draw_close_up(image: Image, overlay: Overlay, t: int, picture: Image, unit: float) -> None:
@@ -244,7 +244,7 @@ def _draw_close_up(image: Image, overlay: Overlay, t: int, picture: Image, unit:
     inside = [((overlay.joints_px >= at) & (overlay.joints_px <= at + size)).all(axis=1).sum() for at in corners]
     left, top = corners[int(np.argmin(inside))].tolist()
     wide, high = size.tolist()
-    cut = Cut(0.5 * (np.nanmin(xy, axis=0) + np.nanmax(xy, axis=0)) - 0.5 * size / scale, scale)
+    cut = _Cut(0.5 * (np.nanmin(xy, axis=0) + np.nanmax(xy, axis=0)) - 0.5 * size / scale, scale)
     tile = image[top : top + high, left : left + wide]
     tile[:] = cut.of(picture, (wide, high))
     _draw_skeleton(tile, overlay, t, 0.8 * unit, cut)
@@ -253,7 +253,7 @@ def _draw_close_up(image: Image, overlay: Overlay, t: int, picture: Image, unit:
     draw_text(tile, f"{scale:.1f} times larger", (round(14 * unit), high - round(16 * unit)), 0.7 * unit, INK)
 
 
-def _draw_skeleton(image: Image, overlay: Overlay, t: int, unit: float, cut: Cut = WHOLE) -> None:
+def _draw_skeleton(image: Image, overlay: Overlay, t: int, unit: float, cut: _Cut = WHOLE) -> None:
     xy, near = cut.place(overlay.reprojected_px[t]), overlay.nearness[t]
     segments = [
         (0.5 * (near[a] + near[b]), a, b, colour)
@@ -274,7 +274,7 @@ def shade(colour: Colour, nearness: float) -> Colour:
     return blue, green, red
 
 
-def _draw_detections(image: Image, overlay: Overlay, t: int, unit: float, cut: Cut = WHOLE) -> None:
+def _draw_detections(image: Image, overlay: Overlay, t: int, unit: float, cut: _Cut = WHOLE) -> None:
     size, thick = 7 * unit, max(1, round(1.5 * unit))
     detected, reprojected = cut.place(overlay.detected_px[t]), cut.place(overlay.reprojected_px[t])
     for at, to, outlier in zip(detected, reprojected, overlay.outliers[t], strict=True):

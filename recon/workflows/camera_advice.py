@@ -56,7 +56,7 @@ def where(azimuth_rad: float, elevation_rad: float) -> str:
     return f"{direction}, {height} ({np.degrees(azimuth_rad):.0f}°)" if height != ABOVE else f"{ABOVE}, {direction}"
 
 
-class CameraAdviceSettings(Settings):
+class _CameraAdviceSettings(Settings):
     """What `recon camera-advice` is told."""
 
     skeleton: Annotated[str, Option("A built-in skeleton or a TOML file, as in cheetah-24.")]
@@ -87,7 +87,7 @@ class CameraAdviceSettings(Settings):
             yield Problem("--angle", "value", "--joint as well", "one of the two, or neither for all joints")
 
 
-def camera_advice(settings: CameraAdviceSettings, as_json: bool) -> Any:
+def camera_advice(settings: _CameraAdviceSettings, as_json: bool) -> Any:
     """Where to put a camera, or two, so that an angle or a joint is seen and not guessed.
 
     Example: recon camera-advice --skeleton cheetah-24 --angle front_trunk_yaw --out advice
@@ -101,7 +101,7 @@ def camera_advice(settings: CameraAdviceSettings, as_json: bool) -> Any:
     say(terminal(), f"The figure and the table are in {settings.out}.")
 
 
-def run_camera_advice(settings: CameraAdviceSettings, progress: Progress = silent) -> dict[str, Any]:
+def run_camera_advice(settings: _CameraAdviceSettings, progress: Progress = silent) -> dict[str, Any]:
     """See `recon.calibrate.camera_advice.advise`. Writes a report, which it gives, a table and a figure. Raises
     InputError."""
     body = load_skeleton(settings.skeleton, settings.subject)

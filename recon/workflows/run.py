@@ -48,7 +48,7 @@ DETECTOR = "recon.keypoint_net"
 _OF_THE_FIT = tuple(name for name in SETTINGS if name != "keypoints")
 
 
-class RunSettings(Settings):
+class _RunSettings(Settings):
     """What `recon run` is told besides the settings of the fit."""
 
     video: Annotated[Path, Option("The video, as in run.mp4, or a folder of videos.", argument="VIDEO")]
@@ -87,10 +87,10 @@ class RunSettings(Settings):
 
 
 @dataclass(frozen=True)
-class Job:
+class _Job:
     """A video and what is to be done with it."""
 
-    run: RunSettings
+    run: _RunSettings
     given: FitSettings
     """Its keypoints are those that were given, or where those that are found go."""
     threads: int | None = None
@@ -107,7 +107,7 @@ class _Stage(NamedTuple):
 
     identity: Callable[[], dict[str, Any]]
     """What it is made from."""
-    work: Callable[[Job, Progress], Iterable[Path]]
+    work: Callable[[_Job, Progress], Iterable[Path]]
     """Does it, over what is there, and gives the files that it wrote."""
     places: tuple[Path, ...] = ()
     """Files that are in its way, unless a run has made them; none where it looks for itself what it may replace."""
@@ -124,7 +124,7 @@ class _Done(NamedTuple):
 
 
 def run(
-    settings: RunSettings,
+    settings: _RunSettings,
     given: Annotated[dict[str, Any], OptionsOf(FitSettings, _OF_THE_FIT, "Settings of the fit")],
     as_json: bool,
     quiet: bool,
@@ -164,7 +164,7 @@ def _line(done: _Done) -> str:
     return f"{done.stage:<14}{text}"
 
 
-def job_of(run: RunSettings, given: Mapping[str, Any]) -> Job:
+def job_of(run: _RunSettings, given: Mapping[str, Any]) -> _Job:
     """given: settings of the fit by name. The frame rate is the video's own unless it is given. Raises InputError with
     every problem."""
     keypoints = run.keypoints or run.out / f"{run.video.stem}_keypoints.csv"
@@ -178,10 +178,10 @@ def job_of(run: RunSettings, given: Mapping[str, Any]) -> Job:
         if info.fps is None:
             raise InputError(Problem("--fps", "fps", f"nothing, and {run.video} does not say", "frames per second"))
         settings = replace(settings, fps=info.fps)
-    return Job(run, settings)
+    return _Job(run, settings)
 
 
-def _motion_problems(run: RunSettings, given: Mapping[str, Any]) -> Iterator[Problem]:
+def _motion_problems(run: _RunSettings, given: Mapping[str, Any]) -> Iterator[Problem]:
     if run.camera_motion is not None and given.get("camera") is None:
         yield Problem("--camera-motion", "camera", "nothing", "--camera with the camera's lens")
     if run.camera_motion is not None and given.get("camera_track"):
@@ -192,7 +192,7 @@ def _motion_problems(run: RunSettings, given: Mapping[str, Any]) -> Iterator[Pro
 
 
 def run_video(
-    job: Job, progress: Progress = silent, ended: Callable[[_Done], None] = lambda done: None
+    job: _Job, progress: Progress = silent, ended: Callable[[_Done], None] = lambda done: None
 ) -> tuple[list[_Done], dict[str, Any]]:
     """All stages of a video, and the report of its fit; ended: told of each. Raises InputError where one cannot be
     done; what was done before stays."""
@@ -217,7 +217,7 @@ def run_video(
         return dones, report
 
 
-def _carry_out(name: str, stage: _Stage, job: Job, record: Record, again: bool, progress: Progress) -> _Done:
+def _carry_out(name: str, stage: _Stage, job: _Job, record: Record, again: bool, progress: Progress) -> _Done:
     began, known, before = time.perf_counter(), stage.identity(), record.rows.get(name)
     out, files = job.run.out, (before or {}).get("files", {})
     changed = [path for path, digest in files.items() if not (out / path).is_file() or sha256_of(out / path) != digest]
@@ -247,7 +247,7 @@ def _require_own(name: str, stage: _Stage, is_first: bool, changed: Sequence[Pat
         raise InputError(Problem(foreign[0], "file", found + more, expected))
 
 
-def _check_inputs(job: Job) -> None:
+def _check_inputs(job: _Job) -> None:
     """What would only be said after minutes of work. Raises InputError."""
     info, (_, _, cameras) = all_of(lambda: probe(job.run.video), lambda: read_model_and_cameras(job.given))
     size = cameras[0][0].image_size_px
@@ -257,7 +257,7 @@ def _check_inputs(job: Job) -> None:
         raise InputError(Problem(job.run.video, "size", found, expected))
 
 
-def _stages(job: Job) -> dict[str, _Stage]:
+def _stages(job: _Job) -> dict[str, _Stage]:
     """The stages that this job has, by name."""
     run, given, out = job.run, job.given, job.run.out
     keypoints, film = given.keypoints[0], {"video": run.video}
@@ -280,38 +280,38 @@ def _stages(job: Job) -> dict[str, _Stage]:
     }
 
 
-def _detect(job: Job, progress: Progress) -> Iterable[Path]:
+def _detect(job: _Job, progress: Progress) -> Iterable[Path]:
     (out,), how = job.given.keypoints, {"quality": job.run.quality, "threads": job.threads}
     import_module(DETECTOR).run_prediction(job.run.video, job.run.model, out, **how, overwrite=True, progress=progress)
     return [out]
 
 
-def _follow(job: Job, progress: Progress) -> Iterable[Path]:
+def _follow(job: _Job, progress: Progress) -> Iterable[Path]:
     from recon.workflows.camera_motion import of_clip, run_camera_motion
 
     more = {"first_frame": job.run.first_frame, "zoom": job.run.camera_motion == "zooms", "overwrite": True}
     return run_camera_motion(of_clip(job.given, job.run.video, job.run.track, **more), progress=progress)[1]
 
 
-def _fit(job: Job, progress: Progress) -> Iterable[Path]:
+def _fit(job: _Job, progress: Progress) -> Iterable[Path]:
     began, out = time.perf_counter(), job.run.out
     motion = fit_clip(job.fit, progress)
     write_clip(motion, job.fit, out, time.perf_counter() - began)
     return [out / name for name in (*read_manifest(out).files, MANIFEST)]
 
 
-def _analyse(job: Job, progress: Progress) -> Iterable[Path]:
+def _analyse(job: _Job, progress: Progress) -> Iterable[Path]:
     return run_analyse(AnalyseSettings(folder=job.run.out, overwrite=True), progress=progress)[2]
 
 
-def _overlay(job: Job, progress: Progress) -> Iterable[Path]:
+def _overlay(job: _Job, progress: Progress) -> Iterable[Path]:
     folder, out = job.run.out, job.run.out / OVERLAY
     how = {"video": job.run.video, "first_frame": job.run.first_frame, "overwrite": True}
     run_overlay(OverlaySettings(folder=folder, out=out, **how), progress=progress)
     return [out]
 
 
-def _page(job: Job, progress: Progress) -> Iterable[Path]:
+def _page(job: _Job, progress: Progress) -> Iterable[Path]:
     of = PageSettings(folder=job.run.out, video=job.run.video, first_frame=job.run.first_frame)
     return [run_page(of, progress=progress)]
 
@@ -319,7 +319,7 @@ def _page(job: Job, progress: Progress) -> Iterable[Path]:
 # -- a folder of videos -----------------------------------------------------------------------------------------------
 
 
-def jobs_of(run: RunSettings, given: Mapping[str, Any]) -> list[Job]:
+def jobs_of(run: _RunSettings, given: Mapping[str, Any]) -> list[_Job]:
     """One for each video of a folder, into a folder with its name. Raises InputError with the problems of all."""
     videos = sorted(p for p in run.video.iterdir() if p.suffix.lower() in SUFFIXES and not p.name.startswith("."))
     if not videos:
@@ -351,7 +351,7 @@ def keypoints_of(video: Path, folder: Path) -> Path:
 
 
 def run_folder(
-    jobs: Sequence[Job],
+    jobs: Sequence[_Job],
     out: Path,
     processes: int | None = None,
     on_event: Callable[[Event, Summary], None] = lambda event, summary: None,
@@ -366,7 +366,7 @@ def run_folder(
         return work_off(plan, out, partial(carry_out, _row_of, tasks, jobs=processes), on_event)
 
 
-def _row_of(job: Job, progress: Progress) -> dict[str, Any]:
+def _row_of(job: _Job, progress: Progress) -> dict[str, Any]:
     """All of `recon run` on one video: columns of its summary."""
     stages, report = run_video(job, progress)
     new = any(done.status == "done" for done in stages)

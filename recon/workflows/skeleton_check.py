@@ -25,7 +25,7 @@ _EVEN = 0.2
 mean over strides, not a stance."""
 
 
-class SkeletonCheckSettings(Settings):
+class _SkeletonCheckSettings(Settings):
     """What `recon skeleton check` is told."""
 
     skeleton: Annotated[
@@ -50,7 +50,7 @@ def skeleton_list(as_json: bool) -> Any:
     terminal().print(table_of(*shown, rows=(map(str, row.values()) for row in found)))
 
 
-def skeleton_check(settings: SkeletonCheckSettings, as_json: bool) -> Any:
+def skeleton_check(settings: _SkeletonCheckSettings, as_json: bool) -> Any:
     """Check a skeleton file, list what is in it, and draw it.
 
     Example: recon skeleton check my-dog.toml --out my-dog
@@ -90,7 +90,7 @@ def skeleton_check(settings: SkeletonCheckSettings, as_json: bool) -> Any:
         say(console, f"Pictures are in {settings.out}.")
 
 
-def run_skeleton_check(settings: SkeletonCheckSettings) -> dict[str, Any]:
+def run_skeleton_check(settings: _SkeletonCheckSettings) -> dict[str, Any]:
     """Read and describe a skeleton, and draw it into the folder `out`. Raises InputError."""
     check, out = check_skeleton(settings.skeleton, settings.subject), settings.out
     if out is not None:

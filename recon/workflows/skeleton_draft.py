@@ -47,7 +47,7 @@ SkeletonDraft = tuple[dict[str, str], tuple[str, ...], str]
 and the text of a skeleton file, to be completed."""
 
 
-class SkeletonDraftSettings(Settings):
+class _SkeletonDraftSettings(Settings):
     """What `recon skeleton from-keypoints` is told."""
 
     keypoints: Annotated[
@@ -72,7 +72,7 @@ class SkeletonDraftSettings(Settings):
     overwrite: Annotated[bool, Option("Replace the file.")] = False
 
 
-def skeleton_from_keypoints(settings: SkeletonDraftSettings) -> None:
+def skeleton_from_keypoints(settings: _SkeletonDraftSettings) -> None:
     """Draft a skeleton for the keypoints of a file: the proportions of the quadruped, with markers called so; or, with
     several calibrated cameras, whatever they are called, the bodies and joints that their distances show.
 
@@ -89,7 +89,7 @@ def skeleton_from_keypoints(settings: SkeletonDraftSettings) -> None:
     say(console, f"Look at it with: recon skeleton check {shlex.quote(str(out))} --out pictures")
 
 
-def run_skeleton_draft(settings: SkeletonDraftSettings) -> SkeletonDraft:
+def run_skeleton_draft(settings: _SkeletonDraftSettings) -> SkeletonDraft:
     """`recon skeleton from-keypoints`: write a draft of a skeleton for a keypoint file. Raises InputError."""
     for path in settings.keypoints:
         require_free_file(settings.out, settings.overwrite, source=path)
@@ -108,7 +108,7 @@ def run_skeleton_draft(settings: SkeletonDraftSettings) -> SkeletonDraft:
     return draft
 
 
-def _of_geometry(settings: SkeletonDraftSettings) -> SkeletonDraft:
+def _of_geometry(settings: _SkeletonDraftSettings) -> SkeletonDraft:
     """Raises InputError also where the cameras' poses are not known, or which way is up."""
     given = FitSettings(
         keypoints=settings.keypoints,

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import sys
+from importlib import import_module
 from typing import Annotated, Any
 
 import typer
+from typer.core import TyperCommand, TyperGroup
 
 from recon.base.errors import InputError
 from recon.base.interrupts import Interrupts, installed
-from recon.workflows.cli.command import HELP, CommandGroup, SettingsCommand
+from recon.workflows.cli.command import HELP, SettingsCommand, make_command
 from recon.workflows.cli.common import EXIT_BAD_INPUT, EXIT_UNSOLVED, error_text, stop, terminal
 
 _CORE, _ROBOTICS, _NET = "recon.workflows.", "recon.robotics.cli.", "recon.keypoint_net.cli."
@@ -87,16 +89,40 @@ GROUPS = {
 }
 
 
-class _Commands(CommandGroup):
-    """All commands. Any of them ends at Ctrl-C with one line and exit code 130."""
+class _Group(TyperGroup):
+    """Commands by name, of which only the one that is called is imported. functions: where each one's function is."""
+
+    functions: dict[str, str]
+
+    def load(self, name: str) -> SettingsCommand:
+        """A command by its name, of one word or two."""
+        module, _, function = self.functions[name].partition(":")
+        return make_command(name, getattr(import_module(module), function))
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        both = " ".join(args[:2])
+        name, command, rest = super().resolve_command(ctx, [both, *args[2:]] if both in self.commands else args)
+        is_leaf = command is not None and not isinstance(command, _Group)
+        return name, self.load(str(name)) if is_leaf else command, rest
+
+
+class _Commands(_Group):
+    """All commands of `COMMANDS`. Any of them ends at Ctrl-C with one line and exit code 130."""
 
     def __init__(self, **more: Any) -> None:
-        table = {
-            name: (function, help, panel)
-            for panel, entries in COMMANDS.items()
-            for name, (function, help) in entries.items()
-        }
-        super().__init__(table=table, groups=GROUPS, **more)
+        super().__init__(**more)
+        entries = {name: (*entry, panel) for panel, of in COMMANDS.items() for name, entry in of.items()}
+        self.functions = {name: function for name, (function, _, _) in entries.items()}
+        for name, (function, help, panel) in entries.items():
+            first, _, rest = name.partition(" ")
+            if first not in GROUPS:
+                self.add_command(TyperCommand(name, help=help, rich_help_panel=panel))
+                continue
+            more = {"help": GROUPS[first], "rich_help_panel": panel, "no_args_is_help": True}
+            group = self.commands.setdefault(first, _Group(name=first, **more))
+            assert isinstance(group, _Group)
+            group.functions = {**getattr(group, "functions", {}), rest: function}
+            group.add_command(TyperCommand(rest, help=help))
 
     def invoke(self, ctx: Any) -> Any:
         interrupts = installed() or Interrupts()
@@ -123,7 +149,7 @@ app = typer.Typer(
 def commands() -> dict[str, SettingsCommand]:
     """All commands by name, each made."""
     group = _Commands()
-    return {name: group.load(name) for name in group.table}
+    return {name: group.load(name) for name in group.functions}
 
 
 def main() -> None:

@@ -13,14 +13,13 @@ from __future__ import annotations
 
 import inspect
 import typing
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import MISSING, dataclass, replace
-from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from typer.core import TyperCommand, TyperGroup
+from typer.core import TyperCommand
 
 from recon.base.errors import InputError, Problem, refuse
 from recon.base.settings import SettingInfo, Settings, on_command_line
@@ -188,48 +187,3 @@ def _parameter(info: SettingInfo, overrules: bool) -> inspect.Parameter:
             flag = f"{flag}/--no-{flag[2:]}"
         typer_info = typer.Option(flag, metavar=metavar, rich_help_panel=option.panel, **more)
     return _keyword(info.field, list[kind] | None if info.is_many else kind | None, typer_info)
-
-
-# -- many commands ------------------------------------------------------------------------------------------------
-
-
-class CommandGroup(TyperGroup):
-    """Commands by name, of which only the one that is called is imported.
-
-    table: by name, where the function is, as in recon.workflows.cli.fit:fit, and what the list of commands says of it,
-    and under which heading. The first word of several may be that of a group, whose help stands in `groups`, or a
-    command."""
-
-    def __init__(
-        self,
-        *,
-        table: Mapping[str, tuple[str, str, str]] | None = None,
-        groups: Mapping[str, str] | None = None,
-        **more: Any,
-    ) -> None:
-        super().__init__(**more)
-        self.table = dict(table or {})
-        for name, (function, help, panel) in self.table.items():
-            first, _, rest = name.partition(" ")
-            if first in (groups or {}):
-                group = self.commands.setdefault(first, _group(first, (groups or {})[first], panel))
-                assert isinstance(group, CommandGroup)
-                group.table[rest] = (function, help, panel)
-                group.add_command(TyperCommand(rest, help=help))
-            else:
-                self.add_command(TyperCommand(name, help=help, rich_help_panel=panel))
-
-    def load(self, name: str) -> SettingsCommand:
-        """A command by its name, of one word or two."""
-        module, _, function = self.table[name][0].partition(":")
-        return make_command(name, getattr(import_module(module), function))
-
-    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        both = " ".join(args[:2])
-        name, command, rest = super().resolve_command(ctx, [both, *args[2:]] if both in self.commands else args)
-        is_leaf = command is not None and not isinstance(command, CommandGroup)
-        return name, self.load(str(name)) if is_leaf else command, rest
-
-
-def _group(name: str, help: str, panel: str | None) -> CommandGroup:
-    return CommandGroup(name=name, help=help, rich_help_panel=panel, no_args_is_help=True)
