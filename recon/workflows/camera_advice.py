@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
+import pandas as pd
 from pydantic import Field
 
 from recon.animal import load_prior, load_skeleton
@@ -120,6 +121,8 @@ def run_camera_advice(settings: _CameraAdviceSettings, progress: Progress = sile
         found.append(
             advise(*what, beside, progress=lambda share, n=number: progress("cameras", (n + share) / settings.cameras))
         )
+    table = pd.concat([_places(number, advice) for number, advice in enumerate(found, start=1)])
+    best = [advice.best[0] * len(advice.azimuths_rad) + advice.best[1] for advice in found]
     report = {
         "schema": {"name": "recon.camera_advice", "version": 1},
         "skeleton": body.name,
@@ -129,29 +132,22 @@ def run_camera_advice(settings: _CameraAdviceSettings, progress: Progress = sile
         "image_size_px": PICTURE_PX,
         "distance_m": found[0].distance_m,
         "cameras": [
-            {
-                "azimuth_rad": advice.place[0],
-                "elevation_rad": advice.place[1],
-                "height_m": advice.distance_m * np.sin(advice.place[1]),
-                f"sigma_{advice.unit}": float(advice.sigma[advice.best]),
-                "data_share": float(advice.share[advice.best]),
-            }
-            for advice in found
+            table[table["camera"] == number].drop(columns="camera").iloc[at].to_dict()
+            for number, at in enumerate(best, start=1)
         ],
         "words": [*in_sentences(found)],
     }
     with staged_folder(settings.out) as staging:
         (staging / REPORT).write_text(to_json(report), encoding="utf-8")
-        columns = "camera, azimuth_rad, elevation_rad, height_m, sigma_" + found[0].unit + ", data_share"
-        write_rows(staging / TABLE, [columns.split(", ")], _rows(found))
+        write_rows(staging / TABLE, [[*table.columns]], table.itertuples(index=False))
         plots.save(plots.camera_advice(found), staging, FIGURE)
     return report
 
 
-def _rows(found: Sequence[Advice]) -> Iterator[Sequence[Any]]:
-    for number, advice in enumerate(found, start=1):
-        for row, elevation in enumerate(advice.elevations_rad):
-            for column, azimuth in enumerate(advice.azimuths_rad):
-                height = advice.distance_m * np.sin(elevation)
-                sigma, share = advice.sigma[row, column], advice.share[row, column]
-                yield number, azimuth, elevation, height, sigma if np.isfinite(sigma) else np.nan, share
+def _places(number: int, advice: Advice) -> pd.DataFrame:
+    """A row for each place of a camera; without a sigma where the animal is not in the picture."""
+    elevation, azimuth = (at.ravel() for at in np.meshgrid(advice.elevations_rad, advice.azimuths_rad, indexing="ij"))
+    places = {"azimuth_rad": azimuth, "elevation_rad": elevation, "height_m": advice.distance_m * np.sin(elevation)}
+    sigma = np.where(np.isfinite(advice.sigma), advice.sigma, np.nan).ravel()
+    known = {f"sigma_{advice.unit}": sigma, "data_share": advice.share.ravel()}
+    return pd.DataFrame({"camera": number} | places | known)

@@ -33,7 +33,7 @@ NO_SIDES: Mapping[str, Side | None] = MappingProxyType({})
 _LEFT_MM, _RIGHT_MM, _TOP_MM, _GAP_MM, _LABELS_MM = 14.0, 4.0, 6.0, 3.0, 10.0
 _HEIGHT_MM, _FRONT_MM = 120.0, 45.0
 """Side and top view together, and the front view, at most."""
-_SIDE_BOX_MM, _LEFT_BOX_MM = 16.0, 12.0
+_LEAST_MM = (0.0, 12.0, 16.0)
 """Side and top view, at least: their axes' names have to fit."""
 
 
@@ -57,14 +57,15 @@ def composites(
         with drawing(40, title=title) as figure:
             blank(figure.subplots())
         return figure
-    R, origin = run_frame(joints_m, time_s, rows)
+    R, origin = run_frame(joints_m, rows)
     points = (joints_m[rows] - origin) @ R.T
     close = _boxes(points)
     x, y, z = (box[1] - box[0] for box in close)
     wide = WIDTH_MM - _LEFT_MM - _RIGHT_MM
     scale = min(wide / x, _HEIGHT_MM / (y + z))
     front = min(_FRONT_MM / z, wide / 2 / y)
-    boxes = [_at_least(box, mm / scale) for box, mm in zip(close, (0.0, _LEFT_BOX_MM, _SIDE_BOX_MM), strict=True)]
+    more = [max(0.0, mm / scale - (box[1] - box[0])) / 2 for box, mm in zip(close, _LEAST_MM, strict=True)]
+    boxes = [(box[0] - m, box[1] + m) for box, m in zip(close, more, strict=True)]
     tall = [scale * (box[1] - box[0]) for box in boxes]
     height = _TOP_MM + tall[2] + _GAP_MM + tall[1] + 2 * _LABELS_MM + _GAP_MM + front * z
     with drawing(height) as figure:
@@ -139,20 +140,14 @@ def chosen(joints_m: Array, limbs: Mapping[str, Sequence[int]]) -> Index:
     return rows[np.round(np.linspace(0, len(rows) - 1, count)).astype(int)] if count else rows
 
 
-def run_frame(joints_m: Array, time_s: Array, rows: Index) -> tuple[Array, Array]:
+def run_frame(joints_m: Array, rows: Index) -> tuple[Array, Array]:
     """R (3, 3), which turns the mean motion to +x, and the point (3,) that becomes the origin, at height 0."""
-    first = joints_m[rows[0]]
+    first, last = joints_m[rows[0]], joints_m[rows[-1]]
     origin = np.append(np.nanmean(first[:, :2], axis=0), 0.0)
-    # Joints come and go: each says how far it went while it was seen.
-    velocity, weight = np.zeros(2), 0.0
-    for path in np.moveaxis(joints_m, 1, 0):
-        seen = np.flatnonzero(np.isfinite(path).all(axis=1))
-        if len(seen) > 1 and time_s[seen[-1]] > time_s[seen[0]]:
-            velocity += path[seen[-1], :2] - path[seen[0], :2]
-            weight += time_s[seen[-1]] - time_s[seen[0]]
+    moved = (last - first)[np.isfinite(last - first).all(axis=1), :2]
+    velocity = moved.mean(axis=0) if len(moved) else np.zeros(2)
     size = float(np.linalg.norm(np.nanmax(first, axis=0) - np.nanmin(first, axis=0)))
-    moved = float(np.linalg.norm(velocity)) / weight * (time_s[-1] - time_s[0]) if weight else 0.0
-    if moved <= STILL * size:
+    if np.linalg.norm(velocity) <= STILL * size:
         return np.eye(3), origin
     c, s = velocity / np.linalg.norm(velocity)
     return np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]), origin
@@ -173,8 +168,3 @@ def _boxes(points: Array) -> Boxes:
     size = float(np.nanmax(np.nanmax(points, axis=1) - np.nanmin(points, axis=1))) or 1.0
     middle, half = (low + high) / 2, np.maximum((high - low) / 2 + 0.05 * size, 0.15 * size)
     return [(float(m - h), float(m + h)) for m, h in zip(middle, half, strict=True)]
-
-
-def _at_least(box: tuple[float, float], length: float) -> tuple[float, float]:
-    more = max(0.0, length - (box[1] - box[0])) / 2
-    return box[0] - more, box[1] + more
