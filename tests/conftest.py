@@ -12,6 +12,7 @@ from contextlib import suppress
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
+from tempfile import NamedTemporaryFile
 from typing import TYPE_CHECKING, Any
 
 # Before numpy is loaded: matrices are small here, and several processes share the cores.
@@ -100,7 +101,9 @@ def fitted_demo(whole_results: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def draw_small(patch: pytest.MonkeyPatch) -> None:
     """Figures are drawn as always, at a lower resolution, and letters are not fitted to its pixels."""
     patch.setattr(style, "PNG_DPI", SMALL_DPI)
-    patch.setitem(style._SETTINGS, "text.hinting", "none")
+    with NamedTemporaryFile("w", suffix=".mplstyle", encoding="utf-8", delete=False) as sheet:
+        sheet.write(style._SHEET.read_text(encoding="utf-8") + "text.hinting: none\n")
+    patch.setattr(style, "_SHEET", Path(sheet.name))
 
 
 def draw_two_methods(patch: pytest.MonkeyPatch) -> None:

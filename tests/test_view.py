@@ -33,8 +33,8 @@ PER_FRAME = {
         f"/{root}/{entity}": component
         for root in ("picture", "closeup")
         for entity, component in {
-            "detections": "LineStrips2D:strips",
-            "outliers": "LineStrips2D:strips",
+            "detections": "Points2D:positions",
+            "outliers": "Points2D:positions",
             "reprojections": "LineStrips2D:strips",
             "reprojections/joints": "Points2D:positions",
             "links": "LineStrips2D:strips",
@@ -176,8 +176,8 @@ def test_picture_has_the_pixels_of_the_motion(recording: Recording, world_motion
         seen = np.isfinite(picture.detected_px[row, :, 0])
         outlier = picture.outliers[row]
         for entity, chosen in (("detections", seen & ~outlier), ("outliers", seen & outlier)):
-            strokes = np.reshape(recording.values(f"/picture/{entity}", frame), (-1, 2, 2, 2))
-            np.testing.assert_allclose(strokes.mean(axis=(1, 2)), picture.detected_px[row, chosen], atol=1e-3)
+            points = np.reshape(recording.values(f"/picture/{entity}", frame), (-1, 2))
+            np.testing.assert_allclose(points, picture.detected_px[row, chosen], atol=1e-3)
         if world_motion.solved[row]:
             pixels = recording.values("/picture/reprojections/joints", frame)
             np.testing.assert_allclose(pixels, picture.reprojected_px[row], atol=1e-3)

@@ -17,6 +17,7 @@ from itertools import pairwise
 
 import cv2
 import numpy as np
+import pandas as pd
 
 from recon.base.arrays import Array, Bools, Index, Integers
 from recon.io.video import Image
@@ -140,20 +141,12 @@ class Overlay:
 def smoothed_headings(forward_m: Array, fps: float) -> Array:
     """Level unit vectors (T, 2) along forward_m (T, 3), averaged over `HEADING_S`.
 
-    Where there is none, that of the nearest frame that has one; x where there is none at all.
+    Where there is none, that of the last frame that has one; x where there is none at all.
     """
-    level = forward_m[:, :2]
-    known = np.asarray(np.isfinite(level).all(axis=1))
-    if not known.any():
-        return np.tile([1.0, 0.0], (len(level), 1))
-    window = np.ones(2 * round(0.5 * HEADING_S * fps) + 1)
-    half = len(window) // 2
-    filled = np.where(known[:, None], level, 0.0)
-    total = np.stack([np.convolve(filled[:, k], window)[half : half + len(level)] for k in (0, 1)], axis=1)
-    length = np.linalg.norm(total, axis=1)
-    usable = np.flatnonzero(length > 0)
-    nearest = usable[np.argmin(np.abs(usable[:, None] - np.arange(len(level))), axis=0)]
-    return total[nearest] / length[nearest, None]
+    frames = 2 * round(0.5 * HEADING_S * fps) + 1
+    level = pd.DataFrame(forward_m[:, :2]).rolling(frames, center=True, min_periods=1).mean()
+    level = level.ffill().bfill().fillna({0: 1.0, 1: 0.0}).to_numpy()
+    return level / np.linalg.norm(level, axis=1, keepdims=True)
 
 
 def canvas_size(size_px: tuple[int, int]) -> tuple[int, int]:

@@ -45,30 +45,7 @@ GREY, PALE = "#666666", "#BBBBBB"
 SMALL = 7.0
 """Points: ticks, legends, captions."""
 
-_SETTINGS: dict[Any, Any] = {
-    "font.family": "sans-serif",
-    "font.sans-serif": ["DejaVu Sans"],
-    "font.size": 8.0,
-    "axes.titlesize": 8.0,
-    "axes.titley": 1.0,  # nothing stands on top of axes; to look there takes a tenth of the time
-    "axes.labelsize": 8.0,
-    "figure.titlesize": 9.0,
-    "xtick.labelsize": SMALL,
-    "ytick.labelsize": SMALL,
-    "legend.fontsize": SMALL,
-    "legend.frameon": False,
-    "legend.handlelength": 3.0,
-    "axes.linewidth": 0.6,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "xtick.major.width": 0.6,
-    "ytick.major.width": 0.6,
-    "lines.linewidth": 1.1,
-    "hatch.linewidth": 0.6,
-    "svg.fonttype": "none",
-    "text.parse_math": False,  # names are no formulas
-    "svg.hashsalt": "recon",
-}
+_SHEET = Path(__file__).with_name("recon.mplstyle")
 
 
 @contextmanager
@@ -122,7 +99,7 @@ def _settings() -> Iterator[None]:
 
     with mpl.rc_context():
         mpl.rcdefaults()
-        mpl.rcParams.update(_SETTINGS)
+        mpl.rcParams.update(mpl.rc_params_from_file(_SHEET, use_default_template=False))
         yield
 
 

@@ -77,7 +77,7 @@ def _pictures(pictures: Sequence[Picture]) -> rrb.Tabs:
 
 HALF_FIELD_DEG = 27.5
 """Half the field of view of the viewer's eye, upright."""
-_MARKS = "close up: + detected, ● reprojected, red: outlier"
+_MARKS = "close up: white detected, ● reprojected, red: outlier"
 
 
 def _flat(entity: str, name: str, low: Array, high: Array) -> rrb.Spatial2DView:
@@ -92,24 +92,12 @@ def _title(motion: Motion) -> str:
     return title + "; shells: one sigma"
 
 
-_LINE_SHARE, _LEGEND_SHARE, _MOST_SHARE = 0.075, 0.05, 0.6
-"""Shares of a plot's height in a window of 1080 px: what each line's name takes of it, all their frame, and at most."""
-
-
 def time_view(series: TimePlot) -> rrb.TimeSeriesView:
-    """With room above the lines for their names; one line alone is named by the title."""
-    values = series.values if series.shown is None else series.shown
-    known = np.append(values[np.isfinite(values)], 0.0)  # all of them have zero in sight
-    least, most = known.min(), known.max()
-    margin = 0.06 * (most - least) + 1e-3
-    several = len(series.names) > 1
-    share = min(_LINE_SHARE * len(series.names) + _LEGEND_SHARE, _MOST_SHARE) if several else 0.0
-    room = (most - least + 2 * margin) * share / (1 - share)
+    """One line alone is named by the title."""
     return rrb.TimeSeriesView(
         origin=series.entity,
         name=series.title,
-        axis_y=rrb.ScalarAxis(range=(least - margin, most + margin + room)),
-        plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop, visible=several),
+        plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop, visible=len(series.names) > 1),
         background=PlotBackground(color=BACKGROUND),
     )
 

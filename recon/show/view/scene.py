@@ -34,15 +34,14 @@ GRID_SPACING_M = 1.0
 
 @dataclass(frozen=True)
 class TimePlot:
-    """One plot: values (T, lines), and a name and a colour for each line. shown: what sets its range, where that is not
-    all of it; tab: the name of the tab that it stands in, side by side with others of that name."""
+    """One plot: values (T, lines), and a name and a colour for each line. tab: the name of the tab that it stands in,
+    side by side with others of that name."""
 
     entity: str
     title: str
     names: Sequence[str]
     colours: Sequence[Colour]
     values: Array
-    shown: Array | None = None
     tab: str = ""
 
 

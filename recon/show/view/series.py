@@ -121,13 +121,10 @@ def analysis_plots(found: ClipAnalysis) -> Iterator[TimePlot]:
         shown.append(("spine", "Flexion of the spine (°)", np.degrees(flexion.value[:, 0]), sigma))
     for entity, title, values, sigma in shown:
         lines = {entity: values}
-        if sigma is not None:
+        if sigma is not None and entity != "acceleration":  # whose deviations are many times as large as it is
             lines |= {"minus one sigma": values - sigma, "plus one sigma": values + sigma}
-        at_frames = np.stack([*lines.values()], axis=1)[::every]
-        # The deviations of an acceleration are many times as large as it is.
-        range_of = at_frames[:, :1] if entity == "acceleration" else None
-        colours = [TRAIL, LINK, LINK][: len(lines)]
-        yield TimePlot(f"analysis/{entity}", title, [*lines], colours, at_frames, range_of, "Kinematics")
+        at_frames, colours = np.stack([*lines.values()], axis=1)[::every], [TRAIL, LINK, LINK][: len(lines)]
+        yield TimePlot(f"analysis/{entity}", title, [*lines], colours, at_frames, "Kinematics")
     if found.dynamics is not None and found.gait is not None:
         rows = np.searchsorted(found.gait.tracks.time_s, times_s - 1e-6)
         forces = {foot: force[rows, 0] for foot, force in found.dynamics.force.items()}

@@ -152,21 +152,18 @@ def write_pictures(motion: Motion, log: Log) -> None:
     for picture, whole, closeup in zip(motion.pictures, wholes, closeups, strict=True):
         size = np.array(picture.camera.image_size_px, dtype=float)
         log.fix(f"{whole}/frame", rr.Boxes2D(array=[-0.5, -0.5, *size], array_format=rr.Box2DFormat.XYWH, colors=EDGE))
-        low, high = picture_bounds(picture)
-        origin_px = np.zeros((len(motion.frames), 2))
-        _write_points(whole, origin_px, 0.007 * float(np.max(high - low)), motion, picture, log)
-        middle, reach = middle_and_reach_px(picture)
-        _write_points(closeup, middle, 0.03 * float(reach.max()), motion, picture, log)
+        _write_points(whole, np.zeros((len(motion.frames), 2)), motion, picture, log)
+        _write_points(closeup, middle_and_reach_px(picture)[0], motion, picture, log)
 
 
-def _write_points(root: str, origin_px: Array, arm: float, motion: Motion, picture: Picture, log: Log) -> None:
-    """origin_px (T, 2): what is drawn at (0, 0); arm: of a detection's cross, px."""
+def _write_points(root: str, origin_px: Array, motion: Motion, picture: Picture, log: Log) -> None:
+    """origin_px (T, 2): what is drawn at (0, 0)."""
     outliers = picture.outliers
     detected, reprojected = (xy - origin_px[:, None] for xy in (picture.detected_px, picture.reprojected_px))
     for entity, colour, chosen in (("detections", DETECTION, ~outliers), ("outliers", OUTLIER, outliers)):
-        log.fix(f"{root}/{entity}", rr.LineStrips2D.from_fields(colors=colour, radii=rr.Radius.ui_points(1.0)))
         shown = chosen & np.isfinite(detected[..., 0])
-        log.send(f"{root}/{entity}", lines(rr.LineStrips2D, _crosses(detected[shown], arm), 2 * shown.sum(axis=1)))
+        log.send(f"{root}/{entity}", rr.Points2D.columns(positions=detected[shown]).partition(shown.sum(axis=1)))
+        log.fix(f"{root}/{entity}", rr.Points2D.from_fields(colors=colour, radii=rr.Radius.ui_points(2.0)))
 
     limbs = [list(limb) for limb in motion.limbs.values()]
     parts = [[(c, part) for c, limb in enumerate(limbs) for part in unbroken(pose[limb])] for pose in reprojected]
@@ -208,9 +205,3 @@ def picture_bounds(picture: Picture) -> tuple[Array, Array]:
     low, high = points.min(axis=0), points.max(axis=0)
     margin = 0.08 * float(np.max(high - low)) + 10.0
     return low - margin, high + margin
-
-
-def _crosses(points_px: Array, arm_px: float) -> Array:
-    """(2N, 2, 2): the ends of upright crosses at points (N, 2)."""
-    arms = np.array([[[-arm_px, 0.0], [arm_px, 0.0]], [[0.0, -arm_px], [0.0, arm_px]]])
-    return (points_px[:, None, None] + arms).reshape(-1, 2, 2)
