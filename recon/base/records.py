@@ -205,4 +205,5 @@ def _validated(of: type[_Class], fields: Any) -> _Class:
 @cache
 def _adapter(of: type) -> TypeAdapter[Any]:
     """What checks a list of one such dataclass: one by itself takes no configuration."""
-    return TypeAdapter(GenericAlias(list, (of,)), config=ConfigDict(extra="forbid", arbitrary_types_allowed=True))
+    many: Any = GenericAlias(list, (of,))
+    return TypeAdapter(many, config=ConfigDict(extra="forbid", arbitrary_types_allowed=True))
