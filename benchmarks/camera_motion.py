@@ -143,11 +143,11 @@ def measured(one: Film, zoom: bool) -> tuple[np.ndarray, np.ndarray, TurningMoti
         tracker.add(number, picture)
     motion = tracker.finish()
     seconds = (time.process_time() - begun) / len(one.pictures)
-    found = np.stack([turn.rotation for turn in motion.turns])
+    found = np.stack([one.rotation for one in motion.orientations])
     truth = one.rotations[motion.frames]
     off = (found @ found[0].T) @ (truth @ truth[0].T).swapaxes(1, 2)
     error = np.degrees(Rotation.from_matrix(off).magnitude())
-    zooms = np.array([turn.zoom for turn in motion.turns])
+    zooms = np.array([one.zoom for one in motion.orientations])
     return error, np.abs(zooms / one.zooms[motion.frames] - 1), motion, seconds
 
 

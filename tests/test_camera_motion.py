@@ -75,7 +75,7 @@ def tracked(pictures, camera: Camera = PINHOLE, **options):
 
 
 def errors_deg(motion, rotations: np.ndarray) -> np.ndarray:
-    found, truth = np.stack([turn.rotation for turn in motion.turns]), rotations[motion.frames]
+    found, truth = np.stack([one.rotation for one in motion.orientations]), rotations[motion.frames]
     off = (found @ found[0].T) @ (truth @ truth[0].T).swapaxes(1, 2)
     return np.degrees(Rotation.from_matrix(off).magnitude())
 
@@ -133,7 +133,7 @@ def test_the_animal_is_masked_by_its_points():
 def test_zoom_is_found_with_the_turn():
     rotations, zooms = pan(16, 8.0), np.linspace(1, 1.3, 16)
     motion = tracked((seen(R, zoom=z) for R, z in zip(rotations, zooms, strict=True)), solve_zoom=True)
-    found = np.array([turn.zoom for turn in motion.turns])
+    found = np.array([one.zoom for one in motion.orientations])
     assert np.abs(found / zooms - 1).max() < 1e-3
     assert errors_deg(motion, rotations).max() < 0.05
 
@@ -173,11 +173,11 @@ def test_a_camera_that_is_carried_is_recognised(follows):
 
 
 def test_level_is_the_first_frame_as_told_or_the_mean_frame():
-    turns = [Orientation(R) for R in pan(9, 10.0)]
-    told = as_level(turns, tilted(np.radians(12)))[0].rotation
+    orientations = [Orientation(R) for R in pan(9, 10.0)]
+    told = as_level(orientations, tilted(np.radians(12)))[0].rotation
     np.testing.assert_allclose(told[2, 2], -np.sin(np.radians(12)))
     np.testing.assert_allclose(told[0], [1, 0, 0], atol=1e-12)
-    mean = np.mean([turn.rotation for turn in as_level(turns, None)], axis=0)
+    mean = np.mean([one.rotation for one in as_level(orientations, None)], axis=0)
     np.testing.assert_allclose(mean[2] / np.linalg.norm(mean[2]), [0, 1, 0], atol=1e-3)
 
 
@@ -200,18 +200,20 @@ POSTS = [("vertical", t, 5 * AWAY + x * ACROSS + np.outer([-2.2, 2.2], UP)) for 
 
 @pytest.mark.parametrize("lines", [[HORIZON], POSTS, [HORIZON, *POSTS]], ids=["horizon", "posts", "both"])
 def test_marks_tell_which_way_is_up(tmp_path, lines):
-    path, turns = marked(tmp_path, lines), [Orientation(R) for R in pan(9, 10.0)]
-    up, sigma = up_by_marks(path, read_marks(path), FISHEYE, {t + 3: turn for t, turn in enumerate(turns)})
-    np.testing.assert_allclose(up, turns[0].rotation @ UP, atol=1e-4)
+    path, orientations = marked(tmp_path, lines), [Orientation(R) for R in pan(9, 10.0)]
+    up, sigma = up_by_marks(
+        path, read_marks(path), FISHEYE, {t + 3: orientation for t, orientation in enumerate(orientations)}
+    )
+    np.testing.assert_allclose(up, orientations[0].rotation @ UP, atol=1e-4)
     assert 0.001 < sigma < 0.05
-    np.testing.assert_allclose(as_level(turns, up)[4].rotation[:, 2], turns[4].rotation @ UP, atol=1e-4)
+    np.testing.assert_allclose(as_level(orientations, up)[4].rotation[:, 2], orientations[4].rotation @ UP, atol=1e-4)
 
 
 def test_marks_that_do_not_tell_are_refused(tmp_path):
-    turns = {t + 3: Orientation(R) for t, R in enumerate(pan(9, 10.0))}
+    orientations = {t + 3: Orientation(R) for t, R in enumerate(pan(9, 10.0))}
     path = marked(tmp_path, POSTS[:1])
     with pytest.raises(InputError, match="leave the upward direction open"):
-        up_by_marks(path, read_marks(path), FISHEYE, turns)
+        up_by_marks(path, read_marks(path), FISHEYE, orientations)
     with pytest.raises(InputError, match="found 4, expected one of the video"):
         up_by_marks(path, read_marks(path), FISHEYE, {3: Orientation(np.eye(3))})
     path.write_text(

@@ -18,7 +18,7 @@ from recon.fit.terms import (
     Heading,
     Linear,
     Reprojection,
-    Standing,
+    StanceVelocity,
     climb_term,
     dynamics_term,
     extrinsic_correction,
@@ -93,7 +93,7 @@ def seen_late(shared: bool = True) -> LeastSquares:
     linear = [t for t in terms() if isinstance(t, Linear)]
     held = Linear("held", (0,), 0.01 * np.eye(BODY.n_state)[None], np.zeros(BODY.n_state))  # the last frame by one view
     free = [*unknown, *displaced] if shared else unknown
-    stance = Standing(FEET, FPS, 2.5, 2.0)
+    stance = StanceVelocity(FEET, FPS, 2.5, 2.0)
     rear, front = (BODY.markers.index(marker) for marker in BODY.forward)
     return LeastSquares(
         BODY.tree,

@@ -18,7 +18,7 @@ from recon.fit.terms import (
     PoseMixture,
     Reprojection,
     Span,
-    Standing,
+    StanceVelocity,
     climb_term,
     dynamics_term,
     pose_term,
@@ -92,7 +92,7 @@ def terms():
         Reprojection(moving_view(xy_px, confidence), sigma, 3.0, np.zeros(3)),
         Heading(rear, front, FPS, 0.5),
         KnownAngles(some_states(1), 0.05),
-        Standing(FEET, FPS, 2.5, 2.0),
+        StanceVelocity(FEET, FPS, 2.5, 2.0),
         OnGround(FEET, contact, np.array([-0.8, 0.01, -0.02]), np.array([0.3, 7.0]), FPS, 0.04),
     ]
 

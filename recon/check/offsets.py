@@ -57,8 +57,8 @@ def solved_in_step(
     return sources, solution
 
 
-def _problems(names: Sequence[str], later: Array, lags: Array, sigmas: Array) -> Iterator[Problem]:
-    for name, frames, lag, sigma in zip(names, later, lags, sigmas, strict=True):
+def _problems(names: Sequence[str], later: Array, rests: Array, sigmas: Array) -> Iterator[Problem]:
+    for name, frames, lag, sigma in zip(names, later, rests, sigmas, strict=True):
         if sigma > MAX_SIGMA_FRAMES or abs(lag) > MAX_SIGMA_FRAMES:
             found = f"{frames + lag:.1f} ± {max(sigma, abs(lag)):.1f} frames later, from a motion that hardly tells"
             expected = f"a clip that tells it to {MAX_SIGMA_FRAMES:g}, or --set offset-s as measured otherwise"

@@ -26,7 +26,7 @@ from recon.fit.terms import (
     OnGround,
     PoseMixture,
     Reprojection,
-    Standing,
+    StanceVelocity,
     Term,
     climb_term,
     dynamics_term,
@@ -252,12 +252,12 @@ class ClipProblem:
         off_m = np.array([spread_m.get(m, self.keypoint_bias_m) for m in self.body.markers]) / root
         common = constants.COMMON_BIAS_SHARE if V > 1 else 0.0
         own_m, common_m = np.repeat(off_m * (1 - common) ** 0.5, 2), np.repeat(off_m * common**0.5, 3)
-        displaced = [Shared(keypoint_bias(i), np.zeros(2 * J), own_m) for i in range(V)] if own_m.all() else []
-        displaced += [Shared(COMMON_KEYPOINT_BIAS, np.zeros(3 * J), common_m)] if common_m.all() else []
+        keypoint_biases = [Shared(keypoint_bias(i), np.zeros(2 * J), own_m) for i in range(V)] if own_m.all() else []
+        keypoint_biases += [Shared(COMMON_KEYPOINT_BIAS, np.zeros(3 * J), common_m)] if common_m.all() else []
         return (
-            ([*size, *sideslip, *time_offsets, *corrections], displaced)
+            ([*size, *sideslip, *time_offsets, *corrections], keypoint_biases)
             if V > 1
-            else (size, [*time_offsets, *displaced])
+            else (size, [*time_offsets, *keypoint_biases])
         )
 
     def _shifts_m(self, around_m: Array, size: float) -> Array:
@@ -331,7 +331,7 @@ def contacts(clip: ClipProblem, points_m: Array, size: float) -> tuple[Array, Gr
     """Contact (T, F) of every foot, the ground under them, and the terms that hold both, for markers (T, J, 3) at
     nominal size about the origin."""
     feet = clip.feet
-    stance = Standing(feet, clip.fps, constants.SLIP_M_S, constants.SLIP_C)
+    stance = StanceVelocity(feet, clip.fps, constants.SLIP_M_S, constants.SLIP_C)
     _, _, still = stance.contact(points_m, size)
     middle = 0.5 * (points_m[1:, feet] + points_m[:-1, feet])
     height, sigma = float(np.percentile(middle[..., 2], 10)), 10.0

@@ -28,7 +28,7 @@ def at_solution(
     """Every segment with what it was solved for, and its solution: states (T, D) about the clip's origin and at nominal
     size, and the unknowns that its frames share. The noise of the joints is the solution's, the mean of several
     segments; contacts follow from the solution. A segment with a frame that ran away is left out."""
-    told_px = np.array([[mean(of_joint) for of_joint in noise_px.T] for noise_px in solution.noise_px])
+    mean_noise_px = np.array([[mean(of_joint) for of_joint in noise_px.T] for noise_px in solution.noise_px])
     size = solution.size if clip.shows_size else 1.0
     told = {time_offset(i): np.array([later]) for i, later in enumerate(solution.time_offset_frames)}
     told |= {SIZE: np.array([size]), SIDESLIP: np.array([solution.sideslip_rad])}
@@ -39,8 +39,8 @@ def at_solution(
         if not np.isfinite(found).all():
             continue
         points = part.markers(found)
-        noise_px = part.noise_px(points, np.ones_like(told_px), size)
-        noise_px *= (told_px / noise_px.mean(axis=1))[:, None]
+        noise_px = part.noise_px(points, np.ones_like(mean_noise_px), size)
+        noise_px *= (mean_noise_px / noise_px.mean(axis=1))[:, None]
         stand = clip.options.ground == "auto" and len(part.feet) > 0 and len(found) > 2
         problem = part.problem(noise_px, 1.0, contacts(part, points, size)[2] if stand else (), points, size)
         # refined cameras are in place

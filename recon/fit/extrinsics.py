@@ -224,7 +224,7 @@ def _aligned(a: Array, b: Array, rounds: int = 30) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class _Reduced:
+class _ReducedProblem:
     """A segment's cost by all cameras' places, all else eliminated: curvature (6V, 6V) and gradient (6V,)."""
 
     curvature: Array
@@ -245,7 +245,7 @@ class _Reduced:
         )
 
 
-def _reduced(clip: ClipProblem, solved: Solved) -> _Reduced:
+def _reduced(clip: ClipProblem, solved: Solved) -> _ReducedProblem:
     """Without the ground, whose plane follows the feet: as it is, it would hold the world's tilt."""
     V, problem = len(clip.views), solved.problem
     places = [Shared(extrinsic_correction(i), np.zeros(6), np.full(6, np.inf)) for i in range(V)]
@@ -261,10 +261,10 @@ def _reduced(clip: ClipProblem, solved: Solved) -> _Reduced:
     n = len(S) - 6 * V
     own = np.asarray(np.linalg.solve(S[:n, :n], S[:n, n:]), dtype=float)
     left = S[n:, n:] - S[n:, :n] @ own
-    return _Reduced(left[:, :-1], left[:, -1], solved, Y[..., n:] - Y[..., :n] @ own, own)
+    return _ReducedProblem(left[:, :-1], left[:, -1], solved, Y[..., n:] - Y[..., :n] @ own, own)
 
 
-def _disagreement(clips: Sequence[ClipProblem], reduced: Sequence[tuple[int, _Reduced]]) -> Array:
+def _disagreement(clips: Sequence[ClipProblem], reduced: Sequence[tuple[int, _ReducedProblem]]) -> Array:
     """(C, V), see `Rig`: the drop of each clip's cost if that camera stood elsewhere for this clip alone, twice."""
     C, V = len(clips), len(clips[0].views)
     curvature, gradient = np.zeros((C, V, 6, 6)), np.zeros((C, V, 6))
@@ -299,7 +299,7 @@ def _beside_first(poses: Sequence[Array], covariance: Array) -> Array:
 def _above_ground(
     clips: Sequence[ClipProblem],
     segments: Sequence[tuple[int, Solved]],
-    reduced: Sequence[tuple[int, _Reduced]],
+    reduced: Sequence[tuple[int, _ReducedProblem]],
     covariance: Array,
 ) -> tuple[float, Array]:
     """The ground's height and the deviations (V,) of the cameras' heights above it, see `Rig`. The ground follows the

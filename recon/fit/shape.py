@@ -20,7 +20,7 @@ from recon.animal.body import Body, other_side, side_of
 from recon.base.arrays import Array
 from recon.fit.banded import eliminated
 from recon.fit.clip_problem import ClipProblem
-from recon.fit.terms import OnGround, Reprojection, Span, Standing
+from recon.fit.terms import OnGround, Reprojection, Span, StanceVelocity
 from recon.fit.trajectory import Solved, in_step, refined, solve_segments
 from recon.geometry.kinematics import TreePose
 
@@ -247,7 +247,7 @@ def _reduced(shape: Shape, clip: ClipProblem, solved: Solved) -> tuple[Array, Ar
     pose = problem.tree.pose_with_jacobian(states)
     by_shape = shape.jacobian(clip.body, states)
     for term in problem.terms:
-        if not isinstance(term, Reprojection | Standing | OnGround):
+        if not isinstance(term, Reprojection | StanceVelocity | OnGround):
             continue
         shared = solved.estimate.shared
         by_state = term.evaluate(Span(0, states, pose, True, shared), jacobian=True)

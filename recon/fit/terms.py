@@ -286,12 +286,12 @@ class Reprojection:
         seen = present & valid
         e = np.where(seen[..., None], projected - view.xy_px, 0.0) / sigma[..., None]
         q = np.sum(e * e, axis=-1) / self.c**2
-        trust = np.where(present, view.confidence, 0.0)
+        confidence = np.where(present, view.confidence, 0.0)
         loss = np.where(valid, np.log1p(q), OUT_OF_SIGHT)
-        cost = 0.5 * self.c**2 * np.sum(loss * trust, axis=1)
+        cost = 0.5 * self.c**2 * np.sum(loss * confidence, axis=1)
         if by_point is None:
             return _TermRows(cost)
-        root = np.sqrt(np.where(seen, trust / (1.0 + q), 0.0))[..., None]
+        root = np.sqrt(np.where(seen, confidence / (1.0 + q), 0.0))[..., None]
         by_point = by_point * np.where(seen[..., None], root / sigma[..., None], 0.0)[..., None]
         N, J = q.shape
         by_state = by_point * size
@@ -393,7 +393,7 @@ class Heading:
 
 
 @dataclass(frozen=True)
-class Standing:
+class StanceVelocity:
     """A foot that nearly stands, stands: its velocity with a redescending loss, (c sigma)^2 / 2 at most.
 
     In the world: at nominal size, feet that a moving camera follows would stand for any animal that is large enough.

@@ -407,13 +407,13 @@ def _travel(time_s: Array, body_m: Array) -> Array:
 
 def stances(moved: Tracks) -> tuple[Stance, ...]:
     """All feet's stances in the order of their beginnings (see the module); none where the ground cannot be told."""
-    if ground_doubt(moved):
+    if why_no_ground(moved):
         return ()
     found = [s for k in range(len(moved.feet)) for s in _stances_of(moved, k)]
     return tuple(sorted(found, key=lambda s: (s.start_s, s.foot)))
 
 
-def ground_doubt(moved: Tracks) -> str | None:
+def why_no_ground(moved: Tracks) -> str | None:
     """Why the ground under the feet cannot be told; None where it can."""
     planes = [plane for _, plane in moved.grounds if plane.samples]
     if not planes:
@@ -499,7 +499,7 @@ def gait(moved: Tracks) -> Gait:
         stride_sigma_s=sigma_s,
         duty_factor={foot: median([s.duty_factor for s in taken if s.foot == foot]) for foot in moved.feet},
         speed_m_s=mean(moved.body_speed_m_s),
-        name=name_gait(found, taken, lasts_s, ground_doubt(moved) or _too_few(moved.feet)),
+        name=name_gait(found, taken, lasts_s, why_no_ground(moved) or _too_few(moved.feet)),
         doubtful=doubtful,
     )
 

@@ -313,7 +313,7 @@ def _spline_sigmas(t: Array, at: Array, errors: Sequence[Errors], weight: Array,
 
 def _amid(t: Array, errors: Sequence[Errors], per: int) -> Array:
     """Variances (3, M, d) of an exact spline through evenly spaced values (n,), `per` samples a frame, without the
-    `_REACH` frames at either end: there every frame's samples depend alike on the values about it."""
+    `_REACH` frames at either end: there every frame's samples depend correlated on the values about it."""
     wide, step = 2 * _REACH, (t[-1] - t[0]) / (len(t) - 1)
     spline = CubicSpline(step * np.arange(2 * wide), np.eye(2 * wide))
     shares = _evaluate(spline, step * (wide - 1 + np.arange(per) / per))[:, :, _REACH:-_REACH].reshape(3 * per, wide)
@@ -337,8 +337,8 @@ def _products(shares: Array, step: float, correlation_s: float) -> tuple[dict[in
     taken, factors = {}, []
     largest = np.max(shares**2, axis=1, keepdims=True)
     for lag in range(shares.shape[1] if correlation_s else 1):
-        alike = np.exp(-0.5 * (lag * step / correlation_s) ** 2) if lag else 1.0
-        of_lag = (2.0 if lag else 1.0) * alike * shares[:, : shares.shape[1] - lag] * shares[:, lag:]
+        correlated = np.exp(-0.5 * (lag * step / correlation_s) ** 2) if lag else 1.0
+        of_lag = (2.0 if lag else 1.0) * correlated * shares[:, : shares.shape[1] - lag] * shares[:, lag:]
         counts = np.flatnonzero((np.abs(of_lag) > _LEAST_PRODUCT * largest).any(axis=0))
         if len(counts):
             taken[lag] = (int(counts[0]), int(counts[-1]) + 1)

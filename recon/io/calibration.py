@@ -89,9 +89,9 @@ def read_cameras(path: CameraFiles, image_size_px: tuple[int, int] | None = None
         Problem(path, "camera names", f"{name!r} {count} times", "a name of its own for each camera")
         for name, count in _twice(cameras).items()
     ]
-    # A size that was given contradicts all cameras of a file alike.
-    alike = [(p.found, p.expected) if p.expected.endswith(AS_GIVEN) else i for i, p in enumerate(problems)]
-    refuse(problem for i, problem in enumerate(problems) if alike.index(alike[i]) == i)
+    # A size that was given contradicts all cameras of a file same_faults.
+    same_faults = [(p.found, p.expected) if p.expected.endswith(AS_GIVEN) else i for i, p in enumerate(problems)]
+    refuse(problem for i, problem in enumerate(problems) if same_faults.index(same_faults[i]) == i)
     return cameras
 
 

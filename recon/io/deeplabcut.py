@@ -238,9 +238,9 @@ def _prefixes(bodyparts: Iterable[str]) -> tuple[str, ...]:
     for name in bodyparts:
         animal, _, part = name.partition("_")
         parts.setdefault(animal, set()).add(part)
-    alike = len(parts) > 1 and len({*map(frozenset, parts.values())}) == 1
+    same_parts = len(parts) > 1 and len({*map(frozenset, parts.values())}) == 1
     many = min(map(len, parts.values()), default=0) >= MIN_PARTS
-    return tuple(parts) if alike and many and not PLACES & {name.lower() for name in parts} else ()
+    return tuple(parts) if same_parts and many and not PLACES & {name.lower() for name in parts} else ()
 
 
 # -- writing ---------------------------------------------------------------------------------------------------------

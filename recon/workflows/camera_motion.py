@@ -150,7 +150,7 @@ def run_camera_motion(
     if animal is not None:
         _require_same_frames(settings, points, motion)
     up, level = _up(settings, motion, lens, marks)
-    motion = replace(motion, turns=as_level(motion.turns, up))
+    motion = replace(motion, orientations=as_level(motion.orientations, up))
     report = _report(settings, motion, lens, level)
     picture = _panorama(lens, motion, points)
     report_file, picture_file = (
@@ -235,7 +235,7 @@ def _up(
         return tilted(np.radians(s.tilt_deg)), level
     if s.level_marks is None:
         return None, "the mean of all frames is taken as level: its tilt and roll are 0"
-    by_frame = dict(zip((motion.frames + s.first_frame).tolist(), motion.turns, strict=True))
+    by_frame = dict(zip((motion.frames + s.first_frame).tolist(), motion.orientations, strict=True))
     up, sigma = up_by_marks(s.level_marks, marks, lens, by_frame)
     return up, f"by {len(marks)} marks in {s.level_marks}, to {np.degrees(sigma):.1g} degrees if they are 2 px off"
 
@@ -244,11 +244,11 @@ def _up(
 
 
 def _write_track(path: Path, s: _CameraMotionSettings, motion: TurningMotion, camera: Camera) -> None:
-    q = quaternions(np.stack([turn.rotation for turn in motion.turns]))[:, [3, 0, 1, 2]]
+    q = quaternions(np.stack([one.rotation for one in motion.orientations]))[:, [3, 0, 1, 2]]
     q *= np.where(q[:, :1] < 0, -1.0, 1.0)
     poses = np.round(np.concatenate([q, np.zeros((len(q), 3))], axis=1), 9)
     if s.zoom:
-        K, zooms = camera.matrix, np.array([turn.zoom for turn in motion.turns])[:, None]
+        K, zooms = camera.matrix, np.array([one.zoom for one in motion.orientations])[:, None]
         lens = [zooms * [K[0, 0], K[1, 1]], np.tile(K[:2, 2], (len(q), 1))]
         poses = np.concatenate([poses, np.round(np.concatenate(lens, axis=1), 4)], axis=1)
     poses = np.concatenate([poses, np.round(np.degrees(motion.sigma_rad)[:, None], 5)], axis=1)
@@ -256,14 +256,17 @@ def _write_track(path: Path, s: _CameraMotionSettings, motion: TurningMotion, ca
 
 
 def _report(s: _CameraMotionSettings, motion: TurningMotion, lens: Camera, level: str) -> dict[str, Any]:
-    axes = np.stack([turn.rotation[2] for turn in motion.turns])
+    axes = np.stack([orientation.rotation[2] for orientation in motion.orientations])
     pan = np.degrees(np.unwrap(np.arctan2(axes[:, 0], axes[:, 1])))
     tilt = np.degrees(-np.arcsin(np.clip(axes[:, 2], -1, 1)))
-    down = np.stack([turn.rotation[:, 2] for turn in motion.turns])
+    down = np.stack([orientation.rotation[:, 2] for orientation in motion.orientations])
     roll = np.degrees(np.arctan2(down[:, 0], -down[:, 1]))
     rounded = {"pan_deg": pan, "tilt_deg": tilt, "roll_deg": roll, "sigma_deg": np.degrees(motion.sigma_rad)}
     if s.zoom:
-        rounded |= {"zoom": np.array([turn.zoom for turn in motion.turns]), "sigma_zoom": motion.sigma_zoom}
+        rounded |= {
+            "zoom": np.array([one.zoom for one in motion.orientations]),
+            "sigma_zoom": motion.sigma_zoom,
+        }
     rounded["residual_px"] = motion.residual_px
     missing = filter(None, [missing_note(s.video, len(motion.frames) + len(motion.lost)), _focal_note(motion, lens)])
     return {
@@ -295,19 +298,25 @@ def _focal_px(focal: tuple[float, float], lens: Camera) -> dict[str, float]:
 
 def _panorama(camera: Camera, motion: TurningMotion, points: dict[int, Array]) -> Image:
     """All that was seen, with the camera's and the animal's path."""
-    canvas = Canvas.around(camera, motion.turns)
-    drawn = panorama(canvas, camera, [motion.turns[key] for key in motion.keys], motion.pictures)
-    for turn in (motion.turns[0], motion.turns[len(motion.turns) // 2], motion.turns[-1]):
-        draw_view(canvas, drawn, camera, turn)
-    draw_path(canvas, drawn, np.stack([turn.rotation[2] for turn in motion.turns]), PATH)
-    draw_path(canvas, drawn, _animal(camera, motion.frames, motion.turns, points), ANIMAL)
+    canvas = Canvas.around(camera, motion.orientations)
+    drawn = panorama(canvas, camera, [motion.orientations[key] for key in motion.keys], motion.pictures)
+    for orientation in (
+        motion.orientations[0],
+        motion.orientations[len(motion.orientations) // 2],
+        motion.orientations[-1],
+    ):
+        draw_view(canvas, drawn, camera, orientation)
+    draw_path(canvas, drawn, np.stack([orientation.rotation[2] for orientation in motion.orientations]), PATH)
+    draw_path(canvas, drawn, _animal(camera, motion.frames, motion.orientations, points), ANIMAL)
     return drawn
 
 
-def _animal(camera: Camera, frames: Integers, turns: tuple[Orientation, ...], points: dict[int, Array]) -> Array:
+def _animal(camera: Camera, frames: Integers, orientations: tuple[Orientation, ...], points: dict[int, Array]) -> Array:
     """(N, 3): world rays of the middle of the animal's points, NaN where it has none."""
     rays = np.full((len(frames), 3), np.nan)
-    for t, (frame, turn) in enumerate(zip(frames.tolist(), turns, strict=True)):
+    for t, (frame, orientation) in enumerate(zip(frames.tolist(), orientations, strict=True)):
         if frame in points:
-            rays[t] = rays_of(camera, np.nanmean(points[frame], axis=0)[None], turn.zoom)[0][0] @ turn.rotation
+            rays[t] = (
+                rays_of(camera, np.nanmean(points[frame], axis=0)[None], orientation.zoom)[0][0] @ orientation.rotation
+            )
     return rays

@@ -27,7 +27,7 @@ from recon.io.video import SUFFIXES, probe
 from recon.show.page import PAGE, SUMMARY_PAGE, require_own_page
 from recon.show.report import build_report, is_unsolved
 from recon.workflows.analyse import AnalyseSettings, run_analyse
-from recon.workflows.batch import Clip, Planned, Summary, work_off
+from recon.workflows.batch import Clip, ClipPlan, Summary, work_off
 from recon.workflows.batch.inputs import file_names
 from recon.workflows.batch.summary import results_of
 from recon.workflows.cli.batch import shown_batch
@@ -113,7 +113,7 @@ class _Stage(NamedTuple):
     """Files that are in its way, unless a run has made them; none where it looks for itself what it may replace."""
 
 
-class _Done(NamedTuple):
+class _StageOutcome(NamedTuple):
     """What became of a stage."""
 
     stage: str
@@ -154,7 +154,7 @@ def run(
         say(console, f"Open {out / PAGE} in a browser.")
 
 
-def _line(done: _Done) -> str:
+def _line(done: _StageOutcome) -> str:
     names = done.files[0] if len(done.files) == 1 else f"{len(done.files)} files"
     text = {
         "done": f"{names}, {done.seconds:.1f} s",
@@ -192,8 +192,8 @@ def _motion_problems(run: _RunSettings, given: Mapping[str, Any]) -> Iterator[Pr
 
 
 def run_video(
-    job: _Job, progress: Progress = silent, ended: Callable[[_Done], None] = lambda done: None
-) -> tuple[list[_Done], dict[str, Any]]:
+    job: _Job, progress: Progress = silent, ended: Callable[[_StageOutcome], None] = lambda done: None
+) -> tuple[list[_StageOutcome], dict[str, Any]]:
     """All stages of a video, and the report of its fit; ended: told of each. Raises InputError where one cannot be
     done; what was done before stays."""
     file_sha256.cache_clear()  # files may have changed since
@@ -207,7 +207,7 @@ def run_video(
                 progress(f"{name}: {what}", (number + share) / len(stages))
 
             if name in ("analyse", "overlay") and report["summary"]["frames_with_pose"] < MIN_POINTS:
-                done = _Done(name, "left out", 0.0)
+                done = _StageOutcome(name, "left out", 0.0)
             else:
                 done = _carry_out(name, stage, job, record, again, tell)
             if name == "fit":
@@ -217,14 +217,14 @@ def run_video(
         return dones, report
 
 
-def _carry_out(name: str, stage: _Stage, job: _Job, record: Record, again: bool, progress: Progress) -> _Done:
+def _carry_out(name: str, stage: _Stage, job: _Job, record: Record, again: bool, progress: Progress) -> _StageOutcome:
     began, known, before = time.perf_counter(), stage.identity(), record.rows.get(name)
     out, files = job.run.out, (before or {}).get("files", {})
     changed = [path for path, digest in files.items() if not (out / path).is_file() or sha256_of(out / path) != digest]
     if not again and not job.run.overwrite:
         _require_own(name, stage, before is None, [out / path for path in changed])
     if files and before is not None and before["identity"] == known and not again and not changed:
-        return _Done(name, "unchanged", time.perf_counter() - began, tuple(files))
+        return _StageOutcome(name, "unchanged", time.perf_counter() - began, tuple(files))
     if name in ("detect", "camera-motion", "fit"):
         _check_inputs(job)
     record.note(name, known)
@@ -232,7 +232,7 @@ def _carry_out(name: str, stage: _Stage, job: _Job, record: Record, again: bool,
     paths = [path.absolute() for path in stage.work(job, progress)]
     files = {path.relative_to(out.absolute()).as_posix(): sha256_of(path) for path in paths}
     record.note(name, known, files=files)
-    return _Done(name, "done", time.perf_counter() - began, tuple(files))
+    return _StageOutcome(name, "done", time.perf_counter() - began, tuple(files))
 
 
 def _require_own(name: str, stage: _Stage, is_first: bool, changed: Sequence[Path]) -> None:
@@ -361,7 +361,7 @@ def run_folder(
     with sole_writer(out):
         require_own_page(out / SUMMARY_PAGE)
         folders = [(job.run.out.name, job) for job in jobs]
-        plan = [Planned(Clip(name, job.given), job.run.out, "new", "", identity(job.given)) for name, job in folders]
+        plan = [ClipPlan(Clip(name, job.given), job.run.out, "new", "", identity(job.given)) for name, job in folders]
         tasks = [(name, replace(job, threads=1)) for name, job in folders]
         return work_off(plan, out, partial(carry_out, _row_of, tasks, jobs=processes), on_event)
 

@@ -32,16 +32,19 @@ LevelMark = tuple[str, int, tuple[tuple[float, float], tuple[float, float]]]
 """horizon or vertical, a frame, and two points (px) of the horizon, or of something upright, in its picture."""
 
 
-def as_level(turns: Sequence[Orientation], up: Array | None) -> tuple[Orientation, ...]:
+def as_level(orientations: Sequence[Orientation], up: Array | None) -> tuple[Orientation, ...]:
     """The turns from a world with z up, y away from the camera.
 
     up: (3,) in the first frame's camera. None: the mean frame looks level.
     """
-    reference = turns[0].rotation
+    reference = orientations[0].rotation
     if up is None:
-        reference, up = Rotation.from_matrix([turn.rotation for turn in turns]).mean().as_matrix(), tilted(0.0)
+        reference, up = (
+            Rotation.from_matrix([one.rotation for one in orientations]).mean().as_matrix(),
+            tilted(0.0),
+        )
     level = level_from_camera(up) @ reference  # of the old world
-    return tuple(replace(turn, rotation=turn.rotation @ level.T) for turn in turns)
+    return tuple(replace(orientation, rotation=orientation.rotation @ level.T) for orientation in orientations)
 
 
 def tilted(tilt_rad: float) -> Array:
@@ -50,7 +53,7 @@ def tilted(tilt_rad: float) -> Array:
 
 
 def up_by_marks(
-    source: Path, marks: Sequence[LevelMark], camera: Camera, turns: Mapping[int, Orientation]
+    source: Path, marks: Sequence[LevelMark], camera: Camera, orientations: Mapping[int, Orientation]
 ) -> tuple[Array, float]:
     """Up (3,) in the first frame's camera, and its standard deviation in rad. turns: by frame.
 
@@ -58,18 +61,18 @@ def up_by_marks(
     to all of the first and to the normals of the second. Raises InputError for a frame without a turn, a point
     outside the lens's range, and for marks that do not tell.
     """
-    first = turns[min(turns)].rotation
+    first = orientations[min(orientations)].rotation
     rows, problems = [], []
     for kind, frame, ends_px in marks:
-        turn = turns.get(frame)
-        rays, valid = rays_of(camera, np.array(ends_px), turn.zoom if turn else 1.0)
-        if turn is None:
+        orientation = orientations.get(frame)
+        rays, valid = rays_of(camera, np.array(ends_px), orientation.zoom if orientation else 1.0)
+        if orientation is None:
             problems.append(Problem(source, "frame", str(frame), "one of the video in which the turn was found"))
         elif not valid.all():
             problems.append(Problem(source, f"frame {frame}", str(ends_px), "points of the picture"))
         else:
             level = rays if kind == "horizon" else np.cross(*rays)[None]
-            rows.append(level @ turn.rotation @ first.T)
+            rows.append(level @ orientation.rotation @ first.T)
     refuse(dict.fromkeys(problems))
     # A ray is as exact as a mark over the focal length; a plane's normal as two marks over the length between them,
     # which is that of the cross product.

@@ -32,13 +32,13 @@ class Canvas:
     size_px: tuple[int, int]
 
     @classmethod
-    def around(cls, camera: Camera, turns: Sequence[Orientation]) -> Canvas:
+    def around(cls, camera: Camera, orientations: Sequence[Orientation]) -> Canvas:
         """What all of the views together cover. The longitudes go on in the camera's direction past half a turn."""
         outline = _outline(camera)
-        middle = np.unwrap([_angles(turn.rotation[2])[0] for turn in turns])
+        middle = np.unwrap([_angles(orientation.rotation[2])[0] for orientation in orientations])
         lon, lat = [], []
-        for turn, centre in zip(turns, middle, strict=True):
-            angles = _angles(rays_of(camera, outline, turn.zoom)[0] @ turn.rotation)
+        for orientation, centre in zip(orientations, middle, strict=True):
+            angles = _angles(rays_of(camera, outline, orientation.zoom)[0] @ orientation.rotation)
             lon.append(centre + (angles[0] - centre + np.pi) % (2 * np.pi) - np.pi)
             lat.append(angles[1])
         west, east, south, north = (f(part) for part in (lon, lat) for f in (np.nanmin, np.nanmax))
@@ -49,19 +49,19 @@ class Canvas:
     def place(self, rays: Array) -> Array:
         """Pixels (N, 2) of world rays (N, 3), as near to the canvas as they come."""
         lon, lat = _angles(rays)
-        turn = 2 * np.pi
+        orientation = 2 * np.pi
         middle = self.west + self.step * self.size_px[0] / 2
-        lon = middle + (lon - middle + np.pi) % turn - np.pi
+        lon = middle + (lon - middle + np.pi) % orientation - np.pi
         return np.column_stack([(lon - self.west) / self.step, (self.north - lat) / self.step])
 
-    def warped(self, camera: Camera, turn: Orientation, picture: Image) -> tuple[Image, Array]:
+    def warped(self, camera: Camera, orientation: Orientation, picture: Image) -> tuple[Image, Array]:
         """A picture on the canvas, and how deep each pixel (height, width) lies within it: 1 in its middle, 0 outside.
         picture: of the camera's size or smaller."""
         width, height = self.size_px
         x, y = np.meshgrid(*(np.arange(0, n + COARSE_PX, COARSE_PX, dtype=float) for n in self.size_px))
         lon, lat = self.west + self.step * x, self.north - self.step * y
         rays = np.stack([np.cos(lat) * np.sin(lon), np.cos(lat) * np.cos(lon), np.sin(lat)], axis=-1)
-        pixels, _ = expected_px(camera, rays.reshape(-1, 3), turn)
+        pixels, _ = expected_px(camera, rays.reshape(-1, 3), orientation)
         pixels = np.where(np.isfinite(pixels), pixels, -1e4).reshape(*x.shape, 2)
         fine = np.ascontiguousarray(np.clip(pixels, -1e4, 1e5), np.float32)
         matrix = np.array([[1 / COARSE_PX, 0, 0], [0, 1 / COARSE_PX, 0]])
@@ -75,12 +75,12 @@ class Canvas:
         return np.asarray(warped, np.uint8), np.asarray(depth, float)
 
 
-def panorama(canvas: Canvas, camera: Camera, turns: Sequence[Orientation], pictures: Sequence[Image]) -> Image:
+def panorama(canvas: Canvas, camera: Camera, orientations: Sequence[Orientation], pictures: Sequence[Image]) -> Image:
     """Pictures with their turns, laid over each other: the deeper within a picture, the more it counts."""
     total = np.zeros((canvas.size_px[1], canvas.size_px[0], 3), np.float32)
     weight = np.full(total.shape[:2], 1e-6, np.float32)
-    for turn, picture in zip(turns, pictures, strict=True):
-        warped, depth = canvas.warped(camera, turn, picture)
+    for orientation, picture in zip(orientations, pictures, strict=True):
+        warped, depth = canvas.warped(camera, orientation, picture)
         share = (depth**2).astype(np.float32)
         total += share[..., None] * warped
         weight += share
@@ -96,9 +96,9 @@ def draw_path(canvas: Canvas, picture: Image, rays: Array, colour: tuple[int, in
             cv2.line(picture, (x0, y0), (x1, y1), colour, 2, cv2.LINE_AA)
 
 
-def draw_view(canvas: Canvas, picture: Image, camera: Camera, turn: Orientation) -> None:
+def draw_view(canvas: Canvas, picture: Image, camera: Camera, orientation: Orientation) -> None:
     """The edge of the camera's picture."""
-    draw_path(canvas, picture, rays_of(camera, _outline(camera), turn.zoom)[0] @ turn.rotation, VIEW)
+    draw_path(canvas, picture, rays_of(camera, _outline(camera), orientation.zoom)[0] @ orientation.rotation, VIEW)
 
 
 def _outline(camera: Camera) -> Array:

@@ -41,7 +41,7 @@ class AgreedOrientation:
     expected. jacobian: (N, 2, 4) of the expected pixels, by a small turn (rad) in the camera frame and by log zoom.
     spread: what it is worth."""
 
-    turn: Orientation
+    orientation: Orientation
     weights: Array
     residual_px: Array
     jacobian: Array
@@ -74,7 +74,7 @@ def agreed_turn(
     rays: Array,
     seen_px: Array,
     seen_rays: Array,
-    trust: Array,
+    background: Array,
     zoom: float,
     *,
     solve_zoom: bool,
@@ -82,8 +82,8 @@ def agreed_turn(
 ) -> AgreedOrientation | None:
     """The turn that takes world rays (N, 3) to where they are seen, pixels (N, 2) and rays (N, 3) at about that zoom.
 
-    trust: (N,) from 0 to 1, how far each has been background so far. None where too few points agree or they cover too
-    little.
+    background: (N,) from 0 to 1, how far each has been background so far. None where too few points agree or they
+    cover too little.
     """
     if len(rays) < MIN_POINTS:
         return None
@@ -92,7 +92,7 @@ def agreed_turn(
         return None
     off = 1 - np.einsum("hij,nj,ni->hn", tried, rays, seen_rays, optimize=True)
     angle = limit_px / (camera.matrix[0, 0] * zoom)
-    weights = trust**2 * (off < 0.5 * angle**2)
+    weights = background**2 * (off < 0.5 * angle**2)
     coverage, area = spread(seen_px, camera.image_size_px, weights)
     best: AgreedOrientation | None = None
     looked_at: list[Array] = []
@@ -103,7 +103,7 @@ def agreed_turn(
         found = refined(camera, rays, seen_px, Orientation(tried[h], zoom), solve_zoom=solve_zoom, limit_px=limit_px)
         if found is None:
             continue
-        c, a = spread(seen_px, camera.image_size_px, (trust**2 * found.agree)[None])
+        c, a = spread(seen_px, camera.image_size_px, (background**2 * found.agree)[None])
         found = AgreedOrientation(**{**vars(found), "spread": float(c[0] * a[0])})
         if a[0] >= MIN_SPREAD and (best is None or found.spread > best.spread):
             best = found
@@ -126,32 +126,34 @@ def _axes(a: Array, b: Array) -> Array:
 
 
 def refined(
-    camera: Camera, rays: Array, seen_px: Array, turn: Orientation, *, solve_zoom: bool, limit_px: float
+    camera: Camera, rays: Array, seen_px: Array, orientation: Orientation, *, solve_zoom: bool, limit_px: float
 ) -> AgreedOrientation | None:
     """Robust least squares in pixels, from a turn nearby (Tukey's weights, with a limit that follows the scatter)."""
     free = slice(0, 4 if solve_zoom else 3)
     limit = limit_px
     for _ in range(ROUNDS):
-        residual, jacobian, weights, size = _weighted(camera, rays, seen_px, turn, limit)
+        residual, jacobian, weights, size = _weighted(camera, rays, seen_px, orientation, limit)
         if (weights > 0).sum() < MIN_POINTS:
             return None
         step = np.zeros(4)
         step[free] = np.linalg.solve(*normal_equations(jacobian[:, :, free], weights, residual))
-        turn = Orientation(
-            Rotation.from_rotvec(step[:3]).as_matrix() @ turn.rotation, turn.zoom * float(np.exp(step[3]))
+        orientation = Orientation(
+            Rotation.from_rotvec(step[:3]).as_matrix() @ orientation.rotation, orientation.zoom * float(np.exp(step[3]))
         )
         median = float(np.median(size[weights > 0]))
         limit = limit_px * float(np.clip(4 * median / limit_px, LEAST_LIMIT, FINAL_LIMIT))
-    residual, jacobian, weights, size = _weighted(camera, rays, seen_px, turn, limit)
+    residual, jacobian, weights, size = _weighted(camera, rays, seen_px, orientation, limit)
     if (weights > 0).sum() < MIN_POINTS:
         return None
     sigma = float(np.sqrt((weights * size**2).sum() / (2 * weights.sum())))
-    return AgreedOrientation(turn, weights, residual, jacobian, max(sigma, 1e-3), 0.0)
+    return AgreedOrientation(orientation, weights, residual, jacobian, max(sigma, 1e-3), 0.0)
 
 
-def _weighted(camera: Camera, rays: Array, seen_px: Array, turn: Orientation, limit_px: float) -> tuple[Array, ...]:
+def _weighted(
+    camera: Camera, rays: Array, seen_px: Array, orientation: Orientation, limit_px: float
+) -> tuple[Array, ...]:
     """Residuals (N, 2), their derivatives (N, 2, 4), weights (N,) and lengths (N,)."""
-    residual, jacobian = _linearised(camera, rays, seen_px, turn)
+    residual, jacobian = _linearised(camera, rays, seen_px, orientation)
     size = np.linalg.norm(residual, axis=1)
     return residual, jacobian, np.maximum(1 - (size / limit_px) ** 2, 0) ** 2, size
 
@@ -163,19 +165,19 @@ def normal_equations(jacobian: Array, weights: Array, residual_px: Array) -> tup
     return weighted.T @ flat, weighted.T @ residual_px.ravel()
 
 
-def _linearised(camera: Camera, rays: Array, seen_px: Array, turn: Orientation) -> tuple[Array, Array]:
-    there = rays @ turn.rotation.T
+def _linearised(camera: Camera, rays: Array, seen_px: Array, orientation: Orientation) -> tuple[Array, Array]:
+    there = rays @ orientation.rotation.T
     pixels, by_point, _ = camera.project_with_jacobian(there)
-    from_focus = turn.zoom * (pixels - focus_px(camera))
+    from_focus = orientation.zoom * (pixels - focus_px(camera))
     x, y, z = there.T
     zero = np.zeros_like(x)
     by_turn = np.stack([zero, z, -y, -z, zero, x, y, -x, zero], axis=1).reshape(-1, 3, 3)  # of exp(w) p, that is w x p
-    jacobian = np.concatenate([turn.zoom * by_point @ by_turn, from_focus[:, :, None]], axis=2)
+    jacobian = np.concatenate([orientation.zoom * by_point @ by_turn, from_focus[:, :, None]], axis=2)
     known = np.isfinite(from_focus[:, :1])
     return np.where(known, seen_px - focus_px(camera) - from_focus, 1e9), np.where(known[:, :, None], jacobian, 0.0)
 
 
-def expected_px(camera: Camera, rays: Array, turn: Orientation) -> tuple[Array, Bools]:
+def expected_px(camera: Camera, rays: Array, orientation: Orientation) -> tuple[Array, Bools]:
     """Pixels (N, 2) of world rays (N, 3), and whether they are in the picture."""
-    pixels, valid = pixels_of(camera, rays @ turn.rotation.T, turn.zoom)
+    pixels, valid = pixels_of(camera, rays @ orientation.rotation.T, orientation.zoom)
     return pixels, valid & camera.in_image(np.where(valid[:, None], pixels, -1e9))

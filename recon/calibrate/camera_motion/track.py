@@ -52,7 +52,7 @@ LEARNING = 0.15
 SETTLED, COME_APART, MAX_APART = 0.75, 0.6, 0.25
 """A point that has mostly agreed is background; where fewer than so many of these agree, the background has come apart,
 and in more than so many frames it does so for a camera that has not only turned."""
-MAX_PAIRS, MIN_TRUST = 60, 0.4
+MAX_PAIRS, MIN_BACKGROUND = 60, 0.4
 """The number of pairs of pictures that tell the focal length, those that are rotated furthest apart, and how far their
 points have to have been background."""
 CLEARLY = 3.0
@@ -76,15 +76,15 @@ class _Keyframe:
     """A frame that others are compared with.
 
     number: its place among those that have a turn. frame: None where the picture has been forgotten. points_px, rays:
-    (N, 2), (N, 3), camera frame. trust: (N,) from 0 to 1, how far each point has been background. settled: (N,),
+    (N, 2), (N, 3), camera frame. background: (N,) from 0 to 1, how far each point has been background. settled: (N,),
     whether one was. known: what `described` has found. used: the last frame that was compared with it.
     """
 
     number: int
     frame: GreyPicture | None
     points_px: Array
-    turn: Orientation
-    trust: Array
+    orientation: Orientation
+    background: Array
     known: tuple[Array, Image]
     thumbnail: Image
     rays: Array
@@ -93,7 +93,7 @@ class _Keyframe:
 
     @property
     def world_rays(self) -> Array:
-        return self.rays @ self.turn.rotation
+        return self.rays @ self.orientation.rotation
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,7 +105,7 @@ class TurningMotion:
     turned_only: whether the background has kept together. cut: the number of the frame where another take begins."""
 
     frames: Integers
-    turns: tuple[Orientation, ...]
+    orientations: tuple[Orientation, ...]
     inliers: Integers
     residual_px: Array
     sigma_rad: Array
@@ -130,7 +130,7 @@ class Tracker:
     masked: Callable[[int], Array | None] = lambda number: None
     keys: list[_Keyframe] = field(default_factory=list)
     frames: list[int] = field(default_factory=list)
-    turns: list[Orientation] = field(default_factory=list)
+    orientations: list[Orientation] = field(default_factory=list)
     supports: list[tuple[int, float]] = field(default_factory=list)
     links: list[_FrameLink] = field(default_factory=list)
     lost: list[int] = field(default_factory=list)
@@ -163,10 +163,10 @@ class Tracker:
         apart = self._learn(agreement, seen)
         self.apart += apart
         self.support = max(self.support, agreement.spread)
-        new = max(self._likeness(key, agreement.turn) for key in seen.keys) < NEW_KEY_LIKENESS
+        new = max(self._likeness(key, agreement.orientation) for key in seen.keys) < NEW_KEY_LIKENESS
         new |= agreement.spread < NEW_KEY_SUPPORT * self.support and not apart
         if new:
-            agreement, seen = self._placed(number, frame, mask, agreement.turn, KEYS_TO_LINK) or found
+            agreement, seen = self._placed(number, frame, mask, agreement.orientation, KEYS_TO_LINK) or found
             self._look_back(agreement, seen)
         self._keep(number, agreement, seen)
         self.last = frame
@@ -186,16 +186,16 @@ class Tracker:
             self.lost.append(number)
             return False
         self.frames.append(number)
-        self.turns.append(Orientation(np.eye(3)))
+        self.orientations.append(Orientation(np.eye(3)))
         self.supports.append((len(points), 0.0))
         self._remember(frame, picture, points, np.full(len(points), 0.5))
         return True
 
     def _predicted(self, number: int) -> Orientation:
         """Turned on as before."""
-        if len(self.turns) < 2 or self.frames[-2:] != [number - 2, number - 1]:
-            return self.turns[-1]
-        a, b = self.turns[-2:]
+        if len(self.orientations) < 2 or self.frames[-2:] != [number - 2, number - 1]:
+            return self.orientations[-1]
+        a, b = self.orientations[-2:]
         return Orientation(b.rotation @ a.rotation.T @ b.rotation, b.zoom * b.zoom / a.zoom)
 
     def _placed(
@@ -206,37 +206,41 @@ class Tracker:
         for key in keys:
             key.used = number
         seen = seen.where(rays_of(self.camera, seen.pixels, guess.zoom)[1])
-        agreement = self._agreed(seen.rays, seen.pixels, seen.trust, guess.zoom, self._limit_px)
+        agreement = self._agreed(seen.rays, seen.pixels, seen.background, guess.zoom, self._limit_px)
         enough = agreement is not None and agreement.spread > MIN_SUPPORT * self.support
         return (agreement, seen) if agreement is not None and enough else None
 
     def _agreed(
-        self, rays: Array, pixels: Array, trust: Array, zoom: float, limit_px: float
+        self, rays: Array, pixels: Array, background: Array, zoom: float, limit_px: float
     ) -> AgreedOrientation | None:
         there, valid = rays_of(self.camera, pixels, zoom)
-        of_points = rays[valid], pixels[valid], there[valid], trust[valid]
+        of_points = rays[valid], pixels[valid], there[valid], background[valid]
         return agreed_turn(self.camera, *of_points, zoom, solve_zoom=self.solve_zoom, limit_px=limit_px)
 
-    def _nearest(self, turn: Orientation, count: int) -> list[_Keyframe]:
+    def _nearest(self, orientation: Orientation, count: int) -> list[_Keyframe]:
         """Keyframes with a picture that look the same way."""
-        near = [(float(turn.rotation[2] @ key.turn.rotation[2]), key) for key in self.keys if key.frame is not None]
+        near = [
+            (float(orientation.rotation[2] @ key.orientation.rotation[2]), key)
+            for key in self.keys
+            if key.frame is not None
+        ]
         near = sorted(near, key=lambda pair: -pair[0])[: 2 * count]
-        best = sorted(((self._likeness(key, turn), key) for _, key in near), key=lambda pair: -pair[0])
+        best = sorted(((self._likeness(key, orientation), key) for _, key in near), key=lambda pair: -pair[0])
         alike = [key for likeness, key in best if likeness >= MIN_LIKENESS]
         kept = alike[:count]
         if count == KEYS_TO_LINK and alike[count:]:
             kept.append(min(alike[count:], key=lambda key: key.number))
         return kept or [key for _, key in best[:1]]
 
-    def _likeness(self, key: _Keyframe, turn: Orientation) -> float:
+    def _likeness(self, key: _Keyframe, orientation: Orientation) -> float:
         """Share of a frame's picture that is in the keyframe's, less where it is larger or smaller there."""
         width, height = self.camera.image_size_px
         x, y = np.meshgrid(np.linspace(0, width - 1, 9), np.linspace(0, height - 1, 9))
-        rays, valid = rays_of(self.camera, np.column_stack([x.ravel(), y.ravel()]), turn.zoom)
+        rays, valid = rays_of(self.camera, np.column_stack([x.ravel(), y.ravel()]), orientation.zoom)
         if not valid.any():
             return 0.0
-        inside = expected_px(self.camera, rays[valid] @ turn.rotation, key.turn)[1].mean()
-        return float(inside) - BY_ZOOM * abs(np.log(turn.zoom / key.turn.zoom))
+        inside = expected_px(self.camera, rays[valid] @ orientation.rotation, key.orientation)[1].mean()
+        return float(inside) - BY_ZOOM * abs(np.log(orientation.zoom / key.orientation.zoom))
 
     def _found_again(self, frame: GreyPicture, mask: Bools | None) -> Orientation | None:
         """By points that are known wherever they have gone: after a jerk, or a stretch without background."""
@@ -245,15 +249,15 @@ class Tracker:
         rays, places = [], []
         for key in recent:
             pairs = matched(key.known[1], descriptors)
-            there, valid = rays_of(self.camera, key.known[0][pairs[:, 0]], key.turn.zoom)
-            rays.append(there[valid] @ key.turn.rotation)
+            there, valid = rays_of(self.camera, key.known[0][pairs[:, 0]], key.orientation.zoom)
+            rays.append(there[valid] @ key.orientation.rotation)
             places.append(pixels[pairs[valid, 1]])
         if not rays:
             return None
         seen = np.concatenate(places)
-        zoom, limit_px = self.turns[-1].zoom, 2 * self._limit_px
+        zoom, limit_px = self.orientations[-1].zoom, 2 * self._limit_px
         found = self._agreed(np.concatenate(rays), seen, np.ones(len(seen)), zoom, limit_px)
-        return None if found is None else found.turn
+        return None if found is None else found.orientation
 
     # -- what is learnt --
 
@@ -265,82 +269,84 @@ class Tracker:
             at, agree = seen.index[own], agreement.agree[own]
             was = key.settled[at]
             settled, kept = settled + int(was.sum()), kept + int((was & agree).sum())
-            key.trust[at] += LEARNING * (np.where(agree, 1.0, 0.05) - key.trust[at])
-            key.settled |= key.trust > SETTLED
+            key.background[at] += LEARNING * (np.where(agree, 1.0, 0.05) - key.background[at])
+            key.settled |= key.background > SETTLED
         return settled >= MIN_CORNERS and kept < COME_APART * settled
 
     def _look_back(self, agreement: AgreedOrientation, seen: _Seen) -> None:
         """How much of the settled background of the oldest keyframe that looks the same way is still in its place."""
         k = min(range(len(seen.keys)), key=lambda k: seen.keys[k].number)
         key = seen.keys[k]
-        inside = expected_px(self.camera, key.world_rays, agreement.turn)[1] & key.settled
+        inside = expected_px(self.camera, key.world_rays, agreement.orientation)[1] & key.settled
         if inside.sum() >= MIN_CORNERS:
             at = seen.index[(seen.of_key == k) & agreement.agree]
             self.still.append(float(inside[at].sum() / inside.sum()))
 
     def _keep(self, number: int, agreement: AgreedOrientation, seen: _Seen) -> None:
         self.frames.append(number)
-        self.turns.append(agreement.turn)
+        self.orientations.append(agreement.orientation)
         agree = agreement.agree
         error = np.linalg.norm(agreement.residual_px[agree], axis=1)
         self.supports.append((int(agree.sum()), float(np.sqrt((error**2).mean()))))
         place = len(self.frames) - 1
-        self._keep_pair(agreement.turn, seen)
+        self._keep_pair(agreement.orientation, seen)
         for k, key in enumerate(seen.keys):
             own = (seen.of_key == k) & agree
             if own.sum() >= 8:
                 self.links.append(self._link(place, key, agreement, seen, own))
 
-    def _keep_pair(self, turn: Orientation, seen: _Seen) -> None:
+    def _keep_pair(self, orientation: Orientation, seen: _Seen) -> None:
         """The points of the keyframe that the camera has turned furthest from, of the frames that have turned most."""
         if self.solve_zoom:
             return
         for k, key in enumerate(seen.keys):
-            own = (seen.of_key == k) & (seen.trust > MIN_TRUST)
+            own = (seen.of_key == k) & (seen.background > MIN_BACKGROUND)
             if own.sum() >= MIN_PAIR_POINTS:
-                between = turn.rotation @ key.turn.rotation.T
+                between = orientation.rotation @ key.orientation.rotation.T
                 self.pairs.append(_TurnedPair(key.number, key.points_px[seen.index[own]], seen.pixels[own], between))
         if len(self.pairs) > 2 * MAX_PAIRS:
             self.pairs = sorted(self.pairs, key=lambda pair: -pair.angle_rad)[:MAX_PAIRS]
 
     def _link(self, place: int, key: _Keyframe, agreement: AgreedOrientation, seen: _Seen, own: Bools) -> _FrameLink:
-        turn, J = agreement.turn, agreement.jacobian[own]
+        orientation, J = agreement.orientation, agreement.jacobian[own]
         by_key = np.zeros((len(J), 2, 1))
         if self.solve_zoom:
             step = 1e-4
             points = key.points_px[seen.index[own]]
-            ends = [rays_of(self.camera, points, key.turn.zoom * np.exp(d))[0] for d in (-step, step)]
-            between = turn.rotation @ key.turn.rotation.T
-            a, b = (pixels_of(self.camera, rays @ between.T, turn.zoom)[0] for rays in ends)
+            ends = [rays_of(self.camera, points, key.orientation.zoom * np.exp(d))[0] for d in (-step, step)]
+            between = orientation.rotation @ key.orientation.rotation.T
+            a, b = (pixels_of(self.camera, rays @ between.T, orientation.zoom)[0] for rays in ends)
             by_key = np.nan_to_num((b - a) / (2 * step))[:, :, None]
         J = np.concatenate([J, by_key], axis=2)
         weights = agreement.weights[own] / agreement.sigma_px**2
         normal, gradient = normal_equations(J, weights, agreement.residual_px[own])
-        zooms = np.log([turn.zoom, key.turn.zoom])
-        return _FrameLink(place, key.number, turn.rotation @ key.turn.rotation.T, zooms, normal, gradient)
+        zooms = np.log([orientation.zoom, key.orientation.zoom])
+        return _FrameLink(place, key.number, orientation.rotation @ key.orientation.rotation.T, zooms, normal, gradient)
 
     def _new_key(
         self, frame: GreyPicture, picture: Image, mask: Bools | None, agreement: AgreedOrientation, seen: _Seen
     ) -> None:
         """Its points are as trusted as the nearest that were followed into it."""
         points = corners(frame, mask)
-        trust = np.full(len(points), 0.5)
+        background = np.full(len(points), 0.5)
         if len(points) >= MIN_CORNERS:
             apart = np.linalg.norm(points[:, None] - seen.pixels, axis=2)
             nearest = apart.argmin(axis=1)
             close = apart[np.arange(len(points)), nearest] < 0.04 * max(self.camera.image_size_px)
-            trust[close] = np.clip(np.where(agreement.agree[nearest], 0.6, 0.2), 0, 1)[close]
-            self._remember(frame, picture, points, trust)
+            background[close] = np.clip(np.where(agreement.agree[nearest], 0.6, 0.2), 0, 1)[close]
+            self._remember(frame, picture, points, background)
 
-    def _remember(self, frame: GreyPicture, picture: Image, points: Array, trust: Array) -> None:
+    def _remember(self, frame: GreyPicture, picture: Image, points: Array, background: Array) -> None:
         self.support = 0.0
-        turn = self.turns[-1]
-        rays, valid = rays_of(self.camera, points, turn.zoom)
+        orientation = self.orientations[-1]
+        rays, valid = rays_of(self.camera, points, orientation.zoom)
         scale = min(1.0, THUMBNAIL_PX / max(picture.shape))
         small = np.asarray(cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), np.uint8)
-        place, known, points, trust = len(self.frames) - 1, described(frame), points[valid], trust[valid]
+        place, known, points, background = len(self.frames) - 1, described(frame), points[valid], background[valid]
         settled = np.zeros(len(points), bool)
-        key = _Keyframe(place, frame, points, turn, trust, known, small, rays[valid], settled, self.frames[-1])
+        key = _Keyframe(
+            place, frame, points, orientation, background, known, small, rays[valid], settled, self.frames[-1]
+        )
         self.keys.append(key)
         with_picture = [key for key in self.keys if key.frame is not None]
         if len(with_picture) > MAX_PICTURES:
@@ -355,22 +361,24 @@ class Tracker:
         residual = np.array([px for _, px in self.supports])
         keys = np.array([key.number for key in self.keys], dtype=np.int64)
         pictures = tuple(key.thumbnail for key in self.keys)
-        turns: Sequence[Orientation] = self.turns
+        orientations: Sequence[Orientation] = self.orientations
         sigma, sigma_zoom = np.zeros(len(frames)), np.zeros(len(frames))
         if self.links:
-            turns, sigma, sigma_zoom = _adjust(
-                turns, self.links, self.solve_zoom, PICTURE_FLOOR_PX / self.camera.matrix[0, 0]
+            orientations, sigma, sigma_zoom = _adjust(
+                orientations, self.links, self.solve_zoom, PICTURE_FLOOR_PX / self.camera.matrix[0, 0]
             )
         torn = sum(share < MIN_STILL for share in self.still)
         turned_only = self.apart <= MAX_APART * (len(frames) + len(lost)) and torn <= MAX_TORN
         pairs = sorted(self.pairs, key=lambda pair: -pair.angle_rad)[:MAX_PAIRS]
         focal = _focal_factor(self.camera, pairs, self._limit_px)
         if focal is not None and abs(focal[0]) > CLEARLY * focal[1]:
-            first = turns[0].rotation
-            angle = np.array([Rotation.from_matrix(turn.rotation @ first.T).magnitude() for turn in turns])
+            first = orientations[0].rotation
+            angle = np.array(
+                [Rotation.from_matrix(orientation.rotation @ first.T).magnitude() for orientation in orientations]
+            )
             sigma = np.hypot(sigma, abs(focal[0]) * angle)
         return TurningMotion(
-            *(frames, tuple(turns), inliers, residual, sigma, sigma_zoom, focal),
+            *(frames, tuple(orientations), inliers, residual, sigma, sigma_zoom, focal),
             *(lost, keys, pictures, turned_only, self.cut),
         )
 
@@ -378,14 +386,14 @@ class Tracker:
 @dataclass(frozen=True, eq=False)
 class _Seen:
     """Points of some keyframes in one frame. of_key, index: (N,), whose they are and which of its. rays: (N, 3), world.
-    pixels: (N, 2). trust: (N,)."""
+    pixels: (N, 2). background: (N,)."""
 
     keys: list[_Keyframe]
     of_key: Integers
     index: Integers
     rays: Array
     pixels: Array
-    trust: Array
+    background: Array
 
     @classmethod
     def of(
@@ -405,12 +413,12 @@ class _Seen:
                 height, width = mask.shape
                 good &= ~mask[np.clip(y, 0, height - 1), np.clip(x, 0, width - 1)]
             at = at[good].astype(np.int64)
-            parts.append((np.full(len(at), k, dtype=np.int64), at, world[at], found[good], key.trust[at]))
+            parts.append((np.full(len(at), k, dtype=np.int64), at, world[at], found[good], key.background[at]))
         joined: Any = map(np.concatenate, zip(*parts, strict=True))
         return cls(keys, *joined)
 
     def where(self, kept: Bools) -> _Seen:
-        parts: tuple[Any, ...] = (self.of_key, self.index, self.rays, self.pixels, self.trust)
+        parts: tuple[Any, ...] = (self.of_key, self.index, self.rays, self.pixels, self.background)
         return _Seen(self.keys, *(part[kept] for part in parts))
 
 
@@ -425,28 +433,28 @@ class _FrameLink:
 
     frame: int
     key: int
-    turn: Array
+    orientation: Array
     log_zooms: Array
     normal: Array
     gradient: Array
 
 
 def _adjust(
-    turns: Sequence[Orientation], links: Sequence[_FrameLink], solve_zoom: bool, floor_rad: float
+    orientations: Sequence[Orientation], links: Sequence[_FrameLink], solve_zoom: bool, floor_rad: float
 ) -> tuple[tuple[Orientation, ...], Array, Array]:
     """The turns of the N frames, of which the first stays; their standard deviations (N,), rad per axis, against the
     first frame; and those of the zooms (N,), relative. links: of every other frame at least one. floor_rad: see
     PICTURE_FLOOR_PX."""
-    n, p = len(turns), 4 if solve_zoom else 3
-    rotation = np.stack([turn.rotation for turn in turns])
-    log_zoom = np.log([turn.zoom for turn in turns])
+    n, p = len(orientations), 4 if solve_zoom else 3
+    rotation = np.stack([one.rotation for one in orientations])
+    log_zoom = np.log([one.zoom for one in orientations])
     frame = np.array([link.frame for link in links], dtype=np.intp)
     key = np.array([link.key for link in links], dtype=np.intp)
     columns = np.concatenate([(end[:, None] * p + np.arange(p)) for end in (frame, key)], axis=1)
     rows_of, columns_of = np.repeat(columns, 2 * p, axis=1), np.tile(columns, (1, 2 * p))
     normal = np.stack([link.normal for link in links])
     gradient = np.stack([link.gradient for link in links])
-    measured, at = np.stack([link.turn for link in links]), np.stack([link.log_zooms for link in links])
+    measured, at = np.stack([link.orientation for link in links]), np.stack([link.log_zooms for link in links])
     factor = None
     blocks = np.zeros((0, 2 * p, 2 * p))
     for _ in range(ADJUST_STEPS):
@@ -504,11 +512,11 @@ class _TurnedPair:
     key: int
     a_px: Array
     b_px: Array
-    turn: Array
+    orientation: Array
 
     @property
     def angle_rad(self) -> float:
-        return float(Rotation.from_matrix(self.turn).magnitude())
+        return float(Rotation.from_matrix(self.orientation).magnitude())
 
 
 def _focal_factor(camera: Camera, pairs: Sequence[_TurnedPair], limit_px: float) -> tuple[float, float] | None:
@@ -528,7 +536,7 @@ def _focal_factor(camera: Camera, pairs: Sequence[_TurnedPair], limit_px: float)
     log_factor = min(np.linspace(-WIDEST, WIDEST, 29).tolist(), key=cost)
     information, pull = np.ones((2, len(pairs)))
     for _ in range(STEPS):
-        information, pull = np.transpose([_told(camera, pair, log_factor) for pair in pairs])
+        information, pull = np.transpose([_information(camera, pair, log_factor) for pair in pairs])
         step = pull.sum() / information.sum()
         log_factor = float(np.clip(log_factor + step, -2 * WIDEST, 2 * WIDEST))
         if abs(step) < 0.01 / np.sqrt(information.sum()):
@@ -538,7 +546,7 @@ def _focal_factor(camera: Camera, pairs: Sequence[_TurnedPair], limit_px: float)
     return log_factor, float(np.sqrt(1 / total + scatter))
 
 
-def _told(camera: Camera, pair: _TurnedPair, log_factor: float) -> tuple[float, float]:
+def _information(camera: Camera, pair: _TurnedPair, log_factor: float) -> tuple[float, float]:
     """What a pair says of the log factor: information, and pull (gradient)."""
     left, *ends = (_left_px(camera, pair, log_factor + by) for by in (0.0, STEP, -STEP))
     slope, weights, size = (ends[0] - ends[1]) / (2 * STEP), _weights(left), np.linalg.norm(left, axis=1)
@@ -552,12 +560,14 @@ def _left_px(camera: Camera, pair: _TurnedPair, log_factor: float) -> Array:
     zoom = float(np.exp(log_factor))
     (a, known), (b, seen) = (rays_of(camera, points_px, zoom) for points_px in (pair.a_px, pair.b_px))
     known &= seen
-    turn = Rotation.from_rotvec(Rotation.from_matrix(pair.turn).as_rotvec() / zoom)  # as far in the picture
+    orientation = Rotation.from_rotvec(
+        Rotation.from_matrix(pair.orientation).as_rotvec() / zoom
+    )  # as far in the picture
     left = np.full(pair.a_px.shape, 1e9)
     for _ in range(ROUNDS):
-        pixels, valid = pixels_of(camera, turn.apply(np.where(known[:, None], a, b)), zoom)
+        pixels, valid = pixels_of(camera, orientation.apply(np.where(known[:, None], a, b)), zoom)
         left = np.where((known & valid)[:, None], pixels - pair.b_px, 1e9)
-        turn, _ = Rotation.align_vectors(b[known], a[known], weights=_weights(left)[known])
+        orientation, _ = Rotation.align_vectors(b[known], a[known], weights=_weights(left)[known])
     return left
 
 

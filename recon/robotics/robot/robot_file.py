@@ -53,7 +53,7 @@ class _Joints(_Table):
     knee: _Joint
 
 
-class _Placed(_Table):
+class _JointPlace(_Table):
     hip_m: tuple[Length, Length, Length]
     knee_bends: Literal["backwards", "forwards"] = "backwards"
     swing: str
@@ -62,10 +62,10 @@ class _Placed(_Table):
 
 
 class _Legs(_Table):
-    LF: _Placed
-    RF: _Placed
-    LH: _Placed
-    RH: _Placed
+    LF: _JointPlace
+    RF: _JointPlace
+    LH: _JointPlace
+    RH: _JointPlace
 
 
 class _RobotFile(_Table):

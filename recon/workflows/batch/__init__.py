@@ -21,7 +21,7 @@ from recon.show.page import SUMMARY_PAGE, require_own_page
 from recon.show.report import is_unsolved
 from recon.workflows.batch.cluster import carry_out_on_cluster
 from recon.workflows.batch.inputs import Clip, find_clips
-from recon.workflows.batch.plan import RECORD, Planned, check_shared, input_problems, plan_batch, repeated
+from recon.workflows.batch.plan import RECORD, ClipPlan, check_shared, input_problems, plan_batch, repeated
 from recon.workflows.batch.summary import COLUMNS, STATUSES, Summary, results_of, write_summary_page
 from recon.workflows.clip import fit_clip
 from recon.workflows.clip_results import write_clip
@@ -33,7 +33,7 @@ DYING_S = 5.0
 
 
 def run_batch(
-    plan: Sequence[Planned],
+    plan: Sequence[ClipPlan],
     out: Path,
     jobs: int | None = None,
     retries: int = 1,
@@ -77,7 +77,7 @@ def run_batch(
 
 
 def work_off(
-    plan: Sequence[Planned],
+    plan: Sequence[ClipPlan],
     out: Path,
     run: Callable[[Callable[[Event], None]], None],
     on_event: Callable[[Event, Summary], None],
@@ -101,7 +101,7 @@ def work_off(
     return summary
 
 
-def fit_planned(planned: Planned, progress: Progress) -> dict[str, Any]:
+def fit_planned(planned: ClipPlan, progress: Progress) -> dict[str, Any]:
     """Fit and write one clip, in a process that does nothing else meanwhile: columns of its summary."""
     here, there = version(), planned.identity["version"]
     if here != there:

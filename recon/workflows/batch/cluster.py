@@ -21,7 +21,7 @@ _STOPPED: set[str] = set()
 """On a Dask worker: the batches that are over."""
 
 
-class _Stopped(Exception):
+class _StoppedError(Exception):
     """The batch that a task belongs to is over."""
 
 
@@ -109,6 +109,6 @@ def _stop(batch: str) -> None:
 def _on_worker(batch: str, work: Work, task: Any) -> dict[str, Any]:
     def progress(stage: str, share: float) -> None:
         if batch in _STOPPED:
-            raise _Stopped
+            raise _StoppedError
 
     return outcome_of(work, task, progress)

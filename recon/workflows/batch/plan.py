@@ -23,7 +23,7 @@ Problems = tuple[Problem, ...]
 
 
 @dataclass(frozen=True)
-class Planned:
+class ClipPlan:
     """A clip with what is to be done with it, and why."""
 
     clip: Clip
@@ -36,7 +36,7 @@ class Planned:
     """The row of the summary, if the clip is done."""
 
 
-def plan_batch(clips: Sequence[Clip], out: Path, overwrite: bool = False) -> list[Planned]:
+def plan_batch(clips: Sequence[Clip], out: Path, overwrite: bool = False) -> list[ClipPlan]:
     """What is to be done with each clip, whose results belong into `out / clip.name`.
 
     Results of the same input files, settings and version are done. Those that a batch made of the same keypoints, or of
@@ -56,12 +56,12 @@ def plan_batch(clips: Sequence[Clip], out: Path, overwrite: bool = False) -> lis
     return planned
 
 
-def _planned(clip: Clip, out: Path, row: Mapping[str, Any] | None, overwrite: bool) -> Planned:
+def _planned(clip: Clip, out: Path, row: Mapping[str, Any] | None, overwrite: bool) -> ClipPlan:
     mine = identity(clip.settings)
     if not any((out / name).exists() for name in output_files(out)):
-        return Planned(clip, out, "new", "", mine)
+        return ClipPlan(clip, out, "new", "", mine)
     if overwrite:
-        return Planned(clip, out, "refit", "--overwrite", mine)
+        return ClipPlan(clip, out, "refit", "--overwrite", mine)
     expected = "a folder without results, or of an earlier batch of this clip; or --overwrite"
     is_own = row is not None and ("made" not in row or row["made"] == digest(out / MANIFEST))
     if row is None or not (is_own or not (out / MANIFEST).exists()):
@@ -71,15 +71,17 @@ def _planned(clip: Clip, out: Path, row: Mapping[str, Any] | None, overwrite: bo
     if not {*before} & {*map(str, clip.settings.keypoints)} and not _keypoints(theirs) & _keypoints(mine):
         raise InputError(Problem(out, "folder", f"results of {', '.join(before)}", expected))
     if "made" not in row:
-        return Planned(clip, out, "refit", "not finished before", mine)
+        return ClipPlan(clip, out, "refit", "not finished before", mine)
     if theirs != mine:
-        return Planned(clip, out, "refit", f"changed: {', '.join(_changed_names(theirs, mine))}", mine)
+        return ClipPlan(clip, out, "refit", f"changed: {', '.join(_changed_names(theirs, mine))}", mine)
     try:
         whole = not read_manifest(out).changed()
     except InputError:
         whole = False
     return (
-        Planned(clip, out, "done", "", mine, row["row"]) if whole else Planned(clip, out, "refit", "not complete", mine)
+        ClipPlan(clip, out, "done", "", mine, row["row"])
+        if whole
+        else ClipPlan(clip, out, "refit", "not complete", mine)
     )
 
 

@@ -17,7 +17,7 @@ from recon.fit.result import LEVELS
 from recon.show.page import SUMMARY_PAGE, require_own_page
 from recon.show.report import warnings
 from recon.workflows.batch.inputs import SUMMARY
-from recon.workflows.batch.plan import Planned
+from recon.workflows.batch.plan import ClipPlan
 
 RESULTS = (
     "verdict",
@@ -79,7 +79,7 @@ def results_of(report: Mapping[str, Any]) -> dict[str, Any]:
 class Summary:
     """The rows of a batch, by clip, and their file. What was done earlier has its row already."""
 
-    def __init__(self, plan: Sequence[Planned], out: Path) -> None:
+    def __init__(self, plan: Sequence[ClipPlan], out: Path) -> None:
         self.path = out / SUMMARY
         self.rows: dict[str, dict[str, Any]] = {planned.clip.name: _row(planned, out) for planned in plan}
         self._written_s = -WRITE_EVERY_S
@@ -129,7 +129,7 @@ def write_summary_page(out: Path) -> Path:
     return page
 
 
-def _row(planned: Planned, out: Path) -> dict[str, Any]:
+def _row(planned: ClipPlan, out: Path) -> dict[str, Any]:
     settings, known = planned.clip.settings, planned.identity
     row = dict.fromkeys(COLUMNS) | {
         "clip": planned.clip.name,

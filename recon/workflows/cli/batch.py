@@ -26,7 +26,7 @@ from recon.workflows.settings import SETTINGS, FitSettings
 if TYPE_CHECKING:
     from recon.base.errors import Problem
     from recon.base.parallel import Event
-    from recon.workflows.batch import Planned, Summary
+    from recon.workflows.batch import ClipPlan, Summary
 
 EXIT_STRICT = 1
 CANNOT = "cannot be fitted"
@@ -151,7 +151,7 @@ def shown_batch(
 
 
 def _print_plan(
-    console: Console, plan: Sequence[Planned], problems: Sequence[tuple[Problem, ...]], as_json: bool
+    console: Console, plan: Sequence[ClipPlan], problems: Sequence[tuple[Problem, ...]], as_json: bool
 ) -> None:
     from recon.workflows.batch import repeated
 

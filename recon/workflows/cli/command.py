@@ -52,7 +52,7 @@ class OptionsOf:
 
 
 @dataclass(frozen=True)
-class _Takes:
+class _CommandOptions:
     """What a command's function takes: settings of its own class, and those of another one."""
 
     function: Callable[..., Any]
@@ -61,11 +61,11 @@ class _Takes:
     parameters: frozenset[str]
 
     @staticmethod
-    def of(function: Callable[..., Any]) -> _Takes:
+    def of(function: Callable[..., Any]) -> _CommandOptions:
         hints = typing.get_type_hints(function, include_extras=True)
         given = hints.get("given")
         others = None if given is None else next(one for one in given.__metadata__ if isinstance(one, OptionsOf))
-        return _Takes(function, hints.get("settings", Settings), others, frozenset(hints))
+        return _CommandOptions(function, hints.get("settings", Settings), others, frozenset(hints))
 
     @property
     def infos(self) -> dict[str, SettingInfo]:
@@ -121,7 +121,7 @@ class _Takes:
 class SettingsCommand(TyperCommand):
     """A command whose settings say themselves what is missing or wrong, all at once."""
 
-    takes: _Takes
+    takes: _CommandOptions
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         settings = {info.on_command_line.removeprefix("--set "): info.field for info in self.takes.by_set.values()}
@@ -142,7 +142,7 @@ class SettingsCommand(TyperCommand):
 
 def make_command(name: str, function: Callable[..., Any]) -> SettingsCommand:
     """The command of a function, see the text of the module."""
-    takes = _Takes.of(function)
+    takes = _CommandOptions.of(function)
     of_others = {} if takes.others is None else takes.others.infos
     parameters = [_parameter(info, name in of_others) for name, info in takes.infos.items() if info.option.common]
     if takes.by_set:
