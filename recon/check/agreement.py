@@ -6,8 +6,8 @@ in units of what is expected is the camera's level, about 1 where all is well. T
 with each other: whether their rays lie in one plane with the line between them.
 
 No body and no fit is needed, so that a camera which pulls the fit away from the others cannot hide. Where levels are
-high, the camera is sought without which the others agree, and whether a turn of the camera, a time lag or an exchange
-of two files would bring it back.
+high, the camera is sought without which the others agree, and whether a turn of the camera, a time offset or an
+exchange of two files would bring it back.
 """
 
 from __future__ import annotations
@@ -35,13 +35,14 @@ only across the line between them that a turned camera is seen at all."""
 EXPLAINED = 0.25
 """A cause that leaves no more than this part of a camera's level explains it, too."""
 CLEAR_TURN_RAD, CLEAR_LAG, CLEAR_GAIN = np.radians(3.0), 3.0, 1.5
-"""Cameras that agree are named, too, where such a turn, or lag in frames, makes their level so many times smaller."""
+"""Cameras that agree are named, too, where such a turn, or time offset in frames, makes their level so many times
+smaller."""
 LARGEST_TURN_RAD = np.radians(45.0)
 """A rotation that fits better only if it is larger is no turn of the camera."""
 MIN_POINTS = 30
 """Fewer points, over all frames, say nothing."""
 LAG_S, LITTLE_LAG = 0.5, 3
-"""How far a lag is sought: seconds for a camera that does not agree, frames for one that does."""
+"""How far a time offset is sought: seconds for a camera that does not agree, frames for one that does."""
 FRAMES = 480
 """How many frames of a longer clip are compared: the stretch in which most is seen together."""
 OFFSET_S = 1.0
@@ -51,7 +52,7 @@ CLEARLY = 0.9
 _OFFSET_ROWS = 200
 """Frames that are compared for it."""
 _COMPARED = 0.3
-"""A lag that leaves less than this part of the most points that can be compared says nothing."""
+"""A time offset that leaves less than this part of the most points that can be compared says nothing."""
 _ROBUST = 3.0
 """Rays of that many sigmas count half in a point."""
 _ROUNDS = 3
@@ -183,7 +184,8 @@ def _agreements(sights: Sequence[_Sight], among: Sequence[int], fps: float) -> l
 
 
 def _gain(found: _CameraAgreement) -> float:
-    """How many times as high a camera's level is as with the turn or the lag that fits best; 1 where both are small."""
+    """How many times as high a camera's level is as with the rotation or the time offset that fits best; 1 where both
+    are small."""
     clear = [
         found.level / max(level, 1e-9)
         for level, is_clear in (
@@ -206,7 +208,7 @@ def _agreeing(sights: Sequence[_Sight], fps: float, limit: float) -> tuple[int, 
     """The cameras that are left when those that agree least have gone one by one; () if no two agree.
 
     Of three cameras the two that are left can only be compared with each other, which a camera beside another may pass
-    in spite of its lag: so that one goes first which a turn or a lag makes agree with both.
+    in spite of its time offset: so that one goes first which a rotation or an offset makes agree with both.
     """
     among = tuple(range(len(sights)))
     while not _agree(_levels(sights, among), limit):
@@ -363,7 +365,7 @@ def _levels(sights: Sequence[_Sight], among: Sequence[int]) -> Array:
 
 
 def _agreement(sight: _Sight, others: Sequence[_Sight], fps: float, wide: bool) -> _CameraAgreement:
-    """wide: a lag is sought far and wide."""
+    """wide: a time offset is sought far and wide."""
     if len(others) == 1:
         level, error_rad, n = _pair_level(sight, others[0])
         return _CameraAgreement(n, error_rad * sight.focal_px, level, np.nan, np.nan, np.nan, np.nan)

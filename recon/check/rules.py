@@ -35,7 +35,7 @@ AMBIGUOUS_SHARE = 0.1
 KEYPOINT_SHARE, KEYPOINT_LEAST = 1 / 3, 10
 """Share, and number, of one keypoint's detections that are outliers from which it is named."""
 OUT_OF_STEP_SIGMAS = 3.0
-"""Two cameras' lags further apart than this, of what is expected of their difference, are a mistake in time."""
+"""Two cameras' time offsets further apart than this, of what is expected of their difference, are a mistake in time."""
 MOST_REJECTED = 0.5
 """Share of the points below the least likelihood from which it is named."""
 USUAL, FARTHEST = 10.0, 100.0
@@ -146,7 +146,8 @@ def few_frames(motion: Motion) -> Iterator[Finding]:
 
 
 def cameras_out_of_step(motion: Motion) -> Iterator[Finding]:
-    """A lag is expected to be a fraction of a frame: one that comes out larger is held back, and larger still."""
+    """A time offset is expected to be a fraction of a frame: one that comes out larger is held back, and larger
+    still."""
     if len(motion.sources) < 2:
         return
     late = [v.lead_frames - s.lead_frames for v, s in zip(motion.solution.views, motion.sources, strict=True)]

@@ -30,8 +30,8 @@ class View:
     intrinsics_px: Array | None = None
     """(T, 4): fx, fy, cx, cy of each frame, of a camera that zooms."""
     lead_frames: float = 0.0
-    """Its pictures were taken that much later than the clip's frames: 0 up to 1 as given, with a lag that was found
-    more or less."""
+    """Its pictures were taken that much later than the clip's frames: 0 up to 1 as given, with a time offset that was
+    found more or less."""
     turn_sigma_rad: Array | None = None
     """(T,): standard deviation of each pose's rotation about any axis, of a camera whose track says it."""
 
@@ -62,7 +62,8 @@ class View:
         return float(np.sqrt(self.camera.matrix[0, 0] * self.camera.matrix[1, 1]))
 
     def turn_covariance_m2(self, points_m: Array) -> Array:
-        """(T, J, 3, 3): the doubt of each pose's rotation, in points (T, J, 3) that are known by this camera alone."""
+        """(T, J, 3, 3): the uncertainty of each pose's rotation, in points (T, J, 3) that are known by this camera
+        alone."""
         off = points_m - self.centre_m[:, None]
         variance = np.zeros(len(off)) if self.turn_sigma_rad is None else self.turn_sigma_rad**2
         across = np.sum(off * off, axis=-1)[..., None, None] * np.eye(3) - off[..., :, None] * off[..., None, :]
@@ -81,7 +82,7 @@ class View:
 
     @property
     def turn_px(self) -> Array | float:
-        """What the doubt of each pose's rotation moves in the picture's middle: (T,), or 0."""
+        """What the uncertainty of each pose's rotation moves in the picture's middle: (T,), or 0."""
         return 0.0 if self.turn_sigma_rad is None else self.focal_px * self.turn_sigma_rad
 
     @property

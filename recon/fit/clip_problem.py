@@ -227,12 +227,12 @@ class ClipProblem:
         return np.hypot(noise, turned[..., None])
 
     def shared(self, shifts_m: Array | None = None) -> tuple[list[Shared], list[Shared]]:
-        """What all frames share: the unknowns that pictures can tell, and those that only add to the doubt. shifts_m
-        (V,): how far cameras that are refined may stand from their places.
+        """What all frames share: the unknowns that pictures can tell, and those that only add to the uncertainty.
+        shifts_m (V,): how far cameras that are refined may stand from their places.
 
-        A single camera cannot tell its lag from a place further on, an animal that goes beside where it looks from one
-        that looks elsewhere, nor keypoints that stay beside their markers from another pose. A standard deviation is
-        that of what lasts: the frames' number makes it no better known.
+        A single camera cannot tell its time offset from a position further on, an animal that goes beside where it
+        looks from one that looks elsewhere, nor keypoints that stay beside their markers from another pose. A standard
+        deviation is that of what lasts: the frames' number makes it no better known.
         """
         o, J, V = self.options, len(self.body.markers), len(self.views)
         root = np.sqrt(self.correlation_frames)

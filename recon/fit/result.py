@@ -152,7 +152,7 @@ class Solution:
 
     body: Body
     views: tuple[View, ...]
-    """What it was fitted to, with the lags that were found."""
+    """What it was fitted to, with the time offsets that were found."""
     states: Array
     """(T, D): the root's place is in the world; the body's lengths are those of `body` times `size`."""
     size: float
@@ -236,7 +236,7 @@ class TrajectorySolution(Solution):
     time_offset_frames: Array
     """(V,): how much later than said each camera's pictures were taken, where several cameras show it, else 0."""
     time_offset_sigma_frames: Array
-    """(V,): their standard deviations; 0 of a lag that is not an unknown."""
+    """(V,): their standard deviations; 0 of a time offset that is not an unknown."""
     extrinsic_correction: Array
     """(V, 6): how far each camera lies beside its pose, as in `View.corrected`; 0 where that is not an unknown."""
     extrinsic_correction_sigma: Array

@@ -39,7 +39,7 @@ SIZE = "size"
 """The shared unknown: a factor on all lengths. 1 where it is not one."""
 COMMON_KEYPOINT_BIAS = "common keypoint bias"
 """The shared unknowns (3J,): how far all cameras see the keypoints of each marker beside it all the time, metres in its
-segment. Held at zero: they count in the doubt only."""
+segment. Held at zero: they count in the uncertainty only."""
 SIDESLIP = "sideslip"
 """The shared unknown: by how much an animal goes to the left of where it looks all the time, rad."""
 _ONE, _ZERO = np.ones(1), np.zeros(1)
@@ -250,7 +250,7 @@ class Reprojection:
     """The number of the view, in the names of the unknowns that are its own (`time_offset`, `keypoint_bias`,
     `extrinsic_correction`, `focal`)."""
     drift_m: Array | None = None
-    """(T, J, 3), frozen: how far the markers go in a frame, at nominal size. None: no lag is read."""
+    """(T, J, 3), frozen: how far the markers go in a frame, at nominal size. None: no time offset is read."""
     px_per_m: Array | None = None
     """(T,), frozen: how large a metre is in the picture at the animal's distance. None: no `keypoint_bias` is read."""
     name: str = "reprojection"

@@ -56,7 +56,7 @@ Analysed = tuple[ClipAnalysis, dict[str, Any], list[Path]]
 
 
 class AnalyseSettings(Settings):
-    """What `recon analyse` is told."""
+    """The settings of `recon analyse`."""
 
     folder: Annotated[Path, Option("Folder of results, as in results/clip.", argument="DIR")]
     out: Annotated[Path | None, Option("Folder for tables and figures. (default: analysis in DIR)")] = None

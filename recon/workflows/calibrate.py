@@ -32,7 +32,7 @@ def _finite(value: Any) -> Any:
 
 
 class CalibrationSettings(Settings):
-    """What `recon calibrate` is told."""
+    """The settings of `recon calibrate`."""
 
     inputs: Annotated[
         OneOrMore[Path],

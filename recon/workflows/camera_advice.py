@@ -58,7 +58,7 @@ def where(azimuth_rad: float, elevation_rad: float) -> str:
 
 
 class _CameraAdviceSettings(Settings):
-    """What `recon camera-advice` is told."""
+    """The settings of `recon camera-advice`."""
 
     skeleton: Annotated[str, Option("A built-in skeleton or a TOML file, as in cheetah-24.")]
     out: Annotated[Path, Option("Folder for the figure, the table and the report.")]

@@ -52,7 +52,7 @@ NOTES = (
 
 
 class _CameraMotionSettings(Settings):
-    """What `recon camera-motion` is told."""
+    """The settings of `recon camera-motion`."""
 
     video: Annotated[Path, Option("The video of a camera that turns, as in clip.mp4.", argument="VIDEO")]
     camera: Annotated[Path, Option("The camera's calibration, as in camera.toml; its pose is not read.")]

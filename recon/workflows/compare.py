@@ -37,7 +37,7 @@ ALL = "all"
 
 
 class _CompareSettings(Settings):
-    """What `recon compare` is told."""
+    """The settings of `recon compare`."""
 
     folders: Annotated[
         OneOrMore[Path],

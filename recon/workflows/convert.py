@@ -24,7 +24,7 @@ from recon.workflows.settings import ANYWAY, RENAME
 
 
 class ConvertSettings(Settings):
-    """What `recon convert` is told."""
+    """The settings of `recon convert`."""
 
     source: Annotated[Path | None, Option("File, or folder of results, as in results/clip.", argument="IN")] = None
     out: Annotated[Path | None, Option("File to write, as in clip.trc.", argument="OUT")] = None

@@ -27,7 +27,7 @@ def samples_folder() -> Path:
 
 
 class _DemoSettings(Settings):
-    """What `recon demo` is told."""
+    """The settings of `recon demo`."""
 
     out: Annotated[Path, Option("Folder for the results.")] = Path("demo-output")
     overwrite: Annotated[bool, Option("Replace results in the folder.")] = False

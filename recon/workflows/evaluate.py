@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 class _EvaluateSettings(Settings):
-    """What `recon evaluate` is told."""
+    """The settings of `recon evaluate`."""
 
     pose3d: Annotated[
         Path, Option("Results of recon fit, or a file of 3D positions, as pose3d.csv (m).", argument="POSE3D")

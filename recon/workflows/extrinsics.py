@@ -47,7 +47,7 @@ _SETTINGS = (
 
 
 class _ExtrinsicsSettings(Settings):
-    """What `recon calibrate extrinsics` is told besides the settings of the clips."""
+    """The settings of `recon calibrate extrinsics` beside those of the clips."""
 
     inputs: Annotated[
         OneOrMore[str],

@@ -28,7 +28,7 @@ BESIDE = ("overlay.mp4", "analysis/analysis.json")
 
 
 class PageSettings(ResultSettings):
-    """What `recon report` is told."""
+    """The settings of `recon report`."""
 
     folder: Annotated[Path, Option("Folder of results, as in results/clip, or of a batch.", argument="DIR")]
 

@@ -34,7 +34,7 @@ T = TypeVar("T")
 
 
 class PriorFitSettings(Settings):
-    """What `recon prior fit` is told."""
+    """The settings of `recon prior fit`."""
 
     poses: Annotated[
         OneOrMore[Path],

@@ -101,7 +101,7 @@ class ResultSettings(Settings):
 
 
 class FitSettings(Settings):
-    """What `recon fit` is told. Raises InputError with everything that is wrong with it.
+    """The settings of `recon fit`. Raises InputError with everything that is wrong with it.
 
     One of camera (a calibration file) and hfov_deg with image_size_px is needed. Text is taken for numbers, sizes and
     files. Fields without a unit in their name are counts, names or shares; the solvers' are explained at

@@ -26,7 +26,7 @@ mean over strides, not a stance."""
 
 
 class _SkeletonCheckSettings(Settings):
-    """What `recon skeleton check` is told."""
+    """The settings of `recon skeleton check`."""
 
     skeleton: Annotated[
         str, Option("A TOML file, or the name of a built-in skeleton, as in my-dog.toml.", argument="SKELETON")

@@ -22,7 +22,7 @@ from recon.workflows.settings import ResultSettings
 
 
 class _ViewSettings(ResultSettings):
-    """What `recon view` is told."""
+    """The settings of `recon view`."""
 
     video: Annotated[Path | None, Option("Show the frames of this video with it, as in clip.mp4.")] = None
     out: Annotated[

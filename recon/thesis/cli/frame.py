@@ -14,7 +14,7 @@ _OPTIONS = tuple(name for name, info in SETTINGS.items() if name != "method" and
 
 
 class _FrameRunSettings(Settings):
-    """What `recon frame` is told besides the settings of the fit itself."""
+    """The settings of `recon frame` beside those of the fit itself."""
 
     out: Annotated[Path, Option("Folder for the results, as in results/clip1.")]
     config: Annotated[Path | None, Option("config.toml of an earlier run; options given here overrule it.")] = None

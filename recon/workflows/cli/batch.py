@@ -39,7 +39,7 @@ _OF_CLIPS = tuple(name for name in SETTINGS if name != "keypoints")
 
 
 class _BatchSettings(Settings):
-    """What `recon batch` is told besides the settings of every clip's fit."""
+    """The settings of `recon batch` beside those of every clip's fit."""
 
     inputs: Annotated[
         OneOrMore[str],

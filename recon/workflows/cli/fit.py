@@ -13,7 +13,7 @@ from recon.workflows.settings import FitSettings, read_settings
 
 
 class _FitRunSettings(Settings):
-    """What `recon fit` is told besides the settings of the fit itself."""
+    """The settings of `recon fit` beside those of the fit itself."""
 
     out: Annotated[Path | None, Option("Folder for the results, as in results/clip1.")] = None
     config: Annotated[Path | None, Option("config.toml of an earlier run; options given here overrule it.")] = None

@@ -18,7 +18,7 @@ LIMITS = {"gt": "exclusiveMinimum", "ge": "minimum", "lt": "exclusiveMaximum", "
 
 
 class _ListedSettings(Settings):
-    """What `recon settings` is told."""
+    """The settings of `recon settings`."""
 
     command: Annotated[str, Option("The command, as in fit.", argument="COMMAND")] = "fit"
     schema: Annotated[
