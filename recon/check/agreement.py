@@ -83,9 +83,10 @@ class _CameraAgreement:
 
 
 def agreement_findings(motion: Motion, sigma_px: float, keypoint_sigma_m: float) -> tuple[Finding, ...]:
-    """Of a motion's two or more cameras, as they were given (the lags that a fit found do not hide others): a note on
-    each camera, and which do not agree with the others and why, as if their files were exchanged, turned, late, for a
-    reason unknown, or, where it cannot be said which of them is off, with each other. Deterministic.
+    """What two or more cameras of a motion, as they were given, say of each other (the time offsets that a fit found do
+    not hide others): a note on each camera, and which do not agree with the others and why, as if their files were
+    exchanged, turned, late, for a reason unknown, or, where it cannot be said which of them is off, with each other.
+    Deterministic.
 
     sigma_px: noise of the detector; keypoint_sigma_m: how far off a keypoint's place on the body it may lie as well.
     """

@@ -218,7 +218,7 @@ def _shared(clip: ClipProblem, solved: Sequence[Solved], known: Sequence[Posteri
     shares = (frames / max(frames.sum(), 1))[:, None, None]
 
     def of_views(name: Callable[[int], str], count: int = 1) -> tuple[Array, Array]:
-        """(V, count) each."""
+        """What was found for each of the V views, and its standard deviations, shape (V, count) each."""
         found = [[one.found(name(i), count) for i in V] for one in solved]
         sigmas = [[one.shared_sigma.get(name(i), np.zeros(count)) for i in V] for one in known]
         found, sigmas = (shares * np.reshape(of, (len(solved), len(V), count)) for of in (found, sigmas))

@@ -103,7 +103,7 @@ class ClipAnalysis:
 
     @cached_property
     def joints(self) -> dict[str, JointKinematics]:
-        """Motion by joint."""
+        """The motion of each joint, by its name."""
         found = {}
         for name in self.motion.upright.names:
             moved = self.reference_motion if name == self.reference else self._moved(name)
@@ -134,7 +134,7 @@ class ClipAnalysis:
 
     @cached_property
     def skeleton_angles(self) -> dict[str, AngleKinematics]:
-        """The fit's own angles."""
+        """The angles that the fit itself has, by name."""
         motion = self.motion
         of_angles = zip(motion.posture_names, motion.posture_rad.T, _angle_errors(motion, self.smoothed), strict=True)
         return {
@@ -144,7 +144,7 @@ class ClipAnalysis:
 
     @cached_property
     def gait(self) -> Gait | None:
-        """None without feet."""
+        """The gait, or None for an animal without feet."""
         motion = self.motion
         if not motion.foot_names:
             return None

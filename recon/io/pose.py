@@ -83,7 +83,7 @@ class StoredPoints:
     edges: tuple[tuple[str, str], ...] = ()
     """Pairs of points that are linked, where they are known."""
     images: tuple[str, ...] = ()
-    """Of labels: the T pictures' names."""
+    """For labels: the names of the T pictures."""
     notes: tuple[str, ...] = ()
     """What a reader had to decide, in plain sentences."""
 

@@ -146,7 +146,7 @@ class State:
     history: list[dict[str, float]] = field(default_factory=list)
     """A row for each evaluation."""
     losses: list[float] = field(default_factory=list)
-    """Those of the steps since the last evaluation."""
+    """The losses of the steps since the last evaluation."""
     threads: int = 0
     """With which it computes on the CPU; 0 where none were chosen yet."""
 
