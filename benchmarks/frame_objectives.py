@@ -22,7 +22,7 @@ from markdown_table import print_header, print_row
 from recordings import recordings
 
 from recon import FitSettings, Pose3D, evaluate, fit_clip, read_pose3d
-from recon.gait.path import frame_jitter_m
+from recon.gait.kinematics import frame_jitter_m
 from recon.thesis import FrameSolution, frame
 from recon.thesis.objectives import Objective, ResidualAndJacobian
 

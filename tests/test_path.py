@@ -7,8 +7,10 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 from recon.gait.kinematics import (
+    MAX_GAP_S,
     Errors,
     JointKinematics,
+    frame_jitter_m,
     jitter_errors,
     lasting_errors,
     net_acceleration,
@@ -16,7 +18,6 @@ from recon.gait.kinematics import (
     point_kinematics,
     speed_at_frames,
 )
-from recon.gait.path import MAX_GAP_S, frame_jitter_m
 
 FPS = 30.0
 TIME_S = np.arange(40) / FPS

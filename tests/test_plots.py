@@ -16,9 +16,10 @@ from matplotlib.quiver import Quiver
 from PIL import Image
 
 from recon.animal import Side, load_skeleton
-from recon.gait.gait import Plane, Stance, Stride, gait, tracks
+from recon.gait.gait import BODY, FEET, Plane, Stance, Stride, gait, pose_tracks
 from recon.gait.kinematics import Errors, angle_kinematics, point_kinematics
 from recon.gait.phase import Closure, Portrait, phase_portrait, vector_field
+from recon.io.pose3d import Pose3D
 from recon.robotics.ik import plots as ik_plots
 from recon.robotics.ik.chain import planar_chain, summed_chain
 from recon.robotics.ik.drive import drive_to, follow
@@ -68,7 +69,8 @@ def swinging(T=31):
 
 
 def still_tracks(T=41):
-    return tracks(times(T), np.zeros((T, 4, 3)), np.full((T, 3), 0.5), ("LH", "RH", "LF", "RF"))
+    points = np.concatenate([np.zeros((T, 4, 3)), np.full((T, 2, 3), 0.5)], axis=1)
+    return pose_tracks(Pose3D((*FEET.values(), *BODY), points, round(FPS) + np.arange(T)), FPS)
 
 
 def gaits():

@@ -27,6 +27,7 @@ from recon.fit.posterior import radius
 from recon.gait.dynamics import Dynamics, dynamics
 from recon.gait.gait import BODY, INTERVAL, Gait, Stride, gait, pose_tracks
 from recon.gait.kinematics import (
+    MIN_POINTS,
     AngleKinematics,
     Errors,
     JointKinematics,
@@ -39,7 +40,6 @@ from recon.gait.kinematics import (
     peak_doubt,
     spine_flexion,
 )
-from recon.gait.path import MIN_POINTS
 from recon.gait.phase import (
     Closure,
     LinkField,

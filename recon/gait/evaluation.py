@@ -18,7 +18,6 @@ import numpy as np
 
 from recon.animal import fitting_maps, load_names, new_names
 from recon.base.errors import InputError, Problem, all_of
-from recon.base.manifest import MANIFEST
 from recon.check import mismatches, sentence, usable
 from recon.clip.keypoints import frame_ranges
 from recon.fit.motion import Motion
@@ -80,34 +79,30 @@ class Evaluation:
     def to_dict(self) -> dict[str, Any]:
         """Plain JSON types: keys that end in `_mm` are millimetres, pck are fractions, NaN is None."""
         errors = {name: getattr(self, f"{name}_m") for name in ("mpjpe", "mpe", "scale_mpjpe", "pa_mpjpe")}
-        verdict = None if self.verdict is None else asdict(self.verdict)
-        result: dict[str, Any] = {"pose": self.pose, "truth": self.truth, "verdict": verdict}
-        result |= {f"{name}_mm": _plain_types(score.mean * 1e3) for name, score in errors.items()}
+
+        def by_joint(values: np.ndarray) -> dict[str, float]:
+            return dict(zip(self.names, values.tolist(), strict=True))
+
+        result: dict[str, Any] = {"pose": self.pose, "truth": self.truth}
+        result["verdict"] = None if self.verdict is None else asdict(self.verdict)
+        result |= {f"{name}_mm": 1e3 * score.mean for name, score in errors.items()}
         for name, score in errors.items():
-            result[f"{name}_per_joint_mm"] = dict(zip(self.names, _plain_types(score.per_joint * 1e3), strict=True))
-            result[f"{name}_per_frame_mm"] = _plain_types(score.per_frame * 1e3)
+            result[f"{name}_per_joint_mm"] = by_joint(1e3 * score.per_joint)
+            result[f"{name}_per_frame_mm"] = 1e3 * score.per_frame
         result["pck"] = [
-            {
-                "threshold_mm": threshold * 1e3,
-                "mean": _plain_types(score.mean),
-                "per_joint": dict(zip(self.names, _plain_types(score.per_joint), strict=True)),
-                "per_frame": _plain_types(score.per_frame),
-            }
-            for threshold, score in self.pck
+            {"threshold_mm": 1e3 * t, "mean": s.mean, "per_joint": by_joint(s.per_joint), "per_frame": s.per_frame}
+            for t, s in self.pck
         ]
         result["inside"] = {
-            what: [{"level": p, "share": _plain_types(share)} for p, share in zip(LEVELS, shares, strict=True)]
+            what: [{"level": level, "share": share} for level, share in zip(LEVELS, shares, strict=True)]
             for what, shares in self.inside.items()
         }
-        result["joints"] = list(self.names)
-        result["frames"] = self.frames.tolist()
-        result["frames_not_scored"] = self.frames_not_scored
-        result["frames_without_pa"] = self.frames_without_pa
+        result |= {"joints": self.names, "frames": self.frames}
+        result |= {f"frames_{name}": getattr(self, f"frames_{name}") for name in ("not_scored", "without_pa")}
         for side in ("pose", "truth"):
-            result[f"joints_only_in_{side}"] = list(getattr(self, f"joints_only_in_{side}"))
-            result[f"frames_only_in_{side}"] = [list(r) for r in getattr(self, f"frames_only_in_{side}")]
-        result["notes"] = list(self.notes)
-        return result
+            for what in ("joints", "frames"):
+                result[f"{what}_only_in_{side}"] = getattr(self, f"{what}_only_in_{side}")
+        return _plain(result | {"notes": self.notes})
 
 
 def evaluate_files(
@@ -131,11 +126,7 @@ def evaluate_files(
     found = replace(evaluate(pose, truth, sigmas_m), verdict=verdict)
     notes = *pose.notes, *truth.notes, *found.notes, *_counted_from_one(pose, truth, found)
     notes += () if rename else tuple(_other_names(pose, truth, found))
-    found = replace(found, notes=tuple(dict.fromkeys(notes)))
-    if _is_result(truth_path) and not _is_result(pose_path):
-        note = f"the reference, {truth_path}, is a result of recon fit, and what is scored is not: perhaps exchanged"
-        return replace(found, notes=(*found.notes, note))
-    return found
+    return replace(found, notes=tuple(dict.fromkeys(notes)))
 
 
 def _renamed(pose: Pose3D, rename: str) -> Pose3D:
@@ -175,10 +166,6 @@ def _positions(
     motion = usable(Motion.load(path), path, anyway)
     pose = Pose3D(motion.names, motion.joints_m, motion.frames, str(path), motion.fps)
     return pose, (motion.joint_sigma_m, motion.relative_sigma_m), motion.verdict
-
-
-def _is_result(path: Path) -> bool:
-    return path.is_dir() or (path.parent / MANIFEST).is_file()
 
 
 def evaluate(pose: Pose3D, truth: Pose3D, sigmas_m: tuple[np.ndarray, np.ndarray] | None = None) -> Evaluation:
@@ -317,8 +304,10 @@ def _mean(values: np.ndarray, axis: int) -> np.ndarray:
     return np.divide(total, count, out=np.full(count.shape, np.nan), where=count > 0)
 
 
-def _plain_types(values: Any) -> Any:
-    """A float or a list of floats, with None for NaN."""
-    if np.ndim(values) == 0:
-        return None if np.isnan(values) else float(values)
-    return [_plain_types(v) for v in values]
+def _plain(value: Any) -> Any:
+    """JSON types, with None for NaN."""
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple | np.ndarray):
+        return [_plain(item) for item in (value.tolist() if isinstance(value, np.ndarray) else value)]
+    return None if isinstance(value, float) and np.isnan(value) else value

@@ -2,8 +2,7 @@
 
 Feet are LH, RH, LF, RF (left and right, hind and fore). World frame, z up, metres; the ground may lie anywhere and
 slope. Paths are cubic splines on a grid of ten times the frame rate (`recon.gait.kinematics`), and so are the
-events' times. The body is the mean of `body`'s joints; its direction of travel at a time is the horizontal chord of its
-path over `CHORD_S` on either side.
+events' times. The body is the mean of `body`'s joints.
 
 Stances: a foot may stand where its speed over the ground is below `SLOW[1]` of its own speed in the swing and its
 height below `LOW[1]` of the leg's length; such a time is a stance if at least one instant in it is below `SLOW[0]` and
@@ -44,8 +43,7 @@ import numpy as np
 from recon.base.arrays import Array, Bools, mean, median
 from recon.clip.keypoints import frame_ranges
 from recon.fit.posterior import radius
-from recon.gait.kinematics import Errors, Series, frame_times, joint_index, series_kinematics
-from recon.gait.path import MIN_POINTS
+from recon.gait.kinematics import MIN_POINTS, Errors, Series, frame_times, joint_index, series_kinematics
 from recon.io.pose3d import Pose3D
 
 FEET: Mapping[str, str] = MappingProxyType(
@@ -56,7 +54,6 @@ BODY = ("neck_base", "tail_base")
 OVERSAMPLING = 10
 MAX_GAP_S = 0.05
 """Longer gaps of a foot or the body are not bridged: they could hide a touchdown."""
-CHORD_S = 0.25
 SLOW, SWING = (0.16, 0.32), 1.3
 """Speed over the ground of a standing foot, of its speed in the swing: surely, and at most; and the least speed in the
 swing, of the body's."""
@@ -171,8 +168,6 @@ class Tracks:
     """(4, F): below which speed each foot surely stands, may stand at most, has landed, and has not lifted."""
     swing_m_s: Array
     """(F,): each foot's speed in the swing, above that at rest."""
-    reach_m: Array
-    """(N, F): of the foot before the body along the travel."""
     height_m: Array
     """(N, F): above the ground."""
     grounds: tuple[tuple[slice, Plane], ...]
@@ -262,54 +257,6 @@ def _interval(value: float, sigma: float) -> tuple[float, float]:
 # -- tracks ----------------------------------------------------------------------------------------------------------
 
 
-def tracks(
-    time_s: Array,
-    feet_m: Array,
-    body_m: Array,
-    feet: tuple[str, ...],
-    errors: Sequence[Errors] = (),
-    segments: Sequence[slice] = (slice(None),),
-    restless: bool = False,
-) -> Tracks:
-    """Feet (T, F, 3) and body (T, 3) at times (T,), metres, z up, NaN where missing. errors: what adds up to the feet's
-    errors, sigma (T, F, 3) each. segments: rows that have a ground of their own. restless: feet seem to move even when
-    they stand, of poses that jitter; how fast, their own 10th percentile says. Raises ValueError."""
-    if feet_m.shape != (len(time_s), len(feet), 3) or body_m.shape != (len(time_s), 3):
-        raise ValueError(f"{len(time_s)} times, {len(feet)} feet, but positions {feet_m.shape} and {body_m.shape}")
-    if len(time_s) < MIN_POINTS:
-        raise ValueError(f"a gait needs at least {MIN_POINTS} frames, got {len(time_s)}")
-    paths = [_path(time_s, feet_m[:, k], [error[:, k] for error in errors]) for k in range(len(feet))]
-    body = _path(time_s, body_m)
-    foot = np.stack([p.value for p in paths], axis=1)
-    foot_speed, foot_speed_sigma = np.stack([_level_speed(p) for p in paths], axis=-1)
-    body_speed = np.linalg.norm(body.rate[:, :2], axis=1)
-    reach = np.einsum("nfk,nk->nf", (foot - body.value[:, None])[..., :2], _travel(body.time_s, body.value))
-    fast = [np.nanpercentile(of, 95) if np.isfinite(of).any() else 0.0 for of in foot_speed.T]
-    rest = (
-        np.nan_to_num(np.nanpercentile(foot_speed, 10, axis=0)) if restless and np.isfinite(foot_speed).any() else 0.0
-    )
-    swing_m_s = np.maximum(fast, SWING * mean(body_speed)) - rest
-    slow_m_s = rest + np.multiply.outer((*SLOW, LANDS, LIFTS), swing_m_s)
-    slow = foot_speed < slow_m_s[0]
-    grounds = tuple((rows, _ground_under(foot[_fine(rows)], slow[_fine(rows)])) for rows in segments)
-    return Tracks(
-        feet=feet,
-        time_s=body.time_s,
-        frame=np.arange(len(body.time_s)) / OVERSAMPLING,
-        foot_m=foot,
-        body_m=body.value,
-        foot_speed_m_s=foot_speed,
-        foot_speed_sigma_m_s=foot_speed_sigma,
-        body_speed_m_s=body_speed,
-        slow_m_s=slow_m_s,
-        swing_m_s=swing_m_s,
-        reach_m=reach,
-        height_m=_above(grounds, foot),
-        grounds=grounds,
-        leg_m=median(_above(grounds, body.value)),
-    )
-
-
 def pose_tracks(
     pose: Pose3D,
     fps: float,
@@ -319,17 +266,47 @@ def pose_tracks(
     segments: Sequence[slice] = (slice(None),),
     restless: bool = False,
 ) -> Tracks:
-    """The tracks of a pose with errors (T, J, 3) each; feet: joint of each foot, by LH, RH, LF, RF; body: joints whose
-    mean stands for the body; segments, restless: see `tracks`. Raises InputError with every joint that the pose lacks,
-    ValueError."""
-    where, n = joint_index(pose, (*feet.values(), *body)), len(feet)
-    points, of_feet = pose.xyz_m[:, where], [error[:, where[:n]] for error in errors]
-    body_m = points[:, n:].mean(axis=1)
-    return tracks(frame_times(pose.frames, fps), points[:, :n], body_m, tuple(feet), of_feet, segments, restless)
+    """The tracks of a pose of T frames, metres, z up, NaN where missing, with errors (T, J, 3) that add up.
 
+    feet: joint of each foot, by LH, RH, LF, RF; body: joints whose mean stands for the body. segments: rows that have a
+    ground of their own. restless: feet seem to move even when they stand, of poses that jitter; how fast, their own
+    10th percentile says. Raises InputError with every joint that the pose lacks, ValueError.
+    """
+    where, time_s, n = joint_index(pose, (*feet.values(), *body)), frame_times(pose.frames, fps), len(feet)
+    if len(time_s) < MIN_POINTS:
+        raise ValueError(f"a gait needs at least {MIN_POINTS} frames, got {len(time_s)}")
 
-def _path(time_s: Array, points_m: Array, errors: Sequence[Errors] = ()) -> Series:
-    return series_kinematics(time_s, points_m, errors, oversampling=OVERSAMPLING, max_gap_s=MAX_GAP_S)
+    def path(points_m: Array, errors: Sequence[Errors] = ()) -> Series:
+        return series_kinematics(time_s, points_m, errors, oversampling=OVERSAMPLING, max_gap_s=MAX_GAP_S)
+
+    paths = [path(pose.xyz_m[:, at], [error[:, at] for error in errors]) for at in where[:n]]
+    middle = path(pose.xyz_m[:, where[n:]].mean(axis=1))
+    foot = np.stack([p.value for p in paths], axis=1)
+    foot_speed, foot_speed_sigma = np.stack([_level_speed(p) for p in paths], axis=-1)
+    body_speed, known = np.linalg.norm(middle.rate[:, :2], axis=1), np.isfinite(foot_speed).any(axis=0)
+    fast, rest = np.zeros(n), np.zeros(n)
+    fast[known] = np.nanpercentile(foot_speed[:, known], 95, axis=0)
+    if restless:
+        rest[known] = np.nanpercentile(foot_speed[:, known], 10, axis=0)
+    swing_m_s = np.maximum(fast, SWING * mean(body_speed)) - rest
+    slow_m_s = rest + np.multiply.outer((*SLOW, LANDS, LIFTS), swing_m_s)
+    slow = foot_speed < slow_m_s[0]
+    grounds = tuple((rows, ground_plane(foot[_fine(rows)], slow[_fine(rows)])) for rows in segments)
+    return Tracks(
+        feet=tuple(feet),
+        time_s=middle.time_s,
+        frame=np.arange(len(middle.time_s)) / OVERSAMPLING,
+        foot_m=foot,
+        body_m=middle.value,
+        foot_speed_m_s=foot_speed,
+        foot_speed_sigma_m_s=foot_speed_sigma,
+        body_speed_m_s=body_speed,
+        slow_m_s=slow_m_s,
+        swing_m_s=swing_m_s,
+        height_m=_above(grounds, foot),
+        grounds=grounds,
+        leg_m=median(_above(grounds, middle.value)),
+    )
 
 
 def _level_speed(path: Series) -> Array:
@@ -354,12 +331,13 @@ def _above(grounds: Sequence[tuple[slice, Plane]], xyz_m: Array) -> Array:
     return above
 
 
-def _ground_under(foot_m: Array, slow: Bools) -> Plane:
-    return ground_plane(foot_m[slow]) if slow.any() else _level(foot_m)
-
-
-def ground_plane(points_m: Array) -> Plane:
-    """The plane through points (M, 3), by least squares with Tukey's weights and a prior on its slopes."""
+def ground_plane(foot_m: Array, slow: Bools) -> Plane:
+    """The plane through the feet (N, F, 3) where they are slow (N, F), by least squares with Tukey's weights and a
+    prior on its slopes; without any the level through the lowest position."""
+    points_m = foot_m[slow]
+    if not len(points_m):
+        lowest = float(np.nanmin(foot_m[..., 2])) if np.isfinite(foot_m).any() else np.nan
+        return Plane((0.0, 0.0), lowest, (0.0, 0.0), np.nan, 0)
     middle = np.median(points_m[:, :2], axis=0)
     design = np.column_stack([np.ones(len(points_m)), points_m[:, :2] - middle])
     # Samples of the fine grid within one stance say the same: the prior counts as one of them, not less.
@@ -380,26 +358,6 @@ def ground_plane(points_m: Array) -> Plane:
         spread_m=spread,
         samples=len(points_m),
     )
-
-
-def _level(foot_m: Array) -> Plane:
-    lowest = float(np.nanmin(foot_m[..., 2])) if np.isfinite(foot_m).any() else np.nan
-    return Plane((0.0, 0.0), lowest, (0.0, 0.0), np.nan, 0)
-
-
-def _travel(time_s: Array, body_m: Array) -> Array:
-    """Horizontal direction of travel (N, 2), unit length; NaN while the body is unknown or does not move."""
-    known = np.isfinite(body_m.sum(axis=1))
-    if not known.any():
-        return np.full((len(time_s), 2), np.nan)
-    t = time_s[known]
-    ends = [
-        np.stack([np.interp(np.clip(time_s + s, t[0], t[-1]), t, x) for x in body_m[known, :2].T], axis=1)
-        for s in (-CHORD_S, CHORD_S)
-    ]
-    chord = ends[1] - ends[0]
-    length = np.linalg.norm(chord, axis=1, keepdims=True)
-    return np.divide(chord, length, out=np.full_like(chord, np.nan), where=(length > 1e-9) & known[:, None])
 
 
 # -- stances ---------------------------------------------------------------------------------------------------------
@@ -562,8 +520,7 @@ def pose_period_s(moved: Tracks) -> float:
 
     It is the period whose first two harmonics, with a weak prior against them, fit best where the feet are relative to
     the body."""
-    below = moved.foot_m[::OVERSAMPLING, :, 2] - moved.body_m[::OVERSAMPLING, None, 2]
-    values = np.concatenate([moved.reach_m[::OVERSAMPLING], below], axis=1)
+    values = (moved.foot_m - moved.body_m[:, None])[::OVERSAMPLING].reshape(-1, 3 * len(moved.feet))
     known = np.isfinite(values).all(axis=1)
     time, values = moved.time_s[::OVERSAMPLING][known], values[known]
     if len(time) < MIN_POINTS + 5:

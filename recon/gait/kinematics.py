@@ -2,7 +2,7 @@
 
 A series is a cubic spline through the frames that have a value, evaluated at ten times the frame rate. Two kinds:
 
-- exact (`recon.gait.path`, not-a-knot ends): passes through every value. White noise of s in the values becomes
+- exact (not-a-knot ends): passes through every value. White noise of s in the values becomes
   about 1.2 s fps in the rate and 6 s fps^2 in the acceleration.
 - smoothing (natural ends): minimises sum(((x - f) / sigma)^2) + lam * integral(f''^2),
   with the largest lam that leaves the sum at no more than the number of values (Reinsch 1967). Its acceleration is zero
@@ -34,11 +34,14 @@ from scipy.optimize import brentq
 
 from recon.base.arrays import Array, Index
 from recon.base.errors import InputError, Problem
-from recon.gait.path import MAX_GAP_S, MIN_POINTS, frame_jitter_m, stretches
 from recon.io.pose3d import Pose3D
 
 Curve = Callable[[Array, int], Array]
 
+MAX_GAP_S = 0.2
+"""Missing frames are bridged if the frames on their two sides are not further apart than this."""
+MIN_POINTS = 4
+"""A cubic needs this many."""
 OVERSAMPLING = 10
 MIN_SMOOTHING_POINTS = 5
 """Fewer are not smoothed."""
@@ -198,7 +201,7 @@ def series_kinematics(
     spread = np.full((3, N, d), np.nan) if len(errors) and propagate else None
     weight = 1.0 / errors[0].sigma if smooth else np.ones((T, d))
     spans, lams = [], []
-    for rows in stretches(time_s, values, max_gap_s, MIN_SMOOTHING_POINTS if smooth else MIN_POINTS):
+    for rows in _stretches(time_s, values, max_gap_s, MIN_SMOOTHING_POINTS if smooth else MIN_POINTS):
         where = slice(rows[0] * oversampling, rows[-1] * oversampling + 1)
         t, at = time_s[rows], fine_s[where]
         lam = np.zeros(d)
@@ -224,6 +227,13 @@ def series_kinematics(
         lam=np.reshape(lams, (len(spans), d)) if smooth else None,
         oversampling=oversampling,
     )
+
+
+def _stretches(time_s: Array, values: Array, max_gap_s: float, min_points: int) -> list[Index]:
+    """Rows of the known values (T, d), split at the gaps that are too long; those with enough of them."""
+    known = np.flatnonzero(np.isfinite(values).all(axis=1))
+    too_long = (np.diff(known) > 1) & (np.diff(time_s[known]) > max_gap_s * (1 + 1e-9))
+    return [rows for rows in np.split(known, np.flatnonzero(too_long) + 1) if len(rows) >= min_points]
 
 
 def _check_series(time_s: Array, values: Array, errors: Sequence[Errors], smooth: bool) -> None:
@@ -317,33 +327,18 @@ def _amid(t: Array, errors: Sequence[Errors], per: int) -> Array:
     wide, step = 2 * _REACH, (t[-1] - t[0]) / (len(t) - 1)
     spline = CubicSpline(step * np.arange(2 * wide), np.eye(2 * wide))
     shares = _evaluate(spline, step * (wide - 1 + np.arange(per) / per))[:, :, _REACH:-_REACH].reshape(3 * per, wide)
+    first, second = np.triu_indices(wide)
+    products = shares[:, first] * shares[:, second] * np.where(first == second, 1.0, 2.0)
+    least = _LEAST_PRODUCT * np.max(shares**2, axis=1, keepdims=True)
     frames = len(t) - 1 - wide
     variance = np.zeros((3 * per, frames, errors[0].sigma.shape[1]))
     for error in errors:
-        taken, factors = _products(shares, step, error.correlation_s)
-        products = np.empty((factors.shape[1], frames))
+        factors = products * _correlation(step * (second - first), error.correlation_s)
+        counts = (np.abs(factors) > least).any(axis=0)
         for k, sigma in enumerate(error.sigma.T):
-            done = 0
-            for lag, (first, end) in taken.items():
-                both = sliding_window_view(sigma[: len(sigma) - lag] * sigma[lag:], frames)
-                products[done : (done := done + end - first)] = both[1 + first : 1 + end]
-            variance[:, :, k] += factors @ products
+            about = sliding_window_view(sigma, frames)[1:]
+            variance[:, :, k] += factors[:, counts] @ (about[first[counts]] * about[second[counts]])
     return np.maximum(variance, 0.0).reshape(3, per, frames, -1).swapaxes(1, 2).reshape(3, frames * per, -1)
-
-
-def _products(shares: Array, step: float, correlation_s: float) -> tuple[dict[int, tuple[int, int]], Array]:
-    """By how many frames two values are apart: from which to which first one their products count; and the factors
-    (S, products) of all those in the variances of samples with shares (S, n) in the values."""
-    taken, factors = {}, []
-    largest = np.max(shares**2, axis=1, keepdims=True)
-    for lag in range(shares.shape[1] if correlation_s else 1):
-        correlated = np.exp(-0.5 * (lag * step / correlation_s) ** 2) if lag else 1.0
-        of_lag = (2.0 if lag else 1.0) * correlated * shares[:, : shares.shape[1] - lag] * shares[:, lag:]
-        counts = np.flatnonzero((np.abs(of_lag) > _LEAST_PRODUCT * largest).any(axis=0))
-        if len(counts):
-            taken[lag] = (int(counts[0]), int(counts[-1]) + 1)
-            factors.append(of_lag[:, slice(*taken[lag])])
-    return taken, np.concatenate(factors, axis=1)
 
 
 def _windows(t: Array, at: Array) -> Iterator[tuple[slice, slice]]:
@@ -359,8 +354,11 @@ def _propagate(weighted: Array, t: Array, correlation_s: float) -> Array:
     """Variances (3, M) of operators (3, M, n), already times sigma."""
     if correlation_s == 0:
         return np.sum(weighted**2, axis=-1)
-    correlation = np.exp(-0.5 * ((t[:, None] - t) / correlation_s) ** 2)
-    return np.maximum(np.sum((weighted @ correlation) * weighted, axis=-1), 0.0)
+    return np.maximum(np.sum((weighted @ _correlation(t[:, None] - t, correlation_s)) * weighted, axis=-1), 0.0)
+
+
+def _correlation(apart_s: Array, lasts_s: float) -> Array:
+    return np.exp(-0.5 * (apart_s / lasts_s) ** 2) if lasts_s else (apart_s == 0).astype(float)
 
 
 # -- points ----------------------------------------------------------------------------------------------------------
@@ -412,6 +410,19 @@ def point_kinematics(time_s: Array, xyz_m: Array, errors: Sequence[Errors] = (),
 def _at_peak(values: Array, others: Array | None) -> float:
     """The others (N,), where values (N,) are largest; NaN without."""
     return np.nan if others is None or not np.isfinite(values).any() else float(others[np.nanargmax(values)])
+
+
+def frame_jitter_m(points_m: Array) -> Array:
+    """Standard deviation (d,) of what is independent from frame to frame in each coordinate of points (T, d), metres.
+
+    Robust (median absolute value), from third differences over four frames in a row, in which a smooth motion nearly
+    vanishes and white noise has a standard deviation of sqrt(20). NaN with fewer than three of them.
+    """
+    differences = np.diff(points_m, 3, axis=0)
+    differences = differences[np.isfinite(differences).all(axis=1)]
+    if len(differences) < 3:
+        return np.full(points_m.shape[1], np.nan)
+    return np.median(np.abs(differences), axis=0) / (0.6745 * np.sqrt(20.0))
 
 
 def jitter_errors(values: Array, times: float = 1.0) -> tuple[Errors]:

@@ -21,7 +21,7 @@ from recon.base.manifest import MANIFEST, read_manifest, sha256_of
 from recon.base.parallel import Event, carry_out
 from recon.base.settings import Count, Integer, Option, Settings
 from recon.fit.motion import Motion
-from recon.gait.path import MIN_POINTS
+from recon.gait.kinematics import MIN_POINTS
 from recon.io import recognised
 from recon.io.video import SUFFIXES, probe
 from recon.show.page import PAGE, SUMMARY_PAGE, require_own_page

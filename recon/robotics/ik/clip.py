@@ -21,7 +21,7 @@ from recon.check import usable, verdict_fields
 from recon.fit.motion import Motion
 from recon.gait.clip import ClipAnalysis, limb_chains, stride_given
 from recon.gait.gait import AGREE, OVERSAMPLING, Gait, doubt_text
-from recon.gait.path import MIN_POINTS
+from recon.gait.kinematics import MIN_POINTS
 from recon.gait.phase import Closure, Portrait
 from recon.io.table import write_rows
 from recon.robotics.control import control_columns

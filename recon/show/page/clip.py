@@ -15,8 +15,7 @@ from recon.check import FLAGS, verdict_lines
 from recon.fit.motion import MEASURED_SHARE, Motion
 from recon.gait.clip import ClipAnalysis
 from recon.gait.gait import Gait
-from recon.gait.kinematics import JointKinematics
-from recon.gait.path import MIN_POINTS
+from recon.gait.kinematics import MIN_POINTS, JointKinematics
 from recon.show import plots
 from recon.show.page.render import inline, rendered
 from recon.show.plots.angles import AngleCurve, angle_over_time, together

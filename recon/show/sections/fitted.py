@@ -17,7 +17,7 @@ from recon.check import FLAGS
 from recon.fit.motion import MEASURED_SHARE, Motion
 from recon.fit.result import MotionSegment, TrajectorySolution
 from recon.gait.clip import ClipAnalysis
-from recon.gait.path import MIN_POINTS
+from recon.gait.kinematics import MIN_POINTS
 from recon.show.plain import file_name, frame_count
 from recon.show.sections.given import counts, heading_text, sentences, upright
 from recon.show.sections.section import Line

@@ -17,8 +17,7 @@ from recon.base.arrays import Array, finite, mean, median
 from recon.clip.keypoints import KeypointCounts
 from recon.fit import TrajectorySolution
 from recon.fit.motion import Motion, Picture
-from recon.gait.kinematics import jitter_errors, point_kinematics
-from recon.gait.path import frame_jitter_m
+from recon.gait.kinematics import frame_jitter_m, jitter_errors, point_kinematics
 from recon.show.plain import by_name, file_name, number
 from recon.show.sections.section import Line
 

@@ -11,8 +11,7 @@ from recon.animal import side_of, without_side
 from recon.base.arrays import Array, Bools
 from recon.fit.motion import Motion
 from recon.gait.clip import ClipAnalysis
-from recon.gait.kinematics import speed_at_frames
-from recon.gait.path import frame_jitter_m
+from recon.gait.kinematics import frame_jitter_m, speed_at_frames
 from recon.show.view.scene import (
     EDGE,
     LEFT,
