@@ -11,7 +11,7 @@ Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 Integers = NDArray[np.int64]
 Index = NDArray[np.intp]
-"""Places in another array."""
+"""Indices of places in another array."""
 
 
 def finite(values: Array | Sequence[float]) -> Array:

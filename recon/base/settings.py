@@ -49,7 +49,7 @@ _MAY_BE_FILE = object()
 """Among the parts of a type: text that names a file where it ends as one."""
 _Value = TypeVar("_Value")
 Number = Annotated[float, BeforeValidator(_no_bool), Field(allow_inf_nan=False)]
-"""A finite number."""
+"""A number that is finite."""
 Positive = Annotated[Number, Field(gt=0)]
 NotNegative = Annotated[Number, Field(ge=0)]
 Integer = Annotated[int, BeforeValidator(_no_bool)]

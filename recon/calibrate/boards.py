@@ -59,7 +59,7 @@ class Board:
     """The number of inner corners across; of squares, where there are markers."""
     rows: int
     square_m: float
-    """Side of a square."""
+    """The side of a square in metres."""
     marker_m: float | None = None
     """Side of a marker; None: a chessboard."""
     dictionary: str = ""
@@ -179,7 +179,7 @@ class BoardView:
     ids: Index
     """(N,), rows of the board's `points_m`."""
     xy_px: Array
-    """(N, 2)"""
+    """The corners in pixels, shape (N, 2)."""
 
 
 @dataclass(frozen=True)

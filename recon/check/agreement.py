@@ -253,12 +253,12 @@ class _Sight:
     rays: Array
     """(T, J, 3), NaN where missing."""
     centre_m: Array
-    """(T, 3)"""
+    """The camera's centre in each frame, shape (T, 3)."""
     rotation: Array
-    """(T, 3, 3): R_camera_world."""
+    """R_camera_world of each frame, shape (T, 3, 3)."""
     focal_px: float
     noise_rad: Array
-    """(T, 1)"""
+    """The noise of a detection as an angle, shape (T, 1)."""
 
     def later(self, frames: float) -> _Sight:
         """If the pictures were taken that much later."""

@@ -63,7 +63,7 @@ class Evidence:
     misfit: float
     """The misfit of the prior, 1 where there is none."""
     distance_m: float
-    """From the nearest camera."""
+    """The distance from the nearest camera."""
     end_on: float
     """The cosine between the trunk and the line of sight of the camera that sees the animal most from the side."""
     position_sigma_m: float

@@ -30,7 +30,7 @@ class Keypoints:
     """
 
     names: tuple[str, ...]
-    """K unique names."""
+    """The unique names of the K keypoints."""
     xy_px: np.ndarray
     """(T, K, 2) float, pixels, NaN = missing."""
     confidence: np.ndarray
@@ -38,11 +38,11 @@ class Keypoints:
     frames: np.ndarray
     """(T,) int, original frame numbers, strictly increasing."""
     fps: float | None = None
-    """Frames per second."""
+    """How many frames there are in a second, where it is known."""
     stated_fps: float | None = None
     """What the file says of itself, where another rate was given."""
     image_size_px: tuple[int, int] | None = None
-    """(width, height)"""
+    """The size of the picture (width, height), where it is known."""
     individual: str | None = None
     """The animal's name in a file of several."""
     source: str | None = None
@@ -128,7 +128,7 @@ class CleaningReport:
 
     likelihood_min: float
     frames: tuple[int, int]
-    """The range after cleaning."""
+    """The range of frames that is left after cleaning."""
     frames_dropped: int
     """Rows of the file outside the range that was asked for."""
     inserted: tuple[tuple[int, int], ...]

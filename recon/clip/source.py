@@ -197,7 +197,7 @@ class FramePoses:
     """Where a camera that moves was in T frames, in a world with z up; NaN where that is not known."""
 
     T_camera_world: Array
-    """(T, 4, 4)"""
+    """Where the camera is in each frame, shape (T, 4, 4)."""
     intrinsics_px: Array | None = None
     """(T, 4): fx, fy, cx, cy, of a camera that zooms."""
     turn_sigma_rad: Array | None = None

@@ -18,7 +18,7 @@ INDIVIDUALS = ("individual", "individuals")
 
 
 Found = dict[str, Any]
-"""The fields of `recon.Keypoints`."""
+"""The fields of `recon.Keypoints` that a table has."""
 
 
 def from_dataframe(table: pd.DataFrame, fps: float | None, individual: str | None) -> Found:

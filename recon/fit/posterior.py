@@ -57,7 +57,7 @@ class Posterior:
     relative_covariance_m2: Array
     """(T, J, 3, 3): of the joints relative to their mean, the size given."""
     data_share: Array
-    """(J,): see `_data_share`."""
+    """How much of each joint's precision comes from the pixels, shape (J,): see `_data_share`."""
     angle_variance: Array
     """(2, T, D - 3): of the root's rotation and the joints' angles, the size given; and what it is without pixels."""
     state_by_size: Array

@@ -67,7 +67,7 @@ class Verdict:
 
     level: Level
     reason: str
-    """One sentence."""
+    """Why the verdict is what it is, in one sentence."""
     pose_m: Expected | None = None
     """Mean distance of the joints from their true places once the mean of all joints is taken off (MPJPE); None
     without a pose."""
@@ -158,7 +158,7 @@ class Solution:
     size: float
     """The factor on the skeleton's lengths; the median where a method has one for each frame."""
     joints_m: Array
-    """(T, J, 3)"""
+    """The joints in the world, shape (T, J, 3), NaN without a pose."""
     covariance_m2: Array
     """(T, J, 3, 3): of the joints, place and size included."""
     relative_covariance_m2: Array
@@ -240,12 +240,12 @@ class TrajectorySolution(Solution):
     extrinsic_correction: Array
     """(V, 6): how far each camera lies beside its pose, as in `View.corrected`; 0 where that is not an unknown."""
     extrinsic_correction_sigma: Array
-    """(V, 6)"""
+    """Standard deviations of the extrinsic corrections, shape (V, 6)."""
     focal: Array
     """(V,): by what factor each camera's focal lengths are longer than said, its logarithm; 0 where that is not an
     unknown."""
     focal_sigma: Array
-    """(V,)"""
+    """Standard deviations of the focal lengths' factors, shape (V,)."""
     sideslip_rad: float
     """By how much the animal goes to the left of where it looks, all the time; 0 where that is not an unknown."""
     sideslip_sigma_rad: float

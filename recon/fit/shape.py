@@ -138,9 +138,9 @@ class ShapeFit:
 
     shape: Shape
     values: Array
-    """(K,)"""
+    """The lengths that were found, shape (K,)."""
     covariance: Array
-    """(K, K)"""
+    """The covariance of the lengths, shape (K, K)."""
     converged: bool
     """Whether the last step was small."""
     keypoint_sigma_m: float

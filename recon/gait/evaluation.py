@@ -37,7 +37,7 @@ class _Score:
     mean: float
     """Over the frames of per_frame."""
     per_frame: np.ndarray
-    """(T,)"""
+    """The error of each of the T frames, shape (T,)."""
     per_joint: np.ndarray
     """(J,), mean over its frames."""
 
@@ -54,7 +54,7 @@ class Evaluation:
     mpjpe_m: _Score
     """Centred on the mean of the frame's common joints."""
     mpe_m: _Score
-    """As is."""
+    """The error of positions as they are, not centred."""
     scale_mpjpe_m: _Score
     """Centred, with one scale per frame."""
     pa_mpjpe_m: _Score

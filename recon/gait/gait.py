@@ -151,19 +151,19 @@ class Tracks:
 
     feet: tuple[str, ...]
     time_s: Array
-    """(N,)"""
+    """The times of the N samples, shape (N,)."""
     frame: Array
-    """(N,)"""
+    """The frames of the N samples, shape (N,)."""
     foot_m: Array
-    """(N, F, 3)"""
+    """The positions of the F feet, shape (N, F, 3)."""
     body_m: Array
-    """(N, 3)"""
+    """The position of the body, shape (N, 3)."""
     foot_speed_m_s: Array
-    """(N, F): horizontal."""
+    """The horizontal speeds of the feet, shape (N, F)."""
     foot_speed_sigma_m_s: Array
     """(N, F): one standard deviation; 0 of paths without errors."""
     body_speed_m_s: Array
-    """(N,): horizontal."""
+    """The horizontal speed of the body, shape (N,)."""
     slow_m_s: Array
     """(4, F): below which speed each foot surely stands, may stand at most, has landed, and has not lifted."""
     swing_m_s: Array
@@ -188,7 +188,7 @@ class Stride:
     start_s: float
     end_s: float
     length_m: float
-    """The body's horizontal travel."""
+    """How far the body travels horizontally in the stride."""
     duty_factor: float
     """The duty factor of its stance, which lies in the clip from its beginning to its end."""
     duty_sigma: float

@@ -44,7 +44,7 @@ MIN_POINTS = 4
 """A cubic needs this many."""
 OVERSAMPLING = 10
 MIN_SMOOTHING_POINTS = 5
-"""Fewer are not smoothed."""
+"""Series of fewer points are not smoothed."""
 _LOG10_LAM = (-16.0, 8.0)
 """Range of lam, relative to (span / number of values)^3: from an exact spline to a straight line."""
 NEAR_S, ASIDE = 0.25, 2**0.5
@@ -88,7 +88,7 @@ class Series:
     time_s: Array
     """(N,), every `oversampling`-th is a frame."""
     value: Array
-    """(N, d)"""
+    """The values at the N times, shape (N, d)."""
     rate: Array
     """(N, d), per second in the values' unit."""
     acceleration: Array
@@ -96,9 +96,9 @@ class Series:
     value_sigma: Array | None
     """(N, d): one standard deviation, None where none was given."""
     rate_sigma: Array | None
-    """(N, d), likewise."""
+    """Standard deviations of the rates, shape (N, d)."""
     acceleration_sigma: Array | None
-    """(N, d), likewise."""
+    """Standard deviations of the accelerations, shape (N, d)."""
     spans: tuple[tuple[int, int], ...]
     """(first, last) frame index of each stretch, inclusive."""
     lam: Array | None
@@ -129,18 +129,18 @@ class JointKinematics:
     """(N,): linear, None without errors (noise also biases a norm upwards, by about sigma^2 / norm, which is not
     taken out)."""
     acceleration_sigma_m_s2: Array | None
-    """(N,), likewise."""
+    """Standard deviations of the acceleration, shape (N,)."""
     distance_m: float
     """Arc length of the known spans."""
     mean_speed_m_s: float
     """Over the time the known spans take."""
     peak_speed_m_s: float
     peak_speed_sigma_m_s: float
-    """NaN without errors."""
+    """The standard deviation of the peak speed; NaN without errors."""
     peak_speed_time_s: float
     peak_acceleration_m_s2: float
     peak_acceleration_sigma_m_s2: float
-    """NaN without errors."""
+    """The standard deviation of the peak acceleration; NaN without errors."""
 
     def at_frames(self) -> JointKinematics:
         """Without the samples between frames; peaks and means are those of all."""
@@ -155,13 +155,13 @@ class AngleKinematics:
     series: Series
     """(N, 1), rad, rad/s, rad/s^2."""
     range_rad: tuple[float, float]
-    """(least, greatest)"""
+    """The least and the greatest angle."""
     range_of_motion_rad: float
-    """Their difference."""
+    """The difference between the greatest and the least angle."""
     peak_rate_rad_s: float
-    """Greatest magnitude."""
+    """The greatest magnitude of the rate."""
     peak_acceleration_rad_s2: float
-    """Greatest magnitude."""
+    """The greatest magnitude of the acceleration."""
 
     def at_frames(self) -> AngleKinematics:
         """Without the samples between frames; range and peaks are those of all."""

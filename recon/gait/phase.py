@@ -50,9 +50,9 @@ class LinkField:
     """One link's tip in its parent's frame, at the T frames, NaN where unknown."""
 
     link: tuple[str, str]
-    """(start, end) joints."""
+    """The start and the end joint of the link."""
     parent: tuple[str, str]
-    """(start, end) joints."""
+    """The start and the end joint of its parent."""
     position_m: Array
     """(T, 3): x, y, z."""
     velocity_m_s: Array
@@ -60,17 +60,17 @@ class LinkField:
     radius_m: Array
     """(T,): polar, in the plane of x and y, as the next two."""
     dr_m_s: Array
-    """(T,)"""
+    """The radial velocity of the link's tip, shape (T,)."""
     dtheta_rad_s: Array
-    """(T,)"""
+    """The angular velocity of the link's tip, shape (T,)."""
     speed_m_s: Array
     """(T,): in that plane, the norm of (dr, r dtheta)."""
     dr_sigma_m_s: Array | None = None
     """(T,): one standard deviation (`field_with_sigma`), None where none is known."""
     dtheta_sigma_rad_s: Array | None = None
-    """(T,), likewise."""
+    """Standard deviations of the angular velocity, shape (T,)."""
     speed_sigma_m_s: Array | None = None
-    """(T,), likewise."""
+    """Standard deviations of the speed, shape (T,)."""
 
 
 @dataclass(frozen=True)
@@ -92,11 +92,11 @@ class Portrait:
     """A path in phase space."""
 
     time_s: Array
-    """(N,)"""
+    """The times of the N samples, shape (N,)."""
     angle_rad: Array
-    """(N,), NaN where unknown."""
+    """The angle at the N times, shape (N,), NaN where it is unknown."""
     rate_rad_s: Array
-    """(N,), NaN where unknown."""
+    """The rate of the angle at the N times, shape (N,), NaN where it is unknown."""
     angle_sigma_rad: Array | None = None
     """(N,): standard deviation, None where none is known."""
     rate_sigma_rad_s: Array | None = None

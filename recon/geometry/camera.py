@@ -36,11 +36,11 @@ class Camera:
     matrix: Array
     """(3, 3), K with skew s = K[0, 1]."""
     distortion: Array
-    """(n,) coefficients of `model`."""
+    """The coefficients of the lens `model`, shape (n,)."""
     model: str
-    """One of `LENS_MODELS`."""
+    """The lens model, one of `LENS_MODELS`."""
     image_size_px: tuple[int, int]
-    """(width, height)"""
+    """The size of the picture: (width, height)."""
     rotation: Array | None = None
     """(3, 3), of T_camera_world: X_camera = rotation X_world + translation_m. None when the pose is unknown."""
     translation_m: Array | None = None

@@ -183,7 +183,7 @@ class _Fisheye(Lens):
 
 
 LENS_MODELS: dict[str, type[Lens]] = {lens.name: lens for lens in (_Pinhole, _RadialTangential, _Fisheye)}
-"""By name."""
+"""All lens models by their names."""
 
 
 def lens_named(text: str) -> str | None:

@@ -26,7 +26,7 @@ class BoneAngle:
 
     name: str
     kind: str
-    """yaw, pitch or roll."""
+    """Which angle it is: yaw, pitch or roll."""
     angle_rad: Array
     mean_rad: float
     range_rad: tuple[float, float]

@@ -34,7 +34,7 @@ class _Joint:
     """Its place in the list, -1 for the root."""
     offset: list[float] = field(default_factory=list)
     channels: list[str] = field(default_factory=list)
-    """Such as Xposition."""
+    """The names of the channels, such as Xposition."""
     column: int = 0
     """The column of the first channel."""
     end: bool = False

@@ -25,7 +25,7 @@ from recon.geometry.lens import lens_named
 from recon.io.calibration import FORMAT, CameraRecord, read_calibration
 
 MAX_NESTING = 5_000
-"""OpenCV dies at 20,000."""
+"""How deep a file may be nested: OpenCV dies at 20,000."""
 
 
 def _is(path: Path, suffixes: tuple[str, ...], pattern: str = "") -> bool:

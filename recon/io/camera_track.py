@@ -69,7 +69,7 @@ class CameraTrack:
 
     source: Path
     frames: Integers
-    """(N,), increasing."""
+    """The numbers of the N frames, shape (N,), increasing."""
     T_camera_world: Array
     """(N, 4, 4); the world is in metres and has z up."""
     intrinsics_px: Array | None = None

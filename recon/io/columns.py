@@ -76,7 +76,7 @@ class _Layout:
     unit: str | None
     """The unit of the coordinates, if all have the same."""
     ignored: tuple[str, ...]
-    """Other columns."""
+    """The other columns of the table."""
 
 
 def parse_map(text: str) -> dict[str, str]:

@@ -33,7 +33,7 @@ class Project:
 
     config: Path
     scorer: str
-    """Who labelled."""
+    """The name of who labelled."""
     bodyparts: tuple[str, ...]
     """The bodyparts of one animal."""
     individuals: tuple[str, ...]

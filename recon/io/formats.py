@@ -30,7 +30,7 @@ class Format:
     """One kind of file: how it is recognised, read and written."""
 
     name: str
-    """For `--to`."""
+    """The name of the format for `--to`."""
     title: str
     suffixes: tuple[str, ...]
     """The first is the usual one."""

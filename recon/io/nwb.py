@@ -45,11 +45,11 @@ class _Series(NamedTuple):
 
     name: str
     values: np.ndarray
-    """(T, 2 or 3)"""
+    """The points, shape (T, 2 or 3)."""
     confidence: np.ndarray
-    """(T,)"""
+    """The confidences, shape (T,)."""
     times_s: np.ndarray
-    """(T,)"""
+    """The times in seconds, shape (T,)."""
     fps: float | None
     unit: str
     z_up: bool

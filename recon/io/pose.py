@@ -22,11 +22,11 @@ class Pose3D:
     """3D positions of J joints in T frames. Raises ValueError where its parts do not fit together."""
 
     names: tuple[str, ...]
-    """J joints."""
+    """The names of the J joints."""
     xyz_m: np.ndarray
     """(T, J, 3) float, metres, NaN = missing."""
     frames: np.ndarray
-    """(T,) int, strictly increasing."""
+    """The numbers of the T frames, whole and strictly increasing."""
     source: str | None = None
     fps: float | None = None
     """Frames per second, where they are known."""
@@ -68,7 +68,7 @@ class StoredPoints:
     values: np.ndarray
     """(T, K, 2) px, or (T, K, 3), NaN = missing."""
     frames: np.ndarray
-    """(T,) int, strictly increasing."""
+    """The numbers of the T frames, whole and strictly increasing."""
     likelihood: np.ndarray | None = None
     """(T, K), NaN = unknown; None where the file has none."""
     fps: float | None = None

@@ -25,7 +25,7 @@ ORDERS = {
     "point_scores": ("track", "node", "frame"),
     "track_occupancy": ("frame", "track"),
 }
-"""Without `dims`."""
+"""The orders of axes in files without `dims`."""
 WANTED = ("frame", "track", "node", "xy")
 
 

@@ -35,7 +35,7 @@ class VideoInfo:
     """What a video's file says about it."""
 
     size_px: tuple[int, int]
-    """(width, height)"""
+    """The size of the picture: (width, height)."""
     fps: float | None
     """None where the file does not say."""
     stated_frames: int | None

@@ -42,7 +42,7 @@ class Labels:
     pictures: tuple[Image, ...]
     """N arrays (height, width, 3; blue, green, red), one size within a clip."""
     source: str
-    """What was read."""
+    """The file or the project that was read."""
     notes: tuple[str, ...] = ()
     """What had to be decided, in sentences."""
 

@@ -87,7 +87,7 @@ class Example:
     """A picture to learn from, h by w pixels, with K points."""
 
     picture: Image
-    """(h, w, 3)"""
+    """The picture, shape (h, w, 3)."""
     background: Image | None
     """The median picture of the clip, of the pictures' shape; None where the camera moves."""
     mask: Image | None

@@ -23,7 +23,7 @@ from recon.base.arrays import Array, Bools, Index, Integers
 from recon.io.video import Image
 
 Colour = tuple[int, int, int]
-"""Blue, green, red."""
+"""A colour: blue, green, red."""
 
 # Okabe and Ito's palette, which the colour-blind can tell apart; as in the playback.
 LEFT, RIGHT, MIDDLE = (233, 180, 86), (0, 159, 230), (115, 158, 0)
@@ -52,12 +52,12 @@ class Overlay:
     """What is drawn on a video: T frames of J joints."""
 
     frames: Integers
-    """(T,): numbers."""
+    """The numbers of the T frames, shape (T,)."""
     fps: float
     limbs: Sequence[Sequence[int]]
     """Joints along each, as indices."""
     colours: Sequence[Colour]
-    """One for each limb."""
+    """One colour for each limb."""
     detected_px: Array
     """(T, J, 2), NaN where there is none."""
     reprojected_px: Array

@@ -54,7 +54,7 @@ class _Check:
     status: Literal["ok", "absent", "note", "broken"]
     """ok; absent: optional, and not there; note: works, with a limit; broken: recon cannot work here."""
     found: str
-    """In words."""
+    """What was found, in words."""
     hint: str = ""
     """What to do, or empty."""
 

@@ -120,7 +120,7 @@ class _StageOutcome(NamedTuple):
     status: Literal["done", "unchanged", "left out"]
     seconds: float
     files: tuple[str, ...] = ()
-    """Relative to the folder."""
+    """The files of the stage, relative to the folder."""
 
 
 def run(

@@ -130,7 +130,7 @@ def _copied_sides(keypoints: Keypoints, camera: str) -> Iterator[Finding]:
 # -- how no animal moves ----------------------------------------------------------------------------------------------
 
 LEAST_S = 0.25
-"""Shorter motions say nothing."""
+"""Motions that are shorter say nothing."""
 STILL, STILL_M_S, STILL_RAD_S = 0.95, 0.3, 0.6
 """An animal that stands still is not faster in so many frames, nor are its joints' angular speeds, by their median."""
 BACKWARDS_M_S, BACKWARDS = 1.0, 0.9

@@ -28,7 +28,7 @@ from recon.geometry.kinematics import AXES, Marker, Segment, Tree
 
 Curvature = Callable[[Array], Array]
 Limits = tuple[ArrayLike, ArrayLike]
-"""Lower and upper."""
+"""The lower and the upper limit."""
 
 MAX_RATE_RAD_S = 50.0
 """Where a chain has no rate limit of its own."""
@@ -46,9 +46,9 @@ class SerialChain:
     lower_rad: Array
     """(n,); metres for joints that slide, as of all limits."""
     upper_rad: Array
-    """(n,)"""
+    """The upper limits of the joints, shape (n,)."""
     max_rate_rad_s: Array
-    """(n,), finite."""
+    """The fastest rates of the joints that are allowed or expected."""
     names: tuple[str, ...]
     """(n,): what the joints are called."""
     groups: tuple[tuple[int, ...], ...]

@@ -23,9 +23,9 @@ class Cost:
 
     value: Callable[[Array], float]
     gradient: Callable[[Array], Array]
-    """(n,)"""
+    """The gradient of the cost, shape (n,)."""
     hessian: Callable[[Array], Array]
-    """(n, n)"""
+    """The second derivatives of the cost, shape (n, n)."""
 
 
 def quadratic(matrix: Array, about: Array | float = 0.0) -> Cost:

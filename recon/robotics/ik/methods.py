@@ -42,7 +42,7 @@ class JointRates(NamedTuple):
     """How fast the joints are to move."""
 
     dq: Array
-    """(n,), rad/s."""
+    """The joints' rates, shape (n,), rad/s."""
     singular: bool = False
     """Whether the rates are damped because a direction is lost."""
     note: str = ""
@@ -87,7 +87,7 @@ class LeastNorm(Method):
     weights: Array | None = None
     """diag W (n,), positive; None: all 1."""
     damping_m: float = 0.0
-    """lambda, metres."""
+    """The damping lambda, in metres."""
 
     def _solve(self, J: Array, dx: Array, q: Array, free: Bools, curvature: Curvature | None) -> tuple[Any, ...]:
         along = J if self.weights is None else J / self.weights[free]
@@ -122,7 +122,7 @@ class GradientProjection(Method):
     gradient: Cost | Callable[[Array], Array]
     """g (n,) as a function of q, or a cost, whose gradient it is."""
     k: float = -1.0
-    """1/s, negative to descend."""
+    """The step along the cost, 1/s, negative to descend."""
 
     def _solve(self, J: Array, dx: Array, q: Array, free: Bools, curvature: Curvature | None) -> tuple[Any, ...]:
         gradient = self.gradient.gradient if isinstance(self.gradient, Cost) else self.gradient

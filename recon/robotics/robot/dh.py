@@ -37,9 +37,9 @@ class DHRow:
     alpha_rad: Length = 0.0
     """The twist of the link."""
     d_m: Length = 0.0
-    """With q = 0."""
+    """The offset along the joint's axis, with q = 0."""
     theta_rad: Length = 0.0
-    """With q = 0."""
+    """The angle about the joint's axis, with q = 0."""
     slides: StrictBool = False
     """q adds to d, not to theta."""
     limits: Limits | None = None

@@ -43,19 +43,19 @@ class RobotSamples:
     loops: bool
     rate_hz: float
     time_s: Array
-    """(K,)"""
+    """The times of the K samples, shape (K,)."""
     angles_rad: Array
-    """(K, joints)"""
+    """The joint angles, shape (K, joints)."""
     rates_rad_s: Array
-    """(K, joints)"""
+    """The joint rates, shape (K, joints)."""
     bodies: tuple[str, ...]
-    """The base first."""
+    """The names of the B bodies, the base first."""
     place_m: Array
-    """(K, B, 3)"""
+    """The positions of the bodies, shape (K, B, 3)."""
     turned: Array
     """(K, B, 3, 3): T_world_body."""
     velocity_m_s: Array
-    """(K, B, 3)"""
+    """The velocities of the bodies, shape (K, B, 3)."""
     angular_velocity_rad_s: Array
     """(K, B, 3), in the world."""
     feet_stand: Bools

@@ -17,7 +17,7 @@ from recon.io.table import write_columns, write_rows
 
 Rows = Iterable[Sequence[Any]]
 Table = tuple[Sequence[str], Rows]
-"""Columns, and rows."""
+"""The columns and rows of a table."""
 Columns = dict[str, np.ndarray]
 """The same of a long table, by column."""
 
@@ -231,7 +231,7 @@ TABLES: dict[str, Callable[[ClipAnalysis], Table | Columns]] = {
     "forces.csv": forces,
     "force_over_time.csv": force_over_time,
 }
-"""By file name."""
+"""The tables by their files' names."""
 
 
 def write(found: ClipAnalysis, folder: Path) -> None:

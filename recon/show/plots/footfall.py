@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 ROWS = ("LH", "RH", "RF", "LF")
-"""From the top."""
+"""The feet's rows from the top."""
 HATCHES = ("", "////", "....", "xxxx")
 _BAR = 0.76
 """The height of the bars of a row, all gaits together."""

@@ -22,7 +22,7 @@ class Section:
     """One part of what is said of a motion, wherever it is said."""
 
     name: str
-    """Its field of report.json."""
+    """The name of its field of report.json."""
     data: Callable[[Motion], Any]
     """What stands there: numbers, texts, arrays, and lists and mappings of them."""
     lines: Callable[[Motion, Any], Iterable[Line]] = no_lines

@@ -51,9 +51,9 @@ class Log:
 
     stream: rr.RecordingStream
     frames: Integers
-    """(T,): numbers."""
+    """The numbers of the T frames, shape (T,)."""
     time_s: Array
-    """(T,)"""
+    """The times of the T frames, shape (T,)."""
 
     def send(self, entity: str, columns: rr.ComponentColumnList, rows: Sequence[int] | slice = slice(None)) -> None:
         """Columns of an entity with a row for each of these rows of the clip."""
