@@ -79,6 +79,7 @@ class ClipAnalysis:
 
     @property
     def smoothed(self) -> bool:
+        """Whether paths and angles were smoothed by their own jitter."""
         return self.motion.jitters if self.smooth is None else self.smooth
 
     @property
