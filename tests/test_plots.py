@@ -271,7 +271,8 @@ def test_composites_turn_the_run_to_the_right(heading):
     assert {line.get_linestyle() for line in left} == {"--"}
     assert {line.get_linestyle() for line in (*right, *trunk)} == {"-"}
     assert {line.get_linewidth() for line in trunk} == {1.6}
-    shown = [text.get_text() for text in figure.legends[0].get_texts()]
+    (legend,) = figure.findobj(mpl.legend.Legend)
+    shown = [text.get_text() for text in legend.get_texts()]
     assert shown == ["left side", "right side", "the rest", "ground"]
 
 
@@ -288,6 +289,7 @@ def test_composites_colours_are_the_times_of_the_bar():
 
 def test_composites_have_equal_axes():
     figure = plots.composites(running(), LIMBS, times(31))
+    figure.draw_without_rendering()
     size = figure.get_size_inches()
     for axes in figure.axes[:3]:
         box = axes.get_position(original=True)

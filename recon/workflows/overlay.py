@@ -38,7 +38,7 @@ MIN_WIDTH_PX = 640
 class OverlaySettings(ResultSettings):
     """The settings of `recon overlay`."""
 
-    video: Annotated[Path, Option("The video that the keypoints came from, as in clip.mp4.")]
+    video: Annotated[Path, Option("The video that the keypoints came from, as in clip.mp4.")]  # pyright: ignore[reportGeneralTypeIssues]
     out: Annotated[Path, Option("The new video, .mp4 (MPEG-4) or .avi (Motion JPEG), as in overlay.mp4.")]
     anyway: Annotated[bool, ANYWAY] = False
     speed: Annotated[

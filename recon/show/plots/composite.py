@@ -11,14 +11,11 @@ import numpy as np
 from recon.animal import Side
 from recon.base.arrays import Array, Index
 from recon.gait.gait import Plane
-from recon.show.plots.style import GREY, SMALL, WIDTH_MM, blank, drawing, time_colours
+from recon.show.plots.style import GREY, blank, drawing, time_colours
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
-
-Boxes = list[tuple[float, float]]
 
 CONFIGURATIONS = 10
 STILL = 0.1
@@ -30,11 +27,8 @@ STYLES: dict[Side | None, tuple[Any, float, str]] = {
 }
 """Styles of the limbs of each side: dashes, width, and what to call them."""
 NO_SIDES: Mapping[str, Side | None] = MappingProxyType({})
-_LEFT_MM, _RIGHT_MM, _TOP_MM, _GAP_MM, _LABELS_MM = 14.0, 4.0, 6.0, 3.0, 10.0
-_HEIGHT_MM, _FRONT_MM = 120.0, 45.0
-"""Side and top view together, and the front view, at most."""
-_LEAST_MM = (0.0, 12.0, 16.0)
-"""Side and top view, at least: their axes' names have to fit."""
+_WIDE_MM, _HEIGHT_MM, _FRONT_MM, _LABELS_MM = 160.0, 120.0, 45.0, 36.0
+"""The width and height of the side and top view together at most, the front view's height, and room for all names."""
 
 
 def composites(
@@ -57,77 +51,45 @@ def composites(
         with drawing(40, title=title) as figure:
             blank(figure.subplots())
         return figure
+    from matplotlib.cm import ScalarMappable
+
     R, origin = run_frame(joints_m, rows)
     points = (joints_m[rows] - origin) @ R.T
-    close = _boxes(points)
-    x, y, z = (box[1] - box[0] for box in close)
-    wide = WIDTH_MM - _LEFT_MM - _RIGHT_MM
-    scale = min(wide / x, _HEIGHT_MM / (y + z))
-    front = min(_FRONT_MM / z, wide / 2 / y)
-    more = [max(0.0, mm / scale - (box[1] - box[0])) / 2 for box, mm in zip(close, _LEAST_MM, strict=True)]
-    boxes = [(box[0] - m, box[1] + m) for box, m in zip(close, more, strict=True)]
-    tall = [scale * (box[1] - box[0]) for box in boxes]
-    height = _TOP_MM + tall[2] + _GAP_MM + tall[1] + 2 * _LABELS_MM + _GAP_MM + front * z
-    with drawing(height) as figure:
-        figure.set_layout_engine("none")
-
-        def place(left: float, top: float, width: float, tall: float, **options) -> Axes:
-            rectangle = left / WIDTH_MM, 1 - (top + tall) / height, width / WIDTH_MM, tall / height
-            return figure.add_axes(rectangle, **options)
-
-        side = place(_LEFT_MM, _TOP_MM, tall[0], tall[2])
-        above = place(_LEFT_MM, _TOP_MM + tall[2] + _GAP_MM, tall[0], tall[1], sharex=side)
-        lowest = height - _LABELS_MM - front * z
-        ahead = place(_LEFT_MM, lowest, front * y, front * z)
-        views = ((side, 0, 2, boxes, scale), (above, 0, 1, boxes, scale), (ahead, 1, 2, close, front))
-        from matplotlib.cm import ScalarMappable
-        from matplotlib.ticker import MaxNLocator
-
+    x, y, z = np.nanmax(points, axis=(0, 1)) - np.nanmin(points, axis=(0, 1)) + 0.1
+    scale = min(_WIDE_MM / x, _HEIGHT_MM / (y + z))
+    heights = [max(scale * z, 16.0), max(scale * y, 12.0), _FRONT_MM]
+    with drawing(sum(heights) + _LABELS_MM, title=title) as figure:
+        cells = figure.subplot_mosaic([["side", "side"], ["top", "top"], ["front", "key"]], height_ratios=heights)
+        views = (cells["side"], 0, 2), (cells["top"], 0, 1), (cells["front"], 1, 2)
+        cells["top"].sharex(cells["side"])
         cmap, norm = time_colours(time_s[rows])
-        for axes, i, j, limits, mm_per_m in views:
+        for axes, i, j in views:
             for pose, t in zip(points, time_s[rows], strict=True):
                 for limb, joints in limbs.items():
                     dashes, thick, _ = STYLES[sides.get(limb)]
                     style = {"color": cmap(norm(t)), "lw": thick, "linestyle": dashes, "zorder": 2}
                     axes.plot(*pose[list(joints)][:, [i, j]].T, **style)
-            axes.set_xlim(*limits[i])
-            axes.set_ylim(*limits[j])
-            axes.set_aspect("equal")
-            for axis, at, label_mm in ((axes.xaxis, i, 5.0), (axes.yaxis, j, 4.0)):
-                span = limits[at][1] - limits[at][0]
-                bins = int(np.clip(mm_per_m * span / (label_mm if span > 0.2 else 2 * label_mm), 1, 9))
-                axis.set_major_locator(MaxNLocator(bins, steps=[1, 2, 5, 10], min_n_ticks=1))
+            axes.set_aspect("equal", adjustable="datalim")
+            axes.locator_params(axis="y", nbins=4)
         for part, plane in ground or ():
             inside = np.isin(rows, np.arange(rows.max() + 1)[part])
-            if not inside.any():
-                continue
-            own = close if inside.all() else _boxes(points[inside])
-            for axes, i in ((side, 0), (ahead, 1)):
-                ends = np.tile([sum(box) / 2 for box in own], (2, 1))
-                ends[:, 2] = 0.0
-                ends[:, i] = axes.get_xlim() if inside.all() else own[i]
-                axes.plot(ends[:, i], -plane.above(ends @ R + origin), color=GREY, lw=0.8, zorder=1, gid="ground")
-        side.tick_params(bottom=False, labelbottom=False)
-        side.spines["bottom"].set_visible(False)
-        names = (
-            ("side", "", "height (m)"),
-            ("top", "along the run (m)", "left (m)"),
-            ("front", "left (m)", "height (m)"),
-        )
-        for (axes, *_), (name, across, up) in zip(views, names, strict=True):
-            axes.set_title(name, loc="left", pad=2, fontsize=SMALL, color=GREY)
+            if inside.any():
+                own = points[inside].reshape(-1, 3)
+                low, high = np.nanmin(own, axis=0), np.nanmax(own, axis=0)
+                for axes, i in ((cells["side"], 0), (cells["front"], 1)):
+                    ends = np.tile([*(low + high)[:2] / 2, 0.0], (2, 1))
+                    ends[:, i] = low[i], high[i]
+                    axes.plot(ends[:, i], -plane.above(ends @ R + origin), color=GREY, lw=0.8, zorder=1, gid="ground")
+        cells["side"].tick_params(labelbottom=False)
+        for (axes, *_), across, up in zip(
+            views, ("", "along the run (m)", "left (m)"), ("height", "left", "height"), strict=True
+        ):
             axes.set_xlabel(across)
-            axes.set_ylabel(up)
-        figure.suptitle(title, y=1 - 1 / height, va="top")
-
-        # The rest of the lowest row: what the colours and dashes mean.
-        left = _LEFT_MM + front * y + 15
-        bar = place(left, lowest + 12, WIDTH_MM - _RIGHT_MM - left - 5, 3)
-        figure.colorbar(ScalarMappable(norm, cmap), cax=bar, orientation="horizontal", label="time (s)")
-        bar.plot(time_s[rows], np.full(len(rows), 0.5), "k|", ms=5, transform=bar.get_xaxis_transform(), clip_on=False)
-        corner = left / WIDTH_MM, 1 - (lowest + 26) / height
-        handles = _handles({sides.get(limb) for limb in limbs}, ground is not None)
-        figure.legend(handles=handles, loc="upper left", ncols=2, bbox_to_anchor=corner)
+            axes.set_ylabel(f"{up} (m)")
+        cells["key"].axis("off")
+        cells["key"].legend(handles=_handles({sides.get(limb) for limb in limbs}, ground is not None), loc="center")
+        bar = figure.colorbar(ScalarMappable(norm, cmap), ax=cells["key"], location="bottom", label="time (s)")
+        bar.ax.plot(time_s[rows], np.full(len(rows), 0.5), "k|", ms=5, transform=bar.ax.get_xaxis_transform())
     return figure
 
 
@@ -159,12 +121,3 @@ def _handles(sides: set[Side | None], ground: bool) -> list[Line2D]:
     shown = [style for side, style in STYLES.items() if side in sides] if sides != {None} else []
     lines = [Line2D([], [], color="k", lw=lw, linestyle=dashes, label=label) for dashes, lw, label in shown]
     return lines + [Line2D([], [], color=GREY, lw=0.8, label="ground")] * ground
-
-
-def _boxes(points: Array) -> Boxes:
-    """Ranges of x, y and z, with a margin and not too narrow."""
-    flat = points.reshape(-1, 3)
-    low, high = np.nanmin(flat, axis=0), np.nanmax(flat, axis=0)
-    size = float(np.nanmax(np.nanmax(points, axis=1) - np.nanmin(points, axis=1))) or 1.0
-    middle, half = (low + high) / 2, np.maximum((high - low) / 2 + 0.05 * size, 0.15 * size)
-    return [(float(m - h), float(m + h)) for m, h in zip(middle, half, strict=True)]
