@@ -458,20 +458,15 @@ def test_speeds_of_links_with_their_deviations():
     assert band.get_paths()[0].vertices[:, 1].max() == pytest.approx(first.speed_m_s.max() + 0.25)
 
 
-def test_a_link_that_hardly_moves_is_drawn_larger_and_grey_where_it_is_not_seen():
+def test_a_link_is_grey_where_it_is_not_seen():
     t = times(20)
     (first, *_) = vector_field(t, swinging(20), ("a", "b", "c", "d"), np.tile([1.0, 0.0, 0.0], (20, 1)))
     slow = replace(first, velocity_m_s=first.velocity_m_s / 40, speed_m_s=first.speed_m_s / 40)
     unseen = replace(slow, speed_sigma_m_s=np.full(20, 0.25))
-    figure = plots.vector_fields((first, slow, unseen), t)
-    arrows = [next(c for c in axes.collections if isinstance(c, Quiver)) for axes in figure.axes[::2]]
-    np.testing.assert_allclose([arrows[0].scale / a.scale for a in arrows], [1.0, 20.0, 20.0])
-    assert [line.get_color() for axes in figure.axes[1::2] for line in axes.get_lines()] == [style.COLOURS[0]] * 2 + [
-        style.GREY
-    ]
-    assert "drawn 20 times larger" in texts(figure)
+    figure = plots.vector_fields((first, unseen), t)
+    colours = [line.get_color() for axes in figure.axes[1::2] for line in axes.get_lines()]
+    assert colours == [style.COLOURS[0], style.GREY]
     assert f"mean {slow.speed_m_s.mean():.2f}, sigma 0.25 m/s" in texts(figure)
-    assert figure.axes[5].get_ylim()[1] > 0.25 + slow.speed_m_s.max()
 
 
 def test_observability_over_time():

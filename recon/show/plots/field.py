@@ -21,13 +21,10 @@ ARROWS = 45
 _ROW_MM, _REST_MM = 24.0, 26.0
 _LONGEST = 0.46
 """The longest arrow, as a share of the height of a row."""
-_STILL_M_S, _SLOW = 0.001, 0.1
-"""Slower is no motion; of the fastest link, slower would be too small to see."""
 
 
 def vector_fields(fields: tuple[LinkField, ...], time_s: Array, title: str = "") -> Figure:
-    """One row per link: arrows (dx, dy) along time and the speed in the plane, to the same scale but for links so slow
-    that nothing would be seen of them, which say how much larger they are drawn; time_s (T,).
+    """One row per link: arrows (dx, dy) along time and the speed in the plane, to the same scale; time_s (T,).
 
     Right is along the parent, up is the normal to it. Arrows are left out evenly where there are more than `ARROWS`.
     Grey is a link whose mean speed is below its deviation: it may as well stand still, or move much more.
@@ -49,29 +46,22 @@ def vector_fields(fields: tuple[LinkField, ...], time_s: Array, title: str = "")
                 blank(left)
                 blank(right)
                 continue
-            larger = _larger(float(np.nanmax(field.speed_m_s)), float(fastest))
-            if larger > 1:
-                left.set_title(f"drawn {larger:g} times larger", loc="right", pad=2, fontsize=SMALL, color=GREY)
             means = field_means((field,)).iloc[0]
             colour = GREY if means["speed_sigma_m_s"] > means["speed_m_s"] else COLOURS[0]
-            arrows = _arrows(left, field, time_s, every, float(fastest) / larger, colour)
-            if not keyed and larger == 1:
+            arrows = _arrows(left, field, time_s, every, float(fastest), colour)
+            if not keyed:
                 _key(left, arrows, float(fastest), every, height)
                 keyed = True
             right.plot(time_s, field.speed_m_s, color=colour, **dots(len(time_s), 1.8))
-            highest = float(fastest) / larger
             if (sigma := field.speed_sigma_m_s) is not None:
                 draw_band(right, time_s, field.speed_m_s, sigma, colour)
-                if larger > 1:
-                    highest = max(highest, float(np.nanmax(field.speed_m_s + sigma, initial=0.0)))
-            right.set_ylim(0, 1.08 * highest or 1.0)
+            right.set_ylim(0, 1.08 * fastest or 1.0)
             right.locator_params(axis="y", nbins=3)
             speed, sigma = means["speed_m_s"], means["speed_sigma_m_s"]
             text = f"mean {speed:.2f}{f', sigma {sigma:.2f}' if np.isfinite(sigma) else ''} m/s"
             right.set_title(text, loc="right", pad=2, fontsize=SMALL, color="k" if colour != GREY else GREY)
-        span = _span(time_s)
-        for axes in panels[:, 0]:
-            axes.set_xlim(span[0] - 0.08 * (span[1] - span[0]), span[1] + 0.08 * (span[1] - span[0]))
+        room = 0.08 * float(np.ptp(time_s)) or 0.5
+        panels[0, 0].set_xlim(time_s[0] - room, time_s[-1] + room)
         for axes in panels[:-1, 0]:
             axes.spines["bottom"].set_visible(False)
             axes.tick_params(bottom=False)
@@ -80,13 +70,6 @@ def vector_fields(fields: tuple[LinkField, ...], time_s: Array, title: str = "")
         panels[-1, 1].set_xlabel("time (s)" + (";  band: one sigma" if banded else ""))
         panels[len(fields) // 2, 1].set_ylabel("speed in the plane (m/s)")
     return figure
-
-
-def _larger(fastest_m_s: float, of_all_m_s: float) -> float:
-    """How many times larger a link is drawn than the others: 1 unless it is slower than `_SLOW` of the fastest."""
-    if not _STILL_M_S < fastest_m_s < _SLOW * of_all_m_s:
-        return 1.0
-    return max(_round(of_all_m_s / fastest_m_s), 1.0)
 
 
 def _arrows(axes: Axes, field: LinkField, time_s: Array, every: int, fastest: float, colour: str) -> Quiver:
@@ -125,7 +108,3 @@ def _round(value: float) -> float:
         return 1.0
     power = 10.0 ** np.floor(np.log10(value))
     return float(max(f for f in (1, 2, 5) if f * power <= value * (1 + 1e-9)) * power)
-
-
-def _span(time_s: Array) -> tuple[float, float]:
-    return (float(time_s[0]), float(time_s[-1])) if len(time_s) > 1 else (0.0, 1.0)
