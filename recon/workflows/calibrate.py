@@ -19,6 +19,7 @@ from recon.calibrate.boards import collect, find_views, parse_board
 from recon.calibrate.intrinsics import calibrate as solved
 from recon.calibrate.intrinsics import check as checked
 from recon.calibrate.intrinsics import draw
+from recon.check import names_text
 from recon.geometry.lens import LENS_MODELS
 from recon.io import write_camera
 from recon.workflows.cli.common import error_text, progress_bar, say, table_of, terminal
@@ -82,25 +83,22 @@ def calibrate(settings: CalibrationSettings, as_json: bool) -> None:
 
 def _print(report: dict[str, Any], console: Console) -> None:
     pictures, written = report["pictures"], report["written"]
-    table = table_of("picture", numbers=("corners", "error px", "worst px", "tilt", "distance m", ""))
-    for view in pictures:
-        table.add_row(
-            Text(view["name"]),
-            str(view["corners"]),
-            f"{view['rms_px']:.2f}",
-            f"{view['max_px']:.2f}",
-            f"{math.degrees(view['tilt_rad']):.0f}°",
-            f"{view['distance_m']:.2f}",
+    rows = (
+        (
+            *(view["name"], str(view["corners"]), f"{view['rms_px']:.2f}", f"{view['max_px']:.2f}"),
+            *(f"{math.degrees(view['tilt_rad']):.0f}°", f"{view['distance_m']:.2f}"),
             "" if view["used"] else Text("left out", style="red"),
         )
-    console.print(table)
+        for view in pictures
+    )
+    columns = ("corners", "error px", "worst px", "tilt", "distance m", "")
+    console.print(table_of("picture", numbers=columns, rows=rows))
     looked = f"{report['board']}: found in {report['found']} of {report['examined']} pictures"
     if report["found"] > len(pictures):
         looked += f", the {len(pictures)} sharpest and most different were taken"
     say(console, looked)
-    if names := report["without_board"]:
-        more = f" and {len(names) - 10} more" if len(names) > 10 else ""
-        say(console, f"Not found in: {', '.join(names[:10])}{more}")
+    if report["without_board"]:
+        say(console, f"Not found in: {names_text(report['without_board'])}")
     console.print()
     for row in report["parameters"]:
         digits = 1 if row["name"] in ("fx", "fy", "cx", "cy") else 4
