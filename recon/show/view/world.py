@@ -64,7 +64,7 @@ def write_world(motion: Motion, scene: Scene, log: Log) -> None:
     steps = [[root[i - 1 : i + 1]] if i and solved[i - 1 : i + 1].all() else [] for i in range(len(root))]
     log.send("world/trail", strips(rr.LineStrips3D, steps))
 
-    segments = motion.solution.segments
+    segments = [segment for segment in motion.solution.segments if solved[segment.rows].any()]
     grids = [_grid(motion, scene, segment) for segment in segments]
     style = {"colors": GRID, "radii": rr.Radius.ui_points(0.75)}
     log.fix("world/ground", rr.LineStrips3D.from_fields(**style))
