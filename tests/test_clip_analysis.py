@@ -355,7 +355,7 @@ def test_speeds_that_are_not_known_are_in_no_table_and_grey(whole, one_sided):
     points_m += np.random.default_rng(0).normal(0, 1.0, len(points_m))[:, None, None] * [0.0, 1.0, 0.0]
     spoilt = replace(motion, solution=replace(motion.solution, joints_m=points_m))
     found = analyse(spoilt)
-    assert found.speed_doubt is not None
+    assert found.why_no_speed is not None
     columns, rows = analysis_csv.joints(found)
     assert columns[-1] == "known"
     assert all(row[-1] == "no" and np.isnan(row[1:-1]).all() for row in rows)

@@ -34,14 +34,14 @@ NOISIEST_OF_TWO = 1.1
 only across the line between them that a turned camera is seen at all."""
 EXPLAINED = 0.25
 """A cause that leaves no more than this part of a camera's level explains it, too."""
-CLEAR_TURN_RAD, CLEAR_LAG, CLEAR_GAIN = np.radians(3.0), 3.0, 1.5
+CLEAR_TURN_RAD, CLEAR_OFFSET, CLEAR_GAIN = np.radians(3.0), 3.0, 1.5
 """Cameras that agree are named, too, where such a turn, or time offset in frames, makes their level so many times
 smaller."""
 LARGEST_TURN_RAD = np.radians(45.0)
 """A rotation that fits better only if it is larger is no turn of the camera."""
 MIN_POINTS = 30
 """Fewer points, over all frames, say nothing."""
-LAG_S, LITTLE_LAG = 0.5, 3
+SOUGHT_OFFSET_S, LITTLE_OFFSET = 0.5, 3
 """How far a time offset is sought: seconds for a camera that does not agree, frames for one that does."""
 FRAMES = 480
 """How many frames of a longer clip are compared: the stretch in which most is seen together."""
@@ -191,7 +191,7 @@ def _gain(found: _CameraAgreement) -> float:
         found.level / max(level, 1e-9)
         for level, is_clear in (
             (found.level_turned, CLEAR_TURN_RAD <= found.turn_rad <= LARGEST_TURN_RAD),
-            (found.level_late, abs(found.late_frames) >= CLEAR_LAG),
+            (found.level_late, abs(found.late_frames) >= CLEAR_OFFSET),
         )
         if is_clear
     ]
@@ -453,7 +453,7 @@ def _best_turned(sight: _Sight, points: _Points) -> tuple[_Sight, float]:
 
 def _best_shifted(sight: _Sight, points: _Points, fps: float, wide: bool) -> tuple[_Sight, float]:
     """If its pictures were taken when they fit best, and how many frames later that is."""
-    reach = min(max(round(LAG_S * fps), LITTLE_LAG) if wide else LITTLE_LAG, len(sight.rays) // 2)
+    reach = min(max(round(SOUGHT_OFFSET_S * fps), LITTLE_OFFSET) if wide else LITTLE_OFFSET, len(sight.rays) // 2)
     levels = {float(by): _level(sight.later(by), points) for by in range(-reach, reach + 1)}
     if not np.isfinite([*levels.values()]).any():
         return sight, np.nan
@@ -487,16 +487,18 @@ def search_offsets(views: Sequence[View], fps: float, sigma_px: float, keypoint_
         before = found.copy()
         for v in range(1, len(views)):
             others = [o for o in range(len(views)) if o != v and np.isfinite(found[o])]
-            found[v] = _best_lag(sights[v], [sights[o].later(found[o]) for o in others], reach, rows)
+            found[v] = _best_offset(sights[v], [sights[o].later(found[o]) for o in others], reach, rows)
         if turn and np.array_equal(before, found, equal_nan=True):
             break
     return found
 
 
-def _best_lag(sight: _Sight, others: Sequence[_Sight], reach: int, rows: Index) -> float:
-    lags = np.arange(-reach, reach + 1)
+def _best_offset(sight: _Sight, others: Sequence[_Sight], reach: int, rows: Index) -> float:
+    offsets = np.arange(-reach, reach + 1)
     partners = [other.part(rows) for other in others]
-    pairs = np.array([[_pair_level(sight.later(by).part(rows), other) for other in partners] for by in lags.tolist()])
+    pairs = np.array(
+        [[_pair_level(sight.later(by).part(rows), other) for other in partners] for by in offsets.tolist()]
+    )
     levels, points = pairs[..., 0], pairs[..., 2]
     compared = np.isfinite(levels) & (points >= _COMPARED * points.max(axis=0))
     if not compared.any():
@@ -504,4 +506,4 @@ def _best_lag(sight: _Sight, others: Sequence[_Sight], reach: int, rows: Index) 
     total, number = np.where(compared, levels, 0.0).sum(axis=1), compared.sum(axis=1)
     mean = np.where(number > 0, total / np.maximum(number, 1), np.inf)
     best = int(np.argmin(mean))
-    return 0.0 if mean[best] > CLEARLY * mean[reach] else float(lags[best])
+    return 0.0 if mean[best] > CLEARLY * mean[reach] else float(offsets[best])

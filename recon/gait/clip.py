@@ -198,11 +198,11 @@ class ClipAnalysis:
     def speed(self) -> pd.DataFrame:
         """The speed of the reference joint along its path: speed_m_s, sigma_m_s, and low_m_s and high_m_s, between
         which it lies with 90 %; by time_s, ten times for each frame. Raises InputError where no speed is known
-        (`speed_doubt`)."""
+        (`why_no_speed`)."""
         import pandas as pd
 
-        if self.speed_doubt is not None:
-            raise InputError(Problem(self.motion.file, "speed", self.speed_doubt, "a path whose speed can be told"))
+        if self.why_no_speed is not None:
+            raise InputError(Problem(self.motion.file, "speed", self.why_no_speed, "a path whose speed can be told"))
         moved = self.reference_motion
         sigma = np.full_like(moved.speed_m_s, np.nan) if moved.speed_sigma_m_s is None else moved.speed_sigma_m_s
         reach = radius(INTERVAL) * sigma
@@ -216,7 +216,7 @@ class ClipAnalysis:
         return tuple(name for name, share in self.motion.data_shares.items() if share < MEASURED_SHARE)
 
     @cached_property
-    def speed_doubt(self) -> str | None:
+    def why_no_speed(self) -> str | None:
         """Why no joint's speed is known; None where they are, or where the fit says how uncertain they are. An error of
         the animal's depth is one of all joints."""
         path_m = self.motion.upright.xyz_m[:, self.motion.names.index(self.reference)]

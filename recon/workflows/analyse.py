@@ -92,7 +92,7 @@ def analyse_command(settings: AnalyseSettings, as_json: bool, quiet: bool) -> An
         return summary
     out, motion = files[0].parent, found.motion
     say_verdict(console, motion.verdict)
-    for line in (*in_sentences(motion, found.reference_motion, found.gait, found.speed_doubt), *_lines(found)):
+    for line in (*in_sentences(motion, found.reference_motion, found.gait, found.why_no_speed), *_lines(found)):
         say(console, line)
     if found.gait is not None and len(found.gait.stances) <= MOST_STANCES:
         spans: dict[str, list[str]] = {foot: [] for foot in motion.foot_names}
@@ -170,7 +170,7 @@ def summarise(found: ClipAnalysis, results: str) -> dict[str, Any]:
             "peak_sigma_m_s": None if np.isnan(moved.peak_speed_sigma_m_s) else moved.peak_speed_sigma_m_s,
             "peak_time_s": moved.peak_speed_time_s,
             "peak_acceleration_m_s2": moved.peak_acceleration_m_s2,
-            "doubt": found.speed_doubt,
+            "doubt": found.why_no_speed,
             "net_acceleration_m_s2": net,
             "net_acceleration_interval_m_s2": [net - INTERVAL * net_sigma, net + INTERVAL * net_sigma],
             "straight_run_m_s": None
@@ -298,7 +298,7 @@ def figures_of(found: ClipAnalysis) -> dict[str, Callable[[], Figure]]:
     title = "the stride that was given" if found.given is not None else title
     own = (joints_m, motion.limbs, time_s[during], motion.limb_sides, title)
     shares, ground = motion.posture_data_share[during], None if gait is None else gait.tracks.grounds
-    moved, unknown = {found.reference: found.reference_motion}, found.speed_doubt is not None
+    moved, unknown = {found.reference: found.reference_motion}, found.why_no_speed is not None
     drawn: dict[str, Callable[[], Figure]] = {
         "composites": partial(
             plots.composites, found.pose.xyz_m, motion.limbs, time_s, ground, sides=motion.limb_sides

@@ -171,7 +171,7 @@ def _clip_row(found: ClipAnalysis, strides: Sequence[dict]) -> dict:
     row["size_sigma"] = solution.size_sigma / solution.size if isinstance(solution, TrajectorySolution) else np.nan
     for name in QUANTITIES:
         if name == "speed_m_s":
-            known = found.speed_doubt is None
+            known = found.why_no_speed is None
             value = found.joints[found.reference].mean_speed_m_s if known else np.nan
             sigma = _speed_sigma(found, *motion.time_s[[0, -1]]) if known else np.nan
         elif len(table):

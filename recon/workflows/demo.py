@@ -51,6 +51,6 @@ def demo(settings: _DemoSettings, as_json: bool, quiet: bool) -> None:
         motion, lines = Motion.load(out), dict(report["lines"])
         say(console, f"Frames: {lines['frames']}.")
         found = ClipAnalysis(motion)
-        for sentence in in_sentences(motion, found.reference_motion, found.gait, found.speed_doubt):
+        for sentence in in_sentences(motion, found.reference_motion, found.gait, found.why_no_speed):
             say(console, sentence)
         say(console, f"Open {page} in a browser.")

@@ -185,10 +185,10 @@ def run_extrinsics(
     )
     write_cameras(found, out)
     names, rows = [camera.name for camera in found], []
-    for clip, sources, of, lags, apart in zip(
+    for clip, sources, of, late_frames, apart in zip(
         clips, in_step, given, rig.time_offset_frames, rig.disagreement, strict=True
     ):
-        late_s = dict(zip(names, np.array(lags) / of[0].fps, strict=True))
+        late_s = dict(zip(names, np.array(late_frames) / of[0].fps, strict=True))
         began_s = np.array([source.offset_s + late_s[source.camera.name] for source in sources])
         rows.append(
             {

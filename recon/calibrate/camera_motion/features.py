@@ -119,7 +119,7 @@ def same_scene(a: tuple[Array, Image], b: tuple[Array, Image]) -> bool:
     return same is not None and int(same.sum()) >= MIN_SAME
 
 
-def alike(a: GreyPicture, b: GreyPicture) -> bool:
+def similar(a: GreyPicture, b: GreyPicture) -> bool:
     """Whether light and dark lie about alike in two pictures, as they do in neighbours of one take."""
     small = [cv2.resize(one.grey, (16, 16), interpolation=cv2.INTER_AREA).ravel() for one in (a, b)]
     return bool(np.asarray(np.corrcoef(small))[0, 1] > MIN_ALIKE)

@@ -15,7 +15,6 @@ from scipy.spatial.transform import Rotation
 from recon.base.arrays import Array, Bools, Index, Integers
 from recon.calibrate.camera_motion.features import (
     GreyPicture,
-    alike,
     corners,
     described,
     followed,
@@ -24,6 +23,7 @@ from recon.calibrate.camera_motion.features import (
     pixels_of,
     rays_of,
     same_scene,
+    similar,
 )
 from recon.calibrate.camera_motion.rotation import (
     AgreedOrientation,
@@ -156,7 +156,7 @@ class Tracker:
             if len(corners(frame, mask)) >= max(MIN_CORNERS, 0.5 * len(self.keys[-1].points_px)):
                 same = same_scene(self.keys[-1].known, described(frame))
                 self.apart += same
-                if not same and self.frames[-1] == number - 1 and not (self.last and alike(self.last, frame)):
+                if not same and self.frames[-1] == number - 1 and not (self.last and similar(self.last, frame)):
                     self.cut = number
             return False
         agreement, seen = found
@@ -226,10 +226,10 @@ class Tracker:
         ]
         near = sorted(near, key=lambda pair: -pair[0])[: 2 * count]
         best = sorted(((self._likeness(key, orientation), key) for _, key in near), key=lambda pair: -pair[0])
-        alike = [key for likeness, key in best if likeness >= MIN_LIKENESS]
-        kept = alike[:count]
-        if count == KEYS_TO_LINK and alike[count:]:
-            kept.append(min(alike[count:], key=lambda key: key.number))
+        similar = [key for likeness, key in best if likeness >= MIN_LIKENESS]
+        kept = similar[:count]
+        if count == KEYS_TO_LINK and similar[count:]:
+            kept.append(min(similar[count:], key=lambda key: key.number))
         return kept or [key for _, key in best[:1]]
 
     def _likeness(self, key: _Keyframe, orientation: Orientation) -> float:

@@ -28,7 +28,7 @@ def joints(found: ClipAnalysis) -> Table:
         "joint, distance_m, mean_speed_m_s, peak_speed_m_s, peak_speed_sigma_m_s, peak_speed_time_s, "
         "peak_acceleration_m_s2, peak_acceleration_sigma_m_s2, known"
     )
-    known = found.speed_doubt is None
+    known = found.why_no_speed is None
     rows = [
         (
             *(name, moved.distance_m, moved.mean_speed_m_s, moved.peak_speed_m_s),

@@ -106,7 +106,7 @@ def _words(report: Mapping[str, Any], found: ClipAnalysis | None) -> Iterator[st
     if found is None:
         yield "Too few frames have a pose for a speed or a gait."
     else:
-        yield from in_sentences(found.motion, found.reference_motion, found.gait, found.speed_doubt)
+        yield from in_sentences(found.motion, found.reference_motion, found.gait, found.why_no_speed)
 
 
 def doubtful_frames(motion: Motion) -> Iterator[tuple[str, str]]:
@@ -139,7 +139,7 @@ def _sections(found: ClipAnalysis) -> Iterator[_FigureGroup]:
         _inline(
             [
                 plots.speeds(
-                    {name: moved}, width_mm=SPEED_MM, unknown=found.speed_doubt is not None, acceleration=not hardly
+                    {name: moved}, width_mm=SPEED_MM, unknown=found.why_no_speed is not None, acceleration=not hardly
                 )
             ]
         ),
