@@ -156,8 +156,10 @@ def test_of_two_that_exclude_each_other_the_likelier_has_to_lead():
     right, wrong = (undone(swapped, by) for by in (other, one))
     assert right.ratio > max(MARGIN, wrong.ratio + CLEAR)
     then = with_undone(swapped, right)
-    assert contradicts(then, other, one)
-    assert not contradicts(then, other, stretch("hind", 21, T))
+    assert contradicts(then, right, replace(wrong, ratio=1.0))
+    assert contradicts(then, right, replace(wrong, stretch=stretch("fore", 0, 10), ratio=1.0))
+    for stretch_of, ratio in ((one, -1.0), (stretch("hind", 21, T), 1.0), (stretch("hind", 30, T), 1.0)):
+        assert not contradicts(then, right, replace(wrong, stretch=stretch_of, ratio=ratio))
 
 
 @pytest.mark.parametrize(

@@ -110,19 +110,13 @@ def swaps(given: Baseline, unlike: bool = False) -> list[_SwapTrial]:
             break
         best, *others = trials
         then = with_undone(given, best)
-        rival = next((one for one in others if contradicts(then, best.stretch, one.stretch)), None)
+        rival = next((one for one in others if contradicts(then, best, one)), None)
         clear = rival is None or believed(best.ratio - rival.ratio, surely=True)
         found.append(replace(best, clear=clear))
         if not clear:
             break
         given = then
     return found
-
-
-def contradicts(then: Baseline, best: _Stretch, other: _Stretch) -> bool:
-    """Whether another stretch is none of nearly the same keypoints, and undoing it, too, makes the clip less likely."""
-    of_best, of_other = (one.mask(len(then.states)) for one in (best, other))
-    return 2 * (of_best & of_other).sum() < (of_best | of_other).sum() and undone(then, other).ratio < 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,6 +128,18 @@ class _SwapTrial:
     refit: Refit
     ratio: float
     clear: bool = True
+
+
+def contradicts(then: Baseline, best: _SwapTrial, other: _SwapTrial) -> bool:
+    """Whether another stretch that makes the clip likelier, too, may be exchanged in place of the best: one beside it,
+    or one that no longer makes it clearly likelier once the best is undone. None that is a part of the best, or of
+    nearly the same keypoints."""
+    (a, of_best), (b, of_other) = ((one.stretch.rows, one.stretch.mask(len(then.states))) for one in (best, other))
+    both = of_best & of_other
+    if not (of_other & ~of_best).any() or 2 * both.sum() >= (of_best | of_other).sum() or other.ratio <= 0:
+        return False
+    beside = a.start <= b.stop and b.start <= a.stop and {*best.stretch.markers} & {*other.stretch.markers}
+    return bool(beside) or not believed(undone(then, other.stretch).ratio)
 
 
 def undone(given: Baseline, stretch: _Stretch) -> _SwapTrial:
