@@ -44,9 +44,9 @@ from shares import share_below, share_inside
 from trajectory import body_of, prior_of
 
 from recon import Body, Camera, load_skeleton
-from recon.animal.detector import seen_by
 from recon.animal.prior import ANGLES, MotionPrior, builtin_priors, load_prior, prior_from_body
 from recon.animal.prior_fit import as_one_gaussian
+from recon.animal.skeleton_file import seen_by
 from recon.base.errors import InputError
 from recon.clip import View, still_view
 from recon.fit import TrajectoryOptions, constants, solve_trajectory

@@ -30,9 +30,9 @@ import trajectory
 from recordings import recordings
 
 from recon import Body, Camera
-from recon.animal.detector import seen_by
 from recon.animal.prior import MotionPrior, load_prior, mean_speed_m_s, prior_from_body
 from recon.animal.prior_fit import fit_prior
+from recon.animal.skeleton_file import seen_by
 from recon.clip import View, still_view
 from recon.fit import TrajectorySolution, solve_trajectory
 from recon.fit.points import solve_points

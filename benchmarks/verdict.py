@@ -33,7 +33,7 @@ from wrong_inputs import Case, Clip, Given, cameras_of, fitted, measured
 from recon import InputError
 from recon.animal.body import side_of
 from recon.animal.skeleton_file import builtin_subjects
-from recon.base.package import builtin_file
+from recon.base.documents import builtin_file
 from recon.check import verdict
 from recon.check.verdict import Evidence, evidence_of
 

@@ -22,7 +22,7 @@ from rerun.chunk import RrdReader
 import recon.show.export.clip_csv
 import recon.show.view
 import recon.workflows.cli
-from recon.animal.chain import MIN_JOINTS
+from recon.animal.body import MIN_JOINTS
 from recon.check import verdict_lines
 from recon.fit.motion import Motion
 from recon.gait.evaluation import evaluate_files

@@ -181,7 +181,7 @@ def archive_of(path: Path, header: bytes | None = None, size_mb: int = 0) -> Pat
 
 @pytest.mark.parametrize("read", [read_pose3d, lambda path: load_prior(path, load_skeleton("cheetah-24"))])
 def test_archives_that_ask_for_the_memory_or_have_no_header(read, tmp_path, monkeypatch):
-    monkeypatch.setattr("recon.base.records.MAX_BYTES", 1 << 22)
+    monkeypatch.setattr("recon.base.documents.MAX_UNPACKED", 1 << 22)
     with pytest.raises(InputError, match="1 arrays of 5 MB are too much"):
         read(archive_of(tmp_path / "bomb.npz", size_mb=5))
     with pytest.raises(InputError, match=r"(file|content): found"):

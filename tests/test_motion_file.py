@@ -96,7 +96,7 @@ def test_damaged_bytes(saved: Path) -> None:
 
 
 def test_bomb(saved: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("recon.base.records.MAX_BYTES", 1 << 24)
+    monkeypatch.setattr("recon.base.documents.MAX_UNPACKED", 1 << 24)
     with zipfile.ZipFile(saved, "a", zipfile.ZIP_DEFLATED) as archive, archive.open("bomb.npy", "w") as member:
         member.write(bytes(1 << 25))
     assert "are too much" in refused(saved)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from recon.animal import detector
+import recon.animal
 from recon.animal.skeleton_file import load_skeleton
 from recon.clip.keypoints import Keypoints
 from recon.fit import solve_points
@@ -80,7 +80,8 @@ def whole_animal(fps: float = 60, n_frames: int = 60) -> tuple[SyntheticClip, Sy
     column["tail_2_yaw"][:] = 0.3 * np.sin(2 * np.pi * 1.3 * t - 0.8)
     column["tail_1_pitch"][:] = -0.45 + 0.2 * np.cos(2 * np.pi * 3.3 * t)
     clip = replace(clip, truth_m=body.tree.pose(states).points_m, names=body.markers)
-    return clip, replace(clip, truth_m=detector.seen_by(body, SAMPLES / "detector.toml").detected.pose(states).points_m)
+    detected = recon.animal.seen_by(body, SAMPLES / "detector.toml").detected
+    return clip, replace(clip, truth_m=detected.pose(states).points_m)
 
 
 def scene(first: Camera) -> tuple[Camera, ...]:

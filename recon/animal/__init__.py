@@ -5,9 +5,9 @@ from typing import TYPE_CHECKING
 from recon.base import lazily
 
 if TYPE_CHECKING:
-    from recon.animal.body import Body, Side, both_sides, facing_side, other_side, side_of, without_side
-    from recon.animal.chain import MIN_JOINTS, Chain
-    from recon.animal.detector import detector_toml, seen_by
+    from recon.animal.body import MIN_JOINTS, Body, Side, both_sides, facing_side, other_side, side_of, without_side
+    from recon.animal.body_file import subject_toml
+    from recon.animal.chain import Chain
     from recon.animal.naming import (
         NameMap,
         builtin_maps,
@@ -25,9 +25,10 @@ if TYPE_CHECKING:
         builtin_chains,
         builtin_names,
         builtin_subjects,
+        detector_toml,
         load_chain,
         load_skeleton,
-        subject_toml,
+        seen_by,
     )
 
 __getattr__ = lazily(__name__, __file__)

@@ -21,6 +21,11 @@ import numpy as np
 from recon.base.arrays import Array, Index
 from recon.geometry.kinematics import Tree
 
+MIN_JOINTS = 5
+"""Fewer detected joints than this do not place an animal."""
+MIN_REACH_PX = 50.0
+"""All limbs end to end shorter than this in the picture: too far away to have been detected."""
+
 Side = Literal["left", "right"]
 
 SIDES = {"left": "right", "near": "off", "l": "r"}
@@ -149,7 +154,7 @@ class Body:
     keypoint_noise_m: dict[str, float] = field(default_factory=dict)
     """How far off in a single frame, of markers of which it is known; of others it is keypoint_sigma_m."""
     detector: str | None = None
-    """Whose keypoints are expected (`recon.animal.detector`)."""
+    """Whose keypoints are expected (`recon.animal.skeleton_file`)."""
     mass: dict[str, tuple[float, float]] = field(default_factory=dict)
     """By segment: its share of the body's mass, and one standard deviation; empty where it is not known."""
     mass_source: str | None = None

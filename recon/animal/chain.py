@@ -22,20 +22,24 @@ length).
 
 from __future__ import annotations
 
+import os
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
+from typing import Annotated, Any
 
 import numpy as np
+from pydantic import BeforeValidator, Field
 
-from recon.animal.body import Body, Side
+from recon.animal.body import CHAIN_PLACES, MIN_JOINTS, Body, Side
+from recon.animal.body_file import FileTable, Number, Sigma, foot_problems, foot_table, read_named, unknown
+from recon.base import documents
 from recon.base.arrays import Array, Index
+from recon.base.documents import validated
+from recon.base.errors import InputError, Problem, refuse
 from recon.geometry.frames import euler_rotation, euler_rotation_with_jacobian
 from recon.geometry.kinematics import PITCH, ROLL, ROOT, YAW, Joint, Marker, Segment, Tree
-
-MIN_JOINTS = 5
-"""Fewer detected joints than this do not place a chain."""
-MIN_REACH_PX = 50.0
-"""All links end to end shorter than this in the picture: too far away to have been detected."""
 
 UVW_BODY = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 """Takes the body's axes x forwards, y left, z up to U, V (down), W."""
@@ -299,3 +303,145 @@ def upright_rotation(heading: Array, up: Array) -> Array:
     """R_camera_local (..., 3, 3) of a level animal: U along heading (..., 3), V down, W to the side."""
     down = np.broadcast_to(-up, heading.shape)
     return np.stack([heading, down, np.cross(heading, down)], axis=-1)
+
+
+# -- files -------------------------------------------------------------------------------------------------------------
+
+
+def _both(given: Any) -> Any:
+    """A keypoint's name on either side, or a table of both, as (left, right)."""
+    if isinstance(given, dict) and {*given} == {"left", "right"}:
+        return given["left"], given["right"]
+    return (given, given) if isinstance(given, str) else given
+
+
+_Sides = Annotated[tuple[str, str], BeforeValidator(_both)]
+
+
+class _Range(FileTable):
+    mean_rad: Number
+    tolerance_rad: Sigma
+    max_rate_rad_s: Sigma
+
+
+class _Link(FileTable):
+    name: str
+    start: str = Field(alias="from")
+    end: str = Field(alias="to")
+    limb: str
+    length_ratio: Sigma
+    keypoint: _Sides
+    theta: _Range | None = None
+    phi: _Range | None = None
+
+
+class _BaseLength(FileTable):
+    nominal_m: Sigma
+    sigma_m: Sigma
+
+
+class _Prior(FileTable):
+    theta_sigma_rad: Sigma
+    phi_sigma_rad: Sigma
+    roll_sigma_rad: Sigma
+    heading_sigma_rad_per_sqrt_s: Sigma
+    travel_sigma_rad: Sigma
+
+
+_ChainFeet = Annotated[dict[str, str], foot_table(CHAIN_PLACES, '{ fore = "J4", hind = "J8" }, with its joints')]
+
+
+class _ChainFile(FileTable):
+    name: str
+    title: str
+    root: str
+    root_keypoint: _Sides
+    forward: tuple[str, str]
+    feet: _ChainFeet = Field(default=None, validate_default=True)
+    keypoint_sigma_m: Sigma
+    base_length: _BaseLength
+    softness_rad: Sigma
+    prior: _Prior
+    links: tuple[_Link, ...] = Field(min_length=1)
+    length_m: dict[str, Sigma] = Field(default_factory=dict)
+    """Measured lengths of links, in place of their ratios."""
+
+
+def chain_of(raw: dict[str, Any], source: str) -> Chain:
+    file = validated(_ChainFile, _extended(raw, source), source)
+    refuse(_chain_problems(file, source))
+    return _chain(file)
+
+
+def _extended(raw: dict[str, Any], source: str) -> dict[str, Any]:
+    """With the tables of the skeleton that it `extends`, where it has none of its own."""
+    if "extends" not in raw:
+        return raw
+    if not isinstance(name := raw["extends"], str):
+        raise InputError(Problem(source, "extends", repr(name), "the name or the file of a skeleton"))
+    parent, parent_source = read_named(_beside(name, source))
+    if "segments" in parent or "extends" in parent:
+        expected = "a chain that extends none; a body's lengths stand in a subject file"
+        raise InputError(Problem(source, "extends", parent_source, expected))
+    return {**parent, **{key: value for key, value in raw.items() if key != "extends"}}
+
+
+def _beside(name: str, source: str) -> str:
+    """A skeleton that a file names: built in, or a file that lies beside it, or is found from where the user is."""
+    file = os.path.join(Path(source).parent, name)
+    return file if os.path.isfile(file) and name not in documents.builtin_names("animal/skeletons", ".toml") else name
+
+
+def _chain_problems(file: _ChainFile, source: str) -> Iterator[Problem]:
+    known = [file.root]
+    for i, link in enumerate(file.links):
+        if link.start not in known:
+            yield Problem(source, f"links[{i}].from", repr(link.start), "the root or the `to` of an earlier link")
+        if link.end in known:
+            yield Problem(source, f"links[{i}].to", repr(link.end), "a joint that no earlier link ends in")
+        if (link.theta is None) != (link.phi is None):
+            yield Problem(source, f"links[{i}]", "only one of theta and phi", "both or neither")
+        known.append(link.end)
+    names = [link.name for link in file.links]
+    yield from unknown(source, [(f"length_m.{name}", name) for name in file.length_m], sorted(names))
+    if len(names) + 1 < MIN_JOINTS:
+        yield Problem(source, "links", f"{len(names)}", f"at least {MIN_JOINTS - 1}: fewer joints do not place it")
+    if not any(link.theta is None and link.start == file.root for link in file.links):
+        expected = f"one from {file.root} without theta and phi: the body's forward axis lies along it"
+        yield Problem(source, "links", "none without angles from the root", expected)
+    ends = [*(("forward", joint) for joint in file.forward), *(("feet", joint) for joint in file.feet.values())]
+    yield from unknown(source, ends, sorted(known))
+    yield from foot_problems(file.feet, source)
+
+
+def _ranges(ranges: Iterable[_Range | None]) -> AngleRanges:
+    rows = [(r.mean_rad, r.tolerance_rad, r.max_rate_rad_s) for r in ranges if r is not None]
+    return AngleRanges(*np.array(rows, dtype=float).reshape(-1, 3).T)
+
+
+def _chain(f: _ChainFile) -> Chain:
+    ratios = {x.name: x.length_ratio for x in f.links}
+    ratios |= {name: length_m / f.base_length.nominal_m for name, length_m in f.length_m.items()}
+    return Chain(
+        name=f.name,
+        title=f.title,
+        links=tuple(Link(x.name, x.start, x.end, x.limb, ratios[x.name], free=x.theta is not None) for x in f.links),
+        joints=(f.root, *(x.end for x in f.links)),
+        keypoints=(f.root_keypoint, *(x.keypoint for x in f.links)),
+        forward=f.forward,
+        feet=tuple(f.feet.values()),
+        foot_labels=tuple(CHAIN_PLACES[place] for place in f.feet),
+        theta=_ranges(x.theta for x in f.links),
+        phi=_ranges(x.phi for x in f.links),
+        scales=PriorScales(
+            softness_rad=f.softness_rad,
+            theta_rad=f.prior.theta_sigma_rad,
+            phi_rad=f.prior.phi_sigma_rad,
+            roll_rad=f.prior.roll_sigma_rad,
+            heading_rad_per_sqrt_s=f.prior.heading_sigma_rad_per_sqrt_s,
+            travel_rad=f.prior.travel_sigma_rad,
+            base_length_m=f.base_length.sigma_m,
+            keypoint_m=f.keypoint_sigma_m,
+        ),
+        nominal_base_length_m=f.base_length.nominal_m,
+    )

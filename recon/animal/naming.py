@@ -15,7 +15,7 @@ from pathlib import Path
 
 from recon.animal.body import side_of, without_side
 from recon.animal.skeleton_file import builtin_chains, builtin_names, load_skeleton
-from recon.base import package
+from recon.base import documents
 from recon.base.documents import read_text
 from recon.base.errors import InputError, Problem, refuse
 from recon.clip.keypoints import Keypoints
@@ -47,14 +47,14 @@ class NameMap:
 
 def builtin_maps() -> tuple[str, ...]:
     """Names of the maps that come with the package."""
-    return package.builtin_names("animal/names", ".csv")
+    return documents.builtin_names("animal/names", ".csv")
 
 
 def load_names(name_or_path: str | Path) -> NameMap:
     """The built-in map of that name, or the one in a CSV file. Raises InputError with every problem."""
     source = str(name_or_path)
     if source in builtin_maps():
-        text = package.builtin_file("animal/names", f"{source}.csv").read_text(encoding="utf-8")
+        text = documents.builtin_file("animal/names", f"{source}.csv").read_text(encoding="utf-8")
     elif Path(source).is_file():
         text = read_text(Path(source), _EXPECTED)
     else:

@@ -19,12 +19,19 @@ import numpy as np
 from pydantic import ConfigDict
 
 from recon.animal.body import Body
-from recon.animal.skeleton_file import FileTable
+from recon.animal.body_file import FileTable
 from recon.base.arrays import Array
-from recon.base.documents import parse_json, read_content, validated
+from recon.base.documents import (
+    KINDS,
+    MAX_UNPACKED,
+    arrays_of,
+    builtin_file,
+    builtin_names,
+    parse_json,
+    read_content,
+    validated,
+)
 from recon.base.errors import InputError, Problem, refuse
-from recon.base.package import builtin_file, builtin_names
-from recon.base.records import KINDS, MAX_BYTES, arrays_of
 
 ANGLES = slice(4, None)
 """The angles that a prior is about, in the state."""
@@ -175,7 +182,7 @@ def load_prior(name_or_path: str | Path | None, body: Body) -> MotionPrior:
     if not path.is_file():
         expected = f"one of {', '.join((*builtin_priors(), NONE))}, or a prior file (.npz)"
         raise InputError(Problem("--prior", "name or file", repr(str(name_or_path)), expected))
-    return _prior(read_content(path, _EXPECTED, MAX_BYTES), str(path), body)
+    return _prior(read_content(path, _EXPECTED, MAX_UNPACKED), str(path), body)
 
 
 def _prior(content: bytes, source: str, body: Body) -> MotionPrior:

@@ -1,17 +1,28 @@
-"""Settings, lists and reports as text: JSON and TOML files of unknown origin.
+"""Files of unknown origin: JSON, TOML and NumPy's archives of arrays; and the files that come with the package.
 
-Whatever is in them, the answer is a table or an InputError. What the parsers of the standard library die of or take
-ages for is limited: the size of a file, its nesting, and the digits of its numbers.
+Whatever is in them, the answer is a table, arrays or an InputError. What the parsers of the standard library die of or
+take ages for is limited: the size of a file, its nesting, the digits of its numbers, and what it is unpacked to.
 """
 
 from __future__ import annotations
 
 import json
+import lzma
+import math
+import struct
+import sys
+import tokenize
 import tomllib
+import zipfile
+import zlib
 from collections.abc import Callable, Iterator, Mapping
+from importlib import resources
+from importlib.resources.abc import Traversable
+from io import BytesIO
 from pathlib import Path
 from typing import Any, TypeVar
 
+import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
 from recon.base.errors import InputError, Problem
@@ -109,3 +120,67 @@ def problems_of(error: ValidationError, source: str | Path, within: int = 0) -> 
             f"[{part}]" if isinstance(part, int) else f".{part}" for part in one["loc"][within:]
         ).removeprefix(".")
         yield Problem(source, field, repr(one["input"])[:60], one["msg"].removeprefix("Value error, "))
+
+
+# -- arrays ---------------------------------------------------------------------------------------------------------
+
+MAX_UNPACKED, MAX_ARRAYS = 1 << 30, 1 << 16
+"""The largest archive that is unpacked, and the largest size and number of arrays that it is unpacked to."""
+KINDS = "biuf"
+"""The types of arrays that are read, as NumPy names them: truth values, whole numbers and floats."""
+DAMAGE = (OSError, ValueError, KeyError, TypeError, EOFError, MemoryError, RuntimeError, ImportError)
+_DAMAGE_OF_ZIP = (zipfile.BadZipFile, zlib.error, lzma.LZMAError, struct.error, SyntaxError, tokenize.TokenError)
+"""The last two are of an array's header."""
+
+
+def arrays_of(content: bytes, kinds: str) -> dict[str, np.ndarray]:
+    """The arrays of a NumPy archive by name. kinds: of their types, as NumPy names them; "O", pickles, is none.
+
+    Raises ValueError for a damaged archive, other types, and one that would take too much memory: sizes are checked
+    before anything is unpacked."""
+    try:
+        with zipfile.ZipFile(BytesIO(content)) as archive:
+            check_unpacked_size(archive)
+            return {one.filename.removesuffix(".npy"): _array(archive.read(one), kinds) for one in archive.infolist()}
+    except (*DAMAGE, *_DAMAGE_OF_ZIP) as error:
+        raise ValueError(" ".join(str(error).split())[:200] or type(error).__name__) from None
+
+
+def check_unpacked_size(archive: zipfile.ZipFile) -> None:
+    """Raises ValueError for a zip archive that is unpacked to more than `MAX_UNPACKED`, or to too many files."""
+    infos = archive.infolist()
+    size = sum(info.file_size for info in infos)
+    if len(infos) > MAX_ARRAYS or size > MAX_UNPACKED:
+        raise ValueError(f"{len(infos)} arrays of {size >> 20} MB are too much")
+
+
+def _array(content: bytes, kinds: str) -> np.ndarray:
+    """The array of an .npy file whose header says what follows. Raises ValueError for any other."""
+    file = BytesIO(content)
+    version = np.lib.format.read_magic(file)
+    read_header = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}[version]
+    shape, fortran, dtype = read_header(file)
+    start = file.tell()
+    if dtype.kind not in kinds or not dtype.itemsize or dtype.itemsize * math.prod(shape) != len(content) - start:
+        raise ValueError(f"an array of {dtype} with shape {shape} in {len(content)} bytes")
+    if (
+        dtype.kind == "U"
+        and np.frombuffer(content, f"{dtype.byteorder}u4", offset=start).max(initial=0) > sys.maxunicode
+    ):
+        raise ValueError("texts of characters that there are not")
+    flat = np.frombuffer(content, dtype, offset=start)
+    return flat.reshape(shape, order="F" if fortran else "C").copy(order="K")
+
+
+# -- files that come with the package --------------------------------------------------------------------------------
+
+
+def builtin_file(folder: str, name: str) -> Traversable:
+    """A file that comes with the package, in a folder of it."""
+    return resources.files("recon") / folder / name
+
+
+def builtin_names(folder: str, ending: str) -> tuple[str, ...]:
+    """Names, without their ending, of the files that come with the package in a folder of it."""
+    files = (resources.files("recon") / folder).iterdir()
+    return tuple(sorted(f.name.removesuffix(ending) for f in files if f.name.endswith(ending)))

@@ -8,8 +8,7 @@ from __future__ import annotations
 import json
 import shutil
 import sys
-from importlib import metadata, resources
-from importlib.resources.abc import Traversable
+from importlib import metadata
 from pathlib import Path
 from urllib.parse import urlsplit
 from urllib.request import url2pathname
@@ -19,17 +18,6 @@ DISTRIBUTION = "recon-motion"
 
 def version() -> str:
     return metadata.version(DISTRIBUTION)
-
-
-def builtin_file(folder: str, name: str) -> Traversable:
-    """A file that comes with the package, in a folder of it."""
-    return resources.files("recon") / folder / name
-
-
-def builtin_names(folder: str, ending: str) -> tuple[str, ...]:
-    """Names, without their ending, of the files that come with the package in a folder of it."""
-    files = (resources.files("recon") / folder).iterdir()
-    return tuple(sorted(f.name.removesuffix(ending) for f in files if f.name.endswith(ending)))
 
 
 def install_command(extra: str) -> str:

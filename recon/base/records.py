@@ -10,13 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import lzma
-import math
-import struct
-import sys
-import tokenize
 import zipfile
-import zlib
 from collections.abc import Mapping
 from functools import cache
 from importlib import import_module
@@ -28,21 +22,14 @@ from typing import Any, TypeVar
 import numpy as np
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
-from recon.base.documents import parse_json, problems_of, read_content
+from recon.base.documents import DAMAGE, KINDS, MAX_UNPACKED, arrays_of, parse_json, problems_of, read_content
 from recon.base.errors import InputError, Problem
 
 RECORD = "record"
 SMALL = 64
 """Arrays with no more numbers than this stand in the text: an archive of thousands of tiny files is slow to read."""
-MAX_BYTES, MAX_ARRAYS = 1 << 30, 1 << 16
-"""The largest archive that is unpacked, and the largest size and number of arrays that it is unpacked to."""
 PACKAGE, CLASS = __name__.partition(".")[0], "class"
 """Whose dataclasses may be in an archive, and where their names stand in it."""
-KINDS = "biuf"
-"""The types of arrays that are read, as NumPy names them: truth values, whole numbers and floats."""
-_DAMAGE = (OSError, ValueError, KeyError, TypeError, EOFError, MemoryError, RuntimeError, ImportError)
-_DAMAGE_OF_ZIP = (zipfile.BadZipFile, zlib.error, lzma.LZMAError, struct.error, SyntaxError, tokenize.TokenError)
-"""The last two are of an array's header."""
 
 _Class = TypeVar("_Class")
 
@@ -69,11 +56,11 @@ def load_record(of: type[_Class], path: Path, schema: Mapping[str, Any], expecte
 
     Raises InputError for a file that is damaged, is something else, or would take too much memory: the sizes of all
     that is in it are checked before anything is unpacked."""
-    content = read_content(path, expected, MAX_BYTES)
+    content = read_content(path, expected, MAX_UNPACKED)
     try:
         arrays = arrays_of(content, KINDS)
         text = _text(arrays.pop(RECORD))
-    except _DAMAGE as error:
+    except DAMAGE as error:
         found = f"data that cannot be read ({' '.join(str(error).split())[:100] or type(error).__name__})"
         raise InputError(Problem(path, "content", found, expected)) from None
     record = parse_json(text, path, expected)
@@ -86,29 +73,8 @@ def load_record(of: type[_Class], path: Path, schema: Mapping[str, Any], expecte
         return _validated(of, _restored(record["value"], arrays))
     except ValidationError as error:
         raise InputError(problems_of(error, path, within=1)) from None
-    except (*_DAMAGE, AttributeError, IndexError, OverflowError, RecursionError) as error:
+    except (*DAMAGE, AttributeError, IndexError, OverflowError, RecursionError) as error:
         raise InputError(Problem(path, "content", " ".join(str(error).split())[:200], expected)) from None
-
-
-def arrays_of(content: bytes, kinds: str) -> dict[str, np.ndarray]:
-    """The arrays of a NumPy archive by name. kinds: of their types, as NumPy names them; "O", pickles, is none.
-
-    Raises ValueError for a damaged archive, other types, and one that would take too much memory: sizes are checked
-    before anything is unpacked."""
-    try:
-        with zipfile.ZipFile(BytesIO(content)) as archive:
-            check_unpacked_size(archive)
-            return {one.filename.removesuffix(".npy"): _array(archive.read(one), kinds) for one in archive.infolist()}
-    except (*_DAMAGE, *_DAMAGE_OF_ZIP) as error:
-        raise ValueError(" ".join(str(error).split())[:200] or type(error).__name__) from None
-
-
-def check_unpacked_size(archive: zipfile.ZipFile) -> None:
-    """Raises ValueError for a zip archive that is unpacked to more than `MAX_BYTES`, or to too many files."""
-    infos = archive.infolist()
-    size = sum(info.file_size for info in infos)
-    if len(infos) > MAX_ARRAYS or size > MAX_BYTES:
-        raise ValueError(f"{len(infos)} arrays of {size >> 20} MB are too much")
 
 
 def _text(array: np.ndarray) -> str:
@@ -116,24 +82,6 @@ def _text(array: np.ndarray) -> str:
     if array.dtype != np.uint8:
         raise ValueError(f"a text of {array.dtype}")
     return array.tobytes().decode()
-
-
-def _array(content: bytes, kinds: str) -> np.ndarray:
-    """The array of an .npy file whose header says what follows. Raises ValueError for any other."""
-    file = BytesIO(content)
-    version = np.lib.format.read_magic(file)
-    read_header = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}[version]
-    shape, fortran, dtype = read_header(file)
-    start = file.tell()
-    if dtype.kind not in kinds or not dtype.itemsize or dtype.itemsize * math.prod(shape) != len(content) - start:
-        raise ValueError(f"an array of {dtype} with shape {shape} in {len(content)} bytes")
-    if (
-        dtype.kind == "U"
-        and np.frombuffer(content, f"{dtype.byteorder}u4", offset=start).max(initial=0) > sys.maxunicode
-    ):
-        raise ValueError("texts of characters that there are not")
-    flat = np.frombuffer(content, dtype, offset=start)
-    return flat.reshape(shape, order="F" if fortran else "C").copy(order="K")
 
 
 def _plain(value: Any, where: str, arrays: dict[str, np.ndarray], name_of: dict[int, str]) -> Any:

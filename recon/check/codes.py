@@ -10,7 +10,7 @@ import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from recon.base.package import builtin_file
+from recon.base.documents import builtin_file
 from recon.fit.motion import Motion
 from recon.fit.result import Finding, Severity
 

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from recon.animal.body import Body, Side
-from recon.animal.chain import Chain
 from recon.base.arrays import Array, Bools, Integers, median
 from recon.base.errors import InputError, Problem
 from recon.clip import Source, world_from_reference
@@ -109,8 +108,6 @@ class Motion:
     """What checks of the input and of the fit found (`recon.check`), the most serious first."""
     verdict: Verdict | None = None
     """Whether it may be used, and how far off it is expected to be; None before `recon.check.judged`."""
-    chain: Chain | None = None
-    """The chain that a skeleton is, if it is one: its own form, which `body` is made from."""
     settings: Mapping[str, Any] = field(default_factory=dict)
     """All that the fit was told, as JSON has it; its paths are absolute, and in a folder of results relative to it."""
     timing_s: Mapping[str, float] = field(default_factory=dict)

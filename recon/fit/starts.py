@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from recon.animal.chain import MIN_JOINTS
+from recon.animal.body import MIN_JOINTS
 from recon.animal.prior import ANGLES
 from recon.base.arrays import Array, Index
 from recon.fit.clip_problem import UP, ClipProblem

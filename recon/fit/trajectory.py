@@ -29,8 +29,7 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from recon.animal.body import Body
-from recon.animal.chain import MIN_JOINTS, MIN_REACH_PX
+from recon.animal.body import MIN_JOINTS, MIN_REACH_PX, Body
 from recon.animal.prior import ANGLES, NONE, MotionPrior
 from recon.base import Progress, silent
 from recon.base.arrays import Array, Bools

@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 
 from recon.base.errors import InputError, Problem, refuse
-from recon.base.package import install_command
 from recon.clip.keypoints import Keypoints, frame_ranges
 from recon.io.pose import UNNAMED_POINTS, StoredPoints, numbered_names
 
@@ -42,6 +41,8 @@ def formats_extra(path: str | Path) -> Iterator[None]:
     try:
         yield
     except ModuleNotFoundError as error:
+        from recon.base.package import install_command
+
         found = f"a format that needs the package {(error.name or '').split('.')[0]}, which is not installed"
         raise InputError(Problem(path, "format", found, install_command("formats"))) from None
 

@@ -9,9 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from recon.base.documents import read_content
+from recon.base.documents import KINDS, MAX_UNPACKED, arrays_of, read_content
 from recon.base.files import write_bytes
-from recon.base.records import KINDS, MAX_BYTES, arrays_of
 from recon.io.common import DAMAGE, points_of_arrays, rate, starts_with
 from recon.io.pose import Pose3D, StoredPoints, index_edges
 
@@ -29,7 +28,7 @@ def recognises(path: Path) -> bool:
 
 def read(path: Path, individual: str | None = None) -> StoredPoints:
     """Raises InputError for a damaged file or arrays that do not fit."""
-    arrays = arrays_of(read_content(path, "a whole file", MAX_BYTES), f"{KINDS}U")
+    arrays = arrays_of(read_content(path, "a whole file", MAX_UNPACKED), f"{KINDS}U")
     names = [str(name) for name in arrays["names"].tolist()]
     edges = tuple((names[a], names[b]) for a, b in arrays["edges"])
     more: dict[str, Any] = {"fps": rate(arrays["fps"]), "unit": "m", "up": "z", "edges": edges}

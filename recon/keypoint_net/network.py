@@ -34,11 +34,11 @@ from scipy.optimize import minimize
 from scipy.special import expit, logit
 
 from recon.base.arrays import Array, Bools
+from recon.base.documents import check_unpacked_size
 from recon.base.errors import InputError, Problem
 from recon.base.files import staged_file, write_bytes
 from recon.base.package import install_command
 from recon.base.parallel import available_cores
-from recon.base.records import check_unpacked_size
 from recon.base.settings import Option
 from recon.io.video import Image
 from recon.keypoint_net.labels import resize, scale_points

@@ -18,7 +18,8 @@ import numpy as np
 from scipy.linalg import eigh
 from scipy.optimize import OptimizeResult, least_squares
 
-from recon.animal.chain import MIN_JOINTS, MIN_REACH_PX, Chain, Posed
+from recon.animal.body import MIN_JOINTS, MIN_REACH_PX
+from recon.animal.chain import Chain, Posed
 from recon.base.arrays import Array, Index
 from recon.check import Finding, finding
 from recon.clip import View

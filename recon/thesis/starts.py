@@ -10,7 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from recon.animal.chain import MIN_JOINTS, Chain, upright_rotation
+from recon.animal.body import MIN_JOINTS
+from recon.animal.chain import Chain, upright_rotation
 from recon.base.arrays import Array
 from recon.fit.starts import constant_velocity, place_on_rays
 from recon.geometry.camera import Camera

@@ -22,9 +22,9 @@ from recon.animal import (
     suggestions,
 )
 from recon.animal.body import PLACES
+from recon.base.documents import builtin_file
 from recon.base.errors import InputError, Problem, all_of
 from recon.base.files import require_free_file, staged_file
-from recon.base.package import builtin_file
 from recon.base.settings import File, OneOrMore, Option, Positive, Settings
 from recon.check.agreement import points_m
 from recon.clip import Source, together, views_of

@@ -11,7 +11,7 @@ import numpy as np
 import typer
 
 from recon.animal import detector_toml, subject_toml
-from recon.animal.detector import NONE
+from recon.animal.skeleton_file import NONE
 from recon.base.arrays import Array, Integers
 from recon.base.errors import InputError, Problem, all_of
 from recon.base.files import require_free_file, staged_file

@@ -13,9 +13,8 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from recon.base.arrays import Array
-from recon.base.documents import parse_toml, read_toml, validated
+from recon.base.documents import builtin_file, builtin_names, parse_toml, read_toml, validated
 from recon.base.errors import InputError, Problem
-from recon.base.package import builtin_file, builtin_names
 from recon.robotics.ik.chain import SerialChain
 from recon.robotics.robot.dh import Convention, DHRow, dh_chain
 from recon.robotics.robot.leg import LEG_ANGLES, Leg, Length, Limits, PositiveLength

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from recon.animal.detector import NONE as NO_DETECTOR
-from recon.animal.detector import OWN
 from recon.animal.prior import NONE
+from recon.animal.skeleton_file import NONE as NO_DETECTOR
+from recon.animal.skeleton_file import OWN
 from recon.base.arrays import finite, mean, median
 from recon.base.words import length_text
 from recon.check import FLAGS

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from recon import check
-from recon.animal.detector import NONE, OWN, of_scorer
 from recon.animal.naming import suggestions
+from recon.animal.skeleton_file import NONE, OWN, of_scorer
 from recon.base.arrays import Array, finite, mean, median
 from recon.clip.keypoints import KeypointCounts
 from recon.fit import TrajectorySolution
