@@ -13,7 +13,7 @@ from recon import Body, Camera, FitSettings, InputError, load_skeleton, read_key
 from recon.animal import detector_toml, prior_from_body, seen_by
 from recon.clip import still_view
 from recon.fit import ClipProblem, TrajectoryOptions
-from recon.io import deeplabcut, deeplabcut_h5, json_poses, nwb
+from recon.io import deeplabcut, deeplabcut_h5, movement, nwb
 from recon.show.report import build_report
 from recon.workflows.clip import prepare
 from tests.test_cameras import folder, settings  # noqa: F401
@@ -32,8 +32,8 @@ def with_scorers(run: Path, out: Path, *scorers: str | None, suffix: str = ".csv
     for number, scorer in enumerate(scorers, start=1):
         csv, path = run / f"run_cam{number}.csv", out / f"run_cam{number}{suffix}"
         if scorer is None:
-            path = path.with_suffix(".json")
-            json_poses.write_coco(read_keypoints(csv), path)
+            path = path.with_suffix(".nc")
+            movement.write(read_keypoints(csv), path)
         else:
             table = pd.read_csv(csv, header=[0, 1, 2], index_col=0)
             named = [(scorer, *rest) for _, *rest in table.columns]

@@ -120,6 +120,14 @@ def facing_side(rear_px: Array, front_px: Array) -> tuple[Side, str]:
 
 
 @dataclass(frozen=True)
+class Skeleton:
+    """What a skeleton's file describes in a form of its own, which a body is made from (`recon.animal.chain`)."""
+
+    name: str
+    title: str
+
+
+@dataclass(frozen=True)
 class Body:
     """A tree with J markers and D unknowns per frame, and the expectations of them."""
 

@@ -32,7 +32,7 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import BeforeValidator, Field
 
-from recon.animal.body import CHAIN_PLACES, MIN_JOINTS, Body, Side
+from recon.animal.body import CHAIN_PLACES, MIN_JOINTS, Body, Side, Skeleton
 from recon.animal.body_file import FileTable, Number, Sigma, foot_problems, foot_table, read_named, unknown
 from recon.base import documents
 from recon.base.arrays import Array, Index
@@ -104,11 +104,9 @@ class Posed:
 
 
 @dataclass(frozen=True)
-class Chain:
+class Chain(Skeleton):
     """A chain's geometry, its keypoints and what is expected of its angles."""
 
-    name: str
-    title: str
     links: tuple[Link, ...]
     joints: tuple[str, ...]
     """Names, root first, then the links' ends in the order of the links."""

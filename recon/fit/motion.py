@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from recon.animal.body import Body, Side
+from recon.animal.body import Body, Side, Skeleton
 from recon.base.arrays import Array, Bools, Integers, median
 from recon.base.errors import InputError, Problem
 from recon.clip import Source, world_from_reference
@@ -108,6 +108,8 @@ class Motion:
     """What checks of the input and of the fit found (`recon.check`), the most serious first."""
     verdict: Verdict | None = None
     """Whether it may be used, and how far off it is expected to be; None before `recon.check.judged`."""
+    chain: Skeleton | None = None
+    """The `recon.animal.chain.Chain` that a skeleton is, if it is one, which `body` is made from."""
     settings: Mapping[str, Any] = field(default_factory=dict)
     """All that the fit was told, as JSON has it; its paths are absolute, and in a folder of results relative to it."""
     timing_s: Mapping[str, float] = field(default_factory=dict)

@@ -25,7 +25,7 @@ def fit_clip(settings: FitSettings, progress: Progress = silent) -> Motion:
     (view,), T = views_of(given.sources), len(given.sources[0].keypoints.frames)
     solution = solve_frames(view, chain, given.fps, frame_options(settings), lambda done: progress("frames", done / T))
     plain = settings.plain()
-    motion = Motion(given.sources, given.side, given.side_reason, solution, settings=plain)
+    motion = Motion(given.sources, given.side, given.side_reason, solution, chain=chain, settings=plain)
     return judged(motion)
 
 

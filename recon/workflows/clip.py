@@ -16,7 +16,7 @@ import numpy as np
 from recon import animal, check, io
 from recon.animal.body import Body, Side, facing_side
 from recon.animal.prior import MotionPrior, load_prior
-from recon.animal.skeleton_file import load_skeleton, seen_by, skeleton_of
+from recon.animal.skeleton_file import load_chain, load_skeleton, seen_by, skeleton_of
 from recon.base import Progress, silent
 from recon.base.arrays import Array, Bools
 from recon.base.errors import InputError, Problem, all_of
@@ -101,7 +101,8 @@ def fit_clip(settings: FitSettings, progress: Progress = silent) -> Motion:
         sources, solution = cleaned, again
     else:  # a fit that gets nowhere without them was wrong about them
         outliers = ()
-    motion = Motion(sources, given.side, given.side_reason, solution, settings=settings.plain())
+    chain = load_chain(settings.skeleton_name) if body.one_sided else None
+    motion = Motion(sources, given.side, given.side_reason, solution, chain=chain, settings=settings.plain())
     found = input_findings(motion, prior, options, _file_facts(given, settings))
     if any(one.code == "left_right_swap" for one in found):
         mended, marked = without_swaps(sources, found, body)

@@ -14,6 +14,7 @@ import pandas as pd
 from scipy.interpolate import CubicSpline
 from threadpoolctl import threadpool_limits
 
+from recon.animal.chain import Chain
 from recon.base.arrays import Array
 from recon.base.errors import InputError, Problem
 from recon.base.files import require_free_folder, sole_writer, staged_folder
@@ -184,7 +185,7 @@ def limb_of(motion: Motion, foot: str | None = None, dim: Dim = 3, limited: bool
     label = _foot_label(motion, foot)
     name = motion.foot_names[label]
     travel, first_s = body_travel(motion.states), float(motion.time_s[0])
-    if motion.chain is not None:
+    if isinstance(motion.chain, Chain):
         leg = spine_front_leg(motion.chain, motion.size * motion.chain.nominal_base_length_m, dim, limited)
         q = chain_angles(motion.chain, motion.states, dim=dim)
         return Limb(name, leg, q, motion.fps, first_s, "UVW", 0.0)
