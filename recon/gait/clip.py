@@ -202,7 +202,7 @@ class ClipAnalysis:
         import pandas as pd
 
         if self.why_no_speed is not None:
-            raise InputError(Problem(self.motion.file, "speed", self.why_no_speed, "a path whose speed can be told"))
+            raise InputError(Problem(self.motion.file, "speed", self.why_no_speed, "a path whose speed is known"))
         moved = self.reference_motion
         sigma = np.full_like(moved.speed_m_s, np.nan) if moved.speed_sigma_m_s is None else moved.speed_sigma_m_s
         reach = radius(INTERVAL) * sigma

@@ -375,10 +375,10 @@ def why_no_ground(moved: Tracks) -> str | None:
     """Why the ground under the feet cannot be told; None where it can."""
     planes = [plane for _, plane in moved.grounds if plane.samples]
     if not planes:
-        return "the ground cannot be told: no foot is slow enough to stand"
+        return "the ground is not known: no foot is slow enough to stand"
     spread_m = max(plane.spread_m for plane in planes)
     if not spread_m < LOW[0] * moved.leg_m:
-        return f"the ground cannot be told: slow feet are {spread_m:.2f} m off a plane (median)"
+        return f"the ground is not known: slow feet are {spread_m:.2f} m off a plane (median)"
     return None
 
 

@@ -257,7 +257,7 @@ class Camera:
 
     def _pose(self) -> tuple[Array, Array]:
         if self.rotation is None or self.translation_m is None:
-            raise ValueError(f"camera {self.name!r} has no rotation and translation, so its place is unknown")
+            raise ValueError(f"camera {self.name!r} has no rotation and translation, so its position is unknown")
         return self.rotation, self.translation_m
 
     def corrected(self, correction: Array) -> Camera:

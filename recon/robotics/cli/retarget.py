@@ -46,7 +46,7 @@ def _print(console: Console, report: dict[str, Any], out: Path) -> None:
     if "samples" in report:
         apart = report["samples"]
         place, angle = (max(apart[name].values()) for name in ("base_sigma_m", "joint_sigma_rad"))
-        text = f"{apart['count']} motions that it may have been, in {out / 'samples.npz'}: the base's place is known to"
+        text = f"{apart['count']} motions that it may have been, in {out / 'samples.npz'}: the base is known to"
         say(console, f"{text} {place:.3f} m, joint angles to {angle:.2f} rad (one standard deviation, the worst)")
     if "check" in report:
         _print_check(console, report["check"])

@@ -85,7 +85,7 @@ def other_plots(motion: Motion) -> list[TimePlot]:
     residuals[:, 1] = np.fmax.reduce(np.where(outliers, np.nan, distance), axis=1)
     names = ["median of the joints", "worst but for outliers"]
     errors = TimePlot("residuals", "Reprojection (px)", names, [LIMB_COLOURS[1], EDGE], residuals)
-    names = ["joint within the pose", "place in depth"]
+    names = ["joint within the pose", "position in depth"]
     sigmas = np.stack((motion.relative_rms_m, motion.place_sigma_m), axis=1)
     return [_speed(motion), errors, TimePlot("uncertainty", "One sigma (m)", names, [LIMB_COLOURS[1], LINK], sigmas)]
 
