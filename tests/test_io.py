@@ -377,7 +377,7 @@ def test_names_that_command_a_terminal(tmp_path):
     (said, *_) = problems(save(tmp_path, SINGLE.replace("nose", "\x1b[31mnose")))
     assert "column \\x1b[31mnose/x: found a bodypart without a name that can be printed, expected" in said
     (said,) = problems(save(tmp_path, "frame,bodypart,x,y\n0,no\x1b]0;se,1,2\n"))
-    assert said.endswith("names of points: found 'no\\x1b]0;se', expected names that can be printed")
+    assert said.endswith("names of points: found 'no\\x1b]0;se', expected names that are unique and can be printed")
     (said,) = problems(tmp_path / "a\nb\u202e.csv")
     assert said == f"{tmp_path}/a\\nb\\u202e.csv: file: found no such file, expected a file that can be read"
 

@@ -106,7 +106,7 @@ def test_sleap_without_scores_and_names(tmp_path):
 def test_sleap_problems(tmp_path):
     said = refused(sleap_file(tmp_path / "a.h5", node_names=np.array([b"x", b"x"]), point_scores=np.ones((2, 3, 4))))
     assert len(said) == 3
-    assert "'x' more than once" in said[0]
+    assert "names of points: found 'x', expected names that are unique" in said[0]
     assert "names of points: found 2, expected 3" in said[1]
     assert "likelihoods: found an array of the shape (4, 2, 3), expected (5, 2, 3)" in said[2]
     said = refused(sleap_file(tmp_path / "c.h5", dims=False, point_scores=np.ones((5, 2))))
@@ -218,7 +218,10 @@ def test_movement_3d(tmp_path):
     [
         (lambda d: d.rename({"keypoint": "node"}), "position: found float64 with the dimensions time, space, node"),
         (lambda d: d.assign_coords(space=["y", "x"]), "space: found y, x, expected x, y or x, y, z"),
-        (lambda d: d.assign_coords(keypoint=["a", "a", "b"]), "names of points: found 'a' more than once"),
+        (
+            lambda d: d.assign_coords(keypoint=["a", "a", "b"]),
+            "names of points: found 'a', expected names that are unique",
+        ),
         (lambda d: d.assign_coords(time=[0, 1, 1, 2]), "time: found times that do not increase"),
         (lambda d: d.assign_coords(time=[0, 0.04, 0.1, 0.2]), "time: found times that are no multiples of 0.04 s"),
         (lambda d: d.assign_attrs(ds_type="bboxes"), "ds_type: found bboxes"),
@@ -336,7 +339,10 @@ def test_coco_of_several_animals(tmp_path):
         ({"annotations": [dict(COCO["annotations"][0], image_id=8)]}, "an entry without 8"),
         ({"annotations": [dict(COCO["annotations"][0], keypoints=["x"] * 6)]}, "data that cannot be read"),
         ({"categories": [{"id": 1, "name": "cheetah"}]}, "0 lists of keypoints"),
-        ({"categories": [{"id": 1, "keypoints": ["a", "a"]}]}, "'a' more than once"),
+        (
+            {"categories": [{"id": 1, "keypoints": ["a", "a"]}]},
+            "names of points: found 'a', expected names that are unique",
+        ),
         ({"images": [{"file_name": "x.png"}]}, "an entry without 'id'"),
         ({"images": {}}, "an entry without 5"),
         ({"images": [{"id": 5}, {"id": 5}]}, "frame numbers that are not unique"),
@@ -413,7 +419,7 @@ def test_anipose_3d_csv(tmp_path):
         ("frame,node,x,y\n0,a,1,2\n0.5,a,1,2\n", ["frames: found 0.5 after 0, expected increasing whole"]),
         ("frame,node,x,y\n0,a,1,one\n1,a,inf,2\n", ["line 3, x: found 'inf'", "line 2, y: found 'one'"]),
         ("frame,node,x,y\n0,a,1,2\n0,a,3,4\n", ["line 3: found a second row of a frame or of a point in it"]),
-        ("frame,node,x,y\n0,,1,2\n", ["names of points: found an empty name"]),
+        ("frame,node,x,y\n0,,1,2\n", ["names of points: found '', expected names that are unique"]),
         ("frame,node,x,y\n0,a,1\n1,a,2,3,4\n", ["line 2: found 3 cells, expected 4", "line 3: found 5 cells"]),
         ("frame,node,x,y\n", ["points: found no frames"]),
         ("frame,a_x,a_y\n0,1,2\n0,3,4\n", ["line 3: found a second row of a frame"]),
@@ -609,7 +615,7 @@ def test_bvh_against_another_reader(tmp_path):
         (("Frame Time: 0.0333333", "Frame Time: 0"), "Frame Time: found 0"),
         (("1 2 3 90 0 0 0 90 0", "1 2 3 90 0 0 0 90 x"), "could not convert string to float: 'x'"),
         (("MOTION", ""), "in the hierarchy"),
-        (("JOINT knee", "JOINT hips"), "'hips' more than once"),
+        (("JOINT knee", "JOINT hips"), "names of points: found 'hips', expected names that are unique"),
         (("Frames: 2", "Frames: 0_2"), "MOTION: found 2 rows, and Frames: 0"),
     ],
 )

@@ -28,7 +28,6 @@ CameraFiles = str | Path | Sequence[Path]
 """One file, or several."""
 FORMAT, VERSION = "recon-camera", 1
 MAX_BYTES = 1 << 23
-AS_GIVEN = ", as was given"
 LARGEST = 1e9
 """The largest number in a calibration: more can only be damage."""
 MAX_SIZE_PX = 1_000_000
@@ -89,9 +88,7 @@ def read_cameras(path: CameraFiles, image_size_px: tuple[int, int] | None = None
         Problem(path, "camera names", f"{name!r} {count} times", "a name of its own for each camera")
         for name, count in _twice(cameras).items()
     ]
-    # A size that was given contradicts all cameras of a file same_faults.
-    same_faults = [(p.found, p.expected) if p.expected.endswith(AS_GIVEN) else i for i, p in enumerate(problems)]
-    refuse(problem for i, problem in enumerate(problems) if same_faults.index(same_faults[i]) == i)
+    refuse(problems)
     return cameras
 
 
@@ -280,7 +277,7 @@ def _image_size(
         return fault("image_size_px", str(value), expected)
     size = (int(array[0]), int(array[1]))
     if given is not None and size != tuple(given):
-        fault("image_size_px", f"{size[0]}x{size[1]}", f"{given[0]}x{given[1]}{AS_GIVEN}")
+        fault("image_size_px", f"{size[0]}x{size[1]}", f"{given[0]}x{given[1]}, as was given")
     return size
 
 

@@ -135,10 +135,13 @@ def points_of_arrays(
     T, N, K, _ = values.shape
     problems = []
     for field, found, count in (("names of points", names, K), ("names of animals", animals, N)):
-        if len(found):
-            problems += name_problems(path, field, found)
-            if len(found) != count:
-                problems.append(Problem(path, field, str(len(found)), f"{count}, as there are in the data"))
+        problems += [
+            Problem(path, field, f"'{name}'", "names that are unique and can be printed")
+            for name in dict.fromkeys(found)
+            if not name or not name.isprintable() or list(found).count(name) > 1
+        ]
+        if len(found) not in (0, count):
+            problems.append(Problem(path, field, str(len(found)), f"{count}, as there are in the data"))
     for field, array, shape in (("likelihoods", likelihood, (T, N, K)), ("occupied frames", occupied, (T, N))):
         if array is not None and array.shape != shape:
             problems.append(Problem(path, field, f"an array of the shape {array.shape}", f"{shape}, as the points"))
@@ -177,23 +180,6 @@ def first_problems(problems: Sequence[Problem], path: Path) -> list[Problem]:
     if more <= 0:
         return list(problems)
     return [*problems[:PROBLEMS_SHOWN], Problem(path, "more", f"{more} problems like these", "none")]
-
-
-def name_problems(path: Path, field: str, names: Iterable[str]) -> list[Problem]:
-    """Names that are empty or appear twice."""
-    names = list(names)
-    twice = [name for name in dict.fromkeys(names) if names.count(name) > 1]
-    problems = [Problem(path, field, f"'{name}' more than once", "unique names") for name in twice if name]
-    problems += [
-        Problem(path, field, f"'{name}'", "names that can be printed")
-        for name in dict.fromkeys(names)
-        if not name.isprintable()
-    ]
-    if "" in names:
-        problems.append(Problem(path, field, "an empty name", "a name"))
-    if not names:
-        problems.append(Problem(path, field, "none", "at least one"))
-    return problems
 
 
 def number(text: str) -> float:
