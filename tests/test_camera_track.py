@@ -233,6 +233,8 @@ def test_a_table_with_many_faults_names_them_all(tmp_path):
     assert "line 2: found 4 cells, expected 8, as in the header" in said
     assert "line 3, qx: found 'x', expected a number" in said
     assert "rows: found none" in refused(f"{HEAD}\n", tmp_path / "track.csv")
+    places = HEAD.replace("tx,ty,tz", "x,y,z")
+    assert "unit quaternions" in refused(f"{places}\n0,1,0,0,0,0,0,0\n1,0,0,0,0,0,0,0\n", tmp_path / "track.csv")
     assert "fx, fy, cx, cy: found others in line 2" in refused(
         f"{HEAD},fx,fy,cx,cy\n0,1,0,0,0,0,0,0,0,1,2,3\n", tmp_path / "track.csv"
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import pickle
 import warnings
@@ -11,6 +12,7 @@ from dataclasses import dataclass
 from importlib import resources
 from io import BytesIO
 from pathlib import Path
+from typing import Any
 from zipfile import ZIP_DEFLATED, ZipFile
 
 import h5py
@@ -195,6 +197,63 @@ def test_a_table_of_equal_rows_that_asks_for_the_memory(tmp_path, monkeypatch):
     monkeypatch.setattr("recon.io.columns.VALUES_MAX", 40_000)
     with pytest.raises(InputError, match="10000 rows of 5 columns are too much"):
         read_pose3d(tmp_path / "equal.parquet")
+
+
+def test_a_text_in_every_row_that_takes_room_once(tmp_path):
+    arrow, parquet = pytest.importorskip("pyarrow"), pytest.importorskip("pyarrow.parquet")
+    rows = 20_000
+    joints = arrow.DictionaryArray.from_arrays(arrow.array(np.zeros(rows, np.int32)), arrow.array(["x" * 20_000 + " "]))
+    columns = {name: np.zeros(rows) for name in ("x_m", "y_m", "z_m")}
+    parquet.write_table(
+        arrow.table({"frame": np.arange(rows), "joint": joints, **columns}), tmp_path / "a.parquet", store_schema=False
+    )
+    assert (tmp_path / "a.parquet").stat().st_size < 500_000
+    before = arrow.default_memory_pool().max_memory()
+    assert read_pose3d(tmp_path / "a.parquet").names == ("x" * 20_000,)
+    assert arrow.default_memory_pool().max_memory() - before < 50e6  # 400 MB, were it in every row
+
+
+def many_names(folder: Path) -> dict[str, Path]:
+    """Small files, each of 50 frames of 50 points, of which hardly any is there."""
+    names = [f"p{i}" for i in range(50)]
+    content = {
+        "long.csv": "frame,bodypart,x,y\n" + "".join(f"{i},{name},1,2\n" for i, name in enumerate(names)),
+        "coco.json": json.dumps(
+            {
+                "images": [{"id": i, "frame_id": i} for i in range(50)],
+                "annotations": [],
+                "categories": [{"id": 1, "keypoints": names}],
+            }
+        ),
+        "mmpose.json": json.dumps(
+            {
+                "meta_info": {"keypoint_id2name": dict(enumerate(names))},
+                "instance_info": [{"frame_id": i, "instances": []} for i in range(50)],
+            }
+        ),
+        "fmpose3d.json": json.dumps({"model": "m", "bodyparts": names, "poses_3d": [[]] * 50}),
+        "a.bvh": "HIERARCHY\nROOT r\n{\nOFFSET 0 0 0\nCHANNELS 1 Xrotation\n"
+        + "".join(f"JOINT {name}\n{{\nOFFSET 1 0 0\n}}\n" for name in names)
+        + "}\nMOTION\nFrames: 50\nFrame Time: 0.1\n"
+        + "0\n" * 50,
+    }
+    for name, text in content.items():
+        (folder / name).write_text(text)
+    nwb.write(Keypoints(("nose",), np.zeros((50, 1, 2)), np.ones((50, 1)), np.arange(50), fps=50.0), folder / "a.nwb")
+    with h5py.File(folder / "a.nwb", "a") as file:
+        poses: Any = file["processing/behavior/PoseEstimation"]
+        for name in names:
+            poses[name] = poses["nose"]
+    return {name: folder / name for name in (*content, "a.nwb")}
+
+
+def test_frames_times_points_that_fill_the_memory(tmp_path, monkeypatch):
+    """30,000 names in as many frames are a file of less than 1 MB, and would be 20 GB."""
+    files = many_names(tmp_path)
+    monkeypatch.setattr("recon.io.common.POINTS_MAX", 1000)
+    for name, path in files.items():
+        with pytest.raises(InputError, match=r"frames: found numbers that span 50 frames, expected at most"):
+            (read_pose3d if name in ("fmpose3d.json", "a.bvh") else read_keypoints)(path)
 
 
 def test_out_of_memory_is_one_line(monkeypatch, capsys):

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from recon.base.documents import read_text
 from recon.base.errors import Problem, refuse
 from recon.io.bones import AXIS, Armature
-from recon.io.common import frame_number, number, points_of_arrays, require_names, starts_with_text
+from recon.io.common import frame_number, number, points_of_arrays, require_names, require_span, starts_with_text
 from recon.io.pose import StoredPoints
 
 AXES = "XYZ"
@@ -63,6 +63,7 @@ def read(path: Path, individual: str | None = None) -> StoredPoints:
     if not 0 < frame_time_s < float("inf"):
         problems.append(Problem(path, "Frame Time", f"{frame_time_s:g}", "seconds above 0"))
     refuse(problems)
+    require_span(count, len(joints), path)
     kept = {j: joint.parent for j, joint in enumerate(joints) if not joint.end or any(joint.offset)}
     xyz = _positions(joints, np.array(rows).reshape(-1, width))[:, [*kept]]
     return points_of_arrays(

@@ -34,6 +34,7 @@ from recon.io.common import (
     numbers,
     points_of_arrays,
     rate,
+    require_span,
     starts_with,
 )
 from recon.io.pose import Pose3D, StoredPoints
@@ -190,12 +191,17 @@ def read_parquet(path: Path, individual: str | None = None) -> StoredPoints:
     size = pq.read_metadata(path)  # a column of equal values takes no room in the file
     if size.num_rows * size.num_columns > VALUES_MAX:
         raise ValueError(f"{size.num_rows} rows of {size.num_columns} columns are too much")
-    table = pq.read_table(path)
+    # Texts stay numbers of a list: one that stands in every row takes room once.
+    texts = [field.name for field in pq.read_schema(path) if pa.types.is_string(field.type)]
+    table = pq.read_table(path, read_dictionary=texts)
     own = json.loads((table.schema.metadata or {}).get(METADATA, b"{}"))
     columns = {}
     for name, column in zip(table.column_names, table.columns, strict=True):
-        numeric = pa.types.is_integer(column.type) or pa.types.is_floating(column.type)
-        columns[name] = np.asarray(column.to_numpy(), dtype=float) if numeric else column.to_pylist()
+        if pa.types.is_integer(column.type) or pa.types.is_floating(column.type):
+            columns[name] = np.asarray(column.to_numpy(), dtype=float)
+        elif pa.types.is_dictionary(column.type):
+            one = column.unify_dictionaries().combine_chunks()
+            columns[name] = np.array([*one.dictionary.to_pylist(), None], object)[one.indices.fill_null(-1).to_numpy()]
     pose = _gathered(path, columns, individual, None)
     return replace(pose, fps=pose.fps or rate(own.get("fps")), up="z" if own.get("up") == "z" else None)
 
@@ -236,7 +242,9 @@ def _gathered(path: Path, table: Columns, individual: str | None, given: Mapping
     refuse(first_problems(problems, path))
     distinct, row_of = np.unique(ticks, return_inverse=True)
     if "bodypart" in role:
-        points = [str(table[role["bodypart"]][row]).strip() for row in rows.tolist()]
+        labels = table[role["bodypart"]]
+        stripped = {label: str(label).strip() for label in {*labels}}
+        points = [stripped[labels[row]] for row in rows.tolist()]
         index = {name: k for k, name in enumerate(dict.fromkeys(points))}
         point_of = np.array([index[point] for point in points], dtype=int)
         repeated = row_of * len(index) + point_of
@@ -246,6 +254,7 @@ def _gathered(path: Path, table: Columns, individual: str | None, given: Mapping
     if len(first := np.unique(repeated, return_index=True)[1]) < len(rows):
         line = rows[np.setdiff1d(np.arange(len(rows)), first)[0]] + 2
         problems.append(Problem(path, f"line {line}", "a second row of a frame or of a point in it", "one"))
+    require_span(len(distinct), len(index), path)
     coords = ("x", "y", "z") if any(role == "z" for _, role in layout.columns) else ("x", "y")
     values = np.full((len(distinct), len(index), len(coords) + 1), np.nan)
     for (part, what), column in layout.columns.items():

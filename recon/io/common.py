@@ -28,7 +28,7 @@ MAX_FRAME = 10**9
 """Frame numbers on either side of 0 up to it, three months at 120 Hz; larger ones are time stamps or accidents. Those
 below 0 are of before the first camera's first frame."""
 POINTS_MAX = 20_000_000
-"""How many points are written at most to a file which has a row for every frame."""
+"""The most points in all frames of a file together, where each takes memory whether the file has it or not."""
 LIKELIHOOD_MARGIN = 0.5
 """Networks whose scores are no probabilities, such as SLEAP's, go somewhat beyond 1."""
 IRREGULAR = 0.25
@@ -326,9 +326,9 @@ def without_gaps(frames: np.ndarray, values: np.ndarray, title: str) -> np.ndarr
     return regular
 
 
-def require_span(frames: int, points: int, title: str) -> None:
-    """Raises InputError where frames times points would fill the memory."""
+def require_span(frames: int, points: int, source: str | Path) -> None:
+    """Raises InputError where frames times points would fill the memory; source: a format, or a file that is read."""
     if frames * points > POINTS_MAX:
         found = f"numbers that span {frames} frames"
-        expected = f"at most {POINTS_MAX // points} of {points} points: the format has a row for each"
-        raise InputError(Problem(title, "frames", found, expected))
+        expected = f"at most {POINTS_MAX // points} of {points} points: each takes memory in every frame"
+        raise InputError(Problem(source, "frames", found, expected))

@@ -25,7 +25,16 @@ import numpy as np
 
 from recon.base.documents import read_json
 from recon.base.errors import InputError, Problem, refuse
-from recon.io.common import FMPOSE3D, choose, damage_named, first_problems, points_of_arrays, rate, starts_with_text
+from recon.io.common import (
+    FMPOSE3D,
+    choose,
+    damage_named,
+    first_problems,
+    points_of_arrays,
+    rate,
+    require_span,
+    starts_with_text,
+)
 from recon.io.pose import StoredPoints
 
 FRAME_KEYS = ("frame_id", "frame_index", "frame_number")
@@ -71,6 +80,7 @@ def _points(
         )
     chosen = animals[choose(path, animals, individual)]
     numbers = np.array(sorted(frames), dtype=np.int64)
+    require_span(len(numbers), len(names), path)
     row = {int(number): t for t, number in enumerate(numbers)}
     xy, score = np.full((len(numbers), len(names), 2), np.nan), np.zeros((len(numbers), len(names)))
     problems: list[Problem] = []
@@ -283,6 +293,7 @@ def read_fmpose3d(path: Path, individual: str | None = None) -> StoredPoints:
     content = read_json(path, _EXPECTED)
     written = tuple(map(str, content["bodyparts"]))
     nothing = np.full((len(written), 3), np.nan)
+    require_span(len(content["poses_3d"]), len(written), path)
     values = np.array([pose or nothing for pose in content["poses_3d"]], dtype=float)
     names, notes = true_names(written, str(content.get("model")))
     return points_of_arrays(path, individual, values, np.arange(len(values)), names, notes=notes)

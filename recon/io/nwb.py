@@ -26,6 +26,7 @@ from recon.io.common import (
     points_of_arrays,
     rate,
     require_names,
+    require_span,
     required_fps,
 )
 from recon.io.hdf5 import attribute, child, groups, names, numbers, opened, outline, texts
@@ -81,7 +82,9 @@ def read(path: Path, individual: str | None = None) -> StoredPoints:
         edges = [] if linked is None else numbers(linked).reshape(-1, 2).tolist()
         scorer = child(group, "scorer")
         scorer = "" if scorer is None else "".join(texts(scorer))
-        series = [_series(path, one) for one in of_type["PoseEstimationSeries"]]
+        found = of_type["PoseEstimationSeries"]
+        require_span(max(len(child(one, "data")) for one in found), len(found), path)
+        series = [_series(path, one) for one in found]
     first, *others = series = sorted(series, key=lambda s: nodes.index(s.name) if s.name in nodes else len(nodes))
     refuse(
         Problem(path, f"{name}/{s.name}", f"{s.values.shape} positions", f"{first.values.shape}, as in {first.name}")
