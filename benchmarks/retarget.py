@@ -61,10 +61,6 @@ def fits(folder: Path, work: Path) -> Iterator[tuple[str, Motion]]:
             work / "whole", FitSettings(keypoints=(samples / "whole.csv",), camera=(samples / "camera.toml",), fps=60)
         ),
     )
-    settings = FitSettings(
-        keypoints=(samples / "noisy.csv",), camera=(samples / "camera.toml",), fps=30, method="frame"
-    )
-    yield "sample, 8U chain, frame method", fitted(work / "frame", settings)
     for run in sorted(path.parent for path in folder.glob("*/meta.json")):
         meta = json.loads((run / "meta.json").read_text(encoding="utf-8"))
         camera = f"cam{meta['monocular_camera']}"

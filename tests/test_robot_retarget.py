@@ -16,7 +16,7 @@ from recon.base.errors import InputError
 from recon.fit.motion import Motion
 from recon.robotics.robot.playback import Companion, write_robot
 from recon.robotics.robot.quadruped import LEGS, feet_in_world
-from recon.robotics.robot.reference import closed_stride, reference_of, stride_window, with_other_side
+from recon.robotics.robot.reference import closed_stride, reference_of, stride_window
 from recon.robotics.robot.retarget import drawn_in, on_robot, place, planted, retarget, stances
 from recon.robotics.robot.retarget_clip import companion, repeated, report_of, run_retarget
 from recon.robotics.robot.robot_file import load_robot
@@ -72,11 +72,6 @@ def whole(whole_results):
     return reference_of(Motion.load(whole_results))
 
 
-@pytest.fixture(scope="module")
-def chain(frame_results):
-    return reference_of(Motion.load(frame_results))
-
-
 def test_a_stride_of_ones_own(whole_results):
     animal = reference_of(Motion.load(whole_results), (0.31, 0.62))
     window, time = stride_window(animal), animal.reference.time_s
@@ -87,7 +82,6 @@ def test_a_stride_of_ones_own(whole_results):
 def test_reference_of_a_whole_animal(whole):
     """Trunk and feet are those of pose3d.csv, turned along the travel."""
     reference, results = whole.reference, whole.analysis.motion
-    assert reference.feet == LEGS
     at = results.names.index
     rows = whole.rows[::10] // 10
     trunk = (results.upright.xyz_m[:, at("neck_base")] + results.upright.xyz_m[:, at("tail_base")])[rows] / 2
@@ -120,42 +114,13 @@ def test_stride_of_a_whole_animal_is_complete_and_closes(whole):
     assert np.abs(stride.feet_m - own).max() < gap + 0.05
 
 
-def test_other_side_of_a_chain(chain):
-    """Mirrored, and later by the share of a stride."""
-    reference = chain.reference
-    assert len(reference.feet) == 2
-    own, other = (reference.feet.index(f) for f in reference.feet), {"R": "L", "L": "R"}
-    k = next(own)
-    mirrored = other[reference.feet[k][0]] + reference.feet[k][1]
-    together = with_other_side(reference, 0.0, 0.1)
-    np.testing.assert_allclose(
-        together.feet_m[:, LEGS.index(mirrored)], reference.feet_m[:, k] * (1, -1, 1), atol=1e-15
-    )
-    late = with_other_side(reference, 0.25, 0.1)
-    shift = round(0.025 / reference.interval_s)
-    assert len(late.time_s) == len(reference.time_s) - shift
-    np.testing.assert_allclose(late.feet_m[:, LEGS.index(mirrored), 2], reference.feet_m[:-shift, k, 2], atol=1e-15)
-    np.testing.assert_array_equal(late.standing[:, LEGS.index(mirrored)], reference.standing[:-shift, k])
-    np.testing.assert_array_equal(late.time_s, reference.time_s[shift:])
-
-    stride = closed_stride(chain, stride_window(chain))
-    round_trip = with_other_side(stride, 0.25, float(stride.time_s[-1]))
-    n = len(stride.time_s) - 1
-    shift = round(0.25 * n)
-    expected = np.roll(stride.feet_m[:-1, k, 2], shift)
-    np.testing.assert_allclose(round_trip.feet_m[:-1, LEGS.index(mirrored), 2], expected, atol=1e-15)
-
-
 # -- on the robot ------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("robot", ["a1", "aibo"])
-@pytest.mark.parametrize("animal", ["whole", "chain"])
-def test_what_is_promised(animal, robot, request):
-    solved = retarget(request.getfixturevalue(animal), load_robot(robot), lag=0.1)
-    assert not [
-        note for note in report_of(solved)["notes"] if not note.startswith(("LF and", "RF and", "the clip", "fore and"))
-    ]
+def test_what_is_promised(whole, robot):
+    solved = retarget(whole, load_robot(robot))
+    assert not [note for note in report_of(solved)["notes"] if not note.startswith(("the clip", "fore and"))]
     for motion in (solved.clip, solved.stride):
         assert motion.slip_m.max() < 0.002
         assert motion.lowest_m > -1e-9
@@ -253,8 +218,8 @@ def test_a_repeated_stride_goes_on(whole):
     assert three.rate_share.max() <= stride.rate_share.max() * 1.05
 
 
-def test_the_animal_beside_the_robot_has_the_colours_of_its_sides(whole, chain, tmp_path):
-    """Also a horse, whose near side is the left one, and a chain, whose legs are those of the fitted side."""
+def test_the_animal_beside_the_robot_has_the_colours_of_its_sides(whole, tmp_path):
+    """Also a horse, whose near side is the left one."""
     solved = retarget(whole, load_robot("a1"))
     horse = load_skeleton("horse-22")
     at = {marker: j for j, marker in enumerate(horse.markers)}
@@ -282,7 +247,6 @@ def test_the_animal_beside_the_robot_has_the_colours_of_its_sides(whole, chain, 
     assert len(contents) == 2
     assert {"- world/animal/**" in c for c in contents} == {"- world/robot/**" in c for c in contents} == {True, False}
     assert companion(solved).limb_sides["left front leg"] == "left"
-    assert chain.analysis.motion.limb_sides == {"hind leg": "right", "spine": None, "front leg": "right"}
 
 
 # -- the command -------------------------------------------------------------------------------------------------------
@@ -294,7 +258,7 @@ def table(path):
     return header, np.array(rows, float)
 
 
-def test_command(whole_results, tmp_path):
+def test_command(whole_results, frame_results, tmp_path):
     out = tmp_path / "robot"
     ended = run("retarget", whole_results, "--robot", "a1", "--out", out)
     assert "; its ends meet to 0.1 %" in ended.out
@@ -339,8 +303,8 @@ def test_command(whole_results, tmp_path):
             stands = feet[:, names.index(f"{label}_stands")] == 1
             assert np.abs(foot[stands, 2]).max() < 1e-9
     assert run("retarget", whole_results, "--robot", "a1", "--out", out).code == 2
-    ended = run("retarget", whole_results, "--robot", "a1", "--out", tmp_path / "late", "--lag", "0.1")
-    assert "both sides are measured" in ended.err
+    ended = run("retarget", frame_results, "--robot", "a1", "--out", tmp_path / "chain", "--anyway")
+    assert "fit the whole animal" in ended.err
 
 
 def test_urdf_file(whole, tmp_path):
@@ -358,8 +322,8 @@ def test_urdf_file(whole, tmp_path):
 
 def test_every_problem_at_once(tmp_path):
     with pytest.raises(InputError) as error:
-        RetargetSettings(folder=tmp_path / "none", robot="spot", out=tmp_path / "out", scale=-1, slower=0, lag=3)
-    assert {p.field for p in error.value.problems} == {"scale", "slower", "lag"}
+        RetargetSettings(folder=tmp_path / "none", robot="spot", out=tmp_path / "out", scale=-1, slower=0)
+    assert {p.field for p in error.value.problems} == {"scale", "slower"}
     with pytest.raises(InputError) as error:
         run_retarget(RetargetSettings(folder=tmp_path / "none", robot="spot", out=tmp_path / "out"))
     found = [(str(p.file), p.field) for p in error.value.problems]

@@ -185,7 +185,7 @@ def test_draws_scatter_as_the_fit_states_and_last_from_frame_to_frame(whole_resu
     assert np.median(neighbours) > 0.9
 
 
-def test_the_command_draws_an_ensemble(whole_results, frame_results, tmp_path):
+def test_the_command_draws_an_ensemble(whole_results, tmp_path):
     options = ("--robot", "a1", "--samples", "3", "--format", "mjlab")
     ended = run("retarget", whole_results, *options, "--out", tmp_path / "a1")
     assert ended.code == 0, ended.err
@@ -198,7 +198,3 @@ def test_the_command_draws_an_ensemble(whole_results, frame_results, tmp_path):
     for number in (1, 2, 3):
         with np.load(tmp_path / "a1" / f"sample_{number:02d}_mjlab.npz") as file:
             assert json.loads(str(file["source"]))["sample"] == number
-    ended = run("retarget", frame_results, *options, "--anyway", "--out", tmp_path / "frames")
-    assert ended.code == 2
-    assert "expected a fit of all frames at once" in ended.err
-    assert not (tmp_path / "frames").exists()

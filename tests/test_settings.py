@@ -454,7 +454,7 @@ def test_help_is_printed_whole():
     [
         ["convert", "a.csv", "b.csv", "--fps", "90fps"],
         ["overlay", "dir", "--speed", "90fps"],
-        ["retarget", "dir", "--lag", "90fps"],
+        ["retarget", "dir", "--rate", "90fps"],
         ["evaluate-2d", "a.csv", "b.csv", "--likelihood-min", "90fps"],
         ["train", "a.mp4", "--minutes", "90fps"],
         ["prior", "fit", "a.csv", "--min-speed-m-s", "90fps"],

@@ -125,14 +125,6 @@ class RetargetSettings(Settings):
             "Factor on the animal's times. (default: what the joints' rates ask for, at least 1)", "a number above 0"
         ),
     ] = None
-    lag: Annotated[
-        Annotated[Number, Field(ge=-0.5, le=0.5)],
-        Option(
-            "Of a chain, of which one side is measured: by how much of a stride the other side follows it; 0 is a "
-            "bound, some 0.1 a gallop, 0.5 a trot.",
-            "a share of a stride, -0.5 to 0.5",
-        ),
-    ] = 0.0
     stride: Annotated[StrideTimes | None, STRIDE] = None
     format: Annotated[
         Literal["amp", "isaaclab", "mjlab", "mjlab-csv"] | None,

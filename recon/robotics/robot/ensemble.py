@@ -34,7 +34,7 @@ def drawn(own: Retargeted, settings: RetargetSettings, count: int) -> list[Robot
     problem = problem_of(fitted, settings.folder)
     assert isinstance(fitted.solution, TrajectorySolution)
     every = (replace(fitted, solution=one) for one in draws(problem, fitted.solution, count, 0))
-    given = robot, own.clip.scale, own.clip.slower, own.lag, own.window
+    given = robot, own.clip.scale, own.clip.slower, own.window
     return [retarget(reference_of(one, settings.stride), *given).clip for one in every]
 
 

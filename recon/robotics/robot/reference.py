@@ -2,7 +2,7 @@
 
 The reference has the animal's own size and time. World: z up, the ground at 0, x along the travel. The base is the
 middle of the trunk. Its height, pitch and roll are deviations from their means, since a machine stands as it stands;
-roll is that of the lines between hips and between shoulders, 0 where the skeleton has one side. They and the heading
+roll is that of the lines between hips and between shoulders. They and the heading
 are smoothed over `SMOOTH_S`, as a fit's errors last a few frames and a body is heavy.
 
 Feet are in heading axes (x forwards, y left, level) from the base, less each foot's middle place: halfway between
@@ -24,18 +24,18 @@ from recon.base.errors import InputError, Problem
 from recon.fit.motion import Motion
 from recon.gait.clip import ClipAnalysis, analyse
 from recon.gait.gait import Gait, Stance, Tracks
+from recon.robotics.robot.quadruped import LEGS
 
 SMOOTH_S = 0.02
 MIN_SAMPLES = 40
 """Four frames."""
 HARMONICS = 8
 """What a closed stride consists of: the seam where it was cut is smooth then."""
-FEET = ("LF", "RF", "LH", "RH")
 
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """What a robot is to follow, at N times, evenly spaced, with F feet."""
+    """What a robot is to follow, at N times, evenly spaced."""
 
     time_s: Array
     """(N,)"""
@@ -43,12 +43,10 @@ class Reference:
     """(N, 3): x and y in the world, z the deviation of the height."""
     roll_pitch_yaw_rad: Array
     """(N, 3)"""
-    feet: tuple[str, ...]
-    """(F): of `FEET`."""
     feet_m: Array
-    """(N, F, 3)"""
+    """(N, 4, 3), in the order of `LEGS`."""
     standing: Bools
-    """(N, F)"""
+    """(N, 4)"""
     leg_m: float
     """The animal's length of leg."""
     advance_m: Array | None = None
@@ -120,7 +118,7 @@ def reference_of(motion: Motion, stride_s: tuple[float, float] | None = None) ->
     heading = Rotation.from_euler("z", -smoothed[:, 3:])
     feet = np.stack([heading.apply(to_world.apply(feet_m[rows, k] - body)) for k in range(len(tracks.feet))], 1)
     standing = standing_mask(gait.stances, tracks.feet, time)
-    order = [tracks.feet.index(foot) for foot in FEET if foot in tracks.feet]
+    order = [tracks.feet.index(foot) for foot in LEGS]
     feet[..., 2] = _above_standing(tracks, rows, standing)
     feet[..., 0] -= (feet[..., 0].min(axis=0) + feet[..., 0].max(axis=0)) / 2
     feet[..., 1] -= feet[..., 1].mean(axis=0)
@@ -128,7 +126,6 @@ def reference_of(motion: Motion, stride_s: tuple[float, float] | None = None) ->
         time_s=time,
         base_m=np.column_stack([level[:, :2], smoothed[:, 0]]),
         roll_pitch_yaw_rad=smoothed[:, 1:],
-        feet=tuple(tracks.feet[k] for k in order),
         feet_m=feet[:, order],
         standing=standing[:, order],
         leg_m=tracks.leg_m,
@@ -137,14 +134,10 @@ def reference_of(motion: Motion, stride_s: tuple[float, float] | None = None) ->
 
 
 def _checked(motion: Motion, analysis: ClipAnalysis) -> Gait:
-    feet = set(motion.foot_names)
-    if analysis.gait is None or not any({f"{side}F", f"{side}H"} <= feet for side in "LR"):
-        found = ", ".join(sorted(feet)) or "none"
-        expected = "a fore and a hind foot of one side at least, the feet of the skeleton"
+    if analysis.gait is None or not {*LEGS} <= {*motion.foot_names}:
+        found = ", ".join(sorted(motion.foot_names)) or "none"
+        expected = "all four feet: fit the whole animal, not the chain of one side"
         raise InputError(Problem(motion.file, "feet", found, expected))
-    lonely = [foot for foot in FEET if foot in feet and {"L": "R", "R": "L"}[foot[0]] + foot[1] not in feet]
-    if len(feet) == 3:
-        raise InputError(Problem(motion.file, "feet", f"no counterpart of {', '.join(lonely)}", "two or four feet"))
     return analysis.gait
 
 
@@ -284,36 +277,4 @@ def closed_stride(animal: Animal, window: StrideWindow) -> Reference:
         feet_m=values[:, 6:].reshape(n + 1, -1, 3),
         standing=standing,
         advance_m=np.array([length, 0.0]),
-    )
-
-
-# -- the other side --------------------------------------------------------------------------------------------------
-
-
-def with_other_side(reference: Reference, lag: float, period_s: float) -> Reference:
-    """Four feet of two: the other side does the same, mirrored, the share `lag` of a stride later. A clip loses its
-    first part, in which the other side is not known (its last one for a negative lag)."""
-    if len(reference.feet) == len(FEET):
-        return reference
-    shift = round(lag * period_s / reference.interval_s)
-    own = np.arange(len(reference.time_s))
-    if reference.advance_m is not None:
-        then = (own[:-1] - shift) % (len(own) - 1)
-        then = np.append(then, then[0])
-    else:
-        own = own[max(shift, 0) : len(own) + min(shift, 0)]
-        then = own - shift
-    swapped = [{"L": "R", "R": "L"}[foot[0]] + foot[1] for foot in reference.feet]
-    labels = [*reference.feet, *swapped]
-    feet = np.concatenate([reference.feet_m[own], reference.feet_m[then] * (1.0, -1.0, 1.0)], axis=1)
-    standing = np.concatenate([reference.standing[own], reference.standing[then]], axis=1)
-    order = [labels.index(foot) for foot in FEET]
-    return replace(
-        reference,
-        time_s=reference.time_s[own],
-        base_m=reference.base_m[own],
-        roll_pitch_yaw_rad=reference.roll_pitch_yaw_rad[own],
-        feet=FEET,
-        feet_m=feet[:, order],
-        standing=standing[:, order],
     )

@@ -40,7 +40,6 @@ from recon.robotics.robot.reference import (
     StrideWindow,
     closed_stride,
     stride_window,
-    with_other_side,
 )
 
 PITCH_RAD, ROLL_RAD = 0.25, 0.15
@@ -182,8 +181,6 @@ class Retargeted:
     """When the clip begins, in the animal's time."""
     spread_m: float
     """How far outside of its neutral place each hind foot goes."""
-    lag: float = 0.0
-    """As of `with_other_side`."""
 
 
 def retarget(
@@ -191,23 +188,19 @@ def retarget(
     robot: Quadruped,
     scale: float | None = None,
     slower: float | None = None,
-    lag: float = 0.0,
     window: StrideWindow | None = None,
 ) -> Retargeted:
     """scale: of lengths, None: the largest that fits; slower: factor on times, None: as the rates ask for; window: of
     the stride, by default the one that is found."""
     window = window or stride_window(animal)
-    stride = closed_stride(animal, window)
-    period = float(stride.time_s[-1])
-    clip, stride = (with_other_side(reference, lag, period) for reference in (animal.reference, stride))
-    moved, repeats, spread = on_robot(clip, stride, robot, scale, slower)
-    return Retargeted(animal, window, moved, repeats, float(clip.time_s[0]), spread, lag)
+    moved, repeats, spread = on_robot(animal.reference, closed_stride(animal, window), robot, scale, slower)
+    return Retargeted(animal, window, moved, repeats, float(animal.reference.time_s[0]), spread)
 
 
 def on_robot(
     clip: Reference, stride: Reference, robot: Quadruped, scale: float | None = None, slower: float | None = None
 ) -> tuple[RobotMotion, RobotMotion, float]:
-    """A clip and a closed stride of it, four feet each, as a robot's motions, and how far its hind feet go outside.
+    """A clip and a closed stride of it, as a robot's motions, and how far its hind feet go outside.
     scale, slower: as of `retarget`."""
     tried: list[tuple[float, RobotMotion, RobotMotion, float]] = []
     enough = LEGS_APART * robot.stand_m
@@ -254,13 +247,12 @@ def place(
     position[:, 2] = _within(position[:, 2], lift) - robot.ground_m
     pose = body_pose(position, _within(roll, ROLL_RAD), _within(pitch, PITCH_RAD), yaw)
     level = body_pose(position * (1.0, 1.0, 0.0), 0.0, 0.0, yaw)
-    columns = [reference.feet.index(label) for label in LEGS]
     neutral = np.array([leg.neutral_m * (1.0, 1.0, 0.0) for leg in robot.legs.values()])
     neutral[:, 1] += [spread_m * (label[1] == "H") * (1 if label[0] == "L" else -1) for label in LEGS]
-    ways = scale * reference.feet_m[:, columns]
+    ways = scale * reference.feet_m
     room = np.maximum(CLEARANCE * robot.folding_m, TINY_M)
     ways[..., 2] = np.where(ways[..., 2] > 0, room * np.tanh(ways[..., 2] / room), ways[..., 2])
-    standing = reference.standing[:, columns]
+    standing = reference.standing
     advance = None if reference.advance_m is None else scale * reference.advance_m
 
     def on_ground(raw: Array) -> Array:

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from recon.base.arrays import Array
-from recon.base.errors import InputError, Problem, all_of
+from recon.base.errors import all_of
 from recon.base.files import name_seen_from, require_free_folder, seen_from, sole_writer, staged_results
 from recon.check import usable, verdict_fields
 from recon.fit.motion import Motion
@@ -36,19 +36,16 @@ SLIP_M, CLOSING_PERCENT = 0.002, 1.0
 
 def run_retarget(settings: RetargetSettings) -> tuple[Retargeted, dict[str, Any]]:
     """`recon retarget`: tables, report and playback into a folder; and what report.json says. Raises InputError."""
-    out, folder, lag = settings.out, settings.folder, settings.lag
+    out, folder = settings.out, settings.folder
     results, machine, _ = all_of(
         lambda: usable(Motion.load(folder), folder, settings.anyway),
         lambda: load_robot(settings.robot),
         lambda: require_free_folder(out, (REPORT,), settings.overwrite),
     )
     animal = reference_of(results, settings.stride)
-    if lag and len(animal.reference.feet) == len(LEGS):
-        found = f"{lag:g}, for an animal of which both sides are measured"
-        raise InputError(Problem("--lag", "share of a stride", found, "none, or a chain of one side"))
     with sole_writer(out):
         require_free_folder(out, (REPORT,), settings.overwrite)
-        done = retarget(animal, machine, settings.scale, settings.slower, lag)
+        done = retarget(animal, machine, settings.scale, settings.slower)
         checks = _Checks(machine) if settings.check or settings.fit_limits else None
         before = checks.of(done) if checks and settings.fit_limits else None
         if checks and settings.fit_limits:
@@ -106,7 +103,6 @@ def report_of(done: Retargeted) -> dict[str, Any]:
     """What report.json says of it."""
     animal, window, robot = done.animal, done.window, done.clip.robot
     fitted, time = animal.analysis.motion, animal.reference.time_s
-    mirrored = [foot for foot in LEGS if foot not in animal.reference.feet]
     limits = zip(robot.joints, *(numbers.tolist() for numbers in robot.limits()), strict=True)
     stride = {
         "how": window.how,
@@ -129,15 +125,13 @@ def report_of(done: Retargeted) -> dict[str, Any]:
             "results": fitted.file,
             "title": fitted.title,
             "leg_m": animal.reference.leg_m,
-            "mirrored_feet": mirrored,
-            "lag": done.lag if mirrored else None,
         },
         "scale": done.clip.scale,
         "hind_feet_out_m": done.spread_m,
         "slower": done.clip.slower,
         "clip": _figures(done.clip) | {"start_s": done.start_s},
         "stride": _figures(done.stride) | stride,
-        "notes": _notes(done, mirrored),
+        "notes": _notes(done),
     }
 
 
@@ -158,13 +152,10 @@ def _figures(motion: RobotMotion) -> dict[str, Any]:
     }
 
 
-def _notes(done: Retargeted, mirrored: list[str]) -> list[str]:
-    notes, window, lag = [], done.window, done.lag
-    if mirrored:
-        how = "at the same time" if lag == 0 else f"{abs(lag):.2f} of a stride {'later' if lag > 0 else 'earlier'}"
-        notes.append(f"{' and '.join(mirrored)} are not measured: they do what the other side does, {how}")
+def _notes(done: Retargeted) -> list[str]:
+    window = done.window
     gait = done.animal.analysis.gait
-    notes += [doubt_text(doubt) for doubt in (gait.doubtful if gait else ())]
+    notes = [doubt_text(doubt) for doubt in (gait.doubtful if gait else ())]
     if window.how == "return":
         notes.append(
             "the clip holds no complete stride: the one that repeats is made of the nearest return of all feet, "
