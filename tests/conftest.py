@@ -111,8 +111,8 @@ def draw_two_methods(patch: pytest.MonkeyPatch) -> None:
     write_ik_figures = ik_clip.write_figures
 
     def of_two(solved: ik_clip.IKRun, folder: Path) -> None:
-        two = {kind: dict(islice(getattr(solved, kind).items(), 2)) for kind in ("drives", "follows")}
-        write_ik_figures(replace(solved, **two), folder)
+        two = {job: dict(islice(runs.items(), 2)) for job, runs in solved.runs.items()}
+        write_ik_figures(replace(solved, runs=two), folder)
 
     patch.setattr(ik_clip, "write_figures", of_two)
 

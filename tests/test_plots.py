@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import matplotlib as mpl
 import numpy as np
-import pandas as pd
 import pytest
 from matplotlib.collections import FillBetweenPolyCollection, LineCollection, PolyCollection
 from matplotlib.colors import to_rgb, to_rgba
@@ -108,17 +107,6 @@ def thick_lines(axes, least=0.85):
     return [line for line in axes.get_lines() if line.get_linewidth() >= least and line.get_linestyle() != "None"]
 
 
-def parameters():
-    """Of nine configurations."""
-    rng = np.random.default_rng(2)
-    columns = {"transpose_alpha_1_m2": 3.0, "gradient-projection_k_1_s": 3.0, "damped_lambda_m": 3.0}
-    columns |= {f"weighted_{joint}": 3.0 for joint in ("shoulder_pitch", "elbow", "wrist")}
-    for name in ("least-norm", "transpose", "gradient-projection", "weighted", "damped"):
-        columns |= {f"{name}_best_alpha": 1.3, f"{name}_explained": 1.0}
-    values = {name: rng.uniform(0.1, most, 9) for name, most in columns.items()}
-    return pd.DataFrame({"time_s": times(31)[:9], **values})
-
-
 def every_figure():
     t, ahead = times(31), np.tile([1.0, 0.0, 0.0], (31, 1))
     curves = {"fit": point_kinematics(times(21), path()), "noisy": point_kinematics(times(21), path() * 1.1)}
@@ -145,13 +133,9 @@ def every_figure():
         "footfall": plots.footfall(gaits(), FPS, "a title"),
         "task space": ik_plots.task_space(found, chain, target),
         "task space in 3D": ik_plots.task_space(found3, chain3, target3),
-        "task space of a stride": ik_plots.task_space(turns, chain, path_m=circle),
+        "task space of a stride": ik_plots.task_space(turns, chain, circle),
         "joint space": ik_plots.joint_space(found3, chain3.names),
         "joint space, many": ik_plots.joint_space(names, chain.names),
-        "distances": ik_plots.distances(found),
-        "distances, many": ik_plots.distances(names),
-        "distances from a path": ik_plots.distances(turns),
-        "parameters": ik_plots.parameter_series(parameters()),
         "closures": ik_plots.closures({k: m.closures() for k, m in names.items()}, chain.names),
     }
 
@@ -204,13 +188,13 @@ def test_files_are_reproducible_whatever_the_users_settings(tmp_path):
 
 
 def test_resolution_and_text(tmp_path):
-    png, svg = plots.save(ik_plots.distances({"way & aim": drives()[2]["a"]}), tmp_path, "d")
+    png, svg = plots.save(ik_plots.joint_space({"way & aim": drives()[2]["a"]}, ("a", "b", "c")), tmp_path, "d")
     with Image.open(png) as image:
         assert image.width == int(180 / 25.4 * 200)
         assert image.info["dpi"] == pytest.approx((200, 200), abs=0.1)
     text = svg.read_text(encoding="utf-8")
-    assert ">way &amp; aim: " in text
-    assert ">distance to the target (mm)</text>" in text
+    assert ">way &amp; aim<" in text
+    assert ">angle (deg)</text>" in text
     assert "date" not in text.lower()
 
 
@@ -577,35 +561,6 @@ def test_joint_angles_in_degrees():
             np.testing.assert_allclose(line.get_ydata(), np.degrees(drive.q[:, joint]))
             np.testing.assert_array_equal(line.get_xdata(), np.arange(len(drive.q)))
         assert axes.get_xlabel() == "iteration"
-
-
-def test_distances_in_millimetres():
-    _, _, found = drives()
-    figure = ik_plots.distances(found)
-    (axes,) = figure.axes
-    assert axes.get_yscale() == "log"
-    lines = axes.get_lines()
-    for k, drive in enumerate(found.values()):
-        np.testing.assert_allclose(lines[2 * k].get_ydata(), 1000 * drive.distance_m)
-    assert [line.get_marker() for line in lines[1:6:2]] == ["o", "o", "X"]
-    (tolerance,) = (line for line in lines if line.get_gid() == "tolerance")
-    assert set(tolerance.get_ydata()) == {3.0}
-    assert f"a: {found['a'].iterations}\n" in texts(figure) + "\n"
-    assert "far: 0 (not reached, unreachable)" in texts(figure)
-
-
-def test_parameters_of_each_configuration():
-    table = parameters()
-    figure = ik_plots.parameter_series(table)
-    explained, alpha, transpose, _, damped, _, weights = figure.axes
-    for k, name in enumerate(("least-norm", "transpose", "gradient-projection", "weighted", "damped")):
-        np.testing.assert_allclose(explained.get_lines()[k].get_ydata(), 100 * table[f"{name}_explained"])
-        np.testing.assert_allclose(alpha.get_lines()[k].get_ydata(), table[f"{name}_best_alpha"])
-    np.testing.assert_allclose(transpose.get_lines()[0].get_ydata(), table["transpose_alpha_1_m2"])
-    assert (transpose.get_yscale(), damped.get_yscale(), weights.get_yscale()) == ("linear", "log", "log")
-    shown = np.array([line.get_ydata() for line in weights.get_lines()])
-    joints = ("shoulder_pitch", "elbow", "wrist")
-    np.testing.assert_allclose(shown, [table[f"weighted_{joint}"] for joint in joints])
 
 
 def test_closures_by_joint_and_method():

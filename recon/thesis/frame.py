@@ -16,7 +16,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 from scipy.linalg import eigh
-from scipy.optimize import OptimizeResult, least_squares
+from scipy.optimize import least_squares
 
 from recon.animal.body import MIN_JOINTS, MIN_REACH_PX
 from recon.animal.chain import Chain, Posed
@@ -98,19 +98,13 @@ class FrameReport:
     """Levenberg-Marquardt iterations of the start that won, counted by their Jacobian evaluations; these and the
     function evaluations include its approach with a wide loss."""
     function_evaluations: int
-    jacobian_evaluations: int
     optimizer_status: int
-    message: str
+    """That of scipy's least_squares."""
     squared_norm: float
-    mean_residual: float
     cost_shares: dict[str, float]
     """Each term's part of the squared norm."""
-    optimality: float
     step_norm: float
-    jacobian_mean_abs: float
-    jacobian_sparsity: float
-    gradient: Array
-    """(D,)"""
+    """Length of the last step."""
     sigma_px: float
     """Standard deviation of a detection."""
     data_share: Array
@@ -498,18 +492,27 @@ def solve_joints(chain: Chain, joints_m: Array, up: Array, tolerance: float = 1e
 class _Candidate:
     """One start that was solved."""
 
-    x: Array
     cost: float
-    result: OptimizeResult
-    step_norm: float
-    function_evaluations: int
-    jacobian_evaluations: int
+    status: int
+    """That of scipy's least_squares."""
+    evaluations: int
+    iterations: int
     points: Array
     """(K, D): those that were accepted, from the start on."""
     evaluations_at: Index
     """(K,): of the residuals, by then."""
     sigma_px: Array
     """(K,): of the loss that the step from there had, the last ones' the detections' own."""
+
+    @property
+    def x(self) -> Array:
+        return self.points[-1]
+
+    @property
+    def step_norm(self) -> float:
+        """Length of the last step that moved something."""
+        moves = np.linalg.norm(np.diff(self.points, axis=0), axis=1)
+        return float(np.append(0.0, moves[moves > 0])[-1])
 
 
 @dataclass(frozen=True)
@@ -617,8 +620,8 @@ class _FrameSolver:
             best = self._minimise(near.x, fixed, self.options.tolerance)
             return replace(
                 best,
-                function_evaluations=near.function_evaluations + best.function_evaluations,
-                jacobian_evaluations=near.jacobian_evaluations + best.jacobian_evaluations,
+                evaluations=near.evaluations + best.evaluations,
+                iterations=near.iterations + best.iterations,
                 points=np.concatenate([near.points[:-1], best.points]),
                 evaluations_at=np.concatenate(
                     [near.evaluations_at[:-1], near.evaluations_at[-1] + best.evaluations_at]
@@ -667,18 +670,13 @@ class _FrameSolver:
         )
         self.evaluations_left -= int(result.nfev)
         self.stopped |= self.evaluations_left <= 0 and result.status not in CONVERGED
-        x[free] = result.x
         if not np.array_equal(steps[-1], result.x):
             steps.append(result.x)
             counts.append(evaluations)
         points = np.tile(start, (len(steps), 1))
         points[:, free] = steps
-        moves = np.linalg.norm(np.diff(points, axis=0), axis=1)
-        step_norm = float(moves[moves > 0][-1]) if np.any(moves > 0) else 0.0
-        return _Candidate(
-            *(x.copy(), float(result.cost), result, step_norm, int(result.nfev), int(result.njev or 0)),
-            *(points, np.array(counts), np.full(len(points), fixed.sigma_px)),
-        )
+        told = float(result.cost), int(result.status), int(result.nfev), int(result.njev or 0)
+        return _Candidate(*told, points, np.array(counts), np.full(len(points), fixed.sigma_px))
 
     def _noise_px(self, start: Array) -> float:
         """Standard deviation of a detection: the detector's noise and, at a start's distance, the keypoints'."""
@@ -716,41 +714,30 @@ class _FrameSolver:
     def _explained(self, fixed: _Given, candidate: _Candidate) -> bool:
         """Converged, and no detection further off than c sigma."""
         within = self._distances_px(fixed, candidate.x) < self.options.robust_c * fixed.sigma_px
-        return candidate.result.status in CONVERGED and bool(np.all(within))
+        return candidate.status in CONVERGED and bool(np.all(within))
 
     # -- report ---------------------------------------------------------------------------------------------------
 
     def _report(self, fixed: _Given, best: _Candidate, starts: int, began: float) -> tuple[Array, FrameReport]:
-        result, terms = best.result, self.terms(fixed)
+        terms = self.terms(fixed)
         parts = by_term(terms, self.chain, fixed.frame, best.x, fixed.previous, fixed.dt_s)
         costs = {term.name: float(np.sum(r**2)) for term, (r, _) in zip(terms, parts, strict=True)}
-        total = sum(costs.values())
-        J = np.concatenate([j for _, j in parts])
-        r = np.concatenate([r for r, _ in parts])
-        in_view = self._in_view(fixed, best.x)
-        C = posterior_covariance(J) if in_view else np.full((len(best.x), len(best.x)), np.nan)
+        total, in_view = sum(costs.values()), self._in_view(fixed, best.x)
+        C = posterior_covariance(np.concatenate([J for _, J in parts]))
+        C = C if in_view else np.full_like(C, np.nan)
         by_state = self.chain.pose_with_jacobian(best.x[None]).joints_jacobian
         assert by_state is not None
         data_share, joint_share = precision_shares(C, parts[0][1], by_state[0])
         far = self._distances_px(fixed, best.x) / fixed.sigma_px
         return C, FrameReport(
-            status="converged" if result.status in CONVERGED and in_view else "not_converged",
+            status="converged" if best.status in CONVERGED and in_view else "not_converged",
             starts=starts,
-            iterations=best.jacobian_evaluations,
-            function_evaluations=best.function_evaluations,
-            jacobian_evaluations=best.jacobian_evaluations,
-            optimizer_status=int(result.status),
-            message=str(result.message)
-            + (" The evaluations that the clip may take up to here were spent." if self.stopped else "")
-            + ("" if in_view else " The pose left the camera's view, or ended out of sight."),
+            iterations=best.iterations,
+            function_evaluations=best.evaluations,
+            optimizer_status=best.status,
             squared_norm=total,
-            mean_residual=float(np.mean(np.abs(r))),
             cost_shares={name: cost / total if total > 0 else 0.0 for name, cost in costs.items()},
-            optimality=float(np.max(np.abs(J.T @ r))),
             step_norm=best.step_norm,
-            jacobian_mean_abs=float(np.mean(np.abs(J))),
-            jacobian_sparsity=float(np.mean(J == 0)),
-            gradient=J.T @ r,
             sigma_px=fixed.sigma_px,
             data_share=data_share,
             joint_data_share=joint_share,

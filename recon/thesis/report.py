@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from recon.base.arrays import Array, finite, mean, median
+from recon.base.arrays import Array, finite, median
 from recon.check import verdict_fields
 from recon.fit.motion import MEASURED_SHARE, Motion
 from recon.gait.kinematics import peak_doubt
@@ -16,7 +16,7 @@ from recon.geometry.frames import level_axes
 from recon.show.plain import by_name, number, spread
 from recon.show.sections import given
 from recon.show.sections.section import Line, Section
-from recon.thesis.frame import FrameOptions, FrameReport, FrameSolution, base_length, frame_solution
+from recon.thesis.frame import FrameOptions, FrameSolution, base_length, frame_solution
 
 
 def _options(motion: Motion) -> FrameOptions:
@@ -61,7 +61,6 @@ def solver(motion: Motion) -> dict[str, Any]:
 
 def summary(motion: Motion) -> dict[str, Any]:
     solution = frame_solution(motion)
-    solved = [r for r in solution.reports if r is not None]
     sigma = _joint_sigma_camera_m(solution)
     return {
         "frames": len(motion.frames),
@@ -73,8 +72,8 @@ def summary(motion: Motion) -> dict[str, Any]:
         **given.counts(motion),
         "joint_sigma_across_m": median(np.sqrt((sigma[..., :2] ** 2).mean(axis=-1))),
         "joint_sigma_depth_m": median(sigma[..., 2]),
-        "iterations_median": median(np.array([r.iterations for r in solved], dtype=float)),
-        "function_evaluations_median": median(np.array([r.function_evaluations for r in solved], dtype=float)),
+        "iterations_median": median(solution.reported("iterations")),
+        "function_evaluations_median": median(solution.reported("function_evaluations")),
     }
 
 
@@ -190,34 +189,13 @@ def size_lines(motion: Motion, data: Any) -> Iterator[Line]:
     )
 
 
-def frames(motion: Motion) -> list[dict[str, Any]]:
-    solution, names = frame_solution(motion), [f.name for f in fields(FrameReport) if f.name != "status"]
-    distance_px, sigma = motion.pictures[0].distance_px, _joint_sigma_camera_m(solution)
-    return [
-        {
-            "frame": motion.frames[t],
-            "status": solution.status[t],
-            "flags": motion.flags[t],
-            "detections": motion.detections[t],
-            "mean_reprojection_px": mean(distance_px[t]),
-            "unknowns": solution.chain_states[t] if motion.solved[t] else None,
-            "joint_sigma_m": None if report is None else sigma[t],
-            "place_sigma_m": None if report is None else motion.place_sigma_m[t],
-            "relative_rms_m": None if report is None else motion.relative_rms_m[t],
-            **{name: getattr(report, name, None) for name in names},
-        }
-        for t, report in enumerate(solution.reports)
-    ]
-
-
 def effort_lines(motion: Motion, data: Any) -> Iterator[Line]:
-    """By the optimiser's own counts."""
-    solved, timing = [r for r in frame_solution(motion).reports if r is not None], motion.timing_s
-    iterations = median(np.array([r.iterations for r in solved], dtype=float))
-    text = f"{number(iterations, '.0f')} iterations a frame (median)"
+    """How much work the fit was, by the optimiser's own counts."""
+    solution, timing = frame_solution(motion), motion.timing_s
+    text = f"{number(median(solution.reported('iterations')), '.0f')} iterations a frame (median)"
     if "solve_s" in timing:
-        times = [r.solve_s for r in solved]
-        each = f", {1000 * float(np.median(times)):.0f} ms a frame (median)" if times else ""
+        times = median(solution.reported("solve_s"))
+        each = f", {1000 * times:.0f} ms a frame (median)" if np.isfinite(times) else ""
         text += f"{each}; {timing['solve_s']:.1f} s with reading"
     yield "effort", text
 
@@ -250,7 +228,6 @@ SECTIONS: tuple[Section, ...] = (
     Section("angles", given.angles),
     Section("joint_sigma_m", joint_sigma, sigma_lines),
     Section("cost_shares", cost_shares),
-    Section("limits", limits),
-    Section("frames", frames, effort_lines),
+    Section("limits", limits, effort_lines),
 )
 """In the order of the summary."""

@@ -25,7 +25,6 @@ from recon.gait.gait import AGREE, OVERSAMPLING, Gait, doubt_text
 from recon.gait.kinematics import MIN_POINTS
 from recon.gait.phase import Closure, Portrait
 from recon.io.table import write_rows
-from recon.robotics.control import control_columns
 from recon.robotics.ik.animal import (
     body_chain,
     body_chain_angles,
@@ -43,7 +42,7 @@ from recon.robotics.ik.costs import (
     rotational_energy,
     weighted_sum,
 )
-from recon.robotics.ik.drive import Run, drive_to, follow
+from recon.robotics.ik.drive import Run, control_columns, drive_to, follow
 from recon.robotics.ik.fit import PARAMETERS, PULL, Fitted, Frames, fit_weights, fits
 from recon.robotics.ik.methods import (
     ExtendedJacobian,
@@ -107,30 +106,33 @@ class IKRun:
     stride: StridePath
     target_m: Array | None
     """(dim,)"""
-    drives: Mapping[str, Run]
-    """To the target, by method, empty where not asked for."""
-    follows: Mapping[str, Run]
-    """Along the stride, by method, empty where not asked for."""
+    runs: Mapping[str, Mapping[str, Run]]
+    """To the "target" and along the stride ("follow"), by method, empty where not asked for."""
     parameters: Mapping[str, Fitted]
     """Fitted to the clip, by method."""
     series: pd.DataFrame | None
     """Fitted to each frame of the stride by itself (`fit_parameter_series`); None where not asked for."""
+
+    @property
+    def begins_s(self) -> float:
+        """When the stride begins in the clip."""
+        return self.limb.first_s + self.stride.start_s
 
     @cached_property
     def summary(self) -> dict[str, Any]:
         """The summary of the run, as ik.json holds it."""
         limb, stride, settings = self.limb, self.stride, self.settings
         followed = {}
-        for name, run in self.follows.items():
+        for name, run in self.runs["follow"].items():
             closed = run.closures()
             followed[name] = {
                 "worst_error_m": float(run.distance_m.max()),
                 "note": run.note,
                 **run.measures(),
-                **{f"least_closure_{kind}_percent": _least(closed[kind]) for kind in closed},
+                **{f"least_closure_{kind}_percent": float(np.fmin.reduce(of)) for kind, of in closed.items()},
                 **{
-                    f"closure_{kind}_percent": dict(zip(limb.names, closed[kind].tolist(), strict=True))
-                    for kind in closed
+                    f"closure_{kind}_percent": dict(zip(limb.names, of.tolist(), strict=True))
+                    for kind, of in closed.items()
                 },
             }
         return {
@@ -142,7 +144,7 @@ class IKRun:
             "base_frame": "U forwards, V down, W left" if limb.base == "UVW" else "x forwards, y left, z up",
             "misfit_m": limb.misfit_m,
             "stride": {
-                "start_s": limb.first_s + stride.start_s,
+                "start_s": self.begins_s,
                 "end_s": limb.first_s + stride.end_s,
                 "how": stride.how,
                 "notes": stride.notes,
@@ -166,9 +168,9 @@ class IKRun:
             "target_m": self.target_m,
             "to_target": {
                 name: {"reached": run.reached, "reason": run.reason, "iterations": run.iterations, **run.measures()}
-                for name, run in self.drives.items()
+                for name, run in self.runs["target"].items()
             },
-            "turns": settings.turns if self.follows else None,
+            "turns": settings.turns if followed else None,
             "along_stride": followed,
         }
 
@@ -289,7 +291,7 @@ def fit_parameter_series(limb: Limb, stride: StridePath, cost: Cost | None = Non
     columns: dict[str, Any] = {"time_s": limb.first_s + at_s[first:last]}
     for name, fit in every.items():
         found = [fit(frames[t : t + 1]) for t in range(first, last)]
-        called = limb.names if name == "weighted" else PARAMETERS.get(name, ())[:1]
+        called = limb.names if name == "weighted" else PARAMETERS.get(name, ())
         values = np.array([one.parameter for one in found])
         columns |= {f"{name}_{part}": of_part for part, of_part in zip(called, values.T, strict=True)}
         columns[f"{name}_best_alpha"] = [one.alpha for one in found]
@@ -330,7 +332,8 @@ def run_ik(settings: IkSettings) -> IKRun:
             drives = {} if goal is None else {n: drive_to(limb.chain, start, goal, m) for n, m in methods.items()}
             followed = methods if settings.both or settings.follow is not None else {}
             follows = {n: follow_stride(limb.chain, stride, m, settings.turns) for n, m in followed.items()}
-        solved = IKRun(settings, motion, limb, stride, goal, drives, follows, parameters, series)
+        runs = {"target": drives, "follow": follows}
+        solved = IKRun(settings, motion, limb, stride, goal, runs, parameters, series)
         with staged_folder(out) as staging:
             _write(solved, staging)
         if settings.figures:  # after the tables, which are there whatever befalls them
@@ -411,11 +414,6 @@ def follow_stride(chain: SerialChain, stride: StridePath, method: Method, turns:
 # -- what is written -------------------------------------------------------------------------------------------------
 
 
-def _least(values: Array) -> float:
-    """NaN where nothing moves."""
-    return float(np.nanmin(values)) if np.isfinite(values).any() else np.nan
-
-
 def _write(solved: IKRun, folder: Path) -> None:
     summary, names = solved.summary, solved.limb.names
     (folder / SUMMARY).write_text(to_json(summary), encoding="utf-8")
@@ -431,9 +429,9 @@ def _write(solved: IKRun, folder: Path) -> None:
     if solved.series is not None:
         write_rows(folder / "parameters.csv", [[*solved.series.columns]], solved.series.to_numpy().tolist())
     axes = list(solved.limb.base)[: solved.limb.chain.dim]
-    for job, runs in (("target", solved.drives), ("follow", solved.follows)):
+    for job, runs in solved.runs.items():
         for name, run in runs.items():
-            time_s = run.time_s + (0.0 if job == "target" else solved.limb.first_s + solved.stride.start_s)
+            time_s = run.time_s + (0.0 if run.driven else solved.begins_s)
             columns = ["step", "time_s", *(f"{joint}_rad" for joint in names), *control_columns(names)]
             columns += [*(f"end_{axis}_m" for axis in axes), "distance_m"]
             values = np.column_stack((time_s, run.q, *run.control, run.end_m, run.distance_m)).tolist()
@@ -447,29 +445,24 @@ def _cell(value: Any) -> Any:
 
 
 def write_figures(solved: IKRun, folder: Path) -> None:
-    """Paths in task and joint space, distances, closures, phase portraits by
-    method, parameters, PNG and SVG."""
+    """Paths in task and joint space, closures, and phase portraits by method, PNG and SVG."""
     from recon.robotics.ik import plots
     from recon.show.plots.phase import phase_portraits
     from recon.show.plots.style import save
 
-    limb, first_s = solved.limb, solved.limb.first_s + solved.stride.start_s
-    if solved.series is not None:
-        save(plots.parameter_series(solved.series), folder, "parameters")
-    for job, runs, aim in (
-        ("target", solved.drives, {"target_m": solved.target_m}),
-        ("follow", solved.follows, {"path_m": solved.stride.path_m}),
-    ):
+    limb, aims = solved.limb, {"target": solved.target_m, "follow": solved.stride.path_m}
+    for job, runs in solved.runs.items():
         if runs:
-            save(plots.task_space(runs, limb.chain, base=limb.base, **aim), folder, f"{job}_task_space")
+            save(plots.task_space(runs, limb.chain, aims[job], limb.base), folder, f"{job}_task_space")
             save(plots.joint_space(runs, limb.names), folder, f"{job}_joint_space")
-            save(plots.distances(runs), folder, f"{job}_distance")
-    if solved.follows:
-        closed = {name: run.closures() for name, run in solved.follows.items()}
+    follows = solved.runs["follow"]
+    if follows:
+        closed = {name: run.closures() for name, run in follows.items()}
         save(plots.closures(closed, limb.names), folder, "follow_closures")
-    for name, run in solved.follows.items():
+    for name, run in follows.items():
         of_joints = zip(limb.names, run.q.T, run.control[0].T, *run.closures().values(), strict=True)
         portraits, closed = {}, {}
         for joint, angle, rate, *closures in of_joints:
-            portraits[joint], closed[joint] = Portrait(first_s + run.time_s, angle, rate), Closure(*closures)
+            portraits[joint] = Portrait(solved.begins_s + run.time_s, angle, rate)
+            closed[joint] = Closure(*closures)
         save(phase_portraits(portraits, closed, name), folder, f"follow_phase_{name}")

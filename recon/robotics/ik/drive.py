@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -21,7 +21,6 @@ from numpy.typing import ArrayLike
 
 from recon.base.arrays import Array, Bools
 from recon.gait import phase
-from recon.robotics.control import control_rates
 from recon.robotics.ik.chain import SerialChain, inside_limits, manipulability, unreachable
 from recon.robotics.ik.methods import INTERVAL_S, ExtendedJacobian, JointRates, Method
 from recon.robotics.ik.null_space import listed, to_null_space_optimum
@@ -83,11 +82,12 @@ class Run:
 
     @cached_property
     def control(self) -> tuple[Array, Array]:
-        """Rates and accelerations (K, n) as a controller takes them: `control_rates`. The way along a closed path comes
-        from where its last step came from, any other starts at rest."""
-        q = self.q
+        """Rates and accelerations (K, n) as a controller takes them: those of the parabola through a sample and its
+        neighbours. The way along a closed path comes from where its last step came from, any other starts at rest."""
+        q, interval_s = self.q, self.interval_s
         before = q[0] - (q[-1] - q[-2]) if self.closed else q[0]
-        return control_rates(q, self.interval_s, before, q[-1] + self.interval_s * self.dq[-1])
+        known = np.vstack([before, q, q[-1] + interval_s * self.dq[-1]])
+        return (known[2:] - known[:-2]) / (2 * interval_s), (known[2:] - 2 * q + known[:-2]) / interval_s**2
 
     @property
     def iterations(self) -> int:
@@ -120,6 +120,11 @@ class Run:
             "limits_hit": list(self.limits),
             "first_limit": next(iter(self.limits.values()), ""),
         }
+
+
+def control_columns(names: Sequence[str]) -> list[str]:
+    """What the rates and accelerations of joints are called in tables."""
+    return [f"{name}_{what}" for what in ("rate_rad_s", "acceleration_rad_s2") for name in names]
 
 
 def drive_to(

@@ -38,12 +38,12 @@ PULL = 0.01
 costs, as a share of the rates."""
 
 PARAMETERS = {
-    "transpose": ("alpha_1_m2", "alpha of the transpose (1/m²)"),
-    "gradient-projection": ("k_1_s", "k of gradient projection (1/s)"),
-    "damped": ("lambda_m", "lambda of damping (m), 0.0001: none"),
-    "selectively-damped": ("gamma_max_rad", "gamma_max (rad)"),
+    "transpose": ("alpha_1_m2",),
+    "gradient-projection": ("k_1_s",),
+    "damped": ("lambda_m",),
+    "selectively-damped": ("gamma_max_rad",),
 }
-"""For methods with one parameter: its column in tables, and what it is called in figures."""
+"""What the only parameter of some methods is called in tables."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,17 +1,15 @@
-"""Figures of inverse kinematics: ways to a target or along a path, degrees of closure, fitted parameters, by method."""
+"""Figures of inverse kinematics: ways to a target or along a path, degrees of closure, by method."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-import pandas as pd
 
 from recon.base.arrays import Array
 from recon.robotics.ik.chain import SerialChain
-from recon.robotics.ik.drive import TOLERANCE_M, Run
-from recon.robotics.ik.fit import PARAMETERS
+from recon.robotics.ik.drive import Run
 from recon.show.plots.style import (
     COLOURS,
     GREY,
@@ -24,11 +22,9 @@ from recon.show.plots.style import (
     grid_shape,
     legend_shape,
     look,
-    plain_logarithm,
 )
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 
@@ -38,27 +34,25 @@ VIEWS = {
 }
 """The views of the base frames of `recon.robotics.ik.animal`: name, coordinates, and what the axes are called."""
 _ROOM = 0.06
-_NONE_MM = 0.001
-"""From a path: nothing."""
 
 
 def task_space(
     moves: Mapping[str, Run],
     chain: SerialChain,
-    target_m: Array | None = None,
-    path_m: Array | None = None,
+    aim_m: Array | None = None,
     base: Literal["UVW", "xyz"] = "UVW",
 ) -> Figure:
     """The end effector's paths by method: in the plane, or in space from the side and from above, with the chain as it
     stood at first and, of every method, at last.
 
-    target_m (dim,) is a cross, path_m (K, dim) the way that was to be followed. base: what the coordinates mean,
+    aim_m: the target (dim,), a cross, or the way that was to be followed (K, dim). base: what the coordinates mean,
     forwards, down and left or forwards, left and up; two are U and V.
     """
     from matplotlib.lines import Line2D
 
     labels, first = [f"{name}{_outcome(move)}" for name, move in moves.items()], next(iter(moves.values()))
     begins = {"marker": "o", "mfc": "w", "mec": "k", "ms": 5, "linestyle": ""}
+    target_m, path_m = (None, aim_m) if np.ndim(aim_m) == 2 else (aim_m, None)
     aim = {"marker": "+", "color": "k", "ms": 10, "mew": 1.2, "linestyle": ""}
     stood = {"color": GREY, "lw": 2.2, "alpha": 0.5, "marker": "o", "ms": 2}
     marks = [Line2D([], [], label="start", **begins), Line2D([], [], label="chain at the start", **stood)]
@@ -119,47 +113,6 @@ def joint_space(moves: Mapping[str, Run], names: Sequence[str]) -> Figure:
     return figure
 
 
-def distances(moves: Mapping[str, Run]) -> Figure:
-    """Distance (mm) to the target over the iterations, by method; a ring where it was reached, a cross where not. Or
-    from the path over its points."""
-    from matplotlib.ticker import MaxNLocator
-
-    labels = [f"{name}: {_figure(move)}{_outcome(move)}" for name, move in moves.items()]
-    driven = any(move.driven for move in moves.values())
-    with drawing(72 + legend_shape(labels)[1]) as figure:
-        axes, handles = figure.subplots(), []
-        for k, move in enumerate(moves.values()):
-            style, distance_mm = look(k), 1000 * move.distance_m
-            handles += axes.plot(distance_mm, **style)
-            if driven:
-                end = {"marker": "o", "mfc": "w", "ms": 5} if move.reached else {"marker": "X", "ms": 7}
-                axes.plot(move.iterations, distance_mm[-1], **end, color=style["color"], mec=style["color"], zorder=4)
-        axes.set_yscale("log", nonpositive="clip")
-        if driven:
-            axes.axhline(1000 * TOLERANCE_M, color=GREY, lw=0.8, zorder=1, gid="tolerance")
-            axes.annotate(
-                f"{1000 * TOLERANCE_M:g} mm",
-                (0, 1000 * TOLERANCE_M),
-                (2, 2),
-                xycoords=("axes fraction", "data"),
-                textcoords="offset points",
-                fontsize=SMALL,
-                color=GREY,
-            )
-        else:
-            axes.set_ylim(bottom=_NONE_MM)
-        axes.set_xlabel("iteration" if driven else "point of the path")
-        axes.set_ylabel(f"distance {'to the target' if driven else 'from the path'} (mm)")
-        axes.xaxis.set_major_locator(MaxNLocator("auto", integer=True, steps=[1, 2, 5, 10]))
-        axes.yaxis.set_major_formatter("{x:g}")
-        add_legend(figure, handles, labels)
-    return figure
-
-
-def _figure(move: Run) -> str:
-    return str(move.iterations) if move.driven else f"{1000 * float(np.max(move.distance_m)):.3g} mm"
-
-
 def _outcome(move: Run) -> str:
     """What did not go as it should, in a few words."""
     if not move.note:
@@ -210,57 +163,3 @@ def closures(found: Mapping[str, Mapping[str, Array]], names: Sequence[str]) -> 
         panels[0].set_ylim(n - 0.5, -0.5)
         add_legend(figure, *panels[0].get_legend_handles_labels())
     return figure
-
-
-def parameter_series(table: pd.DataFrame) -> Figure:
-    """Over the times of a stride, of a table of `fit_parameter_series`: the share of the joint rates that each method
-    explains, the factor alpha with which it would explain the most, and the parameters that are found, of the weights
-    one for each joint."""
-    time_s = table["time_s"].to_numpy()
-    columns = [str(column) for column in table]
-    names = [column.removesuffix("_explained") for column in columns if column.endswith("_explained")]
-    weights = [c for c in columns if c.startswith("weighted_") and not c.endswith(("_explained", "_alpha"))]
-    joints = [column.removeprefix("weighted_") for column in weights]
-    single = [name for name in PARAMETERS if name in names]
-    rows = 1 + -(-len(single) // 2)
-    with drawing(38 * (rows + bool(joints)) + 18 + legend_shape(names)[1] + legend_shape(joints)[1]) as figure:
-        parts: Any = figure.subfigures(2, 1, height_ratios=(rows, 1.15)) if joints else (figure, None)
-        upper, lower = parts
-        panels = np.ravel(upper.subplots(rows, 2, sharex=True, squeeze=False))
-        for k, name in enumerate(names):
-            panels[0].plot(time_s, 100 * table[f"{name}_explained"], **look(k), label=name)
-            panels[1].plot(time_s, table[f"{name}_best_alpha"], **look(k))
-            if name in PARAMETERS:
-                axes, (column, label) = panels[2 + single.index(name)], PARAMETERS[name]
-                values = table[f"{name}_{column}"].to_numpy()
-                axes.plot(time_s, values, **look(k), marker="o", ms=2)
-                if name.endswith("damped"):
-                    _logarithmic(axes, values)
-                axes.set_title(label, loc="left", fontsize=SMALL, color=GREY)
-        panels[0].set_title("explained of the joint rates (%)", loc="left", fontsize=SMALL, color=GREY)
-        panels[0].set_ylim(0, 105)
-        panels[1].set_title("best factor alpha on the rates", loc="left", fontsize=SMALL, color=GREY)
-        for axes in panels[2 + len(single) :]:
-            axes.set_axis_off()
-        for axes in panels[2 * (rows - 1) :]:
-            axes.set_xlabel("time (s)")
-        add_legend(upper, *panels[0].get_legend_handles_labels())
-        if lower is not None:
-            _weights(lower.subplots(), time_s, table[weights].to_numpy())
-            add_legend(lower, lower.axes[0].get_lines(), joints)
-    return figure
-
-
-def _weights(axes: Axes, time_s: Array, weights: Array) -> None:
-    for k, of_joint in enumerate(weights.T):
-        axes.plot(time_s, of_joint, **look(k))
-    _logarithmic(axes, weights)
-    axes.set_xlabel("time (s)")
-    axes.set_title("weights, mean 1; large: a joint that is spared", loc="left", fontsize=SMALL, color=GREY)
-
-
-def _logarithmic(axes: Axes, values: Array) -> None:
-    """Without powers in the ticks, and no axis within less than a power of ten."""
-    axes.set_yscale("log")
-    axes.set_ylim(values.min() / 3, values.max() * 4)
-    plain_logarithm(axes.yaxis)

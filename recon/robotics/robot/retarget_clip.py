@@ -16,7 +16,7 @@ from recon.check import usable, verdict_fields
 from recon.fit.motion import Motion
 from recon.gait.gait import doubt_text
 from recon.io.table import write_rows
-from recon.robotics.control import control_columns
+from recon.robotics.ik.drive import control_columns
 from recon.robotics.robot import physics
 from recon.robotics.robot.quadruped import LEGS, Quadruped
 from recon.robotics.robot.reference import reference_of
