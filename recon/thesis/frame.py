@@ -99,7 +99,7 @@ class FrameReport:
     function evaluations include its approach with a wide loss."""
     function_evaluations: int
     optimizer_status: int
-    """That of scipy's least_squares."""
+    """The status of scipy's least_squares."""
     squared_norm: float
     cost_shares: dict[str, float]
     """Each term's part of the squared norm."""
@@ -494,7 +494,7 @@ class _Candidate:
 
     cost: float
     status: int
-    """That of scipy's least_squares."""
+    """The status of scipy's least_squares."""
     evaluations: int
     iterations: int
     points: Array
