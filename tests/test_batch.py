@@ -256,7 +256,7 @@ def test_all_problems_of_a_manifest_at_once(clips):
     path.write_text(path.read_text().replace(",30,,,\n", ""))
     said = problems(path, common={"camera": "camera.toml", "likelihood_min": 2})
     assert said == [
-        f"{path}: line 2, fps: found '-3', expected a number of frames per second above 0, as in 120",
+        f"{path}: line 2, fps: found '-3', expected a number greater than 0",
         "--set likelihood-min: found 2, expected a number from 0 to 1",
         f"{path}: line 3, frames: found '9:2', expected frame numbers A:B with A < B, from A up to but without B, "
         "as in 100:160",

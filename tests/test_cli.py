@@ -458,10 +458,10 @@ BAD_INPUT: dict[str, tuple[list[str], list[str]]] = {
         ["{in}/wings.csv"],
         ["{in}/wings.csv: bodyparts: found wing_neck_base, wing_spine, "],
     ),
-    "fps 0": (["{clip}", "--fps", "0"], ["--fps: found '0', expected a number of frames per second above 0"]),
+    "fps 0": (["{clip}", "--fps", "0"], ["--fps: found '0', expected a number greater than 0"]),
     "fps that is no number": (
         ["{clip}", "--fps", "90fps"],
-        ["--fps: found '90fps', expected a number of frames per second above 0"],
+        ["--fps: found '90fps', expected a number"],
     ),
     "no image size in the camera file": (
         ["{clip}", "--camera", "{in}/no_size.json"],

@@ -141,12 +141,12 @@ def test_image_size_as_text_or_as_numbers(size):
 @pytest.mark.parametrize(
     ("name", "value", "message"),
     [
-        ("fps", 0.0, "--fps: found 0.0, expected a number of frames per second above 0, as in 120"),
-        ("fps", "90fps", "--fps: found '90fps', expected a number of frames per second above 0, as in 120"),
-        ("fps", True, "--fps: found True, expected a number of frames per second above 0, as in 120"),
-        ("fps", -5.0, "--fps: found -5.0, expected a number of frames per second above 0, as in 120"),
-        ("fps", float("nan"), "--fps: found nan, expected a number of frames per second above 0, as in 120"),
-        ("fps", float("inf"), "--fps: found inf, expected a number of frames per second above 0, as in 120"),
+        ("fps", 0.0, "--fps: found 0.0, expected a number greater than 0"),
+        ("fps", "90fps", "--fps: found '90fps', expected a number"),
+        ("fps", True, "--fps: found True, expected a number"),
+        ("fps", -5.0, "--fps: found -5.0, expected a number greater than 0"),
+        ("fps", float("nan"), "--fps: found nan, expected a number"),
+        ("fps", float("inf"), "--fps: found inf, expected a number"),
         ("likelihood_min", 2.0, "--set likelihood-min: found 2.0, expected a number from 0 to 1"),
         ("likelihood_min", float("nan"), "--set likelihood-min: found nan, expected a number from 0 to 1"),
         ("side", "up", "--set side: found 'up', expected auto, left or right"),
@@ -154,7 +154,7 @@ def test_image_size_as_text_or_as_numbers(size):
         ("method", "window", "--set method: found 'window', expected trajectory or frame"),
         ("ground", "flat", "--set ground: found 'flat', expected auto or none"),
         ("size_sigma", 0.0, "--set size-sigma: found 0.0, expected a number greater than 0"),
-        ("tilt_deg", 90.0, "--tilt-deg: found 90.0, expected degrees that the camera looks down, above -90"),
+        ("tilt_deg", 90.0, "--tilt-deg: found 90.0, expected a number less than 90"),
         ("fast", "very", "--set fast: found 'very', expected true or false"),
         ("angle_prior", "flat", "--set angle-prior: found 'flat', expected gaussian or none"),
         ("camera_rotation", "still", "--set camera-rotation: found 'still', expected free or fixed"),
@@ -189,10 +189,12 @@ def test_wrong_value_is_named_in_plain_words(name, value, message):
     assert found.startswith(message)
 
 
-@pytest.mark.parametrize("degrees", [0.0, 180.0, float("nan")])
-def test_field_of_view_lies_between_0_and_180(degrees):
+@pytest.mark.parametrize(
+    ("degrees", "expected"), [(0.0, " greater than 0"), (180.0, " less than 180"), (float("nan"), "")]
+)
+def test_field_of_view_lies_between_0_and_180(degrees, expected):
     (found,) = messages({"keypoints": Path("c.csv"), "fps": 30.0, "hfov_deg": degrees, "image_size_px": "1920x1080"})
-    assert found == (f"--hfov-deg: found {degrees}, expected a field of view in degrees, above 0 and below 180")
+    assert found == f"--hfov-deg: found {degrees}, expected a number{expected}"
 
 
 @pytest.mark.parametrize("given", ["64+-6", "64 ± 6", "64.0+/-6"])
@@ -202,7 +204,7 @@ def test_a_field_of_view_has_its_uncertainty_beside_it(given):
     focal = [1 / np.tan(np.radians(degrees) / 2) for degrees in (63.9, 64.1)]
     assert settings.focal_sigma == pytest.approx(6 * abs(np.log(focal[1] / focal[0])) / 0.2, rel=1e-3)
     (found,) = messages({"keypoints": Path("c.csv"), "fps": 30.0, "hfov_deg": "264+-6", "image_size_px": "9x9"})
-    assert found == "--hfov-deg: found '264+-6', expected a field of view in degrees, above 0 and below 180"
+    assert found == "--hfov-deg: found '264+-6', expected a number less than 180"
 
 
 def test_every_wrong_setting_is_named_at_once():
@@ -216,9 +218,7 @@ def test_every_wrong_setting_is_named_at_once():
         "--camera",
         "--camera-name",
     ]
-    assert found[0] == "KEYPOINTS: keypoints: found nothing, expected a keypoint file, as of DeepLabCut or SLEAP, " + (
-        "or a list of them, one for each camera"
-    )
+    assert found[0] == "KEYPOINTS: keypoints: found nothing, expected a keypoint file, or one for each camera"
 
 
 def test_no_message_is_in_the_language_of_the_validator():
@@ -328,14 +328,12 @@ def test_another_camera_replaces_the_one_of_the_config(tmp_path):
 def test_mistakes_in_a_config_name_the_file(tmp_path):
     config = write_config(tmp_path, '[recon.fit]\nkeypoints = "c.csv"\nfps = "fast"\nspeed = 3\n')
     assert messages({}, config) == [
-        f"{config}: fps: found 'fast', expected a number of frames per second above 0, as in 120",
+        f"{config}: fps: found 'fast', expected a number",
         f"{config}: speed: found an unknown setting, expected one of {', '.join(SETTINGS)}",
         f"{config}: camera: found nothing, expected a camera file, or --hfov-deg with --image-size for a rough one",
     ]
     # A mistake on the command line is the command line's.
-    assert "--fps: found 0.0, expected a number of frames per second above 0, as in 120" in messages(
-        {"fps": 0.0}, config
-    )
+    assert "--fps: found 0.0, expected a number greater than 0" in messages({"fps": 0.0}, config)
 
 
 @pytest.mark.parametrize(
@@ -390,7 +388,7 @@ def test_help_of_fit_has_what_is_decided_for_every_clip():
 def test_the_help_of_an_option_is_the_settings():
     helps = {parameter.name: parameter.help for parameter in commands()["fit"].params}  # type: ignore[attr-defined]
     assert all(helps[name].startswith(it.option.help) for name, it in SETTINGS.items() if it.option.common)
-    assert helps["camera_unit"].endswith("often are. (default: m)")
+    assert helps["camera_unit"].endswith("often mm. (default: m)")
 
 
 def test_every_setting_is_listed():

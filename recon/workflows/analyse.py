@@ -61,13 +61,10 @@ class AnalyseSettings(Settings):
     folder: Annotated[Path, Option("Folder of results, as in results/clip.", argument="DIR")]
     out: Annotated[Path | None, Option("Folder for tables and figures. (default: analysis in DIR)")] = None
     smooth: Annotated[
-        bool | None,
-        Option("Smooth paths and angles by their jitter. (default: only where the fit gives no uncertainty)"),
+        bool | None, Option("Smooth paths and angles by their jitter. (default: where the fit gives no uncertainty)")
     ] = None
     stride: Annotated[StrideTimes | None, STRIDE] = None
-    body_mass_kg: Annotated[
-        Positive | None, Option("What the animal weighs, for forces in newtons too.", "a number above 0")
-    ] = None
+    body_mass_kg: Annotated[Positive | None, Option("What the animal weighs, for forces in newtons too.")] = None
     figures: Annotated[bool, Option("PNG and SVG beside the tables.")] = True
     anyway: Annotated[bool, ANYWAY] = False
     overwrite: Annotated[bool, Option("Replace an earlier analysis.")] = False

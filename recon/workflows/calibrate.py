@@ -42,16 +42,13 @@ class CalibrationSettings(Settings):
     board: Annotated[
         str,
         Option(
-            "chessboard:9x6:25mm (inner corners, side of a square) or charuco:5x7:40mm:30mm:DICT_4X4_50 (squares, side "
-            "of a square, of a marker, dictionary; :legacy for the layout of OpenCV before 4.6)."
+            "chessboard:9x6:25mm (inner corners, square's side) or charuco:5x7:40mm:30mm:DICT_4X4_50 (squares, sides "
+            "of square and marker, dictionary; :legacy for OpenCV's layout before 4.6)."
         ),
     ]
     model: Annotated[
         str,
-        Option(
-            "radtan for most lenses, fisheye for action cameras and other lenses wider than 100 degrees, pinhole for "
-            "pictures that have been undistorted."
-        ),
+        Option("radtan for most lenses, fisheye for those wider than 100 degrees, pinhole for undistorted pictures."),
     ]
     out: Annotated[Path, Option("The camera file, as in camera.toml.")]
     force: Annotated[bool, Option("Write a calibration that is refused.")] = False

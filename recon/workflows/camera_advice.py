@@ -63,22 +63,19 @@ class _CameraAdviceSettings(Settings):
     skeleton: Annotated[str, Option("A built-in skeleton or a TOML file, as in cheetah-24.")]
     out: Annotated[Path, Option("Folder for the figure, the table and the report.")]
     prior: Annotated[
-        str | None,
-        Option("What motions are like: a built-in name, a file of recon prior fit, or none. (default: as for a fit)"),
+        str | None, Option("What motions are like: a built-in name, a file, or none. (default: as for a fit)")
     ] = None
     angle: Annotated[str | None, Option("The angle to be seen, as in front_trunk_yaw.")] = None
     joint: Annotated[str | None, Option("The joint to be seen. (default: all)")] = None
     cameras: Annotated[
-        Annotated[Integer, Field(ge=1, le=2)],
-        Option("1, or 2: the best second one beside the best first one.", "1 or 2"),
+        Annotated[Integer, Field(ge=1, le=2)], Option("1, or 2: the best second one beside the best first one.")
     ] = 1
     hfov_deg: Annotated[
-        Annotated[Number, Field(gt=0, lt=180)],
-        Option("Horizontal field of view, degrees.", "degrees between 0 and 180, as in 60"),
+        Annotated[Number, Field(gt=0, lt=180)], Option("Horizontal field of view, degrees, as in 60.")
     ] = 60.0
     distance_m: Annotated[
         Annotated[Number, Field(gt=0, lt=1e4)] | None,
-        Option("From the animal's middle, metres. (default: 4 of its lengths)", "metres above 0, as in 8"),
+        Option("From the animal's middle, metres, as in 8. (default: 4 of its lengths)"),
     ] = None
     subject: Annotated[str | None, Option("A measured animal: built-in name or TOML file.")] = None
     overwrite: Annotated[bool, Option("Replace earlier advice.")] = False

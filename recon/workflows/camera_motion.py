@@ -58,21 +58,15 @@ class _CameraMotionSettings(Settings):
     camera: Annotated[Path, Option("The camera's calibration, as in camera.toml; its pose is not read.")]
     out: Annotated[Path, Option("The track for --camera-track, as in track.csv.")]
     camera_name: Annotated[str | None, Option("Which camera of a file with several.")] = None
-    keypoints: Annotated[
-        Path | None, Option("Keypoints of the animal, which is then no background, as in clip.csv.")
-    ] = None
+    keypoints: Annotated[Path | None, Option("Keypoints of the animal, which is then no background.")] = None
     individual: Annotated[str | None, Option("Which animal of a keypoint file with several.")] = None
     first_frame: Annotated[Integer, FIRST_FRAME] = 0
     tilt_deg: Annotated[
         Annotated[Number, Field(gt=-90, lt=90)] | None,
-        Option(
-            "How far the camera looks down in the first frame. (default: level in the mean of all frames)",
-            "degrees between -90 and 90",
-        ),
+        Option("Degrees that the camera looks down in the first frame. (default: level in the mean of all frames)"),
     ] = None
     level_marks: Annotated[
-        Path | None,
-        Option("Instead: a table (kind,frame,x1,y1,x2,y2) of horizons and verticals, as in level.csv."),
+        Path | None, Option("Instead: a table (kind,frame,x1,y1,x2,y2) of horizons and verticals, as in level.csv.")
     ] = None
     zoom: Annotated[bool, Option("The focal length changes; the first frame has the file's.")] = False
     overwrite: Annotated[bool, Option("Replace the track.")] = False

@@ -39,14 +39,9 @@ ALL = "all"
 class _CompareSettings(Settings):
     """The settings of `recon compare`."""
 
-    folders: Annotated[
-        OneOrMore[Path],
-        Option("Folders of results, or of batches, as in results/a results/b.", argument="DIR"),
-    ]
+    folders: Annotated[OneOrMore[Path], Option("Folders of results, or of batches.", argument="DIR")]
     out: Annotated[Path, Option("Folder for the tables and the figure.")]
-    table: Annotated[
-        Path | None, Option("CSV table with a column clip, the folders' names, and one to group them by.")
-    ] = None
+    table: Annotated[Path | None, Option("CSV table with a column clip, the folders' names, and --by.")] = None
     by: Annotated[str | None, Option("Column of the table to group the clips by, as in sex.")] = None
     anyway: Annotated[bool, ANYWAY] = False
     overwrite: Annotated[bool, Option("Replace an earlier comparison.")] = False

@@ -20,7 +20,7 @@ from recon.io import CONVERTED, Format, Pose3D, as_keypoints, choose_format, in_
 from recon.io.columns import parse_map
 from recon.show.export.rig import rig_of
 from recon.workflows.cli.common import table_of, terminal
-from recon.workflows.settings import ANYWAY, RENAME
+from recon.workflows.settings import ANYWAY, INDIVIDUAL, RENAME
 
 
 class ConvertSettings(Settings):
@@ -31,14 +31,8 @@ class ConvertSettings(Settings):
     to: Annotated[str | None, Option("Format, where the extension has several, as in long. (default: see --list)")] = (
         None
     )
-    fps: Annotated[
-        Positive | None,
-        Option(
-            "Frame rate in Hz, as in 120, if the file does not say it or is wrong.",
-            "a number of frames per second above 0, as in 120",
-        ),
-    ] = None
-    individual: Annotated[str | None, Option("Which animal of a multi-animal file, as in animal1.")] = None
+    fps: Annotated[Positive | None, Option("Frame rate in Hz, as in 120, if the file does not say it.")] = None
+    individual: Annotated[str | None, Option(INDIVIDUAL)] = None
     columns: Annotated[
         str | None,
         Option(
@@ -47,13 +41,9 @@ class ConvertSettings(Settings):
         ),
     ] = None
     unit: Annotated[str | None, Option("Unit of 3D positions, if the file does not say it: m, cm or mm.")] = None
-    up: Annotated[str | None, Option("Axis of 3D positions that points up, if the file does not say it: y or z.")] = (
-        None
-    )
+    up: Annotated[str | None, Option("Axis of 3D positions that points up, if unsaid: y or z.")] = None
     rename: Annotated[str | None, RENAME] = None
-    body_mass_kg: Annotated[
-        Positive, Option("Mass of the animal in an OpenSim model; 1: forces per kilogram.", "kilograms above 0")
-    ] = 1.0
+    body_mass_kg: Annotated[Positive, Option("Mass of the animal in an OpenSim model; 1: forces per kilogram.")] = 1.0
     anyway: Annotated[bool, ANYWAY] = False
     overwrite: Annotated[bool, Option("Replace the file.")] = False
     show_list: Annotated[bool, Option("Print the formats.", name="--list")] = False

@@ -28,15 +28,10 @@ class _EvaluateSettings(Settings):
         Path, Option("The reference, with the same frame numbers: likewise, as truth.csv.", argument="TRUTH")
     ]
     unit: Annotated[str | None, Option("Unit of the reference, if its file does not say it: m, cm or mm.")] = None
-    up: Annotated[str | None, Option("Axis of the reference that points up, if its file does not say it: y or z.")] = (
-        None
-    )
+    up: Annotated[str | None, Option("Axis of the reference that points up, if unsaid: y or z.")] = None
     rename: Annotated[
         str | None,
-        Option(
-            "New names of the joints of POSE3D, or of TRUTH where POSE3D is a folder: a CSV file with two columns, old "
-            "and new, or a built-in map, as in animal3d."
-        ),
+        Option("New names of POSE3D's joints, or TRUTH's where POSE3D is a folder: a CSV file, or a built-in map."),
     ] = None
     anyway: Annotated[bool, ANYWAY] = False
 

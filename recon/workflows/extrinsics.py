@@ -51,20 +51,13 @@ class _ExtrinsicsSettings(Settings):
 
     inputs: Annotated[
         OneOrMore[str],
-        Option(
-            "Keypoint files, quoted patterns, folders, or manifests, as for recon batch. Files whose names are the "
-            "same but for the camera's are one clip.",
-            argument="INPUT",
-        ),
+        Option("Keypoint files, quoted patterns, folders, or manifests, as for recon batch.", argument="INPUT"),
     ]
     out: Annotated[Path, Option("The file of all cameras, as in cameras.toml.")]
     cameras_by: Annotated[str, Option("Which files are one clip, as for recon batch.", metavar="auto|PATTERN")] = "auto"
     level_deg: Annotated[
         Annotated[Number, Field(ge=0.01, le=90)] | None,
-        Option(
-            "How far each camera is from level, or from its tilt, about each axis; 1 with a bubble. (default: 5)",
-            "degrees from 0.01 to 90",
-        ),
+        Option("How far each camera is from level or its tilt, in degrees; 1 with a bubble. (default: 5)"),
     ] = None
     overwrite: Annotated[bool, Option("Replace the file.")] = False
 

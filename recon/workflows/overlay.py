@@ -43,10 +43,7 @@ class OverlaySettings(ResultSettings):
     anyway: Annotated[bool, ANYWAY] = False
     speed: Annotated[
         Annotated[Number, Field(gt=0, le=10)] | None,
-        Option(
-            "Of the playback, 1 is real time. (default: so that 30 frames are shown in a second)",
-            "a number above 0 and at most 10, as in 0.25",
-        ),
+        Option("Speed of the playback, 1 is real time. (default: so that 30 frames are shown in a second)"),
     ] = None
     overwrite: Annotated[bool, Option("Replace the new files.")] = False
 

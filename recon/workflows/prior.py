@@ -42,21 +42,15 @@ class PriorFitSettings(Settings):
     ]
     out: Annotated[Path, Option("File for the prior, as in my-dog.npz.")]
     skeleton: Annotated[
-        str | None,
-        Option("Of 3D poses: a whole animal by name or TOML file, as in cheetah-24. (default: that of the results)"),
+        str | None, Option("Skeleton of 3D poses, as in cheetah-24. (default: that of the results)")
     ] = None
     fps: Annotated[
-        str | None,
-        Option('Of 3D poses: frame rate in Hz, or a JSON file with {"fps": [...]}, one per piece, in their order.'),
+        str | None, Option('Frame rate of 3D poses in Hz, or a JSON file with {"fps": [...]}, one per piece.')
     ] = None
     subject: Annotated[str | None, Option("Measured animal, by name or TOML file, as in phantom.")] = None
     estimate_size: Annotated[bool, Option("Scale the skeleton to the animal of each file.")] = False
-    components: Annotated[
-        Count, Option("Gaussians in the mixture of poses; fewer if there are not 20 frames for each.")
-    ] = 16
-    min_speed_m_s: Annotated[
-        NotNegative, Option("Leave out slower segments, as in 8.5.", "metres per second, as in 8.5")
-    ] = 0.0
+    components: Annotated[Count, Option("Gaussians in the mixture of poses; each takes 20 frames.")] = 16
+    min_speed_m_s: Annotated[NotNegative, Option("Leave out slower segments, as in 8.5.")] = 0.0
     apart: Annotated[tuple[str, ...], Option("Segment whose movement says nothing of the others', as in tail_1.")] = ()
     name: Annotated[str | None, Option("Name of the prior. (default: the file's)")] = None
     source: Annotated[str, Option("Where the poses come from, for the record.")] = ""

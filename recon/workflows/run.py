@@ -55,21 +55,17 @@ class _RunSettings(Settings):
     out: Annotated[Path, Option("Folder for everything; of a folder of videos one in it for each.")]
     model: Annotated[Path | None, Option("Folder of a trained network, as in models/run.", metavar="DIR")] = None
     keypoints: Annotated[
-        Path | None,
-        Option("Instead of a network: the keypoint file; of a folder of videos the folder with a file for each."),
+        Path | None, Option("Instead of a network: the keypoint file, or of a folder of videos the folder with them.")
     ] = None
     camera_motion: Annotated[
-        Literal["turns", "zooms"] | None,
-        Option("Find how the camera turned, or turned and zoomed, from the background. (default: it stands still)"),
+        Literal["turns", "zooms"] | None, Option("How the camera moves; found from the background. (default: not)")
     ] = None
     start: Annotated[Stage | None, Option("Do this stage again, and all after it.", metavar="STAGE", name="--from")] = (
         None
     )
     first_frame: Annotated[Integer, FIRST_FRAME] = 0
     quality: Annotated[Literal["fast", "best"], Option("Of the network's points.")] = "fast"
-    jobs: Annotated[
-        Count | None, Option("Of a folder: videos at a time, each in a process. (default: one for each core)")
-    ] = None
+    jobs: Annotated[Count | None, Option("Videos at a time, of a folder. (default: one for each core)")] = None
     config: Annotated[Path | None, Option("Settings as in the config.toml of a fit; options here overrule it.")] = None
     overwrite: Annotated[bool, Option("Replace files that no run has made, or that were changed since.")] = False
 

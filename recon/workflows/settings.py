@@ -44,7 +44,8 @@ DEFAULT_SKELETONS: dict[Method, str] = {"trajectory": "cheetah-24", "frame": "ch
 
 
 _RareOption = partial(Option, common=False)
-_TrajectoryOption = partial(_RareOption, method="trajectory")
+_Trajectory = partial(Option, method="trajectory")
+_RareTrajectory = partial(_RareOption, method="trajectory")
 _FrameOption = partial(_RareOption, method="frame")
 
 NUMBER = r"[0-9]+(?:\.[0-9]*)?"
@@ -74,12 +75,13 @@ StrideTimes = Annotated[tuple[Number, Number], BeforeValidator(_start_and_end)]
 
 FIRST_FRAME = Option("Number that the video's first frame has in the keypoint file, if it was cut.")
 ANYWAY = Option('Also of a clip whose verdict is "do not use".')
+FPS = "Frame rate of the video in Hz, as in 120. (default: what the file says, if it does)"
+INDIVIDUAL = "Which animal of a multi-animal file, as in animal1."
 RENAME = Option(
-    "New names of the keypoints: a CSV file with two columns, old and new, or a built-in map, as in "
-    "superanimal-quadruped."
+    "New names of keypoints: a CSV file of old and new ones, or a built-in map, as in superanimal-quadruped."
 )
 STRIDE = Option(
-    "A stride from when to when, in seconds since frame 0, as in 0.31:0.62. (default: one that is found)",
+    "A stride, in seconds since frame 0, as in 0.31:0.62. (default: one that is found)",
     "START:END in seconds, as in 0.31:0.62",
     metavar="START:END",
 )
@@ -93,8 +95,7 @@ class ResultSettings(Settings):
     camera_name: Annotated[
         str | None,
         Option(
-            "Whose video it is, of a clip with several cameras, as in cam2. (default: whose name the video's has; "
-            "without a video the first)"
+            "Whose video it is, of several cameras, as in cam2. (default: whose name the video's has, or the first)"
         ),
     ] = None
     first_frame: Annotated[Integer, FIRST_FRAME] = 0
@@ -112,72 +113,54 @@ class FitSettings(Settings):
         OneOrMore[File],
         Option(
             "Keypoint file, as in clip.csv: DeepLabCut, SLEAP, movement, NWB (ndx-pose), COCO, MMPose, OpenPose (any "
-            "of its files) or a plain table, long or wide. Of a clip that several cameras filmed, one file for each of "
-            "them.",
-            "a keypoint file, as of DeepLabCut or SLEAP, or a list of them, one for each camera",
+            "of its files) or a plain table, long or wide; of a clip of several cameras one for each.",
+            "a keypoint file, or one for each camera",
             argument="KEYPOINTS",
         ),
     ]
     camera: Annotated[
         OneOrMore[File] | None,
         Option(
-            "Calibration: OpenCV or ROS yaml/json/xml, AcinoSet scene.json, OpenDroneMap cameras.json, DANNCE "
-            "mat, Anipose, Pose2Sim or recon toml; or one such file for each camera.",
-            "a camera file, or a list of them",
+            "Calibration: OpenCV or ROS yaml/json/xml, AcinoSet scene.json, OpenDroneMap cameras.json, DANNCE mat, "
+            "Anipose, Pose2Sim or recon toml; or one such file for each camera."
         ),
     ] = None
     camera_name: Annotated[
         OneOrMore[str] | None,
         Option(
-            "Which camera of the file, by name or number, as in cam2 or 2; with several keypoint files once for"
-            " each, in their order. (default: the one whose name the keypoint file's name contains)"
+            "Which camera of the file, as in cam2 or 2; once for each keypoint file. (default: whose name the keypoint "
+            "file's name contains)"
         ),
     ] = None
-    camera_unit: Annotated[
-        Unit, Option("Unit of the places of cameras in the calibration file: m, cm or mm, as Anipose's often are.")
-    ] = "m"
+    camera_unit: Annotated[Unit, Option("Unit of the cameras' positions in the file; Anipose's is often mm.")] = "m"
     camera_track: Annotated[
         OneOrMore[File] | None,
-        Option(
-            "Where a camera that moves was in each frame: a CSV table, a COLMAP text model, or OpenDroneMap's "
-            "reconstruction.json or shots.geojson, once for each such camera. With several keypoint files it is that "
-            "of the camera whose name its own name contains. (default: cameras stand still)",
-            method="trajectory",
+        _Trajectory(
+            "Where a moving camera was in each frame: a CSV table, a COLMAP text model, or OpenDroneMap's "
+            "reconstruction.json or shots.geojson, with the camera's name in its own. (default: cameras stand still)"
         ),
     ] = None
-    fps: Annotated[
-        Positive | None,
-        Option(
-            "Frame rate of the video in Hz, as in 120. (default: what the file says, if it does)",
-            "a number of frames per second above 0, as in 120",
-        ),
-    ] = None
+    fps: Annotated[Positive | None, Option(FPS)] = None
     skeleton: Annotated[
         NameOrFile | None,
-        Option("Name of a built-in skeleton or a TOML file. (default: cheetah-24; cheetah-8u for the frame method)"),
+        Option("A built-in skeleton or a TOML file. (default: cheetah-24; cheetah-8u for the frame method)"),
     ] = None
     subject: Annotated[
         NameOrFile | None,
-        Option(
-            "Lengths measured on one animal: built-in name or TOML file, as in jules. (default: the skeleton's)",
-            method="trajectory",
+        _Trajectory(
+            "One animal's measured lengths: built-in name or TOML file, as in jules. (default: the skeleton's)"
         ),
     ] = None
     prior: Annotated[
         NameOrFile | None,
-        Option(
-            "What motions are like: a built-in name, a file of `recon prior fit`, or none. (default: the "
-            "built-in one for this skeleton, if any)",
-            method="trajectory",
+        _Trajectory(
+            "What motions are like: a built-in name, a file of recon prior fit, or none. (default: this skeleton's "
+            "built-in one, if any)"
         ),
     ] = None
     hfov_deg: Annotated[
         Annotated[Number, Field(gt=0, lt=180)] | None,
-        Option(
-            "Without a calibration: horizontal field of view in degrees, as in 64, or 64+-6 if that is how well it is "
-            "known.",
-            "a field of view in degrees, above 0 and below 180",
-        ),
+        Option("Without a calibration: horizontal field of view in degrees, as in 64, or 64+-6 with its uncertainty."),
     ] = None
     image_size_px: Annotated[
         Size | None,
@@ -190,33 +173,20 @@ class FitSettings(Settings):
     up: Annotated[
         str | None,
         _RareOption(
-            "Where the calibration's poses do not say it: which of their axes points up, as in z or -y, or a "
-            "direction, as in 0,-0.9,0.4. (default: what the file says; then the ground that several cameras see feet "
-            "stand on; otherwise first-camera, which counts as level)"
+            "Which axis of the calibration's world points up, as in z or -y, or a direction, as in 0,-0.9,0.4; "
+            "first-camera: that counts as level. (default: what the file says, or the ground that feet stand on)"
         ),
     ] = None
     tilt_deg: Annotated[
         Annotated[Number, Field(gt=-90, lt=90)] | None,
-        Option(
-            "Without extrinsics: how far the camera looks down, in degrees, as in 5. (default: level)",
-            "degrees that the camera looks down, above -90 and below 90, as in 5",
-        ),
+        Option("Without extrinsics: how far the camera looks down, in degrees, as in 5. (default: level)"),
     ] = None
     height_m: Annotated[
         Positive | None,
-        Option(
-            "How high the animal is at the withers, in metres, as in 1.6. (default: the skeleton's)",
-            method="trajectory",
-        ),
+        _Trajectory("Height of the animal at the withers, in metres, as in 1.6. (default: the skeleton's)"),
     ] = None
-    individual: Annotated[str | None, Option("Which animal of a multi-animal file, as in animal1.")] = None
-    rename: Annotated[
-        NameOrFile | None,
-        Option(
-            "New names of the keypoints: a CSV file with two columns, old name and new one, or a built-in map, "
-            "as in superanimal-quadruped. (default: the file's names)"
-        ),
-    ] = None
+    individual: Annotated[str | None, Option(INDIVIDUAL)] = None
+    rename: Annotated[NameOrFile | None, RENAME] = None
     frames: Annotated[
         FrameRange | None,
         Option(
@@ -224,43 +194,34 @@ class FitSettings(Settings):
             "frame numbers A:B with A < B, from A up to but without B, as in 100:160",
         ),
     ] = None
-    fix_swaps: Annotated[
-        bool, Option("Exchange left and right back where they look exchanged, and fit again.", method="trajectory")
-    ] = False
+    fix_swaps: Annotated[bool, _Trajectory("Exchange left and right back where they look exchanged.")] = False
     offset_s: Annotated[
         OneOrMore[Number] | None,
-        _TrajectoryOption(
-            "How much later a camera began to film than the first, in seconds, as in 0.025 or -1.5; once for "
-            "each keypoint file, in their order. (default: all began together)"
+        _RareTrajectory(
+            "How much later than the first each camera began, in seconds, as in 0.025; once for each keypoint file."
         ),
     ] = None
     find_offsets: Annotated[
-        bool,
-        _TrajectoryOption(
-            "Find how much later than the first each camera began to film, from the animal's motion; "
-            "offset-s is where the search begins."
-        ),
+        bool, _RareTrajectory("Find when each camera began from the animal's motion; the search begins at offset-s.")
     ] = False
     refine_cameras: Annotated[
         bool,
-        _TrajectoryOption(
+        _RareTrajectory(
             "Take the poses of all cameras but the first for as good as 2 degrees and 5 cm (2 % of their distance, if "
-            "that is less), and find them with the fit; the refined cameras go into cameras.toml."
+            "that is less), and find them with the fit; they go into cameras.toml."
         ),
     ] = False
     focal_sigma: Annotated[
         Positive | None,
-        _TrajectoryOption(
-            "How well the cameras' focal lengths are known, relative, as in 0.1: one camera's makes the position so "
-            "much less certain; of several cameras they are found with the fit and go into cameras.toml. (default: "
-            "exactly)"
+        _RareTrajectory(
+            "How well focal lengths are known, relative, as in 0.1: one camera's makes the position less certain; "
+            "several cameras' are found and go into cameras.toml. (default: exactly)"
         ),
     ] = None
     camera_fps: Annotated[
         OneOrMore[Positive] | None,
-        _TrajectoryOption(
-            "Frame rates of cameras that differ in it, once for each keypoint file, as in 120 and 59.94. The "
-            "result has the first one's. (default: all have the same)"
+        _RareTrajectory(
+            "Frame rates of cameras that differ in it, once for each keypoint file; the first is the result's."
         ),
     ] = None
     method: Annotated[
@@ -269,44 +230,36 @@ class FitSettings(Settings):
     ] = "trajectory"
     detector: Annotated[
         NameOrFile | None,
-        _TrajectoryOption(
-            "Where the detector's keypoints lie beside the markers: a built-in name, as in acinoset, a TOML "
-            "file, or none. (default: as the subject's or the skeleton's file says, or the keypoint file's scorer)"
+        _RareTrajectory(
+            "Where the detector's keypoints lie beside the markers: a built-in name, as in acinoset, a TOML file, or "
+            "none. (default: as the subject's or skeleton's file says, or the keypoint file's scorer)"
         ),
     ] = None
     likelihood_min: Annotated[
         Annotated[Number, Field(ge=0, le=1)],
         _RareOption("Leave out points less likely than this, 0 to 1.", "a number from 0 to 1"),
     ] = 0.5
-    side: Annotated[
-        Literal["auto", "left", "right"], _RareOption("With a skeleton of one side, which to fit: auto, left or right.")
-    ] = "auto"
+    side: Annotated[Literal["auto", "left", "right"], _RareOption("Which side of a one-sided skeleton to fit.")] = (
+        "auto"
+    )
     ground: Annotated[
-        Literal["auto", "none"],
-        _TrajectoryOption("auto: feet that stand are still and on one plane; none: nothing is said about them."),
+        Literal["auto", "none"], _RareTrajectory("auto: feet that stand are still and on one plane; none: not.")
     ] = "auto"
     size: Annotated[
-        Positive | None,
-        _TrajectoryOption(
-            "How many times as large as the skeleton the animal is, as in 0.1: a factor on all its lengths."
-        ),
+        Positive | None, _RareTrajectory("How many times as large as the skeleton the animal is, as in 0.1.")
     ] = None
     size_sigma: Annotated[
         Positive | None,
-        _TrajectoryOption("Standard deviation of the animal's size, relative, as in 0.1. (default: the skeleton's)"),
+        _RareTrajectory("Relative standard deviation of the animal's size, as in 0.1. (default: the skeleton's)"),
     ] = None
-    fast: Annotated[bool, _TrajectoryOption("Quicker: fewer directions to start from.")] = False
+    fast: Annotated[bool, _RareTrajectory("Quicker: fewer directions to start from.")] = False
     form: Annotated[
-        Literal["deadband", "printed"],
-        _FrameOption("Ranges and rates: deadband (beyond the limit) or printed (two-sided)."),
+        Literal["deadband", "printed"], _FrameOption("Ranges and rates: beyond the limit, or two-sided as printed.")
     ] = "deadband"
     reprojection: Annotated[
-        Literal["robust", "printed"],
-        _FrameOption("Errors in the picture: robust and weighted by confidence, or as printed."),
+        Literal["robust", "printed"], _FrameOption("Errors in the picture: robust and weighted, or as printed.")
     ] = "robust"
-    angle_prior: Annotated[
-        Literal["gaussian", "none"], _FrameOption("Gaussian priors on angles and heading: gaussian or none.")
-    ] = "gaussian"
+    angle_prior: Annotated[Literal["gaussian", "none"], _FrameOption("Priors on angles and heading.")] = "gaussian"
     camera_rotation: Annotated[
         Literal["free", "fixed"], _FrameOption("The body's rotation: free, or fixed to the first frame's.")
     ] = "free"
@@ -314,8 +267,7 @@ class FitSettings(Settings):
         Positive | None, _FrameOption("Base length of the chain in metres, as in 0.203. (default: the skeleton's)")
     ] = None
     base_sigma_m: Annotated[
-        Positive | None,
-        _FrameOption("Standard deviation of the base length in metres, as in 0.001. (default: the skeleton's)"),
+        Positive | None, _FrameOption("Its standard deviation in metres, as in 0.001. (default: the skeleton's)")
     ] = None
     sigma_px: Annotated[Positive, _RareOption("Noise of the detector in pixels, one standard deviation.")] = 3.0
     keypoint_sigma_m: Annotated[

@@ -34,7 +34,7 @@ from recon.io.deeplabcut_project import bodyparts, find_project
 from recon.workflows.cameras import read_clip_cameras
 from recon.workflows.cli.common import say, terminal
 from recon.workflows.clip import arrange, read_clips
-from recon.workflows.settings import FitSettings
+from recon.workflows.settings import INDIVIDUAL, FitSettings
 from recon.workflows.skeleton_geometry import drafted, head_text, table_text, toml_text
 
 BASE = "quadruped"
@@ -52,20 +52,13 @@ class _SkeletonDraftSettings(Settings):
 
     keypoints: Annotated[
         OneOrMore[Path],
-        Option(
-            "Keypoint file of any known format, as in clip.csv, or DeepLabCut's project: its folder, or config.yaml. "
-            "With --camera one file for each camera.",
-            argument="KEYPOINTS",
-        ),
+        Option("Keypoint file, or DeepLabCut's project; with --camera one file for each.", argument="KEYPOINTS"),
     ]
     out: Annotated[Path, Option("Skeleton file to write, as in my-animal.toml.")]
-    individual: Annotated[str | None, Option("Which animal of a multi-animal file, as in animal1.")] = None
+    individual: Annotated[str | None, Option(INDIVIDUAL)] = None
     camera: Annotated[
         OneOrMore[File] | None,
-        Option(
-            "Calibration of several cameras, as recon fit reads it: the draft is made from the distances between "
-            "keypoints that stay the same. (default: from the keypoints' names)"
-        ),
+        Option("Calibration of several cameras: distances that stay the same make the draft. (default: names do)"),
     ] = None
     fps: Annotated[Positive | None, Option("With --camera: the frame rate in Hz. (default: what the file says)")] = None
     up: Annotated[str | None, Option("With --camera: as of recon fit. (default: what the file says)")] = None

@@ -47,19 +47,12 @@ def _rows(fit: ShapeFit) -> Iterator[dict[str, Any]]:
 class SubjectFitSettings(Settings):
     """What `recon subject fit` is told."""
 
-    clips: Annotated[
-        OneOrMore[Path],
-        Option("Results of recon fit with several cameras, or their config.toml.", argument="CLIPS"),
-    ]
+    clips: Annotated[OneOrMore[Path], Option("Results of several cameras, or their config.toml.", argument="CLIPS")]
     out: Annotated[Path, Option("File for the subject, as in my-cat.toml.")]
     lengths: Annotated[bool, Option("Measure the lengths of the segments, left equal to right.")] = True
     offsets: Annotated[bool, Option("Measure where the detector's keypoints lie beside the markers.")] = False
     poses: Annotated[
-        tuple[Path, ...],
-        Option(
-            "3D poses of a clip that another method knows, in the cameras' world, once for each clip: offsets are "
-            "measured beside these."
-        ),
+        tuple[Path, ...], Option("3D poses by another method, one file a clip: offsets are measured beside these.")
     ] = ()
     title: Annotated[str | None, Option("Of the animal, in words. (default: made up)")] = None
     overwrite: Annotated[bool, Option("Replace the file.")] = False

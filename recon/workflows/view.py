@@ -25,9 +25,7 @@ class _ViewSettings(ResultSettings):
     """The settings of `recon view`."""
 
     video: Annotated[Path | None, Option("Show the frames of this video with it, as in clip.mp4.")] = None
-    out: Annotated[
-        Path | None, Option("Write all that is shown as one recording, and open nothing, as in clip.rrd.")
-    ] = None
+    out: Annotated[Path | None, Option("Write one recording of it, as in clip.rrd, and open nothing.")] = None
     overwrite: Annotated[bool, Option("Replace the recording of --out.")] = False
 
     def problems(self) -> Iterator[Problem]:

@@ -45,34 +45,25 @@ class _BatchSettings(Settings):
         OneOrMore[str],
         Option(
             "Keypoint files, quoted patterns as in 'clips/*.csv', folders, also projects of DeepLabCut and Anipose, or "
-            "manifests: CSV tables with a column keypoints, and one for every setting that differs between clips.",
+            "manifests: CSV tables with a column keypoints, and one for each setting that differs.",
             argument="INPUT",
         ),
     ]
     out: Annotated[Path, Option("Folder for the results: one folder a clip, and summary.csv.")]
-    config: Annotated[
-        Path | None, Option("Settings as in the config.toml of a fit; options here overrule it.", panel=_COMMON)
-    ] = None
+    config: Annotated[Path | None, Option("config.toml of a fit; options here overrule it.", panel=_COMMON)] = None
     cameras_by: Annotated[
         str,
         Option(
-            "Which files are one clip of several cameras. auto: those whose names are the same but for the name of a "
-            "camera in the camera file; none: each is a clip; or a regular expression for the camera's name in a "
-            "file's, as in '-cam([A-Z])'.",
+            "Which files are one clip. auto: names that differ by a camera's only; none: each; or a regular expression "
+            "for the camera's name in a file's, as in '-cam([A-Z])'.",
             metavar="auto|none|PATTERN",
             panel=_COMMON,
         ),
     ] = "auto"
     recursive: Annotated[bool, Option("Read the folders within a folder, too.", panel=_COMMON)] = False
-    jobs: Annotated[
-        Count | None, Option("Clips at a time, each in a process. (default: one for each core)", panel=_WORK)
-    ] = None
-    scheduler: Annotated[
-        str | None, Option("Run on this Dask cluster instead, as in tcp://host:8786.", panel=_WORK)
-    ] = None
-    retries: Annotated[
-        Annotated[Integer, Field(ge=0)], Option("Tries more for a clip at which a worker died.", panel=_WORK)
-    ] = 1
+    jobs: Annotated[Count | None, Option("Clips at a time. (default: one for each core)", panel=_WORK)] = None
+    scheduler: Annotated[str | None, Option("A Dask cluster instead, as in tcp://host:8786.", panel=_WORK)] = None
+    retries: Annotated[Annotated[Integer, Field(ge=0)], Option("Tries more where a worker died.", panel=_WORK)] = 1
     overwrite: Annotated[bool, Option("Fit everything again, and replace any results.", panel=_WORK)] = False
     dry_run: Annotated[bool, Option("Only look: what would be done, and what inputs lack.", panel=_WORK)] = False
     strict: Annotated[bool, Option("Exit code 1 if any clip failed or is unsolved.", panel=_WORK)] = False
