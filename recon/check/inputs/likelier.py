@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from recon.animal.prior import ANGLES, NONE
+from recon.animal.prior import NONE
 from recon.base.arrays import Array
 from recon.check.codes import finding
 from recon.check.inputs.likelihood import CLEAR, Baseline, believed, best_seen, refitted
@@ -24,6 +24,7 @@ from recon.fit.least_squares import Estimate, LeastSquares
 from recon.fit.posterior import prior_misfit_of
 from recon.fit.result import Finding
 from recon.fit.starts import APPROACH_HZ
+from recon.fit.terms import dynamics_term
 from recon.geometry.camera import Camera
 
 SMALLER = (2, 3, 4)
@@ -179,20 +180,9 @@ def other_rate(clip: ClipProblem, states: Array, stated_hz: float | None) -> Fin
 def _swings_better(clip: ClipProblem, states: Array, factor: float) -> bool:
     """Whether the angles as they are could be likelier at another rate: at a lower one they accelerate less than the
     noise that is expected, at a higher one they follow the expected swing more closely."""
-    given, other = (_unexplained(clip, states, clip.fps * by) for by in (1.0, factor))
-    return other * min(factor, 1.0) ** 3 < given
-
-
-def _unexplained(clip: ClipProblem, states: Array, fps: float) -> float:
-    """What the motion prior does not expect of the angles' bends from frame to frame, squared."""
-    prior, z = clip.prior, states[:, ANGLES]
-    A = z.shape[1]
-    if len(z) < 3:
-        return 0.0
-    bend, slope = z[2:] - 2 * z[1:-1] + z[:-2], 0.5 * (z[2:] - z[:-2])
-    expected = (z[1:-1] - prior.mean) @ prior.drift[:, :A].T / fps**2 + slope @ prior.drift[:, A:].T / fps
-    off = bend - expected
-    return float(np.einsum("na,ab,nb->", off, np.linalg.inv(prior.acceleration_covariance), off))
+    expected = (dynamics_term(clip.prior, states.shape[1], clip.fps * by, 1.0) for by in (1.0, factor))
+    given, other = (float(np.sum(term.residual(states) ** 2)) for term in expected)
+    return other < given * max(factor, 1.0) ** 3
 
 
 def _cost(clip: ClipProblem, states: Array, factor: float) -> float:
