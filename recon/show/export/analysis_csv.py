@@ -24,22 +24,14 @@ Columns = dict[str, np.ndarray]
 
 def joints(found: ClipAnalysis) -> Table:
     """Distance, mean and peak speed and peak acceleration of every joint; empty where none is known."""
-    columns = (
-        "joint, distance_m, mean_speed_m_s, peak_speed_m_s, peak_speed_sigma_m_s, peak_speed_time_s, "
-        "peak_acceleration_m_s2, peak_acceleration_sigma_m_s2, known"
-    )
+    columns = "distance_m, mean_speed_m_s, peak_speed_m_s, peak_speed_sigma_m_s, peak_speed_time_s, "
+    names = (columns + "peak_acceleration_m_s2, peak_acceleration_sigma_m_s2").split(", ")
     known = found.why_no_speed is None
     rows = [
-        (
-            *(name, moved.distance_m, moved.mean_speed_m_s, moved.peak_speed_m_s),
-            *(moved.peak_speed_sigma_m_s, moved.peak_speed_time_s),
-            *(moved.peak_acceleration_m_s2, moved.peak_acceleration_sigma_m_s2, "yes"),
-        )
-        if known
-        else (name, *[np.nan] * 7, "no")
-        for name, moved in found.joints.items()
+        (joint, *(getattr(moved, name) if known else np.nan for name in names), _yes(known))
+        for joint, moved in found.joints.items()
     ]
-    return columns.split(", "), rows
+    return ["joint", *names, "known"], rows
 
 
 def reference(found: ClipAnalysis) -> Columns:
@@ -66,19 +58,13 @@ def velocities(found: ClipAnalysis) -> Columns:
 
 def angles(found: ClipAnalysis) -> Table:
     """Range of motion and peak rates: the angles at the joints and the spine's flexion, then the skeleton's own."""
-    columns = "angle, kind, least_rad, greatest_rad, range_of_motion_rad, peak_rate_rad_s, peak_acceleration_rad_s2"
-    shares = found.motion.data_shares
-    kinds = (("joint", found.angles), ("skeleton", found.skeleton_angles))
+    names, shares = ("range_of_motion_rad", "peak_rate_rad_s", "peak_acceleration_rad_s2"), found.motion.data_shares
     rows = [
-        (
-            *(name, kind, *angle.range_rad, angle.range_of_motion_rad),
-            *(angle.peak_rate_rad_s, angle.peak_acceleration_rad_s2),
-            shares[name] if kind == "skeleton" else np.nan,
-        )
-        for kind, some in kinds
+        (name, kind, *angle.range_rad, *(getattr(angle, one) for one in names), shares.get(name, np.nan))
+        for kind, some in (("joint", found.angles), ("skeleton", found.skeleton_angles))
         for name, angle in some.items()
     ]
-    return [*columns.split(", "), "data_share"], rows
+    return ["angle", "kind", "least_rad", "greatest_rad", *names, "data_share"], rows
 
 
 def angle_rates(found: ClipAnalysis) -> Columns:
@@ -147,10 +133,9 @@ def vector_field(found: ClipAnalysis) -> Columns:
     names |= {name: ["-".join(getattr(field, name)) for _, field in links] for name in ("link", "parent")}
     columns = {column: np.repeat(np.array(some, dtype=str), T) for column, some in names.items()}
     columns |= {"frame": np.tile(found.pose.frames, len(links)), "time_s": np.tile(found.motion.time_s, len(links))}
-    for k, axis in enumerate("xyz"):
-        columns[f"{axis}_m"] = of_all(lambda field, k=k: field.position_m[:, k])
-    for k, axis in enumerate("xyz"):
-        columns[f"d{axis}_m_s"] = of_all(lambda field, k=k: field.velocity_m_s[:, k])
+    for column, vectors in (("{}_m", "position_m"), ("d{}_m_s", "velocity_m_s")):
+        for k, axis in enumerate("xyz"):
+            columns[column.format(axis)] = of_all(lambda field, k=k, vectors=vectors: getattr(field, vectors)[:, k])
     numbers = ("radius_m", "dr_m_s", "dtheta_rad_s", "speed_m_s")
     for name in (*numbers, "dr_sigma_m_s", "dtheta_sigma_rad_s", "speed_sigma_m_s"):
         columns[name] = of_all(lambda field, name=name: _or_nan(getattr(field, name), field.speed_m_s))
@@ -166,18 +151,12 @@ def vector_field_means(found: ClipAnalysis) -> Table:
 
 def closures(found: ClipAnalysis) -> Table:
     """Degrees of closure of the skeleton's angles over one stride."""
-    columns = (
-        "angle, foot, start_s, end_s, closure_angle_percent, closure_plane_percent, closure_angle_sigma_percent, "
-        "closure_plane_sigma_percent, data_share"
-    )
-    rows = []
-    if (s := found.stride) is not None:
-        shares = found.motion.data_shares
-        rows = [
-            (name, s.foot, s.start_s, s.end_s, c.angle, c.plane, c.angle_sigma, c.plane_sigma, shares[name])
-            for name, c in found.closures.items()
-        ]
-    return columns.split(", "), rows
+    kinds, stride, shares = ("angle", "plane", "angle_sigma", "plane_sigma"), found.stride, found.motion.data_shares
+    rows = [
+        (name, stride.foot, stride.start_s, stride.end_s, *(getattr(of, kind) for kind in kinds), shares[name])
+        for name, of in (found.closures.items() if stride is not None else ())
+    ]
+    return ["angle", "foot", "start_s", "end_s", *(f"closure_{kind}_percent" for kind in kinds), "data_share"], rows
 
 
 def centre_of_mass(found: ClipAnalysis) -> Columns:
