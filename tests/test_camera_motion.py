@@ -303,7 +303,7 @@ def refusal(folder, pictures, camera: Camera = PINHOLE, *more: object) -> str:
 def test_bad_input_is_one_clear_message(tmp_path):
     still = [seen(np.eye(3))] * 3
     other = Camera.from_hfov(60, (640, 360))
-    assert "size: found 320x180 px, expected 640x360 px" in refusal(tmp_path, still, other)
+    assert "size: found 320x180, expected 640x360, the size" in refusal(tmp_path, still, other)
     blurred = [cv2.GaussianBlur(picture, (0, 0), 15) for picture in still]
     assert "too little background that can be followed in 3 of 3 frames" in refusal(tmp_path, blurred)
     x, y = np.meshgrid(np.arange(320.0), np.arange(180.0))

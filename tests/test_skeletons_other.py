@@ -414,7 +414,6 @@ def test_check_of_a_chain():
             '"left_hind_paw"\nright_fore = "right_front_paw"\nleft_hind = "left_front_paw"',
             "feet: in the expected pose left_hind_paw lies behind the middle of the trunk, but is a fore foot",
         ),
-        ("at_m = [0.0, 0.0, -0.07]", "at_m = [0.0, 0.0, 0.03]", "feet: in the expected pose left_hind_paw is"),
         ('tail = ["tail_base", "tail_tip"]', "", "limbs: no line leads to tail_tip."),
         ("at_m = [0.0, 0.03, 0.04]", "at_m = [0.0, -0.03, 0.04]", "(y is to the left) left_ear, right_ear."),
         (CAT[CAT.index("left_fore") : CAT.index("# The root:")], "", "feet: none."),

@@ -13,7 +13,7 @@ from pydantic import Field
 
 from recon.base import Progress, silent
 from recon.base.arrays import Array, Integers
-from recon.base.errors import InputError, Problem, all_of
+from recon.base.errors import InputError, Problem, all_of, refuse
 from recon.base.files import require_free_file, staged_folder, write_bytes
 from recon.base.settings import Integer, Number, Option, Settings
 from recon.calibrate.camera_motion import (
@@ -36,6 +36,7 @@ from recon.io import read_camera, read_keypoints, write_table
 from recon.io.camera_track import INTRINSICS, POSE, SIGMA
 from recon.io.video import Image, missing_note, probe, read_frames
 from recon.show.plain import to_json
+from recon.workflows.cameras import size_problems
 from recon.workflows.cli.common import counted, progress_bar, say, terminal
 from recon.workflows.settings import FIRST_FRAME, FitSettings
 
@@ -127,11 +128,7 @@ def run_camera_motion(
         lambda: () if settings.level_marks is None else read_marks(settings.level_marks),
         lambda: require_free_file(settings.out, settings.overwrite, suffixes=(".csv",)),
     )
-    if info.size_px != lens.image_size_px:
-        found, wanted = ("{}x{} px".format(*size) for size in (info.size_px, lens.image_size_px))
-        raise InputError(
-            Problem(settings.video, "size", found, f"{wanted}, the size that {settings.camera} is calibrated for")
-        )
+    refuse(size_problems(settings.video, info, lens))
     points = {} if animal is None else _points(animal, settings.first_frame)
     tracker = Tracker(lens, settings.zoom, points.get)
     for number, picture in read_frames(settings.video):

@@ -15,6 +15,7 @@ from recon.base.arrays import Array
 from recon.base.errors import InputError, Problem, all_of, refuse
 from recon.geometry.camera import Camera
 from recon.io.common import numbers
+from recon.io.video import VideoInfo
 from recon.workflows.settings import UNITS_M, FitSettings, Unit
 
 AXES, FIRST_CAMERA = ("x", "y", "z"), "first-camera"
@@ -199,6 +200,13 @@ def _problems_of_several(
         elif owners and not camera.knows_up:
             expected = "one in the world of the camera track, z up (world_z_up)"
             yield Problem(file, f"camera {camera.name}", "a pose that does not say which way is up", expected)
+
+
+def size_problems(video: Path, info: VideoInfo, camera: Camera) -> Iterator[Problem]:
+    """Where a video has another size than the camera is calibrated for."""
+    found, wanted = ("{}x{}".format(*size) for size in (info.size_px, camera.image_size_px))
+    if found != wanted:
+        yield Problem(video, "size", found, f"{wanted}, the size that the camera is calibrated for")
 
 
 def cameras_in(stem: str, names: Iterable[str]) -> dict[str, re.Match[str]]:

@@ -22,7 +22,7 @@ from recon.fit.motion import Motion
 from recon.fit.result import Verdict
 from recon.io.video import Image, VideoInfo, probe, read_frames, require_codec, video_writer
 from recon.show.overlay import LEFT, MIDDLE, RIGHT, Colour, Overlay, canvas_size, draw_frame
-from recon.workflows.cameras import cameras_in
+from recon.workflows.cameras import cameras_in, size_problems
 from recon.workflows.cli.common import progress_bar, say, say_verdict, terminal
 from recon.workflows.settings import ANYWAY, ResultSettings
 
@@ -127,10 +127,8 @@ def result_and_video(settings: ResultSettings, *checks: Callable[[], object]) ->
 
 
 def _video_problems(motion: Motion, number: int, settings: ResultSettings, info: VideoInfo) -> Iterator[Problem]:
-    size, first = motion.cameras[number].image_size_px, int(motion.frames.min())
-    if info.size_px != size:
-        expected = f"{size[0]}x{size[1]}, the size that the camera is calibrated for"
-        yield Problem(settings.video or "", "size", f"{info.size_px[0]}x{info.size_px[1]}", expected)
+    yield from size_problems(settings.video or Path(), info, motion.cameras[number])
+    first = int(motion.frames.min())
     if settings.first_frame > first:
         expected = f"{first} or less: the result begins with frame {first}"
         yield Problem("--first-frame", "number", str(settings.first_frame), expected)

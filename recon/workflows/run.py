@@ -30,6 +30,7 @@ from recon.workflows.analyse import AnalyseSettings, run_analyse
 from recon.workflows.batch import Clip, ClipPlan, Summary, work_off
 from recon.workflows.batch.inputs import file_names
 from recon.workflows.batch.summary import results_of
+from recon.workflows.cameras import size_problems
 from recon.workflows.cli.batch import shown_batch
 from recon.workflows.cli.command import OptionsOf
 from recon.workflows.cli.common import finish, progress_bar, say, terminal
@@ -246,11 +247,7 @@ def _require_own(name: str, stage: _Stage, is_first: bool, changed: Sequence[Pat
 def _check_inputs(job: _Job) -> None:
     """What would only be said after minutes of work. Raises InputError."""
     info, (_, _, cameras) = all_of(lambda: probe(job.run.video), lambda: read_model_and_cameras(job.given))
-    size = cameras[0][0].image_size_px
-    if info.size_px != size:
-        found = "{}x{}".format(*info.size_px)
-        expected = "{}x{}, the size that the camera is calibrated for".format(*size)
-        raise InputError(Problem(job.run.video, "size", found, expected))
+    refuse(size_problems(job.run.video, info, cameras[0][0]))
 
 
 def _stages(job: _Job) -> dict[str, _Stage]:

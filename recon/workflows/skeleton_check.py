@@ -20,9 +20,6 @@ STEMS = ("skeleton", "angles")
 REACH_SIGMAS = 2.0
 """Ends of the expected range of an angle."""
 _SAME_M = 1e-6
-_EVEN = 0.2
-"""Feet at heights that differ by more than this part of the body's height are worth a remark. The expected pose is a
-mean over strides, not a stance."""
 
 
 class _SkeletonCheckSettings(Settings):
@@ -164,9 +161,6 @@ def _remarks(body: Body) -> Iterator[str]:
     heights_m = {foot: at[foot][2] for foot in body.feet}
     if high := [foot for foot, height_m in heights_m.items() if height_m >= min(rear[2], front[2])]:
         yield f"feet: in the expected pose {', '.join(high)} not below {' and '.join(body.forward)}."
-    elif body.feet and (apart_m := np.ptp([*heights_m.values()])) > _EVEN * np.ptp(points[:, 2]):
-        lowest, highest = min(heights_m, key=heights_m.__getitem__), max(heights_m, key=heights_m.__getitem__)
-        yield f"feet: in the expected pose {highest} is {100 * apart_m:.0f} cm higher than {lowest}."
     for label, foot in body.feet_by_label().items():
         fore = (at[foot] - (rear + front) / 2) @ (front - rear) > 0
         if fore != (label[-1] == "F"):
@@ -176,8 +170,6 @@ def _remarks(body: Body) -> Iterator[str]:
     if lacking := [marker for marker in body.markers if marker not in drawn]:
         yield f"limbs: no line leads to {', '.join(lacking)}."
     sides = {marker: side for marker in body.markers if (side := body.side_of(marker)) is not None}
-    if single := [m for m in sides if other_side(m) not in at]:
-        yield f"markers: only one side has {', '.join(single)}."
     if wrong := [m for m, side in sides.items() if (at[m][1] < 0 if side == "left" else at[m][1] > 0)]:
         yield f"markers: on the other side of the middle (y is to the left) {', '.join(wrong)}."
     pairs = [(m, at[other_side(m)]) for m, side in sides.items() if side == "left" and other_side(m) in at]

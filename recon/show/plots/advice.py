@@ -41,31 +41,18 @@ def camera_advice(found: Sequence[Advice]) -> Figure:
 
 
 def _grid(axes: Axes, advice: Advice) -> None:
+    from matplotlib.patches import Rectangle
+
     degrees = np.round(np.degrees(advice.azimuths_rad)).astype(int)
     raised = np.round(np.degrees(advice.elevations_rad)).astype(int)
     rows, columns = advice.share.shape
     axes.imshow(advice.share, cmap=share_colours(), vmin=0, vmax=1, aspect="auto", origin="lower")
-    for row in range(rows):
-        for column in range(columns):
-            share, sigma = float(advice.share[row, column]), float(advice.sigma[row, column])
-            text = f"{share:.0%}\n±{in_words(sigma, advice.unit)}" if np.isfinite(sigma) else "not in\nthe picture"
-            axes.text(
-                column,
-                row,
-                text,
-                ha="center",
-                va="center",
-                fontsize=SMALL,
-                color="w" if share > (1 + MEASURED_SHARE) / 2 else "k",
-            )
+    for (row, column), share in np.ndenumerate(advice.share):
+        sigma, colour = float(advice.sigma[row, column]), "w" if share > (1 + MEASURED_SHARE) / 2 else "k"
+        text = f"{share:.0%}\n±{in_words(sigma, advice.unit)}" if np.isfinite(sigma) else "not in\nthe picture"
+        axes.text(column, row, text, ha="center", va="center", fontsize=SMALL, color=colour)
     row, column = advice.best
-    axes.plot(
-        column + np.array([-0.5, 0.5, 0.5, -0.5, -0.5]),
-        row + np.array([-0.5, -0.5, 0.5, 0.5, -0.5]),
-        "k",
-        lw=2.5,
-        clip_on=False,
-    )
+    axes.add_patch(Rectangle((column - 0.5, row - 0.5), 1, 1, fill=False, lw=2.5, clip_on=False))
     if advice.beside is not None:
         azimuth, elevation = advice.beside
         at = np.argmin(np.abs(advice.azimuths_rad - azimuth)), np.argmin(np.abs(advice.elevations_rad - elevation))
