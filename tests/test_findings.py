@@ -76,7 +76,6 @@ SENTENCES = {
     "size_unexpected": ("comes out 0.70 times as large as usual, where 1 ± 0.1", {"size": 0.7, "expected_sigma": 0.1}),
     "too_fast": ("41 m/s, and none runs as fast", {"speed_m_s": 41.2}),
     "second_solution": ("up to 0.30 m away", {"count": 2, "frames_total": 9, "apart_m": 0.3}),
-    "frames_stopped_early": ("2 of 9 frames stopped early", {"count": 2, "frames_total": 9}),
     "few_frames": ("A clip of 8 frames tells little", {"count": 8}),
     "many_outliers": ("51 detections (57%) do not agree", {"count": 51, "share": 0.566}),
     "keypoints_do_not_fit": (

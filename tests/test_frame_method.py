@@ -295,22 +295,6 @@ def test_deviations_of_the_angles_done_by_hand():
     np.testing.assert_allclose(found.angle_sigma_rad[0, :3], turned.std(axis=0), rtol=0.04)
 
 
-def test_what_a_clip_may_take_is_bounded(monkeypatch):
-    """Points at random have no pose: every start of every frame would take all the evaluations of a search."""
-    clip, done = gallop(n_frames=8), []
-    xy = np.random.default_rng(0).uniform((0, 0), (1920, 1080), clip.keypoints.xy_px.shape)
-    counted = frame.evaluate
-    monkeypatch.setattr(frame, "evaluate", lambda *given: done.append(1) or counted(*given))
-    options = replace(NOISY, max_evaluations=4, tolerance=1e-15)
-    solution = fit(clip, replace(clip.keypoints, xy_px=xy), options)
-    spent = 4 * (8 + frame.SPARE_SEARCHES)
-    assert spent <= len(done) <= spent + 2 * 8  # a search that has begun takes one at least
-    stopped = [r for r in solution.reports if r is not None and r.stopped]
-    assert len(stopped) > 2
-    ample = fit(clip, clip.keypoints, NOISY)
-    assert not any(r is not None and r.stopped for r in ample.reports)
-
-
 def test_reprojection_as_printed_is_neither_weighted_nor_robust():
     """One detection 500 px off and of no confidence: its row is its distance in standard deviations."""
     clip = gallop(n_frames=1)

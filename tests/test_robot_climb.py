@@ -16,7 +16,7 @@ from scipy.optimize import root
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from recon.base.errors import InputError
-from recon.robotics.climb import Recipe, bundled, load_recipe, plan, raised, scaled
+from recon.robotics.climb import Recipe, bundled, load_recipe, plan, raised
 from recon.robotics.climb.plan import (
     LEFT,
     NONE,
@@ -30,7 +30,7 @@ from recon.robotics.climb.plan import (
 )
 from recon.robotics.climb.recipe import PLANAR, RECIPES, SPATIAL, Fields, Step, _Balance, _Well
 from recon.robotics.climb.run import climb_margins
-from recon.robotics.robot.quadruped import LEGS, Quadruped, closed_leg
+from recon.robotics.robot.quadruped import LEGS, Quadruped
 from recon.robotics.robot.robot_file import load_robot
 
 HIPS = np.array([[0.065, 0.0625, 0], [0.065, -0.0625, 0], [-0.065, 0.0625, 0], [-0.065, -0.0625, 0]])
@@ -324,21 +324,6 @@ def one_footfall() -> Recipe:
     return replace(recipe, primitives=(replace(recipe.primitives[0], footfalls=recipe.primitives[0].footfalls[:1]),))
 
 
-def test_a_robot_of_another_size_climbs_in_the_same_postures(aibo):
-    legs = {}
-    for label, leg in aibo.legs.items():
-        own = leg.closed
-        names = ("thigh_m", "shin_m", "knee_offset_m", "foot_offset_m")
-        large = replace(own, **{name: 2 * getattr(own, name) for name in names})
-        limits = (np.full(3, -np.pi), np.full(3, np.pi))
-        legs[label] = closed_leg(large, 2 * leg.hip_m, leg.joints, leg.signs, limits, np.full(3, 5.0), 0.2)
-    twice = Quadruped("twice", "twice", legs, 0.2)
-    small, large = plan(aibo, one_footfall()), plan(twice, scaled(one_footfall(), 2.0))
-    assert large.recipe.step.height_m == pytest.approx(0.07)
-    np.testing.assert_allclose(large.position_m, 2 * small.position_m, atol=1e-6)
-    np.testing.assert_allclose(large.motion.angles_rad, small.motion.angles_rad, atol=1e-4)
-
-
 def test_the_command_writes_what_the_plan_is(tmp_path, aibo):
     table = tomllib.loads((RECIPES / "published-50.toml").read_text())
     table["primitives"] = table["primitives"][:1]
@@ -373,7 +358,6 @@ def test_figure_of_margins(aibo):
     ("args", "message"),
     [
         (("--height", "-1"), "--height: found "),
-        (("--robot", "a1"), "swing joint first"),
         (("none.toml",), "published-50"),
     ],
 )

@@ -170,13 +170,6 @@ class ClimbSettings(Settings):
             "metres, as in 0.045",
         ),
     ] = None
-    robot: Annotated[
-        str | None,
-        Option(
-            "aibo, or a file .toml of a robot with its kind of legs; lengths are in proportion to its legs. "
-            "(default: the recipe's)"
-        ),
-    ] = None
     figures: Annotated[bool, _FIGURES] = True
     overwrite: Annotated[bool, _OVERWRITE] = False
 

@@ -57,8 +57,6 @@ PLAIN_C = 1e6
 """In place of `FrameOptions.robust_c` where f1 is as printed: nothing saturates."""
 SIGMA_M = 0.01
 """The standard deviation of joints that are known in space."""
-SPARE_SEARCHES = 4
-"""A clip may take `FrameOptions.max_evaluations` for each of its frames, and so many times that for all of them."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +68,7 @@ class FrameOptions:
     holds R at the first frame's. base_length_m, base_sigma_m: in place of the skeleton's. sigma_px: the detector's
     noise; keypoint_sigma_m: how far keypoints lie from the model's joints, in place of the skeleton's, and at most
     keypoint_sigma_max_px in the picture. robust_c: residuals of this many sigmas count half. max_evaluations: of
-    the residuals, in one search, and a frame on average (`SPARE_SEARCHES`).
+    the residuals, in one search.
     """
 
     form: Form = "deadband"
@@ -119,8 +117,6 @@ class FrameReport:
     in_view: bool
     """The camera can see the pose, and it has an animal's size; a pose that ran away is not converged, not part of the
     solution, and has no shares and covariance (NaN)."""
-    stopped: bool
-    """The evaluations that the clip may take up to this frame were spent before the frame's searches ended."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,7 +161,6 @@ class FrameSolution(Solution):
         at_limit = flags.count("at range limit")
         counts = {
             "frames_not_converged": self.status.count("not_converged"),
-            "frames_stopped_early": flags.count("stopped early"),
         }
         found = [finding(code, count=count, frames_total=total) for code, count in counts.items() if count]
         if at_limit > WARN_LIMITS * solved:
@@ -435,7 +430,6 @@ def _flags(
         "data poor": present * trusted < TRUSTED_SHARE * J,
         "outliers": (off_px > OUTLIER_SIGMAS * sigma_px[:, None]).any(axis=1),
         "not converged": [r is not None and r.status == "not_converged" for r in reports],
-        "stopped early": [r is not None and r.stopped for r in reports],
         "at range limit": (beyond_range_rad(chain, states) > 0).any(axis=1),
         "at rate limit": (beyond_rate_rad_s(chain, states, fps) > 0).any(axis=1),
     }
@@ -533,8 +527,6 @@ class _FrameSolver:
         assert isinstance(reprojection, JointReprojection)
         self.reprojection = reprojection
         self.focal_px = float(np.sqrt(camera.matrix[0, 0] * camera.matrix[1, 1]))
-        self.evaluations_left = SPARE_SEARCHES * options.max_evaluations
-        self.stopped = False
 
     def solve(
         self, frame: int, rays: Array, heading: Array, states: Array, before: Sequence[int], fps: float
@@ -548,14 +540,13 @@ class _FrameSolver:
         self, frame: int, rays: Array, heading: Array, states: Array, before: Sequence[int], fps: float
     ) -> tuple[_Candidate, _Given, int]:
         """The best of the minima, what was held, and from how many starts."""
-        self.evaluations_left = max(self.evaluations_left + self.options.max_evaluations, 1)
-        self.stopped = False
         starts = [self._carried_on(frame, states, before)] if before else self._first_starts(rays, heading)
         fixed = self.given(frame, states, before[-1] if before else None, fps, self._noise_px(starts[0]))
-        tried = self._tried(starts, fixed)
+        tried = [self._solve_from(start, fixed) for start in starts]
         best = self._best(fixed, tried)
         if before and not self._explained(fixed, best):
-            tried += self._tried(self._more_starts(rays, heading, states[before[-1]]), fixed)
+            more = self._more_starts(rays, heading, states[before[-1]])
+            tried += [self._solve_from(start, fixed) for start in more]
             best = self._best(fixed, tried)
         return best, fixed, len(tried)
 
@@ -597,16 +588,6 @@ class _FrameSolver:
         return moved
 
     # -- one optimisation -----------------------------------------------------------------------------------------
-
-    def _tried(self, starts: Sequence[Array], fixed: _Given) -> list[_Candidate]:
-        """The minima from the starts, as far as the evaluations go; at a frame's beginning there are some."""
-        tried = []
-        for start in starts:
-            if self.evaluations_left <= 0:
-                self.stopped = True
-                break
-            tried.append(self._solve_from(start, fixed))
-        return tried
 
     def _solve_from(self, start: Array, fixed: _Given) -> _Candidate:
         """The minimum from one start, approached with a wide loss where the start is far off for the noise.
@@ -666,10 +647,8 @@ class _FrameSolver:
             ftol=tolerance,
             xtol=tolerance,
             gtol=tolerance,
-            max_nfev=max(min(self.options.max_evaluations, self.evaluations_left), 1),
+            max_nfev=self.options.max_evaluations,
         )
-        self.evaluations_left -= int(result.nfev)
-        self.stopped |= self.evaluations_left <= 0 and result.status not in CONVERGED
         if not np.array_equal(steps[-1], result.x):
             steps.append(result.x)
             counts.append(evaluations)
@@ -744,7 +723,6 @@ class _FrameSolver:
             mean_weight=float(np.mean((1.0 + (far / self.options.robust_c) ** 2) ** -2.0)) if in_view else np.nan,
             solve_s=time.perf_counter() - began,
             in_view=in_view,
-            stopped=self.stopped,
         )
 
 

@@ -4,4 +4,4 @@ After D. Cohen, SUNFEST, University of Pennsylvania, 2005. World: x forward, y l
 """
 
 from recon.robotics.climb.plan import Climb, plan
-from recon.robotics.climb.recipe import Recipe, bundled, load_recipe, raised, scaled
+from recon.robotics.climb.recipe import Recipe, bundled, load_recipe, raised

@@ -209,27 +209,3 @@ def raised(recipe: Recipe, height_m: float) -> Recipe:
         replace(p, footfalls=tuple(replace(f, up_m=f.up_m * ratio) for f in p.footfalls)) for p in recipe.primitives
     )
     return replace(recipe, step=replace(recipe.step, height_m=height_m), primitives=primitives)
-
-
-def scaled(recipe: Recipe, factor: float) -> Recipe:
-    """For a robot of another size: all lengths in proportion, and fields that hold a robot of the same shape in the
-    same postures."""
-
-    def times(of: Any, power: int, *names: str) -> Any:
-        """With these numbers, or tuples of them, times a power of the factor."""
-        return replace(of, **{n: (np.array(getattr(of, n)) * factor**power).tolist() for n in names})
-
-    def primitive(p: Primitive) -> Primitive:
-        radial = times(times(p.fields.radial, 1, "natural", "least", "most"), -1, "low", "high")
-        balance = times(p.fields.balance, -1, "gain", "sharpness")
-        fields = replace(p.fields, radial=times(radial, -2, "gain"), balance=balance)
-        falls = tuple(times(fall, 1, "forward_m", "up_m", "sideways_m") for fall in p.footfalls)
-        return replace(p, footfalls=falls, fields=fields)
-
-    return replace(
-        times(recipe, 1, "stance_m"),
-        step=times(recipe.step, 1, "edge_m", "height_m"),
-        primitives=tuple(primitive(p) for p in recipe.primitives),
-        swing=times(recipe.swing, 1, "clearance_m", "rise_m_s", "traverse_m_s", "lower_m_s"),
-        motion=times(recipe.motion, 1, "max_step_m"),
-    )

@@ -11,9 +11,9 @@ from recon.base.errors import all_of
 from recon.base.files import name_seen_from, require_free_folder, sole_writer, staged_results
 from recon.io.table import write_rows
 from recon.robotics.climb.plan import NONE, RULES, Climb, plan
-from recon.robotics.climb.recipe import load_recipe, raised, scaled
+from recon.robotics.climb.recipe import load_recipe, raised
 from recon.robotics.robot.playback import write_robot
-from recon.robotics.robot.quadruped import LEGS, Quadruped
+from recon.robotics.robot.quadruped import LEGS
 from recon.robotics.robot.retarget_clip import write_tables
 from recon.robotics.robot.robot_file import load_robot
 from recon.robotics.settings import ClimbSettings
@@ -34,9 +34,7 @@ def run_climb(settings: ClimbSettings) -> dict[str, Any]:
     recipe, _ = all_of(
         lambda: load_recipe(settings.recipe), lambda: require_free_folder(out, (REPORT,), settings.overwrite)
     )
-    machine, own = all_of(lambda: load_robot(settings.robot or recipe.robot), lambda: load_robot(recipe.robot))
-    recipe = scaled(recipe, _reach(machine) / _reach(own))
-    climb = plan(machine, recipe if settings.height is None else raised(recipe, settings.height))
+    climb = plan(load_robot(recipe.robot), recipe if settings.height is None else raised(recipe, settings.height))
     report = _report(climb, settings)
     with sole_writer(out):
         require_free_folder(out, (REPORT,), settings.overwrite)
@@ -46,11 +44,6 @@ def run_climb(settings: ClimbSettings) -> dict[str, Any]:
                 save(climb_footfalls(climb), staging, "footfalls")
                 save(climb_margins(climb), staging, "margins")
     return report
-
-
-def _reach(robot: Quadruped) -> float:
-    """Mean length of the legs, from the first joint on."""
-    return float(np.mean([leg.chain.lengths_m.sum() for leg in robot.legs.values()]))
 
 
 def _report(climb: Climb, settings: ClimbSettings) -> dict[str, Any]:
