@@ -29,7 +29,7 @@ from recon.robotics.climb.plan import (
     wrench,
 )
 from recon.robotics.climb.recipe import PLANAR, RECIPES, SPATIAL, Fields, Step, _Balance, _Well
-from recon.robotics.climb.run import climb_margins
+from recon.robotics.robot.physics import margins_figure
 from recon.robotics.robot.quadruped import LEGS, Quadruped
 from recon.robotics.robot.robot_file import load_robot
 
@@ -351,7 +351,11 @@ def test_the_command_writes_what_the_plan_is(tmp_path, aibo):
 
 def test_figure_of_margins(aibo):
     found = plan(aibo, one_footfall())
-    assert f"least {found.least['support'][0]:.1f} mm" in climb_margins(found).axes[2].get_title(loc="left")
+    support = 1000 * found.margins["support"]
+    shown = {"support": (support, 0.0, "mm"), "corner": (found.margins["corner"], 0.0, "m")}
+    figure = margins_figure(found.motion.time_s, shown, "a title")
+    assert figure.axes[0].get_title(loc="left") == f"support: least {found.least['support'][0]:.3g} mm"
+    assert figure.axes[0].lines[2].get_ydata()[0] == support.min()
 
 
 @pytest.mark.parametrize(

@@ -12,6 +12,7 @@ from recon.base.files import name_seen_from, require_free_folder, sole_writer, s
 from recon.io.table import write_rows
 from recon.robotics.climb.plan import NONE, RULES, Climb, plan
 from recon.robotics.climb.recipe import load_recipe, raised
+from recon.robotics.robot.physics import margins_figure
 from recon.robotics.robot.playback import write_robot
 from recon.robotics.robot.quadruped import LEGS
 from recon.robotics.robot.retarget_clip import write_tables
@@ -42,7 +43,10 @@ def run_climb(settings: ClimbSettings) -> dict[str, Any]:
             _write(climb, report, staging)
             if settings.figures:
                 save(climb_footfalls(climb), staging, "footfalls")
-                save(climb_margins(climb), staging, "margins")
+                shown = {
+                    rule.what: (climb.margins[name] * rule.per_unit, 0.0, rule.unit) for name, rule in RULES.items()
+                }
+                save(margins_figure(climb.motion.time_s, shown, _title(climb)), staging, "margins")
     return report
 
 
@@ -144,26 +148,4 @@ def climb_footfalls(climb: Climb) -> Figure:
         lines = [Line2D([], [], color=colour) for colour in COLOURS[:2]]
         lines.append(Line2D([], [], color=PALE, ls=dashed))
         add_legend(figure, lines, ["left legs", "right legs", "foot that is up"])
-    return figure
-
-
-def climb_margins(climb: Climb) -> Figure:
-    """The least margin of each rule in every frame; bands are where a foot is up."""
-    time_s = climb.motion.time_s
-    with drawing(130.0, title=f"{_title(climb)}: distance from what it must not do") as figure:
-        panels = np.ravel(figure.subplots(-(-len(RULES) // 2), 2, sharex=True))
-        for axes, (name, rule) in zip(panels, RULES.items(), strict=True):
-            values = np.where(np.isfinite(climb.margins[name]), climb.margins[name], np.nan) * rule.per_unit
-            for leg, label in enumerate(LEGS):
-                band = {"color": COLOURS[label[0] == "R"], "alpha": 0.1, "lw": 0}
-                axes.fill_between(time_s, 0, 1, climb.lifted == leg, transform=axes.get_xaxis_transform(), **band)
-            axes.axhline(0, color=GREY, lw=0.8)
-            axes.plot(time_s, values, color="k", lw=0.9)
-            least = int(np.nanargmin(values))
-            axes.plot(time_s[least], values[least], "o", ms=3, color="k")
-            axes.set_title(f"{rule.what}: least {values[least]:.1f} {rule.unit}", fontsize=SMALL, loc="left", pad=2)
-            axes.set_ylabel(rule.unit, fontsize=SMALL)
-            axes.set_ylim(min(0.0, float(np.nanmin(values)) * 1.1), None)
-        for axes in panels[-2:]:
-            axes.set_xlabel("time (s)")
     return figure

@@ -10,9 +10,10 @@ pressure, as feet push only where they are, and flights that are no free fall.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from scipy.optimize import nnls
@@ -24,6 +25,9 @@ from recon.robotics.robot.model_file import SUFFIXES, read_model, root_of, the_m
 from recon.robotics.robot.quadruped import LEGS, Quadruped
 from recon.robotics.robot.retarget import LEGS_APART, RobotMotion
 from recon.show.plots.style import GREY, SMALL, drawing
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 FRICTION = 0.8
 RATE_HZ = 100.0
@@ -168,15 +172,19 @@ def slowed(motion: RobotMotion, factor: float) -> RobotMotion:
     return replace(motion, slower=factor * motion.slower, time_s=factor * motion.time_s)
 
 
-def margins_figure(time_s: Array, margins: dict[str, Array], title: str) -> Any:
-    """A figure of the margin of each rule over time; grey: what it has to stay above."""
-    with drawing(110.0, title=title) as figure:
-        panels = np.ravel(figure.subplots(3, 2, sharex=True))
-        for axes, (name, rule) in zip(panels, RULES.items(), strict=True):
-            axes.axhline(rule.least, color=GREY, lw=0.8)
-            axes.plot(time_s, margins[name], color="k", lw=0.9)
-            axes.set_title(rule.what, fontsize=SMALL, loc="left", pad=2)
-            axes.set_ylabel(rule.unit, fontsize=SMALL)
+def margins_figure(time_s: Array, margins: Mapping[str, tuple[Array, float, str]], title: str) -> Figure:
+    """Margins over time by what they are of: values (K,), infinite where there are none, what they have to stay above,
+    and their unit. A dot is the least."""
+    with drawing(40.0 * -(-len(margins) // 2), title=title) as figure:
+        panels = np.ravel(figure.subplots(-(-len(margins) // 2), 2, sharex=True))
+        for axes, (what, (values, enough, unit)) in zip(panels, margins.items(), strict=True):
+            shown = np.where(np.isfinite(values), values, np.nan)
+            least = int(np.nanargmin(shown))
+            axes.axhline(enough, color=GREY, lw=0.8)
+            axes.plot(time_s, shown, color="k", lw=0.9)
+            axes.plot(time_s[least], shown[least], "o", ms=3, color="k")
+            axes.set_title(f"{what}: least {shown[least]:.3g} {unit}", fontsize=SMALL, loc="left", pad=2)
+            axes.set_ylabel(unit, fontsize=SMALL)
         for axes in panels[-2:]:
             axes.set_xlabel("time (s)")
     return figure

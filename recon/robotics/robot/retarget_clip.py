@@ -1,7 +1,15 @@
-"""A reconstruction on a quadruped robot: joint angles, base, footholds, report and playback."""
+"""A reconstruction on a quadruped robot: joint angles, base, footholds, report, playback, and an ensemble.
+
+Every draw of an ensemble is a whole clip from the fit's posterior (`recon.fit.draws`), put on the robot at the scale
+and the pace of the fit's own motion. One file each in the layout of `--format`, and all of them stacked in
+`samples.npz`: `time_s` (N,), of K draws `base_position` (K, N, 3), `base_quaternion_wxyz` (K, N, 4), `joint_positions`
+(K, N, joints) and `contacts` (K, N, 4), the names, and what the fit's verdict is.
+"""
 
 from __future__ import annotations
 
+import json
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,7 +21,9 @@ from recon.base.arrays import Array
 from recon.base.errors import all_of
 from recon.base.files import name_seen_from, require_free_folder, seen_from, sole_writer, staged_results
 from recon.check import usable, verdict_fields
+from recon.fit.draws import draws
 from recon.fit.motion import Motion
+from recon.fit.result import TrajectorySolution
 from recon.gait.gait import doubt_text
 from recon.io.table import write_rows
 from recon.robotics.ik.drive import control_columns
@@ -26,8 +36,9 @@ from recon.robotics.robot.trainers import write_for_trainer
 from recon.robotics.settings import RetargetSettings
 from recon.show.plots.style import save
 from recon.show.report import to_json
+from recon.workflows.made_from import problem_of
 
-REPORT = "report.json"
+REPORT, STACKED = "report.json", "samples.npz"
 REPEATS = 3
 """How often the stride is repeated in its playback."""
 SLIP_M, CLOSING_PERCENT = 0.002, 1.0
@@ -59,8 +70,6 @@ def run_retarget(settings: RetargetSettings) -> tuple[Retargeted, dict[str, Any]
         said = {k: report[k] for k in ("verdict", "robot", "animal", "scale", "slower")}
         with staged_results(out) as staging:
             if settings.samples is not None:
-                from recon.robotics.robot.ensemble import drawn, write_ensemble
-
                 motions = drawn(done, settings, settings.samples)
                 report["samples"] = write_ensemble(motions, settings, staging, said)
             if checks:
@@ -92,7 +101,8 @@ class _Checks:
             found[name] = physics.kept(margins)
             if folder is not None:
                 _table(folder / f"{prefix}check.csv", ["time_s", *margins], np.column_stack([time, *margins.values()]))
-                save(physics.margins_figure(time, margins, f"{motion.robot.title}, {name}"), folder, f"{prefix}check")
+                shown = {rule.what: (margins[one], rule.least, rule.unit) for one, rule in physics.RULES.items()}
+                save(physics.margins_figure(time, shown, f"{motion.robot.title}, {name}"), folder, f"{prefix}check")
         return found | {"slower": done.clip.slower}
 
 
@@ -254,3 +264,47 @@ def repeated(stride: RobotMotion, times: int) -> RobotMotion:
         short=stride.short[within],
         advance_m=times * stride.advance_m,
     )
+
+
+# -- an ensemble of what the animal's motion may have been ------------------------------------------------------------
+
+
+def drawn(own: Retargeted, settings: RetargetSettings, count: int) -> list[RobotMotion]:
+    """Clips as the animal's may have been. Raises InputError as `problem_of`."""
+    fitted, robot = own.animal.analysis.motion, own.clip.robot
+    problem = problem_of(fitted, settings.folder)
+    assert isinstance(fitted.solution, TrajectorySolution)
+    every = (replace(fitted, solution=one) for one in draws(problem, fitted.solution, count, 0))
+    given = robot, own.clip.scale, own.clip.slower, own.window
+    return [retarget(reference_of(one, settings.stride), *given).clip for one in every]
+
+
+def write_ensemble(
+    motions: list[RobotMotion], settings: RetargetSettings, out: Path, said: Mapping[str, Any]
+) -> dict[str, Any]:
+    """The files, into a folder that there is, and how far the draws lie apart, for the report: standard deviations of
+    the base's place (m, by axis) and of the joints' angles (rad), medians over the clip."""
+    first = motions[0]
+    places = np.stack([motion.pose.translation for motion in motions])
+    angles = np.stack([motion.angles_rad for motion in motions])
+    np.savez(
+        out / STACKED,
+        time_s=first.time_s,
+        base_position=places,
+        base_quaternion_wxyz=np.stack([one.pose.rotation.as_quat(scalar_first=True) for one in motions]),
+        joint_positions=angles,
+        joint_names=np.array(first.robot.joints),
+        contacts=np.stack([one.standing for one in motions]),
+        contact_names=np.array(LEGS),
+        source=np.array(json.dumps(said)),
+    )
+    if settings.format is not None:
+        for number, motion in enumerate(motions, start=1):
+            own = dict(said) | {"sample": number}
+            write_for_trainer(motion, settings.format, settings.rate, out, f"sample_{number:02d}_", own)
+    base, joint = (np.median(values.std(axis=0), axis=0).tolist() for values in (places, angles))
+    return {
+        "count": len(motions),
+        "base_sigma_m": dict(zip("xyz", base, strict=True)),
+        "joint_sigma_rad": dict(zip(first.robot.joints, joint, strict=True)),
+    }
