@@ -211,14 +211,13 @@ def test_precision_shares_of_a_problem_done_by_hand():
     """Two unknowns observed once by data and once by priors: variance 1 / (1/s^2 + 1/p^2), share p^2 / (s^2 + p^2)."""
     D = SK.n_state
     s, p = 0.5, 2.0
-    joints = SK.pose_with_jacobian(mean_pose(SK)[None]).joints_jacobian[0]
     C = posterior_covariance(np.concatenate([np.eye(D) / s, np.eye(D) / p]))
     np.testing.assert_allclose(C, np.eye(D) / (1 / s**2 + 1 / p**2), atol=1e-15)
-    share, _ = precision_shares(C, np.eye(D) / s, joints)
+    share = precision_shares(C, np.eye(D) / s)
     np.testing.assert_allclose(share, p**2 / (s**2 + p**2))
     undetermined = posterior_covariance(np.eye(D)[:5])
     assert np.isnan(undetermined).all()
-    assert np.isnan(precision_shares(undetermined, np.eye(D)[:5], joints)[0]).all()
+    assert np.isnan(precision_shares(undetermined, np.eye(D)[:5])).all()
 
 
 def test_the_same_input_gives_the_same_states():
@@ -239,7 +238,7 @@ def test_a_pose_that_runs_away_is_no_part_of_the_solution():
     assert after is not None
     assert (away.status, away.in_view, after.status, after.in_view) == ("not_converged", False, "converged", True)
     unknown = (solution.covariance_m2[2], solution.relative_covariance_m2[2])
-    shares = (away.data_share, away.joint_data_share, away.mean_weight, *unknown)
+    shares = (away.data_share, away.mean_weight, *unknown)
     assert all(np.isnan(values).all() for values in shares)
 
 

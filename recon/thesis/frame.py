@@ -108,8 +108,6 @@ class FrameReport:
     data_share: Array
     """(D,): the part of the posterior precision that comes from the pixels, 0 to 1, NaN where data and priors together
     leave an unknown undetermined."""
-    joint_data_share: Array
-    """(J,): the same of the joints."""
     mean_weight: float
     """How far the detections were trusted, 0 to 1."""
     solve_s: float
@@ -704,9 +702,6 @@ class _FrameSolver:
         total, in_view = sum(costs.values()), self._in_view(fixed, best.x)
         C = posterior_covariance(np.concatenate([J for _, J in parts]))
         C = C if in_view else np.full_like(C, np.nan)
-        by_state = self.chain.pose_with_jacobian(best.x[None]).joints_jacobian
-        assert by_state is not None
-        data_share, joint_share = precision_shares(C, parts[0][1], by_state[0])
         far = self._distances_px(fixed, best.x) / fixed.sigma_px
         return C, FrameReport(
             status="converged" if best.status in CONVERGED and in_view else "not_converged",
@@ -718,8 +713,7 @@ class _FrameSolver:
             cost_shares={name: cost / total if total > 0 else 0.0 for name, cost in costs.items()},
             step_norm=best.step_norm,
             sigma_px=fixed.sigma_px,
-            data_share=data_share,
-            joint_data_share=joint_share,
+            data_share=precision_shares(C, parts[0][1]),
             mean_weight=float(np.mean((1.0 + (far / self.options.robust_c) ** 2) ** -2.0)) if in_view else np.nan,
             solve_s=time.perf_counter() - began,
             in_view=in_view,
@@ -754,15 +748,11 @@ def posterior_covariance(J: Array) -> Array:
     return (vectors / values) @ vectors.T / np.outer(scale, scale)
 
 
-def precision_shares(C: Array, J_data: Array, joints_jacobian: Array) -> tuple[Array, Array]:
-    """What the pixels contribute: shares of the unknowns (D,) and of the joints (J,).
+def precision_shares(C: Array, J_data: Array) -> Array:
+    """(D,): what the pixels contribute to the unknowns.
 
     With C^-1 = H_data + H_priors, C = C H_data C + C H_priors C splits every variance of the posterior covariance
     C (D, D) into two non-negative parts; the share is the first one's. J_data: the reprojection's rows of the Jacobian.
-    joints_jacobian (J, 3, D). All NaN where C is.
+    All NaN where C is.
     """
-    from_data = C @ (J_data.T @ J_data) @ C
-    variance = np.einsum("jad,de,jae->j", joints_jacobian, C, joints_jacobian)
-    data_variance = np.einsum("jad,de,jae->j", joints_jacobian, from_data, joints_jacobian)
-    share = np.diag(from_data) / np.diag(C)
-    return np.clip(share, 0, 1), np.clip(data_variance / variance, 0, 1)
+    return np.clip(np.diag(C @ (J_data.T @ J_data) @ C) / np.diag(C), 0, 1)

@@ -48,7 +48,8 @@ def assumptions(motion: Motion) -> dict[str, Any]:
 def _base_length(motion: Motion) -> dict[str, Any]:
     solution = frame_solution(motion)
     nominal, sigma = base_length(solution.chain, _options(motion))
-    share = median(_field_of_frames(solution, "data_share", solution.chain.n_state)[:, solution.chain.base_index])
+    shares = [r.data_share[solution.chain.base_index] for r in solution.reports if r is not None]
+    share = median(np.array(shares, dtype=float))
     return {"nominal_m": nominal, "sigma_m": sigma, "data_share": share, "measured": bool(share >= MEASURED_SHARE)}
 
 
@@ -82,37 +83,18 @@ def summary_lines(motion: Motion, data: Any) -> Iterator[Line]:
         f"{data['frames_converged']} of {data['frames']} converged, {data['frames_not_converged']} did not, "
         f"{data['frames_no_data']} without data",
     )
-
-
-def data_share(motion: Motion) -> dict[str, Any]:
-    solution = frame_solution(motion)
-    states = _field_of_frames(solution, "data_share", solution.chain.n_state)
-    joints = _field_of_frames(solution, "joint_data_share", len(motion.names))
-    return {
-        "states": by_name(solution.chain.state_names, [median(column) for column in states.T]),
-        "joints": by_name(motion.names, [median(column) for column in joints.T]),
-    }
+    across, depth = data["joint_sigma_across_m"], data["joint_sigma_depth_m"]
+    yield (
+        "uncertainty",
+        f"{number(across, '.2f')} m across the picture, {number(depth, '.2f')} m in depth, size and distance included "
+        "(one sigma)",
+    )
 
 
 def _joint_sigma_camera_m(solution: FrameSolution) -> Array:
     """(T, J, 3): standard deviations along the camera's x, y, z, given the frame before."""
     R = solution.views[0].rotation
     return np.sqrt(np.diagonal(R @ solution.covariance_m2 @ R.T, axis1=2, axis2=3))
-
-
-def joint_sigma(motion: Motion) -> dict[str, Any]:
-    """Median over the frames, camera x, y, z."""
-    sigma = _joint_sigma_camera_m(frame_solution(motion))
-    return by_name(motion.names, [[median(sigma[:, j, axis]) for axis in range(3)] for j in range(len(motion.names))])
-
-
-def sigma_lines(motion: Motion, data: Any) -> Iterator[Line]:
-    across, depth = (summary(motion)[f"joint_sigma_{where}_m"] for where in ("across", "depth"))
-    yield (
-        "uncertainty",
-        f"{number(across, '.2f')} m across the picture, {number(depth, '.2f')} m in depth, size and distance included "
-        "(one sigma)",
-    )
 
 
 def cost_shares(motion: Motion) -> dict[str, Any]:
@@ -199,12 +181,6 @@ def effort_lines(motion: Motion, data: Any) -> Iterator[Line]:
     yield "effort", text
 
 
-def _field_of_frames(solution: FrameSolution, field: str, *shape: int) -> Array:
-    """(solved frames, *shape): one field of all frame reports."""
-    values = [getattr(r, field) for r in solution.reports if r is not None]
-    return np.array(values, dtype=float).reshape(-1, *shape)
-
-
 SECTIONS: tuple[Section, ...] = (
     Section("verdict", verdict_fields, given.verdict_lines),
     Section("input", given.clip, given.clip_lines),
@@ -223,9 +199,7 @@ SECTIONS: tuple[Section, ...] = (
     Section("travel", travel, travel_lines),
     Section("size", lambda motion: {"factor": motion.solution.size}),
     Section("base_length_m", base_length_m, size_lines),
-    Section("data_share", data_share),
     Section("angles", given.angles),
-    Section("joint_sigma_m", joint_sigma, sigma_lines),
     Section("cost_shares", cost_shares),
     Section("limits", limits, effort_lines),
 )
