@@ -53,7 +53,7 @@ from recon.fit import TrajectoryOptions, constants, solve_trajectory
 from recon.fit.banded import factored
 from recon.fit.clip_problem import ClipProblem
 from recon.fit.terms import dynamics_term, pose_term
-from recon.fit.trajectory import Solved, solve_segments
+from recon.fit.trajectory import SegmentFit, solve_segments
 from recon.geometry.kinematics import ROOT, YAW
 
 FPS, T = 90.0, 36
@@ -211,7 +211,7 @@ def _scored(setting: ClipProblem, truth_m: np.ndarray) -> dict[str, float]:
     }
 
 
-def pull_of_the_mode(setting: ClipProblem, solved: Solved) -> float:
+def pull_of_the_mode(setting: ClipProblem, solved: SegmentFit) -> float:
     """By how much the logarithm of the distance at the joint minimum is expected to lie above its own distribution.
 
     That has the density exp(-cost / l) / sqrt(det H) where the other unknowns follow the distance, H theirs, and l the

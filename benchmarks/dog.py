@@ -123,7 +123,7 @@ def _mean_points(body: Body) -> np.ndarray:
 
 
 @dataclass(frozen=True, eq=False)
-class Solved:
+class SegmentFit:
     """A clip as states (T, D) of the skeleton; rms_m (T,): how far its markers lie off."""
 
     clip: Clip
@@ -131,12 +131,12 @@ class Solved:
     rms_m: np.ndarray
 
 
-def solve(clips: Sequence[Clip]) -> list[Solved]:
+def solve(clips: Sequence[Clip]) -> list[SegmentFit]:
     body = body_of()
-    return [Solved(clip, *solve_points(body, clip.markers(body))) for clip in clips]
+    return [SegmentFit(clip, *solve_points(body, clip.markers(body))) for clip in clips]
 
 
-def expected(solved: Sequence[Solved]) -> Body:
+def expected(solved: Sequence[SegmentFit]) -> Body:
     """The skeleton with what these clips say of the angles: means and widened spreads. Each clip counts a second time
     mirrored left to right."""
     body = body_of()
@@ -152,7 +152,7 @@ def expected(solved: Sequence[Solved]) -> Body:
     )
 
 
-def expectations(solved: Sequence[Solved]) -> Rows:
+def expectations(solved: Sequence[SegmentFit]) -> Rows:
     """What was measured, widened, beside what the file says."""
     file, found = body_of(), expected(solved)
     fields = ("mean_rad", "sigma_rad", "acceleration_rad_s2")
@@ -164,7 +164,7 @@ def expectations(solved: Sequence[Solved]) -> Rows:
     ]
 
 
-def misfits(solved: Sequence[Solved]) -> Rows:
+def misfits(solved: Sequence[SegmentFit]) -> Rows:
     return [
         {
             "clip": one.clip.name,
@@ -266,7 +266,7 @@ def write_prior(clips: Sequence[Clip], out: Path) -> Path:
     return out
 
 
-def accuracy(clips: Sequence[Clip], solved: Sequence[Solved]) -> dict[str, Rows]:
+def accuracy(clips: Sequence[Clip], solved: Sequence[SegmentFit]) -> dict[str, Rows]:
     tables: dict[str, Rows] = {}
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)

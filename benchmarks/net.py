@@ -32,7 +32,15 @@ from net_large import run_large, write_large_film
 from recon.io.video import video_writer
 from recon.keypoint_net.evaluate2d import evaluate_2d_files
 from recon.keypoint_net.labels import read_label_file
-from recon.keypoint_net.network import Spec, Trained, choose_device, load_model, new_network, placed, require_torch
+from recon.keypoint_net.network import (
+    Spec,
+    TrainedNetwork,
+    choose_device,
+    load_model,
+    new_network,
+    placed,
+    require_torch,
+)
 from recon.keypoint_net.predict import PredictSettings, predict_video
 from recon.keypoint_net.train import TrainSettings
 from recon.keypoint_net.workflows import LabelSource, run_prediction, run_training
@@ -118,12 +126,12 @@ def _settings(video: Path, threads: int | None) -> PredictSettings:
     return PredictSettings(video=video, model=Path(), out=Path(), threads=threads)
 
 
-def _network(model: Path | None, device: str) -> Trained:
+def _network(model: Path | None, device: str) -> TrainedNetwork:
     if model:
         return load_model(model, choose_device(device))
     spec = Spec(tuple(f"point{k}" for k in range(22)), 1.0, 120.0, 5.0)
     on = choose_device(device)
-    return Trained(spec, placed(new_network(22, two_stages=False), on).eval(), on)
+    return TrainedNetwork(spec, placed(new_network(22, two_stages=False), on).eval(), on)
 
 
 def _noise_video(path: Path, size_px: tuple[int, int], frames: int) -> None:

@@ -26,7 +26,7 @@ from recon.animal.prior import prior_from_body
 from recon.fit import constants, solve_trajectory
 from recon.fit.least_squares import Estimate, LeastSquares
 from recon.fit.terms import Reprojection
-from recon.fit.trajectory import Solved, refined, solve_segments
+from recon.fit.trajectory import SegmentFit, refined, solve_segments
 
 ROUNDS = 3
 COMMON_M, OWN_M = np.arange(0.0, 0.031, 0.001), np.arange(0.01, 0.041, 0.001)
@@ -42,7 +42,7 @@ def placed(run: Run, camera: int, body: Body) -> np.ndarray:
     setting = with_poses(run, [camera], body)
     states, one, T = states_of(run, setting.origin_m), np.ones((1, len(body.markers))), len(setting)
     nothing = LeastSquares(body.detected, [], [])
-    found = Solved(slice(0, T), Estimate(states, np.inf, 0, False), nothing, one, one[None], np.zeros((T, 4)), None)
+    found = SegmentFit(slice(0, T), Estimate(states, np.inf, 0, False), nothing, one, one[None], np.zeros((T, 4)), None)
     for _ in range(ROUNDS):
         found = refined(setting, found)
     return setting.in_world(body.tree.pose(found.estimate.states).points_m)

@@ -31,7 +31,7 @@ from recon.fit import TrajectoryOptions
 from recon.fit.banded import factored
 from recon.fit.clip_problem import ClipProblem
 from recon.fit.posterior import DEGREES_OF_FREEDOM, radius, sigmas
-from recon.fit.trajectory import Solved, solve_segments
+from recon.fit.trajectory import SegmentFit, solve_segments
 
 NUMBERS = (2.5, 3, 3.5, 4, 4.5, 5, 5.5, 6, 6.5, 7, 7.5, 8, 9, 10, 12, 15, 20, 30, 50, 100, 1e6)
 """Degrees of freedom that are compared; the last are a Gaussian's."""
@@ -118,7 +118,9 @@ def heaviness(found: Sequence[Fit]) -> None:
 # -- what is stated, drawn ---------------------------------------------------------------------------------------------
 
 
-def drawn(setting: ClipProblem, solved: Solved, rng: np.random.Generator) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+def drawn(
+    setting: ClipProblem, solved: SegmentFit, rng: np.random.Generator
+) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """(DRAWS, n): how many standard deviations the joints are off that are drawn as stated, pose and place; and
     (DRAWS,) how many mm in the mean."""
     problem, states = solved.problem, solved.estimate.states

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from recon.fit import Estimate, LeastSquares, Shared
+from recon.fit import Estimate, LeastSquares, Unknown
 from recon.fit import least_squares as module
 from recon.fit.posterior import posterior
 from recon.fit.terms import (
@@ -84,12 +84,12 @@ def seen_late(shared: bool = True) -> LeastSquares:
         Reprojection(of, sigma, 3.0, np.zeros(3), i, 0.1 * rng.normal(size=(T, J, 3)), rng.uniform(100, 200, T))
         for i, of in enumerate((view(xy_px), replace(view(xy_px), lead_frames=0.3)))
     ]
-    unknown = [Shared(SIZE, np.ones(1), np.array([0.1])), Shared(SIDESLIP, np.zeros(1), np.array([0.2]))]
-    unknown += [Shared(time_offset(i), np.zeros(1), np.array([0.3])) for i in range(2)]
-    unknown += [Shared(focal(i), np.zeros(1), np.array([0.1])) for i in range(2)]
-    unknown += [Shared(extrinsic_correction(1), np.zeros(6), np.repeat([0.1, 0.5], 3))]
-    displaced = [Shared(keypoint_bias(i), np.zeros(2 * J), np.full(2 * J, 0.03)) for i in range(2)]
-    common = [] if shared else [Shared(COMMON_KEYPOINT_BIAS, np.zeros(3 * J), np.full(3 * J, 0.02))]
+    unknown = [Unknown(SIZE, np.ones(1), np.array([0.1])), Unknown(SIDESLIP, np.zeros(1), np.array([0.2]))]
+    unknown += [Unknown(time_offset(i), np.zeros(1), np.array([0.3])) for i in range(2)]
+    unknown += [Unknown(focal(i), np.zeros(1), np.array([0.1])) for i in range(2)]
+    unknown += [Unknown(extrinsic_correction(1), np.zeros(6), np.repeat([0.1, 0.5], 3))]
+    displaced = [Unknown(keypoint_bias(i), np.zeros(2 * J), np.full(2 * J, 0.03)) for i in range(2)]
+    common = [] if shared else [Unknown(COMMON_KEYPOINT_BIAS, np.zeros(3 * J), np.full(3 * J, 0.02))]
     linear = [t for t in terms() if isinstance(t, Linear)]
     held = Linear("held", (0,), 0.01 * np.eye(BODY.n_state)[None], np.zeros(BODY.n_state))  # the last frame by one view
     free = [*unknown, *displaced] if shared else unknown

@@ -21,7 +21,7 @@ from recon.keypoint_net import (  # noqa: E402
     run_prediction,
     run_training,
 )
-from recon.keypoint_net.network import MODEL_FILE, Spec, Trained, load_model, load_torch, part_of  # noqa: E402
+from recon.keypoint_net.network import MODEL_FILE, Spec, TrainedNetwork, load_model, load_torch, part_of  # noqa: E402
 from recon.keypoint_net.pictures import network_scales  # noqa: E402
 from recon.keypoint_net.train import CHECKPOINT_FILE  # noqa: E402
 
@@ -153,7 +153,7 @@ def test_the_second_stage_looks_near_the_first_ones_points():
         picture[(x - at[0]) ** 2 + (y - at[1]) ** 2 <= radius**2] = level
     spec = Spec(("point",), 1.0, 400.0, 16.0, 0.25)
     network = torch.nn.ModuleDict({"first": Stage(60.0), "second": Stage(60.0)})
-    xy, _ = Trained(spec, network, torch.device("cpu")).points([picture, picture], None)
+    xy, _ = TrainedNetwork(spec, network, torch.device("cpu")).points([picture, picture], None)
     np.testing.assert_allclose(xy[:, 0], [[305.5, 97.5]] * 2, atol=2.0)
 
 

@@ -10,7 +10,7 @@ import pytest
 from recon.check import finding, judged, usable, verdict_lines
 from recon.check.verdict import LIMIT_OF_TRUNK, evidence_of, expected_pose_of_trunk, expected_position
 from recon.fit import Motion
-from recon.fit.result import Expected, Verdict
+from recon.fit.result import ExpectedError, Verdict
 from recon.io.deeplabcut import write_csv
 from recon.show.sections import given
 from tests.command_line import run
@@ -60,7 +60,7 @@ def test_how_well_a_focal_length_is_known_is_expected_of_the_position(small_traj
 
 def test_the_summary_says_what_one_camera_cannot_tell(small_trajectory):
     motion = replace(judged(small_trajectory), settings={**small_trajectory.settings, "focal_sigma": 0.1})
-    known = replace(Verdict("use", "It is so."), position_m=Expected(0.1, 0.05, 0.2))
+    known = replace(Verdict("use", "It is so."), position_m=ExpectedError(0.1, 0.05, 0.2))
     said = dict(given.verdict_lines(replace(motion, verdict=known), None))["assumed"]
     assert "(its focal length to 10%, as given): one camera cannot tell" in said
     assert "assumed" not in dict(given.verdict_lines(replace(motion, verdict=known, sources=2 * motion.sources), None))

@@ -22,7 +22,7 @@ from recon.check.rules import findings_of
 from recon.fit import TrajectorySolution
 from recon.fit.motion import Motion
 from recon.fit.posterior import radius
-from recon.fit.result import Expected, Finding, Level, Verdict
+from recon.fit.result import ExpectedError, Finding, Level, Verdict
 
 LIMIT_OF_TRUNK = 0.2
 """A mean error of the joints as large as this, of the trunk's length, spoils most uses: with a cheetah 14 cm. A clip is
@@ -112,16 +112,16 @@ def _cosine(a: Array, b: Array) -> Array:
     return np.sum(a * b, axis=-1) / (np.linalg.norm(a, axis=-1) * np.linalg.norm(b, axis=-1))
 
 
-def expected_pose_of_trunk(evidence: Evidence) -> Expected:
+def expected_pose_of_trunk(evidence: Evidence) -> ExpectedError:
     """The mean error of the joints, both poses centred, relative to the length of the trunk."""
     middle = SCALE + sum(POWERS[name] * value for name, value in evidence.factors.items())
-    return Expected(*(math.exp(middle + off * SPREAD) for off in (0.0, -_SIGMAS, _SIGMAS)))
+    return ExpectedError(*(math.exp(middle + off * SPREAD) for off in (0.0, -_SIGMAS, _SIGMAS)))
 
 
-def expected_position(evidence: Evidence) -> Expected:
+def expected_position(evidence: Evidence) -> ExpectedError:
     """How far the animal's middle is off, mean over the frames: in one clip, nearly all of it is common to them."""
     low, high = radius(0.05), radius(0.95)
-    return Expected(_MEAN_OF_SIGMA, low, high).times(evidence.position_sigma_m)
+    return ExpectedError(_MEAN_OF_SIGMA, low, high).times(evidence.position_sigma_m)
 
 
 def judged(motion: Motion) -> Motion:
@@ -146,7 +146,7 @@ def _verdict(motion: Motion) -> Verdict:
     return Verdict(level, reason, pose.times(evidence.trunk_m), pose, position)
 
 
-def level_of(pose_of_trunk: Expected, error: bool, warning: bool) -> Level:
+def level_of(pose_of_trunk: ExpectedError, error: bool, warning: bool) -> Level:
     """From what is expected, and whether there are findings of that severity."""
     if error or pose_of_trunk.expected > LIMIT_OF_TRUNK:
         return "do not use"

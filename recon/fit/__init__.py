@@ -11,11 +11,11 @@ from recon.base import lazily
 if TYPE_CHECKING:
     from recon.fit.clip_problem import ClipProblem, TrajectoryOptions
     from recon.fit.extrinsics import Rig, solve_extrinsics
-    from recon.fit.least_squares import Estimate, LeastSquares, Shared
+    from recon.fit.least_squares import Estimate, LeastSquares, Unknown
     from recon.fit.motion import Motion, Picture
     from recon.fit.points import solve_points, solve_points_and_size
     from recon.fit.result import Finding, Ground, MotionSegment, Solution, TrajectorySolution
     from recon.fit.shape import Shape, ShapeFit, fit_shape
-    from recon.fit.trajectory import Solved, solve_segments, solve_trajectory
+    from recon.fit.trajectory import SegmentFit, solve_segments, solve_trajectory
 
 __getattr__ = lazily(__name__, __file__)

@@ -13,7 +13,7 @@ from recon.animal.prior import MotionPrior, prior_from_body
 from recon.base.arrays import Array, Bools, Index
 from recon.clip import View
 from recon.fit import constants
-from recon.fit.least_squares import LeastSquares, Shared, piece_of
+from recon.fit.least_squares import LeastSquares, Unknown, piece_of
 from recon.fit.result import Ground
 from recon.fit.terms import (
     COMMON_KEYPOINT_BIAS,
@@ -226,7 +226,7 @@ class ClipProblem:
         turned = np.array([np.broadcast_to(view.turn_px, len(self)) for view in self.views])
         return np.hypot(noise, turned[..., None])
 
-    def shared(self, shifts_m: Array | None = None) -> tuple[list[Shared], list[Shared]]:
+    def shared(self, shifts_m: Array | None = None) -> tuple[list[Unknown], list[Unknown]]:
         """What all frames share: the unknowns that pictures can tell, and those that only add to the uncertainty.
         shifts_m (V,): how far cameras that are refined may stand from their places.
 
@@ -236,24 +236,24 @@ class ClipProblem:
         """
         o, J, V = self.options, len(self.body.markers), len(self.views)
         root = np.sqrt(self.correlation_frames)
-        size = [Shared(SIZE, np.ones(1), np.array([self.size_sigma]))] if self.shows_size else []
+        size = [Unknown(SIZE, np.ones(1), np.array([self.size_sigma]))] if self.shows_size else []
         first, late = (1, constants.SOUGHT_OFFSET_FRAMES) if o.find_offsets else (0, self.time_offset_frames)
-        time_offsets = [Shared(time_offset(i), np.zeros(1), np.array([late / root])) for i in range(first, V)]
-        sideslip = [Shared(SIDESLIP, np.zeros(1), np.array([constants.SIDESLIP_RAD / root]))] if len(self) > 1 else []
+        time_offsets = [Unknown(time_offset(i), np.zeros(1), np.array([late / root])) for i in range(first, V)]
+        sideslip = [Unknown(SIDESLIP, np.zeros(1), np.array([constants.SIDESLIP_RAD / root]))] if len(self) > 1 else []
         shifts = [] if shifts_m is None or not o.refine_cameras else shifts_m.tolist()
         corrections = [
-            Shared(extrinsic_correction(i), np.zeros(6), np.repeat([constants.CAMERA_TURN_RAD, shift_m], 3) / root)
+            Unknown(extrinsic_correction(i), np.zeros(6), np.repeat([constants.CAMERA_TURN_RAD, shift_m], 3) / root)
             for i, shift_m in [*enumerate(shifts)][1:]
         ]
         if o.focal_sigma is not None and V > 1:
             width = np.array([o.focal_sigma / root])
-            corrections += [Shared(focal(i), np.zeros(1), width) for i in range(V)]
+            corrections += [Unknown(focal(i), np.zeros(1), width) for i in range(V)]
         spread_m = self.body.keypoint_spread_m
         off_m = np.array([spread_m.get(m, self.keypoint_bias_m) for m in self.body.markers]) / root
         common = constants.COMMON_BIAS_SHARE if V > 1 else 0.0
         own_m, common_m = np.repeat(off_m * (1 - common) ** 0.5, 2), np.repeat(off_m * common**0.5, 3)
-        keypoint_biases = [Shared(keypoint_bias(i), np.zeros(2 * J), own_m) for i in range(V)] if own_m.all() else []
-        keypoint_biases += [Shared(COMMON_KEYPOINT_BIAS, np.zeros(3 * J), common_m)] if common_m.all() else []
+        keypoint_biases = [Unknown(keypoint_bias(i), np.zeros(2 * J), own_m) for i in range(V)] if own_m.all() else []
+        keypoint_biases += [Unknown(COMMON_KEYPOINT_BIAS, np.zeros(3 * J), common_m)] if common_m.all() else []
         return (
             ([*size, *sideslip, *time_offsets, *corrections], keypoint_biases)
             if V > 1
@@ -283,8 +283,8 @@ class ClipProblem:
             Reprojection(view, sigma_px, constants.ROBUST_C, self.origin_m, i)
             for i, (view, sigma_px) in enumerate(zip(self.views, noise_px, strict=True))
         ]
-        shared: list[Shared] = []
-        doubtful: list[Shared] = []
+        shared: list[Unknown] = []
+        doubtful: list[Unknown] = []
         if around_m is not None:
             shared, doubtful = self.shared(self._shifts_m(around_m, size))
             drift_m = np.gradient(around_m, axis=0) if T > 1 else np.zeros_like(around_m)

@@ -27,9 +27,9 @@ from recon.clip import View
 from recon.fit import constants
 from recon.fit.banded import eliminated
 from recon.fit.clip_problem import ClipProblem
-from recon.fit.least_squares import Shared
+from recon.fit.least_squares import Unknown
 from recon.fit.terms import OnGround, extrinsic_correction, time_offset
-from recon.fit.trajectory import Solved, refined, solve_segments, solve_trajectory
+from recon.fit.trajectory import SegmentFit, refined, solve_segments, solve_trajectory
 from recon.geometry.frames import level_from_camera, rigid
 
 _UNKNOWN_RAD, _UNKNOWN_M = float(np.radians(10.0)), 1.0
@@ -151,7 +151,7 @@ def _offset(first: Array, own: Array, most: int) -> float:
     return found
 
 
-def _time_offsets(segments: Sequence[Solved], clip: ClipProblem) -> Array:
+def _time_offsets(segments: Sequence[SegmentFit], clip: ClipProblem) -> Array:
     """(V,): those of the longest segment."""
     V = range(len(clip.views))
     if not segments:
@@ -229,13 +229,13 @@ class _ReducedProblem:
 
     curvature: Array
     gradient: Array
-    solved: Solved
+    solved: SegmentFit
     states: Array
     """(T, D, 6V + 1): how the states follow the places, and their own step."""
     own: Array
     """(P, 6V + 1): the same of the clip's own shared unknowns."""
 
-    def follow(self, step: Array) -> Solved:
+    def follow(self, step: Array) -> SegmentFit:
         """The segment as it is expected to be after a step of the places (6V,)."""
         estimate, columns, by = self.solved.estimate, self.solved.problem.columns, np.append(step, 1.0)
         own = -self.own @ by
@@ -245,10 +245,10 @@ class _ReducedProblem:
         )
 
 
-def _reduced(clip: ClipProblem, solved: Solved) -> _ReducedProblem:
+def _reduced(clip: ClipProblem, solved: SegmentFit) -> _ReducedProblem:
     """Without the ground, whose plane follows the feet: as it is, it would hold the world's tilt."""
     V, problem = len(clip.views), solved.problem
-    places = [Shared(extrinsic_correction(i), np.zeros(6), np.full(6, np.inf)) for i in range(V)]
+    places = [Unknown(extrinsic_correction(i), np.zeros(6), np.full(6, np.inf)) for i in range(V)]
     problem = replace(
         problem,
         terms=[term for term in problem.terms if not isinstance(term, OnGround)],
@@ -298,7 +298,7 @@ def _beside_first(poses: Sequence[Array], covariance: Array) -> Array:
 
 def _above_ground(
     clips: Sequence[ClipProblem],
-    segments: Sequence[tuple[int, Solved]],
+    segments: Sequence[tuple[int, SegmentFit]],
     reduced: Sequence[tuple[int, _ReducedProblem]],
     covariance: Array,
 ) -> tuple[float, Array]:

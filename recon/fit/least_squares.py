@@ -42,7 +42,7 @@ def piece_of(fps: float) -> int:
 
 
 @dataclass(frozen=True)
-class Shared:
+class Unknown:
     """Unknowns (P,) of one name that all frames share, and what is expected of each."""
 
     name: str
@@ -71,8 +71,8 @@ class LeastSquares:
     tree: Tree
     linear: Sequence[Linear]
     terms: Sequence[Term]
-    shared: Sequence[Shared] = ()
-    doubtful: Sequence[Shared] = ()
+    shared: Sequence[Unknown] = ()
+    doubtful: Sequence[Unknown] = ()
     piece: int = 2 * _FRAMES_AT_ONCE
     """Frames of a piece of a long clip, a multiple of `_FRAMES_AT_ONCE`, which takes as many along."""
 

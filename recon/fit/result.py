@@ -42,7 +42,7 @@ LEVELS: tuple[Level, ...] = ("do not use", "check", "use")
 
 
 @dataclass(frozen=True)
-class Expected:
+class ExpectedError:
     """An error before it is known: the middle of its distribution, and the ends of the interval that holds 90 %."""
 
     expected: float
@@ -56,9 +56,9 @@ class Expected:
         expected, low, high = (f"{value:.2g}" if value < 10 else f"{value:.0f}" for value in astuple(error))
         return f"{expected} {unit} ({low} to {high})"
 
-    def times(self, factor: float) -> Expected:
+    def times(self, factor: float) -> ExpectedError:
         """The same in another unit."""
-        return Expected(factor * self.expected, factor * self.low, factor * self.high)
+        return ExpectedError(factor * self.expected, factor * self.low, factor * self.high)
 
 
 @dataclass(frozen=True)
@@ -68,12 +68,12 @@ class Verdict:
     level: Level
     reason: str
     """Why the verdict is what it is, in one sentence."""
-    pose_m: Expected | None = None
+    pose_m: ExpectedError | None = None
     """Mean distance of the joints from their true places once the mean of all joints is taken off (MPJPE); None
     without a pose."""
-    pose_of_trunk: Expected | None = None
+    pose_of_trunk: ExpectedError | None = None
     """The same, relative to the length of the trunk."""
-    position_m: Expected | None = None
+    position_m: ExpectedError | None = None
     """Distance of the mean of all joints from its true place, mean over the frames."""
 
     @property

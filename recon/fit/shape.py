@@ -21,7 +21,7 @@ from recon.base.arrays import Array
 from recon.fit.banded import eliminated
 from recon.fit.clip_problem import ClipProblem
 from recon.fit.terms import OnGround, Reprojection, Span, StanceVelocity
-from recon.fit.trajectory import Solved, in_step, refined, solve_segments
+from recon.fit.trajectory import SegmentFit, in_step, refined, solve_segments
 from recon.geometry.kinematics import TreePose
 
 LENGTH_SIGMA = 0.05
@@ -212,7 +212,7 @@ def fit_shape(shape: Shape, clips: Sequence[ClipProblem]) -> ShapeFit:
     )
 
 
-def _spread_m(body: Body, solved: Sequence[tuple[ClipProblem, Solved]]) -> dict[str, float]:
+def _spread_m(body: Body, solved: Sequence[tuple[ClipProblem, SegmentFit]]) -> dict[str, float]:
     """From the mean residuals of every marker in every view, less what all markers of the view share, and as if as many
     more had been as is expected: few say little."""
     clip = solved[0][0]
@@ -238,7 +238,7 @@ def _spread_m(body: Body, solved: Sequence[tuple[ClipProblem, Solved]]) -> dict[
     }
 
 
-def _reduced(shape: Shape, clip: ClipProblem, solved: Solved) -> tuple[Array, Array]:
+def _reduced(shape: Shape, clip: ClipProblem, solved: SegmentFit) -> tuple[Array, Array]:
     """Curvature (K, K) and gradient (K,) of a segment's cost by the shape, the states eliminated."""
     states, problem = solved.estimate.states, solved.problem
     normal = problem.normal(states, solved.estimate.shared)

@@ -163,7 +163,7 @@ _MIN_RAYS = 2
 
 
 @dataclass(frozen=True, eq=False)
-class Approached:
+class StartFit:
     """A start after the approach, best known at the frames of the clip."""
 
     heading_rad: float
@@ -175,7 +175,7 @@ class Approached:
     """It was carried to the end."""
 
 
-def approach(clip: ClipProblem) -> list[Approached]:
+def approach(clip: ClipProblem) -> list[StartFit]:
     """The starts of one window, approached with noise that narrows: best first, only the first ones to the end."""
     fast, ones = clip.options.fast, np.ones((len(clip.views), len(clip.body.markers)))
     step = max(1, round(clip.fps / APPROACH_HZ))
@@ -188,7 +188,7 @@ def approach(clip: ClipProblem) -> list[Approached]:
     tried = []
     for heading_rad, states in _starts(clip):
         estimate = minimum(states[every], _WIDE[0], 1e-2, 12)
-        tried.append(Approached(heading_rad, estimate.cost, estimate))
+        tried.append(StartFit(heading_rad, estimate.cost, estimate))
     tried.sort(key=lambda a: a.first_cost)
     for i, start in enumerate(tried[: 1 if fast else 2]):
         estimate = start.estimate

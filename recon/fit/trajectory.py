@@ -39,7 +39,7 @@ from recon.fit.clip_problem import ClipProblem, TrajectoryOptions, contacts
 from recon.fit.least_squares import Estimate, LeastSquares
 from recon.fit.posterior import Posterior, PriorMisfit, posterior, prior_misfit_of, with_size
 from recon.fit.result import SHAPES, Ground, MotionSegment, TrajectorySolution
-from recon.fit.starts import Approached, approach, between
+from recon.fit.starts import StartFit, approach, between
 from recon.fit.terms import SIDESLIP, Reprojection, extrinsic_correction, focal, size_of, time_offset
 from recon.geometry.kinematics import ROOT, YAW
 
@@ -103,7 +103,7 @@ def _segments(usable: Bools, fps: float) -> list[slice]:
 
 
 @dataclass(frozen=True, eq=False)
-class Solved:
+class SegmentFit:
     """A solved segment of n frames."""
 
     rows: slice
@@ -122,7 +122,7 @@ class Solved:
     """The misfit of the motion under the prior, as first found."""
     prior_weight: float = 1.0
     """The part of its weight that the prior has."""
-    windows: list[tuple[slice, list[Approached]]] = field(default_factory=list)
+    windows: list[tuple[slice, list[StartFit]]] = field(default_factory=list)
     stage_s: dict[str, float] = field(default_factory=dict)
     iterations: int = 0
 
@@ -135,7 +135,7 @@ class Solved:
         return self.estimate.shared.get(name, np.zeros(count))
 
 
-def solve_segments(clip: ClipProblem, progress: Progress = silent) -> list[Solved]:
+def solve_segments(clip: ClipProblem, progress: Progress = silent) -> list[SegmentFit]:
     """Every stretch of a clip between which nothing is seen for long."""
     segments = _segments(clip.present().sum(axis=1) >= MIN_JOINTS, clip.fps)
     return [
@@ -144,12 +144,12 @@ def solve_segments(clip: ClipProblem, progress: Progress = silent) -> list[Solve
     ]
 
 
-def refined(clip: ClipProblem, solved: Solved) -> Solved:
+def refined(clip: ClipProblem, solved: SegmentFit) -> SegmentFit:
     """One more round from a solution, of the clip's setting that may have changed a little."""
     return _round(replace(clip.part(solved.rows), prior_weight=solved.prior_weight), solved, 1.0, whole=True)
 
 
-def _solve_segment(clip: ClipProblem, rows: slice, progress: Progress) -> Solved:
+def _solve_segment(clip: ClipProblem, rows: slice, progress: Progress) -> SegmentFit:
     o, T = clip.options, len(clip)
     clock = time.perf_counter()
     windows = _windows(clip, progress)
@@ -167,7 +167,7 @@ def _solve_segment(clip: ClipProblem, rows: slice, progress: Progress) -> Solved
     estimate = Estimate(_joined(T, windows), np.inf, 0, False)
     noise = np.ones((len(clip.views), len(clip.body.markers)))
     nothing = LeastSquares(clip.body.detected, [], [])
-    solved = Solved(rows, estimate, nothing, noise, np.zeros(0), np.zeros((T, len(clip.feet))), None)
+    solved = SegmentFit(rows, estimate, nothing, noise, np.zeros(0), np.zeros((T, len(clip.feet))), None)
     for i, (temperature, whole) in enumerate(steps):
         solved, last = _round(clip, solved, temperature, whole), i == len(steps) - 1
         unsettled = solved.prior_misfit is None or (solved.prior_weight < 1 and not last)
@@ -183,7 +183,7 @@ def _solve_segment(clip: ClipProblem, rows: slice, progress: Progress) -> Solved
     return replace(solved, windows=windows, stage_s=stage_s, iterations=solved.iterations + iterations)
 
 
-def _round(clip: ClipProblem, solved: Solved, temperature: float | None, whole: bool) -> Solved:
+def _round(clip: ClipProblem, solved: SegmentFit, temperature: float | None, whole: bool) -> SegmentFit:
     """The minimum from a solution; whole: with the noise, the contacts and the ground that follow from it."""
     o = clip.options
     estimate, noise, contact, ground, contact_terms = solved.estimate, solved.noise, solved.contact, solved.ground, ()
@@ -208,7 +208,7 @@ def _round(clip: ClipProblem, solved: Solved, temperature: float | None, whole: 
     )
 
 
-def _shared(clip: ClipProblem, solved: Sequence[Solved], known: Sequence[Posterior]) -> dict[str, Any]:
+def _shared(clip: ClipProblem, solved: Sequence[SegmentFit], known: Sequence[Posterior]) -> dict[str, Any]:
     """The solution's fields of what all frames share, besides the size: what was found and its standard deviations, 0
     where it is no unknown; over the segments, by how many of their frames several cameras saw."""
     V = range(len(clip.views))
@@ -237,7 +237,7 @@ def _shared(clip: ClipProblem, solved: Sequence[Solved], known: Sequence[Posteri
     }
 
 
-def in_step(clip: ClipProblem, solved: Solved) -> ClipProblem:
+def in_step(clip: ClipProblem, solved: SegmentFit) -> ClipProblem:
     """With the lags and the cameras' places of a solution in its views."""
     V = range(len(clip.views))
     late = [float(solved.found(time_offset(i))[0]) for i in V]
@@ -254,7 +254,7 @@ def _found(
     )
 
 
-def _windows(clip: ClipProblem, progress: Progress) -> list[tuple[slice, list[Approached]]]:
+def _windows(clip: ClipProblem, progress: Progress) -> list[tuple[slice, list[StartFit]]]:
     """The starts of every stretch of about a second in which something is seen."""
     windows, present, T = [], clip.present(), len(clip)
     parts = np.array_split(np.arange(T), min(max(1, round(T / clip.fps / WINDOW_S)), T))
@@ -266,7 +266,7 @@ def _windows(clip: ClipProblem, progress: Progress) -> list[tuple[slice, list[Ap
     return windows
 
 
-def _joined(T: int, windows: Sequence[tuple[slice, list[Approached]]]) -> Array:
+def _joined(T: int, windows: Sequence[tuple[slice, list[StartFit]]]) -> Array:
     """States (T, D) of the windows' best starts, the frames between them filled up along straight lines."""
     pieces = [(frames, starts[0].estimate) for frames, starts in windows]
     at = np.concatenate([np.arange(T)[frames] for frames, _ in pieces])
@@ -297,7 +297,7 @@ def _noise_factors(clip: ClipProblem, points_m: Array, size: float, factors: Arr
 # -- the result ----------------------------------------------------------------------------------------------------
 
 
-def _solution(clip: ClipProblem, solved: Sequence[Solved], began: float) -> TrajectorySolution:
+def _solution(clip: ClipProblem, solved: Sequence[SegmentFit], began: float) -> TrajectorySolution:
     clock = time.perf_counter()
     known = [posterior(one.problem, clip.body, one.estimate, clip.correlation_frames) for one in solved]
     size, size_sigma, size_from = _size(clip, solved, known)
@@ -359,7 +359,9 @@ def _summed(tables: Sequence[dict[str, float]]) -> dict[str, float]:
     return total
 
 
-def _of_segment(clip: ClipProblem, one: Solved, known: Posterior, size: float, size_sigma: float) -> dict[str, Array]:
+def _of_segment(
+    clip: ClipProblem, one: SegmentFit, known: Posterior, size: float, size_sigma: float
+) -> dict[str, Array]:
     """The solution's arrays in the frames of one segment."""
     states = one.estimate.states + known.state_by_size * (size - one.size)
     points = clip.body.tree.pose(states).points_m
@@ -388,7 +390,7 @@ def _of_segment(clip: ClipProblem, one: Solved, known: Posterior, size: float, s
 
 
 def _size(
-    clip: ClipProblem, solved: Sequence[Solved], known: Sequence[Posterior]
+    clip: ClipProblem, solved: Sequence[SegmentFit], known: Sequence[Posterior]
 ) -> tuple[float, float, tuple[str, ...]]:
     """The size, its standard deviation, and what says it.
 
@@ -426,7 +428,7 @@ def _size_of_offsets(clip: ClipProblem) -> float:
     return clip.keypoint_sigma_m / float(np.linalg.norm(points - points.mean(axis=0)))
 
 
-def _second(clip: ClipProblem, one: Solved, size: float, apart_m: Array) -> float:
+def _second(clip: ClipProblem, one: SegmentFit, size: float, apart_m: Array) -> float:
     """The least extra cost of a second solution of a segment, where another start was carried to the end; apart_m (T,)
     gets the mean distance of its joints from the best one's, both centred."""
     extra_cost = np.inf

@@ -354,7 +354,7 @@ class Spec:
 
 
 @dataclass(frozen=True, eq=False)
-class Trained:
+class TrainedNetwork:
     spec: Spec
     network: torch.nn.Module
     device: torch.device
@@ -447,7 +447,7 @@ def model_file(folder: Path) -> Path:
     return path
 
 
-def load_model(folder: Path, device: torch.device) -> Trained:
+def load_model(folder: Path, device: torch.device) -> TrainedNetwork:
     """The network of such a folder. Raises InputError."""
     path = model_file(folder)
     content = load_torch(path)
@@ -464,7 +464,7 @@ def load_model(folder: Path, device: torch.device) -> Trained:
     except (KeyError, TypeError, ValueError, AttributeError, RuntimeError) as error:
         found = f"a network with parts missing or altered ({' '.join(str(error).split())[:100]})"
         raise InputError(Problem(path, "model", found, "one as `recon train` wrote it")) from None
-    return Trained(spec, placed(network, device).eval(), device)
+    return TrainedNetwork(spec, placed(network, device).eval(), device)
 
 
 def load_torch(path: Path) -> Any:

@@ -25,7 +25,7 @@ from recon.keypoint_net.labels import resize
 from recon.keypoint_net.network import (
     DEVICE,
     THREADS,
-    Trained,
+    TrainedNetwork,
     calibrated,
     fast_half,
     use_threads,
@@ -61,7 +61,7 @@ class PredictSettings(Settings):
     overwrite: Annotated[bool, Option("Replace files that are there.")] = False
 
 
-def predict_video(trained: Trained, settings: PredictSettings, progress: Progress = silent) -> Keypoints:
+def predict_video(trained: TrainedNetwork, settings: PredictSettings, progress: Progress = silent) -> Keypoints:
     """Every frame's points as the network sees them, without smoothing, with calibrated likelihoods. Raises
     InputError."""
     video, spec = settings.video, trained.spec

@@ -22,7 +22,7 @@ from recon.io import write_rows
 from recon.io.video import Image
 from recon.keypoint_net.evaluate2d import evaluate_2d, reliability
 from recon.keypoint_net.labels import Labels, extents_px, frames_by_part, sides
-from recon.keypoint_net.network import Trained, calibrated, require_torch
+from recon.keypoint_net.network import TrainedNetwork, calibrated, require_torch
 from recon.keypoint_net.pictures import crop_size
 from recon.keypoint_net.predict import colours
 from recon.keypoint_net.train import State, TrainingRun, calibrated_spec, judge
@@ -50,7 +50,7 @@ MOST = 30
 def write_training_report(run: TrainingRun, state: State, folder: Path) -> dict[str, Any]:
     """Into an existing folder; returns what stands in training.json."""
     spec, split, history = calibrated_spec(run, state), run.split, state.history
-    errors, raw, xy_px = judge(Trained(spec, state.average, run.device), run, np.arange(len(run.labels.images)))
+    errors, raw, xy_px = judge(TrainedNetwork(spec, state.average, run.device), run, np.arange(len(run.labels.images)))
     likelihood = calibrated(raw, spec.calibration)
     judged = {name: _evaluation(run, which, xy_px, likelihood) for name, which in split.items() if len(which)}
     # Of the network as it was calibrated: before it learned from the validation pictures.

@@ -35,7 +35,7 @@ from recon.keypoint_net.network import (
     STRIDE,
     Calibration,
     Spec,
-    Trained,
+    TrainedNetwork,
     as_input,
     calibrated,
     fast_half,
@@ -277,7 +277,7 @@ def _evaluate(state: State, run: TrainingRun, calibrates: bool) -> None:
     which = run.judges
     if not len(which):
         return
-    errors, raw, _ = judge(Trained(run.spec, state.average, run.device), run, which)
+    errors, raw, _ = judge(TrainedNetwork(run.spec, state.average, run.device), run, which)
     labelled = np.isfinite(errors)
     known = errors[labelled]
     state.history[-1] |= {"validation_px": float(np.median(known)), "validation_mean_px": float(known.mean())}
@@ -287,7 +287,7 @@ def _evaluate(state: State, run: TrainingRun, calibrates: bool) -> None:
         state.judged = calibrated(raw[labelled], state.calibration).tolist(), right.tolist()
 
 
-def judge(trained: Trained, run: TrainingRun, which: Integers) -> tuple[Array, Array, Array]:
+def judge(trained: TrainedNetwork, run: TrainingRun, which: Integers) -> tuple[Array, Array, Array]:
     """Errors (n, K) in px of the clip, NaN where there is no label; raw likelihoods (n, K); points (n, K, 2)."""
     xy, raw = np.zeros((len(which), len(run.spec.names), 2)), np.zeros((len(which), len(run.spec.names)))
     for c in np.unique(run.scaled.clip[which]):

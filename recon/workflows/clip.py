@@ -146,7 +146,7 @@ def _file_facts(given: Prepared, settings: FitSettings) -> FileFacts:
     return FileFacts(tuple(named), stated_hz, swaps=not settings.fast or bool(settings.fix_swaps))
 
 
-Shared = tuple[Body, MotionPrior, Cameras]
+Unknown = tuple[Body, MotionPrior, Cameras]
 """What clips of one animal before the same cameras share."""
 
 
@@ -171,7 +171,7 @@ class Prepared:
         return together(self.apart, self.later_frames)
 
 
-def prepare(settings: FitSettings, read_shared: Callable[[FitSettings], Shared] | None = None) -> Prepared:
+def prepare(settings: FitSettings, read_shared: Callable[[FitSettings], Unknown] | None = None) -> Prepared:
     """Everything that comes before solving: the one list of checks, of a fit and of who asks whether it can be done.
 
     read_shared: `read_model_and_cameras`, or one that remembers. Raises InputError as `fit_clip`.
@@ -218,7 +218,7 @@ def _turned_up(given: Prepared, settings: FitSettings) -> Prepared:
     return replace(given, apart=apart, found=(said,))
 
 
-def read_model_and_cameras(settings: FitSettings) -> Shared:
+def read_model_and_cameras(settings: FitSettings) -> Unknown:
     """Raises InputError with the problems of both."""
     model, cameras = all_of(lambda: _model(settings), lambda: read_clip_cameras(settings))
     return *model, cameras

@@ -46,7 +46,7 @@ MAX_EVALUATIONS = 100
 """How often the fields are evaluated in one frame, at most."""
 NUDGE, SETTLED = 1e-6, 1e-8
 """Metres and radians: between wrenches whose difference is a stiffness; a last step so short."""
-TRUST_M, TRUST_RAD = 0.03, 0.5
+NEWTON_REACH_M, TRUST_RAD = 0.03, 0.5
 """Longest step of Newton's method."""
 SHIN_POINTS = (0.25, 0.5, 0.75)
 """Shares of the way from foot to knee, where a shin must not touch the ground or the step."""
@@ -248,7 +248,7 @@ def equilibrium(
         values, vectors = np.linalg.eigh((stiffness + stiffness.T) / 2)
         step = np.zeros(6)
         step[picked] = vectors @ (vectors.T @ found[0] / np.abs(values))
-        torso = _moved(torso, capped(step, TRUST_M, TRUST_RAD))
+        torso = _moved(torso, capped(step, NEWTON_REACH_M, TRUST_RAD))
         if np.linalg.norm(step) < SETTLED:
             return torso, count, True
     return torso, MAX_EVALUATIONS, False

@@ -22,7 +22,7 @@ from recon.show.plain import file_name, frame_count
 from recon.show.sections.given import counts, heading_text, sentences, upright
 from recon.show.sections.section import Line
 
-HARDLY_TOLD = 0.1
+HARDLY_KNOWN = 0.1
 """Standard deviation of the distance, relative to it, from which the summary begins with it."""
 SAID_BY = {"views": "where the cameras are", "ground": "the camera's height above the ground"}
 """What else than the expectation says the size."""
@@ -44,13 +44,13 @@ def assumptions(motion: Motion) -> dict[str, Any]:
 def _sentences(motion: Motion) -> Iterator[str]:
     solution, body = _solution(motion), motion.body
     of_animal = "not measured on this one" if body.subject is None else "measured on this animal"
-    size_told = "this clip hardly says it"
+    size_text = "this clip hardly says it"
     if telling := _telling(solution):
-        size_told = f"by {' and '.join(telling)} it is {solution.size:.3f} ± {solution.size_sigma:.3f}"
+        size_text = f"by {' and '.join(telling)} it is {solution.size:.3f} ± {solution.size_sigma:.3f}"
     yield (
         f"The proportions are those of {body.title!r}, {of_animal}. How large the animal is, a factor on all its "
         f"lengths, distances and speeds, is expected to be 1 with a standard deviation of "
-        f"{solution.size_prior_sigma:.2g}; {size_told}."
+        f"{solution.size_prior_sigma:.2g}; {size_text}."
     )
     detector = file_name(body.detector)
     lie = f"beside the markers as those of the detector {detector}"
@@ -102,9 +102,9 @@ def summary_lines(motion: Motion, data: Any) -> Iterator[Line]:
     yield "frames", f"{data['frames_with_pose']} of {data['frames']} with a pose, {flagged}{far}"
     sigma_m, distances = data["place_sigma_m"], [mean(picture.distance_m) for picture in motion.pictures]
     known = [(away, _called(motion, v)) for v, away in enumerate(distances) if math.isfinite(away)]
-    if sigma_m is not None and known and sigma_m > HARDLY_TOLD * min(known)[0]:
-        size_told = _solution(motion).size_sigma <= HARDLY_TOLD / 2
-        why = "these pictures hardly tell it" if size_told else "the size is not known better"
+    if sigma_m is not None and known and sigma_m > HARDLY_KNOWN * min(known)[0]:
+        size_text = _solution(motion).size_sigma <= HARDLY_KNOWN / 2
+        why = "these pictures hardly tell it" if size_text else "the size is not known better"
         yield "distance", f"{min(known)[0]:.1f} ± {sigma_m:.1f} m from {min(known)[1]}: {why}"
 
 

@@ -13,7 +13,7 @@ from recon.base.errors import InputError, Problem, refuse
 from recon.base.files import require_free_folder
 from recon.base.manifest import MANIFEST, read_manifest
 from recon.workflows.batch.inputs import Clip
-from recon.workflows.clip import Shared, prepare, read_model_and_cameras
+from recon.workflows.clip import Unknown, prepare, read_model_and_cameras
 from recon.workflows.clip_results import output_files
 from recon.workflows.made_from import Record, digest, file_sha256, identity
 from recon.workflows.settings import FitSettings, beside
@@ -131,11 +131,11 @@ def repeated(each: Sequence[Problems]) -> list[tuple[Problem, tuple[int, ...]]]:
     return said
 
 
-def _reader() -> Callable[[FitSettings], Shared]:
+def _reader() -> Callable[[FitSettings], Unknown]:
     """`read_model_and_cameras` for many clips: what they share is read once."""
     read = cache(read_model_and_cameras)
 
-    def of(settings: FitSettings) -> Shared:
+    def of(settings: FitSettings) -> Unknown:
         # Names of keypoint files choose cameras.
         names = [path.name if settings.camera_name is None else str(i) for i, path in enumerate(settings.keypoints)]
         return read(replace(settings, keypoints=names, individual=None, frames=None))
