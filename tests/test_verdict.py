@@ -12,6 +12,7 @@ from recon.check.verdict import LIMIT_OF_TRUNK, evidence_of, expected_pose_of_tr
 from recon.fit import Motion
 from recon.fit.result import ExpectedError, Verdict
 from recon.io.deeplabcut import write_csv
+from recon.io.video import video_writer
 from recon.show.sections import given
 from tests.command_line import run
 
@@ -105,13 +106,15 @@ def test_it_is_saved_and_loaded(small_trajectory, tmp_path):
 def test_what_is_made_of_a_clip_refuses_one_that_is_not_to_be_used(small_trajectory, tmp_path):
     wrong = judged(replace(small_trajectory, findings=(finding("keypoints_y_up"),)))
     wrong.save(tmp_path / "clip")
-    truth, out = tmp_path / "truth.csv", tmp_path / "out"
+    truth, video, out = tmp_path / "truth.csv", tmp_path / "clip.mp4", tmp_path / "out"
     write_csv(wrong.upright, truth)
+    with video_writer(video, (1920, 1080), 60.0) as write:
+        write(np.zeros((1080, 1920, 3), np.uint8))
     for command in (
         ("analyse", tmp_path / "clip", "--out", out),
         ("convert", tmp_path / "clip", out.with_suffix(".trc")),
         ("evaluate", tmp_path / "clip", truth),
-        ("overlay", tmp_path / "clip", "--sheet", out.with_suffix(".png")),
+        ("overlay", tmp_path / "clip", "--video", video, "--out", out.with_suffix(".mp4")),
         ("ik", tmp_path / "clip", "--compare", "--out", out),
         ("retarget", tmp_path / "clip", "--robot", "a1", "--out", out),
         ("prior", "fit", tmp_path / "clip", "--out", out.with_suffix(".npz")),
@@ -120,7 +123,7 @@ def test_what_is_made_of_a_clip_refuses_one_that_is_not_to_be_used(small_traject
         assert (ended.code, ended.out) == (2, ""), command
         assert "verdict: found do not use: The keypoints look as if y went up" in ended.err
         assert "--anyway" in ended.err
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["clip", "truth.csv"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["clip", "clip.mp4", "truth.csv"]
     anyway = run("evaluate", tmp_path / "clip", truth, "--anyway")
     assert anyway.out.startswith("do not use: The keypoints look as if y went up")
     assert usable(wrong, tmp_path, anyway=True) is wrong
