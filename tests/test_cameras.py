@@ -165,6 +165,14 @@ def test_up_is_not_said_twice_or_in_other_words(folder):
     assert "found no pose" in problems(error)
 
 
+def test_an_entry_of_a_camera_that_was_copied_is_named(folder, tmp_path):
+    one, other, *_ = read_cameras(folder / "scene.json")
+    write_cameras([one, replace(one, name=other.name)], tmp_path / "copied.toml")
+    with pytest.raises(InputError) as error:
+        prepare(settings(folder, 1, 2, camera=tmp_path / "copied.toml"))
+    assert "cameras cam1 and cam2: found the same pose, as of an entry that was copied" in problems(error)
+
+
 def test_an_animal_of_a_tenth_of_the_skeleton_before_a_rig_of_a_tenth(folder, tmp_path):
     """The pictures are the same, and so is the motion, in metres a tenth."""
     cameras = [

@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
@@ -200,6 +201,12 @@ def _problems_of_several(
         elif owners and not camera.knows_up:
             expected = "one in the world of the camera track, z up (world_z_up)"
             yield Problem(file, f"camera {camera.name}", "a pose that does not say which way is up", expected)
+    still = [camera for camera in cameras if camera.has_extrinsics and camera.name not in moving]
+    for one, other in combinations(still, 2):
+        alike = np.array_equal(one.rotation, other.rotation) and np.array_equal(one.translation_m, other.translation_m)
+        if alike and one.name != other.name:
+            found = "the same pose, as of an entry that was copied"
+            yield Problem(file, f"cameras {one.name} and {other.name}", found, "each camera's own pose")
 
 
 def size_problems(video: Path, info: VideoInfo, camera: Camera) -> Iterator[Problem]:
