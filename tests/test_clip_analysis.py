@@ -213,7 +213,8 @@ def test_a_path_that_jitters_too_much_gives_way_to_the_straight_run(frame_result
     assert told["path"].startswith(f"{summarise(one_sided, 'clip')['speed']['distance_m']:.1f} m")  # the same path
     states, noise = motion.states.copy(), np.random.default_rng(0).normal(size=(30, 3)) * [0, 1.0, 0]
     states[:, :3] += noise
-    told = dict(build_report(replace(motion, solution=replace(motion.solution, states=states)))["lines"])
+    moved = replace(motion.solution, states=states, joints_m=motion.solution.joints_m + noise[:, None])
+    told = dict(build_report(replace(motion, solution=moved))["lines"])
     assert told["path"].startswith("too uncertain in depth for its speed (world frame): ")
     assert told["path"].endswith("; take the speed above")
     assert told["speed"].startswith("14.4 m/s, of a straight run")

@@ -37,7 +37,6 @@ from recon.gait.kinematics import (
     joint_kinematics,
     lasting_errors,
     net_acceleration,
-    peak_doubt,
     spine_flexion,
 )
 from recon.gait.phase import (
@@ -58,6 +57,8 @@ if TYPE_CHECKING:
 
 PLACE_LASTS_S, POSE_LASTS_S = 0.2, 0.05
 """`Errors.correlation_s` of the animal's place and of the joints relative to their mean."""
+SPEED_KNOWN = 0.1
+"""The standard deviation of a peak speed, relative to it, up to which speeds count as known."""
 UNSEEN_S = 0.2
 """For about as long, what was seen before and after says where a foot is; then only how animals of its kind move."""
 
@@ -219,8 +220,11 @@ class ClipAnalysis:
     def why_no_speed(self) -> str | None:
         """Why no joint's speed is known; None where they are, or where the fit says how uncertain they are. An error of
         the animal's depth is one of all joints."""
-        path_m = self.motion.upright.xyz_m[:, self.motion.names.index(self.reference)]
-        return peak_doubt(self.motion.time_s, path_m, self.smoothed) if self.motion.jitters else None
+        if not self.motion.jitters:
+            return None
+        moved = self.reference_motion if self.smoothed else ClipAnalysis(self.motion).reference_motion
+        peak, sigma = moved.peak_speed_m_s, moved.peak_speed_sigma_m_s
+        return f"its peak is {peak:.1f} ± {sigma:.1f} m/s" if sigma > SPEED_KNOWN * peak else None
 
     @property
     def during_stride(self) -> Bools:

@@ -47,12 +47,6 @@ MIN_SMOOTHING_POINTS = 5
 """Series of fewer points are not smoothed."""
 _LOG10_LAM = (-16.0, 8.0)
 """Range of lam, relative to (span / number of values)^3: from an exact spline to a straight line."""
-NEAR_S, ASIDE = 0.25, 2**0.5
-"""An animal that is this much faster than it gets on, within the time on either side, moves across its way as fast as
-along it. Trunks of real cheetahs and dogs that walk or run are 1.02 to 1.34 times as fast at their peaks."""
-STEADY = 0.1
-"""How much of a peak speed may be due to how strongly the path is smoothed."""
-
 JITTER_LASTS_S, JITTER_TIMES = 0.05, 2.0
 """How long errors of a method last that solves frame by frame, and how much larger they are than what jitters in that
 time: with both the deviations of its speeds are right in each of five real runs to a quarter
@@ -472,29 +466,6 @@ def speed_at_frames(time_s: Array, xyz_m: Array, smooth: bool = False) -> Array:
     """Speed (T,) in m/s of a path (T, 3) at its frames; smooth: by its jitter."""
     errors = jitter_errors(xyz_m) if smooth else ()
     return point_kinematics(time_s, xyz_m, errors, smooth=smooth, propagate=False, oversampling=1).speed_m_s
-
-
-def peak_doubt(time_s: Array, xyz_m: Array, smooth: bool) -> str | None:
-    """Why the peak speed of a path (T, 3) is not to be trusted, None where it is; smooth: by its jitter.
-
-    It is the jitter's where the path moves across its way as fast as along it, and where it changes with the smoothing:
-    the jitter's size is known from some dozens of frames, and not to a factor of two.
-    """
-    options = {"smooth": smooth, "propagate": False}
-    path = point_kinematics(time_s, xyz_m, jitter_errors(xyz_m) if smooth else (), **options)
-    peak, fine_s = path.peak_speed_m_s, path.series.time_s
-    if not np.isfinite(peak):
-        return None
-    near = np.flatnonzero((np.abs(fine_s - path.peak_speed_time_s) <= NEAR_S + 1e-9) & np.isfinite(path.speed_m_s))
-    first, last = near[[0, -1]]
-    along = float(np.linalg.norm(path.series.value[last] - path.series.value[first])) / (fine_s[last] - fine_s[first])
-    if peak > ASIDE * along:
-        return f"at its peak it moves at {peak:.1f} m/s, but gets on at {along:.1f} m/s"
-    if smooth:
-        smoother = point_kinematics(time_s, xyz_m, jitter_errors(xyz_m, times=2.0), **options).peak_speed_m_s
-        if abs(smoother - peak) > STEADY * peak:
-            return f"its peak is {peak:.1f} m/s, but {smoother:.1f} m/s where it is smoothed by twice its jitter"
-    return None
 
 
 def joint_kinematics(pose: Pose3D, joint: str, fps: float, errors: Sequence[Errors] = (), **options) -> JointKinematics:

@@ -11,7 +11,7 @@ import numpy as np
 from recon.base.arrays import Array, finite, median
 from recon.check import verdict_fields
 from recon.fit.motion import MEASURED_SHARE, Motion
-from recon.gait.kinematics import peak_doubt
+from recon.gait.clip import ClipAnalysis
 from recon.geometry.frames import level_axes
 from recon.show.plain import by_name, number, spread
 from recon.show.sections import given
@@ -147,8 +147,7 @@ def travel_lines(motion: Motion, data: Any) -> Iterator[Line]:
 def _path_text(motion: Motion, has_speed: bool) -> str:
     root, frame = given.root_path(motion), f"{motion.frame_of_reference} frame"
     path = root["smoothed"] or root["exact"]
-    doubt = peak_doubt(motion.time_s, motion.root_m, smooth=root["smoothed"] is not None)
-    if doubt is not None:
+    if (doubt := ClipAnalysis(motion).speed_doubt) is not None:
         return f"too uncertain in depth for its speed ({frame}): {doubt}{'; take the speed above' if has_speed else ''}"
     how = "smoothed" if root["smoothed"] else "not smoothed"
     far, peak = (number(path[name], ".1f") for name in ("distance_m", "peak_speed_m_s"))
