@@ -14,7 +14,6 @@ from recon.gait.phase import (
     field_means,
     field_with_sigma,
     phase_portrait,
-    portrait_between,
     pose_vector_field,
     scaled,
     vector_field,
@@ -107,8 +106,8 @@ def test_closure_of_a_full_and_of_a_half_turn():
     """0.3 cos(w t), a turn in 72 frames. Half a turn from the least to the greatest angle, in the scaled plane, runs
     from (0, 0) to (1, 0) over the half ellipse (u, 2 sqrt(u (1 - u))), whose farthest point from an end is at u = 2/3:
     d_max = sqrt(4/9 + 8/9)."""
-    portrait = phase_portrait(angle_kinematics(TIME_S, 0.3 * np.cos(2 * np.pi * 1.25 * TIME_S)))
-    full, half = (closure(portrait_between(portrait, a / FPS, b / FPS)) for a, b in ((5, 77), (36, 72)))
+    angle = angle_kinematics(TIME_S, 0.3 * np.cos(2 * np.pi * 1.25 * TIME_S))
+    full, half = (closure(phase_portrait(angle, a / FPS, b / FPS)) for a, b in ((5, 77), (36, 72)))
     assert full.angle == pytest.approx(100.0, abs=0.01)
     assert full.plane == pytest.approx(100.0, abs=0.1)
     assert half.angle == pytest.approx(0.0, abs=1e-9)
@@ -159,4 +158,4 @@ def test_closure_of_nothing():
     with pytest.raises(ValueError, match="without gaps"):
         closure(Portrait(TIME_S, np.full(90, np.nan), np.zeros(90)))
     with pytest.raises(ValueError, match="two points"):
-        closure(portrait_between(still, 5.0, 6.0))
+        closure(phase_portrait(angle_kinematics(TIME_S, np.ones(90)), 5.0, 6.0))

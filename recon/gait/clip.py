@@ -46,7 +46,6 @@ from recon.gait.phase import (
     closure,
     field_with_sigma,
     phase_portrait,
-    portrait_between,
     pose_vector_field,
     tips,
 )
@@ -237,10 +236,8 @@ class ClipAnalysis:
     @cached_property
     def portraits(self) -> dict[str, Portrait]:
         """Phase portraits of the fit's own angles: over `stride`, or without one over the whole clip."""
-        portraits = {name: phase_portrait(angle) for name, angle in self.skeleton_angles.items()}
-        if (stride := self.stride) is None:
-            return portraits
-        return {name: portrait_between(p, stride.start_s, stride.end_s) for name, p in portraits.items()}
+        ends = () if self.stride is None else (self.stride.start_s, self.stride.end_s)
+        return {name: phase_portrait(angle, *ends) for name, angle in self.skeleton_angles.items()}
 
     @cached_property
     def closures(self) -> dict[str, Closure]:

@@ -283,11 +283,9 @@ def pose_tracks(
     middle = path(pose.xyz_m[:, where[n:]].mean(axis=1))
     foot = np.stack([p.value for p in paths], axis=1)
     foot_speed, foot_speed_sigma = np.stack([_level_speed(p) for p in paths], axis=-1)
-    body_speed, known = np.linalg.norm(middle.rate[:, :2], axis=1), np.isfinite(foot_speed).any(axis=0)
-    fast, rest = np.zeros(n), np.zeros(n)
-    fast[known] = np.nanpercentile(foot_speed[:, known], 95, axis=0)
-    if restless:
-        rest[known] = np.nanpercentile(foot_speed[:, known], 10, axis=0)
+    body_speed = np.linalg.norm(middle.rate[:, :2], axis=1)
+    seen = [of[np.isfinite(of)] if np.isfinite(of).any() else np.zeros(1) for of in foot_speed.T]
+    rest, fast = np.array([np.percentile(of, (10, 95)) for of in seen]).T * [[restless], [1]]
     swing_m_s = np.maximum(fast, SWING * mean(body_speed)) - rest
     slow_m_s = rest + np.multiply.outer((*SLOW, LANDS, LIFTS), swing_m_s)
     slow = foot_speed < slow_m_s[0]

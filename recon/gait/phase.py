@@ -25,7 +25,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from statistics import NormalDist
 from typing import TYPE_CHECKING
 
@@ -201,20 +201,13 @@ def _unit(vectors: Array) -> Array:
 # -- phase space -----------------------------------------------------------------------------------------------------
 
 
-def phase_portrait(angle: AngleKinematics) -> Portrait:
-    """The path of (angle, rate), on the fine grid of `angle`."""
+def phase_portrait(angle: AngleKinematics, start_s: float = -np.inf, end_s: float = np.inf) -> Portrait:
+    """The path of (angle, rate), on the fine grid of `angle`, between two times, both inclusive, as of a stride."""
     s = angle.series
-    if s.value_sigma is None or s.rate_sigma is None:
-        return Portrait(s.time_s, s.value[:, 0], s.rate[:, 0])
-    return Portrait(s.time_s, s.value[:, 0], s.rate[:, 0], s.value_sigma[:, 0], s.rate_sigma[:, 0])
-
-
-def portrait_between(portrait: Portrait, start_s: float, end_s: float) -> Portrait:
-    """The part of a path between two times, both inclusive, as a stride's start and end."""
     # The times of a grid carry rounding errors.
-    inside = (portrait.time_s >= start_s - 1e-9) & (portrait.time_s <= end_s + 1e-9)
-    values = {field.name: getattr(portrait, field.name) for field in fields(portrait)}
-    return replace(portrait, **{name: value[inside] for name, value in values.items() if value is not None})
+    inside = (s.time_s >= start_s - 1e-9) & (s.time_s <= end_s + 1e-9)
+    sigmas = (None if of is None else of[inside, 0] for of in (s.value_sigma, s.rate_sigma))
+    return Portrait(s.time_s[inside], s.value[inside, 0], s.rate[inside, 0], *sigmas)
 
 
 def closure(portrait: Portrait) -> Closure:
