@@ -86,10 +86,9 @@ def test_joints_of_the_8u_chain_are_called_as_in_the_analysis(frame_results, tmp
     """A stride starts in the animal's pose, so that its first row is that of `recon analyse` under the same names."""
     ask = ("--method", "damped", "--follow", "stride", "--dim", dim, "--stride", "0.4333:0.735", "--no-figures")
     assert run("ik", frame_results, *ask, "--out", tmp_path / "ik").code == 0
-    assert run("analyse", frame_results, "--no-smooth", "--no-figures", "--out", tmp_path / "analysis").code == 0
-    start = pd.read_csv(tmp_path / "ik" / "follow_damped.csv").iloc[0]
-    rates = pd.read_csv(tmp_path / "analysis" / "angle_rates.csv")
-    angles = rates.iloc[(rates["time_s"] - 13 / 30).abs().argmin()]
+    start, motion = pd.read_csv(tmp_path / "ik" / "follow_damped.csv").iloc[0], Motion.load(frame_results)
+    names = [f"{name}_rad" for name in motion.posture_names]
+    angles = dict(zip(names, motion.posture_rad[np.abs(motion.time_s - 13 / 30).argmin()], strict=True))
     joints = [f"theta_{k}" for k in (1, 2, 3, 4)]
     assert [c for c in start.index if c.startswith("theta") and c.endswith("_rad")] == [
         f"{joint}_rad" for joint in ("theta_9", *joints)

@@ -1,8 +1,8 @@
 """All that `recon.gait` says of a fitted clip: kinematics, angles, gait, vector fields, closures.
 
 Where the fit gives no uncertainty (the frame method), its joints jitter from frame to frame, and derivatives of the
-exact splines are mostly noise: paths and angles are then smoothed by their own jitter, unless told otherwise, and all
-the rest is worked out from the smoothed ones.
+exact splines are mostly noise: paths and angles are then smoothed by their own jitter, and all the rest is worked out
+from the smoothed ones.
 
 Errors of a fit with uncertainty are taken for two kinds that last for different times: the place of the whole animal,
 and the pose. The times are those at which the deviations of velocities are right in the mean for real runs (`python
@@ -68,8 +68,6 @@ class ClipAnalysis:
     frame rate. All but the gait's ground needs `MIN_POINTS` frames with a pose, for which `analyse` looks."""
 
     motion: Motion
-    smooth: bool | None = None
-    """Whether paths and angles are smoothed by their jitter; None: where the fit gives no uncertainty."""
     given: Stride | None = None
     """A stride, if the user gave one."""
     lean: bool = False
@@ -78,20 +76,15 @@ class ClipAnalysis:
     """What the animal weighs, if that is known."""
 
     @property
-    def smoothed(self) -> bool:
-        """Whether paths and angles were smoothed by their own jitter."""
-        return self.motion.jitters if self.smooth is None else self.smooth
-
-    @property
     def reference(self) -> str:
         """The joint that stands for the animal's place."""
         return self.motion.reference
 
     @cached_property
     def pose(self) -> Pose3D:
-        """What angles, gait and fields are worked out from, upright, smoothed where `smoothed` says so."""
+        """What angles, gait and fields are worked out from, upright; smoothed where the motion jitters."""
         pose = self.motion.upright
-        if not self.smoothed:
+        if not self.motion.jitters:
             return pose
         of_joint = partial(joint_kinematics, errors=jitter_errors(pose.xyz_m), smooth=True, propagate=False)
         paths = [of_joint(pose, name, self.motion.fps, oversampling=1).series.value for name in pose.names]
@@ -112,14 +105,14 @@ class ClipAnalysis:
         return found
 
     def _moved(self, name: str) -> JointKinematics:
-        errors = _errors(self.motion, self.smoothed)
-        return joint_kinematics(self.motion.upright, name, self.motion.fps, errors, smooth=self.smoothed)
+        motion = self.motion
+        return joint_kinematics(motion.upright, name, motion.fps, _errors(motion), smooth=motion.jitters)
 
     @cached_property
     def angles(self) -> dict[str, AngleKinematics]:
         """The angle at every inner joint of a chain and the flexion of the spine, where the skeleton has one."""
         # A common displacement of all joints turns none of the angles.
-        errors = [] if self.smoothed else _errors(self.motion, smooth=False)[1:]
+        errors = () if self.motion.jitters else _errors(self.motion)[1:]
         found, fps, (rear, front) = {}, self.motion.fps, self.motion.forward_names
         for along in limb_chains(self.motion).values():
             for i in range(1, len(along) - 1):
@@ -137,9 +130,9 @@ class ClipAnalysis:
     def skeleton_angles(self) -> dict[str, AngleKinematics]:
         """The angles that the fit itself has, by name."""
         motion = self.motion
-        of_angles = zip(motion.posture_names, motion.posture_rad.T, _angle_errors(motion, self.smoothed), strict=True)
+        of_angles = zip(motion.posture_names, motion.posture_rad.T, _angle_errors(motion), strict=True)
         return {
-            name: angle_kinematics(motion.time_s, angle, errors, smooth=self.smoothed)
+            name: angle_kinematics(motion.time_s, angle, errors, smooth=motion.jitters)
             for name, angle, errors in of_angles
         }
 
@@ -150,7 +143,7 @@ class ClipAnalysis:
         if not motion.foot_names:
             return None
         body = BODY if set(BODY) <= {*self.pose.names} else motion.forward_names
-        segments, errors = [segment.rows for segment in motion.segments], _errors(motion, motion.jitters)
+        segments, errors = [segment.rows for segment in motion.segments], _errors(motion)
         seen, feet = _seen(motion, self.pose), motion.foot_names
         return gait(pose_tracks(seen, motion.fps, errors, feet, body, segments, restless=motion.jitters))
 
@@ -185,14 +178,13 @@ class ClipAnalysis:
     @cached_property
     def dynamics(self) -> Dynamics | None:
         """Centre of mass, energy and vertical forces; None of a skeleton without masses, or of one side."""
-        return dynamics(self.motion, self.gait, _errors(self.motion, self.smoothed))
+        return dynamics(self.motion, self.gait, _errors(self.motion))
 
     @property
     def net_acceleration_m_s2(self) -> tuple[float, float]:
         """`net_acceleration` of the reference joint."""
         points_m, at = self.motion.upright.xyz_m, self.motion.names.index(self.reference)
-        errors = _errors(self.motion, self.motion.jitters)
-        return net_acceleration(self.motion.time_s, points_m[:, at], [error[:, at] for error in errors])
+        return net_acceleration(self.motion.time_s, points_m[:, at], [error[:, at] for error in _errors(self.motion)])
 
     @property
     def speed(self) -> pd.DataFrame:
@@ -221,8 +213,7 @@ class ClipAnalysis:
         the animal's depth is one of all joints."""
         if not self.motion.jitters:
             return None
-        moved = self.reference_motion if self.smoothed else ClipAnalysis(self.motion).reference_motion
-        peak, sigma = moved.peak_speed_m_s, moved.peak_speed_sigma_m_s
+        peak, sigma = self.reference_motion.peak_speed_m_s, self.reference_motion.peak_speed_sigma_m_s
         return f"its peak is {peak:.1f} ± {sigma:.1f} m/s" if sigma > SPEED_KNOWN * peak else None
 
     @property
@@ -248,12 +239,11 @@ class ClipAnalysis:
         return {name: closure(portrait) for name, portrait in known.items()}
 
 
-def analyse(
-    motion: Motion, smooth: bool | None = None, stride_s: tuple[float, float] | None = None, lean: bool = False
-) -> ClipAnalysis:
-    """smooth: whether to smooth paths and angles by their jitter; None: where the fit gives no uncertainty. stride_s:
-    from when to when a stride lasts; None: one that is found. lean: the series of joints other than the reference, and
-    of the angles at them, hold the frames only, which takes a third of the memory.
+def analyse(motion: Motion, stride_s: tuple[float, float] | None = None, lean: bool = False) -> ClipAnalysis:
+    """What a motion says.
+
+    stride_s: from when to when a stride lasts; None: one that is found. lean: the series of joints other than the
+    reference, and of the angles at them, hold the frames only, which takes a third of the memory.
 
     Raises InputError for a clip with fewer than four frames with a pose, or a stride that it does not hold.
     """
@@ -262,7 +252,7 @@ def analyse(
     if known.sum() < MIN_POINTS:
         found = f"{known.sum()} frames with a pose"
         raise InputError(Problem(motion.file, "frames", found, f"at least {MIN_POINTS}"))
-    return ClipAnalysis(motion, smooth, given, lean)
+    return ClipAnalysis(motion, given, lean)
 
 
 def stride_given(motion: Motion, stride_s: tuple[float, float]) -> Stride:
@@ -293,13 +283,10 @@ def limb_chains(motion: Motion) -> dict[str, tuple[str, ...]]:
     return chains
 
 
-def _errors(motion: Motion, smooth: bool) -> Sequence[Errors]:
-    """Errors of the position and of the pose; smooth: by the jitter; none where the fit does not give them over
-    time."""
-    if smooth:
-        return lasting_errors(motion.upright.xyz_m, motion.fps)
+def _errors(motion: Motion) -> Sequence[Errors]:
+    """Errors of the position and of the pose, by the jitter where the fit does not give them over time."""
     if motion.jitters:
-        return ()
+        return lasting_errors(motion.upright.xyz_m, motion.fps)
     # What is common to all joints; the relative errors of a single one can be larger than its absolute ones.
     floor = 1e-4
     place = np.sqrt(np.maximum(motion.upright_sigma_m**2 - motion.upright_relative_sigma_m**2, floor**2))
@@ -307,12 +294,10 @@ def _errors(motion: Motion, smooth: bool) -> Sequence[Errors]:
     return Errors(place, PLACE_LASTS_S), Errors(pose, POSE_LASTS_S)
 
 
-def _angle_errors(motion: Motion, smooth: bool) -> list[Sequence[Errors]]:
+def _angle_errors(motion: Motion) -> list[Sequence[Errors]]:
     """The errors of each of the fit's own angles."""
-    if smooth:
-        return [jitter_errors(angle) for angle in motion.posture_rad.T]
     if motion.jitters:
-        return [() for _ in motion.posture_names]
+        return [jitter_errors(angle) for angle in motion.posture_rad.T]
     least = 1e-6
     sigma = np.maximum(np.nan_to_num(motion.posture_sigma_rad), least)
     return [[Errors(of_one, POSE_LASTS_S)] for of_one in sigma.T]

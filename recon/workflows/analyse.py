@@ -60,9 +60,6 @@ class AnalyseSettings(Settings):
 
     folder: Annotated[Path, Option("Folder of results, as in results/clip.", argument="DIR")]
     out: Annotated[Path | None, Option("Folder for tables and figures. (default: analysis in DIR)")] = None
-    smooth: Annotated[
-        bool | None, Option("Smooth paths and angles by their jitter. (default: where the fit gives no uncertainty)")
-    ] = None
     stride: Annotated[StrideTimes | None, STRIDE] = None
     body_mass_kg: Annotated[Positive | None, Option("What the animal weighs, for forces in newtons too.")] = None
     figures: Annotated[bool, Option("PNG and SVG beside the tables.")] = True
@@ -118,7 +115,7 @@ def _lines(found: ClipAnalysis) -> Iterator[str]:
 
 
 def run_analyse(settings: AnalyseSettings, progress: Progress = silent) -> Analysed:
-    """`recon analyse`: into `out`, by default the folder analysis in the results' own. smooth, stride_s: see `analyse`.
+    """`recon analyse`: into `out`, by default the folder analysis in the results' own.
 
     The results are not written to. Figures come last: whatever befalls them, the tables are there. Raises InputError:
     no results, too few frames, or files in the way.
@@ -130,7 +127,7 @@ def run_analyse(settings: AnalyseSettings, progress: Progress = silent) -> Analy
         require_free_folder(out, (SUMMARY, *analysis_csv.TABLES), settings.overwrite, "an analysis")
         progress("analysis", 0.1)
         with threadpool_limits(1, user_api="blas"):  # of small matrices, threads cost more than they bring
-            found = analyse(motion, settings.smooth, settings.stride, lean=True)
+            found = analyse(motion, settings.stride, lean=True)
         found = replace(found, body_mass_kg=settings.body_mass_kg)
         summary = summarise(found, settings.folder.absolute().name)
         progress("tables", FIGURES_BEGIN - 0.1)
@@ -158,7 +155,7 @@ def summarise(found: ClipAnalysis, results: str) -> dict[str, Any]:
         "verdict": verdict_fields(found.motion),
         "fps": found.motion.fps,
         "frames": len(found.pose.frames),
-        "smoothed": found.smoothed,
+        "smoothed": found.motion.jitters,
         "reference_joint": found.reference,
         "speed": {
             "distance_m": moved.distance_m,
@@ -193,10 +190,8 @@ def summarise(found: ClipAnalysis, results: str) -> dict[str, Any]:
 def notes(found: ClipAnalysis) -> list[str]:
     """What a reader should know before using the numbers."""
     said = []
-    if found.smoothed:
+    if found.motion.jitters:
         said.append("Paths and angles are smoothed by their jitter from frame to frame.")
-    elif found.motion.jitters:
-        said.append("Nothing is smoothed and the fit gives no uncertainty: rates and accelerations hold its jitter.")
     if count := len(found.not_measured):
         said.append(
             f"{count} of {len(found.skeleton_angles)} angles are mostly expected, not seen (less than "
