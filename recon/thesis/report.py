@@ -147,7 +147,7 @@ def travel_lines(motion: Motion, data: Any) -> Iterator[Line]:
 def _path_text(motion: Motion, has_speed: bool) -> str:
     root, frame = given.root_path(motion), f"{motion.frame_of_reference} frame"
     path = root["smoothed"] or root["exact"]
-    if (doubt := ClipAnalysis(motion).speed_doubt) is not None:
+    if (doubt := ClipAnalysis(motion).why_no_speed) is not None:
         return f"too uncertain in depth for its speed ({frame}): {doubt}{'; take the speed above' if has_speed else ''}"
     how = "smoothed" if root["smoothed"] else "not smoothed"
     far, peak = (number(path[name], ".1f") for name in ("distance_m", "peak_speed_m_s"))
