@@ -50,6 +50,11 @@ def file_name(path: str | None) -> str | None:
     return None if path is None else Path(path).name
 
 
+def picked(of: Any, *names: str) -> dict[str, Any]:
+    """Attributes of something by their names."""
+    return {name: getattr(of, name) for name in names}
+
+
 def by_name(names: Sequence[str], values: Sequence[Any]) -> dict[str, Any]:
     return dict(zip(names, values, strict=True))
 

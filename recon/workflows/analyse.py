@@ -24,7 +24,7 @@ from recon.gait.dynamics import Dynamics, findings_of_dynamics, net_work_j_kg
 from recon.gait.gait import INTERVAL as REGION
 from recon.gait.gait import Gait, Stride, doubt_text
 from recon.show.export import analysis_csv
-from recon.show.plain import to_json
+from recon.show.plain import picked, to_json
 from recon.show.report import in_sentences
 from recon.workflows.cli.common import (
     progress_bar,
@@ -149,6 +149,7 @@ def summarise(found: ClipAnalysis, results: str) -> dict[str, Any]:
     """The figures of a clip in short; what they are is in docs/gait.md. results: what its folder is called."""
     moved = found.reference_motion
     net, net_sigma = found.net_acceleration_m_s2
+    run, by = found.motion.solution.straight_run_m_s, "gait" if found.given is None else "given"
     return {
         "schema": {"name": "recon.analysis", "version": 1},
         "results": results,
@@ -167,22 +168,13 @@ def summarise(found: ClipAnalysis, results: str) -> dict[str, Any]:
             "doubt": found.why_no_speed,
             "net_acceleration_m_s2": net,
             "net_acceleration_interval_m_s2": [net - INTERVAL * net_sigma, net + INTERVAL * net_sigma],
-            "straight_run_m_s": None
-            if (run := found.motion.solution.straight_run_m_s) is None
-            else median(run[run > 0]),
+            "straight_run_m_s": None if run is None else median(run[run > 0]),
         },
         "spine_flexion_rad": found.angles["spine_flexion"].range_rad if "spine_flexion" in found.angles else None,
         "angles": {"data_share": found.motion.data_shares, "not_measured": list(found.not_measured)},
         "gait": None if found.gait is None else _gait_summary(found.gait),
         "dynamics": _dynamics_summary(found),
-        "stride": None
-        if found.stride is None
-        else {
-            "foot": found.stride.foot,
-            "start_s": found.stride.start_s,
-            "end_s": found.stride.end_s,
-            "by": "given" if found.given is not None else "gait",
-        },
+        "stride": None if found.stride is None else picked(found.stride, "foot", "start_s", "end_s") | {"by": by},
         "notes": notes(found),
     }
 
@@ -240,10 +232,7 @@ def _stride_energy(d: Dynamics, stride: Stride) -> dict[str, Any]:
     """What the animal's energy gains over a stride, per kilogram, and in the mean per second."""
     work, sigma = net_work_j_kg(d, stride.start_s, stride.end_s)
     reach, lasts = radius(REGION) * sigma, stride.end_s - stride.start_s
-    return {
-        "foot": stride.foot,
-        "start_s": stride.start_s,
-        "end_s": stride.end_s,
+    return picked(stride, "foot", "start_s", "end_s") | {
         "net_work_j_kg": work,
         "net_work_interval_j_kg": [work - reach, work + reach],
         "net_power_w_kg": work / lasts,
@@ -252,18 +241,10 @@ def _stride_energy(d: Dynamics, stride: Stride) -> dict[str, Any]:
 
 
 def _gait_summary(gait: Gait) -> dict[str, Any]:
-    return {
-        "name": gait.name.name,
-        "criterion": gait.name.criterion,
-        "footfalls": list(gait.order),
-        "stances": len(gait.stances),
-        "strides": len(gait.strides),
-        "stride_length_m": gait.stride_length_m,
-        "stride_frequency_hz": gait.stride_frequency_hz,
-        "duty_factor": gait.name.duty_factor,
-        "duty_factor_interval": gait.name.duty_interval,
-        "duty_factor_by_foot": dict(gait.duty_factor),
-    }
+    counts = {"footfalls": list(gait.order), "stances": len(gait.stances), "strides": len(gait.strides)}
+    duty = {"duty_factor_interval": gait.name.duty_interval, "duty_factor_by_foot": dict(gait.duty_factor)}
+    named = picked(gait.name, "name", "criterion", "duty_factor")
+    return named | counts | picked(gait, "stride_length_m", "stride_frequency_hz") | duty
 
 
 # -- figures ---------------------------------------------------------------------------------------------------------

@@ -22,6 +22,7 @@ from recon.calibrate.intrinsics import draw
 from recon.check import names_text
 from recon.geometry.lens import LENS_MODELS
 from recon.io import write_camera
+from recon.show.plain import picked
 from recon.workflows.cli.common import error_text, progress_bar, say, table_of, terminal
 
 EXIT_REFUSED = 1
@@ -141,15 +142,8 @@ def run_calibration(settings: CalibrationSettings, progress: Progress = silent) 
         "rms_px": calibration.rms_px,
         "parameters": [{"name": name, "value": value, "sigma": _finite(sigma)} for (name, value), sigma in parameters],
         "pictures": [
-            {
-                "name": view.name,
-                "used": view.used,
-                "corners": len(view.ids),
-                "rms_px": view.rms_px,
-                "max_px": view.max_px,
-                "tilt_rad": view.tilt_rad,
-                "distance_m": math.hypot(*view.translation_m),
-            }
+            picked(view, "name", "used", "rms_px", "max_px", "tilt_rad")
+            | {"corners": len(view.ids), "distance_m": math.hypot(*view.translation_m)}
             for view in calibration.views
         ],
         "examined": views.examined,

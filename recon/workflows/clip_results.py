@@ -23,15 +23,7 @@ from recon.workflows.settings import FitSettings
 
 REFINED_CAMERAS = "cameras.toml"
 """Where cameras' poses were refined."""
-OUTPUT_FILES = (
-    *CLIP_OUTPUTS,
-    *CAMERA_OUTPUTS,
-    MOTION,
-    "report.json",
-    "motion.rrd",
-    "config.toml",
-    MANIFEST,
-)
+OUTPUT_FILES = (*CLIP_OUTPUTS, *CAMERA_OUTPUTS, MOTION, "report.json", "motion.rrd", "config.toml", MANIFEST)
 """Every file that a clip of one camera gets. With several cameras there are `CAMERA_OUTPUTS` for each."""
 
 

@@ -13,6 +13,7 @@ from recon.base.files import require_free_folder
 from recon.base.settings import Option, Settings
 from recon.base.words import length_text
 from recon.geometry.kinematics import ANGLE_OF_AXIS, AXES
+from recon.show.plain import picked
 from recon.workflows.cli.common import say, table_of, terminal
 
 STEMS = ("skeleton", "angles")
@@ -110,17 +111,13 @@ def check_skeleton(name_or_path: str | Path, subject: str | Path | None = None) 
     points = body.expected_points_m()
     length, _, height = np.ptp(points, axis=0).tolist()
     return {
-        "name": body.name,
-        "title": body.title,
+        **picked(body, "name", "title", "size_sigma", "keypoint_sigma_m", "limbs"),
         "kind": "chain" if body.one_sided else "whole animal",
         "unknowns": body.n_state,
         "length_m": length,
         "height_m": height,
-        "size_sigma": body.size_sigma,
-        "keypoint_sigma_m": body.keypoint_sigma_m,
         "prior": load_prior(None, body).name,
         "feet": body.feet_by_label(),
-        "limbs": body.limbs,
         "remarks": [*_remarks(body)],
         "parts": [*_segments(body)],
         "markers": [{"name": m.name, "segment": m.segment, "at_m": m.offset_m} for m in body.tree.markers],

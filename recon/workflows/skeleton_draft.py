@@ -31,6 +31,7 @@ from recon.clip import Source, together, views_of
 from recon.clip.keypoints import clean
 from recon.io import read_keypoints
 from recon.io.deeplabcut_project import bodyparts, find_project
+from recon.show.plain import picked
 from recon.workflows.cameras import read_clip_cameras
 from recon.workflows.cli.common import say, terminal
 from recon.workflows.clip import arrange, read_clips
@@ -103,13 +104,7 @@ def run_skeleton_draft(settings: _SkeletonDraftSettings) -> SkeletonDraft:
 
 def _of_geometry(settings: _SkeletonDraftSettings) -> SkeletonDraft:
     """Raises InputError also where the cameras' poses are not known, or which way is up."""
-    given = FitSettings(
-        keypoints=settings.keypoints,
-        camera=settings.camera,
-        fps=settings.fps,
-        up=settings.up,
-        individual=settings.individual,
-    )
+    given = FitSettings(**picked(settings, "keypoints", "camera", "fps", "up", "individual"))
     files, cameras = all_of(lambda: read_clips(given), lambda: read_clip_cameras(given))
     first, source = files[0], settings.keypoints[0]
     assert first.fps is not None

@@ -44,15 +44,8 @@ def angles_sigma(motion: Motion, path: Path) -> None:
 
 def quality(motion: Motion, path: Path) -> None:
     """What is doubtful about each frame: flags, separated by semicolons, and the numbers behind them."""
-    columns = (
-        motion.frames,
-        [";".join(flags) for flags in motion.flags],
-        motion.alternative_m,
-        motion.detections,
-        motion.mean_weight,
-        motion.place_sigma_m,
-        motion.relative_rms_m,
-    )
+    flags = [";".join(flags) for flags in motion.flags]
+    columns = (motion.frames, flags, *(getattr(motion, name) for name in QUALITY_COLUMNS[2:]))
     write_rows(path, [QUALITY_COLUMNS], zip(*columns, strict=True))
 
 

@@ -76,21 +76,9 @@ def _arrows(axes: Axes, field: LinkField, time_s: Array, every: int, fastest: fl
     known = np.isfinite(field.velocity_m_s[:, :2]).all(axis=1) & (np.arange(len(time_s)) % every == 0)
     axes.axhline(0, color=PALE, lw=0.6, zorder=1)
     dx, dy = field.velocity_m_s[known, :2].T
-    arrows = axes.quiver(
-        time_s[known],
-        np.zeros(known.sum()),
-        dx,
-        dy,
-        angles="uv",
-        scale_units="height",
-        scale=(fastest or 1.0) / _LONGEST,
-        units="inches",
-        width=0.013,
-        headwidth=4,
-        clip_on=False,
-        color=colour,
-        zorder=2,
-    )
+    scale = {"angles": "uv", "scale_units": "height", "scale": (fastest or 1.0) / _LONGEST, "units": "inches"}
+    style = {"width": 0.013, "headwidth": 4, "clip_on": False, "color": colour, "zorder": 2}
+    arrows = axes.quiver(time_s[known], np.zeros(known.sum()), dx, dy, **scale, **style)
     arrows.set_in_layout(False)
     return arrows
 

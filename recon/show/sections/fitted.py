@@ -18,7 +18,7 @@ from recon.fit.motion import MEASURED_SHARE, Motion
 from recon.fit.result import MotionSegment, TrajectorySolution
 from recon.gait.clip import ClipAnalysis
 from recon.gait.kinematics import MIN_POINTS
-from recon.show.plain import file_name, frame_count
+from recon.show.plain import file_name, frame_count, picked
 from recon.show.sections.given import counts, heading_text, sentences, upright
 from recon.show.sections.section import Line
 
@@ -210,14 +210,11 @@ def prior_lines(motion: Motion, data: Any) -> Iterator[Line]:
 
 def segments(motion: Motion) -> list[dict[str, Any]]:
     """The stretches that were solved, each by itself, and the ground under them."""
-    return [
-        {
-            "frames": (motion.frames[segment.rows.start], motion.frames[segment.rows.stop - 1] + 1),
-            "ground": _ground(motion, segment),
-            "prior_weight": segment.prior_weight,
-        }
-        for segment in motion.solution.segments
-    ]
+    found = []
+    for segment in motion.solution.segments:
+        frames = motion.frames[segment.rows.start], motion.frames[segment.rows.stop - 1] + 1
+        found.append({"frames": frames, "ground": _ground(motion, segment)} | picked(segment, "prior_weight"))
+    return found
 
 
 def _ground(motion: Motion, segment: MotionSegment) -> dict[str, Any] | None:
@@ -289,11 +286,7 @@ def alternative_lines(motion: Motion, data: Any) -> Iterator[Line]:
 
 def convergence(motion: Motion) -> dict[str, Any]:
     solution = _solution(motion)
-    return {
-        "status": solution.status,
-        "iterations": solution.iterations,
-        "cost_by_term": solution.cost_by_term,
-    }
+    return picked(solution, "status", "iterations", "cost_by_term")
 
 
 def effort_lines(motion: Motion, data: Any) -> Iterator[Line]:

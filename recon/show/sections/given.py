@@ -18,7 +18,7 @@ from recon.clip.keypoints import KeypointCounts
 from recon.fit import TrajectorySolution
 from recon.fit.motion import Motion, Picture
 from recon.gait.kinematics import frame_jitter_m, jitter_errors, point_kinematics
-from recon.show.plain import by_name, file_name, number
+from recon.show.plain import by_name, file_name, number, picked
 from recon.show.sections.section import Line
 
 BEST_SHARE = 0.9
@@ -40,13 +40,9 @@ def verdict_lines(motion: Motion, data: Any) -> Iterator[Line]:
 
 
 def clip(motion: Motion) -> dict[str, Any]:
-    return {
-        "keypoints": file_name(motion.keypoints.source),
-        "individual": motion.keypoints.individual,
-        "fps": motion.fps,
-        "frames": (motion.frames[0], motion.frames[-1] + 1),
-        "camera": motion.camera.to_dict(),
-    }
+    files = {"keypoints": file_name(motion.keypoints.source), "individual": motion.keypoints.individual}
+    frames = motion.frames[0], motion.frames[-1] + 1
+    return files | {"fps": motion.fps, "frames": frames, "camera": motion.camera.to_dict()}
 
 
 def clip_lines(motion: Motion, data: Any) -> Iterator[Line]:
@@ -66,15 +62,9 @@ def side_lines(motion: Motion, data: Any) -> Iterator[Line]:
 
 
 def skeleton(motion: Motion) -> dict[str, Any]:
-    return {
-        "name": motion.body.name,
-        "title": motion.title,
-        "joints": motion.joints,
-        "keypoints": motion.names,
-        "feet": {label: motion.names[foot] for label, foot in zip(motion.foot_labels, motion.feet, strict=True)},
-        "state_names": motion.state_names,
-        "states_frame": motion.states_frame,
-    }
+    feet = {label: motion.names[foot] for label, foot in zip(motion.foot_labels, motion.feet, strict=True)}
+    own = picked(motion, "title", "joints", "state_names", "states_frame")
+    return {"name": motion.body.name, "keypoints": motion.names, "feet": feet, **own}
 
 
 def detector(motion: Motion) -> dict[str, str]:
@@ -248,11 +238,8 @@ def _camera(motion: Motion, number: int) -> dict[str, Any]:
     source, errors, poses = picture.source, finite(picture.distance_px), picture.source.poses
     found |= {"extrinsic_correction": None, "focal": None}
     if isinstance(solution, TrajectorySolution):
-        by, sigma, focal = (
-            solution.extrinsic_correction[number],
-            solution.extrinsic_correction_sigma[number],
-            solution.focal_sigma[number],
-        )
+        by, sigma = solution.extrinsic_correction[number], solution.extrinsic_correction_sigma[number]
+        focal = solution.focal_sigma[number]
         correction = {"turn_rad": by[:3], "turn_sigma_rad": sigma[:3], "shift_m": by[3:], "shift_sigma_m": sigma[3:]}
         found = {
             "time_offset_sigma_frames": solution.time_offset_sigma_frames[number],
@@ -334,13 +321,8 @@ def _kinematics(motion: Motion, smoothing_m: Array | None) -> dict[str, Any]:
     smooth = smoothing_m is not None
     errors = jitter_errors(motion.root_m) if smooth else ()
     path = point_kinematics(motion.time_s, motion.root_m, errors, smooth=smooth, propagate=False)
-    return {
-        "smoothing_m": smoothing_m,
-        "distance_m": path.distance_m,
-        "peak_speed_m_s": path.peak_speed_m_s,
-        "mean_speed_m_s": path.mean_speed_m_s,
-        "peak_acceleration_m_s2": path.peak_acceleration_m_s2,
-    }
+    names = "distance_m", "peak_speed_m_s", "mean_speed_m_s", "peak_acceleration_m_s2"
+    return {"smoothing_m": smoothing_m, **picked(path, *names)}
 
 
 def heading_text(angle_rad: float | None) -> str:

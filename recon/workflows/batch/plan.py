@@ -78,11 +78,8 @@ def _planned(clip: Clip, out: Path, row: Mapping[str, Any] | None, overwrite: bo
         whole = not read_manifest(out).changed()
     except InputError:
         whole = False
-    return (
-        ClipPlan(clip, out, "done", "", mine, row["row"])
-        if whole
-        else ClipPlan(clip, out, "refit", "not complete", mine)
-    )
+    plan = ClipPlan(clip, out, "refit", "not complete", mine)
+    return replace(plan, action="done", reason="", row=row["row"]) if whole else plan
 
 
 def _changed_names(theirs: Mapping[str, Any], mine: Mapping[str, Any]) -> list[str]:

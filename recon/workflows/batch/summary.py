@@ -20,30 +20,15 @@ from recon.workflows.batch.inputs import SUMMARY
 from recon.workflows.batch.plan import ClipPlan
 
 RESULTS = (
-    "verdict",
-    "reason",
+    *("verdict", "reason"),
     *(f"{error}{end}" for error in ("pose_mm", "position_m") for end in ("", "_low", "_high")),
-    "frames",
-    "frames_with_pose",
-    "warnings",
-    "outliers",
-    "mean_reprojection_px",
-    "mean_speed_m_s",
-    "peak_speed_m_s",
-    "size",
+    *("frames", "frames_with_pose", "warnings", "outliers", "mean_reprojection_px"),
+    *("mean_speed_m_s", "peak_speed_m_s", "size"),
 )
 COLUMNS = (
-    "clip",
-    "keypoints",
-    "cameras",
-    "out",
-    "status",
-    "error",
+    *("clip", "keypoints", "cameras", "out", "status", "error"),
     *RESULTS,
-    "seconds",
-    "attempts",
-    "settings_hash",
-    "inputs_hash",
+    *("seconds", "attempts", "settings_hash", "inputs_hash"),
 )
 STATUSES = ("done", "done earlier", "unsolved", "failed", "pending")
 """unsolved: fitted, but no frame has a pose. pending: not tried, because the batch was interrupted."""
@@ -65,13 +50,10 @@ def results_of(report: Mapping[str, Any]) -> dict[str, Any]:
         "verdict": verdict.get("level"),
         "reason": verdict.get("reason"),
         **expected,
-        "frames": summary["frames"],
-        "frames_with_pose": summary["frames_with_pose"],
+        **{name: summary[name] for name in ("frames", "frames_with_pose", "outliers")},
         "warnings": len(warnings(report)),
-        "outliers": summary["outliers"],
         "mean_reprojection_px": summary["reprojection_px"]["mean"],
-        "mean_speed_m_s": speeds["mean_speed_m_s"],
-        "peak_speed_m_s": speeds["peak_speed_m_s"],
+        **{name: speeds[name] for name in ("mean_speed_m_s", "peak_speed_m_s")},
         "size": report["size"]["factor"] if report["method"] == "trajectory" else None,
     }
 

@@ -22,10 +22,7 @@ COMMANDS = {
         "batch": (_CORE + "cli.batch:batch", "Many clips in parallel, from where it was stopped."),
         "run": (_CORE + "run:run", "From a video to a page: keypoints, fit, analysis, overlay, report.html."),
         "demo": (_CORE + "demo:demo", "Fit the bundled sample and compare it with its truth."),
-        "settings": (
-            _CORE + "cli.settings:settings",
-            "List all settings of a command, also those that are no options.",
-        ),
+        "settings": (_CORE + "cli.settings:settings", "All settings of a command, also those that are no options."),
     },
     "Look at it and use it": {
         "view": (_CORE + "view:view", "The playback in the rerun viewer, with the plots of its analysis."),
@@ -49,31 +46,19 @@ COMMANDS = {
     },
     "Models and priors": {
         "skeleton list": (_CORE + "skeleton_check:skeleton_list", "List the skeletons that come with the package."),
-        "skeleton check": (
-            _CORE + "skeleton_check:skeleton_check",
-            "Check a skeleton file, list what is in it, and draw it.",
-        ),
-        "skeleton from-keypoints": (
-            _CORE + "skeleton_draft:skeleton_from_keypoints",
-            "Draft a skeleton for the keypoints of a file.",
-        ),
+        "skeleton check": (_CORE + "skeleton_check:skeleton_check", "Check a skeleton file, list it, and draw it."),
+        "skeleton from-keypoints": (_CORE + "skeleton_draft:skeleton_from_keypoints", "Draft one for a file's points."),
         "subject fit": (_CORE + "subject:subject_fit", "Measure one animal in clips of several cameras."),
         "prior fit": (_CORE + "prior:prior_fit", "Fit a motion prior to results or 3D poses."),
     },
     "Robots and the thesis": {
         "ik": (_ROBOTICS + "ik:ik", "Inverse kinematics from the trunk to a foot."),
         "retarget": (_ROBOTICS + "retarget:retarget", "The motion on a four-legged robot."),
-        "robot pose": (
-            _ROBOTICS + "robot:pose",
-            "The legs' angles of a body that is moved and turned, the feet planted.",
-        ),
+        "robot pose": (_ROBOTICS + "robot:pose", "The legs' angles of a body that moves over planted feet."),
         "robot dh": (_ROBOTICS + "robot:dh", "A leg or chain by its Denavit-Hartenberg table, forward and inverse."),
         "climb": (_ROBOTICS + "climb:climb", "A four-legged robot climbs a step by potential fields."),
         "frame": (_THESIS + "frame:frame", "Fit one side of the animal, one frame after the other."),
-        "solver": (
-            _THESIS + "solver:solver",
-            "What the optimiser of recon frame did: costs, Jacobian, limits.",
-        ),
+        "solver": (_THESIS + "solver:solver", "What the optimiser of recon frame did: costs, Jacobian, limits."),
     },
     "This installation": {
         "doctor": (_CORE + "doctor:doctor", "Check versions, optional parts, the viewer, and a fit of the sample."),
