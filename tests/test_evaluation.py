@@ -14,6 +14,8 @@ from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
 from recon import InputError, evaluate, evaluate_files
+from recon.check import sentence
+from recon.check.mismatch import mismatches
 from recon.gait.evaluation import align_scale, align_similarity, centre, joint_errors
 from recon.io import Pose3D, read_pose3d, trc
 
@@ -193,28 +195,27 @@ TURN = Rotation.from_rotvec([1.2, -0.7, 0.4]).as_matrix()
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "code", "number"),
     [
-        (lambda xyz: xyz @ TURN.T + [3.0, 1.0, 2.0], "One rotation of the whole clip, by 8"),
-        (lambda xyz: xyz[:, [1, 0, 3, 2, 4, 5]], "named the other way round."),
-        (
-            lambda xyz: xyz[:, [1, 0, 3, 2, 4, 5]] @ TURN,
-            "a rotation of the whole clip by 8",
-        ),
-        (lambda xyz: xyz * [1.0, 1.0, -1.0], "left-handed axes"),
-        (lambda xyz: 1000 * xyz, "One scale, by 0.00"),
-        (lambda xyz: 1000 * xyz @ TURN, "whole clip by 83°, bring"),
-        (lambda xyz: xyz + np.array([0.0, 9.0, 0.0]), "m apart in all frames: they probably have different origins"),
+        (lambda xyz: xyz @ TURN.T + [3.0, 1.0, 2.0], "reference_rotated", ("turn_rad", 1.45)),
+        (lambda xyz: xyz[:, [1, 0, 3, 2, 4, 5]], "reference_swapped", None),
+        (lambda xyz: xyz[:, [1, 0, 3, 2, 4, 5]] @ TURN, "reference_swapped", ("turn_rad", 1.45)),
+        (lambda xyz: xyz * [1.0, 1.0, -1.0], "reference_mirrored", None),
+        (lambda xyz: 1000 * xyz, "reference_scaled", ("factor", 0.001)),
+        (lambda xyz: 1000 * xyz @ TURN, "reference_scaled", ("factor", 0.001)),
+        (lambda xyz: xyz + np.array([0.0, 9.0, 0.0]), "reference_elsewhere", ("y_m", 9.0)),
     ],
 )
-def test_what_is_probably_wrong(change, said):
+def test_what_is_probably_wrong(change, code, number):
     """One change of the whole clip on top of a fit's own errors, and a joint that is missing here and there."""
     fit = RUN + RNG.normal(0, 0.03, RUN.shape)
     fit[1, 4] = NAN
     assert evaluate(pose(fit, NAMES), pose(RUN, NAMES)).notes == ()
-    (note,) = evaluate(pose(change(fit), NAMES), pose(RUN, NAMES)).notes
-    assert said in note
-    assert evaluate(pose(change(fit), NAMES), pose(RUN, NAMES)).to_dict()["notes"] == [note]
+    (found,) = mismatches(change(fit), RUN, NAMES)
+    assert found.code == code
+    assert number is None or found.numbers[number[0]] == pytest.approx(number[1], rel=0.05)
+    assert evaluate(pose(change(fit), NAMES), pose(RUN, NAMES)).notes == (sentence(found),)
+    assert evaluate(pose(change(fit), NAMES), pose(RUN, NAMES)).to_dict()["notes"] == [sentence(found)]
 
 
 def test_poor_fits_and_depths_are_no_mistakes():
@@ -226,8 +227,8 @@ def test_poor_fits_and_depths_are_no_mistakes():
 
 
 def test_another_clip():
-    (note,) = evaluate(pose(RUN[::-1] @ TURN + RNG.normal(0, 0.5, RUN.shape), NAMES), pose(RUN, NAMES)).notes
-    assert "as those of different clips are" in note
+    (found,) = mismatches(RUN[::-1] @ TURN + RNG.normal(0, 0.5, RUN.shape), RUN, NAMES)
+    assert found.code == "reference_unlike"
 
 
 def test_a_result_folder(whole_results, level_results, tmp_path):
