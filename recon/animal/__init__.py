@@ -6,7 +6,6 @@ from recon.base import lazily
 
 if TYPE_CHECKING:
     from recon.animal.body import MIN_JOINTS, Body, Side, both_sides, facing_side, other_side, side_of, without_side
-    from recon.animal.body_file import subject_toml
     from recon.animal.chain import Chain
     from recon.animal.naming import (
         NameMap,
@@ -29,6 +28,7 @@ if TYPE_CHECKING:
         load_chain,
         load_skeleton,
         seen_by,
+        subject_toml,
     )
 
 __getattr__ = lazily(__name__, __file__)

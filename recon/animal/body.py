@@ -11,14 +11,16 @@ and a limb has the side of its markers. A marker of a chain has a keypoint for e
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
+from pydantic import BeforeValidator
 
 from recon.base.arrays import Array, Index
+from recon.base.errors import Problem
 from recon.geometry.kinematics import Tree
 
 MIN_JOINTS = 5
@@ -58,6 +60,26 @@ PLACES = {"left_fore": "LF", "right_fore": "RF", "left_hind": "LH", "right_hind"
 _LABELLED: dict[str, Side] = {"L": "left", "R": "right"}
 CHAIN_PLACES = {"fore": "F", "hind": "H"}
 """The same of a chain, which stands for either side: the label gets that of the fit in front of it."""
+
+
+def foot_table(places: Iterable[str], example: str) -> BeforeValidator:
+    """One message for whatever else stands there, and for nothing."""
+
+    def checked(value: Any) -> Any:
+        if isinstance(value, dict) and {*value} <= {*places} and all(isinstance(foot, str) for foot in value.values()):
+            return value
+        raise ValueError(f"a table that says where each foot is, as {example}")
+
+    return BeforeValidator(checked)
+
+
+def foot_problems(feet: dict[str, str], source: str) -> Iterator[Problem]:
+    for place, foot in feet.items():
+        side = side_of(foot)
+        if side is not None and place in PLACES and not place.startswith(side):
+            yield Problem(source, f"feet.{place}", repr(foot), f"a {place.split('_')[0]} one: by its name it is {side}")
+    if len({*feet.values()}) < len(feet):
+        yield Problem(source, "feet", ", ".join(feet.values()), "every foot once")
 
 
 def side_of(name: str) -> Side | None:

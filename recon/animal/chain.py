@@ -22,22 +22,18 @@ length).
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
 from pydantic import BeforeValidator, Field
 
-from recon.animal.body import CHAIN_PLACES, MIN_JOINTS, Body, Side, Skeleton
-from recon.animal.body_file import FileTable, Number, Sigma, foot_problems, foot_table, read_named, unknown
-from recon.base import documents
+from recon.animal.body import CHAIN_PLACES, MIN_JOINTS, Body, Side, Skeleton, foot_problems, foot_table
 from recon.base.arrays import Array, Index
-from recon.base.documents import validated
-from recon.base.errors import InputError, Problem, refuse
+from recon.base.documents import FileTable, Number, Sigma, unknown, validated
+from recon.base.errors import Problem, refuse
 from recon.geometry.frames import euler_rotation, euler_rotation_with_jacobian
 from recon.geometry.kinematics import PITCH, ROLL, ROOT, YAW, Joint, Marker, Segment, Tree
 
@@ -366,28 +362,9 @@ class _ChainFile(FileTable):
 
 
 def chain_of(raw: dict[str, Any], source: str) -> Chain:
-    file = validated(_ChainFile, _extended(raw, source), source)
+    file = validated(_ChainFile, raw, source)
     refuse(_chain_problems(file, source))
     return _chain(file)
-
-
-def _extended(raw: dict[str, Any], source: str) -> dict[str, Any]:
-    """With the tables of the skeleton that it `extends`, where it has none of its own."""
-    if "extends" not in raw:
-        return raw
-    if not isinstance(name := raw["extends"], str):
-        raise InputError(Problem(source, "extends", repr(name), "the name or the file of a skeleton"))
-    parent, parent_source = read_named(_beside(name, source))
-    if "segments" in parent or "extends" in parent:
-        expected = "a chain that extends none; a body's lengths stand in a subject file"
-        raise InputError(Problem(source, "extends", parent_source, expected))
-    return {**parent, **{key: value for key, value in raw.items() if key != "extends"}}
-
-
-def _beside(name: str, source: str) -> str:
-    """A skeleton that a file names: built in, or a file that lies beside it, or is found from where the user is."""
-    file = os.path.join(Path(source).parent, name)
-    return file if os.path.isfile(file) and name not in documents.builtin_names("animal/skeletons", ".toml") else name
 
 
 def _chain_problems(file: _ChainFile, source: str) -> Iterator[Problem]:

@@ -16,7 +16,6 @@ from pathlib import Path
 from recon.animal.body import side_of, without_side
 from recon.animal.skeleton_file import builtin_chains, builtin_names, load_skeleton
 from recon.base import documents
-from recon.base.documents import read_text
 from recon.base.errors import InputError, Problem, refuse
 from recon.clip.keypoints import Keypoints
 
@@ -53,13 +52,8 @@ def builtin_maps() -> tuple[str, ...]:
 def load_names(name_or_path: str | Path) -> NameMap:
     """The built-in map of that name, or the one in a CSV file. Raises InputError with every problem."""
     source = str(name_or_path)
-    if source in builtin_maps():
-        text = documents.builtin_file("animal/names", f"{source}.csv").read_text(encoding="utf-8")
-    elif Path(source).is_file():
-        text = read_text(Path(source), _EXPECTED)
-    else:
-        expected = f"one of {', '.join(builtin_maps())}, or {_EXPECTED}"
-        raise InputError(Problem("--rename", "name or file", repr(source), expected))
+    content, _ = documents.named_file(name_or_path, "animal/names", ".csv", "--rename", "map of names")
+    text = documents.text_of(content, source, _EXPECTED)
     lines = [(i, line) for i, line in enumerate(text.splitlines(), start=1) if line.strip() and line.strip()[0] != "#"]
     delimiter = next((mark for mark in ",;\t" if lines and mark in lines[0][1]), ",")
     names: dict[str, str] = {}

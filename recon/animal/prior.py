@@ -19,16 +19,14 @@ import numpy as np
 from pydantic import ConfigDict
 
 from recon.animal.body import Body
-from recon.animal.body_file import FileTable
 from recon.base.arrays import Array
 from recon.base.documents import (
     KINDS,
-    MAX_UNPACKED,
+    FileTable,
     arrays_of,
-    builtin_file,
     builtin_names,
+    named_file,
     parse_json,
-    read_content,
     validated,
 )
 from recon.base.errors import InputError, Problem, refuse
@@ -175,14 +173,9 @@ def load_prior(name_or_path: str | Path | None, body: Body) -> MotionPrior:
                 return load_prior(name, body)
     if name_or_path is None or str(name_or_path) == NONE:
         return prior_from_body(body)
-    if str(name_or_path) in builtin_priors():
-        content = builtin_file("animal/priors", f"{name_or_path}.npz").read_bytes()
-        return _prior(content, f"prior {name_or_path}", body)
-    path = Path(name_or_path)
-    if not path.is_file():
-        expected = f"one of {', '.join((*builtin_priors(), NONE))}, or a prior file (.npz)"
-        raise InputError(Problem("--prior", "name or file", repr(str(name_or_path)), expected))
-    return _prior(read_content(path, _EXPECTED, MAX_UNPACKED), str(path), body)
+    names = (*builtin_priors(), NONE)
+    content, source = named_file(name_or_path, "animal/priors", ".npz", "--prior", "prior", names)
+    return _prior(content, source, body)
 
 
 def _prior(content: bytes, source: str, body: Body) -> MotionPrior:

@@ -15,15 +15,15 @@ import tokenize
 import tomllib
 import zipfile
 import zlib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from importlib import resources
 from importlib.resources.abc import Traversable
 from io import BytesIO
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import numpy as np
-from pydantic import TypeAdapter, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from recon.base.errors import InputError, Problem
 
@@ -37,12 +37,16 @@ def read_text(path: Path, expected: str, most: int = MAX_BYTES) -> str:
 
     Raises InputError for anything but a file that can be read, of no more bytes than that.
     """
-    content = read_content(path, expected, most)
+    return text_of(read_content(path, expected, most), path, expected)
+
+
+def text_of(content: bytes, source: str | Path, expected: str) -> str:
+    """What bytes in UTF-8 say. Raises InputError for others."""
     try:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         found = f"byte {error.start + 1} of the file is not UTF-8"
-        raise InputError(Problem(path, "text", found, f"{expected}, as text in UTF-8")) from None
+        raise InputError(Problem(source, "text", found, f"{expected}, as text in UTF-8")) from None
 
 
 def read_content(path: Path, expected: str, most: int = MAX_BYTES) -> bytes:
@@ -172,7 +176,45 @@ def _array(content: bytes, kinds: str) -> np.ndarray:
     return flat.reshape(shape, order="F" if fortran else "C").copy(order="K")
 
 
+# -- tables of files ---------------------------------------------------------------------------------------------------
+
+Number = Annotated[float, Field(gt=-1e6, lt=1e6, allow_inf_nan=False)]
+Sigma = Annotated[float, Field(gt=1e-9, lt=1e6, allow_inf_nan=False)]
+"""More, or less, can only be damage."""
+
+
+class FileTable(BaseModel):
+    """A table of a file: other fields than its own are refused."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+def unknown(source: str, names: Iterable[tuple[str, str]], known: Iterable[str], what: str = "") -> Iterator[Problem]:
+    """The problems of names that are not among the known ones, each with the field that it stands in."""
+    known = [*known]
+    for field, name in names:
+        if name not in known:
+            yield Problem(
+                source, field, repr(name), f"{what}{', '.join(known)}" if what else f"one of {', '.join(known)}"
+            )
+
+
 # -- files that come with the package --------------------------------------------------------------------------------
+
+
+def named_file(
+    name: str | Path, folder: str, ending: str, option: str, what: str, names: Iterable[str] | None = None
+) -> tuple[bytes, str]:
+    """The content of the file of that name that comes with the package in a folder of it, or of a user's own file, and
+    what to call it in messages. what: its kind; names: those to choose from, if not all. Raises InputError."""
+    known = builtin_names(folder, ending)
+    if str(name) in known:
+        return builtin_file(folder, f"{name}{ending}").read_bytes(), f"{what} {name}"
+    path, expected = Path(name), f"a {what} file ({ending})"
+    if not path.is_file():
+        choice = ", ".join(known if names is None else names)
+        raise InputError(Problem(option, "name or file", repr(str(name)), f"one of {choice}, or {expected}"))
+    return read_content(path, expected, MAX_UNPACKED), str(path)
 
 
 def builtin_file(folder: str, name: str) -> Traversable:
