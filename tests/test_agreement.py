@@ -28,9 +28,9 @@ def cameras(n: int = 4) -> list[View]:
 
 def judged(views: list[View], offset_s: Sequence[float] = (0.0,) * 5) -> tuple[Finding, ...]:
     """Of a motion that has what is read."""
-    late = replace(views[0], lead_frames=views[0].lead_frames + 0.3)  # a lag that was found does not hide another
-    leads = [view.lead_frames for view in views]
-    sources = [SimpleNamespace(lead_frames=lead, offset_s=s) for lead, s in zip(leads, offset_s, strict=False)]
+    late = replace(views[0], offset_frames=views[0].offset_frames + 0.3)  # a lag that was found does not hide another
+    leads = [view.offset_frames for view in views]
+    sources = [SimpleNamespace(offset_frames=lead, offset_s=s) for lead, s in zip(leads, offset_s, strict=False)]
     frames, solution = np.arange(100, 100 + len(views[0].xy_px)), SimpleNamespace(views=[late, *views[1:]])
     motion = SimpleNamespace(solution=solution, sources=sources, fps=FPS, frames=frames)
     return agreement_findings(motion, 2.0, KEYPOINT_M)  # type: ignore[arg-type]
@@ -112,9 +112,9 @@ def test_what_is_known_of_the_lag_is_taken_into_account():
     """Half a frame is in the view; the other half is found."""
     views, points = cameras(3), truth_m()
     between = 0.5 * (points + np.concatenate([points[1:], 2 * points[-1:] - points[-2:-1]]))
-    views[1] = replace(view_of(between, ASIDE, sigma_px=0.5, seed=1), camera=views[1].camera, lead_frames=0.5)
+    views[1] = replace(view_of(between, ASIDE, sigma_px=0.5, seed=1), camera=views[1].camera, offset_frames=0.5)
     assert notes(judged(views))[1].late_frames == 0.0
-    assert notes(judged([views[0], replace(views[1], lead_frames=0.0), views[2]]))[1].late_frames == 0.5
+    assert notes(judged([views[0], replace(views[1], offset_frames=0.0), views[2]]))[1].late_frames == 0.5
 
 
 @pytest.mark.parametrize("n", [3, 4])

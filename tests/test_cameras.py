@@ -125,11 +125,11 @@ def test_cameras_that_began_later():
     sources = [Source(CAMERA, *clean(keypoints_of(values), 0.5), BODY.markers) for values in (xy_px + 100, xy_px + 200)]
     first, late = together(sources, [0.0, 2.25])
     np.testing.assert_array_equal(first.keypoints.frames, np.arange(7))
-    assert (first.lead_frames, late.lead_frames) == (0.0, 0.25)
+    assert (first.offset_frames, late.offset_frames) == (0.0, 0.25)
     assert np.isnan(first.keypoints.xy_px[5:]).all()
     np.testing.assert_array_equal(late.keypoints.xy_px[:, 0, 0], [np.nan, np.nan, 200, 201, 202, 203, 204])
     _, early = together(sources, [0.0, -0.25])
-    assert early.lead_frames == 0.75
+    assert early.offset_frames == 0.75
     assert early.keypoints.frames[0] == -1
 
 

@@ -157,7 +157,7 @@ def test_a_rig_in_another_unit_and_likelihoods_that_are_low(small_trajectory):
     moved = view.T_camera_world.copy()
     moved[:3, 3] += (3000.0, 0.0, 0.0)
     away = replace(view, T_camera_world=moved)
-    flags = (("ran away",),) * len(motion.frames)
+    flags = (("diverged",),) * len(motion.frames)
     solution = replace(motion.solution, views=(view, away), flags=flags, states=motion.states * np.nan)
     (one,) = no_pose(replace(motion, solution=solution))
     assert (one.code, one.numbers["unit"]) == ("no_pose_unit", "mm")

@@ -82,7 +82,7 @@ def seen_late(shared: bool = True) -> LeastSquares:
     sigma, J = np.full(xy_px.shape[:2], 8.0), xy_px.shape[1]
     seen = [
         Reprojection(of, sigma, 3.0, np.zeros(3), i, 0.1 * rng.normal(size=(T, J, 3)), rng.uniform(100, 200, T))
-        for i, of in enumerate((view(xy_px), replace(view(xy_px), lead_frames=0.3)))
+        for i, of in enumerate((view(xy_px), replace(view(xy_px), offset_frames=0.3)))
     ]
     unknown = [Unknown(SIZE, np.ones(1), np.array([0.1])), Unknown(SIDESLIP, np.zeros(1), np.array([0.2]))]
     unknown += [Unknown(time_offset(i), np.zeros(1), np.array([0.3])) for i in range(2)]

@@ -36,7 +36,7 @@ def test_a_camera_that_sees_nothing_together_with_others_is_not_compared():
 
 def test_lags_are_found_with_their_uncertainty():
     """By a solver that is told that they may be large, beside the first camera's."""
-    views = [replace(view, lead_frames=lead) for view, lead in zip(cameras(2), (0.0, 0.75), strict=True)]
+    views = [replace(view, offset_frames=lead) for view, lead in zip(cameras(2), (0.0, 0.75), strict=True)]
     found = solve_trajectory(views, BODY, PRIOR, FPS, TrajectoryOptions(fast=True, find_offsets=True))
     assert (found.time_offset_frames[0], found.time_offset_sigma_frames[0]) == (0, 0)
     assert found.time_offset_frames[1] == pytest.approx(-0.75, abs=0.1)
@@ -60,7 +60,7 @@ def test_found_lags_put_the_sources_in_step_until_they_are_small():
 
     found, solution = solved_in_step(sources(), [0.0, 0.0], solve, 2.0, KEYPOINT_M)
     assert found[1].offset_s * FPS + solution.time_offset_frames[1] == pytest.approx(2.4, abs=0.01)
-    assert found[1].lead_frames == pytest.approx(0.35, abs=0.02)
+    assert found[1].offset_frames == pytest.approx(0.35, abs=0.02)
     assert len(asked) == 2
 
 
@@ -79,7 +79,7 @@ def test_a_motion_that_does_not_tell_is_refused():
 def test_a_clip_whose_cameras_are_out_of_step(folder):
     """Both began together; --set offset-s says five frames later, where the search begins."""
     motion = fit_clip(settings(folder, 1, 2, find_offsets=True, offset_s=[0.0, 5 / FPS]))
-    lag = motion.solution.views[1].lead_frames - motion.sources[1].lead_frames
+    lag = motion.solution.views[1].offset_frames - motion.sources[1].offset_frames
     assert motion.sources[1].offset_s * FPS + lag == pytest.approx(0, abs=0.1)
     assert abs(lag) < 0.05
 

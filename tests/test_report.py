@@ -116,8 +116,8 @@ def test_a_frame_that_ran_away_says_so_and_has_no_part_in_the_medians(small_moti
     reports[2] = replace(reports[2], status="not_converged", in_view=False, cost_shares={"reprojection": 1e9})
     motion = with_states(small_motion, states, tuple(reports))
     report = build_report(motion, {})
-    assert motion.flags[2] == ("ran away", "not converged")
-    assert report["summary"]["frames_ran_away"] == 1
+    assert motion.flags[2] == ("diverged", "not converged")
+    assert report["summary"]["frames_diverged"] == 1
     assert numbers(report, "frames_not_converged") == {"count": 1, "frames_total": 6}
     assert max(report["cost_shares"].values()) <= 1
 
@@ -258,7 +258,7 @@ def test_summary_of_a_trajectory_adds_up(trajectory):
     assert (summary["frames"], summary["frames_with_pose"], summary["frames_flagged"]) == (8, 8, 2)
     assert summary["flags"] == {
         "no data": 1,
-        "ran away": 0,
+        "diverged": 0,
         "data poor": 1,
         "ambiguous depth": 1,
         "left-right swap": 0,
@@ -431,7 +431,7 @@ def test_the_summary_begins_with_a_distance_that_is_hardly_told(small_trajectory
 def test_cameras_that_look_out_of_step_are_named(two_cameras, lags, warned):
     """A lag is expected within 0.29 frames, and the difference of two within 0.41."""
     both = zip(two_cameras.solution.views, two_cameras.sources, lags, strict=True)
-    views = tuple(replace(view, lead_frames=source.lead_frames + lag) for view, source, lag in both)
+    views = tuple(replace(view, offset_frames=source.offset_frames + lag) for view, source, lag in both)
     report = build_report(with_solution(two_cameras, views=views), {})
     assert ("cameras_out_of_step" in codes(report)) == warned
     if warned:

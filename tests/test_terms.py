@@ -88,7 +88,7 @@ def terms():
         PoseMixture(PRIOR, FPS, 0.7),
         PoseMixture(PRIOR, FPS, 1.0, temperature=5.0),
         Reprojection(view(xy_px, confidence), sigma, 3.0, np.zeros(3)),
-        Reprojection(replace(view(xy_px, confidence), lead_frames=0.3), sigma, 3.0, np.zeros(3)),
+        Reprojection(replace(view(xy_px, confidence), offset_frames=0.3), sigma, 3.0, np.zeros(3)),
         Reprojection(moving_view(xy_px, confidence), sigma, 3.0, np.zeros(3)),
         Heading(rear, front, FPS, 0.5),
         KnownAngles(some_states(1), 0.05),

@@ -170,7 +170,7 @@ def test_an_animal_that_goes_beside_where_it_looks(monkeypatch):
 def test_where_points_are_between_two_frames_and_at_the_end_of_a_stretch():
     points = np.arange(6.0)[:, None, None] * np.ones((6, 1, 3))
     points[3] = np.nan
-    late = replace(view_of(np.ones((6, 1, 3)), AHEAD), lead_frames=0.25)
+    late = replace(view_of(np.ones((6, 1, 3)), AHEAD), offset_frames=0.25)
     expected = [0.25, 1.25, 2.25, np.nan, 4.25, 5.25]
     np.testing.assert_allclose(late.at_its_time(points)[:, 0, 0], expected)
 
@@ -181,7 +181,7 @@ def test_a_camera_half_a_frame_late_is_no_worse_for_it():
     between = 0.5 * (points + np.concatenate([points[1:], 2 * points[-1:] - points[-2:-1]]))
     late = view_of(between, ASIDE, seed=1)
     said = solve_trajectory(
-        [view_of(points, AHEAD), replace(late, lead_frames=0.5)], BODY, PRIOR, FPS, TrajectoryOptions(fast=True)
+        [view_of(points, AHEAD), replace(late, offset_frames=0.5)], BODY, PRIOR, FPS, TrajectoryOptions(fast=True)
     )
     error = np.linalg.norm(said.joints_m - points, axis=-1).mean()
     assert error < np.linalg.norm(two().joints_m - points, axis=-1).mean() + 0.003

@@ -91,7 +91,7 @@ def agreement_findings(motion: Motion, sigma_px: float, keypoint_sigma_m: float)
     sigma_px: noise of the detector; keypoint_sigma_m: how far off a keypoint's place on the body it may lie as well.
     """
     both = zip(motion.solution.views, motion.sources, strict=True)
-    views = [replace(view, lead_frames=source.lead_frames) for view, source in both]
+    views = [replace(view, offset_frames=source.offset_frames) for view, source in both]
     if len(views) < 2:
         return ()
     rows, fps = _best_seen(views), motion.fps
@@ -305,7 +305,7 @@ def _sights(views: Sequence[View], sigma_px: float, keypoint_sigma_m: float) -> 
         focal_px = float(np.mean(view.focal_px))
         rotation = np.broadcast_to(view.T_camera_world[..., :3, :3], (T, 3, 3))
         sight = _Sight(view.rays(), view.centre_m, rotation, focal_px, np.full((T, 1), sigma_px / focal_px))
-        sights.append(sight.later(view.lead_frames))
+        sights.append(sight.later(view.offset_frames))
     points = _points(sights)
     return [_with_keypoint_noise(sight, points, keypoint_sigma_m) for sight in sights]
 

@@ -25,7 +25,7 @@ FLAG_OF: Mapping[str, str] = {
 """Flags of frames, by the code of the finding that is about them."""
 FLAGS: Mapping[str, str] = {
     "no data": "nothing was detected: the pose, if there is one, comes from the frames around",
-    "ran away": "the best pose was out of the camera's sight, and the frame has none",
+    "diverged": "the best pose was out of the camera's sight, and the frame has none",
     "data poor": "few joints were seen and trusted: the pose is mostly what is expected",
     "ambiguous depth": (
         "seen from the front or the back, or another pose explains it nearly as well: depths in the pose may be wrong"

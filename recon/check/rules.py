@@ -132,11 +132,11 @@ def no_pose(motion: Motion) -> Iterator[Finding]:
     centres = np.array([view.centre_m[0] for view in motion.solution.views if view.still])
     apart = max((float(np.linalg.norm(a - b)) for a in centres for b in centres), default=0.0)
     times = apart / _span(motion.body)
-    if _flagged(motion, "ran away") and times > FARTHEST:
+    if _flagged(motion, "diverged") and times > FARTHEST:
         unit = min(("cm", "mm"), key=lambda unit: abs(math.log(times / UNITS_PER_M[unit] / USUAL)))
         yield finding("no_pose_unit", apart_m=apart, times=times, unit=unit)
         return
-    yield finding("no_pose_diverged" if _flagged(motion, "ran away") else "no_pose")
+    yield finding("no_pose_diverged" if _flagged(motion, "diverged") else "no_pose")
 
 
 def few_frames(motion: Motion) -> Iterator[Finding]:
@@ -150,7 +150,7 @@ def cameras_out_of_step(motion: Motion) -> Iterator[Finding]:
     still."""
     if len(motion.sources) < 2:
         return
-    late = [v.lead_frames - s.lead_frames for v, s in zip(motion.solution.views, motion.sources, strict=True)]
+    late = [v.offset_frames - s.offset_frames for v, s in zip(motion.solution.views, motion.sources, strict=True)]
     first, last = int(np.argmin(late)), int(np.argmax(late))
     apart = late[last] - late[first]
     if apart > OUT_OF_STEP_SIGMAS * math.sqrt(2.0) * constants.TIME_OFFSET_FRAMES:

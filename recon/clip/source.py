@@ -29,7 +29,7 @@ class View:
     """(T, J), 0 to 1."""
     intrinsics_px: Array | None = None
     """(T, 4): fx, fy, cx, cy of each frame, of a camera that zooms."""
-    lead_frames: float = 0.0
+    offset_frames: float = 0.0
     """Its pictures were taken that much later than the clip's frames: 0 up to 1 as given, with a time offset that was
     found more or less."""
     turn_sigma_rad: Array | None = None
@@ -111,11 +111,11 @@ class View:
 
     def at_its_time(self, points_m: Array) -> Array:
         """Points (T, J, 3) of the clip's frames when this view's pictures were taken."""
-        if not self.lead_frames or len(points_m) < 2:
+        if not self.offset_frames or len(points_m) < 2:
             return points_m
         step = np.diff(points_m, axis=0)
         before, after = (np.concatenate(pair) for pair in ((step[:1], step), (step, step[-1:])))
-        return points_m + self.lead_frames * np.where(np.isnan(after), before, after)  # goes on where a gap begins
+        return points_m + self.offset_frames * np.where(np.isnan(after), before, after)  # goes on where a gap begins
 
     # -- projection; points are those of all T frames ---------------------------------------------------------------
 
@@ -224,7 +224,7 @@ class Source:
     cleaning: CleaningReport
     file_names: tuple[str, ...]
     """All keypoints of the file."""
-    lead_frames: float = 0.0
+    offset_frames: float = 0.0
     """0 up to 1: its pictures were taken that much later than the clip's frames."""
     poses: FramePoses | None = None
     """The poses of a camera that moves; where they are not known, nothing is detected. The camera itself has no pose
@@ -243,7 +243,7 @@ def views_of(sources: Sequence[Source]) -> tuple[View, ...]:
     poses, views = iter(camera_poses(still) if still else ()), []
     for source in sources:
         where = FramePoses(next(poses)) if source.poses is None else source.poses.each(held)
-        seen = (source.keypoints.xy_px, source.keypoints.confidence, where.intrinsics_px, source.lead_frames)
+        seen = (source.keypoints.xy_px, source.keypoints.confidence, where.intrinsics_px, source.offset_frames)
         views.append(View(source.camera, where.T_camera_world, *seen, where.turn_sigma_rad))
     return tuple(views)
 
@@ -270,7 +270,7 @@ def together(sources: Sequence[Source], later_frames: Sequence[float]) -> tuple[
     frames, fps = np.arange(min(starts), max(stops)), sources[0].keypoints.fps or np.nan
     near = _near_detections(sources, starts, frames, BRIDGED_S * fps)
     return tuple(
-        replace(_on_frames(source, start, frames[near]), lead_frames=later - shift, offset_s=later / fps)
+        replace(_on_frames(source, start, frames[near]), offset_frames=later - shift, offset_s=later / fps)
         for source, start, later, shift in zip(sources, starts, later_frames, shifts, strict=True)
     )
 

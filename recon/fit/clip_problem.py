@@ -129,7 +129,8 @@ class ClipProblem:
         """The problem of every step-th frame, which counts for those left out."""
         thin = self.part(slice(None, None, step))
         views = tuple(
-            replace(view, confidence=step * view.confidence, lead_frames=view.lead_frames / step) for view in thin.views
+            replace(view, confidence=step * view.confidence, offset_frames=view.offset_frames / step)
+            for view in thin.views
         )
         return replace(thin, views=views, fps=self.fps / step)
 

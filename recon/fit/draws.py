@@ -27,7 +27,7 @@ def at_solution(
 ) -> Iterator[tuple[MotionSegment, LeastSquares, Estimate]]:
     """Every segment with what it was solved for, and its solution: states (T, D) about the clip's origin and at nominal
     size, and the unknowns that its frames share. The noise of the joints is the solution's, the mean of several
-    segments; contacts follow from the solution. A segment with a frame that ran away is left out."""
+    segments; contacts follow from the solution. A segment with a frame that diverged is left out."""
     mean_noise_px = np.array([[mean(of_joint) for of_joint in noise_px.T] for noise_px in solution.noise_px])
     size = solution.size if clip.shows_size else 1.0
     told = {time_offset(i): np.array([later]) for i, later in enumerate(solution.time_offset_frames)}

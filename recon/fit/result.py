@@ -214,7 +214,7 @@ class Solution:
 
 @dataclass(frozen=True, eq=False)
 class TrajectorySolution(Solution):
-    """A solution of the trajectory method. Flags: "no data", "ran away", "data poor", "ambiguous depth"."""
+    """A solution of the trajectory method. Flags: "no data", "diverged", "data poor", "ambiguous depth"."""
 
     size_sigma: float
     """The posterior standard deviation of the size."""

@@ -257,7 +257,7 @@ class Reprojection:
 
     @property
     def stencil(self) -> tuple[int, ...]:
-        return (0, 1) if self.view.lead_frames else (0,)
+        return (0, 1) if self.view.offset_frames else (0,)
 
     def evaluate(self, span: Span, jacobian: bool) -> _TermRows:
         parts = self._parts(span)
@@ -320,7 +320,7 @@ class Reprojection:
 
     def _parts(self, span: Span) -> list[tuple[slice, float]]:
         """The span's frames that each picture lies between, and their shares."""
-        lead, n = self.view.lead_frames, len(span.states)
+        lead, n = self.view.offset_frames, len(span.states)
         return [(slice(0, n - 1), 1.0 - lead), (slice(1, n), lead)] if lead else [(span.own, 1.0)]
 
     def weights(self, points_m: Array) -> Array:

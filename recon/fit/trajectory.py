@@ -72,7 +72,7 @@ def solve_trajectory(
 
     ground_near_zero: whether the ground is known to lie near the world's z = 0; by default where the camera files say
     which way is up. Deterministic. Frames too far from any detection have NaN states and the flag "no data", those
-    whose pose is too far off to be seen NaN states and the flag "ran away". Detections that no detector can have found
+    whose pose is too far off to be seen NaN states and the flag "diverged". Detections that no detector can have found
     in the camera's picture are left out (`Camera.sees`). A minimum that was not reached is the solution's status, not
     an exception.
 
@@ -249,7 +249,7 @@ def _found(
     views: Sequence[View], late: Iterable[float], places: Iterable[Array], longer: Iterable[float]
 ) -> tuple[View, ...]:
     return tuple(
-        replace(view, lead_frames=view.lead_frames + frames).corrected(place).with_focal_scale(factor)
+        replace(view, offset_frames=view.offset_frames + frames).corrected(place).with_focal_scale(factor)
         for view, frames, place, factor in zip(views, late, places, longer, strict=True)
     )
 
@@ -477,7 +477,7 @@ def _flags(
     alone = (sees.sum(axis=0) <= 1) & np.all(end_on | (~sees & sees.any(axis=0)), axis=0)
     doubtful = {
         "no data": ~np.isfinite(joints_m[:, 0, 0]) | (detected == 0),
-        "ran away": away,
+        "diverged": away,
         "data poor": (detected > 0) & (trusted < max(POOR_SHARE * weight.shape[2], POORER_SHARE * good)),
         "ambiguous depth": alone | (second_m > ALTERNATIVE_M),
     }

@@ -47,7 +47,7 @@ CONVERGED = (1, 2, 3, 4)
 
 FEW_POINTS_SHARE = 0.75
 """Frames with a smaller part of the joints detected are flagged "few points"."""
-TRUSTED_SHARE = 1 / 3
+GOOD_SHARE = 1 / 3
 """Frames with a smaller part of the joints detected and trusted are flagged "data poor"."""
 WARN_LIMITS = 0.25
 """Share of the solved frames from which angles beyond their ranges are a finding."""
@@ -113,7 +113,7 @@ class FrameReport:
     solve_s: float
     """Time spent on the frame, all starts."""
     in_view: bool
-    """The camera can see the pose, and it has an animal's size; a pose that ran away is not converged, not part of the
+    """The camera can see the pose, and it has an animal's size; a pose that diverged is not converged, not part of the
     solution, and has no shares and covariance (NaN)."""
 
 
@@ -123,7 +123,7 @@ class FrameSolution(Solution):
 
     chain: Chain
     chain_states: Array
-    """(T, D): as published (`recon.animal.chain`), NaN where a frame has no data or its pose ran away."""
+    """(T, D): as published (`recon.animal.chain`), NaN where a frame has no data or its pose diverged."""
     reports: tuple[FrameReport | None, ...]
     """One a frame, None without data."""
     travel: Travel
@@ -250,7 +250,7 @@ def solve_frames(
             continue
         state, C, report = solver.solve(frame, rays[frame], travel.heading[frame], states, before, fps)
         reports.append(report)
-        if report.in_view:  # a pose that ran away is no start for the next frame
+        if report.in_view:  # a pose that diverged is no start for the next frame
             states[frame], covariance[frame] = state, C
             before = [*before[-1:], frame]
     names = tuple(term.name for term in solver.objectives)
@@ -423,9 +423,9 @@ def _flags(
     off_px = np.linalg.norm(view.project(joints_m)[0] - view.xy_px, axis=-1)
     doubtful = {
         "no data": [r is None for r in reports],
-        "ran away": [r is not None and not r.in_view for r in reports],
+        "diverged": [r is not None and not r.in_view for r in reports],
         "few points": [r is not None for r in reports] & (present < FEW_POINTS_SHARE * J),
-        "data poor": present * trusted < TRUSTED_SHARE * J,
+        "data poor": present * trusted < GOOD_SHARE * J,
         "outliers": (off_px > OUTLIER_SIGMAS * sigma_px[:, None]).any(axis=1),
         "not converged": [r is not None and r.status == "not_converged" for r in reports],
         "at range limit": (beyond_range_rad(chain, states) > 0).any(axis=1),
@@ -508,7 +508,7 @@ class _Candidate:
 
 
 @dataclass(frozen=True)
-class _Given:
+class _FrameInputs:
     """What does not change while a frame is solved. previous: the pose before, dt_s earlier, None at the start."""
 
     frame: int
@@ -536,7 +536,7 @@ class _FrameSolver:
 
     def search(
         self, frame: int, rays: Array, heading: Array, states: Array, before: Sequence[int], fps: float
-    ) -> tuple[_Candidate, _Given, int]:
+    ) -> tuple[_Candidate, _FrameInputs, int]:
         """The best of the minima, what was held, and from how many starts."""
         starts = [self._carried_on(frame, states, before)] if before else self._first_starts(rays, heading)
         fixed = self.given(frame, states, before[-1] if before else None, fps, self._noise_px(starts[0]))
@@ -548,11 +548,11 @@ class _FrameSolver:
             best = self._best(fixed, tried)
         return best, fixed, len(tried)
 
-    def given(self, frame: int, states: Array, before: int | None, fps: float, sigma_px: float) -> _Given:
+    def given(self, frame: int, states: Array, before: int | None, fps: float, sigma_px: float) -> _FrameInputs:
         """before: the last solved frame, None at the start."""
         if before is None:
-            return _Given(frame, None, 1.0 / fps, sigma_px)
-        return _Given(frame, self.chain.pose(states[before][None]), (frame - before) / fps, sigma_px)
+            return _FrameInputs(frame, None, 1.0 / fps, sigma_px)
+        return _FrameInputs(frame, self.chain.pose(states[before][None]), (frame - before) / fps, sigma_px)
 
     # -- starts ---------------------------------------------------------------------------------------------------
 
@@ -587,7 +587,7 @@ class _FrameSolver:
 
     # -- one optimisation -----------------------------------------------------------------------------------------
 
-    def _solve_from(self, start: Array, fixed: _Given) -> _Candidate:
+    def _solve_from(self, start: Array, fixed: _FrameInputs) -> _Candidate:
         """The minimum from one start, approached with a wide loss where the start is far off for the noise.
 
         Geman-McClure residuals beyond c sigma hardly pull: a start that far off would stay there.
@@ -609,7 +609,7 @@ class _FrameSolver:
             )
         return self._minimise(start, fixed, self.options.tolerance)
 
-    def _minimise(self, start: Array, fixed: _Given, tolerance: float) -> _Candidate:
+    def _minimise(self, start: Array, fixed: _FrameInputs, tolerance: float) -> _Candidate:
         terms = self.terms(fixed)
         free = np.ones(self.chain.n_state, dtype=bool)
         if self.options.camera_rotation == "fixed" and fixed.previous is not None:
@@ -662,23 +662,23 @@ class _FrameSolver:
         keypoint_m = self.chain.scales.keypoint_m if o.keypoint_sigma_m is None else o.keypoint_sigma_m
         return float(np.hypot(o.sigma_px, min(keypoint_m * self.focal_px / depth, o.keypoint_sigma_max_px)))
 
-    def terms(self, fixed: _Given) -> tuple[Objective, ...]:
+    def terms(self, fixed: _FrameInputs) -> tuple[Objective, ...]:
         """The objectives with this frame's noise; without a frame before, no ties to it."""
         terms = (replace(self.reprojection, sigma_px=fixed.sigma_px), *self.others)
         return terms if fixed.previous is not None else tuple(term for term in terms if not term.ties)
 
-    def _distances_px(self, fixed: _Given, state: Array) -> Array:
+    def _distances_px(self, fixed: _FrameInputs, state: Array) -> Array:
         """(n,) from the frame's detections to the state's reprojections, infinite where a joint cannot be projected."""
         pixels, valid = self.camera.project(self.chain.pose(state[None]).joints_m[0])
         detected = self.reprojection.xy_px[fixed.frame]
         off = np.where(valid, np.linalg.norm(pixels - detected, axis=1), np.inf)
         return off[np.isfinite(detected[:, 0])]
 
-    def _best(self, fixed: _Given, tried: Sequence[_Candidate]) -> _Candidate:
+    def _best(self, fixed: _FrameInputs, tried: Sequence[_Candidate]) -> _Candidate:
         """The lowest cost among the poses that the camera can see, or among all if it can see none."""
         return min(tried, key=lambda c: (not self._in_view(fixed, c.x), c.cost))
 
-    def _in_view(self, fixed: _Given, state: Array) -> bool:
+    def _in_view(self, fixed: _FrameInputs, state: Array) -> bool:
         """Whether every detected joint can be projected, and the animal has a size (MOST_SIZE) and is near enough to be
         seen (MIN_REACH_PX)."""
         base, nominal = float(state[self.chain.base_index]), self.chain.nominal_base_length_m
@@ -688,14 +688,14 @@ class _FrameSolver:
         seen = float(self.chain.length_ratios.sum()) * base * self.focal_px > MIN_REACH_PX * depth
         return seen and bool(np.all(np.isfinite(self._distances_px(fixed, state))))
 
-    def _explained(self, fixed: _Given, candidate: _Candidate) -> bool:
+    def _explained(self, fixed: _FrameInputs, candidate: _Candidate) -> bool:
         """Converged, and no detection further off than c sigma."""
         within = self._distances_px(fixed, candidate.x) < self.options.robust_c * fixed.sigma_px
         return candidate.status in CONVERGED and bool(np.all(within))
 
     # -- report ---------------------------------------------------------------------------------------------------
 
-    def _report(self, fixed: _Given, best: _Candidate, starts: int, began: float) -> tuple[Array, FrameReport]:
+    def _report(self, fixed: _FrameInputs, best: _Candidate, starts: int, began: float) -> tuple[Array, FrameReport]:
         terms = self.terms(fixed)
         parts = by_term(terms, self.chain, fixed.frame, best.x, fixed.previous, fixed.dt_s)
         costs = {term.name: float(np.sum(r**2)) for term, (r, _) in zip(terms, parts, strict=True)}

@@ -68,7 +68,7 @@ def summary(motion: Motion) -> dict[str, Any]:
         "frames_with_pose": int(motion.solved.sum()),
         "frames_flagged": sum(bool(flags) for flags in motion.flags),
         **{f"frames_{s}": solution.status.count(s) for s in ("converged", "not_converged", "no_data")},
-        "frames_ran_away": sum("ran away" in flags for flags in motion.flags),
+        "frames_diverged": sum("diverged" in flags for flags in motion.flags),
         **given.counts(motion),
         "joint_sigma_across_m": median(np.sqrt((sigma[..., :2] ** 2).mean(axis=-1))),
         "joint_sigma_depth_m": median(sigma[..., 2]),

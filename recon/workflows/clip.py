@@ -134,7 +134,7 @@ def _log(motion: Motion) -> None:
         LOGGER.log(level, "%s: %s", name, text)
 
 
-def _file_facts(given: Prepared, settings: FitSettings) -> FileFacts:
+def _file_facts(given: ClipInputs, settings: FitSettings) -> FileFacts:
     """What the files say of a clip besides its keypoints."""
     named = []
     for source, path in zip(given.sources, settings.keypoints, strict=True):
@@ -151,7 +151,7 @@ Unknown = tuple[Body, MotionPrior, Cameras]
 
 
 @dataclass(frozen=True)
-class Prepared:
+class ClipInputs:
     """All that a fit works on: the animal, what is expected of its motion, and for each camera its keypoints on its own
     frames, which began so many frames later than the first's. side: whose limbs, None for a whole animal."""
 
@@ -171,7 +171,7 @@ class Prepared:
         return together(self.apart, self.later_frames)
 
 
-def prepare(settings: FitSettings, read_shared: Callable[[FitSettings], Unknown] | None = None) -> Prepared:
+def prepare(settings: FitSettings, read_shared: Callable[[FitSettings], Unknown] | None = None) -> ClipInputs:
     """Everything that comes before solving: the one list of checks, of a fit and of who asks whether it can be done.
 
     read_shared: `read_model_and_cameras`, or one that remembers. Raises InputError as `fit_clip`.
@@ -196,13 +196,13 @@ def prepare(settings: FitSettings, read_shared: Callable[[FitSettings], Unknown]
         side, reason = _side(body, cleaned[0].keypoints, settings)
     names = body.keypoint_names(side)
     sources = tuple(replace(source, keypoints=arrange(source.keypoints, names)) for source in cleaned)
-    given = Prepared(seen, prior, sources, later_frames, fps, side, reason)
+    given = ClipInputs(seen, prior, sources, later_frames, fps, side, reason)
     cameras = [source.camera for source in sources]
     unsaid = all(camera.has_extrinsics and not camera.world_z_up and not camera.tilt_rad for camera in cameras)
     return _turned_up(given, settings) if len(cameras) > 1 and unsaid and settings.up is None else given
 
 
-def _turned_up(given: Prepared, settings: FitSettings) -> Prepared:
+def _turned_up(given: ClipInputs, settings: FitSettings) -> ClipInputs:
     """With z up and the ground at 0, where the feet say which way is up."""
     views = [
         replace(view, T_camera_world=rigid(np.asarray(view.camera.rotation), np.asarray(view.camera.translation_m)))

@@ -26,7 +26,7 @@ from recon.io import write_cameras
 from recon.workflows.batch.inputs import AUTO, find_clips
 from recon.workflows.cli.command import OptionsOf
 from recon.workflows.cli.common import progress_bar, say, terminal
-from recon.workflows.clip import Prepared, prepare
+from recon.workflows.clip import ClipInputs, prepare
 from recon.workflows.settings import FitSettings, read_settings
 
 DISAGREEMENT = 16.0
@@ -227,7 +227,7 @@ def _lengths_moved(xy_px: Array) -> float:
     return path_px / max(length_px, 1.0)
 
 
-def _in_step(clip: FitSettings, given: Sequence[Prepared]) -> tuple[Source, ...]:
+def _in_step(clip: FitSettings, given: Sequence[ClipInputs]) -> tuple[Source, ...]:
     """The sources of a clip on its frames, by the offsets that are given, or found to whole frames beside those."""
     apart, fps = [one.sources[0] for one in given], given[0].fps
     later = np.array(clip.offset_s or np.zeros(len(given))) * fps
@@ -246,7 +246,7 @@ def _in_step(clip: FitSettings, given: Sequence[Prepared]) -> tuple[Source, ...]
 
 def _setting(
     clip: FitSettings,
-    given: Sequence[Prepared],
+    given: Sequence[ClipInputs],
     sources: Sequence[Source],
     cameras: Sequence[Camera],
     poses: Sequence[Array],
@@ -261,12 +261,12 @@ def _setting(
             views.append(View(camera, pose, nothing, np.zeros(nothing.shape[:2])))
         else:
             points = source.keypoints
-            views.append(View(camera, pose, points.xy_px, points.confidence, lead_frames=source.lead_frames))
+            views.append(View(camera, pose, points.xy_px, points.confidence, offset_frames=source.offset_frames))
     knows_up = bool(clip.refine_cameras) and None  # where the ground is, the camera file says
     return ClipProblem.of(views, first.body, first.prior, first.fps, clip.trajectory_options(), knows_up)
 
 
-def _each_alone(settings: FitSettings) -> list[Prepared]:
+def _each_alone(settings: FitSettings) -> list[ClipInputs]:
     """Each camera's keypoints, prepared as a clip of one camera."""
     names = settings.camera_name or (None,) * len(settings.keypoints)
     alone = replace(settings, offset_s=None, refine_cameras=None, find_offsets=None, tilt_deg=None)
@@ -289,7 +289,7 @@ def _each_alone(settings: FitSettings) -> list[Prepared]:
     return list(given)
 
 
-def _all_cameras(given: Sequence[Sequence[Prepared]]) -> list[Camera]:
+def _all_cameras(given: Sequence[Sequence[ClipInputs]]) -> list[Camera]:
     """The cameras of all clips, each once, those of the first clip first."""
     cameras: dict[str, Camera] = {}
     for one in (prepared.sources[0].camera for clip in given for prepared in clip):

@@ -396,7 +396,7 @@ def faults(motion: Motion, report: dict, folder: Path) -> list[str]:
     if (report["root_path"]["exact"]["distance_m"] or 0.0) > 2 * limit_m * len(motion.frames):
         found.append(f"a path of {report['root_path']['exact']['distance_m']:.3g} m")
     flags = motion.flags
-    bare = [t for t in np.flatnonzero(~solved) if not {"no data", "ran away"} & {*flags[t]}]
+    bare = [t for t in np.flatnonzero(~solved) if not {"no data", "diverged"} & {*flags[t]}]
     if bare:
         found.append(f"no pose and no flag that says why in frames {bare[:5]}")
     quality = pd.read_csv(folder / "quality.csv", dtype=str, keep_default_na=False)

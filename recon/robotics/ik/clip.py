@@ -43,7 +43,7 @@ from recon.robotics.ik.costs import (
     weighted_sum,
 )
 from recon.robotics.ik.drive import Run, control_columns, drive_to, follow
-from recon.robotics.ik.fit import PARAMETERS, PULL, Fitted, Frames, fit_weights, fits
+from recon.robotics.ik.fit import PARAMETERS, PULL, Frames, ParameterFit, fit_weights, fits
 from recon.robotics.ik.methods import (
     ExtendedJacobian,
     GradientProjection,
@@ -108,7 +108,7 @@ class IKRun:
     """(dim,)"""
     runs: Mapping[str, Mapping[str, Run]]
     """To the "target" and along the stride ("follow"), by method, empty where not asked for."""
-    parameters: Mapping[str, Fitted]
+    parameters: Mapping[str, ParameterFit]
     """Fitted to the clip, by method."""
     series: pd.DataFrame | None
     """Fitted to each frame of the stride by itself (`fit_parameter_series`); None where not asked for."""
@@ -222,7 +222,7 @@ def _foot_label(motion: Motion, foot: str | None) -> str:
 def methods_of(
     limb: Limb,
     names: tuple[str, ...],
-    parameters: Mapping[str, Fitted],
+    parameters: Mapping[str, ParameterFit],
     fitted: bool = False,
     cost: Cost | None = None,
     alpha: float | Literal["step"] | None = None,
@@ -270,7 +270,7 @@ def cost_of(limb: Limb, text: str) -> Cost:
     return costs[0] if len(costs) == 1 and weights == [1.0] else weighted_sum(tuple(costs), tuple(weights))
 
 
-def fit_parameters(limb: Limb, cost: Cost | None = None) -> dict[str, Fitted]:
+def fit_parameters(limb: Limb, cost: Cost | None = None) -> dict[str, ParameterFit]:
     """By method, by least squares to the joint rates of the clip, from a spline through its angles. cost: of gradient
     projection; None: any constant vector. Raises InputError for fewer than four frames in a row."""
     frames = _rates_of(limb)

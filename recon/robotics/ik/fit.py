@@ -80,7 +80,7 @@ class Frames:
 
 
 @dataclass(frozen=True, eq=False)
-class Fitted:
+class ParameterFit:
     """A method with its parameter, and how well it fits."""
 
     method: Method
@@ -96,7 +96,7 @@ class Fitted:
     """Where a parameter lies at the edge of its range."""
 
 
-Fit = Callable[[Frames], Fitted]
+Fit = Callable[[Frames], ParameterFit]
 
 
 def fits(cost: Cost | None) -> dict[str, Fit]:
@@ -129,19 +129,19 @@ def best_scale(rates: Array, dq: Array) -> float:
     return float(np.sum(rates * dq)) / square if square > 0 else 1.0
 
 
-def fit_least_norm(frames: Frames) -> Fitted:
+def fit_least_norm(frames: Frames) -> ParameterFit:
     """Nothing to fit: for comparison."""
     return _fitted(LeastNorm(), np.empty(0), frames)
 
 
-def fit_damped(frames: Frames) -> Fitted:
+def fit_damped(frames: Frames) -> ParameterFit:
     """lambda, metres: the best of a logarithmic grid, refined."""
     value, edge = _best(damped_least_squares, frames, DAMPING_M)
     note = f"lambda at the edge of {DAMPING_M[0]:g} to {DAMPING_M[1]:g} m" if edge else ""
     return _fitted(damped_least_squares(value), np.array([value]), frames, note)
 
 
-def fit_selectively_damped(frames: Frames) -> Fitted:
+def fit_selectively_damped(frames: Frames) -> ParameterFit:
     """gamma_max, rad, for `INTERVAL_S`: the best of a logarithmic grid, refined. Above some value nothing is damped."""
     gamma, _ = _best(SelectivelyDamped, frames, GAMMA_RAD)
     method, undamped = SelectivelyDamped(gamma), SelectivelyDamped(GAMMA_RAD[1])
@@ -150,7 +150,7 @@ def fit_selectively_damped(frames: Frames) -> Fitted:
     return _fitted(method, np.array([gamma]), frames, note)
 
 
-def fit_weights(frames: Frames, pull: float = 0.0) -> Fitted:
+def fit_weights(frames: Frames, pull: float = 0.0) -> ParameterFit:
     """diag W (n,), positive with mean 1. pull: towards even weights, as `PULL`."""
     dq = frames.dq
     n, bound = dq.shape[1], np.log(WEIGHT_RANGE)
@@ -172,7 +172,7 @@ def fit_weights(frames: Frames, pull: float = 0.0) -> Fitted:
     return _fitted(weighted_least_norm(w), w, frames, note)
 
 
-def fit_gradient(frames: Frames, costs: Sequence[Cost] = ()) -> Fitted:
+def fit_gradient(frames: Frames, costs: Sequence[Cost] = ()) -> ParameterFit:
     """Coefficients c of g = sum_i c_i grad g_i, or without costs of a constant g (n,), with k = 1: dq = J+ dx + P g, P
     the projection on the null space. Of several solutions the smallest."""
 
@@ -182,12 +182,12 @@ def fit_gradient(frames: Frames, costs: Sequence[Cost] = ()) -> Fitted:
     return _fitted_linear(method, len(costs) or frames.q.shape[1], frames)
 
 
-def fit_transpose(frames: Frames) -> Fitted:
+def fit_transpose(frames: Frames) -> ParameterFit:
     """The alpha (1/m^2) of the Jacobian transpose that fits the rates best."""
     return _fitted_linear(lambda c: JacobianTranspose(float(c[0])), 1, frames)
 
 
-def _fitted_linear(method: Callable[[Array], Method], n: int, frames: Frames) -> Fitted:
+def _fitted_linear(method: Callable[[Array], Method], n: int, frames: Frames) -> ParameterFit:
     """A fit of n coefficients on which the rates depend linearly."""
     base = rates_of(method(np.zeros(n)), frames)
     columns = np.array([(rates_of(method(one), frames) - base).ravel() for one in np.eye(n)])
@@ -210,7 +210,7 @@ def _best(method: Callable[[float], Method], frames: Frames, bounds: tuple[float
     return float(np.exp(best)), i in (0, len(grid) - 1)
 
 
-def _fitted(method: Method, parameter: Array, frames: Frames, note: str = "") -> Fitted:
+def _fitted(method: Method, parameter: Array, frames: Frames, note: str = "") -> ParameterFit:
     rates, dq = rates_of(method, frames), frames.dq
     rms = float(np.sqrt(np.mean((dq - rates) ** 2)))
-    return Fitted(method, parameter, rms, explained_by(rates, dq), best_scale(rates, dq), note)
+    return ParameterFit(method, parameter, rms, explained_by(rates, dq), best_scale(rates, dq), note)

@@ -251,7 +251,7 @@ def _camera(motion: Motion, number: int) -> dict[str, Any]:
         "keypoints": file_name(source.keypoints.source),
         "camera": picture.camera.to_dict(),
         "offset_s": source.offset_s,
-        "time_offset_frames": solution.views[number].lead_frames - source.lead_frames,
+        "time_offset_frames": solution.views[number].offset_frames - source.offset_frames,
         **found,
         "track": None if poses is None else {"frames_without_pose": int((~poses.known).sum())},
         "frames_seen": int(picture.present.any(axis=1).sum()),
