@@ -317,10 +317,8 @@ def _with_sigma(
     moved: dict[str, list[Array]] = {limb: [] for limb in chains}
     for k, (angle, rate) in enumerate(zip(angles, rates, strict=True)):
         assert rate is not None
-        ends = [motion.states.copy(), motion.states.copy()]
-        ends[0][:, 4 + k] -= step
-        ends[1][:, 4 + k] += step
-        joints = [motion.body.tree.pose(end, motion.size).points_m for end in ends]
+        by = step * (np.arange(motion.states.shape[1]) == 4 + k)
+        joints = [motion.body.tree.pose(motion.states + way, motion.size).points_m for way in (-by, by)]
         rear, front = (names.index(joint) for joint in motion.forward_names)
         turned = (joints[0] != joints[1]).any(axis=(0, 2))
         for limb, chain in chains.items():

@@ -32,7 +32,7 @@ from recon.clip.keypoints import frame_ranges
 from recon.fit.motion import Motion
 from recon.fit.posterior import radius
 from recon.fit.result import Finding
-from recon.gait.gait import INTERVAL, Gait, Stance
+from recon.gait.gait import INTERVAL, Gait
 from recon.gait.kinematics import (
     OVERSAMPLING,
     Errors,
@@ -129,14 +129,14 @@ def dynamics(motion: Motion, gait: Gait | None, errors: Sequence[Errors]) -> Dyn
     centre = point_kinematics(motion.time_s, centre_m, [*by_pose, by_mass] if errors else ())
     about = series_kinematics(motion.time_s, apart_m.reshape(len(apart_m), -1))
     value, rate = (of.reshape(len(of), *apart_m.shape[1:]) for of in (about.value, about.rate))
-    draws = _drawn(gait)
+    forces, force = _forces(gait)
     return Dynamics(
         centre=centre,
         internal_j_kg=0.5 * np.sum(rate**2, axis=2) @ share,
         angular_momentum=np.einsum("nsk,s->nk", np.cross(value, rate), share),
         ground_m=centre.series.value[:, 2] - gait.tracks.above_ground(centre.series.value),
-        forces=_forces(gait.stances, draws),
-        force=_force_over_time(gait, draws),
+        forces=forces,
+        force=force,
         flights=_flights(motion, gait, centre_m, apart_m * sigma[:, None], by_pose),
     )
 
@@ -160,20 +160,8 @@ MEAN_OF_PEAK = float(shape(_GRID).mean())
 """Mean force over a stance, of the peak."""
 
 
-@dataclass(frozen=True, eq=False)
-class _Draws:
-    """(D, S): of S stances; the first draw is the middle of everything."""
-
-    start_s: Array
-    end_s: Array
-    impulse: Array
-
-    @property
-    def peak(self) -> Array:
-        return self.impulse / (MEAN_OF_PEAK * (self.end_s - self.start_s))
-
-
-def _drawn(gait: Gait) -> _Draws:
+def _drawn(gait: Gait) -> tuple[Array, Array, Array]:
+    """Times of touch-down and lift-off and impulses (D, S) of S stances; the first draw is the middle of everything."""
     rng, stances = np.random.default_rng(SEED), gait.stances
     S, feet = len(stances), gait.tracks.feet
 
@@ -195,7 +183,7 @@ def _drawn(gait: Gait) -> _Draws:
             share[:, side] *= (of_pair / share[:, side].sum(axis=1))[:, None]
     period = np.maximum(gait.stride_s + gait.stride_sigma_s * normal(1), 0.2 * gait.stride_s)
     of_foot = np.array([feet.index(s.foot) for s in stances], dtype=int)
-    return _Draws(starts, ends, (share * period)[:, of_foot])
+    return starts, ends, (share * period)[:, of_foot]
 
 
 FORCE_COLUMNS = (
@@ -205,36 +193,26 @@ FORCE_COLUMNS = (
 _ENDS = [(1 - INTERVAL) / 2, (1 + INTERVAL) / 2]
 
 
-def _forces(stances: Sequence[Stance], draws: _Draws) -> pd.DataFrame:
+def _forces(gait: Gait) -> tuple[pd.DataFrame, dict[str, Array]]:
+    """The table of whole stances, and each foot's force over time, NaN within stances that the clip cuts."""
     import pandas as pd
 
-    rows = []
-    for i, stance in enumerate(stances):
-        if stance.begins and stance.ends and np.isfinite(draws.impulse[0, i]):
-            peak, impulse = ((of[0, i], *np.quantile(of[1:, i], _ENDS)) for of in (draws.peak, draws.impulse))
+    starts, ends, impulses = _drawn(gait)
+    peaks = impulses / (MEAN_OF_PEAK * (ends - starts))
+    time_s, rows = gait.tracks.time_s, []
+    force = {foot: np.zeros((len(time_s), 3)) for foot in gait.tracks.feet}
+    for i, stance in enumerate(gait.stances):
+        reach = 4 * np.nanmax([stance.start_sigma_s, stance.end_sigma_s, 0.0])
+        near = np.flatnonzero((time_s > stance.start_s - reach) & (time_s < stance.end_s + reach))
+        if not (stance.begins and stance.ends):
+            force[stance.foot][near] = np.nan
+            continue
+        drawn = peaks[1:, i, None] * shape((time_s[near] - starts[1:, i, None]) / (ends - starts)[1:, i, None])
+        force[stance.foot][near] += np.stack([drawn.mean(axis=0), *np.quantile(drawn, _ENDS, axis=0)], axis=1)
+        if np.isfinite(impulses[0, i]):
+            peak, impulse = ((of[0, i], *np.quantile(of[1:, i], _ENDS)) for of in (peaks, impulses))
             rows.append((stance.foot, stance.start_s, stance.end_s, *map(float, (*peak, *impulse))))
-    return pd.DataFrame(rows, columns=[*FORCE_COLUMNS])
-
-
-def _force_over_time(gait: Gait, draws: _Draws) -> dict[str, Array]:
-    """NaN within stances that the clip cuts."""
-    time_s, found = gait.tracks.time_s, {}
-    for foot in gait.tracks.feet:
-        force = np.zeros((len(time_s), 3))
-        for i, stance in enumerate(gait.stances):
-            if stance.foot != foot:
-                continue
-            reach = 4 * np.nanmax([stance.start_sigma_s, stance.end_sigma_s, 0.0])
-            near = np.flatnonzero((time_s > stance.start_s - reach) & (time_s < stance.end_s + reach))
-            if not (stance.begins and stance.ends):
-                force[near] = np.nan
-                continue
-            into = (time_s[near] - draws.start_s[:, i, None]) / (draws.end_s - draws.start_s)[:, i, None]
-            drawn = draws.peak[:, i, None] * shape(into)
-            low, high = np.quantile(drawn[1:], _ENDS, axis=0)
-            force[near] = np.stack([drawn[1:].mean(axis=0), low, high], axis=1)
-        found[foot] = force
-    return found
+    return pd.DataFrame(rows, columns=[*FORCE_COLUMNS]), force
 
 
 def _flights(motion: Motion, gait: Gait, centre_m: Array, by_mass_m: Array, errors: Sequence[Errors]) -> pd.DataFrame:

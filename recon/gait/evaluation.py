@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from recon.animal import fitting_maps, load_names, new_names
-from recon.base.errors import InputError, Problem, all_of
+from recon.base.errors import Problem, all_of, refuse
 from recon.check import mismatches, sentence, usable
 from recon.clip.keypoints import frame_ranges
 from recon.fit.motion import Motion
@@ -176,7 +176,8 @@ def evaluate(pose: Pose3D, truth: Pose3D, sigmas_m: tuple[np.ndarray, np.ndarray
     """
     names = tuple(name for name in pose.names if name in truth.names)
     frames, in_pose, in_truth = np.intersect1d(pose.frames, truth.frames, assume_unique=True, return_indices=True)
-    pose_m = pose.xyz_m[in_pose][:, [pose.names.index(name) for name in names]]
+    where = [pose.names.index(name) for name in names]
+    pose_m = pose.xyz_m[in_pose][:, where]
     truth_m = truth.xyz_m[in_truth][:, [truth.names.index(name) for name in names]]
     common = common_joints(pose_m, truth_m)
 
@@ -190,10 +191,12 @@ def evaluate(pose: Pose3D, truth: Pose3D, sigmas_m: tuple[np.ndarray, np.ndarray
         problems.append(Problem(here, "frames", f"none in common ({shown})", f"frames that are in {there}"))
     if not problems and not common.any():
         problems.append(Problem(here, "positions", "no joint known on both sides in any frame", "at least one"))
-    if problems:
-        raise InputError(problems)
-
-    centred_m = joint_errors(centre(pose_m, truth_m), truth_m)
+    refuse(problems)
+    centred, inside = centre(pose_m, truth_m), {}
+    if sigmas_m is not None:
+        place_m, relative_m = (sigma_m[in_pose][:, where] for sigma_m in sigmas_m)
+        inside = {"place": _inside(pose_m - truth_m, place_m), "pose": _inside(centred - truth_m, relative_m)}
+    centred_m = joint_errors(centred, truth_m)
     similar_m = joint_errors(align_similarity(pose_m, truth_m), truth_m)
     return Evaluation(
         pose=here,
@@ -205,14 +208,7 @@ def evaluate(pose: Pose3D, truth: Pose3D, sigmas_m: tuple[np.ndarray, np.ndarray
         scale_mpjpe_m=score(joint_errors(align_scale(pose_m, truth_m), truth_m)),
         pa_mpjpe_m=score(similar_m),
         pck=tuple((t, score(correct(centred_m, t))) for t in PCK_THRESHOLDS_M),
-        inside={}
-        if sigmas_m is None
-        else {
-            what: _inside(of_pose_m - truth_m, sigma_m[in_pose][:, [pose.names.index(name) for name in names]])
-            for what, of_pose_m, sigma_m in zip(
-                ("place", "pose"), (pose_m, centre(pose_m, truth_m)), sigmas_m, strict=True
-            )
-        },
+        inside=inside,
         frames_not_scored=int((~common.any(axis=1)).sum()),
         frames_without_pa=int(np.isnan(similar_m).all(axis=1).sum()),
         joints_only_in_pose=tuple(name for name in pose.names if name not in names),

@@ -152,8 +152,6 @@ class Tracks:
     feet: tuple[str, ...]
     time_s: Array
     """The times of the N samples, shape (N,)."""
-    frame: Array
-    """The frames of the N samples, shape (N,)."""
     foot_m: Array
     """The positions of the F feet, shape (N, F, 3)."""
     body_m: Array
@@ -293,7 +291,6 @@ def pose_tracks(
     return Tracks(
         feet=tuple(feet),
         time_s=middle.time_s,
-        frame=np.arange(len(middle.time_s)) / OVERSAMPLING,
         foot_m=foot,
         body_m=middle.value,
         foot_speed_m_s=foot_speed,
@@ -386,7 +383,7 @@ def _stances_of(moved: Tracks, k: int) -> list[Stance]:
     surely, at_most, lands, lifts = moved.slow_m_s[:, k]
     still = np.flatnonzero(speed < surely)
     sure = still[height[still] < LOW[0] * moved.leg_m]
-    known = np.isfinite(speed)
+    known = np.pad(np.isfinite(speed), 1)  # by the index after
     found = []
     slow = np.less(speed, at_most) & np.less(height, LOW[1] * moved.leg_m)
     for first, end in frame_ranges(np.flatnonzero(slow)):
@@ -394,21 +391,14 @@ def _stances_of(moved: Tracks, k: int) -> list[Stance]:
             within = speed[first:end]
             landed = within < (lands if within.min() < lands else surely)
             a, b = first + int(landed.argmax()), end - 1 - int((within < lifts)[::-1].argmax())
-            begins, ends = a > first or _inside(known, first - 1), b < end - 1 or _inside(known, end)
-            found.append(_stance(moved, k, a, b, begins, ends))
+            seen = bool(a > first or known[first]), bool(b < end - 1 or known[end + 1])
+            start_s, end_s = (float(moved.time_s[i]) for i in (a, b))
+            sigmas = [
+                _event_sigma_s(moved, k, i, (end_s - start_s) / 2, own) if is_seen else np.nan
+                for i, is_seen, own in zip((a, b), seen, EVENT_SIGMAS, strict=True)
+            ]
+            found.append(Stance(moved.feet[k], start_s, end_s, a / OVERSAMPLING, b / OVERSAMPLING, *seen, *sigmas))
     return [s for s in found if s.duration_s >= MIN_STANCE_S or not (s.begins and s.ends)]
-
-
-def _inside(known: Bools, i: int) -> bool:
-    return 0 <= i < len(known) and bool(known[i])
-
-
-def _stance(moved: Tracks, k: int, a: int, b: int, begins: bool, ends: bool) -> Stance:
-    t, f = moved.time_s, moved.frame
-    half_s = (t[b] - t[a]) / 2
-    events = zip((a, b), (begins, ends), EVENT_SIGMAS, strict=True)
-    sigmas = [_event_sigma_s(moved, k, i, half_s, own) if known else np.nan for i, known, own in events]
-    return Stance(moved.feet[k], float(t[a]), float(t[b]), float(f[a]), float(f[b]), begins, ends, *sigmas)
 
 
 def _event_sigma_s(moved: Tracks, k: int, i: int, most_s: float, own: float) -> float:
@@ -444,6 +434,9 @@ def gait(moved: Tracks) -> Gait:
     lengths, durations = [s.length_m for s in taken], [s.end_s - s.start_s for s in taken]
     lasts_s, sigma_s = _stride_time(moved, taken)
     landed = sorted((s for s in found if s.begins), key=lambda s: s.start_s)
+    doubt = why_no_ground(moved)
+    if doubt is None and not {*FEET} <= {*moved.feet}:
+        doubt = f"only gaits of four feet have names; here are {', '.join(moved.feet)}"
     return Gait(
         tracks=moved,
         stances=found,
@@ -455,7 +448,7 @@ def gait(moved: Tracks) -> Gait:
         stride_sigma_s=sigma_s,
         duty_factor={foot: median([s.duty_factor for s in taken if s.foot == foot]) for foot in moved.feet},
         speed_m_s=mean(moved.body_speed_m_s),
-        name=name_gait(found, taken, lasts_s, why_no_ground(moved) or _too_few(moved.feet)),
+        name=name_gait(found, taken, lasts_s, doubt),
         doubtful=doubtful,
     )
 
@@ -533,11 +526,6 @@ def pose_period_s(moved: Tracks) -> float:
     best = int(left.argmin())
     explained = left[best] < (1 - PERIODIC) * len(time) * values.var(axis=0).sum()
     return float(periods[best]) if explained and 0 < best < len(periods) - 1 else np.nan
-
-
-def _too_few(feet: Sequence[str]) -> str | None:
-    """Why no gait has a name; None where all four feet are there."""
-    return None if {*FEET} <= {*feet} else f"only gaits of four feet have names; here are {', '.join(feet)}"
 
 
 def name_gait(

@@ -99,10 +99,6 @@ class Series:
     """The smoothing of each span and dimension, (spans, d), in the values' weighted unit; None for the exact spline."""
     oversampling: int
 
-    @property
-    def smoothed(self) -> bool:
-        return self.lam is not None
-
     def at_frames(self) -> Series:
         """Without the samples between frames, which take ten times the memory."""
         arrays = ("time_s", "value", "rate", "acceleration", "value_sigma", "rate_sigma", "acceleration_sigma")
@@ -187,7 +183,7 @@ def series_kinematics(
     of 8 bytes x N x T, and a spline for each value. Raises ValueError.
     """
     time_s, values = np.asarray(time_s, float), np.asarray(values, float)
-    _check_series(time_s, values, errors, smooth)
+    _check_series(time_s, values, errors)
     T, d = values.shape
     N = (T - 1) * oversampling + 1 if T else 0
     fine_s = np.interp(np.arange(N) / oversampling, np.arange(T), time_s) if T else np.empty(0)
@@ -230,19 +226,14 @@ def _stretches(time_s: Array, values: Array, max_gap_s: float, min_points: int) 
     return [rows for rows in np.split(known, np.flatnonzero(too_long) + 1) if len(rows) >= min_points]
 
 
-def _check_series(time_s: Array, values: Array, errors: Sequence[Errors], smooth: bool) -> None:
+def _check_series(time_s: Array, values: Array, errors: Sequence[Errors]) -> None:
     if values.ndim != 2 or time_s.shape != values.shape[:1]:
         raise ValueError(f"values (T, d) at times (T,) expected, got {values.shape} and {time_s.shape}")
     if np.any(np.diff(time_s) <= 0):
         raise ValueError("times must increase")
-    if smooth and not len(errors):
-        raise ValueError("smoothing needs the values' standard deviations")
     known = np.isfinite(values).all(axis=1)
-    for error in errors:
-        if np.shape(error.sigma) != values.shape or not np.all(np.asarray(error.sigma)[known] > 0):
-            raise ValueError("standard deviations must be positive, one for each known value")
-        if error.correlation_s < 0:
-            raise ValueError("a correlation time is not negative")
+    if not all(error.sigma.shape == values.shape and np.all(error.sigma[known] > 0) for error in errors):
+        raise ValueError("standard deviations must be positive, one for each known value")
 
 
 def _curve(t: Array, x: Array, weight: Array, lam: float) -> Curve:
@@ -419,9 +410,9 @@ def frame_jitter_m(points_m: Array) -> Array:
     return np.median(np.abs(differences), axis=0) / (0.6745 * np.sqrt(20.0))
 
 
-def jitter_errors(values: Array, times: float = 1.0) -> tuple[Errors]:
-    """Independent errors of the size, or so many times that, that values (T, ...) jitter with from frame to frame."""
-    jitter = times * frame_jitter_m(values.reshape(len(values), -1)).reshape(values.shape[1:])
+def jitter_errors(values: Array) -> tuple[Errors]:
+    """Independent errors of the size that values (T, ...) jitter with from frame to frame."""
+    jitter = frame_jitter_m(values.reshape(len(values), -1)).reshape(values.shape[1:])
     smallest = 1e-9  # an exact series has none
     return (Errors(np.broadcast_to(np.maximum(np.nan_to_num(jitter, nan=smallest), smallest), values.shape)),)
 
