@@ -174,22 +174,11 @@ class SerialChain:
     @cached_property
     def reach_m(self) -> tuple[float, float]:
         """Bounds of the end effector's distance from the base, which no angles leave. From the triangle inequality: of
-        a chain in space not every distance between has to be reached."""
-        zero = np.zeros(self.n)
-        places, frames = self.positions(zero), self.tree.orientations(self._states(zero))[0, self._moving]
-        hops = [(float(np.linalg.norm(places[0])),) * 2]
-        for k, (length, i) in enumerate(zip(self.lengths_m.tolist(), self._moving, strict=True)):
-            if self.tree.segments[i].joint != "slide":
-                hops.append((length, length))
-                continue
-            # The next place is start + q z in this joint's frame before it slides.
-            start = (places[k + 1] - places[k]) @ frames[k]
-            across, low, high = math.hypot(*start[:2]), start[2] + self.lower_rad[k], start[2] + self.upper_rad[k]
-            nearest = 0.0 if low <= 0.0 <= high else min(abs(low), abs(high))
-            hops.append((math.hypot(across, nearest), math.hypot(across, max(abs(low), abs(high)))))
-        shortest, longest = np.array(hops).T
-        others = [longest[np.arange(len(hops)) != k].sum() for k in range(len(hops))]
-        return max(0.0, float((shortest - others).max())), float(longest.sum())
+        a chain in space not every distance between has to be reached. Joints that slide leave none."""
+        if self.sliding.any():
+            return 0.0, math.inf
+        hops = np.append(np.linalg.norm(self.positions(np.zeros(self.n))[0]), self.lengths_m)
+        return max(0.0, float(2 * hops.max() - hops.sum())), float(hops.sum())
 
 
 # -- chains that are made --------------------------------------------------------------------------------------------
