@@ -25,6 +25,7 @@ import numpy as np
 from recon import FitSettings
 from recon.fit.motion import Motion
 from recon.robotics.robot.playback import write_robot
+from recon.robotics.robot.quadruped import LEGS
 from recon.robotics.robot.reference import reference_of
 from recon.robotics.robot.retarget import Retargeted, retarget
 from recon.robotics.robot.retarget_clip import companion
@@ -89,7 +90,7 @@ def row(clip: str, solved: Retargeted, seconds: float) -> list[str]:
         slips,
         f"{min(motion.margin_rad.min() for motion in both):.3f}",
         f"{100 * max(motion.rate_share.max() for motion in both):.0f}",
-        f"{max(0.0, *(-1000 * motion.lowest_m for motion in both)):.2f}",
+        f"{max(0.0, *(-1000 * motion.points(label)[..., 2].min() for motion in both for label in LEGS)):.2f}",
         f"{1000 * solved.spread_m:.0f}",
         f"{1000 * min(motion.apart_m for motion in both):.0f}",
         f"{100 * max(motion.short.mean() for motion in both):.0f}",

@@ -85,12 +85,11 @@ class RobotMotion:
     advance_m: Array | None = None
     """As of the reference."""
 
-    def leg_angles(self, label: str, angles_rad: Array | None = None) -> Array:
+    def leg_angles(self, label: str) -> Array:
         """(N, n) of one leg."""
         counts = [len(leg.joints) for leg in self.robot.legs.values()]
         start = sum(counts[: LEGS.index(label)])
-        angles = self.angles_rad if angles_rad is None else angles_rad
-        return angles[:, start : start + counts[LEGS.index(label)]]
+        return self.angles_rad[:, start : start + counts[LEGS.index(label)]]
 
     @cached_property
     def _spline(self) -> CubicSpline:
@@ -127,11 +126,6 @@ class RobotMotion:
         """A leg's hip, joints and foot in the world (N, ., 3)."""
         along = self.robot.legs[label].chain.positions(self.leg_angles(label))
         return feet_in_world(self.pose, np.zeros(3), along)
-
-    @cached_property
-    def lowest_m(self) -> float:
-        """Height of the lowest point of any leg above the ground."""
-        return float(min(self.points(label)[..., 2].min() for label in LEGS))
 
     @cached_property
     def apart_m(self) -> float:
@@ -177,8 +171,6 @@ class Retargeted:
     """The whole of it."""
     stride: RobotMotion
     """One that repeats."""
-    start_s: float
-    """When the clip begins, in the animal's time."""
     spread_m: float
     """How far outside of its neutral place each hind foot goes."""
 
@@ -194,7 +186,7 @@ def retarget(
     the stride, by default the one that is found."""
     window = window or stride_window(animal)
     moved, repeats, spread = on_robot(animal.reference, closed_stride(animal, window), robot, scale, slower)
-    return Retargeted(animal, window, moved, repeats, float(animal.reference.time_s[0]), spread)
+    return Retargeted(animal, window, moved, repeats, spread)
 
 
 def on_robot(

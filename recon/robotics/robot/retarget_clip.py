@@ -139,7 +139,7 @@ def report_of(done: Retargeted) -> dict[str, Any]:
         "scale": done.clip.scale,
         "hind_feet_out_m": done.spread_m,
         "slower": done.clip.slower,
-        "clip": _figures(done.clip) | {"start_s": done.start_s},
+        "clip": _figures(done.clip) | {"start_s": float(time[0])},
         "stride": _figures(done.stride) | stride,
         "notes": _notes(done),
     }
@@ -155,7 +155,6 @@ def _figures(motion: RobotMotion) -> dict[str, Any]:
         "slip_m": dict(zip(LEGS, motion.slip_m.tolist(), strict=True)),
         "standing_share": dict(zip(LEGS, motion.standing.mean(axis=0).tolist(), strict=True)),
         "out_of_reach_share": dict(zip(LEGS, motion.short.mean(axis=0).tolist(), strict=True)),
-        "lowest_m": motion.lowest_m,
         "legs_apart_m": motion.apart_m,
         "least_margin_rad": dict(zip(motion.robot.joints, motion.margin_rad.tolist(), strict=True)),
         "rate_share": dict(zip(motion.robot.joints, motion.rate_share.tolist(), strict=True)),
@@ -233,9 +232,7 @@ def companion(done: Retargeted) -> Any:
 
     animal, motion = done.animal, done.clip
     fitted = animal.analysis.motion
-    first = int(np.argmin(np.abs(animal.reference.time_s - done.start_s)))
-    rows = animal.rows[first : first + len(motion.time_s)]
-    points = np.stack([animal.analysis.joints[name].series.value[rows] for name in fitted.names], axis=1)
+    points = np.stack([animal.analysis.joints[name].series.value[animal.rows] for name in fitted.names], axis=1)
     hips = np.array([motion.points(label)[0, 0] for label in LEGS])
     beside = np.ptp(hips[:, 1]) + 2 * motion.robot.stand_m
     placed = motion.scale * (points - animal.origin_m) @ animal.rotation.as_matrix().T + [0.0, beside, 0.0]
