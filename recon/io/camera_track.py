@@ -245,7 +245,8 @@ def _read_csv(path: Path) -> CameraTrack:
     frames, table = values[:, 0], values[:, 1 : len(values[0]) - (SIGMA in header)] if len(values) else values
     if outward and len(values):
         table[:, 1:4] *= -1
-        usable = np.isfinite(table).all(axis=1) & (np.abs(table[:, :4]).max(axis=1) > 0.1)  # others are refused
+        largest = np.abs(table[:, :4]).max(axis=1)
+        usable = np.isfinite(table).all(axis=1) & (largest > 0.1) & (largest < 10)  # others are refused
         table[usable, 4:7] = -(_rotations(table[usable, :4]) @ table[usable, 4:7, None])[..., 0]
     sigma_deg = values[:, -1] if SIGMA in header else None
     return _checked_track(path, lines, frames, table, problems, sigma_deg=sigma_deg)

@@ -148,7 +148,8 @@ def points_of_arrays(
     if len(frames) != T:
         problems.append(Problem(path, "frames", f"{len(frames)} numbers", f"{T}, one for each frame"))
     else:
-        wrong = ~(np.abs(frames) <= MAX_FRAME) | (frames % 1 != 0) | (np.diff(frames, prepend=-np.inf) <= 0)
+        with np.errstate(invalid="ignore"):  # of what is infinite
+            wrong = ~(np.abs(frames) <= MAX_FRAME) | (frames % 1 != 0) | (np.diff(frames, prepend=-np.inf) <= 0)
         if wrong.any():
             first = int(np.argmax(wrong))
             said = " after ".join(f"{frame:.15g}" for frame in frames[max(first - 1, 0) : first + 1][::-1])

@@ -116,7 +116,7 @@ def video_writer(path: str | Path, size_px: tuple[int, int], fps: float) -> Iter
         finally:
             writer.release()
         # OpenCV says nothing of a full disk.
-        if not _ends_as_it_says(staged) or _frames_in(staged) != (written, written):
+        if not _ends_as_it_says(staged) or probe(staged).stated_frames != written:
             raise OSError(errno.ENOSPC, "the video could not be written: is the disk full?", str(path))
 
 
@@ -146,18 +146,6 @@ def _ends_as_it_says(path: Path) -> bool:
                 length = int.from_bytes(head[8:], "big") if length == 1 else length
             at += max(length, 8)
     return at == end
-
-
-def _frames_in(path: Path) -> tuple[int, int]:
-    """How many can be decoded, and how many the file states, which it is the last to be told."""
-    capture = cv2.VideoCapture(_local(path), cv2.CAP_FFMPEG)
-    count, stated = 0, round(capture.get(cv2.CAP_PROP_FRAME_COUNT))
-    try:
-        while capture.grab():
-            count += 1
-    finally:
-        capture.release()
-    return count, stated
 
 
 def require_codec(path: Path) -> str:

@@ -162,6 +162,8 @@ def model_chain(
             placed.append(here * RigidTransform.from_translation(model.jnt_pos[j]))
             here = RigidTransform.from_translation(-model.jnt_pos[j])
     here = here * RigidTransform.from_translation(np.asarray(end_m, dtype=float))
+    if not np.isfinite([*(place.translation for place in placed), here.translation]).all():
+        raise InputError(Problem(path, "chain", f"places to {tip} that are no numbers", "lengths in metres"))
     rates = rates_of(path)
     limits = np.where(model.jnt_limited[joints, None], model.jnt_range[joints], [-np.inf, np.inf])
     called = tuple(model.joint(j).name or f"joint {j}" for j in joints)
