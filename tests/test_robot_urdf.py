@@ -108,6 +108,13 @@ def test_chain_of_an_mjcf_file(tmp_path):
         np.testing.assert_allclose(p, data.body("tip").xpos, atol=1e-12)
 
 
+def test_a_joint_without_an_axis(tmp_path):
+    path = tmp_path / "rig.xml"
+    path.write_text(MJCF.replace('<joint axis="0 0 1"', '<joint axis="-1e308 0 1"'))
+    with pytest.raises(InputError, match="a joint on the way to tip without an axis or a place"):
+        chain_of(path, "tip")
+
+
 def test_legs_of_an_mjcf_file_end_in_their_feet(tmp_path):
     """Which are shapes there, not links of their own."""
     closed, path = load_robot("a1"), tmp_path / "a1.xml"

@@ -162,8 +162,10 @@ def model_chain(
             placed.append(here * RigidTransform.from_translation(model.jnt_pos[j]))
             here = RigidTransform.from_translation(-model.jnt_pos[j])
     here = here * RigidTransform.from_translation(np.asarray(end_m, dtype=float))
-    if not np.isfinite([*(place.translation for place in placed), here.translation]).all():
-        raise InputError(Problem(path, "chain", f"places to {tip} that are no numbers", "lengths in metres"))
+    places = np.array([*(place.translation for place in placed), here.translation, *model.jnt_axis[joints]])
+    if not np.isfinite(places).all() or not model.jnt_axis[joints].any(axis=1).all():
+        found = f"a joint on the way to {tip} without an axis or a place"
+        raise InputError(Problem(path, "chain", found, "axes of joints, and places in metres"))
     rates = rates_of(path)
     limits = np.where(model.jnt_limited[joints, None], model.jnt_range[joints], [-np.inf, np.inf])
     called = tuple(model.joint(j).name or f"joint {j}" for j in joints)
