@@ -9,6 +9,7 @@ scorer says.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from fnmatch import fnmatchcase
@@ -107,7 +108,7 @@ def _extended(raw: dict[str, Any], source: str) -> dict[str, Any]:
 def _beside(name: str, source: str) -> str:
     """A skeleton that a file names: built in, or a file that lies beside it, or is found from where the user is."""
     file = Path(source).parent / name
-    return str(file) if file.is_file() and name not in builtin_names() else name
+    return str(file) if os.path.isfile(file) and name not in builtin_names() else name
 
 
 # -- whole animals ---------------------------------------------------------------------------------------------------

@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import lzma
 import math
+import os
 import struct
 import sys
 import tokenize
@@ -211,7 +212,7 @@ def named_file(
     if str(name) in known:
         return builtin_file(folder, f"{name}{ending}").read_bytes(), f"{what} {name}"
     path, expected = Path(name), f"a {what} file ({ending})"
-    if not path.is_file():
+    if not os.path.isfile(path):  # False, not an OSError, of a name that is too long
         choice = ", ".join(known if names is None else names)
         raise InputError(Problem(option, "name or file", repr(str(name)), f"one of {choice}, or {expected}"))
     return read_content(path, expected, MAX_UNPACKED), str(path)
