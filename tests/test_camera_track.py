@@ -214,7 +214,7 @@ def test_what_a_doubtful_turn_does_to_points():
     turns = sigma[:, None] * np.random.default_rng(1).normal(size=(40000, 2, 3))
     moved = np.cross(turns[:, :, None], points - pans.centre_m[:, None])
     expected = np.einsum("ntja,ntjb->tjab", moved, moved) / len(moved)
-    np.testing.assert_allclose(pans.turn_covariance_m2(points), expected, atol=0.02 * expected.max())
+    np.testing.assert_allclose(pans.rotation_covariance_m2(points), expected, atol=0.02 * expected.max())
     assert pans.part(slice(1, 2)).turn_px == pytest.approx(np.radians(0.1) * pans.focal_px)
 
 

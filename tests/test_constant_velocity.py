@@ -9,7 +9,7 @@ from gallop import gallop
 from recon.animal import facing_side, load_chain
 from recon.animal.chain import upright_rotation
 from recon.fit import starts
-from recon.fit.starts import constant_velocity, place_on_rays
+from recon.fit.starts import constant_velocity, position_on_rays
 from recon.thesis.starts import estimate_travel, geometric_start, mean_pose, state_from_joints
 
 SK = load_chain("cheetah-8u")
@@ -45,9 +45,9 @@ def test_placing_a_known_shape_on_its_own_rays_is_exact_and_survives_a_wrong_ray
     place = np.array([1.0, 0.5, 8.0])
     rays = shape + place
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
-    np.testing.assert_allclose(place_on_rays(shape, rays[None])[0][0], place, atol=1e-5)
+    np.testing.assert_allclose(position_on_rays(shape, rays[None])[0][0], place, atol=1e-5)
     rays[3] = [1, 0, 0]
-    found, miss = place_on_rays(shape, rays[None])
+    found, miss = position_on_rays(shape, rays[None])
     np.testing.assert_allclose(found[0], place, atol=0.05)
     assert np.argmax(miss[0]) == 3
 

@@ -34,10 +34,10 @@ NOISIEST_OF_TWO = 1.1
 only across the line between them that a turned camera is seen at all."""
 EXPLAINED = 0.25
 """A cause that leaves no more than this part of a camera's level explains it, too."""
-CLEAR_TURN_RAD, CLEAR_OFFSET, CLEAR_GAIN = np.radians(3.0), 3.0, 1.5
+CLEAR_ROTATION_RAD, CLEAR_OFFSET, CLEAR_GAIN = np.radians(3.0), 3.0, 1.5
 """Cameras that agree are named, too, where such a turn, or time offset in frames, makes their level so many times
 smaller."""
-LARGEST_TURN_RAD = np.radians(45.0)
+LARGEST_ROTATION_RAD = np.radians(45.0)
 """A rotation that fits better only if it is larger is no turn of the camera."""
 MIN_POINTS = 30
 """Fewer points, over all frames, say nothing."""
@@ -190,7 +190,7 @@ def _gain(found: _CameraAgreement) -> float:
     clear = [
         found.level / max(level, 1e-9)
         for level, is_clear in (
-            (found.level_turned, CLEAR_TURN_RAD <= found.turn_rad <= LARGEST_TURN_RAD),
+            (found.level_turned, CLEAR_ROTATION_RAD <= found.turn_rad <= LARGEST_ROTATION_RAD),
             (found.level_late, abs(found.late_frames) >= CLEAR_OFFSET),
         )
         if is_clear
@@ -237,7 +237,7 @@ def _cost_without(
 
 def _code(found: _CameraAgreement, limit: float) -> str:
     causes = {"camera_late": found.level_late}
-    if found.turn_rad <= LARGEST_TURN_RAD:
+    if found.turn_rad <= LARGEST_ROTATION_RAD:
         causes["camera_turned"] = found.level_turned
     best = min(causes, key=lambda code: causes[code] if np.isfinite(causes[code]) else np.inf)
     return best if _is_explained(causes[best], found.level, limit) else "camera_off"
@@ -281,7 +281,7 @@ class _Sight:
 class _Points:
     """Places (T, J, 3) and their covariances (T, J, 3, 3), NaN where fewer than two rays meet."""
 
-    place_m: Array
+    position_m: Array
     covariance_m2: Array
 
 
@@ -312,12 +312,12 @@ def _sights(views: Sequence[View], sigma_px: float, keypoint_sigma_m: float) -> 
 
 def points_m(views: Sequence[View], sigma_px: float, keypoint_sigma_m: float) -> Array:
     """(T, J, 3): where the rays of several views meet, in their world, NaN where fewer than two do."""
-    return _points(_sights(views, sigma_px, keypoint_sigma_m)).place_m
+    return _points(_sights(views, sigma_px, keypoint_sigma_m)).position_m
 
 
 def _with_keypoint_noise(sight: _Sight, points: _Points, keypoint_sigma_m: float) -> _Sight:
     """The noise with that of a keypoint's place on the body, at the points' typical distance from the camera."""
-    distance = np.linalg.norm(points.place_m - sight.centre_m[:, None], axis=-1)
+    distance = np.linalg.norm(points.position_m - sight.centre_m[:, None], axis=-1)
     known = np.isfinite(distance)
     if not known.any():
         return sight
@@ -336,21 +336,21 @@ def _points(sights: Sequence[_Sight]) -> _Points:
     rays, centres = np.where(seen[..., None], rays, 0.0), np.where(np.isfinite(centres), centres, 0.0)
     across = np.eye(3) - rays[..., :, None] * rays[..., None, :]
     weight, distance, enough = seen.astype(float), np.ones(seen.shape), seen.sum(axis=0) > 1
-    place, information = np.zeros((*enough.shape, 3)), np.zeros((*enough.shape, 3, 3))
+    position, information = np.zeros((*enough.shape, 3)), np.zeros((*enough.shape, 3, 3))
     for _ in range(_ROUNDS):
         of_rays = (weight / (noise * distance) ** 2)[..., None, None] * across
         information = of_rays.sum(axis=0)
         spread = np.linalg.eigvalsh(information)
         enough &= spread[..., 0] > _PARALLEL * spread[..., 2]
         information[~enough] = np.eye(3)
-        place = np.linalg.solve(information, (of_rays @ centres[..., None]).sum(axis=0))[..., 0]
-        distance = np.maximum(np.linalg.norm(place - centres, axis=-1), 1e-3)
-        error = np.linalg.norm((place - centres) / distance[..., None] - rays, axis=-1)
+        position = np.linalg.solve(information, (of_rays @ centres[..., None]).sum(axis=0))[..., 0]
+        distance = np.maximum(np.linalg.norm(position - centres, axis=-1), 1e-3)
+        error = np.linalg.norm((position - centres) / distance[..., None] - rays, axis=-1)
         weight = seen / (1.0 + (error / noise / _ROBUST) ** 2)
-    place[~enough] = np.nan
+    position[~enough] = np.nan
     covariance = np.asarray(np.linalg.inv(information), dtype=float)
     covariance[~enough] = np.nan
-    return _Points(place, covariance)
+    return _Points(position, covariance)
 
 
 # -- one camera against others -------------------------------------------------------------------------------------
@@ -404,7 +404,7 @@ def _pair_level(a: _Sight, b: _Sight) -> tuple[float, float, int]:
 
 def _errors(sight: _Sight, points: _Points) -> tuple[Array, Array]:
     """Unit vectors (T, J, 3) towards the points, and by how many sigmas squared (T, J) the rays lie beside them."""
-    off = points.place_m - sight.centre_m[:, None]
+    off = points.position_m - sight.centre_m[:, None]
     distance = np.linalg.norm(off, axis=-1, keepdims=True)
     towards = off / distance
     x, y = _across(sight.rays)

@@ -76,7 +76,7 @@ def why_not_refined(refined: TrajectorySolution, held: TrajectorySolution) -> tu
     worst, far = int(np.argmax(lost * after / before)), int(np.argmax(turns_rad))
     if lost[worst]:
         return (finding("cameras_not_refined", camera=names[worst], before_px=before[worst], after_px=after[worst]),)
-    if turns_rad[far] > FAR * constants.CAMERA_TURN_RAD:
+    if turns_rad[far] > FAR * constants.CAMERA_ROTATION_RAD:
         return (finding("camera_left_its_pose", camera=names[far], turn_deg=float(np.degrees(turns_rad[far]))),)
     if not (before > BETTER * after).any():
         return (finding("cameras_as_calibrated"),)

@@ -42,23 +42,23 @@ def up_from_feet(views: Sequence[View], body: Body, fps: float, sigma_px: float)
 
     The plane through the feet that stand: slow ones, and, of those, the ones that others stand with. The body, which is
     above them, holds the plane where they stand on one line."""
-    places = points_m(views, sigma_px, body.keypoint_sigma_m)
+    positions_m = points_m(views, sigma_px, body.keypoint_sigma_m)
     feet = np.array([body.markers.index(foot) for foot in body.feet])
-    if not len(feet) or len(places) < 2:
+    if not len(feet) or len(positions_m) < 2:
         return None
-    above = places[:, np.setdiff1d(np.arange(len(body.markers)), feet)]
-    whole = np.isfinite(places[:, feet, 0]).any(axis=1) & np.isfinite(above[..., 0]).any(axis=1)
-    step = 0.5 * (places[1:, feet] + places[:-1, feet])
+    above = positions_m[:, np.setdiff1d(np.arange(len(body.markers)), feet)]
+    whole = np.isfinite(positions_m[:, feet, 0]).any(axis=1) & np.isfinite(above[..., 0]).any(axis=1)
+    step = 0.5 * (positions_m[1:, feet] + positions_m[:-1, feet])
     seen = np.isfinite(step[..., 0])
     if seen.sum() < MIN_STANDING or not whole.any():
         return None
-    body_m = np.nanmedian(above[whole], axis=1) - np.nanmean(places[whole][:, feet], axis=1)
+    body_m = np.nanmedian(above[whole], axis=1) - np.nanmean(positions_m[whole][:, feet], axis=1)
     posture = np.median(body_m, axis=0)
     tall_m = float(np.linalg.norm(posture))
     axes = np.linalg.svd(posture[None])[2]
     axes[0] *= np.sign(axes[0] @ posture)  # up by the posture, and across it
 
-    still = Standing(feet, fps, constants.SLIP_M_S, constants.SLIP_C).contact(places, 1.0)[2][seen]
+    still = Standing(feet, fps, constants.SLIP_M_S, constants.SLIP_C).contact(positions_m, 1.0)[2][seen]
     middle = np.median(step[seen], axis=0)
     height, *across = axes @ (step[seen] - middle).T
     rows = np.stack([np.ones_like(height), *across], axis=-1)

@@ -61,7 +61,7 @@ class View:
             return np.sqrt(self.intrinsics_px[:, 0] * self.intrinsics_px[:, 1])
         return float(np.sqrt(self.camera.matrix[0, 0] * self.camera.matrix[1, 1]))
 
-    def turn_covariance_m2(self, points_m: Array) -> Array:
+    def rotation_covariance_m2(self, points_m: Array) -> Array:
         """(T, J, 3, 3): the uncertainty of each pose's rotation, in points (T, J, 3) that are known by this camera
         alone."""
         off = points_m - self.centre_m[:, None]

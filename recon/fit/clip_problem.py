@@ -243,7 +243,7 @@ class ClipProblem:
         sideslip = [Unknown(SIDESLIP, np.zeros(1), np.array([constants.SIDESLIP_RAD / root]))] if len(self) > 1 else []
         shifts = [] if shifts_m is None or not o.refine_cameras else shifts_m.tolist()
         corrections = [
-            Unknown(extrinsic_correction(i), np.zeros(6), np.repeat([constants.CAMERA_TURN_RAD, shift_m], 3) / root)
+            Unknown(extrinsic_correction(i), np.zeros(6), np.repeat([constants.CAMERA_ROTATION_RAD, shift_m], 3) / root)
             for i, shift_m in [*enumerate(shifts)][1:]
         ]
         if o.focal_sigma is not None and V > 1:

@@ -23,7 +23,7 @@ TIME_OFFSET_FRAMES = 12**-0.5
 """How much later or earlier than said a camera's pictures are taken: those taken anywhere within a frame."""
 SOUGHT_OFFSET_FRAMES = 2.0
 """The same where cameras' offsets are to be found: a few frames."""
-CAMERA_TURN_RAD, CAMERA_SHIFT_M, CAMERA_SHIFT_SHARE = 0.03490658503988659, 0.05, 0.02
+CAMERA_ROTATION_RAD, CAMERA_SHIFT_M, CAMERA_SHIFT_SHARE = 0.03490658503988659, 0.05, 0.02
 """How far a camera whose pose is to be refined is turned about each of its axes (2 degrees), and moved along it, in
 metres or as a share of its distance from the animal, whichever is less."""
 

@@ -80,13 +80,15 @@ def solve_extrinsics(
     clips: Sequence[ClipProblem], posed: bool = False, level_rad: float = LEVEL_RAD, progress: Progress = silent
 ) -> Rig:
     """settings: of clips, each with the same V cameras in the same order; one that did not film a clip saw nothing
-    in it. posed: the cameras stand where the views say, but for `constants.CAMERA_TURN_RAD` and `CAMERA_SHIFT_M`.
+    in it. posed: the cameras stand where the views say, but for `constants.CAMERA_ROTATION_RAD` and `CAMERA_SHIFT_M`.
     level_rad: how far the upward directions of cameras that are not (`Camera.up`) are from the truth, about each axis.
 
     Raises TooLittleInCommonError.
     """
     clips = [_as_rig(one, posed) for one in clips]
-    turn_rad, shift_m = (constants.CAMERA_TURN_RAD, constants.CAMERA_SHIFT_M) if posed else (_UNKNOWN_RAD, _UNKNOWN_M)
+    turn_rad, shift_m = (
+        (constants.CAMERA_ROTATION_RAD, constants.CAMERA_SHIFT_M) if posed else (_UNKNOWN_RAD, _UNKNOWN_M)
+    )
     sigma = np.tile(np.repeat([turn_rad, shift_m], 3), len(clips[0].views))
     sigma[: 6 if posed else 0] = sigma[3:6] = _HELD
     with threadpool_limits(1, user_api="blas"):

@@ -24,7 +24,7 @@ _MISFIT_M = 0.15
 """Distance from a ray at which a joint of the mean pose counts half: a leg's swing."""
 
 
-def place_on_rays(joints_m: Array, rays: Array) -> tuple[Array, Array]:
+def position_on_rays(joints_m: Array, rays: Array) -> tuple[Array, Array]:
     """Translations (..., 3) that bring a rigid shape nearest to viewing rays, and the joints' distances (..., J) from
     them.
 
@@ -103,7 +103,7 @@ def constant_velocity(
     """
     (H, J), F = shapes.shape[:2], len(rays)
     centres = np.zeros((F, 3)) if centres_m is None else centres_m
-    places = place_on_rays(shapes[:, None], rays)[0]  # (H, F, 3)
+    places = position_on_rays(shapes[:, None], rays)[0]  # (H, F, 3)
     depth = np.median(np.linalg.norm(places, axis=2), axis=1)[:, None, None, None]
     seen = np.isfinite(rays[..., 0])
     across = _across(rays)

@@ -271,8 +271,8 @@ class Reprojection:
         )
         if late is not None and self.drift_m is not None:
             points = points + late * self.drift_m[frames]
-        world, place = self.origin_m + size * points, span.shared.get(extrinsic_correction(self.number))
-        before, view = view, view if place is None else view.corrected(place)
+        world, correction = self.origin_m + size * points, span.shared.get(extrinsic_correction(self.number))
+        before, view = view, view if correction is None else view.corrected(correction)
         longer = span.shared.get(focal(self.number))
         view = view if longer is None else view.with_focal_scale(float(longer[0]))
         if jacobian:
@@ -311,10 +311,10 @@ class Reprojection:
         if longer is not None:
             off_centre = np.where(seen[..., None], in_picture - view.camera.matrix[:2, 2], 0.0)
             by_shared[focal(self.number)] = (off_centre * root / sigma[..., None]).reshape(N, 2 * J, 1)
-        if place is not None:
+        if correction is not None:
             by_camera = by_point @ view.rotation.swapaxes(-1, -2)
-            turn = euler_rotation_with_jacobian(place[:3])[1] @ before.to_camera(world)[..., None, :, None]
-            by_correction = np.concatenate([by_camera @ turn[..., 0].swapaxes(-1, -2), by_camera], axis=-1)
+            rotation = euler_rotation_with_jacobian(correction[:3])[1] @ before.to_camera(world)[..., None, :, None]
+            by_correction = np.concatenate([by_camera @ rotation[..., 0].swapaxes(-1, -2), by_camera], axis=-1)
             by_shared[extrinsic_correction(self.number)] = by_correction.reshape(N, 2 * J, 6)
         return _TermRows(cost, (e * root).reshape(N, 2 * J), rows, by_shared)
 
@@ -379,8 +379,8 @@ class Heading:
         if not jacobian:
             return _TermRows(0.5 * r**2)
         D = span.states.shape[1]
-        turn = span.pose.jacobian[:, self.front, :2] - span.pose.jacobian[:, self.rear, :2]  # (n + 1, 2, D)
-        d_u = (turn - u[..., None] * (u[:, None] @ turn)) / length[..., None]
+        rotation = span.pose.jacobian[:, self.front, :2] - span.pose.jacobian[:, self.rear, :2]  # (n + 1, 2, D)
+        d_u = (rotation - u[..., None] * (u[:, None] @ rotation)) / length[..., None]
         rows = np.zeros((n, 1, 2, D))
         across = np.stack([v[:, 1], -v[:, 0]], axis=1)
         by_velocity = np.stack([-mean[:, 1], mean[:, 0]], axis=1) @ turned

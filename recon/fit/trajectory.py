@@ -224,12 +224,12 @@ def _shared(clip: ClipProblem, solved: Sequence[SegmentFit], known: Sequence[Pos
         return found.sum(axis=0), np.linalg.norm(sigmas, axis=0)
 
     late, longer, sideslip = of_views(time_offset), of_views(focal), of_views(lambda _: SIDESLIP)
-    places = of_views(extrinsic_correction, 6)
+    corrections = of_views(extrinsic_correction, 6)
     return {
         "time_offset_frames": late[0][:, 0],
         "time_offset_sigma_frames": late[1][:, 0],
-        "extrinsic_correction": places[0],
-        "extrinsic_correction_sigma": places[1],
+        "extrinsic_correction": corrections[0],
+        "extrinsic_correction_sigma": corrections[1],
         "focal": longer[0][:, 0],
         "focal_sigma": longer[1][:, 0],
         "sideslip_rad": float(sideslip[0][0, 0]),
@@ -241,16 +241,16 @@ def in_step(clip: ClipProblem, solved: SegmentFit) -> ClipProblem:
     """With the lags and the cameras' places of a solution in its views."""
     V = range(len(clip.views))
     late = [float(solved.found(time_offset(i))[0]) for i in V]
-    places = [solved.found(extrinsic_correction(i), 6) for i in V]
-    return replace(clip, views=_found(clip.views, late, places, [float(solved.found(focal(i))[0]) for i in V]))
+    corrections = [solved.found(extrinsic_correction(i), 6) for i in V]
+    return replace(clip, views=_found(clip.views, late, corrections, [float(solved.found(focal(i))[0]) for i in V]))
 
 
 def _found(
-    views: Sequence[View], late: Iterable[float], places: Iterable[Array], longer: Iterable[float]
+    views: Sequence[View], late: Iterable[float], corrections: Iterable[Array], focal_scales: Iterable[float]
 ) -> tuple[View, ...]:
     return tuple(
-        replace(view, offset_frames=view.offset_frames + frames).corrected(place).with_focal_scale(factor)
-        for view, frames, place, factor in zip(views, late, places, longer, strict=True)
+        replace(view, offset_frames=view.offset_frames + frames).corrected(correction).with_focal_scale(factor)
+        for view, frames, correction, factor in zip(views, late, corrections, focal_scales, strict=True)
     )
 
 
@@ -375,7 +375,7 @@ def _of_segment(
     in_world[:, ROOT] = clip.in_world(states[:, ROOT], size)
     covariance_m2 = with_size(known.covariance_m2, by_size, size, size_sigma)
     if len(views) == 1:  # of several, one's turn is known by the others
-        covariance_m2 = covariance_m2 + views[0].turn_covariance_m2(joints_m)
+        covariance_m2 = covariance_m2 + views[0].rotation_covariance_m2(joints_m)
     return {
         "states": in_world,
         "joints_m": joints_m,

@@ -50,7 +50,7 @@ class RobotSamples:
     """The joint rates, shape (K, joints)."""
     bodies: tuple[str, ...]
     """The names of the B bodies, the base first."""
-    place_m: Array
+    position_m: Array
     """The positions of the bodies, shape (K, B, 3)."""
     turned: Array
     """(K, B, 3, 3): T_world_body."""
@@ -100,7 +100,7 @@ def sampled(motion: RobotMotion, rate_hz: float) -> RobotSamples:
         angles_rad=states[:, 6:],
         rates_rad_s=changes[:, 6:],
         bodies=_body_names(motion.robot),
-        place_m=pose.points_m,
+        position_m=pose.points_m,
         turned=(frames_at @ straight.transpose(0, 2, 1))[:, segment],
         velocity_m_s=np.einsum("kbcd,kd->kbc", pose.jacobian, changes),
         angular_velocity_rad_s=_spins(tree, frames_at, states, changes)[:, segment],
@@ -146,14 +146,14 @@ def _amp(found: RobotSamples, path: Path, said: Mapping[str, Any]) -> None:
     columns = [robot.joints.index(joint) for joint in order]
     feet = [found.foot(label) for label in AMP_LEGS]
     v, w = found.velocity_m_s[:, :1], found.angular_velocity_rad_s[:, :1]
-    arms = found.place_m[:, feet] - found.place_m[:, :1]
+    arms = found.position_m[:, feet] - found.position_m[:, :1]
     relative = found.velocity_m_s[:, feet] - v - np.cross(w, arms)
 
     def in_base(vectors: Array) -> Array:
         return np.einsum("kbc,kcd->kbd", vectors, found.turned[:, 0]).reshape(len(vectors), -1)
 
     angles, rates = found.angles_rad[:, columns], found.rates_rad_s[:, columns]
-    parts = [found.place_m[:, 0], found.quaternions[:, 0], angles, in_base(arms), in_base(v), in_base(w), rates]
+    parts = [found.position_m[:, 0], found.quaternions[:, 0], angles, in_base(arms), in_base(v), in_base(w), rates]
     text = {
         "LoopMode": "Wrap" if found.loops else "Clamp",
         "FrameDuration": 1 / found.rate_hz,
@@ -185,7 +185,7 @@ velocities of the bodies."""
 
 def _npz(layout: str, found: RobotSamples, path: Path, said: Mapping[str, Any]) -> None:
     arrays = (
-        *(np.array(found.robot.joints), found.angles_rad, found.rates_rad_s, found.place_m),
+        *(np.array(found.robot.joints), found.angles_rad, found.rates_rad_s, found.position_m),
         *(found.quaternions[..., [3, 0, 1, 2]], found.velocity_m_s, found.angular_velocity_rad_s),
     )
     named: dict[str, Any] = dict(zip(_NPZ[layout], arrays, strict=True))
@@ -202,7 +202,7 @@ def _npz(layout: str, found: RobotSamples, path: Path, said: Mapping[str, Any]) 
 
 def _mjlab_csv(found: RobotSamples, path: Path, said: Mapping[str, Any]) -> None:
     """No header, as its readers expect none: x y z, qx qy qz qw, joints. What it is stands in a file beside it."""
-    table = np.concatenate([found.place_m[:, 0], found.quaternions[:, 0], found.angles_rad], axis=1)
+    table = np.concatenate([found.position_m[:, 0], found.quaternions[:, 0], found.angles_rad], axis=1)
     np.savetxt(path, table, delimiter=",", fmt="%.17g")
     beside = {"fps": found.rate_hz, "joint_names": found.robot.joints, "source": dict(said)}
     path.with_suffix(".json").write_text(json.dumps(beside) + "\n", encoding="utf-8")
