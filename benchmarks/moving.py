@@ -32,7 +32,7 @@ from trajectory import body_of, prior_of
 
 from recon.clip import View, held
 from recon.fit import TrajectoryOptions, TrajectorySolution, constants, solve_trajectory
-from recon.fit.terms import Standing
+from recon.fit.terms import StanceVelocity
 from recon.geometry.frames import rigid
 
 SMOOTH_S = 0.1
@@ -192,7 +192,7 @@ def size_rows(run: Run) -> Iterator[dict]:
 def size_of_feet(run: Run, feet_m: np.ndarray, slip_m_s: float) -> float:
     """The size at which a driven camera's picture has the feet (T, F, 3) stand best, as the solver weighs it."""
     centres = driven(run)["driven"].centre_m[:, None]
-    stance = Standing(np.arange(feet_m.shape[1]), run.fps, slip_m_s, constants.SLIP_C)
+    stance = StanceVelocity(np.arange(feet_m.shape[1]), run.fps, slip_m_s, constants.SLIP_C)
     sizes = np.geomspace(0.5, 2.0, 201)
     losses = [np.nansum(stance.contact(centres + size * (feet_m - centres), 1.0)[1]) for size in sizes]
     return float(sizes[np.argmin(losses)])

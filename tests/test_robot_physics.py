@@ -37,7 +37,7 @@ def test_bodies_velocities_and_contacts_are_those_of_mujoco(a1, part, tmp_path):
     at = {name: model.joint(name) for name in found.robot.joints}
     placed = {name: name.replace("base", "trunk") for name in found.bodies}
     for k in range(len(found.time_s)):
-        data.qpos[:7] = [*found.place_m[k, 0], *found.quaternions[k, 0, [3, 0, 1, 2]]]
+        data.qpos[:7] = [*found.position_m[k, 0], *found.quaternions[k, 0, [3, 0, 1, 2]]]
         data.qvel[:6] = [*found.velocity_m_s[k, 0], *found.angular_velocity_rad_s[k, 0] @ found.turned[k, 0]]
         for j, joint in enumerate(at.values()):
             data.qpos[joint.qposadr[0]], data.qvel[joint.dofadr[0]] = found.angles_rad[k, j], found.rates_rad_s[k, j]
@@ -45,7 +45,7 @@ def test_bodies_velocities_and_contacts_are_those_of_mujoco(a1, part, tmp_path):
         mujoco.mj_fwdVelocity(model, data)
         for b, name in enumerate(found.bodies):
             body, velocity = data.body(placed[name]), np.zeros(6)
-            np.testing.assert_allclose(body.xpos, found.place_m[k, b], atol=1e-6)
+            np.testing.assert_allclose(body.xpos, found.position_m[k, b], atol=1e-6)
             np.testing.assert_allclose(body.xmat, found.turned[k, b].ravel(), atol=1e-6)
             mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_XBODY, body.id, velocity, 0)
             np.testing.assert_allclose(velocity[:3], found.angular_velocity_rad_s[k, b], atol=1e-5)

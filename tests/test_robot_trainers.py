@@ -60,7 +60,7 @@ def test_bodies_are_where_the_robots_own_file_has_them(solved, part):
             q = np.array([at[f"{name}_{joint}_joint"] for joint in ("hip", "thigh", "calf")])
             for body, (place, turned) in a1_bodies(name, q).items():
                 k = found.bodies.index(body)
-                np.testing.assert_allclose(found.place_m[t, k], found.place_m[t, 0] + base.apply(place), atol=1e-9)
+                np.testing.assert_allclose(found.position_m[t, k], found.position_m[t, 0] + base.apply(place), atol=1e-9)
                 off = (base * turned).inv() * Rotation.from_matrix(found.turned[t, k])
                 assert off.magnitude() < 1e-7
 
@@ -80,7 +80,7 @@ def test_velocities_are_the_derivatives_of_what_is_written(robot, part, request)
     spins = found.angular_velocity_rad_s
     for differences, rates in (
         ((found.angles_rad[2:] - found.angles_rad[:-2]) / twice, found.rates_rad_s),
-        ((found.place_m[2:] - found.place_m[:-2]) / twice, found.velocity_m_s),
+        ((found.position_m[2:] - found.position_m[:-2]) / twice, found.velocity_m_s),
         (turns.reshape(spins[1:-1].shape) / twice, spins),
     ):
         np.testing.assert_allclose(differences, rates[1:-1], atol=1e-3 * np.abs(rates).max())
@@ -94,7 +94,7 @@ def test_the_feet_that_stand_are_still_and_a_stride_goes_on_where_it_ends(solved
     assert np.median(speed[1:-1][within]) < 0.02 * speed.max()
     assert solved.stride.advance_m is not None
     on = np.append(solved.stride.advance_m, 0.0)
-    np.testing.assert_allclose(found.place_m[-1], found.place_m[0] + on, atol=1e-9)
+    np.testing.assert_allclose(found.position_m[-1], found.position_m[0] + on, atol=1e-9)
     np.testing.assert_allclose(found.angles_rad[-1], found.angles_rad[0], atol=1e-12)
     np.testing.assert_allclose(found.velocity_m_s[-1], found.velocity_m_s[0], atol=1e-9)
     steps = np.sum(found.quaternions[1:] * found.quaternions[:-1], axis=2)

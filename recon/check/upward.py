@@ -15,7 +15,7 @@ from recon.base.arrays import Array
 from recon.check.agreement import points_m
 from recon.clip import View
 from recon.fit import constants
-from recon.fit.terms import Standing
+from recon.fit.terms import StanceVelocity
 
 MAX_SIGMA_RAD = np.radians(10.0)
 """Less is known of a camera that is taken to be level."""
@@ -58,7 +58,7 @@ def up_from_feet(views: Sequence[View], body: Body, fps: float, sigma_px: float)
     axes = np.linalg.svd(posture[None])[2]
     axes[0] *= np.sign(axes[0] @ posture)  # up by the posture, and across it
 
-    still = Standing(feet, fps, constants.SLIP_M_S, constants.SLIP_C).contact(positions_m, 1.0)[2][seen]
+    still = StanceVelocity(feet, fps, constants.SLIP_M_S, constants.SLIP_C).contact(positions_m, 1.0)[2][seen]
     middle = np.median(step[seen], axis=0)
     height, *across = axes @ (step[seen] - middle).T
     rows = np.stack([np.ones_like(height), *across], axis=-1)
