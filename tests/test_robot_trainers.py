@@ -60,7 +60,9 @@ def test_bodies_are_where_the_robots_own_file_has_them(solved, part):
             q = np.array([at[f"{name}_{joint}_joint"] for joint in ("hip", "thigh", "calf")])
             for body, (place, turned) in a1_bodies(name, q).items():
                 k = found.bodies.index(body)
-                np.testing.assert_allclose(found.position_m[t, k], found.position_m[t, 0] + base.apply(place), atol=1e-9)
+                np.testing.assert_allclose(
+                    found.position_m[t, k], found.position_m[t, 0] + base.apply(place), atol=1e-9
+                )
                 off = (base * turned).inv() * Rotation.from_matrix(found.turned[t, k])
                 assert off.magnitude() < 1e-7
 
