@@ -8,6 +8,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,8 +17,10 @@ from recon.base.arrays import Array
 from recon.base.errors import InputError, Problem, all_of, refuse
 from recon.geometry.camera import Camera
 from recon.io.common import numbers
-from recon.io.video import VideoInfo
 from recon.workflows.settings import UNITS_M, FitSettings, Unit
+
+if TYPE_CHECKING:
+    from recon.io.video import VideoInfo
 
 AXES, FIRST_CAMERA = ("x", "y", "z"), "first-camera"
 
