@@ -161,7 +161,10 @@ def test_a_rig_in_another_unit_and_likelihoods_that_are_low(small_trajectory):
     solution = replace(motion.solution, views=(view, away), flags=flags, states=motion.states * np.nan)
     (one,) = no_pose(replace(motion, solution=solution))
     assert (one.code, one.numbers["unit"]) == ("no_pose_unit", "mm")
-    counts = tuple(replace(k, used=k.frames // 4, rejected=k.frames // 2) for k in source.cleaning.keypoints)
+    counts = {
+        name: {**of, "used": of["frames"] // 4, "rejected": of["frames"] // 2}
+        for name, of in source.cleaning.keypoints.items()
+    }
     cleaning = replace(source.cleaning, keypoints=counts)
     (low,) = likelihoods_low(replace(motion, sources=(replace(source, cleaning=cleaning),)))
     assert low.numbers["share"] == pytest.approx(2 / 3, abs=0.05)

@@ -139,7 +139,7 @@ def test_every_real_run(shared_data):
         assert_same(keypoints, naive_csv(path))
         assert len(keypoints.names) == 24
         report = clean(keypoints, 0.5)[1]
-        assert all(c.used + c.missing + c.rejected == c.frames for c in report.keypoints)
+        assert all(c["used"] + c["missing"] + c["rejected"] == c["frames"] for c in report.keypoints.values())
         assert report.total("missing_nan_with_likelihood") == 0
 
 

@@ -142,7 +142,7 @@ def test_keypoints(report, small_motion):
 
 
 def test_a_keypoint_that_the_file_lacks(small_motion):
-    counts = tuple(k for k in small_motion.cleaning.keypoints if k.name != "spine")
+    counts = {name: of for name, of in small_motion.cleaning.keypoints.items() if name != "spine"}
     names = tuple(name for name in small_motion.sources[0].file_names if name != "spine")
     motion = with_first(small_motion, cleaning=replace(small_motion.cleaning, keypoints=counts), file_names=names)
     report = build_report(motion, {})

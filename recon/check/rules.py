@@ -84,8 +84,8 @@ def detections_not_explained(motion: Motion) -> Iterator[Finding]:
 
 
 def keypoints_that_do_not_fit(motion: Motion) -> Iterator[Finding]:
-    counted = [{k.name: k.used for k in source.cleaning.keypoints} for source in motion.sources]
-    used = np.array([sum(of_file.get(name, 0) for of_file in counted) for name in motion.names])
+    counted = [source.cleaning.keypoints for source in motion.sources]
+    used = np.array([sum(of_file[name]["used"] for of_file in counted if name in of_file) for name in motion.names])
     off = np.sum([picture.outliers.sum(axis=0) for picture in motion.pictures], axis=0)
     rows = np.flatnonzero(off > np.maximum(KEYPOINT_SHARE * used, KEYPOINT_LEAST))
     if len(rows):

@@ -7,7 +7,6 @@ from recon.base import lazily
 if TYPE_CHECKING:
     from recon.clip.keypoints import (
         CleaningReport,
-        KeypointCounts,
         Keypoints,
         clean,
         fill_gaps,

@@ -98,28 +98,14 @@ class Keypoints:
         return ~np.isnan(self.xy_px[..., 0]) & ~np.isnan(self.xy_px[..., 1])
 
 
-@dataclass(frozen=True)
-class KeypointCounts:
-    """What became of one keypoint, in frames: `used + missing + rejected == frames`."""
-
-    name: str
-    frames: int
-    used: int
-    missing: int
-    """The sum of the `missing_*`."""
-    rejected: int
-    missing_zero_zero: int
-    """Stored as (0, 0) without a likelihood."""
-    missing_nan_with_likelihood: int
-    """A coordinate that is NaN although its likelihood is above 0."""
-    missing_empty: int
-    """No coordinates and no likelihood."""
-    missing_absent_frame: int
-    """A frame that the file lacks."""
-    missing_constant: int
-    """Stored, with a likelihood, as the one point that stands for missing ones (`CleaningReport.constant_px`)."""
-    likelihood_unknown: int
-    """The used points that came without a likelihood."""
+COUNTS = (
+    *("frames", "used", "missing", "rejected", "missing_zero_zero", "missing_nan_with_likelihood", "missing_empty"),
+    *("missing_absent_frame", "missing_constant", "likelihood_unknown"),
+)
+"""What is counted of a keypoint, in frames, used + missing + rejected = frames. Missing is what was stored as (0, 0)
+without a likelihood, a coordinate that is NaN although it has a likelihood, what has neither, a frame that the file
+lacks, and what was stored, with a likelihood, as the one point that stands for missing ones
+(`CleaningReport.constant_px`). The last are points that were used and came without a likelihood."""
 
 
 @dataclass(frozen=True)
@@ -133,26 +119,26 @@ class CleaningReport:
     """Rows of the file outside the range that was asked for."""
     inserted: tuple[tuple[int, int], ...]
     """Ranges of frames that the file lacks, now all missing."""
-    keypoints: tuple[KeypointCounts, ...]
+    keypoints: dict[str, dict[str, int]]
+    """What became of each keypoint, by `COUNTS`."""
     notes: tuple[str, ...] = ()
     """What the reader had to decide."""
     constant_px: tuple[float, float] | None = None
     """The point, such as (-1, -1), that stands for missing ones although it has a likelihood; None: there is none."""
 
     def total(self, count: str) -> int:
-        """Sum over the keypoints of one field of `KeypointCounts`, such as "rejected"."""
-        return sum(getattr(k, count) for k in self.keypoints)
+        """Sum over the keypoints of one count, such as "rejected"."""
+        return sum(counts[count] for counts in self.keypoints.values())
 
     def to_dict(self) -> dict[str, Any]:
         """The report as plain JSON types, with the totals over all keypoints."""
-        counts = [f.name for f in dataclasses.fields(KeypointCounts) if f.name not in ("name", "frames")]
         return {
             "likelihood_min": self.likelihood_min,
             "frames": list(self.frames),
             "frames_dropped": self.frames_dropped,
             "inserted": [list(r) for r in self.inserted],
-            "total": {count: self.total(count) for count in counts},
-            "keypoints": [dataclasses.asdict(k) for k in self.keypoints],
+            "total": {count: self.total(count) for count in COUNTS[1:]},
+            "keypoints": [{"name": name, **counts} for name, counts in self.keypoints.items()],
             "notes": list(self.notes),
         }
 
@@ -199,19 +185,10 @@ def clean(
                 "at least one point to work with",
             )
         )
-    counts = tuple(
-        KeypointCounts(
-            name=name,
-            frames=len(cleaned.frames),
-            used=int(used[k]),
-            missing=int(sum(counts[k] for counts in missing.values())) + absent,
-            rejected=int(rejected[k]),
-            **{how: int(counts[k]) for how, counts in missing.items()},
-            missing_absent_frame=absent,
-            likelihood_unknown=int(likelihood_unknown[k]),
-        )
-        for k, name in enumerate(cleaned.names)
-    )
+    missing["missing_absent_frame"] = np.full(len(used), absent)
+    counted = {"frames": np.full(len(used), len(cleaned.frames)), "used": used, "missing": sum(missing.values())}
+    counted |= {"rejected": rejected, **missing, "likelihood_unknown": likelihood_unknown}
+    counts = {name: {count: int(counted[count][k]) for count in COUNTS} for k, name in enumerate(cleaned.names)}
     report = CleaningReport(
         likelihood_min=float(likelihood_min),
         frames=(int(cleaned.frames[0]), int(cleaned.frames[-1]) + 1),
@@ -234,13 +211,11 @@ def leave_out(
     if not points.any():
         return keypoints, report
     out = dict(zip(keypoints.names, points.sum(axis=0).tolist(), strict=True))
-    left = ((k, k.used - out.get(k.name, 0)) for k in report.keypoints)  # those of the file; the clip may have more
-    counts = tuple(
-        dataclasses.replace(
-            k, used=n, rejected=k.rejected + k.used - n, likelihood_unknown=min(k.likelihood_unknown, n)
-        )
-        for k, n in left
-    )
+    counts = {}
+    for name, of in report.keypoints.items():  # those of the file; the clip may have more
+        used, lost = of["used"] - out.get(name, 0), out.get(name, 0)
+        unknown = min(of["likelihood_unknown"], used)
+        counts[name] = {**of, "used": used, "rejected": of["rejected"] + lost, "likelihood_unknown": unknown}
     frame, first = (int(i) for i in np.argwhere(points)[0])
     note = f"{points.sum()} points are {why}, and left out: {keypoints.names[first]} in frame {keypoints.frames[frame]}"
     note += ", ..." if points.sum() > 1 else ""
@@ -274,7 +249,7 @@ def select_frames(keypoints: Keypoints, frames: tuple[int | None, int | None] | 
 
 def mark_missing(keypoints: Keypoints) -> tuple[Keypoints, dict[str, np.ndarray]]:
     """Missing points become NaN in both coordinates with confidence 0. Also how many they are of each keypoint, (K,) by
-    the way they are stored, as `KeypointCounts` calls it.
+    the way they are stored, as `COUNTS` calls it.
 
     Some tools store a missing point as (0, 0): it is one only where the likelihood is 0 or unknown, because the
     corner of the image can be a detection like any other.

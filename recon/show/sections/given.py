@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +13,7 @@ from recon import check
 from recon.animal.naming import suggestions
 from recon.animal.skeleton_file import NONE, OWN, of_scorer
 from recon.base.arrays import Array, finite, mean, median
-from recon.clip.keypoints import KeypointCounts
+from recon.clip.keypoints import COUNTS
 from recon.fit import TrajectorySolution
 from recon.fit.motion import Motion, Picture
 from recon.gait.kinematics import frame_jitter_m, jitter_errors, point_kinematics
@@ -164,9 +163,8 @@ def counts(motion: Motion) -> dict[str, Any]:
 
 def keypoints(motion: Motion) -> list[dict[str, Any]]:
     """The fitted keypoints in the order of the joints, then those of the file that are not used."""
-    counted = [{k.name: k for k in source.cleaning.keypoints} for source in motion.sources]
+    counted = [source.cleaning.keypoints for source in motion.sources]
     outliers, distance_px = (stacked(motion, field) for field in ("outliers", "distance_px"))
-    names = [f.name for f in fields(KeypointCounts) if f.name != "name"]
     rows = []
     for name in (*motion.names, *motion.unused_keypoints):
         known = [of_file[name] for of_file in counted if name in of_file]
@@ -176,7 +174,7 @@ def keypoints(motion: Motion) -> list[dict[str, Any]]:
                 "name": name,
                 "joint": None if j is None else motion.joints[j],
                 "in_file": bool(known),
-                **{count: sum(getattr(of_one, count) for of_one in known) if known else None for count in names},
+                **{count: sum(of_one[count] for of_one in known) if known else None for count in COUNTS},
                 "outliers": None if j is None else int(outliers[..., j].sum()),
                 "mean_error_px": None if j is None else mean(distance_px[..., j]),
                 "noise_px": None if j is None else mean(motion.solution.noise_px[..., j]),
@@ -267,7 +265,7 @@ def _camera(motion: Motion, number: int) -> dict[str, Any]:
 def _points(picture: Picture) -> dict[str, int]:
     source, used = picture.source, int(picture.present.sum())
     names = set(source.keypoints.names)
-    rejected = sum(counted.rejected for counted in source.cleaning.keypoints if counted.name in names)
+    rejected = sum(of["rejected"] for name, of in source.cleaning.keypoints.items() if name in names)
     return {"used": used, "missing": max(picture.present.size - used - rejected, 0), "rejected": rejected}
 
 
