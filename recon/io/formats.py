@@ -87,7 +87,7 @@ FORMATS: tuple[Format, ...] = (
     Format("deeplabcut", "DeepLabCut H5", (".h5", ".hdf5"), "deeplabcut_h5", _BOTH, _BOTH,
            "in the scorer", "kept", "m, z up", unit="m"),
     Format("sleap-anipose", "sleap-anipose's points3d.h5", (".h5",), "sleap/points3d", _3D),
-    Format("sleap", "SLEAP analysis H5", (".analysis.h5", ".h5"), "sleap", _2D),
+    Format("sleap", "SLEAP analysis H5", (".h5",), "sleap", _2D),
     Format("movement", "movement netCDF", (".nc",), "movement", _BOTH, _BOTH, "kept", "as times", "m, z up"),
     Format("nwb", "ndx-pose NWB", (".nwb",), "nwb", _BOTH, _BOTH, "needed", "as times", "m, z up"),
     Format("coco", "COCO JSON", (".json",), "json_poses/coco", _2D),
@@ -121,19 +121,17 @@ PLAIN = next(f for f in FORMATS if f.name == "long")
 
 
 def choose_format(out: Path, name: str | None) -> Format:
-    """What to write, by the name of a format, if given, and the file's extension; the longest that fits counts.
-
-    Raises InputError for names and extensions that are not there.
-    """
+    """What to write, by the name of a format, if given, and the file's extension. Raises InputError for names and
+    extensions that are not there."""
     names = tuple(dict.fromkeys(f.name for f in CONVERTED))
     if name is not None and name not in names:
         raise InputError(Problem("--to", "format", f"'{name}'", f"one of: {', '.join(names)}"))
     named = [f for f in CONVERTED if name in (None, f.name)]
-    fitting = [(len(s), -i, f) for i, f in enumerate(named) for s in f.suffixes if out.name.lower().endswith(s)]
-    if not fitting:
+    found = next((f for f in named if out.suffix.lower() in f.suffixes), None)
+    if found is None:
         expected = ", ".join(dict.fromkeys(s for f in named for s in f.suffixes))
         raise InputError(Problem(out, "extension", f"'{out.suffix}'", f"one of: {expected}"))
-    return max(fitting, key=lambda fit: fit[:2])[2]
+    return found
 
 
 def recognised(path: Path, kind: Kind | None = None) -> Format | None:
