@@ -35,7 +35,7 @@ from recon.geometry.frames import quaternions
 from recon.io import read_camera, read_keypoints, write_table
 from recon.io.camera_track import INTRINSICS, POSE, SIGMA
 from recon.io.video import Image, missing_note, probe, read_frames
-from recon.show.plain import to_json
+from recon.show.plain import picked, to_json
 from recon.workflows.cameras import size_problems
 from recon.workflows.cli.common import counted, progress_bar, say, terminal
 from recon.workflows.settings import FIRST_FRAME, FitSettings
@@ -80,16 +80,9 @@ class _CameraMotionSettings(Settings):
 def of_clip(settings: FitSettings, video: Path, out: Path, **more: Any) -> _CameraMotionSettings:
     """For the one camera of a clip, which has a calibration. more: other fields."""
     assert settings.camera is not None
-    return _CameraMotionSettings(
-        video=video,
-        camera=settings.camera[0],
-        out=out,
-        camera_name=next(iter(settings.camera_name or ()), None),
-        keypoints=settings.keypoints[0],
-        individual=settings.individual,
-        tilt_deg=settings.tilt_deg,
-        **more,
-    )
+    of_first = {"camera": settings.camera[0], "keypoints": settings.keypoints[0]}
+    more |= of_first | {"camera_name": next(iter(settings.camera_name or ()), None)}
+    return _CameraMotionSettings(video=video, out=out, **picked(settings, "individual", "tilt_deg"), **more)
 
 
 def camera_motion(settings: _CameraMotionSettings, as_json: bool) -> Any:

@@ -57,6 +57,15 @@ class SubjectFitSettings(Settings):
     title: Annotated[str | None, Option("Of the animal, in words. (default: made up)")] = None
     overwrite: Annotated[bool, Option("Replace the file.")] = False
 
+    def problems(self) -> Iterator[Problem]:
+        if not self.lengths and not self.offsets:
+            yield Problem("--no-lengths", "unknowns", "nothing to fit", "--offsets with it, or without it")
+        if self.poses and (self.lengths or not self.offsets):
+            yield Problem("--poses", "unknowns", "lengths, or no offsets", "--no-lengths --offsets beside it")
+        if self.poses and len(self.poses) != len(self.clips):
+            found = f"{len(self.poses)} for {len(self.clips)} clips"
+            yield Problem("--poses", "files", found, "one for each clip")
+
 
 def subject_fit(settings: SubjectFitSettings, as_json: bool) -> Any:
     """Measure one animal in clips that several cameras filmed, for `recon fit --subject`; without its lengths the
@@ -102,9 +111,7 @@ def run_subject_fit(settings: SubjectFitSettings) -> dict[str, Any]:
     """
     fits, _, known = all_of(
         lambda: all_of(*(_reader(path) for path in settings.clips)),
-        lambda: _check_options(
-            settings.out, settings.lengths, settings.offsets, settings.overwrite, settings.clips, settings.poses
-        ),
+        lambda: require_free_file(settings.out, settings.overwrite, suffixes=(".toml",)),
         lambda: all_of(*(lambda path=path: read_pose3d(path) for path in settings.poses)),
     )
     _require_one_skeleton(fits, settings.clips)
@@ -144,18 +151,6 @@ def run_subject_fit(settings: SubjectFitSettings) -> dict[str, Any]:
 
 
 # -- input --------------------------------------------------------------------------------------------------------
-
-
-def _check_options(
-    out: Path, lengths: bool, offsets: bool, overwrite: bool, clips: Sequence[Path], poses: Sequence[Path]
-) -> None:
-    if not lengths and not offsets:
-        raise InputError(Problem("--no-lengths", "unknowns", "nothing to fit", "--offsets with it, or without it"))
-    if poses and (lengths or not offsets):
-        raise InputError(Problem("--poses", "unknowns", "lengths, or no offsets", "--no-lengths --offsets beside it"))
-    if poses and len(poses) != len(clips):
-        raise InputError(Problem("--poses", "files", f"{len(poses)} for {len(clips)} clips", "one for each clip"))
-    require_free_file(out, overwrite, suffixes=(".toml",))
 
 
 def _reader(path: Path) -> Callable[[], FitSettings]:
