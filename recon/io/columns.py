@@ -119,7 +119,8 @@ def _layout(columns: Sequence[str], meaning: Callable[[str], _Meaning | None]) -
     kept = {key: of for key, of in found.items() if key[0] in parts or (not key[0] and key[1] in of_all)}
     units = {unit for (_, role), (_, unit) in kept.items() if role in "xyz"}
     used = {key: column for key, (column, _) in kept.items()}
-    ignored = tuple(column for column in columns if column.strip() and column not in used.values())
+    those = {*used.values()}
+    ignored = tuple(column for column in columns if column.strip() and column not in those)
     return _Layout(used, units.pop() if len(units) == 1 else None, ignored)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import struct
 import zlib
+from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
@@ -137,8 +138,8 @@ def points_of_arrays(
     for field, found, count in (("names of points", names, K), ("names of animals", animals, N)):
         problems += [
             Problem(path, field, f"'{name}'", "names that are unique and can be printed")
-            for name in dict.fromkeys(found)
-            if not name or not name.isprintable() or list(found).count(name) > 1
+            for name, count_of_it in Counter(found).items()
+            if not name or not name.isprintable() or count_of_it > 1
         ]
         if len(found) not in (0, count):
             problems.append(Problem(path, field, str(len(found)), f"{count}, as there are in the data"))
