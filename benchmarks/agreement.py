@@ -28,7 +28,7 @@ import numpy as np
 from markdown_table import print_table
 
 from recon import FitSettings, load_skeleton
-from recon.check.agreement import camera_findings
+from recon.check.agreement import agreement_findings
 from recon.clip import View, views_of
 from recon.fit import TrajectoryOptions
 from recon.fit.result import Finding
@@ -56,8 +56,12 @@ def views_of_run(run: Path) -> tuple[list[View], float]:
 
 
 def judged(views: Sequence[View], fps: float) -> tuple[Finding, ...]:
-    frames, noise_m = np.arange(len(views[0].xy_px)), load_skeleton(SKELETON).keypoint_sigma_m
-    return camera_findings(views, fps, frames, [0.0] * len(views), TrajectoryOptions().sigma_px, noise_m)
+    """The findings of a motion that has what is read of it."""
+    sources = [SimpleNamespace(offset_frames=view.offset_frames, offset_s=0.0) for view in views]
+    frames, solution = np.arange(len(views[0].xy_px)), SimpleNamespace(views=views)
+    motion = SimpleNamespace(solution=solution, sources=sources, fps=fps, frames=frames)
+    noise_m = load_skeleton(SKELETON).keypoint_sigma_m
+    return agreement_findings(motion, TrajectoryOptions().sigma_px, noise_m)  # type: ignore[arg-type]
 
 
 def cases(views: list[View]) -> Iterator[Case]:
