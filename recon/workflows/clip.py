@@ -377,16 +377,9 @@ def _require_keypoints_of(wanted: Sequence[str], skeleton: str, keypoints: Keypo
         hint = f"{options}, or"
     else:
         hint = f"--rename {maps[0]}, or" if maps else "another animal's --skeleton, or"
-    raise InputError(
-        Problem(
-            where,
-            "bodyparts",
-            found,
-            f"those of the skeleton {skeleton}: {', '.join(wanted)}; {hint} --rename with a file of these lines, "
-            "completed",
-            tuple(animal.map_to_write(keypoints.names, wanted)),
-        )
-    )
+    expected = f"those of the skeleton {skeleton}: {', '.join(wanted)}; {hint} --rename with a file of these lines, "
+    lines = tuple(animal.map_to_write(keypoints.names, wanted))
+    raise InputError(Problem(where, "bodyparts", found, f"{expected}completed", lines))
 
 
 def _require_inside(camera: Camera, keypoints: Keypoints, settings: FitSettings) -> None:
@@ -396,15 +389,10 @@ def _require_inside(camera: Camera, keypoints: Keypoints, settings: FitSettings)
         return
     (x0, y0), (x1, y1) = np.percentile(points, [1, 99], axis=0)
     width, height = camera.image_size_px
-    raise InputError(
-        Problem(
-            settings.camera_text or "--image-size",
-            "image size",
-            f"{width}x{height}, but keypoints at x {x0:.0f} to {x1:.0f}, y {y0:.0f} to {y1:.0f} px",
-            "the camera and the size of the video that the keypoints were found in"
-            + _perhaps(camera, points, settings),
-        )
-    )
+    found = f"{width}x{height}, but keypoints at x {x0:.0f} to {x1:.0f}, y {y0:.0f} to {y1:.0f} px"
+    expected = "the camera and the size of the video that the keypoints were found in"
+    where = settings.camera_text or "--image-size"
+    raise InputError(Problem(where, "image size", found, expected + _perhaps(camera, points, settings)))
 
 
 def _holds(size_px: tuple[int, int], points: Array) -> bool:

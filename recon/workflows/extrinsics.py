@@ -183,14 +183,9 @@ def run_extrinsics(
     ):
         late_s = dict(zip(names, np.array(late_frames) / of[0].fps, strict=True))
         began_s = np.array([source.offset_s + late_s[source.camera.name] for source in sources])
-        rows.append(
-            {
-                "keypoints": [str(path) for path in clip.keypoints],
-                "offset_s": (began_s - began_s[0]).tolist(),
-                "found_offsets": bool(clip.find_offsets),
-                "disagreement": dict(zip(names, apart.tolist(), strict=True)),
-            }
-        )
+        offsets = {"offset_s": (began_s - began_s[0]).tolist(), "found_offsets": bool(clip.find_offsets)}
+        disagreement = dict(zip(names, apart.tolist(), strict=True))
+        rows.append({"keypoints": [*map(str, clip.keypoints)], **offsets, "disagreement": disagreement})
     known = zip(found, rig.sigma, rig.height_sigma_m, strict=True)
     return found, {
         "cameras": [
@@ -270,14 +265,11 @@ def _each_alone(settings: FitSettings) -> list[ClipInputs]:
     """Each camera's keypoints, prepared as a clip of one camera."""
     names = settings.camera_name or (None,) * len(settings.keypoints)
     alone = replace(settings, offset_s=None, refine_cameras=None, find_offsets=None, tilt_deg=None)
-    given = all_of(
-        *(
-            lambda path=path, name=name: prepare(
-                replace(alone, keypoints=(path,), camera_name=None if name is None else (name,))
-            )
-            for path, name in zip(settings.keypoints, names, strict=True)
-        )
-    )
+    each = [
+        replace(alone, keypoints=(path,), camera_name=None if name is None else (name,))
+        for path, name in zip(settings.keypoints, names, strict=True)
+    ]
+    given = all_of(*(lambda one=one: prepare(one) for one in each))
     rates = {one.fps for one in given}
     if len(rates) > 1:
         expected = "one frame rate for all cameras, or --fps"

@@ -24,6 +24,7 @@ from recon.check import usable
 from recon.fit.motion import Motion
 from recon.fit.points import MIN_MARKERS, solve_points_and_size
 from recon.io import Pose3D, read_pose_segments
+from recon.show.plain import picked
 from recon.workflows.batch.inputs import file_names
 from recon.workflows.cli.common import table_of, terminal
 from recon.workflows.settings import ANYWAY
@@ -133,15 +134,12 @@ def run_prior_fit(settings: PriorFitSettings) -> dict[str, Any]:
     of_files, misfits_mm, sizes = _solved_segments(body, files, names, rates, settings.estimate_size)
     segments = [*of_results, *of_files]
     frames = sum(_count(states) for _, states, fps in segments if mean_speed_m_s(states, fps) >= settings.min_speed_m_s)
-    prior = fit_prior(
-        body,
-        segments,
+    name, components = (
         settings.name or settings.out.stem,
-        settings.source,
         min(settings.components, max(frames // FRAMES_PER_COMPONENT, 1)),
-        min_speed_m_s=settings.min_speed_m_s,
-        apart=settings.apart,
     )
+    how = picked(settings, "min_speed_m_s", "apart")
+    prior = fit_prior(body, segments, name, settings.source, components, **how)
     held_out = _held_out(body, segments, prior) if settings.check else None
     save_prior(prior, settings.out)
     rows = zip(prior.segments, (*(None for _ in of_results), *misfits_mm), strict=True)

@@ -81,14 +81,11 @@ def subject_fit(settings: SubjectFitSettings, as_json: bool) -> Any:
         rows = ((row["name"], f"{row['value']:.3f}", f"{row['sigma']:.3f}") for row in lengths)
         terminal().print(table_of("length of", numbers=("m", "±"), rows=rows))
     if offsets:
-        rows = (
-            (
-                x["name"].removesuffix("_x"),
-                *(f"{v['value']:.0f}" for v in (x, *yz)),
-                f"{max(v['sigma'] for v in (x, *yz)):.0f}",
-            )
-            for x, *yz in zip(offsets[::3], offsets[1::3], offsets[2::3], strict=True)
-        )
+        rows = []
+        for three in zip(offsets[::3], offsets[1::3], offsets[2::3], strict=True):
+            sigma = max(row["sigma"] for row in three)
+            values = (f"{row['value']:.0f}" for row in three)
+            rows.append((three[0]["name"].removesuffix("_x"), *values, f"{sigma:.0f}"))
         columns = ("forwards", "left", "up", "±")
         terminal().print(table_of("keypoint off its marker, mm", numbers=columns, rows=rows))
     if lengths:

@@ -38,15 +38,8 @@ def rig_of(motion: Motion, fps: float | None = None, body_mass_kg: float = 1.0) 
     if off_m[known].max() > SAME_M:
         expected = "bones of one length: fit with --set method=trajectory"
         raise InputError(Problem(motion.file, "size", "lengths that change from frame to frame", expected))
-    rig = make_rig(
-        motion.body,
-        motion.size,
-        motion.names,
-        frames[known],
-        states[known],
-        motion.fps if fps is None else fps,
-        body_mass_kg,
-    )
+    of_animal, fps = (motion.body, motion.size, motion.names), motion.fps if fps is None else fps
+    rig = make_rig(*of_animal, frames[known], states[known], fps, body_mass_kg)
     filled = np.setdiff1d(rig.pose.frames, frames[known])
     note = f"Without a pose, and interpolated: frames {', '.join(frames_text(filled))}."
     return replace(rig, notes=(note,) if len(filled) else ())
@@ -116,12 +109,11 @@ def _turns(body: Body, states: Array) -> list[tuple[BoneAngle, ...]]:
             above = orientations[:, at[segment.parent]]
             angles = _pitch_yaw_roll(above.swapaxes(1, 2) @ orientations[:, at[segment.name]])
             kinds, means = ["pitch", "yaw", "roll"], [means[1], means[0], (0.0, np.pi / RANGE_SIGMAS)]
-        turns.append(
-            tuple(
-                BoneAngle(f"{segment.name}_{kind}", kind, a, mean, (mean - RANGE_SIGMAS * sd, mean + RANGE_SIGMAS * sd))
-                for kind, a, (mean, sd) in zip(kinds, angles, means, strict=True)
-            )
-        )
+        of = [
+            BoneAngle(f"{segment.name}_{kind}", kind, a, mean, (mean - RANGE_SIGMAS * sd, mean + RANGE_SIGMAS * sd))
+            for kind, a, (mean, sd) in zip(kinds, angles, means, strict=True)
+        ]
+        turns.append(tuple(of))
     return turns
 
 

@@ -131,20 +131,12 @@ def _sections(found: ClipAnalysis) -> Iterator[_FigureGroup]:
         _inline([plots.composites(m, motion.limbs, motion.time_s, **drawn) for m in _stretches(motion, moved)]),
     )
     name, hardly = motion.reference, _is_unknown(moved.acceleration_m_s2, moved.acceleration_sigma_m_s2)
-    yield _FigureGroup(
-        "Speed",
-        f"Of {name}, along its path"
-        + ("." if moved.speed_sigma_m_s is None else ", with bands of one standard deviation.")
-        + (UNKNOWN_ACCELERATION if hardly else ""),
-        _inline(
-            [
-                plots.speeds(
-                    {name: moved}, width_mm=SPEED_MM, unknown=found.why_no_speed is not None, acceleration=not hardly
-                )
-            ]
-        ),
-        "narrow",
+    text = f"Of {name}, along its path" + (
+        ", with bands of one standard deviation" if moved.speed_sigma_m_s is not None else ""
     )
+    shown = {"width_mm": SPEED_MM, "unknown": found.why_no_speed is not None, "acceleration": not hardly}
+    drawn_speed = _inline([plots.speeds({name: moved}, **shown)])
+    yield _FigureGroup("Speed", f"{text}.{UNKNOWN_ACCELERATION * hardly}", drawn_speed, "narrow")
     if gait is not None:
         text = "When each foot stands: by its speed over the ground and its height, and by its path below the body."
         yield _FigureGroup("Footfalls", text, _inline([plots.footfall({"gait": gait}, motion.fps)]))

@@ -463,13 +463,12 @@ def _with_settings(draft: _Draft, common: Mapping[str, Any], config: Path | None
     animals = () if settings.individual is not None else individuals(settings.keypoints[0])
     if not animals:
         return [(draft, settings)]
-    return [
-        (
-            replace(draft, row={**draft.row, "individual": one}, name=draft.name and f"{draft.name}-{one}"),
-            replace(settings, individual=one),
-        )
-        for one in animals
-    ]
+    found = []
+    for one in animals:
+        name = draft.name and f"{draft.name}-{one}"
+        own = replace(draft, row={**draft.row, "individual": one}, name=name)
+        found.append((own, replace(settings, individual=one)))
+    return found
 
 
 def _settings(draft: _Draft, common: Mapping[str, Any], config: Path | None) -> FitSettings:

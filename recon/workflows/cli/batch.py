@@ -161,15 +161,10 @@ def _print_plan(
     if as_json:
         typer.echo(json.dumps({"clips": rows}))
         return
-    cells = (
-        (
-            row["clip"],
-            ", ".join(row["cameras"]),
-            row["out"],
-            row["action"] + f" ({row['reason']})" * bool(row["reason"]),
-        )
-        for row in rows
-    )
+    cells = []
+    for row in rows:
+        what = row["action"] + f" ({row['reason']})" * bool(row["reason"])
+        cells.append((row["clip"], ", ".join(row["cameras"]), row["out"], what))
     console.print(table_of("clip", "cameras", "out", "what", rows=cells))
     for problem, places in repeated(problems):
         names = ", ".join(rows[place]["clip"] for place in places[:NAMED])
@@ -214,8 +209,5 @@ def _row_text(row: Mapping[str, Any]) -> Text:
         return text.append(f": {row['error']}")
     pose = "" if row["pose_mm"] is None else f", pose ± {row['pose_mm']:.0f} mm"
     why = "" if level in ("", "use") else f": {row['reason']}"
-    return text.append_text(
-        Text.assemble(
-            "  ", (level, STYLES.get(level, "")), f"{pose}, {row['frames']} frames, {row['seconds']:.1f} s{why}"
-        )
-    )
+    text.append("  ").append(level, STYLES.get(level, ""))
+    return text.append(f"{pose}, {row['frames']} frames, {row['seconds']:.1f} s{why}")
