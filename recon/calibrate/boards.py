@@ -133,8 +133,9 @@ def parse_board(text: str) -> Board:
         problems = [Problem("--board", "size", repr(text), "three or more columns and rows, of some size")]
     if markers:
         size, unit, dictionary, legacy = markers
-        board = replace(board, marker_m=float(size) * UNITS_M[unit], dictionary=dictionary.upper(), legacy=bool(legacy))
-        if not 0 < board.marker_m < board.square_m:
+        marker_m = float(size) * UNITS_M[unit]
+        board = replace(board, marker_m=marker_m, dictionary=dictionary.upper(), legacy=bool(legacy))
+        if not 0 < marker_m < board.square_m:
             problems.append(
                 Problem("--board", "side of a marker", size + unit, f"less than {square}{unit} of a square")
             )
