@@ -24,7 +24,8 @@ from recon.animal.skeleton_file import load_chain
 from recon.base.arrays import Array, Bools
 from recon.clip.keypoints import Keypoints
 from recon.geometry.camera import Camera
-from recon.geometry.frames import euler_angles, euler_rotation
+from recon.geometry.frames import euler_rotation
+from recon.geometry.rotations import euler_angles
 
 Direction = Literal["right", "left"]
 CameraModel = Literal["pinhole", "fisheye"]

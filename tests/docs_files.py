@@ -18,7 +18,7 @@ from recon.animal.skeleton_file import load_skeleton
 from recon.calibrate.boards import parse_board
 from recon.clip.keypoints import Keypoints, select_frames
 from recon.geometry.camera import Camera
-from recon.geometry.frames import quaternions
+from recon.geometry.rotations import quaternions
 from recon.io import bvh, columns, read_keypoints
 from recon.io.calibration import read_camera
 from recon.io.deeplabcut import write_csv

@@ -7,16 +7,12 @@ from recon.base import lazily
 if TYPE_CHECKING:
     from recon.geometry.camera import Camera, is_rotation
     from recon.geometry.frames import (
-        euler_angles,
         euler_rotation,
         euler_rotation_with_jacobian,
         inverse,
         level_axes,
         level_from_camera,
         moved,
-        part_of_turn,
-        quaternion_rotations,
-        quaternions,
         rigid,
     )
     from recon.geometry.kinematics import (
@@ -33,5 +29,6 @@ if TYPE_CHECKING:
         TreePose,
     )
     from recon.geometry.lens import LENS_MODELS, Lens, lens_named
+    from recon.geometry.rotations import euler_angles, part_of_turn, quaternion_rotations, quaternions
 
 __getattr__ = lazily(__name__, __file__)

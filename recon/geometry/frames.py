@@ -5,7 +5,8 @@ away from the camera, z up. world: where motion is solved, right-handed with z u
 where its z axis is known to point up, otherwise the level frame of the first camera. reference: what results are given
 in, the camera files' world where there is one, otherwise the first camera's frame.
 
-Rotations: Euler angles with their derivatives, which scipy's `Rotation` does not give; quaternions, of arrays.
+Rotations: Euler angles with their derivatives, which scipy's `Rotation` does not give. The way back, and quaternions,
+are in `recon.geometry.rotations`.
 
 One convention throughout: R = Rx(xi) Ry(psi) Rz(zeta), elementary right-handed rotations about X, Y and Z multiplied in
 that order (scipy's intrinsic "XYZ"), angles in radians in the order (xi, psi, zeta).
@@ -13,11 +14,8 @@ that order (scipy's intrinsic "XYZ"), angles in radians in the order (xi, psi, z
 
 from __future__ import annotations
 
-import warnings
-
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial.transform import Rotation
 
 from recon.base.arrays import Array
 
@@ -78,36 +76,6 @@ def euler_rotation_with_jacobian(angles_rad: npt.ArrayLike) -> tuple[Array, Arra
     d_zeta = (r[1], -r[0], zero, r[4], -r[3], zero, r[7], -r[6], zero)
     stack = np.array((*r, *d_xi, *d_psi, *d_zeta)).T.reshape(*angles.shape[:-1], 4, 3, 3)
     return stack[..., 0, :, :], stack[..., 1:, :, :]
-
-
-def euler_angles(rotation: npt.ArrayLike) -> Array:
-    """Angles (xi, psi, zeta), shape (..., 3), of rotation matrices (..., 3, 3): the inverse of `euler_rotation`.
-
-    psi lies in [-pi/2, pi/2]. At psi = +-pi/2 only xi + zeta or xi - zeta is determined; zeta is then set to 0.
-    Raises ValueError for a matrix that is not a rotation (determinant not positive).
-    """
-    matrices = np.asarray(rotation, dtype=float)
-    if (np.linalg.det(matrices) <= 0).any():  # older scipy takes them for rotations
-        raise ValueError("a matrix with a determinant that is not positive is no rotation")
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message="Gimbal lock")
-        angles = Rotation.from_matrix(matrices.reshape(-1, 3, 3)).as_euler("XYZ")
-    return np.asarray(angles).reshape(*matrices.shape[:-2], 3)
-
-
-def quaternions(rotations: Array) -> Array:
-    """Unit quaternions (N, 4), x, y, z, w, of rotation matrices (N, 3, 3)."""
-    return Rotation.from_matrix(rotations).as_quat()
-
-
-def quaternion_rotations(quaternions: Array) -> Array:
-    """Rotation matrices (N, 3, 3) of quaternions (N, 4), x, y, z, w: the inverse of `quaternions`."""
-    return Rotation.from_quat(quaternions).as_matrix()
-
-
-def part_of_turn(rotations: Array, share: Array) -> Array:
-    """Rotations (N, 3, 3) about the same axes, by a share (N,) of the angle, the shorter way round."""
-    return Rotation.from_rotvec(share[:, None] * Rotation.from_matrix(rotations).as_rotvec()).as_matrix()
 
 
 def _matrix_entries(angles: Array):

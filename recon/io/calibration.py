@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from recon.base.arrays import Array
 from recon.base.documents import parse_json, parse_toml, read_text
@@ -296,6 +295,8 @@ def _numbers(value: Any) -> Array | None:
 def _rotation(array: Array) -> Array | None:
     """Rotation matrix of a 3x3 matrix or a Rodrigues vector; None for a matrix that is no rotation."""
     if array.size == 3:
+        from scipy.spatial.transform import Rotation  # hardly any file has one
+
         return Rotation.from_rotvec(array.ravel()).as_matrix()
     matrix = array.reshape(3, 3)
     if not is_rotation(matrix, ROTATION_TOLERANCE):

@@ -30,8 +30,9 @@ from recon.base.documents import parse_json, read_text, require_file
 from recon.base.errors import InputError, Problem, refuse
 from recon.clip import FramePoses
 from recon.geometry.camera import Camera
-from recon.geometry.frames import inverse, part_of_turn, quaternion_rotations, rigid
+from recon.geometry.frames import inverse, rigid
 from recon.geometry.lens import LENS_MODELS
+from recon.geometry.rotations import part_of_turn, quaternion_rotations
 from recon.io.common import MAX_FRAME, first_problems, frame_number, number, numbers
 from recon.io.table import number_rows, text_rows
 

@@ -16,7 +16,7 @@ from recon.animal.body import Side
 from recon.animal.capsules import Capsule
 from recon.base.arrays import Array
 from recon.base.package import version
-from recon.geometry.frames import quaternions
+from recon.geometry.rotations import quaternions
 from recon.io.bones import Armature, turned
 from recon.io.pose import y_up_from_z_up
 

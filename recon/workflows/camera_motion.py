@@ -31,7 +31,7 @@ from recon.calibrate.camera_motion.panorama import ANIMAL, PATH, Canvas, draw_pa
 from recon.calibrate.camera_motion.track import CLEARLY
 from recon.clip.keypoints import Keypoints
 from recon.geometry.camera import Camera
-from recon.geometry.frames import quaternions
+from recon.geometry.rotations import quaternions
 from recon.io import read_camera, read_keypoints, write_table
 from recon.io.camera_track import INTRINSICS, POSE, SIGMA
 from recon.io.video import Image, missing_note, probe, read_frames

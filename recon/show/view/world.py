@@ -9,7 +9,7 @@ from rerun.components import FillMode
 from recon.base.arrays import Array, Bools
 from recon.fit import MotionSegment
 from recon.fit.motion import Motion, Picture
-from recon.geometry.frames import quaternions
+from recon.geometry.rotations import quaternions
 from recon.show.view.scene import (
     CAMERA,
     CAMERAS,
