@@ -102,16 +102,21 @@ def test_keypoints_are_read_from_tables_in_memory():
     same(recon.Keypoints.from_xarray(dataset_of(expected)), expected)
     several = pd.concat([long.assign(individual=animal) for animal in ("a", "b")])
     same(recon.Keypoints.from_dataframe(several, fps=60, individual="b"), expected)
-    with pytest.raises(recon.InputError, match="individual: found 2 animals, expected one of: a, b"):
+    with pytest.raises(
+        recon.InputError, match="individual: found 2 animals and no --individual, expected one of: a, b"
+    ):
         recon.Keypoints.from_dataframe(several, fps=60)
 
 
 @pytest.mark.parametrize(
     ("table", "message"),
     [
-        (pd.DataFrame({"x": [1.0]}), "expected columns frame, keypoint, x, y and confidence"),
-        (pd.DataFrame({"frame": [0, 0], "keypoint": ["a", "a"], "x": [1, 2], "y": [1, 2]}), "two of one keypoint"),
-        (pd.DataFrame({"frame": [0], "keypoint": ["a"], "x": ["left"], "y": [2]}), "numbers"),
+        (pd.DataFrame({"x": [1.0]}), "expected frame, bodypart, x, y or frame, NAME_x"),
+        (
+            pd.DataFrame({"frame": [0, 0], "keypoint": ["a", "a"], "x": [1, 2], "y": [1, 2]}),
+            "a second row of a frame or of a point in it",
+        ),
+        (pd.DataFrame({"frame": [0], "keypoint": ["a"], "x": ["left"], "y": [2]}), "found 'left', expected a number"),
     ],
 )
 def test_other_tables_are_refused(table: pd.DataFrame, message: str):

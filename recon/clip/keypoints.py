@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import re
 from dataclasses import dataclass
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,6 +15,8 @@ from recon.base.errors import InputError, Problem
 if TYPE_CHECKING:
     import pandas as pd
 
+IN_MEMORY = "recon.io.in_memory"
+"""What reads tables in memory as it reads files. It is imported by its name: the readers are built on this room."""
 CORNER_PX, CONSTANT_SHARE, CONSTANT_KEYPOINTS = 1.0, 0.005, 3
 """A point stands for missing ones if it lies no further in the picture than this, and so many of all points and of the
 keypoints are just there."""
@@ -73,24 +76,13 @@ class Keypoints:
         """Keypoints from a pandas table: as DeepLabCut's (levels scorer, bodyparts, coords, and individuals where there
         are several), its index the frames; or long, with columns frame, keypoint (or bodypart), x, y and confidence (or
         likelihood). Pixels. individual: which of several animals. Raises InputError."""
-        from recon.clip.tables import from_dataframe
-
-        return cls._checked("DataFrame", from_dataframe(table, fps, individual))
+        return import_module(IN_MEMORY).from_dataframe(table, fps, individual)
 
     @classmethod
     def from_xarray(cls, dataset: Any, fps: float | None = None, individual: str | None = None) -> Keypoints:
         """Keypoints from movement's dataset of poses, in pixels; its times are seconds where it, or fps, says the frame
         rate. individual: which of several animals. Raises InputError."""
-        from recon.clip.tables import from_xarray
-
-        return cls._checked("Dataset", from_xarray(dataset, fps, individual))
-
-    @classmethod
-    def _checked(cls, where: str, found: dict[str, Any]) -> Keypoints:
-        try:
-            return cls(**found)
-        except ValueError as error:
-            raise InputError(Problem(where, "content", str(error), "keypoints of increasing frames")) from None
+        return import_module(IN_MEMORY).from_xarray(dataset, fps, individual)
 
     @property
     def present(self) -> np.ndarray:

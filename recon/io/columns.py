@@ -177,7 +177,7 @@ def read_long(path: Path, individual: str | None = None, columns: Mapping[str, s
             problems.append(Problem(path, f"line {line}", f"{len(row)} cells", f"{len(header)}, as in line 1"))
     refuse(first_problems(problems, path))
     cells = list(zip(*table, strict=True)) or [()] * len(header)
-    return _gathered(path, dict(zip(header, cells, strict=True)), individual, columns)
+    return gathered(path, dict(zip(header, cells, strict=True)), individual, columns)
 
 
 def recognises_parquet(path: Path) -> bool:
@@ -203,11 +203,11 @@ def read_parquet(path: Path, individual: str | None = None) -> StoredPoints:
         elif pa.types.is_dictionary(column.type):
             one = column.unify_dictionaries().combine_chunks()
             columns[name] = np.array([*one.dictionary.to_pylist(), None], object)[one.indices.fill_null(-1).to_numpy()]
-    pose = _gathered(path, columns, individual, None)
+    pose = gathered(path, columns, individual, None)
     return replace(pose, fps=pose.fps or rate(own.get("fps")), up="z" if own.get("up") == "z" else None)
 
 
-def _gathered(path: Path, table: Columns, individual: str | None, given: Mapping[str, str] | None) -> StoredPoints:
+def gathered(path: Path, table: Columns, individual: str | None, given: Mapping[str, str] | None) -> StoredPoints:
     """The table by frame and point, of one animal; given: a map of its columns. Raises InputError for columns that mean
     nothing, cells that are no numbers, points that appear twice in a frame, coordinates that are missing."""
     absent = [column for column in (given or {}).values() if PART not in column and column not in table]

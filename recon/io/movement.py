@@ -50,7 +50,25 @@ def recognises(path: Path) -> bool:
 
 def read(path: Path, individual: str | None = None) -> StoredPoints:
     """The points of one animal. Raises InputError."""
-    stored, attributes = _stored(path)
+    return _points(path, *_stored(path), individual)
+
+
+def points_of_dataset(source: Path, dataset: Any, fps: float | None, individual: str | None) -> StoredPoints:
+    """The same from an `xarray.Dataset`. fps: what it is to be taken for. Raises InputError."""
+    stored = {
+        name.removesuffix("s"): _Variable(
+            tuple(str(dim).removesuffix("s") for dim in dataset[name].dims), dataset[name].to_numpy()
+        )
+        for name in VARIABLES
+        if name in dataset.variables
+    }
+    attributes = {name: dataset.attrs.get(name) for name in ATTRIBUTES}
+    return _points(source, stored, attributes if fps is None else attributes | {"fps": fps}, individual)
+
+
+def _points(
+    path: Path, stored: Mapping[str, _Variable], attributes: Mapping[str, Any], individual: str | None
+) -> StoredPoints:
     values, confidence = (_ordered(path, stored, *of) for of in (("position", POSITION), ("confidence", POSITION[:-1])))
     kind, space = attributes["ds_type"] or "poses", _labels(stored, "space") or list("xyz"[: values.shape[-1]])
     problems = []
