@@ -88,7 +88,7 @@ def doubtful(pan: View, fps: float, seed: int) -> View:
     turned = Rotation.from_rotvec(np.radians(off_deg)).as_matrix() @ pan.T_camera_world[:, :3, :3]
     sigma_deg = np.hypot(WHITE_DEG, DRIFT_DEG_S * seconds[:, 0] / np.sqrt(3))
     poses = rigid(turned, -(turned @ pan.centre_m[..., None])[..., 0])
-    return replace(pan, T_camera_world=poses, turn_sigma_rad=np.radians(sigma_deg))
+    return replace(pan, T_camera_world=poses, rotation_sigma_rad=np.radians(sigma_deg))
 
 
 def pan_rows(run: Run, with_errors: bool = False) -> Iterator[dict]:

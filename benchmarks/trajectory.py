@@ -42,7 +42,7 @@ from recon.clip.keypoints import clean
 from recon.fit import TrajectoryOptions, TrajectorySolution, constants, solve_trajectory
 from recon.fit.points import solve_points_and_size
 from recon.fit.posterior import radius, sigmas
-from recon.gait.clip import PLACE_LASTS_S, POSE_LASTS_S
+from recon.gait.clip import POSE_LASTS_S, POSITION_LASTS_S
 from recon.gait.evaluation import centre, joint_errors, score
 from recon.gait.kinematics import Errors, series_kinematics
 from recon.geometry.frames import inverse, moved, rigid
@@ -420,7 +420,7 @@ def rates(runs: Sequence[Path]) -> dict[str, Rows]:
     with multiprocessing.Pool(2) as pool:
         found = pool.map(_rate_errors, views(runs), chunksize=1)
     rows = []
-    for part, lasts_s in (("pose", POSE_LASTS_S), ("place", PLACE_LASTS_S)):
+    for part, lasts_s in (("pose", POSE_LASTS_S), ("place", POSITION_LASTS_S)):
         values = np.concatenate([f[part] for f in found])
         root = np.sqrt(np.mean(values**2, axis=0))
         row: dict[str, object] = {"errors of the": part, "last s": lasts_s}
@@ -440,7 +440,7 @@ def _rate_errors(job: Job) -> dict[str, np.ndarray]:
     pose_m2, place_m2 = (_in_camera(solution, c) for c in (solution.relative_covariance_m2, of_middle))
     parts = {
         "pose": (found - middle - truth_m + true_middle, pose_m2, POSE_LASTS_S),
-        "place": (middle - true_middle, place_m2, PLACE_LASTS_S),
+        "place": (middle - true_middle, place_m2, POSITION_LASTS_S),
     }
     rows = {}
     for part, (off, covariance, lasts_s) in parts.items():

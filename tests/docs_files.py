@@ -13,17 +13,12 @@ import numpy as np
 from board_pictures import poses, render
 from detector_files import mmpose
 
-from recon.animal.body import Body
-from recon.animal.skeleton_file import load_skeleton
+from recon import Body, Camera, Keypoints, Pose3D, load_skeleton, read_camera, read_pose3d
 from recon.calibrate.boards import parse_board
-from recon.clip.keypoints import Keypoints, select_frames
-from recon.geometry.camera import Camera
-from recon.geometry.rotations import quaternions
-from recon.io import bvh, columns, read_keypoints
-from recon.io.calibration import read_camera
+from recon.clip import select_frames
+from recon.geometry import quaternions
+from recon.io import bvh, columns, read_keypoints, write_table
 from recon.io.deeplabcut import write_csv
-from recon.io.pose3d import Pose3D, read_pose3d
-from recon.io.table import write_table
 from recon.io.video import video_writer
 from recon.show.export.rig import make_rig
 from tests.fuzz.corpus import write_sleap

@@ -15,7 +15,7 @@ from board_pictures import poses, render
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
-from recon.base.errors import InputError
+from recon import Camera, InputError, read_camera
 from recon.calibrate.boards import (
     Board,
     BoardView,
@@ -27,8 +27,6 @@ from recon.calibrate.boards import (
     parse_board,
 )
 from recon.calibrate.intrinsics import calibrate, check, coverage, draw
-from recon.geometry.camera import Camera
-from recon.io.calibration import read_camera
 from recon.io.video import video_writer
 from recon.workflows.cli import app
 

@@ -200,7 +200,7 @@ def test_how_exact_its_turns_are(tmp_path):
     head, *rows = path.read_text().splitlines()
     said = [f"{row},{sigma}" for row, sigma in zip(rows, (0.02, 0.05, 0.01), strict=True)]
     path.write_text("\n".join([f"{head},sigma_deg", *said]))
-    found = read_camera_track(path).at(np.arange(3, 7), 60.0)[0].turn_sigma_rad
+    found = read_camera_track(path).at(np.arange(3, 7), 60.0)[0].rotation_sigma_rad
     np.testing.assert_allclose(np.degrees(found), [0.02, 0.05, 0.05, 0.01])
     for wrong in ("-0.1", "nan", "60"):
         text = "\n".join([f"{head},sigma_deg", *said[:2], f"{rows[2]},{wrong}"])
@@ -210,7 +210,7 @@ def test_how_exact_its_turns_are(tmp_path):
 def test_what_a_doubtful_turn_does_to_points():
     """Against points that turn about the camera with it."""
     points, sigma = np.random.default_rng(0).normal([0.0, 9.0, 0.0], 1.0, (2, 3, 3)), np.radians([0.3, 0.1])
-    pans = View(FISHEYE, turning(2), np.zeros((2, 3, 2)), np.ones((2, 3)), turn_sigma_rad=sigma)
+    pans = View(FISHEYE, turning(2), np.zeros((2, 3, 2)), np.ones((2, 3)), rotation_sigma_rad=sigma)
     turns = sigma[:, None] * np.random.default_rng(1).normal(size=(40000, 2, 3))
     moved = np.cross(turns[:, :, None], points - pans.centre_m[:, None])
     expected = np.einsum("ntja,ntjb->tjab", moved, moved) / len(moved)

@@ -10,12 +10,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from recon import FitSettings, InputError, Motion, fit_clip
+from recon import Camera, FitSettings, InputError, Keypoints, Motion, clean, fit_clip
 from recon.clip import Source, View, together
-from recon.clip.keypoints import Keypoints, clean
-from recon.fit import TrajectorySolution, solve_trajectory
-from recon.fit.extrinsics import solve_extrinsics
-from recon.geometry.camera import Camera
+from recon.fit import TrajectorySolution, solve_extrinsics, solve_trajectory
 from recon.io import read_cameras, read_keypoints, write_cameras
 from recon.io.deeplabcut import write_csv
 from recon.workflows.cameras import cameras_in

@@ -22,15 +22,14 @@ from rerun.chunk import RrdReader
 import recon.show.export.clip_csv
 import recon.show.view
 import recon.workflows.cli
-from recon.animal.body import MIN_JOINTS
+from recon import FitSettings, Motion, evaluate_files, read_settings
+from recon.animal import MIN_JOINTS
 from recon.check import verdict_lines
-from recon.fit.motion import Motion
-from recon.gait.evaluation import evaluate_files
 from recon.io import read_keypoints
 from recon.show.plain import to_plain
-from recon.workflows.cli.common import error_text, say, table_of, terminal
+from recon.workflows.cli import error_text, terminal
+from recon.workflows.cli.common import say, table_of
 from recon.workflows.clip_results import OUTPUT_FILES
-from recon.workflows.settings import FitSettings, read_settings
 
 SAMPLES = Path(__file__).parents[1] / "data" / "samples"
 CLIP, CAMERA, TRUTH = SAMPLES / "noisy.csv", SAMPLES / "camera.toml", SAMPLES / "noisy_truth.csv"

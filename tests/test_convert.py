@@ -13,7 +13,7 @@ import pytest
 import tables
 from typer.testing import CliRunner
 
-from recon.base.errors import InputError
+from recon import InputError
 from recon.clip import Keypoints
 from recon.io import CONVERTED, FORMATS, Format, Pose3D, choose_format, read_keypoints, read_pose3d
 from recon.workflows.cli import app, main

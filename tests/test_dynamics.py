@@ -9,10 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from recon.animal.skeleton_file import load_skeleton
-from recon.base.errors import InputError
-from recon.fit.motion import Motion
-from recon.gait.clip import ClipAnalysis, analyse
+from recon import ClipAnalysis, InputError, Motion, analyse, load_skeleton
 from recon.gait.dynamics import (
     G_M_S2,
     MEAN_OF_PEAK,

@@ -14,8 +14,7 @@ from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
 from recon import InputError, evaluate, evaluate_files
-from recon.check import sentence
-from recon.check.mismatch import mismatches
+from recon.check import mismatches, sentence
 from recon.gait.evaluation import align_scale, align_similarity, centre, joint_errors
 from recon.io import Pose3D, read_pose3d, trc
 

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from recon import Motion
 from recon.check import CODES, FLAG_OF, FLAGS, Finding, finding, findings_of, sentence
 from recon.check.rules import likelihoods_low, no_pose
-from recon.fit.motion import Motion
 
 DOCS = Path(__file__).resolve().parents[1] / "docs" / "findings.md"
 AGAINST = {"error_px": 31.4, "level": 5.24}

@@ -11,8 +11,7 @@ import pytest
 from dog import read_clips
 from gallop import KEYPOINT_NAMES, gallop
 
-from recon.animal.skeleton_file import load_skeleton
-from recon.base.errors import InputError
+from recon import InputError, Pose3D, load_skeleton, read_pose3d
 from recon.fit.posterior import radius
 from recon.gait.gait import (
     FEET,
@@ -31,7 +30,6 @@ from recon.gait.gait import (
     strides,
 )
 from recon.gait.kinematics import Errors
-from recon.io.pose3d import Pose3D, read_pose3d
 
 FPS = 90.0
 NAMES = (*FEET.values(), "neck_base", "tail_base")

@@ -13,11 +13,10 @@ import pytest
 from command_line import run
 from detector_files import ACINOSET, ANIMAL3D, AP_10K, HORSE_10, MMPOSE_AP_10K, SUPERANIMAL, UNSEEN
 
-from recon import FitSettings, InputError, Keypoints, evaluate, load_skeleton, read_pose3d
+from recon import ClipAnalysis, FitSettings, InputError, Keypoints, evaluate, load_skeleton, read_pose3d
 from recon.animal import NameMap, builtin_maps, fitting_maps, load_names, map_to_write, new_names, renamed, suggestions
 from recon.animal.skeleton_file import skeleton_of
 from recon.fit import Motion
-from recon.gait.clip import ClipAnalysis
 from recon.io import read_keypoints
 from recon.io.deeplabcut import write_csv
 from recon.keypoint_net import evaluate_2d_files

@@ -15,7 +15,8 @@ from scipy.integrate import quad
 from scipy.optimize import root
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from recon.base.errors import InputError
+from recon import InputError
+from recon.robotics import load_robot
 from recon.robotics.climb import Recipe, bundled, load_recipe, plan, raised
 from recon.robotics.climb.plan import (
     LEFT,
@@ -31,7 +32,6 @@ from recon.robotics.climb.plan import (
 from recon.robotics.climb.recipe import PLANAR, RECIPES, SPATIAL, Fields, Step, _Balance, _Well
 from recon.robotics.robot.physics import margins_figure
 from recon.robotics.robot.quadruped import LEGS, Quadruped
-from recon.robotics.robot.robot_file import load_robot
 
 HIPS = np.array([[0.065, 0.0625, 0], [0.065, -0.0625, 0], [-0.065, 0.0625, 0], [-0.065, -0.0625, 0]])
 

@@ -13,10 +13,9 @@ import pytest
 from rerun.chunk import RrdReader
 from scipy.spatial.transform import Rotation
 
-from recon import InputError
+from recon import ClipAnalysis, InputError
 from recon.clip import Source, views_of
 from recon.fit import Motion, MotionSegment, Solution
-from recon.gait.clip import ClipAnalysis
 from recon.show.view import DISPLAYS, open_viewer, write
 from recon.thesis import FrameOptions, FrameSolution, solve_frames
 

@@ -83,7 +83,7 @@ class PriorScales:
 
 
 @dataclass(frozen=True)
-class Posed:
+class ChainPose:
     """States and where they put the chain, in the camera frame; N states, J joints, D unknowns. The Jacobians are
     None unless they were asked for."""
 
@@ -266,13 +266,13 @@ class Chain(Skeleton):
         size = state[:, self.base_index] / self.nominal_base_length_m
         return self._local_tree.pose(self._local_state(state), size).points_m @ UVW_BODY.T
 
-    def pose(self, state: Array) -> Posed:
+    def pose(self, state: Array) -> ChainPose:
         """Joints in the camera frame for states (N, D), without Jacobian."""
         R = euler_rotation(state[:, self.euler_slice])
         p = self.local_joints(state) + state[:, None, self.place_slice]
-        return Posed(state, R, p @ R.transpose(0, 2, 1))
+        return ChainPose(state, R, p @ R.transpose(0, 2, 1))
 
-    def pose_with_jacobian(self, state: Array) -> Posed:
+    def pose_with_jacobian(self, state: Array) -> ChainPose:
         """Joints in the camera frame and their exact derivatives with respect to the state (N, D)."""
         N, J, A = len(state), len(self.joints), self.n_angles
         tree = self._local_tree.pose_with_jacobian(self._local_state(state))
@@ -290,7 +290,7 @@ class Chain(Skeleton):
         jacobian[..., self.place_slice] = R[:, :, None]
         jacobian[..., self.euler_slice] = (dR @ p[:, None]).transpose(0, 2, 3, 1)
         jacobian[..., self.base_index] = R @ (c_per_size / self.nominal_base_length_m)
-        return Posed(state, R, (R @ p).transpose(0, 2, 1), jacobian.transpose(0, 2, 1, 3), dR)
+        return ChainPose(state, R, (R @ p).transpose(0, 2, 1), jacobian.transpose(0, 2, 1, 3), dR)
 
 
 def upright_rotation(heading: Array, up: Array) -> Array:

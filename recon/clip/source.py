@@ -32,7 +32,7 @@ class View:
     offset_frames: float = 0.0
     """Its pictures were taken that much later than the clip's frames: 0 up to 1 as given, with a time offset that was
     found more or less."""
-    turn_sigma_rad: Array | None = None
+    rotation_sigma_rad: Array | None = None
     """(T,): standard deviation of each pose's rotation about any axis, of a camera whose track says it."""
 
     @property
@@ -65,7 +65,7 @@ class View:
         """(T, J, 3, 3): the uncertainty of each pose's rotation, in points (T, J, 3) that are known by this camera
         alone."""
         off = points_m - self.centre_m[:, None]
-        variance = np.zeros(len(off)) if self.turn_sigma_rad is None else self.turn_sigma_rad**2
+        variance = np.zeros(len(off)) if self.rotation_sigma_rad is None else self.rotation_sigma_rad**2
         across = np.sum(off * off, axis=-1)[..., None, None] * np.eye(3) - off[..., :, None] * off[..., None, :]
         return variance[:, None, None, None] * across
 
@@ -77,13 +77,13 @@ class View:
             xy_px=self.xy_px[frames],
             confidence=self.confidence[frames],
             intrinsics_px=None if self.intrinsics_px is None else self.intrinsics_px[frames],
-            turn_sigma_rad=None if self.turn_sigma_rad is None else self.turn_sigma_rad[frames],
+            rotation_sigma_rad=None if self.rotation_sigma_rad is None else self.rotation_sigma_rad[frames],
         )
 
     @property
     def turn_px(self) -> Array | float:
         """What the uncertainty of each pose's rotation moves in the picture's middle: (T,), or 0."""
-        return 0.0 if self.turn_sigma_rad is None else self.focal_px * self.turn_sigma_rad
+        return 0.0 if self.rotation_sigma_rad is None else self.focal_px * self.rotation_sigma_rad
 
     @property
     def seen(self) -> Bools:
@@ -200,7 +200,7 @@ class FramePoses:
     """Where the camera is in each frame, shape (T, 4, 4)."""
     intrinsics_px: Array | None = None
     """(T, 4): fx, fy, cx, cy, of a camera that zooms."""
-    turn_sigma_rad: Array | None = None
+    rotation_sigma_rad: Array | None = None
     """(T,): standard deviation of each pose's rotation about any axis, where that is known."""
 
     @property
@@ -210,7 +210,7 @@ class FramePoses:
 
     def each(self, change: Callable[[Array], Array]) -> FramePoses:
         """With all that there is changed."""
-        zoom, sigma = (None if a is None else change(a) for a in (self.intrinsics_px, self.turn_sigma_rad))
+        zoom, sigma = (None if a is None else change(a) for a in (self.intrinsics_px, self.rotation_sigma_rad))
         return FramePoses(change(self.T_camera_world), zoom, sigma)
 
 
@@ -244,7 +244,7 @@ def views_of(sources: Sequence[Source]) -> tuple[View, ...]:
     for source in sources:
         where = FramePoses(next(poses)) if source.poses is None else source.poses.each(held)
         seen = (source.keypoints.xy_px, source.keypoints.confidence, where.intrinsics_px, source.offset_frames)
-        views.append(View(source.camera, where.T_camera_world, *seen, where.turn_sigma_rad))
+        views.append(View(source.camera, where.T_camera_world, *seen, where.rotation_sigma_rad))
     return tuple(views)
 
 

@@ -222,7 +222,7 @@ class ClipProblem:
         that of a camera's turn, for markers (T, J, 3) at nominal size."""
         px_per_m = self.px_per_m(points_m, size)[..., None]
         noise = np.hypot(self.options.sigma_px, self.in_frame_m * px_per_m) * np.sqrt(factor)[:, None]
-        if all(view.turn_sigma_rad is None for view in self.views):
+        if all(view.rotation_sigma_rad is None for view in self.views):
             return noise
         turned = np.array([np.broadcast_to(view.turn_px, len(self)) for view in self.views])
         return np.hypot(noise, turned[..., None])

@@ -54,7 +54,7 @@ from recon.io.pose3d import Pose3D
 if TYPE_CHECKING:
     import pandas as pd
 
-PLACE_LASTS_S, POSE_LASTS_S = 0.2, 0.05
+POSITION_LASTS_S, POSE_LASTS_S = 0.2, 0.05
 """`Errors.correlation_s` of the animal's place and of the joints relative to their mean."""
 SPEED_KNOWN = 0.1
 """The standard deviation of a peak speed, relative to it, up to which speeds count as known."""
@@ -289,9 +289,9 @@ def _errors(motion: Motion) -> Sequence[Errors]:
         return lasting_errors(motion.upright.xyz_m, motion.fps)
     # What is common to all joints; the relative errors of a single one can be larger than its absolute ones.
     floor = 1e-4
-    place = np.sqrt(np.maximum(motion.upright_sigma_m**2 - motion.upright_relative_sigma_m**2, floor**2))
+    position = np.sqrt(np.maximum(motion.upright_sigma_m**2 - motion.upright_relative_sigma_m**2, floor**2))
     pose = np.maximum(motion.upright_relative_sigma_m, floor)
-    return Errors(place, PLACE_LASTS_S), Errors(pose, POSE_LASTS_S)
+    return Errors(position, POSITION_LASTS_S), Errors(pose, POSE_LASTS_S)
 
 
 def _angle_errors(motion: Motion) -> list[Sequence[Errors]]:

@@ -40,7 +40,7 @@ POSE, INTRINSICS = ("qw", "qx", "qy", "qz", "tx", "ty", "tz"), ("fx", "fy", "cx"
 SIGMA = "sigma_deg"
 UNIT_TOLERANCE = 1e-2
 """The tolerance of a quaternion's length: rounded to three digits it is within this."""
-MAX_PLACE_M, MAX_PX, MAX_SIGMA_DEG, MAX_TURN_RAD = 1e7, 1e6, 10.0, 100.0
+MAX_PLACE_M, MAX_PX, MAX_SIGMA_DEG, MAX_ROTATION_RAD = 1e7, 1e6, 10.0, 100.0
 LEANING_MAX_RAD = np.radians(60)
 """A camera that leans further for most of the time, and does not look down, hangs in a world whose z axis does not
 point up."""
@@ -77,7 +77,7 @@ class CameraTrack:
     """(N, 4): fx, fy, cx, cy, of a camera that zooms."""
     camera: Camera | None = None
     """The lens, where the track comes with one. It has no pose."""
-    turn_sigma_rad: Array | None = None
+    rotation_sigma_rad: Array | None = None
     """(N,): standard deviation of each pose's rotation about any axis, where the track says it."""
 
     def at(self, frames: Integers, fps: float) -> tuple[FramePoses, Bools]:
@@ -97,7 +97,7 @@ class CameraTrack:
         if self.intrinsics_px is not None:
             a, b = self.intrinsics_px[before], self.intrinsics_px[after]
             intrinsics = np.where(known[:, None], a + share[:, None] * (b - a), np.nan)
-        sigma = self.turn_sigma_rad
+        sigma = self.rotation_sigma_rad
         sigmas = None if sigma is None else np.maximum(sigma[before], sigma[after])
         return FramePoses(poses, intrinsics, sigmas), filled
 
@@ -277,7 +277,7 @@ def _read_shots(path: Path) -> CameraTrack:
             turn, at = (np.array(shot[key], dtype=float).reshape(3) for key in ("rotation", "translation"))
         except (KeyError, TypeError, ValueError, OverflowError):
             turn = at = np.full(3, np.nan)
-        if frame is None or not np.isfinite([turn, at]).all() or np.abs(turn).max() > MAX_TURN_RAD:
+        if frame is None or not np.isfinite([turn, at]).all() or np.abs(turn).max() > MAX_ROTATION_RAD:
             expected = "rotation and translation of 3 numbers each, and the frame's number last in the name"
             problems.append(Problem(path, f"shots.{name[:60]}", "others", expected))
             continue

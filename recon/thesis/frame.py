@@ -19,7 +19,7 @@ from scipy.linalg import eigh
 from scipy.optimize import least_squares
 
 from recon.animal.body import MIN_JOINTS, MIN_REACH_PX
-from recon.animal.chain import Chain, Posed
+from recon.animal.chain import Chain, ChainPose
 from recon.base.arrays import Array, Index
 from recon.check import Finding, finding
 from recon.clip import View
@@ -512,7 +512,7 @@ class _FrameInputs:
     """What does not change while a frame is solved. previous: the pose before, dt_s earlier, None at the start."""
 
     frame: int
-    previous: Posed | None
+    previous: ChainPose | None
     dt_s: float
     sigma_px: float
 
@@ -721,7 +721,7 @@ class _FrameSolver:
 
 
 def evaluate(
-    terms: Sequence[Objective], chain: Chain, frame: int, x: Array, previous: Posed | None, dt_s: float
+    terms: Sequence[Objective], chain: Chain, frame: int, x: Array, previous: ChainPose | None, dt_s: float
 ) -> tuple[Array, Array]:
     """Stacked residuals (M,) of one frame and their Jacobian (M, D) with respect to its state x (D,).
 
@@ -732,7 +732,7 @@ def evaluate(
 
 
 def by_term(
-    terms: Sequence[Objective], chain: Chain, frame: int, x: Array, previous: Posed | None, dt_s: float
+    terms: Sequence[Objective], chain: Chain, frame: int, x: Array, previous: ChainPose | None, dt_s: float
 ) -> list[tuple[Array, Array]]:
     """The same, one pair for each of the terms."""
     now = chain.pose_with_jacobian(x[None])

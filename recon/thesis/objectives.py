@@ -21,7 +21,7 @@ from typing import Literal
 
 import numpy as np
 
-from recon.animal.chain import AngleRanges, Posed
+from recon.animal.chain import AngleRanges, ChainPose
 from recon.base.arrays import Array
 from recon.geometry.camera import Camera
 
@@ -35,7 +35,7 @@ class Objective:
     name: str
     ties: bool = False
 
-    def evaluate(self, now: Posed, before: Posed | None, frame: int, dt_s: float) -> ResidualAndJacobian:
+    def evaluate(self, now: ChainPose, before: ChainPose | None, frame: int, dt_s: float) -> ResidualAndJacobian:
         raise NotImplementedError
 
 
@@ -65,7 +65,7 @@ class JointReprojection(Objective):
     c: float
     name: str = "reprojection"
 
-    def evaluate(self, now: Posed, before: Posed | None, frame: int, dt_s: float) -> ResidualAndJacobian:
+    def evaluate(self, now: ChainPose, before: ChainPose | None, frame: int, dt_s: float) -> ResidualAndJacobian:
         assert now.joints_jacobian is not None
         projected, d_point, valid = self.camera.project_with_jacobian(now.joints_m[0])
         detected = self.xy_px[frame]
@@ -106,7 +106,7 @@ class AngleRange(_Limit):
 
     ranges: AngleRanges
 
-    def evaluate(self, now: Posed, before: Posed | None, frame: int, dt_s: float) -> ResidualAndJacobian:
+    def evaluate(self, now: ChainPose, before: ChainPose | None, frame: int, dt_s: float) -> ResidualAndJacobian:
         off = now.state[0, self.where] - self.ranges.mean_rad
         return self.beyond(np.abs(off), np.sign(off), self.ranges.tolerance_rad, now.state.shape[1])
 
@@ -124,7 +124,7 @@ class RateLimit(_Limit):
     max_rate_rad_s: Array
     ties = True
 
-    def evaluate(self, now: Posed, before: Posed | None, frame: int, dt_s: float) -> ResidualAndJacobian:
+    def evaluate(self, now: ChainPose, before: ChainPose | None, frame: int, dt_s: float) -> ResidualAndJacobian:
         assert before is not None
         a = (now.state - before.state)[0, self.where]
         if self.form == "deadband":
@@ -145,7 +145,7 @@ class GaussianPrior(Objective):
     mean: Array | float
     sigma: float
 
-    def evaluate(self, now: Posed, before: Posed | None, frame: int, dt_s: float) -> ResidualAndJacobian:
+    def evaluate(self, now: ChainPose, before: ChainPose | None, frame: int, dt_s: float) -> ResidualAndJacobian:
         residual = (now.state[0, self.where] - self.mean) / self.sigma
         return residual, _diagonal(np.full_like(residual, 1.0 / self.sigma), self.where, now.state.shape[1])
 
@@ -171,7 +171,7 @@ class DirectionPrior(Objective):
     def ties(self) -> bool:  # type: ignore[override]
         return self.expected is None
 
-    def evaluate(self, now: Posed, before: Posed | None, frame: int, dt_s: float) -> ResidualAndJacobian:
+    def evaluate(self, now: ChainPose, before: ChainPose | None, frame: int, dt_s: float) -> ResidualAndJacobian:
         assert now.rotation_jacobian is not None
         if self.expected is None:
             assert before is not None

@@ -24,7 +24,7 @@ from recon.base.settings import OneOrMore, Option, Settings
 from recon.check import usable
 from recon.fit import TrajectorySolution
 from recon.fit.motion import MOTION, Motion
-from recon.gait.clip import PLACE_LASTS_S, ClipAnalysis, analyse
+from recon.gait.clip import POSITION_LASTS_S, ClipAnalysis, analyse
 from recon.show.plots.comparison import TITLES, comparison
 from recon.workflows.cli.common import counted, progress_bar, say, table_of, terminal
 from recon.workflows.settings import ANYWAY
@@ -150,12 +150,12 @@ def _stride_rows(found: ClipAnalysis) -> Iterator[dict]:
 
 
 def _speed_sigma(found: ClipAnalysis, start_s: float, end_s: float) -> float:
-    """The standard deviation of the mean speed in a time: errors of the path last `PLACE_LASTS_S` on either side."""
+    """The standard deviation of the mean speed in a time: errors of the path last `POSITION_LASTS_S` on either side."""
     moved = found.joints[found.reference]
     if moved.speed_sigma_m_s is None:
         return np.nan
     sigma = moved.speed_sigma_m_s[(moved.series.time_s >= start_s) & (moved.series.time_s <= end_s)]
-    independent = max(1.0, (end_s - start_s) / (2 * PLACE_LASTS_S))
+    independent = max(1.0, (end_s - start_s) / (2 * POSITION_LASTS_S))
     return float(np.sqrt(np.nanmean(sigma**2) / independent)) if np.isfinite(sigma).any() else np.nan
 
 

@@ -13,8 +13,8 @@ import h5py
 import numpy as np
 from scipy.io import savemat
 
+from recon import FitSettings, InputError, read_settings
 from recon.animal import builtin_subjects, load_names, load_prior, load_skeleton, seen_by
-from recon.base.errors import InputError
 from recon.base.manifest import MANIFEST, write_manifest
 from recon.clip import Keypoints, clean
 from recon.fit import Motion
@@ -44,7 +44,6 @@ from recon.show.export.rig import make_rig
 from recon.workflows.batch import find_clips
 from recon.workflows.clip_results import run_clip
 from recon.workflows.made_from import Record
-from recon.workflows.settings import FitSettings, read_settings
 
 SAMPLES = Path(__file__).resolve().parents[2] / "data" / "samples"
 LABELS = """scorer,me,me,me,me
