@@ -151,7 +151,7 @@ def test_from_the_side_the_transverse_angles_are_not_seen(fit, request):
     assert not any(name.startswith("theta") for name in found.not_measured)
     assert max(found.motion.data_shares[name] for name in phis) < 0.02
     assert summarise(found, "clip")["angles"]["not_measured"] == [*found.not_measured]
-    assert f"grey in figures: {', '.join(found.not_measured)}." in notes(found)[fit == "one_sided"]
+    assert f"grey in figures: {', '.join(found.not_measured)}." in [*notes(found)][fit == "one_sided"]
 
 
 @pytest.mark.parametrize("fit", ["one_sided", "chain", "whole"])

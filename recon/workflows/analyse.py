@@ -175,41 +175,35 @@ def summarise(found: ClipAnalysis, results: str) -> dict[str, Any]:
         "gait": None if found.gait is None else _gait_summary(found.gait),
         "dynamics": _dynamics_summary(found),
         "stride": None if found.stride is None else picked(found.stride, "foot", "start_s", "end_s") | {"by": by},
-        "notes": notes(found),
+        "notes": [*notes(found)],
     }
 
 
-def notes(found: ClipAnalysis) -> list[str]:
+def notes(found: ClipAnalysis) -> Iterator[str]:
     """What a reader should know before using the numbers."""
-    said = []
-    if found.motion.jitters:
-        said.append("Paths and angles are smoothed by their jitter from frame to frame.")
+    motion, gait = found.motion, found.gait
+    if motion.jitters:
+        yield "Paths and angles are smoothed by their jitter from frame to frame."
     if count := len(found.not_measured):
-        said.append(
+        yield (
             f"{count} of {len(found.skeleton_angles)} angles are mostly expected, not seen (less than "
             f"{MEASURED_SHARE:.0%} of their precision from the pixels), and grey in figures: "
             f"{', '.join(found.not_measured)}."
         )
-    if found.gait is None:
-        said.append("The skeleton has no feet: no gait.")
-    elif len(found.motion.foot_names) < 4:
-        said.append(f"Only the feet {', '.join(found.motion.foot_names)} were fitted: the gait has no name.")
-    if found.gait is not None:
-        doubtful = found.gait.doubtful
-        said += [doubt_text(doubt) for doubt in doubtful[:SHOWN]]
-        if (more := len(doubtful) - SHOWN) > 0:
-            said.append(f"{more} more strides do not count, for reasons of the same kind")
+    if gait is not None and len(motion.foot_names) < 4:
+        yield f"Only the feet {', '.join(motion.foot_names)} were fitted: the gait has no name."
+    doubtful = [] if gait is None else [doubt_text(doubt) for doubt in gait.doubtful]
+    yield from doubtful[:SHOWN]
+    if (more := len(doubtful) - SHOWN) > 0:
+        yield f"{more} more strides do not count, for reasons of the same kind"
     if found.dynamics is not None:
-        said.append(
-            f"Forces and energies rest on the masses of {found.motion.body.mass_source}; forces are validated on "
-            "galloping cheetahs, on level ground."
-        )
-        said += [sentence(one, named=False) for one in findings_of_dynamics(found.motion, found.dynamics)]
-    elif found.motion.side is None and found.gait is not None:
-        said.append("The skeleton has no masses ([mass]): no centre of mass, energy or forces.")
-    if found.gait is not None and found.stride is None:
-        said.append("No complete stride in the clip: no stride figures, and phase portraits are of the whole clip.")
-    return said
+        masses = f"Forces and energies rest on the masses of {motion.body.mass_source}"
+        yield f"{masses}; forces are validated on galloping cheetahs, on level ground."
+        yield from (sentence(one, named=False) for one in findings_of_dynamics(motion, found.dynamics))
+    elif motion.side is None and gait is not None:
+        yield "The skeleton has no masses ([mass]): no centre of mass, energy or forces."
+    if gait is not None and found.stride is None:
+        yield "No complete stride in the clip: no stride figures, and phase portraits are of the whole clip."
 
 
 def _dynamics_summary(found: ClipAnalysis) -> dict[str, Any] | None:
