@@ -135,9 +135,9 @@ def test_label_files_without_labels(clip, tmp_path, content, text):
 def test_labels_of_larger_pictures(clip, tmp_path):
     xy = np.array([[[50.0, 60.0], [52, 62], [54, 64]]])
     path = write_labels(tmp_path / "larger.csv", ["img50.png"], xy)
-    with pytest.raises(InputError, match="3 of 3 points outside of their pictures, nose in img50") as error:
+    with pytest.raises(InputError, match="3 of 3 points outside, nose in img50") as error:
         read_labels(clip[0], path, 50)
-    assert "labels of these pictures" in str(error.value)
+    assert "expected labels that lie in their pictures" in str(error.value)
 
 
 def test_a_video_that_is_none(clip, tmp_path):

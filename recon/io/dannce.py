@@ -60,10 +60,6 @@ def read(path: Path, individual: str | None = None) -> StoredPoints:
     return points_of_arrays(path, individual, values, frames.ravel(), names)
 
 
-def _numbers(value: Any) -> np.ndarray | None:
-    return value.astype(float) if isinstance(value, np.ndarray) else None
-
-
 def _all_texts(value: Any) -> tuple[str, ...]:
     """A cell of texts; none for anything else."""
     return tuple(value) if isinstance(value, list) and all(isinstance(text, str) for text in value) else ()
@@ -76,20 +72,19 @@ def read_cameras(path: Path, individual: str | None = None) -> list[CameraRecord
     """The cameras of `params`, called as `camnames` says, or the one that the file is of. Raises InputError."""
     found = _variables(path)
     params = found.get("params", [found])
-    tables = [one for one in (params if isinstance(params, list) else [params]) if isinstance(one, dict)]
-    if not any("K" in table for table in tables):
+    tables = [one for one in (params if isinstance(params, list) else [params]) if isinstance(one, dict) and "K" in one]
+    if not tables:
         raise InputError(Problem(path, "params", "no cameras", "K, r, t, RDistort and TDistort of each"))
     names = _all_texts(found.get("camnames"))
     records = []
     for i, table in enumerate(tables):
-        K, r, t, radial, sideways = (_numbers(table.get(key)) for key in ("K", "r", "t", "RDistort", "TDistort"))
-        r = _numbers(table.get("R")) if r is None else r
-        values: dict[str, Any] = {"r": None if r is None else r.T, "t": t}
-        if K is not None and K.shape == (3, 3):
-            values["K"] = K.T - np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 1.0], [0.0, 0.0, 0.0]])
-        if radial is not None and sideways is not None and radial.size in (2, 3) and sideways.size == 2:
-            k = [*radial.ravel(), 0.0]
-            values["D"] = [k[0], k[1], *sideways.ravel(), k[2]]
+        k = [*table["RDistort"].ravel(), 0.0]
+        values = {
+            "K": table["K"].T - np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 1.0], [0.0, 0.0, 0.0]]),
+            "D": [k[0], k[1], *table["TDistort"].ravel(), k[2]],
+            "r": table["r" if "r" in table else "R"].T,
+            "t": table["t"],
+        }
         name, place = names[i] if len(names) == len(tables) else None, f"params[{i}]." * ("params" in found)
         records.append(CameraRecord.of_table(name, place, values))
     return records

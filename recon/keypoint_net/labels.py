@@ -119,13 +119,10 @@ def _inside(labels: Labels) -> Labels:
     outside = labels.labelled & ((labels.xy_px < -0.5) | (labels.xy_px > sizes - 0.5)).any(axis=2)
     if outside.sum() > OUTSIDE * labels.labelled.sum():
         i, k = np.argwhere(outside)[0]
-        x, y = labels.xy_px[i, k]
-        width, height = labels.pictures[i].shape[1::-1]
         found = (
-            f"{outside.sum()} of {labels.labelled.sum()} points outside of their pictures, {labels.names[k]} in "
-            f"{labels.images[i]} first: at ({x:.0f}, {y:.0f}) in {width}x{height} px"
+            f"{outside.sum()} of {labels.labelled.sum()} points outside, {labels.names[k]} in {labels.images[i]} first"
         )
-        raise InputError(Problem(labels.source, "labels", found, "labels of these pictures"))
+        raise InputError(Problem(labels.source, "labels", found, "labels that lie in their pictures"))
     return labels
 
 
