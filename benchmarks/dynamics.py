@@ -116,8 +116,9 @@ def dog_rows() -> list[list[str]]:
             off = np.abs(moved.speed_m_s - point_kinematics(motion.time_s, true_m).speed_m_s)
             (net, sigma), (true_net, _) = found.net_acceleration_m_s2, net_acceleration(motion.time_s, true_m)
             total = np.sum([force[:, 0] for force in d.force.values()], axis=0)
-            landed = [stride.start_s for stride in gait.strides if stride.foot == gait.strides[0].foot]
-            over = (gait.tracks.time_s >= landed[0]) & (gait.tracks.time_s < landed[-1])
+            time_s, feet = gait.tracks.time_s, [stride.foot for stride in gait.strides]
+            own = [stride for stride in gait.strides if stride.foot == max(feet, key=feet.count)]
+            over = np.any([(time_s >= stride.start_s) & (time_s < stride.end_s) for stride in own], axis=0)
             of_flights = off_gravity(d.flights)
             rows.append(
                 [

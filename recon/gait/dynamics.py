@@ -202,9 +202,10 @@ def _forces(gait: Gait) -> tuple[pd.DataFrame, dict[str, Array]]:
     time_s, rows = gait.tracks.time_s, []
     force = {foot: np.zeros((len(time_s), 3)) for foot in gait.tracks.feet}
     for i, stance in enumerate(gait.stances):
-        reach = 4 * np.nanmax([stance.start_sigma_s, stance.end_sigma_s, 0.0])
-        near = np.flatnonzero((time_s > stance.start_s - reach) & (time_s < stance.end_s + reach))
-        if not (stance.begins and stance.ends):
+        whole = stance.begins and stance.ends
+        reach = 4 * max(stance.start_sigma_s, stance.end_sigma_s) if whole else 0.0
+        near = np.flatnonzero((time_s >= stance.start_s - reach) & (time_s <= stance.end_s + reach))
+        if not whole:
             force[stance.foot][near] = np.nan
             continue
         drawn = peaks[1:, i, None] * shape((time_s[near] - starts[1:, i, None]) / (ends - starts)[1:, i, None])
