@@ -136,7 +136,6 @@ def every_figure():
         "task space of a stride": ik_plots.task_space(turns, chain, circle),
         "joint space": ik_plots.joint_space(found3, chain3.names),
         "joint space, many": ik_plots.joint_space(names, chain.names),
-        "closures": ik_plots.closures({k: m.closures() for k, m in names.items()}, chain.names),
     }
 
 
@@ -225,10 +224,6 @@ def test_nothing_known_is_said():
         assert "no data" in texts(figure), i
     still = gait(still_tracks())
     assert "no stances" in texts(plots.footfall({"ground": replace(still, stances=(), strides=())}, FPS))
-    unmoved = ik_plots.closures(
-        {"a": {"angle": np.array([99.0, np.nan]), "plane": np.array([98.0, np.nan])}}, ("a", "b")
-    )
-    assert texts(unmoved).count("does not move") == 2
 
 
 # -- composites ------------------------------------------------------------------------------------------------------
@@ -561,22 +556,6 @@ def test_joint_angles_in_degrees():
             np.testing.assert_allclose(line.get_ydata(), np.degrees(drive.q[:, joint]))
             np.testing.assert_array_equal(line.get_xdata(), np.arange(len(drive.q)))
         assert axes.get_xlabel() == "iteration"
-
-
-def test_closures_by_joint_and_method():
-    found = {
-        "a": {"angle": np.array([90.0, 80.0]), "plane": np.array([70.0, 60.0])},
-        "b": dict.fromkeys(("angle", "plane"), np.array([99.0, np.nan])),
-    }
-    figure = ik_plots.closures(found, names=("hip", "knee"))
-    left, right = figure.axes
-    assert [label.get_text() for label in left.get_yticklabels()] == ["hip", "knee"]
-    for axes, kind in ((left, "angle"), (right, "plane")):
-        dots = [line for line in axes.get_lines() if line.get_linestyle() == "None"]
-        for line, values in zip(dots, found.values(), strict=True):
-            np.testing.assert_array_equal(line.get_xdata(), values[kind])
-            assert np.all(np.abs(np.array(line.get_ydata()) - [0, 1]) < 0.5)
-        assert dots[0].get_marker() != dots[1].get_marker()
 
 
 def test_names_are_no_formulas(tmp_path):

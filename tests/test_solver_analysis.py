@@ -74,8 +74,8 @@ def test_figures(frame):
     cost, *others = solver_plots.solver_search(frame).axes
     assert len(others) == 4
     np.testing.assert_array_equal(cost.lines[0].get_ydata(), frame.cost["reprojection"])
-    rows = solver_plots.solver_root(frame).axes
-    assert [axes.get_ylabel() for axes in rows] == ["xi (°)", "psi (°)", "zeta (°)", "base length (m)"]
+    rows = solver_plots.solver_rotation(frame).axes
+    assert [axes.get_ylabel() for axes in rows[:4]] == ["xi (°)", "psi (°)", "zeta (°)", "base length (m)"]
     np.testing.assert_allclose(rows[2].lines[0].get_ydata(), np.degrees(frame.solution.unknown("zeta")))
     heat, _ = solver_plots.image_errors(frame).axes
     shown = np.ma.filled(heat.collections[0].get_array(), np.nan)
@@ -110,8 +110,9 @@ def test_the_frame_that_is_looked_into_has_a_pose(frame_results, whole_results):
 
 
 def test_figures_of_the_frame_method(frame):
-    bars = solver_plots.solver_evaluations(frame).axes[0].containers
-    assert sum(bar.get_height() for one in bars for bar in one) == frame.solution.reported("function_evaluations").sum()
+    bars = solver_plots.solver_search(frame).axes[3].containers
+    spent = frame.solution.reported("function_evaluations")
+    assert sum(bar.get_height() for one in bars for bar in one) == spent.sum()
     above, below = solver_plots.solver_frame(frame).axes
     np.testing.assert_array_equal(above.lines[0].get_ydata(), frame.search.cost)
     assert below.lines[0].get_ydata().max() == frame.search.damping.max()

@@ -21,7 +21,6 @@ if TYPE_CHECKING:
         solve_frames,
         solve_joints,
     )
-    from recon.thesis.inspection import SolverSettings, run_solver
     from recon.thesis.solver import SolverRecord, read_solver
 
 __getattr__ = lazily(__name__, __file__)

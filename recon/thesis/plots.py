@@ -45,41 +45,29 @@ EXIT_FLAGS = {
 
 
 def solver_search(record: SolverRecord) -> Figure:
-    """Over time: cost by term, the largest part of the gradient, the steps' length, iterations and limits passed."""
+    """Over time: cost by term, the largest part of the gradient, the steps' length, how often the residuals were
+    evaluated, coloured by why MINPACK ended, and limits passed."""
     time_s, names = record.motion.time_s, [n if np.nansum(c) > 0 else f"{n}: 0" for n, c in record.cost.items()]
     with drawing(170 + legend_shape(names)[1], title=_outcome(record)) as figure:
         rows = figure.subplots(5, 1, sharex=True, height_ratios=(1.8, 1, 1, 1, 1))
-        cost, optimality, step, iterations, limits = rows
+        cost, optimality, step, evaluations, limits = rows
         _logarithmic(cost, time_s, [*record.cost.values()])
         _logarithmic(optimality, time_s, [record.optimality])
         _logarithmic(step, time_s, [record.solution.reported("step_norm")])
-        width = 0.7 / record.motion.fps
-        iterations.bar(time_s, record.solution.reported("iterations"), width, color=look(0)["color"])
+        flags, spent = (record.solution.reported(name) for name in ("optimizer_status", "function_evaluations"))
+        for i, flag in enumerate(np.unique(flags[np.isfinite(flags)]).astype(int).tolist()):
+            ended, style = flags == flag, {"color": look(i)["color"], "label": f"{flag}: {EXIT_FLAGS[flag]}"}
+            evaluations.bar(time_s[ended], spent[ended], 0.7 / record.motion.fps, **style)
+        evaluations.margins(y=0.6)
+        evaluations.legend(loc="upper right", ncols=3)
         for i, (limit, count) in enumerate(record.active.items()):
             limits.step(time_s, count, where="mid", label=limit, **look(i))
         limits.set_ylim(0, 1.6 * max(1.0, *(count.max() for count in record.active.values())))
         limits.yaxis.get_major_locator().set_params(integer=True)
         limits.legend(loc="upper right", ncols=2)
-        labels = ("cost (½σ²)", "max |gradient|", "last step (rad, m)", "iterations", "limits passed")
+        labels = ("cost (½σ²)", "max |gradient|", "last step (rad, m)", "evaluations", "limits passed")
         _over_time(figure, rows, labels)
         add_legend(figure, cost.lines, names)
-    return figure
-
-
-def solver_root(record: SolverRecord) -> Figure:
-    """The root's rotation and the base length, over time."""
-    shown = {f"{name} (°)": (np.degrees(record.solution.unknown(name)), 2.0) for name in CAMERA_ANGLES}
-    shown["base length (m)"] = record.solution.unknown("base_length_m"), 0.02
-    with drawing(24 * len(shown) + 14) as figure:
-        rows = figure.subplots(len(shown), 1, sharex=True)
-        for axes, (values, least) in zip(rows, shown.values(), strict=True):
-            axes.plot(record.motion.time_s, values, **dots(len(values), 2.2), **look(0))
-            axes.ticklabel_format(useOffset=False)
-            axes.margins(y=0.15)
-            low, high = axes.get_ylim()
-            if high - low < least:  # what does not move should not look as if it did
-                axes.set_ylim((low + high - least) / 2, (low + high + least) / 2)
-        _over_time(figure, rows, [*shown])
     return figure
 
 
@@ -132,21 +120,6 @@ def solver_unknowns(record: SolverRecord) -> Figure:
     return figure
 
 
-def solver_evaluations(record: SolverRecord) -> Figure:
-    """How often the residuals were evaluated in each frame, coloured by why MINPACK ended."""
-    flags, spent = (record.solution.reported(name) for name in ("optimizer_status", "function_evaluations"))
-    ended, time_s = [int(flag) for flag in np.unique(flags[np.isfinite(flags)])], record.motion.time_s
-    with drawing(52, title=_outcome(record)) as figure:
-        axes = figure.subplots()
-        bars = [
-            axes.bar(time_s[flags == flag], spent[flags == flag], 0.7 / record.motion.fps, color=look(i)["color"])
-            for i, flag in enumerate(ended)
-        ]
-        _over_time(figure, [axes], ["evaluations"])
-        add_legend(figure, bars, [f"{flag}: {EXIT_FLAGS.get(flag, 'ended otherwise')}" for flag in ended])
-    return figure
-
-
 def solver_frame(record: SolverRecord) -> Figure:
     """Within the frame that is looked into: objective and damping from one accepted point to the next."""
     search = record.search
@@ -186,9 +159,10 @@ def solver_matrices(record: SolverRecord) -> Figure:
 
 
 def solver_rotation(record: SolverRecord) -> Figure:
-    """The camera's rotation held still beside free: its angles, and the mean error in the picture, over time."""
+    """The camera's rotation held still beside free: its angles, the base length, and the mean error in the picture,
+    over time."""
     (view,) = record.otherwise.views
-    labels, names = (*(f"{name} (°)" for name in CAMERA_ANGLES), "error (px)"), []
+    labels, names = (*(f"{name} (°)" for name in CAMERA_ANGLES), "base length (m)", "error (px)"), []
     with drawing(24 * len(labels) + 20) as figure:
         rows = figure.subplots(len(labels), 1, sharex=True)
         for i, (solution, which) in enumerate(((record.solution, "as fitted"), (record.otherwise, "otherwise"))):
@@ -196,17 +170,19 @@ def solver_rotation(record: SolverRecord) -> Figure:
             angles = [np.degrees(solution.unknown(name)) for name in CAMERA_ANGLES]
             still = max(float(np.nanmax(angle) - np.nanmin(angle)) for angle in angles) < _LEAST
             names.append(f"{which}: {'held still' if still else 'free'}")
-            for axes, values in zip(rows, (*angles, np.array([mean(of_frame) for of_frame in off_px])), strict=True):
+            error_px = np.array([mean(of_frame) for of_frame in off_px])
+            for axes, values in zip(rows, (*angles, solution.unknown("base_length_m"), error_px), strict=True):
                 axes.plot(record.motion.time_s, values, **dots(len(values), 2.2), **look(i))
+                axes.ticklabel_format(useOffset=False)
+        low, high = rows[3].get_ylim()
+        if high - low < 0.02:  # a length that does not move should not look as if it did
+            rows[3].set_ylim((low + high) / 2 - 0.01, (low + high) / 2 + 0.01)
         _over_time(figure, rows, labels)
         add_legend(figure, rows[0].lines, names)
     return figure
 
 
-FIGURES = (
-    *(solver_search, solver_root, solver_unknowns, image_errors),
-    *(solver_evaluations, solver_frame, solver_matrices, solver_rotation),
-)
+FIGURES = (solver_search, solver_unknowns, image_errors, solver_frame, solver_matrices, solver_rotation)
 """What is drawn, each under its name."""
 
 

@@ -55,7 +55,7 @@ ROUNDING_M = 1e-9
 
 
 class _Rule(NamedTuple):
-    """How one kind of margin is shown and weighed."""
+    """How one kind of margin is shown."""
 
     what: str
     """For the table."""
@@ -63,19 +63,17 @@ class _Rule(NamedTuple):
     """How it is printed."""
     per_unit: float
     """What a value is multiplied by when it is printed."""
-    scale: float
-    """What counts as one unit of safety when margins of several kinds are weighed against each other."""
 
 
 RULES = {
-    "reach": _Rule("foot within the leg's reach", "mm", 1e3, 0.003),
-    "limits": _Rule("joints within their limits", "deg", 180 / np.pi, 0.06),
-    "support": _Rule("centre of mass inside the polygon of the planted feet", "mm", 1e3, 0.008),
-    "knees": _Rule("knees above ground and step", "mm", 1e3, 0.006),
-    "shins": _Rule("shins above ground and step", "mm", 1e3, 0.003),
-    "hips": _Rule("hips above ground and step", "mm", 1e3, 0.02),
-    "corner": _Rule("lifted foot from the step's edge", "mm", 1e3, 0.006),
-    "footing": _Rule("planted feet from the step's edge", "mm", 1e3, 0.006),
+    "reach": _Rule("foot within the leg's reach", "mm", 1e3),
+    "limits": _Rule("joints within their limits", "deg", 180 / np.pi),
+    "support": _Rule("centre of mass inside the polygon of the planted feet", "mm", 1e3),
+    "knees": _Rule("knees above ground and step", "mm", 1e3),
+    "shins": _Rule("shins above ground and step", "mm", 1e3),
+    "hips": _Rule("hips above ground and step", "mm", 1e3),
+    "corner": _Rule("lifted foot from the step's edge", "mm", 1e3),
+    "footing": _Rule("planted feet from the step's edge", "mm", 1e3),
 }
 
 
@@ -127,11 +125,6 @@ class Climb:
             "footing": np.where(up, np.inf, edge),
         }
         return {name: values.min(axis=1) for name, values in found.items()}
-
-    @property
-    def tightest(self) -> Array:
-        """(T,): of all rules, in units of their kind, so that they can be compared."""
-        return np.min([self.margins[name] / rule.scale for name, rule in RULES.items()], axis=0)
 
     @property
     def least(self) -> dict[str, tuple[float, int]]:

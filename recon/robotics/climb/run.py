@@ -99,7 +99,7 @@ def _write(climb: Climb, report: dict[str, Any], folder: Path) -> None:
     curves = [
         TimePlot(name, text, (name,), LIMB_COLOURS[:1], values[:, None])
         for name, text, values in (
-            ("margin", "least margin, in units of its kind", climb.tightest),
+            ("margin", "centre of mass inside the planted feet, mm", 1000 * climb.margins["support"]),
             ("pitch", "pitch, degrees, nose up", np.degrees(climb.pitch_rad)),
         )
     ]

@@ -445,7 +445,7 @@ def _cell(value: Any) -> Any:
 
 
 def write_figures(solved: IKRun, folder: Path) -> None:
-    """Paths in task and joint space, closures, and phase portraits by method, PNG and SVG."""
+    """Paths in task and joint space, and phase portraits with closures by method, PNG and SVG."""
     from recon.robotics.ik import plots
     from recon.show.plots.phase import phase_portraits
     from recon.show.plots.style import save
@@ -455,11 +455,7 @@ def write_figures(solved: IKRun, folder: Path) -> None:
         if runs:
             save(plots.task_space(runs, limb.chain, aims[job], limb.base), folder, f"{job}_task_space")
             save(plots.joint_space(runs, limb.names), folder, f"{job}_joint_space")
-    follows = solved.runs["follow"]
-    if follows:
-        closed = {name: run.closures() for name, run in follows.items()}
-        save(plots.closures(closed, limb.names), folder, "follow_closures")
-    for name, run in follows.items():
+    for name, run in solved.runs["follow"].items():
         of_joints = zip(limb.names, run.q.T, run.control[0].T, *run.closures().values(), strict=True)
         portraits, closed = {}, {}
         for joint, angle, rate, *closures in of_joints:

@@ -1,4 +1,4 @@
-"""Figures of inverse kinematics: ways to a target or along a path, degrees of closure, by method."""
+"""Figures of inverse kinematics: ways to a target or along a path, by method."""
 
 from __future__ import annotations
 
@@ -11,9 +11,7 @@ from recon.base.arrays import Array
 from recon.robotics.ik.chain import SerialChain
 from recon.robotics.ik.drive import Run
 from recon.show.plots.style import (
-    COLOURS,
     GREY,
-    MARKERS,
     PALE,
     SMALL,
     WIDTH_MM,
@@ -119,47 +117,3 @@ def _outcome(move: Run) -> str:
         return ""
     what = move.note.split(":")[0].split(" (")[0]
     return f" (not reached, {what})" if move.driven else f" ({what})"
-
-
-# -- closures and parameters ------------------------------------------------------------------------------------------
-
-_ROW = 0.7
-"""The height of a joint's row, all methods together."""
-
-
-def closures(found: Mapping[str, Mapping[str, Array]], names: Sequence[str]) -> Figure:
-    """Closure of each joint's path (percent) by method, as `Run.closures` gives it: of the angle, and in the
-    (angle, rate) plane. names (n,).
-
-    A joint that does not move has no closure and no mark.
-    """
-    n = len(names)
-    with drawing(max(6.0, 1.5 * len(found)) * n + 20 + legend_shape([*found])[1]) as figure:
-        panels = figure.subplots(1, 2, sharey=True)
-        for axes, kind in zip(panels, ("angle", "plane"), strict=True):
-            for k, (name, values) in enumerate(found.items()):
-                rows = np.arange(n) + _ROW * ((k + 0.5) / len(found) - 0.5)
-                colour = COLOURS[k % len(COLOURS)]
-                axes.plot(
-                    values[kind],
-                    rows,
-                    linestyle="",
-                    marker=MARKERS[k % len(MARKERS)],
-                    color=colour,
-                    mfc=colour if k < len(COLOURS) else "w",
-                    ms=4,
-                    label=name,
-                    clip_on=False,
-                )
-            for row in np.flatnonzero(~np.isfinite([values[kind] for values in found.values()]).any(axis=0)):
-                axes.text(1.5, row, "does not move", va="center", fontsize=SMALL, color=GREY)
-            for row in range(1, n):
-                axes.axhline(row - 0.5, color=PALE, lw=0.5, zorder=0)
-            axes.set_xlim(0, 100)
-            axes.grid(axis="x", color=PALE, lw=0.4)
-            axes.set_axisbelow(True)
-            axes.set_xlabel("of the angle (%)" if kind == "angle" else "in the (angle, rate) plane (%)")
-        panels[0].set_yticks(range(n), names)
-        panels[0].set_ylim(n - 0.5, -0.5)
-        add_legend(figure, *panels[0].get_legend_handles_labels())
-    return figure
