@@ -13,12 +13,11 @@ from robot_urdf import a1_urdf
 
 from recon.base.errors import InputError
 from recon.fit.motion import Motion
-from recon.robotics.robot.model_file import read_model
 from recon.robotics.robot.physics import FRICTION, RULES, check, kept, pace_that_holds, simulated, slowed
 from recon.robotics.robot.quadruped import LEGS, body_pose
 from recon.robotics.robot.reference import reference_of
 from recon.robotics.robot.retarget import RobotMotion, posed, retarget
-from recon.robotics.robot.robot_file import load_robot
+from recon.robotics.robot.robot_file import load_robot, read_model
 from recon.robotics.robot.trainers import sampled
 
 

@@ -19,9 +19,9 @@ from recon.robotics.ik.methods import (
     damped_least_squares,
     weighted_least_norm,
 )
-from recon.robotics.robot.model_file import model_chain, read_model
 from recon.robotics.robot.physics import described, simulated
 from recon.robotics.robot.quadruped import LEGS
+from recon.robotics.robot.robot_file import model_chain, read_model
 
 ARM = (
     (

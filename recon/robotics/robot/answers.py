@@ -21,9 +21,17 @@ from recon.base.arrays import Array
 from recon.base.errors import InputError, Problem
 from recon.robotics.ik.chain import SerialChain
 from recon.robotics.robot.dh import DHRow, dh_table
-from recon.robotics.robot.model_file import SUFFIXES, body_names, leaves_of, model_chain, read_model
 from recon.robotics.robot.quadruped import LEGS, body_pose, leg_targets
-from recon.robotics.robot.robot_file import builtin_robots, load_dh, load_robot
+from recon.robotics.robot.robot_file import (
+    SUFFIXES,
+    body_names,
+    builtin_robots,
+    leaves_of,
+    load_dh,
+    load_robot,
+    model_chain,
+    read_model,
+)
 from recon.robotics.settings import PoseSettings, TableSettings
 
 Answer = dict[str, Any]

@@ -21,9 +21,9 @@ from scipy.spatial.transform import Rotation
 
 from recon.base.arrays import Array
 from recon.base.errors import InputError, Problem
-from recon.robotics.robot.model_file import SUFFIXES, read_model, root_of, the_mujoco
 from recon.robotics.robot.quadruped import LEGS, Quadruped
 from recon.robotics.robot.retarget import LEGS_APART, RobotMotion
+from recon.robotics.robot.robot_file import SUFFIXES, read_model, root_of, the_mujoco
 from recon.show.plots.style import GREY, SMALL, drawing
 
 if TYPE_CHECKING:
