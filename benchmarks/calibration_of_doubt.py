@@ -17,7 +17,7 @@ that `dog.py` reads, without a learned prior, or the runs that `cameras.py` read
 The solution is the most likely motion and distance together. Nearer by, the same pixels take smaller angles, which cost
 the prior less, while fewer motions fit; the distance's own distribution counts these, by the determinant of the normal
 equations. "mode": what that is expected to take off the distance, and ranks without it. A motion drawn as widely as the
-doubt says (0.16 s) surprises four times as much as real ones do, for which a surprise lasts 0.04 s: --motion-s 0.04.
+uncertainty says (0.16 s) has four times the misfit of real ones, for which a misfit lasts 0.04 s: --motion-s 0.04.
 The noise of real detections lasts some frames: --noise-s 0.035.
 """
 
@@ -207,7 +207,7 @@ def _scored(setting: ClipProblem, truth_m: np.ndarray) -> dict[str, float]:
         "rank without": share_below(float(true - found * np.exp(-mode)) / sigma_m),
         "too far": float(np.log(found / true)),
         "mode": mode,
-        "surprise": solution.segments[0].prior_misfit or np.nan,
+        "misfit": solution.segments[0].prior_misfit or np.nan,
     }
 
 
@@ -215,7 +215,7 @@ def pull_of_the_mode(setting: ClipProblem, solved: SegmentFit) -> float:
     """By how much the logarithm of the distance at the joint minimum is expected to lie above its own distribution.
 
     That has the density exp(-cost / l) / sqrt(det H) where the other unknowns follow the distance, H theirs, and l the
-    number of frames in which a surprise lasts. Beside the cost's minimum its top is off by the slope times a variance.
+    number of frames in which a misfit lasts. Beside the cost's minimum its top is off by the slope times a variance.
     """
     problem, states = solved.problem, solved.estimate.states
 
@@ -242,7 +242,7 @@ def summary(label: str, rows: Sequence[dict[str, float]]) -> list[object]:
     cells = [
         label,
         len(rows),
-        f"{np.median(table['surprise']):.1f}",
+        f"{np.median(table['misfit']):.1f}",
         *shares,
         far,
         f"{np.mean(table['rank'] < 0.5):.0%}",
@@ -269,7 +269,7 @@ def main() -> None:
         )
     solved = [row for row in rows if "rank" in row]
     print(f"{given.recorded or given.skeleton}: {len(solved)} of {len(rows)} clips with a pose in every frame\n")
-    head = ["clips", "number", "surprise", *_SHARES, "too far", "true one nearer", "ranks uniform, p"]
+    head = ["clips", "number", "misfit", *_SHARES, "too far", "true one nearer", "ranks uniform, p"]
     head += ["mode", "p without", "mpjpe_mm"]
     end_on = [row for row in solved if row["end on"]]
     few = [row for row in solved if row["seen"] < 0.6]

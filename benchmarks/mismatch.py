@@ -77,7 +77,7 @@ def row(case: Case, prior: MotionPrior, plain_mm: tuple[float, float]) -> dict:
         "clip": case.name,
         "frames": len(case.truth_m),
         "prior from": prior.name,
-        "surprise": worst.prior_misfit,
+        "misfit": worst.prior_misfit,
         "weight": worst.prior_weight,
         "named": worst.unlike_prior,
         "mpjpe_mm": mpjpe,

@@ -53,7 +53,7 @@ from recon.io.deeplabcut import write_csv
 
 SWAP, UNCLEAR, OUTLIERS = "left_right_swap", "left_right_swap_possible", "gross_outliers"
 TEN, END = 10, 12
-"""Frames exchanged in the middle, and of garbage at an end."""
+"""Frames exchanged in the middle, and of gross outliers at an end."""
 FALSE = 0.02
 """So many frames of untouched clips may be named wrongly."""
 LEGS = {"fore": "fore legs exchanged, second half", "hind": "hind legs exchanged, second half"}
@@ -104,7 +104,7 @@ def _exchanged(view: View, first: int, stop: int, group: str | None = None) -> t
     return xy_px, frames
 
 
-def _garbage(view: View, frames: slice) -> tuple[np.ndarray, np.ndarray]:
+def _gross_outliers(view: View, frames: slice) -> tuple[np.ndarray, np.ndarray]:
     xy_px, changed = view.xy_px.copy(), np.zeros(len(view.xy_px), dtype=bool)
     xy_px[frames] = view.rng.uniform((0, 0), view.size_px, xy_px[frames].shape)
     changed[frames] = True
@@ -164,8 +164,8 @@ CASES = {
     "half the frame rate": Case(_as_given, "frame_rate", lambda v: {"fps": meta_of(v.run)["fps"] / 2}),
     "twice the frame rate": Case(_as_given, "frame_rate", lambda v: {"fps": meta_of(v.run)["fps"] * 2}),
     "30 % outliers": Case(_outliers),
-    "garbage at the start": Case(lambda v: _garbage(v, slice(0, END)), OUTLIERS),
-    "garbage at the end": Case(lambda v: _garbage(v, slice(-END, None)), OUTLIERS),
+    "gross outliers at the start": Case(lambda v: _gross_outliers(v, slice(0, END)), OUTLIERS),
+    "gross outliers at the end": Case(lambda v: _gross_outliers(v, slice(-END, None)), OUTLIERS),
 }
 
 
@@ -483,16 +483,16 @@ def bound_rows(view: View, folder: Path) -> list[dict[str, Any]]:
     alike = max(constants.ERROR_TIME_S * motion.fps, 1.0)
     projected, _ = view.lens.project(view.truth_m)
 
-    def surprise(stretch: _Stretch) -> float:
+    def misfit(stretch: _Stretch) -> float:
         return unlikely(exchanged(seen, stretch), projected, sigma_px, alike)
 
     rows = []
     for name in LEGS:
         places = pairs_of(motion.body)[name]
-        as_it_is = surprise(_Stretch(slice(0, 0), places))
-        told = surprise(_Stretch(slice(_half(view), T), places)) - as_it_is
+        as_it_is = misfit(_Stretch(slice(0, 0), places))
+        told = misfit(_Stretch(slice(_half(view), T), places)) - as_it_is
         gains = {
-            (a, b): as_it_is - surprise(_Stretch(slice(a, b), places)) for a in range(T) for b in range(a + 1, T + 1)
+            (a, b): as_it_is - misfit(_Stretch(slice(a, b), places)) for a in range(T) for b in range(a + 1, T + 1)
         }
         (first, stop), gain = max(gains.items(), key=lambda one: one[1])
         rows.append({"run": view.run.name, "cam": view.camera, "legs": name, "told": told, "gain": gain})

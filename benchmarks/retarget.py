@@ -27,7 +27,7 @@ from recon.fit.motion import Motion
 from recon.robotics.robot.playback import write_robot
 from recon.robotics.robot.quadruped import LEGS
 from recon.robotics.robot.reference import reference_of
-from recon.robotics.robot.retarget import Retargeted, retarget
+from recon.robotics.robot.retarget import Retargeting, retarget
 from recon.robotics.robot.retarget_clip import companion
 from recon.robotics.robot.robot_file import builtin_robots, load_robot
 from recon.workflows.clip_results import run_clip
@@ -76,7 +76,7 @@ def fitted(out: Path, settings: FitSettings) -> Motion:
     return Motion.load(out)
 
 
-def row(clip: str, solved: Retargeted, seconds: float) -> list[str]:
+def row(clip: str, solved: Retargeting, seconds: float) -> list[str]:
     both = (solved.clip, solved.stride)
     most = both[0].robot.stand_m / solved.animal.reference.leg_m
     slips = " / ".join(f"{1000 * motion.slip_m.max():.2f}" for motion in both)

@@ -298,7 +298,7 @@ def shuffled(clip: Clip, given: Given) -> Given:
     return given.seen(given.xy_px[clip.rng.permutation(len(given.xy_px))])
 
 
-def garbage(share: float) -> Change:
+def gross_outliers(share: float) -> Change:
     def change(clip: Clip, given: Given) -> Given:
         rng, xy_px = clip.rng, given.xy_px.copy()
         wrong = rng.uniform(size=xy_px.shape[:2]) < share
@@ -382,9 +382,9 @@ CASES = {
     "of another camera": Case(of_other_camera, ("other_camera_named", "ground_elsewhere")),
     "shifted by half the clip": Case(lambda c, g: g.seen(np.roll(g.xy_px, len(g.xy_px) // 2, axis=0))),
     "shuffled": Case(shuffled, ("gross_outliers",)),
-    "30 % garbage": Case(garbage(0.3), ("gross_outliers",)),
-    "50 % garbage": Case(garbage(0.5), ("gross_outliers",)),
-    "70 % garbage": Case(garbage(0.7), ("gross_outliers",)),
+    "30 % gross outliers": Case(gross_outliers(0.3), ("gross_outliers",)),
+    "50 % gross outliers": Case(gross_outliers(0.5), ("gross_outliers",)),
+    "70 % gross outliers": Case(gross_outliers(0.7), ("gross_outliers",)),
     "ten frames swapped": Case(swapped("", lambda T: slice(T // 2 - 5, T // 2 + 5)), SWAPS),
     "whole clip swapped": Case(swapped("", lambda T: slice(0, T)), SWAPS),
     "fore legs swapped": Case(swapped("front", lambda T: slice(T // 2, T)), SWAPS),

@@ -14,7 +14,7 @@ from recon.fit import Motion
 from recon.fit.draws import draws
 from recon.robotics import load_robot
 from recon.robotics.robot.reference import reference_of
-from recon.robotics.robot.retarget import Retargeted, retarget
+from recon.robotics.robot.retarget import Retargeting, retarget
 from recon.robotics.robot.trainers import FORMATS, sampled, write_for_trainer
 from recon.workflows.made_from import problem_of
 
@@ -29,7 +29,7 @@ def animal(whole_results):
 
 
 @pytest.fixture(scope="module")
-def solved(animal) -> Retargeted:
+def solved(animal) -> Retargeting:
     return retarget(animal, load_robot("a1"))
 
 
@@ -68,7 +68,7 @@ def test_bodies_are_where_the_robots_own_file_has_them(solved, part):
 
 
 @pytest.fixture(scope="module")
-def aibo(animal) -> Retargeted:
+def aibo(animal) -> Retargeting:
     return retarget(animal, load_robot("aibo"))
 
 

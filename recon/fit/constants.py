@@ -43,8 +43,8 @@ the benchmark's real runs."""
 CLIMB_M_S = 0.5
 """The standard deviation of the root's vertical velocity."""
 MISFIT_LASTS_S = 0.04
-"""How long a surprise lasts: so that clips of a motion that the prior fits, but was not made from, have a level of
-about 1 (benchmarks/mismatch.py)."""
+"""How long a misfit of the prior lasts: so that clips of a motion that the prior fits, but was not made from, have a
+level of about 1 (benchmarks/mismatch.py)."""
 MISFIT_LEVEL, MISFIT_SIGMAS = 2.0, 2.33
 """A motion is unlike those that the prior knows from this level on, if one that fits would by chance be as far off in 1
 of 100 clips."""

@@ -129,10 +129,10 @@ class MotionSegment:
     rows: slice
     ground: Ground | None
     prior_misfit: float | None = None
-    """How surprising the motion is under the prior, about 1 where that fits; None where there is none."""
+    """The misfit of the motion under the prior, about 1 where that fits; None where there is none."""
     prior_weight: float = 1.0
     """The part of its weight that the prior kept, each angle on its own having the rest: less than 1 where the motion
-    is more of a surprise than one that fits."""
+    fits worse than those that the prior was made from."""
     unlike_prior: bool = False
     """The motion is none that the prior knows."""
 
@@ -187,8 +187,8 @@ class Solution:
         return ()
 
     @property
-    def straight_run_m_s(self) -> Array | None:
-        """(T,): the speed of the straight runs that the search started from, where the method keeps it."""
+    def constant_velocity_m_s(self) -> Array | None:
+        """(T,): the speed of the constant-velocity starts of the search, where the method keeps it."""
         return None
 
     @property

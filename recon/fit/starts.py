@@ -1,10 +1,11 @@
-"""Where a clip's solution starts from: straight runs of the mean pose, and the way in from the best of them.
+"""Where a clip's solution starts from: the mean pose at constant velocity, and the way in from the best of them.
 
-A rigid shape on viewing rays: the place that brings its points nearest to them, and straight runs along headings.
+A rigid shape on viewing rays: the position that brings its points nearest to them, and constant velocities along
+headings.
 
-For a given heading, the place that brings a shape nearest to the rays of one frame is a small linear problem, and its
-distance follows from the shape's size. Over the frames of a stretch, a heading is the better the better the shape fits
-while it runs along it. The path decides what a single frame cannot: whether the animal comes nearer or goes away.
+For a given heading, the position that brings a shape nearest to the rays of one frame is a small linear problem, and
+its distance follows from the shape's size. Over the frames of a stretch, a heading is the better the better the shape
+fits while it runs along it. The path decides what a single frame cannot: whether the animal comes nearer or goes away.
 """
 
 from __future__ import annotations
@@ -221,7 +222,7 @@ def _starts(clip: ClipProblem) -> list[tuple[float, Array]]:
 
 
 def _runs(clip: ClipProblem) -> tuple[Array, Array, Array]:
-    """Misfits (H,) and states (H, T, D) of the mean pose on a straight run, for headings (H,) around the clock."""
+    """Misfits (H,) and states (H, T, D) of the mean pose at constant velocity, for headings (H,) around the clock."""
     T, count = len(clip), _HEADINGS // 2 if clip.options.fast else _HEADINGS
     rays, centres, frames = _rays(clip)
     time_s, middle = np.arange(T) / clip.fps, frames.mean() / clip.fps

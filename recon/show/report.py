@@ -56,7 +56,7 @@ def build_report(motion: Motion) -> dict[str, Any]:
 
 def in_sentences(motion: Motion, moved: JointKinematics, gait: Gait | None, doubt: str | None) -> Iterator[str]:
     """The movement of the reference joint and the gait; doubt: why no speed is known."""
-    sigma, run_m_s = moved.peak_speed_sigma_m_s, motion.solution.straight_run_m_s
+    sigma, run_m_s = moved.peak_speed_sigma_m_s, motion.solution.constant_velocity_m_s
     if doubt is None:
         spread = "" if np.isnan(sigma) else f" ± {sigma:.1f}"
         yield (

@@ -136,7 +136,7 @@ class FrameSolution(Solution):
     jitters: ClassVar = True
 
     @property
-    def straight_run_m_s(self) -> Array:
+    def constant_velocity_m_s(self) -> Array:
         return self.travel.speed_m_s
 
     def reported(self, field: str) -> Array:

@@ -149,7 +149,7 @@ def summarise(found: ClipAnalysis, results: str) -> dict[str, Any]:
     """The figures of a clip in short; what they are is in docs/gait.md. results: what its folder is called."""
     moved = found.reference_motion
     net, net_sigma = found.net_acceleration_m_s2
-    run, by = found.motion.solution.straight_run_m_s, "gait" if found.given is None else "given"
+    run, by = found.motion.solution.constant_velocity_m_s, "gait" if found.given is None else "given"
     return {
         "schema": {"name": "recon.analysis", "version": 1},
         "results": results,

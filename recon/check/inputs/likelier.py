@@ -194,8 +194,8 @@ def _cost(clip: ClipProblem, states: Array, factor: float) -> float:
 
 
 def _known(clip: ClipProblem, states: Array, factor: float) -> bool:
-    """Whether the prior knows the motion at that rate, or better than at the given one: one that is as much of a
-    surprise there says nothing of the rate."""
+    """Whether the prior knows the motion at that rate, or better than at the given one: one that fits as
+    badly there says nothing of the rate."""
     given, there = (prior_misfit_of(*_at_rate(clip, states, by), clip.fps * by) for by in (1.0, factor))
     return not there.unlike or there.level < given.level
 

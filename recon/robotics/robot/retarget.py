@@ -162,7 +162,7 @@ class RobotMotion:
 
 
 @dataclass(frozen=True, eq=False)
-class Retargeted:
+class Retargeting:
     """A robot's motion after an animal's."""
 
     animal: Animal
@@ -181,12 +181,12 @@ def retarget(
     scale: float | None = None,
     slower: float | None = None,
     window: StrideWindow | None = None,
-) -> Retargeted:
+) -> Retargeting:
     """scale: of lengths, None: the largest that fits; slower: factor on times, None: as the rates ask for; window: of
     the stride, by default the one that is found."""
     window = window or stride_window(animal)
     moved, repeats, spread = on_robot(animal.reference, closed_stride(animal, window), robot, scale, slower)
-    return Retargeted(animal, window, moved, repeats, spread)
+    return Retargeting(animal, window, moved, repeats, spread)
 
 
 def on_robot(

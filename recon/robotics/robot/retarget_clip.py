@@ -30,7 +30,7 @@ from recon.robotics.ik.drive import control_columns
 from recon.robotics.robot import physics
 from recon.robotics.robot.quadruped import LEGS, Quadruped
 from recon.robotics.robot.reference import reference_of
-from recon.robotics.robot.retarget import LEGS_APART, Retargeted, RobotMotion, retarget
+from recon.robotics.robot.retarget import LEGS_APART, Retargeting, RobotMotion, retarget
 from recon.robotics.robot.robot_file import load_robot
 from recon.robotics.robot.trainers import write_for_trainer
 from recon.robotics.settings import RetargetSettings
@@ -45,7 +45,7 @@ SLIP_M = 0.002
 """What a robot's stance is allowed without a note."""
 
 
-def run_retarget(settings: RetargetSettings) -> tuple[Retargeted, dict[str, Any]]:
+def run_retarget(settings: RetargetSettings) -> tuple[Retargeting, dict[str, Any]]:
     """`recon retarget`: tables, report and playback into a folder; and what report.json says. Raises InputError."""
     out, folder = settings.out, settings.folder
     results, machine, _ = all_of(
@@ -87,13 +87,13 @@ class _Checks:
     def __init__(self, robot: Quadruped) -> None:
         self.model = physics.simulated(robot)
 
-    def slow_enough(self, done: Retargeted) -> Retargeted:
+    def slow_enough(self, done: Retargeting) -> Retargeting:
         """With the slowest change that keeps rates and torques; as it is where no pace does."""
         paces = [physics.pace_that_holds(motion, self.model) for motion in (done.clip, done.stride)]
         factor = max(pace or 1.0 for pace in paces)
         return replace(done, clip=physics.slowed(done.clip, factor), stride=physics.slowed(done.stride, factor))
 
-    def of(self, done: Retargeted, folder: Path | None = None) -> dict[str, Any]:
+    def of(self, done: Retargeting, folder: Path | None = None) -> dict[str, Any]:
         """For the report; folder: where tables and figures go."""
         found = {}
         for name, motion, prefix in (("clip", done.clip, ""), ("stride", done.stride, "stride_")):
@@ -109,7 +109,7 @@ class _Checks:
 # -- the report ------------------------------------------------------------------------------------------------------
 
 
-def report_of(done: Retargeted) -> dict[str, Any]:
+def report_of(done: Retargeting) -> dict[str, Any]:
     """What report.json says of it."""
     animal, window, robot = done.animal, done.window, done.clip.robot
     fitted, time = animal.analysis.motion, animal.reference.time_s
@@ -161,7 +161,7 @@ def _figures(motion: RobotMotion) -> dict[str, Any]:
     }
 
 
-def _notes(done: Retargeted) -> list[str]:
+def _notes(done: Retargeting) -> list[str]:
     window = done.window
     gait = done.animal.analysis.gait
     notes = [doubt_text(doubt) for doubt in (gait.doubtful if gait else ())]
@@ -197,7 +197,7 @@ def _notes(done: Retargeted) -> list[str]:
 # -- what is written -------------------------------------------------------------------------------------------------
 
 
-def _write(done: Retargeted, report: dict[str, Any], folder: Path) -> None:
+def _write(done: Retargeting, report: dict[str, Any], folder: Path) -> None:
     from recon.robotics.robot.playback import write_robot
 
     write_tables(done.clip, folder, "")
@@ -226,7 +226,7 @@ def _table(path: Path, columns: list[str], *parts: Array) -> None:
     write_rows(path, [columns], np.hstack(parts).tolist())
 
 
-def companion(done: Retargeted) -> Any:
+def companion(done: Retargeting) -> Any:
     """The animal, of the robot's size, to the left of the robot, at the samples of the clip."""
     from recon.robotics.robot.playback import Companion
 
@@ -262,7 +262,7 @@ def repeated(stride: RobotMotion, times: int) -> RobotMotion:
 # -- an ensemble of what the animal's motion may have been ------------------------------------------------------------
 
 
-def drawn(own: Retargeted, settings: RetargetSettings, count: int) -> list[RobotMotion]:
+def drawn(own: Retargeting, settings: RetargetSettings, count: int) -> list[RobotMotion]:
     """Clips as the animal's may have been. Raises InputError as `problem_of`."""
     fitted, robot = own.animal.analysis.motion, own.clip.robot
     problem = problem_of(fitted, settings.folder)

@@ -186,7 +186,7 @@ def _telling(solution: TrajectorySolution) -> list[str]:
 
 
 def prior(motion: Motion) -> dict[str, Any]:
-    """The surprise and the weight are those of the segment that the prior fits least."""
+    """The misfit and the weight are those of the segment that the prior fits least."""
     solution = _solution(motion)
     return {
         "name": file_name(solution.prior),

@@ -92,7 +92,7 @@ def other_plots(motion: Motion) -> list[TimePlot]:
 
 def _speed(motion: Motion) -> TimePlot:
     speed = speed_at_frames(motion.time_s, motion.root_m)
-    run_m_s, lines = motion.solution.straight_run_m_s, {"speed": speed}
+    run_m_s, lines = motion.solution.constant_velocity_m_s, {"speed": speed}
     if run_m_s is not None:
         told = np.isfinite(frame_jitter_m(motion.root_m)).all()
         smooth = speed_at_frames(motion.time_s, motion.root_m, smooth=True) if told else speed
