@@ -30,8 +30,8 @@ def at_solution(
     segments; contacts follow from the solution. A segment with a frame that diverged is left out."""
     mean_noise_px = np.array([[mean(of_joint) for of_joint in noise_px.T] for noise_px in solution.noise_px])
     size = solution.size if clip.shows_size else 1.0
-    told = {time_offset(i): np.array([later]) for i, later in enumerate(solution.time_offset_frames)}
-    told |= {SIZE: np.array([size]), SIDESLIP: np.array([solution.sideslip_rad])}
+    stated = {time_offset(i): np.array([later]) for i, later in enumerate(solution.time_offset_frames)}
+    stated |= {SIZE: np.array([size]), SIDESLIP: np.array([solution.sideslip_rad])}
     states = solution.states.copy()
     states[:, ROOT] = (states[:, ROOT] - clip.origin_m) / solution.size
     for segment in solution.segments:
@@ -44,7 +44,7 @@ def at_solution(
         stand = clip.options.ground == "auto" and len(part.feet) > 0 and len(found) > 2
         problem = part.problem(noise_px, 1.0, contacts(part, points, size)[2] if stand else (), points, size)
         # refined cameras are in place
-        shared = {name: (problem.expected() | told)[name] for name in problem.columns}
+        shared = {name: (problem.expected() | stated)[name] for name in problem.columns}
         yield segment, problem, Estimate(found, 0.0, 0, True, shared)
 
 

@@ -398,7 +398,7 @@ def _size(
     feet on the ground are so far below the camera at nominal size, and the size makes that the camera's height.
     """
     of_prior, lasting = clip.size_sigma**-2, _size_of_offsets(clip) ** 2
-    precision, pull, told = of_prior, of_prior, ["prior"]
+    precision, pull, sources = of_prior, of_prior, ["prior"]
     for one, of_one in zip(solved, known, strict=True):
         if of_one.size_precision > 0:
             # What the views alone say: the minimum is drawn to the prior's 1.
@@ -406,7 +406,7 @@ def _size(
             seen = 1.0 / (1.0 / of_one.size_precision + lasting)
             precision += seen
             pull += seen * (one.size + (one.size - 1.0) * of_prior / of_views)
-            told.append("views")
+            sources.append("views")
         if one.ground is not None and one.ground.near_zero:
             at = one.contact / one.contact.sum()
             below = -float(np.sum(at * clip.markers(one.estimate.states)[:, clip.feet, 2]))
@@ -414,8 +414,8 @@ def _size(
             variance += constants.GROUND_HEIGHT_M**2
             precision += below**2 / variance
             pull += float(clip.origin_m[2]) * below / variance
-            told.append("ground")
-    return float(pull / precision), float(precision**-0.5), tuple(dict.fromkeys(told))
+            sources.append("ground")
+    return float(pull / precision), float(precision**-0.5), tuple(dict.fromkeys(sources))
 
 
 def _size_of_offsets(clip: ClipProblem) -> float:

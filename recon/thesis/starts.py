@@ -86,8 +86,8 @@ def _stretch_travel(headings: Array, shapes: Array, up: Array, rays: Array, time
     bend = left - 2 * here + right
     turn = 0.5 * (left - right) / bend * 2 * np.pi / len(headings) if bend > 0 else 0.0
     heading = np.cos(turn) * headings[best] + np.sin(turn) * np.cross(up, headings[best])
-    told = speeds[best] >= _MIN_SPEED_M_S and np.ptp(time_s) >= _MIN_STRETCH_S
-    return np.append(heading, speeds[best] if told else np.nan)
+    moves = speeds[best] >= _MIN_SPEED_M_S and np.ptp(time_s) >= _MIN_STRETCH_S
+    return np.append(heading, speeds[best] if moves else np.nan)
 
 
 def geometric_start(camera: Camera, chain: Chain, rays: Array, heading: Array) -> Array:

@@ -56,7 +56,7 @@ def input_findings(
     found = [*copies(motion.sources, resampled=bool(motion.settings.get("camera_fps")))]
     certain = any(one.severity == "error" for one in found)
     moves = [] if certain else [*movement(motion)]
-    told = certain or any(one.code in MOVES for one in moves)
+    stated = certain or any(one.code in MOVES for one in moves)
     learned = prior.name != NONE and bool(solution.posed.any())
     elsewhere = any(segment.ground and segment.ground.near_zero is False for segment in solution.segments)
     on_ground = replace(weighed, ground_near_zero=weighed.ground_near_zero and not elsewhere)
@@ -66,7 +66,7 @@ def input_findings(
             of_picture = _of_picture(baseline_of(clip, number, solution.states, solution.size), facts.named[number])
             if of_picture is not None:
                 pictures.append(of_picture)
-            elif learned and not told:
+            elif learned and not stated:
                 given = baseline_of(on_ground, number, solution.states, solution.size)
                 swapped = [swap_finding(trial, source, body) for trial in (swaps(given, unlike) if facts.swaps else ())]
                 found += swapped
@@ -75,7 +75,7 @@ def input_findings(
         found += pictures
         slides = [one.numbers.get("slide_m_s") for one in moves]
         glides = any(isinstance(one, float) and one > 0 for one in slides)  # as at a rate that is too high
-        if glides or not (told or pictures):
+        if glides or not (stated or pictures):
             found += _of_rate(clip, solution, facts.stated_hz)
     if not pictures and not any(one.code.startswith("frame_rate") for one in found):
         found += moves

@@ -160,13 +160,15 @@ def likely(given: Baseline, kinds: dict[str, Index], unlike: bool) -> list[_Stre
     """The stretches that tracks and looks say most of."""
     if not np.isfinite(given.states).any():
         return []
-    T, looks = len(given.states), _looks(given, kinds)
-    told = [one for name, places in kinds.items() for one in _told(jumps(given.view, places), looks[name], name)]
-    whole = float(looks["all"].sum())
-    told = sorted(told, reverse=True)[:REFITTED]
+    T, evidence = len(given.states), _evidence(given, kinds)
+    suspects = [
+        one for name, places in kinds.items() for one in _suspects(jumps(given.view, places), evidence[name], name)
+    ]
+    whole = float(evidence["all"].sum())
+    suspects = sorted(suspects, reverse=True)[:REFITTED]
     if whole > POSSIBLE and not unlike:
-        told.append((whole, "all", (0, T)))
-    chosen = [(name, rows) for _, name, ends in told for rows in _parts(*ends, T)]
+        suspects.append((whole, "all", (0, T)))
+    chosen = [(name, rows) for _, name, ends in suspects for rows in _parts(*ends, T)]
     return [_Stretch(slice(*ends), kinds[name]) for name, ends in dict.fromkeys(chosen)]
 
 
@@ -188,13 +190,13 @@ def _part(view: View, rows: slice, fps: float) -> slice:
     return slice(first, min(first + n, T))
 
 
-def _told(jump: Array, looks: Array, name: str) -> list[tuple[float, str, tuple[int, int]]]:
+def _suspects(jump: Array, evidence: Array, name: str) -> list[tuple[float, str, tuple[int, int]]]:
     """Stretches of a kind that hardly overlap, the likeliest first: by how much tracks and looks (T,) say so, the kind,
     first and stop."""
     T = len(jump)
     ends = np.concatenate([[0], 1 + np.flatnonzero(jump[1:] > JUMP), [T]])
     gain = np.concatenate([[0.0], jump[ends[1:-1]], [0.0]])
-    sums = np.concatenate([[0.0], np.cumsum(looks)])[ends]
+    sums = np.concatenate([[0.0], np.cumsum(evidence)])[ends]
     first, stop = ends[:, None], ends[None]
     score = np.where(stop > first, sums[None] - sums[:, None] + gain[:, None] + gain[None], -np.inf)
     score[0, -1] = -np.inf
@@ -207,7 +209,7 @@ def _told(jump: Array, looks: Array, name: str) -> list[tuple[float, str, tuple[
     return found
 
 
-def _looks(given: Baseline, kinds: dict[str, Index]) -> dict[str, Array]:
+def _evidence(given: Baseline, kinds: dict[str, Index]) -> dict[str, Array]:
     """By kind, (T,): how much likelier a frame's keypoints are if the sides are exchanged, as a logarithm, under a fit
     to which each of a leg may be either side's; "all" is all legs."""
     legs = {name: places != np.arange(len(places)) for name, places in kinds.items() if name != "all"}
@@ -232,9 +234,9 @@ def jumps(view: View, places: Index) -> Array:
         return gain
     line = np.vander(np.arange(n), 2)
     off = np.eye(n) - line @ np.linalg.pinv(line)
-    turn = np.where(np.arange(n) < _STRAIGHT, -1.0, 1.0)
+    flip = np.where(np.arange(n) < _STRAIGHT, -1.0, 1.0)
     around = np.lib.stride_tricks.sliding_window_view(apart, n, axis=0)  # (N, P, 2, n)
-    given, other = (np.sum((around @ by) * around, axis=(2, 3)) for by in (off, turn[:, None] * off * turn))
+    given, other = (np.sum((around @ by) * around, axis=(2, 3)) for by in (off, flip[:, None] * off * flip))
     known, freedom = np.isfinite(given), 2 * (n - 2)
     with np.errstate(all="ignore"), warnings.catch_warnings(action="ignore"):  # of a pair that is never seen
         square_px = np.nanmedian(np.where(known, given, np.nan), axis=0) / freedom
@@ -243,8 +245,8 @@ def jumps(view: View, places: Index) -> Array:
     steady = square_px < (STEADY**2) * far_px
     scale = TAILS * np.maximum(np.nan_to_num(square_px), _LEAST_OFF_PX**2)
     likelier = np.log1p(np.where(known, given, 0.0) / scale) - np.log1p(np.where(known, other, 0.0) / scale)
-    told = 0.5 * (TAILS + freedom) * likelier.sum(axis=1)
-    gain[_STRAIGHT : len(gain) - _STRAIGHT + 1] = np.where(seen & steady.any(), told, -np.inf)
+    evidence = 0.5 * (TAILS + freedom) * likelier.sum(axis=1)
+    gain[_STRAIGHT : len(gain) - _STRAIGHT + 1] = np.where(seen & steady.any(), evidence, -np.inf)
     return gain
 
 

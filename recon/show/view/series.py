@@ -94,8 +94,8 @@ def _speed(motion: Motion) -> TimePlot:
     speed = speed_at_frames(motion.time_s, motion.root_m)
     run_m_s, lines = motion.solution.constant_velocity_m_s, {"speed": speed}
     if run_m_s is not None:
-        told = np.isfinite(frame_jitter_m(motion.root_m)).all()
-        smooth = speed_at_frames(motion.time_s, motion.root_m, smooth=True) if told else speed
+        path_known = np.isfinite(frame_jitter_m(motion.root_m)).all()
+        smooth = speed_at_frames(motion.time_s, motion.root_m, smooth=True) if path_known else speed
         lines = {"smoothed by its jitter": smooth, "straight run": run_m_s, "cubic spline": speed}
     values = np.where(motion.solved[:, None], np.stack([*lines.values()], axis=1), np.nan)
     ends = f", {np.nanmin(values):.1f} to {np.nanmax(values):.1f} m/s" if np.isfinite(values).any() else " (m/s)"
