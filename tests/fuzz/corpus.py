@@ -380,7 +380,7 @@ def _walking(path: Path) -> object:
     t = np.linspace(0.0, 0.1, 4)
     zero, feet = np.zeros((4, 3)), np.zeros((4, len(LEGS), 3))
     feet[1:3, :, 2] = 0.05
-    return place(Reference(t, zero, zero.copy(), LEGS, feet, feet[..., 2] == 0, 0.5), load_robot(path), 0.3)
+    return place(Reference(t, zero, zero.copy(), feet, feet[..., 2] == 0, 0.5), load_robot(path), 0.3)
 
 
 def _urdf() -> str:
