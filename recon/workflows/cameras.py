@@ -15,6 +15,7 @@ import numpy as np
 from recon import io
 from recon.base.arrays import Array
 from recon.base.errors import InputError, Problem, all_of, refuse
+from recon.clip import camera_poses
 from recon.geometry.camera import Camera
 from recon.io.common import numbers
 from recon.workflows.settings import UNITS_M, FitSettings, Unit
@@ -206,8 +207,7 @@ def _problems_of_several(
             yield Problem(file, f"camera {camera.name}", "a pose that does not say which way is up", expected)
     still = [camera for camera in cameras if camera.has_extrinsics and camera.name not in moving]
     for one, other in combinations(still, 2):
-        alike = np.array_equal(one.rotation, other.rotation) and np.array_equal(one.translation_m, other.translation_m)
-        if alike and one.name != other.name:
+        if one.name != other.name and np.array_equal(*camera_poses([one, other])):
             found = "the same pose, as of an entry that was copied"
             yield Problem(file, f"cameras {one.name} and {other.name}", found, "each camera's own pose")
 

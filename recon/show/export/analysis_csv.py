@@ -151,11 +151,10 @@ def vector_field_means(found: ClipAnalysis) -> Table:
 
 def closures(found: ClipAnalysis) -> Table:
     """Degrees of closure of the skeleton's angles over one stride."""
-    kinds, stride, shares = ("angle", "plane", "angle_sigma", "plane_sigma"), found.stride, found.motion.data_shares
-    rows = [
-        (name, stride.foot, stride.start_s, stride.end_s, *(getattr(of, kind) for kind in kinds), shares[name])
-        for name, of in (found.closures.items() if stride is not None else ())
-    ]
+    kinds, shares, rows = ("angle", "plane", "angle_sigma", "plane_sigma"), found.motion.data_shares, []
+    if (s := found.stride) is not None:
+        for name, of in found.closures.items():
+            rows.append((name, s.foot, s.start_s, s.end_s, *(getattr(of, kind) for kind in kinds), shares[name]))
     return ["angle", "foot", "start_s", "end_s", *(f"closure_{kind}_percent" for kind in kinds), "data_share"], rows
 
 
