@@ -346,13 +346,8 @@ def ground_plane(foot_m: Array, slow: Bools) -> Plane:
         spread = float(np.median(np.abs(off)) / 0.6745)
         limit = 4.685 * max(spread, HEIGHT_SIGMA_M)
         weight = np.where(np.abs(off) < limit, (1 - (off / limit) ** 2) ** 2, 0.0)
-    return Plane(
-        middle_m=(float(middle[0]), float(middle[1])),
-        height_m=float(parameters[0]),
-        slope=(float(parameters[1]), float(parameters[2])),
-        spread_m=spread,
-        samples=len(points_m),
-    )
+    (x, y), (height, along_x, along_y) = middle.tolist(), parameters.tolist()
+    return Plane((x, y), height, (along_x, along_y), spread, len(points_m))
 
 
 # -- stances ---------------------------------------------------------------------------------------------------------

@@ -204,19 +204,9 @@ def series_kinematics(
             spread[:, where] = _spline_sigmas(t, at, [e[rows] for e in errors], weight[rows], lam)
         spans.append((int(rows[0]), int(rows[-1])))
         lams.append(lam)
-    value_sigma, rate_sigma, acceleration_sigma = (None, None, None) if spread is None else spread
-    return Series(
-        time_s=fine_s,
-        value=out[0],
-        rate=out[1],
-        acceleration=out[2],
-        value_sigma=value_sigma,
-        rate_sigma=rate_sigma,
-        acceleration_sigma=acceleration_sigma,
-        spans=tuple(spans),
-        lam=np.reshape(lams, (len(spans), d)) if smooth else None,
-        oversampling=oversampling,
-    )
+    known = [*out, *((None, None, None) if spread is None else spread)]
+    lam = np.reshape(lams, (len(spans), d)) if smooth else None
+    return Series(fine_s, *known, spans=tuple(spans), lam=lam, oversampling=oversampling)
 
 
 def _stretches(time_s: Array, values: Array, max_gap_s: float, min_points: int) -> list[Index]:
@@ -512,13 +502,8 @@ def angle_kinematics(time_s: Array, angle_rad: Array, errors: Sequence[Errors] =
     series = series_kinematics(time_s, angle[:, None], [error[:, None] for error in errors], **options)
     value = series.value[np.isfinite(series.value)]
     low, high = (float(value.min()), float(value.max())) if len(value) else (np.nan, np.nan)
-    return AngleKinematics(
-        series=series,
-        range_rad=(low, high),
-        range_of_motion_rad=high - low,
-        peak_rate_rad_s=float(np.nanmax(np.abs(series.rate))) if len(value) else np.nan,
-        peak_acceleration_rad_s2=float(np.nanmax(np.abs(series.acceleration))) if len(value) else np.nan,
-    )
+    peaks = (float(np.nanmax(np.abs(of))) if len(value) else np.nan for of in (series.rate, series.acceleration))
+    return AngleKinematics(series, (low, high), high - low, *peaks)
 
 
 def joint_angle(
