@@ -121,10 +121,8 @@ def smaller(camera: Camera, times: float) -> Camera:
 
 # -- the lens -------------------------------------------------------------------------------------------------------
 
-ZOOM, ZOOMS, _ROUNDS = 0.2, 25.0, 6
-"""Logarithm of a zoom that is tried, how much likelier the best one has to make the clip, as a logarithm, and rounds of
-the solver. All good real views but one reach 21 at most, and zooms by 1.5 in nine of ten more than 25
-(docs/benchmarks.md, wrong inputs)."""
+ZOOM, _ROUNDS = 0.2, 6
+"""Logarithm of a zoom that is tried, and rounds of the solver."""
 
 
 def zooms(given: Baseline, noise_px: Array) -> Iterator[Finding]:
@@ -147,7 +145,7 @@ def zooms(given: Baseline, noise_px: Array) -> Iterator[Finding]:
     slope, bend = 0.5 * (nearer - away), nearer + away  # of the parabola through both, in zooms
     best = -slope / bend if bend < 0 else float(np.sign(slope))
     ratio = slope * best + 0.5 * bend * best**2
-    if ratio > ZOOMS:
+    if believed(ratio):
         yield finding("picture_zooms", way="in" if best > 0 else "out", log_likelihood_ratio=ratio)
 
 

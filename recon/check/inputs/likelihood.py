@@ -27,8 +27,8 @@ _TOLERANCE, _ITERATIONS = 3e-3, 12
 CLEAR = float(np.log(1000.0))
 """A hypothesis is worth a closer look, or believed where nothing is like it, if it makes what was seen so many times as
 likely, as a logarithm."""
-MARGIN, SURE = 20.0, 30.0
-"""A swap is believed where it makes a solution so much likelier, as a logarithm; by the second where another in its
+MARGIN, SURE = 25.0, 30.0
+"""A swap, or a zoom, is believed where it makes a solution so much likelier, as a logarithm; by the second where another in its
 place contradicts it, and for the whole clip with all swaps undone, as another frame rate is. Far more than chance
 needs: what a model of the animal gets wrong is not noise. Chosen on real clips (docs/benchmarks.md, mistakes)."""
 TOGETHER = 0.4
