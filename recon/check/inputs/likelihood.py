@@ -28,9 +28,10 @@ CLEAR = float(np.log(1000.0))
 """A hypothesis is worth a closer look, or believed where nothing is like it, if it makes what was seen so many times as
 likely, as a logarithm."""
 MARGIN, SURE = 25.0, 30.0
-"""A swap, or a zoom, is believed where it makes a solution so much likelier, as a logarithm; by the second where another in its
-place contradicts it, and for the whole clip with all swaps undone, as another frame rate is. Far more than chance
-needs: what a model of the animal gets wrong is not noise. Chosen on real clips (docs/benchmarks.md, mistakes)."""
+"""A swap, or a zoom, is believed where it makes a solution so much likelier, as a logarithm; by the second where
+another in its place contradicts it, and for the whole clip with all swaps undone, as another frame rate is. Far more
+than chance needs: what a model of the animal gets wrong is not noise. Chosen on real clips (docs/benchmarks.md,
+left-right swaps)."""
 TOGETHER = 0.4
 """Keypoints of one limb err together: so much of what they say is each one's own. Chosen on real clips, by leaving runs
 out (docs/benchmarks.md, mistakes)."""
@@ -126,6 +127,8 @@ class Baseline:
 
     clip: ClipProblem
     states: Array
+    own: bool = True
+    """Whether nothing but this view led to the states."""
 
     @property
     def view(self) -> View:
@@ -136,8 +139,8 @@ class Baseline:
         return alone(self.clip, view)
 
     def refit(self, part: slice) -> Refit:
-        """The fit of a part of the clip as it is: for all of it, what was found."""
-        if part.stop - part.start == len(self.states):
+        """The fit of a part of the clip as it is: for all of it, what was found, unless other cameras had a say."""
+        if self.own and part.stop - part.start == len(self.states):
             return Refit.of(self.clip, self.states)
         return refitted(self.clip.part(part))
 
@@ -175,7 +178,7 @@ def baseline_of(clip: ClipProblem, number: int, states: Array, size: float) -> B
     own = alone(clip, clip.views[number])
     found = states.copy()
     found[:, ROOT] = (states[:, ROOT] - own.origin_m) / size
-    return Baseline(own, found)
+    return Baseline(own, found, len(clip.views) == 1)
 
 
 def off_ground(clip: ClipProblem, states: Array) -> float:
