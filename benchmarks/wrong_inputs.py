@@ -44,7 +44,7 @@ from recon.io.deeplabcut import write_csv
 
 CAUSES = {
     *(
-        "frames_left_out",
+        "frames_dropped",
         "detections_frozen",
         "detections_repeated",
         "detections_interpolated",
@@ -363,7 +363,7 @@ CASES = {
     "interpolated, every 8th": Case(interpolated, ("detections_interpolated",)),
     "every frame doubled": Case(doubled, ("detections_repeated",)),
     "far side copied": Case(far_from_near, ("far_side_copied",)),
-    "a quarter of frames dropped": Case(dropped, ("frames_left_out", "picture_zooms", "path_jolts", "frame_rate")),
+    "a quarter of frames dropped": Case(dropped, ("frames_dropped", "picture_zooms", "path_jolts", "frame_rate")),
     "missing as (-1, -1)": Case(missing_as(-1.0), ("missing_as_constant",)),
     "missing as (0, 0)": Case(missing_as(0.0), ("missing_as_constant",)),
     "mirrored": Case(lambda c, g: g.seen([g.size_px[0] - 1, 0] + g.xy_px * [-1, 1]), SWAPS),

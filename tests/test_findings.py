@@ -20,7 +20,7 @@ SENTENCES = {
     "detections_frozen": ("20 of 40 frames repeat", {"count": 20, "frames_total": 40}),
     "detections_repeated": ("with --fps 30", {"times": 2, "given_hz": 60.0, "other_hz": 30.0}),
     "detections_interpolated": ("75% of the points lie on a straight line", {"share": 0.75}),
-    "frames_left_out": ("In 25% of the frames the animal goes about twice as far", {"share": 0.25}),
+    "frames_dropped": ("In 25% of the frames the animal goes about twice as far", {"share": 0.25}),
     "far_side_copied": ("100% of the points of one side", {"share": 1.0}),
     "same_keypoints": ("points of cam1, cam2 are the same", {"share": 1.0, "cameras": ("cam1", "cam2")}),
     "missing_as_constant": ("12 points are stored as (-1, -1)", {"x_px": -1.0, "y_px": -1.0, "count": 12}),

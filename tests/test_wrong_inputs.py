@@ -47,7 +47,7 @@ def copied(xy_px: np.ndarray) -> np.ndarray:
         (lambda xy_px: np.repeat(xy_px, 2, axis=0), "detections_repeated"),
         (interpolated, "detections_interpolated"),
         (copied, "far_side_copied"),
-        (lambda xy_px: np.delete(xy_px, np.arange(3, len(xy_px), 4), axis=0), "frames_left_out"),
+        (lambda xy_px: np.delete(xy_px, np.arange(3, len(xy_px), 4), axis=0), "frames_dropped"),
     ],
 )
 def test_copies_are_named(change, code):

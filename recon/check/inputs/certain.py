@@ -115,7 +115,7 @@ def _left_out(keypoints: Keypoints, camera: str) -> Iterator[Finding]:
     times = np.sum(step_px * usual_px, axis=1) / length_px**2
     long, short = float(np.mean(times > LONG[0])), float(np.mean(times < SHORT[0]))
     if np.median(length_px) > LEAST_STEP_PX and long > LONG[1] and short < SHORT[1]:
-        yield finding("frames_left_out", camera=camera, share=long)
+        yield finding("frames_dropped", camera=camera, share=long)
 
 
 def _copied_sides(keypoints: Keypoints, camera: str) -> Iterator[Finding]:
