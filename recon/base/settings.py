@@ -4,7 +4,7 @@ A setting is one field: its type says which values it may have, its `Option` wha
 
     class ViewSettings(Settings):
         folder: Annotated[Path, Option("Folder of results, as in results/clip.", argument="DIR")]
-        speed: Annotated[Positive, Option("Of the playback, 1 is real time.")] = 1.0
+        speed: Annotated[Positive, Option("Speed of the playback, 1 is real time.")] = 1.0
 """
 
 from __future__ import annotations

@@ -93,7 +93,7 @@ class TrainSettings(Settings):
     ] = None
     batch: Annotated[Count, Option("Pictures in a step.", "1 or more", panel=TRAINING)] = 8
     seed: Annotated[
-        Integer, Field(ge=0), Option("Of weights, split and augmentation.", "0 or more", panel=TRAINING)
+        Integer, Field(ge=0), Option("Seed of weights, split and augmentation.", "0 or more", panel=TRAINING)
     ] = 0
     mirror: Annotated[
         bool,

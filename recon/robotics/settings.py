@@ -65,7 +65,7 @@ class IkSettings(Settings):
     cost: Annotated[
         str | None,
         Option(
-            "Of the method extended, and of gradient-projection: differences, energy, harmonic, pose (distance from "
+            "Cost of the methods extended and gradient-projection: differences, energy, harmonic, pose (distance from "
             "the clip's mean pose), or a sum with weights, as in energy,differences=0.1."
         ),
     ] = None
@@ -166,7 +166,7 @@ class ClimbSettings(Settings):
     height: Annotated[
         Positive | None,
         Option(
-            "Of the step, metres; the footfalls' heights are in proportion. (default: the recipe's)",
+            "Height of the step, metres; the footfalls' heights are in proportion. (default: the recipe's)",
             "metres, as in 0.045",
         ),
     ] = None
@@ -215,7 +215,7 @@ class TableSettings(Settings):
     ]
     tip: Annotated[
         str | None,
-        Option("Of a robot LF, RF, LH or RH; of a .urdf or .xml, too, the link at the end. (default: the only leaf)"),
+        Option("Leg, LF, RF, LH or RH; of a .urdf or .xml, too, the link at the end. (default: the only leaf)"),
     ] = None
     angles: Annotated[
         str | None,

@@ -65,7 +65,7 @@ class _RunSettings(Settings):
         None
     )
     first_frame: Annotated[Integer, FIRST_FRAME] = 0
-    quality: Annotated[Literal["fast", "best"], Option("Of the network's points.")] = "fast"
+    quality: Annotated[Literal["fast", "best"], Option("Quality of the network's points.")] = "fast"
     jobs: Annotated[Count | None, Option("Videos at a time, of a folder. (default: one for each core)")] = None
     config: Annotated[Path | None, Option("Settings as in the config.toml of a fit; options here overrule it.")] = None
     overwrite: Annotated[bool, Option("Replace files that no run has made, or that were changed since.")] = False

@@ -54,7 +54,7 @@ class SubjectFitSettings(Settings):
     poses: Annotated[
         tuple[Path, ...], Option("3D poses by another method, one file a clip: offsets are measured beside these.")
     ] = ()
-    title: Annotated[str | None, Option("Of the animal, in words. (default: made up)")] = None
+    title: Annotated[str | None, Option("Title of the animal, in words. (default: made up)")] = None
     overwrite: Annotated[bool, Option("Replace the file.")] = False
 
     def problems(self) -> Iterator[Problem]:

@@ -143,7 +143,7 @@ def _sections(found: ClipAnalysis) -> Iterator[_FigureGroup]:
         dynamics = None if motion.jitters else found.dynamics
         if dynamics is not None and len(dynamics.forces):
             text = (
-                "Of each foot, in body weights: from its stances and the impulse that a stride needs on level ground, "
+                "Each foot, in body weights: from its stances and the impulse that a stride needs on level ground, "
                 f"with the masses of {motion.body.mass_source}. Forces are validated on galloping cheetahs."
             )
             yield _FigureGroup("Vertical forces", text, _inline([plots.forces(dynamics, gait)]))
@@ -151,7 +151,7 @@ def _sections(found: ClipAnalysis) -> Iterator[_FigureGroup]:
     doubtful = np.array([bool(flags) for flags in motion.flags])
     yield _FigureGroup(
         "Angles",
-        "Of each joint of the model, with bands of one standard deviation: left sides blue and dashed, right sides "
+        "Angles of the model's joints, with bands of one standard deviation: left sides blue and dashed, right sides "
         "orange, the middle as the axes; grey ones are mostly expected, not seen. Doubtful frames have a grey ground.",
         _inline([angle_over_time(motion.time_s, curves, doubtful, title) for title, curves in panels]),
         "small",

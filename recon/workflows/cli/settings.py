@@ -63,7 +63,7 @@ def config_schema() -> dict[str, Any]:
         default = {} if info.default in (MISSING, None) else {"default": info.plain(info.default)}
         of_fit["properties"][name] = {"description": info.option.help, "anyOf": choices} | default
     of_fit |= {"title": "recon.fit", "description": "The settings of a fit", "required": []}
-    digests = {"type": "object", "description": "Of the input files", "additionalProperties": {"type": "string"}}
+    digests = {"type": "object", "description": "Files' digests", "additionalProperties": {"type": "string"}}
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": "config.toml of recon",
