@@ -110,7 +110,7 @@ def draw_two_methods(patch: pytest.MonkeyPatch) -> None:
     """Of the methods that `recon ik --compare` runs, the first two are drawn."""
     write_ik_figures = ik_clip.write_figures
 
-    def of_two(solved: ik_clip.IKRun, folder: Path) -> None:
+    def of_two(solved: ik_clip._IKRun, folder: Path) -> None:
         two = {job: dict(islice(runs.items(), 2)) for job, runs in solved.runs.items()}
         write_ik_figures(replace(solved, runs=two), folder)
 

@@ -14,7 +14,6 @@ if TYPE_CHECKING:
     from recon.thesis.clip import fit_clip, frame_options, load_body
     from recon.thesis.frame import (
         FrameOptions,
-        FrameReport,
         FrameSolution,
         base_length,
         frame_objectives,

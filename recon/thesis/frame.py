@@ -86,7 +86,7 @@ class FrameOptions:
 
 
 @dataclass(frozen=True)
-class FrameReport:
+class _FrameReport:
     """What the optimiser did for one frame; all residuals are without unit."""
 
     status: Status
@@ -124,7 +124,7 @@ class FrameSolution(Solution):
     chain: Chain
     chain_states: Array
     """(T, D): as published (`recon.animal.chain`), NaN where a frame has no data or its pose diverged."""
-    reports: tuple[FrameReport | None, ...]
+    reports: tuple[_FrameReport | None, ...]
     """One a frame, None without data."""
     travel: Travel
     """What the start came from."""
@@ -241,7 +241,7 @@ def solve_frames(
 
     states = np.full((len(xy_px), chain.n_state), np.nan)
     covariance = np.full((len(xy_px), chain.n_state, chain.n_state), np.nan)
-    reports: list[FrameReport | None] = []
+    reports: list[_FrameReport | None] = []
     before: list[int] = []  # the last two solved frames, newest last
     for frame in range(len(xy_px)):
         progress(frame + 1)
@@ -331,7 +331,7 @@ def in_world(
     chain: Chain,
     states: Array,
     covariance: Array,
-    reports: tuple[FrameReport | None, ...],
+    reports: tuple[_FrameReport | None, ...],
     travel: Travel,
     objectives: tuple[str, ...],
     fps: float,
@@ -413,7 +413,7 @@ def _flags(
     chain: Chain,
     states: Array,
     joints_m: Array,
-    reports: Sequence[FrameReport | None],
+    reports: Sequence[_FrameReport | None],
     sigma_px: Array,
     trusted: Array,
     fps: float,
@@ -528,7 +528,7 @@ class _FrameSolver:
 
     def solve(
         self, frame: int, rays: Array, heading: Array, states: Array, before: Sequence[int], fps: float
-    ) -> tuple[Array, Array, FrameReport]:
+    ) -> tuple[Array, Array, _FrameReport]:
         """State (D,), its covariance (D, D) given the frame before, and what was done."""
         began = time.perf_counter()
         best, fixed, starts = self.search(frame, rays, heading, states, before, fps)
@@ -695,7 +695,7 @@ class _FrameSolver:
 
     # -- report ---------------------------------------------------------------------------------------------------
 
-    def _report(self, fixed: _FrameInputs, best: _Candidate, starts: int, began: float) -> tuple[Array, FrameReport]:
+    def _report(self, fixed: _FrameInputs, best: _Candidate, starts: int, began: float) -> tuple[Array, _FrameReport]:
         terms = self.terms(fixed)
         parts = by_term(terms, self.chain, fixed.frame, best.x, fixed.previous, fixed.dt_s)
         costs = {term.name: float(np.sum(r**2)) for term, (r, _) in zip(terms, parts, strict=True)}
@@ -703,7 +703,7 @@ class _FrameSolver:
         C = posterior_covariance(np.concatenate([J for _, J in parts]))
         C = C if in_view else np.full_like(C, np.nan)
         far = self._distances_px(fixed, best.x) / fixed.sigma_px
-        return C, FrameReport(
+        return C, _FrameReport(
             status="converged" if best.status in CONVERGED and in_view else "not_converged",
             starts=starts,
             iterations=best.iterations,

@@ -67,7 +67,7 @@ SUMMARY = "ik.json"
 
 
 @dataclass(frozen=True, eq=False)
-class Limb:
+class _Limb:
     """A chain of the animal, and its joint angles in the clip."""
 
     foot: str
@@ -88,7 +88,7 @@ class Limb:
         return self.chain.names
 
 
-COSTS: dict[str, Callable[[Limb], Cost]] = {
+COSTS: dict[str, Callable[[_Limb], Cost]] = {
     "differences": lambda limb: joint_differences(limb.chain),
     "energy": lambda limb: rotational_energy(limb.chain),
     "harmonic": lambda limb: harmonic_map(joints=max(limb.chain.groups, key=len)[-3:]),
@@ -97,12 +97,12 @@ COSTS: dict[str, Callable[[Limb], Cost]] = {
 
 
 @dataclass(frozen=True, eq=False)
-class IKRun:
+class _IKRun:
     """What was moved, and how."""
 
     settings: IkSettings
     motion: Motion
-    limb: Limb
+    limb: _Limb
     stride: StridePath
     target_m: Array | None
     """(dim,)"""
@@ -178,7 +178,7 @@ class IKRun:
 # -- the animal's chain ----------------------------------------------------------------------------------------------
 
 
-def limb_of(motion: Motion, foot: str | None = None, dim: Dim = 3, limited: bool = True) -> Limb:
+def limb_of(motion: Motion, foot: str | None = None, dim: Dim = 3, limited: bool = True) -> _Limb:
     """The chain to a foot, by its label (LF) or joint, by default the first fore foot. Raises InputError.
 
     Of the 8U chain that is the spine and the front leg. Of a whole animal, in space, all joints from the root to the
@@ -190,17 +190,17 @@ def limb_of(motion: Motion, foot: str | None = None, dim: Dim = 3, limited: bool
     if isinstance(motion.chain, Chain):
         leg = spine_front_leg(motion.chain, motion.size * motion.chain.nominal_base_length_m, dim, limited)
         q = chain_angles(motion.chain, motion.states, dim=dim)
-        return Limb(name, leg, q, motion.fps, first_s, "UVW", 0.0)
+        return _Limb(name, leg, q, motion.fps, first_s, "UVW", 0.0)
     if dim == 3:
         marker = motion.joints[motion.names.index(name)]
         chain = body_chain(motion.body, marker, motion.size, limited)
         q = body_chain_angles(motion.body, marker, motion.states)
-        return Limb(name, chain, q, motion.fps, first_s, "xyz", 0.0)
+        return _Limb(name, chain, q, motion.fps, first_s, "xyz", 0.0)
     along = next(along for along in limb_chains(motion).values() if along[-1] == name)
     points = motion.upright.xyz_m[:, [motion.names.index(joint) for joint in along]]
     chain, q, misfit = projected_chain(points, travel)
     named = replace(chain, names=tuple(along[:-1]))
-    return Limb(name, named, q, motion.fps, first_s, "UVW", float(np.nanmedian(misfit)))
+    return _Limb(name, named, q, motion.fps, first_s, "UVW", float(np.nanmedian(misfit)))
 
 
 def _foot_label(motion: Motion, foot: str | None) -> str:
@@ -220,7 +220,7 @@ def _foot_label(motion: Motion, foot: str | None) -> str:
 
 
 def methods_of(
-    limb: Limb,
+    limb: _Limb,
     names: tuple[str, ...],
     parameters: Mapping[str, ParameterFit],
     fitted: bool = False,
@@ -254,7 +254,7 @@ def methods_of(
     return {name: replace(method, alpha=None if alpha == "step" else alpha) for name, method in chosen.items()}
 
 
-def cost_of(limb: Limb, text: str) -> Cost:
+def cost_of(limb: _Limb, text: str) -> Cost:
     """A cost of `COSTS`, or a sum of some with weights, as in "energy,differences=0.1". Raises InputError."""
     costs, weights, problems = [], [], []
     for part in text.split(","):
@@ -270,14 +270,14 @@ def cost_of(limb: Limb, text: str) -> Cost:
     return costs[0] if len(costs) == 1 and weights == [1.0] else weighted_sum(tuple(costs), tuple(weights))
 
 
-def fit_parameters(limb: Limb, cost: Cost | None = None) -> dict[str, ParameterFit]:
+def fit_parameters(limb: _Limb, cost: Cost | None = None) -> dict[str, ParameterFit]:
     """By method, by least squares to the joint rates of the clip, from a spline through its angles. cost: of gradient
     projection; None: any constant vector. Raises InputError for fewer than four frames in a row."""
     frames = _rates_of(limb)
     return {name: fit(frames) for name, fit in fits(cost).items()}
 
 
-def fit_parameter_series(limb: Limb, stride: StridePath, cost: Cost | None = None) -> pd.DataFrame:
+def fit_parameter_series(limb: _Limb, stride: StridePath, cost: Cost | None = None) -> pd.DataFrame:
     """The same fitted to each frame of a stride by itself, a row each: time_s in the clip, and of every method its
     parameter (`PARAMETERS`; of the weights one for each joint), <method>_best_alpha and <method>_explained.
 
@@ -299,7 +299,7 @@ def fit_parameter_series(limb: Limb, stride: StridePath, cost: Cost | None = Non
     return pd.DataFrame(columns)
 
 
-def _rates_of(limb: Limb) -> Frames:
+def _rates_of(limb: _Limb) -> Frames:
     """The frames with a pose."""
     known = np.flatnonzero(np.isfinite(limb.q).all(axis=1))
     if len(known) < MIN_POINTS:
@@ -312,7 +312,7 @@ def _rates_of(limb: Limb) -> Frames:
 # -- the jobs --------------------------------------------------------------------------------------------------------
 
 
-def run_ik(settings: IkSettings) -> IKRun:
+def run_ik(settings: IkSettings) -> _IKRun:
     """`recon ik`: tables and figures into a folder. With parameters fitted to the clip, these are fitted to each frame
     of the stride, too. Raises InputError."""
     out, motion = settings.out_folder, usable(Motion.load(settings.folder), settings.folder, settings.anyway)
@@ -333,7 +333,7 @@ def run_ik(settings: IkSettings) -> IKRun:
             followed = methods if settings.both or settings.follow is not None else {}
             follows = {n: follow_stride(limb.chain, stride, m, settings.turns) for n, m in followed.items()}
         runs = {"target": drives, "follow": follows}
-        solved = IKRun(settings, motion, limb, stride, goal, runs, parameters, series)
+        solved = _IKRun(settings, motion, limb, stride, goal, runs, parameters, series)
         with staged_folder(out) as staging:
             _write(solved, staging)
         if settings.figures:  # after the tables, which are there whatever befalls them
@@ -354,7 +354,7 @@ def _coordinates(target: str, dim: int) -> Array:
     return values
 
 
-def stride_of(motion: Motion, limb: Limb, stride_s: tuple[float, float] | None = None) -> StridePath:
+def stride_of(motion: Motion, limb: _Limb, stride_s: tuple[float, float] | None = None) -> StridePath:
     """The stride that is given; or the first of the foot that counts (`recon.gait.gait`); or, of a clip without any,
     where the foot comes back to nearest in the time that a stride takes. Raises InputError for a clip that shows too
     little."""
@@ -387,7 +387,7 @@ def stride_lasts_s(gait: Gait) -> tuple[float, float]:
 
 def _found_stride(
     motion: Motion,
-    limb: Limb,
+    limb: _Limb,
     how: str = "",
     span_s: tuple[float, float] | None = None,
     notes: Sequence[str] = (),
@@ -414,7 +414,7 @@ def follow_stride(chain: SerialChain, stride: StridePath, method: Method, turns:
 # -- what is written -------------------------------------------------------------------------------------------------
 
 
-def _write(solved: IKRun, folder: Path) -> None:
+def _write(solved: _IKRun, folder: Path) -> None:
     summary, names = solved.summary, solved.limb.names
     (folder / SUMMARY).write_text(to_json(summary), encoding="utf-8")
     for file, rows in (("target.csv", summary["to_target"]), ("follow.csv", summary["along_stride"])):
@@ -444,7 +444,7 @@ def _cell(value: Any) -> Any:
     return " ".join(value) if isinstance(value, list) else "" if value is None else value
 
 
-def write_figures(solved: IKRun, folder: Path) -> None:
+def write_figures(solved: _IKRun, folder: Path) -> None:
     """Paths in task and joint space, and phase portraits with closures by method, PNG and SVG."""
     from recon.robotics.ik import plots
     from recon.show.plots.phase import phase_portraits

@@ -36,7 +36,7 @@ AMP_JOINTS = 3
 
 
 @dataclass(frozen=True, eq=False)
-class RobotSamples:
+class _RobotSamples:
     """K frames, evenly spaced; the robot's joints in its own order; B bodies."""
 
     robot: Quadruped
@@ -75,7 +75,7 @@ class RobotSamples:
         return self.bodies.index(_foot_name(self.robot.legs[label], label))
 
 
-def sampled(motion: RobotMotion, rate_hz: float) -> RobotSamples:
+def sampled(motion: RobotMotion, rate_hz: float) -> _RobotSamples:
     """A motion at the rate nearest to rate_hz of which a whole number of frames fits. Raises InputError where fewer
     than two do."""
     duration = float(motion.time_s[-1] - motion.time_s[0])
@@ -92,7 +92,7 @@ def sampled(motion: RobotMotion, rate_hz: float) -> RobotSamples:
     straight = tree.orientations(np.zeros((1, tree.n_state)))[0]
     segment = [[s.name for s in tree.segments].index(marker.segment) for marker in tree.markers]
     nearest = np.argmin(np.abs(motion.time_s[None] - motion.time_s[0] - time_s[:, None]), axis=1)
-    return RobotSamples(
+    return _RobotSamples(
         robot=motion.robot,
         loops=motion.advance_m is not None,
         rate_hz=frames / duration,
@@ -137,7 +137,7 @@ def _foot_name(leg: RobotLeg, label: str) -> str:
 # -- files -----------------------------------------------------------------------------------------------------------
 
 
-def _amp(found: RobotSamples, path: Path, said: Mapping[str, Any]) -> None:
+def _amp(found: _RobotSamples, path: Path, said: Mapping[str, Any]) -> None:
     robot = found.robot
     if any(len(leg.joints) != AMP_JOINTS for leg in robot.legs.values()):
         expected = f"a robot with {AMP_JOINTS} joints a leg, or another format"
@@ -183,7 +183,7 @@ _NPZ = {
 velocities of the bodies."""
 
 
-def _npz(layout: str, found: RobotSamples, path: Path, said: Mapping[str, Any]) -> None:
+def _npz(layout: str, found: _RobotSamples, path: Path, said: Mapping[str, Any]) -> None:
     arrays = (
         *(np.array(found.robot.joints), found.angles_rad, found.rates_rad_s, found.position_m),
         *(found.quaternions[..., [3, 0, 1, 2]], found.velocity_m_s, found.angular_velocity_rad_s),
@@ -200,7 +200,7 @@ def _npz(layout: str, found: RobotSamples, path: Path, said: Mapping[str, Any]) 
     )
 
 
-def _mjlab_csv(found: RobotSamples, path: Path, said: Mapping[str, Any]) -> None:
+def _mjlab_csv(found: _RobotSamples, path: Path, said: Mapping[str, Any]) -> None:
     """No header, as its readers expect none: x y z, qx qy qz qw, joints. What it is stands in a file beside it."""
     table = np.concatenate([found.position_m[:, 0], found.quaternions[:, 0], found.angles_rad], axis=1)
     np.savetxt(path, table, delimiter=",", fmt="%.17g")
@@ -208,7 +208,7 @@ def _mjlab_csv(found: RobotSamples, path: Path, said: Mapping[str, Any]) -> None
     path.with_suffix(".json").write_text(json.dumps(beside) + "\n", encoding="utf-8")
 
 
-FORMATS: dict[str, tuple[str, Callable[[RobotSamples, Path, Mapping[str, Any]], None]]] = {
+FORMATS: dict[str, tuple[str, Callable[[_RobotSamples, Path, Mapping[str, Any]], None]]] = {
     "amp": ("amp.json", _amp),
     "isaaclab": ("isaaclab.npz", partial(_npz, "isaaclab")),
     "mjlab": ("mjlab.npz", partial(_npz, "mjlab")),

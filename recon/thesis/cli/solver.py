@@ -23,7 +23,7 @@ FIGURES_BEGIN = 0.5
 """Share of the progress before the figures."""
 
 
-class SolverSettings(Settings):
+class _SolverSettings(Settings):
     """What `recon solver` is told."""
 
     folder: Annotated[Path, Option("Folder of results of recon frame, as in results/clip.", argument="DIR")]
@@ -35,7 +35,7 @@ class SolverSettings(Settings):
     overwrite: Annotated[bool, Option("Replace earlier tables.")] = False
 
 
-def solver(settings: SolverSettings, as_json: bool, quiet: bool) -> Any:
+def solver(settings: _SolverSettings, as_json: bool, quiet: bool) -> Any:
     """What the optimiser of `recon frame` did: cost, gradient, Jacobian, limits.
 
     Writes tables (CSV), the Jacobian (NPZ) and figures (PNG, SVG).
@@ -50,7 +50,7 @@ def solver(settings: SolverSettings, as_json: bool, quiet: bool) -> Any:
     say(console, f"{len(files)} files are in {out}.")
 
 
-def run_solver(settings: SolverSettings, progress: Progress = silent) -> tuple[SolverRecord, Path, list[str]]:
+def run_solver(settings: _SolverSettings, progress: Progress = silent) -> tuple[SolverRecord, Path, list[str]]:
     """`recon solver`: what was found, the folder that it was written to, and the names of its files.
 
     The results' own files are not written to. Raises InputError: no results of the frame method, or files in the way.
