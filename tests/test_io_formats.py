@@ -87,6 +87,15 @@ def test_sleap(tmp_path, orders, dims):
     assert "found 'c'" in refused(path, "c")[0]
 
 
+def test_sleap_not_transposed(tmp_path):
+    import h5py
+
+    path = sleap_file(tmp_path / "a.h5", "fnct", dims=False)
+    with h5py.File(path, "a") as file:
+        file.attrs["transpose"] = False
+    np.testing.assert_array_equal(read_keypoints(path, "a").xy_px, XY[:, 0])
+
+
 def test_sleap_tracks_without_points_are_no_choice(tmp_path):
     occupied = np.zeros((5, 2))
     occupied[1:3, 1] = 1
@@ -614,6 +623,8 @@ def test_bvh_against_another_reader(tmp_path):
         (("1 2 3 90 0 0 0 90 0", "1 2 3 90"), "frame 2 of MOTION: found 4 numbers, expected 9"),
         (("Frame Time: 0.0333333", "Frame Time: 0"), "Frame Time: found 0"),
         (("1 2 3 90 0 0 0 90 0", "1 2 3 90 0 0 0 90 x"), "could not convert string to float: 'x'"),
+        (("CHANNELS 3 Zrotation", "CHANNELS 3 Zscale"), "in the hierarchy"),
+        (("OFFSET 1.0 0.0 0.0", "OFFSET 1.0"), "in the hierarchy"),
         (("MOTION", ""), "in the hierarchy"),
         (("JOINT knee", "JOINT hips"), "names of points: found 'hips', expected names that are unique"),
         (("Frames: 2", "Frames: 0_2"), "MOTION: found 2 rows, and Frames: 0"),

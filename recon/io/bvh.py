@@ -95,9 +95,9 @@ def _hierarchy(lines: Iterator[str]) -> list[_Joint]:
             open_.append(len(joints) - 1)
         elif word == "}":
             open_.pop()
-        elif word == "OFFSET":
+        elif word == "OFFSET" and len(rest) == 3:
             joints[-1].offset = [number(cell) for cell in rest]
-        elif word == "CHANNELS":
+        elif word == "CHANNELS" and all(re.fullmatch(r"[XYZ](position|rotation)", name) for name in rest[1:]):
             joints[-1].column = sum(len(joint.channels) for joint in joints[:-1])
             joints[-1].channels = rest[1:]
         else:

@@ -102,7 +102,10 @@ def _axis(group: Any, name: str) -> tuple[list[str | None], list[Label]]:
     for i in range(int(attribute(group, f"{name}_nlevels"))):
         level = member(group, f"{name}_level{i}")
         texts = np.array([*_labels(group, level), "nan"], object)  # code -1
-        parts.append(texts[numbers(member(group, f"{name}_label{i}")).ravel()].tolist())
+        codes = numbers(member(group, f"{name}_label{i}")).ravel()
+        if codes.min(initial=0) < -1:
+            raise ValueError(f"{name}_label{i} has codes without a label")
+        parts.append(texts[codes].tolist())
         levels.append(_attribute_value(level, "name"))
     return levels, list(zip(*parts, strict=True))
 

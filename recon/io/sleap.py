@@ -55,6 +55,8 @@ def _array(path: Path, dataset: Any, name: str) -> np.ndarray:
     """One array with its axes in the order of `WANTED`."""
     dims = attribute(dataset, "dims")
     order = ORDERS[name] if dims is None else tuple(str(axis) for axis in json.loads(dims))
+    if dims is None and name == "tracks" and attribute(dataset.file, "transpose") in (False, 0):
+        order = ("frame", "node", "xy", "track")
     wanted = [axis for axis in WANTED if axis in ORDERS[name]]
     values = numbers(dataset)
     if sorted(order) != sorted(wanted) or values.ndim != len(wanted):
