@@ -19,7 +19,7 @@ from recon.gait.gait import (
     SLOW,
     Stance,
     classify,
-    doubt_text,
+    doubtful_text,
     gait,
     ground_plane,
     match_stances,
@@ -367,7 +367,7 @@ def test_strides_with_a_stance_too_few_or_too_many_do_not_count():
     assert took[-1] > 0.6
     assert found.stride_frequency_hz == pytest.approx(2.5, rel=0.01)
     assert len(found.strides) >= 8
-    text = doubt_text(found.doubtful[0])
+    text = doubtful_text(found.doubtful[0])
     assert text.startswith("RF's stride from ")
     assert " does not count: strides of all feet at its time last 0.4" in text
 

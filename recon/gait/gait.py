@@ -485,7 +485,7 @@ def _counted(own: tuple[Stride, ...]) -> tuple[tuple[Stride, ...], tuple[Stride,
     return tuple(counted), tuple(doubtful)
 
 
-def doubt_text(stride: Stride) -> str:
+def doubtful_text(stride: Stride) -> str:
     """Why a stride does not count, in one sentence."""
     text = f"{stride.foot}'s stride from {stride.start_s:.3f} to {stride.end_s:.3f} s does not count"
     return f"{text}: strides of all feet at its time last {stride.others_s:.3f} s"

@@ -22,7 +22,7 @@ from recon.fit.posterior import radius
 from recon.gait.clip import ClipAnalysis, analyse
 from recon.gait.dynamics import Dynamics, findings_of_dynamics, net_work_j_kg
 from recon.gait.gait import INTERVAL as REGION
-from recon.gait.gait import Gait, Stride, doubt_text
+from recon.gait.gait import Gait, Stride, doubtful_text
 from recon.show.export import analysis_csv
 from recon.show.plain import picked, to_json
 from recon.show.report import in_sentences
@@ -192,7 +192,7 @@ def notes(found: ClipAnalysis) -> Iterator[str]:
         )
     if gait is not None and len(motion.foot_names) < 4:
         yield f"Only the feet {', '.join(motion.foot_names)} were fitted: the gait has no name."
-    doubtful = [] if gait is None else [doubt_text(doubt) for doubt in gait.doubtful]
+    doubtful = [] if gait is None else [doubtful_text(doubt) for doubt in gait.doubtful]
     yield from doubtful[:SHOWN]
     if (more := len(doubtful) - SHOWN) > 0:
         yield f"{more} more strides do not count, for reasons of the same kind"

@@ -21,7 +21,7 @@ from recon.base.files import require_free_folder, sole_writer, staged_folder
 from recon.check import usable, verdict_fields
 from recon.fit.motion import Motion
 from recon.gait.clip import ClipAnalysis, limb_chains, stride_given
-from recon.gait.gait import AGREE, OVERSAMPLING, Gait, doubt_text
+from recon.gait.gait import AGREE, OVERSAMPLING, Gait, doubtful_text
 from recon.gait.kinematics import MIN_POINTS
 from recon.gait.phase import Closure, Portrait
 from recon.io.table import write_rows
@@ -364,7 +364,7 @@ def stride_of(motion: Motion, limb: _Limb, stride_s: tuple[float, float] | None 
     gait = ClipAnalysis(motion).gait
     assert gait is not None  # the limb has a foot
     label = next(label for label, joint in motion.foot_names.items() if joint == limb.foot)
-    doubts = [doubt_text(doubt) for doubt in gait.doubtful if doubt.foot == label]
+    doubts = [doubtful_text(doubt) for doubt in gait.doubtful if doubt.foot == label]
     # Of poses that jitter, touch-downs are told worse than the pose's return is.
     if not motion.jitters and (complete := next((s for s in gait.strides if s.foot == label), None)):
         return _found_stride(motion, limb, "gait", (complete.start_s, complete.end_s), doubts)

@@ -24,7 +24,7 @@ from recon.check import usable, verdict_fields
 from recon.fit.draws import draws
 from recon.fit.motion import Motion
 from recon.fit.result import TrajectorySolution
-from recon.gait.gait import doubt_text
+from recon.gait.gait import doubtful_text
 from recon.io.table import write_rows
 from recon.robotics.ik.drive import control_columns
 from recon.robotics.robot import physics
@@ -164,7 +164,7 @@ def _figures(motion: RobotMotion) -> dict[str, Any]:
 def _notes(done: Retargeting) -> list[str]:
     window = done.window
     gait = done.animal.analysis.gait
-    notes = [doubt_text(doubt) for doubt in (gait.doubtful if gait else ())]
+    notes = [doubtful_text(doubt) for doubt in (gait.doubtful if gait else ())]
     if window.how == "return":
         notes.append(
             "the clip holds no complete stride: the one that repeats is made of the nearest return of all feet, "
