@@ -46,7 +46,7 @@ _ROOT_RAD_S2 = 40.0
 
 
 @dataclass(frozen=True)
-class Link:
+class _Link:
     """One rigid link. `free` says whether it has angles of its own or lies on its parent's axis."""
 
     name: str
@@ -69,7 +69,7 @@ class AngleRanges:
 
 
 @dataclass(frozen=True)
-class PriorScales:
+class _PriorScales:
     """Standard deviations of the chain's soft expectations (see docs/skeletons.md for the fields)."""
 
     softness_rad: float
@@ -103,7 +103,7 @@ class ChainPose:
 class Chain(Skeleton):
     """A chain's geometry, its keypoints and what is expected of its angles."""
 
-    links: tuple[Link, ...]
+    links: tuple[_Link, ...]
     joints: tuple[str, ...]
     """Names, root first, then the links' ends in the order of the links."""
     keypoints: tuple[tuple[str, str], ...]
@@ -116,7 +116,7 @@ class Chain(Skeleton):
     """Where they are, of `recon.animal.body.CHAIN_PLACES`."""
     theta: AngleRanges
     phi: AngleRanges
-    scales: PriorScales
+    scales: _PriorScales
     nominal_base_length_m: float
 
     # -- layout of the state --------------------------------------------------------------------------------------
@@ -318,7 +318,7 @@ class _Range(FileTable):
     max_rate_rad_s: Sigma
 
 
-class _Link(FileTable):
+class _LinkTable(FileTable):
     name: str
     start: str = Field(alias="from")
     end: str = Field(alias="to")
@@ -356,7 +356,7 @@ class _ChainFile(FileTable):
     base_length: _BaseLength
     softness_rad: Sigma
     prior: _Prior
-    links: tuple[_Link, ...] = Field(min_length=1)
+    links: tuple[_LinkTable, ...] = Field(min_length=1)
     length_m: dict[str, Sigma] = Field(default_factory=dict)
     """Measured lengths of links, in place of their ratios."""
 
@@ -400,7 +400,7 @@ def _chain(f: _ChainFile) -> Chain:
     return Chain(
         name=f.name,
         title=f.title,
-        links=tuple(Link(x.name, x.start, x.end, x.limb, ratios[x.name], free=x.theta is not None) for x in f.links),
+        links=tuple(_Link(x.name, x.start, x.end, x.limb, ratios[x.name], free=x.theta is not None) for x in f.links),
         joints=(f.root, *(x.end for x in f.links)),
         keypoints=(f.root_keypoint, *(x.keypoint for x in f.links)),
         forward=f.forward,
@@ -408,7 +408,7 @@ def _chain(f: _ChainFile) -> Chain:
         foot_labels=tuple(CHAIN_PLACES[place] for place in f.feet),
         theta=_ranges(x.theta for x in f.links),
         phi=_ranges(x.phi for x in f.links),
-        scales=PriorScales(
+        scales=_PriorScales(
             softness_rad=f.softness_rad,
             theta_rad=f.prior.theta_sigma_rad,
             phi_rad=f.prior.phi_sigma_rad,

@@ -21,7 +21,7 @@ AGAIN = "the results of one run as they were written: run the command again, wit
 
 
 @dataclass(frozen=True)
-class Manifest:
+class _Manifest:
     """What one run wrote into a folder."""
 
     folder: Path
@@ -56,7 +56,7 @@ class Manifest:
         return "content", f"other than {MANIFEST} says: it was changed, or is of another run"
 
 
-def read_manifest(folder: Path) -> Manifest:
+def read_manifest(folder: Path) -> _Manifest:
     """Raises InputError where there is none, as after a run that was interrupted while it wrote."""
     path = folder / MANIFEST
     try:
@@ -69,7 +69,7 @@ def read_manifest(folder: Path) -> Manifest:
         raise InputError(Problem(folder, "folder", found, AGAIN)) from None
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError, OverflowError):
         raise InputError(Problem(path, "content", "something else", AGAIN)) from None
-    return Manifest(folder, files)
+    return _Manifest(folder, files)
 
 
 def write_manifest(folder: Path) -> None:
