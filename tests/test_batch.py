@@ -40,6 +40,7 @@ from recon.workflows.batch import (
     plan_batch,
     run_batch,
 )
+from recon.workflows.batch.summary import read_rows
 from recon.workflows.cli import main
 from recon.workflows.clip_results import run_clip
 from recon.workflows.made_from import Record, digest
@@ -131,6 +132,18 @@ def test_a_file_that_may_not_be_read_is_said(clips, monkeypatch):
     monkeypatch.setattr("os.access", lambda path, mode: Path(path).name != "b.csv" and readable(path, mode))
     _, notes = find_clips([clips], QUICK)
     assert notes == [f"Left out of {clips}, not readable: b.csv"]
+
+
+def test_no_cell_of_the_summary_is_a_formula(tmp_path):
+    summary = Summary([], tmp_path)
+    names = ["=1+1", "@a", "'b", "'=c", "plain"]
+    summary.rows = {name: dict.fromkeys(COLUMNS, name) | {"frames": -1} for name in names}
+    summary.write()
+    with summary.path.open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["clip"] for row in rows] == ["'=1+1", "'@a", "'b", "''=c", "plain"]
+    assert {row["frames"] for row in rows} == {"-1"}
+    assert [row["clip"] for row in read_rows(summary.path)] == names
 
 
 def test_a_folder_has_one_clip_for_a_table_in_two_formats(clips):

@@ -451,7 +451,7 @@ BAD_INPUT: dict[str, tuple[list[str], list[str]]] = {
         ["{clip}", "--individual", "a"],
         ["{clip}: individual: found a file without named"],
     ),
-    "non-numeric cell": (["{in}/cell.csv"], ["{in}/cell.csv: frame 5, column spine/x: found 'abc', expected a number"]),
+    "non-numeric cell": (["{in}/cell.csv"], ["{in}/cell.csv: line 9, spine/x: found 'abc', expected a number"]),
     "all points missing": (["{in}/missing.csv"], ["{in}/missing.csv: points: found every point of the clip missing"]),
     "none of the skeleton's keypoints": (
         ["{in}/wings.csv"],
@@ -464,7 +464,7 @@ BAD_INPUT: dict[str, tuple[list[str], list[str]]] = {
     ),
     "no image size in the camera file": (
         ["{clip}", "--camera", "{in}/no_size.json"],
-        ["{in}/no_size.json: image_width, image_height: found nothing, expected the image size"],
+        ["{in}/no_size.json: size: found nothing, expected the image size"],
     ),
     "image size against the camera file's": (
         ["{clip}", "--image-size", "640x480"],

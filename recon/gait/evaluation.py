@@ -18,6 +18,7 @@ import numpy as np
 
 from recon.animal import fitting_maps, load_names, new_names
 from recon.base.errors import Problem, all_of, refuse
+from recon.base.manifest import MANIFEST
 from recon.check import mismatches, sentence, usable
 from recon.clip.keypoints import frame_ranges
 from recon.fit.motion import Motion
@@ -126,7 +127,15 @@ def evaluate_files(
     found = replace(evaluate(pose, truth, sigmas_m), verdict=verdict)
     notes = *pose.notes, *truth.notes, *found.notes, *_counted_from_one(pose, truth, found)
     notes += () if rename else tuple(_other_names(pose, truth, found))
+    if _is_result(truth_path) and not _is_result(pose_path):
+        notes += (
+            f"the reference, {truth_path}, is a result of recon fit, and what is scored is not: perhaps exchanged",
+        )
     return replace(found, notes=tuple(dict.fromkeys(notes)))
+
+
+def _is_result(path: Path) -> bool:
+    return path.is_dir() or (path.parent / MANIFEST).is_file()
 
 
 def _renamed(pose: Pose3D, rename: str) -> Pose3D:

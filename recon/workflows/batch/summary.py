@@ -33,6 +33,8 @@ COLUMNS = (
 STATUSES = ("done", "done earlier", "unsolved", "failed", "pending")
 """unsolved: fitted, but no frame has a pose. pending: not tried, because the batch was interrupted."""
 WRITE_EVERY_S = 0.5
+FORMULAS = ("=", "+", "-", "@", "\t", "\r")
+"""A text that begins so would be run by a spreadsheet."""
 
 
 def results_of(report: Mapping[str, Any]) -> dict[str, Any]:
@@ -90,8 +92,14 @@ class Summary:
         with staged_file(self.path) as staged, staged.open("w", encoding="utf-8", newline="") as f:
             writer = csv.DictWriter(f, COLUMNS, lineterminator="\n")
             writer.writeheader()
-            writer.writerows(sorted(self.rows.values(), key=_rank))
+            for row in sorted(self.rows.values(), key=_rank):
+                writer.writerow({name: f"'{x}" if _is_formula(x) else x for name, x in row.items()})
         self._written_s = time.monotonic()
+
+
+def _is_formula(cell: Any) -> bool:
+    """Whether a spreadsheet would take a text for a formula; it stands after an apostrophe in the file."""
+    return isinstance(cell, str) and cell.lstrip("'").startswith(FORMULAS)
 
 
 def _rank(row: Mapping[str, Any]) -> int:
@@ -104,11 +112,17 @@ def write_summary_page(out: Path) -> Path:
 
     page = out / SUMMARY_PAGE
     require_own_page(page)
-    with (out / SUMMARY).open(encoding="utf-8", newline="") as file:
-        html = batch_page(out, [*csv.DictReader(file)])
+    html = batch_page(out, read_rows(out / SUMMARY))
     with staged_file(page) as staged:
         staged.write_text(html, encoding="utf-8")
     return page
+
+
+def read_rows(path: Path) -> list[dict[str, str]]:
+    """The rows of a summary.csv as they were before `Summary.write` made texts of formulas."""
+    with path.open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    return [{name: x[1:] if x[:1] == "'" and _is_formula(x) else x for name, x in row.items()} for row in rows]
 
 
 def _row(planned: ClipPlan, out: Path) -> dict[str, Any]:
