@@ -50,7 +50,7 @@ def task_space(
 
     labels, first = [f"{name}{_outcome(move)}" for name, move in moves.items()], next(iter(moves.values()))
     begins = {"marker": "o", "mfc": "w", "mec": "k", "ms": 5, "linestyle": ""}
-    target_m, path_m = (None, aim_m) if np.ndim(aim_m) == 2 else (aim_m, None)
+    target_m, path_m = (None, aim_m) if aim_m is not None and aim_m.ndim == 2 else (aim_m, None)
     aim = {"marker": "+", "color": "k", "ms": 10, "mew": 1.2, "linestyle": ""}
     stood = {"color": GREY, "lw": 2.2, "alpha": 0.5, "marker": "o", "ms": 2}
     marks = [Line2D([], [], label="start", **begins), Line2D([], [], label="chain at the start", **stood)]
