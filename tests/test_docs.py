@@ -291,6 +291,8 @@ OTHERS_OPTIONS = {
     "--help",
     "--index-url",
     "--random-half",
+    "--refine",
+    "--seeds",
 }
 """Of the benchmarks, and of other programs."""
 
