@@ -192,7 +192,7 @@ def _checked_track(
             (SIGMA, f"0 to {MAX_SIGMA_DEG:g} degrees", (sigma >= 0) & (sigma <= MAX_SIGMA_DEG)),
         )
     refuse(
-        Problem(path, kind, f"others in {_some([places[row] for row in np.flatnonzero(~right)])}", expected)
+        Problem(path, kind, f"others in {_some([places[row] for row in np.flatnonzero(~right).tolist()])}", expected)
         for kind, expected, right in checks
         if not right.all()
     )

@@ -207,7 +207,8 @@ def _problems_of_several(
             yield Problem(file, f"camera {camera.name}", "a pose that does not say which way is up", expected)
     still = [camera for camera in cameras if camera.has_extrinsics and camera.name not in moving]
     for one, other in combinations(still, 2):
-        if one.name != other.name and np.array_equal(*camera_poses([one, other])):
+        poses = camera_poses([one, other])
+        if one.name != other.name and np.array_equal(poses[0], poses[1]):
             found = "the same pose, as of an entry that was copied"
             yield Problem(file, f"cameras {one.name} and {other.name}", found, "each camera's own pose")
 
