@@ -337,6 +337,9 @@ def test_a_picture_turned_over(code, turn):
     assert found is not None
     assert found.code == code
     assert number(found, "log_likelihood_ratio") > 10 * CLEAR
+
+
+def test_a_picture_as_it_is():
     assert of_other_picture(given(view())) is None
 
 

@@ -58,6 +58,7 @@ class SubjectFitSettings(Settings):
     overwrite: Annotated[bool, Option("Replace the file.")] = False
 
     def problems(self) -> Iterator[Problem]:
+        """What is to be measured has to be named, and poses have to be there for each clip."""
         if not self.lengths and not self.offsets:
             yield Problem("--no-lengths", "unknowns", "nothing to fit", "--offsets with it, or without it")
         if self.poses and (self.lengths or not self.offsets):
