@@ -38,8 +38,7 @@ from recon.io.deeplabcut import write_csv
 from recon.io.json_poses import LISTS
 from recon.workflows.clip import prepare
 from recon.workflows.clip_results import run_clip
-from recon.workflows.skeleton_draft import _SkeletonDraftSettings, draft_skeleton, run_skeleton_draft
-from recon.workflows.skeleton_geometry import drafted
+from recon.workflows.skeleton_draft import _SkeletonDraftSettings, draft_skeleton, drafted, run_skeleton_draft
 
 OBLIQUE_M = [[1.0, -5.5, 1.5], [4.5, -4.0, 1.7], [-4.5, 4.0, 1.8], [5.0, 4.0, 2.0]]
 ABOVE_M = [[0.35, 0.1, 0.45], [-0.1, 0.4, 0.45], [-0.35, -0.1, 0.5], [0.1, -0.4, 0.4]]

@@ -24,7 +24,7 @@ from recon.robotics.ik.chain import planar_chain, summed_chain
 from recon.robotics.ik.drive import drive_to, follow
 from recon.robotics.ik.methods import JacobianTranspose, LeastNorm, damped_least_squares
 from recon.show import plots
-from recon.show.plots import composite, phase, style
+from recon.show.plots import configurations, phase, style
 from recon.show.plots.observability import share_colours
 
 FPS = 50.0
@@ -299,7 +299,7 @@ def test_composites_choose_among_the_known():
     joints = running()
     joints[5:] = np.nan
     joints[2, 1:] = np.nan
-    np.testing.assert_array_equal(composite.chosen(joints, LIMBS), [0, 1, 3, 4])
+    np.testing.assert_array_equal(configurations.chosen(joints, LIMBS), [0, 1, 3, 4])
     side = plots.composites(joints, LIMBS, times(31)).axes[0]
     assert len(thick_lines(side)) == 4 * 3
 

@@ -1,22 +1,33 @@
-"""The keypoint network: labels in, a trained network out; a video in, a keypoint file out."""
+"""`recon train` and `recon predict`: labels in, a trained network out; a video in, a keypoint file out."""
 
 from __future__ import annotations
 
+import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any
 
 from recon.base import Progress, silent
 from recon.base.errors import InputError, Problem, all_of
 from recon.base.files import require_free_file, sole_writer, staged_file, staged_folder
-from recon.base.settings import Integer, Option, Settings
+from recon.base.settings import Count, Integer, Option, Settings
 from recon.clip.keypoints import Keypoints
 from recon.io import FORMATS
 from recon.io.video import require_codec
 from recon.keypoint_net.labels import read_labels, split_labels
-from recon.keypoint_net.network import MODEL_FILE, choose_device, load_model, model_file, require_torch
-from recon.keypoint_net.predict import PredictSettings, predict_video
+from recon.keypoint_net.network import (
+    DEVICE,
+    MODEL_FILE,
+    THREADS,
+    choose_device,
+    load_model,
+    model_file,
+    require_torch,
+)
+from recon.keypoint_net.predict import LIKELY, PredictSettings, predict_video
 from recon.keypoint_net.report import write_training_report
 from recon.keypoint_net.train import CHECKPOINT_FILE, SPLIT, TrainSettings, prepare, train
+from recon.workflows.cli.common import progress_bar, say, stop, terminal
 from recon.workflows.settings import RENAME
 
 WRITERS = {f.suffixes[0]: f.write for f in FORMATS if f.name == "deeplabcut"}
@@ -38,6 +49,44 @@ class LabelSource(Settings):
         str, Option("Pictures to judge and calibrate by: a share, or frame numbers A:B (B excluded).", panel=SPLIT)
     ] = "0.2"
     test: Annotated[str, Option("Pictures that are only judged at the end, in the same way.", panel=SPLIT)] = "0"
+
+
+class _TrainRunSettings(LabelSource, TrainSettings):
+    """What `recon train` does: labels, how to learn from them, and where and with what."""
+
+    out: Annotated[Path, Option("Folder for the network and its report, as in models/horse.", metavar="DIR")]
+    device: Annotated[str, DEVICE] = "auto"
+    threads: Annotated[Count | None, THREADS] = None
+    resume: Annotated[bool, Option("Go on from the checkpoint in DIR.")] = False
+    overwrite: Annotated[bool, Option("Begin again in a DIR that has a network.")] = False
+
+
+def train_command(settings: _TrainRunSettings, quiet: bool) -> None:
+    """Train a small keypoint network on a few labels in DeepLabCut's layout.
+
+    Example: recon train run.mp4 --labels CollectedData_me.csv --out models/run
+    """
+    out = settings.out
+    console = terminal(quiet=quiet)
+    try:
+        with progress_bar(console) as progress:
+            report = run_training(
+                settings,
+                settings,
+                out,
+                device=settings.device,
+                threads=settings.threads,
+                resume=settings.resume,
+                overwrite=settings.overwrite,
+                progress=progress,
+            )
+    except KeyboardInterrupt:
+        message = "the same command with --resume goes on from the last checkpoint"
+        if not (out / CHECKPOINT_FILE).is_file():
+            message = "there is no checkpoint yet"
+        stop(f"Stopped: {message}.")
+    for line in _summary(report, out):
+        say(console, line)
 
 
 def run_training(
@@ -68,6 +117,48 @@ def run_training(
         progress("report", 1.0)
         with staged_folder(out) as staging:
             return write_training_report(run, state, staging)
+
+
+def _summary(report: dict[str, Any], out: Path) -> Iterator[str]:
+    yield f"{report['steps']} steps in {report['seconds']:.0f} s on {report['device']}."
+    best = report["best_validation"]
+    if best:
+        yield f"Validation pictures, before any was learned from: median error {best['median_px']:.2f} px at best."
+        if best["median_px"] > 2 * report["tolerance_px"]:
+            yield (
+                f"That is too far off to be of use: a point counts as right within {report['tolerance_px']:.1f} px. "
+                "Train longer (--minutes), or label more."
+            )
+    if "test" in report["errors"]:
+        score = report["errors"]["test"]["all"]
+        yield f"Test pictures: median error {score['median_px']:.2f} px, {score['pck_px']['5.0']:.0%} within 5 px."
+    suspects = report["suspicious_labels"]
+    if suspects:
+        first = suspects[0]
+        yield (
+            f"{len(suspects)} labels look wrong, {first['keypoint']} in {first['image']} the most: "
+            f"see {out / 'suspicious.csv'}."
+        )
+    yield f"The network and its report are in {out}. Use it with: recon predict VIDEO --model {out} --out FILE.csv"
+
+
+def predict_command(settings: PredictSettings, quiet: bool) -> None:
+    """Find the keypoints in every frame of a video, with a network that `recon train` made.
+
+    Example: recon predict run.mp4 --model models/run --out run.csv --overlay run_points.mp4
+    """
+    console = terminal(quiet=quiet)
+    start = time.monotonic()
+    with progress_bar(console, "predicting: ") as progress:
+        keypoints = run_prediction(**{name: getattr(settings, name) for name in settings.infos()}, progress=progress)
+    frames, seconds = len(keypoints.frames), time.monotonic() - start
+    sure = float((keypoints.confidence >= LIKELY).mean())
+    drawn = f", drawn on the video in {settings.overlay}" if settings.overlay else ""
+    say(
+        console,
+        f"{frames} frames in {seconds:.1f} s ({frames / seconds:.0f} a second); {sure:.0%} of the points have a "
+        f"likelihood of {LIKELY:g} or more. They are in {settings.out}{drawn}.",
+    )
 
 
 def run_prediction(video: Path, model: Path, out: Path, *, progress: Progress = silent, **options: Any) -> Keypoints:

@@ -10,17 +10,19 @@ small in the picture is shown enlarged in a corner that it hardly comes to.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
+from pathlib import Path
 
 import cv2
 import numpy as np
 import pandas as pd
 
 from recon.base.arrays import Array, Bools, Index, Integers
-from recon.io.video import Image
+from recon.base.errors import InputError, Problem
+from recon.io.video import Image, read_frames
 
 Colour = tuple[int, int, int]
 """A colour: blue, green, red."""
@@ -149,6 +151,21 @@ def smoothed_headings(forward_m: Array, fps: float) -> Array:
     return level / np.linalg.norm(level, axis=1, keepdims=True)
 
 
+def clip_frames(frames: Integers, video: Path, first_frame: int) -> Iterator[tuple[int, int | None, Image]]:
+    """The pictures of a clip's frames in its video: each one's number, its row among the frames, None for one between
+    them, and its picture. first_frame: the number that the video's first frame has in the clip. Raises InputError where
+    the video ends before the clip."""
+    rows = {int(frame): t for t, frame in enumerate(frames)}
+    first, last, read = min(rows), max(rows), 0
+    for index, picture in read_frames(video, first - first_frame, last + 1 - first_frame):
+        read += 1
+        yield index + first_frame, rows.get(index + first_frame), picture
+    if read < last + 1 - first:
+        found = f"{first - first_frame + read} frames that can be decoded"
+        expected = f"{last + 1 - first_frame} or more, for the frames {first} to {last}"
+        raise InputError(Problem(video, "video", found, f"{expected}: the video of this clip, or --first-frame"))
+
+
 def canvas_size(size_px: tuple[int, int]) -> tuple[int, int]:
     """(width, height) of what `draw_frame` makes of a picture of this size: even, as codecs want."""
     width, height = size_px
@@ -171,8 +188,7 @@ def draw_frame(overlay: Overlay, t: int | None, frame: int, picture: Image) -> I
         image = canvas[:height, :width]
         # Marks that do not hide a small animal.
         marks = min(unit, max(0.4 * unit, overlay.extent_px / 700))
-        _draw_skeleton(image, overlay, t, marks)
-        _draw_detections(image, overlay, t, marks)
+        _draw_pose(image, overlay, t, marks)
         _draw_close_up(image, overlay, t, picture, unit)
     _draw_caption(canvas, overlay, t, frame, (width, height), unit)
     _draw_strip(canvas, overlay, t, height, width)
@@ -189,8 +205,7 @@ def draw_tiles(overlay: Overlay, rows: Sequence[int] | Index, pictures: Sequence
         tile[:] = PAPER
         if pictures is not None:
             tile[:] = cut.of(pictures[i], TILE_PX)
-        _draw_skeleton(tile, overlay, int(t), TILE_UNIT, cut)
-        _draw_detections(tile, overlay, int(t), TILE_UNIT, cut)
+        _draw_pose(tile, overlay, int(t), TILE_UNIT, cut)
         _draw_caption(tile, overlay, int(t), int(overlay.frames[t]), TILE_PX, TILE_UNIT)
         tiles.append(tile)
     return tiles
@@ -240,13 +255,13 @@ def _draw_close_up(image: Image, overlay: Overlay, t: int, picture: Image, unit:
     cut = _Cut(0.5 * (np.nanmin(xy, axis=0) + np.nanmax(xy, axis=0)) - 0.5 * size / scale, scale)
     tile = image[top : top + high, left : left + wide]
     tile[:] = cut.of(picture, (wide, high))
-    _draw_skeleton(tile, overlay, t, 0.8 * unit, cut)
-    _draw_detections(tile, overlay, t, 0.8 * unit, cut)
+    _draw_pose(tile, overlay, t, 0.8 * unit, cut)
     cv2.rectangle(tile, (0, 0), (wide - 1, high - 1), INK, max(1, round(2 * unit)))
     draw_text(tile, f"{scale:.1f} times larger", (round(14 * unit), high - round(16 * unit)), 0.7 * unit, INK)
 
 
-def _draw_skeleton(image: Image, overlay: Overlay, t: int, unit: float, cut: _Cut = WHOLE) -> None:
+def _draw_pose(image: Image, overlay: Overlay, t: int, unit: float, cut: _Cut = WHOLE) -> None:
+    """The skeleton, and on it the detections."""
     xy, near = cut.place(overlay.reprojected_px[t]), overlay.nearness[t]
     segments = [
         (0.5 * (near[a] + near[b]), a, b, colour)
@@ -258,19 +273,8 @@ def _draw_skeleton(image: Image, overlay: Overlay, t: int, unit: float, cut: _Cu
         thick = max(2, round((4.0 + 2.0 * nearness) * unit))
         draw_line(image, xy[a], xy[b], SHADOW, thick + 2)
         draw_line(image, xy[a], xy[b], shade(colour, nearness), thick)
-
-
-def shade(colour: Colour, nearness: float) -> Colour:
-    """A colour mixed with white where it is near (1), with black where it is far (-1)."""
-    target, amount = (255.0, 0.45 * nearness) if nearness > 0 else (0.0, -0.45 * nearness)
-    blue, green, red = (round(c + (target - c) * amount) for c in colour)
-    return blue, green, red
-
-
-def _draw_detections(image: Image, overlay: Overlay, t: int, unit: float, cut: _Cut = WHOLE) -> None:
     size, thick = 7 * unit, max(1, round(1.5 * unit))
-    detected, reprojected = cut.place(overlay.detected_px[t]), cut.place(overlay.reprojected_px[t])
-    for at, to, outlier in zip(detected, reprojected, overlay.outliers[t], strict=True):
+    for at, to, outlier in zip(cut.place(overlay.detected_px[t]), xy, overlay.outliers[t], strict=True):
         if not np.isfinite(at).all():
             continue
         if outlier:
@@ -282,6 +286,13 @@ def _draw_detections(image: Image, overlay: Overlay, t: int, unit: float, cut: _
         else:
             draw_circle(image, at, size + 0.5 * thick + 0.5, SHADOW, 1)
             draw_circle(image, at, size, DETECTION, thick)
+
+
+def shade(colour: Colour, nearness: float) -> Colour:
+    """A colour mixed with white where it is near (1), with black where it is far (-1)."""
+    target, amount = (255.0, 0.45 * nearness) if nearness > 0 else (0.0, -0.45 * nearness)
+    blue, green, red = (round(c + (target - c) * amount) for c in colour)
+    return blue, green, red
 
 
 def _draw_caption(

@@ -20,8 +20,8 @@ from recon.base.settings import Number, Option
 from recon.check import FLAG_OF, usable
 from recon.fit.motion import Motion
 from recon.fit.result import Verdict
-from recon.io.video import Image, VideoInfo, probe, read_frames, require_codec, video_writer
-from recon.show.overlay import LEFT, MIDDLE, RIGHT, Colour, Overlay, canvas_size, draw_frame
+from recon.io.video import Image, VideoInfo, probe, require_codec, video_writer
+from recon.show.overlay import LEFT, MIDDLE, RIGHT, Colour, Overlay, canvas_size, clip_frames, draw_frame
 from recon.workflows.cameras import cameras_in, size_problems
 from recon.workflows.cli.common import progress_bar, say, say_verdict, terminal
 from recon.workflows.settings import ANYWAY, ResultSettings
@@ -73,21 +73,13 @@ def run_overlay(settings: OverlaySettings, progress: Progress = silent) -> tuple
     speed = min(1.0, SLOW_FPS / motion.fps) if settings.speed is None else settings.speed
     zoom = -(-MIN_WIDTH_PX // wide)
     drawn = overlay_of(motion, speed, zoom, number)
-    rows = {int(frame): t for t, frame in enumerate(motion.frames)}
-    first, last = min(rows), max(rows)
-    fps = motion.fps * speed
-    written = 0
+    fps, count, written = motion.fps * speed, int(np.ptp(motion.frames)) + 1, 0
     with video_writer(out, canvas_size((zoom * wide, zoom * high)), fps) as write:
-        for index, picture in read_frames(video, first - settings.first_frame, last + 1 - settings.first_frame):
-            frame = index + settings.first_frame
+        for frame, row, picture in clip_frames(motion.frames, video, settings.first_frame):
             enlarged = np.asarray(cv2.resize(picture, None, fx=zoom, fy=zoom), dtype=np.uint8)
-            write(draw_frame(drawn, rows.get(frame), frame, enlarged))
+            write(draw_frame(drawn, row, frame, enlarged))
             written += 1
-            progress("drawing", written / (last + 1 - first))
-        if written < last + 1 - first:
-            found = f"{first - settings.first_frame + written} frames that can be decoded"
-            expected = f"{last + 1 - settings.first_frame} or more, for the result's frames {first} to {last}"
-            raise InputError(Problem(video, "video", found, f"{expected}: the video of this clip, or --first-frame"))
+            progress("drawing", written / count)
     return written, fps, speed, motion.verdict
 
 
@@ -101,13 +93,8 @@ def stills(
     rows = posed[np.unique(np.round(np.linspace(0, len(posed) - 1, count)).astype(int))] if len(posed) else posed
     if settings.video is None or not len(rows):
         return drawn, rows, None
-    wanted = (motion.frames[rows] - settings.first_frame).tolist()
-    found = {at: picture for at, picture in read_frames(settings.video, wanted[0], wanted[-1] + 1) if at in wanted}
-    if len(found) < len(wanted):
-        number = next(at for at in wanted if at not in found) + settings.first_frame
-        expected = "the video of this clip, or --first-frame"
-        raise InputError(Problem(settings.video, "video", f"no frame {number}", expected))
-    return drawn, rows, [found[at] for at in wanted]
+    frames = clip_frames(motion.frames[rows], settings.video, settings.first_frame)
+    return drawn, rows, [picture for _, row, picture in frames if row is not None]
 
 
 def result_and_video(settings: ResultSettings, *checks: Callable[[], object]) -> tuple[Motion, int, tuple[int, int]]:

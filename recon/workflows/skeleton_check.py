@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from recon.animal import Body, builtin_names, load_prior, load_skeleton, other_side
+from recon.animal import Body, builtin_names, load_prior, load_skeleton
 from recon.base.files import require_free_folder
 from recon.base.settings import Option, Settings
 from recon.base.words import length_text
@@ -20,7 +20,6 @@ STEMS = ("skeleton", "angles")
 """Pictures, each as .png and .svg: the expected pose with names; every angle at both ends of its range."""
 REACH_SIGMAS = 2.0
 """Ends of the expected range of an angle."""
-_SAME_M = 1e-6
 
 
 class _SkeletonCheckSettings(Settings):
@@ -55,7 +54,16 @@ def skeleton_check(settings: _SkeletonCheckSettings, as_json: bool) -> Any:
 
     Exit code 0: it can be used. 2: it cannot; every problem is named.
     """
-    check = run_skeleton_check(settings)
+    check, out = check_skeleton(settings.skeleton, settings.subject), settings.out
+    if out is not None:
+        from recon.show.plots.skeleton import angle_ranges, views
+        from recon.show.plots.style import save
+
+        pictures = [f"{stem}{end}" for stem in STEMS for end in (".png", ".svg")]
+        require_free_folder(out, pictures, settings.overwrite, "these pictures")
+        body, title = load_skeleton(settings.skeleton, settings.subject), f"{check['name']}: {check['title']}"
+        for stem, figure in zip(STEMS, (views(body, title), angle_ranges(body, REACH_SIGMAS, title)), strict=True):
+            save(figure, out, stem)
     if as_json:
         return check
     console = terminal()
@@ -84,23 +92,8 @@ def skeleton_check(settings: _SkeletonCheckSettings, as_json: bool) -> Any:
         say(console, f"Look at this: {remark}")
     if not check["remarks"]:
         say(console, "Nothing looks odd.")
-    if settings.out is not None:
-        say(console, f"Pictures are in {settings.out}.")
-
-
-def run_skeleton_check(settings: _SkeletonCheckSettings) -> dict[str, Any]:
-    """Read and describe a skeleton, and draw it into the folder `out`. Raises InputError."""
-    check, out = check_skeleton(settings.skeleton, settings.subject), settings.out
     if out is not None:
-        from recon.show.plots.skeleton import angle_ranges, views
-        from recon.show.plots.style import save
-
-        pictures = [f"{stem}{end}" for stem in STEMS for end in (".png", ".svg")]
-        require_free_folder(out, pictures, settings.overwrite, "these pictures")
-        body, title = load_skeleton(settings.skeleton, settings.subject), f"{check['name']}: {check['title']}"
-        for stem, figure in zip(STEMS, (views(body, title), angle_ranges(body, REACH_SIGMAS, title)), strict=True):
-            save(figure, out, stem)
-    return check
+        say(console, f"Pictures are in {out}.")
 
 
 def check_skeleton(name_or_path: str | Path, subject: str | Path | None = None) -> dict[str, Any]:
@@ -163,26 +156,6 @@ def _remarks(body: Body) -> Iterator[str]:
         if fore != (label[-1] == "F"):
             there, said = ("before", "hind") if fore else ("behind", "fore")
             yield f"feet: in the expected pose {foot} lies {there} the middle of the trunk, but is a {said} foot."
-    drawn = {marker for limb in body.limbs.values() for marker in limb}
-    if lacking := [marker for marker in body.markers if marker not in drawn]:
-        yield f"limbs: no line leads to {', '.join(lacking)}."
     sides = {marker: side for marker in body.markers if (side := body.side_of(marker)) is not None}
     if wrong := [m for m, side in sides.items() if (at[m][1] < 0 if side == "left" else at[m][1] > 0)]:
         yield f"markers: on the other side of the middle (y is to the left) {', '.join(wrong)}."
-    pairs = [(m, at[other_side(m)]) for m, side in sides.items() if side == "left" and other_side(m) in at]
-    uneven = [m for m, other in pairs if np.abs(at[m] - other * (1, -1, 1)).max() > _SAME_M]
-    if uneven and not wrong:
-        yield f"markers: not the mirror image of the other side {', '.join(uneven)}."
-    if loose := _loose_angles(body):
-        yield f"segments: no marker is moved by {', '.join(loose)}: they stay at their means."
-
-
-def _loose_angles(body: Body) -> list[str]:
-    """Angles that move no marker: of segments without one, or about a line through all markers that follow."""
-    rng = np.random.default_rng(0)
-    states = np.zeros((4, body.n_state))
-    states[:, 4:] = rng.normal(body.mean_rad, 0.3 * body.sigma_rad, (4, body.n_state - 4))
-    moved = body.tree.pose_with_jacobian(states).jacobian
-    assert moved is not None
-    still = np.abs(moved[..., 4:]).max(axis=(0, 1, 2)) < _SAME_M
-    return [name for name, is_still in zip(body.state_names[4:], still, strict=True) if is_still]

@@ -36,9 +36,8 @@ from recon.fit.motion import Motion
 from recon.gait.clip import ClipAnalysis
 from recon.show.recording import recording
 from recon.show.view.layout import blueprint
-from recon.show.view.scene import Log, Scene, limb_colours
+from recon.show.view.scene import Log, Scene, limb_colours, write_pictures, write_uncertainty, write_world
 from recon.show.view.series import analysis_plots, angle_plots, other_plots, states, write_forces
-from recon.show.view.world import write_pictures, write_uncertainty, write_world
 
 DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET")
 """Environment variables, one of which says where a screen is on Linux."""

@@ -11,8 +11,18 @@ from rerun.blueprint.archetypes import PlotBackground
 
 from recon.base.arrays import Array
 from recon.fit.motion import Motion, Picture
-from recon.show.view.scene import BACKGROUND, CLOSEUP, GRID_SPACING_M, PICTURE, Scene, TimePlot, by_camera
-from recon.show.view.world import CLOSE, middle_and_reach_px, picture_bounds
+from recon.show.view.scene import (
+    BACKGROUND,
+    CLOSE,
+    CLOSEUP,
+    GRID_SPACING_M,
+    PICTURE,
+    Scene,
+    TimePlot,
+    by_camera,
+    middle_and_reach_px,
+    picture_bounds,
+)
 
 
 def blueprint(motion: Motion, scene: Scene, plots: Sequence[TimePlot], rows: Sequence[str]) -> rrb.Blueprint:

@@ -15,11 +15,10 @@ import cv2
 import numpy as np
 import rerun as rr
 
-from recon.base.errors import InputError, Problem
 from recon.fit.motion import Motion
-from recon.io.video import Image, read_frames
-from recon.show.view.scene import BACKGROUND, CLOSEUP, PICTURE, Log, by_camera
-from recon.show.view.world import CLOSE, middle_and_reach_px
+from recon.io.video import Image
+from recon.show.overlay import clip_frames
+from recon.show.view.scene import BACKGROUND, CLOSE, CLOSEUP, PICTURE, Log, by_camera, middle_and_reach_px
 
 ASPECT = 2.4
 """Width to height of what is shown around the animal: of its place in the layout."""
@@ -35,11 +34,8 @@ def write_video(motion: Motion, log: Log, video: Path, first_frame: int = 0, num
     size_px = np.ceil([max(wide, ASPECT * high), max(high, wide / ASPECT)]).astype(int)
     whole, close = (f"{by_camera(root, motion.pictures)[number]}/video" for root in (PICTURE, CLOSEUP))
     log.fix(close, rr.Transform3D(translation=[*(-size_px / 2), 0.0]))
-    rows = {int(frame): t for t, frame in enumerate(motion.frames)}
-    first, last, read = min(rows), max(rows), 0
-    for index, image in read_frames(video, first - first_frame, last + 1 - first_frame):
-        read += 1
-        if (t := rows.get(index + first_frame)) is None:
+    for _, t, image in clip_frames(motion.frames, video, first_frame):
+        if t is None:
             continue
         log.send(whole, _jpeg(image), [t])
         if posed[t]:  # the animal's middle in the middle
@@ -47,10 +43,6 @@ def write_video(motion: Motion, log: Log, video: Path, first_frame: int = 0, num
             move = np.hstack([np.eye(2), off[:, None]])
             cut = cv2.warpAffine(image, move, size_px.tolist(), borderValue=BACKGROUND[::-1])
             log.send(close, _jpeg(np.asarray(cut, dtype=np.uint8)), [t])
-    if read < last + 1 - first:
-        found = f"{first - first_frame + read} frames that can be decoded"
-        expected = f"{last + 1 - first_frame} or more, for the playback's frames {first} to {last}"
-        raise InputError(Problem(video, "video", found, f"{expected}: the video of this clip, or --first-frame"))
 
 
 def _jpeg(image: Image) -> rr.ComponentColumnList:

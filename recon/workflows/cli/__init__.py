@@ -14,7 +14,7 @@ from recon.base.interrupts import Interrupts, installed
 from recon.workflows.cli.command import HELP, SettingsCommand, make_command
 from recon.workflows.cli.common import EXIT_BAD_INPUT, EXIT_UNSOLVED, error_text, stop, terminal
 
-_CORE, _ROBOTICS, _NET = "recon.workflows.", "recon.robotics.cli.", "recon.keypoint_net.cli."
+_CORE, _ROBOTICS, _NET = "recon.workflows.", "recon.robotics.cli.", "recon.keypoint_net."
 _THESIS = "recon.thesis.cli."
 COMMANDS = {
     "From a clip to its motion": {
@@ -40,9 +40,9 @@ COMMANDS = {
         "camera-advice": (_CORE + "camera_advice:camera_advice", "Where to put a camera, to see an angle or a joint."),
     },
     "Keypoints from video": {
-        "train": (_NET + "train:train", "Train a small keypoint network on a few labels."),
-        "predict": (_NET + "predict:predict", "Find the keypoints in every frame of a video."),
-        "evaluate-2d": (_NET + "evaluate_2d:evaluate_2d", "Compare keypoints with labels."),
+        "train": (_NET + "workflows:train_command", "Train a small keypoint network on a few labels."),
+        "predict": (_NET + "workflows:predict_command", "Find the keypoints in every frame of a video."),
+        "evaluate-2d": (_NET + "evaluate2d:evaluate_2d_command", "Compare keypoints with labels."),
     },
     "Models and priors": {
         "skeleton list": (_CORE + "skeleton_check:skeleton_list", "List the skeletons that come with the package."),

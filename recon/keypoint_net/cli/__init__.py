@@ -1,1 +1,0 @@
-"""The commands of the keypoint network, one module each."""
