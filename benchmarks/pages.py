@@ -28,7 +28,7 @@ from startup import SAMPLES, seconds
 
 from recon.base.documents import read_json
 from recon.workflows.batch import COLUMNS
-from recon.workflows.batch.summary import results_of, write_summary_page
+from recon.workflows.batch.plan import results_of, write_summary_page
 from recon.workflows.clip_results import run_clip
 from recon.workflows.settings import FitSettings
 

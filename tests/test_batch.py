@@ -40,7 +40,7 @@ from recon.workflows.batch import (
     plan_batch,
     run_batch,
 )
-from recon.workflows.batch.summary import read_rows
+from recon.workflows.batch.plan import read_rows
 from recon.workflows.cli import main
 from recon.workflows.clip_results import run_clip
 from recon.workflows.made_from import Record, digest

@@ -397,8 +397,8 @@ def test_which_way_is_up_is_said_once(folder, tmp_path):
     clip, out = settings(folder, 1, 2, tilt_deg=3.0), tmp_path / "out.toml"
     with pytest.raises(InputError) as error:
         run_extrinsics([replace(clip, refine_cameras=True)], out, level_rad=np.radians(1.0))
-    beside = "beside --set refine-cameras=true, where the camera file says which way is up, expected one of the two"
-    assert problems(error).splitlines() == [f"--tilt-deg: found 3 {beside}", f"--level-deg: found 1 {beside}"]
+    beside = "up: found a value beside --set refine-cameras=true, whose file says it, expected one of the two"
+    assert problems(error).splitlines() == [f"--tilt-deg: {beside}", f"--level-deg: {beside}"]
 
 
 def test_a_tilt_beside_poses_that_are_not_read(folder, tmp_path):

@@ -100,30 +100,21 @@ def read_labels(
         project = find_project(data)
         if data.is_file() and project is None:
             raise InputError(Problem("--labels", "file", "none", f"the label file (CSV or H5) of the video {data}"))
-        return _inside(_renamed(_read_project(data, project, individual), rename))
-    if data.is_dir():
+        read = _read_project(data, project, individual)
+    elif data.is_dir():
         raise InputError(Problem("--labels", "file", str(labels), f"none: the folder {data} has its own label files"))
-    return _inside(_renamed(_read_video(data, labels, first_frame, individual), rename))
-
-
-def _renamed(labels: Labels, rename: str | None) -> Labels:
-    if rename is None:
-        return labels
-    keep, names, note = new_names(labels.names, load_names(rename), labels.source)
-    return replace(labels, names=names, xy_px=labels.xy_px[:, keep], notes=(*labels.notes, note))
-
-
-def _inside(labels: Labels) -> Labels:
-    """Raises InputError where too many labels lie outside of their pictures to be theirs."""
-    sizes = np.array([picture.shape[1::-1] for picture in labels.pictures], float)[:, None]
-    outside = labels.labelled & ((labels.xy_px < -0.5) | (labels.xy_px > sizes - 0.5)).any(axis=2)
-    if outside.sum() > OUTSIDE * labels.labelled.sum():
+    else:
+        read = _read_video(data, labels, first_frame, individual)
+    if rename is not None:
+        keep, names, note = new_names(read.names, load_names(rename), read.source)
+        read = replace(read, names=names, xy_px=read.xy_px[:, keep], notes=(*read.notes, note))
+    sizes = np.array([picture.shape[1::-1] for picture in read.pictures], float)[:, None]
+    outside = read.labelled & ((read.xy_px < -0.5) | (read.xy_px > sizes - 0.5)).any(axis=2)
+    if outside.sum() > OUTSIDE * read.labelled.sum():  # too many to be the labels of these pictures
         i, k = np.argwhere(outside)[0]
-        found = (
-            f"{outside.sum()} of {labels.labelled.sum()} points outside, {labels.names[k]} in {labels.images[i]} first"
-        )
-        raise InputError(Problem(labels.source, "labels", found, "labels that lie in their pictures"))
-    return labels
+        found = f"{outside.sum()} of {read.labelled.sum()} points outside, {read.names[k]} in {read.images[i]} first"
+        raise InputError(Problem(read.source, "labels", found, "labels that lie in their pictures"))
+    return read
 
 
 def read_label_file(path: Path, individual: str | None = None) -> tuple[Keypoints, tuple[str, ...]]:

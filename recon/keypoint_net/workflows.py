@@ -27,6 +27,7 @@ from recon.keypoint_net.network import (
 from recon.keypoint_net.predict import LIKELY, PredictSettings, predict_video
 from recon.keypoint_net.report import write_training_report
 from recon.keypoint_net.train import CHECKPOINT_FILE, SPLIT, TrainSettings, prepare, train
+from recon.show.plain import picked
 from recon.workflows.cli.common import progress_bar, say, stop, terminal
 from recon.workflows.settings import RENAME
 
@@ -70,16 +71,8 @@ def train_command(settings: _TrainRunSettings, quiet: bool) -> None:
     console = terminal(quiet=quiet)
     try:
         with progress_bar(console) as progress:
-            report = run_training(
-                settings,
-                settings,
-                out,
-                device=settings.device,
-                threads=settings.threads,
-                resume=settings.resume,
-                overwrite=settings.overwrite,
-                progress=progress,
-            )
+            how = picked(settings, "device", "threads", "resume", "overwrite")
+            report = run_training(settings, settings, out, **how, progress=progress)
     except KeyboardInterrupt:
         message = "the same command with --resume goes on from the last checkpoint"
         if not (out / CHECKPOINT_FILE).is_file():

@@ -9,7 +9,6 @@ is that of all clips and adds to the mean of lengths and speeds, however many cl
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated
 
@@ -80,8 +79,6 @@ def compare(settings: _CompareSettings, as_json: bool, quiet: bool) -> None:
         with staged_folder(out) as staging:
             for name, table in ((STRIDES, pd.DataFrame(rows)), (CLIPS, clips), (GROUPS, groups)):
                 table.to_csv(staging / name, index=False)
-                if find_spec("pyarrow") is not None:  # of the extra [formats]
-                    table.to_parquet(staging / Path(name).with_suffix(".parquet"), index=False)
             comparison(clips, groups, list(QUANTITIES)).savefig(staging / FIGURE)
     if as_json:
         typer.echo(groups.to_json(orient="records", indent=1))

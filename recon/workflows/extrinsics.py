@@ -140,7 +140,11 @@ def run_extrinsics(
     posed, tilt_deg = bool(clips[0].refine_cameras), clips[0].tilt_deg
     given, *_ = all_of(
         lambda: all_of(*(lambda clip=clip: _each_alone(clip) for clip in clips)),
-        lambda: _require_one_up(posed, tilt_deg, level_rad),
+        lambda: refuse(
+            Problem(option, "up", "a value beside --set refine-cameras=true, whose file says it", "one of the two")
+            for option, value in (("--tilt-deg", tilt_deg), ("--level-deg", level_rad))
+            if posed and value is not None
+        ),
         lambda: require_free_file(out, overwrite, suffixes=(".toml",)),
     )
     cameras = _all_cameras(given)
@@ -289,14 +293,3 @@ def _all_cameras(given: Sequence[Sequence[ClipInputs]]) -> list[Camera]:
             expected = "the same in all clips"
             raise InputError(Problem("KEYPOINTS", f"camera {one.name}", "two lenses or poses of that name", expected))
     return list(cameras.values())
-
-
-def _require_one_up(posed: bool, tilt_deg: float | None, level_rad: float | None) -> None:
-    """Raises InputError for a tilt or a level beside poses that say which way is up."""
-    given = {"--tilt-deg": tilt_deg, "--level-deg": None if level_rad is None else math.degrees(level_rad)}
-    beside = "beside --set refine-cameras=true, where the camera file says which way is up"
-    refuse(
-        Problem(option, option[2:].replace("-", "_"), f"{value:g} {beside}", "one of the two")
-        for option, value in given.items()
-        if posed and value is not None
-    )

@@ -17,7 +17,7 @@ from recon.show.page.clip import clip_page
 from recon.show.page.render import jpeg
 from recon.show.report import REPORT
 from recon.workflows.batch.inputs import SUMMARY
-from recon.workflows.batch.summary import write_summary_page
+from recon.workflows.batch.plan import write_summary_page
 from recon.workflows.cli.common import error_text, progress_bar, say, terminal
 from recon.workflows.overlay import result_and_video, stills
 from recon.workflows.settings import ResultSettings

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any
 
 import numpy as np
 import typer
@@ -31,7 +31,6 @@ from recon.workflows.settings import ANYWAY
 
 Segment = tuple[str, Array, float]
 """Name, states (T, D), frames per second."""
-T = TypeVar("T")
 
 
 class PriorFitSettings(Settings):
@@ -121,11 +120,12 @@ def run_prior_fit(settings: PriorFitSettings) -> dict[str, Any]:
     folders, tables = [path for path in paths if path.is_dir()], [path for path in paths if not path.is_dir()]
     given, results, files, rates, *_ = all_of(
         lambda: _body(settings.skeleton, settings.subject, folders),
-        lambda: _by_path(partial(_motion, anyway=settings.anyway), folders),
-        lambda: _by_path(read_pose_segments, tables),
+        lambda: all_of(*(partial(_motion, path, settings.anyway) for path in folders)),
+        lambda: all_of(*(partial(read_pose_segments, path) for path in tables)),
         lambda: _rates(settings.fps, tables),
         lambda: require_free_file(settings.out, settings.overwrite, suffixes=(".npz",)),
     )
+    results, files = dict(zip(folders, results, strict=True)), dict(zip(tables, files, strict=True))
     body = _common_body(given, results)
     refuse(_problems_of_files(body, files, rates, settings.fps or "--fps"))
 
@@ -238,10 +238,6 @@ def _common_body(given: Body | None, results: Mapping[Path, Motion]) -> Body:
         found = ", ".join(f"{path}: {body.name}" for path, body in bodies.items())
         raise InputError(Problem("POSES", "skeleton", found, "the same for all, with the same angles"))
     return next(iter(bodies.values()))
-
-
-def _by_path(read: Callable[[Path], T], paths: Sequence[Path]) -> dict[Path, T]:
-    return dict(zip(paths, all_of(*(lambda path=path: read(path) for path in paths)), strict=True))
 
 
 def _motion(folder: Path, anyway: bool) -> Motion:

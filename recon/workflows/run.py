@@ -29,7 +29,7 @@ from recon.show.report import build_report, is_unsolved
 from recon.workflows.analyse import AnalyseSettings, run_analyse
 from recon.workflows.batch import Clip, ClipPlan, Summary, work_off
 from recon.workflows.batch.inputs import file_names
-from recon.workflows.batch.summary import results_of
+from recon.workflows.batch.plan import results_of
 from recon.workflows.cameras import size_problems
 from recon.workflows.cli.batch import shown_batch
 from recon.workflows.cli.command import OptionsOf

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -108,9 +109,11 @@ def run_subject_fit(settings: SubjectFitSettings) -> dict[str, Any]:
     all of them.
     """
     fits, _, known = all_of(
-        lambda: all_of(*(_reader(path) for path in settings.clips)),
+        lambda: all_of(
+            *(partial(read_config, path / CONFIG if path.is_dir() else path, {}) for path in settings.clips)
+        ),
         lambda: require_free_file(settings.out, settings.overwrite, suffixes=(".toml",)),
-        lambda: all_of(*(lambda path=path: read_pose3d(path) for path in settings.poses)),
+        lambda: all_of(*(partial(read_pose3d, path) for path in settings.poses)),
     )
     _require_one_skeleton(fits, settings.clips)
     if settings.lengths:  # those of a measured animal would be measured again
@@ -118,7 +121,7 @@ def run_subject_fit(settings: SubjectFitSettings) -> dict[str, Any]:
     if settings.offsets:
         fits = [replace(one, detector=NONE) for one in fits]
     each = zip(fits, settings.clips, known or (None,) * len(settings.clips), strict=True)
-    given = all_of(*(_setting_reader(*of) for of in each))
+    given = all_of(*(partial(_problem, *of) for of in each))
     shape = Shape.of(given[0].body, settings.lengths, settings.offsets)
     if known:
         shape = replace(shape, offset_sigma_m=POSED_OFFSET_SIGMA_M)
@@ -151,11 +154,6 @@ def run_subject_fit(settings: SubjectFitSettings) -> dict[str, Any]:
 # -- input --------------------------------------------------------------------------------------------------------
 
 
-def _reader(path: Path) -> Callable[[], FitSettings]:
-    config = path / CONFIG if path.is_dir() else path
-    return lambda: read_config(config, {})
-
-
 def _require_one_skeleton(settings: Sequence[FitSettings], clips: Sequence[Path]) -> None:
     names = {one.skeleton_name for one in settings}
     if len(names) > 1:
@@ -163,26 +161,22 @@ def _require_one_skeleton(settings: Sequence[FitSettings], clips: Sequence[Path]
         raise InputError(Problem("CLIPS", "skeleton", found, "clips of the same skeleton"))
 
 
-def _setting_reader(settings: FitSettings, path: Path, pose: Pose3D | None) -> Callable[[], ClipProblem]:
-    def read() -> ClipProblem:
-        if settings.method != "trajectory":
-            raise InputError(Problem(path, "method", settings.method, "the trajectory method"))
-        given = prepare(settings)
-        if given.body.one_sided:
-            expected = "a whole animal: a chain's lengths stand in its own skeleton file"
-            raise InputError(Problem(path, "skeleton", given.body.name, expected))
-        views, options = views_of(given.sources), settings.trajectory_options()
-        setting = ClipProblem.of(views, given.body, given.prior, given.fps, options)
-        if not setting.shows_size:
-            found = f"one camera that stands still, {given.sources[0].camera.name}"
-            raise InputError(
-                Problem(path, "cameras", found, "several cameras, or a moving one: one cannot tell lengths")
-            )
-        if pose is None:
-            return setting
-        return replace(setting, known=_states_known(setting, given.sources[0].keypoints.frames, pose))
-
-    return read
+def _problem(settings: FitSettings, path: Path, pose: Pose3D | None) -> ClipProblem:
+    """A clip from which the animal can be measured. Raises InputError for others."""
+    if settings.method != "trajectory":
+        raise InputError(Problem(path, "method", settings.method, "the trajectory method"))
+    given = prepare(settings)
+    if given.body.one_sided:
+        expected = "a whole animal: a chain's lengths stand in its own skeleton file"
+        raise InputError(Problem(path, "skeleton", given.body.name, expected))
+    views, options = views_of(given.sources), settings.trajectory_options()
+    problem = ClipProblem.of(views, given.body, given.prior, given.fps, options)
+    if not problem.shows_size:
+        found = f"one camera that stands still, {given.sources[0].camera.name}"
+        raise InputError(Problem(path, "cameras", found, "several cameras, or a moving one: one cannot tell lengths"))
+    if pose is None:
+        return problem
+    return replace(problem, known=_states_known(problem, given.sources[0].keypoints.frames, pose))
 
 
 def _states_known(setting: ClipProblem, frames: Integers, pose: Pose3D) -> Array:

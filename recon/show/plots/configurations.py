@@ -14,7 +14,7 @@ from recon.animal.chain import UVW_BODY
 from recon.base.arrays import Array, Index
 from recon.gait.gait import Plane
 from recon.geometry.kinematics import ROOT
-from recon.show.plots.style import COLOURS, GREY, PAGE_MM, SMALL, WIDTH_MM, blank, drawing, time_colours
+from recon.show.plots.style import COLOURS, GREY, PAGE_MM, SMALL, WIDTH_MM, drawing, time_colours
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -53,8 +53,7 @@ def composites(
     rows = chosen(joints_m, limbs)
     if not len(rows):
         with drawing(40, title=title) as figure:
-            blank(figure.subplots())
-        return figure
+            return figure
     from matplotlib.cm import ScalarMappable
 
     R, origin = run_frame(joints_m, rows)
@@ -193,8 +192,7 @@ def _figure(
     rows = chosen(joints_m, every)
     if not len(rows):
         with drawing(40.0, title=title) as figure:
-            blank(figure.subplots())
-        return figure
+            return figure
     shown, placed = joints_m[rows], []
     top = 4.0 + 6.0 * bool(title)
     for name, limbs in groups.items():

@@ -21,8 +21,19 @@ from recon.show.page import SUMMARY_PAGE, require_own_page
 from recon.show.report import is_unsolved
 from recon.workflows.batch.cluster import carry_out_on_cluster
 from recon.workflows.batch.inputs import Clip, find_clips
-from recon.workflows.batch.plan import RECORD, ClipPlan, check_shared, input_problems, plan_batch, repeated
-from recon.workflows.batch.summary import COLUMNS, STATUSES, Summary, results_of, write_summary_page
+from recon.workflows.batch.plan import (
+    COLUMNS,
+    RECORD,
+    STATUSES,
+    ClipPlan,
+    Summary,
+    check_shared,
+    input_problems,
+    plan_batch,
+    repeated,
+    results_of,
+    write_summary_page,
+)
 from recon.workflows.clip import fit_clip
 from recon.workflows.clip_results import write_clip
 from recon.workflows.made_from import Record, digest
