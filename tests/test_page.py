@@ -17,6 +17,7 @@ from urllib.parse import quote, unquote
 import numpy as np
 import pytest
 from command_line import carry_out_here, run
+from markupsafe import Markup
 from motions import with_first
 
 from recon import FitSettings, InputError, write_clip
@@ -25,7 +26,7 @@ from recon.check import findings_of
 from recon.fit import Motion
 from recon.io.video import video_writer
 from recon.show.page.clip import _solid, clip_page, doubtful_frames
-from recon.show.page.render import inline
+from recon.show.page.render import _without_direction, inline
 from recon.show.plots.angles import angle_over_time, together
 from recon.show.plots.style import drawing
 from recon.show.report import TO_DO, build_report
@@ -141,6 +142,12 @@ def test_a_browser_shows_all_of_a_page(page, tmp_path, wide, scheme):
     assert found <= max(wide, 500)  # a window has at least that in some versions
     assert drawn
     assert said.startswith("frame 13")
+
+
+def test_marks_of_direction_are_shown_as_codes():
+    assert _without_direction("a\u202egnp.exe") == r"a\u202egnp.exe"
+    assert isinstance(_without_direction(Markup("<b>\u2067</b>")), Markup)
+    assert _without_direction("Jürgen: 3\u00a0m") == "Jürgen: 3\u00a0m"
 
 
 def test_a_page_says_what_the_report_says(page, folder):

@@ -61,14 +61,11 @@ def evaluate_2d_files(predicted: Path, labels: Path, **options: Any) -> dict[str
     in common."""
     o = Evaluate2DSettings(predicted=predicted, labels=labels, **options)
 
-    def read() -> Keypoints:
-        return read_label_file(labels, o.individual)[0]
-
     def read_predicted() -> Keypoints:
         keypoints = mark_missing(read_keypoints(predicted, o.individual))[0]
         return keypoints if o.rename is None else renamed(keypoints, load_names(o.rename))
 
-    guess, truth = all_of(read_predicted, read)
+    guess, (truth, _) = all_of(read_predicted, lambda: read_label_file(labels, o.individual))
     common = [name for name in truth.names if name in guess.names]
     problems = []
     if not common:

@@ -14,16 +14,15 @@ from typing import Any
 
 import cv2
 import numpy as np
+import pandas as pd
 
 from recon import __version__
 from recon.base.arrays import Array, Integers, mean, median
 from recon.base.files import write_bytes
-from recon.io import write_rows
 from recon.io.video import Image
 from recon.keypoint_net.evaluate2d import evaluate_2d, reliability
-from recon.keypoint_net.labels import Labels, extents_px, frames_by_part, sides
+from recon.keypoint_net.labels import Labels, extents_px, frames_by_part
 from recon.keypoint_net.network import TrainedNetwork, calibrated, require_torch
-from recon.keypoint_net.pictures import crop_size
 from recon.keypoint_net.predict import colours
 from recon.keypoint_net.train import State, TrainingRun, calibrated_spec, judge
 from recon.show.overlay import draw_circle, draw_line, draw_text
@@ -69,16 +68,11 @@ def write_training_report(run: TrainingRun, state: State, folder: Path) -> dict[
         "threads": state.threads,
         "source": run.labels.source,
         "keypoints": list(spec.names),
-        "mirror_partners": {
-            n: spec.names[p] for n, p in zip(spec.names, sides(spec.names), strict=True) if spec.names[p] != n
-        },
         "parameters": sum(p.numel() for p in state.network.parameters()),
         "scale": spec.scale,
         "first_stage_scale": spec.first,
-        "training_picture_px": list(crop_size(run.scaled, spec.first)),
         "body_length_px": spec.body_length_px,
         "tolerance_px": spec.tolerance_px,
-        "still_background": [b is not None for b in run.still],
         "settings": run.settings.of_training(),
         "split": frames_by_part(run.labels, split),
         "labelled_points": {name: int(run.labels.labelled[which].sum()) for name, which in split.items()},
@@ -114,14 +108,11 @@ def _finish_step(history: list[dict[str, float]]) -> int | None:
 
 
 def _write_suspects(suspects: list[dict[str, Any]], path: Path) -> None:
-    rows = []
-    for s in suspects:
-        values = ["" if np.isnan(s[name]) else f"{s[name]:.3f}" for name in ("rank", "network", "others")]
-        rows.append(
-            [s["image"], s["keypoint"], f"{s['x_px']:.2f}", f"{s['y_px']:.2f}", *values, "; ".join(s["reasons"])]
-        )
-    header = ["image", "keypoint", "x_px", "y_px", "rank", "network", "others", "reasons"]
-    write_rows(path, [header], rows)
+    digits = {"x_px": 2, "y_px": 2, "rank": 3, "network": 3, "others": 3}
+    table = pd.DataFrame(suspects, columns=["image", "keypoint", *digits, "reasons"])
+    for name, count in digits.items():
+        table[name] = ["" if np.isnan(value) else f"{value:.{count}f}" for value in table[name]]
+    table.assign(reasons=table["reasons"].map("; ".join)).to_csv(path, index=False)
 
 
 def _write_worst(labels: Labels, errors: Array, xy_px: Array, which: Integers, path: Path) -> None:

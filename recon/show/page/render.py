@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import re
 from datetime import date
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import cv2
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
+from recon.base.errors import printable
 from recon.base.package import version
 from recon.io.video import Image
 from recon.show.page import GENERATED
@@ -20,6 +22,8 @@ if TYPE_CHECKING:
 
 JPEG_QUALITY = 80
 PNG_DPI = 190.0
+DIRECTION = re.compile("[\u061c\u200e\u200f\u202a-\u202e\u2066-\u2069]")
+"""Characters for the direction of text, as in names of files."""
 
 
 def rendered(template: str, **content: Any) -> str:
@@ -28,11 +32,19 @@ def rendered(template: str, **content: Any) -> str:
         loader=FileSystemLoader(Path(__file__).parent / "templates"),
         autoescape=True,
         undefined=StrictUndefined,
+        finalize=_without_direction,
         trim_blocks=True,
         lstrip_blocks=True,
     )
     given = {"generated": GENERATED, "version": version(), "today": date.today().isoformat()}
     return environment.get_template(template).render(given | content)
+
+
+def _without_direction(value: Any) -> Any:
+    """Text with codes in place of marks that would turn what follows the other way."""
+    if not isinstance(value, str) or not DIRECTION.search(value):
+        return value
+    return type(value)(DIRECTION.sub(lambda mark: printable(mark[0]), value))
 
 
 def inline(figure: Figure, largest: int) -> str:

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _ROW_MM, _REST_MM = 3.3, 34.0
+_SHARES = f"share of the precision that comes from the pixels;  grey: less than {MEASURED_SHARE:g}, mostly expected"
 
 
 def share_colours() -> ListedColormap:
@@ -51,9 +52,7 @@ def observability(body: Body, share: Array, time_s: Array, title: str = "") -> F
             label.set_color(colour)
         axes.set_xlabel("time (s);  right: median over these frames")
         bar = figure.colorbar(image, ax=axes, location="bottom", aspect=60, pad=0.01, shrink=0.7)
-        bar.set_label(
-            f"share of the precision that comes from the pixels;  grey: less than {MEASURED_SHARE:g}, mostly expected"
-        )
+        bar.set_label(_SHARES)
     return figure
 
 
@@ -76,10 +75,7 @@ def camera_advice(found: Sequence[Advice]) -> Figure:
                 axes.set_title(f"camera {number}" + (", with the first (+)" if number > 1 else ""), loc="left", pad=3)
         panels[-1].set_xlabel("azimuth about the animal, from above counter-clockwise")
         bar = figure.colorbar(panels[-1].get_images()[0], ax=panels.tolist(), location="bottom", aspect=60, shrink=0.7)
-        bar.set_label(
-            f"share of the precision that comes from the pixels;  grey: less than {MEASURED_SHARE:g}, mostly expected\n"
-            "black frame: the best place;  ±: one sigma"
-        )
+        bar.set_label(f"{_SHARES}\nblack frame: the best place;  ±: one sigma")
     return figure
 
 
