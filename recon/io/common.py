@@ -96,7 +96,9 @@ def choose(path: Path, animals: Sequence[str], individual: str | None, seen: Ite
     """Which of a file's animals is meant; the only one may be unnamed, "". seen: whether each has a point anywhere, by
     default all; those without any are no choice, but may be named. Raises InputError for a name that the file lacks, or
     none where there are several."""
-    empty = [] if seen is None else [name for name, points in zip(animals, seen, strict=True) if not points]
+    if len(animals) == 1 or seen is None:  # a look at all points takes time and memory
+        seen = [True] * len(animals)
+    empty = [name for name, points in zip(animals, seen, strict=True) if not points]
     choice = [name for name in animals if name not in empty] or list(animals)
     if individual is None and len(choice) == 1:
         return animals.index(choice[0])
@@ -161,15 +163,15 @@ def points_of_arrays(
     called = list(animals) or ([""] if N == 1 else [f"track_{n}" for n in range(N)])
     there = np.ones((T, N), dtype=bool) if occupied is None else occupied > 0
     which = choose(path, called, individual, (bool(np.isfinite(values[there[:, n], n]).any()) for n in range(N)))
-    rows = np.flatnonzero(there[:, which])
-    if not len(rows):
+    rows = slice(None) if there[:, which].all() else there[:, which]
+    if not there[:, which].any():
         raise InputError(Problem(path, "frames", "none with the animal", "at least one"))
     named = bool(len(animals)) and (N > 1 or called[0] not in UNNAMED)
     return StoredPoints(
         tuple(names) or numbered_names(K),
-        values[rows, which].astype(float),
+        values[rows, which].astype(float, copy=False),
         frames[rows].astype(np.int64),
-        None if likelihood is None else likelihood[rows, which].astype(float),
+        None if likelihood is None else likelihood[rows, which].astype(float, copy=False),
         individual=called[which] if named else None,
         notes=notes if len(names) else (*notes, UNNAMED_POINTS),
         **more,
@@ -198,6 +200,8 @@ def numbers(cells: Iterable[object]) -> tuple[np.ndarray, list[int]]:
     cells, values, wrong = list(cells), [], []
     with suppress(ValueError, TypeError):  # the usual case, and several times as fast
         joined = "".join(cells)  # type: ignore[arg-type]
+        if not joined:  # nothing was seen, as in most of a long recording
+            return np.full(len(cells), np.nan), []
         if "_" not in joined and joined.isascii():
             found = np.array([float(cell) if cell else np.nan for cell in cells])  # type: ignore[arg-type]
             return found, np.flatnonzero(np.isinf(found)).tolist()

@@ -147,8 +147,9 @@ def points_of_table(
         notes += (f"Left out, because they are no part of an animal: {', '.join(left_out)}.",)
     order = np.argsort(frames, kind="stable")
     if (np.diff(order) < 0).any():
+        values = values[order]
         notes += ("The rows were not in the order of their frame numbers and have been sorted.",)
-    names, points = _points(path, [(j, *columns[j][1:]) for j in of_animal[animal]], values[order])
+    names, points = _points(path, [(j, *columns[j][1:]) for j in of_animal[animal]], values)
     scorer, fps = _without_fps(named[0]["scorer"]) if "scorer" in named[0] else (None, None)
     likelihood, in_space = None, any(columns[j][2] == "z" for j in of_animal[animal])
     if not in_space:

@@ -57,7 +57,7 @@ def points_of_dataset(source: Path, dataset: Any, fps: float | None, individual:
     """The same from an `xarray.Dataset`. fps: what it is to be taken for. Raises InputError."""
     stored = {
         name.removesuffix("s"): _Variable(
-            tuple(str(dim).removesuffix("s") for dim in dataset[name].dims), dataset[name].to_numpy()
+            tuple(str(dim).removesuffix("s") for dim in dataset[name].dims), dataset[name].to_numpy().copy()
         )
         for name in VARIABLES
         if name in dataset.variables

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from array import array
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -43,7 +44,7 @@ def number_rows(
     """Rows with the numbers of their lines: of each the first `index` cells, which are texts, and the others as numbers
     (T, C), one for each of `columns`, NaN for an empty cell; and what is wrong with them."""
     texts: list[list[str]] = []
-    values: list[np.ndarray] = []
+    values = array("d")  # one buffer that grows: a long recording has millions of numbers
     problems: list[Problem] = []
     width = index + len(columns)
     for line, row in rows:
@@ -56,8 +57,8 @@ def number_rows(
             for j in wrong
         ]
         texts.append(row[:index])
-        values.append(found)
-    return texts, np.array(values).reshape(len(values), len(columns)), problems
+        values.frombytes(found.tobytes())
+    return texts, np.frombuffer(values).reshape(len(texts), len(columns)), problems
 
 
 def write_table(path: Path, header: Iterable[Sequence[str]], frames: np.ndarray, values: np.ndarray) -> None:
