@@ -1,7 +1,6 @@
 """Many tasks beside each other, each in a process: one whose process dies takes no other with it.
 
-Each process has an executor of `concurrent.futures` of its own, because all that an executor has under way is lost
-when one of its processes dies.
+A pool of `concurrent.futures` loses all that it has under way when one of its processes dies, and hears of no progress.
 """
 
 from __future__ import annotations
@@ -13,13 +12,12 @@ import signal
 import sys
 import threading
 import time
+import traceback
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
-from multiprocessing.connection import Connection
+from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import ModuleType
@@ -88,7 +86,6 @@ def carry_out(
     *,
     jobs: int | None = None,
     retries: int = 0,
-    now_and_then: Callable[[], None] = lambda: None,
 ) -> None:
     """All tasks, each with its name, in processes of this machine with one thread each; what happens is told.
 
@@ -97,13 +94,11 @@ def carry_out(
     an exception, as at Ctrl-C, the processes are stopped, which takes seconds, and what ended before is told. Raises
     InputError where processes cannot be started.
     """
-    others = multiprocessing.active_children()
     waiting = deque((name, task, 1) for name, task in tasks)
-    underway: dict[Future[dict[str, Any]], tuple[_Process, str, Any, int]] = {}
-    complete = False
+    underway: dict[Any, tuple[_Process, str, Any, int]] = {}
 
     def begin(process: _Process, name: str, task: Any, attempt: int) -> None:
-        underway[process.submit(work, task)] = process, name, task, attempt
+        underway[process.give(work, task)] = process, name, task, attempt
         tell(Event("progress", name, process.pid, STARTING))
 
     with TemporaryDirectory(ignore_cleanup_errors=True) as logs:
@@ -112,100 +107,94 @@ def carry_out(
             for process in processes:
                 begin(process, *waiting.popleft())
             while underway:
-                done, _ = wait(underway, TICK_S, FIRST_COMPLETED)
-                for process, name, *_ in underway.values():
-                    for stage, share in process.messages():
-                        tell(Event("progress", name, process.pid, stage, share))
-                for future in done:
-                    process, name, task, attempt = underway.pop(future)
-                    error = future.exception()
-                    if error is not None and attempt <= retries:
-                        process.fault(error)
+                for channel in wait(list(underway), TICK_S):
+                    process, name, task, attempt = underway[channel]
+                    heard = process.heard()
+                    if isinstance(heard, tuple):
+                        tell(Event("progress", name, process.pid, *heard))
+                        continue
+                    del underway[channel]
+                    if "log" in heard and attempt <= retries:
                         begin(process, name, task, attempt + 1)
                         continue
-                    outcome = future.result() if error is None else process.fault(error)
-                    tell(Event("ended", name, outcome={**outcome, "attempts": attempt}))
+                    tell(Event("ended", name, outcome={**heard, "attempts": attempt}))
                     if waiting:
                         begin(process, *waiting.popleft())
-                now_and_then()
-            complete = True
         finally:
-            ours = [one for one in multiprocessing.active_children() if one not in others]
-            _end(processes, ours, now=not complete)
-            for future, (_, name, _, attempt) in underway.items():
-                if future.done() and not future.cancelled() and future.exception() is None:
-                    tell(Event("ended", name, outcome={**future.result(), "attempts": attempt}))
-
-
-def _end(processes: Sequence[_Process], ours: Sequence[Any], now: bool) -> None:
-    """Let the processes end; now: what they do is stopped, and cleans up."""
-    kill = threading.Timer(STOP_S, lambda: [one.kill() for one in ours])
-    kill.daemon = True
-    if now:
-        for one in ours:
-            one.terminate()
-        kill.start()
-    for process in processes:
-        process.end()
-    kill.cancel()
+            for process in processes:
+                process.stop()
+            until_s = time.monotonic() + STOP_S
+            for process in processes:
+                process.join(until_s)
+            for process, name, _, attempt in underway.values():
+                while isinstance(heard := process.heard(), tuple):
+                    pass
+                if "log" not in heard:
+                    tell(Event("ended", name, outcome={**heard, "attempts": attempt}))
 
 
 class _Process:
-    """An executor of one process, which is started when it is needed, again when it died, and anew now and then."""
+    """A process that does one task at a time, started when it is needed, again when it died, and anew now and then."""
 
     def __init__(self, log: Path) -> None:
         self._log = log
-        self._executor: ProcessPoolExecutor | None = None
-        self._process: Any = None
+        self._process: multiprocessing.process.BaseProcess | None = None
         self._tasks = 0
 
     @property
     def pid(self) -> int | None:
         return None if self._process is None else self._process.pid
 
-    def submit(self, work: Work, task: Any) -> Future[dict[str, Any]]:
-        if self._executor is not None and self._tasks < TASKS_PER_PROCESS:
-            self._tasks += 1
-            return self._executor.submit(_in_process, work, task)
-        self.end(wait=False)
+    def give(self, work: Work, task: Any) -> Connection:
+        """Begin a task; what becomes of it comes through the channel."""
+        if self._process is None or self._tasks == TASKS_PER_PROCESS:
+            self._start()
+        self._tasks += 1
+        with suppress(OSError):  # it is dead, as its channel says
+            self._channel.send((work, task))
+        return self._channel
+
+    def _start(self) -> None:
+        if self._process is not None:
+            self._channel.close()  # upon which it ends
         context = multiprocessing.get_context("spawn")  # others cannot be started beside threads
-        self._messages, theirs = context.Pipe(duplex=False)
-        self._tasks = 1
-        self._executor = ProcessPoolExecutor(1, context, _begin, (theirs, str(self._log)))
-        before = multiprocessing.active_children()
+        self._channel, theirs = context.Pipe()
+        self._process, self._tasks = context.Process(target=_work_off, args=(theirs, self._log)), 0
         try:
             with _alone():
-                future = self._executor.submit(_in_process, work, task)
+                self._process.start()
         except OSError as error:
+            self._process = None
             raise InputError(Problem("processes", "start", str(error), "a system that can start another one")) from None
-        self._process = next(one for one in multiprocessing.active_children() if one not in before)
         theirs.close()
-        return future
 
-    def messages(self) -> Iterator[tuple[str, float]]:
-        """Progress of the task, as far as it has not been asked for."""
+    def heard(self) -> tuple[str, float] | dict[str, Any]:
+        """The task's next progress, or its outcome, also where the process died of it."""
         try:
-            while self._messages.poll():
-                yield self._messages.recv()
-        except (EOFError, OSError):  # it is dead
-            pass
+            return self._channel.recv()
+        except (EOFError, OSError):
+            return self._death()
 
-    def fault(self, error: BaseException) -> dict[str, Any]:
-        """The outcome of a task that raised this, or whose process died."""
-        if not isinstance(error, BrokenProcessPool):
-            return _failure(f"crashed: {type(error).__name__}: {error}", str(error.__cause__ or ""))
-        self.end()
+    def _death(self) -> dict[str, Any]:
+        assert self._process is not None
+        self._process.join()
         code, log = self._process.exitcode or 0, self._last_words()
+        self._process = None
         if code < 0:
             memory = ", as the system does when memory runs out" if -code == getattr(signal, "SIGKILL", 9) else ""
             return _failure(f"was killed ({signal.Signals(-code).name}{memory})", log)
         return _failure(f"crashed: {(log.strip().splitlines() or ['no word'])[-1]}", log)
 
-    def end(self, wait: bool = True) -> None:
-        """Let the process go once it has done its task; `submit` starts another one."""
-        if self._executor is not None:
-            self._executor.shutdown(wait, cancel_futures=True)
-            self._executor = None
+    def stop(self) -> None:
+        """What it does is stopped, and cleans up; one that waits for a task just ends."""
+        if self._process is not None:
+            self._process.terminate()
+
+    def join(self, until_s: float) -> None:
+        if self._process is not None:
+            self._process.join(max(0.0, until_s - time.monotonic()))
+            self._process.kill()
+            self._process.join()
 
     def _last_words(self) -> str:
         text = self._log.read_bytes()[-LOG_BYTES:] if self._log.exists() else b""
@@ -233,13 +222,10 @@ def _alone() -> Iterator[None]:
 
 # -- in the process ---------------------------------------------------------------------------------------------------
 
-_parent: Connection | None = None
-"""Where progress goes."""
 
-
-def _begin(messages: Connection, log: str) -> None:
-    """Before anything else is imported: one thread for each library, and what is printed goes into the log."""
-    global _parent
+def _work_off(channel: Connection, log: Path) -> None:
+    """Task after task, until there is nobody to give one. One thread for each library, before any is imported; what is
+    printed goes into the log."""
     os.environ.update(ONE_THREAD)
     if hasattr(os, "setsid"):
         os.setsid()  # a session of its own, which systems give a fair share of the processor
@@ -250,7 +236,21 @@ def _begin(messages: Connection, log: str) -> None:
     os.dup2(file, 2)
     faulthandler.enable()
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    _parent = messages
+    told_s = 0.0
+
+    def progress(stage: str, share: float) -> None:
+        nonlocal told_s
+        if time.monotonic() - told_s > TELL_S:
+            told_s = time.monotonic()
+            channel.send((stage, share))
+
+    with suppress(EOFError):
+        while True:
+            work, task = channel.recv()
+            try:
+                channel.send(outcome_of(work, task, progress))
+            except Exception as error:
+                channel.send(_failure(f"crashed: {type(error).__name__}: {error}", traceback.format_exc()))
 
 
 def _end_with_parent() -> None:
@@ -259,15 +259,3 @@ def _end_with_parent() -> None:
     if parent is not None:
         parent.join()
         os._exit(0)
-
-
-def _in_process(work: Work, task: Any) -> dict[str, Any]:
-    last_s = 0.0
-
-    def progress(stage: str, share: float) -> None:
-        nonlocal last_s
-        if _parent is not None and time.monotonic() - last_s > TELL_S:
-            last_s = time.monotonic()
-            _parent.send((stage, share))
-
-    return outcome_of(work, task, progress)
