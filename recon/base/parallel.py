@@ -18,6 +18,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection, wait
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import ModuleType
@@ -138,7 +139,7 @@ class _Process:
 
     def __init__(self, log: Path) -> None:
         self._log = log
-        self._process: multiprocessing.process.BaseProcess | None = None
+        self._process: BaseProcess | None = None
         self._tasks = 0
 
     @property
@@ -159,14 +160,14 @@ class _Process:
             self._channel.close()  # upon which it ends
         context = multiprocessing.get_context("spawn")  # others cannot be started beside threads
         self._channel, theirs = context.Pipe()
-        self._process, self._tasks = context.Process(target=_work_off, args=(theirs, self._log)), 0
+        process = context.Process(target=_work_off, args=(theirs, self._log))
         try:
             with _alone():
-                self._process.start()
+                process.start()
         except OSError as error:
-            self._process = None
             raise InputError(Problem("processes", "start", str(error), "a system that can start another one")) from None
         theirs.close()
+        self._process, self._tasks = process, 0
 
     def heard(self) -> tuple[str, float] | dict[str, Any]:
         """The task's next progress, or its outcome, also where the process died of it."""
