@@ -9,10 +9,9 @@ EVALUATIONS = 3
 
 def narrow_networks(patch: pytest.MonkeyPatch) -> None:
     """Networks as deep as those of users, but narrow, judged three times in a run, and the same on every machine."""
-    from recon.keypoint_net import network, predict, train
+    from recon.keypoint_net import network, train
 
     for name, value in (("WIDTHS", (4, 8, 12, 16, 16)), ("SECOND_WIDTHS", (4, 8, 12, 16)), ("HEAD", 8)):
         patch.setattr(network, name, value)
     patch.setattr(train, "EVALUATIONS", EVALUATIONS)
-    for module in (train, predict):
-        patch.setattr(module, "fast_half", lambda device: None)
+    patch.setattr(network, "fast_half", lambda device: None)

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
+import pandas as pd
 import typer
 from rich.table import Table
 from rich.text import Text
@@ -73,22 +74,16 @@ def evaluate_2d_files(predicted: Path, labels: Path, **options: Any) -> dict[str
         lines = tuple(map_to_write(guess.names, truth.names))
         problems.append(Problem(predicted, "keypoints", ", ".join(guess.names), expected, lines))
     low, high = parse_frame_range(o.frames) if o.frames else (None, None)
-    row = {int(n) + o.first_frame: t for t, n in enumerate(guess.frames)}
-    both = [
-        (row[int(n)], t)
-        for t, n in enumerate(truth.frames)
-        if int(n) in row and (low is None or n >= low) and (high is None or n < high)
-    ]
-    if not both:
-        found = (
-            f"frames {guess.frames[0] + o.first_frame} to {guess.frames[-1] + o.first_frame}, in the labels' numbers"
-        )
-        expected = (
-            f"some of the labels' frames {truth.frames[0]} to {truth.frames[-1]} that are asked for; --first-frame"
-        )
+    numbers = guess.frames + o.first_frame  # as the labels count
+    asked = (truth.frames >= (-np.inf if low is None else low)) & (truth.frames < (np.inf if high is None else high))
+    rows_t = np.flatnonzero(asked & np.isin(truth.frames, numbers))
+    if not len(rows_t):
+        first, last = truth.frames[[0, -1]]
+        expected = f"some of the labels' frames {first} to {last} that are asked for; --first-frame"
+        found = f"frames {numbers[0]} to {numbers[-1]}, in the labels' numbers"
         problems.append(Problem(predicted, "frames", found, expected))
     refuse(problems)
-    rows_g, rows_t = map(list, zip(*both, strict=True))
+    rows_g = pd.Index(numbers).get_indexer(truth.frames[rows_t])
     g, t = [guess.names.index(n) for n in common], [truth.names.index(n) for n in common]
     return evaluate_2d(
         tuple(common),

@@ -21,15 +21,8 @@ from recon.base.errors import InputError, Problem
 from recon.base.settings import Count, Option, Settings
 from recon.clip.keypoints import Keypoints
 from recon.io.video import Image, VideoInfo, probe, read_frames, video_writer
+from recon.keypoint_net import network as net
 from recon.keypoint_net.labels import resize
-from recon.keypoint_net.network import (
-    DEVICE,
-    THREADS,
-    TrainedNetwork,
-    calibrated,
-    fast_half,
-    use_threads,
-)
 from recon.keypoint_net.pictures import ahead, background_of_video
 from recon.show.overlay import Colour, draw_circle
 
@@ -55,21 +48,21 @@ class PredictSettings(Settings):
     overlay: Annotated[
         Path | None, Option("A new video with the points drawn, .mp4 (MPEG-4) or .avi (Motion JPEG).")
     ] = None
-    device: Annotated[str, DEVICE] = "auto"
-    threads: Annotated[Count | None, THREADS] = None
+    device: Annotated[str, net.DEVICE] = "auto"
+    threads: Annotated[Count | None, net.THREADS] = None
     partial: Annotated[bool, Option("Accept a video of which fewer frames can be decoded than it states.")] = False
     overwrite: Annotated[bool, Option("Replace files that are there.")] = False
 
 
-def predict_video(trained: TrainedNetwork, settings: PredictSettings, progress: Progress = silent) -> Keypoints:
+def predict_video(trained: net.TrainedNetwork, settings: PredictSettings, progress: Progress = silent) -> Keypoints:
     """Every frame's points as the network sees them, without smoothing, with calibrated likelihoods. Raises
     InputError."""
     video, spec = settings.video, trained.spec
     info = probe(video)
     progress("background", 0.0)
     background = background_of_video(video, spec.scale)
-    half = fast_half(trained.device)
-    use_threads(settings.threads)
+    half = net.fast_half(trained.device)
+    net.use_threads(settings.threads)
     numbers: list[int] = []
     xy_px: list[NDArray[np.float32]] = []
     likelihood: list[NDArray[np.float32]] = []
@@ -82,7 +75,7 @@ def predict_video(trained: TrainedNetwork, settings: PredictSettings, progress: 
         made = _chunks(video, info, spec.scale, keep=write is not None)
         for of_chunk, pictures, originals in stack.enter_context(closing(ahead(made, 1 + WAITING))):
             xy, raw = trained.points(pictures, background, half)
-            sure = calibrated(raw, spec.calibration)
+            sure = net.calibrated(raw, spec.calibration)
             numbers += of_chunk
             xy_px.append(xy.astype(np.float32))
             likelihood.append(sure.astype(np.float32))

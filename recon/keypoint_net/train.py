@@ -29,41 +29,9 @@ from recon.base.arrays import Array, Bools, Integers
 from recon.base.errors import InputError, Problem, refuse
 from recon.base.settings import Count, Integer, Number, Option, Settings
 from recon.io.video import Image
+from recon.keypoint_net import network as net
+from recon.keypoint_net import pictures
 from recon.keypoint_net.labels import Labels, body_length_px, frames_by_part, resize, sides
-from recon.keypoint_net.network import (
-    MODEL_FILE,
-    STRIDE,
-    Calibration,
-    Spec,
-    TrainedNetwork,
-    as_input,
-    calibrated,
-    fast_half,
-    fit_calibration,
-    load_torch,
-    loss,
-    new_network,
-    placed,
-    places,
-    require_torch,
-    save_model,
-    save_torch,
-    stages,
-    use_threads,
-)
-from recon.keypoint_net.pictures import (
-    NETWORK_LENGTH_PX,
-    OFF,
-    PART_PX,
-    Augmentation,
-    Batch,
-    backgrounds,
-    batches,
-    crop_size,
-    examples_of,
-    make_batch,
-    network_scales,
-)
 from recon.show.plain import to_plain
 
 if TYPE_CHECKING:
@@ -114,7 +82,7 @@ class TrainingRun:
     """What stays the same from step to step; pictures are at the network's scale."""
 
     settings: TrainSettings
-    spec: Spec
+    spec: net.Spec
     labels: Labels
     scaled: Labels
     split: dict[str, Integers]
@@ -140,7 +108,7 @@ class State:
     """The share of the run that is done; it decides the learning rate."""
     seconds: float = 0.0
     """The time that all its parts have taken."""
-    calibration: Calibration | None = None
+    calibration: net.Calibration | None = None
     judged: tuple[list[float], list[bool]] = ([], [])
     """The calibrated likelihoods of the labelled validation points, and which of them are right."""
     history: list[dict[str, float]] = field(default_factory=list)
@@ -157,12 +125,12 @@ class State:
 
 def prepare(labels: Labels, split: dict[str, Integers], settings: TrainSettings, device: torch.device) -> TrainingRun:
     known = np.concatenate([split["train"], split["validation"]])
-    scale, first = network_scales(labels.xy_px[known])
+    scale, first = pictures.network_scales(labels.xy_px[known])
     length = body_length_px(labels.xy_px[known])
     length = length if np.isfinite(length) else 100.0
-    spec = Spec(labels.names, scale, float(length), float(TOLERANCE * length), first)
+    spec = net.Spec(labels.names, scale, float(length), float(TOLERANCE * length), first)
     scaled = labels.scaled(scale)
-    return TrainingRun(settings, spec, labels, scaled, split, backgrounds(scaled, split["test"]), device)
+    return TrainingRun(settings, spec, labels, scaled, split, pictures.backgrounds(scaled, split["test"]), device)
 
 
 def train(
@@ -172,20 +140,20 @@ def train(
 
     threads: for the CPU; None: those that a run had before, or all.
     """
-    torch = require_torch()
+    torch = net.require_torch()
     torch.backends.cudnn.deterministic, torch.backends.cudnn.benchmark = True, False
     state = _resumed(run, out) if resume else _begin(run)
-    settings, half = run.settings, fast_half(run.device)
+    settings, half = run.settings, net.fast_half(run.device)
     shown = np.flatnonzero(run.labels.labelled.any(axis=1))
     first = np.intersect1d(run.split["train"], shown)
     both = np.union1d(first, np.intersect1d(run.split["validation"], shown))
     sources = _sources(run)
-    use_threads(threads or state.threads)
+    net.use_threads(threads or state.threads)
     state.threads = torch.get_num_threads()
     began_s = time.monotonic() - state.seconds
     while state.share < 1.0:
         held_out = not state.finishing
-        with closing(batches(sources, state.step, first if held_out else both)) as drawn:
+        with closing(pictures.batches(sources, state.step, first if held_out else both)) as drawn:
             while state.share < 1.0 and held_out != state.finishing:
                 rate, before = LEARNING_RATE * schedule(state.share), state.share
                 value = _learn(state, next(drawn), rate, run, half)
@@ -202,29 +170,34 @@ def train(
                     _evaluate(state, run, calibrates=held_out and state.finishing)
                     _save_checkpoint(state, run, out)
                 progress(f"{'finishing' if state.finishing else 'learning'}: {_figures_text(state)}", state.share)
-    save_model(calibrated_spec(run, state), state.average.state_dict(), out / MODEL_FILE)
+    net.save_model(calibrated_spec(run, state), state.average.state_dict(), out / net.MODEL_FILE)
     return state
 
 
-def calibrated_spec(run: TrainingRun, state: State) -> Spec:
+def calibrated_spec(run: TrainingRun, state: State) -> net.Spec:
     return dataclasses.replace(run.spec, calibration=state.calibration)
 
 
 def _sources(run: TrainingRun) -> tuple[Any, ...]:
     """For each stage, what makes the batch of a step from a pool of pictures."""
     settings, spec = run.settings, run.spec
-    options = Augmentation(partner=sides(spec.names) if settings.mirror else None)
+    options = pictures.Augmentation(partner=sides(spec.names) if settings.mirror else None)
     labels, still = run.scaled, run.still
     if spec.two_stages:
         labels = labels.scaled(spec.first)
         still = tuple(None if b is None else resize(b, spec.first) for b in still)
-    size_px, last = crop_size(run.scaled, spec.first), (options, settings.batch, settings.seed)
-    first = partial(make_batch, examples_of(labels, still), size_px, *last)
+    size_px, last = pictures.crop_size(run.scaled, spec.first), (options, settings.batch, settings.seed)
+    first = partial(pictures.make_batch, pictures.examples_of(labels, still), size_px, *last)
     if not spec.two_stages:
         return (first,)
     # What is drawn or blurred on a part is as large in it as on the whole animal in its smaller picture.
-    parts = [dataclasses.replace(e, part=True, length_px=NETWORK_LENGTH_PX) for e in examples_of(run.scaled, run.still)]
-    return first, partial(make_batch, parts, PART_PX, *last, off_px=OFF * spec.reach_places * STRIDE)
+    parts = [
+        dataclasses.replace(e, part=True, length_px=pictures.NETWORK_LENGTH_PX)
+        for e in pictures.examples_of(run.scaled, run.still)
+    ]
+    return first, partial(
+        pictures.make_batch, parts, pictures.PART_PX, *last, off_px=pictures.OFF * spec.reach_places * net.STRIDE
+    )
 
 
 def schedule(share: float) -> float:
@@ -242,7 +215,7 @@ def _cosine(share: float) -> float:
     return 1e-3 + (0.5 + 0.5 * math.cos(math.pi * share))
 
 
-def _learn(state: State, batch: tuple[Batch, ...], rate: float, run: TrainingRun, half: Any) -> float:
+def _learn(state: State, batch: tuple[pictures.Batch, ...], rate: float, run: TrainingRun, half: Any) -> float:
     import torch  # pyright: ignore[reportMissingImports]
 
     state.network.train()
@@ -250,13 +223,13 @@ def _learn(state: State, batch: tuple[Batch, ...], rate: float, run: TrainingRun
         group["lr"] = rate
     state.optimizer.zero_grad(set_to_none=True)
     value = 0.0
-    for stage, part in zip(stages(state.network), batch, strict=True):
-        pictures, stills, xy_px, near_px = part
-        x = as_input(pictures, stills, run.device)
-        window = None if near_px is None else (places(near_px, run.device), run.spec.reach_places)
+    for stage, part in zip(net.stages(state.network), batch, strict=True):
+        seen, stills, xy_px, near_px = part
+        x = net.as_input(seen, stills, run.device)
+        window = None if near_px is None else (net.places(near_px, run.device), run.spec.reach_places)
         with torch.autocast(run.device.type, half, enabled=half is not None):
             scores = stage(x)
-        error = loss(scores, places(xy_px, run.device), window)
+        error = net.loss(scores, net.places(xy_px, run.device), window)
         error.backward()
         value += float(error.detach())
     torch.nn.utils.clip_grad_norm_(state.network.parameters(), 5.0)
@@ -277,17 +250,17 @@ def _evaluate(state: State, run: TrainingRun, calibrates: bool) -> None:
     which = run.judges
     if not len(which):
         return
-    errors, raw, _ = judge(TrainedNetwork(run.spec, state.average, run.device), run, which)
+    errors, raw, _ = judge(net.TrainedNetwork(run.spec, state.average, run.device), run, which)
     labelled = np.isfinite(errors)
     known = errors[labelled]
     state.history[-1] |= {"validation_px": float(np.median(known)), "validation_mean_px": float(known.mean())}
     if calibrates:
         right: Bools = known <= run.spec.tolerance_px
-        state.calibration = fit_calibration(raw[labelled], right)
-        state.judged = calibrated(raw[labelled], state.calibration).tolist(), right.tolist()
+        state.calibration = net.fit_calibration(raw[labelled], right)
+        state.judged = net.calibrated(raw[labelled], state.calibration).tolist(), right.tolist()
 
 
-def judge(trained: TrainedNetwork, run: TrainingRun, which: Integers) -> tuple[Array, Array, Array]:
+def judge(trained: net.TrainedNetwork, run: TrainingRun, which: Integers) -> tuple[Array, Array, Array]:
     """Errors (n, K) in px of the clip, NaN where there is no label; raw likelihoods (n, K); points (n, K, 2)."""
     xy, raw = np.zeros((len(which), len(run.spec.names), 2)), np.zeros((len(which), len(run.spec.names)))
     for c in np.unique(run.scaled.clip[which]):
@@ -299,9 +272,9 @@ def judge(trained: TrainedNetwork, run: TrainingRun, which: Integers) -> tuple[A
 
 def _figures_text(state: State) -> str:
     last = state.history[-1] if state.history else {}
-    loss = float(np.mean(state.losses)) if state.losses else last["loss"]
+    mean_loss = float(np.mean(state.losses)) if state.losses else last["loss"]
     error = f", validation error {last['validation_px']:.2f} px" if "validation_px" in last else ""
-    return f"step {state.step}, loss {loss:.3f}{error}"
+    return f"step {state.step}, loss {mean_loss:.3f}{error}"
 
 
 # -- checkpoints -----------------------------------------------------------------------------------------------------
@@ -311,11 +284,11 @@ _TORCH = ("network", "average", "optimizer")
 
 
 def _begin(run: TrainingRun) -> State:
-    torch = require_torch()
+    torch = net.require_torch()
     with torch.random.fork_rng():
         torch.manual_seed(run.settings.seed)
-        network = new_network(len(run.spec.names), run.spec.two_stages)
-    network = placed(network, run.device)
+        network = net.new_network(len(run.spec.names), run.spec.two_stages)
+    network = net.placed(network, run.device)
     decayed = [p for p in network.parameters() if p.ndim > 1]
     others = [p for p in network.parameters() if p.ndim <= 1]
     groups = [{"params": decayed, "weight_decay": WEIGHT_DECAY}, {"params": others, "weight_decay": 0.0}]
@@ -332,13 +305,13 @@ def _save_checkpoint(state: State, run: TrainingRun, out: Path) -> None:
         **{name: getattr(state, name).state_dict() for name in _TORCH},
         **{name: getattr(state, name) for name in _PLAIN},
     }
-    save_torch(content, out / CHECKPOINT_FILE)
+    net.save_torch(content, out / CHECKPOINT_FILE)
 
 
 def _resumed(run: TrainingRun, out: Path) -> State:
     """The state of a checkpoint. Raises InputError where it belongs to other keypoints, settings or pictures."""
     path = out / CHECKPOINT_FILE
-    content = load_torch(path)
+    content = net.load_torch(path)
     if not isinstance(content, dict) or "optimizer" not in content:
         raise InputError(Problem(path, "checkpoint", "a file of another kind", "one that `recon train` wrote"))
     problems = []

@@ -14,16 +14,8 @@ from recon.base.settings import Count, Integer, Option, Settings
 from recon.clip.keypoints import Keypoints
 from recon.io import FORMATS
 from recon.io.video import require_codec
+from recon.keypoint_net import network as net
 from recon.keypoint_net.labels import read_labels, split_labels
-from recon.keypoint_net.network import (
-    DEVICE,
-    MODEL_FILE,
-    THREADS,
-    choose_device,
-    load_model,
-    model_file,
-    require_torch,
-)
 from recon.keypoint_net.predict import LIKELY, PredictSettings, predict_video
 from recon.keypoint_net.report import write_training_report
 from recon.keypoint_net.train import CHECKPOINT_FILE, SPLIT, TrainSettings, prepare, train
@@ -56,8 +48,8 @@ class _TrainRunSettings(LabelSource, TrainSettings):
     """What `recon train` does: labels, how to learn from them, and where and with what."""
 
     out: Annotated[Path, Option("Folder for the network and its report, as in models/horse.", metavar="DIR")]
-    device: Annotated[str, DEVICE] = "auto"
-    threads: Annotated[Count | None, THREADS] = None
+    device: Annotated[str, net.DEVICE] = "auto"
+    threads: Annotated[Count | None, net.THREADS] = None
     resume: Annotated[bool, Option("Go on from the checkpoint in DIR.")] = False
     overwrite: Annotated[bool, Option("Begin again in a DIR that has a network.")] = False
 
@@ -97,9 +89,9 @@ def run_training(
 
     Raises InputError, with every problem, before anything is written.
     """
-    require_torch()
+    net.require_torch()
     chosen, labels, _ = all_of(
-        lambda: choose_device(device),
+        lambda: net.choose_device(device),
         lambda: read_labels(source.data, source.labels, source.first_frame, source.individual, source.rename),
         lambda: _check_folder(out, resume, overwrite),
     )
@@ -159,12 +151,12 @@ def run_prediction(video: Path, model: Path, out: Path, *, progress: Progress = 
     InputError; then nothing is written."""
     s = PredictSettings(video=video, model=model, out=out, **options)
     _, device, *_ = all_of(
-        lambda: model_file(model),
-        lambda: choose_device(s.device),
+        lambda: net.model_file(model),
+        lambda: net.choose_device(s.device),
         lambda: require_free_file(out, s.overwrite, suffixes=WRITERS),
         lambda: _check_overlay(s),
     )
-    keypoints = predict_video(load_model(model, device), s, progress)
+    keypoints = predict_video(net.load_model(model, device), s, progress)
     with staged_file(out) as staged:
         WRITERS[out.suffix.lower()](keypoints, staged)
     return keypoints
@@ -174,7 +166,7 @@ def _check_folder(out: Path, resume: bool, overwrite: bool) -> None:
     if resume and not (out / CHECKPOINT_FILE).is_file():
         expected = "one to go on from; without --resume, a new run"
         raise InputError(Problem(out / CHECKPOINT_FILE, "checkpoint", "no such file", expected))
-    there = [name for name in (MODEL_FILE, CHECKPOINT_FILE) if (out / name).exists()]
+    there = [name for name in (net.MODEL_FILE, CHECKPOINT_FILE) if (out / name).exists()]
     if there and not resume and not overwrite:
         expected = "a new folder, --resume to go on, or --overwrite to begin again"
         raise InputError(Problem("--out", "folder", f"{out}, which has a {there[0]}", expected))

@@ -26,13 +26,7 @@ from recon.gait.gait import Gait, Stride, doubtful_text
 from recon.show.export import analysis_csv
 from recon.show.plain import picked, to_json
 from recon.show.report import in_sentences
-from recon.workflows.cli.common import (
-    progress_bar,
-    say,
-    say_verdict,
-    table_of,
-    terminal,
-)
+from recon.workflows.cli.common import progress_bar, say, say_verdict, table_of, terminal
 from recon.workflows.settings import ANYWAY, STRIDE, StrideTimes
 
 if TYPE_CHECKING:

@@ -16,16 +16,7 @@ from recon.base.arrays import Array, Integers
 from recon.base.errors import InputError, Problem, all_of, refuse
 from recon.base.files import require_free_file, staged_folder, write_bytes
 from recon.base.settings import Integer, Number, Option, Settings
-from recon.calibrate.camera_motion import (
-    LevelMark,
-    Orientation,
-    Tracker,
-    TurningMotion,
-    as_level,
-    read_marks,
-    tilted,
-    up_by_marks,
-)
+from recon.calibrate import camera_motion as turning
 from recon.calibrate.camera_motion.features import rays_of
 from recon.calibrate.camera_motion.panorama import ANIMAL, PATH, Canvas, draw_path, draw_view, panorama
 from recon.calibrate.camera_motion.track import CLEARLY
@@ -118,12 +109,12 @@ def run_camera_motion(
         lambda: probe(settings.video),
         lambda: read_camera(settings.camera, settings.camera_name),
         lambda: None if settings.keypoints is None else read_keypoints(settings.keypoints, settings.individual),
-        lambda: () if settings.level_marks is None else read_marks(settings.level_marks),
+        lambda: () if settings.level_marks is None else turning.read_marks(settings.level_marks),
         lambda: require_free_file(settings.out, settings.overwrite, suffixes=(".csv",)),
     )
     refuse(size_problems(settings.video, info, lens))
     points = {} if animal is None else _points(animal, settings.first_frame)
-    tracker = Tracker(lens, settings.zoom, points.get)
+    tracker = turning.Tracker(lens, settings.zoom, points.get)
     for number, picture in read_frames(settings.video):
         tracker.add(number, picture)
         if tracker.cut is not None:
@@ -134,7 +125,7 @@ def run_camera_motion(
     if animal is not None:
         _require_same_frames(settings, points, motion)
     up, level = _up(settings, motion, lens, marks)
-    motion = replace(motion, orientations=as_level(motion.orientations, up))
+    motion = replace(motion, orientations=turning.as_level(motion.orientations, up))
     report = _report(settings, motion, lens, level)
     picture = _panorama(lens, motion, points)
     report_file, picture_file = (
@@ -150,7 +141,7 @@ def run_camera_motion(
 # -- what cannot be used ----------------------------------------------------------------------------------------------
 
 
-def _focal_note(motion: TurningMotion, lens: Camera) -> str | None:
+def _focal_note(motion: turning.TurningMotion, lens: Camera) -> str | None:
     """Where the turns close with another focal length than the camera file's."""
     if motion.focal is None or abs(motion.focal[0]) <= CLEARLY * motion.focal[1]:
         return None
@@ -162,7 +153,7 @@ def _focal_note(motion: TurningMotion, lens: Camera) -> str | None:
     )
 
 
-def _require_turning(s: _CameraMotionSettings, motion: TurningMotion, lens: Camera) -> None:
+def _require_turning(s: _CameraMotionSettings, motion: turning.TurningMotion, lens: Camera) -> None:
     """Raises InputError for a cut, for too little background, and for a camera that did more than turn."""
     if motion.cut is not None:
         found = f"a cut, or a jump of the whole view, at frame {motion.cut + s.first_frame}"
@@ -190,7 +181,7 @@ def _require_turning(s: _CameraMotionSettings, motion: TurningMotion, lens: Came
         raise InputError(Problem(s.video, "background", found, f"no more than {MAX_LOST:.0%} of such frames"))
 
 
-def _require_same_frames(s: _CameraMotionSettings, points: dict[int, Array], motion: TurningMotion) -> None:
+def _require_same_frames(s: _CameraMotionSettings, points: dict[int, Array], motion: turning.TurningMotion) -> None:
     """Raises InputError where the keypoint file counts otherwise than the video."""
     last = len(motion.frames) + len(motion.lost) - 1
     outside = [number for number in points if not 0 <= number <= last]
@@ -211,23 +202,23 @@ def _points(keypoints: Keypoints, first_frame: int) -> dict[int, Array]:
 
 
 def _up(
-    s: _CameraMotionSettings, motion: TurningMotion, lens: Camera, marks: Sequence[LevelMark]
+    s: _CameraMotionSettings, motion: turning.TurningMotion, lens: Camera, marks: Sequence[turning.LevelMark]
 ) -> tuple[Array | None, str]:
     """Up (3,) in the first frame's camera, None if the mean frame is to be level, and how that is known."""
     if s.tilt_deg is not None:
         level = f"the first frame looks {s.tilt_deg:g} degrees down, as given, and its roll is taken as 0"
-        return tilted(np.radians(s.tilt_deg)), level
+        return turning.tilted(np.radians(s.tilt_deg)), level
     if s.level_marks is None:
         return None, "the mean of all frames is taken as level: its tilt and roll are 0"
     by_frame = dict(zip((motion.frames + s.first_frame).tolist(), motion.orientations, strict=True))
-    up, sigma = up_by_marks(s.level_marks, marks, lens, by_frame)
+    up, sigma = turning.up_by_marks(s.level_marks, marks, lens, by_frame)
     return up, f"by {len(marks)} marks in {s.level_marks}, to {np.degrees(sigma):.1g} degrees if they are 2 px off"
 
 
 # -- what comes out ---------------------------------------------------------------------------------------------------
 
 
-def _write_track(path: Path, s: _CameraMotionSettings, motion: TurningMotion, camera: Camera) -> None:
+def _write_track(path: Path, s: _CameraMotionSettings, motion: turning.TurningMotion, camera: Camera) -> None:
     q = quaternions(np.stack([one.rotation for one in motion.orientations]))[:, [3, 0, 1, 2]]
     q *= np.where(q[:, :1] < 0, -1.0, 1.0)
     poses = np.round(np.concatenate([q, np.zeros((len(q), 3))], axis=1), 9)
@@ -239,7 +230,7 @@ def _write_track(path: Path, s: _CameraMotionSettings, motion: TurningMotion, ca
     write_table(path, [["frame", *POSE, *(INTRINSICS if s.zoom else ()), SIGMA]], motion.frames + s.first_frame, poses)
 
 
-def _report(s: _CameraMotionSettings, motion: TurningMotion, lens: Camera, level: str) -> dict[str, Any]:
+def _report(s: _CameraMotionSettings, motion: turning.TurningMotion, lens: Camera, level: str) -> dict[str, Any]:
     axes = np.stack([orientation.rotation[2] for orientation in motion.orientations])
     pan = np.degrees(np.unwrap(np.arctan2(axes[:, 0], axes[:, 1])))
     tilt = np.degrees(-np.arcsin(np.clip(axes[:, 2], -1, 1)))
@@ -280,7 +271,7 @@ def _focal_px(focal: tuple[float, float], lens: Camera) -> dict[str, float]:
     return {"file": own, "found": found, "sigma": found * focal[1]}
 
 
-def _panorama(camera: Camera, motion: TurningMotion, points: dict[int, Array]) -> Image:
+def _panorama(camera: Camera, motion: turning.TurningMotion, points: dict[int, Array]) -> Image:
     """All that was seen, with the camera's and the animal's path."""
     canvas = Canvas.around(camera, motion.orientations)
     drawn = panorama(canvas, camera, [motion.orientations[key] for key in motion.keys], motion.pictures)
@@ -295,7 +286,9 @@ def _panorama(camera: Camera, motion: TurningMotion, points: dict[int, Array]) -
     return drawn
 
 
-def _animal(camera: Camera, frames: Integers, orientations: tuple[Orientation, ...], points: dict[int, Array]) -> Array:
+def _animal(
+    camera: Camera, frames: Integers, orientations: tuple[turning.Orientation, ...], points: dict[int, Array]
+) -> Array:
     """(N, 3): world rays of the middle of the animal's points, NaN where it has none."""
     rays = np.full((len(frames), 3), np.nan)
     for t, (frame, orientation) in enumerate(zip(frames.tolist(), orientations, strict=True)):

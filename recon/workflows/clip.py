@@ -20,19 +20,6 @@ from recon.animal.skeleton_file import load_chain, load_skeleton, seen_by, skele
 from recon.base import Progress, silent
 from recon.base.arrays import Array, Bools
 from recon.base.errors import InputError, Problem, all_of
-from recon.check import (
-    FileFacts,
-    Finding,
-    doubted,
-    flagged,
-    input_findings,
-    judged,
-    mends,
-    sentences,
-    verdict_lines,
-    without_gross_outliers,
-    without_swaps,
-)
 from recon.clip import FramePoses, Source, View, at_rate, held, together, views_of
 from recon.clip.keypoints import CleaningReport, Keypoints, clean, leave_out, parse_frame_range
 from recon.fit import TrajectorySolution, solve_trajectory
@@ -88,14 +75,14 @@ def fit_clip(settings: FitSettings, progress: Progress = silent) -> Motion:
         sources, solution = check.solved_in_step(given.apart, given.later_frames, solved, *noise)
     else:
         solution = solved(sources)
-    unrefined: tuple[Finding, ...] = ()
+    unrefined: tuple[check.Finding, ...] = ()
     if options.refine_cameras:
         tried, options = solution, replace(options, refine_cameras=False)
         held = solved(sources)
         unrefined = check.why_not_refined(tried, held)
         solution, options = (held, options) if unrefined else (tried, replace(options, refine_cameras=True))
     began = time.perf_counter()
-    cleaned, outliers = without_gross_outliers(sources, solution)
+    cleaned, outliers = check.without_gross_outliers(sources, solution)
     again = solved(cleaned) if outliers else solution
     if again.posed.any() or not solution.posed.any():
         sources, solution = cleaned, again
@@ -103,24 +90,24 @@ def fit_clip(settings: FitSettings, progress: Progress = silent) -> Motion:
         outliers = ()
     chain = load_chain(settings.skeleton_name) if body.one_sided else None
     motion = Motion(sources, given.side, given.side_reason, solution, chain=chain, settings=settings.plain())
-    found = input_findings(motion, prior, options, _file_facts(given, settings))
+    found = check.input_findings(motion, prior, options, _file_facts(given, settings))
     if any(one.code == "left_right_swap" for one in found):
-        mended, marked = without_swaps(sources, found, body)
+        mended, marked = check.without_swaps(sources, found, body)
         again = solved(mended)
-        if not mends(again, solution):
-            found = tuple(doubted(one) for one in found)
+        if not check.mends(again, solution):
+            found = tuple(check.doubted(one) for one in found)
         elif settings.fix_swaps:
             sources, found, solution = mended, marked, again
     stage_s = solution.stage_s | {"input_findings": time.perf_counter() - began}
     motion = replace(motion, sources=sources, solution=replace(solution, stage_s=stage_s))
-    agreement: tuple[Finding, ...] = ()
+    agreement: tuple[check.Finding, ...] = ()
     if len(sources) > 1:
         agreement = check.agreement_findings(motion, options.sigma_px, options.keypoint_noise_m(body))
     found = (*given.found, *unrefined, *outliers, *found, *agreement)
     if settings.seeks_cameras:
         placed = zip(sources, solution.extrinsic_correction, solution.focal, strict=True)
         sources = tuple(replace(s, camera=s.camera.corrected(by).with_focal_scale(longer)) for s, by, longer in placed)
-    motion = judged(replace(flagged(motion, found), sources=sources, findings=found))
+    motion = check.judged(replace(check.flagged(motion, found), sources=sources, findings=found))
     _log(motion)
     return motion
 
@@ -129,12 +116,14 @@ def _log(motion: Motion) -> None:
     """What was decided about the files, what was found, and the verdict, for who listens to the logger "recon"."""
     name = Path(motion.keypoints.source or "clip").name
     said = [(logging.INFO, note) for source in motion.sources for note in source.cleaning.notes]
-    said += [(logging.INFO if one.severity == "note" else logging.WARNING, text) for one, text in sentences(motion)]
-    for level, text in (*said, *((logging.INFO, line) for line in verdict_lines(motion.verdict))):
+    said += [
+        (logging.INFO if one.severity == "note" else logging.WARNING, text) for one, text in check.sentences(motion)
+    ]
+    for level, text in (*said, *((logging.INFO, line) for line in check.verdict_lines(motion.verdict))):
         LOGGER.log(level, "%s: %s", name, text)
 
 
-def _file_facts(given: ClipInputs, settings: FitSettings) -> FileFacts:
+def _file_facts(given: ClipInputs, settings: FitSettings) -> check.FileFacts:
     """What the files say of a clip besides its keypoints."""
     named = []
     for source, path in zip(given.sources, settings.keypoints, strict=True):
@@ -143,7 +132,7 @@ def _file_facts(given: ClipInputs, settings: FitSettings) -> FileFacts:
         other = next(iter(names), None) or other_camera_in(path.stem, source.camera.name)
         named.append(None if source.camera.name in names else other)
     stated_hz = next((s.keypoints.stated_fps for s in given.sources if s.keypoints.stated_fps is not None), None)
-    return FileFacts(tuple(named), stated_hz, swaps=not settings.fast or bool(settings.fix_swaps))
+    return check.FileFacts(tuple(named), stated_hz, swaps=not settings.fast or bool(settings.fix_swaps))
 
 
 Unknown = tuple[Body, MotionPrior, Cameras]
@@ -162,7 +151,7 @@ class ClipInputs:
     fps: float
     side: Side | None
     side_reason: str
-    found: tuple[Finding, ...] = ()
+    found: tuple[check.Finding, ...] = ()
     """Findings on the cameras, before the fit."""
 
     @cached_property

@@ -21,16 +21,7 @@ from scipy.cluster.hierarchy import fcluster, linkage
 from scipy.sparse.csgraph import minimum_spanning_tree
 from scipy.spatial.distance import squareform
 
-from recon.animal import (
-    MIN_JOINTS,
-    fitting_maps,
-    fitting_skeleton,
-    load_names,
-    load_skeleton,
-    other_side,
-    side_of,
-    suggestions,
-)
+from recon import animal
 from recon.animal.body import PLACES
 from recon.base.arrays import Array
 from recon.base.documents import builtin_file
@@ -141,19 +132,19 @@ def _of_geometry(settings: _SkeletonDraftSettings) -> SkeletonDraft:
 def draft_skeleton(names: Sequence[str], title: str, source: Path) -> SkeletonDraft:
     """Raises InputError where too few names are understood to place an animal, or none of either end of its trunk, and
     for names of another built-in skeleton's points."""
-    body = load_skeleton(BASE)
+    body = animal.load_skeleton(BASE)
     known = _understood(names, body.markers)
-    options, count = fitting_skeleton(names)
+    options, count = animal.fitting_skeleton(names)
     if count > len(known):
         expected = f"a four-legged animal's: a draft is one; recon fit {options} takes {count} of these {len(names)}"
         raise InputError(Problem(source, "bodyparts", f"another animal's: {', '.join(names)}", expected))
     called = {marker: name for name, marker in known.items()}
     rear, front = (next((called[m] for m in ends if m in called), None) for ends in (REAR, FRONT))
-    if rear is None or front is None or len(known) < MIN_JOINTS:
+    if rear is None or front is None or len(known) < animal.MIN_JOINTS:
         found = f"{', '.join(names)}: of these, {', '.join(known) or 'none'} can be placed"
         expected = (
-            f"at least {MIN_JOINTS}, one of them at the rear of the trunk ({', '.join(REAR)}) and one at its front "
-            f"({', '.join(FRONT)}); or a skeleton written by hand"
+            f"at least {animal.MIN_JOINTS}, one of them at the rear of the trunk ({', '.join(REAR)}) and one at its "
+            f"front ({', '.join(FRONT)}); or a skeleton written by hand"
         )
         raise InputError(Problem(source, "bodyparts", found, expected))
     others = tuple(name for name in names if name not in known)
@@ -174,9 +165,9 @@ def draft_skeleton(names: Sequence[str], title: str, source: Path) -> SkeletonDr
     parts = [head_text(comments, title, "the names", (rear, front), body.keypoint_sigma_m, body.size_sigma)]
     parts += [table_text("[feet]", feet), segments]
     for marker in body.tree.markers:
-        name, twin = called.get(marker.name), called.get(other_side(marker.name))
-        paired = name is not None and twin == other_side(name) != name
-        if name is not None and not (paired and side_of(name) == "right"):  # pairs are written once
+        name, twin = called.get(marker.name), called.get(animal.other_side(marker.name))
+        paired = name is not None and twin == animal.other_side(name) != name
+        if name is not None and not (paired and animal.side_of(name) == "right"):  # pairs are written once
             of = {"name": name, "segment": renamed[marker.segment]} | ({"mirrored": True} if paired else {})
             parts.append(table_text("[[markers]]", of | {"at_m": list(marker.offset_m)}))
     parts.append(table_text("[limbs]", {limb: along for limb, along in limbs.items() if len(along) > 1}))
@@ -185,15 +176,15 @@ def draft_skeleton(names: Sequence[str], title: str, source: Path) -> SkeletonDr
 
 def _understood(names: Sequence[str], markers: Sequence[str]) -> dict[str, str]:
     """Markers by keypoint: of the same name, of the built-in map that knows most of them, or a near miss."""
-    maps = fitting_maps(names, markers)
-    by = load_names(maps[0]).names if maps else {}
+    maps = animal.fitting_maps(names, markers)
+    by = animal.load_names(maps[0]).names if maps else {}
     known: dict[str, str] = {}
     for name in names:
         marker = by.get(name, name)
         if marker in markers and marker not in known.values():
             known[name] = marker
     lacking = [marker for marker in markers if marker not in known.values()]
-    return known | suggestions([name for name in names if name not in known], lacking)
+    return known | animal.suggestions([name for name in names if name not in known], lacking)
 
 
 # -- from where the keypoints are -------------------------------------------------------------------------------------
@@ -218,9 +209,11 @@ def drafted(names: Sequence[str], points_m: Array, fps: float, title: str, sourc
     with z up, metres, NaN where missing. Raises InputError where too few are seen, or the animal hardly moves."""
     seen = np.isfinite(points_m[..., 0])
     kept = np.flatnonzero(seen.sum(axis=0) >= FEWEST_FRAMES)
-    if len(kept) < MIN_JOINTS or (seen[:, kept].T.astype(int) @ seen[:, kept]).min() < FEWEST_FRAMES:
+    if len(kept) < animal.MIN_JOINTS or (seen[:, kept].T.astype(int) @ seen[:, kept]).min() < FEWEST_FRAMES:
         found = f"{len(kept)} that two cameras see in {FEWEST_FRAMES} frames, not all of them together"
-        raise InputError(Problem(source, "keypoints", found, f"{MIN_JOINTS} or more, each together with each other"))
+        raise InputError(
+            Problem(source, "keypoints", found, f"{animal.MIN_JOINTS} or more, each together with each other")
+        )
     points, labels = points_m[:, kept], [names[k] for k in kept.tolist()]
     apart = np.stack([np.linalg.norm(points - point[:, None], axis=2) for point in points.swapaxes(0, 1)], axis=1)
     usual_m = np.nanmedian(apart, axis=0)

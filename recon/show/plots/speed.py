@@ -9,17 +9,7 @@ import numpy as np
 
 from recon.base.arrays import Array
 from recon.gait.kinematics import JointKinematics
-from recon.show.plots.style import (
-    GREY,
-    WIDTH_MM,
-    add_legend,
-    blank,
-    dots,
-    draw_band,
-    drawing,
-    legend_shape,
-    look,
-)
+from recon.show.plots.style import GREY, WIDTH_MM, add_legend, blank, dots, draw_band, drawing, legend_shape, look
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

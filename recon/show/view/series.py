@@ -12,39 +12,27 @@ from recon.base.arrays import Array, Bools
 from recon.fit.motion import Motion
 from recon.gait.clip import ClipAnalysis
 from recon.gait.kinematics import frame_jitter_m, speed_at_frames
-from recon.show.view.scene import (
-    EDGE,
-    LEFT,
-    LIMB_COLOURS,
-    LINE_COLOURS,
-    LINK,
-    OUTLIER,
-    RIGHT,
-    TRAIL,
-    Colour,
-    Log,
-    TimePlot,
-)
+from recon.show.view import scene
 
 MAX_LINES = 4
 """How many angles one plot has at most, as far as they can be told apart by what they belong to: their names stand
 above them."""
 
 
-def states(motion: Motion, stands: Bools) -> dict[str, tuple[str, Colour, Bools]]:
+def states(motion: Motion, stands: Bools) -> dict[str, tuple[str, scene.Colour, Bools]]:
     """By entity: which frames have a flag, a row for each, and when the feet stand, (T, F). An entity has no parent,
     whose name the viewer would write beside it, and no blanks, which it writes with backslashes."""
     flags = {flag: np.array([flag in some for some in motion.flags]) for some in motion.flags for flag in some}
-    rows = {flag.replace(" ", "_"): (flag, OUTLIER, holds) for flag, holds in flags.items()}
+    rows = {flag.replace(" ", "_"): (flag, scene.OUTLIER, holds) for flag, holds in flags.items()}
     for foot, label, stood in zip(motion.feet, motion.foot_labels, stands.T, strict=True):
-        rows[motion.names[foot]] = "stance", LEFT if label[0] == "L" else RIGHT, stood
+        rows[motion.names[foot]] = "stance", scene.LEFT if label[0] == "L" else scene.RIGHT, stood
     return {rr.escape_entity_path_part(name): row for name, row in rows.items()}
 
 
 # -- of every motion ----------------------------------------------------------------------------------------------
 
 
-def angle_plots(motion: Motion) -> Iterator[TimePlot]:
+def angle_plots(motion: Motion) -> Iterator[scene.TimePlot]:
     """In degrees, by side; those that are too many for one plot by end of the animal, or by kind."""
     keys: dict[str, dict[str, str]] = {kind: {} for kind in ("left", "right", "middle")}
     for name in motion.angle_names:
@@ -55,8 +43,8 @@ def angle_plots(motion: Motion) -> Iterator[TimePlot]:
             entity = f"angles/{kind}" + f"/{key.replace(', ', '_')}" * bool(key)
             degrees = np.degrees(motion.angles_rad[:, [motion.angle_names.index(name) for name in names]])
             labels = [without_side(name).replace("_", " ") for name in names]
-            colours = [LINE_COLOURS[i % len(LINE_COLOURS)] for i in range(len(names))]
-            yield TimePlot(entity, f"{kind} {key}".strip().capitalize() + " (°)", labels, colours, degrees)
+            colours = [scene.LINE_COLOURS[i % len(scene.LINE_COLOURS)] for i in range(len(names))]
+            yield scene.TimePlot(entity, f"{kind} {key}".strip().capitalize() + " (°)", labels, colours, degrees)
 
 
 def _parts(keys: Mapping[str, str]) -> Iterator[tuple[str, list[str]]]:
@@ -75,7 +63,7 @@ def _parts(keys: Mapping[str, str]) -> Iterator[tuple[str, list[str]]]:
     yield from parts
 
 
-def other_plots(motion: Motion) -> list[TimePlot]:
+def other_plots(motion: Motion) -> list[scene.TimePlot]:
     """Speed, errors in the pictures (the largest without outliers, which would hide the rest), and uncertainty."""
     distance = np.concatenate([picture.distance_px for picture in motion.pictures], axis=1)
     outliers = np.concatenate([picture.outliers for picture in motion.pictures], axis=1)
@@ -84,13 +72,17 @@ def other_plots(motion: Motion) -> list[TimePlot]:
     residuals[known, 0] = np.nanmedian(distance[known], axis=1)
     residuals[:, 1] = np.fmax.reduce(np.where(outliers, np.nan, distance), axis=1)
     names = ["median of the joints", "worst but for outliers"]
-    errors = TimePlot("residuals", "Reprojection (px)", names, [LIMB_COLOURS[1], EDGE], residuals)
+    errors = scene.TimePlot("residuals", "Reprojection (px)", names, [scene.LIMB_COLOURS[1], scene.EDGE], residuals)
     names = ["joint within the pose", "position in depth"]
     sigmas = np.stack((motion.relative_rms_m, motion.place_sigma_m), axis=1)
-    return [_speed(motion), errors, TimePlot("uncertainty", "One sigma (m)", names, [LIMB_COLOURS[1], LINK], sigmas)]
+    return [
+        _speed(motion),
+        errors,
+        scene.TimePlot("uncertainty", "One sigma (m)", names, [scene.LIMB_COLOURS[1], scene.LINK], sigmas),
+    ]
 
 
-def _speed(motion: Motion) -> TimePlot:
+def _speed(motion: Motion) -> scene.TimePlot:
     speed = speed_at_frames(motion.time_s, motion.root_m)
     run_m_s, lines = motion.solution.constant_velocity_m_s, {"speed": speed}
     if run_m_s is not None:
@@ -100,13 +92,15 @@ def _speed(motion: Motion) -> TimePlot:
     values = np.where(motion.solved[:, None], np.stack([*lines.values()], axis=1), np.nan)
     ends = f", {np.nanmin(values):.1f} to {np.nanmax(values):.1f} m/s" if np.isfinite(values).any() else " (m/s)"
     title = "Speed (m/s)" if len(lines) > 1 else f"Speed{ends}"
-    return TimePlot("speed", title, [*lines], [TRAIL, LIMB_COLOURS[0], EDGE][: len(lines)], values)
+    return scene.TimePlot(
+        "speed", title, [*lines], [scene.TRAIL, scene.LIMB_COLOURS[0], scene.EDGE][: len(lines)], values
+    )
 
 
 # -- of an analysis -----------------------------------------------------------------------------------------------
 
 
-def analysis_plots(found: ClipAnalysis) -> Iterator[TimePlot]:
+def analysis_plots(found: ClipAnalysis) -> Iterator[scene.TimePlot]:
     """Speed, acceleration and flexion with one sigma, the links' speeds, and the feet's vertical forces."""
     moved, times_s = found.joints[found.reference], found.motion.time_s
     every, name = moved.series.oversampling, found.reference
@@ -122,8 +116,11 @@ def analysis_plots(found: ClipAnalysis) -> Iterator[TimePlot]:
         lines = {entity: values}
         if sigma is not None and entity != "acceleration":  # whose deviations are many times as large as it is
             lines |= {"minus one sigma": values - sigma, "plus one sigma": values + sigma}
-        at_frames, colours = np.stack([*lines.values()], axis=1)[::every], [TRAIL, LINK, LINK][: len(lines)]
-        yield TimePlot(f"analysis/{entity}", title, [*lines], colours, at_frames, "Kinematics")
+        at_frames, colours = (
+            np.stack([*lines.values()], axis=1)[::every],
+            [scene.TRAIL, scene.LINK, scene.LINK][: len(lines)],
+        )
+        yield scene.TimePlot(f"analysis/{entity}", title, [*lines], colours, at_frames, "Kinematics")
     if found.dynamics is not None and found.gait is not None:
         rows = np.searchsorted(found.gait.tracks.time_s, times_s - 1e-6)
         forces = {foot: force[rows, 0] for foot, force in found.dynamics.force.items()}
@@ -135,12 +132,12 @@ def analysis_plots(found: ClipAnalysis) -> Iterator[TimePlot]:
         yield _lines(f"analysis/links/{limb.replace(' ', '_')}", f"{limb} (m/s)", speeds, tab)
 
 
-def _lines(entity: str, title: str, lines: Mapping[str, Array], tab: str) -> TimePlot:
-    colours: Sequence[Colour] = [LINE_COLOURS[i % len(LINE_COLOURS)] for i in range(len(lines))]
-    return TimePlot(entity, title, [*lines], colours, np.stack([*lines.values()], axis=1), tab=tab)
+def _lines(entity: str, title: str, lines: Mapping[str, Array], tab: str) -> scene.TimePlot:
+    colours: Sequence[scene.Colour] = [scene.LINE_COLOURS[i % len(scene.LINE_COLOURS)] for i in range(len(lines))]
+    return scene.TimePlot(entity, title, [*lines], colours, np.stack([*lines.values()], axis=1), tab=tab)
 
 
-def write_forces(found: ClipAnalysis, log: Log) -> None:
+def write_forces(found: ClipAnalysis, log: scene.Log) -> None:
     """Arrows under the feet, of which a body weight is as long as the centre of mass is high, and its path."""
     if (d := found.dynamics) is None or found.gait is None:
         return
@@ -152,6 +149,6 @@ def write_forces(found: ClipAnalysis, log: Log) -> None:
     there, origins_m = force > 0, motion.in_reference(tracks.foot_m[rows])
     columns = rr.Arrows3D.columns(vectors=force[there][:, None] * up, origins=origins_m[there])
     log.send("world/forces", columns.partition(there.sum(axis=1)))
-    log.fix("world/forces", rr.Arrows3D.from_fields(colors=TRAIL, radii=0.01))
+    log.fix("world/forces", rr.Arrows3D.from_fields(colors=scene.TRAIL, radii=0.01))
     path = motion.in_reference(centre_m[np.isfinite(centre_m).all(axis=1)])
-    log.fix("world/forces/centre_of_mass", rr.LineStrips3D([path], colors=TRAIL, radii=0.006))
+    log.fix("world/forces/centre_of_mass", rr.LineStrips3D([path], colors=scene.TRAIL, radii=0.006))
