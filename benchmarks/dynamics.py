@@ -6,7 +6,9 @@ The plate-trials of $RECON_SHARED_DATA, or of ../shared/data: single views and b
 fore feet's share) is taken from the plates of the other trials; and what the error is made of, by taking one thing
 after the other from the plates. Of the same place the dog-mocap, by one camera beside it against the markers: speed and
 net acceleration, flights against gravity, and the mean force of all feet over complete strides, which is 1. The
-simulated gallop of the samples has stances and a stride, so that its mean force is known, too.
+simulated gallop of the samples has stances and a stride, so that its mean force is known, too. A gallop and a trot that
+given forces carry (`carried.py`) have exact poses: with paws that leave the ground and land as fast as those over the
+plates, with paws that do so at rest, and with half a sine as the force of a stance.
 """
 
 from __future__ import annotations
@@ -15,16 +17,18 @@ import json
 import tempfile
 from collections.abc import Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from carried import GALLOP, TROT, difference, exactly
 from dog import read_clips, write_view
 from markdown_table import print_table
 from recordings import recordings
 
 import recon.gait.dynamics as method
-from recon import FitSettings, fit_clip, load_skeleton, samples_folder
+from recon import FitSettings, Motion, fit_clip, load_skeleton, samples_folder
 from recon.fit.posterior import radius
 from recon.gait.clip import ClipAnalysis, analyse
 from recon.gait.dynamics import G_M_S2, MEAN_OF_PEAK, OFF_GRAVITY, off_gravity, shape
@@ -101,6 +105,58 @@ def against_plates(run: Path, found: ClipAnalysis, fps: float) -> list[dict[str,
     return rows
 
 
+CARRIED = "strides, intervals of the mean force that hold 1, mean force"
+
+
+def stride_forces(found: ClipAnalysis) -> list[tuple[float, float, float]]:
+    """The mean vertical force of all feet over each complete stride, of the foot with the most, whose stances the clip
+    holds whole, and the ends of its interval of 90 %."""
+    gait, rows = found.gait, []
+    if gait is None or found.dynamics is None or not gait.strides or len(gait.tracks.feet) < 4:
+        return []
+    starts, ends, impulses = method._drawn(gait)
+    feet = [stride.foot for stride in gait.strides]
+    for stride in gait.strides:
+        time_s = np.linspace(stride.start_s, stride.end_s, 200)
+        over = [s for s in gait.stances if s.end_s > stride.start_s and s.start_s < stride.end_s]
+        cut = any(not (s.begins and s.ends) for s in over)
+        if stride.foot != max(feet, key=feet.count) or cut or {s.foot for s in over} != {*gait.tracks.feet}:
+            continue
+        total = np.zeros(len(starts))
+        for i, stance in enumerate(gait.stances):
+            if stance in over:
+                lasts = (ends - starts)[:, i, None]
+                force = (impulses[:, i, None] / (MEAN_OF_PEAK * lasts)) * shape((time_s - starts[:, i, None]) / lasts)
+                total += force.mean(axis=1)
+        rows.append((float(total[0]), *map(float, np.quantile(total[1:], [(1 - INTERVAL) / 2, (1 + INTERVAL) / 2]))))
+    return rows
+
+
+def carry_the_body(*found: ClipAnalysis) -> str:
+    """How many complete strides there are, how many of their intervals hold a body weight, and the mean force."""
+    rows = np.array([row for one in found for row in stride_forces(one)]).reshape(-1, 3)
+    if not len(rows):
+        return "none"
+    held = int(((rows[:, 1] <= 1) & (rows[:, 2] >= 1)).sum())
+    return f"{len(rows)}, {held}, {rows[:, 0].mean():.2f}"
+
+
+def cheetahs() -> list[ClipAnalysis]:
+    """Every view of the cheetah-runs."""
+    found = []
+    for run in sorted(path.parent for path in recordings("cheetah-runs").glob("*/meta.json")):
+        about = json.loads((run / "meta.json").read_text(encoding="utf-8"))
+        for camera in about["cameras"]:
+            view = FitSettings(
+                keypoints=(run / f"cam{camera}.csv",),
+                camera=(run / "scene.json",),
+                camera_name=(f"cam{camera}",),
+                fps=about["fps"],
+            )
+            found.append(analyse(fit_clip(view), lean=True))
+    return found
+
+
 def dog_rows() -> list[list[str]]:
     """A row for each clip: speeds and net accelerations within their intervals, flights, mean force."""
     folder, body, rows, reach = recordings("dog-mocap"), load_skeleton("dog-27"), [], radius(INTERVAL)
@@ -109,16 +165,11 @@ def dog_rows() -> list[list[str]]:
             motion = fit_clip(write_view(clip, Path(written), seed)[0])
             found = ClipAnalysis(motion, lean=True)
             true_m = clip.markers(body)[motion.frames][:, body.markers.index(motion.reference)]
-            moved, d, gait = found.reference_motion, found.dynamics, found.gait
+            moved, d = found.reference_motion, found.dynamics
             assert moved.speed_sigma_m_s is not None
             assert d is not None
-            assert gait is not None
             off = np.abs(moved.speed_m_s - point_kinematics(motion.time_s, true_m).speed_m_s)
             (net, sigma), (true_net, _) = found.net_acceleration_m_s2, net_acceleration(motion.time_s, true_m)
-            total = np.sum([force[:, 0] for force in d.force.values()], axis=0)
-            time_s, feet = gait.tracks.time_s, [stride.foot for stride in gait.strides]
-            own = [stride for stride in gait.strides if stride.foot == max(feet, key=feet.count)]
-            over = np.any([(time_s >= stride.start_s) & (time_s < stride.end_s) for stride in own], axis=0)
             of_flights = off_gravity(d.flights)
             rows.append(
                 [
@@ -126,9 +177,31 @@ def dog_rows() -> list[list[str]]:
                     f"{np.sqrt(np.nanmean(off**2)):.2f}, {np.sqrt(np.nanmean(moved.speed_sigma_m_s**2)):.2f}",
                     f"{net:.2f} ± {reach * sigma:.2f}, {true_net:.2f}",
                     f"{len(of_flights)}, {int((of_flights.abs() > OFF_GRAVITY).sum())}",
-                    f"{np.nanmean(total[over]):.2f}",
+                    carry_the_body(found),
                 ]
             )
+    return rows
+
+
+def carried_rows(motion: Motion) -> list[list[str]]:
+    """A row for each run that given forces carry, with as many frames as this motion."""
+    rows = []
+    at_rest = {"leaves": 0.0, "lands": 0.0}
+    for name, run, fps in (
+        ("gallop", GALLOP, 120.0),
+        ("gallop, half a sine", replace(GALLOP, skew=1.0), 120.0),
+        ("trot", TROT, 60.0),
+        ("trot, half a sine", replace(TROT, skew=1.0), 60.0),
+        ("trot, paws that leave and land at rest", replace(TROT, **at_rest), 60.0),
+    ):
+        found = analyse(exactly(motion, run.states(motion.body, motion.frames / fps), fps))
+        off = difference(run, found)
+        rows.append(
+            [
+                *(name, f"{off.centre_m:.0e}", f"{off.kinetic_j_kg:.3f}", f"{off.rms_bw:.2f}"),
+                *(f"{off.timed_rms_bw:.2f}", f"{off.inside:.0%}", carry_the_body(found)),
+            ]
+        )
     return rows
 
 
@@ -169,11 +242,16 @@ def main() -> None:
     if dogs := dog_rows():
         head = ["clip", "speed in 90 %", "off, stated, m/s", "net acceleration, 90 %, true, m/s²"]
         print("\nA dog by one camera:\n")
-        print_table([*head, "flights, against gravity", "mean force"], dogs)
+        print_table([*head, "flights, against gravity", CARRIED], dogs)
+    if views := cheetahs():
+        print(f"\nCheetahs, views of the cheetah-runs: {CARRIED}: {carry_the_body(*views)}")
     if not rows:
         print("no recordings: forces not measured")
     samples = samples_folder()
     motion = fit_clip(FitSettings(keypoints=(samples / "whole.csv",), camera=(samples / "camera.toml",), fps=60))
+    print("\nExact poses of runs that given forces carry:\n")
+    head = ["run", "centre of mass off, m", "kinetic energy off, J/kg", "forces, RMS, body weights"]
+    print_table([*head, "with the true times", "force in 90 %", CARRIED], carried_rows(motion))
     found_sample = analyse(motion)
     d, gait = found_sample.dynamics, found_sample.gait
     assert d is not None

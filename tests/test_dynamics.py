@@ -8,8 +8,10 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from carried import GALLOP, TROT, Run, difference, exactly
 
 from recon import ClipAnalysis, InputError, Motion, analyse, load_skeleton
+from recon.animal.capsules import capsules, inertias_m2, middles_m
 from recon.gait.dynamics import (
     G_M_S2,
     MEAN_OF_PEAK,
@@ -101,6 +103,41 @@ def test_forces_of_a_stride_carry_the_body(found: ClipAnalysis):
         assert force["peak_low_bw"] < force["peak_bw"] < force["peak_high_bw"]
         assert force["impulse_low_bw_s"] < force["impulse_bw_s"] < force["impulse_high_bw_s"]
         assert (low[inside] <= high[inside]).all()
+
+
+@pytest.mark.parametrize(("run", "fps", "name"), [(GALLOP, 120.0, "transverse gallop"), (TROT, 60.0, "trot")])
+def test_what_carries_an_animal_of_known_masses_is_found_from_exact_poses(
+    motion: Motion, run: Run, fps: float, name: str
+):
+    found = analyse(exactly(motion, run.states(motion.body, motion.frames / fps), fps))
+    assert found.gait is not None
+    assert found.gait.name.name == name
+    off = difference(run, found)
+    assert off.centre_m < 1e-12
+    assert off.kinetic_j_kg < 0.002
+    assert off.rms_bw < 0.15
+    assert off.inside > 0.9
+
+
+def test_a_rigid_animal_that_turns_has_the_energy_and_the_momentum_of_its_inertia(motion: Motion):
+    body, rate_rad_s = motion.body, 3.0
+    tree, shape = body.tree, capsules(body.tree, body.markers)
+    states = np.tile(np.concatenate([np.zeros(4), body.mean_rad]), (len(motion.frames), 1))
+    states[:, 3] = rate_rad_s * motion.time_s
+    share = np.array([body.mass[segment.name][0] for segment in tree.segments])
+    share /= share.sum()
+    turned = tree.orientations(states[:1])[0]
+    at = tree.origins(states[:1])[0] + np.einsum("sij,sj->si", turned, middles_m(tree, shape))
+    own = np.einsum("si,sij,sj->s", turned[:, 2], inertias_m2(tree, shape), turned[:, 2])
+    apart = np.sum((at - share @ at)[:, :2] ** 2, axis=1)
+    inertia = share @ (apart + own)
+    d = analyse(exactly(motion, states, motion.fps)).dynamics
+    assert d is not None
+    middle = slice(100, -100)
+    # Rods are not thick: of the capsules' own inertia they lack some, which is little of the animal's.
+    np.testing.assert_allclose(d.internal_j_kg[middle], 0.5 * inertia * rate_rad_s**2, rtol=0.03)
+    np.testing.assert_allclose(d.angular_momentum[middle, 2], inertia * rate_rad_s, rtol=0.03)
+    assert share @ own > 0.08 * inertia
 
 
 def test_the_shape_begins_and_ends_at_nothing_and_leans_forwards():

@@ -1,10 +1,10 @@
 """Centre of mass, energy and vertical forces of the feet, with intervals, from a skeleton's masses.
 
 Everything is per kilogram of the animal, forces in body weights. The centre of mass is that of the segments, each in
-the middle of its capsules; what is not known of it is the place's and the pose's error (`recon.gait.clip`) and the
-masses'. Derivatives are those of splines (`recon.gait.kinematics`). Differentiated twice, the centre of mass says
-nothing of the forces of one stance: 0.6 to 1.3 body weights off even from several cameras. Instead each stance has a
-shape,
+the middle of its capsules, about which it turns as a rod with the capsules' radius of gyration; what is not known of it
+is the place's and the pose's error (`recon.gait.clip`) and the masses'. Derivatives are those of splines
+(`recon.gait.kinematics`). Differentiated twice, the centre of mass says nothing of the forces of one stance: 0.6 to 1.3
+body weights off even from several cameras. Instead each stance has a shape,
 
     F(s) = peak * sin(pi s^SKEW),  s from 0 at touch-down to 1 at lift-off,
 
@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from recon.animal.capsules import capsules, middles_m
+from recon.animal.capsules import capsules, inertias_m2, middles_m
 from recon.base.arrays import Array
 from recon.check import finding
 from recon.clip.keypoints import frame_ranges
@@ -70,9 +70,9 @@ class Dynamics:
     centre: JointKinematics
     """The centre of mass, in the upright frame."""
     internal_j_kg: Array
-    """(N,): kinetic energy of the segments about the centre of mass, of their middles' motion."""
+    """(N,): kinetic energy of the segments about the centre of mass."""
     angular_momentum: Array
-    """(N, 3): about the centre of mass, m^2/s per kilogram, of the segments' middles."""
+    """(N, 3): about the centre of mass, m^2/s per kilogram."""
     ground_m: Array
     """(N,): height of the ground under the centre of mass."""
     forces: pd.DataFrame
@@ -120,20 +120,22 @@ def dynamics(motion: Motion, gait: Gait | None, errors: Sequence[Errors]) -> Dyn
         return None
     share, sigma = np.array([shares[s.name] for s in motion.body.tree.segments]).T
     share, sigma = share / share.sum(), sigma / share.sum()
-    middles_m = _middles(motion)
+    rods_m = _rods(motion)
+    middles_m = rods_m.mean(axis=2)
     centre_m = np.einsum("tsk,s->tk", middles_m, share)
     apart_m = middles_m - centre_m[:, None]
     ends = [motion.upright.names.index(name) for name in motion.forward_names]
     by_pose = [Errors(np.sqrt(np.mean(e.sigma[:, ends] ** 2, axis=1)), e.correlation_s) for e in errors]
     by_mass = Errors(np.maximum(np.sqrt(np.einsum("tsk,s->tk", apart_m**2, sigma**2)), 1e-6), MASS_LASTS_S)
     centre = point_kinematics(motion.time_s, centre_m, [*by_pose, by_mass] if errors else ())
-    about = series_kinematics(motion.time_s, apart_m.reshape(len(apart_m), -1))
-    value, rate = (of.reshape(len(of), *apart_m.shape[1:]) for of in (about.value, about.rate))
+    about = series_kinematics(motion.time_s, (rods_m - centre_m[:, None, None]).reshape(len(rods_m), -1))
+    value, rate = (of.reshape(len(of), -1, 3) for of in (about.value, about.rate))
+    of_ends = np.repeat(share / 2, 2)
     forces, force = _forces(gait)
     return Dynamics(
         centre=centre,
-        internal_j_kg=0.5 * np.sum(rate**2, axis=2) @ share,
-        angular_momentum=np.einsum("nsk,s->nk", np.cross(value, rate), share),
+        internal_j_kg=0.5 * np.sum(rate**2, axis=2) @ of_ends,
+        angular_momentum=np.einsum("nsk,s->nk", np.cross(value, rate), of_ends),
         ground_m=centre.series.value[:, 2] - gait.tracks.above_ground(centre.series.value),
         forces=forces,
         force=force,
@@ -141,12 +143,24 @@ def dynamics(motion: Motion, gait: Gait | None, errors: Sequence[Errors]) -> Dyn
     )
 
 
-def _middles(motion: Motion) -> Array:
-    """(T, S, 3): of each segment's capsules, upright."""
+def _rods(motion: Motion) -> Array:
+    """(T, S, 2, 3): two points, upright, in which half of each segment's mass turns as its capsules do about an axis
+    across the longest one of theirs."""
     tree = motion.body.tree
-    at = middles_m(tree, capsules(tree, motion.body.markers)).tolist()
-    markers = tuple(Marker(s.name, s.name, (x, y, z)) for s, (x, y, z) in zip(tree.segments, at, strict=True))
-    return Tree(tree.segments, markers).pose(motion.states, motion.size).points_m
+    shape = capsules(tree, motion.body.markers)
+    inertia = inertias_m2(tree, shape)
+    second_moment = np.trace(inertia, axis1=1, axis2=2)[:, None, None] / 2 * np.eye(3) - inertia
+    square, axis = np.linalg.eigh(second_moment)
+    gyration = axis[:, :, -1] * np.sqrt(np.maximum(square[:, -1:], 0.0))
+    middles = middles_m(tree, shape)
+    ends = np.stack([middles - gyration, middles + gyration], axis=1).tolist()
+    markers = tuple(
+        Marker(f"{segment.name}_{i}", segment.name, (x, y, z))
+        for segment, of_it in zip(tree.segments, ends, strict=True)
+        for i, (x, y, z) in enumerate(of_it)
+    )
+    points_m = Tree(tree.segments, markers).pose(motion.states, motion.size).points_m
+    return points_m.reshape(len(points_m), len(ends), 2, 3)
 
 
 def shape(into: Array) -> Array:
