@@ -41,8 +41,6 @@ KILLED = 128 + signal.SIGTERM
 STOP_S = 3.0
 """A process that is told to stop has this long to clean up."""
 TICK_S = 0.1
-TELL_S = 0.2
-"""Progress is told no more often."""
 LOG_BYTES = 20_000
 
 
@@ -228,8 +226,6 @@ def _work_off(channel: Connection, log: Path) -> None:
     """Task after task, until there is nobody to give one. One thread for each library, before any is imported; what is
     printed goes into the log."""
     os.environ.update(ONE_THREAD)
-    if hasattr(os, "setsid"):
-        os.setsid()  # a session of its own, which systems give a fair share of the processor
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(KILLED))  # tasks clean up behind them
     file = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_APPEND, 0o600)
@@ -237,13 +233,9 @@ def _work_off(channel: Connection, log: Path) -> None:
     os.dup2(file, 2)
     faulthandler.enable()
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    told_s = 0.0
 
     def progress(stage: str, share: float) -> None:
-        nonlocal told_s
-        if time.monotonic() - told_s > TELL_S:
-            told_s = time.monotonic()
-            channel.send((stage, share))
+        channel.send((stage, share))
 
     with suppress(EOFError):
         while True:
