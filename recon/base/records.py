@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import zipfile
 from collections.abc import Mapping
 from functools import cache
 from importlib import import_module
@@ -40,11 +39,9 @@ def save_record(value: Any, path: Path, schema: Mapping[str, Any]) -> None:
     Raises TypeError for values of types that such a file does not hold."""
     arrays: dict[str, np.ndarray] = {}
     text = json.dumps({"schema": schema, "value": _plain(value, "", arrays, {})})
+    entries: dict[str, Any] = {RECORD: np.frombuffer(text.encode(), np.uint8), **arrays}
     made = BytesIO()
-    with zipfile.ZipFile(made, "w", zipfile.ZIP_DEFLATED, compresslevel=3) as archive:
-        for name, array in {RECORD: np.frombuffer(text.encode(), np.uint8), **arrays}.items():
-            with archive.open(zipfile.ZipInfo(f"{name}.npy"), "w", force_zip64=True) as member:
-                np.lib.format.write_array(member, array, allow_pickle=False)
+    np.savez_compressed(made, **entries)
     from recon.base.files import staged_file, write_bytes
 
     with staged_file(path) as staged:
