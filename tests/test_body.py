@@ -229,8 +229,8 @@ def test_mirrored_segments_expect_the_mirror_image(tmp_path: Path):
         ('name = "spine"', 'name = "spine"\nmirrored = true', "markers[0].mirrored", "a word of the left side in it"),
         ("sigma_rad = 0.25", "sigma_rad = 0.0", "segments[0].pitch.sigma_rad", "greater than 0"),
         ("at_m = [-0.3, 0.0, 0.0]", "at_m = [-0.3, nan, 0.0]", "markers[1].at_m[1]", "a finite number"),
-        ("[limbs]", "[limb]", "limbs", "Field required"),
-        ("size_sigma = 0.1", 'extends = "cheetah-24"', "extends", "not permitted"),
+        ("[limbs]", "[limb]", "limbs", "a table"),
+        ("size_sigma = 0.1", 'extends = "cheetah-24"', "extends", "one of name, title, forward, feet,"),
     ],
 )
 def test_bad_files(tmp_path: Path, old: str, new: str, field: str, expected: str):

@@ -19,7 +19,7 @@ from recon.calibrate.camera_motion.features import rays_of
 from recon.calibrate.camera_motion.track import CLEARLY
 from recon.geometry import Camera
 from recon.io import read_camera_track, write_camera
-from recon.io.video import video_writer
+from recon.io.video import frame_times, video_writer
 
 SIZE = (320, 180)
 PINHOLE = Camera("cam", np.array([[300.0, 0, 160], [0, 300.0, 90], [0, 0, 1]]), np.zeros(0), "pinhole", SIZE)
@@ -266,6 +266,39 @@ def test_command_writes_a_track_that_the_fit_reads(pan_film, tmp_path):
     panorama = cv2.imread(str(tmp_path / "track_panorama.png"))
     assert panorama is not None
     assert panorama.shape[1] > 1000
+
+
+def test_a_damaged_video_keeps_the_numbers_that_a_detector_gives_and_says_what_is_missing(tmp_path):
+    """A detector numbers the frames that can be decoded, and so does the track: each has the pose of its picture."""
+    rotations, video = pan(30, 6.0), tmp_path / "pan.mkv"
+    writer = cv2.VideoWriter(str(video), cv2.CAP_FFMPEG, cv2.VideoWriter.fourcc(*"MJPG"), 30.0, SIZE)
+    for rotation in rotations:
+        writer.write(seen(rotation))
+    writer.release()
+    content = bytearray(video.read_bytes())
+    first, stop = len(content) * 5 // 10, len(content) * 6 // 10
+    content[first:stop] = bytes(stop - first)
+    video.write_bytes(content)
+    write_camera(PINHOLE, tmp_path / "camera.toml")
+    decoded = len(frame_times(video))
+    args = ("camera-motion", video, "--camera", tmp_path / "camera.toml", "--out", tmp_path / "track.csv")
+    for rows, code in ((30, 2), (decoded, 0)):  # of the whole video, and of what is left of it
+        lines = "".join(f"{t},nose,160,90,0.9\n" for t in range(rows))
+        (tmp_path / "points.csv").write_text(f"frame,keypoint,x,y,likelihood\n{lines}")
+        ended = run(*args, "--keypoints", tmp_path / "points.csv")
+        said = re.search(r"lacks frames \((\d+) before frame (\d+)\)", " ".join((ended.out + ended.err).split()))
+        assert said is not None, ended.err
+        assert ended.code == code
+    missing, at = map(int, said.groups())
+    report = json.loads((tmp_path / "track_report.json").read_text())
+    assert (report["frames"], report["frames_missing"], missing) == (decoded, 30 - decoded, 30 - decoded)
+    track = read_camera_track(tmp_path / "track.csv")
+    whole = track.frames != at - 1  # the picture that the hole has cut
+    found = track.T_camera_world[whole, :3, :3]
+    truth = np.delete(rotations, np.s_[at : at + missing], axis=0)[track.frames[whole]]
+    off = (found @ found[0].T) @ (truth @ truth[0].T).swapaxes(1, 2)
+    assert len(found) == decoded - 1
+    assert np.degrees(Rotation.from_matrix(off).magnitude()).max() < 0.05
 
 
 def test_without_a_tilt_the_mean_frame_is_said_to_be_level(pan_film, tmp_path):

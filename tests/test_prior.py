@@ -324,7 +324,7 @@ NOT_DEFINITE = np.eye(24) - 2 * np.eye(24, k=0) * (np.arange(24) == 5)
         ),
         ({"mean": np.array(["a"] * 24)}, ["mean: found an array of <U1"]),
         ({"about": np.array("{")}, ["content: found Expecting property name"]),
-        ({"format": 7}, ["format: found 7, expected Input should be 1"]),
+        ({"format": 7}, ["format: found 7, expected 1"]),
         ({"angles": "head_yaw", "source": 3}, ["source: found 3", "angles: found 'head_yaw'"]),
         (
             {"segments": [{"name": "a"}]},

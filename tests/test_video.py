@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
 from recon import InputError
-from recon.io.video import probe, read_frames, video_writer
+from recon.io.video import frame_times, missing_frames, missing_note, probe, read_frames, video_writer
 
 
 def grey(level: int) -> np.ndarray:
@@ -92,3 +93,54 @@ def test_names_that_look_like_addresses(tmp_path, monkeypatch, counted):
         with video_writer(f"new{name}" if "/" not in name else f"http:/new{counted.suffix}", (64, 48), 25.0) as write:
             write(grey(10))
         assert probe(f"new{name}" if "/" not in name else f"http:/new{counted.suffix}").size_px == (64, 48)
+
+
+def damaged(path: Path) -> Path:
+    """A video of 40 frames, a tenth of whose bytes are 0."""
+    writer = cv2.VideoWriter(str(path), cv2.CAP_FFMPEG, cv2.VideoWriter.fourcc(*"MJPG"), 25.0, (64, 48))
+    noise = np.random.default_rng(0)
+    for _ in range(40):
+        writer.write(noise.integers(0, 255, (48, 64, 3), np.uint8))
+    writer.release()
+    content = bytearray(path.read_bytes())
+    first, stop = (len(content) * share // 10 for share in (3, 4))
+    content[first:stop] = bytes(stop - first)
+    path.write_bytes(content)
+    return path
+
+
+def test_a_hole_in_a_video_is_found_by_its_time_stamps(tmp_path):
+    video = damaged(tmp_path / "a.mkv")
+    times = frame_times(video)
+    ((at, count),) = (missing_frames(times) or {}).items()
+    assert len(times) == 40 - count < 40
+    assert [number for number, _ in read_frames(video)] == [*range(len(times))]
+    np.testing.assert_allclose(np.delete(np.arange(40), np.s_[at : at + count]) / 25, times - times[0], atol=1e-9)
+    said = missing_note(video, times, 100) or ""
+    assert f"({count} before frame {at + 100})" in said
+    assert said.endswith(f"--frames :{at + 100}")
+
+
+def test_frames_may_be_missing_where_time_stamps_do_not_tell(tmp_path):
+    video = damaged(tmp_path / "a.avi")
+    times = frame_times(video)
+    assert missing_frames(times) == {}
+    assert len(times) < 40
+    assert f"states 40 frames, {len(times)} can be decoded" in (missing_note(video, times) or "")
+
+
+@pytest.mark.parametrize(
+    ("times_s", "missing"),
+    [
+        (np.delete(np.arange(99), [7, 50, 51]) / 240, {7: 1, 49: 2}),
+        (np.round(np.delete(np.arange(99), [7, 50, 51]) / 240, 3), {7: 1, 49: 2}),
+        (np.zeros(9), {}),
+        (np.zeros(1), {}),
+        (np.cumsum(np.tile([0.02, 0.033, 0.047], 9)), None),
+        (np.r_[np.arange(9), np.arange(9)] / 30, None),
+    ],
+    ids=["regular", "whole milliseconds", "no stamps", "one frame", "a varying rate", "back in time"],
+)
+def test_time_stamps(counted, times_s, missing):
+    assert missing_frames(times_s) == missing
+    assert ("uneven in time" in (missing_note(counted, times_s) or "")) == (missing is None)

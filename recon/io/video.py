@@ -19,6 +19,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from recon.base.arrays import Array
 from recon.base.errors import InputError, Problem
 from recon.base.files import staged_file
 
@@ -26,6 +27,11 @@ Image = npt.NDArray[np.uint8]
 CODECS = {".mp4": "mp4v", ".avi": "MJPG"}
 """What OpenCV's own wheels can encode quickly: MPEG-4 part 2, which players show but browsers do not, and Motion JPEG.
 They hold no encoder for H.264, and VP9 takes half a second for a picture of 1920x1080."""
+
+UNEVEN, STAMP_S = 0.3, 1e-3
+"""How far the time between frames may be from a multiple of the usual one, as a share of that, and beside it: time
+stamps of Matroska are whole milliseconds."""
+MOST_PLACES = 5
 
 SUFFIXES = (".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg", ".wmv", ".mts")
 
@@ -56,15 +62,59 @@ def probe(path: str | Path) -> VideoInfo:
     return VideoInfo((image.shape[1], image.shape[0]), float(fps) if known else None, int(count) if count > 0 else None)
 
 
-def missing_note(path: str | Path, decoded: int) -> str | None:
-    """What to say of a video of which fewer frames can be decoded than its file states."""
-    stated = probe(path).stated_frames
-    if stated is None or decoded >= stated:
+def frame_times(path: str | Path) -> Array:
+    """(T,) seconds: the time stamp of every frame that can be decoded, in their order."""
+    capture = _open(Path(path))
+    try:
+        times = []
+        while capture.grab():
+            times.append(capture.get(cv2.CAP_PROP_POS_MSEC) / 1e3)
+        return np.array(times)
+    finally:
+        capture.release()
+
+
+def missing_frames(times_s: Array) -> dict[int, int] | None:
+    """How many frames are missing before a frame, by its number: where the time stamps (T,) of evenly spaced frames
+    leave a gap. Empty where there are no time stamps either; None where they are uneven, and tell nothing."""
+    steps = np.diff(times_s)
+    if not steps.any():
+        return {}
+    usual = steps[steps < 1.5 * np.median(steps)].mean()
+    if not usual > 0:
         return None
-    return (
-        f"{Path(path).name} states {stated} frames, {decoded} can be decoded: it is damaged or cut short, and frames "
-        "after a hole are numbered as if nothing were missing"
-    )
+    counts = np.rint(steps / usual).astype(int)
+    if (counts < 1).any() or (np.abs(steps - counts * usual) > UNEVEN * usual + STAMP_S).any():
+        return None
+    return {int(at) + 1: int(counts[at]) - 1 for at in np.flatnonzero(counts > 1)}
+
+
+def missing_note(path: str | Path, times_s: Array, first_frame: int = 0) -> str | None:
+    """What to say of a video whose frames are not all there, or are uneven in time. times_s: of those that can be
+    decoded; first_frame: the number of the first of them."""
+    name, decoded, stated = Path(path).name, len(times_s), probe(path).stated_frames
+    counted = "Frames are numbered as they are decoded, as DeepLabCut does, so that keypoints of this file are in step"
+    missing = missing_frames(times_s)
+    if missing is None:
+        short, long = np.percentile(1e3 * np.diff(times_s), [0, 100])
+        return (
+            f"the frames of {name} are uneven in time ({short:.0f} to {long:.0f} ms apart), and a fit takes them "
+            f"as even: speeds are wrong. {counted}; convert the video to a constant frame rate, then detect keypoints"
+        )
+    if missing:
+        places = [f"{count} before frame {at + first_frame}" for at, count in missing.items()]
+        more = ", ..." if len(places) > MOST_PLACES else ""
+        at = next(iter(missing)) + first_frame
+        return (
+            f"by its time stamps {name} lacks frames ({', '.join(places[:MOST_PLACES])}{more}): speeds are wrong "
+            f"there. {counted}; fit the parts between by themselves, the first with --frames :{at}"
+        )
+    if stated is not None and decoded < stated:
+        return (
+            f"{name} states {stated} frames, {decoded} can be decoded: it is cut short, or frames are missing "
+            f"in it and speeds are wrong there; its time stamps do not say where. {counted}; copy the video again"
+        )
+    return None
 
 
 def read_frames(

@@ -25,7 +25,7 @@ from recon.geometry.camera import Camera
 from recon.geometry.rotations import quaternions
 from recon.io import read_camera, read_keypoints, write_table
 from recon.io.camera_track import INTRINSICS, POSE, SIGMA
-from recon.io.video import Image, missing_note, probe, read_frames
+from recon.io.video import Image, frame_times, missing_frames, missing_note, probe, read_frames
 from recon.show.plain import picked, to_json
 from recon.workflows.cameras import size_problems
 from recon.workflows.cli.common import counted, progress_bar, say, terminal
@@ -114,19 +114,20 @@ def run_camera_motion(
     )
     refuse(size_problems(settings.video, info, lens))
     points = {} if animal is None else _points(animal, settings.first_frame)
+    times_s = frame_times(settings.video)
     tracker = turning.Tracker(lens, settings.zoom, points.get)
     for number, picture in read_frames(settings.video):
         tracker.add(number, picture)
         if tracker.cut is not None:
             break
-        progress("following the background", min(1.0, number / (info.stated_frames or number + 1)))
+        progress("following the background", number / len(times_s))
     motion = tracker.finish()
     _require_turning(settings, motion, lens)
     if animal is not None:
-        _require_same_frames(settings, points, motion)
+        _require_same_frames(settings, points, times_s)
     up, level = _up(settings, motion, lens, marks)
     motion = replace(motion, orientations=turning.as_level(motion.orientations, up))
-    report = _report(settings, motion, lens, level)
+    report = _report(settings, motion, lens, level, times_s)
     picture = _panorama(lens, motion, points)
     report_file, picture_file = (
         settings.out.with_name(settings.out.stem + end) for end in ("_report.json", "_panorama.png")
@@ -181,12 +182,13 @@ def _require_turning(s: _CameraMotionSettings, motion: turning.TurningMotion, le
         raise InputError(Problem(s.video, "background", found, f"no more than {MAX_LOST:.0%} of such frames"))
 
 
-def _require_same_frames(s: _CameraMotionSettings, points: dict[int, Array], motion: turning.TurningMotion) -> None:
+def _require_same_frames(s: _CameraMotionSettings, points: dict[int, Array], times_s: Array) -> None:
     """Raises InputError where the keypoint file counts otherwise than the video."""
-    last = len(motion.frames) + len(motion.lost) - 1
-    outside = [number for number in points if not 0 <= number <= last]
+    outside = [number for number in points if not 0 <= number < len(times_s)]
     if outside:
-        found = f"{len(outside)} of {len(points)} frames that {s.video} does not have ({last + 1} frames)"
+        found = f"{len(outside)} of {len(points)} frames that {s.video} does not have ({len(times_s)} frames)"
+        if note := missing_note(s.video, times_s, s.first_frame):
+            found += f"; {note}"
         raise InputError(Problem(s.keypoints or "--keypoints", "frames", found, "the video's frames, or --first-frame"))
 
 
@@ -230,7 +232,9 @@ def _write_track(path: Path, s: _CameraMotionSettings, motion: turning.TurningMo
     write_table(path, [["frame", *POSE, *(INTRINSICS if s.zoom else ()), SIGMA]], motion.frames + s.first_frame, poses)
 
 
-def _report(s: _CameraMotionSettings, motion: turning.TurningMotion, lens: Camera, level: str) -> dict[str, Any]:
+def _report(
+    s: _CameraMotionSettings, motion: turning.TurningMotion, lens: Camera, level: str, times_s: Array
+) -> dict[str, Any]:
     axes = np.stack([orientation.rotation[2] for orientation in motion.orientations])
     pan = np.degrees(np.unwrap(np.arctan2(axes[:, 0], axes[:, 1])))
     tilt = np.degrees(-np.arcsin(np.clip(axes[:, 2], -1, 1)))
@@ -243,14 +247,15 @@ def _report(s: _CameraMotionSettings, motion: turning.TurningMotion, lens: Camer
             "sigma_zoom": motion.sigma_zoom,
         }
     rounded["residual_px"] = motion.residual_px
-    missing = filter(None, [missing_note(s.video, len(motion.frames) + len(motion.lost)), _focal_note(motion, lens)])
+    more = filter(None, [missing_note(s.video, times_s, s.first_frame), _focal_note(motion, lens)])
     return {
         "video": s.video.name,
         "camera": {"file": s.camera.name, "name": lens.name},
         "level": level,
-        "notes": [*NOTES, *(["the first frame has the camera file's focal length"] if s.zoom else []), *missing],
+        "notes": [*NOTES, *(["the first frame has the camera file's focal length"] if s.zoom else []), *more],
         "focal_px": None if motion.focal is None else _focal_px(motion.focal, lens),
         "frames": len(motion.frames) + len(motion.lost),
+        "frames_missing": sum((missing_frames(times_s) or {}).values()),
         "frames_without_background": (motion.lost + s.first_frame).tolist(),
         "keyframes": (motion.frames[motion.keys] + s.first_frame).tolist(),
         "residual_px": float(np.median(motion.residual_px)),
