@@ -12,6 +12,7 @@ import pytest
 from recon import Motion
 from recon.check import CODES, FLAG_OF, FLAGS, Finding, finding, findings_of, sentence
 from recon.check.rules import likelihoods_low, no_pose
+from recon.show.sections.given import keypoint_lines, keypoints
 
 DOCS = Path(__file__).resolve().parents[1] / "docs" / "findings.md"
 AGAINST = {"error_px": 31.4, "level": 5.24}
@@ -48,7 +49,10 @@ SENTENCES = {
     "frame_rate_stated": ("file says 60 frames per second, but --fps is 30", {"other_hz": 60.0, "given_hz": 30.0}),
     "frame_rate": ("at about 60 frames per second, not 30", {"other_hz": 60.0, "given_hz": 30.0}),
     "no_pose": ("too few points were detected in every frame", {}),
-    "no_pose_unit": ("Is the calibration in mm? Then say so", {"apart_m": 512.3, "times": 5100.0, "unit": "mm"}),
+    "no_pose_unit": (
+        "in cm (then they stand 5.12 m apart) or in mm (0.51 m)",
+        {"apart_m": 512.3, "times": 5100.0, "in_cm_m": 5.123, "in_mm_m": 0.5123},
+    ),
     "likelihoods_low": ("67% of the points of cam1 have a likelihood below 0.5", {"share": 0.667, "limit": 0.5}),
     "no_pose_diverged": ("too far off to be seen", {}),
     "cameras_apart_in_time": ("No two cameras see a point at the same time. Check --set offset-s", {}),
@@ -122,6 +126,8 @@ def test_of_one_camera_no_name_is_said():
     assert sentence(one) == f"cam1: {sentence(one, named=False)}"
     above = finding("ground_above_camera", camera="cam1", height_m=0.5, sigma_m=0.1)
     assert "0.10 m above the camera" in sentence(above, named=False)
+    of_mouse = finding("ground_above_camera", camera="cam1", height_m=0.05, sigma_m=0.004)
+    assert "50 ± 4 mm above the camera" in sentence(of_mouse, named=False)
     several = finding("gross_outliers", (10, 13))
     assert "in frames 10 to 12 " in sentence(several)
     assert "in the whole clip" in sentence(finding("gross_outliers"))
@@ -160,12 +166,16 @@ def test_a_rig_in_another_unit_and_likelihoods_that_are_low(small_trajectory):
     flags = (("diverged",),) * len(motion.frames)
     solution = replace(motion.solution, views=(view, away), flags=flags, states=motion.states * np.nan)
     (one,) = no_pose(replace(motion, solution=solution))
-    assert (one.code, one.numbers["unit"]) == ("no_pose_unit", "mm")
+    assert one.code == "no_pose_unit"
+    assert one.numbers["apart_m"] / one.numbers["in_mm_m"] == pytest.approx(1000)
     counts = {
         name: {**of, "used": of["frames"] // 4, "rejected": of["frames"] // 2}
         for name, of in source.cleaning.keypoints.items()
     }
     cleaning = replace(source.cleaning, keypoints=counts)
-    (low,) = likelihoods_low(replace(motion, sources=(replace(source, cleaning=cleaning),)))
+    unlikely = replace(motion, sources=(replace(source, cleaning=cleaning),))
+    (low,) = likelihoods_low(unlikely)
+    said = dict(keypoint_lines(replace(unlikely, findings=(low,)), keypoints(unlikely)))["detections"]
+    assert "92 (36% of what was found) rejected as unlikely or far outside; if they are good, lower --set" in said
     assert low.numbers["share"] == pytest.approx(2 / 3, abs=0.05)
     assert not [*likelihoods_low(motion)]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from recon.base.words import length_text
+from recon.base.words import decimals, length_text
 
 
 @pytest.mark.parametrize(
@@ -13,3 +13,8 @@ from recon.base.words import length_text
 )
 def test_lengths_of_small_animals_are_in_millimetres(length_m, sigma_m, text):
     assert length_text(length_m, sigma_m) == text
+
+
+@pytest.mark.parametrize(("value", "text"), [(12.34, "12.3"), (1.0, "1.0"), (0.076, "0.08"), (-0.4, "-0.40")])
+def test_speeds_of_small_animals_have_two_decimals(value, text):
+    assert f"{value:{decimals(value)}}" == text

@@ -11,11 +11,14 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from recon.base.documents import builtin_file
+from recon.base.words import length_text
 from recon.fit.motion import Motion
 from recon.fit.result import Finding, Severity
 
 NAMED = 5
 """Up to so many names are listed in a sentence."""
+LENGTHS = ("height", "apart", "in_cm", "in_mm")
+"""Numbers that a sentence may have as lengths: height_m, with sigma_m if there is one, as height_length."""
 SWAPPED, OUTLIERS = "left-right swap", "gross outliers"
 """Flags of frames in which one camera's detections are wrong."""
 FLAG_OF: Mapping[str, str] = {
@@ -58,7 +61,11 @@ def sentence(one: Finding, named: bool = True) -> str:
     given: dict[str, Any] = one.numbers
     values = {name: names_text(value) if isinstance(value, tuple) else value for name, value in given.items()}
     degrees = {f"{name[:-4]}_deg": math.degrees(value) for name, value in given.items() if name.endswith("_rad")}
-    text = words.format(**values, **degrees, camera=one.camera if named else "the camera", where=_where(one.frames))
+    sigma_m, known = given.get("sigma_m"), [name for name in LENGTHS if f"{name}_m" in given]
+    lengths = {f"{name}_length": length_text(given[f"{name}_m"], sigma_m) for name in known}
+    text = words.format(
+        **values, **degrees, **lengths, camera=one.camera if named else "the camera", where=_where(one.frames)
+    )
     return f"{one.camera}: {text}" if named and one.camera and "{camera}" not in words else text
 
 

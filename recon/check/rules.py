@@ -38,8 +38,8 @@ OUT_OF_STEP_SIGMAS = 3.0
 """Two cameras' time offsets further apart than this, of what is expected of their difference, are a mistake in time."""
 MOST_REJECTED = 0.5
 """Share of the points below the least likelihood from which it is named."""
-USUAL, FARTHEST = 10.0, 100.0
-"""Distance between cameras in animals' sizes: what is usual, and what can only be another unit."""
+FARTHEST = 100.0
+"""Distance between cameras in animals' sizes that can only be another unit."""
 FEW_FRAMES = 12
 """Fewer tell little more than one does."""
 SIZE_SIGMAS = 2.5
@@ -133,8 +133,7 @@ def no_pose(motion: Motion) -> Iterator[Finding]:
     apart = max((float(np.linalg.norm(a - b)) for a in centres for b in centres), default=0.0)
     times = apart / _span(motion.body)
     if _flagged(motion, "diverged") and times > FARTHEST:
-        unit = min(("cm", "mm"), key=lambda unit: abs(math.log(times / UNITS_PER_M[unit] / USUAL)))
-        yield finding("no_pose_unit", apart_m=apart, times=times, unit=unit)
+        yield finding("no_pose_unit", apart_m=apart, times=times, in_cm_m=apart / 100, in_mm_m=apart / 1000)
         return
     yield finding("no_pose_diverged" if _flagged(motion, "diverged") else "no_pose")
 

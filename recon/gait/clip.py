@@ -21,6 +21,7 @@ import numpy as np
 
 from recon.base.arrays import Array, Bools
 from recon.base.errors import InputError, Problem
+from recon.base.words import decimals
 from recon.clip.keypoints import frame_ranges
 from recon.fit.motion import MEASURED_SHARE, Motion
 from recon.fit.posterior import radius
@@ -214,7 +215,8 @@ class ClipAnalysis:
         if not self.motion.jitters:
             return None
         peak, sigma = self.reference_motion.peak_speed_m_s, self.reference_motion.peak_speed_sigma_m_s
-        return f"its peak is {peak:.1f} ± {sigma:.1f} m/s" if sigma > SPEED_KNOWN * peak else None
+        form = decimals(peak)
+        return f"its peak is {peak:{form}} ± {sigma:{form}} m/s" if sigma > SPEED_KNOWN * peak else None
 
     @property
     def during_stride(self) -> Bools:

@@ -41,6 +41,7 @@ from typing import Literal
 import numpy as np
 
 from recon.base.arrays import Array, Bools, mean, median
+from recon.base.words import length_text
 from recon.clip.keypoints import frame_ranges
 from recon.fit.posterior import radius
 from recon.gait.kinematics import MIN_POINTS, Errors, Series, frame_times, joint_index, series_kinematics
@@ -368,7 +369,7 @@ def why_no_ground(moved: Tracks) -> str | None:
         return "the ground is not known: no foot is slow enough to stand"
     spread_m = max(plane.spread_m for plane in planes)
     if not spread_m < LOW[0] * moved.leg_m:
-        return f"the ground is not known: slow feet are {spread_m:.2f} m off a plane (median)"
+        return f"the ground is not known: slow feet are {length_text(spread_m)} off a plane (median)"
     return None
 
 

@@ -12,7 +12,7 @@ from rich.text import Text
 
 from recon.base.arrays import median
 from recon.base.package import version
-from recon.base.words import length_text
+from recon.base.words import decimals, length_text
 from recon.check import sentences
 from recon.fit.motion import Motion
 from recon.gait.gait import Gait
@@ -58,10 +58,11 @@ def in_sentences(motion: Motion, moved: JointKinematics, gait: Gait | None, doub
     """The movement of the reference joint and the gait; doubt: why no speed is known."""
     sigma, run_m_s = moved.peak_speed_sigma_m_s, motion.solution.constant_velocity_m_s
     if doubt is None:
-        spread = "" if np.isnan(sigma) else f" ± {sigma:.1f}"
+        form, of_path = decimals(moved.peak_speed_m_s), decimals(moved.distance_m)
+        spread = "" if np.isnan(sigma) else f" ± {sigma:{form}}"
         yield (
-            f"It ran {moved.distance_m:.1f} m, at {moved.mean_speed_m_s:.1f} m/s in the mean and "
-            f"{moved.peak_speed_m_s:.1f}{spread} m/s at most."
+            f"It ran {moved.distance_m:{of_path}} m, at {moved.mean_speed_m_s:{form}} m/s in the mean "
+            f"and {moved.peak_speed_m_s:{form}}{spread} m/s at most."
         )
     else:
         run = (

@@ -16,6 +16,7 @@ from recon.base import Progress, silent
 from recon.base.arrays import median
 from recon.base.files import require_free_folder, sole_writer, staged_folder
 from recon.base.settings import Option, Positive, Settings
+from recon.base.words import decimals
 from recon.check import sentence, usable, verdict_fields
 from recon.fit.motion import MEASURED_SHARE, Motion
 from recon.fit.posterior import radius
@@ -99,7 +100,9 @@ def _lines(found: ClipAnalysis) -> Iterator[str]:
     net, sigma = found.net_acceleration_m_s2
     if math.isfinite(net):
         low, high = net - INTERVAL * sigma, net + INTERVAL * sigma
-        yield f"Acceleration along the way, over the whole clip: {net:+.1f} m/s² (95 %: {low:+.1f} to {high:+.1f})."
+        form = f"+{decimals(max(-low, high))}"
+        interval = f"{low:{form}} to {high:{form}}"
+        yield f"Acceleration along the way, over the whole clip: {net:{form}} m/s² (95 %: {interval})."
     if "spine_flexion" in found.angles:
         low, high = (math.degrees(angle) for angle in found.angles["spine_flexion"].range_rad)
         yield f"Flexion of the spine: {low:+.0f}° to {high:+.0f}° (positive: arched up)."

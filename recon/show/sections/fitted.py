@@ -12,7 +12,7 @@ from recon.animal.prior import NONE
 from recon.animal.skeleton_file import NONE as NO_DETECTOR
 from recon.animal.skeleton_file import OWN
 from recon.base.arrays import finite, mean, median
-from recon.base.words import length_text
+from recon.base.words import decimals, length_text
 from recon.check import FLAGS
 from recon.fit.motion import MEASURED_SHARE, Motion
 from recon.fit.result import MotionSegment, TrajectorySolution
@@ -105,7 +105,8 @@ def summary_lines(motion: Motion, data: Any) -> Iterator[Line]:
     if sigma_m is not None and known and sigma_m > HARDLY_KNOWN * min(known)[0]:
         size_text = _solution(motion).size_sigma <= HARDLY_KNOWN / 2
         why = "these pictures hardly tell it" if size_text else "the size is not known better"
-        yield "distance", f"{min(known)[0]:.1f} ± {sigma_m:.1f} m from {min(known)[1]}: {why}"
+        away, camera = min(known)
+        yield "distance", f"{away:{decimals(away)}} ± {sigma_m:{decimals(away)}} m from {camera}: {why}"
 
 
 def _called(motion: Motion, number: int = 0) -> str:
@@ -121,8 +122,9 @@ def speed_lines(motion: Motion, data: Any) -> Iterator[Line]:
     if path["mean_speed_m_s"] is None:
         yield "speed", f"none from fewer than {MIN_POINTS} frames"
         return
-    mean_m_s, peak_m_s = path["mean_speed_m_s"], path["peak_speed_m_s"]
-    yield "speed", f"{mean_m_s:.1f} m/s mean, {peak_m_s:.1f} m/s peak, over {path['distance_m']:.1f} m"
+    mean_m_s, peak_m_s, over_m = path["mean_speed_m_s"], path["peak_speed_m_s"], path["distance_m"]
+    form = decimals(peak_m_s)
+    yield "speed", f"{mean_m_s:{form}} m/s mean, {peak_m_s:{form}} m/s peak, over {over_m:{decimals(over_m)}} m"
 
 
 def heading(motion: Motion) -> dict[str, Any]:

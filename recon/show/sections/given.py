@@ -198,7 +198,10 @@ def keypoint_lines(motion: Motion, data: Any) -> Iterator[Line]:
     points = [_points(picture) for picture in motion.pictures]
     used, missing, rejected = (sum(one[count] for one in points) for count in ("used", "missing", "rejected"))
     yield "keypoints", f"{share} of the skeleton's {len(fitted)} used{listed}"
-    yield "detections", f"{used} used, {missing} missing, {rejected} rejected as unlikely or far outside"
+    share = f" ({rejected / (used + rejected):.0%} of what was found)" if rejected else ""
+    low = any(one.code == "likelihoods_low" for one in motion.findings)
+    more = "; if they are good, lower --set likelihood-min" if low else ""
+    yield "detections", f"{used} used, {missing} missing, {rejected}{share} rejected as unlikely or far outside{more}"
     errors = found["reprojection_px"]
     yield (
         "reprojection",
