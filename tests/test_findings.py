@@ -167,7 +167,7 @@ def test_a_rig_in_another_unit_and_likelihoods_that_are_low(small_trajectory):
     solution = replace(motion.solution, views=(view, away), flags=flags, states=motion.states * np.nan)
     (one,) = no_pose(replace(motion, solution=solution))
     assert one.code == "no_pose_unit"
-    assert one.numbers["apart_m"] / one.numbers["in_mm_m"] == pytest.approx(1000)
+    assert one.numbers["in_mm_m"] == pytest.approx(3.0, abs=1e-6)
     counts = {
         name: {**of, "used": of["frames"] // 4, "rejected": of["frames"] // 2}
         for name, of in source.cleaning.keypoints.items()
