@@ -421,6 +421,12 @@ def test_check_of_a_chain():
             'name = "left_knee"\nsegment = "l_hind_shin"\n[[markers]]\nname = "right_knee"\nsegment = "l_hind_shin"',
             "(y is to the left) right_knee.",
         ),
+        (
+            'name = "left_ear"\nsegment = "head"\nmirrored = true\nat_m = [0.0, 0.03, 0.04]',
+            'name = "left_ear"\nsegment = "head"\nat_m = [0.0, 0.03, 0.04]\n'
+            '[[markers]]\nname = "right_ear"\nsegment = "head"\nat_m = [0.0, -0.02, 0.04]',
+            "not the mirror image of the other side left_ear.",
+        ),
     ],
 )
 def test_remarks(tmp_path, old, new, remark):

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from recon.animal import Body, builtin_names, load_prior, load_skeleton
+from recon.animal import Body, builtin_names, load_prior, load_skeleton, other_side
 from recon.base.files import require_free_folder
 from recon.base.settings import Option, Settings
 from recon.base.words import length_text
@@ -159,3 +159,6 @@ def _remarks(body: Body) -> Iterator[str]:
     sides = {marker: side for marker in body.markers if (side := body.side_of(marker)) is not None}
     if wrong := [m for m, side in sides.items() if (at[m][1] < 0 if side == "left" else at[m][1] > 0)]:
         yield f"markers: on the other side of the middle (y is to the left) {', '.join(wrong)}."
+    pairs = [(m, other_side(m)) for m, side in sides.items() if side == "left" and other_side(m) in at]
+    if uneven := [m for m, other in pairs if not np.allclose(at[m], at[other] * (1, -1, 1), atol=1e-6)]:
+        yield f"markers: not the mirror image of the other side {', '.join(uneven)}."
