@@ -19,7 +19,7 @@ from recon.calibrate.camera_motion.features import rays_of
 from recon.calibrate.camera_motion.track import CLEARLY
 from recon.geometry import Camera
 from recon.io import read_camera_track, write_camera
-from recon.io.video import frame_times, video_writer
+from recon.io.video import timed_frames, video_writer
 
 SIZE = (320, 180)
 PINHOLE = Camera("cam", np.array([[300.0, 0, 160], [0, 300.0, 90], [0, 0, 1]]), np.zeros(0), "pinhole", SIZE)
@@ -280,7 +280,7 @@ def test_a_damaged_video_keeps_the_numbers_that_a_detector_gives_and_says_what_i
     content[first:stop] = bytes(stop - first)
     video.write_bytes(content)
     write_camera(PINHOLE, tmp_path / "camera.toml")
-    decoded = len(frame_times(video))
+    decoded = sum(1 for _ in timed_frames(video))
     args = ("camera-motion", video, "--camera", tmp_path / "camera.toml", "--out", tmp_path / "track.csv")
     for rows, code in ((30, 2), (decoded, 0)):  # of the whole video, and of what is left of it
         lines = "".join(f"{t},nose,160,90,0.9\n" for t in range(rows))

@@ -281,9 +281,12 @@ def test_how_long_a_stride_may_last_in_a_clip_without_a_complete_one():
     """The gallop of the samples, cut: 0.31 s for a stride at first."""
     for frames, at_most in ((16, 0.4), (11, np.inf)):
         clip = gallop(fps=30, n_frames=frames)
-        least_s, most_s = stride_lasts_s(pose_gait(Pose3D(clip.names, clip.truth_m, np.arange(frames)), 30))
+        gait = pose_gait(Pose3D(clip.names, clip.truth_m, np.arange(frames)), 30)
+        least_s, most_s = stride_lasts_s(gait)
         assert 0.08 < least_s < true_stride_s(0) < most_s
         assert most_s <= at_most
+        longer_than_the_clip = stride_lasts_s(replace(gait, stride_s=1.2 * frames / 30))
+        assert longer_than_the_clip == stride_lasts_s(replace(gait, stride_s=np.nan))
 
 
 def test_clip_without_a_stride_is_said(frame_results, tmp_path):

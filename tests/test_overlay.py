@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 from recon import FitSettings, InputError, write_clip
 from recon.fit import Finding, Motion
-from recon.io.video import frame_times, missing_note, probe, read_frames, video_writer
+from recon.io.video import missing_note, probe, read_frames, timed_frames, video_writer
 from recon.show.overlay import (
     CLOSE_UP,
     DETECTION,
@@ -345,10 +345,10 @@ def test_frames_that_cannot_be_decoded_are_counted(tmp_path):
     with video_writer(film, (64, 48), 25) as write:
         for _ in range(30):
             write(rng.integers(0, 255, (48, 64, 3), dtype=np.uint8))
-    assert missing_note(film, frame_times(film)) is None
+    assert missing_note(film, np.array([stamp_s for _, stamp_s, _ in timed_frames(film)])) is None
     content = film.read_bytes()
     film.write_bytes(content[: len(content) // 2])
     decoded = sum(1 for _ in read_frames(film))
-    note = missing_note(film, frame_times(film))
+    note = missing_note(film, np.array([stamp_s for _, stamp_s, _ in timed_frames(film)]))
     assert note is not None
     assert f"states 30 frames, {decoded} can be decoded" in note

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from recon import InputError
-from recon.io.video import frame_times, missing_frames, missing_note, probe, read_frames, video_writer
+from recon.io.video import missing_frames, missing_note, probe, read_frames, timed_frames, video_writer
 
 
 def grey(level: int) -> np.ndarray:
@@ -111,7 +111,7 @@ def damaged(path: Path) -> Path:
 
 def test_a_hole_in_a_video_is_found_by_its_time_stamps(tmp_path):
     video = damaged(tmp_path / "a.mkv")
-    times = frame_times(video)
+    times = np.array([stamp_s for _, stamp_s, _ in timed_frames(video)])
     ((at, count),) = (missing_frames(times) or {}).items()
     assert len(times) == 40 - count < 40
     assert [number for number, _ in read_frames(video)] == [*range(len(times))]
@@ -123,7 +123,7 @@ def test_a_hole_in_a_video_is_found_by_its_time_stamps(tmp_path):
 
 def test_frames_may_be_missing_where_time_stamps_do_not_tell(tmp_path):
     video = damaged(tmp_path / "a.avi")
-    times = frame_times(video)
+    times = np.array([stamp_s for _, stamp_s, _ in timed_frames(video)])
     assert missing_frames(times) == {}
     assert len(times) < 40
     assert f"states 40 frames, {len(times)} can be decoded" in (missing_note(video, times) or "")

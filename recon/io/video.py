@@ -62,18 +62,6 @@ def probe(path: str | Path) -> VideoInfo:
     return VideoInfo((image.shape[1], image.shape[0]), float(fps) if known else None, int(count) if count > 0 else None)
 
 
-def frame_times(path: str | Path) -> Array:
-    """(T,) seconds: the time stamp of every frame that can be decoded, in their order."""
-    capture = _open(Path(path))
-    try:
-        times = []
-        while capture.grab():
-            times.append(capture.get(cv2.CAP_PROP_POS_MSEC) / 1e3)
-        return np.array(times)
-    finally:
-        capture.release()
-
-
 def missing_frames(times_s: Array) -> dict[int, int] | None:
     """How many frames are missing before a frame, by its number: where the time stamps (T,) of evenly spaced frames
     leave a gap. Empty where there are no time stamps either; None where they are uneven, and tell nothing."""
@@ -122,15 +110,24 @@ def read_frames(
 ) -> Iterator[tuple[int, Image]]:
     """Numbers and pictures (height, width, 3; blue, green, red) of every `step`th frame from `first` up to, but
     without, `stop`, as far as the video goes. One picture is held at a time."""
+    for number, _, image in timed_frames(path, first, stop, step):
+        yield number, image
+
+
+def timed_frames(
+    path: str | Path, first: int = 0, stop: int | None = None, step: int = 1
+) -> Iterator[tuple[int, float, Image]]:
+    """As `read_frames`, with each frame's time stamp in seconds between its number and its picture."""
     capture = _open(Path(path))
     try:
         number = 0
         while (stop is None or number < stop) and capture.grab():
             if number >= first and (number - first) % step == 0:
+                stamp_s = capture.get(cv2.CAP_PROP_POS_MSEC) / 1e3
                 found, image = capture.retrieve()
                 if not found:
                     return
-                yield number, np.asarray(image, dtype=np.uint8)
+                yield number, stamp_s, np.asarray(image, dtype=np.uint8)
             number += 1
     finally:
         capture.release()

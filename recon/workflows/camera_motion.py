@@ -25,7 +25,7 @@ from recon.geometry.camera import Camera
 from recon.geometry.rotations import quaternions
 from recon.io import read_camera, read_keypoints, write_table
 from recon.io.camera_track import INTRINSICS, POSE, SIGMA
-from recon.io.video import Image, frame_times, missing_frames, missing_note, probe, read_frames
+from recon.io.video import Image, missing_frames, missing_note, probe, timed_frames
 from recon.show.plain import picked, to_json
 from recon.workflows.cameras import size_problems
 from recon.workflows.cli.common import counted, progress_bar, say, terminal
@@ -114,13 +114,15 @@ def run_camera_motion(
     )
     refuse(size_problems(settings.video, info, lens))
     points = {} if animal is None else _points(animal, settings.first_frame)
-    times_s = frame_times(settings.video)
+    stamps_s: list[float] = []
     tracker = turning.Tracker(lens, settings.zoom, points.get)
-    for number, picture in read_frames(settings.video):
+    for number, stamp_s, picture in timed_frames(settings.video):
+        stamps_s.append(stamp_s)
         tracker.add(number, picture)
         if tracker.cut is not None:
             break
-        progress("following the background", number / len(times_s))
+        progress("following the background", min(1.0, number / (info.stated_frames or number + 1)))
+    times_s = np.array(stamps_s)
     motion = tracker.finish()
     _require_turning(settings, motion, lens)
     if animal is not None:

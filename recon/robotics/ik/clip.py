@@ -373,10 +373,10 @@ def stride_of(motion: Motion, limb: _Limb, stride_s: tuple[float, float] | None 
 
 def stride_lasts_s(gait: Gait) -> tuple[float, float]:
     """How long a stride of a foot without a complete one lasts, at least and at most: about as long as the clip says.
-    In one that is too short to tell, and in which no foot lands twice, it takes the time from the first touchdown to
-    the end at least, to half a frame."""
+    In one that is too short to hold what it says, and in which no foot lands twice, it takes the time from the first
+    touchdown to the end at least, to half a frame."""
     time_s = gait.tracks.time_s
-    if gait.stride_s > 0:
+    if 0 < gait.stride_s < time_s[-1] - time_s[0]:
         return (1 - AGREE) * gait.stride_s, (1 + AGREE) * gait.stride_s
     landed = [s for s in gait.stances if s.begins]
     if len({s.foot for s in landed}) < len(landed):
