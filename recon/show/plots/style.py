@@ -40,7 +40,6 @@ COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#0
 DASHES = ("-", (0, (5, 1.5)), (0, (1, 1)), (0, (5, 1, 1, 1)))
 MOST_DOTS = 500
 """In a line: more would touch, and take long to draw."""
-MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 GREY, PALE = "#666666", "#BBBBBB"
 SMALL = 7.0
 """Points: ticks, legends, captions."""
