@@ -131,7 +131,7 @@ def _sections(found: ClipAnalysis) -> Iterator[_FigureGroup]:
         _inline([plots.composites(m, motion.limbs, motion.time_s, **drawn) for m in _stretches(motion, moved)]),
     )
     name, hardly = motion.reference, _is_unknown(moved.acceleration_m_s2, moved.acceleration_sigma_m_s2)
-    text = f"Of {name}, along its path" + (
+    text = f"How fast {name} moves along its path" + (
         ", with bands of one standard deviation" if moved.speed_sigma_m_s is not None else ""
     )
     shown = {"width_mm": SPEED_MM, "unknown": found.why_no_speed is not None, "acceleration": not hardly}

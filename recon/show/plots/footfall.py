@@ -11,7 +11,7 @@ import numpy as np
 from recon.base.words import length_text
 from recon.gait.dynamics import Dynamics
 from recon.gait.gait import Gait, Stance
-from recon.show.plots.style import COLOURS, PALE, SMALL, add_legend, drawing
+from recon.show.plots.style import COLOURS, GREY, PALE, SMALL, add_legend, drawing
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -135,6 +135,10 @@ def forces(d: Dynamics, gait: Gait) -> Figure:
             below[row].plot(time_s, middle, color=colour)
             below[row].set_ylabel(foot)
             below[row].set_ylim(bottom=0)
+            if np.isnan(middle).any() and not np.nan_to_num(middle).any():
+                style = {"transform": below[row].transAxes, "ha": "center", "va": "center", "color": GREY}
+                below[row].text(0.5, 0.5, "not known: the clip cuts its stances", **style)
+                below[row].set_yticks([])
         top.set_yticks(range(len(feet)), feet)
         top.invert_yaxis()
         top.set_title("stances, and vertical force of each foot (body weights; band: 90 %)")
