@@ -159,16 +159,16 @@ class LeastSquares:
                     rows = term.evaluate(span, jacobian=True)
                     first = span.first - start
                     add_normal(blocks, gradient, first, term.stencil, rows.residual, rows.jacobian)
-                    if not rows.by_shared:
-                        continue
-                    own = np.concatenate([np.r_[columns[name]] for name in rows.by_shared])
-                    by_shared = np.concatenate([*rows.by_shared.values()], axis=2)
-                    for slot, offset in enumerate(term.stencil):
-                        at = slice(first + offset, first + offset + len(by_shared))
-                        border[at, :, own] += rows.jacobian[:, :, slot].swapaxes(1, 2) @ by_shared
-                    flat = by_shared.reshape(-1, len(own))
-                    corner[np.ix_(own, own)] += flat.T @ flat
-                    shared_gradient[own] += flat.T @ rows.residual.ravel()
+                    by_shared = {name: rows.by_shared[name] for name in rows.by_shared if name in columns}
+                    for name, by_own in by_shared.items():
+                        for slot, offset in enumerate(term.stencil):
+                            at = slice(first + offset, first + offset + len(by_own))
+                            border[at, :, columns[name]] += rows.jacobian[:, :, slot].swapaxes(1, 2) @ by_own
+                    if by_shared:
+                        own = np.concatenate([np.r_[columns[name]] for name in by_shared])
+                        flat = np.concatenate([*by_shared.values()], axis=2).reshape(-1, len(own))
+                        corner[np.ix_(own, own)] += flat.T @ flat
+                        shared_gradient[own] += flat.T @ rows.residual.ravel()
                 span = next(spans, None)
             over = (blocks[n], gradient[n], border[n]) if more else None
             yield Normal(blocks[:n], gradient[:n], border[:n], corner, shared_gradient)

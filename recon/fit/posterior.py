@@ -34,7 +34,7 @@ from recon.animal.body import Body
 from recon.animal.prior import ANGLES
 from recon.base.arrays import Array
 from recon.fit import constants
-from recon.fit.banded import Normal, Window, eliminated
+from recon.fit.banded import Window, eliminated
 from recon.fit.least_squares import Estimate, LeastSquares
 from recon.fit.terms import COMMON_KEYPOINT_BIAS, PRIOR_TERMS, SIZE, size_of
 from recon.geometry.kinematics import ROOT, YAW, TreePose
@@ -78,11 +78,9 @@ class Posterior:
 
 @dataclass(frozen=True, eq=False)
 class _Curvature:
-    """The curvature of a problem at its solution: the normal equations in pieces and their windows, a root (P, P) of
-    the covariance of the P unknowns that all frames share besides the size, and the precision (1 + P, 1 + P) of all
-    that is shared."""
+    """The curvature of a problem at its solution: the windows of the normal equations, a root (P, P) of the covariance
+    of the P unknowns that all frames share besides the size, and the precision (1 + P, 1 + P) of all that is shared."""
 
-    normals: Callable[[], Iterable[Normal]]
     eliminated: Callable[[], Iterable[Window]]
     root: Array
     others_by_size: Array
@@ -127,9 +125,7 @@ def curvature(problem: LeastSquares, found: Estimate, variance_factor: float) ->
         others_by_size = -of_others @ S[1:, 0]
         known = float(S[0, 0] + S[0, 1:] @ others_by_size - problem.shared[0].sigma[0] ** -2)
     root = np.asarray(np.linalg.cholesky(of_others), dtype=float)
-    return _Curvature(
-        normals, windows if kept is None else lambda: kept, root, others_by_size, S, max(known, 0.0), beyond_m2
-    )
+    return _Curvature(windows if kept is None else lambda: kept, root, others_by_size, S, max(known, 0.0), beyond_m2)
 
 
 def _wider(S: Array, g: Array, own: slice, variance: Array, variance_factor: float) -> float:
@@ -149,9 +145,10 @@ def posterior(problem: LeastSquares, body: Body, found: Estimate, variance_facto
     """variance_factor: on all variances (errors of neighbouring frames are alike, which the cost does not know)."""
     states, size, known = found.states, size_of(found.shared), curvature(problem, found, variance_factor)
     solved_for = [unknown.name for unknown in problem.shared]
-    problem = replace(problem, shared=[*problem.shared, *problem.doubtful], doubtful=())
     sigma = np.sqrt(variance_factor * np.diagonal(np.linalg.inv(known.shared_precision)))
-    priors = replace(problem, terms=[term for term in problem.terms if term.name != "reprojection"], shared=())
+    columns = replace(problem, shared=[*problem.shared, *problem.doubtful]).columns
+    frames = replace(problem, shared=(), doubtful=())
+    priors = replace(frames, terms=[term for term in problem.terms if term.name != "reprojection"])
     D, without = len(states[0]), priors.normals(states)
     parts, variances, expected = [], [], []
     for window, others, follows in known.windows():  # one after the other: a window is large
@@ -161,7 +158,7 @@ def posterior(problem: LeastSquares, body: Body, found: Estimate, variance_facto
             own[first : first + _FRAMES_AT_ONCE] += lasting @ lasting.swapaxes(1, 2)
         of_joints = _of_joints(body, states[rows], own, size, follows)
         parts.append((*of_joints, _of_angles(own), follows))
-    for normals in (map(_frames_only, known.normals()), without()):
+    for normals in (frames.normals(states, found.shared)(), without()):
         for window in eliminated(normals, _at_place(D, _HELD), bounded=True):
             variances.append(_about_mean(body, states[window.rows], window.marginal_blocks()[:, 0]))
     for window in eliminated(without(), _at_place(D, _HARDLY), bounded=True):
@@ -177,14 +174,8 @@ def posterior(problem: LeastSquares, body: Body, found: Estimate, variance_facto
         state_by_size=state_by_size,
         joint_by_size_m=by_size,
         size_precision=known.size_known / variance_factor,
-        shared_sigma={name: sigma[problem.columns[name]] for name in solved_for},
+        shared_sigma={name: sigma[columns[name]] for name in solved_for},
     )
-
-
-def _frames_only(piece: Normal) -> Normal:
-    """Without what all frames share."""
-    none = np.zeros(0)
-    return Normal(piece.blocks, piece.gradient, piece.border[..., :0], np.zeros((0, 0)), none)
 
 
 def _at_place(D: int, precision: float) -> Array:

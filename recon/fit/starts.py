@@ -45,41 +45,42 @@ def position_on_rays(joints_m: Array, rays: Array) -> tuple[Array, Array]:
     depth = np.nanmedian(apart_m / np.maximum(apart_rad, 1e-6), axis=-1)
     t = np.nanmedian(rays * depth[..., None, None] - joints_m, axis=-2)
 
-    across = _across(rays)
     for _ in range(6):
-        off, slope, _ = _off_rays(joints_m + t[..., None, :], across)
-        miss = np.linalg.norm(off, axis=-1) * depth[..., None]
-        weight = seen / (1.0 + (miss / _MISFIT_M) ** 2) ** 2
-        normal, pull = _normal(off, slope, weight)
+        off = _off_rays(joints_m + t[..., None, :], rays)
+        miss = np.sqrt(_dot(off[2], off[2])) * depth[..., None]
+        normal, pull = _normal(*off, seen / (1.0 + (miss / _MISFIT_M) ** 2) ** 2)
         step = -_solution(normal + 1e-9 * np.eye(3), pull)[..., 0]
         length = np.linalg.norm(step, axis=-1)
         t = t + step * np.minimum(1.0, 0.3 * depth / np.maximum(length, 1e-9))[..., None]
-    q = joints_m + t[..., None, :]
-    miss = np.linalg.norm((across @ q[..., None])[..., 0], axis=-1)
-    return t, np.where(seen, miss, np.nan)
+    points = joints_m + t[..., None, :]
+    return t, np.where(seen, np.linalg.norm(np.cross(np.nan_to_num(rays), points), axis=-1), np.nan)
 
 
-def _across(rays: Array) -> Array:
-    """(..., J, 3, 3): what of a vector lies across each ray (..., J, 3); all of it where the ray is missing (NaN)."""
-    d = np.nan_to_num(rays)
-    return np.eye(3) - d[..., :, None] * d[..., None, :]
+def _dot(a: Array, b: Array) -> Array:
+    """Scalar products (...) of vectors (..., 3)."""
+    return np.einsum("...i,...i->...", a, b)
 
 
-def _off_rays(points_m: Array, across: Array) -> tuple[Array, Array, Array]:
-    """How far points (N, J, 3) lie off their rays as seen from the camera, (N, J, 3) without unit, the derivative
-    (N, J, 3, 3) by the points, and the directions (N, J, 3) of the points;
-    leading axes broadcast."""
-    distance = np.linalg.norm(points_m, axis=-1, keepdims=True)
-    q = points_m / distance
-    off = (across @ q[..., None])[..., 0]
-    return off, (across - off[..., :, None] * q[..., None, :]) / distance[..., None], q
+def _off_rays(points_m: Array, rays: Array) -> tuple[Array, Array, Array]:
+    """Points (..., J, 3) as vectors q / r, (..., J, 3), of their direction q by their distance r; the cosines (..., J)
+    between q and their rays d (0 where missing), and what of d lies across q, m = d - c q, as long as the sine."""
+    square, rays = _dot(points_m, points_m), np.nan_to_num(rays)
+    cosine = _dot(points_m, rays) / np.sqrt(square)
+    near = points_m / square[..., None]
+    return near, cosine, rays - (cosine * np.sqrt(square))[..., None] * near
 
 
-def _normal(off: Array, slope: Array, weight: Array) -> tuple[Array, Array]:
-    """Normal equations (..., 3, 3) and (..., 3, 1) of a translation, summed over the J joints of off (..., J, 3)."""
-    rows = slope.reshape(*slope.shape[:-3], -1, 3)
-    weighted = (slope * weight[..., None, None]).reshape(rows.shape).swapaxes(-1, -2)
-    return weighted @ rows, weighted @ off.reshape(*rows.shape[:-1], 1)
+def _normal(near: Array, cosine: Array, across: Array, weight: Array) -> tuple[Array, Array]:
+    """Normal equations (..., 3, 3) and (..., 3, 1) of a translation that brings points towards their rays, as
+    `_off_rays` has them, summed over the joints with weights (..., J).
+
+    The residual is q - c d, its slope by the point S = (I - d d' - (q - c d) q') / r, so that
+    S'S = (I - m m' - q q') / r^2 and S'(q - c d) = -c m / r.
+    """
+    square = weight * _dot(near, near)  # weight / r^2
+    along = np.concatenate([across * np.sqrt(square)[..., None], near * np.sqrt(weight)[..., None]], axis=-2)
+    normal = np.sum(square, axis=-1)[..., None, None] * np.eye(3) - along.swapaxes(-1, -2) @ along
+    return normal, -across.swapaxes(-1, -2) @ (np.sqrt(weight * square) * cosine)[..., None]
 
 
 def run_path(heading: Array, up: Array, time_s: Array) -> Array:
@@ -105,9 +106,8 @@ def constant_velocity(
     (H, J), F = shapes.shape[:2], len(rays)
     centres = np.zeros((F, 3)) if centres_m is None else centres_m
     places = position_on_rays(shapes[:, None], rays)[0]  # (H, F, 3)
-    depth = np.median(np.linalg.norm(places, axis=2), axis=1)[:, None, None, None]
+    scale = np.median(np.linalg.norm(places, axis=2), axis=1)[:, None, None] / _MISFIT_M
     seen = np.isfinite(rays[..., 0])
-    across = _across(rays)
     motion = np.stack([run_path(heading, up, time_s) for heading in headings])  # (H, F, 3, 6)
     # A wide, soft preference keeps what short clips do not show in bounds: m, m/s, m/s^2, m/s.
     prior = np.diag(1.0 / np.array([1e3, 1e3, 1e3, 15.0, 10.0, 1.0]) ** 2)
@@ -117,12 +117,9 @@ def constant_velocity(
     miss = np.zeros((H, F, J))
     for _ in range(8):
         path = (motion @ x[:, None, :, None])[..., 0] - centres  # (H, F, 3)
-        off, slope, direction = _off_rays(shapes[:, None] + path[:, :, None], across)
-        off, slope = off * (depth / _MISFIT_M), slope * (depth / _MISFIT_M)[..., None]
-        ahead = np.sum(direction * np.nan_to_num(rays), axis=-1) > 0
-        miss = np.where(ahead, np.linalg.norm(off, axis=-1), np.inf)
-        weight = seen / (1.0 + miss**2) ** 2
-        curvature, pull = _normal(off, slope, weight)
+        off = _off_rays(shapes[:, None] + path[:, :, None], rays)
+        miss = np.where(off[1] > 0, np.sqrt(_dot(off[2], off[2])) * scale, np.inf)
+        curvature, pull = _normal(*off, scale**2 * seen / (1.0 + miss**2) ** 2)
         turned = motion.swapaxes(-1, -2)
         normal = np.sum(turned @ curvature @ motion, axis=1) + prior + 1e-9 * np.eye(6)
         gradient = np.sum(turned @ pull, axis=1)[..., 0] + x @ prior

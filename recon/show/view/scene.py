@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -359,11 +360,12 @@ def _write_points(root: str, origin_px: Array, motion: Motion, picture: Picture,
         log.send(f"{root}/{entity}", rr.Points2D.columns(positions=detected[shown]).partition(shown.sum(axis=1)))
         log.fix(f"{root}/{entity}", rr.Points2D.from_fields(colors=colour, radii=rr.Radius.ui_points(2.0)))
 
-    limbs = [list(limb) for limb in motion.limbs.values()]
-    parts = [[(c, part) for c, limb in enumerate(limbs) for part in unbroken(pose[limb])] for pose in reprojected]
-    classes = [c for frame in parts for c, _ in frame]
-    drawn = [[part for _, part in frame] for frame in parts]
-    log.send(f"{root}/reprojections", strips(rr.LineStrips2D, drawn, class_ids=classes))
+    along = [(c, *bone) for c, limb in enumerate(motion.limbs.values()) for bone in pairwise(limb)]
+    pairs = np.array(along, dtype=int).reshape(-1, 3)
+    bones = reprojected[:, pairs[:, 1:]]
+    drawn = np.isfinite(bones[..., 0]).all(axis=2)
+    classes = np.broadcast_to(pairs[:, 0], drawn.shape)[drawn]
+    log.send(f"{root}/reprojections", lines(rr.LineStrips2D, bones[drawn], drawn.sum(axis=1), class_ids=classes))
     log.fix(f"{root}/reprojections", rr.LineStrips2D.from_fields(radii=rr.Radius.ui_points(1.5), show_labels=False))
     seen = np.isfinite(reprojected[..., 0])
     classes = np.broadcast_to(joint_limbs(motion), seen.shape)[seen]
