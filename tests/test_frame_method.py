@@ -11,8 +11,8 @@ from gallop import add_noise, gallop
 from recon.animal import load_chain
 from recon.clip import still_view
 from recon.geometry import inverse
-from recon.thesis import FrameOptions, base_length, frame, solve_frames, solve_joints
-from recon.thesis.frame import CONVERGED, evaluate, posterior_covariance, precision_shares
+from recon.thesis import FrameOptions, FrameProblem, FrameSolver, base_length, frame, solve_frames, solve_joints
+from recon.thesis.frame import CONVERGED, posterior_covariance, precision_shares
 from recon.thesis.objectives import JointReprojection
 from recon.thesis.starts import Travel, mean_pose
 
@@ -94,7 +94,7 @@ def test_rank_18_from_pixels_and_20_from_joints(seed: int):
     joints = SK.pose(state[None]).joints_m
     pixels = JointReprojection(camera, camera.project(joints)[0], np.ones((1, 9)), 1.0, 1e9)
     in_space = SK.pose_with_jacobian(state[None]).joints_jacobian.reshape(-1, SK.n_state)
-    for J, rank in ((evaluate((pixels,), SK, 0, state, None, 0.0)[1], 18), (in_space, 20)):
+    for J, rank in ((FrameProblem(SK, (pixels,), 0, None, 0.0).at(state)[1], 18), (in_space, 20)):
         singular = np.linalg.svd(J / np.linalg.norm(J, axis=0), compute_uv=False)
         assert len(J) >= rank
         assert np.sum(singular > 1e-9 * singular[0]) == rank
@@ -201,8 +201,8 @@ def test_the_base_lengths_prior_is_the_one_that_is_told():
     options = replace(EXACT, base_length_m=0.6, base_sigma_m=None)
     clip = gallop(n_frames=1)
     view = still_view(clip.camera, near(clip, clip.keypoints.xy_px), near(clip, clip.keypoints.confidence))
-    solver, _ = frame._solver(view, SK, 30.0, options)
-    (prior,) = (term for term in solver.others if term.name == "base length prior")
+    objectives = FrameSolver(view, SK, 30.0, options).objectives
+    (prior,) = (term for term in objectives if term.name == "base length prior")
     assert (prior.mean, prior.sigma) == pytest.approx(base_length(SK, options))
     assert prior.sigma == pytest.approx(0.6 * 0.02 / 0.203)
 
@@ -301,8 +301,9 @@ def test_reprojection_as_printed_is_neither_weighted_nor_robust():
     pixels = clip.camera.project(SK.pose(mean_start := level_states(1)).joints_m)[0]
     xy[0], confidence[0, 4] = pixels[0], 0.01
     xy[0, 4] += (300.0, 400.0)
-    solver, _ = frame._solver(still_view(clip.camera, xy, confidence), SK, 30.0, replace(NOISY, reprojection="printed"))
-    residual, _ = evaluate((replace(solver.reprojection, sigma_px=2.0),), SK, 0, mean_start[0], None, 0.0)
+    view, printed = still_view(clip.camera, xy, confidence), replace(NOISY, reprojection="printed")
+    problem = FrameSolver(view, SK, 30.0, printed).problem(0, sigma_px=2.0)
+    residual, _ = problem.by_term(mean_start[0])["reprojection"]
     expected = np.zeros((9, 2))
     expected[4] = -150.0, -200.0
     np.testing.assert_allclose(residual.reshape(9, 2), expected, atol=1e-3)

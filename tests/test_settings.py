@@ -17,7 +17,7 @@ from recon import FitSettings, InputError, read_settings
 from recon.animal import load_skeleton
 from recon.fit import TrajectoryOptions
 from recon.io import read_camera, read_cameras
-from recon.thesis import FrameOptions, frame_options
+from recon.thesis import FrameOptions
 from recon.workflows.cli import app, commands
 from recon.workflows.clip import read_model_and_cameras
 from recon.workflows.settings import SETTINGS, of_method
@@ -45,7 +45,7 @@ def test_what_is_not_given_has_its_default():
     settings = read_settings(None, {**GIVEN, "side": None, "likelihood_min": None})
     assert settings.side == "auto"
     assert settings.likelihood_min == 0.5
-    assert frame_options(FitSettings(**GIVEN, method="frame")) == FrameOptions()
+    assert FrameOptions.of(FitSettings(**GIVEN, method="frame").plain()) == FrameOptions()
     assert settings.trajectory_options() == TrajectoryOptions()
     assert (settings.method, settings.skeleton_name) == ("trajectory", "cheetah-24")
 
@@ -73,7 +73,7 @@ def test_every_solver_option_is_a_setting():
     }
     assert set(changed) == {*FrameOptions.__dataclass_fields__} & {*SETTINGS}
     assert {*of_method("frame")} < {*changed}
-    assert frame_options(FitSettings(**GIVEN, **changed, method="frame")) == FrameOptions(**changed)
+    assert FrameOptions.of(FitSettings(**GIVEN, **changed, method="frame").plain()) == FrameOptions(**changed)
 
 
 @pytest.mark.parametrize(

@@ -15,8 +15,8 @@ from recon.base.errors import InputError
 from recon.fit.motion import Motion
 from recon.show.report import build_report
 from recon.thesis import SolverRecord, read_solver
-from recon.thesis import plots as solver_plots
-from recon.thesis.solver import TABLES, write_tables
+from recon.thesis import solver as solver_plots
+from recon.thesis.solver import TABLES
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +56,8 @@ def test_jacobian_in_the_file_gives_gradient_and_norms(frame, tmp_path):
 
 
 def test_tables(frame, tmp_path):
-    write_tables(frame, tmp_path)
+    for name, table in frame.tables().items():
+        table.to_csv(tmp_path / name, index=False)
     frames, unknowns, errors, search = (pd.read_csv(tmp_path / name) for name in TABLES)
     np.testing.assert_array_equal(frames["frame"], frame.motion.frames)
     np.testing.assert_array_equal(frames["optimality"], frame.optimality)
@@ -67,7 +68,7 @@ def test_tables(frame, tmp_path):
     assert frames["iterations"].sum() == frame.summary()["iterations"]
     assert frames["rates_passed"].sum() == frame.active["rates"].sum()
     np.testing.assert_allclose(unknowns["column_norm_median"], np.median(frame.column_norm, axis=0))
-    assert search["cost"].tolist() == pytest.approx(frame.search.cost.tolist())
+    assert search["cost"].tolist() == pytest.approx(frame.search.costs.tolist())
 
 
 def test_figures(frame):
@@ -88,12 +89,14 @@ def test_figures(frame):
 def test_the_search_of_a_frame_ends_where_the_fit_did(frame):
     search = frame.search
     row = int(np.argmax(frame.solution.reported("function_evaluations")))
-    assert search.frame == row
-    assert search.cost[-1] == pytest.approx(sum(cost[row] for cost in frame.cost.values()), rel=1e-6)
-    assert search.evaluations[-1] == frame.solution.reported("function_evaluations")[row]
-    assert (np.diff(search.evaluations) > 0).all()
+    assert search.problem.frame == row
+    assert search.costs[-1] == pytest.approx(frame.cost.loc[row].sum(), rel=1e-6)
+    assert search.evaluations_at[-1] == frame.solution.reported("function_evaluations")[row]
+    assert (np.diff(search.evaluations_at) > 0).all()
     assert search.damping.max() > 1e-5
-    np.testing.assert_allclose(np.linalg.norm(search.jacobian, axis=0), frame.column_norm[row], rtol=1e-3)
+    np.testing.assert_allclose(
+        np.linalg.norm(search.problem.at(search.x)[1], axis=0), frame.column_norm[row], rtol=1e-3
+    )
     free, held = (
         np.ptp(s.chain_states[:, s.chain.euler_slice], axis=0) for s in (frame.motion.solution, frame.otherwise)
     )
@@ -102,7 +105,7 @@ def test_the_search_of_a_frame_ends_where_the_fit_did(frame):
 
 def test_the_frame_that_is_looked_into_has_a_pose(frame_results, whole_results):
     motion = Motion.load(frame_results)
-    assert read_solver(motion, frame_results, int(motion.frames[4])).search.frame == 4
+    assert read_solver(motion, frame_results, int(motion.frames[4])).search.problem.frame == 4
     with pytest.raises(InputError, match="expected one with a pose, from 0 to 29"):
         read_solver(motion, frame_results, 99)
     with pytest.raises(InputError, match="expected results of recon frame"):
@@ -114,10 +117,10 @@ def test_figures_of_the_frame_method(frame):
     spent = frame.solution.reported("function_evaluations")
     assert sum(bar.get_height() for one in bars for bar in one) == spent.sum()
     above, below = solver_plots.solver_frame(frame).axes
-    np.testing.assert_array_equal(above.lines[0].get_ydata(), frame.search.cost)
+    np.testing.assert_array_equal(above.lines[0].get_ydata(), frame.search.costs)
     assert below.lines[0].get_ydata().max() == frame.search.damping.max()
     jacobian, *_ = solver_plots.solver_matrices(frame).axes
-    assert jacobian.images[0].get_array().shape == frame.search.jacobian.shape
+    assert jacobian.images[0].get_array().shape == frame.search.problem.at(frame.search.x)[1].shape
     *_, errors = solver_plots.solver_rotation(frame).axes
     shown = np.nanmean(errors.lines[0].get_ydata())
     assert shown == pytest.approx(np.nanmean([np.nanmean(of_frame) for of_frame in frame.image_error_px]))

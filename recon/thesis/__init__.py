@@ -11,10 +11,12 @@ from typing import TYPE_CHECKING
 from recon.base import lazily
 
 if TYPE_CHECKING:
-    from recon.thesis.clip import fit_clip, frame_options, load_body
+    from recon.thesis.clip import fit_clip, load_body
     from recon.thesis.frame import (
         FrameOptions,
+        FrameProblem,
         FrameSolution,
+        FrameSolver,
         base_length,
         frame_objectives,
         solve_frames,

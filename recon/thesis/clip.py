@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
+from pathlib import Path
+from typing import Annotated, Any
 
 from recon.animal.body import Body
 from recon.animal.skeleton_file import load_chain
 from recon.base import Progress, silent
+from recon.base.settings import Option, Settings
 from recon.check import judged
 from recon.clip import views_of
 from recon.fit.motion import Motion
 from recon.thesis.frame import FrameOptions, solve_frames
+from recon.workflows.cli.command import OptionsOf
+from recon.workflows.cli.common import finish, progress_bar, terminal
 from recon.workflows.clip import prepare
-from recon.workflows.settings import SETTINGS, FitSettings
+from recon.workflows.settings import SETTINGS, FitSettings, read_settings
+
+_OPTIONS = tuple(name for name, info in SETTINGS.items() if name != "method" and info.option.method in (None, "frame"))
 
 
 def fit_clip(settings: FitSettings, progress: Progress = silent) -> Motion:
@@ -21,12 +27,11 @@ def fit_clip(settings: FitSettings, progress: Progress = silent) -> Motion:
     Raises InputError for files and settings that cannot be used, with the problems of all of them. Frames that cannot
     be solved are part of the result.
     """
-    given, chain = prepare(settings), load_chain(settings.skeleton_name)
+    given, chain, plain = prepare(settings), load_chain(settings.skeleton_name), settings.plain()
     (view,), T = views_of(given.sources), len(given.sources[0].keypoints.frames)
-    solution = solve_frames(view, chain, given.fps, frame_options(settings), lambda done: progress("frames", done / T))
-    plain = settings.plain()
-    motion = Motion(given.sources, given.side, given.side_reason, solution, chain=chain, settings=plain)
-    return judged(motion)
+    options = FrameOptions.of(plain)
+    solution = solve_frames(view, chain, given.fps, options, lambda done: progress("frames", done / T))
+    return judged(Motion(given.sources, given.side, given.side_reason, solution, chain=chain, settings=plain))
 
 
 def load_body(settings: FitSettings) -> Body:
@@ -34,8 +39,31 @@ def load_body(settings: FitSettings) -> Body:
     return load_chain(settings.skeleton_name).body
 
 
-def frame_options(settings: FitSettings) -> FrameOptions:
-    """The options of the frame method among the settings of a fit."""
-    return FrameOptions(
-        **{name: getattr(settings, name) for field in fields(FrameOptions) if (name := field.name) in SETTINGS}
-    )
+class _FrameRunSettings(Settings):
+    """The settings of `recon frame` beside those of the fit itself."""
+
+    out: Annotated[Path, Option("Folder for the results, as in results/clip1.")]
+    config: Annotated[Path | None, Option("config.toml of an earlier run; options given here overrule it.")] = None
+    overwrite: Annotated[bool, Option("Replace results in the folder.")] = False
+
+
+def frame(
+    settings: _FrameRunSettings,
+    given: Annotated[dict[str, Any], OptionsOf(FitSettings, _OPTIONS)],
+    as_json: bool,
+    quiet: bool,
+) -> None:
+    """The thesis' method, to compare with: one side of the animal as a chain, one frame after the other.
+
+    Example: recon frame clip.csv --camera scene.json --camera-name cam2 --fps 90 --out results/clip
+
+    Exit code 0: done. 1: no frame could be solved. 2: the input cannot be used.
+    """
+    from recon.workflows.clip_results import run_clip
+    from recon.workflows.made_from import read_config
+
+    given, console = {**given, "method": "frame"}, terminal(quiet=quiet, stderr=as_json)
+    fitted = read_settings(None, given) if settings.config is None else read_config(settings.config, given)
+    with progress_bar(console, "fitting: ") as progress:
+        report = run_clip(fitted, settings.out, settings.overwrite, progress)
+    finish(console, report, settings.out, as_json)

@@ -9,10 +9,10 @@ whose solution leaves points unexplained get further starts, and the lowest cost
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from scipy.linalg import eigh
@@ -41,7 +41,6 @@ from recon.thesis.starts import Travel, estimate_travel, geometric_start, state_
 
 Status = Literal["converged", "not_converged", "no_data"]
 
-CAMERA_ANGLES = ("xi", "psi", "zeta")
 CONVERGED = (1, 2, 3, 4)
 """Status values of scipy's least_squares that name a tolerance that was met."""
 
@@ -83,6 +82,12 @@ class FrameOptions:
     robust_c: float = 4.5
     tolerance: float = 1e-8
     max_evaluations: int = 400
+
+    @classmethod
+    def of(cls, settings: Mapping[str, Any]) -> FrameOptions:
+        """Those among the settings of a fit, as a motion keeps them."""
+        given = {field.name: settings.get(field.name) for field in fields(cls)}
+        return cls(**{name: value for name, value in given.items() if value is not None})
 
 
 @dataclass(frozen=True)
@@ -154,26 +159,34 @@ class FrameSolution(Solution):
 
     def findings(self) -> tuple[Finding, ...]:
         """Findings on frames that were not solved well."""
-        total, flags = len(self.flags), [flag for flags in self.flags for flag in flags]
-        solved = total - self.status.count("no_data")
-        at_limit = flags.count("at range limit")
-        counts = {
-            "frames_not_converged": self.status.count("not_converged"),
-        }
-        found = [finding(code, count=count, frames_total=total) for code, count in counts.items() if count]
+        total, failed = len(self.flags), self.status.count("not_converged")
+        solved, found = total - self.status.count("no_data"), []
+        if failed:
+            found.append(finding("frames_not_converged", count=failed, frames_total=total))
+        at_limit = sum("at range limit" in flags for flags in self.flags)
         if at_limit > WARN_LIMITS * solved:
             found.append(finding("at_range_limits", count=at_limit, frames_total=solved))
         return tuple(found)
 
+    def _expected(self, field: str) -> Array:
+        """(2 A,): what the skeleton expects of theta and phi."""
+        return np.concatenate([getattr(ranges, field) for ranges in (self.chain.theta, self.chain.phi)])
+
     @cached_property
     def beyond_range_rad(self) -> Array:
         """(T, 2 A): how far angles lie beyond their expected ranges; negative inside, NaN without a pose."""
-        return beyond_range_rad(self.chain, self.chain_states)
+        angles = self.chain_states[:, : 2 * self.chain.n_angles]
+        return np.abs(angles - self._expected("mean_rad")) - self._expected("tolerance_rad")
 
     @cached_property
     def beyond_rate_rad_s(self) -> Array:
         """(T, 2 A): chord rate since the solved frame before, above its limit; NaN for the first and without a pose."""
-        return beyond_rate_rad_s(self.chain, self.chain_states, self.fps)
+        angles = self.chain_states[:, : 2 * self.chain.n_angles]
+        rows = np.flatnonzero(np.isfinite(angles[:, 0]))
+        beyond = np.full(angles.shape, np.nan)
+        chord = 2 * np.abs(np.sin(np.diff(angles[rows], axis=0) / 2)) * self.fps / np.diff(rows)[:, None]
+        beyond[rows[1:]] = chord - self._expected("max_rate_rad_s")
+        return beyond
 
 
 def frame_solution(motion: Motion) -> FrameSolution:
@@ -234,96 +247,20 @@ def solve_frames(
     included.
     """
     view = view.credible()
-    camera, xy_px = view.camera, view.xy_px
-    solver, travel = _solver(view, chain, fps, options)
-    rays, _ = camera.rays(xy_px)
-    seen = np.isfinite(rays[..., 0]).sum(axis=1)
-
-    states = np.full((len(xy_px), chain.n_state), np.nan)
-    covariance = np.full((len(xy_px), chain.n_state, chain.n_state), np.nan)
+    solver = FrameSolver(view, chain, fps, options)
+    covariance = np.full((*solver.states.shape, chain.n_state), np.nan)
     reports: list[_FrameReport | None] = []
-    before: list[int] = []  # the last two solved frames, newest last
-    for frame in range(len(xy_px)):
+    for frame, seen in enumerate(np.isfinite(solver.rays[..., 0]).sum(axis=1)):
         progress(frame + 1)
-        if seen[frame] < MIN_JOINTS:
+        if seen < MIN_JOINTS:
             reports.append(None)
             continue
-        state, C, report = solver.solve(frame, rays[frame], travel.heading[frame], states, before, fps)
+        state, C, report = solver.solve(frame)
         reports.append(report)
         if report.in_view:  # a pose that diverged is no start for the next frame
-            states[frame], covariance[frame] = state, C
-            before = [*before[-1:], frame]
+            solver.states[frame], covariance[frame] = state, C
     names = tuple(term.name for term in solver.objectives)
-    return in_world(view, chain, states, covariance, tuple(reports), travel, names, fps)
-
-
-def frame_rows(
-    view: View, chain: Chain, fps: float, options: FrameOptions, states: Array, sigma_px: Array
-) -> Iterator[tuple[int, dict[str, tuple[Array, Array]]]]:
-    """For every frame with a pose its row, and by term what was solved there: residuals (M,) and their Jacobian (M, D)
-    by the frame's unknowns, the frame before being held. As given to `solve_frames`, and as it found them: states (T,
-    D), NaN without a pose, and sigma_px (T,)."""
-    solver, _ = _solver(view.credible(), chain, fps, options)
-    solved = np.flatnonzero(np.isfinite(states[:, 0]))
-    for frame, before in zip(solved.tolist(), [None, *solved.tolist()], strict=False):
-        given = solver.given(frame, states, before, fps, float(sigma_px[frame]))
-        terms = solver.terms(given)
-        parts = by_term(terms, solver.chain, frame, states[frame], given.previous, given.dt_s)
-        yield frame, {term.name: part for term, part in zip(terms, parts, strict=True)}
-
-
-@dataclass(frozen=True, eq=False)
-class FrameSearch:
-    """The way of one frame from the start that won to its minimum, K accepted points, the approach with a wide loss
-    included."""
-
-    frame: int
-    cost: Array
-    """(K,): half the squared residuals, of the last loss."""
-    damping: Array
-    """(K - 1,): lambda of the step from each point, (J'J + lambda S) step = -J'r, S with the largest squared norms that
-    columns of J have had: MINPACK's, found from the step that it took."""
-    evaluations: Index
-    """(K,): of the residuals, when the point was accepted."""
-    jacobian: Array
-    """(M, D), at the minimum."""
-    rows: dict[str, int]
-    """How many of those each term has, in their order."""
-
-
-def frame_search(view: View, chain: Chain, fps: float, options: FrameOptions, states: Array, frame: int) -> FrameSearch:
-    """How a frame was solved, by solving it again. As given to `solve_frames`, and what that found: states (T, D)."""
-    view = view.credible()
-    solver, travel = _solver(view, chain, fps, options)
-    before = np.flatnonzero(np.isfinite(states[:frame, 0]))[-2:].tolist()
-    rays, _ = view.camera.rays(view.xy_px[frame])
-    best, fixed, _ = solver.search(frame, rays, travel.heading[frame], states, before, fps)
-
-    def at(x: Array, sigma_px: float) -> tuple[Array, Array]:
-        terms = solver.terms(replace(fixed, sigma_px=sigma_px))
-        return evaluate(terms, solver.chain, frame, x, fixed.previous, fixed.dt_s)
-
-    damping, scale, sigma_px = [], np.zeros(chain.n_state), 0.0
-    for x, step, own_px in zip(best.points, np.diff(best.points, axis=0), best.sigma_px, strict=False):
-        r, J = at(x, own_px)
-        scale = np.maximum(scale if own_px == sigma_px else 0.0, np.sum(J**2, axis=0))
-        scaled, sigma_px = np.where(scale > 0, scale, 1.0) * step, own_px
-        damping.append(max(float(-(scaled @ J.T @ (r + J @ step)) / max(float(scaled @ scaled), 1e-300)), 0.0))
-    cost = [0.5 * float(np.sum(at(x, fixed.sigma_px)[0] ** 2)) for x in best.points]
-    terms, x = solver.terms(fixed), best.points[-1]
-    parts = by_term(terms, solver.chain, frame, x, fixed.previous, fixed.dt_s)
-    rows = {term.name: len(r) for term, (r, _) in zip(terms, parts, strict=True)}
-    jacobian = np.concatenate([J for _, J in parts])
-    return FrameSearch(frame, np.array(cost), np.array(damping), best.evaluations_at, jacobian, rows)
-
-
-def _solver(view: View, chain: Chain, fps: float, options: FrameOptions) -> tuple[_FrameSolver, Travel]:
-    """The solver of what a still camera saw, as far as it is credible."""
-    nominal, sigma = base_length(chain, options)
-    expected, options = replace(chain, nominal_base_length_m=nominal), replace(options, base_sigma_m=sigma)
-    travel = estimate_travel(view.camera, expected, view.xy_px, fps)
-    objectives = frame_objectives(view.camera, expected, view.xy_px, view.confidence, travel, options)
-    return _FrameSolver(view.camera, expected, objectives, options), travel
+    return in_world(view, chain, solver.states, covariance, tuple(reports), solver.travel, names, fps)
 
 
 def in_world(
@@ -362,7 +299,7 @@ def in_world(
     sigma_px, trusted = (
         np.array([np.nan if r is None else getattr(r, field) for r in reports]) for field in ("sigma_px", "mean_weight")
     )
-    return FrameSolution(
+    found = FrameSolution(
         body=chain.body,
         views=(view,),
         states=body_states,
@@ -374,7 +311,7 @@ def in_world(
         angle_data_share=angle_share,
         noise_px=np.repeat(sigma_px[None, :, None], J, axis=2),
         weight=np.where(view.present, trusted[:, None], np.nan)[None],
-        flags=_flags(view, chain, states, joints_m, reports, sigma_px, trusted, fps),
+        flags=(),
         alternative_m=np.full(T, np.nan),  # of all starts only the best is kept
         contact=np.zeros((T, len(chain.feet))),
         segments=(MotionSegment(slice(0, T), None),),
@@ -386,6 +323,7 @@ def in_world(
         objectives=objectives,
         fps=fps,
     )
+    return replace(found, flags=_flags(found))
 
 
 def _of_angles(
@@ -408,51 +346,23 @@ def _of_angles(
     return np.sqrt(variance), np.sum(weight * shares[:, None], axis=2) / np.sum(weight, axis=2)
 
 
-def _flags(
-    view: View,
-    chain: Chain,
-    states: Array,
-    joints_m: Array,
-    reports: Sequence[_FrameReport | None],
-    sigma_px: Array,
-    trusted: Array,
-    fps: float,
-) -> tuple[tuple[str, ...], ...]:
-    """(T,). sigma_px, trusted (T,): of the reports."""
-    present, J = view.present.sum(axis=1), len(chain.joints)
-    off_px = np.linalg.norm(view.project(joints_m)[0] - view.xy_px, axis=-1)
+def _flags(solution: FrameSolution) -> tuple[tuple[str, ...], ...]:
+    """What is doubtful about each of the T frames."""
+    (view,), reports, J = solution.views, solution.reports, len(solution.chain.joints)
+    sigma_px, trusted = solution.noise_px[0], solution.reported("mean_weight")
+    present = view.present.sum(axis=1)
+    off_px = np.linalg.norm(view.project(solution.joints_m)[0] - view.xy_px, axis=-1)
     doubtful = {
         "no data": [r is None for r in reports],
         "diverged": [r is not None and not r.in_view for r in reports],
         "few points": [r is not None for r in reports] & (present < FEW_POINTS_SHARE * J),
         "data poor": present * trusted < GOOD_SHARE * J,
-        "outliers": (off_px > OUTLIER_SIGMAS * sigma_px[:, None]).any(axis=1),
-        "not converged": [r is not None and r.status == "not_converged" for r in reports],
-        "at range limit": (beyond_range_rad(chain, states) > 0).any(axis=1),
-        "at rate limit": (beyond_rate_rad_s(chain, states, fps) > 0).any(axis=1),
+        "outliers": (off_px > OUTLIER_SIGMAS * sigma_px).any(axis=1),
+        "not converged": [status == "not_converged" for status in solution.status],
+        "at range limit": (solution.beyond_range_rad > 0).any(axis=1),
+        "at rate limit": (solution.beyond_rate_rad_s > 0).any(axis=1),
     }
     return tuple(tuple(name for name, which in doubtful.items() if which[t]) for t in range(len(reports)))
-
-
-def _expected(chain: Chain, field: str) -> Array:
-    """(2 A,): of theta and phi."""
-    return np.concatenate([getattr(ranges, field) for ranges in (chain.theta, chain.phi)])
-
-
-def beyond_range_rad(chain: Chain, states: Array) -> Array:
-    """See `FrameSolution`; for states (T, D)."""
-    angles = states[:, : 2 * chain.n_angles]
-    return np.abs(angles - _expected(chain, "mean_rad")) - _expected(chain, "tolerance_rad")
-
-
-def beyond_rate_rad_s(chain: Chain, states: Array, fps: float) -> Array:
-    """See `FrameSolution`; for states (T, D), frames fps apart."""
-    angles = states[:, : 2 * chain.n_angles]
-    rows = np.flatnonzero(np.isfinite(states[:, 0]))
-    beyond = np.full(angles.shape, np.nan)
-    chord = 2 * np.abs(np.sin(np.diff(angles[rows], axis=0) / 2)) * fps / np.diff(rows)[:, None]
-    beyond[rows[1:]] = chord - _expected(chain, "max_rate_rad_s")
-    return beyond
 
 
 def solve_joints(chain: Chain, joints_m: Array, up: Array, tolerance: float = 1e-15) -> Array:
@@ -480,19 +390,76 @@ def solve_joints(chain: Chain, joints_m: Array, up: Array, tolerance: float = 1e
     return states
 
 
-@dataclass(frozen=True)
-class _Candidate:
-    """One start that was solved."""
+# -- one frame after the other ----------------------------------------------------------------------------------------
 
+
+@dataclass(frozen=True, eq=False)
+class FrameProblem:
+    """The least-squares problem of one frame, of whose unknowns x (D,) the residuals are functions."""
+
+    chain: Chain
+    terms: tuple[Objective, ...]
+    """Reprojection comes first."""
+    frame: int
+    """The row of the clip."""
+    previous: ChainPose | None
+    """The frame before, dt_s earlier, which is held; None for terms that read this frame only."""
+    dt_s: float
+
+    def by_term(self, x: Array) -> dict[str, tuple[Array, Array]]:
+        """By term its residuals (M,) and their Jacobian (M, D)."""
+        now = self.chain.pose_with_jacobian(x[None])
+        return {term.name: term.evaluate(now, self.previous, self.frame, self.dt_s) for term in self.terms}
+
+    def at(self, x: Array) -> tuple[Array, Array]:
+        """The same of all terms, stacked."""
+        residuals, jacobians = zip(*self.by_term(x).values(), strict=True)
+        return np.concatenate(residuals), np.concatenate(jacobians)
+
+    @property
+    def pixels(self) -> JointReprojection:
+        first = self.terms[0]
+        assert isinstance(first, JointReprojection)
+        return first
+
+    def with_noise(self, sigma_px: float) -> FrameProblem:
+        """With another standard deviation of the detections."""
+        return replace(self, terms=(replace(self.pixels, sigma_px=sigma_px), *self.terms[1:]))
+
+    def sigmas_off(self, x: Array) -> Array:
+        """(n,) from the frame's detections to the reprojections in standard deviations, infinite where a joint cannot
+        be projected."""
+        pixels, valid = self.pixels.camera.project(self.chain.pose(x[None]).joints_m[0])
+        detected = self.pixels.xy_px[self.frame]
+        off = np.where(valid, np.linalg.norm(pixels - detected, axis=1), np.inf)
+        return off[np.isfinite(detected[:, 0])] / self.pixels.sigma_px
+
+    def in_view(self, x: Array) -> bool:
+        """Whether every detected joint can be projected, and the animal has a size (MOST_SIZE) and is near enough to be
+        seen (MIN_REACH_PX)."""
+        base, nominal = float(x[self.chain.base_index]), self.chain.nominal_base_length_m
+        if not nominal / MOST_SIZE < base < nominal * MOST_SIZE:
+            return False
+        depth = float(np.median(self.chain.pose(x[None]).joints_m[0, :, 2]))
+        reach = float(self.chain.length_ratios.sum()) * base * _focal_px(self.pixels.camera)
+        return reach > MIN_REACH_PX * depth and bool(np.all(np.isfinite(self.sigmas_off(x))))
+
+
+@dataclass(frozen=True, eq=False)
+class FrameSearch:
+    """The way of one frame from a start to its minimum, K accepted points, the approach with a wide loss included."""
+
+    problem: FrameProblem
     cost: float
+    """Half the squared residuals at the minimum."""
     status: int
     """The status of scipy's least_squares."""
     evaluations: int
     iterations: int
     points: Array
-    """(K, D): those that were accepted, from the start on."""
+    """(K, D), from the start on."""
     evaluations_at: Index
-    """(K,): of the residuals, by then."""
+    """(K,): of the residuals, when the point was accepted."""
     sigma_px: Array
     """(K,): of the loss that the step from there had, the last ones' the detections' own."""
 
@@ -506,53 +473,97 @@ class _Candidate:
         moves = np.linalg.norm(np.diff(self.points, axis=0), axis=1)
         return float(np.append(0.0, moves[moves > 0])[-1])
 
+    def after(self, earlier: FrameSearch) -> FrameSearch:
+        """With the way that led to its start."""
+        spent = earlier.evaluations_at[-1]
+        return replace(
+            self,
+            evaluations=earlier.evaluations + self.evaluations,
+            iterations=earlier.iterations + self.iterations,
+            points=np.concatenate([earlier.points[:-1], self.points]),
+            evaluations_at=np.concatenate([earlier.evaluations_at[:-1], spent + self.evaluations_at]),
+            sigma_px=np.concatenate([earlier.sigma_px[:-1], self.sigma_px]),
+        )
 
-@dataclass(frozen=True)
-class _FrameInputs:
-    """What does not change while a frame is solved. previous: the pose before, dt_s earlier, None at the start."""
+    @cached_property
+    def costs(self) -> Array:
+        """(K,): half the squared residuals, of the last loss."""
+        return np.array([0.5 * float(np.sum(self.problem.at(x)[0] ** 2)) for x in self.points])
 
-    frame: int
-    previous: ChainPose | None
-    dt_s: float
-    sigma_px: float
+    @cached_property
+    def damping(self) -> Array:
+        """(K - 1,): lambda of the step from each point, (J'J + lambda S) step = -J'r, S with the largest squared norms
+        that columns of J have had: MINPACK's, found from the step that it took."""
+        damping, scale, sigma_px = [], np.zeros(self.points.shape[1]), 0.0
+        for x, step, own_px in zip(self.points, np.diff(self.points, axis=0), self.sigma_px, strict=False):
+            r, J = self.problem.with_noise(own_px).at(x)
+            scale = np.maximum(scale if own_px == sigma_px else 0.0, np.sum(J**2, axis=0))
+            scaled, sigma_px = np.where(scale > 0, scale, 1.0) * step, own_px
+            damping.append(max(float(-(scaled @ J.T @ (r + J @ step)) / max(float(scaled @ scaled), 1e-300)), 0.0))
+        return np.array(damping)
 
 
-class _FrameSolver:
-    def __init__(self, camera: Camera, chain: Chain, objectives: Sequence[Objective], options: FrameOptions) -> None:
-        self.camera, self.chain, self.options = camera, chain, options
-        self.objectives = objectives
-        reprojection, *self.others = objectives
-        assert isinstance(reprojection, JointReprojection)
-        self.reprojection = reprojection
-        self.focal_px = float(np.sqrt(camera.matrix[0, 0] * camera.matrix[1, 1]))
+class FrameSolver:
+    """Solves a clip frame by frame. states (T, D) are those that it has found, or had found before, NaN elsewhere."""
 
-    def solve(
-        self, frame: int, rays: Array, heading: Array, states: Array, before: Sequence[int], fps: float
-    ) -> tuple[Array, Array, _FrameReport]:
+    def __init__(
+        self, view: View, chain: Chain, fps: float, options: FrameOptions, states: Array | None = None
+    ) -> None:
+        view = view.credible()
+        nominal, sigma = base_length(chain, options)
+        self.chain, self.options = replace(chain, nominal_base_length_m=nominal), replace(options, base_sigma_m=sigma)
+        self.camera, self.fps = view.camera, fps
+        self.states = np.full((len(view.xy_px), chain.n_state), np.nan) if states is None else states
+        self.rays, _ = view.camera.rays(view.xy_px)
+        self.travel = estimate_travel(view.camera, self.chain, view.xy_px, fps)
+        self.objectives = frame_objectives(
+            view.camera, self.chain, view.xy_px, view.confidence, self.travel, self.options
+        )
+
+    def before(self, frame: int) -> list[int]:
+        """The last two solved frames, newest last."""
+        return np.flatnonzero(np.isfinite(self.states[:frame, 0]))[-2:].tolist()
+
+    def problem(self, frame: int, sigma_px: float) -> FrameProblem:
+        """A frame's problem with its noise; without a frame before, no ties to it."""
+        if before := self.before(frame):
+            previous, dt_s = self.chain.pose(self.states[before[-1]][None]), (frame - before[-1]) / self.fps
+        else:
+            previous, dt_s = None, 1.0 / self.fps
+        terms = tuple(term for term in self.objectives if previous is not None or not term.ties)
+        return FrameProblem(self.chain, terms, frame, previous, dt_s).with_noise(sigma_px)
+
+    def rows(self, sigma_px: Array) -> Iterator[tuple[int, dict[str, tuple[Array, Array]]]]:
+        """For every frame with a pose its row, and what was solved there (`FrameProblem.by_term`), with the noise (T,)
+        that it had."""
+        for frame in np.flatnonzero(np.isfinite(self.states[:, 0])).tolist():
+            yield frame, self.problem(frame, float(sigma_px[frame])).by_term(self.states[frame])
+
+    def solve(self, frame: int) -> tuple[Array, Array, _FrameReport]:
         """State (D,), its covariance (D, D) given the frame before, and what was done."""
         began = time.perf_counter()
-        best, fixed, starts = self.search(frame, rays, heading, states, before, fps)
-        return best.x, *self._report(fixed, best, starts, began)
+        best, starts = self.search(frame)
+        return best.x, *self._report(best, starts, began)
 
-    def search(
-        self, frame: int, rays: Array, heading: Array, states: Array, before: Sequence[int], fps: float
-    ) -> tuple[_Candidate, _FrameInputs, int]:
-        """The best of the minima, what was held, and from how many starts."""
-        starts = [self._carried_on(frame, states, before)] if before else self._first_starts(rays, heading)
-        fixed = self.given(frame, states, before[-1] if before else None, fps, self._noise_px(starts[0]))
-        tried = [self._solve_from(start, fixed) for start in starts]
-        best = self._best(fixed, tried)
-        if before and not self._explained(fixed, best):
-            more = self._more_starts(rays, heading, states[before[-1]])
-            tried += [self._solve_from(start, fixed) for start in more]
-            best = self._best(fixed, tried)
-        return best, fixed, len(tried)
+    def search(self, frame: int) -> tuple[FrameSearch, int]:
+        """The best of the minima, and from how many starts."""
+        rays, heading, before = self.rays[frame], self.travel.heading[frame], self.before(frame)
+        starts = [self._carried_on(frame, before)] if before else self._first_starts(rays, heading)
+        problem = self.problem(frame, self._noise_px(starts[0]))
+        tried = [self._solve_from(start, problem) for start in starts]
+        if before and not self._explained(self._best(tried)):
+            more = self._more_starts(rays, heading, self.states[before[-1]])
+            tried += [self._solve_from(start, problem) for start in more]
+        return self._best(tried), len(tried)
 
-    def given(self, frame: int, states: Array, before: int | None, fps: float, sigma_px: float) -> _FrameInputs:
-        """before: the last solved frame, None at the start."""
-        if before is None:
-            return _FrameInputs(frame, None, 1.0 / fps, sigma_px)
-        return _FrameInputs(frame, self.chain.pose(states[before][None]), (frame - before) / fps, sigma_px)
+    def _best(self, tried: Sequence[FrameSearch]) -> FrameSearch:
+        """The lowest cost among the poses that the camera can see, or among all if it can see none."""
+        return min(tried, key=lambda search: (not search.problem.in_view(search.x), search.cost))
+
+    def _explained(self, search: FrameSearch) -> bool:
+        """Converged, and no detection further off than c sigma."""
+        within = search.problem.sigmas_off(search.x) < self.options.robust_c
+        return search.status in CONVERGED and bool(np.all(within))
 
     # -- starts ---------------------------------------------------------------------------------------------------
 
@@ -564,13 +575,13 @@ class _FrameSolver:
             for turn in (0.0, 0.5, -0.5)
         ]
 
-    def _carried_on(self, frame: int, states: Array, before: Sequence[int]) -> Array:
+    def _carried_on(self, frame: int, before: Sequence[int]) -> Array:
         """The state before, its root moved on along its path. The place R p0 is moved, never p0: R turns it."""
-        last = self.chain.pose(states[before])
+        last = self.chain.pose(self.states[before])
         place = last.joints_m[-1, 0]
         if len(before) == 2:
             place = place + (place - last.joints_m[0, 0]) * (frame - before[1]) / (before[1] - before[0])
-        return self._placed(states[before[-1]], place if place[2] > 0 else last.joints_m[-1, 0])
+        return self._placed(self.states[before[-1]], place if place[2] > 0 else last.joints_m[-1, 0])
 
     def _more_starts(self, rays: Array, heading: Array, last: Array) -> list[Array]:
         """The mean pose along the direction of travel, and the last pose where the rays put that."""
@@ -585,55 +596,49 @@ class _FrameSolver:
         moved[self.chain.place_slice] = self.chain.pose(state[None]).rotation[0].T @ place_m
         return moved
 
+    def _noise_px(self, start: Array) -> float:
+        """Standard deviation of a detection: the detector's noise and, at a start's distance, the keypoints'."""
+        o = self.options
+        depth = max(float(self.chain.pose(start[None]).joints_m[0, :, 2].mean()), 0.1)
+        keypoint_m = self.chain.scales.keypoint_m if o.keypoint_sigma_m is None else o.keypoint_sigma_m
+        return float(np.hypot(o.sigma_px, min(keypoint_m * _focal_px(self.camera) / depth, o.keypoint_sigma_max_px)))
+
     # -- one optimisation -----------------------------------------------------------------------------------------
 
-    def _solve_from(self, start: Array, fixed: _FrameInputs) -> _Candidate:
+    def _solve_from(self, start: Array, problem: FrameProblem) -> FrameSearch:
         """The minimum from one start, approached with a wide loss where the start is far off for the noise.
 
         Geman-McClure residuals beyond c sigma hardly pull: a start that far off would stay there.
         """
-        off = float(np.nanmedian(self._distances_px(fixed, start))) / fixed.sigma_px
-        if not off <= self.options.robust_c / 2:
-            wide = fixed.sigma_px * min(off, 50.0) if np.isfinite(off) else fixed.sigma_px * 10.0
-            near = self._minimise(start, replace(fixed, sigma_px=wide), tolerance=1e-3)
-            best = self._minimise(near.x, fixed, self.options.tolerance)
-            return replace(
-                best,
-                evaluations=near.evaluations + best.evaluations,
-                iterations=near.iterations + best.iterations,
-                points=np.concatenate([near.points[:-1], best.points]),
-                evaluations_at=np.concatenate(
-                    [near.evaluations_at[:-1], near.evaluations_at[-1] + best.evaluations_at]
-                ),
-                sigma_px=np.concatenate([near.sigma_px[:-1], best.sigma_px]),
-            )
-        return self._minimise(start, fixed, self.options.tolerance)
+        off = float(np.nanmedian(problem.sigmas_off(start)))
+        if off <= self.options.robust_c / 2:
+            return self._minimise(start, problem, self.options.tolerance)
+        wide = problem.pixels.sigma_px * (min(off, 50.0) if np.isfinite(off) else 10.0)
+        near = self._minimise(start, problem.with_noise(wide), tolerance=1e-3)
+        return self._minimise(near.x, problem, self.options.tolerance).after(near)
 
-    def _minimise(self, start: Array, fixed: _FrameInputs, tolerance: float) -> _Candidate:
-        terms = self.terms(fixed)
+    def _minimise(self, start: Array, problem: FrameProblem, tolerance: float) -> FrameSearch:
         free = np.ones(self.chain.n_state, dtype=bool)
-        if self.options.camera_rotation == "fixed" and fixed.previous is not None:
+        if self.options.camera_rotation == "fixed" and problem.previous is not None:
             free[self.chain.euler_slice] = False
-        x = start.copy()
-        last: dict[str, Array] = {}
+        x, last, evaluations = start.copy(), (start, start, start), 0
         steps: list[Array] = []
-        counts, evaluations = [], 0
+        counts: list[int] = []
 
         def residual(y: Array) -> Array:
-            nonlocal evaluations
+            nonlocal evaluations, last
             evaluations += 1
             x[free] = y
-            last["y"] = y.copy()
-            last["r"], last["J"] = evaluate(terms, self.chain, fixed.frame, x, fixed.previous, fixed.dt_s)
-            return last["r"]
+            last = y.copy(), *problem.at(x)
+            return last[1]
 
         def jacobian(y: Array) -> Array:
             # MINPACK asks for the Jacobian at accepted points only: their differences are the steps taken.
             steps.append(y.copy())
             counts.append(evaluations)
-            if not np.array_equal(last["y"], y):
+            if not np.array_equal(last[0], y):
                 residual(y)
-            return last["J"][:, free]
+            return last[2][:, free]
 
         tolerance = max(tolerance, float(np.finfo(float).eps))  # less is the same to MINPACK
         result = least_squares(
@@ -652,57 +657,17 @@ class _FrameSolver:
             counts.append(evaluations)
         points = np.tile(start, (len(steps), 1))
         points[:, free] = steps
-        told = float(result.cost), int(result.status), int(result.nfev), int(result.njev or 0)
-        return _Candidate(*told, points, np.array(counts), np.full(len(points), fixed.sigma_px))
+        spent = int(result.nfev), int(result.njev or 0)
+        noise_px = np.full(len(points), problem.pixels.sigma_px)
+        return FrameSearch(problem, float(result.cost), int(result.status), *spent, points, np.array(counts), noise_px)
 
-    def _noise_px(self, start: Array) -> float:
-        """Standard deviation of a detection: the detector's noise and, at a start's distance, the keypoints'."""
-        o = self.options
-        depth = max(float(self.chain.pose(start[None]).joints_m[0, :, 2].mean()), 0.1)
-        keypoint_m = self.chain.scales.keypoint_m if o.keypoint_sigma_m is None else o.keypoint_sigma_m
-        return float(np.hypot(o.sigma_px, min(keypoint_m * self.focal_px / depth, o.keypoint_sigma_max_px)))
-
-    def terms(self, fixed: _FrameInputs) -> tuple[Objective, ...]:
-        """The objectives with this frame's noise; without a frame before, no ties to it."""
-        terms = (replace(self.reprojection, sigma_px=fixed.sigma_px), *self.others)
-        return terms if fixed.previous is not None else tuple(term for term in terms if not term.ties)
-
-    def _distances_px(self, fixed: _FrameInputs, state: Array) -> Array:
-        """(n,) from the frame's detections to the state's reprojections, infinite where a joint cannot be projected."""
-        pixels, valid = self.camera.project(self.chain.pose(state[None]).joints_m[0])
-        detected = self.reprojection.xy_px[fixed.frame]
-        off = np.where(valid, np.linalg.norm(pixels - detected, axis=1), np.inf)
-        return off[np.isfinite(detected[:, 0])]
-
-    def _best(self, fixed: _FrameInputs, tried: Sequence[_Candidate]) -> _Candidate:
-        """The lowest cost among the poses that the camera can see, or among all if it can see none."""
-        return min(tried, key=lambda c: (not self._in_view(fixed, c.x), c.cost))
-
-    def _in_view(self, fixed: _FrameInputs, state: Array) -> bool:
-        """Whether every detected joint can be projected, and the animal has a size (MOST_SIZE) and is near enough to be
-        seen (MIN_REACH_PX)."""
-        base, nominal = float(state[self.chain.base_index]), self.chain.nominal_base_length_m
-        if not nominal / MOST_SIZE < base < nominal * MOST_SIZE:
-            return False
-        depth = float(np.median(self.chain.pose(state[None]).joints_m[0, :, 2]))
-        seen = float(self.chain.length_ratios.sum()) * base * self.focal_px > MIN_REACH_PX * depth
-        return seen and bool(np.all(np.isfinite(self._distances_px(fixed, state))))
-
-    def _explained(self, fixed: _FrameInputs, candidate: _Candidate) -> bool:
-        """Converged, and no detection further off than c sigma."""
-        within = self._distances_px(fixed, candidate.x) < self.options.robust_c * fixed.sigma_px
-        return candidate.status in CONVERGED and bool(np.all(within))
-
-    # -- report ---------------------------------------------------------------------------------------------------
-
-    def _report(self, fixed: _FrameInputs, best: _Candidate, starts: int, began: float) -> tuple[Array, _FrameReport]:
-        terms = self.terms(fixed)
-        parts = by_term(terms, self.chain, fixed.frame, best.x, fixed.previous, fixed.dt_s)
-        costs = {term.name: float(np.sum(r**2)) for term, (r, _) in zip(terms, parts, strict=True)}
-        total, in_view = sum(costs.values()), self._in_view(fixed, best.x)
-        C = posterior_covariance(np.concatenate([J for _, J in parts]))
+    def _report(self, best: FrameSearch, starts: int, began: float) -> tuple[Array, _FrameReport]:
+        problem, parts = best.problem, best.problem.by_term(best.x)
+        costs = {name: float(np.sum(r**2)) for name, (r, _) in parts.items()}
+        total, in_view = sum(costs.values()), problem.in_view(best.x)
+        C = posterior_covariance(np.concatenate([J for _, J in parts.values()]))
         C = C if in_view else np.full_like(C, np.nan)
-        far = self._distances_px(fixed, best.x) / fixed.sigma_px
+        far = problem.sigmas_off(best.x)
         return C, _FrameReport(
             status="converged" if best.status in CONVERGED and in_view else "not_converged",
             starts=starts,
@@ -712,31 +677,16 @@ class _FrameSolver:
             squared_norm=total,
             cost_shares={name: cost / total if total > 0 else 0.0 for name, cost in costs.items()},
             step_norm=best.step_norm,
-            sigma_px=fixed.sigma_px,
-            data_share=precision_shares(C, parts[0][1]),
+            sigma_px=problem.pixels.sigma_px,
+            data_share=precision_shares(C, parts[problem.pixels.name][1]),
             mean_weight=float(np.mean((1.0 + (far / self.options.robust_c) ** 2) ** -2.0)) if in_view else np.nan,
             solve_s=time.perf_counter() - began,
             in_view=in_view,
         )
 
 
-def evaluate(
-    terms: Sequence[Objective], chain: Chain, frame: int, x: Array, previous: ChainPose | None, dt_s: float
-) -> tuple[Array, Array]:
-    """Stacked residuals (M,) of one frame and their Jacobian (M, D) with respect to its state x (D,).
-
-    previous: the frame before, held fixed, dt_s earlier; None for terms that read this frame only.
-    """
-    residuals, jacobians = zip(*by_term(terms, chain, frame, x, previous, dt_s), strict=True)
-    return np.concatenate(residuals), np.concatenate(jacobians)
-
-
-def by_term(
-    terms: Sequence[Objective], chain: Chain, frame: int, x: Array, previous: ChainPose | None, dt_s: float
-) -> list[tuple[Array, Array]]:
-    """The same, one pair for each of the terms."""
-    now = chain.pose_with_jacobian(x[None])
-    return [term.evaluate(now, previous, frame, dt_s) for term in terms]
+def _focal_px(camera: Camera) -> float:
+    return float(np.sqrt(camera.matrix[0, 0] * camera.matrix[1, 1]))
 
 
 def posterior_covariance(J: Array) -> Array:

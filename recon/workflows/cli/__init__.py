@@ -15,7 +15,7 @@ from recon.workflows.cli.command import HELP, SettingsCommand, make_command
 from recon.workflows.cli.common import EXIT_BAD_INPUT, EXIT_UNSOLVED, error_text, stop, terminal
 
 _CORE, _ROBOTICS, _NET = "recon.workflows.", "recon.robotics.cli.", "recon.keypoint_net."
-_THESIS = "recon.thesis.cli."
+_THESIS = "recon.thesis."
 COMMANDS = {
     "From a clip to its motion": {
         "fit": (_CORE + "cli.fit:fit", "One clip: keypoints and a camera in, a folder of results out."),
@@ -57,7 +57,7 @@ COMMANDS = {
         "robot pose": (_ROBOTICS + "robot:pose", "The legs' angles of a body that moves over planted feet."),
         "robot dh": (_ROBOTICS + "robot:dh", "A leg or chain by its Denavit-Hartenberg table, forward and inverse."),
         "climb": (_ROBOTICS + "climb:climb", "A four-legged robot climbs a step by potential fields."),
-        "frame": (_THESIS + "frame:frame", "Fit one side of the animal, one frame after the other."),
+        "frame": (_THESIS + "clip:frame", "Fit one side of the animal, one frame after the other."),
         "solver": (_THESIS + "solver:solver", "What the optimiser of recon frame did: costs, Jacobian, limits."),
     },
     "This installation": {
