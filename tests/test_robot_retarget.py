@@ -42,8 +42,8 @@ def test_feet_stand_still_on_the_ground_and_leave_it_without_a_jump():
         assert foot[first, :2] == pytest.approx(path[first : last + 1, :2].mean(axis=0))
         assert foot[first, 2] == 0
     assert (foot[:, 2] >= 0).all()
-    # No jump of the speed where a stance ends: the steepest change of rate shrinks with the step.
-    change = [np.abs(np.diff(planted(*hops(n))[:, :2], 2, axis=0)).max() * n for n in (1000, 2000, 4000)]
+    # No jump of the acceleration where a stance ends: the steepest change of it shrinks with the step.
+    change = [np.abs(np.diff(planted(*hops(n))[:, :2], 3, axis=0)).max() * n**2 for n in (1000, 2000, 4000)]
     assert change[2] < 0.6 * change[1] < 0.4 * change[0]
 
 
@@ -51,7 +51,8 @@ def test_a_foot_that_never_stands_only_stays_above_the_ground():
     t, path, _ = hops()
     foot = planted(t, path, np.zeros(len(t), bool))
     np.testing.assert_array_equal(foot[:, :2], path[:, :2])
-    np.testing.assert_array_equal(foot[:, 2], np.maximum(path[:, 2], 0))
+    assert (foot[:, 2] > 0).all()
+    np.testing.assert_allclose(foot[:, 2], np.maximum(path[:, 2], 0), atol=0.0101)  # a tenth of its height
 
 
 def test_a_stride_repeats_with_a_stance_over_its_seam():
@@ -178,7 +179,7 @@ def test_legs_are_kept_apart(whole):
     # Without going outside they would meet.
     assert motion.spread_m > 0
     pose, feet, _ = place(whole.reference, robot, motion.clip.scale)
-    assert np.linalg.norm(feet[:, :2] - feet[:, 2:], axis=-1).min() < 0.02
+    assert np.linalg.norm(feet[:, :2] - feet[:, 2:], axis=-1).min() < 0.03
     # The hind feet are farther out by the spread, the fore feet where they were.
     _, wider, _ = place(whole.reference, robot, motion.clip.scale, 0.05)
     turn = pose.rotation.as_matrix()[:, :2, 1]

@@ -75,7 +75,7 @@ def aibo(animal) -> Retargeting:
 @pytest.mark.parametrize("robot", ["solved", "aibo"])
 @pytest.mark.parametrize("part", ["clip", "stride"])
 def test_velocities_are_the_derivatives_of_what_is_written(robot, part, request):
-    found = sampled(getattr(request.getfixturevalue(robot), part), 5_000)
+    found = sampled(getattr(request.getfixturevalue(robot), part), 1_000)
     twice = 2 * (found.time_s[1] - found.time_s[0])
     matrices = found.turned
     turns = Rotation.from_matrix((matrices[2:] @ matrices[:-2].swapaxes(-1, -2)).reshape(-1, 3, 3)).as_rotvec()
@@ -123,10 +123,10 @@ def test_what_each_program_reads(solved, tmp_path):
             toe = a1_bodies(name, frames[t, 7 + 3 * i : 10 + 3 * i])[f"{name}_foot"][0]
             np.testing.assert_allclose(frames[t, 19 + 3 * i : 22 + 3 * i], toe, atol=1e-9)
     # Velocities in the base's axes: turned back they are those of its path; toes' are those of the toes' places.
-    fine = sampled(motion, 5_000)
+    fine = sampled(motion, 1_000)
     np.testing.assert_allclose(base.apply(frames[:, 31:34]), found.velocity_m_s[:, 0], atol=1e-9)
     np.testing.assert_allclose(base.apply(frames[:, 34:37]), found.angular_velocity_rad_s[:, 0], atol=1e-9)
-    write_for_trainer(motion, "amp", 5_000, tmp_path, "fine_", {})
+    write_for_trainer(motion, "amp", 1_000, tmp_path, "fine_", {})
     fine_frames = np.array(json.loads((tmp_path / "fine_amp.json").read_text(encoding="utf-8"))["Frames"])
     toes = (fine_frames[2:, 19:31] - fine_frames[:-2, 19:31]) / (2 * fine.time_s[1])
     np.testing.assert_allclose(toes, fine_frames[1:-1, 49:61], atol=1e-3 * np.abs(toes).max())

@@ -11,7 +11,6 @@ pressure, as feet push only where they are, and flights that are no free fall.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -22,7 +21,7 @@ from scipy.spatial.transform import Rotation
 from recon.base.arrays import Array
 from recon.base.errors import InputError, Problem
 from recon.robotics.robot.quadruped import LEGS, Quadruped
-from recon.robotics.robot.retarget import LEGS_APART, RobotMotion
+from recon.robotics.robot.retarget import LEGS_APART, RobotMotion, slowed
 from recon.robotics.robot.robot_file import SUFFIXES, read_model, root_of, the_mujoco
 from recon.show.plots.style import GREY, SMALL, drawing
 
@@ -103,12 +102,12 @@ def check(motion: RobotMotion, model: Any) -> tuple[Array, dict[str, Array]]:
     time = motion.time_s[0] + np.linspace(0.0, duration, max(2, round(duration * RATE_HZ) + 1))
     states, rates = motion.states(time), motion.states(time, 1)
     points = tree.pose(states).points_m
-    feet = [[marker.name for marker in tree.markers].index(f"{label} foot") for label in LEGS]
+    feet = robot.foot_markers
     lower, upper, fastest = robot.limits()
     columns = [model.joint(name).dofadr[0] for name in robot.joints]
     torque_limits = model.jnt_actfrcrange[[model.joint(name).id for name in robot.joints], 1]
     root = root_of(model)
-    stands = motion.standing[np.argmin(np.abs(motion.time_s[None] - time[:, None]), axis=1)]
+    stands = motion.stands_at(time)
     data, weight = mujoco.MjData(model), float(model.body_subtreemass[root]) * float(np.linalg.norm(model.opt.gravity))
     slopes = np.array([[0, 0, 1], *([x, y, 1] for x, y in FRICTION * np.array([[1, 0], [-1, 0], [0, 1], [0, -1]]))])
     torques, missing, apart = np.zeros(len(time)), np.zeros(len(time)), np.zeros(len(time))
@@ -165,11 +164,6 @@ def pace_that_holds(motion: RobotMotion, model: Any) -> float | None:
         if found["joint_rates"]["share"] == found["torques"]["share"] == 1:
             return float(factor)
     return None
-
-
-def slowed(motion: RobotMotion, factor: float) -> RobotMotion:
-    """The motion, as much slower as is said."""
-    return replace(motion, slower=factor * motion.slower, time_s=factor * motion.time_s)
 
 
 def margins_figure(time_s: Array, margins: Mapping[str, tuple[Array, float, str]], title: str) -> Figure:

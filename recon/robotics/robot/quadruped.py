@@ -174,6 +174,12 @@ class Quadruped:
         return Tree(tuple(segments), tuple(markers))
 
     @cached_property
+    def foot_markers(self) -> list[int]:
+        """Where the feet are among the tree's markers, in the order of `LEGS`."""
+        names = [marker.name for marker in self.tree.markers]
+        return [names.index(f"{label} foot") for label in LEGS]
+
+    @cached_property
     def ground_m(self) -> float:
         """The ground of the standing robot, in body axes: the mean of the feet."""
         return float(np.mean([leg.neutral_m[2] for leg in self.legs.values()]))

@@ -11,11 +11,9 @@ repeats, are within the legs' reach and the joints' limits; and the motion is as
 not faster than the animal's. With a given scale, a foot out of reach is drawn towards its neutral place until it is
 not.
 
-For its footholds, a foot's path gets a correction. In a stance it takes the foot to the stance's mean place, on the
-ground; over a swing it goes from that of the stance before to that of the next by a cubic. At either end its rate is
-such that the foot lifts off and lands without a jump of its speed; this wears off within the share `EASE` of the swing,
-as otherwise the foot would trail far behind where it should be. Before the first and after the last stance of a clip
-the correction comes to rest.
+In a stance a foot stays at the stance's mean place, on the ground. Over a swing its path is shifted from that of the
+stance before to that of the next, and it leaves its foothold for this path, and comes back to one, within the share
+`EASE` of the swing, so that its acceleration does not jump where it lifts off and lands.
 
 An animal with a back that bends gathers its feet so far in a gallop that on a rigid body fore and hind legs would meet.
 Hind feet go outside of the fore feet then, as a cheetah's do: by the least of `SPREADS` that keeps the legs' lines
@@ -28,19 +26,13 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import CubicHermiteSpline, CubicSpline
 from scipy.spatial.transform import RigidTransform
 
 from recon.base.arrays import Array, Bools
 from recon.clip.keypoints import frame_ranges
 from recon.robotics.robot.quadruped import LEGS, Quadruped, RobotLeg, body_pose, feet_in_world, leg_targets
-from recon.robotics.robot.reference import (
-    Animal,
-    Reference,
-    StrideWindow,
-    closed_stride,
-    stride_window,
-)
+from recon.robotics.robot.reference import Animal, Reference, StrideWindow, closed_stride, stride_window
 
 PITCH_RAD, ROLL_RAD = 0.25, 0.15
 LIFT = 0.15
@@ -49,18 +41,13 @@ CLEARANCE = 0.7
 SPREADS = (0.0, 0.1, 0.2, 0.3, 0.4)
 LEGS_APART = 0.15
 """Both of the height that the hips stand at; legs are about as thick."""
-TINY_M = 1e-9
-"""How high the feet of a robot that cannot bend its legs are lifted."""
-SMALLEST = 0.1
-"""Scale below which none is sought, of the largest."""
-STEP = 0.97
-"""Between the scales that are tried."""
+SCALES = 0.97 ** np.arange(76)
+"""Those that are tried, of the largest."""
 _EVERY = 5
 """Samples from one to the next that a scale is tried on; half a frame."""
 _BISECTIONS = 25
-EASE = 0.5
-_ALONG = 9
-"""Points on a link."""
+EASE, SOFT = 0.28, 0.1
+"""Shares of a swing's time, and of the foot's height within which its path is bent to stay above the ground."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,8 +75,7 @@ class RobotMotion:
     def leg_angles(self, label: str) -> Array:
         """(N, n) of one leg."""
         counts = [len(leg.joints) for leg in self.robot.legs.values()]
-        start = sum(counts[: LEGS.index(label)])
-        return self.angles_rad[:, start : start + counts[LEGS.index(label)]]
+        return np.split(self.angles_rad, np.cumsum(counts)[:-1], axis=1)[LEGS.index(label)]
 
     @cached_property
     def _spline(self) -> CubicSpline:
@@ -110,6 +96,10 @@ class RobotMotion:
             found[:, :2] += share[:, None] * self.advance_m
         return found
 
+    def stands_at(self, time_s: Array) -> Bools:
+        """Which feet stand at the samples nearest to times (K,), shape (K, 4)."""
+        return self.standing[np.argmin(np.abs(self.time_s[None] - time_s[:, None]), axis=1)]
+
     @cached_property
     def rate_share(self) -> Array:
         """(joints,): the fastest rate between two samples, of the limit."""
@@ -129,31 +119,23 @@ class RobotMotion:
 
     @cached_property
     def apart_m(self) -> float:
-        """The least distance between the fore and the hind leg of a side, by points along their links."""
-        share = np.linspace(0.0, 1.0, _ALONG)[:, None]
-
-        def along(label: str) -> Array:
+        """The least distance between the fore and the hind leg of a side, by nine points along each link."""
+        share, legs = np.linspace(0.0, 1.0, 9)[:, None], {}
+        for label in LEGS:
             points = self.points(label)[::_EVERY]
             links = points[:, :-1, None] * (1 - share) + points[:, 1:, None] * share
-            return links.reshape(len(points), -1, 3)
-
-        pairs = ((along(f"{side}F"), along(f"{side}H")) for side in "LR")
-        return float(min(np.linalg.norm(a[:, :, None] - b[:, None], axis=-1).min() for a, b in pairs))
+            legs[label] = links.reshape(len(points), -1, 3)
+        pairs = ((legs[f"{side}F"][:, :, None], legs[f"{side}H"][:, None]) for side in "LR")
+        return float(min(np.linalg.norm(fore - hind, axis=-1).min() for fore, hind in pairs))
 
     @cached_property
     def slip_m(self) -> Array:
-        """(4,): farthest that a foot gets from where it stood first, in any stance, by the joints' angles. Also looked
-        at between the samples. 0 for a foot that never stands."""
-        half = (self.time_s[1:] + self.time_s[:-1]) / 2
-        tree, names = self.robot.tree, [marker.name for marker in self.robot.tree.markers]
-        feet = [names.index(f"{label} foot") for label in LEGS]
-        at, between = (tree.pose(self.states(time)).points_m[:, feet] for time in (self.time_s, half))
-        slip = np.zeros(len(LEGS))
-        for k in range(len(LEGS)):
-            for first, last in stances(self.standing[:, k]):
-                stood = np.concatenate([at[first : last + 1, k], between[first:last, k]])
-                slip[k] = max(slip[k], float(np.linalg.norm(stood - at[first, k], axis=1).max()))
-        return slip
+        """(4,): farthest that a foot gets from where it stood first, in any stance, by the joints' angles at the
+        samples and half-way between them. 0 for a foot that never stands."""
+        fine = np.linspace(self.time_s[0], self.time_s[-1], 2 * len(self.time_s) - 1)
+        feet = self.robot.tree.pose(self.states(fine)).points_m[:, self.robot.foot_markers]
+        stood = [[feet[2 * a : 2 * b + 1, k] for a, b in stances(self.standing[:, k])] for k in range(len(LEGS))]
+        return np.array([max((np.linalg.norm(p - p[0], axis=1).max() for p in every), default=0.0) for every in stood])
 
     @cached_property
     def closing_percent(self) -> float:
@@ -194,24 +176,33 @@ def on_robot(
 ) -> tuple[RobotMotion, RobotMotion, float]:
     """A clip and a closed stride of it, as a robot's motions, and how far its hind feet go outside.
     scale, slower: as of `retarget`."""
-    tried: list[tuple[float, RobotMotion, RobotMotion, float]] = []
+    tried: list[tuple[float, list[RobotMotion], float]] = []
     enough = LEGS_APART * robot.stand_m
     for share in SPREADS:
         spread = share * robot.stand_m
         chosen = largest_scale((clip, stride), robot, spread) if scale is None else scale
-        both = (_robot_motion(clip, robot, chosen, spread), _robot_motion(stride, robot, chosen, spread))
-        tried.append((min(motion.apart_m for motion in both), *both, spread))
+        both = []
+        for one in (clip, stride):
+            moved = posed(robot, one.time_s - one.time_s[0], *place(one, robot, chosen, spread))
+            advance = None if one.advance_m is None else chosen * one.advance_m
+            both.append(replace(moved, scale=chosen, advance_m=advance))
+        tried.append((min(motion.apart_m for motion in both), both, spread))
         if tried[-1][0] >= enough:
             break
-    _, *motions, spread = max(tried, key=lambda one: min(one[0], enough))
+    _, both, spread = max(tried, key=lambda one: min(one[0], enough))
     if slower is None:
-        slower = max(1.0, *(float(motion.rate_share.max()) for motion in motions))
-    moved, repeats = (replace(motion, slower=slower, time_s=slower * motion.time_s) for motion in motions)
+        slower = max(1.0, *(float(motion.rate_share.max()) for motion in both))
+    moved, repeats = (slowed(motion, slower) for motion in both)
     return moved, repeats, spread
 
 
+def slowed(motion: RobotMotion, factor: float) -> RobotMotion:
+    """The motion, as much slower as is said."""
+    return replace(motion, slower=factor * motion.slower, time_s=factor * motion.time_s)
+
+
 def largest_scale(references: tuple[Reference, ...], robot: Quadruped, spread_m: float = 0.0) -> float:
-    """The largest at which every foot is in reach; where there is none down to `SMALLEST`, half of the largest."""
+    """The largest at which every foot is in reach; where none of `SCALES` is, half of the largest."""
     most = robot.stand_m / references[0].leg_m
 
     def fits(scale: float, every: int) -> bool:
@@ -222,11 +213,8 @@ def largest_scale(references: tuple[Reference, ...], robot: Quadruped, spread_m:
                 return False
         return True
 
-    for n in range(int(np.log(SMALLEST) / np.log(STEP)) + 1):
-        scale = most * STEP**n
-        if fits(scale, _EVERY) and fits(scale, 1):
-            return scale
-    return most / 2
+    scales = (float(scale) for scale in most * SCALES)
+    return next((scale for scale in scales if fits(scale, _EVERY) and fits(scale, 1)), most / 2)
 
 
 def place(
@@ -234,16 +222,15 @@ def place(
 ) -> tuple[RigidTransform, Array, Bools]:
     """T_world_body (N), the feet in the world (N, 4, 3) with their footholds, and which stand (N, 4)."""
     roll, pitch, yaw = reference.roll_pitch_yaw_rad.T
-    lift = LIFT * robot.stand_m
     position = scale * reference.base_m
-    position[:, 2] = _within(position[:, 2], lift) - robot.ground_m
+    position[:, 2] = _within(position[:, 2], LIFT * robot.stand_m) - robot.ground_m
     pose = body_pose(position, _within(roll, ROLL_RAD), _within(pitch, PITCH_RAD), yaw)
     level = body_pose(position * (1.0, 1.0, 0.0), 0.0, 0.0, yaw)
     neutral = np.array([leg.neutral_m * (1.0, 1.0, 0.0) for leg in robot.legs.values()])
     neutral[:, 1] += [spread_m * (label[1] == "H") * (1 if label[0] == "L" else -1) for label in LEGS]
     ways = scale * reference.feet_m
-    room = np.maximum(CLEARANCE * robot.folding_m, TINY_M)
-    ways[..., 2] = np.where(ways[..., 2] > 0, room * np.tanh(ways[..., 2] / room), ways[..., 2])
+    room = np.maximum(CLEARANCE * robot.folding_m, 1e-9)  # some height also where legs cannot bend
+    ways[..., 2] = np.where(ways[..., 2] > 0, _within(ways[..., 2], room), ways[..., 2])
     standing = reference.standing
     advance = None if reference.advance_m is None else scale * reference.advance_m
 
@@ -253,15 +240,8 @@ def place(
 
     # Footholds move the middle of a foot's way, by which the animal's was taken off: back under the hip with it.
     moved = leg_targets(level, neutral, on_ground(feet_in_world(level, neutral, ways)))[..., 0]
-    middle = (moved.min(axis=0) + moved.max(axis=0)) / 2
-    ways[..., 0] -= middle
+    ways[..., 0] -= (moved.min(axis=0) + moved.max(axis=0)) / 2
     return pose, on_ground(feet_in_world(level, neutral, ways)), standing
-
-
-def _robot_motion(reference: Reference, robot: Quadruped, scale: float, spread_m: float) -> RobotMotion:
-    pose, feet, standing = place(reference, robot, scale, spread_m)
-    motion = posed(robot, reference.time_s - reference.time_s[0], pose, feet, standing)
-    return replace(motion, scale=scale, advance_m=None if reference.advance_m is None else scale * reference.advance_m)
 
 
 def posed(robot: Quadruped, time_s: Array, pose: RigidTransform, feet_m: Array, standing: Bools) -> RobotMotion:
@@ -282,40 +262,21 @@ def drawn_in(leg: RobotLeg, feet_m: Array) -> tuple[Array, Bools]:
     if not short.any():
         return angles, short
     away = feet_m[short] - leg.neutral_m
-    near, far = np.zeros(len(away)), np.ones(len(away))
-    best = np.tile(leg.angles(leg.neutral_m[None]), (len(away), 1))
+    near, step = np.zeros(len(away)), 0.5
+    angles[short] = leg.angles(leg.neutral_m[None])
     for _ in range(_BISECTIONS):
-        share = (near + far) / 2
-        tried = leg.angles(leg.neutral_m + share[:, None] * away)
+        tried = leg.angles(leg.neutral_m + (near + step)[:, None] * away)
         good = np.isfinite(tried).all(axis=1)
-        best[good] = tried[good]
-        near, far = np.where(good, share, near), np.where(good, far, share)
-    angles[short] = best
+        angles[np.flatnonzero(short)[good]] = tried[good]
+        near, step = near + step * good, step / 2
     return angles, short
 
 
-def _within(values: Array, limit: float) -> Array:
+def _within(values: Array, limit: float | Array) -> Array:
     return limit * np.tanh(values / limit)
 
 
 # -- footholds -------------------------------------------------------------------------------------------------------
-
-
-def planted(time_s: Array, path_m: Array, standing: Bools, advance_m: Array | None = None) -> Array:
-    """A path (N, 3), ground at z = 0, standing (N,) -> the same with footholds, nowhere below the ground.
-
-    advance_m (2,): for a stride that repeats, by how far its last sample is ahead of its first.
-    """
-    if advance_m is None:
-        return _planted_path(time_s, path_m, standing)
-    n, period = len(time_s) - 1, time_s[-1] - time_s[0]
-    time = np.concatenate([time_s[:-1] - period, time_s[:-1], time_s + period])
-    ahead = np.append(advance_m, 0.0)
-    path = np.concatenate([path_m[:-1] - ahead, path_m[:-1], path_m + ahead])
-    stands = np.concatenate([standing[:-1], standing[:-1], standing])
-    out = _planted_path(time, path, stands)[n : 2 * n + 1]
-    out[-1] = out[0] + ahead
-    return out
 
 
 def stances(standing: Bools) -> list[tuple[int, int]]:
@@ -323,33 +284,38 @@ def stances(standing: Bools) -> list[tuple[int, int]]:
     return [(first, end - 1) for first, end in frame_ranges(np.flatnonzero(standing))]
 
 
-def _planted_path(time_s: Array, path_m: Array, standing: Bools) -> Array:
-    found = stances(standing)
-    if not found:
-        return np.column_stack([path_m[:, :2], np.maximum(path_m[:, 2], 0.0)])
-    rate = np.gradient(path_m, time_s, axis=0)
-    correction = np.zeros_like(path_m)
-    knots: list[tuple[int, Array, Array]] = []
-    for first, last in found:
-        place = np.append(path_m[first : last + 1, :2].mean(axis=0), 0.0)
-        correction[first : last + 1] = place - path_m[first : last + 1]
-        knots += [(k, correction[k].copy(), -rate[k]) for k in (first, last)]
-    rest = np.zeros(3)
-    knots = [(0, knots[0][1], rest), *knots, (len(path_m) - 1, knots[-1][1], rest)]
-    for (a, value_a, rate_a), (b, value_b, rate_b) in zip(knots[::2], knots[1::2], strict=True):
-        inside = np.arange(a, b + 1)
-        inside = inside[~standing[inside]]
-        if len(inside):
-            since, until = (time_s[inside] - time_s[a])[:, None], (time_s[b] - time_s[inside])[:, None]
-            share = since / (since + until)
-            moved = value_a + share**2 * (3 - 2 * share) * (value_b - value_a)
-            ease = EASE * (time_s[b] - time_s[a])
-            correction[inside] = moved + _bump(since, ease) * rate_a - _bump(until, ease) * rate_b
-    out = path_m + correction
-    out[:, 2] = np.maximum(out[:, 2], 0.0)
-    return out
+def planted(time_s: Array, path_m: Array, standing: Bools, advance_m: Array | None = None) -> Array:
+    """A path (N, 3), ground at z = 0, standing (N,) -> the same with footholds, nowhere below the ground.
 
-
-def _bump(time: Array, until: float) -> Array:
-    """Starts at 0 with rate 1, and is 0 with rate 0 from then on."""
-    return time * np.maximum(1 - time / until, 0.0) ** 2
+    advance_m (2,): for a stride that repeats, by how far its last sample is ahead of its first.
+    """
+    if advance_m is not None:
+        n, period, ahead = len(time_s) - 1, time_s[-1] - time_s[0], np.append(advance_m, 0.0)
+        time = np.concatenate([time_s[:-1] - period, time_s[:-1], time_s + period])
+        path = np.concatenate([path_m[:-1] - ahead, path_m[:-1], path_m + ahead])
+        out = planted(time, path, np.concatenate([standing[:-1], standing[:-1], standing]))[n : 2 * n + 1]
+        out[-1] = out[0] + ahead
+        return out
+    place, ends = np.zeros_like(path_m), []
+    for first, last in stances(standing):
+        place[first : last + 1, :2] = path_m[first : last + 1, :2].mean(axis=0)
+        ends += [first, last]
+    knots = np.unique(ends or [0])
+    moving = path_m.copy()
+    if len(knots) > 1:
+        shift = CubicHermiteSpline(time_s[knots], (place - path_m)[knots], np.zeros((len(knots), 3)))
+        moving += shift(np.clip(time_s, time_s[knots[0]], time_s[knots[-1]]))
+    moving[:, 2] = (moving[:, 2] + np.hypot(moving[:, 2], SOFT * np.ptp(path_m[:, 2]))) / 2
+    if not ends:
+        return moving
+    samples = np.arange(len(time_s))
+    before = np.maximum.accumulate(np.where(standing, samples, -1))
+    after = np.minimum.accumulate(np.where(standing, samples, len(samples))[::-1])[::-1]
+    since, until = time_s - np.append(time_s, -np.inf)[before], np.append(time_s, np.inf)[after] - time_s
+    swing = since + until
+    # A swing that the clip cuts is as long as the longest other one.
+    longest = swing[np.isfinite(swing)].max() or time_s[-1] - time_s[0]
+    ease = EASE * np.where(np.isfinite(swing) & ~standing, swing, longest)
+    share = np.minimum(np.minimum(since, until) / ease, 1.0)[:, None]
+    hold = place[np.where(since <= until, before, np.minimum(after, len(samples) - 1))]
+    return hold + share**2 * (6 - 8 * share + 3 * share**2) * (moving - hold)

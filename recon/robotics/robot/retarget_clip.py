@@ -30,7 +30,7 @@ from recon.robotics.ik.drive import control_columns
 from recon.robotics.robot import physics
 from recon.robotics.robot.quadruped import LEGS, Quadruped
 from recon.robotics.robot.reference import reference_of
-from recon.robotics.robot.retarget import LEGS_APART, Retargeting, RobotMotion, retarget
+from recon.robotics.robot.retarget import LEGS_APART, Retargeting, RobotMotion, retarget, slowed
 from recon.robotics.robot.robot_file import load_robot
 from recon.robotics.robot.trainers import write_for_trainer
 from recon.robotics.settings import RetargetSettings
@@ -91,7 +91,7 @@ class _Checks:
         """With the slowest change that keeps rates and torques; as it is where no pace does."""
         paces = [physics.pace_that_holds(motion, self.model) for motion in (done.clip, done.stride)]
         factor = max(pace or 1.0 for pace in paces)
-        return replace(done, clip=physics.slowed(done.clip, factor), stride=physics.slowed(done.stride, factor))
+        return replace(done, clip=slowed(done.clip, factor), stride=slowed(done.stride, factor))
 
     def of(self, done: Retargeting, folder: Path | None = None) -> dict[str, Any]:
         """For the report; folder: where tables and figures go."""

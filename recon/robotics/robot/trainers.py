@@ -26,13 +26,14 @@ from scipy.spatial.transform import Rotation
 
 from recon.base.arrays import Array, Bools
 from recon.base.errors import InputError, Problem
-from recon.geometry.kinematics import PITCH, ROLL, YAW, Tree
 from recon.robotics.robot.quadruped import LEGS, Quadruped, RobotLeg
 from recon.robotics.robot.retarget import RobotMotion
 
 AMP_LEGS = ("RF", "LF", "RH", "LH")
 AMP_JOINTS = 3
 """The joints of a leg, in the layout."""
+STEP_S = 1e-6
+"""Between the places whose difference is a velocity; they are on a tangent, so that it is exact to round-off."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,14 +85,17 @@ def sampled(motion: RobotMotion, rate_hz: float) -> _RobotSamples:
         expected = f"at least {1 / duration:.1f}, two frames of its {duration:.2f} s"
         raise InputError(Problem("--rate", "frames a second", f"{rate_hz:g}", expected))
     time_s = np.linspace(0.0, duration, frames + 1)
-    states, changes = (motion.states(motion.time_s[0] + time_s, order) for order in (0, 1))
+    at = motion.time_s[0] + time_s
+    states, changes = (motion.states(at, order) for order in (0, 1))
     tree = motion.robot.tree
-    pose = tree.pose_with_jacobian(states)
-    assert pose.jacobian is not None
-    frames_at = tree.orientations(states)
-    straight = tree.orientations(np.zeros((1, tree.n_state)))[0]
+    straight = tree.orientations(np.zeros((1, tree.n_state)))[0].transpose(0, 2, 1)
     segment = [[s.name for s in tree.segments].index(marker.segment) for marker in tree.markers]
-    nearest = np.argmin(np.abs(motion.time_s[None] - motion.time_s[0] - time_s[:, None]), axis=1)
+    # Along the tangent, so that what is written of the joints and what is written of the bodies belong together.
+    here, before, after = (states + step * changes for step in (0.0, -STEP_S, STEP_S))
+    (position_m, p, q), (turned, A, B) = (
+        [of(s) for s in (here, before, after)] for of in (lambda s: tree.pose(s).points_m, tree.orientations)
+    )
+    spin = np.einsum("ksij,kslj->ksil", B - A, turned) / (2 * STEP_S)
     return _RobotSamples(
         robot=motion.robot,
         loops=motion.advance_m is not None,
@@ -100,25 +104,12 @@ def sampled(motion: RobotMotion, rate_hz: float) -> _RobotSamples:
         angles_rad=states[:, 6:],
         rates_rad_s=changes[:, 6:],
         bodies=_body_names(motion.robot),
-        position_m=pose.points_m,
-        turned=(frames_at @ straight.transpose(0, 2, 1))[:, segment],
-        velocity_m_s=np.einsum("kbcd,kd->kbc", pose.jacobian, changes),
-        angular_velocity_rad_s=_spins(tree, frames_at, states, changes)[:, segment],
-        feet_stand=motion.standing[nearest],
+        position_m=position_m,
+        turned=(turned @ straight)[:, segment],
+        velocity_m_s=(q - p) / (2 * STEP_S),
+        angular_velocity_rad_s=spin[:, segment][..., [2, 0, 1], [1, 2, 0]],
+        feet_stand=motion.stands_at(at),
     )
-
-
-def _spins(tree: Tree, frames: Array, states: Array, changes: Array) -> Array:
-    """Angular velocities of the segments (K, S, 3), in the world, of their frames (K, S, 3, 3) and the states."""
-    spins, names = np.zeros(frames.shape[:3]), [segment.name for segment in tree.segments]
-    yawed = Rotation.from_euler("z", states[:, [YAW]])
-    spins[:, 0] = changes[:, YAW, None] * [0.0, 0.0, 1.0] + changes[:, ROLL, None] * frames[:, 0, :, 0]
-    spins[:, 0] += changes[:, PITCH, None] * yawed.apply([0.0, 1.0, 0.0])
-    for k, segment in enumerate(tree.segments[1:], start=1):
-        turns = segment.joint == "turn"
-        spins[:, k] = spins[:, names.index(segment.parent or "")]
-        spins[:, k] += turns * changes[:, ROLL + k, None] * frames[:, k, :, 2]
-    return spins
 
 
 def _body_names(robot: Quadruped) -> tuple[str, ...]:
