@@ -58,7 +58,7 @@ CAUSES = {
 }
 """Codes that say what is wrong with an input."""
 SWAPS = ("left_right_swap", "left_right_swap_possible")
-OFF = ("cameras_disagree", "cameras_exchanged", "cameras_out_of_step", "size_unexpected")
+OFF = ("cameras_disagree", "cameras_exchanged", "cameras_out_of_step", "size_unexpected", "distances_scaled")
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from recon.check.inputs import baseline_of, copies, movement, zooms
-from recon.check.rules import ground_elsewhere, size, subject_unlike_species
+from recon.check.rules import distances_scaled, ground_elsewhere, subject_unlike_species
 from recon.clip import Keypoints, Source, clean
 from recon.fit import ClipProblem, Ground, Motion, TrajectoryOptions
+from recon.geometry.frames import rigid
 from recon.workflows.cameras import other_camera_in
 from tests.test_trajectory import BODY, CAMERA, CAMERA_FROM_LEVEL, FPS, PRIOR, errors_m, plain, run, seen, solve
 
@@ -166,10 +167,22 @@ def test_a_fit_is_the_same_wherever_the_ground_is(height_m):
     assert segment.ground.height_m == pytest.approx(height_m, abs=0.2)
 
 
-@pytest.mark.parametrize(("found", "of_one", "of_two"), [(0.93, False, False), (0.84, False, True), (0.6, True, True)])
-def test_a_size_is_named_sooner_where_only_two_cameras_say_it(found, of_one, of_two):
+@pytest.mark.parametrize(
+    ("found", "ground_m", "times"),
+    [(0.93, 0.0, None), (0.84, None, 0.84), (1.08, None, None), (1.08, -0.12, 1.0966), (1.08, 0.06, None)],
+)
+def test_distances_that_two_cameras_scale_are_named_by_size_and_ground(found, ground_m, times):
     motion = moved(plain().states)
-    one = replace(motion, solution=replace(motion.solution, size=found, size_prior_sigma=0.1))
-    two = replace(one, sources=(source(noisy()), source(noisy(1), "cam2")))
-    said = [any(finding.code == "size_unexpected" for finding in size(of)) for of in (one, two)]
-    assert said == [of_one, of_two]
+    ground = None if ground_m is None else Ground(ground_m, np.zeros(2), 0.03, near_zero=True)
+    segments = tuple(replace(segment, ground=ground) for segment in motion.solution.segments)
+    one = replace(motion, solution=replace(motion.solution, size=found, size_prior_sigma=0.1, segments=segments))
+    view = replace(one.solution.views[0], T_camera_world=rigid(np.eye(3), np.array([0.0, 0.0, -1.0])))
+    two = replace(
+        one,
+        sources=(source(noisy()), source(noisy(1), "cam2")),
+        solution=replace(one.solution, views=(view, view)),
+    )
+    assert [*distances_scaled(one)] == []
+    assert [finding.numbers["times"] for finding in distances_scaled(two)] == (
+        [] if times is None else [pytest.approx(times, abs=1e-4)]
+    )

@@ -140,7 +140,7 @@ SLOWEST = 0.1
 """The part of the feet, over all frames, that has the speeds of feet that stand, or less."""
 SLIDE_M_S, GLIDE_M_S = -2.5, 8.0
 """Feet that stand are not as fast, backwards or forwards. 32 real views of running cheetahs: -0.7 to 4.1 m/s."""
-JOLTS = {"root acceleration": 1.2, "heading": 0.55, "climb": 1.1}
+JOLTS = {"root acceleration": 1.0, "heading": 0.55, "climb": 1.1}
 """Costs in 1/90 s, half squared sigmas, from which a body's path is no animal's; up to 0.5, 0.35 and 0.7 in real views,
 and 0.8 of the first in the drawn film (benchmarks/wrong_inputs.py)."""
 
