@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -234,34 +234,13 @@ def find_views(files: Sequence[Path], board: Board, progress: Progress = silent)
     Raises InputError, with every problem at once, for files that cannot be read, pictures that differ in size, and
     where the board is in none of them.
     """
-    is_video = _is_video(files[0])
-    views = _from_video(files[0], board, progress) if is_video else _from_images(files, board, progress)
-    if not views.views:
-        where = files[0] if len(files) == 1 else "pictures"
-        expected = (
-            f"a {board}, whole and with a white margin: is that the board? --board counts inner corners, one fewer "
-            "than squares each way"
-            if board.marker_m is None
-            else f"a {board}: is that the board? It may have the layout of OpenCV before 4.6: try :legacy"
-        )
-        looked = f"in {views.examined} {'frames' if is_video else 'pictures'}"
-        raise InputError(Problem(where, "board", f"none {looked}", expected))
-    return views
-
-
-def _is_video(path: Path) -> bool:
-    return path.suffix.lower() in VIDEO_SUFFIXES
-
-
-def _from_images(files: Sequence[Path], board: Board, progress: Progress) -> BoardViews:
-    views, without, problems = [], [], []
-    sizes: dict[str, tuple[int, int]] = {}
-    names = [file.name for file in files] if len({file.name for file in files}) == len(files) else list(map(str, files))
-    for done, (file, name) in enumerate(zip(files, names, strict=True)):
-        progress("looking for the board", done / len(files))
-        image = _read_gray(file)
+    is_video, sizes = _is_video(files[0]), dict[str, tuple[int, int]]()
+    problems, without, found = list[Problem](), list[str](), list[BoardView]()
+    sharpness, outlines = list[float](), list[Array]()
+    for name, share, image in _frames(files[0]) if is_video else _images(files):
+        progress("looking for the board", share)
         if image is None:
-            problems.append(Problem(file, "file", "no picture that OpenCV can read", ", ".join(IMAGE_SUFFIXES)))
+            problems.append(Problem(name, "file", "no picture that OpenCV can read", ", ".join(IMAGE_SUFFIXES)))
             continue
         sizes[name] = (image.shape[1], image.shape[0])
         if len(set(sizes.values())) > 1 or problems:
@@ -269,22 +248,53 @@ def _from_images(files: Sequence[Path], board: Board, progress: Progress) -> Boa
         corners = board.detect(image)
         if corners is None:
             without.append(name)
-        else:
-            views.append(BoardView(name, *corners))
+            continue
+        found.append(BoardView(name, *corners))
+        if is_video:
+            sharpness.append(corner_sharpness(image, corners[1]))
+            outlines.append(_outline(board, *corners) / math.hypot(*sizes[name]))
     if len(set(sizes.values())) > 1:
         problems.append(_mixed_sizes(sizes))
     refuse(problems)
-    return BoardViews(board, next(iter(sizes.values())), tuple(views), tuple(without), len(views))
+    if not found:
+        expected = (
+            f"a {board}, whole and with a white margin: is that the board? --board counts inner corners, one fewer "
+            "than squares each way"
+            if board.marker_m is None
+            else f"a {board}: is that the board? It may have the layout of OpenCV before 4.6: try :legacy"
+        )
+        looked = f"none in {len(without)} {'frames' if is_video else 'pictures'}"
+        raise InputError(Problem(files[0] if len(files) == 1 else "pictures", "board", looked, expected))
+    views = [found[i] for i in choose(np.array(sharpness), np.array(outlines))] if is_video else found
+    return BoardViews(board, next(iter(sizes.values())), tuple(views), tuple(without), len(found))
 
 
-def _read_gray(file: Path) -> Gray | None:
-    """A picture turned upright as its camera says, or None."""
-    try:
-        data = np.fromfile(file, dtype=np.uint8)  # cv2.imread does not take every path on Windows
-    except OSError:
-        return None
-    image = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE) if data.size else None
-    return None if image is None else np.asarray(image, dtype=np.uint8)
+def _is_video(path: Path) -> bool:
+    return path.suffix.lower() in VIDEO_SUFFIXES
+
+
+def _images(files: Sequence[Path]) -> Iterator[tuple[str, float, Gray | None]]:
+    """The name of each picture, how much of all came before it, and the picture turned upright as its camera says, None
+    where it cannot be read."""
+    unique = len({file.name for file in files}) == len(files)
+    for done, file in enumerate(files):
+        try:
+            data = np.fromfile(file, dtype=np.uint8)  # cv2.imread does not take every path on Windows
+        except OSError:
+            data = np.zeros(0, dtype=np.uint8)
+        image = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE) if data.size else None
+        name = file.name if unique and image is not None else str(file)
+        yield name, done / len(files), None if image is None else np.asarray(image, dtype=np.uint8)
+
+
+def _frames(path: Path) -> Iterator[tuple[str, float, Gray]]:
+    """The same of some frames of a video."""
+    info = probe(path)
+    count = info.stated_frames or sum(1 for _ in read_frames(path, step=2**31))
+    step = max(1, math.ceil(max((info.fps or 30.0) / EXAMINED_HZ, count / MAX_EXAMINED)))
+    for number, image in read_frames(path, step=step):
+        gray = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
+        yield f"frame {number}", min(1.0, number / count), gray
 
 
 def _mixed_sizes(sizes: dict[str, tuple[int, int]]) -> Problem:
@@ -292,32 +302,6 @@ def _mixed_sizes(sizes: dict[str, tuple[int, int]]) -> Problem:
     found = "; ".join(f"{width}x{height} ({', '.join(names[:3])})" for (width, height), names in named.items())
     expected = "one size, that of the clips, and all upright or all lying: a calibration holds for one resolution"
     return Problem("pictures", "size", found, expected)
-
-
-# ---- videos ----
-
-
-def _from_video(path: Path, board: Board, progress: Progress) -> BoardViews:
-    info = probe(path)
-    count = info.stated_frames or sum(1 for _ in read_frames(path, step=2**31))
-    step = max(1, math.ceil(max((info.fps or 30.0) / EXAMINED_HZ, count / MAX_EXAMINED)))
-    found: list[BoardView] = []
-    without: list[str] = []
-    sharpness: list[float] = []
-    outlines: list[Array] = []
-    for number, image in read_frames(path, step=step):
-        progress("looking for the board", min(1.0, number / count))
-        gray = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
-        corners = board.detect(gray)
-        if corners is None:
-            without.append(f"frame {number}")
-            continue
-        found.append(BoardView(f"frame {number}", *corners))
-        sharpness.append(corner_sharpness(gray, corners[1]))
-        outlines.append(_outline(board, *corners) / math.hypot(*info.size_px))
-    chosen = choose(np.array(sharpness), np.array(outlines)) if found else []
-    views = tuple(found[i] for i in chosen)
-    return BoardViews(board, info.size_px, views, tuple(without), len(found))
 
 
 def choose(sharpness: Array, outlines: Array, most: int = MAX_VIEWS) -> list[int]:

@@ -12,8 +12,9 @@ exchange of two files would bring it back.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
@@ -21,6 +22,7 @@ from scipy.spatial.transform import Rotation
 
 from recon.base.arrays import Array, Index
 from recon.check.codes import finding
+from recon.check.inputs.likelihood import busiest
 from recon.clip import View
 from recon.fit.motion import Motion
 from recon.fit.result import Finding
@@ -62,24 +64,11 @@ _PARALLEL = 1e-4
 """Rays that fix a point less well along than across, in variances, than this make none."""
 
 
-@dataclass(frozen=True)
-class _CameraAgreement:
-    """One camera against those that agree with each other."""
-
-    points: int
-    """How many were compared, over all frames."""
-    error_px: float
-    """Median distance from where the others say; NaN, like what follows, where that cannot be told."""
-    level: float
-    """Typical error in units of the expected."""
-    turn_rad: float
-    """Angle of the rotation of the camera that fits best."""
-    level_turned: float
-    """What the level would be with it."""
-    late_frames: float
-    """How much later than said its pictures seem to have been taken; negative: earlier."""
-    level_late: float
-    """What the level would be with that."""
+Numbers = dict[str, float]
+"""What is said of one camera against those that agree with each other, NaN where it cannot be told: points, how many
+were compared; error_px, the median distance from where the others say; level, the typical error in units of the
+expected; turn_rad, the angle of the rotation of the camera that fits best; late_frames, how much later than said its
+pictures seem to have been taken; and level_turned and level_late, what the level would be with these."""
 
 
 def agreement_findings(motion: Motion, sigma_px: float, keypoint_sigma_m: float) -> tuple[Finding, ...]:
@@ -97,9 +86,12 @@ def agreement_findings(motion: Motion, sigma_px: float, keypoint_sigma_m: float)
     rows, fps = _best_seen(views), motion.fps
     views = [view.part(rows) for view in views]
     compared = (int(motion.frames[rows][0]), int(motion.frames[rows][-1]) + 1)
-    names, noise = [view.camera.name for view in views], (sigma_px, keypoint_sigma_m)
+    names, noise, everyone = (
+        [view.camera.name for view in views],
+        (sigma_px, keypoint_sigma_m),
+        tuple(range(len(views))),
+    )
     sights = _sights(views, *noise)
-    everyone = tuple(range(len(views)))
     levels, limit = _levels(sights, everyone), MAX_LEVEL
     exchanged, judged = None, sights
     if not _agree(levels, limit):
@@ -117,39 +109,25 @@ def agreement_findings(motion: Motion, sigma_px: float, keypoint_sigma_m: float)
         # about its line of sight a camera can be turned by some degrees, and its level is still low
         among = tuple(v for v in among if v != worst)
         found = _agreements(judged, among, fps)
-    off = [
-        v for v in everyone if among and v not in among and (found[v].level > limit or _gain(found[v]) >= CLEAR_GAIN)
-    ]
-    findings = [
-        finding(
-            _code(found[v], limit),
-            compared,
-            names[v],
-            **asdict(found[v]),
-            offset_s=motion.sources[v].offset_s + found[v].late_frames / fps,
-        )
-        for v in off
-    ]
+    findings = []
+    for v in (v for v in everyone if among and v not in among):
+        if found[v]["level"] > limit or _gain(found[v]) >= CLEAR_GAIN:
+            offset_s = motion.sources[v].offset_s + found[v]["late_frames"] / fps
+            findings.append(finding(_code(found[v], limit), compared, names[v], **found[v], offset_s=offset_s))
     for v in exchanged or ():  # as it came
         found[v] = _agreement(sights[v], [judged[o] for o in among or everyone if o != v], fps, wide=False)
     for code, which in (("cameras_exchanged", exchanged), ("cameras_disagree", None if among else everyone)):
         if which:
-            cameras = tuple(names[v] for v in which)
-            findings.append(finding(code, compared, cameras=cameras, **asdict(found[which[0]])))
-    if not any(one.points for one in found):
+            findings.append(finding(code, compared, cameras=tuple(names[v] for v in which), **found[which[0]]))
+    if not any(one["points"] for one in found):
         findings.append(finding("cameras_apart_in_time", compared))
     notes = zip(names, found, strict=True)
-    findings += [finding("camera_agreement", compared, name, max_level=limit, **asdict(of)) for name, of in notes]
-    return tuple(findings)
+    return (*findings, *(finding("camera_agreement", compared, name, max_level=limit, **of) for name, of in notes))
 
 
 def _best_seen(views: Sequence[View]) -> slice:
     """The rows of the stretch in which most keypoints are seen by two cameras or more."""
-    together = (np.sum([view.present for view in views], axis=0) > 1).sum(axis=1)
-    total = np.concatenate([[0], np.cumsum(together)])
-    n = min(FRAMES, len(together))
-    first = int(np.argmax(total[n:] - total[: len(total) - n]))
-    return slice(first, first + n)
+    return busiest((np.sum([view.present for view in views], axis=0) > 1).sum(axis=1), FRAMES)
 
 
 # -- who agrees ----------------------------------------------------------------------------------------------------
@@ -176,7 +154,7 @@ def _exchanged_pair(levels: Array, trials: Mapping[tuple[int, int], Array], limi
     return min(good, key=lambda pair: good[pair], default=None)
 
 
-def _agreements(sights: Sequence[_Sight], among: Sequence[int], fps: float) -> list[_CameraAgreement]:
+def _agreements(sights: Sequence[_Sight], among: Sequence[int], fps: float) -> list[Numbers]:
     """Each camera with those of them that are others."""
     return [
         _agreement(sight, [sights[o] for o in among if o != v], fps, wide=v not in among)
@@ -184,18 +162,23 @@ def _agreements(sights: Sequence[_Sight], among: Sequence[int], fps: float) -> l
     ]
 
 
-def _gain(found: _CameraAgreement) -> float:
+def _causes(found: Numbers, least_rad: float = 0.0, least_frames: float = 0.0) -> dict[str, float]:
+    """What the camera's level would be, by the code of what may be wrong with it, where that is as large."""
+    turned, late = least_rad <= found["turn_rad"] <= LARGEST_ROTATION_RAD, abs(found["late_frames"]) >= least_frames
+    levels = {"camera_late": found["level_late"]} if late else {}
+    return levels | ({"camera_turned": found["level_turned"]} if turned else {})
+
+
+def _gain(found: Numbers) -> float:
     """How many times as high a camera's level is as with the rotation or the time offset that fits best; 1 where both
     are small."""
-    clear = [
-        found.level / max(level, 1e-9)
-        for level, is_clear in (
-            (found.level_turned, CLEAR_ROTATION_RAD <= found.turn_rad <= LARGEST_ROTATION_RAD),
-            (found.level_late, abs(found.late_frames) >= CLEAR_OFFSET),
-        )
-        if is_clear
-    ]
-    return max(clear, default=1.0)
+    causes = _causes(found, CLEAR_ROTATION_RAD, CLEAR_OFFSET)
+    return max((found["level"] / max(level, 1e-9) for level in causes.values()), default=1.0)
+
+
+def _code(found: Numbers, limit: float) -> str:
+    likeliest = min((level, code) for code, level in {**_causes(found), "camera_off": np.inf}.items() if level == level)
+    return likeliest[1] if _is_explained(likeliest[0], found["level"], limit) else "camera_off"
 
 
 def _with_exchanged(views: Sequence[View], a: int, b: int) -> list[View]:
@@ -235,14 +218,6 @@ def _cost_without(
     return not _agree(best, limit), float(np.nansum(best))
 
 
-def _code(found: _CameraAgreement, limit: float) -> str:
-    causes = {"camera_late": found.level_late}
-    if found.turn_rad <= LARGEST_ROTATION_RAD:
-        causes["camera_turned"] = found.level_turned
-    best = min(causes, key=lambda code: causes[code] if np.isfinite(causes[code]) else np.inf)
-    return best if _is_explained(causes[best], found.level, limit) else "camera_off"
-
-
 # -- rays and points -----------------------------------------------------------------------------------------------
 
 
@@ -277,12 +252,8 @@ class _Sight:
         return _Sight(*parts)
 
 
-@dataclass(frozen=True, eq=False)
-class _Points:
-    """Places (T, J, 3) and their covariances (T, J, 3, 3), NaN where fewer than two rays meet."""
-
-    position_m: Array
-    covariance_m2: Array
+_Points = tuple[Array, Array]
+"""Places (T, J, 3) and their covariances (T, J, 3, 3), NaN where fewer than two rays meet."""
 
 
 def _shifted(values: Array, frames: float) -> Array:
@@ -306,24 +277,23 @@ def _sights(views: Sequence[View], sigma_px: float, keypoint_sigma_m: float) -> 
         rotation = np.broadcast_to(view.T_camera_world[..., :3, :3], (T, 3, 3))
         sight = _Sight(view.rays(), view.centre_m, rotation, focal_px, np.full((T, 1), sigma_px / focal_px))
         sights.append(sight.later(view.offset_frames))
-    points = _points(sights)
-    return [_with_keypoint_noise(sight, points, keypoint_sigma_m) for sight in sights]
+    position_m, _ = _points(sights)
+    return [_with_keypoint_noise(sight, position_m, keypoint_sigma_m) for sight in sights]
 
 
 def points_m(views: Sequence[View], sigma_px: float, keypoint_sigma_m: float) -> Array:
     """(T, J, 3): where the rays of several views meet, in their world, NaN where fewer than two do."""
-    return _points(_sights(views, sigma_px, keypoint_sigma_m)).position_m
+    return _points(_sights(views, sigma_px, keypoint_sigma_m))[0]
 
 
-def _with_keypoint_noise(sight: _Sight, points: _Points, keypoint_sigma_m: float) -> _Sight:
+def _with_keypoint_noise(sight: _Sight, position_m: Array, keypoint_sigma_m: float) -> _Sight:
     """The noise with that of a keypoint's place on the body, at the points' typical distance from the camera."""
-    distance = np.linalg.norm(points.position_m - sight.centre_m[:, None], axis=-1)
-    known = np.isfinite(distance)
-    if not known.any():
+    distance = np.linalg.norm(position_m - sight.centre_m[:, None], axis=-1)
+    if np.isnan(distance).all():
         return sight
-    typical = np.full(len(distance), np.median(distance[known]))
-    for t in np.flatnonzero(known.any(axis=1)):
-        typical[t] = np.median(distance[t, known[t]])
+    with warnings.catch_warnings(action="ignore"):  # of frames without points
+        typical = np.nanmedian(distance, axis=1)
+    typical = np.where(np.isnan(typical), np.nanmedian(distance), typical)
     return replace(sight, noise_rad=np.hypot(sight.noise_rad, keypoint_sigma_m / typical[:, None]))
 
 
@@ -350,7 +320,7 @@ def _points(sights: Sequence[_Sight]) -> _Points:
     position[~enough] = np.nan
     covariance = np.asarray(np.linalg.inv(information), dtype=float)
     covariance[~enough] = np.nan
-    return _Points(position, covariance)
+    return position, covariance
 
 
 # -- one camera against others -------------------------------------------------------------------------------------
@@ -365,27 +335,21 @@ def _levels(sights: Sequence[_Sight], among: Sequence[int]) -> Array:
     return levels
 
 
-def _agreement(sight: _Sight, others: Sequence[_Sight], fps: float, wide: bool) -> _CameraAgreement:
+def _agreement(sight: _Sight, others: Sequence[_Sight], fps: float, wide: bool) -> Numbers:
     """wide: a time offset is sought far and wide."""
+    told = dict.fromkeys(("turn_rad", "level_turned", "late_frames", "level_late"), np.nan)
     if len(others) == 1:
         level, error_rad, n = _pair_level(sight, others[0])
-        return _CameraAgreement(n, error_rad * sight.focal_px, level, np.nan, np.nan, np.nan, np.nan)
+        return {"points": n, "error_px": error_rad * sight.focal_px, "level": level} | told
     points = _points(others)
     towards, squared = _errors(sight, points)
     off_rad = np.linalg.norm(towards - sight.rays, axis=-1)
     known = np.isfinite(squared)
     error_px = float(np.median(off_rad[known])) * sight.focal_px if known.sum() >= MIN_POINTS else np.nan
-    turned, turn_rad = _best_turned(sight, points)
-    late, late_frames = _best_shifted(sight, points, fps, wide)
-    return _CameraAgreement(
-        int(known.sum()),
-        error_px,
-        _level(sight, points),
-        turn_rad,
-        _level(turned, points),
-        late_frames,
-        _level(late, points),
-    )
+    turned, told["turn_rad"] = _best_turned(sight, points)
+    late, told["late_frames"] = _best_shifted(sight, points, fps, wide)
+    told |= {"level_turned": _level(turned, points), "level_late": _level(late, points)}
+    return {"points": int(known.sum()), "error_px": error_px, "level": _level(sight, points)} | told
 
 
 def _pair_level(a: _Sight, b: _Sight) -> tuple[float, float, int]:
@@ -404,13 +368,14 @@ def _pair_level(a: _Sight, b: _Sight) -> tuple[float, float, int]:
 
 def _errors(sight: _Sight, points: _Points) -> tuple[Array, Array]:
     """Unit vectors (T, J, 3) towards the points, and by how many sigmas squared (T, J) the rays lie beside them."""
-    off = points.position_m - sight.centre_m[:, None]
+    position_m, covariance_m2 = points
+    off = position_m - sight.centre_m[:, None]
     distance = np.linalg.norm(off, axis=-1, keepdims=True)
     towards = off / distance
     x, y = _across(sight.rays)
     error = np.stack([np.sum((towards - sight.rays) * axis, axis=-1) for axis in (x, y)], axis=-1)
     basis = np.stack([x, y], axis=-2) / distance[..., None]
-    covariance = basis @ points.covariance_m2 @ basis.swapaxes(-1, -2)
+    covariance = basis @ covariance_m2 @ basis.swapaxes(-1, -2)
     a, b, c = (covariance[..., i, j] for i, j in ((0, 0), (0, 1), (1, 1)))
     a, c = a + sight.noise_rad**2, c + sight.noise_rad**2
     squared = (c * error[..., 0] ** 2 - 2 * b * error[..., 0] * error[..., 1] + a * error[..., 1] ** 2) / (a * c - b**2)

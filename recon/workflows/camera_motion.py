@@ -244,10 +244,7 @@ def _report(
     roll = np.degrees(np.arctan2(down[:, 0], -down[:, 1]))
     rounded = {"pan_deg": pan, "tilt_deg": tilt, "roll_deg": roll, "sigma_deg": np.degrees(motion.sigma_rad)}
     if s.zoom:
-        rounded |= {
-            "zoom": np.array([one.zoom for one in motion.orientations]),
-            "sigma_zoom": motion.sigma_zoom,
-        }
+        rounded |= {"zoom": np.array([one.zoom for one in motion.orientations]), "sigma_zoom": motion.sigma_zoom}
     rounded["residual_px"] = motion.residual_px
     more = filter(None, [missing_note(s.video, times_s, s.first_frame), _focal_note(motion, lens)])
     return {
@@ -282,12 +279,8 @@ def _panorama(camera: Camera, motion: turning.TurningMotion, points: dict[int, A
     """All that was seen, with the camera's and the animal's path."""
     canvas = Canvas.around(camera, motion.orientations)
     drawn = panorama(canvas, camera, [motion.orientations[key] for key in motion.keys], motion.pictures)
-    for orientation in (
-        motion.orientations[0],
-        motion.orientations[len(motion.orientations) // 2],
-        motion.orientations[-1],
-    ):
-        draw_view(canvas, drawn, camera, orientation)
+    for row in (0, len(motion.orientations) // 2, -1):
+        draw_view(canvas, drawn, camera, motion.orientations[row])
     draw_path(canvas, drawn, np.stack([orientation.rotation[2] for orientation in motion.orientations]), PATH)
     draw_path(canvas, drawn, _animal(camera, motion.frames, motion.orientations, points), ANIMAL)
     return drawn
@@ -297,10 +290,8 @@ def _animal(
     camera: Camera, frames: Integers, orientations: tuple[turning.Orientation, ...], points: dict[int, Array]
 ) -> Array:
     """(N, 3): world rays of the middle of the animal's points, NaN where it has none."""
-    rays = np.full((len(frames), 3), np.nan)
-    for t, (frame, orientation) in enumerate(zip(frames.tolist(), orientations, strict=True)):
-        if frame in points:
-            rays[t] = (
-                rays_of(camera, np.nanmean(points[frame], axis=0)[None], orientation.zoom)[0][0] @ orientation.rotation
-            )
-    return rays
+    nowhere = np.full(2, np.nan)
+    middles = [np.nanmean(points[frame], axis=0) if frame in points else nowhere for frame in frames.tolist()]
+    return np.stack(
+        [rays_of(camera, px, one.zoom)[0] @ one.rotation for px, one in zip(middles, orientations, strict=True)]
+    )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -219,13 +219,9 @@ class Tracker:
 
     def _nearest(self, orientation: Orientation, count: int) -> list[_Keyframe]:
         """Keyframes with a picture that look the same way."""
-        near = [
-            (float(orientation.rotation[2] @ key.orientation.rotation[2]), key)
-            for key in self.keys
-            if key.frame is not None
-        ]
-        near = sorted(near, key=lambda pair: -pair[0])[: 2 * count]
-        best = sorted(((self._likeness(key, orientation), key) for _, key in near), key=lambda pair: -pair[0])
+        pictures = [key for key in self.keys if key.frame is not None]
+        near = sorted(pictures, key=lambda key: -float(orientation.rotation[2] @ key.orientation.rotation[2]))
+        best = sorted(((self._likeness(key, orientation), key) for key in near[: 2 * count]), key=lambda pair: -pair[0])
         similar = [key for likeness, key in best if likeness >= MIN_LIKENESS]
         kept = similar[:count]
         if count == KEYS_TO_LINK and similar[count:]:
@@ -289,23 +285,16 @@ class Tracker:
         error = np.linalg.norm(agreement.residual_px[agree], axis=1)
         self.supports.append((int(agree.sum()), float(np.sqrt((error**2).mean()))))
         place = len(self.frames) - 1
-        self._keep_pair(agreement.orientation, seen)
         for k, key in enumerate(seen.keys):
             own = (seen.of_key == k) & agree
             if own.sum() >= 8:
                 self.links.append(self._link(place, key, agreement, seen, own))
-
-    def _keep_pair(self, orientation: Orientation, seen: _Seen) -> None:
-        """The points of the keyframe that the camera has turned furthest from, of the frames that have turned most."""
-        if self.solve_zoom:
-            return
-        for k, key in enumerate(seen.keys):
-            own = (seen.of_key == k) & (seen.background > MIN_BACKGROUND)
-            if own.sum() >= MIN_PAIR_POINTS:
-                between = orientation.rotation @ key.orientation.rotation.T
-                self.pairs.append(_TurnedPair(key.number, key.points_px[seen.index[own]], seen.pixels[own], between))
+            back = (seen.of_key == k) & (seen.background > MIN_BACKGROUND)
+            if not self.solve_zoom and back.sum() >= MIN_PAIR_POINTS:
+                between = agreement.orientation.rotation @ key.orientation.rotation.T
+                self.pairs.append(_TurnedPair(key.number, key.points_px[seen.index[back]], seen.pixels[back], between))
         if len(self.pairs) > 2 * MAX_PAIRS:
-            self.pairs = sorted(self.pairs, key=lambda pair: -pair.angle_rad)[:MAX_PAIRS]
+            self.pairs = _furthest_turned(self.pairs)
 
     def _link(self, place: int, key: _Keyframe, agreement: AgreedOrientation, seen: _Seen, own: Bools) -> _FrameLink:
         orientation, J = agreement.orientation, agreement.jacobian[own]
@@ -369,22 +358,18 @@ class Tracker:
             )
         torn = sum(share < MIN_STILL for share in self.still)
         turned_only = self.apart <= MAX_APART * (len(frames) + len(lost)) and torn <= MAX_TORN
-        pairs = sorted(self.pairs, key=lambda pair: -pair.angle_rad)[:MAX_PAIRS]
+        pairs = _furthest_turned(self.pairs)
         focal = _focal_factor(self.camera, pairs, self._limit_px)
         if focal is not None and abs(focal[0]) > CLEARLY * focal[1]:
-            first = orientations[0].rotation
-            angle = np.array(
-                [Rotation.from_matrix(orientation.rotation @ first.T).magnitude() for orientation in orientations]
-            )
-            sigma = np.hypot(sigma, abs(focal[0]) * angle)
+            turns = np.stack([one.rotation for one in orientations]) @ orientations[0].rotation.T
+            sigma = np.hypot(sigma, abs(focal[0]) * Rotation.from_matrix(turns).magnitude())
         return TurningMotion(
             *(frames, tuple(orientations), inliers, residual, sigma, sigma_zoom, focal),
             *(lost, keys, pictures, turned_only, self.cut),
         )
 
 
-@dataclass(frozen=True, eq=False)
-class _Seen:
+class _Seen(NamedTuple):
     """Points of some keyframes in one frame. of_key, index: (N,), whose they are and which of its. rays: (N, 3), world.
     pixels: (N, 2). background: (N,)."""
 
@@ -418,22 +403,20 @@ class _Seen:
         return cls(keys, *joined)
 
     def where(self, kept: Bools) -> _Seen:
-        parts: tuple[Any, ...] = (self.of_key, self.index, self.rays, self.pixels, self.background)
-        return _Seen(self.keys, *(part[kept] for part in parts))
+        return _Seen(self.keys, *(part[kept] for part in self[1:]))
 
 
 # -- all frames and keyframes, adjusted to what each saw of the others: a return shows no drift ------------------------
 
 
-@dataclass(frozen=True, eq=False)
-class _FrameLink:
+class _FrameLink(NamedTuple):
     """A frame's points in a keyframe (both by their place among the frames). Their cost is e'He - 2 g'e; e: how much
     further the frame is turned (rad) from the keyframe than by `turn` (3, 3), and how far the log zooms of frame and
     keyframe are from `log_zooms` (2,). normal: H (5, 5). gradient: g (5,)."""
 
     frame: int
     key: int
-    orientation: Array
+    turn: Array
     log_zooms: Array
     normal: Array
     gradient: Array
@@ -448,13 +431,9 @@ def _adjust(
     n, p = len(orientations), 4 if solve_zoom else 3
     rotation = np.stack([one.rotation for one in orientations])
     log_zoom = np.log([one.zoom for one in orientations])
-    frame = np.array([link.frame for link in links], dtype=np.intp)
-    key = np.array([link.key for link in links], dtype=np.intp)
+    frame, key, measured, at, normal, gradient = map(np.stack, zip(*links, strict=True))
     columns = np.concatenate([(end[:, None] * p + np.arange(p)) for end in (frame, key)], axis=1)
     rows_of, columns_of = np.repeat(columns, 2 * p, axis=1), np.tile(columns, (1, 2 * p))
-    normal = np.stack([link.normal for link in links])
-    gradient = np.stack([link.gradient for link in links])
-    measured, at = np.stack([link.orientation for link in links]), np.stack([link.log_zooms for link in links])
     factor = None
     blocks = np.zeros((0, 2 * p, 2 * p))
     for _ in range(ADJUST_STEPS):
@@ -504,19 +483,19 @@ def _sigma(solve: Callable[[Array], Array], blocks: Array, frame: Index, key: In
 # -- the focal length: points that a turn takes across the picture keep their angles at one length only ---------------
 
 
-@dataclass(frozen=True, eq=False)
-class _TurnedPair:
+class _TurnedPair(NamedTuple):
     """Points (N, 2), (N, 2) of two pictures that were followed from one to the other, and the rotation (3, 3) that was
     found between them. key: of the earlier picture."""
 
     key: int
     a_px: Array
     b_px: Array
-    orientation: Array
+    turn: Array
 
-    @property
-    def angle_rad(self) -> float:
-        return float(Rotation.from_matrix(self.orientation).magnitude())
+
+def _furthest_turned(pairs: Sequence[_TurnedPair]) -> list[_TurnedPair]:
+    """Those that the camera has turned furthest between."""
+    return sorted(pairs, key=lambda pair: -float(Rotation.from_matrix(pair.turn).magnitude()))[:MAX_PAIRS]
 
 
 def _focal_factor(camera: Camera, pairs: Sequence[_TurnedPair], limit_px: float) -> tuple[float, float] | None:
@@ -560,14 +539,12 @@ def _left_px(camera: Camera, pair: _TurnedPair, log_factor: float) -> Array:
     zoom = float(np.exp(log_factor))
     (a, known), (b, seen) = (rays_of(camera, points_px, zoom) for points_px in (pair.a_px, pair.b_px))
     known &= seen
-    orientation = Rotation.from_rotvec(
-        Rotation.from_matrix(pair.orientation).as_rotvec() / zoom
-    )  # as far in the picture
+    turn = Rotation.from_rotvec(Rotation.from_matrix(pair.turn).as_rotvec() / zoom)  # as far in the picture
     left = np.full(pair.a_px.shape, 1e9)
     for _ in range(ROUNDS):
-        pixels, valid = pixels_of(camera, orientation.apply(np.where(known[:, None], a, b)), zoom)
+        pixels, valid = pixels_of(camera, turn.apply(np.where(known[:, None], a, b)), zoom)
         left = np.where((known & valid)[:, None], pixels - pair.b_px, 1e9)
-        orientation, _ = Rotation.align_vectors(b[known], a[known], weights=_weights(left)[known])
+        turn, _ = Rotation.align_vectors(b[known], a[known], weights=_weights(left)[known])
     return left
 
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from recon.animal.prior import ANGLES
-from recon.base.arrays import Array, Bools
+from recon.base.arrays import Array, Bools, Integers
 from recon.clip import View
 from recon.clip.keypoints import frame_ranges
 from recon.fit import solve_trajectory
@@ -191,8 +191,13 @@ def off_ground(clip: ClipProblem, states: Array) -> float:
 def best_seen(view: View, fps: float) -> slice:
     """The stretch of `AT_ONCE_S`, or less, in which most is seen."""
     counts = view.present.sum(axis=1)
-    n = min(round(AT_ONCE_S * fps), len(counts))
-    total = np.concatenate([[0], np.cumsum(counts)])
-    first = int(np.argmax(total[n:] - total[: len(total) - n]))
-    seen = first + np.flatnonzero(counts[first : first + n])
+    part = busiest(counts, round(AT_ONCE_S * fps))
+    seen = part.start + np.flatnonzero(counts[part])
     return slice(int(seen[0]), int(seen[-1]) + 1) if len(seen) else slice(0, 0)
+
+
+def busiest(counts: Integers, n: int) -> slice:
+    """The stretch of so many rows, at most, in which the sum is largest."""
+    n, total = min(n, len(counts)), np.concatenate([[0], np.cumsum(counts)])
+    first = int(np.argmax(total[n:] - total[: len(total) - n]))
+    return slice(first, first + n)
