@@ -27,8 +27,7 @@ from markdown_table import print_header, print_row
 from startup import SAMPLES, seconds
 
 from recon.base.documents import read_json
-from recon.workflows.batch import COLUMNS
-from recon.workflows.batch.plan import results_of, write_summary_page
+from recon.workflows.batch import COLUMNS, results_of, write_summary_page
 from recon.workflows.clip_results import run_clip
 from recon.workflows.settings import FitSettings
 

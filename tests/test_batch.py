@@ -38,9 +38,9 @@ from recon.workflows.batch import (
     fit_planned,
     input_problems,
     plan_batch,
+    read_rows,
     run_batch,
 )
-from recon.workflows.batch.plan import read_rows
 from recon.workflows.cli import main
 from recon.workflows.clip_results import run_clip
 from recon.workflows.made_from import Record, digest

@@ -1,10 +1,13 @@
 """Settings: one class for each command, from which its options, its help and what Python takes follow.
 
-A setting is one field: its type says which values it may have, its `Option` what people are told of it.
+A setting is one field: its type says which values it may have, the text below it is its help, and an `Option` in its
+`Annotated` says what else the command line has to know.
 
     class ViewSettings(Settings):
-        folder: Annotated[Path, Option("Folder of results, as in results/clip.", argument="DIR")]
-        speed: Annotated[Positive, Option("Speed of the playback, 1 is real time.")] = 1.0
+        folder: Annotated[Path, Option(argument="DIR")]
+        \"""Folder of results, as in results/clip.\"""
+        speed: Positive = 1.0
+        \"""Speed of the playback, 1 is real time.\"""
 """
 
 from __future__ import annotations
@@ -69,8 +72,9 @@ OneOrMore = Annotated[tuple[_Value, ...], BeforeValidator(_as_tuple), Field(min_
 class Option:
     """What is known of a setting besides its type and its default."""
 
-    help: str
-    """For the command line; where the default is None, it says in brackets what happens instead."""
+    help: str = ""
+    """For the command line; empty: the text below the field. Where the default is None, it says in brackets what
+    happens instead."""
     expected: str = ""
     """Ends the sentence "found ..., expected ..." where a value is wrong; empty: made of the type."""
     common: bool = True
@@ -148,9 +152,12 @@ class SettingInfo:
         return str(value) if isinstance(value, Path) else value
 
 
+_CONFIG = pydantic.ConfigDict(extra="forbid", use_attribute_docstrings=True)
+
+
 @dataclass_transform(frozen_default=True, kw_only_default=True)
 class Settings:
-    """The settings of a command: a subclass is a frozen dataclass, with an `Option` in the `Annotated` of each field.
+    """The settings of a command: a subclass is a frozen dataclass, with the help of each field below it.
 
     Text is taken for numbers, sizes and files; None is not given. Raises InputError with everything that is wrong.
     """
@@ -158,7 +165,7 @@ class Settings:
     if not TYPE_CHECKING:  # type checkers know the fields
 
         def __init_subclass__(cls) -> None:
-            pydantic.dataclasses.dataclass(frozen=True, kw_only=True, config={"extra": "forbid"})(cls)
+            pydantic.dataclasses.dataclass(frozen=True, kw_only=True, config=_CONFIG)(cls)
             check = cls.__init__
 
             def __init__(self: Settings, **given: Any) -> None:
@@ -189,9 +196,13 @@ class Settings:
     def infos(cls) -> dict[str, SettingInfo]:
         """All settings by name, in their order."""
         types = typing.get_type_hints(cls, include_extras=True)
+        own = (vars(one).get("__pydantic_fields__", {}).items() for one in reversed(cls.__mro__))
+        texts = {name: " ".join(one.description.split()) for of in own for name, one in of if one.description}
         found = {}
         for field in fields(cls):  # pyright: ignore[reportArgumentType]
-            option = next(one for one in types[field.name].__metadata__ if isinstance(one, Option))
+            given = getattr(types[field.name], "__metadata__", ())
+            option = next((one for one in given if isinstance(one, Option)), Option())
+            option = replace(option, help=option.help or texts.get(field.name, ""))
             found[field.name] = SettingInfo(field.name, option, field.default, tuple(_parts(types[field.name])))
         return found
 

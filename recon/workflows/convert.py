@@ -26,27 +26,30 @@ from recon.workflows.settings import ANYWAY, INDIVIDUAL, RENAME
 class ConvertSettings(Settings):
     """The settings of `recon convert`."""
 
-    source: Annotated[Path | None, Option("File, or folder of results, as in results/clip.", argument="IN")] = None
-    out: Annotated[Path | None, Option("File to write, as in clip.trc.", argument="OUT")] = None
-    to: Annotated[str | None, Option("Format, where the extension has several, as in long. (default: see --list)")] = (
-        None
-    )
-    fps: Annotated[Positive | None, Option("Frame rate in Hz, as in 120, if the file does not say it.")] = None
+    source: Annotated[Path | None, Option(argument="IN")] = None
+    """File, or folder of results, as in results/clip."""
+    out: Annotated[Path | None, Option(argument="OUT")] = None
+    """File to write, as in clip.trc."""
+    to: str | None = None
+    """Format, where the extension has several, as in long. (default: see --list)"""
+    fps: Positive | None = None
+    """Frame rate in Hz, as in 120, if the file does not say it."""
     individual: Annotated[str | None, Option(INDIVIDUAL)] = None
-    columns: Annotated[
-        str | None,
-        Option(
-            "Columns of a plain CSV, as in 'frame=Frame,bodypart=Node,x=X,y=Y,likelihood=Score', or for one row per "
-            "frame 'frame=Frame,x={bodypart} X,y={bodypart} Y'. (default: by their names)"
-        ),
-    ] = None
-    unit: Annotated[str | None, Option("Unit of 3D positions, if the file does not say it: m, cm or mm.")] = None
-    up: Annotated[str | None, Option("Axis of 3D positions that points up, if unsaid: y or z.")] = None
+    columns: str | None = None
+    """Columns of a plain CSV, as in 'frame=Frame,bodypart=Node,x=X,y=Y,likelihood=Score', or for one row per frame
+    'frame=Frame,x={bodypart} X,y={bodypart} Y'. (default: by their names)"""
+    unit: str | None = None
+    """Unit of 3D positions, if the file does not say it: m, cm or mm."""
+    up: str | None = None
+    """Axis of 3D positions that points up, if unsaid: y or z."""
     rename: Annotated[str | None, RENAME] = None
-    body_mass_kg: Annotated[Positive, Option("Mass of the animal in an OpenSim model; 1: forces per kilogram.")] = 1.0
+    body_mass_kg: Positive = 1.0
+    """Mass of the animal in an OpenSim model; 1: forces per kilogram."""
     anyway: Annotated[bool, ANYWAY] = False
-    overwrite: Annotated[bool, Option("Replace the file.")] = False
-    show_list: Annotated[bool, Option("Print the formats.", name="--list")] = False
+    overwrite: bool = False
+    """Replace the file."""
+    show_list: Annotated[bool, Option(name="--list")] = False
+    """Print the formats."""
 
 
 Conversion = tuple[Keypoints | Pose3D, Format, tuple[str, ...]]

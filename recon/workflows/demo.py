@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
 
 from recon.base.errors import InputError, Problem
-from recon.base.settings import Option, Settings
+from recon.base.settings import Settings
 from recon.fit.motion import Motion
 from recon.gait.clip import ClipAnalysis
 from recon.gait.evaluation import evaluate_files
@@ -29,8 +28,10 @@ def samples_folder() -> Path:
 class _DemoSettings(Settings):
     """The settings of `recon demo`."""
 
-    out: Annotated[Path, Option("Folder for the results.")] = Path("demo-output")
-    overwrite: Annotated[bool, Option("Replace results in the folder.")] = False
+    out: Path = Path("demo-output")
+    """Folder for the results."""
+    overwrite: bool = False
+    """Replace results in the folder."""
 
 
 def demo(settings: _DemoSettings, as_json: bool, quiet: bool) -> None:

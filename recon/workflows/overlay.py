@@ -16,7 +16,7 @@ from recon.base import Progress, silent
 from recon.base.arrays import Array, Index
 from recon.base.errors import InputError, Problem, all_of, refuse
 from recon.base.files import require_free_file
-from recon.base.settings import Number, Option
+from recon.base.settings import Number
 from recon.check import FLAG_OF, usable
 from recon.fit.motion import Motion
 from recon.fit.result import Verdict
@@ -38,14 +38,15 @@ MIN_WIDTH_PX = 640
 class OverlaySettings(ResultSettings):
     """The settings of `recon overlay`."""
 
-    video: Annotated[Path, Option("The video that the keypoints came from, as in clip.mp4.")]  # pyright: ignore[reportGeneralTypeIssues]
-    out: Annotated[Path, Option("The new video, .mp4 (MPEG-4) or .avi (Motion JPEG), as in overlay.mp4.")]
+    video: Path  # pyright: ignore[reportGeneralTypeIssues]
+    """The video that the keypoints came from, as in clip.mp4."""
+    out: Path
+    """The new video, .mp4 (MPEG-4) or .avi (Motion JPEG), as in overlay.mp4."""
     anyway: Annotated[bool, ANYWAY] = False
-    speed: Annotated[
-        Annotated[Number, Field(gt=0, le=10)] | None,
-        Option("Speed of the playback, 1 is real time. (default: so that 30 frames are shown in a second)"),
-    ] = None
-    overwrite: Annotated[bool, Option("Replace the new files.")] = False
+    speed: Annotated[Number, Field(gt=0, le=10)] | None = None
+    """Speed of the playback, 1 is real time. (default: so that 30 frames are shown in a second)"""
+    overwrite: bool = False
+    """Replace the new files."""
 
 
 def overlay(settings: OverlaySettings, quiet: bool) -> None:

@@ -16,8 +16,8 @@ from recon.show.page import PAGE, require_own_page
 from recon.show.page.clip import clip_page
 from recon.show.page.render import jpeg
 from recon.show.report import REPORT
+from recon.workflows.batch import write_summary_page
 from recon.workflows.batch.inputs import SUMMARY
-from recon.workflows.batch.plan import write_summary_page
 from recon.workflows.cli.common import error_text, progress_bar, say, terminal
 from recon.workflows.overlay import result_and_video, stills
 from recon.workflows.settings import ResultSettings
@@ -30,7 +30,8 @@ BESIDE = ("overlay.mp4", "analysis/analysis.json")
 class PageSettings(ResultSettings):
     """The settings of `recon report`."""
 
-    folder: Annotated[Path, Option("Folder of results, as in results/clip, or of a batch.", argument="DIR")]
+    folder: Annotated[Path, Option(argument="DIR")]
+    """Folder of results, as in results/clip, or of a batch."""
 
 
 def report(settings: PageSettings, quiet: bool) -> None:

@@ -36,27 +36,33 @@ Segment = tuple[str, Array, float]
 class PriorFitSettings(Settings):
     """The settings of `recon prior fit`."""
 
-    poses: Annotated[
-        OneOrMore[Path],
-        Option("Results of recon fit, or 3D poses as in pose3d.csv: metres, world z up.", argument="POSES"),
-    ]
-    out: Annotated[Path, Option("File for the prior, as in my-dog.npz.")]
-    skeleton: Annotated[
-        str | None, Option("Skeleton of 3D poses, as in cheetah-24. (default: that of the results)")
-    ] = None
-    fps: Annotated[
-        str | None, Option('Frame rate of 3D poses in Hz, or a JSON file with {"fps": [...]}, one per piece.')
-    ] = None
-    subject: Annotated[str | None, Option("Measured animal, by name or TOML file, as in phantom.")] = None
-    estimate_size: Annotated[bool, Option("Scale the skeleton to the animal of each file.")] = False
-    components: Annotated[Count, Option("Gaussians in the mixture of poses; each takes 20 frames.")] = 16
-    min_speed_m_s: Annotated[NotNegative, Option("Leave out slower segments, as in 8.5.")] = 0.0
-    apart: Annotated[tuple[str, ...], Option("Segment whose movement says nothing of the others', as in tail_1.")] = ()
-    name: Annotated[str | None, Option("Name of the prior. (default: the file's)")] = None
-    source: Annotated[str, Option("Where the poses come from, for the record.")] = ""
-    check: Annotated[bool, Option("Score each segment under a prior from the others.")] = False
+    poses: Annotated[OneOrMore[Path], Option(argument="POSES")]
+    """Results of recon fit, or 3D poses as in pose3d.csv: metres, world z up."""
+    out: Path
+    """File for the prior, as in my-dog.npz."""
+    skeleton: str | None = None
+    """Skeleton of 3D poses, as in cheetah-24. (default: that of the results)"""
+    fps: str | None = None
+    """Frame rate of 3D poses in Hz, or a JSON file with {"fps": [...]}, one per piece."""
+    subject: str | None = None
+    """Measured animal, by name or TOML file, as in phantom."""
+    estimate_size: bool = False
+    """Scale the skeleton to the animal of each file."""
+    components: Count = 16
+    """Gaussians in the mixture of poses; each takes 20 frames."""
+    min_speed_m_s: NotNegative = 0.0
+    """Leave out slower segments, as in 8.5."""
+    apart: tuple[str, ...] = ()
+    """Segment whose movement says nothing of the others', as in tail_1."""
+    name: str | None = None
+    """Name of the prior. (default: the file's)"""
+    source: str = ""
+    """Where the poses come from, for the record."""
+    check: bool = False
+    """Score each segment under a prior from the others."""
     anyway: Annotated[bool, ANYWAY] = False
-    overwrite: Annotated[bool, Option("Replace the file.")] = False
+    overwrite: bool = False
+    """Replace the file."""
 
 
 def prior_fit(settings: PriorFitSettings, as_json: bool) -> Any:

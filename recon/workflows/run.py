@@ -27,9 +27,8 @@ from recon.io.video import SUFFIXES, probe
 from recon.show.page import PAGE, SUMMARY_PAGE, require_own_page
 from recon.show.report import build_report, is_unsolved
 from recon.workflows.analyse import AnalyseSettings, run_analyse
-from recon.workflows.batch import Clip, ClipPlan, Summary, work_off
+from recon.workflows.batch import Clip, ClipPlan, Summary, results_of, work_off
 from recon.workflows.batch.inputs import file_names
-from recon.workflows.batch.plan import results_of
 from recon.workflows.cameras import size_problems
 from recon.workflows.cli.batch import shown_batch
 from recon.workflows.cli.command import OptionsOf
@@ -52,23 +51,27 @@ _OF_THE_FIT = tuple(name for name in SETTINGS if name != "keypoints")
 class _RunSettings(Settings):
     """What `recon run` is told besides the settings of the fit."""
 
-    video: Annotated[Path, Option("The video, as in run.mp4, or a folder of videos.", argument="VIDEO")]
-    out: Annotated[Path, Option("Folder for everything; of a folder of videos one in it for each.")]
-    model: Annotated[Path | None, Option("Folder of a trained network, as in models/run.", metavar="DIR")] = None
-    keypoints: Annotated[
-        Path | None, Option("Instead of a network: the keypoint file, or of a folder of videos the folder with them.")
-    ] = None
-    camera_motion: Annotated[
-        Literal["turns", "zooms"] | None, Option("How the camera moves; found from the background. (default: not)")
-    ] = None
-    start: Annotated[Stage | None, Option("Do this stage again, and all after it.", metavar="STAGE", name="--from")] = (
-        None
-    )
+    video: Annotated[Path, Option(argument="VIDEO")]
+    """The video, as in run.mp4, or a folder of videos."""
+    out: Path
+    """Folder for everything; of a folder of videos one in it for each."""
+    model: Annotated[Path | None, Option(metavar="DIR")] = None
+    """Folder of a trained network, as in models/run."""
+    keypoints: Path | None = None
+    """Instead of a network: the keypoint file, or of a folder of videos the folder with them."""
+    camera_motion: Literal["turns", "zooms"] | None = None
+    """How the camera moves; found from the background. (default: not)"""
+    start: Annotated[Stage | None, Option(metavar="STAGE", name="--from")] = None
+    """Do this stage again, and all after it."""
     first_frame: Annotated[Integer, FIRST_FRAME] = 0
-    quality: Annotated[Literal["fast", "best"], Option("Quality of the network's points.")] = "fast"
-    jobs: Annotated[Count | None, Option("Videos at a time, of a folder. (default: one for each core)")] = None
-    config: Annotated[Path | None, Option("Settings as in the config.toml of a fit; options here overrule it.")] = None
-    overwrite: Annotated[bool, Option("Replace files that no run has made, or that were changed since.")] = False
+    quality: Literal["fast", "best"] = "fast"
+    """Quality of the network's points."""
+    jobs: Count | None = None
+    """Videos at a time, of a folder. (default: one for each core)"""
+    config: Path | None = None
+    """Settings as in the config.toml of a fit; options here overrule it."""
+    overwrite: bool = False
+    """Replace files that no run has made, or that were changed since."""
 
     def problems(self) -> Iterator[Problem]:
         if (self.model is None) == (self.keypoints is None):

@@ -7,7 +7,6 @@ import os
 import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import fields, replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -43,10 +42,8 @@ DEFAULT_SKELETONS: dict[Method, str] = {"trajectory": "cheetah-24", "frame": "ch
 """By method."""
 
 
-_RareOption = partial(Option, common=False)
-_Trajectory = partial(Option, method="trajectory")
-_RareTrajectory = partial(_RareOption, method="trajectory")
-_FrameOption = partial(_RareOption, method="frame")
+_RARE, _FRAME = Option(common=False), Option(common=False, method="frame")
+_TRAJECTORY, _RARE_TRAJECTORY = Option(method="trajectory"), Option(common=False, method="trajectory")
 
 NUMBER = r"[0-9]+(?:\.[0-9]*)?"
 
@@ -90,14 +87,12 @@ STRIDE = Option(
 class ResultSettings(Settings):
     """A folder of results, and the video of one of its cameras."""
 
-    folder: Annotated[Path, Option("Folder of results, as in results/clip.", argument="DIR")]
-    video: Annotated[Path | None, Option("The video that the keypoints came from, as in clip.mp4.")] = None
-    camera_name: Annotated[
-        str | None,
-        Option(
-            "Whose video it is, of several cameras, as in cam2. (default: whose name the video's has, or the first)"
-        ),
-    ] = None
+    folder: Annotated[Path, Option(argument="DIR")]
+    """Folder of results, as in results/clip."""
+    video: Path | None = None
+    """The video that the keypoints came from, as in clip.mp4."""
+    camera_name: str | None = None
+    """Whose video it is, of several cameras, as in cam2. (default: whose name the video's has, or the first)"""
     first_frame: Annotated[Integer, FIRST_FRAME] = 0
 
 
@@ -110,170 +105,97 @@ class FitSettings(Settings):
     """
 
     keypoints: Annotated[
-        OneOrMore[File],
-        Option(
-            "Keypoint file, as in clip.csv: DeepLabCut, SLEAP, movement, NWB (ndx-pose), COCO, MMPose, OpenPose (any "
-            "of its files) or a plain table, long or wide; of a clip of several cameras one for each.",
-            "a keypoint file, or one for each camera",
-            argument="KEYPOINTS",
-        ),
+        OneOrMore[File], Option(expected="a keypoint file, or one for each camera", argument="KEYPOINTS")
     ]
-    camera: Annotated[
-        OneOrMore[File] | None,
-        Option(
-            "Calibration: OpenCV or ROS yaml/json/xml, AcinoSet scene.json, OpenDroneMap cameras.json, DANNCE mat, "
-            "Anipose, Pose2Sim or recon toml; or one such file for each camera."
-        ),
-    ] = None
-    camera_name: Annotated[
-        OneOrMore[str] | None,
-        Option(
-            "Which camera of the file, as in cam2 or 2; once for each keypoint file. (default: whose name the keypoint "
-            "file's name contains)"
-        ),
-    ] = None
-    camera_unit: Annotated[Unit, Option("Unit of the cameras' positions in the file; Anipose's is often mm.")] = "m"
-    camera_track: Annotated[
-        OneOrMore[File] | None,
-        _Trajectory(
-            "Where a moving camera was in each frame: a CSV table, a COLMAP text model, or OpenDroneMap's "
-            "reconstruction.json or shots.geojson, with the camera's name in its own. (default: cameras stand still)"
-        ),
-    ] = None
+    """Keypoint file, as in clip.csv: DeepLabCut, SLEAP, movement, NWB (ndx-pose), COCO, MMPose, OpenPose (any of its
+    files) or a plain table, long or wide; of a clip of several cameras one for each."""
+    camera: OneOrMore[File] | None = None
+    """Calibration: OpenCV or ROS yaml/json/xml, AcinoSet scene.json, OpenDroneMap cameras.json, DANNCE mat, Anipose,
+    Pose2Sim or recon toml; or one such file for each camera."""
+    camera_name: OneOrMore[str] | None = None
+    """Which camera of the file, as in cam2 or 2; once for each keypoint file. (default: whose name the keypoint file's
+    name contains)"""
+    camera_unit: Unit = "m"
+    """Unit of the cameras' positions in the file; Anipose's is often mm."""
+    camera_track: Annotated[OneOrMore[File] | None, _TRAJECTORY] = None
+    """Where a moving camera was in each frame: a CSV table, a COLMAP text model, or OpenDroneMap's reconstruction.json
+    or shots.geojson, with the camera's name in its own. (default: cameras stand still)"""
     fps: Annotated[Positive | None, Option(FPS)] = None
-    skeleton: Annotated[
-        NameOrFile | None,
-        Option("A built-in skeleton or a TOML file. (default: cheetah-24; cheetah-8u for the frame method)"),
-    ] = None
-    subject: Annotated[
-        NameOrFile | None,
-        _Trajectory(
-            "One animal's measured lengths: built-in name or TOML file, as in jules. (default: the skeleton's)"
-        ),
-    ] = None
-    prior: Annotated[
-        NameOrFile | None,
-        _Trajectory(
-            "What motions are like: a built-in name, a file of recon prior fit, or none. (default: this skeleton's "
-            "built-in one, if any)"
-        ),
-    ] = None
-    hfov_deg: Annotated[
-        Annotated[Number, Field(gt=0, lt=180)] | None,
-        Option("Without a calibration: horizontal field of view in degrees, as in 64, or 64+-6 with its uncertainty."),
-    ] = None
+    skeleton: NameOrFile | None = None
+    """A built-in skeleton or a TOML file. (default: cheetah-24; cheetah-8u for the frame method)"""
+    subject: Annotated[NameOrFile | None, _TRAJECTORY] = None
+    """One animal's measured lengths: built-in name or TOML file, as in jules. (default: the skeleton's)"""
+    prior: Annotated[NameOrFile | None, _TRAJECTORY] = None
+    """What motions are like: a built-in name, a file of recon prior fit, or none. (default: this skeleton's built-in
+    one, if any)"""
+    hfov_deg: Annotated[Number, Field(gt=0, lt=180)] | None = None
+    """Without a calibration: horizontal field of view in degrees, as in 64, or 64+-6 with its uncertainty."""
     image_size_px: Annotated[
-        Size | None,
-        Option(
-            "Size of the video in pixels, if the camera file lacks it, as in 1920x1080.",
-            "width x height in pixels, as in 1920x1080",
-            name="--image-size",
-        ),
+        Size | None, Option(expected="width x height in pixels, as in 1920x1080", name="--image-size")
     ] = None
-    up: Annotated[
-        str | None,
-        _RareOption(
-            "Which axis of the calibration's world points up, as in z or -y, or a direction, as in 0,-0.9,0.4; "
-            "first-camera: that counts as level. (default: what the file says, or the ground that feet stand on)"
-        ),
-    ] = None
-    tilt_deg: Annotated[
-        Annotated[Number, Field(gt=-90, lt=90)] | None,
-        Option("Without extrinsics: how far the camera looks down, in degrees, as in 5. (default: level)"),
-    ] = None
-    height_m: Annotated[
-        Positive | None,
-        _Trajectory("Height of the animal at the withers, in metres, as in 1.6. (default: the skeleton's)"),
-    ] = None
+    """Size of the video in pixels, if the camera file lacks it, as in 1920x1080."""
+    up: Annotated[str | None, _RARE] = None
+    """Which axis of the calibration's world points up, as in z or -y, or a direction, as in 0,-0.9,0.4; first-camera:
+    that counts as level. (default: what the file says, or the ground that feet stand on)"""
+    tilt_deg: Annotated[Number, Field(gt=-90, lt=90)] | None = None
+    """Without extrinsics: how far the camera looks down, in degrees, as in 5. (default: level)"""
+    height_m: Annotated[Positive | None, _TRAJECTORY] = None
+    """Height of the animal at the withers, in metres, as in 1.6. (default: the skeleton's)"""
     individual: Annotated[str | None, Option(INDIVIDUAL)] = None
     rename: Annotated[NameOrFile | None, RENAME] = None
     frames: Annotated[
-        FrameRange | None,
-        Option(
-            "Only these frame numbers, from A up to but without B, as in 100:160.",
-            "frame numbers A:B with A < B, from A up to but without B, as in 100:160",
-        ),
+        FrameRange | None, Option(expected="frame numbers A:B with A < B, from A up to but without B, as in 100:160")
     ] = None
-    fix_swaps: Annotated[bool, _Trajectory("Exchange left and right back where they look exchanged.")] = False
-    offset_s: Annotated[
-        OneOrMore[Number] | None,
-        _RareTrajectory(
-            "How much later than the first each camera began, in seconds, as in 0.025; once for each keypoint file."
-        ),
-    ] = None
-    find_offsets: Annotated[
-        bool, _RareTrajectory("Find when each camera began from the animal's motion; the search begins at offset-s.")
-    ] = False
-    refine_cameras: Annotated[
-        bool,
-        _RareTrajectory(
-            "Take the poses of all cameras but the first for as good as 2 degrees and 5 cm (2 % of their distance, if "
-            "that is less), and find them with the fit; they go into cameras.toml."
-        ),
-    ] = False
-    focal_sigma: Annotated[
-        Positive | None,
-        _RareTrajectory(
-            "How well focal lengths are known, relative, as in 0.1: one camera's makes the position less certain; "
-            "several cameras' are found and go into cameras.toml. (default: exactly)"
-        ),
-    ] = None
-    camera_fps: Annotated[
-        OneOrMore[Positive] | None,
-        _RareTrajectory(
-            "Frame rates of cameras that differ in it, once for each keypoint file; the first is the result's."
-        ),
-    ] = None
-    method: Annotated[
-        Method,
-        _RareOption("trajectory: the whole animal over the whole clip; frame: one side, one frame after the other."),
-    ] = "trajectory"
-    detector: Annotated[
-        NameOrFile | None,
-        _RareTrajectory(
-            "Where the detector's keypoints lie beside the markers: a built-in name, as in acinoset, a TOML file, or "
-            "none. (default: as the subject's or skeleton's file says, or the keypoint file's scorer)"
-        ),
-    ] = None
+    """Only these frame numbers, from A up to but without B, as in 100:160."""
+    fix_swaps: Annotated[bool, _TRAJECTORY] = False
+    """Exchange left and right back where they look exchanged."""
+    offset_s: Annotated[OneOrMore[Number] | None, _RARE_TRAJECTORY] = None
+    """How much later than the first each camera began, in seconds, as in 0.025; once for each keypoint file."""
+    find_offsets: Annotated[bool, _RARE_TRAJECTORY] = False
+    """Find when each camera began from the animal's motion; the search begins at offset-s."""
+    refine_cameras: Annotated[bool, _RARE_TRAJECTORY] = False
+    """Take the poses of all cameras but the first for as good as 2 degrees and 5 cm (2 % of their distance, if that is
+    less), and find them with the fit; they go into cameras.toml."""
+    focal_sigma: Annotated[Positive | None, _RARE_TRAJECTORY] = None
+    """How well focal lengths are known, relative, as in 0.1: one camera's makes the position less certain; several
+    cameras' are found and go into cameras.toml. (default: exactly)"""
+    camera_fps: Annotated[OneOrMore[Positive] | None, _RARE_TRAJECTORY] = None
+    """Frame rates of cameras that differ in it, once for each keypoint file; the first is the result's."""
+    method: Annotated[Method, _RARE] = "trajectory"
+    """trajectory: the whole animal over the whole clip; frame: one side, one frame after the other."""
+    detector: Annotated[NameOrFile | None, _RARE_TRAJECTORY] = None
+    """Where the detector's keypoints lie beside the markers: a built-in name, as in acinoset, a TOML file, or none.
+    (default: as the subject's or skeleton's file says, or the keypoint file's scorer)"""
     likelihood_min: Annotated[
-        Annotated[Number, Field(ge=0, le=1)],
-        _RareOption("Leave out points less likely than this, 0 to 1.", "a number from 0 to 1"),
+        Annotated[Number, Field(ge=0, le=1)], Option(expected="a number from 0 to 1", common=False)
     ] = 0.5
-    side: Annotated[Literal["auto", "left", "right"], _RareOption("Which side of a one-sided skeleton to fit.")] = (
-        "auto"
-    )
-    ground: Annotated[
-        Literal["auto", "none"], _RareTrajectory("auto: feet that stand are still and on one plane; none: not.")
-    ] = "auto"
-    size: Annotated[
-        Positive | None, _RareTrajectory("How many times as large as the skeleton the animal is, as in 0.1.")
-    ] = None
-    size_sigma: Annotated[
-        Positive | None,
-        _RareTrajectory("Relative standard deviation of the animal's size, as in 0.1. (default: the skeleton's)"),
-    ] = None
-    fast: Annotated[bool, _RareTrajectory("Quicker: fewer directions to start from.")] = False
-    form: Annotated[
-        Literal["deadband", "printed"], _FrameOption("Ranges and rates: beyond the limit, or two-sided as printed.")
-    ] = "deadband"
-    reprojection: Annotated[
-        Literal["robust", "printed"], _FrameOption("Errors in the picture: robust and weighted, or as printed.")
-    ] = "robust"
-    angle_prior: Annotated[Literal["gaussian", "none"], _FrameOption("Priors on angles and heading.")] = "gaussian"
-    camera_rotation: Annotated[
-        Literal["free", "fixed"], _FrameOption("The body's rotation: free, or fixed to the first frame's.")
-    ] = "free"
-    base_length_m: Annotated[
-        Positive | None, _FrameOption("Base length of the chain in metres, as in 0.203. (default: the skeleton's)")
-    ] = None
-    base_sigma_m: Annotated[
-        Positive | None, _FrameOption("Its standard deviation in metres, as in 0.001. (default: the skeleton's)")
-    ] = None
-    sigma_px: Annotated[Positive, _RareOption("Noise of the detector in pixels, one standard deviation.")] = 3.0
-    keypoint_sigma_m: Annotated[
-        NotNegative | None,
-        _RareOption("How far keypoints lie from the joints, metres, as in 0.05. (default: the skeleton's)"),
-    ] = None
+    """Leave out points less likely than this, 0 to 1."""
+    side: Annotated[Literal["auto", "left", "right"], _RARE] = "auto"
+    """Which side of a one-sided skeleton to fit."""
+    ground: Annotated[Literal["auto", "none"], _RARE_TRAJECTORY] = "auto"
+    """auto: feet that stand are still and on one plane; none: not."""
+    size: Annotated[Positive | None, _RARE_TRAJECTORY] = None
+    """How many times as large as the skeleton the animal is, as in 0.1."""
+    size_sigma: Annotated[Positive | None, _RARE_TRAJECTORY] = None
+    """Relative standard deviation of the animal's size, as in 0.1. (default: the skeleton's)"""
+    fast: Annotated[bool, _RARE_TRAJECTORY] = False
+    """Quicker: fewer directions to start from."""
+    form: Annotated[Literal["deadband", "printed"], _FRAME] = "deadband"
+    """Ranges and rates: beyond the limit, or two-sided as printed."""
+    reprojection: Annotated[Literal["robust", "printed"], _FRAME] = "robust"
+    """Errors in the picture: robust and weighted, or as printed."""
+    angle_prior: Annotated[Literal["gaussian", "none"], _FRAME] = "gaussian"
+    """Priors on angles and heading."""
+    camera_rotation: Annotated[Literal["free", "fixed"], _FRAME] = "free"
+    """The body's rotation: free, or fixed to the first frame's."""
+    base_length_m: Annotated[Positive | None, _FRAME] = None
+    """Base length of the chain in metres, as in 0.203. (default: the skeleton's)"""
+    base_sigma_m: Annotated[Positive | None, _FRAME] = None
+    """Its standard deviation in metres, as in 0.001. (default: the skeleton's)"""
+    sigma_px: Annotated[Positive, _RARE] = 3.0
+    """Noise of the detector in pixels, one standard deviation."""
+    keypoint_sigma_m: Annotated[NotNegative | None, _RARE] = None
+    """How far keypoints lie from the joints, metres, as in 0.05. (default: the skeleton's)"""
 
     @model_validator(mode="before")
     @classmethod

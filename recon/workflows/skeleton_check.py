@@ -25,12 +25,14 @@ REACH_SIGMAS = 2.0
 class _SkeletonCheckSettings(Settings):
     """The settings of `recon skeleton check`."""
 
-    skeleton: Annotated[
-        str, Option("A TOML file, or the name of a built-in skeleton, as in my-dog.toml.", argument="SKELETON")
-    ]
-    subject: Annotated[str | None, Option("Lengths measured on one animal: built-in name or TOML file.")] = None
-    out: Annotated[Path | None, Option("Folder for pictures (skeleton, angles: PNG and SVG).")] = None
-    overwrite: Annotated[bool, Option("Replace pictures in the folder.")] = False
+    skeleton: Annotated[str, Option(argument="SKELETON")]
+    """A TOML file, or the name of a built-in skeleton, as in my-dog.toml."""
+    subject: str | None = None
+    """Lengths measured on one animal: built-in name or TOML file."""
+    out: Path | None = None
+    """Folder for pictures (skeleton, angles: PNG and SVG)."""
+    overwrite: bool = False
+    """Replace pictures in the folder."""
 
 
 def skeleton_list(as_json: bool) -> Any:

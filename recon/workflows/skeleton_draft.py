@@ -59,19 +59,19 @@ and the text of a skeleton file, to be completed."""
 class _SkeletonDraftSettings(Settings):
     """What `recon skeleton from-keypoints` is told."""
 
-    keypoints: Annotated[
-        OneOrMore[Path],
-        Option("Keypoint file, or DeepLabCut's project; with --camera one file for each.", argument="KEYPOINTS"),
-    ]
-    out: Annotated[Path, Option("Skeleton file to write, as in my-animal.toml.")]
+    keypoints: Annotated[OneOrMore[Path], Option(argument="KEYPOINTS")]
+    """Keypoint file, or DeepLabCut's project; with --camera one file for each."""
+    out: Path
+    """Skeleton file to write, as in my-animal.toml."""
     individual: Annotated[str | None, Option(INDIVIDUAL)] = None
-    camera: Annotated[
-        OneOrMore[File] | None,
-        Option("Calibration of several cameras: distances that stay the same make the draft. (default: names do)"),
-    ] = None
-    fps: Annotated[Positive | None, Option("With --camera: the frame rate in Hz. (default: what the file says)")] = None
-    up: Annotated[str | None, Option("With --camera: as of recon fit. (default: what the file says)")] = None
-    overwrite: Annotated[bool, Option("Replace the file.")] = False
+    camera: OneOrMore[File] | None = None
+    """Calibration of several cameras: distances that stay the same make the draft. (default: names do)"""
+    fps: Positive | None = None
+    """With --camera: the frame rate in Hz. (default: what the file says)"""
+    up: str | None = None
+    """With --camera: as of recon fit. (default: what the file says)"""
+    overwrite: bool = False
+    """Replace the file."""
 
 
 def skeleton_from_keypoints(settings: _SkeletonDraftSettings) -> None:

@@ -48,15 +48,20 @@ def _rows(fit: ShapeFit) -> Iterator[dict[str, Any]]:
 class SubjectFitSettings(Settings):
     """What `recon subject fit` is told."""
 
-    clips: Annotated[OneOrMore[Path], Option("Results of several cameras, or their config.toml.", argument="CLIPS")]
-    out: Annotated[Path, Option("File for the subject, as in my-cat.toml.")]
-    lengths: Annotated[bool, Option("Measure the lengths of the segments, left equal to right.")] = True
-    offsets: Annotated[bool, Option("Measure where the detector's keypoints lie beside the markers.")] = False
-    poses: Annotated[
-        tuple[Path, ...], Option("3D poses by another method, one file a clip: offsets are measured beside these.")
-    ] = ()
-    title: Annotated[str | None, Option("Title of the animal, in words. (default: made up)")] = None
-    overwrite: Annotated[bool, Option("Replace the file.")] = False
+    clips: Annotated[OneOrMore[Path], Option(argument="CLIPS")]
+    """Results of several cameras, or their config.toml."""
+    out: Path
+    """File for the subject, as in my-cat.toml."""
+    lengths: bool = True
+    """Measure the lengths of the segments, left equal to right."""
+    offsets: bool = False
+    """Measure where the detector's keypoints lie beside the markers."""
+    poses: tuple[Path, ...] = ()
+    """3D poses by another method, one file a clip: offsets are measured beside these."""
+    title: str | None = None
+    """Title of the animal, in words. (default: made up)"""
+    overwrite: bool = False
+    """Replace the file."""
 
     def problems(self) -> Iterator[Problem]:
         """What is to be measured has to be named, and poses have to be there for each clip."""

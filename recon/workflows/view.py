@@ -6,14 +6,12 @@ import shlex
 from collections.abc import Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Annotated
 
 import typer
 
 from recon.base.errors import InputError, Problem
 from recon.base.files import require_free_file, staged_file
 from recon.base.manifest import read_manifest
-from recon.base.settings import Option
 from recon.gait.clip import analyse
 from recon.show import view as viewer
 from recon.workflows.analyse import FOLDER, PLAYBACK, SUMMARY
@@ -24,9 +22,12 @@ from recon.workflows.settings import ResultSettings
 class _ViewSettings(ResultSettings):
     """The settings of `recon view`."""
 
-    video: Annotated[Path | None, Option("Show the frames of this video with it, as in clip.mp4.")] = None
-    out: Annotated[Path | None, Option("Write one recording of it, as in clip.rrd, and open nothing.")] = None
-    overwrite: Annotated[bool, Option("Replace the recording of --out.")] = False
+    video: Path | None = None
+    """Show the frames of this video with it, as in clip.mp4."""
+    out: Path | None = None
+    """Write one recording of it, as in clip.rrd, and open nothing."""
+    overwrite: bool = False
+    """Replace the recording of --out."""
 
     def problems(self) -> Iterator[Problem]:
         for name in ("first_frame", "camera_name"):

@@ -1,46 +1,185 @@
-"""Many clips: `find_clips`, `plan_batch`, `run_batch`, each with what the one before gives."""
+"""Many clips: `find_clips`, `plan_batch`, `run_batch`, each with what the one before gives.
+
+In the batch's folder `batch.jsonl` keeps what each clip's results were made from, summary.csv has one row a clip, the
+whole file written again while clips finish, and summary.html is made of it.
+"""
 
 from __future__ import annotations
 
+import csv
+import hashlib
+import json
 import time
-from collections.abc import Callable, Sequence
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import replace
-from functools import partial
+from dataclasses import dataclass, replace
+from functools import cache, partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from threadpoolctl import threadpool_limits
 
 from recon.base import Progress
-from recon.base.files import sole_writer
-from recon.base.manifest import MANIFEST
+from recon.base.errors import InputError, Problem, refuse
+from recon.base.files import require_free_folder, seen_from, sole_writer, staged_file
+from recon.base.manifest import MANIFEST, read_manifest
 from recon.base.package import version
 from recon.base.parallel import STARTING, Event, carry_out
+from recon.fit.result import LEVELS
 from recon.show.page import SUMMARY_PAGE, require_own_page
-from recon.show.report import is_unsolved
+from recon.show.report import is_unsolved, warnings
 from recon.workflows.batch.cluster import carry_out_on_cluster
-from recon.workflows.batch.inputs import Clip, find_clips
-from recon.workflows.batch.plan import (
-    COLUMNS,
-    RECORD,
-    STATUSES,
-    ClipPlan,
-    Summary,
-    check_shared,
-    input_problems,
-    plan_batch,
-    repeated,
-    results_of,
-    write_summary_page,
-)
-from recon.workflows.clip import fit_clip
-from recon.workflows.clip_results import write_clip
-from recon.workflows.made_from import Record, digest
+from recon.workflows.batch.inputs import SUMMARY, Clip
+from recon.workflows.batch.inputs import find_clips as find_clips
+from recon.workflows.clip import Unknown, fit_clip, prepare, read_model_and_cameras
+from recon.workflows.clip_results import output_files, write_clip
+from recon.workflows.made_from import Record, digest, file_sha256, identity
+from recon.workflows.settings import FitSettings, beside
 
-CRASH_LOG = "crash.log"
+RECORD, CRASH_LOG = "batch.jsonl", "crash.log"
+Problems = tuple[Problem, ...]
+RESULTS = (
+    *("verdict", "reason"),
+    *(f"{error}{end}" for error in ("pose_mm", "position_m") for end in ("", "_low", "_high")),
+    *("frames", "frames_with_pose", "warnings", "outliers", "mean_reprojection_px"),
+    *("mean_speed_m_s", "peak_speed_m_s", "size"),
+)
+COLUMNS = (
+    *("clip", "keypoints", "cameras", "out", "status", "error"),
+    *RESULTS,
+    *("seconds", "attempts", "settings_hash", "inputs_hash"),
+)
+STATUSES = ("done", "done earlier", "unsolved", "failed", "pending")
+"""unsolved: fitted, but no frame has a pose. pending: not tried, because the batch was interrupted."""
+WRITE_EVERY_S = 0.5
 DYING_S = 5.0
 """So long a process may hold a clip's folder after the batch that it belonged to was killed."""
+FORMULAS = ("=", "+", "-", "@", "\t", "\r")
+"""A text that begins so would be run by a spreadsheet."""
+
+
+@dataclass(frozen=True)
+class ClipPlan:
+    """A clip with what is to be done with it, and why."""
+
+    clip: Clip
+    out: Path
+    action: Literal["new", "refit", "done"]
+    reason: str
+    identity: Mapping[str, Any]
+    """What its results follow from."""
+    row: Mapping[str, Any] | None = None
+    """The row of the summary, if the clip is done."""
+
+
+def plan_batch(clips: Sequence[Clip], out: Path, overwrite: bool = False) -> list[ClipPlan]:
+    """What is to be done with each clip, whose results belong into `out / clip.name`.
+
+    Results of the same input files, settings and version are done. Those that a batch made of the same keypoints, or of
+    some of the clip's cameras, with other settings are made again. Raises InputError for folders with any other
+    results, unless they may be overwritten.
+    """
+    require_free_folder(out, (), overwrite=True)
+    file_sha256.cache_clear()  # files may have changed since the last plan of this process
+    record = Record(out / RECORD).rows
+    planned, problems = [], []
+    for clip in clips:
+        try:
+            planned.append(_planned(clip, out / clip.name, record.get(clip.name), overwrite))
+        except InputError as error:
+            problems += error.problems
+    refuse(problems)
+    return planned
+
+
+def _planned(clip: Clip, out: Path, row: Mapping[str, Any] | None, overwrite: bool) -> ClipPlan:
+    mine = identity(clip.settings)
+    if not any((out / name).exists() for name in output_files(out)):
+        return ClipPlan(clip, out, "new", "", mine)
+    if overwrite:
+        return ClipPlan(clip, out, "refit", "--overwrite", mine)
+    expected = "a folder without results, or of an earlier batch of this clip; or --overwrite"
+    is_own = row is not None and ("made" not in row or row["made"] == digest(out / MANIFEST))
+    if row is None or not (is_own or not (out / MANIFEST).exists()):
+        raise InputError(Problem(out, "folder", "results that no batch has made", expected))
+    theirs = row["identity"]
+    before = beside(out.parent, "keypoints", row["keypoints"])
+    if not {*before} & {*map(str, clip.settings.keypoints)} and not _keypoints(theirs) & _keypoints(mine):
+        raise InputError(Problem(out, "folder", f"results of {', '.join(before)}", expected))
+    if "made" not in row:
+        return ClipPlan(clip, out, "refit", "not finished before", mine)
+    if theirs != mine:
+        return ClipPlan(clip, out, "refit", f"changed: {', '.join(_changed_names(theirs, mine))}", mine)
+    try:
+        whole = not read_manifest(out).changed()
+    except InputError:
+        whole = False
+    plan = ClipPlan(clip, out, "refit", "not complete", mine)
+    return replace(plan, action="done", reason="", row=row["row"]) if whole else plan
+
+
+def _changed_names(theirs: Mapping[str, Any], mine: Mapping[str, Any]) -> list[str]:
+    """Names of the input files and settings that differ, and the version."""
+    names = []
+    for part in ("inputs", "settings"):
+        old, new = theirs[part], mine[part]
+        names += [name.split()[0] for name in sorted({*old, *new}) if old.get(name) != new.get(name)]
+    return list(dict.fromkeys(names)) + (["version of recon"] if theirs["version"] != mine["version"] else [])
+
+
+def _keypoints(known: Mapping[str, Any]) -> set[str]:
+    """Hashes of the keypoint files that could be read."""
+    return {sha256 for role, sha256 in known["inputs"].items() if role.split()[0] == "keypoints" and sha256}
+
+
+# -- what inputs lack -------------------------------------------------------------------------------------------------
+
+
+def input_problems(clips: Sequence[Clip], shared_only: bool = False) -> list[Problems]:
+    """The problems of each clip: everything that its fit would raise before solving; shared_only: only those with
+    cameras, skeletons, subjects and priors."""
+    read = cache(read_model_and_cameras)
+
+    def read_once(settings: FitSettings) -> Unknown:
+        """What clips share is read once."""
+        # Names of keypoint files choose cameras.
+        names = [path.name if settings.camera_name is None else str(i) for i, path in enumerate(settings.keypoints)]
+        return read(replace(settings, keypoints=names, individual=None, frames=None))
+
+    each: list[Problems] = []
+    for clip in clips:
+        try:
+            read_once(clip.settings) if shared_only else prepare(clip.settings, read_once)
+            each.append(())
+        except InputError as error:
+            each.append(error.problems)
+    return each
+
+
+def check_shared(clips: Sequence[Clip]) -> None:
+    """Raises InputError for problems with cameras, skeletons, subjects and priors that every clip has, be it each with
+    a file of its own."""
+    each = input_problems(clips, shared_only=True)
+    refuse(problem for problem, places in repeated(each) if len(places) == len(clips))
+
+
+def repeated(each: Sequence[Problems]) -> list[tuple[Problem, tuple[int, ...]]]:
+    """What several clips have in common is said once, whatever the files are called: each problem, and the places among
+    all clips of those that have the same."""
+    found: dict[tuple[str, str, str], dict[int, Problem]] = {}
+    for place, problems in enumerate(each):
+        for problem in problems:
+            found.setdefault((problem.field, problem.found, problem.expected), {}).setdefault(place, problem)
+    said = []
+    for by_place in found.values():
+        file, *others = dict.fromkeys(str(problem.file) for problem in by_place.values())
+        named = f"{file} and {len(others)} more files" if others else file
+        said.append((replace(next(iter(by_place.values())), file=named), tuple(by_place)))
+    return said
+
+
+# -- the work ---------------------------------------------------------------------------------------------------------
 
 
 def run_batch(
@@ -125,3 +264,110 @@ def fit_planned(planned: ClipPlan, progress: Progress) -> dict[str, Any]:
         known = planned.identity["inputs"]
         report = write_clip(motion, planned.clip.settings, planned.out, solve_s, sha256=known)
     return {"status": "unsolved" if is_unsolved(report) else "done", **results_of(report)}
+
+
+# -- what became of the clips -----------------------------------------------------------------------------------------
+
+
+def results_of(report: Mapping[str, Any]) -> dict[str, Any]:
+    """The columns `RESULTS`. Speeds are the root's, without the jitter from frame to frame where that can be told;
+    warnings is how many the report has; size is the factor on the skeleton's lengths, which only the trajectory method
+    has."""
+    summary, path, verdict = report["summary"], report["root_path"], report["verdict"] or {}
+    speeds = path["smoothed"] or path["exact"]
+    expected = {}
+    for name, of, unit in (("pose_mm", "pose_m", 1000.0), ("position_m", "position_m", 1.0)):
+        error = verdict.get(of)
+        for end, key in (("", "expected"), ("_low", "low"), ("_high", "high")):
+            expected[name + end] = None if error is None else float(f"{unit * error[key]:.4g}")
+    return {
+        "verdict": verdict.get("level"),
+        "reason": verdict.get("reason"),
+        **expected,
+        **{name: summary[name] for name in ("frames", "frames_with_pose", "outliers")},
+        "warnings": len(warnings(report)),
+        "mean_reprojection_px": summary["reprojection_px"]["mean"],
+        **{name: speeds[name] for name in ("mean_speed_m_s", "peak_speed_m_s")},
+        "size": report["size"]["factor"] if report["method"] == "trajectory" else None,
+    }
+
+
+class Summary:
+    """The rows of a batch, by clip, and their file. What was done earlier has its row already."""
+
+    def __init__(self, plan: Sequence[ClipPlan], out: Path) -> None:
+        self.path = out / SUMMARY
+        self.rows: dict[str, dict[str, Any]] = {planned.clip.name: _row(planned, out) for planned in plan}
+        self._written_s = -WRITE_EVERY_S
+
+    def end(self, clip: str, outcome: Mapping[str, Any]) -> None:
+        """outcome: some of the columns."""
+        self.rows[clip] |= {column: outcome[column] for column in COLUMNS if column in outcome}
+
+    def write_now_and_then(self) -> None:
+        """Not all the time; a file that is open elsewhere can wait."""
+        if time.monotonic() - self._written_s >= WRITE_EVERY_S:
+            with suppress(PermissionError):
+                self.write()
+
+    def counts(self) -> dict[str, int]:
+        """By status, in the order of `STATUSES`, without those that no clip has."""
+        count = Counter(row["status"] for row in self.rows.values())
+        return {status: count[status] for status in STATUSES if count[status]}
+
+    def verdicts(self) -> dict[str, int]:
+        """How many clips have each verdict, in the order of `LEVELS`, without those that none has."""
+        count = Counter(row["verdict"] for row in self.rows.values() if row["status"].startswith("done"))
+        return {level: count[level] for level in LEVELS if count[level]}
+
+    def write(self) -> None:
+        with staged_file(self.path) as staged, staged.open("w", encoding="utf-8", newline="") as f:
+            writer = csv.DictWriter(f, COLUMNS, lineterminator="\n")
+            writer.writeheader()
+            for row in sorted(self.rows.values(), key=_rank):
+                writer.writerow({name: f"'{x}" if _is_formula(x) else x for name, x in row.items()})
+        self._written_s = time.monotonic()
+
+
+def _is_formula(cell: Any) -> bool:
+    """Whether a spreadsheet would take a text for a formula; it stands after an apostrophe in the file."""
+    return isinstance(cell, str) and cell.lstrip("'").startswith(FORMULAS)
+
+
+def _rank(row: Mapping[str, Any]) -> int:
+    return LEVELS.index(row["verdict"]) if row["verdict"] in LEVELS else -1
+
+
+def write_summary_page(out: Path) -> Path:
+    """summary.html, of what summary.csv in the folder says. Raises InputError for another file in its place."""
+    from recon.show.page.batch import batch_page  # needs matplotlib, which the processes that fit do not
+
+    page = out / SUMMARY_PAGE
+    require_own_page(page)
+    html = batch_page(out, read_rows(out / SUMMARY))
+    with staged_file(page) as staged:
+        staged.write_text(html, encoding="utf-8")
+    return page
+
+
+def read_rows(path: Path) -> list[dict[str, str]]:
+    """The rows of a summary.csv as they were before `Summary.write` made texts of formulas."""
+    with path.open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    return [{name: x[1:] if x[:1] == "'" and _is_formula(x) else x for name, x in row.items()} for row in rows]
+
+
+def _row(planned: ClipPlan, out: Path) -> dict[str, Any]:
+    settings, known = planned.clip.settings, planned.identity
+    row = dict.fromkeys(COLUMNS) | {
+        "clip": planned.clip.name,
+        "keypoints": ", ".join(settings.keypoints_from(out)),
+        "cameras": len(settings.keypoints),
+        "out": seen_from(out, planned.out),
+        "status": "pending",
+        "attempts": 0,
+    }
+    for name, part in (("settings", [known["settings"], known["version"]]), ("inputs", known["inputs"])):
+        row[f"{name}_hash"] = hashlib.sha256(json.dumps(part, sort_keys=True).encode()).hexdigest()[:16]
+    earlier = dict(planned.row or {})
+    return row | earlier | ({"status": "done earlier"} if earlier.get("status") == "done" else {})

@@ -41,32 +41,30 @@ _OF_CLIPS = tuple(name for name in SETTINGS if name != "keypoints")
 class _BatchSettings(Settings):
     """The settings of `recon batch` beside those of every clip's fit."""
 
-    inputs: Annotated[
-        OneOrMore[str],
-        Option(
-            "Keypoint files, quoted patterns as in 'clips/*.csv', folders, also projects of DeepLabCut and Anipose, or "
-            "manifests: CSV tables with a column keypoints, and one for each setting that differs.",
-            argument="INPUT",
-        ),
-    ]
-    out: Annotated[Path, Option("Folder for the results: one folder a clip, and summary.csv.")]
-    config: Annotated[Path | None, Option("config.toml of a fit; options here overrule it.", panel=_COMMON)] = None
-    cameras_by: Annotated[
-        str,
-        Option(
-            "Which files are one clip. auto: names that differ by a camera's only; none: each; or a regular expression "
-            "for the camera's name in a file's, as in '-cam([A-Z])'.",
-            metavar="auto|none|PATTERN",
-            panel=_COMMON,
-        ),
-    ] = "auto"
-    recursive: Annotated[bool, Option("Read the folders within a folder, too.", panel=_COMMON)] = False
-    jobs: Annotated[Count | None, Option("Clips at a time. (default: one for each core)", panel=_WORK)] = None
-    scheduler: Annotated[str | None, Option("A Dask cluster instead, as in tcp://host:8786.", panel=_WORK)] = None
-    retries: Annotated[Annotated[Integer, Field(ge=0)], Option("Tries more where a worker died.", panel=_WORK)] = 1
-    overwrite: Annotated[bool, Option("Fit everything again, and replace any results.", panel=_WORK)] = False
-    dry_run: Annotated[bool, Option("Only look: what would be done, and what inputs lack.", panel=_WORK)] = False
-    strict: Annotated[bool, Option("Exit code 1 if any clip failed or is unsolved.", panel=_WORK)] = False
+    inputs: Annotated[OneOrMore[str], Option(argument="INPUT")]
+    """Keypoint files, quoted patterns as in 'clips/*.csv', folders, also projects of DeepLabCut and Anipose, or
+    manifests: CSV tables with a column keypoints, and one for each setting that differs."""
+    out: Path
+    """Folder for the results: one folder a clip, and summary.csv."""
+    config: Annotated[Path | None, Option(panel=_COMMON)] = None
+    """config.toml of a fit; options here overrule it."""
+    cameras_by: Annotated[str, Option(metavar="auto|none|PATTERN", panel=_COMMON)] = "auto"
+    """Which files are one clip. auto: names that differ by a camera's only; none: each; or a regular expression for the
+    camera's name in a file's, as in '-cam([A-Z])'."""
+    recursive: Annotated[bool, Option(panel=_COMMON)] = False
+    """Read the folders within a folder, too."""
+    jobs: Annotated[Count | None, Option(panel=_WORK)] = None
+    """Clips at a time. (default: one for each core)"""
+    scheduler: Annotated[str | None, Option(panel=_WORK)] = None
+    """A Dask cluster instead, as in tcp://host:8786."""
+    retries: Annotated[Annotated[Integer, Field(ge=0)], Option(panel=_WORK)] = 1
+    """Tries more where a worker died."""
+    overwrite: Annotated[bool, Option(panel=_WORK)] = False
+    """Fit everything again, and replace any results."""
+    dry_run: Annotated[bool, Option(panel=_WORK)] = False
+    """Only look: what would be done, and what inputs lack."""
+    strict: Annotated[bool, Option(panel=_WORK)] = False
+    """Exit code 1 if any clip failed or is unsolved."""
 
 
 def batch(

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from recon.base.errors import InputError, Problem
-from recon.base.settings import Option, Settings
+from recon.base.settings import Settings
 from recon.workflows.cli.command import OptionsOf
 from recon.workflows.cli.common import finish, progress_bar, say, terminal
 from recon.workflows.settings import FitSettings, read_settings
@@ -15,9 +15,12 @@ from recon.workflows.settings import FitSettings, read_settings
 class _FitRunSettings(Settings):
     """The settings of `recon fit` beside those of the fit itself."""
 
-    out: Annotated[Path | None, Option("Folder for the results, as in results/clip1.")] = None
-    config: Annotated[Path | None, Option("config.toml of an earlier run; options given here overrule it.")] = None
-    overwrite: Annotated[bool, Option("Replace results in the folder.")] = False
+    out: Path | None = None
+    """Folder for the results, as in results/clip1."""
+    config: Path | None = None
+    """config.toml of an earlier run; options given here overrule it."""
+    overwrite: bool = False
+    """Replace results in the folder."""
 
 
 def fit(

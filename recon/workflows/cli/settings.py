@@ -20,10 +20,10 @@ LIMITS = {"gt": "exclusiveMinimum", "ge": "minimum", "lt": "exclusiveMaximum", "
 class _ListedSettings(Settings):
     """The settings of `recon settings`."""
 
-    command: Annotated[str, Option("The command, as in fit.", argument="COMMAND")] = "fit"
-    schema: Annotated[
-        bool, Option("Print the JSON schema of config.toml in place of the list: editors complete and check by it.")
-    ] = False
+    command: Annotated[str, Option(argument="COMMAND")] = "fit"
+    """The command, as in fit."""
+    schema: bool = False
+    """Print the JSON schema of config.toml in place of the list: editors complete and check by it."""
 
 
 def settings(settings: _ListedSettings, as_json: bool) -> Any:
