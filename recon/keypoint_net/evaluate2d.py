@@ -31,16 +31,21 @@ PCK_RELATIVE = (0.05, 0.1, 0.2)
 class Evaluate2DSettings(Settings):
     """What `recon evaluate-2d` compares, and how."""
 
-    predicted: Annotated[Path, Option("Keypoints of any known format, as in run.csv.", argument="PREDICTED")]
-    labels: Annotated[Path, Option("Labels in DeepLabCut's layout, as in CollectedData_me.csv.", argument="LABELS")]
-    first_frame: Annotated[Integer, Option("Number that the labels give to frame 0 of the predictions.")] = 0
-    frames: Annotated[FrameRange | None, Option("Frame numbers of the labels to compare, A:B (B excluded).")] = None
-    individual: Annotated[str | None, Option("The animal, where the files name several.")] = None
+    predicted: Annotated[Path, Option(argument="PREDICTED")]
+    """Keypoints of any known format, as in run.csv."""
+    labels: Annotated[Path, Option(argument="LABELS")]
+    """Labels in DeepLabCut's layout, as in CollectedData_me.csv."""
+    first_frame: Integer = 0
+    """Number that the labels give to frame 0 of the predictions."""
+    frames: FrameRange | None = None
+    """Frame numbers of the labels to compare, A:B (B excluded)."""
+    individual: str | None = None
+    """The animal, where the files name several."""
     rename: Annotated[str | None, RENAME] = None
-    likelihood_min: Annotated[Number, Option("Cut-off for the rows of likely points.", "a number from 0 to 1")] = 0.5
-    tolerance_px: Annotated[
-        Positive, Option("Within this a point is right, for the likelihoods' reliability.", "pixels above 0")
-    ] = 5.0
+    likelihood_min: Annotated[Number, Option(expected="a number from 0 to 1")] = 0.5
+    """Cut-off for the rows of likely points."""
+    tolerance_px: Annotated[Positive, Option(expected="pixels above 0")] = 5.0
+    """Within this a point is right, for the likelihoods' reliability."""
 
 
 def evaluate_2d_command(settings: Evaluate2DSettings, as_json: bool) -> Any:

@@ -42,16 +42,20 @@ _Chunk = tuple[list[int], list[Image], list[Image]]
 class PredictSettings(Settings):
     """What `recon predict` finds, and where."""
 
-    video: Annotated[Path, Option("The video, as in run.mp4.", argument="VIDEO")]
-    model: Annotated[Path, Option("Folder of a trained network, as in models/run.", metavar="DIR")]
-    out: Annotated[Path, Option("The keypoint file, .csv or .h5, in DeepLabCut's layout.")]
-    overlay: Annotated[
-        Path | None, Option("A new video with the points drawn, .mp4 (MPEG-4) or .avi (Motion JPEG).")
-    ] = None
+    video: Annotated[Path, Option(argument="VIDEO")]
+    """The video, as in run.mp4."""
+    model: Annotated[Path, Option(metavar="DIR")]
+    """Folder of a trained network, as in models/run."""
+    out: Path
+    """The keypoint file, .csv or .h5, in DeepLabCut's layout."""
+    overlay: Path | None = None
+    """A new video with the points drawn, .mp4 (MPEG-4) or .avi (Motion JPEG)."""
     device: Annotated[str, net.DEVICE] = "auto"
     threads: Annotated[Count | None, net.THREADS] = None
-    partial: Annotated[bool, Option("Accept a video of which fewer frames can be decoded than it states.")] = False
-    overwrite: Annotated[bool, Option("Replace files that are there.")] = False
+    partial: bool = False
+    """Accept a video of which fewer frames can be decoded than it states."""
+    overwrite: bool = False
+    """Replace files that are there."""
 
 
 def predict_video(trained: net.TrainedNetwork, settings: PredictSettings, progress: Progress = silent) -> Keypoints:

@@ -56,21 +56,16 @@ class TrainSettings(Settings):
     """How a network is trained."""
 
     minutes: Annotated[Number, Field(ge=0.05), Option("Time to train.", "0.05 minutes or more", panel=TRAINING)] = 15.0
-    steps: Annotated[
-        Count | None, Option("Steps to train, instead of a time: the same in every run.", "1 or more", panel=TRAINING)
-    ] = None
-    batch: Annotated[Count, Option("Pictures in a step.", "1 or more", panel=TRAINING)] = 8
+    steps: Annotated[Count | None, Option(expected="1 or more", panel=TRAINING)] = None
+    """Steps to train, instead of a time: the same in every run."""
+    batch: Annotated[Count, Option(expected="1 or more", panel=TRAINING)] = 8
+    """Pictures in a step."""
     seed: Annotated[
         Integer, Field(ge=0), Option("Seed of weights, split and augmentation.", "0 or more", panel=TRAINING)
     ] = 0
-    mirror: Annotated[
-        bool,
-        Option(
-            "Train on mirror pictures, too, in which left and right, or near and off, change their names: for animals "
-            "that are labelled going one way and filmed going both. Takes longer to learn.",
-            panel=TRAINING,
-        ),
-    ] = False
+    mirror: Annotated[bool, Option(panel=TRAINING)] = False
+    """Train on mirror pictures, too, in which left and right, or near and off, change their names: for animals that are
+    labelled going one way and filmed going both. Takes longer to learn."""
 
     def of_training(self) -> dict[str, Any]:
         """The settings of training alone, where there are others beside them."""

@@ -29,29 +29,32 @@ WRITERS = {f.suffixes[0]: f.write for f in FORMATS if f.name == "deeplabcut"}
 class LabelSource(Settings):
     """Labelled pictures, and which of them to learn from."""
 
-    data: Annotated[
-        Path, Option("DeepLabCut project (its folder or config.yaml), or a video (with --labels).", argument="DATA")
-    ]
-    labels: Annotated[Path | None, Option("Label file of the video, as in CollectedData_me.csv.")] = None
-    first_frame: Annotated[
-        Integer, Option("Number that the labels give to the video's first frame: 50 where 0050.png is frame 0.")
-    ] = 0
-    individual: Annotated[str | None, Option("The animal, where the labels name several.")] = None
+    data: Annotated[Path, Option(argument="DATA")]
+    """DeepLabCut project (its folder or config.yaml), or a video (with --labels)."""
+    labels: Path | None = None
+    """Label file of the video, as in CollectedData_me.csv."""
+    first_frame: Integer = 0
+    """Number that the labels give to the video's first frame: 50 where 0050.png is frame 0."""
+    individual: str | None = None
+    """The animal, where the labels name several."""
     rename: Annotated[str | None, RENAME] = None
-    validation: Annotated[
-        str, Option("Pictures to judge and calibrate by: a share, or frame numbers A:B (B excluded).", panel=SPLIT)
-    ] = "0.2"
-    test: Annotated[str, Option("Pictures that are only judged at the end, in the same way.", panel=SPLIT)] = "0"
+    validation: Annotated[str, Option(panel=SPLIT)] = "0.2"
+    """Pictures to judge and calibrate by: a share, or frame numbers A:B (B excluded)."""
+    test: Annotated[str, Option(panel=SPLIT)] = "0"
+    """Pictures that are only judged at the end, in the same way."""
 
 
 class _TrainRunSettings(LabelSource, TrainSettings):
     """What `recon train` does: labels, how to learn from them, and where and with what."""
 
-    out: Annotated[Path, Option("Folder for the network and its report, as in models/horse.", metavar="DIR")]
+    out: Annotated[Path, Option(metavar="DIR")]
+    """Folder for the network and its report, as in models/horse."""
     device: Annotated[str, net.DEVICE] = "auto"
     threads: Annotated[Count | None, net.THREADS] = None
-    resume: Annotated[bool, Option("Go on from the checkpoint in DIR.")] = False
-    overwrite: Annotated[bool, Option("Begin again in a DIR that has a network.")] = False
+    resume: bool = False
+    """Go on from the checkpoint in DIR."""
+    overwrite: bool = False
+    """Begin again in a DIR that has a network."""
 
 
 def train_command(settings: _TrainRunSettings, quiet: bool) -> None:

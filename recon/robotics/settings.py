@@ -38,46 +38,32 @@ class IkSettings(Settings):
             metavar="METHOD",
         ),
     ] = "damped"
-    target: Annotated[
-        str | None,
-        Option(
-            "Drive the foot there: stride-max, its foremost place in the stride, from its rearmost; or x,y,z in metres "
-            "from the chain's base, as in 0.8,0.1,-0.5."
-        ),
-    ] = None
-    follow: Annotated[
-        Literal["stride"] | None, Option("Follow a path with the foot: stride, one of its own, closed.")
-    ] = None
-    compare: Annotated[bool, Option("All methods in one table; both jobs unless one is asked for.")] = False
-    foot: Annotated[
-        str | None, Option("LF, RF, LH, RH, or the joint's name. (default: the first fore foot)", metavar="FOOT")
-    ] = None
+    target: str | None = None
+    """Drive the foot there: stride-max, its foremost place in the stride, from its rearmost; or x,y,z in metres from
+    the chain's base, as in 0.8,0.1,-0.5."""
+    follow: Literal["stride"] | None = None
+    """Follow a path with the foot: stride, one of its own, closed."""
+    compare: bool = False
+    """All methods in one table; both jobs unless one is asked for."""
+    foot: Annotated[str | None, Option(metavar="FOOT")] = None
+    """LF, RF, LH, RH, or the joint's name. (default: the first fore foot)"""
     stride: Annotated[StrideTimes | None, STRIDE] = None
-    dim: Annotated[
-        Annotated[Integer, Field(ge=2, le=3)], Option("2: in the vertical plane of travel; 3: in space.")
-    ] = 3
-    turns: Annotated[Annotated[Integer, Field(ge=1)], Option("How often to follow the stride.")] = 1
-    limits: Annotated[bool, Option("Limits of the joints.")] = True
-    fitted: Annotated[
-        bool,
-        Option("With the methods' parameters fitted to this clip; also fits them to each frame of the stride."),
-    ] = False
-    cost: Annotated[
-        str | None,
-        Option(
-            "Cost of the methods extended and gradient-projection: differences, energy, harmonic, pose (distance from "
-            "the clip's mean pose), or a sum with weights, as in energy,differences=0.1."
-        ),
-    ] = None
-    alpha: Annotated[
-        Literal["step"] | Number | None,
-        Option(
-            "Factor on the joints' rates of every method: a number, or step, at every step the one with which the foot "
-            "moves nearest to what is asked for. (default: none)",
-            "step, or a number other than 0",
-        ),
-    ] = None
-    out: Annotated[Path | None, Option("Folder for tables and figures. (default: ik in DIR)")] = None
+    dim: Annotated[Integer, Field(ge=2, le=3)] = 3
+    """2: in the vertical plane of travel; 3: in space."""
+    turns: Annotated[Integer, Field(ge=1)] = 1
+    """How often to follow the stride."""
+    limits: bool = True
+    """Limits of the joints."""
+    fitted: bool = False
+    """With the methods' parameters fitted to this clip; also fits them to each frame of the stride."""
+    cost: str | None = None
+    """Cost of the methods extended and gradient-projection: differences, energy, harmonic, pose (distance from the
+    clip's mean pose), or a sum with weights, as in energy,differences=0.1."""
+    alpha: Annotated[Literal["step"] | Number | None, Option(expected="step, or a number other than 0")] = None
+    """Factor on the joints' rates of every method: a number, or step, at every step the one with which the foot moves
+    nearest to what is asked for. (default: none)"""
+    out: Path | None = None
+    """Folder for tables and figures. (default: ik in DIR)"""
     figures: Annotated[bool, _FIGURES] = True
     anyway: Annotated[bool, ANYWAY] = False
     overwrite: Annotated[bool, _OVERWRITE] = False
@@ -113,41 +99,28 @@ class RetargetSettings(Settings):
     """What `recon retarget` is told."""
 
     folder: Annotated[Path, _RESULTS]
-    robot: Annotated[str, Option("a1, go2, aibo, or a file .toml, .urdf or .xml (MJCF).")]
-    out: Annotated[Path, Option("Folder for tables, report and playback.")]
-    scale: Annotated[
-        Positive | None,
-        Option("Factor on the animal's lengths. (default: the largest within reach and limits)", "a number above 0"),
-    ] = None
-    slower: Annotated[
-        Positive | None,
-        Option(
-            "Factor on the animal's times. (default: what the joints' rates ask for, at least 1)", "a number above 0"
-        ),
-    ] = None
+    robot: str
+    """a1, go2, aibo, or a file .toml, .urdf or .xml (MJCF)."""
+    out: Path
+    """Folder for tables, report and playback."""
+    scale: Annotated[Positive | None, Option(expected="a number above 0")] = None
+    """Factor on the animal's lengths. (default: the largest within reach and limits)"""
+    slower: Annotated[Positive | None, Option(expected="a number above 0")] = None
+    """Factor on the animal's times. (default: what the joints' rates ask for, at least 1)"""
     stride: Annotated[StrideTimes | None, STRIDE] = None
-    format: Annotated[
-        Literal["amp", "isaaclab", "mjlab", "mjlab-csv"] | None,
-        Option("For programs that train policies, also: amp, isaaclab, mjlab or mjlab-csv, with velocities."),
-    ] = None
-    rate: Annotated[Positive, Option("Frames a second of --format.", "a number above 0")] = 50.0
+    format: Literal["amp", "isaaclab", "mjlab", "mjlab-csv"] | None = None
+    """For programs that train policies, also: amp, isaaclab, mjlab or mjlab-csv, with velocities."""
+    rate: Annotated[Positive, Option(expected="a number above 0")] = 50.0
+    """Frames a second of --format."""
     samples: Annotated[
-        Annotated[Integer, Field(ge=2, le=MOST_SAMPLES)] | None,
-        Option(
-            "Beside it, so many motions as the animal's may have been, drawn from the fit's posterior, as in 32.",
-            f"a number from 2 to {MOST_SAMPLES}",
-        ),
+        Annotated[Integer, Field(ge=2, le=MOST_SAMPLES)] | None, Option(expected=f"a number from 2 to {MOST_SAMPLES}")
     ] = None
-    check: Annotated[
-        bool,
-        Option(
-            "By MuJoCo, frame by frame: limits, torques, forces on the ground, legs that meet: table, figure, and what "
-            "to change."
-        ),
-    ] = False
-    fit_limits: Annotated[
-        bool, Option("As much slower as joint rates and torques ask for, by MuJoCo; the check of before and after.")
-    ] = False
+    """Beside it, so many motions as the animal's may have been, drawn from the fit's posterior, as in 32."""
+    check: bool = False
+    """By MuJoCo, frame by frame: limits, torques, forces on the ground, legs that meet: table, figure, and what to
+    change."""
+    fit_limits: bool = False
+    """As much slower as joint rates and torques ask for, by MuJoCo; the check of before and after."""
     anyway: Annotated[bool, ANYWAY] = False
     overwrite: Annotated[bool, _OVERWRITE] = False
 
@@ -155,21 +128,12 @@ class RetargetSettings(Settings):
 class ClimbSettings(Settings):
     """What `recon climb` is told."""
 
-    recipe: Annotated[
-        str,
-        Option(
-            "found-50, published-50, highest-spatial, or a file .toml.",
-            argument="RECIPE",
-        ),
-    ] = "found-50"
-    out: Annotated[Path, Option("Folder for tables, figures and playback.")]
-    height: Annotated[
-        Positive | None,
-        Option(
-            "Height of the step, metres; the footfalls' heights are in proportion. (default: the recipe's)",
-            "metres, as in 0.045",
-        ),
-    ] = None
+    recipe: Annotated[str, Option(argument="RECIPE")] = "found-50"
+    """found-50, published-50, highest-spatial, or a file .toml."""
+    out: Path
+    """Folder for tables, figures and playback."""
+    height: Annotated[Positive | None, Option(expected="metres, as in 0.045")] = None
+    """Height of the step, metres; the footfalls' heights are in proportion. (default: the recipe's)"""
     figures: Annotated[bool, _FIGURES] = True
     overwrite: Annotated[bool, _OVERWRITE] = False
 
@@ -199,28 +163,23 @@ class PoseSettings(Settings):
         Three | None,
         _three("The body forwards, left and up from where it stands, metres, as in 0,0,-0.02. (default: 0,0,0)"),
     ] = None
-    roll: Annotated[Number, Option("Degrees, right side down.", "degrees, as in 10")] = 0.0
-    pitch: Annotated[Number, Option("Degrees, nose down.", "degrees, as in 10")] = 0.0
-    yaw: Annotated[Number, Option("Degrees, to the left.", "degrees, as in 10")] = 0.0
+    roll: Annotated[Number, Option(expected="degrees, as in 10")] = 0.0
+    """Degrees, right side down."""
+    pitch: Annotated[Number, Option(expected="degrees, as in 10")] = 0.0
+    """Degrees, nose down."""
+    yaw: Annotated[Number, Option(expected="degrees, as in 10")] = 0.0
+    """Degrees, to the left."""
 
 
 class TableSettings(Settings):
     """What `recon robot dh` is told."""
 
-    source: Annotated[
-        str,
-        Option(
-            "A table of parameters (.toml), a robot (a1, go2, aibo, or a file), or a .urdf or .xml.", argument="SOURCE"
-        ),
-    ]
-    tip: Annotated[
-        str | None,
-        Option("Leg, LF, RF, LH or RH; of a .urdf or .xml, too, the link at the end. (default: the only leaf)"),
-    ] = None
-    angles: Annotated[
-        str | None,
-        Option("Where is the end at these, degrees (metres of joints that slide)? As in 0,45,-90.", metavar="NUMBERS"),
-    ] = None
+    source: Annotated[str, Option(argument="SOURCE")]
+    """A table of parameters (.toml), a robot (a1, go2, aibo, or a file), or a .urdf or .xml."""
+    tip: str | None = None
+    """Leg, LF, RF, LH or RH; of a .urdf or .xml, too, the link at the end. (default: the only leaf)"""
+    angles: Annotated[str | None, Option(metavar="NUMBERS")] = None
+    """Where is the end at these, degrees (metres of joints that slide)? As in 0,45,-90."""
     place: Annotated[
         Three | None, _three("All angles that put the end there: base or body axes, metres, as in 0.4,0.1,0.2.")
     ] = None

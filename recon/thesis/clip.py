@@ -8,7 +8,7 @@ from typing import Annotated, Any
 from recon.animal.body import Body
 from recon.animal.skeleton_file import load_chain
 from recon.base import Progress, silent
-from recon.base.settings import Option, Settings
+from recon.base.settings import Settings
 from recon.check import judged
 from recon.clip import views_of
 from recon.fit.motion import Motion
@@ -42,9 +42,12 @@ def load_body(settings: FitSettings) -> Body:
 class _FrameRunSettings(Settings):
     """The settings of `recon frame` beside those of the fit itself."""
 
-    out: Annotated[Path, Option("Folder for the results, as in results/clip1.")]
-    config: Annotated[Path | None, Option("config.toml of an earlier run; options given here overrule it.")] = None
-    overwrite: Annotated[bool, Option("Replace results in the folder.")] = False
+    out: Path
+    """Folder for the results, as in results/clip1."""
+    config: Path | None = None
+    """config.toml of an earlier run; options given here overrule it."""
+    overwrite: bool = False
+    """Replace results in the folder."""
 
 
 def frame(

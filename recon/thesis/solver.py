@@ -60,13 +60,16 @@ FIGURES_BEGIN = 0.5
 class _SolverSettings(Settings):
     """What `recon solver` is told."""
 
-    folder: Annotated[Path, Option("Folder of results of recon frame, as in results/clip.", argument="DIR")]
-    out: Annotated[Path | None, Option("Folder for tables and figures. (default: solver in DIR)")] = None
-    frame: Annotated[
-        Integer | None, Option("The frame whose search is shown. (default: the one with most evaluations)")
-    ] = None
-    figures: Annotated[bool, Option("PNG and SVG beside the tables.")] = True
-    overwrite: Annotated[bool, Option("Replace earlier tables.")] = False
+    folder: Annotated[Path, Option(argument="DIR")]
+    """Folder of results of recon frame, as in results/clip."""
+    out: Path | None = None
+    """Folder for tables and figures. (default: solver in DIR)"""
+    frame: Integer | None = None
+    """The frame whose search is shown. (default: the one with most evaluations)"""
+    figures: bool = True
+    """PNG and SVG beside the tables."""
+    overwrite: bool = False
+    """Replace earlier tables."""
 
 
 def solver(settings: _SolverSettings, as_json: bool, quiet: bool) -> Any:

@@ -36,24 +36,19 @@ def _finite(value: Any) -> Any:
 class CalibrationSettings(Settings):
     """The settings of `recon calibrate`."""
 
-    inputs: Annotated[
-        OneOrMore[Path],
-        Option("Pictures or folders of pictures of a board, or one video.", argument="IMAGES|FOLDER|VIDEO"),
-    ]
-    board: Annotated[
-        str,
-        Option(
-            "chessboard:9x6:25mm (inner corners, square's side) or charuco:5x7:40mm:30mm:DICT_4X4_50 (squares, sides "
-            "of square and marker, dictionary; :legacy for OpenCV's layout before 4.6)."
-        ),
-    ]
-    model: Annotated[
-        str,
-        Option("radtan for most lenses, fisheye for those wider than 100 degrees, pinhole for undistorted pictures."),
-    ]
-    out: Annotated[Path, Option("The camera file, as in camera.toml.")]
-    force: Annotated[bool, Option("Write a calibration that is refused.")] = False
-    overwrite: Annotated[bool, Option("Replace the camera file.")] = False
+    inputs: Annotated[OneOrMore[Path], Option(argument="IMAGES|FOLDER|VIDEO")]
+    """Pictures or folders of pictures of a board, or one video."""
+    board: str
+    """chessboard:9x6:25mm (inner corners, square's side) or charuco:5x7:40mm:30mm:DICT_4X4_50 (squares, sides of square
+    and marker, dictionary; :legacy for OpenCV's layout before 4.6)."""
+    model: str
+    """radtan for most lenses, fisheye for those wider than 100 degrees, pinhole for undistorted pictures."""
+    out: Path
+    """The camera file, as in camera.toml."""
+    force: bool = False
+    """Write a calibration that is refused."""
+    overwrite: bool = False
+    """Replace the camera file."""
 
 
 def calibrate(settings: CalibrationSettings, as_json: bool) -> None:

@@ -14,7 +14,7 @@ from recon.animal import load_prior, load_skeleton
 from recon.base import Progress, silent
 from recon.base.errors import Problem, refuse
 from recon.base.files import require_free_folder, staged_folder
-from recon.base.settings import Integer, Number, Option, Settings
+from recon.base.settings import Integer, Number, Settings
 from recon.calibrate.camera_advice import PICTURE_PX, Advice, advise
 from recon.fit.motion import MEASURED_SHARE
 from recon.io import write_rows
@@ -60,25 +60,26 @@ def where(azimuth_rad: float, elevation_rad: float) -> str:
 class _CameraAdviceSettings(Settings):
     """The settings of `recon camera-advice`."""
 
-    skeleton: Annotated[str, Option("A built-in skeleton or a TOML file, as in cheetah-24.")]
-    out: Annotated[Path, Option("Folder for the figure, the table and the report.")]
-    prior: Annotated[
-        str | None, Option("What motions are like: a built-in name, a file, or none. (default: as for a fit)")
-    ] = None
-    angle: Annotated[str | None, Option("The angle to be seen, as in front_trunk_yaw.")] = None
-    joint: Annotated[str | None, Option("The joint to be seen. (default: all)")] = None
-    cameras: Annotated[
-        Annotated[Integer, Field(ge=1, le=2)], Option("1, or 2: the best second one beside the best first one.")
-    ] = 1
-    hfov_deg: Annotated[
-        Annotated[Number, Field(gt=0, lt=180)], Option("Horizontal field of view, degrees, as in 60.")
-    ] = 60.0
-    distance_m: Annotated[
-        Annotated[Number, Field(gt=0, lt=1e4)] | None,
-        Option("From the animal's middle, metres, as in 8. (default: 4 of its lengths)"),
-    ] = None
-    subject: Annotated[str | None, Option("A measured animal: built-in name or TOML file.")] = None
-    overwrite: Annotated[bool, Option("Replace earlier advice.")] = False
+    skeleton: str
+    """A built-in skeleton or a TOML file, as in cheetah-24."""
+    out: Path
+    """Folder for the figure, the table and the report."""
+    prior: str | None = None
+    """What motions are like: a built-in name, a file, or none. (default: as for a fit)"""
+    angle: str | None = None
+    """The angle to be seen, as in front_trunk_yaw."""
+    joint: str | None = None
+    """The joint to be seen. (default: all)"""
+    cameras: Annotated[Integer, Field(ge=1, le=2)] = 1
+    """1, or 2: the best second one beside the best first one."""
+    hfov_deg: Annotated[Number, Field(gt=0, lt=180)] = 60.0
+    """Horizontal field of view, degrees, as in 60."""
+    distance_m: Annotated[Number, Field(gt=0, lt=1e4)] | None = None
+    """From the animal's middle, metres, as in 8. (default: 4 of its lengths)"""
+    subject: str | None = None
+    """A measured animal: built-in name or TOML file."""
+    overwrite: bool = False
+    """Replace earlier advice."""
 
     def problems(self) -> Iterator[Problem]:
         if self.angle is not None and self.joint is not None:

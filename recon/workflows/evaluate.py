@@ -21,18 +21,16 @@ if TYPE_CHECKING:
 class _EvaluateSettings(Settings):
     """The settings of `recon evaluate`."""
 
-    pose3d: Annotated[
-        Path, Option("Results of recon fit, or a file of 3D positions, as pose3d.csv (m).", argument="POSE3D")
-    ]
-    truth: Annotated[
-        Path, Option("The reference, with the same frame numbers: likewise, as truth.csv.", argument="TRUTH")
-    ]
-    unit: Annotated[str | None, Option("Unit of the reference, if its file does not say it: m, cm or mm.")] = None
-    up: Annotated[str | None, Option("Axis of the reference that points up, if unsaid: y or z.")] = None
-    rename: Annotated[
-        str | None,
-        Option("New names of POSE3D's joints, or TRUTH's where POSE3D is a folder: a CSV file, or a built-in map."),
-    ] = None
+    pose3d: Annotated[Path, Option(argument="POSE3D")]
+    """Results of recon fit, or a file of 3D positions, as pose3d.csv (m)."""
+    truth: Annotated[Path, Option(argument="TRUTH")]
+    """The reference, with the same frame numbers: likewise, as truth.csv."""
+    unit: str | None = None
+    """Unit of the reference, if its file does not say it: m, cm or mm."""
+    up: str | None = None
+    """Axis of the reference that points up, if unsaid: y or z."""
+    rename: str | None = None
+    """New names of POSE3D's joints, or TRUTH's where POSE3D is a folder: a CSV file, or a built-in map."""
     anyway: Annotated[bool, ANYWAY] = False
 
 
