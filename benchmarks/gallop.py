@@ -24,8 +24,7 @@ from recon.animal.skeleton_file import load_chain
 from recon.base.arrays import Array, Bools
 from recon.clip.keypoints import Keypoints
 from recon.geometry.camera import Camera
-from recon.geometry.frames import euler_rotation
-from recon.geometry.rotations import euler_angles
+from recon.geometry.frames import euler_angles, euler_rotation
 
 Direction = Literal["right", "left"]
 CameraModel = Literal["pinhole", "fisheye"]

@@ -12,11 +12,11 @@ import cv2
 import numpy as np
 from board_pictures import poses, render
 from detector_files import mmpose
+from scipy.spatial.transform import Rotation
 
 from recon import Body, Camera, Keypoints, Pose3D, load_skeleton, read_camera, read_pose3d
 from recon.calibrate.boards import parse_board
 from recon.clip import select_frames
-from recon.geometry import quaternions
 from recon.io import bvh, columns, read_keypoints, write_table
 from recon.io.deeplabcut import write_csv
 from recon.io.video import video_writer
@@ -109,7 +109,7 @@ def _track(path: Path) -> None:
     camera = read_camera(SAMPLES / "camera.toml")
     assert camera.rotation is not None
     assert camera.translation_m is not None
-    q = quaternions(camera.rotation[None])[0, [3, 0, 1, 2]]
+    q = Rotation.from_matrix(camera.rotation).as_quat()[[3, 0, 1, 2]]
     row = ",".join(map(repr, [*q.tolist(), *camera.translation_m.tolist()]))
     path.write_text("frame,qw,qx,qy,qz,tx,ty,tz\n" + "".join(f"{frame},{row}\n" for frame in range(60)))
 

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from recon import FitSettings, InputError, Motion, fit_clip, read_keypoints
 from recon.clip import Keypoints, View, held, views_of
-from recon.geometry import Camera, inverse, part_of_turn, quaternion_rotations, quaternions, rigid
+from recon.geometry import Camera, inverse, rigid
 from recon.io import read_camera_track, read_pose3d
 from recon.io.deeplabcut import write_csv
 from recon.workflows.batch import find_clips
@@ -35,7 +35,7 @@ LEVEL = pose([1.0, 2.0, 3.0], 0.3)
 
 def rows_of(frames: np.ndarray, poses: np.ndarray) -> list[list[float]]:
     """(N, 8): frame, quaternion and translation."""
-    q = quaternions(poses[:, :3, :3])[:, [3, 0, 1, 2]]
+    q = Rotation.from_matrix(poses[:, :3, :3]).as_quat()[:, [3, 0, 1, 2]]
     return np.column_stack([frames, q, poses[:, :3, 3]]).tolist()
 
 
@@ -72,17 +72,6 @@ def refused(text: str, path: Path) -> str:
 
 
 # -- reading -------------------------------------------------------------------------------------------------------
-
-
-def test_parts_of_turns_and_quaternions():
-    rng = np.random.default_rng(0)
-    q = rng.normal(size=(50, 4))
-    R = quaternion_rotations(q / np.linalg.norm(q, axis=1, keepdims=True))
-    np.testing.assert_allclose(quaternion_rotations(quaternions(R)), R, atol=1e-12)
-    np.testing.assert_allclose(part_of_turn(R, np.ones(50)), R, atol=1e-12)
-    np.testing.assert_allclose(part_of_turn(R, np.zeros(50)), np.broadcast_to(np.eye(3), R.shape), atol=1e-12)
-    third = part_of_turn(R, np.full(50, 1 / 3))
-    np.testing.assert_allclose(third @ third @ third, R, atol=1e-12)
 
 
 def test_a_table(tmp_path):

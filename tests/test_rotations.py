@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from recon.geometry import euler_angles, euler_rotation, euler_rotation_with_jacobian, quaternions
+from recon.geometry import euler_angles, euler_rotation, euler_rotation_with_jacobian
 
 
 def elementary(axis: str, angle: float) -> np.ndarray:
@@ -76,13 +76,3 @@ def test_angles_at_gimbal_lock_give_the_same_rotation(psi):
 def test_angles_of_a_reflection_are_refused():
     with pytest.raises(ValueError, match="determinant"):
         euler_angles(np.diag((1.0, 1.0, -1.0)))
-
-
-def test_quaternions_are_scipys_but_for_their_sign(angles):
-    halves = [np.diag(signs) for signs in ((1.0, 1, 1), (1, -1, -1), (-1, 1, -1), (-1, -1, 1))]
-    rotations = np.concatenate([euler_rotation(angles), halves])
-    found = quaternions(rotations)
-    expected = Rotation.from_matrix(rotations).as_quat()
-    np.testing.assert_allclose(np.abs((found * expected).sum(axis=1)), 1.0, atol=1e-15)
-    np.testing.assert_allclose(np.linalg.norm(found, axis=1), 1.0, atol=1e-15)
-    assert quaternions(np.empty((0, 3, 3))).shape == (0, 4)

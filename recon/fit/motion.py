@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from html import escape
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -122,15 +123,14 @@ class Motion:
 
     def _repr_html_(self) -> str:
         """What a notebook shows: the verdict, the errors to expect, a picture of the poses, and what they are of."""
-        from recon.fit.tables import from_the_side, table
-
-        said = () if self.verdict is None else self.verdict.lines
-        rows: dict[str, str] = dict(zip(("verdict", "expected"), said, strict=False))
+        rows = dict(zip(("verdict", "expected"), () if self.verdict is None else self.verdict.lines, strict=False))
         rows["clip"] = f"{Path(self.file).name}, frames {self.frames[0]} to {self.frames[-1]} at {self.fps:g} fps"
         rows["camera"] = ", ".join(camera.name for camera in self.cameras)
         rows["animal"] = self.title
         rows["frames"] = f"{self.solved.sum()} of {self.clip_frames} with a pose, {sum(map(bool, self.flags))} flagged"
-        return f"<div>{table(rows)}{from_the_side(self.upright.xyz_m, [*self.limbs.values()])}</div>"
+        left = "style='text-align:left'"
+        cells = (f"<tr><th {left}>{name}</th><td {left}>{escape(text)}</td></tr>" for name, text in rows.items())
+        return f"<div><table>{''.join(cells)}</table>{_from_the_side(self.upright.xyz_m, self.limbs.values())}</div>"
 
     # -- handed over ----------------------------------------------------------------------------------------------
 
@@ -138,18 +138,28 @@ class Motion:
         """The joints in the frame of `upright`, z up, metres, with standard deviations (`upright_sigma_m`); NaN
         without a pose. A row for each frame and joint: frame, time_s, joint, x_m, y_m, z_m, x_sigma_m, y_sigma_m,
         z_sigma_m, flags; or, wide, a row for each frame, its columns by joint and value."""
-        from recon.fit.tables import dataframe
+        import pandas as pd
 
-        return dataframe(self.upright, self.upright_sigma_m, self.time_s, self.flags, wide)
+        T, J = len(self.frames), len(self.names)
+        values = np.concatenate([self.upright.xyz_m, self.upright_sigma_m], axis=2)
+        columns = [f"{axis}{of}_m" for of in ("", "_sigma") for axis in "xyz"]
+        if wide:
+            index = pd.MultiIndex.from_product([self.names, columns], names=["joint", "value"])
+            return pd.DataFrame(values.reshape(T, -1), index=pd.Index(self.frames, name="frame"), columns=index)
+        head = {"frame": np.repeat(self.frames, J), "time_s": np.repeat(self.time_s, J), "joint": [*self.names] * T}
+        table = pd.DataFrame(head | dict(zip(columns, values.reshape(-1, 6).T, strict=True)))
+        return table.assign(flags=np.repeat([", ".join(some) for some in self.flags], J))
 
     def to_xarray(self) -> Any:
         """The same as movement's dataset of poses: `position` and `position_sigma` (time, space, keypoint, individual)
         in metres, `confidence`, which is NaN, the frame rate, the source and the verdict as attributes. Raises
         InputError where xarray is not installed."""
-        from recon.fit.tables import dataset
+        from recon.io.movement import dataset_of
 
+        made = dataset_of(self.upright)
+        made["position_sigma"] = (made["position"].dims, self.upright_sigma_m.transpose(0, 2, 1)[..., None])
         said = {} if self.verdict is None else {"verdict": self.verdict.level, "verdict_reason": self.verdict.reason}
-        return dataset(self.upright, self.upright_sigma_m, said | {"source_file": self.file})
+        return made.assign_attrs(said | {"source_file": self.file})
 
     # -- saved and loaded -----------------------------------------------------------------------------------------
 
@@ -581,6 +591,23 @@ class Motion:
     def _turned(self, covariance_m2: Array) -> Array:
         R = self.T_reference_world[:3, :3]
         return R @ covariance_m2 @ R.T
+
+
+def _from_the_side(joints_m: Array, limbs: Iterable[Sequence[int]]) -> str:
+    """A picture of eight of the poses (T, J, 3), z up, evenly spaced in time, from where the animal passes by; none
+    without two."""
+    posed = joints_m[np.isfinite(joints_m).all(axis=(1, 2))]
+    if len(posed) < 2:
+        return ""
+    way = (posed[-1] - posed[0]).mean(axis=0)[:2]
+    along = way / np.linalg.norm(way) if way.any() else np.array([1.0, 0.0])
+    shown = posed[np.linspace(0, len(posed) - 1, min(8, len(posed)), dtype=int)]
+    points = np.stack([shown[..., :2] @ along, -shown[..., 2]], axis=-1)
+    (x, y), (width, height) = points.min(axis=(0, 1)), np.ptp(points, axis=(0, 1))
+    drawn = (" ".join(f"{a:.3f},{b:.3f}" for a, b in pose[[*limb]]) for pose in points for limb in limbs)
+    lines = "".join(f"<polyline vector-effect='non-scaling-stroke' points='{line}'/>" for line in drawn)
+    box = f"viewBox='{x:.3f} {y:.3f} {width:.3f} {height:.3f}' width='640' height='240'"
+    return f"<svg {box} role='img' fill='none' stroke='#0072b2' stroke-width='1.6' overflow='visible'>{lines}</svg>"
 
 
 def _sigmas(covariance: Array) -> Array:

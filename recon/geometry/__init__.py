@@ -5,30 +5,17 @@ from typing import TYPE_CHECKING
 from recon.base import lazily
 
 if TYPE_CHECKING:
-    from recon.geometry.camera import Camera, is_rotation
+    from recon.geometry.camera import Camera
     from recon.geometry.frames import (
+        euler_angles,
         euler_rotation,
         euler_rotation_with_jacobian,
         inverse,
-        level_axes,
         level_from_camera,
         moved,
         rigid,
     )
-    from recon.geometry.kinematics import (
-        ANGLE_OF_AXIS,
-        AXES,
-        PITCH,
-        ROLL,
-        ROOT,
-        YAW,
-        Joint,
-        Marker,
-        Segment,
-        Tree,
-        TreePose,
-    )
-    from recon.geometry.lens import LENS_MODELS, Lens, lens_named
-    from recon.geometry.rotations import euler_angles, part_of_turn, quaternion_rotations, quaternions
+    from recon.geometry.kinematics import PITCH, ROLL, ROOT, YAW, Joint, Marker, Segment, Tree
+    from recon.geometry.lens import LENS_MODELS
 
 __getattr__ = lazily(__name__, __file__)

@@ -5,8 +5,7 @@ away from the camera, z up. world: where motion is solved, right-handed with z u
 where its z axis is known to point up, otherwise the level frame of the first camera. reference: what results are given
 in, the camera files' world where there is one, otherwise the first camera's frame.
 
-Rotations: Euler angles with their derivatives, which scipy's `Rotation` does not give. The way back, and quaternions,
-are in `recon.geometry.rotations`.
+Rotations: Euler angles with their derivatives, which scipy's `Rotation` does not give; all else is scipy's.
 
 One convention throughout: R = Rx(xi) Ry(psi) Rz(zeta), elementary right-handed rotations about X, Y and Z multiplied in
 that order (scipy's intrinsic "XYZ"), angles in radians in the order (xi, psi, zeta).
@@ -14,10 +13,15 @@ that order (scipy's intrinsic "XYZ"), angles in radians in the order (xi, psi, z
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 import numpy.typing as npt
 
 from recon.base.arrays import Array
+
+_CROSS = np.cross(np.eye(3)[:, None], np.eye(3)).swapaxes(1, 2)
+_CROSS_TWICE = _CROSS @ _CROSS
 
 
 def level_axes(up: Array) -> tuple[Array, Array]:
@@ -56,9 +60,7 @@ def moved(T: Array, points_m: Array) -> Array:
 
 def euler_rotation(angles_rad: npt.ArrayLike) -> Array:
     """Rotation matrices R = Rx(xi) Ry(psi) Rz(zeta), shape (..., 3, 3), of angles (xi, psi, zeta), shape (..., 3)."""
-    angles = np.asarray(angles_rad, dtype=float)
-    entries, _ = _matrix_entries(angles)
-    return np.array(entries).T.reshape(*angles.shape[:-1], 3, 3)
+    return euler_rotation_with_jacobian(angles_rad)[0]
 
 
 def euler_rotation_with_jacobian(angles_rad: npt.ArrayLike) -> tuple[Array, Array]:
@@ -67,33 +69,26 @@ def euler_rotation_with_jacobian(angles_rad: npt.ArrayLike) -> tuple[Array, Arra
     angles_rad: (..., 3), (xi, psi, zeta). Returns R (..., 3, 3) and dR (..., 3, 3, 3), where dR[..., k, :, :] is the
     derivative of R with respect to angle k.
     """
-    angles = np.asarray(angles_rad, dtype=float)
-    r, (cx, cy, sx, sy, cz, sz) = _matrix_entries(angles)
-    zero = 0.0 * cx
-    # Rx is on the left: its derivative mixes rows. Rz is on the right: its derivative mixes columns.
-    d_xi = (zero, zero, zero, -r[6], -r[7], -r[8], r[3], r[4], r[5])
-    d_psi = (-sy * cz, sy * sz, cy, sx * r[0], sx * r[1], sx * sy, -cx * r[0], -cx * r[1], -cx * sy)
-    d_zeta = (r[1], -r[0], zero, r[4], -r[3], zero, r[7], -r[6], zero)
-    stack = np.array((*r, *d_xi, *d_psi, *d_zeta)).T.reshape(*angles.shape[:-1], 4, 3, 3)
-    return stack[..., 0, :, :], stack[..., 1:, :, :]
+    angles = np.asarray(angles_rad, dtype=float)[..., None, None]
+    # about each axis, with G its cross product as a matrix, R = I + sin G + (1 - cos) G G (Rodrigues), and dR = G R
+    turns = np.eye(3) + np.sin(angles) * _CROSS + (1.0 - np.cos(angles)) * _CROSS_TWICE
+    x, y, z = np.moveaxis(turns, -3, 0)
+    rotation = x @ y @ z
+    return rotation, np.stack([_CROSS[0] @ rotation, x @ _CROSS[1] @ y @ z, rotation @ _CROSS[2]], axis=-3)
 
 
-def _matrix_entries(angles: Array):
-    """The nine entries of R row by row, and cosines and sines. Each is a (N,) array, or a float for one rotation.
+def euler_angles(rotation: npt.ArrayLike) -> Array:
+    """Angles (xi, psi, zeta), shape (..., 3), of rotation matrices (..., 3, 3): the inverse of `euler_rotation`.
 
-    Python floats are several times faster than numpy scalars, and one rotation per call is the solver's inner loop.
+    psi lies in [-pi/2, pi/2]. At psi = +-pi/2 only xi + zeta or xi - zeta is determined; zeta is then set to 0.
+    Raises ValueError for a matrix that is not a rotation (determinant not positive).
     """
-    if angles.ndim == 1:
-        cx, cy, cz = np.cos(angles).tolist()
-        sx, sy, sz = np.sin(angles).tolist()
-    else:
-        flat = angles.reshape(-1, 3).T
-        cx, cy, cz = np.cos(flat)
-        sx, sy, sz = np.sin(flat)
-    sxsy, cxsy = sx * sy, cx * sy
-    entries = (
-        *(cy * cz, -cy * sz, sy),
-        *(cx * sz + sxsy * cz, cx * cz - sxsy * sz, -sx * cy),
-        *(sx * sz - cxsy * cz, sx * cz + cxsy * sz, cx * cy),
-    )
-    return entries, (cx, cy, sx, sy, cz, sz)
+    from scipy.spatial.transform import Rotation  # of use to few
+
+    matrices = np.asarray(rotation, dtype=float)
+    if (np.linalg.det(matrices) <= 0).any():  # older scipy takes them for rotations
+        raise ValueError("a matrix with a determinant that is not positive is no rotation")
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="Gimbal lock")
+        angles = Rotation.from_matrix(matrices.reshape(-1, 3, 3)).as_euler("XYZ")
+    return np.asarray(angles).reshape(*matrices.shape[:-2], 3)

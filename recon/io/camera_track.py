@@ -32,7 +32,6 @@ from recon.clip import FramePoses
 from recon.geometry.camera import Camera
 from recon.geometry.frames import inverse, rigid
 from recon.geometry.lens import LENS_MODELS
-from recon.geometry.rotations import part_of_turn, quaternion_rotations
 from recon.io.common import MAX_FRAME, first_problems, frame_number, number, numbers
 from recon.io.table import number_rows, text_rows
 
@@ -105,7 +104,7 @@ class CameraTrack:
 def _between(a: Array, b: Array, share: Array) -> Array:
     """Poses (T, 4, 4) at a share (T,) of the way from a to b: the camera turns evenly, and its centre moves evenly."""
     turn = b[:, :3, :3] @ a[:, :3, :3].swapaxes(1, 2)
-    rotation = part_of_turn(turn, share) @ a[:, :3, :3]
+    rotation = Rotation.from_rotvec(share[:, None] * Rotation.from_matrix(turn).as_rotvec()).as_matrix() @ a[:, :3, :3]
     start, end = inverse(a)[:, :3, 3], inverse(b)[:, :3, 3]
     centre = start + share[:, None] * (end - start)
     return rigid(rotation, -(rotation @ centre[..., None])[..., 0])
@@ -211,7 +210,7 @@ def _checked_track(
 def _rotations(quaternion: Array) -> Array:
     """(N, 3, 3), of quaternions (N, 4) with w first and nearly of length 1."""
     unit = quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)
-    return quaternion_rotations(unit[:, [1, 2, 3, 0]])
+    return Rotation.from_quat(unit[:, [1, 2, 3, 0]]).as_matrix()
 
 
 def _some(items: Sequence[Any]) -> str:

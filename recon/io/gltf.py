@@ -11,12 +11,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from recon.animal.body import Side
 from recon.animal.capsules import Capsule
 from recon.base.arrays import Array
 from recon.base.package import version
-from recon.geometry.rotations import quaternions
 from recon.io.bones import Armature, turned
 from recon.io.pose import y_up_from_z_up
 
@@ -67,7 +67,7 @@ def write(rig: Armature, path: Path) -> None:
         at_rest[i] = offsets_m[i] + (0.0 if parent is None else at_rest[parent])
     unbind = np.tile(np.eye(4), (len(parents), 1, 1))
     unbind[:, 3, :3] = -at_rest  # by columns
-    turns = [_unbroken(quaternions(turned(bone.turns, len(rig.root_m)))) for bone in rig.bones]
+    turns = [_unbroken(Rotation.from_matrix(turned(bone.turns, len(rig.root_m))).as_quat()) for bone in rig.bones]
     names = [*(bone.name for bone in rig.bones), *rig.joints]
     nodes: list[dict[str, Any]] = [
         {"name": name, "translation": offset_m.tolist()} for name, offset_m in zip(names, offsets_m, strict=True)

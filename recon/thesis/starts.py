@@ -15,8 +15,7 @@ from recon.animal.chain import Chain, upright_rotation
 from recon.base.arrays import Array
 from recon.fit.starts import constant_velocity, position_on_rays
 from recon.geometry.camera import Camera
-from recon.geometry.frames import level_axes
-from recon.geometry.rotations import euler_angles
+from recon.geometry.frames import euler_angles, level_axes
 
 _HEADINGS = 36
 _STRETCH_S = 1.0

@@ -10,6 +10,7 @@ from typing import Annotated, Any
 import cv2
 import numpy as np
 from pydantic import Field
+from scipy.spatial.transform import Rotation
 
 from recon.base import Progress, silent
 from recon.base.arrays import Array, Integers
@@ -22,7 +23,6 @@ from recon.calibrate.camera_motion.panorama import ANIMAL, PATH, Canvas, draw_pa
 from recon.calibrate.camera_motion.track import CLEARLY
 from recon.clip.keypoints import Keypoints
 from recon.geometry.camera import Camera
-from recon.geometry.rotations import quaternions
 from recon.io import read_camera, read_keypoints, write_table
 from recon.io.camera_track import INTRINSICS, POSE, SIGMA
 from recon.io.video import Image, missing_frames, missing_note, probe, timed_frames
@@ -223,7 +223,8 @@ def _up(
 
 
 def _write_track(path: Path, s: _CameraMotionSettings, motion: turning.TurningMotion, camera: Camera) -> None:
-    q = quaternions(np.stack([one.rotation for one in motion.orientations]))[:, [3, 0, 1, 2]]
+    turns = Rotation.from_matrix(np.stack([one.rotation for one in motion.orientations]))
+    q = turns.as_quat()[:, [3, 0, 1, 2]]
     q *= np.where(q[:, :1] < 0, -1.0, 1.0)
     poses = np.round(np.concatenate([q, np.zeros((len(q), 3))], axis=1), 9)
     if s.zoom:

@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 import rerun as rr
 from rerun.components import FillMode
+from scipy.spatial.transform import Rotation
 
 from recon.animal import Side
 from recon.base.arrays import Array, Bools, Integers
 from recon.fit import MotionSegment
 from recon.fit.motion import Motion, Picture
 from recon.geometry.frames import level_from_camera
-from recon.geometry.rotations import quaternions
 
 Colour = tuple[int, int, int]
 
@@ -328,7 +328,7 @@ def write_uncertainty(motion: Motion, log: Log, stands: Bools) -> None:
     columns = rr.Ellipsoids3D.columns(
         centers=joints[solved].reshape(-1, 3),
         half_sizes=np.sqrt(np.maximum(variance, 1e-8)),
-        quaternions=quaternions(axes),
+        quaternions=Rotation.from_matrix(axes).as_quat(),
         colors=np.column_stack((colours, np.full(len(colours), 70))).astype(np.uint8),
     )
     log.send("world/uncertainty", columns.partition(np.where(solved, joints.shape[1], 0)))
