@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from recon import InputError
 from recon.fit import Motion
-from recon.fit.draws import draws
+from recon.fit.posterior import draws
 from recon.robotics import load_robot
 from recon.robotics.robot.reference import reference_of
 from recon.robotics.robot.retarget import Retargeting, retarget

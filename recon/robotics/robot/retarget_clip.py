@@ -1,6 +1,6 @@
 """A reconstruction on a quadruped robot: joint angles, base, footholds, report, playback, and an ensemble.
 
-Every draw of an ensemble is a whole clip from the fit's posterior (`recon.fit.draws`), put on the robot at the scale
+Every draw of an ensemble is a whole clip from the posterior (`recon.fit.posterior`), put on the robot at the scale
 and the pace of the fit's own motion. One file each in the layout of `--format`, and all of them stacked in
 `samples.npz`: `time_s` (N,), of K draws `base_position` (K, N, 3), `base_quaternion_wxyz` (K, N, 4), `joint_positions`
 (K, N, joints) and `contacts` (K, N, 4), the names, and what the fit's verdict is.
@@ -21,8 +21,8 @@ from recon.base.arrays import Array
 from recon.base.errors import all_of
 from recon.base.files import name_seen_from, require_free_folder, seen_from, sole_writer, staged_results
 from recon.check import usable, verdict_fields
-from recon.fit.draws import draws
 from recon.fit.motion import Motion
+from recon.fit.posterior import draws
 from recon.fit.result import TrajectorySolution
 from recon.gait.gait import doubtful_text
 from recon.io.table import write_rows
