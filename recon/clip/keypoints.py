@@ -162,9 +162,11 @@ def clean(
     rows_in_file = len(keypoints.frames)
     selected = select_frames(keypoints, frames)
     marked, missing = mark_missing(selected)
-    known, likelihood_unknown = assume_likely(marked)
-    likely, rejected = reject_unlikely(known, likelihood_min)
-    cleaned, inserted = fill_gaps(likely)
+    unknown = marked.present & np.isnan(marked.confidence)  # as of hand labels, which are certain
+    known = dataclasses.replace(marked, confidence=np.where(unknown, 1.0, marked.confidence))
+    unlikely = known.present & (known.confidence < likelihood_min)
+    likelihood_unknown, rejected = unknown.sum(axis=0), unlikely.sum(axis=0)
+    cleaned, inserted = fill_gaps(_without_points(known, unlikely))
 
     absent = len(cleaned.frames) - len(selected.frames)
     used = cleaned.present.sum(axis=0)
@@ -275,20 +277,6 @@ def constant_px(keypoints: Keypoints) -> tuple[float, float] | None:
         return None
     x, y = values[most].tolist()
     return x, y
-
-
-def assume_likely(keypoints: Keypoints) -> tuple[Keypoints, np.ndarray]:
-    """Present points of unknown (NaN) confidence get confidence 1, as hand labels have. Returns their count, (K,)."""
-    unknown = keypoints.present & np.isnan(keypoints.confidence)
-    if not unknown.any():
-        return keypoints, unknown.sum(axis=0)
-    return dataclasses.replace(keypoints, confidence=np.where(unknown, 1.0, keypoints.confidence)), unknown.sum(axis=0)
-
-
-def reject_unlikely(keypoints: Keypoints, likelihood_min: float) -> tuple[Keypoints, np.ndarray]:
-    """Present points of confidence below `likelihood_min` become missing. Returns their count, (K,)."""
-    unlikely = keypoints.present & (keypoints.confidence < likelihood_min)
-    return _without_points(keypoints, unlikely), unlikely.sum(axis=0)
 
 
 def fill_gaps(keypoints: Keypoints) -> tuple[Keypoints, tuple[tuple[int, int], ...]]:

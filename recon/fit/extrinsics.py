@@ -23,6 +23,7 @@ from threadpoolctl import threadpool_limits
 
 from recon.base import Progress, silent
 from recon.base.arrays import Array
+from recon.base.errors import InputError, Problem
 from recon.clip import View
 from recon.fit import constants
 from recon.fit.banded import eliminated
@@ -45,14 +46,6 @@ _ALIKE = 0.5
 """Joints are nowhere near others if they are off by more than that part of their distance from the animal's middle."""
 ROUNDS, CLOSE_ENOUGH = 12, 0.05
 """Rounds at most, and the step, in standard deviations, that ends them."""
-
-
-class TooLittleInCommonError(ValueError):
-    """A view, by its number, that has fewer frames with a pose in common with the others than `_MIN_FRAMES`."""
-
-    def __init__(self, view: int) -> None:
-        super().__init__(f"view {view} has fewer than {_MIN_FRAMES} frames in common with the others")
-        self.view = view
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +76,7 @@ def solve_extrinsics(
     in it. posed: the cameras stand where the views say, but for `constants.CAMERA_ROTATION_RAD` and `CAMERA_SHIFT_M`.
     level_rad: how far the upward directions of cameras that are not (`Camera.up`) are from the truth, about each axis.
 
-    Raises TooLittleInCommonError.
+    Raises InputError for a view with too few frames with a pose in common with the others.
     """
     clips = [_as_rig(one, posed) for one in clips]
     turn_rad, shift_m = (
@@ -186,7 +179,11 @@ def _placed(clips: Sequence[ClipProblem], progress: Progress) -> list[ClipProble
         common = {i: np.isfinite(points[:, 0, 0]) & np.isfinite(known[:, 0, 0]) for i, points in own.items()}
         best = max(own, key=lambda i: int(common[i].sum()))
         if common[best].sum() < _MIN_FRAMES:
-            raise TooLittleInCommonError(best)
+            name, expected = (
+                clips[0].views[best].camera.name,
+                "some in which it and another camera see enough for a pose",
+            )
+            raise InputError(Problem("KEYPOINTS", f"camera {name}", "too few frames", expected))
         T = _aligned(known[common[best]].reshape(-1, 3), own[best][common[best]].reshape(-1, 3))
         T_camera_first[best] = T
         there = (own[best] - T[:3, 3]) @ T[:3, :3]

@@ -113,52 +113,40 @@ class Camera:
         (beyond, a polynomial folds points back into the image). Invalid points are NaN. A valid point may lie outside
         the image: see `in_image`.
         """
-        pixels, _, valid = self._project(points_m, with_jacobian=False)
+        pixels, _, valid = self.project_with_jacobian(points_m, jacobian=False)
         return pixels, valid
 
-    def project_with_jacobian(self, points_m: npt.ArrayLike) -> tuple[Array, Array, Bools]:
-        """Pixels (..., 2), exact derivatives d pixels / d point (..., 2, 3), and validity (...).
+    def project_with_jacobian(self, points_m: npt.ArrayLike, jacobian: bool = True) -> tuple[Array, Array, Bools]:
+        """Pixels (..., 2), exact derivatives d pixels / d point (..., 2, 3), and validity (...); without derivatives,
+        which take most of the time, none.
 
         points_m: (..., 3) in the camera frame. Invalid points (see `project`) have NaN pixels and zero derivatives.
         """
-        pixels, jacobian, valid = self._project(points_m, with_jacobian=True)
-        assert jacobian is not None
-        return pixels, jacobian, valid
-
-    def _project(self, points_m: npt.ArrayLike, with_jacobian: bool) -> tuple[Array, Array | None, Bools]:
         points = np.asarray(points_m, dtype=float)
         x, y, z = points.reshape(-1, 3).T
         fx, s, ox, fy, oy = self._intrinsics
-        jacobian = None
+        by_point = np.empty((len(z) if jacobian else 0, 2, 3))
         with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
             a, b = x / z, y / z
             r2 = a * a + b * b
             valid = (z > MIN_DEPTH_M) & (r2 < self.lens.max_radius**2)
             xd, yd, d_aa, d_ab, d_bb = self.lens.distort(a, b, r2)
             valid &= d_aa * d_bb > d_ab * d_ab
-            pixels = np.empty((len(z), 2))
-            pixels[:, 0] = fx * xd + (s * yd + ox if s else ox)
-            pixels[:, 1] = fy * yd + oy
-            if with_jacobian:
-                jacobian = np.empty((len(z), 2, 3))
+            pixels = np.stack([fx * xd + (s * yd + ox if s else ox), fy * yd + oy], axis=-1)
+            if jacobian:
                 gx, gy = fx / z, fy / z
-                jacobian[:, 0, 0] = gx * d_aa
-                jacobian[:, 0, 1] = gx * d_ab
-                jacobian[:, 1, 0] = gy * d_ab
-                jacobian[:, 1, 1] = gy * d_bb
+                by_point[:, 0, 0] = gx * d_aa
+                by_point[:, 0, 1] = gx * d_ab
+                by_point[:, 1, 0] = gy * d_ab
+                by_point[:, 1, 1] = gy * d_bb
                 if s:
-                    jacobian[:, 0, 0] += s / z * d_ab
-                    jacobian[:, 0, 1] += s / z * d_bb
-                ab = np.stack((a, b), axis=-1)
-                jacobian[:, :, 2] = -(jacobian[:, :, :2] @ ab[:, :, None])[:, :, 0]
-        if not valid.all():
-            pixels[~valid] = np.nan
-            if jacobian is not None:
-                jacobian[~valid] = 0.0
+                    by_point[:, 0, 0] += s / z * d_ab
+                    by_point[:, 0, 1] += s / z * d_bb
+                by_point[:, :, 2] = -(by_point[:, :, :2] @ np.stack((a, b), axis=-1)[:, :, None])[:, :, 0]
+                by_point[~valid] = 0.0
+        pixels[~valid] = np.nan
         shape = points.shape[:-1]
-        if jacobian is not None:
-            jacobian = jacobian.reshape(*shape, 2, 3)
-        return pixels.reshape(*shape, 2), jacobian, valid.reshape(shape)
+        return pixels.reshape(*shape, 2), by_point.reshape(*(shape if jacobian else (0,)), 2, 3), valid.reshape(shape)
 
     def in_image(self, pixels: npt.ArrayLike) -> Bools:
         """Whether pixels (..., 2) lie on the image, whose edges are half a pixel outside the outermost centres."""

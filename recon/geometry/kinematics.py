@@ -288,23 +288,25 @@ class Tree:
 
     def pose(self, state: Array, size: Array | float = 1.0) -> TreePose:
         """Markers for states (N, D); size: a factor on all offsets, one or (N,)."""
-        relative = self._relative(self._frames(state)[0], state, size, slice(len(self.segments), None))
+        relative = self._points(self._frames(state)[0], state, size)[len(self.segments) :]
         return TreePose(state[:, None, ROOT] + relative.transpose(2, 0, 1))
 
     def origins(self, state: Array, size: Array | float = 1.0) -> Array:
         """The segments' origins in the world (N, S, 3), for states (N, D)."""
-        relative = self._relative(self._frames(state)[0], state, size, slice(0, len(self.segments)))
+        relative = self._points(self._frames(state)[0], state, size)[: len(self.segments)]
         return state[:, None, ROOT] + relative.transpose(2, 0, 1)
 
-    def _relative(self, frames: Array, state: Array, size: Array | float, which: slice) -> Array:
-        """Some of `_Plan.points`, relative to the root (., 3, N), of the frames of `_frames`."""
+    def _points(self, frames: Array, state: Array, size: Array | float) -> Array:
+        """`_Plan.points` relative to the root (S + J, 3, N), of the frames of `_frames`."""
         plan, N = self._plan, len(state)
-        vectors = plan.points[which]
-        relative = (vectors @ frames.reshape(vectors.shape[1], 3 * N)).reshape(len(vectors), 3, N) * size
+        points = (plan.points @ frames.reshape(plan.points.shape[1], 3 * N)).reshape(len(plan.points), 3, N) * size
         if len(plan.slides):
-            along = frames.reshape(-1, 3, N).take(plan.axes[plan.slides], axis=0) * state.T[3 + plan.slides, None]
-            relative += np.tensordot(plan.slid[which], along, 1)
-        return relative
+            along = (
+                frames.reshape(plan.points.shape[1], 3, N).take(plan.axes[plan.slides], axis=0)
+                * state.T[3 + plan.slides, None]
+            )
+            points += np.tensordot(plan.slid, along, 1)
+        return points
 
     def pose_with_jacobian(self, state: Array, size: Array | float = 1.0) -> TreePose:
         """Markers and their exact derivatives for states (N, D)."""
@@ -346,19 +348,17 @@ class Tree:
     def _moved(self, state: Array, size: Array) -> tuple[Array, Array, Array]:
         """Markers relative to the root (J, 3, N), the rotations' axes (K, 3, N), and what each of `_Plan`'s pairs does,
         the derivative of its marker by its rotation (M, 3, N)."""
-        plan, S, N = self._plan, len(self.segments), len(state)
+        plan, N = self._plan, len(state)
         frames, cosine, sine = self._frames(state)
-        # x, y, z, x, y: then the cross product's cyclic neighbours are slices.
-        columns = frames.reshape(3 * (S + 1), 3, N).take(_CYCLE, axis=1)
-        points = (plan.points @ columns.reshape(3 * (S + 1), 5 * N)).reshape(len(plan.points), 5, N) * size
+        points, columns = self._points(frames, state, size), frames.reshape(plan.points.shape[1], 3, N)
         axes = columns.take(plan.axes, axis=0)
         if len(plan.pitched):
             y, z = axes[plan.pitched], columns[plan.z_axes]
             axes[plan.pitched] = cosine[plan.rolls, None] * y - sine[plan.rolls, None] * z
-        if len(plan.slides):
-            points += np.tensordot(plan.slid, axes[plan.slides] * state.T[3 + plan.slides, None], 1)
-        about = axes.take(plan.turning, axis=0)
-        arms = points.take(plan.arm, axis=0) - points.take(plan.centre, axis=0)
+        # x, y, z, x, y: then the cross product's cyclic neighbours are slices
+        about = axes.take(_CYCLE, axis=1).take(plan.turning, axis=0)
+        cyclic = points.take(_CYCLE, axis=1)
+        arms = cyclic.take(plan.arm, axis=0) - cyclic.take(plan.centre, axis=0)
         moved = about[:, 1:4] * arms[:, 2:] - about[:, 2:] * arms[:, 1:4]
         moved[plan.sliding] = about[plan.sliding, :3]
-        return points[S:, :3], axes[:, :3], moved
+        return points[len(self.segments) :], axes, moved

@@ -19,7 +19,7 @@ from recon.base.settings import Number, OneOrMore, Option, Settings
 from recon.base.words import length_text
 from recon.clip import Source, View, camera_poses, together
 from recon.fit.clip_problem import ClipProblem
-from recon.fit.extrinsics import LEVEL_RAD, TooLittleInCommonError, search_offsets, solve_extrinsics
+from recon.fit.extrinsics import LEVEL_RAD, search_offsets, solve_extrinsics
 from recon.geometry.camera import Camera
 from recon.geometry.frames import level_from_camera, rigid
 from recon.io import write_cameras
@@ -161,12 +161,7 @@ def run_extrinsics(
     if not posed:
         _require_motion(in_step)
     settings = [_setting(*of, cameras, poses) for of in zip(clips, given, in_step, strict=True)]
-    try:
-        rig = solve_extrinsics(settings, posed, LEVEL_RAD if level_rad is None else level_rad, progress)
-    except TooLittleInCommonError as error:
-        expected = "some in which it and another camera see enough of the animal for a pose"
-        name = f"camera {cameras[error.view].name}"
-        raise InputError(Problem("KEYPOINTS", name, "too few frames", expected)) from None
+    rig = solve_extrinsics(settings, posed, LEVEL_RAD if level_rad is None else level_rad, progress)
     expected = "clips in which the animal goes other ways through the view"
     refuse(
         Problem(
