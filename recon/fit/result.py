@@ -180,7 +180,7 @@ class Solution:
     segments: tuple[MotionSegment, ...]
     """The stretches of the clip that have a pose, each with its own ground."""
     stage_s: dict[str, float]
-    """Seconds by stage, where the method tells them apart."""
+    """Seconds that it took to solve (all), and what came before, by name; empty where a method keeps none."""
 
     def findings(self) -> tuple[Finding, ...]:
         """What only this method can say of its own solution."""

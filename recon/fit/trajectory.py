@@ -24,6 +24,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -123,7 +124,6 @@ class SegmentFit:
     prior_weight: float = 1.0
     """The part of its weight that the prior has."""
     windows: list[tuple[slice, list[StartFit]]] = field(default_factory=list)
-    stage_s: dict[str, float] = field(default_factory=dict)
     iterations: int = 0
 
     @property
@@ -151,11 +151,8 @@ def refined(clip: ClipProblem, solved: SegmentFit) -> SegmentFit:
 
 def _solve_segment(clip: ClipProblem, rows: slice, progress: Progress) -> SegmentFit:
     o, T = clip.options, len(clip)
-    clock = time.perf_counter()
     windows = _windows(clip, progress)
     iterations = sum(a.estimate.iterations for _, starts in windows for a in starts)
-    began, clock = clock, time.perf_counter()
-    stage_s = {"starts": clock - began}
 
     temperatures = [t for t in _TEMPERATURES if t > 1 and not o.fast and len(clip.prior.weights) > 1]
     steps: list[tuple[float | None, bool]] = [
@@ -164,7 +161,9 @@ def _solve_segment(clip: ClipProblem, rows: slice, progress: Progress) -> Segmen
     ]
     if len(windows) > 1:
         steps.insert(0, (None, False))
-    estimate = Estimate(_joined(T, windows), np.inf, 0, False)
+    best = [(frames, starts[0].estimate.states) for frames, starts in windows]
+    at = np.concatenate([np.arange(T)[frames] for frames, _ in best])
+    estimate = Estimate(between(np.concatenate([states for _, states in best]), at, T), np.inf, 0, False)
     noise = np.ones((len(clip.views), len(clip.body.markers)))
     nothing = LeastSquares(clip.body.detected, [], [])
     solved = SegmentFit(rows, estimate, nothing, noise, np.zeros(0), np.zeros((T, len(clip.feet))), None)
@@ -179,8 +178,7 @@ def _solve_segment(clip: ClipProblem, rows: slice, progress: Progress) -> Segmen
     settled = solved.prior_misfit is None or not solved.prior_misfit.unlike
     for _ in range(int(o.noise_rounds == 1 and solved.prior_weight < 1) if settled else _MORE_ROUNDS):
         solved = _round(clip, solved, 1.0, whole=True)
-    stage_s["whole clip"] = time.perf_counter() - clock
-    return replace(solved, windows=windows, stage_s=stage_s, iterations=solved.iterations + iterations)
+    return replace(solved, windows=windows, iterations=solved.iterations + iterations)
 
 
 def _round(clip: ClipProblem, solved: SegmentFit, temperature: float | None, whole: bool) -> SegmentFit:
@@ -266,13 +264,6 @@ def _windows(clip: ClipProblem, progress: Progress) -> list[tuple[slice, list[St
     return windows
 
 
-def _joined(T: int, windows: Sequence[tuple[slice, list[StartFit]]]) -> Array:
-    """States (T, D) of the windows' best starts, the frames between them filled up along straight lines."""
-    pieces = [(frames, starts[0].estimate) for frames, starts in windows]
-    at = np.concatenate([np.arange(T)[frames] for frames, _ in pieces])
-    return between(np.concatenate([estimate.states for _, estimate in pieces]), at, T)
-
-
 def _noise_factors(clip: ClipProblem, points_m: Array, size: float, factors: Array) -> Array:
     """(V, J): variance of each joint's detections relative to the expected one, as the robust loss would have it.
 
@@ -298,10 +289,8 @@ def _noise_factors(clip: ClipProblem, points_m: Array, size: float, factors: Arr
 
 
 def _solution(clip: ClipProblem, solved: Sequence[SegmentFit], began: float) -> TrajectorySolution:
-    clock = time.perf_counter()
     known = [posterior(one.problem, clip.body, one.estimate, clip.correlation_frames) for one in solved]
     size, size_sigma, size_from = _size(clip, solved, known)
-    stage_s = {"posterior": time.perf_counter() - clock}
     sizes = {"T": len(clip), "J": len(clip.body.markers), "V": len(clip.views), "F": len(clip.feet), "3": 3}
     sizes |= {"D": clip.body.n_state, "A": clip.body.n_state - YAW}
     arrays = {name: np.full([sizes[letter] for letter in letters], np.nan) for name, letters in SHAPES.items()}
@@ -318,7 +307,7 @@ def _solution(clip: ClipProblem, solved: Sequence[SegmentFit], began: float) -> 
         values[away] = np.nan
     shares = [of_one.data_share * (one.rows.stop - one.rows.start) for one, of_one in zip(solved, known, strict=True)]
     shared = _shared(clip, solved, known)
-    costs = _summed([one.problem.costs(one.estimate.states, one.estimate.shared) for one in solved])
+    costs = [one.problem.costs(one.estimate.states, one.estimate.shared) for one in solved]
     return TrajectorySolution(
         body=clip.body,
         views=_found(clip.views, shared["time_offset_frames"], shared["extrinsic_correction"], shared["focal"]),
@@ -343,20 +332,14 @@ def _solution(clip: ClipProblem, solved: Sequence[SegmentFit], began: float) -> 
         ),
         prior=clip.prior.name,
         status="converged" if solved and all(one.estimate.converged for one in solved) else "not_converged",
-        cost_by_term=costs,
+        cost_by_term={
+            name: sum(of_one.get(name, 0.0) for of_one in costs) for name in dict.fromkeys(chain.from_iterable(costs))
+        },
         iterations=sum(one.iterations for one in solved),
         starts=sum(len(tried) for one in solved for _, tried in one.windows),
         **shared,
-        stage_s=_summed([stage_s, *(one.stage_s for one in solved)]) | {"all": time.perf_counter() - began},
+        stage_s={"all": time.perf_counter() - began},
     )
-
-
-def _summed(tables: Sequence[dict[str, float]]) -> dict[str, float]:
-    total: dict[str, float] = {}
-    for table in tables:
-        for name, value in table.items():
-            total[name] = total.get(name, 0.0) + value
-    return total
 
 
 def _of_segment(
