@@ -12,31 +12,9 @@ from recon.animal.body import Body
 from recon.animal.prior import MotionPrior, prior_from_body
 from recon.base.arrays import Array, Bools, Index
 from recon.clip import View
-from recon.fit import constants
+from recon.fit import constants, terms
 from recon.fit.least_squares import LeastSquares, Unknown, piece_of
 from recon.fit.result import Ground
-from recon.fit.terms import (
-    COMMON_KEYPOINT_BIAS,
-    REFERENCE_HZ,
-    SIDESLIP,
-    SIZE,
-    Heading,
-    KnownAngles,
-    Linear,
-    OnGround,
-    PoseMixture,
-    Reprojection,
-    StanceVelocity,
-    Term,
-    climb_term,
-    dynamics_term,
-    extrinsic_correction,
-    focal,
-    keypoint_bias,
-    pose_term,
-    root_term,
-    time_offset,
-)
 
 UP = np.array([0.0, 0.0, 1.0])
 _NEAREST_M = 0.3
@@ -144,11 +122,6 @@ class ClipProblem:
         return level / np.linalg.norm(level)
 
     @property
-    def away(self) -> Array:
-        """(3,): the level direction away from the first camera."""
-        return np.asarray(np.cross(UP, self.right), dtype=float)
-
-    @property
     def feet(self) -> Index:
         return np.array([self.body.markers.index(foot) for foot in self.body.feet], dtype=np.intp)
 
@@ -206,16 +179,14 @@ class ClipProblem:
         Of all directions in space, as the lens shows them there: an animal that a camera turns towards is as large in
         angles, whatever the lens."""
         middle = self.in_world(np.median(points_m, axis=1, keepdims=True), size)
-        return np.array([size * self._px_per_m(view, middle) for view in self.views])
-
-    @staticmethod
-    def _px_per_m(view: View, point_m: Array) -> Array:
-        """(T,), at a point (T, 1, 3) of the world."""
-        nearest = np.max(view.focal_px) / _NEAREST_M
-        _, by_point, valid = view.project_with_jacobian(point_m)
-        along = np.sqrt(0.5 * np.sum(by_point[:, 0] ** 2, axis=(1, 2)))
-        far = view.focal_px / np.maximum(np.linalg.norm(point_m[:, 0] - view.centre_m, axis=1), _NEAREST_M)
-        return np.where(valid[:, 0], np.minimum(along, nearest), far)
+        found = []
+        for view in self.views:
+            nearest = np.max(view.focal_px) / _NEAREST_M
+            _, by_point, valid = view.project_with_jacobian(middle)
+            along = np.sqrt(0.5 * np.sum(by_point[:, 0] ** 2, axis=(1, 2)))
+            far = view.focal_px / np.maximum(np.linalg.norm(middle[:, 0] - view.centre_m, axis=1), _NEAREST_M)
+            found.append(size * np.where(valid[:, 0], np.minimum(along, nearest), far))
+        return np.array(found)
 
     def noise_px(self, points_m: Array, factor: Array, size: float = 1.0) -> Array:
         """(V, T, J): the detector's noise, and the keypoints' at the animal's distance, times sqrt(factor) (V, J), and
@@ -235,31 +206,28 @@ class ClipProblem:
         looks from one that looks elsewhere, nor keypoints that stay beside their markers from another pose. A standard
         deviation is that of what lasts: the frames' number makes it no better known.
         """
-        o, J, V = self.options, len(self.body.markers), len(self.views)
-        root = np.sqrt(self.correlation_frames)
-        size = [Unknown(SIZE, np.ones(1), np.array([self.size_sigma]))] if self.shows_size else []
+        o, V, root = self.options, len(self.views), np.sqrt(self.correlation_frames)
+
+        def lasting(name: str, sigma: Array | float) -> Unknown:
+            sigma = np.atleast_1d(sigma) / root
+            return Unknown(name, np.zeros(len(sigma)), sigma)
+
+        size = [Unknown(terms.SIZE, np.ones(1), np.array([self.size_sigma]))] if self.shows_size else []
         first, late = (1, constants.SOUGHT_OFFSET_FRAMES) if o.find_offsets else (0, self.time_offset_frames)
-        time_offsets = [Unknown(time_offset(i), np.zeros(1), np.array([late / root])) for i in range(first, V)]
-        sideslip = [Unknown(SIDESLIP, np.zeros(1), np.array([constants.SIDESLIP_RAD / root]))] if len(self) > 1 else []
-        shifts = [] if shifts_m is None or not o.refine_cameras else shifts_m.tolist()
-        corrections = [
-            Unknown(extrinsic_correction(i), np.zeros(6), np.repeat([constants.CAMERA_ROTATION_RAD, shift_m], 3) / root)
-            for i, shift_m in [*enumerate(shifts)][1:]
-        ]
-        if o.focal_sigma is not None and V > 1:
-            width = np.array([o.focal_sigma / root])
-            corrections += [Unknown(focal(i), np.zeros(1), width) for i in range(V)]
-        spread_m = self.body.keypoint_spread_m
-        off_m = np.array([spread_m.get(m, self.keypoint_bias_m) for m in self.body.markers]) / root
+        time_offsets = [lasting(terms.time_offset(i), late) for i in range(first, V)]
         common = constants.COMMON_BIAS_SHARE if V > 1 else 0.0
+        off_m = np.array([self.body.keypoint_spread_m.get(m, self.keypoint_bias_m) for m in self.body.markers])
         own_m, common_m = np.repeat(off_m * (1 - common) ** 0.5, 2), np.repeat(off_m * common**0.5, 3)
-        keypoint_biases = [Unknown(keypoint_bias(i), np.zeros(2 * J), own_m) for i in range(V)] if own_m.all() else []
-        keypoint_biases += [Unknown(COMMON_KEYPOINT_BIAS, np.zeros(3 * J), common_m)] if common_m.all() else []
-        return (
-            ([*size, *sideslip, *time_offsets, *corrections], keypoint_biases)
-            if V > 1
-            else (size, [*time_offsets, *keypoint_biases])
-        )
+        biases = [lasting(terms.keypoint_bias(i), own_m) for i in range(V)] if own_m.all() else []
+        biases += [lasting(terms.COMMON_KEYPOINT_BIAS, common_m)] if common_m.all() else []
+        if V == 1:
+            return size, [*time_offsets, *biases]
+        sideslip = [lasting(terms.SIDESLIP, constants.SIDESLIP_RAD)] if len(self) > 1 else []
+        shifts = [] if shifts_m is None or not o.refine_cameras else [*enumerate(shifts_m.tolist())][1:]
+        rotation = [constants.CAMERA_ROTATION_RAD] * 3
+        corrections = [lasting(terms.extrinsic_correction(i), np.array([*rotation, *[m] * 3])) for i, m in shifts]
+        focals = [] if o.focal_sigma is None else [lasting(terms.focal(i), o.focal_sigma) for i in range(V)]
+        return [*size, *sideslip, *time_offsets, *corrections, *focals], biases
 
     def _shifts_m(self, around_m: Array, size: float) -> Array:
         """(V,): how far cameras may stand from their places. Those of a small rig are measured as much better."""
@@ -271,7 +239,7 @@ class ClipProblem:
         self,
         noise_px: Array,
         temperature: float | None = None,
-        contact_terms: Sequence[Term] = (),
+        contact_terms: Sequence[terms.Term] = (),
         around_m: Array | None = None,
         size: float = 1.0,
     ) -> LeastSquares:
@@ -281,36 +249,35 @@ class ClipProblem:
         D, T = self.body.n_state, len(self)
         rear, front = (self.body.markers.index(marker) for marker in self.body.forward)
         seen = [
-            Reprojection(view, sigma_px, constants.ROBUST_C, self.origin_m, i)
+            terms.Reprojection(view, sigma_px, constants.ROBUST_C, self.origin_m, i)
             for i, (view, sigma_px) in enumerate(zip(self.views, noise_px, strict=True))
         ]
-        shared: list[Unknown] = []
-        doubtful: list[Unknown] = []
+        shared, doubtful = ([], []) if around_m is None else self.shared(self._shifts_m(around_m, size))
         if around_m is not None:
-            shared, doubtful = self.shared(self._shifts_m(around_m, size))
             drift_m = np.gradient(around_m, axis=0) if T > 1 else np.zeros_like(around_m)
             px_per_m = self.px_per_m(around_m, size)
             seen = [replace(term, drift_m=drift_m, px_per_m=px) for term, px in zip(seen, px_per_m, strict=True)]
-        linear: list[Linear] = []
-        terms: list[Term] = [*seen]
+        pose, motion = (weight * self.prior_weight for weight in (constants.POSE_WEIGHT, constants.MOTION_WEIGHT))
+        accelerations = np.array(constants.ACCELERATION_M_S2), constants.YAW_ACCELERATION_RAD_S2
+        linear = [
+            terms.climb_term(D, self.fps, constants.CLIMB_M_S),
+            terms.dynamics_term(self.prior, D, self.fps, motion),
+            terms.root_term(D, self.fps, *accelerations),
+        ]
+        others: list[terms.Term] = [*seen]
         if temperature is None:
-            linear.append(pose_term(self.prior, D, self.fps, constants.POSE_WEIGHT * self.prior_weight))
+            linear.append(terms.pose_term(self.prior, D, self.fps, pose))
         else:
-            terms.append(PoseMixture(self.prior, self.fps, constants.POSE_WEIGHT * self.prior_weight, temperature))
+            others.append(terms.PoseMixture(self.prior, self.fps, pose, temperature))
         if self.prior_weight < 1:
             plain = prior_from_body(self.body)
-            linear.append(pose_term(plain, D, self.fps, constants.POSE_WEIGHT * (1 - self.prior_weight)))
-            linear.append(dynamics_term(plain, D, self.fps, constants.MOTION_WEIGHT * (1 - self.prior_weight)))
+            linear.append(terms.pose_term(plain, D, self.fps, constants.POSE_WEIGHT - pose))
+            linear.append(terms.dynamics_term(plain, D, self.fps, constants.MOTION_WEIGHT - motion))
         if self.known is not None:
-            terms.append(KnownAngles(self.known))
+            others.append(terms.KnownAngles(self.known))
         if T > 1:
-            linear.append(climb_term(D, self.fps, constants.CLIMB_M_S))
-            terms.append(Heading(rear, front, self.fps, constants.LATERAL_M_S))
-        if T > 2:
-            linear.append(dynamics_term(self.prior, D, self.fps, constants.MOTION_WEIGHT * self.prior_weight))
-            accelerations = np.array(constants.ACCELERATION_M_S2), constants.YAW_ACCELERATION_RAD_S2
-            linear.append(root_term(D, self.fps, *accelerations))
-        return LeastSquares(self.body.detected, linear, [*terms, *contact_terms], shared, doubtful, piece_of(self.fps))
+            others.append(terms.Heading(rear, front, self.fps, constants.LATERAL_M_S))
+        return LeastSquares(self.body.detected, linear, [*others, *contact_terms], shared, doubtful, piece_of(self.fps))
 
 
 LOW_FEET = 0.1
@@ -328,11 +295,11 @@ def above_ground(clip: ClipProblem, points_m: Array, size: float = 1.0) -> float
     )
 
 
-def contacts(clip: ClipProblem, points_m: Array, size: float) -> tuple[Array, Ground | None, tuple[Term, ...]]:
+def contacts(clip: ClipProblem, points_m: Array, size: float) -> tuple[Array, Ground | None, tuple[terms.Term, ...]]:
     """Contact (T, F) of every foot, the ground under them, and the terms that hold both, for markers (T, J, 3) at
     nominal size about the origin."""
     feet = clip.feet
-    stance = StanceVelocity(feet, clip.fps, constants.SLIP_M_S, constants.SLIP_C)
+    stance = terms.StanceVelocity(feet, clip.fps, constants.SLIP_M_S, constants.SLIP_C)
     _, _, still = stance.contact(points_m, size)
     middle = 0.5 * (points_m[1:, feet] + points_m[:-1, feet])
     height, sigma = float(np.percentile(middle[..., 2], 10)), 10.0
@@ -344,7 +311,7 @@ def contacts(clip: ClipProblem, points_m: Array, size: float) -> tuple[Array, Gr
     centre = np.median(middle[..., :2].reshape(-1, 2), axis=0)
     rows = np.concatenate([np.ones((*middle.shape[:2], 1)), middle[..., :2] - centre], axis=-1)
     plane, covariance, contact = np.array([height, 0.0, 0.0]), np.diag(spread**2), still
-    count = REFERENCE_HZ / clip.fps / constants.GROUND_FOOT_M**2
+    count = terms.REFERENCE_HZ / clip.fps / constants.GROUND_FOOT_M**2
     for _ in range(5):
         above = middle[..., 2] - rows @ plane
         contact = still / (1.0 + (above / (3 * constants.GROUND_FOOT_M)) ** 2) ** 2
@@ -355,7 +322,7 @@ def contacts(clip: ClipProblem, points_m: Array, size: float) -> tuple[Array, Gr
     both = np.concatenate([contact[:1], np.maximum(contact[1:], contact[:-1]), contact[-1:]])
     if contact.sum() < 3:  # no foot stands: nothing is known of the ground
         return both, None, (stance,)
-    on_ground = OnGround(feet, contact, plane, centre, clip.fps, constants.GROUND_FOOT_M)
+    on_ground = terms.OnGround(feet, contact, plane, centre, clip.fps, constants.GROUND_FOOT_M)
     slope = plane[1:]
     sigma = float(np.sqrt(covariance[0, 0] * clip.correlation_frames))
     ground = Ground(float(plane[0] - slope @ centre), slope, sigma, near_zero)
