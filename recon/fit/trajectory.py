@@ -155,12 +155,8 @@ def _solve_segment(clip: ClipProblem, rows: slice, progress: Progress) -> Segmen
     iterations = sum(a.estimate.iterations for _, starts in windows for a in starts)
 
     temperatures = [t for t in _TEMPERATURES if t > 1 and not o.fast and len(clip.prior.weights) > 1]
-    steps: list[tuple[float | None, bool]] = [
-        *((t, False) for t in temperatures),
-        *((1.0, True) for _ in range(o.noise_rounds)),
-    ]
-    if len(windows) > 1:
-        steps.insert(0, (None, False))
+    steps: list[tuple[float | None, bool]] = [(None, False)] if len(windows) > 1 else []
+    steps += [*((t, False) for t in temperatures), *[(1.0, True)] * o.noise_rounds]
     best = [(frames, starts[0].estimate.states) for frames, starts in windows]
     at = np.concatenate([np.arange(T)[frames] for frames, _ in best])
     estimate = Estimate(between(np.concatenate([states for _, states in best]), at, T), np.inf, 0, False)
