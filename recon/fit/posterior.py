@@ -43,7 +43,7 @@ from recon.fit.clip_problem import ClipProblem, contacts
 from recon.fit.least_squares import Estimate, LeastSquares
 from recon.fit.result import TrajectorySolution
 from recon.fit.terms import COMMON_KEYPOINT_BIAS, PRIOR_TERMS, SIDESLIP, SIZE, size_of, time_offset
-from recon.geometry.kinematics import ROOT, YAW, TreePose
+from recon.geometry.kinematics import ROOT, YAW
 
 _HELD = 1e8
 """Precision that holds an unknown fixed."""
@@ -162,11 +162,11 @@ def posterior(problem: LeastSquares, body: Body, found: Estimate, variance_facto
         for first in range(0, len(own), _FRAMES_AT_ONCE):
             lasting = others[first : first + _FRAMES_AT_ONCE] @ known.root
             own[first : first + _FRAMES_AT_ONCE] += lasting @ lasting.swapaxes(1, 2)
-        of_joints = _of_joints(body, states[rows], own, size, follows)
-        parts.append((*of_joints, _of_angles(own), follows))
+        parts.append((*_of_joints(body, states[rows], own, size, follows), _of_angles(own), follows))
     for normals in (frames.normals(states, found.shared)(), without()):
         for window in eliminated(normals, _at_place(D, _HELD), bounded=True):
-            variances.append(_about_mean(body, states[window.rows], window.marginal_blocks()[:, 0]))
+            of_joints = _of_joints(body, states[window.rows], window.marginal_blocks()[:, 0])
+            variances.append(np.trace(of_joints[1], axis1=2, axis2=3))
     for window in eliminated(without(), _at_place(D, _HARDLY), bounded=True):
         expected.append(_of_angles(window.marginal_blocks()[:, 0]))
     absolute, relative, by_size, angles, state_by_size = (np.concatenate(of) for of in zip(*parts, strict=True))
@@ -210,38 +210,22 @@ def _of_angles(own: Array) -> Array:
     return np.diagonal(own, axis1=1, axis2=2)[:, YAW:].copy()
 
 
-def _of_joints(body: Body, states: Array, own: Array, size: float, follows: Array) -> tuple[Array, Array, Array]:
-    """Covariances of the joints, absolute and relative, (T, J, 3, 3), from the states' (T, D, D); and q (T, J, 3)."""
+def _of_joints(
+    body: Body, states: Array, own: Array, size: float = 1.0, follows: Array | None = None
+) -> tuple[Array, Array, Array]:
+    """Covariances of the joints, absolute and relative to their mean, (T, J, 3, 3), from the states' (T, D, D); and
+    q (T, J, 3), where the states follow the size."""
     T, J = len(states), len(body.markers)
     absolute, relative, by_size = np.empty((T, J, 3, 3)), np.empty((T, J, 3, 3)), np.empty((T, J, 3))
-    for part, pose in _posed(body, states):
-        jacobian = pose.jacobian
-        centred = jacobian - jacobian.mean(axis=1, keepdims=True)
-        absolute[part] = _spread(jacobian, own[part]) @ jacobian.swapaxes(2, 3)
-        relative[part] = _spread(centred, own[part]) @ centred.swapaxes(2, 3)
-        by_size[part] = pose.points_m + size * (jacobian @ follows[part, None, :, None])[..., 0]
-    return absolute, relative, by_size
-
-
-def _about_mean(body: Body, states: Array, own: Array) -> Array:
-    """(T, J): variances of the joints relative to their mean."""
-    variances = np.empty((len(states), len(body.markers)))
-    for part, pose in _posed(body, states):
-        centred = pose.jacobian - pose.jacobian.mean(axis=1, keepdims=True)
-        variances[part] = np.sum(_spread(centred, own[part]) * centred, axis=(2, 3))
-    return variances
-
-
-def _posed(body: Body, states: Array) -> Iterator[tuple[slice, TreePose]]:
-    for first in range(0, len(states), _FRAMES_AT_ONCE):
+    for first in range(0, T, _FRAMES_AT_ONCE):
         part = slice(first, first + _FRAMES_AT_ONCE)
-        yield part, body.tree.pose_with_jacobian(states[part])
-
-
-def _spread(jacobian: Array, own: Array) -> Array:
-    """(T, J, 3, D): J C."""
-    T, J, _, D = jacobian.shape
-    return (jacobian.reshape(T, 3 * J, D) @ own).reshape(T, J, 3, D)
+        pose = body.tree.pose_with_jacobian(states[part])
+        centred = pose.jacobian - pose.jacobian.mean(axis=1, keepdims=True)
+        for found, jacobian in ((absolute, pose.jacobian), (relative, centred)):
+            found[part] = jacobian @ own[part, None] @ jacobian.swapaxes(2, 3)
+        if follows is not None:
+            by_size[part] = pose.points_m + size * (pose.jacobian @ follows[part, None, :, None])[..., 0]
+    return absolute, relative, by_size
 
 
 @dataclass(frozen=True)
