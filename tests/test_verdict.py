@@ -13,7 +13,7 @@ from recon.fit import Motion
 from recon.fit.result import ExpectedError, Verdict
 from recon.io.deeplabcut import write_csv
 from recon.io.video import video_writer
-from recon.show.sections import given
+from recon.show import sections as given
 from tests.command_line import run
 
 

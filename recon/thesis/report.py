@@ -13,15 +13,15 @@ from recon.check import verdict_fields
 from recon.fit.motion import MEASURED_SHARE, Motion
 from recon.gait.clip import ClipAnalysis
 from recon.geometry.frames import level_axes
+from recon.show import sections
 from recon.show.plain import by_name, number, spread
-from recon.show.sections import given
-from recon.show.sections.section import Line, Section
+from recon.show.sections import Line, Section
 from recon.thesis.frame import FrameOptions, base_length, frame_solution
 
 
 def skeleton(motion: Motion) -> dict[str, Any]:
     solution = frame_solution(motion)
-    return given.skeleton(motion) | {"unknowns": solution.chain.state_names, "objectives": solution.objectives}
+    return sections.skeleton(motion) | {"unknowns": solution.chain.state_names, "objectives": solution.objectives}
 
 
 def assumptions(motion: Motion) -> dict[str, Any]:
@@ -33,11 +33,11 @@ def assumptions(motion: Motion) -> dict[str, Any]:
     sentences = [
         f"The scale: the base length has a prior of {base['nominal_m']:g} m with a standard deviation of "
         f"{base['sigma_m']:g} m. {scale}",
-        *given.sentences(motion),
+        *sections.sentences(motion),
     ]
     if motion.settings.get("angle_prior") == "none":
         sentences.append("Without the Gaussian priors the pixels leave the depth of the limbs undetermined.")
-    return {"base_length": base, **given.upright(motion), "sentences": sentences}
+    return {"base_length": base, **sections.upright(motion), "sentences": sentences}
 
 
 def _base_length(motion: Motion) -> dict[str, Any]:
@@ -64,7 +64,7 @@ def summary(motion: Motion) -> dict[str, Any]:
         "frames_flagged": sum(bool(flags) for flags in motion.flags),
         **{f"frames_{s}": solution.status.count(s) for s in ("converged", "not_converged", "no_data")},
         "frames_diverged": sum("diverged" in flags for flags in motion.flags),
-        **given.counts(motion),
+        **sections.counts(motion),
         "joint_sigma_across_m": median(np.sqrt(variance[..., :2].mean(axis=-1))),
         "joint_sigma_depth_m": median(np.sqrt(variance[..., 2])),
         "iterations_median": median(solution.reported("iterations")),
@@ -117,7 +117,7 @@ def travel_lines(motion: Motion, data: Any) -> Iterator[Line]:
     speed = data["median_speed_m_s"]
     known = f"{number(speed, '.1f')} m/s, of a straight run through all frames"
     yield "speed", "not told by a path this short or slow" if speed is None else known
-    root, frame = given.root_path(motion), f"{motion.frame_of_reference} frame"
+    root, frame = sections.root_path(motion), f"{motion.frame_of_reference} frame"
     if (doubt := ClipAnalysis(motion).why_no_speed) is not None:
         above = "; take the speed above" if speed is not None else ""
         yield "path", f"too uncertain in depth for its speed ({frame}): {doubt}{above}"
@@ -125,7 +125,7 @@ def travel_lines(motion: Motion, data: Any) -> Iterator[Line]:
         path, how = root["smoothed"] or root["exact"], "smoothed" if root["smoothed"] else "not smoothed"
         far, peak = (number(path[name], ".1f") for name in ("distance_m", "peak_speed_m_s"))
         yield "path", f"{far} m, peak {peak} m/s ({frame}, {how})"
-    yield "heading", given.heading_text(data["heading_to_picture_rad"])
+    yield "heading", sections.heading_text(data["heading_to_picture_rad"])
 
 
 def size_lines(motion: Motion, data: Any) -> Iterator[Line]:
@@ -147,9 +147,9 @@ def effort_lines(motion: Motion, data: Any) -> Iterator[Line]:
 
 
 SECTIONS: tuple[Section, ...] = (
-    Section("verdict", verdict_fields, given.verdict_lines),
-    Section("input", given.clip, given.clip_lines),
-    Section("side", given.side, given.side_lines),
+    Section("verdict", verdict_fields, sections.verdict_lines),
+    Section("input", sections.clip, sections.clip_lines),
+    Section("side", sections.side, sections.side_lines),
     Section("frame_of_reference", lambda motion: motion.frame_of_reference),
     Section("skeleton", skeleton),
     Section("assumptions", assumptions),
@@ -157,14 +157,14 @@ SECTIONS: tuple[Section, ...] = (
     Section("summary", summary, summary_lines),
     Section("unused_keypoints", lambda motion: motion.unused_keypoints),
     Section("missing_keypoints", lambda motion: motion.missing_keypoints),
-    Section("keypoints", given.keypoints, given.keypoint_lines),
-    Section("cameras", given.cameras, given.camera_lines),
-    Section("cleaning", given.cleaning, given.note_lines),
-    Section("root_path", given.root_path),
+    Section("keypoints", sections.keypoints, sections.keypoint_lines),
+    Section("cameras", sections.cameras, sections.camera_lines),
+    Section("cleaning", sections.cleaning, sections.note_lines),
+    Section("root_path", sections.root_path),
     Section("travel", travel, travel_lines),
     Section("size", lambda motion: {"factor": motion.solution.size}),
     Section("base_length_m", lambda motion: spread(frame_solution(motion).unknown("base_length_m")), size_lines),
-    Section("angles", given.angles),
+    Section("angles", sections.angles),
     Section("cost_shares", cost_shares),
     Section("limits", limits, effort_lines),
 )

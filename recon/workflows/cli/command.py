@@ -51,80 +51,15 @@ class OptionsOf:
         }
 
 
-@dataclass(frozen=True)
-class _CommandOptions:
-    """What a command's function takes: settings of its own class, and those of another one."""
-
-    function: Callable[..., Any]
-    own: type[Settings]
-    others: OptionsOf | None
-    parameters: frozenset[str]
-
-    @staticmethod
-    def of(function: Callable[..., Any]) -> _CommandOptions:
-        hints = typing.get_type_hints(function, include_extras=True)
-        given = hints.get("given")
-        others = None if given is None else next(one for one in given.__metadata__ if isinstance(one, OptionsOf))
-        return _CommandOptions(function, hints.get("settings", Settings), others, frozenset(hints))
-
-    @property
-    def infos(self) -> dict[str, SettingInfo]:
-        """All settings by name, those of the other class first."""
-        return ({} if self.others is None else self.others.infos) | self.own_infos
-
-    @property
-    def own_infos(self) -> dict[str, SettingInfo]:
-        return {} if self.own is Settings else self.own.infos()
-
-    @property
-    def by_set(self) -> dict[str, SettingInfo]:
-        """The names of settings that are no options of their own."""
-        return {name: info for name, info in self.infos.items() if not info.option.common}
-
-    def call(self, **arguments: Any) -> None:
-        """Raises InputError with everything that is wrong with the command's own settings."""
-        flags = {name: arguments.pop(name) for name in _FLAGS if name in arguments}
-        by_set = self._set(arguments.pop(_SET, None) or [])
-        values = by_set | {name: value for name, value in arguments.items() if value not in (None, [])}
-        own = {name: value for name, value in values.items() if name in self.own_infos}
-        given = {name: value for name, value in values.items() if name not in own}
-        more = {} if self.others is None else {"given": given}
-        try:
-            settings = {"settings": self.own(**own)} if "settings" in self.parameters else {}
-        except InputError as error:
-            raise InputError(on_command_line(problem, self.own_infos) for problem in error.problems) from None
-        said = self.function(**settings, **more, **flags)
-        if said is not None:
-            from recon.show.plain import to_json  # numpy is slow to import
-
-            typer.echo(to_json(said), nl=False)
-
-    def _set(self, texts: list[str]) -> dict[str, Any]:
-        """The values of --set. Raises InputError for those that are none."""
-        found: dict[str, Any] = {}
-        problems = []
-        for text in texts:
-            name, equals, value = text.partition("=")
-            name = name.strip().replace("-", "_")
-            if not equals:
-                problems.append(Problem("--set", "setting", repr(text), "name=value, as in sigma-px=2"))
-            elif name not in self.infos:
-                problems.append(Problem("--set", name, "an unknown setting", f"one of {', '.join(self.infos)}"))
-            elif self.infos[name].is_many:
-                found.setdefault(name, []).append(value)
-            else:
-                found[name] = value
-        refuse(problems)
-        return found
-
-
 class SettingsCommand(TyperCommand):
     """A command whose settings say themselves what is missing or wrong, all at once."""
 
-    takes: _CommandOptions
+    infos: dict[str, SettingInfo]
+    """All settings by name, those of another class first."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        settings = {info.on_command_line.removeprefix("--set "): info.field for info in self.takes.by_set.values()}
+        rare = (info for info in self.infos.values() if not info.option.common)
+        settings = {info.on_command_line.removeprefix("--set "): info.field for info in rare}
         written = {word: word.partition("=")[0].removeprefix("--").removeprefix("no-") for word in args}
         refuse(
             Problem(word.partition("=")[0], settings[name], "no option of this name", f"--set {name}=VALUE")
@@ -135,23 +70,40 @@ class SettingsCommand(TyperCommand):
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
         for parameter in self.params:  # the parser never asks for what must be given, the help says it
-            info = self.takes.infos.get(str(parameter.name))
+            info = self.infos.get(str(parameter.name))
             parameter.required = info is not None and info.default is MISSING
         super().format_help(ctx, formatter)
 
 
 def make_command(name: str, function: Callable[..., Any]) -> SettingsCommand:
     """The command of a function, see the text of the module."""
-    takes = _CommandOptions.of(function)
-    of_others = {} if takes.others is None else takes.others.infos
-    parameters = [_parameter(info, name in of_others) for name, info in takes.infos.items() if info.option.common]
-    if takes.by_set:
+    takes = typing.get_type_hints(function, include_extras=True)
+    own: dict[str, SettingInfo] = takes["settings"].infos() if "settings" in takes else {}
+    of_others = takes["given"].__metadata__[0].infos if "given" in takes else {}
+    infos = of_others | own
+    parameters = [_parameter(info, name in of_others) for name, info in infos.items() if info.option.common]
+    if len(parameters) < len(infos):
         help = "Another setting, as in sigma-px=2, also several times. Listed by: recon settings"
         parameters.append(_keyword(_SET, list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help=help)))
-    parameters += [_keyword(flag, bool, option, False) for flag, option in _FLAGS.items() if flag in takes.parameters]
+    parameters += [_keyword(flag, bool, option, False) for flag, option in _FLAGS.items() if flag in takes]
 
     def call(**arguments: Any) -> None:
-        takes.call(**arguments)
+        """Raises InputError with everything that is wrong with the command's own settings."""
+        more = {name: arguments.pop(name) for name in _FLAGS if name in arguments}
+        values = _values_of_set(arguments.pop(_SET, None) or [], infos)
+        values |= {name: value for name, value in arguments.items() if value not in (None, [])}
+        if "given" in takes:
+            more["given"] = {name: value for name, value in values.items() if name not in own}
+        if "settings" in takes:
+            try:
+                more["settings"] = takes["settings"](**{name: values[name] for name in own if name in values})
+            except InputError as error:
+                raise InputError(on_command_line(problem, own) for problem in error.problems) from None
+        said = function(**more)
+        if said is not None:
+            from recon.show.plain import to_json  # numpy is slow to import
+
+            typer.echo(to_json(said), nl=False)
 
     call.__dict__["__signature__"] = inspect.Signature(parameters)
     call.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
@@ -159,8 +111,27 @@ def make_command(name: str, function: Callable[..., Any]) -> SettingsCommand:
     app.command(name, help=inspect.getdoc(function), cls=SettingsCommand, context_settings=HELP)(call)
     command = typer.main.get_command(app)
     assert isinstance(command, SettingsCommand)
-    command.takes = takes
+    command.infos = infos
     return command
+
+
+def _values_of_set(texts: list[str], infos: dict[str, SettingInfo]) -> dict[str, Any]:
+    """The values of --set. Raises InputError for those that are none."""
+    found: dict[str, Any] = {}
+    problems = []
+    for text in texts:
+        name, equals, value = text.partition("=")
+        name = name.strip().replace("-", "_")
+        if not equals:
+            problems.append(Problem("--set", "setting", repr(text), "name=value, as in sigma-px=2"))
+        elif name not in infos:
+            problems.append(Problem("--set", name, "an unknown setting", f"one of {', '.join(infos)}"))
+        elif infos[name].is_many:
+            found.setdefault(name, []).append(value)
+        else:
+            found[name] = value
+    refuse(problems)
+    return found
 
 
 def _keyword(name: str, kind: Any, info: Any, default: Any = None) -> inspect.Parameter:

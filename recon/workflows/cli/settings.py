@@ -39,7 +39,7 @@ def settings(settings: _ListedSettings, as_json: bool) -> Any:
     if command is None:
         expected = f"one of {', '.join(commands())}"
         raise InputError(Problem("COMMAND", "command", repr(settings.command), expected))
-    rows = [row_of(info) for info in command.takes.infos.values()]
+    rows = [row_of(info) for info in command.infos.values()]
     if as_json:
         return rows
     cells = (
