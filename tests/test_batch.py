@@ -124,6 +124,8 @@ def test_files_patterns_and_folders(clips):
     of_folder, notes = find_clips([clips], QUICK)
     assert [clip.settings.keypoints[0] for clip in of_folder] == [clips / f"{name}.csv" for name in "abc"]
     assert notes == [f"Left out of {clips}, of no known format: notes.csv, video.mp4"]
+    (clips / "truth.csv").write_text("bodyparts,a,a,a\ncoords,x,y,z\n0,1,2,3\n")
+    assert find_clips([clips], QUICK)[1][0] == f"Left out of {clips}, 3D positions: truth.csv"
     assert {clip.settings.fps for clip in of_folder} == {30}
 
 

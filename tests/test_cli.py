@@ -848,7 +848,9 @@ def test_demo(tmp_path):
     assert (ended.code, ended.err) == (0, "")
     names = sorted(path.name for path in (tmp_path / "demo").iterdir())
     assert names == sorted([*OUTPUT_FILES, "report.html"])
-    assert f"Open {tmp_path / 'demo' / 'report.html'} in a browser." in ended.out.replace("\n", " ").replace("  ", " ")
+    assert f"Open {tmp_path / 'demo' / 'report.html'} in a browser: pictures" in ended.out.replace("\n", " ").replace(
+        "  ", " "
+    )
     assert "Gait: transverse gallop" in ended.out
     error_mm = 1000 * evaluate_files(tmp_path / "demo" / "pose3d.csv", SAMPLES / "whole_truth.csv").mpjpe_m.mean
     assert error_mm < 60

@@ -520,7 +520,7 @@ def test_a_summary_begins_with_the_verdict_and_what_to_do(trajectory, level):
     first, second, third, *_ = out.getvalue().splitlines()
     assert first.split() == ["verdict", *level.split()[:-1], f"{level.split()[-1]}:", "It", "is", "so."]
     assert second.startswith("expected")
-    assert third.split(maxsplit=2)[2].strip() == TO_DO[level]
+    assert third.strip() == f"to do       {TO_DO[level]}" if level in TO_DO else third.split()[0] not in ("to", "use")
 
 
 def test_lines_of_a_trajectory(trajectory):

@@ -25,8 +25,7 @@ SCHEMA_NAME, SCHEMA_VERSION = "recon.fit.report", 4
 REPORT = "report.json"
 STYLES = {"use": "bold green", "check": "bold yellow", "do not use": "bold red"}
 """Styles of the levels of a verdict, on a terminal."""
-TO_DO = {
-    "use": "Use it, with the expected error.",
+TO_DO = {  # what is to be used needs no word more
     "check": "Do what the reason says, and look at the poses on the video before you use them.",
     "do not use": "Do not use these numbers: mend what the reason names, and fit again.",
 }
@@ -104,7 +103,7 @@ def console_summary(report: Mapping[str, Any]) -> Table:
     for label, text in report["lines"][:begins]:
         level = verdict["level"] if label == "verdict" else ""
         table.add_row(Text(label, style="bold"), Text.assemble((level, STYLES.get(level, "")), text[len(level) :]))
-    if verdict["level"]:
+    if verdict["level"] in TO_DO:
         table.add_row(Text("to do", style="bold"), TO_DO[verdict["level"]])
     for one in found:
         colour = {"error": "red", "warning": "yellow"}[one["severity"]]

@@ -46,12 +46,9 @@ def demo(settings: _DemoSettings, as_json: bool, quiet: bool) -> None:
         report = run_clip(of_sample, out, settings.overwrite, progress)
         page = run_page(PageSettings(folder=out), progress)
         mpjpe_mm = 1000 * evaluate_files(out / "pose3d.csv", samples / "whole_truth.csv").mpjpe_m.mean
-    finish(console, report, out, as_json, mpjpe_mm=mpjpe_mm)
+    finish(console, report, out, as_json, page, mpjpe_mm=mpjpe_mm)
     if not as_json:
-        console.print(f"Error against the sample's truth: {mpjpe_mm:.0f} mm (MPJPE)\n")
-        motion, lines = Motion.load(out), dict(report["lines"])
-        say(console, f"Frames: {lines['frames']}.")
-        found = ClipAnalysis(motion)
-        for sentence in in_sentences(motion, found.reference_motion, found.gait, found.why_no_speed):
+        console.print(f"Error against the sample's truth: {mpjpe_mm:.0f} mm (MPJPE)")
+        found = ClipAnalysis(Motion.load(out))
+        for sentence in in_sentences(found.motion, found.reference_motion, found.gait, found.why_no_speed):
             say(console, sentence)
-        say(console, f"Open {page} in a browser.")

@@ -149,9 +149,7 @@ def run(
     if note := rate_note(settings.video, job.fit.fps):
         say(console, f"note: {note}")
     stages = [{"stage": s.stage, "status": s.status, "seconds": round(s.seconds, 3)} for s in done]
-    finish(console, report, out, as_json, stages=stages)
-    if not as_json:
-        say(console, f"Open {out / PAGE} in a browser.")
+    finish(console, report, out, as_json, out / PAGE, stages=stages)
 
 
 def _line(done: _StageOutcome) -> str:

@@ -63,7 +63,7 @@ def clip_page(
         words=list(_words(report, found)),
         verdict=motion.verdict,
         expected=verdict_lines(motion.verdict)[1:],
-        to_do="" if motion.verdict is None else TO_DO[motion.verdict.level],
+        to_do="" if motion.verdict is None else TO_DO.get(motion.verdict.level, ""),
         warnings=[text for text in warnings(report) if motion.verdict is None or text != motion.verdict.reason],
         notes=[one["text"] for one in report["findings"] if one["severity"] == "note"],
         stills=stills,

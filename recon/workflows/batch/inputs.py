@@ -7,6 +7,7 @@ import os
 import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cache
 from itertools import islice
@@ -158,24 +159,18 @@ def _matching_files(path: Path) -> list[Path]:
 
 def _files_in(folder: Path, recursive: bool = False) -> tuple[list[Path], list[str]]:
     chosen: dict[str, Path] = {}
-    left_out: dict[str, list[str]] = {
-        "beside a file of the same name": [],
-        "of no known format": [],
-        "not readable": [],
-    }
+    left_out: dict[str, list[str]] = {}
     inside = []
     for path in sorted(p for p in folder.iterdir() if not p.name.startswith(".")):
         if path.is_dir():
             inside.append(path)
-        elif not os.access(path, os.R_OK):
-            left_out["not readable"].append(path.name)
-        elif not _is_recognised(path):
-            left_out["of no known format"].append(path.name)
+        elif why := _why_left_out(path):
+            left_out.setdefault(why, []).append(path.name)
         else:
             if path.stem in chosen:
-                left_out["beside a file of the same name"].append(chosen[path.stem].name)
+                left_out.setdefault("beside a file of the same name", []).append(chosen[path.stem].name)
             chosen[path.stem] = path.absolute()
-    notes = [f"Left out of {folder}, {why}: {names_text(names)}" for why, names in left_out.items() if names]
+    notes = [f"Left out of {folder}, {why}: {names_text(names)}" for why, names in sorted(left_out.items())]
     files = [*chosen.values()]
     for sub in inside if recursive else ():
         more, said = _files_in(sub, recursive)
@@ -185,16 +180,19 @@ def _files_in(folder: Path, recursive: bool = False) -> tuple[list[Path], list[s
     return files, notes
 
 
-def _is_recognised(path: Path) -> bool:
-    """Whether a reader takes the file; one that is too damaged to tell is a clip, which will say so."""
+def _why_left_out(path: Path) -> str:
+    """Why a file of a folder is no clip; nothing of one that is, or too damaged to tell, as the clip will say so."""
+    if not os.access(path, os.R_OK):
+        return "not readable"
     try:
-        file_head(path)
+        head = file_head(path, 2000)
     except InputError:
-        return False
-    try:
-        return recognised(path, "2D") is not None
-    except InputError:
-        return True
+        return "of no known format"
+    with suppress(InputError):
+        if recognised(path, "2D") is None:
+            return "of no known format"
+    lines = head.decode(errors="replace").splitlines()[:4]
+    return "3D positions" if any({"x", "y", "z"} <= {*line.split(",")} for line in lines) else ""
 
 
 def _without_repeats(drafts: Sequence[_Draft]) -> list[_Draft]:

@@ -106,8 +106,11 @@ def progress_bar(console: Console, doing: str = "") -> Iterator[Any]:
         yield lambda stage, share: bar.update(task, description=f"{doing}{stage}", completed=share)
 
 
-def finish(console: Console, report: dict[str, Any], out: Path, as_json: bool = False, **more: Any) -> None:
-    """Print what there is to say of a fit; as_json: to the standard output, with `more` fields."""
+def finish(
+    console: Console, report: dict[str, Any], out: Path, as_json: bool = False, page: Path | None = None, **more: Any
+) -> None:
+    """Print what there is to say of a fit; as_json: to the standard output, with `more` fields. page: if there is
+    one."""
     from recon.show.plain import to_json
     from recon.show.report import console_summary, is_unsolved
 
@@ -124,4 +127,5 @@ def finish(console: Console, report: dict[str, Any], out: Path, as_json: bool = 
     if not as_json:
         folder = shlex.quote(str(out))
         say(console, f"Results are in {out}. Watch them with: recon view {folder}")
-        say(console, f"A page with pictures, figures and all numbers: recon report {folder}")
+        made = f"Open {page} in a browser" if page else f"For a page, recon report {folder}"
+        say(console, f"{made}: pictures, figures and all numbers.")
