@@ -155,28 +155,30 @@ def posterior(problem: LeastSquares, body: Body, found: Estimate, variance_facto
     columns = replace(problem, shared=[*problem.shared, *problem.doubtful]).columns
     frames = replace(problem, shared=(), doubtful=())
     priors = replace(frames, terms=[term for term in problem.terms if term.name != "reprojection"])
-    D, without = len(states[0]), priors.normals(states)
-    parts, variances, expected = [], [], []
+    (T, D), J, without = states.shape, len(body.markers), priors.normals(states)
+    absolute, relative, by_size = np.empty((T, J, 3, 3)), np.empty((T, J, 3, 3)), np.empty((T, J, 3))
+    state_by_size, angles, variances = np.empty((T, D)), np.empty((2, T, D - YAW)), np.empty((2, T, J))
     for window, others, follows in known.windows():  # one after the other: a window is large
         own, rows = window.marginal_blocks()[:, 0], window.rows
         for first in range(0, len(own), _FRAMES_AT_ONCE):
             lasting = others[first : first + _FRAMES_AT_ONCE] @ known.root
             own[first : first + _FRAMES_AT_ONCE] += lasting @ lasting.swapaxes(1, 2)
-        parts.append((*_of_joints(body, states[rows], own, size, follows), _of_angles(own), follows))
-    for normals in (frames.normals(states, found.shared)(), without()):
+        absolute[rows], relative[rows], by_size[rows] = _of_joints(body, states[rows], own, size, follows)
+        angles[0, rows], state_by_size[rows] = _of_angles(own), follows
+    for of, normals in zip(variances, (frames.normals(states, found.shared)(), without()), strict=True):
         for window in eliminated(normals, _at_place(D, _HELD), bounded=True):
             of_joints = _of_joints(body, states[window.rows], window.marginal_blocks()[:, 0])
-            variances.append(np.trace(of_joints[1], axis1=2, axis2=3))
+            of[window.rows] = np.trace(of_joints[1], axis1=2, axis2=3)
     for window in eliminated(without(), _at_place(D, _HARDLY), bounded=True):
-        expected.append(_of_angles(window.marginal_blocks()[:, 0]))
-    absolute, relative, by_size, angles, state_by_size = (np.concatenate(of) for of in zip(*parts, strict=True))
-    beyond_m2 = np.multiply.outer(known.beyond_m2, np.eye(3))
-    absolute, relative = absolute + beyond_m2, relative + beyond_m2
+        angles[1, window.rows] = _of_angles(window.marginal_blocks()[:, 0])
+    for covariance in (absolute, relative):  # in place: those of a long clip are large
+        covariance += np.multiply.outer(known.beyond_m2, np.eye(3))
+        covariance *= variance_factor
     return Posterior(
-        covariance_m2=variance_factor * absolute,
-        relative_covariance_m2=variance_factor * relative,
-        data_share=_data_share(*np.split(np.concatenate(variances), 2)),
-        angle_variance=variance_factor * np.stack([angles, np.concatenate(expected)]),
+        covariance_m2=absolute,
+        relative_covariance_m2=relative,
+        data_share=_data_share(*variances),
+        angle_variance=variance_factor * angles,
         state_by_size=state_by_size,
         joint_by_size_m=by_size,
         size_precision=known.size_known / variance_factor,

@@ -22,7 +22,7 @@ detected for longer than `BRIDGED_S`, the clip is split.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import chain
 from typing import Any
@@ -293,7 +293,7 @@ def _solution(clip: ClipProblem, solved: Sequence[SegmentFit], began: float) -> 
     by_frame = {name: np.moveaxis(values, SHAPES[name].index("T"), 0) for name, values in arrays.items()}
     second_cost = np.inf
     for one, of_one in zip(solved, known, strict=True):
-        for name, values in _of_segment(clip, one, of_one, size, size_sigma).items():
+        for name, values in _of_segment(clip, one, of_one, size, size_sigma):
             by_frame[name][one.rows] = np.moveaxis(values, SHAPES[name].index("T"), 0)
         second_cost = min(second_cost, _second(clip, one, size, arrays["alternative_m"]))
     posed = np.isfinite(arrays["states"][:, 0]).sum()
@@ -340,8 +340,8 @@ def _solution(clip: ClipProblem, solved: Sequence[SegmentFit], began: float) -> 
 
 def _of_segment(
     clip: ClipProblem, one: SegmentFit, known: Posterior, size: float, size_sigma: float
-) -> dict[str, Array]:
-    """The solution's arrays in the frames of one segment."""
+) -> Iterator[tuple[str, Array]]:
+    """The solution's arrays in the frames of one segment, one after the other: those of a long clip are large."""
     states = one.estimate.states + known.state_by_size * (size - one.size)
     points = clip.body.tree.pose(states).points_m
     by_size, markers = known.joint_by_size_m, clip.in_world(clip.markers(states), size)
@@ -352,20 +352,17 @@ def _of_segment(
     weight = [term.weights(term.view.at_its_time(markers)) for term in seen_by]
     in_world, joints_m = states.copy(), clip.in_world(points, size)
     in_world[:, ROOT] = clip.in_world(states[:, ROOT], size)
-    covariance_m2 = with_size(known.covariance_m2, by_size, size, size_sigma)
-    if len(views) == 1:  # of several, one's turn is known by the others
-        covariance_m2 = covariance_m2 + views[0].rotation_covariance_m2(joints_m)
-    return {
-        "states": in_world,
-        "joints_m": joints_m,
-        "covariance_m2": covariance_m2,
-        "relative_covariance_m2": with_size(known.relative_covariance_m2, centred, size, size_sigma),
-        "angle_sigma_rad": np.sqrt(known.angle_variance[0] + (size_sigma * known.state_by_size[:, YAW:]) ** 2),
-        "angle_data_share": known.angle_data_share,
-        "contact": one.contact,
-        "noise_px": one.noise_px,
-        "weight": np.array(weight),
-    }
+    # of several cameras, one's turn is known by the others
+    turned_m2 = views[0].rotation_covariance_m2(joints_m) if len(views) == 1 else 0.0
+    yield "states", in_world
+    yield "joints_m", joints_m
+    yield "covariance_m2", with_size(known.covariance_m2, by_size, size, size_sigma) + turned_m2
+    yield "relative_covariance_m2", with_size(known.relative_covariance_m2, centred, size, size_sigma)
+    yield "angle_sigma_rad", np.sqrt(known.angle_variance[0] + (size_sigma * known.state_by_size[:, YAW:]) ** 2)
+    yield "angle_data_share", known.angle_data_share
+    yield "contact", one.contact
+    yield "noise_px", one.noise_px
+    yield "weight", np.array(weight)
 
 
 def _size(
