@@ -197,11 +197,15 @@ def _suspects(jump: Array, evidence: Array, name: str) -> list[tuple[float, str,
     ends = np.concatenate([[0], 1 + np.flatnonzero(jump[1:] > JUMP), [T]])
     gain = np.concatenate([[0.0], jump[ends[1:-1]], [0.0]])
     sums = np.concatenate([[0.0], np.cumsum(evidence)])[ends]
+    low, high = sums - gain, sums + gain
+    ahead, behind = np.full(len(ends), -np.inf), np.full(len(ends), np.inf)
+    ahead[:-1], behind[1:] = np.maximum.accumulate(high[:0:-1])[::-1], np.minimum.accumulate(low[:-1])
+    some = (ahead - low > LIKELY) | (high - behind > LIKELY)  # of a long clip next to none
+    ends, low, high = ends[some], low[some], high[some]
     first, stop = ends[:, None], ends[None]
-    score = np.where(stop > first, sums[None] - sums[:, None] + gain[:, None] + gain[None], -np.inf)
-    score[0, -1] = -np.inf
+    score = np.where((stop > first) & (stop - first < T), high[None] - low[:, None], -np.inf)
     found: list[tuple[float, str, tuple[int, int]]] = []
-    while len(found) < REFITTED and score.max() > LIKELY:
+    while len(found) < REFITTED and score.max(initial=-np.inf) > LIKELY:
         a, b = np.unravel_index(np.argmax(score), score.shape)
         found.append((float(score[a, b]), name, (int(ends[a]), int(ends[b]))))
         both = np.minimum(stop, ends[b]) - np.maximum(first, ends[a])
