@@ -40,7 +40,7 @@ from recon.animal.body import other_side
 from recon.animal.prior import prior_from_body
 from recon.animal.prior_fit import fit_prior
 from recon.animal.skeleton_file import builtin_subjects
-from recon.check import FileFacts, Finding, input_findings, mends
+from recon.check import Finding, input_findings, mends
 from recon.check.inputs import likelihood
 from recon.check.inputs.likelihood import CLEAR, baseline_of, unlikely
 from recon.check.inputs.swaps import _Stretch, exchanged, pairs_of, swaps
@@ -523,7 +523,7 @@ def dog_rows(folder: Path) -> list[dict[str, Any]]:
             source = Source(camera, *clean(keypoints, 0.0), body.markers)
             solution = solve_trajectory(views_of([source]), body, prior, one.clip.fps)
             motion = Motion((source,), None, "", solution)
-            found = input_findings(motion, prior, TrajectoryOptions(), FileFacts((None,)))
+            found = input_findings(motion, prior, TrajectoryOptions(), (None,))
             rows.append(_others(f"dog {one.clip.name}", len(px), prior.name, found))
     return rows
 

@@ -13,7 +13,6 @@ import pytest
 from recon import FitSettings, fit_clip, samples_folder
 from recon.animal import other_side, prior_from_body
 from recon.check import (
-    FileFacts,
     Finding,
     doubted,
     finding,
@@ -47,7 +46,7 @@ from recon.workflows.clip import prepare
 from tests.test_trajectory import BODY, CAMERA, FPS, PRIOR, plain, run, seen
 
 T = 40
-FACTS = FileFacts((None,))
+NAMED = (None,)
 
 
 def number(found: Finding, name: str) -> Any:
@@ -246,14 +245,14 @@ def motion_of(solution) -> Motion:
 
 
 def test_an_untouched_clip_has_no_findings():
-    assert input_findings(motion_of(plain()), PRIOR, TrajectoryOptions(), FACTS) == ()
+    assert input_findings(motion_of(plain()), PRIOR, TrajectoryOptions(), NAMED) == ()
 
 
 def test_without_a_prior_of_motions_neither_sides_nor_rates_are_judged():
     wrong = motion_of(solved(exchanged(view(), stretch("all", 15, 25))))
-    (found,) = input_findings(wrong, PRIOR, TrajectoryOptions(), FACTS)
+    (found,) = input_findings(wrong, PRIOR, TrajectoryOptions(), NAMED)
     assert (found.code, found.frames, found.camera) == ("left_right_swap", (115, 125), CAMERA.name)
-    assert input_findings(wrong, prior_from_body(BODY), TrajectoryOptions(), FACTS) == ()
+    assert input_findings(wrong, prior_from_body(BODY), TrajectoryOptions(), NAMED) == ()
     setting = ClipProblem.of([view()], BODY, prior_from_body(BODY), 2 * FPS, TrajectoryOptions())
     assert other_rate(setting, given(view()).states, None) is None
 

@@ -11,7 +11,7 @@ from recon.base import lazily
 if TYPE_CHECKING:
     from recon.check.agreement import agreement_findings
     from recon.check.codes import CODES, FLAG_OF, FLAGS, finding, names_text, sentence, sentences
-    from recon.check.inputs import FileFacts, flagged, input_findings
+    from recon.check.inputs import flagged, input_findings
     from recon.check.inputs.certain import without_gross_outliers
     from recon.check.inputs.swaps import doubted, mends, without_swaps
     from recon.check.mismatch import mismatches

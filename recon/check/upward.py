@@ -6,7 +6,7 @@ No body is fitted: the keypoints are triangulated, in whatever world the poses h
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -27,8 +27,7 @@ MIN_STANDING = 3
 """Fewer feet that stand, over all frames, say nothing: as in `recon.fit.clip_problem`."""
 
 
-@dataclass(frozen=True, eq=False)
-class _Upward:
+class _Upward(NamedTuple):
     """The unit vector (3,) that points up, a point (3,) of the ground below the animal, metres, in the poses' world,
     and the standard deviation of the direction about its less known axis."""
 

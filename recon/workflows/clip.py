@@ -90,7 +90,7 @@ def fit_clip(settings: FitSettings, progress: Progress = silent) -> Motion:
         outliers = ()
     chain = load_chain(settings.skeleton_name) if body.one_sided else None
     motion = Motion(sources, given.side, given.side_reason, solution, chain=chain, settings=settings.plain())
-    found = check.input_findings(motion, prior, options, _file_facts(given, settings))
+    found = check.input_findings(motion, prior, options, *_file_facts(given, settings))
     if any(one.code == "left_right_swap" for one in found):
         mended, marked = check.without_swaps(sources, found, body)
         again = solved(mended)
@@ -123,8 +123,8 @@ def _log(motion: Motion) -> None:
         LOGGER.log(level, "%s: %s", name, text)
 
 
-def _file_facts(given: ClipInputs, settings: FitSettings) -> check.FileFacts:
-    """What the files say of a clip besides its keypoints."""
+def _file_facts(given: ClipInputs, settings: FitSettings) -> tuple[list[str | None], float | None, bool]:
+    """What the files say of a clip besides its keypoints, as `recon.check.input_findings` takes it."""
     named = []
     for source, path in zip(given.sources, settings.keypoints, strict=True):
         cameras = () if source.moves else other_cameras(source.camera, settings)
@@ -132,7 +132,7 @@ def _file_facts(given: ClipInputs, settings: FitSettings) -> check.FileFacts:
         other = next(iter(names), None) or other_camera_in(path.stem, source.camera.name)
         named.append(None if source.camera.name in names else other)
     stated_hz = next((s.keypoints.stated_fps for s in given.sources if s.keypoints.stated_fps is not None), None)
-    return check.FileFacts(tuple(named), stated_hz, swaps=not settings.fast or bool(settings.fix_swaps))
+    return named, stated_hz, not settings.fast or bool(settings.fix_swaps)
 
 
 Unknown = tuple[Body, MotionPrior, Cameras]

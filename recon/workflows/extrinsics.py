@@ -31,7 +31,7 @@ from recon.workflows.settings import FitSettings, read_settings
 
 DISAGREEMENT = 16.0
 """Squared deviations, of 6 unknowns, from which on a camera that stood still is unlikely (1 in 70)."""
-UNTOLD_RAD = math.radians(10.0)
+UNTOLD_DEG = 10.0
 """A camera whose turn is known no better is not told by its clips: it may stand anywhere (benchmarks/rigs.py)."""
 LEAST_MOVED = 0.5
 """The least way of an animal, in its lengths in the picture: on its feet it swings by less."""
@@ -138,13 +138,11 @@ def run_extrinsics(
     InputError, with every problem, for inputs that cannot be used.
     """
     posed, tilt_deg = bool(clips[0].refine_cameras), clips[0].tilt_deg
+    twice = "a value beside --set refine-cameras=true, whose file says it", "one of the two"
+    both = {"--tilt-deg": tilt_deg, "--level-deg": level_rad} if posed else {}
     given, *_ = all_of(
         lambda: all_of(*(lambda clip=clip: _each_alone(clip) for clip in clips)),
-        lambda: refuse(
-            Problem(option, "up", "a value beside --set refine-cameras=true, whose file says it", "one of the two")
-            for option, value in (("--tilt-deg", tilt_deg), ("--level-deg", level_rad))
-            if posed and value is not None
-        ),
+        lambda: refuse(Problem(option, "up", *twice) for option, value in both.items() if value is not None),
         lambda: require_free_file(out, overwrite, suffixes=(".toml",)),
     )
     cameras = _all_cameras(given)
@@ -164,11 +162,9 @@ def run_extrinsics(
     rig = solve_extrinsics(settings, posed, LEVEL_RAD if level_rad is None else level_rad, progress)
     expected = "clips in which the animal goes other ways through the view"
     refuse(
-        Problem(
-            "KEYPOINTS", f"camera {camera.name}", f"a turn known to {math.degrees(turn):.0f} degrees only", expected
-        )
-        for camera, turn in zip(cameras, np.linalg.norm(rig.sigma[:, :3], axis=1), strict=True)
-        if turn > UNTOLD_RAD
+        Problem("KEYPOINTS", f"camera {camera.name}", f"a turn known to {turn_deg:.0f} degrees only", expected)
+        for camera, turn_deg in zip(cameras, np.degrees(np.linalg.norm(rig.sigma[:, :3], axis=1)), strict=True)
+        if turn_deg > UNTOLD_DEG
     )
     height_m = 0.0 if posed else -np.nan_to_num(rig.ground_m)
     found = tuple(
@@ -250,12 +246,11 @@ def _setting(
     nothing = np.full_like(sources[0].keypoints.xy_px, np.nan)
     views = []
     for camera, pose in zip(cameras, poses, strict=True):
-        source = by_name.get(camera.name)
-        if source is None:
-            views.append(View(camera, pose, nothing, np.zeros(nothing.shape[:2])))
-        else:
+        view = View(camera, pose, nothing, np.zeros(nothing.shape[:2]))
+        if source := by_name.get(camera.name):
             points = source.keypoints
-            views.append(View(camera, pose, points.xy_px, points.confidence, offset_frames=source.offset_frames))
+            view = View(camera, pose, points.xy_px, points.confidence, offset_frames=source.offset_frames)
+        views.append(view)
     knows_up = bool(clip.refine_cameras) and None  # where the ground is, the camera file says
     return ClipProblem.of(views, first.body, first.prior, first.fps, clip.trajectory_options(), knows_up)
 

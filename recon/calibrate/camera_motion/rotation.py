@@ -7,7 +7,7 @@ they are spread, not how many they are.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -104,7 +104,7 @@ def agreed_turn(
         if found is None:
             continue
         c, a = spread(seen_px, camera.image_size_px, (background**2 * found.agree)[None])
-        found = AgreedOrientation(**{**vars(found), "spread": float(c[0] * a[0])})
+        found = replace(found, spread=float(c[0] * a[0]))
         if a[0] >= MIN_SPREAD and (best is None or found.spread > best.spread):
             best = found
     return best
@@ -130,32 +130,23 @@ def refined(
 ) -> AgreedOrientation | None:
     """Robust least squares in pixels, from a turn nearby (Tukey's weights, with a limit that follows the scatter)."""
     free = slice(0, 4 if solve_zoom else 3)
-    limit = limit_px
-    for _ in range(ROUNDS):
-        residual, jacobian, weights, size = _weighted(camera, rays, seen_px, orientation, limit)
+    limit, rounds = limit_px, ROUNDS
+    while True:
+        residual, jacobian = _linearised(camera, rays, seen_px, orientation)
+        size = np.linalg.norm(residual, axis=1)
+        weights = np.maximum(1 - (size / limit) ** 2, 0) ** 2
         if (weights > 0).sum() < MIN_POINTS:
             return None
-        step = np.zeros(4)
+        if not rounds:
+            sigma = float(np.sqrt((weights * size**2).sum() / (2 * weights.sum())))
+            return AgreedOrientation(orientation, weights, residual, jacobian, max(sigma, 1e-3), 0.0)
+        step, rounds = np.zeros(4), rounds - 1
         step[free] = np.linalg.solve(*normal_equations(jacobian[:, :, free], weights, residual))
         orientation = Orientation(
             Rotation.from_rotvec(step[:3]).as_matrix() @ orientation.rotation, orientation.zoom * float(np.exp(step[3]))
         )
         median = float(np.median(size[weights > 0]))
         limit = limit_px * float(np.clip(4 * median / limit_px, LEAST_LIMIT, FINAL_LIMIT))
-    residual, jacobian, weights, size = _weighted(camera, rays, seen_px, orientation, limit)
-    if (weights > 0).sum() < MIN_POINTS:
-        return None
-    sigma = float(np.sqrt((weights * size**2).sum() / (2 * weights.sum())))
-    return AgreedOrientation(orientation, weights, residual, jacobian, max(sigma, 1e-3), 0.0)
-
-
-def _weighted(
-    camera: Camera, rays: Array, seen_px: Array, orientation: Orientation, limit_px: float
-) -> tuple[Array, ...]:
-    """Residuals (N, 2), their derivatives (N, 2, 4), weights (N,) and lengths (N,)."""
-    residual, jacobian = _linearised(camera, rays, seen_px, orientation)
-    size = np.linalg.norm(residual, axis=1)
-    return residual, jacobian, np.maximum(1 - (size / limit_px) ** 2, 0) ** 2, size
 
 
 def normal_equations(jacobian: Array, weights: Array, residual_px: Array) -> tuple[Array, Array]:

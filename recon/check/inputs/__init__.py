@@ -8,7 +8,7 @@ recognised by how much likelier the clip is with it undone (`likelihood`), where
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -32,21 +32,19 @@ MOVES = ("animal_still", "time_reversed", "camera_moves")
 """What makes sides doubtful by itself."""
 
 
-@dataclass(frozen=True)
-class FileFacts:
-    """What is known besides the keypoints: by view, the other camera that its file's name says; the frame rate that a
-    file states, where another was given; and whether left-right swaps are looked for, which takes longest."""
-
-    named: tuple[str | None, ...]
-    stated_hz: float | None = None
-    swaps: bool = True
-
-
 def input_findings(
-    motion: Motion, prior: MotionPrior, options: TrajectoryOptions, facts: FileFacts
+    motion: Motion,
+    prior: MotionPrior,
+    options: TrajectoryOptions,
+    named: Sequence[str | None],
+    stated_hz: float | None = None,
+    seek_swaps: bool = True,
 ) -> tuple[Finding, ...]:
     """The findings on the keypoints that a motion was fitted to. Each angle on its own, where no prior was learned,
-    tells neither sides nor rates."""
+    tells neither sides nor rates.
+
+    named: by view, the other camera that its file's name says. stated_hz: the frame rate that a file states.
+    seek_swaps: whether left-right swaps are looked for, which takes longest."""
     solution, body, fps = motion.solution, motion.body, motion.fps
     assert isinstance(solution, TrajectorySolution)
     clip = ClipProblem.of(solution.views, body, prior, fps, options)
@@ -63,12 +61,12 @@ def input_findings(
     pictures: list[Finding] = []
     with threadpool_limits(1, user_api="blas"):
         for number, source in enumerate(motion.sources):
-            of_picture = _of_picture(baseline_of(clip, number, solution.states, solution.size), facts.named[number])
+            of_picture = _of_picture(baseline_of(clip, number, solution.states, solution.size), named[number])
             if of_picture is not None:
                 pictures.append(of_picture)
             elif learned and not stated:
                 given = baseline_of(on_ground, number, solution.states, solution.size)
-                swapped = [swap_finding(trial, source, body) for trial in (swaps(given, unlike) if facts.swaps else ())]
+                swapped = [swap_finding(trial, source, body) for trial in (swaps(given, unlike) if seek_swaps else ())]
                 found += swapped
                 if len(motion.sources) == 1 and not (swapped or moves):
                     moves += zooms(given, solution.noise_px[number])
@@ -76,7 +74,7 @@ def input_findings(
         slides = [one.numbers.get("slide_m_s") for one in moves]
         glides = any(isinstance(one, float) and one > 0 for one in slides)  # as at a rate that is too high
         if glides or not (stated or pictures):
-            found += _of_rate(clip, solution, facts.stated_hz)
+            found += _of_rate(clip, solution, stated_hz)
     if not pictures and not any(one.code.startswith("frame_rate") for one in found):
         found += moves
     return tuple(found)
