@@ -77,12 +77,13 @@ def test_the_stride_runs_straight_with_the_prior_s_swing():
 
 def test_advice_finds_the_least_deviation_and_a_second_camera_adds_to_the_first():
     few = np.radians([0.0, 90.0, 180.0])
-    one = advise(BODY, PRIOR, angle="theta_1", azimuths_rad=few, elevations_rad=ELEVATIONS_RAD[:2])
+    (one,) = advise(BODY, PRIOR, angle="theta_1", azimuths_rad=few, elevations_rad=ELEVATIONS_RAD[:2])
     assert one.place == (few[1], ELEVATIONS_RAD[0])
     assert one.sigma[one.best] == one.sigma.min()
     assert one.share[one.best] == one.share.max()
-    two = advise(BODY, PRIOR, angle="theta_1", azimuths_rad=few, elevations_rad=ELEVATIONS_RAD[:1], beside=one.place)
-    assert two.sigma.max() < one.sigma.min()
+    both = advise(BODY, PRIOR, angle="theta_1", azimuths_rad=few, elevations_rad=ELEVATIONS_RAD[:1], cameras=2)
+    assert [advice.beside for advice in both] == [None, one.place]
+    assert both[1].sigma.max() < one.sigma.min()
     assert one.distance_m == pytest.approx(4 * length_m(BODY))
 
 

@@ -7,6 +7,7 @@ curvature of the problem there (`recon.fit.posterior`).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -77,40 +78,32 @@ def advise(
     joint: str | None = None,
     hfov_deg: float = 60.0,
     distance_m: float | None = None,
-    beside: tuple[float, float] | None = None,
+    cameras: int = 1,
     azimuths_rad: Array = AZIMUTHS_RAD,
     elevations_rad: Array = ELEVATIONS_RAD,
     progress: Callable[[float], None] = lambda share: None,
-) -> Advice:
-    """angle: of the body's states, without its place and heading; joint: a marker; without either, all markers.
-    distance_m: of the camera from the animal's middle, by default `AWAY_LENGTHS`; beside: where another camera stays.
-    Raises ValueError for a name that the body lacks, and for a field of view outside (0, 180) degrees."""
-    states = mean_stride(body, prior)
+) -> list[Advice]:
+    """On one camera, or on a second one as well, beside the first in its best place. angle: of the body's states,
+    without its place and heading; joint: a marker; without either, all markers. distance_m: of a camera from the
+    animal's middle, by default `AWAY_LENGTHS`. Raises ValueError for a name that the body lacks, and for a field of
+    view outside (0, 180) degrees."""
+    states, lens = mean_stride(body, prior), Camera.from_hfov(hfov_deg, PICTURE_PX)
     middle = body.tree.pose(states).points_m.mean(axis=(0, 1))
     distance = AWAY_LENGTHS * length_m(body) if distance_m is None else distance_m
-    lens = Camera.from_hfov(hfov_deg, PICTURE_PX)
-
-    def camera(place: tuple[float, float], name: str) -> Camera:
-        return placed(replace(lens, name=name), middle, *place, distance)
-
-    others = [] if beside is None else [camera(beside, "beside")]
-    found = np.empty((len(elevations_rad), len(azimuths_rad), 2))
-    with threadpool_limits(1, user_api="blas"):
-        for row, elevation in enumerate(elevations_rad):
-            for column, azimuth in enumerate(azimuths_rad):
-                cameras = [*others, camera((float(azimuth), float(elevation)), "there")]
-                found[row, column] = known(body, prior, states, cameras, angle, joint)
-                progress((row * len(azimuths_rad) + column + 1) / (len(elevations_rad) * len(azimuths_rad)))
-    return Advice(
-        of=angle or joint or "all joints",
-        unit="m" if angle is None else "rad",
-        distance_m=distance,
-        azimuths_rad=azimuths_rad,
-        elevations_rad=elevations_rad,
-        sigma=found[..., 0],
-        share=found[..., 1],
-        beside=beside,
-    )
+    found, shape = list[Advice](), (len(elevations_rad), len(azimuths_rad))
+    for number in range(cameras):
+        beside = found[0].place if found else None
+        others = [placed(replace(lens, name="beside"), middle, *beside, distance)] if beside else []
+        grid = np.empty((*shape, 2))
+        for done, (row, column) in enumerate(np.ndindex(shape)):
+            place = float(azimuths_rad[column]), float(elevations_rad[row])
+            there = placed(replace(lens, name="there"), middle, *place, distance)
+            with threadpool_limits(1, user_api="blas"):
+                grid[row, column] = known(body, prior, states, [*others, there], angle, joint)
+            progress((number + (done + 1) / math.prod(shape)) / cameras)
+        of, unit = angle or joint or "all joints", "m" if angle is None else "rad"
+        found.append(Advice(of, unit, distance, azimuths_rad, elevations_rad, grid[..., 0], grid[..., 1], beside))
+    return found
 
 
 def known(

@@ -19,7 +19,7 @@ from recon.calibrate.camera_advice import PICTURE_PX, Advice, advise
 from recon.fit.motion import MEASURED_SHARE
 from recon.io import write_rows
 from recon.show import plots
-from recon.show.plain import to_json
+from recon.show.plain import picked, to_json
 from recon.show.plots.observability import in_words
 from recon.workflows.cli.common import progress_bar, say, terminal
 
@@ -112,13 +112,8 @@ def run_camera_advice(settings: _CameraAdviceSettings, progress: Progress = sile
     )
     motions = load_prior(settings.prior, body)
     require_free_folder(settings.out, (REPORT, TABLE, f"{FIGURE}.png", f"{FIGURE}.svg"), settings.overwrite, "advice")
-    found: list[Advice] = []
-    for number in range(settings.cameras):
-        what = body, motions, settings.angle, settings.joint, settings.hfov_deg, settings.distance_m
-        beside = found[0].place if found else None
-        found.append(
-            advise(*what, beside, progress=lambda share, n=number: progress("cameras", (n + share) / settings.cameras))
-        )
+    what = picked(settings, "angle", "joint", "hfov_deg", "distance_m", "cameras")
+    found = advise(body, motions, **what, progress=lambda share: progress("cameras", share))
     table = pd.concat([_places(number, advice) for number, advice in enumerate(found, start=1)])
     best = [advice.best[0] * len(advice.azimuths_rad) + advice.best[1] for advice in found]
     report = {
