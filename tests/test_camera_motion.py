@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from recon import InputError
 from recon.calibrate.camera_motion import Orientation, Tracker, as_level, read_marks, tilted, up_by_marks
-from recon.calibrate.camera_motion.features import rays_of
+from recon.calibrate.camera_motion.rotation import rays_of
 from recon.calibrate.camera_motion.track import CLEARLY
 from recon.geometry import Camera
 from recon.io import read_camera_track, write_camera

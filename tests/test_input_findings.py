@@ -24,8 +24,7 @@ from recon.check import (
 )
 from recon.check.inputs import baseline_of, of_other_picture, of_unit_square, other_rate, swap_finding, swaps
 from recon.check.inputs.certain import outlier_ratios
-from recon.check.inputs.likelier import smaller
-from recon.check.inputs.likelihood import CLEAR, MARGIN, Refit, unlikely
+from recon.check.inputs.likelihood import CLEAR, MARGIN, Refit, smaller, unlikely
 from recon.check.inputs.swaps import (
     _Stretch,
     _SwapTrial,

@@ -18,8 +18,8 @@ from recon.base.errors import InputError, Problem, all_of, refuse
 from recon.base.files import require_free_file, staged_folder, write_bytes
 from recon.base.settings import Integer, Number, Option, Settings
 from recon.calibrate import camera_motion as turning
-from recon.calibrate.camera_motion.features import rays_of
 from recon.calibrate.camera_motion.panorama import ANIMAL, PATH, Canvas, draw_path, draw_view, panorama
+from recon.calibrate.camera_motion.rotation import rays_of
 from recon.calibrate.camera_motion.track import CLEARLY
 from recon.clip.keypoints import Keypoints
 from recon.geometry.camera import Camera

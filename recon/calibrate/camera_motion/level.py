@@ -13,8 +13,7 @@ from scipy.spatial.transform import Rotation
 from recon.base.arrays import Array
 from recon.base.documents import require_file
 from recon.base.errors import InputError, Problem, refuse
-from recon.calibrate.camera_motion.features import rays_of
-from recon.calibrate.camera_motion.rotation import Orientation
+from recon.calibrate.camera_motion.rotation import Orientation, rays_of
 from recon.geometry.camera import Camera
 from recon.geometry.frames import level_from_camera
 from recon.io.common import first_problems, frame_number, number

@@ -10,8 +10,7 @@ import cv2
 import numpy as np
 
 from recon.base.arrays import Array
-from recon.calibrate.camera_motion.features import rays_of
-from recon.calibrate.camera_motion.rotation import Orientation, expected_px
+from recon.calibrate.camera_motion.rotation import Orientation, expected_px, rays_of
 from recon.geometry.camera import Camera
 from recon.io.video import Image
 

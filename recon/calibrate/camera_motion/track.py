@@ -13,24 +13,22 @@ from scipy.sparse.linalg import splu
 from scipy.spatial.transform import Rotation
 
 from recon.base.arrays import Array, Bools, Index, Integers
-from recon.calibrate.camera_motion.features import (
+from recon.calibrate.camera_motion.rotation import (
+    AgreedOrientation,
     GreyPicture,
+    Orientation,
+    agreed_turn,
     corners,
     described,
+    expected_px,
     followed,
     hull_mask,
     matched,
+    normal_equations,
     pixels_of,
     rays_of,
     same_scene,
     similar,
-)
-from recon.calibrate.camera_motion.rotation import (
-    AgreedOrientation,
-    Orientation,
-    agreed_turn,
-    expected_px,
-    normal_equations,
 )
 from recon.geometry.camera import Camera
 from recon.io.video import Image

@@ -16,8 +16,14 @@ from threadpoolctl import threadpool_limits
 from recon.animal.prior import NONE, MotionPrior, mean_speed_m_s
 from recon.check.codes import FLAG_OF, finding
 from recon.check.inputs.certain import copies, movement
-from recon.check.inputs.likelier import of_other_picture, of_unit_square, other_rate, zooms
-from recon.check.inputs.likelihood import Baseline, baseline_of
+from recon.check.inputs.likelihood import (
+    Baseline,
+    baseline_of,
+    of_other_picture,
+    of_unit_square,
+    other_rate,
+    zooms,
+)
 from recon.check.inputs.swaps import swap_finding, swaps
 from recon.fit import TrajectoryOptions, TrajectorySolution
 from recon.fit.clip_problem import ClipProblem
