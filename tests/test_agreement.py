@@ -102,8 +102,10 @@ def test_a_camera_that_is_turned(n, which, axis):
 def test_a_camera_that_is_late_or_early(n, which, frames):
     views = cameras(n)
     views[which] = late(views[which], frames)
-    found = judged(views)
+    found = judged(views, offset_s=[0.0, 0.25, 0.5, 0.75])
     assert findings(found) == [("camera_late", (which,))]
+    assert (found[0].camera, found[0].frames) == (f"cam{which + 1}", (100, 100 + len(truth_m())))
+    assert found[0].numbers["offset_s"] == pytest.approx(0.25 * which + frames / FPS, abs=0.25 / FPS)
     assert notes(found)[which].late_frames == pytest.approx(frames, abs=0.25)
     assert notes(found)[which].level_late < 1.2 < 3 < notes(found)[which].level
 
@@ -147,6 +149,7 @@ def test_of_two_cameras_none_can_be_named():
     found = judged(views)
     assert findings(found) == [("cameras_disagree", (0, 1))]
     assert np.isnan(notes(found)[0].turn_rad)
+    assert findings(judged(exchanged(cameras(2), 0, 1))) == [("cameras_exchanged", (0, 1))]
 
 
 def test_cameras_that_see_the_animal_one_after_the_other_cannot_be_compared():
@@ -175,33 +178,6 @@ def test_of_a_long_clip_the_stretch_in_which_most_is_seen_is_compared():
     found = judged(views)
     assert found[0].frames == (100 + T - FRAMES, 100 + T)
     assert notes(found)[0].points == truth_m()[..., 0].size
-
-
-# -- in words ------------------------------------------------------------------------------------------------------
-
-
-def found_in(views: list[View], offset_s: Sequence[float] = (0.0,) * 5) -> list[Finding]:
-    """But for notes."""
-    return [one for one in judged(views, offset_s) if one.severity != "note"]
-
-
-def test_the_camera_is_named_and_what_to_do():
-    views = cameras()
-    views[2] = late(views[2], 10)
-    (found,) = found_in(views, offset_s=[0.0, 0.0, 0.5, 0.0])
-    assert (found.code, found.camera, found.frames) == ("camera_late", "cam3", (100, 100 + len(truth_m())))
-    assert found.numbers["offset_s"] == pytest.approx(0.5 + 10 / FPS)
-    assert found.numbers["late_frames"] == pytest.approx(10)
-
-
-def test_exchanged_files_and_two_cameras():
-    (found,) = found_in(exchanged(cameras(), 1, 3))
-    assert (found.code, found.numbers["cameras"]) == ("cameras_exchanged", ("cam2", "cam4"))
-    views = cameras(2)
-    (found,) = found_in([views[0], turned(views[1], 0)])
-    assert (found.code, found.numbers["cameras"]) == ("cameras_disagree", ("cam1", "cam2"))
-    (found,) = found_in(exchanged(views, 0, 1))
-    assert (found.code, found.numbers["cameras"]) == ("cameras_exchanged", ("cam1", "cam2"))
 
 
 def test_one_camera_has_nobody_to_agree_with():

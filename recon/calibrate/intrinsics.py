@@ -336,6 +336,7 @@ def check(calibration: Calibration) -> tuple[_CalibrationCheck, ...]:
     corners = np.concatenate([view.xy_px for view in used])
     gaps = [*(corners.min(axis=0) / (width, height)), *(1 - (corners.max(axis=0) + 1) / (width, height))]
     normals = np.array([view.rotation[:, 2] * np.sign(view.rotation[2, 2] or 1.0) for view in used])
+    y, x = np.mgrid[0 : height - 1 : 41j, 0 : width - 1 : 41j]
     measured = {
         "images": len(used),
         "dropped": 100 * (1 - len(used) / len(calibration.views)),
@@ -348,7 +349,7 @@ def check(calibration: Calibration) -> tuple[_CalibrationCheck, ...]:
         "principal point": 100 * max(sigma[2:4]) / width,
         "aspect": 100 * abs(values["fx"] / values["fy"] - 1),
         "centre": 100 * math.hypot(values["cx"] - (width - 1) / 2, values["cy"] - (height - 1) / 2) / width,
-        "folded": 100 * (1 - camera.rays(_pixel_grid(width, height))[1].mean()),
+        "folded": 100 * (1 - camera.rays(np.stack((x, y), axis=-1))[1].mean()),
     }
     return tuple(replace(limit, value=float(measured[limit.name])) for limit in LIMITS)
 
@@ -362,11 +363,6 @@ def coverage(calibration: Calibration, columns: int = 320) -> Bools:
         hull = cv2.convexHull(((view.xy_px + 0.5) * scale - 0.5).astype(np.float32))
         cv2.fillConvexPoly(mask, np.rint(hull).astype(np.int32), 1)
     return mask.astype(bool)
-
-
-def _pixel_grid(width: int, height: int) -> Array:
-    y, x = np.mgrid[0 : height - 1 : 41j, 0 : width - 1 : 41j]
-    return np.stack((x, y), axis=-1)
 
 
 # -- picture --------------------------------------------------------------------------------------------------------

@@ -83,7 +83,8 @@ def agreement_findings(motion: Motion, sigma_px: float, keypoint_sigma_m: float)
     views = [replace(view, offset_frames=source.offset_frames) for view, source in both]
     if len(views) < 2:
         return ()
-    rows, fps = _best_seen(views), motion.fps
+    together = (np.sum([view.present for view in views], axis=0) > 1).sum(axis=1)
+    rows, fps = busiest(together, FRAMES), motion.fps
     views = [view.part(rows) for view in views]
     compared = (int(motion.frames[rows][0]), int(motion.frames[rows][-1]) + 1)
     names, noise, everyone = (
@@ -123,11 +124,6 @@ def agreement_findings(motion: Motion, sigma_px: float, keypoint_sigma_m: float)
         findings.append(finding("cameras_apart_in_time", compared))
     notes = zip(names, found, strict=True)
     return (*findings, *(finding("camera_agreement", compared, name, max_level=limit, **of) for name, of in notes))
-
-
-def _best_seen(views: Sequence[View]) -> slice:
-    """The rows of the stretch in which most keypoints are seen by two cameras or more."""
-    return busiest((np.sum([view.present for view in views], axis=0) > 1).sum(axis=1), FRAMES)
 
 
 # -- who agrees ----------------------------------------------------------------------------------------------------

@@ -113,7 +113,7 @@ def _cameras_of_one(settings: FitSettings, tracks: Sequence[io.CameraTrack]) -> 
             raise InputError(Problem("--camera-track", "camera", found, "one of the two"))
         return ((_own_lens(track.camera, settings, 0), track),)
     if settings.camera is not None:
-        return ((_cameras_in_file(settings, settings.camera)[0], track),)
+        return ((_cameras_in_file(settings, ())[0], track),)
     if settings.hfov_deg is not None and settings.image_size_px is not None:
         return ((Camera.from_hfov(settings.hfov_deg, settings.image_size_px), track),)
     found = "nothing" if track is None else f"nothing, and {track.source.name} comes without a lens"
@@ -131,14 +131,7 @@ def _own_lens(camera: Camera, settings: FitSettings, place: int) -> Camera:
 
 def _cameras_of_several(settings: FitSettings, tracks: Sequence[io.CameraTrack]) -> Cameras:
     """A track is that of the camera whose name its own contains."""
-    if settings.camera_name is not None:
-        reads = (
-            lambda i=i, name=name: _camera_by_name(settings, i, name, tracks)
-            for i, name in enumerate(settings.camera_name)
-        )
-        cameras = tuple(all_of(*reads))
-    else:
-        cameras = _cameras_in_file(settings, settings.camera or ())
+    cameras = _cameras_in_file(settings, tracks)
     names = [camera.name for camera in cameras]
     owners = {track.source: list(cameras_in(io.track_label(track.source), dict.fromkeys(names))) for track in tracks}
     refuse(_problems_of_several(settings.camera_text or "--camera", cameras, owners))
@@ -160,12 +153,13 @@ def _camera_by_name(settings: FitSettings, place: int, name: str, tracks: Sequen
     return io.read_camera(settings.camera, name, settings.image_size_px)
 
 
-def _cameras_in_file(settings: FitSettings, files: Sequence[Path]) -> tuple[Camera, ...]:
-    """By name as given; else the only one, or the one whose name the keypoint file's name contains."""
+def _cameras_in_file(settings: FitSettings, tracks: Sequence[io.CameraTrack]) -> tuple[Camera, ...]:
+    """By name as given, in a track with a lens or in the camera file; else the only one there, or the one whose name
+    the keypoint file's name contains."""
     if settings.camera_name is not None:
-        named = (lambda name=name: io.read_camera(files, name, settings.image_size_px) for name in settings.camera_name)
-        return tuple(all_of(*named))
-    path, cameras = settings.camera_text, io.read_cameras(files, settings.image_size_px)
+        named = enumerate(settings.camera_name)
+        return tuple(all_of(*(lambda i=i, name=name: _camera_by_name(settings, i, name, tracks) for i, name in named)))
+    path, cameras = settings.camera_text, io.read_cameras(settings.camera or (), settings.image_size_px)
     if len(cameras) == 1 == len(settings.keypoints):
         return cameras
     if len(cameras) < len(settings.keypoints):

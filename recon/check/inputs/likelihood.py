@@ -32,7 +32,7 @@ from recon.fit.result import Finding
 from recon.fit.starts import APPROACH_HZ, between
 from recon.fit.terms import dynamics_term
 from recon.geometry.camera import Camera
-from recon.geometry.kinematics import ROOT, YAW
+from recon.geometry.kinematics import ROOT
 
 _TOLERANCE, _ITERATIONS = 3e-3, 12
 """When a minimum is good enough."""
@@ -157,13 +157,6 @@ class Baseline:
         return refitted(self.clip.part(part))
 
 
-def _mean_pose(clip: ClipProblem, found: Array) -> Array:
-    """States (n, D) of the mean pose where the animal was found."""
-    start = np.zeros_like(found)
-    start[:, ANGLES], start[:, ROOT], start[:, YAW] = clip.prior.mean, found[:, ROOT], found[:, YAW]
-    return start
-
-
 def either_side(given: Baseline, other: View, which: Bools) -> tuple[Array, Array]:
     """Where a fit to both views of a clip, half each, has the keypoints in the picture, (T, J, 2), and their noise
     (T, J): NaN in frames without states. which (J,): the markers that the views have on different sides."""
@@ -176,7 +169,8 @@ def either_side(given: Baseline, other: View, which: Bools) -> tuple[Array, Arra
         step = max(1, round(clip.fps / APPROACH_HZ))
         every, ones = np.arange(0, len(part), step), np.ones((2, len(which)))
         thin = part.thinned(step)
-        states = _mean_pose(clip, given.states[rows])[every]
+        states = given.states[rows][every]  # of the mean pose, where the animal was found
+        states[:, ANGLES] = clip.prior.mean
         problem = thin.problem(LOOSE * thin.noise_px(thin.markers(states), ones))
         states = problem.minimise(states, _TOLERANCE, _ITERATIONS).states
         markers = part.markers(between(states, every, len(part)))
