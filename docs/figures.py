@@ -18,7 +18,7 @@ from recon.io.video import read_frames, video_writer
 from recon.workflows.analyse import AnalyseSettings, run_analyse
 from recon.workflows.cli import app
 from recon.workflows.clip_results import run_clip
-from recon.workflows.overlay import OverlaySettings, run_overlay
+from recon.workflows.look import OverlaySettings, run_overlay
 
 HERE = Path(__file__).resolve().parent
 COLOURS = 255

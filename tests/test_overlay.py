@@ -32,8 +32,15 @@ from recon.show.overlay import (
     smoothed_headings,
 )
 from recon.workflows.cli import app
-from recon.workflows.overlay import OverlaySettings, camera_number, overlay_of, rate_note, run_overlay, stills
-from recon.workflows.settings import ResultSettings
+from recon.workflows.look import (
+    OverlaySettings,
+    PageSettings,
+    camera_number,
+    overlay_of,
+    rate_note,
+    run_overlay,
+    stills,
+)
 
 SIZE = (1920, 1080)
 GREY = np.full((1080, 1920, 3), 128, np.uint8)
@@ -229,7 +236,7 @@ def test_command(folder, video, tmp_path):
 
 
 def test_every_still_has_its_animal(folder):
-    drawn, rows, _ = stills(Motion.load(folder), 0, ResultSettings(folder=folder), 20)
+    drawn, rows, _ = stills(Motion.load(folder), 0, PageSettings(folder=folder), 20)
     tiles = draw_tiles(drawn, rows)
     assert len(tiles) == 8
     for tile in tiles:
@@ -251,11 +258,11 @@ def test_rings_are_where_the_joints_were_seen(overlay):
 
 def test_the_video_is_behind_each_still(folder, video):
     motion = Motion.load(folder)
-    drawn, rows, pictures = stills(motion, 0, ResultSettings(folder=folder, video=video, first_frame=7), 3)
+    drawn, rows, pictures = stills(motion, 0, PageSettings(folder=folder, video=video, first_frame=7), 3)
     levels = [float(np.median(tile[-40:-4])) for tile in draw_tiles(drawn, rows, pictures)]
     np.testing.assert_allclose(levels, [30, 70, 100], atol=8)  # frames 10, 14 and 17
     with pytest.raises(InputError, match="found 12 frames that can be decoded, expected 13 or more"):
-        stills(motion, 0, ResultSettings(folder=folder, video=video, first_frame=5), 2)
+        stills(motion, 0, PageSettings(folder=folder, video=video, first_frame=5), 2)
 
 
 # -- several cameras ------------------------------------------------------------------------------------------------

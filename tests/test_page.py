@@ -31,7 +31,7 @@ from recon.show.plots.angles import angle_over_time, together
 from recon.show.plots.style import drawing
 from recon.show.report import TO_DO, build_report
 from recon.workflows.batch import COLUMNS, write_summary_page
-from recon.workflows.page import PageSettings, run_page
+from recon.workflows.look import PageSettings, run_page
 
 EVIL = '<img src=x onerror="alert(1)">&\'.csv'
 MOST_BYTES = 3_000_000
@@ -204,7 +204,7 @@ def test_a_page_has_the_video_behind_its_pictures(folder, tmp_path, monkeypatch)
         shown[behind] = [source for source, _ in stills]
         return GENERATED
 
-    monkeypatch.setattr("recon.workflows.page.clip_page", clip_page)
+    monkeypatch.setattr("recon.workflows.look.clip_page", clip_page)
     copy = tmp_path / "copy"
     shutil.copytree(folder, copy)
     run_page(PageSettings(folder=copy))
@@ -361,8 +361,8 @@ def test_pages_of_a_batch_are_made_beside_each_other(batch, monkeypatch):
     """What is not a result any more is said, and the others are made."""
     pages = []
 
-    monkeypatch.setattr("recon.workflows.page.carry_out", carry_out_here)
-    monkeypatch.setattr("recon.workflows.page.clip_page", lambda motion, *_: pages.append(motion) or GENERATED)
+    monkeypatch.setattr("recon.workflows.look.carry_out", carry_out_here)
+    monkeypatch.setattr("recon.workflows.look.clip_page", lambda motion, *_: pages.append(motion) or GENERATED)
     with (batch / "good" / "motion.npz").open("ab") as file:
         file.write(b"more")
     ended = run("report", batch)

@@ -18,7 +18,7 @@ from recon.io.deeplabcut import write_csv
 from recon.workflows import analyse as analysis
 from recon.workflows.clip_results import run_clip
 from recon.workflows.convert import ConvertSettings, convert
-from recon.workflows.page import PageSettings, run_page
+from recon.workflows.look import PageSettings, run_page
 from tests.test_camera_track import write_track
 from tests.test_views import pose
 

@@ -281,7 +281,7 @@ def test_the_stages_are_those_of_the_commands(tmp_path, monkeypatch):
     monkeypatch.setattr("recon.workflows.analyse.write_figures", lambda *given: None)
     page = '<meta name="generator" content="recon">'
     monkeypatch.setattr(
-        "recon.workflows.page.clip_page", lambda _, stills, behind, files, camera: f"{page} {behind} {files}"
+        "recon.workflows.look.clip_page", lambda _, stills, behind, files, camera: f"{page} {behind} {files}"
     )
     given = {"camera": SAMPLES / "rendered_camera.toml", "fast": True, "frames": "0:6"}
     job = job_of(

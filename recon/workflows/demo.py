@@ -12,7 +12,7 @@ from recon.gait.evaluation import evaluate_files
 from recon.show.report import in_sentences
 from recon.workflows.cli.common import finish, progress_bar, say, terminal
 from recon.workflows.clip_results import run_clip
-from recon.workflows.page import PageSettings, run_page
+from recon.workflows.look import PageSettings, run_page
 from recon.workflows.settings import FitSettings
 
 

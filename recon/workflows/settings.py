@@ -18,7 +18,6 @@ from recon.base.errors import InputError, Problem
 from recon.base.settings import (
     Count,
     File,
-    Integer,
     NameOrFile,
     NotNegative,
     Number,
@@ -82,18 +81,6 @@ STRIDE = Option(
     "START:END in seconds, as in 0.31:0.62",
     metavar="START:END",
 )
-
-
-class ResultSettings(Settings):
-    """A folder of results, and the video of one of its cameras."""
-
-    folder: Annotated[Path, Option(argument="DIR")]
-    """Folder of results, as in results/clip."""
-    video: Path | None = None
-    """The video that the keypoints came from, as in clip.mp4."""
-    camera_name: str | None = None
-    """Whose video it is, of several cameras, as in cam2. (default: whose name the video's has, or the first)"""
-    first_frame: Annotated[Integer, FIRST_FRAME] = 0
 
 
 class FitSettings(Settings):

@@ -25,13 +25,13 @@ COMMANDS = {
         "settings": (_CORE + "cli.settings:settings", "All settings of a command, also those that are no options."),
     },
     "Look at it and use it": {
-        "view": (_CORE + "view:view", "The playback in the rerun viewer, with the plots of its analysis."),
-        "report": (_CORE + "page:report", "A page of a result, or of a batch, to look at and to pass on."),
+        "view": (_CORE + "look:view", "The playback in the rerun viewer, with the plots of its analysis."),
+        "report": (_CORE + "look:report", "A page of a result, or of a batch, to look at and to pass on."),
         "analyse": (_CORE + "analyse:analyse_command", "Speeds, angles, gait, vector fields and phase portraits."),
         "compare": (_CORE + "compare:compare", "Strides and speeds of several clips, by group."),
         "evaluate": (_CORE + "evaluate:evaluate", "Compare a result with a reference."),
         "convert": (_CORE + "convert:convert_command", "Keypoints, 3D positions or results in another file format."),
-        "overlay": (_CORE + "overlay:overlay", "Draw a result on its video."),
+        "overlay": (_CORE + "look:overlay", "Draw a result on its video."),
     },
     "Cameras": {
         "calibrate": (_CORE + "calibrate:calibrate", "A camera, from pictures of a board."),

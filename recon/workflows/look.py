@@ -1,0 +1,349 @@
+"""A result to look at: `recon overlay` draws it on its video, `recon report` makes a page of it or of a batch, and
+`recon view` opens its playback."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Annotated
+
+import cv2
+import numpy as np
+import typer
+from pydantic import Field
+
+from recon.animal.body import Side
+from recon.base import Progress, silent
+from recon.base.arrays import Array, Index
+from recon.base.errors import InputError, Problem, all_of, refuse
+from recon.base.files import require_free_file, sole_writer, staged_file
+from recon.base.manifest import MANIFEST, read_manifest
+from recon.base.parallel import Event, carry_out
+from recon.base.settings import Integer, Number, Option, Settings
+from recon.check import FLAG_OF, usable
+from recon.fit.motion import Motion
+from recon.fit.result import Verdict
+from recon.gait.clip import analyse
+from recon.io.video import Image, VideoInfo, probe, require_codec, video_writer
+from recon.show import view as viewer
+from recon.show.overlay import (
+    LEFT,
+    MIDDLE,
+    RIGHT,
+    Colour,
+    Overlay,
+    canvas_size,
+    clip_frames,
+    draw_frame,
+    draw_tiles,
+)
+from recon.show.page import PAGE, require_own_page
+from recon.show.page.clip import clip_page
+from recon.show.page.render import jpeg
+from recon.show.report import REPORT
+from recon.workflows.analyse import FOLDER, PLAYBACK
+from recon.workflows.analyse import SUMMARY as ANALYSIS
+from recon.workflows.batch import SUMMARY, write_summary_page
+from recon.workflows.cameras import cameras_in, size_problems
+from recon.workflows.cli.common import error_text, progress_bar, say, say_verdict, terminal
+from recon.workflows.settings import ANYWAY, FIRST_FRAME
+
+SLOW_FPS = 30.0
+"""Every frame is shown, and no more than this many in a second, unless a speed is given."""
+RATE_SAME = 0.01
+"""Rates within this, relative, are the same, as 29.97 and 30."""
+SIDES: dict[Side | None, Colour] = {"left": LEFT, "right": RIGHT, None: MIDDLE}
+MIN_WIDTH_PX = 640
+"""Smaller videos are enlarged, by a whole number: the text would not be read."""
+STILLS = 9
+BESIDE = ("overlay.mp4", "analysis/analysis.json")
+"""Files that a page has links to, besides the fit's own, where they are there when it is made."""
+
+
+class _ResultSettings(Settings):
+    """A folder of results, and the video of one of its cameras."""
+
+    folder: Annotated[Path, Option(argument="DIR")]
+    """Folder of results, as in results/clip."""
+    video: Path | None = None
+    """The video that the keypoints came from, as in clip.mp4."""
+    camera_name: str | None = None
+    """Whose video it is, of several cameras, as in cam2. (default: whose name the video's has, or the first)"""
+    first_frame: Annotated[Integer, FIRST_FRAME] = 0
+
+
+def result_and_video(settings: _ResultSettings, *checks: Callable[[], object]) -> tuple[Motion, int, tuple[int, int]]:
+    """A result, which of its cameras is meant, and the size of the pictures: the video's, if there is one, which has to
+    be of that camera. checks: of what else was given. Raises InputError."""
+    video = settings.video
+
+    def opened() -> tuple[Motion, int]:
+        motion, info = all_of(lambda: Motion.load(settings.folder), lambda: None if video is None else probe(video))
+        number = camera_number(motion, settings.camera_name, video)
+        if info is not None:
+            refuse(_video_problems(motion, number, settings, info))
+        return motion, number
+
+    (motion, number), *_ = all_of(opened, *checks)
+    return motion, number, motion.cameras[number].image_size_px
+
+
+def _video_problems(motion: Motion, number: int, settings: _ResultSettings, info: VideoInfo) -> Iterator[Problem]:
+    yield from size_problems(settings.video or Path(), info, motion.cameras[number])
+    first = int(motion.frames.min())
+    if settings.first_frame > first:
+        expected = f"{first} or less: the result begins with frame {first}"
+        yield Problem("--first-frame", "number", str(settings.first_frame), expected)
+
+
+def camera_number(motion: Motion, camera: str | None, video: Path | None) -> int:
+    """By name, or by the video's, which may contain it; without either the first. Raises InputError."""
+    names = [one.name for one in motion.cameras]
+    if camera is None and video is not None and len(names) > 1:
+        named = [*cameras_in(video.stem, names)]
+        camera = named[0] if len(named) == 1 else None
+    if camera in names:
+        return names.index(camera)
+    if camera is None and (len(names) == 1 or video is None):
+        return 0
+    found = "nothing" if camera is None else camera
+    raise InputError(Problem("--camera-name", "camera", found, f"one of {', '.join(names)}, whose video it is"))
+
+
+# -- drawn on its video -----------------------------------------------------------------------------------------------
+
+
+class OverlaySettings(_ResultSettings):
+    """The settings of `recon overlay`."""
+
+    video: Path  # pyright: ignore[reportGeneralTypeIssues]
+    """The video that the keypoints came from, as in clip.mp4."""
+    out: Path
+    """The new video, .mp4 (MPEG-4) or .avi (Motion JPEG), as in overlay.mp4."""
+    anyway: Annotated[bool, ANYWAY] = False
+    speed: Annotated[Number, Field(gt=0, le=10)] | None = None
+    """Speed of the playback, 1 is real time. (default: so that 30 frames are shown in a second)"""
+    overwrite: bool = False
+    """Replace the new files."""
+
+
+def overlay(settings: OverlaySettings, quiet: bool) -> None:
+    """Draw a reconstruction on its video: detections, skeleton, doubtful frames, and the pose from three sides.
+
+    Example: recon overlay results/clip --video clip.mp4 --out overlay.mp4
+    """
+    console = terminal(quiet=quiet)
+    with progress_bar(console) as progress:
+        frames, fps, speed, verdict = run_overlay(settings, progress)
+    say_verdict(console, verdict)
+    if note := rate_note(settings.video, fps / speed):
+        say(console, f"note: {note}")
+    say(console, f"{frames} frames at {speed:.3g} times their speed ({fps:.4g} a second) are in {settings.out}.")
+
+
+def run_overlay(settings: OverlaySettings, progress: Progress = silent) -> tuple[int, float, float, Verdict | None]:
+    """Every frame of a result's clip, drawn on the video that it came from. Gives how many there are, how many a
+    second, the speed, 1 being real time, and the verdict on the clip. Raises InputError, with every problem, for inputs
+    that do not belong together; then nothing is written."""
+    video, out = settings.video, settings.out
+    free = partial(require_free_file, out, settings.overwrite, source=video)
+    motion, number, (wide, high) = result_and_video(settings, lambda: require_codec(out), free)
+    usable(motion, settings.folder, settings.anyway)
+    speed = min(1.0, SLOW_FPS / motion.fps) if settings.speed is None else settings.speed
+    zoom = -(-MIN_WIDTH_PX // wide)
+    drawn = overlay_of(motion, speed, zoom, number)
+    fps, count, written = motion.fps * speed, int(np.ptp(motion.frames)) + 1, 0
+    with video_writer(out, canvas_size((zoom * wide, zoom * high)), fps) as write:
+        for frame, row, picture in clip_frames(motion.frames, video, settings.first_frame):
+            enlarged = np.asarray(cv2.resize(picture, None, fx=zoom, fy=zoom), dtype=np.uint8)
+            write(draw_frame(drawn, row, frame, enlarged))
+            written += 1
+            progress("drawing", written / count)
+    return written, fps, speed, motion.verdict
+
+
+def stills(
+    motion: Motion, number: int, settings: _ResultSettings, count: int
+) -> tuple[Overlay, Index, list[Image] | None]:
+    """What there is to draw of up to `count` frames with a pose, evenly spaced: all of it, their rows, and the video's
+    pictures of them, if there is one. Raises InputError for a frame that the video lacks."""
+    drawn = overlay_of(motion, number=number)
+    posed = np.flatnonzero(np.isfinite(drawn.reprojected_px).any(axis=(1, 2)))
+    rows = posed[np.unique(np.round(np.linspace(0, len(posed) - 1, count)).astype(int))] if len(posed) else posed
+    if settings.video is None or not len(rows):
+        return drawn, rows, None
+    frames = clip_frames(motion.frames[rows], settings.video, settings.first_frame)
+    return drawn, rows, [picture for _, row, picture in frames if row is not None]
+
+
+def overlay_of(motion: Motion, speed: float = 1.0, zoom: int = 1, number: int = 0) -> Overlay:
+    """What there is to draw of a result in a camera's picture, by its number, enlarged by zoom."""
+    picture, view = motion.pictures[number], motion.solution.views[number]
+    ahead = np.broadcast_to(view.T_camera_world[..., 2, :3], (len(motion.frames), 3))
+    return Overlay(
+        frames=motion.frames,
+        fps=motion.fps,
+        limbs=list(motion.limbs.values()),
+        colours=[SIDES[motion.limb_sides[limb]] for limb in motion.limbs],
+        detected_px=_enlarged(picture.reprojected_px - picture.image_error_px, zoom),
+        reprojected_px=_enlarged(picture.reprojected_px, zoom),
+        outliers=picture.outliers,
+        depth_m=np.einsum("tjk,tk->tj", motion.upright.xyz_m, ahead),
+        upright_m=motion.upright.xyz_m,
+        trunk=motion.forward,
+        flags=[*_flags(motion, number)],
+        speed=speed,
+    )
+
+
+def _flags(motion: Motion, number: int) -> Iterator[list[str]]:
+    """By frame: what is doubtful about it in a camera's picture, without what is wrong with others' detections."""
+    own = [
+        (FLAG_OF[one.code], *(one.frames or (motion.frames[0], motion.frames[-1] + 1)))
+        for one in motion.findings
+        if one.code in FLAG_OF and one.camera in (None, motion.cameras[number].name)
+    ]
+    for frame, flags in zip(motion.frames.tolist(), motion.flags, strict=True):
+        here = {flag for flag, first, stop in own if first <= frame < stop}
+        yield [flag for flag in flags if flag in here or flag not in FLAG_OF.values()]
+
+
+def _enlarged(xy_px: Array, zoom: int) -> Array:
+    """Pixels' centres are whole numbers, before and after."""
+    return zoom * xy_px + 0.5 * (zoom - 1)
+
+
+def rate_note(video: Path, fps: float | None) -> str | None:
+    """What to say where a video states another frame rate than the clip has; it may well have been filmed faster than
+    it is played."""
+    stated = probe(video).fps
+    if fps is None or stated is None or abs(stated / fps - 1) < RATE_SAME:
+        return None
+    return (
+        f"{video.name} says {stated:.4g} frames a second, the clip has {fps:.4g}: right if it was filmed so and is "
+        "played back otherwise; if not, times and speeds are wrong by that factor"
+    )
+
+
+# -- a page -----------------------------------------------------------------------------------------------------------
+
+
+class PageSettings(_ResultSettings):
+    """The settings of `recon report`."""
+
+    folder: Annotated[Path, Option(argument="DIR")]
+    """Folder of results, as in results/clip, or of a batch."""
+
+
+def report(settings: PageSettings, quiet: bool) -> None:
+    """Make a page of a result to look at and to pass on: report.html in its folder, one file that opens in any browser.
+
+    In the folder of a batch, those of all clips, and summary.html with links to them. A page that was made before is
+    replaced.
+
+    Example: recon report results/clip --video clip.mp4
+    """
+    console, folder = terminal(quiet=quiet), settings.folder
+    of_batch = (folder / SUMMARY).is_file() and not (folder / REPORT).is_file()
+    if of_batch and settings.video is not None:
+        raise InputError(
+            Problem("--video", "file", f"{settings.video} for many clips", "the folder of one clip's results")
+        )
+    with progress_bar(console) as progress:
+        page, failed = _batch_pages(folder, progress) if of_batch else (run_page(settings, progress), {})
+    for clip, error in failed.items():
+        terminal(stderr=True, soft_wrap=True).print(error_text(f"{clip}: {error}"))
+    say(console, f"Open {page} in a browser.")
+
+
+def run_page(settings: PageSettings, progress: Progress = silent) -> Path:
+    """The page of a result, in its folder; an earlier one is replaced. Raises InputError, with every problem."""
+    page, video = settings.folder / PAGE, settings.video
+    motion, number, _ = result_and_video(settings, lambda: require_own_page(page))
+    progress("pictures", 0.1)
+    drawn, rows, pictures = stills(motion, number, settings, STILLS)
+    tiles = draw_tiles(drawn, rows, pictures) if len(rows) else []
+    shown = [(jpeg(tile), f"frame {drawn.frames[t]}") for tile, t in zip(tiles, rows, strict=True)]
+    progress("figures", 0.3)
+    html = clip_page(motion, shown, None if video is None else video.name, _files(settings.folder), number)
+    with staged_file(page) as staged:
+        staged.write_text(html, encoding="utf-8")
+    return page
+
+
+def _files(folder: Path) -> list[str]:
+    names = [*BESIDE, *(sorted(read_manifest(folder).files) if (folder / MANIFEST).is_file() else ())]
+    return [name for name in names if (folder / name).is_file()]
+
+
+def _batch_pages(out: Path, progress: Progress) -> tuple[Path, dict[str, str]]:
+    """The page of every result in the folder of a batch, in parallel, and the summary's page; its path, and what went
+    wrong by clip."""
+    failed: dict[str, str] = {}
+    with sole_writer(out):
+        clips = [path.parent for path in sorted(out.glob(f"*/{REPORT}"))]
+        done = 0
+
+        def tell(event: Event) -> None:
+            nonlocal done
+            if event.kind == "ended":
+                done += 1
+                if event.outcome["status"] == "failed":
+                    failed[event.name] = event.outcome["error"]
+                progress(f"{done} of {len(clips)} pages", done / len(clips))
+
+        carry_out(_page_of, [(clip.name, clip.absolute()) for clip in clips], tell)
+        return write_summary_page(out), failed
+
+
+def _page_of(folder: Path, progress: Progress) -> dict[str, str]:
+    run_page(PageSettings(folder=folder), progress)
+    return {"status": "done"}
+
+
+# -- in the viewer ----------------------------------------------------------------------------------------------------
+
+
+class _ViewSettings(_ResultSettings):
+    """The settings of `recon view`."""
+
+    video: Path | None = None
+    """Show the frames of this video with it, as in clip.mp4."""
+    out: Path | None = None
+    """Write one recording of it, as in clip.rrd, and open nothing."""
+    overwrite: bool = False
+    """Replace the recording of --out."""
+
+    def problems(self) -> Iterator[Problem]:
+        for name in ("first_frame", "camera_name"):
+            if getattr(self, name) and self.video is None:
+                yield Problem("settings", name, "no --video", "one beside the other")
+
+
+def view(settings: _ViewSettings) -> None:
+    """Open the playback of a reconstruction in the rerun viewer, with the plots of its analysis.
+
+    Example: recon view results/clip --video clip.mp4
+    """
+    folder, out = settings.folder, settings.out
+    playback = folder / PLAYBACK
+    if not playback.is_file():
+        raise InputError(Problem(playback, "file", "no such file", "a recording (.rrd) that `recon fit` has written"))
+    read_manifest(folder).require(PLAYBACK)
+    if out is not None:
+        require_free_file(out, settings.overwrite)
+    analysed = (folder / FOLDER / ANALYSIS).is_file()
+    with TemporaryDirectory() as temporary:
+        if out is not None or settings.video is not None or analysed:
+            motion, number, _ = result_and_video(settings)
+            found = analyse(motion, lean=True) if analysed else None
+            playback = Path(temporary) / PLAYBACK if out is None else out
+            with staged_file(playback) as staged:
+                viewer.write(motion, staged, found, settings.video, settings.first_frame, number)
+        if out is None:
+            viewer.open_viewer(playback)
+    if out is not None:
+        typer.echo(f"The recording is in {out}. Watch it with: rerun {shlex.quote(str(out))}")
