@@ -21,7 +21,7 @@ from command_line import run, run_process
 import recon.workflows.doctor as module
 from recon.base.package import install_command
 from recon.workflows.cli import GROUPS, app, commands
-from recon.workflows.doctor import _Check, extras, run_doctor, self_test, versions, viewer
+from recon.workflows.doctor import _Check, packages, run_doctor, self_test, versions, viewer
 
 SAMPLES = Path(__file__).parents[1] / "data" / "samples"
 
@@ -42,7 +42,7 @@ def doctor() -> tuple[_Check, ...]:
 def test_all_is_well_here(doctor, monkeypatch):
     assert [check for check in doctor if check.status == "broken"] == []
     found = {check.name: check.found for check in doctor}
-    assert found["numpy"] == metadata.version("numpy")
+    assert f"numpy {metadata.version('numpy')}, opencv" in found["packages"]
     assert found["recon"].startswith(metadata.version("recon-motion"))
     assert found["python"].startswith(".".join(map(str, sys.version_info[:3])))
     assert found["viewer"] == f"rerun-cli {metadata.version('rerun-sdk')}"
@@ -74,19 +74,12 @@ def test_prints_a_table_of_80_columns_or_json_and_ends_with_0_or_1(doctor, monke
 
 
 def test_versions_that_are_too_old_or_missing_are_broken():
-    found = {
-        check.name: check
-        for check in versions(["numpy>=1.2", "scipy>=999", "no-such-thing>=2.5", "rich; extra == 'robots'"])
-    }
-    assert statuses(found.values()) == {
-        "recon": "ok",
-        "python": "ok",
-        "numpy": "ok",
-        "scipy": "broken",
-        "no-such-thing": "broken",
-    }
-    assert found["scipy"].found == f"{metadata.version('scipy')}, not >=999"
-    assert found["no-such-thing"].hint == "pip install 'no-such-thing>=2.5'"
+    (found,) = packages(["numpy>=1.2", "scipy>=999", "no-such-thing>=2.5", "rich; extra == 'dev'"])
+    assert found.status == "broken"
+    assert found.found == f"scipy {metadata.version('scipy')}, not >=999, no-such-thing not installed"
+    assert found.hint == "pip install 'scipy>=999' 'no-such-thing>=2.5'"
+    (found,) = packages(["numpy>=1.2", "no-such-thing; python_version < '3'"])
+    assert (found.status, found.found) == ("ok", f"numpy {metadata.version('numpy')}")
 
 
 def test_a_module_of_another_distribution_counts(monkeypatch):
@@ -100,15 +93,15 @@ def test_a_module_of_another_distribution_counts(monkeypatch):
 
     monkeypatch.setattr(metadata, "version", version)
     monkeypatch.setattr(metadata, "packages_distributions", lambda: {"cv2": ["opencv-python"]})
-    assert statuses(versions(["opencv-python-headless>=4.9"]))["opencv-python-headless"] == "ok"
+    assert statuses(packages(["opencv-python-headless>=4.9"])) == {"packages": "ok"}
 
 
 def test_the_package_of_somebody_else_is_found(monkeypatch):
     """It has files of the same names."""
-    assert "another recon" not in {check.name for check in versions([])}
+    assert "another recon" not in {check.name for check in versions()}
     real = metadata.version
     monkeypatch.setattr(metadata, "version", lambda name: "3.1" if name == "recon" else real(name))
-    found = {check.name: check for check in versions([])}["another recon"]
+    found = {check.name: check for check in versions()}["another recon"]
     assert found.status == "broken"
     assert found.found == "the package recon 3.1 is here too, whose files have the same names"
     assert found.hint == "pip uninstall recon recon-motion, and install recon-motion again"
@@ -121,8 +114,8 @@ def test_optional_parts_say_how_to_get_them():
         "rich>=999; extra == 'formats'",
         "x; extra == 'dev'",
     ]
-    found = {check.name: check for check in extras(requires)}
-    assert statuses(found.values()) == {"robots": "ok", "formats": "absent"}
+    found = {check.name: check for check in packages(requires)}
+    assert statuses(found.values()) == {"packages": "ok", "robots": "ok", "formats": "absent"}
     assert found["formats"].hint == install_command("formats")
     assert f"no-such-thing not installed, rich {metadata.version('rich')}, not >=999" in found["formats"].found
 

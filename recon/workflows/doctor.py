@@ -16,8 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 import typer
-from rich.box import SIMPLE_HEAD
-from rich.table import Column, Table
+from rich.table import Table
 from rich.text import Text
 
 from recon.base import Progress, silent
@@ -25,15 +24,15 @@ from recon.base.package import DISTRIBUTION, install_command, version
 from recon.workflows.cli.common import progress_bar, say, terminal
 
 if TYPE_CHECKING:
-    from packaging.requirements import Requirement
+    from packaging.specifiers import SpecifierSet
 
 EXIT_BROKEN = 1
 EXTRAS = {
-    "formats": "writing movement, NWB, C3D and DeepLabCut's H5 files",
-    "cluster": "batches on a Dask cluster",
-    "net": "the keypoint network",
-    "robots": "robots from URDF and MJCF files",
-    "docs": "building this documentation",
+    "formats": "writing movement, NWB, C3D and DeepLabCut's H5 files: ",
+    "cluster": "batches on a Dask cluster: ",
+    "net": "the keypoint network: ",
+    "robots": "robots from URDF and MJCF files: ",
+    "docs": "building this documentation: ",
 }
 """Extras that a user may want, with what they are for."""
 MODULES = {"opencv-python-headless": "cv2", "rerun-sdk": "rerun", "pytables": "tables"}
@@ -73,12 +72,12 @@ def doctor(as_json: bool) -> None:
     if as_json:
         typer.echo(json.dumps({"ok": not broken, "checks": [asdict(check) for check in checks]}, indent=1))
     else:
-        columns = Column(no_wrap=True), Column(no_wrap=True), Column(overflow="fold")
-        table = Table(*columns, box=SIMPLE_HEAD, show_header=False)
-        for check, after in zip(checks, (*checks[1:], None), strict=True):
-            hint = f"\n{check.hint}" if check.hint and check.status != "ok" else ""
-            cells = Text(check.name), Text(check.status, STYLES[check.status]), Text(check.found).append(hint, "italic")
-            table.add_row(*cells, end_section=after is None or after.group != check.group)
+        table = Table.grid(padding=(0, 2))
+        for check in checks:
+            hint = f"\n{check.hint}" if check.status != "ok" else ""
+            table.add_row(
+                check.name, Text(check.status, STYLES[check.status]), Text(check.found + hint, overflow="fold")
+            )
         console.print(table)
         say(console, f"Broken: {', '.join(broken)}" if broken else "recon works here.")
     if broken:
@@ -88,9 +87,8 @@ def doctor(as_json: bool) -> None:
 def run_doctor(progress: Progress = silent) -> tuple[_Check, ...]:
     """Every check; none of them raises for what it finds."""
     checks: list[_Check] = []
-    looks = {"versions": versions, "optional parts": extras, "viewer": viewer, "self-test": self_test}
-    for i, (name, look) in enumerate(looks.items()):
-        progress(name, i / len(looks))
+    for i, look in enumerate((versions, packages, viewer, self_test)):
+        progress(look.__name__, i / 4)
         checks += look()
     return tuple(checks)
 
@@ -98,51 +96,46 @@ def run_doctor(progress: Progress = silent) -> tuple[_Check, ...]:
 # -- what is installed --------------------------------------------------------------------------------------------
 
 
-def versions(requires: Sequence[str] | None = None) -> Iterator[_Check]:
-    """recon, Python, and what recon cannot do without. requires: as in the distribution's metadata."""
+def versions() -> Iterator[_Check]:
+    """recon and Python."""
     yield _Check("versions", "recon", "ok", f"{version()}, in {Path(__file__).parents[1]}")
     with suppress(metadata.PackageNotFoundError):  # the last that was installed has its files over the other's
         found = f"the package recon {metadata.version('recon')} is here too, whose files have the same names"
         hint = f"pip uninstall recon {DISTRIBUTION}, and install {DISTRIBUTION} again"
         yield _Check("versions", "another recon", "broken", found, hint)
     yield _Check("versions", "python", "ok", f"{platform.python_version()}, {platform.system()} {platform.machine()}")
-    for one in _requirements(requires):
-        if one.marker is None or one.marker.evaluate({"extra": ""}):
-            lacking, found = _installed(one)
-            hint = f"pip install '{one.name}{one.specifier}'" if lacking else ""
-            yield _Check("versions", one.name, "broken" if lacking else "ok", lacking or found, hint)
 
 
-def extras(requires: Sequence[str] | None = None) -> Iterator[_Check]:
-    """One row for each extra that the distribution has and a user may want."""
-    for extra, what in EXTRAS.items():
-        wanted = [one for one in _requirements(requires) if one.marker and one.marker.evaluate({"extra": extra})]
-        states = [(one.name, *_installed(one)) for one in wanted]
-        if lacking := [f"{name} {lack}" for name, lack, _ in states if lack]:
-            found = f"{what}: {', '.join(lacking)}"
-            yield _Check("optional parts", extra, "absent", found, install_command(extra))
-        elif wanted:
-            there = ", ".join(f"{name} {found}" for name, _, found in states)
-            yield _Check("optional parts", extra, "ok", f"{what}: {there}")
-
-
-def _requirements(requires: Sequence[str] | None) -> list[Requirement]:
+def packages(requires: Sequence[str] | None = None) -> Iterator[_Check]:
+    """What recon cannot do without, and each extra that the distribution has and a user may want. requires: as in the
+    distribution's metadata."""
     from packaging.requirements import Requirement  # matplotlib has it
 
-    return [Requirement(line) for line in (metadata.requires(DISTRIBUTION) or () if requires is None else requires)]
+    lines = (metadata.requires(DISTRIBUTION) or ()) if requires is None else requires
+    for extra, what in {"": "", **EXTRAS}.items():
+        of_extra = [one for one in map(Requirement, lines) if ("extra" in str(one.marker or "")) == bool(extra)]
+        wanted = [one for one in of_extra if one.marker is None or one.marker.evaluate({"extra": extra})]
+        states = {one: _installed(one.name, one.specifier) for one in wanted}
+        lacking = {one: lack for one, (lack, _) in states.items() if lack}
+        shown = lacking or {one: there for one, (_, there) in states.items()}
+        found = what + ", ".join(f"{one.name} {state}" for one, state in shown.items())
+        if not extra:
+            hint = "pip install " + " ".join(f"'{one.name}{one.specifier}'" for one in lacking)
+            yield _Check("versions", "packages", "broken" if lacking else "ok", found, hint)
+        elif wanted:
+            yield _Check("optional parts", extra, "absent" if lacking else "ok", found, install_command(extra))
 
 
-def _installed(wanted: Requirement) -> tuple[str, str]:
+def _installed(name: str, specifier: SpecifierSet) -> tuple[str, str]:
     """What is wrong with a requirement, or nothing; and its version, or another distribution's with its module."""
     try:
-        found = metadata.version(wanted.name)
+        found = metadata.version(name)
     except metadata.PackageNotFoundError:
-        module = MODULES.get(wanted.name, wanted.name.replace("-", "_"))
-        others = metadata.packages_distributions().get(module)
+        others = metadata.packages_distributions().get(MODULES.get(name, name.replace("-", "_")))
         if not others:
             return "not installed", ""
         found = metadata.version(others[0])
-    return ("" if wanted.specifier.contains(found, prereleases=True) else f"{found}, not {wanted.specifier}"), found
+    return ("" if specifier.contains(found, prereleases=True) else f"{found}, not {specifier}"), found
 
 
 # -- the machine --------------------------------------------------------------------------------------------------
