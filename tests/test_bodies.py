@@ -93,7 +93,7 @@ def test_a_person_who_walks(cameras, tmp_path):
 
 def test_a_mouse_of_a_tenth_of_a_metre(tmp_path, monkeypatch):
     """100 mm from nose to tail base, with keypoints 3.5 mm beside their markers all the time."""
-    states = running_about(90, 60.0)
+    states = running_about(60, 60.0)
     settings, truth = filmed(tmp_path, "mouse-top", states, 60.0, np.array(ABOVE_M), 1.14, 0.02, 0.7)
     motion, found = fitted(tmp_path, settings, truth)
     assert max(found["pose_mm"], found["place_mm"]) < 2

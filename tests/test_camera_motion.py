@@ -92,15 +92,15 @@ def with_patch(pictures, share: float):
         yield picture
 
 
-@pytest.mark.parametrize(("camera", "by"), [(PINHOLE, 1.0), (PINHOLE, 1.06), (FISHEYE, 1.0), (FISHEYE, 0.9)])
+@pytest.mark.parametrize(("camera", "by"), [(PINHOLE, 1.0), (FISHEYE, 1.0), (FISHEYE, 0.9)])
 def test_a_pan_is_found_and_the_focal_length_beside_it(camera, by):
     """Without drift with the true focal length; with another the stated deviations hold its error."""
-    rotations = pan(24, 20.0)
+    rotations = pan(18, 20.0)
     told = replace(camera, matrix=camera.matrix * [[by, 1, 1], [1, by, 1], [1, 1, 1]])
     motion = tracked((seen(R, camera, px_rad=camera.matrix[0, 0]) for R in rotations), told)
     found, sigma = motion.focal
     error = errors_deg(motion, rotations)
-    assert len(error) == 24
+    assert len(error) == 18
     assert sigma < 0.05
     assert abs(found + np.log(by)) < 3 * sigma
     assert (abs(found) > CLEARLY * sigma) == (by != 1)
@@ -112,11 +112,11 @@ def test_a_pan_is_found_and_the_focal_length_beside_it(camera, by):
 
 
 def test_a_followed_subject_over_40_percent_is_not_taken_for_the_background():
-    rotations = pan(20, 16.0)
+    rotations = pan(14, 12.0)
     pictures = ((128 + 0.25 * (seen(R) - 128.0)).astype(np.uint8) for R in rotations)
     motion = tracked(with_patch(pictures, 0.4))
     error = errors_deg(motion, rotations)
-    assert len(error) >= 18
+    assert len(error) >= 12
     assert np.median(error) < 0.015
     assert error.max() < 0.05
 
@@ -167,7 +167,7 @@ def driven(way_m: float, turned_rad: float) -> np.ndarray:
 
 @pytest.mark.parametrize("follows", [False, True])
 def test_a_camera_that_is_carried_is_recognised(follows):
-    way = 0.05 * np.arange(24)
+    way = 0.05 * np.arange(16)
     motion = tracked(driven(x, -np.arctan(x / 8) if follows else 0.0) for x in way)
     assert not motion.turned_only
 
@@ -270,7 +270,7 @@ def test_command_writes_a_track_that_the_fit_reads(pan_film, tmp_path):
 
 def test_a_damaged_video_keeps_the_numbers_that_a_detector_gives_and_says_what_is_missing(tmp_path):
     """A detector numbers the frames that can be decoded, and so does the track: each has the pose of its picture."""
-    rotations, video = pan(30, 6.0), tmp_path / "pan.mkv"
+    rotations, video = pan(20, 6.0), tmp_path / "pan.mkv"
     writer = cv2.VideoWriter(str(video), cv2.CAP_FFMPEG, cv2.VideoWriter.fourcc(*"MJPG"), 30.0, SIZE)
     for rotation in rotations:
         writer.write(seen(rotation))
@@ -282,7 +282,7 @@ def test_a_damaged_video_keeps_the_numbers_that_a_detector_gives_and_says_what_i
     write_camera(PINHOLE, tmp_path / "camera.toml")
     decoded = sum(1 for _ in timed_frames(video))
     args = ("camera-motion", video, "--camera", tmp_path / "camera.toml", "--out", tmp_path / "track.csv")
-    for rows, code in ((30, 2), (decoded, 0)):  # of the whole video, and of what is left of it
+    for rows, code in ((20, 2), (decoded, 0)):  # of the whole video, and of what is left of it
         lines = "".join(f"{t},nose,160,90,0.9\n" for t in range(rows))
         (tmp_path / "points.csv").write_text(f"frame,keypoint,x,y,likelihood\n{lines}")
         ended = run(*args, "--keypoints", tmp_path / "points.csv")
@@ -291,7 +291,7 @@ def test_a_damaged_video_keeps_the_numbers_that_a_detector_gives_and_says_what_i
         assert ended.code == code
     missing, at = map(int, said.groups())
     report = json.loads((tmp_path / "track_report.json").read_text())
-    assert (report["frames"], report["frames_missing"], missing) == (decoded, 30 - decoded, 30 - decoded)
+    assert (report["frames"], report["frames_missing"], missing) == (decoded, 20 - decoded, 20 - decoded)
     track = read_camera_track(tmp_path / "track.csv")
     whole = track.frames != at - 1  # the picture that the hole has cut
     found = track.T_camera_world[whole, :3, :3]
@@ -349,7 +349,7 @@ def test_bad_input_is_one_clear_message(tmp_path):
 
 def test_another_lens_is_named_with_the_focal_length_that_the_turns_have(tmp_path):
     """Off by a tenth or more it is refused, with less it is noted."""
-    film(tmp_path / "pan.avi", (seen(R) for R in pan(16, 16.0)))
+    film(tmp_path / "pan.avi", (seen(R) for R in pan(10, 12.0)))
     (tmp_path / "off").mkdir()
     for by, code in ((0.8, 2), (1.05, 0)):
         other = replace(PINHOLE, matrix=PINHOLE.matrix * [[by, 1, 1], [1, by, 1], [1, 1, 1]])

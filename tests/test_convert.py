@@ -1,9 +1,10 @@
-"""Every format keeps what it should, among all pairs, and is what independent readers of it expect."""
+"""Every format keeps what it should, and is what independent readers of it expect."""
 
 from __future__ import annotations
 
 import csv
 import json
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -90,8 +91,12 @@ def files_3d(tmp_path_factory) -> dict[str, Path]:
 # Round trips
 
 
-@pytest.mark.parametrize("end", OF_2D, ids=label)
-@pytest.mark.parametrize("start", OF_2D, ids=label)
+def pairs(formats: Sequence[Format]) -> list[tuple[Format, Format]]:
+    """Each format into the next and into itself, the last into the first: what is read is written."""
+    return [pair for i, one in enumerate(formats) for pair in ((one, one), (one, formats[(i + 1) % len(formats)]))]
+
+
+@pytest.mark.parametrize(("start", "end"), pairs(OF_2D), ids=label)
 def test_pairs_of_2d_formats(files_2d, start, end, tmp_path):
     out = tmp_path / f"out{end.suffixes[0]}"
     _, written, notes = convert(ConvertSettings(source=files_2d[label(start)], out=out, to=end.name))
@@ -100,8 +105,7 @@ def test_pairs_of_2d_formats(files_2d, start, end, tmp_path):
     assert_same_keypoints(read_keypoints(out), a_clip())
 
 
-@pytest.mark.parametrize("end", OF_3D, ids=label)
-@pytest.mark.parametrize("start", OF_3D, ids=label)
+@pytest.mark.parametrize(("start", "end"), pairs(OF_3D), ids=label)
 def test_pairs_of_3d_formats(files_3d, start, end, tmp_path):
     out = tmp_path / f"out{end.suffixes[0]}"
     _, written, notes = convert(ConvertSettings(source=files_3d[label(start)], out=out))

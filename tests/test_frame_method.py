@@ -100,8 +100,7 @@ def test_rank_18_from_pixels_and_20_from_joints(seed: int):
         assert np.sum(singular > 1e-9 * singular[0]) == rank
 
 
-@pytest.mark.parametrize("direction", ["left", "right"])
-@pytest.mark.parametrize("heading_rad", [0.0, 0.35, 0.6])
+@pytest.mark.parametrize(("direction", "heading_rad"), [("left", 0.0), ("right", 0.35), ("left", 0.6)])
 def test_clean_gallop(direction, heading_rad: float):
     clip = gallop(heading_rad=heading_rad, direction=direction)
     solution = fit(clip, clip.keypoints, EXACT)

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from tests.fuzz.pool import Tally
 
 ROOT = Path(__file__).resolve().parents[1]
-CASES = {"formats": 300, "settings": 500}
+CASES = {"formats": 150, "settings": 250}
 """As their shares in all cases say."""
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="the cases run in forked processes")

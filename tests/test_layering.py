@@ -12,6 +12,7 @@ import re
 import sys
 import tomllib
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -42,6 +43,7 @@ IMPORT_NAMES = {"opencv-python-headless": "cv2", "rerun-sdk": "rerun"}
 """Distributions whose modules have another name."""
 
 
+@cache
 def base_imports() -> set[str]:
     """Top-level modules that every install has: the standard library's and those of pyproject's dependencies."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]

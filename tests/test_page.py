@@ -176,6 +176,7 @@ def test_a_page_says_what_the_report_says(page, folder):
     assert set(page.attributes("a", "href")) == set(read_manifest(folder).files)
 
 
+@pytest.mark.usefixtures("page_undrawn")
 @pytest.mark.parametrize("level", ["use", "check"])
 def test_a_page_begins_with_the_verdict_the_error_and_what_to_do(whole_results, level):
     motion = Motion.load(whole_results)
@@ -216,6 +217,7 @@ def test_a_page_has_the_video_behind_its_pictures(folder, tmp_path, monkeypatch)
         run_page(PageSettings(folder=folder, video=video, first_frame=11))
 
 
+@pytest.mark.usefixtures("page_undrawn")
 def test_of_several_cameras_the_page_says_whose_pictures_they_are(two_cameras, tmp_path):
     files = (Path("run_cam1.csv"), Path("run_cam2.csv"))
     write_clip(two_cameras, FitSettings(keypoints=files, camera=Path("scene.json"), fps=30), tmp_path)
@@ -224,6 +226,7 @@ def test_of_several_cameras_the_page_says_whose_pictures_they_are(two_cameras, t
         assert f"The pose as {name} sees it" in page.read_text(encoding="utf-8")
 
 
+@pytest.mark.usefixtures("page_undrawn")
 def test_a_page_goes_with_its_results(small_trajectory, tmp_path):
     settings = FitSettings(keypoints=Path("run.csv"), camera=Path("camera.toml"), fps=30)
     write_clip(small_trajectory, settings, tmp_path)
