@@ -55,9 +55,9 @@ time: with both the deviations of its speeds are right in each of five real runs
 _WINDOW, _MARGIN = 200, 40
 """Frames of an exact spline whose deviations are worked out at once, and how many on either side count: a value's share
 in the spline falls by 2 - sqrt(3) from frame to frame, to 1e-23 over the margin."""
-_REACH, _LEAST_PRODUCT = 20, 1e-11
-"""The same of evenly spaced frames away from the ends, 1e-11 over the reach; and which products of two values' shares
-count, relative to the largest."""
+_REACH, _LEAST_PRODUCT, _AT_ONCE = 20, 1e-11, 1000
+"""The same of evenly spaced frames away from the ends, 1e-11 over the reach; which products of two values' shares
+count, relative to the largest; and of how many frames they are worked out at once."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -312,7 +312,8 @@ def _amid(t: Array, errors: Sequence[Errors], per: int) -> Array:
         counts = (np.abs(factors) > least).any(axis=0)
         for k, sigma in enumerate(error.sigma.T):
             about = sliding_window_view(sigma, frames)[1:]
-            variance[:, :, k] += factors[:, counts] @ (about[first[counts]] * about[second[counts]])
+            for at in (slice(start, start + _AT_ONCE) for start in range(0, frames, _AT_ONCE)):  # each takes memory
+                variance[:, at, k] += factors[:, counts] @ (about[first[counts], at] * about[second[counts], at])
     return np.maximum(variance, 0.0).reshape(3, per, frames, -1).swapaxes(1, 2).reshape(3, frames * per, -1)
 
 
