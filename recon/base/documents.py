@@ -67,15 +67,12 @@ def read_content(path: Path, expected: str, most: int = MAX_BYTES) -> bytes:
 def require_file(path: Path, expected: str = "a file that can be read") -> None:
     """Raises InputError for anything but a file, such as a pipe, which reading would wait for."""
     try:
-        found = None if path.is_file() else "a folder" if path.is_dir() else _neither(path)
+        what = "a folder" if path.is_dir() else "a pipe or a device" if path.exists() else "no such file"
+        found = None if path.is_file() else what
     except (OSError, ValueError) as error:  # ValueError: a name with a zero in it
         found = f"a file that cannot be opened ({error})"
     if found is not None:
         raise InputError(Problem(path, "file", found, expected))
-
-
-def _neither(path: Path) -> str:
-    return "a pipe or a device" if path.exists() else "no such file"
 
 
 def read_json(path: Path, expected: str) -> Any:

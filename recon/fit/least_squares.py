@@ -75,6 +75,7 @@ class LeastSquares:
     doubtful: Sequence[Unknown] = ()
     piece: int = 2 * _FRAMES_AT_ONCE
     """Frames of a piece of a long clip, a multiple of `_FRAMES_AT_ONCE`, which takes as many along."""
+    _linear_cache: dict[tuple[int, int, int], Array] = field(default_factory=dict, init=False)
 
     @cached_property
     def columns(self) -> dict[str, slice]:
@@ -226,10 +227,6 @@ class LeastSquares:
             yield Span(first, piece, pose(piece), last, shared, turned)
             if last:
                 return
-
-    @cached_property
-    def _linear_cache(self) -> dict[tuple[int, int, int], Array]:
-        return {}
 
     def _linear_blocks(self, start: int, stop: int, T: int) -> Array:
         """(stop - start, BANDS + 1, D, D): the curvature of the linear terms in frames of a clip of T, the same at

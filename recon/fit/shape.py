@@ -82,15 +82,7 @@ class Shape:
         factors = dict(zip(self.lengths, np.exp(values[: len(self.lengths)]), strict=True))
         shifts = dict(zip(self.offsets, values[len(self.lengths) :].reshape(-1, 3), strict=True))
 
-        def placed(offset_m: tuple[float, float, float], name: str) -> tuple[float, float, float]:
-            scale = float(factors.get(self.leader(name), 1.0))
-            return (scale * offset_m[0], scale * offset_m[1], scale * offset_m[2])
-
-        tree = replace(
-            body.tree,
-            segments=tuple(replace(s, offset_m=placed(s.offset_m, s.name)) for s in body.tree.segments),
-            markers=tuple(replace(m, offset_m=placed(m.offset_m, m.name)) for m in body.tree.markers),
-        )
+        tree = body.tree.lengthened(lambda name: factors.get(self.leader(name), 1.0))
         offsets = dict(body.keypoint_offset_m)
         for name in self.body.markers:
             if (leader := self.leader(name)) in shifts:

@@ -30,7 +30,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -218,17 +218,17 @@ class Tree:
     segments: tuple[Segment, ...]
     markers: tuple[Marker, ...]
 
+    def lengthened(self, factor_of: Callable[[str], float]) -> Tree:
+        """With the offsets of segments and markers longer by a factor of their names."""
+
+        def longer(one: Any) -> Any:
+            return replace(one, offset_m=tuple(float(factor_of(one.name)) * value for value in one.offset_m))
+
+        return Tree(tuple(map(longer, self.segments)), tuple(map(longer, self.markers)))
+
     def scaled(self, size: float) -> Tree:
         """With all lengths times a factor."""
-
-        def longer(offset_m: tuple[float, float, float]) -> tuple[float, float, float]:
-            x, y, z = offset_m
-            return size * x, size * y, size * z
-
-        return Tree(
-            tuple(replace(s, offset_m=longer(s.offset_m)) for s in self.segments),
-            tuple(replace(m, offset_m=longer(m.offset_m)) for m in self.markers),
-        )
+        return self.lengthened(lambda _: size)
 
     @cached_property
     def state_names(self) -> tuple[str, ...]:

@@ -115,20 +115,14 @@ class _RadialTangential(Lens):
         slope = polynomial.polyadd(polynomial.polymul(n, d), polynomial.polymul((0, 2), cross))
         return math.sqrt(min(_first_positive_root(slope), _first_positive_root(d)))
 
-    def _factor(self, r2: Array) -> tuple[Array, Array]:
-        """Radial factor f and df/d(r^2)."""
-        k1, k2, _, _, k3, k4, k5, k6 = self.k
-        f = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    def distort(self, a: Array, b: Array, r2: Array) -> tuple[Any, ...]:
+        k1, k2, p1, p2, k3, k4, k5, k6 = self.k
+        f = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))  # the radial factor, and its derivative by r2
         df = k1 + r2 * (2 * k2 + r2 * (3 * k3))
         if k4 or k5 or k6:
             denominator = 1 + r2 * (k4 + r2 * (k5 + r2 * k6))
             f = f / denominator
             df = (df - f * (k4 + r2 * (2 * k5 + r2 * (3 * k6)))) / denominator
-        return f, df
-
-    def distort(self, a: Array, b: Array, r2: Array) -> tuple[Any, ...]:
-        _, _, p1, p2, *_ = self.k
-        f, df = self._factor(r2)
         df2, ab = 2 * df, a * b
         return (
             a * f + 2 * p1 * ab + p2 * (r2 + 2 * a * a),
@@ -166,18 +160,13 @@ class _Fisheye(Lens):
         theta2 = _first_positive_root((1.0, 3 * k[0], 5 * k[1], 7 * k[2], 9 * k[3]))
         return math.tan(math.sqrt(theta2)) if theta2 < (math.pi / 2) ** 2 else math.inf
 
-    def _angle(self, theta: Array) -> tuple[Array, Array]:
-        """theta_d and its derivative."""
-        k1, k2, k3, k4 = self.k
-        t2 = theta * theta
-        theta_d = theta * (1 + t2 * (k1 + t2 * (k2 + t2 * (k3 + t2 * k4))))
-        return theta_d, 1 + t2 * (3 * k1 + t2 * (5 * k2 + t2 * (7 * k3 + t2 * (9 * k4))))
-
     def distort(self, a: Array, b: Array, r2: Array) -> tuple[Any, ...]:
         # The offset keeps 0/0 away from the axis and is lost in rounding everywhere else.
         r = np.sqrt(r2 + 1e-30)
-        theta_d, slope = self._angle(np.arctan(r))
-        f = theta_d / r
+        k1, k2, k3, k4 = self.k
+        t2 = (theta := np.arctan(r)) ** 2
+        f = theta * (1 + t2 * (k1 + t2 * (k2 + t2 * (k3 + t2 * k4)))) / r
+        slope = 1 + t2 * (3 * k1 + t2 * (5 * k2 + t2 * (7 * k3 + t2 * (9 * k4))))
         df2 = (slope / (1 + r2) - f) / (r * r)
         return a * f, b * f, f + df2 * a * a, df2 * a * b, f + df2 * b * b
 
