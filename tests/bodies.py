@@ -9,8 +9,7 @@ import numpy as np
 
 from recon import Camera, FitSettings, Keypoints, load_skeleton, write_cameras
 from recon.base.arrays import Array
-from recon.io import Pose3D
-from recon.io.deeplabcut import write_csv
+from recon.io import Pose3D, write_csv
 
 SPREAD = 0.5
 """How far keypoints lie beside the markers all the time, of the spread that the skeleton states for single frames."""

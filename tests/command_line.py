@@ -14,10 +14,9 @@ from typing import Any, NamedTuple
 import pytest
 
 from recon import read_settings
-from recon.base import silent
-from recon.base.manifest import write_manifest
+from recon.base import silent, write_manifest
 from recon.base.parallel import STARTING, Event, Work, outcome_of
-from recon.workflows.cli import main
+from recon.workflows import main
 
 
 class Ended(NamedTuple):

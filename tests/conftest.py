@@ -30,10 +30,8 @@ from recon.fit import Ground, Motion, MotionSegment, TrajectorySolution
 from recon.geometry import Camera, inverse, moved
 from recon.robotics.ik import clip as ik_clip
 from recon.show.plots import style
-from recon.thesis import FrameOptions, solve_frames
-from recon.thesis.starts import mean_pose
-from recon.workflows import analyse
-from recon.workflows.clip_results import run_clip
+from recon.thesis import FrameOptions, mean_pose, solve_frames
+from recon.workflows import analyse, run_clip
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -15,12 +15,10 @@ from detector_files import mmpose
 from scipy.spatial.transform import Rotation
 
 from recon import Body, Camera, Keypoints, Pose3D, load_skeleton, read_camera, read_pose3d
-from recon.calibrate.boards import parse_board
+from recon.calibrate import parse_board
 from recon.clip import select_frames
-from recon.io import bvh, columns, read_keypoints, write_table
-from recon.io.deeplabcut import write_csv
-from recon.io.video import video_writer
-from recon.show.export.rig import make_rig
+from recon.io import bvh, columns, read_keypoints, video_writer, write_csv, write_table
+from recon.show import make_rig
 from tests.fuzz.corpus import write_sleap
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -23,27 +23,12 @@ import pytest
 import tomli_w
 from command_line import carry_out_here
 
-from recon import FitSettings, InputError, fit_clip
-from recon.base import silent
-from recon.base.files import sole_writer
+from recon import FitSettings, InputError, find_clips, fit_clip, plan_batch, run_batch
+from recon.base import silent, sole_writer
 from recon.base.parallel import Event, outcome_of
 from recon.io import read_cameras
-from recon.workflows.analyse import AnalyseSettings, run_analyse
-from recon.workflows.batch import (
-    COLUMNS,
-    RECORD,
-    Clip,
-    Summary,
-    find_clips,
-    fit_planned,
-    input_problems,
-    plan_batch,
-    read_rows,
-    run_batch,
-)
-from recon.workflows.cli import main
-from recon.workflows.clip_results import run_clip
-from recon.workflows.made_from import Record, digest
+from recon.workflows import COLUMNS, AnalyseSettings, Record, digest, main, run_analyse, run_clip
+from recon.workflows.batch import RECORD, Clip, Summary, fit_planned, input_problems, read_rows
 
 SAMPLES = Path(__file__).parents[1] / "data" / "samples"
 CAMERA = SAMPLES / "camera.toml"

@@ -31,14 +31,12 @@ from recon import (
 from recon.animal import fitting_maps, load_names, new_names, prior_from_body
 from recon.clip import View, camera_poses
 from recon.fit import TrajectoryOptions, solve_trajectory
-from recon.gait.evaluation import LEVELS
+from recon.gait import LEVELS
 from recon.geometry import rigid
-from recon.io import trc
-from recon.io.deeplabcut import write_csv
+from recon.io import trc, write_csv
 from recon.io.json_poses import LISTS
-from recon.workflows.clip import prepare
-from recon.workflows.clip_results import run_clip
-from recon.workflows.skeleton_draft import _SkeletonDraftSettings, draft_skeleton, drafted, run_skeleton_draft
+from recon.workflows import draft_skeleton, prepare, run_clip
+from recon.workflows.skeleton_draft import _SkeletonDraftSettings, drafted, run_skeleton_draft
 
 OBLIQUE_M = [[1.0, -5.5, 1.5], [4.5, -4.0, 1.7], [-4.5, 4.0, 1.8], [5.0, 4.0, 2.0]]
 ABOVE_M = [[0.35, 0.1, 0.45], [-0.1, 0.4, 0.45], [-0.35, -0.1, 0.5], [0.1, -0.4, 0.4]]

@@ -16,19 +16,11 @@ from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
 from recon import Camera, InputError, read_camera
-from recon.calibrate.boards import (
-    Board,
-    BoardView,
-    BoardViews,
-    choose,
-    collect,
-    corner_sharpness,
-    find_views,
-    parse_board,
-)
+from recon.calibrate import parse_board
+from recon.calibrate.boards import Board, BoardView, BoardViews, choose, collect, corner_sharpness, find_views
 from recon.calibrate.intrinsics import calibrate, check, coverage, draw
-from recon.io.video import video_writer
-from recon.workflows.cli import app
+from recon.io import video_writer
+from recon.workflows import app
 
 CHESS, CHARUCO = "chessboard:9x6:25mm", "charuco:9x6:30mm:22mm:DICT_4X4_50"
 SIZE = (800, 600)

@@ -11,14 +11,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from recon import FitSettings, InputError, Motion, fit_clip, read_keypoints
+from recon import FitSettings, InputError, Motion, find_clips, fit_clip, read_keypoints
 from recon.clip import Keypoints, View, held, views_of
 from recon.geometry import Camera, inverse, rigid
-from recon.io import read_camera_track, read_pose3d
-from recon.io.deeplabcut import write_csv
-from recon.workflows.batch import find_clips
-from recon.workflows.clip import prepare
-from recon.workflows.made_from import identity
+from recon.io import read_camera_track, read_pose3d, write_csv
+from recon.workflows import identity, prepare
 from tests import test_cameras
 from tests.command_line import run as command
 from tests.test_cameras import FISHEYE, problems, settings

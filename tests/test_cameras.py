@@ -13,10 +13,9 @@ from scipy.spatial.transform import Rotation
 from recon import Camera, FitSettings, InputError, Keypoints, Motion, clean, fit_clip
 from recon.clip import Source, View, together
 from recon.fit import TrajectorySolution, solve_extrinsics, solve_trajectory
-from recon.io import read_cameras, read_keypoints, write_cameras
-from recon.io.deeplabcut import write_csv
+from recon.io import read_cameras, read_keypoints, write_cameras, write_csv
+from recon.workflows import prepare
 from recon.workflows.cameras import cameras_in
-from recon.workflows.clip import prepare
 from recon.workflows.extrinsics import clips_of, lines_of, run_extrinsics
 from tests.command_line import run as command
 from tests.conftest import SAMPLES

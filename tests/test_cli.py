@@ -26,10 +26,10 @@ from recon import FitSettings, Motion, evaluate_files, read_settings
 from recon.animal import MIN_JOINTS
 from recon.check import verdict_lines
 from recon.io import read_keypoints
-from recon.show.plain import to_plain
+from recon.show import to_plain
+from recon.workflows import OUTPUT_FILES
 from recon.workflows.cli import error_text, terminal
 from recon.workflows.cli.common import say, table_of
-from recon.workflows.clip_results import OUTPUT_FILES
 
 SAMPLES = Path(__file__).parents[1] / "data" / "samples"
 CLIP, CAMERA, TRUTH = SAMPLES / "noisy.csv", SAMPLES / "camera.toml", SAMPLES / "noisy_truth.csv"

@@ -10,13 +10,11 @@ import pytest
 
 from recon import FitSettings, InputError, fit_clip, samples_folder, write_clip
 from recon.animal import builtin_chains, load_chain
-from recon.base.manifest import read_manifest
+from recon.base import read_manifest
 from recon.clip import still_view
-from recon.io import read_camera, read_keypoints
-from recon.io.deeplabcut import write_csv
+from recon.io import read_camera, read_keypoints, write_csv
 from recon.thesis import FrameOptions, solve_frames
-from recon.workflows.clip import prepare
-from recon.workflows.clip_results import OUTPUT_FILES, run_clip
+from recon.workflows import OUTPUT_FILES, prepare, run_clip
 
 EXAMPLE = (Path(__file__).parent / "files" / "trunk-and-leg.toml").read_text()
 # The same chain, hung from its front end: the root is the joint that the animal's front is known by.

@@ -16,13 +16,13 @@ from command_line import run
 
 from recon import ClipAnalysis, InputError, analyse
 from recon.fit import Motion
-from recon.gait.clip import limb_chains
-from recon.gait.kinematics import joint_kinematics
+from recon.gait import joint_kinematics, limb_chains
 from recon.io import read_pose3d
+from recon.show import build_report
 from recon.show.export import analysis_csv
 from recon.show.plots import save
-from recon.show.report import build_report
-from recon.workflows.analyse import figures_of, notes, summarise
+from recon.workflows import notes, summarise
+from recon.workflows.analyse import figures_of
 
 SAMPLES = Path(__file__).parents[1] / "data" / "samples"
 

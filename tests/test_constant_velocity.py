@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 from gallop import gallop
 
-from recon.animal import facing_side, load_chain
-from recon.animal.chain import upright_rotation
-from recon.fit import starts
-from recon.fit.starts import constant_velocity, position_on_rays
-from recon.thesis.starts import estimate_travel, geometric_start, mean_pose, state_from_joints
+from recon.animal import facing_side, load_chain, upright_rotation
+from recon.fit import constant_velocity, position_on_rays, starts
+from recon.thesis import mean_pose
+from recon.thesis.starts import estimate_travel, geometric_start, state_from_joints
 
 SK = load_chain("cheetah-8u")
 

@@ -17,8 +17,8 @@ from typer.testing import CliRunner
 from recon import InputError
 from recon.clip import Keypoints
 from recon.io import CONVERTED, FORMATS, Format, Pose3D, choose_format, read_keypoints, read_pose3d
-from recon.workflows.cli import app, main
-from recon.workflows.convert import ConvertSettings, convert
+from recon.workflows import ConvertSettings, app, main
+from recon.workflows.convert import convert
 
 NAN = float("nan")
 FRAMES = np.array([7, 8, 9, 10, 14])
@@ -449,8 +449,7 @@ def test_columns_by_a_map(tmp_path):
 
 @pytest.fixture(scope="module")
 def results(small_trajectory, tmp_path_factory) -> Path:
-    from recon.workflows.clip_results import write_clip
-    from recon.workflows.settings import FitSettings
+    from recon import FitSettings, write_clip
 
     folder = tmp_path_factory.mktemp("results")
     settings = FitSettings(keypoints=Path("run.csv"), fps=30, hfov_deg=64.0, image_size_px=(1920, 1080))
@@ -460,7 +459,7 @@ def results(small_trajectory, tmp_path_factory) -> Path:
 
 def test_folder_of_results(results, tmp_path):
     """The joints upright, with the frame rate of the report and the limbs of the skeleton."""
-    from recon.fit.motion import Motion
+    from recon.fit import Motion
 
     *_, notes = convert(ConvertSettings(source=results, out=tmp_path / "a.nwb"))
     assert "level frame" in notes[0]

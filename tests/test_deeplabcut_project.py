@@ -14,12 +14,10 @@ from command_line import run
 from detector_files import ANIMAL3D, words
 from test_net_labels import NAMES, grey, write_labels
 
-from recon import InputError, evaluate_files
+from recon import InputError, evaluate_files, find_clips
 from recon.animal import load_names
-from recon.io import read_keypoints, read_pose3d
-from recon.io.deeplabcut_project import find_project, predictions
-from recon.keypoint_net.labels import read_labels
-from recon.workflows.batch import find_clips
+from recon.io import find_project, predictions, read_keypoints, read_pose3d
+from recon.keypoint_net import read_labels
 from recon.workflows.skeleton_draft import _SkeletonDraftSettings, run_skeleton_draft
 
 SAMPLE = Path(__file__).parents[1] / "data" / "samples" / "whole.csv"

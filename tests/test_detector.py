@@ -14,8 +14,8 @@ from recon.animal import detector_toml, prior_from_body, seen_by
 from recon.clip import still_view
 from recon.fit import ClipProblem, TrajectoryOptions
 from recon.io import deeplabcut, deeplabcut_h5, movement, nwb
-from recon.show.report import build_report
-from recon.workflows.clip import prepare
+from recon.show import build_report
+from recon.workflows import prepare
 from tests.test_cameras import folder, settings  # noqa: F401
 
 

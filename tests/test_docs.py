@@ -30,9 +30,9 @@ from command_line import carry_out_here, copy_results, run
 from conftest import draw_small
 from docs_files import FILES, OF_PAGE
 
-from recon.workflows.batch import find_clips
-from recon.workflows.cli import app
-from recon.workflows.cli import commands as commands_of_recon
+from recon import find_clips
+from recon.workflows import app
+from recon.workflows import commands as commands_of_recon
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"

@@ -21,9 +21,9 @@ from recon.gait.dynamics import (
     off_gravity,
     shape,
 )
+from recon.show import clip_page
 from recon.show.export.analysis_csv import forces
-from recon.show.page.clip import clip_page
-from recon.workflows.analyse import summarise
+from recon.workflows import summarise
 
 SKELETON = Path(__file__).parents[1] / "recon" / "animal" / "skeletons" / "cheetah-24.toml"
 
@@ -150,7 +150,7 @@ def test_the_shape_begins_and_ends_at_nothing_and_leans_forwards():
 
 
 def test_without_masses_nothing_is_said(motion: Motion):
-    from recon.workflows.analyse import notes
+    from recon.workflows import notes
 
     plain = replace(motion, solution=replace(motion.solution, body=replace(motion.body, mass={}, mass_source=None)))
     found = analyse(plain)

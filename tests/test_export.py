@@ -9,8 +9,8 @@ import pandas as pd
 import pytest
 
 from recon.io import read_keypoints, read_pose3d
+from recon.show import write_tables
 from recon.show.export import clip_csv
-from recon.show.export.clip_csv import CAMERA_OUTPUTS, CLIP_OUTPUTS, camera_files, of_any_camera, write_tables
 
 
 def test_pose3d_round_trip(small_motion, tmp_path):
@@ -115,7 +115,7 @@ def test_quality_of_the_frame_method_has_the_same_columns(small_motion, tmp_path
 @pytest.mark.parametrize("motion", ["small_motion", "small_trajectory"])
 def test_every_writer_writes(motion, tmp_path, request):
     write_tables(request.getfixturevalue(motion), tmp_path)
-    outputs = [*CLIP_OUTPUTS, *CAMERA_OUTPUTS]
+    outputs = [*clip_csv.CLIP_OUTPUTS, *clip_csv.CAMERA_OUTPUTS]
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted(outputs)
     for path in tmp_path.iterdir():
         text = path.read_bytes()
@@ -127,7 +127,7 @@ def test_every_writer_writes(motion, tmp_path, request):
 def test_every_camera_has_its_table(two_cameras, tmp_path):
     write_tables(two_cameras, tmp_path)
     names = {path.name for path in tmp_path.glob("reprojection*")}
-    assert names == {"reprojection_cam1.csv", "reprojection_cam2.csv"} == {*of_any_camera(tmp_path)}
+    assert names == {"reprojection_cam1.csv", "reprojection_cam2.csv"} == {*clip_csv.of_any_camera(tmp_path)}
     for picture in two_cameras.pictures:
         table = read_keypoints(tmp_path / f"reprojection_{picture.name}.csv")
         np.testing.assert_allclose(table.xy_px, picture.reprojected_px, rtol=1e-12)
@@ -137,8 +137,8 @@ def test_every_camera_has_its_table(two_cameras, tmp_path):
 
 
 def test_files_of_cameras_with_any_names():
-    assert camera_files("a.csv", ["x/y"]) == ["a.csv"]
-    assert camera_files("a.csv", ["x/y", "x y", "", "Cam", "cam"]) == [
+    assert clip_csv.camera_files("a.csv", ["x/y"]) == ["a.csv"]
+    assert clip_csv.camera_files("a.csv", ["x/y", "x y", "", "Cam", "cam"]) == [
         "a_x-y.csv",
         "a_x-y-2.csv",
         "a_3.csv",

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from recon import InputError
 from recon.base import silent
-from recon.base.errors import InputError
 from recon.clip import View, still_view
 from recon.fit import ClipProblem, TrajectoryOptions, solve_extrinsics
 from recon.fit.extrinsics import _beside_first, _level, _placed

@@ -14,8 +14,7 @@ from pathlib import Path
 import pytest
 
 from recon import InputError
-from recon.base.files import require_free_folder, sole_writer, staged_file, staged_folder, staged_results
-from recon.base.manifest import read_manifest
+from recon.base import read_manifest, require_free_folder, sole_writer, staged_file, staged_folder, staged_results
 
 
 def contents(folder: Path) -> dict[str, str]:

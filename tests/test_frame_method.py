@@ -11,10 +11,19 @@ from gallop import add_noise, gallop
 from recon.animal import load_chain
 from recon.clip import still_view
 from recon.geometry import inverse
-from recon.thesis import FrameOptions, FrameProblem, FrameSolver, base_length, frame, solve_frames, solve_joints
+from recon.thesis import (
+    FrameOptions,
+    FrameProblem,
+    FrameSolver,
+    base_length,
+    frame,
+    mean_pose,
+    solve_frames,
+    solve_joints,
+)
 from recon.thesis.frame import CONVERGED, posterior_covariance, precision_shares
 from recon.thesis.objectives import JointReprojection
-from recon.thesis.starts import Travel, mean_pose
+from recon.thesis.starts import Travel
 
 SK = load_chain("cheetah-8u")
 UP = np.array([0.0, -1, 0])

@@ -12,7 +12,8 @@ from dog import read_clips
 from gallop import KEYPOINT_NAMES, gallop
 
 from recon import InputError, Pose3D, load_skeleton, read_pose3d
-from recon.fit.posterior import radius
+from recon.fit import radius
+from recon.gait import Errors, pose_gait
 from recon.gait.gait import (
     FEET,
     PERIOD_SIGMA,
@@ -23,13 +24,11 @@ from recon.gait.gait import (
     gait,
     ground_plane,
     match_stances,
-    pose_gait,
     pose_period_s,
     pose_tracks,
     stances,
     strides,
 )
-from recon.gait.kinematics import Errors
 
 FPS = 90.0
 NAMES = (*FEET.values(), "neck_base", "tail_base")

@@ -8,24 +8,19 @@ from scipy.spatial.transform import Rotation
 
 from recon import load_skeleton
 from recon.animal import load_chain
-from recon.robotics.ik.animal import body_chain
-from recon.robotics.ik.chain import (
-    joint_chain,
-    manipulability,
-    mobility,
-    null_basis,
-    planar_chain,
-    summed_chain,
-    two_link,
-)
-from recon.robotics.ik.costs import (
+from recon.robotics import (
+    body_chain,
     harmonic_map,
     joint_differences,
+    null_basis,
+    planar_chain,
     pose_distance,
     rotational_energy,
+    summed_chain,
     user_cost,
     weighted_sum,
 )
+from recon.robotics.ik.chain import joint_chain, manipulability, mobility, two_link
 
 LENGTHS = (0.4, 0.3, 0.25, 0.28, 0.2)
 CHAINS = {"planar": planar_chain(LENGTHS), "summed": summed_chain(LENGTHS)}

@@ -15,13 +15,11 @@ from gallop import RISE_S, START_STRIDES_HZ, TOP_STRIDES_HZ, gallop
 
 from recon import InputError
 from recon.fit import Motion
-from recon.gait.gait import pose_gait
+from recon.gait import pose_gait
 from recon.io import Pose3D
-from recon.robotics import IkSettings, limb_of, methods_of, run_ik
+from recon.robotics import IkSettings, LeastNorm, damped_least_squares, drive_to, limb_of, methods_of, run_ik
 from recon.robotics.ik.clip import cost_of, fit_parameters, follow_stride, stride_lasts_s, stride_of
-from recon.robotics.ik.drive import drive_to
 from recon.robotics.ik.fit import DAMPING_M, fits
-from recon.robotics.ik.methods import LeastNorm, damped_least_squares
 from recon.robotics.settings import METHODS
 
 pytestmark = pytest.mark.usefixtures("small_pictures")

@@ -8,20 +8,26 @@ import numpy as np
 import pytest
 
 from recon.animal import load_chain
-from recon.robotics.ik.animal import spine_front_leg
-from recon.robotics.ik.chain import null_basis, planar_chain
-from recon.robotics.ik.costs import harmonic_map, joint_differences, rotational_energy, user_cost
-from recon.robotics.ik.drive import degree_of_closure, drive_to, follow
-from recon.robotics.ik.methods import (
+from recon.robotics import (
     ExtendedJacobian,
     GradientProjection,
     JacobianTranspose,
     LeastNorm,
     SelectivelyDamped,
     damped_least_squares,
+    degree_of_closure,
+    drive_to,
+    follow,
+    harmonic_map,
+    joint_differences,
+    null_basis,
+    planar_chain,
+    rotational_energy,
+    spine_front_leg,
+    to_null_space_optimum,
+    user_cost,
     weighted_least_norm,
 )
-from recon.robotics.ik.null_space import to_null_space_optimum
 
 STARTS = 20
 

@@ -6,10 +6,16 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from recon.robotics.ik.chain import joint_chain, planar_chain, unreachable
-from recon.robotics.ik.costs import joint_differences, rotational_energy
-from recon.robotics.ik.drive import drive_to
-from recon.robotics.ik.methods import ExtendedJacobian, LeastNorm, damped_least_squares
+from recon.robotics import (
+    ExtendedJacobian,
+    LeastNorm,
+    damped_least_squares,
+    drive_to,
+    joint_differences,
+    planar_chain,
+    rotational_energy,
+)
+from recon.robotics.ik.chain import joint_chain, unreachable
 
 SLIDING = np.array([False, True, False, False, False, True])
 

@@ -8,12 +8,21 @@ from functools import partial
 import numpy as np
 import pytest
 
-from recon.robotics.ik.chain import null_basis, planar_chain, summed_chain
-from recon.robotics.ik.costs import (
+from recon.robotics import (
+    ExtendedJacobian,
+    GradientProjection,
+    JacobianTranspose,
+    LeastNorm,
+    SelectivelyDamped,
+    damped_least_squares,
     harmonic_map,
     joint_differences,
+    null_basis,
+    planar_chain,
     rotational_energy,
+    summed_chain,
     user_cost,
+    weighted_least_norm,
     weighted_sum,
 )
 from recon.robotics.ik.fit import (
@@ -28,17 +37,7 @@ from recon.robotics.ik.fit import (
     fit_weights,
     rates_of,
 )
-from recon.robotics.ik.methods import (
-    ExtendedJacobian,
-    GradientProjection,
-    JacobianTranspose,
-    LeastNorm,
-    SelectivelyDamped,
-    damped_least_squares,
-    reduced_gradient,
-    right_inverse,
-    weighted_least_norm,
-)
+from recon.robotics.ik.methods import reduced_gradient, right_inverse
 
 LENGTHS = (0.4, 0.3, 0.25, 0.28, 0.2)
 CHAINS = {"planar": planar_chain(LENGTHS), "summed": summed_chain(LENGTHS)}

@@ -5,10 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from recon.robotics.ik.chain import planar_chain
-from recon.robotics.ik.drive import follow
-from recon.robotics.ik.methods import LeastNorm
-from recon.robotics.ik.stride import farthest_reach, find_stride
+from recon.robotics import LeastNorm, farthest_reach, find_stride, follow, planar_chain
 
 CHAIN = planar_chain((0.5, 0.4, 0.3))
 

@@ -39,9 +39,8 @@ from recon.check.inputs.swaps import (
 )
 from recon.clip import CleaningReport, Keypoints, Source, View, clean, still_view
 from recon.fit import ClipProblem, Motion, TrajectoryOptions, TrajectorySolution, solve_trajectory
-from recon.io import read_keypoints
-from recon.io.deeplabcut import write_csv
-from recon.workflows.clip import prepare
+from recon.io import read_keypoints, write_csv
+from recon.workflows import prepare
 from tests.test_trajectory import BODY, CAMERA, FPS, PRIOR, plain, run, seen
 
 T = 40

@@ -16,8 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from recon import FitSettings, InputError
 from recon.clip import Keypoints
-from recon.io import FORMATS, Pose3D, read_cameras, read_keypoints, read_pose3d
-from recon.io.columns import parse_map
+from recon.io import FORMATS, Pose3D, parse_map, read_cameras, read_keypoints, read_pose3d
 from recon.io.common import NoChoiceError, frames_of_text, frames_of_times, frames_text
 
 NAN = float("nan")

@@ -8,18 +8,15 @@ from gallop import gallop
 from scipy.interpolate import make_smoothing_spline
 
 from recon import InputError
+from recon.gait import Errors, angle_kinematics, joint_kinematics, point_kinematics
 from recon.gait.kinematics import (
-    Errors,
     _curve,
     _evaluate,
     _smoothed,
     angle_between,
-    angle_kinematics,
     angle_sigma,
     frame_times,
     joint_angle,
-    joint_kinematics,
-    point_kinematics,
     sagittal_flexion,
     series_kinematics,
     spine_flexion,

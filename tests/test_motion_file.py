@@ -16,9 +16,9 @@ import numpy as np
 import pytest
 
 from recon import InputError, Motion
-from recon.base.manifest import write_manifest
-from recon.base.records import load_record, save_record
-from recon.fit.motion import MOTION, SCHEMA
+from recon.base import load_record, save_record, write_manifest
+from recon.fit import MOTION
+from recon.fit.motion import SCHEMA
 
 
 def differences(a: Any, b: Any, where: str = "") -> list[str]:

@@ -14,22 +14,32 @@ from command_line import run
 from detector_files import ACINOSET, ANIMAL3D, AP_10K, HORSE_10, MMPOSE_AP_10K, SUPERANIMAL, UNSEEN
 
 from recon import ClipAnalysis, FitSettings, InputError, Keypoints, evaluate, load_skeleton, read_pose3d
-from recon.animal import NameMap, builtin_maps, fitting_maps, load_names, map_to_write, new_names, renamed, suggestions
-from recon.animal.skeleton_file import skeleton_of
+from recon.animal import (
+    NameMap,
+    builtin_maps,
+    fitting_maps,
+    load_names,
+    map_to_write,
+    new_names,
+    renamed,
+    skeleton_of,
+    suggestions,
+)
 from recon.fit import Motion
-from recon.io import read_keypoints
-from recon.io.deeplabcut import write_csv
+from recon.io import read_keypoints, write_csv
 from recon.keypoint_net import evaluate_2d_files
-from recon.robotics import load_robot
-from recon.robotics.robot.reference import reference_of
-from recon.robotics.robot.retarget import retarget
-from recon.show.report import build_report
-from recon.workflows.clip import prepare
-from recon.workflows.clip_results import run_clip
-from recon.workflows.convert import ConvertSettings, read_any
-from recon.workflows.made_from import file_sha256, identity
-from recon.workflows.skeleton_check import check_skeleton
-from recon.workflows.skeleton_draft import draft_skeleton
+from recon.robotics import load_robot, reference_of, retarget
+from recon.show import build_report
+from recon.workflows import (
+    ConvertSettings,
+    check_skeleton,
+    draft_skeleton,
+    file_sha256,
+    identity,
+    prepare,
+    read_any,
+    run_clip,
+)
 
 SAMPLES = Path(__file__).parents[1] / "data" / "samples"
 
@@ -344,7 +354,7 @@ def test_positions_in_3d_are_not_renamed(tmp_path):
 
 
 def test_labels_and_predictions_of_other_names(tmp_path):
-    from recon.keypoint_net.labels import read_labels
+    from recon.keypoint_net import read_labels
 
     names = in_file(tmp_path, "".join(f"{n},{n.upper()}\n" for n in ("nose", "l_eye", "spine")))
     labels = read_labels(SAMPLES / "rendered.mp4", SAMPLES / "rendered_labels.csv", rename=str(names))

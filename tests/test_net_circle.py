@@ -11,9 +11,8 @@ import numpy as np
 import pytest
 from networks import narrow_networks
 
-from recon.io import read_keypoints
-from recon.io.video import probe, read_frames, video_writer
-from recon.keypoint_net.labels import read_labels
+from recon.io import probe, read_frames, read_keypoints, video_writer
+from recon.keypoint_net import read_labels
 
 SAMPLES = Path(__file__).resolve().parents[1] / "data" / "samples"
 
@@ -102,7 +101,7 @@ def test_the_circle_at_a_small_size(tmp_path, monkeypatch):
     """A few steps of a narrow network: the points are poor, but every part gives what the next one takes."""
     from net_circle import run_circle
 
-    from recon.keypoint_net.train import TrainSettings
+    from recon.keypoint_net import TrainSettings
 
     narrow_networks(monkeypatch)
     settings, film = TrainSettings(steps=12, batch=2), first_frames(tmp_path / "film", 32)

@@ -9,17 +9,9 @@ import numpy as np
 import pytest
 
 from recon import InputError
-from recon.io.video import video_writer
-from recon.keypoint_net.labels import (
-    PARTS,
-    body_length_px,
-    frames_by_part,
-    read_labels,
-    resize,
-    scale_points,
-    sides,
-    split_labels,
-)
+from recon.io import video_writer
+from recon.keypoint_net import read_labels
+from recon.keypoint_net.labels import PARTS, body_length_px, frames_by_part, resize, scale_points, sides, split_labels
 
 NAMES = ("nose", "left_paw", "right_paw")
 

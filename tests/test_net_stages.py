@@ -12,16 +12,18 @@ from networks import narrow_networks
 torch = pytest.importorskip("torch")
 
 from recon import InputError  # noqa: E402
-from recon.io.video import video_writer  # noqa: E402
+from recon.io import video_writer  # noqa: E402
 from recon.keypoint_net import (  # noqa: E402
     LabelSource,
     TrainSettings,
+    load_model,
+    load_torch,
     network,
     pictures,
     run_prediction,
     run_training,
 )
-from recon.keypoint_net.network import MODEL_FILE, Spec, TrainedNetwork, load_model, load_torch, part_of  # noqa: E402
+from recon.keypoint_net.network import MODEL_FILE, Spec, TrainedNetwork, part_of  # noqa: E402
 from recon.keypoint_net.pictures import network_scales  # noqa: E402
 from recon.keypoint_net.train import CHECKPOINT_FILE  # noqa: E402
 

@@ -14,18 +14,17 @@ from networks import EVALUATIONS, narrow_networks
 torch = pytest.importorskip("torch")
 
 from recon import InputError  # noqa: E402
-from recon.base.package import install_command  # noqa: E402
-from recon.io import read_keypoints  # noqa: E402
-from recon.io.video import VideoInfo, probe, video_writer  # noqa: E402
+from recon.base import install_command  # noqa: E402
+from recon.io import VideoInfo, probe, read_keypoints, video_writer  # noqa: E402
 from recon.keypoint_net import (  # noqa: E402
     LabelSource,
     TrainSettings,
+    load_torch,
     run_prediction,
     run_training,
 )
 from recon.keypoint_net import predict as predict_module  # noqa: E402
 from recon.keypoint_net import train as train_module  # noqa: E402
-from recon.keypoint_net.network import load_torch  # noqa: E402
 from recon.keypoint_net.train import schedule  # noqa: E402
 
 SIZE, FRAMES = (96, 64), 20

@@ -14,7 +14,7 @@ from recon.check import solved_in_step
 from recon.check.agreement import search_offsets
 from recon.clip import Source, at_rate, clean
 from recon.fit import TrajectoryOptions, TrajectorySolution, solve_trajectory
-from recon.workflows.clip import prepare
+from recon.workflows import prepare
 from tests.test_agreement import KEYPOINT_M, cameras, late
 from tests.test_trajectory import BODY, CAMERA, FPS, PRIOR
 

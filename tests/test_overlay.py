@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 from recon import FitSettings, InputError, write_clip
 from recon.fit import Finding, Motion
-from recon.io.video import missing_note, probe, read_frames, timed_frames, video_writer
+from recon.io import missing_note, probe, read_frames, timed_frames, video_writer
 from recon.show.overlay import (
     CLOSE_UP,
     DETECTION,
@@ -31,16 +31,8 @@ from recon.show.overlay import (
     shade,
     smoothed_headings,
 )
-from recon.workflows.cli import app
-from recon.workflows.look import (
-    OverlaySettings,
-    PageSettings,
-    camera_number,
-    overlay_of,
-    rate_note,
-    run_overlay,
-    stills,
-)
+from recon.workflows import PageSettings, app
+from recon.workflows.look import OverlaySettings, camera_number, overlay_of, rate_note, run_overlay, stills
 
 SIZE = (1920, 1080)
 GREY = np.full((1080, 1920, 3), 128, np.uint8)

@@ -15,8 +15,7 @@ from types import SimpleNamespace
 import pytest
 
 import recon
-from recon.base import package
-from recon.base.package import DISTRIBUTION, install_command
+from recon.base import DISTRIBUTION, install_command, package
 
 ROOT = Path(__file__).parents[1]
 

@@ -21,17 +21,15 @@ from markupsafe import Markup
 from motions import with_first
 
 from recon import FitSettings, InputError, write_clip
-from recon.base.manifest import read_manifest, write_manifest
+from recon.base import read_manifest, write_manifest
 from recon.check import findings_of
 from recon.fit import Motion
-from recon.io.video import video_writer
-from recon.show.page.clip import _solid, clip_page, doubtful_frames
+from recon.io import video_writer
+from recon.show import TO_DO, build_report, clip_page, drawing
+from recon.show.page.clip import _solid, doubtful_frames
 from recon.show.page.render import _without_direction, inline
 from recon.show.plots.angles import angle_over_time, together
-from recon.show.plots.style import drawing
-from recon.show.report import TO_DO, build_report
-from recon.workflows.batch import COLUMNS, write_summary_page
-from recon.workflows.look import PageSettings, run_page
+from recon.workflows import COLUMNS, PageSettings, run_page, write_summary_page
 
 EVIL = '<img src=x onerror="alert(1)">&\'.csv'
 MOST_BYTES = 3_000_000

@@ -6,18 +6,8 @@ import numpy as np
 import pytest
 
 from recon import InputError
-from recon.gait.kinematics import angle_kinematics
-from recon.gait.phase import (
-    Portrait,
-    closure,
-    degree_of_closure,
-    field_means,
-    field_with_sigma,
-    phase_portrait,
-    pose_vector_field,
-    scaled,
-    vector_field,
-)
+from recon.gait import Portrait, angle_kinematics, phase_portrait, vector_field
+from recon.gait.phase import closure, degree_of_closure, field_means, field_with_sigma, pose_vector_field, scaled
 from recon.io import Pose3D
 
 FPS = 90.0

@@ -16,8 +16,8 @@ from command_line import carry_out_here
 from networks import narrow_networks
 
 import recon
-from recon.calibrate.boards import parse_board
-from recon.io.video import read_frames, video_writer
+from recon.calibrate import parse_board
+from recon.io import read_frames, video_writer
 from tests.test_calibrate import CAMERAS
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -15,14 +15,19 @@ from matplotlib.quiver import Quiver
 from PIL import Image
 
 from recon.animal import Side, load_skeleton
+from recon.gait import Closure, Errors, Portrait, angle_kinematics, phase_portrait, point_kinematics, vector_field
 from recon.gait.gait import BODY, FEET, Plane, Stance, Stride, gait, pose_tracks
-from recon.gait.kinematics import Errors, angle_kinematics, point_kinematics
-from recon.gait.phase import Closure, Portrait, phase_portrait, vector_field
 from recon.io.pose3d import Pose3D
+from recon.robotics import (
+    JacobianTranspose,
+    LeastNorm,
+    damped_least_squares,
+    drive_to,
+    follow,
+    planar_chain,
+    summed_chain,
+)
 from recon.robotics.ik import plots as ik_plots
-from recon.robotics.ik.chain import planar_chain, summed_chain
-from recon.robotics.ik.drive import drive_to, follow
-from recon.robotics.ik.methods import JacobianTranspose, LeastNorm, damped_least_squares
 from recon.show import plots
 from recon.show.plots import configurations, phase, style
 from recon.show.plots.observability import share_colours

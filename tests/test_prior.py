@@ -23,10 +23,10 @@ from recon.animal import (
     load_chain,
     load_prior,
     load_skeleton,
+    mean_speed_m_s,
     prior_from_body,
     save_prior,
 )
-from recon.animal.prior import mean_speed_m_s
 from recon.animal.prior_fit import (
     ACCELERATION_FLOOR_RAD_S2,
     POSE_FLOOR_RAD,
@@ -36,7 +36,7 @@ from recon.animal.prior_fit import (
 )
 from recon.fit import Motion
 from recon.io import read_pose_segments
-from recon.workflows.cli import app
+from recon.workflows import app
 from recon.workflows.prior import _notes, _sound_states
 
 OMEGA_RAD_S = 12.0

@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from recon.animal import MotionPrior, load_skeleton, prior_from_body
-from recon.animal.prior import ANGLES
+from recon.animal import ANGLES, MotionPrior, load_skeleton, prior_from_body
 from recon.clip import still_view
 from recon.fit import Estimate, LeastSquares, TrajectoryOptions, TrajectorySolution, constants, solve_trajectory
 from recon.fit.posterior import PriorMisfit, prior_misfit_of

@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 
 import recon
-from recon.fit.motion import Motion
+from recon.fit import Motion
 from recon.io.movement import dataset_of
 
 SAMPLES = Path(__file__).resolve().parents[1] / "data" / "samples"

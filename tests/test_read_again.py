@@ -13,12 +13,10 @@ import pytest
 from recon import Camera, FitSettings, Keypoints, Motion, analyse, evaluate_files, read_keypoints
 from recon.animal import Body, builtin_names, load_skeleton
 from recon.clip import camera_poses
-from recon.io import CONVERTED, read_points, write_camera, write_cameras
-from recon.io.deeplabcut import write_csv
+from recon.io import CONVERTED, read_points, write_camera, write_cameras, write_csv
+from recon.workflows import ConvertSettings, PageSettings, run_clip, run_page
 from recon.workflows import analyse as analysis
-from recon.workflows.clip_results import run_clip
-from recon.workflows.convert import ConvertSettings, convert
-from recon.workflows.look import PageSettings, run_page
+from recon.workflows.convert import convert
 from tests.test_camera_track import write_track
 from tests.test_views import pose
 

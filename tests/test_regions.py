@@ -3,7 +3,7 @@ import pytest
 from scipy.stats import chi2, t
 from shares import share_below, share_inside
 
-from recon.fit.posterior import DEGREES_OF_FREEDOM, radius, sigmas
+from recon.fit import DEGREES_OF_FREEDOM, radius, sigmas
 
 
 def test_intervals_are_those_of_students_t_with_the_stated_variance():

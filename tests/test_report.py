@@ -15,9 +15,9 @@ from rich.console import Console
 
 from recon.check import findings_of
 from recon.fit import MotionSegment
+from recon.show import TO_DO, to_plain, write_report
 from recon.show import report as reports
-from recon.show.plain import to_plain, write_report
-from recon.show.report import SCHEMA_VERSION, TO_DO, console_summary, is_unsolved
+from recon.show.report import SCHEMA_VERSION, console_summary, is_unsolved
 from recon.thesis.frame import in_world
 
 DOCS = Path(__file__).resolve().parents[1] / "docs" / "report.md"

@@ -16,10 +16,10 @@ from command_line import run
 from recon import InputError
 from recon.animal import builtin_names, load_skeleton
 from recon.fit import Motion
-from recon.io import Armature, bvh, gltf, opensim, read_pose3d
-from recon.io.pose import y_up_from_z_up
-from recon.show.export.rig import make_rig, rig_of
-from recon.workflows.convert import ConvertSettings, convert
+from recon.io import Armature, bvh, gltf, opensim, read_pose3d, y_up_from_z_up
+from recon.show import make_rig, rig_of
+from recon.workflows import ConvertSettings
+from recon.workflows.convert import convert
 
 FRAMES = np.array([10, 11, 13, 14])
 MOST_M = 1e-5

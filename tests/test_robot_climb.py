@@ -16,8 +16,8 @@ from scipy.optimize import root
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from recon import InputError
-from recon.robotics import load_robot
-from recon.robotics.climb import Recipe, bundled, load_recipe, plan, raised
+from recon.robotics import LEGS, Quadruped, load_recipe, load_robot
+from recon.robotics.climb import Recipe, bundled, plan, raised
 from recon.robotics.climb.plan import (
     LEFT,
     NONE,
@@ -31,7 +31,6 @@ from recon.robotics.climb.plan import (
 )
 from recon.robotics.climb.recipe import PLANAR, RECIPES, SPATIAL, Fields, Step, _Balance, _Well
 from recon.robotics.robot.physics import margins_figure
-from recon.robotics.robot.quadruped import LEGS, Quadruped
 
 HIPS = np.array([[0.065, 0.0625, 0], [0.065, -0.0625, 0], [-0.065, 0.0625, 0], [-0.065, -0.0625, 0]])
 

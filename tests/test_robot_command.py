@@ -8,8 +8,7 @@ import pytest
 from command_line import run
 from robot_urdf import a1_urdf
 
-from recon.robotics import load_robot
-from recon.robotics.robot.answers import all_solutions
+from recon.robotics import all_solutions, load_robot
 
 PUMA = """convention = "modified"
 joints = [

@@ -4,18 +4,18 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from recon.robotics.ik.costs import joint_differences
-from recon.robotics.ik.drive import drive_to
-from recon.robotics.ik.methods import (
+from recon.robotics import (
     ExtendedJacobian,
     GradientProjection,
     JacobianTranspose,
     LeastNorm,
     SelectivelyDamped,
+    all_solutions,
     damped_least_squares,
+    drive_to,
+    joint_differences,
     weighted_least_norm,
 )
-from recon.robotics.robot.answers import all_solutions
 from recon.robotics.robot.dh import DHRow, dh_chain, dh_table
 
 QUARTER = np.pi / 2

@@ -11,13 +11,11 @@ import pytest
 from command_line import run
 from robot_urdf import a1_urdf
 
-from recon.base.errors import InputError
-from recon.fit.motion import Motion
-from recon.robotics.robot.physics import FRICTION, RULES, check, kept, pace_that_holds, simulated
-from recon.robotics.robot.quadruped import LEGS, body_pose
-from recon.robotics.robot.reference import reference_of
-from recon.robotics.robot.retarget import RobotMotion, posed, retarget, slowed
-from recon.robotics.robot.robot_file import load_robot, read_model
+from recon import InputError
+from recon.fit import Motion
+from recon.robotics import LEGS, body_pose, load_robot, read_model, reference_of, retarget, simulated
+from recon.robotics.robot.physics import FRICTION, RULES, check, kept, pace_that_holds
+from recon.robotics.robot.retarget import RobotMotion, posed, slowed
 from recon.robotics.robot.trainers import sampled
 
 

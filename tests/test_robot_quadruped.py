@@ -4,9 +4,7 @@ import numpy as np
 import pytest
 
 from recon import InputError
-from recon.robotics import load_robot
-from recon.robotics.robot.quadruped import LEGS
-from recon.robotics.robot.robot_file import builtin_robots
+from recon.robotics import LEGS, builtin_robots, load_robot
 
 AIBO = """
 name = "mine"

@@ -11,16 +11,14 @@ from command_line import run
 from rerun.chunk import RrdReader
 from robot_urdf import a1_urdf
 
-from recon.animal.skeleton_file import load_skeleton
-from recon.base.errors import InputError
-from recon.fit.motion import Motion
+from recon import InputError
+from recon.animal import load_skeleton
+from recon.fit import Motion
+from recon.robotics import LEGS, RetargetSettings, feet_in_world, load_robot, reference_of, retarget, run_retarget
 from recon.robotics.robot.playback import Companion, write_robot
-from recon.robotics.robot.quadruped import LEGS, feet_in_world
-from recon.robotics.robot.reference import closed_stride, reference_of, stride_window
-from recon.robotics.robot.retarget import drawn_in, on_robot, place, planted, retarget, stances
-from recon.robotics.robot.retarget_clip import companion, repeated, report_of, run_retarget
-from recon.robotics.robot.robot_file import load_robot
-from recon.robotics.settings import RetargetSettings
+from recon.robotics.robot.reference import closed_stride, stride_window
+from recon.robotics.robot.retarget import drawn_in, on_robot, place, planted, stances
+from recon.robotics.robot.retarget_clip import companion, repeated, report_of
 from recon.show.view.scene import LEFT, MIDDLE, RIGHT
 
 # -- footholds ---------------------------------------------------------------------------------------------------------
@@ -335,8 +333,8 @@ def test_every_problem_at_once(tmp_path):
 
 def test_a_real_run(shared_data, tmp_path):
     """A clip without a complete stride: nearest return, said so."""
-    from recon.workflows.clip_results import run_clip
-    from recon.workflows.settings import FitSettings
+    from recon import FitSettings
+    from recon.workflows import run_clip
 
     run_folder = shared_data / "cheetah-runs" / "2017_09_02-top-phantom-run1_2"
     meta = json.loads((run_folder / "meta.json").read_text())

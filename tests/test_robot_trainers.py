@@ -10,13 +10,10 @@ from command_line import run
 from scipy.spatial.transform import Rotation
 
 from recon import InputError
-from recon.fit import Motion
-from recon.fit.posterior import draws
-from recon.robotics import load_robot
-from recon.robotics.robot.reference import reference_of
-from recon.robotics.robot.retarget import Retargeting, retarget
+from recon.fit import Motion, draws
+from recon.robotics import Retargeting, load_robot, reference_of, retarget
 from recon.robotics.robot.trainers import FORMATS, sampled, write_for_trainer
-from recon.workflows.made_from import problem_of
+from recon.workflows import problem_of
 
 LATERAL, THIGH, SHIN = 0.0838, 0.2, 0.2
 """Of the Unitree A1, metres."""

@@ -7,21 +7,23 @@ import pytest
 from robot_urdf import HEAD, JOINT, a1_urdf, moving
 
 from recon import InputError
-from recon.robotics import load_robot
-from recon.robotics.ik.costs import joint_differences
-from recon.robotics.ik.drive import drive_to
-from recon.robotics.ik.methods import (
+from recon.robotics import (
+    LEGS,
     ExtendedJacobian,
     GradientProjection,
     JacobianTranspose,
     LeastNorm,
     SelectivelyDamped,
     damped_least_squares,
+    described,
+    drive_to,
+    joint_differences,
+    load_robot,
+    read_model,
+    simulated,
     weighted_least_norm,
 )
-from recon.robotics.robot.physics import described, simulated
-from recon.robotics.robot.quadruped import LEGS
-from recon.robotics.robot.robot_file import model_chain, read_model
+from recon.robotics.robot.robot_file import model_chain
 
 ARM = (
     (

@@ -14,8 +14,8 @@ import pytest
 from command_line import carry_out_here, run
 
 from recon import FitSettings, InputError, write_clip
-from recon.base.files import staged_results
-from recon.io.video import video_writer
+from recon.base import staged_results
+from recon.io import video_writer
 from recon.workflows.clip_results import output_files
 from recon.workflows.run import _Job, _RunSettings, job_of, jobs_of, keypoints_of, run_folder, run_video
 

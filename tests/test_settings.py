@@ -18,7 +18,7 @@ from recon.animal import load_skeleton
 from recon.fit import TrajectoryOptions
 from recon.io import read_camera, read_cameras
 from recon.thesis import FrameOptions
-from recon.workflows.cli import app, commands
+from recon.workflows import app, commands
 from recon.workflows.clip import read_model_and_cameras
 from recon.workflows.settings import SETTINGS, of_method
 

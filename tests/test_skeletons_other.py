@@ -28,8 +28,8 @@ from recon.clip import still_view
 from recon.fit import TrajectoryOptions, solve_trajectory
 from recon.gait.evaluation import centre, joint_errors, score
 from recon.io import read_keypoints
-from recon.workflows.cli import app
-from recon.workflows.skeleton_check import _SkeletonCheckSettings, check_skeleton, skeleton_check
+from recon.workflows import app, check_skeleton
+from recon.workflows.skeleton_check import _SkeletonCheckSettings, skeleton_check
 
 CAT = (Path(__file__).parents[1] / "docs" / "my-cat.toml").read_text(encoding="utf-8")
 

@@ -11,9 +11,9 @@ import pytest
 from command_line import run
 from scipy.sparse import load_npz
 
-from recon.base.errors import InputError
-from recon.fit.motion import Motion
-from recon.show.report import build_report
+from recon import InputError
+from recon.fit import Motion
+from recon.show import build_report
 from recon.thesis import SolverRecord, read_solver
 from recon.thesis import solver as solver_plots
 from recon.thesis.solver import TABLES

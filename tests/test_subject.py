@@ -10,8 +10,7 @@ import pytest
 
 from recon import Body, InputError, SubjectFitSettings, load_skeleton, run_subject_fit
 from recon.fit import ClipProblem, Shape, ShapeFit, TrajectoryOptions, constants, fit_shape, solve_points
-from recon.io import Pose3D
-from recon.io.deeplabcut import write_csv
+from recon.io import Pose3D, write_csv
 from tests.command_line import run
 from tests.test_cameras import folder, settings  # noqa: F401
 from tests.test_trajectory import BODY, FPS, PRIOR

@@ -9,10 +9,8 @@ import pytest
 
 from recon.check import finding, judged, usable, verdict_lines
 from recon.check.verdict import LIMIT_OF_TRUNK, evidence_of, expected_pose_of_trunk, expected_position
-from recon.fit import Motion
-from recon.fit.result import ExpectedError, Verdict
-from recon.io.deeplabcut import write_csv
-from recon.io.video import video_writer
+from recon.fit import ExpectedError, Motion, Verdict
+from recon.io import video_writer, write_csv
 from recon.show import sections as given
 from tests.command_line import run
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from recon import InputError
-from recon.io.video import missing_frames, missing_note, probe, read_frames, timed_frames, video_writer
+from recon.io import missing_frames, missing_note, probe, read_frames, timed_frames, video_writer
 
 
 def grey(level: int) -> np.ndarray:

@@ -13,7 +13,7 @@ from rerun.chunk import RrdReader
 
 from recon import ClipAnalysis, InputError, analyse
 from recon.fit import Motion
-from recon.io.video import video_writer
+from recon.io import video_writer
 from recon.show.view import write
 
 FRAMES = list(range(10, 18))

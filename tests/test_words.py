@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from recon.base.words import decimals, length_text
+from recon.base import decimals, length_text
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ from recon.check.inputs import baseline_of, copies, movement, zooms
 from recon.check.rules import distances_scaled, ground_elsewhere, subject_unlike_species
 from recon.clip import Keypoints, Source, clean
 from recon.fit import ClipProblem, Ground, Motion, TrajectoryOptions
-from recon.geometry.frames import rigid
+from recon.geometry import rigid
 from recon.workflows.cameras import other_camera_in
 from tests.test_trajectory import BODY, CAMERA, CAMERA_FROM_LEVEL, FPS, PRIOR, errors_m, plain, run, seen, solve
 

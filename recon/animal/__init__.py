@@ -6,7 +6,7 @@ from recon.base import lazily
 
 if TYPE_CHECKING:
     from recon.animal.body import MIN_JOINTS, Body, Side, both_sides, facing_side, other_side, side_of, without_side
-    from recon.animal.chain import Chain
+    from recon.animal.chain import Chain, upright_rotation
     from recon.animal.naming import (
         NameMap,
         builtin_maps,
@@ -18,7 +18,15 @@ if TYPE_CHECKING:
         renamed,
         suggestions,
     )
-    from recon.animal.prior import MotionPrior, builtin_priors, load_prior, prior_from_body, save_prior
+    from recon.animal.prior import (
+        ANGLES,
+        MotionPrior,
+        builtin_priors,
+        load_prior,
+        mean_speed_m_s,
+        prior_from_body,
+        save_prior,
+    )
     from recon.animal.prior_fit import fit_prior
     from recon.animal.skeleton_file import (
         builtin_chains,
@@ -28,6 +36,7 @@ if TYPE_CHECKING:
         load_chain,
         load_skeleton,
         seen_by,
+        skeleton_of,
         subject_toml,
     )
 

@@ -6,7 +6,15 @@ import ast
 from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from recon.base.files import require_free_folder, sole_writer, staged_file, staged_folder, staged_results
+    from recon.base.interrupts import MESSAGE
+    from recon.base.manifest import MANIFEST, read_manifest, write_manifest
+    from recon.base.package import DISTRIBUTION, install_command
+    from recon.base.records import load_record, save_record
+    from recon.base.words import decimals, length_text
 
 Progress = Callable[[str, float], None]
 """Called with what is being done, and how much of all is done, 0 to 1."""
@@ -32,3 +40,6 @@ def lazily(package: str, file: str) -> Callable[[str], Any]:
         return getattr(import_module(module_of[name]), name)
 
     return attribute
+
+
+__getattr__ = lazily(__name__, __file__)

@@ -1,1 +1,11 @@
 """Cameras found from pictures of a board, from a video, or planned."""
+
+from typing import TYPE_CHECKING
+
+from recon.base import lazily
+
+if TYPE_CHECKING:
+    from recon.calibrate.boards import parse_board
+    from recon.calibrate.camera_motion import read_marks
+
+__getattr__ = lazily(__name__, __file__)

@@ -1,1 +1,14 @@
 """What an animal's motion says: kinematics, stances, strides, phase portraits, and comparison with a truth."""
+
+from typing import TYPE_CHECKING
+
+from recon.base import lazily
+
+if TYPE_CHECKING:
+    from recon.gait.clip import limb_chains
+    from recon.gait.evaluation import LEVELS
+    from recon.gait.gait import pose_gait
+    from recon.gait.kinematics import Errors, angle_kinematics, joint_kinematics, point_kinematics
+    from recon.gait.phase import Closure, Portrait, phase_portrait, vector_field
+
+__getattr__ = lazily(__name__, __file__)

@@ -1,6 +1,6 @@
 """Files in and out: 2D keypoints, 3D positions, bones, and cameras. `FORMATS` is the one table of formats.
 
-Videos are in `recon.io.video`, which OpenCV makes slow to import.
+Names of `recon.io.video` import OpenCV when they are first used.
 """
 
 from typing import TYPE_CHECKING
@@ -11,6 +11,9 @@ if TYPE_CHECKING:
     from recon.io.bones import Armature, Bone, BoneAngle
     from recon.io.calibration import read_camera, read_cameras, write_camera, write_cameras
     from recon.io.camera_track import CameraTrack, read_camera_track, track_files, track_label
+    from recon.io.columns import parse_map
+    from recon.io.deeplabcut import write_csv
+    from recon.io.deeplabcut_project import find_project, predictions
     from recon.io.formats import (
         CONVERTED,
         FORMATS,
@@ -24,8 +27,18 @@ if TYPE_CHECKING:
         recognised,
         titles,
     )
-    from recon.io.pose import Pose3D, StoredPoints
+    from recon.io.pose import Pose3D, StoredPoints, y_up_from_z_up
     from recon.io.pose3d import in_metres, read_pose3d, read_pose_segments
     from recon.io.table import write_columns, write_rows, write_table
+    from recon.io.video import (
+        Image,
+        VideoInfo,
+        missing_frames,
+        missing_note,
+        probe,
+        read_frames,
+        timed_frames,
+        video_writer,
+    )
 
 __getattr__ = lazily(__name__, __file__)

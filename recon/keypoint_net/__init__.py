@@ -9,7 +9,8 @@ from recon.base import lazily
 
 if TYPE_CHECKING:
     from recon.keypoint_net.evaluate2d import evaluate_2d_files
-    from recon.keypoint_net.network import model_file
+    from recon.keypoint_net.labels import read_label_file, read_labels
+    from recon.keypoint_net.network import FORMAT, load_model, load_torch, model_file
     from recon.keypoint_net.predict import PredictSettings
     from recon.keypoint_net.train import TrainSettings
     from recon.keypoint_net.workflows import LabelSource, run_prediction, run_training

@@ -8,10 +8,38 @@ from typing import TYPE_CHECKING
 from recon.base import lazily
 
 if TYPE_CHECKING:
+    from recon.robotics.climb import load_recipe
     from recon.robotics.climb.run import run_climb
+    from recon.robotics.ik.animal import body_chain, body_chain_angles, chain_angles, projected_chain, spine_front_leg
+    from recon.robotics.ik.chain import null_basis, planar_chain, summed_chain
     from recon.robotics.ik.clip import limb_of, methods_of, run_ik
+    from recon.robotics.ik.costs import (
+        harmonic_map,
+        joint_differences,
+        pose_distance,
+        rotational_energy,
+        user_cost,
+        weighted_sum,
+    )
+    from recon.robotics.ik.drive import degree_of_closure, drive_to, follow
+    from recon.robotics.ik.methods import (
+        ExtendedJacobian,
+        GradientProjection,
+        JacobianTranspose,
+        LeastNorm,
+        SelectivelyDamped,
+        damped_least_squares,
+        weighted_least_norm,
+    )
+    from recon.robotics.ik.null_space import to_null_space_optimum
+    from recon.robotics.ik.stride import farthest_reach, find_stride
+    from recon.robotics.robot.answers import all_solutions
+    from recon.robotics.robot.physics import described, simulated
+    from recon.robotics.robot.quadruped import LEGS, Quadruped, body_pose, feet_in_world
+    from recon.robotics.robot.reference import reference_of
+    from recon.robotics.robot.retarget import Retargeting, retarget
     from recon.robotics.robot.retarget_clip import run_retarget
-    from recon.robotics.robot.robot_file import load_robot
+    from recon.robotics.robot.robot_file import builtin_robots, load_robot, read_model
     from recon.robotics.settings import ClimbSettings, IkSettings, RetargetSettings
 
 __getattr__ = lazily(__name__, __file__)

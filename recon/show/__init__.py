@@ -1,1 +1,15 @@
 """A result for people and other programs: report, page, figures, tables, overlay, playback."""
+
+from typing import TYPE_CHECKING
+
+from recon.base import lazily
+
+if TYPE_CHECKING:
+    from recon.show.export.clip_csv import write_tables
+    from recon.show.export.rig import make_rig, rig_of
+    from recon.show.page.clip import clip_page
+    from recon.show.plain import to_plain, write_report
+    from recon.show.plots.style import drawing
+    from recon.show.report import TO_DO, build_report
+
+__getattr__ = lazily(__name__, __file__)

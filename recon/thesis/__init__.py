@@ -23,5 +23,6 @@ if TYPE_CHECKING:
         solve_joints,
     )
     from recon.thesis.solver import SolverRecord, read_solver
+    from recon.thesis.starts import mean_pose
 
 __getattr__ = lazily(__name__, __file__)

@@ -13,17 +13,17 @@ import h5py
 import numpy as np
 from scipy.io import savemat
 
-from recon import FitSettings, InputError, read_settings
+from recon import FitSettings, InputError, find_clips, read_settings
 from recon.animal import builtin_subjects, load_names, load_prior, load_skeleton, seen_by
-from recon.base.manifest import MANIFEST, write_manifest
+from recon.base import MANIFEST, write_manifest
 from recon.clip import Keypoints, clean
-from recon.fit import Motion
-from recon.fit.motion import MOTION
+from recon.fit import MOTION, Motion
 from recon.geometry import Camera
 from recon.io import (
     FORMATS,
     Pose3D,
     bvh,
+    parse_map,
     read_camera_track,
     read_cameras,
     read_keypoints,
@@ -31,19 +31,14 @@ from recon.io import (
     read_pose_segments,
     write_camera,
 )
-from recon.io.columns import parse_map, read_long
-from recon.keypoint_net.labels import read_label_file
-from recon.robotics import load_robot
-from recon.robotics.climb import load_recipe
-from recon.robotics.robot.physics import described
-from recon.robotics.robot.quadruped import LEGS
+from recon.io.columns import read_long
+from recon.keypoint_net import read_label_file
+from recon.robotics import LEGS, described, load_recipe, load_robot
 from recon.robotics.robot.reference import Reference
 from recon.robotics.robot.retarget import place
 from recon.robotics.robot.robot_file import load_dh
-from recon.show.export.rig import make_rig
-from recon.workflows.batch import find_clips
-from recon.workflows.clip_results import run_clip
-from recon.workflows.made_from import Record
+from recon.show import make_rig
+from recon.workflows import Record, run_clip
 
 SAMPLES = Path(__file__).resolve().parents[2] / "data" / "samples"
 LABELS = """scorer,me,me,me,me
@@ -430,7 +425,7 @@ def _models(folder: Path) -> Iterator[Seed]:
         return
     import torch
 
-    from recon.keypoint_net.network import FORMAT, load_model
+    from recon.keypoint_net import FORMAT, load_model
 
     spec = {"names": ["nose", "tail"], "scale": 0.5, "body_length_px": 300.0, "tolerance_px": 9.0}
     spec |= {"calibration": [1.0, 0.0]}

@@ -32,11 +32,8 @@ from recon.animal import builtin_chains, builtin_names, load_skeleton
 from recon.clip import Keypoints
 from recon.fit import Motion
 from recon.geometry import Camera
-from recon.io import write_camera
-from recon.io.deeplabcut import write_csv
-from recon.show.export.clip_csv import write_tables
-from recon.show.plain import write_report
-from recon.show.report import build_report
+from recon.io import write_camera, write_csv
+from recon.show import build_report, write_report, write_tables
 from recon.thesis import FrameSolution
 
 Array = NDArray[np.float64]
