@@ -140,7 +140,10 @@ def _verdict(motion: Motion) -> Verdict:
     pose, position = expected_pose_of_trunk(evidence), expected_position(evidence)
     warnings = [one for one in motion.findings if one.severity == "warning"]
     level = level_of(pose, error=False, warning=bool(warnings))
-    reason = _why_uncertain(evidence) if pose.high > LIMIT_OF_TRUNK else "Nothing speaks against it."
+    # the factor that is furthest above what it is in a good view
+    off = {name: POWERS[name] * (value - USUAL[name]) for name, value in evidence.factors.items()}
+    why = WHY[max(off, key=lambda name: off[name])]
+    reason = why if pose.high > LIMIT_OF_TRUNK else "Nothing speaks against it."
     if warnings and level != "do not use":
         reason = _said(motion, warnings[0])
     return Verdict(level, reason, pose.times(evidence.trunk_m), pose, position)
@@ -173,9 +176,3 @@ def verdict_lines(verdict: Verdict | None) -> tuple[str, ...]:
 
 def _said(motion: Motion, one: Finding) -> str:
     return sentence(one, named=len(motion.sources) > 1)
-
-
-def _why_uncertain(evidence: Evidence) -> str:
-    """The factor that is furthest above what it is in a good view."""
-    off = {name: POWERS[name] * (value - USUAL[name]) for name, value in evidence.factors.items()}
-    return WHY[max(off, key=lambda name: off[name])]

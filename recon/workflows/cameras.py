@@ -217,21 +217,17 @@ def size_problems(video: Path, info: VideoInfo, camera: Camera) -> Iterator[Prob
 def cameras_in(stem: str, names: Iterable[str]) -> dict[str, re.Match[str]]:
     """Which cameras' names a file's name has, and where: cam1 is in run_cam1DLC, not in run_cam10; A is in run-A, not
     in run-Alex. If a file's name has camA or cam-1, the cameras A and 1 are looked for nowhere else in it."""
-    names = tuple(names)
+    # cam01 is also cam_01 and cam-01
+    called = {name: re.fullmatch(r"([A-Za-z]+)[-_ ]?([0-9]+)", name) for name in names}
+    spelt = {name: re.escape(name) if of is None else f"{of[1]}[-_ ]?{of[2]}" for name, of in called.items()}
     for before in ("cam(?:era)?[-_ ]?", ""):
-        ends = {name: "(?![0-9])" if name[-1:].isdigit() else "(?![0-9])(?=DLC|[^a-z]|$)" for name in names}
-        patterns = {name: rf"(?<![0-9A-Za-z]){before}{_any_joint(name)}{ends[name]}" for name in names}
+        ends = {name: "(?![0-9])" if name[-1:].isdigit() else "(?![0-9])(?=DLC|[^a-z]|$)" for name in spelt}
+        patterns = {name: rf"(?<![0-9A-Za-z]){before}{spelt[name]}{ends[name]}" for name in spelt}
         matches = {name: re.search(pattern, stem, re.IGNORECASE) for name, pattern in patterns.items()}
         found = {name: match for name, match in matches.items() if match is not None}
         if found:
             return found
     return {}
-
-
-def _any_joint(name: str) -> str:
-    """A pattern of a camera's name; cam01 is also cam_01 and cam-01."""
-    called = re.fullmatch(r"([A-Za-z]+)[-_ ]?([0-9]+)", name)
-    return re.escape(name) if called is None else f"{called[1]}[-_ ]?{called[2]}"
 
 
 def other_camera_in(stem: str, name: str) -> str | None:

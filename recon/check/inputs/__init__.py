@@ -67,8 +67,10 @@ def input_findings(
     pictures: list[Finding] = []
     with threadpool_limits(1, user_api="blas"):
         for number, source in enumerate(motion.sources):
-            of_picture = _of_picture(baseline_of(clip, number, solution.states, solution.size), named[number])
-            if of_picture is not None:
+            camera, as_given = source.camera.name, baseline_of(clip, number, solution.states, solution.size)
+            if named[number] is not None:
+                pictures.append(finding("other_camera_named", camera=camera, given=camera, other=named[number]))
+            elif of_picture := of_unit_square(as_given) or of_other_picture(as_given):
                 pictures.append(of_picture)
             elif learned and not stated:
                 given = baseline_of(on_ground, number, solution.states, solution.size)
@@ -84,14 +86,6 @@ def input_findings(
     if not pictures and not any(one.code.startswith("frame_rate") for one in found):
         found += moves
     return tuple(found)
-
-
-def _of_picture(given: Baseline, named: str | None) -> Finding | None:
-    """The first of those that leave nothing else to be told."""
-    if named is not None:
-        name = given.view.camera.name
-        return finding("other_camera_named", camera=name, given=name, other=named)
-    return of_unit_square(given) or of_other_picture(given)
 
 
 def _of_rate(clip: ClipProblem, solution: TrajectorySolution, stated_hz: float | None) -> Sequence[Finding]:

@@ -200,12 +200,6 @@ def outlier_ratios(view: View, markers_m: Array, noise_px: Array) -> Array:
     return np.where(known.any(axis=1), each.sum(axis=1), np.nan)
 
 
-def outlier_frames(view: View, ratios: Array) -> Bools:
-    """(T,): frames of gross outliers, by their `outlier_ratios`; none where most are."""
-    found: Bools = ratios > CLEAR
-    return found if found.sum() <= MOST * view.present.any(axis=1).sum() else np.zeros(len(found), dtype=bool)
-
-
 def without_gross_outliers(
     sources: Sequence[Source], solution: TrajectorySolution
 ) -> tuple[tuple[Source, ...], tuple[Finding, ...]]:
@@ -213,7 +207,8 @@ def without_gross_outliers(
     kept, found = [], []
     for source, view, noise_px in zip(sources, solution.views, solution.noise_px, strict=True):
         ratios = outlier_ratios(view, solution.markers_m, noise_px)
-        rows = outlier_frames(view, ratios)
+        rows: Bools = ratios > CLEAR
+        rows &= rows.sum() <= MOST * view.present.any(axis=1).sum()
         points, numbers = source.keypoints.present & rows[:, None], source.keypoints.frames
         keypoints, cleaning = leave_out(source.keypoints, source.cleaning, points, _WHY)
         kept.append(replace(source, keypoints=keypoints, cleaning=cleaning))

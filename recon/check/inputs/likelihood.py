@@ -83,7 +83,9 @@ class Refit:
             return cls(states, np.inf, np.inf)
         noise_px = clip.noise_px(clip.markers(states), np.ones((1, len(clip.body.markers))))
         costs = clip.problem(noise_px, 1.0).costs(states)
-        ground, pixels, own = off_ground(clip, states), costs["reprojection"], sum(costs.values())
+        pixels, own, ground = costs["reprojection"], sum(costs.values()), 0.0
+        if clip.ground_known and len(clip.feet):  # of feet that are off it all the time
+            ground = 0.5 * above_ground(clip, clip.markers(states)) ** 2
         return cls(states, _seen(clip, states) + ground + own - pixels, own)
 
     def likelier(self, other: Refit) -> float:
@@ -185,13 +187,6 @@ def baseline_of(clip: ClipProblem, number: int, states: Array, size: float) -> B
     found = states.copy()
     found[:, ROOT] = (states[:, ROOT] - own.origin_m) / size
     return Baseline(own, found, len(clip.views) == 1)
-
-
-def off_ground(clip: ClipProblem, states: Array) -> float:
-    """Where the ground's height is known: of feet that are off it all the time."""
-    if not clip.ground_known or not len(clip.feet):
-        return 0.0
-    return 0.5 * above_ground(clip, clip.markers(states)) ** 2
 
 
 def best_seen(view: View, fps: float) -> slice:
