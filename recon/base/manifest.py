@@ -33,24 +33,27 @@ class _Manifest:
 
     def changed(self, names: Iterable[str] | None = None) -> list[Problem]:
         """What is missing or is not as it was written, of the named files, or of all."""
-        problems = []
-        for name in self.files if names is None else names:
-            path, field, found = self.folder / name, "file", f"no word of it in {MANIFEST}"
-            if name in self:
-                try:
-                    if (path.stat().st_size, sha256_of(path)) == self.files[name]:
-                        continue
-                    field, found = "content", f"other than {MANIFEST} says: it was changed, or is of another run"
-                except FileNotFoundError:
-                    found = f"no such file, which {MANIFEST} names"
-                except OSError as error:
-                    found = f"{error.strerror}"
-            problems.append(Problem(path, field, found, AGAIN))
-        return problems
+        return [
+            Problem(self.folder / name, *fault, AGAIN)
+            for name in (self.files if names is None else names)
+            if (fault := self._fault(name)) is not None
+        ]
 
     def require(self, *names: str) -> None:
         """Raises InputError unless these files are there and as the run wrote them."""
         refuse(self.changed(names))
+
+    def _fault(self, name: str) -> tuple[str, str] | None:
+        entry, path = self.files.get(name), self.folder / name
+        if entry is None:
+            return "file", f"no word of it in {MANIFEST}"
+        try:
+            if path.stat().st_size == entry[0] and sha256_of(path) == entry[1]:
+                return None
+        except OSError as error:
+            there = not isinstance(error, FileNotFoundError)
+            return "file", f"{error.strerror}" if there else f"no such file, which {MANIFEST} names"
+        return "content", f"other than {MANIFEST} says: it was changed, or is of another run"
 
 
 def read_manifest(folder: Path) -> _Manifest:
