@@ -141,34 +141,24 @@ def _cost(body: Body, targets: Array, weight: Array, size: float, pull: float, s
 
 def _solve(body: Body, targets: Array, weight: Array, size: float, pull: float, start: Array) -> Array:
     """Levenberg-Marquardt on all frames of a block at once; each has a damping of its own and leaves when done."""
-    found = start.copy()
-    for first in range(0, len(start), _BLOCK):
-        block = slice(first, first + _BLOCK)
-        _solve_block(body, targets[block], weight[block], size, pull, found[block])
-    return found
-
-
-def _solve_block(body: Body, targets: Array, weight: Array, size: float, pull: float, states: Array) -> None:
-    """In place."""
-    damping = np.full(len(states), 1e-3)
-    active = np.arange(len(states))
+    states, damping, diagonal = start.copy(), np.full(len(start), 1e-3), np.arange(start.shape[1])
     cost = _cost(body, targets, weight, size, pull, states)
-    for _ in range(_ITERATIONS):
-        goals, weights = targets[active], weight[active]
-        hessian, gradient, _, _ = _normal_equations(body, goals, weights, size, pull, states[active])
-        diagonal = np.arange(states.shape[1])
-        hessian[:, diagonal, diagonal] *= 1.0 + damping[active, None]
-        step = -np.linalg.solve(hessian, gradient[..., None])[..., 0]
-        tried = states[active] + step
-        new_cost = _cost(body, goals, weights, size, pull, tried)
-        better = new_cost < cost[active]
-        states[active[better]], cost[active[better]] = tried[better], new_cost[better]
-        damping[active] = np.clip(damping[active] * np.where(better, 0.2, 5.0), *_DAMPING)
-        # Near the minimum rounding decides what is better: a step as small as that is the end either way.
-        done = (np.abs(step).max(axis=1) < _TOLERANCE) | (damping[active] >= _DAMPING[1])
-        active = active[~done]
-        if not len(active):
-            return
+    for active in np.array_split(np.arange(len(states)), range(_BLOCK, len(states), _BLOCK)):
+        for _ in range(_ITERATIONS):
+            if not len(active):
+                break
+            goals, weights = targets[active], weight[active]
+            hessian, gradient, _, _ = _normal_equations(body, goals, weights, size, pull, states[active])
+            hessian[:, diagonal, diagonal] *= 1.0 + damping[active, None]
+            step = -np.linalg.solve(hessian, gradient[..., None])[..., 0]
+            tried = states[active] + step
+            new_cost = _cost(body, goals, weights, size, pull, tried)
+            better = new_cost < cost[active]
+            states[active[better]], cost[active[better]] = tried[better], new_cost[better]
+            damping[active] = np.clip(damping[active] * np.where(better, 0.2, 5.0), *_DAMPING)
+            # Near the minimum rounding decides what is better: a step as small as that is the end either way.
+            active = active[(np.abs(step).max(axis=1) >= _TOLERANCE) & (damping[active] < _DAMPING[1])]
+    return states
 
 
 def _log_size_step(body: Body, targets: Array, weight: Array, size: float, pull: float, states: Array) -> float:

@@ -29,7 +29,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import pairwise
 from typing import Any, Literal
 
 import numpy as np
@@ -99,9 +98,8 @@ class TreePose:
 class _Plan:
     """What a tree's kinematics need besides the state.
 
-    S + 1 frames: the world's, then the segments' in the order in which they can be computed. S + J points: the
-    segments' origins, then the markers. K rotations. M pairs of a marker and a rotation that moves it. P pairs of a
-    marker and an angle of the state.
+    S + 1 frames: the world's, then the segments'. S + J points: the segments' origins, then the markers. K rotations. M
+    pairs of a marker and a rotation that moves it. P pairs of a marker and an angle of the state.
     """
 
     def __init__(self, tree: Tree) -> None:
@@ -125,22 +123,17 @@ class _Plan:
                 if summed[i] and summed[j]:
                     self.sums[k, rotations.index((j, axis))] = 1.0
 
-        depth = [0]
+        depth, base_frame = [0], np.array([0, *(base + 1 for base in bases)], dtype=np.intp)
         for base in bases:
             depth.append(depth[base] + 1)
-        order = np.argsort(depth, kind="stable")
-        self.frame = np.empty(S, dtype=np.intp)
-        """(S,): the frame of each segment."""
-        self.frame[order] = np.arange(1, S + 1)
-        base_frame = np.array([0, *self.frame[bases]], dtype=np.intp)
-        ends = (1 + np.cumsum(np.bincount(depth))).tolist()
-        self.levels = [(slice(a, b), base_frame[order[a - 1 : b - 1]]) for a, b in pairwise(ends)]
+        levels = [np.flatnonzero(np.equal(depth, level)) for level in range(max(depth) + 1)]
+        self.levels = [(1 + level, base_frame[level]) for level in levels]
         """Frames that depend on earlier levels only, and the frames that they turn from."""
 
         points = np.zeros((S + J, 3, S + 1))
         for i, (parent, item) in enumerate(zip(on, (*segments[1:], *markers), strict=True), start=1):
             points[i] = points[parent]
-            points[i, :, self.frame[parent]] = item.offset_m
+            points[i, :, parent + 1] = item.offset_m
         self.points = points.reshape(S + J, 3 * (S + 1))
         """(S + J, 3 (S + 1)): each point as vectors in all frames."""
 
@@ -149,11 +142,11 @@ class _Plan:
         axes = np.empty((K, 2), dtype=np.intp)
         for k, (i, axis) in enumerate(rotations):
             if axis != "s":
-                self.angle["zyx".index(axis), self.frame[i]] = k
+                self.angle["zyx".index(axis), i + 1] = k
             # Yaw turns about the z axis that the joint starts from, roll about the segment's x axis, and so does pitch
             # about its y axis where there is no roll. A joint of z alone has it in common with its segment.
             starts = axis == "z" and AXES[segments[i].joint] != "z"
-            axes[k] = "xyz".index("z" if axis == "s" else axis), base_frame[i] if starts else self.frame[i]
+            axes[k] = "xyz".index("z" if axis == "s" else axis), base_frame[i] if starts else i + 1
         self.axes = axes @ (S + 1, 1)
         """(K,): the column of a frame that each rotation turns about."""
         pitched = [k for k, (i, axis) in enumerate(rotations) if axis == "y" and (i, "x") in rotations]
@@ -186,9 +179,7 @@ class _Plan:
         self.placed = None
         """(S + 1, 3, 3), the segments' rotations; None where none has any."""
         if any(segment.rotation is not None for segment in segments):
-            self.placed = np.tile(_IDENTITY, (S + 1, 1, 1))
-            for i, segment in enumerate(segments):
-                self.placed[self.frame[i]] = _IDENTITY if segment.rotation is None else segment.rotation
+            self.placed = np.array([_IDENTITY, *(_IDENTITY if s.rotation is None else s.rotation for s in segments)])
         slides = [k for k, (_, axis) in enumerate(rotations) if axis == "s"]
         self.slides = np.array(slides, dtype=np.intp)
         """(L,): the rotations that are slides."""
@@ -279,12 +270,12 @@ class Tree:
         frames = np.empty((3, len(self.segments) + 1, 3, N))
         frames[:, :2] = turned[:, :, :2].swapaxes(1, 2)
         for level, base in plan.levels:
-            np.einsum("cbsn,bsan->csan", turned[:, :, level], frames.take(base, axis=1), out=frames[:, level])
+            frames[:, level] = np.einsum("cbsn,bsan->csan", turned[:, :, level], frames.take(base, axis=1))
         return frames, cosine, sine
 
     def orientations(self, state: Array) -> Array:
         """T_world_segment's rotation for every segment, (N, S, 3, 3)."""
-        return self._frames(state)[0][:, self._plan.frame].transpose(3, 1, 2, 0)
+        return self._frames(state)[0][:, 1:].transpose(3, 1, 2, 0)
 
     def pose(self, state: Array, size: Array | float = 1.0) -> TreePose:
         """Markers for states (N, D); size: a factor on all offsets, one or (N,)."""
