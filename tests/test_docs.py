@@ -39,7 +39,6 @@ DOCS = ROOT / "docs"
 PAGES = [ROOT / "README.md", *sorted(DOCS.rglob("*.md"))]
 
 NOT_RUN = {
-    r"\.venv/bin/python pipelines/": "tests/test_pipelines.py",
     r"python docs/simulated_cat\.py ": "tests/test_new_species.py runs it",
     r"make (demo|test)": "sets up an environment; .ci/run does it",
     r"(\.venv/bin/)?recon view ": "opens a window: needs a display",
