@@ -235,9 +235,9 @@ def test_faults_of_a_colmap_model_are_named(tmp_path):
     assert "frame: found others in line 1, line 3, expected one pose for each frame, of one camera" in said
     lens = "1 SIMPLE_RADIAL 9 9 1000 4 4 "
     for lines, part in (
-        (["1 FOV 9 9 1 1 1 1 1"], "line 2: found lens model FOV, none of SIMPLE_PINHOLE, PINHOLE"),
-        ([lens], "line 2: found 3 parameters of SIMPLE_RADIAL, which has 4: f cx cy k1"),
-        (["1 SIMPLE_PINHOLE 9 9 -5 4 4"], "positive fx and fy"),
+        (["1 FOV 9 9 1 1 1 1 1"], "camera 1: model: found 'FOV', expected a known lens model"),
+        ([lens], "camera 1: parameters: found nothing, expected [[fx, s, ox]"),
+        (["1 SIMPLE_PINHOLE 9 9 -5 4 4"], "camera 1: parameters: found [[-5.0, 0.0, 3.5]"),
         ([lens + "0.1"], "cameras: found no camera 2, expected those of images.txt"),
         ([lens + "0.1", "2" + lens[1:] + "0.2"], "cameras: found 2 with different lenses or picture sizes"),
     ):

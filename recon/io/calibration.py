@@ -80,8 +80,15 @@ def read_cameras(path: CameraFiles, image_size_px: tuple[int, int] | None = None
         )
         return tuple(found)
     path = Path(path)
+    return cameras_of(_records(path), path, image_size_px)
+
+
+def cameras_of(
+    records: Sequence[CameraRecord], path: Path, image_size_px: tuple[int, int] | None = None
+) -> tuple[Camera, ...]:
+    """The cameras of a file's records. Raises InputError with every problem."""
     problems: list[Problem] = []
-    built = [_build(record, i, path, image_size_px, problems) for i, record in enumerate(_records(path), 1)]
+    built = [_build(record, i, path, image_size_px, problems) for i, record in enumerate(records, 1)]
     cameras = tuple(camera for camera in built if camera)
     problems += [
         Problem(path, "camera names", f"{name!r} {count} times", "a name of its own for each camera")

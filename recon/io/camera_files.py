@@ -16,13 +16,15 @@
 from __future__ import annotations
 
 import re
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 from recon.base.documents import parse_json, parse_toml
 from recon.base.errors import InputError, Problem
-from recon.geometry.lens import lens_named
+from recon.geometry.lens import LENS_MODELS, lens_named
 from recon.io.calibration import FORMAT, CameraRecord, read_calibration
+from recon.io.common import number
 
 MAX_NESTING = 5_000
 """How deep a file may be nested: OpenCV dies at 20,000."""
@@ -84,7 +86,7 @@ def read_acinoset(path: Path, individual: str | None = None) -> list[CameraRecor
     ]
 
 
-# -- OpenDroneMap, OpenSfM -------------------------------------------------------------------------------------------
+# -- OpenDroneMap, OpenSfM, COLMAP -----------------------------------------------------------------------------------
 
 OPENSFM_LENSES = {
     "perspective": ("radtan", ("k1", "k2")),
@@ -95,7 +97,10 @@ OPENSFM_LENSES = {
     "fisheye_opencv": ("fisheye", ("k1", "k2", "k3", "k4")),
 }
 """By OpenSfM's name: our lens, and the coefficients that it has, of which the others are 0."""
-COEFFICIENTS = {"radtan": ("k1", "k2", "p1", "p2", "k3"), "fisheye": ("k1", "k2", "k3", "k4")}
+COLMAP_LENSES = {
+    name: (lens.name, of_it.split()) for lens in LENS_MODELS.values() for name, of_it in lens.colmap.items()
+}
+"""By COLMAP's name: our lens, and the parameters in their order."""
 
 
 def recognises_opensfm(path: Path) -> bool:
@@ -111,22 +116,49 @@ def read_opensfm(path: Path, individual: str | None = None) -> list[CameraRecord
     called = {"image_size_px": "width, height", "model": "projection_type"}
     records = []
     for name, table in _tables(path, document, expected).items():
-        lens = table.get("projection_type")
-        model, given = OPENSFM_LENSES.get(lens, (lens, ())) if isinstance(lens, str) else (lens, ())
-        values: dict[str, Any] = {}
-        try:
+        values: dict[str, Any] = {"model": table.get("projection_type"), "world_z_up": False}
+        with suppress(KeyError, TypeError, ValueError, OverflowError):  # what is missing then is said
+            model, given = OPENSFM_LENSES[table["projection_type"]]
             w, h = (float(table[side]) for side in ("width", "height"))
             fx, fy = (float(table[f"focal_{axis}"] if f"focal_{axis}" in table else table["focal"]) for axis in "xy")
             cx, cy = (float(table.get(f"c_{axis}", 0.0)) for axis in "xy")
-            bent = [float(table.get(key, 0.0)) if key in given else 0.0 for key in COEFFICIENTS.get(str(model), ())]
+            bent = {key: float(table.get(key, 0.0)) for key in given}
             longer = max(w, h)
             middle = longer * cx + (w - 1) / 2, longer * cy + (h - 1) / 2
-            matrix = [[longer * fx, 0.0, middle[0]], [0.0, longer * fy, middle[1]], [0.0, 0.0, 1.0]]
-            values = {"image_size_px": [w, h], "matrix": matrix, "distortion": bent}
-        except (KeyError, TypeError, ValueError, OverflowError):
-            pass  # what is missing then is said
-        records.append(CameraRecord(name, f"{name}: ", {"model": model, "world_z_up": False, **values}, called))
+            values |= _of_numbers(model, (w, h), (longer * fx, longer * fy), middle, bent)
+        records.append(CameraRecord(name, f"{name}: ", values, called))
     return records
+
+
+def read_colmap(path: Path) -> list[CameraRecord]:
+    """The lenses of cameras.txt, by their numbers: CAMERA_ID MODEL WIDTH HEIGHT PARAMS. Their pixels begin at the
+    corner of the first one, ours in its middle. Raises InputError."""
+    records = []
+    for cells in (line.split() for line in read_calibration(path).splitlines() if line.lstrip()[:1] not in ("", "#")):
+        values: dict[str, Any] = {"model": "".join(cells[1:2]), "world_z_up": False}
+        with suppress(LookupError, ValueError):  # what is missing then is said
+            model, names = COLMAP_LENSES[cells[1]]
+            w, h, *given = (number(cell) for cell in cells[2:])
+            bent = dict(zip(names, given, strict=True))
+            focal = (bent["f"],) * 2 if "f" in bent else (bent["fx"], bent["fy"])
+            values |= _of_numbers(model, (w, h), focal, (bent["cx"] - 0.5, bent["cy"] - 0.5), bent)
+        records.append(CameraRecord(cells[0], f"camera {cells[0]}: ", values, {"matrix": "parameters"}))
+    return records
+
+
+def _of_numbers(
+    model: str,
+    size: tuple[float, float],
+    focal: tuple[float, float],
+    centre: tuple[float, float],
+    bent: dict[str, float],
+) -> dict[str, Any]:
+    """Values of a record; bent: coefficients of the lens by their names, of which those that are not there are 0."""
+    lens = LENS_MODELS[model]
+    count = min(n for n in lens.counts if n >= sum(name in bent for name in lens.coefficients))
+    matrix = [[focal[0], 0.0, centre[0]], [0.0, focal[1], centre[1]], [0.0, 0.0, 1.0]]
+    distortion = [bent.get(name, 0.0) for name in lens.coefficients[:count]]
+    return {"model": model, "image_size_px": [*size], "matrix": matrix, "distortion": distortion}
 
 
 # -- OpenCV, ROS -----------------------------------------------------------------------------------------------------

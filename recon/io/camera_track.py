@@ -31,8 +31,9 @@ from recon.base.errors import InputError, Problem, refuse
 from recon.clip import FramePoses
 from recon.geometry.camera import Camera
 from recon.geometry.frames import inverse, rigid
-from recon.geometry.lens import LENS_MODELS
-from recon.io.common import MAX_FRAME, first_problems, frame_number, number, numbers
+from recon.io.calibration import cameras_of
+from recon.io.camera_files import read_colmap
+from recon.io.common import MAX_FRAME, first_problems, frame_number, numbers
 from recon.io.table import number_rows, text_rows
 
 POSE, INTRINSICS = ("qw", "qx", "qy", "qz", "tx", "ty", "tz"), ("fx", "fy", "cx", "cy")
@@ -55,9 +56,6 @@ EXPECTED = (
 )
 MAX_SHOTS_BYTES = 1 << 28
 """The largest size of a reconstruction, which has its points, too."""
-
-COLMAP_MODELS = {name: (lens, of_it) for lens in LENS_MODELS.values() for name, of_it in lens.colmap.items()}
-"""By COLMAP's name: our lens, and the parameters in their order."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -337,44 +335,11 @@ def _frame_of_name(name: str) -> int | None:
 
 def _lenses(path: Path, wanted: dict[str, None]) -> dict[str, Camera]:
     """By COLMAP's number, those that images have. They may differ in focal length and centre only."""
-    problems: list[Problem] = []
-    found: dict[str, Camera] = {}
-    for at, line in enumerate(read_text(path, f"{CAMERAS} of a COLMAP model").splitlines(), start=1):
-        cells = line.split()
-        if not cells or cells[0].startswith("#") or cells[0] not in wanted:
-            continue
-        try:
-            found[cells[0]] = _lens(cells)
-        except (ValueError, OverflowError) as error:
-            problems.append(Problem(path, f"line {at}", str(error)[:200], "CAMERA_ID MODEL WIDTH HEIGHT PARAMS"))
-    if not problems:
-        missing = [key for key in wanted if key not in found]
-        problems += [Problem(path, "cameras", f"no camera {_some(missing)}", f"those of {IMAGES}")] if missing else []
-    if not problems and len({(c.model, c.image_size_px, *c.distortion.tolist()) for c in found.values()}) > 1:
+    records = [record for record in read_colmap(path) if record.name in wanted]
+    found = {camera.name: camera for camera in cameras_of(records, path)}
+    missing = [key for key in wanted if key not in found]
+    refuse([Problem(path, "cameras", f"no camera {_some(missing)}", f"those of {IMAGES}")] if missing else [])
+    if len({(c.model, c.image_size_px, *c.distortion.tolist()) for c in found.values()}) > 1:
         expected = "one lens, whose focal length and centre alone may change from image to image"
-        problems.append(Problem(path, "cameras", f"{len(found)} with different lenses or picture sizes", expected))
-    refuse(first_problems(problems, path))
+        raise InputError(Problem(path, "cameras", f"{len(found)} with different lenses or picture sizes", expected))
     return found
-
-
-def _lens(cells: Sequence[str]) -> Camera:
-    """Raises ValueError."""
-    if len(cells) < 4 or cells[1] not in COLMAP_MODELS:
-        model = cells[1] if len(cells) > 1 else "nothing"
-        raise ValueError(f"lens model {model}, none of {', '.join(COLMAP_MODELS)}")
-    lens, names = COLMAP_MODELS[cells[1]]
-    given = [number(cell) for cell in cells[4:]]
-    if len(given) != len(names.split()):
-        raise ValueError(f"{len(given)} parameters of {cells[1]}, which has {len(names.split())}: {names}")
-    value = dict(zip(names.split(), given, strict=True))
-    fx, fy = (value.get(name, value.get("f", np.nan)) for name in ("fx", "fy"))
-    if not max(fx, fy) <= MAX_PX or not max(abs(value["cx"]), abs(value["cy"])) <= MAX_PX:
-        raise ValueError(f"focal length or centre beyond {MAX_PX:g} px")
-    matrix = np.array([[fx, 0, value["cx"] - 0.5], [0, fy, value["cy"] - 0.5], [0, 0, 1]])
-    stated = sum(name in value for name in lens.coefficients)
-    count = min(n for n in lens.counts if n >= stated)
-    distortion = np.array([value.get(name, 0.0) for name in lens.coefficients[:count]])
-    sizes = [frame_number(cell) for cell in cells[2:4]]
-    if None in sizes or not max(sizes) <= MAX_PX:  # type: ignore[type-var]
-        raise ValueError(f"picture of {cells[2]} by {cells[3]} px")
-    return Camera(cells[0], matrix, distortion, lens.name, (sizes[0], sizes[1]))  # type: ignore[arg-type]
