@@ -186,7 +186,7 @@ def test_report_against_the_problem_by_hand():
     reprojection = np.sum(u2 / (1 + u2 / EXACT.robust_c**2))
     assert report.cost_shares["reprojection"] * report.squared_norm == pytest.approx(reprojection, rel=1e-6)
     theta = solution.chain_states[0, SK.theta_slice] - SK.theta.mean_rad
-    prior = np.sum((theta / SK.scales.theta_rad) ** 2)
+    prior = np.sum((theta / SK.file.prior.theta_sigma_rad) ** 2)
     assert report.cost_shares["theta prior"] * report.squared_norm == pytest.approx(prior, rel=1e-9)
     assert report.sigma_px == 1.0
     assert report.function_evaluations >= report.iterations > 0

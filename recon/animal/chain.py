@@ -45,16 +45,70 @@ _ROOT_RAD_S2 = 40.0
 """Standard deviation of the acceleration of its pitch and roll."""
 
 
-@dataclass(frozen=True)
-class _Link:
-    """One rigid link. `free` says whether it has angles of its own or lies on its parent's axis."""
+def _both(given: Any) -> Any:
+    """A keypoint's name on either side, or a table of both, as (left, right)."""
+    if isinstance(given, dict) and {*given} == {"left", "right"}:
+        return given["left"], given["right"]
+    return (given, given) if isinstance(given, str) else given
+
+
+_Sides = Annotated[tuple[str, str], BeforeValidator(_both)]
+
+
+class _Range(FileTable):
+    mean_rad: Number
+    tolerance_rad: Sigma
+    max_rate_rad_s: Sigma
+
+
+class _Link(FileTable):
+    """One rigid link."""
 
     name: str
-    start: str
-    end: str
+    start: str = Field(alias="from")
+    end: str = Field(alias="to")
     limb: str
-    length_ratio: float
-    free: bool
+    length_ratio: Sigma
+    keypoint: _Sides
+    theta: _Range | None = None
+    phi: _Range | None = None
+
+    @property
+    def free(self) -> bool:
+        """Whether it has angles of its own, or lies on its parent's axis."""
+        return self.theta is not None
+
+
+class _BaseLength(FileTable):
+    nominal_m: Sigma
+    sigma_m: Sigma
+
+
+class _Prior(FileTable):
+    theta_sigma_rad: Sigma
+    phi_sigma_rad: Sigma
+    roll_sigma_rad: Sigma
+    heading_sigma_rad_per_sqrt_s: Sigma
+    travel_sigma_rad: Sigma
+
+
+_ChainFeet = Annotated[dict[str, str], foot_table(CHAIN_PLACES, '{ fore = "J4", hind = "J8" }, with its joints')]
+
+
+class _ChainFile(FileTable):
+    name: str
+    title: str
+    root: str
+    root_keypoint: _Sides
+    forward: tuple[str, str]
+    feet: _ChainFeet = Field(default=None, validate_default=True)
+    keypoint_sigma_m: Sigma
+    base_length: _BaseLength
+    softness_rad: Sigma
+    prior: _Prior
+    links: tuple[_Link, ...] = Field(min_length=1)
+    length_m: dict[str, Sigma] = Field(default_factory=dict)
+    """Measured lengths of links, in place of their ratios."""
 
 
 @dataclass(frozen=True)
@@ -66,20 +120,6 @@ class AngleRanges:
     tolerance_rad: Array
     max_rate_rad_s: Array
     """The fastest expected change."""
-
-
-@dataclass(frozen=True)
-class _PriorScales:
-    """Standard deviations of the chain's soft expectations (see docs/skeletons.md for the fields)."""
-
-    softness_rad: float
-    theta_rad: float
-    phi_rad: float
-    roll_rad: float
-    heading_rad_per_sqrt_s: float
-    travel_rad: float
-    base_length_m: float
-    keypoint_m: float
 
 
 @dataclass(frozen=True)
@@ -103,20 +143,20 @@ class ChainPose:
 class Chain(Skeleton):
     """A chain's geometry, its keypoints and what is expected of its angles."""
 
+    file: _ChainFile
+    """What the skeleton's file says."""
     links: tuple[_Link, ...]
+    """The file's, with the lengths that were measured."""
     joints: tuple[str, ...]
     """Names, root first, then the links' ends in the order of the links."""
     keypoints: tuple[tuple[str, str], ...]
     """For each joint its keypoint's name on the (left, right) side."""
-    forward: tuple[str, str]
-    """Two joints, from rear to front."""
     feet: tuple[str, ...]
     """The joints that touch the ground."""
     foot_labels: tuple[str, ...]
     """Where they are, of `recon.animal.body.CHAIN_PLACES`."""
     theta: AngleRanges
     phi: AngleRanges
-    scales: _PriorScales
     nominal_base_length_m: float
 
     # -- layout of the state --------------------------------------------------------------------------------------
@@ -196,12 +236,12 @@ class Chain(Skeleton):
         markers = (Marker(self.joints[0], self.joints[0]), *(Marker(j, j, (length[j], 0.0, 0.0)) for j in length))
         tree = Tree(tuple(segments), markers)
 
-        ranges = [self.theta, self.phi]
+        ranges, prior = [self.theta, self.phi], self.file.prior
         expected = np.zeros((3, tree.n_state))
         expected[:, PITCH] = 0.0, _PITCH_RAD, _ROOT_RAD_S2
-        expected[:, ROLL] = 0.0, self.scales.roll_rad, _ROOT_RAD_S2
+        expected[:, ROLL] = 0.0, prior.roll_sigma_rad, _ROOT_RAD_S2
         expected[0, self.body_angles] = np.concatenate([r.mean_rad for r in ranges])
-        expected[1, self.body_angles] = np.repeat([self.scales.theta_rad, self.scales.phi_rad], self.n_angles)
+        expected[1, self.body_angles] = np.repeat([prior.theta_sigma_rad, prior.phi_sigma_rad], self.n_angles)
         # A swing through the expected range that just reaches the fastest rate, w = rate / tolerance, accelerates by
         # w^2 tolerance at most, and by that over sqrt(2) on the average.
         swing = [r.max_rate_rad_s**2 / r.tolerance_rad / np.sqrt(2) for r in ranges]
@@ -212,11 +252,11 @@ class Chain(Skeleton):
             tree=tree,
             keypoints=self.keypoints,
             limbs=self.limbs,
-            forward=self.forward,
+            forward=self.file.forward,
             feet=self.feet,
             foot_labels=self.foot_labels,
-            keypoint_sigma_m=self.scales.keypoint_m,
-            size_sigma=self.scales.base_length_m / self.nominal_base_length_m,
+            keypoint_sigma_m=self.file.keypoint_sigma_m,
+            size_sigma=self.file.base_length.sigma_m / self.nominal_base_length_m,
             mean_rad=expected[0, 4:],
             sigma_rad=expected[1, 4:],
             acceleration_rad_s2=expected[2, 4:],
@@ -302,65 +342,6 @@ def upright_rotation(heading: Array, up: Array) -> Array:
 # -- files -------------------------------------------------------------------------------------------------------------
 
 
-def _both(given: Any) -> Any:
-    """A keypoint's name on either side, or a table of both, as (left, right)."""
-    if isinstance(given, dict) and {*given} == {"left", "right"}:
-        return given["left"], given["right"]
-    return (given, given) if isinstance(given, str) else given
-
-
-_Sides = Annotated[tuple[str, str], BeforeValidator(_both)]
-
-
-class _Range(FileTable):
-    mean_rad: Number
-    tolerance_rad: Sigma
-    max_rate_rad_s: Sigma
-
-
-class _LinkTable(FileTable):
-    name: str
-    start: str = Field(alias="from")
-    end: str = Field(alias="to")
-    limb: str
-    length_ratio: Sigma
-    keypoint: _Sides
-    theta: _Range | None = None
-    phi: _Range | None = None
-
-
-class _BaseLength(FileTable):
-    nominal_m: Sigma
-    sigma_m: Sigma
-
-
-class _Prior(FileTable):
-    theta_sigma_rad: Sigma
-    phi_sigma_rad: Sigma
-    roll_sigma_rad: Sigma
-    heading_sigma_rad_per_sqrt_s: Sigma
-    travel_sigma_rad: Sigma
-
-
-_ChainFeet = Annotated[dict[str, str], foot_table(CHAIN_PLACES, '{ fore = "J4", hind = "J8" }, with its joints')]
-
-
-class _ChainFile(FileTable):
-    name: str
-    title: str
-    root: str
-    root_keypoint: _Sides
-    forward: tuple[str, str]
-    feet: _ChainFeet = Field(default=None, validate_default=True)
-    keypoint_sigma_m: Sigma
-    base_length: _BaseLength
-    softness_rad: Sigma
-    prior: _Prior
-    links: tuple[_LinkTable, ...] = Field(min_length=1)
-    length_m: dict[str, Sigma] = Field(default_factory=dict)
-    """Measured lengths of links, in place of their ratios."""
-
-
 def chain_of(raw: dict[str, Any], source: str) -> Chain:
     file = validated(_ChainFile, raw, source)
     refuse(_chain_problems(file, source))
@@ -395,28 +376,18 @@ def _ranges(ranges: Iterable[_Range | None]) -> AngleRanges:
 
 
 def _chain(f: _ChainFile) -> Chain:
-    ratios = {x.name: x.length_ratio for x in f.links}
-    ratios |= {name: length_m / f.base_length.nominal_m for name, length_m in f.length_m.items()}
+    ratios = {name: length_m / f.base_length.nominal_m for name, length_m in f.length_m.items()}
+    links = tuple(x.model_copy(update={"length_ratio": ratios.get(x.name, x.length_ratio)}) for x in f.links)
     return Chain(
-        name=f.name,
-        title=f.title,
-        links=tuple(_Link(x.name, x.start, x.end, x.limb, ratios[x.name], free=x.theta is not None) for x in f.links),
-        joints=(f.root, *(x.end for x in f.links)),
-        keypoints=(f.root_keypoint, *(x.keypoint for x in f.links)),
-        forward=f.forward,
+        f.name,
+        f.title,
+        file=f,
+        links=links,
+        joints=(f.root, *(x.end for x in links)),
+        keypoints=(f.root_keypoint, *(x.keypoint for x in links)),
         feet=tuple(f.feet.values()),
         foot_labels=tuple(CHAIN_PLACES[place] for place in f.feet),
-        theta=_ranges(x.theta for x in f.links),
-        phi=_ranges(x.phi for x in f.links),
-        scales=_PriorScales(
-            softness_rad=f.softness_rad,
-            theta_rad=f.prior.theta_sigma_rad,
-            phi_rad=f.prior.phi_sigma_rad,
-            roll_rad=f.prior.roll_sigma_rad,
-            heading_rad_per_sqrt_s=f.prior.heading_sigma_rad_per_sqrt_s,
-            travel_rad=f.prior.travel_sigma_rad,
-            base_length_m=f.base_length.sigma_m,
-            keypoint_m=f.keypoint_sigma_m,
-        ),
+        theta=_ranges(x.theta for x in links),
+        phi=_ranges(x.phi for x in links),
         nominal_base_length_m=f.base_length.nominal_m,
     )

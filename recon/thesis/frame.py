@@ -202,26 +202,26 @@ def frame_objectives(
 
     xy_px (T, J, 2), NaN where missing; confidence (T, J).
     """
-    s, form, up = chain.scales, options.form, camera.up
+    softness_rad, prior, form, up = chain.file.softness_rad, chain.file.prior, options.form, camera.up
     printed = options.reprojection == "printed"
     weights, robust_c = (np.ones_like(confidence), PLAIN_C) if printed else (confidence, options.robust_c)
     terms: list[Objective] = [
         JointReprojection(camera, xy_px, weights, options.sigma_px, robust_c),
-        AngleRange("theta range", chain.theta_slice, s.softness_rad, form, chain.theta),
-        AngleRange("phi range", chain.phi_slice, s.softness_rad, form, chain.phi),
-        RateLimit("theta rate", chain.theta_slice, s.softness_rad, form, chain.theta.max_rate_rad_s),
-        RateLimit("phi rate", chain.phi_slice, s.softness_rad, form, chain.phi.max_rate_rad_s),
+        AngleRange("theta range", chain.theta_slice, softness_rad, form, chain.theta),
+        AngleRange("phi range", chain.phi_slice, softness_rad, form, chain.phi),
+        RateLimit("theta rate", chain.theta_slice, softness_rad, form, chain.theta.max_rate_rad_s),
+        RateLimit("phi rate", chain.phi_slice, softness_rad, form, chain.phi.max_rate_rad_s),
         GaussianPrior("base length prior", slice(chain.base_index, chain.base_index + 1), *base_length(chain, options)),
     ]
     if options.angle_prior == "gaussian":
         level, euler = np.eye(3) - np.outer(up, up), chain.euler_slice
         moving = np.where(travel.speed_m_s[:, None] > 0, travel.heading, np.nan)
         terms += [
-            GaussianPrior("theta prior", chain.theta_slice, chain.theta.mean_rad, s.theta_rad),
-            GaussianPrior("phi prior", chain.phi_slice, chain.phi.mean_rad, s.phi_rad),
-            DirectionPrior("roll prior", 2, up[None], np.zeros_like(moving), s.roll_rad, euler),
-            DirectionPrior("heading tie", 0, level, None, s.heading_rad_per_sqrt_s, euler),
-            DirectionPrior("travel prior", 0, level, moving, s.travel_rad, euler),
+            GaussianPrior("theta prior", chain.theta_slice, chain.theta.mean_rad, prior.theta_sigma_rad),
+            GaussianPrior("phi prior", chain.phi_slice, chain.phi.mean_rad, prior.phi_sigma_rad),
+            DirectionPrior("roll prior", 2, up[None], np.zeros_like(moving), prior.roll_sigma_rad, euler),
+            DirectionPrior("heading tie", 0, level, None, prior.heading_sigma_rad_per_sqrt_s, euler),
+            DirectionPrior("travel prior", 0, level, moving, prior.travel_sigma_rad, euler),
         ]
     return tuple(terms)
 
@@ -229,7 +229,7 @@ def frame_objectives(
 def base_length(chain: Chain, options: FrameOptions) -> tuple[float, float]:
     """Nominal value and standard deviation of the base length, metres."""
     nominal = options.base_length_m or chain.nominal_base_length_m
-    relative = chain.scales.base_length_m / chain.nominal_base_length_m
+    relative = chain.file.base_length.sigma_m / chain.nominal_base_length_m
     return nominal, options.base_sigma_m or relative * nominal
 
 
@@ -600,7 +600,7 @@ class FrameSolver:
         """Standard deviation of a detection: the detector's noise and, at a start's distance, the keypoints'."""
         o = self.options
         depth = max(float(self.chain.pose(start[None]).joints_m[0, :, 2].mean()), 0.1)
-        keypoint_m = self.chain.scales.keypoint_m if o.keypoint_sigma_m is None else o.keypoint_sigma_m
+        keypoint_m = self.chain.file.keypoint_sigma_m if o.keypoint_sigma_m is None else o.keypoint_sigma_m
         return float(np.hypot(o.sigma_px, min(keypoint_m * _focal_px(self.camera) / depth, o.keypoint_sigma_max_px)))
 
     # -- one optimisation -----------------------------------------------------------------------------------------

@@ -50,7 +50,7 @@ def _base_length(motion: Motion) -> dict[str, Any]:
 def solver(motion: Motion) -> dict[str, Any]:
     chain, options = frame_solution(motion).chain, FrameOptions.of(motion.settings)
     nominal, sigma = base_length(chain, options)
-    of_chain = {"keypoint_sigma_m": chain.scales.keypoint_m, "base_length_m": nominal, "base_sigma_m": sigma}
+    of_chain = {"keypoint_sigma_m": chain.file.keypoint_sigma_m, "base_length_m": nominal, "base_sigma_m": sigma}
     return {name: of_chain.get(name) if value is None else value for name, value in asdict(options).items()}
 
 

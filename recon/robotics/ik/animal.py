@@ -48,7 +48,7 @@ def spine_front_leg(
     lengths = [chain.links[i].length_ratio * base for i in links]
     free = _angle_index(chain, links)
     lower, upper, rate = [], [], []
-    for ranges, base_limit in ((chain.theta, BASE_THETA_RAD), (chain.phi, 3 * chain.scales.travel_rad)):
+    for ranges, base_limit in ((chain.theta, BASE_THETA_RAD), (chain.phi, 3 * chain.file.prior.travel_sigma_rad)):
         rates = [float(ranges.max_rate_rad_s[k]) for k in free if k is not None]
         for k in free:
             lower.append(-base_limit if k is None else ranges.mean_rad[k] - ranges.tolerance_rad[k])
