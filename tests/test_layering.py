@@ -52,7 +52,7 @@ def base_imports() -> set[str]:
 
 
 def module_name(path: Path) -> str:
-    """recon/io/pose3d.py -> recon.io.pose3d; recon/io/__init__.py -> recon.io.__init__."""
+    """recon/io/formats.py -> recon.io.formats; recon/io/__init__.py -> recon.io.__init__."""
     return ".".join(path.relative_to(ROOT).with_suffix("").parts)
 
 
@@ -148,9 +148,9 @@ def test_there_is_something_to_check():
         ("recon.geometry.camera", "import recon"),
         ("recon.geometry.camera", "from .. import fit"),
         ("recon.geometry.camera", "from ..fit import solve_points"),
-        ("recon.io.pose3d", "from ..fit.motion import Motion"),
+        ("recon.io.formats", "from ..fit.motion import Motion"),
         ("recon.io.__init__", "from ..fit import Motion"),
-        ("recon.io.pose3d", "from .. import fit"),
+        ("recon.io.formats", "from .. import fit"),
         ("recon.fit.result", "def f():\n    from recon.show.page import clip_page"),
         ("recon.fit.result", "import importlib\ndef f():\n    importlib.import_module('recon.show.view')"),
         ("recon.base.errors", "from recon.io.npz import write"),
@@ -201,7 +201,7 @@ def test_catches_an_optional_import_at_the_top(module, source):
             "from recon.io import deeplabcut\nfrom . import deeplabcut\nfrom .deeplabcut import read",
         ),
         (
-            "recon.io.pose3d",
+            "recon.io.formats",
             "from recon.io import describe\nfrom .deeplabcut import read\nfrom ..base.errors import Problem",
         ),
         ("recon.workflows.cli", "from recon import __version__"),

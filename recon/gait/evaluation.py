@@ -24,7 +24,7 @@ from recon.clip.keypoints import frame_ranges
 from recon.fit.motion import Motion
 from recon.fit.posterior import radius
 from recon.fit.result import Verdict
-from recon.io.pose3d import Pose3D, read_pose3d
+from recon.io import Pose3D, read_pose3d
 
 PCK_THRESHOLDS_M = (0.05, 0.1, 0.15)
 LEVELS = (0.5, 0.9)

@@ -45,7 +45,7 @@ from recon.base.words import length_text
 from recon.clip.keypoints import frame_ranges
 from recon.fit.posterior import radius
 from recon.gait.kinematics import MIN_POINTS, Errors, Series, frame_times, joint_index, series_kinematics
-from recon.io.pose3d import Pose3D
+from recon.io.pose import Pose3D
 
 FEET: Mapping[str, str] = MappingProxyType(
     {"LH": "l_back_paw", "RH": "r_back_paw", "LF": "l_front_paw", "RF": "r_front_paw"}

@@ -34,7 +34,7 @@ from scipy.optimize import brentq
 
 from recon.base.arrays import Array, Index
 from recon.base.errors import InputError, Problem
-from recon.io.pose3d import Pose3D
+from recon.io.pose import Pose3D
 
 Curve = Callable[[Array, int], Array]
 

@@ -33,8 +33,7 @@ from recon.geometry.camera import Camera
 from recon.geometry.frames import inverse, rigid
 from recon.io.calibration import cameras_of
 from recon.io.camera_files import read_colmap
-from recon.io.common import MAX_FRAME, first_problems, frame_number, numbers
-from recon.io.table import number_rows, text_rows
+from recon.io.common import MAX_FRAME, first_problems, frame_number, number_rows, numbers, text_rows
 
 POSE, INTRINSICS = ("qw", "qx", "qy", "qz", "tx", "ty", "tz"), ("fx", "fy", "cx", "cy")
 SIGMA = "sigma_deg"

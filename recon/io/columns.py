@@ -27,6 +27,7 @@ from recon.base.files import write_bytes
 from recon.clip.keypoints import Keypoints
 from recon.io.common import (
     POINTS_MAX,
+    SEPARATORS,
     choose,
     first_problems,
     formats_extra,
@@ -36,9 +37,10 @@ from recon.io.common import (
     rate,
     require_span,
     starts_with,
+    text_rows,
+    write_rows,
 )
 from recon.io.pose import Pose3D, StoredPoints
-from recon.io.table import SEPARATORS, text_rows, write_rows
 
 Columns = Mapping[str, Any]
 """A table by column: sequences of text cells, or arrays of numbers."""

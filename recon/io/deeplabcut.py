@@ -17,9 +17,19 @@ import numpy as np
 
 from recon.base.errors import InputError, Problem, refuse
 from recon.clip.keypoints import Keypoints
-from recon.io.common import FMPOSE3D, MAX_FRAME, choose, first_problems, frame_number, points_of_arrays, rate
+from recon.io.common import (
+    FMPOSE3D,
+    MAX_FRAME,
+    choose,
+    first_problems,
+    frame_number,
+    number_rows,
+    points_of_arrays,
+    rate,
+    text_rows,
+    write_table,
+)
 from recon.io.pose import Pose3D, StoredPoints, points_of
-from recon.io.table import number_rows, text_rows, write_table
 
 HEADERS = (
     ("scorer", "bodyparts", "coords"),

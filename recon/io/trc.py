@@ -7,9 +7,16 @@ from typing import Any
 
 from recon.base.documents import read_text
 from recon.base.errors import refuse
-from recon.io.common import first_problems, points_of_arrays, rate, require_names, required_fps, starts_with_text
+from recon.io.common import (
+    first_problems,
+    number_rows,
+    points_of_arrays,
+    rate,
+    require_names,
+    required_fps,
+    starts_with_text,
+)
 from recon.io.pose import UNIT_NAMES, Pose3D, StoredPoints, y_up_from_z_up
-from recon.io.table import number_rows
 
 UP_TEXT = "y up: x forwards, y up, z right"
 """At the end of the first line of our own files."""

@@ -16,8 +16,7 @@ from recon.base.errors import InputError, Problem, refuse
 from recon.calibrate.camera_motion.rotation import Orientation, rays_of
 from recon.geometry.camera import Camera
 from recon.geometry.frames import level_from_camera
-from recon.io.common import first_problems, frame_number, number
-from recon.io.table import text_rows
+from recon.io.common import first_problems, frame_number, number, text_rows
 
 COLUMNS = ("kind", "frame", "x1", "y1", "x2", "y2")
 EXPECTED = f"a table (.csv) with the columns {', '.join(COLUMNS)}: horizon or vertical, and two points of it, px"

@@ -24,7 +24,7 @@ from recon.gait.clip import ClipAnalysis, limb_chains, stride_given
 from recon.gait.gait import AGREE, OVERSAMPLING, Gait, doubtful_text
 from recon.gait.kinematics import MIN_POINTS
 from recon.gait.phase import Closure, Portrait
-from recon.io.table import write_rows
+from recon.io.common import write_rows
 from recon.robotics.ik.animal import (
     body_chain,
     body_chain_angles,

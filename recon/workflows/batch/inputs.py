@@ -19,8 +19,8 @@ from recon.base.errors import InputError, Problem, refuse
 from recon.check import names_text
 from recon.io import file_head, individuals, recognised, titles
 from recon.io.calibration import read_cameras
+from recon.io.common import text_rows
 from recon.io.deeplabcut_project import find_project, predictions
-from recon.io.table import text_rows
 from recon.show.page import SUMMARY_PAGE
 from recon.workflows.cameras import cameras_in
 from recon.workflows.settings import SETTINGS, FitSettings, beside, read_settings
