@@ -41,9 +41,8 @@ from recon.keypoint_net.network import (
     placed,
     require_torch,
 )
-from recon.keypoint_net.predict import PredictSettings, predict_video
 from recon.keypoint_net.train import TrainSettings
-from recon.keypoint_net.workflows import LabelSource, run_prediction, run_training
+from recon.keypoint_net.workflows import LabelSource, PredictSettings, predict_video, run_prediction, run_training
 
 FIRST = 50
 """Number that the horse's labels give to the video's first frame."""

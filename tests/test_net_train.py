@@ -23,8 +23,8 @@ from recon.keypoint_net import (  # noqa: E402
     run_prediction,
     run_training,
 )
-from recon.keypoint_net import predict as predict_module  # noqa: E402
 from recon.keypoint_net import train as train_module  # noqa: E402
+from recon.keypoint_net import workflows as predict_module  # noqa: E402
 from recon.keypoint_net.train import schedule  # noqa: E402
 
 SIZE, FRAMES = (96, 64), 20

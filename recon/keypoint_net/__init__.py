@@ -11,8 +11,7 @@ if TYPE_CHECKING:
     from recon.keypoint_net.evaluate2d import evaluate_2d_files
     from recon.keypoint_net.labels import read_label_file, read_labels
     from recon.keypoint_net.network import FORMAT, load_model, load_torch, model_file
-    from recon.keypoint_net.predict import PredictSettings
     from recon.keypoint_net.train import TrainSettings
-    from recon.keypoint_net.workflows import LabelSource, run_prediction, run_training
+    from recon.keypoint_net.workflows import LabelSource, PredictSettings, run_prediction, run_training
 
 __getattr__ = lazily(__name__, __file__)

@@ -9,6 +9,7 @@ The distances are in body lengths; a label's rank is the sum of those in which i
 
 from __future__ import annotations
 
+import colorsys
 from pathlib import Path
 from typing import Any
 
@@ -23,9 +24,8 @@ from recon.io.video import Image
 from recon.keypoint_net.evaluate2d import evaluate_2d, reliability
 from recon.keypoint_net.labels import Labels, extents_px, frames_by_part
 from recon.keypoint_net.network import TrainedNetwork, calibrated, require_torch
-from recon.keypoint_net.predict import colours
 from recon.keypoint_net.train import State, TrainingRun, calibrated_spec, judge
-from recon.show.overlay import draw_circle, draw_line, draw_text
+from recon.show.overlay import Colour, draw_circle, draw_line, draw_text
 from recon.show.plain import to_json
 from recon.show.plots.style import COLOURS, GREY, drawing, plain_logarithm, save
 
@@ -132,6 +132,15 @@ def _write_worst(labels: Labels, errors: Array, xy_px: Array, which: Integers, p
     padded += [np.zeros_like(padded[0])] * (len(padded) % 2)
     rows = [np.hstack(padded[i : i + 2]) for i in range(0, len(padded), 2)]
     write_bytes(path, cv2.imencode(path.suffix, np.vstack(rows))[1].tobytes())
+
+
+def colours(count: int) -> list[Colour]:
+    """One for each keypoint, blue, green, red: evenly around the colour wheel, bright and dark by turns."""
+    found = []
+    for k in range(count):
+        r, g, b = colorsys.hsv_to_rgb(k / max(count, 1), 0.85, 1.0 if k % 2 == 0 else 0.75)
+        found.append((round(255 * b), round(255 * g), round(255 * r)))
+    return found
 
 
 def _compared(picture: Image, label_px: Array, xy_px: Array, title: str) -> Image:
