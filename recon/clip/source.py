@@ -88,10 +88,7 @@ class View:
     @property
     def seen(self) -> Bools:
         """(T, J): keypoints that a detector can have found in the picture (`Camera.sees`)."""
-        if self.intrinsics_px is None:
-            return self.camera.sees(self.xy_px)
-        near = self.camera.near(self.xy_px)
-        return near & self.camera.rays(np.where(near[..., None], self._unzoomed_px, np.nan))[1]
+        return self.camera.sees(self.xy_px, self._unzoomed_px)
 
     def corrected(self, correction: Array) -> View:
         """With an extrinsic correction (6,) of the camera: turned by angles about its axes

@@ -522,22 +522,15 @@ class Motion:
     def pictures(self) -> tuple[Picture, ...]:
         """What each camera saw, in the order of the sources."""
         solution = self.solution
-        given = zip(self.sources, solution.views, solution.noise_px, solution.weight, strict=True)
-        return tuple(
-            Picture(
-                source,
-                self.T_reference_world @ inverse(view.T_camera_world),
-                view.to_camera(view.at_its_time(solution.joints_m)),
-                self._where_known(source, view.project(view.at_its_time(solution.markers_m))[0]),
-                noise_px,
-                weight,
-            )
-            for source, view, noise_px, weight in given
-        )
-
-    def _where_known(self, source: Source, pixels: Array) -> Array:
-        """Pixels (T, J, 2), NaN in frames in which it is not known where the camera was."""
-        return pixels if source.poses is None else np.where(source.poses.known[:, None, None], pixels, np.nan)
+        found = []
+        for source, view, *rest in zip(self.sources, solution.views, solution.noise_px, solution.weight, strict=True):
+            pixels, _ = view.project(view.at_its_time(solution.markers_m))
+            if source.poses is not None:
+                pixels = np.where(source.poses.known[:, None, None], pixels, np.nan)
+            T_reference_camera = self.T_reference_world @ inverse(view.T_camera_world)
+            joints_m = view.to_camera(view.at_its_time(solution.joints_m))
+            found.append(Picture(source, T_reference_camera, joints_m, pixels, *rest))
+        return tuple(found)
 
     # -- how far it can be trusted --------------------------------------------------------------------------------
 

@@ -445,11 +445,9 @@ def _flags(
     rear, front = (joints_m[:, clip.body.markers.index(marker)] for marker in clip.body.forward)
     trunk, middle = front - rear, joints_m.mean(axis=1)
     sees = np.array([view.present.sum(axis=1) >= MIN_JOINTS for view in clip.views])
-    end_on = []
-    for view in clip.views:
-        sight = middle - view.centre_m
-        lengths = np.linalg.norm(sight, axis=1) * np.linalg.norm(trunk, axis=1)
-        end_on.append(np.abs(np.sum(sight * trunk, axis=1)) / lengths > np.cos(END_ON_RAD))
+    sight = np.array([middle - view.centre_m for view in clip.views])
+    lengths = np.linalg.norm(sight, axis=2) * np.linalg.norm(trunk, axis=1)
+    end_on = np.abs(np.sum(sight * trunk, axis=2)) / lengths > np.cos(END_ON_RAD)
     alone = (sees.sum(axis=0) <= 1) & np.all(end_on | (~sees & sees.any(axis=0)), axis=0)
     doubtful = {
         "no data": ~np.isfinite(joints_m[:, 0, 0]) | (detected == 0),

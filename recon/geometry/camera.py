@@ -153,21 +153,18 @@ class Camera:
         uv = np.asarray(pixels, dtype=float)
         return np.asarray(((uv >= -0.5) & (uv <= np.array(self.image_size_px) - 0.5)).all(axis=-1))
 
-    def sees(self, pixels: npt.ArrayLike) -> Bools:
+    def sees(self, pixels: npt.ArrayLike, unzoomed_px: Array | None = None) -> Bools:
         """Whether something found at pixels (..., 2) can be in the picture: no further outside than the picture is
-        wide and high, and with a ray. False for NaN.
+        wide and high, and with a ray. False for NaN. unzoomed_px: where it is by the camera's own matrix, of one that
+        zooms.
 
         Trackers and interpolation carry points a little over the edge. What lies further out is a mistake, and a lens
         model has no say there.
         """
-        seen, uv = self.near(pixels), np.asarray(pixels, dtype=float)
-        seen[seen] = self.rays(uv[seen])[1]
-        return seen
-
-    def near(self, pixels: npt.ArrayLike) -> Bools:
-        """Whether pixels (..., 2) lie no further outside the picture than it is wide and high."""
         uv, size = np.asarray(pixels, dtype=float), np.array(self.image_size_px)
-        return np.asarray(((uv >= -size) & (uv <= 2 * size)).all(axis=-1))
+        seen = np.asarray(((uv >= -size) & (uv <= 2 * size)).all(axis=-1))
+        seen[seen] = self.rays((uv if unzoomed_px is None else unzoomed_px)[seen])[1]
+        return seen
 
     # ---- the way back ----
 
