@@ -56,7 +56,7 @@ def load_record(of: type[_Class], path: Path, schema: Mapping[str, Any], expecte
     content = read_content(path, expected, MAX_UNPACKED)
     try:
         arrays = arrays_of(content, KINDS)
-        text = _text(arrays.pop(RECORD))
+        text = arrays.pop(RECORD).astype(np.uint8, casting="no").tobytes().decode()
     except DAMAGE as error:
         found = f"data that cannot be read ({' '.join(str(error).split())[:100] or type(error).__name__})"
         raise InputError(Problem(path, "content", found, expected)) from None
@@ -72,13 +72,6 @@ def load_record(of: type[_Class], path: Path, schema: Mapping[str, Any], expecte
         raise InputError(problems_of(error, path, within=1)) from None
     except (*DAMAGE, AttributeError, IndexError, OverflowError, RecursionError) as error:
         raise InputError(Problem(path, "content", " ".join(str(error).split())[:200], expected)) from None
-
-
-def _text(array: np.ndarray) -> str:
-    """What bytes (n,) say. Raises ValueError for an array of another type."""
-    if array.dtype != np.uint8:
-        raise ValueError(f"a text of {array.dtype}")
-    return array.tobytes().decode()
 
 
 def _plain(value: Any, where: str, arrays: dict[str, np.ndarray], name_of: dict[int, str]) -> Any:

@@ -223,11 +223,8 @@ def select_frames(keypoints: Keypoints, frames: tuple[int | None, int | None] | 
     Raises InputError if there is none.
     """
     start, stop = frames or (None, None)
-    keep = np.ones(len(keypoints.frames), bool)
-    if start is not None:
-        keep &= keypoints.frames >= start
-    if stop is not None:
-        keep &= keypoints.frames < stop
+    keep = keypoints.frames >= (-np.inf if start is None else start)
+    keep &= keypoints.frames < (np.inf if stop is None else stop)
     if not keep.any():
         shown = f"{'' if start is None else start}:{'' if stop is None else stop}"
         has = f"{keypoints.frames[0]} to {keypoints.frames[-1]}" if len(keypoints.frames) else "none"
@@ -270,13 +267,8 @@ def constant_px(keypoints: Keypoints) -> tuple[float, float] | None:
     if not len(values) or counts.max() < max(CONSTANT_SHARE * len(points), 2 * CONSTANT_KEYPOINTS):
         return None
     most = int(np.argmax(counts))
-    if (
-        len(np.unique(names[corner][which.ravel() == most])) < CONSTANT_KEYPOINTS
-        or counts[most] < 2 * CONSTANT_KEYPOINTS
-    ):
-        return None
     x, y = values[most].tolist()
-    return x, y
+    return (x, y) if len(np.unique(names[corner][which.ravel() == most])) >= CONSTANT_KEYPOINTS else None
 
 
 def fill_gaps(keypoints: Keypoints) -> tuple[Keypoints, tuple[tuple[int, int], ...]]:

@@ -52,10 +52,6 @@ class TrajectoryOptions:
     def noise_rounds(self) -> int:
         return 1 if self.fast else constants.NOISE_ROUNDS
 
-    @property
-    def tolerance(self) -> float:
-        return (10 if self.fast else 1) * constants.TOLERANCE
-
 
 @dataclass(frozen=True, eq=False)
 class ClipProblem:

@@ -267,11 +267,10 @@ def _disagreement(clips: Sequence[ClipProblem], reduced: Sequence[tuple[int, _Re
     """(C, V), see `Rig`: the drop of each clip's cost if that camera stood elsewhere for this clip alone, twice."""
     C, V = len(clips), len(clips[0].views)
     curvature, gradient = np.zeros((C, V, 6, 6)), np.zeros((C, V, 6))
+    each = np.arange(V)
     for number, one in reduced:
-        for i in range(V):
-            own = slice(6 * i, 6 * i + 6)
-            curvature[number, i] += one.curvature[own, own] / clips[number].correlation_frames
-            gradient[number, i] += one.gradient[own] / clips[number].correlation_frames
+        curvature[number] += one.curvature.reshape(V, 6, V, 6)[each, :, each] / clips[number].correlation_frames
+        gradient[number] += one.gradient.reshape(V, 6) / clips[number].correlation_frames
     held = curvature + 1e-9 * np.eye(6)  # nothing is known of a camera that saw nothing
     return np.sum(gradient * np.linalg.solve(held, gradient[..., None])[..., 0], axis=-1)
 

@@ -156,6 +156,7 @@ def posterior(problem: LeastSquares, body: Body, found: Estimate, variance_facto
     frames = replace(problem, shared=(), doubtful=())
     priors = replace(frames, terms=[term for term in problem.terms if term.name != "reprojection"])
     (T, D), J, without = states.shape, len(body.markers), priors.normals(states)
+    place = np.isin(np.arange(D), [*range(D)[ROOT], YAW])  # a frame's, and its heading: priors say nothing of them
     absolute, relative, by_size = np.empty((T, J, 3, 3)), np.empty((T, J, 3, 3)), np.empty((T, J, 3))
     state_by_size, angles, variances = np.empty((T, D)), np.empty((2, T, D - YAW)), np.empty((2, T, J))
     for window, others, follows in known.windows():  # one after the other: a window is large
@@ -164,13 +165,13 @@ def posterior(problem: LeastSquares, body: Body, found: Estimate, variance_facto
             lasting = others[first : first + _FRAMES_AT_ONCE] @ known.root
             own[first : first + _FRAMES_AT_ONCE] += lasting @ lasting.swapaxes(1, 2)
         absolute[rows], relative[rows], by_size[rows] = _of_joints(body, states[rows], own, size, follows)
-        angles[0, rows], state_by_size[rows] = _of_angles(own), follows
+        angles[0, rows], state_by_size[rows] = np.diagonal(own, axis1=1, axis2=2)[:, YAW:], follows
     for of, normals in zip(variances, (frames.normals(states, found.shared)(), without()), strict=True):
-        for window in eliminated(normals, _at_place(D, _HELD), bounded=True):
+        for window in eliminated(normals, _HELD * place, bounded=True):
             of_joints = _of_joints(body, states[window.rows], window.marginal_blocks()[:, 0])
             of[window.rows] = np.trace(of_joints[1], axis1=2, axis2=3)
-    for window in eliminated(without(), _at_place(D, _HARDLY), bounded=True):
-        angles[1, window.rows] = _of_angles(window.marginal_blocks()[:, 0])
+    for window in eliminated(without(), _HARDLY * place, bounded=True):
+        angles[1, window.rows] = np.diagonal(window.marginal_blocks()[:, 0], axis1=1, axis2=2)[:, YAW:]
     for covariance in (absolute, relative):  # in place: those of a long clip are large
         covariance += np.multiply.outer(known.beyond_m2, np.eye(3))
         covariance *= variance_factor
@@ -184,11 +185,6 @@ def posterior(problem: LeastSquares, body: Body, found: Estimate, variance_facto
         size_precision=known.size_known / variance_factor,
         shared_sigma={name: sigma[columns[name]] for name in solved_for},
     )
-
-
-def _at_place(D: int, precision: float) -> Array:
-    """(D,): a precision of a frame's place and heading, of which priors alone say nothing."""
-    return np.where(np.isin(np.arange(D), [*range(D)[ROOT], YAW]), precision, 0.0)
 
 
 def with_size(covariance_m2: Array, by_size_m: Array, size: float, size_sigma: float) -> Array:
@@ -205,11 +201,6 @@ def _data_share(with_pixels_m2: Array, without_m2: Array) -> Array:
     with np.errstate(divide="ignore", invalid="ignore"):
         share = np.median(1.0 - with_pixels_m2 / without_m2, axis=0)
     return np.clip(share, 0.0, 1.0)
-
-
-def _of_angles(own: Array) -> Array:
-    """(T, D - 3): variances of the angles, of the states' covariance (T, D, D)."""
-    return np.diagonal(own, axis1=1, axis2=2)[:, YAW:].copy()
 
 
 def _of_joints(

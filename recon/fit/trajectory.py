@@ -188,7 +188,8 @@ def _round(clip: ClipProblem, solved: SegmentFit, temperature: float | None, who
             contact, ground, contact_terms = contacts(clip, points, size)
     noise_px = clip.noise_px(points, noise, size)
     problem = clip.problem(noise_px, temperature, contact_terms, points, size)
-    limit, tolerance = (constants.MAX_ITERATIONS, o.tolerance) if whole else (8, 1e-3)
+    tolerance = 1e-3 if not whole else (10 if o.fast else 1) * constants.TOLERANCE
+    limit = constants.MAX_ITERATIONS if whole else 8
     estimate = problem.minimise(estimate.states, tolerance, limit, problem.expected() | dict(estimate.shared))
     return replace(
         solved,
