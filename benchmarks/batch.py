@@ -29,8 +29,8 @@ from recon.base.package import install_command
 from recon.clip.keypoints import Keypoints
 from recon.io import read_keypoints
 from recon.workflows.batch import RECORD
+from recon.workflows.clip_results import Record
 from recon.workflows.demo import samples_folder
-from recon.workflows.made_from import Record
 
 SAMPLE = samples_folder() / "whole.csv"
 CAMERA = samples_folder() / "camera.toml"

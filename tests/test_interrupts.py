@@ -33,7 +33,8 @@ def run_clip(*args):
         print("cleaned up", flush=True)
 
 clip, results = types.ModuleType("recon.workflows.clip"), types.ModuleType("recon.workflows.clip_results")
-clip.keypoint_problems, results.run_clip = None, run_clip
+clip.keypoint_problems = results.read_config = results.replaced_files = None
+results.run_clip = run_clip
 sys.modules |= {module.__name__: module for module in (clip, results)}
 sys.modules["pandas"] = types.ModuleType("pandas")
 """

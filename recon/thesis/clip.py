@@ -62,8 +62,7 @@ def frame(
 
     Exit code 0: done. 1: no frame could be solved. 2: the input cannot be used.
     """
-    from recon.workflows.clip_results import run_clip
-    from recon.workflows.made_from import read_config
+    from recon.workflows.clip_results import read_config, run_clip
 
     given, console = {**given, "method": "frame"}, terminal(quiet=quiet, stderr=as_json)
     fitted = read_settings(None, given) if settings.config is None else read_config(settings.config, given)

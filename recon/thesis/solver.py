@@ -42,7 +42,7 @@ from recon.show.plots.style import (
 )
 from recon.thesis.frame import FrameOptions, FrameSearch, FrameSolution, FrameSolver, solve_frames
 from recon.workflows.cli.common import progress_bar, say, terminal
-from recon.workflows.made_from import CONFIG, read_config
+from recon.workflows.clip_results import CONFIG, read_config
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -9,10 +9,9 @@ if TYPE_CHECKING:
     from recon.workflows.batch import COLUMNS, write_summary_page
     from recon.workflows.cli import GROUPS, app, commands, main
     from recon.workflows.clip import prepare
-    from recon.workflows.clip_results import OUTPUT_FILES, run_clip
+    from recon.workflows.clip_results import OUTPUT_FILES, Record, digest, file_sha256, identity, problem_of, run_clip
     from recon.workflows.convert import ConvertSettings, read_any
     from recon.workflows.look import PageSettings, run_page
-    from recon.workflows.made_from import Record, digest, file_sha256, identity, problem_of
     from recon.workflows.skeleton_check import check_skeleton
     from recon.workflows.skeleton_draft import draft_skeleton
 

@@ -1,29 +1,41 @@
-"""A clip's folder: what its motion becomes there, all of it or nothing."""
+"""A clip's folder: what its motion becomes there, all of it or nothing; and what results were made from, files by their
+content, settings and the version, so that it can be told whether that is still the same."""
 
 from __future__ import annotations
 
+import json
 import time
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
+from recon import io
+from recon.animal.prior import load_prior
 from recon.base import Progress, silent
-from recon.base.files import require_free_folder, sole_writer, staged_results
-from recon.base.manifest import MANIFEST
+from recon.base.documents import read_toml
+from recon.base.errors import InputError, Problem
+from recon.base.files import require_free_folder, sole_writer, staged_file, staged_results
+from recon.base.manifest import MANIFEST, read_manifest, sha256_of
+from recon.base.package import version
+from recon.clip import views_of
+from recon.fit.clip_problem import ClipProblem
 from recon.fit.motion import MOTION, Motion
-from recon.io import write_cameras
+from recon.fit.result import TrajectorySolution
 from recon.show.export.clip_csv import CAMERA_OUTPUTS, CLIP_OUTPUTS, of_any_camera, write_tables
 from recon.show.page import PAGE
 from recon.show.plain import write_report
 from recon.show.report import build_report
 from recon.workflows.clip import fit_clip
-from recon.workflows.made_from import digest, input_files
-from recon.workflows.settings import FitSettings
+from recon.workflows.settings import FitSettings, read_settings
 
+CONFIG = "config.toml"
+SCHEMA = {"name": "recon.record", "version": 1}
+AS_THEY_WERE = "the prior and the settings of the fit, as they were: fit the clip again"
 REFINED_CAMERAS = "cameras.toml"
 """Where cameras' poses were refined."""
-OUTPUT_FILES = (*CLIP_OUTPUTS, *CAMERA_OUTPUTS, MOTION, "report.json", "motion.rrd", "config.toml", MANIFEST)
+OUTPUT_FILES = (*CLIP_OUTPUTS, *CAMERA_OUTPUTS, MOTION, "report.json", "motion.rrd", CONFIG, MANIFEST)
 """Every file that a clip of one camera gets. With several cameras there are `CAMERA_OUTPUTS` for each."""
 
 
@@ -54,10 +66,10 @@ def write_clip(
         motion.save(folder)
         write_tables(motion, folder)
         write_report(report, folder / "report.json")
-        (folder / "config.toml").write_text(settings.to_toml(out, known), encoding="utf-8")
+        (folder / CONFIG).write_text(settings.to_toml(out, known), encoding="utf-8")
         view.write(motion, folder / "motion.rrd")
         if settings.seeks_cameras:
-            write_cameras([source.camera for source in motion.sources], folder / REFINED_CAMERAS)
+            io.write_cameras([source.camera for source in motion.sources], folder / REFINED_CAMERAS)
     return report
 
 
@@ -69,3 +81,118 @@ def run_clip(settings: FitSettings, out: Path, overwrite: bool = False, progress
         start = time.perf_counter()
         motion = fit_clip(settings, progress)
         return write_clip(motion, settings, out, time.perf_counter() - start)
+
+
+# -- what results were made from --------------------------------------------------------------------------------------
+
+
+def input_files(settings: FitSettings) -> dict[str, Path]:
+    """By the setting that names them; built-in skeletons, subjects, detectors, priors and maps are no files."""
+    first, *others = settings.keypoints
+    files = {"keypoints": first} | {f"keypoints {i}": path for i, path in enumerate(others, start=2)}
+    files |= {f"camera {i}" if i > 1 else "camera": path for i, path in enumerate(settings.camera or (), start=1)}
+    tracks = [path for track in settings.camera_track or () for path in io.track_files(track)]
+    files |= {f"camera_track {i}" if i else "camera_track": path for i, path in enumerate(tracks)}
+    for role in ("skeleton", "subject", "detector", "prior", "rename"):
+        name = getattr(settings, role)
+        if name is not None and Path(name).is_absolute():
+            files[role] = Path(name)
+    return files
+
+
+file_sha256 = cache(lambda path: digest(path))
+"""As `digest`; remembered, as a batch asks again and again."""
+
+
+def digest(path: Path) -> str | None:
+    """The digest of a file's content; None where it cannot be read."""
+    try:
+        return sha256_of(path)
+    except OSError:
+        return None
+
+
+def identity(settings: FitSettings) -> dict[str, Any]:
+    """What the results of a fit follow from. Where a file lies is not part of it, nor are settings that only the other
+    method reads. A file that cannot be read has no content, None."""
+    files = input_files(settings)
+    plain = {name: value for name, value in settings.plain().items() if value is not None and name not in files}
+    return identity_of(files, plain)
+
+
+def identity_of(files: Mapping[str, Path], settings: Mapping[str, Any]) -> dict[str, Any]:
+    """The same of any files, by their role, and settings."""
+    inputs = {role: file_sha256(path) for role, path in files.items()}
+    return {"inputs": inputs, "settings": dict(settings), "version": version()}
+
+
+class Record:
+    """What each part of a work was made from, and what became of it: lines of JSON, of which the last of a part counts.
+
+    Only one process writes it. A part has a row before it begins and another one, with what was made, when it has
+    ended: what a run that is killed at any moment leaves does not look finished. Rows that are damaged, as by a full
+    disk, and those of other versions count as none.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.rows: dict[str, dict[str, Any]] = {}
+        try:
+            lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
+        except OSError:
+            return
+        for line in lines:
+            try:
+                row = json.loads(line)
+                if row["schema"] == SCHEMA:
+                    self.rows[row["part"]] = row
+            except (ValueError, KeyError, TypeError, RecursionError):
+                continue
+
+    def tidy(self) -> None:
+        """Leave the last row of each part, before others come behind it."""
+        with staged_file(self.path) as staged:
+            staged.write_text("".join(json.dumps(row) + "\n" for row in self.rows.values()), encoding="utf-8")
+
+    def note(self, part: str, identity: Mapping[str, Any], **more: Any) -> None:
+        self.rows[part] = {"schema": SCHEMA, "part": part, "identity": identity, **more}
+        with self.path.open("a", encoding="utf-8") as file:
+            file.write(json.dumps(self.rows[part]) + "\n")
+
+
+def read_config(config: Path, given: Mapping[str, Any]) -> FitSettings:
+    """As `read_settings`; raises InputError also where files are missing that the config.toml of a result names."""
+    settings = read_settings(config, given)
+    gone = {role: path for role, path in _named(given, settings).items() if not path.exists()}
+    if gone:
+        expected = "the file that config.toml names, seen from its own folder: move both together, or name it anew"
+        raise InputError(Problem(config, role, f"{path}, no such file", expected) for role, path in gone.items())
+    return settings
+
+
+def problem_of(motion: Motion, folder: Path) -> ClipProblem:
+    """What a loaded motion was solved for, set up again from the settings in its folder. Raises InputError where these,
+    or the prior, are no longer there or are others, and for a motion of the frame method."""
+
+    config = folder / CONFIG
+    if not isinstance(motion.solution, TrajectorySolution):
+        raise InputError(Problem(folder, "method", "frame by frame", "a fit of all frames at once"))
+    read_manifest(folder).require(CONFIG)
+    settings = read_config(config, {})
+    prior = load_prior(settings.prior, motion.body)
+    if prior.name != motion.solution.prior:
+        raise InputError(Problem(config, "prior", prior.name, f"{motion.solution.prior}: {AS_THEY_WERE}"))
+    return ClipProblem.of(views_of(motion.sources), motion.body, prior, motion.fps, settings.trajectory_options())
+
+
+def replaced_files(config: Path, given: Mapping[str, Any], settings: FitSettings) -> list[Path]:
+    """The files that the config.toml names whose content is another than when it was written."""
+    table = read_toml(config, "a config.toml of an earlier run").get("recon", {}).get("sha256", {})
+    known = table if isinstance(table, dict) else {}
+    files = _named(given, settings).items()
+    return [path for role, path in files if role in known and digest(path) != known[role]]
+
+
+def _named(given: Mapping[str, Any], settings: FitSettings) -> dict[str, Path]:
+    """The input files that are not given beside the config.toml."""
+    return {role: path for role, path in input_files(settings).items() if given.get(role.split()[0]) is None}

@@ -34,9 +34,8 @@ from recon.workflows.cli.batch import shown_batch
 from recon.workflows.cli.command import OptionsOf
 from recon.workflows.cli.common import finish, progress_bar, say, terminal
 from recon.workflows.clip import fit_clip, read_model_and_cameras
-from recon.workflows.clip_results import output_files, write_clip
+from recon.workflows.clip_results import Record, file_sha256, identity, identity_of, output_files, write_clip
 from recon.workflows.look import OverlaySettings, PageSettings, rate_note, run_overlay, run_page
-from recon.workflows.made_from import Record, file_sha256, identity, identity_of
 from recon.workflows.settings import FIRST_FRAME, SETTINGS, FitSettings, read_settings
 
 RECORD = "run.jsonl"

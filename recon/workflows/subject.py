@@ -24,10 +24,9 @@ from recon.fit.shape import POSED_OFFSET_SIGMA_M, Shape, ShapeFit, fit_shape
 from recon.io import Pose3D, read_pose3d
 from recon.workflows.cli.common import counted, table_of, terminal
 from recon.workflows.clip import prepare
-from recon.workflows.made_from import read_config
+from recon.workflows.clip_results import CONFIG, read_config
 from recon.workflows.settings import FitSettings
 
-CONFIG = "config.toml"
 LEAST_SIZE_SIGMA = 0.01
 """The least size_sigma of a measured animal: its lengths are known no better than a keypoint's place on it is."""
 

@@ -36,7 +36,7 @@ from recon.robotics.robot.trainers import write_for_trainer
 from recon.robotics.settings import RetargetSettings
 from recon.show.plots.style import save
 from recon.show.report import to_json
-from recon.workflows.made_from import problem_of
+from recon.workflows.clip_results import problem_of
 
 REPORT, STACKED = "report.json", "samples.npz"
 REPEATS = 3

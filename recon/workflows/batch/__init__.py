@@ -33,8 +33,7 @@ from recon.workflows.batch.cluster import carry_out_on_cluster
 from recon.workflows.batch.inputs import SUMMARY, Clip
 from recon.workflows.batch.inputs import find_clips as find_clips
 from recon.workflows.clip import Unknown, fit_clip, prepare, read_model_and_cameras
-from recon.workflows.clip_results import output_files, write_clip
-from recon.workflows.made_from import Record, digest, file_sha256, identity
+from recon.workflows.clip_results import Record, digest, file_sha256, identity, output_files, write_clip
 from recon.workflows.settings import FitSettings, beside
 
 RECORD, CRASH_LOG = "batch.jsonl", "crash.log"

@@ -33,8 +33,7 @@ def fit(
     Exit code 0: done. 1: no frame could be solved. 2: the input cannot be used.
     """
     from recon.workflows.clip import keypoint_problems
-    from recon.workflows.clip_results import run_clip
-    from recon.workflows.made_from import read_config, replaced_files
+    from recon.workflows.clip_results import read_config, replaced_files, run_clip
 
     out, config = settings.out, settings.config
     no_out = [Problem("--out", "folder", "nothing", "a folder for the results, as in results/clip1")]
