@@ -5,9 +5,9 @@ from __future__ import annotations
 import logging
 import math
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from importlib import import_module
 from pathlib import Path
 
@@ -19,7 +19,7 @@ from recon.animal.prior import MotionPrior, load_prior
 from recon.animal.skeleton_file import load_chain, load_skeleton, seen_by, skeleton_of
 from recon.base import Progress, silent
 from recon.base.arrays import Array, Bools
-from recon.base.errors import InputError, Problem, all_of
+from recon.base.errors import InputError, Problem, all_of, refuse
 from recon.clip import FramePoses, Source, View, at_rate, held, together, views_of
 from recon.clip.keypoints import CleaningReport, Keypoints, clean, leave_out, parse_frame_range
 from recon.fit import TrajectorySolution, solve_trajectory
@@ -114,13 +114,11 @@ def fit_clip(settings: FitSettings, progress: Progress = silent) -> Motion:
 
 def _log(motion: Motion) -> None:
     """What was decided about the files, what was found, and the verdict, for who listens to the logger "recon"."""
-    name = Path(motion.keypoints.source or "clip").name
+    name, level = Path(motion.keypoints.source or "clip").name, {"note": logging.INFO}
     said = [(logging.INFO, note) for source in motion.sources for note in source.cleaning.notes]
-    said += [
-        (logging.INFO if one.severity == "note" else logging.WARNING, text) for one, text in check.sentences(motion)
-    ]
-    for level, text in (*said, *((logging.INFO, line) for line in check.verdict_lines(motion.verdict))):
-        LOGGER.log(level, "%s: %s", name, text)
+    said += [(level.get(one.severity, logging.WARNING), text) for one, text in check.sentences(motion)]
+    for of, text in (*said, *((logging.INFO, line) for line in check.verdict_lines(motion.verdict))):
+        LOGGER.log(of, "%s: %s", name, text)
 
 
 def _file_facts(given: ClipInputs, settings: FitSettings) -> tuple[list[str | None], float | None, bool]:
@@ -168,17 +166,14 @@ def prepare(settings: FitSettings, read_shared: Callable[[FitSettings], Unknown]
     files, (body, prior, cameras) = all_of(
         lambda: read_clips(settings), lambda: (read_shared or read_model_and_cameras)(settings)
     )
-    wanted = tuple(dict.fromkeys(name for pair in body.keypoints for name in pair))
     later = settings.offset_s or (0.0,) * len(files)
     fps = files[0].fps
     assert fps is not None
     later_frames = tuple((s - later[0]) * fps for s in later)
+    scorers = {file.source or f"camera {i}": file.scorer for i, file in enumerate(files, start=1)}
     seen, *cleaned = all_of(
-        lambda: _as_its_files_say(body, files),
-        *(
-            lambda file=file, of=of, late=late: _cleaned(file, wanted, body.name, of, settings, late, fps)
-            for file, of, late in zip(files, cameras, later_frames, strict=True)
-        ),
+        lambda: body if body.detector is not None else seen_by(body, None, scorers),
+        *(partial(_cleaned, body, settings, fps, *of) for of in zip(files, cameras, later_frames, strict=True)),
     )
     side, reason = None, "both sides are fitted"
     if body.one_sided:
@@ -228,8 +223,7 @@ def read_clips(settings: FitSettings) -> list[Keypoints]:
     """The keypoint files, with the frame rate as given or their own. Raises InputError with the problems of all, also
     without a frame rate, or with two that nobody gave."""
     rates = settings.camera_fps or (settings.fps,) * len(settings.keypoints)
-    pairs = list(zip(settings.keypoints, rates, strict=True))
-    files = all_of(*(lambda path=path, fps=fps: _read_clip(path, fps, settings) for path, fps in pairs))
+    files = all_of(*(partial(_read_clip, settings, *of) for of in zip(settings.keypoints, rates, strict=True)))
     silent = [path.name for path, file in zip(settings.keypoints, files, strict=True) if file.fps is None]
     if silent:
         found = f"nothing, and {', '.join(silent)} {'does' if len(silent) == 1 else 'do'} not say"
@@ -244,13 +238,13 @@ def read_clips(settings: FitSettings) -> list[Keypoints]:
 def keypoint_problems(paths: Iterable[Path], individual: str | None) -> list[Problem]:
     """The problems of the files themselves, beside settings that cannot be used."""
     try:
-        all_of(*(lambda path=path: io.read_keypoints(path, individual) for path in paths))
+        all_of(*(partial(io.read_keypoints, path, individual) for path in paths))
     except InputError as error:
         return list(error.problems)
     return []
 
 
-def _read_clip(path: Path, given_fps: float | None, settings: FitSettings) -> Keypoints:
+def _read_clip(settings: FitSettings, path: Path, given_fps: float | None) -> Keypoints:
     file = io.read_keypoints(path, settings.individual)
     if settings.rename is not None:
         file = animal.renamed(file, animal.load_names(settings.rename))
@@ -269,7 +263,9 @@ def _model(settings: FitSettings) -> tuple[Body, MotionPrior]:
     body = seen_by(load_skeleton(settings.skeleton_name, settings.subject), settings.detector)
     body = body if settings.size is None else body.scaled(settings.size)
     body = body if settings.height_m is None else _as_high(body, settings.height_m)
-    prior, _ = all_of(lambda: load_prior(settings.prior, body), lambda: _require_no_side(settings, body))
+    sides = f"nothing: {body.name} is a whole animal, and both sides are fitted"
+    wrong = [Problem("--set side", "side", repr(settings.side), sides)] if settings.side != "auto" else []
+    prior, _ = all_of(lambda: load_prior(settings.prior, body), lambda: refuse(wrong if not body.one_sided else ()))
     return body, prior
 
 
@@ -283,36 +279,15 @@ def _as_high(body: Body, height_m: float) -> Body:
     return replace(body.scaled(height_m / usual_m), size_sigma=HEIGHT_SIGMA)
 
 
-def _as_its_files_say(body: Body, files: Sequence[Keypoints]) -> Body:
-    """As the detector sees it that found the keypoints, where nothing else says which one."""
-    if body.detector is not None:
-        return body
-    return seen_by(body, None, {file.source or f"camera {i}": file.scorer for i, file in enumerate(files, start=1)})
-
-
-def _require_no_side(settings: FitSettings, body: Body) -> None:
-    if settings.side != "auto" and not body.one_sided:
-        expected = f"nothing: {body.name} is a whole animal, and both sides are fitted"
-        raise InputError(Problem("--set side", "side", repr(settings.side), expected))
-
-
-def _cleaned(
-    file: Keypoints,
-    wanted: Sequence[str],
-    skeleton: str,
-    of: ClipCamera,
-    settings: FitSettings,
-    later_frames: float,
-    fps: float,
-) -> Source:
-    """All keypoints of a file, at the clip's frame rate. wanted: those that the skeleton, by its name, may be fitted
-    to. Raises InputError without any of them, or where they lie outside the camera's picture; a few that are far
-    outside are left out, and those of frames in which it is not known where the camera was."""
-    _require_keypoints_of(wanted, skeleton, file)
+def _cleaned(body: Body, settings: FitSettings, fps: float, file: Keypoints, of: ClipCamera, late: float) -> Source:
+    """All keypoints of a file, which began so many frames late, at the clip's frame rate. Raises InputError without any
+    of the body's, or where they lie outside the camera's picture; a few that are far outside are left out, and those of
+    frames in which it is not known where the camera was."""
+    _require_keypoints_of(body, file)
     camera, track = of
     first, stop = parse_frame_range(settings.frames) if settings.frames else (None, None)
     assert file.fps is not None
-    shift, per_frame = math.floor(later_frames), file.fps / fps  # the clip's frames are the first camera's
+    shift, per_frame = math.floor(late), file.fps / fps  # the clip's frames are the first camera's
 
     def own(frame: int | None) -> int | None:
         return None if frame is None else math.ceil((frame - shift) * per_frame)
@@ -351,8 +326,9 @@ def _with_pose(
     return leave_out(keypoints, cleaning, keypoints.present & ~poses.known[:, None], _WITHOUT_POSE)
 
 
-def _require_keypoints_of(wanted: Sequence[str], skeleton: str, keypoints: Keypoints) -> None:
+def _require_keypoints_of(body: Body, keypoints: Keypoints) -> None:
     """A few names in common, such as nose, are those of another detector."""
+    wanted = tuple(dict.fromkeys(name for pair in body.keypoints for name in pair))
     known = [name for name in keypoints.names if name in wanted]
     if known and (len(known) >= FEW_OF_SKELETON * len(wanted) or len(known) >= FEW_OF_FILE * len(keypoints.names)):
         return
@@ -362,11 +338,11 @@ def _require_keypoints_of(wanted: Sequence[str], skeleton: str, keypoints: Keypo
         raise InputError(Problem(where, "bodyparts", found, f"with these names, which are its own: --skeleton {own}"))
     maps = animal.fitting_maps(keypoints.names, wanted)
     options, count = animal.fitting_skeleton(keypoints.names)
-    if count >= _MOST_OF_FILE * len(keypoints.names) and f"--skeleton {skeleton} " not in f"{options} ":
+    if count >= _MOST_OF_FILE * len(keypoints.names) and f"--skeleton {body.name} " not in f"{options} ":
         hint = f"{options}, or"
     else:
         hint = f"--rename {maps[0]}, or" if maps else "another animal's --skeleton, or"
-    expected = f"those of the skeleton {skeleton}: {', '.join(wanted)}; {hint} --rename with a file of these lines, "
+    expected = f"those of the skeleton {body.name}: {', '.join(wanted)}; {hint} --rename with a file of these lines, "
     lines = tuple(animal.map_to_write(keypoints.names, wanted))
     raise InputError(Problem(where, "bodyparts", found, f"{expected}completed", lines))
 

@@ -33,7 +33,7 @@ from recon.clip import Source, together, views_of
 from recon.clip.keypoints import clean
 from recon.io import read_keypoints
 from recon.io.deeplabcut_project import bodyparts, find_project
-from recon.show.plain import picked
+from recon.show.plain import by_name, picked
 from recon.workflows.cameras import read_clip_cameras
 from recon.workflows.cli.common import say, terminal
 from recon.workflows.clip import arrange, read_clips
@@ -48,6 +48,7 @@ RIGID, TOO_MUCH, NOISE = 0.01, 0.02, 2.0
 keypoints, by so many times what those between steady neighbours do, but not by more than the second."""
 KEYPOINT_SHARE, SIZE_SIGMA = 0.02, 0.05
 """For the skeleton: keypoint_sigma_m as a share of its length, and size_sigma of an animal that was measured."""
+HEAD = ("keypoint_sigma_m", "size_sigma")
 SWING_RAD, SWING_HZ = (0.2, 1.2), (0.5, 8.0)
 
 
@@ -162,7 +163,7 @@ def draft_skeleton(names: Sequence[str], title: str, source: Path) -> SkeletonDr
     renamed = {s.name: f"{s.name}_part" if s.name in names else s.name for s in body.tree.segments}
     for name, other in renamed.items():
         segments = segments.replace(f'"{name}"', f'"{other}"')
-    parts = [head_text(comments, title, "the names", (rear, front), body.keypoint_sigma_m, body.size_sigma)]
+    parts = [head_text(comments, title, "the names", forward=[rear, front], **picked(body, *HEAD))]
     parts += [table_text("[feet]", feet), segments]
     for marker in body.tree.markers:
         name, twin = called.get(marker.name), called.get(animal.other_side(marker.name))
@@ -253,8 +254,8 @@ def drafted(names: Sequence[str], points_m: Array, fps: float, title: str, sourc
         f"A draft from the geometry of the keypoints of {toml_text(source.name)}: distances that change by less than",
         f"{1000 * same_m:.1f} mm stay the same. Look at it with recon skeleton check, and give its segments names.",
     ]
-    ends = labels[rear], labels[front]
-    text = head_text(comments, title, "the geometry", ends, round(KEYPOINT_SHARE * long_m, 5), SIZE_SIGMA)
+    head = [labels[rear], labels[front]], round(KEYPOINT_SHARE * long_m, 5), SIZE_SIGMA
+    text = head_text(comments, title, "the geometry", **by_name(("forward", *HEAD), head))
     text += table_text("[feet]", {})
     for part in parts:
         text += table_text("[[segments]]", _segment(part, parts, labels, turned, along, fps))
@@ -322,17 +323,9 @@ def _at(place_m: Array) -> list[float]:
 # -- a skeleton file ----------------------------------------------------------------------------------------------
 
 
-def head_text(
-    comments: Iterable[str],
-    title: str,
-    of: str,
-    forward: Sequence[str],
-    keypoint_sigma_m: float,
-    size_sigma: float,
-) -> str:
-    """What a skeleton file begins with."""
-    values = {"name": title, "title": f"{title}, drafted from {of} of its keypoints", "forward": list(forward)}
-    values |= {"keypoint_sigma_m": keypoint_sigma_m, "size_sigma": size_sigma}
+def head_text(comments: Iterable[str], title: str, of: str, **values: Any) -> str:
+    """What a skeleton file begins with. values: its other fields."""
+    values = {"name": title, "title": f"{title}, drafted from {of} of its keypoints", **values}
     return table_text("\n".join(f"# {line}" for line in comments), values)
 
 
