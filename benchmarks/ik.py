@@ -33,22 +33,10 @@ from recon.fit.points import solve_points_and_size
 from recon.gait.gait import pose_gait
 from recon.robotics.ik.animal import body_chain, body_chain_angles, chain_angles, projected_chain, spine_front_leg
 from recon.robotics.ik.chain import SerialChain
-from recon.robotics.ik.clip import stride_lasts_s
+from recon.robotics.ik.clip import LAST, Limb, fit_parameter_series, follow_stride, stride_lasts_s
 from recon.robotics.ik.costs import Cost, harmonic_map, joint_differences, pose_distance, rotational_energy
-from recon.robotics.ik.drive import degree_of_closure, drive_to, follow
-from recon.robotics.ik.fit import (
-    Fit,
-    Frames,
-    best_scale,
-    explained_by,
-    fit_damped,
-    fit_gradient,
-    fit_least_norm,
-    fit_selectively_damped,
-    fit_transpose,
-    fit_weights,
-    rates_of,
-)
+from recon.robotics.ik.drive import degree_of_closure, drive_to, follow, to_null_space_optimum
+from recon.robotics.ik.fit import Fit, Frames, best_scale, explained_by, fits, rates_of
 from recon.robotics.ik.methods import (
     ExtendedJacobian,
     GradientProjection,
@@ -59,7 +47,6 @@ from recon.robotics.ik.methods import (
     damped_least_squares,
     weighted_least_norm,
 )
-from recon.robotics.ik.null_space import to_null_space_optimum
 from recon.robotics.ik.stride import StridePath, find_stride
 from recon.thesis import solve_joints
 
@@ -70,8 +57,6 @@ ALPHA_TASKS = 10
 TASKS, SEED = 50, 0
 STEPS, WARM = 4000, 500
 TURNS, POINTS, RADIUS_M = 10, 400, 0.1
-LAST = 3
-"""Frames that a parameter is refitted to on the way."""
 SLOWER = 10
 """Strides are followed in slow motion, so that the limits of the rates do not hold the methods back."""
 UP = np.array([0.0, 0.0, 1.0])
@@ -289,6 +274,10 @@ class Leg:
     fps: float
     lasts_s: tuple[float, float]
 
+    def online(self, stride: StridePath) -> dict[str, list[Method]]:
+        """By method those refitted at every frame of a stride."""
+        return fit_parameter_series(Limb("", self.chain, self.q, self.fps, 0.0, "UVW", 0.0), stride, None, LAST)[1]
+
 
 @cache
 def real_legs(folder: Path) -> dict[str, list[Leg]]:
@@ -404,18 +393,18 @@ def print_fits(folder: Path) -> None:
         print_table(["method", "parameter", "explained, percent (range)", "legs at an edge"], rows)
 
 
-def with_costs(chain: SerialChain) -> Fit:
-    return lambda frames: fit_gradient(frames, (joint_differences(chain), rotational_energy(chain)))
-
-
 FITS: tuple[tuple[str, Callable[[SerialChain], Fit], str], ...] = (
-    ("least norm", lambda _: fit_least_norm, ""),
-    ("Jacobian transpose, alpha", lambda _: fit_transpose, " 1/m2"),
-    ("gradient projection, constant g", lambda _: fit_gradient, ""),
-    ("gradient projection, differences and energy", with_costs, ""),
-    ("weighted, diag W", lambda _: fit_weights, ""),
-    ("damped, lambda", lambda _: fit_damped, " m"),
-    ("selectively damped, gamma_max", lambda _: fit_selectively_damped, " rad"),
+    ("least norm", lambda _: fits()["least-norm"], ""),
+    ("Jacobian transpose, alpha", lambda _: fits()["transpose"], " 1/m2"),
+    ("gradient projection, constant g", lambda _: fits()["gradient-projection"], ""),
+    (
+        "gradient projection, differences and energy",
+        lambda chain: fits((joint_differences(chain), rotational_energy(chain)))["gradient-projection"],
+        "",
+    ),
+    ("weighted, diag W", lambda _: fits()["weighted"], ""),
+    ("damped, lambda", lambda _: fits()["damped"], " m"),
+    ("selectively damped, gamma_max", lambda _: fits()["selectively-damped"], " rad"),
 )
 
 
@@ -439,12 +428,10 @@ class Shown:
     def run(self) -> str:
         return self.leg.name.split(",")[0]
 
-    def off_deg(self, method: Method) -> float:
-        """How far the joints are from the animal's while the method follows the stride from the animal's own pose (the
-        extended Jacobian from its own), rms."""
-        q0 = self.stride.q[0]
-        q0 = start_of(self.leg.chain, q0, method) if isinstance(method, ExtendedJacobian) else q0
-        run = follow(self.leg.chain, q0, self.stride.path_m, method, interval_s=SLOWER * self.stride.interval_s)
+    def off_deg(self, method: Method, each: Sequence[Method] = ()) -> float:
+        """How far the joints are from the animal's while the method, or that of each frame, follows the stride from the
+        animal's own pose (the extended Jacobian from its own), rms."""
+        run = follow_stride(self.leg.chain, self.stride, method, each=each)
         every = round(1 / (self.leg.fps * self.stride.interval_s))
         off = run.q[::every][: len(self.stride.q)] - self.stride.q
         return float(np.degrees(np.sqrt(np.nanmean(off**2))))
@@ -498,20 +485,22 @@ def print_held_out(folder: Path) -> None:
 
 
 def print_online(folder: Path) -> None:
-    """Parameters from the strides of all other runs, and refitted at every frame to the animal's rates just before."""
+    """Parameters from the strides of all other runs, and refitted at every frame to the animal's rates just before, as
+    `recon ik --online` does: what they explain of a frame's rates, and how far off a way along the stride leads."""
     data = [Shown.of(leg) for leg in real_legs(folder)["2D"]]
-    print(f"\n2D, {len(data)} strides, explained of the joint rates, percent, median:\n")
+    print(f"\n2D, {len(data)} strides, median: explained of the joint rates, percent, and joints off, deg:\n")
+    online = [s.leg.online(s.stride) for s in data]
     rows = []
-    for name, fit_of, _ in FITS:
-        kept, online = [], []
-        for s in data:
-            fit, dq = fit_of(s.leg.chain), s.frames.dq[LAST:]
-            method = fit(Frames.joined([o.frames for o in data if o.run != s.run])).method
-            kept.append(100 * explained_by(rates_of(method, s.frames)[LAST:], dq))
-            each = [(fit(s.frames[t - LAST : t]).method, s.frames[t : t + 1]) for t in range(LAST, len(s.frames.q))]
-            online.append(100 * explained_by(np.concatenate([rates_of(*one) for one in each]), dq))
-        rows.append([name, f"{np.median(kept):.0f}", f"{np.median(online):.0f}"])
-    print_table(["method", "from the other runs", f"from the {LAST} frames before"], rows)
+    for name, fit in fits().items():
+        cells = []
+        for s, each in zip(data, online, strict=True):
+            kept, own = fit(Frames.joined([o.frames for o in data if o.run != s.run])).method, each[name]
+            rates = [rates_of(method, s.frames[t : t + 1])[0] for t, method in enumerate(own)]
+            explained = explained_by(rates_of(kept, s.frames), s.frames.dq), explained_by(np.array(rates), s.frames.dq)
+            cells.append([100 * share for share in explained] + [s.off_deg(kept), s.off_deg(kept, own)])
+        rows.append([name, *(f"{v:.0f}" for v in np.median(cells, axis=0))])
+    where = ("from the other runs", f"from the {LAST} frames before")
+    print_table(["method", *(f"{what}, {how}" for what in ("explained", "joints off") for how in where)], rows)
 
 
 def held_out_row(

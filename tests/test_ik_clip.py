@@ -12,14 +12,24 @@ import pandas as pd
 import pytest
 from command_line import run
 from gallop import RISE_S, START_STRIDES_HZ, TOP_STRIDES_HZ, gallop
+from scipy.interpolate import CubicSpline
 
 from recon import InputError
 from recon.fit import Motion
 from recon.gait import pose_gait
 from recon.io import Pose3D
-from recon.robotics import IkSettings, LeastNorm, damped_least_squares, drive_to, limb_of, methods_of, run_ik
+from recon.robotics import (
+    IkSettings,
+    LeastNorm,
+    damped_least_squares,
+    drive_to,
+    limb_of,
+    methods_of,
+    run_ik,
+    weighted_least_norm,
+)
 from recon.robotics.ik.clip import cost_of, fit_parameters, follow_stride, stride_lasts_s, stride_of
-from recon.robotics.ik.fit import DAMPING_M, fits
+from recon.robotics.ik.fit import DAMPING_M, PULL, Frames, explained_by, fits, rates_of
 from recon.robotics.settings import METHODS
 
 pytestmark = pytest.mark.usefixtures("small_pictures")
@@ -121,7 +131,7 @@ def test_the_limit_that_keeps_a_path_from_closing_is_named(frame_results, tmp_pa
 def test_fitted_parameters_explain_more_than_nothing(whole_results):
     limb = limb_of(Motion.load(whole_results))
     parameters = fit_parameters(limb)
-    assert set(parameters) == set(fits(None))
+    assert set(parameters) == set(fits())
     least = parameters["least-norm"].explained
     for name in ("weighted", "gradient-projection", "damped"):
         assert parameters[name].explained >= least - 1e-9
@@ -208,6 +218,32 @@ def test_a_cost_of_ones_own_a_factor_and_parameters_of_each_frame(folder):
     # The best of each configuration explains no less than the best of all.
     assert (table["weighted_explained"] > table["least-norm_explained"] - 1e-9).all()
     assert table["damped_lambda_m"].between(*DAMPING_M).all()
+
+
+def test_parameters_refitted_on_the_way(folder):
+    """At every frame those of the three before, which the animal's own pose and rates of this one are held against."""
+    asked = {"follow": "stride", "compare": True, "dim": 2, "figures": False, "limits": False}
+    done = run_ik(IkSettings(folder=folder, **asked, online=True))
+    limb, stride, series = done.limb, done.stride, done.series
+    assert series is not None
+    first, known = round(stride.start_s * limb.fps), np.arange(len(limb.q)) / limb.fps
+    dq = CubicSpline(known, limb.q)(known, 1)
+    dx = np.array([limb.chain.jacobian(q) @ rate for q, rate in zip(limb.q, dq, strict=True)])
+    frames = Frames.of(limb.chain, limb.q, dx, dq)
+    for t in (5, len(stride.q) - 1):
+        fit = fits(pull=PULL)["weighted"](frames[first + t - 3 : first + t])
+        np.testing.assert_allclose(series[[f"weighted_{joint}" for joint in limb.names]].iloc[t], fit.parameter)
+        now = frames[first + t : first + t + 1]
+        assert series["weighted_explained"].iloc[t] == pytest.approx(explained_by(rates_of(fit.method, now), now.dq))
+    # The first step of the way is the one that these weights give.
+    run, least = done.runs["follow"]["weighted"], done.runs["follow"]["least-norm"]
+    weights = series[[f"weighted_{joint}" for joint in limb.names]].iloc[0].to_numpy()
+    towards = (stride.path_m[1] - stride.path_m[0]) / stride.interval_s
+    expected = weighted_least_norm(weights).rates(limb.chain, run.q[0], towards / 10).dq * 10
+    np.testing.assert_allclose(run.dq[0], expected, rtol=1e-9)
+    off = np.sqrt(np.nanmean((least.q[::10][: len(stride.q)] - stride.q) ** 2))
+    assert done.summary["along_stride"]["least-norm"]["joints_off_rad"] == pytest.approx(off)
+    assert done.summary["parameters"]["used"] == "refitted at every frame"
 
 
 def test_one_method_to_a_place_of_ones_own(folder):

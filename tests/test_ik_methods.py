@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import pytest
@@ -25,18 +24,7 @@ from recon.robotics import (
     weighted_least_norm,
     weighted_sum,
 )
-from recon.robotics.ik.fit import (
-    PULL,
-    Frames,
-    explained_by,
-    fit_damped,
-    fit_gradient,
-    fit_least_norm,
-    fit_selectively_damped,
-    fit_transpose,
-    fit_weights,
-    rates_of,
-)
+from recon.robotics.ik.fit import PULL, Frames, explained_by, fits, rates_of
 from recon.robotics.ik.methods import reduced_gradient, right_inverse
 
 LENGTHS = (0.4, 0.3, 0.25, 0.28, 0.2)
@@ -119,8 +107,7 @@ def test_selectively_damped_holds_each_direction():
 def extended_jacobian(chain, cost, q, N, full=True):
     """The matrix [J; dG/dq] (n, n) with a basis N (n, n - dim) of the null space."""
     J, curvature = chain.derivatives(q)
-    free = np.ones(chain.n, bool)
-    _, M = reduced_gradient(cost, q, right_inverse(J)[0], curvature if full else None, free)
+    _, M = reduced_gradient(cost, q, right_inverse(J)[0], curvature if full else None)
     return np.concatenate([J, N.T @ M])
 
 
@@ -216,12 +203,12 @@ def test_fits_find_the_parameters_again(chain):
     costs = (joint_differences(chain), rotational_energy(chain))
     combined = weighted_sum(costs, (-0.8, 1.7))
     for true, fit, parameter in (
-        (damped_least_squares(0.13), fit_damped, [0.13]),
-        (weighted_least_norm(weights), fit_weights, weights),
-        (JacobianTranspose(0.6), fit_transpose, [0.6]),
-        (GradientProjection(lambda _: constant, k=1.0), fit_gradient, constant),
-        (GradientProjection(combined, k=1.0), partial(fit_gradient, costs=costs), [-0.8, 1.7]),
-        (LeastNorm(), fit_least_norm, []),
+        (damped_least_squares(0.13), fits()["damped"], [0.13]),
+        (weighted_least_norm(weights), fits()["weighted"], weights),
+        (JacobianTranspose(0.6), fits()["transpose"], [0.6]),
+        (GradientProjection(lambda _: constant, k=1.0), fits()["gradient-projection"], constant),
+        (GradientProjection(combined, k=1.0), fits(costs)["gradient-projection"], [-0.8, 1.7]),
+        (LeastNorm(), fits()["least-norm"], []),
     ):
         dq = np.stack([true.rates(chain, x, v).dq for x, v in zip(q, dx, strict=True)])
         dq[3] = np.nan
@@ -243,14 +230,14 @@ def test_fit_finds_gamma_max_again(chain):
         np.stack([method.rates(chain, x, v).dq for x, v in zip(q, dx, strict=True)]) for method in (true, LeastNorm())
     )
     assert np.abs(dq - least).max() > 0.5
-    found = fit_selectively_damped(Frames.of(chain, q, dx, dq))
+    found = fits()["selectively-damped"](Frames.of(chain, q, dx, dq))
     np.testing.assert_allclose(found.parameter, [0.02], rtol=1e-5)
     assert found.explained > 1 - 1e-9
     assert found.note == ""
     again = [found.method.rates(chain, x, v).dq for x, v in zip(q, dx, strict=True)]
     np.testing.assert_allclose(again, dq, atol=1e-3)
     # Without damping the rates are those of least norm, whatever gamma_max.
-    found = fit_selectively_damped(Frames.of(chain, q, dx, least))
+    found = fits()["selectively-damped"](Frames.of(chain, q, dx, least))
     assert found.explained > 1 - 1e-12
     assert found.note.startswith("nothing is damped")
 
@@ -259,7 +246,7 @@ def test_fit_says_where_a_parameter_is_at_its_edge():
     chain = CHAINS["planar"]
     q, dx = np.random.default_rng(7).uniform(0.2, 1.0, (10, 5)), np.ones((10, 2))
     dq = np.stack([LeastNorm().rates(chain, x, v).dq for x, v in zip(q, dx, strict=True)])
-    assert "edge" in fit_damped(Frames.of(chain, q, dx, dq)).note
+    assert "edge" in fits()["damped"](Frames.of(chain, q, dx, dq)).note
     with pytest.raises(ValueError, match="no frame"):
         Frames.of(chain, q * np.nan, dx, dq)
 
@@ -272,12 +259,12 @@ def test_what_is_fitted_to_some_frames_is_held_against_others(chain):
     dq = np.stack([true.rates(chain, x, v).dq for x, v in zip(q, dx, strict=True)])
     every = Frames.of(chain, q, dx, dq)
     some, others = Frames.joined([every[:10], every[10:20]]), every[20:]
-    found = fit_weights(some)
+    found = fits()["weighted"](some)
     assert explained_by(rates_of(found.method, others), others.dq) > 1 - 1e-8
     # Rates that are half as large want twice the factor, and explain 1 - 0.5^2.
     assert abs(explained_by(0.5 * others.dq, others.dq) - 0.75) < 1e-12
-    half = fit_least_norm(replace(every, dx=0.5 * every.dx))
-    assert abs(half.alpha - 2 * fit_least_norm(every).alpha) < 1e-9
+    half = fits()["least-norm"](replace(every, dx=0.5 * every.dx))
+    assert abs(half.alpha - 2 * fits()["least-norm"](every).alpha) < 1e-9
 
 
 @EACH
@@ -288,14 +275,14 @@ def test_parameters_of_each_configuration(chain):
     dq = np.stack([damped_least_squares(d).rates(chain, x, v).dq for d, x, v in zip(damping, q, dx, strict=True)])
     frames = Frames.of(chain, q, dx, dq)
     each = [frames[t : t + 1] for t in range(6)]
-    for one, value in zip(map(fit_damped, each), damping, strict=True):
+    for one, value in zip(map(fits()["damped"], each), damping, strict=True):
         assert one.parameter == pytest.approx([value], rel=1e-4)
         assert one.explained == pytest.approx(1.0, abs=1e-8)
         assert one.alpha == pytest.approx(1.0, abs=1e-4)
     # Many weights explain one configuration: these are the evenest, as good and within their range.
-    weights = [fit_weights(one, PULL) for one in each]
+    weights = [fits(pull=PULL)["weighted"](one) for one in each]
     np.testing.assert_allclose([w.parameter.mean() for w in weights], 1.0)
-    assert min(w.explained for w in weights) >= min(fit_least_norm(one).explained for one in each) - 1e-9
+    assert min(w.explained for w in weights) >= min(fits()["least-norm"](one).explained for one in each) - 1e-9
 
 
 def test_a_scaled_method_is_nearest_or_as_told():

@@ -137,8 +137,8 @@ class _Plan:
         self.points = points.reshape(S + J, 3 * (S + 1))
         """(S + J, 3 (S + 1)): each point as vectors in all frames."""
 
-        self.angle = np.full((3, S + 1), K, dtype=np.intp)
-        """(3, S + 1): which angle turns each frame about z, y and x; K: none."""
+        self.angle = np.full((3 if any(axis == "x" for _, axis in rotations) else 2, S + 1), K, dtype=np.intp)
+        """(3, S + 1): which angle turns each frame about z, y and, where any is turned about that, x; K: none."""
         axes = np.empty((K, 2), dtype=np.intp)
         for k, (i, axis) in enumerate(rotations):
             if axis != "s":
@@ -256,15 +256,15 @@ class Tree:
         plan, N = self._plan, len(state)
         angles = plan.sums @ state[:, 3:].T
         cosine, sine = np.cos(angles), np.sin(angles)
-        cz, cy, cx = cosine.take(plan.angle, axis=0)
-        sz, sy, sx = sine.take(plan.angle, axis=0)
-        czsy, szsy = cz * sy, sz * sy
-        columns = (
-            *(cz * cy, sz * cy, -sy),
-            *(czsy * sx - sz * cx, szsy * sx + cz * cx, cy * sx),
-            *(czsy * cx + sz * sx, szsy * cx - cz * sx, cy * cx),
-        )
-        turned = np.array(columns).reshape(3, 3, len(self.segments) + 1, N)  # of Rz Ry Rx
+        (cz, cy, *cx), (sz, sy, *sx) = cosine.take(plan.angle, axis=0), sine.take(plan.angle, axis=0)
+        y, z = [-sz, cz, np.zeros(cz.shape)], [cz * sy, sz * sy, cy]
+        for c, s in zip(cx, sx, strict=True):
+            y, z = (
+                [c * a + s * b for a, b in zip(y, z, strict=True)],
+                [c * b - s * a for a, b in zip(y, z, strict=True)],
+            )
+        columns = np.array((cz * cy, sz * cy, -sy, *y, *z))
+        turned = columns.reshape(3, 3, len(self.segments) + 1, N)  # of Rz Ry Rx
         if plan.placed is not None:
             turned = np.einsum("sab,cbsn->casn", plan.placed, turned)
         frames = np.empty((3, len(self.segments) + 1, 3, N))
@@ -329,7 +329,9 @@ class Tree:
 
         def curvature(weights: Array) -> Array:
             # weight . (outer axis x moved) = outer axis . (moved x weight)
-            swept = plan.gathered @ np.cross(moved, weights.take(plan.marker, axis=0))
+            by = weights.take(plan.marker, axis=0).take(_CYCLE, axis=1)
+            along = moved.take(_CYCLE, axis=1)
+            swept = plan.gathered @ (along[:, 1:4] * by[:, 2:] - along[:, 2:] * by[:, 1:4])
             pairs = plan.outer * (axes @ swept.T)
             pairs = pairs + np.triu(pairs, 1).T
             return sums.T @ pairs @ sums
@@ -351,5 +353,6 @@ class Tree:
         cyclic = points.take(_CYCLE, axis=1)
         arms = cyclic.take(plan.arm, axis=0) - cyclic.take(plan.centre, axis=0)
         moved = about[:, 1:4] * arms[:, 2:] - about[:, 2:] * arms[:, 1:4]
-        moved[plan.sliding] = about[plan.sliding, :3]
+        if len(plan.sliding):
+            moved[plan.sliding] = about[plan.sliding, :3]
         return points[len(self.segments) :], axes, moved

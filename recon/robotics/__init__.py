@@ -21,7 +21,7 @@ if TYPE_CHECKING:
         user_cost,
         weighted_sum,
     )
-    from recon.robotics.ik.drive import degree_of_closure, drive_to, follow
+    from recon.robotics.ik.drive import degree_of_closure, drive_to, follow, to_null_space_optimum
     from recon.robotics.ik.methods import (
         ExtendedJacobian,
         GradientProjection,
@@ -31,7 +31,6 @@ if TYPE_CHECKING:
         damped_least_squares,
         weighted_least_norm,
     )
-    from recon.robotics.ik.null_space import to_null_space_optimum
     from recon.robotics.ik.stride import farthest_reach, find_stride
     from recon.robotics.robot.answers import all_solutions
     from recon.robotics.robot.physics import described, simulated

@@ -56,6 +56,8 @@ class IkSettings(Settings):
     """Limits of the joints."""
     fitted: bool = False
     """With the methods' parameters fitted to this clip; also fits them to each frame of the stride."""
+    online: bool = False
+    """Along the stride, parameters refitted at every frame to the animal's joint rates just before."""
     cost: str | None = None
     """Cost of the methods extended and gradient-projection: differences, energy, harmonic, pose (distance from the
     clip's mean pose), or a sum with weights, as in energy,differences=0.1."""
@@ -73,6 +75,11 @@ class IkSettings(Settings):
         """The names of the methods that are run."""
         own = () if self.cost is None else (EXTENDED,)
         return (*METHODS, *own) if self.compare else (self.method,)
+
+    @property
+    def parameters(self) -> str:
+        """Which parameters the methods have, in words."""
+        return "refitted at every frame" if self.online else "fitted to the clip" if self.fitted else "standard"
 
     @property
     def both(self) -> bool:

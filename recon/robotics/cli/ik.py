@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import degrees
 from pathlib import Path
 from typing import Any
 
@@ -69,12 +70,14 @@ def _print(console: Console, summary: dict[str, Any], out: Path) -> None:
             if not row["reached"]:
                 say(console, f"{name}: {row['reason']}")
     if summary["along_stride"]:
-        columns = ("worst mm", "µs each", "path m", "limits", "closure %")
+        columns = ("worst mm", "µs each", "off °", "limits", "closure %")
         title = f"along the stride, turns: {summary['turns']}"
         table = table_of("method", numbers=columns, title=title)
         for name, row in summary["along_stride"].items():
             closed = f"{row['least_closure_angle_percent']:.1f}/{row['least_closure_plane_percent']:.1f}"
-            table.add_row(name, f"{1000 * row['worst_error_m']:.1f}", *_shared(row), closed)
+            us, _, limits = _shared(row)
+            off = f"{degrees(row['joints_off_rad']):.0f}"
+            table.add_row(name, f"{1000 * row['worst_error_m']:.1f}", us, off, limits, closed)
         console.print(table)
         for name, row in summary["along_stride"].items():
             if row["note"]:
@@ -85,7 +88,10 @@ def _print(console: Console, summary: dict[str, Any], out: Path) -> None:
                 say(console, f"{name} does not close, stopped by {row['first_limit']}{also}")
         if any(row["limits_hit"] for row in summary["along_stride"].values()):
             say(console, "What a method does without the limits of the joints: --no-limits.")
-        say(console, "closure: the least of any joint, of its angle/of angle and rate")
+        say(
+            console,
+            "closure: the least of any joint, of its angle/of angle and rate; off: the joints from the animal's",
+        )
     if summary["to_target"] or summary["along_stride"]:
         say(console, "limits: the first joint that one stopped, and how many more")
     parameters = summary["parameters"]

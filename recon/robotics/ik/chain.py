@@ -104,15 +104,14 @@ class SerialChain:
         """The end effector (..., dim), metres."""
         return (self.tree.pose(self._states(q)).points_m[:, 0] @ self.base.T).reshape(*q.shape[:-1], self.dim)
 
-    def frames(self, q: Array) -> Array:
-        """The frames (N, n, 3, 3) that the joints of a chain of `joint_chain` move, for q (N, n), each with its joint's
-        axis as z, in the base frame."""
-        return (self.base @ self.tree.orientations(self._states(q)))[:, self._moving]
-
     def pose(self, q: Array) -> tuple[Array, Array]:
         """The pose T_base_end of a chain in space: rotation (3, 3) and position (3,) of the end effector, for q
         (n,)."""
         return self.base @ self.tree.orientations(self._states(q))[0, -1] @ self.tool_rotation, self.end(q)
+
+    def inside_limits(self, q: Array) -> Array:
+        """The nearest angles to q (..., n) within the limits."""
+        return np.minimum(np.maximum(q, self.lower_rad), self.upper_rad)
 
     # -- how it moves, for q (n,) ------------------------------------------------------------------------------------
 
@@ -120,12 +119,16 @@ class SerialChain:
         """The end effector's Jacobian (dim, n), and its curvature, a function that makes of mu (dim,) the sum (n, n) of
         mu_i times the Hessian of coordinate i."""
         jacobian, _, curvature = self.tree.derivatives(self._states(q)[0])
-        pick = np.ix_(self.columns - 3, self.columns - 3)
-        return self.base @ jacobian[0, :, self.columns].T, lambda mu: curvature(mu[None] @ self.base)[pick]
+
+        def bent(mu: Array) -> Array:
+            return curvature(mu[None] @ self.base)[np.ix_(self.columns - 3, self.columns - 3)]
+
+        return self.base @ jacobian[0][:, self.columns], bent
 
     def jacobian(self, q: Array) -> Array:
-        """(dim, n) of the end effector."""
-        return self.derivatives(q)[0]
+        """(..., dim, n) of the end effector, for q (..., n)."""
+        jacobian = self.tree.pose_with_jacobian(self._states(q)).jacobian[:, 0]
+        return (self.base @ jacobian[..., self.columns]).reshape(*q.shape[:-1], self.dim, self.n)
 
     def joint_axes(self, q: Array) -> Array:
         """Unit vectors (n, 3) along the joints' axes of a chain of `joint_chain`, in the base frame."""
@@ -290,9 +293,9 @@ def unreachable(chain: SerialChain, target_m: Array, tolerance_m: float = 0.0) -
     return f"unreachable: {distance:.3f} m from the base, the chain reaches {least:.3f} to {most:.3f} m"
 
 
-def manipulability(J: Array) -> float:
-    """sqrt(det J J') of J (dim, n) (Yoshikawa 1985): 0 where a direction is lost."""
-    return math.sqrt(max(0.0, float(np.linalg.det(J @ J.T))))
+def manipulability(J: Array) -> Array:
+    """sqrt(det J J') of J (..., dim, n) (Yoshikawa 1985): 0 where a direction is lost."""
+    return np.sqrt(np.maximum(0.0, np.linalg.det(J @ J.swapaxes(-1, -2))))
 
 
 def null_basis(J: Array, like: Array | None = None) -> Array:
@@ -306,10 +309,6 @@ def null_basis(J: Array, like: Array | None = None) -> Array:
         return N
     u, _, vt = np.linalg.svd(N.T @ like)
     return N @ u @ vt
-
-
-def inside_limits(chain: SerialChain, q: Array) -> Array:
-    return np.clip(q, chain.lower_rad, chain.upper_rad)
 
 
 # -- the planar arm of two links in closed form ----------------------------------------------------------------------

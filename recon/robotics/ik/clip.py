@@ -24,7 +24,6 @@ from recon.gait.clip import ClipAnalysis, limb_chains, stride_given
 from recon.gait.gait import AGREE, OVERSAMPLING, Gait, doubtful_text
 from recon.gait.kinematics import MIN_POINTS
 from recon.gait.phase import Closure, Portrait
-from recon.io.common import write_rows
 from recon.robotics.ik.animal import (
     body_chain,
     body_chain_angles,
@@ -42,8 +41,8 @@ from recon.robotics.ik.costs import (
     rotational_energy,
     weighted_sum,
 )
-from recon.robotics.ik.drive import Run, control_columns, drive_to, follow
-from recon.robotics.ik.fit import PARAMETERS, PULL, Frames, ParameterFit, fit_weights, fits
+from recon.robotics.ik.drive import Run, control_columns, drive_to, follow, to_null_space_optimum
+from recon.robotics.ik.fit import PARAMETERS, PULL, Frames, ParameterFit, explained_by, fits, rates_of
 from recon.robotics.ik.methods import (
     ExtendedJacobian,
     GradientProjection,
@@ -53,21 +52,22 @@ from recon.robotics.ik.methods import (
     SelectivelyDamped,
     damped_least_squares,
 )
-from recon.robotics.ik.null_space import to_null_space_optimum
 from recon.robotics.ik.stride import StridePath, farthest_reach, find_stride
 from recon.robotics.settings import EXTENDED, STRIDE_MAX, IkSettings
-from recon.show.report import to_json
+from recon.show.plain import by_name, picked, to_json
 
 Dim = Literal[2, 3]
 
 SLOWER = 10
 """How many times slower than the animal a stride is followed: rate limits are what is expected of its joints, and would
 hold back a method that moves others than the animal does. Closures do not depend on it."""
+LAST = 3
+"""Frames before each that parameters are refitted to on the way."""
 SUMMARY = "ik.json"
 
 
 @dataclass(frozen=True, eq=False)
-class _Limb:
+class Limb:
     """A chain of the animal, and its joint angles in the clip."""
 
     foot: str
@@ -88,7 +88,7 @@ class _Limb:
         return self.chain.names
 
 
-COSTS: dict[str, Callable[[_Limb], Cost]] = {
+COSTS: dict[str, Callable[[Limb], Cost]] = {
     "differences": lambda limb: joint_differences(limb.chain),
     "energy": lambda limb: rotational_energy(limb.chain),
     "harmonic": lambda limb: harmonic_map(joints=max(limb.chain.groups, key=len)[-3:]),
@@ -102,7 +102,7 @@ class _IKRun:
 
     settings: IkSettings
     motion: Motion
-    limb: _Limb
+    limb: Limb
     stride: StridePath
     target_m: Array | None
     """(dim,)"""
@@ -122,19 +122,11 @@ class _IKRun:
     def summary(self) -> dict[str, Any]:
         """The summary of the run, as ik.json holds it."""
         limb, stride, settings = self.limb, self.stride, self.settings
-        followed = {}
-        for name, run in self.runs["follow"].items():
-            closed = run.closures()
-            followed[name] = {
-                "worst_error_m": float(run.distance_m.max()),
-                "note": run.note,
-                **run.measures(),
-                **{f"least_closure_{kind}_percent": float(np.fmin.reduce(of)) for kind, of in closed.items()},
-                **{
-                    f"closure_{kind}_percent": dict(zip(limb.names, of.tolist(), strict=True))
-                    for kind, of in closed.items()
-                },
-            }
+        stride_s = {"start_s": self.begins_s, "end_s": limb.first_s + stride.end_s}
+        fitted = {
+            name: {"value": f.parameter, **picked(f, "rms_rad_s", "explained"), "best_alpha": f.alpha, "note": f.note}
+            for name, f in self.parameters.items()
+        }
         return {
             "schema": {"name": "recon.ik", "version": 1},
             "verdict": verdict_fields(self.motion),
@@ -143,42 +135,29 @@ class _IKRun:
             "joints": list(limb.names),
             "base_frame": "U forwards, V down, W left" if limb.base == "UVW" else "x forwards, y left, z up",
             "misfit_m": limb.misfit_m,
-            "stride": {
-                "start_s": self.begins_s,
-                "end_s": limb.first_s + stride.end_s,
-                "how": stride.how,
-                "notes": stride.notes,
-                "gap_m": stride.gap_m,
-                "gap_percent": stride.gap_percent,
-            },
-            "parameters": {
-                "used": "fitted to the clip" if settings.fitted else "standard",
-                "fitted": {
-                    name: {
-                        "value": f.parameter,
-                        "rms_rad_s": f.rms_rad_s,
-                        "explained": f.explained,
-                        "best_alpha": f.alpha,
-                        "note": f.note,
-                    }
-                    for name, f in self.parameters.items()
-                },
-                "alpha": settings.alpha,
-            },
+            "stride": stride_s | picked(stride, "how", "notes", "gap_m", "gap_percent"),
+            "parameters": {"used": settings.parameters, "fitted": fitted, "alpha": settings.alpha},
             "target_m": self.target_m,
-            "to_target": {
-                name: {"reached": run.reached, "reason": run.reason, "iterations": run.iterations, **run.measures()}
-                for name, run in self.runs["target"].items()
-            },
-            "turns": settings.turns if followed else None,
-            "along_stride": followed,
+            "to_target": {name: run.measures() for name, run in self.runs["target"].items()},
+            "turns": settings.turns if self.runs["follow"] else None,
+            "along_stride": {name: self._along_stride(run) for name, run in self.runs["follow"].items()},
+        }
+
+    def _along_stride(self, run: Run) -> dict[str, Any]:
+        closed, animal = run.closures(), self.stride.q
+        off_rad = run.q[::OVERSAMPLING][: len(animal)] - animal
+        return {
+            **run.measures(),
+            **{f"least_closure_{kind}_percent": float(np.fmin.reduce(of)) for kind, of in closed.items()},
+            "joints_off_rad": float(np.sqrt(np.nanmean(off_rad**2))),
+            **{f"closure_{kind}_percent": by_name(self.limb.names, of.tolist()) for kind, of in closed.items()},
         }
 
 
 # -- the animal's chain ----------------------------------------------------------------------------------------------
 
 
-def limb_of(motion: Motion, foot: str | None = None, dim: Dim = 3, limited: bool = True) -> _Limb:
+def limb_of(motion: Motion, foot: str | None = None, dim: Dim = 3, limited: bool = True) -> Limb:
     """The chain to a foot, by its label (LF) or joint, by default the first fore foot. Raises InputError.
 
     Of the 8U chain that is the spine and the front leg. Of a whole animal, in space, all joints from the root to the
@@ -190,17 +169,17 @@ def limb_of(motion: Motion, foot: str | None = None, dim: Dim = 3, limited: bool
     if isinstance(motion.chain, Chain):
         leg = spine_front_leg(motion.chain, motion.size * motion.chain.nominal_base_length_m, dim, limited)
         q = chain_angles(motion.chain, motion.states, dim=dim)
-        return _Limb(name, leg, q, motion.fps, first_s, "UVW", 0.0)
+        return Limb(name, leg, q, motion.fps, first_s, "UVW", 0.0)
     if dim == 3:
         marker = motion.joints[motion.names.index(name)]
         chain = body_chain(motion.body, marker, motion.size, limited)
         q = body_chain_angles(motion.body, marker, motion.states)
-        return _Limb(name, chain, q, motion.fps, first_s, "xyz", 0.0)
+        return Limb(name, chain, q, motion.fps, first_s, "xyz", 0.0)
     along = next(along for along in limb_chains(motion).values() if along[-1] == name)
     points = motion.upright.xyz_m[:, [motion.names.index(joint) for joint in along]]
     chain, q, misfit = projected_chain(points, travel)
     named = replace(chain, names=tuple(along[:-1]))
-    return _Limb(name, named, q, motion.fps, first_s, "UVW", float(np.nanmedian(misfit)))
+    return Limb(name, named, q, motion.fps, first_s, "UVW", float(np.nanmedian(misfit)))
 
 
 def _foot_label(motion: Motion, foot: str | None) -> str:
@@ -220,7 +199,7 @@ def _foot_label(motion: Motion, foot: str | None) -> str:
 
 
 def methods_of(
-    limb: _Limb,
+    limb: Limb,
     names: tuple[str, ...],
     parameters: Mapping[str, ParameterFit],
     fitted: bool = False,
@@ -254,7 +233,7 @@ def methods_of(
     return {name: replace(method, alpha=None if alpha == "step" else alpha) for name, method in chosen.items()}
 
 
-def cost_of(limb: _Limb, text: str) -> Cost:
+def cost_of(limb: Limb, text: str) -> Cost:
     """A cost of `COSTS`, or a sum of some with weights, as in "energy,differences=0.1". Raises InputError."""
     costs, weights, problems = [], [], []
     for part in text.split(","):
@@ -270,43 +249,48 @@ def cost_of(limb: _Limb, text: str) -> Cost:
     return costs[0] if len(costs) == 1 and weights == [1.0] else weighted_sum(tuple(costs), tuple(weights))
 
 
-def fit_parameters(limb: _Limb, cost: Cost | None = None) -> dict[str, ParameterFit]:
+def fit_parameters(limb: Limb, cost: Cost | None = None) -> dict[str, ParameterFit]:
     """By method, by least squares to the joint rates of the clip, from a spline through its angles. cost: of gradient
     projection; None: any constant vector. Raises InputError for fewer than four frames in a row."""
-    frames = _rates_of(limb)
-    return {name: fit(frames) for name, fit in fits(cost).items()}
+    frames, _ = _rates_of(limb)
+    return {name: fit(frames) for name, fit in fits(() if cost is None else (cost,)).items()}
 
 
-def fit_parameter_series(limb: _Limb, stride: StridePath, cost: Cost | None = None) -> pd.DataFrame:
-    """The same fitted to each frame of a stride by itself, a row each: time_s in the clip, and of every method its
-    parameter (`PARAMETERS`; of the weights one for each joint), <method>_best_alpha and <method>_explained.
+def fit_parameter_series(
+    limb: Limb, stride: StridePath, cost: Cost | None = None, last: int = 0
+) -> tuple[pd.DataFrame, dict[str, list[Method]]]:
+    """The same fitted to each frame of a stride by itself, or to the `last` ones before it: the methods, and a row for
+    each frame: time_s in the clip, and of every method its parameter (`PARAMETERS`; one for each joint where there are
+    as many), <method>_best_alpha, and <method>_explained, of the frame's own rates.
 
-    cost: of gradient projection, by default the joint differences, of which k is fitted. Raises InputError as
-    `fit_parameters`.
+    cost: of gradient projection; by default, where a frame stands by itself, the joint differences, of which k is
+    fitted. Raises InputError as `fit_parameters`.
     """
-    at_s = np.flatnonzero(np.isfinite(limb.q).all(axis=1)) / limb.fps
-    first, last = np.searchsorted(at_s, [stride.start_s - 1e-6, stride.end_s + 1e-6]).tolist()
-    frames = _rates_of(limb)
-    every = fits(cost or joint_differences(limb.chain)) | {"weighted": lambda one: fit_weights(one, PULL)}
-    columns: dict[str, Any] = {"time_s": limb.first_s + at_s[first:last]}
-    for name, fit in every.items():
-        found = [fit(frames[t : t + 1]) for t in range(first, last)]
-        called = limb.names if name == "weighted" else PARAMETERS.get(name, ())
+    frames, at_s = _rates_of(limb)
+    first, stop = np.searchsorted(at_s, [stride.start_s - 1e-6, stride.end_s + 1e-6]).tolist()
+    costs = (cost or joint_differences(limb.chain),) if cost is not None or not last else ()
+    columns, methods = {"time_s": limb.first_s + at_s[first:stop]}, {}
+    for name, fit in fits(costs, PULL).items():
+        rows = [slice(max(t - last, 0), max(t, 1)) if last else slice(t, t + 1) for t in range(first, stop)]
+        found = [fit(frames[window]) for window in rows]
+        methods[name] = [one.method for one in found]
         values = np.array([one.parameter for one in found])
+        called = limb.names if values.shape[1] == limb.chain.n else PARAMETERS.get(name, ())
         columns |= {f"{name}_{part}": of_part for part, of_part in zip(called, values.T, strict=True)}
-        columns[f"{name}_best_alpha"] = [one.alpha for one in found]
-        columns[f"{name}_explained"] = [one.explained for one in found]
-    return pd.DataFrame(columns)
+        columns[f"{name}_best_alpha"] = np.array([one.alpha for one in found])
+        own = zip(methods[name], (frames[t : t + 1] for t in range(first, stop)), strict=True)
+        columns[f"{name}_explained"] = np.array([explained_by(rates_of(one, of), of.dq) for one, of in own])
+    return pd.DataFrame(columns), methods
 
 
-def _rates_of(limb: _Limb) -> Frames:
-    """The frames with a pose."""
+def _rates_of(limb: Limb) -> tuple[Frames, Array]:
+    """The frames with a pose, and their times (T,) from the first frame on."""
     known = np.flatnonzero(np.isfinite(limb.q).all(axis=1))
     if len(known) < MIN_POINTS:
         raise InputError(Problem("results", "frames", f"{len(known)} with a pose", f"at least {MIN_POINTS}"))
-    q, dq = limb.q[known], CubicSpline(known / limb.fps, limb.q[known])(known / limb.fps, 1)
-    dx = np.stack([limb.chain.jacobian(x) @ rate for x, rate in zip(q, dq, strict=True)])
-    return Frames.of(limb.chain, q, dx, dq)
+    q, at_s = limb.q[known], known / limb.fps
+    dq = CubicSpline(at_s, q)(at_s, 1)
+    return Frames.of(limb.chain, q, (limb.chain.jacobian(q) @ dq[..., None])[..., 0], dq), at_s
 
 
 # -- the jobs --------------------------------------------------------------------------------------------------------
@@ -319,21 +303,23 @@ def run_ik(settings: IkSettings) -> _IKRun:
     with sole_writer(out):
         require_free_folder(out, (SUMMARY,), settings.overwrite)
         limb = limb_of(motion, settings.foot, 2 if settings.dim == 2 else 3, settings.limits)
-        cost = None if settings.cost is None else cost_of(limb, settings.cost)
+        chain, cost = limb.chain, None if settings.cost is None else cost_of(limb, settings.cost)
         target = STRIDE_MAX if settings.both else settings.target
-        goal = _coordinates(target, limb.chain.dim) if target not in (None, STRIDE_MAX) else None
+        goal = _coordinates(target, chain.dim) if target not in (None, STRIDE_MAX) else None
         with threadpool_limits(1, user_api="blas"):
-            stride = stride_of(motion, limb, settings.stride)
-            parameters = fit_parameters(limb, cost)
-            series = fit_parameter_series(limb, stride, cost) if settings.fitted else None
-            methods = methods_of(limb, settings.methods, parameters, settings.fitted, cost, settings.alpha)
-            start, foremost = farthest_reach(limb.chain, stride.q)
+            stride, parameters = stride_of(motion, limb, settings.stride), fit_parameters(limb, cost)
+            fitted = settings.fitted or settings.online
+            series, refitted = None, {}
+            if fitted:
+                series, refitted = fit_parameter_series(limb, stride, cost, LAST if settings.online else 0)
+            methods = methods_of(limb, settings.methods, parameters, fitted, cost, settings.alpha)
+            start, foremost = farthest_reach(chain, stride.q)
             goal = foremost if target == STRIDE_MAX else goal
-            drives = {} if goal is None else {n: drive_to(limb.chain, start, goal, m) for n, m in methods.items()}
+            drives = {} if goal is None else {n: drive_to(chain, start, goal, m) for n, m in methods.items()}
             followed = methods if settings.both or settings.follow is not None else {}
-            follows = {n: follow_stride(limb.chain, stride, m, settings.turns) for n, m in followed.items()}
-        runs = {"target": drives, "follow": follows}
-        solved = _IKRun(settings, motion, limb, stride, goal, runs, parameters, series)
+            each = {n: refitted.get(n, ()) if settings.online else () for n in followed}
+            follows = {n: follow_stride(chain, stride, m, settings.turns, each[n]) for n, m in followed.items()}
+        solved = _IKRun(settings, motion, limb, stride, goal, {"target": drives, "follow": follows}, parameters, series)
         with staged_folder(out) as staging:
             _write(solved, staging)
         if settings.figures:  # after the tables, which are there whatever befalls them
@@ -354,7 +340,7 @@ def _coordinates(target: str, dim: int) -> Array:
     return values
 
 
-def stride_of(motion: Motion, limb: _Limb, stride_s: tuple[float, float] | None = None) -> StridePath:
+def stride_of(motion: Motion, limb: Limb, stride_s: tuple[float, float] | None = None) -> StridePath:
     """The stride that is given; or the first of the foot that counts (`recon.gait.gait`); or, of a clip without any,
     where the foot comes back to nearest in the time that a stride takes. Raises InputError for a clip that shows too
     little."""
@@ -387,7 +373,7 @@ def stride_lasts_s(gait: Gait) -> tuple[float, float]:
 
 def _found_stride(
     motion: Motion,
-    limb: _Limb,
+    limb: Limb,
     how: str = "",
     span_s: tuple[float, float] | None = None,
     notes: Sequence[str] = (),
@@ -401,13 +387,19 @@ def _found_stride(
     return replace(stride, how=how or stride.how, notes=tuple(notes))
 
 
-def follow_stride(chain: SerialChain, stride: StridePath, method: Method, turns: int = 1) -> Run:
+def follow_stride(
+    chain: SerialChain, stride: StridePath, method: Method, turns: int = 1, each: Sequence[Method] = ()
+) -> Run:
     """Along the stride, `SLOWER` than the animal; times and rates are the animal's again. The extended Jacobian starts
-    where its cost is stationary, with the foot in the same place."""
-    q0 = stride.q[0]
+    where its cost is stationary, with the foot in the same place. each: a method for every frame of the stride."""
+    q0, steps = stride.q[0], len(stride.path_m) - 1
     if isinstance(method, ExtendedJacobian):
         q0 = to_null_space_optimum(chain, q0, method.cost)[0]
-    run = follow(chain, q0, stride.path_m, method, turns, SLOWER * stride.interval_s)
+
+    def of_step(k: int) -> Method:
+        return each[min(k % steps // OVERSAMPLING, len(each) - 1)]
+
+    run = follow(chain, q0, stride.path_m, of_step if each else method, turns, SLOWER * stride.interval_s)
     return replace(run, dq=SLOWER * run.dq, interval_s=stride.interval_s)
 
 
@@ -416,32 +408,33 @@ def follow_stride(chain: SerialChain, stride: StridePath, method: Method, turns:
 
 def _write(solved: _IKRun, folder: Path) -> None:
     summary, names = solved.summary, solved.limb.names
-    (folder / SUMMARY).write_text(to_json(summary), encoding="utf-8")
+    tables: dict[str, pd.DataFrame] = {}
     for file, rows in (("target.csv", summary["to_target"]), ("follow.csv", summary["along_stride"])):
         if rows:
-            cells = [[name, *(_cell(v) for v in row.values() if not isinstance(v, dict))] for name, row in rows.items()]
-            columns = [name for name, v in next(iter(rows.values())).items() if not isinstance(v, dict)]
-            write_rows(folder / file, [["method", *columns]], cells)
-    if followed := summary["along_stride"]:
-        kinds = [(name, kind) for name in followed for kind in ("angle", "plane")]
-        rows = [[j, *(followed[name][f"closure_{kind}_percent"][j] for name, kind in kinds)] for j in names]
-        write_rows(folder / "closures.csv", [["joint", *(f"{name}_{kind}" for name, kind in kinds)]], rows)
+            cells = [{k: _cell(v) for k, v in row.items() if not isinstance(v, dict)} for row in rows.values()]
+            tables[file] = pd.DataFrame(cells, pd.Index(rows, name="method"))
+    if follows := solved.runs["follow"]:
+        closed = {f"{name}_{kind}": of for name, run in follows.items() for kind, of in run.closures().items()}
+        tables["closures.csv"] = pd.DataFrame(closed, pd.Index(names, name="joint"))
     if solved.series is not None:
-        write_rows(folder / "parameters.csv", [[*solved.series.columns]], solved.series.to_numpy().tolist())
-    axes = list(solved.limb.base)[: solved.limb.chain.dim]
+        tables["parameters.csv"] = solved.series.set_index("time_s")
+    ends = [f"end_{axis}_m" for axis in solved.limb.base[: solved.limb.chain.dim]]
+    columns = ["time_s", *(f"{joint}_rad" for joint in names), *control_columns(names), *ends, "distance_m"]
     for job, runs in solved.runs.items():
         for name, run in runs.items():
             time_s = run.time_s + (0.0 if run.driven else solved.begins_s)
-            columns = ["step", "time_s", *(f"{joint}_rad" for joint in names), *control_columns(names)]
-            columns += [*(f"end_{axis}_m" for axis in axes), "distance_m"]
-            values = np.column_stack((time_s, run.q, *run.control, run.end_m, run.distance_m)).tolist()
-            write_rows(folder / f"{job}_{name}.csv", [columns], [[k, *row] for k, row in enumerate(values)])
+            values = np.column_stack((time_s, run.q, *run.control, run.end_m, run.distance_m))
+            steps = pd.RangeIndex(len(values), name="step")
+            tables[f"{job}_{name}.csv"] = pd.DataFrame(values, steps, columns)
+    for file, table in tables.items():
+        table.to_csv(folder / file, lineterminator="\n")
+    (folder / SUMMARY).write_text(to_json(summary), encoding="utf-8")
 
 
 def _cell(value: Any) -> Any:
     if isinstance(value, bool):
         return "yes" if value else "no"
-    return " ".join(value) if isinstance(value, list) else "" if value is None else value
+    return " ".join(value) if isinstance(value, list) else value
 
 
 def write_figures(solved: _IKRun, folder: Path) -> None:
@@ -456,9 +449,8 @@ def write_figures(solved: _IKRun, folder: Path) -> None:
             save(plots.task_space(runs, limb.chain, aims[job], limb.base), folder, f"{job}_task_space")
             save(plots.joint_space(runs, limb.names), folder, f"{job}_joint_space")
     for name, run in solved.runs["follow"].items():
-        of_joints = zip(limb.names, run.q.T, run.control[0].T, *run.closures().values(), strict=True)
-        portraits, closed = {}, {}
-        for joint, angle, rate, *closures in of_joints:
-            portraits[joint] = Portrait(solved.begins_s + run.time_s, angle, rate)
-            closed[joint] = Closure(*closures)
-        save(phase_portraits(portraits, closed, name), folder, f"follow_phase_{name}")
+        of_joints = zip(run.q.T, run.control[0].T, strict=True)
+        portraits = [Portrait(solved.begins_s + run.time_s, angle, rate) for angle, rate in of_joints]
+        closed = [Closure(*one) for one in zip(*run.closures().values(), strict=True)]
+        figure = phase_portraits(by_name(limb.names, portraits), by_name(limb.names, closed), name)
+        save(figure, folder, f"follow_phase_{name}")

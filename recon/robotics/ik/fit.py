@@ -67,13 +67,12 @@ class Frames:
         known = np.isfinite(np.concatenate([q, dx, dq], axis=1)).all(axis=1)
         if not known.any():
             raise ValueError("no frame without a missing value")
-        return cls(q[known], np.stack([chain.jacobian(x) for x in q[known]]), dx[known], dq[known], chain.names)
+        return cls(q[known], chain.jacobian(q[known]), dx[known], dq[known], chain.names)
 
     @classmethod
     def joined(cls, parts: Sequence[Frames]) -> Frames:
         arrays = (np.concatenate([getattr(p, of) for p in parts]) for of in ("q", "jacobian", "dx", "dq"))
-        q, jacobian, dx, dq = arrays
-        return cls(q, jacobian, dx, dq, parts[0].names)
+        return cls(*arrays, names=parts[0].names)
 
     def __getitem__(self, rows: slice) -> Frames:
         return Frames(self.q[rows], self.jacobian[rows], self.dx[rows], self.dq[rows], self.names)
@@ -99,15 +98,24 @@ class ParameterFit:
 Fit = Callable[[Frames], ParameterFit]
 
 
-def fits(cost: Cost | None) -> dict[str, Fit]:
-    """By method with a parameter that can be fitted, and least norm for comparison. cost: as of `fit_gradient`."""
+def fits(costs: Sequence[Cost] = (), pull: float = 0.0) -> dict[str, Fit]:
+    """By method with a parameter that can be fitted, and least norm for comparison.
+
+    Of the transpose its alpha, 1/m^2; of gradient projection, with k = 1, coefficients of the costs, or without costs a
+    constant g (n,), of several solutions the smallest; diag W, positive with mean 1, for pull see `PULL`; lambda,
+    metres; gamma_max, rad, for `INTERVAL_S`.
+    """
+
+    def projection(c: Array) -> Method:
+        return GradientProjection(weighted_sum(costs, c.tolist()) if len(costs) else lambda _: c, k=1.0)
+
     return {
-        "least-norm": fit_least_norm,
-        "transpose": fit_transpose,
-        "gradient-projection": lambda frames: fit_gradient(frames, () if cost is None else (cost,)),
-        "weighted": fit_weights,
-        "damped": fit_damped,
-        "selectively-damped": fit_selectively_damped,
+        "least-norm": lambda frames: _fitted(LeastNorm(), np.empty(0), frames),
+        "transpose": lambda frames: _linear(lambda c: JacobianTranspose(float(c[0])), 1, frames),
+        "gradient-projection": lambda frames: _linear(projection, len(costs) or frames.q.shape[1], frames),
+        "weighted": lambda frames: _weights(frames, pull),
+        "damped": lambda frames: _in_range(damped_least_squares, DAMPING_M, ("lambda", "m"), frames),
+        "selectively-damped": lambda frames: _in_range(SelectivelyDamped, GAMMA_RAD, ("gamma_max", "rad"), frames),
     }
 
 
@@ -129,29 +137,7 @@ def best_scale(rates: Array, dq: Array) -> float:
     return float(np.sum(rates * dq)) / square if square > 0 else 1.0
 
 
-def fit_least_norm(frames: Frames) -> ParameterFit:
-    """Nothing to fit: for comparison."""
-    return _fitted(LeastNorm(), np.empty(0), frames)
-
-
-def fit_damped(frames: Frames) -> ParameterFit:
-    """lambda, metres: the best of a logarithmic grid, refined."""
-    value, edge = _best(damped_least_squares, frames, DAMPING_M)
-    note = f"lambda at the edge of {DAMPING_M[0]:g} to {DAMPING_M[1]:g} m" if edge else ""
-    return _fitted(damped_least_squares(value), np.array([value]), frames, note)
-
-
-def fit_selectively_damped(frames: Frames) -> ParameterFit:
-    """gamma_max, rad, for `INTERVAL_S`: the best of a logarithmic grid, refined. Above some value nothing is damped."""
-    gamma, _ = _best(SelectivelyDamped, frames, GAMMA_RAD)
-    method, undamped = SelectivelyDamped(gamma), SelectivelyDamped(GAMMA_RAD[1])
-    free = np.array_equal(rates_of(method, frames), rates_of(undamped, frames))
-    note = f"nothing is damped, with this gamma_max or any from there to {GAMMA_RAD[1]:g} rad" if free else ""
-    return _fitted(method, np.array([gamma]), frames, note)
-
-
-def fit_weights(frames: Frames, pull: float = 0.0) -> ParameterFit:
-    """diag W (n,), positive with mean 1. pull: towards even weights, as `PULL`."""
+def _weights(frames: Frames, pull: float) -> ParameterFit:
     dq = frames.dq
     n, bound = dq.shape[1], np.log(WEIGHT_RANGE)
     held = pull * float(np.sqrt(np.sum(dq**2))) * np.eye(n)
@@ -172,22 +158,7 @@ def fit_weights(frames: Frames, pull: float = 0.0) -> ParameterFit:
     return _fitted(weighted_least_norm(w), w, frames, note)
 
 
-def fit_gradient(frames: Frames, costs: Sequence[Cost] = ()) -> ParameterFit:
-    """Coefficients c of g = sum_i c_i grad g_i, or without costs of a constant g (n,), with k = 1: dq = J+ dx + P g, P
-    the projection on the null space. Of several solutions the smallest."""
-
-    def method(c: Array) -> Method:
-        return GradientProjection(weighted_sum(tuple(costs), tuple(c.tolist())) if costs else lambda _: c, k=1.0)
-
-    return _fitted_linear(method, len(costs) or frames.q.shape[1], frames)
-
-
-def fit_transpose(frames: Frames) -> ParameterFit:
-    """The alpha (1/m^2) of the Jacobian transpose that fits the rates best."""
-    return _fitted_linear(lambda c: JacobianTranspose(float(c[0])), 1, frames)
-
-
-def _fitted_linear(method: Callable[[Array], Method], n: int, frames: Frames) -> ParameterFit:
+def _linear(method: Callable[[Array], Method], n: int, frames: Frames) -> ParameterFit:
     """A fit of n coefficients on which the rates depend linearly."""
     base = rates_of(method(np.zeros(n)), frames)
     columns = np.array([(rates_of(method(one), frames) - base).ravel() for one in np.eye(n)])
@@ -195,9 +166,10 @@ def _fitted_linear(method: Callable[[Array], Method], n: int, frames: Frames) ->
     return _fitted(method(c), c, frames)
 
 
-def _best(method: Callable[[float], Method], frames: Frames, bounds: tuple[float, float]) -> tuple[float, bool]:
-    """The parameter within bounds whose rates are nearest to the frames', on a logarithmic scale, and whether it is at
-    an edge."""
+def _in_range(
+    method: Callable[[float], Method], bounds: tuple[float, float], called: tuple[str, str], frames: Frames
+) -> ParameterFit:
+    """The parameter within bounds whose rates are nearest to the frames': the best of a logarithmic grid, refined."""
 
     def cost(log_value: float) -> float:
         return float(np.sum((rates_of(method(float(np.exp(log_value))), frames) - frames.dq) ** 2))
@@ -206,8 +178,13 @@ def _best(method: Callable[[float], Method], frames: Frames, bounds: tuple[float
     i = int(np.argmin([cost(x) for x in grid]))
     around = grid[max(i - 1, 0)], grid[min(i + 1, len(grid) - 1)]
     refined = float(minimize_scalar(cost, bounds=around, method="bounded", options={"xatol": 1e-8}).x)
-    best = refined if cost(refined) < cost(grid[i]) else float(grid[i])
-    return float(np.exp(best)), i in (0, len(grid) - 1)
+    value = float(np.exp(refined if cost(refined) < cost(grid[i]) else grid[i]))
+    (low, high), (name, unit), note = bounds, called, ""
+    if i in (0, len(grid) - 1):
+        note = f"{name} at the edge of {low:g} to {high:g} {unit}"
+    elif np.array_equal(rates_of(method(value), frames), rates_of(method(high), frames)):
+        note = f"nothing is damped, with this {name} or any from there to {high:g} {unit}"
+    return _fitted(method(value), np.array([value]), frames, note)
 
 
 def _fitted(method: Method, parameter: Array, frames: Frames, note: str = "") -> ParameterFit:

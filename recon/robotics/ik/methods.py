@@ -1,6 +1,6 @@
 """Joint rates dq (n,), rad/s, for a velocity of the end effector dx (dim,), m/s: one class for each method.
 
-All have `rates(chain, q, dx, free=None)`; free (n,), bool: joints that may move, the others are taken out of the chain.
+All have `rates(chain, q, dx, free)`; free (n,), bool: joints that may move, the others are taken out of the chain.
 Rates are finite and within the chain's limits: where one is passed, what moves along the null space is scaled down
 first, then all together. J is the Jacobian, J' its transpose. Near a singular configuration, det J J' small, the
 inverse of J J' is damped, and the step says so.
@@ -16,9 +16,10 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg.lapack import dposv
 
 from recon.base.arrays import Array, Bools
 from recon.robotics.ik.chain import Curvature, SerialChain, null_basis
@@ -36,17 +37,22 @@ EXTENDED_SINGULAR = 1e-3
 MAX_CORRECTION_RAD = 0.05
 """What the gain takes away at once, at most: a longer step along the null space would move the end effector, to second
 order, by more than millimetres."""
+ALL = slice(None)
+"""Every joint may move."""
+Free = Bools | slice
 
 
 class JointRates(NamedTuple):
     """How fast the joints are to move."""
 
     dq: Array
-    """The joints' rates, shape (n,), rad/s."""
+    """The joints' rates, rad/s, shape (n,)."""
     singular: bool = False
     """Whether the rates are damped because a direction is lost."""
     note: str = ""
     """What is held back or damped, in words, or empty."""
+    along: Array | float = 0.0
+    """A motion along the null space that comes on top, before limits."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,25 +62,24 @@ class Method(ABC):
     alpha: float | None = field(default=1.0, kw_only=True)
     """None: <dx, J dq> / |J dq|^2 at every step, with which J dq is nearest to dx."""
 
-    def rates(self, chain: SerialChain, q: Array, dx: Array, free: Bools | None = None) -> JointRates:
+    def rates(self, chain: SerialChain, q: Array, dx: Array, free: Free = ALL) -> JointRates:
         """Rates for q (n,) and dx (dim,)."""
-        free = np.ones(chain.n, bool) if free is None else free
         J, curvature = chain.derivatives(q)
-        step = _within_limits(chain, free, *self._solve(J[:, free], dx, q, free, curvature))
+        step = _within_limits(chain, free, self._solve(J[:, free], dx, q, free, curvature))
         if self.alpha == 1.0:
             return step
         alpha = nearest_scale(J @ step.dq, dx) if self.alpha is None else self.alpha
-        return _within_limits(chain, free, alpha * step.dq[free], step.singular, None, step.note)
+        return _within_limits(chain, free, step._replace(dq=alpha * step.dq[free]))
 
     def formula(self, J: Array, dx: Array, q: Array) -> Array:
         """Rates (n,) without limits, for J (dim, n), dx (dim,) and q (n,); of the extended Jacobian with N constant."""
-        dq, _, *rest = self._solve(J, dx, q, np.ones(len(q), bool), None)
-        total = dq if not rest or rest[0] is None else dq + rest[0]
+        solved = self._solve(J, dx, q, ALL, None)
+        total = solved.dq + solved.along
         return total * (nearest_scale(J @ total, dx) if self.alpha is None else self.alpha)
 
     @abstractmethod
-    def _solve(self, J: Array, dx: Array, q: Array, free: Bools, curvature: Curvature | None) -> tuple[Any, ...]:
-        """What `_within_limits` takes after the free joints, of which J (dim, m) is; q, curvature: of all."""
+    def _solve(self, J: Array, dx: Array, q: Array, free: Free, curvature: Curvature | None) -> JointRates:
+        """Rates of the m free joints, of which J (dim, m) is; q, curvature: of all."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,10 +94,10 @@ class LeastNorm(Method):
     damping_m: float = 0.0
     """The damping lambda, in metres."""
 
-    def _solve(self, J: Array, dx: Array, q: Array, free: Bools, curvature: Curvature | None) -> tuple[Any, ...]:
+    def _solve(self, J: Array, dx: Array, q: Array, free: Free, curvature: Curvature | None) -> JointRates:
         along = J if self.weights is None else J / self.weights[free]
         inverse, singular = right_inverse(J, along, self.damping_m**2)
-        return inverse @ dx, singular
+        return JointRates(inverse @ dx, singular)
 
 
 def weighted_least_norm(weights: Array) -> LeastNorm:
@@ -111,8 +116,8 @@ class JacobianTranspose(Method):
 
     alpha: float | None = None
 
-    def _solve(self, J: Array, dx: Array, q: Array, free: Bools, curvature: Curvature | None) -> tuple[Any, ...]:
-        return J.T @ dx, _inverse(J @ J.T)[1]
+    def _solve(self, J: Array, dx: Array, q: Array, free: Free, curvature: Curvature | None) -> JointRates:
+        return JointRates(J.T @ dx, _is_singular(J @ J.T))
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,11 +129,11 @@ class GradientProjection(Method):
     k: float = -1.0
     """The step along the cost, 1/s, negative to descend."""
 
-    def _solve(self, J: Array, dx: Array, q: Array, free: Bools, curvature: Curvature | None) -> tuple[Any, ...]:
+    def _solve(self, J: Array, dx: Array, q: Array, free: Free, curvature: Curvature | None) -> JointRates:
         gradient = self.gradient.gradient if isinstance(self.gradient, Cost) else self.gradient
         g = self.k * gradient(q)[free]
         pseudo, singular = right_inverse(J)
-        return pseudo @ dx, singular, g - pseudo @ (J @ g)
+        return JointRates(pseudo @ dx, singular, along=g - pseudo @ (J @ g))
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,17 +148,17 @@ class SelectivelyDamped(Method):
     gamma_max_rad: float = math.pi / 4
     interval_s: float = INTERVAL_S
 
-    def _solve(self, J: Array, dx: Array, q: Array, free: Bools, curvature: Curvature | None) -> tuple[Any, ...]:
+    def _solve(self, J: Array, dx: Array, q: Array, free: Free, curvature: Curvature | None) -> JointRates:
         limit = self.gamma_max_rad / self.interval_s
         dq = np.zeros(J.shape[1])
         if not J.size or not np.isfinite(J).all():
-            return dq, True
+            return JointRates(dq, True)
         u, s, vt = np.linalg.svd(J, full_matrices=False)
         sways = np.abs(vt) @ np.linalg.norm(J, axis=0)
         for value, part, sway, way in zip(s, dx @ u, sways, vt, strict=True):
             if value > LOST * s[0]:
                 dq += _clamped(way * (part / value), min(1.0, value / sway) * limit)
-        return _clamped(dq, limit), bool(s[-1] ** 2 <= SINGULAR * s[0] ** 2)
+        return JointRates(_clamped(dq, limit), bool(s[-1] ** 2 <= SINGULAR * s[0] ** 2))
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,11 +182,11 @@ class ExtendedJacobian(Method):
     full: bool = True
     gain_per_s: float = 0.0
 
-    def _solve(self, J: Array, dx: Array, q: Array, free: Bools, curvature: Curvature | None) -> tuple[Any, ...]:
+    def _solve(self, J: Array, dx: Array, q: Array, free: Free, curvature: Curvature | None) -> JointRates:
         pseudo, singular = right_inverse(J)
         dq = pseudo @ dx
         if J.shape[1] <= J.shape[0] or (singular and not np.isfinite(J).all()):
-            return dq, singular
+            return JointRates(dq, singular)
         g, M = reduced_gradient(self.cost, q, pseudo, curvature if self.full else None, free)
         K, lost = _reduced_inverse(M, null_basis(J))
         along = -(K @ (M @ dq))
@@ -189,16 +194,16 @@ class ExtendedJacobian(Method):
             back = K @ g
             size = float(np.linalg.norm(back))
             along -= back * (self.gain_per_s * min(1.0, MAX_CORRECTION_RAD / size if size > 0 else 1.0))
-        return dq, singular or lost, along, "singular: the extended Jacobian" if lost else ""
+        return JointRates(dq, singular or lost, "singular: the extended Jacobian" if lost else "", along)
 
 
 def reduced_gradient(
-    cost: Cost, q: Array, pseudo: Array, curvature: Curvature | None, free: Bools
+    cost: Cost, q: Array, pseudo: Array, curvature: Curvature | None, free: Free = ALL
 ) -> tuple[Array, Array]:
     """grad g (m,) and M = Hess g - sum_i mu_i Hess f_i (m, m) of the free joints, whose J+ is pseudo (m, dim).
     curvature: of all joints; None leaves the sum out."""
-    g, M = cost.gradient(q)[free], cost.hessian(q)[np.ix_(free, free)]
-    return g, M if curvature is None else M - curvature(g @ pseudo)[np.ix_(free, free)]
+    g, M = cost.gradient(q)[free], cost.hessian(q)[free][:, free]
+    return g, M if curvature is None else M - curvature(g @ pseudo)[free][:, free]
 
 
 def nearest_scale(moved: Array, dx: Array) -> float:
@@ -212,26 +217,29 @@ def nearest_scale(moved: Array, dx: Array) -> float:
 
 def right_inverse(J: Array, along: Array | None = None, damping: float = 0.0) -> tuple[Array, bool]:
     """A' (J A' + damping I)^-1 (n, dim) with A (dim, n) = along, or J, which gives J+; and whether J A' is singular
-    without the damping."""
-    turned = J.T if along is None else along.T
-    inverse, singular = _inverse(J @ turned, damping)
-    return turned @ inverse, singular
+    without the damping. If it is, at least SINGULAR times its trace is added; zero where it is zero or not finite."""
+    A = J if along is None else along
+    gram = J @ A.T
+    if singular := _is_singular(gram):
+        trace = float(gram.trace())
+        if not 0.0 < trace < math.inf:
+            return np.zeros(A.shape[::-1]), True
+        damping = max(damping, SINGULAR * trace)
+    if damping:
+        gram = gram + damping * np.eye(len(gram))
+    return np.asarray(dposv(gram, A)[1]).T, singular
 
 
-def _inverse(gram: Array, damping: float = 0.0) -> tuple[Array, bool]:
-    """(gram + damping I)^-1 of a symmetric gram (dim, dim) of no negative eigenvalue, and whether it is singular
-    without the damping; if so, at least SINGULAR trace is added. Of a gram that is zero or not finite: zero.
+def _is_singular(gram: Array) -> bool:
+    """Whether a symmetric gram (dim, dim) of no negative eigenvalue is singular, zero or not finite.
 
     The ratio of the eigenvalues is estimated from below, by the determinant: all but the least multiply to their mean's
     power at most.
     """
     trace, others = float(gram.trace()), max(len(gram) - 1, 1)
     if not 0.0 < trace < math.inf:
-        return np.zeros(gram.shape), True
-    singular = bool(np.linalg.det(gram) <= SINGULAR * trace * (trace / others) ** others)
-    if singular:
-        damping = max(damping, SINGULAR * trace)
-    return np.asarray(np.linalg.inv(gram + damping * np.eye(len(gram))), float), singular
+        return True
+    return bool(np.linalg.det(gram) <= SINGULAR * trace * (trace / others) ** others)
 
 
 def _reduced_inverse(M: Array, N: Array) -> tuple[Array, bool]:
@@ -256,15 +264,14 @@ def _clamped(values: Array, limit: float) -> Array:
     return values * (limit / largest) if largest > limit else values
 
 
-def _within_limits(
-    chain: SerialChain, free: Bools, dq: Array, singular: bool, along: Array | None = None, note: str = ""
-) -> JointRates:
-    """Rates dq of the free joints, and as much of a motion along the null space as the limits leave to it; 0 for the
-    others. The note says what was held back, and where."""
+def _within_limits(chain: SerialChain, free: Free, solved: JointRates) -> JointRates:
+    """Rates of all joints from those of the free ones, with as much of the motion along the null space as the limits
+    leave to it; 0 for the others. The note says what was held back, and where."""
+    dq, singular, note, along = solved
     limit = chain.max_rate_rad_s[free]
-    total = dq if along is None else dq + along
+    total = dq + along
     if not (np.abs(total) <= limit).all():
-        if along is not None:
+        if isinstance(along, np.ndarray):
             total = dq + _share_within(dq, along, limit) * along
             note = note or "rate limit: part of the motion along the null space"
         most = float((np.abs(total) / limit).max())
