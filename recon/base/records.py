@@ -2,8 +2,8 @@
 
 The archive has an array `record`, a text of JSON with all that is no array, and an array for each larger one, called by
 where it stands, as in `solution.states`. Fields are plain values, paths, slices, tuples, mappings with texts as keys,
-arrays of numbers, and dataclasses, also of a subclass within this package; what is loaded has the types that they
-declare. What a dataclass works out from its fields is not in the file.
+arrays of numbers, tables of files (pydantic's models), and dataclasses, also of a subclass within this package; what is
+loaded has the types that they declare. What a dataclass works out from its fields is not in the file.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from types import GenericAlias
 from typing import Any, TypeVar
 
 import numpy as np
-from pydantic import ConfigDict, TypeAdapter, ValidationError
+from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 
 from recon.base.documents import DAMAGE, KINDS, MAX_UNPACKED, arrays_of, parse_json, problems_of, read_content
 from recon.base.errors import InputError, Problem
@@ -99,6 +99,8 @@ def _plain(value: Any, where: str, arrays: dict[str, np.ndarray], name_of: dict[
         own = type(value)
         named = {CLASS: f"{own.__module__}:{own.__qualname__}"} if dataclasses.is_dataclass(own.__base__) else {}
         return named | {f.name: inside(f.name, getattr(value, f.name)) for f in dataclasses.fields(value) if f.init}
+    if isinstance(value, BaseModel):
+        return value.model_dump(mode="json", by_alias=True)
     if isinstance(value, np.generic):
         return value.item()
     if isinstance(value, Path):
