@@ -34,6 +34,8 @@ BACKGROUND = (18, 21, 27)
 
 CAMERAS, PICTURE, CLOSEUP = "world/camera", "picture", "closeup"
 """Entities of a camera, or of all (`by_camera`)."""
+_FRAMES_AT_ONCE = 4000
+"""Of a long clip what takes most memory is written in pieces."""
 GRID_SPACING_M = 1.0
 CLOSE = 1.1
 """The share of the animal's reach that the close look shows."""
@@ -321,17 +323,20 @@ def write_uncertainty(motion: Motion, log: Log, stands: Bools) -> None:
     stand, (T, F)."""
     joints, flagged = motion.joints_m, np.array([bool(flags) for flags in motion.flags])
     solved = motion.solved & np.isfinite(motion.relative_rms_m)  # the frame method has poses without uncertainty
-    variance, axes = np.linalg.eigh(motion.relative_covariance_m2[solved].reshape(-1, 3, 3))
-    axes[np.linalg.det(axes) < 0, :, 0] *= -1
     of_limb = np.array(limb_colours(motion))[joint_limbs(motion)]
-    colours = np.where(flagged[solved][:, None, None], OUTLIER, of_limb).reshape(-1, 3)
-    columns = rr.Ellipsoids3D.columns(
-        centers=joints[solved].reshape(-1, 3),
-        half_sizes=np.sqrt(np.maximum(variance, 1e-8)),
-        quaternions=Rotation.from_matrix(axes).as_quat(),
-        colors=np.column_stack((colours, np.full(len(colours), 70))).astype(np.uint8),
-    )
-    log.send("world/uncertainty", columns.partition(np.where(solved, joints.shape[1], 0)))
+    for first in range(0, len(joints), _FRAMES_AT_ONCE):
+        rows = slice(first, first + _FRAMES_AT_ONCE)
+        shown = solved[rows]
+        variance, axes = np.linalg.eigh(motion.relative_covariance_m2[rows][shown].reshape(-1, 3, 3))
+        axes[np.linalg.det(axes) < 0, :, 0] *= -1
+        colours = np.where(flagged[rows][shown][:, None, None], OUTLIER, of_limb).reshape(-1, 3)
+        columns = rr.Ellipsoids3D.columns(
+            centers=joints[rows][shown].reshape(-1, 3),
+            half_sizes=np.sqrt(np.maximum(variance, 1e-8)),
+            quaternions=Rotation.from_matrix(axes).as_quat(),
+            colors=np.column_stack((colours, np.full(len(colours), 70))).astype(np.uint8),
+        )
+        log.send("world/uncertainty", columns.partition(np.where(shown, joints.shape[1], 0)), rows)
     style = {"fill_mode": FillMode.MajorWireframe, "line_radii": rr.Radius.ui_points(0.8), "show_labels": False}
     log.fix("world/uncertainty", rr.Ellipsoids3D.from_fields(**style))
 
