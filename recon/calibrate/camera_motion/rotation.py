@@ -225,23 +225,17 @@ def spread(pixels: Array, size_px: tuple[int, int], weights: Array) -> tuple[Arr
 
 
 def agreed_turn(
-    camera: Camera,
-    rays: Array,
-    seen_px: Array,
-    seen_rays: Array,
-    background: Array,
-    zoom: float,
-    *,
-    solve_zoom: bool,
-    limit_px: float,
+    camera: Camera, rays: Array, seen_px: Array, background: Array, zoom: float, solve_zoom: bool, limit_px: float
 ) -> AgreedOrientation | None:
-    """The turn that takes world rays (N, 3) to where they are seen, pixels (N, 2) and rays (N, 3) at about that zoom.
+    """The turn that takes world rays (N, 3) to the pixels (N, 2) where they are seen, all of which have a ray, at about
+    that zoom.
 
-    background: (N,) from 0 to 1, how far each has been background so far. None where too few points agree or they
-    cover too little.
+    background: (N,) from 0 to 1, how far each has been background so far. limit_px: what a point may be off at most.
+    None where too few points agree or they cover too little.
     """
     if len(rays) < MIN_POINTS:
         return None
+    seen_rays, _ = rays_of(camera, seen_px, zoom)
     tried = _tried(rays, seen_rays, seen_px, camera.image_size_px)
     if not len(tried):
         return None
@@ -255,7 +249,7 @@ def agreed_turn(
         if any(np.trace(tried[h] @ other.T) > 1 + 2 * np.cos(2 * angle) for other in looked_at):
             continue
         looked_at.append(tried[h])
-        found = refined(camera, rays, seen_px, Orientation(tried[h], zoom), solve_zoom=solve_zoom, limit_px=limit_px)
+        found = refined(camera, rays, seen_px, Orientation(tried[h], zoom), solve_zoom, limit_px)
         if found is None:
             continue
         c, a = spread(seen_px, camera.image_size_px, (background**2 * found.agree)[None])
@@ -281,7 +275,7 @@ def _axes(a: Array, b: Array) -> Array:
 
 
 def refined(
-    camera: Camera, rays: Array, seen_px: Array, orientation: Orientation, *, solve_zoom: bool, limit_px: float
+    camera: Camera, rays: Array, seen_px: Array, orientation: Orientation, solve_zoom: bool, limit_px: float
 ) -> AgreedOrientation | None:
     """Robust least squares in pixels, from a turn nearby (Tukey's weights, with a limit that follows the scatter)."""
     free = slice(0, 4 if solve_zoom else 3)

@@ -204,16 +204,10 @@ class Tracker:
         for key in keys:
             key.used = number
         seen = seen.where(rays_of(self.camera, seen.pixels, guess.zoom)[1])
-        agreement = self._agreed(seen.rays, seen.pixels, seen.background, guess.zoom, self._limit_px)
+        points = seen.rays, seen.pixels, seen.background
+        agreement = agreed_turn(self.camera, *points, guess.zoom, self.solve_zoom, self._limit_px)
         enough = agreement is not None and agreement.spread > MIN_SUPPORT * self.support
         return (agreement, seen) if agreement is not None and enough else None
-
-    def _agreed(
-        self, rays: Array, pixels: Array, background: Array, zoom: float, limit_px: float
-    ) -> AgreedOrientation | None:
-        there, valid = rays_of(self.camera, pixels, zoom)
-        of_points = rays[valid], pixels[valid], there[valid], background[valid]
-        return agreed_turn(self.camera, *of_points, zoom, solve_zoom=self.solve_zoom, limit_px=limit_px)
 
     def _nearest(self, orientation: Orientation, count: int) -> list[_Keyframe]:
         """Keyframes with a picture that look the same way."""
@@ -248,9 +242,10 @@ class Tracker:
             places.append(pixels[pairs[valid, 1]])
         if not rays:
             return None
-        seen = np.concatenate(places)
-        zoom, limit_px = self.orientations[-1].zoom, 2 * self._limit_px
-        found = self._agreed(np.concatenate(rays), seen, np.ones(len(seen)), zoom, limit_px)
+        zoom, seen = self.orientations[-1].zoom, np.concatenate(places)
+        valid = rays_of(self.camera, seen, zoom)[1]
+        points = np.concatenate(rays)[valid], seen[valid], np.ones(valid.sum())
+        found = agreed_turn(self.camera, *points, zoom, self.solve_zoom, 2 * self._limit_px)
         return None if found is None else found.orientation
 
     # -- what is learnt --
