@@ -74,8 +74,7 @@ class Advice:
 def advise(
     body: Body,
     prior: MotionPrior,
-    angle: str | None = None,
-    joint: str | None = None,
+    of: str | None = None,
     hfov_deg: float = 60.0,
     distance_m: float | None = None,
     cameras: int = 1,
@@ -83,10 +82,10 @@ def advise(
     elevations_rad: Array = ELEVATIONS_RAD,
     progress: Callable[[float], None] = lambda share: None,
 ) -> list[Advice]:
-    """On one camera, or on a second one as well, beside the first in its best place. angle: of the body's states,
-    without its place and heading; joint: a marker; without either, all markers. distance_m: of a camera from the
-    animal's middle, by default `AWAY_LENGTHS`. Raises ValueError for a name that the body lacks, and for a field of
-    view outside (0, 180) degrees."""
+    """On one camera, or on a second one as well, beside the first in its best place. of: an angle of the body's states,
+    without its place and heading, or a marker; None: all markers. distance_m: of a camera from the animal's middle, by
+    default `AWAY_LENGTHS`. Raises ValueError for a name that the body lacks, and for a field of view outside (0, 180)
+    degrees."""
     states, lens = mean_stride(body, prior), Camera.from_hfov(hfov_deg, PICTURE_PX)
     middle = body.tree.pose(states).points_m.mean(axis=(0, 1))
     distance = AWAY_LENGTHS * length_m(body) if distance_m is None else distance_m
@@ -99,10 +98,10 @@ def advise(
             place = float(azimuths_rad[column]), float(elevations_rad[row])
             there = placed(replace(lens, name="there"), middle, *place, distance)
             with threadpool_limits(1, user_api="blas"):
-                grid[row, column] = known(body, prior, states, [*others, there], angle, joint)
+                grid[row, column] = known(body, prior, states, [*others, there], of)
             progress((number + (done + 1) / math.prod(shape)) / cameras)
-        of, unit = angle or joint or "all joints", "m" if angle is None else "rad"
-        found.append(Advice(of, unit, distance, azimuths_rad, elevations_rad, grid[..., 0], grid[..., 1], beside))
+        what = of or "all joints", "rad" if of in body.state_names[4:] else "m", distance
+        found.append(Advice(*what, azimuths_rad, elevations_rad, grid[..., 0], grid[..., 1], beside))
     return found
 
 
@@ -111,8 +110,7 @@ def known(
     prior: MotionPrior,
     states: Array,
     cameras: Sequence[Camera],
-    angle: str | None = None,
-    joint: str | None = None,
+    of: str | None = None,
     options: TrajectoryOptions | None = None,
 ) -> tuple[float, float]:
     """Standard deviation (rad, or m of a joint within the pose) and the pixels' share of the precision, medians over
@@ -129,13 +127,13 @@ def known(
     problem = clip.problem(noise_px, temperature=1.0, around_m=around_m)
     found = Estimate(at_origin, 0.0, 0, True, problem.expected())
     result = posterior(problem, body, found, max(constants.ERROR_TIME_S * FPS, 1.0))
-    if angle is not None:
-        column = body.state_names[3:].index(angle)
+    if of in body.state_names[4:]:
+        column = body.state_names[3:].index(of)
         return (
             float(np.median(np.sqrt(result.angle_variance[0][:, column]))),
             float(np.median(result.angle_data_share[:, column])),
         )
-    which = slice(None) if joint is None else [body.markers.index(joint)]
+    which = slice(None) if of is None else [body.markers.index(of)]
     variance = np.trace(result.relative_covariance_m2[:, which], axis1=2, axis2=3).mean(axis=1)
     return float(np.median(np.sqrt(variance))), float(np.nanmean(result.data_share[which]))
 

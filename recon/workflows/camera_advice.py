@@ -112,8 +112,9 @@ def run_camera_advice(settings: _CameraAdviceSettings, progress: Progress = sile
     )
     motions = load_prior(settings.prior, body)
     require_free_folder(settings.out, (REPORT, TABLE, f"{FIGURE}.png", f"{FIGURE}.svg"), settings.overwrite, "advice")
-    what = picked(settings, "angle", "joint", "hfov_deg", "distance_m", "cameras")
-    found = advise(body, motions, **what, progress=lambda share: progress("cameras", share))
+    setup = picked(settings, "hfov_deg", "distance_m", "cameras")
+    wanted = settings.angle or settings.joint
+    found = advise(body, motions, wanted, **setup, progress=lambda share: progress("cameras", share))
     table = pd.concat([_places(number, advice) for number, advice in enumerate(found, start=1)])
     best = [advice.best[0] * len(advice.azimuths_rad) + advice.best[1] for advice in found]
     report = {
