@@ -46,22 +46,27 @@ NOTES = (
 class _CameraMotionSettings(Settings):
     """The settings of `recon camera-motion`."""
 
-    video: Annotated[Path, Option("The video of a camera that turns, as in clip.mp4.", argument="VIDEO")]
-    camera: Annotated[Path, Option("The camera's calibration, as in camera.toml; its pose is not read.")]
-    out: Annotated[Path, Option("The track for --camera-track, as in track.csv.")]
-    camera_name: Annotated[str | None, Option("Which camera of a file with several.")] = None
-    keypoints: Annotated[Path | None, Option("Keypoints of the animal, which is then no background.")] = None
-    individual: Annotated[str | None, Option("Which animal of a keypoint file with several.")] = None
+    video: Annotated[Path, Option(argument="VIDEO")]
+    """The video of a camera that turns, as in clip.mp4."""
+    camera: Path
+    """The camera's calibration, as in camera.toml; its pose is not read."""
+    out: Path
+    """The track for --camera-track, as in track.csv."""
+    camera_name: str | None = None
+    """Which camera of a file with several."""
+    keypoints: Path | None = None
+    """Keypoints of the animal, which is then no background."""
+    individual: str | None = None
+    """Which animal of a keypoint file with several."""
     first_frame: Annotated[Integer, FIRST_FRAME] = 0
-    tilt_deg: Annotated[
-        Annotated[Number, Field(gt=-90, lt=90)] | None,
-        Option("Degrees that the camera looks down in the first frame. (default: level in the mean of all frames)"),
-    ] = None
-    level_marks: Annotated[
-        Path | None, Option("Instead: a table (kind,frame,x1,y1,x2,y2) of horizons and verticals, as in level.csv.")
-    ] = None
-    zoom: Annotated[bool, Option("The focal length changes; the first frame has the file's.")] = False
-    overwrite: Annotated[bool, Option("Replace the track.")] = False
+    tilt_deg: Annotated[Number, Field(gt=-90, lt=90)] | None = None
+    """Degrees that the camera looks down in the first frame. (default: level in the mean of all frames)"""
+    level_marks: Path | None = None
+    """Instead: a table (kind,frame,x1,y1,x2,y2) of horizons and verticals, as in level.csv."""
+    zoom: bool = False
+    """The focal length changes; the first frame has the file's."""
+    overwrite: bool = False
+    """Replace the track."""
 
     def problems(self) -> Iterator[Problem]:
         if self.tilt_deg is not None and self.level_marks is not None:

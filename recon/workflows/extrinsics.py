@@ -49,17 +49,16 @@ _SETTINGS = (
 class _ExtrinsicsSettings(Settings):
     """The settings of `recon calibrate extrinsics` beside those of the clips."""
 
-    inputs: Annotated[
-        OneOrMore[str],
-        Option("Keypoint files, quoted patterns, folders, or manifests, as for recon batch.", argument="INPUT"),
-    ]
-    out: Annotated[Path, Option("The file of all cameras, as in cameras.toml.")]
-    cameras_by: Annotated[str, Option("Which files are one clip, as for recon batch.", metavar="auto|PATTERN")] = "auto"
-    level_deg: Annotated[
-        Annotated[Number, Field(ge=0.01, le=90)] | None,
-        Option("How far each camera is from level or its tilt, in degrees; 1 with a bubble. (default: 5)"),
-    ] = None
-    overwrite: Annotated[bool, Option("Replace the file.")] = False
+    inputs: Annotated[OneOrMore[str], Option(argument="INPUT")]
+    """Keypoint files, quoted patterns, folders, or manifests, as for recon batch."""
+    out: Path
+    """The file of all cameras, as in cameras.toml."""
+    cameras_by: Annotated[str, Option(metavar="auto|PATTERN")] = "auto"
+    """Which files are one clip, as for recon batch."""
+    level_deg: Annotated[Number, Field(ge=0.01, le=90)] | None = None
+    """How far each camera is from level or its tilt, in degrees; 1 with a bubble. (default: 5)"""
+    overwrite: bool = False
+    """Replace the file."""
 
 
 def extrinsics(
