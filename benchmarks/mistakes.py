@@ -6,11 +6,9 @@ Each run is a folder as in `cheetah_runs.py`, or with one calibration file for e
 file or in what `recon fit` is told, and fitted as it does. Errors are means of the joints' distances, both poses
 centred. Without FOLDER: the cheetah-runs and plate-trials of $RECON_SHARED_DATA, or of ../shared/data; without any
 runs, nothing. --views: every so many of them. --folds: the margin of swaps, chosen on all runs but one, for each of
-them. --varied: what is named in views that are none of those: thinned, halves of them, with noise, with points left
-out, with another run's errors of detections around this one's truth, or fitted with another detector. --bound: which
-exchanges of legs could be told at all, by somebody who knows the poses: those of the reconstruction. --others: what is
-named in untouched clips of other animals: dogs as in `dog.py`, with the prior of the other clips and with each angle on
-its own, and a horse's labels by hand, its camera guessed, of the dog-mocap and the horse-side of $RECON_SHARED_DATA.
+them. --others: what is named in untouched clips of other animals: dogs as in `dog.py`, with the prior of the other
+clips and with each angle on its own, and a horse's labels by hand, its camera guessed, of the dog-mocap and the
+horse-side of $RECON_SHARED_DATA.
 """
 
 from __future__ import annotations
@@ -42,11 +40,11 @@ from recon.animal.prior_fit import fit_prior
 from recon.animal.skeleton_file import builtin_subjects
 from recon.check import Finding, input_findings, mends
 from recon.check.inputs import likelihood
-from recon.check.inputs.likelihood import CLEAR, baseline_of, unlikely
-from recon.check.inputs.swaps import _Stretch, exchanged, pairs_of, swaps
+from recon.check.inputs.likelihood import baseline_of
+from recon.check.inputs.swaps import _Stretch, swaps
 from recon.clip import Source, views_of
 from recon.clip.keypoints import Keypoints, clean
-from recon.fit import TrajectoryOptions, TrajectorySolution, constants, solve_trajectory
+from recon.fit import TrajectoryOptions, TrajectorySolution, solve_trajectory
 from recon.fit.clip_problem import ClipProblem
 from recon.gait.evaluation import centre, joint_errors
 from recon.io.deeplabcut import write_csv
@@ -337,10 +335,10 @@ def least_margin() -> Iterator[None]:
         likelihood.MARGIN = given
 
 
-def margin_rows(view: View, name: str, case: Case, folder: Path, **told: Any) -> list[dict[str, Any]]:
+def margin_rows(view: View, name: str, case: Case, folder: Path) -> list[dict[str, Any]]:
     """For each of `MARGINS`: whether the exchange put in is found, the part of the frames that are named wrongly, and
-    the error of the clip mended over that as it is. told: settings of the fit."""
-    motion, changed = fitted(view, case, folder, **told)
+    the error of the clip mended over that as it is."""
+    motion, changed = fitted(view, case, folder)
     solution, everywhere = motion.solution, np.ones(len(changed), dtype=bool)
     setting = ClipProblem.of(solution.views, motion.body, prior_of(PRIOR), motion.fps, TrajectoryOptions())
     setting = replace(setting, prior_weight=min(segment.prior_weight for segment in solution.segments))
@@ -356,7 +354,7 @@ def margin_rows(view: View, name: str, case: Case, folder: Path, **told: Any) ->
         wrongly[rows] |= not agreed(mended, motion, trial.stretch)
         xy_px[rows] = xy_px[rows][:, places]
         mended = replace(mended, file=replace(mended.file, xy_px=xy_px))
-        again, _ = fitted(mended, CASES["untouched"], folder, **told)
+        again, _ = fitted(mended, CASES["untouched"], folder)
         assert isinstance(solution, TrajectorySolution)
         assert isinstance(again.solution, TrajectorySolution)
         if not mends(again.solution, solution):  # nothing is said of it, and nothing mended
@@ -407,107 +405,7 @@ def print_folds(table: pd.DataFrame) -> None:
         print_row([run, f"{best:.0f}", *shares, f"{part['mended'].max():.2f}", *found, told])
 
 
-# -- views that are none of those --------------------------------------------------------------------------------------
-
-
-def cut(view: View, rows: slice, step: int = 1) -> View:
-    """Every so many of some frames."""
-    of = slice(rows.start, rows.stop, step)
-    file, fps = view.file, view.file.fps
-    assert fps is not None
-    points = replace(
-        file, xy_px=file.xy_px[of], confidence=file.confidence[of], frames=file.frames[: len(file.frames[of])]
-    )
-    return replace(view, file=replace(points, fps=fps / step), truth_m=view.truth_m[of])
-
-
-def at(view: View, xy_px: np.ndarray) -> View:
-    seen = np.where(np.isfinite(xy_px[..., 0]), np.maximum(view.file.confidence, 0.9), 0.0)
-    return replace(view, file=replace(view.file, xy_px=xy_px, confidence=seen))
-
-
-def _extent_px(xy_px: np.ndarray) -> float:
-    return float(np.nanmedian(np.nanmax(xy_px, axis=1) - np.nanmin(xy_px, axis=1)))
-
-
-def with_errors_of(view: View, other: View) -> View:
-    """Detections with another view's errors, as large beside the animal, around the truth."""
-    theirs, ours = (of.lens.project(of.truth_m)[0] for of in (other, view))
-    off = (other.xy_px - theirs) * _extent_px(ours) / _extent_px(theirs)
-    there_and_back = np.concatenate([off, off[::-1]])
-    return at(view, ours + there_and_back[np.arange(len(ours)) % len(there_and_back)])
-
-
-def varied(view: View, other: View) -> Iterator[tuple[str, View, dict[str, Any]]]:
-    """By name, the view, and settings of its fit."""
-    T, xy_px, rng = len(view.xy_px), view.xy_px, view.rng
-    yield "every second frame", cut(view, slice(0, T), 2), {}
-    yield "first half", cut(view, slice(0, T // 2)), {}
-    yield "second half", cut(view, slice(T // 2, T)), {}
-    yield "noise of 2 %", at(view, xy_px + rng.normal(0, 0.02 * _extent_px(xy_px), xy_px.shape)), {}
-    yield "30 % left out", at(view, np.where(rng.uniform(size=(*xy_px.shape[:2], 1)) < 0.3, np.nan, xy_px)), {}
-    yield "another run's errors", with_errors_of(view, other), {}
-    yield "another detector", view, {"detector": "none" if (view.run / "scene.json").is_file() else "acinoset"}
-
-
-def varied_rows(view: View, other: View) -> list[dict[str, Any]]:
-    rows = []
-    for variant, changed, told in varied(view, other):
-        for name in ("untouched", *LEGS.values(), "whole clip exchanged"):
-            with tempfile.TemporaryDirectory() as folder:
-                found = margin_rows(changed, name, CASES[name], Path(folder), **told)
-            rows += [{"variant": variant, **one} for one in found if one["margin"] == likelihood.MARGIN]
-    return rows
-
-
-def print_varied(table: pd.DataFrame) -> None:
-    head = ["variant", "views", "untouched: named wrongly", "worst run", "worst mended / not", "worse than 1.02"]
-    print_header([*head, "exchanged: named wrongly", "worst mended / not", "found", "or one of two"])
-    for variant, rows in [*table.groupby("variant", sort=False), ("all", table)]:
-        is_given = rows["case"] == "untouched"
-        untouched, changed = rows[is_given], rows[~is_given]
-        by_run = untouched.groupby("run")["wrong"].mean().max()
-        given = [f"{untouched['wrong'].mean():.1%}", f"{by_run:.1%}", f"{untouched['mended'].max():.2f}"]
-        worse, told = int((untouched["mended"] > WORSE).sum()), changed["right"] | changed["unclear"]
-        put_in = [f"{changed['wrong'].mean():.1%}", f"{changed['mended'].max():.2f}"]
-        print_row(
-            [variant, len(untouched), *given, worse, *put_in, f"{changed['right'].mean():.0%}", f"{told.mean():.0%}"]
-        )
-
-
-def bound_rows(view: View, folder: Path) -> list[dict[str, Any]]:
-    """By pair of legs: how much likelier the reconstruction's poses make the untouched keypoints than those with the
-    second half exchanged; and of the untouched ones, with which stretch exchanged they are likelier, and how much."""
-    motion, _ = fitted(view, CASES["untouched"], folder)
-    (seen,), sigma_px, T = motion.solution.views, motion.solution.noise_px[0], len(view.xy_px)
-    alike = max(constants.ERROR_TIME_S * motion.fps, 1.0)
-    projected, _ = view.lens.project(view.truth_m)
-
-    def misfit(stretch: _Stretch) -> float:
-        return unlikely(exchanged(seen, stretch), projected, sigma_px, alike)
-
-    rows = []
-    for name in LEGS:
-        places = pairs_of(motion.body)[name]
-        as_it_is = misfit(_Stretch(slice(0, 0), places))
-        told = misfit(_Stretch(slice(_half(view), T), places)) - as_it_is
-        gains = {
-            (a, b): as_it_is - misfit(_Stretch(slice(a, b), places)) for a in range(T) for b in range(a + 1, T + 1)
-        }
-        (first, stop), gain = max(gains.items(), key=lambda one: one[1])
-        rows.append({"run": view.run.name, "cam": view.camera, "legs": name, "told": told, "gain": gain})
-        rows[-1]["part"] = (stop - first) / T
-    return rows
-
-
-def print_bound(table: pd.DataFrame) -> None:
-    print_header(["likelier by", "fore legs", "hind legs", "untouched frames"])
-    for least in (0.0, np.log(20.0), CLEAR):
-        told = [f"{int((of['told'] > least).sum())} of {len(of)}" for _, of in table.groupby("legs")]
-        named = (table["part"] * (table["gain"] > least)).groupby(table["legs"]).mean().sum()
-        print_row([f"{np.exp(least):.0f} times", *told, f"{named:.1%}"])
-    lost = table[table["told"] <= CLEAR]
-    print("\nNot clear: " + ", ".join(f"{r.run} cam{r.cam} {r.legs} {r.told:.1f}" for r in lost.itertuples()) + ".")
+# -- other animals -----------------------------------------------------------------------------------------------------
 
 
 def dog_rows(folder: Path) -> list[dict[str, Any]]:
@@ -557,9 +455,7 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=0, help="from this view on")
     parser.add_argument("--only", help="cases whose name has this in it")
     parser.add_argument("--folds", action="store_true", help="choose the margin, leaving runs out")
-    parser.add_argument("--varied", action="store_true", help="what is named in views that are none of those")
     parser.add_argument("--others", action="store_true", help="what is named in clips of other animals")
-    parser.add_argument("--bound", action="store_true", help="what could be told by the poses of the reconstruction")
     parser.add_argument("--csv", type=Path, help="write all rows here")
     arguments = parser.parse_args()
     runs = sorted(p.parent for folder in arguments.folder for p in folder.glob("*/meta.json"))
@@ -570,24 +466,17 @@ def main() -> None:
         return
     views = [(run, camera) for run in runs for camera in meta_of(run)["cameras"]]
     rows = []
-    for number, (run, camera) in enumerate(views[arguments.first :: arguments.views]):
+    for run, camera in views[arguments.first :: arguments.views]:
         view = of_run(run, camera)
         if arguments.folds:
             with tempfile.TemporaryDirectory() as folder:
                 rows += [row for name in FOLDED for row in margin_rows(view, name, CASES[name], Path(folder))]
-        elif arguments.varied:
-            elsewhere = [one for one in views if one[0] != run]
-            rows += varied_rows(view, of_run(*elsewhere[7 * number % len(elsewhere)]))
-        elif arguments.bound:
-            with tempfile.TemporaryDirectory() as folder:
-                rows += bound_rows(view, Path(folder))
         else:
             rows += rows_of(view, arguments.only)
     table = pd.DataFrame(rows)
     if arguments.csv:
         table.to_csv(arguments.csv, index=False)
-    chosen = {"folds": print_folds, "varied": print_varied, "bound": print_bound}
-    next((show for name, show in chosen.items() if getattr(arguments, name)), print_tables)(table)
+    (print_folds if arguments.folds else print_tables)(table)
 
 
 if __name__ == "__main__":
