@@ -87,6 +87,10 @@ def whole_results(made_once) -> Path:
 
 @pytest.fixture
 def fitted_demo(whole_results: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    fit_demo_from(whole_results, monkeypatch)
+
+
+def fit_demo_from(whole_results: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """`recon demo` has its fit from `whole_results`, and makes no page: `test_demo` does both."""
 
     def copied(settings: FitSettings, out: Path, *more: object) -> dict[str, Any]:
@@ -113,11 +117,6 @@ def draw_two_methods(patch: pytest.MonkeyPatch) -> None:
         write_ik_figures(replace(solved, runs=two), folder)
 
     patch.setattr(ik_clip, "write_figures", of_two)
-
-
-@pytest.fixture
-def two_methods_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
-    draw_two_methods(monkeypatch)
 
 
 @pytest.fixture(scope="session")

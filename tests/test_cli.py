@@ -656,7 +656,7 @@ def test_options_that_cannot_be_parsed(args):
         ),
         (run, fit_args(Path("a/b"), fps=0), "error: --fps: found '0', expected "),
         (run, ["evaluate", "no.csv", TRUTH], "error: no.csv: file: found no such file, expected "),
-        (run_process, ["view", "no"], "error: no/motion.rrd: file: found no such file, expected "),
+        (run, ["view", "no"], "error: no/motion.rrd: file: found no such file, expected "),
     ],
 )
 def test_bad_input_is_one_line(start, args, message, tmp_path, monkeypatch):

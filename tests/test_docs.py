@@ -27,10 +27,11 @@ from urllib.parse import unquote, urlsplit
 import pytest
 import typer
 from command_line import carry_out_here, copy_results, run
-from conftest import draw_small
+from conftest import draw_small, fit_demo_from
 from docs_files import FILES, OF_PAGE
 
 from recon import find_clips
+from recon.thesis import solver
 from recon.workflows import app
 from recon.workflows import commands as commands_of_recon
 
@@ -207,6 +208,8 @@ def folder_after(made_once, whole_results, of_results) -> Callable[[Path, int], 
                 patch.chdir(folder)
                 draw_small(patch)
                 patch.setattr("recon.workflows.batch.carry_out", carry_out_here)
+                fit_demo_from(whole_results, patch)
+                patch.setattr(solver, "FIGURES", solver.FIGURES[:1])  # test_solver_analysis.py draws all
                 do(steps(page)[count - 1], Workshop(folder, name_of(page), whole_results, of_results))
 
         return made_once(re.sub(r"\W+", "-", f"{name_of(page)}-{count}"), make)

@@ -166,10 +166,9 @@ def test_both_jobs_with_all_methods(folder):
     assert pd.read_csv(folder / "ik" / "target.csv").set_index("method").loc["damped", "reached"] == "yes"
 
 
-@pytest.mark.usefixtures("two_methods_drawn")
 def test_rates_for_control(folder, tmp_path):
     """Of every method and joint over the animal's time; those of a path that closes meet at its ends."""
-    options = {"compare": True, "dim": 2, "limits": False, "out": tmp_path / "a"}
+    options = {"compare": True, "dim": 2, "limits": False, "figures": False, "out": tmp_path / "a"}
     done = run_ik(IkSettings(folder=folder, **options))
     begins_s, stride = done.limb.first_s + done.stride.start_s, done.stride
     for name in METHODS:
@@ -186,11 +185,16 @@ def test_rates_for_control(folder, tmp_path):
             if name == "extended-energy":
                 assert abs(rate[0] - rate[-1]) < 0.01 * np.ptp(rate)
                 assert abs(acceleration[0] - acceleration[-1]) < 0.1 * np.abs(acceleration).max()
-    for name in METHODS[:2]:
-        assert (tmp_path / "a" / f"follow_phase_{name}.svg").is_file()
     drive = done.runs["target"]["damped"]
     target = pd.read_csv(tmp_path / "a" / "target_damped.csv")
     assert target["time_s"].iloc[-1] == pytest.approx(drive.iterations / 90)
+
+
+def test_a_comparison_has_a_figure_of_each_method(of_results):
+    """Of the two that are drawn."""
+    _, ran_in = of_results("recon ik results/clip --compare")
+    for name in METHODS[:2]:
+        assert (ran_in / "results" / "clip" / "ik" / f"follow_phase_{name}.svg").is_file()
 
 
 def test_a_cost_of_ones_own_a_factor_and_parameters_of_each_frame(folder):

@@ -480,6 +480,7 @@ def test_every_fault_is_named(tmp_path):
         check_skeleton("unicorn")
 
 
+@pytest.mark.usefixtures("small_pictures")
 def test_pictures(tmp_path):
     file, out = in_file(tmp_path, CAT), tmp_path / "pictures"
     skeleton_check(_SkeletonCheckSettings(skeleton=str(file), out=out), as_json=True)
