@@ -17,6 +17,7 @@ from recon import Body, Motion
 from recon.animal.capsules import capsules, middles_m
 from recon.gait.clip import ClipAnalysis
 from recon.gait.dynamics import G_M_S2, MEAN_OF_PEAK, shape
+from recon.gait.kinematics import at_frames
 from recon.geometry.kinematics import PITCH, ROOT
 
 FINE = 4096
@@ -167,16 +168,16 @@ def difference(run: Run, found: ClipAnalysis) -> Difference:
             off.append((force[:, 0] - true)[stands])
             timed.append((peak * shape(into) - true)[stands])
             inside.append(((force[:, 1] <= true) & (true <= force[:, 2]))[stands])
-    at_frames = d.centre.series.at_frames()
+    series = at_frames(d.centre.series)
     inner, energy = slice(2, -2), d.energy_j_kg
     moves = {
-        "kinetic_forwards": np.full(len(at_frames.time_s), run.speed_m_s),
-        "kinetic_up": run.height_m(at_frames.time_s, 1),
+        "kinetic_forwards": np.full(len(series.time_s), run.speed_m_s),
+        "kinetic_up": run.height_m(series.time_s, 1),
     }
     step = d.centre.series.oversampling
     kinetic = [np.abs(energy[name][::step] - rate**2 / 2)[inner].max() for name, rate in moves.items()]
     return Difference(
-        centre_m=float(np.abs(at_frames.value - centre_m(found.motion.body, found.motion.states)).max()),
+        centre_m=float(np.abs(series.value - centre_m(found.motion.body, found.motion.states)).max()),
         kinetic_j_kg=float(max(kinetic)),
         rms_bw=float(np.sqrt(np.mean(np.concatenate(off) ** 2))),
         timed_rms_bw=float(np.sqrt(np.mean(np.concatenate(timed) ** 2))),

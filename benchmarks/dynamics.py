@@ -153,7 +153,7 @@ def cheetahs() -> list[ClipAnalysis]:
                 camera_name=(f"cam{camera}",),
                 fps=about["fps"],
             )
-            found.append(analyse(fit_clip(view), lean=True))
+            found.append(analyse(fit_clip(view)))
     return found
 
 
@@ -163,7 +163,7 @@ def dog_rows() -> list[list[str]]:
     with tempfile.TemporaryDirectory() as written:
         for seed, clip in enumerate(read_clips(folder) if folder.is_dir() else ()):
             motion = fit_clip(write_view(clip, Path(written), seed)[0])
-            found = ClipAnalysis(motion, lean=True)
+            found = ClipAnalysis(motion)
             true_m = clip.markers(body)[motion.frames][:, body.markers.index(motion.reference)]
             moved, d = found.reference_motion, found.dynamics
             assert moved.speed_sigma_m_s is not None
@@ -220,7 +220,7 @@ def main() -> None:
                             fps=about["fps"],
                         )
                     )
-                    found += against_plates(run, analyse(motion, lean=True), about["fps"])
+                    found += against_plates(run, analyse(motion), about["fps"])
         if found:
             table = pd.DataFrame(found)
             tables.append((kind, table))

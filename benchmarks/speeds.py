@@ -20,7 +20,7 @@ from recordings import recordings
 
 from recon import FitSettings, Motion, Pose3D, fit_clip, read_pose3d
 from recon.gait.clip import ClipAnalysis
-from recon.gait.kinematics import frame_times, net_acceleration, series_kinematics
+from recon.gait.kinematics import at_frames, frame_times, net_acceleration, series_kinematics
 
 METHODS = {"frame": {"method": "frame", "skeleton": "cheetah-8u"}, "trajectory": {}}
 
@@ -29,7 +29,7 @@ def measured(motion: Motion, truth: Pose3D) -> tuple[float, float, float, float,
     """Error and stated deviation of the velocity, their quotient's root mean square, error of the net acceleration and
     its deviation, and whether the speed is said to be known."""
     said = ClipAnalysis(motion)
-    series = said.reference_motion.series.at_frames()
+    series = at_frames(said.reference_motion.series)
     at = truth.names.index(motion.reference)
     _, here, there = np.intersect1d(motion.frames, truth.frames, return_indices=True)
     time_s = frame_times(truth.frames, motion.fps)

@@ -17,6 +17,7 @@ from command_line import run
 from recon import ClipAnalysis, InputError, analyse
 from recon.fit import Motion
 from recon.gait import joint_kinematics, limb_chains
+from recon.gait.kinematics import at_frames
 from recon.io import read_pose3d
 from recon.show import build_report
 from recon.show.export import analysis_csv
@@ -70,9 +71,10 @@ def test_stated_velocity_errors_have_the_size_of_the_true_ones(whole):
     truth = read_pose3d(SAMPLES / "whole_truth.csv").xyz_m
     z = []
     for j, moved in enumerate(whole.joints.values()):
-        assert moved.series.rate_sigma is not None
+        series = at_frames(moved.series)
+        assert series.rate_sigma is not None
         true = (truth[2:, j] - truth[:-2, j]) * 30
-        z.append((moved.series.rate[10:-10:10] - true) / moved.series.rate_sigma[10:-10:10])
+        z.append((series.rate[1:-1] - true) / series.rate_sigma[1:-1])
     assert 0.3 < np.sqrt(np.mean(np.square(z))) < 1.5
 
 
@@ -84,7 +86,7 @@ def test_a_place_that_moves_as_a_whole_turns_no_angle(whole):
     points = whole.pose.xyz_m[:, [whole.pose.names.index(n) for n in ("l_hip", "l_back_knee", "l_back_ankle")]]
     u, v = points[:, 0] - points[:, 1], points[:, 2] - points[:, 1]
     cosine = np.sum(u * v, axis=1) / np.linalg.norm(u, axis=1) / np.linalg.norm(v, axis=1)
-    np.testing.assert_allclose(knee.series.value[::10, 0], np.arccos(cosine), atol=1e-9)
+    np.testing.assert_allclose(knee.series.value[:, 0], np.arccos(cosine), atol=1e-9)
 
 
 def test_chains_begin_with_the_trunk(whole, one_sided):
@@ -109,10 +111,11 @@ def test_events_are_near_those_of_the_true_joints(whole, tables):
     np.testing.assert_allclose(ground["start_frame"], 60 * ground["start_s"], atol=1e-9)
     np.testing.assert_allclose(ground["duration_s"], ground["end_s"] - ground["start_s"])
     # A foot that stands goes slowly: less than a quarter of the body's speed at the middle of its stance.
-    for row in ground.itertuples():
-        moved = whole.joints[str(row.joint)]
-        at = int(np.argmin(np.abs(moved.series.time_s - (row.start_s + row.end_s) / 2)))  # pyright: ignore[reportOperatorIssue]
-        assert np.linalg.norm(moved.series.rate[at, :2]) < 0.25 * whole.joints["spine"].speed_m_s[at]
+    tracks = whole.gait.tracks
+    for row in ground.to_dict("records"):
+        at = int(np.argmin(np.abs(tracks.time_s - (row["start_s"] + row["end_s"]) / 2)))
+        of_foot = tracks.foot_speed_m_s[at, tracks.feet.index(row["foot"])]
+        assert of_foot < 0.25 * whole.joints["spine"].speed_m_s[at]
 
 
 def test_strides_and_closures(whole, tables):
@@ -313,16 +316,6 @@ def test_command_says_what_is_missing(frame_results, tmp_path):
     assert "no such folder" in nothing.err
     file = run("analyse", SAMPLES / "whole.csv")
     assert "found a file, expected the folder of results that `recon fit` wrote" in file.err
-
-
-def test_lean_holds_what_is_written_all_the_same(whole, whole_results, tables, tmp_path):
-    lean = analyse(Motion.load(whole_results), lean=True)
-    analysis_csv.write(lean, tmp_path)
-    for path in tmp_path.iterdir():
-        pd.testing.assert_frame_equal(pd.read_csv(path), tables[path.stem])
-    assert {name: moved.series.oversampling for name, moved in lean.joints.items()} == {
-        name: 10 if name == lean.reference else 1 for name in whole.joints
-    }
 
 
 def test_quiet_prints_nothing_and_many_stances_are_not_listed(whole_results, tmp_path, monkeypatch):

@@ -91,7 +91,7 @@ def test_forces_of_a_stride_carry_the_body(found: ClipAnalysis):
     assert d is not None
     assert gait is not None
     by_foot = d.forces.groupby("foot")["impulse_bw_s"].mean()
-    assert by_foot.sum() == pytest.approx(gait.stride_s, rel=1e-9)
+    assert by_foot.sum() == pytest.approx(gait.stride_s, rel=1e-3)  # each stance's is that of the strides at its time
     assert len(d.forces)
     for force in d.forces.to_dict("records"):
         time_s = gait.tracks.time_s

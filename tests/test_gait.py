@@ -291,6 +291,17 @@ def test_gaits_in_less_than_a_stride_are_named_right_or_not_at_all(name):
         assert names in ({name}, {name, "unknown"})
 
 
+def test_a_stride_across_standing_still_is_none():
+    """The animal stops for a second while all its feet stand, and goes on."""
+    pose, at = runner(PATTERNS["trot"][0], 0.65), 56
+    assert np.ptp(pose.xyz_m[at - 1 : at + 2, :4], axis=0).max() < 1e-9
+    stops = np.concatenate([pose.xyz_m[:at], np.repeat(pose.xyz_m[at : at + 1], 90, axis=0), pose.xyz_m[at:]])
+    went, stopped = (gait(pose_tracks(Pose3D(NAMES, m, np.arange(len(m))), FPS)) for m in (pose.xyz_m, stops))
+    assert len(stopped.strides) == len(went.strides) - 4
+    assert stopped.stride_s == pytest.approx(went.stride_s, rel=0.01)
+    assert stopped.doubtful == ()
+
+
 def test_an_animal_that_stands_has_no_gait():
     pose = runner(*PATTERNS["trot"], n=20)
     still = replace(pose, xyz_m=np.tile(pose.xyz_m[:1], (20, 1, 1)))

@@ -5,14 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from gallop import gallop
-from scipy.interpolate import make_smoothing_spline
 
 from recon import InputError
 from recon.gait import Errors, angle_kinematics, joint_kinematics, point_kinematics
 from recon.gait.kinematics import (
     _curve,
+    _discrepancy_lam,
     _evaluate,
-    _smoothed,
     angle_between,
     angle_sigma,
     frame_times,
@@ -45,7 +44,6 @@ def test_circle():
     assert moved.distance_m == pytest.approx(3 * TIME_S[-1], rel=1e-5)
     assert moved.mean_speed_m_s == pytest.approx(3.0, rel=1e-5)
     assert moved.speed_sigma_m_s is None
-    assert moved.series.lam is None
 
 
 def test_parabola_is_exact():
@@ -63,11 +61,11 @@ def test_gaps_split_and_nothing_is_extrapolated():
     points = parabola(TIME_S)
     points[:2], points[10:12], points[20:40], points[-3:, 1] = np.nan, np.nan, np.nan, np.nan
     moved = point_kinematics(TIME_S, points)
-    assert moved.series.spans == ((2, 19), (40, 56))
     known = np.isfinite(moved.speed_m_s)
     np.testing.assert_array_equal(np.flatnonzero(known), np.r_[20:191, 400:561])
     np.testing.assert_allclose(moved.series.value[known], parabola(moved.series.time_s[known]), atol=1e-12)
-    assert point_kinematics(TIME_S, points, max_gap_s=0.04).series.spans == ((2, 9), (12, 19), (40, 56))
+    known = np.isfinite(point_kinematics(TIME_S, points, max_gap_s=0.04).speed_m_s)
+    np.testing.assert_array_equal(np.flatnonzero(known), np.r_[20:91, 120:191, 400:561])
 
 
 @pytest.mark.parametrize("known", [0, 1, 3])
@@ -75,7 +73,6 @@ def test_too_few_points_give_nan(known):
     points = parabola(TIME_S)
     points[known:] = np.nan
     moved = point_kinematics(TIME_S, points, [Errors(np.full((60, 3), 0.01))])
-    assert moved.series.spans == ()
     assert np.isnan(moved.speed_m_s).all()
     assert np.isnan([moved.distance_m, moved.mean_speed_m_s, moved.peak_speed_m_s, moved.peak_speed_time_s]).all()
 
@@ -95,8 +92,9 @@ def test_deviations_are_those_of_many_draws(smooth, correlation_s):
         time_s, np.sin(20 * time_s)[:, None] + noise[:, :1], [Errors(sigma, correlation_s)], smooth=smooth
     )
     if smooth:
-        assert given.lam is not None
-        drawn = _evaluate(_curve(time_s, noise, 1 / sigma[:, 0], given.lam[0, 0]), given.time_s)
+        weight = 1 / sigma[:, 0]
+        lam = _discrepancy_lam(time_s, np.sin(20 * time_s) + noise[:, 0], weight)
+        drawn = _evaluate(_curve(time_s, noise, weight, lam), given.time_s)
     else:
         many = series_kinematics(time_s, noise)
         drawn = np.stack([many.value, many.rate, many.acceleration])
@@ -140,7 +138,6 @@ def test_smoothing_takes_out_what_it_is_told():
     sigma = np.full((60, 3), 0.01)
     noisy = circle(TIME_S) + np.random.default_rng(1).normal(0, 0.01, (60, 3))
     exact, smooth = (point_kinematics(TIME_S, noisy, [Errors(sigma)], smooth=s) for s in (False, True))
-    assert smooth.series.lam is not None
     chi2 = np.mean(((smooth.series.value[::10] - noisy) / sigma)[:, :2] ** 2, axis=0)
     np.testing.assert_allclose(chi2, 1.0, atol=0.01)
     assert np.sqrt(np.mean((exact.speed_m_s - 3) ** 2)) > 0.5
@@ -242,26 +239,5 @@ def test_bad_input():
     assert len(error.value.problems) == 2
     with pytest.raises(ValueError, match="positive frame rate"):
         frame_times(np.arange(3), 0.0)
-    with pytest.raises(ValueError, match="times must increase"):
+    with pytest.raises(ValueError, match="strictly increasing"):
         point_kinematics(TIME_S[::-1], circle(TIME_S))
-    with pytest.raises(ValueError, match="values"):
-        series_kinematics(TIME_S, TIME_S)
-    with pytest.raises(ValueError, match="must be positive"):
-        point_kinematics(TIME_S, circle(TIME_S), [Errors(np.zeros((60, 3)))])
-
-
-@pytest.mark.parametrize("points", [5, 6, 60])
-@pytest.mark.parametrize("lam", [1e-12, 1e-5, 1e-1])
-def test_the_smoothing_spline_is_scipys(points, lam):
-    """At uneven times, with uneven weights."""
-    rng = np.random.default_rng(points)
-    time_s, values = np.cumsum(rng.choice([1 / 120, 1 / 60, 0.1], points)), rng.normal(size=(points, 2))
-    weight = rng.uniform(0.5, 2.0, points)
-    ours = _curve(time_s, values, weight, lam)
-    for k, column in enumerate(values.T):
-        theirs = make_smoothing_spline(time_s, column, w=weight**2, lam=lam)
-        np.testing.assert_allclose(_smoothed(time_s, values, weight, lam)[:, k], theirs(time_s), atol=1e-8)
-        at = np.linspace(time_s[0], time_s[-1], 100)
-        for order in range(3):
-            known = theirs(at, nu=order)
-            np.testing.assert_allclose(ours(at, order)[:, k], known, atol=1e-6 * np.abs(known).max())

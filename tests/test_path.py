@@ -176,7 +176,7 @@ def test_no_jitter():
 
 
 def test_times_must_increase():
-    with pytest.raises(ValueError, match="times must increase"):
+    with pytest.raises(ValueError, match="strictly increasing"):
         point_kinematics(TIME_S[::-1], straight(TIME_S))
 
 

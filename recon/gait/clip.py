@@ -33,6 +33,7 @@ from recon.gait.kinematics import (
     Errors,
     JointKinematics,
     angle_kinematics,
+    at_frames,
     jitter_errors,
     joint_angle,
     joint_kinematics,
@@ -71,8 +72,6 @@ class ClipAnalysis:
     motion: Motion
     given: Stride | None = None
     """A stride, if the user gave one."""
-    lean: bool = False
-    """Whether the series of joints other than the reference, and of the angles at them, hold the frames only."""
     body_mass_kg: float | None = None
     """What the animal weighs, if that is known."""
 
@@ -98,12 +97,9 @@ class ClipAnalysis:
 
     @cached_property
     def joints(self) -> dict[str, JointKinematics]:
-        """The motion of each joint, by its name."""
-        found = {}
-        for name in self.motion.upright.names:
-            moved = self.reference_motion if name == self.reference else self._moved(name)
-            found[name] = moved.at_frames() if self.lean and name != self.reference else moved
-        return found
+        """The motion of each joint, by its name; but for the reference at the frames only, as it takes much memory."""
+        others = {name: at_frames(self._moved(name)) for name in self.motion.upright.names if name != self.reference}
+        return {name: others.get(name, self.reference_motion) for name in self.motion.upright.names}
 
     def _moved(self, name: str) -> JointKinematics:
         motion = self.motion
@@ -111,15 +107,15 @@ class ClipAnalysis:
 
     @cached_property
     def angles(self) -> dict[str, AngleKinematics]:
-        """The angle at every inner joint of a chain and the flexion of the spine, where the skeleton has one."""
+        """The angle at every inner joint of a chain, at the frames, and the flexion of the spine, if there is one."""
         # A common displacement of all joints turns none of the angles.
         errors = () if self.motion.jitters else _errors(self.motion)[1:]
         found, fps, (rear, front) = {}, self.motion.fps, self.motion.forward_names
         for along in limb_chains(self.motion).values():
             for i in range(1, len(along) - 1):
                 if along[i] not in found:
-                    angle = joint_angle(self.pose, (along[i - 1], along[i], along[i + 1]), fps, errors)
-                    found[along[i]] = angle.at_frames() if self.lean else angle
+                    joints = along[i - 1], along[i], along[i + 1]
+                    found[along[i]] = at_frames(joint_angle(self.pose, joints, fps, errors))
             if {rear, front} <= {*along}:
                 first, last = sorted((along.index(rear), along.index(front)))
                 if between := along[first + 1 : last]:
@@ -241,11 +237,10 @@ class ClipAnalysis:
         return {name: closure(portrait) for name, portrait in known.items()}
 
 
-def analyse(motion: Motion, stride_s: tuple[float, float] | None = None, lean: bool = False) -> ClipAnalysis:
+def analyse(motion: Motion, stride_s: tuple[float, float] | None = None) -> ClipAnalysis:
     """What a motion says.
 
-    stride_s: from when to when a stride lasts; None: one that is found. lean: the series of joints other than the
-    reference, and of the angles at them, hold the frames only, which takes a third of the memory.
+    stride_s: from when to when a stride lasts; None: one that is found.
 
     Raises InputError for a clip with fewer than four frames with a pose, or a stride that it does not hold.
     """
@@ -254,7 +249,7 @@ def analyse(motion: Motion, stride_s: tuple[float, float] | None = None, lean: b
     if known.sum() < MIN_POINTS:
         found = f"{known.sum()} frames with a pose"
         raise InputError(Problem(motion.file, "frames", found, f"at least {MIN_POINTS}"))
-    return ClipAnalysis(motion, given, lean)
+    return ClipAnalysis(motion, given)
 
 
 def stride_given(motion: Motion, stride_s: tuple[float, float]) -> Stride:

@@ -9,8 +9,8 @@ body weights off even from several cameras. Instead each stance has a shape,
     F(s) = peak * sin(pi s^SKEW),  s from 0 at touch-down to 1 at lift-off,
 
 and all stances of a stride together the impulse of the body's weight over it, as over a level stride the height comes
-back. The stride's time is the gait's. Fore and hind feet share it as `FORE` says, feet of a pair
-alike but for `FOOT`. Intervals come from draws of all of these and of the stances' times, and so does the force at an
+back. The stride's time is that of the strides at a stance's time. Fore and hind feet share it as `FORE` says, feet of a
+pair alike but for `FOOT`. Intervals come from draws of all of these and of the stances' times, and so does the force at an
 instant, their mean: its maximum is lower than the peak, whose time is not known exactly. Shape, shares and spreads
 are those of force plates under two galloping cheetahs (`benchmarks/dynamics.py`); another animal's, or gait's, may
 differ by more. There are no joint torques: their intervals would be wider than the values.
@@ -56,6 +56,8 @@ twice the spread."""
 FOOT = 0.4
 """One sigma of the logarithm by which a foot's impulse differs from its pair's mean."""
 DRAWS, SEED = 400, 0
+NODES = 61
+"""Instants of a stance and what is about it at which the force is drawn; in between it is interpolated."""
 FLIGHT_FRAMES, OFF_GRAVITY = 5, 3.0
 """Fewer frames of a flight tell no acceleration; and how many standard deviations from gravity's are a finding."""
 MASS_LASTS_S = 10.0
@@ -128,14 +130,19 @@ def dynamics(motion: Motion, gait: Gait | None, errors: Sequence[Errors]) -> Dyn
     by_pose = [Errors(np.sqrt(np.mean(e.sigma[:, ends] ** 2, axis=1)), e.correlation_s) for e in errors]
     by_mass = Errors(np.maximum(np.sqrt(np.einsum("tsk,s->tk", apart_m**2, sigma**2)), 1e-6), MASS_LASTS_S)
     centre = point_kinematics(motion.time_s, centre_m, [*by_pose, by_mass] if errors else ())
-    about = series_kinematics(motion.time_s, (rods_m - centre_m[:, None, None]).reshape(len(rods_m), -1))
+    # What turns about the centre is worked out at frames: the rods' paths on the fine grid would take far longer.
+    of_rods_m = (rods_m - centre_m[:, None, None]).reshape(len(rods_m), -1)
+    about = series_kinematics(motion.time_s, of_rods_m, oversampling=1)
     value, rate = (of.reshape(len(of), -1, 3) for of in (about.value, about.rate))
     of_ends = np.repeat(share / 2, 2)
+    internal = 0.5 * np.sum(rate**2, axis=2) @ of_ends
+    momentum = np.einsum("nsk,s->nk", np.cross(value, rate), of_ends)
+    turning = series_kinematics(motion.time_s, np.column_stack([internal, momentum])).value
     forces, force = _forces(gait)
     return Dynamics(
         centre=centre,
-        internal_j_kg=0.5 * np.sum(rate**2, axis=2) @ of_ends,
-        angular_momentum=np.einsum("nsk,s->nk", np.cross(value, rate), of_ends),
+        internal_j_kg=turning[:, 0],
+        angular_momentum=turning[:, 1:],
         ground_m=centre.series.value[:, 2] - gait.tracks.above_ground(centre.series.value),
         forces=forces,
         force=force,
@@ -190,14 +197,12 @@ def _drawn(gait: Gait) -> tuple[Array, Array, Array]:
     fore = np.clip((FORE if known else 0.5) + (FORE_SIGMA if known else 2 * FORE_SIGMA) * normal(1)[:, 0], 0.1, 0.9)
     factor = np.exp(FOOT * normal(len(feet)))
     is_fore = np.array([foot.endswith("F") for foot in feet])
-    share = np.where(is_fore, fore[:, None], 1 - fore[:, None]) * factor
-    for side in (is_fore, ~is_fore):  # a pair has what it has
-        if side.any():
-            of_pair = fore if side is is_fore else 1 - fore
-            share[:, side] *= (of_pair / share[:, side].sum(axis=1))[:, None]
-    period = np.maximum(gait.stride_s + gait.stride_sigma_s * normal(1), 0.2 * gait.stride_s)
+    together = np.stack([factor[:, is_fore == fore_too].sum(axis=1) for fore_too in is_fore], axis=1)
+    share = np.where(is_fore, fore[:, None], 1 - fore[:, None]) * factor / together  # a pair has what it has
+    lasts, lasts_sigma = np.array([gait.stride_time(s.start_s, s.end_s) for s in stances]).reshape(S, 2).T
+    period = np.maximum(lasts + lasts_sigma * normal(1), 0.2 * lasts)
     of_foot = np.array([feet.index(s.foot) for s in stances], dtype=int)
-    return starts, ends, (share * period)[:, of_foot]
+    return starts, ends, share[:, of_foot] * period
 
 
 FORCE_COLUMNS = (
@@ -218,12 +223,15 @@ def _forces(gait: Gait) -> tuple[pd.DataFrame, dict[str, Array]]:
     for i, stance in enumerate(gait.stances):
         whole = stance.begins and stance.ends
         reach = 4 * max(stance.start_sigma_s, stance.end_sigma_s) if whole else 0.0
-        near = np.flatnonzero((time_s >= stance.start_s - reach) & (time_s <= stance.end_s + reach))
+        first, last = stance.start_s - reach, stance.end_s + reach
+        near = slice(*np.searchsorted(time_s, [first, np.nextafter(last, np.inf)]))
         if not whole:
             force[stance.foot][near] = np.nan
             continue
-        drawn = peaks[1:, i, None] * shape((time_s[near] - starts[1:, i, None]) / (ends - starts)[1:, i, None])
-        force[stance.foot][near] += np.stack([drawn.mean(axis=0), *np.quantile(drawn, _ENDS, axis=0)], axis=1)
+        some_s = np.linspace(first, last, NODES)
+        drawn = peaks[1:, i, None] * shape((some_s - starts[1:, i, None]) / (ends - starts)[1:, i, None])
+        for k, of_draws in enumerate((drawn.mean(axis=0), *np.quantile(drawn, _ENDS, axis=0))):
+            force[stance.foot][near, k] += np.interp(time_s[near], some_s, of_draws)
         if np.isfinite(impulses[0, i]):
             peak, impulse = ((of[0, i], *np.quantile(of[1:, i], _ENDS)) for of in (peaks, impulses))
             rows.append((stance.foot, stance.start_s, stance.end_s, *map(float, (*peak, *impulse))))

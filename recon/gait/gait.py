@@ -18,14 +18,16 @@ Tukey weights; clips of a few strides hardly fix its slope across the track, so 
 `SLOPE_SIGMA`. Every segment of a clip, a stretch that was reconstructed by itself, has a plane of its own. Where no
 foot is slow, or the slow ones are `LOW[0]` of the leg off a plane, the ground cannot be told, and there are no stances.
 
-Events' standard deviations: a foot's speed is known to what the path's errors leave, and the speed at which it lands or
-lifts to `EVENT_SIGMAS` of that in the swing; both over the foot's acceleration at the event are a time. No event is
-further off than the stance's middle. What stances and intervals are worth against force plates and motion capture:
+Events' standard deviations: a foot's speed is known to what the path's errors leave, as much of their stated deviation
+as standing feet seem to move by in nine of ten instants (`Tracks.unrest`); and the speed at which it lands or lifts to
+`EVENT_SIGMAS` of that in the swing. Both over the foot's acceleration at the event are a time. No event is further off
+than the stance's middle. What stances and intervals are worth against force plates and motion capture:
 `benchmarks/gait.py`.
 
 The leg's length is the body's median height above the ground, the length of Froude numbers.
 
-Strides: a stance that was missed makes two strides one, and a stance that was cut makes one two. A stride counts if it
+Strides: across half a stride or more in which all four feet stand there is none: the animal stands still. A stance
+that was missed makes two strides one, and a stance that was cut makes one two. A stride counts if it
 is within `AGREE` of the median of all feet's strides at its time. How long a stride lasts is the mean of those that
 count or, in a clip without any, the period of the feet's motion relative to the body, if the clip holds enough of it.
 """
@@ -34,6 +36,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 from types import MappingProxyType
 from typing import Literal
@@ -44,7 +47,15 @@ from recon.base.arrays import Array, Bools, mean, median
 from recon.base.words import length_text
 from recon.clip.keypoints import frame_ranges
 from recon.fit.posterior import radius
-from recon.gait.kinematics import MIN_POINTS, Errors, Series, frame_times, joint_index, series_kinematics
+from recon.gait.kinematics import (
+    MIN_POINTS,
+    Errors,
+    Series,
+    frame_times,
+    joint_index,
+    norm_with_sigma,
+    series_kinematics,
+)
 from recon.io.pose import Pose3D
 
 FEET: Mapping[str, str] = MappingProxyType(
@@ -60,8 +71,9 @@ SLOW, SWING = (0.16, 0.32), 1.3
 swing, of the body's."""
 LANDS, LIFTS, EVENT_SIGMAS = 0.12, 0.22, (0.05, 0.1)
 """The same when it lands and when it lifts, against force plates, and one standard deviation of each."""
-SPEED_ERROR = 0.42
-"""Errors of velocities, of their stated deviations: 0.8 of 1.9 m/s over 28 views (`python benchmarks/speeds.py`)."""
+SPEED_ERROR = 0.3
+"""How much of its speed's stated deviation a standing foot seems to move by: `benchmarks/gait.py --held-out` chooses it
+by the stances of two of three kinds of recordings, and times the third with it."""
 LOW = (0.15, 0.3)
 """Height of a standing foot above the ground, leg lengths: surely, and at most."""
 INTERVAL = 0.9
@@ -173,6 +185,17 @@ class Tracks:
     """The clip's rows and the plane under the feet in them, one for every segment of the clip."""
     leg_m: float
 
+    @cached_property
+    def unrest(self) -> float:
+        """The speed that nine in ten instants of standing feet stay below, of its stated deviation; 1 without any."""
+        rest = (self.foot_speed_m_s < self.slow_m_s[0]) & (self.height_m < LOW[0] * self.leg_m)
+        rest &= self.foot_speed_sigma_m_s > 0
+        return (
+            float(np.quantile((self.foot_speed_m_s[rest] / self.foot_speed_sigma_m_s[rest]), 0.9))
+            if rest.any()
+            else 1.0
+        )
+
     def above_ground(self, xyz_m: Array) -> Array:
         """Heights (N, ...) of points (N, ..., 3), each above its segment's ground; NaN outside of all."""
         return _above(self.grounds, xyz_m)
@@ -247,6 +270,11 @@ class Gait:
     doubtful: tuple[Stride, ...] = ()
     """Strides that the other feet's speak against; none of them is in `strides`."""
 
+    def stride_time(self, start_s: float, end_s: float) -> tuple[float, float]:
+        """How long the strides of a time last, and one standard deviation; the clip's where none is complete there."""
+        near = [stride for stride in self.strides if stride.start_s < end_s and stride.end_s > start_s]
+        return _mean_time(near, 1) if near else (self.stride_s, self.stride_sigma_s)
+
 
 def _interval(value: float, sigma: float) -> tuple[float, float]:
     reach = radius(INTERVAL) * sigma
@@ -281,7 +309,9 @@ def pose_tracks(
     paths = [path(pose.xyz_m[:, at], [error[:, at] for error in errors]) for at in where[:n]]
     middle = path(pose.xyz_m[:, where[n:]].mean(axis=1))
     foot = np.stack([p.value for p in paths], axis=1)
-    foot_speed, foot_speed_sigma = np.stack([_level_speed(p) for p in paths], axis=-1)
+    level = [norm_with_sigma(p.rate[:, :2], None if p.rate_sigma is None else p.rate_sigma[:, :2]) for p in paths]
+    foot_speed = np.stack([speed for speed, _ in level], axis=1)
+    foot_speed_sigma = np.stack([np.zeros_like(v) if sigma is None else sigma for v, sigma in level], axis=1)
     body_speed = np.linalg.norm(middle.rate[:, :2], axis=1)
     seen = [of[np.isfinite(of)] if np.isfinite(of).any() else np.zeros(1) for of in foot_speed.T]
     rest, fast = np.array([np.percentile(of, (10, 95)) for of in seen]).T * [[restless], [1]]
@@ -303,16 +333,6 @@ def pose_tracks(
         grounds=grounds,
         leg_m=median(_above(grounds, middle.value)),
     )
-
-
-def _level_speed(path: Series) -> Array:
-    """(2, N): horizontal speed and its standard deviation, 0 without errors."""
-    velocity = path.rate[:, :2]
-    speed = np.linalg.norm(velocity, axis=1)
-    if path.rate_sigma is None:
-        return np.stack([speed, np.zeros_like(speed)])
-    along = velocity / np.maximum(speed, 1e-9)[:, None]
-    return np.stack([speed, np.linalg.norm(along * path.rate_sigma[:, :2], axis=1)])
 
 
 def _fine(rows: slice) -> slice:
@@ -404,7 +424,7 @@ def _event_sigma_s(moved: Tracks, k: int, i: int, most_s: float, own: float) -> 
     speed, time = moved.foot_speed_m_s[about, k], moved.time_s[about]
     known = np.isfinite(speed)
     changes = np.ptp(speed[known]) / np.ptp(time[known])
-    sigma = float(np.hypot(moved.foot_speed_sigma_m_s[i, k], own * moved.swing_m_s[k]))
+    sigma = float(np.hypot(moved.unrest * moved.foot_speed_sigma_m_s[i, k], own * moved.swing_m_s[k]))
     return min(sigma / max(changes, 1e-9), most_s / radius(INTERVAL))
 
 
@@ -456,7 +476,7 @@ def pose_gait(pose: Pose3D, fps: float, errors: Sequence[Errors] = (), **options
 
 def strides(moved: Tracks, found: tuple[Stance, ...]) -> tuple[Stride, ...]:
     """Complete strides: both touchdowns (or, for a foot without two, both lift-offs) and the stance are in the clip."""
-    taken = []
+    taken, still = [], _all_stand(moved, found)
     for foot in moved.feet:
         own = [s for s in found if s.foot == foot]
         landings = [(a.start_s, b.start_s, a) for a, b in pairwise(own) if a.begins and a.ends and b.begins]
@@ -466,11 +486,21 @@ def strides(moved: Tracks, found: tuple[Stance, ...]) -> tuple[Stride, ...]:
             a, b = np.searchsorted(moved.time_s, [start, end])
             # A foot or a body that was lost in between may have hidden a stance.
             step = np.diff(moved.body_m[a : b + 1, :2], axis=0)
-            if np.isfinite(step).all() and np.isfinite(moved.foot_m[a : b + 1, moved.feet.index(foot)]).all():
+            lost = not np.isfinite(step).all() or np.isnan(moved.foot_m[a : b + 1, moved.feet.index(foot)]).any()
+            if not lost and still[a : b + 1].mean() < 0.5:
                 length = float(np.linalg.norm(step, axis=1).sum())
                 duty, sigma = (of / (end - start) for of in (stance.duration_s, stance.duration_sigma_s))
                 taken.append(Stride(foot, start, end, length, duty, sigma, at))
     return tuple(sorted(taken, key=lambda s: (s.start_s, s.foot)))
+
+
+def _all_stand(moved: Tracks, found: Sequence[Stance]) -> Bools:
+    """(N,): when all feet of an animal of four stand."""
+    stands = np.zeros((len(moved.time_s), len(moved.feet)), dtype=bool)
+    for stance in found:
+        first, stop = np.searchsorted(moved.time_s, [stance.start_s, stance.end_s])
+        stands[first:stop, moved.feet.index(stance.foot)] = True
+    return stands.all(axis=1) & (len(moved.feet) >= 4)
 
 
 def _counted(own: tuple[Stride, ...]) -> tuple[tuple[Stride, ...], tuple[Stride, ...]]:
@@ -495,11 +525,16 @@ def doubtful_text(stride: Stride) -> str:
 def _stride_time(moved: Tracks, taken: Sequence[Stride]) -> tuple[float, float]:
     """Seconds and one standard deviation: of complete strides, or by the pose's period; NaN without either."""
     if taken:
-        lasts = np.array([stride.end_s - stride.start_s for stride in taken])
-        events = np.array([stride.duty_sigma for stride in taken]) * lasts
-        return float(lasts.mean()), float(np.hypot(lasts.std() / len(lasts) ** 0.5, np.median(events)))
+        return _mean_time(taken, len(taken))
     period = pose_period_s(moved)
     return period, period * PERIOD_SIGMA
+
+
+def _mean_time(taken: Sequence[Stride], count: int) -> tuple[float, float]:
+    """The mean time of strides and the standard deviation of the mean of so many of them."""
+    lasts = np.array([stride.end_s - stride.start_s for stride in taken])
+    events = np.array([stride.duty_sigma for stride in taken]) * lasts
+    return float(lasts.mean()), float(np.hypot(lasts.std() / count**0.5, np.median(events)))
 
 
 def pose_period_s(moved: Tracks) -> float:

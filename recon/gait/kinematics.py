@@ -24,12 +24,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TypeVar
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from scipy.interpolate import CubicSpline
-from scipy.linalg import solveh_banded
+from scipy.interpolate import CubicSpline, make_smoothing_spline
 from scipy.optimize import brentq
 
 from recon.base.arrays import Array, Index
@@ -37,6 +36,8 @@ from recon.base.errors import InputError, Problem
 from recon.io.pose import Pose3D
 
 Curve = Callable[[Array, int], Array]
+Angle = Callable[[Array, Array, Array], Array]
+"""An angle (T,) of three points (T, 3)."""
 
 MAX_GAP_S = 0.2
 """Missing frames are bridged if the frames on their two sides are not further apart than this."""
@@ -93,16 +94,7 @@ class Series:
     """Standard deviations of the rates, shape (N, d)."""
     acceleration_sigma: Array | None
     """Standard deviations of the accelerations, shape (N, d)."""
-    spans: tuple[tuple[int, int], ...]
-    """(first, last) frame index of each stretch, inclusive."""
-    lam: Array | None
-    """The smoothing of each span and dimension, (spans, d), in the values' weighted unit; None for the exact spline."""
     oversampling: int
-
-    def at_frames(self) -> Series:
-        """Without the samples between frames, which take ten times the memory."""
-        arrays = ("time_s", "value", "rate", "acceleration", "value_sigma", "rate_sigma", "acceleration_sigma")
-        return replace(self, **_every(self.oversampling, self, arrays), oversampling=1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,11 +124,6 @@ class JointKinematics:
     peak_acceleration_sigma_m_s2: float
     """The standard deviation of the peak acceleration; NaN without errors."""
 
-    def at_frames(self) -> JointKinematics:
-        """Without the samples between frames; peaks and means are those of all."""
-        arrays = ("speed_m_s", "acceleration_m_s2", "speed_sigma_m_s", "acceleration_sigma_m_s2")
-        return replace(self, **_every(self.series.oversampling, self, arrays), series=self.series.at_frames())
-
 
 @dataclass(frozen=True, eq=False)
 class AngleKinematics:
@@ -146,21 +133,26 @@ class AngleKinematics:
     """(N, 1), rad, rad/s, rad/s^2."""
     range_rad: tuple[float, float]
     """The least and the greatest angle."""
-    range_of_motion_rad: float
-    """The difference between the greatest and the least angle."""
     peak_rate_rad_s: float
     """The greatest magnitude of the rate."""
     peak_acceleration_rad_s2: float
     """The greatest magnitude of the acceleration."""
 
-    def at_frames(self) -> AngleKinematics:
-        """Without the samples between frames; range and peaks are those of all."""
-        return replace(self, series=self.series.at_frames())
+    @property
+    def range_of_motion_rad(self) -> float:
+        """The difference between the greatest and the least angle."""
+        return self.range_rad[1] - self.range_rad[0]
 
 
-def _every(step: int, of: Series | JointKinematics, arrays: Sequence[str]) -> dict[str, Any]:
-    """Every step-th row of these arrays, which may be None."""
-    return {name: None if (a := getattr(of, name)) is None else a[::step].copy() for name in arrays}
+_Kind = TypeVar("_Kind", Series, JointKinematics, AngleKinematics)
+
+
+def at_frames(of: _Kind) -> _Kind:
+    """The same without the samples between frames, which take ten times the memory; ranges, means and peaks are those
+    of all samples."""
+    series = of if isinstance(of, Series) else of.series
+    changed = {k: a[:: series.oversampling].copy() for k, a in vars(of).items() if isinstance(a, np.ndarray)}
+    return replace(of, **changed, **({"oversampling": 1} if of is series else {"series": at_frames(series)}))
 
 
 # -- series ----------------------------------------------------------------------------------------------------------
@@ -178,35 +170,27 @@ def series_kinematics(
 ) -> Series:
     """Values (T, d) at increasing times (T,) -> their spline; NaN in any dimension is a missing frame.
 
-    errors: what adds up to the values' errors, sigma (T, d) each; with smooth, the first is the weights as well. A
-    span needs four values (five with smooth). propagate: whether to work out deviations, which with smooth takes memory
-    of 8 bytes x N x T, and a spline for each value. Raises ValueError.
+    errors: what adds up to the values' errors, sigma (T, d) each, positive; with smooth, the first is the weights as
+    well. A span needs four values (five with smooth). propagate: whether to work out deviations, which with smooth
+    takes memory of 8 bytes x N x T, and a spline for each value. Raises ValueError where times do not increase.
     """
-    time_s, values = np.asarray(time_s, float), np.asarray(values, float)
-    _check_series(time_s, values, errors)
     T, d = values.shape
     N = (T - 1) * oversampling + 1 if T else 0
     fine_s = np.interp(np.arange(N) / oversampling, np.arange(T), time_s) if T else np.empty(0)
     out = np.full((3, N, d), np.nan)
     spread = np.full((3, N, d), np.nan) if len(errors) and propagate else None
     weight = 1.0 / errors[0].sigma if smooth else np.ones((T, d))
-    spans, lams = [], []
     for rows in _stretches(time_s, values, max_gap_s, MIN_SMOOTHING_POINTS if smooth else MIN_POINTS):
         where = slice(rows[0] * oversampling, rows[-1] * oversampling + 1)
-        t, at = time_s[rows], fine_s[where]
-        lam = np.zeros(d)
+        t, at, lam = time_s[rows], fine_s[where], np.zeros(d)
         if not smooth:
             out[:, where] = _evaluate(CubicSpline(t, values[rows]), at)
         for k in range(d) if smooth else ():
             lam[k] = _discrepancy_lam(t, values[rows, k], weight[rows, k])
-            out[:, where, k] = _evaluate(_curve(t, values[rows, k, None], weight[rows, k], lam[k]), at)[..., 0]
+            out[:, where, k] = _evaluate(_curve(t, values[rows, k], weight[rows, k], lam[k]), at)
         if spread is not None:
             spread[:, where] = _spline_sigmas(t, at, [e[rows] for e in errors], weight[rows], lam)
-        spans.append((int(rows[0]), int(rows[-1])))
-        lams.append(lam)
-    known = [*out, *((None, None, None) if spread is None else spread)]
-    lam = np.reshape(lams, (len(spans), d)) if smooth else None
-    return Series(fine_s, *known, spans=tuple(spans), lam=lam, oversampling=oversampling)
+    return Series(fine_s, *out, *((None, None, None) if spread is None else spread), oversampling=oversampling)
 
 
 def _stretches(time_s: Array, values: Array, max_gap_s: float, min_points: int) -> list[Index]:
@@ -216,44 +200,9 @@ def _stretches(time_s: Array, values: Array, max_gap_s: float, min_points: int) 
     return [rows for rows in np.split(known, np.flatnonzero(too_long) + 1) if len(rows) >= min_points]
 
 
-def _check_series(time_s: Array, values: Array, errors: Sequence[Errors]) -> None:
-    if values.ndim != 2 or time_s.shape != values.shape[:1]:
-        raise ValueError(f"values (T, d) at times (T,) expected, got {values.shape} and {time_s.shape}")
-    if np.any(np.diff(time_s) <= 0):
-        raise ValueError("times must increase")
-    known = np.isfinite(values).all(axis=1)
-    if not all(error.sigma.shape == values.shape and np.all(error.sigma[known] > 0) for error in errors):
-        raise ValueError("standard deviations must be positive, one for each known value")
-
-
 def _curve(t: Array, x: Array, weight: Array, lam: float) -> Curve:
-    """curve(time (M,), order of the derivative) -> (M, m) through x (n, m); lam 0: exact."""
-    if lam == 0:
-        return CubicSpline(t, x)
-    return CubicSpline(t, _smoothed(t, x, weight, lam), bc_type="natural")
-
-
-def _smoothed(t: Array, x: Array, weight: Array, lam: float) -> Array:
-    """(n, m): the smoothing splines of x (n, m) at their times (n,).
-
-    Reinsch's way: with Q' the second divided differences and R their products with themselves, the second derivatives c
-    at the inner times solve (R + lam Q' W^-2 Q) c = Q' x, five diagonals, and the spline is x - lam W^-2 Q c there.
-    scipy's `make_smoothing_spline` gives the same, but takes ten times as long for each lam, and one series at a time.
-    """
-    h, variance = np.diff(t), 1.0 / weight**2
-    before, after = 1.0 / h[:-1], 1.0 / h[1:]
-    at = -(before + after)
-    bands = np.zeros((3, len(at)))
-    bands[2] = before**2 * variance[:-2] + at**2 * variance[1:-1] + after**2 * variance[2:]
-    bands[1, 1:] = at[:-1] * before[1:] * variance[1:-2] + after[:-1] * at[1:] * variance[2:-1]
-    bands[0, 2:] = after[:-2] * before[2:] * variance[2:-2]
-    bands *= lam
-    bands[2] += (h[:-1] + h[1:]) / 3
-    bands[1, 1:] += h[1:-1] / 6
-    curvature = np.zeros_like(x)
-    curvature[1:-1] = solveh_banded(bands, np.diff(np.diff(x, axis=0) / h[:, None], axis=0), check_finite=False)
-    slopes = np.diff(curvature, axis=0) / h[:, None]
-    return x - lam * variance[:, None] * np.diff(slopes, axis=0, prepend=0.0, append=0.0)
+    """curve(time (M,), order of the derivative) -> (M, ...) through x (n, ...); lam 0: exact."""
+    return make_smoothing_spline(t, x, weight**2, lam) if lam else CubicSpline(t, x)
 
 
 def _evaluate(curve: Curve, at: Array) -> Array:
@@ -267,8 +216,7 @@ def _discrepancy_lam(t: Array, x: Array, weight: Array) -> float:
 
     def excess(log10_lam: float) -> float:
         lam = 10.0**log10_lam * scale
-        fit = _smoothed(t, x[:, None], weight, lam)[:, 0]
-        return float(np.sum((weight * (x - fit)) ** 2)) / len(t) - 1.0
+        return float(np.sum((weight * (x - _curve(t, x, weight, lam)(t, 0))) ** 2)) / len(t) - 1.0
 
     low, high = _LOG10_LAM
     if excess(high) <= 0:
@@ -360,13 +308,11 @@ def joint_index(pose: Pose3D, names: tuple[str, ...]) -> list[int]:
 def point_kinematics(time_s: Array, xyz_m: Array, errors: Sequence[Errors] = (), **options) -> JointKinematics:
     """A point's path (T, 3) in metres at times (T,), errors (T, 3); options as `series_kinematics`."""
     series = series_kinematics(time_s, xyz_m, errors, **options)
-    speed, speed_sigma = _norm(series.rate, series.rate_sigma)
-    acceleration, acceleration_sigma = _norm(series.acceleration, series.acceleration_sigma)
-    distance = covered = 0.0
-    for first, last in series.spans:
-        where = slice(first * series.oversampling, last * series.oversampling + 1)
-        distance += float(np.linalg.norm(np.diff(series.value[where], axis=0), axis=1).sum())
-        covered += float(time_s[last] - time_s[first])
+    speed, speed_sigma = norm_with_sigma(series.rate, series.rate_sigma)
+    acceleration, acceleration_sigma = norm_with_sigma(series.acceleration, series.acceleration_sigma)
+    steps_m = np.linalg.norm(np.diff(series.value, axis=0), axis=1)
+    known = np.isfinite(steps_m)
+    distance, covered = float(steps_m[known].sum()), float(np.diff(series.time_s)[known].sum())
     return JointKinematics(
         series=series,
         speed_m_s=speed,
@@ -440,8 +386,19 @@ def parabola_acceleration(time_s: Array, values: Array, errors: Sequence[Errors]
     without errors."""
     t = time_s - time_s.mean()
     shares = 2 * np.linalg.pinv(np.stack([np.ones(len(t)), t, t**2], axis=1))[2]
-    variance = sum(float(_propagate((shares * e.sigma)[None], t, e.correlation_s)[0]) for e in errors)
+    variance = sum(_variance_of_sum(shares * e.sigma, t, e.correlation_s) for e in errors)
     return float(shares @ values), float(np.sqrt(variance)) if len(errors) else np.nan
+
+
+def _variance_of_sum(sigma: Array, t: Array, lasts_s: float) -> float:
+    """The variance of the sum of errors (T,), of which those of times further apart have nothing in common."""
+    variance = sigma @ sigma
+    for lag in range(1, len(t)):
+        apart_s = t[lag:] - t[:-lag]
+        if apart_s.min() > 9 * lasts_s:
+            break
+        variance += 2 * (sigma[lag:] * sigma[:-lag]) @ _correlation(apart_s, lasts_s)
+    return max(float(variance), 0.0)
 
 
 def speed_at_frames(time_s: Array, xyz_m: Array, smooth: bool = False) -> Array:
@@ -457,7 +414,7 @@ def joint_kinematics(pose: Pose3D, joint: str, fps: float, errors: Sequence[Erro
     return point_kinematics(frame_times(pose.frames, fps), pose.xyz_m[:, j], of_joint, **options)
 
 
-def _norm(vector: Array, sigma: Array | None) -> tuple[Array, Array | None]:
+def norm_with_sigma(vector: Array, sigma: Array | None) -> tuple[Array, Array | None]:
     """Norms (N,) of vectors (N, d), and their standard deviations: sum((v_k / |v|)^2 sigma_k^2)."""
     norm = np.linalg.norm(vector, axis=1)
     if sigma is None:
@@ -504,36 +461,19 @@ def angle_kinematics(time_s: Array, angle_rad: Array, errors: Sequence[Errors] =
     value = series.value[np.isfinite(series.value)]
     low, high = (float(value.min()), float(value.max())) if len(value) else (np.nan, np.nan)
     peaks = (float(np.nanmax(np.abs(of))) if len(value) else np.nan for of in (series.rate, series.acceleration))
-    return AngleKinematics(series, (low, high), high - low, *peaks)
+    return AngleKinematics(series, (low, high), *peaks)
 
 
 def joint_angle(
-    pose: Pose3D, joints: tuple[str, str, str], fps: float, errors: Sequence[Errors] = (), **options
-) -> AngleKinematics:
-    """The angle at joints[1] between joints[0] and joints[2], 0 to pi. errors (T, J, 3), metres, of joints independent
-    of each other. Raises InputError."""
-    return _pose_angle(pose, joints, fps, angle_between, errors, options)
-
-
-def spine_flexion(
-    pose: Pose3D,
-    fps: float,
-    errors: Sequence[Errors] = (),
-    joints: tuple[str, str, str] = ("tail_base", "spine", "neck_base"),
-    **options,
-) -> AngleKinematics:
-    """Flexion of the back, positive when arched upwards (`sagittal_flexion`); joints: rear, middle, front."""
-    return _pose_angle(pose, joints, fps, sagittal_flexion, errors, options)
-
-
-def _pose_angle(
     pose: Pose3D,
     joints: tuple[str, str, str],
     fps: float,
-    angle_of: Callable[[Array, Array, Array], Array],
-    errors: Sequence[Errors],
-    options: dict,
+    errors: Sequence[Errors] = (),
+    angle_of: Angle = angle_between,
+    **options,
 ) -> AngleKinematics:
+    """The angle at joints[1] between joints[0] and joints[2], 0 to pi, or another one of three joints. errors
+    (T, J, 3), metres, of joints independent of each other. Raises InputError."""
     where = joint_index(pose, joints)
     points = pose.xyz_m[:, where]
     angle = angle_of(*np.moveaxis(points, 1, 0))
@@ -544,18 +484,25 @@ def _pose_angle(
     return angle_kinematics(frame_times(pose.frames, fps), angle, of_angle, **options)
 
 
-def angle_sigma(angle_of: Callable[[Array, Array, Array], Array], points_m: Array, sigma_m: Array) -> Array:
+def spine_flexion(
+    pose: Pose3D,
+    fps: float,
+    errors: Sequence[Errors] = (),
+    joints: tuple[str, str, str] = ("tail_base", "spine", "neck_base"),
+    **options,
+) -> AngleKinematics:
+    """Flexion of the back, positive when arched upwards (`sagittal_flexion`); joints: rear, middle, front."""
+    return joint_angle(pose, joints, fps, errors, sagittal_flexion, **options)
+
+
+def angle_sigma(angle_of: Angle, points_m: Array, sigma_m: Array) -> Array:
     """Linear standard deviation (T,) of an angle of three points (T, 3, 3), whose nine coordinates have sigma_m.
 
     The derivatives are central differences over a micrometre.
     """
     step, variance = 1e-6, np.zeros(len(points_m))
-    for i in range(3):
-        for k in range(3):
-            ahead, behind = points_m.copy(), points_m.copy()
-            ahead[:, i, k] += step
-            behind[:, i, k] -= step
-            change = angle_of(*np.moveaxis(ahead, 1, 0)) - angle_of(*np.moveaxis(behind, 1, 0))
-            change = np.mod(change + np.pi, 2 * np.pi) - np.pi
-            variance += (change / (2 * step) * sigma_m[:, i, k]) ** 2
+    for way in step * np.eye(9).reshape(9, 3, 3):
+        ahead, behind = (angle_of(*np.moveaxis(points_m + one, 1, 0)) for one in (way, -way))
+        change = np.mod(ahead - behind + np.pi, 2 * np.pi) - np.pi
+        variance += (change / (2 * step) * sigma_m[:, way > 0][:, 0]) ** 2
     return np.sqrt(variance)

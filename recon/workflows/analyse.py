@@ -124,7 +124,7 @@ def run_analyse(settings: AnalyseSettings, progress: Progress = silent) -> Analy
         require_free_folder(out, (SUMMARY, *analysis_csv.TABLES), settings.overwrite, "an analysis")
         progress("analysis", 0.1)
         with threadpool_limits(1, user_api="blas"):  # of small matrices, threads cost more than they bring
-            found = analyse(motion, settings.stride, lean=True)
+            found = analyse(motion, settings.stride)
         found = replace(found, body_mass_kg=settings.body_mass_kg)
         summary = summarise(found, settings.folder.absolute().name)
         progress("tables", FIGURES_BEGIN - 0.1)

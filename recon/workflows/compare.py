@@ -68,7 +68,7 @@ def compare(settings: _CompareSettings, as_json: bool, quiet: bool) -> None:
     with progress_bar(console) as progress:
         for i, (name, motion) in enumerate(zip(names, motions, strict=True)):
             progress("analysis", i / len(names))
-            found = analyse(motion, lean=True)
+            found = analyse(motion)
             head = {"group": of_clip[name], "clip": name, "verdict": motion.verdict.level if motion.verdict else ""}
             own = [head | row for row in _stride_rows(found)]
             rows += own

@@ -339,7 +339,7 @@ def view(settings: _ViewSettings) -> None:
     with TemporaryDirectory() as temporary:
         if out is not None or settings.video is not None or analysed:
             motion, number, _ = result_and_video(settings)
-            found = analyse(motion, lean=True) if analysed else None
+            found = analyse(motion) if analysed else None
             playback = Path(temporary) / PLAYBACK if out is None else out
             with staged_file(playback) as staged:
                 viewer.write(motion, staged, found, settings.video, settings.first_frame, number)
