@@ -240,7 +240,11 @@ def test_a_motion_that_was_just_fitted(small_trajectory):
 FIGURES = (
     "forces",
     "body_fixed",
-    "body_fixed_limbs",
+    "body_fixed_left_front_leg",
+    "body_fixed_left_hind_leg",
+    "body_fixed_right_front_leg",
+    "body_fixed_right_hind_leg",
+    "body_fixed_spine",
     "composites",
     "footfalls",
     "observability",

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from matplotlib.collections import LineCollection
 from matplotlib.colors import to_rgb
 
@@ -95,24 +94,7 @@ def test_the_animal_is_large():
     assert side.get_window_extent().width / side.figure.dpi * 25.4 > 100
 
 
-def test_limbs_apart():
-    figure = plots.limbs_apart(swinging(), LIMBS, TIMES, SIDES, title="a stride")
-    titles = [axes.get_title(loc="left") for axes in figure.axes]
-    assert titles == ["spine: UV, side", "UW, top", "WV, front"] + [
-        text for leg in ("near leg", "off leg") for text in (f"{leg}: UV, side", "UW, top", "WV, front")
-    ]
-    for row in range(3):
-        panels = figure.axes[3 * row : 3 * row + 3]
-        scales = [axes.get_window_extent().width / np.ptp(axes.get_xlim()) for axes in panels]
-        np.testing.assert_allclose(scales, scales[0])
-        assert all(len(path) == 10 for axes in panels for path in [drawn_in(axes)[0].get_segments()])
-        assert all(len(axes.lines) == 1 for axes in panels)  # the reference joint
-    page = figure.bbox
-    assert all(page.x0 <= a.get_window_extent().x0 and a.get_window_extent().x1 <= page.x1 for a in figure.axes)
-
-
-@pytest.mark.parametrize("draw", [plots.body_fixed, plots.limbs_apart])
-def test_without_a_pose_there_is_nothing(draw):
-    figure = draw(np.full((5, 4, 3), np.nan), LIMBS, TIMES[:5], SIDES)
+def test_without_a_pose_there_is_nothing():
+    figure = plots.body_fixed(np.full((5, 4, 3), np.nan), LIMBS, TIMES[:5], SIDES)
     texts = [text.get_text() for artist in (figure, *figure.axes) for text in artist.texts]
     assert "no data" in texts

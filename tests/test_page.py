@@ -28,7 +28,7 @@ from recon.io import video_writer
 from recon.show import TO_DO, build_report, clip_page, drawing
 from recon.show.page.clip import _solid, doubtful_frames
 from recon.show.page.render import _without_direction, inline
-from recon.show.plots.angles import angle_over_time, together
+from recon.show.plots.over_time import angle_over_time, together
 from recon.workflows import COLUMNS, PageSettings, run_page, write_summary_page
 
 EVIL = '<img src=x onerror="alert(1)">&\'.csv'

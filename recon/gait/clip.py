@@ -25,22 +25,10 @@ from recon.base.words import decimals
 from recon.clip.keypoints import frame_ranges
 from recon.fit.motion import MEASURED_SHARE, Motion
 from recon.fit.posterior import radius
+from recon.gait import kinematics
 from recon.gait.dynamics import Dynamics, dynamics
 from recon.gait.gait import BODY, INTERVAL, Gait, Stride, gait, pose_tracks
-from recon.gait.kinematics import (
-    MIN_POINTS,
-    AngleKinematics,
-    Errors,
-    JointKinematics,
-    angle_kinematics,
-    at_frames,
-    jitter_errors,
-    joint_angle,
-    joint_kinematics,
-    lasting_errors,
-    net_acceleration,
-    spine_flexion,
-)
+from recon.gait.kinematics import MIN_POINTS, AngleKinematics, Errors, JointKinematics, at_frames
 from recon.gait.phase import (
     Closure,
     LinkField,
@@ -86,7 +74,9 @@ class ClipAnalysis:
         pose = self.motion.upright
         if not self.motion.jitters:
             return pose
-        of_joint = partial(joint_kinematics, errors=jitter_errors(pose.xyz_m), smooth=True, propagate=False)
+        of_joint = partial(
+            kinematics.joint_kinematics, errors=kinematics.jitter_errors(pose.xyz_m), smooth=True, propagate=False
+        )
         paths = [of_joint(pose, name, self.motion.fps, oversampling=1).series.value for name in pose.names]
         return replace(pose, xyz_m=np.stack(paths, axis=1))
 
@@ -103,7 +93,7 @@ class ClipAnalysis:
 
     def _moved(self, name: str) -> JointKinematics:
         motion = self.motion
-        return joint_kinematics(motion.upright, name, motion.fps, _errors(motion), smooth=motion.jitters)
+        return kinematics.joint_kinematics(motion.upright, name, motion.fps, _errors(motion), smooth=motion.jitters)
 
     @cached_property
     def angles(self) -> dict[str, AngleKinematics]:
@@ -115,12 +105,12 @@ class ClipAnalysis:
             for i in range(1, len(along) - 1):
                 if along[i] not in found:
                     joints = along[i - 1], along[i], along[i + 1]
-                    found[along[i]] = at_frames(joint_angle(self.pose, joints, fps, errors))
+                    found[along[i]] = at_frames(kinematics.joint_angle(self.pose, joints, fps, errors))
             if {rear, front} <= {*along}:
                 first, last = sorted((along.index(rear), along.index(front)))
                 if between := along[first + 1 : last]:
                     middle = between[len(between) // 2]
-                    found["spine_flexion"] = spine_flexion(self.pose, fps, errors, (rear, middle, front))
+                    found["spine_flexion"] = kinematics.spine_flexion(self.pose, fps, errors, (rear, middle, front))
         return found
 
     @cached_property
@@ -129,7 +119,7 @@ class ClipAnalysis:
         motion = self.motion
         of_angles = zip(motion.posture_names, motion.posture_rad.T, _angle_errors(motion), strict=True)
         return {
-            name: angle_kinematics(motion.time_s, angle, errors, smooth=motion.jitters)
+            name: kinematics.angle_kinematics(motion.time_s, angle, errors, smooth=motion.jitters)
             for name, angle, errors in of_angles
         }
 
@@ -181,7 +171,9 @@ class ClipAnalysis:
     def net_acceleration_m_s2(self) -> tuple[float, float]:
         """`net_acceleration` of the reference joint."""
         points_m, at = self.motion.upright.xyz_m, self.motion.names.index(self.reference)
-        return net_acceleration(self.motion.time_s, points_m[:, at], [error[:, at] for error in _errors(self.motion)])
+        return kinematics.net_acceleration(
+            self.motion.time_s, points_m[:, at], [error[:, at] for error in _errors(self.motion)]
+        )
 
     @property
     def speed(self) -> pd.DataFrame:
@@ -283,7 +275,7 @@ def limb_chains(motion: Motion) -> dict[str, tuple[str, ...]]:
 def _errors(motion: Motion) -> Sequence[Errors]:
     """Errors of the position and of the pose, by the jitter where the fit does not give them over time."""
     if motion.jitters:
-        return lasting_errors(motion.upright.xyz_m, motion.fps)
+        return kinematics.lasting_errors(motion.upright.xyz_m, motion.fps)
     # What is common to all joints; the relative errors of a single one can be larger than its absolute ones.
     floor = 1e-4
     position = np.sqrt(np.maximum(motion.upright_sigma_m**2 - motion.upright_relative_sigma_m**2, floor**2))
@@ -294,7 +286,7 @@ def _errors(motion: Motion) -> Sequence[Errors]:
 def _angle_errors(motion: Motion) -> list[Sequence[Errors]]:
     """The errors of each of the fit's own angles."""
     if motion.jitters:
-        return [jitter_errors(angle) for angle in motion.posture_rad.T]
+        return [kinematics.jitter_errors(angle) for angle in motion.posture_rad.T]
     least = 1e-6
     sigma = np.maximum(np.nan_to_num(motion.posture_sigma_rad), least)
     return [[Errors(of_one, POSE_LASTS_S)] for of_one in sigma.T]

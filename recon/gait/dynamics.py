@@ -10,8 +10,8 @@ body weights off even from several cameras. Instead each stance has a shape,
 
 and all stances of a stride together the impulse of the body's weight over it, as over a level stride the height comes
 back. The stride's time is that of the strides at a stance's time. Fore and hind feet share it as `FORE` says, feet of a
-pair alike but for `FOOT`. Intervals come from draws of all of these and of the stances' times, and so does the force at an
-instant, their mean: its maximum is lower than the peak, whose time is not known exactly. Shape, shares and spreads
+pair alike but for `FOOT`. Intervals come from draws of all of these and of the stances' times, and so does the force at
+an instant, their mean: its maximum is lower than the peak, whose time is not known exactly. Shape, shares and spreads
 are those of force plates under two galloping cheetahs (`benchmarks/dynamics.py`); another animal's, or gait's, may
 differ by more. There are no joint torques: their intervals would be wider than the values.
 """
@@ -56,7 +56,7 @@ twice the spread."""
 FOOT = 0.4
 """One sigma of the logarithm by which a foot's impulse differs from its pair's mean."""
 DRAWS, SEED = 400, 0
-NODES = 61
+NODES = 41
 """Instants of a stance and what is about it at which the force is drawn; in between it is interpolated."""
 FLIGHT_FRAMES, OFF_GRAVITY = 5, 3.0
 """Fewer frames of a flight tell no acceleration; and how many standard deviations from gravity's are a finding."""

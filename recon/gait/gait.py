@@ -221,8 +221,12 @@ class Stride:
     """For a stride that does not count: how long the strides of all feet at its time last, median."""
 
     @property
+    def duration_s(self) -> float:
+        return self.end_s - self.start_s
+
+    @property
     def frequency_hz(self) -> float:
-        return 1.0 / (self.end_s - self.start_s)
+        return 1.0 / self.duration_s
 
 
 @dataclass(frozen=True)

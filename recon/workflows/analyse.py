@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -260,7 +260,7 @@ def figures_of(found: ClipAnalysis) -> dict[str, Callable[[], Figure]]:
     joints_m = plots.in_body(motion.body, motion.states[during], motion.size, motion.reference_joint)
     title = f"one stride of {found.stride.foot}" if found.stride else "whole clip: no complete stride"
     title = "the stride that was given" if found.given is not None else title
-    own = (joints_m, motion.limbs, time_s[during], motion.limb_sides, title)
+    own = {"time_s": time_s[during], "sides": motion.limb_sides, "title": title}
     shares, ground = motion.posture_data_share[during], None if gait is None else gait.tracks.grounds
     moved, unknown = {found.reference: found.reference_motion}, found.why_no_speed is not None
     drawn: dict[str, Callable[[], Figure]] = {
@@ -270,9 +270,13 @@ def figures_of(found: ClipAnalysis) -> dict[str, Callable[[], Figure]]:
         "speed": partial(plots.speeds, moved, unknown=unknown),
         "phase_portraits": lambda: plots.phase_portraits(found.portraits, found.closures, title, motion.data_shares),
         "observability": partial(plots.observability, motion.body, shares, time_s[during], title),
-        "body_fixed": partial(plots.body_fixed, *own),
-        "body_fixed_limbs": partial(plots.limbs_apart, *own),
+        "body_fixed": partial(plots.body_fixed, joints_m, motion.limbs, **own),
     }
+    parts: dict[str, dict[str, Sequence[int]]] = {}
+    for limb, along in motion.limbs.items():
+        parts.setdefault("spine" if motion.limb_sides[limb] is None else limb, {})[limb] = along
+    for name, limbs in parts.items() if len(parts) > 1 else ():
+        drawn[f"body_fixed_{name.replace(' ', '_')}"] = partial(plots.body_fixed, joints_m, limbs, **own)
     for limb, fields in found.fields.items():
         drawn[f"vector_field_{limb.replace(' ', '_')}"] = partial(plots.vector_fields, fields, time_s, limb)
     if gait is not None:

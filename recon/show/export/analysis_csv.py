@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -10,9 +11,8 @@ import numpy as np
 
 from recon.gait.clip import ClipAnalysis
 from recon.gait.dynamics import FORCE_COLUMNS, G_M_S2
-from recon.gait.gait import Gait
 from recon.gait.kinematics import AngleKinematics
-from recon.gait.phase import LinkField, field_means
+from recon.gait.phase import field_means
 from recon.io.common import write_columns, write_rows
 
 Rows = Iterable[Sequence[Any]]
@@ -91,10 +91,12 @@ def angle_rates(found: ClipAnalysis) -> Columns:
 def stances(found: ClipAnalysis) -> Table:
     """A table of every stance."""
     columns = "foot, joint, start_s, end_s, start_frame, end_frame, duration_s, begins, ends, start_low_s, start_high_s"
+    rows_of = np.arange(len(found.pose.frames))
     rows = [
         (
             *(s.foot, found.motion.foot_names[s.foot], s.start_s, s.end_s),
-            *(file_frame(found, s.start_frame), file_frame(found, s.end_frame), s.duration_s),
+            *(float(np.interp(at, rows_of, found.pose.frames)) for at in (s.start_frame, s.end_frame)),
+            s.duration_s,
             *(_yes(s.begins), _yes(s.ends), *s.start_interval_s, *s.end_interval_s),
         )
         for s in (found.gait.stances if found.gait else ())
@@ -104,42 +106,35 @@ def stances(found: ClipAnalysis) -> Table:
 
 def strides(found: ClipAnalysis) -> Table:
     """A table of every complete stride."""
-    columns = "foot, at, start_s, end_s, duration_s, length_m, frequency_hz, duty_factor"
-    rows = [
-        (s.foot, s.at, s.start_s, s.end_s, s.end_s - s.start_s, s.length_m, s.frequency_hz, s.duty_factor)
-        for s in (found.gait.strides if found.gait else ())
-    ]
-    return columns.split(", "), rows
+    names = ["foot", "at", "start_s", "end_s", "duration_s", "length_m", "frequency_hz", "duty_factor"]
+    return names, map(attrgetter(*names), found.gait.strides if found.gait else ())
 
 
 def gait(found: ClipAnalysis) -> Table:
     """One row: the gait's name and criterion, and what complete strides have in the mean; none without feet."""
     columns = "gait, criterion, speed_m_s, strides, stride_length_m, stride_frequency_hz, duty_factor, "
     columns += "duty_factor_low, duty_factor_high"
-    feet = list(found.motion.foot_names)
+    feet, of, rows = found.motion.foot_names, found.gait, []
+    if of is not None:
+        by_foot = [value for f in feet for value in (of.duty_factor.get(f, np.nan), of.name.phase.get(f, np.nan))]
+        named = of.name.name, of.name.criterion, of.speed_m_s, len(of.strides), of.stride_length_m
+        means = of.stride_frequency_hz, of.name.duty_factor, *of.name.duty_interval
+        rows.append((*named, *means, *by_foot, " ".join(of.order)))
     columns += "".join(f", duty_factor_{foot}, phase_{foot}" for foot in feet) + ", footfalls"
-    return columns.split(", "), [] if found.gait is None else [_gait_row(found.gait, feet)]
+    return columns.split(", "), rows
 
 
 def vector_field(found: ClipAnalysis) -> Columns:
     """Every link at every frame: its tip in its parent's frame, and how it moves there."""
-    links = [(limb, field) for limb, fields in found.fields.items() for field in fields]
-    T, none = len(found.pose.frames), np.empty(0)
-
-    def of_all(values: Callable[[LinkField], np.ndarray]) -> np.ndarray:
-        return np.concatenate([none, *(values(field) for _, field in links)])
-
-    names = {"limb": [limb for limb, _ in links]}
-    names |= {name: ["-".join(getattr(field, name)) for _, field in links] for name in ("link", "parent")}
-    columns = {column: np.repeat(np.array(some, dtype=str), T) for column, some in names.items()}
-    columns |= {"frame": np.tile(found.pose.frames, len(links)), "time_s": np.tile(found.motion.time_s, len(links))}
-    for column, vectors in (("{}_m", "position_m"), ("d{}_m_s", "velocity_m_s")):
-        for k, axis in enumerate("xyz"):
-            columns[column.format(axis)] = of_all(lambda field, k=k, vectors=vectors: getattr(field, vectors)[:, k])
-    numbers = ("radius_m", "dr_m_s", "dtheta_rad_s", "speed_m_s")
-    for name in (*numbers, "dr_sigma_m_s", "dtheta_sigma_rad_s", "speed_sigma_m_s"):
-        columns[name] = of_all(lambda field, name=name: _or_nan(getattr(field, name), field.speed_m_s))
-    return columns
+    names = ("radius_m", "dr_m_s", "dtheta_rad_s", "speed_m_s", "dr_sigma_m_s", "dtheta_sigma_rad_s", "speed_sigma_m_s")
+    parts = []
+    for limb, field in ((limb, field) for limb, fields in found.fields.items() for field in fields):
+        texts = {"limb": limb, "link": "-".join(field.link), "parent": "-".join(field.parent)}
+        part = {name: np.full(len(found.pose.frames), text) for name, text in texts.items()}
+        part |= {"frame": found.pose.frames, "time_s": found.motion.time_s}
+        part |= _axes("{}_m", field.position_m) | _axes("d{}_m_s", field.velocity_m_s)
+        parts.append(part | {name: _or_nan(getattr(field, name), field.speed_m_s) for name in names})
+    return {name: np.concatenate([part[name] for part in parts]) for name in (parts[0] if parts else ())}
 
 
 def vector_field_means(found: ClipAnalysis) -> Table:
@@ -220,20 +215,6 @@ def write(found: ClipAnalysis, folder: Path) -> None:
             write_columns(folder / name, made)
         else:
             write_rows(folder / name, [made[0]], made[1])
-
-
-def file_frame(found: ClipAnalysis, row: float) -> float:
-    """The frame number of the keypoint file, with a fraction, of a row of the clip."""
-    return float(np.interp(row, np.arange(len(found.pose.frames)), found.pose.frames))
-
-
-def _gait_row(one: Gait, feet: list[str]) -> Sequence[Any]:
-    name = one.name
-    by_foot = [value for f in feet for value in (one.duty_factor.get(f, np.nan), name.phase.get(f, np.nan))]
-    return (
-        *(name.name, name.criterion, one.speed_m_s, len(one.strides), one.stride_length_m),
-        *(one.stride_frequency_hz, name.duty_factor, *name.duty_interval, *by_foot, " ".join(one.order)),
-    )
 
 
 def _axes(name: str, vectors: np.ndarray) -> Columns:

@@ -18,7 +18,7 @@ from recon.gait.gait import Gait
 from recon.gait.kinematics import MIN_POINTS, JointKinematics
 from recon.show import plots
 from recon.show.page.render import inline, rendered
-from recon.show.plots.angles import AngleCurve, angle_over_time, together
+from recon.show.plots.over_time import AngleCurve, angle_over_time, together
 from recon.show.report import TO_DO, build_report, in_sentences, warnings
 
 SECTION_CHARACTERS = 600_000

@@ -129,7 +129,6 @@ def _handles(sides: set[Side | None], ground: bool) -> list[Line2D]:
 # -- in the animal's own frame ------------------------------------------------------------------------------------
 
 SIDE_COLOURS: Mapping[Side | None, str] = {"left": COLOURS[0], "right": COLOURS[1], None: COLOURS[-1]}
-SIDE, TOP, FRONT = ("UV, side", 0, 1), ("UW, top", 0, 2), ("WV, front", 2, 1)
 LABELS = ("U, forwards (m)", "V, down (m)", "W, to the left (m)")
 _SAYS = "left blue, right orange; pale: first, full colour: last configuration; +: the reference joint"
 _PALEST = 0.25
@@ -157,66 +156,31 @@ def body_fixed(
     sides: Mapping[str, Side | None] = NO_SIDES,
     title: str = "",
 ) -> Figure:
-    """Up to ten configurations on top of each other, from the side, from above and from ahead at one scale.
+    """Up to ten configurations on top of each other, from the side, from above and from ahead at one scale, as large as
+    the page allows.
 
     joints_m (T, J, 3): as `in_body` gives them; limbs: joints along each, by name; time_s (T,). The first configuration
     is pale, the last has the full colour of its side.
     """
-    return _figure(joints_m, {"": limbs}, ((SIDE, FRONT), (TOP,)), time_s, sides, title)
-
-
-def limbs_apart(
-    joints_m: Array,
-    limbs: Mapping[str, Sequence[int]],
-    time_s: Array,
-    sides: Mapping[str, Side | None] = NO_SIDES,
-    title: str = "",
-) -> Figure:
-    """As `body_fixed`, a row for the spine with all else in the middle, and one for each limb of a side."""
-    middle = {limb: along for limb, along in limbs.items() if sides.get(limb) is None}
-    groups = {"spine" if sides else "all": middle} if middle else {}
-    groups |= {limb: {limb: along} for limb, along in limbs.items() if sides.get(limb) is not None}
-    return _figure(joints_m, groups, ((SIDE, TOP, FRONT),), time_s, sides, title)
-
-
-def _figure(
-    joints_m: Array,
-    groups: Mapping[str, Mapping[str, Sequence[int]]],
-    rows_of_views: Sequence[Sequence[tuple[str, int, int]]],
-    time_s: Array,
-    sides: Mapping[str, Side | None],
-    title: str,
-) -> Figure:
-    """Rows of views for each group of limbs, a group's at one scale: as large as the page allows."""
-    every = {limb: along for limbs in groups.values() for limb, along in limbs.items()}
-    rows = chosen(joints_m, every)
+    rows = chosen(joints_m, limbs)
     if not len(rows):
         with drawing(40.0, title=title) as figure:
             return figure
-    shown, placed = joints_m[rows], []
-    top = 4.0 + 6.0 * bool(title)
-    for name, limbs in groups.items():
-        box = _extents(shown, limbs)
-        span = np.ptp(box, axis=1)
-        widest = min(
-            (WIDTH_MM - (len(views) + 0.2) * _MARGIN_MM) / sum(span[i] for _, i, _ in views) for views in rows_of_views
-        )
-        high = sum(max(span[j] for *_, j in views) for views in rows_of_views)
-        scale = min(widest, ((PAGE_MM - 8) / len(groups) - len(rows_of_views) * _MARGIN_MM) / high)
-        for views in rows_of_views:
-            left = _MARGIN_MM
-            for view, i, j in views:
-                heading = f"{name}: {view}" if name and (view, i, j) == views[0] else view
-                placed.append((heading, limbs, box, (i, j), (left, top, scale * span[i], scale * span[j])))
-                left += scale * span[i] + _MARGIN_MM
-            top += scale * max(span[j] for *_, j in views) + _MARGIN_MM
-    height = top + 4.0
+    shown, first = joints_m[rows], 4.0 + 6.0 * bool(title)
+    box = _extents(shown, limbs)
+    span = np.ptp(box, axis=1)
+    widest = min((WIDTH_MM - 2.2 * _MARGIN_MM) / (span[0] + span[2]), (WIDTH_MM - 1.2 * _MARGIN_MM) / span[0])
+    u, v, w = span * min(widest, (PAGE_MM - 8 - 2 * _MARGIN_MM) / (span[1] + span[2]))
+    height = first + v + w + 2 * _MARGIN_MM + 4.0
     with drawing(height) as figure:
         figure.set_layout_engine("none")
         figure.suptitle(title, y=1 - 1 / height, va="top")
-        for heading, limbs, box, at, (left, above, wide, high) in placed:
-            place = left / WIDTH_MM, 1 - (above + high) / height, wide / WIDTH_MM, high / height
-            axes = figure.add_axes(place)
+        for heading, at, left, above, wide, high in (
+            ("UV, side", (0, 1), _MARGIN_MM, first, u, v),
+            ("WV, front", (2, 1), u + 2 * _MARGIN_MM, first, w, v),
+            ("UW, top", (0, 2), _MARGIN_MM, first + v + _MARGIN_MM, u, w),
+        ):
+            axes = figure.add_axes((left / WIDTH_MM, 1 - (above + high) / height, wide / WIDTH_MM, high / height))
             for limb, along in limbs.items():
                 _draw(axes, shown[:, list(along)][..., list(at)], sides.get(limb))
             _frame(axes, heading, at, box, (wide, high))

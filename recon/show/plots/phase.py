@@ -1,4 +1,5 @@
-"""Phase portraits: rate over angle, coloured by time."""
+"""Phase space: phase portraits, the rate of an angle over it, coloured by time; and vector fields, the velocity of each
+link's tip in its parent's frame, along time."""
 
 from __future__ import annotations
 
@@ -10,13 +11,14 @@ import numpy as np
 
 from recon.base.arrays import Array, Bools
 from recon.fit.motion import MEASURED_SHARE
-from recon.gait.phase import Closure, Portrait
-from recon.show.plots.style import COLUMN_MM, GREY, SMALL, WIDTH_MM, blank, drawing, grid_shape, time_colours
+from recon.gait.phase import Closure, LinkField, Portrait, field_means
+from recon.show.plots import style
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.colors import ListedColormap, Normalize
     from matplotlib.figure import Figure
+    from matplotlib.quiver import Quiver
 
 
 SHADES = 60
@@ -42,15 +44,15 @@ def phase_portraits(
     With less than `MEASURED_SHARE` the path is grey. One standard deviation is a band. Each panel has its own axes.
     """
     count = len(portraits)
-    width = COLUMN_MM if count == 1 else WIDTH_MM
-    rows, columns = grid_shape(count, width, _ASPECT, 2 if count == 4 else 3) if count else (0, 1)
-    with drawing(rows * _ASPECT * min(width / columns, 60.0) + _REST_MM, width, title=title) as figure:
+    width = style.COLUMN_MM if count == 1 else style.WIDTH_MM
+    rows, columns = style.grid_shape(count, width, _ASPECT, 2 if count == 4 else 3) if count else (0, 1)
+    with style.drawing(rows * _ASPECT * min(width / columns, 60.0) + _REST_MM, width, title=title) as figure:
         if not count:
             return figure
         from matplotlib.cm import ScalarMappable
 
         panels = figure.subplots(rows, columns, squeeze=False).ravel()
-        colours = time_colours(np.concatenate([p.time_s[_known(p)] for p in portraits.values()]))
+        colours = style.time_colours(np.concatenate([p.time_s[_known(p)] for p in portraits.values()]))
         for axes, (name, portrait) in zip(panels, portraits.items(), strict=False):
             value, share = (closed or {}).get(name), (shares or {}).get(name, np.nan)
             heading = name.removesuffix("_rad") + (f"\n{share:.0%} from pixels" if np.isfinite(share) else "")
@@ -58,7 +60,7 @@ def phase_portraits(
                 angle, plane = _percent(value.angle, value.angle_sigma), _percent(value.plane, value.plane_sigma)
                 heading += f"\n{angle} / {plane} %"
             unseen = share < MEASURED_SHARE
-            axes.set_title(heading, fontsize=SMALL, pad=3, color=GREY if unseen else "k")
+            axes.set_title(heading, fontsize=style.SMALL, pad=3, color=style.GREY if unseen else "k")
             _draw(axes, portrait, None if unseen else colours)
         for axes in panels[count:]:
             axes.set_axis_off()
@@ -87,7 +89,7 @@ def _draw(axes: Axes, portrait: Portrait, colours: tuple[ListedColormap, Normali
 
     known = np.flatnonzero(_known(portrait))
     if not len(known):
-        blank(axes)
+        style.blank(axes)
         return
     path = np.degrees(np.column_stack([portrait.angle_rad, portrait.rate_rad_s]))
     cuts = np.unique(np.linspace(known[0], known[-1], SHADES + 1).astype(int))
@@ -134,3 +136,89 @@ def _percent(value: float, sigma: float) -> str:
     if not np.isfinite(value):
         return "–"
     return f"{value:.0f}±{sigma:.0f}" if np.isfinite(sigma) else f"{value:.0f}"
+
+
+# -- vector fields ----------------------------------------------------------------------------------------------------
+
+ARROWS = 45
+"""At most, in a row."""
+_ROW_MM, _ABOUT_MM = 24.0, 26.0
+_LONGEST = 0.46
+"""The longest arrow, as a share of the height of a row."""
+
+
+def vector_fields(fields: tuple[LinkField, ...], time_s: Array, title: str = "") -> Figure:
+    """One row per link: arrows (dx, dy) along time and the speed in the plane, to the same scale; time_s (T,).
+
+    Right is along the parent, up is the normal to it. Arrows are left out evenly where there are more than `ARROWS`.
+    Grey is a link whose mean speed is below its deviation: it may as well stand still, or move much more.
+    """
+    every = max(1, -(-len(time_s) // ARROWS))
+    fastest = max((np.nanmax(f.speed_m_s) for f in fields if np.isfinite(f.speed_m_s).any()), default=np.nan)
+    height = min(_ROW_MM * len(fields), style.PAGE_MM - _ABOUT_MM) + _ABOUT_MM
+    with style.drawing(height, title=title or " ") as figure:
+        if not fields:
+            return figure
+        panels = figure.subplots(len(fields), 2, sharex="col", squeeze=False, width_ratios=(2, 1))
+        keyed = False
+        for (left, right), field in zip(panels, fields, strict=True):
+            name, parent = (f"{a} → {b}" for a, b in (field.link, field.parent))
+            left.set_title(f"{name}  in the frame of  {parent}", loc="left", pad=2, fontsize=style.SMALL)
+            left.set_yticks([])
+            left.spines["left"].set_visible(False)
+            if not np.isfinite(field.speed_m_s).any():
+                style.blank(left)
+                style.blank(right)
+                continue
+            means = field_means((field,)).iloc[0]
+            colour = style.GREY if means["speed_sigma_m_s"] > means["speed_m_s"] else style.COLOURS[0]
+            arrows = _arrows(left, field, time_s, every, float(fastest), colour)
+            if not keyed:
+                _key(left, arrows, float(fastest), every, height)
+                keyed = True
+            right.plot(time_s, field.speed_m_s, color=colour, **style.dots(len(time_s), 1.8))
+            if (sigma := field.speed_sigma_m_s) is not None:
+                style.draw_band(right, time_s, field.speed_m_s, sigma, colour)
+            right.set_ylim(0, 1.08 * fastest or 1.0)
+            right.locator_params(axis="y", nbins=3)
+            speed, sigma = means["speed_m_s"], means["speed_sigma_m_s"]
+            text = f"mean {speed:.2f}{f', sigma {sigma:.2f}' if np.isfinite(sigma) else ''} m/s"
+            right.set_title(
+                text, loc="right", pad=2, fontsize=style.SMALL, color="k" if colour != style.GREY else style.GREY
+            )
+        room = 0.08 * float(np.ptp(time_s)) or 0.5
+        panels[0, 0].set_xlim(time_s[0] - room, time_s[-1] + room)
+        for axes in panels[:-1, 0]:
+            axes.spines["bottom"].set_visible(False)
+            axes.tick_params(bottom=False)
+        panels[-1, 0].set_xlabel("time (s);  → along the parent, ↑ normal to it")
+        banded = any(field.speed_sigma_m_s is not None for field in fields)
+        panels[-1, 1].set_xlabel("time (s)" + (";  band: one sigma" if banded else ""))
+        panels[len(fields) // 2, 1].set_ylabel("speed in the plane (m/s)")
+    return figure
+
+
+def _arrows(axes: Axes, field: LinkField, time_s: Array, every: int, fastest: float, colour: str) -> Quiver:
+    known = np.isfinite(field.velocity_m_s[:, :2]).all(axis=1) & (np.arange(len(time_s)) % every == 0)
+    axes.axhline(0, color=style.PALE, lw=0.6, zorder=1)
+    dx, dy = field.velocity_m_s[known, :2].T
+    scale = {"angles": "uv", "scale_units": "height", "scale": (fastest or 1.0) / _LONGEST, "units": "inches"}
+    looks = {"width": 0.013, "headwidth": 4, "clip_on": False, "color": colour, "zorder": 2}
+    arrows = axes.quiver(time_s[known], np.zeros(known.sum()), dx, dy, **scale, **looks)
+    arrows.set_in_layout(False)
+    return arrows
+
+
+def _key(axes: Axes, arrows: Quiver, fastest: float, every: int, height_mm: float) -> None:
+    size = _round(fastest / 2)
+    shown = "" if every == 1 else f" (one frame of {every})"
+    place = {"X": 0.73, "Y": 1 - 3.0 / height_mm, "coordinates": "figure", "labelpos": "E"}
+    axes.quiverkey(arrows, U=size, label=f"{size:g} m/s{shown}", fontproperties={"size": style.SMALL}, **place)
+
+
+def _round(value: float) -> float:
+    """The nearest 1, 2 or 5 times a power of ten below."""
+    if not value > 0:
+        return 1.0
+    power = 10.0 ** np.floor(np.log10(value))
+    return float(max(f for f in (1, 2, 5) if f * power <= value * (1 + 1e-9)) * power)

@@ -11,26 +11,18 @@ from rerun.blueprint.archetypes import PlotBackground
 
 from recon.base.arrays import Array
 from recon.fit.motion import Motion, Picture
-from recon.show.view.scene import (
-    BACKGROUND,
-    CLOSE,
-    CLOSEUP,
-    GRID_SPACING_M,
-    PICTURE,
-    Scene,
-    TimePlot,
-    by_camera,
-    middle_and_reach_px,
-    picture_bounds,
-)
+from recon.show.view import scene as drawn
 
 
-def blueprint(motion: Motion, scene: Scene, plots: Sequence[TimePlot], rows: Sequence[str]) -> rrb.Blueprint:
+def blueprint(
+    motion: Motion, scene: drawn.Scene, plots: Sequence[drawn.TimePlot], rows: Sequence[str]
+) -> rrb.Blueprint:
     """plots: those without a tab stand in the row that is in front, the angles among them in one place; rows: entities
     of states."""
     several = "s" if len(motion.pictures) > 1 else ""
     skeleton = _in_space(_title(motion), _eye_on_animal(motion, scene))
-    overview = _in_space(f"Overview with the camera{several}", _eye_on_all(motion, scene))
+    # Where nothing says from where to look, the viewer has all of the scene in sight.
+    overview = _in_space(f"Overview with the camera{several}", rrb.EyeControls3D(eye_up=scene.axes[2]))
     front = [plot for plot in plots if not plot.tab]
     angles = [time_view(plot) for plot in front if plot.entity.startswith("angles/")]
     others = [time_view(plot) for plot in front if not plot.entity.startswith("angles/")]
@@ -64,7 +56,7 @@ def _in_space(name: str, eye: rrb.EyeControls3D) -> rrb.Spatial3DView:
     return rrb.Spatial3DView(
         origin="world",
         name=name,
-        background=BACKGROUND,
+        background=drawn.BACKGROUND,
         line_grid=False,
         eye_controls=eye,
         overrides={"world/trail": [upto_now]},  # pyright: ignore[reportArgumentType]
@@ -74,8 +66,9 @@ def _in_space(name: str, eye: rrb.EyeControls3D) -> rrb.Spatial3DView:
 def _pictures(pictures: Sequence[Picture]) -> rrb.Tabs:
     """A close look and the whole picture; of several cameras all of them side by side."""
     closeups, wholes = [], []
-    for picture, close, whole in zip(pictures, by_camera(CLOSEUP, pictures), by_camera(PICTURE, pictures), strict=True):
-        reach, (low, high) = CLOSE * middle_and_reach_px(picture)[1], picture_bounds(picture)
+    entities = drawn.by_camera(drawn.CLOSEUP, pictures), drawn.by_camera(drawn.PICTURE, pictures)
+    for picture, close, whole in zip(pictures, *entities, strict=True):
+        reach, (low, high) = drawn.CLOSE * drawn.middle_and_reach_px(picture)[1], drawn.picture_bounds(picture)
         closeups.append(_flat(close, picture.name, -reach, reach))
         wholes.append(_flat(whole, picture.name, low, high))
     if len(pictures) == 1:
@@ -85,30 +78,28 @@ def _pictures(pictures: Sequence[Picture]) -> rrb.Tabs:
     return rrb.Tabs(*grids, active_tab=0)
 
 
-HALF_FIELD_DEG = 27.5
-"""Half the field of view of the viewer's eye, upright."""
 _MARKS = "close up: white detected, ● reprojected, red: outlier"
 
 
 def _flat(entity: str, name: str, low: Array, high: Array) -> rrb.Spatial2DView:
     bounds = rrb.VisualBounds2D(x_range=(low[0], high[0]), y_range=(low[1], high[1]))
-    return rrb.Spatial2DView(origin=entity, name=name, background=BACKGROUND, visual_bounds=bounds)
+    return rrb.Spatial2DView(origin=entity, name=name, background=drawn.BACKGROUND, visual_bounds=bounds)
 
 
 def _title(motion: Motion) -> str:
-    title = f"3D, {motion.frame_of_reference} frame, grid of {GRID_SPACING_M:g} m"
+    title = f"3D, {motion.frame_of_reference} frame, grid of {drawn.GRID_SPACING_M:g} m"
     if motion.side is None:
         title += "; left blue, right orange"
     return title + "; shells: one sigma"
 
 
-def time_view(series: TimePlot) -> rrb.TimeSeriesView:
+def time_view(series: drawn.TimePlot) -> rrb.TimeSeriesView:
     """One line alone is named by the title."""
     return rrb.TimeSeriesView(
         origin=series.entity,
         name=series.title,
         plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop, visible=len(series.names) > 1),
-        background=PlotBackground(color=BACKGROUND),
+        background=PlotBackground(color=drawn.BACKGROUND),
     )
 
 
@@ -116,7 +107,7 @@ def state_rows(entities: Sequence[str], name: str) -> rrb.StateTimelineView:
     return rrb.StateTimelineView(origin="/", contents=[f"/{entity}" for entity in entities], name=name)
 
 
-def _eye_on_animal(motion: Motion, scene: Scene) -> rrb.EyeControls3D:
+def _eye_on_animal(motion: Motion, scene: drawn.Scene) -> rrb.EyeControls3D:
     """Going along with the animal, on the camera's side of it, and slightly raised."""
     up = scene.axes[2]
     poses, path = motion.joints_m[motion.solved], motion.root_m[motion.solved]
@@ -139,18 +130,3 @@ def _eye_on_animal(motion: Motion, scene: Scene) -> rrb.EyeControls3D:
         eye_up=up,
         tracking_entity="world/followed",
     )
-
-
-def _eye_on_all(motion: Motion, scene: Scene) -> rrb.EyeControls3D:
-    """From above, behind the first camera, with all cameras and the whole path in sight."""
-    corners = np.stack((scene.low_m, scene.high_m)) @ scene.axes
-    centres = [picture.T_reference_camera.reshape(-1, 4, 4)[:, :3, 3] for picture in motion.pictures]
-    points = np.concatenate([corners, *centres])
-    points = points[np.isfinite(points).all(axis=1)]
-    target, up = (points.min(axis=0) + points.max(axis=0)) / 2, scene.axes[2]
-    ahead = scene.centre_m - scene.camera_m
-    ahead -= up * (ahead @ up)
-    look = ahead / max(float(np.linalg.norm(ahead)), 1e-9) - 0.5 * up
-    away = float(np.linalg.norm(points - target, axis=1).max()) / np.sin(np.radians(HALF_FIELD_DEG))
-    position = target - away * look / np.linalg.norm(look)
-    return rrb.EyeControls3D(kind=rrb.Eye3DKind.Orbital, position=position, look_target=target, eye_up=up)

@@ -1,0 +1,282 @@
+"""Figures over time: stances, the vertical forces of the feet, speeds, and angles."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from recon.animal import both_sides, side_of
+from recon.base.arrays import Array, Bools
+from recon.base.words import length_text
+from recon.clip.keypoints import frame_ranges
+from recon.gait.dynamics import Dynamics
+from recon.gait.gait import Gait, Stance
+from recon.gait.kinematics import JointKinematics
+from recon.show.plots import style
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
+
+# -- stances and forces -----------------------------------------------------------------------------------------------
+
+ROWS = ("LH", "RH", "RF", "LF")
+"""The feet's rows from the top."""
+HATCHES = ("", "////", "....", "xxxx")
+_BAR = 0.76
+"""The height of the bars of a row, all gaits together."""
+
+
+def footfall(gaits: Mapping[str, Gait], fps: float, title: str = "") -> Figure:
+    """Stances by foot, those of several gaits, by name, one above the other; the second axis counts frames,
+    of which 0 is at 0 s.
+
+    A stance that the clip cuts has no edge there, but an arrow: it is at least as long as its bar. Lines across the
+    edges hold touch-downs and lift-offs with 90 %; thin lines with ticks are complete strides. Below: what each gait is
+    called and why.
+    """
+    captions = [_caption(name, gait) for name, gait in gaits.items()]
+    lines = sum(caption.count("\n") + 1 for caption in captions)
+    others = [foot for gait in gaits.values() for foot in gait.tracks.feet if foot not in ROWS]
+    feet = [foot for foot in ROWS if any(foot in g.tracks.feet for g in gaits.values())] + list(dict.fromkeys(others))
+    with style.drawing(9.0 * len(feet) + 32 + 3.4 * lines + 4 * bool(title), title=title) as figure:
+        if not gaits:
+            return figure
+        from matplotlib.collections import LineCollection
+        from matplotlib.ticker import MaxNLocator
+
+        axes = figure.subplots()
+        thick = _BAR / len(gaits)
+        for m, gait in enumerate(gaits.values()):
+            place = {foot: row - _BAR / 2 + (m + 0.5) * thick for row, foot in enumerate(feet)}
+            ends = [[(s.start_s, place[s.foot]), (s.end_s, place[s.foot])] for s in gait.strides]
+            axes.add_collection(LineCollection(ends, color="k", lw=0.7, zorder=3.5), autolim=False)
+            axes.plot(*np.reshape(ends, (-1, 2)).T, "k|", ms=5, zorder=3.5)
+            for foot, y in place.items():
+                _bars(axes, [s for s in gait.stances if s.foot == foot], y, 0.86 * thick, m)
+        axes.set_yticks(range(len(feet)), feet)
+        axes.set_ylim(len(feet) - 0.5, -0.5)
+        axes.tick_params(axis="y", length=0)
+        for row in range(1, len(feet)):
+            axes.axhline(row - 0.5, color=style.PALE, lw=0.5, zorder=0)
+        times = np.concatenate([g.tracks.time_s for g in gaits.values()])
+        room = 0.02 * float(np.ptp(times)) or 0.5 / fps
+        axes.set_xlim(times.min() - room, times.max() + room)
+        axes.set_xlabel("time (s)\n\n" + "\n".join(captions), loc="left", fontsize=style.SMALL)
+        frames = axes.secondary_xaxis("top", functions=(lambda t: np.multiply(t, fps), lambda f: np.divide(f, fps)))
+        frames.set_xlabel("frame")
+        frames.xaxis.set_major_locator(MaxNLocator("auto", integer=True, steps=[1, 2, 5, 10]))
+        if not any(g.stances for g in gaits.values()):
+            axes.text(0.5, 0.5, "no stances", transform=axes.transAxes, ha="center", va="center")
+        _legend(figure, gaits)
+    return figure
+
+
+def _bars(axes: Axes, stances: Sequence[Stance], y: float, height: float, m: int) -> None:
+    """The bars of one foot."""
+    from matplotlib.collections import LineCollection
+
+    colour, low, high, edges = style.COLOURS[m % len(style.COLOURS)], y - height / 2, y + height / 2, []
+    axes.broken_barh([(s.start_s, s.duration_s) for s in stances], (low, height), **_fill(m), lw=0, zorder=2)
+    for stance in stances:
+        # An edge only where the stance begins or ends.
+        left, right = stance.start_s, stance.end_s
+        edges += [[(left, low), (right, low)], [(left, high), (right, high)]]
+        edges += [[(left, low), (left, high)]] * stance.begins + [[(right, low), (right, high)]] * stance.ends
+        for at, marker in [(left, "<")] * (not stance.begins) + [(right, ">")] * (not stance.ends):
+            axes.plot(at, y, marker=marker, ms=4, color=colour, mec="w", mew=0.4, zorder=4, clip_on=False)
+    lines = LineCollection(edges, color=colour, lw=1.1, capstyle="projecting", zorder=3)
+    axes.add_collection(lines, autolim=False)
+    intervals = np.array([of for stance in stances for of in (stance.start_interval_s, stance.end_interval_s)])
+    known = [[(left, y + height / 4), (right, y + height / 4)] for left, right in intervals if np.isfinite(left)]
+    axes.add_collection(LineCollection(known, color="0.35", lw=0.7, zorder=3.2), autolim=False)
+
+
+def _caption(name: str, gait: Gait) -> str:
+    text = f"{name}: {gait.name.name} ({gait.name.criterion})"
+    if gait.strides:
+        text += f"; stride {length_text(gait.stride_length_m)}, {gait.stride_frequency_hz:.2f} Hz"
+    return textwrap.fill(text, 125)
+
+
+def _legend(figure: Figure, gaits: Mapping[str, Gait]) -> None:
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    handles: list = [Patch(**_fill(m), label=name if len(gaits) > 1 else "stance") for m, name in enumerate(gaits)]
+    if not all(s.begins and s.ends for g in gaits.values() for s in g.stances):
+        handles.append(Line2D([], [], linestyle="", marker=">", ms=4, color="k", label="cut by the clip"))
+    if any(np.isfinite((s.start_sigma_s, s.end_sigma_s)).any() for g in gaits.values() for s in g.stances):
+        handles.append(Line2D([], [], color="0.35", lw=0.7, label="90 % of its ends"))
+    if any(g.strides for g in gaits.values()):
+        handles.append(Line2D([], [], color="k", lw=0.7, marker="|", ms=5, label="complete stride"))
+    style.add_legend(figure, handles, [h.get_label() for h in handles])
+
+
+def _fill(m: int) -> dict[str, Any]:
+    """Pale, with a hatch and an edge, of the m-th gait."""
+    from matplotlib.colors import to_rgb
+
+    colour = style.COLOURS[m % len(style.COLOURS)]
+    return {"fc": [0.55 + 0.45 * c for c in to_rgb(colour)], "ec": colour, "hatch": HATCHES[m % len(HATCHES)]}
+
+
+def forces(d: Dynamics, gait: Gait) -> Figure:
+    """Footfalls above, and beneath each other the vertical force of each foot in body weights with the band that holds
+    it with 90 %; below, the height of the centre of mass with one standard deviation."""
+    feet = [foot for foot in ROWS if foot in d.force] or list(d.force)
+    with style.drawing(26.0 + 24.0 * (len(feet) + 1)) as figure:
+        heights = [0.7, *[1.0] * len(feet), 1.0]
+        panels = figure.subplots(len(feet) + 2, 1, sharex=True, gridspec_kw={"height_ratios": heights})
+        top, *below, last = panels
+        time_s = gait.tracks.time_s
+        for row, foot in enumerate(feet):
+            own, colour = [s for s in gait.stances if s.foot == foot], style.COLOURS[row % len(style.COLOURS)]
+            top.broken_barh([(s.start_s, s.duration_s) for s in own], (row - 0.35, 0.7), color=colour, alpha=0.6)
+            middle, low, high = d.force[foot].T
+            below[row].fill_between(time_s, low, high, color=colour, alpha=0.25, lw=0)
+            below[row].plot(time_s, middle, color=colour)
+            below[row].set_ylabel(foot)
+            below[row].set_ylim(bottom=0)
+            if np.isnan(middle).any() and not np.nan_to_num(middle).any():
+                drawn = {"transform": below[row].transAxes, "ha": "center", "va": "center", "color": style.GREY}
+                below[row].text(0.5, 0.5, "not known: the clip cuts its stances", **drawn)
+                below[row].set_yticks([])
+        top.set_yticks(range(len(feet)), feet)
+        top.invert_yaxis()
+        top.set_title("stances, and vertical force of each foot (body weights; band: 90 %)")
+        series = d.centre.series
+        sigma = np.zeros_like(series.value[:, 2]) if series.value_sigma is None else series.value_sigma[:, 2]
+        height = series.value[:, 2] - d.ground_m
+        last.fill_between(series.time_s, height - sigma, height + sigma, color="0.5", alpha=0.25, lw=0)
+        last.plot(series.time_s, height, color="k")
+        last.set_ylabel("centre of\nmass (m)")
+        last.set_xlabel("time (s)")
+    return figure
+
+
+# -- speed ------------------------------------------------------------------------------------------------------------
+
+BAND_ROOM = 1.6
+"""Bands may take the axis up to this times the highest curve: at a spline's ends they are several times as wide."""
+
+
+def speeds(
+    curves: Mapping[str, JointKinematics],
+    title: str = "",
+    width_mm: float = style.WIDTH_MM,
+    unknown: bool = False,
+    acceleration: bool = True,
+) -> Figure:
+    """Speed and acceleration of one joint or of several, by name, with bands of one sigma where known.
+
+    Dots are frames, the rest is the spline between them; it is open where the path is not known. The legend gives the
+    peak, which has a ring. unknown: that they are errors of the path rather than speeds; grey, without peaks.
+    acceleration: whether it is drawn, too.
+    """
+    peaks = ["not known, errors of the path" if unknown else _peak(motion, acceleration) for motion in curves.values()]
+    labels = [f"{name}: {peak}" for name, peak in zip(curves, peaks, strict=True)]
+    rows = 2 if acceleration else 1
+    with style.drawing(14 + 42 * rows + style.legend_shape(labels, width_mm)[1], width_mm, title) as figure:
+        above, below = figure.subplots(2, 1, sharex=True) if acceleration else [figure.subplots()] * 2
+        handles = []
+        for i, motion in enumerate(curves.values()):
+            handles.append(_curve(above, i, motion, motion.speed_m_s, motion.speed_sigma_m_s, unknown))
+            if acceleration:
+                _curve(below, i, motion, motion.acceleration_m_s2, motion.acceleration_sigma_m_s2, unknown)
+        for axes, unit, values, sigmas in (
+            (above, "speed (m/s)", "speed_m_s", "speed_sigma_m_s"),
+            (below, "acceleration (m/s²)", "acceleration_m_s2", "acceleration_sigma_m_s2"),
+        )[:rows]:
+            axes.set_ylabel(unit)
+            _limit(axes, [(getattr(m, values), getattr(m, sigmas)) for m in curves.values()])
+        below.set_xlabel("time (s)")
+        style.add_legend(figure, handles, labels, width_mm)
+    return figure
+
+
+def _curve(axes: Axes, i: int, motion: JointKinematics, value: Array, sigma: Array | None, unknown: bool) -> Line2D:
+    drawn: dict[str, Any] = style.look(i) | ({"color": style.GREY} if unknown else {})
+    t = motion.series.time_s
+    every = motion.series.oversampling
+    (line,) = axes.plot(t, value, **style.dots(len(t) // every, 2.2), markevery=every, zorder=3, **drawn)
+    if sigma is not None:
+        style.draw_band(axes, t, value, sigma, drawn["color"])
+    if np.isfinite(value).any() and not unknown:
+        k = int(np.nanargmax(value))
+        axes.plot(t[k], value[k], "o", ms=6, mfc="none", mec=drawn["color"], mew=1.0, zorder=4)
+    return line
+
+
+def _peak(motion: JointKinematics, acceleration: bool) -> str:
+    if not np.isfinite(motion.peak_speed_m_s):
+        return "no data"
+    speed = f"{motion.peak_speed_m_s:.2f}{_deviation(motion.peak_speed_sigma_m_s, 2)} m/s"
+    text = f"peak {speed} at {motion.peak_speed_time_s:.3f} s"
+    if acceleration:
+        spread = _deviation(motion.peak_acceleration_sigma_m_s2, 0)
+        text += f", {motion.peak_acceleration_m_s2:.0f}{spread} m/s²"
+    return text
+
+
+def _deviation(sigma: float, digits: int) -> str:
+    return "" if np.isnan(sigma) else f" ± {sigma:.{digits}f}"
+
+
+def _limit(axes: Axes, series: list[tuple[Array, Array | None]]) -> None:
+    highest = np.max([np.nanmax(v) for v, _ in series if np.isfinite(v).any()], initial=-np.inf)
+    if not np.isfinite(highest):
+        style.blank(axes)
+        return
+    tops = [np.nanmax(v + s) for v, s in series if s is not None and np.isfinite(v + s).any()]
+    top = min(np.max(tops, initial=highest), BAND_ROOM * highest)
+    axes.set_ylim(0, 1.06 * top if top > 0 else 1.0)
+
+
+# -- angles -----------------------------------------------------------------------------------------------------------
+
+ANGLES_MM = (62.0, 36.0)
+"""Width and height: three are a page wide."""
+_BOX = (0.12, 0.21, 0.85, 0.64)
+
+
+AngleCurve = tuple[Array, Array, bool]
+"""One angle of a clip of T frames: (T,) rad, NaN where there is none, its standard deviation (T,), and whether the
+pixels say more of it than what was expected."""
+
+
+def together(curves: Mapping[str, AngleCurve]) -> dict[str, dict[str, AngleCurve]]:
+    """By title: an angle with its counterpart of the other side."""
+    pairs: dict[str, dict[str, AngleCurve]] = {}
+    for name, curve in curves.items():
+        pairs.setdefault(both_sides(name).replace("_", " "), {})[name] = curve
+    return pairs
+
+
+def angle_over_time(time_s: Array, curves: Mapping[str, AngleCurve], doubtful: Bools, title: str = "") -> Figure:
+    """Degrees, with a band of one standard deviation; the left side's are blue, the right side's orange, those that are
+    mostly expected grey. time_s (T,); doubtful (T,): frames with a grey background."""
+    width, height = ANGLES_MM
+    with style.drawing(height, width) as figure:
+        figure.set_layout_engine("none")  # which takes longer than all the rest
+        axes = figure.add_axes(_BOX)
+        for name, (angle_rad, sigma_rad, measured) in curves.items():
+            side = side_of(name)
+            colour = {"left": style.COLOURS[0], "right": style.COLOURS[1], None: "k"}[side] if measured else style.GREY
+            degrees, spread = np.degrees(angle_rad), np.degrees(sigma_rad)
+            axes.plot(time_s, degrees, color=colour, lw=1.0, linestyle=(0, (4, 1.2)) if side == "left" else "-")
+            axes.fill_between(time_s, degrees - spread, degrees + spread, color=colour, alpha=0.2, lw=0)
+        half = 0.5 * float(np.median(np.diff(time_s))) if len(time_s) > 1 else 0.5
+        for first, stop in frame_ranges(np.flatnonzero(doubtful)):
+            ends = float(time_s[first]) - half, float(time_s[stop - 1]) + half
+            axes.axvspan(*ends, color=style.PALE, alpha=0.4, lw=0, zorder=0)
+        axes.set_xlim(time_s[0] - half, time_s[-1] + half)
+        axes.locator_params(axis="y", nbins=5)
+        axes.locator_params(axis="x", nbins=6)
+        axes.set_xlabel("time (s)", fontsize=style.SMALL, labelpad=1)
+        axes.set_title(f"{title} (°)", loc="left", pad=3)
+    return figure
