@@ -83,15 +83,16 @@ class ClipAnalysis:
     @cached_property
     def reference_motion(self) -> JointKinematics:
         """The motion of the reference joint, on the fine grid."""
-        return self._moved(self.reference)
+        return self.moved(self.reference)
 
     @cached_property
     def joints(self) -> dict[str, JointKinematics]:
         """The motion of each joint, by its name; but for the reference at the frames only, as it takes much memory."""
-        others = {name: at_frames(self._moved(name)) for name in self.motion.upright.names if name != self.reference}
+        others = {name: at_frames(self.moved(name)) for name in self.motion.upright.names if name != self.reference}
         return {name: others.get(name, self.reference_motion) for name in self.motion.upright.names}
 
-    def _moved(self, name: str) -> JointKinematics:
+    def moved(self, name: str) -> JointKinematics:
+        """The motion of a joint on the fine grid."""
         motion = self.motion
         return kinematics.joint_kinematics(motion.upright, name, motion.fps, _errors(motion), smooth=motion.jitters)
 

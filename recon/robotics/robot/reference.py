@@ -143,7 +143,7 @@ def _checked(motion: Motion, analysis: ClipAnalysis) -> Gait:
 
 def _trunk(analysis: ClipAnalysis) -> Array:
     """From rear to front (N, 3) on the fine grid."""
-    rear, front = (analysis.joints[name].series.value for name in analysis.motion.forward_names)
+    rear, front = (analysis.moved(name).series.value for name in analysis.motion.forward_names)
     return front - rear
 
 
@@ -154,7 +154,7 @@ def _angles(analysis: ClipAnalysis, rows: Index, to_world: Rotation, trunk: Arra
     pitch = -np.arctan2(ahead[:, 2], np.hypot(ahead[:, 0], ahead[:, 1]))
     across = np.zeros((len(rows), 3))
     for left, right in _pairs(analysis.motion):
-        across += analysis.joints[left].series.value[rows] - analysis.joints[right].series.value[rows]
+        across += analysis.moved(left).series.value[rows] - analysis.moved(right).series.value[rows]
     if not np.isfinite(across).all() or not across.any():
         return np.column_stack([np.zeros(len(rows)), pitch, yaw])
     in_body = (Rotation.from_euler("ZY", np.column_stack([yaw, pitch])).inv() * to_world).apply(across)

@@ -232,7 +232,7 @@ def companion(done: Retargeting) -> Any:
 
     animal, motion = done.animal, done.clip
     fitted = animal.analysis.motion
-    points = np.stack([animal.analysis.joints[name].series.value[animal.rows] for name in fitted.names], axis=1)
+    points = np.stack([animal.analysis.moved(name).series.value[animal.rows] for name in fitted.names], axis=1)
     hips = np.array([motion.points(label)[0, 0] for label in LEGS])
     beside = np.ptp(hips[:, 1]) + 2 * motion.robot.stand_m
     placed = motion.scale * (points - animal.origin_m) @ animal.rotation.as_matrix().T + [0.0, beside, 0.0]
