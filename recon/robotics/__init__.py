@@ -32,7 +32,7 @@ if TYPE_CHECKING:
         weighted_least_norm,
     )
     from recon.robotics.ik.stride import farthest_reach, find_stride
-    from recon.robotics.robot.answers import all_solutions
+    from recon.robotics.robot.dh import all_solutions
     from recon.robotics.robot.physics import described, simulated
     from recon.robotics.robot.quadruped import LEGS, Quadruped, body_pose, feet_in_world
     from recon.robotics.robot.reference import reference_of

@@ -127,7 +127,8 @@ class RetargetSettings(Settings):
     """By MuJoCo, frame by frame: limits, torques, forces on the ground, legs that meet: table, figure, and what to
     change."""
     fit_limits: bool = False
-    """As much slower as joint rates and torques ask for, by MuJoCo; the check of before and after."""
+    """The least change of time, stride, height and the base's path with which the robot can do it, by MuJoCo; the check
+    of before and after."""
     anyway: Annotated[bool, ANYWAY] = False
     overwrite: Annotated[bool, _OVERWRITE] = False
 

@@ -34,9 +34,9 @@ from recon.io import (
 from recon.io.columns import read_long
 from recon.keypoint_net import read_label_file
 from recon.robotics import LEGS, described, load_recipe, load_robot
+from recon.robotics.robot.dh import load_dh
 from recon.robotics.robot.reference import Reference
 from recon.robotics.robot.retarget import place
-from recon.robotics.robot.robot_file import load_dh
 from recon.show import make_rig
 from recon.workflows import Record, run_clip
 

@@ -3,25 +3,30 @@
 A robot's own file is taken as it is, without meshes. One that is described by its dimensions gets, from its masses, a
 body with its inertia, links as capsules as thick as `LEGS_APART` says, and feet as points.
 
-Of every frame: forces of the feet that stand, within the friction cone, are sought that leave the least of what the
-body's motion asks for; the share that is left of the weight is `force_missing`. It holds friction and the centre of
-pressure, as feet push only where they are, and flights that are no free fall.
+In every frame, forces of the feet that stand, within the friction cone, are sought that leave the least of what the
+body's motion asks for; what is left, in weights, is the margin `forces`. It holds friction and the centre of pressure,
+as feet push only where they are, and flights that are no free fall. `carried` moves the base until nothing is left,
+and `followed` simulates a robot that follows what comes of it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 from scipy.optimize import nnls
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import RigidTransform, Rotation
+from scipy.stats import binom
 
 from recon.base.arrays import Array
 from recon.base.errors import InputError, Problem
 from recon.robotics.robot.quadruped import LEGS, Quadruped
-from recon.robotics.robot.retarget import LEGS_APART, RobotMotion, slowed
+from recon.robotics.robot.retarget import LEGS_APART, RobotMotion, posed, stances
 from recon.robotics.robot.robot_file import SUFFIXES, read_model, root_of, the_mujoco
 from recon.show.plots.style import GREY, SMALL, drawing
 
@@ -30,11 +35,20 @@ if TYPE_CHECKING:
 
 FRICTION = 0.8
 RATE_HZ = 100.0
+FOOT_M = 1e-3
+GAINS = (100.0, 2.0)
+"""N m / rad and N m s / rad."""
+TIMESTEP_S, TORQUES_HZ = 5e-4, 500.0
 STEP_S = 1e-4
 """Between velocities whose difference is an acceleration."""
-FACTOR = 1.05
-"""Between the paces that are tried, of which there are `TRIED`."""
-TRIED = 30
+SLOPES = np.array([[0, 0, 1], *([x, y, 1] for x, y in FRICTION * np.array([[1, 0], [-1, 0], [0, 1], [0, -1]]))])
+"""Forces that span the friction cone."""
+STRETCHED = 0.05
+"""Of a leg's best direction, below which its foot does not move."""
+KNOTS_S, DEGREE, TURNS = 0.015, 5, 12
+"""Between knots of the base's way; degree of the forces' polynomials; steps."""
+TORQUES, NEAR, ENOUGH, CLOSE = 0.02, 0.15, 0.8, 1.0
+"""Weights of torques (shares of the limits) and of the base's deviation (of the standing height, and rad)."""
 
 
 class _Rule(NamedTuple):
@@ -52,7 +66,7 @@ RULES = {
     "joint_limits": _Rule("joints within their limits", -1e-6, "rad", "a smaller --scale"),
     "joint_rates": _Rule("joint rates, left of the limit", -1e-6, "share", "--fit-limits, or a larger --slower"),
     "torques": _Rule("torques, left of the limit", 0.0, "share", "--fit-limits, or a larger --slower"),
-    "forces": _Rule("forces that standing feet lack", -0.1, "weight", "nothing here: a policy has to find its own"),
+    "forces": _Rule("forces that standing feet lack", -0.1, "weight", "--fit-limits"),
     "legs_apart": _Rule("legs that run into each other", 0.0, "m", "a smaller --scale"),
     "ground": _Rule("lowest point above the ground", -1e-3, "m", "a smaller --scale"),
 }
@@ -77,7 +91,7 @@ def described(robot: Quadruped) -> Any:
     base.add_freejoint()
     capsule, sphere = mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_SPHERE
     thick = LEGS_APART * robot.stand_m / 2
-    for k, leg in enumerate(robot.legs.values()):
+    for k, (label, leg) in enumerate(robot.legs.items()):
         places, axes = leg.chain.positions(np.zeros(leg.chain.n)), leg.chain.joint_axes(np.zeros(leg.chain.n))
         body, at, way = base, np.zeros(3), np.zeros(3)
         for j, name in enumerate(leg.joints):
@@ -90,61 +104,245 @@ def described(robot: Quadruped) -> Any:
             # Legs meet those of other legs only.
             meet = {"contype": (1 << k) if j else 0, "conaffinity": (15 & ~(1 << k)) if j else 0}
             body.add_geom(**kind, size=[thick, 0, 0], mass=masses.links_kg[j], **meet)
-        body.add_geom(type=sphere, pos=way, size=[1e-3, 0, 0], mass=masses.foot_kg, contype=0, conaffinity=0)
+        foot = {"name": f"{label} foot", "type": sphere, "size": [FOOT_M, 0, 0], "pos": way}
+        body.add_geom(**foot, mass=masses.foot_kg, contype=0, conaffinity=0)
     return spec
+
+
+class _Frames(NamedTuple):
+    """What a motion asks for at K times, by the base's place, its turn about the world's axes and the J joints."""
+
+    needed: Array
+    """(K, 6 + J): forces, moments and torques, without those of the ground."""
+    moves: Array
+    """(K, 4, 3, 6 + J): how the feet move with them."""
+    mass: Array
+    """(K, 6, 6): what an acceleration of the base asks for while the feet keep to their paths."""
+    apart_m: Array
+    """(K,): the least distance of parts that run into each other, negative, else 0."""
+
+
+def _frames(motion: RobotMotion, model: Any, time_s: Array) -> _Frames:
+    mujoco, robot = the_mujoco(motion.robot.source), motion.robot
+    joints = [model.joint(name) for name in robot.joints]
+    order = [*range(6), *(joint.dofadr[0] for joint in joints)]
+    bodies = [model.joint(leg.joints[-1]).bodyid[0] for leg in robot.legs.values()]
+    ends = np.cumsum([6, *(len(leg.joints) for leg in robot.legs.values())])
+    data, rates = mujoco.MjData(model), np.zeros((2, model.nv))
+    feet = robot.tree.pose(motion.states(time_s)).points_m[:, robot.foot_markers]
+    near, rows = np.stack([motion.states(time_s + step) for step in (-STEP_S, 0.0, STEP_S)], axis=1), []
+    off = int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
+    for states, points in zip(near, feet, strict=True):
+        places = _places(model, robot, states)
+        for rate, before, after in zip(rates, places[:-1], places[1:], strict=True):
+            mujoco.mj_differentiatePos(model, rate, STEP_S, before, after)
+        data.qpos[:], data.qvel[:], data.qacc[:] = places[1], rates.mean(axis=0), (rates[1] - rates[0]) / STEP_S
+        mujoco.mj_fwdPosition(model, data)
+        apart = min((float(c.dist) for c in data.contact), default=0.0)
+        model.opt.disableflags |= off
+        mujoco.mj_inverse(model, data)
+        model.opt.disableflags &= ~off
+        turn, mass, moves = np.eye(len(order)), np.zeros((model.nv, model.nv)), np.zeros((4, 3, model.nv))
+        turn[3:6, 3:6] = Rotation.from_quat(places[1, 3:7], scalar_first=True).as_matrix()
+        mujoco.mj_fullM(model, data, mass)
+        held = np.eye(len(order), 6)
+        for k, point in enumerate(points):
+            mujoco.mj_jac(model, data, moves[k], None, point, bodies[k])
+            leg = slice(ends[k], ends[k + 1])
+            own = moves[k][:, order]
+            held[leg] = -np.linalg.pinv(own[:, leg], rcond=STRETCHED) @ own[:, :6]
+        wide = turn @ mass[np.ix_(order, order)] @ held @ turn[:6, :6].T
+        rows.append((turn @ data.qfrc_inverse[order], moves[..., order] @ turn.T, wide[:6], apart))
+    return _Frames(*(np.array(of) for of in zip(*rows, strict=True)))
+
+
+def _places(model: Any, robot: Quadruped, states: Array) -> Array:
+    """MuJoCo's (K, nq) of states (K, 6 + J) of the robot's tree."""
+    places = np.zeros((len(states), model.nq))
+    places[:, :3] = states[:, :3]
+    places[:, 3:7] = Rotation.from_euler("ZYX", states[:, 3:6]).as_quat(scalar_first=True)
+    places[:, [model.joint(name).qposadr[0] for name in robot.joints]] = states[:, 6:]
+    return places
+
+
+def _units(motion: RobotMotion, model: Any, torques: float) -> Array:
+    """(6 + J): what forces and moments on the base, as shares of the weight, and torques, as shares of their limits
+    times a factor, are multiplied by."""
+    weight = float(model.body_subtreemass[root_of(model)]) * float(np.linalg.norm(model.opt.gravity))
+    limits = model.jnt_actfrcrange[[model.joint(name).id for name in motion.robot.joints], 1]
+    of_base = np.array([1, 1, 1, *[1 / motion.robot.stand_m] * 3]) / weight
+    return np.concatenate([of_base, torques / limits])
+
+
+def balanced(motion: RobotMotion, model: Any, time_s: Array) -> tuple[Array, _Frames]:
+    """What is left (K, 6 + J) of a motion's needs at times (K,), and these: what the forces of the feet that stand, in
+    the friction cone, do not give the base, and the joints' torques with these forces."""
+    found, asked = _frames(motion, model, time_s), _units(motion, model, 1e-3)
+    left = found.needed.copy()
+    for k, stands in enumerate(motion.stands_at(time_s)):
+        if stands.any():
+            pushes = (SLOPES @ found.moves[k, stands]).reshape(-1, len(asked)).T
+            left[k] -= pushes @ nnls(asked[:, None] * pushes, asked * left[k])[0]
+    return left, found
 
 
 def check(motion: RobotMotion, model: Any) -> tuple[Array, dict[str, Array]]:
     """Times (K,), and by the names of `RULES` the margins (K,) of a motion."""
-    mujoco = the_mujoco(motion.robot.source)
-    robot, tree = motion.robot, motion.robot.tree
     duration = float(motion.time_s[-1] - motion.time_s[0])
     time = motion.time_s[0] + np.linspace(0.0, duration, max(2, round(duration * RATE_HZ) + 1))
     states, rates = motion.states(time), motion.states(time, 1)
-    points = tree.pose(states).points_m
-    feet = robot.foot_markers
-    lower, upper, fastest = robot.limits()
-    columns = [model.joint(name).dofadr[0] for name in robot.joints]
-    torque_limits = model.jnt_actfrcrange[[model.joint(name).id for name in robot.joints], 1]
-    root = root_of(model)
-    stands = motion.stands_at(time)
-    data, weight = mujoco.MjData(model), float(model.body_subtreemass[root]) * float(np.linalg.norm(model.opt.gravity))
-    slopes = np.array([[0, 0, 1], *([x, y, 1] for x, y in FRICTION * np.array([[1, 0], [-1, 0], [0, 1], [0, -1]]))])
-    torques, missing, apart = np.zeros(len(time)), np.zeros(len(time)), np.zeros(len(time))
-    for k, t in enumerate(time):
-        near = np.clip([t - STEP_S, t + STEP_S], time[0], time[-1])
-        before, after = (_velocities(motion, at, columns, model.nv) for at in near)
-        data.qpos[:7] = [*states[k, :3], *_turn(states[k]).as_quat(scalar_first=True)]
-        data.qpos[[c + 1 for c in columns]] = states[k, 6:]
-        data.qvel[:], data.qacc[:] = (before + after) / 2, (after - before) / (near[1] - near[0])
-        mujoco.mj_fwdPosition(model, data)
-        apart[k] = min((float(c.dist) for c in data.contact), default=0.0)
-        model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
-        mujoco.mj_inverse(model, data)
-        model.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
-        needed, ways = data.qfrc_inverse.copy(), []
-        for label in np.flatnonzero(stands[k]):
-            jacobian = np.zeros((3, model.nv))
-            body = model.joint(robot.legs[LEGS[label]].joints[-1]).bodyid[0]
-            mujoco.mj_jac(model, data, jacobian, None, points[k, feet[label]], body)
-            ways += list(slopes @ jacobian)
-        if ways:
-            pushes = np.array(ways).T
-            size = np.array([1, 1, 1, *(1 / robot.stand_m for _ in range(3))]) / weight
-            of_torques = 1e-3 / torque_limits[:, None]
-            left = np.vstack([size[:, None] * pushes[:6], of_torques * pushes[columns]])
-            found, _ = nnls(left, np.concatenate([size * needed[:6], of_torques[:, 0] * needed[columns]]))
-            needed = needed - pushes @ found
-        missing[k] = np.linalg.norm(needed[:3]) / weight + np.linalg.norm(needed[3:6]) / (weight * robot.stand_m)
-        torques[k] = np.abs(needed[columns] / torque_limits).max()
+    lower, upper, fastest = motion.robot.limits()
+    left, found = balanced(motion, model, time)
+    used = _used(_units(motion, model, 1.0) * left)
     return time, {
         "joint_limits": np.minimum(states[:, 6:] - lower, upper - states[:, 6:]).min(axis=1),
         "joint_rates": 1 - np.abs(rates[:, 6:] / fastest).max(axis=1),
-        "torques": 1 - torques,
-        "forces": -missing,
-        "legs_apart": apart,
-        "ground": points[..., 2].min(axis=1),
+        "torques": 1 - used[:, 1:].max(axis=1),
+        "forces": used[:, 0] * RULES["forces"].least,
+        "legs_apart": found.apart_m,
+        "ground": motion.robot.tree.pose(states).points_m[..., 2].min(axis=1),
     }
+
+
+def followed(motion: RobotMotion, strides: int = 1) -> tuple[Array, Array]:
+    """A simulation of the robot that follows a motion, and what it does: times (K,), and how far the base is from where
+    it should be (K,), in metres. Of a robot that is described by its dimensions.
+
+    Each joint is driven by the torque that the motion asks for with the forces of the standing feet, and by a spring
+    and a damper (`GAINS`) to its angle and rate in the motion, at every step of the simulation, within its limits. The
+    ground is level, with a friction of 1.
+    """
+    mujoco, robot = the_mujoco(motion.robot.source), motion.robot
+    model = simulated(robot)
+    spec = described(robot)
+    spec.option.timestep, ground = TIMESTEP_S, 1 << len(LEGS)
+    spec.worldbody.add_geom(
+        type=mujoco.mjtGeom.mjGEOM_PLANE,
+        size=[0, 0, 1],
+        pos=[0, 0, -FOOT_M],
+        contype=0,
+        conaffinity=ground,
+        friction=[1, 0, 0],
+    )
+    for foot in [geom for geom in spec.geoms if geom.name.endswith(" foot")]:
+        foot.contype, foot.friction = ground, [1, 0, 0]
+    world = spec.compile()
+    data, order = mujoco.MjData(world), [world.joint(name) for name in robot.joints]
+    places, columns = [joint.qposadr[0] for joint in order], [joint.dofadr[0] for joint in order]
+    limits = world.jnt_actfrcrange[[joint.id for joint in order], 1]
+    lasts = float(motion.time_s[-1] - motion.time_s[0])
+    time = np.linspace(0.0, strides * lasts, round(strides * lasts / TIMESTEP_S), endpoint=False)
+    knots = np.linspace(0.0, lasts, round(lasts * TORQUES_HZ) + 1)
+    torques = CubicSpline(knots, balanced(motion, model, motion.time_s[0] + knots)[0][:, 6:])(time % lasts)
+    states, rates = motion.states(motion.time_s[0] + time), motion.states(motion.time_s[0] + time, 1)
+    off = np.zeros(len(time))
+    begin = _places(model, robot, motion.states(motion.time_s[0] + np.array([0.0, STEP_S])))
+    data.qpos[:] = begin[0]
+    mujoco.mj_differentiatePos(world, data.qvel, STEP_S, *begin)
+    for k, (state, rate, torque) in enumerate(zip(states, rates, torques, strict=True)):
+        off[k] = np.linalg.norm(data.qpos[:3] - state[:3])
+        torque = torque + GAINS[0] * (state[6:] - data.qpos[places]) + GAINS[1] * (rate[6:] - data.qvel[columns])
+        data.qfrc_applied[columns] = np.clip(torque, -limits, limits)
+        mujoco.mj_step(world, data)
+    return time, off
+
+
+def carried(motion: RobotMotion, model: Any) -> tuple[RobotMotion, Array]:
+    """The motion with its base moved by as little as lets the feet carry it, and by how much (N, 6): along and about
+    the world's axes.
+
+    The base's way is a cubic spline through knots `KNOTS_S` apart. Each stance pushes with forces in the friction cone
+    that grow from nothing and fade to nothing, as Bernstein's polynomials do. Both are found together by least squares
+    (Levenberg and Marquardt's steps, the base's dynamics anew in each): of what the forces leave of the motion's
+    needs, of the torques, and of the base's deviation.
+    """
+    start, loops = motion.time_s[0], motion.advance_m is not None
+    lasts = float(motion.time_s[-1] - start)
+    time = start + np.linspace(0.0, lasts, (1 + loops) * max(4, round(RATE_HZ * lasts)) + 1)[: -1 if loops else None]
+    knots = start + np.linspace(0.0, lasts, max(6, round(lasts / KNOTS_S)) + 1)
+    at = np.eye(len(knots))
+    if loops:
+        spline = CubicSpline(knots, np.vstack([at[:-1, :-1], at[:1, :-1]]), bc_type="periodic")
+    else:
+        spline = CubicSpline(knots, at)
+    here, bends = spline(time), spline(time, 2)
+    pushes, asked = _pushes(motion, time), np.tile(_units(motion, model, TORQUES), (len(time), 1))
+    scale = np.array([1 / motion.robot.stand_m] * 3 + [1.0] * 3)
+    near = np.einsum("kn,ij->kinj", here, np.diag(scale)).reshape(-1, 6 * here.shape[1])
+
+    def least(found: _Frames, moved: Array, forces: Array, damping: float) -> tuple[Array, Array]:
+        """Shares of the pushes, and the step of the base's knots (n, 6)."""
+        ways = [np.einsum("gi,kij,km->kjgm", SLOPES, found.moves[:, foot], grown) for foot, grown in pushes]
+        ways = np.concatenate([way.reshape(*way.shape[:2], -1) for way in ways], axis=2)
+        asks = np.zeros((*asked.shape, here.shape[1], 6))
+        asks[:, :6] = np.einsum("kij,kn->kinj", found.mass, bends)
+        # A foot's force turns the base the less about itself the nearer the base is to its line.
+        asks[:, 3:6, :, :3] += np.einsum("kij,kn->kinj", np.cross(np.eye(3), forces[:, None]).swapaxes(1, 2), here)
+        asks = -(asked[..., None, None] * asks).reshape(-1, near.shape[1])
+        free = np.concatenate([asks, NEAR * near, damping * near])
+        target = np.concatenate([(asked * found.needed).ravel(), -NEAR * near @ moved.ravel(), np.zeros(len(near))])
+        shares = np.zeros((len(free), ways.shape[2]))
+        shares[: len(asks)] = (asked[..., None] * ways).reshape(-1, ways.shape[2])
+        own = np.linalg.qr(free)[0]
+        best, _ = nnls(shares - own @ (own.T @ shares), target - own @ (own.T @ target), maxiter=10 * shares.shape[1])
+        step = np.linalg.lstsq(free, target - shares @ best)[0]
+        return ways @ best, np.asarray(step, float).reshape(-1, 6)
+
+    def based(moved: Array) -> RobotMotion:
+        off = spline(motion.time_s) @ moved
+        pose = RigidTransform.from_components(
+            motion.pose.translation + off[:, :3], Rotation.from_rotvec(off[:, 3:]) * motion.pose.rotation
+        )
+        again = posed(motion.robot, motion.time_s, pose, motion.feet_m, motion.standing)
+        return replace(again, scale=motion.scale, slower=motion.slower, advance_m=motion.advance_m)
+
+    plain, tight = asked[0] * np.array([1.0] * 6 + [1 / TORQUES] * len(motion.robot.joints)), 1e-3
+    left, found = balanced(motion, model, time)
+    moved, size, forces = np.zeros((here.shape[1], 6)), np.inf, np.zeros((len(time), 3))
+    best = float(_used(plain * left).max()), motion, moved
+    for _ in range(TURNS):
+        if best[0] < 0.95:
+            break
+        given, step = least(found, moved, forces, tight)
+        tried = based(moved + step)
+        after = _frames(tried, model, time)
+        left = after.needed - given
+        if tried.short.any() or np.linalg.norm((asked * left)[:, :6]) > max(size, CLOSE):
+            tight *= 8
+            continue
+        moved, found, forces, tight = moved + step, after, given[:, :3], tight / 4
+        used = _used(plain * left)
+        if used.max() < best[0]:
+            best = float(used.max()), tried, moved
+        # More weight for what is still too much.
+        asked[:, :6] *= np.clip(used[:, :1] / ENOUGH, 1.0, 2.0)
+        asked[:, 6:] *= np.clip(used[:, 1:] / ENOUGH, 1.0, 2.0)
+        size = float(np.linalg.norm((asked * left)[:, :6]))
+    return best[1], spline(motion.time_s) @ best[2]
+
+
+def _used(left: Array) -> Array:
+    """(K, 1 + J): what is left of the base's needs (shares of the weight), of what may be, and the torques' shares."""
+    missing = np.linalg.norm(left[:, :3], axis=1) + np.linalg.norm(left[:, 3:6], axis=1)
+    return np.column_stack([missing / -RULES["forces"].least, np.abs(left[:, 6:])])
+
+
+def _pushes(motion: RobotMotion, time_s: Array) -> list[tuple[int, Array]]:
+    """Of each stance, the foot and how its forces may grow and fade (K, .) at times (K,)."""
+    lasts, loops, found = float(motion.time_s[-1] - motion.time_s[0]), motion.advance_m is not None, []
+    for foot in range(len(LEGS)):
+        spans = [(motion.time_s[a], motion.time_s[b]) for a, b in stances(motion.standing[:, foot])]
+        if loops and len(spans) > 1 and motion.standing[0, foot]:
+            spans = [*spans[1:-1], (spans[-1][0] - lasts, spans[0][1])]
+        for begin, end in spans:
+            open_ends = (not loops and begin == motion.time_s[0], not loops and end == motion.time_s[-1])
+            orders = range(1 - open_ends[0], DEGREE + open_ends[1])
+            share = (time_s[:, None] + np.array([-lasts, 0.0, lasts] if loops else [0.0]) - begin) / (end - begin)
+            values = [
+                np.where((share >= 0) & (share <= 1), binom.pmf(n, DEGREE, np.clip(share, 0, 1)), 0) for n in orders
+            ]
+            found.append((foot, np.stack(values).sum(axis=2).T))
+    return found
 
 
 def kept(margins: dict[str, Array]) -> dict[str, dict[str, float]]:
@@ -155,15 +353,10 @@ def kept(margins: dict[str, Array]) -> dict[str, dict[str, float]]:
     }
 
 
-def pace_that_holds(motion: RobotMotion, model: Any) -> float | None:
-    """Factor on the motion's times, at least 1, from which on joints' rates and torques are within their limits; None
-    where none of those tried is slow enough. Forces on the ground are not asked for: no pace makes free falls of
-    flights."""
-    for factor in FACTOR ** np.arange(TRIED):
-        found = kept(check(slowed(motion, float(factor)), model)[1])
-        if found["joint_rates"]["share"] == found["torques"]["share"] == 1:
-            return float(factor)
-    return None
+def changes() -> list[tuple[float, float, float]]:
+    """Factors on times, lengths and the standing height that are tried, the smallest change first."""
+    every = product((1.0, 1.3), (1.0, 0.8, 0.6), (1.0, 1.1))
+    return sorted(every, key=lambda factors: float(np.abs(np.log(factors)).sum()))
 
 
 def margins_figure(time_s: Array, margins: Mapping[str, tuple[Array, float, str]], title: str) -> Figure:
@@ -182,18 +375,3 @@ def margins_figure(time_s: Array, margins: Mapping[str, tuple[Array, float, str]
         for axes in panels[-2:]:
             axes.set_xlabel("time (s)")
     return figure
-
-
-def _turn(state: Array) -> Rotation:
-    return Rotation.from_euler("ZYX", state[3:6])
-
-
-def _velocities(motion: RobotMotion, time_s: float, columns: list[int], size: int) -> Array:
-    """MuJoCo's (nv,): of the body's place in the world, of its turn in its own axes, of the joints."""
-    state, rate = motion.states(np.array([time_s]))[0], motion.states(np.array([time_s]), 1)[0]
-    (yaw, pitch, roll), found = rate[3:6], np.zeros(size)
-    z, y, x = np.eye(3)[[2, 1, 0]]
-    about_y = Rotation.from_euler("ZYX", [0.0, 0.0, state[5]]).inv().apply(y)
-    found[:3], found[columns] = rate[:3], rate[6:]
-    found[3:6] = yaw * _turn(state).inv().apply(z) + pitch * about_y + roll * x
-    return found

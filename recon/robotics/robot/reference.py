@@ -21,9 +21,10 @@ from scipy.spatial.transform import Rotation
 
 from recon.base.arrays import Array, Bools, Index
 from recon.base.errors import InputError, Problem
+from recon.clip.keypoints import frame_ranges
 from recon.fit.motion import Motion
 from recon.gait.clip import ClipAnalysis, analyse
-from recon.gait.gait import Gait, Stance, Tracks
+from recon.gait.gait import Gait, Stance
 from recon.robotics.robot.quadruped import LEGS
 
 SMOOTH_S = 0.02
@@ -53,10 +54,6 @@ class Reference:
     """(2,): of a closed stride, the way from its first to its last sample, which are one and the same otherwise;
     None for a clip."""
 
-    @property
-    def interval_s(self) -> float:
-        return float(self.time_s[1] - self.time_s[0])
-
 
 @dataclass(frozen=True)
 class StrideWindow:
@@ -68,7 +65,7 @@ class StrideWindow:
     """One of "given", "stride", a complete one of a foot, or "return", where all feet come back nearest to where they
     began."""
     gap_percent: float
-    """How far apart its ends are, of the paths' extent."""
+    """How far apart its ends are, of the paths' extent, the mean over the feet."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,6 +74,7 @@ class Animal:
 
     reference: Reference
     analysis: ClipAnalysis
+    gait: Gait
     rotation: Rotation
     """Takes the upright frame to the reference's world, with origin_m."""
     origin_m: Array
@@ -90,17 +88,19 @@ class Animal:
 def reference_of(motion: Motion, stride_s: tuple[float, float] | None = None) -> Animal:
     """stride_s: as `analyse`. Raises InputError where the clip shows no feet, or too few frames of all of them."""
     analysis = analyse(motion, stride_s=stride_s)
-    gait = _checked(motion, analysis)
-    tracks = gait.tracks
-    trunk = _trunk(analysis)
-    feet_m, n = tracks.foot_m, len(tracks.time_s)
-    known = np.column_stack([feet_m.reshape(n, -1), tracks.body_m, trunk])
-    rows = _longest(np.asarray(np.isfinite(known).all(axis=1)))
+    if (gait := analysis.gait) is None or not {*LEGS} <= {*motion.foot_names}:
+        found = ", ".join(sorted(motion.foot_names)) or "none"
+        expected = "all four feet: fit the whole animal, not the chain of one side"
+        raise InputError(Problem(motion.file, "feet", found, expected))
+    tracks, n = gait.tracks, len(gait.tracks.time_s)
+    rear, front = (analysis.moved(name).series.value for name in motion.forward_names)
+    known = np.column_stack([tracks.foot_m.reshape(n, -1), tracks.body_m, front - rear])
+    ranges = frame_ranges(np.flatnonzero(np.isfinite(known).all(axis=1)))
+    rows = np.arange(*max(ranges, key=lambda one: one[1] - one[0], default=(0, 0)))
     if len(rows) < MIN_SAMPLES:
         found = f"{len(rows) // 10} frames in a row with all feet and the trunk"
         raise InputError(Problem(motion.file, "frames", found, f"at least {MIN_SAMPLES // 10}"))
-    time, body = tracks.time_s[rows], tracks.body_m[rows]
-    trunk = trunk[rows]
+    time, body, trunk = tracks.time_s[rows], tracks.body_m[rows], (front - rear)[rows]
     chord = body[-1] - body[0]
     if np.hypot(*chord[:2]) < tracks.leg_m / 2:
         chord = trunk.mean(axis=0)
@@ -108,89 +108,56 @@ def reference_of(motion: Motion, stride_s: tuple[float, float] | None = None) ->
     height = tracks.above_ground(tracks.body_m)[rows]
     origin = np.append(body[0, :2], body[0, 2] - height[0])
 
-    level = to_world.apply(body - origin)
-    angles = _angles(analysis, rows, to_world, trunk)
-    interval = float(time[1] - time[0])
     smoothed = gaussian_filter1d(
-        np.column_stack([height - height.mean(), angles]), SMOOTH_S / interval, axis=0, mode="nearest"
+        np.column_stack([height - height.mean(), _angles(analysis, rows, to_world, trunk)]),
+        SMOOTH_S / float(time[1] - time[0]),
+        axis=0,
+        mode="nearest",
     )
     smoothed[:, :3] -= smoothed[:, :3].mean(axis=0)
     heading = Rotation.from_euler("z", -smoothed[:, 3:])
-    feet = np.stack([heading.apply(to_world.apply(feet_m[rows, k] - body)) for k in range(len(tracks.feet))], 1)
-    standing = standing_mask(gait.stances, tracks.feet, time)
     order = [tracks.feet.index(foot) for foot in LEGS]
-    feet[..., 2] = _above_standing(tracks, rows, standing)
+    feet = np.stack([heading.apply(to_world.apply(tracks.foot_m[rows, k] - body)) for k in order], axis=1)
+    standing, heights = standing_mask(gait.stances, LEGS, time), tracks.height_m[rows][:, order]
     feet[..., 0] -= (feet[..., 0].min(axis=0) + feet[..., 0].max(axis=0)) / 2
     feet[..., 1] -= feet[..., 1].mean(axis=0)
+    for k, stands in enumerate(standing.T):
+        feet[:, k, 2] = heights[:, k] - (heights[stands, k].mean() if stands.any() else heights[:, k].min())
     reference = Reference(
         time_s=time,
-        base_m=np.column_stack([level[:, :2], smoothed[:, 0]]),
+        base_m=np.column_stack([to_world.apply(body - origin)[:, :2], smoothed[:, 0]]),
         roll_pitch_yaw_rad=smoothed[:, 1:],
-        feet_m=feet[:, order],
-        standing=standing[:, order],
+        feet_m=feet,
+        standing=standing,
         leg_m=tracks.leg_m,
     )
-    return Animal(reference, analysis, to_world, origin, rows)
-
-
-def _checked(motion: Motion, analysis: ClipAnalysis) -> Gait:
-    if analysis.gait is None or not {*LEGS} <= {*motion.foot_names}:
-        found = ", ".join(sorted(motion.foot_names)) or "none"
-        expected = "all four feet: fit the whole animal, not the chain of one side"
-        raise InputError(Problem(motion.file, "feet", found, expected))
-    return analysis.gait
-
-
-def _trunk(analysis: ClipAnalysis) -> Array:
-    """From rear to front (N, 3) on the fine grid."""
-    rear, front = (analysis.moved(name).series.value for name in analysis.motion.forward_names)
-    return front - rear
+    return Animal(reference, analysis, gait, to_world, origin, rows)
 
 
 def _angles(analysis: ClipAnalysis, rows: Index, to_world: Rotation, trunk: Array) -> Array:
-    """Roll, pitch and yaw (N, 3) of the trunk."""
-    ahead = to_world.apply(trunk)
+    """Roll, pitch and yaw (N, 3) of the trunk; the roll is that of the lines between where the legs hang on it: the
+    first joints of the limbs to a left and a right foot that differ."""
+    motion, ahead = analysis.motion, to_world.apply(trunk)
     yaw = np.unwrap(np.arctan2(ahead[:, 1], ahead[:, 0]))
     pitch = -np.arctan2(ahead[:, 2], np.hypot(ahead[:, 0], ahead[:, 1]))
+    limbs = {motion.names[along[-1]]: [motion.names[j] for j in along] for along in reversed(motion.limbs.values())}
     across = np.zeros((len(rows), 3))
-    for left, right in _pairs(analysis.motion):
-        across += analysis.moved(left).series.value[rows] - analysis.moved(right).series.value[rows]
+    for end in "FH":
+        legs = (limbs.get(motion.foot_names[f"{side}{end}"], []) for side in "LR")
+        for left, right in [pair for pair in zip(*legs, strict=False) if pair[0] != pair[1]][:1]:
+            across += analysis.moved(left).series.value[rows] - analysis.moved(right).series.value[rows]
     if not np.isfinite(across).all() or not across.any():
         return np.column_stack([np.zeros(len(rows)), pitch, yaw])
     in_body = (Rotation.from_euler("ZY", np.column_stack([yaw, pitch])).inv() * to_world).apply(across)
     return np.column_stack([np.arctan2(in_body[:, 2], in_body[:, 1]), pitch, yaw])
 
 
-def _pairs(motion: Motion) -> list[tuple[str, str]]:
-    """Where the legs hang on the trunk: the first joints of the limbs to a left and a right foot that differ."""
-    limbs = [[motion.names[j] for j in along] for along in motion.limbs.values()]
-    to_foot = {label: next((a for a in limbs if a[-1] == foot), []) for label, foot in motion.foot_names.items()}
-    legs = [(to_foot.get(f"L{end}", []), to_foot.get(f"R{end}", [])) for end in "FH"]
-    first = [next((pair for pair in zip(*both, strict=False) if pair[0] != pair[1]), None) for both in legs]
-    return [pair for pair in first if pair is not None]
-
-
-def _above_standing(tracks: Tracks, rows: Index, standing: Bools) -> Array:
-    """(N, F)"""
-    height = tracks.height_m[rows]
-    for k in range(height.shape[1]):
-        still = height[standing[:, k], k]
-        height[:, k] -= still.mean() if len(still) else height[:, k].min()
-    return height
-
-
 def standing_mask(stances: Sequence[Stance], feet: Sequence[str], time_s: Array) -> Bools:
     """Which of the F feet stand at each of the N times, shape (N, F)."""
     mask = np.zeros((len(time_s), len(feet)), bool)
-    slack = 1e-9
     for s in stances:
-        mask[(time_s >= s.start_s - slack) & (time_s <= s.end_s + slack), feet.index(s.foot)] = True
+        mask[(time_s >= s.start_s - 1e-9) & (time_s <= s.end_s + 1e-9), feet.index(s.foot)] = True
     return mask
-
-
-def _longest(known: Bools) -> Index:
-    runs = np.split(np.arange(len(known)), np.flatnonzero(np.diff(known)) + 1)
-    return max((run for run in runs if len(run) and known[run[0]]), key=len, default=np.empty(0, int))
 
 
 # -- a stride --------------------------------------------------------------------------------------------------------
@@ -202,42 +169,31 @@ def stride_window(animal: Animal) -> StrideWindow:
 
     As no foot has landed twice then, a stride takes at least the time from the first touchdown to the end of the clip.
     """
-    reference, time = animal.reference, animal.reference.time_s
+    feet, time = animal.reference.feet_m, animal.reference.time_s
+    within = [s for s in animal.gait.strides if time[0] - 1e-9 <= s.start_s and s.end_s <= time[-1] + 1e-9]
+    of_feet = [s.foot for s in within]
+    how, stride = "stride", min(within, key=lambda s: (-of_feet.count(s.foot), s.start_s), default=None)
     if (given := animal.analysis.given) is not None:
-        first, last = (int(np.argmin(np.abs(time - t))) for t in (given.start_s, given.end_s))
-        if time[last] - time[first] < 0.8 * (given.end_s - given.start_s):
-            expected = f"within {time[0]:.3f}:{time[-1]:.3f}, where all feet are seen"
-            raise InputError(Problem("--stride", "times", f"{given.start_s:g}:{given.end_s:g}", expected))
-        return StrideWindow(first, last, "given", _gap_percent(reference.feet_m, first, last))
-    strides = [
-        s
-        for s in (animal.analysis.gait.strides if animal.analysis.gait else ())
-        if time[0] - 1e-9 <= s.start_s and s.end_s <= time[-1] + 1e-9
-    ]
-    if strides:
-        feet = [s.foot for s in strides]
-        stride = min(strides, key=lambda s: (-feet.count(s.foot), s.start_s))
+        how, stride = "given", given
+    if stride is not None:
         first, last = (int(np.argmin(np.abs(time - t))) for t in (stride.start_s, stride.end_s))
-        return StrideWindow(first, last, "stride", _gap_percent(reference.feet_m, first, last))
-    landed = [s.start_s for s in (animal.analysis.gait.stances if animal.analysis.gait else ()) if s.begins]
-    duration = float(time[-1] - time[0])
-    least = min(duration, max(duration / 2, float(time[-1]) - min(landed, default=float(time[0]))))
-    flat = reference.feet_m.reshape(len(time), -1)
-    best, chosen = np.inf, (0, len(time) - 1)
-    for first in range(0, len(time), max(1, len(time) // 200)):
-        lasts = np.flatnonzero(time - time[first] >= least - 1e-9)
-        if len(lasts):
-            distance = np.linalg.norm(flat[lasts] - flat[first], axis=1)
-            k = int(np.argmin(distance))
-            if distance[k] < best:
-                best, chosen = float(distance[k]), (first, int(lasts[k]))
-    return StrideWindow(*chosen, "return", _gap_percent(reference.feet_m, *chosen))
-
-
-def _gap_percent(feet_m: Array, first: int, last: int) -> float:
-    """Mean over the feet."""
-    extent = np.linalg.norm(np.ptp(feet_m[first : last + 1], axis=0), axis=-1)
-    return 100 * float(np.mean(np.linalg.norm(feet_m[last] - feet_m[first], axis=-1) / extent))
+        if time[last] - time[first] < 0.8 * (stride.end_s - stride.start_s):
+            expected = f"within {time[0]:.3f}:{time[-1]:.3f}, where all feet are seen"
+            raise InputError(Problem("--stride", "times", f"{stride.start_s:g}:{stride.end_s:g}", expected))
+    else:
+        how, first, last = "return", 0, len(time) - 1
+        duration = float(time[-1] - time[0])
+        landed = min((s.start_s for s in animal.gait.stances if s.begins), default=float(time[0]))
+        least = min(duration, max(duration / 2, float(time[-1]) - landed))
+        flat, best = feet.reshape(len(time), -1), np.inf
+        for start in range(0, len(time), max(1, len(time) // 200)):
+            ends = np.flatnonzero(time - time[start] >= least - 1e-9)
+            apart = np.linalg.norm(flat[ends] - flat[start], axis=1)
+            if apart.min(initial=np.inf) < best:
+                best, first, last = float(apart.min()), start, int(ends[np.argmin(apart)])
+    extent = np.linalg.norm(np.ptp(feet[first : last + 1], axis=0), axis=-1)
+    gap = 100 * float(np.mean(np.linalg.norm(feet[last] - feet[first], axis=-1) / extent))
+    return StrideWindow(first, last, how, gap)
 
 
 def closed_stride(animal: Animal, window: StrideWindow) -> Reference:

@@ -28,9 +28,9 @@ from recon.gait.gait import doubtful_text
 from recon.io.common import write_rows
 from recon.robotics.ik.drive import control_columns
 from recon.robotics.robot import physics
-from recon.robotics.robot.quadruped import LEGS, Quadruped
+from recon.robotics.robot.quadruped import LEGS
 from recon.robotics.robot.reference import reference_of
-from recon.robotics.robot.retarget import LEGS_APART, Retargeting, RobotMotion, retarget, slowed
+from recon.robotics.robot.retarget import LEGS_APART, Retargeting, RobotMotion, retarget
 from recon.robotics.robot.robot_file import load_robot
 from recon.robotics.robot.trainers import write_for_trainer
 from recon.robotics.settings import RetargetSettings
@@ -57,10 +57,11 @@ def run_retarget(settings: RetargetSettings) -> tuple[Retargeting, dict[str, Any
     with sole_writer(out):
         require_free_folder(out, (REPORT,), settings.overwrite)
         done = retarget(animal, machine, settings.scale, settings.slower)
-        checks = _Checks(machine) if settings.check or settings.fit_limits else None
-        before = checks.of(done) if checks and settings.fit_limits else None
-        if checks and settings.fit_limits:
-            done = checks.slow_enough(done)
+        model = physics.simulated(machine) if settings.check or settings.fit_limits else None
+        before: dict[str, Any] = {}
+        if settings.fit_limits:
+            before = {"before": checked(done, model)}
+            done, before["changed"] = within_limits(done, model)
         report: dict[str, Any] = report_of(done) | {
             "scale_found": settings.scale is None,
             "slower_found": settings.slower is None,
@@ -72,8 +73,8 @@ def run_retarget(settings: RetargetSettings) -> tuple[Retargeting, dict[str, Any
             if settings.samples is not None:
                 motions = drawn(done, settings, settings.samples)
                 report["samples"] = write_ensemble(motions, settings, staging, said)
-            if checks:
-                report["check"] = checks.of(done, staging) | ({"before": before} if before else {})
+            if model is not None:
+                report["check"] = checked(done, model, staging) | before
             _write(done, report, staging)
             if settings.format is not None:
                 for motion, prefix in ((done.clip, ""), (done.stride, "stride_")):
@@ -81,29 +82,37 @@ def run_retarget(settings: RetargetSettings) -> tuple[Retargeting, dict[str, Any
     return done, report
 
 
-class _Checks:
-    """What MuJoCo says of motions of a robot. Raises InputError without it, and of a robot without masses."""
+def within_limits(done: Retargeting, model: Any) -> tuple[Retargeting, dict[str, Any]]:
+    """The smallest of `physics.changes` with which a stride whose base its feet can carry keeps every rule, and what it
+    is, for the report; where none does, the one that keeps them in most frames."""
+    own, tried = done.stride, []
+    for slower, scale, height in physics.changes():
+        robot = own.robot.at_height(height * own.robot.stand_m)
+        again = retarget(done.animal, robot, scale * own.scale, slower * own.slower, done.window)
+        stride, moved = physics.carried(again.stride, model)
+        rules = physics.kept(physics.check(stride, model)[1]).values()
+        tried.append((min(rule["share"] for rule in rules), again, stride, moved))
+        if tried[-1][0] == 1:
+            break
+    _, again, stride, moved = max(tried, key=lambda one: one[0])
+    clip, also = physics.carried(again.clip, model)
+    shift, turn = (np.linalg.norm(np.vstack([moved, also])[:, of], axis=1).max() for of in (slice(3), slice(3, 6)))
+    changed = {name: getattr(clip, name) / getattr(done.clip, name) for name in ("slower", "scale")}
+    changed |= {"height": clip.robot.stand_m / own.robot.stand_m}
+    return replace(again, clip=clip, stride=stride), changed | {"base_moved_m": shift, "base_turned_rad": turn}
 
-    def __init__(self, robot: Quadruped) -> None:
-        self.model = physics.simulated(robot)
 
-    def slow_enough(self, done: Retargeting) -> Retargeting:
-        """With the slowest change that keeps rates and torques; as it is where no pace does."""
-        paces = [physics.pace_that_holds(motion, self.model) for motion in (done.clip, done.stride)]
-        factor = max(pace or 1.0 for pace in paces)
-        return replace(done, clip=slowed(done.clip, factor), stride=slowed(done.stride, factor))
-
-    def of(self, done: Retargeting, folder: Path | None = None) -> dict[str, Any]:
-        """For the report; folder: where tables and figures go."""
-        found = {}
-        for name, motion, prefix in (("clip", done.clip, ""), ("stride", done.stride, "stride_")):
-            time, margins = physics.check(motion, self.model)
-            found[name] = physics.kept(margins)
-            if folder is not None:
-                _table(folder / f"{prefix}check.csv", ["time_s", *margins], np.column_stack([time, *margins.values()]))
-                shown = {rule.what: (margins[one], rule.least, rule.unit) for one, rule in physics.RULES.items()}
-                save(physics.margins_figure(time, shown, f"{motion.robot.title}, {name}"), folder, f"{prefix}check")
-        return found | {"slower": done.clip.slower}
+def checked(done: Retargeting, model: Any, folder: Path | None = None) -> dict[str, Any]:
+    """What MuJoCo says of clip and stride, for the report; folder: where tables and figures go."""
+    found = {}
+    for name, motion, prefix in (("clip", done.clip, ""), ("stride", done.stride, "stride_")):
+        time, margins = physics.check(motion, model)
+        found[name] = physics.kept(margins)
+        if folder is not None:
+            _table(folder / f"{prefix}check.csv", ["time_s", *margins], np.column_stack([time, *margins.values()]))
+            shown = {rule.what: (margins[one], rule.least, rule.unit) for one, rule in physics.RULES.items()}
+            save(physics.margins_figure(time, shown, f"{motion.robot.title}, {name}"), folder, f"{prefix}check")
+    return found
 
 
 # -- the report ------------------------------------------------------------------------------------------------------
@@ -163,8 +172,7 @@ def _figures(motion: RobotMotion) -> dict[str, Any]:
 
 def _notes(done: Retargeting) -> list[str]:
     window = done.window
-    gait = done.animal.analysis.gait
-    notes = [doubtful_text(doubt) for doubt in (gait.doubtful if gait else ())]
+    notes = [doubtful_text(doubt) for doubt in done.animal.gait.doubtful]
     if window.how == "return":
         notes.append(
             "the clip holds no complete stride: the one that repeats is made of the nearest return of all feet, "

@@ -1,4 +1,4 @@
-"""Robot files -> Quadruped: TOML with dimensions and limits (docs/robot.md), URDF or MJCF; Denavit-Hartenberg tables.
+"""Robot files -> Quadruped: TOML with dimensions and limits (docs/robot.md), URDF or MJCF.
 
 Built-in robots are the files of `recon/robotics/robot/robots`.
 """
@@ -9,12 +9,12 @@ import warnings
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 from xml.etree import ElementTree
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from recon.base.arrays import Array
@@ -22,9 +22,19 @@ from recon.base.documents import builtin_file, builtin_names, parse_toml, read_t
 from recon.base.errors import InputError, Problem
 from recon.base.package import install_command
 from recon.robotics.ik.chain import MAX_RATE_RAD_S, SerialChain, joint_chain
-from recon.robotics.robot.dh import Convention, DHRow, dh_chain
-from recon.robotics.robot.leg import LEG_ANGLES, Leg, Length, Limits, PositiveLength
-from recon.robotics.robot.quadruped import LEGS, Masses, Quadruped, RobotLeg, closed_leg, standing
+from recon.robotics.robot.quadruped import (
+    LEG_ANGLES,
+    LEGS,
+    Leg,
+    Length,
+    Limits,
+    Masses,
+    PositiveLength,
+    Quadruped,
+    RobotLeg,
+    closed_leg,
+    standing,
+)
 
 STAND = 0.7
 """Height of the hips of a robot from a URDF or MJCF file, of the stretched leg's length."""
@@ -77,11 +87,6 @@ class _RobotFile(_Table):
     masses: Masses | None = None
 
 
-class _DHFile(_Table):
-    convention: Convention
-    joints: Annotated[list[DHRow], Field(min_length=1)]
-
-
 def builtin_robots() -> tuple[str, ...]:
     """Names of the robots that come with the package."""
     return builtin_names("robotics/robot/robots", ".toml")
@@ -101,12 +106,6 @@ def load_robot(robot: str | Path) -> Quadruped:
     found = "no such file" if suffix == ".toml" else "no such robot"
     expected = f"{', '.join(builtin_robots())}, or a file .toml, .urdf or .xml"
     raise InputError(Problem(text, "robot", found, expected))
-
-
-def load_dh(path: Path) -> tuple[SerialChain, Convention, list[DHRow]]:
-    """The chain of a table in TOML (docs/robot.md), and the table. Raises InputError."""
-    file = validated(_DHFile, read_toml(path, "a table of Denavit-Hartenberg parameters (TOML)"), path)
-    return dh_chain(file.joints, file.convention), file.convention, file.joints
 
 
 def _quadruped(source: str, table: dict[str, Any]) -> Quadruped:

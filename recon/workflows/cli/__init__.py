@@ -14,7 +14,7 @@ from recon.base.interrupts import Interrupts, installed
 from recon.workflows.cli.command import HELP, SettingsCommand, make_command
 from recon.workflows.cli.common import EXIT_BAD_INPUT, EXIT_UNSOLVED, error_text, stop, terminal
 
-_CORE, _ROBOTICS, _NET = "recon.workflows.", "recon.robotics.cli.", "recon.keypoint_net."
+_CORE, _ROBOTICS, _NET = "recon.workflows.", "recon.robotics.cli:", "recon.keypoint_net."
 _THESIS = "recon.thesis."
 COMMANDS = {
     "From a clip to its motion": {
@@ -52,11 +52,11 @@ COMMANDS = {
         "prior fit": (_CORE + "prior:prior_fit", "Fit a motion prior to results or 3D poses."),
     },
     "Robots and the thesis": {
-        "ik": (_ROBOTICS + "ik:ik", "Inverse kinematics from the trunk to a foot."),
-        "retarget": (_ROBOTICS + "retarget:retarget", "The motion on a four-legged robot."),
-        "robot pose": (_ROBOTICS + "robot:pose", "The legs' angles of a body that moves over planted feet."),
-        "robot dh": (_ROBOTICS + "robot:dh", "A leg or chain by its Denavit-Hartenberg table, forward and inverse."),
-        "climb": (_ROBOTICS + "climb:climb", "A four-legged robot climbs a step by potential fields."),
+        "ik": (_ROBOTICS + "ik", "Inverse kinematics from the trunk to a foot."),
+        "retarget": (_ROBOTICS + "retarget", "The motion on a four-legged robot."),
+        "robot pose": (_ROBOTICS + "pose", "The legs' angles of a body that moves over planted feet."),
+        "robot dh": (_ROBOTICS + "dh", "A leg or chain by its Denavit-Hartenberg table, forward and inverse."),
+        "climb": (_ROBOTICS + "climb", "A four-legged robot climbs a step by potential fields."),
         "frame": (_THESIS + "clip:frame", "Fit one side of the animal, one frame after the other."),
         "solver": (_THESIS + "solver:solver", "What the optimiser of recon frame did: costs, Jacobian, limits."),
     },
