@@ -143,9 +143,8 @@ def parse_frame_range(text: str) -> tuple[int | None, int | None]:
     match = re.fullmatch(r"\s*(\d*)\s*:\s*(\d*)\s*", text, flags=re.ASCII)
     start, stop = (int(n) if n else None for n in match.groups()) if match else (None, None)
     if match is None or (start is not None and stop is not None and start >= stop):
-        raise InputError(
-            Problem("--frames", "range", f"'{text}'", "A:B with A < B, original frame numbers, B not included")
-        )
+        expected = "A:B with A < B, original frame numbers, B not included"
+        raise InputError(Problem("--frames", "range", f"'{text}'", expected))
     return start, stop
 
 
@@ -171,14 +170,8 @@ def clean(
     absent = len(cleaned.frames) - len(selected.frames)
     used = cleaned.present.sum(axis=0)
     if not used.any():
-        raise InputError(
-            Problem(
-                _source(keypoints),
-                "points",
-                f"every point of the clip missing ({rejected.sum()} rejected as less likely than {likelihood_min:g})",
-                "at least one point to work with",
-            )
-        )
+        found = f"every point of the clip missing ({rejected.sum()} rejected as less likely than {likelihood_min:g})"
+        raise InputError(Problem(_source(keypoints), "points", found, "at least one point to work with"))
     missing["missing_absent_frame"] = np.full(len(used), absent)
     counted = {"frames": np.full(len(used), len(cleaned.frames)), "used": used, "missing": sum(missing.values())}
     counted |= {"rejected": rejected, **missing, "likelihood_unknown": likelihood_unknown}
@@ -228,9 +221,8 @@ def select_frames(keypoints: Keypoints, frames: tuple[int | None, int | None] | 
     if not keep.any():
         shown = f"{'' if start is None else start}:{'' if stop is None else stop}"
         has = f"{keypoints.frames[0]} to {keypoints.frames[-1]}" if len(keypoints.frames) else "none"
-        raise InputError(
-            Problem(_source(keypoints), "frames", f"none in the range {shown}", f"a range within its frames ({has})")
-        )
+        expected = f"a range within its frames ({has})"
+        raise InputError(Problem(_source(keypoints), "frames", f"none in the range {shown}", expected))
     if keep.all():
         return keypoints
     return dataclasses.replace(
@@ -279,14 +271,9 @@ def fill_gaps(keypoints: Keypoints) -> tuple[Keypoints, tuple[tuple[int, int], .
     frames, (t, k) = keypoints.frames, keypoints.confidence.shape
     span = int(frames[-1]) - int(frames[0]) + 1
     if span - t > 10 * t + 10_000:
-        raise InputError(
-            Problem(
-                _source(keypoints),
-                "frames",
-                f"{t} frames between {frames[0]} and {frames[-1]}, which leaves {span - t} to insert as missing",
-                "a clip without such gaps; choose a part of it with --frames A:B",
-            )
-        )
+        found = f"{t} frames between {frames[0]} and {frames[-1]}, which leaves {span - t} to insert as missing"
+        expected = "a clip without such gaps; choose a part of it with --frames A:B"
+        raise InputError(Problem(_source(keypoints), "frames", found, expected))
     if span == t:
         return keypoints, ()
     rows = frames - frames[0]
