@@ -155,9 +155,8 @@ def problems_of(
         else:
             expected = _EXPECTED.get(kind, "{message}")
             message = one["msg"].removeprefix("Value error, ").removeprefix("Input should be ")
-            yield Problem(
-                source, field, repr(one["input"])[:60], expected.format(message=message, **one.get("ctx", {}))
-            )
+            wanted = expected.format(message=message, **one.get("ctx", {}))
+            yield Problem(source, field, repr(one["input"])[:60], wanted)
 
 
 def _table_at(schema: Mapping[str, Any], way: Iterable[str | int]) -> Mapping[str, Any]:
@@ -250,9 +249,7 @@ def unknown(source: str, names: Iterable[tuple[str, str]], known: Iterable[str],
     known = [*known]
     for field, name in names:
         if name not in known:
-            yield Problem(
-                source, field, repr(name), f"{what}{', '.join(known)}" if what else f"one of {', '.join(known)}"
-            )
+            yield Problem(source, field, repr(name), f"{what or 'one of '}{', '.join(known)}")
 
 
 # -- files that come with the package --------------------------------------------------------------------------------

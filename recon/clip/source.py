@@ -71,14 +71,10 @@ class View:
 
     def part(self, frames: slice | Index) -> View:
         """The same view, cut to these frames."""
-        return replace(
-            self,
-            T_camera_world=self.T_camera_world if self.still else self.T_camera_world[frames],
-            xy_px=self.xy_px[frames],
-            confidence=self.confidence[frames],
-            intrinsics_px=None if self.intrinsics_px is None else self.intrinsics_px[frames],
-            rotation_sigma_rad=None if self.rotation_sigma_rad is None else self.rotation_sigma_rad[frames],
-        )
+        names = ["xy_px", "confidence", "intrinsics_px", "rotation_sigma_rad"]
+        names += [] if self.still else ["T_camera_world"]
+        given = {name: getattr(self, name) for name in names}
+        return replace(self, **{name: values[frames] for name, values in given.items() if values is not None})
 
     @property
     def turn_px(self) -> Array | float:

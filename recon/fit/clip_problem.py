@@ -255,11 +255,8 @@ class ClipProblem:
             seen = [replace(term, drift_m=drift_m, px_per_m=px) for term, px in zip(seen, px_per_m, strict=True)]
         pose, motion = (weight * self.prior_weight for weight in (constants.POSE_WEIGHT, constants.MOTION_WEIGHT))
         accelerations = np.array(constants.ACCELERATION_M_S2), constants.YAW_ACCELERATION_RAD_S2
-        linear = [
-            terms.climb_term(D, self.fps, constants.CLIMB_M_S),
-            terms.dynamics_term(self.prior, D, self.fps, motion),
-            terms.root_term(D, self.fps, *accelerations),
-        ]
+        linear = [terms.climb_term(D, self.fps, constants.CLIMB_M_S), terms.root_term(D, self.fps, *accelerations)]
+        linear.append(terms.dynamics_term(self.prior, D, self.fps, motion))
         others: list[terms.Term] = [*seen]
         if temperature is None:
             linear.append(terms.pose_term(self.prior, D, self.fps, pose))
@@ -286,9 +283,8 @@ def above_ground(clip: ClipProblem, points_m: Array, size: float = 1.0) -> float
     """By how many standard deviations the lowest feet are above where a ground at z = 0 would be, for markers (T, J, 3)
     at nominal size about the origin."""
     low_m = float(np.quantile(points_m[:, clip.feet, 2].min(axis=1), LOW_FEET))
-    return (float(clip.origin_m[2]) / size + low_m) / float(
-        np.hypot(constants.GROUND_HEIGHT_M, clip.size_sigma * low_m)
-    )
+    sigma_m = float(np.hypot(constants.GROUND_HEIGHT_M, clip.size_sigma * low_m))
+    return (float(clip.origin_m[2]) / size + low_m) / sigma_m
 
 
 def contacts(clip: ClipProblem, points_m: Array, size: float) -> tuple[Array, Ground | None, tuple[terms.Term, ...]]:

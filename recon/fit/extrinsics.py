@@ -79,9 +79,8 @@ def solve_extrinsics(
     Raises InputError for a view with too few frames with a pose in common with the others.
     """
     clips = [_as_rig(one, posed) for one in clips]
-    turn_rad, shift_m = (
-        (constants.CAMERA_ROTATION_RAD, constants.CAMERA_SHIFT_M) if posed else (_UNKNOWN_RAD, _UNKNOWN_M)
-    )
+    rough = (constants.CAMERA_ROTATION_RAD, constants.CAMERA_SHIFT_M)
+    turn_rad, shift_m = rough if posed else (_UNKNOWN_RAD, _UNKNOWN_M)
     sigma = np.tile(np.repeat([turn_rad, shift_m], 3), len(clips[0].views))
     sigma[: 6 if posed else 0] = sigma[3:6] = _HELD
     with threadpool_limits(1, user_api="blas"):
@@ -106,9 +105,8 @@ def solve_extrinsics(
                 break
     poses = tuple(view.T_camera_world for view in clips[0].views)
     covariance = np.asarray(np.linalg.inv(total), dtype=float)
-    time_offsets = tuple(
-        _time_offsets([segment for number, segment in segments if number == i], one) for i, one in enumerate(clips)
-    )
+    of_clips = [[segment for number, segment in segments if number == i] for i in range(len(clips))]
+    time_offsets = tuple(map(_time_offsets, of_clips, clips))
     sigma, apart = _beside_first(poses, covariance), _disagreement(clips, reduced)
     return Rig(poses, sigma, *_above_ground(clips, segments, reduced, covariance), apart, time_offsets, converged)
 
@@ -179,24 +177,19 @@ def _placed(clips: Sequence[ClipProblem], progress: Progress) -> list[ClipProble
         common = {i: np.isfinite(points[:, 0, 0]) & np.isfinite(known[:, 0, 0]) for i, points in own.items()}
         best = max(own, key=lambda i: int(common[i].sum()))
         if common[best].sum() < _MIN_FRAMES:
-            name, expected = (
-                clips[0].views[best].camera.name,
-                "some in which it and another camera see enough for a pose",
-            )
-            raise InputError(Problem("KEYPOINTS", f"camera {name}", "too few frames", expected))
+            name = f"camera {clips[0].views[best].camera.name}"
+            expected = "some in which it and another camera see enough for a pose"
+            raise InputError(Problem("KEYPOINTS", name, "too few frames", expected))
         T = _aligned(known[common[best]].reshape(-1, 3), own[best][common[best]].reshape(-1, 3))
         T_camera_first[best] = T
         there = (own[best] - T[:3, 3]) @ T[:3, :3]
         known = np.where(np.isfinite(known), known, there)
     level = rigid(level_from_camera(clips[0].views[0].camera.up).T, np.zeros(3))
-    return [
-        replace(
-            one,
-            views=tuple(replace(v, T_camera_world=T_camera_first[i] @ level) for i, v in enumerate(one.views)),
-            origin_m=np.zeros(3),
-        )
-        for one in clips
-    ]
+    placed = []
+    for one in clips:
+        views = tuple(replace(v, T_camera_world=T_camera_first[i] @ level) for i, v in enumerate(one.views))
+        placed.append(replace(one, views=views, origin_m=np.zeros(3)))
+    return placed
 
 
 def _alone(clip: ClipProblem, view: View) -> Array:
@@ -239,21 +232,17 @@ class _ReducedProblem:
         estimate, columns, by = self.solved.estimate, self.solved.problem.columns, np.append(step, 1.0)
         own = -self.own @ by
         shared = {name: value + own[columns[name]] for name, value in estimate.shared.items()}
-        return replace(
-            self.solved, estimate=replace(estimate, states=estimate.states - self.states @ by, shared=shared)
-        )
+        followed = replace(estimate, states=estimate.states - self.states @ by, shared=shared)
+        return replace(self.solved, estimate=followed)
 
 
 def _reduced(clip: ClipProblem, solved: SegmentFit) -> _ReducedProblem:
     """Without the ground, whose plane follows the feet: as it is, it would hold the world's tilt."""
     V, problem = len(clip.views), solved.problem
     places = [Unknown(extrinsic_correction(i), np.zeros(6), np.full(6, np.inf)) for i in range(V)]
-    problem = replace(
-        problem,
-        terms=[term for term in problem.terms if not isinstance(term, OnGround)],
-        shared=[*problem.shared, *problem.doubtful, *places],
-        doubtful=(),
-    )
+    terms = [term for term in problem.terms if not isinstance(term, OnGround)]
+    shared = [*problem.shared, *problem.doubtful, *places]
+    problem = replace(problem, terms=terms, shared=shared, doubtful=())
     normal = problem.normal(solved.estimate.states, problem.expected() | dict(solved.estimate.shared))
     (window,) = eliminated([normal], bounded=True)
     Y, S = np.roll(window.solved(), -1, axis=2), window.reduced()

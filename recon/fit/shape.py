@@ -54,12 +54,8 @@ class Shape:
     @classmethod
     def of(cls, body: Body, lengths: bool = True, offsets: bool = False) -> Shape:
         items = (*body.tree.segments[1:], *body.tree.markers) if lengths else ()
-        markers = body.markers if offsets else ()
-        return cls(
-            body,
-            tuple(item.name for item in items if any(item.offset_m) and not _follows(item.name, body)),
-            tuple(name for name in markers if not _follows(name, body)),
-        )
+        named = (item.name for item in items if any(item.offset_m) and not _follows(item.name, body))
+        return cls(body, tuple(named), tuple(m for m in body.markers if offsets and not _follows(m, body)))
 
     def __len__(self) -> int:
         """K"""
@@ -193,15 +189,11 @@ def fit_shape(shape: Shape, clips: Sequence[ClipProblem]) -> ShapeFit:
     by_marker: dict[str, list[Array]] = {}
     for name, of in zip(shape.body.markers, noise_m, strict=True):
         by_marker.setdefault(shape.leader(name), []).append(of)
-    return ShapeFit(
-        shape,
-        values,
-        covariance,
-        converged,
-        float(np.exp(noise_m.mean())),
+    each_m, spread_m = (
         {name: float(np.exp(np.mean(of))) for name, of in by_marker.items()},
         _spread_m(shape.body, solved),
     )
+    return ShapeFit(shape, values, covariance, converged, float(np.exp(noise_m.mean())), each_m, spread_m)
 
 
 def _spread_m(body: Body, solved: Sequence[tuple[ClipProblem, SegmentFit]]) -> dict[str, float]:

@@ -130,6 +130,12 @@ class SegmentFit:
     def size(self) -> float:
         return size_of(self.estimate.shared)
 
+    def in_world(self, origin_m: Array, size: float) -> MotionSegment:
+        """What the solution says of the segment; at nominal size about (3,) until then."""
+        ground, misfit = self.ground and self.ground.about(origin_m, size), self.prior_misfit
+        level, unlike = (None, False) if misfit is None else (misfit.level, misfit.unlike)
+        return MotionSegment(self.rows, ground, level, self.prior_weight, unlike)
+
     def found(self, name: str, count: int = 1) -> Array:
         """(count,): the values of shared unknowns, 0 where they are none."""
         return self.estimate.shared.get(name, np.zeros(count))
@@ -191,16 +197,8 @@ def _round(clip: ClipProblem, solved: SegmentFit, temperature: float | None, who
     tolerance = 1e-3 if not whole else (10 if o.fast else 1) * constants.TOLERANCE
     limit = constants.MAX_ITERATIONS if whole else 8
     estimate = problem.minimise(estimate.states, tolerance, limit, problem.expected() | dict(estimate.shared))
-    return replace(
-        solved,
-        estimate=estimate,
-        problem=problem,
-        noise=noise,
-        noise_px=noise_px,
-        contact=contact,
-        ground=ground,
-        iterations=solved.iterations + estimate.iterations,
-    )
+    solved = replace(solved, noise=noise, noise_px=noise_px, contact=contact, ground=ground)
+    return replace(solved, estimate=estimate, problem=problem, iterations=solved.iterations + estimate.iterations)
 
 
 def _shared(clip: ClipProblem, solved: Sequence[SegmentFit], known: Sequence[Posterior]) -> dict[str, Any]:
@@ -220,16 +218,12 @@ def _shared(clip: ClipProblem, solved: Sequence[SegmentFit], known: Sequence[Pos
 
     late, longer, sideslip = of_views(time_offset), of_views(focal), of_views(lambda _: SIDESLIP)
     corrections = of_views(extrinsic_correction, 6)
-    return {
-        "time_offset_frames": late[0][:, 0],
-        "time_offset_sigma_frames": late[1][:, 0],
-        "extrinsic_correction": corrections[0],
-        "extrinsic_correction_sigma": corrections[1],
-        "focal": longer[0][:, 0],
-        "focal_sigma": longer[1][:, 0],
-        "sideslip_rad": float(sideslip[0][0, 0]),
-        "sideslip_sigma_rad": float(sideslip[1][0, 0]),
-    }
+    return (
+        {"time_offset_frames": late[0][:, 0], "time_offset_sigma_frames": late[1][:, 0]}
+        | {"extrinsic_correction": corrections[0], "extrinsic_correction_sigma": corrections[1]}
+        | {"focal": longer[0][:, 0], "focal_sigma": longer[1][:, 0]}
+        | {"sideslip_rad": float(sideslip[0][0, 0]), "sideslip_sigma_rad": float(sideslip[1][0, 0])}
+    )
 
 
 def in_step(clip: ClipProblem, solved: SegmentFit) -> ClipProblem:
@@ -316,17 +310,7 @@ def _solution(clip: ClipProblem, solved: Sequence[SegmentFit], began: float) -> 
         data_share=np.sum(shares, axis=0) / posed if shares else np.full(len(clip.body.markers), np.nan),
         flags=flags,
         alternative_cost=second_cost if np.isfinite(second_cost) else np.nan,
-        segments=tuple(
-            MotionSegment(
-                one.rows,
-                one.ground and one.ground.about(clip.origin_m, size),
-                one.prior_misfit and one.prior_misfit.level,
-                one.prior_weight,
-                one.prior_misfit is not None and one.prior_misfit.unlike,
-            )
-            for one in solved
-            if not away[one.rows].all()
-        ),
+        segments=tuple(one.in_world(clip.origin_m, size) for one in solved if not away[one.rows].all()),
         prior=clip.prior.name,
         status="converged" if solved and all(one.estimate.converged for one in solved) else "not_converged",
         cost_by_term={
@@ -427,13 +411,8 @@ def _out_of_sight(clip: ClipProblem, joints_m: Array) -> Bools:
     at = clip.body.markers.index
     limbs = (joints_m[:, [at(marker) for marker in along]] for along in clip.body.limbs.values())
     reach_m = sum(np.linalg.norm(np.diff(limb, axis=1), axis=2).sum(axis=1) for limb in limbs)
-    return np.all(
-        [
-            reach_m * view.focal_px < MIN_REACH_PX * np.median(view.to_camera(joints_m)[..., 2], axis=1)
-            for view in clip.views
-        ],
-        axis=0,
-    )
+    away = [np.median(view.to_camera(joints_m)[..., 2], axis=1) / view.focal_px for view in clip.views]
+    return np.all(reach_m < MIN_REACH_PX * np.array(away), axis=0)
 
 
 def _flags(
