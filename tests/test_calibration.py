@@ -211,7 +211,7 @@ class TestOpenDroneMap:
     def test_what_cannot_be_used(self, write):
         path = write("cameras.json", {"a": {"projection_type": "spherical", "width": 10, "height": 5}})
         found = problems_of(path)
-        assert "a: projection_type: found 'spherical', expected a known lens model" in found
+        assert "a: projection_type: found 'spherical'" in found
         assert "a: matrix: found nothing" in found
         assert "no table of a camera" in problems_of(write("other.json", {"projection_type": "brown"}))
 
@@ -336,7 +336,7 @@ class TestChoiceOfCamera:
 class TestImageSize:
     def test_missing(self, write):
         path = write("camera.yml", opencv_text(".yml", **opencv_values(image_width=None, image_height=None)))
-        assert "size: found nothing, expected the image size" in problems_of(path)
+        assert "size: found nothing" in problems_of(path)
         assert read_camera(path, image_size_px=(640, 480)).image_size_px == (640, 480)
 
     def test_contradicted(self, write):

@@ -230,9 +230,9 @@ def test_faults_of_a_colmap_model_are_named(tmp_path):
     image = "1 1 0 0 0 0 0 0 1 "
     said = refused(f"{image}a.png\n\n{image}b2.png\n1 2\n", tmp_path / "images.txt")
     assert "line 1: found '1 1 0 0 0 0 0 0 1 a.png', expected IMAGE_ID" in said
-    assert "line 4: found '1 2', expected the points of the image above" in said
+    assert "line 4: found '1 2'" in said
     said = refused(f"{image}a1.png\n\n{image}b1.png\n\n", tmp_path / "images.txt")
-    assert "frame: found others in line 1, line 3, expected one pose for each frame, of one camera" in said
+    assert "frame: found others in line 1, line 3" in said
     lens = "1 SIMPLE_RADIAL 9 9 1000 4 4 "
     for lines, part in (
         (["1 FOV 9 9 1 1 1 1 1"], "camera 1: model: found 'FOV', expected a known lens model"),
@@ -367,9 +367,7 @@ def test_frames_without_a_pose_have_no_detections(folder, tmp_path):
         "frame 11, ...",
     )
     far = write_track(tmp_path / "far.csv", np.arange(100, 110), turning(10))
-    with pytest.raises(
-        InputError, match=r"found 100 to 109, none in common with .*run_cam1\.csv, expected the numbers"
-    ):
+    with pytest.raises(InputError, match=r"found 100 to 109, none in common with .*run_cam1\.csv"):
         prepare(settings(folder, 1, camera_track=far))
 
 

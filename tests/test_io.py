@@ -406,12 +406,12 @@ def test_numbers_of_python_only(tmp_path, cell):
 @pytest.mark.parametrize(
     ("clock", "cells", "said"),
     [
-        ("frame", ("0", "-1e14"), "frames: found -100000000000000, expected increasing whole numbers"),
-        ("frame", ("0", ""), "line 3, frame: found nothing, expected a frame number"),
-        ("frame", ("0", "1e17"), "frames: found 1e+17 after 0, expected increasing whole numbers"),
-        ("frame", ("0.5", "1"), "frames: found 0.5, expected increasing whole numbers"),
-        ("time_s", ("0.04", ""), "line 3, time_s: found nothing, expected a frame number, or seconds"),
-        ("time_s", ("-1e14", "0"), "time: found -1e+14 to 0 s, expected the times of a clip"),
+        ("frame", ("0", "-1e14"), "frames: found -100000000000000"),
+        ("frame", ("0", ""), "line 3, frame: found nothing"),
+        ("frame", ("0", "1e17"), "frames: found 1e+17 after 0"),
+        ("frame", ("0.5", "1"), "frames: found 0.5"),
+        ("time_s", ("0.04", ""), "line 3, time_s: found nothing"),
+        ("time_s", ("-1e14", "0"), "time: found -1e+14 to 0 s"),
         ("time_s", ("0", "1e300"), "expected the times of a clip"),
     ],
 )
@@ -470,7 +470,7 @@ def test_binary_after_the_header(tmp_path):
         (SINGLE.replace("coords,x,y,", "coords,x,likelihood,"), "bodypart nose: found no y"),
         (SINGLE.replace("likelihood", "z"), "3D positions"),
         (SINGLE.replace("\n1,", "\n0,"), "frames: found 0 after 0"),
-        (SINGLE.replace("\n1,", "\n1.5,"), "row 2 below the header: found '1.5', expected a frame number"),
+        (SINGLE.replace("\n1,", "\n1.5,"), "row 2 below the header: found '1.5'"),
         (SINGLE.replace("\n1,", "\n100000000000000,"), "found '100000000000000'"),
         (SINGLE.replace("\n1,", "\none,"), "found 'one'"),
         (SINGLE.replace("\n1,", "\n,"), "found ''"),
@@ -480,7 +480,7 @@ def test_binary_after_the_header(tmp_path):
         (SINGLE.replace("5,6", "5,six"), "line 5, nose/y: found 'six', expected a number"),
         (SINGLE.replace("5,6", "5,inf"), "line 5, nose/y: found 'inf', expected a number"),
         (SINGLE.replace("5,6", "True,6"), "line 5, nose/x: found 'True', expected a number"),
-        (LABELS.replace("img0007", "nose"), "found 'labeled-data/run/nose.png', expected an image name that ends"),
+        (LABELS.replace("img0007", "nose"), "found 'labeled-data/run/nose.png'"),
         (LABELS.replace("run/img0009", "walk/img0009"), "2 folders: labeled-data/run, labeled-data/walk"),
         (LABELS.replace("0009", "7"), "frames: found 7 after 7"),
     ],
@@ -576,7 +576,7 @@ def test_h5_problems(tmp_path):
     path = tmp_path / "two.h5"
     good.to_hdf(path, key="b")
     good.to_hdf(path, key="a")
-    assert "keys: found /a, /b, expected one table" in problems(path)[0]
+    assert "keys: found /a, /b" in problems(path)[0]
 
     path = tmp_path / "series.h5"
     good[("nose", "x")].rename("x").to_hdf(path, key="a")

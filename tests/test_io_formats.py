@@ -114,7 +114,7 @@ def test_sleap_without_scores_and_names(tmp_path):
 def test_sleap_problems(tmp_path):
     said = refused(sleap_file(tmp_path / "a.h5", node_names=np.array([b"x", b"x"]), point_scores=np.ones((2, 3, 4))))
     assert len(said) == 3
-    assert "names of points: found 'x', expected names that are unique" in said[0]
+    assert "names of points: found 'x'" in said[0]
     assert "names of points: found 2, expected 3" in said[1]
     assert "likelihoods: found an array of the shape (4, 2, 3), expected (5, 2, 3)" in said[2]
     said = refused(sleap_file(tmp_path / "c.h5", dims=False, point_scores=np.ones((5, 2))))
@@ -228,7 +228,7 @@ def test_movement_3d(tmp_path):
         (lambda d: d.assign_coords(space=["y", "x"]), "space: found y, x, expected x, y or x, y, z"),
         (
             lambda d: d.assign_coords(keypoint=["a", "a", "b"]),
-            "names of points: found 'a', expected names that are unique",
+            "names of points: found 'a'",
         ),
         (lambda d: d.assign_coords(time=[0, 1, 1, 2]), "time: found times that do not increase"),
         (lambda d: d.assign_coords(time=[0, 0.04, 0.1, 0.2]), "time: found times that are no multiples of 0.04 s"),
@@ -349,7 +349,7 @@ def test_coco_of_several_animals(tmp_path):
         ({"categories": [{"id": 1, "name": "cheetah"}]}, "0 lists of keypoints"),
         (
             {"categories": [{"id": 1, "keypoints": ["a", "a"]}]},
-            "names of points: found 'a', expected names that are unique",
+            "names of points: found 'a'",
         ),
         ({"images": [{"file_name": "x.png"}]}, "an entry without 'id'"),
         ({"images": {}}, "an entry without 5"),
@@ -424,10 +424,10 @@ def test_anipose_3d_csv(tmp_path):
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("frame,node,x,y\n0,a,1,2\n0.5,a,1,2\n", ["frames: found 0.5 after 0, expected increasing whole"]),
+        ("frame,node,x,y\n0,a,1,2\n0.5,a,1,2\n", ["frames: found 0.5 after 0"]),
         ("frame,node,x,y\n0,a,1,one\n1,a,inf,2\n", ["line 3, x: found 'inf'", "line 2, y: found 'one'"]),
         ("frame,node,x,y\n0,a,1,2\n0,a,3,4\n", ["line 3: found a second row of a frame or of a point in it"]),
-        ("frame,node,x,y\n0,,1,2\n", ["names of points: found '', expected names that are unique"]),
+        ("frame,node,x,y\n0,,1,2\n", ["names of points: found ''"]),
         ("frame,node,x,y\n0,a,1\n1,a,2,3,4\n", ["line 2: found 3 cells, expected 4", "line 3: found 5 cells"]),
         ("frame,node,x,y\n", ["points: found no frames"]),
         ("frame,a_x,a_y\n0,1,2\n0,3,4\n", ["line 3: found a second row of a frame"]),
@@ -625,7 +625,7 @@ def test_bvh_against_another_reader(tmp_path):
         (("CHANNELS 3 Zrotation", "CHANNELS 3 Zscale"), "in the hierarchy"),
         (("OFFSET 1.0 0.0 0.0", "OFFSET 1.0"), "in the hierarchy"),
         (("MOTION", ""), "in the hierarchy"),
-        (("JOINT knee", "JOINT hips"), "names of points: found 'hips', expected names that are unique"),
+        (("JOINT knee", "JOINT hips"), "names of points: found 'hips'"),
         (("Frames: 2", "Frames: 0_2"), "MOTION: found 2 rows, and Frames: 0"),
     ],
 )
@@ -921,7 +921,7 @@ def test_dannce_predictions_and_names(tmp_path):
         ({"labelData": cell({"data_3d": np.ones((2, 5)), "data_frame": [1, 2]})}, r"cannot reshape array of size 10"),
         (
             {"labelData": cell({"data_3d": np.ones((2, 6)), "data_frame": [2, 2]})},
-            "frames: found 2 after 2, expected increasing whole numbers",
+            "frames: found 2 after 2",
         ),
     ],
 )
