@@ -28,6 +28,7 @@ from typing import Any, Literal
 
 import cv2
 import numpy as np
+from scipy.linalg import block_diag
 
 from recon.base.arrays import Array, Bools
 from recon.base.errors import InputError, Problem
@@ -200,28 +201,19 @@ def _pose(view: BoardView, points: Array, camera: Camera) -> tuple[Array, Array]
 
 
 def _sigma(views: Sequence[_FittedBoardView], points: Array, camera: Camera) -> Array:
-    """Standard deviations of the camera's parameters, with the poses marginalised.
-
-    With the Jacobian [A B] of a view's residuals to camera and pose, the information about the camera is the sum of
-    A'A - A'B (B'B)^-1 B'A, and the variance of a residual their sum of squares over the degrees of freedom.
-    """
-    n = 4 + camera.distortion.size
-    information = np.zeros((n, n))
-    squares, count = 0.0, 0
-    for view in views:
-        a, b = _jacobian(view, points, camera)
-        cross = b.T @ a
-        information += a.T @ a - cross.T @ np.linalg.lstsq(b.T @ b, cross, rcond=None)[0]
-        squares += float((view.residual_px**2).sum())
-        count += view.residual_px.size
-    variance = squares / max(1, count - n - 6 * len(views))
-    scale = 1 / np.sqrt(np.maximum(np.diag(information), 1e-300))  # coefficients and pixels differ by many orders
+    """Standard deviations of the camera's parameters, infinite where the pictures do not tell them: of all unknowns,
+    those and the poses, by the Jacobian of all residuals, whose variance is their sum of squares over the degrees of
+    freedom."""
+    by_camera, by_pose = zip(*(_jacobian(view, points, camera) for view in views), strict=True)
+    jacobian = np.hstack([np.vstack(by_camera), block_diag(*by_pose)])
+    residual, n = np.concatenate([view.residual_px for view in views]), 4 + camera.distortion.size
+    scale = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-150)  # coefficients and pixels differ by many orders
     try:
-        inverse = np.linalg.inv(information * np.outer(scale, scale))
+        inverse = np.linalg.inv((jacobian / scale).T @ (jacobian / scale))
     except np.linalg.LinAlgError:
         return np.full(n, np.inf)
-    diagonal = np.diag(inverse)
-    return np.where(diagonal > 0, np.sqrt(variance * np.abs(diagonal)) * scale, np.inf)
+    diagonal, variance = np.diag(inverse)[:n], np.sum(residual**2) / max(1, residual.size - len(scale))
+    return np.where(diagonal > 0, np.sqrt(variance * np.abs(diagonal)) / scale[:n], np.inf)
 
 
 def _jacobian(view: _FittedBoardView, points: Array, camera: Camera) -> tuple[Array, Array]:
