@@ -8,11 +8,11 @@ from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
-from scipy.sparse import coo_array
+from scipy.sparse import bsr_array, diags_array
 from scipy.sparse.linalg import splu
 from scipy.spatial.transform import Rotation
 
-from recon.base.arrays import Array, Bools, Index, Integers
+from recon.base.arrays import Array, Bools, Integers
 from recon.calibrate.camera_motion.rotation import (
     AgreedOrientation,
     GreyPicture,
@@ -425,52 +425,39 @@ def _adjust(
     rotation = np.stack([one.rotation for one in orientations])
     log_zoom = np.log([one.zoom for one in orientations])
     frame, key, measured, at, normal, gradient = map(np.stack, zip(*links, strict=True))
-    columns = np.concatenate([(end[:, None] * p + np.arange(p)) for end in (frame, key)], axis=1)
-    rows_of, columns_of = np.repeat(columns, 2 * p, axis=1), np.tile(columns, (1, 2 * p))
-    factor = None
-    blocks = np.zeros((0, 2 * p, 2 * p))
+    rows, ends = np.arange(len(links) + 1), np.stack([frame, key], axis=1)
+    weights = bsr_array((normal, rows[:-1], rows))
     for _ in range(ADJUST_STEPS):
         between = rotation[frame] @ rotation[key].swapaxes(1, 2)
         e = np.zeros((len(links), 5))
         e[:, :3] = Rotation.from_matrix(between @ measured.swapaxes(1, 2)).as_rotvec()
-        e[:, 3], e[:, 4] = log_zoom[frame] - at[:, 0], log_zoom[key] - at[:, 1]
-        J = np.zeros((len(links), 5, 2 * p))
-        J[:, :3, :3], J[:, :3, p : p + 3] = np.eye(3), -between
+        e[:, 3:] = log_zoom[ends] - at
+        J = np.zeros((len(links), 2, 5, p))
+        J[:, 0, :3, :3], J[:, 1, :3, :3] = np.eye(3), -between
         if solve_zoom:
-            J[:, 3, 3] = J[:, 4, 7] = 1.0
-        blocks = J.swapaxes(1, 2) @ normal @ J
-        downhill = np.einsum("lea,le->la", J, gradient - np.einsum("lef,lf->le", normal, e))
-        fixed = np.arange(p), np.arange(p), np.full(p, 1e6 * blocks[:, range(p), range(p)].max())
-        values = np.concatenate([blocks.ravel(), fixed[2]])
-        places = np.concatenate([rows_of.ravel(), fixed[0]]), np.concatenate([columns_of.ravel(), fixed[1]])
-        factor = splu(coo_array((values, places), shape=(n * p, n * p)).tocsc())
-        right = np.bincount(columns.ravel(), downhill.ravel(), minlength=n * p)
-        step = factor.solve(right).reshape(n, p)
+            J[:, 0, 3, 3] = J[:, 1, 4, 3] = 1.0
+        slopes = bsr_array((J.reshape(-1, 5, p), ends.ravel(), 2 * rows), shape=(e.size, n * p))
+        information = (slopes.T @ weights @ slopes).tocsc()
+        fixed = np.where(np.arange(n * p) < p, 1e6 * information.max(), 0.0)
+        factor = splu((information + diags_array(fixed)).tocsc())
+        step = factor.solve(slopes.T @ (gradient.ravel() - weights @ e.ravel())).reshape(n, p)
         rotation = Rotation.from_rotvec(step[:, :3]).as_matrix() @ rotation
         if solve_zoom:
             log_zoom = log_zoom + step[:, 3]
-    assert factor is not None
-    sigma = _sigma(factor.solve, blocks, frame, key, n, p)
+    # of keyframes from the inverse; of a frame that is none, its own and its keyframes' on average
+    variance = np.full((n, p), np.nan)
+    for at_key in np.unique(key) * p:
+        own = slice(at_key, at_key + p)
+        variance[at_key // p] = np.diag(factor.solve(np.eye(n * p, p, -at_key))[own])
+    for other in np.flatnonzero(np.isnan(variance[:, 0])):
+        own = slice(other * p, (other + 1) * p)
+        variance[other] = np.diag(np.linalg.inv(information[own, own].toarray())) + variance[key[frame == other]].mean(
+            axis=0
+        )
+    sigma = np.sqrt(np.maximum(variance, 0))
     found = tuple(Orientation(r, float(z)) for r, z in zip(rotation, np.exp(log_zoom), strict=True))
     sigma_zoom = sigma[:, 3] if solve_zoom else np.zeros(n)
     return found, np.hypot(np.sqrt((sigma[:, :3] ** 2).mean(axis=1)), floor_rad), sigma_zoom
-
-
-def _sigma(solve: Callable[[Array], Array], blocks: Array, frame: Index, key: Index, n: int, p: int) -> Array:
-    """(n, p): of keyframes from the inverse; of a frame that is none, its own and its keyframes' on average."""
-    variance = np.full((n, p), np.nan)
-    for k in np.unique(key):
-        unit = np.zeros((n * p, p))
-        unit[k * p + np.arange(p), np.arange(p)] = 1.0
-        variance[k] = np.diag(solve(unit)[k * p : (k + 1) * p])
-    own, keys, count = np.zeros((n, p, p)), np.zeros((n, p)), np.zeros(n)
-    np.add.at(own, frame, blocks[:, :p, :p])
-    np.add.at(keys, frame, variance[key])
-    np.add.at(count, frame, 1)
-    others = np.flatnonzero(np.isnan(variance[:, 0]))
-    inverse = np.linalg.inv(own[others])
-    variance[others] = inverse[:, range(p), range(p)] + keys[others] / count[others, None]
-    return np.sqrt(np.maximum(variance, 0))
 
 
 # -- the focal length: points that a turn takes across the picture keep their angles at one length only ---------------
