@@ -13,7 +13,7 @@ from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
+from scipy.ndimage import median_filter
 
 from recon.animal.body import other_side
 from recon.base.arrays import Array, Bools
@@ -110,8 +110,7 @@ def _left_out(keypoints: Keypoints, camera: str) -> Iterator[Finding]:
     if len(steps) < LEAST_STEPS:
         return
     step_px = np.nanmedian(steps, axis=1)
-    padded_px = np.pad(step_px, ((AROUND // 2, AROUND // 2), (0, 0)), mode="edge")
-    usual_px = np.median(sliding_window_view(padded_px, AROUND, axis=0), axis=-1)
+    usual_px = median_filter(step_px, size=(AROUND, 1), mode="nearest")
     length_px = np.maximum(np.linalg.norm(usual_px, axis=1), 1e-9)
     times = np.sum(step_px * usual_px, axis=1) / length_px**2
     long, short = float(np.mean(times > LONG[0])), float(np.mean(times < SHORT[0]))
