@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from recon import FitSettings, fit_clip, samples_folder
-from recon.animal import other_side, prior_from_body
+from recon.animal import opposites, other_side, prior_from_body
 from recon.check import (
     Finding,
     doubted,
@@ -32,7 +32,6 @@ from recon.check.inputs.swaps import (
     exchanged,
     jumps,
     likely,
-    opposites,
     pairs_of,
     undone,
     with_undone,
@@ -89,7 +88,7 @@ def test_pairs_are_those_of_the_other_side():
     assert names["fore"] == {f"{s}_front_{part}" for s in "lr" for part in ("knee", "ankle", "paw")}
     assert names["hind"] == {f"{s}_back_{part}" for s in "lr" for part in ("knee", "ankle", "paw")}
     assert names["all"] == {name for name in BODY.markers if name[:2] in ("l_", "r_")}
-    np.testing.assert_array_equal(opposites(BODY)[opposites(BODY)], np.arange(24))
+    np.testing.assert_array_equal(opposites(BODY.markers)[opposites(BODY.markers)], np.arange(24))
 
 
 def test_swaps_are_undone_only_where_the_whole_clip_is_likelier_then():
@@ -257,7 +256,7 @@ def test_without_a_prior_of_motions_neither_sides_nor_rates_are_judged():
 
 def test_mending_swaps_back(small_trajectory: Motion):
     (source,) = small_trajectory.sources
-    places = opposites(small_trajectory.body)
+    places = opposites(small_trajectory.body.markers)
     legs = tuple(small_trajectory.names[j] for j in np.flatnonzero(places != np.arange(24)))
     found = (
         finding("left_right_swap", (12, 14), source.camera.name, part="all keypoints", keypoints=legs),

@@ -5,7 +5,17 @@ from typing import TYPE_CHECKING
 from recon.base import lazily
 
 if TYPE_CHECKING:
-    from recon.animal.body import MIN_JOINTS, Body, Side, both_sides, facing_side, other_side, side_of, without_side
+    from recon.animal.body import (
+        MIN_JOINTS,
+        Body,
+        Side,
+        both_sides,
+        facing_side,
+        opposites,
+        other_side,
+        side_of,
+        without_side,
+    )
     from recon.animal.chain import Chain, upright_rotation
     from recon.animal.naming import (
         NameMap,

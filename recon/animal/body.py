@@ -11,7 +11,7 @@ and a limb has the side of its markers. A marker of a chain has a keypoint for e
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Literal
@@ -92,6 +92,12 @@ def other_side(name: str) -> str:
     """l_paw -> r_paw and back; names of the middle stay."""
     word = _SIDE.search(name)
     return name if word is None else name[: word.start()] + _opposite(word[0]) + name[word.end() :]
+
+
+def opposites(names: Sequence[str]) -> Index:
+    """(N,): the place of each name's other side among the names; of the middle, and of what has none, its own."""
+    at = {name: i for i, name in enumerate(names)}
+    return np.array([at.get(other_side(name), i) for name, i in at.items()], dtype=np.intp)
 
 
 def without_side(name: str) -> str:
@@ -285,7 +291,5 @@ class Body:
 
         The mirror is the world's x-z plane. What has no counterpart on the other side is taken for the middle.
         """
-        at = {name: i for i, name in enumerate(self.state_names)}
-        permutation = np.array([at.get(other_side(name), i) for name, i in at.items()])
         flips = np.array([False, True, False, *(axis != "y" for axis in self.tree.axes)])
-        return permutation, np.where(flips, -1.0, 1.0)
+        return opposites(self.state_names), np.where(flips, -1.0, 1.0)

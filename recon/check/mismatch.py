@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from recon.animal.body import other_side
+from recon.animal import opposites
 from recon.base.arrays import Array
 from recon.check.codes import finding
 from recon.fit.result import Finding
@@ -64,9 +64,9 @@ def _explanations(pose_m: Array, truth_m: Array, names: Sequence[str]) -> Iterat
     """What the matter could be, the simplest first, each with the rotation of the whole clip that fits best: its code,
     the error that would then be left, and its numbers."""
     pose, truth = _together(pose_m, truth_m)
-    sides = [names.index(other_side(name)) if other_side(name) in names else j for j, name in enumerate(names)]
+    sides = opposites(names)
     tries = [("reference_rotated", pose, truth)]
-    if sides != [*range(len(names))]:
+    if (sides != np.arange(len(names))).any():
         tries.append(("reference_swapped", *_together(pose_m[:, sides], truth_m)))
     tries.append(("reference_mirrored", pose * (1.0, -1.0, 1.0), truth))
     for code, of_pose, of_truth in tries:

@@ -15,7 +15,7 @@ from itertools import combinations
 import numpy as np
 from scipy.ndimage import median_filter
 
-from recon.animal.body import other_side
+from recon.animal import opposites
 from recon.base.arrays import Array, Bools
 from recon.check.codes import finding
 from recon.check.inputs.likelihood import CLEAR, TAILS
@@ -119,10 +119,9 @@ def _left_out(keypoints: Keypoints, camera: str) -> Iterator[Finding]:
 
 
 def _copied_sides(keypoints: Keypoints, camera: str) -> Iterator[Finding]:
-    names = keypoints.names
-    pairs = [(i, names.index(other_side(n))) for i, n in enumerate(names) if other_side(n) in names]
-    left, right = ([pair[k] for pair in pairs if pair[0] < pair[1]] for k in (0, 1))
-    identical, both = _identical(keypoints.xy_px[:, left], keypoints.xy_px[:, right])
+    places = opposites(keypoints.names)
+    one = np.flatnonzero(np.arange(len(places)) < places)
+    identical, both = _identical(keypoints.xy_px[:, one], keypoints.xy_px[:, places[one]])
     if _many(identical, both):
         yield finding("far_side_copied", camera=camera, share=float(identical.sum() / both.sum()))
 

@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from recon.animal.body import Body, other_side
+from recon.animal import Body, opposites
 from recon.base.arrays import Array, Bools, Index
 from recon.check.codes import finding
 from recon.check.inputs.likelihood import (
@@ -79,15 +79,9 @@ def exchanged(view: View, stretch: _Stretch) -> View:
     return replace(view, xy_px=xy_px, confidence=confidence)
 
 
-def opposites(body: Body) -> Index:
-    """(J,): the marker's on the other side; of the middle its own."""
-    at = {marker: j for j, marker in enumerate(body.markers)}
-    return np.array([at.get(other_side(marker), j) for marker, j in at.items()], dtype=np.intp)
-
-
 def pairs_of(body: Body) -> dict[str, Index]:
     """By kind, the permutation (J,) of the markers that are exchanged: of all, and of the fore and the hind legs."""
-    places, none = opposites(body), np.arange(len(body.markers))
+    places, none = opposites(body.markers), np.arange(len(body.markers))
     kinds = {"all": places}
     for name, end in (("fore", "F"), ("hind", "H")):
         feet = {foot for foot, label in zip(body.feet, body.foot_labels, strict=True) if label.endswith(end)}
@@ -286,7 +280,7 @@ def without_swaps(
     sources: Sequence[Source], findings: Sequence[Finding], body: Body
 ) -> tuple[tuple[Source, ...], tuple[Finding, ...]]:
     """The sources with left and right swapped back where a finding says so, and the findings, which say that, too."""
-    mended, marked, places = [*sources], [*findings], opposites(body)
+    mended, marked, places = [*sources], [*findings], opposites(body.markers)
     for i, one in enumerate(findings):
         if one.code != "left_right_swap" or one.frames is None:
             continue
