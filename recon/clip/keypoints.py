@@ -225,9 +225,8 @@ def select_frames(keypoints: Keypoints, frames: tuple[int | None, int | None] | 
         raise InputError(Problem(_source(keypoints), "frames", f"none in the range {shown}", expected))
     if keep.all():
         return keypoints
-    return dataclasses.replace(
-        keypoints, xy_px=keypoints.xy_px[keep], confidence=keypoints.confidence[keep], frames=keypoints.frames[keep]
-    )
+    xy_px, confidence, numbers = (of[keep] for of in (keypoints.xy_px, keypoints.confidence, keypoints.frames))
+    return dataclasses.replace(keypoints, xy_px=xy_px, confidence=confidence, frames=numbers)
 
 
 def mark_missing(keypoints: Keypoints) -> tuple[Keypoints, dict[str, np.ndarray]]:
@@ -295,11 +294,11 @@ def frame_ranges(frames: np.ndarray) -> tuple[tuple[int, int], ...]:
 def _without_points(keypoints: Keypoints, points: np.ndarray) -> Keypoints:
     if not (keypoints.present & points).any() and not keypoints.confidence[points].any():
         return keypoints
-    return dataclasses.replace(
-        keypoints,
-        xy_px=np.where(points[..., None], np.nan, keypoints.xy_px),
-        confidence=np.where(points, 0.0, keypoints.confidence),
+    xy_px, confidence = (
+        np.where(points[..., None], np.nan, keypoints.xy_px),
+        np.where(points, 0.0, keypoints.confidence),
     )
+    return dataclasses.replace(keypoints, xy_px=xy_px, confidence=confidence)
 
 
 def _source(keypoints: Keypoints) -> str:

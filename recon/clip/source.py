@@ -321,10 +321,6 @@ def _on_frames(source: Source, start: int, frames: Integers) -> Source:
         spread[has] = values[own]
         return spread
 
-    return replace(
-        source,
-        keypoints=replace(
-            keypoints, xy_px=spread(keypoints.xy_px), confidence=spread(keypoints.confidence, 0.0), frames=frames
-        ),
-        poses=source.poses and source.poses.each(spread),
-    )
+    xy_px, confidence = spread(keypoints.xy_px), spread(keypoints.confidence, 0.0)
+    keypoints = replace(keypoints, xy_px=xy_px, confidence=confidence, frames=frames)
+    return replace(source, keypoints=keypoints, poses=source.poses and source.poses.each(spread))

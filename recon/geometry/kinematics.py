@@ -290,12 +290,10 @@ class Tree:
     def _points(self, frames: Array, state: Array, size: Array | float) -> Array:
         """`_Plan.points` relative to the root (S + J, 3, N), of the frames of `_frames`."""
         plan, N = self._plan, len(state)
-        points = (plan.points @ frames.reshape(plan.points.shape[1], 3 * N)).reshape(len(plan.points), 3, N) * size
+        columns = frames.reshape(plan.points.shape[1], 3, N)
+        points = np.tensordot(plan.points, columns, 1) * size
         if len(plan.slides):
-            along = (
-                frames.reshape(plan.points.shape[1], 3, N).take(plan.axes[plan.slides], axis=0)
-                * state.T[3 + plan.slides, None]
-            )
+            along = columns.take(plan.axes[plan.slides], axis=0) * state.T[3 + plan.slides, None]
             points += np.tensordot(plan.slid, along, 1)
         return points
 
