@@ -105,10 +105,15 @@ class Overlay:
         }
 
     @cached_property
+    def _sides_px(self) -> Array:
+        """(N, 2): sides of the box about the joints, of each frame with all of them; infinite where there is none."""
+        known = self.reprojected_px[np.isfinite(self.reprojected_px).all(axis=(1, 2))]
+        return np.ptp(known, axis=1) if len(known) else np.full((1, 2), np.inf)
+
+    @cached_property
     def extent_px(self) -> float:
         """Length of the animal in the picture: the diagonal of its joints' box, in the median of the frames."""
-        known = self.reprojected_px[np.isfinite(self.reprojected_px).all(axis=(1, 2))]
-        return float(np.median(np.linalg.norm(np.ptp(known, axis=1), axis=1))) if len(known) else math.inf
+        return float(np.median(np.linalg.norm(self._sides_px, axis=1)))
 
     @cached_property
     def joints_px(self) -> Array:
@@ -118,9 +123,7 @@ class Overlay:
     @cached_property
     def box_px(self) -> Array:
         """(2,): sides of the largest box about the joints of a frame, but for poses that went astray."""
-        known = self.reprojected_px[np.isfinite(self.reprojected_px).all(axis=(1, 2))]
-        sides = np.ptp(known, axis=1) if len(known) else np.full((1, 2), np.inf)
-        return np.maximum(np.percentile(sides, 98, axis=0), 1.0)
+        return np.maximum(np.percentile(self._sides_px, 98, axis=0), 1.0)
 
     @cached_property
     def _facing(self) -> float:
@@ -132,12 +135,11 @@ class Overlay:
     @cached_property
     def bounds(self) -> dict[str, tuple[Array, Array]]:
         """By view: lowest and highest (2,), metres, over the clip but for poses that went astray."""
-        found = {}
-        for name, points in self.views.items():
-            known = points[np.isfinite(points).all(axis=-1)][:, :2]
-            low, high = np.percentile(known, (1, 99), axis=0) if len(known) else (-np.ones(2), np.ones(2))
-            found[name] = (low, high)
-        return found
+        known = {name: points[np.isfinite(points).all(axis=-1)][:, :2] for name, points in self.views.items()}
+        one = np.ones(2)
+        return {
+            name: tuple(np.percentile(xy, (1, 99), axis=0)) if len(xy) else (-one, one) for name, xy in known.items()
+        }
 
 
 def smoothed_headings(forward_m: Array, fps: float) -> Array:
@@ -198,7 +200,10 @@ def draw_frame(overlay: Overlay, t: int | None, frame: int, picture: Image) -> I
 def draw_tiles(overlay: Overlay, rows: Sequence[int] | Index, pictures: Sequence[Image] | None = None) -> list[Image]:
     """These frames, each cut out about the animal, at one scale. pictures: of each of them, in the pixels of the
     overlay; without, on a plain ground."""
-    corners, scale = _cut_out(overlay, rows)
+    boxes = np.array([(np.nanmin(xy, axis=0), np.nanmax(xy, axis=0)) for xy in overlay.reprojected_px[list(rows)]])
+    largest = np.max(boxes[:, 1] - boxes[:, 0], axis=0)
+    scale = float(np.min(_FILLED * np.array(TILE_PX) / np.maximum(largest, 1.0)))
+    corners = boxes.mean(axis=1) - 0.5 * np.array(TILE_PX) / scale
     tiles = []
     for i, (t, corner) in enumerate(zip(rows, corners, strict=True)):
         tile, cut = np.empty((TILE_PX[1], TILE_PX[0], 3), dtype=np.uint8), _Cut(corner, scale)
@@ -209,14 +214,6 @@ def draw_tiles(overlay: Overlay, rows: Sequence[int] | Index, pictures: Sequence
         _draw_caption(tile, overlay, int(t), int(overlay.frames[t]), TILE_PX, TILE_UNIT)
         tiles.append(tile)
     return tiles
-
-
-def _cut_out(overlay: Overlay, rows: Sequence[int] | Index) -> tuple[Array, float]:
-    """Corners (N, 2) of what is shown of the frames, and the scale that fits the largest animal of them."""
-    boxes = np.array([(np.nanmin(xy, axis=0), np.nanmax(xy, axis=0)) for xy in overlay.reprojected_px[list(rows)]])
-    largest = np.max(boxes[:, 1] - boxes[:, 0], axis=0)
-    scale = float(np.min(_FILLED * np.array(TILE_PX) / np.maximum(largest, 1.0)))
-    return boxes.mean(axis=1) - 0.5 * np.array(TILE_PX) / scale, scale
 
 
 @dataclass(frozen=True, eq=False)
@@ -372,23 +369,20 @@ def _draw_scale(canvas: Image, box: tuple[int, int, int, int], scale: float, y: 
 def _draw_key(canvas: Image, overlay: Overlay, corner: tuple[int, int], unit: float) -> None:
     x, y = corner
     step, bar = round(34 * unit), 46 * unit
-    names = {LEFT: "left", RIGHT: "right", MIDDLE: "middle"}
-    for colour in (c for c in names if c in overlay.colours):
+    sides = {name: c for name, c in (("left", LEFT), ("right", RIGHT), ("middle", MIDDLE)) if c in overlay.colours}
+    labels = [*(f"{name}, near to far" for name in sides), "detected", "outlier"]
+    for i, label in enumerate(labels):
+        draw_text(canvas, label, (round(x + bar + 12 * unit), y + i * step + round(7 * unit)), 0.6 * unit, INK)
+    for colour in sides.values():
         for part in range(8):
-            ends = np.array([[x + part / 8 * bar, y], [x + (part + 1) / 8 * bar, y]])
-            draw_line(
-                canvas, ends[0], ends[1], shade(colour, 1 - 2 * part / 7), max(1, round((6 - 4 * part / 7) * unit))
-            )
-        label = f"{names[colour]}, near to far"
-        draw_text(canvas, label, (round(x + bar + 12 * unit), y + round(7 * unit)), 0.6 * unit, INK)
+            start, end = np.array([[x + part / 8 * bar, y], [x + (part + 1) / 8 * bar, y]])
+            draw_line(canvas, start, end, shade(colour, 1 - 2 * part / 7), max(1, round((6 - 4 * part / 7) * unit)))
         y += step
     centre = np.array([x + bar / 2, y])
     draw_circle(canvas, centre, 7 * unit, DETECTION, max(1, round(1.5 * unit)))
-    draw_text(canvas, "detected", (round(x + bar + 12 * unit), y + round(7 * unit)), 0.6 * unit, INK)
     centre[1] += step
     for arm in (np.array([7, 7]) * unit, np.array([7, -7]) * unit):
         draw_line(canvas, centre - arm, centre + arm, OUTLIER, max(1, round(2.5 * unit)))
-    draw_text(canvas, "outlier", (round(x + bar + 12 * unit), y + step + round(7 * unit)), 0.6 * unit, INK)
 
 
 # ---- strokes ----
