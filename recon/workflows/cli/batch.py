@@ -5,8 +5,7 @@ from __future__ import annotations
 import json
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -111,15 +110,25 @@ def batch(
 def shown_batch(
     console: Console, left: int, as_json: bool, work: Callable[[Callable[[Event, Summary], None]], Summary]
 ) -> Summary:
-    """Do what tells of its events, and say how it went. left: how many clips there are to do."""
+    """Do what tells of its events, and say how it goes, a line a clip and a bar on a terminal, and went. left: how many
+    clips there are to do."""
     summaries: list[Summary] = []
-    began = time.monotonic()
+    plain, began, ended = console.quiet or not console.is_terminal, time.monotonic(), count(1)
+    errors = terminal(stderr=True, soft_wrap=True) if plain else console  # trouble is said even where nothing else is
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     try:
-        with _shown(console, left) as show:
+        with Progress(*columns, console=console, transient=True, disable=plain) as bar:
+            task = bar.add_task("all clips", total=left)
 
             def tell(event: Event, so_far: Summary) -> None:
                 summaries[:] = [so_far]
-                show(event, so_far)
+                if event.kind == "progress":
+                    bar.update(task, description=f"{event.name}: {event.stage}")
+                    return
+                bar.advance(task)
+                row = so_far.rows[event.name]
+                where = errors if row["status"] == "failed" else console
+                say(where, Text(f"[{next(ended)}/{left}] ").append_text(_row_text(row)))
 
             summary = work(tell)
     except KeyboardInterrupt:
@@ -134,9 +143,6 @@ def shown_batch(
     seconds = time.monotonic() - began
     say(console, Text.assemble(Text(", ").join(parts), f" in {seconds:.0f} s. Summary: {summary.path}"))
     return summary
-
-
-# -- before ---------------------------------------------------------------------------------------------
 
 
 def _print_plan(
@@ -172,31 +178,6 @@ def _print_plan(
     bad = f", {of[CANNOT]} that {CANNOT}" if of[CANNOT] else ""
     said = f"{of['new']} new, {of['refit']} to fit again, {of['done']} done{bad}"
     console.print(f"{counted(len(rows), 'clip')}: {said}")
-
-
-# -- meanwhile ----------------------------------------------------------------------------------------------------
-
-
-@contextmanager
-def _shown(console: Console, left: int) -> Iterator[Callable[[Event, Summary], None]]:
-    """A function of an event and the summary that shows it: a line a clip, and a bar on a terminal. Trouble goes to
-    stderr, even where nothing else is printed."""
-    plain = console.quiet or not console.is_terminal
-    errors = terminal(stderr=True, soft_wrap=True) if plain else console
-    columns = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console, transient=True, disable=plain) as bar:
-        task, ended = bar.add_task("all clips", total=left), count(1)
-
-        def show(event: Event, summary: Summary) -> None:
-            if event.kind == "progress":
-                bar.update(task, description=f"{event.name}: {event.stage}")
-                return
-            bar.advance(task)
-            row = summary.rows[event.name]
-            where = errors if row["status"] == "failed" else console
-            say(where, Text(f"[{next(ended)}/{left}] ").append_text(_row_text(row)))
-
-        yield show
 
 
 def _row_text(row: Mapping[str, Any]) -> Text:
