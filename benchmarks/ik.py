@@ -48,7 +48,6 @@ from recon.robotics.ik.methods import (
     weighted_least_norm,
 )
 from recon.robotics.ik.stride import StridePath, find_stride
-from recon.thesis import solve_joints
 
 Array = np.ndarray
 
@@ -59,7 +58,6 @@ STEPS, WARM = 4000, 500
 TURNS, POINTS, RADIUS_M = 10, 400, 0.1
 SLOWER = 10
 """Strides are followed in slow motion, so that the limits of the rates do not hold the methods back."""
-UP = np.array([0.0, 0.0, 1.0])
 SIDES = ("left", "right")
 PUBLISHED = {
     "gradient projection (differences)": "264, ended 11 mm away",
@@ -299,10 +297,8 @@ def real_legs(folder: Path) -> dict[str, list[Leg]]:
             known = np.isfinite(root[:, 0])
             flat, q, _ = projected_chain(points(leg), root[known][-1] - root[known][0])
             legs["2D"].append(Leg(name, flat, q, fps, lasts_s))
-            published = solve_joints(skeleton, points(skeleton.keypoint_names(side)), UP)
-            states, _ = skeleton.to_body(published, np.eye(4))
-            base_m = float(np.nanmedian(published[:, skeleton.base_index]))
-            summed = spine_front_leg(skeleton, base_m, 3, limited=False)
+            states, _, factor = solve_points_and_size(skeleton.body, points(skeleton.keypoint_names(side)))
+            summed = spine_front_leg(skeleton, factor * skeleton.nominal_base_length_m, 3, limited=False)
             legs["3D"].append(Leg(name, summed, chain_angles(skeleton, states), fps, lasts_s))
             whole = body_chain(body, leg[-1], size, limited=False)
             q = body_chain_angles(body, leg[-1], body_states)

@@ -19,14 +19,12 @@ from recon.thesis import (
     frame,
     mean_pose,
     solve_frames,
-    solve_joints,
 )
 from recon.thesis.frame import CONVERGED, posterior_covariance, precision_shares
 from recon.thesis.objectives import JointReprojection
 from recon.thesis.starts import Travel
 
 SK = load_chain("cheetah-8u")
-UP = np.array([0.0, -1, 0])
 EXACT = FrameOptions(sigma_px=1.0, keypoint_sigma_m=0.0, base_sigma_m=0.001)
 NOISY = FrameOptions(sigma_px=2.0, keypoint_sigma_m=0.0)
 
@@ -63,36 +61,6 @@ def mpjpe_mm(clip, states: np.ndarray) -> float:
 def reprojection_px(clip, keypoints, states: np.ndarray) -> np.ndarray:
     pixels, _ = clip.camera.project(SK.pose(states).joints_m)
     return np.linalg.norm(pixels - near(clip, keypoints.xy_px), axis=2)
-
-
-def test_forward_and_back_from_joints():
-    """Joints to 1e-6 m, and all 21 variables of a level animal (roll and twins settled by what is expected)."""
-    truth = level_states(12)
-    joints = SK.pose(truth).joints_m
-    found = solve_joints(SK, joints, UP)
-    np.testing.assert_allclose(SK.pose(found).joints_m, joints, atol=1e-6)
-    np.testing.assert_allclose(found, truth, atol=1e-5)
-
-
-def test_forward_and_back_leaves_only_the_roll_open():
-    """A rolled animal: the joints come back, and so does everything that the roll does not touch."""
-    truth = level_states(6)
-    truth[:, SK.euler_slice.start] = 0.3
-    joints = SK.pose(truth).joints_m
-    found = solve_joints(SK, joints, UP)
-    np.testing.assert_allclose(SK.pose(found).joints_m, joints, atol=1e-6)
-    np.testing.assert_allclose(found[:, SK.base_index], truth[:, SK.base_index], atol=1e-7)
-    roots = SK.pose(found).rotation[:, :, 0], SK.pose(truth).rotation[:, :, 0]
-    np.testing.assert_allclose(*roots, atol=1e-6)
-    assert np.abs(found - truth)[:, SK.euler_slice].max() > 0.1
-
-
-def test_joints_that_are_not_known_give_no_state():
-    joints = SK.pose(level_states(2)).joints_m
-    joints[1, 3] = np.nan
-    found = solve_joints(SK, joints, UP)
-    assert np.isfinite(found[0]).all()
-    assert np.isnan(found[1]).all()
 
 
 @pytest.mark.parametrize("seed", range(5))

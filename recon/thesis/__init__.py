@@ -20,7 +20,6 @@ if TYPE_CHECKING:
         base_length,
         frame_objectives,
         solve_frames,
-        solve_joints,
     )
     from recon.thesis.solver import SolverRecord, read_solver
     from recon.thesis.starts import mean_pose

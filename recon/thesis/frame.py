@@ -9,7 +9,7 @@ whose solution leaves points unexplained get further starts, and the lowest cost
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any, ClassVar, Literal
@@ -20,7 +20,7 @@ from scipy.optimize import least_squares
 
 from recon.animal.body import MIN_JOINTS, MIN_REACH_PX
 from recon.animal.chain import Chain, ChainPose
-from recon.base.arrays import Array, Index
+from recon.base.arrays import Array, Index, median
 from recon.check import Finding, finding
 from recon.clip import View
 from recon.fit.motion import Motion
@@ -37,7 +37,7 @@ from recon.thesis.objectives import (
     Objective,
     RateLimit,
 )
-from recon.thesis.starts import Travel, estimate_travel, geometric_start, state_from_joints
+from recon.thesis.starts import Travel, estimate_travel, geometric_start
 
 Status = Literal["converged", "not_converged", "no_data"]
 
@@ -54,8 +54,6 @@ MOST_SIZE = 10.0
 """A base length so many times larger or smaller than expected is no animal's."""
 PLAIN_C = 1e6
 """In place of `FrameOptions.robust_c` where f1 is as printed: nothing saturates."""
-SIGMA_M = 0.01
-"""The standard deviation of joints that are known in space."""
 
 
 @dataclass(frozen=True)
@@ -275,27 +273,17 @@ def in_world(
 ) -> FrameSolution:
     """What was solved, in the world. states (T, D) and their covariance (T, D, D) are the chain's."""
     T, J = view.present.shape
-    solved = np.flatnonzero(np.isfinite(states[:, 0]))
     T_world_camera = inverse(view.T_camera_world)
-    body_states, joints_m = np.full((T, chain.body.n_state), np.nan), np.full((T, J, 3), np.nan)
-    absolute, relative = np.full((2, T, J, 3, 3), np.nan)
-    angle_sigma, angle_share = np.full((2, T, chain.body.n_state - 3), np.nan)
-    size = 1.0
-    if len(solved):
-        posed = chain.pose_with_jacobian(states[solved])
-        assert posed.joints_jacobian is not None
-        body_states[solved], sizes = chain.to_body(states[solved], T_world_camera)
-        size = float(np.median(sizes))
-        shares = np.array(
-            [np.full(chain.n_state, np.nan) if (r := reports[t]) is None else r.data_share for t in solved]
-        )
-        angle_sigma[solved], angle_share[solved] = _of_angles(
-            chain, states[solved], covariance[solved], shares, T_world_camera
-        )
-        joints_m[solved] = moved(T_world_camera, posed.joints_m)
-        in_world = T_world_camera[:3, :3] @ posed.joints_jacobian
-        for of_joints, jacobian in ((absolute, in_world), (relative, in_world - in_world.mean(axis=1, keepdims=True))):
-            of_joints[solved] = np.einsum("tjad,tde,tjbe->tjab", jacobian, covariance[solved], jacobian, optimize=True)
+    posed = chain.pose_with_jacobian(states)
+    assert posed.joints_jacobian is not None
+    by_state = T_world_camera[:3, :3] @ posed.joints_jacobian
+    absolute, relative = (
+        np.einsum("tjad,tde,tjbe->tjab", jacobian, covariance, jacobian, optimize=True)
+        for jacobian in (by_state, by_state - by_state.mean(axis=1, keepdims=True))
+    )
+    body_states, sizes = chain.to_body(states, T_world_camera)
+    shares = np.array([np.full(chain.n_state, np.nan) if r is None else r.data_share for r in reports])
+    angle_sigma, angle_share = _of_angles(chain, states, covariance, shares, T_world_camera)
     sigma_px, trusted = (
         np.array([np.nan if r is None else getattr(r, field) for r in reports]) for field in ("sigma_px", "mean_weight")
     )
@@ -303,8 +291,8 @@ def in_world(
         body=chain.body,
         views=(view,),
         states=body_states,
-        size=size,
-        joints_m=joints_m,
+        size=median(sizes) if np.isfinite(sizes).any() else 1.0,
+        joints_m=moved(T_world_camera, posed.joints_m),
         covariance_m2=absolute,
         relative_covariance_m2=relative,
         angle_sigma_rad=angle_sigma,
@@ -363,31 +351,6 @@ def _flags(solution: FrameSolution) -> tuple[tuple[str, ...], ...]:
         "at rate limit": (solution.beyond_rate_rad_s > 0).any(axis=1),
     }
     return tuple(tuple(name for name, which in doubtful.items() if which[t]) for t in range(len(reports)))
-
-
-def solve_joints(chain: Chain, joints_m: Array, up: Array, tolerance: float = 1e-15) -> Array:
-    """States (T, D) whose joints are nearest to known ones, joints_m (T, J, 3) in the camera frame.
-
-    For joints from several cameras or motion capture. The roll about the first link is not determined by joints and
-    stays near zero against the unit vector up (3,). NaN for frames in which a joint is missing.
-    """
-    states = np.full((len(joints_m), chain.n_state), np.nan)
-    for frame in np.flatnonzero(np.isfinite(joints_m).all(axis=(1, 2))):
-
-        def off(x: Array, target_m: Array = joints_m[frame]) -> Array:
-            return (chain.pose(x[None]).joints_m[0] - target_m).ravel() / SIGMA_M
-
-        def jacobian(x: Array) -> Array:
-            by_state = chain.pose_with_jacobian(x[None]).joints_jacobian
-            assert by_state is not None
-            return by_state[0].reshape(-1, chain.n_state) / SIGMA_M
-
-        start, tolerances = (
-            state_from_joints(chain, joints_m[frame], up),
-            dict.fromkeys(("ftol", "xtol", "gtol"), tolerance),
-        )
-        states[frame] = least_squares(off, start, jacobian, method="lm", **tolerances).x
-    return states
 
 
 # -- one frame after the other ----------------------------------------------------------------------------------------
@@ -532,12 +495,6 @@ class FrameSolver:
             previous, dt_s = None, 1.0 / self.fps
         terms = tuple(term for term in self.objectives if previous is not None or not term.ties)
         return FrameProblem(self.chain, terms, frame, previous, dt_s).with_noise(sigma_px)
-
-    def rows(self, sigma_px: Array) -> Iterator[tuple[int, dict[str, tuple[Array, Array]]]]:
-        """For every frame with a pose its row, and what was solved there (`FrameProblem.by_term`), with the noise (T,)
-        that it had."""
-        for frame in np.flatnonzero(np.isfinite(self.states[:, 0])).tolist():
-            yield frame, self.problem(frame, float(sigma_px[frame])).by_term(self.states[frame])
 
     def solve(self, frame: int) -> tuple[Array, Array, _FrameReport]:
         """State (D,), its covariance (D, D) given the frame before, and what was done."""

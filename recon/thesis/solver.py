@@ -132,7 +132,8 @@ def read_solver(motion: Motion, folder: Path, frame: int | None = None) -> Solve
     again = FrameSolver(*given, options, np.where(motion.solved[:, None], solution.chain_states, np.nan))
     other = "free" if options.camera_rotation == "fixed" else "fixed"
     otherwise = solve_frames(*given, replace(options, camera_rotation=other))
-    rows = dict(again.rows(solution.reported("sigma_px")))
+    sigma_px = solution.reported("sigma_px")
+    rows = {t: again.problem(t, sigma_px[t]).by_term(again.states[t]) for t in solved.tolist()}
     return SolverRecord(motion, solution, rows, again.search(row)[0], otherwise)
 
 

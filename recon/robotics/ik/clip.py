@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -329,9 +328,8 @@ def run_ik(settings: IkSettings) -> _IKRun:
 
 
 def _coordinates(target: str, dim: int) -> Array:
-    parts = re.split(r"\s*,\s*", target.strip())
     try:
-        values = np.array([float(part) for part in parts])
+        values = np.array(target.split(","), float)
     except ValueError:
         values = np.empty(0)
     if len(values) != dim or not np.isfinite(values).all():
@@ -344,17 +342,26 @@ def stride_of(motion: Motion, limb: Limb, stride_s: tuple[float, float] | None =
     """The stride that is given; or the first of the foot that counts (`recon.gait.gait`); or, of a clip without any,
     where the foot comes back to nearest in the time that a stride takes. Raises InputError for a clip that shows too
     little."""
+    found, how, notes, lasts_s = None, "", [], (0.0, np.inf)
     if stride_s is not None:
-        stride = stride_given(motion, stride_s)
-        return _found_stride(motion, limb, "given", (stride.start_s, stride.end_s))
-    gait = ClipAnalysis(motion).gait
-    assert gait is not None  # the limb has a foot
-    label = next(label for label, joint in motion.foot_names.items() if joint == limb.foot)
-    doubts = [doubtful_text(doubt) for doubt in gait.doubtful if doubt.foot == label]
-    # Of poses that jitter, touch-downs are told worse than the pose's return is.
-    if not motion.jitters and (complete := next((s for s in gait.strides if s.foot == label), None)):
-        return _found_stride(motion, limb, "gait", (complete.start_s, complete.end_s), doubts)
-    return _found_stride(motion, limb, notes=doubts, lasts_s=stride_lasts_s(gait))
+        found, how = stride_given(motion, stride_s), "given"
+    else:
+        gait = ClipAnalysis(motion).gait
+        assert gait is not None  # the limb has a foot
+        label = next(label for label, joint in motion.foot_names.items() if joint == limb.foot)
+        notes = [doubtful_text(doubt) for doubt in gait.doubtful if doubt.foot == label]
+        if not motion.jitters:  # of poses that jitter, touch-downs are told worse than the pose's return is
+            found = next((s for s in gait.strides if s.foot == label), None)
+        if found is None:
+            lasts_s = stride_lasts_s(gait)
+        else:
+            how = "gait"
+    times_s = (None, None) if found is None else (found.start_s - limb.first_s, found.end_s - limb.first_s)
+    try:
+        stride = find_stride(limb.chain, limb.q, limb.fps, *times_s, lasts_s)
+    except ValueError as error:
+        raise InputError(Problem(motion.file, "stride", str(error), "a clip that shows more of one")) from None
+    return replace(stride, how=how or stride.how, notes=tuple(notes))
 
 
 def stride_lasts_s(gait: Gait) -> tuple[float, float]:
@@ -369,22 +376,6 @@ def stride_lasts_s(gait: Gait) -> tuple[float, float]:
         return 0.0, np.inf
     first_s = min((s.start_s for s in landed), default=time_s[-1])
     return float(time_s[-1] - first_s - OVERSAMPLING / 2 * (time_s[1] - time_s[0])), np.inf
-
-
-def _found_stride(
-    motion: Motion,
-    limb: Limb,
-    how: str = "",
-    span_s: tuple[float, float] | None = None,
-    notes: Sequence[str] = (),
-    lasts_s: tuple[float, float] = (0.0, np.inf),
-) -> StridePath:
-    start_s, end_s = (None, None) if span_s is None else (at_s - limb.first_s for at_s in span_s)
-    try:
-        stride = find_stride(limb.chain, limb.q, limb.fps, start_s, end_s, lasts_s)
-    except ValueError as error:
-        raise InputError(Problem(motion.file, "stride", str(error), "a clip that shows more of one")) from None
-    return replace(stride, how=how or stride.how, notes=tuple(notes))
 
 
 def follow_stride(

@@ -107,18 +107,11 @@ def harmonic_map(a: float = 1.0, b: float = 0.0, joints: Sequence[int] = (2, 3, 
 def user_cost(function: Callable[[Array], float], step_rad: float = 1e-4) -> Cost:
     """Any smooth function of q (n,), with derivatives from central differences over step_rad."""
 
-    def gradient(q: Array) -> Array:
-        h = step_rad * np.eye(len(q))
-        return np.array([(function(q + e) - function(q - e)) / (2 * step_rad) for e in h])
+    def slopes(of: Callable[[Array], Array | float], q: Array) -> Array:
+        return np.array([np.subtract(of(q + e), of(q - e)) for e in step_rad * np.eye(len(q))]) / (2 * step_rad)
 
     def hessian(q: Array) -> Array:
-        h, n = step_rad * np.eye(len(q)), len(q)
-        out, here = np.empty((n, n)), function(q)
-        for i in range(n):
-            out[i, i] = function(q + h[i]) - 2 * here + function(q - h[i])
-            for j in range(i):
-                mixed = [function(q + a * h[i] + b * h[j]) for a, b in ((1, 1), (1, -1), (-1, 1), (-1, -1))]
-                out[i, j] = out[j, i] = (mixed[0] - mixed[1] - mixed[2] + mixed[3]) / 4
-        return out / step_rad**2
+        bent = slopes(lambda x: slopes(function, x), q)
+        return (bent + bent.T) / 2
 
-    return Cost(lambda q: float(function(q)), gradient, hessian)
+    return Cost(lambda q: float(function(q)), lambda q: slopes(function, q), hessian)
