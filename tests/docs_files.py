@@ -144,15 +144,15 @@ def _board(description: str, model: str, count: int) -> list[np.ndarray]:
 
 def _pictures(path: Path) -> None:
     path.mkdir()
-    for i, picture in enumerate(_board("chessboard:9x6:25mm", "radtan", 20)):
+    for i, picture in enumerate(_board("chessboard:9x6:25mm", "radtan", 14)):
         cv2.imwrite(str(path / f"{i:02}.png"), picture)
 
 
 def _board_video(path: Path) -> None:
-    """Five frames of each view, as a video has them."""
+    """Three frames of each view, as a video has them."""
     with video_writer(path, (640, 480), 25.0) as write:
-        for picture in _board("charuco:9x6:30mm:22mm:DICT_4X4_50", "fisheye", 20):
-            for _ in range(5):
+        for picture in _board("charuco:9x6:30mm:22mm:DICT_4X4_50", "fisheye", 14):
+            for _ in range(3):
                 write(np.repeat(picture[..., None], 3, axis=2))
 
 

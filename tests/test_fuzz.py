@@ -30,6 +30,7 @@ pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="the cases run i
 def good_files(kinds: str, folder: Path) -> list[Seed]:
     from tests.fuzz import corpus
 
+    corpus._models = lambda folder: ()  # torch takes seconds to import; test_io_hostile.py has networks
     folder.mkdir()
     return list(corpus.of_formats(folder) if kinds == "formats" else corpus.of_settings(folder))
 
