@@ -104,7 +104,7 @@ def test_the_circle_at_a_small_size(tmp_path, monkeypatch):
     from recon.keypoint_net import TrainSettings
 
     narrow_networks(monkeypatch)
-    settings, film = TrainSettings(steps=12, batch=2), first_frames(tmp_path / "film", 32)
+    settings, film = TrainSettings(steps=4, batch=2), first_frames(tmp_path / "film", 32)
     fit = {"likelihood_min": 0.0, "fast": True, "frames": "16:32"}
     circle = run_circle(tmp_path, settings, samples=film, device="cpu", threads=1, **fit)
     assert circle.points["frames"] == 32 - 14
