@@ -177,7 +177,8 @@ class _Process:
     def _death(self) -> dict[str, Any]:
         assert self._process is not None
         self._process.join()
-        code, log = self._process.exitcode or 0, self._last_words()
+        text = self._log.read_bytes()[-LOG_BYTES:] if self._log.exists() else b""
+        code, log = self._process.exitcode or 0, text.decode("utf-8", errors="replace")
         self._process = None
         if code < 0:
             memory = ", as the system does when memory runs out" if -code == getattr(signal, "SIGKILL", 9) else ""
@@ -194,10 +195,6 @@ class _Process:
             self._process.join(max(0.0, until_s - time.monotonic()))
             self._process.kill()
             self._process.join()
-
-    def _last_words(self) -> str:
-        text = self._log.read_bytes()[-LOG_BYTES:] if self._log.exists() else b""
-        return text.decode("utf-8", errors="replace")
 
 
 def _failure(what: str, log: str) -> dict[str, Any]:
@@ -234,14 +231,11 @@ def _work_off(channel: Connection, log: Path) -> None:
     faulthandler.enable()
     threading.Thread(target=_end_with_parent, daemon=True).start()
 
-    def progress(stage: str, share: float) -> None:
-        channel.send((stage, share))
-
     with suppress(EOFError):
         while True:
             work, task = channel.recv()
             try:
-                channel.send(outcome_of(work, task, progress))
+                channel.send(outcome_of(work, task, lambda *progress: channel.send(progress)))
             except Exception as error:
                 channel.send(_failure(f"crashed: {type(error).__name__}: {error}", traceback.format_exc()))
 
