@@ -40,12 +40,9 @@ def _as_tuple(given: Any) -> Any:
     return tuple(given) if isinstance(given, list | tuple) else (given,)
 
 
-def _text_of_path(given: Any) -> Any:
-    return str(given) if isinstance(given, Path) else given
-
-
-def _name_or_file(name: str) -> str:
-    return str(Path(name).absolute()) if name.endswith(FILE_SUFFIXES) else name
+def _name_or_file(given: Any) -> Any:
+    text = str(given) if isinstance(given, Path) else given
+    return str(Path(text).absolute()) if isinstance(text, str) and text.endswith(FILE_SUFFIXES) else text
 
 
 _MAY_BE_FILE = object()
@@ -59,7 +56,7 @@ Integer = Annotated[int, BeforeValidator(_no_bool)]
 Count = Annotated[Integer, Field(gt=0)]
 File = Annotated[Path, AfterValidator(Path.absolute)]
 """A path, made absolute, so that a config.toml with it can be run again from anywhere."""
-NameOrFile = Annotated[str, BeforeValidator(_text_of_path), AfterValidator(_name_or_file), _MAY_BE_FILE]
+NameOrFile = Annotated[str, BeforeValidator(_name_or_file), _MAY_BE_FILE]
 """The name of something built in, or a file as its absolute path."""
 OneOrMore = Annotated[tuple[_Value, ...], BeforeValidator(_as_tuple), Field(min_length=1)]
 """One value, or a list of them, as a tuple. Its option may be given several times."""
