@@ -20,9 +20,14 @@ from recon.io import read_camera, read_cameras
 from recon.thesis import FrameOptions
 from recon.workflows import app, commands
 from recon.workflows.clip import read_model_and_cameras
-from recon.workflows.settings import SETTINGS, of_method
+from recon.workflows.settings import SETTINGS
 
 GIVEN = {"keypoints": Path("/data/clip.csv"), "camera": Path("/data/camera.toml"), "fps": 30.0}
+
+
+def of_method(method: str) -> list[str]:
+    """Names of the settings that only this method reads."""
+    return [name for name, setting in SETTINGS.items() if setting.option.method == method]
 
 
 def messages(given: dict, config: Path | None = None) -> list[str]:

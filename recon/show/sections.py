@@ -148,7 +148,7 @@ def sentences(motion: Motion) -> Iterator[str]:
     if motion.side is not None:
         yield f"Only the limbs of the animal's {motion.side} side are fitted."
     if not motion.knows_up and camera.tilt_rad == 0:
-        yield "The camera is taken to be level, because its file does not say which way is up."
+        yield "The camera is taken to be level, because nothing says which way is up."
     elif not motion.knows_up:
         degrees = math.degrees(camera.tilt_rad)
         yield f"The camera is taken to look down by {degrees:.3g} degrees, as given, and not to be rolled."

@@ -301,11 +301,6 @@ def _with_paths(name: str, given: Any, change: Callable[[str], str]) -> Any:
     return change(given) if is_file else given
 
 
-def of_method(method: Method) -> tuple[str, ...]:
-    """Names of the settings that only this method reads."""
-    return tuple(name for name, setting in SETTINGS.items() if setting.option.method == method)
-
-
 def _camera_problems(given: Mapping[str, Any]) -> Iterator[Problem]:
     """A camera is given in one way, with what belongs to it."""
     if not given.keys() & {"camera", "hfov_deg", "camera_track"}:
