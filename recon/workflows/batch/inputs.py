@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cache
-from itertools import islice
+from itertools import count, islice
 from pathlib import Path
 from typing import Any
 
@@ -137,17 +137,13 @@ def _drafts_of(given: str, common: Mapping[str, Any], recursive: bool) -> Drafts
         if not files:
             raise InputError(Problem(path, "files", "no keypoint files", f"files of a known format: {titles('2D')}"))
         return [_Draft((file,)) for file in files], notes
-    if not os.path.exists(path) and glob.has_magic(given):
-        files = _matching_files(path)
-        if not files:
-            raise InputError(Problem(given, "files", "none that match", "a pattern such as 'clips/*.csv'"))
-        return [draft for file in files for draft in _drafts_of_file(file)], []
-    file_head(path)  # a typing error ends the batch before it begins
-    return _drafts_of_file(path), []
-
-
-def _drafts_of_file(path: Path) -> list[_Draft]:
-    return _drafts_of_manifest(path) if is_manifest(path) else [_Draft((path.absolute(),))]
+    files = _matching_files(path)
+    if not files:
+        raise InputError(Problem(given, "files", "none that match", "a pattern such as 'clips/*.csv'"))
+    if files == [path]:
+        file_head(path)  # a typing error ends the batch before it begins
+    each = (_drafts_of_manifest(file) if is_manifest(file) else [_Draft((file.absolute(),))] for file in files)
+    return [draft for drafts in each for draft in drafts], []
 
 
 def _matching_files(path: Path) -> list[Path]:
@@ -514,16 +510,11 @@ def _names(drafts: Sequence[_Draft]) -> list[str]:
     taken = {SUMMARY, SUMMARY_PAGE, *(draft.name.casefold() for draft in drafts if draft.name is not None)}
     names = []
     for draft in drafts:
-        name = draft.name
-        if name is None:
-            tags = (str(draft.row[key]).replace(":", "-") for key in ("individual", "frames") if key in draft.row)
-            name = plain = _UNFIT.sub("_", "-".join((base[draft.title], *tags))).strip(". ") or "clip"
-            count = 1
-            while name.casefold() in taken:
-                count += 1
-                name = f"{plain}-{count}"
-            taken.add(name.casefold())
-        names.append(name)
+        tags = (str(draft.row[key]).replace(":", "-") for key in ("individual", "frames") if key in draft.row)
+        plain = _UNFIT.sub("_", "-".join((base[draft.title], *tags))).strip(". ") or "clip"
+        free = (name for i in count(1) if (name := f"{plain}-{i}" if i > 1 else plain).casefold() not in taken)
+        names.append(draft.name or next(free))
+        taken.add(names[-1].casefold())
     return names
 
 
