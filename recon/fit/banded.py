@@ -33,7 +33,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from typing import Literal
 
 import numpy as np
 from numpy.lib.stride_tricks import as_strided
@@ -44,7 +44,7 @@ from scipy.linalg.lapack import dtbtrs
 from recon.base.arrays import Array
 
 _MANY = 32
-"""Right-hand sides that are solved by blocks, all of them at once."""
+"""From so many right-hand sides on they are solved by blocks."""
 _UNKNOWN = 1e-9
 """Part of its own precision that is added to an unknown where rounding leaves no covariance: nothing but a bound."""
 
@@ -177,47 +177,33 @@ class _Factor:
 
     def white(self, right: Array) -> Array:
         """L^-1 b of right-hand sides (T, D, ...)."""
-        found, parts = self._parts(right)
-        if found.shape[1] < _MANY:
-            return self._few(found, "N").reshape(right.shape)
-        for i, part in enumerate(parts):
-            if i > 0:
-                part -= self.below(i - 1, len(part)) @ parts[i - 1]
-            dtrsm(1.0, self._lower[i, : len(part), : len(part)], part.T, 1, 1, 1, overwrite_b=1)
-        return found.reshape(right.shape)
+        return self._solved(right, "N")
 
     def coloured(self, white: Array) -> Array:
         """x (T, D, ...) = L^-T z of z (T, D, ...): of a white z one whose covariance is H's inverse."""
-        found, parts = self._parts(white)
+        return self._solved(white, "T")
+
+    def _solved(self, right: Array, transposed: Literal["N", "T"]) -> Array:
+        """A few right-hand sides by LAPACK, which takes one after the other, many by blocks, all of them at once."""
+        found, down = np.array(right, dtype=float, order="C").reshape(self.band.shape[1], -1), transposed == "N"
         if found.shape[1] < _MANY:
-            return self._few(found, "T").reshape(white.shape)
-        for i, part in reversed([*enumerate(parts)]):
-            if i + 1 < len(parts):
+            return dtbtrs(self.band, found, uplo="L", trans=transposed)[0].reshape(right.shape)
+        parts, lower = (
+            [found[first : first + self.width] for first in range(0, len(found), self.width)],
+            self._blocks(0),
+        )
+        for i in range(len(parts)) if down else reversed(range(len(parts))):
+            part = parts[i]
+            if down and i > 0:
+                part -= self.below(i - 1, len(part)) @ parts[i - 1]
+            elif not down and i + 1 < len(parts):
                 part -= self.below(i, len(parts[i + 1])).T @ parts[i + 1]
-            dtrsm(1.0, self._lower[i, : len(part), : len(part)], part.T, 1, 1, 0, overwrite_b=1)
-        return found.reshape(white.shape)
-
-    def _few(self, columns: Array, transposed: str) -> Array:
-        """By LAPACK, which takes one column after the other."""
-        return dtbtrs(self.band, columns, uplo="L", trans=transposed)[0]
-
-    def _parts(self, right: Array) -> tuple[Array, list[Array]]:
-        """A copy (TD, ...), and its rows by block."""
-        found = np.array(right, dtype=float, order="C").reshape(self.band.shape[1], -1)
-        return found, [found[first : first + self.width] for first in range(0, len(found), self.width)]
-
-    @cached_property
-    def _lower(self) -> Array:
-        """The blocks of L on its diagonal, which are lower triangles: above it stands what does elsewhere in the band,
-        and in the last one what lies outside."""
-        return self._blocks(0)
-
-    @cached_property
-    def _below(self) -> Array:
-        """The blocks of L below those on its diagonal, beyond the band with what stands elsewhere in it."""
-        return self._blocks(self.width)
+            dtrsm(1.0, lower[i, : len(part), : len(part)], part.T, 1, 1, int(down), overwrite_b=1)
+        return found.reshape(right.shape)
 
     def _blocks(self, down: int) -> Array:
+        """The blocks of L on its diagonal, which are lower triangles, or those so many rows below: beyond the band, and
+        above its diagonal, stands what does elsewhere in it, and in the last one what lies outside."""
         P, B, item = len(self.band), self.width, self.band.itemsize
         count = -(-self.band.shape[1] // B)
         return as_strided(self.band.T.reshape(-1)[down:], (count, B, B), (B * P * item, item, (P - 1) * item))
@@ -225,7 +211,7 @@ class _Factor:
     def below(self, i: int, rows: int) -> Array:
         """The first rows of the block of L below the i-th on its diagonal."""
         inside = np.subtract.outer(np.arange(rows), np.arange(self.width)) < len(self.band) - self.width
-        return np.where(inside, self._below[i, :rows], 0.0)
+        return np.where(inside, self._blocks(self.width)[i, :rows], 0.0)
 
     def marginal_blocks(self) -> Array:
         """(T, W+1, D, D), the inverse's blocks: [t, k] is the covariance of frame t + k (rows) with frame t (columns),

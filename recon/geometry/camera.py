@@ -174,21 +174,17 @@ class Camera:
         Invalid, and NaN: pixels that are NaN or that no point within the lens model's range projects to. A valid ray
         projects back to its pixel to about 1e-11 px.
         """
-        uv = np.asarray(pixels, dtype=float)
-        a, b, valid = self._undistort(uv.reshape(-1, 2))
-        rays = np.stack((a, b, np.ones_like(a)), axis=-1) / np.hypot(np.hypot(a, b), 1)[:, None]
-        return rays.reshape(*uv.shape[:-1], 3), valid.reshape(uv.shape[:-1])
-
-    def _undistort(self, uv: Array) -> tuple[Array, Array, Bools]:
-        """Ideal normalised coordinates (N,), (N,) of pixels (N, 2), NaN where invalid, and validity (N,)."""
-        fx, s, ox, fy, oy = self._intrinsics
-        valid = np.asarray(np.isfinite(uv).all(axis=-1))
-        yd = np.where(valid, uv[:, 1] - oy, 0.0) / fy
-        xd = (np.where(valid, uv[:, 0] - ox, 0.0) - s * yd) / fx
+        uv, (fx, s, ox, fy, oy) = np.asarray(pixels, dtype=float), self._intrinsics
+        u, v = uv.reshape(-1, 2).T
+        valid = np.isfinite(u) & np.isfinite(v)
+        yd = np.where(valid, v - oy, 0.0) / fy
+        xd = (np.where(valid, u - ox, 0.0) - s * yd) / fx
         with np.errstate(all="ignore"):
             a, b, found = self.lens.undistort(xd, yd)
+            rays = np.stack((a, b, np.ones_like(a)), axis=-1) / np.hypot(np.hypot(a, b), 1)[:, None]
         valid &= found
-        return np.where(valid, a, np.nan), np.where(valid, b, np.nan), valid
+        rays[~valid] = np.nan
+        return rays.reshape(*uv.shape[:-1], 3), valid.reshape(uv.shape[:-1])
 
     # ---- parts ----
 
