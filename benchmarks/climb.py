@@ -17,8 +17,7 @@ import numpy as np
 from markdown_table import print_table
 
 from recon.robotics.climb import Climb, bundled, load_recipe, plan
-from recon.robotics.climb.plan import RULES
-from recon.robotics.climb.recipe import IN_FILES
+from recon.robotics.climb.plan import IN_FILES, RULES
 from recon.robotics.robot.quadruped import Quadruped
 from recon.robotics.robot.robot_file import load_robot
 

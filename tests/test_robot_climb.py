@@ -21,7 +21,14 @@ from recon.robotics.climb import Recipe, bundled, plan, raised
 from recon.robotics.climb.plan import (
     LEFT,
     NONE,
+    PLANAR,
+    RECIPES,
+    SPATIAL,
+    Fields,
+    Step,
+    _Balance,
     _moved,
+    _Well,
     capped,
     equilibrium,
     path_corners,
@@ -29,7 +36,6 @@ from recon.robotics.climb.plan import (
     swing_path,
     wrench,
 )
-from recon.robotics.climb.recipe import PLANAR, RECIPES, SPATIAL, Fields, Step, _Balance, _Well
 from recon.robotics.robot.physics import margins_figure
 
 HIPS = np.array([[0.065, 0.0625, 0], [0.065, -0.0625, 0], [-0.065, 0.0625, 0], [-0.065, -0.0625, 0]])

@@ -153,24 +153,18 @@ def _split(given: Any) -> Any:
     return tuple(given.split(",")) if isinstance(given, str) else given
 
 
-_NUMBERS = "numbers with commas, as in 0.1,-20,3"
 Three = Annotated[tuple[Number, Number, Number], BeforeValidator(_split)]
 """Several numbers; as text with commas between them."""
-_ROBOT = Option("a1, go2, aibo, or a file .toml, .urdf or .xml (MJCF).", argument="ROBOT")
-
-
-def _three(help: str) -> Option:
-    return Option(help, f"3 {_NUMBERS}", metavar="X,Y,Z")
+_THREE = Option(expected="3 numbers with commas, as in 0.1,-20,3", metavar="X,Y,Z")
 
 
 class PoseSettings(Settings):
     """What `recon robot pose` is told."""
 
-    robot: Annotated[str, _ROBOT]
-    move: Annotated[
-        Three | None,
-        _three("The body forwards, left and up from where it stands, metres, as in 0,0,-0.02. (default: 0,0,0)"),
-    ] = None
+    robot: Annotated[str, Option(argument="ROBOT")]
+    """a1, go2, aibo, or a file .toml, .urdf or .xml (MJCF)."""
+    move: Annotated[Three | None, _THREE] = None
+    """The body forwards, left and up from where it stands, metres, as in 0,0,-0.02. (default: 0,0,0)"""
     roll: Annotated[Number, Option(expected="degrees, as in 10")] = 0.0
     """Degrees, right side down."""
     pitch: Annotated[Number, Option(expected="degrees, as in 10")] = 0.0
@@ -188,9 +182,7 @@ class TableSettings(Settings):
     """Leg, LF, RF, LH or RH; of a .urdf or .xml, too, the link at the end. (default: the only leaf)"""
     angles: Annotated[str | None, Option(metavar="NUMBERS")] = None
     """Where is the end at these, degrees (metres of joints that slide)? As in 0,45,-90."""
-    place: Annotated[
-        Three | None, _three("All angles that put the end there: base or body axes, metres, as in 0.4,0.1,0.2.")
-    ] = None
-    turned: Annotated[
-        Three | None, _three("With --place: the end's roll, pitch and yaw, degrees, as in 0,90,0. (default: any)")
-    ] = None
+    place: Annotated[Three | None, _THREE] = None
+    """All angles that put the end there: base or body axes, metres, as in 0.4,0.1,0.2."""
+    turned: Annotated[Three | None, _THREE] = None
+    """With --place: the end's roll, pitch and yaw, degrees, as in 0,90,0. (default: any)"""

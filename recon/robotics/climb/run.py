@@ -10,8 +10,7 @@ import numpy as np
 from recon.base.errors import all_of
 from recon.base.files import name_seen_from, require_free_folder, sole_writer, staged_results
 from recon.io.common import write_rows
-from recon.robotics.climb.plan import NONE, RULES, Climb, plan
-from recon.robotics.climb.recipe import load_recipe, raised
+from recon.robotics.climb.plan import NONE, RULES, Climb, load_recipe, plan, raised
 from recon.robotics.robot.physics import margins_figure
 from recon.robotics.robot.playback import write_robot
 from recon.robotics.robot.quadruped import LEGS

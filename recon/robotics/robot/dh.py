@@ -201,7 +201,19 @@ def chain_of(settings: TableSettings, angles: Sequence[float] | None) -> Answer:
     """A table of parameters (TOML), a leg of a robot, or a chain of a URDF or MJCF file, by default to its only
     leaf."""
     chain, table = _chain(settings.source, settings.tip)
-    answer = _chain_answer(chain, angles, table)
+    if table is None:
+        base, rows, tool = dh_table(chain)
+        table = {"base": _pose_answer(base), "tool": _pose_answer(tool), **_table("modified", rows)}
+    answer: Answer = {"joints": chain.names, "slides": chain.sliding, "lower": chain.lower_rad}
+    answer |= {"upper": chain.upper_rad, "dh": table}
+    if angles is not None:
+        q = np.asarray(angles, float)
+        if len(q) != chain.n:
+            raise InputError(Problem("--angles", "joints", f"{len(q)} numbers", f"{chain.n}, one for each joint"))
+        q = np.where(chain.sliding, q, np.radians(q))
+        R, place = chain.pose(q)
+        end = RigidTransform.from_components(place, Rotation.from_matrix(R))
+        answer["forward"] = {"q": q, **_pose_answer(end), "within_limits": _within(chain, q)}
     if settings.place is not None:
         turned = None if settings.turned is None else np.radians(settings.turned)
         matrix = None if turned is None else Rotation.from_euler("ZYX", turned[::-1]).as_matrix()
@@ -229,24 +241,6 @@ def _chain(source: str, tip: str | None) -> tuple[SerialChain, Answer | None]:
         raise InputError(Problem("--tip", "link", tip, "none: the file has one chain"))
     chain, convention, rows = load_dh(file)
     return chain, _table(convention, rows)
-
-
-def _chain_answer(chain: SerialChain, angles: Sequence[float] | None, table: Answer | None = None) -> Answer:
-    """table: None: the chain's own."""
-    if table is None:
-        base, rows, tool = dh_table(chain)
-        table = {"base": _pose_answer(base), "tool": _pose_answer(tool), **_table("modified", rows)}
-    answer: Answer = {"joints": chain.names, "slides": chain.sliding, "lower": chain.lower_rad}
-    answer |= {"upper": chain.upper_rad, "dh": table}
-    if angles is not None:
-        q = np.asarray(angles, float)
-        if len(q) != chain.n:
-            raise InputError(Problem("--angles", "joints", f"{len(q)} numbers", f"{chain.n}, one for each joint"))
-        q = np.where(chain.sliding, q, np.radians(q))
-        R, place = chain.pose(q)
-        end = RigidTransform.from_components(place, Rotation.from_matrix(R))
-        answer["forward"] = {"q": q, **_pose_answer(end), "within_limits": _within(chain, q)}
-    return answer
 
 
 def _table(convention: str, rows: Sequence[DHRow]) -> Answer:

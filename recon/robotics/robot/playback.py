@@ -18,7 +18,7 @@ import rerun.blueprint as rrb
 
 from recon.animal.body import Side
 from recon.base.arrays import Array, Bools
-from recon.robotics.climb.recipe import Step
+from recon.robotics.climb.plan import Step
 from recon.robotics.robot.quadruped import LEGS
 from recon.robotics.robot.retarget import RobotMotion
 from recon.show.recording import recording
@@ -87,7 +87,7 @@ def write_robot(
     scene: rrb.View | rrb.Container = _scene(title, "world/followed", middle[0], half, ["world/animal"])
     if companion is not None:
         other = f"{companion.title}, at {motion.scale:.2f} of its size"
-        of_robot = ["world/robot", "world/support", "world/path", "world/step"]
+        of_robot = ["shapes", "world/robot", "world/support", "world/path", "world/step"]
         scene = rrb.Horizontal(scene, _scene(other, "world/animal/followed", beside[0], half, of_robot))
     angles = [time_view(s) for s in series]
     angles = [rrb.Tabs(*angles)] if more else angles
@@ -133,6 +133,20 @@ def _write_robot(motion: RobotMotion, log: Log) -> None:
     polygons = [_polygon(feet, stand) for feet, stand in zip(motion.feet_m, motion.standing, strict=True)]
     log.send("world/support", strips(rr.LineStrips3D, polygons))
     log.fix("world/path", rr.LineStrips3D([motion.pose.translation], colors=PATH, radii=0.008 * size))
+    if motion.robot.source.lower().endswith(".urdf"):  # its own shapes, as rerun reads them
+        urdf = rr.urdf.UrdfTree.from_file_path(motion.robot.source, "shapes")
+        urdf.log_urdf_to_recording(log.stream)
+        for name, angles in zip(motion.robot.joints, motion.angles_rad.T, strict=True):
+            joint = urdf.get_joint_by_name(name)
+            assert joint is not None
+            log.send(f"world/robot/joints/{name}", joint.compute_transform_columns(angles.tolist(), clamp=False))
+        placed = rr.Transform3D.columns(
+            translation=motion.pose.translation,
+            quaternion=motion.pose.rotation.as_quat(),
+            parent_frame=["tf#/world"] * len(motion.time_s),
+            child_frame=[urdf.root_link().name] * len(motion.time_s),
+        )
+        log.send("world/robot/base", placed)
     for k, label in enumerate(LEGS):
         log.state(label, "stance", colours[k], motion.standing[:, k])
 
@@ -158,7 +172,7 @@ def _scene(name: str, followed: str, middle_m: Array, half_m: float, hidden: Seq
         eye_up=(0.0, 0.0, 1.0),
         tracking_entity=followed,
     )
-    contents = ["$origin/**", *(f"- {entity}/**" for entity in hidden)]
+    contents = ["$origin/**", "+ shapes/**", *(f"- {entity}/**" for entity in hidden)]
     return rrb.Spatial3DView(
         origin="world", contents=contents, name=name, background=BACKGROUND, line_grid=False, eye_controls=eye
     )
