@@ -309,7 +309,8 @@ def test_command(whole_results, frame_results, tmp_path):
 def test_urdf_file(whole, tmp_path):
     """The same robot joint by joint, solved by the methods of recon.robotics.ik."""
     path = tmp_path / "a1.urdf"
-    path.write_text(a1_urdf())
+    shape = '<link name="trunk"><visual><geometry><box size="0.4 0.1 0.1"/></geometry></visual></link>'
+    path.write_text(a1_urdf().replace('<link name="trunk"/>', shape))
     stride = closed_stride(whole, stride_window(whole))
     found = [on_robot(stride, stride, load_robot(robot), scale=0.35)[1] for robot in ("a1", path)]
     np.testing.assert_allclose(found[1].angles_rad, found[0].angles_rad, atol=1e-3)
@@ -317,6 +318,24 @@ def test_urdf_file(whole, tmp_path):
     assert found[1].closing_percent < 0.1
     ended = run("retarget", tmp_path, "--robot", path, "--out", tmp_path / "out")
     assert "no motion.npz" in ended.err
+    # In its playback it has the shapes of its file, where the joints and the base put them.
+    write_robot(found[1], tmp_path / "motion.rrd")
+    reader = RrdReader(tmp_path / "motion.rrd")
+    rows: dict[str, list] = {}
+    for chunk in reader.stream(store=reader.recordings()[0]):
+        rows.setdefault(str(chunk.entity_path), []).extend(chunk.to_record_batch().to_pylist())
+    boxes = [
+        row["Boxes3D:half_sizes"]
+        for row in rows["/shapes/a1/visual_geometries/trunk/visual_0"]
+        if "Boxes3D:half_sizes" in row
+    ]
+    np.testing.assert_allclose(boxes, [[[0.2, 0.05, 0.05]]], atol=1e-6)
+    hip, base = rows["/world/robot/joints/FL_hip_joint"], rows["/world/robot/base"]
+    assert (hip[0]["Transform3D:parent_frame"], base[0]["Transform3D:child_frame"]) == (["trunk"], ["base"])
+    half = found[1].angles_rad[:, found[1].robot.joints.index("FL_hip_joint")] / 2
+    np.testing.assert_allclose([row["Transform3D:quaternion"][0][0] for row in hip], np.sin(half), atol=1e-6)
+    places = [row["Transform3D:translation"][0] for row in base]
+    np.testing.assert_allclose(places, found[1].pose.translation, atol=1e-6)
 
 
 def test_every_problem_at_once(tmp_path):
