@@ -42,7 +42,7 @@ def test_groups_have_a_row_each_and_strides_one_each(clips: Path, tmp_path: Path
         np.testing.assert_allclose(groups[name], by_clip[name].iloc[0], rtol=1e-9)
         assert (groups[f"{name}_spread"] == 0).all()
         f, m = groups[f"{name}_sigma"]
-        if QUANTITIES[name]:
+        if QUANTITIES[name][1]:
             shared = by_clip["size_sigma"].iloc[0] * by_clip[name].iloc[0]
             assert f**2 - shared**2 == pytest.approx((m**2 - shared**2) / 2, rel=1e-6)
         else:

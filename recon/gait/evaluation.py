@@ -79,17 +79,18 @@ class Evaluation:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain JSON types: keys that end in `_mm` are millimetres, pck are fractions, NaN is None."""
-        errors = {name: getattr(self, f"{name}_m") for name in ("mpjpe", "mpe", "scale_mpjpe", "pa_mpjpe")}
+        result = {
+            name: value for name, value in vars(self).items() if not isinstance(value, _Score) and name != "names"
+        }
+        result |= {"joints": self.names, "verdict": None if self.verdict is None else asdict(self.verdict)}
 
         def by_joint(values: np.ndarray) -> dict[str, float]:
             return dict(zip(self.names, values.tolist(), strict=True))
 
-        result: dict[str, Any] = {"pose": self.pose, "truth": self.truth}
-        result["verdict"] = None if self.verdict is None else asdict(self.verdict)
-        result |= {f"{name}_mm": 1e3 * score.mean for name, score in errors.items()}
-        for name, score in errors.items():
+        for name in ("mpjpe", "mpe", "scale_mpjpe", "pa_mpjpe"):
+            score: _Score = getattr(self, f"{name}_m")
+            result |= {f"{name}_mm": 1e3 * score.mean, f"{name}_per_frame_mm": 1e3 * score.per_frame}
             result[f"{name}_per_joint_mm"] = by_joint(1e3 * score.per_joint)
-            result[f"{name}_per_frame_mm"] = 1e3 * score.per_frame
         result["pck"] = [
             {"threshold_mm": 1e3 * t, "mean": s.mean, "per_joint": by_joint(s.per_joint), "per_frame": s.per_frame}
             for t, s in self.pck
@@ -98,12 +99,7 @@ class Evaluation:
             what: [{"level": level, "share": share} for level, share in zip(LEVELS, shares, strict=True)]
             for what, shares in self.inside.items()
         }
-        result |= {"joints": self.names, "frames": self.frames}
-        result |= {f"frames_{name}": getattr(self, f"frames_{name}") for name in ("not_scored", "without_pa")}
-        for side in ("pose", "truth"):
-            for what in ("joints", "frames"):
-                result[f"{what}_only_in_{side}"] = getattr(self, f"{what}_only_in_{side}")
-        return _plain(result | {"notes": self.notes})
+        return _plain(result)
 
 
 def evaluate_files(
@@ -216,7 +212,7 @@ def evaluate(pose: Pose3D, truth: Pose3D, sigmas_m: tuple[np.ndarray, np.ndarray
         mpe_m=score(joint_errors(pose_m, truth_m)),
         scale_mpjpe_m=score(joint_errors(align_scale(pose_m, truth_m), truth_m)),
         pa_mpjpe_m=score(similar_m),
-        pck=tuple((t, score(correct(centred_m, t))) for t in PCK_THRESHOLDS_M),
+        pck=tuple((t, score(np.where(np.isnan(centred_m), np.nan, centred_m <= t))) for t in PCK_THRESHOLDS_M),
         inside=inside,
         frames_not_scored=int((~common.any(axis=1)).sum()),
         frames_without_pa=int(np.isnan(similar_m).all(axis=1).sum()),
@@ -242,11 +238,6 @@ def common_joints(pose_m: np.ndarray, truth_m: np.ndarray) -> np.ndarray:
 def joint_errors(pose_m: np.ndarray, truth_m: np.ndarray) -> np.ndarray:
     """Distances (T, J) in metres between (T, J, 3) positions, NaN where either is missing."""
     return np.linalg.norm(pose_m - truth_m, axis=2)
-
-
-def correct(errors_m: np.ndarray, threshold_m: float) -> np.ndarray:
-    """1.0 where an error is at most the threshold, 0.0 where it is larger, NaN where there is none; same shape."""
-    return np.where(np.isnan(errors_m), np.nan, errors_m <= threshold_m)
 
 
 def score(values: np.ndarray) -> _Score:

@@ -47,15 +47,8 @@ from recon.base.arrays import Array, Bools, mean, median
 from recon.base.words import length_text
 from recon.clip.keypoints import frame_ranges
 from recon.fit.posterior import radius
-from recon.gait.kinematics import (
-    MIN_POINTS,
-    Errors,
-    Series,
-    frame_times,
-    joint_index,
-    norm_with_sigma,
-    series_kinematics,
-)
+from recon.gait import kinematics
+from recon.gait.kinematics import MIN_POINTS, Errors, Series
 from recon.io.pose import Pose3D
 
 FEET: Mapping[str, str] = MappingProxyType(
@@ -190,11 +183,8 @@ class Tracks:
         """The speed that nine in ten instants of standing feet stay below, of its stated deviation; 1 without any."""
         rest = (self.foot_speed_m_s < self.slow_m_s[0]) & (self.height_m < LOW[0] * self.leg_m)
         rest &= self.foot_speed_sigma_m_s > 0
-        return (
-            float(np.quantile((self.foot_speed_m_s[rest] / self.foot_speed_sigma_m_s[rest]), 0.9))
-            if rest.any()
-            else 1.0
-        )
+        relative = self.foot_speed_m_s[rest] / self.foot_speed_sigma_m_s[rest]
+        return float(np.quantile(relative, 0.9)) if len(relative) else 1.0
 
     def above_ground(self, xyz_m: Array) -> Array:
         """Heights (N, ...) of points (N, ..., 3), each above its segment's ground; NaN outside of all."""
@@ -303,19 +293,24 @@ def pose_tracks(
     ground of their own. restless: feet seem to move even when they stand, of poses that jitter; how fast, their own
     10th percentile says. Raises InputError with every joint that the pose lacks, ValueError.
     """
-    where, time_s, n = joint_index(pose, (*feet.values(), *body)), frame_times(pose.frames, fps), len(feet)
+    where, time_s, n = (
+        kinematics.joint_index(pose, (*feet.values(), *body)),
+        kinematics.frame_times(pose.frames, fps),
+        len(feet),
+    )
     if len(time_s) < MIN_POINTS:
         raise ValueError(f"a gait needs at least {MIN_POINTS} frames, got {len(time_s)}")
 
     def path(points_m: Array, errors: Sequence[Errors] = ()) -> Series:
-        return series_kinematics(time_s, points_m, errors, oversampling=OVERSAMPLING, max_gap_s=MAX_GAP_S)
+        return kinematics.series_kinematics(time_s, points_m, errors, oversampling=OVERSAMPLING, max_gap_s=MAX_GAP_S)
 
     paths = [path(pose.xyz_m[:, at], [error[:, at] for error in errors]) for at in where[:n]]
     middle = path(pose.xyz_m[:, where[n:]].mean(axis=1))
     foot = np.stack([p.value for p in paths], axis=1)
-    level = [norm_with_sigma(p.rate[:, :2], None if p.rate_sigma is None else p.rate_sigma[:, :2]) for p in paths]
-    foot_speed = np.stack([speed for speed, _ in level], axis=1)
-    foot_speed_sigma = np.stack([np.zeros_like(v) if sigma is None else sigma for v, sigma in level], axis=1)
+    velocity = np.stack([p.rate[:, :2] for p in paths], axis=1)
+    deviation = np.stack([(0 * p.rate if p.rate_sigma is None else p.rate_sigma)[:, :2] for p in paths], axis=1)
+    foot_speed = np.linalg.norm(velocity, axis=2)
+    foot_speed_sigma = np.linalg.norm(velocity / np.maximum(foot_speed, 1e-9)[..., None] * deviation, axis=2)
     body_speed = np.linalg.norm(middle.rate[:, :2], axis=1)
     seen = [of[np.isfinite(of)] if np.isfinite(of).any() else np.zeros(1) for of in foot_speed.T]
     rest, fast = np.array([np.percentile(of, (10, 95)) for of in seen]).T * [[restless], [1]]
@@ -451,7 +446,7 @@ def gait(moved: Tracks) -> Gait:
     """Stances, strides and the gait's name, the strides of each foot held against those of all."""
     found = stances(moved)
     taken, doubtful = _counted(strides(moved, found))
-    lengths, durations = [s.length_m for s in taken], [s.end_s - s.start_s for s in taken]
+    lengths, durations = [s.length_m for s in taken], [s.duration_s for s in taken]
     lasts_s, sigma_s = _stride_time(moved, taken)
     landed = sorted((s for s in found if s.begins), key=lambda s: s.start_s)
     doubt = why_no_ground(moved)
@@ -504,7 +499,7 @@ def _all_stand(moved: Tracks, found: Sequence[Stance]) -> Bools:
     for stance in found:
         first, stop = np.searchsorted(moved.time_s, [stance.start_s, stance.end_s])
         stands[first:stop, moved.feet.index(stance.foot)] = True
-    return stands.all(axis=1) & (len(moved.feet) >= 4)
+    return np.asarray(stands.all(axis=1) & (len(moved.feet) >= 4))
 
 
 def _counted(own: tuple[Stride, ...]) -> tuple[tuple[Stride, ...], tuple[Stride, ...]]:
@@ -512,7 +507,7 @@ def _counted(own: tuple[Stride, ...]) -> tuple[tuple[Stride, ...], tuple[Stride,
     counted, doubtful = [], []
     for stride in own:
         at_its_time = [s for s in own if s.start_s < stride.end_s and s.end_s > stride.start_s]
-        others_s = median([s.end_s - s.start_s for s in at_its_time])
+        others_s = median([s.duration_s for s in at_its_time])
         if abs(others_s * stride.frequency_hz - 1) <= AGREE:
             counted.append(stride)
         else:
@@ -536,7 +531,7 @@ def _stride_time(moved: Tracks, taken: Sequence[Stride]) -> tuple[float, float]:
 
 def _mean_time(taken: Sequence[Stride], count: int) -> tuple[float, float]:
     """The mean time of strides and the standard deviation of the mean of so many of them."""
-    lasts = np.array([stride.end_s - stride.start_s for stride in taken])
+    lasts = np.array([stride.duration_s for stride in taken])
     events = np.array([stride.duty_sigma for stride in taken]) * lasts
     return float(lasts.mean()), float(np.hypot(lasts.std() / count**0.5, np.median(events)))
 
@@ -577,7 +572,7 @@ def name_gait(
         doubt = "no complete stride, and too little of one to tell how long it lasts"
     if doubt is not None:
         return _GaitName("unknown", doubt, dict.fromkeys(FEET, np.nan), *duty)
-    period = float(np.median([s.end_s - s.start_s for s in taken])) if taken else stride_s
+    period = float(np.median([s.duration_s for s in taken])) if taken else stride_s
     phase = {"LH": 0.0} | {foot: _lag(found, "LH", foot, period) for foot in ("RH", "LF", "RF")}
     # A foot that never landed together with LH in view may have done so with RH.
     for foot in ("LF", "RF"):

@@ -308,8 +308,8 @@ def joint_index(pose: Pose3D, names: tuple[str, ...]) -> list[int]:
 def point_kinematics(time_s: Array, xyz_m: Array, errors: Sequence[Errors] = (), **options) -> JointKinematics:
     """A point's path (T, 3) in metres at times (T,), errors (T, 3); options as `series_kinematics`."""
     series = series_kinematics(time_s, xyz_m, errors, **options)
-    speed, speed_sigma = norm_with_sigma(series.rate, series.rate_sigma)
-    acceleration, acceleration_sigma = norm_with_sigma(series.acceleration, series.acceleration_sigma)
+    speed, speed_sigma = _norm(series.rate, series.rate_sigma)
+    acceleration, acceleration_sigma = _norm(series.acceleration, series.acceleration_sigma)
     steps_m = np.linalg.norm(np.diff(series.value, axis=0), axis=1)
     known = np.isfinite(steps_m)
     distance, covered = float(steps_m[known].sum()), float(np.diff(series.time_s)[known].sum())
@@ -414,7 +414,7 @@ def joint_kinematics(pose: Pose3D, joint: str, fps: float, errors: Sequence[Erro
     return point_kinematics(frame_times(pose.frames, fps), pose.xyz_m[:, j], of_joint, **options)
 
 
-def norm_with_sigma(vector: Array, sigma: Array | None) -> tuple[Array, Array | None]:
+def _norm(vector: Array, sigma: Array | None) -> tuple[Array, Array | None]:
     """Norms (N,) of vectors (N, d), and their standard deviations: sum((v_k / |v|)^2 sigma_k^2)."""
     norm = np.linalg.norm(vector, axis=1)
     if sigma is None:

@@ -222,7 +222,7 @@ def _dynamics_summary(found: ClipAnalysis) -> dict[str, Any] | None:
 def _stride_energy(d: Dynamics, stride: Stride) -> dict[str, Any]:
     """What the animal's energy gains over a stride, per kilogram, and in the mean per second."""
     work, sigma = net_work_j_kg(d, stride.start_s, stride.end_s)
-    reach, lasts = radius(REGION) * sigma, stride.end_s - stride.start_s
+    reach, lasts = radius(REGION) * sigma, stride.duration_s
     return picked(stride, "foot", "start_s", "end_s") | {
         "net_work_j_kg": work,
         "net_work_interval_j_kg": [work - reach, work + reach],

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 import pandas as pd
@@ -24,13 +24,21 @@ from recon.check import usable
 from recon.fit import TrajectorySolution
 from recon.fit.motion import MOTION, Motion
 from recon.gait.clip import POSITION_LASTS_S, ClipAnalysis, analyse
-from recon.show.plots.comparison import TITLES, comparison
+from recon.show.plots.style import COLOURS, drawing
 from recon.workflows.cli.common import counted, progress_bar, say, table_of, terminal
 from recon.workflows.settings import ANYWAY
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 STRIDES, CLIPS, GROUPS, FIGURE = "strides.csv", "clips.csv", "groups.csv", "comparison.png"
-QUANTITIES = {"speed_m_s": True, "stride_length_m": True, "stride_frequency_hz": False, "duty_factor": False}
-"""By column, whether it goes with the animal's size."""
+QUANTITIES = {
+    "speed_m_s": ("speed (m/s)", True),
+    "stride_length_m": ("stride length (m)", True),
+    "stride_frequency_hz": ("stride frequency (Hz)", False),
+    "duty_factor": ("duty factor", False),
+}
+"""By column its title, and whether it goes with the animal's size."""
 ALL = "all"
 """The group, where there is no column to go by."""
 
@@ -79,7 +87,7 @@ def compare(settings: _CompareSettings, as_json: bool, quiet: bool) -> None:
         with staged_folder(out) as staging:
             for name, table in ((STRIDES, pd.DataFrame(rows)), (CLIPS, clips), (GROUPS, groups)):
                 table.to_csv(staging / name, index=False)
-            comparison(clips, groups, list(QUANTITIES)).savefig(staging / FIGURE)
+            _figure(clips, groups).savefig(staging / FIGURE)
     if as_json:
         typer.echo(groups.to_json(orient="records", indent=1))
         return
@@ -87,7 +95,7 @@ def compare(settings: _CompareSettings, as_json: bool, quiet: bool) -> None:
     say(console, f"{counted(len(clips), 'clip')}: " + ", ".join(f"{n} {level}" for level, n in levels.items()))
     rows = (
         (
-            *map(str, (row["group"], TITLES[q], row["clips"], row["strides"])),
+            *map(str, (row["group"], QUANTITIES[q][0], row["clips"], row["strides"])),
             *_cells(row[q], row[f"{q}_sigma"], row[f"{q}_spread"]),
         )
         for row in groups.to_dict("records")
@@ -129,7 +137,7 @@ def _groups(table: Path | None, by: str | None, names: Sequence[str]) -> dict[st
 
 def _stride_rows(found: ClipAnalysis) -> Iterator[dict]:
     for stride in () if found.gait is None else found.gait.strides:
-        lasts_s = stride.end_s - stride.start_s
+        lasts_s = stride.duration_s
         events_s = stride.duty_sigma * lasts_s  # of two events, as of a stance's two
         speed = stride.length_m / lasts_s
         yield {
@@ -199,9 +207,29 @@ def _group_rows(clips: pd.DataFrame) -> pd.DataFrame:
         row: dict[str, object] = {"group": group, "clips": len(of), "strides": of["strides"].sum()}
         size = of["size_sigma"].to_numpy(float)
         common = float(np.nanmin(size)) if np.isfinite(size).any() else 0.0
-        for name, with_size in QUANTITIES.items():
+        for name, (_, with_size) in QUANTITIES.items():
             shared = common if with_size else 0.0
             found = _mean_of(of[name].to_numpy(float), of[f"{name}_sigma"].to_numpy(float), shared)
             row |= zip((name, f"{name}_sigma", f"{name}_spread"), found, strict=True)
         rows.append(row)
     return pd.DataFrame(rows)
+
+
+def _figure(clips: pd.DataFrame, groups: pd.DataFrame) -> Figure:
+    """Each clip with one standard deviation, and each group's mean with that of the mean, by quantity."""
+    with drawing(62.0) as figure:
+        panels = figure.subplots(1, len(QUANTITIES), squeeze=False)[0]
+        for axes, name in zip(panels, QUANTITIES, strict=True):
+            for at, group in enumerate(groups["group"]):
+                own, colour = clips[clips["group"] == group], COLOURS[at % len(COLOURS)]
+                beside = at + np.linspace(-0.18, 0.18, len(own)) if len(own) > 1 else np.array([float(at)])
+                axes.errorbar(beside, own[name], own[f"{name}_sigma"], fmt="o", ms=3, lw=0.8, color=colour, alpha=0.7)
+                mean, sigma = groups.loc[groups["group"] == group, [name, f"{name}_sigma"]].to_numpy(float)[0]
+                if np.isfinite(mean):
+                    axes.fill_between(
+                        [at - 0.32, at + 0.32], mean - sigma, mean + sigma, color=colour, alpha=0.25, lw=0
+                    )
+                    axes.plot([at - 0.32, at + 0.32], [mean, mean], color=colour, lw=1.4)
+            axes.set_xticks(range(len(groups)), groups["group"], rotation=30 if len(groups) > 3 else 0)
+            axes.set_title(QUANTITIES[name][0])
+    return figure

@@ -22,7 +22,7 @@ from recon.robotics.climb.plan import Step
 from recon.robotics.robot.quadruped import LEGS
 from recon.robotics.robot.retarget import RobotMotion
 from recon.show.recording import recording
-from recon.show.view.layout import laid_out, state_rows, time_view
+from recon.show.view import laid_out, state_rows, time_view
 from recon.show.view.scene import (
     BACKGROUND,
     DETECTION,
