@@ -34,7 +34,7 @@ def test_the_stride_of_a_periodic_motion_is_one_period():
 def test_the_gap_is_spread_over_the_path():
     q = swings(25, drift=0.004)
     # From the nearest frame, 2.
-    found = find_stride(CHAIN, q, fps=100, start_s=0.018, end_s=0.218)
+    found = find_stride(CHAIN, q, fps=100, span_s=(0.018, 0.218))
     assert (found.how, found.start_s, found.end_s) == ("given", 0.02, 0.22)
     np.testing.assert_array_equal(found.q, q[2:23])
     ends = np.array([CHAIN.end(x) for x in found.q])
@@ -50,7 +50,7 @@ def test_the_gap_is_spread_over_the_path():
 def test_a_stride_ends_between_frames(period):
     """Both as it is given, after a touchdown between two frames, and as the return that is found."""
     q = swings(40, period)
-    given = find_stride(CHAIN, q, 30, 3.4 / 30, (3.4 + period) / 30)
+    given = find_stride(CHAIN, q, 30, (3.4 / 30, (3.4 + period) / 30))
     assert (given.start_s, given.end_s) == pytest.approx((3 / 30, (3 + period) / 30))
     found = find_stride(CHAIN, q, 30)
     assert found.end_s - found.start_s == pytest.approx(period / 30, rel=0.005)
@@ -58,7 +58,7 @@ def test_a_stride_ends_between_frames(period):
         assert stride.gap_percent < 2
         assert stride.interval_s * (len(stride.path_m) - 1) == pytest.approx(stride.end_s - stride.start_s)
     # Earlier, rather than shorter, where the clip ends.
-    late = find_stride(CHAIN, q, 30, (39.4 - period) / 30, 39.4 / 30)
+    late = find_stride(CHAIN, q, 30, ((39.4 - period) / 30, 39.4 / 30))
     assert late.end_s - late.start_s == pytest.approx(period / 30)
     assert late.end_s <= 39 / 30 + 1e-9
 
@@ -92,9 +92,7 @@ def test_missing_frames():
     with pytest.raises(ValueError, match="known frames in a row"):
         find_stride(CHAIN, np.full((20, 3), np.nan), fps=100)
     with pytest.raises(ValueError, match=r"within 0.150 to 0.590 s expected, got 0.050"):
-        find_stride(CHAIN, q, fps=100, start_s=0.05, end_s=0.3)
-    with pytest.raises(ValueError, match="or neither"):
-        find_stride(CHAIN, q, fps=100, start_s=0.05)
+        find_stride(CHAIN, q, fps=100, span_s=(0.05, 0.3))
 
 
 def test_farthest_reach():

@@ -60,6 +60,13 @@ Dim = Literal[2, 3]
 SLOWER = 10
 """How many times slower than the animal a stride is followed: rate limits are what is expected of its joints, and would
 hold back a method that moves others than the animal does. Closures do not depend on it."""
+STANDARD: dict[str, Method] = {
+    "least-norm": LeastNorm(),
+    "transpose": JacobianTranspose(),
+    "damped": damped_least_squares(),
+    "selectively-damped": SelectivelyDamped(),
+}
+"""Methods with their standard parameters."""
 LAST = 3
 """Frames before each that parameters are refitted to on the way."""
 SUMMARY = "ik.json"
@@ -211,25 +218,20 @@ def methods_of(
     cost: of `EXTENDED`, which needs one, and of gradient projection, by default the joint differences. alpha: a factor
     on all rates, or "step" for the one of each step with which the foot moves nearest to what is asked for.
     """
-    standard: dict[str, Method] = {
-        "least-norm": LeastNorm(),
-        "transpose": JacobianTranspose(),
-        "gradient-projection": GradientProjection(cost or joint_differences(limb.chain)),
-        "weighted": parameters["weighted"].method,
-        "damped": damped_least_squares(),
-        "selectively-damped": SelectivelyDamped(),
-    }
-    chosen: dict[str, Method] = {}
-    for name in names:
+
+    def method(name: str) -> Method:
         if name == EXTENDED and cost is not None:
-            chosen[name] = ExtendedJacobian(cost)
-        elif name.startswith("extended-"):
-            chosen[name] = ExtendedJacobian(COSTS[name.removeprefix("extended-")](limb))
-        else:
-            chosen[name] = parameters[name].method if fitted else standard[name]
+            return ExtendedJacobian(cost)
+        if name.startswith("extended-"):
+            return ExtendedJacobian(COSTS[name.removeprefix("extended-")](limb))
+        if name == "gradient-projection" and not fitted:
+            return GradientProjection(cost or joint_differences(limb.chain))
+        return parameters[name].method if fitted or name == "weighted" else STANDARD[name]
+
+    chosen = {name: method(name) for name in names}
     if alpha is None:
         return chosen
-    return {name: replace(method, alpha=None if alpha == "step" else alpha) for name, method in chosen.items()}
+    return {name: replace(one, alpha=None if alpha == "step" else alpha) for name, one in chosen.items()}
 
 
 def cost_of(limb: Limb, text: str) -> Cost:
@@ -356,9 +358,9 @@ def stride_of(motion: Motion, limb: Limb, stride_s: tuple[float, float] | None =
             lasts_s = stride_lasts_s(gait)
         else:
             how = "gait"
-    times_s = (None, None) if found is None else (found.start_s - limb.first_s, found.end_s - limb.first_s)
+    span_s = None if found is None else (found.start_s - limb.first_s, found.end_s - limb.first_s)
     try:
-        stride = find_stride(limb.chain, limb.q, limb.fps, *times_s, lasts_s)
+        stride = find_stride(limb.chain, limb.q, limb.fps, span_s, lasts_s)
     except ValueError as error:
         raise InputError(Problem(motion.file, "stride", str(error), "a clip that shows more of one")) from None
     return replace(stride, how=how or stride.how, notes=tuple(notes))

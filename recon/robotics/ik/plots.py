@@ -46,34 +46,26 @@ def task_space(
     aim_m: the target (dim,), a cross, or the way that was to be followed (K, dim). base: what the coordinates mean,
     forwards, down and left or forwards, left and up; two are U and V.
     """
-    from matplotlib.lines import Line2D
-
     labels, first = [f"{name}{_outcome(move)}" for name, move in moves.items()], next(iter(moves.values()))
-    begins = {"marker": "o", "mfc": "w", "mec": "k", "ms": 5, "linestyle": ""}
-    target_m, path_m = (None, aim_m) if aim_m is not None and aim_m.ndim == 2 else (aim_m, None)
-    aim = {"marker": "+", "color": "k", "ms": 10, "mew": 1.2, "linestyle": ""}
-    stood = {"color": GREY, "lw": 2.2, "alpha": 0.5, "marker": "o", "ms": 2}
-    marks = [Line2D([], [], label="start", **begins), Line2D([], [], label="chain at the start", **stood)]
-    if target_m is not None:
-        marks.append(Line2D([], [], label="target", **aim))
-    if path_m is not None:
-        marks.append(Line2D([], [], label="path to follow", color=PALE, lw=3.5))
-    with drawing(92 + legend_shape([*labels, *(str(mark.get_label()) for mark in marks)])[1]) as figure:
+    aims = () if aim_m is None else ("path to follow",) if aim_m.ndim == 2 else ("target",)
+    said, start, stood_there, aim = ("start", "chain at the start", *aims), [], [], []
+    with drawing(92 + legend_shape([*labels, *said])[1]) as figure:
         views = VIEWS[base][: chain.dim - 1]
         panels = np.ravel(figure.subplots(1, len(views), squeeze=False))
         for axes, (view, i, j, across, upwards) in zip(panels, views, strict=True):
-            axes.plot(*chain.positions(first.q[0])[:, [i, j]].T, **stood, zorder=1)
-            if path_m is not None:
-                axes.plot(path_m[:, i], path_m[:, j], color=PALE, lw=3.5, zorder=1, gid="path")
+            stood = {"color": GREY, "lw": 2.2, "alpha": 0.5, "marker": "o", "ms": 2, "zorder": 1}
+            stood_there = axes.plot(*chain.positions(first.q[0])[:, [i, j]].T, **stood)
+            if aim_m is not None and aim_m.ndim == 2:
+                aim = axes.plot(*aim_m[:, [i, j]].T, color=PALE, lw=3.5, zorder=1, gid="path")
+            elif aim_m is not None:
+                aim = axes.plot(*aim_m[[i, j]], "+", color="k", ms=10, mew=1.2, zorder=5, gid="target")
             for k, move in enumerate(moves.values()):
                 style = look(k)
                 last = chain.positions(move.q[-1])[:, [i, j]]
                 axes.plot(*last.T, **style, marker="o", ms=2, lw=0.7, alpha=0.8, zorder=2)
-                axes.plot(move.end_m[:, i], move.end_m[:, j], **style, zorder=3, label=labels[k])
+                axes.plot(*move.end_m[:, [i, j]].T, **style, zorder=3, label=labels[k])
                 axes.plot(*move.end_m[-1, [i, j]], "o", ms=3.5, color=style["color"], zorder=4)
-            axes.plot(*first.end_m[0, [i, j]], **begins, zorder=5)
-            if target_m is not None:
-                axes.plot(*np.asarray(target_m)[[i, j]], **aim, zorder=5, gid="target")
+            start = axes.plot(*first.end_m[0, [i, j]], "o", mfc="w", mec="k", ms=5, zorder=5)
             axes.set_xlabel(across)
             axes.set_ylabel(upwards)
             axes.set_aspect("equal", adjustable="datalim")
@@ -82,8 +74,8 @@ def task_space(
                 axes.invert_yaxis()
             if chain.dim == 3:
                 axes.set_title(view, loc="left", fontsize=SMALL, color=GREY)
-        handles, _ = panels[0].get_legend_handles_labels()
-        add_legend(figure, [*handles, *marks], [*labels, *(str(mark.get_label()) for mark in marks)])
+        ways, _ = panels[0].get_legend_handles_labels()
+        add_legend(figure, [*ways, *start, *stood_there, *aim], [*labels, *said])
     return figure
 
 

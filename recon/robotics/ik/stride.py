@@ -58,18 +58,15 @@ def find_stride(
     chain: SerialChain,
     q: Array,
     fps: float,
-    start_s: float | None = None,
-    end_s: float | None = None,
+    span_s: tuple[float, float] | None = None,
     lasts_s: tuple[float, float] = (0.0, np.inf),
 ) -> StridePath:
     """The stride of a chain's joint angles q (T, n) at the frames, NaN where missing; see the module.
 
-    start_s, end_s: both or none; lasts_s: how long a return may take, as far as that is known. Only the longest stretch
-    of frames without a gap of more than `MAX_GAP_FRAMES` counts. Raises ValueError for times that it does not hold, or
-    too few frames.
+    span_s: from when to when, where that is known; lasts_s: how long a return may take, as far as that is known. Only
+    the longest stretch of frames without a gap of more than `MAX_GAP_FRAMES` counts. Raises ValueError for times that
+    it does not hold, or too few frames.
     """
-    if (start_s is None) != (end_s is None):
-        raise ValueError("a stride needs a start and an end, or neither")
     known = np.flatnonzero(np.isfinite(q).all(axis=1))
     known = max(np.split(known, np.flatnonzero(np.diff(known) > MAX_GAP_FRAMES + 1) + 1), key=np.size)
     if len(known) < MIN_FRAMES:
@@ -77,8 +74,8 @@ def find_stride(
     ends = chain.end(q[known])
     curve = CubicSpline(known, ends)
     how = "given"
-    if start_s is not None and end_s is not None:
-        half = 0.5 / fps
+    if span_s is not None:
+        (start_s, end_s), half = span_s, 0.5 / fps
         first, last = known[0] / fps, known[-1] / fps
         if not first - half <= start_s < end_s <= last + half:
             raise ValueError(
