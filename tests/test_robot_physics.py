@@ -195,6 +195,17 @@ def test_the_command_says_what_it_changed(trotting, tmp_path):
     assert not (tmp_path / "no").exists()
 
 
+def test_a_file_without_torques_limits_none(tmp_path):
+    path = tmp_path / "a1.urdf"
+    path.write_text(a1_urdf().replace(' effort="33.5"', ""))
+    robot = load_robot(path)
+    motion = still(TIME[:3], np.zeros((3, 3)))
+    at = {name: k for k, name in enumerate(motion.robot.joints)}
+    angles = motion.angles_rad[:, [at[name] for name in robot.joints]]
+    margins = check(replace(motion, robot=robot, angles_rad=angles), simulated(robot))[1]
+    np.testing.assert_array_equal(margins["torques"], 1.0)
+
+
 def test_without_masses():
     with pytest.raises(InputError, match="masses"):
         simulated(load_robot("aibo"))

@@ -182,8 +182,11 @@ def _print_check(console: Console, check: dict[str, Any]) -> None:
             f"{made['height']:.2f} times; the base moved by up to {1000 * made['base_moved_m']:.0f} mm and "
             f"{degrees(made['base_turned_rad']):.0f}°",
         )
-    for what, change in advice.items():
-        say(console, f"{what}: {change}")
+        if advice:
+            say(console, "note: no change that was tried keeps every rule in every frame; this one comes nearest")
+    else:
+        for what, change in advice.items():
+            say(console, f"{what}: {change}")
 
 
 def pose(settings: PoseSettings, as_json: bool) -> None:

@@ -171,7 +171,7 @@ def _units(motion: RobotMotion, model: Any, torques: float) -> Array:
     weight = float(model.body_subtreemass[root_of(model)]) * float(np.linalg.norm(model.opt.gravity))
     limits = model.jnt_actfrcrange[[model.joint(name).id for name in motion.robot.joints], 1]
     of_base = np.array([1, 1, 1, *[1 / motion.robot.stand_m] * 3]) / weight
-    return np.concatenate([of_base, torques / limits])
+    return np.concatenate([of_base, torques / np.where(limits > 0, limits, np.inf)])  # a file may state none
 
 
 def balanced(motion: RobotMotion, model: Any, time_s: Array) -> tuple[Array, _Frames]:

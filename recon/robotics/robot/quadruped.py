@@ -247,35 +247,6 @@ class RobotLeg:
         return out
 
 
-def closed_leg(
-    leg: Leg,
-    hip_m: Array,
-    names: tuple[str, ...],
-    signs: Array,
-    limits_rad: tuple[Array, Array],
-    max_rate_rad_s: Array,
-    stand_m: float,
-) -> RobotLeg:
-    """names, signs (3,) and max_rate_rad_s (3,): in the order of the joints; limits_rad: (3,) each, of swing, flap and
-    knee; stand_m: the height that the hip stands at."""
-    zero = np.zeros(3)
-    places = hip_m + _from_leg_axes(leg.chain.positions(zero) * leg.mirror)
-    # A rotation's axis is mirrored with the opposite sign.
-    axes = _from_leg_axes(leg.chain.joint_axes(zero) * leg.mirror) * np.prod(leg.mirror)
-    offsets = np.diff(places, axis=0, prepend=0.0)
-    lower, upper = np.sort(np.stack(limits_rad)[:, leg.order] * signs, axis=0)
-    chain = joint_chain(
-        offsets[:3],
-        axes * signs[:, None],
-        tool_m=offsets[3],
-        limits_rad=(lower, upper),
-        max_rate_rad_s=max_rate_rad_s,
-        names=names,
-    )
-    neutral = hip_m + _from_leg_axes(np.array([leg.lateral_m, 0.0, -stand_m]) * leg.mirror)
-    return RobotLeg(chain, neutral, closed=leg, signs=signs)
-
-
 @dataclass(frozen=True)
 class Masses:
     """What a robot weighs, and what its motors give: the links and torques of a leg in the order of its joints."""
@@ -379,11 +350,6 @@ def standing(chain: SerialChain, foot_m: Array) -> Array | None:
 
 def _to_leg_axes(v: Array) -> Array:
     return np.stack([-v[..., 1], v[..., 0], v[..., 2]], axis=-1)
-
-
-def _from_leg_axes(v: ArrayLike) -> Array:
-    v = np.asarray(v, float)
-    return np.stack([v[..., 1], -v[..., 0], v[..., 2]], axis=-1)
 
 
 # -- the body on its feet --------------------------------------------------------------------------------------------

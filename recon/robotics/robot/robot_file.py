@@ -32,7 +32,6 @@ from recon.robotics.robot.quadruped import (
     PositiveLength,
     Quadruped,
     RobotLeg,
-    closed_leg,
     standing,
 )
 
@@ -119,16 +118,24 @@ def _quadruped(source: str, table: dict[str, Any]) -> Quadruped:
     for label in LEGS:
         placed = getattr(file.legs, label)
         mirror = (1.0 if label[0] == "R" else -1.0, 1.0 if placed.knee_bends == "backwards" else -1.0, 1.0)
-        names = [getattr(placed, LEG_ANGLES[k]) for k in file.leg.order]
-        legs[label] = closed_leg(
-            replace(file.leg, mirror=mirror),
-            np.array(placed.hip_m),
-            tuple(name.removeprefix("-") for name in names),
-            np.array([-1.0 if name.startswith("-") else 1.0 for name in names]),
-            (limits[0], limits[1]),
-            np.array([joints[k].max_rate_rad_s for k in file.leg.order]),
-            file.stand_m,
+        leg = replace(file.leg, mirror=mirror)
+        typed = [getattr(placed, LEG_ANGLES[k]) for k in leg.order]
+        signs = np.array([-1.0 if name.startswith("-") else 1.0 for name in typed])
+        stands = np.array([leg.lateral_m, 0.0, -file.stand_m])
+        straight = np.array([*leg.chain.positions(np.zeros(3)), *leg.chain.joint_axes(np.zeros(3)), stands]) * mirror
+        in_body = np.column_stack([straight[:, 1], -straight[:, 0], straight[:, 2]])
+        offsets = np.diff(placed.hip_m + in_body[:4], axis=0, prepend=0.0)
+        lower, upper = np.sort(limits[:, leg.order] * signs, axis=0)
+        chain = joint_chain(
+            offsets[:3],
+            # A rotation's axis is mirrored with the opposite sign.
+            in_body[4:7] * np.prod(mirror) * signs[:, None],
+            tool_m=offsets[3],
+            limits_rad=(lower, upper),
+            max_rate_rad_s=np.array([joints[k].max_rate_rad_s for k in leg.order]),
+            names=tuple(name.removeprefix("-") for name in typed),
         )
+        legs[label] = RobotLeg(chain, placed.hip_m + in_body[7], closed=leg, signs=signs)
     return Quadruped(file.name, file.title, legs, file.stand_m, source, file.masses)
 
 
