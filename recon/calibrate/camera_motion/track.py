@@ -203,7 +203,6 @@ class Tracker:
         seen = _Seen.of(self.camera, keys, frame, guess, mask)
         for key in keys:
             key.used = number
-        seen = seen.where(rays_of(self.camera, seen.pixels, guess.zoom)[1])
         points = seen.rays, seen.pixels, seen.background
         agreement = agreed_turn(self.camera, *points, guess.zoom, self.solve_zoom, self._limit_px)
         enough = agreement is not None and agreement.spread > MIN_SUPPORT * self.support
@@ -380,12 +379,12 @@ class _Seen(NamedTuple):
         none = np.zeros(0, np.int64)
         parts: list[tuple[Any, ...]] = [(none, none, np.zeros((0, 3)), np.zeros((0, 2)), np.zeros(0))]
         for k, key in enumerate(keys):
-            if key.frame is None:
-                continue
+            assert key.frame is not None
             world = key.world_rays
             expected, inside = expected_px(camera, world, guess)
             at = np.flatnonzero(inside)
             found, good = followed(key.frame, frame, key.points_px[at], expected[at])
+            good &= rays_of(camera, found, guess.zoom)[1]
             if mask is not None:
                 x, y = np.rint(frame.work_px(found)).astype(int).T
                 height, width = mask.shape
@@ -394,9 +393,6 @@ class _Seen(NamedTuple):
             parts.append((np.full(len(at), k, dtype=np.int64), at, world[at], found[good], key.background[at]))
         joined: Any = map(np.concatenate, zip(*parts, strict=True))
         return cls(keys, *joined)
-
-    def where(self, kept: Bools) -> _Seen:
-        return _Seen(self.keys, *(part[kept] for part in self[1:]))
 
 
 # -- all frames and keyframes, adjusted to what each saw of the others: a return shows no drift ------------------------
