@@ -166,26 +166,23 @@ def _require_turning(s: _CameraMotionSettings, motion: turning.TurningMotion, le
     if motion.cut is not None:
         found = f"a cut, or a jump of the whole view, at frame {motion.cut + s.first_frame}"
         raise InputError(Problem(s.video, "video", found, "one take: cut the video there"))
+    note = _focal_note(motion, lens)
     if not motion.turned_only:
-        found = "a background that no turn explains: parts of it move against each other"
-        if not s.zoom:
-            found += ", or it grows"
-        if note := _focal_note(motion, lens):
-            found += f"; {note}"
-        expected = "a camera that turns about a fixed point, and is calibrated"
-        expected += "" if s.zoom else " (--zoom if its focal length changes)"
-        expected += "; of one that is carried or driven, make the track with COLMAP, and give that to --camera-track"
-        raise InputError(Problem(s.video, "motion", found, expected))
-    if motion.focal is not None and abs(motion.focal[0]) > MAX_FOCAL_OFF and (note := _focal_note(motion, lens)):
-        raise InputError(
-            Problem(s.camera, "focal length", note, "the lens that the video was filmed with, as it was set")
+        grows, zoom = ("", "") if s.zoom else (", or it grows", " (--zoom if its focal length changes)")
+        found = f"a background that no turn explains: parts of it move against each other{grows}"
+        found += f"; {note}" if note else ""
+        expected = (
+            f"a camera that turns about a fixed point, and is calibrated{zoom}; of one that is carried or driven, "
         )
+        expected += "make the track with COLMAP, and give that to --camera-track"
+        raise InputError(Problem(s.video, "motion", found, expected))
+    if motion.focal is not None and abs(motion.focal[0]) > MAX_FOCAL_OFF and note:
+        expected = "the lens that the video was filmed with, as it was set"
+        raise InputError(Problem(s.camera, "focal length", note, expected))
     number = len(motion.frames) + len(motion.lost)
     if not len(motion.frames) or len(motion.lost) > MAX_LOST * number:
-        found = (
-            f"too little background that can be followed in {len(motion.lost)} of {number} frames: blurred, without "
-        )
-        found += "structure, or hidden"
+        found = f"too little background that can be followed in {len(motion.lost)} of {number} frames: blurred, "
+        found += "without structure, or hidden"
         raise InputError(Problem(s.video, "background", found, f"no more than {MAX_LOST:.0%} of such frames"))
 
 
@@ -201,10 +198,9 @@ def _require_same_frames(s: _CameraMotionSettings, points: dict[int, Array], tim
 
 def _points(keypoints: Keypoints, first_frame: int) -> dict[int, Array]:
     """By the frame's number in the video, of those with points: pixels (K, 2), NaN where unsure."""
-    unsure = keypoints.confidence < MIN_LIKELIHOOD
-    pixels = np.where(unsure[..., None], np.nan, keypoints.xy_px)
-    shown = ((int(frame), np.asarray(some, float)) for frame, some in zip(keypoints.frames, pixels, strict=True))
-    return {frame - first_frame: some for frame, some in shown if np.isfinite(some).all(axis=1).any()}
+    pixels = np.where((keypoints.confidence < MIN_LIKELIHOOD)[..., None], np.nan, keypoints.xy_px)
+    shown = np.isfinite(pixels).all(axis=2).any(axis=1)
+    return dict(zip((keypoints.frames[shown] - first_frame).tolist(), pixels[shown], strict=True))
 
 
 # -- which way is up --------------------------------------------------------------------------------------------------

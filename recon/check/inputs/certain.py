@@ -18,7 +18,7 @@ from scipy.ndimage import median_filter
 from recon.animal import opposites
 from recon.base.arrays import Array, Bools
 from recon.check.codes import finding
-from recon.check.inputs.likelihood import CLEAR, TAILS
+from recon.check.inputs.likelihood import CLEAR, log_tail
 from recon.clip import Source, View
 from recon.clip.keypoints import Keypoints, frame_ranges, leave_out
 from recon.fit import TrajectorySolution
@@ -189,8 +189,7 @@ def outlier_ratios(view: View, markers_m: Array, noise_px: Array) -> Array:
     motion has its marker, as a logarithm; NaN without keypoints or a pose. markers_m, world (T, J, 3); noise_px (T, J).
     """
     projected, valid = view.project(view.at_its_time(markers_m))
-    q = np.sum((projected - view.xy_px) ** 2, axis=-1) / noise_px**2
-    density = -2.0 * np.log(noise_px) - np.log(2 * np.pi) - (TAILS + 2) / 2 * np.log1p(q / TAILS)
+    density = -2.0 * np.log(noise_px) - np.log(2 * np.pi) - log_tail((projected - view.xy_px) / noise_px[..., None])
     width, height = view.camera.image_size_px
     anywhere = -float(np.log(width * height))
     known = view.present & np.isfinite(markers_m[:, :1, 0])
