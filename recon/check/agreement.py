@@ -119,7 +119,7 @@ def agreement_findings(motion: Motion, sigma_px: float, keypoint_sigma_m: float)
         found[v] = _agreement(sights[v], [judged[o] for o in among or everyone if o != v], fps, wide=False)
     for code, which in (("cameras_exchanged", exchanged), ("cameras_disagree", None if among else everyone)):
         if which:
-            findings.append(finding(code, compared, cameras=tuple(names[v] for v in which), **found[which[0]]))
+            findings.append(finding(code, compared, None, cameras=tuple(names[v] for v in which), **found[which[0]]))
     if not any(one["points"] for one in found):
         findings.append(finding("cameras_apart_in_time", compared))
     notes = zip(names, found, strict=True)

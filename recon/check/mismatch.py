@@ -85,7 +85,7 @@ def _angle(turn: Array) -> float:
 def _together(pose_m: Array, truth_m: Array) -> Array:
     """(2, T, J, 3): both about the mean of the joints that both have in a frame, NaN for all others; without frames in
     which they have none together."""
-    known = np.isfinite(pose_m + truth_m).all(axis=2)
+    known = np.asarray(np.isfinite(pose_m + truth_m).all(axis=2))
     both = np.where(known[..., None], np.stack([pose_m, truth_m]), np.nan)[:, known.any(axis=1)]
     return both - np.nanmean(both, axis=2, keepdims=True)
 

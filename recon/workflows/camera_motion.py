@@ -199,7 +199,7 @@ def _require_same_frames(s: _CameraMotionSettings, points: dict[int, Array], tim
 def _points(keypoints: Keypoints, first_frame: int) -> dict[int, Array]:
     """By the frame's number in the video, of those with points: pixels (K, 2), NaN where unsure."""
     pixels = np.where((keypoints.confidence < MIN_LIKELIHOOD)[..., None], np.nan, keypoints.xy_px)
-    shown = np.isfinite(pixels).all(axis=2).any(axis=1)
+    shown = np.asarray(np.isfinite(pixels).all(axis=2)).any(axis=1)
     return dict(zip((keypoints.frames[shown] - first_frame).tolist(), pixels[shown], strict=True))
 
 

@@ -254,7 +254,7 @@ class Tracker:
         settled = kept = 0
         for k, key in enumerate(seen.keys):
             own = seen.of_key == k
-            at, agree = seen.index[own], agreement.agree[own]
+            at, agree = seen.place[own], agreement.agree[own]
             was = key.settled[at]
             settled, kept = settled + int(was.sum()), kept + int((was & agree).sum())
             key.background[at] += LEARNING * (np.where(agree, 1.0, 0.05) - key.background[at])
@@ -267,7 +267,7 @@ class Tracker:
         key = seen.keys[k]
         inside = expected_px(self.camera, key.world_rays, agreement.orientation)[1] & key.settled
         if inside.sum() >= MIN_CORNERS:
-            at = seen.index[(seen.of_key == k) & agreement.agree]
+            at = seen.place[(seen.of_key == k) & agreement.agree]
             self.still.append(float(inside[at].sum() / inside.sum()))
 
     def _keep(self, number: int, agreement: AgreedOrientation, seen: _Seen) -> None:
@@ -284,7 +284,7 @@ class Tracker:
             back = (seen.of_key == k) & (seen.background > MIN_BACKGROUND)
             if not self.solve_zoom and back.sum() >= MIN_PAIR_POINTS:
                 between = agreement.orientation.rotation @ key.orientation.rotation.T
-                self.pairs.append(_TurnedPair(key.number, key.points_px[seen.index[back]], seen.pixels[back], between))
+                self.pairs.append(_TurnedPair(key.number, key.points_px[seen.place[back]], seen.pixels[back], between))
         if len(self.pairs) > 2 * MAX_PAIRS:
             self.pairs = _furthest_turned(self.pairs)
 
@@ -293,7 +293,7 @@ class Tracker:
         by_key = np.zeros((len(J), 2, 1))
         if self.solve_zoom:
             step = 1e-4
-            points = key.points_px[seen.index[own]]
+            points = key.points_px[seen.place[own]]
             ends = [rays_of(self.camera, points, key.orientation.zoom * np.exp(d))[0] for d in (-step, step)]
             between = orientation.rotation @ key.orientation.rotation.T
             a, b = (pixels_of(self.camera, rays @ between.T, orientation.zoom)[0] for rays in ends)
@@ -362,12 +362,12 @@ class Tracker:
 
 
 class _Seen(NamedTuple):
-    """Points of some keyframes in one frame. of_key, index: (N,), whose they are and which of its. rays: (N, 3), world.
+    """Points of some keyframes in one frame. of_key, place: (N,), whose they are and which of its. rays: (N, 3), world.
     pixels: (N, 2). background: (N,)."""
 
     keys: list[_Keyframe]
     of_key: Integers
-    index: Integers
+    place: Integers
     rays: Array
     pixels: Array
     background: Array
@@ -422,7 +422,7 @@ def _adjust(
     log_zoom = np.log([one.zoom for one in orientations])
     frame, key, measured, at, normal, gradient = map(np.stack, zip(*links, strict=True))
     rows, ends = np.arange(len(links) + 1), np.stack([frame, key], axis=1)
-    weights = bsr_array((normal, rows[:-1], rows))
+    weights, information, factor = bsr_array((normal, rows[:-1], rows)), None, None
     for _ in range(ADJUST_STEPS):
         between = rotation[frame] @ rotation[key].swapaxes(1, 2)
         e = np.zeros((len(links), 5))
@@ -440,16 +440,15 @@ def _adjust(
         rotation = Rotation.from_rotvec(step[:, :3]).as_matrix() @ rotation
         if solve_zoom:
             log_zoom = log_zoom + step[:, 3]
+    assert information is not None
+    assert factor is not None
     # of keyframes from the inverse; of a frame that is none, its own and its keyframes' on average
     variance = np.full((n, p), np.nan)
-    for at_key in np.unique(key) * p:
-        own = slice(at_key, at_key + p)
-        variance[at_key // p] = np.diag(factor.solve(np.eye(n * p, p, -at_key))[own])
-    for other in np.flatnonzero(np.isnan(variance[:, 0])):
-        own = slice(other * p, (other + 1) * p)
-        variance[other] = np.diag(np.linalg.inv(information[own, own].toarray())) + variance[key[frame == other]].mean(
-            axis=0
-        )
+    for k in np.unique(key).tolist():
+        variance[k] = np.diag(factor.solve(np.eye(n * p, p, -k * p))[k * p : (k + 1) * p])
+    for t in np.flatnonzero(np.isnan(variance[:, 0])).tolist():
+        own = slice(t * p, (t + 1) * p)
+        variance[t] = variance[key[frame == t]].mean(axis=0) + np.diag(np.linalg.inv(information[own, own].toarray()))
     sigma = np.sqrt(np.maximum(variance, 0))
     found = tuple(Orientation(r, float(z)) for r, z in zip(rotation, np.exp(log_zoom), strict=True))
     sigma_zoom = sigma[:, 3] if solve_zoom else np.zeros(n)
