@@ -25,11 +25,13 @@ _CROSS_TWICE = _CROSS @ _CROSS
 
 
 def level_axes(up: Array) -> tuple[Array, Array]:
-    """Two level unit vectors (3,) in the camera frame: to the picture's right, and away from the camera.
+    """Two level unit vectors (3,) in the camera frame: to the picture's right, or down where that is up, and away from
+    the camera.
 
     up (3,): the upward unit vector there.
     """
-    right = np.array([1.0, 0.0, 0.0]) - up * up[0]
+    across = np.eye(3)[int(abs(up[0]) > 0.999)]
+    right = across - up * (across @ up)
     right /= float(np.linalg.norm(right))
     return right, np.asarray(np.cross(up, right), dtype=float)
 

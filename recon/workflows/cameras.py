@@ -17,6 +17,7 @@ from recon.base.arrays import Array
 from recon.base.errors import InputError, Problem, all_of, refuse
 from recon.clip import camera_poses
 from recon.geometry.camera import Camera
+from recon.geometry.frames import level_from_camera
 from recon.io.common import numbers
 from recon.workflows.settings import UNITS_M, FitSettings, Unit
 
@@ -73,17 +74,7 @@ def with_up(camera: Camera, up: Array, origin_m: Array | float = 0.0) -> Camera:
     """With its pose in a world with z up, of one where the unit vector (3,) points up, and about a point (3,) of it."""
     R_camera = np.asarray(camera.rotation)
     translation_m = np.asarray(camera.translation_m) + R_camera @ np.broadcast_to(origin_m, 3)
-    return replace(camera, rotation=R_camera @ _z_up_from(up).T, translation_m=translation_m, world_z_up=True)
-
-
-def _z_up_from(up: Array) -> Array:
-    """R (3, 3) that turns this unit vector to z."""
-    forwards = (
-        np.array([1.0, 0.0, 0.0]) if abs(up[0]) < abs(up[1]) or abs(up[0]) < abs(up[2]) else np.array([0.0, 1, 0])
-    )
-    x = forwards - (forwards @ up) * up
-    x /= np.linalg.norm(x)
-    return np.stack([x, np.cross(up, x), up])
+    return replace(camera, rotation=R_camera @ level_from_camera(up).T, translation_m=translation_m, world_z_up=True)
 
 
 def other_cameras(camera: Camera, settings: FitSettings) -> tuple[Camera, ...]:
