@@ -336,6 +336,14 @@ def _of_the_other_method(given: Mapping[str, Any]) -> Iterator[Problem]:
 # -- from config.toml and the command line ------------------------------------------------------------------------
 
 
+_REPLACED_BY = {
+    "camera": ("hfov_deg", "image_size_px", "camera_name", "camera_unit", "tilt_deg"),
+    "hfov_deg": ("camera", "camera_name", "camera_unit"),
+    "camera_track": ("tilt_deg",),
+}
+"""Settings of another camera, which do not go with one that is given."""
+
+
 def read_settings(config: Path | None, given: Mapping[str, Any] | None = None) -> FitSettings:
     """Settings from the table [recon.fit] of a TOML file, such as config.toml, overruled by those given.
 
@@ -345,13 +353,7 @@ def read_settings(config: Path | None, given: Mapping[str, Any] | None = None) -
     """
     given = {name: value for name, value in (given or {}).items() if value is not None}
     under = {} if config is None else _read_config(config)
-    left_out = set(given)
-    if "camera" in given:
-        left_out |= {"hfov_deg", "image_size_px", "camera_name", "camera_unit", "tilt_deg"}
-    if "hfov_deg" in given:
-        left_out |= {"camera", "camera_name", "camera_unit"}
-    if "camera_track" in given:
-        left_out |= {"tilt_deg"}
+    left_out = {*given, *(name for one in given for name in _REPLACED_BY.get(one, ()))}
     before = under.get("method", SETTINGS["method"].default)
     if given.get("method", before) != before:
         left_out |= {name for name, setting in SETTINGS.items() if setting.option.method == before}
