@@ -53,13 +53,18 @@ Analysed = tuple[ClipAnalysis, dict[str, Any], list[Path]]
 class AnalyseSettings(Settings):
     """The settings of `recon analyse`."""
 
-    folder: Annotated[Path, Option("Folder of results, as in results/clip.", argument="DIR")]
-    out: Annotated[Path | None, Option("Folder for tables and figures. (default: analysis in DIR)")] = None
+    folder: Annotated[Path, Option(argument="DIR")]
+    """Folder of results, as in results/clip."""
+    out: Path | None = None
+    """Folder for tables and figures. (default: analysis in DIR)"""
     stride: Annotated[StrideTimes | None, STRIDE] = None
-    body_mass_kg: Annotated[Positive | None, Option("What the animal weighs, for forces in newtons too.")] = None
-    figures: Annotated[bool, Option("PNG and SVG beside the tables.")] = True
+    body_mass_kg: Positive | None = None
+    """What the animal weighs, for forces in newtons too."""
+    figures: bool = True
+    """PNG and SVG beside the tables."""
     anyway: Annotated[bool, ANYWAY] = False
-    overwrite: Annotated[bool, Option("Replace an earlier analysis.")] = False
+    overwrite: bool = False
+    """Replace an earlier analysis."""
 
 
 MOST_STANCES = 100

@@ -46,12 +46,17 @@ ALL = "all"
 class _CompareSettings(Settings):
     """The settings of `recon compare`."""
 
-    folders: Annotated[OneOrMore[Path], Option("Folders of results, or of batches.", argument="DIR")]
-    out: Annotated[Path, Option("Folder for the tables and the figure.")]
-    table: Annotated[Path | None, Option("CSV table with a column clip, the folders' names, and --by.")] = None
-    by: Annotated[str | None, Option("Column of the table to group the clips by, as in sex.")] = None
+    folders: Annotated[OneOrMore[Path], Option(argument="DIR")]
+    """Folders of results, or of batches."""
+    out: Path
+    """Folder for the tables and the figure."""
+    table: Path | None = None
+    """CSV table with a column clip, the folders' names, and --by."""
+    by: str | None = None
+    """Column of the table to group the clips by, as in sex."""
     anyway: Annotated[bool, ANYWAY] = False
-    overwrite: Annotated[bool, Option("Replace an earlier comparison.")] = False
+    overwrite: bool = False
+    """Replace an earlier comparison."""
 
     def problems(self) -> Iterator[Problem]:
         if (self.table is None) != (self.by is None):
