@@ -86,7 +86,7 @@ def test_a_place_that_moves_as_a_whole_turns_no_angle(whole):
     points = whole.pose.xyz_m[:, [whole.pose.names.index(n) for n in ("l_hip", "l_back_knee", "l_back_ankle")]]
     u, v = points[:, 0] - points[:, 1], points[:, 2] - points[:, 1]
     cosine = np.sum(u * v, axis=1) / np.linalg.norm(u, axis=1) / np.linalg.norm(v, axis=1)
-    np.testing.assert_allclose(knee.series.value[:, 0], np.arccos(cosine), atol=1e-9)
+    np.testing.assert_allclose(knee.series.value[::10, 0], np.arccos(cosine), atol=1e-9)
 
 
 def test_chains_begin_with_the_trunk(whole, one_sided):

@@ -98,7 +98,7 @@ class ClipAnalysis:
 
     @cached_property
     def angles(self) -> dict[str, AngleKinematics]:
-        """The angle at every inner joint of a chain, at the frames, and the flexion of the spine, if there is one."""
+        """The angle at every inner joint of a chain and the flexion of the spine, where the skeleton has one."""
         # A common displacement of all joints turns none of the angles.
         errors = () if self.motion.jitters else _errors(self.motion)[1:]
         found, fps, (rear, front) = {}, self.motion.fps, self.motion.forward_names
@@ -106,7 +106,7 @@ class ClipAnalysis:
             for i in range(1, len(along) - 1):
                 if along[i] not in found:
                     joints = along[i - 1], along[i], along[i + 1]
-                    found[along[i]] = at_frames(kinematics.joint_angle(self.pose, joints, fps, errors))
+                    found[along[i]] = kinematics.joint_angle(self.pose, joints, fps, errors)
             if {rear, front} <= {*along}:
                 first, last = sorted((along.index(rear), along.index(front)))
                 if between := along[first + 1 : last]:

@@ -144,12 +144,12 @@ class AngleKinematics:
         return self.range_rad[1] - self.range_rad[0]
 
 
-_Kind = TypeVar("_Kind", Series, JointKinematics, AngleKinematics)
+_Kind = TypeVar("_Kind", Series, JointKinematics)
 
 
 def at_frames(of: _Kind) -> _Kind:
-    """The same without the samples between frames, which take ten times the memory; ranges, means and peaks are those
-    of all samples."""
+    """The same without the samples between frames, which take ten times the memory; means and peaks are those of all
+    samples."""
     series = of if isinstance(of, Series) else of.series
     changed = {k: a[:: series.oversampling].copy() for k, a in vars(of).items() if isinstance(a, np.ndarray)}
     return replace(of, **changed, **({"oversampling": 1} if of is series else {"series": at_frames(series)}))
