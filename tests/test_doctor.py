@@ -63,7 +63,7 @@ def test_prints_a_table_of_80_columns_or_json_and_ends_with_0_or_1(doctor, monke
         assert re.search(rf"^ *{re.escape(check.name)} +{check.status} ", ended.out, re.MULTILINE)
     shown = json.loads(run("doctor", "--json").out)
     assert shown == {"ok": True, "checks": [check.__dict__ for check in doctor]}
-    bad = (*doctor, _Check("machine", "moon", "broken", "it is new", "wait [two] weeks"))
+    bad = (*doctor, _Check("moon", "broken", "it is new", "wait [two] weeks"))
     monkeypatch.setattr("recon.workflows.doctor.run_doctor", lambda progress: bad)
     ended = run("doctor")
     assert ended.code == 1

@@ -48,14 +48,13 @@ _MODULE = "import sys; from recon.workflows.cli import main; sys.exit(main())"
 class _Check:
     """Something that was looked at."""
 
-    group: str
     name: str
     status: Literal["ok", "absent", "note", "broken"]
     """ok; absent: optional, and not there; note: works, with a limit; broken: recon cannot work here."""
     found: str
     """What was found, in words."""
     hint: str = ""
-    """What to do, or empty."""
+    """What to do unless the status is ok."""
 
 
 def doctor(as_json: bool) -> None:
@@ -98,12 +97,12 @@ def run_doctor(progress: Progress = silent) -> tuple[_Check, ...]:
 
 def versions() -> Iterator[_Check]:
     """recon and Python."""
-    yield _Check("versions", "recon", "ok", f"{version()}, in {Path(__file__).parents[1]}")
+    yield _Check("recon", "ok", f"{version()}, in {Path(__file__).parents[1]}")
     with suppress(metadata.PackageNotFoundError):  # the last that was installed has its files over the other's
         found = f"the package recon {metadata.version('recon')} is here too, whose files have the same names"
         hint = f"pip uninstall recon {DISTRIBUTION}, and install {DISTRIBUTION} again"
-        yield _Check("versions", "another recon", "broken", found, hint)
-    yield _Check("versions", "python", "ok", f"{platform.python_version()}, {platform.system()} {platform.machine()}")
+        yield _Check("another recon", "broken", found, hint)
+    yield _Check("python", "ok", f"{platform.python_version()}, {platform.system()} {platform.machine()}")
 
 
 def packages(requires: Sequence[str] | None = None) -> Iterator[_Check]:
@@ -121,9 +120,9 @@ def packages(requires: Sequence[str] | None = None) -> Iterator[_Check]:
         found = what + ", ".join(f"{one.name} {state}" for one, state in shown.items())
         if not extra:
             hint = "pip install " + " ".join(f"'{one.name}{one.specifier}'" for one in lacking)
-            yield _Check("versions", "packages", "broken" if lacking else "ok", found, hint)
+            yield _Check("packages", "broken" if lacking else "ok", found, hint)
         elif wanted:
-            yield _Check("optional parts", extra, "absent" if lacking else "ok", found, install_command(extra))
+            yield _Check(extra, "absent" if lacking else "ok", found, install_command(extra))
 
 
 def _installed(name: str, specifier: SpecifierSet) -> tuple[str, str]:
@@ -144,15 +143,13 @@ def _installed(name: str, specifier: SpecifierSet) -> tuple[str, str]:
 def viewer(command: Sequence[str] = (sys.executable, "-m", "rerun")) -> Iterator[_Check]:
     """The program that `recon view` starts, and whether it has a display."""
     code, said = _run([*command, "--version"], 60.0)
-    if code:
-        yield _Check("machine", "viewer", "broken", said, "pip install --force-reinstall rerun-sdk")
-    else:
-        yield _Check("machine", "viewer", "ok", " ".join(said.split()[:2]))
+    found = said if code else " ".join(said.split()[:2])
+    yield _Check("viewer", "broken" if code else "ok", found, "pip install --force-reinstall rerun-sdk")
     if sys.platform in ("win32", "darwin") or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"):
-        yield _Check("machine", "display", "ok", "there is one")
+        yield _Check("display", "ok", "there is one")
     else:
-        hint = "copy motion.rrd to a machine with one, and open it there with: rerun motion.rrd"
-        yield _Check("machine", "display", "note", "none: recon view cannot show anything here", hint)
+        hint = "a page shows a result in any browser: recon report DIR"
+        yield _Check("display", "note", "none: recon view cannot show anything here", hint)
 
 
 def self_test() -> Iterator[_Check]:
@@ -164,17 +161,17 @@ def self_test() -> Iterator[_Check]:
             code, said = _run([sys.executable, "-c", _MODULE, *arguments], SELF_TEST_S)
     except OSError as error:
         hint = "free some space, or set TMPDIR to a folder that can be written to"
-        yield _Check("self-test", "temporary files", "broken", f"{error.filename}: {error.strerror}", hint)
+        yield _Check("temporary files", "broken", f"{error.filename}: {error.strerror}", hint)
         return
     if code:
-        yield _Check("self-test", name, "broken", said, "recon demo shows all of it")
+        yield _Check(name, "broken", said, "recon demo shows all of it")
         return
     shown = json.loads(said)
     frames, posed, error_mm = shown["summary"]["frames"], shown["summary"]["frames_with_pose"], shown["mpjpe_mm"]
     found = f"{posed} of {frames} frames in {shown['seconds']:.1f} s, {error_mm:.0f} mm from the truth (MPJPE)"
     well = error_mm <= SELF_TEST_MPJPE_MM and posed == frames
     hint = "" if well else f"{SELF_TEST_MPJPE_MM} mm is the most: reinstall numpy and scipy, or report it"
-    yield _Check("self-test", name, "ok" if well else "broken", found, hint)
+    yield _Check(name, "ok" if well else "broken", found, hint)
 
 
 def _run(command: Sequence[str], timeout_s: float) -> tuple[int, str]:
