@@ -127,9 +127,9 @@ def imports_on_import(node: ast.AST) -> Iterator[tuple[int, str]]:
             yield from imports_on_import(child)
 
 
-@pytest.mark.parametrize("path", sorted(PACKAGE.rglob("*.py")), ids=module_name)
-def test_imports(path):
-    assert violations(module_name(path), path.read_text(encoding="utf-8"), base_imports()) == []
+def test_imports():
+    files = {module_name(path): path.read_text(encoding="utf-8") for path in PACKAGE.rglob("*.py")}
+    assert [wrong for module in sorted(files) for wrong in violations(module, files[module], base_imports())] == []
 
 
 def test_there_is_something_to_check():
