@@ -724,14 +724,6 @@ def test_overwrite_keeps_other_files(fitted, tmp_path):
         assert (tmp_path / name).read_bytes() == (out / name).read_bytes()
 
 
-KILLED_FITTING = """
-import os, signal
-import recon.thesis.clip as clip
-solve = clip.solve_frames
-def until_frame_3(*args):
-    return solve(*args[:-1], lambda frame: os.kill(os.getpid(), signal.SIGKILL) if frame == 3 else None)
-clip.solve_frames = until_frame_3
-"""
 KILLED_APPROACHING = """
 import os, signal
 import recon.workflows.clip as clip
@@ -749,12 +741,10 @@ recon.show.view.write = half
 
 
 @needs_sigkill
-@pytest.mark.parametrize(
-    "before", [KILLED_FITTING, KILLED_APPROACHING, KILLED_WRITING], ids=["frames", "trajectory", "writing"]
-)
+@pytest.mark.parametrize("before", [KILLED_APPROACHING, KILLED_WRITING], ids=["fitting", "writing"])
 def test_killed_run_leaves_no_output_and_the_next_works(before, tmp_path):
     out = tmp_path / "out"
-    args = fit_args(out, "--frames", ":6") if "solve_frames" in before else whole_args(out, "--frames", ":6")
+    args = whole_args(out, "--frames", ":6")
     assert run_process(*args, before=before).code == -signal.SIGKILL
     writing, *partial = sorted((path.name for path in out.iterdir()), reverse=True)
     assert writing == ".recon-writing"
