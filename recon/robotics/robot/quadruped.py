@@ -195,7 +195,7 @@ class RobotLeg:
     neutral_m: Array
     """(3,): the foot of the standing leg."""
     home_rad: Array | None = None
-    """(n,): the standing leg, from where a leg without a closed form is solved."""
+    """(n,): the standing leg, from where a leg without a closed form is solved; None for one that cannot stand."""
     closed: Leg | None = None
     """Its closed form, in leg axes."""
     signs: Array | None = None
@@ -236,8 +236,9 @@ class RobotLeg:
         if self.closed is not None:
             solved = self.closed_angles(feet_m)
             return np.where(np.all(self.margins(solved) >= 0, axis=-1)[..., None], solved, np.nan)
-        assert self.home_rad is not None
         out, q = np.full((len(feet_m), self.chain.n), np.nan), self.home_rad
+        if q is None or self.home_rad is None:
+            return out
         for k, foot in enumerate(feet_m):
             found = reach(self.chain, q, foot)
             if found is None and q is not self.home_rad:

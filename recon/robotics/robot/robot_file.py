@@ -183,16 +183,8 @@ def _quadruped_of_model(path: Path) -> Quadruped:
     if not stand > SHORTEST_M:
         raise InputError(Problem(path, "legs", f"{shortest:g} m long", f"legs longer than {SHORTEST_M:g} m"))
     neutral = hips - [0.0, 0.0, stand]
-    homes = [standing(chain, foot) for chain, foot in zip(chains, neutral, strict=True)]
-    problems = [
-        Problem(path, f"leg {label}", f"no way to stand {stand:.3f} m high", "one")
-        for label, home in zip(labels, homes, strict=True)
-        if home is None
-    ]
-    if problems:
-        raise InputError(problems)
-    every = zip(labels, chains, neutral, homes, strict=True)
-    legs = {label: RobotLeg(chain, foot, home) for label, chain, foot, home in every}
+    every = zip(labels, chains, neutral, strict=True)
+    legs = {label: RobotLeg(chain, foot, standing(chain, foot)) for label, chain, foot in every}
     called = model.names.split(b"\0")[0].decode() or path.stem
     return Quadruped(called, called, {label: legs[label] for label in LEGS}, stand, str(path))
 
