@@ -189,7 +189,9 @@ def posterior(problem: LeastSquares, body: Body, found: Estimate, variance_facto
 
 def with_size(covariance_m2: Array, by_size_m: Array, size: float, size_sigma: float) -> Array:
     """Covariances (T, J, 3, 3) at nominal size, of joints that move by (T, J, 3) with it, with its uncertainty."""
-    return size**2 * covariance_m2 + size_sigma**2 * by_size_m[..., :, None] * by_size_m[..., None, :]
+    found = size_sigma**2 * by_size_m[..., :, None] * by_size_m[..., None, :]
+    found += size**2 * covariance_m2
+    return found
 
 
 def _data_share(with_pixels_m2: Array, without_m2: Array) -> Array:

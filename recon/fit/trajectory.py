@@ -337,11 +337,13 @@ def _of_segment(
     weight = [term.weights(term.view.at_its_time(markers)) for term in seen_by]
     in_world, joints_m = states.copy(), clip.in_world(points, size)
     in_world[:, ROOT] = clip.in_world(states[:, ROOT], size)
-    # of several cameras, one's turn is known by the others
-    turned_m2 = views[0].rotation_covariance_m2(joints_m) if len(views) == 1 else 0.0
+    covariance_m2 = with_size(known.covariance_m2, by_size, size, size_sigma)
+    if len(views) == 1 and views[0].rotation_sigma_rad is not None:  # of several, one's turn is known by the others
+        covariance_m2 += views[0].rotation_covariance_m2(joints_m)
     yield "states", in_world
     yield "joints_m", joints_m
-    yield "covariance_m2", with_size(known.covariance_m2, by_size, size, size_sigma) + turned_m2
+    yield "covariance_m2", covariance_m2
+    del covariance_m2
     yield "relative_covariance_m2", with_size(known.relative_covariance_m2, centred, size, size_sigma)
     yield "angle_sigma_rad", np.sqrt(known.angle_variance[0] + (size_sigma * known.state_by_size[:, YAW:]) ** 2)
     yield "angle_data_share", known.angle_data_share
