@@ -397,6 +397,8 @@ CASES = {
     "two cameras": Case(lambda clip, given: given, two=True),
     "two, one turned by 6 degrees": Case(lambda c, g: g.turned(about("y", 6)), OFF, two=True),
     "two, one moved by 0.5 m": Case(lambda c, g: g.turned(np.eye(3), (0.5, 0, 0)), OFF, two=True),
+    "two, one turned by -6 degrees": Case(lambda c, g: g.turned(about("y", -6)), OFF, two=True),
+    "two, one moved by -0.5 m": Case(lambda c, g: g.turned(np.eye(3), (-0.5, 0, 0)), OFF, two=True),
     "two, one of half the rate": Case(half_rate_of_one, (*OFF, "cameras_apart_in_time", "frame_rate"), two=True),
     "two, the same keypoints": Case(same_twice, (*OFF, "same_keypoints"), two=True),
 }

@@ -46,8 +46,8 @@ SIZE_SIGMAS = 2.5
 """A size further off what is expected, in standard deviations, says that something else is wrong."""
 TWO_CAMERAS_SIGMA, TWO_CAMERAS_SIGMAS = 0.03, 0.9
 """Relative standard deviation of a size that two cameras measure, and how many standard deviations of the scale of
-distances, as size and ground say it, that one of them may be off: 12 real pairs have up to 0.7, and 14 with one camera
-turned by 6 degrees or moved by 0.5 m, whose rays still meet, 1.0 or more (benchmarks/wrong_inputs.py)."""
+distances, as size and ground say it, that one of them may be off: 12 real pairs have up to 0.7; with one camera turned
+by 6 degrees or moved by 0.5 m, 41 of 48 have more, or rays that do not meet (benchmarks/wrong_inputs.py)."""
 OF_PICTURE = ("keypoints_y_up", "picture_upside_down", "picture_turned", "world_not_z_up", "other_camera_named")
 """Codes after which the ground says nothing."""
 UNITS_PER_M = {"inches": 39.37, "cm": 100.0, "mm": 1000.0}
