@@ -127,5 +127,5 @@ def finish(
     if not as_json:
         folder = shlex.quote(str(out))
         say(console, f"Results are in {out}. Watch them with: recon view {folder}")
-        made = f"Open {page} in a browser" if page else f"For a page, recon report {folder}"
-        say(console, f"{made}: pictures, figures and all numbers.")
+        what = "pictures, figures and all numbers"
+        say(console, f"Open {page} in a browser: {what}." if page else f"A page with {what}: recon report {folder}")
