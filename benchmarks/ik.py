@@ -34,10 +34,10 @@ from recon.gait.gait import pose_gait
 from recon.robotics.ik.animal import body_chain, body_chain_angles, chain_angles, projected_chain, spine_front_leg
 from recon.robotics.ik.chain import SerialChain
 from recon.robotics.ik.clip import LAST, Limb, fit_parameter_series, follow_stride, stride_lasts_s
-from recon.robotics.ik.costs import Cost, harmonic_map, joint_differences, pose_distance, rotational_energy
 from recon.robotics.ik.drive import degree_of_closure, drive_to, follow, to_null_space_optimum
 from recon.robotics.ik.fit import Fit, Frames, best_scale, explained_by, fits, rates_of
 from recon.robotics.ik.methods import (
+    Cost,
     ExtendedJacobian,
     GradientProjection,
     JacobianTranspose,
@@ -45,6 +45,10 @@ from recon.robotics.ik.methods import (
     Method,
     SelectivelyDamped,
     damped_least_squares,
+    harmonic_map,
+    joint_differences,
+    pose_distance,
+    rotational_energy,
     weighted_least_norm,
 )
 from recon.robotics.ik.stride import StridePath, find_stride

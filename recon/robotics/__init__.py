@@ -13,14 +13,6 @@ if TYPE_CHECKING:
     from recon.robotics.ik.animal import body_chain, body_chain_angles, chain_angles, projected_chain, spine_front_leg
     from recon.robotics.ik.chain import null_basis, planar_chain, summed_chain
     from recon.robotics.ik.clip import limb_of, methods_of, run_ik
-    from recon.robotics.ik.costs import (
-        harmonic_map,
-        joint_differences,
-        pose_distance,
-        rotational_energy,
-        user_cost,
-        weighted_sum,
-    )
     from recon.robotics.ik.drive import degree_of_closure, drive_to, follow, to_null_space_optimum
     from recon.robotics.ik.methods import (
         ExtendedJacobian,
@@ -29,7 +21,13 @@ if TYPE_CHECKING:
         LeastNorm,
         SelectivelyDamped,
         damped_least_squares,
+        harmonic_map,
+        joint_differences,
+        pose_distance,
+        rotational_energy,
+        user_cost,
         weighted_least_norm,
+        weighted_sum,
     )
     from recon.robotics.ik.stride import farthest_reach, find_stride
     from recon.robotics.robot.dh import all_solutions

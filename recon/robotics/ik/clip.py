@@ -32,17 +32,10 @@ from recon.robotics.ik.animal import (
     spine_front_leg,
 )
 from recon.robotics.ik.chain import SerialChain
-from recon.robotics.ik.costs import (
-    Cost,
-    harmonic_map,
-    joint_differences,
-    pose_distance,
-    rotational_energy,
-    weighted_sum,
-)
 from recon.robotics.ik.drive import Run, control_columns, drive_to, follow, to_null_space_optimum
 from recon.robotics.ik.fit import PARAMETERS, PULL, Frames, ParameterFit, explained_by, fits, rates_of
 from recon.robotics.ik.methods import (
+    Cost,
     ExtendedJacobian,
     GradientProjection,
     JacobianTranspose,
@@ -50,6 +43,11 @@ from recon.robotics.ik.methods import (
     Method,
     SelectivelyDamped,
     damped_least_squares,
+    harmonic_map,
+    joint_differences,
+    pose_distance,
+    rotational_energy,
+    weighted_sum,
 )
 from recon.robotics.ik.stride import StridePath, farthest_reach, find_stride
 from recon.robotics.settings import EXTENDED, STRIDE_MAX, IkSettings

@@ -22,10 +22,10 @@ from numpy.typing import ArrayLike
 from recon.base.arrays import Array, Bools
 from recon.gait import phase
 from recon.robotics.ik.chain import SerialChain, manipulability, null_basis, unreachable
-from recon.robotics.ik.costs import Cost
 from recon.robotics.ik.methods import (
     ALL,
     INTERVAL_S,
+    Cost,
     ExtendedJacobian,
     JointRates,
     LeastNorm,

@@ -15,8 +15,8 @@ from scipy.optimize import least_squares, minimize_scalar
 
 from recon.base.arrays import Array
 from recon.robotics.ik.chain import SerialChain
-from recon.robotics.ik.costs import Cost, weighted_sum
 from recon.robotics.ik.methods import (
+    Cost,
     GradientProjection,
     JacobianTranspose,
     LeastNorm,
@@ -25,6 +25,7 @@ from recon.robotics.ik.methods import (
     damped_least_squares,
     right_inverse,
     weighted_least_norm,
+    weighted_sum,
 )
 
 DAMPING_M = (1e-4, 1e2)

@@ -7,15 +7,18 @@ inverse of J J' is damped, and the step says so.
 
 Formulas: least norm, gradient projection, weighted and damped least squares as in C. van der Leek, MSc(Eng),
 University of Cape Town, 2022, with inverses where print lost them; selectively damped least squares: S. R. Buss and
-J.-S. Kim, J. Graphics Tools 10 (2005); extended Jacobian: J. Baillieul, ICRA 1985. See docs/ik.md.
+J.-S. Kim, J. Graphics Tools 10 (2005); extended Jacobian: J. Baillieul, ICRA 1985. See docs/ik.md. Costs on the joint
+angles of redundant chains are the thesis', too, with their gradients and Hessians; of the rotational energies each link
+has its own length (printed with r5 throughout).
 """
 
 from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -23,7 +26,6 @@ from scipy.linalg.lapack import dposv
 
 from recon.base.arrays import Array, Bools
 from recon.robotics.ik.chain import Curvature, SerialChain, null_basis
-from recon.robotics.ik.costs import Cost
 
 INTERVAL_S = 1 / 90
 """What one iteration of `recon.robotics.ik.drive` takes."""
@@ -53,6 +55,17 @@ class JointRates(NamedTuple):
     """What is held back or damped, in words, or empty."""
     along: Array | float = 0.0
     """A motion along the null space that comes on top, before limits."""
+
+
+@dataclass(frozen=True, eq=False)
+class Cost:
+    """A cost on joint angles q (n,), rad: three functions of them."""
+
+    value: Callable[[Array], float]
+    gradient: Callable[[Array], Array]
+    """The gradient of the cost, shape (n,)."""
+    hessian: Callable[[Array], Array]
+    """The second derivatives of the cost, shape (n, n)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,6 +223,99 @@ def nearest_scale(moved: Array, dx: Array) -> float:
     """<dx, moved> / |moved|^2, both (dim,); 1 where nothing moves."""
     square = float(moved @ moved)
     return float(dx @ moved) / square if square > 0 else 1.0
+
+
+# -- costs ------------------------------------------------------------------------------------------------------------
+
+
+def quadratic(matrix: Array, about: Array | float = 0.0) -> Cost:
+    """g = (q - about)' H (q - about) / 2 with a constant symmetric matrix H (n, n); about: (n,), or 0 for all."""
+    return Cost(
+        lambda q: float((q - about) @ matrix @ (q - about)) / 2, lambda q: matrix @ (q - about), lambda _: matrix
+    )
+
+
+def joint_differences(chain: SerialChain) -> Cost:
+    """sum (q_{k+1} - q_k)^2 over the joints that follow each other, thetas and phis apart: an even bend."""
+    H = np.zeros((chain.n, chain.n))
+    for group in chain.groups:
+        for i, j in pairwise(group):
+            H[[i, j], [i, j]] += 2
+            H[[i, j], [j, i]] -= 2
+    return quadratic(H)
+
+
+def rotational_energy(chain: SerialChain) -> Cost:
+    """sum (r_k q_k)^2 with each joint's own link length r_k, m^2: least rotation, least in the long links."""
+    return quadratic(2 * np.diag(chain.joint_lengths_m**2))
+
+
+def pose_distance(pose: Array) -> Cost:
+    """sum (q_k - p_k)^2 from a pose p (n,), of the animal for instance."""
+    return quadratic(2 * np.eye(len(pose)), pose)
+
+
+def weighted_sum(costs: Sequence[Cost], weights: Sequence[float]) -> Cost:
+    """sum_i w_i g_i of other costs."""
+
+    def added(parts: list[Callable[[Array], Array]], q: Array) -> Array:
+        return np.sum([w * part(q) for w, part in zip(weights, parts, strict=True)], axis=0)
+
+    return Cost(
+        lambda q: sum(w * cost.value(q) for w, cost in zip(weights, costs, strict=True)),
+        lambda q: added([cost.gradient for cost in costs], q),
+        lambda q: added([cost.hessian for cost in costs], q),
+    )
+
+
+def harmonic_map(a: float = 1.0, b: float = 0.0, joints: Sequence[int] = (2, 3, 4)) -> Cost:
+    """g = q2 (a q1 + b) sqrt(1 + q1^2) with q1 = q[i] - q[j], q2 = q[k] - q[j].
+
+    joints: (i, j, k), by default theta_2, theta_3, theta_4 of the spine-front-leg chain. Its Hessian has rank 2, and
+    its stationary points are saddles: the extended Jacobian can be singular at G = 0.
+    """
+    i, j, k = joints
+
+    def parts(q: Array) -> tuple[float, float, float, float]:
+        """q2, f, f' and f'' of f = (a q1 + b) sqrt(1 + q1^2)."""
+        q1, q2 = float(q[i] - q[j]), float(q[k] - q[j])
+        root, line = math.sqrt(1 + q1 * q1), a * q1 + b
+        first = a * root + line * q1 / root
+        second = (3 * a * q1 + b) / root - line * q1 * q1 / root**3
+        return q2, line * root, first, second
+
+    def gradient(q: Array) -> Array:
+        q2, f, first, _ = parts(q)
+        out = np.zeros(len(q))
+        out[i], out[j], out[k] = q2 * first, -q2 * first - f, f
+        return out
+
+    def hessian(q: Array) -> Array:
+        q2, _, first, second = parts(q)
+        c = q2 * second
+        out = np.zeros((len(q), len(q)))
+        out[np.ix_(joints, joints)] = (
+            (c, -c - first, first),
+            (-c - first, c + 2 * first, -first),
+            (first, -first, 0.0),
+        )
+        return out
+
+    return Cost(lambda q: math.prod(parts(q)[:2]), gradient, hessian)
+
+
+def user_cost(function: Callable[[Array], float], step_rad: float = 1e-4) -> Cost:
+    """Any smooth function of q (n,), with derivatives from central differences over step_rad."""
+
+    def slopes(of: Callable[[Array], Array | float], q: Array) -> Array:
+        with np.errstate(invalid="ignore"):  # a cost that is infinite has no slope
+            return np.array([np.subtract(of(q + e), of(q - e)) for e in step_rad * np.eye(len(q))]) / (2 * step_rad)
+
+    def hessian(q: Array) -> Array:
+        bent = slopes(lambda x: slopes(function, x), q)
+        return (bent + bent.T) / 2
+
+    return Cost(lambda q: float(function(q)), lambda q: slopes(function, q), hessian)
 
 
 # -- small linear algebra --------------------------------------------------------------------------------------------
