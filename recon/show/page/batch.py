@@ -57,11 +57,15 @@ class _ClipRow:
         return format(int(cell) if spec == "d" else float(cell), spec) if cell else ""
 
     @property
-    def rank(self) -> tuple[int, int, float]:
+    def state(self) -> str:
+        """The verdict, or what has kept the clip from one."""
+        return self.cells["status"] if self.cells["status"] in FIRST else self.cells["verdict"]
+
+    @property
+    def rank(self) -> tuple[int, float]:
         """The smallest is the one to look at first."""
-        status, level = self.cells["status"], self.cells["verdict"]
-        place = FIRST.index(status) if status in FIRST else len(FIRST)
-        return place, LEVELS.index(level) if level in LEVELS else 0, -float(self.cells["pose_mm"] or 0)
+        order = (*FIRST, *LEVELS)
+        return order.index(self.state) if self.state in order else 0, -float(self.cells["pose_mm"] or 0)
 
 
 def batch_page(out: Path, rows: Sequence[Mapping[str, str]]) -> str:
