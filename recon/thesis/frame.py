@@ -83,7 +83,7 @@ class FrameOptions:
 
     @classmethod
     def of(cls, settings: Mapping[str, Any]) -> FrameOptions:
-        """Those among the settings of a fit, as a motion keeps them."""
+        """The options among the settings of a fit, as a motion keeps them."""
         given = {field.name: settings.get(field.name) for field in fields(cls)}
         return cls(**{name: value for name, value in given.items() if value is not None})
 

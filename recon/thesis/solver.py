@@ -163,7 +163,7 @@ class SolverRecord:
 
     @cached_property
     def gradient(self) -> Array:
-        """(T, D)"""
+        """The gradient of the cost in each frame (T, D)."""
         return self._by_frame({t: np.sum([J.T @ r for r, J in of.values()], axis=0) for t, of in self.rows.items()})
 
     @cached_property

@@ -96,7 +96,7 @@ def run_doctor(progress: Progress = silent) -> tuple[_Check, ...]:
 
 
 def versions() -> Iterator[_Check]:
-    """recon and Python."""
+    """The versions of recon and of Python."""
     yield _Check("recon", "ok", f"{version()}, in {Path(__file__).parents[1]}")
     with suppress(metadata.PackageNotFoundError):  # the last that was installed has its files over the other's
         found = f"the package recon {metadata.version('recon')} is here too, whose files have the same names"

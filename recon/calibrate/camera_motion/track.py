@@ -469,7 +469,7 @@ class _TurnedPair(NamedTuple):
 
 
 def _furthest_turned(pairs: Sequence[_TurnedPair]) -> list[_TurnedPair]:
-    """Those that the camera has turned furthest between."""
+    """The pairs of frames between which the camera has turned furthest."""
     return sorted(pairs, key=lambda pair: -float(Rotation.from_matrix(pair.turn).magnitude()))[:MAX_PAIRS]
 
 

@@ -44,7 +44,7 @@ STEP_S = 1e-4
 SLOPES = np.array([[0, 0, 1], *([x, y, 1] for x, y in FRICTION * np.array([[1, 0], [-1, 0], [0, 1], [0, -1]]))])
 """Forces that span the friction cone."""
 STRETCHED = 0.05
-"""Of a leg's best direction, below which its foot does not move."""
+"""A foot does not move in a direction in which its leg reaches less than this share of its best."""
 KNOTS_S, DEGREE, TURNS = 0.015, 5, 12
 """Between knots of the base's way; degree of the forces' polynomials; steps."""
 TORQUES, NEAR, ENOUGH, CLOSE = 0.02, 0.15, 0.8, 1.0
@@ -328,7 +328,7 @@ def _used(left: Array) -> Array:
 
 
 def _pushes(motion: RobotMotion, time_s: Array) -> list[tuple[int, Array]]:
-    """Of each stance, the foot and how its forces may grow and fade (K, .) at times (K,)."""
+    """The foot of each stance, and how its forces may grow and fade (K, .) at times (K,)."""
     lasts, loops, found = float(motion.time_s[-1] - motion.time_s[0]), motion.advance_m is not None, []
     for foot in range(len(LEGS)):
         spans = [(motion.time_s[a], motion.time_s[b]) for a, b in stances(motion.standing[:, foot])]

@@ -42,7 +42,7 @@ SPREADS = (0.0, 0.1, 0.2, 0.3, 0.4)
 LEGS_APART = 0.15
 """Both of the height that the hips stand at; legs are about as thick."""
 SCALES = 0.97 ** np.arange(76)
-"""Those that are tried, of the largest."""
+"""Shares of the largest scale that are tried."""
 _EVERY = 5
 """Samples from one to the next that a scale is tried on; half a frame."""
 _BISECTIONS = 25

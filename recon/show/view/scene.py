@@ -35,7 +35,7 @@ BACKGROUND = (18, 21, 27)
 CAMERAS, PICTURE, CLOSEUP = "world/camera", "picture", "closeup"
 """Entities of a camera, or of all (`by_camera`)."""
 _FRAMES_AT_ONCE = 4000
-"""Of a long clip what takes most memory is written in pieces."""
+"""What takes most memory in a long clip is written in pieces of so many frames."""
 GRID_SPACING_M = 1.0
 CLOSE = 1.1
 """The share of the animal's reach that the close look shows."""
