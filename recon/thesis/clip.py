@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated, Any
 
 from recon.animal.body import Body
 from recon.animal.skeleton_file import load_chain
 from recon.base import Progress, silent
-from recon.base.settings import Settings
 from recon.check import judged
 from recon.clip import views_of
 from recon.fit.motion import Motion
 from recon.thesis.frame import FrameOptions, solve_frames
 from recon.workflows.cli.command import OptionsOf
-from recon.workflows.cli.common import finish, progress_bar, terminal
+from recon.workflows.cli.fit import FitRunSettings, fit
 from recon.workflows.clip import prepare
-from recon.workflows.settings import SETTINGS, FitSettings, read_settings
+from recon.workflows.settings import SETTINGS, FitSettings
 
 _OPTIONS = tuple(name for name, info in SETTINGS.items() if name != "method" and info.option.method in (None, "frame"))
 
@@ -39,19 +37,8 @@ def load_body(settings: FitSettings) -> Body:
     return load_chain(settings.skeleton_name).body
 
 
-class _FrameRunSettings(Settings):
-    """The settings of `recon frame` beside those of the fit itself."""
-
-    out: Path
-    """Folder for the results, as in results/clip1."""
-    config: Path | None = None
-    """config.toml of an earlier run; options given here overrule it."""
-    overwrite: bool = False
-    """Replace results in the folder."""
-
-
 def frame(
-    settings: _FrameRunSettings,
+    settings: FitRunSettings,
     given: Annotated[dict[str, Any], OptionsOf(FitSettings, _OPTIONS)],
     as_json: bool,
     quiet: bool,
@@ -62,10 +49,4 @@ def frame(
 
     Exit code 0: done. 1: no frame could be solved. 2: the input cannot be used.
     """
-    from recon.workflows.clip_results import read_config, run_clip
-
-    given, console = {**given, "method": "frame"}, terminal(quiet=quiet, stderr=as_json)
-    fitted = read_settings(None, given) if settings.config is None else read_config(settings.config, given)
-    with progress_bar(console, "fitting: ") as progress:
-        report = run_clip(fitted, settings.out, settings.overwrite, progress)
-    finish(console, report, settings.out, as_json)
+    fit(settings, {**given, "method": "frame"}, as_json, quiet)

@@ -140,12 +140,9 @@ def run_prior_fit(settings: PriorFitSettings) -> dict[str, Any]:
     of_files, misfits_mm, sizes = _solved_segments(body, files, names, rates, settings.estimate_size)
     segments = [*of_results, *of_files]
     frames = sum(_count(states) for _, states, fps in segments if mean_speed_m_s(states, fps) >= settings.min_speed_m_s)
-    name, components = (
-        settings.name or settings.out.stem,
-        min(settings.components, max(frames // FRAMES_PER_COMPONENT, 1)),
-    )
-    how = picked(settings, "min_speed_m_s", "apart")
-    prior = fit_prior(body, segments, name, settings.source, components, **how)
+    components = min(settings.components, max(frames // FRAMES_PER_COMPONENT, 1))
+    of, how = (settings.name or settings.out.stem, settings.source), picked(settings, "min_speed_m_s", "apart")
+    prior = fit_prior(body, segments, *of, components, **how)
     held_out = _held_out(body, segments, prior) if settings.check else None
     save_prior(prior, settings.out)
     rows = zip(prior.segments, (*(None for _ in of_results), *misfits_mm), strict=True)

@@ -12,8 +12,8 @@ from recon.workflows.cli.common import finish, progress_bar, say, terminal
 from recon.workflows.settings import FitSettings, read_settings
 
 
-class _FitRunSettings(Settings):
-    """The settings of `recon fit` beside those of the fit itself."""
+class FitRunSettings(Settings):
+    """The settings of `recon fit`, and of `recon frame`, beside those of the fit itself."""
 
     out: Path | None = None
     """Folder for the results, as in results/clip1."""
@@ -24,7 +24,7 @@ class _FitRunSettings(Settings):
 
 
 def fit(
-    settings: _FitRunSettings, given: Annotated[dict[str, Any], OptionsOf(FitSettings)], as_json: bool, quiet: bool
+    settings: FitRunSettings, given: Annotated[dict[str, Any], OptionsOf(FitSettings)], as_json: bool, quiet: bool
 ) -> None:
     """Reconstruct one clip: keypoints and a camera in, 3D poses, angles, report and playback out.
 
