@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +27,7 @@ from recon.keypoint_net import (  # noqa: E402
 from recon.keypoint_net import train as train_module  # noqa: E402
 from recon.keypoint_net import workflows as predict_module  # noqa: E402
 from recon.keypoint_net.train import schedule  # noqa: E402
+from tests.test_video import damaged  # noqa: E402
 
 SIZE, FRAMES = (96, 64), 20
 NAMES = ("nose", "l_paw", "r_paw")
@@ -246,6 +248,15 @@ def test_a_video_that_ends_before_its_stated_end(clip, model, tmp_path, monkeypa
     assert list(tmp_path.iterdir()) == []
     found = run_prediction(clip / "clip.avi", model, out, device="cpu", threads=1, partial=True)
     assert len(found.frames) == FRAMES
+
+
+def test_frames_that_are_missing_inside_a_video_are_named(model, tmp_path):
+    video = damaged(tmp_path / "a.mkv")
+    ended = run("predict", video, "--model", model, "--out", tmp_path / "p.csv", "--partial", "--device", "cpu")
+    said = re.search(r"note: by its time stamps a\.mkv lacks frames \((\d+) before frame", " ".join(ended.out.split()))
+    assert ended.code == 0, ended.err
+    assert said is not None, ended.out
+    assert len(read_keypoints(tmp_path / "p.csv").frames) == 40 - int(said[1])
 
 
 def test_a_checkpoint_of_other_keypoints(clip, quick, tmp_path):

@@ -23,7 +23,7 @@ from recon.base.files import require_free_file, sole_writer, staged_file, staged
 from recon.base.settings import Count, Integer, Option, Settings
 from recon.clip.keypoints import Keypoints
 from recon.io import FORMATS
-from recon.io.video import Image, VideoInfo, probe, read_frames, require_codec, video_writer
+from recon.io.video import Image, VideoInfo, missing_note, probe, require_codec, timed_frames, video_writer
 from recon.keypoint_net import network as net
 from recon.keypoint_net.labels import read_labels, resize, split_labels
 from recon.keypoint_net.pictures import ahead, background_of_video
@@ -164,8 +164,9 @@ WAITING = 2
 LOST_SHARE, LOST_FRAMES = 0.01, 3
 """So many frames fewer than the video states are its count's fault; more are the video's."""
 
-_Chunk = tuple[list[int], list[Image], list[Image]]
-"""Numbers of consecutive frames, their pictures at the network's scale, and as they are, if they are drawn on."""
+_Chunk = tuple[list[int], list[float], list[Image], list[Image]]
+"""Numbers of consecutive frames, their time stamps in seconds, their pictures at the network's scale, and as they are, if
+they are drawn on."""
 
 
 class PredictSettings(Settings):
@@ -204,6 +205,8 @@ def predict_command(settings: PredictSettings, quiet: bool) -> None:
         f"{frames} frames in {seconds:.1f} s ({frames / seconds:.0f} a second); {sure:.0%} of the points have a "
         f"likelihood of {LIKELY:g} or more. They are in {settings.out}{drawn}.",
     )
+    for note in keypoints.notes:
+        say(console, f"note: {note}")
 
 
 def run_prediction(video: Path, model: Path, out: Path, *, progress: Progress = silent, **options: Any) -> Keypoints:
@@ -238,6 +241,7 @@ def predict_video(trained: net.TrainedNetwork, settings: PredictSettings, progre
     half = net.fast_half(trained.device)
     net.use_threads(settings.threads)
     numbers: list[int] = []
+    times_s: list[float] = []
     xy_px: list[NDArray[np.float32]] = []
     likelihood: list[NDArray[np.float32]] = []
     total = max(info.stated_frames or 0, 1)
@@ -247,10 +251,11 @@ def predict_video(trained: net.TrainedNetwork, settings: PredictSettings, progre
             even = (info.size_px[0] // 2 * 2, info.size_px[1] // 2 * 2)
             write = stack.enter_context(video_writer(settings.overlay, even, info.fps or 30.0))
         made = _chunks(video, info, spec.scale, keep=write is not None)
-        for of_chunk, pictures, originals in stack.enter_context(closing(ahead(made, 1 + WAITING))):
+        for of_chunk, stamps_s, pictures, originals in stack.enter_context(closing(ahead(made, 1 + WAITING))):
             xy, raw = trained.points(pictures, background, half)
             sure = net.calibrated(raw, spec.calibration)
             numbers += of_chunk
+            times_s += stamps_s
             xy_px.append(xy.astype(np.float32))
             likelihood.append(sure.astype(np.float32))
             if write is not None:
@@ -259,6 +264,7 @@ def predict_video(trained: net.TrainedNetwork, settings: PredictSettings, progre
                     write(drawn[: drawn.shape[0] // 2 * 2, : drawn.shape[1] // 2 * 2])
             progress(f"frame {numbers[-1]}", min(1.0, len(numbers) / total))
         _check_count(video, info, len(numbers), settings.partial)
+    note = missing_note(video, np.array(times_s))
     return Keypoints(
         spec.names,
         np.concatenate(xy_px).astype(float),
@@ -267,6 +273,7 @@ def predict_video(trained: net.TrainedNetwork, settings: PredictSettings, progre
         fps=info.fps,
         image_size_px=info.size_px,
         source=str(video),
+        notes=() if note is None else (note,),
     )
 
 
@@ -274,10 +281,10 @@ def _chunks(video: Path, info: VideoInfo, scale: float, keep: bool) -> Generator
     """The frames of a video in batches. keep: the original pictures, too."""
     width, height = info.size_px
     size = int(np.clip(PIXELS / (width * height * scale**2), 1, 32))
-    frames = read_frames(video)
+    frames = timed_frames(video)
     while some := list(islice(frames, size)):
-        pictures = [resize(picture, scale) for _, picture in some]
-        yield [number for number, _ in some], pictures, [picture for _, picture in some if keep]
+        numbers, times_s, pictures = (list(column) for column in zip(*some, strict=True))
+        yield numbers, times_s, [resize(picture, scale) for picture in pictures], pictures if keep else []
 
 
 def _check_count(video: Path, info: VideoInfo, decoded: int, partial: bool) -> None:

@@ -22,7 +22,7 @@ import pandas as pd
 
 from recon.base.arrays import Array, Bools, Index, Integers
 from recon.base.errors import InputError, Problem
-from recon.io.video import Image, read_frames
+from recon.io.video import Image, probe, read_frames
 
 Colour = tuple[int, int, int]
 """A colour: blue, green, red."""
@@ -163,7 +163,10 @@ def clip_frames(frames: Integers, video: Path, first_frame: int) -> Iterator[tup
         read += 1
         yield index + first_frame, rows.get(index + first_frame), picture
     if read < last + 1 - first:
-        found = f"{first - first_frame + read} frames that can be decoded"
+        decoded, stated = first - first_frame + read, probe(video).stated_frames
+        found = f"{decoded} frames that can be decoded"
+        if stated is not None and stated > decoded:
+            found += f" of the {stated} that the file states"
         expected = f"{last + 1 - first_frame} or more, for the frames {first} to {last}"
         raise InputError(Problem(video, "video", found, f"{expected}: the video of this clip, or --first-frame"))
 
