@@ -26,7 +26,7 @@ SENTENCES = {
     "same_keypoints": ("points of cam1, cam2 are the same", {"share": 1.0, "cameras": ("cam1", "cam2")}),
     "missing_as_constant": ("12 points are stored as (-1, -1)", {"x_px": -1.0, "y_px": -1.0, "count": 12}),
     "picture_turned": ("turned by 90 degrees", {"degrees": 90}),
-    "world_not_z_up": ("world y looks like up", {"axis": "y"}),
+    "world_not_z_up": ("given, y looks like up", {"axis": "y"}),
     "animal_still": ("stands still (0.02 m/s)", {"speed_m_s": 0.02}),
     "time_reversed": ("runs backwards at 7.5 m/s", {"speed_m_s": 7.5}),
     "camera_moves": ("the slowest ones go at -7.0 m/s", {"slide_m_s": -7.0, "speed_m_s": 0.3}),

@@ -165,8 +165,8 @@ LOST_SHARE, LOST_FRAMES = 0.01, 3
 """So many frames fewer than the video states are its count's fault; more are the video's."""
 
 _Chunk = tuple[list[int], list[float], list[Image], list[Image]]
-"""Numbers of consecutive frames, their time stamps in seconds, their pictures at the network's scale, and as they are, if
-they are drawn on."""
+"""Numbers of consecutive frames, their time stamps in seconds, their pictures at the network's scale, and as they
+are, if they are drawn on."""
 
 
 class PredictSettings(Settings):
