@@ -18,6 +18,8 @@ from recon import FitSettings, InputError
 from recon.clip import Keypoints
 from recon.io import FORMATS, Pose3D, parse_map, read_cameras, read_keypoints, read_pose3d
 from recon.io.common import NoChoiceError, frames_of_text, frames_of_times, frames_text
+from recon.workflows import ConvertSettings
+from recon.workflows.convert import convert
 
 NAN = float("nan")
 
@@ -836,10 +838,11 @@ def test_openpose_one_file_stands_for_all(tmp_path, name):
     np.testing.assert_array_equal(found.xy_px[0, 5], points[5, :2])
     assert np.isnan(found.xy_px[0, 4]).all()
     assert np.isnan(found.xy_px[1]).all()
-    with pytest.raises(
-        InputError, match=r"a folder, expected one of its files, which stands for all: other_000009\.json"
-    ):
-        read_keypoints(path.parent)
+    for read in (read_keypoints, lambda folder: convert(ConvertSettings(source=folder, out=tmp_path / "a.csv"))):
+        with pytest.raises(
+            InputError, match=r"a folder, expected one of its files, which stands for all: other_000009\.json"
+        ):
+            read(path.parent)
 
 
 def test_openpose_with_two_persons_and_other_lists(tmp_path):

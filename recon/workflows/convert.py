@@ -120,7 +120,7 @@ def convert(settings: ConvertSettings) -> Conversion:
 
 def read_any(source: Path, settings: ConvertSettings) -> Keypoints | Pose3D:
     """2D keypoints or 3D positions, whichever the source holds. Raises InputError."""
-    if source.is_dir():
+    if source.is_dir() and ((source / "report.json").is_file() or not any(source.glob("*.json"))):
         data = _of_results(source, settings.anyway)
     else:
         by = None if settings.columns is None else parse_map(settings.columns)
