@@ -185,9 +185,10 @@ def limb_strips(
     archetype: Strips, points: Array, limbs: Mapping[str, Sequence[int]], shown: Bools, **columns: Any
 ) -> rr.ComponentColumnList:
     """Lines along the limbs of joints (T, J, 2 or 3), in frames that are shown (T,)."""
-    along = [list(limb) for limb in limbs.values()]
-    frames = [[pose[limb] for limb in along] if there else [] for pose, there in zip(points, shown, strict=True)]
-    return strips(archetype, frames, **columns)
+    along = points[shown][:, [joint for limb in limbs.values() for joint in limb]]
+    counts = np.tile([len(limb) for limb in limbs.values()], len(along))
+    arrow = _arrow(archetype, along.reshape(-1, along.shape[-1]), counts)
+    return archetype.columns(strips=arrow, **columns).partition(np.where(shown, len(limbs), 0))
 
 
 def strips(archetype: Strips, frames: Sequence[Sequence[Array]], **columns: Any) -> rr.ComponentColumnList:
@@ -258,8 +259,9 @@ def write_world(motion: Motion, scene: Scene, log: Log) -> None:
     log.fix("world/path", rr.LineStrips3D(unbroken(root), colors=PATH, radii=rr.Radius.ui_points(1.5)))
     log.fix("world/trail", rr.LineStrips3D.from_fields(colors=TRAIL, radii=rr.Radius.ui_points(2.5)))
     # The view shows this entity's rows up to the current one: a step each.
-    steps = [[root[i - 1 : i + 1]] if i and solved[i - 1 : i + 1].all() else [] for i in range(len(root))]
-    log.send("world/trail", strips(rr.LineStrips3D, steps))
+    step = solved[1:] & solved[:-1]
+    ends = np.stack([root[:-1], root[1:]], axis=1)[step]
+    log.send("world/trail", lines(rr.LineStrips3D, ends, np.append(0, step)))
 
     segments = [segment for segment in motion.solution.segments if solved[segment.rows].any()]
     grids = [_grid(motion, scene, segment) for segment in segments]
