@@ -523,6 +523,15 @@ def test_a_summary_begins_with_the_verdict_and_what_to_do(trajectory, level):
     assert third.strip() == f"to do       {TO_DO[level]}" if level in TO_DO else third.split()[0] not in ("to", "use")
 
 
+@pytest.mark.parametrize("listed", ["", "; missing: nose"])
+def test_a_terminal_says_nothing_of_keypoints_that_are_all_used(trajectory, listed):
+    lines = [["keypoints", f"all of the skeleton's 24 used{listed}"], ["detections", "9 used"]]
+    out = StringIO()
+    Console(file=out, width=160).print(console_summary(trajectory | {"lines": lines}))
+    assert ("the skeleton's 24" in out.getvalue()) == bool(listed)
+    assert "9 used" in out.getvalue()
+
+
 def test_lines_of_a_trajectory(trajectory):
     assert "side" not in dict(summary_lines(trajectory))
     assert 10 <= len(summary_lines(trajectory)) <= 19

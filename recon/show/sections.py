@@ -222,7 +222,9 @@ def keypoint_lines(motion: Motion, data: Any) -> Iterator[Line]:
     share = f" ({rejected / (used + rejected):.0%} of what was found)" if rejected else ""
     low = any(one.code == "likelihoods_low" for one in motion.findings)
     more = "; if they are good, lower --set likelihood-min" if low else ""
-    yield "detections", f"{used} used, {missing} missing, {rejected}{share} rejected as unlikely or far outside{more}"
+    counted = [f"{used} used", *([f"{missing} missing"] if missing else [])]
+    counted += [f"{rejected}{share} rejected as unlikely or far outside{more}"] if rejected else []
+    yield "detections", ", ".join(counted)
     errors = found["reprojection_px"]
     px = "{mean:.1f} px mean, {median:.1f} px median; worst joint {worst_joint}, {worst_joint_mean:.1f} px"
     yield "reprojection", "none: no pose" if errors["worst_joint"] is None else px.format(**errors)
