@@ -22,7 +22,8 @@ above them."""
 def states(motion: Motion, stands: Bools) -> dict[str, tuple[str, scene.Colour, Bools]]:
     """By entity: which frames have a flag, a row for each, and when the feet stand, (T, F). An entity has no parent,
     whose name the viewer would write beside it, and no blanks, which it writes with backslashes."""
-    flags = {flag: np.array([flag in some for some in motion.flags]) for some in motion.flags for flag in some}
+    named = dict.fromkeys(flag for some in motion.flags for flag in some)
+    flags = {flag: np.array([flag in some for some in motion.flags]) for flag in named}
     rows = {flag.replace(" ", "_"): (flag, scene.OUTLIER, holds) for flag, holds in flags.items()}
     for foot, label, stood in zip(motion.feet, motion.foot_labels, stands.T, strict=True):
         rows[motion.names[foot]] = "stance", scene.LEFT if label[0] == "L" else scene.RIGHT, stood
