@@ -140,7 +140,7 @@ def read_colmap(path: Path) -> list[CameraRecord]:
             model, names = COLMAP_LENSES[cells[1]]
             w, h, *given = (number(cell) for cell in cells[2:])
             bent = dict(zip(names, given, strict=True))
-            focal = (bent["f"],) * 2 if "f" in bent else (bent["fx"], bent["fy"])
+            focal = (bent["f"], bent["f"]) if "f" in bent else (bent["fx"], bent["fy"])
             values |= _of_numbers(model, (w, h), focal, (bent["cx"] - 0.5, bent["cy"] - 0.5), bent)
         records.append(CameraRecord(cells[0], f"camera {cells[0]}: ", values, {"matrix": "parameters"}))
     return records

@@ -108,7 +108,7 @@ def cases(folder: Path) -> list[Case]:
             read_summary,
         ),
         Case("analyse tables", ("analyse", clip, "--no-figures", "--out", "{out}"), "analysis"),
-        Case("solver", ("solver", clip, "--no-figures", "--out", "{out}"), "solver"),
+        Case("solver", ("solver", folder / "frame_clip", "--no-figures", "--out", "{out}"), "solver"),
         Case("analyse", ("analyse", clip, "--out", "{out}"), "analysis", False),
         Case("ik", ("ik", clip, "--target", "stride-max", "--no-figures", "--out", "{out}"), "ik"),
         Case("climb", ("climb", "--no-figures", "--out", "{out}"), "climb", read=read_manifest),
@@ -168,8 +168,9 @@ def prepare(folder: Path) -> None:
 
     from recon.io import video_writer
 
-    ended = Child(Case("fit", (*FIT, "--out", "{out}"), "clip"), folder).wait()
-    assert ended == (0, ""), ended
+    for name, fit in (("clip", FIT), ("frame_clip", ("frame", *FIT[1:-2]))):
+        ended = Child(Case("fit", (*fit, "--out", "{out}"), name), folder).wait()
+        assert ended == (0, ""), ended
     with video_writer(folder / "black.avi", (1920, 1080), 60.0) as write:
         rng = np.random.default_rng(0)
         for _ in range(8):
