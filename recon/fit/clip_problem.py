@@ -205,8 +205,8 @@ class ClipProblem:
         o, V, root = self.options, len(self.views), np.sqrt(self.correlation_frames)
 
         def lasting(name: str, sigma: Array | float) -> Unknown:
-            sigma = np.atleast_1d(sigma) / root
-            return Unknown(name, np.zeros(len(sigma)), sigma)
+            each = np.asarray(np.atleast_1d(sigma) / root, dtype=float)
+            return Unknown(name, np.zeros(len(each)), each)
 
         size = [Unknown(terms.SIZE, np.ones(1), np.array([self.size_sigma]))] if self.shows_size else []
         first, late = (1, constants.SOUGHT_OFFSET_FRAMES) if o.find_offsets else (0, self.time_offset_frames)

@@ -123,7 +123,8 @@ class Motion:
 
     def _repr_html_(self) -> str:
         """What a notebook shows: the verdict, the errors to expect, a picture of the poses, and what they are of."""
-        rows = dict(zip(("verdict", "expected"), () if self.verdict is None else self.verdict.lines, strict=False))
+        said = () if self.verdict is None else self.verdict.lines
+        rows: dict[str, str] = dict(zip(("verdict", "expected"), said, strict=False))
         rows["clip"] = f"{Path(self.file).name}, frames {self.frames[0]} to {self.frames[-1]} at {self.fps:g} fps"
         rows["camera"] = ", ".join(camera.name for camera in self.cameras)
         rows["animal"] = self.title

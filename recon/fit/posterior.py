@@ -167,10 +167,10 @@ def posterior(problem: LeastSquares, body: Body, found: Estimate, variance_facto
         absolute[rows], relative[rows], by_size[rows] = _of_joints(body, states[rows], own, size, follows)
         angles[0, rows], state_by_size[rows] = np.diagonal(own, axis1=1, axis2=2)[:, YAW:], follows
     for of, normals in zip(variances, (frames.normals(states, found.shared)(), without()), strict=True):
-        for window in eliminated(normals, _HELD * place, bounded=True):
+        for window in eliminated(normals, np.where(place, _HELD, 0.0), bounded=True):
             of_joints = _of_joints(body, states[window.rows], window.marginal_blocks()[:, 0])
             of[window.rows] = np.trace(of_joints[1], axis1=2, axis2=3)
-    for window in eliminated(without(), _HARDLY * place, bounded=True):
+    for window in eliminated(without(), np.where(place, _HARDLY, 0.0), bounded=True):
         angles[1, window.rows] = np.diagonal(window.marginal_blocks()[:, 0], axis1=1, axis2=2)[:, YAW:]
     for covariance in (absolute, relative):  # in place: those of a long clip are large
         covariance += np.multiply.outer(known.beyond_m2, np.eye(3))
