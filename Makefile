@@ -41,15 +41,9 @@ demo: $(BASE)
 	@echo
 	@echo 'The results are in $(DEMO_OUT)/. To play them back: $(BIN)/recon view $(DEMO_OUT)'
 
-# Tests run in one process for each processor, beside pyright, which has one only and speaks where something is wrong:
-# otherwise pytest's summary is the last line.
-test: $(DEV)
-	$(BIN)/ruff check .
-	$(BIN)/ruff format --check .
-	@mkdir -p build
-	$(BIN)/pyright > build/pyright.txt & types=$$!; \
-	$(BIN)/python -m pytest --numprocesses logical --maxprocesses 8 --dist worksteal; tests=$$?; \
-	wait $$types || { cat build/pyright.txt; exit 1; }; exit $$tests
+# pytest comes last, so that its summary is the last line. Tests run in one process for each processor.
+test: lint
+	$(BIN)/python -m pytest --numprocesses logical --maxprocesses 8 --dist worksteal
 
 lint: $(DEV)
 	$(BIN)/ruff check .
