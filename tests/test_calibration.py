@@ -487,3 +487,10 @@ class TestRealFiles:
                     xy = detected.loc[frames, joint][["x", "y"]].to_numpy(dtype=float)
                     distances.append(np.linalg.norm(pixels - xy, axis=-1))
             assert 5 < np.nanmedian(np.concatenate(distances)) < 25
+
+
+def test_a_lens_of_opensfm_is_known_whatever_else_is_missing(tmp_path):
+    path = tmp_path / "cameras.json"
+    path.write_text(json.dumps({"a": {"projection_type": "brown", "height": 480, "focal_x": 0.8, "focal_y": 0.8}}))
+    said = problems_of(path)
+    assert "a: " in said and "width, height" in said and "projection_type" not in said

@@ -245,6 +245,7 @@ def test_faults_of_a_colmap_model_are_named(tmp_path):
         with pytest.raises(InputError) as error:
             read_camera_track(tmp_path)
         assert part in problems(error)
+        assert ("known lens model" in problems(error)) == ("FOV" in lines[0])
 
 
 def test_a_world_whose_z_does_not_point_up_is_refused(tmp_path):

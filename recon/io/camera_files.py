@@ -118,14 +118,14 @@ def read_opensfm(path: Path, individual: str | None = None) -> list[CameraRecord
     for name, table in _tables(path, document, expected).items():
         values: dict[str, Any] = {"model": table.get("projection_type"), "world_z_up": False}
         with suppress(KeyError, TypeError, ValueError, OverflowError):  # what is missing then is said
-            model, given = OPENSFM_LENSES[table["projection_type"]]
+            values["model"], given = OPENSFM_LENSES[table["projection_type"]]
             w, h = (float(table[side]) for side in ("width", "height"))
             fx, fy = (float(table[f"focal_{axis}"] if f"focal_{axis}" in table else table["focal"]) for axis in "xy")
             cx, cy = (float(table.get(f"c_{axis}", 0.0)) for axis in "xy")
             bent = {key: float(table.get(key, 0.0)) for key in given}
             longer = max(w, h)
             middle = longer * cx + (w - 1) / 2, longer * cy + (h - 1) / 2
-            values |= _of_numbers(model, (w, h), (longer * fx, longer * fy), middle, bent)
+            values |= _of_numbers(values["model"], (w, h), (longer * fx, longer * fy), middle, bent)
         records.append(CameraRecord(name, f"{name}: ", values, called))
     return records
 
@@ -137,11 +137,11 @@ def read_colmap(path: Path) -> list[CameraRecord]:
     for cells in (line.split() for line in read_calibration(path).splitlines() if line.lstrip()[:1] not in ("", "#")):
         values: dict[str, Any] = {"model": "".join(cells[1:2]), "world_z_up": False}
         with suppress(LookupError, ValueError):  # what is missing then is said
-            model, names = COLMAP_LENSES[cells[1]]
-            w, h, *given = (number(cell) for cell in cells[2:])
-            bent = dict(zip(names, given, strict=True))
+            values["model"], names = COLMAP_LENSES[cells[1]]
+            w, h = values["image_size_px"] = number(cells[2]), number(cells[3])
+            bent = dict(zip(names, map(number, cells[4:]), strict=True))
             focal = (bent["f"], bent["f"]) if "f" in bent else (bent["fx"], bent["fy"])
-            values |= _of_numbers(model, (w, h), focal, (bent["cx"] - 0.5, bent["cy"] - 0.5), bent)
+            values |= _of_numbers(values["model"], (w, h), focal, (bent["cx"] - 0.5, bent["cy"] - 0.5), bent)
         records.append(CameraRecord(cells[0], f"camera {cells[0]}: ", values, {"matrix": "parameters"}))
     return records
 
