@@ -32,11 +32,11 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
-from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field
+from pydantic import AfterValidator, BeforeValidator, Field
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from recon.base.arrays import Array, Bools, Integers
-from recon.base.documents import read_toml, validated
+from recon.base.documents import FileTable, read_toml, validated
 from recon.base.errors import InputError, Problem
 from recon.robotics.robot.quadruped import LEGS, Quadruped, leg_targets
 from recon.robotics.robot.retarget import RobotMotion, posed
@@ -67,8 +67,6 @@ LARGEST = 1e9
 Number = Annotated[float, Field(strict=True, gt=-LARGEST, lt=LARGEST, allow_inf_nan=False)]
 Positive = Annotated[float, Field(strict=True, gt=0, lt=LARGEST, allow_inf_nan=False)]
 """In a recipe's file: what more or less than these would be can only be damage."""
-FORBID = ConfigDict(extra="forbid", frozen=True)
-"""A name that is not known is a mistake in any table."""
 
 
 def _all_legs(given: Any) -> Any:
@@ -85,7 +83,7 @@ _PositiveLegs = Annotated[tuple[Positive, Positive, Positive, Positive], BeforeV
 class _Well:
     """A potential of a coordinate q of each leg, with a wall at either end. Raises ValueError."""
 
-    __pydantic_config__ = FORBID
+    __pydantic_config__ = FileTable.model_config
     gain: _PositiveLegs
     """Slope per unit of q."""
     natural: _Legs
@@ -113,7 +111,7 @@ class _Well:
 class _Balance:
     """What pulls the torso over its feet."""
 
-    __pydantic_config__ = FORBID
+    __pydantic_config__ = FileTable.model_config
     gain: Positive
     """Force far from the centroid."""
     sharpness: Positive
@@ -124,7 +122,7 @@ class _Balance:
 class Fields:
     """The wells of the legs, and what balances the torso."""
 
-    __pydantic_config__ = FORBID
+    __pydantic_config__ = FileTable.model_config
     radial: _Well
     swing: _Well
     flap: _Well
@@ -135,7 +133,7 @@ class Fields:
 class Step:
     """A step up across the way: the ground is level at 0 as far as edge_m forward (x), and at height_m beyond."""
 
-    __pydantic_config__ = FORBID
+    __pydantic_config__ = FileTable.model_config
     edge_m: Number
     height_m: Number
 
@@ -155,7 +153,7 @@ class Step:
 class _Footfall:
     """A step that one leg takes."""
 
-    __pydantic_config__ = FORBID
+    __pydantic_config__ = FileTable.model_config
     leg: Annotated[int, Field(strict=True, ge=1, le=4), AfterValidator(lambda number: IN_FILES[number - 1])]
     """Index into `LEGS`."""
     forward_m: Number
@@ -172,7 +170,7 @@ class _Footfall:
 class Primitive:
     """Some footfalls in the same fields."""
 
-    __pydantic_config__ = FORBID
+    __pydantic_config__ = FileTable.model_config
     name: str
     rise_rad: Positive
     """Angle of the feet's paths."""
@@ -186,7 +184,7 @@ class Primitive:
 class _Swing:
     """How a foot moves: its path's clearance above the higher end, and its speeds by phase."""
 
-    __pydantic_config__ = FORBID
+    __pydantic_config__ = FileTable.model_config
     clearance_m: Positive
     rise_m_s: Positive
     traverse_m_s: Positive
@@ -197,7 +195,7 @@ class _Swing:
 class _Pace:
     """How far the torso goes in a frame, at most."""
 
-    __pydantic_config__ = FORBID
+    __pydantic_config__ = FileTable.model_config
     max_step_m: Positive
     max_turn_rad: Positive
 
@@ -206,7 +204,7 @@ class _Pace:
 class Recipe:
     """What a climb is planned from."""
 
-    __pydantic_config__ = FORBID
+    __pydantic_config__ = FileTable.model_config
     robot: str
     """Name of its description."""
     dofs: Literal[4, 6]

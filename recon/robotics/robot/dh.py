@@ -22,12 +22,12 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import BaseModel, ConfigDict, Field, StrictBool
+from pydantic import Field, StrictBool
 from scipy.optimize import root
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from recon.base.arrays import Array
-from recon.base.documents import read_toml, validated
+from recon.base.documents import FileTable, read_toml, validated
 from recon.base.errors import InputError, Problem
 from recon.robotics.ik.chain import SerialChain, joint_chain
 from recon.robotics.robot.quadruped import LEGS, Length, Limits, body_pose, leg_targets
@@ -51,7 +51,7 @@ _PARALLEL = 1e-9
 class DHRow:
     """One link of a table of Denavit and Hartenberg."""
 
-    __pydantic_config__ = ConfigDict(extra="forbid")
+    __pydantic_config__ = FileTable.model_config
     a_m: Length = 0.0
     """The length of the link."""
     alpha_rad: Length = 0.0
@@ -66,8 +66,7 @@ class DHRow:
     """The limits of q."""
 
 
-class _DHFile(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
+class _DHFile(FileTable):
     convention: Convention
     joints: Annotated[list[DHRow], Field(min_length=1)]
 

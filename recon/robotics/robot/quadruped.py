@@ -41,10 +41,11 @@ from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import AfterValidator, ConfigDict, Field
+from pydantic import AfterValidator, Field
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from recon.base.arrays import Array
+from recon.base.documents import FileTable
 from recon.geometry.kinematics import Marker, Segment, Tree
 from recon.robotics.ik.chain import SerialChain, joint_chain
 from recon.robotics.ik.drive import drive_to
@@ -79,7 +80,7 @@ _ROUNDING = 1e-12
 class Leg:
     """A leg with a thigh and a shin; feet are (..., 3) in leg axes, angles swing, flap and knee (..., 3)."""
 
-    __pydantic_config__ = ConfigDict(extra="forbid")
+    __pydantic_config__ = FileTable.model_config
     first: Literal["swing", "flap"]
     """The joint next to the body."""
     thigh_m: PositiveLength
@@ -252,7 +253,7 @@ class RobotLeg:
 class Masses:
     """What a robot weighs, and what its motors give: the links and torques of a leg in the order of its joints."""
 
-    __pydantic_config__ = ConfigDict(extra="forbid")
+    __pydantic_config__ = FileTable.model_config
     body_kg: PositiveLength
     body_inertia_kg_m2: tuple[PositiveLength, PositiveLength, PositiveLength]
     links_kg: tuple[PositiveLength, PositiveLength, PositiveLength]

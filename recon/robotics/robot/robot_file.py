@@ -14,11 +14,10 @@ from xml.etree import ElementTree
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import BaseModel, ConfigDict
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from recon.base.arrays import Array
-from recon.base.documents import builtin_file, builtin_names, parse_toml, read_toml, validated
+from recon.base.documents import FileTable, builtin_file, builtin_names, parse_toml, read_toml, validated
 from recon.base.errors import InputError, Problem
 from recon.base.package import install_command
 from recon.robotics.ik.chain import MAX_RATE_RAD_S, SerialChain, joint_chain
@@ -46,22 +45,18 @@ LEAST_MASS_KG, LEAST_INERTIA_KG_M2 = 1e-6, 1e-9
 """Mass and inertia of links whose file does not say: their places do not depend on it."""
 
 
-class _Table(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class _Joint(_Table):
+class _Joint(FileTable):
     limits_rad: Limits
     max_rate_rad_s: PositiveLength
 
 
-class _Joints(_Table):
+class _Joints(FileTable):
     swing: _Joint
     flap: _Joint
     knee: _Joint
 
 
-class _JointPlace(_Table):
+class _JointPlace(FileTable):
     hip_m: tuple[Length, Length, Length]
     knee_bends: Literal["backwards", "forwards"] = "backwards"
     swing: str
@@ -69,14 +64,14 @@ class _JointPlace(_Table):
     knee: str
 
 
-class _Legs(_Table):
+class _Legs(FileTable):
     LF: _JointPlace
     RF: _JointPlace
     LH: _JointPlace
     RH: _JointPlace
 
 
-class _RobotFile(_Table):
+class _RobotFile(FileTable):
     name: str
     title: str
     stand_m: PositiveLength
