@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from recon import Body, Camera, Keypoints, Pose3D, load_skeleton, read_camera, read_pose3d
 from recon.calibrate import parse_board
 from recon.clip import select_frames
-from recon.io import bvh, columns, read_keypoints, video_writer, write_csv, write_table
+from recon.io import columns, read_keypoints, video_writer, write_bvh, write_csv, write_table
 from recon.show import make_rig
 from tests.fuzz.corpus import write_sleap
 
@@ -99,7 +99,7 @@ def _two_animals(path: Path) -> None:
 def _bvh(path: Path) -> None:
     """In centimetres."""
     body = load_skeleton("cheetah-24")
-    bvh.write(make_rig(body, 100.0, body.markers, np.arange(3), np.zeros((3, body.n_state)), 60.0), path)
+    write_bvh(make_rig(body, 100.0, body.markers, np.arange(3), np.zeros((3, body.n_state)), 60.0), path)
 
 
 def _track(path: Path) -> None:

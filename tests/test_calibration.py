@@ -439,7 +439,7 @@ class TestMalformed:
         with pytest.raises(InputError) as caught:
             read_cameras(write("scene.json", content))
         fields = [problem.field for problem in caught.value.problems]
-        assert fields == [f"cameras[{i}].{key}" for i in (0, 1) for key in ("k", "d", "camera_resolution", "t")]
+        assert fields == [f"cameras[{i}].{key}" for i in (0, 1) for key in ("k", "camera_resolution", "t", "d")]
 
 
 class TestRealFiles:

@@ -8,6 +8,7 @@ normalised coordinates (x/z, y/z) after the distortion of the lens (`recon.geome
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -16,17 +17,27 @@ import numpy as np
 import numpy.typing as npt
 
 from recon.base.arrays import Array, Bools
+from recon.base.errors import Problem, refuse
 from recon.geometry.frames import euler_rotation
 from recon.geometry.lens import LENS_MODELS, Lens
 
 MIN_DEPTH_M = 1e-6
+LARGEST = 1e9
+"""The largest number that a camera has: more can only be damage."""
+BLOCKS: dict[str, tuple[tuple[int, ...], str]] = {
+    "matrix": ((3, 3), "[[fx, s, ox], [0, fy, oy], [0, 0, 1]], fx and fy > 0"),
+    "distortion": ((), "the lens coefficients"),
+    "rotation": ((3, 3), "a rotation, world to camera: 3x3 or a Rodrigues vector"),
+    "translation_m": ((3,), "a translation of 3 numbers"),
+}
+"""The arrays of a camera: their shapes, if they have one, and what they are."""
 
 
 @dataclass(frozen=True, eq=False)
 class Camera:
     """One calibrated camera.
 
-    Raises ValueError, naming every fault, for wrong shapes or numbers of coefficients, values that are not finite,
+    Raises InputError, naming every fault, for wrong shapes or numbers of coefficients, values that are not finite,
     focal lengths or image sizes that are not positive, a rotation that is not orthonormal and right-handed to 1e-6, and
     a tilt of a right angle or more, or beside a pose that says which way is up.
     """
@@ -58,38 +69,38 @@ class Camera:
                 array.setflags(write=False)
                 object.__setattr__(self, field, array)
         object.__setattr__(self, "image_size_px", tuple(int(n) for n in self.image_size_px))
-        if faults := self._faults():
-            raise ValueError(f"camera {self.name!r}: " + "; ".join(faults))
+        refuse(Problem(f"camera {self.name!r}", *fault) for fault in self._faults())
 
-    def _faults(self) -> list[str]:
-        faults = []
-        k = self.matrix
-        if k.shape != (3, 3) or not np.isfinite(k).all():
-            faults.append(f"matrix must be 3x3 and finite, got shape {k.shape}")
-        elif k[0, 0] <= 0 or k[1, 1] <= 0 or k[1, 0] != 0 or (k[2] != (0, 0, 1)).any():
-            faults.append("matrix must be [[fx, s, ox], [0, fy, oy], [0, 0, 1]] with positive fx and fy")
-        lens = LENS_MODELS.get(self.model) if isinstance(self.model, str) else None
+    def _faults(self) -> Iterator[tuple[str, str, str]]:
+        """Fields that no camera can have: what each of them is, and what it should be."""
+        sound, pose = set[str](), ("rotation", "translation_m")
+        for field, (shape, expected) in BLOCKS.items():
+            array = getattr(self, field)
+            if array is None and field in pose and (self.rotation is None) != (self.translation_m is None):
+                yield field, "nothing", expected
+            elif array is None:
+                continue
+            elif not (np.abs(array) <= LARGEST).all():
+                yield field, f"values up to {np.abs(array).max():g}", expected
+            elif array.shape != shape and shape:
+                yield field, f"shape {array.shape}", expected
+            else:
+                sound.add(field)
+        k, lens = self.matrix, LENS_MODELS.get(self.model) if isinstance(self.model, str) else None
+        if "matrix" in sound and (min(k[0, 0], k[1, 1]) <= 0 or k[1, 0] != 0 or (k[2] != (0, 0, 1)).any()):
+            yield "matrix", str(k.tolist()), BLOCKS["matrix"][1]
         if lens is None:
-            faults.append(f"model must be one of {tuple(LENS_MODELS)}, got {self.model!r}")
-        elif self.distortion.ndim != 1 or self.distortion.size not in lens.counts:
-            counts = lens.counts
-            faults.append(f"distortion of a {self.model} lens has {counts} coefficients, got {self.distortion.shape}")
-        if not np.isfinite(self.distortion).all():
-            faults.append("distortion must be finite")
+            yield "model", repr(self.model), f"a known lens model: {', '.join(LENS_MODELS)}"
+        elif "distortion" in sound and self.distortion.shape not in [(count,) for count in lens.counts]:
+            expected = f"{' or '.join(map(str, lens.counts))} coefficients of a {self.model} lens"
+            yield "distortion", f"{self.distortion.size} coefficients", expected
         if len(self.image_size_px) != 2 or min(self.image_size_px) <= 0:
-            faults.append(f"image_size_px must be a positive width and height, got {self.image_size_px}")
-        r, t = self.rotation, self.translation_m
-        if (r is None) != (t is None):
-            faults.append("rotation and translation_m must be given together")
-        if r is not None and (r.shape != (3, 3) or not is_rotation(r, tolerance=1e-6)):
-            faults.append("rotation must be a 3x3 rotation matrix")
-        if t is not None and (t.shape != (3,) or not np.isfinite(t).all()):
-            faults.append(f"translation_m must be 3 finite numbers, got shape {t.shape}")
-        if not abs(self.tilt_rad) < math.pi / 2:
-            faults.append(f"tilt_rad must lie between -pi/2 and pi/2, got {self.tilt_rad}")
-        elif self.tilt_rad and self.knows_up:
-            faults.append(f"tilt_rad must be 0 beside a pose that says which way is up, got {self.tilt_rad}")
-        return faults
+            yield "image_size_px", str(self.image_size_px), "a width and a height above 0"
+        if "rotation" in sound and not is_rotation(np.asarray(self.rotation), tolerance=1e-6):
+            yield "rotation", "a matrix that is not a rotation", "an orthonormal, right-handed matrix"
+        if not abs(self.tilt_rad) < math.pi / 2 or (self.tilt_rad and self.knows_up):
+            expected = "radians between -pi/2 and pi/2, and 0 beside a pose that says which way is up"
+            yield "tilt_rad", repr(self.tilt_rad), expected
 
     @classmethod
     def from_hfov(cls, hfov_deg: float, image_size_px: tuple[int, int], name: str = "cam1") -> Camera:

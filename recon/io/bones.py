@@ -1,20 +1,38 @@
-"""An animal as bones that turn against each other, for programs that know bones rather than points: plain data.
+"""An animal as bones that turn against each other, for programs that know bones rather than points: plain data, and
+the files that hold it, BVH, an OpenSim model and glTF 2.0.
 
-Axes are x forwards, y up, z right, as OpenSim, glTF and BVH have them. With all angles 0 every bone's axes are those of
-the world. Angles keep their names and signs: yaw turns about y, pitch about -z and roll about x.
-`recon.show.export.rig` makes an armature of a fit.
+Axes are x forwards, y up, z right, metres. With all angles 0 every bone's axes are those of the world. Angles keep
+their names and signs: yaw turns about y, pitch about -z and roll about x. `recon.show.export.rig` makes an armature of
+a fit. Joints are bones without a turn, that end limbs.
+
+BVH files of others are read as the joints' positions, y up by custom; the unit is not stated. Channels of position take
+the place of a joint's OFFSET, as most programs have it. End sites are joints, called as their parents with `_end`,
+unless they have no length.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import json
+import re
+import struct
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from recon.animal.body import Side
 from recon.animal.capsules import Capsule
 from recon.base.arrays import Array
-from recon.io.pose import Pose3D
+from recon.base.documents import read_text
+from recon.base.errors import Problem, refuse
+from recon.base.package import version
+from recon.io import trc
+from recon.io.common import frame_number, number, points_of_arrays, require_names, require_span, starts_with_text
+from recon.io.pose import Pose3D, StoredPoints, y_up_from_z_up
 
 AXIS: dict[str, tuple[int, int, int]] = {"yaw": (0, 1, 0), "pitch": (0, 0, -1), "roll": (1, 0, 0)}
 """What each kind of angle turns about."""
@@ -78,3 +96,407 @@ def turned(turns: tuple[BoneAngle, ...], count: int) -> Array:
     for turn in turns:
         R = R * Rotation.from_rotvec(np.outer(turn.angle_rad, AXIS[turn.kind]))
     return R.as_matrix()
+
+
+# -- BVH --------------------------------------------------------------------------------------------------------------
+
+AXES = "XYZ"
+_CHANNEL = {(0, 1, 0): "Yrotation", (0, 0, -1): "Zrotation", (1, 0, 0): "Xrotation"}
+
+
+@dataclass
+class _Joint:
+    """A joint as the file lists it."""
+
+    name: str
+    parent: int
+    """Its place in the list, -1 for the root."""
+    offset: list[float] = field(default_factory=list)
+    channels: list[str] = field(default_factory=list)
+    """The names of the channels, such as Xposition."""
+    column: int = 0
+    """The column of the first channel."""
+    end: bool = False
+
+
+def recognises_bvh(path: Path) -> bool:
+    return starts_with_text(path, b"HIERARCHY")
+
+
+def read_bvh(path: Path, individual: str | None = None) -> StoredPoints:
+    """The joints' positions, by forward kinematics. Raises InputError for a file that is cut off or no BVH."""
+    text = read_text(path, "a BVH file")
+    lines = iter([line.strip() for line in text.splitlines() if line.strip()])
+    joints = _hierarchy(lines)
+    count = frame_number(_value(lines, r"Frames:\s*(\S+)")) or 0
+    frame_time_s = number(_value(lines, r"Frame Time:\s*(\S+)"))
+    rows = [[number(cell) for cell in line.split()] for line in lines]
+    width = sum(len(joint.channels) for joint in joints)
+    problems = [
+        Problem(path, f"frame {i + 1} of MOTION", f"{len(row)} numbers", f"{width}, one for each channel")
+        for i, row in enumerate(rows)
+        if len(row) != width
+    ][:3]
+    if len(rows) != count:
+        problems.append(Problem(path, "MOTION", f"{len(rows)} rows, and Frames: {count}", "as many"))
+    if not 0 < frame_time_s < float("inf"):
+        problems.append(Problem(path, "Frame Time", f"{frame_time_s:g}", "seconds above 0"))
+    refuse(problems)
+    require_span(count, len(joints), path)
+    kept = {j: joint.parent for j, joint in enumerate(joints) if not joint.end or any(joint.offset)}
+    xyz = _positions(joints, np.array(rows).reshape(-1, width))[:, [*kept]]
+    return points_of_arrays(
+        path,
+        individual,
+        xyz,
+        np.arange(count),
+        [joints[j].name for j in kept],
+        fps=float(f"{1 / frame_time_s:.9g}"),
+        edges=tuple((joints[p].name, joints[j].name) for j, p in kept.items() if p in kept),
+    )
+
+
+def _hierarchy(lines: Iterator[str]) -> list[_Joint]:
+    """The joints in the order of their channels, each after its parent. Raises what `DAMAGE` lists."""
+    if next(lines) != "HIERARCHY":
+        raise ValueError("no HIERARCHY")
+    joints: list[_Joint] = []
+    open_: list[int] = []
+    for line in lines:
+        word, *rest = line.split()
+        if word == "MOTION":
+            return joints
+        if word in ("ROOT", "JOINT", "End"):
+            parent = open_[-1] if open_ else -1
+            name = f"{joints[parent].name}_end" if word == "End" else line[len(word) :].strip()
+            joints.append(_Joint(name, parent, end=word == "End"))
+        elif word == "{":
+            open_.append(len(joints) - 1)
+        elif word == "}":
+            open_.pop()
+        elif word == "OFFSET" and len(rest) == 3:
+            joints[-1].offset = [number(cell) for cell in rest]
+        elif word == "CHANNELS" and all(re.fullmatch(r"[XYZ](position|rotation)", name) for name in rest[1:]):
+            joints[-1].column = sum(len(joint.channels) for joint in joints[:-1])
+            joints[-1].channels = rest[1:]
+        else:
+            raise ValueError(f"'{line[:60]}' in the hierarchy")
+    raise ValueError("no MOTION")
+
+
+def _value(lines: Iterator[str], pattern: str) -> str:
+    line = next(lines)
+    match = re.fullmatch(pattern, line)
+    if match is None:
+        raise ValueError(f"'{line[:60]}' where '{pattern.split(':')[0]}:' should be")
+    return match[1]
+
+
+def _positions(joints: list[_Joint], motion: np.ndarray) -> np.ndarray:
+    """(T, J, 3): p = p_parent + R_parent t, with R = R_parent R_1 R_2 R_3 in the order of the channels."""
+    xyz = np.zeros((len(motion), len(joints), 3))
+    turned: list[Rotation] = []
+    for j, joint in enumerate(joints):
+        xyz[:, j] = joint.offset
+        turn = Rotation.identity(len(motion))
+        for c, channel in enumerate(joint.channels, start=joint.column):
+            if channel.endswith("position"):
+                xyz[:, j, AXES.index(channel[0])] = motion[:, c]
+            else:
+                turn = turn * Rotation.from_euler(channel[0].lower(), motion[:, [c]], degrees=True)
+        if joint.parent >= 0:
+            xyz[:, j] = xyz[:, joint.parent] + turned[joint.parent].apply(xyz[:, j])
+            turn = turned[joint.parent] * turn
+        turned.append(turn)
+    return xyz
+
+
+def write_bvh(rig: Armature, path: Path) -> None:
+    """Bones that turn, in metres, y up. A bone's OFFSET is its origin in its parent's frame, its channels are its
+    angles in degrees; the root has its path, too. Joints are bones without a turn, that end where they begin.
+
+    Raises InputError for names with blanks or braces.
+    """
+    require_names([bone.name for bone in rig.bones] + list(rig.joints), r"\s|[{}]", "BVH")
+    lines, columns = ["HIERARCHY"], [rig.root_m]
+
+    def add(kind: str, name: str, offset_m: np.ndarray, bone: int | None, depth: int) -> None:
+        """A bone, or, of no bone, a joint."""
+        indent = "  " * depth
+        turns = () if bone is None else rig.bones[bone].turns
+        angles = {turn.kind: sum(AXIS[turn.kind]) * np.degrees(turn.angle_rad) for turn in turns}
+        # All three, as programs expect them.
+        order = [*dict.fromkeys((*angles, *AXIS))]
+        columns.extend(angles.get(k, np.zeros(len(rig.root_m)))[:, None] for k in order)
+        channels = ["Xposition", "Yposition", "Zposition"] if depth == 0 else []
+        channels += [_CHANNEL[AXIS[k]] for k in order]
+        lines.extend([f"{indent}{kind} {name}", f"{indent}{{", f"{indent}  OFFSET {_numbers(offset_m)}"])
+        lines.append(f"{indent}  CHANNELS {len(channels)} {' '.join(channels)}")
+        children = [i for i, of_it in enumerate(rig.bones) if bone is not None and of_it.parent == bone]
+        joints = [j for j, at in enumerate(rig.joint_bones) if at == bone]
+        for child in children:
+            add("JOINT", rig.bones[child].name, rig.bones[child].offset_m, child, depth + 1)
+        for joint in joints:
+            add("JOINT", rig.joints[joint], rig.joint_offsets_m[joint], None, depth + 1)
+        if not children and not joints:
+            lines.extend(f"{indent}  {line}" for line in ("End Site", "{", "  OFFSET 0 0 0", "}"))
+        lines.append(indent + "}")
+
+    add("ROOT", rig.bones[0].name, np.zeros(3), 0, 0)
+    lines += ["MOTION", f"Frames: {len(rig.root_m)}", f"Frame Time: {1 / rig.fps!r}"]
+    lines += [_numbers(row) for row in np.column_stack(columns)]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8", newline="")
+
+
+def _numbers(values: Array | Sequence[float]) -> str:
+    return " ".join(map(repr, (np.asarray(values) + 0).tolist()))  # 0 of -0, too
+
+
+# -- OpenSim ----------------------------------------------------------------------------------------------------------
+
+OPENSIM, OPENSIM_VERSION = "OpenSim model", "40000"
+PLACE = {"x_m": (1, 0, 0), "y_m": (0, 0, -1), "z_m": (0, 1, 0)}
+"""Coordinates of the root's origin, and along which axes they lie."""
+
+
+def write_opensim(rig: Armature, path: Path) -> None:
+    """The model, and its motion (.mot) and its markers' paths (.trc) under the same name, times as in the keypoint
+    file. Without masses in the skeleton bodies have none: the model is for kinematics then.
+
+    Raises InputError for names with blanks or slashes."""
+    require_names([bone.name for bone in rig.bones] + list(rig.joints), r"[\s/\\*+]", OPENSIM)
+    document = Element("OpenSimDocument", Version=OPENSIM_VERSION)
+    model = SubElement(document, "Model", name=rig.name)
+    _texts(model, credits=f"recon, from {rig.title}", length_units="meters", force_units="N")
+    bodies, joints, markers = (
+        SubElement(SubElement(model, kind, name=kind.lower()), "objects")
+        for kind in ("BodySet", "JointSet", "MarkerSet")
+    )
+    for bone in rig.bones:
+        body = SubElement(bodies, "Body", name=bone.name)
+        _draw(body, rig, bone)
+        moments = _numbers(bone.inertia_kg_m2[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]])
+        _texts(body, mass=repr(bone.mass_kg), mass_center=_numbers(bone.centre_m), inertia=moments)
+        _join(joints, rig, bone)
+    for name, at, offset_m in zip(rig.joints, rig.joint_bones, rig.joint_offsets_m, strict=True):
+        marker = SubElement(markers, "Marker", name=name)
+        _texts(marker, socket_parent_frame=f"/bodyset/{rig.bones[at].name}", location=_numbers(offset_m))
+    indent(document)
+    text = '<?xml version="1.0" encoding="UTF-8"?>\n' + tostring(document, encoding="unicode") + "\n"
+    path.write_text(text, encoding="utf-8", newline="")
+    _write_motion(rig, path.with_suffix(".mot"))
+    trc.write(rig.pose, path.with_suffix(".trc"))
+
+
+def _join(joints: Element, rig: Armature, bone: Bone) -> None:
+    """To its parent, or the ground."""
+    is_root = bone.parent is None
+    joint = SubElement(joints, "CustomJoint" if bone.turns else "WeldJoint", name=bone.name)
+    above = "/ground" if bone.parent is None else f"/bodyset/{rig.bones[bone.parent].name}"
+    _texts(joint, socket_parent_frame="origin", socket_child_frame=f"/bodyset/{bone.name}")
+    if bone.turns:
+        coordinates = SubElement(joint, "coordinates")
+        for name in PLACE if is_root else ():
+            _texts(SubElement(coordinates, "Coordinate", name=name), clamped="false")
+        for turn in bone.turns:
+            coordinate = SubElement(coordinates, "Coordinate", name=turn.name)
+            _texts(coordinate, default_value=repr(turn.mean_rad), range=_numbers(turn.range_rad), clamped="false")
+    origin = SubElement(SubElement(joint, "frames"), "PhysicalOffsetFrame", name="origin")
+    _texts(origin, socket_parent=above, translation=_numbers(bone.offset_m), orientation="0 0 0")
+    if not bone.turns:
+        return
+    transform = SubElement(joint, "SpatialTransform")
+    # Three axes are needed, also where there are fewer angles.
+    of_kind = {turn.kind: turn.name for turn in bone.turns}
+    kinds = dict.fromkeys((*of_kind, *AXIS))
+    turns = [(of_kind.get(kind, ""), AXIS[kind]) for kind in kinds]
+    moves = [(name if is_root else "", axis) for name, axis in PLACE.items()]
+    for what, axes in (("rotation", turns), ("translation", moves)):
+        for i, (name, axis) in enumerate(axes, start=1):
+            element = SubElement(transform, "TransformAxis", name=f"{what}{i}")
+            _texts(element, coordinates=name, axis=_numbers(axis))
+            if name:
+                _texts(SubElement(element, "LinearFunction", name="function"), coefficients="1 0")
+
+
+def _draw(body: Element, rig: Armature, bone: Bone) -> None:
+    """Cylinders where its capsules are."""
+    of_it = [c for c in rig.capsules if rig.bones[c.segment] is bone]
+    components = SubElement(body, "components") if of_it else body
+    for i, capsule in enumerate(of_it):
+        end = y_up_from_z_up(np.array(capsule.end_m))
+        frame = SubElement(components, "PhysicalOffsetFrame", name=f"shape_{i}")
+        cylinder = SubElement(SubElement(frame, "attached_geometry"), "Cylinder", name="cylinder")
+        _texts(cylinder, radius=repr(capsule.radius_m), half_height=repr(float(np.linalg.norm(end)) / 2))
+        # It lies along y, and the capsule in the x-y plane.
+        _texts(frame, socket_parent="..", translation=_numbers(end / 2))
+        _texts(frame, orientation=_numbers([0.0, 0.0, float(np.arctan2(-end[0], end[1]))]))
+
+
+def _write_motion(rig: Armature, path: Path) -> None:
+    turns = [turn for bone in rig.bones for turn in bone.turns]
+    place = rig.root_m @ np.array([*PLACE.values()], dtype=float).T
+    values = np.column_stack([rig.pose.frames / rig.fps, place, *(turn.angle_rad for turn in turns)])
+    columns = ["time", *PLACE, *(turn.name for turn in turns)]
+    sizes = [f"nRows={len(values)}", f"nColumns={len(columns)}"]
+    header = ["Coordinates", "version=1", *sizes, "inDegrees=no", "endheader"]
+    lines = [*header, "\t".join(columns), *("\t".join(map(repr, row)) for row in values.tolist())]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8", newline="")
+
+
+def _texts(parent: Element, **elements: str) -> None:
+    for name, text in elements.items():
+        SubElement(parent, name).text = text
+
+
+# -- glTF -------------------------------------------------------------------------------------------------------------
+
+COLOURS: dict[Side | None, tuple[float, float, float]] = {
+    "left": (0.09, 0.46, 0.81),
+    "right": (0.79, 0.35, 0.0),
+    None: (0.0, 0.34, 0.17),
+}
+"""Linear, of the playback's."""
+_RINGS, _SECTORS = 5, 16
+"""The numbers of rings of either end of a capsule, and of sectors around it."""
+_TYPES = {1: "SCALAR", 3: "VEC3", 4: "VEC4", 16: "MAT4"}
+_COMPONENTS = {"float32": 5126, "uint32": 5125, "uint16": 5123}
+
+
+class _Buffer:
+    """The numbers of a file: accessors into one block of bytes."""
+
+    def __init__(self) -> None:
+        self.content = bytearray()
+        self.views: list[dict[str, Any]] = []
+        self.accessors: list[dict[str, Any]] = []
+
+    def add(self, values: Array, kind: str = "float32") -> int:
+        """An accessor of values (N,) or (N, width), with their bounds."""
+        rows = np.asarray(values, dtype=kind).reshape(len(values), -1)
+        self.views.append({"buffer": 0, "byteOffset": len(self.content), "byteLength": rows.nbytes})
+        self.content += rows.astype(rows.dtype.newbyteorder("<")).tobytes()
+        self.accessors.append(
+            {
+                "bufferView": len(self.views) - 1,
+                "componentType": _COMPONENTS[kind],
+                "count": len(rows),
+                "type": _TYPES[rows.shape[1]],
+                "min": rows.min(axis=0).tolist(),
+                "max": rows.max(axis=0).tolist(),
+            }
+        )
+        return len(self.accessors) - 1
+
+
+def write_gltf(rig: Armature, path: Path) -> None:
+    """Capsules around the bones, which a skin moves; the animation begins at 0 s."""
+    buffer = _Buffer()
+    offsets_m = np.concatenate([[bone.offset_m for bone in rig.bones], rig.joint_offsets_m])
+    parents = [bone.parent for bone in rig.bones] + list(rig.joint_bones)
+    at_rest = np.zeros_like(offsets_m)  # with all angles 0, where the mesh is bound
+    for i, parent in enumerate(parents):
+        at_rest[i] = offsets_m[i] + (0.0 if parent is None else at_rest[parent])
+    unbind = np.tile(np.eye(4), (len(parents), 1, 1))
+    unbind[:, 3, :3] = -at_rest  # by columns
+    turns = [_unbroken(Rotation.from_matrix(turned(bone.turns, len(rig.root_m))).as_quat()) for bone in rig.bones]
+    names = [*(bone.name for bone in rig.bones), *rig.joints]
+    nodes: list[dict[str, Any]] = [
+        {"name": name, "translation": offset_m.tolist()} for name, offset_m in zip(names, offsets_m, strict=True)
+    ]
+    nodes[0]["translation"] = rig.root_m[0].tolist()
+    for node, turn in zip(nodes, turns, strict=False):
+        node["rotation"] = turn[0].tolist()
+    for i, parent in enumerate(parents):
+        if parent is not None:
+            nodes[parent].setdefault("children", []).append(i)
+    skin = {"joints": list(range(len(nodes))), "inverseBindMatrices": buffer.add(unbind.reshape(-1, 16)), "skeleton": 0}
+    sides: list[Side | None] = [side for side in COLOURS if any(capsule.side == side for capsule in rig.capsules)]
+    primitives = [_primitive(buffer, rig, side, at_rest, i) for i, side in enumerate(sides)]
+    time_s = buffer.add(np.arange(len(rig.root_m)) / rig.fps)
+    moved = [(0, "translation", rig.root_m)]
+    moved += [(i, "rotation", turns[i]) for i, bone in enumerate(rig.bones) if bone.turns]
+    animation = {
+        "name": rig.name,
+        "channels": [{"sampler": k, "target": {"node": i, "path": what}} for k, (i, what, _) in enumerate(moved)],
+        "samplers": [{"input": time_s, "output": buffer.add(values)} for _, _, values in moved],
+    }
+    surface = {"metallicFactor": 0.0, "roughnessFactor": 0.7}
+    materials = [
+        {"name": side or "middle", "pbrMetallicRoughness": {"baseColorFactor": [*COLOURS[side], 1.0], **surface}}
+        for side in sides
+    ]
+    about = {"version": "2.0", "generator": f"recon {version()}", "extras": {"first_frame": int(rig.pose.frames[0])}}
+    document: dict[str, Any] = {
+        "asset": about,
+        "scene": 0,
+        "scenes": [{"name": rig.title, "nodes": [0, len(nodes)]}],
+        "nodes": [*nodes, {"name": rig.name, "mesh": 0, "skin": 0}],
+        "skins": [skin],
+        "meshes": [{"name": rig.name, "primitives": primitives}],
+        "materials": materials,
+        "animations": [animation],
+        "bufferViews": buffer.views,
+        "accessors": buffer.accessors,
+        "buffers": [{"byteLength": len(buffer.content)}],
+    }
+    text = json.dumps(document, ensure_ascii=False).encode()
+    text += b" " * (-len(text) % 4)
+    chunks = struct.pack("<I4s", len(text), b"JSON") + text
+    chunks += struct.pack("<I4s", len(buffer.content), b"BIN\0") + buffer.content
+    path.write_bytes(struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks)
+
+
+def _primitive(buffer: _Buffer, rig: Armature, side: Side | None, at_rest: Array, material: int) -> dict[str, Any]:
+    """The capsules of one side, each moved by its own bone."""
+    points, normals, triangles, bones = [], [], [], []
+    for capsule in rig.capsules:
+        if capsule.side == side:
+            of_it, normal = _surface(capsule)
+            triangles.append(_TRIANGLES + sum(map(len, points)))
+            points.append(at_rest[capsule.segment] + of_it)
+            normals.append(normal)
+            bones.append(np.full(len(of_it), capsule.segment))
+    joints = np.concatenate(bones)[:, None] * [1, 0, 0, 0]
+    return {
+        "attributes": {
+            "POSITION": buffer.add(np.concatenate(points)),
+            "NORMAL": buffer.add(np.concatenate(normals)),
+            "JOINTS_0": buffer.add(joints, "uint16"),
+            "WEIGHTS_0": buffer.add(np.tile([1.0, 0.0, 0.0, 0.0], (len(joints), 1))),
+        },
+        "indices": buffer.add(np.concatenate(triangles).ravel(), "uint32"),
+        "material": material,
+    }
+
+
+def _triangles() -> Array:
+    """(N, 3): between the points of neighbouring rings, from pole to pole."""
+    ring, sector = np.divmod(np.arange((2 * _RINGS - 1) * _SECTORS), _SECTORS)
+    a, b = ring * _SECTORS + sector, ring * _SECTORS + (sector + 1) % _SECTORS
+    lower, upper = np.column_stack([a, b, b + _SECTORS]), np.column_stack([a, b + _SECTORS, a + _SECTORS])
+    return np.concatenate([lower[ring > 0], upper[ring < 2 * _RINGS - 2]])
+
+
+_TRIANGLES = _triangles()
+
+
+def _surface(capsule: Capsule) -> tuple[Array, Array]:
+    """Points and normals (N, 3) of rings around the capsule from its first pole to the other, in its bone's frame."""
+    end = y_up_from_z_up(np.array(capsule.end_m))
+    along = end / np.linalg.norm(end)
+    beside = np.array([0.0, 0.0, 1.0])  # capsules lie in the x-y plane
+    quarter = np.linspace(0.0, np.pi / 2, _RINGS)
+    latitude = np.concatenate([-quarter[::-1], quarter])[:, None, None]
+    longitude = np.linspace(0.0, 2 * np.pi, _SECTORS, endpoint=False)[:, None]
+    around = np.cos(longitude) * beside + np.sin(longitude) * np.cross(along, beside)
+    normals = np.cos(latitude) * around + np.sin(latitude) * along
+    points = capsule.radius_m * normals
+    points[_RINGS:] += end
+    return points.reshape(-1, 3), normals.reshape(-1, 3)
+
+
+def _unbroken(turns: Array) -> Array:
+    """Quaternions (T, 4) with the sign that is nearer to the one before."""
+    signs = np.where(np.einsum("tq,tq->t", turns[1:], turns[:-1]) < 0, -1.0, 1.0)
+    return turns * np.cumprod([1.0, *signs])[:, None]

@@ -6,7 +6,6 @@ with `format = "recon-camera"`, or several in `[[cameras]]`; those of other prog
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -19,7 +18,7 @@ import numpy as np
 from recon.base.arrays import Array
 from recon.base.documents import parse_json, parse_toml, read_text
 from recon.base.errors import InputError, Problem, all_of, refuse
-from recon.geometry.camera import Camera, is_rotation
+from recon.geometry.camera import BLOCKS, LARGEST, Camera, is_rotation
 from recon.geometry.lens import LENS_MODELS
 from recon.io.formats import FORMATS, recognised, titles
 
@@ -27,8 +26,6 @@ CameraFiles = str | Path | Sequence[Path]
 """One file, or several."""
 FORMAT, VERSION = "recon-camera", 1
 MAX_BYTES = 1 << 23
-LARGEST = 1e9
-"""The largest number in a calibration: more can only be damage."""
 MAX_SIZE_PX = 1_000_000
 ROTATION_TOLERANCE = 1e-3
 ALIASES = {
@@ -203,70 +200,51 @@ def _build(
     record: CameraRecord, number: int, path: Path, image_size_px: tuple[int, int] | None, problems: list[Problem]
 ) -> Camera | None:
     """The camera of a record; or None, with every reason appended to problems."""
-    before, values = len(problems), record.values
+    values, said = record.values, set[str]()
 
     def fault(field: str, found: str, expected: str) -> None:
+        said.add(field)
         problems.append(Problem(path, record.place + record.called.get(field, field), found, expected))
 
-    def block(field: str, sizes: tuple[int, ...], expected: str) -> Array | None:
-        """The numbers of a field, where they have one of the sizes (any, for no sizes) and are finite."""
-        array = _numbers(values.get(field))
-        if values.get(field) is None:
-            found = "nothing"
-        elif array is None:
-            found = "something other than a block of numbers"
-        elif sizes and array.size not in sizes:
-            found = f"shape {array.shape}"
-        elif not (np.abs(array) <= LARGEST).all():
-            found = f"values up to {np.abs(array).max():g}"
-        else:
-            return array
-        return fault(field, found, expected)
-
-    expected = "[[fx, s, ox], [0, fy, oy], [0, 0, 1]], fx and fy > 0"
-    matrix = block("matrix", (9,), expected)
-    if matrix is not None:
-        matrix = matrix.reshape(3, 3)
-        if min(matrix[0, 0], matrix[1, 1]) <= 0 or matrix[1, 0] != 0 or (matrix[2] != (0, 0, 1)).any():
-            fault("matrix", str(matrix.tolist()), expected)
-
-    model: Any = values.get("model")
-    known = model in tuple(LENS_MODELS)
-    if not known:
-        fault("model", repr(model), "a known lens model")
-    distortion = block("distortion", (), "the lens coefficients")
-    if distortion is not None and known:
-        distortion = distortion.ravel()
-        model = model if distortion.size else "pinhole"
-        counts = LENS_MODELS[model].counts
-        while distortion.size not in counts and distortion.size > min(counts) and distortion[-1] == 0:
-            distortion = distortion[:-1]  # such as OpenCV's thin prism and tilt, not estimated
-        if distortion.size not in counts:
-            expected = f"{' or '.join(map(str, counts))} coefficients of a {model} lens"
-            fault("distortion", f"{distortion.size} coefficients", expected)
-
-    size = _image_size(values.get("image_size_px"), image_size_px, fault)
-
-    rotation = translation = None
-    if values.get("rotation") is not None or values.get("translation_m") is not None:
-        rotation = block("rotation", (3, 9), "a rotation, world to camera: 3x3 or a Rodrigues vector")
-        translation = block("translation_m", (3,), "a translation of 3 numbers")
-        if rotation is not None:
-            rotation = _rotation(rotation)
-            if rotation is None:
-                expected = f"an orthonormal, right-handed matrix (to {ROTATION_TOLERANCE:g})"
-                fault("rotation", "a matrix that is not a rotation", expected)
-
-    up, tilt = values["world_z_up"], values.get("tilt_rad", 0.0)
-    if not isinstance(up, bool):
-        fault("world_z_up", repr(up), "true or false")
-    if not isinstance(tilt, int | float) or not abs(tilt) < math.pi / 2 or (tilt and up and rotation is not None):
-        fault("tilt_rad", repr(tilt), "radians between -pi/2 and pi/2, and 0 beside a pose that says which way is up")
-    if len(problems) > before or matrix is None or distortion is None or size is None:
+    given: dict[str, Any] = {"name": f"cam{number}" if record.name is None else str(record.name)}
+    for field, (_, expected) in BLOCKS.items():
+        given[field] = _numbers(values.get(field))
+        if values.get(field) is not None and given[field] is None:
+            fault(field, "something other than a block of numbers", expected)
+        elif given[field] is None and field in ("matrix", "distortion"):
+            fault(field, "nothing", expected)
+    given["image_size_px"] = _image_size(values.get("image_size_px"), image_size_px, fault) or (1, 1)
+    given |= {"world_z_up": values["world_z_up"], "tilt_rad": values.get("tilt_rad", 0.0), "model": values.get("model")}
+    for field, kinds, expected in (("world_z_up", bool, "true or false"), ("tilt_rad", int | float, "radians")):
+        if not isinstance(given[field], kinds):
+            fault(field, repr(given.pop(field)), expected)
+    try:
+        camera = Camera(**_as_a_camera_has_them(given))
+    except InputError as error:
+        for one in error.problems:
+            if one.field not in said:
+                fault(one.field, one.found, one.expected)
         return None
-    name = f"cam{number}" if record.name is None else str(record.name)
-    translation = None if translation is None else translation.ravel()
-    return Camera(name, matrix, distortion, model, size, rotation, translation, up, float(tilt))
+    return None if said else camera
+
+
+def _as_a_camera_has_them(given: dict[str, Any]) -> dict[str, Any]:
+    """Numbers in the shapes of a camera, where they can have them, and without coefficients that nobody estimated."""
+    matrix, bent, rotation, translation = (given[field] for field in BLOCKS)
+    if matrix is not None and matrix.size == 9:
+        given["matrix"] = matrix.reshape(3, 3)
+    if bent is not None and given["model"] in tuple(LENS_MODELS):
+        bent = bent.ravel()
+        given["model"] = given["model"] if bent.size else "pinhole"
+        counts = LENS_MODELS[given["model"]].counts
+        while bent.size not in counts and bent.size > min(counts) and bent[-1] == 0:
+            bent = bent[:-1]  # such as OpenCV's thin prism and tilt
+        given["distortion"] = bent
+    if rotation is not None and rotation.size in (3, 9) and (np.abs(rotation) <= LARGEST).all():
+        given["rotation"] = _rotation(rotation)
+    if translation is not None and translation.size == 3:
+        given["translation_m"] = translation.ravel()
+    return given
 
 
 def _image_size(
@@ -299,16 +277,14 @@ def _numbers(value: Any) -> Array | None:
     return array.astype(float) if array.dtype.kind in "iuf" else None
 
 
-def _rotation(array: Array) -> Array | None:
-    """Rotation matrix of a 3x3 matrix or a Rodrigues vector; None for a matrix that is no rotation."""
+def _rotation(array: Array) -> Array:
+    """Rotation matrix of a Rodrigues vector; a 3x3 matrix made orthonormal, where it is nearly."""
     if array.size == 3:
         from scipy.spatial.transform import Rotation  # hardly any file has one
 
         return Rotation.from_rotvec(array.ravel()).as_matrix()
     matrix = array.reshape(3, 3)
-    if not is_rotation(matrix, ROTATION_TOLERANCE):
-        return None
-    if is_rotation(matrix, 1e-9):
+    if is_rotation(matrix, 1e-9) or not is_rotation(matrix, ROTATION_TOLERANCE):
         return matrix
     left, _, right = np.linalg.svd(matrix)
     return left @ right

@@ -22,13 +22,13 @@ from recon.geometry import Camera
 from recon.io import (
     FORMATS,
     Pose3D,
-    bvh,
     parse_map,
     read_camera_track,
     read_cameras,
     read_keypoints,
     read_pose3d,
     read_pose_segments,
+    write_bvh,
     write_camera,
 )
 from recon.io.columns import read_long
@@ -227,7 +227,7 @@ def of_formats(folder: Path) -> Iterator[Seed]:
             yield Seed(f"3d-{path.name}", path.read_bytes(), _positions)
     chain = load_skeleton("cheetah-8u")
     rig = make_rig(chain, 1.0, chain.markers, FRAMES, random.normal(size=(5, chain.n_state)).round(2), 50.0)
-    bvh.write(rig, folder / "3d.bvh")
+    write_bvh(rig, folder / "3d.bvh")
     yield Seed("3d.bvh", (folder / "3d.bvh").read_bytes(), _positions)
     label = {"data_3d": np.arange(12.0).reshape(2, 6), "data_frame": np.array([[3], [5]])}
     params = {
