@@ -9,7 +9,13 @@ from recon.base import decimals, length_text
 
 @pytest.mark.parametrize(
     ("length_m", "sigma_m", "text"),
-    [(1.234, None, "1.23 m"), (0.0312, 0.004, "31 ± 4 mm"), (12.0, 0.05, "12.00 ± 0.05 m"), (-0.05, None, "-50 mm")],
+    [
+        (1.234, None, "1.23 m"),
+        (0.0312, 0.004, "31 ± 4 mm"),
+        (12.0, 0.05, "12.00 ± 0.05 m"),
+        (-0.82, 0.004, "-0.820 ± 0.004 m"),
+        (-0.05, None, "-50 mm"),
+    ],
 )
 def test_lengths_of_small_animals_are_in_millimetres(length_m, sigma_m, text):
     assert length_text(length_m, sigma_m) == text

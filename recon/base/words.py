@@ -12,7 +12,8 @@ def decimals(value: float) -> str:
 
 
 def length_text(length_m: float, sigma_m: float | None = None) -> str:
-    """As in 1.23 m, 1.23 ± 0.04 m, 56 mm."""
-    scale, unit, form = (1e3, "mm", ".0f") if abs(length_m) < SHORT_M else (1.0, "m", ".2f")
+    """As in 1.23 m, 1.23 ± 0.04 m, 1.230 ± 0.004 m, 56 mm."""
+    fine = sigma_m is not None and sigma_m < 0.005
+    scale, unit, form = (1e3, "mm", ".0f") if abs(length_m) < SHORT_M else (1.0, "m", ".3f" if fine else ".2f")
     values = [format(scale * value, form) for value in (length_m, sigma_m) if value is not None]
     return f"{' ± '.join(values)} {unit}"
