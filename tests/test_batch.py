@@ -109,7 +109,7 @@ def test_files_patterns_and_folders(clips):
     of_folder, notes = find_clips([clips], QUICK)
     assert [clip.settings.keypoints[0] for clip in of_folder] == [clips / f"{name}.csv" for name in "abc"]
     assert notes == [f"Left out of {clips}, of no known format: notes.csv, video.mp4"]
-    (clips / "truth.csv").write_text("bodyparts,a,a,a\ncoords,x,y,z\n0,1,2,3\n")
+    (clips / "truth.csv").write_text("bodyparts;a;a;a\ncoords;x;y;z\n0;1;2;3\n")
     assert find_clips([clips], QUICK)[1][0] == f"Left out of {clips}, 3D positions: truth.csv"
     assert {clip.settings.fps for clip in of_folder} == {30}
 
@@ -149,6 +149,9 @@ def test_folders_within_a_folder(clips):
     everything, notes = find_clips([clips], QUICK, recursive=True)
     assert [clip.name for clip in everything] == ["a", "b", "c", "d"]
     assert notes == []
+    (clips / "day2" / "late" / "motion.npz").touch()
+    assert find_clips([clips], QUICK, recursive=True)[1] == [f"Left out, results of a fit: {clips / 'day2' / 'late'}"]
+    (clips / "day2" / "late" / "motion.npz").unlink()
     assert [clip.name for clip in find_clips([clips / "day2"], QUICK, recursive=True)[0]] == ["d"]
 
 
@@ -502,6 +505,7 @@ def test_a_look_says_which_cameras_a_clip_has(tmp_path):
     (row,) = json.loads(run(*command, "--json").out)["clips"]
     assert (row["clip"], row["cameras"], row["action"]) == ("walk", ["cam1", "cam2"], "new")
     assert "cam1, cam2" in run(*command).out
+    assert "Where they differ" not in run(*command).out
     assert [row["clip"] for row in json.loads(run(*command, "--json", "--cameras-by", "none").out)["clips"]] == [
         "walk-cam1",
         "walk-cam2",
@@ -809,6 +813,7 @@ def test_dry_run_looks_only(clips, tmp_path):
     ended = run(*args(clips, out, "--dry-run", "--fps", 60))
     assert "3 clips: 0 new, 2 to fit again, 0 done, 1 that cannot be fitted" in ended.out
     assert "refit (changed: fps)" in ended.out
+    assert "All clips have the same --camera and --fps. Where they differ" in ended.out
     assert {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")} == before
 
 

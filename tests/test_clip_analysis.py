@@ -21,6 +21,7 @@ from recon.gait.kinematics import at_frames
 from recon.io import read_pose3d
 from recon.show import build_report
 from recon.show.export import analysis_csv
+from recon.show.report import in_sentences
 from recon.workflows import notes, summarise
 from recon.workflows.analyse import figures_of
 
@@ -235,6 +236,9 @@ def test_a_motion_that_was_just_fitted(small_trajectory):
     """Without any folder."""
     found = analyse(small_trajectory)
     assert found.joints["spine"].mean_speed_m_s == pytest.approx(9.0, abs=0.05)
+    moved, off = found.reference_motion, {"peak_speed_m_s": 10.0, "peak_speed_sigma_m_s": 11.0}
+    assert next(in_sentences(found.motion, moved, None, None)).endswith(" m/s at most.")
+    assert next(in_sentences(found.motion, replace(moved, **off), None, None)).endswith(" m/s on average.")
 
 
 FIGURES = (

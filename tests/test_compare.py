@@ -30,7 +30,8 @@ def clips(tmp_path_factory: pytest.TempPathFactory, whole_motion: Motion) -> Pat
 
 def test_groups_have_a_row_each_and_strides_one_each(clips: Path, tmp_path: Path):
     out = tmp_path / "out"
-    ended = run("compare", clips, "--table", clips / "animals.csv", "--by", "sex", "--out", out)
+    # as a shell writes out all/*
+    ended = run("compare", *clips.iterdir(), "--table", clips / "animals.csv", "--by", "sex", "--out", out)
     assert (ended.code, ended.err) == (0, "")
     groups, by_clip, strides = (pd.read_csv(out / f"{name}.csv") for name in ("groups", "clips", "strides"))
     assert list(groups["group"]) == ["f", "m"]
@@ -74,6 +75,7 @@ def test_what_cannot_be_compared_is_refused(clips: Path, tmp_path: Path, whole_m
     assert (ended.code, "no 'age' (clip, sex)" in ended.err) == (2, True)
     assert run("compare", clips, "--by", "age", "--out", out).code == 2
     assert "no results" in run("compare", tmp_path, "--out", out).err
+    assert "animals.csv: folder: found no results" in run("compare", clips / "animals.csv", "--out", out).err
     assert whole_motion.verdict is not None
     wreck = replace(whole_motion, verdict=replace(whole_motion.verdict, level="do not use"))
     wreck.save(tmp_path / "wreck")

@@ -39,7 +39,7 @@ SENTENCES = {
     "keypoints_y_up": ("as if y went up", {}),
     "picture_upside_down": ("looks upside down", {}),
     "smaller_video": ("a video 2 times smaller than", {"times": 2}),
-    "other_camera_named": ("file's name says cam3, but the camera is cam1", {"other": "cam3", "given": "cam1"}),
+    "other_camera_named": ("file's name says cam3, but the camera is cam1. Give", {"other": "cam3", "given": "cam1"}),
     "left_right_swap": ("look swapped in frame 10, of the fore legs. --fix-swaps", {"part": "the fore legs"}),
     "left_right_swap_possible": (
         "may be swapped in frame 10, of the fore legs, or",
@@ -177,6 +177,6 @@ def test_a_rig_in_another_unit_and_likelihoods_that_are_low(small_trajectory):
     unlikely = replace(motion, sources=(replace(source, cleaning=cleaning),))
     (low,) = likelihoods_low(unlikely)
     said = dict(keypoint_lines(replace(unlikely, findings=(low,)), keypoints(unlikely)))["detections"]
-    assert "92 (36% of what was found) rejected as unlikely or far outside; if they are good, lower --set" in said
+    assert "92 (36% of what was found) left out before the fit, as unlikely or far outside; if they are good" in said
     assert low.numbers["share"] == pytest.approx(2 / 3, abs=0.05)
     assert not [*likelihoods_low(motion)]

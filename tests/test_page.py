@@ -153,13 +153,14 @@ def test_a_page_says_what_the_report_says(page, folder):
     report = build_report(results)
     for text in (
         "Frames: 8 of 8 with a pose, 2 doubtful (1 no data, 1 data poor, 1 ambiguous depth).",
-        "It ran 2.1 m, at 9.0 m/s in the mean and 9.0",
+        "The animal moved 2.1 m, at 9.0 m/s on average and 9.0",
         *(one["text"] for one in report["findings"] if one["severity"] != "note"),
         *report["assumptions"]["sentences"],
         "few joints were seen and trusted",
         "The acceleration is hardly known, most of the time less than its standard deviation, and not shown.",
     ):
         assert text in page.text
+    assert "frames 10 to 17, 0.333 to 0.567 s at 30 frames a second" in page.text
     assert "as if left and right were swapped" not in page.text  # no frame has that flag
     assert list(doubtful_frames(results)) == [("13", "no data"), ("15", "data poor, ambiguous depth")]
     headings = re.findall(r"<h2>(.*?)</h2>", page.html)
@@ -190,6 +191,7 @@ def test_a_page_begins_with_the_verdict_the_error_and_what_to_do(whole_results, 
         "Frames: 60 of 60",
     ]
     assert sorted(told, key=html.index) == told
+    assert html.count(motion.verdict.reason) == 1
 
 
 def test_a_page_has_the_video_behind_its_pictures(folder, tmp_path, monkeypatch):

@@ -493,7 +493,7 @@ def test_console_summary_of_a_trajectory(trajectory):
         "8 of 8 with a pose, 2 doubtful (1 no data, 1 data poor, 1 ambiguous depth)",
         "161 used, 31 missing",
         "23 of the skeleton's 24 used; missing: r_eye; not used: ear",
-        "9.0 m/s mean",
+        "9.0 m/s on average",
         "not measured: all metres and m/s assume a cheetah of average size (±6%)",
         "The camera is taken to be level",
     ):

@@ -417,6 +417,7 @@ def test_settings_that_are_no_options_are_in_the_docs():
     [
         (("--size-sigma", "0.1"), "--size-sigma: found no option of this name, expected --set size-sigma=VALUE"),
         (("--size-sigma=0.1",), "--size-sigma: found no option of this name, expected --set size-sigma=VALUE"),
+        (("--framerate", "60"), "--framerate: fps: found no option of this name, expected --fps"),
         (("--no-fast",), "--no-fast: fast: found no option of this name, expected --set fast=VALUE"),
         (("--set", "sigma"), "--set: setting: found 'sigma', expected name=value, as in sigma-px=2"),
         (("--set", "sigma=2"), "--set: sigma: found an unknown setting, expected one of keypoints, camera, "),

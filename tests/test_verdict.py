@@ -31,6 +31,13 @@ def test_the_most_serious_finding_decides(small_trajectory):
     assert verdict_lines(wrong.verdict) == (f"do not use: {wrong.verdict.reason}",)
 
 
+def test_a_clip_to_be_used_names_keypoints_that_do_not_fit(whole_results):
+    named = finding("keypoints_do_not_fit", keypoints=("l_hip",), share=0.8, used=40)
+    verdict = judged(replace(Motion.load(whole_results), findings=(named,))).verdict
+    assert verdict is not None
+    assert verdict.lines[0].startswith("use: Good but for this: 80% of the 40 detections of l_hip disagree")
+
+
 def test_expected_errors(small_trajectory):
     evidence = evidence_of(small_trajectory)
     solution = small_trajectory.solution

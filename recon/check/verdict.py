@@ -144,6 +144,8 @@ def _verdict(motion: Motion) -> Verdict:
     off = {name: POWERS[name] * (value - USUAL[name]) for name, value in evidence.factors.items()}
     why = WHY[max(off, key=lambda name: off[name])]
     reason = why if pose.high > LIMIT_OF_TRUNK else "Nothing speaks against it."
+    if level == "use" and (notes := [one for one in motion.findings if one.code == "keypoints_do_not_fit"]):
+        reason = f"Good but for this: {_said(motion, notes[0])}"
     if warnings and level != "do not use":
         reason = _said(motion, warnings[0])
     return Verdict(level, reason, pose.times(evidence.trunk_m), pose, position)

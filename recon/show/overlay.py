@@ -167,8 +167,9 @@ def clip_frames(frames: Integers, video: Path, first_frame: int) -> Iterator[tup
         found = f"{decoded} frames that can be decoded"
         if stated is not None and stated > decoded:
             found += f" of the {stated} that the file states"
-        expected = f"{last + 1 - first_frame} or more, for the frames {first} to {last}"
-        raise InputError(Problem(video, "video", found, f"{expected}: the video of this clip, or --first-frame"))
+        expected = f"{last + 1 - first_frame} or more, for the frames {first} to {last}: the video of this clip"
+        expected += f", or --first-frame {first} if it was cut to begin there"
+        raise InputError(Problem(video, "video", found, expected))
 
 
 def canvas_size(size_px: tuple[int, int]) -> tuple[int, int]:

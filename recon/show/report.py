@@ -59,15 +59,16 @@ def in_sentences(motion: Motion, moved: JointKinematics, gait: Gait | None, doub
     if doubt is None:
         form, of_path = decimals(moved.peak_speed_m_s), decimals(moved.distance_m)
         spread = "" if np.isnan(sigma) else f" ± {sigma:{form}}"
+        # a peak below its own deviation is not known
+        peak = "" if sigma > moved.peak_speed_m_s else f" and {moved.peak_speed_m_s:{form}}{spread} m/s at most"
         yield (
-            f"It ran {moved.distance_m:{of_path}} m, at {moved.mean_speed_m_s:{form}} m/s in the mean "
-            f"and {moved.peak_speed_m_s:{form}}{spread} m/s at most."
+            f"The animal moved {moved.distance_m:{of_path}} m, at {moved.mean_speed_m_s:{form}} m/s on average{peak}."
         )
     else:
         run = (
             "" if run_m_s is None else f" A straight run through all frames has {median(run_m_s[run_m_s > 0]):.1f} m/s."
         )
-        yield f"Its path is too uncertain in depth for a speed: {doubt}.{run}"
+        yield f"The animal's path is too uncertain in depth for a speed: {doubt}.{run}"
     if gait is None:
         yield "The skeleton has no feet: no gait."
         return

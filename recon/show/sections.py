@@ -223,7 +223,7 @@ def keypoint_lines(motion: Motion, data: Any) -> Iterator[Line]:
     low = any(one.code == "likelihoods_low" for one in motion.findings)
     more = "; if they are good, lower --set likelihood-min" if low else ""
     counted = [f"{used} used", *([f"{missing} missing"] if missing else [])]
-    counted += [f"{rejected}{share} rejected as unlikely or far outside{more}"] if rejected else []
+    counted += [f"{rejected}{share} left out before the fit, as unlikely or far outside{more}"] if rejected else []
     yield "detections", ", ".join(counted)
     errors = found["reprojection_px"]
     px = "{mean:.1f} px mean, {median:.1f} px median; worst joint {worst_joint}, {worst_joint_mean:.1f} px"
@@ -231,7 +231,7 @@ def keypoint_lines(motion: Motion, data: Any) -> Iterator[Line]:
     off = sorted(((row["outliers"], row["name"]) for row in fitted if row["outliers"]), reverse=True)
     most = ", ".join(f"{name} {count}" for count, name in off[:3]) + (", ..." if len(off) > 3 else "")
     where = f": {most}" if off else ""
-    yield "outliers", f"{found['outliers']} of {used} detections disagree with the pose{where}"
+    yield "outliers", f"{found['outliers']} of the {used} detections used disagree with the pose{where}"
 
 
 def cleaning(motion: Motion) -> dict[str, Any]:
@@ -295,7 +295,7 @@ def camera_lines(motion: Motion, data: Any) -> Iterator[Line]:
     for camera in data if len(data) > 1 else ():
         errors, points = camera["reprojection_px"], camera["points"]
         outliers = "1 outlier" if camera["outliers"] == 1 else f"{camera['outliers']} outliers"
-        rejected = f", {points['rejected']} rejected" if points["rejected"] else ""
+        rejected = f", {points['rejected']} left out before the fit" if points["rejected"] else ""
         yield (
             "camera",
             f"{camera['name']}: {camera['frames_seen']} of {motion.clip_frames} frames, {points['used']} points used"
@@ -457,9 +457,8 @@ def speed_lines(motion: Motion, data: Any) -> Iterator[Line]:
     if path["mean_speed_m_s"] is None:
         yield "speed", f"none from fewer than {MIN_POINTS} frames"
         return
-    form, over_m = decimals(path["peak_speed_m_s"]), path["distance_m"]
-    mean_m_s, peak_m_s = (f"{path[name]:{form}} m/s" for name in ("mean_speed_m_s", "peak_speed_m_s"))
-    yield "speed", f"{mean_m_s} mean, {peak_m_s} peak, over {over_m:{decimals(over_m)}} m"
+    mean_m_s, over_m = path["mean_speed_m_s"], path["distance_m"]
+    yield "speed", f"{mean_m_s:{decimals(mean_m_s)}} m/s on average, over {over_m:{decimals(over_m)}} m"
 
 
 def heading(motion: Motion) -> dict[str, Any]:

@@ -93,7 +93,8 @@ def analyse_command(settings: AnalyseSettings, as_json: bool, quiet: bool) -> An
         for s in found.gait.stances:
             spans[s.foot].append(f"{'' if s.begins else '≤'}{s.start_s:.3f}-{s.end_s:.3f}{'' if s.ends else '+'}")
         rows = ((f"{foot} {motion.foot_names[foot]}", ", ".join(of) or "none") for foot, of in spans.items())
-        console.print(table_of("foot", "stances, s", rows=rows, title="times: seconds since frame 0"))
+        title = f"times in seconds: frame number / {motion.fps:g}"
+        console.print(table_of("foot", "stances, s", rows=rows, title=title))
     for note in summary["notes"]:
         say(console, f"note: {note}")
     say(console, f"{len(files)} files are in {out}.")

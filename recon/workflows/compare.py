@@ -69,7 +69,8 @@ def compare(settings: _CompareSettings, as_json: bool, quiet: bool) -> None:
     Example: recon compare results/a results/b results/c --table animals.csv --by sex --out comparison
     """
     console, out = terminal(quiet=quiet, stderr=as_json), settings.out
-    folders = [folder for given in settings.folders for folder in _results_in(given)]
+    some = [path for path in settings.folders if not path.is_file()] or settings.folders  # all/* has files of the batch
+    folders = [folder for given in some for folder in _results_in(given)]
     names = [folder.absolute().name for folder in folders]
     refuse(Problem(n, "clip", f"{names.count(n)} folders of that name", "one") for n in {*names} if names.count(n) > 1)
     of_clip = _groups(settings.table, settings.by, names)
@@ -106,7 +107,7 @@ def compare(settings: _CompareSettings, as_json: bool, quiet: bool) -> None:
         for row in groups.to_dict("records")
         for q in QUANTITIES
     )
-    console.print(table_of("group", "of", numbers=("clips", "strides", "mean", "±", "spread"), rows=rows))
+    console.print(table_of("group", "quantity", numbers=("clips", "strides", "mean", "±", "spread"), rows=rows))
     if not groups["strides"].sum():
         say(console, "No clip has a complete stride.")
     say(console, f"Rows by stride, clip and group, and {FIGURE}, are in {out}.")

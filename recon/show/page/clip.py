@@ -55,7 +55,7 @@ def clip_page(
     report = build_report(motion)
     posed = np.isfinite(motion.upright.xyz_m).all(axis=(1, 2))
     found = ClipAnalysis(motion) if posed.sum() >= MIN_POINTS else None
-    doubtful = list(doubtful_frames(motion))
+    doubtful, reason = list(doubtful_frames(motion)), "" if motion.verdict is None else motion.verdict.reason
     return rendered(
         "report.html",
         title=", ".join(dict.fromkeys(_base(camera["keypoints"]) for camera in report["cameras"])),
@@ -64,8 +64,8 @@ def clip_page(
         verdict=motion.verdict,
         expected=verdict_lines(motion.verdict)[1:],
         to_do="" if motion.verdict is None else TO_DO.get(motion.verdict.level, ""),
-        warnings=[text for text in warnings(report) if motion.verdict is None or text != motion.verdict.reason],
-        notes=[one["text"] for one in report["findings"] if one["severity"] == "note"],
+        warnings=[text for text in warnings(report) if text not in reason],
+        notes=[one["text"] for one in report["findings"] if one["severity"] == "note" and one["text"] not in reason],
         stills=stills,
         behind=behind,
         camera=motion.cameras[number].name if len(motion.cameras) > 1 else "the camera",
@@ -74,7 +74,7 @@ def clip_page(
         doubtful=doubtful[:SHOWN],
         more_doubtful=max(0, len(doubtful) - SHOWN),
         meaning={flag: text for flag, text in FLAGS.items() if any(flag in flags for flags in motion.flags)},
-        summary=report["lines"],
+        summary=[(label, text) for label, text in report["lines"] if label not in ("verdict", "expected")],
         assumptions=report["assumptions"]["sentences"],
         settings=[(name, _plain(value)) for name, value in report["settings"].items() if value is not None],
         files=files,
@@ -94,7 +94,9 @@ def _plain(value: Any) -> str:
 def _subtitle(motion: Motion) -> str:
     frames = motion.frames
     many = f" · {len(motion.cameras)} cameras" if len(motion.cameras) > 1 else ""
-    return f"frames {frames[0]} to {frames[-1]} · {motion.fps:g} a second, times since frame 0{many} · {motion.title}"
+    first_s, last_s = motion.time_s[[0, -1]]
+    times = f"{first_s:.3f} to {last_s:.3f} s at {motion.fps:g} frames a second"
+    return f"frames {frames[0]} to {frames[-1]}, {times}{many} · {motion.title}"
 
 
 # -- words ------------------------------------------------------------------------------------------------------------

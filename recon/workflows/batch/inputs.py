@@ -17,6 +17,7 @@ from typing import Any
 from recon.base.documents import read_toml
 from recon.base.errors import InputError, Problem, refuse
 from recon.check import names_text
+from recon.fit.motion import MOTION
 from recon.io import file_head, individuals, recognised, titles
 from recon.io.calibration import read_cameras
 from recon.io.common import text_rows
@@ -154,6 +155,8 @@ def _matching_files(path: Path) -> list[Path]:
 
 
 def _files_in(folder: Path, recursive: bool = False) -> tuple[list[Path], list[str]]:
+    if (folder / MOTION).is_file():
+        return [], [f"Left out, results of a fit: {folder}"]
     chosen: dict[str, Path] = {}
     left_out: dict[str, list[str]] = {}
     inside = []
@@ -180,15 +183,12 @@ def _why_left_out(path: Path) -> str:
     """Why a file of a folder is no clip; nothing of one that is, or too damaged to tell, as the clip will say so."""
     if not os.access(path, os.R_OK):
         return "not readable"
-    try:
-        head = file_head(path, 2000)
-    except InputError:
-        return "of no known format"
     with suppress(InputError):
-        if recognised(path, "2D") is None:
+        if not path.stat().st_size or recognised(path, "2D") is None:
             return "of no known format"
-    lines = head.decode(errors="replace").splitlines()[:4]
-    return "3D positions" if any({"x", "y", "z"} <= {*line.split(",")} for line in lines) else ""
+        if any({"x", "y", "z"} <= {*cells} for _, cells in islice(text_rows(path), 4)):  # the rows of a header
+            return "3D positions"
+    return ""
 
 
 def _without_repeats(drafts: Sequence[_Draft]) -> list[_Draft]:

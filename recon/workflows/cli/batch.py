@@ -155,6 +155,8 @@ def _print_plan(
             "clip": planned.clip.name,
             "keypoints": planned.clip.settings.keypoints_text,
             "cameras": list(planned.clip.settings.camera_name or ()),
+            "camera": planned.clip.settings.camera_text,
+            "fps": planned.clip.settings.fps,
             "out": str(planned.out),
             "action": planned.action if planned.action == "done" or not found else CANNOT,
             "reason": planned.reason,
@@ -168,8 +170,13 @@ def _print_plan(
     cells = []
     for row in rows:
         what = row["action"] + f" ({row['reason']})" * bool(row["reason"])
-        cells.append((row["clip"], ", ".join(row["cameras"]), row["out"], what))
-    console.print(table_of("clip", "cameras", "out", "what", rows=cells))
+        camera = ", ".join(row["cameras"] or [Path(row["camera"]).name or "--hfov-deg"])
+        fps = "the file's" if row["fps"] is None else f"{row['fps']:g}"
+        cells.append((row["clip"], camera, fps, row["out"], what))
+    console.print(table_of("clip", "camera", "fps", "out", "what", rows=cells))
+    if len(rows) > 1 and len({(row["camera"], row["fps"]) for row in rows}) == 1:
+        other = "Where they differ, give a CSV table with columns keypoints, camera and fps instead."
+        say(console, f"All clips have the same --camera and --fps. {other}")
     for problem, places in repeated(problems):
         names = ", ".join(rows[place]["clip"] for place in places[:NAMED])
         more = "" if len(places) <= NAMED else f" and {len(places) - NAMED} more clips"

@@ -29,6 +29,8 @@ _FLAGS = {
     "quiet": typer.Option("--quiet", "-q", help="Print errors only."),
 }
 HELP = {"help_option_names": ["-h", "--help"]}
+_RATES = ("framerate", "frame-rate")
+"""What others call --fps."""
 _SET = "set_"
 """Name of the parameter of --set."""
 
@@ -60,9 +62,13 @@ class SettingsCommand(TyperCommand):
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         rare = (info for info in self.infos.values() if not info.option.common)
         settings = {info.on_command_line.removeprefix("--set "): info.field for info in rare}
+        expected = {name: f"--set {name}=VALUE" for name in settings}
+        if "fps" in self.infos:
+            settings |= dict.fromkeys(_RATES, "fps")
+            expected |= dict.fromkeys(_RATES, "--fps")
         written = {word: word.partition("=")[0].removeprefix("--").removeprefix("no-") for word in args}
         refuse(
-            Problem(word.partition("=")[0], settings[name], "no option of this name", f"--set {name}=VALUE")
+            Problem(word.partition("=")[0], settings[name], "no option of this name", expected[name])
             for word, name in written.items()
             if word.startswith("--") and name in settings
         )

@@ -30,7 +30,7 @@ def fit(
 
     Example: recon fit clip.csv --camera scene.json --camera-name cam2 --fps 90 --out results/clip
 
-    Exit code 0: done. 1: no frame could be solved. 2: the input cannot be used.
+    Exit code 0: done, whatever the verdict. 1: no frame could be solved. 2: the input cannot be used.
     """
     from recon.workflows.clip import keypoint_problems
     from recon.workflows.clip_results import read_config, replaced_files, run_clip
