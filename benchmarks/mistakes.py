@@ -38,10 +38,9 @@ from recon.animal.body import other_side
 from recon.animal.prior import prior_from_body
 from recon.animal.prior_fit import fit_prior
 from recon.animal.skeleton_file import builtin_subjects
-from recon.check import Finding, input_findings, mends
-from recon.check.inputs import likelihood
-from recon.check.inputs.likelihood import baseline_of
-from recon.check.inputs.swaps import _Stretch, swaps
+from recon.check import Finding, input_findings, likelihood, mends
+from recon.check.likelihood import baseline_of
+from recon.check.swaps import _Stretch, swaps
 from recon.clip import Source, views_of
 from recon.clip.keypoints import Keypoints, clean
 from recon.fit import TrajectoryOptions, TrajectorySolution, solve_trajectory
@@ -57,7 +56,7 @@ FALSE = 0.02
 LEGS = {"fore": "fore legs exchanged, second half", "hind": "hind legs exchanged, second half"}
 FOLDED = ("untouched", "ten frames exchanged", *LEGS.values(), "whole clip exchanged")
 MARGINS = (5.0, 8.0, 10.0, 12.0, 15.0, 18.0, 20.0, 25.0, 30.0)
-"""Of `recon.check.inputs.likelihood.MARGIN`."""
+"""Of `recon.check.likelihood.MARGIN`."""
 WORSE = 1.02
 """No clip may be so many times worse when mended."""
 SPARE = 1.2

@@ -22,10 +22,17 @@ from recon.check import (
     without_gross_outliers,
     without_swaps,
 )
-from recon.check.inputs import baseline_of, of_other_picture, of_unit_square, other_rate, swap_finding, swaps
-from recon.check.inputs.certain import outlier_ratios
-from recon.check.inputs.likelihood import CLEAR, MARGIN, Refit, smaller, unlikely
-from recon.check.inputs.swaps import (
+from recon.check.inputs import (
+    baseline_of,
+    of_other_picture,
+    of_unit_square,
+    other_rate,
+    outlier_ratios,
+    swap_finding,
+    swaps,
+)
+from recon.check.likelihood import CLEAR, MARGIN, Refit, smaller, unlikely
+from recon.check.swaps import (
     _Stretch,
     _SwapTrial,
     contradicts,

@@ -9,12 +9,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from recon.base.arrays import decimals, length_text
     from recon.base.files import require_free_folder, sole_writer, staged_file, staged_folder, staged_results
     from recon.base.interrupts import MESSAGE
     from recon.base.manifest import MANIFEST, read_manifest, write_manifest
     from recon.base.package import DISTRIBUTION, install_command
     from recon.base.records import load_record, save_record
-    from recon.base.words import decimals, length_text
 
 Progress = Callable[[str, float], None]
 """Called with what is being done, and how much of all is done, 0 to 1."""

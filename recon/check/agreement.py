@@ -22,7 +22,7 @@ from scipy.spatial.transform import Rotation
 
 from recon.base.arrays import Array, Index
 from recon.check.codes import finding
-from recon.check.inputs.likelihood import busiest
+from recon.check.likelihood import busiest
 from recon.clip import View
 from recon.fit.motion import Motion
 from recon.fit.result import Finding

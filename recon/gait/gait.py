@@ -43,8 +43,7 @@ from typing import Literal
 
 import numpy as np
 
-from recon.base.arrays import Array, Bools, mean, median
-from recon.base.words import length_text
+from recon.base.arrays import Array, Bools, length_text, mean, median
 from recon.clip.keypoints import frame_ranges
 from recon.fit.posterior import radius
 from recon.gait import kinematics

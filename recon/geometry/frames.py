@@ -20,7 +20,8 @@ import numpy.typing as npt
 
 from recon.base.arrays import Array
 
-_CROSS = np.cross(np.eye(3)[:, None], np.eye(3)).swapaxes(1, 2)
+_IDENTITY = np.eye(3)
+_CROSS = np.cross(_IDENTITY[:, None], _IDENTITY).swapaxes(1, 2)
 _CROSS_TWICE = _CROSS @ _CROSS
 
 
@@ -62,7 +63,8 @@ def moved(T: Array, points_m: Array) -> Array:
 
 def euler_rotation(angles_rad: npt.ArrayLike) -> Array:
     """Rotation matrices R = Rx(xi) Ry(psi) Rz(zeta), shape (..., 3, 3), of angles (xi, psi, zeta), shape (..., 3)."""
-    return euler_rotation_with_jacobian(angles_rad)[0]
+    x, y, z = _turns(angles_rad)
+    return x @ y @ z
 
 
 def euler_rotation_with_jacobian(angles_rad: npt.ArrayLike) -> tuple[Array, Array]:
@@ -71,12 +73,17 @@ def euler_rotation_with_jacobian(angles_rad: npt.ArrayLike) -> tuple[Array, Arra
     angles_rad: (..., 3), (xi, psi, zeta). Returns R (..., 3, 3) and dR (..., 3, 3, 3), where dR[..., k, :, :] is the
     derivative of R with respect to angle k.
     """
-    angles = np.asarray(angles_rad, dtype=float)[..., None, None]
-    # about each axis, with G its cross product as a matrix, R = I + sin G + (1 - cos) G G (Rodrigues), and dR = G R
-    turns = np.eye(3) + np.sin(angles) * _CROSS + (1.0 - np.cos(angles)) * _CROSS_TWICE
-    x, y, z = np.moveaxis(turns, -3, 0)
+    x, y, z = _turns(angles_rad)
     rotation = x @ y @ z
     return rotation, np.stack([_CROSS[0] @ rotation, x @ _CROSS[1] @ y @ z, rotation @ _CROSS[2]], axis=-3)
+
+
+def _turns(angles_rad: npt.ArrayLike) -> tuple[Array, Array, Array]:
+    """Rotations about each axis. With G its cross product as a matrix, R = I + sin G + (1 - cos) G G (Rodrigues), and
+    dR = G R."""
+    angles = np.asarray(angles_rad, dtype=float)[..., None, None]
+    turns = _IDENTITY + np.sin(angles) * _CROSS + (1.0 - np.cos(angles)) * _CROSS_TWICE
+    return turns[..., 0, :, :], turns[..., 1, :, :], turns[..., 2, :, :]
 
 
 def euler_angles(rotation: npt.ArrayLike) -> Array:

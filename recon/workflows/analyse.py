@@ -13,10 +13,9 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from recon.base import Progress, silent
-from recon.base.arrays import median
+from recon.base.arrays import decimals, median
 from recon.base.files import require_free_folder, sole_writer, staged_folder
 from recon.base.settings import Option, Positive, Settings
-from recon.base.words import decimals
 from recon.check import sentence, usable, verdict_fields
 from recon.fit.motion import MEASURED_SHARE, Motion
 from recon.fit.posterior import radius

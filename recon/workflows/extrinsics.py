@@ -12,11 +12,10 @@ import numpy as np
 from pydantic import Field
 
 from recon.base import Progress, silent
-from recon.base.arrays import Array
+from recon.base.arrays import Array, length_text
 from recon.base.errors import InputError, Problem, all_of, refuse
 from recon.base.files import require_free_file
 from recon.base.settings import Number, OneOrMore, Option, Settings
-from recon.base.words import length_text
 from recon.clip import Source, View, camera_poses, together
 from recon.fit.clip_problem import ClipProblem
 from recon.fit.extrinsics import LEVEL_RAD, search_offsets, solve_extrinsics

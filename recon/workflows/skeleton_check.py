@@ -9,9 +9,9 @@ from typing import Annotated, Any
 import numpy as np
 
 from recon.animal import Body, builtin_names, load_prior, load_skeleton, other_side
+from recon.base.arrays import length_text
 from recon.base.files import require_free_folder
 from recon.base.settings import Option, Settings
-from recon.base.words import length_text
 from recon.geometry.kinematics import ANGLE_OF_AXIS, AXES
 from recon.show.plain import picked
 from recon.workflows.cli.common import say, table_of, terminal

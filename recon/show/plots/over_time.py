@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from recon.animal import both_sides, side_of
-from recon.base.arrays import Array, Bools
-from recon.base.words import length_text
+from recon.base.arrays import Array, Bools, length_text
 from recon.clip.keypoints import frame_ranges
 from recon.gait.dynamics import Dynamics
 from recon.gait.gait import Gait, Stance

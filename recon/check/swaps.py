@@ -21,7 +21,7 @@ import numpy as np
 from recon.animal import Body, opposites
 from recon.base.arrays import Array, Bools, Index
 from recon.check.codes import finding
-from recon.check.inputs.likelihood import (
+from recon.check.likelihood import (
     AT_ONCE_S,
     TAILS,
     Baseline,
