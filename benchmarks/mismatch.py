@@ -37,7 +37,7 @@ from recon.clip import View, still_view
 from recon.fit import TrajectorySolution, solve_trajectory
 from recon.fit.points import solve_points
 from recon.gait.evaluation import centre, joint_errors, score
-from recon.io.formats import read_pose_segments
+from recon.io import read_pose_segments
 
 FAST_M_S = 8.5
 """Of the segments that `running-cheetah` is made from."""

@@ -17,7 +17,7 @@ from PIL import Image
 from recon.animal import Side, load_skeleton
 from recon.gait import Closure, Errors, Portrait, angle_kinematics, phase_portrait, point_kinematics, vector_field
 from recon.gait.gait import BODY, FEET, Plane, Stance, Stride, gait, pose_tracks
-from recon.io.pose import Pose3D
+from recon.io.common import Pose3D
 from recon.robotics import (
     JacobianTranspose,
     LeastNorm,

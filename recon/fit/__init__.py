@@ -14,8 +14,9 @@ if TYPE_CHECKING:
     from recon.fit.least_squares import Estimate, LeastSquares, Unknown
     from recon.fit.motion import MOTION, Motion, Picture
     from recon.fit.points import solve_points, solve_points_and_size
-    from recon.fit.posterior import DEGREES_OF_FREEDOM, draws, radius, sigmas
+    from recon.fit.posterior import DEGREES_OF_FREEDOM, radius, sigmas
     from recon.fit.result import ExpectedError, Finding, Ground, MotionSegment, Solution, TrajectorySolution, Verdict
+    from recon.fit.sampling import draws
     from recon.fit.shape import Shape, ShapeFit, fit_shape
     from recon.fit.starts import constant_velocity, position_on_rays
     from recon.fit.trajectory import SegmentFit, solve_segments, solve_trajectory

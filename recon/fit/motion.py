@@ -21,7 +21,7 @@ from recon.fit.result import OUTLIER_SIGMAS, SHAPES, Finding, MotionSegment, Sol
 from recon.geometry.camera import Camera
 from recon.geometry.frames import inverse, moved
 from recon.geometry.kinematics import PITCH, ROOT, YAW
-from recon.io.pose import Pose3D
+from recon.io.common import Pose3D
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -38,7 +38,7 @@ from recon.gait.phase import (
     pose_vector_field,
     tips,
 )
-from recon.io.pose import Pose3D
+from recon.io.common import Pose3D
 
 if TYPE_CHECKING:
     import pandas as pd

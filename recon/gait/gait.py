@@ -48,7 +48,7 @@ from recon.clip.keypoints import frame_ranges
 from recon.fit.posterior import radius
 from recon.gait import kinematics
 from recon.gait.kinematics import MIN_POINTS, Errors, Series
-from recon.io.pose import Pose3D
+from recon.io.common import Pose3D
 
 FEET: Mapping[str, str] = MappingProxyType(
     {"LH": "l_back_paw", "RH": "r_back_paw", "LF": "l_front_paw", "RF": "r_front_paw"}

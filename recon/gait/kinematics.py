@@ -33,7 +33,7 @@ from scipy.optimize import brentq
 
 from recon.base.arrays import Array, Index
 from recon.base.errors import InputError, Problem
-from recon.io.pose import Pose3D
+from recon.io.common import Pose3D
 
 Curve = Callable[[Array, int], Array]
 Angle = Callable[[Array, Array, Array], Array]

@@ -34,7 +34,7 @@ from scipy.spatial import ConvexHull, QhullError
 
 from recon.base.arrays import Array, mean
 from recon.gait.kinematics import AngleKinematics, frame_times, joint_index, series_kinematics
-from recon.io.pose import Pose3D
+from recon.io.common import Pose3D
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from recon.io.calibration import read_camera, read_cameras, write_camera, write_cameras
     from recon.io.camera_track import CameraTrack, read_camera_track, track_files, track_label
     from recon.io.columns import parse_map
-    from recon.io.common import write_columns, write_rows, write_table
+    from recon.io.common import Pose3D, StoredPoints, write_columns, write_rows, write_table, y_up_from_z_up
     from recon.io.deeplabcut import write_csv
     from recon.io.deeplabcut_project import find_project, predictions
     from recon.io.formats import (
@@ -22,16 +22,13 @@ if TYPE_CHECKING:
         as_keypoints,
         choose_format,
         file_head,
-        in_metres,
         individuals,
         read_keypoints,
         read_points,
-        read_pose3d,
-        read_pose_segments,
         recognised,
         titles,
     )
-    from recon.io.pose import Pose3D, StoredPoints, y_up_from_z_up
+    from recon.io.positions import in_metres, read_pose3d, read_pose_segments
     from recon.io.video import (
         Image,
         VideoInfo,

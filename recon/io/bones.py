@@ -31,8 +31,17 @@ from recon.base.documents import read_text
 from recon.base.errors import Problem, refuse
 from recon.base.package import version
 from recon.io import trc
-from recon.io.common import frame_number, number, points_of_arrays, require_names, require_span, starts_with_text
-from recon.io.pose import Pose3D, StoredPoints, y_up_from_z_up
+from recon.io.common import (
+    Pose3D,
+    StoredPoints,
+    frame_number,
+    number,
+    points_of_arrays,
+    require_names,
+    require_span,
+    starts_with_text,
+    y_up_from_z_up,
+)
 
 AXIS: dict[str, tuple[int, int, int]] = {"yaw": (0, 1, 0), "pitch": (0, 0, -1), "roll": (1, 0, 0)}
 """What each kind of angle turns about."""

@@ -19,6 +19,10 @@ import numpy as np
 from recon.base.errors import InputError, Problem
 from recon.io.common import (
     DAMAGE,
+    PER_METRE,
+    UNIT_NAMES,
+    Pose3D,
+    StoredPoints,
     formats_extra,
     frames_of_text,
     frames_text,
@@ -28,7 +32,6 @@ from recon.io.common import (
     required_fps,
     without_gaps,
 )
-from recon.io.pose import PER_METRE, UNIT_NAMES, Pose3D, StoredPoints
 
 TITLE = "C3D"
 UNIT = "mm"

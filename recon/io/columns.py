@@ -28,6 +28,8 @@ from recon.clip.keypoints import Keypoints
 from recon.io.common import (
     POINTS_MAX,
     SEPARATORS,
+    Pose3D,
+    StoredPoints,
     choose,
     first_problems,
     formats_extra,
@@ -40,7 +42,6 @@ from recon.io.common import (
     text_rows,
     write_rows,
 )
-from recon.io.pose import Pose3D, StoredPoints
 
 Columns = Mapping[str, Any]
 """A table by column: sequences of text cells, or arrays of numbers."""

@@ -24,8 +24,7 @@ import numpy as np
 from recon.base.documents import read_content
 from recon.base.errors import InputError, Problem
 from recon.io.calibration import CameraRecord
-from recon.io.common import points_of_arrays, starts_with
-from recon.io.pose import StoredPoints
+from recon.io.common import StoredPoints, points_of_arrays, starts_with
 
 MAX_BYTES, MAX_UNPACKED = 1 << 28, 1 << 28
 MAX_DEPTH, MAX_ITEMS = 12, 100_000

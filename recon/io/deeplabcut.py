@@ -20,16 +20,18 @@ from recon.clip.keypoints import Keypoints
 from recon.io.common import (
     FMPOSE3D,
     MAX_FRAME,
+    Pose3D,
+    StoredPoints,
     choose,
     first_problems,
     frame_number,
     number_rows,
+    points_of,
     points_of_arrays,
     rate,
     text_rows,
     write_table,
 )
-from recon.io.pose import Pose3D, StoredPoints, points_of
 
 HEADERS = (
     ("scorer", "bodyparts", "coords"),

@@ -11,11 +11,10 @@ import numpy as np
 from recon.base.errors import InputError, Problem
 from recon.clip.keypoints import Keypoints
 from recon.io.columns import ROLES, gathered
-from recon.io.common import damage_named
+from recon.io.common import StoredPoints, damage_named
 from recon.io.deeplabcut import points_of_table
 from recon.io.formats import as_keypoints
 from recon.io.movement import points_of_dataset
-from recon.io.pose import StoredPoints
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -27,6 +27,7 @@ from recon.base.documents import read_json
 from recon.base.errors import InputError, Problem, refuse
 from recon.io.common import (
     FMPOSE3D,
+    StoredPoints,
     choose,
     damage_named,
     first_problems,
@@ -35,7 +36,6 @@ from recon.io.common import (
     require_span,
     starts_with_text,
 )
-from recon.io.pose import StoredPoints
 
 FRAME_KEYS = ("frame_id", "frame_index", "frame_number")
 _EXPECTED = "a whole file of JSON"

@@ -18,9 +18,19 @@ import numpy as np
 from recon.base.errors import InputError, Problem, refuse
 from recon.base.files import write_bytes
 from recon.clip.keypoints import Keypoints
-from recon.io.common import UNNAMED, formats_extra, frames_of_times, points_of_arrays, rate, starts_with
+from recon.io.common import (
+    UNIT_NAMES,
+    UNNAMED,
+    Pose3D,
+    StoredPoints,
+    formats_extra,
+    frames_of_times,
+    points_of,
+    points_of_arrays,
+    rate,
+    starts_with,
+)
 from recon.io.hdf5 import attribute, child, is_scale, is_text, names, numbers, opened, outline, scale_of, texts
-from recon.io.pose import UNIT_NAMES, Pose3D, StoredPoints, points_of
 
 CLASSIC = b"CDF"
 VARIABLES = ("position", "confidence", "time", "space", "keypoint", "individual", "keypoints", "individuals")

@@ -11,8 +11,7 @@ import numpy as np
 
 from recon.base.documents import KINDS, MAX_UNPACKED, arrays_of, read_content
 from recon.base.files import write_bytes
-from recon.io.common import DAMAGE, points_of_arrays, rate, starts_with
-from recon.io.pose import Pose3D, StoredPoints, index_edges
+from recon.io.common import DAMAGE, Pose3D, StoredPoints, index_edges, points_of_arrays, rate, starts_with
 
 
 def recognises(path: Path) -> bool:

@@ -20,9 +20,14 @@ from recon.base.errors import InputError, Problem, refuse
 from recon.base.files import write_bytes
 from recon.clip.keypoints import Keypoints
 from recon.io.common import (
+    UNIT_NAMES,
+    Pose3D,
+    StoredPoints,
     choose,
     formats_extra,
     frames_of_times,
+    index_edges,
+    points_of,
     points_of_arrays,
     rate,
     require_names,
@@ -30,7 +35,6 @@ from recon.io.common import (
     required_fps,
 )
 from recon.io.hdf5 import attribute, child, groups, names, numbers, opened, outline, texts
-from recon.io.pose import UNIT_NAMES, Pose3D, StoredPoints, index_edges, points_of
 
 TITLE = "ndx-pose NWB"
 NO_NAMES = r"[/:]"

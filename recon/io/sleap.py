@@ -16,9 +16,8 @@ from typing import Any
 import numpy as np
 
 from recon.base.errors import InputError, Problem
-from recon.io.common import points_of_arrays, rate
+from recon.io.common import StoredPoints, points_of_arrays, rate
 from recon.io.hdf5 import attribute, child, numbers, opened, outline, texts
-from recon.io.pose import StoredPoints
 
 ORDERS = {
     "tracks": ("track", "xy", "node", "frame"),

@@ -8,6 +8,9 @@ from typing import Any
 from recon.base.documents import read_text
 from recon.base.errors import refuse
 from recon.io.common import (
+    UNIT_NAMES,
+    Pose3D,
+    StoredPoints,
     first_problems,
     number_rows,
     points_of_arrays,
@@ -15,8 +18,8 @@ from recon.io.common import (
     require_names,
     required_fps,
     starts_with_text,
+    y_up_from_z_up,
 )
-from recon.io.pose import UNIT_NAMES, Pose3D, StoredPoints, y_up_from_z_up
 
 UP_TEXT = "y up: x forwards, y up, z right"
 """At the end of the first line of our own files."""

@@ -22,8 +22,8 @@ from recon.base.errors import all_of
 from recon.base.files import name_seen_from, require_free_folder, seen_from, sole_writer, staged_results
 from recon.check import usable, verdict_fields
 from recon.fit.motion import Motion
-from recon.fit.posterior import draws
 from recon.fit.result import TrajectorySolution
+from recon.fit.sampling import draws
 from recon.gait.gait import doubtful_text
 from recon.io.common import write_rows
 from recon.robotics.ik.drive import control_columns

@@ -1,0 +1,88 @@
+"""3D positions in metres, z up, from files of any format."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from recon.base.errors import InputError, Problem, all_of
+from recon.io.common import PER_METRE, Pose3D, StoredPoints, text_rows, z_up_from_y_up
+from recon.io.deeplabcut import points_of_rows
+from recon.io.formats import Format, file_head, read_points
+
+
+def read_pose3d(
+    path: str | Path, individual: str | None = None, unit: str | None = None, up: str | None = None
+) -> Pose3D:
+    """Positions in any known format, in metres, z up.
+
+    unit (m, cm, mm) and up (y, z): what the file does not say of itself. Where neither says it, DeepLabCut's layouts
+    are metres, TRC and BVH y up, and all others z up. individual: the animal's name, needed where there are several.
+    Raises InputError for a file that is missing, of no known format, or faulty, and for a unit that nobody states.
+    """
+    reader, stored = read_points(path, individual, "3D")
+    return in_metres(Path(path), reader, stored, unit, up)
+
+
+def in_metres(path: Path, reader: Format, stored: StoredPoints, unit: str | None, up: str | None) -> Pose3D:
+    """The positions of a file in our unit and axes; unit and up as for `read_pose3d`. Raises InputError."""
+    notes = list(stored.notes)
+    problems = [
+        Problem(path, name, f"{given} as given, but {stated} in the file", "one of the two")
+        for name, given, stated in (("unit", unit, stored.unit), ("up", up, stored.up))
+        if given is not None and stated is not None and given != stated
+    ]
+    unit = unit or stored.unit or reader.unit
+    if unit not in PER_METRE:
+        found = "none in the file" if unit is None else unit
+        problems.append(Problem(path, "unit", found, f"one of: {', '.join(PER_METRE)} (--unit)"))
+    if up is None and stored.up is None and reader.up != "z":
+        notes.append(f"The file does not say which way is up: read as {reader.up} up, as is the custom (or --up z).")
+    up = up or stored.up or reader.up
+    if up not in ("y", "z"):
+        problems.append(Problem(path, "up", up, "y or z (--up)"))
+    if problems or unit is None:
+        raise InputError(problems)
+    with np.errstate(invalid="ignore"):  # a NaN that signals, as damaged floats can be
+        xyz_m = stored.values / PER_METRE[unit]
+    return Pose3D(
+        stored.names,
+        z_up_from_y_up(xyz_m) if up == "y" else xyz_m,
+        stored.frames,
+        source=str(path),
+        fps=stored.fps,
+        edges=stored.edges,
+        notes=tuple(notes),
+    )
+
+
+def read_pose_segments(path: str | Path) -> dict[str, Pose3D]:
+    """Several pieces of motion in one CSV file, by name: a first header row `segment, frame, <joints>`, a second with
+    x, y, z, and metres. A file as `read_pose3d` takes it is one piece, named after the file. Raises InputError."""
+    path = Path(path)
+    if not file_head(path).removeprefix(b"\xef\xbb\xbf").startswith(b"segment,frame,"):
+        return {path.stem: read_pose3d(path)}
+    rows = text_rows(path, ",")
+    names, coords = next(rows)[1], next(rows, (2, []))[1]
+    if len(coords) != len(names):
+        raise InputError(Problem(path, "line 2", f"{len(coords)} cells", f"{len(names)}, as in line 1"))
+    pieces: dict[str, list[tuple[int, list[str]]]] = {}
+    for line, row in rows:
+        pieces.setdefault(row[0], []).append((line, row[1:]))
+    if not pieces:
+        raise InputError(Problem(path, "rows", "no frames", "at least one row below the header"))
+    header = {"bodyparts": names[2:], "coords": coords[2:]}
+    try:
+        found = all_of(*(partial(_piece, path, header, rows) for rows in pieces.values()))
+    except InputError as error:  # all pieces have the same header
+        raise InputError(list(dict.fromkeys(error.problems))) from None
+    return dict(zip(pieces, found, strict=True))
+
+
+def _piece(path: Path, header: dict[str, list[str]], rows: list[tuple[int, list[str]]]) -> Pose3D:
+    stored = points_of_rows(path, header, rows, 1)
+    if not stored.in_space:
+        raise InputError(Problem(path, "line 2", "no z", "x, y, z of each joint"))
+    return Pose3D(stored.names, stored.values, stored.frames, source=str(path), notes=stored.notes)
