@@ -1,20 +1,23 @@
-"""Running `recon ARGS` in tests."""
+"""Running `recon ARGS` in tests, and what it and functions are refused for."""
 
 from __future__ import annotations
 
 import io
+import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable, Sequence
-from contextlib import redirect_stderr, redirect_stdout
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import pytest
 
-from recon import read_settings
+import recon.workflows.cli as cli
+from recon import InputError, read_settings
 from recon.base import silent, write_manifest
+from recon.base.errors import Problem
 from recon.base.parallel import STARTING, Event, Work, outcome_of
 from recon.workflows import main
 
@@ -36,6 +39,60 @@ def run(*args: object) -> Ended:
     code = caught.value.code or 0
     assert isinstance(code, int)
     return Ended(code, out.getvalue(), err.getvalue())
+
+
+Refusal = tuple[object, ...]
+"""What an input is refused for, as a `Problem` has it: the file (or only its name) or option, the field, what stands in
+`found` and what stands in `expected`. The last two are words or numbers, several of them as a list, or left out."""
+
+
+def refused(args: Sequence[object], *expected: Refusal) -> tuple[Problem, ...]:
+    """`recon ARGS` prints nothing but one error for each problem, and these are its problems."""
+    problems: list[Problem] = []
+    app = cli.app
+
+    def noted() -> None:
+        try:
+            app()
+        except InputError as error:
+            problems.extend(error.problems)
+            raise
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(cli, "app", noted)
+        ended = run(*args)
+    printed = "".join(f"error: {line}\n" for line in ("\n".join(problem.lines) for problem in problems))
+    assert ended == Ended(2, "", printed), ended
+    compare(problems, expected)
+    return tuple(problems)
+
+
+@contextmanager
+def refusal(*expected: Refusal) -> Iterator[None]:
+    """What is done inside raises `InputError` with these problems."""
+    with pytest.raises(InputError) as caught:
+        yield
+    compare(caught.value.problems, expected)
+
+
+def compare(problems: Sequence[Problem], expected: Sequence[Refusal]) -> None:
+    """In any order."""
+    said = [[_is_about(problem, one) for one in expected] for problem in problems]
+    if len(problems) != len(expected) or not all(map(any, said)) or not all(map(any, zip(*said, strict=True))):
+        told = "\n".join(map(repr, problems))
+        raise AssertionError(f"refused for\n{told}\nand not for\n" + "\n".join(map(repr, expected)))
+
+
+def _is_about(problem: Problem, expected: Refusal) -> bool:
+    file, field, *values = expected
+    names = (str(problem.file), Path(problem.file).name)
+    return str(file) in names and field == problem.field and all(map(_has, (problem.found, problem.expected), values))
+
+
+def _has(text: str, values: object) -> bool:
+    """Each as whole words: 3 does not stand in 13, nor in 3.5."""
+    each = values if isinstance(values, list) else [values]
+    return all(re.search(rf"(?<![\w.]){re.escape(str(value))}(?!\w|\.\d)", text) for value in each)
 
 
 def run_process(*args: object, before: str = "") -> Ended:

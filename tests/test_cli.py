@@ -12,11 +12,12 @@ from collections.abc import Callable
 from dataclasses import replace
 from importlib import metadata
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
-from command_line import Ended, run, run_process
+from command_line import Ended, Refusal, refused, run, run_process
 from rerun.chunk import RrdReader
 
 import recon.show.export.clip_csv
@@ -269,9 +270,8 @@ def test_a_config_away_from_its_files_or_beside_others_says_so(tmp_path):
     assert run("fit", "--config", config, "--out", tmp_path / "other").out.splitlines()[0] == said
     assert "note" not in run("fit", clip, "--config", config, "--out", tmp_path / "given").out
     clip.unlink()
-    gone = run("fit", "--config", config, "--out", tmp_path / "gone")
-    expected = "the file that config.toml names, seen from its own folder: move both together, or name it anew"
-    assert gone.err == f"error: {config}: keypoints: found {clip}, no such file, expected {expected}\n"
+    missing = (config, "keypoints", f"{clip}, no such file", "config.toml")
+    refused(["fit", "--config", config, "--out", tmp_path / "gone"], missing)
 
 
 def test_camera_from_its_field_of_view(tmp_path):
@@ -310,8 +310,8 @@ def test_brackets_in_names_are_printed_as_they_are(tmp_path):
     ended = run(*fit_args(out, "--frames", ":3"))
     assert f"Results are in {out}." in ended.out
     assert f"recon view '{out}'" in ended.out
-    ended = run(*fit_args(tmp_path / "b", keypoints=tmp_path / "[bold]:smile:.csv"))
-    assert f"error: {tmp_path}/[bold]:smile:.csv: file: found no such file" in ended.err
+    nowhere = tmp_path / "[bold]:smile:.csv"
+    refused(fit_args(tmp_path / "b", keypoints=nowhere), (nowhere, "file", "no such file"))
 
 
 # ---- the default: the whole animal over the whole clip ----
@@ -425,168 +425,162 @@ def test_tilted_camera(tmp_path):
 
 # ---- bad input ----
 
-BAD_INPUT: dict[str, tuple[list[str], list[str]]] = {
-    "missing file": (["{in}/no.csv"], ["{in}/no.csv: file: found no such file"]),
-    "folder for a file": (["{in}"], ["{in}: file: found a folder"]),
-    "empty file": (["{in}/empty.csv"], ["{in}/empty.csv: file: found an empty file"]),
-    "wrong header": (["{in}/header.csv"], ["{in}/header.csv: format: found a file that begins with 'frame,x,y'"]),
-    "binary file": (["{in}/binary.csv"], ["{in}/binary.csv: format: found a binary file"]),
-    "missing camera file": (["{clip}", "--camera", "{in}/no.toml"], ["{in}/no.toml: file: found no such file"]),
-    "empty camera file": (["{clip}", "--camera", "{in}/empty.toml"], ["{in}/empty.toml: file: found an empty file"]),
-    "camera of no known format": (["{clip}", "--camera", "{in}/camera.txt"], ["{in}/camera.txt: format: found suffix"]),
+NO_OUT = ("--out", "folder", "nothing", "results/clip1")
+FRAME = ["--set", "method=frame"]
+OF_A_SKELETON = [
+    "title", "root", "root_keypoint", "forward", "feet", "keypoint_sigma_m", "base_length", "softness_rad", "prior",
+    "links",
+]  # fmt: skip
+BAD_INPUT: dict[str, tuple[list[str], list[Refusal]]] = {
+    "missing file": (["{in}/no.csv"], [("{in}/no.csv", "file", "no such file")]),
+    "folder for a file": (["{in}"], [("{in}", "file", "a folder")]),
+    "empty file": (["{in}/empty.csv"], [("{in}/empty.csv", "file", "empty")]),
+    "wrong header": (["{in}/header.csv"], [("{in}/header.csv", "format", "frame,x,y")]),
+    "binary file": (["{in}/binary.csv"], [("{in}/binary.csv", "format", "binary")]),
+    "missing camera file": (["{clip}", "--camera", "{in}/no.toml"], [("{in}/no.toml", "file", "no such file")]),
+    "empty camera file": (["{clip}", "--camera", "{in}/empty.toml"], [("{in}/empty.toml", "file", "empty")]),
+    "camera of no known format": (["{clip}", "--camera", "{in}/camera.txt"], [("{in}/camera.txt", "format", ".txt")]),
     "no such camera": (
         ["{clip}", "--camera", "{in}/two.toml", "--camera-name", "cam9"],
-        ["{in}/two.toml: camera: found no camera called 'cam9', expected one of cam_a, cam_b"],
+        [("{in}/two.toml", "camera", "cam9", "cam_a, cam_b")],
     ),
     "no camera chosen": (
         ["{clip}", "--camera", "{in}/two.toml"],
-        ["{in}/two.toml: camera: found 2 cameras and no choice, expected one of cam_a, cam_b"],
+        [("{in}/two.toml", "camera", "2 cameras", "cam_a, cam_b")],
     ),
     "no such individual": (
         ["{in}/animals.csv", "--individual", "animal3"],
-        ["{in}/animals.csv: individual: found 'animal3', expected one of: animal1, animal2"],
+        [("{in}/animals.csv", "individual", "animal3", "animal1, animal2")],
     ),
-    "no individual chosen": (["{in}/animals.csv"], ["{in}/animals.csv: individual: found 2 animals and no --ind"]),
-    "individual in a file of one": (
-        ["{clip}", "--individual", "a"],
-        ["{clip}: individual: found a file without named"],
+    "no individual chosen": (
+        ["{in}/animals.csv"],
+        [("{in}/animals.csv", "individual", ["2 animals", "--individual"], "animal1, animal2")],
     ),
-    "non-numeric cell": (["{in}/cell.csv"], ["{in}/cell.csv: line 9, spine/x: found 'abc', expected a number"]),
-    "all points missing": (["{in}/missing.csv"], ["{in}/missing.csv: points: found every point of the clip missing"]),
+    "individual in a file of one": (["{clip}", "--individual", "a"], [("{clip}", "individual", "without named")]),
+    "non-numeric cell": (["{in}/cell.csv"], [("{in}/cell.csv", "line 9, spine/x", "'abc'", "number")]),
+    "all points missing": (["{in}/missing.csv"], [("{in}/missing.csv", "points", "every point")]),
     "none of the skeleton's keypoints": (
         ["{in}/wings.csv"],
-        ["{in}/wings.csv: bodyparts: found wing_neck_base, wing_spine, "],
+        [("{in}/wings.csv", "bodyparts", "wing_neck_base, wing_spine")],
     ),
-    "fps 0": (["{clip}", "--fps", "0"], ["--fps: found '0', expected a number greater than 0"]),
-    "fps that is no number": (
-        ["{clip}", "--fps", "90fps"],
-        ["--fps: found '90fps', expected a number"],
-    ),
+    "fps 0": (["{clip}", "--fps", "0"], [("--fps", "fps", "'0'", "greater than 0")]),
+    "fps that is no number": (["{clip}", "--fps", "90fps"], [("--fps", "fps", "'90fps'", "number")]),
     "no image size in the camera file": (
         ["{clip}", "--camera", "{in}/no_size.json"],
-        ["{in}/no_size.json: size: found nothing, expected the image size"],
+        [("{in}/no_size.json", "size", "nothing", "--image-size")],
     ),
     "image size against the camera file's": (
         ["{clip}", "--image-size", "640x480"],
-        ["{camera}: camera.image_size_px: found 1920x1080, expected 640x480"],
+        [("{camera}", "camera.image_size_px", "1920x1080", "640x480")],
     ),
-    "image size that is none": (["{clip}", "--image-size", "big"], ["--image-size: found 'big'"]),
+    "image size that is none": (["{clip}", "--image-size", "big"], [("--image-size", "image_size_px", "'big'")]),
     "frames outside the clip": (
         ["{clip}", "--frames", "100:200"],
-        ["{clip}: frames: found none in the range 100:200, expected a range within its frames (0 to 29)"],
+        [("{clip}", "frames", "100:200", "0 to 29")],
     ),
-    "frames that are no range": (["{clip}", "--frames", "9"], ["--frames: found '9', expected frame numbers"]),
+    "frames that are no range": (["{clip}", "--frames", "9"], [("--frames", "frames", "'9'", "A:B")]),
     "unknown skeleton": (
         ["{clip}", "--skeleton", "zebra"],
-        ["--skeleton: name or file: found 'zebra', expected one of cheetah-24, cheetah-8u, "],
+        [("--skeleton", "name or file", "'zebra'", "cheetah-24, cheetah-8u")],
     ),
     "unknown chain": (
-        ["{clip}", "--skeleton", "zebra", "--set", "method=frame"],
-        ["--skeleton: name or file: found 'zebra', expected one of cheetah-8u, "],
+        ["{clip}", "--skeleton", "zebra", *FRAME],
+        [("--skeleton", "name or file", "'zebra'", "one of cheetah-8u")],
     ),
     "whole animal for the frame method": (
-        ["{clip}", "--skeleton", "cheetah-24", "--set", "method=frame"],
-        ["--skeleton: name or file: found 'cheetah-24', expected a chain for the frame method: one of cheetah-8u, "],
+        ["{clip}", "--skeleton", "cheetah-24", *FRAME],
+        [("--skeleton", "name or file", "'cheetah-24'", ["frame method", "cheetah-8u"])],
     ),
     "unknown subject": (
         ["{clip}", "--subject", "tom"],
-        ["--subject: name or file: found 'tom', expected one of jules, phantom, or a subject file"],
+        [("--subject", "name or file", "'tom'", "jules, phantom")],
     ),
     "subject of a chain": (
         ["{clip}", "--subject", "jules", "--skeleton", "cheetah-8u"],
-        ["--subject: name or file: found 'jules', expected none: "],
+        [("--subject", "name or file", "'jules'", "none")],
     ),
-    "unknown prior": (["{clip}", "--prior", "zebras"], ["--prior: name or file: found 'zebras', expected "]),
+    "unknown prior": (["{clip}", "--prior", "zebras"], [("--prior", "name or file", "'zebras'")]),
     "prior of another skeleton": (
         ["{clip}", "--prior", "running-cheetah", "--skeleton", "cheetah-8u"],
-        ["prior running-cheetah: angles: found "],
+        [("prior running-cheetah", "angles", "24 angles", "16 angles of cheetah-8u")],
     ),
     "side of a whole animal": (
         ["{clip}", "--set", "side=left"],
-        ["--set side: found 'left', expected nothing: cheetah-24 is a whole animal"],
+        [("--set side", "side", "'left'", ["nothing", "cheetah-24"])],
     ),
     "tilt beside extrinsics": (
         ["{clip}", "--tilt-deg", "5"],
-        ["--tilt-deg: found 5 beside the pose in {camera}, which says which way is up, expected one of the"],
+        [("--tilt-deg", "tilt_deg", ["5", "{camera}"], "one of the two")],
     ),
     "options of the frame method": (
         ["{clip}", "--set", "form=printed", "--set", "base-length-m=0.2"],
         [
-            "--set form: found 'printed' with the trajectory method, which does not read it, expected nothing, or ",
-            "--set base-length-m: found '0.2' with the trajectory method, which does not read it, expected ",
+            ("--set form", "form", ["'printed'", "trajectory method"], "--set method=frame"),
+            ("--set base-length-m", "base_length_m", ["'0.2'", "trajectory method"], "--set method=frame"),
         ],
     ),
     "options of the trajectory method": (
-        ["{clip}", "--set", "method=frame", "--set", "fast=true", "--set", "ground=none"],
-        ["--set ground: found 'none' with the frame method", "--set fast: found 'true' with the frame method"],
+        ["{clip}", *FRAME, "--set", "fast=true", "--set", "ground=none"],
+        [
+            ("--set fast", "fast", ["'true'", "frame method"], "--set method=trajectory"),
+            ("--set ground", "ground", ["'none'", "frame method"], "--set method=trajectory"),
+        ],
     ),
     "incomplete skeleton file": (
         ["{clip}", "--skeleton", "{in}/skeleton.toml"],
-        ["{in}/skeleton.toml: title: found", "{in}/skeleton.toml: links: found"],
+        [("{in}/skeleton.toml", key, "nothing") for key in OF_A_SKELETON],
     ),
     "unknown form": (
-        ["{clip}", "--set", "form=soft", "--set", "method=frame"],
-        ["--set form: found 'soft', expected deadband or printed"],
+        ["{clip}", "--set", "form=soft", *FRAME],
+        [("--set form", "form", "'soft'", "deadband or printed")],
     ),
-    "unknown side": (["{clip}", "--set", "side=up"], ["--set side: found 'up', expected auto, left or right"]),
-    "unknown method": (["{clip}", "--set", "method=x"], ["--set method: found 'x', expected trajectory or frame"]),
-    "broken config": (["{clip}", "--config", "{in}/config.toml"], ["{in}/config.toml: content: found "]),
-    "missing config": (["--config", "{in}/no.toml"], ["{in}/no.toml: file: found no such file"]),
+    "unknown side": (["{clip}", "--set", "side=up"], [("--set side", "side", "'up'", "auto, left or right")]),
+    "unknown method": (["{clip}", "--set", "method=x"], [("--set method", "method", "'x'", "trajectory or frame")]),
+    "broken config": (["{clip}", "--config", "{in}/config.toml"], [("{in}/config.toml", "content")]),
+    "missing config": (["--config", "{in}/no.toml"], [("{in}/no.toml", "file", "no such file")]),
     "camera and keypoints": (
         ["{in}/no.csv", "--camera", "{in}/no.toml", "--skeleton", "zebra"],
-        ["--skeleton: name or file: found", "{in}/no.toml: file: found", "{in}/no.csv: file: found"],
+        [("{in}/no.csv", "file"), ("--skeleton", "name or file", "'zebra'"), ("{in}/no.toml", "file")],
     ),
     "several settings": (
         ["{clip}", "--fps", "0", "--set", "side=up", "--frames", "5:2"],
-        ["--fps:", "--frames:", "--set side:"],
+        [("--fps", "fps", "'0'"), ("--frames", "frames", "'5:2'"), ("--set side", "side", "'up'")],
     ),
 }
 
 
 @pytest.mark.parametrize("case", BAD_INPUT)
 def test_bad_input_ends_with_a_message_and_no_folder(case, inputs, tmp_path):
-    args, messages = (
-        [text.replace("{in}", str(inputs)).replace("{clip}", str(CLIP)).replace("{camera}", str(CAMERA)) for text in x]
-        for x in BAD_INPUT[case]
-    )
+    def here(value: Any) -> Any:
+        if isinstance(value, str):
+            return value.replace("{in}", str(inputs)).replace("{clip}", str(CLIP)).replace("{camera}", str(CAMERA))
+        return [here(one) for one in value]
+
+    args, expected = map(here, BAD_INPUT[case])
     if "--fps" not in args:
         args += ["--fps", "30"]
     if "--camera" not in args:
         args += ["--camera", str(CAMERA)]
-    ended = run("fit", *args, "--out", tmp_path / "a" / "b")
-    lines = ended.err.splitlines()
+    problems = refused(["fit", *args, "--out", tmp_path / "a" / "b"], *expected)
+    assert all(problem.found and problem.expected for problem in problems)
+    head, *rows = problems[0].more or ("",)
     if case == "none of the skeleton's keypoints":  # and the map to write
-        lines, names = lines[:1], lines[1:]
-        assert names[0] == "file,skeleton"
-        assert [row.split(",")[0] for row in names[1:]] == [f"wing_{name}" for name in read_keypoints(CLIP).names]
-        assert "wing_neck_base,neck_base" in names
-    assert ended.code == 2
-    assert ended.out == ""
-    assert all(line.startswith("error: ") and ": found " in line and ", expected " in line for line in lines)
-    assert len(lines) == len(set(lines))
-    for message in messages:
-        assert sum(line.startswith(f"error: {message}") for line in lines) == 1, ended.err
-    if case != "incomplete skeleton file":
-        assert len(lines) == len(messages), ended.err
+        assert head == "file,skeleton"
+        assert [row.split(",")[0] for row in rows] == [f"wing_{name}" for name in read_keypoints(CLIP).names]
+        assert "wing_neck_base,neck_base" in rows
     assert list(tmp_path.iterdir()) == []
 
 
 def test_everything_that_is_needed_and_not_given_is_named():
-    ended = run("fit")
-    assert ended.code == 2
-    named = [line.split(": ")[1] for line in ended.err.splitlines()]
-    assert named == ["KEYPOINTS", "--camera", "--out"]
+    refused(["fit"], ("KEYPOINTS", "keypoints", "nothing"), ("--camera", "camera", "nothing"), NO_OUT)
 
 
 def test_the_frame_rate_comes_from_the_file_or_has_to_be_given(tmp_path):
-    missing = run("fit", CLIP, "--camera", tmp_path / "none.toml", "--out", tmp_path / "a")
-    assert missing.code == 2
-    assert "--fps: found nothing, and noisy.csv does not say" in missing.err
-    assert "none.toml" in missing.err  # together with what is wrong with the camera
-    two = run(
-        "fit", SAMPLES / "whole_cam1.csv", SAMPLES / "whole_cam2.csv", "--camera", CAMERA, "--out", tmp_path / "a"
-    )
-    assert "--fps: found nothing, and whole_cam1.csv, whole_cam2.csv do not say" in two.err  # once
+    args = ["fit", CLIP, "--camera", tmp_path / "none.toml", "--out", tmp_path / "a"]
+    refused(args, ("--fps", "fps", ["nothing", "noisy.csv"]), (tmp_path / "none.toml", "file", "no such file"))
+    two = [SAMPLES / "whole_cam1.csv", SAMPLES / "whole_cam2.csv"]
+    once = ("--fps", "fps", ["nothing", "whole_cam1.csv, whole_cam2.csv"])
+    refused(["fit", *two, "--camera", CAMERA, "--out", tmp_path / "a"], once, (CAMERA, "camera", [1, 2]))
     stated = tmp_path / "stated.nc"
     assert run("convert", CLIP, stated, "--fps", 30).code == 0
     args = ("--camera", CAMERA, "--set", "method=frame", "--frames", ":3", "-q")
@@ -597,20 +591,18 @@ def test_the_frame_rate_comes_from_the_file_or_has_to_be_given(tmp_path):
 
 
 def test_no_out():
-    ended = run("fit", CLIP, "--camera", CAMERA, "--fps", 30)
-    message = "error: --out: folder: found nothing, expected a folder for the results, as in results/clip1\n"
-    assert ended == Ended(2, "", message)
+    refused(["fit", CLIP, "--camera", CAMERA, "--fps", 30], NO_OUT)
 
 
 def test_no_camera(tmp_path):
-    ended = run(*fit_args(tmp_path / "a", camera=None))
-    assert ended.code == 2
-    assert ended.err.startswith("error: --camera: found nothing, expected a camera file, or --hfov-deg with")
-    ended = run(*fit_args(tmp_path / "a", camera=None, keypoints=CAMERA))  # what is wrong with the file comes first
-    assert [line.split(": ")[1] for line in ended.err.splitlines()] == [str(CAMERA), "--camera"]
-    ended = run(*fit_args(tmp_path / "a", "--hfov-deg", 60, camera=None))
-    assert ended.code == 2
-    assert ended.err.startswith("error: --image-size: found nothing, expected the size of the video")
+    nothing = ("--camera", "camera", "nothing", "--hfov-deg")
+    out = tmp_path / "a"
+    refused(fit_args(out, camera=None), nothing)
+    # What is wrong with the file comes first.
+    first, _ = refused(fit_args(out, camera=None, keypoints=CAMERA), (CAMERA, "format", "[camera]"), nothing)
+    assert first.file == CAMERA
+    no_size = ("--image-size", "image_size_px", "nothing", "--hfov-deg")
+    refused(fit_args(out, "--hfov-deg", 60, camera=None), no_size)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -618,20 +610,15 @@ def test_no_camera(tmp_path):
 def test_out_is_a_file(tmp_path, below):
     file = tmp_path / "file"
     file.write_text("mine")
-    ended = run(*fit_args(file / "clip" if below else file))
-    assert ended.code == 2
-    assert ended.err.startswith(f"error: --out: folder: found the file {file}, expected a folder")
+    refused(fit_args(file / "clip" if below else file), ("--out", "folder", f"file {file}", "folder"))
     assert file.read_text() == "mine"
 
 
 def test_results_are_not_replaced_unasked(tmp_path):
     (tmp_path / "angles.csv").write_text("mine")
     # Said at once, before any other file is looked at.
-    ended = run(*fit_args(tmp_path, keypoints=tmp_path / "no.csv"))
-    assert ended.code == 2
-    assert ended.err == (
-        f"error: --out: folder: found angles.csv in {tmp_path}, expected a folder without results, or --overwrite\n"
-    )
+    there = ("--out", "folder", f"angles.csv in {tmp_path}", "--overwrite")
+    refused(fit_args(tmp_path, keypoints=tmp_path / "no.csv"), there)
     assert files(tmp_path) == {"angles.csv": b"mine"}
 
 
@@ -647,26 +634,24 @@ def test_options_that_cannot_be_parsed(args):
 
 
 @pytest.mark.parametrize(
-    ("start", "args", "message"),
+    ("args", "expected"),
     [
-        (
-            run_process,
-            fit_args(Path("a/b"), keypoints=Path("no.csv")),
-            "error: {here}/no.csv: file: found no such file, ",
-        ),
-        (run, fit_args(Path("a/b"), fps=0), "error: --fps: found '0', expected "),
-        (run, ["evaluate", "no.csv", TRUTH], "error: no.csv: file: found no such file, expected "),
-        (run, ["view", "no"], "error: no/motion.rrd: file: found no such file, expected "),
+        (fit_args(Path("a/b"), fps=0), ("--fps", "fps", "'0'")),
+        (["evaluate", "no.csv", TRUTH], ("no.csv", "file", "no such file")),
+        (["view", "no"], ("no/motion.rrd", "file", "no such file")),
     ],
 )
-def test_bad_input_is_one_line(start, args, message, tmp_path, monkeypatch):
-    """Also of a process of its own."""
+def test_bad_input_makes_nothing(args, expected, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    ended = start(*args)
-    assert ended.code == 2
-    assert ended.out == ""
-    assert ended.err.startswith(message.replace("{here}", str(tmp_path)))
-    assert ended.err.count("\n") == 1
+    refused(args, expected)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_bad_input_in_a_process_of_its_own_is_one_line(tmp_path, monkeypatch):
+    """The sentence that is made of a problem."""
+    monkeypatch.chdir(tmp_path)
+    ended = run_process("evaluate", "no.csv", TRUTH)
+    assert ended == Ended(2, "", "error: no.csv: file: found no such file, expected a file that can be read\n")
     assert list(tmp_path.iterdir()) == []
 
 
@@ -846,15 +831,11 @@ def test_demo(tmp_path):
     error_mm = 1000 * evaluate_files(tmp_path / "demo" / "pose3d.csv", SAMPLES / "whole_truth.csv").mpjpe_m.mean
     assert error_mm < 60
     assert f"Error against the sample's truth: {error_mm:.0f} mm (MPJPE)" in ended.out
-    again = run("demo", "--out", tmp_path / "demo")
-    assert again.code == 2
-    assert "--overwrite" in again.err
+    refused(["demo", "--out", tmp_path / "demo"], ("--out", "folder", ["pose3d.csv", tmp_path / "demo"], "--overwrite"))
 
 
 def test_view_without_a_recording(tmp_path):
-    ended = run("view", tmp_path)
-    assert ended.code == 2
-    assert ended.err.startswith(f"error: {tmp_path / 'motion.rrd'}: file: found no such file")
+    refused(["view", tmp_path], (tmp_path / "motion.rrd", "file", "no such file", "recon fit"))
 
 
 def test_view_opens_the_recording(fitted, monkeypatch):
@@ -882,7 +863,8 @@ def test_view_shows_what_goes_with_the_recording(fitted, tmp_path, monkeypatch):
     look(tmp_path / "all.rrd")
     assert seen == [{"/analysis/speed", "/speed"}] * 2
     assert {path: path.read_bytes() for path in out.rglob("*") if path.is_file()} == before
-    assert "which is there already" in run("view", out, "--out", tmp_path / "all.rrd").err
+    there = ("--out", "file", tmp_path / "all.rrd", "--overwrite")
+    refused(["view", out, "--out", tmp_path / "all.rrd"], there)
     assert run("view", out, "--out", tmp_path / "all.rrd", "--overwrite").code == 0
 
 

@@ -156,7 +156,8 @@ def problems_of(
             expected = _EXPECTED.get(kind, "{message}")
             message = one["msg"].removeprefix("Value error, ").removeprefix("Input should be ")
             wanted = expected.format(message=message, **one.get("ctx", {}))
-            yield Problem(source, field, repr(one["input"])[:60], wanted)
+            found = "nothing" if one["input"] is None else repr(one["input"])[:60]
+            yield Problem(source, field, found, wanted)
 
 
 def _table_at(schema: Mapping[str, Any], way: Iterable[str | int]) -> Mapping[str, Any]:

@@ -206,6 +206,8 @@ def _build(
         said.add(field)
         problems.append(Problem(path, record.place + record.called.get(field, field), found, expected))
 
+    if values.get("matrix") is None and values.get("model") not in (None, *LENS_MODELS):
+        return fault("model", repr(values["model"]), "a known lens model")  # which tells its numbers apart
     given: dict[str, Any] = {"name": f"cam{number}" if record.name is None else str(record.name)}
     for field, (_, expected) in BLOCKS.items():
         given[field] = _numbers(values.get(field))

@@ -1,0 +1,50 @@
+"""What is wrong with an input: the line that is made of it, and how tests look at it."""
+
+import pytest
+from command_line import refusal
+
+from recon import InputError
+from recon.base.errors import Problem
+
+
+@pytest.mark.parametrize(
+    ("file", "field", "line"),
+    [
+        ("a.csv", "line 9", "a.csv: line 9: found 3 cells, expected 8"),
+        ("--fps", "fps", "--fps: found 3 cells, expected 8"),
+        ("--image-size", "image_size_px", "--image-size: found 3 cells, expected 8"),
+        ("--set base-length-m", "base_length_m", "--set base-length-m: found 3 cells, expected 8"),
+        ("--out", "folder", "--out: folder: found 3 cells, expected 8"),
+        ("a\x1b[31m\n.csv", "line 9", r"a\x1b[31m\n.csv: line 9: found 3 cells, expected 8"),
+    ],
+)
+def test_a_problem_is_one_line(file, field, line):
+    assert str(Problem(file, field, "3 cells", "8")) == line
+
+
+def test_what_follows_a_problem():
+    error = InputError([Problem("a.csv", "names", "x", "y", ("file,skeleton", "x,\x07")), Problem("b", "c", "d", "e")])
+    lines = "a.csv: names: found x, expected y\nfile,skeleton\nx,\\x07\nb: c: found d, expected e"
+    assert str(error) == lines
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        [("b.csv", "line 9", "3 cells", 8)],
+        [("a.csv", "line 8", "3 cells", 8)],
+        [("a.csv", "line 9", "8", 8)],
+        [("a.csv", "line 9", ["3 cells", "4"], 8)],
+        [("a.csv", "line 9", "3 cell")],
+        [("a.csv", "line 9", "3 cells", 1.8)],
+        [("a.csv", "line 9"), ("a.csv", "line 9")],
+        [],
+    ],
+)
+def test_another_refusal_is_none_that_is_expected(other):
+    problem = Problem("x/a.csv", "line 9", "3 cells, 0.4 wide", "8")
+    for file in ("a.csv", "x/a.csv"):
+        with refusal((file, "line 9", ["3 cells", 0.4], 8)):
+            raise InputError(problem)
+    with pytest.raises(AssertionError, match="refused for"), refusal(*other):
+        raise InputError(problem)
