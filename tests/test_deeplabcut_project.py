@@ -149,7 +149,9 @@ def of_fmpose3d(tmp_path: Path) -> Path:
         columns = pd.MultiIndex.from_product(
             [["DLC_fmpose3d_animals_3d"], [name], ["x", "y", "z"]], names=["scorer", "bodyparts", "coords"]
         )
-        table = pd.concat([pd.DataFrame(np.nan_to_num(xyz[:, k]), columns=columns), table], axis=1)
+        points = np.nan_to_num(xyz[:, k])
+        points[5] = np.nan
+        table = pd.concat([pd.DataFrame(points, columns=columns), table], axis=1)
     table.to_hdf(path.with_suffix(".h5"), key="df_with_missing", mode="w", format="table")
     return path
 
@@ -161,12 +163,27 @@ def test_poses_of_fmpose3d(of_fmpose3d, suffix):
     assert {*pose.names} == {*ANIMAL3D}
     assert ["FMPose3D" in note for note in pose.notes] == [True, True]
     found = evaluate_files(path, truth, rename="animal3d")
-    assert (len(found.names), found.frames_not_scored) == (19, 1 if suffix == ".json" else 0)
+    assert (len(found.names), found.frames_not_scored) == (19, 1)
     assert found.pa_mpjpe_m.mean < 1e-6 < 0.1 < found.scale_mpjpe_m.mean
     plain = evaluate_files(path, truth)
     assert plain.names == tuple(name for name in pose.names if name in ("nose", "tail_base"))
     assert "--rename animal3d: 19 joints are in common, not 2." in plain.notes
     assert json.loads(run("evaluate", path, truth, "--rename", "animal3d", "--json").out)["pa_mpjpe_mm"] < 1e-3
+
+
+def test_poses_of_the_demo_of_fmpose3d(of_fmpose3d, tmp_path):
+    """A file a picture, as `pose3D/0000_3D.npz`, with Animal3D's points."""
+    truth, poses = SAMPLE.with_name("whole_truth.csv"), read_pose3d(of_fmpose3d)
+    xyz = poses.xyz_m[:, [poses.names.index(name) for name in ANIMAL3D]]
+    for frame in (3, 4, 7):
+        np.savez_compressed(tmp_path / f"{frame:04d}_3D.npz", pose3d=xyz[frame].astype("f4"))
+    found = evaluate_files(tmp_path / "0004_3D.npz", truth, rename="animal3d")
+    assert (found.frames.tolist(), len(found.names)) == ([3, 4, 7], 19)
+    assert found.pa_mpjpe_m.mean < 1e-4 < 0.1 < found.scale_mpjpe_m.mean
+    assert read_pose3d((tmp_path / "0004_3D.npz").rename(tmp_path / "one.npz")).frames.tolist() == [0]
+    np.savez(tmp_path / "0009_3D.npz", pose3d=xyz[9, :17])
+    with pytest.raises(InputError, match="data that cannot be read"):
+        read_pose3d(tmp_path / "0009_3D.npz")
 
 
 def test_a_faulty_file_of_fmpose3d(of_fmpose3d):

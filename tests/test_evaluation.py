@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from recon import InputError, evaluate, evaluate_files
 from recon.check import mismatches, sentence
 from recon.gait.evaluation import align_scale, align_similarity, centre, joint_errors
-from recon.io import Pose3D, read_pose3d, trc
+from recon.io import Pose3D, read_pose3d, trc, write_csv
 
 NAN = float("nan")
 SAMPLES = Path(__file__).parents[1] / "data" / "samples"
@@ -241,6 +241,8 @@ def test_a_result_folder(whole_results, level_results, tmp_path):
     assert all(0.3 < half < often and 0.8 < often <= 1.0 for half, often in found.inside.values())
     exchanged = evaluate_files(truth, whole_results)  # a folder may be the reference
     assert exchanged.mpjpe_m.mean == pytest.approx(found.mpjpe_m.mean)
+    with pytest.raises(InputError, match="results of recon fit, which say both"):
+        evaluate_files(truth, whole_results, unit="mm")
     (note,) = evaluate_files(level_results, truth).notes
     assert "different frames of reference" in note
     with pytest.raises(InputError, match=r"no motion\.npz, expected the folder of results"):
@@ -265,6 +267,9 @@ def test_a_reference_that_counts_from_1_and_says_neither_unit_nor_up(tmp_path):
     (tmp_path / "mm.csv").write_text("\n".join(rows).replace("nan", "") + "\n")
     with pytest.raises(InputError, match="--unit"):
         evaluate_files(tmp_path / "pose.trc", tmp_path / "mm.csv")
+    write_csv(pose, tmp_path / "ours.csv")
+    with pytest.raises(InputError, match="unit: found mm as given, but m in the file"):
+        evaluate_files(tmp_path / "pose.trc", tmp_path / "ours.csv", unit="mm")
     ended = run("evaluate", tmp_path / "pose.trc", tmp_path / "mm.csv", "--unit", "mm", "--up", "y", "--json")
     assert json.loads(ended.out)["mpe_mm"] == pytest.approx(0, abs=1e-6)
 

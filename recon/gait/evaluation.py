@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from recon.animal import fitting_maps, load_names, new_names
-from recon.base.errors import Problem, all_of, refuse
+from recon.base.errors import InputError, Problem, all_of, refuse
 from recon.base.manifest import MANIFEST
 from recon.check import mismatches, sentence, usable
 from recon.clip.keypoints import frame_ranges
@@ -168,6 +168,8 @@ def _positions(
     positions and of those relative to the mean of all joints, and the verdict on them."""
     if not path.is_dir():
         return read_pose3d(path, unit=unit, up=up), None, None
+    if unit is not None or up is not None:
+        raise InputError(Problem(path, "unit, up", "results of recon fit, which say both", "no --unit and no --up"))
     motion = usable(Motion.load(path), path, anyway)
     pose = Pose3D(motion.names, motion.joints_m, motion.frames, str(path), motion.fps)
     return pose, (motion.joint_sigma_m, motion.relative_sigma_m), motion.verdict

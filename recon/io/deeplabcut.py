@@ -174,6 +174,7 @@ def points_of_table(
 
         names, more = true_names(names, scorer or "", in_space)
         notes += more
+    ours = {"unit": "m", "up": "z"} if in_space and scorer == SCORER else {}
     return points_of_arrays(
         path,
         animal or None,
@@ -186,6 +187,7 @@ def points_of_table(
         scorer=None if in_space else scorer,
         images=tuple(images[i] for i in order) if images else (),
         notes=notes,
+        **ours,
     )
 
 

@@ -96,6 +96,7 @@ FORMATS: tuple[Format, ...] = (
     Format("trc", "TRC", (".trc",), "trc", _3D, _3D, "needed", "kept", "m, y up", up="y"),
     Format("c3d", "C3D", (".c3d",), "c3d", _3D, _3D, "needed", "RECON:FRAMES", "mm, z up"),
     Format("npz", "NPZ", (".npz",), "npz", _3D, _3D, "kept", "kept", "m, z up"),
+    Format("fmpose3d", "FMPose3D NPZ of its demo", (".npz",), "npz/fmpose3d", _3D, unit="m"),
     Format("parquet", "Parquet", (".parquet",), "columns/parquet", _3D, _3D, "in metadata", "kept", "m, z up"),
     Format("dannce", "DANNCE MAT", (".mat",), "dannce", _3D),
     Format("bvh", "BVH", (".bvh",), "bones/bvh", _3D, _BONES, "kept", "from 0", "m, y up", up="y"),

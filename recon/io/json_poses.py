@@ -10,8 +10,9 @@
   frame's. Points have no names there: how many there are says which list it is. Persons are numbered from 1 as each
   frame has them, which nothing ties to the frame before: with several, the files have to be tracked first.
 - FMPose3D: `run_DLC_fmpose3d_animals_3d.json` of DeepLabCut, with `model`, `bodyparts`, `poses_3d`. A pose is of one
-  picture: relative to a point of the body, in the camera's axes and in the network's own unit. Frames are numbered from
-  0, and those without an animal are empty. Beside it lies the same as a table, `..._3d.h5`.
+  picture: relative to a point of the body, in the network's own axes and unit. Frames are numbered from 0, and those
+  without an animal are empty. Beside it lies the same as a table, `..._3d.h5`. FMPose3D's own demo writes `.npz` files
+  (`recon.io.npz`).
 """
 
 from __future__ import annotations
@@ -258,23 +259,21 @@ _BY_DEEPLABCUT = (
     "right_ear mouth chin left_hock right_hock tail_tip"
 )
 """Names in the network's order, by DeepLabCut (3.0, 2026): another list's, so that the left front paw is "neck"."""
-_ANIMAL3D = (
+ANIMAL3D = (
     "left_eye right_eye mouth_mid left_front_paw right_front_paw left_back_paw right_back_paw tail_base "
     "left_front_thigh right_front_thigh left_back_thigh right_back_thigh left_shoulder right_shoulder left_front_knee "
     "right_front_knee left_back_knee right_back_knee neck tail_end left_ear right_ear left_mouth right_mouth nose "
     "tail_mid"
 )
 """Their own, Animal3D's: that of FMPose3D's conversion from SuperAnimal's points."""
-LENGTHS = (
-    "FMPose3D's lengths have no unit, and its axes are the camera's: compare them after scaling and turning (PA) only."
-)
+LENGTHS = "FMPose3D's lengths have no unit, and its axes are its own: compare them after scaling and turning (PA) only."
 
 
 def true_names(names: Sequence[str], model: str, in_space: bool = True) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Names of FMPose3D's points, in any order, and notes, also where they were not those of the points. model: what
     found them, or a table's scorer, which has it."""
     notes = (LENGTHS,) if in_space else ()
-    true: dict[str, str] = dict(zip(_BY_DEEPLABCUT.split(), _ANIMAL3D.split(), strict=True))
+    true: dict[str, str] = dict(zip(_BY_DEEPLABCUT.split(), ANIMAL3D.split(), strict=True))
     if f"{FMPOSE3D}animals" not in model or {*names} != {*true}:
         return tuple(names), notes
     note = (
