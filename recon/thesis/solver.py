@@ -12,10 +12,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import numpy as np
 import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.colors import LogNorm
+from matplotlib.figure import Figure
 from scipy.sparse import block_diag
 from threadpoolctl import threadpool_limits
 
@@ -43,10 +46,6 @@ from recon.show.plots.style import (
 from recon.thesis.frame import FrameOptions, FrameSearch, FrameSolution, FrameSolver, solve_frames
 from recon.workflows.cli.common import progress_bar, say, terminal
 from recon.workflows.clip_results import CONFIG, read_config
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 FOLDER, SUMMARY, JACOBIAN = "solver", "solver.json", "jacobian.npz"
 """By default the folder lies in the results' own."""
@@ -298,8 +297,6 @@ def solver_search(record: SolverRecord) -> Figure:
 
 def image_errors(record: SolverRecord) -> Figure:
     """Distances of detections from reprojections, joints x frames; white: not detected."""
-    from matplotlib.colors import LogNorm
-
     names, frames, values = record.motion.names, record.motion.frames, record.image_error_px.T
     with drawing(min(4.0 * len(names) + 8, PAGE_MM - 20) + 14) as figure:
         axes = figure.subplots()
@@ -363,8 +360,6 @@ def solver_frame(record: SolverRecord) -> Figure:
 
 def solver_matrices(record: SolverRecord) -> Figure:
     """The Jacobian of the frame that is looked into at its minimum, residuals x unknowns, and J'J; white is zero."""
-    from matplotlib.colors import LogNorm
-
     search, names = record.search, record.unknowns
     parts = search.problem.by_term(search.x)
     counts, J = np.array([len(r) for r, _ in parts.values()]), np.concatenate([J for _, J in parts.values()])

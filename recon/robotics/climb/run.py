@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from recon.base.errors import all_of
 from recon.base.files import name_seen_from, require_free_folder, sole_writer, staged_results
@@ -20,9 +22,6 @@ from recon.robotics.settings import ClimbSettings
 from recon.show.plots.style import COLOURS, GREY, PALE, SMALL, add_legend, drawing, save
 from recon.show.report import to_json
 from recon.show.view.scene import LIMB_COLOURS, TimePlot
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 REPORT = "report.json"
 _COLUMNS = 4
@@ -114,8 +113,6 @@ def _title(climb: Climb) -> str:
 
 def climb_footfalls(climb: Climb) -> Figure:
     """The robot from the right: at first, in the middle of every footfall, and in the end."""
-    from matplotlib.lines import Line2D
-
     frames = [0]
     for k in np.unique(climb.footfall):
         up = np.flatnonzero((climb.footfall == k) & (climb.lifted != NONE))

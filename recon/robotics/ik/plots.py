@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from recon.base.arrays import Array
 from recon.robotics.ik.chain import SerialChain
@@ -21,10 +22,6 @@ from recon.show.plots.style import (
     legend_shape,
     look,
 )
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 
 VIEWS = {
     "UVW": (("side", 0, 1, "forwards (m)", "down (m)"), ("top", 0, 2, "forwards (m)", "to the left (m)")),

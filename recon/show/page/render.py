@@ -6,19 +6,17 @@ import base64
 import re
 from datetime import date
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import cv2
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from matplotlib.figure import Figure
 
 from recon.base.errors import printable
 from recon.base.package import version
 from recon.io.video import Image
 from recon.show.page import GENERATED
 from recon.show.plots.style import png_of, svg_of
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 JPEG_QUALITY = 80
 PNG_DPI = 190.0

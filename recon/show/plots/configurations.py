@@ -5,9 +5,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.collections import LineCollection
+from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import MaxNLocator
 
 from recon.animal import Body, Side
 from recon.animal.chain import UVW_BODY
@@ -15,11 +22,6 @@ from recon.base.arrays import Array, Index
 from recon.gait.gait import Plane
 from recon.geometry.kinematics import ROOT
 from recon.show.plots.style import COLOURS, GREY, PAGE_MM, SMALL, WIDTH_MM, drawing, time_colours
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-    from matplotlib.lines import Line2D
 
 CONFIGURATIONS = 10
 STILL = 0.1
@@ -54,8 +56,6 @@ def composites(
     if not len(rows):
         with drawing(40, title=title) as figure:
             return figure
-    from matplotlib.cm import ScalarMappable
-
     R, origin = run_frame(joints_m, rows)
     points = (joints_m[rows] - origin) @ R.T
     x, y, z = np.nanmax(points, axis=(0, 1)) - np.nanmin(points, axis=(0, 1)) + 0.1
@@ -119,8 +119,6 @@ def run_frame(joints_m: Array, rows: Index) -> tuple[Array, Array]:
 
 
 def _handles(sides: set[Side | None], ground: bool) -> list[Line2D]:
-    from matplotlib.lines import Line2D
-
     shown = [style for side, style in STYLES.items() if side in sides] if sides != {None} else []
     lines = [Line2D([], [], color="k", lw=lw, linestyle=dashes, label=label) for dashes, lw, label in shown]
     return lines + [Line2D([], [], color=GREY, lw=0.8, label="ground")] * ground
@@ -191,9 +189,6 @@ def body_fixed(
 
 def _draw(axes: Axes, paths_m: Array, side: Side | None) -> None:
     """paths_m (N, n, 2), the first the palest."""
-    from matplotlib.collections import LineCollection
-    from matplotlib.colors import to_rgb
-
     share = np.linspace(_PALEST if len(paths_m) > 1 else 1.0, 1.0, len(paths_m))[:, None]
     colours = 1.0 - share * (1.0 - np.array(to_rgb(SIDE_COLOURS[side])))
     axes.scatter(*paths_m.reshape(-1, 2).T, s=4.0, c=np.repeat(colours, paths_m.shape[1], axis=0), zorder=2)
@@ -202,8 +197,6 @@ def _draw(axes: Axes, paths_m: Array, side: Side | None) -> None:
 
 
 def _frame(axes: Axes, name: str, at: tuple[int, int], box: Array, size_mm: tuple[float, float]) -> None:
-    from matplotlib.ticker import MaxNLocator
-
     axes.plot(0, 0, "+", color=GREY, ms=7, zorder=0, gid="reference")
     axes.set_title(name, loc="left", fontsize=SMALL, color=GREY, pad=2)
     axes.set_xlim(*box[at[0]])

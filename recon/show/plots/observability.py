@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
+import matplotlib as mpl
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import ListedColormap
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
 
 from recon.animal import Body
 from recon.base.arrays import Array, median
@@ -13,20 +17,12 @@ from recon.calibrate.camera_advice import Advice
 from recon.fit.motion import MEASURED_SHARE
 from recon.show.plots.style import GREY, PAGE_MM, SMALL, drawing
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.colors import ListedColormap
-    from matplotlib.figure import Figure
-
 _ROW_MM, _REST_MM = 3.3, 34.0
 _SHARES = f"share of the precision that comes from the pixels;  grey: less than {MEASURED_SHARE:g}, mostly expected"
 
 
 def share_colours() -> ListedColormap:
     """Colours of information fractions from 0 to 1: greys below `MEASURED_SHARE`, blues from there on."""
-    import matplotlib as mpl
-    from matplotlib.colors import ListedColormap
-
     low = round(256 * MEASURED_SHARE)
     greys, blues = mpl.colormaps["Greys"](np.linspace(0.1, 0.45, low)), mpl.colormaps["Blues"](np.linspace(0.5, 1, 256))
     return ListedColormap([*greys, *blues[:: -(-256 // (256 - low))]])
@@ -80,8 +76,6 @@ def camera_advice(found: Sequence[Advice]) -> Figure:
 
 
 def _grid(axes: Axes, advice: Advice) -> None:
-    from matplotlib.patches import Rectangle
-
     degrees = np.round(np.degrees(advice.azimuths_rad)).astype(int)
     raised = np.round(np.degrees(advice.elevations_rad)).astype(int)
     rows, columns = advice.share.shape

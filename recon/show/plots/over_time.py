@@ -4,9 +4,16 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from matplotlib.ticker import MaxNLocator
 
 from recon.animal import both_sides, side_of
 from recon.base.arrays import Array, Bools, length_text
@@ -15,11 +22,6 @@ from recon.gait.dynamics import Dynamics
 from recon.gait.gait import Gait, Stance
 from recon.gait.kinematics import JointKinematics
 from recon.show.plots import style
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-    from matplotlib.lines import Line2D
 
 # -- stances and forces -----------------------------------------------------------------------------------------------
 
@@ -45,9 +47,6 @@ def footfall(gaits: Mapping[str, Gait], fps: float, title: str = "") -> Figure:
     with style.drawing(9.0 * len(feet) + 32 + 3.4 * lines + 4 * bool(title), title=title) as figure:
         if not gaits:
             return figure
-        from matplotlib.collections import LineCollection
-        from matplotlib.ticker import MaxNLocator
-
         axes = figure.subplots()
         thick = _BAR / len(gaits)
         for m, gait in enumerate(gaits.values()):
@@ -77,8 +76,6 @@ def footfall(gaits: Mapping[str, Gait], fps: float, title: str = "") -> Figure:
 
 def _bars(axes: Axes, stances: Sequence[Stance], y: float, height: float, m: int) -> None:
     """The bars of one foot."""
-    from matplotlib.collections import LineCollection
-
     colour, low, high, edges = style.COLOURS[m % len(style.COLOURS)], y - height / 2, y + height / 2, []
     axes.broken_barh([(s.start_s, s.duration_s) for s in stances], (low, height), **_fill(m), lw=0, zorder=2)
     for stance in stances:
@@ -103,9 +100,6 @@ def _caption(name: str, gait: Gait) -> str:
 
 
 def _legend(figure: Figure, gaits: Mapping[str, Gait]) -> None:
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
-
     handles: list = [Patch(**_fill(m), label=name if len(gaits) > 1 else "stance") for m, name in enumerate(gaits)]
     if not all(s.begins and s.ends for g in gaits.values() for s in g.stances):
         handles.append(Line2D([], [], linestyle="", marker=">", ms=4, color="k", label="cut by the clip"))
@@ -118,8 +112,6 @@ def _legend(figure: Figure, gaits: Mapping[str, Gait]) -> None:
 
 def _fill(m: int) -> dict[str, Any]:
     """Pale, with a hatch and an edge, of the m-th gait."""
-    from matplotlib.colors import to_rgb
-
     colour = style.COLOURS[m % len(style.COLOURS)]
     return {"fc": [0.55 + 0.45 * c for c in to_rgb(colour)], "ec": colour, "hatch": HATCHES[m % len(HATCHES)]}
 

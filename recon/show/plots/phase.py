@@ -5,21 +5,21 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.collections import LineCollection
+from matplotlib.colors import ListedColormap, Normalize
+from matplotlib.figure import Figure
+from matplotlib.patches import PathPatch
+from matplotlib.path import Path
+from matplotlib.quiver import Quiver
 
 from recon.base.arrays import Array, Bools
 from recon.fit.motion import MEASURED_SHARE
 from recon.gait.phase import Closure, LinkField, Portrait, field_means
 from recon.show.plots import style
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.colors import ListedColormap, Normalize
-    from matplotlib.figure import Figure
-    from matplotlib.quiver import Quiver
-
 
 SHADES = 60
 """Pieces of one colour in a path."""
@@ -49,8 +49,6 @@ def phase_portraits(
     with style.drawing(rows * _ASPECT * min(width / columns, 60.0) + _REST_MM, width, title=title) as figure:
         if not count:
             return figure
-        from matplotlib.cm import ScalarMappable
-
         panels = figure.subplots(rows, columns, squeeze=False).ravel()
         colours = style.time_colours(np.concatenate([p.time_s[_known(p)] for p in portraits.values()]))
         for axes, (name, portrait) in zip(panels, portraits.items(), strict=False):
@@ -85,8 +83,6 @@ def _known(portrait: Portrait) -> Bools:
 
 def _draw(axes: Axes, portrait: Portrait, colours: tuple[ListedColormap, Normalize] | None) -> None:
     """colours: of the times; None: grey."""
-    from matplotlib.collections import LineCollection
-
     known = np.flatnonzero(_known(portrait))
     if not len(known):
         style.blank(axes)
@@ -119,9 +115,6 @@ def _draw(axes: Axes, portrait: Portrait, colours: tuple[ListedColormap, Normali
 
 def _band(axes: Axes, path: Array, sigma: Array) -> None:
     """Ellipses of one standard deviation along a path (N, 2), close enough to look like one shape, which they are."""
-    from matplotlib.patches import PathPatch
-    from matplotlib.path import Path
-
     steps = np.linalg.norm(np.diff(path, axis=0) / np.maximum(sigma[1:], 1e-12), axis=1)
     along = np.concatenate([[0.0], np.cumsum(steps)])
     some = np.unique(np.searchsorted(along, np.arange(0.0, along[-1] + _ALONG, _ALONG)).clip(max=len(path) - 1))

@@ -4,18 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from recon.animal import Body, both_sides, other_side, side_of
 from recon.base.arrays import Array, Bools
 from recon.show.plots.style import COLOURS, GREY, PALE, SMALL, WIDTH_MM, drawing, grid_shape
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
 
 VIEWS = {"side": [0, 2], "top": [0, 1], "front": [1, 2]}
 """Coordinates to the right and upwards, x forwards, y left, z up: the animal faces right, and in the last view us."""

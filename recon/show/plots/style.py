@@ -13,21 +13,22 @@ from __future__ import annotations
 import io
 import re
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import matplotlib as mpl
+import matplotlib.style
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.axis import Axis
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import ListedColormap, Normalize
+from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter
 
 from recon.base.arrays import Array
 from recon.base.files import staged_folder
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.axis import Axis
-    from matplotlib.colors import ListedColormap, Normalize
-    from matplotlib.figure import Figure
-
 
 WIDTH_MM, COLUMN_MM = 180.0, 85.0
 PAGE_MM = 235.0
@@ -51,9 +52,6 @@ _SHEET = Path(__file__).with_name("recon.mplstyle")
 def drawing(height_mm: float, width_mm: float = WIDTH_MM, title: str | None = None) -> Iterator[Figure]:
     """A new figure to draw on, laid out for good at the end of the block. title: above all, None leaves no room."""
     with _settings():
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-
         figure = Figure(figsize=(width_mm * MM, height_mm * MM), layout="constrained")
         FigureCanvasAgg(figure)
         if title is not None:
@@ -92,14 +90,8 @@ def png_of(figure: Figure, dpi: float) -> bytes:
     return content.getvalue()
 
 
-@contextmanager
-def _settings() -> Iterator[None]:
-    import matplotlib as mpl
-
-    with mpl.rc_context():
-        mpl.rcdefaults()
-        mpl.rcParams.update(mpl.rc_params_from_file(_SHEET, use_default_template=False))
-        yield
+def _settings() -> AbstractContextManager[None]:
+    return mpl.style.context(["default", _SHEET])
 
 
 def look(i: int) -> dict[str, Any]:
@@ -138,8 +130,6 @@ def blank(axes: Axes) -> None:
 
 def plain_logarithm(axis: Axis) -> None:
     """Give a logarithmic axis few ticks, as plain numbers."""
-    from matplotlib.ticker import LogLocator, NullFormatter
-
     low, high = sorted(axis.get_view_interval())
     axis.set_major_locator(LogLocator(subs=(1.0,) if high > 30 * low else (1.0, 2.0, 5.0), numticks=7))
     axis.set_major_formatter("{x:g}")
@@ -148,9 +138,6 @@ def plain_logarithm(axis: Axis) -> None:
 
 def time_colours(time_s: Array) -> tuple[ListedColormap, Normalize]:
     """The colours of times, from the first to the last that is known."""
-    import matplotlib as mpl
-    from matplotlib.colors import ListedColormap, Normalize
-
     known = time_s[np.isfinite(time_s)]
     low, high = (float(known.min()), float(known.max())) if len(known) else (0.0, 1.0)
     colours = mpl.colormaps["viridis"](np.linspace(0.0, 0.9, 256))
