@@ -31,27 +31,39 @@ from recon import Pose3D, read_pose3d
 from recon.animal.skeleton_file import load_chain, load_skeleton
 from recon.fit.points import solve_points_and_size
 from recon.gait.gait import pose_gait
-from recon.robotics.ik.animal import body_chain, body_chain_angles, chain_angles, projected_chain, spine_front_leg
+from recon.robotics.ik.animal import (
+    StridePath,
+    body_chain,
+    body_chain_angles,
+    chain_angles,
+    find_stride,
+    projected_chain,
+    spine_front_leg,
+)
 from recon.robotics.ik.chain import SerialChain
 from recon.robotics.ik.clip import LAST, Limb, fit_parameter_series, follow_stride, stride_lasts_s
 from recon.robotics.ik.drive import degree_of_closure, drive_to, follow, to_null_space_optimum
-from recon.robotics.ik.fit import Fit, Frames, best_scale, explained_by, fits, rates_of
 from recon.robotics.ik.methods import (
     Cost,
     ExtendedJacobian,
+    Fit,
+    Frames,
     GradientProjection,
     JacobianTranspose,
     LeastNorm,
     Method,
     SelectivelyDamped,
+    best_scale,
     damped_least_squares,
+    explained_by,
+    fits,
     harmonic_map,
     joint_differences,
     pose_distance,
+    rates_of,
     rotational_energy,
     weighted_least_norm,
 )
-from recon.robotics.ik.stride import StridePath, find_stride
 
 Array = np.ndarray
 

@@ -29,7 +29,7 @@ from recon.robotics import (
     weighted_least_norm,
 )
 from recon.robotics.ik.clip import cost_of, fit_parameters, follow_stride, stride_lasts_s, stride_of
-from recon.robotics.ik.fit import DAMPING_M, PULL, Frames, explained_by, fits, rates_of
+from recon.robotics.ik.methods import DAMPING_M, PULL, Frames, explained_by, fits, rates_of
 from recon.robotics.settings import METHODS
 
 pytestmark = pytest.mark.usefixtures("small_pictures")

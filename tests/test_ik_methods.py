@@ -24,8 +24,7 @@ from recon.robotics import (
     weighted_least_norm,
     weighted_sum,
 )
-from recon.robotics.ik.fit import PULL, Frames, explained_by, fits, rates_of
-from recon.robotics.ik.methods import reduced_gradient, right_inverse
+from recon.robotics.ik.methods import PULL, Frames, explained_by, fits, rates_of, reduced_gradient, right_inverse
 
 LENGTHS = (0.4, 0.3, 0.25, 0.28, 0.2)
 CHAINS = {"planar": planar_chain(LENGTHS), "summed": summed_chain(LENGTHS)}

@@ -24,20 +24,10 @@ from recon.base.errors import InputError, Problem
 from recon.clip.keypoints import frame_ranges
 from recon.fit.motion import MEASURED_SHARE, Motion
 from recon.fit.posterior import radius
-from recon.gait import kinematics
+from recon.gait import kinematics, phase
 from recon.gait.dynamics import Dynamics, dynamics
 from recon.gait.gait import BODY, INTERVAL, Gait, Stride, gait, pose_tracks
 from recon.gait.kinematics import MIN_POINTS, AngleKinematics, Errors, JointKinematics, at_frames
-from recon.gait.phase import (
-    Closure,
-    LinkField,
-    Portrait,
-    closure,
-    field_with_sigma,
-    phase_portrait,
-    pose_vector_field,
-    tips,
-)
 from recon.io.common import Pose3D
 
 if TYPE_CHECKING:
@@ -146,10 +136,12 @@ class ClipAnalysis:
         return stands & motion.solved[:, None]
 
     @cached_property
-    def fields(self) -> dict[str, tuple[LinkField, ...]]:
+    def fields(self) -> dict[str, tuple[phase.LinkField, ...]]:
         """Vector fields of the links, by limb."""
         motion, chains = self.motion, limb_chains(self.motion)
-        fields = {limb: pose_vector_field(self.pose, c, motion.fps, motion.forward_names) for limb, c in chains.items()}
+        fields = {
+            limb: phase.pose_vector_field(self.pose, c, motion.fps, motion.forward_names) for limb, c in chains.items()
+        }
         return _with_sigma(fields, motion, chains, [*self.skeleton_angles.values()])
 
     @cached_property
@@ -215,18 +207,18 @@ class ClipAnalysis:
         return (time_s >= self.stride.start_s - half) & (time_s <= self.stride.end_s + half)
 
     @cached_property
-    def portraits(self) -> dict[str, Portrait]:
+    def portraits(self) -> dict[str, phase.Portrait]:
         """Phase portraits of the fit's own angles: over `stride`, or without one over the whole clip."""
         ends = () if self.stride is None else (self.stride.start_s, self.stride.end_s)
-        return {name: phase_portrait(angle, *ends) for name, angle in self.skeleton_angles.items()}
+        return {name: phase.phase_portrait(angle, *ends) for name, angle in self.skeleton_angles.items()}
 
     @cached_property
-    def closures(self) -> dict[str, Closure]:
+    def closures(self) -> dict[str, phase.Closure]:
         """Degrees of closure of the portraits over `stride`, those without gaps; empty without a stride."""
         if self.stride is None:
             return {}
         known = {n: p for n, p in self.portraits.items() if len(p.time_s) > 1 and np.isfinite(p.rate_rad_s).all()}
-        return {name: closure(portrait) for name, portrait in known.items()}
+        return {name: phase.closure(portrait) for name, portrait in known.items()}
 
 
 def analyse(motion: Motion, stride_s: tuple[float, float] | None = None) -> ClipAnalysis:
@@ -293,11 +285,11 @@ def _angle_errors(motion: Motion) -> list[Sequence[Errors]]:
 
 
 def _with_sigma(
-    fields: dict[str, tuple[LinkField, ...]],
+    fields: dict[str, tuple[phase.LinkField, ...]],
     motion: Motion,
     chains: Mapping[str, tuple[str, ...]],
     angles: Sequence[AngleKinematics],
-) -> dict[str, tuple[LinkField, ...]]:
+) -> dict[str, tuple[phase.LinkField, ...]]:
     """Fields with what the errors of the angles' rates mean for them, each angle's on its own."""
     rates = [angle.series.rate_sigma for angle in angles]
     if not fields or any(rate is None for rate in rates):
@@ -313,11 +305,11 @@ def _with_sigma(
         for limb, chain in chains.items():
             at = [names.index(joint) for joint in chain]
             if turned[[*at, rear, front]].any():
-                before, after = (tips(points[:, at], points[:, front] - points[:, rear]) for points in joints)
+                before, after = (phase.tips(points[:, at], points[:, front] - points[:, rear]) for points in joints)
                 per_rad = (after - before) / (2 * step)
                 moved[limb].append(per_rad * rate[:: angle.series.oversampling, :, None])
     return {
-        limb: tuple(field_with_sigma(field, np.stack(moved[limb])[:, :, i]) for i, field in enumerate(of_limb))
+        limb: tuple(phase.field_with_sigma(field, np.stack(moved[limb])[:, :, i]) for i, field in enumerate(of_limb))
         for limb, of_limb in fields.items()
     }
 

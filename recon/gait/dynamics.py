@@ -32,15 +32,9 @@ from recon.clip.keypoints import frame_ranges
 from recon.fit.motion import Motion
 from recon.fit.posterior import radius
 from recon.fit.result import Finding
+from recon.gait import kinematics
 from recon.gait.gait import INTERVAL, Gait
-from recon.gait.kinematics import (
-    OVERSAMPLING,
-    Errors,
-    JointKinematics,
-    parabola_acceleration,
-    point_kinematics,
-    series_kinematics,
-)
+from recon.gait.kinematics import OVERSAMPLING, Errors, JointKinematics
 from recon.geometry.kinematics import Marker, Tree
 
 if TYPE_CHECKING:
@@ -129,15 +123,15 @@ def dynamics(motion: Motion, gait: Gait | None, errors: Sequence[Errors]) -> Dyn
     ends = [motion.upright.names.index(name) for name in motion.forward_names]
     by_pose = [Errors(np.sqrt(np.mean(e.sigma[:, ends] ** 2, axis=1)), e.correlation_s) for e in errors]
     by_mass = Errors(np.maximum(np.sqrt(np.einsum("tsk,s->tk", apart_m**2, sigma**2)), 1e-6), MASS_LASTS_S)
-    centre = point_kinematics(motion.time_s, centre_m, [*by_pose, by_mass] if errors else ())
+    centre = kinematics.point_kinematics(motion.time_s, centre_m, [*by_pose, by_mass] if errors else ())
     # What turns about the centre is worked out at frames: the rods' paths on the fine grid would take far longer.
     of_rods_m = (rods_m - centre_m[:, None, None]).reshape(len(rods_m), -1)
-    about = series_kinematics(motion.time_s, of_rods_m, oversampling=1)
+    about = kinematics.series_kinematics(motion.time_s, of_rods_m, oversampling=1)
     value, rate = (of.reshape(len(of), -1, 3) for of in (about.value, about.rate))
     of_ends = np.repeat(share / 2, 2)
     internal = 0.5 * np.sum(rate**2, axis=2) @ of_ends
     momentum = np.einsum("nsk,s->nk", np.cross(value, rate), of_ends)
-    turning = series_kinematics(motion.time_s, np.column_stack([internal, momentum])).value
+    turning = kinematics.series_kinematics(motion.time_s, np.column_stack([internal, momentum])).value
     forces, force = _forces(gait)
     return Dynamics(
         centre=centre,
@@ -256,7 +250,7 @@ def _flights(motion: Motion, gait: Gait, centre_m: Array, by_mass_m: Array, erro
             if stop - first >= FLIGHT_FRAMES:
                 of_rows = [Errors(e.sigma[rows, 2], e.correlation_s) for e in errors]
                 of_rows += [Errors(one, np.inf) for one in by_mass_m[rows, :, 2].T]
-                up = parabola_acceleration(time_s[rows], centre_m[rows, 2], of_rows)
+                up = kinematics.parabola_acceleration(time_s[rows], centre_m[rows, 2], of_rows)
                 found.append((int(first), int(stop), time_s[first], time_s[stop - 1], *up))
     return pd.DataFrame(found, columns=["first", "stop", "start_s", "end_s", "up_m_s2", "sigma_m_s2"])
 

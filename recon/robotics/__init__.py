@@ -10,7 +10,15 @@ from recon.base import lazily
 if TYPE_CHECKING:
     from recon.robotics.climb import load_recipe
     from recon.robotics.climb.run import run_climb
-    from recon.robotics.ik.animal import body_chain, body_chain_angles, chain_angles, projected_chain, spine_front_leg
+    from recon.robotics.ik.animal import (
+        body_chain,
+        body_chain_angles,
+        chain_angles,
+        farthest_reach,
+        find_stride,
+        projected_chain,
+        spine_front_leg,
+    )
     from recon.robotics.ik.chain import null_basis, planar_chain, summed_chain
     from recon.robotics.ik.clip import limb_of, methods_of, run_ik
     from recon.robotics.ik.drive import degree_of_closure, drive_to, follow, to_null_space_optimum
@@ -29,7 +37,6 @@ if TYPE_CHECKING:
         weighted_least_norm,
         weighted_sum,
     )
-    from recon.robotics.ik.stride import farthest_reach, find_stride
     from recon.robotics.robot.dh import all_solutions
     from recon.robotics.robot.physics import described, simulated
     from recon.robotics.robot.quadruped import LEGS, Quadruped, body_pose, feet_in_world

@@ -13,23 +13,8 @@ from scipy.sparse.linalg import splu
 from scipy.spatial.transform import Rotation
 
 from recon.base.arrays import Array, Bools, Integers
-from recon.calibrate.camera_motion.rotation import (
-    AgreedOrientation,
-    GreyPicture,
-    Orientation,
-    agreed_turn,
-    corners,
-    described,
-    expected_px,
-    followed,
-    hull_mask,
-    matched,
-    normal_equations,
-    pixels_of,
-    rays_of,
-    same_scene,
-    similar,
-)
+from recon.calibrate.camera_motion import rotation as turning
+from recon.calibrate.camera_motion.rotation import AgreedOrientation, GreyPicture, Orientation
 from recon.geometry.camera import Camera
 from recon.io.video import Image
 
@@ -143,7 +128,7 @@ class Tracker:
         """Whether the frame could be placed; afterwards `cut` says whether it is another take."""
         frame = GreyPicture.of(picture)
         points = self.masked(number)
-        mask = None if points is None else hull_mask(frame, points)
+        mask = None if points is None else turning.hull_mask(frame, points)
         if not self.keys:
             return self._begin(number, frame, picture, mask)
         found = self._placed(number, frame, mask, self._predicted(number), KEYS_AT_ONCE)
@@ -151,10 +136,10 @@ class Tracker:
             found = self._placed(number, frame, mask, again, KEYS_AT_ONCE)
         if found is None:
             self.lost.append(number)
-            if len(corners(frame, mask)) >= max(MIN_CORNERS, 0.5 * len(self.keys[-1].points_px)):
-                same = same_scene(self.keys[-1].known, described(frame))
+            if len(turning.corners(frame, mask)) >= max(MIN_CORNERS, 0.5 * len(self.keys[-1].points_px)):
+                same = turning.same_scene(self.keys[-1].known, turning.described(frame))
                 self.apart += same
-                if not same and self.frames[-1] == number - 1 and not (self.last and similar(self.last, frame)):
+                if not same and self.frames[-1] == number - 1 and not (self.last and turning.similar(self.last, frame)):
                     self.cut = number
             return False
         agreement, seen = found
@@ -179,7 +164,7 @@ class Tracker:
     # -- one frame --
 
     def _begin(self, number: int, frame: GreyPicture, picture: Image, mask: Bools | None) -> bool:
-        points = corners(frame, mask)
+        points = turning.corners(frame, mask)
         if len(points) < MIN_CORNERS:
             self.lost.append(number)
             return False
@@ -204,7 +189,7 @@ class Tracker:
         for key in keys:
             key.used = number
         points = seen.rays, seen.pixels, seen.background
-        agreement = agreed_turn(self.camera, *points, guess.zoom, self.solve_zoom, self._limit_px)
+        agreement = turning.agreed_turn(self.camera, *points, guess.zoom, self.solve_zoom, self._limit_px)
         enough = agreement is not None and agreement.spread > MIN_SUPPORT * self.support
         return (agreement, seen) if agreement is not None and enough else None
 
@@ -213,38 +198,38 @@ class Tracker:
         pictures = [key for key in self.keys if key.frame is not None]
         near = sorted(pictures, key=lambda key: -float(orientation.rotation[2] @ key.orientation.rotation[2]))
         best = sorted(((self._likeness(key, orientation), key) for key in near[: 2 * count]), key=lambda pair: -pair[0])
-        similar = [key for likeness, key in best if likeness >= MIN_LIKENESS]
-        kept = similar[:count]
-        if count == KEYS_TO_LINK and similar[count:]:
-            kept.append(min(similar[count:], key=lambda key: key.number))
+        alike = [key for likeness, key in best if likeness >= MIN_LIKENESS]
+        kept = alike[:count]
+        if count == KEYS_TO_LINK and alike[count:]:
+            kept.append(min(alike[count:], key=lambda key: key.number))
         return kept or [key for _, key in best[:1]]
 
     def _likeness(self, key: _Keyframe, orientation: Orientation) -> float:
         """Share of a frame's picture that is in the keyframe's, less where it is larger or smaller there."""
         width, height = self.camera.image_size_px
         x, y = np.meshgrid(np.linspace(0, width - 1, 9), np.linspace(0, height - 1, 9))
-        rays, valid = rays_of(self.camera, np.column_stack([x.ravel(), y.ravel()]), orientation.zoom)
+        rays, valid = turning.rays_of(self.camera, np.column_stack([x.ravel(), y.ravel()]), orientation.zoom)
         if not valid.any():
             return 0.0
-        inside = expected_px(self.camera, rays[valid] @ orientation.rotation, key.orientation)[1].mean()
+        inside = turning.expected_px(self.camera, rays[valid] @ orientation.rotation, key.orientation)[1].mean()
         return float(inside) - BY_ZOOM * abs(np.log(orientation.zoom / key.orientation.zoom))
 
     def _found_again(self, frame: GreyPicture, mask: Bools | None) -> Orientation | None:
         """By points that are known wherever they have gone: after a jerk, or a stretch without background."""
-        pixels, descriptors = described(frame)
+        pixels, descriptors = turning.described(frame)
         recent = sorted((key for key in self.keys if key.frame is not None), key=lambda key: -key.used)[:20]
         rays, places = [], []
         for key in recent:
-            pairs = matched(key.known[1], descriptors)
-            there, valid = rays_of(self.camera, key.known[0][pairs[:, 0]], key.orientation.zoom)
+            pairs = turning.matched(key.known[1], descriptors)
+            there, valid = turning.rays_of(self.camera, key.known[0][pairs[:, 0]], key.orientation.zoom)
             rays.append(there[valid] @ key.orientation.rotation)
             places.append(pixels[pairs[valid, 1]])
         if not rays:
             return None
         zoom, seen = self.orientations[-1].zoom, np.concatenate(places)
-        valid = rays_of(self.camera, seen, zoom)[1]
+        valid = turning.rays_of(self.camera, seen, zoom)[1]
         points = np.concatenate(rays)[valid], seen[valid], np.ones(valid.sum())
-        found = agreed_turn(self.camera, *points, zoom, self.solve_zoom, 2 * self._limit_px)
+        found = turning.agreed_turn(self.camera, *points, zoom, self.solve_zoom, 2 * self._limit_px)
         return None if found is None else found.orientation
 
     # -- what is learnt --
@@ -265,7 +250,7 @@ class Tracker:
         """How much of the settled background of the oldest keyframe that looks the same way is still in its place."""
         k = min(range(len(seen.keys)), key=lambda k: seen.keys[k].number)
         key = seen.keys[k]
-        inside = expected_px(self.camera, key.world_rays, agreement.orientation)[1] & key.settled
+        inside = turning.expected_px(self.camera, key.world_rays, agreement.orientation)[1] & key.settled
         if inside.sum() >= MIN_CORNERS:
             at = seen.place[(seen.of_key == k) & agreement.agree]
             self.still.append(float(inside[at].sum() / inside.sum()))
@@ -294,13 +279,13 @@ class Tracker:
         if self.solve_zoom:
             step = 1e-4
             points = key.points_px[seen.place[own]]
-            ends = [rays_of(self.camera, points, key.orientation.zoom * np.exp(d))[0] for d in (-step, step)]
+            ends = [turning.rays_of(self.camera, points, key.orientation.zoom * np.exp(d))[0] for d in (-step, step)]
             between = orientation.rotation @ key.orientation.rotation.T
-            a, b = (pixels_of(self.camera, rays @ between.T, orientation.zoom)[0] for rays in ends)
+            a, b = (turning.pixels_of(self.camera, rays @ between.T, orientation.zoom)[0] for rays in ends)
             by_key = np.nan_to_num((b - a) / (2 * step))[:, :, None]
         J = np.concatenate([J, by_key], axis=2)
         weights = agreement.weights[own] / agreement.sigma_px**2
-        normal, gradient = normal_equations(J, weights, agreement.residual_px[own])
+        normal, gradient = turning.normal_equations(J, weights, agreement.residual_px[own])
         zooms = np.log([orientation.zoom, key.orientation.zoom])
         return _FrameLink(place, key.number, orientation.rotation @ key.orientation.rotation.T, zooms, normal, gradient)
 
@@ -308,7 +293,7 @@ class Tracker:
         self, frame: GreyPicture, picture: Image, mask: Bools | None, agreement: AgreedOrientation, seen: _Seen
     ) -> None:
         """Its points are as trusted as the nearest that were followed into it."""
-        points = corners(frame, mask)
+        points = turning.corners(frame, mask)
         background = np.full(len(points), 0.5)
         if len(points) >= MIN_CORNERS:
             apart = np.linalg.norm(points[:, None] - seen.pixels, axis=2)
@@ -320,10 +305,15 @@ class Tracker:
     def _remember(self, frame: GreyPicture, picture: Image, points: Array, background: Array) -> None:
         self.support = 0.0
         orientation = self.orientations[-1]
-        rays, valid = rays_of(self.camera, points, orientation.zoom)
+        rays, valid = turning.rays_of(self.camera, points, orientation.zoom)
         scale = min(1.0, THUMBNAIL_PX / max(picture.shape))
         small = np.asarray(cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), np.uint8)
-        place, known, points, background = len(self.frames) - 1, described(frame), points[valid], background[valid]
+        place, known, points, background = (
+            len(self.frames) - 1,
+            turning.described(frame),
+            points[valid],
+            background[valid],
+        )
         settled = np.zeros(len(points), bool)
         key = _Keyframe(
             place, frame, points, orientation, background, known, small, rays[valid], settled, self.frames[-1]
@@ -381,10 +371,10 @@ class _Seen(NamedTuple):
         for k, key in enumerate(keys):
             assert key.frame is not None
             world = key.world_rays
-            expected, inside = expected_px(camera, world, guess)
+            expected, inside = turning.expected_px(camera, world, guess)
             at = np.flatnonzero(inside)
-            found, good = followed(key.frame, frame, key.points_px[at], expected[at])
-            good &= rays_of(camera, found, guess.zoom)[1]
+            found, good = turning.followed(key.frame, frame, key.points_px[at], expected[at])
+            good &= turning.rays_of(camera, found, guess.zoom)[1]
             if mask is not None:
                 x, y = np.rint(frame.work_px(found)).astype(int).T
                 height, width = mask.shape
@@ -512,12 +502,12 @@ def _information(camera: Camera, pair: _TurnedPair, log_factor: float) -> tuple[
 def _left_px(camera: Camera, pair: _TurnedPair, log_factor: float) -> Array:
     """(N, 2): how far the points of a pair are apart in its second picture, by the rotation that fits best then."""
     zoom = float(np.exp(log_factor))
-    (a, known), (b, seen) = (rays_of(camera, points_px, zoom) for points_px in (pair.a_px, pair.b_px))
+    (a, known), (b, seen) = (turning.rays_of(camera, points_px, zoom) for points_px in (pair.a_px, pair.b_px))
     known &= seen
     turn = Rotation.from_rotvec(Rotation.from_matrix(pair.turn).as_rotvec() / zoom)  # as far in the picture
     left = np.full(pair.a_px.shape, 1e9)
     for _ in range(ROUNDS):
-        pixels, valid = pixels_of(camera, turn.apply(np.where(known[:, None], a, b)), zoom)
+        pixels, valid = turning.pixels_of(camera, turn.apply(np.where(known[:, None], a, b)), zoom)
         left = np.where((known & valid)[:, None], pixels - pair.b_px, 1e9)
         turn, _ = Rotation.align_vectors(b[known], a[known], weights=_weights(left)[known])
     return left

@@ -23,33 +23,10 @@ from recon.gait.clip import ClipAnalysis, limb_chains, stride_given
 from recon.gait.gait import AGREE, OVERSAMPLING, Gait, doubtful_text
 from recon.gait.kinematics import MIN_POINTS
 from recon.gait.phase import Closure, Portrait
-from recon.robotics.ik.animal import (
-    body_chain,
-    body_chain_angles,
-    body_travel,
-    chain_angles,
-    projected_chain,
-    spine_front_leg,
-)
+from recon.robotics.ik import animal
+from recon.robotics.ik import methods as ways
 from recon.robotics.ik.chain import SerialChain
 from recon.robotics.ik.drive import Run, control_columns, drive_to, follow, to_null_space_optimum
-from recon.robotics.ik.fit import PARAMETERS, PULL, Frames, ParameterFit, explained_by, fits, rates_of
-from recon.robotics.ik.methods import (
-    Cost,
-    ExtendedJacobian,
-    GradientProjection,
-    JacobianTranspose,
-    LeastNorm,
-    Method,
-    SelectivelyDamped,
-    damped_least_squares,
-    harmonic_map,
-    joint_differences,
-    pose_distance,
-    rotational_energy,
-    weighted_sum,
-)
-from recon.robotics.ik.stride import StridePath, farthest_reach, find_stride
 from recon.robotics.settings import EXTENDED, STRIDE_MAX, IkSettings
 from recon.show.plain import by_name, picked, to_json
 
@@ -58,13 +35,6 @@ Dim = Literal[2, 3]
 SLOWER = 10
 """How many times slower than the animal a stride is followed: rate limits are what is expected of its joints, and would
 hold back a method that moves others than the animal does. Closures do not depend on it."""
-STANDARD: dict[str, Method] = {
-    "least-norm": LeastNorm(),
-    "transpose": JacobianTranspose(),
-    "damped": damped_least_squares(),
-    "selectively-damped": SelectivelyDamped(),
-}
-"""Methods with their standard parameters."""
 LAST = 3
 """Frames before each that parameters are refitted to on the way."""
 SUMMARY = "ik.json"
@@ -92,11 +62,11 @@ class Limb:
         return self.chain.names
 
 
-COSTS: dict[str, Callable[[Limb], Cost]] = {
-    "differences": lambda limb: joint_differences(limb.chain),
-    "energy": lambda limb: rotational_energy(limb.chain),
-    "harmonic": lambda limb: harmonic_map(joints=max(limb.chain.groups, key=len)[-3:]),
-    "pose": lambda limb: pose_distance(np.nanmean(limb.q, axis=0)),
+COSTS: dict[str, Callable[[Limb], ways.Cost]] = {
+    "differences": lambda limb: ways.joint_differences(limb.chain),
+    "energy": lambda limb: ways.rotational_energy(limb.chain),
+    "harmonic": lambda limb: ways.harmonic_map(joints=max(limb.chain.groups, key=len)[-3:]),
+    "pose": lambda limb: ways.pose_distance(np.nanmean(limb.q, axis=0)),
 }
 
 
@@ -107,12 +77,12 @@ class _IKRun:
     settings: IkSettings
     motion: Motion
     limb: Limb
-    stride: StridePath
+    stride: animal.StridePath
     target_m: Array | None
     """(dim,)"""
     runs: Mapping[str, Mapping[str, Run]]
     """To the "target" and along the stride ("follow"), by method, empty where not asked for."""
-    parameters: Mapping[str, ParameterFit]
+    parameters: Mapping[str, ways.ParameterFit]
     """Fitted to the clip, by method."""
     series: pd.DataFrame | None
     """Fitted to each frame of the stride by itself (`fit_parameter_series`); None where not asked for."""
@@ -148,8 +118,8 @@ class _IKRun:
         }
 
     def _along_stride(self, run: Run) -> dict[str, Any]:
-        closed, animal = run.closures(), self.stride.q
-        off_rad = run.q[::OVERSAMPLING][: len(animal)] - animal
+        closed, own = run.closures(), self.stride.q
+        off_rad = run.q[::OVERSAMPLING][: len(own)] - own
         return {
             **run.measures(),
             **{f"least_closure_{kind}_percent": float(np.fmin.reduce(of)) for kind, of in closed.items()},
@@ -169,19 +139,19 @@ def limb_of(motion: Motion, foot: str | None = None, dim: Dim = 3, limited: bool
     """
     label = _foot_label(motion, foot)
     name = motion.foot_names[label]
-    travel, first_s = body_travel(motion.states), float(motion.time_s[0])
+    travel, first_s = animal.body_travel(motion.states), float(motion.time_s[0])
     if isinstance(motion.chain, Chain):
-        leg = spine_front_leg(motion.chain, motion.size * motion.chain.nominal_base_length_m, dim, limited)
-        q = chain_angles(motion.chain, motion.states, dim=dim)
+        leg = animal.spine_front_leg(motion.chain, motion.size * motion.chain.nominal_base_length_m, dim, limited)
+        q = animal.chain_angles(motion.chain, motion.states, dim=dim)
         return Limb(name, leg, q, motion.fps, first_s, "UVW", 0.0)
     if dim == 3:
         marker = motion.joints[motion.names.index(name)]
-        chain = body_chain(motion.body, marker, motion.size, limited)
-        q = body_chain_angles(motion.body, marker, motion.states)
+        chain = animal.body_chain(motion.body, marker, motion.size, limited)
+        q = animal.body_chain_angles(motion.body, marker, motion.states)
         return Limb(name, chain, q, motion.fps, first_s, "xyz", 0.0)
     along = next(along for along in limb_chains(motion).values() if along[-1] == name)
     points = motion.upright.xyz_m[:, [motion.names.index(joint) for joint in along]]
-    chain, q, misfit = projected_chain(points, travel)
+    chain, q, misfit = animal.projected_chain(points, travel)
     named = replace(chain, names=tuple(along[:-1]))
     return Limb(name, named, q, motion.fps, first_s, "UVW", float(np.nanmedian(misfit)))
 
@@ -205,11 +175,11 @@ def _foot_label(motion: Motion, foot: str | None) -> str:
 def methods_of(
     limb: Limb,
     names: tuple[str, ...],
-    parameters: Mapping[str, ParameterFit],
+    parameters: Mapping[str, ways.ParameterFit],
     fitted: bool = False,
-    cost: Cost | None = None,
+    cost: ways.Cost | None = None,
     alpha: float | Literal["step"] | None = None,
-) -> dict[str, Method]:
+) -> dict[str, ways.Method]:
     """The methods by name (`METHODS`, `EXTENDED`), with their standard parameters, or those fitted to the clip
     (`fit_parameters`). Weights have no standard, and are fitted in any case.
 
@@ -217,14 +187,14 @@ def methods_of(
     on all rates, or "step" for the one of each step with which the foot moves nearest to what is asked for.
     """
 
-    def method(name: str) -> Method:
+    def method(name: str) -> ways.Method:
         if name == EXTENDED and cost is not None:
-            return ExtendedJacobian(cost)
+            return ways.ExtendedJacobian(cost)
         if name.startswith("extended-"):
-            return ExtendedJacobian(COSTS[name.removeprefix("extended-")](limb))
+            return ways.ExtendedJacobian(COSTS[name.removeprefix("extended-")](limb))
         if name == "gradient-projection" and not fitted:
-            return GradientProjection(cost or joint_differences(limb.chain))
-        return parameters[name].method if fitted or name == "weighted" else STANDARD[name]
+            return ways.GradientProjection(cost or ways.joint_differences(limb.chain))
+        return parameters[name].method if fitted or name == "weighted" else ways.STANDARD[name]
 
     chosen = {name: method(name) for name in names}
     if alpha is None:
@@ -232,7 +202,7 @@ def methods_of(
     return {name: replace(one, alpha=None if alpha == "step" else alpha) for name, one in chosen.items()}
 
 
-def cost_of(limb: Limb, text: str) -> Cost:
+def cost_of(limb: Limb, text: str) -> ways.Cost:
     """A cost of `COSTS`, or a sum of some with weights, as in "energy,differences=0.1". Raises InputError."""
     costs, weights, problems = [], [], []
     for part in text.split(","):
@@ -245,19 +215,19 @@ def cost_of(limb: Limb, text: str) -> Cost:
             problems.append(Problem("--cost", "cost", repr(part), expected))
     if problems:
         raise InputError(problems)
-    return costs[0] if len(costs) == 1 and weights == [1.0] else weighted_sum(tuple(costs), tuple(weights))
+    return costs[0] if len(costs) == 1 and weights == [1.0] else ways.weighted_sum(tuple(costs), tuple(weights))
 
 
-def fit_parameters(limb: Limb, cost: Cost | None = None) -> dict[str, ParameterFit]:
+def fit_parameters(limb: Limb, cost: ways.Cost | None = None) -> dict[str, ways.ParameterFit]:
     """By method, by least squares to the joint rates of the clip, from a spline through its angles. cost: of gradient
     projection; None: any constant vector. Raises InputError for fewer than four frames in a row."""
     frames, _ = _rates_of(limb)
-    return {name: fit(frames) for name, fit in fits(() if cost is None else (cost,)).items()}
+    return {name: fit(frames) for name, fit in ways.fits(() if cost is None else (cost,)).items()}
 
 
 def fit_parameter_series(
-    limb: Limb, stride: StridePath, cost: Cost | None = None, last: int = 0
-) -> tuple[pd.DataFrame, dict[str, list[Method]]]:
+    limb: Limb, stride: animal.StridePath, cost: ways.Cost | None = None, last: int = 0
+) -> tuple[pd.DataFrame, dict[str, list[ways.Method]]]:
     """The same fitted to each frame of a stride by itself, or to the `last` ones before it: the methods, and a row for
     each frame: time_s in the clip, and of every method its parameter (`PARAMETERS`; one for each joint where there are
     as many), <method>_best_alpha, and <method>_explained, of the frame's own rates.
@@ -267,29 +237,29 @@ def fit_parameter_series(
     """
     frames, at_s = _rates_of(limb)
     first, stop = np.searchsorted(at_s, [stride.start_s - 1e-6, stride.end_s + 1e-6]).tolist()
-    costs = (cost or joint_differences(limb.chain),) if cost is not None or not last else ()
+    costs = (cost or ways.joint_differences(limb.chain),) if cost is not None or not last else ()
     columns, methods = {"time_s": limb.first_s + at_s[first:stop]}, {}
-    for name, fit in fits(costs, PULL).items():
+    for name, fit in ways.fits(costs, ways.PULL).items():
         rows = [slice(max(t - last, 0), max(t, 1)) if last else slice(t, t + 1) for t in range(first, stop)]
         found = [fit(frames[window]) for window in rows]
         methods[name] = [one.method for one in found]
         values = np.array([one.parameter for one in found])
-        called = limb.names if values.shape[1] == limb.chain.n else PARAMETERS.get(name, ())
+        called = limb.names if values.shape[1] == limb.chain.n else ways.PARAMETERS.get(name, ())
         columns |= {f"{name}_{part}": of_part for part, of_part in zip(called, values.T, strict=True)}
         columns[f"{name}_best_alpha"] = np.array([one.alpha for one in found])
         own = zip(methods[name], (frames[t : t + 1] for t in range(first, stop)), strict=True)
-        columns[f"{name}_explained"] = np.array([explained_by(rates_of(one, of), of.dq) for one, of in own])
+        columns[f"{name}_explained"] = np.array([ways.explained_by(ways.rates_of(one, of), of.dq) for one, of in own])
     return pd.DataFrame(columns), methods
 
 
-def _rates_of(limb: Limb) -> tuple[Frames, Array]:
+def _rates_of(limb: Limb) -> tuple[ways.Frames, Array]:
     """The frames with a pose, and their times (T,) from the first frame on."""
     known = np.flatnonzero(np.isfinite(limb.q).all(axis=1))
     if len(known) < MIN_POINTS:
         raise InputError(Problem("results", "frames", f"{len(known)} with a pose", f"at least {MIN_POINTS}"))
     q, at_s = limb.q[known], known / limb.fps
     dq = CubicSpline(at_s, q)(at_s, 1)
-    return Frames.of(limb.chain, q, (limb.chain.jacobian(q) @ dq[..., None])[..., 0], dq), at_s
+    return ways.Frames.of(limb.chain, q, (limb.chain.jacobian(q) @ dq[..., None])[..., 0], dq), at_s
 
 
 # -- the jobs --------------------------------------------------------------------------------------------------------
@@ -312,7 +282,7 @@ def run_ik(settings: IkSettings) -> _IKRun:
             if fitted:
                 series, refitted = fit_parameter_series(limb, stride, cost, LAST if settings.online else 0)
             methods = methods_of(limb, settings.methods, parameters, fitted, cost, settings.alpha)
-            start, foremost = farthest_reach(chain, stride.q)
+            start, foremost = animal.farthest_reach(chain, stride.q)
             goal = foremost if target == STRIDE_MAX else goal
             drives = {} if goal is None else {n: drive_to(chain, start, goal, m) for n, m in methods.items()}
             followed = methods if settings.both or settings.follow is not None else {}
@@ -338,7 +308,7 @@ def _coordinates(target: str, dim: int) -> Array:
     return values
 
 
-def stride_of(motion: Motion, limb: Limb, stride_s: tuple[float, float] | None = None) -> StridePath:
+def stride_of(motion: Motion, limb: Limb, stride_s: tuple[float, float] | None = None) -> animal.StridePath:
     """The stride that is given; or the first of the foot that counts (`recon.gait.gait`); or, of a clip without any,
     where the foot comes back to nearest in the time that a stride takes. Raises InputError for a clip that shows too
     little."""
@@ -358,7 +328,7 @@ def stride_of(motion: Motion, limb: Limb, stride_s: tuple[float, float] | None =
             how = "gait"
     span_s = None if found is None else (found.start_s - limb.first_s, found.end_s - limb.first_s)
     try:
-        stride = find_stride(limb.chain, limb.q, limb.fps, span_s, lasts_s)
+        stride = animal.find_stride(limb.chain, limb.q, limb.fps, span_s, lasts_s)
     except ValueError as error:
         raise InputError(Problem(motion.file, "stride", str(error), "a clip that shows more of one")) from None
     return replace(stride, how=how or stride.how, notes=tuple(notes))
@@ -379,15 +349,15 @@ def stride_lasts_s(gait: Gait) -> tuple[float, float]:
 
 
 def follow_stride(
-    chain: SerialChain, stride: StridePath, method: Method, turns: int = 1, each: Sequence[Method] = ()
+    chain: SerialChain, stride: animal.StridePath, method: ways.Method, turns: int = 1, each: Sequence[ways.Method] = ()
 ) -> Run:
     """Along the stride, `SLOWER` than the animal; times and rates are the animal's again. The extended Jacobian starts
     where its cost is stationary, with the foot in the same place. each: a method for every frame of the stride."""
     q0, steps = stride.q[0], len(stride.path_m) - 1
-    if isinstance(method, ExtendedJacobian):
+    if isinstance(method, ways.ExtendedJacobian):
         q0 = to_null_space_optimum(chain, q0, method.cost)[0]
 
-    def of_step(k: int) -> Method:
+    def of_step(k: int) -> ways.Method:
         return each[min(k % steps // OVERSAMPLING, len(each) - 1)]
 
     run = follow(chain, q0, stride.path_m, of_step if each else method, turns, SLOWER * stride.interval_s)

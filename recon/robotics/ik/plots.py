@@ -11,17 +11,7 @@ from matplotlib.figure import Figure
 from recon.base.arrays import Array
 from recon.robotics.ik.chain import SerialChain
 from recon.robotics.ik.drive import Run
-from recon.show.plots.style import (
-    GREY,
-    PALE,
-    SMALL,
-    WIDTH_MM,
-    add_legend,
-    drawing,
-    grid_shape,
-    legend_shape,
-    look,
-)
+from recon.show.plots import style
 
 VIEWS = {
     "UVW": (("side", 0, 1, "forwards (m)", "down (m)"), ("top", 0, 2, "forwards (m)", "to the left (m)")),
@@ -46,22 +36,22 @@ def task_space(
     labels, first = [f"{name}{_outcome(move)}" for name, move in moves.items()], next(iter(moves.values()))
     aims = () if aim_m is None else ("path to follow",) if aim_m.ndim == 2 else ("target",)
     said, start, stood_there, aim = ("start", "chain at the start", *aims), [], [], []
-    with drawing(92 + legend_shape([*labels, *said])[1]) as figure:
+    with style.drawing(92 + style.legend_shape([*labels, *said])[1]) as figure:
         views = VIEWS[base][: chain.dim - 1]
         panels = np.ravel(figure.subplots(1, len(views), squeeze=False))
         for axes, (view, i, j, across, upwards) in zip(panels, views, strict=True):
-            stood = {"color": GREY, "lw": 2.2, "alpha": 0.5, "marker": "o", "ms": 2, "zorder": 1}
+            stood = {"color": style.GREY, "lw": 2.2, "alpha": 0.5, "marker": "o", "ms": 2, "zorder": 1}
             stood_there = axes.plot(*chain.positions(first.q[0])[:, [i, j]].T, **stood)
             if aim_m is not None and aim_m.ndim == 2:
-                aim = axes.plot(*aim_m[:, [i, j]].T, color=PALE, lw=3.5, zorder=1, gid="path")
+                aim = axes.plot(*aim_m[:, [i, j]].T, color=style.PALE, lw=3.5, zorder=1, gid="path")
             elif aim_m is not None:
                 aim = axes.plot(*aim_m[[i, j]], "+", color="k", ms=10, mew=1.2, zorder=5, gid="target")
             for k, move in enumerate(moves.values()):
-                style = look(k)
+                drawn = style.look(k)
                 last = chain.positions(move.q[-1])[:, [i, j]]
-                axes.plot(*last.T, **style, marker="o", ms=2, lw=0.7, alpha=0.8, zorder=2)
-                axes.plot(*move.end_m[:, [i, j]].T, **style, zorder=3, label=labels[k])
-                axes.plot(*move.end_m[-1, [i, j]], "o", ms=3.5, color=style["color"], zorder=4)
+                axes.plot(*last.T, **drawn, marker="o", ms=2, lw=0.7, alpha=0.8, zorder=2)
+                axes.plot(*move.end_m[:, [i, j]].T, **drawn, zorder=3, label=labels[k])
+                axes.plot(*move.end_m[-1, [i, j]], "o", ms=3.5, color=drawn["color"], zorder=4)
             start = axes.plot(*first.end_m[0, [i, j]], "o", mfc="w", mec="k", ms=5, zorder=5)
             axes.set_xlabel(across)
             axes.set_ylabel(upwards)
@@ -70,9 +60,9 @@ def task_space(
             if upwards.startswith("down"):
                 axes.invert_yaxis()
             if chain.dim == 3:
-                axes.set_title(view, loc="left", fontsize=SMALL, color=GREY)
+                axes.set_title(view, loc="left", fontsize=style.SMALL, color=style.GREY)
         ways, _ = panels[0].get_legend_handles_labels()
-        add_legend(figure, [*ways, *start, *stood_there, *aim], [*labels, *said])
+        style.add_legend(figure, [*ways, *start, *stood_there, *aim], [*labels, *said])
     return figure
 
 
@@ -80,15 +70,15 @@ def joint_space(moves: Mapping[str, Run], names: Sequence[str]) -> Figure:
     """Each joint's angle (deg) by method, over the iterations to a target or the time along a path. names (n,)."""
     n, driven = len(names), any(move.driven for move in moves.values())
     least, aspect = (3, 0.62) if n <= 6 else (5, 0.9)
-    rows, columns = grid_shape(n, WIDTH_MM, aspect, least)
+    rows, columns = style.grid_shape(n, style.WIDTH_MM, aspect, least)
     labels = [f"{name}{_outcome(move)}" for name, move in moves.items()]
-    with drawing(rows * aspect * WIDTH_MM / columns + 14 + legend_shape(labels)[1]) as figure:
+    with style.drawing(rows * aspect * style.WIDTH_MM / columns + 14 + style.legend_shape(labels)[1]) as figure:
         panels = figure.subplots(rows, columns, sharex=True, squeeze=False).ravel()
         for joint, axes in enumerate(panels[:n]):
             for k, move in enumerate(moves.values()):
                 along = np.arange(len(move.q)) if driven else move.time_s
-                axes.plot(along, np.degrees(move.q[:, joint]), **look(k))
-            axes.set_title(names[joint], fontsize=SMALL, pad=2)
+                axes.plot(along, np.degrees(move.q[:, joint]), **style.look(k))
+            axes.set_title(names[joint], fontsize=style.SMALL, pad=2)
             axes.locator_params(axis="y", nbins=4)
         for axes in panels[n:]:
             axes.set_axis_off()
@@ -96,7 +86,7 @@ def joint_space(moves: Mapping[str, Run], names: Sequence[str]) -> Figure:
             axes.set_xlabel("iteration" if driven else "time (s)")
             axes.tick_params(labelbottom=True)
         figure.supylabel("angle (deg)", fontsize=8)
-        add_legend(figure, panels[0].get_lines(), labels)
+        style.add_legend(figure, panels[0].get_lines(), labels)
     return figure
 
 
