@@ -85,14 +85,16 @@ def compare(problems: Sequence[Problem], expected: Sequence[Refusal]) -> None:
 
 def _is_about(problem: Problem, expected: Refusal) -> bool:
     file, field, *values = expected
-    names = (str(problem.file), Path(problem.file).name)
-    return str(file) in names and field == problem.field and all(map(_has, (problem.found, problem.expected), values))
+    each = [one if isinstance(one, list) else [one] for one in values]
+    texts = (problem.found, problem.expected)
+    is_here = str(file) in (str(problem.file), Path(problem.file).name) and field == problem.field
+    return is_here and all(says(text, *one) for text, one in zip(texts, each, strict=False))
 
 
-def _has(text: str, values: object) -> bool:
-    """Each as whole words: 3 does not stand in 13, nor in 3.5."""
-    each = values if isinstance(values, list) else [values]
-    return all(re.search(rf"(?<![\w.]){re.escape(str(value))}(?!\w|\.\d)", text) for value in each)
+def says(text: str, *values: object) -> bool:
+    """Whether a line has all of them as whole words: 3 does not stand in 13, nor in 3.5."""
+    begins, ends = r"(?:(?<![\w.])|(?!\w))", r"(?:(?!\w|\.\d)|(?<!\w))"
+    return all(re.search(f"{begins}{re.escape(str(value))}{ends}", text) for value in values)
 
 
 def run_process(*args: object, before: str = "") -> Ended:

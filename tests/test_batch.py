@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import io
 import json
 import os
 import shutil
@@ -14,20 +13,19 @@ import sys
 import time
 import warnings
 from collections.abc import Iterator
-from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import pytest
 import tomli_w
-from command_line import carry_out_here
+from command_line import Refusal, carry_out_here, compare, refusal, refused, run, says
 
 from recon import FitSettings, InputError, find_clips, fit_clip, plan_batch, run_batch
 from recon.base import silent, sole_writer
 from recon.base.parallel import Event, outcome_of
 from recon.io import read_cameras
-from recon.workflows import COLUMNS, AnalyseSettings, Record, digest, main, run_analyse, run_clip
+from recon.workflows import COLUMNS, AnalyseSettings, Record, digest, run_analyse, run_clip
 from recon.workflows.batch import RECORD, Clip, Summary, fit_planned, input_problems, read_rows
 
 SAMPLES = Path(__file__).parents[1] / "data" / "samples"
@@ -59,28 +57,9 @@ def manifest(folder: Path, text: str, name: str = "manifest.csv") -> Path:
     return folder / name
 
 
-def problems(*inputs: object, common: dict[str, Any] | None = None) -> list[str]:
-    with pytest.raises(InputError) as caught:
-        find_clips([str(one) for one in inputs], QUICK if common is None else common)
-    return [str(problem) for problem in caught.value.problems]
-
-
-class Ended(NamedTuple):
-    code: int
-    out: str
-    err: str
-
-
-def run(*args: object) -> Ended:
-    """`recon batch ARGS` in this process; the clips are fitted in others."""
-    out, err = io.StringIO(), io.StringIO()
-    with pytest.MonkeyPatch.context() as patch, redirect_stdout(out), redirect_stderr(err):
-        patch.setattr(sys, "argv", ["recon", "batch", *map(str, args)])
-        with pytest.raises(SystemExit) as caught:
-            main()
-    code = caught.value.code or 0
-    assert isinstance(code, int)
-    return Ended(code, out.getvalue(), err.getvalue())
+def refuses(inputs: list[object], *expected: Refusal, common: dict[str, Any] = QUICK, by: str = "auto") -> None:
+    with refusal(*expected):
+        find_clips([str(one) for one in inputs], common, cameras_by=by)
 
 
 def table(out: Path) -> dict[str, dict[str, str]]:
@@ -108,9 +87,9 @@ def test_files_patterns_and_folders(clips):
     assert names(clips / "a.csv", clips / "[ab].csv", clips) == ["a", "b", "c"]
     of_folder, notes = find_clips([clips], QUICK)
     assert [clip.settings.keypoints[0] for clip in of_folder] == [clips / f"{name}.csv" for name in "abc"]
-    assert notes == [f"Left out of {clips}, of no known format: notes.csv, video.mp4"]
+    assert [says(note, clips, "no known format", "notes.csv, video.mp4") for note in notes] == [True]
     (clips / "truth.csv").write_text("bodyparts;a;a;a\ncoords;x;y;z\n0;1;2;3\n")
-    assert find_clips([clips], QUICK)[1][0] == f"Left out of {clips}, 3D positions: truth.csv"
+    assert says(find_clips([clips], QUICK)[1][0], clips, "3D positions: truth.csv")
     assert {clip.settings.fps for clip in of_folder} == {30}
 
 
@@ -118,7 +97,7 @@ def test_a_file_that_may_not_be_read_is_said(clips, monkeypatch):
     readable = os.access
     monkeypatch.setattr("os.access", lambda path, mode: Path(path).name != "b.csv" and readable(path, mode))
     _, notes = find_clips([clips], QUICK)
-    assert notes == [f"Left out of {clips}, not readable: b.csv"]
+    assert [says(note, clips, "not readable: b.csv") for note in notes] == [True]
 
 
 def test_no_cell_of_the_summary_is_a_formula(tmp_path):
@@ -137,7 +116,7 @@ def test_a_folder_has_one_clip_for_a_table_in_two_formats(clips):
     (clips / "b.h5").write_bytes(b"\x89HDF\r\n\x1a\n" + bytes(600))  # damaged: the clip will say so
     of_folder, notes = find_clips([clips], QUICK)
     assert [clip.settings.keypoints[0].name for clip in of_folder] == ["a.csv", "b.h5", "c.csv"]
-    assert notes == [f"Left out of {clips}, beside a file of the same name: b.csv"]
+    assert [says(note, clips, "same name: b.csv") for note in notes] == [True]
 
 
 def test_folders_within_a_folder(clips):
@@ -145,12 +124,13 @@ def test_folders_within_a_folder(clips):
     shutil.copy(clips / "a.csv", clips / "day2" / "late" / "d.csv")
     of_folder, notes = find_clips([clips], QUICK)
     assert [clip.name for clip in of_folder] == ["a", "b", "c"]
-    assert notes == [f"Folders in {clips} are not read (day2): see --recursive."]
+    assert [says(note, clips, "day2", "--recursive") for note in notes] == [True]
     everything, notes = find_clips([clips], QUICK, recursive=True)
     assert [clip.name for clip in everything] == ["a", "b", "c", "d"]
     assert notes == []
     (clips / "day2" / "late" / "motion.npz").touch()
-    assert find_clips([clips], QUICK, recursive=True)[1] == [f"Left out, results of a fit: {clips / 'day2' / 'late'}"]
+    (note,) = find_clips([clips], QUICK, recursive=True)[1]
+    assert says(note, "results of a fit", clips / "day2" / "late")
     (clips / "day2" / "late" / "motion.npz").unlink()
     assert [clip.name for clip in find_clips([clips / "day2"], QUICK, recursive=True)[0]] == ["d"]
 
@@ -211,7 +191,7 @@ def test_lines_that_end_as_on_old_macs(clips):
     assert second.settings.keypoints == (clips / "b.csv",)
     assert third.settings.keypoints == (clips / "a.csv",)
     (clips / "long.csv").write_text("keypoints,out\na.csv,first\nb.csv," + "x" * 200_000)
-    assert "long.csv: line 3: found field larger than field limit" in problems(clips / "long.csv")[0]
+    refuses([clips / "long.csv"], ("long.csv", "line 3", 131072))
 
 
 def test_common_options_lie_over_config(clips, tmp_path):
@@ -254,52 +234,45 @@ def test_all_problems_of_a_manifest_at_once(clips):
         clips,
         "keypoints,fps,method,out,frames\na.csv,-3,frame,x,\nb.csv,30,walk,X,9:2\n,30,,,\nc.csv,,,../up,\n",
     )
-    without_line_4 = problems(path, common={})
-    assert without_line_4 == [f"{path}: line 4, keypoints: found nothing, expected a keypoint file"]
+    refuses([path], (path, "line 4, keypoints", "nothing"), common={})
     path.write_text(path.read_text().replace(",30,,,\n", ""))
-    said = problems(path, common={"camera": "camera.toml", "likelihood_min": 2})
-    assert said == [
-        f"{path}: line 2, fps: found '-3', expected a number greater than 0",
-        "--set likelihood-min: found 2, expected a number from 0 to 1",
-        f"{path}: line 3, frames: found '9:2', expected frame numbers A:B with A < B, from A up to but without B, "
-        "as in 100:160",
-        f"{path}: line 3, method: found 'walk', expected trajectory or frame",
-        f"{path}: line 2, out: found 'x' more than once, expected a name of its own",
-        f"{path}: line 3, out: found 'X' more than once, expected a name of its own",
-        f"{path}: line 4, out: found '../up', expected a plain name of a folder below --out, other than summary.csv "
-        "and summary.html",
-    ]
+    refuses(
+        [path],
+        (path, "line 2, fps", "'-3'", "greater than 0"),
+        ("--set likelihood-min", "likelihood_min", 2, "0 to 1"),
+        (path, "line 3, frames", "'9:2'", "A < B"),
+        (path, "line 3, method", "'walk'", "trajectory or frame"),
+        (path, "line 2, out", "'x' more than once"),
+        (path, "line 3, out", "'X' more than once"),
+        (path, "line 4, out", "'../up'", ["--out", "summary.csv and summary.html"]),
+        common={"camera": "camera.toml", "likelihood_min": 2},
+    )
 
 
 def test_names_that_are_too_long_are_no_files(clips):
     name = "a" * 300
     path = manifest(clips, f"keypoints\n{name}*.csv\n")
-    said = problems(path, name, f"{name}*")
-    assert [one.split(": ")[1] for one in said] == ["line 2, keypoints", "file", "files"]
-    assert f"no files that match {name}*.csv" in said[0]
+    none = (path, "line 2, keypoints", f"{name}*.csv")
+    refuses([path, name, f"{name}*"], none, (name, "file"), (f"{name}*", "files", "none that match"))
 
 
 def test_problems_of_several_inputs_at_once(clips, tmp_path):
     path = manifest(clips, "keypoints,speed,fps\na.csv,1,2,3,4\n")
     empty = manifest(clips, "keypoints\n", "empty_manifest.csv")
     (tmp_path / "none").mkdir()
-    said = problems(tmp_path / "typo.csv", tmp_path / "*.h5", tmp_path / "none", path, empty)
-    starts = [
-        f"{tmp_path / 'typo.csv'}: file: found no such file",
-        f"{tmp_path / '*.h5'}: files: found none that match",
-        f"{tmp_path / 'none'}: files: found no keypoint files",
-        f"{path}: column 'speed': found an unknown column, expected one of out, keypoints, camera",
-        f"{path}: line 2: found 5 cells, expected 3",
-        f"{empty}: rows: found none",
-    ]
-    assert len(said) == len(starts)
-    assert all(text.startswith(start) for text, start in zip(said, starts, strict=True))
+    refuses(
+        [tmp_path / "typo.csv", tmp_path / "*.h5", tmp_path / "none", path, empty],
+        (tmp_path / "typo.csv", "file", "no such file"),
+        (tmp_path / "*.h5", "files", "none that match"),
+        (tmp_path / "none", "files", "no keypoint files"),
+        (path, "column 'speed'", "unknown", "out, keypoints, camera"),
+        (path, "line 2", "5 cells", 3),
+        (empty, "rows", "none"),
+    )
 
 
 def test_what_every_clip_lacks_is_said_once(clips):
-    assert [text.split(",")[0] for text in problems(clips, common={})] == [
-        "--camera: found nothing",
-    ]
+    refuses([clips], ("--camera", "camera", "nothing"), common={})
 
 
 # ---- several cameras of one clip ----
@@ -331,11 +304,9 @@ def test_files_of_one_clip_are_known_by_the_names_of_cameras(tmp_path):
     }
     assert [clip.settings.camera_name for clip in clips] == [("cam1", "cam2"), ("cam2",), ("cam1", "cam2")]
     assert input_problems(clips) == [(), (), ()]
-    assert notes == [
-        "4 files are 2 clips of several cameras, by the cameras' names in theirs (--cameras-by none takes each by "
-        "itself).",
-        "Fitted without cameras that others have: trot (cam1)",
-    ]
+    several, without = notes
+    assert says(several, "4 files", "2 clips", "names", "--cameras-by none")
+    assert says(without, "without", "trot (cam1)")
 
 
 @pytest.mark.parametrize(
@@ -358,10 +329,9 @@ def test_a_pattern_finds_cameras_and_clips(tmp_path):
     (tmp_path / "other.csv").write_text((tmp_path / "s1 v1.csv").read_text())
     clips, notes = find_clips([tmp_path], TWO, cameras_by=r" v([12])$")
     assert [(clip.name, clip.settings.camera_name) for clip in clips] == [("s1", ("1", "2"))]
-    assert notes == [
-        "Left out, without a camera in the name: other.csv, s1 v2 late.csv",
-        "2 files are 1 clip of several cameras, by --cameras-by.",
-    ]
+    left_out, several = notes
+    assert says(left_out, "Left out", "other.csv, s1 v2 late.csv")
+    assert says(several, "2 files", "1 clip", "by --cameras-by")
     assert input_problems(clips) == [()]
     named = {"s1": ("v1", "v2"), "s1 late": ("v2",)}
     assert cameras([tmp_path / "s1 v*.csv"], by="v[12]") == named  # all that it fits is the name
@@ -370,19 +340,15 @@ def test_a_pattern_finds_cameras_and_clips(tmp_path):
 def test_what_is_wrong_with_cameras_in_names(tmp_path):
     filmed(tmp_path, "a-cam1.csv", "a_cam1.csv", "b-cam2.csv")
 
-    def said(by: str, common: dict[str, Any] = TWO) -> str:
-        with pytest.raises(InputError) as caught:
-            find_clips([tmp_path], common, cameras_by=by)
-        (problem,) = caught.value.problems
-        return str(problem)
-
     (twice, _), _ = find_clips([tmp_path], TWO)
-    assert input_problems([twice])[0][0].found == "cam1 for two keypoint files"
-    assert "no camera in a-cam1.csv, a_cam1.csv, b-cam2.csv" in said("view(.)")
-    assert "'(' (missing ), unterminated subpattern at position 0), expected a regular" in said("(")
-    assert "found cam2 beside --cameras-by" in said("cam.$", TWO | {"camera_name": "cam2"})
+    compare(input_problems([twice])[0], [(SCENE, "camera", ["cam1", "two keypoint files"])])
+    pattern = ("--cameras-by", "pattern")
+    refuses([tmp_path], (*pattern, "a-cam1.csv, a_cam1.csv, b-cam2.csv"), common=TWO, by="view(.)")
+    refuses([tmp_path], (*pattern, ["'('", "position 0"], "regular expression"), common=TWO, by="(")
+    beside = ("--camera-name", "camera_name", "cam2 beside --cameras-by")
+    refuses([tmp_path], beside, common=TWO | {"camera_name": "cam2"}, by="cam.$")
     filmed(tmp_path, "cam1-cam2.csv")
-    assert "cam1-cam2.csv: name: found the cameras cam1 and cam2" in said("auto")
+    refuses([tmp_path], ("cam1-cam2.csv", "name", "cam1 and cam2", "--cameras-by none"), common=TWO)
 
 
 def anipose(project: Path, calibration: Path, square: float, *files: str) -> None:
@@ -426,12 +392,10 @@ def test_projects_of_anipose(tmp_path):
     assert [(clip.name, clip.settings.camera_name) for clip in clips] == [("walk", ("A", "B")), ("trot", ("B",))]
     assert {clip.settings.camera for clip in clips} == {(tmp_path / "rex/calibration/calibration.toml",)}
     assert input_problems(clips) == [(), ()]
-    assert notes == [
-        "2 sessions of Anipose: 3 files of pose-2d and pose-2d-filtered",
-        f"2 files are 1 clip of several cameras, by cam_regex in {tmp_path / 'config.toml'} (--cameras-by none takes "
-        "each by itself).",
-        "Fitted without cameras that others have: trot (A)",
-    ]
+    sessions, several, without = notes
+    assert says(sessions, "2 sessions", "3 files", "pose-2d and pose-2d-filtered")
+    assert says(several, "2 files", "1 clip", "cam_regex", tmp_path / "config.toml", "--cameras-by none")
+    assert says(without, "without", "trot (A)")
     both = [tmp_path / "rex/day1", tmp_path / "rex/day2/pose-2d"]
     assert cameras(both, common) == {"day1-walk": ("A", "B"), "trot": ("A",), "day2-walk": ("A",)}
     assert cameras(both[:1], common, "none") == {"walk-camA": ("A",), "walk-camB": ("B",)}
@@ -444,14 +408,11 @@ def test_projects_of_anipose(tmp_path):
 def test_what_projects_of_anipose_lack(tmp_path):
     anipose(tmp_path, Path("calibration"), 25.0, "pose-2d/walk-camA.csv", "pose-2d/walk-camB.csv")
     config = tmp_path / "config.toml"
-    found = "board_square_side_length: found 25, so that the calibration is not in metres"
-    assert problems(tmp_path, common={"fps": 30}) == [
-        f"{config}: {found}, expected its unit besides, as in --camera-unit mm"
-    ]
+    in_mm = (config, "board_square_side_length", [25, "not in metres"], "--camera-unit mm")
+    refuses([tmp_path], in_mm, common={"fps": 30})
     shutil.rmtree(tmp_path / "calibration")
-    assert problems(tmp_path, common={"fps": 30}) == [
-        f"{tmp_path}: calibration: found none, expected calibration/calibration.toml in it or above it, or --camera"
-    ]
+    none = (tmp_path, "calibration", "none", ["calibration/calibration.toml", "--camera"])
+    refuses([tmp_path], none, common={"fps": 30})
 
 
 def test_a_row_of_a_manifest_with_several_cameras(tmp_path):
@@ -469,7 +430,7 @@ def test_a_row_of_a_manifest_with_several_cameras(tmp_path):
     assert (second.settings.camera_name, second.settings.offset_s) == (("cam2", "cam1"), (0.0, 0.25))
     assert third.settings.camera_name == ("1",)
     manifest(tmp_path, "keypoints\nz*.csv\n")
-    assert "line 2, keypoints: found no files that match z*.csv" in problems(path)[0]
+    refuses([path], (path, "line 2, keypoints", "z*.csv"))
 
 
 def test_a_camera_more_or_less_is_the_same_clip_again(tmp_path):
@@ -495,13 +456,14 @@ def test_a_camera_more_or_less_is_the_same_clip_again(tmp_path):
     (clip,), _ = find_clips([tmp_path / "moved" / "walk-cam2.csv"], TWO, cameras_by="cam[12]")
     assert plan_batch([clip], out)[0].action == "refit"
     (tmp_path / "moved" / "walk-cam2.csv").write_text("of another run")
-    with pytest.raises(InputError, match=r"walk-cam2\.csv, expected a folder without results, or of an earlier batch"):
+    cam1, cam2 = (tmp_path / "clips" / f"walk-cam{number}.csv" for number in (1, 2))
+    with refusal((out / "walk", "folder", f"results of {cam1}, {cam2}", "without results")):
         plan_batch([clip], out)
 
 
 def test_a_look_says_which_cameras_a_clip_has(tmp_path):
     filmed(tmp_path, "walk-cam1.csv", "walk-cam2.csv")
-    command = (tmp_path, "--camera", SCENE, "--fps", 120, "--out", tmp_path / "out", "--dry-run")
+    command = ("batch", tmp_path, "--camera", SCENE, "--fps", 120, "--out", tmp_path / "out", "--dry-run")
     (row,) = json.loads(run(*command, "--json").out)["clips"]
     assert (row["clip"], row["cameras"], row["action"]) == ("walk", ["cam1", "cam2"], "new")
     assert "cam1, cam2" in run(*command).out
@@ -590,11 +552,9 @@ def test_results_of_others_are_left_alone(clips, tmp_path):
     (other / "c.csv").write_text((clips / "c.csv").read_text())
     fit(found(other / "c.csv"), out)
     (clips / "c.csv").write_text((clips / "c.csv").read_text() + "\n")
-    with pytest.raises(InputError) as caught:
+    unknown = ("folder", "no batch has made", "--overwrite")
+    with refusal((out / "a", *unknown), (out / "b", *unknown), (out / "c", "folder", f"results of {other / 'c.csv'}")):
         plan_batch(found(clips), out)
-    said = [(Path(p.file).name, p.found) for p in caught.value.problems]
-    unknown = "results that no batch has made"
-    assert said == [("a", unknown), ("b", unknown), ("c", f"results of {other / 'c.csv'}")]
     assert [p.reason for p in plan_batch(found(clips), out, overwrite=True)] == ["--overwrite"] * 3
 
 
@@ -617,12 +577,12 @@ def test_what_another_process_is_writing_to_is_left_alone(clips, tmp_path, monke
     out = tmp_path / "out"
     (planned,) = plan_batch(found(clips / "a.csv"), out)
     with sole_writer(out):
-        with pytest.raises(InputError, match=r"another process .*, which is writing to it, expected one at a time"):
+        with refusal((out, "folder", ["another process", os.getpid()], "wait")):
             run_batch([planned], out, jobs=1)
         with sole_writer(out / "a"):
             outcome = outcome_of(fit_planned, planned, silent)
     assert outcome["status"] == "failed"
-    assert outcome["error"].startswith(f"{out / 'a'}: folder: found another process")
+    assert says(outcome["error"], f"{out / 'a'}: folder", "another process", os.getpid())
     assert not out.exists()
 
 
@@ -648,7 +608,7 @@ def test_another_version_on_the_worker(clips, tmp_path):
     planned = replace(planned, identity={**planned.identity, "version": "99"})
     outcome = outcome_of(fit_planned, planned, silent)
     assert outcome["status"] == "failed"
-    assert "99 where the batch runs" in outcome["error"]
+    assert says(outcome["error"], 99)
     assert not (tmp_path / "out" / "a").exists()
 
 
@@ -702,14 +662,14 @@ def test_what_many_clips_lack_is_said_once(clips, tmp_path):
         two = "".join(f'[{camera}]\nname = "{camera}"\n{plain}{pose}' for camera in ("cam_a", "cam_b"))
         (clips / f"{name}.toml").write_text(two)
     path = manifest(clips, "keypoints,camera\na.csv,a.toml\nb.csv,b.toml\nc.csv,c.toml\n")
-    expected = "found 2 cameras and no choice, expected one of cam_a, cam_b by --camera-name, or in the file's name"
-    ended = run(path, "--set", "method=frame", "--fps", 30, "--out", tmp_path / "out")
-    assert ended.err == f"error: {clips / 'a.toml'} and 2 more files: camera: {expected}\n"
+    command = ["batch", path, "--set", "method=frame", "--fps", 30, "--out", tmp_path / "out"]
+    three = f"{clips / 'a.toml'} and 2 more files"
+    (problem,) = refused(command, (three, "camera", "2 cameras", ["cam_a, cam_b", "--camera-name"]))
     assert not (tmp_path / "out").exists()
-    ended = run(path, "--set", "method=frame", "--fps", 30, "--out", tmp_path / "out", "--dry-run")
-    assert f"a, b, c: {clips / 'a.toml'} and 2 more files: camera: {expected}" in ended.out
+    ended = run(*command, "--dry-run")
+    assert f"a, b, c: {problem}" in ended.out
     assert ended.out.count("no choice") == 1
-    assert "3 clips: 0 new, 0 to fit again, 0 done, 3 that cannot be fitted" in ended.out
+    assert says(ended.out, "3 clips", "0 new", "0 to fit", "0 done", "3 that cannot")
 
 
 # ---- processes ----
@@ -755,8 +715,8 @@ def test_faults_take_only_their_clip(clips, tmp_path):
         "d": ("done", "1"),
         "empty": ("failed", "1"),
     }
-    assert rows["b"]["error"] == "the worker was killed (SIGKILL, as the system does when memory runs out)"
-    assert rows["empty"]["error"].startswith(f"{clips / 'empty.csv'}: file: found an empty file")
+    assert says(rows["b"]["error"], "SIGKILL", "memory")
+    assert says(rows["empty"]["error"], f"{clips / 'empty.csv'}: file", "empty")
     assert (out / "b" / "crash.log").read_text().startswith(rows["b"]["error"])
     assert staging_folders(out) == []
 
@@ -795,7 +755,7 @@ def test_what_failed_is_done_again_beside_what_is_done(clips, tmp_path):
 
 def args(clips: Path, out: Path, *more: object) -> list[object]:
     given = [f"--{name}={value}" for name, value in QUICK.items() if name != "method"]
-    return [clips, *given, "--set", f"method={QUICK['method']}", "--out", out, *more]
+    return ["batch", clips, *given, "--set", f"method={QUICK['method']}", "--out", out, *more]
 
 
 def test_dry_run_looks_only(clips, tmp_path):
@@ -811,9 +771,9 @@ def test_dry_run_looks_only(clips, tmp_path):
     assert "header" in rows[2]["problems"][0]
     assert (ended.code, run(*args(clips, out, "--dry-run", "--strict")).code) == (0, 1)
     ended = run(*args(clips, out, "--dry-run", "--fps", 60))
-    assert "3 clips: 0 new, 2 to fit again, 0 done, 1 that cannot be fitted" in ended.out
+    assert says(ended.out, "3 clips", "0 new", "2 to fit", "0 done", "1 that cannot")
     assert "refit (changed: fps)" in ended.out
-    assert "All clips have the same --camera and --fps. Where they differ" in ended.out
+    assert says(ended.out, "--camera and --fps")
     assert {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")} == before
 
 
@@ -841,14 +801,12 @@ def test_command(clips, tmp_path, monkeypatch):
 
 def test_unusable_input_ends_it_before_any_work(clips, tmp_path):
     out = tmp_path / "out"
-    ended = run(clips, "--fps", 30, "--out", out)
-    assert ended.code == 2
-    assert "--camera: found nothing" in ended.err
-    ended = run(clips, "--camera", clips / "none.toml", "--fps", 30, "--skeleton", "unicorn", "--out", out)
-    assert ended.code == 2
-    assert ended.err.count("error:") == 2
+    command = ["batch", clips, "--fps", 30, "--out", out]
+    refused(command, ("--camera", "camera", "nothing"))
+    wrong = ["--camera", clips / "none.toml", "--skeleton", "unicorn"]
+    refused([*command, *wrong], ("none.toml", "file", "no such file"), ("--skeleton", "name or file", "'unicorn'"))
     (tmp_path / "file").touch()
-    assert run(*args(clips, tmp_path / "file")).code == 2
+    refused(args(clips, tmp_path / "file"), ("--out", "folder", tmp_path / "file"))
     assert not out.exists()
 
 
@@ -882,7 +840,6 @@ def in_the_middle(clips, tmp_path) -> Iterator[tuple[subprocess.Popen[str], Path
         sys.executable,
         "-c",
         f"{before}; from recon.workflows.cli import main; main()",
-        "batch",
         *map(str, command),
     ]
     with subprocess.Popen(code, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
@@ -918,10 +875,8 @@ def test_ctrl_c_keeps_what_is_done(clips, in_the_middle, monkeypatch):
     done = finished(out)
     assert 1 <= len(done) < 8
     assert sorted(statuses(out)) == ["done"] * len(done) + ["pending"] * (8 - len(done))
-    assert errors == (
-        f"Stopped: {len(done)} done, {8 - len(done)} pending. What is done is kept: the same command again goes on "
-        "from here.\n"
-    )
+    (line,) = errors.splitlines()
+    assert says(line, "Stopped", f"{len(done)} done, {8 - len(done)} pending", "same command again")
     assert "Traceback" not in said
     assert staging_folders(out) == []
     assert sorted(path.name for path in out.iterdir() if path.is_dir()) == sorted(done)
@@ -1016,9 +971,8 @@ def test_a_cluster_with_certificates(clips, tmp_path, certificates):
         cluster = distributed.LocalCluster(**how, security=distributed.Security())
     with cluster:
         assert cluster.scheduler_address.startswith("tls://")
-        ended = run(*args(one, out, "--scheduler", cluster.scheduler_address))
-        assert ended.code == 2
-        assert "tls:// with the certificates of Dask's configuration (distributed.comm.tls)" in ended.err
+        at = cluster.scheduler_address
+        refused(args(one, out, "--scheduler", at), ("--scheduler", at, "TLS", ["tls://", "distributed.comm.tls"]))
         with dask.config.set(certificates):
             ended = run(*args(one, out, "--scheduler", cluster.scheduler_address))
         assert (ended.code, statuses(out)) == (0, ["done"])
@@ -1026,9 +980,8 @@ def test_a_cluster_with_certificates(clips, tmp_path, certificates):
 
 def test_no_cluster(clips, tmp_path):
     pytest.importorskip("distributed")
-    ended = run(*args(clips, tmp_path / "out", "--scheduler", "nonsense://here"))
-    assert ended.code == 2
-    assert "expected a running Dask scheduler" in ended.err
+    nonsense = "nonsense://here"
+    refused(args(clips, tmp_path / "out", "--scheduler", nonsense), ("--scheduler", nonsense, "nonsense", "tcp://"))
 
 
 @pytest.mark.parametrize("scheme", ["tcp", "tls"])
@@ -1041,7 +994,8 @@ def test_a_scheduler_that_says_nothing_is_not_waited_for(scheme, monkeypatch):
         silent.bind(("127.0.0.1", 0))
         silent.listen()
         began = time.monotonic()
-        with pytest.raises(InputError, match="expected a running Dask scheduler") as error:
-            cluster._client(f"{scheme}://127.0.0.1:{silent.getsockname()[1]}")
+        at = f"{scheme}://127.0.0.1:{silent.getsockname()[1]}"
+        found, expected = ("0.3 s", "tcp://") if scheme == "tcp" else ("TLS", "distributed.comm.tls")
+        with refusal(("--scheduler", at, found, expected)):
+            cluster._client(at)
         assert time.monotonic() - began < 5
-    assert ("certificates of Dask's configuration" in str(error.value)) == (scheme == "tls")
