@@ -7,7 +7,7 @@ with `format = "recon-camera"`, or several in `[[cameras]]`; those of other prog
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -49,6 +49,8 @@ class CameraRecord:
     """Unchecked, by field of `Camera`."""
     called: Mapping[str, str]
     """What the file calls a field, where it calls it otherwise."""
+    lenses: Iterable[str] = tuple(LENS_MODELS)
+    """What the file can call its lens."""
 
     @classmethod
     def of_table(cls, name: Any, place: str, table: Mapping[str, Any], **more: Any) -> CameraRecord:
@@ -207,7 +209,7 @@ def _build(
         problems.append(Problem(path, record.place + record.called.get(field, field), found, expected))
 
     if values.get("matrix") is None and values.get("model") not in (None, *LENS_MODELS):
-        return fault("model", repr(values["model"]), "a known lens model")  # which tells its numbers apart
+        return fault("model", repr(values["model"]), f"one of: {', '.join(record.lenses)}")  # it tells numbers apart
     given: dict[str, Any] = {"name": f"cam{number}" if record.name is None else str(record.name)}
     for field, (_, expected) in BLOCKS.items():
         given[field] = _numbers(values.get(field))

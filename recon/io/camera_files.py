@@ -126,7 +126,7 @@ def read_opensfm(path: Path, individual: str | None = None) -> list[CameraRecord
             longer = max(w, h)
             middle = longer * cx + (w - 1) / 2, longer * cy + (h - 1) / 2
             values |= _of_numbers(values["model"], (w, h), (longer * fx, longer * fy), middle, bent)
-        records.append(CameraRecord(name, f"{name}: ", values, called))
+        records.append(CameraRecord(name, f"{name}: ", values, called, OPENSFM_LENSES))
     return records
 
 
@@ -134,7 +134,9 @@ def read_colmap(path: Path) -> list[CameraRecord]:
     """The lenses of cameras.txt, by their numbers: CAMERA_ID MODEL WIDTH HEIGHT PARAMS. Their pixels begin at the
     corner of the first one, ours in its middle. Raises InputError."""
     records = []
-    for cells in (line.split() for line in read_calibration(path).splitlines() if line.lstrip()[:1] not in ("", "#")):
+    for line, cells in enumerate(map(str.split, read_calibration(path).splitlines()), start=1):
+        if not cells or cells[0].startswith("#"):
+            continue
         values: dict[str, Any] = {"model": "".join(cells[1:2]), "world_z_up": False}
         with suppress(LookupError, ValueError):  # what is missing then is said
             values["model"], names = COLMAP_LENSES[cells[1]]
@@ -142,7 +144,8 @@ def read_colmap(path: Path) -> list[CameraRecord]:
             bent = dict(zip(names, map(number, cells[4:]), strict=True))
             focal = (bent["f"], bent["f"]) if "f" in bent else (bent["fx"], bent["fy"])
             values |= _of_numbers(values["model"], (w, h), focal, (bent["cx"] - 0.5, bent["cy"] - 0.5), bent)
-        records.append(CameraRecord(cells[0], f"camera {cells[0]}: ", values, {"matrix": "parameters"}))
+        called = {"matrix": "parameters"}
+        records.append(CameraRecord(cells[0], f"line {line}, camera {cells[0]}: ", values, called, COLMAP_LENSES))
     return records
 
 

@@ -47,8 +47,8 @@ def read(path: Path, individual: str | None = None) -> StoredPoints:
 
 
 def read_fmpose3d(path: Path, individual: str | None = None) -> StoredPoints:
-    """The poses of all files in the folder with a number in their names, as this one; without a number that
-    of frame 0 alone. Raises InputError."""
+    """The poses of all files in the folder that are numbered as this one; one without a number is frame 0. Raises
+    InputError."""
     numbered = {file: re.fullmatch(r"(\d+)_3D", file.stem) for file in path.parent.glob("*.npz")}
     files = {int(found[1]): file for file, found in numbered.items() if found}
     files = dict(sorted(files.items())) if path in files.values() else {0: path}
