@@ -231,7 +231,7 @@ def test_faults_of_a_colmap_model_are_named(tmp_path):
     lens = "1 SIMPLE_RADIAL 9 9 1000 4 4 "
     for lines, expected in (
         (["1 FOV 9 9 1 1 1 1 1"], [("line 2, camera 1: model", "'FOV'", "SIMPLE_RADIAL")]),
-        ([lens], [("line 2, camera 1: parameters", "nothing", "fx"), ("line 1, camera 1: distortion", "nothing")]),
+        ([lens], [("line 2, camera 1: parameters", "nothing", "fx"), ("line 2, camera 1: distortion", "nothing")]),
         (["1 SIMPLE_PINHOLE 9 9 -5 4 4"], [("line 2, camera 1: parameters", "[[-5.0, 0.0, 3.5]", "fx and fy > 0")]),
         ([lens + "0.1"], [("cameras", "no camera 2", "images.txt")]),
         ([lens + "0.1", "2" + lens[1:] + "0.2"], [("cameras", "2 with different lenses")]),
