@@ -16,7 +16,8 @@ from scipy.spatial.transform import Rotation
 from recon import ClipAnalysis, InputError
 from recon.clip import Source, views_of
 from recon.fit import Motion, MotionSegment, Solution
-from recon.show.view import DISPLAYS, open_viewer, write
+from recon.show.view import DISPLAYS, OVERVIEW_ASPECT, VIEW_RAD, fitting_eye, open_viewer, time_view, write
+from recon.show.view.scene import TimePlot
 from recon.thesis import FrameOptions, FrameSolution, solve_frames
 
 # World axes x, y (ahead), z (up) seen from 2 m above the origin, looking along y.
@@ -147,6 +148,19 @@ def test_trail_follows_the_root_and_does_not_bridge_the_gap(recording: Recording
     assert [frame for frame in range(10, 16) if recording.values("/world/trail", frame)] == [11, 12, 15]
 
 
+def test_the_overview_is_filled_by_all_points() -> None:
+    """A path of 14 m, and the camera 10 m aside of it."""
+    points = np.array([[-7.0, 0, 0], [7, 0, 0], [-7, 0, 1], [7, 0, 1], [0, -10, 2]])
+    eye, target = fitting_eye(points, np.eye(3))
+    ahead = (target - eye) / np.linalg.norm(target - eye)
+    right = np.cross(ahead, [0, 0, 1.0])
+    right /= np.linalg.norm(right)
+    seen = (points - eye) @ np.stack((right, np.cross(right, ahead), ahead), axis=1)
+    share = np.abs(seen[:, :2] / seen[:, 2:]) / np.tan(VIEW_RAD / 2) / [OVERVIEW_ASPECT, 1.0]
+    assert ahead[2] < -0.3
+    assert 0.75 < share.max() < 1.0
+
+
 def test_ground_lies_under_the_paws(recording: Recording, world_motion: Motion) -> None:
     lines = np.array(recording.static["/world/ground"]["LineStrips3D:strips"])
     paws = [world_motion.names.index(name) for name in ("r_front_paw", "r_back_paw")]
@@ -212,6 +226,14 @@ def test_series_have_the_units_of_plots(recording: Recording, world_motion: Moti
     assert exact == pytest.approx(9.0, abs=2.0)
     assert straight == pytest.approx(world_motion.solution.travel.speed_m_s[2])
     assert smooth == pytest.approx(9.0, abs=2.0)
+
+
+def test_no_legend_covers_its_lines() -> None:
+    """Three names take three tenths of the height above the lines."""
+    values = np.array([[0.0, 2.0, np.nan], [1.0, 7.0, 3.0]])
+    axis: Any = time_view(TimePlot("a", "A", "bcd", [(0, 0, 0)] * 3, values)).properties["ScalarAxis"]
+    low, high = axis.range.as_arrow_array().to_pylist()[0]
+    assert (low, high) == (0.0, pytest.approx(10.0))
 
 
 def test_without_extrinsics_the_camera_is_the_origin(small_motion: Motion, tmp_path: Path) -> None:

@@ -28,6 +28,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Sequence
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -44,6 +45,11 @@ from recon.show.view import scene as scenes
 from recon.show.view.scene import Log, Scene, TimePlot, limb_colours
 from recon.show.view.series import analysis_plots, angle_plots, other_plots, states, write_forces
 
+OVERVIEW_ASPECT, OVERVIEW_RAISED, VIEW_RAD = 3.0, 0.4, np.radians(55.0)
+"""Width to height of the overview's place, how much higher than aside its eye is, and the viewer's angle of view in
+height."""
+LINE_OF_LEGEND = 0.1
+"""Share of a plot's height that a line of its legend takes."""
 DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET")
 """Environment variables, one of which says where a screen is on Linux."""
 
@@ -92,8 +98,7 @@ def blueprint(motion: Motion, scene: Scene, plots: Sequence[TimePlot], rows: Seq
     of states."""
     several = "s" if len(motion.pictures) > 1 else ""
     skeleton = _in_space(_title(motion), _eye_on_animal(motion, scene))
-    # Where nothing says from where to look, the viewer has all of the scene in sight.
-    overview = _in_space(f"Overview with the camera{several}", rrb.EyeControls3D(eye_up=scene.axes[2]))
+    overview = _in_space(f"Overview with the camera{several}", _eye_on_all(motion, scene))
     front = [plot for plot in plots if not plot.tab]
     angles = [time_view(plot) for plot in front if plot.entity.startswith("angles/")]
     others = [time_view(plot) for plot in front if not plot.entity.startswith("angles/")]
@@ -165,11 +170,16 @@ def _title(motion: Motion) -> str:
 
 
 def time_view(series: TimePlot) -> rrb.TimeSeriesView:
-    """One line alone is named by the title."""
+    """One line alone is named by the title; the names of several stand above the lines."""
+    values = series.values[np.isfinite(series.values)]
+    low, high = (values.min(), values.max()) if len(values) else (0.0, 0.0)
+    named = len(series.names) if len(series.names) > 1 else 0
+    room = (high - low) * named * LINE_OF_LEGEND / (1 - named * LINE_OF_LEGEND)
     return rrb.TimeSeriesView(
         origin=series.entity,
         name=series.title,
-        plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop, visible=len(series.names) > 1),
+        axis_y=rrb.ScalarAxis(range=(low, high + room)) if room else None,
+        plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop, visible=named > 0),
         background=PlotBackground(color=scenes.BACKGROUND),
     )
 
@@ -201,6 +211,31 @@ def _eye_on_animal(motion: Motion, scene: Scene) -> rrb.EyeControls3D:
         eye_up=up,
         tracking_entity="world/followed",
     )
+
+
+def _eye_on_all(motion: Motion, scene: Scene) -> rrb.EyeControls3D:
+    """On the cameras and the animal's way."""
+    cameras_m = [picture.T_reference_camera[..., :3, 3].reshape(-1, 3) for picture in motion.pictures]
+    box_m = np.array([*product(*zip(scene.low_m, scene.high_m, strict=True))]) @ scene.axes
+    points = np.concatenate([box_m, *cameras_m])
+    position, target = fitting_eye(points[np.isfinite(points).all(axis=1)], scene.axes, 0.5 * scene.size_m)
+    return rrb.EyeControls3D(kind=rrb.Eye3DKind.Orbital, position=position, look_target=target, eye_up=scene.axes[2])
+
+
+def fitting_eye(points_m: Array, axes: Array, margin_m: float = 0.0) -> tuple[Array, Array]:
+    """Where an eye is, slightly above points (N, 3), that sees them from as near as they fit into the overview, and
+    what it looks at. axes: as in `Scene`."""
+    found = []
+    for turn_rad in np.linspace(0.0, 2 * np.pi, 72, endpoint=False):
+        right = np.array([np.cos(turn_rad), np.sin(turn_rad)]) @ axes[:2]
+        back = (np.cross(right, axes[2]) + OVERVIEW_RAISED * axes[2]) / np.hypot(1.0, OVERVIEW_RAISED)
+        seen_m = points_m @ (view := np.stack((right, np.cross(back, right), back))).T
+        middle_m = (seen_m.min(axis=0) + seen_m.max(axis=0)) / 2
+        across, upright, near = (seen_m - middle_m).T
+        reach = np.maximum(np.abs(upright), np.abs(across) / OVERVIEW_ASPECT) / np.tan(VIEW_RAD / 2)
+        found.append((float(np.max(near + reach)), back, middle_m @ view))
+    away_m, back, target_m = min(found, key=lambda one: one[0])
+    return target_m + (1.1 * away_m + margin_m) * back, target_m
 
 
 # -- the viewer -------------------------------------------------------------------------------------------------------
