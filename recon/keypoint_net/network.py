@@ -358,24 +358,24 @@ class TrainedNetwork:
     spec: Spec
     network: torch.nn.Module
     device: torch.device
+    half: Any = None
+    """A 16-bit type to compute in, or None."""
 
-    def points(self, pictures: Sequence[Image], background: Image | None, half: Any = None) -> tuple[Array, Array]:
-        """Points (B, K, 2) in pixels of the clip and raw likelihoods (B, K), of pictures of one size, scaled already.
-        half: a 16-bit type to compute in, or None."""
+    def points(self, pictures: Sequence[Image], background: Image | None) -> tuple[Array, Array]:
+        """Points (B, K, 2) in pixels of the clip and raw likelihoods (B, K) of pictures of one size, scaled already."""
         first = self.spec.first
         small, still = np.stack([resize(picture, first) for picture in pictures]), background
         if still is not None:
             still = resize(still, first)
-        xy_px, raw, variance_px2 = self._found(0, small, still, half)
+        xy_px, raw, variance_px2 = self._found(0, small, still)
         if self.spec.two_stages:
             begin = scale_points(xy_px, 1 / first), raw, variance_px2 / first**2
-            xy_px = self._refined(*begin, pictures, background, half)
+            xy_px = self._refined(*begin, pictures, background)
         return scale_points(xy_px, 1 / self.spec.scale), raw
 
     def _refined(
-        self, xy_px: Array, raw: Array, variance_px2: Array, pictures: Sequence[Image], background: Image | None,
-        half: Any,
-    ) -> Array:  # fmt: skip
+        self, xy_px: Array, raw: Array, variance_px2: Array, pictures: Sequence[Image], background: Image | None
+    ) -> Array:
         """Points (B, K, 2): the mean of what both stages see, weighted by how sure each is of it, in the part of each
         picture where most points are; others stay."""
         low, size = part_of(xy_px, raw, STRIDE * self.spec.reach_places + MARGIN_PX, pictures[0].shape[1::-1])
@@ -383,22 +383,21 @@ class TrainedNetwork:
         crops = np.stack([picture[part] for picture, part in zip(pictures, parts, strict=True)])
         still = None if background is None else np.stack([background[part] for part in parts])
         near = xy_px - low[:, None]
-        found_px, _, found_px2 = self._found(1, crops, still, half, near)
+        found_px, _, found_px2 = self._found(1, crops, still, near)
         inside = ((near >= 0) & (near <= np.array(size) - 1)).all(axis=2)
         weight = inside * variance_px2 / (variance_px2 + found_px2)
         return xy_px + weight[..., None] * (found_px - near)
 
     def _found(
-        self, stage: int, pictures: NDArray[np.uint8], background: NDArray[np.uint8] | None, half: Any,
-        near_px: Array | None = None,
-    ) -> tuple[Array, Array, Array]:  # fmt: skip
+        self, stage: int, pictures: Image, background: Image | None, near_px: Array | None = None
+    ) -> tuple[Array, Array, Array]:
         """Points (B, K, 2) in pixels of the pictures, raw likelihoods (B, K), and the points' variances along each axis
         (B, K); near_px: where the second stage looks."""
         torch, spec = require_torch(), self.spec
         with torch.inference_mode():
             x = as_input(pictures, background, self.device)
             window = None if near_px is None else (places(near_px, self.device), spec.reach_places)
-            with torch.autocast(x.device.type, half, enabled=half is not None):
+            with torch.autocast(x.device.type, self.half, enabled=self.half is not None):
                 scores = stages(self.network)[stage](x)
             found = probabilities(scores, window)
             xy, raw = decode(found, spec.reach_places * spec.first)
@@ -464,7 +463,7 @@ def load_model(folder: Path, device: torch.device) -> TrainedNetwork:
     except (KeyError, TypeError, ValueError, AttributeError, RuntimeError) as error:
         found = f"a network with parts missing or altered ({' '.join(str(error).split())[:100]})"
         raise InputError(Problem(path, "model", found, "one as `recon train` wrote it")) from None
-    return TrainedNetwork(spec, placed(network, device).eval(), device)
+    return TrainedNetwork(spec, placed(network, device).eval(), device, fast_half(device))
 
 
 def load_torch(path: Path) -> Any:

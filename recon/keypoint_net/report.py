@@ -1,4 +1,4 @@
-"""What a training run tells about itself: figures, curves, the worst pictures, reliability, and labels that are
+"""What a training run tells about itself: figures, the worst pictures, reliability, and labels that are
 probably wrong, found in two ways.
 
 - The network, once trained, puts the keypoint somewhere else and is not tempted by the label.
@@ -27,7 +27,6 @@ from recon.keypoint_net.network import TrainedNetwork, calibrated, require_torch
 from recon.keypoint_net.train import State, TrainingRun, calibrated_spec, judge
 from recon.show.overlay import Colour, draw_circle, draw_line, draw_text
 from recon.show.plain import to_json
-from recon.show.plots.style import COLOURS, GREY, drawing, plain_logarithm, save
 
 WORST = 6
 LEAST_WIDTH_PX = 560
@@ -91,7 +90,6 @@ def write_training_report(run: TrainingRun, state: State, folder: Path) -> dict[
     _write_suspects(suspects, folder / "suspicious.csv")
     held = np.concatenate([split["validation"], split["test"]])
     _write_worst(run.labels, errors, xy_px, held if len(held) else split["train"], folder / "worst.png")
-    _draw_curves(history, folder)
     return report
 
 
@@ -156,26 +154,6 @@ def _compared(picture: Image, label_px: Array, xy_px: Array, title: str) -> Imag
             draw_circle(drawn, b, 0.6 * radius, colour, -1)
     draw_text(drawn, title, (8, 20), 0.5, LABEL)
     return drawn
-
-
-def _draw_curves(rows: list[dict[str, float]], folder: Path) -> None:
-    judged = [row for row in rows if "validation_px" in row]
-    with drawing(60) as figure:
-        left, right = figure.subplots(1, 2)
-        left.plot([r["step"] for r in rows], [r["loss"] for r in rows], color=COLOURS[0])
-        left.set(xlabel="step", ylabel="loss")
-        if judged:
-            right.plot([r["step"] for r in judged], [r["validation_px"] for r in judged], color=COLOURS[1], marker=".")
-            right.set(yscale="log")
-            plain_logarithm(right.yaxis)
-        else:
-            right.text(0.5, 0.5, "no validation pictures", transform=right.transAxes, ha="center", color=GREY)
-        right.set(xlabel="step", ylabel="median validation error (px)")
-        begin = _finish_step(rows)
-        if begin is not None and judged:
-            right.axvspan(begin, rows[-1]["step"], color=GREY, alpha=0.15, lw=0)
-            right.set_title("grey: learned from, too", color=GREY)
-    save(figure, folder, "curves")
 
 
 # -- labels that are probably wrong ------------------------------------------------------------------------------------

@@ -238,7 +238,6 @@ def predict_video(trained: net.TrainedNetwork, settings: PredictSettings, progre
     info = probe(video)
     progress("background", 0.0)
     background = background_of_video(video, spec.scale)
-    half = net.fast_half(trained.device)
     net.use_threads(settings.threads)
     numbers: list[int] = []
     times_s: list[float] = []
@@ -252,7 +251,7 @@ def predict_video(trained: net.TrainedNetwork, settings: PredictSettings, progre
             write = stack.enter_context(video_writer(settings.overlay, even, info.fps or 30.0))
         made = _chunks(video, info, spec.scale, keep=write is not None)
         for of_chunk, stamps_s, pictures, originals in stack.enter_context(closing(ahead(made, 1 + WAITING))):
-            xy, raw = trained.points(pictures, background, half)
+            xy, raw = trained.points(pictures, background)
             sure = net.calibrated(raw, spec.calibration)
             numbers += of_chunk
             times_s += stamps_s
