@@ -79,11 +79,16 @@ _Legs = Annotated[tuple[Number, Number, Number, Number], BeforeValidator(_all_le
 _PositiveLegs = Annotated[tuple[Positive, Positive, Positive, Positive], BeforeValidator(_all_legs)]
 
 
-@dataclass(frozen=True)
-class _Well:
-    """A potential of a coordinate q of each leg, with a wall at either end. Raises ValueError."""
+class _Table:
+    """A table of a recipe's file."""
 
     __pydantic_config__ = FileTable.model_config
+
+
+@dataclass(frozen=True)
+class _Well(_Table):
+    """A potential of a coordinate q of each leg, with a wall at either end. Raises ValueError."""
+
     gain: _PositiveLegs
     """Slope per unit of q."""
     natural: _Legs
@@ -108,10 +113,9 @@ class _Well:
 
 
 @dataclass(frozen=True)
-class _Balance:
+class _Balance(_Table):
     """What pulls the torso over its feet."""
 
-    __pydantic_config__ = FileTable.model_config
     gain: Positive
     """Force far from the centroid."""
     sharpness: Positive
@@ -119,10 +123,9 @@ class _Balance:
 
 
 @dataclass(frozen=True)
-class Fields:
+class Fields(_Table):
     """The wells of the legs, and what balances the torso."""
 
-    __pydantic_config__ = FileTable.model_config
     radial: _Well
     swing: _Well
     flap: _Well
@@ -130,10 +133,9 @@ class Fields:
 
 
 @dataclass(frozen=True)
-class Step:
+class Step(_Table):
     """A step up across the way: the ground is level at 0 as far as edge_m forward (x), and at height_m beyond."""
 
-    __pydantic_config__ = FileTable.model_config
     edge_m: Number
     height_m: Number
 
@@ -150,10 +152,9 @@ class Step:
 
 
 @dataclass(frozen=True)
-class _Footfall:
+class _Footfall(_Table):
     """A step that one leg takes."""
 
-    __pydantic_config__ = FileTable.model_config
     leg: Annotated[int, Field(strict=True, ge=1, le=4), AfterValidator(lambda number: IN_FILES[number - 1])]
     """Index into `LEGS`."""
     forward_m: Number
@@ -167,10 +168,9 @@ class _Footfall:
 
 
 @dataclass(frozen=True)
-class Primitive:
+class Primitive(_Table):
     """Some footfalls in the same fields."""
 
-    __pydantic_config__ = FileTable.model_config
     name: str
     rise_rad: Positive
     """Angle of the feet's paths."""
@@ -181,10 +181,9 @@ class Primitive:
 
 
 @dataclass(frozen=True)
-class _Swing:
+class _Swing(_Table):
     """How a foot moves: its path's clearance above the higher end, and its speeds by phase."""
 
-    __pydantic_config__ = FileTable.model_config
     clearance_m: Positive
     rise_m_s: Positive
     traverse_m_s: Positive
@@ -192,19 +191,17 @@ class _Swing:
 
 
 @dataclass(frozen=True)
-class _Pace:
+class _Pace(_Table):
     """How far the torso goes in a frame, at most."""
 
-    __pydantic_config__ = FileTable.model_config
     max_step_m: Positive
     max_turn_rad: Positive
 
 
 @dataclass(frozen=True)
-class Recipe:
+class Recipe(_Table):
     """What a climb is planned from."""
 
-    __pydantic_config__ = FileTable.model_config
     robot: str
     """Name of its description."""
     dofs: Literal[4, 6]
