@@ -19,16 +19,9 @@ import numpy as np
 from pydantic import ConfigDict
 
 from recon.animal.body import Body
+from recon.base import documents
 from recon.base.arrays import Array
-from recon.base.documents import (
-    KINDS,
-    FileTable,
-    arrays_of,
-    builtin_names,
-    named_file,
-    parse_json,
-    validated,
-)
+from recon.base.documents import FileTable
 from recon.base.errors import InputError, Problem, refuse
 
 ANGLES = slice(4, None)
@@ -145,7 +138,7 @@ class _About(FileTable):
 
 def builtin_priors() -> tuple[str, ...]:
     """Names of the priors that come with the package."""
-    return builtin_names("animal/priors", ".npz")
+    return documents.builtin_names("animal/priors", ".npz")
 
 
 def save_prior(prior: MotionPrior, path: str | Path) -> None:
@@ -174,20 +167,20 @@ def load_prior(name_or_path: str | Path | None, body: Body) -> MotionPrior:
     if name_or_path is None or str(name_or_path) == NONE:
         return prior_from_body(body)
     names = (*builtin_priors(), NONE)
-    content, source = named_file(name_or_path, "animal/priors", ".npz", "--prior", "prior", names)
+    content, source = documents.named_file(name_or_path, "animal/priors", ".npz", "--prior", "prior", names)
     return _prior(content, source, body)
 
 
 def _prior(content: bytes, source: str, body: Body) -> MotionPrior:
     try:
-        stored = arrays_of(content, f"{KINDS}U")
+        stored = documents.arrays_of(content, f"{documents.KINDS}U")
         text = str(stored["about"]) if "about" in stored else ""
     except ValueError as error:
         raise InputError(Problem(source, "file", f"none that can be read ({error})", _EXPECTED)) from None
     lacking = [key for key in ("about", *SHAPES) if key not in stored]
     if lacking:
         raise InputError([Problem(source, key, "nothing", _EXPECTED) for key in lacking])
-    about = validated(_About, parse_json(text, source, _EXPECTED), source)
+    about = documents.validated(_About, documents.parse_json(text, source, _EXPECTED), source)
     if about.angles != list(body.state_names[ANGLES]):
         raise InputError(_other_angles(about.angles, body, source))
     refuse(

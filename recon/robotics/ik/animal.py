@@ -34,7 +34,7 @@ from recon.animal.chain import UVW_BODY, Chain, upright_rotation
 from recon.base.arrays import Array, Index
 from recon.gait.phase import diameter
 from recon.geometry.kinematics import PITCH, ROOT, YAW, Marker, Segment, Tree
-from recon.robotics.ik.chain import MAX_RATE_RAD_S, SerialChain, planar_chain, summed_chain
+from recon.robotics.ik.chain import FREE, SerialChain, planar_chain, summed_chain
 
 BASE_THETA_RAD = 0.9
 """Limit of the first link's pitch: three standard deviations of a running animal's."""
@@ -73,7 +73,7 @@ def spine_front_leg(
     n = len(links) * (dim - 1)
     numbers = [chain.links[i].end.lstrip("J") for i in links]
     names = tuple(f"{angle}_{number}" for angle in ("theta", "phi")[: dim - 1] for number in numbers)
-    return replace(kind(lengths, (lower[:n], upper[:n]) if limited else None, rate[:n]), names=names)
+    return replace(kind(lengths, (lower[:n], upper[:n]) if limited else FREE, rate[:n]), names=names)
 
 
 def chain_angles(chain: Chain, states: Array, travel: Array | None = None, dim: Literal[2, 3] = 3) -> Array:
@@ -164,9 +164,9 @@ def body_chain(body: Body, foot: str, size: float = 1.0, limited: bool = True) -
     low, high = ((mean + sign * LIMIT_SIGMAS * sigma)[where - YAW] for sign in (-1, 1))
     low[0], high[0] = -np.pi, np.pi
     groups = (tuple(i for i, about in enumerate(tree.axes) if about == axis) for axis in "zyx")
-    limits = (low, high) if limited else None
+    limits = (low, high) if limited else FREE
     columns = 3 + np.arange(len(names))
-    return SerialChain.of(tree, columns, limits, MAX_RATE_RAD_S, tuple(group for group in groups if group))
+    return SerialChain(tree, columns, names, tuple(group for group in groups if group), limits)
 
 
 def _scaled(item: _Item, size: float) -> _Item:

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Literal
 
@@ -29,6 +29,7 @@ from recon.geometry.kinematics import AXES, Marker, Segment, Tree
 Curvature = Callable[[Array], Array]
 Limits = tuple[ArrayLike, ArrayLike]
 """The lower and the upper limit."""
+FREE: Limits = (-np.inf, np.inf)
 
 MAX_RATE_RAD_S = 50.0
 """Where a chain has no rate limit of its own."""
@@ -43,46 +44,39 @@ class SerialChain:
     """The tree of one branch, with one marker: the end effector."""
     columns: Index
     """(n,): where the tree's state has the joints."""
-    lower_rad: Array
-    """(n,); metres for joints that slide, as of all limits."""
-    upper_rad: Array
-    """The upper limits of the joints, shape (n,)."""
-    max_rate_rad_s: Array
-    """The fastest rates of the joints that are allowed or expected."""
     names: tuple[str, ...]
     """(n,): what the joints are called."""
     groups: tuple[tuple[int, ...], ...]
     """The joints that follow each other along the chain, one tuple for each kind of angle."""
-    base: Array
+    limits_rad: Limits = FREE
+    """Lower and upper, each one number or (n,); metres for joints that slide, as of all limits."""
+    rates_rad_s: ArrayLike = MAX_RATE_RAD_S
+    """The fastest rates of the joints that are allowed or expected, one or (n,)."""
+    base: Array = field(default_factory=lambda: np.eye(3))
     """(dim, 3): from the axes of the tree's world to those of the base frame."""
-    tool_rotation: Array
+    tool_rotation: Array = field(default_factory=lambda: np.eye(3))
     """(3, 3): of the end effector on the last link."""
 
-    @classmethod
-    def of(
-        cls,
-        tree: Tree,
-        columns: Index,
-        limits_rad: Limits | None = None,
-        max_rate_rad_s: ArrayLike = MAX_RATE_RAD_S,
-        groups: tuple[tuple[int, ...], ...] | None = None,
-        base: Array | None = None,
-        tool_rotation: Array | None = None,
-        names: tuple[str, ...] | None = None,
-    ) -> SerialChain:
-        """limits_rad: lower and upper, each one number or (n,); max_rate_rad_s: one or (n,); groups: None: all joints
-        are of one kind; names: None: those of the tree's state. Raises ValueError."""
-        n = len(columns)
-        lower, upper = (-np.inf, np.inf) if limits_rad is None else limits_rad
-        lower, upper, rate = (np.array(np.broadcast_to(x, n), float) for x in (lower, upper, max_rate_rad_s))
-        if not np.all(lower <= upper):
+    def __post_init__(self) -> None:
+        if not np.all(self.lower_rad <= self.upper_rad):
             raise ValueError("a lower limit is above the upper one")
-        if not np.all(np.isfinite(rate) & (rate > 0)):
+        if not np.all(np.isfinite(self.max_rate_rad_s) & (self.max_rate_rad_s > 0)):
             raise ValueError("rate limits must be positive and finite")
-        groups = (tuple(range(n)),) if groups is None else groups
-        base, tool = (np.eye(3) if rotation is None else rotation for rotation in (base, tool_rotation))
-        names = tuple(tree.state_names[column] for column in columns) if names is None else names
-        return cls(tree, columns, lower, upper, rate, names, groups, base, tool)
+
+    @cached_property
+    def lower_rad(self) -> Array:
+        """The lower limits of the joints, shape (n,)."""
+        return np.array(np.broadcast_to(self.limits_rad[0], self.n), float)
+
+    @cached_property
+    def upper_rad(self) -> Array:
+        """The upper limits of the joints, shape (n,)."""
+        return np.array(np.broadcast_to(self.limits_rad[1], self.n), float)
+
+    @cached_property
+    def max_rate_rad_s(self) -> Array:
+        """The fastest rates of the joints, shape (n,)."""
+        return np.array(np.broadcast_to(self.rates_rad_s, self.n), float)
 
     @property
     def n(self) -> int:
@@ -197,7 +191,7 @@ def mobility(bodies: int, freedoms: Sequence[int], of_a_body: Literal[3, 6] = 6)
 
 
 def planar_chain(
-    lengths_m: ArrayLike, limits_rad: Limits | None = None, max_rate_rad_s: ArrayLike = MAX_RATE_RAD_S
+    lengths_m: ArrayLike, limits_rad: Limits = FREE, max_rate_rad_s: ArrayLike = MAX_RATE_RAD_S
 ) -> SerialChain:
     """Links in a plane: q (L,), angle 0 along +x, positive towards +y. Otherwise as `summed_chain`."""
     return summed_chain(lengths_m, limits_rad, max_rate_rad_s, dim=2)
@@ -205,24 +199,25 @@ def planar_chain(
 
 def summed_chain(
     lengths_m: ArrayLike,
-    limits_rad: Limits | None = None,
+    limits_rad: Limits = FREE,
     max_rate_rad_s: ArrayLike = MAX_RATE_RAD_S,
     dim: Literal[2, 3] = 3,
 ) -> SerialChain:
     """Universal joints in space whose angles add up: q (2 L,) = [theta..., phi...], base frame UVW, of lengths_m (L,).
-    dim 2: only the thetas. Limits and rates as `SerialChain.of`. Raises ValueError."""
+    dim 2: only the thetas. Limits and rates as of `SerialChain`. Raises ValueError."""
     lengths = np.array(lengths_m, float)
     if lengths.ndim != 1 or not len(lengths) or not np.all(np.isfinite(lengths) & (lengths > 0)):
         raise ValueError(f"positive lengths (L,) expected, got {lengths_m}")
     L, along = len(lengths), [(float(x), 0.0, 0.0) for x in (0.0, *lengths)]
-    names = ["base", *(f"link_{k}" for k in range(1, L + 1))]
-    links = [Segment(names[k + 1], names[k], "summed", along[k]) for k in range(L)]
-    tree = Tree((Segment("base", None, "fixed"), *links), (Marker("end", names[-1], along[-1]),))
+    ends = ["base", *(f"link_{k}" for k in range(1, L + 1))]
+    links = [Segment(ends[k + 1], ends[k], "summed", along[k]) for k in range(L)]
+    tree = Tree((Segment("base", None, "fixed"), *links), (Marker("end", ends[-1], along[-1]),))
     # Of every link the tree has phi, then theta.
     phi = 3 + 2 * np.arange(L)
     columns = np.concatenate([phi + 1, phi])[: L * (dim - 1)]
     groups = tuple(tuple(range(k * L, (k + 1) * L)) for k in range(dim - 1))
-    return SerialChain.of(tree, columns, limits_rad, max_rate_rad_s, groups, UVW_BODY[:dim])
+    names = tuple(tree.state_names[column] for column in columns)
+    return SerialChain(tree, columns, names, groups, limits_rad, max_rate_rad_s, UVW_BODY[:dim])
 
 
 def joint_chain(
@@ -232,7 +227,7 @@ def joint_chain(
     sliding: ArrayLike = False,
     tool_m: ArrayLike = (0.0, 0.0, 0.0),
     tool_rotation: Rotation | None = None,
-    limits_rad: Limits | None = None,
+    limits_rad: Limits = FREE,
     max_rate_rad_s: ArrayLike = MAX_RATE_RAD_S,
     names: tuple[str, ...] | None = None,
 ) -> SerialChain:
@@ -240,7 +235,7 @@ def joint_chain(
 
     offsets_m (n, 3), rotations (n): each joint's place on the link before it, None: not turned; axes (n, 3): in its own
     frame; sliding: one or (n,), which slide along their axes; tool_m (3,), tool_rotation: the end effector on the last
-    link; names: None: joint 1 and so on; limits and rates as `SerialChain.of`. Raises ValueError.
+    link; names: None: joint 1 and so on; limits and rates as of `SerialChain`. Raises ValueError.
     """
     offsets, axes, tool = (np.array(x, float) for x in (offsets_m, axes, tool_m))
     n = len(offsets)
@@ -264,7 +259,8 @@ def joint_chain(
     tree = Tree(tuple(segments), (Marker("end", segments[-1].name, _triple(before[n] @ tool)),))
     end = before[n] if tool_rotation is None else before[n] @ tool_rotation.as_matrix()
     names = tuple(f"joint {j + 1}" for j in range(n)) if names is None else names
-    return SerialChain.of(tree, 3 + np.arange(n), limits_rad, max_rate_rad_s, tool_rotation=end, names=names)
+    columns, groups = 3 + np.arange(n), (tuple(range(n)),)
+    return SerialChain(tree, columns, names, groups, limits_rad, max_rate_rad_s, tool_rotation=end)
 
 
 def _triple(v: Array) -> tuple[float, float, float]:

@@ -21,18 +21,9 @@ from numpy.typing import ArrayLike
 
 from recon.base.arrays import Array, Bools
 from recon.gait import phase
+from recon.robotics.ik import methods as ways
 from recon.robotics.ik.chain import SerialChain, manipulability, null_basis, unreachable
-from recon.robotics.ik.methods import (
-    ALL,
-    INTERVAL_S,
-    Cost,
-    ExtendedJacobian,
-    JointRates,
-    LeastNorm,
-    Method,
-    reduced_gradient,
-    right_inverse,
-)
+from recon.robotics.ik.methods import Cost, ExtendedJacobian, JointRates, Method
 
 TOLERANCE_M = 0.003
 MAX_STEP_M = 0.02
@@ -155,7 +146,7 @@ def drive_to(
     method: Method,
     tolerance_m: float = TOLERANCE_M,
     max_iterations: int = 2000,
-    interval_s: float = INTERVAL_S,
+    interval_s: float = ways.INTERVAL_S,
 ) -> Run:
     """Drives the end effector from q0 (n,) to a target (dim,). What goes wrong is the run's note.
 
@@ -197,7 +188,7 @@ def follow(
     path_m: Array,
     method: Method | Callable[[int], Method],
     turns: int = 1,
-    interval_s: float = INTERVAL_S,
+    interval_s: float = ways.INTERVAL_S,
 ) -> Run:
     """Follows a path (K, dim), whose points are an interval apart, from q0 (n,), whose end effector is at its start.
 
@@ -288,7 +279,7 @@ def _one_interval(
     """One interval: the step, where it leads, and the joints that a limit stopped."""
     free = np.ones(chain.n, bool)
     while True:
-        step = method.rates(chain, q, dx, ALL if free.all() else free)
+        step = method.rates(chain, q, dx, ways.ALL if free.all() else free)
         moved = q + interval_s * step.dq
         outside = chain.inside_limits(moved) != moved
         if not outside.any():
@@ -337,7 +328,7 @@ def _null_space_newton(chain: SerialChain, q0: Array, cost: Cost, descend: bool)
         if J.shape[1] <= chain.dim:
             return q, f"limits: joints {_listed(chain, stuck.nonzero()[0].tolist())}"
         N = null_basis(J)
-        g, M = reduced_gradient(cost, q, right_inverse(J)[0], curvature, free)
+        g, M = ways.reduced_gradient(cost, q, ways.right_inverse(J)[0], curvature, free)
         G = N.T @ g
         gradient = float(np.linalg.norm(G))
         if not (np.isfinite(gradient) and np.isfinite(M).all()):
@@ -378,5 +369,5 @@ def _back_home(chain: SerialChain, q: Array, home: Array, free: Bools) -> Array 
         miss = home - chain.end(q)
         if float(np.linalg.norm(miss)) <= 1e-13:
             return q
-        q = q + LeastNorm().rates(chain, q, miss, free).dq
+        q = q + ways.LeastNorm().rates(chain, q, miss, free).dq
     return q if float(np.linalg.norm(home - chain.end(q))) <= 1e-9 else None
