@@ -23,7 +23,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from io import BytesIO
 from typing import Any, Literal
 
 import cv2
@@ -355,52 +354,3 @@ def coverage(calibration: Calibration, columns: int = 320) -> Bools:
         hull = cv2.convexHull(((view.xy_px + 0.5) * scale - 0.5).astype(np.float32))
         cv2.fillConvexPoly(mask, np.rint(hull).astype(np.int32), 1)
     return mask.astype(bool)
-
-
-# -- picture --------------------------------------------------------------------------------------------------------
-
-MAX_SIDE_PX, MARGIN_PX, FOOT_PX = 1400, 40, 130
-_DPI = 100
-
-
-def draw(calibration: Calibration) -> bytes:
-    """A PNG. Shaded: covered by a board. Lines: a square grid as this lens sees it. Dots: all corners, coloured by the
-    error of their picture; red crosses: those of pictures that were left out."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    camera, used, covered = calibration.camera, calibration.used, coverage(calibration)
-    width, height = camera.image_size_px
-    inner = np.rint(np.array([width, height]) * MAX_SIDE_PX / max(width, height))
-    whole = inner + np.array([2 * MARGIN_PX, MARGIN_PX + FOOT_PX])
-    figure = Figure(figsize=tuple(whole / _DPI), dpi=_DPI)
-    FigureCanvasAgg(figure)
-    corner, size = np.array([MARGIN_PX, FOOT_PX]) / whole, inner / whole
-    axes = figure.add_axes((*corner.tolist(), *size.tolist()), xticks=[], yticks=[])
-    edges = (-0.5, width - 0.5, height - 0.5, -0.5)
-    axes.imshow(covered, extent=edges, cmap="Greys", vmax=4, aspect="auto", interpolation="nearest")
-    x, y = np.meshgrid(np.linspace(0, width - 1, 160), np.linspace(0, height - 1, 160))
-    rays = camera.rays(np.stack((x, y), axis=-1))[0]
-    ideal = np.moveaxis(rays[..., :2] / rays[..., 2:], -1, 0)
-    # near a right angle from the axis, the plane of the grid is infinite
-    step = min(float(np.nanmax(np.abs(ideal[0]))), 3.0) / 8
-    for values in ideal:
-        axes.contour(x, y, values, step * np.arange(-24, 25), colors="#8caabe", linewidths=0.7, linestyles="solid")
-    at, errors = np.concatenate([view.xy_px for view in used]), [np.full(len(v.ids), v.rms_px) for v in used]
-    dots = axes.scatter(*at.T, c=np.concatenate(errors), s=16, vmin=0.0, linewidths=0)
-    left_out = [view for view in calibration.views if not view.used]
-    for view in left_out:
-        axes.plot(*view.xy_px.T, "x", color="#e63c3c", markersize=5)
-    axes.set(xlim=edges[:2], ylim=edges[2:])
-    bar = figure.add_axes((corner[0], 0.6 * corner[1], 300 / whole[0], 16 / whole[1]))
-    figure.colorbar(dots, cax=bar, orientation="horizontal").set_label("error of the picture, px (root mean square)")
-    notes = (
-        f"{camera.model}, {width}x{height} px, {len(used)} pictures"
-        + (f", {len(left_out)} left out (red)" if left_out else ""),
-        f"reprojection error {calibration.rms_px:.2f} px",
-        f"covered: {covered.mean():.0%} of the picture",
-    )
-    figure.text(360 / whole[0] + corner[0], 0.75 * corner[1], "\n".join(notes), va="top")
-    content = BytesIO()
-    figure.savefig(content, format="png", metadata={"Software": None})
-    return content.getvalue()

@@ -18,11 +18,12 @@ from recon.base.settings import OneOrMore, Option, Settings
 from recon.calibrate.boards import collect, find_views, parse_board
 from recon.calibrate.intrinsics import calibrate as solved
 from recon.calibrate.intrinsics import check as checked
-from recon.calibrate.intrinsics import draw
 from recon.check import names_text
 from recon.geometry.lens import LENS_MODELS
 from recon.io import write_camera
+from recon.show import plots
 from recon.show.plain import picked
+from recon.show.plots.style import png_of
 from recon.workflows.cli.common import error_text, progress_bar, say, table_of, terminal
 
 EXIT_REFUSED = 1
@@ -127,7 +128,7 @@ def run_calibration(settings: CalibrationSettings, progress: Progress = silent) 
     checks = checked(calibration)
     refused = any(c.verdict == "refused" for c in checks)
     with staged_folder(settings.out.absolute().parent) as folder:
-        write_bytes(folder / picture.name, draw(calibration))
+        write_bytes(folder / picture.name, png_of(plots.calibration(calibration)))
         if settings.force or not refused:
             write_camera(calibration.camera, folder / settings.out.name)
     parameters = zip(calibration.parameters.items(), calibration.sigma, strict=True)

@@ -51,7 +51,7 @@ def inline(figure: Figure, largest: int) -> str:
     svg = svg_of(figure)
     if len(svg) <= largest:
         return svg  # matplotlib has escaped its texts
-    return f'<img alt="" src="{_data("image/png", png_of(figure, PNG_DPI))}">'
+    return f'<img alt="" src="{_data("image/png", png_of(figure, PNG_DPI, transparent=True))}">'
 
 
 def jpeg(picture: Image) -> str:

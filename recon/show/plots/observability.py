@@ -1,4 +1,5 @@
-"""Which angles the pixels show: the share of each over time, and by where the camera stands."""
+"""Which angles the pixels show: the share of each over time, and by where the camera stands; and what a calibration
+rests on."""
 
 from __future__ import annotations
 
@@ -14,8 +15,9 @@ from matplotlib.patches import Rectangle
 from recon.animal import Body
 from recon.base.arrays import Array, median
 from recon.calibrate.camera_advice import Advice
+from recon.calibrate.intrinsics import Calibration, coverage
 from recon.fit.motion import MEASURED_SHARE
-from recon.show.plots.style import GREY, PAGE_MM, SMALL, drawing
+from recon.show.plots.style import GREY, PAGE_MM, PALE, SMALL, WIDTH_MM, drawing
 
 _ROW_MM, _REST_MM = 3.3, 34.0
 _SHARES = f"share of the precision that comes from the pixels;  grey: less than {MEASURED_SHARE:g}, mostly expected"
@@ -102,3 +104,34 @@ def _grid(axes: Axes, advice: Advice) -> None:
 def in_words(sigma: float, unit: str) -> str:
     """A standard deviation in degrees, or in centimetres."""
     return f"{np.degrees(sigma):.1f}°" if unit == "rad" else f"{100 * sigma:.1f} cm"
+
+
+# -- a calibration ----------------------------------------------------------------------------------------------------
+
+
+def calibration(found: Calibration) -> Figure:
+    """Shaded: covered by a board. Lines: a square grid as this lens sees it. Dots: all corners, coloured by the error
+    of their picture; red crosses: those of pictures that were left out."""
+    camera, used, covered = found.camera, found.used, coverage(found)
+    width, height = camera.image_size_px
+    left_out = [view for view in found.views if not view.used]
+    pictures = f"{len(used)} pictures" + (f", {len(left_out)} left out (red)" if left_out else "")
+    title = f"{camera.model}, {width}x{height} px, {pictures}; covered: {covered.mean():.0%} of the picture"
+    with drawing(min(WIDTH_MM * height / width + 24, PAGE_MM), title=title) as figure:
+        axes, edges = figure.subplots(), (-0.5, width - 0.5, height - 0.5, -0.5)
+        axes.imshow(covered, extent=edges, cmap="Greys", vmax=4, interpolation="nearest")
+        x, y = np.meshgrid(np.linspace(0, width - 1, 160), np.linspace(0, height - 1, 160))
+        rays = camera.rays(np.stack((x, y), axis=-1))[0]
+        ideal = np.moveaxis(rays[..., :2] / rays[..., 2:], -1, 0)
+        # near a right angle from the axis, the plane of the grid is infinite
+        step = min(float(np.nanmax(np.abs(ideal[0]))), 3.0) / 8
+        for values in ideal:
+            axes.contour(x, y, values, step * np.arange(-24, 25), colors=PALE, linewidths=0.7, linestyles="solid")
+        at, errors = np.concatenate([view.xy_px for view in used]), [np.full(len(v.ids), v.rms_px) for v in used]
+        dots = axes.scatter(*at.T, c=np.concatenate(errors), s=4, vmin=0.0, linewidths=0)
+        for view in left_out:
+            axes.plot(*view.xy_px.T, "rx", markersize=3)
+        axes.set(xlim=edges[:2], ylim=edges[2:], xticks=[], yticks=[])
+        bar = figure.colorbar(dots, ax=axes, location="bottom", aspect=60, pad=0.02, shrink=0.7)
+        bar.set_label(f"error of the picture, px (root mean square; of all {found.rms_px:.2f})")
+    return figure

@@ -82,11 +82,11 @@ def svg_of(figure: Figure) -> str:
     return re.sub(r"<metadata>.*?</metadata>|<style .*?</style>", "", text[text.index("<svg") :], flags=re.DOTALL)
 
 
-def png_of(figure: Figure, dpi: float) -> bytes:
-    """The PNG of a figure, with no ground behind it."""
+def png_of(figure: Figure, dpi: float = PNG_DPI, transparent: bool = False) -> bytes:
+    """The PNG of a figure; transparent: with no ground behind it."""
     content = io.BytesIO()
     with _settings():
-        figure.savefig(content, format="png", dpi=dpi, transparent=True, metadata={"Software": None})
+        figure.savefig(content, format="png", dpi=dpi, transparent=transparent, metadata={"Software": None})
     return content.getvalue()
 
 
