@@ -501,11 +501,11 @@ def size_lines(motion: Motion, data: Any) -> Iterator[Line]:
     by, animal = _telling(_solution(motion)), data["lengths"].split(",")[0]
     if by:
         relative = data["sigma"] / data["factor"]
-        yield "size", f"{data['factor']:.2f} times the {animal} of the skeleton, ±{relative:.0%}, by {' and '.join(by)}"
+        yield "size", f"{data['factor']:.2f} times the skeleton ({animal}), ±{relative:.0%}, by {' and '.join(by)}"
     elif data["measured"]:
         yield "size", f"as measured ({data['subject']}), ±{data['sigma']:.0%}"
     else:
-        yield "size", f"not measured: all metres and m/s assume a {animal} of average size (±{data['sigma']:.0%})"
+        yield "size", f"not measured: all metres and m/s assume average size ({animal}, ±{data['sigma']:.0%})"
 
 
 def _size_share(solution: TrajectorySolution) -> float:
