@@ -36,15 +36,11 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.lib.stride_tricks import as_strided
 from scipy.linalg import cholesky_banded
-from scipy.linalg.blas import dtrsm
 from scipy.linalg.lapack import dtbtrs
 
 from recon.base.arrays import Array
 
-_MANY = 32
-"""From so many right-hand sides on they are solved by blocks."""
 _UNKNOWN = 1e-9
 """Part of its own precision that is added to an unknown where rounding leaves no covariance: nothing but a bound."""
 
@@ -139,7 +135,7 @@ def _carried(solved: _Factor, white: Array, n: int) -> tuple[Array, Array]:
     """What the elimination of a window's first n frames leaves on the W frames after them: on H (W, D, W, D), and on
     the right-hand sides (W, D, ...)."""
     D, width = white.shape[1], solved.width
-    L21 = solved.below(n * D // width - 1, width)
+    L21 = solved.below(n * D - width)
     W = width // D
     on_right = -L21 @ white[n - W : n].reshape(width, -1)
     return (-L21 @ L21.T).reshape(W, D, W, D), on_right.reshape(W, D, -1)
@@ -184,34 +180,14 @@ class _Factor:
         return self._solved(white, "T")
 
     def _solved(self, right: Array, transposed: Literal["N", "T"]) -> Array:
-        """A few right-hand sides by LAPACK, which takes one after the other, many by blocks, all of them at once."""
-        found, down = np.array(right, dtype=float, order="C").reshape(self.band.shape[1], -1), transposed == "N"
-        if found.shape[1] < _MANY:
-            return dtbtrs(self.band, found, uplo="L", trans=transposed)[0].reshape(right.shape)
-        parts, lower = (
-            [found[first : first + self.width] for first in range(0, len(found), self.width)],
-            self._blocks(0),
-        )
-        for i in range(len(parts)) if down else reversed(range(len(parts))):
-            part = parts[i]
-            if down and i > 0:
-                part -= self.below(i - 1, len(part)) @ parts[i - 1]
-            elif not down and i + 1 < len(parts):
-                part -= self.below(i, len(parts[i + 1])).T @ parts[i + 1]
-            dtrsm(1.0, lower[i, : len(part), : len(part)], part.T, 1, 1, int(down), overwrite_b=1)
-        return found.reshape(right.shape)
+        flat = np.reshape(right, (self.band.shape[1], -1))
+        return dtbtrs(self.band, flat, uplo="L", trans=transposed)[0].reshape(right.shape)
 
-    def _blocks(self, down: int) -> Array:
-        """The blocks of L on its diagonal, which are lower triangles, or those so many rows below: beyond the band, and
-        above its diagonal, stands what does elsewhere in it, and in the last one what lies outside."""
-        P, B, item = len(self.band), self.width, self.band.itemsize
-        count = -(-self.band.shape[1] // B)
-        return as_strided(self.band.T.reshape(-1)[down:], (count, B, B), (B * P * item, item, (P - 1) * item))
-
-    def below(self, i: int, rows: int) -> Array:
-        """The first rows of the block of L below the i-th on its diagonal."""
-        inside = np.subtract.outer(np.arange(rows), np.arange(self.width)) < len(self.band) - self.width
-        return np.where(inside, self._blocks(self.width)[i, :rows], 0.0)
+    def below(self, column: int) -> Array:
+        """(width, width): the block of L below its diagonal block that begins at a column."""
+        row, own = np.indices((self.width, self.width))
+        down = self.width + row - own
+        return np.where(down < len(self.band), self.band[np.minimum(down, len(self.band) - 1), column + own], 0.0)
 
     def marginal_blocks(self) -> Array:
         """(T, W+1, D, D), the inverse's blocks: [t, k] is the covariance of frame t + k (rows) with frame t (columns),

@@ -111,8 +111,7 @@ def curvature(problem: LeastSquares, found: Estimate, variance_factor: float) ->
     def windows() -> Iterable[Window]:
         return eliminated(normals(), bounded=True)
 
-    kept = [*windows()] if 2 * problem.piece >= len(found.states) else None  # of a short clip
-    reduced = np.sum([window.reduced() for window in kept or windows()], axis=0)
+    reduced = np.sum([window.reduced() for window in windows()], axis=0)
     S, first, beyond_m2 = reduced[:, :-1].copy(), int(SIZE in problem.columns), 0.0
     if (own := problem.columns.get(COMMON_KEYPOINT_BIAS)) is not None:
         (variance_m2,) = (u.sigma**2 for u in problem.shared if u.name == COMMON_KEYPOINT_BIAS)
@@ -125,7 +124,7 @@ def curvature(problem: LeastSquares, found: Estimate, variance_factor: float) ->
         others_by_size = -of_others @ S[1:, 0]
         known = float(S[0, 0] + S[0, 1:] @ others_by_size - problem.shared[0].sigma[0] ** -2)
     root = np.asarray(np.linalg.cholesky(of_others), dtype=float)
-    return _Curvature(windows if kept is None else lambda: kept, root, others_by_size, S, max(known, 0.0), beyond_m2)
+    return _Curvature(windows, root, others_by_size, S, max(known, 0.0), beyond_m2)
 
 
 def _wider(S: Array, g: Array, own: slice, variance: Array, variance_factor: float) -> float:

@@ -8,10 +8,9 @@ import csv
 import re
 import struct
 import zlib
-from array import array
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -317,23 +316,15 @@ def number(text: str) -> float:
 def numbers(cells: Iterable[object]) -> tuple[np.ndarray, list[int]]:
     """Cells (N,) as floats, NaN for those that are `MISSING`; and the places of those that are no numbers, which are
     NaN, or infinite."""
-    cells, values, wrong = list(cells), [], []
-    with suppress(ValueError, TypeError):  # the usual case, and several times as fast
-        joined = "".join(cells)  # type: ignore[arg-type]
-        if not joined:  # nothing was seen, as in most of a long recording
-            return np.full(len(cells), np.nan), []
-        if "_" not in joined and joined.isascii():
-            found = np.array([float(cell) if cell else np.nan for cell in cells])  # type: ignore[arg-type]
-            return found, np.flatnonzero(np.isinf(found)).tolist()
+    values, wrong = list[float](), list[int]()
     for i, cell in enumerate(cells):
-        text = cell.strip() if isinstance(cell, str) else "" if cell is None else str(cell)
+        text = "" if cell is None else str(cell).strip()
         try:
-            values.append(number(text))
+            values.append(number("" if text.lower() in MISSING else text))
         except ValueError:
             values.append(np.nan)
-            if text.lower() not in MISSING:
-                wrong.append(i)
-    found = np.array(values, dtype=float)
+            wrong.append(i)
+    found = np.array(values)
     return found, sorted([*wrong, *np.flatnonzero(np.isinf(found)).tolist()])
 
 
@@ -493,7 +484,7 @@ def number_rows(
     """Rows with the numbers of their lines: of each the first `index` cells, which are texts, and the others as numbers
     (T, C), one for each of `columns`, NaN for an empty cell; and what is wrong with them."""
     texts: list[list[str]] = []
-    values = array("d")  # one buffer that grows: a long recording has millions of numbers
+    values: list[np.ndarray] = []
     problems: list[Problem] = []
     width = index + len(columns)
     for line, row in rows:
@@ -506,8 +497,8 @@ def number_rows(
             for j in wrong
         ]
         texts.append(row[:index])
-        values.frombytes(found.tobytes())
-    return texts, np.frombuffer(values).reshape(len(texts), len(columns)), problems
+        values.append(found)
+    return texts, np.array(values).reshape(len(texts), len(columns)), problems
 
 
 def write_table(path: Path, header: Iterable[Sequence[str]], frames: np.ndarray, values: np.ndarray) -> None:
