@@ -52,16 +52,21 @@ def text_of(content: bytes, source: str | Path, expected: str) -> str:
 
 def read_content(path: Path, expected: str, most: int = MAX_BYTES) -> bytes:
     """The content of a file as bytes, with the same checks as `read_text`."""
-    require_file(path, expected)
-    try:
-        with path.open("rb") as file:
-            content = file.read(most + 1)
-    except OSError as error:
-        found = f"a file that cannot be opened ({error.strerror or error})"
-        raise InputError(Problem(path, "file", found, expected)) from None
+    content = read_head(path, expected, most + 1)
     if len(content) > most:
         raise InputError(Problem(path, "file", f"more than {most >> 20} MB", expected))
     return content
+
+
+def read_head(path: Path, expected: str, length: int) -> bytes:
+    """The first bytes of a file. Raises InputError for anything but a file that can be read."""
+    require_file(path, expected)
+    try:
+        with path.open("rb") as file:
+            return file.read(length)
+    except OSError as error:
+        found = f"a file that cannot be opened ({error.strerror or error})"
+        raise InputError(Problem(path, "file", found, expected)) from None
 
 
 def require_file(path: Path, expected: str = "a file that can be read") -> None:

@@ -233,8 +233,6 @@ class _Sight:
 
     def later(self, frames: float) -> _Sight:
         """If the pictures were taken that much later."""
-        if not frames:
-            return self
         return replace(
             self,
             rays=_shifted(self.rays, frames),

@@ -33,6 +33,7 @@ from recon.check.likelihood import (
     refitted,
 )
 from recon.clip import Source, View
+from recon.clip.keypoints import Keypoints
 from recon.fit import TrajectorySolution
 from recon.fit.result import Finding
 
@@ -73,10 +74,15 @@ class _Stretch:
 
 def exchanged(view: View, stretch: _Stretch) -> View:
     """The view with the sides of a stretch exchanged."""
-    xy_px, confidence = view.xy_px.copy(), view.confidence.copy()
-    xy_px[stretch.rows] = xy_px[stretch.rows][:, stretch.places]
-    confidence[stretch.rows] = confidence[stretch.rows][:, stretch.places]
-    return replace(view, xy_px=xy_px, confidence=confidence)
+    return replace(view, **_exchanged(view, stretch.rows, stretch.places))
+
+
+def _exchanged(seen: View | Keypoints, rows: slice, places: Index) -> dict[str, Array]:
+    """What was seen, with its keypoints taken from other places (J,) in some rows."""
+    values = {"xy_px": seen.xy_px.copy(), "confidence": seen.confidence.copy()}
+    for of in values.values():
+        of[rows] = of[rows][:, places]
+    return values
 
 
 def pairs_of(body: Body) -> dict[str, Index]:
@@ -287,10 +293,8 @@ def without_swaps(
         number = next(v for v, source in enumerate(sources) if source.camera.name == one.camera)
         keypoints = mended[number].keypoints
         rows = slice(*np.searchsorted(keypoints.frames, one.frames))
-        to = [keypoints.names.index(name) for name in one.names("keypoints")]
-        xy_px, confidence = keypoints.xy_px.copy(), keypoints.confidence.copy()
-        for values in (xy_px, confidence):
-            values[rows, to] = values[rows][:, places[to]]
-        mended[number] = replace(mended[number], keypoints=replace(keypoints, xy_px=xy_px, confidence=confidence))
+        named = np.isin(keypoints.names, one.names("keypoints"))
+        back = _exchanged(keypoints, rows, np.where(named, places, np.arange(len(places))))
+        mended[number] = replace(mended[number], keypoints=replace(keypoints, **back))
         marked[i] = finding("left_right_swap_mended", one.frames, one.camera, **one.numbers)
     return tuple(mended), tuple(marked)

@@ -161,7 +161,7 @@ def write(pose: Pose3D, path: Path) -> None:
     """Millimetres, z up. Raises InputError without a frame rate, and for names, numbers of frames or gaps that C3D
     cannot hold."""
     fps = required_fps(pose.fps, TITLE)
-    require_names(pose.names, r"^\s|\s$|\x00", TITLE, bytes_max=TEXT_MAX)
+    require_names(pose.names, r"^\s|\s$|\x00", TITLE)
     with formats_extra(TITLE):
         import ezc3d
     xyz = without_gaps(pose.frames, pose.xyz_m * PER_METRE[UNIT], TITLE)

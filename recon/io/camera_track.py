@@ -57,9 +57,9 @@ MAX_SHOTS_BYTES = 1 << 28
 """The largest size of a reconstruction, which has its points, too."""
 
 
-@dataclass(frozen=True, eq=False)
-class CameraTrack:
-    """The poses of one camera in N frames of its video."""
+@dataclass(frozen=True, eq=False, kw_only=True)
+class CameraTrack(FramePoses):
+    """The poses of one camera in N frames of its video; the world is in metres and has z up."""
 
     max_gap_s: ClassVar[float] = 0.1
     """Poses further apart have none in between."""
@@ -67,14 +67,8 @@ class CameraTrack:
     source: Path
     frames: Integers
     """The numbers of the N frames, shape (N,), increasing."""
-    T_camera_world: Array
-    """(N, 4, 4); the world is in metres and has z up."""
-    intrinsics_px: Array | None = None
-    """(N, 4): fx, fy, cx, cy, of a camera that zooms."""
     camera: Camera | None = None
     """The lens, where the track comes with one. It has no pose."""
-    rotation_sigma_rad: Array | None = None
-    """(N,): standard deviation of each pose's rotation about any axis, where the track says it."""
 
     def at(self, frames: Integers, fps: float) -> tuple[FramePoses, Bools]:
         """In each of T increasing frames; between poses no more than `max_gap_s` apart turned and moved evenly. And
@@ -194,14 +188,10 @@ def _checked_track(
     )
     order = np.argsort(frames)
     table = table[order]
-    return CameraTrack(
-        path,
-        frames[order].astype(np.int64),
-        rigid(_rotations(table[:, :4]), table[:, 4:7]),
-        table[:, 7:] if table.shape[1] > 7 else None,
-        camera,
-        None if sigma_deg is None else np.radians(sigma_deg[order]),
-    )
+    poses = rigid(_rotations(table[:, :4]), table[:, 4:7])
+    zoom = table[:, 7:] if table.shape[1] > 7 else None
+    sigmas = None if sigma_deg is None else np.radians(sigma_deg[order])
+    return CameraTrack(poses, zoom, sigmas, source=path, frames=frames[order].astype(np.int64), camera=camera)
 
 
 def _rotations(quaternion: Array) -> Array:

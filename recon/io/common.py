@@ -416,17 +416,12 @@ def required_fps(fps: float | None, title: str) -> float:
     return fps
 
 
-def require_names(names: Sequence[str], forbidden: str, title: str, bytes_max: int | None = None) -> None:
-    """Raises InputError for names with a character that matches the pattern `forbidden`, or that are too long."""
+def require_names(names: Sequence[str], forbidden: str, title: str) -> None:
+    """Raises InputError for names with a character that matches the pattern `forbidden`."""
     problems = [
         Problem(title, "name", f"'{name}', with {found.group()!r} in it", "a name that the format can hold")
         for name in names
         if (found := re.search(forbidden, name))
-    ]
-    problems += [
-        Problem(title, "name", f"'{name}', {len(name.encode())} bytes in UTF-8", f"at most {bytes_max}")
-        for name in names
-        if bytes_max is not None and len(name.encode()) > bytes_max
     ]
     refuse(problems[:10])
 

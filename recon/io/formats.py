@@ -15,7 +15,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from recon.base.documents import require_file
+from recon.base.documents import read_head
 from recon.base.errors import InputError, Problem
 from recon.clip.keypoints import Keypoints
 from recon.io.common import NoChoiceError, StoredPoints, damage_named, with_likelihoods
@@ -246,13 +246,7 @@ def individuals(path: str | Path) -> tuple[str, ...]:
 
 def file_head(path: Path, length: int = 64) -> bytes:
     """The first bytes of a file. Raises InputError where there is no file to read, or nothing in it."""
-    require_file(path)
-    try:
-        with path.open("rb") as file:
-            head = file.read(length)
-    except OSError as error:
-        found = f"a file that cannot be opened ({error.strerror})"
-        raise InputError(Problem(path, "file", found, "a file that can be read")) from None
+    head = read_head(path, "a file that can be read", length)
     if not head:
         raise InputError(Problem(path, "file", "an empty file", "a file that can be read"))
     return head
