@@ -20,18 +20,9 @@ import numpy as np
 
 from recon.animal import Body, opposites
 from recon.base.arrays import Array, Bools, Index
+from recon.check import likelihood
 from recon.check.codes import finding
-from recon.check.likelihood import (
-    AT_ONCE_S,
-    TAILS,
-    Baseline,
-    Refit,
-    believed,
-    best_seen,
-    either_side,
-    log_tail,
-    refitted,
-)
+from recon.check.likelihood import Baseline, Refit
 from recon.clip import Source, View
 from recon.clip.keypoints import Keypoints
 from recon.fit import TrajectorySolution
@@ -103,7 +94,7 @@ def swaps(given: Baseline, unlike: bool = False) -> list[_SwapTrial]:
     kinds, found = pairs_of(given.clip.body), list[_SwapTrial]()
     while len(found) < STRETCHES and "all" in kinds:
         trials = sorted((undone(given, one) for one in likely(given, kinds, unlike)), key=lambda one: -one.ratio)
-        if not trials or not believed(trials[0].ratio):
+        if not trials or not likelihood.believed(trials[0].ratio):
             T = len(given.states)
             whole = [one for one in trials if one.stretch.rows == slice(0, T) and one.ratio > POSSIBLE]
             found += [replace(one, clear=False) for one in whole if not found]
@@ -111,7 +102,7 @@ def swaps(given: Baseline, unlike: bool = False) -> list[_SwapTrial]:
         best, *others = trials
         then = with_undone(given, best)
         rival = next((one for one in others if contradicts(then, best, one)), None)
-        clear = rival is None or believed(best.ratio - rival.ratio, surely=True)
+        clear = rival is None or likelihood.believed(best.ratio - rival.ratio, surely=True)
         found.append(replace(best, clear=clear))
         if not clear:
             break
@@ -139,13 +130,13 @@ def contradicts(then: Baseline, best: _SwapTrial, other: _SwapTrial) -> bool:
     if not (of_other & ~of_best).any() or 2 * both.sum() >= (of_best | of_other).sum() or other.ratio <= 0:
         return False
     beside = a.start <= b.stop and b.start <= a.stop and {*best.stretch.markers} & {*other.stretch.markers}
-    return bool(beside) or not believed(undone(then, other.stretch).ratio)
+    return bool(beside) or not likelihood.believed(undone(then, other.stretch).ratio)
 
 
 def undone(given: Baseline, stretch: _Stretch) -> _SwapTrial:
     """With its part of the clip solved anew."""
     part = _part(given.view, stretch.rows, given.clip.fps)
-    refit = refitted(given.other(exchanged(given.view, stretch)).part(part))
+    refit = likelihood.refitted(given.other(exchanged(given.view, stretch)).part(part))
     return _SwapTrial(stretch, refit, refit.likelier(given.refit(part)))
 
 
@@ -181,10 +172,10 @@ def _parts(first: int, stop: int, T: int) -> list[tuple[int, int]]:
 def _part(view: View, rows: slice, fps: float) -> slice:
     """The second around a stretch, or around the beginning or the end of a longer one; of a whole clip that in which
     most is seen."""
-    T, n = len(view.xy_px), max(round(AT_ONCE_S * fps), 4)
+    T, n = len(view.xy_px), max(round(likelihood.AT_ONCE_S * fps), 4)
     inner = [edge for edge in (rows.start, rows.stop) if 0 < edge < T]
     if not inner:
-        return best_seen(view, fps)
+        return likelihood.best_seen(view, fps)
     middle = sum(inner) // 2 if inner[-1] - inner[0] < n else inner[0]
     first = int(np.clip(middle - n // 2, 0, max(T - n, 0)))
     return slice(first, min(first + n, T))
@@ -219,8 +210,10 @@ def _evidence(given: Baseline, kinds: dict[str, Index]) -> dict[str, Array]:
     legs = {name: places != np.arange(len(places)) for name, places in kinds.items() if name != "all"}
     which = np.any([np.zeros(len(kinds["all"]), dtype=bool), *legs.values()], axis=0)
     places, seen = np.where(which, kinds["all"], np.arange(len(which))), given.view.xy_px
-    projected, sigma_px = either_side(given, exchanged(given.view, _Stretch(slice(None), places)), which)
-    straight, other = (log_tail((points - seen) / sigma_px[..., None]) for points in (projected, projected[:, places]))
+    projected, sigma_px = likelihood.either_side(given, exchanged(given.view, _Stretch(slice(None), places)), which)
+    straight, other = (
+        likelihood.log_tail((points - seen) / sigma_px[..., None]) for points in (projected, projected[:, places])
+    )
     likelier = np.where(np.isfinite(given.states[:, :1]), straight - other, 0.0)
     return {name: likelier[:, of].sum(axis=1) for name, of in (legs | {"all": which}).items()}
 
@@ -247,9 +240,9 @@ def jumps(view: View, places: Index) -> Array:
         far_px = np.nanmedian(np.sum(apart**2, axis=-1), axis=0)
     seen = np.lib.stride_tricks.sliding_window_view(view.present.any(axis=1), n).all(axis=1)
     steady = square_px < (STEADY**2) * far_px
-    scale = TAILS * np.maximum(np.nan_to_num(square_px), _LEAST_OFF_PX**2)
+    scale = likelihood.TAILS * np.maximum(np.nan_to_num(square_px), _LEAST_OFF_PX**2)
     likelier = np.log1p(np.where(known, given, 0.0) / scale) - np.log1p(np.where(known, other, 0.0) / scale)
-    evidence = 0.5 * (TAILS + freedom) * likelier.sum(axis=1)
+    evidence = 0.5 * (likelihood.TAILS + freedom) * likelier.sum(axis=1)
     gain[_STRAIGHT : len(gain) - _STRAIGHT + 1] = np.where(seen & steady.any(), evidence, -np.inf)
     return gain
 
@@ -272,7 +265,7 @@ def mends(mended: TrajectorySolution, given: TrajectorySolution) -> bool:
     """Whether a fit of a clip with its swaps undone is clearly likelier as a whole than that of the clip as it came."""
     before, after = (sum(solution.cost_by_term.values()) for solution in (given, mended))
     likelier = before - after + float(np.nansum(np.log(given.noise_px / mended.noise_px)))
-    return believed(likelier, surely=True)
+    return likelihood.believed(likelier, surely=True)
 
 
 def doubted(one: Finding) -> Finding:

@@ -30,18 +30,8 @@ from recon.base.arrays import Array
 from recon.base.documents import read_text
 from recon.base.errors import Problem, refuse
 from recon.base.package import version
-from recon.io import trc
-from recon.io.common import (
-    Pose3D,
-    StoredPoints,
-    frame_number,
-    number,
-    points_of_arrays,
-    require_names,
-    require_span,
-    starts_with_text,
-    y_up_from_z_up,
-)
+from recon.io import common, trc
+from recon.io.common import Pose3D, StoredPoints
 
 AXIS: dict[str, tuple[int, int, int]] = {"yaw": (0, 1, 0), "pitch": (0, 0, -1), "roll": (1, 0, 0)}
 """What each kind of angle turns about."""
@@ -129,7 +119,7 @@ class _Joint:
 
 
 def recognises_bvh(path: Path) -> bool:
-    return starts_with_text(path, b"HIERARCHY")
+    return common.starts_with_text(path, b"HIERARCHY")
 
 
 def read_bvh(path: Path, individual: str | None = None) -> StoredPoints:
@@ -137,9 +127,9 @@ def read_bvh(path: Path, individual: str | None = None) -> StoredPoints:
     text = read_text(path, "a BVH file")
     lines = iter([line.strip() for line in text.splitlines() if line.strip()])
     joints = _hierarchy(lines)
-    count = frame_number(_value(lines, r"Frames:\s*(\S+)")) or 0
-    frame_time_s = number(_value(lines, r"Frame Time:\s*(\S+)"))
-    rows = [[number(cell) for cell in line.split()] for line in lines]
+    count = common.frame_number(_value(lines, r"Frames:\s*(\S+)")) or 0
+    frame_time_s = common.number(_value(lines, r"Frame Time:\s*(\S+)"))
+    rows = [[common.number(cell) for cell in line.split()] for line in lines]
     width = sum(len(joint.channels) for joint in joints)
     problems = [
         Problem(path, f"frame {i + 1} of MOTION", f"{len(row)} numbers", f"{width}, one for each channel")
@@ -151,10 +141,10 @@ def read_bvh(path: Path, individual: str | None = None) -> StoredPoints:
     if not 0 < frame_time_s < float("inf"):
         problems.append(Problem(path, "Frame Time", f"{frame_time_s:g}", "seconds above 0"))
     refuse(problems)
-    require_span(count, len(joints), path)
+    common.require_span(count, len(joints), path)
     kept = {j: joint.parent for j, joint in enumerate(joints) if not joint.end or any(joint.offset)}
     xyz = _positions(joints, np.array(rows).reshape(-1, width))[:, [*kept]]
-    return points_of_arrays(
+    return common.points_of_arrays(
         path,
         individual,
         xyz,
@@ -184,7 +174,7 @@ def _hierarchy(lines: Iterator[str]) -> list[_Joint]:
         elif word == "}":
             open_.pop()
         elif word == "OFFSET" and len(rest) == 3:
-            joints[-1].offset = [number(cell) for cell in rest]
+            joints[-1].offset = [common.number(cell) for cell in rest]
         elif word == "CHANNELS" and all(re.fullmatch(r"[XYZ](position|rotation)", name) for name in rest[1:]):
             joints[-1].column = sum(len(joint.channels) for joint in joints[:-1])
             joints[-1].channels = rest[1:]
@@ -226,7 +216,7 @@ def write_bvh(rig: Armature, path: Path) -> None:
 
     Raises InputError for names with blanks or braces.
     """
-    require_names([bone.name for bone in rig.bones] + list(rig.joints), r"\s|[{}]", "BVH")
+    common.require_names([bone.name for bone in rig.bones] + list(rig.joints), r"\s|[{}]", "BVH")
     lines, columns = ["HIERARCHY"], [rig.root_m]
 
     def add(kind: str, name: str, offset_m: np.ndarray, bone: int | None, depth: int) -> None:
@@ -273,7 +263,7 @@ def write_opensim(rig: Armature, path: Path) -> None:
     file. Without masses in the skeleton bodies have none: the model is for kinematics then.
 
     Raises InputError for names with blanks or slashes."""
-    require_names([bone.name for bone in rig.bones] + list(rig.joints), r"[\s/\\*+]", OPENSIM)
+    common.require_names([bone.name for bone in rig.bones] + list(rig.joints), r"[\s/\\*+]", OPENSIM)
     document = Element("OpenSimDocument", Version=OPENSIM_VERSION)
     model = SubElement(document, "Model", name=rig.name)
     _texts(model, credits=f"recon, from {rig.title}", length_units="meters", force_units="N")
@@ -333,7 +323,7 @@ def _draw(body: Element, rig: Armature, bone: Bone) -> None:
     of_it = [c for c in rig.capsules if rig.bones[c.segment] is bone]
     components = SubElement(body, "components") if of_it else body
     for i, capsule in enumerate(of_it):
-        end = y_up_from_z_up(np.array(capsule.end_m))
+        end = common.y_up_from_z_up(np.array(capsule.end_m))
         frame = SubElement(components, "PhysicalOffsetFrame", name=f"shape_{i}")
         cylinder = SubElement(SubElement(frame, "attached_geometry"), "Cylinder", name="cylinder")
         _texts(cylinder, radius=repr(capsule.radius_m), half_height=repr(float(np.linalg.norm(end)) / 2))
@@ -492,7 +482,7 @@ _TRIANGLES = _triangles()
 
 def _surface(capsule: Capsule) -> tuple[Array, Array]:
     """Points and normals (N, 3) of rings around the capsule from its first pole to the other, in its bone's frame."""
-    end = y_up_from_z_up(np.array(capsule.end_m))
+    end = common.y_up_from_z_up(np.array(capsule.end_m))
     along = end / np.linalg.norm(end)
     beside = np.array([0.0, 0.0, 1.0])  # capsules lie in the x-y plane
     quarter = np.linspace(0.0, np.pi / 2, _RINGS)

@@ -17,21 +17,8 @@ from typing import Any
 import numpy as np
 
 from recon.base.errors import InputError, Problem
-from recon.io.common import (
-    DAMAGE,
-    PER_METRE,
-    UNIT_NAMES,
-    Pose3D,
-    StoredPoints,
-    formats_extra,
-    frames_of_text,
-    frames_text,
-    points_of_arrays,
-    rate,
-    require_names,
-    required_fps,
-    without_gaps,
-)
+from recon.io import common
+from recon.io.common import Pose3D, StoredPoints
 
 TITLE = "C3D"
 UNIT = "mm"
@@ -63,14 +50,16 @@ def read(path: Path, individual: str | None = None) -> StoredPoints:
     point = parameters.get("POINT", {})
     labels = sorted((name for name in point if name.startswith("LABELS")), key=len)  # of 255 names each
     names = [text for name in labels for text in point[name]][: xyz.shape[1]]
-    fps = rate(str(np.float32(point["RATE"].ravel()[0])))
+    fps = common.rate(str(np.float32(point["RATE"].ravel()[0])))
     frames = np.arange(len(xyz)) + first - 1
-    listed = frames_of_text(parameters.get(OWN_GROUP, {}).get("FRAMES", ()))
+    listed = common.frames_of_text(parameters.get(OWN_GROUP, {}).get("FRAMES", ()))
     if listed is not None and listed[-1] - listed[0] == len(xyz) - 1:  # and not of frames that were cut since
         frames, xyz = listed, xyz[listed - listed[0]]
     unit, screen = ("".join(point.get(name, ())[:1]) for name in ("UNITS", "Y_SCREEN"))
     up = {"+Z": "z", "Z": "z", "+Y": "y", "Y": "y"}.get(screen.upper())
-    return points_of_arrays(path, individual, xyz, frames, names, fps=fps, unit=UNIT_NAMES.get(unit), up=up)
+    return common.points_of_arrays(
+        path, individual, xyz, frames, names, fps=fps, unit=common.UNIT_NAMES.get(unit), up=up
+    )
 
 
 # -- the file -----------------------------------------------------------------------------------------------------
@@ -160,12 +149,12 @@ def _text(data: bytes) -> str:
 def write(pose: Pose3D, path: Path) -> None:
     """Millimetres, z up. Raises InputError without a frame rate, and for names, numbers of frames or gaps that C3D
     cannot hold."""
-    fps = required_fps(pose.fps, TITLE)
-    require_names(pose.names, r"^\s|\s$|\x00", TITLE)
-    with formats_extra(TITLE):
+    fps = common.required_fps(pose.fps, TITLE)
+    common.require_names(pose.names, r"^\s|\s$|\x00", TITLE)
+    with common.formats_extra(TITLE):
         import ezc3d
-    xyz = without_gaps(pose.frames, pose.xyz_m * PER_METRE[UNIT], TITLE)
-    ranges = frames_text(pose.frames)
+    xyz = common.without_gaps(pose.frames, pose.xyz_m * common.PER_METRE[UNIT], TITLE)
+    ranges = common.frames_text(pose.frames)
     for what, count, most in (("frames", len(xyz), WORD_MAX), ("gaps", len(ranges) - 1, TEXT_MAX - 1)):
         if count > most:
             raise InputError(Problem(TITLE, what, str(count), f"at most {most}"))
@@ -184,7 +173,7 @@ def write(pose: Pose3D, path: Path) -> None:
     file.add_parameter("POINT", "Y_SCREEN", ["+Z"])
     file.add_parameter(OWN_GROUP, "FRAMES", ranges)
     file.write(str(path))
-    with suppress(InputError, *DAMAGE):  # the library does not say when a disk is full
+    with suppress(InputError, *common.DAMAGE):  # the library does not say when a disk is full
         if np.array_equal(read(path).values, xyz[pose.frames - first].astype(np.float32), equal_nan=True):
             return
     raise OSError(errno.ENOSPC, "the file could not be written: is the disk full?", str(path))

@@ -25,23 +25,8 @@ import numpy as np
 from recon.base.errors import InputError, Problem, refuse
 from recon.base.files import write_bytes
 from recon.clip.keypoints import Keypoints
-from recon.io.common import (
-    POINTS_MAX,
-    SEPARATORS,
-    Pose3D,
-    StoredPoints,
-    choose,
-    first_problems,
-    formats_extra,
-    frames_of_times,
-    numbers,
-    points_of_arrays,
-    rate,
-    require_span,
-    starts_with,
-    text_rows,
-    write_rows,
-)
+from recon.io import common
+from recon.io.common import Pose3D, StoredPoints
 
 Columns = Mapping[str, Any]
 """A table by column: sequences of text cells, or arrays of numbers."""
@@ -62,7 +47,7 @@ UNIT = r"(?:[ _]?[\[(]?(px|m|cm|mm)[\])]?)?"
 OF_PART = re.compile(rf"(.+?)[ _.:/-](?:([xyz]){UNIT}|({'|'.join(ROLES['likelihood'])}))", re.IGNORECASE)
 """A column of one bodypart."""
 PART = "{bodypart}"
-VALUES_MAX = 4 * POINTS_MAX
+VALUES_MAX = 4 * common.POINTS_MAX
 METADATA = b"recon"
 """Key of our own metadata in Parquet: JSON with fps and up."""
 
@@ -161,7 +146,7 @@ def recognises_long(path: Path) -> bool:
         first = file.readline(1 << 20)
     try:
         text = first.decode("utf-8-sig").rstrip("\r\n")
-        header = next(csv.reader([text], delimiter=max(SEPARATORS, key=text.count)), [])
+        header = next(csv.reader([text], delimiter=max(common.SEPARATORS, key=text.count)), [])
     except (UnicodeDecodeError, csv.Error):
         return False
     return len({*header}) == len(header) and _layout(header, _by_name) is not None
@@ -169,7 +154,7 @@ def recognises_long(path: Path) -> bool:
 
 def read_long(path: Path, individual: str | None = None, columns: Mapping[str, str] | None = None) -> StoredPoints:
     """The points of one animal; columns: a map as `parse_map` gives it. Raises InputError."""
-    rows = text_rows(path)
+    rows = common.text_rows(path)
     header = next(rows, (1, []))[1]
     table, problems = [], []
     if len({*header}) != len(header):
@@ -178,18 +163,18 @@ def read_long(path: Path, individual: str | None = None, columns: Mapping[str, s
         table.append(row)
         if len(row) != len(header):
             problems.append(Problem(path, f"line {line}", f"{len(row)} cells", f"{len(header)}, as in line 1"))
-    refuse(first_problems(problems, path))
+    refuse(common.first_problems(problems, path))
     cells = list(zip(*table, strict=True)) or [()] * len(header)
     return gathered(path, dict(zip(header, cells, strict=True)), individual, columns)
 
 
 def recognises_parquet(path: Path) -> bool:
-    return starts_with(path, b"PAR1")
+    return common.starts_with(path, b"PAR1")
 
 
 def read_parquet(path: Path, individual: str | None = None) -> StoredPoints:
     """The 3D positions of a Parquet file. Raises InputError."""
-    with formats_extra(path):
+    with common.formats_extra(path):
         import pyarrow as pa
         import pyarrow.parquet as pq
     size = pq.read_metadata(path)  # a column of equal values takes no room in the file
@@ -207,7 +192,7 @@ def read_parquet(path: Path, individual: str | None = None) -> StoredPoints:
             one = column.unify_dictionaries().combine_chunks()
             columns[name] = np.array([*one.dictionary.to_pylist(), None], object)[one.indices.fill_null(-1).to_numpy()]
     pose = gathered(path, columns, individual, None)
-    return replace(pose, fps=pose.fps or rate(own.get("fps")), up="z" if own.get("up") == "z" else None)
+    return replace(pose, fps=pose.fps or common.rate(own.get("fps")), up="z" if own.get("up") == "z" else None)
 
 
 def gathered(path: Path, table: Columns, individual: str | None, given: Mapping[str, str] | None) -> StoredPoints:
@@ -222,14 +207,14 @@ def gathered(path: Path, table: Columns, individual: str | None, given: Mapping[
     role = {role: column for (part, role), column in layout.columns.items() if not part}
     whose = [str(cell).strip() for cell in table[role["individual"]]] if "individual" in role else []
     animals = list(dict.fromkeys(whose)) or [""]
-    animal = animals[choose(path, animals, individual)]
+    animal = animals[common.choose(path, animals, individual)]
     problems: list[Problem] = []
     rows = np.flatnonzero([w == animal for w in whose] or np.ones(len(table[next(iter(role.values()))])))
 
     def cells_of(column: str) -> np.ndarray:
         """As floats; those that are no numbers, or infinite, become problems."""
         cells = table[column]
-        values, wrong = numbers(cells[row] for row in rows)
+        values, wrong = common.numbers(cells[row] for row in rows)
         problems.extend(
             Problem(path, f"line {rows[i] + 2}, {column}", f"'{str(cells[rows[i]]).strip()}'", expected)
             for i in wrong
@@ -238,12 +223,12 @@ def gathered(path: Path, table: Columns, individual: str | None, given: Mapping[
         return values
 
     rates = {*cells_of(role["fps"]).tolist()} if "fps" in role else {None}
-    fps = rate(rates.pop()) if len(rates) == 1 else None
+    fps = common.rate(rates.pop()) if len(rates) == 1 else None
     clock = role.get("frame", role.get("time", ""))
     ticks = cells_of(clock)
     for i in np.flatnonzero(np.isnan(ticks)):
         problems.append(Problem(path, f"line {rows[i] + 2}, {clock}", "nothing", "a frame number, or seconds"))
-    refuse(first_problems(problems, path))
+    refuse(common.first_problems(problems, path))
     distinct, row_of = np.unique(ticks, return_inverse=True)
     if "bodypart" in role:
         labels = table[role["bodypart"]]
@@ -258,7 +243,7 @@ def gathered(path: Path, table: Columns, individual: str | None, given: Mapping[
     if len(first := np.unique(repeated, return_index=True)[1]) < len(rows):
         line = rows[np.setdiff1d(np.arange(len(rows)), first)[0]] + 2
         problems.append(Problem(path, f"line {line}", "a second row of a frame or of a point in it", "one"))
-    require_span(len(distinct), len(index), path)
+    common.require_span(len(distinct), len(index), path)
     coords = ("x", "y", "z") if any(role == "z" for _, role in layout.columns) else ("x", "y")
     values = np.full((len(distinct), len(index), len(coords) + 1), np.nan)
     for (part, what), column in layout.columns.items():
@@ -270,9 +255,9 @@ def gathered(path: Path, table: Columns, individual: str | None, given: Mapping[
         for part in index
         if "z" in coords and "bodypart" not in role and (part, "z") not in layout.columns
     ]
-    refuse(first_problems(problems, path))
-    frames, fps = (distinct, fps) if "frame" in role else frames_of_times(path, distinct, fps)
-    return points_of_arrays(
+    refuse(common.first_problems(problems, path))
+    frames, fps = (distinct, fps) if "frame" in role else common.frames_of_times(path, distinct, fps)
+    return common.points_of_arrays(
         path,
         animal or None,
         values[..., :-1],
@@ -299,12 +284,12 @@ def write_long(keypoints: Keypoints, path: Path) -> None:
         for frame, points in zip(keypoints.frames, values, strict=True)
         for name, point in zip(keypoints.names, points, strict=True)
     )
-    write_rows(path, [["frame", *start, "bodypart", "x", "y", "likelihood", *end]], rows)
+    common.write_rows(path, [["frame", *start, "bodypart", "x", "y", "likelihood", *end]], rows)
 
 
 def write_parquet(pose: Pose3D, path: Path) -> None:
     """One row for each frame and joint: frame, joint, x_m, y_m, z_m (metres, z up)."""
-    with formats_extra("Parquet"):
+    with common.formats_extra("Parquet"):
         import pyarrow as pa
         import pyarrow.parquet as pq
     T, J = pose.xyz_m.shape[:2]

@@ -17,21 +17,8 @@ import numpy as np
 
 from recon.base.errors import InputError, Problem, refuse
 from recon.clip.keypoints import Keypoints
-from recon.io.common import (
-    FMPOSE3D,
-    MAX_FRAME,
-    Pose3D,
-    StoredPoints,
-    choose,
-    first_problems,
-    frame_number,
-    number_rows,
-    points_of,
-    points_of_arrays,
-    rate,
-    text_rows,
-    write_table,
-)
+from recon.io import common
+from recon.io.common import Pose3D, StoredPoints
 
 HEADERS = (
     ("scorer", "bodyparts", "coords"),
@@ -60,7 +47,7 @@ def recognises_csv(path: Path) -> bool:
 
 def read_csv(path: Path, individual: str | None = None) -> StoredPoints:
     """The points of one animal in a CSV file (see `points_of_table`). Raises InputError."""
-    rows = text_rows(path)
+    rows = common.text_rows(path)
     header, index_columns = _read_header(path, rows)
     return points_of_rows(path, header, rows, index_columns, individual)
 
@@ -75,7 +62,7 @@ def points_of_rows(
     """header: the texts of the data's columns by level; rows: with their lines, each of so many cells that say the
     frame, and one for each column. Raises InputError."""
     labels = list(zip(*header.values(), strict=True))
-    index, values, problems = number_rows(path, rows, ["/".join(label[-2:]) for label in labels], index_columns)
+    index, values, problems = common.number_rows(path, rows, ["/".join(label[-2:]) for label in labels], index_columns)
     return points_of_table(path, individual, tuple(header), labels, index, values, problems)
 
 
@@ -108,7 +95,7 @@ def header_problem(path: Path, found: str) -> Problem:
 def _without_fps(scorer: str) -> tuple[str, float | None]:
     """The scorer, and the frame rate that files of ours have behind it."""
     match = re.fullmatch(rf"(?:(.*)_)?{SCORER}_([0-9.e+-]+)fps", scorer)
-    fps = rate(match[2]) if match else None
+    fps = common.rate(match[2]) if match else None
     return (scorer, None) if match is None or fps is None else (match[1] or SCORER, fps)
 
 
@@ -144,7 +131,7 @@ def points_of_table(
         if name != name.strip()
     )
     frames, images, frame_problems = _frame_numbers(path, index)
-    refuse(first_problems([*_column_problems(path, columns), *problems, *frame_problems], path))
+    refuse(common.first_problems([*_column_problems(path, columns), *problems, *frame_problems], path))
     if {animal for animal, _, _ in columns} == {""} and _prefixes(part for _, part, _ in columns):
         columns = [(part.partition("_")[0], part.partition("_")[2], coord) for _, part, coord in columns]
     everyone = list(dict.fromkeys(animal for animal, _, _ in columns))
@@ -153,7 +140,7 @@ def points_of_table(
     # As DeepLabCut fills animals that it never saw.
     coordinates = (values[:, [j for j in of_animal[name] if columns[j][2] != "likelihood"]] for name in animals)
     seen = (not np.isin(np.nan_to_num(cells), (0.0, PADDING)).all() for cells in coordinates)
-    animal = animals[choose(path, animals, individual, seen)]
+    animal = animals[common.choose(path, animals, individual, seen)]
     if animal != UNIQUE_BODYPARTS and UNIQUE_BODYPARTS in everyone:
         left_out = dict.fromkeys(columns[j][1] for j in of_animal[UNIQUE_BODYPARTS])
         notes += (f"Left out, because they are no part of an animal: {', '.join(left_out)}.",)
@@ -169,13 +156,13 @@ def points_of_table(
         points, likelihood = points[..., :2], points[..., 2]
         if scorer is None:
             notes += ("The header's first row, scorer, is missing; the others say what each column is.",)
-    if FMPOSE3D in (scorer or ""):
+    if common.FMPOSE3D in (scorer or ""):
         from recon.io.json_poses import true_names
 
         names, more = true_names(names, scorer or "", in_space)
         notes += more
     ours = {"unit": "m", "up": "z"} if in_space and scorer == SCORER else {}
-    return points_of_arrays(
+    return common.points_of_arrays(
         path,
         animal or None,
         points,
@@ -221,7 +208,7 @@ def _points(
         for i, coord in enumerate(coords):
             if coord in of_part:
                 points[:, k, i] = values[:, of_part[coord][0]]
-    refuse(first_problems(problems, path))
+    refuse(common.first_problems(problems, path))
     return tuple(places), points
 
 
@@ -234,7 +221,7 @@ def _frame_numbers(path: Path, index: Sequence[Sequence[str]]) -> tuple[np.ndarr
         # A Windows path splits at both kinds of slash.
         stem, pattern = (PureWindowsPath(text).stem, r".*?([0-9]+)") if labels else (text, r"(-?[0-9]+)(?:\.0*)?")
         match = re.fullmatch(pattern, stem, re.DOTALL)
-        frame = frame_number(match[1], -MAX_FRAME) if match else None
+        frame = common.frame_number(match[1], -common.MAX_FRAME) if match else None
         if frame is None:
             expected = "an image name that ends in the frame number" if labels else "a frame number (0, 1, 2, ...)"
             problems.append(Problem(path, f"row {row} below the header", f"'{text}'", expected))
@@ -264,12 +251,12 @@ def _prefixes(bodyparts: Iterable[str]) -> tuple[str, ...]:
 def write_csv(data: Keypoints | Pose3D, path: Path) -> None:
     """x, y and likelihood, or x, y, z in metres with z up."""
     header, frames, values = layout(data)
-    write_table(path, [[level, *cells] for level, cells in header.items()], frames, values)
+    common.write_table(path, [[level, *cells] for level, cells in header.items()], frames, values)
 
 
 def layout(data: Keypoints | Pose3D) -> tuple[dict[str, list[str]], np.ndarray, np.ndarray]:
     """Header cells by level, frame numbers (T,) and values (T, 3K)."""
-    points = points_of(data)
+    points = common.points_of(data)
     coords, values = ("x", "y", "z"), points.values
     if points.likelihood is not None:
         coords, values = ("x", "y", "likelihood"), np.concatenate([values, points.likelihood[..., None]], axis=2)

@@ -26,17 +26,8 @@ import numpy as np
 
 from recon.base.documents import read_json
 from recon.base.errors import InputError, Problem, refuse
-from recon.io.common import (
-    FMPOSE3D,
-    StoredPoints,
-    choose,
-    damage_named,
-    first_problems,
-    points_of_arrays,
-    rate,
-    require_span,
-    starts_with_text,
-)
+from recon.io import common
+from recon.io.common import StoredPoints
 
 FRAME_KEYS = ("frame_id", "frame_index", "frame_number")
 _EXPECTED = "a whole file of JSON"
@@ -59,7 +50,7 @@ class _Seen(NamedTuple):
 
 def _mentions(path: Path, *keys: bytes) -> bool:
     """Whether it is JSON with one of the keys; it need not be whole."""
-    content = path.read_bytes() if starts_with_text(path, b"{") else b""
+    content = path.read_bytes() if common.starts_with_text(path, b"{") else b""
     return any(b'"%s"' % key in content for key in keys)
 
 
@@ -79,9 +70,9 @@ def _points(
         raise InputError(
             Problem(path, "annotations", "some without track_id", "one for each animal in every annotation")
         )
-    chosen = animals[choose(path, animals, individual)]
+    chosen = animals[common.choose(path, animals, individual)]
     numbers = np.array(sorted(frames), dtype=np.int64)
-    require_span(len(numbers), len(names), path)
+    common.require_span(len(numbers), len(names), path)
     row = {int(number): t for t, number in enumerate(numbers)}
     xy, score = np.full((len(numbers), len(names), 2), np.nan), np.zeros((len(numbers), len(names)))
     problems: list[Problem] = []
@@ -96,9 +87,9 @@ def _points(
         else:
             taken.add(one.frame)
             xy[row[one.frame]], score[row[one.frame]] = one.xy_px, one.score
-    refuse(first_problems(problems, path))
+    refuse(common.first_problems(problems, path))
     called = [chosen] if len(animals) > 1 or named else []
-    return points_of_arrays(path, None, xy, numbers, names, called, score, **more)
+    return common.points_of_arrays(path, None, xy, numbers, names, called, score, **more)
 
 
 # -- COCO -------------------------------------------------------------------------------------------------------------
@@ -130,7 +121,7 @@ def read_coco(path: Path, individual: str | None = None) -> StoredPoints:
         _names(path, content["categories"], annotations),
         numbers.values(),
         seen,
-        fps=rate(info.get("fps")) if isinstance(info, dict) else None,
+        fps=common.rate(info.get("fps")) if isinstance(info, dict) else None,
         image_size_px=_size(content["images"]),
         named=any("individual" in one for one in annotations),  # the number of the only track is no name
         notes=notes,
@@ -235,7 +226,7 @@ def read_openpose(path: Path, individual: str | None = None) -> StoredPoints:
     seen: list[_Seen] = []
     for file, number in files.items():
         content = read_json(file, _EXPECTED)
-        with damage_named(file, "x, y, confidence of each point", "people"):
+        with common.damage_named(file, "x, y, confidence of each point", "people"):
             rows = [np.array(person[KEY], dtype=float) for person in content["people"]]
             people = [row.reshape(-1, 3) for row in rows if row.size]
         for k, points in enumerate(people, start=1):
@@ -274,7 +265,7 @@ def true_names(names: Sequence[str], model: str, in_space: bool = True) -> tuple
     found them, or a table's scorer, which has it."""
     notes = (LENGTHS,) if in_space else ()
     true: dict[str, str] = dict(zip(_BY_DEEPLABCUT.split(), ANIMAL3D.split(), strict=True))
-    if f"{FMPOSE3D}animals" not in model or {*names} != {*true}:
+    if f"{common.FMPOSE3D}animals" not in model or {*names} != {*true}:
         return tuple(names), notes
     note = (
         "DeepLabCut gives FMPose3D's points the names of other points (the left front paw is 'neck'): they are read by "
@@ -292,7 +283,7 @@ def read_fmpose3d(path: Path, individual: str | None = None) -> StoredPoints:
     content = read_json(path, _EXPECTED)
     written = tuple(map(str, content["bodyparts"]))
     nothing = np.full((len(written), 3), np.nan)
-    require_span(len(content["poses_3d"]), len(written), path)
+    common.require_span(len(content["poses_3d"]), len(written), path)
     values = np.array([pose or nothing for pose in content["poses_3d"]], dtype=float)
     names, notes = true_names(written, str(content.get("model")))
-    return points_of_arrays(path, individual, values, np.arange(len(values)), names, notes=notes)
+    return common.points_of_arrays(path, individual, values, np.arange(len(values)), names, notes=notes)

@@ -18,18 +18,8 @@ import numpy as np
 from recon.base.errors import InputError, Problem, refuse
 from recon.base.files import write_bytes
 from recon.clip.keypoints import Keypoints
-from recon.io.common import (
-    UNIT_NAMES,
-    UNNAMED,
-    Pose3D,
-    StoredPoints,
-    formats_extra,
-    frames_of_times,
-    points_of,
-    points_of_arrays,
-    rate,
-    starts_with,
-)
+from recon.io import common
+from recon.io.common import Pose3D, StoredPoints
 from recon.io.hdf5 import attribute, child, is_scale, is_text, names, numbers, opened, outline, scale_of, texts
 
 CLASSIC = b"CDF"
@@ -52,7 +42,7 @@ class _Variable:
 
 def recognises(path: Path) -> bool:
     """Whether the file is movement's, 2D or 3D."""
-    if starts_with(path, CLASSIC):
+    if common.starts_with(path, CLASSIC):
         expected = "netCDF 4: in Python, xarray.load_dataset(old).to_netcdf(new, engine='h5netcdf')"
         raise InputError(Problem(path, "format", "netCDF 3", expected))
     return {"position", "space"} <= outline(path)
@@ -89,7 +79,7 @@ def _points(
     refuse(problems)
     time = stored["time"].values if "time" in stored else np.arange(len(values))
     frames, fps = _frames(path, time, attributes)
-    return points_of_arrays(
+    return common.points_of_arrays(
         path,
         individual,
         values,
@@ -98,7 +88,7 @@ def _points(
         _labels(stored, "individual"),
         confidence if "confidence" in stored else None,
         fps=fps,
-        unit=UNIT_NAMES.get(str(attributes["length_unit"])),
+        unit=common.UNIT_NAMES.get(str(attributes["length_unit"])),
         up=up if (up := str(attributes["up_axis"])) in ("x", "y", "z") else None,
     )
 
@@ -119,11 +109,11 @@ def _labels(stored: Mapping[str, _Variable], dim: str) -> list[str]:
 
 def _frames(path: Path, ticks: np.ndarray, attributes: Mapping[str, Any]) -> tuple[np.ndarray, float | None]:
     """Frame numbers and rate. Without the attribute `time_unit`, whole numbers are frames."""
-    fps = rate(attributes["fps"])
+    fps = common.rate(attributes["fps"])
     unit = attributes["time_unit"] or ("frames" if ticks.dtype.kind in "iu" else "seconds")
     if unit == "frames":
-        return frames_of_times(path, ticks.astype(float), 1.0)[0], fps
-    return frames_of_times(path, ticks.astype(float), fps)
+        return common.frames_of_times(path, ticks.astype(float), 1.0)[0], fps
+    return common.frames_of_times(path, ticks.astype(float), fps)
 
 
 def _stored(path: Path) -> tuple[dict[str, _Variable], dict[str, Any]]:
@@ -165,16 +155,16 @@ def _axes(dataset: Any, name: str, scales: Mapping[str, Any]) -> tuple[str, ...]
 
 def write(data: Keypoints | Pose3D, path: Path) -> None:
     """x, y in pixels, or x, y, z in metres with z up; of these the confidence, which the format asks for, is NaN."""
-    with formats_extra("movement netCDF"):
+    with common.formats_extra("movement netCDF"):
         import h5netcdf  # noqa: F401  what xarray writes with
     write_bytes(path, bytes(dataset_of(data).to_netcdf(None, engine="h5netcdf")))
 
 
 def dataset_of(data: Keypoints | Pose3D) -> Any:
     """The same as an `xarray.Dataset`. Raises InputError where xarray is not installed."""
-    with formats_extra("movement netCDF"):
+    with common.formats_extra("movement netCDF"):
         import xarray
-    points = points_of(data)
+    points = common.points_of(data)
     unknown = np.full(points.values.shape[:2], np.nan)
     confidence = unknown if points.likelihood is None else points.likelihood
     attributes: dict[str, Any] = {"source_software": "recon", "ds_type": "poses", "source_file": ""}
@@ -189,7 +179,7 @@ def dataset_of(data: Keypoints | Pose3D) -> Any:
             "time": points.frames if points.fps is None else points.frames / points.fps,
             "space": list("xyz"[: points.values.shape[-1]]),
             "keypoint": list(points.names),
-            "individual": [points.individual or UNNAMED[0]],
+            "individual": [points.individual or common.UNNAMED[0]],
         },
         attrs=attributes,
     )

@@ -19,21 +19,8 @@ import numpy as np
 from recon.base.errors import InputError, Problem, refuse
 from recon.base.files import write_bytes
 from recon.clip.keypoints import Keypoints
-from recon.io.common import (
-    UNIT_NAMES,
-    Pose3D,
-    StoredPoints,
-    choose,
-    formats_extra,
-    frames_of_times,
-    index_edges,
-    points_of,
-    points_of_arrays,
-    rate,
-    require_names,
-    require_span,
-    required_fps,
-)
+from recon.io import common
+from recon.io.common import Pose3D, StoredPoints
 from recon.io.hdf5 import attribute, child, groups, names, numbers, opened, outline, texts
 
 TITLE = "ndx-pose NWB"
@@ -77,7 +64,7 @@ def read(path: Path, individual: str | None = None) -> StoredPoints:
                 containers[_last(group)] = group, of_type
         if not containers:
             raise InputError(Problem(path, "PoseEstimationSeries", "none", "poses of the extension ndx-pose"))
-        name = [*containers][choose(path, [*containers], individual)]
+        name = [*containers][common.choose(path, [*containers], individual)]
         group, of_type = containers[name]
         # The first version of the extension had the skeleton's nodes in the container itself.
         skeleton = next((one for one in (group, *of_type.get("Skeleton", ())) if child(one, "nodes") is not None), None)
@@ -87,7 +74,7 @@ def read(path: Path, individual: str | None = None) -> StoredPoints:
         scorer = child(group, "scorer")
         scorer = "" if scorer is None else "".join(texts(scorer))
         found = of_type["PoseEstimationSeries"]
-        require_span(max(len(child(one, "data")) for one in found), len(found), path)
+        common.require_span(max(len(child(one, "data")) for one in found), len(found), path)
         series = [_series(path, one) for one in found]
     first, *others = series = sorted(series, key=lambda s: nodes.index(s.name) if s.name in nodes else len(nodes))
     refuse(
@@ -100,9 +87,9 @@ def read(path: Path, individual: str | None = None) -> StoredPoints:
         for s in others
         if not np.allclose(s.times_s, first.times_s, rtol=0, atol=1e-6)
     )
-    frames, fps = frames_of_times(path, first.times_s, first.fps)
+    frames, fps = common.frames_of_times(path, first.times_s, first.fps)
     points = [s.name for s in series]
-    return points_of_arrays(
+    return common.points_of_arrays(
         path,
         None,
         np.stack([s.values for s in series], axis=1),
@@ -112,7 +99,7 @@ def read(path: Path, individual: str | None = None) -> StoredPoints:
         np.stack([s.confidence for s in series], axis=1),
         fps=fps,
         scorer=scorer,
-        unit=UNIT_NAMES.get(first.unit),
+        unit=common.UNIT_NAMES.get(first.unit),
         up="z" if first.z_up else None,
         edges=tuple((nodes[a], nodes[b]) for a, b in edges) if {*nodes} == {*points} else (),
     )
@@ -133,11 +120,11 @@ def _series(path: Path, group: Any) -> _Series:
     sure = np.full(T, np.nan) if confidence is None else numbers(confidence)
     comment = str(attribute(group, "comments") or "")
     ours = re.search(re.escape(RATE_TEXT).replace(r"\{fps!r\}", "([0-9.e+-]+)"), comment)
-    fps = rate(ours[1]) if ours else None
+    fps = common.rate(ours[1]) if ours else None
     if stamps is not None:
         times_s = numbers(stamps).astype(float)
     elif start is not None:
-        fps = rate(attribute(start, "rate"))
+        fps = common.rate(attribute(start, "rate"))
         times_s = float(numbers(start)) + np.arange(T) / (fps or np.nan)
     else:
         raise InputError(Problem(path, name, "no times", "timestamps, or starting_time with a rate"))
@@ -153,11 +140,11 @@ def write(data: Keypoints | Pose3D, path: Path) -> None:
 
     Raises InputError without a frame rate, or for names that NWB cannot hold.
     """
-    points = points_of(data)
+    points = common.points_of(data)
     container = points.individual or "PoseEstimation"
-    fps = float(required_fps(points.fps, TITLE))
-    require_names((container, *points.names), NO_NAMES, TITLE)
-    with formats_extra(TITLE):
+    fps = float(common.required_fps(points.fps, TITLE))
+    common.require_names((container, *points.names), NO_NAMES, TITLE)
+    with common.formats_extra(TITLE):
         from ndx_pose import PoseEstimation, PoseEstimationSeries, Skeleton, Skeletons
         from pynwb import NWBHDF5IO, NWBFile
     frames, edges = points.frames, points.edges
@@ -181,7 +168,7 @@ def write(data: Keypoints | Pose3D, path: Path) -> None:
             )
         )
     few = len(points.names) < 256
-    linked = {"edges": index_edges(points.names, edges).astype(np.uint8)} if edges and few else {}
+    linked = {"edges": common.index_edges(points.names, edges).astype(np.uint8)} if edges and few else {}
     skeleton = Skeleton(name="skeleton", nodes=list(points.names), **linked)
     poses = PoseEstimation(
         name=container,

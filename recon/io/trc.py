@@ -7,19 +7,8 @@ from typing import Any
 
 from recon.base.documents import read_text
 from recon.base.errors import refuse
-from recon.io.common import (
-    UNIT_NAMES,
-    Pose3D,
-    StoredPoints,
-    first_problems,
-    number_rows,
-    points_of_arrays,
-    rate,
-    require_names,
-    required_fps,
-    starts_with_text,
-    y_up_from_z_up,
-)
+from recon.io import common
+from recon.io.common import Pose3D, StoredPoints
 
 UP_TEXT = "y up: x forwards, y up, z right"
 """At the end of the first line of our own files."""
@@ -28,7 +17,7 @@ TITLE = "TRC"
 
 
 def recognises(path: Path) -> bool:
-    return starts_with_text(path, b"PathFileType")
+    return common.starts_with_text(path, b"PathFileType")
 
 
 def read(path: Path, individual: str | None = None) -> StoredPoints:
@@ -44,16 +33,16 @@ def read(path: Path, individual: str | None = None) -> StoredPoints:
         for line, row in enumerate(cells[HEADER_LINES:], start=HEADER_LINES + 1)
         if any(row)
     )
-    _, values, problems = number_rows(path, rows, columns)
-    refuse(first_problems(problems, path))
+    _, values, problems = common.number_rows(path, rows, columns)
+    refuse(common.first_problems(problems, path))
     notes = ()
     if header.get("NumFrames") != str(len(values)):
         notes = (f"The header announces {header.get('NumFrames', 'no number of')} frames, the file has {len(values)}.",)
     unit = header.get("Units") or None
-    more: dict[str, Any] = {"unit": UNIT_NAMES.get(str(unit), unit), "up": "y" if UP_TEXT in cells[0] else None}
+    more: dict[str, Any] = {"unit": common.UNIT_NAMES.get(str(unit), unit), "up": "y" if UP_TEXT in cells[0] else None}
     xyz = values[:, 2:].reshape(len(values), len(names), 3)
-    fps = rate(header.get("DataRate"))
-    return points_of_arrays(path, individual, xyz, values[:, 0], names, fps=fps, notes=notes, **more)
+    fps = common.rate(header.get("DataRate"))
+    return common.points_of_arrays(path, individual, xyz, values[:, 0], names, fps=fps, notes=notes, **more)
 
 
 # -- writing ---------------------------------------------------------------------------------------------------------
@@ -64,8 +53,8 @@ def write(pose: Pose3D, path: Path) -> None:
 
     Raises InputError without a frame rate, or for names with tabs or line breaks.
     """
-    fps = required_fps(pose.fps, TITLE)
-    require_names(pose.names, r"[\t\r\n]|^\s|\s$", TITLE)
+    fps = common.required_fps(pose.fps, TITLE)
+    common.require_names(pose.names, r"[\t\r\n]|^\s|\s$", TITLE)
     header = {
         "DataRate": repr(fps),
         "CameraRate": repr(fps),
@@ -83,7 +72,7 @@ def write(pose: Pose3D, path: Path) -> None:
         ["Frame#", "Time", *(cell for name in pose.names for cell in (name, "", ""))],
         ["", "", *(f"{axis}{j + 1}" for j in range(len(pose.names)) for axis in "XYZ")],
     ]
-    values = y_up_from_z_up(pose.xyz_m).reshape(len(pose.frames), -1)
+    values = common.y_up_from_z_up(pose.xyz_m).reshape(len(pose.frames), -1)
     for frame, row in zip(pose.frames.tolist(), values.tolist(), strict=True):
         lines.append([frame, repr(frame / fps), *("" if v != v else repr(v) for v in row)])
     text = "".join("\t".join(map(str, line)) + "\n" for line in lines)
