@@ -12,6 +12,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path, PureWindowsPath
+from typing import Any
 
 import numpy as np
 
@@ -161,7 +162,7 @@ def points_of_table(
 
         names, more = true_names(names, scorer or "", in_space)
         notes += more
-    ours = {"unit": "m", "up": "z"} if in_space and scorer == SCORER else {}
+    ours: dict[str, Any] = {"unit": "m", "up": "z"} if in_space and scorer == SCORER else {}
     return common.points_of_arrays(
         path,
         animal or None,
