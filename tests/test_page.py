@@ -21,7 +21,7 @@ from markupsafe import Markup
 from motions import with_first
 
 from recon import FitSettings, InputError, write_clip
-from recon.base import read_manifest
+from recon.base import read_manifest, write_manifest
 from recon.check import findings_of
 from recon.fit import Motion
 from recon.io import video_writer
@@ -304,7 +304,7 @@ def test_angles_of_both_sides_share_a_figure():
 
 @pytest.fixture(scope="module")
 def batch(folder, tmp_path_factory) -> Path:
-    """The folder of a batch of five clips."""
+    """The folder of a batch of five clips: one has failed, one has no word of its frames, one is doubtful."""
     out = tmp_path_factory.mktemp("batch")
     names = {"good": "done", EVIL: "done", "gone": "done earlier", "bad": "failed", "dark": "unsolved"}
     verdicts = {"good": "use", EVIL: "check", "gone": "do not use"}
@@ -321,6 +321,10 @@ def batch(folder, tmp_path_factory) -> Path:
             )
     for name in ("good", EVIL):
         shutil.copytree(folder, out / name, ignore=shutil.ignore_patterns("motion.rrd", "report.html"))
+    motion = Motion.load(folder)
+    no_flags = tuple(() for _ in motion.flags)
+    replace(motion, solution=replace(motion.solution, flags=no_flags)).save(out / "good")
+    write_manifest(out / "good")
     (out / EVIL / "report.html").write_text("a page")
     return out
 
@@ -328,7 +332,7 @@ def batch(folder, tmp_path_factory) -> Path:
 def test_a_batch_has_a_table_with_what_is_to_be_looked_at_first(batch):
     page = Page(write_summary_page(batch))
     require_self_contained(page, batch, scripts=1)
-    rows = [re.sub(r"\s+", " ", row) for row in re.findall(r"<tr>(<td.*?)</tr>", page.html, re.DOTALL)]
+    rows = [re.sub(r"\s+", " ", row) for row in re.findall(r"<tr>(<td>.*?)</tr>", page.html, re.DOTALL)]
     shown = [[html.unescape(v) for v in re.findall(r'data-v="([^"]*)"', row)][:2] for row in rows]
     assert shown == [["bad", "0"], ["dark", "1"], ["gone", "3"], [EVIL, "4"], ["good", "5"]]
     states = [re.search(r'<td data-v="\d" class="([\w-]+)">\s*([\w ]+)', row).groups() for row in rows]
@@ -339,6 +343,20 @@ def test_a_batch_has_a_table_with_what_is_to_be_looked_at_first(batch):
     assert "a.csv: <b>no</b>" in page.text
     assert "/home" not in page.html
     assert page.text.count("7.8") == 5
+    assert [row.count("<polyline") for row in rows] == [0, 0, 0, 8, 8]
+
+
+def test_a_thumbnail_is_the_pose_in_the_middle_as_the_camera_saw_it(batch, folder):
+    (row,) = (row for row in Page(write_summary_page(batch)).html.split("<tr>") if ">good<" in row)
+    places = [float(v) for points in re.findall(r'points="(.*?)"', row) for v in re.split("[ ,]", points)]
+    x, y = np.array(places[::2]), np.array(places[1::2])
+    with (folder / "reprojection.csv").open() as file:
+        middle = np.array(list(csv.reader(file))[3 + 4][1:], dtype=float).reshape(-1, 3)
+    width, height = np.ptp(middle[:, 0]), np.ptp(middle[:, 1])
+    np.testing.assert_allclose(np.ptp(y) / np.ptp(x), height / width, atol=0.02)
+    assert 0 <= x.min() < x.max() <= 96
+    assert 0 <= y.min() < y.max() <= 60
+    assert np.ptp(x) == pytest.approx(0.9 * 96, abs=1)
 
 
 def test_pages_of_a_batch_are_made_beside_each_other(batch, monkeypatch):
