@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
-from itertools import pairwise
+from itertools import count, pairwise
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -184,12 +186,32 @@ def test_every_frame_of_the_clip_is_drawn_on_its_own_picture(folder, video, tmp_
     """The result has frames 10 to 17; the video begins with number 7, so that they are its pictures 3 to 10."""
     out = tmp_path / "o.avi"
     run = run_overlay(OverlaySettings(folder=folder, video=video, out=out, first_frame=7, speed=0.5))
-    assert run[:3] == (8, 15.0, 0.5)
+    assert (run[:3], run[4]) == ((8, 15.0, 0.5), [])
     info = probe(out)
     assert (info.size_px, info.fps) == (canvas_size(SIZE), 15.0)
     levels = [float(image[1000, 1800].mean()) for _, image in read_frames(out)]
     np.testing.assert_allclose(levels, 10.0 * np.arange(3, 11), atol=4)
     assert {path.name for path in tmp_path.iterdir()} == {"o.avi"}
+
+
+def test_a_video_of_a_varying_rate_is_said_to_be_one(folder, tmp_path):
+    """Every other frame is 15 ms late."""
+    video, late = tmp_path / "film.mkv", count()
+    writer = cv2.VideoWriter(str(video), cv2.CAP_FFMPEG, cv2.VideoWriter.fourcc(*"MJPG"), 30.0, SIZE)
+    for _ in range(8):
+        writer.write(GREY)
+    writer.release()
+
+    def moved(found: re.Match[bytes]) -> bytes:
+        """A block of Matroska: its time, whole milliseconds, stands before its flags and its JPEG picture."""
+        return found[1] + (int.from_bytes(found[2], "big") + 15 * (next(late) % 2)).to_bytes(2, "big") + found[3]
+
+    content, blocks = re.subn(rb"(?s)(\xa3.{1,8}?\x81)(..)(\x80\xff\xd8)", moved, video.read_bytes())
+    video.write_bytes(content)
+    assert blocks == 8
+    settings = OverlaySettings(folder=folder, video=video, out=tmp_path / "o.avi", first_frame=10)
+    *_, (note,) = run_overlay(settings)
+    assert note.startswith("the frames of film.mkv are uneven in time (18 to 49 ms apart)")
 
 
 def test_a_video_that_is_too_short_is_said_so(folder, video, tmp_path):

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from command_line import carry_out_here, refusal, refused, run
 
-from recon import FitSettings, write_clip
+from recon import FitSettings, Keypoints, read_keypoints, write_clip
 from recon.base import staged_results
 from recon.io import video_writer
 from recon.workflows.clip_results import output_files
@@ -57,13 +57,14 @@ def called(monkeypatch, report, small_trajectory) -> list[str]:
 
         return work
 
-    def predict(video: Path, model: Path, out: Path, **options) -> None:
+    def predict(video: Path, model: Path, out: Path, **options) -> Keypoints:
         names.append("detect")
         shutil.copy(SAMPLES / "whole.csv", out)
+        return read_keypoints(out)
 
     def track(settings, **options):
         names.append("camera-motion")
-        return {}, (write(settings.out, "track"),)
+        return {"notes": []}, (write(settings.out, "track"),)
 
     def write_results(motion, settings, out: Path, seconds: float) -> dict:
         names.append("fit")
@@ -80,7 +81,10 @@ def called(monkeypatch, report, small_trajectory) -> list[str]:
     monkeypatch.setattr("recon.workflows.run.write_clip", write_results)
     analysed = does("analyse", "analysis/analysis.json", lambda path: (None, {}, [path]))
     monkeypatch.setattr("recon.workflows.run.run_analyse", analysed)
-    monkeypatch.setattr("recon.workflows.run.run_overlay", does("overlay", "overlay.mp4"))
+    monkeypatch.setattr(
+        "recon.workflows.run.run_overlay",
+        does("overlay", "overlay.mp4", lambda path: (1, 60.0, 1.0, None, ["uneven in time"])),
+    )
     monkeypatch.setattr("recon.workflows.run.run_page", does("page", "report.html"))
     return names
 
@@ -110,6 +114,7 @@ def done(job: _Job, called: list[str]) -> list[str]:
 
 def test_nothing_is_done_twice(film, called):
     assert done(job(film), called) == ALL
+    assert [stage.notes for stage in run_video(job(film))[0]] == [(), (), ("uneven in time",), ()]  # said again
     assert job(film).fit.fps == 60
     assert done(job(film), called) == []
     assert done(job(film, given={"likelihood_min": 0.4}), called) == ALL

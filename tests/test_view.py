@@ -308,7 +308,7 @@ def test_shells_are_one_sigma_of_the_pose(played: Recording, world_trajectory: M
     axes = Rotation.from_quat(row["Ellipsoids3D:quaternions"]).as_matrix()
     half = np.array(row["Ellipsoids3D:half_sizes"])
     covariance = np.einsum("jab,jb,jcb->jac", axes, half**2, axes)
-    np.testing.assert_allclose(covariance, world_trajectory.relative_covariance_m2[2], atol=1e-7)
+    np.testing.assert_allclose(covariance, world_trajectory.relative_covariance_m2()[2], atol=1e-7)
 
 
 def test_doubtful_frames_are_marked(played: Recording, world_trajectory: Motion) -> None:

@@ -63,7 +63,7 @@ def read_head(path: Path, expected: str, length: int) -> bytes:
     require_file(path, expected)
     try:
         with path.open("rb") as file:
-            return file.read(length)
+            return file.read(min(os.fstat(file.fileno()).st_size, length))
     except OSError as error:
         found = f"a file that cannot be opened ({error.strerror or error})"
         raise InputError(Problem(path, "file", found, expected)) from None

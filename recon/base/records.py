@@ -13,7 +13,6 @@ import json
 from collections.abc import Mapping
 from functools import cache
 from importlib import import_module
-from io import BytesIO
 from pathlib import Path
 from types import GenericAlias
 from typing import Any, TypeVar
@@ -40,12 +39,15 @@ def save_record(value: Any, path: Path, schema: Mapping[str, Any]) -> None:
     arrays: dict[str, np.ndarray] = {}
     text = json.dumps({"schema": schema, "value": _plain(value, "", arrays, {})})
     entries: dict[str, Any] = {RECORD: np.frombuffer(text.encode(), np.uint8), **arrays}
-    made = BytesIO()
-    np.savez_compressed(made, **entries)
-    from recon.base.files import staged_file, write_bytes
+    from recon.base.files import staged_file
 
     with staged_file(path) as staged:
-        write_bytes(staged, made.getvalue())
+        try:
+            with staged.open("wb") as file:  # of a long clip too large for memory
+                np.savez_compressed(file, **entries)
+        except OSError as error:
+            error.filename = str(staged)
+            raise
 
 
 def load_record(of: type[_Class], path: Path, schema: Mapping[str, Any], expected: str) -> _Class:

@@ -75,7 +75,6 @@ class LeastSquares:
     doubtful: Sequence[Unknown] = ()
     piece: int = 2 * _FRAMES_AT_ONCE
     """Frames of a piece of a long clip, a multiple of `_FRAMES_AT_ONCE`, which takes as many along."""
-    _linear_cache: dict[tuple[int, int, int], Array] = field(default_factory=dict, init=False)
 
     @cached_property
     def columns(self) -> dict[str, slice]:
@@ -143,7 +142,7 @@ class LeastSquares:
             n, more = stop - start, int(stop < T)  # terms of the last frame may reach one further
             blocks, gradient = np.zeros((n + more, BANDS + 1, D, D)), np.zeros((n + more, D))
             border, corner, shared_gradient = np.zeros((n + more, D, P)), np.zeros((P, P)), np.zeros(P)
-            blocks[:n] = self._linear_blocks(start, stop, T)
+            self._linear_blocks(start, T, blocks[:n])
             if over is None:
                 corner, shared_gradient = np.diag(precision), off * precision
             else:
@@ -228,17 +227,26 @@ class LeastSquares:
             if last:
                 return
 
-    def _linear_blocks(self, start: int, stop: int, T: int) -> Array:
-        """(stop - start, BANDS + 1, D, D): the curvature of the linear terms in frames of a clip of T, the same at
-        every point, and in all pieces of one length that lie as near to the clip's ends."""
-        key = (stop - start, min(start, BANDS), min(T - stop, BANDS))
-        if key not in self._linear_cache:
-            blocks = np.zeros((stop - start, BANDS + 1, self.tree.n_state, self.tree.n_state))
-            for term in self.linear:
-                at = term.frames(T)
-                for a, column in enumerate(term.stencil):
-                    own = at[np.searchsorted(at + column, start) : np.searchsorted(at + column, stop)] + column - start
-                    for b, row in enumerate(term.stencil[a:], start=a):
-                        blocks[own, row - column] += term.slots[b].T @ term.slots[a]
-            self._linear_cache[key] = blocks
-        return self._linear_cache[key]
+    def _linear_blocks(self, start: int, T: int, blocks: Array) -> None:
+        """Fill blocks (n, BANDS + 1, D, D) with the curvature of the linear terms in frames of a clip of T, from a
+        first one on. Frames that are as far from the clip's ends as matters are all alike."""
+        at, own = np.arange(start, start + len(blocks)), self._linear_kinds
+        if len(own) >= T:
+            own, kinds = self._linear_curvature(T), at
+        else:
+            kinds = np.where(at < BANDS, at, np.maximum(BANDS, at - T + len(own)))
+        own.take(kinds, axis=0, out=blocks, mode="clip")
+
+    @cached_property
+    def _linear_kinds(self) -> Array:
+        """(2 BANDS + 1, BANDS + 1, D, D): the same in the first frames of a clip, in one amid it, and in the last."""
+        return self._linear_curvature(2 * BANDS + 1)
+
+    def _linear_curvature(self, T: int) -> Array:
+        """(T, BANDS + 1, D, D): of the linear terms, the same at every point, of a whole clip."""
+        blocks = np.zeros((T, BANDS + 1, self.tree.n_state, self.tree.n_state))
+        for term in self.linear:
+            for a, column in enumerate(term.stencil):
+                for b, row in enumerate(term.stencil[a:], start=a):
+                    blocks[term.frames(T) + column, row - column] += term.slots[b].T @ term.slots[a]
+        return blocks

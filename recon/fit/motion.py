@@ -444,12 +444,12 @@ class Motion:
         pose = Pose3D(names, self.solution.joints_m, self.frames)
         return replace(pose, fps=self.fps, edges=tuple(dict.fromkeys(edges)))
 
-    @cached_property
+    @property
     def upright_sigma_m(self) -> Array:
         """(T, J, 3): standard deviation of the joints along the axes, position and size included."""
         return _sigmas(self.solution.covariance_m2)
 
-    @cached_property
+    @property
     def upright_relative_sigma_m(self) -> Array:
         """(T, J, 3): the same of the joints relative to the mean of all joints."""
         return _sigmas(self.solution.relative_covariance_m2)
@@ -545,20 +545,19 @@ class Motion:
         """(T,): mean distance of the joints in the second best solution, both centred, NaN where there is none."""
         return self.solution.alternative_m
 
-    @cached_property
+    @property
     def joint_sigma_m(self) -> Array:
         """(T, J, 3): standard deviation along the axes of the frame of reference, place and size included."""
         return _sigmas(self._turned(self.solution.covariance_m2))
 
-    @cached_property
-    def relative_covariance_m2(self) -> Array:
-        """(T, J, 3, 3): of the joints relative to the mean of all joints, in the frame of reference."""
-        return self._turned(self.solution.relative_covariance_m2)
+    def relative_covariance_m2(self, rows: slice = slice(None)) -> Array:
+        """(T, J, 3, 3): of the joints relative to the mean of all joints, in the frame of reference, in these rows."""
+        return self._turned(self.solution.relative_covariance_m2[rows])
 
-    @cached_property
+    @property
     def relative_sigma_m(self) -> Array:
         """(T, J, 3): the same along the axes."""
-        return _sigmas(self.relative_covariance_m2)
+        return _sigmas(self.relative_covariance_m2())
 
     @cached_property
     def relative_rms_m(self) -> Array:

@@ -181,10 +181,13 @@ def posterior(problem: LeastSquares, body: Body, found: Estimate, variance_facto
 
 
 def with_size(covariance_m2: Array, by_size_m: Array, size: float, size_sigma: float) -> Array:
-    """Covariances (T, J, 3, 3) at nominal size, of joints that move by (T, J, 3) with it, with its uncertainty."""
-    found = size_sigma**2 * by_size_m[..., :, None] * by_size_m[..., None, :]
-    found += size**2 * covariance_m2
-    return found
+    """Covariances (T, J, 3, 3) at nominal size, of joints that move by (T, J, 3) with it, with its uncertainty. In
+    place: those of a long clip are large."""
+    for first in range(0, len(covariance_m2), _FRAMES_AT_ONCE):
+        part = slice(first, first + _FRAMES_AT_ONCE)
+        q = by_size_m[part]
+        covariance_m2[part] = size_sigma**2 * q[..., :, None] * q[..., None, :] + size**2 * covariance_m2[part]
+    return covariance_m2
 
 
 def _data_share(with_pixels_m2: Array, without_m2: Array) -> Array:

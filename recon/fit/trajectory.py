@@ -284,17 +284,28 @@ def _solution(clip: ClipProblem, solved: Sequence[SegmentFit], began: float) -> 
     size, size_sigma, size_from = _size(clip, solved, known)
     sizes = {"T": len(clip), "J": len(clip.body.markers), "V": len(clip.views), "F": len(clip.feet), "3": 3}
     sizes |= {"D": clip.body.n_state, "A": clip.body.n_state - YAW}
-    arrays = {name: np.full([sizes[letter] for letter in letters], np.nan) for name, letters in SHAPES.items()}
-    by_frame = {name: np.moveaxis(values, SHAPES[name].index("T"), 0) for name, values in arrays.items()}
+    shapes = {name: tuple(sizes[letter] for letter in letters) for name, letters in SHAPES.items()}
+    arrays: dict[str, Array] = {}
+
+    def by_frame(name: str) -> Array:
+        """One of the arrays, frames first; NaN where no segment has filled it."""
+        if name not in arrays:
+            arrays[name] = np.full(shapes[name], np.nan)
+        return np.moveaxis(arrays[name], SHAPES[name].index("T"), 0)
+
     second_cost = np.inf
     for one, of_one in zip(solved, known, strict=True):
         for name, values in _of_segment(clip, one, of_one, size, size_sigma):
-            by_frame[name][one.rows] = np.moveaxis(values, SHAPES[name].index("T"), 0)
-        second_cost = min(second_cost, _second(clip, one, size, arrays["alternative_m"]))
+            if values.shape == shapes[name]:  # the segment is the clip: a copy of a long one's would be large
+                arrays[name] = values
+            else:
+                by_frame(name)[one.rows] = np.moveaxis(values, SHAPES[name].index("T"), 0)
+        second_cost = min(second_cost, _second(clip, one, size, by_frame("alternative_m")))
+    filled = [by_frame(name) for name in SHAPES]
     posed = np.isfinite(arrays["states"][:, 0]).sum()
     away = _out_of_sight(clip, arrays["joints_m"])
     flags = _flags(clip, arrays["joints_m"], arrays["weight"], arrays["alternative_m"], away)
-    for values in by_frame.values():
+    for values in filled:
         values[away] = np.nan
     shares = [of_one.data_share * (one.rows.stop - one.rows.start) for one, of_one in zip(solved, known, strict=True)]
     shared = _shared(clip, solved, known)
@@ -343,12 +354,11 @@ def _of_segment(
     yield "states", in_world
     yield "joints_m", joints_m
     yield "covariance_m2", covariance_m2
-    del covariance_m2
     yield "relative_covariance_m2", with_size(known.relative_covariance_m2, centred, size, size_sigma)
     yield "angle_sigma_rad", np.sqrt(known.angle_variance[0] + (size_sigma * known.state_by_size[:, YAW:]) ** 2)
     yield "angle_data_share", known.angle_data_share
-    yield "contact", one.contact
-    yield "noise_px", one.noise_px
+    yield "contact", one.contact.copy()
+    yield "noise_px", one.noise_px.copy()
     yield "weight", np.array(weight)
 
 

@@ -303,13 +303,15 @@ def pose_tracks(
     def path(points_m: Array, errors: Sequence[Errors] = ()) -> Series:
         return kinematics.series_kinematics(time_s, points_m, errors, oversampling=OVERSAMPLING, max_gap_s=MAX_GAP_S)
 
-    paths = [path(pose.xyz_m[:, at], [error[:, at] for error in errors]) for at in where[:n]]
+    def foot_path(at: int) -> tuple[Array, Array, Array]:
+        """Positions, speeds and their deviations, of one foot after the other: a path of a long clip is large."""
+        found = path(pose.xyz_m[:, at], [error[:, at] for error in errors])
+        velocity, speed = found.rate[:, :2], np.linalg.norm(found.rate[:, :2], axis=1)
+        deviation = (0 * found.rate if found.rate_sigma is None else found.rate_sigma)[:, :2]
+        return found.value, speed, np.linalg.norm(velocity / np.maximum(speed, 1e-9)[:, None] * deviation, axis=1)
+
+    foot, foot_speed, foot_speed_sigma = (np.stack(of, axis=1) for of in zip(*map(foot_path, where[:n]), strict=True))
     middle = path(pose.xyz_m[:, where[n:]].mean(axis=1))
-    foot = np.stack([p.value for p in paths], axis=1)
-    velocity = np.stack([p.rate[:, :2] for p in paths], axis=1)
-    deviation = np.stack([(0 * p.rate if p.rate_sigma is None else p.rate_sigma)[:, :2] for p in paths], axis=1)
-    foot_speed = np.linalg.norm(velocity, axis=2)
-    foot_speed_sigma = np.linalg.norm(velocity / np.maximum(foot_speed, 1e-9)[..., None] * deviation, axis=2)
     body_speed = np.linalg.norm(middle.rate[:, :2], axis=1)
     seen = [of[np.isfinite(of)] if np.isfinite(of).any() else np.zeros(1) for of in foot_speed.T]
     rest, fast = np.array([np.percentile(of, (10, 95)) for of in seen]).T * [[restless], [1]]
@@ -502,11 +504,13 @@ def _all_stand(moved: Tracks, found: Sequence[Stance]) -> Bools:
 
 
 def _counted(own: tuple[Stride, ...]) -> tuple[tuple[Stride, ...], tuple[Stride, ...]]:
-    """Strides that count, and those that do not."""
+    """Strides, in the order of their beginnings, that count, and those that do not."""
     counted, doubtful = [], []
+    start_s, end_s, lasts_s = (np.array([getattr(s, of) for s in own]) for of in ("start_s", "end_s", "duration_s"))
     for stride in own:
-        at_its_time = [s for s in own if s.start_s < stride.end_s and s.end_s > stride.start_s]
-        others_s = median([s.duration_s for s in at_its_time])
+        # only the strides of its own time are looked at: in a long clip there are thousands
+        near = slice(*np.searchsorted(start_s, [stride.start_s - lasts_s.max(), stride.end_s]))
+        others_s = median(lasts_s[near][end_s[near] > stride.start_s])
         if abs(others_s * stride.frequency_hz - 1) <= AGREE:
             counted.append(stride)
         else:

@@ -232,7 +232,7 @@ def _spline_sigmas(t: Array, at: Array, errors: Sequence[Errors], weight: Array,
     if not smooth and len(t) > 4 * _REACH and np.allclose(np.diff(t), t[1] - t[0], rtol=1e-6, atol=0):
         per = (len(at) - 1) // (len(t) - 1)
         first, last = _REACH * per, (len(t) - 1 - _REACH) * per
-        variance[:, first:last] = _amid(t, errors, per)
+        _fill_amid(variance[:, first:last], t, errors, per)
         pieces = [(slice(2 * _REACH), slice(first)), (slice(len(t) - 2 * _REACH, None), slice(last, None))]
     for values, samples in pieces:
         unit, operator = np.eye(len(t[values])), np.empty(0)
@@ -241,12 +241,12 @@ def _spline_sigmas(t: Array, at: Array, errors: Sequence[Errors], weight: Array,
                 operator = _evaluate(_curve(t[values], unit, weight[values, k], lam[k]), at[samples])
             for error in errors:
                 variance[:, samples, k] += _propagate(operator * error.sigma[values, k], t[values], error.correlation_s)
-    return np.sqrt(variance)
+    return np.sqrt(variance, out=variance)
 
 
-def _amid(t: Array, errors: Sequence[Errors], per: int) -> Array:
-    """Variances (3, M, d) of an exact spline through evenly spaced values (n,), `per` samples a frame, without the
-    `_REACH` frames at either end: there every frame's samples depend correlated on the values about it."""
+def _fill_amid(variance: Array, t: Array, errors: Sequence[Errors], per: int) -> None:
+    """Fill the variances (3, M, d) of an exact spline through evenly spaced values (n,), `per` samples a frame, without
+    the `_REACH` frames at either end: there every frame's samples depend correlated on the values about it."""
     wide, step = 2 * _REACH, (t[-1] - t[0]) / (len(t) - 1)
     spline = CubicSpline(step * np.arange(2 * wide), np.eye(2 * wide))
     shares = _evaluate(spline, step * (wide - 1 + np.arange(per) / per))[:, :, _REACH:-_REACH].reshape(3 * per, wide)
@@ -254,15 +254,16 @@ def _amid(t: Array, errors: Sequence[Errors], per: int) -> Array:
     products = shares[:, first] * shares[:, second] * np.where(first == second, 1.0, 2.0)
     least = _LEAST_PRODUCT * np.max(shares**2, axis=1, keepdims=True)
     frames = len(t) - 1 - wide
-    variance = np.zeros((3 * per, frames, errors[0].sigma.shape[1]))
+    by_frame = variance.reshape(3, frames, per, -1)  # a view
     for error in errors:
         factors = products * _correlation(step * (second - first), error.correlation_s)
         counts = (np.abs(factors) > least).any(axis=0)
         for k, sigma in enumerate(error.sigma.T):
             about = sliding_window_view(sigma, frames)[1:]
             for at in (slice(start, start + _AT_ONCE) for start in range(0, frames, _AT_ONCE)):  # each takes memory
-                variance[:, at, k] += factors[:, counts] @ (about[first[counts], at] * about[second[counts], at])
-    return np.maximum(variance, 0.0).reshape(3, per, frames, -1).swapaxes(1, 2).reshape(3, frames * per, -1)
+                added = factors[:, counts] @ (about[first[counts], at] * about[second[counts], at])
+                by_frame[:, at, :, k] += added.reshape(3, per, -1).swapaxes(1, 2)
+    np.maximum(variance, 0.0, out=variance)
 
 
 def _windows(t: Array, at: Array) -> Iterator[tuple[slice, slice]]:

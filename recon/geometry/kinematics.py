@@ -47,8 +47,9 @@ _NAMES = ANGLE_OF_AXIS | {"s": "slide"}
 _SUMMED = {"z": "phi", "y": "theta"}
 """What it is called of a summed joint, as published of the 8U chain."""
 
-_BLOCK = 64
-"""Frames whose Jacobian is worked out at once: the arrays in between stay in the processor's cache."""
+_BLOCK, _FRAMES_AT_ONCE = 64, 4096
+"""Frames whose Jacobian is worked out at once, so that the arrays in between stay in the processor's cache; and frames
+whose poses are, so that those of a long clip stay small."""
 
 _CYCLE = np.array([0, 1, 2, 0, 1])
 _IDENTITY, _NONE = np.eye(3), np.zeros(0)
@@ -279,8 +280,12 @@ class Tree:
 
     def pose(self, state: Array, size: Array | float = 1.0) -> TreePose:
         """Markers for states (N, D); size: a factor on all offsets, one or (N,)."""
-        relative = self._points(self._frames(state)[0], state, size)[len(self.segments) :]
-        return TreePose(state[:, None, ROOT] + relative.transpose(2, 0, 1))
+        sizes, relative = np.ones(len(state)) * size, np.empty((len(state), len(self.markers), 3))
+        for first in range(0, len(state), _FRAMES_AT_ONCE):
+            block = slice(first, first + _FRAMES_AT_ONCE)
+            points = self._points(self._frames(state[block])[0], state[block], sizes[block])
+            relative[block] = points[len(self.segments) :].transpose(2, 0, 1)
+        return TreePose(state[:, None, ROOT] + relative)
 
     def origins(self, state: Array, size: Array | float = 1.0) -> Array:
         """The segments' origins in the world (N, S, 3), for states (N, D)."""

@@ -77,10 +77,10 @@ def missing_frames(times_s: Array) -> dict[int, int] | None:
     return {int(at) + 1: int(counts[at]) - 1 for at in np.flatnonzero(counts > 1)}
 
 
-def missing_note(path: str | Path, times_s: Array, first_frame: int = 0) -> str | None:
+def missing_note(path: str | Path, times_s: Array, first_frame: int = 0, before: int | None = 0) -> str | None:
     """What to say of a video whose frames are not all there, or are uneven in time. times_s: of those that can be
-    decoded; first_frame: the number of the first of them."""
-    name, decoded, stated = Path(path).name, len(times_s), probe(path).stated_frames
+    decoded, from first_frame on, as it is numbered; before: how many come before them, None where more follow."""
+    name, stated = Path(path).name, probe(path).stated_frames
     counted = "Frames are numbered as they are decoded, as DeepLabCut does, so that keypoints of this file are in step"
     missing = missing_frames(times_s)
     if missing is None:
@@ -97,7 +97,7 @@ def missing_note(path: str | Path, times_s: Array, first_frame: int = 0) -> str 
             f"by its time stamps {name} lacks frames ({', '.join(places[:MOST_PLACES])}{more}): speeds are wrong "
             f"there. {counted}; fit the parts between by themselves, the first with --frames :{at}"
         )
-    if stated is not None and decoded < stated:
+    if before is not None and stated is not None and (decoded := before + len(times_s)) < stated:
         return (
             f"{name} states {stated} frames, {decoded} can be decoded: it is cut short, or frames are missing "
             f"in it and speeds are wrong there; its time stamps do not say where. {counted}; copy the video again"

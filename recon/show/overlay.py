@@ -22,7 +22,7 @@ import pandas as pd
 
 from recon.base.arrays import Array, Bools, Index, Integers
 from recon.base.errors import InputError, Problem
-from recon.io.video import Image, probe, read_frames
+from recon.io.video import Image, probe, timed_frames
 
 Colour = tuple[int, int, int]
 """A colour: blue, green, red."""
@@ -153,15 +153,15 @@ def smoothed_headings(forward_m: Array, fps: float) -> Array:
     return level / np.linalg.norm(level, axis=1, keepdims=True)
 
 
-def clip_frames(frames: Integers, video: Path, first_frame: int) -> Iterator[tuple[int, int | None, Image]]:
+def clip_frames(frames: Integers, video: Path, first_frame: int) -> Iterator[tuple[int, int | None, float, Image]]:
     """The pictures of a clip's frames in its video: each one's number, its row among the frames, None for one between
-    them, and its picture. first_frame: the number that the video's first frame has in the clip. Raises InputError where
-    the video ends before the clip."""
+    them, its time stamp in seconds, and its picture; and the frame after them, if the video has one. first_frame: the
+    number that the video's first frame has in the clip. Raises InputError where the video ends before the clip."""
     rows = {int(frame): t for t, frame in enumerate(frames)}
     first, last, read = min(rows), max(rows), 0
-    for index, picture in read_frames(video, first - first_frame, last + 1 - first_frame):
+    for index, stamp_s, picture in timed_frames(video, first - first_frame, last + 2 - first_frame):
         read += 1
-        yield index + first_frame, rows.get(index + first_frame), picture
+        yield index + first_frame, rows.get(index + first_frame), stamp_s, picture
     if read < last + 1 - first:
         decoded, stated = first - first_frame + read, probe(video).stated_frames
         found = f"{decoded} frames that can be decoded"

@@ -27,7 +27,7 @@ from recon.check import FLAG_OF, usable
 from recon.fit.motion import Motion
 from recon.fit.result import Verdict
 from recon.gait.clip import analyse
-from recon.io.video import Image, VideoInfo, probe, require_codec, video_writer
+from recon.io.video import Image, VideoInfo, missing_note, probe, require_codec, video_writer
 from recon.show import view as viewer
 from recon.show.overlay import (
     LEFT,
@@ -137,17 +137,19 @@ def overlay(settings: OverlaySettings, quiet: bool) -> None:
     """
     console = terminal(quiet=quiet)
     with progress_bar(console) as progress:
-        frames, fps, speed, verdict = run_overlay(settings, progress)
+        frames, fps, speed, verdict, notes = run_overlay(settings, progress)
     say_verdict(console, verdict)
-    if note := rate_note(settings.video, fps / speed):
+    for note in notes:
         say(console, f"note: {note}")
     say(console, f"{frames} frames at {speed:.3g} times their speed ({fps:.4g} a second) are in {settings.out}.")
 
 
-def run_overlay(settings: OverlaySettings, progress: Progress = silent) -> tuple[int, float, float, Verdict | None]:
+def run_overlay(
+    settings: OverlaySettings, progress: Progress = silent
+) -> tuple[int, float, float, Verdict | None, list[str]]:
     """Every frame of a result's clip, drawn on the video that it came from. Gives how many there are, how many a
-    second, the speed, 1 being real time, and the verdict on the clip. Raises InputError, with every problem, for inputs
-    that do not belong together; then nothing is written."""
+    second, the speed, 1 being real time, the verdict on the clip, and what the video's frame rate and time stamps speak
+    against. Raises InputError, with every problem, for inputs that do not belong together; then nothing is written."""
     video, out = settings.video, settings.out
     free = partial(require_free_file, out, settings.overwrite, source=video)
     motion, number, (wide, high) = result_and_video(settings, lambda: require_codec(out), free)
@@ -155,14 +157,20 @@ def run_overlay(settings: OverlaySettings, progress: Progress = silent) -> tuple
     speed = min(1.0, SLOW_FPS / motion.fps) if settings.speed is None else settings.speed
     zoom = -(-MIN_WIDTH_PX // wide)
     drawn = overlay_of(motion, speed, zoom, number)
-    fps, count, written = motion.fps * speed, int(np.ptp(motion.frames)) + 1, 0
+    fps, count, stamps_s = motion.fps * speed, int(np.ptp(motion.frames)) + 1, []
     with video_writer(out, canvas_size((zoom * wide, zoom * high)), fps) as write:
-        for frame, row, picture in clip_frames(motion.frames, video, settings.first_frame):
+        for frame, row, stamp_s, picture in clip_frames(motion.frames, video, settings.first_frame):
+            stamps_s.append(stamp_s)
+            if len(stamps_s) > count:
+                break
             enlarged = np.asarray(cv2.resize(picture, None, fx=zoom, fy=zoom), dtype=np.uint8)
             write(draw_frame(drawn, row, frame, enlarged))
-            written += 1
-            progress("drawing", written / count)
-    return written, fps, speed, motion.verdict
+            progress("drawing", len(stamps_s) / count)
+    first = int(motion.frames.min())
+    before = first - settings.first_frame if len(stamps_s) == count else None
+    of_times = missing_note(video, np.array(stamps_s), first, before)
+    notes = [note for note in (rate_note(video, motion.fps), of_times) if note is not None]
+    return count, fps, speed, motion.verdict, notes
 
 
 def stills(
@@ -176,7 +184,7 @@ def stills(
     if settings.video is None or not len(rows):
         return drawn, rows, None
     frames = clip_frames(motion.frames[rows], settings.video, settings.first_frame)
-    return drawn, rows, [picture for _, row, picture in frames if row is not None]
+    return drawn, rows, [picture for _, row, _, picture in frames if row is not None]
 
 
 def overlay_of(motion: Motion, speed: float = 1.0, zoom: int = 1, number: int = 0) -> Overlay:

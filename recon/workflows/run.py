@@ -105,8 +105,8 @@ class _Stage(NamedTuple):
 
     identity: Callable[[], dict[str, Any]]
     """What it is made from."""
-    work: Callable[[_Job, Progress], Iterable[Path]]
-    """Does it, over what is there, and gives the files that it wrote."""
+    work: Callable[[_Job, Progress], tuple[Iterable[Path], Iterable[str]]]
+    """Does it, over what is there, and gives the files that it wrote, and notes on the video."""
     places: tuple[Path, ...] = ()
     """Files that are in its way, unless a run has made them; none where it looks for itself what it may replace."""
 
@@ -119,6 +119,8 @@ class _StageOutcome(NamedTuple):
     seconds: float
     files: tuple[str, ...] = ()
     """The files of the stage, relative to the folder."""
+    notes: tuple[str, ...] = ()
+    """What is wrong with the video, as the stage found."""
 
 
 def run(
@@ -144,7 +146,8 @@ def run(
     with progress_bar(console) as progress:
         job = job_of(settings, given)
         done, report = run_video(job, progress, lambda stage: say(console, _line(stage)))
-    if note := rate_note(settings.video, job.fit.fps):
+    of_rate = rate_note(settings.video, job.fit.fps)
+    for note in dict.fromkeys([*([of_rate] if of_rate else ()), *(note for stage in done for note in stage.notes)]):
         say(console, f"note: {note}")
     stages = [{"stage": s.stage, "status": s.status, "seconds": round(s.seconds, 3)} for s in done]
     finish(console, report, out, as_json, out / PAGE, stages=stages)
@@ -220,15 +223,17 @@ def _carry_out(name: str, stage: _Stage, job: _Job, record: Record, again: bool,
     if not again and not job.run.overwrite:
         _require_own(name, stage, before is None, [out / path for path in changed])
     if files and before is not None and before["identity"] == known and not again and not changed:
-        return _StageOutcome(name, "unchanged", time.perf_counter() - began, tuple(files))
+        return _StageOutcome(
+            name, "unchanged", time.perf_counter() - began, tuple(files), tuple(before.get("notes", ()))
+        )
     if name in ("detect", "camera-motion", "fit"):
         _check_inputs(job)
     record.note(name, known)
     progress("starting", 0.0)
-    paths = [path.absolute() for path in stage.work(job, progress)]
-    files = {path.relative_to(out.absolute()).as_posix(): sha256_of(path) for path in paths}
-    record.note(name, known, files=files)
-    return _StageOutcome(name, "done", time.perf_counter() - began, tuple(files))
+    paths, notes = stage.work(job, progress)
+    files = {p.absolute().relative_to(out.absolute()).as_posix(): sha256_of(p) for p in paths}
+    record.note(name, known, files=files, notes=[*notes])
+    return _StageOutcome(name, "done", time.perf_counter() - began, tuple(files), tuple(notes))
 
 
 def _require_own(name: str, stage: _Stage, is_first: bool, changed: Sequence[Path]) -> None:
@@ -272,40 +277,42 @@ def _stages(job: _Job) -> dict[str, _Stage]:
     }
 
 
-def _detect(job: _Job, progress: Progress) -> Iterable[Path]:
+def _detect(job: _Job, progress: Progress) -> tuple[Iterable[Path], Iterable[str]]:
     (out,), how = job.given.keypoints, {"quality": job.run.quality, "threads": job.threads}
-    import_module(DETECTOR).run_prediction(job.run.video, job.run.model, out, **how, overwrite=True, progress=progress)
-    return [out]
+    network = import_module(DETECTOR)
+    found = network.run_prediction(job.run.video, job.run.model, out, **how, overwrite=True, progress=progress)
+    return [out], found.notes
 
 
-def _follow(job: _Job, progress: Progress) -> Iterable[Path]:
-    from recon.workflows.camera_motion import of_clip, run_camera_motion
+def _follow(job: _Job, progress: Progress) -> tuple[Iterable[Path], Iterable[str]]:
+    from recon.workflows.camera_motion import NOTES, of_clip, run_camera_motion
 
     more = {"first_frame": job.run.first_frame, "zoom": job.run.camera_motion == "zooms", "overwrite": True}
-    return run_camera_motion(of_clip(job.given, job.run.video, job.run.track, **more), progress=progress)[1]
+    report, files = run_camera_motion(of_clip(job.given, job.run.video, job.run.track, **more), progress=progress)
+    return files, report["notes"][len(NOTES) :]
 
 
-def _fit(job: _Job, progress: Progress) -> Iterable[Path]:
+def _fit(job: _Job, progress: Progress) -> tuple[Iterable[Path], Iterable[str]]:
     began, out = time.perf_counter(), job.run.out
     motion = fit_clip(job.fit, progress)
     write_clip(motion, job.fit, out, time.perf_counter() - began)
-    return [out / name for name in (*read_manifest(out).files, MANIFEST)]
+    return [out / name for name in (*read_manifest(out).files, MANIFEST)], ()
 
 
-def _analyse(job: _Job, progress: Progress) -> Iterable[Path]:
-    return run_analyse(AnalyseSettings(folder=job.run.out, overwrite=True), progress=progress)[2]
+def _analyse(job: _Job, progress: Progress) -> tuple[Iterable[Path], Iterable[str]]:
+    return run_analyse(AnalyseSettings(folder=job.run.out, overwrite=True), progress=progress)[2], ()
 
 
-def _overlay(job: _Job, progress: Progress) -> Iterable[Path]:
+def _overlay(job: _Job, progress: Progress) -> tuple[Iterable[Path], Iterable[str]]:
     folder, out = job.run.out, job.run.out / OVERLAY
     how = {"video": job.run.video, "first_frame": job.run.first_frame, "overwrite": True}
-    run_overlay(OverlaySettings(folder=folder, out=out, **how), progress=progress)
-    return [out]
+    *_, notes = run_overlay(OverlaySettings(folder=folder, out=out, **how), progress=progress)
+    return [out], notes
 
 
-def _page(job: _Job, progress: Progress) -> Iterable[Path]:
+def _page(job: _Job, progress: Progress) -> tuple[Iterable[Path], Iterable[str]]:
     of = PageSettings(folder=job.run.out, video=job.run.video, first_frame=job.run.first_frame)
-    return [run_page(of, progress=progress)]
+    return [run_page(of, progress=progress)], ()
 
 
 # -- a folder of videos -----------------------------------------------------------------------------------------------

@@ -329,7 +329,7 @@ def write_uncertainty(motion: Motion, log: Log, stands: Bools) -> None:
     for first in range(0, len(joints), _FRAMES_AT_ONCE):
         rows = slice(first, first + _FRAMES_AT_ONCE)
         shown = solved[rows]
-        variance, axes = np.linalg.eigh(motion.relative_covariance_m2[rows][shown].reshape(-1, 3, 3))
+        variance, axes = np.linalg.eigh(motion.relative_covariance_m2(rows)[shown].reshape(-1, 3, 3))
         axes[np.linalg.det(axes) < 0, :, 0] *= -1
         colours = np.where(flagged[rows][shown][:, None, None], OUTLIER, of_limb).reshape(-1, 3)
         columns = rr.Ellipsoids3D.columns(

@@ -34,7 +34,7 @@ def write_video(motion: Motion, log: Log, video: Path, first_frame: int = 0, num
     size_px = np.ceil([max(wide, ASPECT * high), max(high, wide / ASPECT)]).astype(int)
     whole, close = (f"{by_camera(root, motion.pictures)[number]}/video" for root in (PICTURE, CLOSEUP))
     log.fix(close, rr.Transform3D(translation=[*(-size_px / 2), 0.0]))
-    for _, t, image in clip_frames(motion.frames, video, first_frame):
+    for _, t, _, image in clip_frames(motion.frames, video, first_frame):
         if t is None:
             continue
         log.send(whole, _jpeg(image), [t])
