@@ -174,7 +174,8 @@ def time_view(series: TimePlot) -> rrb.TimeSeriesView:
     values = series.values[np.isfinite(series.values)]
     low, high = (values.min(), values.max()) if len(values) else (0.0, 0.0)
     named = len(series.names) if len(series.names) > 1 else 0
-    room = (high - low) * named * LINE_OF_LEGEND / (1 - named * LINE_OF_LEGEND)
+    share = min(named * LINE_OF_LEGEND, 0.5)
+    room = (high - low) * share / (1 - share)
     return rrb.TimeSeriesView(
         origin=series.entity,
         name=series.title,
