@@ -17,7 +17,7 @@ from recon.geometry import Camera, inverse, rigid
 from recon.io import read_camera_track, read_pose3d, write_csv
 from recon.workflows import identity, prepare
 from tests import test_cameras
-from tests.command_line import refusal
+from tests.command_line import refusal, says
 from tests.command_line import run as command
 from tests.test_cameras import FISHEYE, settings
 from tests.test_trajectory import BODY, FPS
@@ -350,11 +350,9 @@ def test_frames_without_a_pose_have_no_detections(folder, tmp_path):
     assert source.poses is not None
     np.testing.assert_array_equal(np.flatnonzero(~source.poses.known), absent)
     lost = len(absent) * len(BODY.markers)
-    assert source.cleaning.notes == (
-        "2 frames have a camera pose between two of its track that are 0.1 s apart or less",
-        f"{lost} points are in frames for which the camera's track has no pose, and left out: {BODY.markers[0]} in "
-        "frame 11, ...",
-    )
+    between, left_out = source.cleaning.notes
+    assert says(between, "2 frames", "0.1 s apart")
+    assert says(left_out, f"{lost} points", "left out", f"{BODY.markers[0]} in frame 11, ...")
     far = write_track(tmp_path / "far.csv", np.arange(100, 110), turning(10))
     with refusal((far, "frame", ["100 to 109", folder / "run_cam1.csv"], "0 to 39")):
         prepare(settings(folder, 1, camera_track=far))
@@ -414,7 +412,7 @@ def test_command(tmp_path):
     assert report["frame_of_reference"] == "world"
     assert report["assumptions"]["camera_moves"] is True
     assert report["assumptions"]["camera_level"] is False
-    assert any("whose world is taken to be in metres with z up" in said for said in report["assumptions"]["sentences"])
+    assert any(says(said, "metres with z up") for said in report["assumptions"]["sentences"])
     assert not any("stands still" in said for said in report["assumptions"]["sentences"])
     assert report["cameras"][0]["track"]["frames_without_pose"] == 5
     results = Motion.load(out)

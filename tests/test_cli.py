@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from command_line import Ended, Refusal, refused, run, run_process
+from command_line import Ended, Refusal, refused, run, run_process, says
 from rerun.chunk import RrdReader
 
 import recon.show.export.clip_csv
@@ -786,7 +786,7 @@ def test_evaluate_prints_the_numbers_of_the_function(fitted):
         expected = [*(f"{1000 * s.per_joint[j]:.1f}" for s in scores), *(f"{s.per_joint[j]:.0%}" for s in shares)]
         assert rows[name] == expected
     assert "Compared: 30 frames, 9 joints." in lines
-    assert any(line.startswith("Joints only in the reference: l_front_knee, ") for line in lines)
+    assert any(says(line, "reference: l_front_knee, ") for line in lines)
     assert "Look at this" not in ended.out
     verdict, expected, *of_folder = run("evaluate", fitted[0], TRUTH).out.splitlines()
     assert (verdict, expected) == verdict_lines(Motion.load(fitted[0]).verdict)
@@ -794,7 +794,7 @@ def test_evaluate_prints_the_numbers_of_the_function(fitted):
         line.replace(str(pose), str(fitted[0])) for line in ended.out.splitlines()
     ]
     assert len(of_folder) == len(ended.out.splitlines()) + 2
-    assert f"Look at this: the reference, {fitted[0]}, is a result of" in run("evaluate", TRUTH, fitted[0]).out
+    assert says(run("evaluate", TRUTH, fitted[0]).out, "Look at this", f"reference, {fitted[0]}")
 
 
 def test_evaluate_as_json(fitted):
@@ -814,9 +814,7 @@ def test_evaluate_names_what_could_not_be_compared(tmp_path):
     assert rows["[b]"] == ["0.0", "0.0", "0.0", "-", "100%", "100%", "100%"]
     assert rows["c"] == ["-"] * 7
     assert "Compared: 1 frames, 3 joints." in ended.out
-    assert "Frames only in the reconstruction: 2\n" in ended.out
-    assert "Frames only in the reference: 4\n" in ended.out
-    assert "Frames of both without a joint known on both sides: 1\n" in ended.out
+    assert says(ended.out, "only in the reconstruction: 2\n", "only in the reference: 4\n", "known on both sides: 1\n")
 
 
 def test_demo(tmp_path):
@@ -824,13 +822,11 @@ def test_demo(tmp_path):
     assert (ended.code, ended.err) == (0, "")
     names = sorted(path.name for path in (tmp_path / "demo").iterdir())
     assert names == sorted([*OUTPUT_FILES, "report.html"])
-    assert f"Open {tmp_path / 'demo' / 'report.html'} in a browser: pictures" in ended.out.replace("\n", " ").replace(
-        "  ", " "
-    )
+    assert says(" ".join(ended.out.split()), f"Open {tmp_path / 'demo' / 'report.html'}")
     assert "Gait: transverse gallop" in ended.out
     error_mm = 1000 * evaluate_files(tmp_path / "demo" / "pose3d.csv", SAMPLES / "whole_truth.csv").mpjpe_m.mean
     assert error_mm < 60
-    assert f"Error against the sample's truth: {error_mm:.0f} mm (MPJPE)" in ended.out
+    assert says(ended.out, f"{error_mm:.0f} mm (MPJPE)")
     refused(["demo", "--out", tmp_path / "demo"], ("--out", "folder", ["pose3d.csv", tmp_path / "demo"], "--overwrite"))
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import compare, refusal, says
 
 from recon import FitSettings, InputError, fit_clip, samples_folder, write_clip
 from recon.animal import builtin_chains, load_chain
@@ -37,10 +38,10 @@ def sample(**options) -> FitSettings:
 
 @pytest.mark.parametrize("fps", [0.5, 0.999, 10_001.0, 1e5])
 def test_a_frame_rate_at_which_nothing_can_be_told_is_refused(fps: float, tmp_path):
-    with pytest.raises(InputError, match=rf"--fps: found {fps:g}, expected 1 to 10000 frames per second"):
+    with refusal(("--fps", "fps", f"{fps:g}", "1 to 10000")):
         prepare(sample(fps=fps))
     write_csv(replace(read_keypoints(samples_folder() / "noisy.csv"), fps=fps), tmp_path / "stated.csv")
-    with pytest.raises(InputError, match=r"stated.csv: fps: found "):
+    with refusal((tmp_path / "stated.csv", "fps", f"{fps:g}", "1 to 10000")):
         prepare(sample(keypoints=tmp_path / "stated.csv", fps=None))
 
 
@@ -53,8 +54,7 @@ def test_a_frame_far_outside_the_picture_is_left_out_and_named(tmp_path):
     assert not source.keypoints.present[2].any()
     assert source.keypoints.present[[1, 3]].any(axis=1).all()
     (note,) = source.cleaning.notes
-    assert "points are too far outside the picture to have been found in it, and left out: " in note
-    assert " in frame 2, ..." in note
+    assert says(note, "outside the picture", "left out", "in frame 2, ...")
     assert source.cleaning.total("rejected") == np.isfinite(file.xy_px[2, :, 0]).sum()
 
 
@@ -74,9 +74,9 @@ def test_keypoints_a_little_outside_the_picture_are_no_error(tmp_path):
 @pytest.mark.parametrize(
     ("change", "perhaps"),
     [
-        (lambda xy: xy[..., ::-1] * (0.55, 1.0), "; perhaps x and y are exchanged"),
-        (lambda xy: xy * 2.0, "; perhaps they were found in a video 2 times as large"),
-        (lambda xy: xy - 3000.0, ""),
+        (lambda xy: xy[..., ::-1] * (0.55, 1.0), "perhaps x and y"),
+        (lambda xy: xy * 2.0, "2 times as large"),
+        (lambda xy: xy - 3000.0, "camera"),
     ],
 )
 def test_points_of_another_picture_are_refused_with_what_it_may_be(tmp_path, change, perhaps):
@@ -85,8 +85,8 @@ def test_points_of_another_picture_are_refused_with_what_it_may_be(tmp_path, cha
     write_csv(replace(file, xy_px=change(xy_px)), tmp_path / "other.csv")
     with pytest.raises(InputError) as caught:
         prepare(sample(keypoints=tmp_path / "other.csv", frames=None))
-    (problem,) = caught.value.problems
-    assert problem.expected == f"the camera and the size of the video that the keypoints were found in{perhaps}"
+    compare(caught.value.problems, [("camera.toml", "image size", "1920x1080", perhaps)])
+    assert says(caught.value.problems[0].expected, "perhaps") == (perhaps != "camera")
 
 
 def test_the_camera_of_the_file_that_shows_the_points_is_named(tmp_path):
@@ -95,9 +95,7 @@ def test_the_camera_of_the_file_that_shows_the_points_is_named(tmp_path):
     sizes = {"small": (300, 200), "large": (1920, 1080)}
     cameras = (f'[{n}]\nname = "{n}"\nsize = [{w}, {h}]\n{lens}\n{pose}\n' for n, (w, h) in sizes.items())
     (tmp_path / "both.toml").write_text("\n".join(cameras))
-    with pytest.raises(
-        InputError, match=r"both\.toml: image size: found 300x200, .*; perhaps they are of large of the"
-    ):
+    with refusal(("both.toml", "image size", "300x200", "large")):
         prepare(sample(camera=tmp_path / "both.toml", camera_name="small"))
 
 
@@ -137,7 +135,7 @@ def test_default_prior_is_the_one_for_the_skeleton():
     assert fit_clip(sample()).solution.prior == "running-cheetah"
     assert fit_clip(sample(prior="none")).solution.prior == "none"
     assert fit_clip(sample(skeleton="cheetah-8u")).solution.prior == "none"
-    with pytest.raises(InputError, match="angles"):
+    with refusal(("prior running-cheetah", "angles", ["24 angles", "16 missing"], "cheetah-8u")):
         fit_clip(sample(skeleton="cheetah-8u", prior="running-cheetah"))
 
 
@@ -149,9 +147,9 @@ def test_the_other_methods_results_are_replaced_as_a_whole(tmp_path):
 
 
 def test_a_whole_animal_is_nothing_for_the_frame_method_and_has_no_side():
-    with pytest.raises(InputError, match="--skeleton: name or file: found 'cheetah-24'"):
+    with refusal(("--skeleton", "name or file", "'cheetah-24'", "cheetah-8u")):
         fit_clip(sample(method="frame", skeleton="cheetah-24"))
-    with pytest.raises(InputError, match="--set side: found 'left', expected nothing: cheetah-24 is a whole animal"):
+    with refusal(("--set side", "side", "'left'", "cheetah-24")):
         fit_clip(sample(side="left"))
     with pytest.raises(InputError) as caught:
         fit_clip(sample(side="left", prior="no.npz", camera="no.toml", keypoints="no.csv"))
@@ -163,8 +161,7 @@ def test_tilt_of_a_camera_that_does_not_know_which_way_is_up():
     rough = {"camera": None, "hfov_deg": 60.0, "image_size_px": (1920, 1080)}
     motion = fit_clip(sample(method="frame", tilt_deg=4.0, frames="0:2", **rough))
     np.testing.assert_allclose(motion.camera.up, [0, -np.cos(np.deg2rad(4)), -np.sin(np.deg2rad(4))])
-    message = "--tilt-deg: found 4 beside the pose in .*camera.toml, which says which way is up, expected one"
-    with pytest.raises(InputError, match=message):
+    with refusal(("--tilt-deg", "tilt_deg", [4, "camera.toml"], "one of the two")):
         fit_clip(sample(tilt_deg=4.0))
 
 
@@ -181,7 +178,7 @@ def test_progress_goes_from_nothing_to_all():
 @pytest.mark.parametrize("method", ["trajectory", "frame"])
 def test_points_outside_the_picture_are_another_cameras(method):
     camera = {"camera": None, "hfov_deg": 64.0, "image_size_px": (320, 240)}
-    with pytest.raises(InputError, match="320x240, but keypoints at x"):
+    with refusal(("--image-size", "image size", "320x240", "3 times as large")):
         fit_clip(sample(method=method, **camera))
 
 
@@ -194,7 +191,7 @@ def test_the_side_with_points_is_fitted_when_the_facing_one_has_none(tmp_path, m
     (tmp_path / "left.csv").write_text(left + "\n")
     motion = fit_clip(sample(keypoints=tmp_path / "left.csv", skeleton="cheetah-8u", method=method))
     assert motion.side == "left"
-    assert "but that side has" in motion.side_reason
+    assert says(motion.side_reason, "that side has")
     assert motion.solved.all()
 
 
@@ -228,5 +225,5 @@ def test_tables_of_cameras_are_results(two_cameras, tmp_path):
     for path in tmp_path.iterdir():
         if not path.name.startswith("reprojection_"):
             path.unlink()
-    with pytest.raises(InputError, match=r"reprojection_cam1.csv and 1 more in "):
+    with refusal(("--out", "folder", ["reprojection_cam1.csv", "1 more", tmp_path], "--overwrite")):
         run_clip(sample(), tmp_path)

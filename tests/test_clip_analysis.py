@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from command_line import run
+from command_line import run, says
 
 from recon import ClipAnalysis, InputError, analyse
 from recon.fit import Motion
@@ -219,9 +219,8 @@ def test_a_path_that_jitters_too_much_gives_way_to_the_straight_run(frame_result
     states[:, :3] += noise
     moved = replace(motion.solution, states=states, joints_m=motion.solution.joints_m + noise[:, None])
     told = dict(build_report(replace(motion, solution=moved))["lines"])
-    assert told["path"].startswith("too uncertain in depth for its speed (world frame): ")
-    assert told["path"].endswith("; take the speed above")
-    assert told["speed"].startswith("14.4 m/s, of a straight run")
+    assert says(told["path"], "too uncertain", "(world frame)", "speed above")
+    assert says(told["speed"], "14.4 m/s", "straight run")
 
 
 def test_too_few_poses(frame_results):
@@ -317,8 +316,7 @@ def test_command_says_what_is_missing(frame_results, tmp_path):
     folder = shutil.copytree(frame_results, tmp_path / "fit")
     done = run("analyse", folder, "--out", tmp_path / "a", "--no-figures")
     assert done.code == 0
-    assert "Only the feet" in " ".join(done.out.split())
-    assert "smoothed by their jitter" in " ".join(done.out.split())
+    assert says(" ".join(done.out.split()), "Only the feet", "smoothed")
     nothing = run("analyse", tmp_path / "nothing")
     assert nothing.code == 2
     assert "no such folder" in nothing.err

@@ -16,13 +16,13 @@ from urllib.parse import quote, unquote
 
 import numpy as np
 import pytest
-from command_line import carry_out_here, run
+from command_line import carry_out_here, run, says
 from markupsafe import Markup
 from motions import with_first
 
 from recon import FitSettings, InputError, write_clip
 from recon.base import read_manifest, write_manifest
-from recon.check import findings_of
+from recon.check import finding, findings_of, sentence
 from recon.fit import Motion
 from recon.io import video_writer
 from recon.show import TO_DO, build_report, clip_page, drawing
@@ -258,8 +258,7 @@ def test_a_page_without_any_pose(small_trajectory, tmp_path):
     assert (ended.code, ended.err) == (0, "")
     assert ended.out.split() == f"Open {tmp_path / 'report.html'} in a browser.".split()
     page = Page(tmp_path / "report.html")
-    assert "No frame has a pose: too few points were detected in every frame." in page.text
-    assert "Too few frames have a pose" in page.text
+    assert says(page.text, sentence(finding("no_pose")), "Too few frames")
     assert "10 to 17" in page.text
     assert not page.attributes("img", "src")
 

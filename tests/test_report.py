@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import says
 from motions import with_first
 from rich.console import Console
 
@@ -379,7 +380,7 @@ def test_alternative(trajectory, small_trajectory):
     report = build_report(none, {})
     assert report["alternative"] is None
     assert "second_solution" not in codes(report)
-    assert dict(summary_lines(report))["alternative"] == "no other pose fits nearly as well"
+    assert dict(summary_lines(report))["alternative"].startswith("no other pose")
 
 
 def test_path_and_heading_of_a_trajectory(trajectory, world_trajectory):
@@ -589,10 +590,9 @@ def test_console_summary_of_several_cameras(several, two_cameras):
     assert " below cam1; stances" in dict(lines)["ground"]
     assert dict(lines)["heading"].endswith(", as cam1 sees it")
     assert several["size"]["from"] == ["prior", "views"]
-    assert dict(lines)["size"].endswith(", by where the cameras are")
+    assert dict(lines)["size"].endswith("where the cameras are")
     sentences = " ".join(several["assumptions"]["sentences"])
-    assert "; by where the cameras are it is 1.000 ± " in sentences
-    assert "The cameras stand still" in sentences
+    assert says(sentences, "1.000 ± ", "cameras stand still")
 
 
 # -- both -----------------------------------------------------------------------------------------------------------

@@ -56,12 +56,16 @@ def load_record(of: type[_Class], path: Path, schema: Mapping[str, Any], expecte
     Raises InputError for a file that is damaged, is something else, or would take too much memory: the sizes of all
     that is in it are checked before anything is unpacked."""
     content = read_content(path, expected, MAX_UNPACKED)
+
+    def unread(error: Exception) -> InputError:
+        why = " ".join(str(error).split())[:100] or type(error).__name__
+        return InputError(Problem(path, "content", f"data that cannot be read ({why})", expected))
+
     try:
         arrays = arrays_of(content, KINDS)
         text = arrays.pop(RECORD).astype(np.uint8, casting="no").tobytes().decode()
     except DAMAGE as error:
-        found = f"data that cannot be read ({' '.join(str(error).split())[:100] or type(error).__name__})"
-        raise InputError(Problem(path, "content", found, expected)) from None
+        raise unread(error) from None
     record = parse_json(text, path, expected)
     found = record.get("schema") if isinstance(record, dict) else None
     if found != schema:
@@ -73,7 +77,7 @@ def load_record(of: type[_Class], path: Path, schema: Mapping[str, Any], expecte
     except ValidationError as error:
         raise InputError(problems_of(error, path, within=1)) from None
     except (*DAMAGE, AttributeError, IndexError, OverflowError, RecursionError) as error:
-        raise InputError(Problem(path, "content", " ".join(str(error).split())[:200], expected)) from None
+        raise unread(error) from None
 
 
 def _plain(value: Any, where: str, arrays: dict[str, np.ndarray], name_of: dict[int, str]) -> Any:
