@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pandas as pd
 import pytest
-from command_line import run, says
+from command_line import refused, run, says
 
 from recon.animal import load_skeleton, prior_from_body
 from recon.calibrate.camera_advice import ELEVATIONS_RAD, advise, known, length_m, mean_stride, placed
@@ -105,16 +105,18 @@ def test_command(tmp_path, small_pictures):
     assert camera["sigma_rad"] == pytest.approx(table["sigma_rad"].min(), rel=1e-8)
     assert camera["data_share"] > 0.85
     assert (out / "camera_advice.png").stat().st_size > 5000
-    again = run("camera-advice", "--skeleton", "cheetah-8u", "--out", out)
-    assert again.code == 2
-    assert "--overwrite" in again.err
+    there = ("--out", "folder", ["camera_advice.json", out], "--overwrite")
+    refused(["camera-advice", "--skeleton", "cheetah-8u", "--out", out], there)
 
 
 def test_every_mistake_is_said(tmp_path):
     given = ("camera-advice", "--skeleton", "cheetah-8u", "--out", tmp_path / "a")
-    done = run(*given, "--cameras", "3", "--hfov-deg", "0", "--distance-m", "-1")
-    assert (done.code, done.err.count("error:")) == (2, 3)
-    done = run(*given, "--angle", "theta_9")
-    assert (done.code, "one of J0_pitch" in done.err) == (2, True)
-    assert "one of the two" in run(*given, "--angle", "theta_6", "--joint", "J1").err
+    refused(
+        [*given, "--cameras", "3", "--hfov-deg", "0", "--distance-m", "-1"],
+        ("--cameras", "cameras", "'3'", "or equal to 2"),
+        ("--hfov-deg", "hfov_deg", "'0'", "greater than 0"),
+        ("--distance-m", "distance_m", "'-1'", "greater than 0"),
+    )
+    refused([*given, "--angle", "theta_9"], ("--angle", "value", "'theta_9'", "one of J0_pitch"))
+    refused([*given, "--angle", "theta_6", "--joint", "J1"], ("--angle", "value", "--joint", "one of the two"))
     assert not (tmp_path / "a").exists()

@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from command_line import run, says
+from command_line import refusal, refused, run, says
 
-from recon import ClipAnalysis, InputError, analyse
+from recon import ClipAnalysis, analyse
 from recon.fit import Motion
 from recon.gait import joint_kinematics, limb_chains
 from recon.gait.kinematics import at_frames
@@ -227,7 +227,7 @@ def test_too_few_poses(frame_results):
     motion = Motion.load(frame_results)
     joints_m = motion.solution.joints_m.copy()
     joints_m[3:] = np.nan
-    with pytest.raises(InputError, match="found 3 frames with a pose, expected at least 4"):
+    with refusal(("noisy.csv", "frames", "3 frames", "at least 4")):
         analyse(replace(motion, solution=replace(motion.solution, joints_m=joints_m)))
 
 
@@ -305,9 +305,7 @@ def test_command_writes_over_an_analysis_only_if_asked_to(of_results, tmp_path, 
     monkeypatch.chdir(shutil.copytree(ran_in, tmp_path / "ran"))
     folder = Path("results/clip")
     summary = json.loads((folder / "analysis" / "analysis.json").read_text(encoding="utf-8"))
-    again = run("analyse", folder)
-    assert again.code == 2
-    assert "--overwrite" in again.err
+    refused(["analyse", folder], ("--out", "folder", ["analysis.json", folder / "analysis"], "--overwrite"))
     as_json = run("analyse", folder, "--overwrite", "--no-figures", "--json")
     assert json.loads(as_json.out) == summary
 
@@ -317,11 +315,8 @@ def test_command_says_what_is_missing(frame_results, tmp_path):
     done = run("analyse", folder, "--out", tmp_path / "a", "--no-figures")
     assert done.code == 0
     assert says(" ".join(done.out.split()), "Only the feet", "smoothed")
-    nothing = run("analyse", tmp_path / "nothing")
-    assert nothing.code == 2
-    assert "no such folder" in nothing.err
-    file = run("analyse", SAMPLES / "whole.csv")
-    assert "found a file, expected the folder of results that `recon fit` wrote" in file.err
+    refused(["analyse", tmp_path / "nothing"], (tmp_path / "nothing", "folder", "no such folder", "recon fit"))
+    refused(["analyse", SAMPLES / "whole.csv"], (SAMPLES / "whole.csv", "folder", "a file", "recon fit"))
 
 
 def test_quiet_prints_nothing_and_many_stances_are_not_listed(whole_results, tmp_path, monkeypatch):
