@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 import pytest
 from board_pictures import poses, render
+from command_line import refusal, says
 from matplotlib.collections import PathCollection
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
@@ -270,7 +271,7 @@ def test_coverage_is_the_area_of_the_boards():
 
 
 def test_too_few_views_is_an_input_error(chess_views):
-    with pytest.raises(InputError, match="the board in 2 of 14 pictures, expected 3 or more"):
+    with refusal(("pictures", "views", "2 of 14 pictures", "3 or more")):
         calibrate(replace(chess_views, views=chess_views.views[:2]), "radtan")
 
 
@@ -324,20 +325,15 @@ def test_a_video_gives_some_of_its_frames(tmp_path):
 
 def test_all_bad_inputs_are_named_at_once(tmp_path):
     (tmp_path / "empty").mkdir()
-    with pytest.raises(InputError) as caught:
+    with refusal((tmp_path / "empty", "folder", "no pictures"), (tmp_path / "nowhere.png", "file", "nothing there")):
         collect([tmp_path / "empty", tmp_path / "nowhere.png"])
-    assert [(Path(p.file).name, p.field) for p in caught.value.problems] == [
-        ("empty", "folder"),
-        ("nowhere.png", "file"),
-    ]
     (tmp_path / "text.png").write_text("no picture")
     for number, shape in enumerate([(60, 80), (60, 80), (80, 60)]):
         cv2.imwrite(str(tmp_path / f"{number}.png"), np.zeros(shape, np.uint8))
-    with pytest.raises(InputError) as caught:
+    sizes = ("pictures", "size", "80x60 (0.png, 1.png); 60x80 (2.png)", "one size")
+    with refusal((tmp_path / "text.png", "file", "no picture"), sizes):
         find_views(collect([tmp_path]), parse_board(CHESS))
-    assert [problem.field for problem in caught.value.problems] == ["file", "size"]
-    assert caught.value.problems[1].found == "80x60 (0.png, 1.png); 60x80 (2.png)"
-    with pytest.raises(InputError, match="none in 1 pictures, expected a chessboard of 9x6 inner corners"):
+    with refusal((tmp_path / "0.png", "board", "1 pictures", ["9x6", "25 mm"])):
         find_views([tmp_path / "0.png"], parse_board(CHESS))
 
 
@@ -387,9 +383,7 @@ def test_command_refuses_and_can_be_forced(radtan_folder, tmp_path):
     args = ["calibrate", *pictures, "--board", CHARUCO, "--model", "pinhole", "--out", str(out)]
     done = CliRunner().invoke(app, args)
     assert done.exit_code == 1
-    assert re.search(
-        r"refused: rms: reprojection error [\d.]+ px of 1920, at most 1 wanted \([\d.]+ over\)", done.stderr
-    )
+    assert says(done.stderr, "refused: rms", "px of 1920", "at most 1")
     assert not out.exists()
     assert (tmp_path / "camera_coverage.png").exists()
     assert CliRunner().invoke(app, [*args, "--force"]).exit_code == 0

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from command_line import run
+from command_line import Refusal, refused, run
 
 from recon.fit import Motion
 from recon.workflows.compare import QUANTITIES, _mean_of
@@ -67,20 +67,19 @@ def test_what_cannot_be_compared_is_refused(clips: Path, tmp_path: Path, whole_m
     out = tmp_path / "out"
     lacking = tmp_path / "lacking.csv"
     lacking.write_text("clip,sex\na,f\n")
-    ended = run("compare", clips, "--table", lacking, "--by", "sex", "--out", out)
-    assert ended.code == 2
-    assert "no row for b" in ended.err
-    assert "no row for c" in ended.err
-    ended = run("compare", clips, "--table", lacking, "--by", "age", "--out", out)
-    assert (ended.code, "no 'age' (clip, sex)" in ended.err) == (2, True)
-    assert run("compare", clips, "--by", "age", "--out", out).code == 2
-    assert "no results" in run("compare", tmp_path, "--out", out).err
-    assert "animals.csv: folder: found no results" in run("compare", clips / "animals.csv", "--out", out).err
+
+    def refuses(args: list[object], *expected: Refusal) -> None:
+        refused(["compare", *args, "--out", out], *expected)
+
+    refuses([clips, "--table", lacking, "--by", "sex"], *((lacking, "clip", f"for {name}") for name in "bc"))
+    refuses([clips, "--table", lacking, "--by", "age"], (lacking, "column", ["'age'", "(clip, sex)"]))
+    refuses([clips, "--by", "age"], ("--by", "table", "--table"))
+    for folder in (tmp_path, clips / "animals.csv"):
+        refuses([folder], (folder, "folder", "no results"))
     assert whole_motion.verdict is not None
     wreck = replace(whole_motion, verdict=replace(whole_motion.verdict, level="do not use"))
     wreck.save(tmp_path / "wreck")
-    ended = run("compare", tmp_path / "wreck", clips / "a", "--out", out)
-    assert (ended.code, "do not use" in ended.err) == (2, True)
+    refuses([tmp_path / "wreck", clips / "a"], (tmp_path / "wreck", "verdict", "do not use", "--anyway"))
     assert not out.exists()
     assert run("compare", tmp_path / "wreck", clips / "a", "--out", out, "--anyway").code == 0
-    assert run("compare", clips, "--out", out).code == 2
+    refuses([clips], ("--out", "folder", ["groups.csv", out], "--overwrite"))
