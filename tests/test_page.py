@@ -16,11 +16,11 @@ from urllib.parse import quote, unquote
 
 import numpy as np
 import pytest
-from command_line import carry_out_here, run, says
+from command_line import carry_out_here, refusal, run, says
 from markupsafe import Markup
 from motions import with_first
 
-from recon import FitSettings, InputError, write_clip
+from recon import FitSettings, write_clip
 from recon.base import read_manifest, write_manifest
 from recon.check import finding, findings_of, sentence
 from recon.fit import Motion
@@ -213,7 +213,7 @@ def test_a_page_has_the_video_behind_its_pictures(folder, tmp_path, monkeypatch)
     assert [*shown] == [None, "run & away.avi"]
     assert len(shown[None]) == len(shown["run & away.avi"]) == 8
     assert not {*shown[None]} & {*shown["run & away.avi"]}
-    with pytest.raises(InputError, match=r"--first-frame: number: found 11, expected 10 or less"):
+    with refusal(("--first-frame", "number", 11, "10 or less")):
         run_page(PageSettings(folder=folder, video=video, first_frame=11))
 
 
@@ -231,7 +231,7 @@ def test_a_page_goes_with_its_results(small_trajectory, tmp_path):
     settings = FitSettings(keypoints=Path("run.csv"), camera=Path("camera.toml"), fps=30)
     write_clip(small_trajectory, settings, tmp_path)
     (tmp_path / "report.html").write_text("my own")
-    with pytest.raises(InputError, match=r"report.html: file: found one that recon has not made"):
+    with refusal((tmp_path / "report.html", "file", "not made", "--overwrite")):
         run_page(PageSettings(folder=tmp_path))
     assert (tmp_path / "report.html").read_text() == "my own"
     (tmp_path / "report.html").unlink()

@@ -11,9 +11,8 @@ from xml.etree import ElementTree
 import bones
 import numpy as np
 import pytest
-from command_line import run, says
+from command_line import refusal, refused, run, says
 
-from recon import InputError
 from recon.animal import builtin_names, load_skeleton
 from recon.fit import Motion
 from recon.io import Armature, read_pose3d, write_bvh, write_gltf, write_opensim, y_up_from_z_up
@@ -21,6 +20,7 @@ from recon.show import make_rig, rig_of
 from recon.workflows import ConvertSettings
 from recon.workflows.convert import convert
 
+SAMPLES = Path(__file__).parents[1] / "data" / "samples"
 FRAMES = np.array([10, 11, 13, 14])
 MOST_M = 1e-5
 
@@ -174,7 +174,8 @@ def test_a_bone_has_another_name_than_a_joint():
 @pytest.mark.parametrize("write", [write_opensim, write_bvh])
 def test_names_with_blanks_are_refused(write, tmp_path):
     rig = replace(a_rig("cheetah-24"), joints=("left ear", *load_skeleton("cheetah-24").markers[1:]))
-    with pytest.raises(InputError, match=r"(OpenSim model|BVH): name: found 'left ear', with ' ' in it"):
+    kind = "OpenSim model" if write is write_opensim else "BVH"
+    with refusal((kind, "name", ["'left ear'", "' '"])):
         write(rig, tmp_path / "a")
     assert list(tmp_path.iterdir()) == []
 
@@ -194,11 +195,10 @@ def test_recon_convert(whole_results, tmp_path, extension):
     beside = [f"{tmp_path}/run.mot", f"{tmp_path}/run.trc"] if extension == ".osim" else []
     said = [line for line in ended.out.splitlines() if line.startswith("Beside it")]
     assert said == ([f"Beside it: {', '.join(beside)}."] if beside else [])
-    for path in [str(out), *beside]:
-        again = run("convert", whole_results, out)
-        assert again.code == 2
-        assert path in again.err
-        Path(path).unlink()
+    for there in ([str(out)], beside, beside[1:]):  # what is beside it is looked at when it may be written
+        if there:
+            refused(["convert", whole_results, out], *(("OUT", "file", path, "--overwrite") for path in there))
+            Path(there[0]).unlink()
 
 
 def with_solution(motion: Motion, **changes) -> Motion:
@@ -215,16 +215,15 @@ def test_frames_without_a_pose(whole_results):
     assert rig.pose.frames.tolist() == list(range(2, 60))
     np.testing.assert_allclose(rig.pose.xyz_m[[0, 2, 8, -1]], xyz_m[[2, 4, 10, 59]], atol=1e-8)
     assert np.isfinite(rig.pose.xyz_m).all()
-    with pytest.raises(InputError, match="frames: found none with a pose"):
+    with refusal((SAMPLES / "whole.csv", "frames", "none with a pose")):
         rig_of(with_solution(results, states=np.nan * states))
     longer = results.upright.xyz_m * np.linspace(1, 1.1, 60)[:, None, None]
-    with pytest.raises(InputError, match=r"size: found lengths that change .* expected bones of one length"):
+    with refusal((SAMPLES / "whole.csv", "size", "lengths that change", "one length")):
         rig_of(with_solution(results, joints_m=longer))
 
 
 def test_points_are_no_bones(tmp_path):
-    samples = Path(__file__).parents[1] / "data" / "samples"
     for name, kind in (("whole.csv", "2D keypoints"), ("whole_truth.csv", "3D positions")):
-        with pytest.raises(InputError, match=f"found {kind}, expected a folder of results of recon fit: BVH has bones"):
-            convert(ConvertSettings(source=samples / name, out=tmp_path / "a.bvh"))
+        with refusal((SAMPLES / name, "content", kind, ["results", "BVH"])):
+            convert(ConvertSettings(source=SAMPLES / name, out=tmp_path / "a.bvh"))
     assert list(tmp_path.iterdir()) == []
