@@ -19,6 +19,7 @@ import h5py
 import numpy as np
 import pandas as pd
 import pytest
+from command_line import refusal, says
 from typer.testing import CliRunner
 
 from recon import InputError
@@ -137,9 +138,7 @@ def test_hostile_hdf5_in_a_batch(tmp_path):
 
 def test_what_is_pickled_is_named(tmp_path):
     HOSTILE["labels.h5"](tmp_path / "a.h5", tmp_path / "ran")
-    with pytest.raises(
-        InputError, match=r"non_index_axes is a pickled Python object \(GLOBAL posix system\), which could run anything"
-    ):
+    with refusal((tmp_path / "a.h5", "content", ["non_index_axes", "GLOBAL posix system"])):
         read_keypoints(tmp_path / "a.h5")
 
 
@@ -164,7 +163,7 @@ def test_small_file_that_asks_for_terabytes(tmp_path):
         file.create_dataset("tracks", (1, 2, 10**6, 300_000), "f8", chunks=(1, 2, 100, 100), compression="gzip")
         file["node_names"] = np.array([b"a"])
     assert path.stat().st_size < 10_000
-    with pytest.raises(InputError, match=r"/tracks asks for 4.8e\+12 bytes, of which the file has 0"):
+    with refusal((path, "content", ["/tracks", "4.8e+12 bytes"])):
         read_keypoints(path)
 
 
@@ -184,9 +183,10 @@ def archive_of(path: Path, header: bytes | None = None, size_mb: int = 0) -> Pat
 @pytest.mark.parametrize("read", [read_pose3d, lambda path: load_prior(path, load_skeleton("cheetah-24"))])
 def test_archives_that_ask_for_the_memory_or_have_no_header(read, tmp_path, monkeypatch):
     monkeypatch.setattr("recon.base.documents.MAX_UNPACKED", 1 << 22)
-    with pytest.raises(InputError, match="1 arrays of 5 MB are too much"):
+    field = "content" if read is read_pose3d else "file"
+    with refusal((tmp_path / "bomb.npz", field, "5 MB")):
         read(archive_of(tmp_path / "bomb.npz", size_mb=5))
-    with pytest.raises(InputError, match=r"(file|content): found"):
+    with refusal((tmp_path / "header.npz", field, "multi-line statement")):
         read(archive_of(tmp_path / "header.npz", b"{'descr': '<f8', 'shape': (3,\n"))
 
 
@@ -195,7 +195,7 @@ def test_a_table_of_equal_rows_that_asks_for_the_memory(tmp_path, monkeypatch):
     columns = {name: np.zeros(10_000) for name in ("frame", "x_m", "y_m", "z_m")}
     parquet.write_table(arrow.table({"joint": ["a"] * 10_000, **columns}), tmp_path / "equal.parquet")
     monkeypatch.setattr("recon.io.columns.VALUES_MAX", 40_000)
-    with pytest.raises(InputError, match="10000 rows of 5 columns are too much"):
+    with refusal((tmp_path / "equal.parquet", "content", "10000 rows of 5 columns")):
         read_pose3d(tmp_path / "equal.parquet")
 
 
@@ -252,7 +252,7 @@ def test_frames_times_points_that_fill_the_memory(tmp_path, monkeypatch):
     files = many_names(tmp_path)
     monkeypatch.setattr("recon.io.common.POINTS_MAX", 1000)
     for name, path in files.items():
-        with pytest.raises(InputError, match=r"frames: found numbers that span 50 frames"):
+        with refusal((path, "frames", "50 frames", "at most")):
             (read_pose3d if name in ("fmpose3d.json", "a.bvh") else read_keypoints)(path)
 
 
@@ -264,9 +264,8 @@ def test_out_of_memory_is_one_line(monkeypatch, capsys):
     with pytest.raises(SystemExit) as stopped:
         main()
     assert stopped.value.code == 1
-    assert capsys.readouterr().err.splitlines() == [
-        "error: not enough memory (Unable to allocate 12 GiB): try fewer frames at once (--frames)"
-    ]
+    (line,) = capsys.readouterr().err.splitlines()
+    assert says(line, "not enough memory", "12 GiB", "--frames")
 
 
 @pytest.mark.parametrize("read", [read_keypoints, read_label_file, read_marks, load_names, read_camera_track])
@@ -283,7 +282,7 @@ def test_heap_without_an_end(tmp_path):
     heap = content.index(b"GCOL")
     content[heap + 24 : heap + 32] = (2**64 - 16).to_bytes(8, "little")  # the first object's size
     (tmp_path / "a.nc").write_bytes(content)
-    with pytest.raises(InputError, match="a damaged heap of texts"):
+    with refusal((tmp_path / "a.nc", "content", "damaged heap")):
         read_keypoints(tmp_path / "a.nc")
 
 
@@ -294,12 +293,12 @@ def test_data_in_other_files(tmp_path):
     with h5py.File(path, "w") as file:
         file.create_dataset("tracks", (1, 2, 1, 5), "f8", external=[(str(tmp_path / "secret"), 0, 80)])
         file["node_names"] = np.array([b"a"])
-    with pytest.raises(InputError, match="the data of /tracks lie in another file"):
+    with refusal((path, "content", ["/tracks", "another file"])):
         read_keypoints(path)
     with h5py.File(path, "w") as file:
         file["tracks"] = h5py.ExternalLink(str(tmp_path / "other.h5"), "/tracks")
         file["node_names"] = np.array([b"a"])
-    with pytest.raises(InputError, match="an entry without 'tracks'"):
+    with refusal((path, "content", "'tracks'", "SLEAP analysis H5")):
         read_keypoints(path)
 
 
@@ -309,7 +308,7 @@ def test_hostile_network_runs_nothing(tmp_path):
 
     marker, path = tmp_path / "ran", tmp_path / "model.pt"
     torch.save({"format": Touch(str(marker))}, path)
-    with pytest.raises(InputError, match="a file that torch cannot read"):
+    with refusal((path, "model", "torch cannot read", "recon train")):
         load_model(path, torch.device("cpu"))
     assert not marker.exists()
     torch.load(path, weights_only=False)  # the file is what it should be
@@ -327,7 +326,7 @@ def test_altered_network(tmp_path, change):
     spec = {"names": ["a"], "scale": 0.5, "body_length_px": 9.0, "tolerance_px": 9.0}
     content = {"format": FORMAT, "spec": spec, "weights": {}} | change
     torch.save(content, tmp_path / "model.pt")
-    with pytest.raises(InputError, match="a network with parts missing or altered"):
+    with refusal((tmp_path / "model.pt", "model", "missing or altered", "recon train")):
         load_model(tmp_path / "model.pt", torch.device("cpu"))
 
 
@@ -350,5 +349,5 @@ def test_a_prior_with_numbers_that_signal(tmp_path):
 
 
 def test_a_name_too_long_for_a_file(tmp_path):
-    with pytest.raises(InputError, match="cannot be opened"):
+    with refusal((tmp_path / f"{'a' * 300}.csv", "file", "cannot be opened")):
         read_keypoints(tmp_path / f"{'a' * 300}.csv")

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from command_line import refusal
 from networks import narrow_networks
 
 torch = pytest.importorskip("torch")
 
-from recon import InputError  # noqa: E402
 from recon.io import video_writer  # noqa: E402
 from recon.keypoint_net import (  # noqa: E402
     LabelSource,
@@ -117,7 +117,7 @@ def test_a_run_that_began_with_one_stage_does_not_go_on_with_two(clip, tmp_path,
     train_in(tmp_path, clip)
     assert (tmp_path / CHECKPOINT_FILE).is_file()
     monkeypatch.setattr(pictures, "NETWORK_LENGTH_PX", 15.0)
-    with pytest.raises(InputError, match="one that another version began"):
+    with refusal((tmp_path / CHECKPOINT_FILE, "network", "another version", "--overwrite")):
         train_in(tmp_path, clip, resume=True)
     assert load_model(tmp_path, torch.device("cpu")).spec.first == 1
 

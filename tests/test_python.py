@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from command_line import refusal
 
 import recon
 from recon.fit import Motion
@@ -102,26 +103,21 @@ def test_keypoints_are_read_from_tables_in_memory():
     same(recon.Keypoints.from_xarray(dataset_of(expected)), expected)
     several = pd.concat([long.assign(individual=animal) for animal in ("a", "b")])
     same(recon.Keypoints.from_dataframe(several, fps=60, individual="b"), expected)
-    with pytest.raises(
-        recon.InputError, match="individual: found 2 animals and no --individual, expected one of: a, b"
-    ):
+    with refusal(("DataFrame", "individual", "2 animals", "a, b")):
         recon.Keypoints.from_dataframe(several, fps=60)
 
 
 @pytest.mark.parametrize(
-    ("table", "message"),
+    ("table", "field", "found", "expected"),
     [
-        (pd.DataFrame({"x": [1.0]}), "expected frame, bodypart, x, y or frame, NAME_x"),
-        (
-            pd.DataFrame({"frame": [0, 0], "keypoint": ["a", "a"], "x": [1, 2], "y": [1, 2]}),
-            "a second row of a frame or of a point in it",
-        ),
-        (pd.DataFrame({"frame": [0], "keypoint": ["a"], "x": ["left"], "y": [2]}), "found 'left', expected a number"),
+        ({"x": [1.0]}, "columns", "x", ["frame, bodypart, x, y", "NAME_x"]),
+        ({"frame": [0, 0], "keypoint": ["a", "a"], "x": [1, 2], "y": [1, 2]}, "line 3", "second row", "one"),
+        ({"frame": [0], "keypoint": ["a"], "x": ["left"], "y": [2]}, "line 2, x", "'left'", "number"),
     ],
 )
-def test_other_tables_are_refused(table: pd.DataFrame, message: str):
-    with pytest.raises(recon.InputError, match=message):
-        recon.Keypoints.from_dataframe(table)
+def test_other_tables_are_refused(table, field, found, expected):
+    with refusal(("DataFrame", field, found, expected)):
+        recon.Keypoints.from_dataframe(pd.DataFrame(table))
 
 
 def test_all_that_is_public_explains_itself_and_completion_shows_no_more():

@@ -8,10 +8,9 @@ import shutil
 import numpy as np
 import pandas as pd
 import pytest
-from command_line import run
+from command_line import refusal, refused, run
 from scipy.sparse import load_npz
 
-from recon import InputError
 from recon.fit import Motion
 from recon.show import build_report
 from recon.thesis import SolverRecord, read_solver
@@ -106,9 +105,9 @@ def test_the_search_of_a_frame_ends_where_the_fit_did(frame):
 def test_the_frame_that_is_looked_into_has_a_pose(frame_results, whole_results):
     motion = Motion.load(frame_results)
     assert read_solver(motion, frame_results, int(motion.frames[4])).search.problem.frame == 4
-    with pytest.raises(InputError, match="expected one with a pose, from 0 to 29"):
+    with refusal(("--frame", "frame", 99, "0 to 29")):
         read_solver(motion, frame_results, 99)
-    with pytest.raises(InputError, match="expected results of recon frame"):
+    with refusal((whole_results, "results", "all frames", "recon frame")):
         read_solver(Motion.load(whole_results), whole_results)
 
 
@@ -141,7 +140,8 @@ def test_settings_that_are_gone_are_said(frame_results, tmp_path):
     folder = tmp_path / "clip"
     shutil.copytree(frame_results, folder)
     (folder / "config.toml").unlink()
-    with pytest.raises(InputError, match="no such file"):
+    missing = (folder / "config.toml", "file", "no such file")
+    with refusal(missing):
         read_solver(Motion.load(folder), folder)
-    assert run("solver", folder, "--no-figures").code == 2
+    refused(["solver", folder, "--no-figures"], missing)
     assert not (folder / "solver").exists() or not any((folder / "solver").iterdir())

@@ -7,8 +7,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from command_line import refusal
 
-from recon import InputError
 from recon.io import missing_frames, missing_note, probe, read_frames, timed_frames, video_writer
 
 
@@ -71,14 +71,17 @@ def test_pictures_of_another_size_are_refused(tmp_path):
 @pytest.mark.parametrize(("name", "found"), [("none.mp4", "no such file"), ("text.mp4", "cannot be decoded")])
 def test_what_is_no_video_is_an_input_error(tmp_path, name, found, capfd):
     (tmp_path / "text.mp4").write_text("no video")
-    with pytest.raises(InputError, match=found):
+    with refusal((tmp_path / name, "video", found, "a video")):
         probe(tmp_path / name)
-    with pytest.raises(InputError, match=found):
+    with refusal((tmp_path / name, "video", found, "a video")):
         next(read_frames(tmp_path / name))
 
 
 def test_a_suffix_without_a_codec_is_an_input_error(tmp_path):
-    with pytest.raises(InputError, match=r"one of \.mp4, \.avi"), video_writer(tmp_path / "v.gif", (64, 48), 25.0):
+    with (
+        refusal((tmp_path / "v.gif", "suffix", "'.gif'", ".mp4, .avi")),
+        video_writer(tmp_path / "v.gif", (64, 48), 25),
+    ):
         pass
     assert list(tmp_path.iterdir()) == []
 
