@@ -238,7 +238,7 @@ def test_a_result_folder(whole_results, level_results, tmp_path):
     assert all(0.3 < half < often and 0.8 < often <= 1.0 for half, often in found.inside.values())
     exchanged = evaluate_files(truth, whole_results)  # a folder may be the reference
     assert exchanged.mpjpe_m.mean == pytest.approx(found.mpjpe_m.mean)
-    with refusal(("--unit", "unit", "recon fit")):
+    with refusal((whole_results, "unit, up", "recon fit", "no --unit")):
         evaluate_files(truth, whole_results, unit="mm")
     (note,) = evaluate_files(level_results, truth).notes
     assert says(note, "frames of reference")

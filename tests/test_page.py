@@ -231,7 +231,7 @@ def test_a_page_goes_with_its_results(small_trajectory, tmp_path):
     settings = FitSettings(keypoints=Path("run.csv"), camera=Path("camera.toml"), fps=30)
     write_clip(small_trajectory, settings, tmp_path)
     (tmp_path / "report.html").write_text("my own")
-    with refusal((tmp_path / "report.html", "file", "not made", "--overwrite")):
+    with refusal((tmp_path / "report.html", "file", "not made")):
         run_page(PageSettings(folder=tmp_path))
     assert (tmp_path / "report.html").read_text() == "my own"
     (tmp_path / "report.html").unlink()
