@@ -23,7 +23,7 @@ from cameras import PRIOR, Run, errors, most_different, runs_given, solved
 from markdown_table import print_table
 from trajectory import body_of, prior_of
 
-from recon.check.offsets import solved_in_step
+from recon.check.agreement import solved_in_step
 from recon.clip import Source, views_of
 from recon.fit import TrajectoryOptions, TrajectorySolution, solve_trajectory
 

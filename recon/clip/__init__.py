@@ -12,7 +12,6 @@ if TYPE_CHECKING:
         fill_gaps,
         frame_ranges,
         leave_out,
-        mark_missing,
         parse_frame_range,
         select_frames,
     )

@@ -10,15 +10,15 @@ from recon.base import lazily
 
 if TYPE_CHECKING:
     from recon.fit.clip_problem import ClipProblem, TrajectoryOptions
-    from recon.fit.extrinsics import Rig, solve_extrinsics
+    from recon.fit.extrinsics import solve_extrinsics
     from recon.fit.least_squares import Estimate, LeastSquares, Unknown
-    from recon.fit.motion import MOTION, Motion, Picture
+    from recon.fit.motion import MOTION, Motion
     from recon.fit.points import solve_points, solve_points_and_size
     from recon.fit.posterior import DEGREES_OF_FREEDOM, radius, sigmas
     from recon.fit.result import ExpectedError, Finding, Ground, MotionSegment, Solution, TrajectorySolution, Verdict
     from recon.fit.sampling import draws
     from recon.fit.shape import Shape, ShapeFit, fit_shape
     from recon.fit.starts import constant_velocity, position_on_rays
-    from recon.fit.trajectory import SegmentFit, solve_segments, solve_trajectory
+    from recon.fit.trajectory import solve_trajectory
 
 __getattr__ = lazily(__name__, __file__)
