@@ -133,7 +133,7 @@ class SegmentFit:
 
 def solve(clips: Sequence[Clip]) -> list[SegmentFit]:
     body = body_of()
-    return [SegmentFit(clip, *solve_points(body, clip.markers(body))) for clip in clips]
+    return [SegmentFit(clip, *solve_points(body, clip.markers(body))[:2]) for clip in clips]
 
 
 def expected(solved: Sequence[SegmentFit]) -> Body:

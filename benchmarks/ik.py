@@ -29,7 +29,7 @@ from scipy.interpolate import CubicSpline
 
 from recon import Pose3D, read_pose3d
 from recon.animal.skeleton_file import load_chain, load_skeleton
-from recon.fit.points import solve_points_and_size
+from recon.fit.points import solve_points
 from recon.gait.gait import pose_gait
 from recon.robotics.ik.animal import (
     StridePath,
@@ -306,14 +306,14 @@ def real_legs(folder: Path) -> dict[str, list[Leg]]:
             return pose.xyz_m[:, [pose.names.index(name) for name in names]]
 
         root, lasts_s = points(["tail_base"])[:, 0], stride_lasts_s(pose_gait(pose, fps))
-        body_states, _, size = solve_points_and_size(body, points(body.markers))
+        body_states, _, size = solve_points(body, points(body.markers), None)
         for side in SIDES:
             name = f"{meta.parent.name}, {side}"
             leg = ("tail_base", "spine", "neck_base", *(f"{side[0]}_front_{part}" for part in ("knee", "ankle", "paw")))
             known = np.isfinite(root[:, 0])
             flat, q, _ = projected_chain(points(leg), root[known][-1] - root[known][0])
             legs["2D"].append(Leg(name, flat, q, fps, lasts_s))
-            states, _, factor = solve_points_and_size(skeleton.body, points(skeleton.keypoint_names(side)))
+            states, _, factor = solve_points(skeleton.body, points(skeleton.keypoint_names(side)), None)
             summed = spine_front_leg(skeleton, factor * skeleton.nominal_base_length_m, 3, limited=False)
             legs["3D"].append(Leg(name, summed, chain_angles(skeleton, states), fps, lasts_s))
             whole = body_chain(body, leg[-1], size, limited=False)

@@ -40,7 +40,7 @@ from recon.animal.skeleton_file import load_chain
 from recon.clip import View, still_view
 from recon.clip.keypoints import clean
 from recon.fit import TrajectoryOptions, TrajectorySolution, constants, solve_trajectory
-from recon.fit.points import solve_points_and_size
+from recon.fit.points import solve_points
 from recon.fit.posterior import radius, sigmas
 from recon.gait.clip import POSE_LASTS_S, POSITION_LASTS_S
 from recon.gait.evaluation import centre, joint_errors, score
@@ -364,7 +364,7 @@ def size(runs: Sequence[Path]) -> dict[str, Rows]:
     ):
         found = fits(replace(job, subject=own, scale=scale) for job in views(runs))
         bodies = {run: body_of(meta_of(run)["subject"] if own else None, scale) for run in runs}
-        true = {run: solve_points_and_size(body, truth_of(run)[1])[2] for run, body in bodies.items()}
+        true = {run: solve_points(body, truth_of(run)[1], None)[2] for run, body in bodies.items()}
         for part, some in (("named", [f for f in found if f.named]), ("all", found)):
             off = [(f.size - true[f.job.run]) / f.size_sigma for f in some]
             rows.append(

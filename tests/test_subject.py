@@ -104,7 +104,7 @@ def test_lengths_and_offsets_together_are_less_certain():
 
 def _run_of(animal: Body) -> np.ndarray:
     """(T, J, 3): keypoints of the run of `truth_m` by another body."""
-    states, _ = solve_points(BODY, truth_m())
+    states, *_ = solve_points(BODY, truth_m())
     return animal.detected.pose(states).points_m
 
 

@@ -13,7 +13,7 @@ from gallop import KEYPOINT_NAMES, MARGIN_PX, SLOPE, add_noise, gallop
 
 from recon.animal import load_chain, load_skeleton, seen_by
 from recon.clip import clean
-from recon.fit import solve_points_and_size
+from recon.fit import solve_points
 from recon.io import read_camera, read_cameras, read_keypoints, read_pose3d
 
 SAMPLES = Path(__file__).resolve().parents[1] / "data" / "samples"
@@ -241,7 +241,7 @@ def test_samples_read_back(name, camera):
     if name == "whole":  # the detector sees its keypoints beside the markers
         body = seen_by(load_skeleton("cheetah-24"), "acinoset")
         order = [truth.names.index(marker) for marker in body.markers]
-        states, _, size = solve_points_and_size(body, truth.xyz_m[:, order])
+        states, _, size = solve_points(body, truth.xyz_m[:, order], None)
         seen_m = np.empty_like(truth.xyz_m)
         seen_m[:, order] = body.detected.pose(states, size).points_m
     xy_px, _ = cam.project(in_camera(cam, seen_m))

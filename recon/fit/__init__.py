@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from recon.fit.extrinsics import solve_extrinsics
     from recon.fit.least_squares import Estimate, LeastSquares, Unknown
     from recon.fit.motion import MOTION, Motion
-    from recon.fit.points import solve_points, solve_points_and_size
+    from recon.fit.points import solve_points
     from recon.fit.posterior import DEGREES_OF_FREEDOM, radius, sigmas
     from recon.fit.result import ExpectedError, Finding, Ground, MotionSegment, Solution, TrajectorySolution, Verdict
     from recon.fit.sampling import draws

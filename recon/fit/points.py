@@ -24,21 +24,14 @@ _DAMPING = (1e-12, 1e12)
 
 def solve_points(
     body: Body, points_m: Array, size: float | None = 1.0, pull_m_per_rad: float = 1e-2
-) -> tuple[Array, Array]:
-    """States (T, D) whose markers are nearest to points_m (T, J, 3), and rms_m (T,), the distance that is left.
+) -> tuple[Array, Array, float]:
+    """States (T, D) whose markers are nearest to points_m (T, J, 3), rms_m (T,), the distance that is left, and the
+    size.
 
     points_m: metres, world z up, NaN where missing; size: the factor on the body's lengths, one for all frames, None to
     estimate it. pull_m_per_rad holds the angles to the body's expectations: weakly, so that angles that nothing else
     says, such as a yaw about an axis that points along the segment, do not wander. The heading is continuous over time.
     Frames with fewer than `MIN_MARKERS` markers are NaN.
-    """
-    return solve_points_and_size(body, points_m, size, pull_m_per_rad)[:2]
-
-
-def solve_points_and_size(
-    body: Body, points_m: Array, size: float | None = None, pull_m_per_rad: float = 1e-2
-) -> tuple[Array, Array, float]:
-    """The same, and the size.
 
     Raises ValueError if the points do not fit the body, or if a size is to be estimated from nothing.
     """

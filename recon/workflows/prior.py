@@ -22,7 +22,7 @@ from recon.base.files import require_free_file
 from recon.base.settings import Count, NotNegative, OneOrMore, Option, Settings
 from recon.check import usable
 from recon.fit.motion import Motion
-from recon.fit.points import MIN_MARKERS, solve_points_and_size
+from recon.fit.points import MIN_MARKERS, solve_points
 from recon.io import Pose3D, read_pose_segments
 from recon.show.plain import picked
 from recon.workflows.batch.inputs import file_names
@@ -187,7 +187,7 @@ def _solved_segments(
         points_m = np.concatenate([pose.of_joints(body.markers) for pose in of_file.values()])
         if not (np.isfinite(points_m).all(axis=2).sum(axis=1) >= MIN_MARKERS).any():
             raise InputError(Problem(path, "frames", "too few points in each", f"{MIN_MARKERS} markers in some frame"))
-        states, rms_m, sizes[path] = solve_points_and_size(body, points_m, None if estimate_size else 1.0)
+        states, rms_m, sizes[path] = solve_points(body, points_m, None if estimate_size else 1.0)
         first = 0
         for piece, pose in of_file.items():
             fps, jumps = next(rate), (np.nonzero(np.diff(pose.frames) != 1)[0] + 1).tolist()

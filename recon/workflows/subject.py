@@ -190,7 +190,7 @@ def _states_known(setting: ClipProblem, frames: Integers, pose: Pose3D) -> Array
     _, mine, theirs = np.intersect1d(frames, pose.frames, return_indices=True)
     points_m = np.full((len(frames), len(markers), 3), np.nan)
     points_m[mine] = pose.of_joints(markers)[theirs]
-    states, _ = solve_points(setting.body, points_m)
+    states, *_ = solve_points(setting.body, points_m)
     if not np.isfinite(states).all(axis=1).any():
         found = f"{len(mine)} of the clip's frames, {len({*markers} & {*pose.names})} of the skeleton's markers"
         expected = f"{MIN_MARKERS} or more of {', '.join(markers)} in frames of the clip, numbered as its keypoints are"
