@@ -164,10 +164,6 @@ _MIN_RAYS = 2
 class StartFit:
     """A start after the approach, best known at the frames of the clip."""
 
-    heading_rad: float
-    """About the world's z axis, from the right of the first camera's picture."""
-    first_cost: float
-    """The cost of the widest fit, by which the starts are chosen."""
     estimate: Estimate
     finished: bool = False
     """It was carried to the end."""
@@ -183,17 +179,14 @@ def approach(clip: ClipProblem) -> list[StartFit]:
         noise = thin.noise_px(thin.markers(states), ones) * widen
         return thin.problem(noise).minimise(states, tolerance, iterations)
 
-    tried = []
-    for heading_rad, states in _starts(clip):
-        estimate = minimum(states[every], _WIDE[0], 1e-2, 12)
-        tried.append(StartFit(heading_rad, estimate.cost, estimate))
-    tried.sort(key=lambda a: a.first_cost)
+    tried = [StartFit(minimum(states[every], _WIDE[0], 1e-2, 12)) for states in _starts(clip)]
+    tried.sort(key=lambda a: a.estimate.cost)
     for i, start in enumerate(tried[: 1 if fast else 2]):
         estimate = start.estimate
         for widen in _WIDE[1:]:
             estimate = minimum(estimate.states, widen, 3e-3 if fast else 1e-3, 15)
         full = replace(estimate, states=between(estimate.states, every, len(clip)))
-        tried[i] = replace(start, estimate=full, finished=True)
+        tried[i] = StartFit(full, finished=True)
     return sorted(tried, key=lambda a: (not a.finished, a.estimate.cost))
 
 
@@ -204,8 +197,8 @@ def between(states: Array, at: Index, T: int) -> Array:
     return np.stack([np.interp(np.arange(T), at, column) for column in states.T], axis=1)
 
 
-def _starts(clip: ClipProblem) -> list[tuple[float, Array]]:
-    """(heading, states) of the best runs, and for one camera of the best one's mirror image in depth."""
+def _starts(clip: ClipProblem) -> list[Array]:
+    """The states of the best runs, and for one camera of the best one's mirror image in depth."""
     misfit, headings_rad, states = _runs(clip)
     best = int(np.argmin(misfit))
     dips = [i for i in range(len(misfit)) if misfit[i] <= misfit[i - 1] and misfit[i] <= misfit[(i + 1) % len(misfit)]]
@@ -215,7 +208,7 @@ def _starts(clip: ClipProblem) -> list[tuple[float, Array]]:
         apart = [abs(np.angle(np.exp(1j * (headings_rad[i] - headings_rad[j])))) for j in chosen]
         if all(a > _APART_RAD for a in apart):
             chosen.append(i)
-    return [(float(headings_rad[i]), states[i]) for i in chosen]
+    return [states[i] for i in chosen]
 
 
 def _runs(clip: ClipProblem) -> tuple[Array, Array, Array]:
