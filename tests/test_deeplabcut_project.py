@@ -69,13 +69,13 @@ def test_a_configuration(project):
     config = project / "config.yaml"
     found = find_project(config)
     assert found is not None
-    assert (found.scorer, found.individuals, len(found.bodyparts)) == ("me", (), 6)
+    assert (found.scorer, len(found.bodyparts)) == ("me", 6)
     assert [video[-8:] for video in found.video_sets] == ["run1.mp4", "run2.mp4"]
     several = "bodyparts: MULTI!\nmultianimalbodyparts: [nose, tail_base]\nindividuals:\n- bella\n- rex"
     config.write_text(f"Task: dogs\nscorer: me\n{several}\n", encoding="utf-8")
     found = find_project(project)
     assert found is not None
-    assert (found.bodyparts, found.individuals) == (("nose", "tail_base"), ("bella", "rex"))
+    assert found.bodyparts == ("nose", "tail_base")
     config.write_text("camera_matrix: 1\n", encoding="utf-8")
     assert find_project(config) is None
     config.write_text("Task: dogs\nscorer: me\nbodyparts:\n", encoding="utf-8")

@@ -251,17 +251,6 @@ def test_reports_when_it_did_not_converge():
     assert found.iterations == 2
 
 
-def test_a_search_that_will_not_reach_what_is_wanted_ends_early():
-    problem = whole_problem()
-    found = problem.minimise(some_states(), 1e-10, 200)
-    reached = problem.minimise(some_states(), 1e-10, 200, wanted=found.cost)
-    np.testing.assert_array_equal(reached.states, found.states)
-    early = problem.minimise(some_states(), 1e-10, 200, wanted=0.5 * found.cost)
-    assert not early.converged
-    assert found.cost <= early.cost < problem.cost(some_states())
-    assert early.iterations < found.iterations
-
-
 def test_costs_are_named():
     problem, states = whole_problem(), some_states()
     costs = problem.costs(states)

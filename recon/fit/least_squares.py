@@ -175,24 +175,17 @@ class LeastSquares:
             start = stop
 
     def minimise(
-        self,
-        states: Array,
-        tolerance: float,
-        max_iterations: int,
-        shared: Mapping[str, Array] | None = None,
-        wanted: float = np.inf,
+        self, states: Array, tolerance: float, max_iterations: int, shared: Mapping[str, Array] | None = None
     ) -> Estimate:
         """The minimum from a start; stops when a step lowers the cost by less than tolerance times the cost, or times
-        one: what a residual of a sigma and a half costs, below which rounding is all that is left to lower. And where
-        another step like the last would not reach a wanted cost: nearly always they get smaller."""
+        one: what a residual of a sigma and a half costs, below which rounding is all that is left to lower."""
         shared = self.expected() if shared is None else shared
         here, damping = Estimate(states, self.cost(states, shared), 0, False, shared), _FIRST_DAMPING
         for iteration in range(1, max_iterations + 1):
             lower, damping = self._lower(here, damping)
             done = lower is None or here.cost - lower.cost < tolerance * max(here.cost, 1.0)
-            hopeless = lower is not None and 2 * lower.cost - here.cost > wanted
             here = replace(lower or here, iterations=iteration, converged=done)
-            if done or hopeless:  # without a direction that leads down, a minimum to rounding
+            if done:  # without a direction that leads down, a minimum to rounding
                 break
         return here
 

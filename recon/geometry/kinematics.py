@@ -287,9 +287,9 @@ class Tree:
             relative[block] = points[len(self.segments) :].transpose(2, 0, 1)
         return TreePose(state[:, None, ROOT] + relative)
 
-    def origins(self, state: Array, size: Array | float = 1.0) -> Array:
+    def origins(self, state: Array) -> Array:
         """The segments' origins in the world (N, S, 3), for states (N, D)."""
-        relative = self._points(self._frames(state)[0], state, size)[: len(self.segments)]
+        relative = self._points(self._frames(state)[0], state, 1.0)[: len(self.segments)]
         return state[:, None, ROOT] + relative.transpose(2, 0, 1)
 
     def _points(self, frames: Array, state: Array, size: Array | float) -> Array:
@@ -318,12 +318,12 @@ class Tree:
         jacobian[..., ROOT] = _IDENTITY
         return TreePose(state[:, None, ROOT] + relative, jacobian, relative)
 
-    def derivatives(self, state: Array, size: float = 1.0) -> tuple[Array, Array, Callable[[Array], Array]]:
+    def derivatives(self, state: Array) -> tuple[Array, Array, Callable[[Array], Array]]:
         """For one state (D,): the markers' Jacobian (J, 3, D), the axes (D - 3, 3) that each angle turns about or
         slides along, and a function that makes of weights (J, 3) the weighted sum (D - 3, D - 3) of the markers' second
         derivatives by the angles. The axes are those of joints that are not summed."""
         plan, J = self._plan, len(self.markers)
-        _, axes, moved = self._moved(state[None], np.full(1, size))
+        _, axes, moved = self._moved(state[None], np.ones(1))
         axes, moved = axes[..., 0], moved[..., 0]
         jacobian = np.zeros((J, 3, self.n_state))
         jacobian.reshape(-1)[plan.entries] = moved if plan.merge is None else plan.merge @ moved

@@ -36,8 +36,6 @@ class Project:
     """The name of who labelled."""
     bodyparts: tuple[str, ...]
     """The bodyparts of one animal."""
-    individuals: tuple[str, ...]
-    """None in a project of one animal."""
     video_sets: tuple[str, ...]
     """Paths of the videos, perhaps of another computer."""
 
@@ -60,7 +58,6 @@ def find_project(path: Path) -> Project | None:
         config,
         next(iter(entries["scorer"]), ""),
         tuple(entries.get("multianimalbodyparts" if several else "bodyparts", ())),
-        tuple(entries.get("individuals", ())) if several else (),
         tuple(entries.get("video_sets", ())),
     )
 

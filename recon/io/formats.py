@@ -244,9 +244,9 @@ def individuals(path: str | Path) -> tuple[str, ...]:
     return ()
 
 
-def file_head(path: Path, length: int = 64) -> bytes:
+def file_head(path: Path) -> bytes:
     """The first bytes of a file. Raises InputError where there is no file to read, or nothing in it."""
-    head = read_head(path, "a file that can be read", length)
+    head = read_head(path, "a file that can be read", 64)
     if not head:
         raise InputError(Problem(path, "file", "an empty file", "a file that can be read"))
     return head
