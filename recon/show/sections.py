@@ -351,14 +351,6 @@ def heading_text(angle_rad: float | None) -> str:
     return f"{abs(degrees)}° out of the picture's plane, {'away from' if degrees > 0 else 'towards'} the camera"
 
 
-def angles(motion: Motion) -> dict[str, Any]:
-    """How much the pixels say of every angle, and how well it is known: medians over the frames."""
-    solution = motion.solution
-    known = zip(solution.angle_data_share.T, solution.angle_sigma_rad.T, strict=True)
-    rows = [{"data_share": median(share), "sigma_rad": median(sigma)} for share, sigma in known]
-    return by_name(motion.angle_names, rows)
-
-
 # -- what the trajectory method found ---------------------------------------------------------------------------------
 
 

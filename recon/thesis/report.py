@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -14,7 +13,7 @@ from recon.fit.motion import MEASURED_SHARE, Motion
 from recon.gait.clip import ClipAnalysis
 from recon.geometry.frames import level_axes
 from recon.show import sections
-from recon.show.plain import by_name, number, spread
+from recon.show.plain import number, spread
 from recon.show.sections import Line, Section
 from recon.thesis.frame import FrameOptions, base_length, frame_solution
 
@@ -47,13 +46,6 @@ def _base_length(motion: Motion) -> dict[str, Any]:
     return {"nominal_m": nominal, "sigma_m": sigma, "data_share": share, "measured": bool(share >= MEASURED_SHARE)}
 
 
-def solver(motion: Motion) -> dict[str, Any]:
-    chain, options = frame_solution(motion).chain, FrameOptions.of(motion.settings)
-    nominal, sigma = base_length(chain, options)
-    of_chain = {"keypoint_sigma_m": chain.file.keypoint_sigma_m, "base_length_m": nominal, "base_sigma_m": sigma}
-    return {name: of_chain.get(name) if value is None else value for name, value in asdict(options).items()}
-
-
 def summary(motion: Motion) -> dict[str, Any]:
     solution = frame_solution(motion)
     R = solution.views[0].rotation
@@ -81,25 +73,12 @@ def summary_lines(motion: Motion, data: Any) -> Iterator[Line]:
     across, depth = (number(data[f"joint_sigma_{way}_m"], ".2f") for way in ("across", "depth"))
     size = "size and distance included (one sigma)"
     yield "uncertainty", f"{across} m across the picture, {depth} m in depth, {size}"
-
-
-def cost_shares(motion: Motion) -> dict[str, Any]:
-    """Median over the frames with a pose that have the term."""
-    solution = frame_solution(motion)
-    solved = [r.cost_shares for r in solution.reports if r is not None and r.in_view]
-    return {name: median([shares[name] for shares in solved if name in shares]) for name in solution.objectives}
-
-
-def limits(motion: Motion) -> dict[str, Any]:
-    """How often, and by how much at most, angles passed their ranges and rates their limits."""
-    solution = frame_solution(motion)
-    ranges, rates = solution.beyond_range_rad, solution.beyond_rate_rad_s
-    frames = {"frames": int(motion.solved.sum()), "intervals": int(np.isfinite(rates).any(axis=1).sum())}
-    passed = {}
-    for kind, beyond, largest in (("ranges", ranges, "largest_excess_rad"), ("rates", rates, "largest_excess_rad_s")):
-        each = zip((beyond > 0).sum(axis=0), np.fmax.reduce(beyond, initial=0.0), strict=True)
-        passed[kind] = by_name(solution.chain.angle_names, [{"passed": count, largest: most} for count, most in each])
-    return frames | passed
+    text, timing = f"{number(data['iterations_median'], '.0f')} iterations a frame (median)", motion.timing_s
+    if "solve_s" in timing:
+        times = median(frame_solution(motion).reported("solve_s"))
+        each = f", {1000 * times:.0f} ms a frame (median)" if np.isfinite(times) else ""
+        text += f"{each}; {timing['solve_s']:.1f} s with reading"
+    yield "effort", text
 
 
 def travel(motion: Motion) -> dict[str, Any]:
@@ -135,17 +114,6 @@ def size_lines(motion: Motion, data: Any) -> Iterator[Line]:
     yield "size", f"base length {number(data['mean'], '.3f')} m; {expected}; {share} of its precision from pixels"
 
 
-def effort_lines(motion: Motion, data: Any) -> Iterator[Line]:
-    """How much work the fit was, by the optimiser's own counts."""
-    solution, timing = frame_solution(motion), motion.timing_s
-    text = f"{number(median(solution.reported('iterations')), '.0f')} iterations a frame (median)"
-    if "solve_s" in timing:
-        times = median(solution.reported("solve_s"))
-        each = f", {1000 * times:.0f} ms a frame (median)" if np.isfinite(times) else ""
-        text += f"{each}; {timing['solve_s']:.1f} s with reading"
-    yield "effort", text
-
-
 SECTIONS: tuple[Section, ...] = (
     Section("verdict", verdict_fields, sections.verdict_lines),
     Section("input", sections.clip, sections.clip_lines),
@@ -153,7 +121,6 @@ SECTIONS: tuple[Section, ...] = (
     Section("frame_of_reference", lambda motion: motion.frame_of_reference),
     Section("skeleton", skeleton),
     Section("assumptions", assumptions),
-    Section("solver", solver),
     Section("summary", summary, summary_lines),
     Section("unused_keypoints", lambda motion: motion.unused_keypoints),
     Section("missing_keypoints", lambda motion: motion.missing_keypoints),
@@ -164,8 +131,5 @@ SECTIONS: tuple[Section, ...] = (
     Section("travel", travel, travel_lines),
     Section("size", lambda motion: {"factor": motion.solution.size}),
     Section("base_length_m", lambda motion: spread(frame_solution(motion).unknown("base_length_m")), size_lines),
-    Section("angles", sections.angles),
-    Section("cost_shares", cost_shares),
-    Section("limits", limits, effort_lines),
 )
 """In the order of the summary."""
