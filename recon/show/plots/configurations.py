@@ -14,7 +14,6 @@ from matplotlib.collections import LineCollection
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import MaxNLocator
 
 from recon.animal import Body, Side
 from recon.animal.chain import UVW_BODY
@@ -132,8 +131,6 @@ _SAYS = "left blue, right orange; pale: first, full colour: last configuration; 
 _PALEST = 0.25
 """The palest share of a side's colour, in the first configuration."""
 _ROOM = 0.04
-_MARGIN_MM = 16.0
-"""Beside or below a panel, for its axis."""
 
 
 def in_body(body: Body, states: Array, size: Array | float, reference: str) -> Array:
@@ -164,26 +161,25 @@ def body_fixed(
     if not len(rows):
         with drawing(40.0, title=title) as figure:
             return figure
-    shown, first = joints_m[rows], 4.0 + 6.0 * bool(title)
-    box = _extents(shown, limbs)
-    span = np.ptp(box, axis=1)
-    widest = min((WIDTH_MM - 2.2 * _MARGIN_MM) / (span[0] + span[2]), (WIDTH_MM - 1.2 * _MARGIN_MM) / span[0])
-    u, v, w = span * min(widest, (PAGE_MM - 8 - 2 * _MARGIN_MM) / (span[1] + span[2]))
-    height = first + v + w + 2 * _MARGIN_MM + 4.0
-    with drawing(height) as figure:
-        figure.set_layout_engine("none")
-        figure.suptitle(title, y=1 - 1 / height, va="top")
-        for heading, at, left, above, wide, high in (
-            ("UV, side", (0, 1), _MARGIN_MM, first, u, v),
-            ("WV, front", (2, 1), u + 2 * _MARGIN_MM, first, w, v),
-            ("UW, top", (0, 2), _MARGIN_MM, first + v + _MARGIN_MM, u, w),
-        ):
-            axes = figure.add_axes((left / WIDTH_MM, 1 - (above + high) / height, wide / WIDTH_MM, high / height))
+    shown = joints_m[rows]
+    flat = shown[:, sorted({j for along in limbs.values() for j in along})].reshape(-1, 3)
+    low, high = np.nanmin(flat, axis=0), np.nanmax(flat, axis=0)
+    room = np.maximum(_ROOM * np.max(high - low), 0.5 * (0.3 * np.max(high - low) - (high - low)))
+    box = np.stack([low - room, high + room], axis=1)
+    u, v, w = np.ptp(box, axis=1)
+    mm_per_m = min((WIDTH_MM - _LABELS_MM) / (u + w), (PAGE_MM - _LABELS_MM) / (v + w))
+    with drawing(mm_per_m * (v + w) + _LABELS_MM, title=title) as figure:
+        ratios = {"width_ratios": (u, w), "height_ratios": (v, w)}
+        panels = figure.subplot_mosaic([["UV, side", "WV, front"], ["UW, top", "."]], **ratios)
+        for (name, axes), (i, j) in zip(panels.items(), ((0, 1), (2, 1), (0, 2)), strict=True):
             for limb, along in limbs.items():
-                _draw(axes, shown[:, list(along)][..., list(at)], sides.get(limb))
-            _frame(axes, heading, at, box, (wide, high))
+                _draw(axes, shown[:, list(along)][..., [i, j]], sides.get(limb))
+            axes.plot(0, 0, "+", color=GREY, ms=7, zorder=0, gid="reference")
+            axes.set_title(name, loc="left", fontsize=SMALL, color=GREY, pad=2)
+            axes.set(xlim=box[i], ylim=box[j][:: -1 if j == 1 else 1], aspect="equal")  # V is down
+            axes.set(xlabel=LABELS[i], ylabel=LABELS[j])
         says = f"{_SAYS}; {time_s[rows[0]]:.2f} to {time_s[rows[-1]]:.2f} s"
-        figure.text(0.5, 1 / height, says, ha="center", va="bottom", fontsize=SMALL, color=GREY)
+        figure.supxlabel(says, fontsize=SMALL, color=GREY)
     return figure
 
 
@@ -194,25 +190,3 @@ def _draw(axes: Axes, paths_m: Array, side: Side | None) -> None:
     axes.scatter(*paths_m.reshape(-1, 2).T, s=4.0, c=np.repeat(colours, paths_m.shape[1], axis=0), zorder=2)
     lines = LineCollection(list(paths_m), colors=colours, lw=1.2, capstyle="round", zorder=2)
     axes.add_collection(lines, autolim=False)
-
-
-def _frame(axes: Axes, name: str, at: tuple[int, int], box: Array, size_mm: tuple[float, float]) -> None:
-    axes.plot(0, 0, "+", color=GREY, ms=7, zorder=0, gid="reference")
-    axes.set_title(name, loc="left", fontsize=SMALL, color=GREY, pad=2)
-    axes.set_xlim(*box[at[0]])
-    low, high = box[at[1]]
-    axes.set_ylim((high, low) if at[1] == 1 else (low, high))  # V is down
-    axes.set_aspect("equal")
-    for axis, label, side_mm, needed_mm in zip((axes.xaxis, axes.yaxis), at, size_mm, (8, 5), strict=True):
-        axis.set_label_text(LABELS[label] if side_mm > 30 else LABELS[label][0] + " (m)")
-        bins = int(np.clip(side_mm / needed_mm, 1, 6))
-        axis.set_major_locator(MaxNLocator(bins, steps=[1, 2, 5, 10], min_n_ticks=1))
-
-
-def _extents(joints_m: Array, limbs: Mapping[str, Sequence[int]]) -> Array:
-    """(3, 2): lowest and highest U, V and W, with some room."""
-    flat = joints_m[:, sorted({j for along in limbs.values() for j in along})].reshape(-1, 3)
-    flat = flat[np.isfinite(flat).all(axis=1)]
-    low, high = flat.min(axis=0), flat.max(axis=0)
-    room = np.maximum(_ROOM * np.max(high - low), 0.5 * (0.3 * np.max(high - low) - (high - low)))
-    return np.stack([low - room, high + room], axis=1)
