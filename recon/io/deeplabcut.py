@@ -225,7 +225,7 @@ def _frame_numbers(path: Path, index: Sequence[Sequence[str]]) -> tuple[np.ndarr
         frame = common.frame_number(match[1], -common.MAX_FRAME) if match else None
         if frame is None:
             expected = "an image name that ends in the frame number" if labels else "a frame number (0, 1, 2, ...)"
-            problems.append(Problem(path, f"row {row} below the header", f"'{text}'", expected))
+            problems.append(Problem(path, f"row {row} below the header", f"'{text[:200]}'", expected))
         frames.append(frame or 0)
     folders = list(dict.fromkeys(PureWindowsPath(text).parent.as_posix() for text in texts)) if labels else []
     if len(folders) > 1:
