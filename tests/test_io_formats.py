@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from command_line import refusal, says
 from scipy.io import savemat
 from scipy.spatial.transform import Rotation
 
@@ -24,10 +25,10 @@ from recon.workflows.convert import convert
 NAN = float("nan")
 
 
-def refused(path: Path, individual: str | None = None, read=read_keypoints) -> list[str]:
-    with pytest.raises(InputError) as error:
+def refuses(path: Path, *expected: tuple[object, ...], individual: str | None = None, read=read_keypoints) -> None:
+    """expected: each problem as for `refusal`, without the file."""
+    with refusal(*((path, *one) for one in expected)):
         read(path, individual)
-    return [str(problem) for problem in error.value.problems]
 
 
 def save(path: Path, text: str) -> Path:
@@ -84,8 +85,8 @@ def test_sleap(tmp_path, orders, dims):
     np.testing.assert_array_equal(a.xy_px, XY[:, 0])
     np.testing.assert_array_equal(b.xy_px, XY[1:, 1])
     np.testing.assert_array_equal(b.confidence, SCORE[1:, 1])
-    assert refused(path) == [f"{path}: individual: found 2 animals and no --individual, expected one of: a, b"]
-    assert "found 'c'" in refused(path, "c")[0]
+    refuses(path, ("individual", ["2 animals", "--individual"], "a, b"))
+    refuses(path, ("individual", "'c'", "a, b"), individual="c")
 
 
 def test_sleap_not_transposed(tmp_path):
@@ -114,15 +115,16 @@ def test_sleap_without_scores_and_names(tmp_path):
 
 
 def test_sleap_problems(tmp_path):
-    said = refused(sleap_file(tmp_path / "a.h5", node_names=np.array([b"x", b"x"]), point_scores=np.ones((2, 3, 4))))
-    assert len(said) == 3
-    assert "names of points: found 'x'" in said[0]
-    assert "names of points: found 2, expected 3" in said[1]
-    assert "likelihoods: found an array of the shape (4, 2, 3), expected (5, 2, 3)" in said[2]
-    said = refused(sleap_file(tmp_path / "c.h5", dims=False, point_scores=np.ones((5, 2))))
-    assert "point_scores: found float64 (5, 2) with the axes track, node, frame" in said[0]
-    said = refused(sleap_file(tmp_path / "d.h5", dims=False, track_occupancy=np.zeros((5, 2))), "a")
-    assert "frames: found none with the animal" in said[0]
+    refuses(
+        sleap_file(tmp_path / "a.h5", node_names=np.array([b"x", b"x"]), point_scores=np.ones((2, 3, 4))),
+        ("names of points", "'x'", "unique"),
+        ("names of points", 2, 3),
+        ("likelihoods", "(4, 2, 3)", "(5, 2, 3)"),
+    )
+    path = sleap_file(tmp_path / "c.h5", dims=False, point_scores=np.ones((5, 2)))
+    refuses(path, ("point_scores", ["float64 (5, 2)", "track, node, frame"], "track, node, frame"))
+    path = sleap_file(tmp_path / "d.h5", dims=False, track_occupancy=np.zeros((5, 2)))
+    refuses(path, ("frames", "none with the animal"), individual="a")
 
 
 def test_real_sleap(shared_data):
@@ -170,14 +172,14 @@ def test_movement_animals_without_points_are_no_choice(tmp_path):
 def test_movement(tmp_path, plural):
     data = movement_data(plural)
     data.to_netcdf(tmp_path / "a.nc", engine="scipy")
-    assert "format: found netCDF 3, expected netCDF 4" in refused(tmp_path / "a.nc")[0]
+    refuses(tmp_path / "a.nc", ("format", "netCDF 3", "netCDF 4"))
     data.to_netcdf(tmp_path / "a.nc", engine="h5netcdf")
     found = read_keypoints(tmp_path / "a.nc", "b")
     assert (found.names, found.individual, found.fps) == (tuple(NODES), "b", 25.0)
     assert found.frames.tolist() == [0, 1, 2, 3]
     np.testing.assert_array_equal(found.xy_px, data["position"].to_numpy()[..., 1].transpose(0, 2, 1))
     np.testing.assert_array_equal(found.confidence, data["confidence"].to_numpy()[..., 1])
-    assert "one of: a, b" in refused(tmp_path / "a.nc")[0]
+    refuses(tmp_path / "a.nc", ("individual", "2 animals", "a, b"))
 
 
 def test_movement_attributes_of_other_kinds(tmp_path):
@@ -214,8 +216,8 @@ def test_movement_3d(tmp_path):
     """The unit is not part of movement's format: it has to be given, unless the file is ours."""
     data = movement_data(False, "xyz")
     data.to_netcdf(tmp_path / "a.nc", engine="h5netcdf")
-    assert "x, y, z: 3D positions" in refused(tmp_path / "a.nc", "a")[0]
-    assert "unit: found none in the file" in refused(tmp_path / "a.nc", "a", read_pose3d)[0]
+    refuses(tmp_path / "a.nc", ("coords", "x, y, z: 3D positions", "2D keypoints"), individual="a")
+    refuses(tmp_path / "a.nc", ("unit", "none", "m, cm, mm (--unit)"), individual="a", read=read_pose3d)
     pose = read_pose3d(tmp_path / "a.nc", "a", unit="mm")
     values = data["position"].to_numpy()[..., 0].transpose(0, 2, 1)
     np.testing.assert_allclose(pose.xyz_m, values / 1000)
@@ -224,23 +226,20 @@ def test_movement_3d(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "expected"),
     [
-        (lambda d: d.rename({"keypoint": "node"}), "position: found float64 with the dimensions time, space, node"),
-        (lambda d: d.assign_coords(space=["y", "x"]), "space: found y, x, expected x, y or x, y, z"),
-        (
-            lambda d: d.assign_coords(keypoint=["a", "a", "b"]),
-            "names of points: found 'a'",
-        ),
-        (lambda d: d.assign_coords(time=[0, 1, 1, 2]), "time: found times that do not increase"),
-        (lambda d: d.assign_coords(time=[0, 0.04, 0.1, 0.2]), "time: found times that are no multiples of 0.04 s"),
-        (lambda d: d.assign_attrs(ds_type="bboxes"), "ds_type: found bboxes"),
-        (lambda d: d.isel(time=[]), "points: found no frames"),
+        (lambda d: d.rename({"keypoint": "node"}), ("position", "time, space, node", "keypoint, space")),
+        (lambda d: d.assign_coords(space=["y", "x"]), ("space", "y, x", "x, y or x, y, z")),
+        (lambda d: d.assign_coords(keypoint=["a", "a", "b"]), ("names of points", "'a'", "unique")),
+        (lambda d: d.assign_coords(time=[0, 1, 1, 2]), ("time", "do not increase")),
+        (lambda d: d.assign_coords(time=[0, 0.04, 0.1, 0.2]), ("time", ["no multiples", "0.04 s"])),
+        (lambda d: d.assign_attrs(ds_type="bboxes"), ("ds_type", "bboxes", "poses")),
+        (lambda d: d.isel(time=[]), ("points", "no frames")),
     ],
 )
-def test_movement_problems(tmp_path, change, said):
+def test_movement_problems(tmp_path, change, expected):
     change(movement_data(False)).to_netcdf(tmp_path / "a.nc", engine="h5netcdf")
-    assert said in refused(tmp_path / "a.nc", "a")[0]
+    refuses(tmp_path / "a.nc", expected, individual="a")
 
 
 # NWB
@@ -259,10 +258,9 @@ def test_real_nwb(shared_data):
             series = file["processing/behavior/PoseEstimation/front_right_paw"]
             np.testing.assert_array_equal(found.xy_px[:, 1], series["data"])
             np.testing.assert_array_equal(found.confidence[:, 1], series["confidence"])
-    (said,) = refused(folder / "0.1.1_poseestimation_nodes_edges.nwb")
-    assert "front_right_paw: found (100, 2) positions, expected (100, 3), as in front_left_paw" in said
-    (said,) = refused(folder / "0.1.1_poseestimation_no_cameras.nwb")
-    assert "PoseEstimationSeries: found none" in said
+    paw = ("PoseEstimation/front_right_paw", "(100, 2)", ["(100, 3)", "front_left_paw"])
+    refuses(folder / "0.1.1_poseestimation_nodes_edges.nwb", paw)
+    refuses(folder / "0.1.1_poseestimation_no_cameras.nwb", ("PoseEstimationSeries", "none", "ndx-pose"))
 
 
 def nwb_file(path: Path, edit=None) -> Path:
@@ -284,7 +282,7 @@ def nwb_file(path: Path, edit=None) -> Path:
 
 def test_nwb_of_several_animals(tmp_path):
     path = nwb_file(tmp_path / "a.nwb")
-    assert "one of: a, b" in refused(path)[0]
+    refuses(path, ("individual", "2 animals", "a, b"))
     found = read_keypoints(path, "b")
     assert found.individual == "b"
     np.testing.assert_array_equal(found.xy_px, XY[:, 0, :2] + 1)
@@ -294,18 +292,19 @@ def test_nwb_problems(tmp_path):
     def shift(behavior):
         behavior["a/tail/starting_time"][()] = 7.0
 
-    assert "a/tail: found other times than in nose" in refused(nwb_file(tmp_path / "a.nwb", shift), "a")[0]
+    refuses(nwb_file(tmp_path / "a.nwb", shift), ("a/tail", ["times", "nose"], "one time line"), individual="a")
 
     def explode(behavior):
         behavior["a/nose/data"][2] = np.inf
 
-    assert "points: found infinite coordinates" in refused(nwb_file(tmp_path / "c.nwb", explode), "a")[0]
+    refuses(nwb_file(tmp_path / "c.nwb", explode), ("points", "infinite"), individual="a")
 
     def shorten(behavior):
         del behavior["a/tail/confidence"]
         behavior["a/tail/confidence"] = np.ones(3)
 
-    assert "tail: found 5 positions, 3 confidences" in refused(nwb_file(tmp_path / "b.nwb", shorten), "a")[0]
+    counts = ("tail", "5 positions, 3 confidences and 5 times")
+    refuses(nwb_file(tmp_path / "b.nwb", shorten), counts, individual="a")
 
 
 # COCO
@@ -330,41 +329,38 @@ def test_coco(tmp_path):
     np.testing.assert_array_equal(found.xy_px, [[[3, 4], [5, 6]], [[1, 2], [NAN, NAN]]])
     np.testing.assert_array_equal(found.confidence, [[NAN, NAN], [NAN, 0]])
     assert found.individual is found.fps is found.image_size_px is None
-    assert found.notes == ("Frames are numbered as the images' file names.",)
+    assert [says(note, "numbered", "file names") for note in found.notes] == [True]
 
 
 def test_coco_of_several_animals(tmp_path):
     second = [dict(a, track_id=4, id=9, keypoints=[9] * 6) for a in COCO["annotations"]]
     path = save(tmp_path / "a.json", json.dumps(COCO | {"annotations": COCO["annotations"] + second}))
-    assert "one of: 3, 4" in refused(path)[0]
+    refuses(path, ("individual", "2 animals", "3, 4"))
     assert read_keypoints(path, "4").xy_px.tolist() == [[[9, 9], [9, 9]]] * 2
     assert read_keypoints(path, "4").individual == "4"
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "expected"),
     [
-        ({"annotations": [*COCO["annotations"], COCO["annotations"][0]]}, "a second animal in frame 12"),
-        ({"annotations": [dict(COCO["annotations"][0], keypoints=[1, 2])]}, "cannot reshape array of size 2"),
-        ({"annotations": [dict(COCO["annotations"][0], image_id=8)]}, "an entry without 8"),
-        ({"annotations": [dict(COCO["annotations"][0], keypoints=["x"] * 6)]}, "data that cannot be read"),
-        ({"categories": [{"id": 1, "name": "cheetah"}]}, "0 lists of keypoints"),
-        (
-            {"categories": [{"id": 1, "keypoints": ["a", "a"]}]},
-            "names of points: found 'a'",
-        ),
-        ({"images": [{"file_name": "x.png"}]}, "an entry without 'id'"),
-        ({"images": {}}, "an entry without 5"),
-        ({"images": [{"id": 5}, {"id": 5}]}, "frame numbers that are not unique"),
+        ({"annotations": [*COCO["annotations"], COCO["annotations"][0]]}, ("annotation 1", ["second", "frame 12"])),
+        ({"annotations": [dict(COCO["annotations"][0], keypoints=[1, 2])]}, ("content", "array of size 2")),
+        ({"annotations": [dict(COCO["annotations"][0], image_id=8)]}, ("content", "without 8")),
+        ({"annotations": [dict(COCO["annotations"][0], keypoints=["x"] * 6)]}, ("content", "'x'")),
+        ({"categories": [{"id": 1, "name": "cheetah"}]}, ("categories", "0 lists", "one")),
+        ({"categories": [{"id": 1, "keypoints": ["a", "a"]}]}, ("names of points", "'a'", "unique")),
+        ({"images": [{"file_name": "x.png"}]}, ("content", "without 'id'")),
+        ({"images": {}}, ("content", "without 5")),
+        ({"images": [{"id": 5}, {"id": 5}]}, ("images", "not unique")),
         (
             {"images": [{"id": -(10**14)}, {"id": 6}], "annotations": []},
-            "frames: found -100000000000000, expected increasing",
+            ("frames", "-100000000000000", "increasing"),
         ),
-        ({"images": [{"id": 0}, {"id": 2**70}], "annotations": []}, "data that cannot be read"),
+        ({"images": [{"id": 0}, {"id": 2**70}], "annotations": []}, ("content", "too large")),
     ],
 )
-def test_coco_problems(tmp_path, change, said):
-    assert said in refused(save(tmp_path / "a.json", json.dumps(COCO | change)))[0]
+def test_coco_problems(tmp_path, change, expected):
+    refuses(save(tmp_path / "a.json", json.dumps(COCO | change)), expected)
 
 
 # Plain CSV
@@ -400,14 +396,14 @@ def test_plain_csv(tmp_path, text):
 
 def test_plain_csv_of_several_animals(tmp_path):
     path = save(tmp_path / "a.csv", "frame,animal,node,x,y\n0,m1,nose,1,2\n0,m2,nose,3,4\n1,m2,nose,5,6\n")
-    assert "one of: m1, m2" in refused(path)[0]
+    refuses(path, ("individual", "2 animals", "m1, m2"))
     found = read_keypoints(path, "m2")
     assert (found.individual, found.frames.tolist(), found.xy_px[:, 0].tolist()) == ("m2", [0, 1], [[3, 4], [5, 6]])
 
 
 def test_columns_that_mean_nothing_are_named(tmp_path):
     found = read_keypoints(save(tmp_path / "a.csv", "frame,nose_x,nose_y,speed\n0,1,2,3\n"))
-    assert found.notes == ("Columns left out: speed.",)
+    assert [says(note, "left out: speed") for note in found.notes] == [True]
 
 
 def test_anipose_3d_csv(tmp_path):
@@ -417,45 +413,42 @@ def test_anipose_3d_csv(tmp_path):
     pose = read_pose3d(path, unit="mm")
     assert (pose.names, pose.frames.tolist()) == (("nose",), [7, 8])
     np.testing.assert_allclose(pose.xyz_m[:, 0], [[0.01, 0.02, 0.03], [NAN] * 3])
-    assert "unit" in refused(path, None, read_pose3d)[0]
-    assert "3D positions" in refused(path)[0]
+    refuses(path, ("unit", "none", "m, cm, mm (--unit)"), read=read_pose3d)
+    refuses(path, ("coords", "3D positions", "2D keypoints"))
     metres = save(tmp_path / "b.csv", "frame,nose_x_m,nose_y_m,nose_z_m\n0,1,2,3\n")
     assert read_pose3d(metres).xyz_m.tolist() == [[[1, 2, 3]]]
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "expected"),
     [
-        ("frame,node,x,y\n0,a,1,2\n0.5,a,1,2\n", ["frames: found 0.5 after 0"]),
-        ("frame,node,x,y\n0,a,1,one\n1,a,inf,2\n", ["line 3, x: found 'inf'", "line 2, y: found 'one'"]),
-        ("frame,node,x,y\n0,a,1,2\n0,a,3,4\n", ["line 3: found a second row of a frame or of a point in it"]),
-        ("frame,node,x,y\n0,,1,2\n", ["names of points: found ''"]),
-        ("frame,node,x,y\n0,a,1\n1,a,2,3,4\n", ["line 2: found 3 cells, expected 4", "line 3: found 5 cells"]),
-        ("frame,node,x,y\n", ["points: found no frames"]),
-        ("frame,a_x,a_y\n0,1,2\n0,3,4\n", ["line 3: found a second row of a frame"]),
+        ("frame,node,x,y\n0,a,1,2\n0.5,a,1,2\n", [("frames", "0.5 after 0", "increasing")]),
+        ("frame,node,x,y\n0,a,1,one\n1,a,inf,2\n", [("line 3, x", "'inf'"), ("line 2, y", "'one'")]),
+        ("frame,node,x,y\n0,a,1,2\n0,a,3,4\n", [("line 3", "second row")]),
+        ("frame,node,x,y\n0,,1,2\n", [("names of points", "''")]),
+        ("frame,node,x,y\n0,a,1\n1,a,2,3,4\n", [("line 2", "3 cells", 4), ("line 3", "5 cells", 4)]),
+        ("frame,node,x,y\n", [("points", "no frames")]),
+        ("frame,a_x,a_y\n0,1,2\n0,3,4\n", [("line 3", "second row")]),
     ],
 )
-def test_plain_csv_problems(tmp_path, text, said):
-    found = refused(save(tmp_path / "a.csv", text))
-    assert len(found) == len(said)
-    assert all(part in problem for part, problem in zip(said, found, strict=True))
+def test_plain_csv_problems(tmp_path, text, expected):
+    refuses(save(tmp_path / "a.csv", text), *expected)
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "found"),
     [
-        ("frame=F,x=X,y=Y", "no bodypart"),
-        ("bodypart=B,x=X,y=Y", "no frame"),
-        ("frame=F,where=B,x=X,y=Y", "'where=B'"),
-        ("frame=F,frame=G,bodypart=B,x=X,y=Y", "'frame=G'"),
-        ("frame=F,x={bodypart}_x,y=Y", "{bodypart} in x"),
-        ("frame", "'frame'"),
+        ("frame=F,x=X,y=Y", ["no bodypart"]),
+        ("bodypart=B,x=X,y=Y", ["no frame"]),
+        ("frame=F,where=B,x=X,y=Y", ["'where=B'", "no bodypart"]),
+        ("frame=F,frame=G,bodypart=B,x=X,y=Y", ["'frame=G'"]),
+        ("frame=F,x={bodypart}_x,y=Y", ["{bodypart} in x"]),
+        ("frame", ["'frame'", "no bodypart, x, y"]),
     ],
 )
-def test_column_maps_that_are_wrong(text, said):
-    with pytest.raises(InputError, match="--columns: map") as error:
+def test_column_maps_that_are_wrong(text, found):
+    with refusal(*(("--columns", "map", one) for one in found)):
         parse_map(text)
-    assert said in str(error.value)
 
 
 # Frame numbers
@@ -497,8 +490,8 @@ def test_real_trc(shared_data):
     assert pose.names[:2] == ("ASISl", "ASISr")
     assert (len(pose.names), pose.fps, pose.frames[0], len(pose.frames)) == (51, 100, 1, 93)
     np.testing.assert_allclose(pose.xyz_m.reshape(93, -1), table.to_numpy()[:, 2:155] / 1000)
-    assert pose.notes == ("The header announces 652 frames, the file has 93.",)
-    assert "which way is up" in read_pose3d(path).notes[1]
+    assert [says(note, "652 frames", 93) for note in pose.notes] == [True]
+    assert says(read_pose3d(path).notes[1], "way is up")
     # Under y up, which is wrong for this file, what it calls y is our z.
     np.testing.assert_array_equal(read_pose3d(path).xyz_m[..., 2], pose.xyz_m[..., 1])
 
@@ -539,8 +532,10 @@ def test_c3d_of_other_computers(tmp_path, processor, integers):
     # y up: x forwards, y up, z right becomes x, -z, y
     expected = np.array([[[2, -6, 4], [NAN, NAN, NAN]], [[8, -12, 10], [14, -18, 16]]]) * scale / 1000
     np.testing.assert_allclose(pose.xyz_m, expected, rtol=1e-6)
-    path.write_bytes(c3d_bytes(processor, integers)[:-1])
-    assert "bytes of" in refused(path, read=read_pose3d)[0]
+    whole = c3d_bytes(processor, integers)
+    path.write_bytes(whole[:-1])
+    with refusal((path, "content", f"{len(whole) - 1} bytes of {len(whole)}")):
+        read_pose3d(path)
 
 
 def test_real_c3d(shared_data):
@@ -591,10 +586,10 @@ def test_bvh_by_hand(tmp_path):
     np.testing.assert_allclose(pose.xyz_m, expected, atol=1e-12)
     assert pose.fps == pytest.approx(30, rel=1e-5)
     assert pose.edges == (("hips", "knee"), ("knee", "knee_end"))
-    assert "--unit" in refused(tmp_path / "a.bvh", None, read_pose3d)[0]
+    refuses(tmp_path / "a.bvh", ("unit", "none", "m, cm, mm (--unit)"), read=read_pose3d)
     centimetres = read_pose3d(tmp_path / "a.bvh", unit="cm")
     np.testing.assert_allclose(centimetres.xyz_m[1, 1], [0.03, -0.03, 0.02])
-    assert "read as y up" in centimetres.notes[0]
+    assert says(centimetres.notes[0], "as y up")
 
 
 def test_bvh_against_another_reader(tmp_path):
@@ -618,22 +613,22 @@ def test_bvh_against_another_reader(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "expected"),
     [
-        (("Frames: 2", "Frames: 3"), "MOTION: found 2 rows, and Frames: 3"),
-        (("1 2 3 90 0 0 0 90 0", "1 2 3 90"), "frame 2 of MOTION: found 4 numbers, expected 9"),
-        (("Frame Time: 0.0333333", "Frame Time: 0"), "Frame Time: found 0"),
-        (("1 2 3 90 0 0 0 90 0", "1 2 3 90 0 0 0 90 x"), "could not convert string to float: 'x'"),
-        (("CHANNELS 3 Zrotation", "CHANNELS 3 Zscale"), "in the hierarchy"),
-        (("OFFSET 1.0 0.0 0.0", "OFFSET 1.0"), "in the hierarchy"),
-        (("MOTION", ""), "in the hierarchy"),
-        (("JOINT knee", "JOINT hips"), "names of points: found 'hips'"),
-        (("Frames: 2", "Frames: 0_2"), "MOTION: found 2 rows, and Frames: 0"),
+        (("Frames: 2", "Frames: 3"), ("MOTION", "2 rows, and Frames: 3")),
+        (("1 2 3 90 0 0 0 90 0", "1 2 3 90"), ("frame 2 of MOTION", "4 numbers", 9)),
+        (("Frame Time: 0.0333333", "Frame Time: 0"), ("Frame Time", 0, "above 0")),
+        (("1 2 3 90 0 0 0 90 0", "1 2 3 90 0 0 0 90 x"), ("content", "'x'")),
+        (("CHANNELS 3 Zrotation", "CHANNELS 3 Zscale"), ("content", ["Zscale", "hierarchy"])),
+        (("OFFSET 1.0 0.0 0.0", "OFFSET 1.0"), ("content", ["'OFFSET 1.0'", "hierarchy"])),
+        (("MOTION", ""), ("content", ["'Frames: 2'", "hierarchy"])),
+        (("JOINT knee", "JOINT hips"), ("names of points", "'hips'", "unique")),
+        (("Frames: 2", "Frames: 0_2"), ("MOTION", "2 rows, and Frames: 0")),
     ],
 )
-def test_bvh_problems(tmp_path, change, said):
+def test_bvh_problems(tmp_path, change, expected):
     assert change[0] in BVH
-    assert any(said in p for p in refused(save(tmp_path / "a.bvh", BVH.replace(*change)), None, read_pose3d))
+    refuses(save(tmp_path / "a.bvh", BVH.replace(*change)), expected, read=read_pose3d)
 
 
 TRC = """\
@@ -652,23 +647,22 @@ def test_trc(tmp_path):
     assert (pose.names, pose.frames.tolist(), pose.fps) == (("a", "b"), [1, 2], 50)
     expected = np.array([[[1, -3, 2], [NAN] * 3], [[4, -6, 5], [7, -9, 8]]]) / 1000
     np.testing.assert_allclose(pose.xyz_m, expected)
-    with pytest.raises(InputError, match="unit: found m as given, but mm in the file"):
+    with refusal((tmp_path / "a.trc", "unit", ["m as given", "mm in"])):
         read_pose3d(tmp_path / "a.trc", unit="m")
 
 
 def test_trc_problems_come_together(tmp_path):
     text = TRC.replace("\tmm\t", "\tin\t").replace("50\t50\t2\t2", "x\t50\t2\t3").replace("\n1\t0\t1", "\nI\t0\tone")
-    said = refused(save(tmp_path / "a.trc", text), None, read_pose3d)
-    assert ["line 6, Frame#: found 'I'" in said[0], "line 6, a X: found 'one'" in said[1], len(said)] == [True, True, 2]
+    cells = ("line 6, Frame#", "'I'"), ("line 6, a X", "'one'")
+    refuses(save(tmp_path / "a.trc", text), *cells, read=read_pose3d)
     text = TRC.replace("\tmm\t", "\tin\t").replace("50\t50\t2\t2", "x\t50\t2\t3")
-    assert "unit: found in, expected one of: m, cm, mm" in refused(save(tmp_path / "a.trc", text), None, read_pose3d)[0]
-    said = refused(save(tmp_path / "a.trc", TRC[:-4]), None, read_pose3d)
-    assert "line 7: found 7 cells, expected 8, as in the header" in said[0]
+    refuses(save(tmp_path / "a.trc", text), ("unit", "in", "m, cm, mm (--unit)"), read=read_pose3d)
+    refuses(save(tmp_path / "a.trc", TRC[:-4]), ("line 7", "7 cells", 8), read=read_pose3d)
 
 
 def test_npz_problems(tmp_path):
     np.savez(tmp_path / "a.npz", xyz_m=np.zeros((2, 1, 3)), names=np.array([1]), frames=np.arange(2), fps=1.0)
-    assert "an entry without 'edges'" in refused(tmp_path / "a.npz", None, read_pose3d)[0]
+    refuses(tmp_path / "a.npz", ("content", "without 'edges'", "NPZ"), read=read_pose3d)
     np.savez(
         tmp_path / "b.npz",
         xyz_m=np.zeros((2, 1, 3)),
@@ -677,7 +671,7 @@ def test_npz_problems(tmp_path):
         fps=1.0,
         edges=np.zeros((1, 2), int),
     )
-    assert "frames: found 3 after 3, expected increasing" in refused(tmp_path / "b.npz", None, read_pose3d)[0]
+    refuses(tmp_path / "b.npz", ("frames", "3 after 3", "increasing"), read=read_pose3d)
 
 
 def test_parquet_of_others(tmp_path):
@@ -685,7 +679,7 @@ def test_parquet_of_others(tmp_path):
     table.to_parquet(tmp_path / "a.parquet")
     np.testing.assert_allclose(read_pose3d(tmp_path / "a.parquet").xyz_m[:, 0], [[0.001, 0.002, 0.003], [NAN] * 3])
     table.drop(columns="nose_z_mm").to_parquet(tmp_path / "b.parquet")
-    assert "expected x, y, z" in refused(tmp_path / "b.parquet", None, read_pose3d)[0]
+    refuses(tmp_path / "b.parquet", ("coords", "no z (Parquet)", "x, y, z"), read=read_pose3d)
 
 
 # MMPose, whose whole files are tested with the names of detectors
@@ -712,28 +706,36 @@ def test_mmpose_counts_frames_from_1(tmp_path, first):
 def test_mmpose_with_tracks(tmp_path):
     animals = [mmpose_animal(3, track_id=4), mmpose_animal(7, track_id=5)]
     path = mmpose_file(tmp_path / "a.json", [{"frame_id": 1, "instances": animals}])
-    assert "one of: 4, 5" in refused(path)[0]
+    refuses(path, ("individual", "2 animals", "4, 5"))
     found = read_keypoints(path, "5")
     assert (found.individual, found.xy_px[0, 0, 0]) == ("5", 7)
 
 
 @pytest.mark.parametrize(
-    ("frames", "names", "said"),
+    ("frames", "names", "expected"),
     [
-        ([{"frame_id": 1, "instances": [mmpose_animal(1), mmpose_animal(2)]}], ("nose", "tail"), "a second animal"),
+        (
+            [{"frame_id": 1, "instances": [mmpose_animal(1), mmpose_animal(2)]}],
+            ("nose", "tail"),
+            ("frame 1", "second animal", "track_id"),
+        ),
         (
             [{"frame_id": 1, "instances": [mmpose_animal(1)]}],
             ("nose",),
-            "found 2 points and 2 scores, expected one for each of 1 keypoints",
+            ("frame 1", "2 points and 2 scores", "1 keypoints"),
         ),
-        ([{"frame_id": 1, "instances": [{"keypoints": [[1, 2]]}]}], ("nose",), "an entry without 'keypoint_scores'"),
-        ([{"frame_id": 1, "instances": [mmpose_animal(1)]}], {"7": "nose"}, "an entry without '0'"),
-        ([[mmpose_animal(1)]], ("nose", "tail"), "data that cannot be read"),
-        ([], ("nose", "tail"), "points: found no frames"),
+        (
+            [{"frame_id": 1, "instances": [{"keypoints": [[1, 2]]}]}],
+            ("nose",),
+            ("content", "without 'keypoint_scores'"),
+        ),
+        ([{"frame_id": 1, "instances": [mmpose_animal(1)]}], {"7": "nose"}, ("content", "without '0'")),
+        ([[mmpose_animal(1)]], ("nose", "tail"), ("content", "cannot be read", "MMPose JSON")),
+        ([], ("nose", "tail"), ("points", "no frames")),
     ],
 )
-def test_mmpose_problems(tmp_path, frames, names, said):
-    assert any(said in problem for problem in refused(mmpose_file(tmp_path / "a.json", frames, names)))
+def test_mmpose_problems(tmp_path, frames, names, expected):
+    refuses(mmpose_file(tmp_path / "a.json", frames, names), expected)
 
 
 # Broken files of every format
@@ -762,7 +764,8 @@ def test_cut_off_files_are_refused(tmp_path):
             lines = cut.read_bytes().splitlines()
             full_row = path.suffix == ".csv" and lines[-1].count(b",") == lines[0].count(b",") and len(lines) > 4
             if not full_row:
-                assert refused(cut, None, read)
+                with pytest.raises(InputError):
+                    read(cut)
 
 
 def test_the_content_counts_not_the_extension(tmp_path):
@@ -773,9 +776,11 @@ def test_the_content_counts_not_the_extension(tmp_path):
 
 def test_a_choice_that_is_none(tmp_path):
     for path, read in written(tmp_path):
-        (said,) = refused(path, "rex", read)
-        assert "individual: found" in said
-        assert "rex" in said
+        with pytest.raises(InputError) as caught:
+            read(path, "rex")
+        (problem,) = caught.value.problems
+        assert (problem.file, problem.field) == (path, "individual")
+        assert "'rex'" in f"{problem.found} {problem.expected}"
 
 
 def test_pose_fps_and_edges():
@@ -793,7 +798,7 @@ def test_a_bvh_file_of_infinite_size(tmp_path):
         "HIERARCHY\nROOT hip\n{\nOFFSET inf 0 0\nCHANNELS 1 Xrotation\nEnd Site\n{\nOFFSET 0 0 0\n}\n}\n"
         "MOTION\nFrames: 1\nFrame Time: 0.1\n0\n"
     )
-    with pytest.raises(InputError, match="points: found infinite coordinates"):
+    with refusal((path, "points", "infinite")):
         read_pose3d(path, unit="m")
 
 
@@ -839,9 +844,7 @@ def test_openpose_one_file_stands_for_all(tmp_path, name):
     assert np.isnan(found.xy_px[0, 4]).all()
     assert np.isnan(found.xy_px[1]).all()
     for read in (read_keypoints, lambda folder: convert(ConvertSettings(source=folder, out=tmp_path / "a.csv"))):
-        with pytest.raises(
-            InputError, match=r"a folder, expected one of its files, which stands for all: other_000009\.json"
-        ):
+        with refusal((path.parent, "file", "a folder", "other_000009.json")):
             read(path.parent)
 
 
@@ -852,10 +855,9 @@ def test_openpose_with_two_persons_and_other_lists(tmp_path):
         read_keypoints(path)
     assert read_keypoints(path, "2").xy_px[1, 0].tolist() == [2, 2]
     path = openpose_files(tmp_path / "b", {0: [one], 1: [np.ones((25, 3))]})
-    with pytest.raises(InputError, match="17 and 25"):
-        read_keypoints(path)
-    with pytest.raises(InputError, match="a name without a number"):
-        read_keypoints(path.rename(path.with_name("run.json")))
+    refuses(path, ("pose_keypoints_2d", "17 and 25", "17, 18, 25, 26"))
+    nameless = path.rename(path.with_name("run.json"))
+    refuses(nameless, ("file", "without a number", "run_000012_keypoints.json"))
 
 
 # DANNCE, sleap-anipose
@@ -905,7 +907,7 @@ def test_dannce(tmp_path, packed):
     plain = replace(one, distortion=np.zeros(4))
     px, _ = plain.project(plain.world_to_camera(at))
     np.testing.assert_allclose(px + 1, [[1000 * x / z + 641, 1100 * y / z + 513]])
-    with pytest.raises(InputError, match="image size"):
+    with refusal(*((path, f"params[{i}].size", "nothing", "--image-size") for i in (0, 1))):
         read_cameras(path)
 
 
@@ -918,23 +920,24 @@ def test_dannce_predictions_and_names(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("changes", "said"),
+    ("content", "expected"),
     [
-        ({"labelData": None}, "data_3d: found nothing"),
-        ({"labelData": cell({"data_3d": np.ones((2, 5)), "data_frame": [1, 2]})}, r"cannot reshape array of size 10"),
-        (
-            {"labelData": cell({"data_3d": np.ones((2, 6)), "data_frame": [2, 2]})},
-            "frames: found 2 after 2",
-        ),
+        (None, ("data_3d", "nothing", "labelData")),
+        ({"data_3d": np.ones((2, 5)), "data_frame": [1, 2]}, ("content", "array of size 10")),
+        ({"data_3d": np.ones((2, 6)), "data_frame": [2, 2]}, ("frames", "2 after 2", "increasing")),
     ],
 )
-def test_dannce_problems(tmp_path, changes, said):
-    with pytest.raises(InputError, match=said):
-        read_pose3d(dannce_file(tmp_path / "a.mat", **changes), unit="mm")
+def test_dannce_problems(tmp_path, content, expected):
+    path = dannce_file(tmp_path / "a.mat", labelData=content and cell(content))
+    with refusal((path, *expected)):
+        read_pose3d(path, unit="mm")
+
+
+def test_other_files_of_matlab(tmp_path):
     save(tmp_path / "b.mat", "MATLAB 7.3 MAT-file, Platform: x")
-    with pytest.raises(InputError, match=r"save\(name, '-v7'\)"):
+    with refusal((tmp_path / "b.mat", "file", "7.3", "save(name, '-v7')")):
         read_pose3d(tmp_path / "b.mat", unit="mm")
-    with pytest.raises(InputError, match="params: found no cameras"):
+    with refusal((tmp_path / "a.mat", "params", "no cameras", "K, r, t")):
         read_cameras(dannce_file(tmp_path / "a.mat", params=cell("none")))
 
 
@@ -945,7 +948,7 @@ def test_sleap_anipose(tmp_path):
     with h5py.File(tmp_path / "points3d.h5", "w") as file:
         file.create_dataset("tracks", data=values, compression="gzip", chunks=True)
         file["frames"] = [100, 105]
-    with pytest.raises(InputError, match="track_0, track_1"):
+    with refusal((tmp_path / "points3d.h5", "individual", "2 animals", "track_0, track_1")):
         read_pose3d(tmp_path / "points3d.h5", unit="m")
     pose = read_pose3d(tmp_path / "points3d.h5", "track_1", unit="m")
     np.testing.assert_array_equal(pose.xyz_m, values[:, 1])
