@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
-import matplotlib.style
+import matplotlib.style as mpl_style
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
@@ -91,7 +91,7 @@ def png_of(figure: Figure, dpi: float = PNG_DPI, transparent: bool = False) -> b
 
 
 def _settings() -> AbstractContextManager[None]:
-    return mpl.style.context(["default", _SHEET])
+    return mpl_style.context(["default", _SHEET])
 
 
 def look(i: int) -> dict[str, Any]:
