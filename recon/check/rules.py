@@ -133,10 +133,11 @@ def no_pose(motion: Motion) -> Iterator[Finding]:
     centres = np.array([view.centre_m[0] for view in motion.solution.views if view.still])
     apart = max((float(np.linalg.norm(a - b)) for a in centres for b in centres), default=0.0)
     times = apart / _span(motion.body)
-    if _flagged(motion, "diverged") and times > FARTHEST:
+    diverged = any("diverged" in flags for flags in motion.flags)
+    if diverged and times > FARTHEST:
         yield finding("no_pose_unit", apart_m=apart, times=times, in_cm_m=apart / 100, in_mm_m=apart / 1000)
         return
-    yield finding("no_pose_diverged" if _flagged(motion, "diverged") else "no_pose")
+    yield finding("no_pose_diverged" if diverged else "no_pose")
 
 
 def few_frames(motion: Motion) -> Iterator[Finding]:
@@ -291,10 +292,6 @@ def _outliers(motion: Motion) -> tuple[int, float]:
         for of_all in zip(*((picture.outliers, picture.present) for picture in motion.pictures), strict=True)
     )
     return count, count / max(detections, 1)
-
-
-def _flagged(motion: Motion, flag: str) -> int:
-    return sum(flag in flags for flags in motion.flags)
 
 
 def _solution(motion: Motion) -> TrajectorySolution:
