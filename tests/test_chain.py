@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import refusal
 
 from recon import InputError
 from recon.animal import Chain, builtin_chains, load_chain
@@ -125,7 +126,7 @@ def test_bad_files(tmp_path, text: str, field: str):
 
 
 def test_unknown_name_lists_the_known_ones():
-    with pytest.raises(InputError, match="cheetah-8u, cheetah-8u-jules"):
+    with refusal(("--skeleton", "name or file", "'unicorn'", "cheetah-8u, cheetah-8u-jules")):
         load_chain("unicorn")
 
 
@@ -140,11 +141,11 @@ def test_a_chain_that_cannot_be_placed_is_refused(tmp_path):
     example = (Path(__file__).parent / "files" / "trunk-and-leg.toml").read_text()
     short = tmp_path / "short.toml"
     short.write_text("[[links]]".join(example.split("[[links]]")[:4]))
-    with pytest.raises(InputError, match="at least 4"):
+    with refusal((short, "links", 3, "at least 4"), (short, "feet", "'paw'")):
         load_chain(short)
     free = tmp_path / "free.toml"
     angle = "{ mean_rad = 0.0, tolerance_rad = 1.0, max_rate_rad_s = 9.0 }"
     with_angles = f'keypoint = "spine"\ntheta = {angle}\nphi = {angle}'
     free.write_text(example.replace('keypoint = "spine"', with_angles))
-    with pytest.raises(InputError, match="forward axis"):
+    with refusal((free, "links", "", "forward axis")):
         load_chain(free)

@@ -664,7 +664,7 @@ def test_exit_code_1_when_no_pose_can_be_found(tmp_path):
     out = tmp_path / "out"
     ended = run(*whole_args(out, keypoints=clip))
     assert ended.code == 1
-    assert ended.err == f"error: no frame could be solved: see {out / 'report.json'}\n"
+    assert says(ended.err, "error: no frame", out / "report.json")
     assert sorted(path.name for path in out.iterdir()) == sorted(OUTPUT_FILES)
     assert "0 of 30 with a pose" in ended.out
     assert "4 of the skeleton's 24 used; missing: nose, " in ended.out
@@ -682,7 +682,7 @@ def test_exit_code_1_when_no_frame_can_be_solved(tmp_path):
     out = tmp_path / "out"
     ended = run(*fit_args(out, keypoints=clip))
     assert ended.code == 1
-    assert ended.err == f"error: no frame could be solved: see {out / 'report.json'}\n"
+    assert says(ended.err, "error: no frame", out / "report.json")
     assert sorted(path.name for path in out.iterdir()) == sorted(OUTPUT_FILES)
     report = report_of(out)
     assert report["summary"]["frames_no_data"] == 30

@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import pytest
+from command_line import refusal
 
-from recon import InputError
 from recon.base import silent
 from recon.clip import View, still_view
 from recon.fit import ClipProblem, TrajectoryOptions, solve_extrinsics
@@ -99,7 +98,7 @@ def test_cameras_are_placed_beside_those_already_placed(monkeypatch):
 
 def test_clips_with_nothing_in_common():
     points = truth_m()
-    with pytest.raises(InputError, match="too few frames"):
+    with refusal(("KEYPOINTS", "camera cam1", "too few frames")):
         solve_extrinsics([setting([view_of(points, AHEAD), blind(view_of(points, ASIDE))])])
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from command_line import says
 from dog import read_clips
 from gallop import KEYPOINT_NAMES, gallop
 
@@ -233,7 +234,7 @@ def test_ground_that_cannot_be_told_gives_no_gait():
     xyz[:, feet, 0] = xyz[:, feet[:1], 0].mean() + 5.0 * np.arange(len(xyz))[:, None] / FPS  # never slow
     found = pose_gait(replace(pose, xyz_m=xyz), FPS)
     assert (found.stances, found.name.name) == ((), "unknown")
-    assert "no foot is slow" in found.name.criterion
+    assert says(found.name.criterion, "is slow")
     xyz = pose.xyz_m.copy()
     xyz[:, feet, 2] += 0.5 * np.sin(np.arange(len(xyz)))[:, None]
     found = pose_gait(replace(pose, xyz_m=xyz), FPS)
@@ -269,7 +270,8 @@ def test_only_complete_strides_count():
     short = pose_gait(runner(*PATTERNS["rotary gallop"], n=28), FPS)
     assert short.strides == ()
     assert short.name.name == "rotary gallop"
-    assert "no complete stride, but the motion is that of one of 0.4" in short.name.criterion
+    assert says(short.name.criterion, "no complete stride")
+    assert "of one of 0.4" in short.name.criterion
     assert np.isnan(short.stride_length_m)
     assert np.isnan(short.stride_frequency_hz)
 
@@ -379,7 +381,8 @@ def test_strides_with_a_stance_too_few_or_too_many_do_not_count():
     assert len(found.strides) >= 8
     text = doubtful_text(found.doubtful[0])
     assert text.startswith("RF's stride from ")
-    assert " does not count: strides of all feet at its time last 0.4" in text
+    assert says(text, "does not count")
+    assert "last 0.4" in text
 
 
 def test_bad_input():

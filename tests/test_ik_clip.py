@@ -10,11 +10,10 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from command_line import run
+from command_line import refusal, refused, run, says
 from gallop import RISE_S, START_STRIDES_HZ, TOP_STRIDES_HZ, gallop
 from scipy.interpolate import CubicSpline
 
-from recon import InputError
 from recon.fit import Motion
 from recon.gait import pose_gait
 from recon.io import Pose3D
@@ -85,7 +84,7 @@ def test_chain_of_the_8u_skeleton(frame_results, dim):
         base = results.solution.chain_states[:, -1]
         scaled = np.linalg.norm(paw - root, axis=1) * np.median(base) / base
         np.testing.assert_allclose(np.linalg.norm(ends(limb), axis=1), scaled, rtol=1e-6)
-    with pytest.raises(InputError, match="expected RF"):
+    with refusal(("--foot", "foot", "'RH'", "RF (r_front_paw)")):
         limb_of(results, "RH")
 
 
@@ -124,7 +123,7 @@ def test_the_limit_that_keeps_a_path_from_closing_is_named(frame_results, tmp_pa
     side, limit = ("upper", chain.upper_rad[at]) if "upper" in row["first_limit"] else ("lower", chain.lower_rad[at])
     assert row["first_limit"].startswith(f"{joint} at its {side} limit of {limit:.2f} rad (step ")
     said = " ".join(done.out.split())
-    assert f"extended-energy does not close, stopped by {row['first_limit']}" in said
+    assert says(said, "extended-energy does not close", row["first_limit"])
     assert pd.read_csv(tmp_path / "a" / "follow.csv")["first_limit"].iloc[0] == row["first_limit"]
 
 
@@ -247,7 +246,7 @@ def test_parameters_refitted_on_the_way(folder):
     np.testing.assert_allclose(run.dq[0], expected, rtol=1e-9)
     off = np.sqrt(np.nanmean((least.q[::10][: len(stride.q)] - stride.q) ** 2))
     assert done.summary["along_stride"]["least-norm"]["joints_off_rad"] == pytest.approx(off)
-    assert done.summary["parameters"]["used"] == "refitted at every frame"
+    assert done.summary["parameters"]["used"].startswith("refitted")
 
 
 def test_one_method_to_a_place_of_ones_own(folder):
@@ -293,7 +292,7 @@ def test_the_stride_takes_as_long_as_it_does_and_can_be_followed(fit, dim, reque
 def test_a_stride_that_misses_a_stance_is_said_and_not_taken(frame_results, tmp_path):
     done = run("ik", frame_results, "--follow", "stride", "--no-figures", "--out", tmp_path / "a")
     said = " ".join(done.out.split())
-    assert "the nearest return of the foot to the same place" in said
+    assert says(said, "nearest return")
 
 
 def test_a_stride_of_ones_own(frame_results, tmp_path):
@@ -305,14 +304,10 @@ def test_a_stride_of_ones_own(frame_results, tmp_path):
         pytest.approx(13 / 30),
         pytest.approx(0.735, abs=1e-4),
     )
-    for given, said in (
-        ("0.4", "found '0.4', expected START:END in seconds"),
-        ("0.5:3", "within 0.000:0.967, in seconds"),
-    ):
+    for given, *expected in (("0.4", "stride", "'0.4'", "START:END"), ("0.5:3", "times", "0.5:3", "0.000:0.967")):
         for command in (("ik", *ask), ("analyse",), ("retarget", "--robot", "a1")):
-            refused = run(command[0], frame_results, *command[1:], "--stride", given, "--out", tmp_path / "b")
-            assert refused.code == 2
-            assert said in refused.err
+            args = (command[0], frame_results, *command[1:], "--stride", given, "--out", tmp_path / "b")
+            refused(args, ("--stride", *expected))
 
 
 def test_how_long_a_stride_may_last_in_a_clip_without_a_complete_one():
@@ -338,24 +333,25 @@ def test_clip_without_a_stride_is_said(frame_results, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("options", "said"),
+    ("options", "expected"),
     [
-        ((), "--target, --follow stride or --compare"),
-        (("--follow", "circle"), "--follow: found 'circle'"),
-        (("--method", "magic", "--target", "stride-max"), "found 'magic', expected least-norm, transpose"),
-        (("--target", "1,2"), "expected stride-max, or 3 coordinates in metres"),
-        (("--target", "here"), "expected stride-max, or 3 coordinates"),
-        (("--target", "stride-max", "--foot", "XX"), "expected LF (l_front_paw)"),
-        (("--target", "stride-max", "--method", "extended"), "extended with --cost"),
-        (("--compare", "--cost", "energy,foo=2"), "found 'foo=2', expected differences, energy, harmonic, pose, or"),
-        (("--compare", "--alpha", "large"), "--alpha: found 'large', expected step, or a number other than 0"),
-        (("--compare", "--alpha", "0"), "--alpha: found 0"),
+        ((), ("options", "job", "none", "--target, --follow stride or --compare")),
+        (("--follow", "circle"), ("--follow", "follow", "'circle'", "stride")),
+        (("--method", "magic", "--target", "stride-max"), ("--method", "method", "'magic'", "least-norm, transpose")),
+        (("--target", "1,2"), ("--target", "target", "'1,2'", ["stride-max", "3 coordinates"])),
+        (("--target", "here"), ("--target", "target", "'here'", ["stride-max", "3 coordinates"])),
+        (("--target", "stride-max", "--foot", "XX"), ("--foot", "foot", "'XX'", "LF (l_front_paw)")),
+        (("--target", "stride-max", "--method", "extended"), ("--method", "method", "extended", "--cost")),
+        (
+            ("--compare", "--cost", "energy,foo=2"),
+            ("--cost", "cost", "'foo=2'", "differences, energy, harmonic, pose"),
+        ),
+        (("--compare", "--alpha", "large"), ("--alpha", "alpha", "'large'", "step, or a number")),
+        (("--compare", "--alpha", "0"), ("--alpha", "alpha", 0)),
     ],
 )
-def test_bad_options(whole_results, tmp_path, options, said):
-    done = run("ik", whole_results, "--out", tmp_path / "a", *options)
-    assert done.code == 2
-    assert said in done.err
+def test_bad_options(whole_results, tmp_path, options, expected):
+    refused(["ik", whole_results, "--out", tmp_path / "a", *options], expected)
     assert not (tmp_path / "a").exists()
 
 
@@ -373,6 +369,4 @@ def test_tables_are_written_where_figures_fail(whole_results, tmp_path, monkeypa
 def test_earlier_results_are_kept(folder):
     first = run("ik", folder, "--target", "stride-max", "--no-figures")
     assert first.code == 0
-    second = run("ik", folder, "--target", "stride-max", "--no-figures")
-    assert second.code == 2
-    assert "--overwrite" in second.err
+    refused(["ik", folder, "--target", "stride-max", "--no-figures"], ("--out", "folder", folder / "ik", "--overwrite"))

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from command_line import run
+from command_line import refusal, run
 from scipy.special import expit, logit
 
-from recon import InputError
 from recon.keypoint_net import evaluate_2d_files
 from recon.keypoint_net.evaluate2d import evaluate_2d, reliability
 from recon.keypoint_net.labels import Labels
@@ -100,7 +99,7 @@ def test_files_are_matched_by_frame_and_name(tmp_path):
     assert result["per_keypoint"]["nose"]["median_px"] == pytest.approx(1)
     assert result["per_keypoint"]["hip"]["median_px"] == pytest.approx(3)
     assert evaluate_2d_files(points, labels, first_frame=50, frames="53:")["frames"] == 1
-    with pytest.raises(InputError, match="--first-frame"):
+    with refusal((labels, "frames", "", "--first-frame")):
         evaluate_2d_files(points, labels)
 
 

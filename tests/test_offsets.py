@@ -10,7 +10,7 @@ import pytest
 from command_line import refusal
 from test_cameras import folder, keypoints_of, settings
 
-from recon import InputError, fit_clip
+from recon import fit_clip
 from recon.check import solved_in_step
 from recon.check.agreement import search_offsets
 from recon.clip import Source, at_rate, clean
@@ -93,7 +93,7 @@ def test_points_at_another_frame_rate():
     np.testing.assert_array_equal(fast.frames, [2, 3])
     np.testing.assert_allclose(fast.xy_px[:, 0, 0], [10, 30])
     assert (fast.confidence == 1).all()
-    with pytest.raises(InputError, match="two or more"):
+    with refusal(("keypoints", "frames", "", "two or more")):
         at_rate(replace(slow, fps=FPS * 20), FPS)
 
 

@@ -212,7 +212,7 @@ def test_a_video_of_a_varying_rate_is_said_to_be_one(folder, tmp_path):
     assert blocks == 8
     settings = OverlaySettings(folder=folder, video=video, out=tmp_path / "o.avi", first_frame=10)
     *_, (note,) = run_overlay(settings)
-    assert note.startswith("the frames of film.mkv are uneven in time (18 to 49 ms apart)")
+    assert says(note, "film.mkv", "uneven", "(18 to 49 ms apart)")
 
 
 def test_a_video_that_is_too_short_is_said_so(folder, video, tmp_path):

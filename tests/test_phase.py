@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from command_line import refusal
 
-from recon import InputError
 from recon.gait import Portrait, angle_kinematics, phase_portrait, vector_field
 from recon.gait.phase import closure, degree_of_closure, field_means, field_with_sigma, pose_vector_field, scaled
 from recon.io import Pose3D
@@ -80,7 +80,7 @@ def test_poses_with_gaps():
     joints[:] = np.nan
     empty = pose_vector_field(Pose3D(pose.names, joints, pose.frames), ("tail_base", "neck_base", "paw"), FPS)
     assert np.isnan(field_means(empty)["speed_m_s"][0])
-    with pytest.raises(InputError, match="no 'hoof'"):
+    with refusal(("pose", "joints", "'hoof'")):
         pose_vector_field(pose, ("tail_base", "neck_base", "hoof"), FPS)
     with pytest.raises(ValueError, match="three joints"):
         pose_vector_field(pose, ("tail_base", "paw"), FPS)

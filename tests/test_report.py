@@ -336,7 +336,7 @@ def test_every_spell_keeps_its_ground(small_trajectory):
     assert dict(summary_lines(above))["ground"].startswith(said)
     (found,) = (one for one in above["findings"] if one["code"] == "ground_above_camera")
     assert found["frames"] == [10, 13]
-    assert found["text"].startswith(f"The ground comes out {said}")
+    assert says(found["text"], said)
     heights = [f"{segment['camera_height_m']:.2f} ± 0.03 m below the camera" for segment in (one, other)]
     text = dict(summary_lines(report))["ground"]
     assert text.startswith(f"{heights[0]} (frames 10 to 12), {heights[1]} (frames 15 to 17); stances")

@@ -6,10 +6,9 @@ import json
 
 import numpy as np
 import pytest
-from command_line import run
+from command_line import refusal, refused, run
 from scipy.spatial.transform import Rotation
 
-from recon import InputError
 from recon.fit import Motion, draws
 from recon.robotics import Retargeting, load_robot, reference_of, retarget
 from recon.robotics.robot.trainers import FORMATS, sampled, write_for_trainer
@@ -158,13 +157,14 @@ def test_the_command_writes_both_with_the_verdict(whole_results, tmp_path):
         with np.load(tmp_path / "go2" / name) as file:
             assert "FL_foot" in file["body_names"]
             assert json.loads(str(file["source"]))["verdict"]["level"] in ("use", "check")
-    ended = run("retarget", whole_results, *options, "--rate", "0.5", "--overwrite")
-    assert ended.code == 2
-    assert "--rate" in ended.err
+    refused(
+        ["retarget", whole_results, *options, "--rate", "0.5", "--overwrite"],
+        ("--rate", "frames a second", 0.5, ["2.9", "two frames"]),
+    )
 
 
 def test_a_robot_for_which_a_layout_has_no_room(solved, tmp_path):
-    with pytest.raises(InputError, match="two frames"):
+    with refusal(("--rate", "frames a second", 0.1, ["2.6", "two frames"])):
         sampled(solved.stride, 0.1)
 
 
