@@ -313,36 +313,29 @@ NOT_DEFINITE = np.eye(24) - 2 * np.eye(24, k=0) * (np.arange(24) == 5)
 @pytest.mark.parametrize(
     ("changes", "expected"),
     [
-        ({"mean": None, "drift": None}, ["mean: found nothing", "drift: found nothing"]),
-        ({"covariance": NOT_DEFINITE}, ["covariance: found a matrix that is not positive definite"]),
-        ({"covariance": np.eye(24) + 0.1 * np.eye(24, k=1)}, ["covariance: found a matrix that is not positive"]),
-        ({"mean": np.full(24, np.nan)}, ["mean: found numbers that are not finite"]),
-        ({"mean": np.full(24, 1e300)}, ["mean: found numbers that are not finite, or beyond all reason"]),
-        ({"weights": np.ones(3)}, ["weights: found 1 and more, 3 in all"]),
+        ({"mean": None, "drift": None}, [("mean", "nothing"), ("drift", "nothing")]),
+        ({"covariance": NOT_DEFINITE}, [("covariance", "not positive definite")]),
+        ({"covariance": np.eye(24) + 0.1 * np.eye(24, k=1)}, [("covariance", "not positive")]),
+        ({"mean": np.full(24, np.nan)}, [("mean", "not finite")]),
+        ({"mean": np.full(24, 1e300)}, [("mean", "beyond all reason")]),
+        ({"weights": np.ones(3)}, [("weights", ["1 and more", "3 in all"])]),
         (
             {"means": np.zeros((2, 24)), "drift": np.zeros((24, 24))},
-            ["means: found shape (2, 24), expected (3, 24)", "drift: found shape (24, 24), expected (24, 48)"],
+            [("means", "(2, 24)", "(3, 24)"), ("drift", "(24, 24)", "(24, 48)")],
         ),
-        ({"mean": np.array(["a"] * 24)}, ["mean: found an array of <U1"]),
-        ({"about": np.array("{")}, ["content: found Expecting property name"]),
-        ({"format": 7}, ["format: found 7, expected 1"]),
-        ({"angles": "head_yaw", "source": 3}, ["source: found 3", "angles: found 'head_yaw'"]),
-        (
-            {"segments": [{"name": "a"}]},
-            [f"segments[0].{name}: found" for name in ("frames", "fps", "speed_m_s", "used")],
-        ),
-        ({"angles": ["head_yaw"]}, ["angles: found 1 angles, 23 missing (rear_trunk_pitch, "]),
-        ({"angles": [*cheetah().state_names[:3:-1]]}, ["angles: found 24 angles, in another order"]),
+        ({"mean": np.array(["a"] * 24)}, [("mean", "<U1")]),
+        ({"about": np.array("{")}, [("content", "property name")]),
+        ({"format": 7}, [("format", 7, 1)]),
+        ({"angles": "head_yaw", "source": 3}, [("source", 3), ("angles", "'head_yaw'")]),
+        ({"segments": [{"name": "a"}]}, [(f"segments[0].{name}",) for name in ("frames", "fps", "speed_m_s", "used")]),
+        ({"angles": ["head_yaw"]}, [("angles", ["1 angles", "23 missing (rear_trunk_pitch"])]),
+        ({"angles": [*cheetah().state_names[:3:-1]]}, [("angles", ["24 angles", "another order"])]),
     ],
 )
 def test_wrong_files(body, prior, tmp_path, changes, expected):
     path = altered(prior, tmp_path / "swing.npz", changes)
-    with pytest.raises(InputError) as error:
+    with refusal(*((path, *one) for one in expected)):
         load_prior(path, body)
-    found = [str(p) for p in error.value.problems]
-    assert len(found) == len(expected)
-    for message, start in zip(found, expected, strict=True):
-        assert message.startswith(f"{path}: {start}")
 
 
 @pytest.mark.parametrize("content", [b"", b"nothing", b"PK\x03\x04 cut off"])

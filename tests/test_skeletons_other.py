@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from command_line import refusal
+from command_line import refusal, says
 from typer.testing import CliRunner
 
 from recon import Body, Camera, FitSettings, InputError, Keypoints, Motion, fit_clip, load_skeleton
@@ -406,38 +406,34 @@ def test_check_of_a_chain():
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "remark"),
+    ("old", "new", "words"),
     [
-        (
-            '["tail_base", "withers"]',
-            '["withers", "tail_base"]',
-            "forward: in the expected pose tail_base is not ahead",
-        ),
-        ('left_fore = "left_front_paw"', 'left_fore = "left_ear"', "feet: in the expected pose left_ear not below"),
+        ('["tail_base", "withers"]', '["withers", "tail_base"]', ["forward:", "tail_base is not ahead"]),
+        ('left_fore = "left_front_paw"', 'left_fore = "left_ear"', ["feet:", "left_ear not below"]),
         (
             '"left_front_paw"\nright_fore = "right_front_paw"\nleft_hind = "left_hind_paw"',
             '"left_hind_paw"\nright_fore = "right_front_paw"\nleft_hind = "left_front_paw"',
-            "feet: in the expected pose left_hind_paw lies behind the middle of the trunk, but is a fore foot",
+            ["feet:", "left_hind_paw lies behind", "fore foot"],
         ),
-        ("at_m = [0.0, 0.03, 0.04]", "at_m = [0.0, -0.03, 0.04]", "(y is to the left) left_ear, right_ear."),
-        (CAT[CAT.index("left_fore") : CAT.index("# The root:")], "", "feet: none."),
+        ("at_m = [0.0, 0.03, 0.04]", "at_m = [0.0, -0.03, 0.04]", ["to the left) left_ear, right_ear."]),
+        (CAT[CAT.index("left_fore") : CAT.index("# The root:")], "", ["feet: none."]),
         (
             'name = "left_knee"\nsegment = "l_hind_shin"\nmirrored = true',
             'name = "left_knee"\nsegment = "l_hind_shin"\n[[markers]]\nname = "right_knee"\nsegment = "l_hind_shin"',
-            "(y is to the left) right_knee.",
+            ["to the left) right_knee."],
         ),
         (
             'name = "left_ear"\nsegment = "head"\nmirrored = true\nat_m = [0.0, 0.03, 0.04]',
             'name = "left_ear"\nsegment = "head"\nat_m = [0.0, 0.03, 0.04]\n'
             '[[markers]]\nname = "right_ear"\nsegment = "head"\nat_m = [0.0, -0.02, 0.04]',
-            "not the mirror image of the other side left_ear.",
+            ["mirror image", "left_ear."],
         ),
     ],
 )
-def test_remarks(tmp_path, old, new, remark):
+def test_remarks(tmp_path, old, new, words):
     assert old in CAT
     file = in_file(tmp_path, CAT.replace(old, new, 1))
-    assert any(remark in found for found in check_skeleton(file)["remarks"])
+    assert any(says(found, *words) for found in check_skeleton(file)["remarks"])
     assert "Look at this: " in output("skeleton", "check", file)
 
 
