@@ -99,7 +99,7 @@ def test_files_are_matched_by_frame_and_name(tmp_path):
     assert result["per_keypoint"]["nose"]["median_px"] == pytest.approx(1)
     assert result["per_keypoint"]["hip"]["median_px"] == pytest.approx(3)
     assert evaluate_2d_files(points, labels, first_frame=50, frames="53:")["frames"] == 1
-    with refusal((labels, "frames", "", "--first-frame")):
+    with refusal((points, "frames", "0 to 3", ["52 to 55", "--first-frame"])):
         evaluate_2d_files(points, labels)
 
 
