@@ -14,7 +14,7 @@ from robot_urdf import a1_urdf
 
 from recon.fit import Motion
 from recon.robotics import LEGS, body_pose, load_robot, read_model, reference_of, retarget, simulated
-from recon.robotics.robot.physics import FRICTION, RULES, carried, changes, check, followed, kept
+from recon.robotics.robot.physics import FRICTION, RULES, carried, check, followed, kept
 from recon.robotics.robot.retarget import RobotMotion, posed
 from recon.robotics.robot.trainers import sampled
 
@@ -132,14 +132,26 @@ def test_the_feet_of_a_trot_carry_it_once_the_base_is_moved_a_little(trot, carri
     assert before["forces"]["share"] < 0.6
     assert {name: rule["share"] for name, rule in after.items()} == dict.fromkeys(RULES, 1.0)
     # Footholds, time and the way of a stride are as they were; only the base is elsewhere, by what is said.
-    np.testing.assert_array_equal(motion.feet_m, trot.feet_m)
+    np.testing.assert_array_equal(motion.feet_m[motion.standing], trot.feet_m[trot.standing])
     np.testing.assert_allclose(motion.pose.translation - trot.pose.translation, moved[:, :3], atol=1e-12)
-    turned = (motion.pose.rotation * trot.pose.rotation.inv()).as_rotvec()
-    np.testing.assert_allclose(turned, moved[:, 3:], atol=1e-12)
+    turned = [one.pose.rotation.as_euler("ZYX") for one in (trot, motion)]
+    np.testing.assert_allclose(turned[1] - turned[0], moved[:, 3:], atol=1e-12)
     assert np.linalg.norm(moved[:, :3], axis=1).max() < 0.02
     assert np.linalg.norm(moved[:, 3:], axis=1).max() < 0.15
     assert motion.slip_m.max() < 1.5e-4
     assert motion.closing_percent < 1e-6
+
+
+@pytest.mark.parametrize(("robot", "scale"), [("a1", 0.28), ("go2", 0.31)])
+def test_the_feet_of_the_samples_gallop_carry_it(whole_results, robot, scale):
+    """Less than half of the frames have a foot on the ground, and few have two."""
+    gallop = retarget(reference_of(Motion.load(whole_results)), load_robot(robot), scale).stride
+    model = simulated(gallop.robot)
+    assert kept(check(gallop, model)[1])["forces"]["share"] < 0.1
+    motion, moved = carried(gallop, model)
+    assert {name: rule["share"] for name, rule in kept(check(motion, model)[1]).items()} == dict.fromkeys(RULES, 1.0)
+    assert np.linalg.norm(moved[:, :3], axis=1).max() < 0.1
+    assert motion.slip_m.max() < 1.5e-4
 
 
 def test_what_the_feet_carry_already_stays_as_it_is():
@@ -156,19 +168,6 @@ def test_the_a1_follows_a_stride_of_the_trot_by_its_torques_springs_and_dampers(
     assert trot.advance_m[0] > 0.4
     # As it was before the base was moved, the robot cannot.
     assert followed(trot)[1].max() > 2 * off_m.max()
-
-
-def test_changes_begin_with_none_and_grow():
-    factors = np.abs(np.log(changes())).sum(axis=1)
-    assert factors[0] == 0
-    assert (np.diff(factors) >= 0).all()
-
-
-def test_a_robot_at_another_height():
-    a1 = load_robot("a1")
-    high = a1.at_height(0.33)
-    assert (high.stand_m, high.ground_m) == (0.33, pytest.approx(a1.ground_m - 0.33 + a1.stand_m))
-    assert all(np.isfinite(leg.angles(leg.neutral_m[None])).all() for leg in high.legs.values())
 
 
 def test_the_command_says_what_it_changed(trotting, tmp_path):

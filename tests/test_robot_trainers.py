@@ -10,7 +10,9 @@ from command_line import refusal, refused, run
 from scipy.spatial.transform import Rotation
 
 from recon.fit import Motion, draws
-from recon.robotics import Retargeting, load_robot, reference_of, retarget
+from recon.robotics import Retargeting, RetargetSettings, load_robot, reference_of, retarget, simulated
+from recon.robotics.robot.physics import check, kept
+from recon.robotics.robot.retarget_clip import drawn
 from recon.robotics.robot.trainers import FORMATS, sampled, write_for_trainer
 from recon.workflows import problem_of
 
@@ -197,3 +199,15 @@ def test_the_command_draws_an_ensemble(whole_results, tmp_path):
     for number in (1, 2, 3):
         with np.load(tmp_path / "a1" / f"sample_{number:02d}_mjlab.npz") as file:
             assert json.loads(str(file["source"]))["sample"] == number
+
+
+def test_bases_of_draws_are_moved_as_the_clips_is(animal, whole_results, tmp_path):
+    settings = RetargetSettings(folder=whole_results, robot="a1", out=tmp_path)
+    small = retarget(animal, load_robot("a1"), 0.2, 1.2)
+    model = simulated(small.clip.robot)
+    (plain,), (moved,) = drawn(small, settings, 1), drawn(small, settings, 1, model)
+    before, after = (kept(check(one, model)[1])["forces"]["share"] for one in (plain, moved))
+    assert before < 0.05
+    assert after > 0.9
+    assert (moved.scale, moved.slower) == (small.clip.scale, small.clip.slower)
+    np.testing.assert_array_equal(moved.standing, small.clip.standing)

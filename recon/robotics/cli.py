@@ -150,6 +150,8 @@ def _print_retarget(console: Console, report: dict[str, Any], out: Path) -> None
         place, angle = (max(apart[name].values()) for name in ("base_sigma_m", "joint_sigma_rad"))
         text = f"{apart['count']} motions that it may have been, in {out / 'samples.npz'}: the base is known to"
         say(console, f"{text} {place:.3f} m, joint angles to {angle:.2f} rad (one standard deviation, the worst)")
+        if "keep_every_rule" in apart:
+            say(console, f"{apart['keep_every_rule']} of these motions keep every rule below in every frame")
     if "check" in report:
         _print_check(console, report["check"])
     for note in report["notes"]:

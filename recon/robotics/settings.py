@@ -127,8 +127,8 @@ class RetargetSettings(Settings):
     """By MuJoCo, frame by frame: limits, torques, forces on the ground, legs that meet: table, figure, and what to
     change."""
     fit_limits: bool = False
-    """The least change of time, stride, height and the base's path with which the robot can do it, by MuJoCo; the check
-    of before and after."""
+    """The least change of stride, time and the base's path, also of the draws', with which the robot can do it, by
+    MuJoCo; the check of before and after."""
     anyway: Annotated[bool, ANYWAY] = False
     overwrite: Annotated[bool, _OVERWRITE] = False
 

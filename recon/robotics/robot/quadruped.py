@@ -275,12 +275,6 @@ class Quadruped:
     masses: Masses | None = None
     """The masses of a robot that is described by its dimensions."""
 
-    def at_height(self, stand_m: float) -> Quadruped:
-        """The robot, its hips standing at another height."""
-        lower = np.array([0.0, 0.0, stand_m - self.stand_m])
-        legs = {label: replace(leg, neutral_m=leg.neutral_m - lower) for label, leg in self.legs.items()}
-        return replace(self, legs=legs, stand_m=stand_m)
-
     @property
     def joints(self) -> tuple[str, ...]:
         """All legs', in the order of `LEGS`."""

@@ -308,6 +308,15 @@ def planted(time_s: Array, path_m: Array, standing: Bools, advance_m: Array | No
     moving[:, 2] = (moving[:, 2] + np.hypot(moving[:, 2], SOFT * np.ptp(path_m[:, 2]))) / 2
     if not ends:
         return moving
+    before, after, since, until, lasts = _swings(time_s, standing)
+    share = np.minimum(np.minimum(since, until) / (EASE * lasts), 1.0)[:, None]
+    hold = place[np.where(since <= until, before, np.minimum(after, len(time_s) - 1))]
+    return hold + share**2 * (6 - 8 * share + 3 * share**2) * (moving - hold)
+
+
+def _swings(time_s: Array, standing: Bools) -> tuple[Array, Array, Array, Array, Array]:
+    """For each sample (N,) the last before it and the first after it that stand, the times since and until then, and
+    how long the swing lasts."""
     samples = np.arange(len(time_s))
     before = np.maximum.accumulate(np.where(standing, samples, -1))
     after = np.minimum.accumulate(np.where(standing, samples, len(samples))[::-1])[::-1]
@@ -315,7 +324,19 @@ def planted(time_s: Array, path_m: Array, standing: Bools, advance_m: Array | No
     swing = since + until
     # A swing that the clip cuts is as long as the longest other one.
     longest = swing[np.isfinite(swing)].max() or time_s[-1] - time_s[0]
-    ease = EASE * np.where(np.isfinite(swing) & ~standing, swing, longest)
-    share = np.minimum(np.minimum(since, until) / ease, 1.0)[:, None]
-    hold = place[np.where(since <= until, before, np.minimum(after, len(samples) - 1))]
-    return hold + share**2 * (6 - 8 * share + 3 * share**2) * (moving - hold)
+    return before, after, since, until, np.where(np.isfinite(swing) & ~standing, swing, longest)
+
+
+def swinging(motion: RobotMotion) -> Array:
+    """(N, 4): 0 where a foot stands, 1 in the middle of its swings, and smooth between."""
+    time, standing, n = motion.time_s, motion.standing, len(motion.time_s) - 1
+    if motion.advance_m is not None:
+        lasts = time[-1] - time[0]
+        time = np.concatenate([time[:-1] - lasts, time[:-1], time + lasts])
+        standing = np.concatenate([standing[:-1], standing[:-1], standing])
+    found = np.ones(standing.shape)
+    for foot in np.flatnonzero(standing.any(axis=0)):
+        _, _, since, until, lasts = _swings(time, standing[:, foot])
+        share = np.minimum(2 * np.minimum(since, until) / lasts, 1.0)
+        found[:, foot] = share**3 * (10 - 15 * share + 6 * share**2)
+    return found if motion.advance_m is None else found[n : 2 * n + 1]

@@ -71,8 +71,10 @@ def run_retarget(settings: RetargetSettings) -> tuple[Retargeting, dict[str, Any
         said = {k: report[k] for k in ("verdict", "robot", "animal", "scale", "slower")}
         with staged_results(out) as staging:
             if settings.samples is not None:
-                motions = drawn(done, settings, settings.samples)
+                motions = drawn(done, settings, settings.samples, model if settings.fit_limits else None)
                 report["samples"] = write_ensemble(motions, settings, staging, said)
+                if model is not None:
+                    report["samples"]["keep_every_rule"] = sum(_least_share(one, model) == 1 for one in motions)
             if model is not None:
                 report["check"] = checked(done, model, staging) | before
             _write(done, report, staging)
@@ -83,23 +85,35 @@ def run_retarget(settings: RetargetSettings) -> tuple[Retargeting, dict[str, Any
 
 
 def within_limits(done: Retargeting, model: Any) -> tuple[Retargeting, dict[str, Any]]:
-    """The smallest of `physics.changes` with which a stride whose base its feet can carry keeps every rule, and what it
-    is, for the report; where none does, the one that keeps them in most frames."""
-    own, tried = done.stride, []
-    for slower, scale, height in physics.changes():
-        robot = own.robot.at_height(height * own.robot.stand_m)
-        again = retarget(done.animal, robot, scale * own.scale, slower * own.slower, done.window)
-        stride, moved = physics.carried(again.stride, model)
-        rules = physics.kept(physics.check(stride, model)[1]).values()
-        tried.append((min(rule["share"] for rule in rules), again, stride, moved))
-        if tried[-1][0] == 1:
+    """The first of `physics.CHANGES` with which clip and stride, their bases moved, keep every rule, and what it is;
+    where none does, the one that keeps most."""
+    tried: list[tuple[float, Retargeting, RobotMotion, RobotMotion | None]] = []
+    for slower, scale in physics.CHANGES:
+        own = done.stride
+        again = retarget(done.animal, own.robot, scale * own.scale, slower * own.slower, done.window)
+        stride, clip = physics.carried(again.stride, model)[0], None
+        share = _least_share(stride, model)
+        if share == 1:
+            clip = physics.carried(again.clip, model)[0]
+            share += _least_share(clip, model)
+        tried.append((share, again, stride, clip))
+        if share == 2:
             break
-    _, again, stride, moved = max(tried, key=lambda one: one[0])
-    clip, also = physics.carried(again.clip, model)
-    shift, turn = (np.linalg.norm(np.vstack([moved, also])[:, of], axis=1).max() for of in (slice(3), slice(3, 6)))
-    changed = {name: getattr(clip, name) / getattr(done.clip, name) for name in ("slower", "scale")}
-    changed |= {"height": clip.robot.stand_m / own.robot.stand_m}
-    return replace(again, clip=clip, stride=stride), changed | {"base_moved_m": shift, "base_turned_rad": turn}
+    _, again, stride, clip = max(tried, key=lambda one: one[0])
+    clip = clip or physics.carried(again.clip, model)[0]
+    pairs = ((again.clip.pose, clip.pose), (again.stride.pose, stride.pose))
+    ups = clip.pose.translation[:, 2] - again.clip.pose.translation[:, 2]
+    changed = {name: getattr(clip, name) / getattr(done.clip, name) for name in ("slower", "scale")} | {
+        "height": 1 + float(ups.mean()) / clip.robot.stand_m,
+        "base_moved_m": max(float(np.linalg.norm(b.translation - a.translation, axis=1).max()) for a, b in pairs),
+        "base_turned_rad": max(float((b.rotation * a.rotation.inv()).magnitude().max()) for a, b in pairs),
+    }
+    return replace(again, clip=clip, stride=stride), changed
+
+
+def _least_share(motion: RobotMotion, model: Any) -> float:
+    """The least share of frames that keep a rule."""
+    return min(rule["share"] for rule in physics.kept(physics.check(motion, model)[1]).values())
 
 
 def checked(done: Retargeting, model: Any, folder: Path | None = None) -> dict[str, Any]:
@@ -270,14 +284,20 @@ def repeated(stride: RobotMotion, times: int) -> RobotMotion:
 # -- an ensemble of what the animal's motion may have been ------------------------------------------------------------
 
 
-def drawn(own: Retargeting, settings: RetargetSettings, count: int) -> list[RobotMotion]:
-    """Clips as the animal's may have been. Raises InputError as `problem_of`."""
+def drawn(own: Retargeting, settings: RetargetSettings, count: int, model: Any = None) -> list[RobotMotion]:
+    """Clips as the animal's may have been, at the same scale and pace. With MuJoCo's model of the robot, stances are
+    those of the clip, and bases are moved as `physics.carried` does. Raises InputError as `problem_of`."""
     fitted, robot = own.animal.analysis.motion, own.clip.robot
     problem = problem_of(fitted, settings.folder)
     assert isinstance(fitted.solution, TrajectorySolution)
     every = (replace(fitted, solution=one) for one in draws(problem, fitted.solution, count, 0))
+    animals = (reference_of(one, settings.stride) for one in every)
     given = robot, own.clip.scale, own.clip.slower, own.window
-    return [retarget(reference_of(one, settings.stride), *given).clip for one in every]
+    if model is None:
+        return [retarget(one, *given).clip for one in animals]
+    stands = own.animal.reference.standing
+    alike = (replace(one, reference=replace(one.reference, standing=stands)) for one in animals)
+    return [physics.carried(retarget(one, *given).clip, model, np.inf)[0] for one in alike]
 
 
 def write_ensemble(
