@@ -147,5 +147,5 @@ def test_a_chain_that_cannot_be_placed_is_refused(tmp_path):
     angle = "{ mean_rad = 0.0, tolerance_rad = 1.0, max_rate_rad_s = 9.0 }"
     with_angles = f'keypoint = "spine"\ntheta = {angle}\nphi = {angle}'
     free.write_text(example.replace('keypoint = "spine"', with_angles))
-    with refusal((free, "links", "", "forward axis")):
+    with refusal((free, "links", "without angles", "forward axis")):
         load_chain(free)

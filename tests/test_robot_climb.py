@@ -318,7 +318,7 @@ def test_every_problem_of_a_recipe_is_named(tmp_path):
 
 
 def test_robots_with_other_legs_are_refused():
-    with refusal(("a1", "legs", "", "swing joint")):
+    with refusal(("a1", "legs", "other legs", "swing joint")):
         plan(load_robot("a1"), one_footfall())
 
 
