@@ -8,7 +8,7 @@ A picture whose error (root mean square over its corners) is more than `DROP_FAC
 is left out, and the rest solved again, up to `ROUNDS` times. Errors of good pictures lie within a factor of two of the
 median, whatever the lens; a picture beyond three has moved, bent or wrongly read corners, and since least squares are
 not robust, one of those moves the focal length by more than all others determine it. Errors below `DROP_FLOOR_PX` are
-those of a good detector and never dropped. Dropped pictures are listed with their error under the final camera.
+those of a good detector and never dropped. Dropped pictures are listed with the error for which they were.
 
 **Whether it is good enough to use.** Each limit has two steps: beyond the first it is a warning, beyond the second a
 reason to refuse. What matters for a reconstruction is the scale of the picture (the focal length: 1 % is 1 % of every
@@ -106,20 +106,18 @@ def calibrate(views: BoardViews, model: str, name: str = "cam1") -> Calibration:
     if len(views.views) < MIN_VIEWS:
         found = f"the board in {len(views.views)} of {views.examined} pictures"
         raise InputError(Problem("pictures", "views", found, f"{MIN_VIEWS} or more; 12 to 40 are good"))
-    points = views.board.points_m
-    used = views.views
-    camera, fitted = _solve(used, points, views.image_size_px, model, name)
+    points, left_out = views.board.points_m, dict[str, _FittedBoardView]()
+    camera, fitted = _solve(views.views, points, views.image_size_px, model, name)
     for _ in range(ROUNDS):
         errors = np.array([view.rms_px for view in fitted])
         good = errors <= max(DROP_FACTOR * float(np.median(errors)), DROP_FLOOR_PX)
         if good.all() or good.sum() < MIN_VIEWS:
             break
-        used = [view for view, is_good in zip(used, good, strict=True) if is_good]
+        bad = [view for view, is_good in zip(fitted, good, strict=True) if not is_good]
+        left_out |= {view.name: replace(view, used=False) for view in bad}
+        used = [view for view in fitted if view.name not in left_out]
         camera, fitted = _solve(used, points, views.image_size_px, model, name)
-    every = {view.name: view for view in fitted}
-    for view in views.views:
-        if view.name not in every:
-            every[view.name] = replace(_fitted_view(view, points, camera, *_pose(view, points, camera)), used=False)
+    every = left_out | {view.name: view for view in fitted}
     sigma = _sigma(fitted, points, camera)
     return Calibration(camera, views.board, tuple(every[view.name] for view in views.views), tuple(sigma.tolist()))
 
@@ -185,18 +183,6 @@ def _solve_fisheye(views: Sequence[BoardView], points: Array, size: tuple[int, i
         raise failure or ValueError("no finite solution")
     _, matrix, distortion, rotations, translations = best
     return matrix, np.ravel(distortion), rotations, translations
-
-
-def _pose(view: BoardView, points: Array, camera: Camera) -> tuple[Array, Array]:
-    """Pose of the board in a picture that the camera was not found from."""
-    rays, valid = camera.rays(view.xy_px)
-    flat = rays[valid, :2] / rays[valid, 2:]
-    objects = points[view.ids][valid]
-    if len(flat) >= 4:
-        found, rotation, translation = cv2.solvePnP(objects, flat, np.eye(3), None)
-        if found:
-            return np.asarray(rotation, dtype=float), np.asarray(translation, dtype=float)
-    return np.zeros(3), np.array([0.0, 0.0, 1.0])
 
 
 def _sigma(views: Sequence[_FittedBoardView], points: Array, camera: Camera) -> Array:
