@@ -169,9 +169,9 @@ def body_fixed(
     u, v, w = np.ptp(box, axis=1)
     mm_per_m = min((WIDTH_MM - _LABELS_MM) / (u + w), (PAGE_MM - _LABELS_MM) / (v + w))
     with drawing(mm_per_m * (v + w) + _LABELS_MM, title=title) as figure:
-        ratios = {"width_ratios": (u, w), "height_ratios": (v, w)}
-        panels = figure.subplot_mosaic([["UV, side", "WV, front"], ["UW, top", "."]], **ratios)
-        for (name, axes), (i, j) in zip(panels.items(), ((0, 1), (2, 1), (0, 2)), strict=True):
+        (side, front), (top, empty) = figure.subplots(2, 2, width_ratios=(u, w), height_ratios=(v, w))
+        empty.remove()
+        for axes, name, i, j in ((side, "UV, side", 0, 1), (front, "WV, front", 2, 1), (top, "UW, top", 0, 2)):
             for limb, along in limbs.items():
                 _draw(axes, shown[:, list(along)][..., [i, j]], sides.get(limb))
             axes.plot(0, 0, "+", color=GREY, ms=7, zorder=0, gid="reference")
