@@ -311,7 +311,14 @@ def test_urdf_file(whole, tmp_path):
     """The same robot joint by joint, solved by the methods of recon.robotics.ik."""
     path = tmp_path / "a1.urdf"
     shape = '<link name="trunk"><visual><geometry><box size="0.4 0.1 0.1"/></geometry></visual></link>'
-    path.write_text(a1_urdf().replace('<link name="trunk"/>', shape))
+    facet = np.zeros(1, [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+    facet["corners"] = [[0, 0, 0], [0, 0, -0.2], [0.05, 0, -0.1]]
+    mesh = bytes(80) + np.uint32(1).tobytes() + facet.tobytes()
+    (tmp_path / "thigh.stl").write_bytes(mesh)
+    thigh = '<link name="FL_thigh"><visual><geometry><mesh filename="thigh.stl"/></geometry></visual></link>'
+    text = a1_urdf().replace('<link name="trunk"/>', shape).replace('<link name="FL_thigh"/>', thigh)
+    assert (shape in text, thigh in text) == (True, True)
+    path.write_text(text)
     stride = closed_stride(whole, stride_window(whole))
     found = [on_robot(stride, stride, load_robot(robot), scale=0.35)[1] for robot in ("a1", path)]
     np.testing.assert_allclose(found[1].angles_rad, found[0].angles_rad, atol=1e-3)
@@ -330,6 +337,8 @@ def test_urdf_file(whole, tmp_path):
         if "Boxes3D:half_sizes" in row
     ]
     np.testing.assert_allclose(boxes, [[[0.2, 0.05, 0.05]]], atol=1e-6)
+    meshes = [row for row in rows["/shapes/a1/visual_geometries/FL_thigh/visual_0"] if "Asset3D:blob" in row]
+    assert [(bytes(row["Asset3D:blob"][0]), row["Asset3D:media_type"]) for row in meshes] == [(mesh, ["model/stl"])]
     hip, base = rows["/world/robot/joints/FL_hip_joint"], rows["/world/robot/base"]
     assert (hip[0]["Transform3D:parent_frame"], base[0]["Transform3D:child_frame"]) == (["trunk"], ["base"])
     half = found[1].angles_rad[:, found[1].robot.joints.index("FL_hip_joint")] / 2

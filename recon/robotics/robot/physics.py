@@ -49,12 +49,12 @@ TRIES = 5
 STRETCHED = 0.05
 """A foot does not move in a direction in which its leg reaches less than this share of its best."""
 CLEAR = 0.05
-"""Of the standing height: what swinging feet are bent away from the ground within."""
+"""The height within which swinging feet are bent away from the ground, as a share of the standing height."""
 CHANGES = ((1.0, 1.0), (1.0, 0.8), (1.0, 0.6), (1.0, 0.5), (1.3, 0.8), (1.3, 0.6), (1.3, 0.5))
 """Factors on times and lengths that are tried, in this order: shorter strides first, as a slower robot has to leap the
 higher over the same share of a stride."""
 DEGREE, MOST = 5, 10.0
-"""Of the polynomials by which forces grow and fade; the most of each, in weights."""
+"""The degree of the polynomials by which forces grow and fade; the largest coefficient, in weights."""
 TURNS, HOPELESS = 12, 50.0
 """Steps at most; what is beyond the limits after three of them where more steps do not help."""
 UNIT, TORQUE, WITHIN, NEAR = 0.02, 0.05, 0.02, 3.0
