@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from command_line import refusal
 from networks import narrow_networks
 
 torch = pytest.importorskip("torch")
@@ -24,6 +25,7 @@ from recon.keypoint_net import (  # noqa: E402
 )
 from recon.keypoint_net.network import MODEL_FILE, Spec, TrainedNetwork, part_of  # noqa: E402
 from recon.keypoint_net.pictures import network_scales  # noqa: E402
+from recon.keypoint_net.train import CHECKPOINT_FILE  # noqa: E402
 
 SIZE, FRAMES = (160, 96), 12
 NAMES = ("nose", "l_paw", "r_paw")
@@ -86,17 +88,38 @@ def test_what_is_small_has_one_stage_and_what_is_large_two():
 
 
 def test_two_stages_from_labels_to_points(clip, tmp_path):
-    """The points are in pixels of the clip."""
+    """A run that is killed and goes on ends in the same weights; the points are in pixels of the clip."""
+
+    def stop(stage: str, share: float) -> None:
+        if share >= 0.8:
+            raise Killed
+
     report = train_in(tmp_path / "whole", clip)
     assert report["scale"] == 1
     assert report["first_stage_scale"] < 0.7
-    one = load_torch(tmp_path / "whole" / MODEL_FILE)
+    with pytest.raises(Killed):
+        train_in(tmp_path / "broken", clip, progress=stop)
+    train_in(tmp_path / "broken", clip, threads=None, resume=True)
+    one, other = (load_torch(tmp_path / name / MODEL_FILE) for name in ("whole", "broken"))
+    assert one["spec"] == other["spec"]
     assert len(one["spec"]["calibration"]) == 2
+    assert all(torch.equal(w, other["weights"][name]) for name, w in one["weights"].items())
     assert {name.partition(".")[0] for name in one["weights"]} == {"first", "second"}
     found = run_prediction(clip / "clip.avi", tmp_path / "whole", tmp_path / "p.csv", device="cpu", threads=1)
     assert np.isfinite(found.xy_px).all()
     assert (found.xy_px > -10).all()
     assert (found.xy_px < 170).all()
+
+
+@pytest.mark.usefixtures("no_report")
+def test_a_run_that_began_with_one_stage_does_not_go_on_with_two(clip, tmp_path, monkeypatch):
+    monkeypatch.setattr(pictures, "NETWORK_LENGTH_PX", 30.0)
+    train_in(tmp_path, clip)
+    assert (tmp_path / CHECKPOINT_FILE).is_file()
+    monkeypatch.setattr(pictures, "NETWORK_LENGTH_PX", 15.0)
+    with refusal((tmp_path / CHECKPOINT_FILE, "network", "another version", "--overwrite")):
+        train_in(tmp_path, clip, resume=True)
+    assert load_model(tmp_path, torch.device("cpu")).spec.first == 1
 
 
 @pytest.mark.usefixtures("no_report")
@@ -149,11 +172,13 @@ def test_the_part_of_a_picture_where_the_points_are():
 
 
 @pytest.mark.usefixtures("no_report")
-def test_all_threads_are_taken_unless_given(clip, tmp_path, monkeypatch):
+def test_all_threads_are_taken_unless_given_and_kept_on_resume(clip, tmp_path, monkeypatch):
     before = torch.get_num_threads()
     monkeypatch.setattr(network, "available_cores", lambda: 2)
     try:
         assert train_in(tmp_path, clip, threads=None)["threads"] == 2
+        monkeypatch.setattr(network, "available_cores", lambda: 1)
+        assert train_in(tmp_path, clip, threads=None, resume=True)["threads"] == 2
         assert train_in(tmp_path, clip, threads=1, overwrite=True)["threads"] == 1
     finally:
         torch.set_num_threads(before)

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from command_line import refusal, refused, run
+from command_line import refusal, refused, run, says
 from networks import EVALUATIONS, narrow_networks
 
 torch = pytest.importorskip("torch")
@@ -71,8 +71,8 @@ def source(clip: Path, **changes: str) -> LabelSource:
 SHORT = TrainSettings(steps=9, batch=2, seed=3)
 
 
-def train_in(out: Path, clip: Path, settings: TrainSettings = SHORT) -> dict:
-    return run_training(source(clip), settings, out, device="cpu", threads=1)
+def train_in(out: Path, clip: Path, settings: TrainSettings = SHORT, resume: bool = False) -> dict:
+    return run_training(source(clip), settings, out, device="cpu", threads=1, resume=resume)
 
 
 @pytest.fixture(scope="module")
@@ -115,23 +115,28 @@ def whole(clip: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-def test_a_run_that_is_repeated_ends_in_the_same_weights(clip, whole, quick, tmp_path):
-    """After one that was stopped, which leaves no network."""
+@pytest.mark.parametrize("at", [0.5, 0.85])
+def test_a_run_that_is_killed_and_resumed_ends_in_the_same_weights(clip, whole, quick, tmp_path, at):
+    """Before the validation pictures are learned from, too, and after; both times between two checkpoints."""
 
     def stop(stage: str, share: float) -> None:
-        if share >= 0.5:
+        if share >= at:
             raise Killed
 
     with pytest.raises(Killed):
-        run_training(source(clip), SHORT, tmp_path, device="cpu", threads=1, progress=stop)
-    assert not (tmp_path / "model.pt").exists()
-    train_in(tmp_path, clip)
-    one, other = (load_torch(folder / "model.pt") for folder in (whole, tmp_path))
+        run_training(source(clip), SHORT, tmp_path / "broken", device="cpu", threads=1, progress=stop)
+    assert not (tmp_path / "broken" / "model.pt").exists()
+    train_in(tmp_path / "broken", clip, resume=True)
+    one, other = (load_torch(folder / "model.pt") for folder in (whole, tmp_path / "broken"))
     assert one["spec"] == other["spec"]
     assert all(torch.equal(w, other["weights"][name]) for name, w in one["weights"].items())
     assert len(one["weights"]) > 50
-    with refusal(("--out", "folder", ["model.pt", tmp_path], "--overwrite")):
-        train_in(tmp_path, clip)
+
+
+def test_what_a_run_needs_is_checked_before_a_folder_is_made(clip, tmp_path):
+    with refusal((tmp_path / "none" / "checkpoint.pt", "checkpoint", "no such file", "--resume")):
+        train_in(tmp_path / "none", clip, resume=True)
+    assert not (tmp_path / "none").exists()
 
 
 def test_the_video_is_never_written_over(clip, model, tmp_path):
@@ -143,13 +148,36 @@ def test_the_video_is_never_written_over(clip, model, tmp_path):
     assert not (tmp_path / "p.csv").exists()
 
 
+def test_ctrl_c_says_how_to_go_on(clip, tmp_path, monkeypatch):
+    def interrupted(*args: object, **options: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("recon.keypoint_net.workflows.train", interrupted)
+    arguments = ["train", clip / "clip.avi", "--labels", clip / "labels.csv", "--first-frame", "50", "--steps", "3"]
+    ended = run(*arguments, "--out", tmp_path / "out")
+    assert ended.code == 130
+    assert says(ended.err, "Stopped", "no checkpoint")
+    assert list(tmp_path.iterdir()) == []
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "checkpoint.pt").write_bytes(b"")
+    ended = run(*arguments, "--out", tmp_path / "out", "--overwrite")
+    assert "with --resume goes on" in ended.err
+
+
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device")
 def test_training_and_prediction_on_cuda(clip, tmp_path):
-    """The blobs are learned there, too, a repeated run ends in the same weights, and a CPU reads the network."""
+    """The blobs are learned there, too, a stopped run ends in the same weights, and a CPU reads the network."""
     settings = TrainSettings(steps=110, batch=4, seed=1)
-    for name in ("whole", "again"):
-        run_training(source(clip), settings, tmp_path / name, device="cuda")
-    one, other = (load_torch(tmp_path / name / "model.pt")["weights"] for name in ("whole", "again"))
+
+    def stop(stage: str, share: float) -> None:
+        if share >= 0.5:
+            raise Killed
+
+    run_training(source(clip), settings, tmp_path / "whole", device="cuda")
+    with pytest.raises(Killed):
+        run_training(source(clip), settings, tmp_path / "broken", device="cuda", progress=stop)
+    run_training(source(clip), settings, tmp_path / "broken", device="cuda", resume=True)
+    one, other = (load_torch(tmp_path / name / "model.pt")["weights"] for name in ("whole", "broken"))
     assert all(torch.equal(w, other[name]) for name, w in one.items())
     points = [
         run_prediction(clip / "clip.avi", tmp_path / "whole", tmp_path / f"{device}.csv", device=device)
@@ -230,6 +258,22 @@ def test_frames_that_are_missing_inside_a_video_are_named(model, tmp_path):
     assert len(read_keypoints(tmp_path / "p.csv").frames) == 40 - int(said[1])
 
 
+def test_a_checkpoint_of_other_keypoints(clip, quick, tmp_path):
+    train_in(tmp_path / "out", clip, TrainSettings(steps=1, batch=1))
+    text = (clip / "labels.csv").read_text(encoding="utf-8").replace("nose", "tail")
+    (tmp_path / "other.csv").write_text(text, encoding="utf-8")
+    before = {f.name: f.read_bytes() for f in (tmp_path / "out").iterdir()}
+    other = LabelSource(data=clip / "clip.avi", labels=tmp_path / "other.csv", first_frame=50)
+    checkpoint = tmp_path / "out" / "checkpoint.pt"
+    with refusal((checkpoint, "keypoints", "nose, l_paw, r_paw", "tail, l_paw, r_paw")):
+        run_training(other, TrainSettings(steps=1, batch=1), tmp_path / "out", device="cpu", threads=1, resume=True)
+    with refusal((checkpoint, "setting batch", 1, 2)):
+        train_in(tmp_path / "out", clip, TrainSettings(steps=1, batch=2), resume=True)
+    with refusal(("--out", "folder", ["model.pt", tmp_path / "out"], "--resume")):
+        train_in(tmp_path / "out", clip)
+    assert {f.name: f.read_bytes() for f in (tmp_path / "out").iterdir()} == before
+
+
 PREDICT, TRAIN = ["predict", "{clip}/clip.avi", "--out", "p.csv"], ["train", "{clip}/clip.avi", "--out", "o"]
 NETWORK, LABELS = ["--model", "{model}"], ["--labels", "{clip}/labels.csv"]
 
@@ -255,9 +299,9 @@ def test_bad_input_is_one_message_and_nothing_is_written(args, expected, clip, m
 
 def test_all_that_a_run_lacks_is_said(clip, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "o").write_text("a file")
-    refused(["train", clip, "--out", "o"], (clip, "label files", "none", "labeled-data"), ("--out", "folder", "a file"))
-    assert list(tmp_path.iterdir()) == [tmp_path / "o"]
+    missing = ("o/checkpoint.pt", "checkpoint", "no such file")
+    refused(["train", clip, "--out", "o", "--resume"], (clip, "label files", "none", "labeled-data"), missing)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_the_learning_rate_warms_up_and_falls_to_nothing_twice():

@@ -425,12 +425,16 @@ def places(xy_px: Array, device: torch.device) -> torch.Tensor:
     return require_torch().from_numpy((xy_px / STRIDE).astype(np.float32)).to(device)
 
 
-def save_model(spec: Spec, weights: dict[str, Any], path: Path) -> None:
+def save_torch(content: dict[str, Any], path: Path) -> None:
     """Whole or not at all."""
     made = BytesIO()
-    require_torch().save({"format": FORMAT, "spec": dataclasses.asdict(spec), "weights": weights}, made)
+    require_torch().save(content, made)
     with staged_file(path) as staged:
         write_bytes(staged, made.getvalue())
+
+
+def save_model(spec: Spec, weights: dict[str, Any], path: Path) -> None:
+    save_torch({"format": FORMAT, "spec": dataclasses.asdict(spec), "weights": weights}, path)
 
 
 def model_file(folder: Path) -> Path:

@@ -4,9 +4,9 @@ AdamW with a warm-up and a cosine down to nothing, twice; the weights that count
 moves. The first part of a run learns from the training pictures and is judged by the validation pictures, which also
 calibrate the likelihoods; the last part, from `FINISH` on, learns from both, so that no label is lost.
 
-A run is a function of its settings, its labels, its device and its threads: with a number of steps, it ends in the same
-weights bit for bit whenever it is repeated; with a number of minutes, the speed of the machine decides how many steps
-there are.
+A run is a function of its settings, its labels and its device: augmentation depends on the seed and the step only, and
+a checkpoint holds everything else. With a number of steps, a run that was stopped and goes on ends in the same weights
+bit for bit; with a number of minutes, the speed of the machine decides how many steps there are.
 """
 
 from __future__ import annotations
@@ -26,15 +26,18 @@ from pydantic import Field
 
 from recon.base import Progress, silent
 from recon.base.arrays import Array, Bools, Integers
+from recon.base.errors import InputError, Problem, refuse
 from recon.base.settings import Count, Integer, Number, Option, Settings
 from recon.io.video import Image
 from recon.keypoint_net import network as net
 from recon.keypoint_net import pictures
-from recon.keypoint_net.labels import Labels, body_length_px, resize, sides
+from recon.keypoint_net.labels import Labels, body_length_px, frames_by_part, resize, sides
+from recon.show.plain import to_plain
 
 if TYPE_CHECKING:
     import torch  # pyright: ignore[reportMissingImports]
 
+CHECKPOINT_FILE = "checkpoint.pt"
 TOLERANCE = 0.04
 """Within this, relative to the body length, a point counts as right for its likelihood."""
 LEARNING_RATE, WEIGHT_DECAY = 2e-3, 0.05
@@ -99,7 +102,7 @@ class State:
     share: float = 0.0
     """The share of the run that is done; it decides the learning rate."""
     seconds: float = 0.0
-    """The time that it has taken."""
+    """The time that all its parts have taken."""
     calibration: net.Calibration | None = None
     judged: tuple[list[float], list[bool]] = ([], [])
     """The calibrated likelihoods of the labelled validation points, and which of them are right."""
@@ -108,7 +111,7 @@ class State:
     losses: list[float] = field(default_factory=list)
     """The losses of the steps since the last evaluation."""
     threads: int = 0
-    """With which it computes on the CPU."""
+    """With which it computes on the CPU; 0 where none were chosen yet."""
 
     @property
     def finishing(self) -> bool:
@@ -125,19 +128,24 @@ def prepare(labels: Labels, split: dict[str, Integers], settings: TrainSettings,
     return TrainingRun(settings, spec, labels, scaled, split, pictures.backgrounds(scaled, split["test"]), device)
 
 
-def train(run: TrainingRun, out: Path, threads: int | None = None, progress: Progress = silent) -> State:
-    """Trains to the end; `out` gets the model. threads: for the CPU; None: all."""
+def train(
+    run: TrainingRun, out: Path, resume: bool = False, threads: int | None = None, progress: Progress = silent
+) -> State:
+    """Trains, or goes on, to the end; `out` gets a checkpoint at each evaluation, and the model at the end.
+
+    threads: for the CPU; None: those that a run had before, or all.
+    """
     torch = net.require_torch()
     torch.backends.cudnn.deterministic, torch.backends.cudnn.benchmark = True, False
-    state = _begin(run)
+    state = _resumed(run, out) if resume else _begin(run)
     settings, half = run.settings, net.fast_half(run.device)
     shown = np.flatnonzero(run.labels.labelled.any(axis=1))
     first = np.intersect1d(run.split["train"], shown)
     both = np.union1d(first, np.intersect1d(run.split["validation"], shown))
     sources = _sources(run)
-    net.use_threads(threads)
+    net.use_threads(threads or state.threads)
     state.threads = torch.get_num_threads()
-    began_s = time.monotonic()
+    began_s = time.monotonic() - state.seconds
     while state.share < 1.0:
         held_out = not state.finishing
         with closing(pictures.batches(sources, state.step, first if held_out else both)) as drawn:
@@ -155,22 +163,10 @@ def train(run: TrainingRun, out: Path, threads: int | None = None, progress: Pro
                     state.history.append(row | ({} if held_out else {"finishing": 1.0}))
                     state.losses.clear()
                     _evaluate(state, run, calibrates=held_out and state.finishing)
+                    _save_checkpoint(state, run, out)
                 progress(f"{'finishing' if state.finishing else 'learning'}: {_figures_text(state)}", state.share)
     net.save_model(calibrated_spec(run, state), state.average.state_dict(), out / net.MODEL_FILE)
     return state
-
-
-def _begin(run: TrainingRun) -> State:
-    torch = net.require_torch()
-    with torch.random.fork_rng():
-        torch.manual_seed(run.settings.seed)
-        network = net.new_network(len(run.spec.names), run.spec.two_stages)
-    network = net.placed(network, run.device)
-    decayed = [p for p in network.parameters() if p.ndim > 1]
-    others = [p for p in network.parameters() if p.ndim <= 1]
-    groups = [{"params": decayed, "weight_decay": WEIGHT_DECAY}, {"params": others, "weight_decay": 0.0}]
-    optimizer = torch.optim.AdamW(groups, lr=LEARNING_RATE)
-    return State(network, copy.deepcopy(network).requires_grad_(False).eval(), optimizer)
 
 
 def calibrated_spec(run: TrainingRun, state: State) -> net.Spec:
@@ -274,3 +270,61 @@ def _figures_text(state: State) -> str:
     mean_loss = float(np.mean(state.losses)) if state.losses else last["loss"]
     error = f", validation error {last['validation_px']:.2f} px" if "validation_px" in last else ""
     return f"step {state.step}, loss {mean_loss:.3f}{error}"
+
+
+# -- checkpoints -----------------------------------------------------------------------------------------------------
+
+_PLAIN = ("step", "share", "seconds", "calibration", "judged", "history", "threads")
+_TORCH = ("network", "average", "optimizer")
+
+
+def _begin(run: TrainingRun) -> State:
+    torch = net.require_torch()
+    with torch.random.fork_rng():
+        torch.manual_seed(run.settings.seed)
+        network = net.new_network(len(run.spec.names), run.spec.two_stages)
+    network = net.placed(network, run.device)
+    decayed = [p for p in network.parameters() if p.ndim > 1]
+    others = [p for p in network.parameters() if p.ndim <= 1]
+    groups = [{"params": decayed, "weight_decay": WEIGHT_DECAY}, {"params": others, "weight_decay": 0.0}]
+    optimizer = torch.optim.AdamW(groups, lr=LEARNING_RATE)
+    return State(network, copy.deepcopy(network).requires_grad_(False).eval(), optimizer)
+
+
+def _save_checkpoint(state: State, run: TrainingRun, out: Path) -> None:
+    """Everything that the rest of a run depends on, whole or not at all."""
+    content = {
+        "settings": run.settings.of_training(),
+        "names": list(run.spec.names),
+        "split": frames_by_part(run.labels, run.split),
+        **{name: getattr(state, name).state_dict() for name in _TORCH},
+        **{name: getattr(state, name) for name in _PLAIN},
+    }
+    net.save_torch(content, out / CHECKPOINT_FILE)
+
+
+def _resumed(run: TrainingRun, out: Path) -> State:
+    """The state of a checkpoint. Raises InputError where it belongs to other keypoints, settings or pictures."""
+    path = out / CHECKPOINT_FILE
+    content = net.load_torch(path)
+    if not isinstance(content, dict) or "optimizer" not in content:
+        raise InputError(Problem(path, "checkpoint", "a file of another kind", "one that `recon train` wrote"))
+    problems = []
+    if content["names"] != list(run.spec.names):
+        expected = f"those of the labels: {', '.join(run.spec.names)}"
+        problems.append(Problem(path, "keypoints", ", ".join(content["names"]), expected))
+    for name, value in run.settings.of_training().items():
+        was = content["settings"].get(name)
+        if to_plain(value) != to_plain(was):
+            problems.append(Problem(path, f"setting {name}", str(was), f"{value}, as now given"))
+    if not problems and content["split"] != frames_by_part(run.labels, run.split):
+        problems.append(Problem(path, "pictures", "another split of them", "the labels and split of the run so far"))
+    state = _begin(run)
+    same = content["network"].keys() == state.network.state_dict().keys() and {*_PLAIN} <= content.keys()
+    if not problems and not same:
+        expected = "one of this version of recon; --overwrite begins again"
+        problems.append(Problem(path, "network", "one that another version began", expected))
+    refuse(problems)
+    for name in _TORCH:
+        getattr(state, name).load_state_dict(content[name])
+    return dataclasses.replace(state, **{name: content[name] for name in _PLAIN})

@@ -28,10 +28,10 @@ from recon.keypoint_net import network as net
 from recon.keypoint_net.labels import read_labels, resize, split_labels
 from recon.keypoint_net.pictures import ahead, background_of_video
 from recon.keypoint_net.report import colours, write_training_report
-from recon.keypoint_net.train import SPLIT, TrainSettings, prepare, train
+from recon.keypoint_net.train import CHECKPOINT_FILE, SPLIT, TrainSettings, prepare, train
 from recon.show.overlay import draw_circle
 from recon.show.plain import picked
-from recon.workflows.cli.common import progress_bar, say, terminal
+from recon.workflows.cli.common import progress_bar, say, stop, terminal
 from recon.workflows.settings import RENAME
 
 WRITERS = {f.suffixes[0]: f.write for f in FORMATS if f.name == "deeplabcut"}
@@ -62,6 +62,8 @@ class _TrainRunSettings(LabelSource, TrainSettings):
     """Folder for the network and its report, as in models/horse."""
     device: Annotated[str, net.DEVICE] = "auto"
     threads: Annotated[Count | None, net.THREADS] = None
+    resume: bool = False
+    """Go on from the checkpoint in DIR."""
     overwrite: bool = False
     """Begin again in a DIR that has a network."""
 
@@ -73,9 +75,15 @@ def train_command(settings: _TrainRunSettings, quiet: bool) -> None:
     """
     out = settings.out
     console = terminal(quiet=quiet)
-    with progress_bar(console) as progress:
-        how = picked(settings, "device", "threads", "overwrite")
-        report = run_training(settings, settings, out, **how, progress=progress)
+    try:
+        with progress_bar(console) as progress:
+            how = picked(settings, "device", "threads", "resume", "overwrite")
+            report = run_training(settings, settings, out, **how, progress=progress)
+    except KeyboardInterrupt:
+        message = "the same command with --resume goes on from the last checkpoint"
+        if not (out / CHECKPOINT_FILE).is_file():
+            message = "there is no checkpoint yet"
+        stop(f"Stopped: {message}.")
     for line in _summary(report, out):
         say(console, line)
 
@@ -87,10 +95,11 @@ def run_training(
     *,
     device: str = "auto",
     threads: int | None = None,
+    resume: bool = False,
     overwrite: bool = False,
     progress: Progress = silent,
 ) -> dict[str, Any]:
-    """`recon train`: `out` gets the network and the training report, which is returned.
+    """`recon train`: `out` gets the network, a checkpoint and the training report, which is returned.
 
     Raises InputError, with every problem, before anything is written.
     """
@@ -98,12 +107,12 @@ def run_training(
     chosen, labels, _ = all_of(
         lambda: net.choose_device(device),
         lambda: read_labels(source.data, source.labels, source.first_frame, source.individual, source.rename),
-        lambda: _check_folder(out, overwrite),
+        lambda: _check_folder(out, resume, overwrite),
     )
     run = prepare(labels, split_labels(labels, source.validation, source.test, settings.seed), settings, chosen)
     with sole_writer(out):
-        _check_folder(out, overwrite)
-        state = train(run, out, threads, progress)
+        _check_folder(out, resume, overwrite)
+        state = train(run, out, resume, threads, progress)
         progress("report", 1.0)
         with staged_folder(out) as staging:
             return write_training_report(run, state, staging)
@@ -132,10 +141,14 @@ def _summary(report: dict[str, Any], out: Path) -> Iterator[str]:
     yield f"The network and its report are in {out}. Use it with: recon predict VIDEO --model {out} --out FILE.csv"
 
 
-def _check_folder(out: Path, overwrite: bool) -> None:
-    if (out / net.MODEL_FILE).exists() and not overwrite:
-        expected = "a new folder, or --overwrite to begin again"
-        raise InputError(Problem("--out", "folder", f"{out}, which has a {net.MODEL_FILE}", expected))
+def _check_folder(out: Path, resume: bool, overwrite: bool) -> None:
+    if resume and not (out / CHECKPOINT_FILE).is_file():
+        expected = "one to go on from; without --resume, a new run"
+        raise InputError(Problem(out / CHECKPOINT_FILE, "checkpoint", "no such file", expected))
+    there = [name for name in (net.MODEL_FILE, CHECKPOINT_FILE) if (out / name).exists()]
+    if there and not resume and not overwrite:
+        expected = "a new folder, --resume to go on, or --overwrite to begin again"
+        raise InputError(Problem("--out", "folder", f"{out}, which has a {there[0]}", expected))
     if out.exists() and not out.is_dir():
         raise InputError(Problem("--out", "folder", f"{out}, which is a file", "a folder"))
 
