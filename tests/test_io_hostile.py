@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import pickle
+import sys
 import warnings
 from collections.abc import Callable
 from contextlib import suppress
@@ -256,16 +258,26 @@ def test_frames_times_points_that_fill_the_memory(tmp_path, monkeypatch):
             (read_pose3d if name in ("fmpose3d.json", "a.bvh") else read_keypoints)(path)
 
 
-def test_out_of_memory_is_one_line(monkeypatch, capsys):
+@pytest.mark.parametrize(
+    "error",
+    [
+        MemoryError("Unable to allocate 12 GiB"),
+        ImportError("libarrow.so: failed to map segment from shared object"),
+        RuntimeError("can't start new thread"),
+        OSError(errno.ENOMEM, "Cannot allocate memory"),
+    ],
+)
+def test_out_of_memory_is_one_line(error, monkeypatch, capsys):
     def starved() -> None:
-        raise MemoryError("Unable to allocate 12 GiB")
+        raise error
 
     monkeypatch.setattr("recon.workflows.cli.app", starved)
+    monkeypatch.setattr("os._exit", sys.exit)
     with pytest.raises(SystemExit) as stopped:
         main()
     assert stopped.value.code == 1
     (line,) = capsys.readouterr().err.splitlines()
-    assert says(line, "not enough memory", "12 GiB", "--frames")
+    assert says(line, "not enough memory", str(error), "--frames")
 
 
 @pytest.mark.parametrize("read", [read_keypoints, read_label_file, read_marks, load_names, read_camera_track])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import re
 import sys
 from importlib import import_module
 from typing import Annotated, Any
@@ -137,6 +139,13 @@ def commands() -> dict[str, SettingsCommand]:
     return {name: group.load(name) for name in group.functions}
 
 
+_NO_MEMORY = re.compile(
+    r"(?i)(cannot|can't|could not) allocate|insufficient memory|out of memory|bad_alloc|failed to map segment"
+    r"|can't start new thread|failed to spawn|error return without exception"
+)
+"""What libraries say where memory is short, in exceptions of many types: as they are loaded, too, and of threads."""
+
+
 def main() -> None:
     """Run the command line; a user's mistake ends with one message and exit code 2."""
     console = terminal(stderr=True, soft_wrap=True)
@@ -147,13 +156,15 @@ def main() -> None:
             first, *more = problem.lines
             console.print(error_text(first), *more, sep="\n")
         sys.exit(EXIT_BAD_INPUT)
-    except MemoryError as error:
+    except Exception as error:
         said = " ".join(str(error).split())
-        console.print(
-            error_text(f"not enough memory{f' ({said})' if said else ''}: try fewer frames at once (--frames)")
-        )
-        sys.exit(EXIT_UNSOLVED)
-    except OSError as error:
+        if isinstance(error, MemoryError) or _NO_MEMORY.search(said):
+            said = f" ({said[:200]})" if said else ""
+            console.print(error_text(f"not enough memory{said}: try fewer frames at once (--frames)"))
+            sys.stdout.flush()
+            os._exit(EXIT_UNSOLVED)  # what libraries have made by half crashes when it is taken down
+        if not isinstance(error, OSError):
+            raise
         where = f"{error.filename}: " if error.filename else ""
         console.print(error_text(f"{where}{error.strerror or error}"))
         sys.exit(EXIT_BAD_INPUT)
