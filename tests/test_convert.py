@@ -155,7 +155,12 @@ def test_edges_are_kept(files_3d):
 
 @pytest.mark.parametrize(
     ("target", "name", "found"),
-    [("nwb", "a/b", "'a/b', with '/'"), ("trc", "a\tb", r"with '\t'"), ("c3d", " nose", "' nose', with ' '")],
+    [
+        ("nwb", "a/b", "'a/b', with '/'"),
+        ("trc", "a\tb", r"with '\t'"),
+        ("c3d", " nose", "' nose', with ' '"),
+        ("c3d", "鼻" * 100, "300 bytes"),
+    ],
 )
 def test_names_that_a_format_cannot_hold(target, name, found, tmp_path):
     of = next(f for f in FORMATS if f.name == target)

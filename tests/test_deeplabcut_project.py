@@ -182,8 +182,11 @@ def test_poses_of_the_demo_of_fmpose3d(of_fmpose3d, tmp_path):
     assert found.pa_mpjpe_m.mean < 1e-4 < 0.1 < found.scale_mpjpe_m.mean
     assert read_pose3d((tmp_path / "0004_3D.npz").rename(tmp_path / "one.npz")).frames.tolist() == [0]
     np.savez(tmp_path / "0009_3D.npz", pose3d=xyz[9, :17])
-    with refusal(("0009_3D.npz", "content", "cannot be read")):
-        read_pose3d(tmp_path / "0009_3D.npz")
+    with refusal(("0009_3D.npz", "pose3d", "(17, 3)", "26")):  # also where another file of the folder is given
+        read_pose3d(tmp_path / "0003_3D.npz")
+    (tmp_path / "0009_3D.npz").rename(tmp_path / "3_3D.npz")
+    with refusal(*((name, "number", "frame 3 twice") for name in ("0003_3D.npz", "3_3D.npz"))):
+        read_pose3d(tmp_path / "0003_3D.npz")
 
 
 def test_a_faulty_file_of_fmpose3d(of_fmpose3d):

@@ -223,6 +223,8 @@ def select_frames(keypoints: Keypoints, frames: tuple[int | None, int | None] | 
         has = f"{keypoints.frames[0]} to {keypoints.frames[-1]}" if len(keypoints.frames) else "none"
         expected = f"a range within its frames ({has})"
         raise InputError(Problem(_source(keypoints), "frames", f"none in the range {shown}", expected))
+    if keep.all():  # as below: of half an hour each copy takes 100 MB
+        return keypoints
     xy_px, confidence, numbers = (of[keep] for of in (keypoints.xy_px, keypoints.confidence, keypoints.frames))
     return dataclasses.replace(keypoints, xy_px=xy_px, confidence=confidence, frames=numbers)
 
@@ -271,6 +273,8 @@ def fill_gaps(keypoints: Keypoints) -> tuple[Keypoints, tuple[tuple[int, int], .
         found = f"{t} frames between {frames[0]} and {frames[-1]}, which leaves {span - t} to insert as missing"
         expected = "a clip without such gaps; choose a part of it with --frames A:B"
         raise InputError(Problem(_source(keypoints), "frames", found, expected))
+    if span == t:
+        return keypoints, ()
     rows = frames - frames[0]
     xy_px, confidence = np.full((span, k, 2), np.nan), np.zeros((span, k))
     xy_px[rows], confidence[rows] = keypoints.xy_px, keypoints.confidence
@@ -288,8 +292,13 @@ def frame_ranges(frames: np.ndarray) -> tuple[tuple[int, int], ...]:
 
 
 def _without_points(keypoints: Keypoints, points: np.ndarray) -> Keypoints:
-    xy_px = np.where(points[..., None], np.nan, keypoints.xy_px)
-    return dataclasses.replace(keypoints, xy_px=xy_px, confidence=np.where(points, 0.0, keypoints.confidence))
+    if not (keypoints.present & points).any() and not keypoints.confidence[points].any():
+        return keypoints
+    xy_px, confidence = (
+        np.where(points[..., None], np.nan, keypoints.xy_px),
+        np.where(points, 0.0, keypoints.confidence),
+    )
+    return dataclasses.replace(keypoints, xy_px=xy_px, confidence=confidence)
 
 
 def _source(keypoints: Keypoints) -> str:

@@ -313,6 +313,8 @@ def _on_frames(source: Source, start: int, frames: Integers) -> Source:
     keypoints = source.keypoints
     rows = np.arange(start, start + len(keypoints.frames))
     has, own = np.intersect1d(frames, rows, assume_unique=True, return_indices=True)[1:]
+    if len(has) == len(frames) == len(rows):
+        return replace(source, keypoints=replace(keypoints, frames=frames))
 
     def spread(values: Array, missing: float = np.nan) -> Array:
         spread = np.full((len(frames), *values.shape[1:]), missing)

@@ -31,6 +31,8 @@ BLOCKS: dict[str, tuple[tuple[int, ...], str]] = {
     "translation_m": ((3,), "a translation of 3 numbers"),
 }
 """The arrays of a camera: their shapes, if they have one, and what they are."""
+POSE = ("rotation", "translation_m")
+TILT = "radians between -pi/2 and pi/2, and 0 beside a pose that says which way is up"
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,13 +75,12 @@ class Camera:
 
     def _faults(self) -> Iterator[tuple[str, str, str]]:
         """Fields that no camera can have: what each of them is, and what it should be."""
-        sound, pose = set[str](), ("rotation", "translation_m")
+        sound = set[str]()
         for field, (shape, expected) in BLOCKS.items():
             array = getattr(self, field)
-            if array is None and field in pose and (self.rotation is None) != (self.translation_m is None):
-                yield field, "nothing", expected
-            elif array is None:
-                continue
+            if array is None:
+                if field not in POSE or (self.rotation is None) != (self.translation_m is None):
+                    yield field, "nothing", expected
             elif not (np.abs(array) <= LARGEST).all():
                 yield field, f"values up to {np.abs(array).max():g}", expected
             elif array.shape != shape and shape:
@@ -99,8 +100,7 @@ class Camera:
         if "rotation" in sound and not is_rotation(np.asarray(self.rotation), tolerance=1e-6):
             yield "rotation", "a matrix that is not a rotation", "an orthonormal, right-handed matrix"
         if not abs(self.tilt_rad) < math.pi / 2 or (self.tilt_rad and self.knows_up):
-            expected = "radians between -pi/2 and pi/2, and 0 beside a pose that says which way is up"
-            yield "tilt_rad", repr(self.tilt_rad), expected
+            yield "tilt_rad", repr(self.tilt_rad), TILT
 
     @classmethod
     def from_hfov(cls, hfov_deg: float, image_size_px: tuple[int, int], name: str = "cam1") -> Camera:

@@ -150,7 +150,7 @@ def write(pose: Pose3D, path: Path) -> None:
     """Millimetres, z up. Raises InputError without a frame rate, and for names, numbers of frames or gaps that C3D
     cannot hold."""
     fps = common.required_fps(pose.fps, TITLE)
-    common.require_names(pose.names, r"^\s|\s$|\x00", TITLE)
+    common.require_names(pose.names, r"^\s|\s$|\x00", TITLE, bytes_max=TEXT_MAX)
     with common.formats_extra(TITLE):
         import ezc3d
     xyz = common.without_gaps(pose.frames, pose.xyz_m * common.PER_METRE[UNIT], TITLE)

@@ -18,7 +18,7 @@ import numpy as np
 from recon.base.arrays import Array
 from recon.base.documents import parse_json, parse_toml, read_text
 from recon.base.errors import InputError, Problem, all_of, refuse
-from recon.geometry.camera import BLOCKS, LARGEST, Camera, is_rotation
+from recon.geometry.camera import BLOCKS, LARGEST, POSE, TILT, Camera, is_rotation
 from recon.geometry.lens import LENS_MODELS
 from recon.io.formats import FORMATS, recognised, titles
 
@@ -211,15 +211,25 @@ def _build(
     if values.get("matrix") is None and values.get("model") not in (None, *LENS_MODELS):
         return fault("model", repr(values["model"]), f"one of: {', '.join(record.lenses)}")  # it tells numbers apart
     given: dict[str, Any] = {"name": f"cam{number}" if record.name is None else str(record.name)}
+    placed = any(values.get(field) is not None for field in POSE)
     for field, (_, expected) in BLOCKS.items():
-        given[field] = _numbers(values.get(field))
-        if values.get(field) is not None and given[field] is None:
+        given[field] = array = _numbers(values.get(field))
+        if values.get(field) is not None and array is None:
             fault(field, "something other than a block of numbers", expected)
-        elif given[field] is None and field in ("matrix", "distortion"):
+        elif array is None and (placed or field not in POSE):
             fault(field, "nothing", expected)
+    turn = given["rotation"]
+    if (
+        turn is not None
+        and turn.size == 9
+        and (np.abs(turn) <= LARGEST).all()
+        and not is_rotation(turn.reshape(3, 3), ROTATION_TOLERANCE)
+    ):
+        expected = f"an orthonormal, right-handed matrix (to {ROTATION_TOLERANCE:g})"
+        fault("rotation", "a matrix that is not a rotation", expected)
     given["image_size_px"] = _image_size(values.get("image_size_px"), image_size_px, fault) or (1, 1)
     given |= {"world_z_up": values["world_z_up"], "tilt_rad": values.get("tilt_rad", 0.0), "model": values.get("model")}
-    for field, kinds, expected in (("world_z_up", bool, "true or false"), ("tilt_rad", int | float, "radians")):
+    for field, kinds, expected in (("world_z_up", bool, "true or false"), ("tilt_rad", int | float, TILT)):
         if not isinstance(given[field], kinds):
             fault(field, repr(given.pop(field)), expected)
     try:

@@ -68,7 +68,7 @@ def read(path: Path, individual: str | None = None) -> StoredPoints:
 
 def _keys(path: Path) -> list[str]:
     """Where in an HDF5 file pandas stored something. Raises InputError for a file that cannot be opened."""
-    with opened(path) as file:
+    with opened(path, outline=True) as file:
         return [str(group.name) for group in groups(file) if h5py.h5a.exists(group.id, b"pandas_type")]
 
 

@@ -33,16 +33,20 @@ MAX_HOPS = 8
 
 
 @contextmanager
-def opened(path: Path) -> Iterator[h5py.File]:
-    """A file to read. Raises InputError where it is damaged, also for what h5py says of that inside the block."""
+def opened(path: Path, outline: bool = False) -> Iterator[h5py.File]:
+    """A file to read. Raises InputError where it is damaged, also for what h5py says of that inside the block.
+
+    outline: only names and types are looked at, which is safe without `_require_sound_heaps`.
+    """
     with damage_named(path, "an undamaged file"):
+        if not outline:
+            _require_sound_heaps(path)
         try:
             file = h5py.File(path, "r")
         except OSError:
             found = "an HDF5 file that is cut off or damaged"
             raise InputError(Problem(path, "file", found, "a whole file")) from None
         with file:
-            _require_sound_heaps(path)
             yield file
 
 
@@ -78,7 +82,7 @@ def outline(path: Path) -> frozenset[str]:
     """
     if not is_hdf5(path):
         return frozenset()
-    with opened(path) as file:
+    with opened(path, outline=True) as file:
         return frozenset((*names(file), *(name for name in file.attrs if isinstance(name, str))))
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import re
 import zipfile
+from collections import Counter
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -12,8 +13,19 @@ from typing import Any
 import numpy as np
 
 from recon.base.documents import KINDS, MAX_UNPACKED, arrays_of, read_content
+from recon.base.errors import InputError, Problem, refuse
 from recon.base.files import write_bytes
-from recon.io.common import DAMAGE, Pose3D, StoredPoints, index_edges, points_of_arrays, rate, starts_with
+from recon.io.common import (
+    DAMAGE,
+    Pose3D,
+    StoredPoints,
+    damage_named,
+    index_edges,
+    points_of_arrays,
+    rate,
+    require_span,
+    starts_with,
+)
 from recon.io.json_poses import ANIMAL3D, LENGTHS
 
 
@@ -49,12 +61,28 @@ def read(path: Path, individual: str | None = None) -> StoredPoints:
 def read_fmpose3d(path: Path, individual: str | None = None) -> StoredPoints:
     """The poses of all files in the folder that are numbered as this one; one without a number is frame 0. Raises
     InputError."""
-    numbered = {file: re.fullmatch(r"(\d+)_3D", file.stem) for file in path.parent.glob("*.npz")}
-    files = {int(found[1]): file for file, found in numbered.items() if found}
-    files = dict(sorted(files.items())) if path in files.values() else {0: path}
-    poses = [arrays_of(read_content(file, "a whole file", MAX_UNPACKED), KINDS)["pose3d"] for file in files.values()]
-    values, names = np.stack(poses), ANIMAL3D.split()
-    return points_of_arrays(path, individual, values, np.array([*files]), names, notes=(LENGTHS,))
+    numbered = [(re.fullmatch(r"(\d+)_3D", file.stem), file) for file in sorted(path.parent.glob("*.npz"))]
+    files = [(int(found[1]), file) for found, file in numbered if found]
+    files = sorted(files) if path in [file for _, file in files] else [(0, path)]
+    numbers = [frame for frame, _ in files]
+    again = {frame for frame, count in Counter(numbers).items() if count > 1}
+    refuse(
+        Problem(file, "number", f"frame {frame} twice", "one file a frame") for frame, file in files if frame in again
+    )
+    names = ANIMAL3D.split()
+    require_span(len(files), len(names), path.parent)
+    values = np.concatenate([_pose_of(file, len(names)) for _, file in files])
+    return points_of_arrays(path, individual, values, np.array(numbers), names, notes=(LENGTHS,))
+
+
+def _pose_of(path: Path, points: int) -> np.ndarray:
+    """(1, points, 3): the pose of one picture, of a size that is known before the next file is read."""
+    expected = f"the {points} points of one animal as pose3d"
+    with damage_named(path, expected):
+        pose = arrays_of(read_content(path, "a whole file", MAX_UNPACKED), KINDS)["pose3d"]
+    if pose.shape not in ((points, 3), (1, points, 3)):
+        raise InputError(Problem(path, "pose3d", f"an array of the shape {pose.shape}", expected))
+    return pose.reshape(1, points, 3)
 
 
 def write(pose: Pose3D, path: Path) -> None:
