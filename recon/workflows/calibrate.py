@@ -21,9 +21,7 @@ from recon.calibrate.intrinsics import check as checked
 from recon.check import names_text
 from recon.geometry.lens import LENS_MODELS
 from recon.io import write_camera
-from recon.show import plots
 from recon.show.plain import picked
-from recon.show.plots.style import png_of
 from recon.workflows.cli.common import error_text, progress_bar, say, table_of, terminal
 
 EXIT_REFUSED = 1
@@ -127,8 +125,11 @@ def run_calibration(settings: CalibrationSettings, progress: Progress = silent) 
     calibration = solved(views, settings.model, settings.out.stem)
     checks = checked(calibration)
     refused = any(c.verdict == "refused" for c in checks)
+    from recon.show.plots import calibration as drawn  # matplotlib
+    from recon.show.plots.style import png_of
+
     with staged_folder(settings.out.absolute().parent) as folder:
-        write_bytes(folder / picture.name, png_of(plots.calibration(calibration)))
+        write_bytes(folder / picture.name, png_of(drawn(calibration)))
         if settings.force or not refused:
             write_camera(calibration.camera, folder / settings.out.name)
     parameters = zip(calibration.parameters.items(), calibration.sigma, strict=True)
