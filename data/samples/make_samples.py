@@ -72,7 +72,7 @@ def whole_animal(fps: float = 60, n_frames: int = 60) -> tuple[SyntheticClip, Sy
     points_m = np.full((len(clip.truth_m), len(body.markers), 3), np.nan)
     at = [body.markers.index(name) for name in clip.names]
     points_m[:, at] = clip.truth_m
-    states, _ = solve_points(body, points_m)
+    states, *_ = solve_points(body, points_m)
     column = {name: states[:, i] for i, name in enumerate(body.state_names)}
     t = np.arange(len(states)) / fps
     column["head_pitch"][:] = -0.7 * (column["rear_trunk_pitch"] + column["front_trunk_pitch"])
