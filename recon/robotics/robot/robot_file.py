@@ -320,6 +320,10 @@ def model_chain(
         raise InputError(
             [Problem(path, f"joint {name}", "another kind", "joints that turn or slide") for name in other]
         )
+    lost = f"a joint on the way to {tip} without an axis or a place"
+    without = InputError(Problem(path, "chain", lost, "axes of joints, and places in metres"))
+    if not (np.linalg.norm(model.body_quat[way], axis=1) > 0).all():  # a file's numbers beyond those of floats
+        raise without
     placed, here = [], RigidTransform.identity()
     for k in way:
         turn = Rotation.from_quat(model.body_quat[k], scalar_first=True)
@@ -330,8 +334,7 @@ def model_chain(
     here = here * RigidTransform.from_translation(np.asarray(end_m, dtype=float))
     places = np.array([*(place.translation for place in placed), here.translation, *model.jnt_axis[joints]])
     if not np.isfinite(places).all() or not model.jnt_axis[joints].any(axis=1).all():
-        found = f"a joint on the way to {tip} without an axis or a place"
-        raise InputError(Problem(path, "chain", found, "axes of joints, and places in metres"))
+        raise without
     rates = rates_of(path)
     limits = np.where(model.jnt_limited[joints, None], model.jnt_range[joints], [-np.inf, np.inf])
     called = tuple(model.joint(j).name or f"joint {j}" for j in joints)
