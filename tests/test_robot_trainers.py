@@ -106,7 +106,7 @@ def test_what_each_program_reads(solved, tmp_path):
     found = sampled(motion, 50)
     K = len(found.time_s)
     for name, (file, _) in FORMATS.items():
-        write_for_trainer(motion, name, 50, tmp_path, "", {"robot": "a1"})
+        write_for_trainer(motion, name, 50, tmp_path / file, {"robot": "a1"})
         assert (tmp_path / file).is_file()
     amp = json.loads((tmp_path / "amp.json").read_text(encoding="utf-8"))
     frames = np.array(amp["Frames"])
@@ -124,7 +124,7 @@ def test_what_each_program_reads(solved, tmp_path):
     fine = sampled(motion, 1_000)
     np.testing.assert_allclose(base.apply(frames[:, 31:34]), found.velocity_m_s[:, 0], atol=1e-9)
     np.testing.assert_allclose(base.apply(frames[:, 34:37]), found.angular_velocity_rad_s[:, 0], atol=1e-9)
-    write_for_trainer(motion, "amp", 1_000, tmp_path, "fine_", {})
+    write_for_trainer(motion, "amp", 1_000, tmp_path / "fine_amp.json", {})
     fine_frames = np.array(json.loads((tmp_path / "fine_amp.json").read_text(encoding="utf-8"))["Frames"])
     toes = (fine_frames[2:, 19:31] - fine_frames[:-2, 19:31]) / (2 * fine.time_s[1])
     np.testing.assert_allclose(toes, fine_frames[1:-1, 49:61], atol=1e-3 * np.abs(toes).max())
@@ -163,6 +163,33 @@ def test_the_command_writes_both_with_the_verdict(whole_results, tmp_path):
         ["retarget", whole_results, *options, "--rate", "0.5", "--overwrite"],
         ("--rate", "frames a second", 0.5, ["2.9", "two frames"]),
     )
+
+
+def test_a_robots_folder_is_converted_at_any_rate(whole_results, tmp_path):
+    """As if `recon retarget` had been asked for it."""
+    robot, out = tmp_path / "a1", tmp_path / "later.npz"
+    assert (
+        run("retarget", whole_results, "--robot", "a1", "--format", "mjlab", "--rate", "80", "--out", robot).code == 0
+    )
+    assert run("convert", robot, out, "--to", "mjlab", "--fps", "80").code == 0
+    for at_once, later in (("mjlab.npz", out), ("stride_mjlab.npz", tmp_path / "stride_later.npz")):
+        with np.load(robot / at_once) as expected, np.load(later) as found:
+            assert {*found} == {*expected}
+            assert str(found["source"]) == str(expected["source"])
+            for name in ("fps", "joint_pos", "joint_vel", "body_pos_w", "body_quat_w", "contacts"):
+                np.testing.assert_allclose(found[name], expected[name], atol=1e-12)
+    assert run("convert", robot, tmp_path / "motion.json").code == 0  # by the extension
+    with np.load(out) as at_80:
+        frames = json.loads((tmp_path / "motion.json").read_text(encoding="utf-8"))["Frames"]
+        assert len(frames) - 1 == pytest.approx((len(at_80["joint_pos"]) - 1) * 50 / 80, abs=1)
+    refused(["convert", robot, out, "--to", "trc"], ("--to", "format", "'trc'", ["amp", "mjlab-csv"]))
+    refused(["convert", robot, tmp_path / "motion.bvh"], (tmp_path / "motion.bvh", "extension", "'.bvh'", ".json"))
+    refused(  # over none of the files that it would write
+        ["convert", robot, tmp_path / "motion.csv"],
+        ("OUT", "file", str(tmp_path / "motion.json"), "--overwrite"),
+        ("OUT", "file", str(tmp_path / "stride_motion.json"), "--overwrite"),
+    )
+    assert not (tmp_path / "motion.csv").exists()
 
 
 def test_a_robot_for_which_a_layout_has_no_room(solved, tmp_path):

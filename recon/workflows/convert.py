@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import partial
+from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -22,6 +23,10 @@ from recon.show.export.rig import rig_of
 from recon.workflows.cli.common import table_of, terminal
 from recon.workflows.settings import ANYWAY, INDIVIDUAL, RENAME
 
+ROBOTS, ROBOT_FILE = "recon.robotics.robot.trainers", "robot.npz"
+"""What converts a folder of `recon retarget`, which has such a file. It is imported by its name, as no room needs a
+wing."""
+
 
 class ConvertSettings(Settings):
     """The settings of `recon convert`."""
@@ -33,7 +38,7 @@ class ConvertSettings(Settings):
     to: str | None = None
     """Format, where the extension has several, as in long. (default: see --list)"""
     fps: Positive | None = None
-    """Frame rate in Hz, as in 120, if the file does not say it."""
+    """Frame rate in Hz, as in 120, if the file does not say it; of a robot's motion: the file's. (default there: 50)"""
     individual: Annotated[str | None, Option(INDIVIDUAL)] = None
     columns: str | None = None
     """Columns of a plain CSV, as in 'frame=Frame,bodypart=Node,x=X,y=Y,likelihood=Score', or for one row per frame
@@ -64,6 +69,10 @@ def convert_command(settings: ConvertSettings, as_json: bool) -> Any:
     3D positions are metres, z up, in all formats but those that have another custom; see recon convert --list.
     """
     if not settings.show_list:
+        if settings.source is not None and settings.out is not None and (settings.source / ROBOT_FILE).is_file():
+            given = settings.to, settings.fps, settings.overwrite
+            typer.echo(import_module(ROBOTS).convert(settings.source, settings.out, *given))
+            return None
         data, written, notes = convert(settings)
         what = f"{len(data.names)} keypoints, 2D" if isinstance(data, Keypoints) else f"{len(data.names)} joints, 3D"
         frames = f"frames {data.frames[0]} to {data.frames[-1]} ({len(data.frames)})"
@@ -71,6 +80,8 @@ def convert_command(settings: ConvertSettings, as_json: bool) -> Any:
         typer.echo("\n".join([*notes, f"{settings.out}: {written.title}, {what}, {frames}, {fps}"]))
         return None
     rows = [(f.name, " ".join(f.suffixes), ", ".join(f.writes), f.fps, f.frames, f.axes) for f in CONVERTED]
+    robots = import_module(ROBOTS).FORMATS.items()
+    rows += [(name, Path(file).suffix, "robot", "kept", "from 0", "m, z up") for name, (file, _) in robots]
     names = ("--to", "extension", "holds", "frame rate", "frame numbers", "3D axes")
     if as_json:
         return [dict(zip(names, row, strict=True)) for row in rows]

@@ -8,10 +8,12 @@ from dataclasses import dataclass, replace
 from importlib import resources
 from importlib.util import find_spec
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import h5py
 import numpy as np
 from scipy.io import savemat
+from scipy.spatial.transform import RigidTransform
 
 from recon import FitSettings, InputError, find_clips, read_settings
 from recon.animal import builtin_subjects, load_names, load_prior, load_skeleton, seen_by
@@ -36,7 +38,8 @@ from recon.keypoint_net import read_label_file
 from recon.robotics import LEGS, described, load_recipe, load_robot
 from recon.robotics.robot.dh import load_dh
 from recon.robotics.robot.reference import Reference
-from recon.robotics.robot.retarget import place
+from recon.robotics.robot.retarget import place, posed
+from recon.robotics.robot.trainers import KEPT, keep, kept_motions, sampled
 from recon.show import make_rig
 from recon.workflows import Record, run_clip
 
@@ -361,6 +364,7 @@ def _built_in() -> Iterator[Seed]:
         content = (resources.files("recon.robotics.robot") / "robots" / f"{name}.toml").read_bytes()
         yield Seed(f"robot-{name}.toml", content, _walking, 1.5)
     yield Seed("dh.toml", DH, load_dh)
+    yield Seed("robot.npz", _kept_robot(), lambda path: sampled(kept_motions(path)[0], 50.0), 1.5)
     if find_spec("mujoco") is not None:
         yield Seed("robot.urdf", _urdf().encode(), _walking, 0.3)
         spec = described(load_robot("a1"))
@@ -376,6 +380,18 @@ def _walking(path: Path) -> object:
     zero, feet = np.zeros((4, 3)), np.zeros((4, len(LEGS), 3))
     feet[1:3, :, 2] = 0.05
     return place(Reference(t, zero, zero.copy(), feet, feet[..., 2] == 0, 0.5), load_robot(path), 0.3)
+
+
+def _kept_robot() -> bytes:
+    """A robot that stands for some samples."""
+    robot, t = load_robot("a1"), np.linspace(0.0, 0.1, 4)
+    feet = np.array([leg.neutral_m for leg in robot.legs.values()])
+    pose = RigidTransform.from_translation(np.zeros((4, 3)))
+    stands = np.ones((4, len(LEGS)), dtype=bool)
+    motion = posed(robot, t, pose, np.tile(feet, (4, 1, 1)), stands)
+    with TemporaryDirectory() as folder:
+        keep(motion, replace(motion, advance_m=np.zeros(2)), "a1", {}, path := Path(folder) / KEPT)
+        return path.read_bytes()
 
 
 def _urdf() -> str:

@@ -32,7 +32,7 @@ from recon.robotics.robot.quadruped import LEGS
 from recon.robotics.robot.reference import reference_of
 from recon.robotics.robot.retarget import LEGS_APART, Retargeting, RobotMotion, retarget
 from recon.robotics.robot.robot_file import load_robot
-from recon.robotics.robot.trainers import write_for_trainer
+from recon.robotics.robot.trainers import FORMATS, KEPT, keep, write_for_trainer
 from recon.robotics.settings import RetargetSettings
 from recon.show.plots.style import save
 from recon.show.report import to_json
@@ -78,9 +78,11 @@ def run_retarget(settings: RetargetSettings) -> tuple[Retargeting, dict[str, Any
             if model is not None:
                 report["check"] = checked(done, model, staging) | before
             _write(done, report, staging)
+            keep(done.clip, done.stride, report["robot"]["source"], said, staging / KEPT)
             if settings.format is not None:
                 for motion, prefix in ((done.clip, ""), (done.stride, "stride_")):
-                    write_for_trainer(motion, settings.format, settings.rate, staging, prefix, said)
+                    path = staging / f"{prefix}{FORMATS[settings.format][0]}"
+                    write_for_trainer(motion, settings.format, settings.rate, path, said)
     return done, report
 
 
@@ -322,7 +324,8 @@ def write_ensemble(
     if settings.format is not None:
         for number, motion in enumerate(motions, start=1):
             own = dict(said) | {"sample": number}
-            write_for_trainer(motion, settings.format, settings.rate, out, f"sample_{number:02d}_", own)
+            path = out / f"sample_{number:02d}_{FORMATS[settings.format][0]}"
+            write_for_trainer(motion, settings.format, settings.rate, path, own)
     base, joint = (np.median(values.std(axis=0), axis=0).tolist() for values in (places, angles))
     return {
         "count": len(motions),

@@ -16,19 +16,25 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from recon.base.arrays import Array, Bools
-from recon.base.errors import InputError, Problem
+from recon.base.errors import InputError, Problem, all_of
+from recon.base.files import require_free_file, staged_file
+from recon.base.records import load_record, save_record
 from recon.robotics.robot.quadruped import LEGS, Quadruped, RobotLeg
 from recon.robotics.robot.retarget import RobotMotion
+from recon.robotics.robot.robot_file import builtin_robots, load_robot
 
+KEPT, SCHEMA = "robot.npz", {"name": "recon.robot", "version": 1}
+RATE_HZ = 50.0
+"""Of files, unless another is asked for."""
 AMP_LEGS = ("RF", "LF", "RH", "LH")
 AMP_JOINTS = 3
 """The joints of a leg, in the layout."""
@@ -208,8 +214,98 @@ FORMATS: dict[str, tuple[str, Callable[[_RobotSamples, Path, Mapping[str, Any]],
 """By name, the file's and what writes it."""
 
 
-def write_for_trainer(motion: RobotMotion, name: str, rate_hz: float, folder: Path, prefix: str, said: Any) -> None:
-    """Write the files of one of `FORMATS` into folder. said: what the file should say of where it comes from. Raises
-    InputError as `sampled`, and of a robot that the format has no room for."""
-    file, write = FORMATS[name]
-    write(sampled(motion, rate_hz), folder / f"{prefix}{file}", said)
+def write_for_trainer(motion: RobotMotion, name: str, rate_hz: float, path: Path, said: Any) -> None:
+    """Write a file of one of `FORMATS`. said: what the file should say of where it comes from. Raises InputError as
+    `sampled`, and of a robot that the format has no room for."""
+    FORMATS[name][1](sampled(motion, rate_hz), path, said)
+
+
+# -- motions that are kept, for `recon convert` ------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class _KeptMotion:
+    """A `RobotMotion` as plain arrays, without its robot."""
+
+    scale: float
+    slower: float
+    time_s: Array
+    angles_rad: Array
+    position_m: Array
+    quaternion_xyzw: Array
+    feet_m: Array
+    standing: Bools
+    short: Bools
+    advance_m: Array | None
+
+
+@dataclass(frozen=True, eq=False)
+class _Kept:
+    robot: str
+    """The name, or the file, seen from the folder."""
+    said: Mapping[str, Any]
+    clip: _KeptMotion
+    stride: _KeptMotion
+
+
+def keep(clip: RobotMotion, stride: RobotMotion, robot: str, said: Mapping[str, Any], path: Path) -> None:
+    """Write both motions as they are, from which `convert` makes files of any of `FORMATS`, at any rate."""
+
+    def plain(motion: RobotMotion) -> _KeptMotion:
+        same = {f.name: getattr(motion, f.name) for f in fields(_KeptMotion) if hasattr(motion, f.name)}
+        place, turn = motion.pose.translation, motion.pose.rotation.as_quat()
+        return _KeptMotion(position_m=place, quaternion_xyzw=turn, **same)
+
+    save_record(_Kept(robot, said, plain(clip), plain(stride)), path, SCHEMA)
+
+
+def kept_motions(path: Path) -> tuple[RobotMotion, RobotMotion, Mapping[str, Any]]:
+    """The clip, the stride, and what files of them say of where they come from. Raises InputError."""
+    found = load_record(_Kept, path, SCHEMA, "motions of a robot, as `recon retarget` writes them")
+    named = found.robot if found.robot in builtin_robots() else str(path.parent / found.robot)
+    robot = load_robot(named)
+
+    joints = len(robot.joints)
+
+    def restored(kept: _KeptMotion) -> RobotMotion:
+        n = len(kept.time_s)
+        shapes = {"time_s": (n,), "angles_rad": (n, joints), "position_m": (n, 3), "quaternion_xyzw": (n, 4)}
+        shapes |= {"feet_m": (n, 4, 3), "standing": (n, 4), "short": (n, 4)}
+        shapes |= {} if kept.advance_m is None else {"advance_m": (2,)}
+        for name, shape in shapes.items():
+            values: Array = getattr(kept, name)
+            if values.shape != shape or not np.isfinite(values).all():
+                expected = f"finite numbers {shape}, {joints} joints as in {named}"
+                raise InputError(Problem(path, name, f"{values.shape}", expected))
+        if n < 2 or not (np.diff(kept.time_s) > 0).all() or not kept.quaternion_xyzw.any(axis=1).all():
+            raise InputError(Problem(path, "content", "no motion", "times that go on, and rotations"))
+        same = {f.name: getattr(kept, f.name) for f in fields(kept)}
+        place, turn = same.pop("position_m"), Rotation.from_quat(same.pop("quaternion_xyzw"))
+        return RobotMotion(robot=robot, pose=RigidTransform.from_components(place, turn), **same)
+
+    return restored(found.clip), restored(found.stride), found.said
+
+
+def convert(folder: Path, out: Path, name: str | None, rate_hz: float | None, overwrite: bool) -> str:
+    """`recon convert` of a folder of `recon retarget`: the clip into out, the stride that repeats beside it; and what
+    to say of it. name: of `FORMATS`, None: the first with out's extension. Raises InputError."""
+    if name is not None and name not in FORMATS:
+        raise InputError(Problem("--to", "format", f"'{name}'", f"of a robot's motion, one of: {', '.join(FORMATS)}"))
+    named = {one: Path(file).suffix for one, (file, _) in FORMATS.items() if name in (None, one)}
+    chosen = next((one for one, suffix in named.items() if suffix == out.suffix.lower()), None)
+    if chosen is None:
+        expected = f"one of: {', '.join(dict.fromkeys(named.values()))}"
+        raise InputError(Problem(out, "extension", f"'{out.suffix}'", expected))
+    stride_out = out.with_name(f"stride_{out.name}")
+    files = [out, stride_out]
+    if chosen == "mjlab-csv":  # what it is stands in a file beside it
+        files += [path.with_suffix(".json") for path in files]
+    kept, *_ = all_of(
+        lambda: kept_motions(folder / KEPT),
+        *(partial(require_free_file, path, overwrite, "OUT") for path in files),
+    )
+    *motions, said = kept
+    for motion, path in zip(motions, (out, stride_out), strict=True):
+        with staged_file(path) as staged:
+            write_for_trainer(motion, chosen, rate_hz or RATE_HZ, staged, said)
+    return f"{out}: {chosen}, {motions[0].robot.title}; a stride that repeats is in {stride_out}"
