@@ -1,5 +1,4 @@
-"""What a training run tells about itself: figures, the worst pictures, reliability, and labels that are
-probably wrong, found in two ways.
+"""What a training run tells about itself: errors, reliability, and labels that are probably wrong, found in two ways.
 
 - The network, once trained, puts the keypoint somewhere else and is not tempted by the label.
 - The label is farther from every other label of its picture than this keypoint is anywhere else from them.
@@ -9,29 +8,20 @@ The distances are in body lengths; a label's rank is the sum of those in which i
 
 from __future__ import annotations
 
-import colorsys
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import pandas as pd
 
 from recon import __version__
-from recon.base.arrays import Array, Integers, mean, median
-from recon.base.files import write_bytes
-from recon.io.video import Image
+from recon.base.arrays import Array, median
 from recon.keypoint_net.evaluate2d import evaluate_2d, reliability
 from recon.keypoint_net.labels import Labels, extents_px, frames_by_part
 from recon.keypoint_net.network import TrainedNetwork, calibrated, require_torch
 from recon.keypoint_net.train import State, TrainingRun, calibrated_spec, judge
-from recon.show.overlay import Colour, draw_circle, draw_line, draw_text
 from recon.show.plain import to_json
 
-WORST = 6
-LEAST_WIDTH_PX = 560
-"""Smaller pictures are enlarged."""
-LABEL, LINE = (255, 255, 255), (60, 60, 230)
 FAR, APART = 0.2, 0.15
 """Body lengths from which on a label stands out: from the network's point, from the others."""
 REASONS = {
@@ -48,9 +38,14 @@ MOST = 30
 def write_training_report(run: TrainingRun, state: State, folder: Path) -> dict[str, Any]:
     """Into an existing folder; returns what stands in training.json."""
     spec, split, history = calibrated_spec(run, state), run.split, state.history
-    errors, raw, xy_px = judge(TrainedNetwork(spec, state.average, run.device), run, np.arange(len(run.labels.images)))
-    likelihood = calibrated(raw, spec.calibration)
-    judged = {name: _evaluation(run, which, xy_px, likelihood) for name, which in split.items() if len(which)}
+    _, raw, xy_px = judge(TrainedNetwork(spec, state.average, run.device), run, np.arange(len(run.labels.images)))
+    likelihood, judged = calibrated(raw, spec.calibration), {}
+    for name, which in split.items():
+        if len(which):
+            truth, length_px = run.labels.xy_px[which], median(extents_px(run.labels.xy_px[which]))
+            length_px = length_px if np.isfinite(length_px) else spec.body_length_px
+            given = spec.names, xy_px[which], likelihood[which], truth, length_px
+            judged[name] = evaluate_2d(*given, tolerance_px=spec.tolerance_px)
     # Of the network as it was calibrated: before it learned from the validation pictures.
     before = reliability(np.array(state.judged[0]), np.array(state.judged[1], bool))
     # Elsewhere, that the network disagrees says more about the network.
@@ -60,6 +55,7 @@ def write_training_report(run: TrainingRun, state: State, folder: Path) -> dict[
     suspects = suspicious_labels(run.labels, seen, spec.body_length_px)
     held_out = [row for row in history if "validation_px" in row and "finishing" not in row]
     best = min(held_out, key=lambda row: row["validation_px"], default=None)
+    first = [int(row["step"]) for row in history if "finishing" not in row]
     report = {
         "recon": __version__,
         "torch": str(require_torch().__version__),
@@ -78,7 +74,7 @@ def write_training_report(run: TrainingRun, state: State, folder: Path) -> dict[
         "steps": state.step,
         "seconds": round(state.seconds, 1),
         "best_validation": best and {"median_px": best["validation_px"], "step": best["step"]},
-        "validation_in_training_from": _finish_step(history),
+        "validation_in_training_from": max(first, default=None),
         "calibration": spec.calibration and dict(zip(("slope", "offset"), spec.calibration, strict=True)),
         "reliability_validation": before,
         "errors": judged,
@@ -87,73 +83,12 @@ def write_training_report(run: TrainingRun, state: State, folder: Path) -> dict[
         "notes": list(run.labels.notes),
     }
     (folder / "training.json").write_text(to_json(report), encoding="utf-8")
-    _write_suspects(suspects, folder / "suspicious.csv")
-    held = np.concatenate([split["validation"], split["test"]])
-    _write_worst(run.labels, errors, xy_px, held if len(held) else split["train"], folder / "worst.png")
-    return report
-
-
-def _evaluation(run: TrainingRun, which: Integers, xy_px: Array, likelihood: Array) -> dict[str, Any]:
-    length_px = median(extents_px(run.labels.xy_px[which]))
-    length_px = length_px if np.isfinite(length_px) else run.spec.body_length_px
-    names, truth = run.spec.names, run.labels.xy_px[which]
-    return evaluate_2d(names, xy_px[which], likelihood[which], truth, length_px, tolerance_px=run.spec.tolerance_px)
-
-
-def _finish_step(history: list[dict[str, float]]) -> int | None:
-    """The step up to which the validation pictures were held out."""
-    return max((int(row["step"]) for row in history if "finishing" not in row), default=None)
-
-
-def _write_suspects(suspects: list[dict[str, Any]], path: Path) -> None:
     digits = {"x_px": 2, "y_px": 2, "rank": 3, "network": 3, "others": 3}
     table = pd.DataFrame(suspects, columns=["image", "keypoint", *digits, "reasons"])
     for name, count in digits.items():
         table[name] = ["" if np.isnan(value) else f"{value:.{count}f}" for value in table[name]]
-    table.assign(reasons=table["reasons"].map("; ".join)).to_csv(path, index=False)
-
-
-def _write_worst(labels: Labels, errors: Array, xy_px: Array, which: Integers, path: Path) -> None:
-    """The pictures with the largest mean error, no two of them neighbours in time."""
-    by_picture = np.nan_to_num([mean(errors[i]) for i in which], nan=-np.inf)
-    chosen: list[int] = []
-    for i in which[np.argsort(-by_picture)]:
-        apart = all(labels.clip[i] != labels.clip[j] or abs(labels.numbers[i] - labels.numbers[j]) > 2 for j in chosen)
-        if apart and np.isfinite(errors[i]).any() and len(chosen) < WORST:
-            chosen.append(int(i))
-    tiles = [
-        _compared(labels.pictures[i], labels.xy_px[i], xy_px[i], f"{labels.images[i]}: mean {mean(errors[i]):.1f} px")
-        for i in chosen
-    ]
-    size = np.max([t.shape[:2] for t in tiles], axis=0)
-    padded = [np.pad(t, ((0, size[0] - t.shape[0]), (0, size[1] - t.shape[1]), (0, 0))) for t in tiles]
-    padded += [np.zeros_like(padded[0])] * (len(padded) % 2)
-    rows = [np.hstack(padded[i : i + 2]) for i in range(0, len(padded), 2)]
-    write_bytes(path, cv2.imencode(path.suffix, np.vstack(rows))[1].tobytes())
-
-
-def colours(count: int) -> list[Colour]:
-    """One for each keypoint, blue, green, red: evenly around the colour wheel, bright and dark by turns."""
-    found = []
-    for k in range(count):
-        r, g, b = colorsys.hsv_to_rgb(k / max(count, 1), 0.85, 1.0 if k % 2 == 0 else 0.75)
-        found.append((round(255 * b), round(255 * g), round(255 * r)))
-    return found
-
-
-def _compared(picture: Image, label_px: Array, xy_px: Array, title: str) -> Image:
-    """A copy, enlarged, with a ring at each label, a dot at its prediction, and a line between them."""
-    factor = max(1, -(-LEAST_WIDTH_PX // picture.shape[1]))
-    drawn = np.asarray(cv2.resize(picture, None, fx=factor, fy=factor, interpolation=cv2.INTER_CUBIC), np.uint8)
-    radius = max(3.0, drawn.shape[1] / 160)
-    for label, at, colour in zip(label_px, xy_px, colours(len(xy_px)), strict=True):
-        if np.isfinite(label).all():
-            a, b = (factor * (p + 0.5) - 0.5 for p in (label, at))
-            draw_line(drawn, a, b, LINE, 1)
-            draw_circle(drawn, a, radius + 1, LABEL, 1)
-            draw_circle(drawn, b, 0.6 * radius, colour, -1)
-    draw_text(drawn, title, (8, 20), 0.5, LABEL)
-    return drawn
+    table.assign(reasons=table["reasons"].map("; ".join)).to_csv(folder / "suspicious.csv", index=False)
+    return report
 
 
 # -- labels that are probably wrong ------------------------------------------------------------------------------------
