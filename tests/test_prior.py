@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import shutil
+import zipfile
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -354,6 +355,17 @@ def test_no_prior_of_that_name(body):
 def test_pickles_are_refused(body, prior, tmp_path):
     with refusal((tmp_path / "x.npz", "file", "array of object")):
         load_prior(altered(prior, tmp_path / "x.npz", {"mean": np.array([{}] * 24)}), body)
+
+
+def test_arrays_that_python_2_wrote(body, prior, tmp_path):
+    """Whose shapes are long integers."""
+    save_prior(prior, tmp_path / "x.npz")
+    with zipfile.ZipFile(tmp_path / "x.npz") as now, zipfile.ZipFile(tmp_path / "then.npz", "w") as then:
+        for name in now.namelist():
+            then.writestr(name, now.read(name).replace(b"'shape': (24,), } ", b"'shape': (24L,), }"))
+    assert b"(24L,)" in (tmp_path / "then.npz").read_bytes()
+    means = (load_prior(tmp_path / name, body).mean for name in ("x.npz", "then.npz"))
+    np.testing.assert_array_equal(*means)
 
 
 def test_a_prior_must_fit_together(prior):

@@ -14,6 +14,7 @@ import struct
 import sys
 import tokenize
 import tomllib
+import warnings
 import zipfile
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -224,7 +225,9 @@ def _array(content: bytes, kinds: str) -> np.ndarray:
     file = BytesIO(content)
     version = np.lib.format.read_magic(file)
     read_header = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}[version]
-    shape, fortran, dtype = read_header(file)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # an array that Python 2 wrote
+        shape, fortran, dtype = read_header(file)
     start = file.tell()
     if dtype.kind not in kinds or not dtype.itemsize or dtype.itemsize * math.prod(shape) != len(content) - start:
         raise ValueError(f"an array of {dtype} with shape {shape} in {len(content)} bytes")
