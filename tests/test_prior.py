@@ -39,7 +39,7 @@ from recon.animal.prior_fit import (
 from recon.fit import Motion
 from recon.io import read_pose_segments
 from recon.workflows import app
-from recon.workflows.prior import _notes, _sound_states
+from recon.workflows.prior import _lines, _sound_states
 
 OMEGA_RAD_S = 12.0
 SPREAD_RAD = 0.3
@@ -422,11 +422,11 @@ def test_files_of_one_name_and_too_few_frames(body, tmp_path):
     done = run_prior_fit(PriorFitSettings(poses=files, out=tmp_path / "a.npz", skeleton="cheetah-24", fps="100"))
     assert [row["name"] for row in done["segments"]] == ["run0-truth", "run1-truth"]
     assert (done["components"], done["components_asked"]) == (6, 16)
-    assert any(says(note, "6 components", 16, "20 frames") for note in _notes(done))
+    assert any(says(note, "6 components", 16, "20 frames") for note in _lines(done) if isinstance(note, str))
     few = run_prior_fit(
         PriorFitSettings(poses=files, out=tmp_path / "b.npz", skeleton="cheetah-24", fps="100", components=6)
     )
-    assert not [note for note in _notes(few) if "in place of" in note]
+    assert not [note for note in _lines(few) if isinstance(note, str) and "in place of" in note]
 
 
 def test_every_problem_of_a_command(body, tmp_path):

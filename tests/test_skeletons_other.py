@@ -469,9 +469,7 @@ def test_every_fault_is_named(tmp_path):
     text = CAT.replace('parent = "loin"', 'parent = "lion"', 1).replace('left_fore = "left', 'left_fore = "lift')
     text = text.replace('tail = ["tail_base"', 'tail = ["tail"').replace('segment = "tail"', 'segment = "tale"', 1)
     with pytest.raises(InputError) as error:
-        skeleton_check(
-            _SkeletonCheckSettings(skeleton=str(in_file(tmp_path, text)), out=tmp_path / "out"), as_json=True
-        )
+        skeleton_check(_SkeletonCheckSettings(skeleton=str(in_file(tmp_path, text)), out=tmp_path / "out"))
     fields = [problem.field for problem in error.value.problems]
     assert fields == ["segments[1].parent", "markers[4].segment", "feet", "limbs.tail"]
     assert not (tmp_path / "out").exists()
@@ -482,7 +480,7 @@ def test_every_fault_is_named(tmp_path):
 @pytest.mark.usefixtures("small_pictures")
 def test_pictures(tmp_path):
     file, out = in_file(tmp_path, CAT), tmp_path / "pictures"
-    skeleton_check(_SkeletonCheckSettings(skeleton=str(file), out=out), as_json=True)
+    skeleton_check(_SkeletonCheckSettings(skeleton=str(file), out=out))
     names = ["angles.png", "angles.svg", "skeleton.png", "skeleton.svg"]
     assert sorted(path.name for path in out.iterdir()) == names
     picture = (out / "skeleton.svg").read_text(encoding="utf-8")
@@ -493,8 +491,8 @@ def test_pictures(tmp_path):
     assert "17° to 132°" in angles
     assert "r hind shin" not in angles
     with refusal(("--out", "folder", ["skeleton.png and 3 more", out], "--overwrite")):
-        skeleton_check(_SkeletonCheckSettings(skeleton=str(file), out=out), as_json=True)
-    skeleton_check(_SkeletonCheckSettings(skeleton="cheetah-8u", out=out, overwrite=True), as_json=True)
+        skeleton_check(_SkeletonCheckSettings(skeleton=str(file), out=out))
+    skeleton_check(_SkeletonCheckSettings(skeleton="cheetah-8u", out=out, overwrite=True))
     assert "theta 1" in (out / "angles.svg").read_text(encoding="utf-8")
 
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
+from rich.console import Console
+
 from recon.animal.body import Body
 from recon.animal.skeleton_file import load_chain
 from recon.base import Progress, silent
@@ -12,6 +14,7 @@ from recon.clip import views_of
 from recon.fit.motion import Motion
 from recon.thesis.frame import FrameOptions, solve_frames
 from recon.workflows.cli.command import OptionsOf
+from recon.workflows.cli.common import Answer
 from recon.workflows.cli.fit import FitRunSettings, fit
 from recon.workflows.clip import prepare
 from recon.workflows.settings import SETTINGS, FitSettings
@@ -40,13 +43,13 @@ def load_body(settings: FitSettings) -> Body:
 def frame(
     settings: FitRunSettings,
     given: Annotated[dict[str, Any], OptionsOf(FitSettings, _OPTIONS)],
-    as_json: bool,
-    quiet: bool,
-) -> None:
+    console: Console,
+    progress: Progress,
+) -> Answer:
     """The thesis' method, to compare with: one side of the animal as a chain, one frame after the other.
 
     Example: recon frame clip.csv --camera scene.json --camera-name cam2 --fps 90 --out results/clip
 
     Exit code 0: done. 1: no frame could be solved. 2: the input cannot be used.
     """
-    fit(settings, {**given, "method": "frame"}, as_json, quiet)
+    return fit(settings, {**given, "method": "frame"}, console, progress)

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
+from rich.table import Table
+from rich.text import Text
 from threadpoolctl import threadpool_limits
 
 from recon.base import Progress, silent
@@ -26,7 +28,7 @@ from recon.gait.gait import Gait, Stride, doubtful_text
 from recon.show.export import analysis_csv
 from recon.show.plain import picked, to_json
 from recon.show.report import in_sentences
-from recon.workflows.cli.common import progress_bar, say, say_verdict, table_of, terminal
+from recon.workflows.cli.common import Answer, table_of, verdict_texts
 from recon.workflows.settings import ANYWAY, STRIDE, StrideTimes
 
 if TYPE_CHECKING:
@@ -70,38 +72,38 @@ MOST_STANCES = 100
 """How many stances are printed at most, of all feet."""
 
 
-def analyse_command(settings: AnalyseSettings, as_json: bool, quiet: bool) -> Any:
+def analyse_command(settings: AnalyseSettings, progress: Progress) -> Answer:
     """Kinematics, gait, vector fields and phase portraits of a reconstruction.
 
     Writes tables (CSV) and figures (PNG, SVG); recon view shows the plots beside the playback from then on.
 
     Example: recon analyse results/clip
     """
+    found, summary, files = run_analyse(settings, progress)
+    return Answer(summary, _lines(settings, found, summary, files))
 
-    console = terminal(quiet=quiet, stderr=as_json)
-    with progress_bar(console) as progress:
-        found, summary, files = run_analyse(settings, progress)
-    if as_json:
-        return summary
+
+def _lines(
+    settings: AnalyseSettings, found: ClipAnalysis, summary: Mapping[str, Any], files: Sequence[Path]
+) -> Iterator[str | Text | Table]:
     out, motion = files[0].parent, found.motion
-    say_verdict(console, motion.verdict)
-    for line in (*in_sentences(motion, found.reference_motion, found.gait, found.why_no_speed), *_lines(found)):
-        say(console, line)
+    yield from verdict_texts(motion.verdict)
+    yield from in_sentences(motion, found.reference_motion, found.gait, found.why_no_speed)
+    yield from _sentences(found)
     if found.gait is not None and len(found.gait.stances) <= MOST_STANCES:
         spans: dict[str, list[str]] = {foot: [] for foot in motion.foot_names}
         for s in found.gait.stances:
             spans[s.foot].append(f"{'' if s.begins else '≤'}{s.start_s:.3f}-{s.end_s:.3f}{'' if s.ends else '+'}")
         rows = ((f"{foot} {motion.foot_names[foot]}", ", ".join(of) or "none") for foot, of in spans.items())
         title = f"times in seconds: frame number / {motion.fps:g}"
-        console.print(table_of("foot", "stances, s", rows=rows, title=title))
-    for note in summary["notes"]:
-        say(console, f"note: {note}")
-    say(console, f"{len(files)} files are in {out}.")
+        yield table_of("foot", "stances, s", rows=rows, title=title)
+    yield from (f"note: {note}" for note in summary["notes"])
+    yield f"{len(files)} files are in {out}."
     if out == settings.folder / FOLDER and (settings.folder / PLAYBACK).is_file():
-        say(console, f"See them beside the playback with: recon view {settings.folder}")
+        yield f"See them beside the playback with: recon view {settings.folder}"
 
 
-def _lines(found: ClipAnalysis) -> Iterator[str]:
+def _sentences(found: ClipAnalysis) -> Iterator[str]:
     net, sigma = found.net_acceleration_m_s2
     if math.isfinite(net):
         low, high = net - INTERVAL * sigma, net + INTERVAL * sigma

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
-from rich.console import Console
+from rich.table import Table
 from rich.text import Text
 
 from recon.base import Progress, silent
@@ -22,9 +22,7 @@ from recon.check import names_text
 from recon.geometry.lens import LENS_MODELS
 from recon.io import write_camera
 from recon.show.plain import picked
-from recon.workflows.cli.common import error_text, progress_bar, say, table_of, terminal
-
-EXIT_REFUSED = 1
+from recon.workflows.cli.common import Answer, table_of
 
 
 def _finite(value: Any) -> Any:
@@ -50,30 +48,23 @@ class CalibrationSettings(Settings):
     """Replace the camera file."""
 
 
-def calibrate(settings: CalibrationSettings, as_json: bool) -> None:
+def calibrate(settings: CalibrationSettings, progress: Progress) -> Answer:
     """Calibrate a camera: pictures or a video of a board in, a camera file and a picture of the coverage out.
 
     Example: recon calibrate board/ --board chessboard:9x6:25mm --model radtan --out camera.toml
 
     Exit code 0: written. 1: refused, because a check failed. 2: the input cannot be used.
     """
-    errors = terminal(stderr=True, soft_wrap=True)
-    with progress_bar(errors) as progress:
-        report = run_calibration(settings, progress)
-    if as_json:
-        typer.echo(json.dumps(report, indent=1))
-    else:
-        _print(report, terminal())
+    report = run_calibration(settings, progress)
+    errors = []
     if report["written"] is None:
-        for failed in report["checks"]:
-            if failed["verdict"] == "refused":
-                errors.print(error_text(f"refused: {failed['text']}"))
+        errors = [f"refused: {check['text']}" for check in report["checks"] if check["verdict"] == "refused"]
         what = f"mend that, or say --force. What there is: {report['picture']}"
-        errors.print(Text(f"{settings.out} was not written: {what}"))
-        raise typer.Exit(EXIT_REFUSED)
+        errors.append(f"{settings.out} was not written: {what}")
+    return Answer(json.dumps(report, indent=1) + "\n", _lines(report), errors)  # the camera to the last digit
 
 
-def _print(report: dict[str, Any], console: Console) -> None:
+def _lines(report: dict[str, Any]) -> Iterator[str | Text | Table]:
     pictures, written = report["pictures"], report["written"]
     rows = (
         (
@@ -84,24 +75,24 @@ def _print(report: dict[str, Any], console: Console) -> None:
         for view in pictures
     )
     columns = ("corners", "error px", "worst px", "tilt", "distance m", "")
-    console.print(table_of("picture", numbers=columns, rows=rows))
+    yield table_of("picture", numbers=columns, rows=rows)
     looked = f"{report['board']}: found in {report['found']} of {report['examined']} pictures"
     if report["found"] > len(pictures):
         looked += f", the {len(pictures)} sharpest and most different were taken"
-    say(console, looked)
+    yield looked
     if report["without_board"]:
-        say(console, f"Not found in: {names_text(report['without_board'])}")
-    console.print()
+        yield f"Not found in: {names_text(report['without_board'])}"
+    yield ""
     for row in report["parameters"]:
         digits = 1 if row["name"] in ("fx", "fy", "cx", "cy") else 4
         sigma = math.inf if row["sigma"] is None else row["sigma"]
-        console.print(f"{row['name']}  {row['value']:.{digits}f} ± {sigma:.{digits}f}", highlight=False)
-    console.print(f"reprojection error {report['rms_px']:.3f} px (root mean square)", highlight=False)
+        yield f"{row['name']}  {row['value']:.{digits}f} ± {sigma:.{digits}f}"
+    yield f"reprojection error {report['rms_px']:.3f} px (root mean square)"
     for check in report["checks"]:
         if check["verdict"] == "warning" or (check["verdict"] == "refused" and written is not None):
-            say(console, Text.assemble(("warning: ", "yellow"), check["text"]))
+            yield Text.assemble(("warning: ", "yellow"), check["text"])
     if written is not None:
-        say(console, f"Written: {written}, and what it rests on: {report['picture']}")
+        yield f"Written: {written}, and what it rests on: {report['picture']}"
 
 
 def run_calibration(settings: CalibrationSettings, progress: Progress = silent) -> dict[str, Any]:

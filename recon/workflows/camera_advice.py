@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 import pandas as pd
 from pydantic import Field
 
 from recon.animal import load_prior, load_skeleton
-from recon.base import Progress, silent
+from recon.base import Progress
 from recon.base.errors import Problem, refuse
 from recon.base.files import require_free_folder, staged_folder
 from recon.base.settings import Integer, Number, Settings
@@ -21,7 +21,7 @@ from recon.io import write_rows
 from recon.show import plots
 from recon.show.plain import picked, to_json
 from recon.show.plots.observability import in_words
-from recon.workflows.cli.common import progress_bar, say, terminal
+from recon.workflows.cli.common import Answer
 
 REPORT, TABLE, FIGURE = "camera_advice.json", "camera_advice.csv", "camera_advice"
 DIRECTIONS = (
@@ -86,23 +86,11 @@ class _CameraAdviceSettings(Settings):
             yield Problem("--angle", "value", "--joint as well", "one of the two, or neither for all joints")
 
 
-def camera_advice(settings: _CameraAdviceSettings, as_json: bool) -> Any:
+def camera_advice(settings: _CameraAdviceSettings, progress: Progress) -> Answer:
     """Where to put a camera, or two, so that an angle or a joint is seen and not guessed.
 
     Example: recon camera-advice --skeleton cheetah-24 --angle front_trunk_yaw --out advice
     """
-    with progress_bar(terminal(stderr=True)) as progress:
-        report = run_camera_advice(settings, progress)
-    if as_json:
-        return report
-    for line in report["words"]:
-        say(terminal(), line)
-    say(terminal(), f"The figure and the table are in {settings.out}.")
-
-
-def run_camera_advice(settings: _CameraAdviceSettings, progress: Progress = silent) -> dict[str, Any]:
-    """See `recon.calibrate.camera_advice.advise`. Writes a report, which it gives, a table and a figure. Raises
-    InputError."""
     body = load_skeleton(settings.skeleton, settings.subject)
     given = {"angle": (settings.angle, body.state_names[4:]), "joint": (settings.joint, body.markers)}
     refuse(
@@ -135,7 +123,7 @@ def run_camera_advice(settings: _CameraAdviceSettings, progress: Progress = sile
         (staging / REPORT).write_text(to_json(report), encoding="utf-8")
         write_rows(staging / TABLE, [[*table.columns]], table.itertuples(index=False))
         plots.save(plots.camera_advice(found), staging, FIGURE)
-    return report
+    return Answer(report, [*report["words"], f"The figure and the table are in {settings.out}."])
 
 
 def _places(number: int, advice: Advice) -> pd.DataFrame:

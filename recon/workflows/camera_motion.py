@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -28,7 +27,7 @@ from recon.io.camera_track import INTRINSICS, POSE, SIGMA
 from recon.io.video import Image, missing_frames, missing_note, probe, timed_frames
 from recon.show.plain import picked, to_json
 from recon.workflows.cameras import size_problems
-from recon.workflows.cli.common import counted, progress_bar, say, terminal
+from recon.workflows.cli.common import Answer, counted
 from recon.workflows.settings import FIRST_FRAME, FitSettings
 
 MIN_LIKELIHOOD = 0.3
@@ -61,16 +60,10 @@ class _CameraMotionSettings(Settings):
     first_frame: Annotated[Integer, FIRST_FRAME] = 0
     tilt_deg: Annotated[Number, Field(gt=-90, lt=90)] | None = None
     """Degrees that the camera looks down in the first frame. (default: level in the mean of all frames)"""
-    level_marks: Path | None = None
-    """Instead: a table (kind,frame,x1,y1,x2,y2) of horizons and verticals, as in level.csv."""
     zoom: bool = False
     """The focal length changes; the first frame has the file's."""
     overwrite: bool = False
     """Replace the track."""
-
-    def problems(self) -> Iterator[Problem]:
-        if self.tilt_deg is not None and self.level_marks is not None:
-            yield Problem("--tilt-deg", "level", f"{self.tilt_deg:g} beside {self.level_marks}", "one of the two")
 
 
 def of_clip(settings: FitSettings, video: Path, out: Path, **more: Any) -> _CameraMotionSettings:
@@ -81,26 +74,19 @@ def of_clip(settings: FitSettings, video: Path, out: Path, **more: Any) -> _Came
     return _CameraMotionSettings(video=video, out=out, **picked(settings, "individual", "tilt_deg"), **more)
 
 
-def camera_motion(settings: _CameraMotionSettings, as_json: bool) -> Any:
+def camera_motion(settings: _CameraMotionSettings, progress: Progress) -> Answer:
     """Find how a camera turned (and zoomed) from the background of its video: a camera track.
 
     Example: recon camera-motion clip.mp4 --camera camera.toml --keypoints clip.csv --out track.csv
     """
-    with progress_bar(terminal(stderr=True)) as progress:
-        report, files = run_camera_motion(settings, progress)
-    if as_json:
-        return report
-    console = terminal()
-    lost = len(report["frames_without_background"])
-    keyframes = counted(len(report["keyframes"]), "keyframe")
-    say(console, f"{report['frames'] - lost} of {report['frames']} frames placed, {keyframes}.")
-    if lost:
-        say(console, f"{lost} frames have too little background: no pose there.")
-    say(console, f"Off by {report['residual_px']:.2f} px, turned to {report['sigma_deg']:.3f} degrees.")
-    for note in report["notes"][len(NOTES) :]:
-        say(console, f"Note: {note}.")
-    say(console, f"Level: {report['level']}. A rolling shutter is not modelled.")
-    say(console, "Written: " + ", ".join(map(str, files)))
+    report, files = run_camera_motion(settings, progress)
+    lost, keyframes = len(report["frames_without_background"]), counted(len(report["keyframes"]), "keyframe")
+    lines = [f"{report['frames'] - lost} of {report['frames']} frames placed, {keyframes}."]
+    lines += [f"{lost} frames have too little background: no pose there."] if lost else []
+    lines.append(f"Off by {report['residual_px']:.2f} px, turned to {report['sigma_deg']:.3f} degrees.")
+    lines += [f"Note: {note}." for note in report["notes"][len(NOTES) :]]
+    lines.append(f"Level: {report['level']}. A rolling shutter is not modelled.")
+    return Answer(report, [*lines, "Written: " + ", ".join(map(str, files))])
 
 
 def run_camera_motion(
@@ -110,11 +96,10 @@ def run_camera_motion(
     <stem>_panorama.png. Raises InputError, with every problem, for inputs that cannot be
     used, and for a camera that did more than turn.
     """
-    info, lens, animal, marks, *_ = all_of(
+    info, lens, animal, _ = all_of(
         lambda: probe(settings.video),
         lambda: read_camera(settings.camera, settings.camera_name),
         lambda: None if settings.keypoints is None else read_keypoints(settings.keypoints, settings.individual),
-        lambda: () if settings.level_marks is None else turning.read_marks(settings.level_marks),
         lambda: require_free_file(settings.out, settings.overwrite, suffixes=(".csv",)),
     )
     refuse(size_problems(settings.video, info, lens))
@@ -132,7 +117,10 @@ def run_camera_motion(
     _require_turning(settings, motion, lens)
     if animal is not None:
         _require_same_frames(settings, points, times_s)
-    up, level = _up(settings, motion, lens, marks)
+    up, level = None, "the mean of all frames is taken as level: its tilt and roll are 0"
+    if settings.tilt_deg is not None:
+        up = turning.tilted(np.radians(settings.tilt_deg))
+        level = f"the first frame looks {settings.tilt_deg:g} degrees down, as given, and its roll is taken as 0"
     motion = replace(motion, orientations=turning.as_level(motion.orientations, up))
     report = _report(settings, motion, lens, level, times_s)
     picture = _panorama(lens, motion, points)
@@ -201,23 +189,6 @@ def _points(keypoints: Keypoints, first_frame: int) -> dict[int, Array]:
     pixels = np.where((keypoints.confidence < MIN_LIKELIHOOD)[..., None], np.nan, keypoints.xy_px)
     shown = np.asarray(np.isfinite(pixels).all(axis=2)).any(axis=1)
     return dict(zip((keypoints.frames[shown] - first_frame).tolist(), pixels[shown], strict=True))
-
-
-# -- which way is up --------------------------------------------------------------------------------------------------
-
-
-def _up(
-    s: _CameraMotionSettings, motion: turning.TurningMotion, lens: Camera, marks: Sequence[turning.LevelMark]
-) -> tuple[Array | None, str]:
-    """Up (3,) in the first frame's camera, None if the mean frame is to be level, and how that is known."""
-    if s.tilt_deg is not None:
-        level = f"the first frame looks {s.tilt_deg:g} degrees down, as given, and its roll is taken as 0"
-        return turning.tilted(np.radians(s.tilt_deg)), level
-    if s.level_marks is None:
-        return None, "the mean of all frames is taken as level: its tilt and roll are 0"
-    by_frame = dict(zip((motion.frames + s.first_frame).tolist(), motion.orientations, strict=True))
-    up, sigma = turning.up_by_marks(s.level_marks, marks, lens, by_frame)
-    return up, f"by {len(marks)} marks in {s.level_marks}, to {np.degrees(sigma):.1g} degrees if they are 2 px off"
 
 
 # -- what comes out ---------------------------------------------------------------------------------------------------

@@ -14,8 +14,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 import pandas as pd
-import typer
+from rich.table import Table
 
+from recon.base import Progress
 from recon.base.arrays import Array
 from recon.base.errors import InputError, Problem, all_of, refuse
 from recon.base.files import require_free_folder, staged_folder
@@ -25,7 +26,7 @@ from recon.fit import TrajectorySolution
 from recon.fit.motion import MOTION, Motion
 from recon.gait.clip import POSITION_LASTS_S, ClipAnalysis, analyse
 from recon.show.plots.style import COLOURS, drawing
-from recon.workflows.cli.common import counted, progress_bar, say, table_of, terminal
+from recon.workflows.cli.common import Answer, counted, table_of
 from recon.workflows.settings import ANYWAY
 
 if TYPE_CHECKING:
@@ -63,12 +64,12 @@ class _CompareSettings(Settings):
             yield Problem("--by", "table", "one of --table and --by", "both: a table, and its column")
 
 
-def compare(settings: _CompareSettings, as_json: bool, quiet: bool) -> None:
+def compare(settings: _CompareSettings, progress: Progress) -> Answer:
     """Strides and speeds of several clips, by group: each with its uncertainty, and the groups' means and spreads.
 
     Example: recon compare results/a results/b results/c --table animals.csv --by sex --out comparison
     """
-    console, out = terminal(quiet=quiet, stderr=as_json), settings.out
+    out = settings.out
     some = [path for path in settings.folders if not path.is_file()] or settings.folders  # all/* has files of the batch
     folders = [folder for given in some for folder in _results_in(given)]
     names = [folder.absolute().name for folder in folders]
@@ -79,26 +80,26 @@ def compare(settings: _CompareSettings, as_json: bool, quiet: bool) -> None:
         *(lambda folder=folder: usable(Motion.load(folder), folder, settings.anyway) for folder in folders)
     )
     rows, clip_rows = [], []
-    with progress_bar(console) as progress:
-        for i, (name, motion) in enumerate(zip(names, motions, strict=True)):
-            progress("analysis", i / len(names))
-            found = analyse(motion)
-            head = {"group": of_clip[name], "clip": name, "verdict": motion.verdict.level if motion.verdict else ""}
-            own = [head | row for row in _stride_rows(found)]
-            rows += own
-            clip_rows.append(head | _clip_row(found, own))
-        clips = pd.DataFrame(clip_rows)
-        groups = _group_rows(clips)
-        progress("tables", 0.95)
-        with staged_folder(out) as staging:
-            for name, table in ((STRIDES, pd.DataFrame(rows)), (CLIPS, clips), (GROUPS, groups)):
-                table.to_csv(staging / name, index=False)
-            _figure(clips, groups).savefig(staging / FIGURE)
-    if as_json:
-        typer.echo(groups.to_json(orient="records", indent=1))
-        return
+    for i, (name, motion) in enumerate(zip(names, motions, strict=True)):
+        progress("analysis", i / len(names))
+        found = analyse(motion)
+        head = {"group": of_clip[name], "clip": name, "verdict": motion.verdict.level if motion.verdict else ""}
+        own = [head | row for row in _stride_rows(found)]
+        rows += own
+        clip_rows.append(head | _clip_row(found, own))
+    clips = pd.DataFrame(clip_rows)
+    groups = _group_rows(clips)
+    progress("tables", 0.95)
+    with staged_folder(out) as staging:
+        for name, table in ((STRIDES, pd.DataFrame(rows)), (CLIPS, clips), (GROUPS, groups)):
+            table.to_csv(staging / name, index=False)
+        _figure(clips, groups).savefig(staging / FIGURE)
+    return Answer(groups.to_dict("records"), _lines(clips, groups, out))
+
+
+def _lines(clips: pd.DataFrame, groups: pd.DataFrame, out: Path) -> Iterator[str | Table]:
     levels = clips["verdict"].value_counts()
-    say(console, f"{counted(len(clips), 'clip')}: " + ", ".join(f"{n} {level}" for level, n in levels.items()))
+    yield f"{counted(len(clips), 'clip')}: " + ", ".join(f"{n} {level}" for level, n in levels.items())
     rows = (
         (
             *map(str, (row["group"], QUANTITIES[q][0], row["clips"], row["strides"])),
@@ -107,10 +108,10 @@ def compare(settings: _CompareSettings, as_json: bool, quiet: bool) -> None:
         for row in groups.to_dict("records")
         for q in QUANTITIES
     )
-    console.print(table_of("group", "quantity", numbers=("clips", "strides", "mean", "±", "spread"), rows=rows))
+    yield table_of("group", "quantity", numbers=("clips", "strides", "mean", "±", "spread"), rows=rows)
     if not groups["strides"].sum():
-        say(console, "No clip has a complete stride.")
-    say(console, f"Rows by stride, clip and group, and {FIGURE}, are in {out}.")
+        yield "No clip has a complete stride."
+    yield f"Rows by stride, clip and group, and {FIGURE}, are in {out}."
 
 
 def _cells(mean: float, sigma: float, spread: float) -> tuple[str, str, str]:

@@ -8,8 +8,6 @@ from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
-
 from recon.animal.naming import load_names, renamed
 from recon.base.errors import InputError, Problem, all_of
 from recon.base.files import require_free_file, staged_file
@@ -20,7 +18,7 @@ from recon.fit.motion import Motion
 from recon.io import CONVERTED, Format, Pose3D, as_keypoints, choose_format, in_metres, read_points
 from recon.io.columns import parse_map
 from recon.show.export.rig import rig_of
-from recon.workflows.cli.common import table_of, terminal
+from recon.workflows.cli.common import Answer, table_of
 from recon.workflows.settings import ANYWAY, INDIVIDUAL, RENAME
 
 ROBOTS, ROBOT_FILE = "recon.robotics.robot.trainers", "robot.npz"
@@ -61,7 +59,7 @@ Conversion = tuple[Keypoints | Pose3D, Format, tuple[str, ...]]
 """What was read, the format that it was written in, and notes."""
 
 
-def convert_command(settings: ConvertSettings, as_json: bool) -> Any:
+def convert_command(settings: ConvertSettings) -> Answer:
     """Convert 2D keypoints, 3D positions or results from one file format to another, by the extension of OUT.
 
     Example: recon convert results/clip model.osim
@@ -71,22 +69,20 @@ def convert_command(settings: ConvertSettings, as_json: bool) -> Any:
     if not settings.show_list:
         if settings.source is not None and settings.out is not None and (settings.source / ROBOT_FILE).is_file():
             given = settings.to, settings.fps, settings.overwrite
-            typer.echo(import_module(ROBOTS).convert(settings.source, settings.out, *given))
-            return None
+            said = import_module(ROBOTS).convert(settings.source, settings.out, *given)
+            return Answer({"out": settings.out}, [said])
         data, written, notes = convert(settings)
         what = f"{len(data.names)} keypoints, 2D" if isinstance(data, Keypoints) else f"{len(data.names)} joints, 3D"
         frames = f"frames {data.frames[0]} to {data.frames[-1]} ({len(data.frames)})"
         fps = "frame rate not known" if data.fps is None else f"{data.fps:g} frames per second"
-        typer.echo("\n".join([*notes, f"{settings.out}: {written.title}, {what}, {frames}, {fps}"]))
-        return None
+        lines = [*notes, f"{settings.out}: {written.title}, {what}, {frames}, {fps}"]
+        return Answer({"out": settings.out, "format": written.name, "notes": notes}, lines)
     rows = [(f.name, " ".join(f.suffixes), ", ".join(f.writes), f.fps, f.frames, f.axes) for f in CONVERTED]
     robots = import_module(ROBOTS).FORMATS.items()
     rows += [(name, Path(file).suffix, "robot", "kept", "from 0", "m, z up") for name, (file, _) in robots]
     names = ("--to", "extension", "holds", "frame rate", "frame numbers", "3D axes")
-    if as_json:
-        return [dict(zip(names, row, strict=True)) for row in rows]
-    terminal().print(table_of(*names, rows=rows))
-    typer.echo("Where an extension has several formats, the first is meant unless --to names another.")
+    first = "Where an extension has several formats, the first is meant unless --to names another."
+    return Answer([dict(zip(names, row, strict=True)) for row in rows], [table_of(*names, rows=rows), first])
 
 
 def convert(settings: ConvertSettings) -> Conversion:

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
+from recon.base import Progress
 from recon.base.errors import InputError, Problem
 from recon.base.settings import Settings
 from recon.fit.motion import Motion
 from recon.gait.clip import ClipAnalysis
 from recon.gait.evaluation import evaluate_files
 from recon.show.report import in_sentences
-from recon.workflows.cli.common import finish, progress_bar, say, terminal
+from recon.workflows.cli.common import Answer, answer_of_fit
 from recon.workflows.clip_results import run_clip
 from recon.workflows.look import PageSettings, run_page
 from recon.workflows.settings import FitSettings
@@ -34,21 +36,17 @@ class _DemoSettings(Settings):
     """Replace results in the folder."""
 
 
-def demo(settings: _DemoSettings, as_json: bool, quiet: bool) -> None:
+def demo(settings: _DemoSettings, progress: Progress) -> Answer:
     """Reconstruct the bundled sample, a noisy synthetic gallop, and compare it with its truth.
 
     Example: recon demo --out demo-output
     """
     samples, out = samples_folder(), settings.out
-    console = terminal(quiet=quiet, stderr=as_json)
     of_sample = FitSettings(keypoints=(samples / "whole.csv",), camera=(samples / "camera.toml",), fps=60)
-    with progress_bar(console, "fitting: ") as progress:
-        report = run_clip(of_sample, out, settings.overwrite, progress)
-        page = run_page(PageSettings(folder=out), progress)
-        mpjpe_mm = 1000 * evaluate_files(out / "pose3d.csv", samples / "whole_truth.csv").mpjpe_m.mean
-    finish(console, report, out, as_json, page, mpjpe_mm=mpjpe_mm)
-    if not as_json:
-        console.print(f"Error against the sample's truth: {mpjpe_mm:.0f} mm (MPJPE)")
-        found = ClipAnalysis(Motion.load(out))
-        for sentence in in_sentences(found.motion, found.reference_motion, found.gait, found.why_no_speed):
-            say(console, sentence)
+    report = run_clip(of_sample, out, settings.overwrite, progress)
+    page = run_page(PageSettings(folder=out), progress)
+    mpjpe_mm = 1000 * evaluate_files(out / "pose3d.csv", samples / "whole_truth.csv").mpjpe_m.mean
+    answer, found = answer_of_fit(report, out, page, mpjpe_mm=mpjpe_mm), ClipAnalysis(Motion.load(out))
+    error = f"Error against the sample's truth: {mpjpe_mm:.0f} mm (MPJPE)"
+    said = in_sentences(found.motion, found.reference_motion, found.gait, found.why_no_speed)
+    return replace(answer, lines=[*answer.lines, error, *said])

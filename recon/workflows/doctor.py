@@ -15,18 +15,16 @@ from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-import typer
 from rich.table import Table
 from rich.text import Text
 
 from recon.base import Progress, silent
 from recon.base.package import DISTRIBUTION, install_command, version
-from recon.workflows.cli.common import progress_bar, say, terminal
+from recon.workflows.cli.common import Answer
 
 if TYPE_CHECKING:
     from packaging.specifiers import SpecifierSet
 
-EXIT_BROKEN = 1
 EXTRAS = {
     "formats": "writing movement, NWB, C3D and DeepLabCut's H5 files: ",
     "cluster": "batches on a Dask cluster: ",
@@ -57,30 +55,20 @@ class _Check:
     """What to do unless the status is ok."""
 
 
-def doctor(as_json: bool) -> None:
+def doctor(progress: Progress) -> Answer:
     """Check the installation: versions, optional parts, the viewer, and a fit of the sample.
 
     Example: recon doctor
 
     Exit code 0: recon works here. 1: something that it cannot do without is broken.
     """
-    console = terminal()
-    with progress_bar(terminal(stderr=True), "checking: ") as progress:
-        checks = run_doctor(progress)
+    checks, table = run_doctor(progress), Table.grid(padding=(0, 2))
     broken = [check.name for check in checks if check.status == "broken"]
-    if as_json:
-        typer.echo(json.dumps({"ok": not broken, "checks": [asdict(check) for check in checks]}, indent=1))
-    else:
-        table = Table.grid(padding=(0, 2))
-        for check in checks:
-            hint = f"\n{check.hint}" if check.status != "ok" else ""
-            table.add_row(
-                check.name, Text(check.status, STYLES[check.status]), Text(check.found + hint, overflow="fold")
-            )
-        console.print(table)
-        say(console, f"Broken: {', '.join(broken)}" if broken else "recon works here.")
-    if broken:
-        raise typer.Exit(EXIT_BROKEN)
+    for check in checks:
+        found = check.found + (f"\n{check.hint}" if check.status != "ok" else "")
+        table.add_row(check.name, Text(check.status, STYLES[check.status]), Text(found, overflow="fold"))
+    data, said = {"ok": not broken, "checks": [asdict(check) for check in checks]}, "recon works here."
+    return Answer(data, [table, f"Broken: {', '.join(broken)}" if broken else said], code=int(bool(broken)))
 
 
 def run_doctor(progress: Progress = silent) -> tuple[_Check, ...]:

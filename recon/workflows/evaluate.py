@@ -1,4 +1,4 @@
-"""The command `recon evaluate`, and the same from Python."""
+"""The command `recon evaluate`: what it prints."""
 
 from __future__ import annotations
 
@@ -6,12 +6,11 @@ from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
 from rich.table import Table
 from rich.text import Text
 
 from recon.base.settings import Option, Settings
-from recon.workflows.cli.common import say, say_verdict, table_of, terminal
+from recon.workflows.cli.common import Answer, table_of, verdict_texts
 from recon.workflows.settings import ANYWAY
 
 if TYPE_CHECKING:
@@ -34,7 +33,7 @@ class _EvaluateSettings(Settings):
     anyway: Annotated[bool, ANYWAY] = False
 
 
-def evaluate(settings: _EvaluateSettings, as_json: bool) -> Any:
+def evaluate(settings: _EvaluateSettings) -> Answer:
     """Compare a reconstruction with a reference, over the joints and frames that both have.
 
     Example: recon evaluate results/clip truth.csv
@@ -44,16 +43,9 @@ def evaluate(settings: _EvaluateSettings, as_json: bool) -> Any:
     result = evaluate_files(
         settings.pose3d, settings.truth, settings.anyway, settings.unit, settings.up, settings.rename
     )
-    if as_json:
-        return result.to_dict()
-    console = terminal()
-    say_verdict(console, result.verdict)
-    say(console, f"{result.pose} against the reference {result.truth}")
-    console.print(_table(result))
-    for line in _table_notes(result):
-        typer.echo(line)
-    for note in result.notes:
-        typer.echo(f"Look at this: {note}")
+    against = f"{result.pose} against the reference {result.truth}"
+    notes = [*_table_notes(result), *(f"Look at this: {note}" for note in result.notes)]
+    return Answer(result.to_dict(), [*verdict_texts(result.verdict), against, _table(result), *notes])
 
 
 def _table(result: Evaluation) -> Table:

@@ -24,7 +24,7 @@ from recon.geometry.frames import level_from_camera, rigid
 from recon.io import write_cameras
 from recon.workflows.batch.inputs import AUTO, find_clips
 from recon.workflows.cli.command import OptionsOf
-from recon.workflows.cli.common import progress_bar, say, terminal
+from recon.workflows.cli.common import Answer, say, terminal
 from recon.workflows.clip import ClipInputs, prepare
 from recon.workflows.settings import FitSettings, read_settings
 
@@ -61,8 +61,10 @@ class _ExtrinsicsSettings(Settings):
 
 
 def extrinsics(
-    settings: _ExtrinsicsSettings, given: Annotated[dict[str, Any], OptionsOf(FitSettings, _SETTINGS)], as_json: bool
-) -> Any:
+    settings: _ExtrinsicsSettings,
+    given: Annotated[dict[str, Any], OptionsOf(FitSettings, _SETTINGS)],
+    progress: Progress,
+) -> Answer:
     """Find where cameras stand, from their lenses and clips of the animal: one tells it roughly, several well.
 
     With --set refine-cameras=true, the poses in the camera file are taken for as good as 2 degrees and 5 cm, and are
@@ -75,15 +77,10 @@ def extrinsics(
     clips, notes = clips_of(settings.inputs, given, settings.cameras_by)
     for note in notes:
         say(terminal(stderr=True), note, "yellow")
-    with progress_bar(terminal(stderr=True), "solving: ") as progress:
-        level_rad = None if settings.level_deg is None else math.radians(settings.level_deg)
-        cameras, report = run_extrinsics(clips, settings.out, settings.overwrite, level_rad, progress)
-    if as_json:
-        return report
-    console = terminal()
-    for line in lines_of(cameras, report):
-        say(console, line)
-    say(console, f"Written: {settings.out}. Fit clips with: recon fit ... --camera {settings.out}")
+    level_rad = None if settings.level_deg is None else math.radians(settings.level_deg)
+    cameras, report = run_extrinsics(clips, settings.out, settings.overwrite, level_rad, progress)
+    written = f"Written: {settings.out}. Fit clips with: recon fit ... --camera {settings.out}"
+    return Answer(report, [*lines_of(cameras, report), written])
 
 
 def lines_of(cameras: Sequence[Camera], report: Mapping[str, Any]) -> Iterator[str]:

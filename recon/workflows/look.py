@@ -12,7 +12,6 @@ from typing import Annotated
 
 import cv2
 import numpy as np
-import typer
 from pydantic import Field
 
 from recon.animal.body import Side
@@ -48,7 +47,7 @@ from recon.workflows.analyse import FOLDER, PLAYBACK
 from recon.workflows.analyse import SUMMARY as ANALYSIS
 from recon.workflows.batch import SUMMARY, write_summary_page
 from recon.workflows.cameras import cameras_in, size_problems
-from recon.workflows.cli.common import error_text, progress_bar, say, say_verdict, terminal
+from recon.workflows.cli.common import Answer, error_text, terminal, verdict_texts
 from recon.workflows.settings import ANYWAY, FIRST_FRAME
 
 SLOW_FPS = 30.0
@@ -130,18 +129,15 @@ class OverlaySettings(_ResultSettings):
     """Replace the new files."""
 
 
-def overlay(settings: OverlaySettings, quiet: bool) -> None:
+def overlay(settings: OverlaySettings, progress: Progress) -> Answer:
     """Draw a reconstruction on its video: detections, skeleton, doubtful frames, and the pose from three sides.
 
     Example: recon overlay results/clip --video clip.mp4 --out overlay.mp4
     """
-    console = terminal(quiet=quiet)
-    with progress_bar(console) as progress:
-        frames, fps, speed, verdict, notes = run_overlay(settings, progress)
-    say_verdict(console, verdict)
-    for note in notes:
-        say(console, f"note: {note}")
-    say(console, f"{frames} frames at {speed:.3g} times their speed ({fps:.4g} a second) are in {settings.out}.")
+    frames, fps, speed, verdict, notes = run_overlay(settings, progress)
+    said = f"{frames} frames at {speed:.3g} times their speed ({fps:.4g} a second) are in {settings.out}."
+    data = {"out": settings.out, "frames": frames, "fps": fps, "speed": speed, "notes": notes}
+    return Answer(data, [*verdict_texts(verdict), *(f"note: {note}" for note in notes), said])
 
 
 def run_overlay(
@@ -246,7 +242,7 @@ class PageSettings(_ResultSettings):
     """Folder of results, as in results/clip, or of a batch."""
 
 
-def report(settings: PageSettings, quiet: bool) -> None:
+def report(settings: PageSettings, progress: Progress) -> Answer:
     """Make a page of a result to look at and to pass on: report.html in its folder, one file that opens in any browser.
 
     In the folder of a batch, those of all clips, and summary.html with links to them. A page that was made before is
@@ -254,17 +250,16 @@ def report(settings: PageSettings, quiet: bool) -> None:
 
     Example: recon report results/clip --video clip.mp4
     """
-    console, folder = terminal(quiet=quiet), settings.folder
+    folder = settings.folder
     of_batch = (folder / SUMMARY).is_file() and not (folder / REPORT).is_file()
     if of_batch and settings.video is not None:
         raise InputError(
             Problem("--video", "file", f"{settings.video} for many clips", "the folder of one clip's results")
         )
-    with progress_bar(console) as progress:
-        page, failed = _batch_pages(folder, progress) if of_batch else (run_page(settings, progress), {})
+    page, failed = _batch_pages(folder, progress) if of_batch else (run_page(settings, progress), {})
     for clip, error in failed.items():
         terminal(stderr=True, soft_wrap=True).print(error_text(f"{clip}: {error}"))
-    say(console, f"Open {page} in a browser.")
+    return Answer({"page": page, "failed": failed}, [f"Open {page} in a browser."])
 
 
 def run_page(settings: PageSettings, progress: Progress = silent) -> Path:
@@ -331,7 +326,7 @@ class _ViewSettings(_ResultSettings):
                 yield Problem("settings", name, "no --video", "one beside the other")
 
 
-def view(settings: _ViewSettings) -> None:
+def view(settings: _ViewSettings) -> Answer:
     """Open the playback of a reconstruction in the rerun viewer, with the plots of its analysis.
 
     Example: recon view results/clip --video clip.mp4
@@ -353,5 +348,5 @@ def view(settings: _ViewSettings) -> None:
                 viewer.write(motion, staged, found, settings.video, settings.first_frame, number)
         if out is None:
             viewer.open_viewer(playback)
-    if out is not None:
-        typer.echo(f"The recording is in {out}. Watch it with: rerun {shlex.quote(str(out))}")
+    said = [] if out is None else [f"The recording is in {out}. Watch it with: rerun {shlex.quote(str(out))}"]
+    return Answer({"recording": playback if out is None else out}, said)

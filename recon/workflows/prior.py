@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-import typer
+from rich.table import Table
 
 from recon.animal import Body, MotionPrior, fit_prior, load_skeleton, save_prior
 from recon.animal.prior import mean_speed_m_s
@@ -26,7 +26,7 @@ from recon.fit.points import MIN_MARKERS, solve_points
 from recon.io import Pose3D, read_pose_segments
 from recon.show.plain import picked
 from recon.workflows.batch.inputs import file_names
-from recon.workflows.cli.common import table_of, terminal
+from recon.workflows.cli.common import Answer, table_of
 from recon.workflows.settings import ANYWAY
 
 Segment = tuple[str, Array, float]
@@ -65,14 +65,16 @@ class PriorFitSettings(Settings):
     """Replace the file."""
 
 
-def prior_fit(settings: PriorFitSettings, as_json: bool) -> Any:
+def prior_fit(settings: PriorFitSettings) -> Answer:
     """Fit a motion prior to results or 3D poses, and list what it was fitted to.
 
     Example: recon prior fit results/run1 results/run2 --out my-cat.npz
     """
     done = run_prior_fit(settings)
-    if as_json:
-        return {"out": settings.out, **done}
+    return Answer({"out": settings.out, **done}, [*_lines(done), f"The prior is in {settings.out}."])
+
+
+def _lines(done: dict[str, Any]) -> Iterator[str | Table]:
     columns = ("frames", "fps", "speed m/s", "misfit mm", "used")
     rows = (
         (
@@ -82,14 +84,7 @@ def prior_fit(settings: PriorFitSettings, as_json: bool) -> Any:
         )
         for row in done["segments"]
     )
-    terminal().print(table_of("segment", numbers=columns, rows=rows))
-    for line in _notes(done):
-        typer.echo(line)
-    typer.echo(f"The prior is in {settings.out}.")
-
-
-def _notes(done: dict[str, Any]) -> Iterator[str]:
-    """What there is to say beside the table of segments."""
+    yield table_of("segment", numbers=columns, rows=rows)
     used, components, held_out = [row["used"] for row in done["segments"]], done["components"], done["held_out"]
     yield f"Used: {sum(used)} of {len(used)} segments, {done['frames']} frames and their mirror images."
     if components < done["components_asked"]:

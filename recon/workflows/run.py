@@ -14,6 +14,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
+from rich.console import Console
+
 from recon.base import Progress, silent
 from recon.base.errors import InputError, Problem, all_of, refuse
 from recon.base.files import sole_writer
@@ -32,7 +34,7 @@ from recon.workflows.batch.inputs import file_names
 from recon.workflows.cameras import size_problems
 from recon.workflows.cli.batch import shown_batch
 from recon.workflows.cli.command import OptionsOf
-from recon.workflows.cli.common import finish, progress_bar, say, terminal
+from recon.workflows.cli.common import Answer, answer_of_fit, say
 from recon.workflows.clip import fit_clip, read_model_and_cameras
 from recon.workflows.clip_results import Record, file_sha256, identity, identity_of, output_files, write_clip
 from recon.workflows.look import OverlaySettings, PageSettings, rate_note, run_overlay, run_page
@@ -126,9 +128,9 @@ class _StageOutcome(NamedTuple):
 def run(
     settings: _RunSettings,
     given: Annotated[dict[str, Any], OptionsOf(FitSettings, _OF_THE_FIT, "Settings of the fit")],
-    as_json: bool,
-    quiet: bool,
-) -> None:
+    console: Console,
+    progress: Progress,
+) -> Answer:
     """From a video to a page: find the keypoints, fit, analyse, draw the overlay, and write report.html.
 
     What has been done with the same files and settings is not done again. The frame rate is the video's unless --fps is
@@ -138,19 +140,16 @@ def run(
 
     Exit code 0: done. 1: no frame could be solved. 2: the input cannot be used; what was done before stays.
     """
-    console, out = terminal(quiet=quiet, stderr=as_json), settings.out
     if settings.video.is_dir():
         plan = jobs_of(settings, given)
-        shown_batch(console, len(plan), as_json, partial(run_folder, plan, out, settings.jobs))
-        return
-    with progress_bar(console) as progress:
-        job = job_of(settings, given)
-        done, report = run_video(job, progress, lambda stage: say(console, _line(stage)))
+        return shown_batch(console, len(plan), partial(run_folder, plan, settings.out, settings.jobs))
+    job = job_of(settings, given)
+    done, report = run_video(job, progress, lambda stage: say(console, _line(stage)))
     of_rate = rate_note(settings.video, job.fit.fps)
     for note in dict.fromkeys([*([of_rate] if of_rate else ()), *(note for stage in done for note in stage.notes)]):
         say(console, f"note: {note}")
     stages = [{"stage": s.stage, "status": s.status, "seconds": round(s.seconds, 3)} for s in done]
-    finish(console, report, out, as_json, out / PAGE, stages=stages)
+    return answer_of_fit(report, settings.out, settings.out / PAGE, stages=stages)
 
 
 def _line(done: _StageOutcome) -> str:

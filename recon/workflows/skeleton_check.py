@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
+from rich.table import Table
 
 from recon.animal import Body, builtin_names, load_prior, load_skeleton, other_side
 from recon.base.arrays import length_text
@@ -14,7 +15,7 @@ from recon.base.files import require_free_folder
 from recon.base.settings import Option, Settings
 from recon.geometry.kinematics import ANGLE_OF_AXIS, AXES
 from recon.show.plain import picked
-from recon.workflows.cli.common import say, table_of, terminal
+from recon.workflows.cli.common import Answer, table_of
 
 STEMS = ("skeleton", "angles")
 """Pictures, each as .png and .svg: the expected pose with names; every angle at both ends of its range."""
@@ -35,7 +36,7 @@ class _SkeletonCheckSettings(Settings):
     """Replace pictures in the folder."""
 
 
-def skeleton_list(as_json: bool) -> Any:
+def skeleton_list() -> Answer:
     """List the skeletons that come with the package.
 
     Example: recon skeleton list
@@ -44,12 +45,10 @@ def skeleton_list(as_json: bool) -> Any:
     found = [
         {name: c[name] for name in shown} | {"markers": len(c["markers"])} for c in map(check_skeleton, builtin_names())
     ]
-    if as_json:
-        return found
-    terminal().print(table_of(*shown, rows=(map(str, row.values()) for row in found)))
+    return Answer(found, [table_of(*shown, rows=(map(str, row.values()) for row in found))])
 
 
-def skeleton_check(settings: _SkeletonCheckSettings, as_json: bool) -> Any:
+def skeleton_check(settings: _SkeletonCheckSettings) -> Answer:
     """Check a skeleton file, list what is in it, and draw it.
 
     Example: recon skeleton check my-dog.toml --out my-dog
@@ -66,15 +65,15 @@ def skeleton_check(settings: _SkeletonCheckSettings, as_json: bool) -> Any:
         body, title = load_skeleton(settings.skeleton, settings.subject), f"{check['name']}: {check['title']}"
         for stem, figure in zip(STEMS, (views(body, title), angle_ranges(body, REACH_SIGMAS, title)), strict=True):
             save(figure, out, stem)
-    if as_json:
-        return check
-    console = terminal()
-    say(console, f"{check['name']}: {check['title']}")
-    say(
-        console,
+    return Answer(check, [*_lines(check), *([] if out is None else [f"Pictures are in {out}."])])
+
+
+def _lines(check: dict[str, Any]) -> Iterator[str | Table]:
+    yield f"{check['name']}: {check['title']}"
+    yield (
         f"A {check['kind']} with {len(check['markers'])} markers and {check['unknowns']} unknowns a frame, "
         f"{length_text(check['length_m'])} long and {length_text(check['height_m'])} high in its expected pose "
-        f"(size ± {100 * check['size_sigma']:.0f} %, keypoints within {100 * check['keypoint_sigma_m']:.0f} cm).",
+        f"(size ± {100 * check['size_sigma']:.0f} %, keypoints within {100 * check['keypoint_sigma_m']:.0f} cm)."
     )
     names = ("yaw", "pitch", "roll")
     rows = []
@@ -82,20 +81,14 @@ def skeleton_check(settings: _SkeletonCheckSettings, as_json: bool) -> Any:
         ranges = {angle["name"]: f"{angle['low_deg']:.0f} to {angle['high_deg']:.0f}" for angle in part["angles"]}
         lengths = f"{part['length_m']:.3f}", *(ranges.get(name, "-") for name in names)
         rows.append((part["name"], part["parent"], *lengths))
-    console.print(table_of("segment", "turns on", numbers=("length m", *(f"{name} °" for name in names)), rows=rows))
+    yield table_of("segment", "turns on", numbers=("length m", *(f"{name} °" for name in names)), rows=rows)
     rows = [(m["name"], m["segment"], *(f"{x:.3f}" for x in m["at_m"])) for m in check["markers"]]
-    console.print(table_of("marker", "on segment", numbers=("x m", "y m", "z m"), rows=rows))
-    say(console, "Angles: mean ± 2 standard deviations; - for none.")
-    say(console, f"Feet: {', '.join(f'{foot} ({label})' for label, foot in check['feet'].items()) or 'none'}")
-    for limb, markers in check["limbs"].items():
-        say(console, f"Limb {limb}: {', '.join(markers)}")
-    say(console, f"Prior of a fit, unless --prior says otherwise: {check['prior']}")
-    for remark in check["remarks"]:
-        say(console, f"Look at this: {remark}")
-    if not check["remarks"]:
-        say(console, "Nothing looks odd.")
-    if out is not None:
-        say(console, f"Pictures are in {out}.")
+    yield table_of("marker", "on segment", numbers=("x m", "y m", "z m"), rows=rows)
+    yield "Angles: mean ± 2 standard deviations; - for none."
+    yield f"Feet: {', '.join(f'{foot} ({label})' for label, foot in check['feet'].items()) or 'none'}"
+    yield from (f"Limb {limb}: {', '.join(markers)}" for limb, markers in check["limbs"].items())
+    yield f"Prior of a fit, unless --prior says otherwise: {check['prior']}"
+    yield from [f"Look at this: {remark}" for remark in check["remarks"]] or ["Nothing looks odd."]
 
 
 def check_skeleton(name_or_path: str | Path, subject: str | Path | None = None) -> dict[str, Any]:

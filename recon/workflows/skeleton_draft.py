@@ -35,7 +35,7 @@ from recon.io import read_keypoints
 from recon.io.deeplabcut_project import bodyparts, find_project
 from recon.show.plain import by_name, picked
 from recon.workflows.cameras import read_clip_cameras
-from recon.workflows.cli.common import say, terminal
+from recon.workflows.cli.common import Answer
 from recon.workflows.clip import arrange, read_clips
 from recon.workflows.settings import INDIVIDUAL, FitSettings
 
@@ -75,21 +75,19 @@ class _SkeletonDraftSettings(Settings):
     """Replace the file."""
 
 
-def skeleton_from_keypoints(settings: _SkeletonDraftSettings) -> None:
+def skeleton_from_keypoints(settings: _SkeletonDraftSettings) -> Answer:
     """Draft a skeleton for the keypoints of a file: the proportions of the quadruped, with markers called so; or, with
     several calibrated cameras, whatever they are called, the bodies and joints that their distances show.
 
     Example: recon skeleton from-keypoints clip.csv --out my-animal.toml
     """
     (markers, others, _), out = run_skeleton_draft(settings), settings.out
-    console = terminal()
-    say(console, f"{out}: {len(markers)} of {len(markers) + len(others)} keypoints have a place.")
     other = [f"{name} as {marker}" for name, marker in markers.items() if name != marker]
-    if other:
-        say(console, f"Taken for the quadruped's: {', '.join(other)}.")
-    if others:
-        say(console, f"Without a place: {', '.join(others)}.")
-    say(console, f"Look at it with: recon skeleton check {shlex.quote(str(out))} --out pictures")
+    lines = [f"{out}: {len(markers)} of {len(markers) + len(others)} keypoints have a place."]
+    lines += [f"Taken for the quadruped's: {', '.join(other)}."] if other else []
+    lines += [f"Without a place: {', '.join(others)}."] if others else []
+    look = f"Look at it with: recon skeleton check {shlex.quote(str(out))} --out pictures"
+    return Answer({"out": out, "keypoints": markers, "without_place": others}, [*lines, look])
 
 
 def run_skeleton_draft(settings: _SkeletonDraftSettings) -> SkeletonDraft:

@@ -2,24 +2,24 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
 from pydantic import Field
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
 from rich.text import Text
 
 from recon.base.settings import Count, Integer, OneOrMore, Option, Settings
 from recon.show.report import STYLES
 from recon.workflows.cli.command import OptionsOf
-from recon.workflows.cli.common import counted, say, stop, table_of, terminal
+from recon.workflows.cli.common import Answer, counted, say, stop, table_of, terminal
 from recon.workflows.settings import SETTINGS, FitSettings
 
 if TYPE_CHECKING:
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from recon.base.parallel import Event
     from recon.workflows.batch import ClipPlan, Summary
 
-EXIT_STRICT = 1
 CANNOT = "cannot be fitted"
 NAMED = 3
 """Clips with the same problem are named up to this number."""
@@ -69,9 +68,8 @@ class _BatchSettings(Settings):
 def batch(
     settings: _BatchSettings,
     given: Annotated[dict[str, Any], OptionsOf(FitSettings, _OF_CLIPS, _COMMON)],
-    as_json: bool,
-    quiet: bool,
-) -> None:
+    console: Console,
+) -> Answer:
     """Reconstruct many clips in parallel. The same command again goes on where it was stopped.
 
     A clip is done when its folder holds results of the same keypoints, camera and other files (by their content), the
@@ -85,7 +83,6 @@ def batch(
     """
     from recon.workflows.batch import check_shared, find_clips, input_problems, plan_batch, run_batch
 
-    console = terminal(quiet=quiet, stderr=as_json)
     clips, notes = find_clips(
         settings.inputs, given, settings.config, settings.cameras_by, recursive=settings.recursive
     )
@@ -94,24 +91,22 @@ def batch(
     plan = plan_batch(clips, settings.out, settings.overwrite)
     if settings.dry_run:
         problems = input_problems(clips)
-        _print_plan(console, plan, problems, as_json)
-        raise typer.Exit(EXIT_STRICT if settings.strict and any(problems) else 0)
+        rows = _plan_rows(plan, problems)
+        return Answer({"clips": rows}, _plan_lines(rows, problems), code=int(settings.strict and any(problems)))
     check_shared(clips)
     left = sum(planned.action != "done" for planned in plan)
     if left < len(plan):
         are = "clip is" if len(plan) == 1 else "clips are"
         console.print(f"{len(plan) - left} of {len(plan)} {are} done already.")
     how = settings.jobs, settings.retries, settings.scheduler
-    summary = shown_batch(console, left, as_json, lambda tell: run_batch(plan, settings.out, *how, tell))
-    if settings.strict and any(row["status"] in ("failed", "unsolved") for row in summary.rows.values()):
-        raise typer.Exit(EXIT_STRICT)
+    answer = shown_batch(console, left, lambda tell: run_batch(plan, settings.out, *how, tell))
+    failed = any(row["status"] in ("failed", "unsolved") for row in answer.data["clips"])
+    return replace(answer, code=int(settings.strict and failed))
 
 
-def shown_batch(
-    console: Console, left: int, as_json: bool, work: Callable[[Callable[[Event, Summary], None]], Summary]
-) -> Summary:
-    """Do what tells of its events, and say how it goes, a line a clip and a bar on a terminal, and went. left: how many
-    clips there are to do."""
+def shown_batch(console: Console, left: int, work: Callable[[Callable[[Event, Summary], None]], Summary]) -> Answer:
+    """Do what tells of its events, and say how it goes, a line a clip and a bar on a terminal; how it went. left: how
+    many clips there are to do."""
     summaries: list[Summary] = []
     plain, began, ended = console.quiet or not console.is_terminal, time.monotonic(), count(1)
     errors = terminal(stderr=True, soft_wrap=True) if plain else console  # trouble is said even where nothing else is
@@ -136,21 +131,15 @@ def shown_batch(
         said = ", ".join(f"{n} {status}" for status, n in counts.items()) or "nothing was done"
         stop(f"Stopped: {said}. What is done is kept: the same command again goes on from here.")
     counts = summary.counts()
-    if as_json:
-        typer.echo(json.dumps({"summary": str(summary.path), "counts": counts, "clips": [*summary.rows.values()]}))
     parts = [Text(f"{n} {level}", STYLES[level]) for level, n in reversed(summary.verdicts().items())]
     parts += [Text(f"{n} {status}", style) for status, n in counts.items() if (style := _STYLES.get(status))]
     seconds = time.monotonic() - began
-    say(console, Text.assemble(Text(", ").join(parts), f" in {seconds:.0f} s. Summary: {summary.path}"))
-    return summary
+    said = Text.assemble(Text(", ").join(parts), f" in {seconds:.0f} s. Summary: {summary.path}")
+    return Answer({"summary": summary.path, "counts": counts, "clips": [*summary.rows.values()]}, [said])
 
 
-def _print_plan(
-    console: Console, plan: Sequence[ClipPlan], problems: Sequence[tuple[Problem, ...]], as_json: bool
-) -> None:
-    from recon.workflows.batch import repeated
-
-    rows = [
+def _plan_rows(plan: Sequence[ClipPlan], problems: Sequence[tuple[Problem, ...]]) -> list[dict[str, Any]]:
+    return [
         {
             "clip": planned.clip.name,
             "keypoints": planned.clip.settings.keypoints_text,
@@ -164,27 +153,31 @@ def _print_plan(
         }
         for planned, found in zip(plan, problems, strict=True)
     ]
-    if as_json:
-        typer.echo(json.dumps({"clips": rows}))
-        return
+
+
+def _plan_lines(
+    rows: Sequence[Mapping[str, Any]], problems: Sequence[tuple[Problem, ...]]
+) -> Iterator[str | Text | Table]:
+    from recon.workflows.batch import repeated
+
     cells = []
     for row in rows:
         what = row["action"] + f" ({row['reason']})" * bool(row["reason"])
         camera = ", ".join(row["cameras"] or [Path(row["camera"]).name or "--hfov-deg"])
         fps = "the file's" if row["fps"] is None else f"{row['fps']:g}"
         cells.append((row["clip"], camera, fps, row["out"], what))
-    console.print(table_of("clip", "camera", "fps", "out", "what", rows=cells))
+    yield table_of("clip", "camera", "fps", "out", "what", rows=cells)
     if len(rows) > 1 and len({(row["camera"], row["fps"]) for row in rows}) == 1:
         other = "Where they differ, give a CSV table with columns keypoints, camera and fps instead."
-        say(console, f"All clips have the same --camera and --fps. {other}")
+        yield f"All clips have the same --camera and --fps. {other}"
     for problem, places in repeated(problems):
         names = ", ".join(rows[place]["clip"] for place in places[:NAMED])
         more = "" if len(places) <= NAMED else f" and {len(places) - NAMED} more clips"
-        say(console, Text.assemble((f"{names}{more}: ", "bold red"), str(problem)))
+        yield Text.assemble((f"{names}{more}: ", "bold red"), str(problem))
     of = Counter(row["action"] for row in rows)
     bad = f", {of[CANNOT]} that {CANNOT}" if of[CANNOT] else ""
     said = f"{of['new']} new, {of['refit']} to fit again, {of['done']} done{bad}"
-    console.print(f"{counted(len(rows), 'clip')}: {said}")
+    yield f"{counted(len(rows), 'clip')}: {said}"
 
 
 def _row_text(row: Mapping[str, Any]) -> Text:

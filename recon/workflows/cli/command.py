@@ -6,7 +6,8 @@ A command is a function whose parameters say what it takes, all by name:
 
 settings: of the class that is annotated. given: what was given of another class, for example those of every fit of a
 batch, as a dictionary by name (annotated with `OptionsOf`). as_json, quiet: the options --json and --quiet. Its
-docstring is the help. What it gives back is printed as JSON.
+docstring is the help. console, progress: where it prints, and the progress bar's function. It gives back an `Answer`,
+which --json and --quiet go with, or what is printed as JSON.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from __future__ import annotations
 import inspect
 import typing
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import MISSING, dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -23,6 +25,7 @@ from typer.core import TyperCommand
 
 from recon.base.errors import InputError, Problem, refuse
 from recon.base.settings import SettingInfo, Settings, on_command_line
+from recon.workflows.cli.common import Answer, progress_bar, terminal
 
 _FLAGS = {
     "as_json": typer.Option("--json", help="Print what there is to say as JSON."),
@@ -91,11 +94,15 @@ def make_command(name: str, function: Callable[..., Any]) -> SettingsCommand:
     if len(parameters) < len(infos):
         help = "Another setting, as in sigma-px=2, also several times. Listed by: recon settings"
         parameters.append(_keyword(_SET, list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help=help)))
-    parameters += [_keyword(flag, bool, option, False) for flag, option in _FLAGS.items() if flag in takes]
+    has_all = takes.get("return") is Answer
+    parameters += [_keyword(flag, bool, option, False) for flag, option in _FLAGS.items() if has_all or flag in takes]
 
     def call(**arguments: Any) -> None:
         """Raises InputError with everything that is wrong with the command's own settings."""
-        more = {name: arguments.pop(name) for name in _FLAGS if name in arguments}
+        flags = {name: arguments.pop(name) for name in _FLAGS if name in arguments}
+        as_json = flags.get("as_json", False)
+        console = terminal(quiet=flags.get("quiet", False), stderr=as_json)
+        more = {name: value for name, value in {**flags, "console": console}.items() if name in takes}
         values = _values_of_set(arguments.pop(_SET, None) or [], infos)
         values |= {name: value for name, value in arguments.items() if value not in (None, [])}
         if "given" in takes:
@@ -105,11 +112,10 @@ def make_command(name: str, function: Callable[..., Any]) -> SettingsCommand:
                 more["settings"] = takes["settings"](**{name: values[name] for name in own if name in values})
             except InputError as error:
                 raise InputError(on_command_line(problem, own) for problem in error.problems) from None
-        said = function(**more)
+        with progress_bar(console) if "progress" in takes else nullcontext() as progress:
+            said = function(**more, **({"progress": progress} if progress else {}))
         if said is not None:
-            from recon.show.plain import to_json  # numpy is slow to import
-
-            typer.echo(to_json(said), nl=False)
+            (said if isinstance(said, Answer) else Answer(said)).show(console, as_json or not isinstance(said, Answer))
 
     call.__dict__["__signature__"] = inspect.Signature(parameters)
     call.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}

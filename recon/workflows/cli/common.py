@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -27,6 +28,33 @@ EXIT_UNSOLVED = 1
 EXIT_BAD_INPUT = 2
 
 
+@dataclass(frozen=True)
+class Answer:
+    """What a command has found, for people and for other programs."""
+
+    data: Any
+    """What --json prints; a text as it is."""
+    lines: Iterable[str | Text | Table] = ()
+    """What is printed without --json."""
+    errors: Sequence[str] = ()
+    """What has failed: printed in any case, as errors are, and the exit code is 1."""
+    code: int = 0
+    """The exit code, where there are no errors."""
+
+    def show(self, console: Console, as_json: bool) -> None:
+        """Print it, and end with its exit code."""
+        from recon.show.plain import to_json  # numpy is slow to import
+
+        if as_json:
+            typer.echo(self.data if isinstance(self.data, str) else to_json(self.data), nl=False)
+        for line in () if as_json else self.lines:
+            console.print(line) if isinstance(line, Table) else say(console, line)
+        for error in self.errors:
+            terminal(stderr=True, soft_wrap=True).print(error_text(error))
+        if self.errors or self.code:
+            raise typer.Exit(EXIT_UNSOLVED if self.errors else self.code)
+
+
 def terminal(**given: Any) -> Console:
     """Where a command prints. Brackets and colons in names are no markup, and a terminal's commands are shown."""
     return _Terminal(markup=False, emoji=False, **given)
@@ -47,14 +75,18 @@ def say(console: Console, text: str | Text, style: str = "") -> None:
     console.print(Text(printable(text), style) if isinstance(text, str) else text, soft_wrap=True)
 
 
-def say_verdict(console: Console, verdict: Verdict | None) -> None:
+def verdict_texts(verdict: Verdict | None) -> Iterator[Text]:
     """The first lines of what is made of a clip; nothing of a motion that was not judged."""
-    from recon.check import verdict_lines
     from recon.show.report import STYLES
 
-    for line in verdict_lines(verdict):
+    for line in verdict.lines if verdict else ():
         level = next((level for level in STYLES if line.startswith(f"{level}:")), "")
-        say(console, Text.assemble((level, STYLES.get(level, "")), line[len(level) :]))
+        yield Text.assemble((level, STYLES.get(level, "")), line[len(level) :])
+
+
+def say_verdict(console: Console, verdict: Verdict | None) -> None:
+    for line in verdict_texts(verdict):
+        say(console, line)
 
 
 def counted(count: int, what: str) -> str:
@@ -106,26 +138,16 @@ def progress_bar(console: Console, doing: str = "") -> Iterator[Any]:
         yield lambda stage, share: bar.update(task, description=f"{doing}{stage}", completed=share)
 
 
-def finish(
-    console: Console, report: dict[str, Any], out: Path, as_json: bool = False, page: Path | None = None, **more: Any
-) -> None:
-    """Print what there is to say of a fit; as_json: to the standard output, with `more` fields. page: if there is
-    one."""
-    from recon.show.plain import to_json
+def answer_of_fit(report: dict[str, Any], out: Path, page: Path | None = None, **more: Any) -> Answer:
+    """What there is to say of a fit. page: if there is one; more: fields for --json."""
     from recon.show.report import console_summary, is_unsolved
 
-    if as_json:
-        own = {name: report[name] for name in ("method", "summary", "findings")}
-        seconds = report["timing_s"]["solve_s"]
-        typer.echo(to_json({"out": out, **own, "seconds": seconds, **more}), nl=False)
-    else:
-        console.print(console_summary(report))
+    own = {name: report[name] for name in ("method", "summary", "findings")}
+    data = {"out": out, **own, "seconds": report["timing_s"]["solve_s"], **more}
     if is_unsolved(report):
         message = f"no frame could be solved: see {out / 'report.json'}"
-        terminal(stderr=True, soft_wrap=True).print(error_text(message))
-        raise typer.Exit(EXIT_UNSOLVED)
-    if not as_json:
-        folder = shlex.quote(str(out))
-        say(console, f"Results are in {out}. Watch them with: recon view {folder}")
-        what = "pictures, figures and all numbers"
-        say(console, f"Open {page} in a browser: {what}." if page else f"A page with {what}: recon report {folder}")
+        return Answer(data, [console_summary(report)], [message])
+    folder, what = shlex.quote(str(out)), "pictures, figures and all numbers"
+    playback = f"Results are in {out}. Watch them with: recon view {folder}"
+    more_to_see = f"Open {page} in a browser: {what}." if page else f"A page with {what}: recon report {folder}"
+    return Answer(data, [console_summary(report), playback, more_to_see])

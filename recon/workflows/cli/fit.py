@@ -5,10 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any
 
+from rich.console import Console
+
+from recon.base import Progress
 from recon.base.errors import InputError, Problem
 from recon.base.settings import Settings
 from recon.workflows.cli.command import OptionsOf
-from recon.workflows.cli.common import finish, progress_bar, say, terminal
+from recon.workflows.cli.common import Answer, answer_of_fit, say
 from recon.workflows.settings import FitSettings, read_settings
 
 
@@ -24,8 +27,11 @@ class FitRunSettings(Settings):
 
 
 def fit(
-    settings: FitRunSettings, given: Annotated[dict[str, Any], OptionsOf(FitSettings)], as_json: bool, quiet: bool
-) -> None:
+    settings: FitRunSettings,
+    given: Annotated[dict[str, Any], OptionsOf(FitSettings)],
+    console: Console,
+    progress: Progress,
+) -> Answer:
     """Reconstruct one clip: keypoints and a camera in, 3D poses, angles, report and playback out.
 
     Example: recon fit clip.csv --camera scene.json --camera-name cam2 --fps 90 --out results/clip
@@ -44,9 +50,6 @@ def fit(
         raise InputError((*files, *error.problems, *([] if out else no_out))) from None
     if out is None:
         raise InputError(no_out)
-    console = terminal(quiet=quiet, stderr=as_json)
     for path in [] if config is None else replaced_files(config, given, fitted):
         say(console, f"note: {path} is not the file that {config} was written for: its content is another")
-    with progress_bar(console, "fitting: ") as progress:
-        report = run_clip(fitted, out, settings.overwrite, progress)
-    finish(console, report, out, as_json)
+    return answer_of_fit(run_clip(fitted, out, settings.overwrite, progress), out)

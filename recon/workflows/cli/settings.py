@@ -7,10 +7,11 @@ from dataclasses import MISSING
 from typing import Annotated, Any
 
 from pydantic import TypeAdapter
+from rich.text import Text
 
 from recon.base.errors import InputError, Problem
 from recon.base.settings import Option, SettingInfo, Settings
-from recon.workflows.cli.common import table_of, terminal
+from recon.workflows.cli.common import Answer, table_of
 from recon.workflows.settings import SETTINGS, FitSettings
 
 LIMITS = {"gt": "exclusiveMinimum", "ge": "minimum", "lt": "exclusiveMaximum", "le": "maximum"}
@@ -26,13 +27,14 @@ class _ListedSettings(Settings):
     """Print the JSON schema of config.toml in place of the list: editors complete and check by it."""
 
 
-def settings(settings: _ListedSettings, as_json: bool) -> Any:
+def settings(settings: _ListedSettings) -> Answer:
     """List all settings of a command: those that are options, and those that only --set and config.toml have.
 
     Example: recon settings fit
     """
     if settings.schema:
-        return config_schema()
+        schema = config_schema()
+        return Answer(schema, [Text(json.dumps(schema, indent=1, ensure_ascii=False))])
     from recon.workflows.cli import commands
 
     command = commands().get(settings.command)
@@ -40,13 +42,11 @@ def settings(settings: _ListedSettings, as_json: bool) -> Any:
         expected = f"one of {', '.join(commands())}"
         raise InputError(Problem("COMMAND", "command", repr(settings.command), expected))
     rows = [row_of(info) for info in command.infos.values()]
-    if as_json:
-        return rows
     cells = (
         (r["written"], json.dumps(r["default"] if r["default"] is not None else "").strip('"'), r["meaning"])
         for r in rows
     )
-    terminal().print(table_of("setting", "default", "meaning", rows=cells))
+    return Answer(rows, [table_of("setting", "default", "meaning", rows=cells)])
 
 
 def config_schema() -> dict[str, Any]:
