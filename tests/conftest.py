@@ -129,7 +129,7 @@ def optimiser() -> None:
 @pytest.fixture
 def page_undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     """A page has the places of its figures, and none is drawn: for tests of its words."""
-    monkeypatch.setattr("recon.show.page.render.svg_of", lambda figure: "<svg></svg>")
+    monkeypatch.setattr("recon.show.page.pages.svg_of", lambda figure: "<svg></svg>")
 
 
 @pytest.fixture

@@ -26,8 +26,7 @@ from recon.check import finding, findings_of, sentence
 from recon.fit import Motion
 from recon.io import video_writer
 from recon.show import TO_DO, build_report, clip_page, drawing
-from recon.show.page.clip import _solid, doubtful_frames
-from recon.show.page.render import _without_direction, inline
+from recon.show.page.pages import _solid, _without_direction, doubtful_frames, inline
 from recon.show.plots.over_time import angle_over_time, together
 from recon.workflows import COLUMNS, PageSettings, run_page, write_summary_page
 
@@ -110,7 +109,7 @@ def test_the_poses_that_can_be_turned_are_the_motions(page, folder):
 
 
 def test_of_a_long_clip_some_poses_can_be_turned(small_trajectory, monkeypatch):
-    monkeypatch.setattr("recon.show.page.clip.SOLID_FRAMES", 3)
+    monkeypatch.setattr("recon.show.page.pages.SOLID_FRAMES", 3)
     solid = _solid(small_trajectory, small_trajectory.solved, None)
     assert solid is not None
     assert (solid["frames"], solid["every"]) == (small_trajectory.frames[::3].tolist(), 3)

@@ -390,7 +390,7 @@ def test_a_setting_that_is_no_option_is_checked():
 
 def test_a_setting_of_several_values_is_set_several_times(monkeypatch):
     seen = []
-    monkeypatch.setattr("recon.workflows.cli.fit.read_settings", lambda config, given: seen.append(given))
+    monkeypatch.setattr("recon.workflows.clip_results.read_settings", lambda config, given: seen.append(given))
     with pytest.raises(InputError):
         app(["fit", "a.csv", "--set", "offset-s=0", "--set", "offset_s=0.5", "--set", "fast=true", "--no-fix-swaps"])
     assert seen[0]["offset_s"] == ["0", "0.5"]
@@ -445,19 +445,6 @@ def test_each_camera_may_have_its_own_file(tmp_path):
     settings = read_settings(None, {"keypoints": Path("clip.csv"), "camera": files, "fps": 60.0})
     assert settings.camera == files
     assert settings.plain()["camera"] == [str(file) for file in files]
-
-
-def test_the_schema_takes_configs_and_names_mistakes(tmp_path):
-    jsonschema = pytest.importorskip("jsonschema")
-    schema = json.loads(run("settings", "--schema").out)
-    check = jsonschema.Draft202012Validator(schema)
-    settings = FitSettings(keypoints="a.csv", camera=("c.toml", "d.toml"), fps=60, frames="3:9", image_size_px="9x8")
-    assert list(check.iter_errors(tomllib.loads(settings.to_toml()))) == []
-    fit = schema["properties"]["recon"]["properties"]["fit"]["properties"]
-    assert fit.keys() == SETTINGS.keys()
-    assert all(one["description"] for one in fit.values())
-    for wrong in ({"fps": -1}, {"camera_unit": "yards"}, {"speed": 3}, {"fast": 3}):
-        assert list(check.iter_errors({"recon": {"fit": wrong}})), wrong
 
 
 def test_the_height_at_the_withers_is_a_size():

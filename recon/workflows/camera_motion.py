@@ -1,4 +1,4 @@
-"""`recon camera-motion`: the video of a camera that turns in, a camera track, a report and a panorama out."""
+"""`recon camera-motion`: the video of a camera that turns in, a camera track and a report out."""
 
 from __future__ import annotations
 
@@ -6,25 +6,22 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
-import cv2
 import numpy as np
 from pydantic import Field
 from scipy.spatial.transform import Rotation
 
 from recon.base import Progress, silent
-from recon.base.arrays import Array, Integers
+from recon.base.arrays import Array
 from recon.base.errors import InputError, Problem, all_of, refuse
-from recon.base.files import require_free_file, staged_folder, write_bytes
+from recon.base.files import require_free_file, staged_folder
 from recon.base.settings import Integer, Number, Option, Settings
 from recon.calibrate import camera_motion as turning
-from recon.calibrate.camera_motion.panorama import ANIMAL, PATH, Canvas, draw_path, draw_view, panorama
-from recon.calibrate.camera_motion.rotation import rays_of
 from recon.calibrate.camera_motion.track import CLEARLY
 from recon.clip.keypoints import Keypoints
 from recon.geometry.camera import Camera
 from recon.io import read_camera, read_keypoints, write_table
 from recon.io.camera_track import INTRINSICS, POSE, SIGMA
-from recon.io.video import Image, missing_frames, missing_note, probe, timed_frames
+from recon.io.video import missing_frames, missing_note, probe, timed_frames
 from recon.show.plain import picked, to_json
 from recon.workflows.cameras import size_problems
 from recon.workflows.cli.common import Answer, counted
@@ -92,9 +89,8 @@ def camera_motion(settings: _CameraMotionSettings, progress: Progress) -> Answer
 def run_camera_motion(
     settings: _CameraMotionSettings, progress: Progress = silent
 ) -> tuple[dict[str, Any], tuple[Path, ...]]:
-    """The report and the files: the track (`recon.io.camera_track`), and beside it <stem>_report.json and
-    <stem>_panorama.png. Raises InputError, with every problem, for inputs that cannot be
-    used, and for a camera that did more than turn.
+    """The report and the files: the track (`recon.io.camera_track`), and beside it <stem>_report.json. Raises
+    InputError, with every problem, for inputs that cannot be used, and for a camera that did more than turn.
     """
     info, lens, animal, _ = all_of(
         lambda: probe(settings.video),
@@ -123,15 +119,11 @@ def run_camera_motion(
         level = f"the first frame looks {settings.tilt_deg:g} degrees down, as given, and its roll is taken as 0"
     motion = replace(motion, orientations=turning.as_level(motion.orientations, up))
     report = _report(settings, motion, lens, level, times_s)
-    picture = _panorama(lens, motion, points)
-    report_file, picture_file = (
-        settings.out.with_name(settings.out.stem + end) for end in ("_report.json", "_panorama.png")
-    )
+    report_file = settings.out.with_name(f"{settings.out.stem}_report.json")
     with staged_folder(settings.out.absolute().parent) as folder:
         _write_track(folder / settings.out.name, settings, motion, lens)
         (folder / report_file.name).write_text(to_json(report), encoding="utf-8")
-        write_bytes(folder / picture_file.name, cv2.imencode(".png", picture)[1].tobytes())
-    return report, (settings.out, report_file, picture_file)
+    return report, (settings.out, report_file)
 
 
 # -- what cannot be used ----------------------------------------------------------------------------------------------
@@ -246,25 +238,3 @@ def _focal_px(focal: tuple[float, float], lens: Camera) -> dict[str, float]:
     own = float(lens.matrix[0, 0])
     found = own * float(np.exp(focal[0]))
     return {"file": own, "found": found, "sigma": found * focal[1]}
-
-
-def _panorama(camera: Camera, motion: turning.TurningMotion, points: dict[int, Array]) -> Image:
-    """All that was seen, with the camera's and the animal's path."""
-    canvas = Canvas.around(camera, motion.orientations)
-    drawn = panorama(canvas, camera, [motion.orientations[key] for key in motion.keys], motion.pictures)
-    for row in (0, len(motion.orientations) // 2, -1):
-        draw_view(canvas, drawn, camera, motion.orientations[row])
-    draw_path(canvas, drawn, np.stack([orientation.rotation[2] for orientation in motion.orientations]), PATH)
-    draw_path(canvas, drawn, _animal(camera, motion.frames, motion.orientations, points), ANIMAL)
-    return drawn
-
-
-def _animal(
-    camera: Camera, frames: Integers, orientations: tuple[turning.Orientation, ...], points: dict[int, Array]
-) -> Array:
-    """(N, 3): world rays of the middle of the animal's points, NaN where it has none."""
-    nowhere = np.full(2, np.nan)
-    middles = [np.nanmean(points[frame], axis=0) if frame in points else nowhere for frame in frames.tolist()]
-    return np.stack(
-        [rays_of(camera, px, one.zoom)[0] @ one.rotation for px, one in zip(middles, orientations, strict=True)]
-    )

@@ -40,8 +40,7 @@ from recon.show.overlay import (
     draw_tiles,
 )
 from recon.show.page import PAGE, require_own_page
-from recon.show.page.clip import clip_page
-from recon.show.page.render import jpeg
+from recon.show.page.pages import clip_page, jpeg
 from recon.show.report import REPORT
 from recon.workflows.analyse import FOLDER, PLAYBACK
 from recon.workflows.analyse import SUMMARY as ANALYSIS

@@ -29,12 +29,11 @@ from recon.io.video import SUFFIXES, probe
 from recon.show.page import PAGE, SUMMARY_PAGE, require_own_page
 from recon.show.report import build_report, is_unsolved
 from recon.workflows.analyse import AnalyseSettings, run_analyse
-from recon.workflows.batch import Clip, ClipPlan, Summary, results_of, work_off
+from recon.workflows.batch import Clip, ClipPlan, Summary, results_of, shown_batch, work_off
 from recon.workflows.batch.inputs import file_names
 from recon.workflows.cameras import size_problems
-from recon.workflows.cli.batch import shown_batch
 from recon.workflows.cli.command import OptionsOf
-from recon.workflows.cli.common import Answer, answer_of_fit, say
+from recon.workflows.cli.common import Answer, answer_of_fit, progress_bar, say
 from recon.workflows.clip import fit_clip, read_model_and_cameras
 from recon.workflows.clip_results import Record, file_sha256, identity, identity_of, output_files, write_clip
 from recon.workflows.look import OverlaySettings, PageSettings, rate_note, run_overlay, run_page
@@ -129,7 +128,6 @@ def run(
     settings: _RunSettings,
     given: Annotated[dict[str, Any], OptionsOf(FitSettings, _OF_THE_FIT, "Settings of the fit")],
     console: Console,
-    progress: Progress,
 ) -> Answer:
     """From a video to a page: find the keypoints, fit, analyse, draw the overlay, and write report.html.
 
@@ -143,8 +141,9 @@ def run(
     if settings.video.is_dir():
         plan = jobs_of(settings, given)
         return shown_batch(console, len(plan), partial(run_folder, plan, settings.out, settings.jobs))
-    job = job_of(settings, given)
-    done, report = run_video(job, progress, lambda stage: say(console, _line(stage)))
+    with progress_bar(console) as progress:
+        job = job_of(settings, given)
+        done, report = run_video(job, progress, lambda stage: say(console, _line(stage)))
     of_rate = rate_note(settings.video, job.fit.fps)
     for note in dict.fromkeys([*([of_rate] if of_rate else ()), *(note for stage in done for note in stage.notes)]):
         say(console, f"note: {note}")

@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
-import cv2
 import numpy as np
 from scipy.sparse import bsr_array, diags_array
 from scipy.sparse.linalg import splu
@@ -42,7 +41,6 @@ CLEARLY = 3.0
 """Standard deviations from which on a focal length is another than the camera file's."""
 MIN_STILL, MAX_TORN = 0.4, 1
 """The share of an old keyframe's background that has to be still in its place, but for so many times."""
-THUMBNAIL_PX = 400
 ADJUST_STEPS = 4
 PICTURE_FLOOR_PX = 0.1
 """How far all points of a picture may be off together, in pixels, which their scatter does not show."""
@@ -69,7 +67,6 @@ class _Keyframe:
     orientation: Orientation
     background: Array
     known: tuple[Array, Image]
-    thumbnail: Image
     rays: Array
     settled: Bools
     used: int
@@ -84,7 +81,7 @@ class TurningMotion:
     """The rotations of a camera over F frames of a video, N of which have one. frames: (N,) numbers from 0. inliers,
     residual_px, sigma_rad, sigma_zoom: (N,). focal: what the turns say of the focal length, the log factor on the
     camera file's and its standard deviation; where it differs clearly, sigma_rad has what that does to the turns in it.
-    lost: numbers of the frames without enough background. keys: (K,) places among the N frames, and their pictures.
+    lost: numbers of the frames without enough background. keys: (K,) places among the N frames.
     turned_only: whether the background has kept together. cut: the number of the frame where another take begins."""
 
     frames: Integers
@@ -96,7 +93,6 @@ class TurningMotion:
     focal: tuple[float, float] | None
     lost: Integers
     keys: Integers
-    pictures: tuple[Image, ...]
     turned_only: bool
     cut: int | None
 
@@ -130,7 +126,7 @@ class Tracker:
         points = self.masked(number)
         mask = None if points is None else turning.hull_mask(frame, points)
         if not self.keys:
-            return self._begin(number, frame, picture, mask)
+            return self._begin(number, frame, mask)
         found = self._placed(number, frame, mask, self._predicted(number), KEYS_AT_ONCE)
         if found is None and (again := self._found_again(frame, mask)) is not None:
             found = self._placed(number, frame, mask, again, KEYS_AT_ONCE)
@@ -154,7 +150,7 @@ class Tracker:
         self._keep(number, agreement, seen)
         self.last = frame
         if new:
-            self._new_key(frame, picture, mask, agreement, seen)
+            self._new_key(frame, mask, agreement, seen)
         return True
 
     @property
@@ -163,7 +159,7 @@ class Tracker:
 
     # -- one frame --
 
-    def _begin(self, number: int, frame: GreyPicture, picture: Image, mask: Bools | None) -> bool:
+    def _begin(self, number: int, frame: GreyPicture, mask: Bools | None) -> bool:
         points = turning.corners(frame, mask)
         if len(points) < MIN_CORNERS:
             self.lost.append(number)
@@ -171,7 +167,7 @@ class Tracker:
         self.frames.append(number)
         self.orientations.append(Orientation(np.eye(3)))
         self.supports.append((len(points), 0.0))
-        self._remember(frame, picture, points, np.full(len(points), 0.5))
+        self._remember(frame, points, np.full(len(points), 0.5))
         return True
 
     def _predicted(self, number: int) -> Orientation:
@@ -289,9 +285,7 @@ class Tracker:
         zooms = np.log([orientation.zoom, key.orientation.zoom])
         return _FrameLink(place, key.number, orientation.rotation @ key.orientation.rotation.T, zooms, normal, gradient)
 
-    def _new_key(
-        self, frame: GreyPicture, picture: Image, mask: Bools | None, agreement: AgreedOrientation, seen: _Seen
-    ) -> None:
+    def _new_key(self, frame: GreyPicture, mask: Bools | None, agreement: AgreedOrientation, seen: _Seen) -> None:
         """Its points are as trusted as the nearest that were followed into it."""
         points = turning.corners(frame, mask)
         background = np.full(len(points), 0.5)
@@ -300,14 +294,12 @@ class Tracker:
             nearest = apart.argmin(axis=1)
             close = apart[np.arange(len(points)), nearest] < 0.04 * max(self.camera.image_size_px)
             background[close] = np.clip(np.where(agreement.agree[nearest], 0.6, 0.2), 0, 1)[close]
-            self._remember(frame, picture, points, background)
+            self._remember(frame, points, background)
 
-    def _remember(self, frame: GreyPicture, picture: Image, points: Array, background: Array) -> None:
+    def _remember(self, frame: GreyPicture, points: Array, background: Array) -> None:
         self.support = 0.0
         orientation = self.orientations[-1]
         rays, valid = turning.rays_of(self.camera, points, orientation.zoom)
-        scale = min(1.0, THUMBNAIL_PX / max(picture.shape))
-        small = np.asarray(cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), np.uint8)
         place, known, points, background = (
             len(self.frames) - 1,
             turning.described(frame),
@@ -315,9 +307,7 @@ class Tracker:
             background[valid],
         )
         settled = np.zeros(len(points), bool)
-        key = _Keyframe(
-            place, frame, points, orientation, background, known, small, rays[valid], settled, self.frames[-1]
-        )
+        key = _Keyframe(place, frame, points, orientation, background, known, rays[valid], settled, self.frames[-1])
         self.keys.append(key)
         with_picture = [key for key in self.keys if key.frame is not None]
         if len(with_picture) > MAX_PICTURES:
@@ -331,7 +321,6 @@ class Tracker:
         inliers = np.array([n for n, _ in self.supports], dtype=np.int64)
         residual = np.array([px for _, px in self.supports])
         keys = np.array([key.number for key in self.keys], dtype=np.int64)
-        pictures = tuple(key.thumbnail for key in self.keys)
         orientations: Sequence[Orientation] = self.orientations
         sigma, sigma_zoom = np.zeros(len(frames)), np.zeros(len(frames))
         if self.links:
@@ -347,7 +336,7 @@ class Tracker:
             sigma = np.hypot(sigma, abs(focal[0]) * Rotation.from_matrix(turns).magnitude())
         return TurningMotion(
             *(frames, tuple(orientations), inliers, residual, sigma, sigma_zoom, focal),
-            *(lost, keys, pictures, turned_only, self.cut),
+            *(lost, keys, turned_only, self.cut),
         )
 
 

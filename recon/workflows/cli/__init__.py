@@ -20,8 +20,8 @@ _CORE, _ROBOTICS, _NET = "recon.workflows.", "recon.robotics.cli:", "recon.keypo
 _THESIS = "recon.thesis."
 COMMANDS = {
     "From a clip to its motion": {
-        "fit": (_CORE + "cli.fit:fit", "One clip: keypoints and a camera in, a folder of results out."),
-        "batch": (_CORE + "cli.batch:batch", "Many clips in parallel, from where it was stopped."),
+        "fit": (_CORE + "clip_results:fit", "One clip: keypoints and a camera in, a folder of results out."),
+        "batch": (_CORE + "batch:batch", "Many clips in parallel, from where it was stopped."),
         "run": (_CORE + "run:run", "From a video to a page: keypoints, fit, analysis, overlay, report.html."),
         "demo": (_CORE + "demo:demo", "Fit the bundled sample and compare it with its truth."),
         "settings": (_CORE + "cli.settings:settings", "All settings of a command, also those that are no options."),
