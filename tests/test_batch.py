@@ -132,7 +132,10 @@ def test_folders_within_a_folder(clips):
     (note,) = find_clips([clips], QUICK, recursive=True)[1]
     assert says(note, "results of a fit", clips / "day2" / "late")
     (clips / "day2" / "late" / "motion.npz").unlink()
-    assert [clip.name for clip in find_clips([clips / "day2"], QUICK, recursive=True)[0]] == ["d"]
+    shutil.copy(CAMERA, clips / "day2" / "late" / "own.toml")
+    (day2,), (note,) = find_clips([clips / "day2"], QUICK, recursive=True)
+    assert day2.name == "d"
+    assert says(note, "cameras", "manifest", "own.toml")
 
 
 def test_names_are_unique_and_follow_from_the_paths(tmp_path):
@@ -272,7 +275,7 @@ def test_problems_of_several_inputs_at_once(clips, tmp_path):
 
 
 def test_what_every_clip_lacks_is_said_once(clips):
-    refuses([clips], ("--camera", "camera", "nothing"), common={})
+    refuses([clips], ("--camera", "camera", "nothing", ["--hfov-deg", "columns keypoints, camera and fps"]), common={})
 
 
 # ---- several cameras of one clip ----

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from command_line import Refusal, refused, run
+from command_line import Refusal, refused, run, says
 
 from recon.fit import Motion
 from recon.workflows.compare import QUANTITIES, _mean_of
@@ -33,6 +33,7 @@ def test_groups_have_a_row_each_and_strides_one_each(clips: Path, tmp_path: Path
     # as a shell writes out all/*
     ended = run("compare", *clips.iterdir(), "--table", clips / "animals.csv", "--by", "sex", "--out", out)
     assert (ended.code, ended.err) == (0, "")
+    assert says(ended.out, "one standard deviation of the mean", "spread: one standard deviation between")
     groups, by_clip, strides = (pd.read_csv(out / f"{name}.csv") for name in ("groups", "clips", "strides"))
     assert list(groups["group"]) == ["f", "m"]
     assert list(groups["clips"]) == [2, 1]

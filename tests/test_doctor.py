@@ -19,7 +19,7 @@ import pytest
 from command_line import run, run_process, says
 
 import recon.workflows.doctor as module
-from recon.base import install_command
+from recon.base import install_command, pip_command
 from recon.workflows import GROUPS, app, commands
 from recon.workflows.doctor import _Check, packages, run_doctor, self_test, versions, viewer
 
@@ -77,7 +77,7 @@ def test_versions_that_are_too_old_or_missing_are_broken():
     (found,) = packages(["numpy>=1.2", "scipy>=999", "no-such-thing>=2.5", "rich; extra == 'dev'"])
     assert found.status == "broken"
     assert found.found == f"scipy {metadata.version('scipy')}, not >=999, no-such-thing not installed"
-    assert found.hint == "pip install 'scipy>=999' 'no-such-thing>=2.5'"
+    assert found.hint == f"{pip_command()} install 'scipy>=999' 'no-such-thing>=2.5'"
     (found,) = packages(["numpy>=1.2", "no-such-thing; python_version < '3'"])
     assert (found.status, found.found) == ("ok", f"numpy {metadata.version('numpy')}")
 

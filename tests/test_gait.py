@@ -364,7 +364,7 @@ def test_the_period_of_less_than_a_stride_is_told(name, share):
 
 def test_strides_with_a_stance_too_few_or_too_many_do_not_count():
     """A foot that is seen in the air in one of its stances has no stride of twice the time, and one that seems to slide
-    for a moment in another has no half ones."""
+    for a moment in another has no half ones, also where the other feet are not seen yet."""
     phase, duty = PATTERNS["trot"]
     pose, t = runner(phase, duty), np.arange(150) / FPS
     xyz, foot = pose.xyz_m.copy(), NAMES.index(FEET["RF"])
@@ -383,6 +383,11 @@ def test_strides_with_a_stance_too_few_or_too_many_do_not_count():
     assert text.startswith("RF's stride from ")
     assert says(text, "does not count")
     assert "last 0.4" in text
+    others = [NAMES.index(FEET[other]) for other in ("LH", "RH", "LF")]
+    xyz[(t[:, None] < 0.7) & np.isin(np.arange(len(NAMES)), others)] = np.nan
+    later = pose_gait(replace(pose, xyz_m=xyz), FPS)
+    assert later.doubtful[0].duration_s < 0.2
+    assert later.stride_s == pytest.approx(0.4, rel=0.01)
 
 
 def test_bad_input():

@@ -35,7 +35,15 @@ from recon.show.overlay import (
     smoothed_headings,
 )
 from recon.workflows import PageSettings, app
-from recon.workflows.look import OverlaySettings, camera_number, overlay_of, rate_note, run_overlay, stills
+from recon.workflows.look import (
+    OverlaySettings,
+    camera_number,
+    first_frame_note,
+    overlay_of,
+    rate_note,
+    run_overlay,
+    stills,
+)
 
 SIZE = (1920, 1080)
 GREY = np.full((1080, 1920, 3), 128, np.uint8)
@@ -350,12 +358,18 @@ def test_a_small_animal_is_shown_enlarged_where_it_is_not(overlay):
     assert close_ups(large, (960, 540)) == [False, False, False]
 
 
-def test_a_video_of_another_rate_is_named(tmp_path):
+def test_a_video_of_another_rate_or_that_goes_on_is_named(small_trajectory):
     film = Path(__file__).parents[1] / "data" / "samples" / "rendered.mp4"
     stated = probe(film).fps
     assert rate_note(film, stated) is None
     assert rate_note(film, None) is None
     assert says(rate_note(film, stated * 2), "filmed so")
+    settings = PageSettings(folder=Path("run"), video=film)
+    said = first_frame_note(small_trajectory, settings)  # its frames are 10 to 17
+    assert says(said, f"has {probe(film).stated_frames} frames", "ends with frame 17", "--first-frame 10")
+    chosen = replace(small_trajectory, settings={"frames": "10:18"})
+    cut = replace(settings, first_frame=10)
+    assert first_frame_note(small_trajectory, cut) is first_frame_note(chosen, settings) is None
 
 
 def test_frames_that_cannot_be_decoded_are_counted(tmp_path):

@@ -22,10 +22,8 @@ ROOT = Path(__file__).parents[1]
 
 @pytest.fixture
 def installed(monkeypatch, tmp_path):
-    """Says where the package comes from, as pip notes it: None is the index. pip is beside Python."""
-    pip = tmp_path / "bin" / "pip"
-    monkeypatch.setattr(sys, "executable", str(pip.with_name("python")))
-    monkeypatch.setattr(package.shutil, "which", lambda name: str(pip))
+    """Says where the package comes from, as pip notes it: None is the index."""
+    monkeypatch.setattr(sys, "executable", "/opt/python")
 
     def note(direct_url: dict | None) -> None:
         text = None if direct_url is None else json.dumps(direct_url)
@@ -65,30 +63,20 @@ def test_extras_come_from_where_the_package_came(installed, monkeypatch, tmp_pat
     wheel.touch()
     monkeypatch.chdir(tmp_path / "my checkout")
     installed(None)
-    assert install_command("net") == "pip install 'recon-motion[net]'"
+    assert install_command("net") == "/opt/python -m pip install 'recon-motion[net]'"
     installed({"url": "https://example.org/recon.git", "vcs_info": {"vcs": "git", "commit_id": "1"}})
-    assert install_command("net") == "pip install 'recon-motion[net]'"
+    assert install_command("net") == "/opt/python -m pip install 'recon-motion[net]'"
     installed({"url": checkout.as_uri(), "dir_info": {"editable": True}})
-    assert install_command("net") == "pip install -e '.[net]'"
+    assert install_command("net") == "/opt/python -m pip install -e '.[net]'"
     installed({"url": checkout.as_uri(), "dir_info": {}})
-    assert install_command("formats") == "pip install '.[formats]'"
+    assert install_command("formats") == "/opt/python -m pip install '.[formats]'"
     monkeypatch.chdir("/")
-    assert install_command("formats") == f"pip install '{checkout.relative_to('/')}[formats]'"
+    assert install_command("formats") == f"opt/python -m pip install '{checkout.relative_to('/')}[formats]'"
     installed({"url": wheel.as_uri(), "archive_info": {}})
     assert install_command("robots").endswith(f"{wheel.name}[robots]'")
     checkout.rmdir()
     installed({"url": checkout.as_uri(), "dir_info": {}})
-    assert install_command("net") == "pip install 'recon-motion[net]'"
-
-
-def test_extras_go_into_the_environment_that_lacks_them(installed, monkeypatch, tmp_path):
-    """A `pip` on the path may be another environment's."""
-    installed(None)
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(package.shutil, "which", lambda name: "/usr/bin/pip")
-    assert install_command("net") == "bin/python -m pip install 'recon-motion[net]'"
-    monkeypatch.setattr(package.shutil, "which", lambda name: None)
-    assert install_command("net") == "bin/python -m pip install 'recon-motion[net]'"
+    assert install_command("net") == "opt/python -m pip install 'recon-motion[net]'"
 
 
 def test_no_text_names_the_package_of_somebody_else():

@@ -291,6 +291,11 @@ def test_size_says_what_it_comes_from(trajectory, small_trajectory):
     assert given["size"]["measured"] is True
     assumed = build_report(with_solution(small_trajectory, size_prior_sigma=0.06), {})
     assert assumed["size"]["measured"] is False
+    seen = build_report(with_solution(small_trajectory, size_from=("prior", "views")), {})
+    tall = build_report(small_trajectory, {"height_m": 0.8})
+    assert seen["size"]["measured"] is tall["size"]["measured"] is True
+    assert says(dict(summary_lines(seen))["size"], "where the cameras are")
+    assert dict(summary_lines(tall))["size"] == "as given (--height-m 0.8), ±6%"
     odd = build_report(with_solution(small_trajectory, size=0.7), {})
     assert numbers(odd, "size_unexpected") == {"size": 0.7, "expected_sigma": 0.1}
 

@@ -128,7 +128,7 @@ def test_dh_of_a_urdf(urdf):
     [
         (("pose", "aibo", "--pitch", "x"), ("--pitch", "pitch", "'x'", "degrees")),
         (("pose", "aibo", "--move", "1,2"), ("--move", "move", "'1,2'", "3 numbers")),
-        (("pose", "spot"), ("spot", "robot", "no such robot", "a1, aibo")),
+        (("pose", "spot"), ("--robot", "name or file", "'spot'", "a1, aibo")),
         (("dh", "aibo"), ("--tip", "leg", "none", "LF, RF, LH, RH")),
         (("dh", "aibo", "--tip", "LF", "--angles", "1,2"), ("--angles", "joints", "2 numbers", 3)),
         (("dh", "none.toml"), ("none.toml", "file", "no such file")),

@@ -110,7 +110,7 @@ def test_files(tmp_path, change, field):
 
 
 def test_unknown_robots():
-    with refusal(("spot", "robot", "no such robot", "a1, aibo")):
+    with refusal(("--robot", "name or file", "'spot'", ["a1, aibo", ".urdf"])):
         load_robot("spot")
     with refusal(("spot.urdf", "file", "no such file")):
         load_robot("spot.urdf")

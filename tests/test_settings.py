@@ -274,6 +274,7 @@ def test_another_method_replaces_the_settings_of_the_one_in_the_config(tmp_path)
 
 def test_every_option_of_the_other_method_is_named():
     refuses({**GIVEN, "form": "printed", "base_length_m": 0.2}, ("form", "'printed'"), ("base_length_m", 0.2))
+    refuses({**GIVEN, "method": "frame", "camera_track": [Path("a.csv")]}, ("camera_track", "'a.csv' with the frame"))
 
 
 def test_command_line_overrules_config(tmp_path):
@@ -376,7 +377,7 @@ def test_settings_that_are_no_options_are_in_the_docs():
         (("--framerate", "60"), ("--framerate", "fps", "no option", "--fps")),
         (("--no-fast",), ("--no-fast", "fast", "no option", "--set fast=VALUE")),
         (("--set", "sigma"), ("--set", "setting", "'sigma'", "name=value")),
-        (("--set", "sigma=2"), ("--set", "sigma", "unknown", "keypoints, camera")),
+        (("--set", "sigmapx=2"), ("--set", "sigmapx", "did you mean sigma_px?", "keypoints, camera")),
     ],
 )
 def test_settings_that_are_no_options(words, expected):

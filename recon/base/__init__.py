@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from recon.base.files import require_free_folder, sole_writer, staged_file, staged_folder, staged_results
     from recon.base.interrupts import MESSAGE
     from recon.base.manifest import MANIFEST, read_manifest, write_manifest
-    from recon.base.package import DISTRIBUTION, install_command
+    from recon.base.package import DISTRIBUTION, install_command, pip_command
     from recon.base.records import load_record, save_record
 
 Progress = Callable[[str, float], None]

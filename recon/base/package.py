@@ -6,7 +6,6 @@ Its name is not the package's: `recon` on the public index is somebody else's.
 from __future__ import annotations
 
 import json
-import shutil
 import sys
 from importlib import metadata
 from pathlib import Path
@@ -22,9 +21,12 @@ def version() -> str:
 
 def install_command(extra: str) -> str:
     """What adds an extra to this very environment, from where the package came: a checkout, a file or the index."""
-    pip = shutil.which("pip")
-    beside = pip is not None and Path(pip).parent == Path(sys.executable).parent
-    return f"{'pip' if beside else f'{_short(sys.executable)} -m pip'} install {_source(extra)}"
+    return f"{pip_command()} install {_source(extra)}"
+
+
+def pip_command() -> str:
+    """The pip of the Python that runs; the `pip` of a shell may be another's."""
+    return f"{_short(sys.executable)} -m pip"
 
 
 def _source(extra: str) -> str:

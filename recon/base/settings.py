@@ -15,6 +15,7 @@ from __future__ import annotations
 import typing
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, fields, replace
+from difflib import get_close_matches
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar, dataclass_transform
@@ -143,7 +144,7 @@ class SettingInfo:
 
     def plain(self, value: Any) -> Any:
         """The value as TOML and JSON have it; a single one of many by itself."""
-        if isinstance(value, tuple):
+        if isinstance(value, tuple | list):
             values = [self.plain(one) for one in value]
             return values[0] if self.is_many and len(values) == 1 else values
         return str(value) if isinstance(value, Path) else value
@@ -213,8 +214,14 @@ def _problems(cls: type[Settings], given: Mapping[str, Any], error: ValidationEr
             value = repr(given[name]) if name in given else "nothing"
             found[name] = Problem("settings", name, value, infos[name].expected(one["msg"]))
         elif name not in found:
-            found[name] = Problem("settings", name, "an unknown setting", f"one of {', '.join(infos)}")
+            found[name] = unknown_setting("settings", name, infos)
     return [*found.values()]
+
+
+def unknown_setting(file: str, name: str, infos: Mapping[str, SettingInfo]) -> Problem:
+    """The problem of a setting that there is not, with the one that was perhaps meant."""
+    meant = "".join(f": did you mean {one}?" for one in get_close_matches(name, infos, 1))
+    return Problem(file, name, f"an unknown setting{meant}", f"one of {', '.join(infos)}")
 
 
 def _parts(kind: Any) -> Iterator[Any]:

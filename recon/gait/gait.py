@@ -27,9 +27,10 @@ than the stance's middle. What stances and intervals are worth against force pla
 The leg's length is the body's median height above the ground, the length of Froude numbers.
 
 Strides: across half a stride or more in which all four feet stand there is none: the animal stands still. A stance
-that was missed makes two strides one, and a stance that was cut makes one two. A stride counts if it
-is within `AGREE` of the median of all feet's strides at its time. How long a stride lasts is the mean of those that
-count or, in a clip without any, the period of the feet's motion relative to the body, if the clip holds enough of it.
+that was missed makes two strides one, and a stance that was cut makes one two. A stride counts if it is within `AGREE`
+of the median of all feet's strides at its time, or, where it is alone, of those before and after it. How long a stride
+lasts is the mean of those that count or, in a clip without any, the period of the feet's motion relative to the body,
+if the clip holds enough of it.
 """
 
 from __future__ import annotations
@@ -207,7 +208,7 @@ class Stride:
     at: Literal["touchdown", "lift-off", "given"]
     """What it goes from and to."""
     others_s: float = np.nan
-    """For a stride that does not count: how long the strides of all feet at its time last, median."""
+    """For a stride that does not count: how long the strides of all feet around its time last, median."""
 
     @property
     def duration_s(self) -> float:
@@ -508,9 +509,11 @@ def _counted(own: tuple[Stride, ...]) -> tuple[tuple[Stride, ...], tuple[Stride,
     counted, doubtful = [], []
     start_s, end_s, lasts_s = (np.array([getattr(s, of) for s in own]) for of in ("start_s", "end_s", "duration_s"))
     for stride in own:
-        # only the strides of its own time are looked at: in a long clip there are thousands
-        near = slice(*np.searchsorted(start_s, [stride.start_s - lasts_s.max(), stride.end_s]))
-        others_s = median(lasts_s[near][end_s[near] > stride.start_s])
+        # Not all are looked at: in a long clip there are thousands.
+        longest_s = lasts_s.max()
+        near = slice(*np.searchsorted(start_s, [stride.start_s - 2 * longest_s, stride.end_s + longest_s]))
+        same = (start_s[near] < stride.end_s) & (end_s[near] > stride.start_s)
+        others_s = median(lasts_s[near][same] if same.sum() > 1 else lasts_s[near])
         if abs(others_s * stride.frequency_hz - 1) <= AGREE:
             counted.append(stride)
         else:
@@ -521,7 +524,7 @@ def _counted(own: tuple[Stride, ...]) -> tuple[tuple[Stride, ...], tuple[Stride,
 def doubtful_text(stride: Stride) -> str:
     """Why a stride does not count, in one sentence."""
     text = f"{stride.foot}'s stride from {stride.start_s:.3f} to {stride.end_s:.3f} s does not count"
-    return f"{text}: strides of all feet at its time last {stride.others_s:.3f} s"
+    return f"{text}: strides of all feet around its time last {stride.others_s:.3f} s"
 
 
 def _stride_time(moved: Tracks, taken: Sequence[Stride]) -> tuple[float, float]:

@@ -370,12 +370,12 @@ def assumptions(motion: Motion) -> dict[str, Any]:
 def _sentences(motion: Motion) -> Iterator[str]:
     solution, body = _solution(motion), motion.body
     of_animal = "not measured on this one" if body.subject is None else "measured on this animal"
-    size_text = "this clip hardly says it"
+    given, size_text = _size_given(motion), "this clip hardly says it"
     if telling := _telling(solution):
         size_text = f"by {' and '.join(telling)} it is {solution.size:.3f} ± {solution.size_sigma:.3f}"
     yield (
         f"The proportions are those of {body.title!r}, {of_animal}. How large the animal is, a factor on all its "
-        f"lengths, distances and speeds, is expected to be 1 with a standard deviation of "
+        f"lengths, distances and speeds, is expected to be 1{given and f' ({given})'} with a standard deviation of "
         f"{solution.size_prior_sigma:.2g}; {size_text}."
     )
     detector = file_name(body.detector)
@@ -485,19 +485,27 @@ def size(motion: Motion) -> dict[str, Any]:
         "from": solution.size_from,
         "subject": file_name(subject),
         "lengths": motion.title,
-        "measured": subject is not None,
+        "measured": bool(_size_given(motion) or _telling(solution)),
     }
 
 
 def size_lines(motion: Motion, data: Any) -> Iterator[Line]:
-    by, animal = _telling(_solution(motion)), data["lengths"].split(",")[0]
+    by, given, animal = _telling(_solution(motion)), _size_given(motion), data["lengths"].split(",")[0]
     if by:
-        relative = data["sigma"] / data["factor"]
-        yield "size", f"{data['factor']:.2f} times the skeleton ({animal}), ±{relative:.0%}, by {' and '.join(by)}"
-    elif data["measured"]:
-        yield "size", f"as measured ({data['subject']}), ±{data['sigma']:.0%}"
+        relative, of = data["sigma"] / data["factor"], given or animal
+        yield "size", f"{data['factor']:.2f} times the skeleton ({of}), ±{relative:.0%}, by {' and '.join(by)}"
+    elif given:
+        yield "size", f"as given ({given}), ±{data['sigma']:.0%}"
     else:
         yield "size", f"not measured: all metres and m/s assume average size ({animal}, ±{data['sigma']:.0%})"
+
+
+def _size_given(motion: Motion) -> str:
+    """What told the animal's size before the clip was seen, empty where it is that of an average one."""
+    for name, option in (("height_m", "--height-m "), ("size", "--set size=")):
+        if (value := motion.settings.get(name)) is not None:
+            return f"{option}{value:g}"
+    return file_name(motion.body.subject) or ""
 
 
 def _size_share(solution: TrajectorySolution) -> float:

@@ -19,7 +19,7 @@ from rich.table import Table
 from rich.text import Text
 
 from recon.base import Progress, silent
-from recon.base.package import DISTRIBUTION, install_command, version
+from recon.base.package import DISTRIBUTION, install_command, pip_command, version
 from recon.workflows.cli.common import Answer
 
 if TYPE_CHECKING:
@@ -88,7 +88,7 @@ def versions() -> Iterator[_Check]:
     yield _Check("recon", "ok", f"{version()}, in {Path(__file__).parents[1]}")
     with suppress(metadata.PackageNotFoundError):  # the last that was installed has its files over the other's
         found = f"the package recon {metadata.version('recon')} is here too, whose files have the same names"
-        hint = f"pip uninstall recon {DISTRIBUTION}, and install {DISTRIBUTION} again"
+        hint = f"{pip_command()} uninstall recon {DISTRIBUTION}, and install {DISTRIBUTION} again"
         yield _Check("another recon", "broken", found, hint)
     yield _Check("python", "ok", f"{platform.python_version()}, {platform.system()} {platform.machine()}")
 
@@ -107,7 +107,7 @@ def packages(requires: Sequence[str] | None = None) -> Iterator[_Check]:
         shown = lacking or {one: there for one, (_, there) in states.items()}
         found = what + ", ".join(f"{one.name} {state}" for one, state in shown.items())
         if not extra:
-            hint = "pip install " + " ".join(f"'{one.name}{one.specifier}'" for one in lacking)
+            hint = f"{pip_command()} install " + " ".join(f"'{one.name}{one.specifier}'" for one in lacking)
             yield _Check("packages", "broken" if lacking else "ok", found, hint)
         elif wanted:
             yield _Check(extra, "absent" if lacking else "ok", found, install_command(extra))
@@ -132,7 +132,7 @@ def viewer(command: Sequence[str] = (sys.executable, "-m", "rerun")) -> Iterator
     """The program that `recon view` starts, and whether it has a display."""
     code, said = _run([*command, "--version"], 60.0)
     found = said if code else " ".join(said.split()[:2])
-    yield _Check("viewer", "broken" if code else "ok", found, "pip install --force-reinstall rerun-sdk")
+    yield _Check("viewer", "broken" if code else "ok", found, f"{pip_command()} install --force-reinstall rerun-sdk")
     if sys.platform in ("win32", "darwin") or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"):
         yield _Check("display", "ok", "there is one")
     else:

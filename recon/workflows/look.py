@@ -164,7 +164,8 @@ def run_overlay(
     first = int(motion.frames.min())
     before = first - settings.first_frame if len(stamps_s) == count else None
     of_times = missing_note(video, np.array(stamps_s), first, before)
-    notes = [note for note in (rate_note(video, motion.fps), of_times) if note is not None]
+    said = first_frame_note(motion, settings), rate_note(video, motion.fps), of_times
+    notes = [note for note in said if note is not None]
     return count, fps, speed, motion.verdict, notes
 
 
@@ -219,6 +220,20 @@ def _enlarged(xy_px: Array, zoom: int) -> Array:
     return zoom * xy_px + 0.5 * (zoom - 1)
 
 
+def first_frame_note(motion: Motion, settings: _ResultSettings) -> str | None:
+    """What to say where a video goes on after the clip's last frame, and nobody says which frame it begins with."""
+    if settings.video is None or settings.first_frame or motion.settings.get("frames") is not None:
+        return None
+    count, first, last = probe(settings.video).stated_frames or 0, int(motion.frames[0]), int(motion.frames[-1])
+    if count <= last + 1:
+        return None
+    return (
+        f"{settings.video.name} has {count} frames, the clip ends with frame {last}: if the video's first frame is not "
+        "the keypoints' frame 0, the pose is drawn on the wrong pictures; give the number that it has there, as in "
+        f"--first-frame {first or last + 1 - count}"
+    )
+
+
 def rate_note(video: Path, fps: float | None) -> str | None:
     """What to say where a video states another frame rate than the clip has; it may well have been filmed faster than
     it is played."""
@@ -258,7 +273,9 @@ def report(settings: PageSettings, progress: Progress) -> Answer:
     page, failed = _batch_pages(folder, progress) if of_batch else (run_page(settings, progress), {})
     for clip, error in failed.items():
         terminal(stderr=True, soft_wrap=True).print(error_text(f"{clip}: {error}"))
-    return Answer({"page": page, "failed": failed}, [f"Open {page} in a browser."])
+    note = first_frame_note(Motion.load(folder), settings) if settings.video else None
+    said = [f"note: {note}"] if note else []
+    return Answer({"page": page, "failed": failed}, [*said, f"Open {page} in a browser."])
 
 
 def run_page(settings: PageSettings, progress: Progress = silent) -> Path:
@@ -337,15 +354,16 @@ def view(settings: _ViewSettings) -> Answer:
     read_manifest(folder).require(PLAYBACK)
     if out is not None:
         require_free_file(out, settings.overwrite)
-    analysed = (folder / FOLDER / ANALYSIS).is_file()
+    analysed, said = (folder / FOLDER / ANALYSIS).is_file(), []
     with TemporaryDirectory() as temporary:
         if out is not None or settings.video is not None or analysed:
             motion, number, _ = result_and_video(settings)
+            said += [f"note: {note}"] if (note := first_frame_note(motion, settings)) else []
             found = analyse(motion) if analysed else None
             playback = Path(temporary) / PLAYBACK if out is None else out
             with staged_file(playback) as staged:
                 viewer.write(motion, staged, found, settings.video, settings.first_frame, number)
         if out is None:
             viewer.open_viewer(playback)
-    said = [] if out is None else [f"The recording is in {out}. Watch it with: rerun {shlex.quote(str(out))}"]
+    said += [] if out is None else [f"The recording is in {out}. Watch it with: rerun {shlex.quote(str(out))}"]
     return Answer({"recording": playback if out is None else out}, said)

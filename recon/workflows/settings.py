@@ -326,10 +326,11 @@ def _of_the_other_method(given: Mapping[str, Any]) -> Iterator[Problem]:
     """What would have no effect. The method may be none, such as a list in a file."""
     method = given.get("method", SETTINGS["method"].default)
     for name, value in given.items():
-        info = SETTINGS.get(name)
-        other = None if info is None or value == info.default else info.option.method
+        if (info := SETTINGS.get(name)) is None or value == info.default:
+            continue
+        other = info.option.method
         if isinstance(method, str) and method in DEFAULT_SKELETONS and other not in (None, method):
-            found = f"{value!r} with the {method} method, which does not read it"
+            found = f"{info.plain(value)!r} with the {method} method, which does not read it"
             yield Problem("settings", name, found, f"nothing, or --set method={other} with it")
 
 

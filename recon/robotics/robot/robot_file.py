@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from recon.base.arrays import Array
-from recon.base.documents import FileTable, builtin_file, builtin_names, parse_toml, read_toml, validated
+from recon.base.documents import FileTable, builtin_names, named_file, parse_toml, text_of, validated
 from recon.base.errors import InputError, Problem
 from recon.base.package import install_command
 from recon.robotics.ik.chain import MAX_RATE_RAD_S, SerialChain, joint_chain
@@ -88,18 +88,11 @@ def builtin_robots() -> tuple[str, ...]:
 
 def load_robot(robot: str | Path) -> Quadruped:
     """A built-in robot by name, or one of a file, .toml, .urdf or .xml (MJCF). Raises InputError."""
-    text, path = str(robot), Path(robot)
-    suffix = path.suffix.lower()
-    if text in builtin_robots():
-        content = builtin_file("robotics/robot/robots", f"{text}.toml").read_text(encoding="utf-8")
-        return _checked_robot(_quadruped(text, parse_toml(content, text)))
-    if suffix in SUFFIXES:
+    if (path := Path(robot)).suffix.lower() in SUFFIXES:
         return _checked_robot(_quadruped_of_model(path))
-    if suffix == ".toml" and path.is_file():
-        return _checked_robot(_quadruped(text, read_toml(path)))
-    found = "no such file" if suffix == ".toml" else "no such robot"
-    expected = f"{', '.join(builtin_robots())}, or a file .toml, .urdf or .xml"
-    raise InputError(Problem(text, "robot", found, expected))
+    choice = (*builtin_robots(), "a file .urdf or .xml")
+    content, _ = named_file(robot, "robotics/robot/robots", ".toml", "--robot", "robot", choice)
+    return _checked_robot(_quadruped(str(robot), parse_toml(text_of(content, robot, "a robot file"), robot)))
 
 
 def _quadruped(source: str, table: dict[str, Any]) -> Quadruped:

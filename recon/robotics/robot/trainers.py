@@ -34,7 +34,7 @@ from recon.robotics.robot.robot_file import builtin_robots, load_robot
 
 KEPT, SCHEMA = "robot.npz", {"name": "recon.robot", "version": 1}
 RATE_HZ = 50.0
-"""Of files, unless another is asked for."""
+"""The rate of the files, unless another is asked for."""
 AMP_LEGS = ("RF", "LF", "RH", "LH")
 AMP_JOINTS = 3
 """The joints of a leg, in the layout."""

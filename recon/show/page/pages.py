@@ -285,11 +285,11 @@ def _angle_curves(motion: Motion) -> dict[str, AngleCurve]:
 FIRST = ("failed", "unsolved", "pending")
 """The statuses that stand above all others."""
 NUMBERS = {
-    "pose_mm": ("pose ± mm", ".0f"),
-    "position_m": ("position ± m", ".2f"),
+    "pose_mm": ("pose off by, mm", ".0f"),
+    "position_m": ("position off by, m", ".2f"),
     "frames": ("frames", "d"),
     "outliers": ("outliers", "d"),
-    "mean_reprojection_px": ("off by, px", ".1f"),
+    "mean_reprojection_px": ("reprojection, px", ".1f"),
     "mean_speed_m_s": ("mean m/s", ".1f"),
     "peak_speed_m_s": ("peak m/s", ".1f"),
     "size": ("size", ".2f"),

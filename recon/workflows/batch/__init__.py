@@ -535,7 +535,7 @@ def _row_text(row: Mapping[str, Any]) -> Text:
     text = Text.assemble((row["status"], _STYLES.get(row["status"], "")), f"  {row['clip']}")
     if row["error"]:
         return text.append(f": {row['error']}")
-    pose = "" if row["pose_mm"] is None else f", pose ± {row['pose_mm']:.0f} mm"
+    pose = "" if row["pose_mm"] is None else f", pose off by {row['pose_mm']:.0f} mm"
     why = "" if level in ("", "use") else f": {row['reason']}"
     text.append("  ").append(level, STYLES.get(level, ""))
     return text.append(f"{pose}, {row['frames']} frames, {row['seconds']:.1f} s{why}")

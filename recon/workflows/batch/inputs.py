@@ -31,6 +31,7 @@ AUTO, NONE = "auto", "none"
 OPTION = "--cameras-by"
 SEPARATORS = "-_. "
 """In a file's name, beside the camera's."""
+_MANIFEST = "a CSV table with columns keypoints, camera and fps"
 _UNFIT = re.compile(r'[<>:"/\\|?*\x00-\x1f]')
 """Characters that some file system does not take in a name."""
 BETWEEN = "|"
@@ -185,6 +186,8 @@ def _why_left_out(path: Path) -> str:
         return "not readable"
     with suppress(InputError):
         if not path.stat().st_size or recognised(path, "2D") is None:
+            with suppress(InputError):
+                return "cameras (for a manifest's column camera)" if read_cameras(path) else ""
             return "of no known format"
         if any({"x", "y", "z"} <= {*cells} for _, cells in islice(text_rows(path), 4)):  # the rows of a header
             return "3D positions"
@@ -478,6 +481,8 @@ def _settings(draft: _Draft, common: Mapping[str, Any], config: Path | None) -> 
 
     def of_row(problem: Problem) -> Problem:
         in_row = problem.field in row or (problem.found == "nothing" and problem.field not in under)
+        if draft.where is None and problem.field == "camera" and in_row:
+            return replace(problem, expected=f"{problem.expected}; for clips with cameras of their own {_MANIFEST}")
         if draft.where is None or not in_row:
             return problem
         return replace(problem, file=draft.where[0], field=f"{draft.where[1]}, {problem.field}")

@@ -24,7 +24,7 @@ import typer
 from typer.core import TyperCommand
 
 from recon.base.errors import InputError, Problem, refuse
-from recon.base.settings import SettingInfo, Settings, on_command_line
+from recon.base.settings import SettingInfo, Settings, on_command_line, unknown_setting
 from recon.workflows.cli.common import Answer, progress_bar, terminal
 
 _FLAGS = {
@@ -137,7 +137,7 @@ def _values_of_set(texts: list[str], infos: dict[str, SettingInfo]) -> dict[str,
         if not equals:
             problems.append(Problem("--set", "setting", repr(text), "name=value, as in sigma-px=2"))
         elif name not in infos:
-            problems.append(Problem("--set", name, "an unknown setting", f"one of {', '.join(infos)}"))
+            problems.append(unknown_setting("--set", name, infos))
         elif infos[name].is_many:
             found.setdefault(name, []).append(value)
         else:
