@@ -179,9 +179,9 @@ def misfits(solved: Sequence[SegmentFit]) -> Rows:
 # -- side views ----------------------------------------------------------------------------------------------------
 
 
-def side_view(clip: Clip) -> tuple[Camera, float]:
+def side_view(clip: Clip, reference: str = "Hips") -> tuple[Camera, float]:
     """The camera, which knows its place above the ground, and its horizontal field of view in degrees."""
-    hips = clip.points_m[:, clip.names.index("Hips")]
+    hips = clip.points_m[:, clip.names.index(reference)]
     middle = (hips[:, 0].min() + hips[:, 0].max()) / 2
     return narrowest(clip.points_m, np.array([middle, np.median(hips[:, 1]) - DISTANCE_M, HEIGHT_M]))
 
@@ -197,9 +197,11 @@ def narrowest(points_m: np.ndarray, centre_m: np.ndarray) -> tuple[Camera, float
     raise ValueError("the clip does not fit into a picture")
 
 
-def write_view(clip: Clip, folder: Path, seed: int) -> tuple[FitSettings, float]:
+def write_view(
+    clip: Clip, folder: Path, seed: int, skeleton: str = SKELETON, reference: str = "Hips"
+) -> tuple[FitSettings, float]:
     """Detections and camera as files, and the settings that read them; the field of view."""
-    camera, hfov_deg = side_view(clip)
+    camera, hfov_deg = side_view(clip, reference)
     px, _ = camera.project(camera.world_to_camera(clip.points_m))
     px += np.random.default_rng(seed).normal(0, NOISE_PX, px.shape)
     table = np.concatenate([px, np.ones((*px.shape[:2], 1))], axis=2).reshape(len(px), -1)
@@ -212,7 +214,7 @@ def write_view(clip: Clip, folder: Path, seed: int) -> tuple[FitSettings, float]
         keypoints=(folder / f"{clip.name}.csv",),
         camera=(folder / f"{clip.name}.toml",),
         fps=clip.fps,
-        skeleton=SKELETON,
+        skeleton=skeleton,
     )
     return settings, hfov_deg
 

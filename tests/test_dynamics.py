@@ -18,6 +18,7 @@ from recon.gait.dynamics import (
     MEAN_OF_PEAK,
     OFF_GRAVITY,
     SKEW,
+    _forces,
     findings_of_dynamics,
     off_gravity,
     shape,
@@ -105,6 +106,10 @@ def test_forces_of_a_stride_carry_the_body(found: ClipAnalysis):
         assert force["peak_low_bw"] < force["peak_bw"] < force["peak_high_bw"]
         assert force["impulse_low_bw_s"] < force["impulse_bw_s"] < force["impulse_high_bw_s"]
         assert (low[inside] <= high[inside]).all()
+    # One that the clip cuts to an instant has no force, and divides nothing by its time.
+    cut = replace(gait.stances[0], end_s=gait.stances[0].start_s, ends=False, end_sigma_s=np.nan)
+    of_others = _forces(replace(gait, stances=(cut, *gait.stances[1:])))[0]
+    assert len(of_others) == len(d.forces) - (gait.stances[0].begins and gait.stances[0].ends)
 
 
 @pytest.mark.parametrize(("run", "fps", "name"), [(GALLOP, 120.0, "transverse gallop"), (TROT, 60.0, "trot")])
