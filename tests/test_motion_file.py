@@ -19,7 +19,7 @@ from command_line import refusal
 from recon import InputError, Motion
 from recon.base import load_record, save_record, write_manifest
 from recon.fit import MOTION
-from recon.fit.motion import SCHEMA
+from recon.fit.motion_forms import SCHEMA
 
 
 def differences(a: Any, b: Any, where: str = "") -> list[str]:

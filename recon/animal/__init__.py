@@ -35,19 +35,17 @@ if TYPE_CHECKING:
         load_prior,
         mean_speed_m_s,
         prior_from_body,
-        save_prior,
     )
     from recon.animal.prior_fit import fit_prior
     from recon.animal.skeleton_file import (
         builtin_chains,
         builtin_names,
         builtin_subjects,
-        detector_toml,
         load_chain,
         load_skeleton,
         seen_by,
         skeleton_of,
-        subject_toml,
     )
+    from recon.animal.writing import detector_toml, save_prior, subject_toml
 
 __getattr__ = lazily(__name__, __file__)

@@ -7,13 +7,11 @@ a file is an .npz without pickles, its texts as JSON. `recon.animal.prior_fit` m
 
 from __future__ import annotations
 
-import io
-import json
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from pydantic import ConfigDict
@@ -122,7 +120,6 @@ def mean_speed_m_s(states: Array, fps: float) -> float:
 
 # -- files --------------------------------------------------------------------------------------------------------
 
-_FORMAT = 1
 _EXPECTED = "a motion prior, as `recon prior fit` writes it"
 
 
@@ -139,19 +136,6 @@ class _About(FileTable):
 def builtin_priors() -> tuple[str, ...]:
     """Names of the priors that come with the package."""
     return documents.builtin_names("animal/priors", ".npz")
-
-
-def save_prior(prior: MotionPrior, path: str | Path) -> None:
-    """Write an .npz: the arrays in single precision, the texts as JSON, no pickles."""
-    about: dict[str, Any] = {"format": _FORMAT, "name": prior.name, "source": prior.source}
-    about |= {"angles": list(prior.angles), "segments": [asdict(row) for row in prior.segments]}
-    arrays = {name: getattr(prior, name).astype(np.float32) for name in SHAPES}
-    made = io.BytesIO()
-    np.savez_compressed(made, about=np.array(json.dumps(about)), **arrays)
-    from recon.base.files import staged_file, write_bytes
-
-    with staged_file(Path(path)) as staged:
-        write_bytes(staged, made.getvalue())
 
 
 def load_prior(name_or_path: str | Path | None, body: Body) -> MotionPrior:

@@ -10,7 +10,7 @@ scorer says.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -335,25 +335,6 @@ def _body(f: _BodyFile) -> Body:
     )
 
 
-def subject_toml(skeleton: str | Path, body: Body, title: str, notes: Sequence[str] = ()) -> str:
-    """The text of a subject file: the lengths and keypoint offsets of a body, of that skeleton. notes: comments."""
-    import tomli_w
-
-    raw, source = read_named(skeleton)
-    file = validated(_BodyFile, raw, source)
-    placed = {item.name: item.offset_m for item in (*body.tree.segments, *body.tree.markers)}
-    given = [item.name for item in (*file.segments[1:], *file.markers)]
-    offsets = {marker.name: body.keypoint_offset_m.get(marker.name) for marker in file.markers}
-    plain = {
-        "skeleton": file.name,
-        "title": title,
-        "size_sigma": round(body.size_sigma, 4),
-        "at_m": {name: [round(x, 4) for x in placed[name]] for name in given if any(placed[name])},
-        "keypoint_offset_m": {name: [round(x, 4) for x in at] for name, at in offsets.items() if at is not None},
-    }
-    return "".join(f"# {note}\n" for note in notes) + tomli_w.dumps(plain)
-
-
 # -- detectors --------------------------------------------------------------------------------------------------------
 
 NONE = "none"
@@ -431,20 +412,3 @@ def _of_scorers(scorers: Mapping[str, str | None], skeleton: str) -> str:
         expected = f"files of one detector, or the one to take for all cameras: --set detector={NONE}, or its name"
         raise InputError(Problem("KEYPOINTS", "detector", ", ".join(each), expected))
     return next(iter(found.values()))
-
-
-def detector_toml(body: Body, title: str, notes: Sequence[str] = ()) -> str:
-    """The text of a detector file, as a body is seen, of the left side and the middle. notes: comments."""
-    import tomli_w
-
-    keypoints = {
-        marker: {
-            "offset_m": [round(x, 4) for x in body.keypoint_offset_m[marker]],
-            "spread_m": round(spread, 4),
-            "sigma_m": round(body.keypoint_noise_m.get(marker, body.keypoint_sigma_m), 4),
-        }
-        for marker, spread in body.keypoint_spread_m.items()
-        if marker in body.keypoint_offset_m and (side_of(marker) != "right" or other_side(marker) not in body.markers)
-    }
-    plain = {"skeleton": body.name, "title": title, "keypoint_sigma_m": round(body.keypoint_sigma_m, 4)}
-    return "".join(f"# {note}\n" for note in notes) + tomli_w.dumps(plain | {"keypoints": keypoints})

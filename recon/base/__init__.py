@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from recon.base.arrays import decimals, length_text
+    from recon.base.errors import decimals, length_text
     from recon.base.files import require_free_folder, sole_writer, staged_file, staged_folder, staged_results
     from recon.base.interrupts import MESSAGE
     from recon.base.manifest import MANIFEST, read_manifest, write_manifest

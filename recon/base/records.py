@@ -20,8 +20,9 @@ from typing import Any, TypeVar
 import numpy as np
 from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 
-from recon.base.documents import DAMAGE, KINDS, MAX_UNPACKED, arrays_of, parse_json, problems_of, read_content
+from recon.base.documents import DAMAGE, KINDS, MAX_UNPACKED, arrays_of, parse_json, read_content
 from recon.base.errors import InputError, Problem
+from recon.base.field_problems import problems_of
 
 RECORD = "record"
 SMALL = 64

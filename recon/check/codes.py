@@ -10,8 +10,8 @@ import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from recon.base.arrays import length_text
 from recon.base.documents import builtin_file
+from recon.base.errors import length_text
 from recon.fit.motion import Motion
 from recon.fit.result import Finding, Severity
 

@@ -12,7 +12,8 @@ if TYPE_CHECKING:
     from recon.fit.clip_problem import ClipProblem, TrajectoryOptions
     from recon.fit.extrinsics import solve_extrinsics
     from recon.fit.least_squares import Estimate, LeastSquares, Unknown
-    from recon.fit.motion import MOTION, Motion
+    from recon.fit.motion import Motion
+    from recon.fit.motion_forms import MOTION
     from recon.fit.points import solve_points
     from recon.fit.posterior import DEGREES_OF_FREEDOM, radius, sigmas
     from recon.fit.result import ExpectedError, Finding, Ground, MotionSegment, Solution, TrajectorySolution, Verdict

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from html import escape
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -14,10 +13,9 @@ import numpy as np
 
 from recon.animal.body import Body, Side, Skeleton
 from recon.base.arrays import Array, Bools, Integers, median
-from recon.base.errors import InputError, Problem
 from recon.clip import Source, world_from_reference
 from recon.clip.keypoints import CleaningReport, Keypoints
-from recon.fit.result import OUTLIER_SIGMAS, SHAPES, Finding, MotionSegment, Solution, Verdict
+from recon.fit.result import OUTLIER_SIGMAS, Finding, MotionSegment, Solution, Verdict
 from recon.geometry.camera import Camera
 from recon.geometry.frames import inverse, moved
 from recon.geometry.kinematics import PITCH, ROOT, YAW
@@ -26,15 +24,8 @@ from recon.io.common import Pose3D
 if TYPE_CHECKING:
     import pandas as pd
 
-MOTION = "motion.npz"
-SCHEMA = {"name": "recon.motion", "version": 2}
-EXPECTED = "the motion that `recon fit` or `Motion.save` wrote"
 MEASURED_SHARE = 0.5
 """A quantity with less of its precision from the pixels is not called measured."""
-_REPORT, _CONFIG = "report.json", "config.toml"
-"""Beside a motion, in the folder of results that `recon fit` wrote."""
-_OF_A_FIT = (_REPORT, _CONFIG, "angles.csv", "pose3d.csv", "quality.csv")
-"""Files that a fit puts beside the motion. Where one is there and the manifest is not, a run was interrupted."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,16 +113,10 @@ class Motion:
         return f"<Motion of {Path(self.file).name}: {self.body.name}, {posed} of {self.clip_frames} frames, {level}>"
 
     def _repr_html_(self) -> str:
-        """What a notebook shows: the verdict, the errors to expect, a picture of the poses, and what they are of."""
-        said = () if self.verdict is None else self.verdict.lines
-        rows: dict[str, str] = dict(zip(("verdict", "expected"), said, strict=False))
-        rows["clip"] = f"{Path(self.file).name}, frames {self.frames[0]} to {self.frames[-1]} at {self.fps:g} fps"
-        rows["camera"] = ", ".join(camera.name for camera in self.cameras)
-        rows["animal"] = self.title
-        rows["frames"] = f"{self.solved.sum()} of {self.clip_frames} with a pose, {sum(map(bool, self.flags))} flagged"
-        left = "style='text-align:left'"
-        cells = (f"<tr><th {left}>{name}</th><td {left}>{escape(text)}</td></tr>" for name, text in rows.items())
-        return f"<div><table>{''.join(cells)}</table>{_from_the_side(self.upright.xyz_m, self.limbs.values())}</div>"
+        """What a notebook shows."""
+        from recon.fit.motion_forms import html_of
+
+        return html_of(self)
 
     # -- handed over ----------------------------------------------------------------------------------------------
 
@@ -139,39 +124,26 @@ class Motion:
         """The joints in the frame of `upright`, z up, metres, with standard deviations (`upright_sigma_m`); NaN
         without a pose. A row for each frame and joint: frame, time_s, joint, x_m, y_m, z_m, x_sigma_m, y_sigma_m,
         z_sigma_m, flags; or, wide, a row for each frame, its columns by joint and value."""
-        import pandas as pd
+        from recon.fit.motion_forms import table_of
 
-        T, J = len(self.frames), len(self.names)
-        values = np.concatenate([self.upright.xyz_m, self.upright_sigma_m], axis=2)
-        columns = [f"{axis}{of}_m" for of in ("", "_sigma") for axis in "xyz"]
-        if wide:
-            index = pd.MultiIndex.from_product([self.names, columns], names=["joint", "value"])
-            return pd.DataFrame(values.reshape(T, -1), index=pd.Index(self.frames, name="frame"), columns=index)
-        head = {"frame": np.repeat(self.frames, J), "time_s": np.repeat(self.time_s, J), "joint": [*self.names] * T}
-        table = pd.DataFrame(head | dict(zip(columns, values.reshape(-1, 6).T, strict=True)))
-        return table.assign(flags=np.repeat([", ".join(some) for some in self.flags], J))
+        return table_of(self, wide)
 
     def to_xarray(self) -> Any:
         """The same as movement's dataset of poses: `position` and `position_sigma` (time, space, keypoint, individual)
         in metres, `confidence`, which is NaN, the frame rate, the source and the verdict as attributes. Raises
         InputError where xarray is not installed."""
-        from recon.io.movement import dataset_of
+        from recon.fit.motion_forms import dataset_of
 
-        made = dataset_of(self.upright)
-        made["position_sigma"] = (made["position"].dims, self.upright_sigma_m.transpose(0, 2, 1)[..., None])
-        said = {} if self.verdict is None else {"verdict": self.verdict.level, "verdict_reason": self.verdict.reason}
-        return made.assign_attrs(said | {"source_file": self.file})
+        return dataset_of(self)
 
     # -- saved and loaded -----------------------------------------------------------------------------------------
 
     def save(self, folder: str | Path) -> Path:
         """Write motion.npz into a folder, which is made if need be, whole or not at all; its path. `load` gives back
         the same motion, bit for bit."""
-        from recon.base.records import save_record
+        from recon.fit.motion_forms import save
 
-        path = Path(folder) / MOTION
-        save_record(self, path, SCHEMA)
-        return path
+        return save(self, Path(folder))
 
     @classmethod
     def load(cls, folder: str | Path) -> Motion:
@@ -179,42 +151,9 @@ class Motion:
 
         Raises InputError where there is none, where it is damaged or of another version, and where the folder holds
         what an interrupted run left, or the files of several runs."""
-        from recon.base.manifest import MANIFEST, read_manifest
-        from recon.base.records import load_record
+        from recon.fit.motion_forms import load
 
-        folder = Path(folder)
-        path = folder / MOTION
-        if not path.is_file():
-            raise InputError(_no_motion(folder))
-        if any((folder / name).exists() for name in (MANIFEST, *_OF_A_FIT)):  # not a motion that was saved by itself
-            read_manifest(folder).require(MOTION)
-        again = f"; of an earlier version, make it again by {_again(folder)}" if (folder / _CONFIG).is_file() else ""
-        motion = load_record(cls, path, SCHEMA, EXPECTED + again)
-        try:
-            faults = motion._misfits()
-            _ = motion.limbs, motion.foot_names, motion.forward_names  # names of joints that there are
-        except (KeyError, ValueError, IndexError) as error:
-            raise InputError(Problem(path, "solution.body", f"a joint {error}", EXPECTED)) from None
-        if faults:
-            raise InputError(Problem(path, name, found, expected) for name, found, expected in faults)
-        return motion
-
-    def _misfits(self) -> list[tuple[str, str, str]]:
-        """Arrays whose shapes do not fit each other: their names, the shapes that they have, and those expected."""
-        sizes = {"T": len(self.frames), "J": len(self.joints), "V": len(self.sources), "D": self.body.n_state}
-        sizes |= {"F": len(self.body.feet), "A": self.body.n_state - YAW, "2": 2, "3": 3, "4": 4}
-        solution = self.solution
-        arrays = {f"solution.{name}": (getattr(solution, name), letters) for name, letters in SHAPES.items()}
-        arrays["solution.flags"] = (np.zeros(len(solution.flags)), "T")
-        arrays["solution.views"] = (np.zeros(len(solution.views)), "V")
-        for i, source in enumerate(self.sources):
-            for name, letters in (("frames", "T"), ("xy_px", "TJ2"), ("confidence", "TJ")):
-                arrays[f"sources.{i}.keypoints.{name}"] = (getattr(source.keypoints, name), letters)
-            if source.poses is not None:
-                arrays[f"sources.{i}.poses.T_camera_world"] = (source.poses.T_camera_world, "T44")
-        arrays |= {f"solution.views.{i}.xy_px": (view.xy_px, "TJ2") for i, view in enumerate(solution.views)}
-        fits = {name: tuple(sizes[letter] for letter in letters) for name, (_, letters) in arrays.items()}
-        return [(name, str(of.shape), str(fits[name])) for name, (of, _) in arrays.items() if of.shape != fits[name]]
+        return load(cls, Path(folder))
 
     def __post_init__(self) -> None:
         if self.keypoints.fps is None:
@@ -586,38 +525,6 @@ class Motion:
         return R @ covariance_m2 @ R.T
 
 
-def _from_the_side(joints_m: Array, limbs: Iterable[Sequence[int]]) -> str:
-    """A picture of eight of the poses (T, J, 3), z up, evenly spaced in time, from where the animal passes by; none
-    without two."""
-    posed = joints_m[np.isfinite(joints_m).all(axis=(1, 2))]
-    if len(posed) < 2:
-        return ""
-    way = (posed[-1] - posed[0]).mean(axis=0)[:2]
-    along = way / np.linalg.norm(way) if way.any() else np.array([1.0, 0.0])
-    shown = posed[np.linspace(0, len(posed) - 1, min(8, len(posed)), dtype=int)]
-    points = np.stack([shown[..., :2] @ along, -shown[..., 2]], axis=-1)
-    (x, y), (width, height) = points.min(axis=(0, 1)), np.ptp(points, axis=(0, 1))
-    drawn = (" ".join(f"{a:.3f},{b:.3f}" for a, b in pose[[*limb]]) for pose in points for limb in limbs)
-    lines = "".join(f"<polyline vector-effect='non-scaling-stroke' points='{line}'/>" for line in drawn)
-    box = f"viewBox='{x:.3f} {y:.3f} {width:.3f} {height:.3f}' width='640' height='240'"
-    return f"<svg {box} role='img' fill='none' stroke='#0072b2' stroke-width='1.6' overflow='visible'>{lines}</svg>"
-
-
 def _sigmas(covariance: Array) -> Array:
     """Standard deviations (..., 3) along the axes."""
     return np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))
-
-
-def _again(folder: Path) -> str:
-    return f"recon fit --config {folder / _CONFIG} --out {folder} --overwrite"
-
-
-def _no_motion(folder: Path) -> Problem:
-    """What a folder without a motion is instead."""
-    own = "the folder of results that `recon fit` wrote"
-    if (folder / _REPORT).is_file() and (folder / _CONFIG).is_file():
-        found = f"no {MOTION}: results of an earlier version"
-        return Problem(folder, "folder", found, f"results of this one: make them again by {_again(folder)}")
-    clips = sorted(path.parent for path in folder.glob(f"*/{MOTION}")) if folder.is_dir() else []
-    found = f"no {MOTION}" if folder.is_dir() else "a file" if folder.is_file() else "no such folder"
-    return Problem(folder, "folder", found, f"that of one clip, as in {clips[0]}" if clips else own)

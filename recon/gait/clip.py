@@ -19,8 +19,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from recon.base.arrays import Array, Bools, decimals
-from recon.base.errors import InputError, Problem
+from recon.base.arrays import Array, Bools
+from recon.base.errors import InputError, Problem, decimals
 from recon.clip.keypoints import frame_ranges
 from recon.fit.motion import MEASURED_SHARE, Motion
 from recon.fit.posterior import radius

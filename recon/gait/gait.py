@@ -44,7 +44,8 @@ from typing import Literal
 
 import numpy as np
 
-from recon.base.arrays import Array, Bools, length_text, mean, median
+from recon.base.arrays import Array, Bools, mean, median
+from recon.base.errors import length_text
 from recon.clip.keypoints import frame_ranges
 from recon.fit.posterior import radius
 from recon.gait import kinematics

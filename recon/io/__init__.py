@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from recon.io.calibration import read_camera, read_cameras, write_camera, write_cameras
     from recon.io.camera_track import CameraTrack, read_camera_track, track_files, track_label
     from recon.io.columns import parse_map
-    from recon.io.common import Pose3D, StoredPoints, write_columns, write_rows, write_table, y_up_from_z_up
+    from recon.io.common import Pose3D, StoredPoints
     from recon.io.deeplabcut import write_csv
     from recon.io.deeplabcut_project import find_project, predictions
     from recon.io.formats import (
@@ -39,5 +39,6 @@ if TYPE_CHECKING:
         timed_frames,
         video_writer,
     )
+    from recon.io.writing import write_columns, write_rows, write_table, y_up_from_z_up
 
 __getattr__ = lazily(__name__, __file__)

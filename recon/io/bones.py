@@ -30,7 +30,7 @@ from recon.base.arrays import Array
 from recon.base.documents import read_text
 from recon.base.errors import Problem, refuse
 from recon.base.package import version
-from recon.io import common, trc
+from recon.io import common, trc, writing
 from recon.io.common import Pose3D, StoredPoints
 
 AXIS: dict[str, tuple[int, int, int]] = {"yaw": (0, 1, 0), "pitch": (0, 0, -1), "roll": (1, 0, 0)}
@@ -216,7 +216,7 @@ def write_bvh(rig: Armature, path: Path) -> None:
 
     Raises InputError for names with blanks or braces.
     """
-    common.require_names([bone.name for bone in rig.bones] + list(rig.joints), r"\s|[{}]", "BVH")
+    writing.require_names([bone.name for bone in rig.bones] + list(rig.joints), r"\s|[{}]", "BVH")
     lines, columns = ["HIERARCHY"], [rig.root_m]
 
     def add(kind: str, name: str, offset_m: np.ndarray, bone: int | None, depth: int) -> None:
@@ -263,7 +263,7 @@ def write_opensim(rig: Armature, path: Path) -> None:
     file. Without masses in the skeleton bodies have none: the model is for kinematics then.
 
     Raises InputError for names with blanks or slashes."""
-    common.require_names([bone.name for bone in rig.bones] + list(rig.joints), r"[\s/\\*+]", OPENSIM)
+    writing.require_names([bone.name for bone in rig.bones] + list(rig.joints), r"[\s/\\*+]", OPENSIM)
     document = Element("OpenSimDocument", Version=OPENSIM_VERSION)
     model = SubElement(document, "Model", name=rig.name)
     _texts(model, credits=f"recon, from {rig.title}", length_units="meters", force_units="N")
@@ -323,7 +323,7 @@ def _draw(body: Element, rig: Armature, bone: Bone) -> None:
     of_it = [c for c in rig.capsules if rig.bones[c.segment] is bone]
     components = SubElement(body, "components") if of_it else body
     for i, capsule in enumerate(of_it):
-        end = common.y_up_from_z_up(np.array(capsule.end_m))
+        end = writing.y_up_from_z_up(np.array(capsule.end_m))
         frame = SubElement(components, "PhysicalOffsetFrame", name=f"shape_{i}")
         cylinder = SubElement(SubElement(frame, "attached_geometry"), "Cylinder", name="cylinder")
         _texts(cylinder, radius=repr(capsule.radius_m), half_height=repr(float(np.linalg.norm(end)) / 2))
@@ -482,7 +482,7 @@ _TRIANGLES = _triangles()
 
 def _surface(capsule: Capsule) -> tuple[Array, Array]:
     """Points and normals (N, 3) of rings around the capsule from its first pole to the other, in its bone's frame."""
-    end = common.y_up_from_z_up(np.array(capsule.end_m))
+    end = writing.y_up_from_z_up(np.array(capsule.end_m))
     along = end / np.linalg.norm(end)
     beside = np.array([0.0, 0.0, 1.0])  # capsules lie in the x-y plane
     quarter = np.linspace(0.0, np.pi / 2, _RINGS)

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from recon.base.errors import InputError, Problem
-from recon.io import common
+from recon.io import common, writing
 from recon.io.common import Pose3D, StoredPoints
 
 TITLE = "C3D"
@@ -52,7 +52,7 @@ def read(path: Path, individual: str | None = None) -> StoredPoints:
     names = [text for name in labels for text in point[name]][: xyz.shape[1]]
     fps = common.rate(str(np.float32(point["RATE"].ravel()[0])))
     frames = np.arange(len(xyz)) + first - 1
-    listed = common.frames_of_text(parameters.get(OWN_GROUP, {}).get("FRAMES", ()))
+    listed = writing.frames_of_text(parameters.get(OWN_GROUP, {}).get("FRAMES", ()))
     if listed is not None and listed[-1] - listed[0] == len(xyz) - 1:  # and not of frames that were cut since
         frames, xyz = listed, xyz[listed - listed[0]]
     unit, screen = ("".join(point.get(name, ())[:1]) for name in ("UNITS", "Y_SCREEN"))
@@ -149,12 +149,12 @@ def _text(data: bytes) -> str:
 def write(pose: Pose3D, path: Path) -> None:
     """Millimetres, z up. Raises InputError without a frame rate, and for names, numbers of frames or gaps that C3D
     cannot hold."""
-    fps = common.required_fps(pose.fps, TITLE)
-    common.require_names(pose.names, r"^\s|\s$|\x00", TITLE, bytes_max=TEXT_MAX)
+    fps = writing.required_fps(pose.fps, TITLE)
+    writing.require_names(pose.names, r"^\s|\s$|\x00", TITLE, bytes_max=TEXT_MAX)
     with common.formats_extra(TITLE):
         import ezc3d
-    xyz = common.without_gaps(pose.frames, pose.xyz_m * common.PER_METRE[UNIT], TITLE)
-    ranges = common.frames_text(pose.frames)
+    xyz = writing.without_gaps(pose.frames, pose.xyz_m * common.PER_METRE[UNIT], TITLE)
+    ranges = writing.frames_text(pose.frames)
     for what, count, most in (("frames", len(xyz), WORD_MAX), ("gaps", len(ranges) - 1, TEXT_MAX - 1)):
         if count > most:
             raise InputError(Problem(TITLE, what, str(count), f"at most {most}"))

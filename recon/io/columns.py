@@ -25,7 +25,7 @@ import numpy as np
 from recon.base.errors import InputError, Problem, refuse
 from recon.base.files import write_bytes
 from recon.clip.keypoints import Keypoints
-from recon.io import common
+from recon.io import common, writing
 from recon.io.common import Pose3D, StoredPoints
 
 Columns = Mapping[str, Any]
@@ -284,7 +284,7 @@ def write_long(keypoints: Keypoints, path: Path) -> None:
         for frame, points in zip(keypoints.frames, values, strict=True)
         for name, point in zip(keypoints.names, points, strict=True)
     )
-    common.write_rows(path, [["frame", *start, "bodypart", "x", "y", "likelihood", *end]], rows)
+    writing.write_rows(path, [["frame", *start, "bodypart", "x", "y", "likelihood", *end]], rows)
 
 
 def write_parquet(pose: Pose3D, path: Path) -> None:

@@ -1,6 +1,5 @@
-"""What readers and writers of several formats share: points as a file has them, and 3D positions as the rest of the
-package takes them; optional libraries, the choice of an animal, names, frames, and tables of text, whose numbers read
-back exactly."""
+"""What readers of several formats share: points as a file has them, and 3D positions as the rest of the package takes
+them; optional libraries, the choice of an animal, names, frames, and tables of text."""
 
 from __future__ import annotations
 
@@ -10,7 +9,7 @@ import struct
 import zlib
 from array import array
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -19,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from recon.base.errors import InputError, Problem, refuse
-from recon.clip.keypoints import Keypoints, frame_ranges
+from recon.clip.keypoints import Keypoints
 
 PER_METRE = {"m": 1.0, "cm": 100.0, "mm": 1000.0}
 UNIT_NAMES = {
@@ -110,30 +109,6 @@ UNNAMED_POINTS = "The file names no points: they are called point1, point2, ... 
 def numbered_names(count: int) -> tuple[str, ...]:
     """For the points of a file that has no names, which has the note `UNNAMED_POINTS`."""
     return tuple(f"point{k}" for k in range(1, count + 1))
-
-
-def points_of(data: Keypoints | Pose3D) -> StoredPoints:
-    """As a file is to have them: px, or metres with z up."""
-    if isinstance(data, Keypoints):
-        return StoredPoints(
-            data.names, data.xy_px, data.frames, data.confidence, data.fps, data.individual, scorer=data.scorer
-        )
-    return StoredPoints(data.names, data.xyz_m, data.frames, fps=data.fps, unit="m", up="z", edges=data.edges)
-
-
-def z_up_from_y_up(xyz: np.ndarray) -> np.ndarray:
-    """Positions (..., 3) with x forwards, y up, z right, as ours: x forwards, y left, z up."""
-    return np.stack([xyz[..., 0], -xyz[..., 2], xyz[..., 1]], axis=-1)
-
-
-def y_up_from_z_up(xyz: np.ndarray) -> np.ndarray:
-    """Points (..., 3) with y up from points with z up: the inverse of `z_up_from_y_up`."""
-    return np.stack([xyz[..., 0], xyz[..., 2], -xyz[..., 1]], axis=-1)
-
-
-def index_edges(names: Sequence[str], edges: Sequence[tuple[str, str]]) -> np.ndarray:
-    """(E, 2) int: the pairs of names as indices."""
-    return np.array([[names.index(a), names.index(b)] for a, b in edges], dtype=np.int64).reshape(-1, 2)
 
 
 # -- reading -----------------------------------------------------------------------------------------------------------
@@ -386,25 +361,6 @@ def frames_of_times(path: Path, times_s: np.ndarray, fps: float | None) -> tuple
     return since_start + round(float(times_s[0]) * fps), fps
 
 
-def frames_text(frames: np.ndarray) -> list[str]:
-    """Increasing frame numbers as ranges with both ends: 10, 11, 12, 15 is ["10-12", "15"]."""
-    return [f"{a}" if b == a + 1 else f"{a}-{b - 1}" for a, b in frame_ranges(frames)]
-
-
-def frames_of_text(ranges: Iterable[str]) -> np.ndarray | None:
-    """The opposite of `frames_text`; None for anything else."""
-    frames: list[np.ndarray] = []
-    last = -MAX_FRAME - 1
-    for text in ranges:
-        match = re.fullmatch(r"(-?[0-9]{1,10})(?:-(-?[0-9]{1,10}))?", text)
-        first, end = (int(match[1]), int(match[2] or match[1])) if match else (0, -1)
-        if not last < first <= end <= MAX_FRAME or end - first > 10**7:
-            return None
-        frames.append(np.arange(first, end + 1))
-        last = end
-    return np.concatenate(frames) if frames else None
-
-
 def rate(value: object) -> float | None:
     """A frame rate as a file has it; None for anything that is none."""
     try:
@@ -412,44 +368,6 @@ def rate(value: object) -> float | None:
     except (TypeError, ValueError):
         return None
     return fps if 0 < fps < float("inf") else None
-
-
-# -- writing ---------------------------------------------------------------------------------------------------------
-
-
-def required_fps(fps: float | None, title: str) -> float:
-    """Raises InputError without a frame rate."""
-    if fps is None:
-        found = "nothing, and no frame rate in the input"
-        raise InputError(Problem("--fps", "fps", found, f"frames per second, as in 90: {title} cannot do without"))
-    return fps
-
-
-def require_names(names: Sequence[str], forbidden: str, title: str, bytes_max: int | None = None) -> None:
-    """Raises InputError for names with a character that matches the pattern `forbidden`, or that are too long."""
-    problems = [
-        Problem(title, "name", f"'{name}', with {found.group()!r} in it", "a name that the format can hold")
-        for name in names
-        if (found := re.search(forbidden, name))
-    ]
-    problems += [
-        Problem(title, "name", f"'{name}', {len(name.encode())} bytes in UTF-8", f"at most {bytes_max}")
-        for name in names
-        if bytes_max is not None and len(name.encode()) > bytes_max
-    ]
-    refuse(problems[:10])
-
-
-def without_gaps(frames: np.ndarray, values: np.ndarray, title: str) -> np.ndarray:
-    """Values (T, ...) with rows of NaN for the frame numbers that are absent between the first and the last.
-
-    Raises InputError if the gaps would make the file absurdly long.
-    """
-    span = int(frames[-1] - frames[0]) + 1
-    require_span(span, values.shape[1], title)
-    regular = np.full((span, *values.shape[1:]), np.nan)
-    regular[frames - frames[0]] = values
-    return regular
 
 
 def require_span(frames: int, points: int, source: str | Path) -> None:
@@ -508,34 +426,3 @@ def number_rows(
         texts.append(row[:index])
         values.frombytes(found.tobytes())
     return texts, np.frombuffer(values).reshape(len(texts), len(columns)), problems
-
-
-def write_table(path: Path, header: Iterable[Sequence[str]], frames: np.ndarray, values: np.ndarray) -> None:
-    """Header rows as they are, then one row per frame: its number, and values (T, C); NaN is an empty cell."""
-    write_rows(path, header, ([frame, *row.tolist()] for frame, row in zip(frames.tolist(), values, strict=True)))
-
-
-def write_rows(path: Path, header: Iterable[Sequence[str]], rows: Iterable[Sequence[Any]]) -> None:
-    """The same for rows of text, whole numbers and floats."""
-    with path.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerows(header)
-        writer.writerows([_cell(value) for value in row] for row in rows)
-
-
-def write_columns(path: Path, columns: Mapping[str, np.ndarray]) -> None:
-    """A long table by its columns (N,), of floats, whole numbers or text without commas; NaN is an empty cell. Much
-    faster than row by row."""
-    import pyarrow as pa  # rerun has it
-    from pyarrow import csv as arrow_csv
-
-    table = pa.table(
-        {name: pa.array(np.ascontiguousarray(values), from_pandas=True) for name, values in columns.items()}
-    )
-    arrow_csv.write_csv(table, path, arrow_csv.WriteOptions(quoting_style="none"))
-
-
-def _cell(value: Any) -> Any:
-    """What the writer turns into the shortest text that reads back exactly."""
-    plain = value.item() if isinstance(value, np.generic) else value
-    return "" if plain != plain else plain

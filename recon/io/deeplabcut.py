@@ -251,13 +251,17 @@ def _prefixes(bodyparts: Iterable[str]) -> tuple[str, ...]:
 
 def write_csv(data: Keypoints | Pose3D, path: Path) -> None:
     """x, y and likelihood, or x, y, z in metres with z up."""
+    from recon.io.writing import write_table
+
     header, frames, values = layout(data)
-    common.write_table(path, [[level, *cells] for level, cells in header.items()], frames, values)
+    write_table(path, [[level, *cells] for level, cells in header.items()], frames, values)
 
 
 def layout(data: Keypoints | Pose3D) -> tuple[dict[str, list[str]], np.ndarray, np.ndarray]:
     """Header cells by level, frame numbers (T,) and values (T, 3K)."""
-    points = common.points_of(data)
+    from recon.io.writing import points_of
+
+    points = points_of(data)
     coords, values = ("x", "y", "z"), points.values
     if points.likelihood is not None:
         coords, values = ("x", "y", "likelihood"), np.concatenate([values, points.likelihood[..., None]], axis=2)

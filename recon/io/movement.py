@@ -18,7 +18,7 @@ import numpy as np
 from recon.base.errors import InputError, Problem, refuse
 from recon.base.files import write_bytes
 from recon.clip.keypoints import Keypoints
-from recon.io import common
+from recon.io import common, writing
 from recon.io.common import Pose3D, StoredPoints
 from recon.io.hdf5 import attribute, child, is_scale, is_text, names, numbers, opened, outline, scale_of, texts
 
@@ -164,7 +164,7 @@ def dataset_of(data: Keypoints | Pose3D) -> Any:
     """The same as an `xarray.Dataset`. Raises InputError where xarray is not installed."""
     with common.formats_extra("movement netCDF"):
         import xarray
-    points = common.points_of(data)
+    points = writing.points_of(data)
     unknown = np.full(points.values.shape[:2], np.nan)
     confidence = unknown if points.likelihood is None else points.likelihood
     attributes: dict[str, Any] = {"source_software": "recon", "ds_type": "poses", "source_file": ""}

@@ -15,12 +15,12 @@ import numpy as np
 from recon.base.documents import KINDS, MAX_UNPACKED, arrays_of, read_content
 from recon.base.errors import InputError, Problem, refuse
 from recon.base.files import write_bytes
+from recon.io import writing
 from recon.io.common import (
     DAMAGE,
     Pose3D,
     StoredPoints,
     damage_named,
-    index_edges,
     points_of_arrays,
     rate,
     require_span,
@@ -96,7 +96,7 @@ def write(pose: Pose3D, path: Path) -> None:
         xyz_m=pose.xyz_m,
         frames=pose.frames,
         fps=np.array(np.nan if pose.fps is None else pose.fps),
-        edges=index_edges(pose.names, pose.edges),
+        edges=writing.index_edges(pose.names, pose.edges),
         notes=np.array(pose.notes, dtype=str),
         **of_fit,
     )

@@ -19,7 +19,7 @@ import numpy as np
 from recon.base.errors import InputError, Problem, refuse
 from recon.base.files import write_bytes
 from recon.clip.keypoints import Keypoints
-from recon.io import common
+from recon.io import common, writing
 from recon.io.common import Pose3D, StoredPoints
 from recon.io.hdf5 import attribute, child, groups, names, numbers, opened, outline, texts
 
@@ -140,10 +140,10 @@ def write(data: Keypoints | Pose3D, path: Path) -> None:
 
     Raises InputError without a frame rate, or for names that NWB cannot hold.
     """
-    points = common.points_of(data)
+    points = writing.points_of(data)
     container = points.individual or "PoseEstimation"
-    fps = float(common.required_fps(points.fps, TITLE))
-    common.require_names((container, *points.names), NO_NAMES, TITLE)
+    fps = float(writing.required_fps(points.fps, TITLE))
+    writing.require_names((container, *points.names), NO_NAMES, TITLE)
     with common.formats_extra(TITLE):
         from ndx_pose import PoseEstimation, PoseEstimationSeries, Skeleton, Skeletons
         from pynwb import NWBHDF5IO, NWBFile
@@ -168,7 +168,7 @@ def write(data: Keypoints | Pose3D, path: Path) -> None:
             )
         )
     few = len(points.names) < 256
-    linked = {"edges": common.index_edges(points.names, edges).astype(np.uint8)} if edges and few else {}
+    linked = {"edges": writing.index_edges(points.names, edges).astype(np.uint8)} if edges and few else {}
     skeleton = Skeleton(name="skeleton", nodes=list(points.names), **linked)
     poses = PoseEstimation(
         name=container,

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from recon.base.errors import InputError, Problem, all_of
-from recon.io.common import PER_METRE, Pose3D, StoredPoints, text_rows, z_up_from_y_up
+from recon.io.common import PER_METRE, Pose3D, StoredPoints, text_rows
 from recon.io.deeplabcut import points_of_rows
 from recon.io.formats import Format, file_head, read_points
 
@@ -49,7 +49,7 @@ def in_metres(path: Path, reader: Format, stored: StoredPoints, unit: str | None
         xyz_m = stored.values / PER_METRE[unit]
     return Pose3D(
         stored.names,
-        z_up_from_y_up(xyz_m) if up == "y" else xyz_m,
+        xyz_m if up == "z" else np.stack([xyz_m[..., 0], -xyz_m[..., 2], xyz_m[..., 1]], axis=-1),
         stored.frames,
         source=str(path),
         fps=stored.fps,

@@ -7,7 +7,7 @@ from typing import Any
 
 from recon.base.documents import read_text
 from recon.base.errors import refuse
-from recon.io import common
+from recon.io import common, writing
 from recon.io.common import Pose3D, StoredPoints
 
 UP_TEXT = "y up: x forwards, y up, z right"
@@ -53,8 +53,8 @@ def write(pose: Pose3D, path: Path) -> None:
 
     Raises InputError without a frame rate, or for names with tabs or line breaks.
     """
-    fps = common.required_fps(pose.fps, TITLE)
-    common.require_names(pose.names, r"[\t\r\n]|^\s|\s$", TITLE)
+    fps = writing.required_fps(pose.fps, TITLE)
+    writing.require_names(pose.names, r"[\t\r\n]|^\s|\s$", TITLE)
     header = {
         "DataRate": repr(fps),
         "CameraRate": repr(fps),
@@ -72,7 +72,7 @@ def write(pose: Pose3D, path: Path) -> None:
         ["Frame#", "Time", *(cell for name in pose.names for cell in (name, "", ""))],
         ["", "", *(f"{axis}{j + 1}" for j in range(len(pose.names)) for axis in "XYZ")],
     ]
-    values = common.y_up_from_z_up(pose.xyz_m).reshape(len(pose.frames), -1)
+    values = writing.y_up_from_z_up(pose.xyz_m).reshape(len(pose.frames), -1)
     for frame, row in zip(pose.frames.tolist(), values.tolist(), strict=True):
         lines.append([frame, repr(frame / fps), *("" if v != v else repr(v) for v in row)])
     text = "".join("\t".join(map(str, line)) + "\n" for line in lines)

@@ -16,9 +16,10 @@ from recon.base.arrays import Array, Bools, Integers, median
 from recon.base.errors import InputError, Problem, all_of, refuse
 from recon.clip.keypoints import Keypoints, mark_missing, parse_frame_range
 from recon.io import as_keypoints, file_head, recognised
-from recon.io.common import first_problems, frames_text
+from recon.io.common import first_problems
 from recon.io.deeplabcut_project import Project, find_project, label_files
 from recon.io.video import Image, probe, read_frames
+from recon.io.writing import frames_text
 
 OUTSIDE = 0.1
 """Share of the labels that may lie outside of their pictures."""

@@ -10,7 +10,8 @@ import numpy as np
 from rich.table import Table
 from rich.text import Text
 
-from recon.base.arrays import decimals, length_text, median
+from recon.base.arrays import median
+from recon.base.errors import decimals, length_text
 from recon.base.package import version
 from recon.check import sentences
 from recon.fit.motion import Motion

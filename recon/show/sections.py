@@ -20,7 +20,8 @@ from recon import check
 from recon.animal.naming import suggestions
 from recon.animal.prior import NONE as NO_PRIOR
 from recon.animal.skeleton_file import NONE, OWN, of_scorer
-from recon.base.arrays import Array, decimals, finite, length_text, mean, median
+from recon.base.arrays import Array, finite, mean, median
+from recon.base.errors import decimals, length_text
 from recon.clip.keypoints import COUNTS
 from recon.fit import TrajectorySolution
 from recon.fit.motion import MEASURED_SHARE, Motion, Picture

@@ -15,7 +15,8 @@ from rich.text import Text
 from threadpoolctl import threadpool_limits
 
 from recon.base import Progress, silent
-from recon.base.arrays import decimals, median
+from recon.base.arrays import median
+from recon.base.errors import decimals
 from recon.base.files import require_free_folder, sole_writer, staged_folder
 from recon.base.settings import Option, Positive, Settings
 from recon.check import sentence, usable, verdict_fields

@@ -24,7 +24,8 @@ from recon.base.package import version
 from recon.base.settings import Settings
 from recon.clip import views_of
 from recon.fit.clip_problem import ClipProblem
-from recon.fit.motion import MOTION, Motion
+from recon.fit.motion import Motion
+from recon.fit.motion_forms import MOTION
 from recon.fit.result import TrajectorySolution
 from recon.show.export.clip_csv import CAMERA_OUTPUTS, CLIP_OUTPUTS, of_any_camera, write_tables
 from recon.show.page import PAGE

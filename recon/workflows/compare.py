@@ -23,7 +23,8 @@ from recon.base.files import require_free_folder, staged_folder
 from recon.base.settings import OneOrMore, Option, Settings
 from recon.check import usable
 from recon.fit import TrajectorySolution
-from recon.fit.motion import MOTION, Motion
+from recon.fit.motion import Motion
+from recon.fit.motion_forms import MOTION
 from recon.gait.clip import POSITION_LASTS_S, ClipAnalysis, analyse
 from recon.show.plots.style import COLOURS, drawing
 from recon.workflows.cli.common import Answer, counted, table_of

@@ -10,7 +10,7 @@ import numpy as np
 from rich.table import Table
 
 from recon.animal import Body, builtin_names, load_prior, load_skeleton, other_side
-from recon.base.arrays import length_text
+from recon.base.errors import length_text
 from recon.base.files import require_free_folder
 from recon.base.settings import Option, Settings
 from recon.geometry.kinematics import ANGLE_OF_AXIS, AXES

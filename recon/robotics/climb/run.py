@@ -11,7 +11,7 @@ from matplotlib.lines import Line2D
 
 from recon.base.errors import all_of
 from recon.base.files import name_seen_from, require_free_folder, sole_writer, staged_results
-from recon.io.common import write_rows
+from recon.io.writing import write_rows
 from recon.robotics.climb.plan import NONE, RULES, Climb, load_recipe, plan, raised
 from recon.robotics.robot.physics import margins_figure
 from recon.robotics.robot.playback import write_robot

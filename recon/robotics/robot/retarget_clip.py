@@ -25,7 +25,7 @@ from recon.fit.motion import Motion
 from recon.fit.result import TrajectorySolution
 from recon.fit.sampling import draws
 from recon.gait.gait import doubtful_text
-from recon.io.common import write_rows
+from recon.io.writing import write_rows
 from recon.robotics.ik.drive import control_columns
 from recon.robotics.robot import physics
 from recon.robotics.robot.quadruped import LEGS

@@ -13,7 +13,7 @@ from recon.gait.clip import ClipAnalysis
 from recon.gait.dynamics import FORCE_COLUMNS, G_M_S2
 from recon.gait.kinematics import AngleKinematics
 from recon.gait.phase import field_means
-from recon.io.common import write_columns, write_rows
+from recon.io.writing import write_columns, write_rows
 
 Rows = Iterable[Sequence[Any]]
 Table = tuple[Sequence[str], Rows]

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from recon.fit.motion import Motion
-from recon.io.common import write_rows, write_table
+from recon.io.writing import write_rows, write_table
 
 QUALITY_COLUMNS = ("frame", "flags", "alternative_m", "detections", "mean_weight", "place_sigma_m", "relative_rms_m")
 

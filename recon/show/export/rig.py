@@ -16,7 +16,8 @@ from recon.base.errors import InputError, Problem
 from recon.fit.motion import Motion
 from recon.geometry.kinematics import ANGLE_OF_AXIS, AXES, ROOT
 from recon.io.bones import Armature, Bone, BoneAngle
-from recon.io.common import Pose3D, frames_text, require_span, y_up_from_z_up
+from recon.io.common import Pose3D, require_span
+from recon.io.writing import frames_text, y_up_from_z_up
 
 RANGE_SIGMAS = 3.0
 SAME_M = 1e-4

@@ -16,7 +16,8 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
 from recon.animal import both_sides, side_of
-from recon.base.arrays import Array, Bools, length_text
+from recon.base.arrays import Array, Bools
+from recon.base.errors import length_text
 from recon.clip.keypoints import frame_ranges
 from recon.gait.dynamics import Dynamics
 from recon.gait.gait import Gait, Stance

@@ -17,7 +17,7 @@ from typing import Any
 from recon.base.documents import read_toml
 from recon.base.errors import InputError, Problem, refuse
 from recon.check import names_text
-from recon.fit.motion import MOTION
+from recon.fit.motion_forms import MOTION
 from recon.io import file_head, individuals, recognised, titles
 from recon.io.calibration import read_cameras
 from recon.io.common import text_rows

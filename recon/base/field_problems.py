@@ -1,0 +1,76 @@
+"""What is wrong with a table of a file, field by field, in the user's words: from what pydantic says of it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from recon.base.errors import Problem
+
+_WORDS = {"string": "a text", "number": "a number", "integer": "a whole number", "boolean": "true or false"}
+_WORDS |= {"array": "a list", "object": "a table"}
+"""What a field is to be, by its type in a JSON schema."""
+_EXPECTED = {
+    **dict.fromkeys(("string_type", "string_unicode", "path_type"), "a text"),
+    **dict.fromkeys(("float_type", "float_parsing"), "a number"),
+    "finite_number": "a finite number",
+    **dict.fromkeys(("int_type", "int_parsing", "int_from_float", "int_parsing_size"), "a whole number"),
+    **dict.fromkeys(("bool_type", "bool_parsing"), "true or false"),
+    **dict.fromkeys(("tuple_type", "list_type"), "a list"),
+    **dict.fromkeys(("dict_type", "mapping_type", "model_type", "model_attributes_type", "dataclass_type"), "a table"),
+    "too_short": "a list of at least {min_length}",
+    "too_long": "a list of at most {max_length}",
+    **dict.fromkeys(("greater_than", "greater_than_equal", "less_than", "less_than_equal"), "a number {message}"),
+    "literal_error": "{expected}",
+}
+"""What a value should have been, by the type of pydantic's error, which is filled in from the error's context."""
+_UNKNOWN = ("extra_forbidden", "unexpected_keyword_argument")
+
+
+def problems_of(
+    error: ValidationError, source: str | Path, schema: Mapping[str, Any] | None = None, within: int = 0
+) -> Iterator[Problem]:
+    """Each with its field, as in legs[0].hip_m. schema: the JSON schema of what was to be read, which tells the fields
+    of a table and the types of those that are missing; within: how many steps of the way to a field go without saying.
+    """
+    for one in error.errors():
+        way, kind = one["loc"][within:], one["type"]
+        field = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in way).removeprefix(".")
+        if kind in _UNKNOWN:
+            known = _table_at(schema or {}, way[:-1]).get("properties", {})
+            yield Problem(source, field, "an unknown field", f"one of {', '.join(known)}" if known else "no such field")
+        elif kind == "missing":
+            wanted = _table_at(schema or {}, way[:-1]).get("properties", {}).get(way[-1], {})
+            of = "object" if "$ref" in wanted else wanted.get("type")
+            yield Problem(source, field, "nothing", _WORDS.get(of, "a value"))
+        else:
+            expected = _EXPECTED.get(kind, "{message}")
+            message = one["msg"].removeprefix("Value error, ").removeprefix("Input should be ")
+            wanted = expected.format(message=message, **one.get("ctx", {}))
+            found = "nothing" if one["input"] is None else repr(one["input"])[:60]
+            yield Problem(source, field, found, wanted)
+
+
+def _table_at(schema: Mapping[str, Any], way: Iterable[str | int]) -> Mapping[str, Any]:
+    """The JSON schema of the table that the names of fields lead to; places in a list and keys of a table without
+    names of its own are passed over."""
+    at = _table_in(schema, schema)
+    for part in way:
+        if part in at.get("properties", {}):
+            at = _table_in(at["properties"][part], schema)
+    return at
+
+
+def _table_in(part: Any, schema: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The first table with fields in a part of a JSON schema, empty where there is none."""
+    if isinstance(part, Mapping):
+        if "$ref" in part:
+            part = schema["$defs"][part["$ref"].rpartition("/")[2]]
+        if "properties" in part:
+            return part
+        part = [value for name, value in part.items() if name != "$defs"]
+    inner = (_table_in(one, schema) for one in part) if isinstance(part, list) else ()
+    return next((found for found in inner if found), {})

@@ -1,0 +1,148 @@
+"""The forms that a motion is handed over in: its file, tables of pandas and movement, and what a notebook shows.
+
+`recon.fit.motion.Motion` calls all of these, which is why none is typed by it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from recon.base.arrays import Array
+from recon.base.errors import InputError, Problem
+from recon.base.manifest import MANIFEST, read_manifest
+from recon.base.records import load_record, save_record
+from recon.fit.result import SHAPES
+from recon.geometry.kinematics import YAW
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+MOTION = "motion.npz"
+SCHEMA = {"name": "recon.motion", "version": 2}
+EXPECTED = "the motion that `recon fit` or `Motion.save` wrote"
+_REPORT, _CONFIG = "report.json", "config.toml"
+"""Beside a motion, in the folder of results that `recon fit` wrote."""
+_OF_A_FIT = (_REPORT, _CONFIG, "angles.csv", "pose3d.csv", "quality.csv")
+"""Files that a fit puts beside the motion. Where one is there and the manifest is not, a run was interrupted."""
+
+
+def save(motion: Any, folder: Path) -> Path:
+    save_record(motion, folder / MOTION, SCHEMA)
+    return folder / MOTION
+
+
+def load(of: type[Any], folder: Path) -> Any:
+    """The motion, of that class, in a folder. Raises InputError as `Motion.load` says."""
+    path = folder / MOTION
+    if not path.is_file():
+        raise InputError(_no_motion(folder))
+    if any((folder / name).exists() for name in (MANIFEST, *_OF_A_FIT)):  # not a motion that was saved by itself
+        read_manifest(folder).require(MOTION)
+    again = f"; of an earlier version, make it again by {_again(folder)}" if (folder / _CONFIG).is_file() else ""
+    motion = load_record(of, path, SCHEMA, EXPECTED + again)
+    try:
+        faults = _misfits(motion)
+        _ = motion.limbs, motion.foot_names, motion.forward_names  # names of joints that there are
+    except (KeyError, ValueError, IndexError) as error:
+        raise InputError(Problem(path, "solution.body", f"a joint {error}", EXPECTED)) from None
+    if faults:
+        raise InputError(Problem(path, name, found, expected) for name, found, expected in faults)
+    return motion
+
+
+def _misfits(motion: Any) -> list[tuple[str, str, str]]:
+    """Arrays whose shapes do not fit each other: their names, the shapes that they have, and those expected."""
+    sizes = {"T": len(motion.frames), "J": len(motion.joints), "V": len(motion.sources), "D": motion.body.n_state}
+    sizes |= {"F": len(motion.body.feet), "A": motion.body.n_state - YAW, "2": 2, "3": 3, "4": 4}
+    solution = motion.solution
+    arrays = {f"solution.{name}": (getattr(solution, name), letters) for name, letters in SHAPES.items()}
+    arrays["solution.flags"] = (np.zeros(len(solution.flags)), "T")
+    arrays["solution.views"] = (np.zeros(len(solution.views)), "V")
+    for i, source in enumerate(motion.sources):
+        for name, letters in (("frames", "T"), ("xy_px", "TJ2"), ("confidence", "TJ")):
+            arrays[f"sources.{i}.keypoints.{name}"] = (getattr(source.keypoints, name), letters)
+        if source.poses is not None:
+            arrays[f"sources.{i}.poses.T_camera_world"] = (source.poses.T_camera_world, "T44")
+    arrays |= {f"solution.views.{i}.xy_px": (view.xy_px, "TJ2") for i, view in enumerate(solution.views)}
+    fits = {name: tuple(sizes[letter] for letter in letters) for name, (_, letters) in arrays.items()}
+    return [(name, str(of.shape), str(fits[name])) for name, (of, _) in arrays.items() if of.shape != fits[name]]
+
+
+def _again(folder: Path) -> str:
+    return f"recon fit --config {folder / _CONFIG} --out {folder} --overwrite"
+
+
+def _no_motion(folder: Path) -> Problem:
+    """What a folder without a motion is instead."""
+    own = "the folder of results that `recon fit` wrote"
+    if (folder / _REPORT).is_file() and (folder / _CONFIG).is_file():
+        found = f"no {MOTION}: results of an earlier version"
+        return Problem(folder, "folder", found, f"results of this one: make them again by {_again(folder)}")
+    clips = sorted(path.parent for path in folder.glob(f"*/{MOTION}")) if folder.is_dir() else []
+    found = f"no {MOTION}" if folder.is_dir() else "a file" if folder.is_file() else "no such folder"
+    return Problem(folder, "folder", found, f"that of one clip, as in {clips[0]}" if clips else own)
+
+
+# -- for other programs and people ------------------------------------------------------------------------------------
+
+
+def table_of(motion: Any, wide: bool) -> pd.DataFrame:
+    """See `Motion.to_dataframe`."""
+    import pandas as pd
+
+    T, J = len(motion.frames), len(motion.names)
+    values = np.concatenate([motion.upright.xyz_m, motion.upright_sigma_m], axis=2)
+    columns = [f"{axis}{of}_m" for of in ("", "_sigma") for axis in "xyz"]
+    if wide:
+        index = pd.MultiIndex.from_product([motion.names, columns], names=["joint", "value"])
+        return pd.DataFrame(values.reshape(T, -1), index=pd.Index(motion.frames, name="frame"), columns=index)
+    head = {"frame": np.repeat(motion.frames, J), "time_s": np.repeat(motion.time_s, J), "joint": [*motion.names] * T}
+    table = pd.DataFrame(head | dict(zip(columns, values.reshape(-1, 6).T, strict=True)))
+    return table.assign(flags=np.repeat([", ".join(some) for some in motion.flags], J))
+
+
+def dataset_of(motion: Any) -> Any:
+    """See `Motion.to_xarray`."""
+    from recon.io import movement
+
+    made = movement.dataset_of(motion.upright)
+    made["position_sigma"] = (made["position"].dims, motion.upright_sigma_m.transpose(0, 2, 1)[..., None])
+    verdict = motion.verdict
+    said = {} if verdict is None else {"verdict": verdict.level, "verdict_reason": verdict.reason}
+    return made.assign_attrs(said | {"source_file": motion.file})
+
+
+def html_of(motion: Any) -> str:
+    """What a notebook shows: the verdict, the errors to expect, a picture of the poses, and what they are of."""
+    said = () if motion.verdict is None else motion.verdict.lines
+    rows: dict[str, str] = dict(zip(("verdict", "expected"), said, strict=False))
+    rows["clip"] = f"{Path(motion.file).name}, frames {motion.frames[0]} to {motion.frames[-1]} at {motion.fps:g} fps"
+    rows["camera"] = ", ".join(camera.name for camera in motion.cameras)
+    rows["animal"] = motion.title
+    flagged = sum(map(bool, motion.flags))
+    rows["frames"] = f"{motion.solved.sum()} of {motion.clip_frames} with a pose, {flagged} flagged"
+    left = "style='text-align:left'"
+    cells = (f"<tr><th {left}>{name}</th><td {left}>{escape(text)}</td></tr>" for name, text in rows.items())
+    return f"<div><table>{''.join(cells)}</table>{_from_the_side(motion.upright.xyz_m, motion.limbs.values())}</div>"
+
+
+def _from_the_side(joints_m: Array, limbs: Iterable[Sequence[int]]) -> str:
+    """A picture of eight of the poses (T, J, 3), z up, evenly spaced in time, from where the animal passes by; none
+    without two."""
+    posed = joints_m[np.isfinite(joints_m).all(axis=(1, 2))]
+    if len(posed) < 2:
+        return ""
+    way = (posed[-1] - posed[0]).mean(axis=0)[:2]
+    along = way / np.linalg.norm(way) if way.any() else np.array([1.0, 0.0])
+    shown = posed[np.linspace(0, len(posed) - 1, min(8, len(posed)), dtype=int)]
+    points = np.stack([shown[..., :2] @ along, -shown[..., 2]], axis=-1)
+    (x, y), (width, height) = points.min(axis=(0, 1)), np.ptp(points, axis=(0, 1))
+    drawn = (" ".join(f"{a:.3f},{b:.3f}" for a, b in pose[[*limb]]) for pose in points for limb in limbs)
+    lines = "".join(f"<polyline vector-effect='non-scaling-stroke' points='{line}'/>" for line in drawn)
+    box = f"viewBox='{x:.3f} {y:.3f} {width:.3f} {height:.3f}' width='640' height='240'"
+    return f"<svg {box} role='img' fill='none' stroke='#0072b2' stroke-width='1.6' overflow='visible'>{lines}</svg>"
