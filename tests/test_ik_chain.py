@@ -61,15 +61,10 @@ def test_planar_and_spatial_chain_agree_without_phi():
 @pytest.mark.parametrize("chain", CHAINS.values(), ids=CHAINS)
 def test_null_basis(chain):
     rng = np.random.default_rng(2)
-    q, turn = rng.normal(size=chain.n), rng.normal(size=chain.n)
-    J = chain.jacobian(q)
+    J = chain.jacobian(rng.normal(size=chain.n))
     N = null_basis(J)
     np.testing.assert_allclose(J @ N, 0, atol=1e-14)
     np.testing.assert_allclose(N.T @ N, np.eye(chain.n - chain.dim), atol=1e-14)
-    # Along a path, a basis that is told its neighbour does not jump.
-    for k in range(1, 200):
-        before, N = N, null_basis(chain.jacobian(q + 0.01 * k * turn), N)
-        assert np.abs(N - before).max() < 0.1
 
 
 def test_bad_chains_are_refused():

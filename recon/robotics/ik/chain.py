@@ -294,17 +294,9 @@ def manipulability(J: Array) -> Array:
     return np.sqrt(np.maximum(0.0, np.linalg.det(J @ J.swapaxes(-1, -2))))
 
 
-def null_basis(J: Array, like: Array | None = None) -> Array:
-    """Orthonormal basis N (n, n - dim) of the null space of J (dim, n), J N = 0.
-
-    like: a basis at a neighbouring configuration. N is then the nearest basis to it, without turning within the null
-    space, which makes it continuous along a path.
-    """
-    N = np.asarray(np.linalg.qr(J.T, mode="complete")[0][:, len(J) :], float)
-    if like is None:
-        return N
-    u, _, vt = np.linalg.svd(N.T @ like)
-    return N @ u @ vt
+def null_basis(J: Array) -> Array:
+    """Orthonormal basis N (n, n - dim) of the null space of J (dim, n), J N = 0."""
+    return np.asarray(np.linalg.qr(J.T, mode="complete")[0][:, len(J) :], float)
 
 
 # -- the planar arm of two links in closed form ----------------------------------------------------------------------

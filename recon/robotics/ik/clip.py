@@ -215,7 +215,7 @@ def cost_of(limb: Limb, text: str) -> ways.Cost:
             problems.append(Problem("--cost", "cost", repr(part), expected))
     if problems:
         raise InputError(problems)
-    return costs[0] if len(costs) == 1 and weights == [1.0] else ways.weighted_sum(tuple(costs), tuple(weights))
+    return ways.weighted_sum(costs, weights)
 
 
 def fit_parameters(limb: Limb, cost: ways.Cost | None = None) -> dict[str, ways.ParameterFit]:

@@ -23,8 +23,9 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.linalg.lapack import dposv
@@ -87,14 +88,14 @@ class Method(ABC):
         step = _within_limits(chain, free, self._solve(J[:, free], dx, q, free, curvature))
         if self.alpha == 1.0:
             return step
-        alpha = nearest_scale(J @ step.dq, dx) if self.alpha is None else self.alpha
+        alpha = best_scale(J @ step.dq, dx) if self.alpha is None else self.alpha
         return _within_limits(chain, free, step._replace(dq=alpha * step.dq[free]))
 
     def formula(self, J: Array, dx: Array, q: Array) -> Array:
         """Rates (n,) without limits, for J (dim, n), dx (dim,) and q (n,); of the extended Jacobian with N constant."""
         solved = self._solve(J, dx, q, ALL, None)
         total = solved.dq + solved.along
-        return total * (nearest_scale(J @ total, dx) if self.alpha is None else self.alpha)
+        return total * (best_scale(J @ total, dx) if self.alpha is None else self.alpha)
 
     @abstractmethod
     def _solve(self, J: Array, dx: Array, q: Array, free: Free, curvature: Curvature | None) -> JointRates:
@@ -234,10 +235,10 @@ def reduced_gradient(
     return g, M if curvature is None else M - curvature(g @ pseudo)[free][:, free]
 
 
-def nearest_scale(moved: Array, dx: Array) -> float:
-    """<dx, moved> / |moved|^2, both (dim,); 1 where nothing moves."""
-    square = float(moved @ moved)
-    return float(dx @ moved) / square if square > 0 else 1.0
+def best_scale(rates: Array, wanted: Array) -> float:
+    """The factor that brings rates nearest to those wanted, <wanted, rates> / |rates|^2; 1 where nothing moves."""
+    square = float(np.vdot(rates, rates))
+    return float(np.vdot(wanted, rates)) / square if square > 0 else 1.0
 
 
 # -- costs ------------------------------------------------------------------------------------------------------------
@@ -273,14 +274,10 @@ def pose_distance(pose: Array) -> Cost:
 def weighted_sum(costs: Sequence[Cost], weights: Sequence[float]) -> Cost:
     """sum_i w_i g_i of other costs."""
 
-    def added(parts: list[Callable[[Array], Array]], q: Array) -> Array:
-        return np.sum([w * part(q) for w, part in zip(weights, parts, strict=True)], axis=0)
+    def added(part: str, q: Array) -> Any:
+        return sum(w * getattr(cost, part)(q) for w, cost in zip(weights, costs, strict=True))
 
-    return Cost(
-        lambda q: sum(w * cost.value(q) for w, cost in zip(weights, costs, strict=True)),
-        lambda q: added([cost.gradient for cost in costs], q),
-        lambda q: added([cost.hessian for cost in costs], q),
-    )
+    return Cost(partial(added, "value"), partial(added, "gradient"), partial(added, "hessian"))
 
 
 def harmonic_map(a: float = 1.0, b: float = 0.0, joints: Sequence[int] = (2, 3, 4)) -> Cost:
@@ -518,12 +515,6 @@ def explained_by(rates: Array, dq: Array) -> float:
     """The share of sum dq^2 that rates (T, n) explain, 1 - sum |dq - rates|^2 / sum dq^2."""
     total = float(np.sum(dq**2))
     return 1 - float(np.sum((dq - rates) ** 2)) / total if total > 0 else float("nan")
-
-
-def best_scale(rates: Array, dq: Array) -> float:
-    """The factor that brings rates (T, n) nearest to dq; 1 where there are none."""
-    square = float(np.sum(rates**2))
-    return float(np.sum(rates * dq)) / square if square > 0 else 1.0
 
 
 def _weights(frames: Frames, pull: float) -> ParameterFit:
