@@ -20,13 +20,6 @@ def random_angles(n, geometry, seed=0):
 
 
 @GEOMETRIES
-def test_agrees_with_the_chain_of_its_joints(geometry):
-    chain = geometry.chain
-    for angles in random_angles(50, geometry):
-        assert geometry.forward(angles) == pytest.approx(chain.end(angles[geometry.order]), abs=1e-15)
-
-
-@GEOMETRIES
 @MIRRORS
 def test_forward_of_inverse_is_the_identity(geometry, mirror):
     leg = replace(geometry, mirror=mirror)

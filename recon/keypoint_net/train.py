@@ -22,17 +22,20 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
+import pandas as pd
 from pydantic import Field
 
+from recon import __version__
 from recon.base import Progress, silent
-from recon.base.arrays import Array, Bools, Integers
+from recon.base.arrays import Array, Bools, Integers, median
 from recon.base.errors import InputError, Problem, refuse
 from recon.base.settings import Count, Integer, Number, Option, Settings
 from recon.io.video import Image
 from recon.keypoint_net import network as net
 from recon.keypoint_net import pictures
-from recon.keypoint_net.labels import Labels, body_length_px, frames_by_part, resize, sides
-from recon.show.plain import to_plain
+from recon.keypoint_net.evaluate2d import evaluate_2d, reliability
+from recon.keypoint_net.labels import Labels, body_length_px, extents_px, frames_by_part, resize, sides
+from recon.show.plain import to_json, to_plain
 
 if TYPE_CHECKING:
     import torch  # pyright: ignore[reportMissingImports]
@@ -83,12 +86,6 @@ class TrainingRun:
     split: dict[str, Integers]
     still: tuple[Image | None, ...]
     device: torch.device
-
-    @property
-    def judges(self) -> Integers:
-        """The validation pictures, if there is a label in any."""
-        which = self.split["validation"]
-        return which if self.labels.labelled[which].any() else which[:0]
 
 
 @dataclass
@@ -164,7 +161,11 @@ def train(
                     state.losses.clear()
                     _evaluate(state, run, calibrates=held_out and state.finishing)
                     _save_checkpoint(state, run, out)
-                progress(f"{'finishing' if state.finishing else 'learning'}: {_figures_text(state)}", state.share)
+                last = state.history[-1] if state.history else {}
+                text = f"step {state.step}, loss {np.mean(state.losses) if state.losses else last['loss']:.3f}"
+                if "validation_px" in last:
+                    text += f", validation error {last['validation_px']:.2f} px"
+                progress(f"{'finishing' if state.finishing else 'learning'}: {text}", state.share)
     net.save_model(calibrated_spec(run, state), state.average.state_dict(), out / net.MODEL_FILE)
     return state
 
@@ -242,8 +243,8 @@ def _learn(state: State, batch: tuple[pictures.Batch, ...], rate: float, run: Tr
 
 def _evaluate(state: State, run: TrainingRun, calibrates: bool) -> None:
     """By the validation pictures; calibrates: at the end of the first part, when they have not been learned from."""
-    which = run.judges
-    if not len(which):
+    which = run.split["validation"]
+    if not run.labels.labelled[which].any():
         return
     errors, raw, _ = judge(net.TrainedNetwork(run.spec, state.average, run.device), run, which)
     labelled = np.isfinite(errors)
@@ -263,13 +264,6 @@ def judge(trained: net.TrainedNetwork, run: TrainingRun, which: Integers) -> tup
         for part in np.array_split(here, -(-len(here) // 8)):
             xy[part], raw[part] = trained.points([run.scaled.pictures[which[i]] for i in part], run.still[c])
     return np.linalg.norm(xy - run.labels.xy_px[which], axis=2), raw, xy
-
-
-def _figures_text(state: State) -> str:
-    last = state.history[-1] if state.history else {}
-    mean_loss = float(np.mean(state.losses)) if state.losses else last["loss"]
-    error = f", validation error {last['validation_px']:.2f} px" if "validation_px" in last else ""
-    return f"step {state.step}, loss {mean_loss:.3f}{error}"
 
 
 # -- checkpoints -----------------------------------------------------------------------------------------------------
@@ -328,3 +322,112 @@ def _resumed(run: TrainingRun, out: Path) -> State:
     for name in _TORCH:
         getattr(state, name).load_state_dict(content[name])
     return dataclasses.replace(state, **{name: content[name] for name in _PLAIN})
+
+
+# -- what a training run tells about itself ----------------------------------------------------------------------------
+
+FAR, APART = 0.2, 0.15
+"""Body lengths from which on a label stands out: from the network's point, from the others."""
+REASONS = {
+    "network": "body lengths from where the network sees it",
+    "others": "body lengths farther from every other label than usual",
+}
+LEARNED = 5.0
+"""Times a keypoint's median distance that the network's point must be away, too: it has to know the keypoint."""
+USUAL = 0.95
+"""A distance between two keypoints is usual up to this quantile of it."""
+MOST = 30
+
+
+def write_training_report(run: TrainingRun, state: State, folder: Path) -> dict[str, Any]:
+    """Into an existing folder; returns what stands in training.json."""
+    spec, split, history = calibrated_spec(run, state), run.split, state.history
+    _, raw, xy_px = judge(net.TrainedNetwork(spec, state.average, run.device), run, np.arange(len(run.labels.images)))
+    likelihood, judged = net.calibrated(raw, spec.calibration), {}
+    for name, which in split.items():
+        if len(which):
+            truth, length_px = run.labels.xy_px[which], median(extents_px(run.labels.xy_px[which]))
+            length_px = length_px if np.isfinite(length_px) else spec.body_length_px
+            given = spec.names, xy_px[which], likelihood[which], truth, length_px
+            judged[name] = evaluate_2d(*given, tolerance_px=spec.tolerance_px)
+    # Of the network as it was calibrated: before it learned from the validation pictures.
+    before = reliability(np.array(state.judged[0]), np.array(state.judged[1], bool))
+    # Elsewhere, that the network disagrees says more about the network.
+    learned = np.concatenate([split["train"], split["validation"]])
+    seen = np.full_like(xy_px, np.nan)
+    seen[learned] = xy_px[learned]
+    suspects = suspicious_labels(run.labels, seen, spec.body_length_px)
+    held_out = [row for row in history if "validation_px" in row and "finishing" not in row]
+    best = min(held_out, key=lambda row: row["validation_px"], default=None)
+    first = [int(row["step"]) for row in history if "finishing" not in row]
+    report = {
+        "recon": __version__,
+        "torch": str(net.require_torch().__version__),
+        "device": str(run.device),
+        "threads": state.threads,
+        "source": run.labels.source,
+        "keypoints": list(spec.names),
+        "parameters": sum(p.numel() for p in state.network.parameters()),
+        "scale": spec.scale,
+        "first_stage_scale": spec.first,
+        "body_length_px": spec.body_length_px,
+        "tolerance_px": spec.tolerance_px,
+        "settings": run.settings.of_training(),
+        "split": frames_by_part(run.labels, split),
+        "labelled_points": {name: int(run.labels.labelled[which].sum()) for name, which in split.items()},
+        "steps": state.step,
+        "seconds": round(state.seconds, 1),
+        "best_validation": best and {"median_px": best["validation_px"], "step": best["step"]},
+        "validation_in_training_from": max(first, default=None),
+        "calibration": spec.calibration and dict(zip(("slope", "offset"), spec.calibration, strict=True)),
+        "reliability_validation": before,
+        "errors": judged,
+        "suspicious_labels": suspects,
+        "history": history,
+        "notes": list(run.labels.notes),
+    }
+    (folder / "training.json").write_text(to_json(report), encoding="utf-8")
+    digits = {"x_px": 2, "y_px": 2, "rank": 3, "network": 3, "others": 3}
+    table = pd.DataFrame(suspects, columns=["image", "keypoint", *digits, "reasons"])
+    for name, count in digits.items():
+        table[name] = ["" if np.isnan(value) else f"{value:.{count}f}" for value in table[name]]
+    table.assign(reasons=table["reasons"].map("; ".join)).to_csv(folder / "suspicious.csv", index=False)
+    return report
+
+
+def suspicious_labels(labels: Labels, xy_px: Array, length_px: float) -> list[dict[str, Any]]:
+    """Labels that are probably wrong, found in two ways: the network, once trained, puts the keypoint somewhere else
+    and is not tempted by the label; or the label is farther from every other label of its picture than this keypoint is
+    anywhere else from them. The distances are in body lengths; a label's rank is the sum of those in which it stands
+    out. The most suspicious first: image and keypoint, x_px and y_px; what speaks against the label, by the network and
+    the others, in body lengths (NaN where it says nothing); its rank and the reasons in words.
+
+    xy_px (N, K, 2): what the network says, in pixels of the clip, NaN in pictures that it has not learned from."""
+    clues = {
+        "network": np.linalg.norm(xy_px - labels.xy_px, axis=2) / length_px,
+        "others": _excess_distance_px(labels.xy_px) / length_px,
+    }
+    known = np.array([median(of_one) for of_one in clues["network"].T])
+    limits = {"network": np.fmax(FAR, LEARNED * known), "others": np.full(len(known), APART)}
+    found = []
+    for i, k in np.argwhere(labels.labelled):
+        (x, y), against = labels.xy_px[i, k].tolist(), {name: float(of_all[i, k]) for name, of_all in clues.items()}
+        beyond = [name for name, value in against.items() if value > limits[name][k]]
+        reasons = tuple(f"{against[name]:.2f} {REASONS[name]}" for name in beyond)
+        row = {"image": labels.images[i], "keypoint": labels.names[k], "x_px": x, "y_px": y, **against}
+        found += [row | {"rank": sum(against[name] for name in beyond), "reasons": reasons}] if beyond else []
+    return sorted(found, key=lambda row: -row["rank"])[:MOST]
+
+
+def _excess_distance_px(xy_px: Array) -> Array:
+    """(N, K): by how much a label is farther than usual from that of the others to which this is least so; px."""
+    n, k = xy_px.shape[:2]
+    least = np.full((n, k), np.inf)
+    for j in range(k):
+        distance = np.linalg.norm(xy_px - xy_px[:, j : j + 1], axis=2)
+        distance[:, j] = np.nan
+        known = np.isfinite(distance).sum(axis=0) >= 5
+        usual = np.full(k, np.nan)
+        usual[known] = np.nanquantile(distance[:, known], USUAL, axis=0)
+        least = np.fmin(least, distance - usual)
+    return np.where(np.isfinite(least), least, np.nan)

@@ -28,8 +28,7 @@ from recon.io.video import Image, VideoInfo, missing_note, probe, require_codec,
 from recon.keypoint_net import network as net
 from recon.keypoint_net.labels import read_labels, resize, split_labels
 from recon.keypoint_net.pictures import ahead, background_of_video
-from recon.keypoint_net.report import write_training_report
-from recon.keypoint_net.train import CHECKPOINT_FILE, SPLIT, TrainSettings, prepare, train
+from recon.keypoint_net.train import CHECKPOINT_FILE, SPLIT, TrainSettings, prepare, train, write_training_report
 from recon.show.overlay import draw_circle
 from recon.show.plain import picked
 from recon.workflows.cli.common import progress_bar, say, stop, terminal
@@ -263,7 +262,10 @@ def predict_video(trained: net.TrainedNetwork, settings: PredictSettings, progre
                     drawn = draw_points(picture, points, how)
                     write(drawn[: drawn.shape[0] // 2 * 2, : drawn.shape[1] // 2 * 2])
             progress(f"frame {numbers[-1]}", min(1.0, len(numbers) / total))
-        _check_count(video, info, len(numbers), settings.partial)
+        lost = (stated := info.stated_frames or 0) - len(numbers)
+        if not settings.partial and lost > max(LOST_FRAMES, LOST_SHARE * stated):
+            expected = f"the {stated} that the file states; --partial takes what can be decoded"
+            raise InputError(Problem(video, "frames", f"{len(numbers)} that can be decoded", expected))
     note = missing_note(video, np.array(times_s))
     return Keypoints(
         spec.names,
@@ -285,14 +287,6 @@ def _chunks(video: Path, info: VideoInfo, scale: float, keep: bool) -> Generator
     while some := list(islice(frames, size)):
         numbers, times_s, pictures = (list(column) for column in zip(*some, strict=True))
         yield numbers, times_s, [resize(picture, scale) for picture in pictures], pictures if keep else []
-
-
-def _check_count(video: Path, info: VideoInfo, decoded: int, partial: bool) -> None:
-    stated = info.stated_frames or 0
-    if partial or stated - decoded <= max(LOST_FRAMES, LOST_SHARE * stated):
-        return
-    expected = f"the {stated} that the file states; --partial takes what can be decoded"
-    raise InputError(Problem(video, "frames", f"{decoded} that can be decoded", expected))
 
 
 def draw_points(picture: Image, xy_px: Array, likelihood: Array) -> Image:

@@ -23,7 +23,7 @@ is spread evenly over the path.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal, TypeVar
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -33,7 +33,7 @@ from recon.animal.body import Body
 from recon.animal.chain import UVW_BODY, Chain, upright_rotation
 from recon.base.arrays import Array, Index
 from recon.gait.phase import diameter
-from recon.geometry.kinematics import PITCH, ROOT, YAW, Marker, Segment, Tree
+from recon.geometry.kinematics import PITCH, ROOT, YAW, Tree
 from recon.robotics.ik.chain import FREE, SerialChain, planar_chain, summed_chain
 
 BASE_THETA_RAD = 0.9
@@ -43,7 +43,6 @@ LIMIT_SIGMAS = 3.0
 _TRAVEL_M = 0.1
 """A shorter path of the root has no direction."""
 _UP = np.array([0.0, 0.0, 1.0])
-_Item = TypeVar("_Item", Segment, Marker)
 
 # -- the spine-front-leg chain ---------------------------------------------------------------------------------------
 
@@ -157,7 +156,7 @@ def body_chain(body: Body, foot: str, size: float = 1.0, limited: bool = True) -
         way.insert(0, by_name[way[0].parent])
     if summed := [segment.name for segment in way if segment.joint == "summed"]:
         raise ValueError(f"{body.name}: the angles of {summed[0]} add up, which is `summed_chain`")
-    tree = Tree(tuple(_scaled(segment, size) for segment in way), (_scaled(marker, size),))
+    tree = Tree(tuple(way), (marker,)).scaled(size)
     names = tree.state_names[3:]
     where = np.array([body.state_names.index(name) for name in names])
     mean, sigma = np.concatenate([[0.0], body.mean_rad]), np.concatenate([[np.inf], body.sigma_rad])
@@ -167,11 +166,6 @@ def body_chain(body: Body, foot: str, size: float = 1.0, limited: bool = True) -
     limits = (low, high) if limited else FREE
     columns = 3 + np.arange(len(names))
     return SerialChain(tree, columns, names, tuple(group for group in groups if group), limits)
-
-
-def _scaled(item: _Item, size: float) -> _Item:
-    x, y, z = item.offset_m
-    return replace(item, offset_m=(size * x, size * y, size * z))
 
 
 def body_chain_angles(body: Body, foot: str, states: Array, travel: Array | None = None) -> Array:

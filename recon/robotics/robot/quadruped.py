@@ -135,15 +135,7 @@ class Leg:
 
     def forward(self, angles_rad: ArrayLike) -> Array:
         """The places of the feet from the hip, for these angles."""
-        a, b, s = np.moveaxis(np.asarray(angles_rad, float), -1, 0)
-        P, Q = self.in_plane(s)
-        if self.first == "swing":
-            U = Q * np.cos(b)
-            foot = Q * np.sin(b), U * np.sin(a) + P * np.cos(a), P * np.sin(a) - U * np.cos(a)
-        else:
-            Z, d = P * np.sin(a) - Q * np.cos(a), self.lateral_m
-            foot = d * np.cos(b) - Z * np.sin(b), Q * np.sin(a) + P * np.cos(a), d * np.sin(b) + Z * np.cos(b)
-        return np.stack(foot, axis=-1) * self.mirror
+        return self.chain.end(np.asarray(angles_rad, float)[..., self.order]) * self.mirror
 
     def inverse(self, feet_m: ArrayLike) -> Array:
         """Angles, whatever the limits, NaN out of reach."""
