@@ -16,6 +16,7 @@ from command_line import carry_out_here, refusal, refused, run, says
 from recon import FitSettings, Keypoints, read_keypoints, write_clip
 from recon.base import staged_results
 from recon.io import video_writer
+from recon.keypoint_net.workflows import PredictSettings
 from recon.workflows.clip_results import output_files
 from recon.workflows.run import _Job, _RunSettings, job_of, jobs_of, keypoints_of, run_folder, run_video
 
@@ -57,7 +58,8 @@ def called(monkeypatch, report, small_trajectory) -> list[str]:
 
         return work
 
-    def predict(video: Path, model: Path, out: Path, **options) -> Keypoints:
+    def predict(video: Path, model: Path, out: Path, *, progress, **options) -> Keypoints:
+        PredictSettings(video=video, model=model, out=out, **options)
         names.append("detect")
         shutil.copy(SAMPLES / "whole.csv", out)
         return read_keypoints(out)
@@ -135,7 +137,6 @@ def test_the_network_finds_the_keypoints_once(film, called):
     of_network = {"model": film.parent / "net"}
     assert done(job(film, **of_network), called) == ["detect", *ALL]
     assert done(job(film, **of_network), called) == []
-    assert done(job(film, **of_network, quality="best"), called)[0] == "detect"
     (film.parent / "net" / "model.pt").write_text("other weights")
     assert done(job(film, **of_network), called)[0] == "detect"
     assert (film.parent / "out" / "run_keypoints.csv").read_bytes() == (SAMPLES / "whole.csv").read_bytes()
@@ -240,12 +241,11 @@ def test_the_command_says_what_was_done(film, called):
 
 
 def test_all_mistakes_are_said_before_any_work(film, called):
-    options = ("--camera-motion", "spins", "--from", "detekt", "--quality", "high")
+    options = ("--camera-motion", "spins", "--from", "detekt")
     refused(
         ["run", film, "--out", film.parent / "out", *options],
         ("--camera-motion", "camera_motion", "'spins'", "turns or zooms"),
         ("--from", "start", "'detekt'", "detect, camera-motion, fit, analyse, overlay or page"),
-        ("--quality", "quality", "'high'", "fast or best"),
     )
     options = ("--camera-motion", "turns", "--fps", -1, "--keypoints", film.parent / "points.csv")
     no_lens = [(of, "camera", "nothing") for of in ("--camera", "--camera-motion")]

@@ -27,6 +27,7 @@ from recon.gait.kinematics import MIN_POINTS
 from recon.io import recognised
 from recon.io.video import SUFFIXES, probe
 from recon.show.page import PAGE, SUMMARY_PAGE, require_own_page
+from recon.show.plain import picked
 from recon.show.report import build_report, is_unsolved
 from recon.workflows.analyse import AnalyseSettings, run_analyse
 from recon.workflows.batch import Clip, ClipPlan, Summary, results_of, shown_batch, work_off
@@ -63,8 +64,6 @@ class _RunSettings(Settings):
     start: Annotated[Stage | None, Option(metavar="STAGE", name="--from")] = None
     """Do this stage again, and all after it."""
     first_frame: Annotated[Integer, FIRST_FRAME] = 0
-    quality: Literal["fast", "best"] = "fast"
-    """Quality of the network's points."""
     jobs: Count | None = None
     """Videos at a time, of a folder. (default: one for each core)"""
     config: Path | None = None
@@ -106,7 +105,7 @@ class _Stage(NamedTuple):
 
     identity: Callable[[], dict[str, Any]]
     """What it is made from."""
-    work: Callable[[_Job, Progress], tuple[Iterable[Path], Iterable[str]]]
+    work: Callable[[Progress], tuple[Iterable[Path], Iterable[str]]]
     """Does it, over what is there, and gives the files that it wrote, and notes on the video."""
     places: tuple[Path, ...] = ()
     """Files that are in its way, unless a run has made them; none where it looks for itself what it may replace."""
@@ -228,7 +227,7 @@ def _carry_out(name: str, stage: _Stage, job: _Job, record: Record, again: bool,
         _check_inputs(job)
     record.note(name, known)
     progress("starting", 0.0)
-    paths, notes = stage.work(job, progress)
+    paths, notes = stage.work(progress)
     files = {p.absolute().relative_to(out.absolute()).as_posix(): sha256_of(p) for p in paths}
     record.note(name, known, files=files, notes=[*notes])
     return _StageOutcome(name, "done", time.perf_counter() - began, tuple(files), tuple(notes))
@@ -255,62 +254,49 @@ def _check_inputs(job: _Job) -> None:
 def _stages(job: _Job) -> dict[str, _Stage]:
     """The stages that this job has, by name."""
     run, given, out = job.run, job.given, job.run.out
-    keypoints, film = given.keypoints[0], {"video": run.video}
-    fit, options = {"fit": out / MANIFEST}, {"first_frame": run.first_frame}
+    keypoints, film, first = given.keypoints[0], {"video": run.video}, {"first_frame": run.first_frame}
+    fit, places = {"fit": out / MANIFEST}, tuple(out / name for name in output_files(out) if name != PAGE)
+
+    def detect(progress: Progress) -> tuple[Iterable[Path], Iterable[str]]:
+        how = {"threads": job.threads, "overwrite": True, "progress": progress}
+        return [keypoints], import_module(DETECTOR).run_prediction(run.video, run.model, keypoints, **how).notes
+
+    def follow(progress: Progress) -> tuple[Iterable[Path], Iterable[str]]:
+        from recon.workflows.camera_motion import NOTES, of_clip, run_camera_motion
+
+        settings = of_clip(given, run.video, run.track, **first, zoom=run.camera_motion == "zooms", overwrite=True)
+        report, files = run_camera_motion(settings, progress=progress)
+        return files, report["notes"][len(NOTES) :]
+
+    def solve(progress: Progress) -> tuple[Iterable[Path], Iterable[str]]:
+        began, motion = time.perf_counter(), fit_clip(job.fit, progress)
+        write_clip(motion, job.fit, out, time.perf_counter() - began)
+        return [out / name for name in (*read_manifest(out).files, MANIFEST)], ()
+
+    def analyse(progress: Progress) -> tuple[Iterable[Path], Iterable[str]]:
+        return run_analyse(AnalyseSettings(folder=out, overwrite=True), progress=progress)[2], ()
+
+    def draw(progress: Progress) -> tuple[Iterable[Path], Iterable[str]]:
+        settings = OverlaySettings(folder=out, out=out / OVERLAY, overwrite=True, **film, **first)
+        return [out / OVERLAY], run_overlay(settings, progress=progress)[-1]
+
+    def page(progress: Progress) -> tuple[Iterable[Path], Iterable[str]]:
+        return [run_page(PageSettings(folder=out, **film, **first), progress=progress)], ()
+
     stages = {}
     if run.model is not None:
         network = film | {"model": import_module(DETECTOR).model_file(run.model)}
-        stages["detect"] = _Stage(lambda: identity_of(network, {"quality": run.quality}), _detect, (keypoints,))
+        stages["detect"] = _Stage(lambda: identity_of(network, {}), detect, (keypoints,))
     if run.camera_motion is not None and given.camera is not None:
         files = film | {"camera": given.camera[0], "keypoints": keypoints}
-        names = "camera_name", "tilt_deg", "individual"
-        of_motion = options | {"motion": run.camera_motion} | {name: getattr(given, name) for name in names}
-        stages["camera-motion"] = _Stage(lambda: identity_of(files, of_motion), _follow, (run.track,))
-    places = tuple(out / name for name in output_files(out) if name != PAGE)
+        how = first | {"motion": run.camera_motion} | picked(given, "camera_name", "tilt_deg", "individual")
+        stages["camera-motion"] = _Stage(lambda: identity_of(files, how), follow, (run.track,))
     return stages | {
-        "fit": _Stage(lambda: identity(job.fit), _fit, places),
-        "analyse": _Stage(lambda: identity_of(fit, {}), _analyse, (out / "analysis" / "analysis.json",)),
-        "overlay": _Stage(lambda: identity_of(fit | film, options), _overlay, (out / OVERLAY,)),
-        "page": _Stage(lambda: identity_of(fit | film, options), _page),
+        "fit": _Stage(lambda: identity(job.fit), solve, places),
+        "analyse": _Stage(lambda: identity_of(fit, {}), analyse, (out / "analysis" / "analysis.json",)),
+        "overlay": _Stage(lambda: identity_of(fit | film, first), draw, (out / OVERLAY,)),
+        "page": _Stage(lambda: identity_of(fit | film, first), page),
     }
-
-
-def _detect(job: _Job, progress: Progress) -> tuple[Iterable[Path], Iterable[str]]:
-    (out,), how = job.given.keypoints, {"quality": job.run.quality, "threads": job.threads}
-    network = import_module(DETECTOR)
-    found = network.run_prediction(job.run.video, job.run.model, out, **how, overwrite=True, progress=progress)
-    return [out], found.notes
-
-
-def _follow(job: _Job, progress: Progress) -> tuple[Iterable[Path], Iterable[str]]:
-    from recon.workflows.camera_motion import NOTES, of_clip, run_camera_motion
-
-    more = {"first_frame": job.run.first_frame, "zoom": job.run.camera_motion == "zooms", "overwrite": True}
-    report, files = run_camera_motion(of_clip(job.given, job.run.video, job.run.track, **more), progress=progress)
-    return files, report["notes"][len(NOTES) :]
-
-
-def _fit(job: _Job, progress: Progress) -> tuple[Iterable[Path], Iterable[str]]:
-    began, out = time.perf_counter(), job.run.out
-    motion = fit_clip(job.fit, progress)
-    write_clip(motion, job.fit, out, time.perf_counter() - began)
-    return [out / name for name in (*read_manifest(out).files, MANIFEST)], ()
-
-
-def _analyse(job: _Job, progress: Progress) -> tuple[Iterable[Path], Iterable[str]]:
-    return run_analyse(AnalyseSettings(folder=job.run.out, overwrite=True), progress=progress)[2], ()
-
-
-def _overlay(job: _Job, progress: Progress) -> tuple[Iterable[Path], Iterable[str]]:
-    folder, out = job.run.out, job.run.out / OVERLAY
-    how = {"video": job.run.video, "first_frame": job.run.first_frame, "overwrite": True}
-    *_, notes = run_overlay(OverlaySettings(folder=folder, out=out, **how), progress=progress)
-    return [out], notes
-
-
-def _page(job: _Job, progress: Progress) -> tuple[Iterable[Path], Iterable[str]]:
-    of = PageSettings(folder=job.run.out, video=job.run.video, first_frame=job.run.first_frame)
-    return [run_page(of, progress=progress)], ()
 
 
 # -- a folder of videos -----------------------------------------------------------------------------------------------
