@@ -10,8 +10,7 @@ import time
 import numpy as np
 from board_pictures import poses, render
 
-from recon.calibrate.boards import BoardView, BoardViews, parse_board
-from recon.calibrate.intrinsics import Calibration, calibrate, check
+from recon.calibrate.boards import BoardView, BoardViews, Calibration, calibrate, check, parse_board
 from recon.geometry.camera import Camera
 
 SIZE = (1280, 720)

@@ -35,7 +35,7 @@ from recon.geometry import rigid
 from recon.io import trc, write_csv
 from recon.io.json_poses import LISTS
 from recon.workflows import draft_skeleton, prepare, run_clip
-from recon.workflows.skeleton_draft import _SkeletonDraftSettings, drafted, run_skeleton_draft
+from recon.workflows.skeleton import _SkeletonDraftSettings, drafted, run_skeleton_draft
 
 OBLIQUE_M = [[1.0, -5.5, 1.5], [4.5, -4.0, 1.7], [-4.5, 4.0, 1.8], [5.0, 4.0, 2.0]]
 ABOVE_M = [[0.35, 0.1, 0.45], [-0.1, 0.4, 0.45], [-0.35, -0.1, 0.5], [0.1, -0.4, 0.4]]

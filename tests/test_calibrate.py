@@ -19,8 +19,18 @@ from typer.testing import CliRunner
 
 from recon import Camera, InputError, read_camera
 from recon.calibrate import parse_board
-from recon.calibrate.boards import Board, BoardView, BoardViews, choose, collect, corner_sharpness, find_views
-from recon.calibrate.intrinsics import calibrate, check, coverage
+from recon.calibrate.boards import (
+    Board,
+    BoardView,
+    BoardViews,
+    calibrate,
+    check,
+    choose,
+    collect,
+    corner_sharpness,
+    coverage,
+    find_views,
+)
 from recon.io import video_writer
 from recon.show import plots
 from recon.workflows import app

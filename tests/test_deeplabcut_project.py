@@ -18,7 +18,7 @@ from recon import evaluate_files, find_clips
 from recon.animal import load_names
 from recon.io import find_project, predictions, read_keypoints, read_pose3d
 from recon.keypoint_net import read_labels
-from recon.workflows.skeleton_draft import _SkeletonDraftSettings, run_skeleton_draft
+from recon.workflows.skeleton import _SkeletonDraftSettings, run_skeleton_draft
 
 SAMPLE = Path(__file__).parents[1] / "data" / "samples" / "whole.csv"
 CAMERA = {"hfov_deg": 60.0, "image_size_px": (1920, 1080), "fps": 60.0}

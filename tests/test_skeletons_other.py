@@ -30,7 +30,7 @@ from recon.fit import TrajectoryOptions, solve_trajectory
 from recon.gait.evaluation import centre, joint_errors, score
 from recon.io import read_keypoints
 from recon.workflows import app, check_skeleton
-from recon.workflows.skeleton_check import _SkeletonCheckSettings, skeleton_check
+from recon.workflows.skeleton import _SkeletonCheckSettings, skeleton_check
 
 CAT = (Path(__file__).parents[1] / "docs" / "my-cat.toml").read_text(encoding="utf-8")
 

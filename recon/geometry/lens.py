@@ -43,7 +43,7 @@ class Lens:
     colmap: ClassVar[Mapping[str, str]] = {}
     """COLMAP's models of this kind, and their parameters in their order."""
     opencv: ClassVar[Literal["standard", "fisheye"] | None] = None
-    """Which of OpenCV's functions fit it to pictures of a board (`recon.calibrate.intrinsics`), if any."""
+    """Which of OpenCV's functions fit it to pictures of a board (`recon.calibrate.boards`), if any."""
     calibrated: ClassVar[int] = 0
     """How many coefficients they find."""
 

@@ -12,7 +12,6 @@ if TYPE_CHECKING:
     from recon.workflows.clip_results import OUTPUT_FILES, Record, digest, file_sha256, identity, problem_of, run_clip
     from recon.workflows.convert import ConvertSettings, read_any
     from recon.workflows.look import PageSettings, run_page
-    from recon.workflows.skeleton_check import check_skeleton
-    from recon.workflows.skeleton_draft import draft_skeleton
+    from recon.workflows.skeleton import check_skeleton, draft_skeleton
 
 __getattr__ = lazily(__name__, __file__)

@@ -15,9 +15,9 @@ from recon.base import Progress, silent
 from recon.base.errors import Problem, all_of, refuse
 from recon.base.files import require_free_file, staged_folder, write_bytes
 from recon.base.settings import OneOrMore, Option, Settings
+from recon.calibrate.boards import calibrate as solved
+from recon.calibrate.boards import check as checked
 from recon.calibrate.boards import collect, find_views, parse_board
-from recon.calibrate.intrinsics import calibrate as solved
-from recon.calibrate.intrinsics import check as checked
 from recon.check import names_text
 from recon.geometry.lens import LENS_MODELS
 from recon.io import write_camera

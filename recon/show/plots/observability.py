@@ -14,8 +14,8 @@ from matplotlib.patches import Rectangle
 
 from recon.animal import Body
 from recon.base.arrays import Array, median
+from recon.calibrate.boards import Calibration, coverage
 from recon.calibrate.camera_advice import Advice
-from recon.calibrate.intrinsics import Calibration, coverage
 from recon.fit.motion import MEASURED_SHARE
 from recon.show.plots.style import GREY, PAGE_MM, PALE, SMALL, WIDTH_MM, drawing
 

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import sys
+from dataclasses import MISSING
 from importlib import import_module
 from typing import Annotated, Any
 
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-from recon.base.errors import InputError
+from recon.base.errors import InputError, Problem
 from recon.base.interrupts import Interrupts, installed
+from recon.base.settings import Option, SettingInfo, Settings
 from recon.workflows.cli.command import HELP, SettingsCommand, make_command
-from recon.workflows.cli.common import EXIT_BAD_INPUT, EXIT_UNSOLVED, error_text, stop, terminal
+from recon.workflows.cli.common import EXIT_BAD_INPUT, EXIT_UNSOLVED, Answer, error_text, stop, table_of, terminal
 
 _CORE, _ROBOTICS, _NET = "recon.workflows.", "recon.robotics.cli:", "recon.keypoint_net."
 _THESIS = "recon.thesis."
@@ -24,7 +27,7 @@ COMMANDS = {
         "batch": (_CORE + "batch:batch", "Many clips in parallel, from where it was stopped."),
         "run": (_CORE + "run:run", "From a video to a page: keypoints, fit, analysis, overlay, report.html."),
         "demo": (_CORE + "demo:demo", "Fit the bundled sample and compare it with its truth."),
-        "settings": (_CORE + "cli.settings:settings", "All settings of a command, also those that are no options."),
+        "settings": (_CORE + "cli:settings", "All settings of a command, also those that are no options."),
     },
     "Look at it and use it": {
         "view": (_CORE + "look:view", "The playback in the rerun viewer, with the plots of its analysis."),
@@ -47,9 +50,9 @@ COMMANDS = {
         "evaluate-2d": (_NET + "evaluate2d:evaluate_2d_command", "Compare keypoints with labels."),
     },
     "Models and priors": {
-        "skeleton list": (_CORE + "skeleton_check:skeleton_list", "List the skeletons that come with the package."),
-        "skeleton check": (_CORE + "skeleton_check:skeleton_check", "Check a skeleton file, list it, and draw it."),
-        "skeleton from-keypoints": (_CORE + "skeleton_draft:skeleton_from_keypoints", "Draft one for a file's points."),
+        "skeleton list": (_CORE + "skeleton:skeleton_list", "List the skeletons that come with the package."),
+        "skeleton check": (_CORE + "skeleton:skeleton_check", "Check a skeleton file, list it, and draw it."),
+        "skeleton from-keypoints": (_CORE + "skeleton:skeleton_from_keypoints", "Draft one for a file's points."),
         "subject fit": (_CORE + "subject:subject_fit", "Measure one animal in clips of several cameras."),
         "prior fit": (_CORE + "prior:prior_fit", "Fit a motion prior to results or 3D poses."),
     },
@@ -137,6 +140,36 @@ def commands() -> dict[str, SettingsCommand]:
     """All commands by name, each made."""
     group = _Commands()
     return {name: group.load(name) for name in group.functions}
+
+
+class _ListedSettings(Settings):
+    """The settings of `recon settings`."""
+
+    command: Annotated[str, Option(argument="COMMAND")] = "fit"
+    """The command, as in fit."""
+
+
+def settings(settings: _ListedSettings) -> Answer:
+    """List all settings of a command: those that are options, and those that only --set and config.toml have.
+
+    Example: recon settings fit
+    """
+    command = commands().get(settings.command)
+    if command is None:
+        expected = f"one of {', '.join(commands())}"
+        raise InputError(Problem("COMMAND", "command", repr(settings.command), expected))
+    rows = [row_of(info) for info in command.infos.values()]
+    cells = (
+        (r["written"], json.dumps(r["default"] if r["default"] is not None else "").strip('"'), r["meaning"])
+        for r in rows
+    )
+    return Answer(rows, [table_of("setting", "default", "meaning", rows=cells)])
+
+
+def row_of(info: SettingInfo) -> dict[str, Any]:
+    """A setting as JSON has it."""
+    default = None if info.default is MISSING else info.plain(info.default)
+    return {"name": info.field, "written": info.on_command_line, "default": default, "meaning": info.option.help}
 
 
 _NO_MEMORY = re.compile(
