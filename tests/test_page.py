@@ -156,6 +156,7 @@ def test_a_page_says_what_the_report_says(page, folder):
         *(one["text"] for one in report["findings"] if one["severity"] != "note"),
         *report["assumptions"]["sentences"],
         "few joints were seen and trusted",
+        "The grey line is the ground that feet stand on",
         "The acceleration is hardly known, most of the time less than its standard deviation, and not shown.",
     ):
         assert text in page.text

@@ -96,8 +96,7 @@ def _lines(
         for s in found.gait.stances:
             spans[s.foot].append(f"{'' if s.begins else '≤'}{s.start_s:.3f}-{s.end_s:.3f}{'' if s.ends else '+'}")
         rows = ((f"{foot} {motion.foot_names[foot]}", ", ".join(of) or "none") for foot, of in spans.items())
-        title = f"times in seconds: frame number / {motion.fps:g}"
-        yield table_of("foot", "stances, s", rows=rows, title=title)
+        yield table_of("foot", f"stances, s (frame number / {motion.fps:g})", rows=rows)
     yield from (f"note: {note}" for note in summary["notes"])
     yield f"{len(files)} files are in {out}."
     if out == settings.folder / FOLDER and (settings.folder / PLAYBACK).is_file():

@@ -18,7 +18,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from recon.base.arrays import Array
 from recon.base.documents import FileTable, builtin_names, named_file, parse_toml, text_of, validated
-from recon.base.errors import InputError, Problem
+from recon.base.errors import InputError, Problem, refuse
 from recon.base.package import install_command
 from recon.robotics.ik.chain import MAX_RATE_RAD_S, SerialChain, joint_chain
 from recon.robotics.robot.quadruped import (
@@ -134,11 +134,14 @@ def _checked_robot(robot: Quadruped) -> Quadruped:
         problems.append(Problem(robot.source, "joints", "one name for several", "a name for each"))
     for label, leg in robot.legs.items():
         if not np.isfinite(leg.angles(leg.neutral_m[None])).all():
-            found = f"a leg {label} that does not reach the ground within its limits"
-            problems.append(Problem(robot.source, "stand_m", found, "a height that it can stand at"))
-    if problems:
-        raise InputError(problems)
+            problems.append(_cannot_stand(robot.source, label))
+    refuse(problems)
     return robot
+
+
+def _cannot_stand(source: str, label: str) -> Problem:
+    found = f"a leg {label} that does not reach the ground within its limits"
+    return Problem(source, "stand_m", found, "a height that it can stand at")
 
 
 def _quadruped_of_model(path: Path) -> Quadruped:
@@ -171,8 +174,11 @@ def _quadruped_of_model(path: Path) -> Quadruped:
     if not stand > SHORTEST_M:
         raise InputError(Problem(path, "legs", f"{shortest:g} m long", f"legs longer than {SHORTEST_M:g} m"))
     neutral = hips - [0.0, 0.0, stand]
-    every = zip(labels, chains, neutral, strict=True)
-    legs = {label: RobotLeg(chain, foot, standing(chain, foot)) for label, chain, foot in every}
+    legs = {}
+    for label, chain, foot in zip(labels, chains, neutral, strict=True):
+        if (home := standing(chain, foot)) is None:  # after a second's search: the other legs are mostly like it
+            raise InputError(_cannot_stand(str(path), label))
+        legs[label] = RobotLeg(chain, foot, home)
     called = model.names.split(b"\0")[0].decode() or path.stem
     return Quadruped(called, called, {label: legs[label] for label in LEGS}, stand, str(path))
 

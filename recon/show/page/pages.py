@@ -187,9 +187,12 @@ def _sections(found: ClipAnalysis) -> Iterator[_FigureGroup]:
     motion, moved, gait = found.motion, found.reference_motion, found.gait
     ground = None if gait is None else gait.tracks.grounds
     drawn = {"ground": ground, "sides": motion.limb_sides}
+    slope = (
+        " The grey line is the ground that feet stand on: a slope is the ground's, or an error of the camera's tilt."
+    )
     yield _FigureGroup(
         "From the side, from above and from ahead",
-        "Poses evenly spaced in time, turned so that the animal runs to the right.",
+        f"Poses evenly spaced in time, turned so that the animal runs to the right.{slope if ground else ''}",
         _inline([plots.composites(m, motion.limbs, motion.time_s, **drawn) for m in _stretches(motion, moved)]),
     )
     name, hardly = motion.reference, _is_unknown(moved.acceleration_m_s2, moved.acceleration_sigma_m_s2)

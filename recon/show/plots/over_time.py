@@ -140,7 +140,7 @@ def forces(d: Dynamics, gait: Gait) -> Figure:
                 below[row].set_yticks([])
         top.set_yticks(range(len(feet)), feet)
         top.invert_yaxis()
-        top.set_title("stances, and vertical force of each foot (body weights; band: 90 %)")
+        top.set_title("stances, and vertical force of each foot (body weights; band: 90 %)", loc="left")
         series = d.centre.series
         sigma = np.zeros_like(series.value[:, 2]) if series.value_sigma is None else series.value_sigma[:, 2]
         height = series.value[:, 2] - d.ground_m
