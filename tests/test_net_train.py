@@ -205,7 +205,7 @@ def test_the_network_learns_the_blobs_and_the_report_says_so(clip, model):
     assert report["calibration"]["slope"] > 0
     assert report["reliability_validation"]["points"] > 0
     assert 0 < report["best_validation"]["step"] <= report["validation_in_training_from"]
-    files = {"suspicious.csv", "model.pt"}
+    files = {"worst.png", "suspicious.csv", "model.pt"}
     assert files <= {file.name for file in model.iterdir()}
 
 

@@ -15,26 +15,30 @@ import copy
 import dataclasses
 import math
 import time
+from colorsys import hsv_to_rgb
 from contextlib import closing
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+import cv2
 import numpy as np
 import pandas as pd
 from pydantic import Field
 
 from recon import __version__
 from recon.base import Progress, silent
-from recon.base.arrays import Array, Bools, Integers, median
+from recon.base.arrays import Array, Bools, Integers, mean, median
 from recon.base.errors import InputError, Problem, refuse
+from recon.base.files import write_bytes
 from recon.base.settings import Count, Integer, Number, Option, Settings
 from recon.io.video import Image
 from recon.keypoint_net import network as net
 from recon.keypoint_net import pictures
 from recon.keypoint_net.evaluate2d import evaluate_2d, reliability
-from recon.keypoint_net.labels import Labels, body_length_px, extents_px, frames_by_part, resize, sides
+from recon.keypoint_net.labels import Labels, body_length_px, extents_px, frames_by_part, resize, scale_points, sides
+from recon.show.overlay import Colour, draw_circle, draw_line, draw_text
 from recon.show.plain import to_json, to_plain
 
 if TYPE_CHECKING:
@@ -326,6 +330,10 @@ def _resumed(run: TrainingRun, out: Path) -> State:
 
 # -- what a training run tells about itself ----------------------------------------------------------------------------
 
+WORST = 6
+LEAST_WIDTH_PX = 560
+"""Smaller pictures are enlarged."""
+LABEL, LINE = (255, 255, 255), (60, 60, 230)
 FAR, APART = 0.2, 0.15
 """Body lengths from which on a label stands out: from the network's point, from the others."""
 REASONS = {
@@ -342,7 +350,9 @@ MOST = 30
 def write_training_report(run: TrainingRun, state: State, folder: Path) -> dict[str, Any]:
     """Into an existing folder; returns what stands in training.json."""
     spec, split, history = calibrated_spec(run, state), run.split, state.history
-    _, raw, xy_px = judge(net.TrainedNetwork(spec, state.average, run.device), run, np.arange(len(run.labels.images)))
+    errors, raw, xy_px = judge(
+        net.TrainedNetwork(spec, state.average, run.device), run, np.arange(len(run.labels.images))
+    )
     likelihood, judged = net.calibrated(raw, spec.calibration), {}
     for name, which in split.items():
         if len(which):
@@ -392,7 +402,43 @@ def write_training_report(run: TrainingRun, state: State, folder: Path) -> dict[
     for name, count in digits.items():
         table[name] = ["" if np.isnan(value) else f"{value:.{count}f}" for value in table[name]]
     table.assign(reasons=table["reasons"].map("; ".join)).to_csv(folder / "suspicious.csv", index=False)
+    held = np.concatenate([split["validation"], split["test"]])
+    _write_worst(run.labels, errors, xy_px, held if len(held) else split["train"], folder / "worst.png")
     return report
+
+
+def _write_worst(labels: Labels, errors: Array, xy_px: Array, which: Integers, path: Path) -> None:
+    """The pictures with the largest mean error, no two of them neighbours in time: a ring at each label, a dot at its
+    prediction, and a line between them."""
+    mean_px, chosen = np.array([mean(of_one) for of_one in errors]), []
+    for i in which[np.argsort(-np.nan_to_num(mean_px[which], nan=-np.inf))]:
+        apart = all(labels.clip[i] != labels.clip[j] or abs(labels.numbers[i] - labels.numbers[j]) > 2 for j in chosen)
+        if apart and np.isfinite(mean_px[i]) and len(chosen) < WORST:
+            chosen.append(i)
+    tiles = []
+    for i in chosen:
+        factor = max(1, -(-LEAST_WIDTH_PX // labels.pictures[i].shape[1]))
+        drawn = np.asarray(cv2.resize(labels.pictures[i], None, fx=factor, fy=factor, interpolation=cv2.INTER_CUBIC))
+        radius = max(3.0, drawn.shape[1] / 160)
+        for k, colour in enumerate(point_colours(len(labels.names))):
+            if labels.labelled[i, k]:
+                label, found = (scale_points(points[i, k], factor) for points in (labels.xy_px, xy_px))
+                draw_line(drawn, label, found, LINE, 1)
+                draw_circle(drawn, label, radius + 1, LABEL, 1)
+                draw_circle(drawn, found, 0.6 * radius, colour, -1)
+        draw_text(drawn, f"{labels.images[i]}: mean {mean_px[i]:.1f} px", (8, 20), 0.5, LABEL)
+        tiles.append(drawn)
+    height, width, _ = np.max([tile.shape for tile in tiles], axis=0)
+    sheet = np.zeros((height * -(-len(tiles) // 2), 2 * width, 3), np.uint8)
+    for n, tile in enumerate(tiles):
+        sheet[n // 2 * height :, n % 2 * width :][: tile.shape[0], : tile.shape[1]] = tile
+    write_bytes(path, cv2.imencode(path.suffix, sheet)[1].tobytes())
+
+
+def point_colours(count: int) -> list[Colour]:
+    """One for each keypoint, blue, green, red: evenly around the colour wheel, bright and dark by turns."""
+    found = (hsv_to_rgb(k / count, 0.85, 0.75 if k % 2 else 1.0) for k in range(count))
+    return [(round(255 * blue), round(255 * green), round(255 * red)) for red, green, blue in found]
 
 
 def suspicious_labels(labels: Labels, xy_px: Array, length_px: float) -> list[dict[str, Any]]:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Generator, Iterator
-from colorsys import hsv_to_rgb
 from contextlib import ExitStack, closing
 from itertools import islice
 from pathlib import Path
@@ -28,7 +27,15 @@ from recon.io.video import Image, VideoInfo, missing_note, probe, require_codec,
 from recon.keypoint_net import network as net
 from recon.keypoint_net.labels import read_labels, resize, split_labels
 from recon.keypoint_net.pictures import ahead, background_of_video
-from recon.keypoint_net.train import CHECKPOINT_FILE, SPLIT, TrainSettings, prepare, train, write_training_report
+from recon.keypoint_net.train import (
+    CHECKPOINT_FILE,
+    SPLIT,
+    TrainSettings,
+    point_colours,
+    prepare,
+    train,
+    write_training_report,
+)
 from recon.show.overlay import draw_circle
 from recon.show.plain import picked
 from recon.workflows.cli.common import progress_bar, say, stop, terminal
@@ -293,12 +300,9 @@ def draw_points(picture: Image, xy_px: Array, likelihood: Array) -> Image:
     """A copy with dots at points (K, 2); those less likely than `LIKELY` are rings."""
     drawn = picture.copy()
     radius = max(2.0, max(picture.shape[:2]) / 160)
-    for k, (at, how) in enumerate(zip(xy_px, likelihood, strict=True)):
+    for at, how, colour in zip(xy_px, likelihood, point_colours(len(xy_px)), strict=True):
         if np.isfinite(at).all():
             likely = how >= LIKELY
-            # Evenly around the colour wheel, bright and dark by turns.
-            red, green, blue = hsv_to_rgb(k / len(xy_px), 0.85, 0.75 if k % 2 else 1.0)
-            colour = (round(255 * blue), round(255 * green), round(255 * red))
             if likely:
                 draw_circle(drawn, at, radius + 1, (0, 0, 0), -1)
             draw_circle(drawn, at, radius if likely else 0.7 * radius, colour, -1 if likely else 1)

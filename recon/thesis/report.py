@@ -5,10 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
+import numpy as np
+
 from recon.base.arrays import median
 from recon.check import verdict_fields
 from recon.fit.motion import MEASURED_SHARE, Motion
 from recon.gait.clip import ClipAnalysis
+from recon.geometry.frames import level_axes
 from recon.show import sections
 from recon.show.plain import number, spread
 from recon.show.sections import Line, Section
@@ -44,25 +47,49 @@ def _base_length(motion: Motion) -> dict[str, Any]:
 
 
 def summary(motion: Motion) -> dict[str, Any]:
-    status = frame_solution(motion).status
+    solution = frame_solution(motion)
+    R = solution.views[0].rotation
+    variance = np.diagonal(R @ solution.covariance_m2 @ R.T, axis1=2, axis2=3)  # along the camera's x, y, z
     return {
         "frames": len(motion.frames),
         "frames_with_pose": int(motion.solved.sum()),
         "frames_flagged": sum(bool(flags) for flags in motion.flags),
-        **{f"frames_{s}": status.count(s) for s in ("converged", "not_converged", "no_data")},
+        **{f"frames_{s}": solution.status.count(s) for s in ("converged", "not_converged", "no_data")},
         "frames_diverged": sum("diverged" in flags for flags in motion.flags),
         **sections.counts(motion),
+        "joint_sigma_across_m": median(np.sqrt(variance[..., :2].mean(axis=-1))),
+        "joint_sigma_depth_m": median(np.sqrt(variance[..., 2])),
+        "iterations_median": median(solution.reported("iterations")),
+        "function_evaluations_median": median(solution.reported("function_evaluations")),
     }
 
 
 def summary_lines(motion: Motion, data: Any) -> Iterator[Line]:
-    done, failed, without = (data[f"frames_{s}"] for s in ("converged", "not_converged", "no_data"))
-    yield "frames", f"{done} of {data['frames']} converged, {failed} did not, {without} without data"
+    yield (
+        "frames",
+        f"{data['frames_converged']} of {data['frames']} converged, {data['frames_not_converged']} did not, "
+        f"{data['frames_no_data']} without data",
+    )
+    across, depth = (number(data[f"joint_sigma_{way}_m"], ".2f") for way in ("across", "depth"))
+    size = "size and distance included (one sigma)"
+    yield "uncertainty", f"{across} m across the picture, {depth} m in depth, {size}"
+    text, timing = f"{number(data['iterations_median'], '.0f')} iterations a frame (median)", motion.timing_s
+    if "solve_s" in timing:
+        times = median(frame_solution(motion).reported("solve_s"))
+        each = f", {1000 * times:.0f} ms a frame (median)" if np.isfinite(times) else ""
+        text += f"{each}; {timing['solve_s']:.1f} s with reading"
+    yield "effort", text
 
 
 def travel(motion: Motion) -> dict[str, Any]:
-    speed_m_s = frame_solution(motion).travel.speed_m_s
-    return {"median_speed_m_s": median(speed_m_s[speed_m_s > 0])}
+    found = frame_solution(motion).travel
+    _, away = level_axes(motion.camera.up)
+    to_picture = np.arcsin(np.clip(found.heading @ away, -1.0, 1.0))
+    moving = found.speed_m_s > 0
+    return {
+        "heading_to_picture_rad": median(to_picture[moving] if moving.any() else to_picture),
+        "median_speed_m_s": median(found.speed_m_s[moving]),
+    }
 
 
 def travel_lines(motion: Motion, data: Any) -> Iterator[Line]:
@@ -77,6 +104,7 @@ def travel_lines(motion: Motion, data: Any) -> Iterator[Line]:
         path, how = root["smoothed"] or root["exact"], "smoothed" if root["smoothed"] else "not smoothed"
         far, peak = (number(path[name], ".1f") for name in ("distance_m", "peak_speed_m_s"))
         yield "path", f"{far} m, peak {peak} m/s ({frame}, {how})"
+    yield "heading", sections.heading_text(data["heading_to_picture_rad"])
 
 
 def size_lines(motion: Motion, data: Any) -> Iterator[Line]:
