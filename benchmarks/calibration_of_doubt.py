@@ -60,7 +60,7 @@ FPS, T = 90.0, 36
 OUTLIERS, MISSING = 0.05, 0.1
 END_ON_DEG = 30.0
 STEP = 0.02
-"""Of the logarithm of the distance."""
+"""The step of the logarithm of the distance."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -84,7 +84,7 @@ def run_of(folder: Path) -> Run:
 
 
 def runs_given(about: str | None) -> list[Run]:
-    """Those of the folder that the command line names. about: the text of its help."""
+    """The runs of the folder that the command line names. about: the text of its help."""
     parser = argparse.ArgumentParser(description=about, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", nargs="?", type=Path, default=recordings("cheetah-runs"))
     folder = parser.parse_args().folder
@@ -192,7 +192,7 @@ def cameras_of(run: Run) -> dict[str, list[int]]:
 
 
 def true_size(run: Run) -> float:
-    """Of the subject, beside the skeleton's lengths: the mean factor on those of the segments and markers."""
+    """The subject's size beside the skeleton's: the mean factor on the lengths of the segments and markers."""
     own, generic = (
         [np.linalg.norm(i.offset_m) for i in (*b.tree.segments, *b.tree.markers)]
         for b in (body_of(run.subject), body_of())

@@ -40,7 +40,7 @@ HEADER = ("recordings", "views", "taken by itself", "nothing said", "none", SHIP
 
 
 def mpjpe_mm(folder: Path, number: int, detector: str | None) -> tuple[float, str]:
-    """Of one view, and the detector that was taken."""
+    """The error of one view, and the detector that was taken."""
     scene, meta = folder / "scene.json", meta_of(folder)
     motion = fit_clip(
         FitSettings(

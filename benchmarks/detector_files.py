@@ -103,7 +103,7 @@ def fmpose3d(path: Path) -> None:
 
 
 def acinoset(path: Path) -> None:
-    """Of one animal, as DeepLabCut 2 writes it."""
+    """A file of one animal, as DeepLabCut 2 writes it."""
     import pandas as pd
 
     values = detected(ACINOSET, None)
@@ -167,7 +167,7 @@ FILES: dict[str, tuple[str | None, Callable[[Path], None]]] = {
 
 
 def mpjpe_m(keypoints: Path, rename: str | None = None, skeleton: str = "cheetah-24") -> tuple[float, int]:
-    """Of a fit, all joints of the skeleton that the truth has; and how many of them the file has."""
+    """The error of a fit, over all joints of the skeleton that the truth has; and how many of them the file has."""
     camera = SAMPLES / "camera.toml"
     detector = "acinoset" if skeleton == "cheetah-24" else None  # the sample's, under whatever names
     given = {"camera": camera, "fps": 60.0, "rename": rename, "skeleton": skeleton, "detector": detector}

@@ -43,10 +43,10 @@ PARTS = {
 """Whether a clip's lasting deviations are in it, those beside them, and whether these are shuffled or else drawn."""
 CLIPS, SEEDS = (1, 2, 4, 8), (0, 1, 2)
 SECTORS, LASTING_M, PASSING_M, PASSING_S, WHITE_PX = 8, 0.03, 0.03, 0.16, 5.0
-"""Of simulated detections: how far keypoints lie off along each axis, by which eighth of the animal's sides is seen,
+"""Simulated detections: how far keypoints lie off along each axis, by which eighth of the animal's sides is seen,
 and in passing, and for how long."""
 LEVEL_RAD = float(np.radians(1.0))
-"""Of cameras that were levelled, or whose tilt and roll were measured."""
+"""The error of cameras that were levelled, or whose tilt and roll were measured."""
 TOUCHED_DEG = (2.0, 5.0)
 PUT_FRAMES = 6
 """Cameras out of step began so many frames earlier or later, at most."""
@@ -63,7 +63,7 @@ def without_poses(views: Sequence[View], body: Body, fps: float, find_offsets: b
 
 
 def found(views: Sequence[Sequence[View]], bodies: Sequence[Body], fps: Sequence[float]) -> Rig:
-    """Of cameras without their poses."""
+    """The rig that is found for cameras without their poses."""
     return solve_extrinsics([without_poses(*of) for of in zip(views, bodies, fps, strict=True)])
 
 

@@ -156,7 +156,7 @@ def sample_row(name: str, pose: Pose3D, fps: int, truth: Pose3D, truth_fps: int,
 
 
 Events = list[tuple[float, float, bool]]
-"""Of each event: seconds late, standard deviation, and whether it is a touch-down."""
+"""Each event: seconds late, standard deviation, and whether it is a touch-down."""
 
 
 def fitted(run: Path, camera: int, about: dict) -> Motion:
@@ -175,7 +175,7 @@ def found_gait(motion: Motion) -> Gait:
 
 
 def events(found: Sequence[Stance], exact: Sequence[Stance]) -> Events:
-    """Of the stances that are in both."""
+    """The events of the stances that are in both."""
     both = match_stances(exact, found)
     late = [(b.start_s - a.start_s, b.start_sigma_s, True) for a, b in both if a.begins and b.begins]
     return late + [(b.end_s - a.end_s, b.end_sigma_s, False) for a, b in both if a.ends and b.ends]

@@ -92,7 +92,7 @@ COSTS: dict[str, Callable[[SerialChain], Cost]] = {
     HARMONIC: lambda chain: harmonic_map(),
 }
 NEAR_RAD, CLOSED_RAD, APART = 1e-6, 1e-3, 1e3
-"""Of two starts; of a path that closes; how much further apart than they began two ways end that are called chaotic."""
+"""How near two starts are; how well a path closes; how much further apart than they began two chaotic ways end."""
 
 
 def chains(limited: bool) -> dict[str, SerialChain]:
@@ -328,7 +328,7 @@ def stride_cell(stride: StridePath) -> str:
 
 
 def animal_closures(stride: StridePath, fps: float) -> dict[str, np.ndarray]:
-    """Of the animal itself."""
+    """The closures of the animal itself."""
     q = stride.q[np.isfinite(stride.q).all(axis=1)]
     paths = np.stack([q, np.gradient(q, 1 / fps, axis=0)], axis=2).transpose(1, 0, 2)
     return {
@@ -385,7 +385,7 @@ def frames_of(leg: Leg, span_s: tuple[float, float] = (-np.inf, np.inf)) -> Fram
 
 
 def print_fits(folder: Path) -> None:
-    """Of the 8U chain in space there are none: its phi jump where a link stands upright, and so do their rates."""
+    """The 8U chain in space has no fits: its phi jump where a link stands upright, and so do their rates."""
     for kind in ("2D", "whole animal"):
         legs = real_legs(folder)[kind]
         data = [frames_of(leg) for leg in legs]

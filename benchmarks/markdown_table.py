@@ -13,7 +13,7 @@ def print_table(header: Sequence[object], rows: Iterable[Iterable[object]]) -> N
 
 
 def print_header(header: Sequence[object]) -> None:
-    """Of a table whose rows follow as they are found, by `print_row`."""
+    """Begin a table whose rows follow as they are found, by `print_row`."""
     print_row(header)
     print_row(["---"] * len(header))
 

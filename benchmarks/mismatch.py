@@ -40,7 +40,7 @@ from recon.gait.evaluation import centre, joint_errors, score
 from recon.io import read_pose_segments
 
 FAST_M_S = 8.5
-"""Of the segments that `running-cheetah` is made from."""
+"""The least speed of the segments that `running-cheetah` is made from."""
 APART = ("tail_1", "tail_2")
 ASIDE_M, ABOVE_M = 8.0, 0.8
 Rows = list[dict]

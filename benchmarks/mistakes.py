@@ -56,7 +56,7 @@ FALSE = 0.02
 LEGS = {"fore": "fore legs exchanged, second half", "hind": "hind legs exchanged, second half"}
 FOLDED = ("untouched", "ten frames exchanged", *LEGS.values(), "whole clip exchanged")
 MARGINS = (5.0, 8.0, 10.0, 12.0, 15.0, 18.0, 20.0, 25.0, 30.0)
-"""Of `recon.check.likelihood.MARGIN`."""
+"""The values of `recon.check.likelihood.MARGIN` that are tried."""
 WORSE = 1.02
 """No clip may be so many times worse when mended."""
 SPARE = 1.2
@@ -66,8 +66,8 @@ Change = Callable[["View"], tuple[np.ndarray, np.ndarray]]
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """Of a run: what the file has in the order of the body's markers, xy_px (T, J, 2), and the truth (T, J, 3) in the
-    camera's frame, NaN if none."""
+    """A view of a run: what the file has in the order of the body's markers, xy_px (T, J, 2), and the truth (T, J, 3)
+    in the camera's frame, NaN if none."""
 
     run: Path
     camera: int

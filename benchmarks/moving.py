@@ -70,7 +70,7 @@ def _median(rays: np.ndarray) -> np.ndarray:
 
 
 def sigmas_m(solution: TrajectorySolution) -> np.ndarray:
-    """Of a joint within the pose and of its place, root mean square over joints and frames."""
+    """The sigmas of a joint within the pose and of its place, root mean square over joints and frames."""
     return np.array(
         [
             np.sqrt(np.nanmean(np.trace(covariance, axis1=2, axis2=3)))

@@ -121,7 +121,7 @@ def speed(args: argparse.Namespace, out: Path) -> None:
 
 
 def _settings(video: Path, threads: int | None) -> PredictSettings:
-    """Of a prediction that is not written."""
+    """The settings of a prediction that is not written."""
     return PredictSettings(video=video, model=Path(), out=Path(), threads=threads)
 
 

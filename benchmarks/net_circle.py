@@ -23,7 +23,7 @@ from recon.workflows.demo import samples_folder
 from recon.workflows.settings import FitSettings
 
 NOISE_PX = 2.0
-"""Of the points that the fit of predicted ones is compared with."""
+"""The noise of the points that the fit of predicted ones is compared with."""
 
 
 @dataclass(frozen=True)

@@ -39,7 +39,7 @@ from recon.geometry.frames import rigid
 FPS, T = 60.0, 72
 WRONG = (0.0, 0.1, 0.2, 0.3)
 BIAS = 0.5
-"""Of keypoint_sigma_m."""
+"""The keypoints' bias, relative to keypoint_sigma_m."""
 SIGMA_PX, MISSING = 2.0, 0.05
 
 

@@ -15,6 +15,6 @@ def share_below(off: float) -> float:
 
 
 def share_inside(error: np.ndarray, covariance: np.ndarray, level: float) -> float:
-    """Of the known errors (..., k), the part inside the regions that are to hold the share `level`; NaN of none."""
+    """The part of the known errors (..., k) inside the regions that are to hold the share `level`; NaN of none."""
     off = sigmas(error, covariance)
     return float(np.mean(off[np.isfinite(off)] < radius(level, error.shape[-1]))) if np.isfinite(off).any() else np.nan

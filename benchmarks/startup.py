@@ -32,7 +32,7 @@ COMMANDS = (
 
 
 def seconds(command: Sequence[str], folder: str) -> tuple[float, float]:
-    """Of the clock, and of the processor (nan where the system does not say)."""
+    """The time by the clock, and the processor's (nan where the system does not say)."""
     compiled = {"PYTHONPYCACHEPREFIX": f"{folder}/compiled"}  # once, as what is installed is
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"} | compiled
     began = time.perf_counter()

@@ -38,7 +38,8 @@ from recon.check import verdict
 from recon.check.verdict import Evidence, evidence_of
 
 WORSE_WEIGHT, RIDGE = 0.05, 1.0
-"""Of a view with worse detections beside one as it is; and how strongly powers are held at 0, in standard scores."""
+"""The weight of a view with worse detections beside one as it is, and how strongly powers are held at 0, in standard
+scores."""
 USE_BELOW_MM, NOT_ABOVE_MM = 130, 90
 """Views that are further off should not be "use", and views that are closer not "do not use"."""
 COLUMNS = (

@@ -148,7 +148,7 @@ def cameras_of(run: Path) -> list[str]:
 
 
 Change = Callable[[Clip, Given], Given]
-"""Of the only camera's files, or of the second's of two."""
+"""A change of the only camera's files, or of the second's of two."""
 
 
 @dataclass(frozen=True)
@@ -436,7 +436,7 @@ def truth_on(clip: Clip, given: Given, motion: Motion) -> np.ndarray:
 
 
 def errors(off_m: np.ndarray) -> tuple[float, float]:
-    """Of the pose in mm and of the position in metres, of joints (T, J, 3) that are so far off."""
+    """The errors of the pose in mm and of the position in metres, for joints (T, J, 3) that are so far off."""
     centred = off_m - off_m.mean(axis=1, keepdims=True)
     return 1000 * float(np.linalg.norm(centred, axis=-1).mean()), float(
         np.linalg.norm(off_m.mean(axis=1), axis=-1).mean()

@@ -23,7 +23,7 @@ from recon.workflows.look import OverlaySettings, run_overlay
 HERE = Path(__file__).resolve().parent
 COLOURS = 255
 FRAME = 30
-"""Of the sample, for the overlay."""
+"""The sample's frame that the overlay shows."""
 
 ADVICE = ("--skeleton", "cheetah-24", "--angle", "front_trunk_yaw", "--cameras", "2")
 

@@ -109,7 +109,7 @@ def draw_small(patch: pytest.MonkeyPatch) -> None:
 
 
 def draw_two_methods(patch: pytest.MonkeyPatch) -> None:
-    """Of the methods that `recon ik --compare` runs, the first two are drawn."""
+    """`recon ik --compare` draws only the first two of its methods."""
     write_ik_figures = ik_clip.write_figures
 
     def of_two(solved: ik_clip._IKRun, folder: Path) -> None:

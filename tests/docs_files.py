@@ -66,7 +66,7 @@ def _filmed_twice(folder: Path, name: str) -> None:
 
 
 def _video(path: Path) -> None:
-    """Of the size that the sample's camera is calibrated for."""
+    """A video of the size that the sample's camera is calibrated for."""
     with video_writer(path, read_camera(SAMPLES / "camera.toml").image_size_px, 60.0) as write:
         for number in range(60):
             write(np.full((1080, 1920, 3), 2 * number, np.uint8))
@@ -103,7 +103,7 @@ def _bvh(path: Path) -> None:
 
 
 def _track(path: Path) -> None:
-    """Of a camera on a tripod."""
+    """The track of a camera on a tripod."""
     camera = read_camera(SAMPLES / "camera.toml")
     assert camera.rotation is not None
     assert camera.translation_m is not None

@@ -27,7 +27,7 @@ def cameras(n: int = 4) -> list[View]:
 
 
 def judged(views: list[View], offset_s: Sequence[float] = (0.0,) * 5) -> tuple[Finding, ...]:
-    """Of a motion that has what is read."""
+    """What the rules say of a motion that has what they read."""
     late = replace(views[0], offset_frames=views[0].offset_frames + 0.3)  # a lag that was found does not hide another
     leads = [view.offset_frames for view in views]
     sources = [SimpleNamespace(offset_frames=lead, offset_s=s) for lead, s in zip(leads, offset_s, strict=False)]

@@ -220,7 +220,7 @@ def test_clips_of_one_file_are_told_apart(clips):
 
 
 def test_each_animal_of_a_file_is_a_clip(tmp_path):
-    """Those with points, unless one is chosen, and as it is read by whatever reads it."""
+    """Each animal with points is one, unless one is chosen, and as it is read by whatever reads it."""
     header = "scorer" + ",net" * 9 + "\nindividuals" + "".join(f",{name}" * 3 for name in ("one", "two", "never"))
     header += "\nbodyparts" + ",nose" * 9 + "\ncoords" + ",x,y,likelihood" * 3
     (tmp_path / "pair.csv").write_text(f"{header}\n0,1,2,0.9,3,4,0.8,,,\n")

@@ -288,7 +288,7 @@ def test_where_cameras_stand_from_the_animal_alone(folder, tmp_path):
 
 
 def test_heights_have_deviations(tmp_path):
-    """Of the sample's cameras, 1.5 and 1.6 m high."""
+    """The sample's cameras are 1.5 and 1.6 m high."""
     files, given = [SAMPLES / f"whole_cam{n}.csv" for n in (1, 2)], {"camera": SAMPLES / "whole_scene.json", "fps": 60}
     cameras, report = run_extrinsics(clips_of(files, given | {"fast": True})[0], tmp_path / "found.toml")
     heights_m = np.array([camera.centre_world[2] for camera in cameras])

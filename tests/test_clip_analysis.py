@@ -159,7 +159,7 @@ def test_from_the_side_the_transverse_angles_are_not_seen(fit, request):
 
 @pytest.mark.parametrize("fit", ["one_sided", "chain", "whole"])
 def test_strides_are_those_of_the_sample(fit, request):
-    """Of the sample's gallop, 3.2 to 3.4 strides a second."""
+    """The sample gallops at 3.2 to 3.4 strides a second."""
     found = request.getfixturevalue(fit)
     if found.gait.strides:
         assert 0.285 < found.stride.end_s - found.stride.start_s < 0.335

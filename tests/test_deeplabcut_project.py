@@ -85,7 +85,7 @@ def test_a_configuration(project):
 
 @pytest.mark.parametrize("name", ["", "config.yaml"])
 def test_labels_of_a_project(project, name):
-    """Those of the project's scorer, where others labelled a folder, too."""
+    """The labels are the scorer's, where others labelled a folder, too."""
     with refusal((project, "label files", "none", "labeled-data")):
         read_labels(project / name)
     for folder, people in (("run1", ("another", "me")), ("run2", ("another",))):

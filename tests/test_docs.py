@@ -82,7 +82,7 @@ def blocks(page: Path) -> Iterator[Block]:
 
 
 def commands(block: Block) -> Iterator[str]:
-    """Of a shell block, one by one, without comments."""
+    """The commands of a shell block, one by one, without comments."""
     for line in re.sub(r"\\\n\s*", "", block.text).splitlines():
         words = shlex.split(line, comments=True)
         if words:
@@ -296,7 +296,7 @@ OTHERS_OPTIONS = {
     "--refine",
     "--seeds",
 }
-"""Of the benchmarks, and of other programs."""
+"""The options of the benchmarks, and of other programs."""
 
 
 def test_options_in_the_text_exist():
@@ -322,7 +322,7 @@ def test_commands_and_scripts_in_the_text_exist():
 
 
 def test_links_of_the_readme_lead_somewhere():
-    """Those of docs/ are checked when the site is built."""
+    """The links of docs/ are checked when the site is built."""
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     for link in re.findall(r"\]\((?!https?://)([^)#]+)", text):
         assert (ROOT / link).exists(), link

@@ -32,7 +32,7 @@ def statuses(checks) -> dict[str, str]:
 
 @pytest.fixture(scope="module")
 def doctor() -> tuple[_Check, ...]:
-    """Of this machine; the shortest way through all checks."""
+    """The checks of this machine, by the shortest way through all."""
     return run_doctor()
 
 

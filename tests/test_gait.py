@@ -405,7 +405,7 @@ def test_bad_input():
 
 
 def test_stances_are_those_of_the_force_plates(shared_data: Path):
-    """Of multi-camera reconstructions at 200 Hz: every stance, touch-downs to two frames, lift-offs to four."""
+    """Reconstructions of several cameras at 200 Hz have every stance, touch-downs to two frames, lift-offs to four."""
     folders = sorted(p.parent for p in (shared_data / "plate-trials").glob("*/stances.csv"))
     if not folders:
         pytest.skip("no plate trials")

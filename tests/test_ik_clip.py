@@ -166,7 +166,7 @@ def test_both_jobs_with_all_methods(folder):
 
 
 def test_rates_for_control(folder, tmp_path):
-    """Of every method and joint over the animal's time; those of a path that closes meet at its ends."""
+    """Every method and joint has rates over the animal's time; on a path that closes they meet at its ends."""
     options = {"compare": True, "dim": 2, "limits": False, "figures": False, "out": tmp_path / "a"}
     done = run_ik(IkSettings(folder=folder, **options))
     begins_s, stride = done.limb.first_s + done.stride.start_s, done.stride
@@ -190,7 +190,7 @@ def test_rates_for_control(folder, tmp_path):
 
 
 def test_a_comparison_has_a_figure_of_each_method(of_results):
-    """Of the two that are drawn."""
+    """Only two methods are drawn."""
     _, ran_in = of_results("recon ik results/clip --compare")
     for name in METHODS[:2]:
         assert (ran_in / "results" / "clip" / "ik" / f"follow_phase_{name}.svg").is_file()
@@ -266,7 +266,7 @@ def test_one_method_to_a_place_of_ones_own(folder):
 
 
 def true_stride_s(start_s: float) -> float:
-    """Of the simulated gallop of the samples, from its formula."""
+    """The stride's time in the samples' simulated gallop, from its formula."""
     time_s = np.linspace(0, 3, 30001)
     phase = TOP_STRIDES_HZ * time_s + RISE_S * (TOP_STRIDES_HZ - START_STRIDES_HZ) * (np.exp(-time_s / RISE_S) - 1)
     return float(np.interp(np.interp(start_s, time_s, phase) + 1, phase, time_s)) - start_s

@@ -37,7 +37,7 @@ def test_a_broad_peak_beats_a_sharp_one_of_less_weight():
 
 
 def test_the_raw_likelihood_is_the_probability_within_the_tolerance():
-    """Of a Gaussian of two dimensions within a radius r: 1 - exp(-r^2 / 2 sigma^2)."""
+    """A Gaussian of two dimensions has 1 - exp(-r^2 / 2 sigma^2) within a radius r."""
     sigma, radius = 2.0, 3.0
     _, within = decode(probabilities(gaussian_scores(np.array([[20.3, 19.6]]), (40, 40), sigma)), radius)
     assert float(within) == pytest.approx(1 - math.exp(-0.5 * (radius / sigma) ** 2), abs=0.01)

@@ -23,7 +23,7 @@ __all__ = ["folder"]  # the fixture
 
 
 def test_the_search_finds_whole_frames():
-    """Of three cameras, one films from 4 frames later on, one from 3 frames earlier."""
+    """One of three cameras films from 4 frames later on, one from 3 frames earlier."""
     views = cameras(3)
     found = search_offsets([views[0], late(views[1], 4), late(views[2], -3)], FPS, 2.0, KEYPOINT_M)
     np.testing.assert_array_equal(found, [0, 4, -3])

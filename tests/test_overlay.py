@@ -266,7 +266,7 @@ def test_every_still_has_its_animal(folder):
 
 
 def test_rings_are_where_the_joints_were_seen(overlay):
-    """Of a pose whose joints are exactly where they were detected, rings lie on the skeleton."""
+    """Where joints are exactly at their detections, rings lie on the skeleton."""
     (picture,) = draw_tiles(overlay, [0])
     xy = overlay.reprojected_px[0]
     low, high = np.nanmin(xy, axis=0), np.nanmax(xy, axis=0)

@@ -76,7 +76,7 @@ def require_self_contained(page: Page, folder: Path, scripts: int = 0) -> None:
 
 @pytest.fixture(scope="module")
 def folder(small_trajectory, tmp_path_factory) -> Path:
-    """Of a keypoint file with a name that is HTML."""
+    """The results of a keypoint file with a name that is HTML."""
     path = tmp_path_factory.mktemp("page") / "a & <b>"
     source = small_trajectory.sources[0]
     motion = with_first(small_trajectory, keypoints=replace(source.keypoints, source=f"/tmp/{EVIL}"))

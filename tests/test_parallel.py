@@ -20,7 +20,7 @@ from recon.base.parallel import Event, carry_out
 
 
 def work(task: str, progress: Progress) -> dict[str, Any]:
-    """Of the tasks of the tests below, in another process."""
+    """The work of the tests below, in another process."""
     if task == "environment":
         return {"pid": os.getpid(), "threads": os.environ["OMP_NUM_THREADS"], "numpy": "numpy" in sys.modules}
     if task == "crash":

@@ -51,7 +51,7 @@ def test_accelerated_straight_motion_is_exact():
 
 
 def test_a_peak_that_is_the_jitters_is_known_to_be_uncertain():
-    """Of straight runs that jitter in depth: a peak that is known to a tenth is right to one, and most of those are."""
+    """In straight runs that jitter in depth a peak known to a tenth is right to one, and most of those are known."""
     rng, true = np.random.default_rng(0), 5 + 4 * TIME_S[-1]
     known, unknown = [], []
     for depth_m in (0.0, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0) * 8:

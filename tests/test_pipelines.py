@@ -25,7 +25,7 @@ PIPELINES = ROOT / "pipelines"
 SCRIPTS = sorted(path.stem for path in PIPELINES.glob("*.py"))
 SAMPLES = ROOT / "data" / "samples"
 MOST_LINES = 50
-"""Of a script, without its first text, blank lines and comments."""
+"""The most lines of a script, without its first text, blank lines and comments."""
 
 
 @pytest.fixture
@@ -111,7 +111,7 @@ def test_analysis(said, folder, whole_results):
 
 
 def test_new_species(said, folder):
-    """Of the sample animal, whose lengths are the skeleton's."""
+    """The sample animal's lengths are the skeleton's."""
     for name in ("several_cameras", "one_clip"):
         with (folder / f"{name}.toml").open("a", encoding="utf-8") as file:
             file.write("fast = true\n")

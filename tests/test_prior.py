@@ -102,8 +102,8 @@ def test_recovers_poses(body, prior):
 
 
 def test_recovers_dynamics(prior):
-    """Of a swing: minus the square of its frequency times the angle, two frame rates together; the ridge, which adds to
-    the regressors' unit variance, takes its part."""
+    """A swing's acceleration is minus the square of its frequency times the angle, at two frame rates; the ridge, which
+    adds to the regressors' unit variance, takes its part."""
     n = len(prior.mean)
     expected = -(OMEGA_RAD_S**2) / (1 + RIDGE_PER_ROW) * np.eye(n)
     still = prior.angles.index("front_trunk_roll")

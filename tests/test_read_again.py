@@ -51,7 +51,7 @@ def _pose(camera: Camera) -> np.ndarray:
 
 
 def settings_of(folder: Path, skeleton: str | Path, cameras: list[Camera], later: tuple[int, ...]) -> FitSettings:
-    """Of a clip in files in a folder; later: by how many frames the cameras began later than the first."""
+    """The settings of a clip with files in a folder; later: by how many frames the cameras began after the first."""
     body, files = load_skeleton(skeleton), []
     for camera, first in zip(cameras, later, strict=True):
         files.append(folder / f"run_{camera.name}.csv")

@@ -25,7 +25,7 @@ DOCS = Path(__file__).resolve().parents[1] / "docs" / "report.md"
 
 
 def build_report(motion, settings=None, timing_s=None):
-    """Of a motion with the findings that it has now."""
+    """The report of a motion with the findings that it has now."""
     motion = replace(motion, settings=settings or {}, timing_s=timing_s or {})
     return reports.build_report(replace(motion, findings=findings_of(motion)))
 
@@ -39,7 +39,7 @@ def codes(report):
 
 
 def numbers(report, code):
-    """Of the finding with that code."""
+    """The numbers of the finding with that code."""
     (found,) = (one["numbers"] for one in report["findings"] if one["code"] == code)
     return found
 
@@ -59,7 +59,7 @@ def with_solution(motion, **changes):
 
 
 def with_states(motion, states, reports=None):
-    """Of the frame method, with other states of the chain."""
+    """A motion by the frame method, with other states of the chain."""
     was = motion.solution
     covariance = np.tile(np.eye(states.shape[1]), (len(states), 1, 1))
     given = (reports or was.reports, was.travel, was.objectives, was.fps)
@@ -359,7 +359,7 @@ def test_prior(trajectory):
 
 
 def test_a_motion_that_the_prior_does_not_know_is_named_first(trajectory, small_trajectory):
-    """Of the segment that it fits least; nothing is said where it fits."""
+    """The misfit is that of the segment that fits least; nothing is said where the prior fits."""
     assert (trajectory["prior"]["prior_misfit"], trajectory["prior"]["weight"]) == (None, 1)
     assert "motion_unlike_prior" not in codes(trajectory)
     (segment,) = small_trajectory.solution.segments

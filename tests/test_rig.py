@@ -79,7 +79,7 @@ def test_an_opensim_model(rig, tmp_path):
 
 
 def test_an_opensim_model_has_masses_and_inertias(tmp_path):
-    """Of solid cylinders: a slender one's moments are 1/12 of its length squared, across; twins have the same."""
+    """Bones are solid cylinders: a slender one's moments across are 1/12 of its length squared; twins have the same."""
     body = load_skeleton("cheetah-24")
     rig = make_rig(body, 1.0, body.markers, np.arange(2), np.zeros((2, body.n_state)), 50.0, body_mass_kg=40.0)
     write_opensim(rig, tmp_path / "run.osim")

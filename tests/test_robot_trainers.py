@@ -17,7 +17,7 @@ from recon.robotics.robot.trainers import FORMATS, sampled, write_for_trainer
 from recon.workflows import problem_of
 
 LATERAL, THIGH, SHIN = 0.0838, 0.2, 0.2
-"""Of the Unitree A1, metres."""
+"""The lengths of the Unitree A1's legs, metres."""
 HIPS = {"FL": (0.1805, 0.047), "FR": (0.1805, -0.047), "RL": (-0.1805, 0.047), "RR": (-0.1805, -0.047)}
 
 
@@ -32,7 +32,7 @@ def solved(animal) -> Retargeting:
 
 
 def a1_bodies(name: str, q: np.ndarray) -> dict[str, tuple[np.ndarray, Rotation]]:
-    """Of one leg, angles (3,), in the trunk's axes: as its URDF has it, joint by joint."""
+    """The bodies of one leg with angles (3,), in the trunk's axes, as its URDF has them, joint by joint."""
     side = 1 if name[1] == "L" else -1
     hip, thigh = Rotation.from_euler("x", q[0]), Rotation.from_euler("y", q[1])
     at = np.array([*HIPS[name], 0.0])

@@ -33,7 +33,7 @@ def write_film(path: Path, frames: int = 2, size_px: tuple[int, int] = (64, 48))
 
 @pytest.fixture(scope="module")
 def report(small_trajectory, tmp_path_factory) -> str:
-    """Of eight frames with a pose."""
+    """The report of eight frames with a pose."""
     folder = tmp_path_factory.mktemp("fit")
     settings = FitSettings(keypoints=Path("run.csv"), camera=Path("camera.toml"), fps=30)
     write_clip(small_trajectory, settings, folder, solve_s=0.1)

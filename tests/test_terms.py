@@ -45,7 +45,7 @@ def some_states(seed: int = 0) -> np.ndarray:
 
 
 def view(xy_px: np.ndarray, confidence: np.ndarray | None = None, camera: Camera = CAMERA) -> View:
-    """Of a camera in the origin that stands level."""
+    """The view of a camera in the origin that stands level."""
     return still_view(camera, xy_px, np.ones(xy_px.shape[:2]) if confidence is None else confidence)
 
 

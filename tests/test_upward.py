@@ -16,7 +16,7 @@ from recon.workflows import prepare
 
 BODY, FPS, T = load_skeleton("quadruped"), 60.0, 180
 WORLD = Rotation.from_rotvec([1.3, -0.7, 0.4]).as_matrix()
-"""Of the calibration: turned by 87 degrees."""
+"""The calibration's world, turned by 87 degrees."""
 
 
 def walking(scale: float) -> np.ndarray:

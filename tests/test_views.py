@@ -286,7 +286,7 @@ def test_cameras_beside_their_poses_come_back():
 
 
 def test_a_wrong_focal_length_is_found_by_two_cameras():
-    """Of the second, taken for 8 % too short; one camera alone has it held."""
+    """The second's is taken for 8 % too short; one camera alone keeps its own."""
     views = [view_of(truth_m(), AHEAD), view_of(truth_m(), ASIDE, seed=1)]
     options = TrajectoryOptions(fast=True, focal_sigma=0.1)
     found = solve_trajectory([views[0], views[1].with_focal_scale(-0.08)], BODY, PRIOR, FPS, options)

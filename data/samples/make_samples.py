@@ -21,7 +21,7 @@ from gallop import SyntheticClip, add_noise, gallop
 
 SCORER = "recon_synthetic"
 AS_ACINOSET = "recon_synthetic_acinoset"
-"""Of keypoints that lie where those of a measured detector do."""
+"""The scorer of keypoints that lie where those of a measured detector do."""
 SAMPLES = Path(__file__).parent
 
 

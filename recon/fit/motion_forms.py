@@ -92,7 +92,7 @@ def _no_motion(folder: Path) -> Problem:
 
 
 def table_of(motion: Any, wide: bool) -> pd.DataFrame:
-    """See `Motion.to_dataframe`."""
+    """The table that `Motion.to_dataframe` gives."""
     import pandas as pd
 
     T, J = len(motion.frames), len(motion.names)
@@ -107,7 +107,7 @@ def table_of(motion: Any, wide: bool) -> pd.DataFrame:
 
 
 def dataset_of(motion: Any) -> Any:
-    """See `Motion.to_xarray`."""
+    """The data set that `Motion.to_xarray` gives."""
     from recon.io import movement
 
     made = movement.dataset_of(motion.upright)

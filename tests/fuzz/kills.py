@@ -30,11 +30,11 @@ from recon.workflows import OUTPUT_FILES, run_clip
 
 SAMPLES = Path(__file__).resolve().parents[2] / "data" / "samples"
 STEPS = ("mkdir", "replace")
-"""Of the functions of `os`, those by which results are put in place; cleaning up comes after it."""
+"""The functions of `os` by which results are put in place; cleaning up comes after."""
 
 
 def contents(folder: Path) -> dict[str, bytes]:
-    """Of the results alone; a killed process leaves hidden files beside them."""
+    """The content of the results alone; a killed process leaves hidden files beside them."""
     return {p.name: p.read_bytes() for p in folder.iterdir() if p.is_file() and not p.name.startswith(".recon-")}
 
 

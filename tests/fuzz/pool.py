@@ -21,7 +21,7 @@ from tests.fuzz.mutations import spoilt
 CASE_S = 20.0
 """Longer is a hang, also on a busy machine."""
 MEMORY_BYTES = 6 << 30
-"""Of addresses: what the libraries take, and 4 GB more."""
+"""The most addresses: what the libraries take, and 4 GB more."""
 
 
 @dataclass
