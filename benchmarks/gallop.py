@@ -19,12 +19,12 @@ from typing import Literal
 
 import numpy as np
 
-from recon.animal.chain import Chain, Side
+from recon.animal.chain import Chain, Side, euler_angles
 from recon.animal.skeleton_file import load_chain
 from recon.base.arrays import Array, Bools
 from recon.clip.keypoints import Keypoints
 from recon.geometry.camera import Camera
-from recon.geometry.frames import euler_angles, euler_rotation
+from recon.geometry.frames import euler_rotation
 
 Direction = Literal["right", "left"]
 CameraModel = Literal["pinhole", "fisheye"]

@@ -9,16 +9,14 @@ if TYPE_CHECKING:
         MIN_JOINTS,
         Body,
         Side,
-        both_sides,
-        facing_side,
         opposites,
         other_side,
         side_of,
-        without_side,
     )
-    from recon.animal.chain import Chain, upright_rotation
+    from recon.animal.chain import Chain, euler_angles, facing_side, upright_rotation
     from recon.animal.naming import (
         NameMap,
+        both_sides,
         builtin_maps,
         fitting_maps,
         fitting_skeleton,
@@ -27,6 +25,7 @@ if TYPE_CHECKING:
         new_names,
         renamed,
         suggestions,
+        without_side,
     )
     from recon.animal.prior import (
         ANGLES,

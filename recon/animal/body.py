@@ -33,7 +33,6 @@ Side = Literal["left", "right"]
 SIDES = {"left": "right", "near": "off", "l": "r"}
 """Words for the left side, and for the right. A horse's near side is its left one, wherever it is seen from."""
 _OPPOSITE = SIDES | {right: left for left, right in SIDES.items()}
-_SEPARATORS = "_-. "
 
 
 def _side_pattern() -> re.Pattern[str]:
@@ -53,7 +52,7 @@ def _side_pattern() -> re.Pattern[str]:
     )
 
 
-_SIDE = _side_pattern()
+SIDE_WORD = _side_pattern()
 
 PLACES = {"left_fore": "LF", "right_fore": "RF", "left_hind": "LH", "right_hind": "RH"}
 """Where a foot of a whole animal is, and its label."""
@@ -84,14 +83,14 @@ def foot_problems(feet: dict[str, str], source: str) -> Iterator[Problem]:
 
 def side_of(name: str) -> Side | None:
     """None: the middle. Of several sides the first counts."""
-    word = _SIDE.search(name)
+    word = SIDE_WORD.search(name)
     return None if word is None else "left" if word[0].lower() in SIDES else "right"
 
 
 def other_side(name: str) -> str:
     """l_paw -> r_paw and back; names of the middle stay."""
-    word = _SIDE.search(name)
-    return name if word is None else name[: word.start()] + _opposite(word[0]) + name[word.end() :]
+    word = SIDE_WORD.search(name)
+    return name if word is None else name[: word.start()] + opposite_word(word[0]) + name[word.end() :]
 
 
 def opposites(names: Sequence[str]) -> Index:
@@ -100,27 +99,7 @@ def opposites(names: Sequence[str]) -> Index:
     return np.array([at.get(other_side(name), i) for name, i in at.items()], dtype=np.intp)
 
 
-def without_side(name: str) -> str:
-    """front_left_paw -> front_paw; names of the middle stay."""
-    word = _SIDE.search(name)
-    if word is None:
-        return name
-    before, after = name[: word.start()], name[word.end() :]
-    if not before or before[-1] in _SEPARATORS:
-        after = after.lstrip(_SEPARATORS)
-    return (before + after if after else before.rstrip(_SEPARATORS)) or name
-
-
-def both_sides(name: str) -> str:
-    """l_paw or r_paw -> l/r_paw; names of the middle stay."""
-    word = _SIDE.search(name)
-    if word is None:
-        return name
-    left, right = sorted((word[0], _opposite(word[0])), key=lambda one: one.lower() not in SIDES)
-    return f"{name[: word.start()]}{left}/{right}{name[word.end() :]}"
-
-
-def _opposite(word: str) -> str:
+def opposite_word(word: str) -> str:
     """In the same case."""
     other = _OPPOSITE[word.lower()]
     return other.upper() if word.isupper() else other.title() if word.istitle() else other
@@ -130,21 +109,6 @@ def common_side(sides: Iterable[Side | None]) -> Side | None:
     """The side that all these sides agree on: None where there are several, or all are in the middle."""
     found: set[Side] = {side for side in sides if side is not None}
     return found.pop() if len(found) == 1 else None
-
-
-def facing_side(rear_px: Array, front_px: Array) -> tuple[Side, str]:
-    """The side of the animal that faces an upright camera, and why.
-
-    rear_px, front_px (T, 2): ends of the trunk, NaN where missing. An animal that faces the right of the picture shows
-    its right side.
-    """
-    ahead = (front_px - rear_px)[:, 0]
-    ahead = ahead[np.isfinite(ahead)]
-    if len(ahead) == 0:
-        return "right", "no frame shows both ends of the trunk: right by default"
-    side: Side = "right" if np.median(ahead) > 0 else "left"
-    agree = np.mean((ahead > 0) == (side == "right"))
-    return side, f"the animal faces the {side} of the picture in {agree:.0%} of {len(ahead)} frames"
 
 
 @dataclass(frozen=True)
@@ -287,9 +251,7 @@ class Body:
 
     @cached_property
     def mirror(self) -> tuple[Index, Array]:
-        """Permutation and sign, both (D,): state[..., permutation] * sign is the animal mirrored left to right.
-
-        The mirror is the world's x-z plane. What has no counterpart on the other side is taken for the middle.
-        """
+        """Permutation and sign, both (D,): state[..., permutation] * sign is the animal mirrored left to right. The
+        mirror is the world's x-z plane. What has no counterpart on the other side is taken for the middle."""
         flips = np.array([False, True, False, *(axis != "y" for axis in self.tree.axes)])
         return opposites(self.state_names), np.where(flips, -1.0, 1.0)

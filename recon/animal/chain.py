@@ -22,13 +22,16 @@ length).
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Annotated, Any
 
 import numpy as np
+import numpy.typing as npt
 from pydantic import BeforeValidator, Field
+from scipy.spatial.transform import Rotation
 
 from recon.animal.body import CHAIN_PLACES, MIN_JOINTS, Body, Side, Skeleton, foot_problems, foot_table
 from recon.base.arrays import Array, Index
@@ -391,3 +394,34 @@ def _chain(f: _ChainFile) -> Chain:
         phi=_ranges(x.phi for x in links),
         nominal_base_length_m=f.base_length.nominal_m,
     )
+
+
+def euler_angles(rotation: npt.ArrayLike) -> Array:
+    """Angles (xi, psi, zeta), shape (..., 3), of rotation matrices (..., 3, 3): the inverse of
+    `recon.geometry.frames.euler_rotation`.
+
+    psi lies in [-pi/2, pi/2]. At psi = +-pi/2 only xi + zeta or xi - zeta is determined; zeta is then set to 0.
+    Raises ValueError for a matrix that is not a rotation (determinant not positive).
+    """
+    matrices = np.asarray(rotation, dtype=float)
+    if (np.linalg.det(matrices) <= 0).any():  # older scipy takes them for rotations
+        raise ValueError("a matrix with a determinant that is not positive is no rotation")
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="Gimbal lock")
+        angles = Rotation.from_matrix(matrices.reshape(-1, 3, 3)).as_euler("XYZ")
+    return np.asarray(angles).reshape(*matrices.shape[:-2], 3)
+
+
+def facing_side(rear_px: Array, front_px: Array) -> tuple[Side, str]:
+    """The side of the animal that faces an upright camera, and why.
+
+    rear_px, front_px (T, 2): ends of the trunk, NaN where missing. An animal that faces the right of the picture shows
+    its right side.
+    """
+    ahead = (front_px - rear_px)[:, 0]
+    ahead = ahead[np.isfinite(ahead)]
+    if len(ahead) == 0:
+        return "right", "no frame shows both ends of the trunk: right by default"
+    side: Side = "right" if np.median(ahead) > 0 else "left"
+    agree = np.mean((ahead > 0) == (side == "right"))
+    return side, f"the animal faces the {side} of the picture in {agree:.0%} of {len(ahead)} frames"

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from difflib import SequenceMatcher
 from pathlib import Path
 
-from recon.animal.body import side_of, without_side
+from recon.animal.body import SIDE_WORD, SIDES, opposite_word, side_of
 from recon.animal.skeleton_file import builtin_chains, builtin_names, load_skeleton
 from recon.base import documents
 from recon.base.errors import InputError, Problem, refuse
@@ -29,6 +29,7 @@ _SAME_WORDS: dict[str, str] = {
     **dict.fromkeys(("foot", "hoof", "hand"), "paw"),
     "root": "base",
 }
+_SEPARATORS = "_-. "
 _FILLERS = {"of", "the"}
 _NEAR = 0.8
 """Names are near each other if they share this part of their letters."""
@@ -183,3 +184,23 @@ def _words(name: str) -> list[str]:
     parts = re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|[0-9]+|[^\W\d_a-zA-Z]+", without_side(name))
     lower: list[str] = [part.lower() for part in parts]
     return [_SAME_WORDS.get(word, word) for word in lower if word not in _FILLERS]
+
+
+def without_side(name: str) -> str:
+    """front_left_paw -> front_paw; names of the middle stay."""
+    word = SIDE_WORD.search(name)
+    if word is None:
+        return name
+    before, after = name[: word.start()], name[word.end() :]
+    if not before or before[-1] in _SEPARATORS:
+        after = after.lstrip(_SEPARATORS)
+    return (before + after if after else before.rstrip(_SEPARATORS)) or name
+
+
+def both_sides(name: str) -> str:
+    """l_paw or r_paw -> l/r_paw; names of the middle stay."""
+    word = SIDE_WORD.search(name)
+    if word is None:
+        return name
+    left, right = sorted((word[0], opposite_word(word[0])), key=lambda one: one.lower() not in SIDES)
+    return f"{name[: word.start()]}{left}/{right}{name[word.end() :]}"

@@ -54,11 +54,9 @@ def builtin_subjects() -> tuple[str, ...]:
 
 
 def load_skeleton(name_or_path: str | Path, subject: str | Path | None = None) -> Body:
-    """The built-in skeleton of that name, or the one in a TOML file.
-
-    subject: name or file of a measured animal, for a whole one only. Raises InputError: no such name or file, a file
-    that does not describe a skeleton, or a subject of another one; every problem is named.
-    """
+    """The built-in skeleton of that name, or the one in a TOML file. subject: name or file of a measured animal, for a
+    whole one only. Raises InputError: no such name or file, a file that does not describe a skeleton, or a subject of
+    another one; every problem is named."""
     raw, source = read_named(name_or_path)
     if "segments" in raw:
         return _load_body(raw, source, subject)

@@ -155,10 +155,8 @@ _CONFIG = pydantic.ConfigDict(extra="forbid", use_attribute_docstrings=True)
 
 @dataclass_transform(frozen_default=True, kw_only_default=True)
 class Settings:
-    """The settings of a command: a subclass is a frozen dataclass, with the help of each field below it.
-
-    Text is taken for numbers, sizes and files; None is not given. Raises InputError with everything that is wrong.
-    """
+    """The settings of a command: a subclass is a frozen dataclass, with the help of each field below it. Text is taken
+    for numbers, sizes and files; None is not given. Raises InputError with everything that is wrong."""
 
     if not TYPE_CHECKING:  # type checkers know the fields
 

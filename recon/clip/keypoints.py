@@ -24,13 +24,9 @@ keypoints are just there."""
 
 @dataclass(frozen=True, eq=False)
 class Keypoints:
-    """Detections of K named keypoints in T frames of one camera.
-
-    A reader hands over what its file says: a confidence of NaN means that the file has none, and a missing point may
-    still carry one. `clean` turns this into the form below.
-
-    Raises ValueError where names, shapes or types do not fit together.
-    """
+    """Detections of K named keypoints in T frames of one camera. A reader hands over what its file says: a confidence
+    of NaN means that the file has none, and a missing point may still carry one. `clean` turns this into the form
+    below. Raises ValueError where names, shapes or types do not fit together."""
 
     names: tuple[str, ...]
     """The unique names of the K keypoints."""
@@ -136,10 +132,8 @@ class CleaningReport:
 
 
 def parse_frame_range(text: str) -> tuple[int | None, int | None]:
-    """The frame range "A:B" as (A, B); either side may be empty (None). Like a Python slice, B is not included.
-
-    The numbers are those of the file, not positions in it. Raises InputError.
-    """
+    """The frame range "A:B" as (A, B); either side may be empty (None). Like a Python slice, B is not included. The
+    numbers are those of the file, not positions in it. Raises InputError."""
     match = re.fullmatch(r"\s*(\d*)\s*:\s*(\d*)\s*", text, flags=re.ASCII)
     start, stop = (int(n) if n else None for n in match.groups()) if match else (None, None)
     if match is None or (start is not None and stop is not None and start >= stop):
@@ -152,10 +146,8 @@ def clean(
     keypoints: Keypoints, likelihood_min: float, frames: tuple[int | None, int | None] | None = None
 ) -> tuple[Keypoints, CleaningReport]:
     """Turns what a file says into points that can be trusted: missing is NaN with confidence 0, time is regular.
-
-    likelihood_min: points less likely than this are rejected; frames: half-open range of original frame numbers.
-    Raises InputError if no frame or no point is left, or if gaps make the clip absurdly long.
-    """
+    likelihood_min: points less likely than this are rejected; frames: half-open range of original frame numbers. Raises
+    InputError if no frame or no point is left, or if gaps make the clip absurdly long."""
     if not 0 <= likelihood_min <= 1:
         raise InputError(Problem("--set likelihood-min", "likelihood_min", str(likelihood_min), "a number from 0 to 1"))
     rows_in_file = len(keypoints.frames)
@@ -191,10 +183,8 @@ def clean(
 def leave_out(
     keypoints: Keypoints, report: CleaningReport, points: np.ndarray, why: str
 ) -> tuple[Keypoints, CleaningReport]:
-    """Further points (T, K) of a cleaned clip become missing, count as rejected, and are named in a note.
-
-    why: what is wrong with them, in words.
-    """
+    """Further points (T, K) of a cleaned clip become missing, count as rejected, and are named in a note. why: what is
+    wrong with them, in words."""
     if not points.any():
         return keypoints, report
     out = dict(zip(keypoints.names, points.sum(axis=0).tolist(), strict=True))
@@ -211,10 +201,8 @@ def leave_out(
 
 
 def select_frames(keypoints: Keypoints, frames: tuple[int | None, int | None] | None) -> Keypoints:
-    """The rows whose original frame number lies in the half-open range (A, B); None is an open side or no limit.
-
-    Raises InputError if there is none.
-    """
+    """The rows whose original frame number lies in the half-open range (A, B); None is an open side or no limit. Raises
+    InputError if there is none."""
     start, stop = frames or (None, None)
     keep = keypoints.frames >= (-np.inf if start is None else start)
     keep &= keypoints.frames < (np.inf if stop is None else stop)
@@ -231,11 +219,8 @@ def select_frames(keypoints: Keypoints, frames: tuple[int | None, int | None] | 
 
 def mark_missing(keypoints: Keypoints) -> tuple[Keypoints, dict[str, np.ndarray]]:
     """Missing points become NaN in both coordinates with confidence 0. Also how many they are of each keypoint, (K,) by
-    the way they are stored, as `COUNTS` calls it.
-
-    Some tools store a missing point as (0, 0): it is one only where the likelihood is 0 or unknown, because the
-    corner of the image can be a detection like any other.
-    """
+    the way they are stored, as `COUNTS` calls it. Some tools store a missing point as (0, 0): it is one only where the
+    likelihood is 0 or unknown, because the corner of the image can be a detection like any other."""
     has_likelihood = keypoints.confidence > 0
     no_xy = ~keypoints.present
     zero_zero = (keypoints.xy_px == 0).all(axis=2) & ~has_likelihood
@@ -263,10 +248,8 @@ def constant_px(keypoints: Keypoints) -> tuple[float, float] | None:
 
 
 def fill_gaps(keypoints: Keypoints) -> tuple[Keypoints, tuple[tuple[int, int], ...]]:
-    """All-missing rows for the frame numbers absent between the first and the last, so that time is regular.
-
-    Returns the half-open ranges that were inserted. Raises InputError if they would dwarf the clip.
-    """
+    """All-missing rows for the frame numbers absent between the first and the last, so that time is regular. Returns
+    the half-open ranges that were inserted. Raises InputError if they would dwarf the clip."""
     frames, (t, k) = keypoints.frames, keypoints.confidence.shape
     span = int(frames[-1]) - int(frames[0]) + 1
     if span - t > 10 * t + 10_000:

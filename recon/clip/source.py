@@ -253,10 +253,8 @@ def held(values: Array) -> Array:
 
 def together(sources: Sequence[Source], later_frames: Sequence[float]) -> tuple[Source, ...]:
     """Sources on their own frames, put on the frames from the first to the last that one of them has, without those
-    that are far from all that was seen (`_near_detections`).
-
-    later_frames: how much later each camera's frame 0 was taken than the first's, in frames.
-    """
+    that are far from all that was seen (`_near_detections`). later_frames: how much later each camera's frame 0 was
+    taken than the first's, in frames."""
     shifts = [int(np.floor(later)) for later in later_frames]
     starts = [int(s.keypoints.frames[0]) + shift for s, shift in zip(sources, shifts, strict=True)]
     stops = [int(s.keypoints.frames[-1]) + shift + 1 for s, shift in zip(sources, shifts, strict=True)]

@@ -3,8 +3,8 @@
 H (TD, TD) is symmetric and positive definite; its block (t + k, t), D x D, is zero for k > W. Time and memory are
 linear in T. H = L L', and L has the band of H.
 
-The inverse of H is the covariance of a Gaussian x, and is full; only its blocks near the diagonal are needed. L' x = z
-with z white. Its block row t gives frame t from the W frames after it,
+The inverse of H, a covariance, is full; only its blocks near the diagonal are needed. Block row t of L' x = z, z white,
+gives frame t from the W frames after it,
 
     x_t = gain_t x_later + L_tt^-T z_t,   gain_t = -L_tt^-T [L_t+1,t' ... L_t+W,t'],   later = t + 1, ..., t + W
 
@@ -12,8 +12,7 @@ so that Z = H^-1 follows backwards from the last frame, the window Z[later, late
 
     Z[t, later] = gain_t Z[later, later],   Z[t, t] = L_tt^-T L_tt^-1 + Z[t, later] gain_t'
 
-These are Takahashi's equations in blocks, and the smoother of Rauch, Tung and Striebel. Both terms of Z[t, t] are
-positive semidefinite: nothing is lost by a difference.
+These are Takahashi's equations in blocks, and the smoother of Rauch, Tung and Striebel.
 
 Unknowns that all frames share border the matrix:
 
@@ -22,12 +21,10 @@ Unknowns that all frames share border the matrix:
 
 S^-1 is the covariance of s, -Y S^-1 that of x with s, and H^-1 + Y S^-1 Y' that of x.
 
-A long clip comes in pieces, so that memory follows the piece (`eliminated`). Frames before a piece are eliminated
-exactly: with L21 the rows of L that lead from the last W frames of a piece to the first W of the next, these get
--L21 L21' on H and -L21 z on a right-hand side, z = L^-1 b being known so far. B' H^-1 B is the sum over all pieces of
-(L^-1 B)' (L^-1 B) in their own rows. On the way back, a piece takes as many frames of the next along, which stand for
-all that come after it: what lies further on matters less and less, as e to the power of minus its distance.
-"""
+A long clip comes in pieces (`eliminated`). Frames before a piece are eliminated exactly: with L21 the rows of L from
+the last W frames of a piece to the first W of the next, these get -L21 L21' on H and -L21 z on a right-hand side, z =
+L^-1 b. B' H^-1 B is the sum over all pieces of (L^-1 B)' (L^-1 B) in their own rows. On the way back, a piece takes as
+many frames of the next along, which stand for all after it: what lies further on matters exponentially less."""
 
 from __future__ import annotations
 
@@ -47,9 +44,9 @@ _UNKNOWN = 1e-9
 
 @dataclass(frozen=True)
 class Normal:
-    """Normal equations of a clip, or what a piece of T frames of it has in them: the blocks (T, W+1, D, D) of H, of
-    which [t, k] stands in block row t + k and block column t (those beyond the clip are ignored), its gradient (T, D),
-    and the border of P shared unknowns: border (T, D, P), corner (P, P) and their gradient (P,). P may be 0."""
+    """Normal equations of a clip, or of a piece of T frames: the blocks (T, W+1, D, D) of H, of which [t, k] stands in
+    block row t + k and block column t, its gradient (T, D), and of P >= 0 shared unknowns the border (T, D, P), the
+    corner (P, P) and their gradient (P,)."""
 
     blocks: Array
     gradient: Array
@@ -90,10 +87,8 @@ class Window:
 
 
 def step(pieces: Iterable[Normal], damping: float) -> tuple[Array, Array]:
-    """The step (T, D) and (P,) towards the minimum, with damping added to the diagonal.
-
-    Raises numpy.linalg.LinAlgError if the matrix is not positive definite to rounding.
-    """
+    """The step (T, D) and (P,) towards the minimum, with damping added to the diagonal. Raises LinAlgError as
+    `factored`."""
     both = [(window.solved(), window.reduced()) for window in eliminated(pieces, damping)]
     solved, reduced = np.concatenate([one for one, _ in both]), np.sum([one for _, one in both], axis=0)
     corner, gradient = reduced[:, :-1], reduced[:, -1]
@@ -102,11 +97,7 @@ def step(pieces: Iterable[Normal], damping: float) -> tuple[Array, Array]:
 
 
 def eliminated(pieces: Iterable[Normal], damping: float | Array = 0.0, bounded: bool = False) -> Iterator[Window]:
-    """The windows of a clip, in their order. damping: on the diagonal, for all unknowns or (D,). bounded: as `factored`
-    does it.
-
-    Raises numpy.linalg.LinAlgError if the matrix is not positive definite to rounding.
-    """
+    """The windows of a clip, in their order; damping, bounded, and what is raised: as of `factored`."""
     follow, start, carried = iter(pieces), 0, None
     piece = next(follow, None)
     while piece is not None:
@@ -144,11 +135,8 @@ def _carried(solved: _Factor, white: Array, n: int) -> tuple[Array, Array]:
 def add_normal(
     blocks: Array, gradient: Array, first: int, stencil: Sequence[int], residual: Array, jacobian: Array
 ) -> None:
-    """Add a term's J'J to blocks (T, W+1, D, D) and its J'r to gradient (T, D), in place.
-
-    residual (N, M) and jacobian (N, M, S, D) stand for the frames first, first + 1, ...; slot s of the jacobian is by
-    the unknowns of frame + stencil[s]. The stencil's S offsets are distinct and at most W apart.
-    """
+    """Add a term's J'J to blocks (T, W+1, D, D) and its J'r to gradient (T, D), in place. residual (N, M) and jacobian
+    (N, M, S, D) stand for the frames first, first + 1, ...; slot s is by the unknowns of frame + stencil[s]."""
     if len(residual) and (first + min(stencil) < 0 or first + len(residual) + max(stencil) > len(blocks)):
         raise IndexError("the stencil reaches beyond the first or the last frame")  # numpy would wrap around
     for a, column in enumerate(stencil):
@@ -217,12 +205,9 @@ class _Factor:
 
 
 def factored(blocks: Array, damping: float | Array = 0.0, bounded: bool = False) -> _Factor:
-    """The factor of H, of which these are the blocks (T, W+1, D, D), with damping added to its diagonal: (T, D), or
-    what is that for all frames or unknowns.
-
-    Raises numpy.linalg.LinAlgError if that is not positive definite. bounded: where nothing determines an unknown, as
-    the place of a frame beside a single other one, it is held so weakly that its variance is that of nothing known.
-    """
+    """The factor of H, of which these are the blocks (T, W+1, D, D), with damping (T, D), (D,) or one on its diagonal.
+    Raises numpy.linalg.LinAlgError if that is not positive definite to rounding; bounded: then an unknown that nothing
+    determines is held so weakly that its variance is that of nothing known."""
     T, _, D, _ = blocks.shape
     band = lower_band(blocks)
     band[0] += np.broadcast_to(damping, (T, D)).ravel()

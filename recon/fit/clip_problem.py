@@ -70,7 +70,7 @@ class ClipProblem:
     """Standard deviation: how much later or earlier than said a camera's pictures are taken, where that is not to be
     found (`TrajectoryOptions.find_offsets`)."""
     prior_weight: float = 1.0
-    """The part of its weight that the prior has; each angle on its own has the rest (`recon.fit.posterior`)."""
+    """See `MotionSegment.prior_weight`."""
     known: Array | None = None
     """(T, D): states whose heading and angles the animal has, NaN in frames where they are not known."""
 
@@ -170,10 +170,7 @@ class ClipProblem:
         return np.array([known.get(marker, self.keypoint_sigma_m) for marker in self.body.markers])
 
     def px_per_m(self, points_m: Array, size: float = 1.0) -> Array:
-        """(V, T): how large a metre of the nominal body is in the picture, in the middle of its markers (T, J, 3).
-
-        Of all directions in space, as the lens shows them there: an animal that a camera turns towards is as large in
-        angles, whatever the lens."""
+        """(V, T): how large a metre of the nominal body is in the picture, in the middle of its markers (T, J, 3)."""
         middle = self.in_world(np.median(points_m, axis=1, keepdims=True), size)
         found = []
         for view in self.views:
@@ -185,8 +182,8 @@ class ClipProblem:
         return np.array(found)
 
     def noise_px(self, points_m: Array, factor: Array, size: float = 1.0) -> Array:
-        """(V, T, J): the detector's noise, and the keypoints' at the animal's distance, times sqrt(factor) (V, J), and
-        that of a camera's turn, for markers (T, J, 3) at nominal size."""
+        """(V, T, J): the detector's noise and the keypoints', times sqrt(factor) (V, J), and that of a camera's turn,
+        for markers (T, J, 3) at nominal size."""
         px_per_m = self.px_per_m(points_m, size)[..., None]
         noise = np.hypot(self.options.sigma_px, self.in_frame_m * px_per_m) * np.sqrt(factor)[:, None]
         if all(view.rotation_sigma_rad is None for view in self.views):
@@ -195,13 +192,9 @@ class ClipProblem:
         return np.hypot(noise, turned[..., None])
 
     def shared(self, shifts_m: Array | None = None) -> tuple[list[Unknown], list[Unknown]]:
-        """What all frames share: the unknowns that pictures can tell, and those that only add to the uncertainty.
-        shifts_m (V,): how far cameras that are refined may stand from their places.
-
-        A single camera cannot tell its time offset from a position further on, an animal that goes beside where it
-        looks from one that looks elsewhere, nor keypoints that stay beside their markers from another pose. A standard
-        deviation is that of what lasts: the frames' number makes it no better known.
-        """
+        """What all frames share: the unknowns that pictures can tell, and those that only add to the uncertainty, as a
+        single camera's time offset and an animal's sideslip. shifts_m (V,): how far cameras that are refined may stand
+        from their places. Standard deviations are of what lasts: many frames make it no better known."""
         o, V, root = self.options, len(self.views), np.sqrt(self.correlation_frames)
 
         def lasting(name: str, sigma: Array | float) -> Unknown:
@@ -240,8 +233,7 @@ class ClipProblem:
         size: float = 1.0,
     ) -> LeastSquares:
         """All terms, each switched on here. noise_px (V, T, J). temperature: of the mixture of poses; None: one
-        Gaussian of poses in its place. around_m (T, J, 3): the markers of a solution, and its size; then what all
-        frames share is unknown."""
+        Gaussian. around_m (T, J, 3): a solution's markers, and its size; then what all frames share is unknown."""
         D, T = self.body.n_state, len(self)
         rear, front = (self.body.markers.index(marker) for marker in self.body.forward)
         seen = [
@@ -280,16 +272,14 @@ ELSEWHERE = 2.0
 
 
 def above_ground(clip: ClipProblem, points_m: Array, size: float = 1.0) -> float:
-    """By how many standard deviations the lowest feet are above where a ground at z = 0 would be, for markers (T, J, 3)
-    at nominal size about the origin."""
+    """By how many standard deviations the lowest feet of markers (T, J, 3) are above a ground at z = 0."""
     low_m = float(np.quantile(points_m[:, clip.feet, 2].min(axis=1), LOW_FEET))
     sigma_m = float(np.hypot(constants.GROUND_HEIGHT_M, clip.size_sigma * low_m))
     return (float(clip.origin_m[2]) / size + low_m) / sigma_m
 
 
 def contacts(clip: ClipProblem, points_m: Array, size: float) -> tuple[Array, Ground | None, tuple[terms.Term, ...]]:
-    """Contact (T, F) of every foot, the ground under them, and the terms that hold both, for markers (T, J, 3) at
-    nominal size about the origin."""
+    """Contact (T, F) of the feet of markers (T, J, 3), the ground under them, and the terms that hold both."""
     feet = clip.feet
     stance = terms.StanceVelocity(feet, clip.fps, constants.SLIP_M_S, constants.SLIP_C)
     _, _, still = stance.contact(points_m, size)

@@ -1,8 +1,5 @@
 """Numbers of the trajectory method that no user sets, each with its reason. Standard deviations unless said otherwise.
-
-Modules read them from here by name (`constants.ROBUST_C`), so that a test or a benchmark can hold another value for a
-while. docs/benchmarks.md shows what they matter.
-"""
+Read by name (`constants.ROBUST_C`), so that tests can hold another value. docs/benchmarks.md shows what they matter."""
 
 # -- what pictures show -------------------------------------------------------------------------------------------
 

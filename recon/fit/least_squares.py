@@ -1,15 +1,10 @@
 """A clip as one non-linear least-squares problem, and its Levenberg-Marquardt solution on the banded normal equations.
 
 Unknown are the states (T, D) of all frames, and a few quantities that all frames share. Every term reads a few
-neighbouring frames, so that the curvature of the sum is block-banded, with a border for what is shared
-(`recon.fit.banded`). A step solves
-
-    (H + damping) step = -gradient
-
-with H the Gauss-Newton curvature of all terms, reweighted for the robust ones; it is accepted on the robust cost.
-The damping is the same for all unknowns, in radians and metres, and not the usual multiple of the diagonal: a slow
-change of the whole path, such as its distance from the camera, is stiff in every single frame and soft only for all of
-them together, and damping relative to the diagonal would freeze it.
+neighbouring frames, so that the Gauss-Newton curvature H is block-banded, with a border for what is shared
+(`recon.fit.banded`). A step solves (H + damping) step = -gradient, and is accepted on the robust cost. The damping is
+the same for all unknowns, in radians and metres: relative to the diagonal it would freeze slow changes of the whole
+path, which are stiff in every single frame and soft only for all of them together.
 """
 
 from __future__ import annotations
@@ -64,9 +59,9 @@ class Estimate:
 
 @dataclass(frozen=True, eq=False)
 class LeastSquares:
-    """tree: whose markers the terms read. linear, terms: see `recon.fit.terms`. shared: the unknowns, besides the
-    states, that are free; everywhere below, `shared` are their values, by default the expected ones. doubtful: those
-    that are taken for what is expected of them, and count in the posterior only."""
+    """Terms (`recon.fit.terms`) that read a tree's markers, and the shared unknowns: those that are free (everywhere
+    below, `shared` are their values, by default the expected ones), and the doubtful, which are taken for what is
+    expected of them and count in the posterior only."""
 
     tree: Tree
     linear: Sequence[Linear]
@@ -83,11 +78,10 @@ class LeastSquares:
         return {u.name: slice(int(end) - len(u.mean), int(end)) for u, end in zip(self.shared, ends, strict=True)}
 
     def expected(self) -> dict[str, Array]:
-        """The means that the shared unknowns are expected to have."""
         return {unknown.name: unknown.mean for unknown in self.shared}
 
     def costs(self, states: Array, shared: Mapping[str, Array] | None = None) -> dict[str, float]:
-        """By name of the term, and of the shared unknown."""
+        """Half the squared norm, robust, by name of the term and of the shared unknown."""
         shared = self.expected() if shared is None else shared
         costs: dict[str, float] = {}
         for unknown in self.shared:
@@ -177,8 +171,7 @@ class LeastSquares:
     def minimise(
         self, states: Array, tolerance: float, max_iterations: int, shared: Mapping[str, Array] | None = None
     ) -> Estimate:
-        """The minimum from a start; stops when a step lowers the cost by less than tolerance times the cost, or times
-        one: what a residual of a sigma and a half costs, below which rounding is all that is left to lower."""
+        """The minimum from a start; stops when a step lowers the cost by less than tolerance times the cost, or one."""
         shared = self.expected() if shared is None else shared
         here, damping = Estimate(states, self.cost(states, shared), 0, False, shared), _FIRST_DAMPING
         for iteration in range(1, max_iterations + 1):
@@ -221,8 +214,7 @@ class LeastSquares:
                 return
 
     def _linear_blocks(self, start: int, T: int, blocks: Array) -> None:
-        """Fill blocks (n, BANDS + 1, D, D) with the curvature of the linear terms in frames of a clip of T, from a
-        first one on. Frames that are as far from the clip's ends as matters are all alike."""
+        """Fill blocks (n, BANDS + 1, D, D) with the linear terms' curvature in frames from `start` of a clip of T."""
         at, own = np.arange(start, start + len(blocks)), self._linear_kinds
         if len(own) >= T:
             own, kinds = self._linear_curvature(T), at

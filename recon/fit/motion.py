@@ -139,18 +139,15 @@ class Motion:
     # -- saved and loaded -----------------------------------------------------------------------------------------
 
     def save(self, folder: str | Path) -> Path:
-        """Write motion.npz into a folder, which is made if need be, whole or not at all; its path. `load` gives back
-        the same motion, bit for bit."""
+        """Write motion.npz into a folder, whole or not at all; its path. `load` gives back the same, bit for bit."""
         from recon.fit.motion_forms import save
 
         return save(self, Path(folder))
 
     @classmethod
     def load(cls, folder: str | Path) -> Motion:
-        """The motion in a folder of results of `recon fit`, or in any that it was saved to.
-
-        Raises InputError where there is none, where it is damaged or of another version, and where the folder holds
-        what an interrupted run left, or the files of several runs."""
+        """The motion in a folder of results of `recon fit`, or in any that it was saved to. Raises InputError where
+        there is none, where it is damaged or of another version, and for what an interrupted run or several left."""
         from recon.fit.motion_forms import load
 
         return load(cls, Path(folder))
@@ -436,8 +433,7 @@ class Motion:
 
     @property
     def root_name(self) -> str:
-        """What the skeleton calls the reference point that `root_m` is the path of: the marker in the root's origin, or
-        the root segment."""
+        """What the skeleton calls the root's origin: the marker there, or the root segment."""
         root = self.body.tree.segments[0].name
         return next((m.name for m in self.body.tree.markers if m.segment == root and not any(m.offset_m)), root)
 
@@ -447,8 +443,8 @@ class Motion:
         return self.in_reference(self.states[:, ROOT])
 
     def below_m(self, segment: MotionSegment) -> Array | None:
-        """(3,): the ground below the middle of the root's path in a segment, the solution's world frame; None where
-        it is not known."""
+        """(3,): the ground below the middle of the root's path in a segment, world frame; None where it is not
+        known."""
         xy_m = self.states[segment.rows, :2]
         xy_m = xy_m[np.isfinite(xy_m[:, 0])]
         if segment.ground is None or not len(xy_m):
@@ -500,8 +496,7 @@ class Motion:
 
     @cached_property
     def relative_rms_m(self) -> Array:
-        """(T,): what is expected of a joint's distance from its true place once both poses are centred, root mean
-        square over the joints."""
+        """(T,): root mean square of the expected distances of joints from their true places, both poses centred."""
         return np.sqrt(np.trace(self.solution.relative_covariance_m2, axis1=2, axis2=3).mean(axis=1))
 
     @cached_property

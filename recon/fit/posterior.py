@@ -1,26 +1,21 @@
 """How well a trajectory is known: the Gaussian approximation of the posterior at the minimum.
 
-The covariance C of one frame's unknowns is a block of the inverse of the normal equations' matrix, found from its
-banded factor by selected inversion (`recon.fit.banded`). A joint lies at origin + s p, with s the size. It moves by s J
-dx with the frame's unknowns, and by p ds with the size; where the pixels tie the two, the unknowns follow the size by
--Y ds (`recon.fit.banded`), so that with q = p - s J Y
+The covariance C of one frame's unknowns is a block of the inverse of the normal equations' matrix. A joint lies at
+origin + s p, with s the size. It moves by s J dx with the frame's unknowns, and by p ds with the size; where the pixels
+tie the two, the unknowns follow the size by -Y ds (`recon.fit.banded`), so that with q = p - s J Y
 
     cov(joint) = s^2 J C J' + var(s) q q'
 
 and relative to the mean of all joints with the means of J and q taken off.
 
 **Misfit of the prior**, and how far the prior counts after that. At a minimum the angles lie off what the prior expects
-of poses and changes by whitened residuals r. With P the prior's curvature, H that of all terms and n unknowns, pixels
-that say nothing leave r = 0, and pixels that say all leave one sigma for each unknown: where the prior fits, |r|^2 is n
-- tr(H^-1 P), the number of unknowns that the pixels say, times for how many frames an error lasts (D. MacKay, *Bayesian
-interpolation*, 1992). What it is relative to that is the scale of the prior's variances that is most likely.
+by whitened residuals r. With P the prior's curvature, H that of all terms and n unknowns, where the prior fits |r|^2 is
+n - tr(H^-1 P), the number of unknowns that the pixels say, times for how many frames an error lasts (D. MacKay,
+*Bayesian interpolation*, 1992). What it is relative to that is the most likely scale of the prior's variances.
 
-**Regions and intervals** that hold the truth as often as said. Errors have heavier tails than a Gaussian: a clip's
-noise and the weight of its prior are themselves estimated, from few independent samples, and in a clip for which they
-come out too small all errors are larger than stated. Such a scale makes a Student's t of a Gaussian. Stated covariances
-S are covariances of these errors, too, so that e' S^-1 e of an error e in k dimensions is k (nu - 2) / nu times a
-variable of Fisher's F with k and nu degrees of freedom.
-"""
+**Regions and intervals.** A clip's noise and the weight of its prior are themselves estimated, which makes a Student's
+t of a Gaussian: with S the covariance of an error e in k dimensions, e' S^-1 e is k (nu - 2) / nu times a variable of
+Fisher's F with k and nu degrees of freedom."""
 
 from __future__ import annotations
 
@@ -79,7 +74,7 @@ class Posterior:
 @dataclass(frozen=True, eq=False)
 class _Curvature:
     """The curvature of a problem at its solution: the windows of the normal equations, a root (P, P) of the covariance
-    of the P unknowns that all frames share besides the size, and the precision (1 + P, 1 + P) of all that is shared."""
+    of what all frames share besides the size, and the precision (1 + P, 1 + P) of all that is shared."""
 
     eliminated: Callable[[], Iterable[Window]]
     root: Array
@@ -89,8 +84,7 @@ class _Curvature:
     size_known: float
     """The size's precision by the pixels, before the factor on variances; 0 where it is not among the unknowns."""
     beyond_m2: Array | float
-    """(J,): by how much the variance of the keypoint bias that all cameras share is larger than expected. Perhaps the
-    animal's lengths are others, and then the joint lies where the keypoints are, not the marker."""
+    """(J,): by how much the variance of the keypoint bias that all cameras share is larger than expected."""
 
     def windows(self) -> Iterator[tuple[Window, Array, Array]]:
         """Each with how its n frames move with the P unknowns besides the size (n, D, P), and with the size (n, D)."""
@@ -103,8 +97,7 @@ class _Curvature:
 
 
 def curvature(problem: LeastSquares, found: Estimate, variance_factor: float) -> _Curvature:
-    """With the unknowns that are taken for what is expected of them (`LeastSquares.doubtful`) as free, and the keypoint
-    bias that all cameras share as wide as they show it. variance_factor: see `posterior`."""
+    """With the doubtful unknowns as free, and the keypoint bias that all cameras share as wide as they show it."""
     problem = replace(problem, shared=[*problem.shared, *problem.doubtful], doubtful=())
     normals = problem.normals(found.states, problem.expected() | dict(found.shared))
 
@@ -191,11 +184,9 @@ def with_size(covariance_m2: Array, by_size_m: Array, size: float, size_sigma: f
 
 
 def _data_share(with_pixels_m2: Array, without_m2: Array) -> Array:
-    """(J,): the part of a joint's posterior precision that comes from the pixels, 0 to 1, the median over frames.
-
-    It is 1 - variance / variance without pixels, both (T, J) of the joint relative to the mean of the joints with place
-    and heading given: the priors alone say nothing of those. NaN for joints that cannot move then.
-    """
+    """(J,): the part of a joint's posterior precision that comes from the pixels, 0 to 1, the median over frames of
+    1 - variance / variance without pixels, (T, J), of the joint relative to the mean of the joints with place and
+    heading given. NaN for joints that cannot move then."""
     with np.errstate(divide="ignore", invalid="ignore"):
         share = np.median(1.0 - with_pixels_m2 / without_m2, axis=0)
     return np.clip(share, 0.0, 1.0)
@@ -221,8 +212,7 @@ def _of_joints(
 
 @dataclass(frozen=True)
 class PriorMisfit:
-    """level: the squared residuals against the prior, relative to what is expected where it fits, 1; freedom: how many
-    unknowns the pixels say."""
+    """The squared residuals relative to those where the prior fits, and how many unknowns the pixels say."""
 
     level: float
     freedom: float

@@ -69,8 +69,7 @@ class Verdict:
     reason: str
     """Why the verdict is what it is, in one sentence."""
     pose_m: ExpectedError | None = None
-    """Mean distance of the joints from their true places once the mean of all joints is taken off (MPJPE); None
-    without a pose."""
+    """Mean distance of the joints from their true places, both centred (MPJPE); None without a pose."""
     pose_of_trunk: ExpectedError | None = None
     """The same, relative to the length of the trunk."""
     position_m: ExpectedError | None = None
@@ -105,15 +104,13 @@ OUTLIER_SIGMAS = 3.0
 
 @dataclass(frozen=True)
 class Ground:
-    """A plane: z = height_m + slope (2,) . (x, y), and the standard deviation of its height under
-    the animal."""
+    """A plane: z = height_m + slope (2,) . (x, y), and the standard deviation of its height under the animal."""
 
     height_m: float
     slope: Array
     sigma_m: float
     near_zero: bool | None = None
-    """Whether it was taken to lie near z = 0, which then says how large the animal is; None: nothing says that it
-    should."""
+    """Whether it was taken to lie near z = 0; None: nothing says that it should."""
 
     def about(self, origin_m: Array, size: float) -> Ground:
         """The same where the scene is scaled and its origin lies at (3,)."""
@@ -123,25 +120,23 @@ class Ground:
 
 @dataclass(frozen=True)
 class MotionSegment:
-    """A stretch of the clip that was solved by itself, as nothing was seen for long before and after: its rows of the
-    clip, and the ground under its feet, None where none stood. Segments lie in the order of their rows, and apart."""
+    """A stretch of the clip that was solved by itself, as nothing was seen for long before and after: its rows, and the
+    ground under its feet, None where none stood. Segments lie in their order, and apart."""
 
     rows: slice
     ground: Ground | None
     prior_misfit: float | None = None
     """The misfit of the motion under the prior, about 1 where that fits; None where there is none."""
     prior_weight: float = 1.0
-    """The part of its weight that the prior kept, each angle on its own having the rest: less than 1 where the motion
-    fits worse than those that the prior was made from."""
+    """The part of its weight that the prior kept, each angle on its own having the rest; 1 where the motion fits."""
     unlike_prior: bool = False
     """The motion is none that the prior knows."""
 
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """An animal's motion over T frames, as every method gives it: J markers, D unknowns a frame, F feet, V views.
-
-    In the world frame (`recon.geometry.frames`) and metres; NaN in frames without a pose."""
+    """An animal's motion over T frames, as every method gives it: J markers, D unknowns a frame, F feet, V views. In
+    the world frame (`recon.geometry.frames`) and metres; NaN in frames without a pose."""
 
     method: ClassVar[str]
     """What the report calls it."""

@@ -1,11 +1,8 @@
 """Where a clip's solution starts from: the mean pose at constant velocity, and the way in from the best of them.
 
-A rigid shape on viewing rays: the position that brings its points nearest to them, and constant velocities along
-headings.
-
 For a given heading, the position that brings a shape nearest to the rays of one frame is a small linear problem, and
-its distance follows from the shape's size. Over the frames of a stretch, a heading is the better the better the shape
-fits while it runs along it. The path decides what a single frame cannot: whether the animal comes nearer or goes away.
+its distance follows from the shape's size. The path over a stretch decides what a single frame cannot: whether the
+animal comes nearer or goes away.
 """
 
 from __future__ import annotations
@@ -26,14 +23,12 @@ _MISFIT_M = 0.15
 
 
 def position_on_rays(joints_m: Array, rays: Array) -> tuple[Array, Array]:
-    """Translations (..., 3) that bring a rigid shape nearest to viewing rays, and the joints' distances (..., J) from
-    them.
+    """Translations (..., 3) that bring a rigid shape joints_m (..., J, 3) nearest to viewing rays (..., J, 3), unit
+    vectors, NaN where missing, at least two a row; and the joints' distances (..., J) from them. Leading axes
+    broadcast.
 
-    joints_m (..., J, 3): the shape, turned into the camera frame; rays (..., J, 3): unit vectors, NaN where missing, at
-    least two a row; leading axes broadcast. The first guess is the median over joints, at the median distance over
-    pairs of joints; Gauss-Newton steps on the angles, with Geman-McClure weights, follow (distances from the rays
-    themselves would draw the shape towards the camera, where they vanish).
-    """
+    The first guess is the median over joints, at the median distance over pairs of joints; Gauss-Newton steps on the
+    angles, with Geman-McClure weights, follow (distances from the rays would draw the shape towards the camera)."""
     seen = np.isfinite(rays[..., 0])
     middle = np.nanmedian(rays, axis=-2)
     middle /= np.linalg.norm(middle, axis=-1, keepdims=True)
@@ -72,11 +67,8 @@ def _off_rays(points_m: Array, rays: Array) -> tuple[Array, Array, Array]:
 
 def _normal(near: Array, cosine: Array, across: Array, weight: Array) -> tuple[Array, Array]:
     """Normal equations (..., 3, 3) and (..., 3, 1) of a translation that brings points towards their rays, as
-    `_off_rays` has them, summed over the joints with weights (..., J).
-
-    The residual is q - c d, its slope by the point S = (I - d d' - (q - c d) q') / r, so that
-    S'S = (I - m m' - q q') / r^2 and S'(q - c d) = -c m / r.
-    """
+    `_off_rays` has them, summed over the joints with weights (..., J). The residual is q - c d, its slope by the point
+    S = (I - d d' - (q - c d) q') / r, so that S'S = (I - m m' - q q') / r^2 and S'(q - c d) = -c m / r."""
     square = weight * _dot(near, near)  # weight / r^2
     along = np.concatenate([across * np.sqrt(square)[..., None], near * np.sqrt(weight)[..., None]], axis=-2)
     normal = np.sum(square, axis=-1)[..., None, None] * np.eye(3) - along.swapaxes(-1, -2) @ along
@@ -96,13 +88,10 @@ def run_path(heading: Array, up: Array, time_s: Array) -> Array:
 def constant_velocity(
     headings: Array, shapes: Array, up: Array, rays: Array, time_s: Array, centres_m: Array | None = None
 ) -> tuple[Array, Array]:
-    """Shapes (H, J, 3), each running along its heading (H, 3), fitted to rays (F, J, 3) at times (F,) of mean zero.
-
-    centres_m (F, 3): where the rays of each row come from, by default the origin. Returns the runs'
-     misfits (H,), 0 to 1 (or up to 2 where one would run backwards), and their unknowns (H, 6): place at
-    time zero, m, speed and acceleration along the heading, m/s and m/s^2, and climb, m/s. Gauss-Newton with
-    Geman-McClure weights, all headings at once.
-    """
+    """Shapes (H, J, 3), each running along its heading (H, 3), fitted to rays (F, J, 3), from centres (F, 3) or the
+    origin, at times (F,) of mean zero. The runs' misfits (H,), 0 to 1 (or up to 2 where one would run backwards), and
+    their unknowns (H, 6): place at time zero, m, speed and acceleration along the heading, m/s and m/s^2, and climb,
+    m/s. Gauss-Newton with Geman-McClure weights, all headings at once."""
     (H, J), F = shapes.shape[:2], len(rays)
     centres = np.zeros((F, 3)) if centres_m is None else centres_m
     places = position_on_rays(shapes[:, None], rays)[0]  # (H, F, 3)

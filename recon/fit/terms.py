@@ -1,24 +1,15 @@
 """The terms of the trajectory problem: one small class each.
 
-A term reads a span of consecutive frames and gives its cost and rows r, J for the frames it stands for, such that J'r
-is the exact gradient of the cost and J'J its curvature: residuals divided by standard deviations, and for a robust loss
-reweighted by the square root of its slope (so that the cost is not half of r'r). With N frames, M rows, S offsets and D
-unknowns a frame:
-
-    evaluate(span, jacobian) -> _TermRows: cost (N,), residual (N, M), jacobian (N, M, S, D), and of the rows that read
-                                    unknowns which all frames share, the derivatives (N, M, P) by those of a name
-
-They stand for N frames one after the other, from the span's first on
-
-stencil (S,) are the offsets of the frames that a row reads, relative to the frame it stands for. The rows of a `Linear`
-term have a constant Jacobian: the solver works out their curvature once.
+For N frames, from a span's first on, a term gives its cost (N,), residual r (N, M), jacobian J (N, M, S, D) and, by
+name, the derivatives (N, M, P) by unknowns that all frames share, such that J'r is the exact gradient of the cost and
+J'J its curvature: residuals are divided by standard deviations, and reweighted by the square root of a robust loss'
+slope (so that the cost is not half of r'r). The stencil (S,) are the offsets of the frames that a row reads.
 
 States are those of a body of nominal size about an origin, the first camera's centre: the point p of such a scene lies
 at origin + size p in the world. Larger animals move further in proportion, so no prior could tell the size, nor can a
-camera that stays in the origin, whose picture is the same for any size: only `Reprojection` of other cameras reads it.
+camera that stays in the origin: only `Reprojection` of other cameras reads it.
 
-Detections are correlated over time, and so are the errors of the priors: priors count as many times a second as they
-were weighed at, whatever the frame rate (`REFERENCE_HZ`).
+Errors last: priors count as many times a second as they were weighed at, whatever the frame rate (`REFERENCE_HZ`).
 """
 
 from __future__ import annotations
@@ -38,8 +29,8 @@ from recon.geometry.kinematics import ROOT, YAW, TreePose
 SIZE = "size"
 """The shared unknown: a factor on all lengths. 1 where it is not one."""
 COMMON_KEYPOINT_BIAS = "common keypoint bias"
-"""The shared unknowns (3J,): how far all cameras see the keypoints of each marker beside it all the time, metres in its
-segment. Held at zero: they count in the uncertainty only."""
+"""The shared unknowns (3J,): the same that all cameras see, in the marker's segment. They count in the uncertainty
+only."""
 SIDESLIP = "sideslip"
 """The shared unknown: by how much an animal goes to the left of where it looks all the time, rad."""
 _ONE, _ZERO = np.ones(1), np.zeros(1)
@@ -51,8 +42,7 @@ def time_offset(view: int) -> str:
 
 
 def keypoint_bias(view: int) -> str:
-    """The shared unknowns (2J,): how far a view's keypoints of each marker lie beside it all the time, metres to the
-    right and down at the animal's distance."""
+    """The shared unknowns (2J,): how far a view's keypoints lie beside their markers, metres to the right and down."""
     return f"keypoint bias {view}"
 
 
@@ -80,11 +70,8 @@ PRIOR_TERMS = POSE, MOTION = "pose prior", "motion prior"
 
 @dataclass(frozen=True)
 class Span:
-    """Frames first, first + 1, ... of a clip: states (n, D), the posed markers, which detections belong to, and by name
-    the values of the unknowns that all frames share.
-
-    The last frame is there for stencils that reach it unless `last`: terms that read one frame at a time leave it out.
-    """
+    """Frames first, first + 1, ... of a clip: states (n, D), posed markers, and by name the values of the unknowns that
+    all frames share. Unless `last`, the last frame is there only for stencils that reach it."""
 
     first: int
     states: Array
@@ -121,10 +108,8 @@ class Term(Protocol):
 
 @dataclass(frozen=True)
 class Linear:
-    """A Gaussian term: r = sum of slots[s] x(frame + stencil[s]) - target, for every frame whose stencil fits.
-
-    slots (S, M, D); target (M,). Rows are already divided by their standard deviations.
-    """
+    """A Gaussian term with a constant Jacobian: r = sum of slots[s] x(frame + stencil[s]) - target, for every frame
+    whose stencil fits. slots (S, M, D) and target (M,) are divided by standard deviations."""
 
     name: str
     stencil: tuple[int, ...]
@@ -190,10 +175,8 @@ def climb_term(n_state: int, fps: float, sigma_m_s: float) -> Linear:
 
 @dataclass(frozen=True)
 class PoseMixture:
-    """A mixture of Gaussians of poses, -log sum_k w_k N(z; mean_k, cov_k), flattened by a temperature >= 1.
-
-    The rows are those of the Gaussian with the components' mean precision that has the mixture's gradient.
-    """
+    """A mixture of Gaussians of poses, -log sum_k w_k N(z; mean_k, cov_k), flattened by a temperature >= 1. The rows
+    are those of the Gaussian with the components' mean precision that has the mixture's gradient."""
 
     prior: MotionPrior
     fps: float
@@ -236,11 +219,8 @@ class PoseMixture:
 
 @dataclass(frozen=True)
 class Reprojection:
-    """Projected minus detected position, one robust loss per point: c^2/2 log(1 + |e|^2 / (c sigma)^2) (Cauchy).
-
-    sigma_px (T, J), frozen: a standard deviation that followed the depth would let the noise's size decide the
-    distance. The view's confidence is a factor on the cost. A view that leads is between two frames.
-    """
+    """Projected minus detected position, one robust loss per point: c^2/2 log(1 + |e|^2 / (c sigma)^2) (Cauchy), times
+    the view's confidence. sigma_px (T, J) is frozen: one that followed the depth would decide the distance."""
 
     view: View
     sigma_px: Array
@@ -353,10 +333,8 @@ class KnownAngles:
 
 @dataclass(frozen=True)
 class Heading:
-    """The animal goes where it looks, or `SIDESLIP` beside it: the root's velocity across that direction is small.
-
-    rear, front: the markers that give the trunk's direction. One row a pair of frames: (v x u) / sigma, m/s.
-    """
+    """The animal goes where it looks, or `SIDESLIP` beside it: of each pair of frames (v x u) / sigma, m/s, with the
+    root's velocity v and the direction u from the marker `rear` to `front`."""
 
     rear: int
     front: int
@@ -394,11 +372,8 @@ class Heading:
 
 @dataclass(frozen=True)
 class StanceVelocity:
-    """A foot that nearly stands, stands: its velocity with a redescending loss, (c sigma)^2 / 2 at most.
-
-    In the world: at nominal size, feet that a moving camera follows would stand for any animal that is large enough.
-    feet (F,): markers. Geman-McClure: a foot in swing, well beyond c sigma, hardly pulls.
-    """
+    """A foot (F,) that nearly stands, stands: its velocity with the loss of Geman and McClure, (c sigma)^2 / 2 at most.
+    In the world: at nominal size, feet that a moving camera follows would stand for any animal that is large enough."""
 
     feet: Index
     fps: float
@@ -431,10 +406,8 @@ class StanceVelocity:
 
 @dataclass(frozen=True)
 class OnGround:
-    """Feet in stance lie on a plane: (z - height - slope . (x - middle)) sqrt(contact) / sigma.
-
-    feet (F,); contact (T - 1, F), frozen; plane (3,): height, slope x, slope y; middle (2,).
-    """
+    """Feet in stance lie on a plane: (z - height - slope . (x - middle)) sqrt(contact) / sigma. feet (F,); contact
+    (T - 1, F), frozen; plane (3,): height, slope x, slope y; middle (2,)."""
 
     feet: Index
     contact: Array

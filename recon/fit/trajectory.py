@@ -1,8 +1,7 @@
 """The trajectory method: a whole animal over a whole clip, as one least-squares problem.
 
-Everything happens in the world frame (`recon.geometry.frames`), seen by one camera or several. The unknown motion is
-that of a body of nominal size about the first camera's centre, and the world is that scene scaled by the size: a camera
-that stays there sees the same for any size, so that the size is known as its prior says, and better only where other
+Everything happens in the world frame (`recon.geometry.frames`). The unknown motion is that of a body of nominal size
+about the first camera's centre (`recon.fit.terms`): the size is known as its prior says, and better only where other
 views or the ground's distance below the camera say it. The way to the minimum:
 
 1. Starts. The prior's mean pose runs straight through about a second of clip, in 18 headings, and is fitted to the
@@ -15,8 +14,8 @@ views or the ground's distance below the camera say it. The way to the minimum:
    first finds the motion surprising under the prior, this loses weight for the rest (`recon.fit.posterior`).
 5. The posterior covariance from the banded factor.
 
-Clips of several seconds are started and approached about a second at a time, and then solved as one. Where nothing is
-detected for longer than `BRIDGED_S`, the clip is split.
+Clips are started and approached about a second at a time, and then solved as one; they are split where nothing is
+detected for longer than `BRIDGED_S`.
 """
 
 from __future__ import annotations
@@ -73,13 +72,9 @@ def solve_trajectory(
 
     ground_near_zero: whether the ground is known to lie near the world's z = 0; by default where the camera files say
     which way is up. Deterministic. Frames too far from any detection have NaN states and the flag "no data", those
-    whose pose is too far off to be seen NaN states and the flag "diverged". Detections that no detector can have found
-    in the camera's picture are left out (`Camera.sees`). A minimum that was not reached is the solution's status, not
-    an exception.
-
-    Runs on one core: the matrices are small, and threads of the numerical library would wait for each other, for many
-    times as long on a machine that is busy otherwise.
-    """
+    whose pose is too far off to be seen "diverged". Detections that no detector can have found in the camera's picture
+    are left out (`Camera.sees`). A minimum that was not reached is the solution's status, not an exception. On one
+    core: the matrices are small, and threads of the numerical library would wait for each other."""
     began = time.perf_counter()
     clip = ClipProblem.of(views, body, prior, fps, options or TrajectoryOptions(), ground_near_zero)
     with threadpool_limits(1, user_api="blas"):
@@ -202,8 +197,8 @@ def _round(clip: ClipProblem, solved: SegmentFit, temperature: float | None, who
 
 
 def _shared(clip: ClipProblem, solved: Sequence[SegmentFit], known: Sequence[Posterior]) -> dict[str, Any]:
-    """The solution's fields of what all frames share, besides the size: what was found and its standard deviations, 0
-    where it is no unknown; over the segments, by how many of their frames several cameras saw."""
+    """The solution's fields of what all frames share, besides the size, weighed by how many of a segment's frames
+    several cameras saw; 0 where it is no unknown."""
     V = range(len(clip.views))
     together = np.sum([view.present.any(axis=1) for view in clip.views], axis=0) > 1
     frames = np.array([together[one.rows].sum() for one in solved])
@@ -256,12 +251,9 @@ def _windows(clip: ClipProblem, progress: Progress) -> list[tuple[slice, list[St
 
 
 def _noise_factors(clip: ClipProblem, points_m: Array, size: float, factors: Array) -> Array:
-    """(V, J): variance of each joint's detections relative to the expected one, as the robust loss would have it.
-
-    The mean of weight times squared residual per coordinate, with eight detections' worth of the expectation. Between
-    1/4 and 6, that is half and two and a half times the expected standard deviation: a joint is neither followed
-    blindly nor given up.
-    """
+    """(V, J): variance of each joint's detections relative to the expected one, as the robust loss would have it: the
+    mean of weight times squared residual per coordinate, with eight detections' worth of the expectation. Between 1/4
+    and 6: a joint is neither followed blindly nor given up."""
     world = clip.in_world(points_m, size)
     found = []
     expected = clip.noise_px(points_m, np.ones_like(factors), size)
@@ -365,11 +357,8 @@ def _of_segment(
 def _size(
     clip: ClipProblem, solved: Sequence[SegmentFit], known: Sequence[Posterior]
 ) -> tuple[float, float, tuple[str, ...]]:
-    """The size, its standard deviation, and what says it.
-
-    The prior's 1 with its sigma; what several views say; and where the ground's distance below the camera is known: the
-    feet on the ground are so far below the camera at nominal size, and the size makes that the camera's height.
-    """
+    """The size, its standard deviation, and what says it: the prior's 1; several views; and where the ground's distance
+    below the camera is known, the size that makes the feet on the ground so far below it."""
     of_prior, lasting = clip.size_sigma**-2, _size_of_offsets(clip) ** 2
     precision, pull, sources = of_prior, of_prior, ["prior"]
     for one, of_one in zip(solved, known, strict=True):
@@ -392,8 +381,7 @@ def _size(
 
 
 def _size_of_offsets(clip: ClipProblem) -> float:
-    """What keypoints beside their markers look like as a size: each lies off by the body's keypoint_sigma_m in a
-    direction of its own, the same in every frame and for every camera."""
+    """What keypoints look like as a size that lie beside their markers in the same direction all the time."""
     body = clip.body
     state = np.zeros((1, body.n_state))
     state[0, ANGLES] = clip.prior.mean
@@ -402,8 +390,8 @@ def _size_of_offsets(clip: ClipProblem) -> float:
 
 
 def _second(clip: ClipProblem, one: SegmentFit, size: float, apart_m: Array) -> float:
-    """The least extra cost of a second solution of a segment, where another start was carried to the end; apart_m (T,)
-    gets the mean distance of its joints from the best one's, both centred."""
+    """The least extra cost of another start of a segment that was carried to the end; apart_m (T,) gets the mean
+    distance of its joints from the best one's, both centred."""
     extra_cost = np.inf
     points = clip.body.tree.pose(one.estimate.states).points_m
     for window, (best, *others) in one.windows:

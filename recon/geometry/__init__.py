@@ -7,7 +7,6 @@ from recon.base import lazily
 if TYPE_CHECKING:
     from recon.geometry.camera import Camera
     from recon.geometry.frames import (
-        euler_angles,
         euler_rotation,
         euler_rotation_with_jacobian,
         inverse,

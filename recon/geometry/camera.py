@@ -37,12 +37,9 @@ TILT = "radians between -pi/2 and pi/2, and 0 beside a pose that says which way 
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """One calibrated camera.
-
-    Raises InputError, naming every fault, for wrong shapes or numbers of coefficients, values that are not finite,
-    focal lengths or image sizes that are not positive, a rotation that is not orthonormal and right-handed to 1e-6, and
-    a tilt of a right angle or more, or beside a pose that says which way is up.
-    """
+    """One calibrated camera. Raises InputError, naming every fault, for wrong shapes or numbers of coefficients, values
+    that are not finite, focal lengths or image sizes that are not positive, a rotation that is not orthonormal and
+    right-handed to 1e-6, and a tilt of a right angle or more, or beside a pose that says which way is up."""
 
     name: str
     """The name in its calibration file."""
@@ -104,10 +101,8 @@ class Camera:
 
     @classmethod
     def from_hfov(cls, hfov_deg: float, image_size_px: tuple[int, int], name: str = "cam1") -> Camera:
-        """A pinhole camera with square pixels and a central principal point, from its horizontal field of view.
-
-        Raises ValueError for a field of view outside (0, 180) degrees.
-        """
+        """A pinhole camera with square pixels and a central principal point, from its horizontal field of view. Raises
+        ValueError for a field of view outside (0, 180) degrees."""
         if not 0 < hfov_deg < 180:
             raise ValueError(f"the horizontal field of view must lie between 0 and 180 degrees, got {hfov_deg}")
         width, height = image_size_px
@@ -118,21 +113,16 @@ class Camera:
     # ---- projection ----
 
     def project(self, points_m: npt.ArrayLike) -> tuple[Array, Bools]:
-        """Pixels (..., 2) and validity (...) of points (..., 3) in the camera frame.
-
-        Valid: in front of the camera and where the lens model still increases with the angle from the optical axis
-        (beyond, a polynomial folds points back into the image). Invalid points are NaN. A valid point may lie outside
-        the image: see `in_image`.
-        """
+        """Pixels (..., 2) and validity (...) of points (..., 3) in the camera frame. Valid: in front of the camera and
+        where the lens model still increases with the angle from the optical axis (beyond, a polynomial folds points
+        back into the image). Invalid points are NaN. A valid point may lie outside the image: see `in_image`."""
         pixels, _, valid = self.project_with_jacobian(points_m, jacobian=False)
         return pixels, valid
 
     def project_with_jacobian(self, points_m: npt.ArrayLike, jacobian: bool = True) -> tuple[Array, Array, Bools]:
         """Pixels (..., 2), exact derivatives d pixels / d point (..., 2, 3), and validity (...); without derivatives,
-        which take most of the time, none.
-
-        points_m: (..., 3) in the camera frame. Invalid points (see `project`) have NaN pixels and zero derivatives.
-        """
+        which take most of the time, none. points_m: (..., 3) in the camera frame. Invalid points (see `project`) have
+        NaN pixels and zero derivatives."""
         points = np.asarray(points_m, dtype=float)
         x, y, z = points.reshape(-1, 3).T
         fx, s, ox, fy, oy = self._intrinsics
@@ -180,11 +170,9 @@ class Camera:
     # ---- the way back ----
 
     def rays(self, pixels: npt.ArrayLike) -> tuple[Array, Bools]:
-        """Unit rays (..., 3) in the camera frame through pixels (..., 2), and validity (...).
-
-        Invalid, and NaN: pixels that are NaN or that no point within the lens model's range projects to. A valid ray
-        projects back to its pixel to about 1e-11 px.
-        """
+        """Unit rays (..., 3) in the camera frame through pixels (..., 2), and validity (...). Invalid, and NaN: pixels
+        that are NaN or that no point within the lens model's range projects to. A valid ray projects back to its pixel
+        to about 1e-11 px."""
         uv, (fx, s, ox, fy, oy) = np.asarray(pixels, dtype=float), self._intrinsics
         u, v = uv.reshape(-1, 2).T
         valid = np.isfinite(u) & np.isfinite(v)
@@ -223,11 +211,8 @@ class Camera:
 
     @property
     def up(self) -> Array:
-        """Unit vector (3,), camera frame, that points up.
-
-        From the pose where the world's z axis points up; otherwise the camera's x axis is taken to be level, and its
-        tilt is `tilt_rad`: (0, -1, 0) for a level camera.
-        """
+        """Unit vector (3,), camera frame, that points up. From the pose where the world's z axis points up; otherwise
+        the camera's x axis is taken to be level, and its tilt is `tilt_rad`: (0, -1, 0) for a level camera."""
         if self.rotation is not None and self.world_z_up:
             return self.rotation[:, 2].copy()
         return np.array((0.0, -math.cos(self.tilt_rad), 0.0 - math.sin(self.tilt_rad)))

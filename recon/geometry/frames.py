@@ -5,15 +5,11 @@ away from the camera, z up. world: where motion is solved, right-handed with z u
 where its z axis is known to point up, otherwise the level frame of the first camera. reference: what results are given
 in, the camera files' world where there is one, otherwise the first camera's frame.
 
-Rotations: Euler angles with their derivatives, which scipy's `Rotation` does not give; all else is scipy's.
-
-One convention throughout: R = Rx(xi) Ry(psi) Rz(zeta), elementary right-handed rotations about X, Y and Z multiplied in
-that order (scipy's intrinsic "XYZ"), angles in radians in the order (xi, psi, zeta).
+Rotations: Euler angles with their derivatives, which scipy's `Rotation` does not give. R = Rx(xi) Ry(psi) Rz(zeta)
+throughout, right-handed rotations about X, Y and Z multiplied in that order (scipy's intrinsic "XYZ"), in radians.
 """
 
 from __future__ import annotations
-
-import warnings
 
 import numpy as np
 import numpy.typing as npt
@@ -27,10 +23,7 @@ _CROSS_TWICE = _CROSS @ _CROSS
 
 def level_axes(up: Array) -> tuple[Array, Array]:
     """Two level unit vectors (3,) in the camera frame: to the picture's right, or down where that is up, and away from
-    the camera.
-
-    up (3,): the upward unit vector there.
-    """
+    the camera. up (3,): the upward unit vector there."""
     across = np.eye(3)[int(abs(up[0]) > 0.999)]
     right = across - up * (across @ up)
     right /= float(np.linalg.norm(right))
@@ -68,11 +61,9 @@ def euler_rotation(angles_rad: npt.ArrayLike) -> Array:
 
 
 def euler_rotation_with_jacobian(angles_rad: npt.ArrayLike) -> tuple[Array, Array]:
-    """Rotation matrices and their exact derivatives with respect to the angles.
-
-    angles_rad: (..., 3), (xi, psi, zeta). Returns R (..., 3, 3) and dR (..., 3, 3, 3), where dR[..., k, :, :] is the
-    derivative of R with respect to angle k.
-    """
+    """Rotation matrices and their exact derivatives with respect to the angles. angles_rad: (..., 3), (xi, psi, zeta).
+    Returns R (..., 3, 3) and dR (..., 3, 3, 3), where dR[..., k, :, :] is the derivative of R with respect to angle
+    k."""
     x, y, z = _turns(angles_rad)
     rotation = x @ y @ z
     return rotation, np.stack([_CROSS[0] @ rotation, x @ _CROSS[1] @ y @ z, rotation @ _CROSS[2]], axis=-3)
@@ -84,20 +75,3 @@ def _turns(angles_rad: npt.ArrayLike) -> tuple[Array, Array, Array]:
     angles = np.asarray(angles_rad, dtype=float)[..., None, None]
     turns = _IDENTITY + np.sin(angles) * _CROSS + (1.0 - np.cos(angles)) * _CROSS_TWICE
     return turns[..., 0, :, :], turns[..., 1, :, :], turns[..., 2, :, :]
-
-
-def euler_angles(rotation: npt.ArrayLike) -> Array:
-    """Angles (xi, psi, zeta), shape (..., 3), of rotation matrices (..., 3, 3): the inverse of `euler_rotation`.
-
-    psi lies in [-pi/2, pi/2]. At psi = +-pi/2 only xi + zeta or xi - zeta is determined; zeta is then set to 0.
-    Raises ValueError for a matrix that is not a rotation (determinant not positive).
-    """
-    from scipy.spatial.transform import Rotation  # of use to few
-
-    matrices = np.asarray(rotation, dtype=float)
-    if (np.linalg.det(matrices) <= 0).any():  # older scipy takes them for rotations
-        raise ValueError("a matrix with a determinant that is not positive is no rotation")
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message="Gimbal lock")
-        angles = Rotation.from_matrix(matrices.reshape(-1, 3, 3)).as_euler("XYZ")
-    return np.asarray(angles).reshape(*matrices.shape[:-2], 3)

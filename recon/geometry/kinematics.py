@@ -97,11 +97,9 @@ class TreePose:
 
 
 class _Plan:
-    """What a tree's kinematics need besides the state.
-
-    S + 1 frames: the world's, then the segments'. S + J points: the segments' origins, then the markers. K rotations. M
-    pairs of a marker and a rotation that moves it. P pairs of a marker and an angle of the state.
-    """
+    """What a tree's kinematics need besides the state. S + 1 frames: the world's, then the segments'. S + J points: the
+    segments' origins, then the markers. K rotations. M pairs of a marker and a rotation that moves it. P pairs of a
+    marker and an angle of the state."""
 
     def __init__(self, tree: Tree) -> None:
         segments, markers, rotations = tree.segments, tree.markers, tree.rotations

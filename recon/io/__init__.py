@@ -9,7 +9,8 @@ from recon.base import lazily
 
 if TYPE_CHECKING:
     from recon.io.bones import Armature, write_bvh, write_gltf, write_opensim
-    from recon.io.calibration import read_camera, read_cameras, write_camera, write_cameras
+    from recon.io.calibration import read_camera, read_cameras
+    from recon.io.camera_files import write_camera, write_cameras
     from recon.io.camera_track import CameraTrack, read_camera_track, track_files, track_label
     from recon.io.columns import parse_map
     from recon.io.common import Pose3D, StoredPoints

@@ -28,15 +28,6 @@ FORMAT, VERSION = "recon-camera", 1
 MAX_BYTES = 1 << 23
 MAX_SIZE_PX = 1_000_000
 ROTATION_TOLERANCE = 1e-3
-ALIASES = {
-    "matrix": ("matrix", "camera_matrix", "cameraMatrix", "K", "k"),
-    "distortion": ("distortions", "distortion_coefficients", "dist_coeffs", "distCoeffs", "D", "d"),
-    "rotation": ("rotation", "R", "rvec", "r"),
-    "translation_m": ("translation", "T", "tvec", "t"),
-    "image_size_px": ("size", "camera_resolution", "image_size_px"),
-    "model": ("distortion_model",),
-}
-"""What programs call a field."""
 
 
 @dataclass(frozen=True)
@@ -51,13 +42,6 @@ class CameraRecord:
     """What the file calls a field, where it calls it otherwise."""
     lenses: Iterable[str] = tuple(LENS_MODELS)
     """What the file can call its lens."""
-
-    @classmethod
-    def of_table(cls, name: Any, place: str, table: Mapping[str, Any], **more: Any) -> CameraRecord:
-        """From a table with keys of its own (`ALIASES`), and more values by field."""
-        called = {field: next((key for key in keys if key in table), keys[0]) for field, keys in ALIASES.items()}
-        values = {field: table.get(key) for field, key in called.items()}
-        return cls(name, place, values | {"model": "radtan", "world_z_up": False} | more, called)
 
 
 def read_cameras(path: CameraFiles, image_size_px: tuple[int, int] | None = None) -> tuple[Camera, ...]:
@@ -170,29 +154,6 @@ def read_own(path: Path, individual: str | None = None) -> list[CameraRecord]:
     )
     up = {"world_z_up": True}
     return [CameraRecord(table.get("name"), place, up | table, {}) for place, table in tables.items()]
-
-
-def write_cameras(cameras: Sequence[Camera], path: str | Path) -> None:
-    """Write cameras as TOML that `read_cameras` reads back exactly; whole or not at all."""
-    _write({"cameras": [_table(camera) for camera in cameras]}, path)
-
-
-def write_camera(camera: Camera, path: str | Path) -> None:
-    """The same of one, that `read_camera` reads back without its name."""
-    _write({"camera": _table(camera)}, path)
-
-
-def _table(camera: Camera) -> dict[str, Any]:
-    return {"format": FORMAT, "version": VERSION, **camera.to_dict()}
-
-
-def _write(document: dict[str, Any], path: str | Path) -> None:
-    import tomli_w
-
-    from recon.base.files import staged_file
-
-    with staged_file(path) as staged:
-        staged.write_text(tomli_w.dumps(document), encoding="utf-8")
 
 
 # -- from records to cameras ------------------------------------------------------------------------------------------

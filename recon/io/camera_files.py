@@ -1,4 +1,5 @@
-"""Calibration files of other programs, as they are: for each camera a table of unchecked values.
+"""Calibration files of other programs, as they are: for each camera a table of unchecked values; and how ours are
+written.
 
 - OpenCV YAML, JSON and XML (`camera_matrix`, `distortion_coefficients`, `image_width`, `image_height`, and the other
   spellings in use), including ROS camera_info YAML with `distortion_model`. The lens is a fisheye where the file says
@@ -16,16 +17,30 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+import tomli_w
+
 from recon.base.documents import parse_json, parse_toml
 from recon.base.errors import InputError, Problem
+from recon.base.files import staged_file
+from recon.geometry.camera import Camera
 from recon.geometry.lens import LENS_MODELS, lens_named
-from recon.io.calibration import FORMAT, CameraRecord, read_calibration
+from recon.io.calibration import FORMAT, VERSION, CameraRecord, read_calibration
 from recon.io.common import number
 
+ALIASES = {
+    "matrix": ("matrix", "camera_matrix", "cameraMatrix", "K", "k"),
+    "distortion": ("distortions", "distortion_coefficients", "dist_coeffs", "distCoeffs", "D", "d"),
+    "rotation": ("rotation", "R", "rvec", "r"),
+    "translation_m": ("translation", "T", "tvec", "t"),
+    "image_size_px": ("size", "camera_resolution", "image_size_px"),
+    "model": ("distortion_model",),
+}
+"""What programs call a field."""
 MAX_NESTING = 5_000
 """How deep a file may be nested: OpenCV dies at 20,000."""
 
@@ -39,6 +54,13 @@ def _tables(path: Path, value: Any, expected: str) -> dict[str, dict[str, Any]]:
     if not isinstance(value, dict) or not value or not all(isinstance(table, dict) for table in value.values()):
         raise InputError(Problem(path, "cameras", "no table of a camera", expected))
     return value
+
+
+def record_of(name: Any, place: str, table: Mapping[str, Any], **more: Any) -> CameraRecord:
+    """From a table with keys of its own (`ALIASES`), and more values by field."""
+    called = {field: next((key for key in keys if key in table), keys[0]) for field, keys in ALIASES.items()}
+    values = {field: table.get(key) for field, key in called.items()}
+    return CameraRecord(name, place, values | {"model": "radtan", "world_z_up": False} | more, called)
 
 
 # -- Anipose, Pose2Sim -----------------------------------------------------------------------------------------------
@@ -59,7 +81,7 @@ def read_anipose(path: Path, individual: str | None = None) -> list[CameraRecord
         if isinstance(bent, list) and len(bent) == 1:
             table = table | {"distortions": bent + [0.0] * 3}  # k1 alone, the others were not estimated
         model = "fisheye" if table.get("fisheye") else "radtan"
-        records.append(CameraRecord.of_table(table.get("name", section), f"{section}.", table, model=model))
+        records.append(record_of(table.get("name", section), f"{section}.", table, model=model))
     return records
 
 
@@ -79,9 +101,7 @@ def read_acinoset(path: Path, individual: str | None = None) -> list[CameraRecor
     of_all = {"camera_resolution": document.get("camera_resolution")}
     more = {"model": "fisheye", "world_z_up": True}
     return [
-        CameraRecord.of_table(
-            entry.get("name"), f"cameras[{i}]." if "cameras" in document else "", of_all | entry, **more
-        )
+        record_of(entry.get("name"), f"cameras[{i}]." if "cameras" in document else "", of_all | entry, **more)
         for i, entry in enumerate(entries)
     ]
 
@@ -192,7 +212,7 @@ def read_opencv(path: Path, individual: str | None = None) -> list[CameraRecord]
     }
     if "R" in document and not {"T", "translation", "tvec"} & document.keys():
         more["rotation"] = None  # ROS: the rectification, not a pose
-    return [CameraRecord.of_table(document.get("camera_name"), "", document, **more)]
+    return [record_of(document.get("camera_name"), "", document, **more)]
 
 
 def _of_file_storage(path: Path, text: str) -> Any:
@@ -230,3 +250,25 @@ def _plain_node(node: Any) -> Any:
     if node.isString():
         return node.string()
     return node.real() if node.isInt() or node.isReal() else None
+
+
+# -- our own, written -------------------------------------------------------------------------------------------------
+
+
+def write_cameras(cameras: Sequence[Camera], path: str | Path) -> None:
+    """Write cameras as TOML that `read_cameras` reads back exactly; whole or not at all."""
+    _write({"cameras": [_table(camera) for camera in cameras]}, path)
+
+
+def write_camera(camera: Camera, path: str | Path) -> None:
+    """The same of one, that `read_camera` reads back without its name."""
+    _write({"camera": _table(camera)}, path)
+
+
+def _table(camera: Camera) -> dict[str, Any]:
+    return {"format": FORMAT, "version": VERSION, **camera.to_dict()}
+
+
+def _write(document: dict[str, Any], path: str | Path) -> None:
+    with staged_file(path) as staged:
+        staged.write_text(tomli_w.dumps(document), encoding="utf-8")

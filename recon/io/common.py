@@ -335,11 +335,9 @@ def with_likelihoods(keypoints: Keypoints, path: Path) -> Keypoints:
 
 
 def frames_of_times(path: Path, times_s: np.ndarray, fps: float | None) -> tuple[np.ndarray, float | None]:
-    """Frame numbers (T,) int, of the frame rate that is given or that regular times have, and that rate.
-
-    Frame 0 is at 0 s. A gap must be a whole number of frames. Without a rate, a single time is frame 0.
-    Raises InputError for times that do not increase or that no frame rate fits.
-    """
+    """Frame numbers (T,) int, of the frame rate that is given or that regular times have, and that rate. Frame 0 is at
+    0 s. A gap must be a whole number of frames. Without a rate, a single time is frame 0. Raises InputError for times
+    that do not increase or that no frame rate fits."""
     if not len(times_s):
         return np.zeros(0, np.int64), fps
     steps_s = np.diff(times_s)
@@ -384,11 +382,9 @@ SEPARATORS = (",", ";", "\t")
 
 
 def text_rows(path: Path, separator: str | None = None) -> Iterator[tuple[int, list[str]]]:
-    """The rows of a text table that are not blank, each with the number of its line.
-
-    separator: by default whichever of `SEPARATORS` the first line has most. Raises InputError for bytes that are not
-    UTF-8, with a byte order mark or without, and for text that is no table.
-    """
+    """The rows of a text table that are not blank, each with the number of its line. separator: by default whichever of
+    `SEPARATORS` the first line has most. Raises InputError for bytes that are not UTF-8, with a byte order mark or
+    without, and for text that is no table."""
     with path.open(encoding="utf-8-sig", newline="") as file:
         line = 0
         try:

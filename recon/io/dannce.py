@@ -24,6 +24,7 @@ import numpy as np
 from recon.base.documents import read_content
 from recon.base.errors import InputError, Problem
 from recon.io.calibration import CameraRecord
+from recon.io.camera_files import record_of
 from recon.io.common import StoredPoints, points_of_arrays, starts_with
 
 MAX_BYTES, MAX_UNPACKED = 1 << 28, 1 << 28
@@ -85,7 +86,7 @@ def read_cameras(path: Path, individual: str | None = None) -> list[CameraRecord
             "t": table["t"],
         }
         name, place = names[i] if len(names) == len(tables) else None, f"params[{i}]." * ("params" in found)
-        records.append(CameraRecord.of_table(name, place, values))
+        records.append(record_of(name, place, values))
     return records
 
 

@@ -118,11 +118,8 @@ def points_of_table(
     problems: Sequence[Problem] = (),
 ) -> StoredPoints:
     """The points of one animal as the file states them: likelihoods are NaN where it has none, and the unit of 3D
-    positions is not in it.
-
-    labels: of its C columns, one text for each level; index: of its T rows, one text or several; values: (T, C), NaN in
-    empty cells; problems: those that are known already. Raises InputError.
-    """
+    positions is not in it. labels: of its C columns, one text for each level; index: of its T rows, one text or
+    several; values: (T, C), NaN in empty cells; problems: those that are known already. Raises InputError."""
     named = [dict(zip(levels, label, strict=True)) for label in labels]
     raw = [(n.get("individuals", ""), n["bodyparts"], n["coords"]) for n in named]
     columns = [(animal.strip(), part.strip(), coord.strip()) for animal, part, coord in raw]

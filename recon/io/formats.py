@@ -135,10 +135,8 @@ def choose_format(out: Path, name: str | None) -> Format:
 
 
 def recognised(path: Path, kind: Kind | None = None) -> Format | None:
-    """The format of a readable file that can hold such data, by default points; None where there is none.
-
-    Raises InputError for a file so damaged that this cannot be told.
-    """
+    """The format of a readable file that can hold such data, by default points; None where there is none. Raises
+    InputError for a file so damaged that this cannot be told."""
     return next((f for f in _reading(kind) if f.recognises(path)), None)
 
 
@@ -157,20 +155,16 @@ def _reading(kind: Kind | None) -> list[Format]:
 
 def read_keypoints(path: str | Path, individual: str | None = None) -> Keypoints:
     """The keypoints of one animal, as the file states them (see `recon.clip.keypoints.clean`), in any known format.
-
     individual: the animal's name, needed where the file holds several. Raises InputError for a file that is missing,
-    empty, of no known format, or faulty.
-    """
+    empty, of no known format, or faulty."""
     return as_keypoints(Path(path), read_points(path, individual, "2D")[1])
 
 
 def read_points(
     path: str | Path, individual: str | None = None, kind: Kind | None = None, by: Mapping[str, str] | None = None
 ) -> tuple[Format, StoredPoints]:
-    """The points of one animal, and the format of the file. Raises InputError likewise.
-
-    kind: what they have to be; by: the columns of a plain table (`recon.io.columns.parse_map`).
-    """
+    """The points of one animal, and the format of the file. Raises InputError likewise. kind: what they have to be; by:
+    the columns of a plain table (`recon.io.columns.parse_map`)."""
     path = Path(path)
     if os.path.isdir(path) or path.suffix.lower() in (".yaml", ".yml"):
         _refuse_several(path)

@@ -11,11 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from recon.animal.body import MIN_JOINTS
-from recon.animal.chain import Chain, upright_rotation
+from recon.animal.chain import Chain, euler_angles, upright_rotation
 from recon.base.arrays import Array
 from recon.fit.starts import constant_velocity, position_on_rays
 from recon.geometry.camera import Camera
-from recon.geometry.frames import euler_angles, level_axes
+from recon.geometry.frames import level_axes
 
 _HEADINGS = 36
 _STRETCH_S = 1.0

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from recon import animal, check, io
-from recon.animal.body import Body, Side, facing_side
+from recon.animal.body import Body, Side
 from recon.animal.prior import MotionPrior, load_prior
 from recon.animal.skeleton_file import load_chain, load_skeleton, seen_by, skeleton_of
 from recon.base import Progress, silent
@@ -385,7 +385,7 @@ def _side(body: Body, keypoints: Keypoints, settings: FitSettings) -> tuple[Side
         both = arrange(keypoints, tuple(dict.fromkeys(names))).xy_px
         counts = np.isfinite(both).sum(axis=1, keepdims=True)
         ends.append(np.nansum(both, axis=1) / np.where(counts[:, 0] > 0, counts[:, 0], np.nan))
-    facing, reason = facing_side(*ends)
+    facing, reason = animal.facing_side(*ends)
     if settings.side != "auto":
         return settings.side, f"as given; {reason}"
     other: Side = "left" if facing == "right" else "right"
