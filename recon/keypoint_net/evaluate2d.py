@@ -8,7 +8,6 @@ from typing import Annotated, Any
 
 import numpy as np
 import pandas as pd
-import typer
 from rich.table import Table
 from rich.text import Text
 
@@ -19,7 +18,7 @@ from recon.base.settings import Integer, Number, Option, Positive, Settings
 from recon.clip.keypoints import Keypoints, mark_missing, parse_frame_range
 from recon.io import read_keypoints
 from recon.keypoint_net.labels import body_length_px, known_points, read_label_file, sides
-from recon.workflows.cli.common import table_of, terminal
+from recon.workflows.cli.common import Answer, table_of
 from recon.workflows.settings import RENAME, FrameRange
 
 BINS = 10
@@ -48,18 +47,13 @@ class Evaluate2DSettings(Settings):
     """Within this a point is right, for the likelihoods' reliability."""
 
 
-def evaluate_2d_command(settings: Evaluate2DSettings, as_json: bool) -> Any:
+def evaluate_2d_command(settings: Evaluate2DSettings) -> Answer:
     """Compare 2D keypoints with labels: errors in pixels, shares of good points, reliability of the likelihoods.
 
     Example: recon evaluate-2d run.csv CollectedData_me.csv
     """
     result = evaluate_2d_files(**{name: getattr(settings, name) for name in settings.infos()})
-    if as_json:
-        return result
-    terminal().print(_table(result))
-    for line in _notes(result):
-        typer.echo(line)
-    return None
+    return Answer(result, [_table(result), *_notes(result)])
 
 
 def evaluate_2d_files(predicted: Path, labels: Path, **options: Any) -> dict[str, Any]:

@@ -38,7 +38,7 @@ from recon.keypoint_net.train import (
 )
 from recon.show.overlay import draw_circle
 from recon.show.plain import picked
-from recon.workflows.cli.common import progress_bar, say, stop, terminal
+from recon.workflows.cli.common import Answer, stop
 from recon.workflows.settings import RENAME
 
 WRITERS = {f.suffixes[0]: f.write for f in FORMATS if f.name == "deeplabcut"}
@@ -75,24 +75,20 @@ class _TrainRunSettings(LabelSource, TrainSettings):
     """Begin again in a DIR that has a network."""
 
 
-def train_command(settings: _TrainRunSettings, quiet: bool) -> None:
+def train_command(settings: _TrainRunSettings, progress: Progress) -> Answer:
     """Train a small keypoint network on a few labels in DeepLabCut's layout.
 
     Example: recon train run.mp4 --labels CollectedData_me.csv --out models/run
     """
-    out = settings.out
-    console = terminal(quiet=quiet)
+    out, how = settings.out, picked(settings, "device", "threads", "resume", "overwrite")
     try:
-        with progress_bar(console) as progress:
-            how = picked(settings, "device", "threads", "resume", "overwrite")
-            report = run_training(settings, settings, out, **how, progress=progress)
+        report = run_training(settings, settings, out, **how, progress=progress)
     except KeyboardInterrupt:
         message = "the same command with --resume goes on from the last checkpoint"
         if not (out / CHECKPOINT_FILE).is_file():
             message = "there is no checkpoint yet"
         stop(f"Stopped: {message}.")
-    for line in _summary(report, out):
-        say(console, line)
+    return Answer(report, _summary(report, out))
 
 
 def run_training(
@@ -195,25 +191,22 @@ class PredictSettings(Settings):
     """Replace files that are there."""
 
 
-def predict_command(settings: PredictSettings, quiet: bool) -> None:
+def predict_command(settings: PredictSettings, progress: Progress) -> Answer:
     """Find the keypoints in every frame of a video, with a network that `recon train` made.
 
     Example: recon predict run.mp4 --model models/run --out run.csv --overlay run_points.mp4
     """
-    console = terminal(quiet=quiet)
     start = time.monotonic()
-    with progress_bar(console, "predicting: ") as progress:
-        keypoints = run_prediction(**{name: getattr(settings, name) for name in settings.infos()}, progress=progress)
+    keypoints = run_prediction(**picked(settings, *settings.infos()), progress=progress)
     frames, seconds = len(keypoints.frames), time.monotonic() - start
     sure = float((keypoints.confidence >= LIKELY).mean())
     drawn = f", drawn on the video in {settings.overlay}" if settings.overlay else ""
-    say(
-        console,
+    said = (
         f"{frames} frames in {seconds:.1f} s ({frames / seconds:.0f} a second); {sure:.0%} of the points have a "
-        f"likelihood of {LIKELY:g} or more. They are in {settings.out}{drawn}.",
+        f"likelihood of {LIKELY:g} or more. They are in {settings.out}{drawn}."
     )
-    for note in keypoints.notes:
-        say(console, f"note: {note}")
+    data = {**picked(settings, "out", "overlay"), "frames": frames, "seconds": seconds, "likely_share": sure}
+    return Answer(data | {"notes": keypoints.notes}, [said, *(f"note: {note}" for note in keypoints.notes)])
 
 
 def run_prediction(video: Path, model: Path, out: Path, *, progress: Progress = silent, **options: Any) -> Keypoints:

@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from math import degrees, isinf
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-import typer
 from rich.table import Table
 
 from recon.robotics.settings import ClimbSettings, IkSettings, PoseSettings, RetargetSettings, TableSettings
-from recon.workflows.cli.common import EXIT_UNSOLVED, numbers, say, say_verdict, table_of, terminal
-
-if TYPE_CHECKING:
-    from recon.fit.result import Verdict  # numpy is slow to import
+from recon.workflows.cli.common import EXIT_UNSOLVED, Answer, numbers, table_of, verdict_texts
 
 WIDE_GAP_PERCENT = 25
 CLOSES_PERCENT = 90
@@ -22,21 +18,7 @@ CLOSES_PERCENT = 90
 Lines = Iterator[str | Table]
 
 
-def _answer(answer: dict[str, Any], as_json: bool, lines: Iterable[str | Table], verdict: Verdict | None = None) -> Any:
-    """What a command gives back as JSON, or prints."""
-    if as_json:
-        return answer
-    console = terminal()
-    say_verdict(console, verdict)
-    for line in lines:
-        if isinstance(line, str):
-            say(console, line)
-        else:
-            console.print(line)
-    return None
-
-
-def ik(settings: IkSettings, as_json: bool) -> Any:
+def ik(settings: IkSettings) -> Answer:
     """Inverse kinematics of the chain from the trunk to a foot: to a target, or along a stride.
 
     Example: recon ik results/clip --compare
@@ -44,7 +26,8 @@ def ik(settings: IkSettings, as_json: bool) -> Any:
     from recon.robotics.ik.clip import run_ik
 
     done = run_ik(settings)
-    return _answer(done.summary, as_json, _ik_lines(done.summary, settings.out_folder), done.motion.verdict)
+    lines = _ik_lines(done.summary, settings.out_folder)
+    return Answer(done.summary, [*verdict_texts(done.motion.verdict), *lines])
 
 
 def _ik_lines(summary: dict[str, Any], out: Path) -> Lines:
@@ -111,7 +94,7 @@ def _ik_lines(summary: dict[str, Any], out: Path) -> Lines:
     yield f"Tables and figures are in {out}."
 
 
-def retarget(settings: RetargetSettings, as_json: bool) -> Any:
+def retarget(settings: RetargetSettings) -> Answer:
     """The motion of a reconstruction on a four-legged robot, and one stride of it that repeats.
 
     Example: recon retarget results/clip --robot a1 --out results/robot
@@ -119,7 +102,8 @@ def retarget(settings: RetargetSettings, as_json: bool) -> Any:
     from recon.robotics.robot.retarget_clip import run_retarget
 
     done, report = run_retarget(settings)
-    return _answer(report, as_json, _retarget_lines(report, settings.out), done.animal.analysis.motion.verdict)
+    verdict = done.animal.analysis.motion.verdict
+    return Answer(report, [*verdict_texts(verdict), *_retarget_lines(report, settings.out)])
 
 
 def _retarget_lines(report: dict[str, Any], out: Path) -> Lines:
@@ -176,7 +160,7 @@ def _check_lines(check: dict[str, Any]) -> Lines:
         yield from (f"{what}: {change}" for what, change in advice.items())
 
 
-def pose(settings: PoseSettings, as_json: bool) -> Any:
+def pose(settings: PoseSettings) -> Answer:
     """The legs' angles of a body that is moved and turned, the feet planted.
 
     Example: recon robot pose aibo --pitch 10 --move 0,0,-0.01
@@ -190,10 +174,10 @@ def pose(settings: PoseSettings, as_json: bool) -> Any:
         for k, row in enumerate(zip(leg["joints"], angles, strict=True)):
             table.add_row("" if k else label, *row, *(f"{x:.4f}" for x in leg["foot_m"] if not k))
     why = (f"{label}: {leg['why']}" for label, leg in answer["legs"].items() if leg["why"])
-    return _answer(answer, as_json, (table, *why))
+    return Answer(answer, [table, *why])
 
 
-def dh(settings: TableSettings, as_json: bool) -> Any:
+def dh(settings: TableSettings) -> Answer:
     """The Denavit-Hartenberg table of a chain or a robot's leg, its end at given angles, and all angles of a given end.
 
     Example: recon robot dh aibo --tip LF --place 0.09,0.07,-0.1
@@ -201,7 +185,7 @@ def dh(settings: TableSettings, as_json: bool) -> Any:
     from recon.robotics.robot.dh import chain_of
 
     answer = chain_of(settings, None if settings.angles is None else numbers("--angles", settings.angles))
-    return _answer(answer, as_json, _chain_lines(answer, f"{settings.source} {settings.tip or ''}".strip()))
+    return Answer(answer, _chain_lines(answer, f"{settings.source} {settings.tip or ''}".strip()))
 
 
 def _chain_lines(answer: dict[str, Any], title: str) -> Lines:
@@ -241,7 +225,7 @@ def _deg(angles_rad: Sequence[float]) -> list[str]:
     return ["any" if isinf(x) else f"{degrees(x):z.2f}" for x in angles_rad]
 
 
-def climb(settings: ClimbSettings, as_json: bool) -> None:
+def climb(settings: ClimbSettings) -> Answer:
     """A four-legged robot climbs a step by potential fields.
 
     Example: recon climb published-50 --height 0.045 --out results/climb
@@ -249,13 +233,9 @@ def climb(settings: ClimbSettings, as_json: bool) -> None:
     Exit code 0: valid in every frame. 1: it is not, and all is written. 2: the input cannot be used.
     """
     from recon.robotics.climb.run import run_climb
-    from recon.show.plain import to_json
 
     report = run_climb(settings)
-    if (answer := _answer(report, as_json, _climb_lines(report, settings.out))) is not None:
-        typer.echo(to_json(answer), nl=False)
-    if not report["valid"]:
-        raise typer.Exit(EXIT_UNSOLVED)
+    return Answer(report, _climb_lines(report, settings.out), code=0 if report["valid"] else EXIT_UNSOLVED)
 
 
 def _climb_lines(report: dict[str, Any], out: Path) -> Lines:

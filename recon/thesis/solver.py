@@ -22,6 +22,7 @@ from matplotlib.figure import Figure
 from scipy.sparse import block_diag
 from threadpoolctl import threadpool_limits
 
+from recon.base import Progress
 from recon.base.arrays import Array, mean
 from recon.base.errors import InputError, Problem
 from recon.base.files import require_free_folder, sole_writer, staged_folder, write_bytes
@@ -31,7 +32,7 @@ from recon.fit.motion import Motion
 from recon.show.plain import to_json
 from recon.show.plots import style
 from recon.thesis.frame import FrameOptions, FrameSearch, FrameSolution, FrameSolver, solve_frames
-from recon.workflows.cli.common import progress_bar, say, terminal
+from recon.workflows.cli.common import Answer
 from recon.workflows.clip_results import CONFIG, read_config
 
 FOLDER, SUMMARY, JACOBIAN = "solver", "solver.json", "jacobian.npz"
@@ -58,7 +59,7 @@ class _SolverSettings(Settings):
     """Replace earlier tables."""
 
 
-def solver(settings: _SolverSettings, as_json: bool, quiet: bool) -> Any:
+def solver(settings: _SolverSettings, progress: Progress) -> Answer:
     """What the optimiser of `recon frame` did: cost, gradient, Jacobian, limits.
 
     Writes tables (CSV), the Jacobian (NPZ) and figures (PNG, SVG).
@@ -66,9 +67,8 @@ def solver(settings: _SolverSettings, as_json: bool, quiet: bool) -> Any:
     Example: recon solver results/clip
     """
     out = settings.folder / FOLDER if settings.out is None else settings.out
-    console, files = terminal(quiet=quiet, stderr=as_json), 0
-    motion = Motion.load(settings.folder)
-    with progress_bar(console) as progress, sole_writer(out):
+    motion, files = Motion.load(settings.folder), 0
+    with sole_writer(out):
         require_free_folder(out, (SUMMARY, *TABLES, JACOBIAN), settings.overwrite, "what the optimiser did")
         progress("problem", 0.1)
         with threadpool_limits(1, user_api="blas"):  # of small matrices, threads cost more than they bring
@@ -87,9 +87,7 @@ def solver(settings: _SolverSettings, as_json: bool, quiet: bool) -> Any:
                     progress(f"figures: {draw.__name__}", FIGURES_BEGIN + (1.0 - FIGURES_BEGIN) * done / len(FIGURES))
                     style.save(draw(record), staging, draw.__name__)
                 files += sum(1 for _ in staging.iterdir())
-    if not as_json:
-        say(console, f"{files} files are in {out}.")
-    return summary if as_json else None
+    return Answer(summary, [f"{files} files are in {out}."])
 
 
 # -- what it did ------------------------------------------------------------------------------------------------------

@@ -84,11 +84,6 @@ def verdict_texts(verdict: Verdict | None) -> Iterator[Text]:
         yield Text.assemble((level, STYLES.get(level, "")), line[len(level) :])
 
 
-def say_verdict(console: Console, verdict: Verdict | None) -> None:
-    for line in verdict_texts(verdict):
-        say(console, line)
-
-
 def counted(count: int, what: str) -> str:
     """As in 1 clip, 2 clips."""
     return f"{count} {what}{'s' * (count != 1)}"
