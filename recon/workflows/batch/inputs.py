@@ -128,7 +128,7 @@ def _drafts_of(given: str, common: Mapping[str, Any], recursive: bool) -> Drafts
     if os.path.exists(path) and (project := find_project(path)):  # a Path raises OSError where a name is too long
         found, left_out = predictions(project)
         files = [(file.absolute(), f"{video}{file.suffix}") for video, file in found.items()]
-        notes = [f"{project.folder} is a project of DeepLabCut: {len(files)} of its videos are analysed."]
+        notes = [f"{project.folder} is a project of DeepLabCut, with tables of {len(files)} of its videos."]
         notes += [f"Left out, other tables of the same videos: {names_text(left_out)}"] if left_out else []
         return [_Draft((file,), called=file.with_name(name)) for file, name in files], notes
     if os.path.isdir(path):
