@@ -22,10 +22,9 @@ from recon.show.overlay import (
     DETECTION,
     DOUBT,
     INK,
-    LEFT,
     OUTLIER,
     PAPER,
-    RIGHT,
+    SIDE_COLOURS,
     TILE_PX,
     Overlay,
     canvas_size,
@@ -84,7 +83,10 @@ def test_folder_holds_what_is_drawn(overlay, small_trajectory):
     assert [tuple(flags) for flags in overlay.flags] == list(motion.solution.flags)
     names = [motion.names[limb[-1]] for limb in overlay.limbs]
     colours = dict(zip(names, overlay.colours, strict=True))
-    assert {name: colours[name] for name in ("l_front_paw", "r_back_paw")} == {"l_front_paw": LEFT, "r_back_paw": RIGHT}
+    assert {name: colours[name] for name in ("l_front_paw", "r_back_paw")} == {
+        "l_front_paw": SIDE_COLOURS["left"],
+        "r_back_paw": SIDE_COLOURS["right"],
+    }
 
 
 def test_small_videos_are_enlarged(folder):
@@ -145,9 +147,9 @@ def test_captions_are_read_on_a_bright_picture(overlay):
 
 
 def test_near_is_lighter_than_far():
-    brightness = [sum(shade(LEFT, n)) for n in (-1.0, -0.5, 0.0, 0.5, 1.0)]
+    brightness = [sum(shade(SIDE_COLOURS["left"], n)) for n in (-1.0, -0.5, 0.0, 0.5, 1.0)]
     assert brightness == sorted(brightness)
-    assert shade(LEFT, 0.0) == LEFT
+    assert shade(SIDE_COLOURS["left"], 0.0) == SIDE_COLOURS["left"]
 
 
 def test_views_turn_with_the_animal(overlay):

@@ -20,6 +20,7 @@ import cv2
 import numpy as np
 import pandas as pd
 
+from recon.animal.body import Side
 from recon.base.arrays import Array, Bools, Index, Integers
 from recon.base.errors import InputError, Problem
 from recon.io.video import Image, probe, timed_frames
@@ -28,7 +29,7 @@ Colour = tuple[int, int, int]
 """A colour: blue, green, red."""
 
 # Okabe and Ito's palette, which the colour-blind can tell apart; as in the playback.
-LEFT, RIGHT, MIDDLE = (233, 180, 86), (0, 159, 230), (115, 158, 0)
+SIDE_COLOURS: dict[Side | None, Colour] = {"left": (233, 180, 86), "right": (0, 159, 230), None: (115, 158, 0)}
 PAPER, INK, FAINT, SHADOW = (27, 21, 18), (235, 235, 235), (110, 104, 98), (0, 0, 0)
 DETECTION, OUTLIER, DOUBT = (255, 255, 255), (40, 60, 235), (60, 200, 255)
 FONT = cv2.FONT_HERSHEY_SIMPLEX
@@ -373,7 +374,7 @@ def _draw_scale(canvas: Image, box: tuple[int, int, int, int], scale: float, y: 
 def _draw_key(canvas: Image, overlay: Overlay, corner: tuple[int, int], unit: float) -> None:
     x, y = corner
     step, bar = round(34 * unit), 46 * unit
-    sides = {name: c for name, c in (("left", LEFT), ("right", RIGHT), ("middle", MIDDLE)) if c in overlay.colours}
+    sides = {side or "middle": colour for side, colour in SIDE_COLOURS.items() if colour in overlay.colours}
     labels = [*(f"{name}, near to far" for name in sides), "detected", "outlier"]
     for i, label in enumerate(labels):
         draw_text(canvas, label, (round(x + bar + 12 * unit), y + i * step + round(7 * unit)), 0.6 * unit, INK)

@@ -188,8 +188,7 @@ def _points(keypoints: Keypoints, first_frame: int) -> dict[int, Array]:
 
 def _write_track(path: Path, s: _CameraMotionSettings, motion: turning.TurningMotion, camera: Camera) -> None:
     turns = Rotation.from_matrix(np.stack([one.rotation for one in motion.orientations]))
-    q = turns.as_quat()[:, [3, 0, 1, 2]]
-    q *= np.where(q[:, :1] < 0, -1.0, 1.0)
+    q = turns.as_quat(canonical=True, scalar_first=True)
     poses = np.round(np.concatenate([q, np.zeros((len(q), 3))], axis=1), 9)
     if s.zoom:
         K, zooms = camera.matrix, np.array([one.zoom for one in motion.orientations])[:, None]

@@ -14,7 +14,6 @@ import cv2
 import numpy as np
 from pydantic import Field
 
-from recon.animal.body import Side
 from recon.base import Progress, silent
 from recon.base.arrays import Array, Index
 from recon.base.errors import InputError, Problem, all_of, refuse
@@ -28,17 +27,7 @@ from recon.fit.result import Verdict
 from recon.gait.clip import analyse
 from recon.io.video import Image, VideoInfo, missing_note, probe, require_codec, video_writer
 from recon.show import view as viewer
-from recon.show.overlay import (
-    LEFT,
-    MIDDLE,
-    RIGHT,
-    Colour,
-    Overlay,
-    canvas_size,
-    clip_frames,
-    draw_frame,
-    draw_tiles,
-)
+from recon.show.overlay import SIDE_COLOURS, Overlay, canvas_size, clip_frames, draw_frame, draw_tiles
 from recon.show.page import PAGE, require_own_page
 from recon.show.page.pages import clip_page, jpeg
 from recon.show.report import REPORT
@@ -53,7 +42,6 @@ SLOW_FPS = 30.0
 """Every frame is shown, and no more than this many in a second, unless a speed is given."""
 RATE_SAME = 0.01
 """Rates within this, relative, are the same, as 29.97 and 30."""
-SIDES: dict[Side | None, Colour] = {"left": LEFT, "right": RIGHT, None: MIDDLE}
 MIN_WIDTH_PX = 640
 """Smaller videos are enlarged, by a whole number: the text would not be read."""
 STILLS = 9
@@ -191,7 +179,7 @@ def overlay_of(motion: Motion, speed: float = 1.0, zoom: int = 1, number: int = 
         frames=motion.frames,
         fps=motion.fps,
         limbs=list(motion.limbs.values()),
-        colours=[SIDES[motion.limb_sides[limb]] for limb in motion.limbs],
+        colours=[SIDE_COLOURS[motion.limb_sides[limb]] for limb in motion.limbs],
         detected_px=_enlarged(picture.reprojected_px - picture.image_error_px, zoom),
         reprojected_px=_enlarged(picture.reprojected_px, zoom),
         outliers=picture.outliers,

@@ -21,7 +21,18 @@ from recon.animal.chain import UVW_BODY
 from recon.base.arrays import Array, Bools, Index
 from recon.gait.gait import Plane
 from recon.geometry.kinematics import ROOT
-from recon.show.plots.style import COLOURS, GREY, PAGE_MM, PALE, SMALL, WIDTH_MM, drawing, grid_shape, time_colours
+from recon.show.plots.style import (
+    COLOURS,
+    GREY,
+    PAGE_MM,
+    PALE,
+    SMALL,
+    WIDTH_MM,
+    drawing,
+    grid_shape,
+    round_below,
+    time_colours,
+)
 
 CONFIGURATIONS = 10
 STILL = 0.1
@@ -289,7 +300,7 @@ def _name(axes: Axes, points: Array, labels: Sequence[tuple[float, float, str]],
 
 def _scale(axes: Axes, points: Array, long: float) -> None:
     """A bar of at most a half of the animal's length, below it."""
-    length = max(x for x in (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0) if x < 0.5 * long or x == 0.01)
+    length = round_below(0.5 * long)
     x, y = float(points[:, 0].min() + points[:, 0].max() - length) / 2, float(points[:, 1].min() - 0.08 * long)
     axes.plot([x, x + length], [y, y], color=GREY, linewidth=2, solid_capstyle="butt")
     axes.text(x + length / 2, y - 0.02 * long, f"{length:g} m", ha="center", va="top", fontsize=SMALL, color=GREY)

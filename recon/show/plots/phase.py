@@ -203,15 +203,7 @@ def _arrows(axes: Axes, field: LinkField, time_s: Array, every: int, fastest: fl
 
 
 def _key(axes: Axes, arrows: Quiver, fastest: float, every: int, height_mm: float) -> None:
-    size = _round(fastest / 2)
+    size = style.round_below(fastest / 2)
     shown = "" if every == 1 else f" (one frame of {every})"
     place = {"X": 0.73, "Y": 1 - 3.0 / height_mm, "coordinates": "figure", "labelpos": "E"}
     axes.quiverkey(arrows, U=size, label=f"{size:g} m/s{shown}", fontproperties={"size": style.SMALL}, **place)
-
-
-def _round(value: float) -> float:
-    """The nearest 1, 2 or 5 times a power of ten below."""
-    if not value > 0:
-        return 1.0
-    power = 10.0 ** np.floor(np.log10(value))
-    return float(max(f for f in (1, 2, 5) if f * power <= value * (1 + 1e-9)) * power)

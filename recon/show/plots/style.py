@@ -150,3 +150,11 @@ def grid_shape(count: int, width_mm: float, aspect: float, least: int = 1) -> tu
     while -(-count // columns) * aspect * width_mm / columns > PAGE_MM:
         columns += 1
     return -(-count // columns), columns
+
+
+def round_below(value: float) -> float:
+    """The nearest 1, 2 or 5 times a power of ten below."""
+    if not value > 0:
+        return 1.0
+    power = 10.0 ** np.floor(np.log10(value))
+    return float(max(f for f in (1, 2, 5) if f * power <= value * (1 + 1e-9)) * power)

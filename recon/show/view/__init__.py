@@ -243,13 +243,8 @@ def fitting_eye(points_m: Array, axes: Array, margin_m: float = 0.0) -> tuple[Ar
 
 
 def open_viewer(path: Path) -> None:
-    """Show a recording in rerun's viewer; returns when the viewer is closed.
-
-    Raises InputError where there is no such file or the viewer cannot run.
-    """
-    path = Path(path)
-    if not path.is_file():
-        raise InputError(Problem(path, "file", "no such file", "a recording (.rrd) that `recon fit` has written"))
+    """Show a recording in rerun's viewer; returns when the viewer is closed. Raises InputError where the viewer cannot
+    run."""
     if sys.platform == "linux" and not any(os.environ.get(name) for name in DISPLAYS):
         expected = "a screen; without one: a page, by recon report DIR, or a recording, by --out FILE.rrd, for rerun"
         raise InputError(Problem("recon view", "viewer", "no display", expected))

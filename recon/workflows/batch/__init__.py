@@ -330,7 +330,8 @@ class Summary:
         with staged_file(self.path) as staged, staged.open("w", encoding="utf-8", newline="") as f:
             writer = csv.DictWriter(f, COLUMNS, lineterminator="\n")
             writer.writeheader()
-            for row in sorted(self.rows.values(), key=_rank):
+            rank = {level: number for number, level in enumerate(LEVELS)}
+            for row in sorted(self.rows.values(), key=lambda row: rank.get(row["verdict"], -1)):
                 writer.writerow({name: f"'{x}" if _is_formula(x) else x for name, x in row.items()})
         self._written_s = time.monotonic()
 
@@ -338,10 +339,6 @@ class Summary:
 def _is_formula(cell: Any) -> bool:
     """Whether a spreadsheet would take a text for a formula; it stands after an apostrophe in the file."""
     return isinstance(cell, str) and cell.lstrip("'").startswith(FORMULAS)
-
-
-def _rank(row: Mapping[str, Any]) -> int:
-    return LEVELS.index(row["verdict"]) if row["verdict"] in LEVELS else -1
 
 
 def write_summary_page(out: Path) -> Path:

@@ -292,7 +292,7 @@ def _header(path: Path) -> list[str]:
 
 def _drafts_of_manifest(path: Path) -> list[_Draft]:
     """One draft a row. Raises InputError with everything that is wrong with the table itself."""
-    header, known = _header(path), ("out", *SETTINGS)
+    header, known, many = _header(path), ("out", *SETTINGS), {name for name, info in SETTINGS.items() if info.is_many}
     problems = [
         Problem(path, f"column {name!r}" if name else "header", "an unknown column", f"one of {', '.join(known)}")
         for name in header
@@ -308,7 +308,8 @@ def _drafts_of_manifest(path: Path) -> list[_Draft]:
             problems.append(Problem(path, f"{line}, keypoints", "nothing", "a keypoint file"))
             continue
         out = row.pop("out", None)
-        values = {name: beside(path.parent, name, _cell_value(name, cell)) for name, cell in row.items()}
+        lists = {name: [one.strip() for one in cell.split(BETWEEN)] for name, cell in row.items() if name in many}
+        values = {name: beside(path.parent, name, value) for name, value in (row | lists).items()}
         files = [file for one in values.pop("keypoints") for file in _matching_files(Path(one))]
         if not files:
             problems.append(Problem(path, f"{line}, keypoints", f"no files that match {row['keypoints']}", "some"))
@@ -318,11 +319,6 @@ def _drafts_of_manifest(path: Path) -> list[_Draft]:
         problems.append(Problem(path, "rows", "none", "one row a clip below the header"))
     refuse(problems)
     return drafts
-
-
-def _cell_value(name: str, cell: str) -> str | list[str]:
-    """A cell of what each camera has, as a list."""
-    return [one.strip() for one in cell.split(BETWEEN)] if name in SETTINGS and SETTINGS[name].is_many else cell
 
 
 # -- which files are one clip that several cameras filmed ---------------------------------------------------------

@@ -1,4 +1,4 @@
-"""Command line: arguments in, one call of `recon.workflows`, nothing else. One module for each command."""
+"""The command line: which commands there are, and how a user's mistakes end. Each is a function beside what it runs."""
 
 from __future__ import annotations
 
