@@ -141,8 +141,23 @@ def test_frames_may_be_missing_where_time_stamps_do_not_tell(tmp_path):
         (np.zeros(1), {}),
         (np.cumsum(np.tile([0.02, 0.033, 0.047], 9)), None),
         (np.r_[np.arange(9), np.arange(9)] / 30, None),
+        (np.cumsum(np.r_[np.ones(20), np.full(20, 1.25)]) / 30, None),
+        (np.cumsum(np.linspace(1, 2, 40)) / 60, None),
+        (np.cumsum(np.tile([1, 1.5], 20)) / 60, {}),
+        (np.round(np.arange(9) / 120, 3), {}),
     ],
-    ids=["regular", "whole milliseconds", "no stamps", "one frame", "a varying rate", "back in time"],
+    ids=[
+        "regular",
+        "whole milliseconds",
+        "no stamps",
+        "one frame",
+        "a varying rate",
+        "back in time",
+        "slower at once",
+        "slower by and by",
+        "pulled down",
+        "few",
+    ],
 )
 def test_time_stamps(counted, times_s, missing):
     assert missing_frames(times_s) == missing

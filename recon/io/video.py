@@ -31,6 +31,8 @@ They hold no encoder for H.264, and VP9 takes half a second for a picture of 192
 UNEVEN, STAMP_S = 0.3, 1e-3
 """How far the time between frames may be from a multiple of the usual one, as a share of that, and beside it: time
 stamps of Matroska are whole milliseconds."""
+DRIFT, DRIFT_FRAMES = 0.05, 30
+"""How far the rate over so many frames may be from the usual one: telephones film slower in the dark."""
 MOST_PLACES = 5
 
 SUFFIXES = (".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg", ".wmv", ".mts")
@@ -73,6 +75,11 @@ def missing_frames(times_s: Array) -> dict[int, int] | None:
         return None
     counts = np.rint(steps / usual).astype(int)
     if (counts < 1).any() or (np.abs(steps - counts * usual) > UNEVEN * usual + STAMP_S).any():
+        return None
+    window = max(1, min(DRIFT_FRAMES, len(times_s) // 2))
+    due_s = usual * np.concatenate([[0], np.cumsum(counts)])
+    due_s, spent_s = due_s[window:] - due_s[:-window], times_s[window:] - times_s[:-window]
+    if (np.abs(spent_s - due_s) > DRIFT * due_s + 2 * STAMP_S).any():
         return None
     return {int(at) + 1: int(counts[at]) - 1 for at in np.flatnonzero(counts > 1)}
 

@@ -79,7 +79,7 @@ def camera_motion(settings: _CameraMotionSettings, progress: Progress) -> Answer
     report, files = run_camera_motion(settings, progress)
     lost, keyframes = len(report["frames_without_background"]), counted(len(report["keyframes"]), "keyframe")
     lines = [f"{report['frames'] - lost} of {report['frames']} frames placed, {keyframes}."]
-    lines += [f"{lost} frames have too little background: no pose there."] if lost else []
+    lines += [f"Too little background in {counted(lost, 'frame')}: no pose there."] if lost else []
     lines.append(f"Off by {report['residual_px']:.2f} px, turned to {report['sigma_deg']:.3f} degrees.")
     lines += [f"Note: {note}." for note in report["notes"][len(NOTES) :]]
     lines.append(f"Level: {report['level']}. A rolling shutter is not modelled.")
@@ -136,7 +136,7 @@ def _focal_note(motion: turning.TurningMotion, lens: Camera) -> str | None:
     px = _focal_px(motion.focal, lens)
     wide = 2 * np.degrees(np.arctan(lens.image_size_px[0] / 2 / px["found"]))
     return (
-        f"the background turns as with a focal length of {px['found']:.0f} px (standard deviation {px['sigma']:.1g}; "
+        f"the background turns as with a focal length of {px['found']:.0f} px (standard deviation {px['sigma']:.1f}; "
         f"{wide:.1f} degrees across the picture, without distortion), and the camera file has {px['file']:.0f} px"
     )
 
