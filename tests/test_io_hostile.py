@@ -7,6 +7,7 @@ import json
 import os
 import pickle
 import sys
+import tracemalloc
 import warnings
 from collections.abc import Callable
 from contextlib import suppress
@@ -15,7 +16,7 @@ from importlib import resources
 from io import BytesIO
 from pathlib import Path
 from typing import Any
-from zipfile import ZIP_DEFLATED, ZipFile
+from zipfile import ZIP_DEFLATED, ZIP_LZMA, ZipFile
 
 import h5py
 import numpy as np
@@ -169,9 +170,25 @@ def test_small_file_that_asks_for_terabytes(tmp_path):
         read_keypoints(path)
 
 
-def archive_of(path: Path, header: bytes | None = None, size_mb: int = 0) -> Path:
+def test_data_that_unpack_to_more_than_any_clip_has(tmp_path, monkeypatch):
+    monkeypatch.setattr("recon.io.hdf5.FREE_BYTES", 1000)
+    monkeypatch.setattr("recon.io.hdf5.MAX_UNPACKED", 1 << 22)
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file.create_dataset("tracks", data=np.zeros((1, 2, 1, 300_000)), chunks=(1, 2, 1, 10**5), compression="gzip")
+        file["node_names"] = np.array([b"a"])
+    with refusal((tmp_path / "a.h5", "content", ["/tracks", "4.8e+06 bytes"])):
+        read_keypoints(tmp_path / "a.h5")
+
+
+def test_a_key_whose_parts_take_the_square_of_their_number(tmp_path):
+    (tmp_path / "a.toml").write_text(".".join("a" * 100_000) + " = 1\n")
+    with refusal((tmp_path / "a.toml", "content", "nested too deeply")):
+        load_skeleton(tmp_path / "a.toml")
+
+
+def archive_of(path: Path, header: bytes | None = None, size_mb: int = 0, method: int = ZIP_DEFLATED) -> Path:
     """Positions, with a header that is none, or as large as that once unpacked."""
-    with ZipFile(path, "w", ZIP_DEFLATED, compresslevel=1) as archive, archive.open("xyz_m.npy", "w") as member:
+    with ZipFile(path, "w", method, compresslevel=1) as archive, archive.open("xyz_m.npy", "w") as member:
         if header is None:
             of = {"descr": "<f8", "fortran_order": False, "shape": (size_mb << 17,)}
             np.lib.format.write_array_header_1_0(member, of)
@@ -190,6 +207,22 @@ def test_archives_that_ask_for_the_memory_or_have_no_header(read, tmp_path, monk
         read(archive_of(tmp_path / "bomb.npz", size_mb=5))
     with refusal((tmp_path / "header.npz", field, "multi-line statement")):
         read(archive_of(tmp_path / "header.npz", b"{'descr': '<f8', 'shape': (3,\n"))
+    archive_of(tmp_path / "other.npz", b"{}", method=ZIP_LZMA)
+    with refusal((tmp_path / "other.npz", field, "compressed in another way")):
+        read(tmp_path / "other.npz")
+
+
+def test_an_archive_that_states_another_size_is_unpacked_no_further(tmp_path):
+    content = bytearray(archive_of(tmp_path / "a.npz", size_mb=100).read_bytes())
+    at = content.rfind(b"PK\x01\x02") + 24
+    content[at : at + 4] = (1000).to_bytes(4, "little")
+    (tmp_path / "a.npz").write_bytes(content)
+    tracemalloc.start()
+    with refusal((tmp_path / "a.npz", "content", "CRC")):
+        read_pose3d(tmp_path / "a.npz")
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert most < 10e6
 
 
 def test_a_table_of_equal_rows_that_asks_for_the_memory(tmp_path, monkeypatch):
@@ -199,6 +232,11 @@ def test_a_table_of_equal_rows_that_asks_for_the_memory(tmp_path, monkeypatch):
     monkeypatch.setattr("recon.io.columns.VALUES_MAX", 40_000)
     with refusal((tmp_path / "equal.parquet", "content", "10000 rows of 5 columns")):
         read_pose3d(tmp_path / "equal.parquet")
+    row = {"frame": [0], "joint": ["a" * 10**7], "x_m": [0.0], "y_m": [0.0], "z_m": [0.0]}
+    parquet.write_table(arrow.table(row), tmp_path / "text.parquet", compression="zstd")
+    monkeypatch.setattr("recon.io.columns.MAX_UNPACKED", 10**7)
+    with refusal((tmp_path / "text.parquet", "content", "1 rows of 5 columns, 9 MB")):
+        read_pose3d(tmp_path / "text.parquet")
 
 
 def test_a_text_in_every_row_that_takes_room_once(tmp_path):

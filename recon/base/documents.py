@@ -10,6 +10,7 @@ import json
 import lzma
 import math
 import os
+import re
 import struct
 import sys
 import tokenize
@@ -94,7 +95,16 @@ def parse_json(text: str, source: str | Path, expected: str = "JSON") -> Any:
 
 
 def parse_toml(text: str, source: str | Path, expected: str = "TOML") -> dict[str, Any]:
-    return _parsed(tomllib.loads, text, source, expected)
+    return _parsed(_toml, text, source, expected)
+
+
+_LONG_KEY = re.compile(r"""(?<![\w"'-])(?:[\w"'-]++[ \t]*+\.[ \t]*+){100}""")
+
+
+def _toml(text: str) -> dict[str, Any]:
+    if _LONG_KEY.search(text):
+        raise RecursionError  # tomllib takes the square of a key's length in time and memory
+    return tomllib.loads(text)
 
 
 def _parsed(parse: Callable[[str], Any], text: str, source: str | Path, expected: str) -> Any:
@@ -104,7 +114,7 @@ def _parsed(parse: Callable[[str], Any], text: str, source: str | Path, expected
         found = "tables or lists that are nested too deeply"
     except (ValueError, OverflowError, MemoryError, AttributeError, KeyError, IndexError, TypeError) as error:
         # Beside its own error tomllib lets those of dates and of long numbers pass.
-        found = " ".join(str(error).split())[:200]
+        found = " ".join(str(error).split())[:200] or type(error).__name__
     raise InputError(Problem(source, "content", found, expected))
 
 
@@ -140,7 +150,9 @@ def arrays_of(content: bytes, kinds: str) -> dict[str, np.ndarray]:
     try:
         with zipfile.ZipFile(BytesIO(content)) as archive:
             check_unpacked_size(archive)
-            return {one.filename.removesuffix(".npy"): _array(archive.read(one), kinds) for one in archive.infolist()}
+            return {
+                one.filename.removesuffix(".npy"): _array(_unpacked(archive, one), kinds) for one in archive.infolist()
+            }
     except (*DAMAGE, *_DAMAGE_OF_ZIP) as error:
         raise ValueError(" ".join(str(error).split())[:200] or type(error).__name__) from None
 
@@ -151,6 +163,14 @@ def check_unpacked_size(archive: zipfile.ZipFile) -> None:
     size = sum(info.file_size for info in infos)
     if len(infos) > MAX_ARRAYS or size > MAX_UNPACKED:
         raise ValueError(f"{len(infos)} arrays of {size >> 20} MB are too much")
+    if any(info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED) for info in infos):
+        raise ValueError("compressed in another way than NumPy does")  # zipfile unpacks those without a limit
+
+
+def _unpacked(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> bytes:
+    """A file of the archive, and no more than the size that it states: the whole of it may be larger."""
+    with archive.open(info) as file:
+        return file.read(info.file_size)
 
 
 def _array(content: bytes, kinds: str) -> np.ndarray:

@@ -22,6 +22,7 @@ from typing import Any
 
 import numpy as np
 
+from recon.base.documents import MAX_UNPACKED
 from recon.base.errors import InputError, Problem, refuse
 from recon.base.files import write_bytes
 from recon.clip.keypoints import Keypoints
@@ -47,7 +48,7 @@ UNIT = r"(?:[ _]?[\[(]?(px|m|cm|mm)[\])]?)?"
 OF_PART = re.compile(rf"(.+?)[ _.:/-](?:([xyz]){UNIT}|({'|'.join(ROLES['likelihood'])}))", re.IGNORECASE)
 """A column of one bodypart."""
 PART = "{bodypart}"
-VALUES_MAX = 4 * common.POINTS_MAX
+VALUES_MAX, COLUMNS_MAX = 4 * common.POINTS_MAX, 10_000
 METADATA = b"recon"
 """Key of our own metadata in Parquet: JSON with fps and up."""
 
@@ -178,11 +179,14 @@ def read_parquet(path: Path, individual: str | None = None) -> StoredPoints:
         import pyarrow as pa
         import pyarrow.parquet as pq
     size = pq.read_metadata(path)  # a column of equal values takes no room in the file
-    if size.num_rows * size.num_columns > VALUES_MAX:
-        raise ValueError(f"{size.num_rows} rows of {size.num_columns} columns are too much")
+    unpacked = sum(size.row_group(group).total_byte_size for group in range(size.num_row_groups))
+    if size.num_rows * size.num_columns > VALUES_MAX or size.num_columns > COLUMNS_MAX or unpacked > MAX_UNPACKED:
+        raise ValueError(f"{size.num_rows} rows of {size.num_columns} columns, {unpacked >> 20} MB, are too much")
     # Texts stay numbers of a list: one that stands in every row takes room once.
-    texts = [field.name for field in pq.read_schema(path) if pa.types.is_string(field.type)]
-    table = pq.read_table(path, read_dictionary=texts)
+    fields = pq.read_schema(path)
+    texts = [field.name for field in fields if pa.types.is_string(field.type)]
+    values = [field.name for field in fields if pa.types.is_integer(field.type) or pa.types.is_floating(field.type)]
+    table = pq.read_table(path, columns=texts + values, read_dictionary=texts, use_threads=False)
     own = json.loads((table.schema.metadata or {}).get(METADATA, b"{}"))
     columns = {}
     for name, column in zip(table.column_names, table.columns, strict=True):

@@ -16,11 +16,13 @@ import h5py
 import numpy as np
 from h5py import h5t
 
+from recon.base.documents import MAX_UNPACKED
 from recon.base.errors import InputError, Problem
 from recon.io.common import damage_named, is_hdf5
 
 FREE_BYTES = 1 << 26
-"""What a dataset or a piece of it may take in any case; beyond that `MAX_RATIO` times what it takes in the file."""
+"""What a dataset or a piece of it may take in any case; beyond that what it takes in the file, or, up to
+`MAX_UNPACKED`, `MAX_RATIO` times that."""
 MAX_RATIO = 1100
 """The most that gzip can compress is 1032 times."""
 FILTERS = (1, 2, 3, 32000)
@@ -261,7 +263,7 @@ def _require_readable(dataset: Any) -> None:
         wanted = item
         for n in shape:
             wanted *= int(n)
-        if wanted > max(FREE_BYTES, MAX_RATIO * stored):
+        if wanted > max(FREE_BYTES, stored, min(MAX_RATIO * stored, MAX_UNPACKED)):
             raise ValueError(f"{dataset.name} asks for {wanted:.3g} bytes, of which the file has {stored}")
 
 

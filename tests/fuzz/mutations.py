@@ -22,7 +22,24 @@ ODD_NUMBERS = (
 )
 ODD_TEXTS = (
     *("", " ", "a" * 300, "\0", "ä", "\ufeff", "\u202e", "../../etc/passwd", "/dev/zero", "$t_{$", "x[/b]", "\x1b[31m"),
-    *("con", "nan", "true", "[" * 3000, "{" * 3000, '"', "'", "\\", "#", ";", "\t", "a\nb", "\r", "<!--", "&x;"),
+    *(
+        "con",
+        "a." * 3000,
+        "nan",
+        "true",
+        "[" * 3000,
+        "{" * 3000,
+        '"',
+        "'",
+        "\\",
+        "#",
+        ";",
+        "\t",
+        "a\nb",
+        "\r",
+        "<!--",
+        "&x;",
+    ),
 )
 ODD_VALUES: tuple[Any, ...] = (
     *(None, True, False, 0, -1, 1, 0.5, 1e308, -1e308, 1e-320, 2**31, 2**63, 2**64, -(2**63) - 1, 10**30),
@@ -284,10 +301,15 @@ def in_zip(content: bytes, random: Random) -> bytes:
     if random.random() < 0.3:
         files[chosen] = numbers(files[chosen], random)
     stream = io.BytesIO()
-    with zipfile.ZipFile(stream, "w", random.choice((zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED))) as archive:
+    methods = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED) * 4 + (zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA)
+    with zipfile.ZipFile(stream, "w", random.choice(methods)) as archive:
         for info, own in files.items():
             archive.writestr(info.filename, own)
-    return stream.getvalue()
+    made = bytearray(stream.getvalue())
+    if random.random() < 0.2:
+        at = made.find(b"PK\x01\x02") + 24
+        made[at : at + 4] = random.choice((0, 1, 100, 1 << 29, 0xFFFFFFFE)).to_bytes(4, "little")
+    return bytes(made)
 
 
 Mutation = Callable[[bytes, Random], bytes]
