@@ -10,6 +10,7 @@ import pytest
 from command_line import refusal
 
 from recon.io import missing_frames, missing_note, probe, read_frames, timed_frames, video_writer
+from recon.io.video import read_picture
 
 
 def grey(level: int) -> np.ndarray:
@@ -110,6 +111,16 @@ def damaged(path: Path) -> Path:
     content[first:stop] = bytes(stop - first)
     path.write_bytes(content)
     return path
+
+
+def test_a_picture_that_states_too_many_pixels_cannot_be_read(tmp_path):
+    content = bytearray(cv2.imencode(".jpg", grey(90))[1].tobytes())
+    (tmp_path / "good.jpg").write_bytes(content)
+    at = content.find(b"\xff\xc0") + 5
+    content[at : at + 4] = b"\xff\xdc\xff\xdc"
+    (tmp_path / "giant.jpg").write_bytes(content)
+    read = [read_picture(tmp_path / name, cv2.IMREAD_GRAYSCALE) for name in ("good.jpg", "giant.jpg", "none.jpg")]
+    assert [None if picture is None else picture.shape for picture in read] == [(48, 64), None, None]
 
 
 def test_a_hole_in_a_video_is_found_by_its_time_stamps(tmp_path):

@@ -44,7 +44,7 @@ from recon.base.errors import InputError, Problem, refuse
 from recon.geometry.camera import Camera
 from recon.geometry.lens import LENS_MODELS
 from recon.io.video import SUFFIXES as VIDEO_SUFFIXES
-from recon.io.video import probe, read_frames
+from recon.io.video import probe, read_frames, read_picture
 
 Gray = npt.NDArray[np.uint8]
 UNITS_M = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
@@ -300,13 +300,9 @@ def _images(files: Sequence[Path]) -> Iterator[tuple[str, float, Gray | None]]:
     where it cannot be read."""
     unique = len({file.name for file in files}) == len(files)
     for done, file in enumerate(files):
-        try:
-            data = np.fromfile(file, dtype=np.uint8)  # cv2.imread does not take every path on Windows
-        except OSError:
-            data = np.zeros(0, dtype=np.uint8)
-        image = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE) if data.size else None
+        image = read_picture(file, cv2.IMREAD_GRAYSCALE)
         name = file.name if unique and image is not None else str(file)
-        yield name, done / len(files), None if image is None else np.asarray(image, dtype=np.uint8)
+        yield name, done / len(files), image
 
 
 def _frames(path: Path) -> Iterator[tuple[str, float, Gray]]:

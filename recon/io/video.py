@@ -64,6 +64,23 @@ def probe(path: str | Path) -> VideoInfo:
     return VideoInfo((image.shape[1], image.shape[0]), float(fps) if known else None, int(count) if count > 0 else None)
 
 
+def read_picture(path: Path, how: int) -> Image | None:
+    """A picture, turned upright as its camera says, None where it cannot be read or has more pixels than OpenCV takes.
+    how: as OpenCV's flags say."""
+    if not path.is_file():
+        return None
+    try:
+        data = np.fromfile(path, dtype=np.uint8)  # cv2.imread does not take every path on Windows
+        image = cv2.imdecode(data, how) if data.size else None
+    except OSError:
+        return None
+    except cv2.error as error:
+        if error.code == cv2.Error.StsNoMem:
+            raise
+        return None
+    return None if image is None else np.asarray(image, dtype=np.uint8)
+
+
 def missing_frames(times_s: Array) -> dict[int, int] | None:
     """How many frames are missing before a frame, by its number: where the time stamps (T,) of evenly spaced frames
     leave a gap. Empty where there are no time stamps either; None where they are uneven, and tell nothing."""

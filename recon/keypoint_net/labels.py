@@ -18,7 +18,7 @@ from recon.clip.keypoints import Keypoints, mark_missing, parse_frame_range
 from recon.io import as_keypoints, file_head, recognised
 from recon.io.common import first_problems
 from recon.io.deeplabcut_project import Project, find_project, label_files
-from recon.io.video import Image, probe, read_frames
+from recon.io.video import Image, probe, read_frames, read_picture
 from recon.io.writing import frames_text
 
 OUTSIDE = 0.1
@@ -209,12 +209,12 @@ def _read_folder(path: Path, individual: str | None) -> Labels | None:
     problems, pictures = [], []
     for image in images:
         file = path.parent / PureWindowsPath(image).name
-        picture = cv2.imread(str(file), cv2.IMREAD_COLOR) if file.is_file() else None
+        picture = read_picture(file, cv2.IMREAD_COLOR)
         if picture is None:
             found = "a picture that cannot be read" if file.is_file() else "no such picture"
             problems.append(Problem(file, "picture", found, f"the picture that {path.name} labels"))
         else:
-            pictures.append(np.asarray(picture, np.uint8))
+            pictures.append(picture)
     sizes = sorted({p.shape[1::-1] for p in pictures})
     if len(sizes) > 1:
         shown = ", ".join(f"{w}x{h}" for w, h in sizes)
