@@ -1,11 +1,10 @@
 """An animal: a tree of segments (`recon.geometry.kinematics`), its markers, and what is expected of its pose.
 
-The states are the tree's. Right-handed frames, x forwards, y left, z up. There is one model for all: a whole animal of
-`[[segments]]`, and a chain of `[[links]]` (`recon.animal.chain`), which is a tree with the limbs of one side.
+The states are the tree's; x forwards, y left, z up. There is one model for a whole animal and for a chain
+(`recon.animal.chain`), which is a tree with the limbs of one side and has two keypoints for a marker.
 
-What is left and right, fore and hind, stands here and nowhere else: names of segments and markers say by a word
-wherever it stands in them which side they belong to (`SIDES`), the skeleton's file says where each foot is (`PLACES`),
-and a limb has the side of its markers. A marker of a chain has a keypoint for either side.
+What is left and right, fore and hind, stands here and nowhere else: names of segments and markers say by a word which
+side they belong to (`SIDES`), the skeleton's file says where each foot is (`PLACES`).
 """
 
 from __future__ import annotations
@@ -36,9 +35,8 @@ _OPPOSITE = SIDES | {right: left for left, right in SIDES.items()}
 
 
 def _side_pattern() -> re.Pattern[str]:
-    """A word of a side in a name: between separators, as in front_left_paw, eye.L or paw_off2, or told apart by
-    capitals, as in frontLeftPaw, LHip or hipR. At the beginning one with a capital needs no end, as in Nearknee. A
-    letter beside a number is none: l1 may be a vertebra."""
+    """A word of a side in a name: between separators, as in front_left_paw or eye.L, or told apart by capitals, as in
+    frontLeftPaw, hipR or Nearknee. A letter beside a number is none: l1 may be a vertebra."""
     words = [word for word in _OPPOSITE if len(word) > 1]
     lower, title, upper = ("|".join(map(case, words)) for case in (str.lower, str.title, str.upper))
     return re.compile(
@@ -127,8 +125,7 @@ class Body:
     title: str
     tree: Tree
     keypoints: tuple[tuple[str, str], ...]
-    """(J,): of each marker the keypoint's name when the limbs of the left, and of the right side are fitted. Of a whole
-    animal both are the marker's own."""
+    """(J,): of each marker the keypoint's name when limbs of the left, and of the right are fitted."""
     limbs: dict[str, tuple[str, ...]]
     """Marker names along each limb, for drawing."""
     forward: tuple[str, str]

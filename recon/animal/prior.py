@@ -1,9 +1,7 @@
 """What a class of motions looks like: which poses occur, how likely they are, and how they change.
 
-A prior is about a body's angles z = state[4:], the root's pitch and roll and the joints' angles: not about where the
-animal is, where it heads or how large it is. Built-in priors are the files of `recon/animal/priors`, statistics only;
-a file is an .npz without pickles, its texts as JSON. `recon.animal.prior_fit` makes priors.
-"""
+A prior is about a body's angles z = state[4:], the root's pitch and roll and the joints' angles. Built-in priors are
+the files of `recon/animal/priors`, .npz without pickles. `recon.animal.prior_fit` makes priors."""
 
 from __future__ import annotations
 

@@ -1,10 +1,7 @@
 """Skeletons by their names or files (TOML), with one animal's lengths, and as a detector sees them.
 
-Built-in skeletons are the files of `recon/animal/skeletons`, built-in subjects (one animal's lengths) those of
-`recon/animal/subjects`. A network marks what its labellers took for a joint, on the skin and each in their own way; a
-model's markers lie where its bones meet: how far apart they are says a file of `recon/animal/detectors` for each
-detector and skeleton, which `recon subject fit --offsets --no-lengths` makes. Which detector a keypoint file is of, its
-scorer says.
+Built-in ones are the files of `recon/animal/skeletons`, `subjects` (one animal's lengths) and `detectors`: how far the
+points on the skin that a network marks lie from a model's markers. The scorer of a keypoint file says its detector.
 """
 
 from __future__ import annotations
@@ -338,7 +335,7 @@ def _body(f: _BodyFile) -> Body:
 NONE = "none"
 """The detector whose keypoints lie on the markers."""
 OWN = "own"
-"""The name of the detector where a skeleton's or a subject's own file says where its keypoints lie."""
+"""The detector where a skeleton's or a subject's own file says where its keypoints lie."""
 
 
 class _Keypoint(FileTable):
@@ -366,11 +363,8 @@ def of_scorer(scorer: str | None, skeleton: str) -> str:
 
 def seen_by(body: Body, detector: str | Path | None, scorers: Mapping[str, str | None] | None = None) -> Body:
     """The body as a detector sees it, by name, file or "none"; by default as the animal's or the skeleton's file says,
-    and where they say nothing as the scorers of the keypoint files do, by file. Without scorers it is not known then.
-
-    Markers of the right side follow those of the left, mirrored, unless the file has both. Raises InputError for a file
-    that does not fit the body, and for scorers of two detectors.
-    """
+    or else the scorers of the keypoint files, by file. Markers of the right side follow those of the left, mirrored.
+    Raises InputError for a file that does not fit the body, and for scorers of two detectors."""
     if detector is None and body.keypoint_offset_m:
         return replace(body, detector=OWN)
     detector = body.detector if detector is None else detector

@@ -1,8 +1,6 @@
 """Files of unknown origin: JSON, TOML and NumPy's archives of arrays; and the files that come with the package.
 
-Whatever is in them, the answer is a table, arrays or an InputError. What the parsers of the standard library die of or
-take ages for is limited: the size of a file, its nesting, the digits of its numbers, and what it is unpacked to.
-"""
+Whatever is in them, the answer is a table, arrays or an InputError: sizes are limited before anything is unpacked."""
 
 from __future__ import annotations
 

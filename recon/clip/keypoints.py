@@ -91,9 +91,8 @@ COUNTS = (
     *("missing_absent_frame", "missing_constant", "likelihood_unknown"),
 )
 """What is counted of a keypoint, in frames, used + missing + rejected = frames. Missing is what was stored as (0, 0)
-without a likelihood, a coordinate that is NaN although it has a likelihood, what has neither, a frame that the file
-lacks, and what was stored, with a likelihood, as the one point that stands for missing ones
-(`CleaningReport.constant_px`). The last are points that were used and came without a likelihood."""
+without a likelihood, as NaN with one, or as nothing, a frame that the file lacks, and what was stored as the one point
+that stands for missing ones (`CleaningReport.constant_px`). The last are used points without a likelihood."""
 
 
 @dataclass(frozen=True)

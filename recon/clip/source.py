@@ -30,8 +30,7 @@ class View:
     intrinsics_px: Array | None = None
     """(T, 4): fx, fy, cx, cy of each frame, of a camera that zooms."""
     offset_frames: float = 0.0
-    """Its pictures were taken that much later than the clip's frames: 0 up to 1 as given, with a time offset that was
-    found more or less."""
+    """Its pictures were taken that much later than the clip's frames: 0 up to 1 as given."""
     rotation_sigma_rad: Array | None = None
     """(T,): standard deviation of each pose's rotation about any axis, of a camera whose track says it."""
 
@@ -62,8 +61,7 @@ class View:
         return float(np.sqrt(self.camera.matrix[0, 0] * self.camera.matrix[1, 1]))
 
     def rotation_covariance_m2(self, points_m: Array) -> Array:
-        """(T, J, 3, 3): the uncertainty of each pose's rotation, in points (T, J, 3) that are known by this camera
-        alone."""
+        """(T, J, 3, 3): the uncertainty of each pose's rotation, in points (T, J, 3)."""
         off = points_m - self.centre_m[:, None]
         variance = np.zeros(len(off)) if self.rotation_sigma_rad is None else self.rotation_sigma_rad**2
         across = np.sum(off * off, axis=-1)[..., None, None] * np.eye(3) - off[..., :, None] * off[..., None, :]
@@ -87,8 +85,8 @@ class View:
         return self.camera.sees(self.xy_px, self._unzoomed_px)
 
     def corrected(self, correction: Array) -> View:
-        """With an extrinsic correction (6,) of the camera: turned by angles about its axes
-        (`recon.geometry.frames`), then moved along them, X_camera = R(angles) X + metres."""
+        """With an extrinsic correction (6,) of the camera: X_camera = R(angles) X + metres
+        (`recon.geometry.frames`)."""
         if not correction.any():
             return self
         by = rigid(euler_rotation(correction[:3]), correction[3:])
@@ -220,8 +218,7 @@ class Source:
     offset_frames: float = 0.0
     """0 up to 1: its pictures were taken that much later than the clip's frames."""
     poses: FramePoses | None = None
-    """The poses of a camera that moves; where they are not known, nothing is detected. The camera itself has no pose
-    then."""
+    """The poses of a camera that moves, which itself has none; where they are not known, nothing is detected."""
     offset_s: float = 0.0
     """How much later than the first camera's frame 0 its own was taken, as given or found."""
 
@@ -267,9 +264,8 @@ def together(sources: Sequence[Source], later_frames: Sequence[float]) -> tuple[
 
 
 def at_rate(keypoints: Keypoints, fps: float) -> Keypoints:
-    """Keypoints of a camera with another frame rate at that of the clip, frame 0 staying where it is: between two of
-    its frames along straight lines. Slower ones are seen more often than they were, and count less in proportion.
-    Raises InputError for fewer frames than that needs."""
+    """Keypoints of a camera with another frame rate at that of the clip, frame 0 staying where it is, along straight
+    lines; those of slower ones count less in proportion. Raises InputError for fewer frames than that needs."""
     assert keypoints.fps is not None
     if keypoints.fps == fps:
         return keypoints

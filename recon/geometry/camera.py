@@ -156,12 +156,8 @@ class Camera:
 
     def sees(self, pixels: npt.ArrayLike, unzoomed_px: Array | None = None) -> Bools:
         """Whether something found at pixels (..., 2) can be in the picture: no further outside than the picture is
-        wide and high, and with a ray. False for NaN. unzoomed_px: where it is by the camera's own matrix, of one that
-        zooms.
-
-        Trackers and interpolation carry points a little over the edge. What lies further out is a mistake, and a lens
-        model has no say there.
-        """
+        wide and high, as trackers and interpolation carry points over the edge, and with a ray. False for NaN.
+        unzoomed_px: where it is by the camera's own matrix, of one that zooms."""
         uv, size = np.asarray(pixels, dtype=float), np.array(self.image_size_px)
         seen = np.asarray(((uv >= -size) & (uv <= 2 * size)).all(axis=-1))
         seen[seen] = self.rays((uv if unzoomed_px is None else unzoomed_px)[seen])[1]

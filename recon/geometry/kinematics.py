@@ -6,22 +6,16 @@ order (yaw, pitch, roll; right-handed; x forwards, y left, z up):
     O_segment = O_parent Rz(yaw) Ry(pitch) Rx(roll)        o_segment = o_parent + size O_parent offset
 
 The first segment is the root: it is free, its frame's parent is the world. Markers are points fixed on segments. One
-frame's unknowns, the state, are
-
-    [root's origin (3), metres; root's yaw, pitch, roll, rad; the other segments' angles in their order]
+frame's unknowns, the state, are [root's origin (3), metres; root's yaw, pitch, roll, rad; the other segments' angles].
 
 Joint kinds differ in their axes only: hinge y, universal z y, ball z y x, free for the root; those of machines turn
 about z ("turn") or slide along it ("slide", metres in place of an angle), their frames at a fixed rotation to the
-parent's.
-A "summed" universal joint has the angles of all its summed ancestors added to its own and turns relative to the root,
-which is how the 8U chain (`recon.animal.chain`) counts its angles:
+parent's. A "summed" universal joint, of the 8U chain (`recon.animal.chain`), has the angles of all its summed ancestors
+added to its own and turns relative to the root: O_segment = O_root Rz(sum of yaw) Ry(sum of pitch).
 
-    O_segment = O_root Rz(sum of yaw) Ry(sum of pitch)
-
-A marker is the root's origin plus vectors fixed in the frames of the segments between the root and it. An angle turns
-some of these frames, and its derivative is axis x (the sum of the vectors in them): all frames that follow, or for a
-summed joint those up to the next summed one, which is shifted without being turned. Of two angles, the outer turns what
-the inner moves: the second derivative is the outer's axis x the derivative by the inner.
+A marker is the root's origin plus vectors fixed in the frames between the root and it. An angle's derivative is axis x
+(the sum of the vectors in the frames that it turns): all that follow, or for a summed joint those up to the next summed
+one. Of two angles, the second derivative is the outer's axis x the derivative by the inner.
 """
 
 from __future__ import annotations
@@ -48,8 +42,7 @@ _SUMMED = {"z": "phi", "y": "theta"}
 """What it is called of a summed joint, as published of the 8U chain."""
 
 _BLOCK, _FRAMES_AT_ONCE = 64, 4096
-"""Frames whose Jacobian is worked out at once, so that the arrays in between stay in the processor's cache; and frames
-whose poses are, so that those of a long clip stay small."""
+"""Frames whose Jacobian is worked out at once, to stay in the processor's cache; and whose poses are, to stay small."""
 
 _CYCLE = np.array([0, 1, 2, 0, 1])
 _IDENTITY, _NONE = np.eye(3), np.zeros(0)
@@ -317,9 +310,8 @@ class Tree:
         return TreePose(state[:, None, ROOT] + relative, jacobian, relative)
 
     def derivatives(self, state: Array) -> tuple[Array, Array, Callable[[Array], Array]]:
-        """For one state (D,): the markers' Jacobian (J, 3, D), the axes (D - 3, 3) that each angle turns about or
-        slides along, and a function that makes of weights (J, 3) the weighted sum (D - 3, D - 3) of the markers' second
-        derivatives by the angles. The axes are those of joints that are not summed."""
+        """For one state (D,): the markers' Jacobian (J, 3, D), the axes (D - 3, 3) of the angles, of joints that are
+        not summed, and a function from weights (J, 3) to the weighted sum (D - 3, D - 3) of the second derivatives."""
         plan, J = self._plan, len(self.markers)
         _, axes, moved = self._moved(state[None], np.ones(1))
         axes, moved = axes[..., 0], moved[..., 0]
@@ -340,8 +332,8 @@ class Tree:
         return jacobian, axes, curvature
 
     def _moved(self, state: Array, size: Array) -> tuple[Array, Array, Array]:
-        """Markers relative to the root (J, 3, N), the rotations' axes (K, 3, N), and what each of `_Plan`'s pairs does,
-        the derivative of its marker by its rotation (M, 3, N)."""
+        """Markers relative to the root (J, 3, N), the rotations' axes (K, 3, N), and for each of `_Plan`'s pairs the
+        derivative of its marker by its rotation (M, 3, N)."""
         plan, N = self._plan, len(state)
         frames, cosine, sine = self._frames(state)
         points, columns = self._points(frames, state, size), frames.reshape(plan.points.shape[1], 3, N)

@@ -7,9 +7,8 @@ of. As in OpenCV's documentation (modules calib3d and fisheye):
 - "radtan": radial-tangential, k1 k2 p1 p2 [k3 [k4 k5 k6]]; with 8 coefficients the radial part is rational.
 - "fisheye": equidistant, k1 k2 k3 k4; theta_d = theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4 theta^8).
 
-To add one: a class below with `distort` and `max_radius`, and its place in `LENS_MODELS`.
-Projection with its derivatives, rays, calibration files of every format and COLMAP's models follow, and `recon
-calibrate` where OpenCV can fit it. A line in tests/test_camera.py tests it.
+To add one: a class below with `distort` and `max_radius`, and its place in `LENS_MODELS`; all else follows. A line in
+tests/test_camera.py tests it.
 """
 
 from __future__ import annotations

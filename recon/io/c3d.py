@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from recon.base.errors import InputError, Problem
-from recon.io import common, writing
+from recon.io import common, units, writing
 from recon.io.common import Pose3D, StoredPoints
 
 TITLE = "C3D"
@@ -58,7 +58,7 @@ def read(path: Path, individual: str | None = None) -> StoredPoints:
     unit, screen = ("".join(point.get(name, ())[:1]) for name in ("UNITS", "Y_SCREEN"))
     up = {"+Z": "z", "Z": "z", "+Y": "y", "Y": "y"}.get(screen.upper())
     return common.points_of_arrays(
-        path, individual, xyz, frames, names, fps=fps, unit=common.UNIT_NAMES.get(unit), up=up
+        path, individual, xyz, frames, names, fps=fps, unit=units.UNIT_NAMES.get(unit), up=up
     )
 
 
@@ -153,7 +153,7 @@ def write(pose: Pose3D, path: Path) -> None:
     writing.require_names(pose.names, r"^\s|\s$|\x00", TITLE, bytes_max=TEXT_MAX)
     with common.formats_extra(TITLE):
         import ezc3d
-    xyz = writing.without_gaps(pose.frames, pose.xyz_m * common.PER_METRE[UNIT], TITLE)
+    xyz = writing.without_gaps(pose.frames, pose.xyz_m * units.PER_METRE[UNIT], TITLE)
     ranges = writing.frames_text(pose.frames)
     for what, count, most in (("frames", len(xyz), WORD_MAX), ("gaps", len(ranges) - 1, TEXT_MAX - 1)):
         if count > most:

@@ -46,11 +46,8 @@ class CameraRecord:
 
 def read_cameras(path: CameraFiles, image_size_px: tuple[int, int] | None = None) -> tuple[Camera, ...]:
     """All cameras of a calibration file, in its order. Cameras without a name are called cam1, cam2, ... Of several
-    files, one after the other; a file's only camera is called as the file where two have one name.
-
-    image_size_px: (width, height) for files that do not hold it. Raises InputError with every problem of every file,
-    also where image_size_px contradicts it (a calibration holds for one resolution only).
-    """
+    files, one after the other; a file's only camera is called as the file where two have one name. image_size_px:
+    (width, height) for files that do not hold it. Raises InputError with every problem, also where it contradicts."""
     if not isinstance(path, str | Path):
         of_file = all_of(*(partial(read_cameras, one, image_size_px) for one in path))
         names = [camera.name for cameras in of_file for camera in cameras]
@@ -89,12 +86,9 @@ def _twice(cameras: Sequence[Camera]) -> dict[str, int]:
 def read_camera(
     path: CameraFiles, name: str | int | None = None, image_size_px: tuple[int, int] | None = None
 ) -> Camera:
-    """One camera of a calibration file.
-
-    name: the camera's name; or a whole number N for the camera called camN, cam_N or cam_0N, which in a file without
-    names is the Nth, counted from 1. It may be left out where the file holds one camera. Raises InputError where the
-    file has a problem (see `read_cameras`), no such camera, or several and no name is given.
-    """
+    """One camera of a calibration file, by name, or by a whole number N for camN, cam_N or cam_0N, which in a file
+    without names is the Nth, counted from 1; the only one without. Raises InputError as `read_cameras`, and where there
+    is no such camera, or several and no name."""
     cameras = read_cameras(path, image_size_px)
     wanted = "" if name is None else str(name)
     matches = [camera for camera in cameras if name is None or camera.name == wanted]
@@ -179,15 +173,6 @@ def _build(
             fault(field, "something other than a block of numbers", expected)
         elif array is None and (placed or field not in POSE):
             fault(field, "nothing", expected)
-    turn = given["rotation"]
-    if (
-        turn is not None
-        and turn.size == 9
-        and (np.abs(turn) <= LARGEST).all()
-        and not is_rotation(turn.reshape(3, 3), ROTATION_TOLERANCE)
-    ):
-        expected = f"an orthonormal, right-handed matrix (to {ROTATION_TOLERANCE:g})"
-        fault("rotation", "a matrix that is not a rotation", expected)
     given["image_size_px"] = _image_size(values.get("image_size_px"), image_size_px, fault) or (1, 1)
     given |= {"world_z_up": values["world_z_up"], "tilt_rad": values.get("tilt_rad", 0.0), "model": values.get("model")}
     for field, kinds, expected in (("world_z_up", bool, "true or false"), ("tilt_rad", int | float, TILT)):

@@ -28,6 +28,7 @@ from recon.base.files import write_bytes
 from recon.clip.keypoints import Keypoints
 from recon.io import common, writing
 from recon.io.common import Pose3D, StoredPoints
+from recon.io.units import frames_of_times
 
 Columns = Mapping[str, Any]
 """A table by column: sequences of text cells, or arrays of numbers."""
@@ -260,7 +261,7 @@ def gathered(path: Path, table: Columns, individual: str | None, given: Mapping[
         if "z" in coords and "bodypart" not in role and (part, "z") not in layout.columns
     ]
     refuse(common.first_problems(problems, path))
-    frames, fps = (distinct, fps) if "frame" in role else common.frames_of_times(path, distinct, fps)
+    frames, fps = (distinct, fps) if "frame" in role else frames_of_times(path, distinct, fps)
     return common.points_of_arrays(
         path,
         animal or None,

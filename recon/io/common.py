@@ -20,13 +20,6 @@ import numpy as np
 from recon.base.errors import InputError, Problem, refuse
 from recon.clip.keypoints import Keypoints
 
-PER_METRE = {"m": 1.0, "cm": 100.0, "mm": 1000.0}
-UNIT_NAMES = {
-    **dict.fromkeys(("m", "metre", "metres", "meter", "meters"), "m"),
-    **dict.fromkeys(("cm", "centimetre", "centimetres", "centimeter", "centimeters"), "cm"),
-    **dict.fromkeys(("mm", "millimetre", "millimetres", "millimeter", "millimeters"), "mm"),
-}
-
 
 @dataclass(frozen=True, eq=False)
 class Pose3D:
@@ -121,14 +114,11 @@ MISSING = ("", "nan", "na", "none", "null")
 # Enough to see what is wrong with a file; a file of the wrong kind has thousands.
 PROBLEMS_SHOWN = 10
 MAX_FRAME = 10**9
-"""Frame numbers on either side of 0 up to it, three months at 120 Hz; larger ones are time stamps or accidents. Those
-below 0 are of before the first camera's first frame."""
+"""Frame numbers on either side of 0 up to it, three months at 120 Hz; larger ones are time stamps or accidents."""
 POINTS_MAX = 20_000_000
 """The most points in all frames of a file together, where each takes memory whether the file has it or not."""
 LIKELIHOOD_MARGIN = 0.5
 """Networks whose scores are no probabilities, such as SLEAP's, go somewhat beyond 1."""
-IRREGULAR = 0.25
-"""By how much of a frame a time may miss its frame."""
 
 
 @contextmanager
@@ -218,13 +208,10 @@ def points_of_arrays(
     notes: tuple[str, ...] = (),
     **more: Any,
 ) -> StoredPoints:
-    """The points of one animal, once all that a reader found in a file fits together.
-
-    values: (T, N, K, 2 or 3), or without N of a file of one animal; likelihood: likewise, without the last axis;
-    frames: (T,); names, animals: of the K points and the N animals, where the file has them; occupied: (T, N), in which
-    frames each animal is, the others being left out; more: other fields of `StoredPoints`. Raises InputError with all
-    that does not fit, and for the choice of the animal (`choose`).
-    """
+    """The points of one animal, once all that a reader found in a file fits together: values (T, N, K, 2 or 3), or
+    without N of a file of one animal; likelihood, without the last axis; frames (T,); names of the K points and the N
+    animals, where the file has them; occupied (T, N): in which frames each animal is; more: other fields of
+    `StoredPoints`. Raises InputError with all that does not fit, and as `choose`."""
     if values.ndim == 3:
         values, likelihood = values[:, None], None if likelihood is None else likelihood[:, None]
     if values.ndim != 4 or values.shape[3] not in (2, 3) or not values.size:
@@ -332,31 +319,6 @@ def with_likelihoods(keypoints: Keypoints, path: Path) -> Keypoints:
         note = f"Likelihoods range from {low:g} to {high:g}; they should lie between 0 and 1."
         return replace(keypoints, notes=(*keypoints.notes, note))
     return keypoints
-
-
-def frames_of_times(path: Path, times_s: np.ndarray, fps: float | None) -> tuple[np.ndarray, float | None]:
-    """Frame numbers (T,) int, of the frame rate that is given or that regular times have, and that rate. Frame 0 is at
-    0 s. A gap must be a whole number of frames. Without a rate, a single time is frame 0. Raises InputError for times
-    that do not increase or that no frame rate fits."""
-    if not len(times_s):
-        return np.zeros(0, np.int64), fps
-    steps_s = np.diff(times_s)
-    if not np.isfinite(times_s).all() or (steps_s <= 0).any():
-        raise InputError(Problem(path, "time", "times that do not increase", "one increasing time for each frame"))
-    if fps is None and len(times_s) == 1:
-        return np.zeros(1, np.int64), None
-    step_s = 1 / fps if fps is not None else float(np.median(steps_s))
-    steps = np.rint(steps_s / step_s)
-    if max(steps.sum(), abs(float(times_s[0])) / step_s) > MAX_FRAME:
-        raise InputError(Problem(path, "time", f"{times_s[0]:g} to {times_s[-1]:g} s", "the times of a clip"))
-    since_start = np.concatenate([[0.0], np.cumsum(steps)]).astype(np.int64)
-    off = np.abs(steps_s / step_s - np.diff(since_start))
-    if (np.diff(since_start) < 1).any() or (off > IRREGULAR).any():
-        found = f"times that are no multiples of {step_s:.6g} s apart"
-        raise InputError(Problem(path, "time", found, "a frame rate; gaps are whole frames"))
-    if fps is None:
-        fps = float(f"{since_start[-1] / (times_s[-1] - times_s[0]):.9g}")
-    return since_start + round(float(times_s[0]) * fps), fps
 
 
 def rate(value: object) -> float | None:

@@ -53,8 +53,7 @@ class Format:
     """Suffixes of further files that are written under the same name."""
 
     def recognises(self, path: Path) -> bool:
-        """Whether a readable file, not empty, is of this format. It looks at the content, not at the name, and raises
-        InputError for a file so damaged that this cannot be told."""
+        """Whether a readable file, not empty, has content of this format. Raises InputError where damage hides it."""
         return self._function("recognises")(path)
 
     def read(self, path: Path, individual: str | None = None) -> Any:

@@ -18,7 +18,7 @@ import numpy as np
 from recon.base.errors import InputError, Problem, refuse
 from recon.base.files import write_bytes
 from recon.clip.keypoints import Keypoints
-from recon.io import common, writing
+from recon.io import common, units, writing
 from recon.io.common import Pose3D, StoredPoints
 from recon.io.hdf5 import attribute, child, is_scale, is_text, names, numbers, opened, outline, scale_of, texts
 
@@ -88,7 +88,7 @@ def _points(
         _labels(stored, "individual"),
         confidence if "confidence" in stored else None,
         fps=fps,
-        unit=common.UNIT_NAMES.get(str(attributes["length_unit"])),
+        unit=units.UNIT_NAMES.get(str(attributes["length_unit"])),
         up=up if (up := str(attributes["up_axis"])) in ("x", "y", "z") else None,
     )
 
@@ -112,8 +112,8 @@ def _frames(path: Path, ticks: np.ndarray, attributes: Mapping[str, Any]) -> tup
     fps = common.rate(attributes["fps"])
     unit = attributes["time_unit"] or ("frames" if ticks.dtype.kind in "iu" else "seconds")
     if unit == "frames":
-        return common.frames_of_times(path, ticks.astype(float), 1.0)[0], fps
-    return common.frames_of_times(path, ticks.astype(float), fps)
+        return units.frames_of_times(path, ticks.astype(float), 1.0)[0], fps
+    return units.frames_of_times(path, ticks.astype(float), fps)
 
 
 def _stored(path: Path) -> tuple[dict[str, _Variable], dict[str, Any]]:

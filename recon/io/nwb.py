@@ -19,7 +19,7 @@ import numpy as np
 from recon.base.errors import InputError, Problem, refuse
 from recon.base.files import write_bytes
 from recon.clip.keypoints import Keypoints
-from recon.io import common, writing
+from recon.io import common, units, writing
 from recon.io.common import Pose3D, StoredPoints
 from recon.io.hdf5 import attribute, child, groups, names, numbers, opened, outline, texts
 
@@ -87,7 +87,7 @@ def read(path: Path, individual: str | None = None) -> StoredPoints:
         for s in others
         if not np.allclose(s.times_s, first.times_s, rtol=0, atol=1e-6)
     )
-    frames, fps = common.frames_of_times(path, first.times_s, first.fps)
+    frames, fps = units.frames_of_times(path, first.times_s, first.fps)
     points = [s.name for s in series]
     return common.points_of_arrays(
         path,
@@ -99,7 +99,7 @@ def read(path: Path, individual: str | None = None) -> StoredPoints:
         np.stack([s.confidence for s in series], axis=1),
         fps=fps,
         scorer=scorer,
-        unit=common.UNIT_NAMES.get(first.unit),
+        unit=units.UNIT_NAMES.get(first.unit),
         up="z" if first.z_up else None,
         edges=tuple((nodes[a], nodes[b]) for a, b in edges) if {*nodes} == {*points} else (),
     )

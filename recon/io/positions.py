@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from recon.base.errors import InputError, Problem, all_of
-from recon.io.common import PER_METRE, Pose3D, StoredPoints, text_rows
+from recon.io.common import Pose3D, StoredPoints, text_rows
 from recon.io.deeplabcut import points_of_rows
 from recon.io.formats import Format, file_head, read_points
+from recon.io.units import PER_METRE
 
 
 def read_pose3d(

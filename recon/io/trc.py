@@ -7,7 +7,7 @@ from typing import Any
 
 from recon.base.documents import read_text
 from recon.base.errors import refuse
-from recon.io import common, writing
+from recon.io import common, units, writing
 from recon.io.common import Pose3D, StoredPoints
 
 UP_TEXT = "y up: x forwards, y up, z right"
@@ -39,7 +39,7 @@ def read(path: Path, individual: str | None = None) -> StoredPoints:
     if header.get("NumFrames") != str(len(values)):
         notes = (f"The header announces {header.get('NumFrames', 'no number of')} frames, the file has {len(values)}.",)
     unit = header.get("Units") or None
-    more: dict[str, Any] = {"unit": common.UNIT_NAMES.get(str(unit), unit), "up": "y" if UP_TEXT in cells[0] else None}
+    more: dict[str, Any] = {"unit": units.UNIT_NAMES.get(str(unit), unit), "up": "y" if UP_TEXT in cells[0] else None}
     xyz = values[:, 2:].reshape(len(values), len(names), 3)
     fps = common.rate(header.get("DataRate"))
     return common.points_of_arrays(path, individual, xyz, values[:, 0], names, fps=fps, notes=notes, **more)

@@ -34,7 +34,8 @@ from recon.show.report import build_report
 from recon.workflows.cli.command import OptionsOf
 from recon.workflows.cli.common import Answer, answer_of_fit, say
 from recon.workflows.clip import fit_clip, keypoint_problems
-from recon.workflows.settings import FitSettings, read_settings
+from recon.workflows.config import read_settings
+from recon.workflows.settings import FitSettings
 
 CONFIG = "config.toml"
 SCHEMA = {"name": "recon.record", "version": 1}

@@ -26,7 +26,8 @@ from recon.workflows.batch.inputs import AUTO, find_clips
 from recon.workflows.cli.command import OptionsOf
 from recon.workflows.cli.common import Answer, say, terminal
 from recon.workflows.clip import ClipInputs, prepare
-from recon.workflows.settings import FitSettings, read_settings
+from recon.workflows.config import read_settings
+from recon.workflows.settings import FitSettings
 
 DISAGREEMENT = 16.0
 """Squared deviations, of 6 unknowns, from which on a camera that stood still is unlikely (1 in 70)."""

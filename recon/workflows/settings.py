@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import math
-import os
 import re
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import fields, replace
+from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tomli_w
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
-from recon.base.documents import read_toml
-from recon.base.errors import InputError, Problem
+from recon.base.errors import Problem
 from recon.base.settings import (
     Count,
     File,
@@ -25,7 +23,6 @@ from recon.base.settings import (
     Option,
     Positive,
     Settings,
-    on_command_line,
 )
 from recon.clip.keypoints import parse_frame_range
 
@@ -282,21 +279,17 @@ SETTINGS = FitSettings.infos()
 """By name, in the order of `FitSettings`."""
 
 
-def beside(folder: Path, name: str, given: Any) -> Any:
-    """The value of a setting that stands in a file of that folder: its paths are relative to the folder."""
-    return _with_paths(name, given, lambda path: os.path.normpath(folder.absolute() / path))
-
-
 def seen_from(folder: Path, name: str, given: Any) -> Any:
     """The value as it has to stand in a file of that folder, see `files.seen_from`."""
     from recon.base.files import seen_from
 
-    return _with_paths(name, given, lambda path: seen_from(folder, path))
+    return with_paths(name, given, lambda path: seen_from(folder, path))
 
 
-def _with_paths(name: str, given: Any, change: Callable[[str], str]) -> Any:
+def with_paths(name: str, given: Any, change: Callable[[str], str]) -> Any:
+    """The value of a setting with its paths changed; others as they are."""
     if isinstance(given, list):
-        return [_with_paths(name, one, change) for one in given]
+        return [with_paths(name, one, change) for one in given]
     is_file = isinstance(given, str) and name in SETTINGS and SETTINGS[name].is_file(given)
     return change(given) if is_file else given
 
@@ -332,49 +325,3 @@ def _of_the_other_method(given: Mapping[str, Any]) -> Iterator[Problem]:
         if isinstance(method, str) and method in DEFAULT_SKELETONS and other not in (None, method):
             found = f"{info.plain(value)!r} with the {method} method, which does not read it"
             yield Problem("settings", name, found, f"nothing, or --set method={other} with it")
-
-
-# -- from config.toml and the command line ------------------------------------------------------------------------
-
-
-_REPLACED_BY = {
-    "camera": ("hfov_deg", "image_size_px", "camera_name", "camera_unit", "tilt_deg"),
-    "hfov_deg": ("camera", "camera_name", "camera_unit"),
-    "camera_track": ("tilt_deg",),
-}
-"""Settings of another camera, which do not go with one that is given."""
-
-
-def read_settings(config: Path | None, given: Mapping[str, Any] | None = None) -> FitSettings:
-    """Settings from the table [recon.fit] of a TOML file, such as config.toml, overruled by those given.
-
-    None is not given. Paths in the file are relative to its folder. Another camera or method among those given replaces
-    the one of the file together with all that belongs to it. Raises InputError, naming every setting that is wrong, and
-    where it was given.
-    """
-    given = {name: value for name, value in (given or {}).items() if value is not None}
-    under = {} if config is None else _read_config(config)
-    left_out = {*given, *(name for one in given for name in _REPLACED_BY.get(one, ()))}
-    before = under.get("method", SETTINGS["method"].default)
-    if given.get("method", before) != before:
-        left_out |= {name for name, setting in SETTINGS.items() if setting.option.method == before}
-    plain = {name: value for name, value in under.items() if name not in left_out} | given
-
-    try:
-        return FitSettings(**plain)
-    except InputError as error:
-        raise InputError(
-            replace(problem, file=config)
-            if config is not None and problem.field not in given
-            else on_command_line(problem, SETTINGS)
-            for problem in error.problems
-        ) from None
-
-
-def _read_config(config: Path) -> dict[str, Any]:
-    document = read_toml(config, "a config.toml of an earlier run")
-    table = document.get("recon", {})
-    table = table.get("fit") if isinstance(table, dict) else None
-    if not isinstance(table, dict):
-        raise InputError(Problem(config, "table", ", ".join(document)[:120] or "nothing", "[recon.fit]"))
-    return {name: beside(config.parent, name, value) for name, value in table.items()}

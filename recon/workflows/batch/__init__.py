@@ -41,7 +41,8 @@ from recon.workflows.cli.command import OptionsOf
 from recon.workflows.cli.common import Answer, counted, progress_bar, say, stop, table_of, terminal
 from recon.workflows.clip import Unknown, fit_clip, prepare, read_model_and_cameras
 from recon.workflows.clip_results import Record, digest, file_sha256, identity, output_files, write_clip
-from recon.workflows.settings import SETTINGS, FitSettings, beside
+from recon.workflows.config import beside
+from recon.workflows.settings import SETTINGS, FitSettings
 
 RECORD, CRASH_LOG = "batch.jsonl", "crash.log"
 Problems = tuple[Problem, ...]

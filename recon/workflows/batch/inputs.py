@@ -24,7 +24,8 @@ from recon.io.common import text_rows
 from recon.io.deeplabcut_project import find_project, predictions
 from recon.show.page import SUMMARY_PAGE
 from recon.workflows.cameras import cameras_in
-from recon.workflows.settings import SETTINGS, FitSettings, beside, read_settings
+from recon.workflows.config import beside, read_settings
+from recon.workflows.settings import SETTINGS, FitSettings
 
 SUMMARY = "summary.csv"
 AUTO, NONE = "auto", "none"
