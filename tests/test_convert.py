@@ -16,9 +16,9 @@ from command_line import refusal, says
 from typer.testing import CliRunner
 
 from recon.clip import Keypoints
-from recon.io import CONVERTED, FORMATS, Format, Pose3D, choose_format, read_keypoints, read_pose3d
+from recon.io import CONVERTED, FORMATS, Format, Pose3D, read_keypoints, read_pose3d
 from recon.workflows import ConvertSettings, app, main
-from recon.workflows.convert import convert
+from recon.workflows.convert import choose_format, convert
 
 NAN = float("nan")
 FRAMES = np.array([7, 8, 9, 10, 14])

@@ -196,11 +196,9 @@ def _with_exchanged(views: Sequence[View], a: int, b: int) -> list[View]:
 
 
 def _agreeing(sights: Sequence[_Sight], fps: float, limit: float) -> tuple[int, ...]:
-    """The cameras that are left when those that agree least have gone one by one; () if no two agree.
-
-    Of three cameras the two that are left can only be compared with each other, which a camera beside another may pass
-    in spite of its time offset: so that one goes first which a rotation or an offset makes agree with both.
-    """
+    """The cameras that are left when those that agree least have gone one by one; () if no two agree. Of three cameras
+    the two that are left can only be compared with each other, which a camera beside another may pass in spite of its
+    time offset: so that one goes first which a rotation or an offset makes agree with both."""
     among = tuple(range(len(sights)))
     while not _agree(_levels(sights, among), limit):
         if len(among) == 2:
@@ -498,9 +496,8 @@ def solved_in_step(
     apart: Sequence[Source], later_frames: Sequence[float], solve: Solve, sigma_px: float, keypoint_sigma_m: float
 ) -> tuple[tuple[Source, ...], TrajectorySolution]:
     """Sources on their own frames put on those of one clip, with the offsets that were found, and their solution.
-
-    later_frames: where the search begins. solve: with `find_offsets`. Raises InputError where the motion does not tell.
-    """
+    later_frames: where the search begins. solve: with `find_offsets`. Raises InputError where the motion does not
+    tell."""
     later, fps = np.array(later_frames), apart[0].keypoints.fps
     assert fps is not None
     begun = views_of(together(apart, later_frames))
@@ -532,10 +529,9 @@ def _problems(names: Sequence[str], later: Array, rests: Array, sigmas: Array) -
 
 
 def why_not_refined(refined: TrajectorySolution, held: TrajectorySolution) -> tuple[Finding, ...]:
-    """Why cameras stay as calibrated; nothing where the refined ones are to be taken.
-
-    A camera that leaves its pose becomes an outlier as a whole, which a robust cost rewards; and where none fits
-    better, the refined poses are only less certain."""
+    """Why cameras stay as calibrated; nothing where the refined ones are to be taken. A camera that leaves its pose
+    becomes an outlier as a whole, which a robust cost rewards; and where none fits better, the refined poses are only
+    less certain."""
     before, after = _medians_px(held), _medians_px(refined)
     names, turns_rad = [v.camera.name for v in held.views], np.linalg.norm(refined.extrinsic_correction[:, :3], axis=1)
     lost = (after > WORSE * before) | (after > LOST * np.median(after))
@@ -582,10 +578,9 @@ class _Upward(NamedTuple):
 
 
 def up_from_feet(views: Sequence[View], body: Body, fps: float, sigma_px: float) -> _Upward | None:
-    """Up as the feet of an animal say it that several cameras saw, None where they say too little.
-
-    The plane through the feet that stand: slow ones, and, of those, the ones that others stand with. The body, which is
-    above them, holds the plane where they stand on one line."""
+    """Up as the feet of an animal say it that several cameras saw, None where they say too little. The plane through
+    the feet that stand: slow ones, and, of those, the ones that others stand with. The body, which is above them, holds
+    the plane where they stand on one line."""
     positions_m = points_m(views, sigma_px, body.keypoint_sigma_m)
     feet = np.array([body.markers.index(foot) for foot in body.feet])
     if not len(feet) or len(positions_m) < 2:

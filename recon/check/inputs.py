@@ -1,11 +1,9 @@
 """Input findings: copied coordinates, a camera that moves, left-right swaps, gross outliers, a picture turned over,
 another camera's by its file's name, a wrong frame rate.
 
-What was copied, and how no animal moves, is said first: it is certain, and leaves nothing else to be told. Two
-detections are never the same to the last digit: where they are, one of them was copied, and not measured. A camera that
-pans or follows the animal leaves its limbs as they were, and changes how it goes over the ground: feet that stand in a
-real run then slide, all of them alike. The rest is recognised by how much likelier the clip is with it undone
-(`recon.check.likelihood`), where that can be told.
+What was copied, and how no animal moves, is said first. Detections that are the same to the last digit were copied, not
+measured. Under a camera that pans, feet that stand slide, all of them alike. The rest is recognised by how much
+likelier the clip is with it undone (`recon.check.likelihood`).
 """
 
 from __future__ import annotations
@@ -48,11 +46,9 @@ def input_findings(
     stated_hz: float | None = None,
     seek_swaps: bool = True,
 ) -> tuple[Finding, ...]:
-    """The findings on the keypoints that a motion was fitted to. Each angle on its own, where no prior was learned,
-    tells neither sides nor rates.
-
-    named: by view, the other camera that its file's name says. stated_hz: the frame rate that a file states.
-    seek_swaps: whether left-right swaps are looked for, which takes longest."""
+    """The findings on the keypoints that a motion was fitted to. named: by view, the other camera that its file's name
+    says. stated_hz: the frame rate that a file states. seek_swaps: whether swaps are looked for, which takes longest.
+    """
     solution, body, fps = motion.solution, motion.body, motion.fps
     assert isinstance(solution, TrajectorySolution)
     clip = ClipProblem.of(solution.views, body, prior, fps, options)
@@ -272,9 +268,8 @@ MOST = 0.5
 
 
 def outlier_ratios(view: View, markers_m: Array, noise_px: Array) -> Array:
-    """(T,): how many times as likely a frame's keypoints are if each lies anywhere in the picture rather than where the
-    motion has its marker, as a logarithm; NaN without keypoints or a pose. markers_m, world (T, J, 3); noise_px (T, J).
-    """
+    """(T,): how much likelier a frame's keypoints are if each lies anywhere in the picture rather than at its marker
+    (T, J, 3) with noise (T, J), as a logarithm; NaN without keypoints or a pose."""
     projected, valid = view.project(view.at_its_time(markers_m))
     density = -2.0 * np.log(noise_px) - np.log(2 * np.pi) - log_tail((projected - view.xy_px) / noise_px[..., None])
     width, height = view.camera.image_size_px

@@ -1,14 +1,12 @@
 """How likely what a camera saw is, under what is expected of an animal and its motion, as it was given or otherwise.
 
 A hypothesis is a `ClipProblem`: other keypoints, or another camera. A second of the clip is solved anew under it, and
-compared with the same second solved as it was given. That takes as long as a fit: whoever asks has a cheap reason.
-
-A detector's errors last, and keypoints of one limb err together. An error that stays is hardly surprising, one that
-jumps is (`unlikely`): where sides are exchanged, the motion or the errors of all of a limb's keypoints jump at once.
+compared with the same second as it was given. That takes as long as a fit: whoever asks has a cheap reason. A
+detector's errors last, and keypoints of one limb err together: an error that stays is hardly surprising, one that jumps
+is (`unlikely`).
 
 The hypotheses here are another picture than the camera's (keypoints of 0 to 1, turned over, of a smaller video), a
-picture that zooms, and another frame rate; left-right swaps are in `swaps`. Played too slowly or too fast, an animal's
-angles do not swing as the motion prior knows it: poses stay as they are, but speeds and accelerations change.
+picture that zooms, and another frame rate, at which angles do not swing as the prior knows; swaps are in `swaps`.
 """
 
 from __future__ import annotations
@@ -41,9 +39,8 @@ CLEAR = float(np.log(1000.0))
 likely, as a logarithm."""
 MARGIN, SURE = 25.0, 30.0
 """A swap, or a zoom, is believed where it makes a solution so much likelier, as a logarithm; by the second where
-another in its place contradicts it, and for the whole clip with all swaps undone, as another frame rate is. Far more
-than chance needs: what a model of the animal gets wrong is not noise. Chosen on real clips (docs/benchmarks.md,
-left-right swaps)."""
+another in its place contradicts it, and for the whole clip with all swaps undone, as another frame rate is. Chosen on
+real clips (docs/benchmarks.md, left-right swaps): what a model of the animal gets wrong is not noise."""
 TOGETHER = 0.4
 """Keypoints of one limb err together: so much of what they say is each one's own. Chosen on real clips, by leaving runs
 out (docs/benchmarks.md, mistakes)."""
@@ -68,9 +65,8 @@ def alone(clip: ClipProblem, view: View) -> ClipProblem:
 
 @dataclass(frozen=True, eq=False)
 class Refit:
-    """The solution of a part of a clip, as it is or otherwise: states (n, D) at nominal size about the origin, and
-    minus the logarithm of the likelihood but for a constant, if errors of neighbouring frames are alike and if each
-    frame has its own."""
+    """The solution of a part of a clip: states (n, D) at nominal size about the origin, and minus the logarithm of the
+    likelihood, if errors of neighbouring frames are alike and if each frame has its own."""
 
     states: Array
     alike: float
@@ -114,12 +110,9 @@ def _seen(clip: ClipProblem, states: Array) -> float:
 
 
 def unlikely(view: View, projected: Array, sigma_px: Array, correlation_frames: float) -> float:
-    """Minus the logarithm of the density in pixels of a view's keypoints around where a motion has them (T, J, 2), with
-    noise (T, J), but for a constant.
-
-    Of each error a part is the one before, so that alike neighbouring frames count once, and the rest is its own. The
-    noise's size, which only follows the distance, counts once in that time.
-    """
+    """Minus the logarithm of the density of a view's keypoints around where a motion has them (T, J, 2), with noise
+    (T, J), but for a constant. Of each error a part is the one before, so that alike neighbouring frames count once, as
+    the noise's size does."""
     off, kept = (projected - view.xy_px) / sigma_px[..., None], (correlation_frames - 1) / (correlation_frames + 1)
     own = off.copy()
     own[1:] = np.where(np.isfinite(off[:-1]), (off[1:] - kept * off[:-1]) / np.sqrt(1 - kept**2), off[1:])
@@ -129,15 +122,14 @@ def unlikely(view: View, projected: Array, sigma_px: Array, correlation_frames: 
 
 
 def log_tail(off: Array) -> Array:
-    """(T, J): minus the logarithm of the density of errors (T, J, 2), in standard deviations, but for a constant; 0
-    where a point is missing."""
+    """(T, J): the same of errors (T, J, 2) in standard deviations; 0 where a point is missing."""
     return (TAILS + 2) / 2 * np.log1p(np.nan_to_num(np.sum(off**2, axis=-1)) / TAILS)
 
 
 @dataclass(frozen=True, eq=False)
 class Baseline:
-    """A view of a clip as it is, alone, and the states (T, D) that were found for it, at nominal size about its origin;
-    NaN where there are none."""
+    """A view of a clip as it is, alone, and the states (T, D) that were found for it, at nominal size about its
+    origin."""
 
     clip: ClipProblem
     states: Array
@@ -232,9 +224,8 @@ def of_unit_square(given: Baseline) -> Finding | None:
 
 
 def of_other_picture(given: Baseline) -> Finding | None:
-    """A picture that is upside down, has y up or is turned by a quarter, or a world whose z is not up, looked for where
-    the feet are not below the trunk; or a smaller version of the video, where all lies in the part that it would
-    fill."""
+    """A picture that is turned or has y up, or a world whose z is not up, looked for where the feet are not below the
+    trunk; or a smaller video, where all lies in the part that it would fill."""
     view, part = given.view, best_seen(given.view, given.clip.fps)
     others = [*_turned(view), *_smaller(view)] if _feet_below(given.clip, view) < LEANING else [*_smaller(view)]
     if not others:
@@ -272,7 +263,7 @@ def _smaller(view: View) -> Iterator[_Other]:
 
 def _feet_below(clip: ClipProblem, view: View) -> float:
     """How far the feet are below the trunk's ends, as a part of how far they are from them in the picture: 1 of an
-    animal that stands on the ground, -1 of one that is upside down; less, too, where the camera looks up or down."""
+    animal that stands, -1 of one that is upside down."""
     trunk = [clip.body.markers.index(marker) for marker in clip.body.forward]
     off_px = _mean(view.xy_px[:, clip.feet]) - _mean(view.xy_px[:, trunk])
     off_px = off_px[np.isfinite(off_px[:, 0])]
@@ -306,8 +297,7 @@ animal of other proportions comes nearer. Chosen by leaving runs out; and rounds
 
 
 def zooms(given: Baseline, noise_px: Array) -> Iterator[Finding]:
-    """A picture that zooms in the second in which most is seen, or seems to: an animal that comes nearer looks alike,
-    but goes where it comes nearer. noise_px (T, J): as the fit found it."""
+    """A picture that zooms in the second in which most is seen. noise_px (T, J): as the fit found it."""
     part = best_seen(given.view, given.clip.fps)
     clip, states, (view,) = given.clip.part(part), given.states[part], given.clip.part(part).views
     if len(states) < 3 or not np.isfinite(states).all():
@@ -356,8 +346,7 @@ def other_rate(clip: ClipProblem, states: Array, stated_hz: float | None) -> Fin
 
 
 def _swings_better(clip: ClipProblem, states: Array, factor: float) -> bool:
-    """Whether the angles as they are could be likelier at another rate: at a lower one they accelerate less than the
-    noise that is expected, at a higher one they follow the expected swing more closely."""
+    """Whether the angles as they are could be likelier at another rate."""
     expected = (dynamics_term(clip.prior, states.shape[1], clip.fps * by, 1.0) for by in (1.0, factor))
     given, other = (float(np.sum(term.residual(states) ** 2)) for term in expected)
     return other < given * max(factor, 1.0) ** 3
@@ -372,8 +361,7 @@ def _cost(clip: ClipProblem, states: Array, factor: float) -> float:
 
 
 def _known(clip: ClipProblem, states: Array, factor: float) -> bool:
-    """Whether the prior knows the motion at that rate, or better than at the given one: one that fits as
-    badly there says nothing of the rate."""
+    """Whether the prior knows the motion at that rate, or better than at the given one."""
     given, there = (prior_misfit_of(*_at_rate(clip, states, by), clip.fps * by) for by in (1.0, factor))
     return not there.unlike or there.level < given.level
 

@@ -1,13 +1,10 @@
 """Left-right swaps: in single frames, a stretch or a whole clip, of all keypoints or of one pair of legs.
 
-A fit follows exchanged keypoints, and its residuals say little. Stretches are proposed cheaply. Where an exchange
-begins or ends, the keypoints of both sides jump at once, unless the legs cross there: their tracks in the picture say
-where that may be. A fit to which each keypoint of a leg may be either side's says which of them it looks like in each
-frame; over a whole clip, which looks like the animal mirrored in depth when it is exchanged, the frames add up.
-
-The few likeliest stretches are undone, one by one, and their second of the clip is solved anew. What makes it clearly
-likelier than it is (`believed`) is a swap, and clearly means: than with any other stretch undone that contradicts it,
-too. Between two that are about as likely, none is chosen.
+A fit follows exchanged keypoints. Stretches are proposed cheaply: where an exchange begins or ends, the keypoints of
+both sides jump at once, unless the legs cross there; and a fit to which each keypoint of a leg may be either side's
+says which of them it looks like in each frame. The few likeliest stretches are undone, one by one, and their second of
+the clip is solved anew. What makes it clearly likelier (`believed`), also than any other stretch that contradicts it,
+is a swap. Between two that are about as likely, none is chosen.
 """
 
 from __future__ import annotations
@@ -89,8 +86,7 @@ def pairs_of(body: Body) -> dict[str, Index]:
 
 def swaps(given: Baseline, unlike: bool = False) -> list[_SwapTrial]:
     """The left-right swaps in one view of a clip, under a prior learned from motions; nothing follows one that is not
-    clear. unlike: the prior does not know this motion (`recon.fit.posterior`); a whole clip, in which no keypoints
-    jump, is then not tried: nothing but the prior tells it."""
+    clear. unlike: the prior does not know this motion, and a whole clip is not tried: nothing else tells it."""
     kinds, found = pairs_of(given.clip.body), list[_SwapTrial]()
     while len(found) < STRETCHES and "all" in kinds:
         trials = sorted((undone(given, one) for one in likely(given, kinds, unlike)), key=lambda one: -one.ratio)
@@ -112,8 +108,8 @@ def swaps(given: Baseline, unlike: bool = False) -> list[_SwapTrial]:
 
 @dataclass(frozen=True, eq=False)
 class _SwapTrial:
-    """A stretch that was exchanged, the solution of its part of the clip then, and how much likelier that is than the
-    part as it is, as a logarithm. clear: no other stretch is about as likely in its place."""
+    """A stretch that was exchanged, the solution of its part of the clip then, and how much likelier that is, as a
+    logarithm. clear: no other stretch is about as likely in its place."""
 
     stretch: _Stretch
     refit: Refit
@@ -122,9 +118,8 @@ class _SwapTrial:
 
 
 def contradicts(then: Baseline, best: _SwapTrial, other: _SwapTrial) -> bool:
-    """Whether another stretch that makes the clip likelier, too, may be exchanged in place of the best: one beside it,
-    or one that no longer makes it clearly likelier once the best is undone. None that is a part of the best, or of
-    nearly the same keypoints."""
+    """Whether another stretch that makes the clip likelier may be exchanged in place of the best: one beside it, or one
+    that no longer does so once the best is undone; none that is nearly the same."""
     (a, of_best), (b, of_other) = ((one.stretch.rows, one.stretch.mask(len(then.states))) for one in (best, other))
     both = of_best & of_other
     if not (of_other & ~of_best).any() or 2 * both.sum() >= (of_best | of_other).sum() or other.ratio <= 0:
@@ -170,8 +165,7 @@ def _parts(first: int, stop: int, T: int) -> list[tuple[int, int]]:
 
 
 def _part(view: View, rows: slice, fps: float) -> slice:
-    """The second around a stretch, or around the beginning or the end of a longer one; of a whole clip that in which
-    most is seen."""
+    """The second around a stretch, or around an end of a longer one; of a whole clip that in which most is seen."""
     T, n = len(view.xy_px), max(round(likelihood.AT_ONCE_S * fps), 4)
     inner = [edge for edge in (rows.start, rows.stop) if 0 < edge < T]
     if not inner:
@@ -182,8 +176,7 @@ def _part(view: View, rows: slice, fps: float) -> slice:
 
 
 def _suspects(jump: Array, evidence: Array, name: str) -> list[tuple[float, str, tuple[int, int]]]:
-    """Stretches of a kind that hardly overlap, the likeliest first: by how much tracks and looks (T,) say so, the kind,
-    first and stop."""
+    """Stretches of a kind that hardly overlap, the likeliest first: how likely, the kind, first and stop."""
     T = len(jump)
     ends = np.concatenate([[0], 1 + np.flatnonzero(jump[1:] > JUMP), [T]])
     gain = np.concatenate([[0.0], jump[ends[1:-1]], [0.0]])
@@ -205,8 +198,7 @@ def _suspects(jump: Array, evidence: Array, name: str) -> list[tuple[float, str,
 
 
 def _evidence(given: Baseline, kinds: dict[str, Index]) -> dict[str, Array]:
-    """By kind, (T,): how much likelier a frame's keypoints are if the sides are exchanged, as a logarithm, under a fit
-    to which each of a leg may be either side's; "all" is all legs."""
+    """By kind, (T,): how much likelier a frame's keypoints are exchanged, as a logarithm; "all" is all legs."""
     legs = {name: places != np.arange(len(places)) for name, places in kinds.items() if name != "all"}
     which = np.any([np.zeros(len(kinds["all"]), dtype=bool), *legs.values()], axis=0)
     places, seen = np.where(which, kinds["all"], np.arange(len(which))), given.view.xy_px
@@ -219,11 +211,9 @@ def _evidence(given: Baseline, kinds: dict[str, Index]) -> dict[str, Array]:
 
 
 def jumps(view: View, places: Index) -> Array:
-    """(T,): how much likelier the tracks are if the sides are exchanged from a frame on, as a logarithm.
-
-    What lies between the points of a pair goes along a straight line for a few frames, as nearly as in the clip. Minus
-    infinity where nothing at all is seen meanwhile, or where all pairs jump about as far as their points lie apart.
-    """
+    """(T,): how much likelier the tracks are if the sides are exchanged from a frame on, as a logarithm: what lies
+    between the points of a pair goes along a straight line for a few frames. Minus infinity where nothing is seen
+    meanwhile, or where all pairs jump about as far as their points lie apart."""
     n, pairs = 2 * _STRAIGHT, [(j, int(k)) for j, k in enumerate(places) if j < k]
     apart = view.xy_px[:, [j for j, _ in pairs]] - view.xy_px[:, [k for _, k in pairs]]
     gain = np.full(len(apart), -np.inf)

@@ -1,9 +1,8 @@
 """The verdict on a clip: use, check or do not use, why, and the errors that are expected of its poses and its place.
 
 What the posterior states is right on average, and does not tell a good view from a bad one. The expected error of the
-pose is therefore a product of powers of what does: the stated deviation, the misfit of the prior, the distance, and how
-far the animal is seen from its front or back. `benchmarks/verdict.py` fits the powers and prints what they are worth on
-runs left out. The position is expected as far off as the posterior states.
+pose is therefore a product of powers of what does (`Evidence.factors`), which `benchmarks/verdict.py` fits. The
+position is expected as far off as the posterior states.
 """
 
 from __future__ import annotations

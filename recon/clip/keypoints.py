@@ -117,18 +117,6 @@ class CleaningReport:
         """Sum over the keypoints of one count, such as "rejected"."""
         return sum(counts[count] for counts in self.keypoints.values())
 
-    def to_dict(self) -> dict[str, Any]:
-        """The report as plain JSON types, with the totals over all keypoints."""
-        return {
-            "likelihood_min": self.likelihood_min,
-            "frames": list(self.frames),
-            "frames_dropped": self.frames_dropped,
-            "inserted": [list(r) for r in self.inserted],
-            "total": {count: self.total(count) for count in COUNTS[1:]},
-            "keypoints": [{"name": name, **counts} for name, counts in self.keypoints.items()],
-            "notes": list(self.notes),
-        }
-
 
 def parse_frame_range(text: str) -> tuple[int | None, int | None]:
     """The frame range "A:B" as (A, B); either side may be empty (None). Like a Python slice, B is not included. The

@@ -44,7 +44,7 @@ _SUMMED = {"z": "phi", "y": "theta"}
 _BLOCK, _FRAMES_AT_ONCE = 64, 4096
 """Frames whose Jacobian is worked out at once, to stay in the processor's cache; and whose poses are, to stay small."""
 
-_CYCLE = np.array([0, 1, 2, 0, 1])
+CYCLE = np.array([0, 1, 2, 0, 1])
 _IDENTITY, _NONE = np.eye(3), np.zeros(0)
 
 ROOT = slice(0, 3)
@@ -238,14 +238,14 @@ class Tree:
         return [(i, axis) for i, s in enumerate(self.segments) for axis in AXES[s.joint]]
 
     @cached_property
-    def _plan(self) -> _Plan:
+    def plan(self) -> _Plan:
         return _Plan(self)
 
     # -- kinematics ------------------------------------------------------------------------------------------------
 
     def _frames(self, state: Array) -> tuple[Array, Array, Array]:
         """Frames (3 columns, S + 1, 3, N), and cosine and sine (K + 1, N) of the angles; the last angle is 0."""
-        plan, N = self._plan, len(state)
+        plan, N = self.plan, len(state)
         angles = plan.sums @ state[:, 3:].T
         cosine, sine = np.cos(angles), np.sin(angles)
         (cz, cy, *cx), (sz, sy, *sx) = cosine.take(plan.angle, axis=0), sine.take(plan.angle, axis=0)
@@ -285,7 +285,7 @@ class Tree:
 
     def _points(self, frames: Array, state: Array, size: Array | float) -> Array:
         """`_Plan.points` relative to the root (S + J, 3, N), of the frames of `_frames`."""
-        plan, N = self._plan, len(state)
+        plan, N = self.plan, len(state)
         columns = frames.reshape(plan.points.shape[1], 3, N)
         points = np.tensordot(plan.points, columns, 1) * size
         if len(plan.slides):
@@ -301,40 +301,18 @@ class Tree:
         rows = jacobian.reshape(N, J * 3 * self.n_state)
         for first in range(0, N, _BLOCK):
             block = slice(first, first + _BLOCK)
-            points, _, moved = self._moved(state[block], sizes[block])
-            if self._plan.merge is not None:
-                moved = (self._plan.merge @ moved.reshape(len(moved), -1)).reshape(len(self._plan.merge), 3, -1)
+            points, _, moved = self.moved(state[block], sizes[block])
+            if self.plan.merge is not None:
+                moved = (self.plan.merge @ moved.reshape(len(moved), -1)).reshape(len(self.plan.merge), 3, -1)
             relative[block] = points.transpose(2, 0, 1)
-            rows[block, self._plan.entries] = moved.transpose(2, 0, 1)
+            rows[block, self.plan.entries] = moved.transpose(2, 0, 1)
         jacobian[..., ROOT] = _IDENTITY
         return TreePose(state[:, None, ROOT] + relative, jacobian, relative)
 
-    def derivatives(self, state: Array) -> tuple[Array, Array, Callable[[Array], Array]]:
-        """For one state (D,): the markers' Jacobian (J, 3, D), the axes (D - 3, 3) of the angles, of joints that are
-        not summed, and a function from weights (J, 3) to the weighted sum (D - 3, D - 3) of the second derivatives."""
-        plan, J = self._plan, len(self.markers)
-        _, axes, moved = self._moved(state[None], np.ones(1))
-        axes, moved = axes[..., 0], moved[..., 0]
-        jacobian = np.zeros((J, 3, self.n_state))
-        jacobian.reshape(-1)[plan.entries] = moved if plan.merge is None else plan.merge @ moved
-        jacobian[..., ROOT] = _IDENTITY
-        sums = plan.sums[:-1]
-
-        def curvature(weights: Array) -> Array:
-            # weight . (outer axis x moved) = outer axis . (moved x weight)
-            by = weights.take(plan.marker, axis=0).take(_CYCLE, axis=1)
-            along = moved.take(_CYCLE, axis=1)
-            swept = plan.gathered @ (along[:, 1:4] * by[:, 2:] - along[:, 2:] * by[:, 1:4])
-            pairs = plan.outer * (axes @ swept.T)
-            pairs = pairs + np.triu(pairs, 1).T
-            return sums.T @ pairs @ sums
-
-        return jacobian, axes, curvature
-
-    def _moved(self, state: Array, size: Array) -> tuple[Array, Array, Array]:
+    def moved(self, state: Array, size: Array) -> tuple[Array, Array, Array]:
         """Markers relative to the root (J, 3, N), the rotations' axes (K, 3, N), and for each of `_Plan`'s pairs the
         derivative of its marker by its rotation (M, 3, N)."""
-        plan, N = self._plan, len(state)
+        plan, N = self.plan, len(state)
         frames, cosine, sine = self._frames(state)
         points, columns = self._points(frames, state, size), frames.reshape(plan.points.shape[1], 3, N)
         axes = columns.take(plan.axes, axis=0)
@@ -342,8 +320,8 @@ class Tree:
             y, z = axes[plan.pitched], columns[plan.z_axes]
             axes[plan.pitched] = cosine[plan.rolls, None] * y - sine[plan.rolls, None] * z
         # x, y, z, x, y: then the cross product's cyclic neighbours are slices
-        about = axes.take(_CYCLE, axis=1).take(plan.turning, axis=0)
-        cyclic = points.take(_CYCLE, axis=1)
+        about = axes.take(CYCLE, axis=1).take(plan.turning, axis=0)
+        cyclic = points.take(CYCLE, axis=1)
         arms = cyclic.take(plan.arm, axis=0) - cyclic.take(plan.centre, axis=0)
         moved = about[:, 1:4] * arms[:, 2:] - about[:, 2:] * arms[:, 1:4]
         if len(plan.sliding):

@@ -21,7 +21,6 @@ if TYPE_CHECKING:
         FORMATS,
         Format,
         as_keypoints,
-        choose_format,
         file_head,
         individuals,
         read_keypoints,

@@ -119,20 +119,6 @@ CONVERTED = tuple(f for f in FORMATS if f.writes)
 PLAIN = next(f for f in FORMATS if f.name == "long")
 
 
-def choose_format(out: Path, name: str | None) -> Format:
-    """What to write, by the name of a format, if given, and the file's extension. Raises InputError for names and
-    extensions that are not there."""
-    names = tuple(dict.fromkeys(f.name for f in CONVERTED))
-    if name is not None and name not in names:
-        raise InputError(Problem("--to", "format", f"'{name}'", f"one of: {', '.join(names)}"))
-    named = [f for f in CONVERTED if name in (None, f.name)]
-    found = next((f for f in named if out.suffix.lower() in f.suffixes), None)
-    if found is None:
-        expected = ", ".join(dict.fromkeys(s for f in named for s in f.suffixes))
-        raise InputError(Problem(out, "extension", f"'{out.suffix}'", f"one of: {expected}"))
-    return found
-
-
 def recognised(path: Path, kind: Kind | None = None) -> Format | None:
     """The format of a readable file that can hold such data, by default points; None where there is none. Raises
     InputError for a file so damaged that this cannot be told."""

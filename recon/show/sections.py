@@ -235,7 +235,9 @@ def keypoint_lines(motion: Motion, data: Any) -> Iterator[Line]:
 
 
 def cleaning(motion: Motion) -> dict[str, Any]:
-    return {name: value for name, value in motion.cleaning.to_dict().items() if name != "keypoints"}
+    done = motion.cleaning
+    plain = {name: getattr(done, name) for name in ("likelihood_min", "frames", "frames_dropped", "inserted")}
+    return plain | {"total": {count: done.total(count) for count in COUNTS[1:]}, "notes": done.notes}
 
 
 def note_lines(motion: Motion, data: Any) -> Iterator[Line]:

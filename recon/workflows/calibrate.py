@@ -49,12 +49,9 @@ class CalibrationSettings(Settings):
 
 
 def calibrate(settings: CalibrationSettings, progress: Progress) -> Answer:
-    """Calibrate a camera: pictures or a video of a board in, a camera file and a picture of the coverage out.
-
-    Example: recon calibrate board/ --board chessboard:9x6:25mm --model radtan --out camera.toml
-
-    Exit code 0: written. 1: refused, because a check failed. 2: the input cannot be used.
-    """
+    """Calibrate a camera: pictures or a video of a board in, a camera file and a picture of the coverage out. Example:
+    recon calibrate board/ --board chessboard:9x6:25mm --model radtan --out camera.toml Exit code 0: written. 1:
+    refused, because a check failed. 2: the input cannot be used."""
     report = run_calibration(settings, progress)
     errors = []
     if report["written"] is None:
@@ -96,12 +93,9 @@ def _lines(report: dict[str, Any]) -> Iterator[str | Text | Table]:
 
 
 def run_calibration(settings: CalibrationSettings, progress: Progress = silent) -> dict[str, Any]:
-    """Write `out` (`recon.io.write_camera`) and, beside it, `<stem>_coverage.png`;
-    what was found and checked, as plain types.
-
-    A calibration that a check refuses is not written unless `force`; the picture is, since it shows what is missing.
-    Raises InputError, with every problem, for inputs that cannot be used.
-    """
+    """Write `out` (`recon.io.write_camera`) and, beside it, `<stem>_coverage.png`; what was found and checked, as plain
+    types. A calibration that a check refuses is not written unless `force`; the picture is, since it shows what is
+    missing. Raises InputError, with every problem, for inputs that cannot be used."""
     picture = settings.out.with_name(f"{settings.out.stem}_coverage.png")
     known = [name for name, lens in LENS_MODELS.items() if lens.opencv]
     unknown = Problem("--model", "lens model", repr(settings.model), f"one of {', '.join(known)}")

@@ -72,10 +72,8 @@ def of_clip(settings: FitSettings, video: Path, out: Path, **more: Any) -> _Came
 
 
 def camera_motion(settings: _CameraMotionSettings, progress: Progress) -> Answer:
-    """Find how a camera turned (and zoomed) from the background of its video: a camera track.
-
-    Example: recon camera-motion clip.mp4 --camera camera.toml --keypoints clip.csv --out track.csv
-    """
+    """Find how a camera turned (and zoomed) from the background of its video: a camera track. Example: recon
+    camera-motion clip.mp4 --camera camera.toml --keypoints clip.csv --out track.csv"""
     report, files = run_camera_motion(settings, progress)
     lost, keyframes = len(report["frames_without_background"]), counted(len(report["keyframes"]), "keyframe")
     lines = [f"{report['frames'] - lost} of {report['frames']} frames placed, {keyframes}."]
@@ -90,8 +88,7 @@ def run_camera_motion(
     settings: _CameraMotionSettings, progress: Progress = silent
 ) -> tuple[dict[str, Any], tuple[Path, ...]]:
     """The report and the files: the track (`recon.io.camera_track`), and beside it <stem>_report.json. Raises
-    InputError, with every problem, for inputs that cannot be used, and for a camera that did more than turn.
-    """
+    InputError, with every problem, for inputs that cannot be used, and for a camera that did more than turn."""
     info, lens, animal, _ = all_of(
         lambda: probe(settings.video),
         lambda: read_camera(settings.camera, settings.camera_name),

@@ -58,10 +58,8 @@ _WITHOUT_POSE = "in frames for which the camera's track has no pose"
 
 def fit_clip(settings: FitSettings, progress: Progress = silent) -> Motion:
     """Reconstruct one clip: the whole animal, or a chain, over all frames at once, or as another of `METHODS` does it.
-
     Raises InputError for files and settings that cannot be used, with the problems of all of them. Frames that cannot
-    be solved are part of the result.
-    """
+    be solved are part of the result."""
     if settings.method in METHODS:
         return import_module(METHODS[settings.method]).fit_clip(settings, progress)
     given = prepare(settings)
@@ -160,9 +158,7 @@ class ClipInputs:
 
 def prepare(settings: FitSettings, read_shared: Callable[[FitSettings], Unknown] | None = None) -> ClipInputs:
     """Everything that comes before solving: the one list of checks, of a fit and of who asks whether it can be done.
-
-    read_shared: `read_model_and_cameras`, or one that remembers. Raises InputError as `fit_clip`.
-    """
+    read_shared: `read_model_and_cameras`, or one that remembers. Raises InputError as `fit_clip`."""
     files, (body, prior, cameras) = all_of(
         lambda: read_clips(settings), lambda: (read_shared or read_model_and_cameras)(settings)
     )

@@ -15,7 +15,7 @@ from recon.base.settings import Option, Positive, Settings
 from recon.check import usable, verdict_lines
 from recon.clip.keypoints import Keypoints, mark_missing
 from recon.fit.motion import Motion
-from recon.io import CONVERTED, Format, Pose3D, as_keypoints, choose_format, in_metres, read_points
+from recon.io import CONVERTED, Format, Pose3D, as_keypoints, in_metres, read_points
 from recon.io.columns import parse_map
 from recon.show.export.rig import rig_of
 from recon.workflows.cli.common import Answer, table_of
@@ -60,12 +60,9 @@ Conversion = tuple[Keypoints | Pose3D, Format, tuple[str, ...]]
 
 
 def convert_command(settings: ConvertSettings) -> Answer:
-    """Convert 2D keypoints, 3D positions or results from one file format to another, by the extension of OUT.
-
-    Example: recon convert results/clip model.osim
-
-    3D positions are metres, z up, in all formats but those that have another custom; see recon convert --list.
-    """
+    """Convert 2D keypoints, 3D positions or results from one file format to another, by the extension of OUT. Example:
+    recon convert results/clip model.osim 3D positions are metres, z up, in all formats but those that have another
+    custom; see recon convert --list."""
     if not settings.show_list:
         if settings.source is not None and settings.out is not None and (settings.source / ROBOT_FILE).is_file():
             given = settings.to, settings.fps, settings.overwrite
@@ -156,3 +153,17 @@ def _of_results(folder: Path, anyway: bool) -> Pose3D:
         notes += ("Positions are in the level frame, z up: the camera file does not say where the camera is.",)
     flags = tuple(", ".join(some) for some in motion.flags)
     return replace(motion.upright, notes=notes, sigma_m=motion.upright_sigma_m, flags=flags)
+
+
+def choose_format(out: Path, name: str | None) -> Format:
+    """What to write, by the name of a format, if given, and the file's extension. Raises InputError for names and
+    extensions that are not there."""
+    names = tuple(dict.fromkeys(f.name for f in CONVERTED))
+    if name is not None and name not in names:
+        raise InputError(Problem("--to", "format", f"'{name}'", f"one of: {', '.join(names)}"))
+    named = [f for f in CONVERTED if name in (None, f.name)]
+    found = next((f for f in named if out.suffix.lower() in f.suffixes), None)
+    if found is None:
+        expected = ", ".join(dict.fromkeys(s for f in named for s in f.suffixes))
+        raise InputError(Problem(out, "extension", f"'{out.suffix}'", f"one of: {expected}"))
+    return found

@@ -24,6 +24,7 @@ from scipy.spatial.transform import Rotation
 
 from recon.animal.chain import UVW_BODY
 from recon.base.arrays import Array, Bools, Index
+from recon.geometry.curvature import derivatives
 from recon.geometry.kinematics import AXES, Marker, Segment, Tree
 
 Curvature = Callable[[Array], Array]
@@ -112,7 +113,7 @@ class SerialChain:
     def derivatives(self, q: Array) -> tuple[Array, Curvature]:
         """The end effector's Jacobian (dim, n), and its curvature, a function that makes of mu (dim,) the sum (n, n) of
         mu_i times the Hessian of coordinate i."""
-        jacobian, _, curvature = self.tree.derivatives(self._states(q)[0])
+        jacobian, _, curvature = derivatives(self.tree, self._states(q)[0])
 
         def bent(mu: Array) -> Array:
             return curvature(mu[None] @ self.base)[np.ix_(self.columns - 3, self.columns - 3)]
@@ -126,12 +127,12 @@ class SerialChain:
 
     def joint_axes(self, q: Array) -> Array:
         """Unit vectors (n, 3) along the joints' axes of a chain of `joint_chain`, in the base frame."""
-        return self.tree.derivatives(self._states(q)[0])[1]
+        return derivatives(self.tree, self._states(q)[0])[1]
 
     def geometric_jacobian(self, q: Array) -> Array:
         """The geometric Jacobian (6, n) of a chain of `joint_chain`: velocity (m/s) and angular velocity (rad/s) of the
         end effector."""
-        jacobian, axes, _ = self.tree.derivatives(self._states(q)[0])
+        jacobian, axes, _ = derivatives(self.tree, self._states(q)[0])
         return np.concatenate([jacobian[0, :, self.columns].T, axes.T * ~self.sliding])
 
     def _states(self, q: Array) -> Array:
