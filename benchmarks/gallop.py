@@ -19,8 +19,7 @@ from typing import Literal
 
 import numpy as np
 
-from recon.animal.chain import Chain, Side, euler_angles
-from recon.animal.skeleton_file import load_chain
+from recon.animal.chain import Chain, Side, euler_angles, load_chain
 from recon.base.arrays import Array, Bools
 from recon.clip.keypoints import Keypoints
 from recon.geometry.camera import Camera

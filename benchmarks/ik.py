@@ -28,7 +28,8 @@ from recordings import recordings
 from scipy.interpolate import CubicSpline
 
 from recon import Pose3D, read_pose3d
-from recon.animal.skeleton_file import load_chain, load_skeleton
+from recon.animal.chain import load_chain
+from recon.animal.skeleton_file import load_skeleton
 from recon.fit.points import solve_points
 from recon.gait.gait import pose_gait
 from recon.robotics.ik.animal import (

@@ -16,7 +16,7 @@ import numpy as np
 from gallop import SyntheticClip, add_noise, gallop
 
 from recon.animal.body import MIN_JOINTS
-from recon.animal.skeleton_file import load_chain
+from recon.animal.chain import load_chain
 from recon.clip import still_view
 from recon.fit.result import OUTLIER_SIGMAS
 from recon.thesis import FrameOptions, solve_frames

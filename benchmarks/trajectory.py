@@ -34,9 +34,9 @@ from recordings import recordings
 
 from recon import Body, Camera, load_skeleton, read_camera, read_keypoints, read_pose3d
 from recon.animal.body import other_side
+from recon.animal.chain import load_chain
 from recon.animal.prior import MotionPrior, load_prior
 from recon.animal.prior_fit import as_one_gaussian
-from recon.animal.skeleton_file import load_chain
 from recon.clip import View, still_view
 from recon.clip.keypoints import clean
 from recon.fit import TrajectoryOptions, TrajectorySolution, constants, solve_trajectory

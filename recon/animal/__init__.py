@@ -13,7 +13,7 @@ if TYPE_CHECKING:
         other_side,
         side_of,
     )
-    from recon.animal.chain import Chain, euler_angles, facing_side, upright_rotation
+    from recon.animal.chain import Chain, builtin_chains, euler_angles, facing_side, load_chain, upright_rotation
     from recon.animal.naming import (
         NameMap,
         both_sides,
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
         map_to_write,
         new_names,
         renamed,
+        skeleton_of,
         suggestions,
         without_side,
     )
@@ -37,13 +38,10 @@ if TYPE_CHECKING:
     )
     from recon.animal.prior_fit import fit_prior
     from recon.animal.skeleton_file import (
-        builtin_chains,
         builtin_names,
         builtin_subjects,
-        load_chain,
         load_skeleton,
         seen_by,
-        skeleton_of,
     )
     from recon.animal.writing import detector_toml, save_prior, subject_toml
 

@@ -22,10 +22,12 @@ length).
 
 from __future__ import annotations
 
+import os
 import warnings
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
@@ -34,12 +36,14 @@ from pydantic import BeforeValidator, Field
 from scipy.spatial.transform import Rotation
 
 from recon.animal.body import CHAIN_PLACES, MIN_JOINTS, Body, Side, Skeleton, foot_problems, foot_table
+from recon.base import documents
 from recon.base.arrays import Array, Index
 from recon.base.documents import FileTable, Number, Sigma, unknown, validated
-from recon.base.errors import Problem, refuse
+from recon.base.errors import InputError, Problem, refuse
 from recon.geometry.frames import euler_rotation, euler_rotation_with_jacobian
 from recon.geometry.kinematics import PITCH, ROLL, ROOT, YAW, Joint, Marker, Segment, Tree
 
+_SKELETONS = "animal/skeletons"
 UVW_BODY = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 """Takes the body's axes x forwards, y left, z up to U, V (down), W."""
 _PITCH_RAD = 0.3
@@ -345,8 +349,46 @@ def upright_rotation(heading: Array, up: Array) -> Array:
 # -- files -------------------------------------------------------------------------------------------------------------
 
 
+def builtin_chains() -> tuple[str, ...]:
+    """The names of the built-in skeletons that are chains, for the frame method."""
+    return tuple(name for name in documents.builtin_names(_SKELETONS, ".toml") if "segments" not in _read(name)[0])
+
+
+def load_chain(name_or_path: str | Path) -> Chain:
+    """The chain that a skeleton is, for the frame method. Raises InputError for a whole animal, too."""
+    raw, source = _read(name_or_path, builtin_chains())
+    if "segments" in raw:
+        expected = f"a chain for the frame method: one of {', '.join(builtin_chains())}, or a file with [[links]]"
+        raise InputError(Problem("--skeleton", "name or file", repr(str(name_or_path)), expected))
+    return chain_of(raw, source)
+
+
+def _read(name: str | Path, suggested: Iterable[str] | None = None) -> tuple[dict[str, Any], str]:
+    return documents.named_table(name, _SKELETONS, "--skeleton", "skeleton", suggested)
+
+
+def _extended(raw: dict[str, Any], source: str) -> dict[str, Any]:
+    """With the tables of the skeleton that it `extends`, where it has none of its own."""
+    if "extends" not in raw:
+        return raw
+    if not isinstance(name := raw["extends"], str):
+        raise InputError(Problem(source, "extends", repr(name), "the name or the file of a skeleton"))
+    parent, parent_source = _read(_beside(name, source))
+    if "segments" in parent or "extends" in parent:
+        expected = "a chain that extends none; a body's lengths stand in a subject file"
+        raise InputError(Problem(source, "extends", parent_source, expected))
+    return {**parent, **{key: value for key, value in raw.items() if key != "extends"}}
+
+
+def _beside(name: str, source: str) -> str:
+    """A skeleton that a file names: built in, or a file that lies beside it, or is found from where the user is."""
+    file = Path(source).parent / name
+    return str(file) if os.path.isfile(file) and name not in documents.builtin_names(_SKELETONS, ".toml") else name
+
+
 def chain_of(raw: dict[str, Any], source: str) -> Chain:
-    file = validated(_ChainFile, raw, source)
+    """A file's tables as a chain. Raises InputError with everything that is wrong with them."""
+    file = validated(_ChainFile, _extended(raw, source), source)
     refuse(_chain_problems(file, source))
     return _chain(file)
 

@@ -14,7 +14,8 @@ from difflib import SequenceMatcher
 from pathlib import Path
 
 from recon.animal.body import SIDE_WORD, SIDES, opposite_word, side_of
-from recon.animal.skeleton_file import builtin_chains, builtin_names, load_skeleton
+from recon.animal.chain import builtin_chains
+from recon.animal.skeleton_file import builtin_names, load_skeleton
 from recon.base import documents
 from recon.base.errors import InputError, Problem, refuse
 from recon.clip.keypoints import Keypoints
@@ -204,3 +205,12 @@ def both_sides(name: str) -> str:
         return name
     left, right = sorted((word[0], opposite_word(word[0])), key=lambda one: one.lower() not in SIDES)
     return f"{name[: word.start()]}{left}/{right}{name[word.end() :]}"
+
+
+def skeleton_of(keypoints: Iterable[str]) -> str | None:
+    """The built-in skeleton of a whole animal whose markers, all of them, are called as some of these keypoints; of
+    several the one with most."""
+    names, chains = {*keypoints}, builtin_chains()
+    markers = {name: {*load_skeleton(name).markers} for name in builtin_names() if name not in chains}
+    fitting = [name for name, own in markers.items() if own <= names]
+    return max(fitting, key=lambda name: len(markers[name]), default=None)

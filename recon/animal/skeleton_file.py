@@ -6,43 +6,25 @@ points on the skin that a network marks lie from a model's markers. The scorer o
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
 from pydantic import Field
 
 from recon.animal.body import MIN_JOINTS, PLACES, Body, foot_problems, foot_table, other_side, side_of
 from recon.base import documents
-from recon.base.documents import FileTable, Number, Sigma, parse_toml, text_of, unknown, validated
+from recon.base.documents import FileTable, Number, Sigma, unknown, validated
 from recon.base.errors import InputError, Problem, all_of, refuse
 from recon.geometry.kinematics import ANGLE_OF_AXIS, AXES, Marker, Segment, Tree
-
-if TYPE_CHECKING:
-    from recon.animal.chain import Chain
 
 
 def builtin_names() -> tuple[str, ...]:
     """Names of the skeletons that come with the package."""
     return documents.builtin_names("animal/skeletons", ".toml")
-
-
-def skeleton_of(keypoints: Iterable[str]) -> str | None:
-    """The built-in skeleton of a whole animal whose markers, all of them, are called as some of these keypoints; of
-    several the one with most."""
-    names, chains = {*keypoints}, builtin_chains()
-    markers = {name: {*load_skeleton(name).markers} for name in builtin_names() if name not in chains}
-    fitting = [name for name, own in markers.items() if own <= names]
-    return max(fitting, key=lambda name: len(markers[name]), default=None)
-
-
-def builtin_chains() -> tuple[str, ...]:
-    """The names of the built-in skeletons that are chains, for the frame method."""
-    return tuple(name for name in builtin_names() if "segments" not in read_named(name)[0])
 
 
 def builtin_subjects() -> tuple[str, ...]:
@@ -62,48 +44,16 @@ def load_skeleton(name_or_path: str | Path, subject: str | Path | None = None) -
         raise InputError(Problem("--subject", "name or file", repr(str(subject)), expected))
     from recon.animal.chain import chain_of  # hardly any clip is of one
 
-    return chain_of(_extended(raw, source), source).body
-
-
-def load_chain(name_or_path: str | Path) -> Chain:
-    """The chain that a skeleton is, for the frame method. Raises InputError for a whole animal, too."""
-    raw, source = read_named(name_or_path, suggested=builtin_chains())
-    if "segments" in raw:
-        expected = f"a chain for the frame method: one of {', '.join(builtin_chains())}, or a file with [[links]]"
-        raise InputError(Problem("--skeleton", "name or file", repr(str(name_or_path)), expected))
-    from recon.animal.chain import chain_of
-
-    return chain_of(_extended(raw, source), source)
+    return chain_of(raw, source).body
 
 
 def read_named(
     name_or_path: str | Path,
     kind: Literal["skeleton", "subject", "detector"] = "skeleton",
-    suggested: Iterable[str] | None = None,
 ) -> tuple[dict[str, Any], str]:
-    """A file's tables, and what to call it in messages. suggested: names to choose from, if not all."""
+    """A file's tables, and what to call it in messages."""
     option = "--set detector" if kind == "detector" else f"--{kind}"
-    content, source = documents.named_file(name_or_path, f"animal/{kind}s", ".toml", option, kind, suggested)
-    return parse_toml(text_of(content, source, f"a {kind} file"), source), source
-
-
-def _extended(raw: dict[str, Any], source: str) -> dict[str, Any]:
-    """With the tables of the skeleton that it `extends`, where it has none of its own."""
-    if "extends" not in raw:
-        return raw
-    if not isinstance(name := raw["extends"], str):
-        raise InputError(Problem(source, "extends", repr(name), "the name or the file of a skeleton"))
-    parent, parent_source = read_named(_beside(name, source))
-    if "segments" in parent or "extends" in parent:
-        expected = "a chain that extends none; a body's lengths stand in a subject file"
-        raise InputError(Problem(source, "extends", parent_source, expected))
-    return {**parent, **{key: value for key, value in raw.items() if key != "extends"}}
-
-
-def _beside(name: str, source: str) -> str:
-    """A skeleton that a file names: built in, or a file that lies beside it, or is found from where the user is."""
-    file = Path(source).parent / name
-    return str(file) if os.path.isfile(file) and name not in builtin_names() else name
+    return documents.named_table(name_or_path, f"animal/{kind}s", option, kind)
 
 
 # -- whole animals ---------------------------------------------------------------------------------------------------

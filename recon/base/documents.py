@@ -230,6 +230,14 @@ def named_file(
     return read_content(path, expected, MAX_UNPACKED), str(path)
 
 
+def named_table(
+    name: str | Path, folder: str, option: str, what: str, names: Iterable[str] | None = None
+) -> tuple[dict[str, Any], str]:
+    """The same of a TOML file, as its table."""
+    content, source = named_file(name, folder, ".toml", option, what, names)
+    return parse_toml(text_of(content, source, f"a {what} file"), source), source
+
+
 def builtin_file(folder: str, name: str) -> Traversable:
     """A file that comes with the package, in a folder of it."""
     return resources.files("recon") / folder / name

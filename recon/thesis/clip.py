@@ -7,7 +7,7 @@ from typing import Annotated, Any
 from rich.console import Console
 
 from recon.animal.body import Body
-from recon.animal.skeleton_file import load_chain
+from recon.animal.chain import load_chain
 from recon.base import Progress, silent
 from recon.check import judged
 from recon.clip import views_of

@@ -16,7 +16,7 @@ import numpy as np
 from recon import animal, check, io
 from recon.animal.body import Body, Side
 from recon.animal.prior import MotionPrior, load_prior
-from recon.animal.skeleton_file import load_chain, load_skeleton, seen_by, skeleton_of
+from recon.animal.skeleton_file import load_skeleton, seen_by
 from recon.base import Progress, silent
 from recon.base.arrays import Array, Bools
 from recon.base.errors import InputError, Problem, all_of, refuse
@@ -86,7 +86,7 @@ def fit_clip(settings: FitSettings, progress: Progress = silent) -> Motion:
         sources, solution = cleaned, again
     else:  # a fit that gets nowhere without them was wrong about them
         outliers = ()
-    chain = load_chain(settings.skeleton_name) if body.one_sided else None
+    chain = animal.load_chain(settings.skeleton_name) if body.one_sided else None
     motion = Motion(sources, given.side, given.side_reason, solution, chain=chain, settings=settings.plain())
     found = check.input_findings(motion, prior, options, *_file_facts(given, settings))
     if any(one.code == "left_right_swap" for one in found):
@@ -330,7 +330,7 @@ def _require_keypoints_of(body: Body, keypoints: Keypoints) -> None:
         return
     found = f"{', '.join(keypoints.names)}: {', '.join(known) or 'none'} of the skeleton's"
     where = keypoints.source or "keypoints"
-    if own := skeleton_of(keypoints.names):
+    if own := animal.skeleton_of(keypoints.names):
         raise InputError(Problem(where, "bodyparts", found, f"with these names, which are its own: --skeleton {own}"))
     maps = animal.fitting_maps(keypoints.names, wanted)
     options, count = animal.fitting_skeleton(keypoints.names)
