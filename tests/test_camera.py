@@ -243,17 +243,18 @@ def test_up_follows_the_world_only_where_its_z_points_up():
     np.testing.assert_allclose(make_camera("pinhole").up, (0, -1, 0))
 
 
-def test_a_camera_without_a_pose_may_look_down_by_a_known_angle():
-    tilt = 0.2
+@pytest.mark.parametrize("tilt", [0.2, np.pi / 2])
+def test_a_camera_without_a_pose_may_look_down_by_a_known_angle(tilt):
+    """Also straight down, as from a drone."""
     camera = make_camera("pinhole", tilt_rad=tilt)
     # The same camera in a world: its axis, level at first, is lowered about its x axis.
     level = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
     rotation = Rotation.from_euler("x", tilt).as_matrix() @ level
     posed = make_camera("pinhole", rotation=rotation, translation_m=(0, 0, 0))
     assert (posed.camera_to_world((0, 0, 1)))[2] == pytest.approx(-np.sin(tilt))  # down
-    np.testing.assert_allclose(camera.up, posed.up)
+    np.testing.assert_allclose(camera.up, posed.up, atol=1e-15)
     board = make_camera("pinhole", rotation=rotation, translation_m=(0, 0, 0), world_z_up=False, tilt_rad=tilt)
-    np.testing.assert_allclose(board.up, posed.up)
+    np.testing.assert_allclose(board.up, posed.up, atol=1e-15)
 
 
 def test_no_pose():

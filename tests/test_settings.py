@@ -159,7 +159,7 @@ def test_image_size_as_text_or_as_numbers(size):
         ("method", "window", "trajectory or frame"),
         ("ground", "flat", "auto or none"),
         ("size_sigma", 0.0, "greater than 0"),
-        ("tilt_deg", 90.0, "less than 90"),
+        ("tilt_deg", 90.5, "or equal to 90"),
         ("fast", "very", "true or false"),
         ("angle_prior", "flat", "gaussian or none"),
         ("camera_rotation", "still", "free or fixed"),

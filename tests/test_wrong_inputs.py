@@ -93,6 +93,16 @@ def test_what_no_animal_does_is_named(code):
     assert found.code == code
 
 
+@pytest.mark.parametrize(("size", "codes"), [(1.0, ["animal_still"]), (0.1, [])])
+def test_a_small_animal_stands_still_at_a_lower_speed(size, codes):
+    """All joints of one go by 0.2 m in a second: three times its trunk's length, or a third of it."""
+    motion = moved(np.repeat(plain().states[:1], len(plain().states), axis=0))
+    ahead_m = 0.2 * np.arange(len(motion.frames))[:, None, None] / FPS * np.array([1.0, 0.0, 0.0])
+    joints_m = size * motion.solution.joints_m + ahead_m
+    found = movement(replace(motion, solution=replace(motion.solution, joints_m=joints_m)))
+    assert [one.code for one in found] == codes
+
+
 @pytest.mark.parametrize(("times", "ways"), [(1.0, []), (1.5, ["in"]), (1 / 1.5, ["out"])])
 def test_a_picture_that_zooms_is_named(times, ways):
     centre = CAMERA.matrix[:2, 2]

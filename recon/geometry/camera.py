@@ -96,7 +96,7 @@ class Camera:
             yield "image_size_px", str(self.image_size_px), "a width and a height above 0"
         if "rotation" in sound and not is_rotation(np.asarray(self.rotation), tolerance=1e-6):
             yield "rotation", "a matrix that is not a rotation", "an orthonormal, right-handed matrix"
-        if not abs(self.tilt_rad) < math.pi / 2 or (self.tilt_rad and self.knows_up):
+        if not abs(self.tilt_rad) <= math.pi / 2 or (self.tilt_rad and self.knows_up):
             yield "tilt_rad", repr(self.tilt_rad), TILT
 
     @classmethod

@@ -55,7 +55,7 @@ class _CameraMotionSettings(Settings):
     individual: str | None = None
     """Which animal of a keypoint file with several."""
     first_frame: Annotated[Integer, FIRST_FRAME] = 0
-    tilt_deg: Annotated[Number, Field(gt=-90, lt=90)] | None = None
+    tilt_deg: Annotated[Number, Field(ge=-90, le=90)] | None = None
     """Degrees that the camera looks down in the first frame. (default: level in the mean of all frames)"""
     zoom: bool = False
     """The focal length changes; the first frame has the file's."""

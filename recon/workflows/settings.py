@@ -121,7 +121,7 @@ class FitSettings(Settings):
     up: Annotated[str | None, _RARE] = None
     """Which axis of the calibration's world points up, as in z or -y, or a direction, as in 0,-0.9,0.4; first-camera:
     that counts as level. (default: what the file says, or the ground that feet stand on)"""
-    tilt_deg: Annotated[Number, Field(gt=-90, lt=90)] | None = None
+    tilt_deg: Annotated[Number, Field(ge=-90, le=90)] | None = None
     """Without extrinsics: how far the camera looks down, in degrees, as in 5. (default: level)"""
     height_m: Annotated[Positive | None, _TRAJECTORY] = None
     """Height of the animal at the withers, in metres, as in 1.6. (default: the skeleton's)"""
