@@ -108,8 +108,7 @@ def _lines(clips: pd.DataFrame, groups: pd.DataFrame, out: Path) -> Iterator[str
         for q in QUANTITIES
     )
     yield table_of("group", "quantity", numbers=("clips", "strides", "mean", "±", "spread"), rows=rows)
-    spread = "spread: one standard deviation between the clips of a group"
-    yield f"±: one standard deviation of the mean, the animals' size included; {spread}."
+    yield "±: one standard deviation of the mean, with the size's; spread: one standard deviation between the clips."
     if not groups["strides"].sum():
         yield "No clip has a complete stride."
     yield f"Rows by stride, clip and group, and {FIGURE}, are in {out}."

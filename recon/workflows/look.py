@@ -152,8 +152,7 @@ def run_overlay(
     first = int(motion.frames.min())
     before = first - settings.first_frame if len(stamps_s) == count else None
     of_times = missing_note(video, np.array(stamps_s), first, before)
-    said = first_frame_note(motion, settings), rate_note(video, motion.fps), of_times
-    notes = [note for note in said if note is not None]
+    notes = [note for note in (first_frame_note(motion, settings), rate_note(video, motion.fps), of_times) if note]
     return count, fps, speed, motion.verdict, notes
 
 
