@@ -218,7 +218,7 @@ def _problems(cls: type[Settings], given: Mapping[str, Any], error: ValidationEr
 
 def unknown_setting(file: str, name: str, infos: Mapping[str, SettingInfo]) -> Problem:
     """The problem of a setting that there is not, with the one that was perhaps meant."""
-    meant = "".join(f": did you mean {one}?" for one in get_close_matches(name, infos, 1))
+    meant = "".join(f" (did you mean {one}?)" for one in get_close_matches(name, infos, 1))
     return Problem(file, name, f"an unknown setting{meant}", f"one of {', '.join(infos)}")
 
 
