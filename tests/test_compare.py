@@ -35,6 +35,8 @@ def test_groups_have_a_row_each_and_strides_one_each(clips: Path, tmp_path: Path
     assert (ended.code, ended.err) == (0, "")
     assert says(ended.out, "one standard deviation of the mean", "spread: one standard deviation between")
     groups, by_clip, strides = (pd.read_csv(out / f"{name}.csv") for name in ("groups", "clips", "strides"))
+    assert (out / "clips.parquet").is_file()
+    pd.testing.assert_frame_equal(pd.read_parquet(out / "strides.parquet"), strides)
     assert list(groups["group"]) == ["f", "m"]
     assert list(groups["clips"]) == [2, 1]
     assert groups["strides"].sum() == len(strides) == by_clip["strides"].sum() > 6

@@ -92,6 +92,7 @@ def compare(settings: _CompareSettings, progress: Progress) -> Answer:
     with staged_folder(out) as staging:
         for name, table in ((STRIDES, pd.DataFrame(rows)), (CLIPS, clips), (GROUPS, groups)):
             table.to_csv(staging / name, index=False)
+            table.to_parquet((staging / name).with_suffix(".parquet"), index=False)
         _figure(clips, groups).savefig(staging / FIGURE)
     return Answer(groups.to_dict("records"), _lines(clips, groups, out))
 
@@ -111,7 +112,7 @@ def _lines(clips: pd.DataFrame, groups: pd.DataFrame, out: Path) -> Iterator[str
     yield "±: one standard deviation of the mean, with the size's; spread: one standard deviation between the clips."
     if not groups["strides"].sum():
         yield "No clip has a complete stride."
-    yield f"Rows by stride, clip and group, and {FIGURE}, are in {out}."
+    yield f"Rows by stride, clip and group (CSV and Parquet), and {FIGURE}, are in {out}."
 
 
 def _cells(mean: float, sigma: float, spread: float) -> tuple[str, str, str]:
