@@ -4,8 +4,7 @@ The states are the tree's; x forwards, y left, z up. There is one model for a wh
 (`recon.animal.chain`), which is a tree with the limbs of one side and has two keypoints for a marker.
 
 What is left and right, fore and hind, stands here and nowhere else: names of segments and markers say by a word which
-side they belong to (`SIDES`), the skeleton's file says where each foot is (`PLACES`).
-"""
+side they belong to (`SIDES`), the skeleton's file says where each foot is (`PLACES`)."""
 
 from __future__ import annotations
 
@@ -248,7 +247,6 @@ class Body:
 
     @cached_property
     def mirror(self) -> tuple[Index, Array]:
-        """Permutation and sign, both (D,): state[..., permutation] * sign is the animal mirrored left to right. The
-        mirror is the world's x-z plane. What has no counterpart on the other side is taken for the middle."""
+        """Permutation and sign, (D,): state[..., permutation] * sign is the animal mirrored at the x-z plane."""
         flips = np.array([False, True, False, *(axis != "y" for axis in self.tree.axes)])
         return opposites(self.state_names), np.where(flips, -1.0, 1.0)

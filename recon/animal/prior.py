@@ -138,8 +138,7 @@ def builtin_priors() -> tuple[str, ...]:
 
 def load_prior(name_or_path: str | Path | None, body: Body) -> MotionPrior:
     """The built-in prior of that name, or the one in a file; "none": `prior_from_body`. None: the built-in one for a
-    body with these angles, or else that of the body. Raises InputError, naming every problem: no such name or file, no
-    prior, or one for other angles than the body's."""
+    body with these angles, or else the body's. Raises InputError, naming every problem."""
     if name_or_path is None:
         for name in builtin_priors():
             with suppress(InputError):  # it is another animal's

@@ -1,8 +1,7 @@
 """Skeletons by their names or files (TOML), with one animal's lengths, and as a detector sees them.
 
 Built-in ones are the files of `recon/animal/skeletons`, `subjects` (one animal's lengths) and `detectors`: how far the
-points on the skin that a network marks lie from a model's markers. The scorer of a keypoint file says its detector.
-"""
+points on the skin that a network marks lie from a model's markers. The scorer of a keypoint file says its detector."""
 
 from __future__ import annotations
 
@@ -34,8 +33,7 @@ def builtin_subjects() -> tuple[str, ...]:
 
 def load_skeleton(name_or_path: str | Path, subject: str | Path | None = None) -> Body:
     """The built-in skeleton of that name, or the one in a TOML file. subject: name or file of a measured animal, for a
-    whole one only. Raises InputError: no such name or file, a file that does not describe a skeleton, or a subject of
-    another one; every problem is named."""
+    whole one only. Raises InputError, naming every problem."""
     raw, source = read_named(name_or_path)
     if "segments" in raw:
         return _load_body(raw, source, subject)

@@ -25,9 +25,8 @@ def silent(stage: str, share: float) -> None:
 
 
 def lazily(package: str, file: str) -> Callable[[str], Any]:
-    """The `__getattr__` of a package that names what others may use in imports under `if TYPE_CHECKING:` only. file:
-    the package's `__file__`. A room then costs nothing until one of its names is used: `recon --help` imports the
-    commands of all rooms."""
+    """The `__getattr__` of a package, of that `__file__`, that names what others may use in imports under `if
+    TYPE_CHECKING:` only: a room costs nothing until one of its names is used."""
     tree = ast.parse(Path(file).read_text(encoding="utf-8"))
     imports = [node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
     module_of = {alias.name: str(node.module) for node in imports for alias in node.names}

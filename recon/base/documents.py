@@ -34,8 +34,7 @@ MAX_TOML_BYTES = 1 << 23
 
 
 def read_text(path: Path, expected: str, most: int = MAX_BYTES) -> str:
-    """A text in UTF-8, with a byte order mark or without. expected: what the file should be, in a message. Raises
-    InputError for anything but a file that can be read, of no more bytes than that."""
+    """A text in UTF-8. expected: what the file should be, in a message. Raises InputError for anything else."""
     return text_of(read_content(path, expected, most), path, expected)
 
 
@@ -143,8 +142,7 @@ _DAMAGE_OF_ZIP = (zipfile.BadZipFile, zlib.error, lzma.LZMAError, struct.error, 
 
 def arrays_of(content: bytes, kinds: str) -> dict[str, np.ndarray]:
     """The arrays of a NumPy archive by name. kinds: of their types, as NumPy names them; "O", pickles, is none. Raises
-    ValueError for a damaged archive, other types, and one that would take too much memory: sizes are checked before
-    anything is unpacked."""
+    ValueError for damage, other types, and too much memory: sizes are checked before anything is unpacked."""
     try:
         with zipfile.ZipFile(BytesIO(content)) as archive:
             check_unpacked_size(archive)

@@ -10,8 +10,7 @@ from typing import Any
 
 @dataclass(frozen=True)
 class Problem:
-    """One thing that is wrong with an input. As text, it is one line: what cannot be printed, such as a terminal's
-    commands in a name, stands there as its code."""
+    """One thing that is wrong with an input. As text it is one line, with codes for what cannot be printed."""
 
     file: str | Path
     """The file (or command-line option) it was found in."""

@@ -18,8 +18,7 @@ if TYPE_CHECKING:
 IN_MEMORY = "recon.io.in_memory"
 """What reads tables in memory as it reads files. It is imported by its name: the readers are built on this room."""
 CORNER_PX, CONSTANT_SHARE, CONSTANT_KEYPOINTS = 1.0, 0.005, 3
-"""A point stands for missing ones if it lies no further in the picture than this, and so many of all points and of the
-keypoints are just there."""
+"""A point stands for missing ones this near the corner, with so many of all points and of the keypoints just there."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,8 +132,7 @@ def clean(
     keypoints: Keypoints, likelihood_min: float, frames: tuple[int | None, int | None] | None = None
 ) -> tuple[Keypoints, CleaningReport]:
     """Turns what a file says into points that can be trusted: missing is NaN with confidence 0, time is regular.
-    likelihood_min: points less likely than this are rejected; frames: half-open range of original frame numbers. Raises
-    InputError if no frame or no point is left, or if gaps make the clip absurdly long."""
+    frames: half-open range of original numbers. Raises InputError if no frame or point is left, or for absurd gaps."""
     if not 0 <= likelihood_min <= 1:
         raise InputError(Problem("--set likelihood-min", "likelihood_min", str(likelihood_min), "a number from 0 to 1"))
     rows_in_file = len(keypoints.frames)
@@ -170,8 +168,7 @@ def clean(
 def leave_out(
     keypoints: Keypoints, report: CleaningReport, points: np.ndarray, why: str
 ) -> tuple[Keypoints, CleaningReport]:
-    """Further points (T, K) of a cleaned clip become missing, count as rejected, and are named in a note. why: what is
-    wrong with them, in words."""
+    """Further points (T, K) of a cleaned clip become missing, count as rejected, and a note says why."""
     if not points.any():
         return keypoints, report
     out = dict(zip(keypoints.names, points.sum(axis=0).tolist(), strict=True))
@@ -188,8 +185,7 @@ def leave_out(
 
 
 def select_frames(keypoints: Keypoints, frames: tuple[int | None, int | None] | None) -> Keypoints:
-    """The rows whose original frame number lies in the half-open range (A, B); None is an open side or no limit. Raises
-    InputError if there is none."""
+    """The rows with frame numbers in the half-open range (A, B); None: no limit. Raises InputError if there is none."""
     start, stop = frames or (None, None)
     keep = keypoints.frames >= (-np.inf if start is None else start)
     keep &= keypoints.frames < (np.inf if stop is None else stop)

@@ -85,8 +85,7 @@ class View:
         return self.camera.sees(self.xy_px, self._unzoomed_px)
 
     def corrected(self, correction: Array) -> View:
-        """With an extrinsic correction (6,) of the camera: X_camera = R(angles) X + metres
-        (`recon.geometry.frames`)."""
+        """With an extrinsic correction (6,): X_camera = R(angles) X + metres (`recon.geometry.frames`)."""
         if not correction.any():
             return self
         by = rigid(euler_rotation(correction[:3]), correction[3:])
@@ -249,9 +248,8 @@ def held(values: Array) -> Array:
 
 
 def together(sources: Sequence[Source], later_frames: Sequence[float]) -> tuple[Source, ...]:
-    """Sources on their own frames, put on the frames from the first to the last that one of them has, without those
-    that are far from all that was seen (`_near_detections`). later_frames: how much later each camera's frame 0 was
-    taken than the first's, in frames."""
+    """Sources on all frames that one of them has, but those far from all that was seen. later_frames: how much later
+    each camera's frame 0 was taken than the first's."""
     shifts = [int(np.floor(later)) for later in later_frames]
     starts = [int(s.keypoints.frames[0]) + shift for s, shift in zip(sources, shifts, strict=True)]
     stops = [int(s.keypoints.frames[-1]) + shift + 1 for s, shift in zip(sources, shifts, strict=True)]

@@ -1,8 +1,7 @@
 """Views of a clip -> an animal's motion over the whole clip.
 
 The only place that solves for an animal's motion, besides the wings' own methods. `recon.fit.constants` has the numbers
-that no user sets.
-"""
+that no user sets."""
 
 from typing import TYPE_CHECKING
 

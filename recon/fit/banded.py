@@ -57,8 +57,7 @@ class Normal:
 
 @dataclass(frozen=True)
 class Window:
-    """A piece of a clip with all before it eliminated. rows: its n frames. factor: of these and those taken along.
-    white (n + those, D, 1 + P): L^-1 of the gradient and the border."""
+    """A piece of a clip, n frames, with all before it eliminated; white (n + those taken along, D, 1 + P)."""
 
     rows: slice
     piece: Normal
@@ -78,8 +77,7 @@ class Window:
         return self.factor.marginal_blocks()[: len(self.piece.gradient)]
 
     def reduced(self) -> Array:
-        """(P, P + 1): what is left of the shared unknowns' corner and gradient once these frames are eliminated. The
-        sum over the windows is that of the clip: S and c - Y' b."""
+        """(P, P + 1): what is left of corner and gradient; the sum over the windows is S and c - Y' b."""
         flat = self.white[: len(self.piece.gradient)].reshape(-1, self.white.shape[-1])
         by_frames = flat.T @ flat
         corner, gradient = self.piece.corner - by_frames[1:, 1:], self.piece.shared_gradient - by_frames[1:, 0]
@@ -87,8 +85,7 @@ class Window:
 
 
 def step(pieces: Iterable[Normal], damping: float) -> tuple[Array, Array]:
-    """The step (T, D) and (P,) towards the minimum, with damping added to the diagonal. Raises LinAlgError as
-    `factored`."""
+    """The step (T, D) and (P,) towards the minimum, damped. Raises LinAlgError as `factored`."""
     both = [(window.solved(), window.reduced()) for window in eliminated(pieces, damping)]
     solved, reduced = np.concatenate([one for one, _ in both]), np.sum([one for _, one in both], axis=0)
     corner, gradient = reduced[:, :-1], reduced[:, -1]
@@ -123,8 +120,7 @@ def eliminated(pieces: Iterable[Normal], damping: float | Array = 0.0, bounded: 
 
 
 def _carried(solved: _Factor, white: Array, n: int) -> tuple[Array, Array]:
-    """What the elimination of a window's first n frames leaves on the W frames after them: on H (W, D, W, D), and on
-    the right-hand sides (W, D, ...)."""
+    """What eliminating a window's first n frames leaves on H (W, D, W, D) and on the right-hand sides (W, D, ...)."""
     D, width = white.shape[1], solved.width
     L21 = solved.below(n * D - width)
     W = width // D

@@ -67,8 +67,7 @@ class ClipProblem:
     ground_near_zero: bool
     """Whether the ground is known to lie near the world's z = 0."""
     time_offset_frames: float
-    """Standard deviation: how much later or earlier than said a camera's pictures are taken, where that is not to be
-    found (`TrajectoryOptions.find_offsets`)."""
+    """Standard deviation: how much later or earlier than said pictures are taken, where that is not to be found."""
     prior_weight: float = 1.0
     """See `MotionSegment.prior_weight`."""
     known: Array | None = None

@@ -6,8 +6,7 @@ Read by name (`constants.ROBUST_C`), so that tests can hold another value. docs/
 ROBUST_C = 3.0
 """Residuals of so many standard deviations count half. A round number."""
 KEYPOINT_BIAS_SHARE = 0.6
-"""The part of a keypoint's distance from its marker that stays the same over a clip: what residuals of several cameras
-have in common over a clip."""
+"""The part of a keypoint's distance from its marker that stays the same over a clip."""
 COMMON_BIAS_SHARE = 0.4
 """The part of that variance which several cameras see alike: the likeliest in the benchmark's real runs."""
 ERROR_TIME_S = 0.16
@@ -40,8 +39,7 @@ the benchmark's real runs."""
 CLIMB_M_S = 0.5
 """The standard deviation of the root's vertical velocity."""
 MISFIT_LASTS_S = 0.04
-"""How long a misfit of the prior lasts: so that clips of a motion that the prior fits, but was not made from, have a
-level of about 1 (benchmarks/mismatch.py)."""
+"""How long a misfit of the prior lasts: motions that fit have a level of about 1 then (benchmarks/mismatch.py)."""
 MISFIT_LEVEL, MISFIT_SIGMAS = 2.0, 2.33
 """A motion is unlike those that the prior knows from this level on, if one that fits would by chance be as far off in 1
 of 100 clips."""
@@ -49,11 +47,9 @@ of 100 clips."""
 # -- feet and ground ----------------------------------------------------------------------------------------------
 
 SLIP_M_S, SLIP_C = 2.5, 2.0
-"""The standard deviation of the velocity of a foot that stands, and the number of standard deviations at which the loss
-saturates."""
+"""The standard deviation of a standing foot's velocity, and how many of them the loss saturates at."""
 GROUND_HEIGHT_M, GROUND_SLOPE = 0.12, 0.02
-"""Standard deviations of the ground's height, where it is known to lie near z = 0, and of its slope in each
-direction."""
+"""Standard deviations of the ground's height, where it is known to lie near z = 0, and of its slopes."""
 GROUND_FOOT_M = 0.04
 """The standard deviation of the height above the ground of a foot that stands."""
 

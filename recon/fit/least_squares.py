@@ -4,8 +4,7 @@ Unknown are the states (T, D) of all frames, and a few quantities that all frame
 neighbouring frames, so that the Gauss-Newton curvature H is block-banded, with a border for what is shared
 (`recon.fit.banded`). A step solves (H + damping) step = -gradient, and is accepted on the robust cost. The damping is
 the same for all unknowns, in radians and metres: relative to the diagonal it would freeze slow changes of the whole
-path, which are stiff in every single frame and soft only for all of them together.
-"""
+path, which are stiff in every single frame and soft only for all of them together."""
 
 from __future__ import annotations
 

@@ -443,8 +443,7 @@ class Motion:
         return self.in_reference(self.states[:, ROOT])
 
     def below_m(self, segment: MotionSegment) -> Array | None:
-        """(3,): the ground below the middle of the root's path in a segment, world frame; None where it is not
-        known."""
+        """(3,): the ground below the middle of the root's path in a segment, world frame; None: not known."""
         xy_m = self.states[segment.rows, :2]
         xy_m = xy_m[np.isfinite(xy_m[:, 0])]
         if segment.ground is None or not len(xy_m):

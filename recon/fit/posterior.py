@@ -174,8 +174,7 @@ def posterior(problem: LeastSquares, body: Body, found: Estimate, variance_facto
 
 
 def with_size(covariance_m2: Array, by_size_m: Array, size: float, size_sigma: float) -> Array:
-    """Covariances (T, J, 3, 3) at nominal size, of joints that move by (T, J, 3) with it, with its uncertainty. In
-    place: those of a long clip are large."""
+    """The covariances of joints that move by (T, J, 3) with the size, at that and with its uncertainty. In place."""
     for first in range(0, len(covariance_m2), _FRAMES_AT_ONCE):
         part = slice(first, first + _FRAMES_AT_ONCE)
         q = by_size_m[part]
@@ -195,8 +194,7 @@ def _data_share(with_pixels_m2: Array, without_m2: Array) -> Array:
 def _of_joints(
     body: Body, states: Array, own: Array, size: float = 1.0, follows: Array | None = None
 ) -> tuple[Array, Array, Array]:
-    """Covariances of the joints, absolute and relative to their mean, (T, J, 3, 3), from the states' (T, D, D); and
-    q (T, J, 3), where the states follow the size."""
+    """Covariances of the joints, absolute and relative, (T, J, 3, 3), from the states' (T, D, D); and q (T, J, 3)."""
     T, J = len(states), len(body.markers)
     absolute, relative, by_size = np.empty((T, J, 3, 3)), np.empty((T, J, 3, 3)), np.empty((T, J, 3))
     for first in range(0, T, _FRAMES_AT_ONCE):
@@ -242,8 +240,7 @@ def prior_misfit_of(problem: LeastSquares, found: Estimate, fps: float) -> Prior
 
 
 DEGREES_OF_FREEDOM = 7.0
-"""nu: the most likely one for the errors of 28 real views, and 5.5 to 8 without one of their five runs
-(`benchmarks/regions.py`)."""
+"""nu: the most likely one for the errors of 28 real views (`benchmarks/regions.py`)."""
 _ROUNDING_M2 = 1e-12
 """Added to variances: those of a pose relative to its own middle may be singular to rounding."""
 

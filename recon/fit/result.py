@@ -237,8 +237,7 @@ class TrajectorySolution(Solution):
     extrinsic_correction_sigma: Array
     """Standard deviations of the extrinsic corrections, shape (V, 6)."""
     focal: Array
-    """(V,): by what factor each camera's focal lengths are longer than said, its logarithm; 0 where that is not an
-    unknown."""
+    """(V,): the logarithm of each camera's factor on its focal lengths; 0 where that is not an unknown."""
     focal_sigma: Array
     """Standard deviations of the focal lengths' factors, shape (V,)."""
     sideslip_rad: float

@@ -2,8 +2,7 @@
 
 For a given heading, the position that brings a shape nearest to the rays of one frame is a small linear problem, and
 its distance follows from the shape's size. The path over a stretch decides what a single frame cannot: whether the
-animal comes nearer or goes away.
-"""
+animal comes nearer or goes away."""
 
 from __future__ import annotations
 
@@ -118,8 +117,7 @@ def constant_velocity(
 
 
 def _solution(matrix: Array, right: Array) -> Array:
-    """matrix^-1 right (N, n, m) of normal equations (N, n, n). Where rounding leaves one singular, as where all rays
-    are one, all are held a little."""
+    """matrix^-1 right (N, n, m) of normal equations (N, n, n), held a little where one is singular to rounding."""
     try:
         return np.asarray(np.linalg.solve(matrix, right), dtype=float)
     except np.linalg.LinAlgError:

@@ -9,8 +9,7 @@ States are those of a body of nominal size about an origin, the first camera's c
 at origin + size p in the world. Larger animals move further in proportion, so no prior could tell the size, nor can a
 camera that stays in the origin: only `Reprojection` of other cameras reads it.
 
-Errors last: priors count as many times a second as they were weighed at, whatever the frame rate (`REFERENCE_HZ`).
-"""
+Errors last: priors count as many times a second as they were weighed at, whatever the frame rate (`REFERENCE_HZ`)."""
 
 from __future__ import annotations
 
@@ -29,8 +28,7 @@ from recon.geometry.kinematics import ROOT, YAW, TreePose
 SIZE = "size"
 """The shared unknown: a factor on all lengths. 1 where it is not one."""
 COMMON_KEYPOINT_BIAS = "common keypoint bias"
-"""The shared unknowns (3J,): the same that all cameras see, in the marker's segment. They count in the uncertainty
-only."""
+"""The shared unknowns (3J,): the same that all cameras see, in the marker's segment, for the uncertainty only."""
 SIDESLIP = "sideslip"
 """The shared unknown: by how much an animal goes to the left of where it looks all the time, rad."""
 _ONE, _ZERO = np.ones(1), np.zeros(1)
@@ -227,8 +225,7 @@ class Reprojection:
     c: float
     origin_m: Array
     number: int = 0
-    """The number of the view, in the names of the unknowns that are its own (`time_offset`, `keypoint_bias`,
-    `extrinsic_correction`, `focal`)."""
+    """The number of the view, in the names of the unknowns that are its own."""
     drift_m: Array | None = None
     """(T, J, 3), frozen: how far the markers go in a frame, at nominal size. None: no time offset is read."""
     px_per_m: Array | None = None

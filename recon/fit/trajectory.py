@@ -15,8 +15,7 @@ views or the ground's distance below the camera say it. The way to the minimum:
 5. The posterior covariance from the banded factor.
 
 Clips are started and approached about a second at a time, and then solved as one; they are split where nothing is
-detected for longer than `BRIDGED_S`.
-"""
+detected for longer than `BRIDGED_S`."""
 
 from __future__ import annotations
 
@@ -51,8 +50,7 @@ _TEMPERATURES = (8.0, 3.0, 1.0)
 _MORE_ROUNDS = 3
 """Where the prior has lost most of its weight: until noise and contacts have settled again."""
 POOR_SHARE, POORER_SHARE = 1 / 3, 0.8
-"""Frames are "data poor" in which less than this part of the joints is seen and trusted, or less than this part of what
-it is in the clip's good frames (their 90th percentile)."""
+"""Frames are "data poor" in which less than this part of the joints is trusted, or of what is in the good frames."""
 END_ON_RAD = np.radians(30)
 """Seen along its trunk within this angle, an animal's depth shows in its perspective only: "ambiguous depth"."""
 ALTERNATIVE_M, ALTERNATIVE_COST = 0.1, 20.0
@@ -390,8 +388,7 @@ def _size_of_offsets(clip: ClipProblem) -> float:
 
 
 def _second(clip: ClipProblem, one: SegmentFit, size: float, apart_m: Array) -> float:
-    """The least extra cost of another start of a segment that was carried to the end; apart_m (T,) gets the mean
-    distance of its joints from the best one's, both centred."""
+    """The least extra cost of another start; apart_m (T,) gets the mean distance of its joints, both centred."""
     extra_cost = np.inf
     points = clip.body.tree.pose(one.estimate.states).points_m
     for window, (best, *others) in one.windows:

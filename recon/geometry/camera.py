@@ -2,8 +2,7 @@
 
 Camera frame: x right, y down, z forward, metres. Pixels: centres at whole numbers, (0, 0) is the top left pixel.
 Projection is `sigma * (u, v, 1) = K (x', y', 1)`, `K = [[fx, s, ox], [0, fy, oy], [0, 0, 1]]`, where (x', y') are the
-normalised coordinates (x/z, y/z) after the distortion of the lens (`recon.geometry.lens`).
-"""
+normalised coordinates (x/z, y/z) after the distortion of the lens (`recon.geometry.lens`)."""
 
 from __future__ import annotations
 
@@ -120,9 +119,8 @@ class Camera:
         return pixels, valid
 
     def project_with_jacobian(self, points_m: npt.ArrayLike, jacobian: bool = True) -> tuple[Array, Array, Bools]:
-        """Pixels (..., 2), exact derivatives d pixels / d point (..., 2, 3), and validity (...); without derivatives,
-        which take most of the time, none. points_m: (..., 3) in the camera frame. Invalid points (see `project`) have
-        NaN pixels and zero derivatives."""
+        """Pixels (..., 2), exact derivatives by the point (..., 2, 3), and validity (...), as `project`; zero
+        derivatives of invalid points, and none if they are not asked for."""
         points = np.asarray(points_m, dtype=float)
         x, y, z = points.reshape(-1, 3).T
         fx, s, ox, fy, oy = self._intrinsics
@@ -167,8 +165,7 @@ class Camera:
 
     def rays(self, pixels: npt.ArrayLike) -> tuple[Array, Bools]:
         """Unit rays (..., 3) in the camera frame through pixels (..., 2), and validity (...). Invalid, and NaN: pixels
-        that are NaN or that no point within the lens model's range projects to. A valid ray projects back to its pixel
-        to about 1e-11 px."""
+        that are NaN or that no point within the lens model's range projects to."""
         uv, (fx, s, ox, fy, oy) = np.asarray(pixels, dtype=float), self._intrinsics
         u, v = uv.reshape(-1, 2).T
         valid = np.isfinite(u) & np.isfinite(v)
@@ -234,8 +231,7 @@ class Camera:
         return self.rotation, self.translation_m
 
     def corrected(self, correction: Array) -> Camera:
-        """This camera with an extrinsic correction (6,): turned by angles about its own axes
-        (`recon.geometry.frames`), then moved along them by metres. Raises ValueError when the pose is unknown."""
+        """With an extrinsic correction (6,), as `View.corrected`. Raises ValueError when the pose is unknown."""
         rotation, translation = self._pose()
         turn = euler_rotation(correction[:3])
         return replace(self, rotation=turn @ rotation, translation_m=turn @ translation + correction[3:])

@@ -6,8 +6,7 @@ where its z axis is known to point up, otherwise the level frame of the first ca
 in, the camera files' world where there is one, otherwise the first camera's frame.
 
 Rotations: Euler angles with their derivatives, which scipy's `Rotation` does not give. R = Rx(xi) Ry(psi) Rz(zeta)
-throughout, right-handed rotations about X, Y and Z multiplied in that order (scipy's intrinsic "XYZ"), in radians.
-"""
+throughout, right-handed rotations about X, Y and Z multiplied in that order (scipy's intrinsic "XYZ"), in radians."""
 
 from __future__ import annotations
 
@@ -61,17 +60,14 @@ def euler_rotation(angles_rad: npt.ArrayLike) -> Array:
 
 
 def euler_rotation_with_jacobian(angles_rad: npt.ArrayLike) -> tuple[Array, Array]:
-    """Rotation matrices and their exact derivatives with respect to the angles. angles_rad: (..., 3), (xi, psi, zeta).
-    Returns R (..., 3, 3) and dR (..., 3, 3, 3), where dR[..., k, :, :] is the derivative of R with respect to angle
-    k."""
+    """Rotation matrices R (..., 3, 3) of angles (..., 3), and their exact derivatives by angle k, dR[..., k, :, :]."""
     x, y, z = _turns(angles_rad)
     rotation = x @ y @ z
     return rotation, np.stack([_CROSS[0] @ rotation, x @ _CROSS[1] @ y @ z, rotation @ _CROSS[2]], axis=-3)
 
 
 def _turns(angles_rad: npt.ArrayLike) -> tuple[Array, Array, Array]:
-    """Rotations about each axis. With G its cross product as a matrix, R = I + sin G + (1 - cos) G G (Rodrigues), and
-    dR = G R."""
+    """Rotations about each axis: with G its cross product, R = I + sin G + (1 - cos) G G (Rodrigues), dR = G R."""
     angles = np.asarray(angles_rad, dtype=float)[..., None, None]
     turns = _IDENTITY + np.sin(angles) * _CROSS + (1.0 - np.cos(angles)) * _CROSS_TWICE
     return turns[..., 0, :, :], turns[..., 1, :, :], turns[..., 2, :, :]

@@ -15,8 +15,7 @@ added to its own and turns relative to the root: O_segment = O_root Rz(sum of ya
 
 A marker is the root's origin plus vectors fixed in the frames between the root and it. An angle's derivative is axis x
 (the sum of the vectors in the frames that it turns): all that follow, or for a summed joint those up to the next summed
-one. Of two angles, the second derivative is the outer's axis x the derivative by the inner.
-"""
+one. Of two angles, the second derivative is the outer's axis x the derivative by the inner."""
 
 from __future__ import annotations
 
@@ -90,9 +89,8 @@ class TreePose:
 
 
 class _Plan:
-    """What a tree's kinematics need besides the state. S + 1 frames: the world's, then the segments'. S + J points: the
-    segments' origins, then the markers. K rotations. M pairs of a marker and a rotation that moves it. P pairs of a
-    marker and an angle of the state."""
+    """What a tree's kinematics need besides the state, of S segments, J markers, K rotations, M pairs of a marker and a
+    rotation that moves it, and P pairs of a marker and an angle of the state."""
 
     def __init__(self, tree: Tree) -> None:
         segments, markers, rotations = tree.segments, tree.markers, tree.rotations

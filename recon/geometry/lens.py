@@ -8,8 +8,7 @@ of. As in OpenCV's documentation (modules calib3d and fisheye):
 - "fisheye": equidistant, k1 k2 k3 k4; theta_d = theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4 theta^8).
 
 To add one: a class below with `distort` and `max_radius`, and its place in `LENS_MODELS`; all else follows. A line in
-tests/test_camera.py tests it.
-"""
+tests/test_camera.py tests it."""
 
 from __future__ import annotations
 

@@ -1,7 +1,6 @@
 """Files in and out: 2D keypoints, 3D positions, bones, and cameras. `FORMATS` is the one table of formats.
 
-Names of `recon.io.video` import OpenCV when they are first used.
-"""
+Names of `recon.io.video` import OpenCV when they are first used."""
 
 from typing import TYPE_CHECKING
 

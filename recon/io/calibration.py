@@ -1,8 +1,7 @@
 """Cameras from calibration files of any known format, with every value checked; and our own camera files.
 
 A reader gives a `CameraRecord` for each camera, a table of unchecked values. Ours are TOML with one table `[camera]`
-with `format = "recon-camera"`, or several in `[[cameras]]`; those of other programs are in `recon.io.camera_files`.
-"""
+with `format = "recon-camera"`, or several in `[[cameras]]`; those of other programs are in `recon.io.camera_files`."""
 
 from __future__ import annotations
 
@@ -86,9 +85,8 @@ def _twice(cameras: Sequence[Camera]) -> dict[str, int]:
 def read_camera(
     path: CameraFiles, name: str | int | None = None, image_size_px: tuple[int, int] | None = None
 ) -> Camera:
-    """One camera of a calibration file, by name, or by a whole number N for camN, cam_N or cam_0N, which in a file
-    without names is the Nth, counted from 1; the only one without. Raises InputError as `read_cameras`, and where there
-    is no such camera, or several and no name."""
+    """One camera of a calibration file, by name, or by a whole number N for camN or cam_0N, which in a file without
+    names is the Nth. Raises InputError as `read_cameras`, and without such a camera, or a choice."""
     cameras = read_cameras(path, image_size_px)
     wanted = "" if name is None else str(name)
     matches = [camera for camera in cameras if name is None or camera.name == wanted]

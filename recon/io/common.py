@@ -178,9 +178,8 @@ class NoChoiceError(InputError):
 
 
 def choose(path: Path, animals: Sequence[str], individual: str | None, seen: Iterable[bool] | None = None) -> int:
-    """Which of a file's animals is meant; the only one may be unnamed, "". seen: whether each has a point anywhere, by
-    default all; those without any are no choice, but may be named. Raises InputError for a name that the file lacks, or
-    none where there are several."""
+    """Which of a file's animals is meant; the only one may be unnamed, "". seen: whether each has a point anywhere;
+    those without are no choice, but may be named. Raises InputError."""
     if len(animals) == 1 or seen is None:  # a look at all points takes time and memory
         seen = [True] * len(animals)
     empty = [name for name, points in zip(animals, seen, strict=True) if not points]
@@ -269,16 +268,14 @@ def first_problems(problems: Sequence[Problem], path: Path) -> list[Problem]:
 
 
 def number(text: str) -> float:
-    """A cell as a number, NaN for an empty one. Raises ValueError for what only Python takes for one: 1_000, or the
-    digits of other scripts."""
+    """A cell as a number, NaN for an empty one. Raises ValueError for what only Python takes for one, as 1_000."""
     if "_" in text or not text.isascii():
         raise ValueError(f"'{text}' is no number")
     return float(text or "nan")
 
 
 def numbers(cells: Iterable[object]) -> tuple[np.ndarray, list[int]]:
-    """Cells (N,) as floats, NaN for those that are `MISSING`; and the places of those that are no numbers, which are
-    NaN, or infinite."""
+    """Cells (N,) as floats, NaN for `MISSING`; and the places of those that are no numbers, or infinite."""
     cells, values, wrong = list(cells), [], []
     with suppress(ValueError, TypeError):  # the usual case, and several times as fast
         joined = "".join(cells)  # type: ignore[arg-type]
@@ -344,9 +341,8 @@ SEPARATORS = (",", ";", "\t")
 
 
 def text_rows(path: Path, separator: str | None = None) -> Iterator[tuple[int, list[str]]]:
-    """The rows of a text table that are not blank, each with the number of its line. separator: by default whichever of
-    `SEPARATORS` the first line has most. Raises InputError for bytes that are not UTF-8, with a byte order mark or
-    without, and for text that is no table."""
+    """The rows of a text table that are not blank, with their lines' numbers. separator: by default whichever of
+    `SEPARATORS` the first line has most. Raises InputError for bytes that are not UTF-8, and for no table."""
     with path.open(encoding="utf-8-sig", newline="") as file:
         line = 0
         try:

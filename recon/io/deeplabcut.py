@@ -4,8 +4,7 @@ Both are a table with one row per frame and a header of several levels: `scorer`
 `bodyparts`, `coords`. Prediction files number their rows by frame. Label files index them by image path, in one column
 or three, and have no likelihood. Our own have the frame rate in the scorer, `recon_90fps`: there is no other place.
 
-Here are the table and its CSV files; `recon.io.deeplabcut_h5` has its H5 files.
-"""
+Here are the table and its CSV files; `recon.io.deeplabcut_h5` has its H5 files."""
 
 from __future__ import annotations
 
@@ -117,9 +116,8 @@ def points_of_table(
     values: np.ndarray,
     problems: Sequence[Problem] = (),
 ) -> StoredPoints:
-    """The points of one animal as the file states them: likelihoods are NaN where it has none, and the unit of 3D
-    positions is not in it. labels: of its C columns, one text for each level; index: of its T rows, one text or
-    several; values: (T, C), NaN in empty cells; problems: those that are known already. Raises InputError."""
+    """The points of one animal as the file states them. labels: of its C columns, one text for each level; index: of
+    its T rows, one text or several; values: (T, C), NaN in empty cells; problems: known already. Raises InputError."""
     named = [dict(zip(levels, label, strict=True)) for label in labels]
     raw = [(n.get("individuals", ""), n["bodyparts"], n["coords"]) for n in named]
     columns = [(animal.strip(), part.strip(), coord.strip()) for animal, part, coord in raw]

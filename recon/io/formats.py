@@ -1,8 +1,7 @@
 """The table of file formats, and reading points by it.
 
 A new format is one module with `recognises(path)`, `read(path, individual)` and `write(data, path)`, whichever it has,
-and one line in `FORMATS`: `recon fit`, `batch`, `evaluate` and `convert` take it from there.
-"""
+and one line in `FORMATS`: `recon fit`, `batch`, `evaluate` and `convert` take it from there."""
 
 from __future__ import annotations
 
@@ -45,8 +44,7 @@ class Format:
     axes: str = ""
     """Unit and axes of 3D positions as they are written."""
     unit: str | None = None
-    """The unit of 3D positions that are read, where the file does not say it; None for one that the user has to
-    give."""
+    """The unit of 3D positions where the file does not say it; None for one that the user has to give."""
     up: str = "z"
     """Likewise, the axis that points up."""
     beside: tuple[str, ...] = ()
@@ -63,8 +61,7 @@ class Format:
             return self._function("read")(path, individual)
 
     def write(self, data: Any, path: Path) -> None:
-        """`Keypoints`, `Pose3D`, `Armature` or cameras, whichever of them it `writes`, as a new file; raises
-        InputError."""
+        """`Keypoints`, `Pose3D`, `Armature` or cameras, which it `writes`, as a new file; raises InputError."""
         self._function("write")(data, path)
 
     def _function(self, verb: str) -> Callable[..., Any]:
@@ -139,9 +136,8 @@ def _reading(kind: Kind | None) -> list[Format]:
 
 
 def read_keypoints(path: str | Path, individual: str | None = None) -> Keypoints:
-    """The keypoints of one animal, as the file states them (see `recon.clip.keypoints.clean`), in any known format.
-    individual: the animal's name, needed where the file holds several. Raises InputError for a file that is missing,
-    empty, of no known format, or faulty."""
+    """The keypoints of one animal, as a file of any known format states them. individual: the animal's name, needed
+    where there are several. Raises InputError."""
     return as_keypoints(Path(path), read_points(path, individual, "2D")[1])
 
 
