@@ -23,7 +23,7 @@ from recon.keypoint_net import (  # noqa: E402
     run_prediction,
     run_training,
 )
-from recon.keypoint_net.network import MODEL_FILE, Spec, TrainedNetwork, part_of  # noqa: E402
+from recon.keypoint_net.network import FORMAT, MODEL_FILE, Spec, TrainedNetwork, part_of  # noqa: E402
 from recon.keypoint_net.pictures import network_scales  # noqa: E402
 from recon.keypoint_net.train import CHECKPOINT_FILE  # noqa: E402
 
@@ -134,6 +134,23 @@ def test_a_network_of_before_is_read(clip, tmp_path, monkeypatch):
     spec = load_model(tmp_path, torch.device("cpu")).spec
     assert not spec.two_stages
     assert spec.calibration == (0.5, 0.1)
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("names", torch.zeros(1).expand(10**10)),
+        ("names", ["a"] * 1001),
+        ("scale", -1.0),
+        ("scale", 1e9),
+        ("first", 0.0),
+    ],
+)
+def test_a_network_whose_description_cannot_be(field, value, tmp_path):
+    spec = {"names": ["nose"], "scale": 0.5, "body_length_px": 300.0, "tolerance_px": 9.0, field: value}
+    torch.save({"format": FORMAT, "spec": spec, "weights": {}}, tmp_path / MODEL_FILE)
+    with refusal((tmp_path / MODEL_FILE, field)):
+        load_model(tmp_path, torch.device("cpu"))
 
 
 class Stage(torch.nn.Module):

@@ -26,15 +26,16 @@ from dataclasses import dataclass
 from io import BytesIO
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 from scipy.optimize import minimize
 from scipy.special import expit, logit
 
 from recon.base.arrays import Array, Bools
-from recon.base.documents import check_unpacked_size
+from recon.base.documents import check_unpacked_size, validated
 from recon.base.errors import InputError, Problem
 from recon.base.files import staged_file, write_bytes
 from recon.base.package import install_command
@@ -326,19 +327,22 @@ def fit_calibration(raw: Array, right: Bools) -> Calibration | None:
 # -- a trained network -----------------------------------------------------------------------------------------------
 
 
+_Pixels = Annotated[float, Field(gt=0, lt=1e6)]
+
+
 @dataclass(frozen=True)
 class Spec:
     """What belongs to a network's weights."""
 
-    names: tuple[str, ...]
+    names: Annotated[tuple[str, ...], Field(min_length=1, max_length=1000)]
     """The names of the keypoints."""
-    scale: float
+    scale: Annotated[float, Field(gt=1e-3, lt=1e3)]
     """The scale of the network's pictures to those of the clip."""
-    body_length_px: float
+    body_length_px: _Pixels
     """The length of the animal in the labelled pictures, before scaling."""
-    tolerance_px: float
+    tolerance_px: _Pixels
     """Within which a point counts as right, for its likelihood; in the labelled pictures, before scaling."""
-    first: float = 1.0
+    first: Annotated[float, Field(gt=1e-3, le=1)] = 1.0
     """The scale of the pictures of the first stage to the network's; 1 where there is but one stage."""
     calibration: Calibration | None = None
 
@@ -456,14 +460,17 @@ def load_model(folder: Path, device: torch.device) -> TrainedNetwork:
         kept = content["spec"]
         if old := kept.get("calibrations", {}).get("fast"):  # of version 0.2
             kept["calibration"] = old["slope"], old["offset"]
-        kept["names"] = tuple(kept["names"])
-        spec = Spec(**{field.name: kept[field.name] for field in dataclasses.fields(Spec) if field.name in kept})
+        names = [field.name for field in dataclasses.fields(Spec)]
+        spec = validated(Spec, {name: kept[name] for name in names if name in kept}, "spec")
         network = new_network(len(spec.names), spec.two_stages)
         network.load_state_dict(content["weights"])
     except (KeyError, TypeError, ValueError, AttributeError, RuntimeError) as error:
         found = f"a network with parts missing or altered ({' '.join(str(error).split())[:100]})"
         raise InputError(Problem(path, "model", found, "one as `recon train` wrote it")) from None
     return TrainedNetwork(spec, placed(network, device).eval(), device, fast_half(device))
+
+
+MAX_PICKLE_BYTES = 1 << 22
 
 
 def load_torch(path: Path) -> Any:
@@ -473,6 +480,8 @@ def load_torch(path: Path) -> Any:
         # torch writes a zip archive; what it makes of other and damaged files is almost any exception.
         with zipfile.ZipFile(path) as archive:
             check_unpacked_size(archive)
+            if any(one.file_size > MAX_PICKLE_BYTES for one in archive.infolist() if one.filename.endswith(".pkl")):
+                raise ValueError("more than names and sizes")  # torch reads them slowly
         return torch.load(path, map_location="cpu", weights_only=True)
     except Exception as error:
         found = "a file that torch cannot read, of another kind or damaged"

@@ -221,7 +221,7 @@ def read_model(path: str | Path, free: bool = False) -> Any:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # masses that nothing moves by: kinematics do not need them
             model = spec.compile()
-    except (ValueError, mujoco.FatalError) as error:
+    except (ValueError, RuntimeError, mujoco.FatalError) as error:  # also where it has no memory
         found = " ".join(str(error).split())[:160]
         raise InputError(Problem(path, "content", found, "a URDF or MJCF file")) from None
     for what, numbers in {"links": model.body_pos, "limits": model.jnt_range}.items():
