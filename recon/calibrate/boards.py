@@ -376,6 +376,7 @@ def _outline(board: Board, ids: Index, xy_px: Array) -> Array:
 DROP_FACTOR = 3.0
 DROP_FLOOR_PX = 0.3
 ROUNDS = 3
+COVERAGE_COLUMNS = 320
 MIN_VIEWS = 3
 """Each view of a plane gives two equations for the four numbers of the matrix; one more than needed."""
 FISHEYE_STARTS_DEG = (60.0, 100.0, 140.0, 180.0)
@@ -669,11 +670,11 @@ def check(calibration: Calibration) -> tuple[_CalibrationCheck, ...]:
     return tuple(replace(limit, value=float(measured[limit.name])) for limit in LIMITS)
 
 
-def coverage(calibration: Calibration, columns: int = 320) -> Bools:
+def coverage(calibration: Calibration) -> Bools:
     """Which cells of the picture lie among the corners of some picture that was used: (rows, columns)."""
     width, height = calibration.camera.image_size_px
-    scale = columns / width
-    mask = np.zeros((max(1, round(height * scale)), columns), dtype=np.uint8)
+    scale = COVERAGE_COLUMNS / width
+    mask = np.zeros((max(1, round(height * scale)), COVERAGE_COLUMNS), dtype=np.uint8)
     for view in calibration.used:
         hull = cv2.convexHull(((view.xy_px + 0.5) * scale - 0.5).astype(np.float32))
         cv2.fillConvexPoly(mask, np.rint(hull).astype(np.int32), 1)

@@ -33,6 +33,7 @@ MAX_UNLIKE, LEAST_UNLIKE = 3.0, 8.0
 """Grey levels by which a point's surroundings may differ, against the median of all: more where it is hidden now."""
 ORB_POINTS, MIN_SAME = 700, 20
 MIN_ALIKE = 0.7
+HULL_MARGIN = 0.15
 
 
 @dataclass(frozen=True)
@@ -142,14 +143,14 @@ def matched(a: Image, b: Image) -> Integers:
     return np.array([(m.queryIdx, m.trainIdx) for m in matches], dtype=np.int64).reshape(-1, 2)
 
 
-def hull_mask(frame: GreyPicture, points_px: Array, margin: float = 0.15) -> Bools:
+def hull_mask(frame: GreyPicture, points_px: Array) -> Bools:
     """A mask (height, width) of the small picture: what the hull of points (N, 2) covers, widened by a share of its
     size."""
     mask = np.zeros(frame.grey.shape, np.uint8)
     points = frame.work_px(points_px[np.isfinite(points_px).all(axis=1)])
     if len(points):
         hull = cv2.convexHull(points.astype(np.float32)).reshape(-1, 2)
-        wide = max(4, round(margin * float(np.linalg.norm(np.ptp(points, axis=0)))))
+        wide = max(4, round(HULL_MARGIN * float(np.linalg.norm(np.ptp(points, axis=0)))))
         polygon = [hull.round().astype(np.int32)]
         cv2.fillPoly(mask, polygon, 1)
         cv2.polylines(mask, polygon, True, 1, 2 * wide)

@@ -2,12 +2,11 @@
 
 A command is a function whose parameters say what it takes, all by name:
 
-    def view(settings: ViewSettings, as_json: bool, quiet: bool) -> None:
+    def view(settings: ViewSettings, progress: Progress) -> Answer:
 
 settings: of the class that is annotated. given: what was given of another class, for example those of every fit of a
-batch, as a dictionary by name (annotated with `OptionsOf`). as_json, quiet: the options --json and --quiet. Its
-docstring is the help. console, progress: where it prints, and the progress bar's function. It gives back an `Answer`,
-which --json and --quiet go with, or what is printed as JSON.
+batch, as a dictionary by name (annotated with `OptionsOf`). console, progress: where it prints, and the progress bar's
+function. Its docstring is the help, and its answer is printed as --json and --quiet say.
 """
 
 from __future__ import annotations
@@ -27,10 +26,8 @@ from recon.base.errors import InputError, Problem, refuse
 from recon.base.settings import SettingInfo, Settings, on_command_line, unknown_setting
 from recon.workflows.cli.common import Answer, progress_bar, terminal
 
-_FLAGS = {
-    "as_json": typer.Option("--json", help="Print what there is to say as JSON."),
-    "quiet": typer.Option("--quiet", "-q", help="Print errors only."),
-}
+_JSON = typer.Option("--json", help="Print what there is to say as JSON.")
+_QUIET = typer.Option("--quiet", "-q", help="Print errors only.")
 HELP = {"help_option_names": ["-h", "--help"]}
 _RATES = ("framerate", "frame-rate")
 """What others call --fps."""
@@ -84,7 +81,7 @@ class SettingsCommand(TyperCommand):
         super().format_help(ctx, formatter)
 
 
-def make_command(name: str, function: Callable[..., Any]) -> SettingsCommand:
+def make_command(name: str, function: Callable[..., Answer]) -> SettingsCommand:
     """The command of a function, see the text of the module."""
     takes = typing.get_type_hints(function, include_extras=True)
     own: dict[str, SettingInfo] = takes["settings"].infos() if "settings" in takes else {}
@@ -94,15 +91,12 @@ def make_command(name: str, function: Callable[..., Any]) -> SettingsCommand:
     if len(parameters) < len(infos):
         help = "Another setting, as in sigma-px=2, also several times. Listed by: recon settings"
         parameters.append(_keyword(_SET, list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help=help)))
-    has_all = takes.get("return") is Answer
-    parameters += [_keyword(flag, bool, option, False) for flag, option in _FLAGS.items() if has_all or flag in takes]
+    parameters += [_keyword("as_json", bool, _JSON, False), _keyword("quiet", bool, _QUIET, False)]
 
-    def call(**arguments: Any) -> None:
+    def call(as_json: bool, quiet: bool, **arguments: Any) -> None:
         """Raises InputError with everything that is wrong with the command's own settings."""
-        flags = {name: arguments.pop(name) for name in _FLAGS if name in arguments}
-        as_json = flags.get("as_json", False)
-        console = terminal(quiet=flags.get("quiet", False), stderr=as_json)
-        more = {name: value for name, value in {**flags, "console": console}.items() if name in takes}
+        console = terminal(quiet=quiet, stderr=as_json)
+        more: dict[str, Any] = {"console": console} if "console" in takes else {}
         values = _values_of_set(arguments.pop(_SET, None) or [], infos)
         values |= {name: value for name, value in arguments.items() if value not in (None, [])}
         if "given" in takes:
@@ -113,9 +107,8 @@ def make_command(name: str, function: Callable[..., Any]) -> SettingsCommand:
             except InputError as error:
                 raise InputError(on_command_line(problem, own) for problem in error.problems) from None
         with progress_bar(console) if "progress" in takes else nullcontext() as progress:
-            said = function(**more, **({"progress": progress} if progress else {}))
-        if said is not None:
-            (said if isinstance(said, Answer) else Answer(said)).show(console, as_json or not isinstance(said, Answer))
+            answer = function(**more, **({"progress": progress} if progress else {}))
+        answer.show(console, as_json)
 
     call.__dict__["__signature__"] = inspect.Signature(parameters)
     call.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}

@@ -125,12 +125,12 @@ def numbers(option: str, given: str, count: int | None = None) -> list[float]:
 
 
 @contextmanager
-def progress_bar(console: Console, doing: str = "") -> Iterator[Any]:
-    """A function of a stage and how much of all is done (0 to 1). doing: what stands before the stage."""
+def progress_bar(console: Console) -> Iterator[Any]:
+    """A function of a stage and how much of all is done (0 to 1)."""
     columns = (TextColumn("{task.description}", markup=False), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console, transient=True, disable=console.quiet or not console.is_terminal) as bar:
         task = bar.add_task("reading", total=1.0)
-        yield lambda stage, share: bar.update(task, description=f"{doing}{stage}", completed=share)
+        yield lambda stage, share: bar.update(task, description=stage, completed=share)
 
 
 def answer_of_fit(report: dict[str, Any], out: Path, page: Path | None = None, **more: Any) -> Answer:
