@@ -269,6 +269,7 @@ def test_command(whole_results, frame_results, tmp_path):
         "motion.rrd",
         "stride.rrd",
         "manifest.json",
+        "robot.npz",
     }
     robot = load_robot("a1")
     report = json.loads((out / "report.json").read_text())
@@ -354,7 +355,7 @@ def test_every_problem_at_once(tmp_path):
     with pytest.raises(InputError) as error:
         run_retarget(RetargetSettings(folder=tmp_path / "none", robot="spot", out=tmp_path / "out"))
     found = [(str(p.file), p.field) for p in error.value.problems]
-    assert ("spot", "robot") in found
+    assert ("--robot", "name or file") in found
     assert len(found) == 2
     assert not (tmp_path / "out").exists()
 

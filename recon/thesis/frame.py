@@ -500,7 +500,28 @@ class FrameSolver:
         """State (D,), its covariance (D, D) given the frame before, and what was done."""
         began = time.perf_counter()
         best, starts = self.search(frame)
-        return best.x, *self._report(best, starts, began)
+        problem, parts = best.problem, best.problem.by_term(best.x)
+        costs = {name: float(np.sum(r**2)) for name, (r, _) in parts.items()}
+        total, in_view = sum(costs.values()), problem.in_view(best.x)
+        C = posterior_covariance(np.concatenate([J for _, J in parts.values()]))
+        C = C if in_view else np.full_like(C, np.nan)
+        far = problem.sigmas_off(best.x)
+        report = _FrameReport(
+            status="converged" if best.status in CONVERGED and in_view else "not_converged",
+            starts=starts,
+            iterations=best.iterations,
+            function_evaluations=best.evaluations,
+            optimizer_status=best.status,
+            squared_norm=total,
+            cost_shares={name: cost / total if total > 0 else 0.0 for name, cost in costs.items()},
+            step_norm=best.step_norm,
+            sigma_px=problem.pixels.sigma_px,
+            data_share=precision_shares(C, parts[problem.pixels.name][1]),
+            mean_weight=float(np.mean((1.0 + (far / self.options.robust_c) ** 2) ** -2.0)) if in_view else np.nan,
+            solve_s=time.perf_counter() - began,
+            in_view=in_view,
+        )
+        return best.x, C, report
 
     def search(self, frame: int) -> tuple[FrameSearch, int]:
         """The best of the minima, and from how many starts."""
@@ -508,19 +529,13 @@ class FrameSolver:
         starts = [self._carried_on(frame, before)] if before else self._first_starts(rays, heading)
         problem = self.problem(frame, self._noise_px(starts[0]))
         tried = [self._solve_from(start, problem) for start in starts]
-        if before and not self._explained(self._best(tried)):
+        # Converged, and no detection further off than c sigma: nothing is left to explain.
+        within = problem.sigmas_off(tried[0].x) < self.options.robust_c
+        if before and not (tried[0].status in CONVERGED and within.all()):
             more = self._more_starts(rays, heading, self.states[before[-1]])
             tried += [self._solve_from(start, problem) for start in more]
-        return self._best(tried), len(tried)
-
-    def _best(self, tried: Sequence[FrameSearch]) -> FrameSearch:
-        """The lowest cost among the poses that the camera can see, or among all if it can see none."""
-        return min(tried, key=lambda search: (not search.problem.in_view(search.x), search.cost))
-
-    def _explained(self, search: FrameSearch) -> bool:
-        """Converged, and no detection further off than c sigma."""
-        within = search.problem.sigmas_off(search.x) < self.options.robust_c
-        return search.status in CONVERGED and bool(np.all(within))
+        # The lowest cost among the poses that the camera can see, or among all if it can see none.
+        return min(tried, key=lambda one: (not one.problem.in_view(one.x), one.cost)), len(tried)
 
     # -- starts ---------------------------------------------------------------------------------------------------
 
@@ -617,29 +632,6 @@ class FrameSolver:
         spent = int(result.nfev), int(result.njev or 0)
         noise_px = np.full(len(points), problem.pixels.sigma_px)
         return FrameSearch(problem, float(result.cost), int(result.status), *spent, points, np.array(counts), noise_px)
-
-    def _report(self, best: FrameSearch, starts: int, began: float) -> tuple[Array, _FrameReport]:
-        problem, parts = best.problem, best.problem.by_term(best.x)
-        costs = {name: float(np.sum(r**2)) for name, (r, _) in parts.items()}
-        total, in_view = sum(costs.values()), problem.in_view(best.x)
-        C = posterior_covariance(np.concatenate([J for _, J in parts.values()]))
-        C = C if in_view else np.full_like(C, np.nan)
-        far = problem.sigmas_off(best.x)
-        return C, _FrameReport(
-            status="converged" if best.status in CONVERGED and in_view else "not_converged",
-            starts=starts,
-            iterations=best.iterations,
-            function_evaluations=best.evaluations,
-            optimizer_status=best.status,
-            squared_norm=total,
-            cost_shares={name: cost / total if total > 0 else 0.0 for name, cost in costs.items()},
-            step_norm=best.step_norm,
-            sigma_px=problem.pixels.sigma_px,
-            data_share=precision_shares(C, parts[problem.pixels.name][1]),
-            mean_weight=float(np.mean((1.0 + (far / self.options.robust_c) ** 2) ** -2.0)) if in_view else np.nan,
-            solve_s=time.perf_counter() - began,
-            in_view=in_view,
-        )
 
 
 def _focal_px(camera: Camera) -> float:

@@ -309,11 +309,9 @@ def two_link(lengths_m: tuple[float, float], target_m: ArrayLike) -> tuple[Array
 
     cos q2 = (x^2 + y^2 - r1^2 - r2^2) / (2 r1 r2),   q1 = atan2(y, x) - atan2(r2 sin q2, r1 + r2 cos q2)
 
-    Angle 0 lies along +x, the second is relative to the first link. Raises ValueError for lengths that are not two
-    positive ones.
+    Angle 0 lies along +x, the second is relative to the first link. Raises ValueError for lengths that are not
+    positive.
     """
-    if len(lengths_m) != 2:
-        raise ValueError(f"two lengths expected, got {len(lengths_m)}")
     target = np.asarray(target_m, float)
     # Rounding must not put the stretched arm out of its own reach.
     reason = unreachable(planar_chain(lengths_m), target, 1e-12 * sum(lengths_m))

@@ -208,16 +208,11 @@ class RobotLeg:
         """(..., n): how far each angle is within its limits, negative outside, NaN without an angle."""
         return np.minimum(angles_rad - self.chain.lower_rad, self.chain.upper_rad - angles_rad)
 
-    def own(self, swing_flap_knee_rad: Array) -> Array:
-        """The joints' own angles of those of the closed form (..., 3)."""
-        assert self.closed is not None
-        assert self.signs is not None
-        return swing_flap_knee_rad[..., self.closed.order] * self.signs
-
     def closed_angles(self, feet_m: Array) -> Array:
         """In closed form, angles (T, n) of feet (T, 3) whatever the limits, NaN out of reach."""
         assert self.closed is not None
-        return self.own(self.closed.inverse(_to_leg_axes(feet_m - self.hip_m)))
+        assert self.signs is not None
+        return self.closed.inverse(_to_leg_axes(feet_m - self.hip_m))[..., self.closed.order] * self.signs
 
     def slack_m(self, feet_m: Array) -> Array:
         """The same, how far feet are within the reach (T,), negative outside."""

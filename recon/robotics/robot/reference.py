@@ -12,7 +12,6 @@ stand, for a marker lies above the sole.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -24,7 +23,7 @@ from recon.base.errors import InputError, Problem
 from recon.clip.keypoints import frame_ranges
 from recon.fit.motion import Motion
 from recon.gait.clip import ClipAnalysis, analyse
-from recon.gait.gait import Gait, Stance
+from recon.gait.gait import Gait
 from recon.robotics.robot.quadruped import LEGS
 
 SMOOTH_S = 0.02
@@ -118,7 +117,10 @@ def reference_of(motion: Motion, stride_s: tuple[float, float] | None = None) ->
     heading = Rotation.from_euler("z", -smoothed[:, 3:])
     order = [tracks.feet.index(foot) for foot in LEGS]
     feet = np.stack([heading.apply(to_world.apply(tracks.foot_m[rows, k] - body)) for k in order], axis=1)
-    standing, heights = standing_mask(gait.stances, LEGS, time), tracks.height_m[rows][:, order]
+    standing, heights = np.zeros((len(time), len(LEGS)), bool), tracks.height_m[rows][:, order]
+    for stance in gait.stances:
+        within = (time >= stance.start_s - 1e-9) & (time <= stance.end_s + 1e-9)
+        standing[within, LEGS.index(stance.foot)] = True
     feet[..., 0] -= (feet[..., 0].min(axis=0) + feet[..., 0].max(axis=0)) / 2
     feet[..., 1] -= feet[..., 1].mean(axis=0)
     for k, stands in enumerate(standing.T):
@@ -150,14 +152,6 @@ def _angles(analysis: ClipAnalysis, rows: Index, to_world: Rotation, trunk: Arra
         return np.column_stack([np.zeros(len(rows)), pitch, yaw])
     in_body = (Rotation.from_euler("ZY", np.column_stack([yaw, pitch])).inv() * to_world).apply(across)
     return np.column_stack([np.arctan2(in_body[:, 2], in_body[:, 1]), pitch, yaw])
-
-
-def standing_mask(stances: Sequence[Stance], feet: Sequence[str], time_s: Array) -> Bools:
-    """Which of the F feet stand at each of the N times, shape (N, F)."""
-    mask = np.zeros((len(time_s), len(feet)), bool)
-    for s in stances:
-        mask[(time_s >= s.start_s - 1e-9) & (time_s <= s.end_s + 1e-9), feet.index(s.foot)] = True
-    return mask
 
 
 # -- a stride --------------------------------------------------------------------------------------------------------
