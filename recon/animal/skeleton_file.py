@@ -119,54 +119,19 @@ class _BodyFile(FileTable):
     mass: _Mass | None = None
 
 
-class _SubjectFile(FileTable):
-    skeleton: str
-    title: str
-    size_sigma: Sigma
-    at_m: dict[str, Offset]
-    keypoint_offset_m: dict[str, Offset] = Field(default_factory=dict)
-
-
 def _load_body(raw: dict[str, Any], source: str, subject: str | Path | None) -> Body:
     if subject is None:
-        file = validated(_BodyFile, raw, source)
-        problems = [*_body_problems(file, source)]
+        file, problems = validated(_BodyFile, raw, source), list[Problem]()
     else:
-        measured, measured_source = read_named(subject, "subject")
-        file, animal = all_of(
-            lambda: validated(_BodyFile, raw, source), lambda: validated(_SubjectFile, measured, measured_source)
-        )
-        problems = [*_subject_problems(animal, file, measured_source)]
-        file = _measured(file, animal)
-        problems += _body_problems(file, source)
+        from recon.animal import subject_file
+
+        table, of = read_named(subject, "subject")
+        file, animal = all_of(lambda: validated(_BodyFile, raw, source), lambda: subject_file.read(table, of))
+        problems = [*subject_file.problems(animal, file, of)]
+        file = subject_file.applied(animal, file)
+    problems += _body_problems(file, source)
     refuse(dict.fromkeys(problems))  # both sides of a mirrored segment can have the same
     return replace(_body(file), subject=None if subject is None else str(subject))
-
-
-def _subject_problems(animal: _SubjectFile, file: _BodyFile, source: str) -> Iterator[Problem]:
-    if animal.skeleton != file.name:
-        yield Problem(source, "skeleton", repr(animal.skeleton), f"{file.name!r}, the skeleton that it is used with")
-        return
-    markers = [marker.name for marker in file.markers]
-    names = [*(segment.name for segment in file.segments[1:]), *markers]
-    placed = [(f"at_m.{name}", name) for name in animal.at_m]
-    yield from unknown(source, placed, names, f"a segment but the root, or a marker, of {file.name}: ")
-    offset = [(f"keypoint_offset_m.{name}", name) for name in animal.keypoint_offset_m]
-    yield from unknown(source, offset, markers, f"a marker of {file.name}: ")
-
-
-def _measured(file: _BodyFile, animal: _SubjectFile) -> _BodyFile:
-    """The skeleton with an animal's lengths and keypoint offsets; the root stays."""
-    at, offset = animal.at_m, animal.keypoint_offset_m
-    segments = tuple(s.model_copy(update={"at_m": at.get(s.name, s.at_m)}) for s in file.segments)
-    markers = tuple(
-        m.model_copy(
-            update={"at_m": at.get(m.name, m.at_m), "keypoint_offset_m": offset.get(m.name, m.keypoint_offset_m)}
-        )
-        for m in file.markers
-    )
-    changed = {"segments": (file.segments[0], *segments[1:]), "markers": markers}
-    return file.model_copy(update={"title": animal.title, "size_sigma": animal.size_sigma, **changed})
 
 
 _Item = TypeVar("_Item", _Segment, _Marker)

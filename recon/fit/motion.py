@@ -140,9 +140,11 @@ class Motion:
 
     def save(self, folder: str | Path) -> Path:
         """Write motion.npz into a folder, whole or not at all; its path. `load` gives back the same, bit for bit."""
-        from recon.fit.motion_forms import save
+        from recon.base.records import save_record
+        from recon.fit.motion_forms import MOTION, SCHEMA
 
-        return save(self, Path(folder))
+        save_record(self, path := Path(folder) / MOTION, SCHEMA)
+        return path
 
     @classmethod
     def load(cls, folder: str | Path) -> Motion:

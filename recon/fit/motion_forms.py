@@ -15,7 +15,7 @@ import numpy as np
 from recon.base.arrays import Array
 from recon.base.errors import InputError, Problem
 from recon.base.manifest import MANIFEST, read_manifest
-from recon.base.records import load_record, save_record
+from recon.base.records import load_record
 from recon.fit.result import SHAPES
 from recon.geometry.kinematics import YAW
 
@@ -29,11 +29,6 @@ _REPORT, _CONFIG = "report.json", "config.toml"
 """Beside a motion, in the folder of results that `recon fit` wrote."""
 _OF_A_FIT = (_REPORT, _CONFIG, "angles.csv", "pose3d.csv", "quality.csv")
 """Files that a fit puts beside the motion. Where one is there and the manifest is not, a run was interrupted."""
-
-
-def save(motion: Any, folder: Path) -> Path:
-    save_record(motion, folder / MOTION, SCHEMA)
-    return folder / MOTION
 
 
 def load(of: type[Any], folder: Path) -> Any:

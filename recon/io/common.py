@@ -108,6 +108,8 @@ def numbered_names(count: int) -> tuple[str, ...]:
 
 # What tools call the only animal of a file when nobody named it.
 UNNAMED = ("individual_0", "id_0", "track_0")
+SCORER = "recon"
+"""The scorer of our own files; where the frame rate is known, it stands in it: recon_90fps."""
 FMPOSE3D = "fmpose3d_"
 """In the name of the network that files and scorers of FMPose3D's poses have."""
 MISSING = ("", "nan", "na", "none", "null")

@@ -18,7 +18,7 @@ import numpy as np
 from recon.base.errors import InputError, Problem, refuse
 from recon.clip.keypoints import Keypoints
 from recon.io import common
-from recon.io.common import Pose3D, StoredPoints
+from recon.io.common import SCORER, Pose3D, StoredPoints
 
 HEADERS = (
     ("scorer", "bodyparts", "coords"),
@@ -34,8 +34,6 @@ PADDING = -1.0
 PLACES = {"l", "r", "left", "right", "f", "h", "front", "back", "fore", "hind", "rear", "upper", "lower", "near", "far"}
 MIN_PARTS = 3
 """What names of one animal's bodyparts may begin with, and of how many each animal has that names tell apart."""
-SCORER = "recon"
-"""The scorer of our own files; where the frame rate is known, it stands in it: recon_90fps."""
 
 
 def recognises_csv(path: Path) -> bool:
@@ -97,14 +95,6 @@ def _without_fps(scorer: str) -> tuple[str, float | None]:
     match = re.fullmatch(rf"(?:(.*)_)?{SCORER}_([0-9.e+-]+)fps", scorer)
     fps = common.rate(match[2]) if match else None
     return (scorer, None) if match is None or fps is None else (match[1] or SCORER, fps)
-
-
-def _with_fps(scorer: str | None, fps: float | None) -> str:
-    """The opposite: of points that another program found, its scorer stays."""
-    ours = SCORER if fps is None else f"{SCORER}_{repr(fps).removesuffix('.0')}fps"
-    if scorer in (None, SCORER):
-        return ours
-    return str(scorer) if fps is None else f"{scorer}_{ours}"
 
 
 def points_of_table(
@@ -246,23 +236,7 @@ def _prefixes(bodyparts: Iterable[str]) -> tuple[str, ...]:
 
 def write_csv(data: Keypoints | Pose3D, path: Path) -> None:
     """x, y and likelihood, or x, y, z in metres with z up."""
-    from recon.io.writing import write_table
+    from recon.io.writing import deeplabcut_layout, write_table
 
-    header, frames, values = layout(data)
+    header, frames, values = deeplabcut_layout(data)
     write_table(path, [[level, *cells] for level, cells in header.items()], frames, values)
-
-
-def layout(data: Keypoints | Pose3D) -> tuple[dict[str, list[str]], np.ndarray, np.ndarray]:
-    """Header cells by level, frame numbers (T,) and values (T, 3K)."""
-    from recon.io.writing import points_of
-
-    points = points_of(data)
-    coords, values = ("x", "y", "z"), points.values
-    if points.likelihood is not None:
-        coords, values = ("x", "y", "likelihood"), np.concatenate([values, points.likelihood[..., None]], axis=2)
-    n = len(points.names) * len(coords)
-    header = {"scorer": [_with_fps(points.scorer, points.fps)] * n}
-    if points.individual is not None:
-        header["individuals"] = [points.individual] * n
-    header |= {"bodyparts": [name for name in points.names for _ in coords], "coords": [*coords] * len(points.names)}
-    return header, points.frames, values.reshape(len(values), -1)

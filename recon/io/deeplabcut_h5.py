@@ -20,8 +20,9 @@ from recon.base.errors import InputError, Problem
 from recon.base.files import write_bytes
 from recon.clip.keypoints import Keypoints
 from recon.io.common import Pose3D, StoredPoints, formats_extra, is_hdf5
-from recon.io.deeplabcut import HEADERS, header_problem, layout, points_of_table
+from recon.io.deeplabcut import HEADERS, header_problem, points_of_table
 from recon.io.hdf5 import attribute, child, groups, member, numbers, opened, raw_attribute, read_values
+from recon.io.writing import deeplabcut_layout
 
 KEY = "df_with_missing"
 ANY_PANDAS = "0.15.2"
@@ -191,7 +192,7 @@ def write(data: Keypoints | Pose3D, path: Path) -> None:
 
     with formats_extra("DeepLabCut H5"):
         import tables  # noqa: F401  what pandas writes with
-    header, frames, values = layout(data)
+    header, frames, values = deeplabcut_layout(data)
     columns = pd.MultiIndex.from_arrays([*header.values()], names=[*header])
     table = pd.DataFrame(values, pd.Index(frames), columns)
     in_memory: dict[str, Any] = {"driver": "H5FD_CORE", "driver_core_backing_store": 0}

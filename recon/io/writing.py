@@ -13,7 +13,7 @@ import numpy as np
 
 from recon.base.errors import InputError, Problem, refuse
 from recon.clip.keypoints import Keypoints, frame_ranges
-from recon.io.common import MAX_FRAME, Pose3D, StoredPoints, require_span
+from recon.io.common import MAX_FRAME, SCORER, Pose3D, StoredPoints, require_span
 
 
 def points_of(data: Keypoints | Pose3D) -> StoredPoints:
@@ -118,3 +118,25 @@ def _cell(value: Any) -> Any:
     """What the writer turns into the shortest text that reads back exactly."""
     plain = value.item() if isinstance(value, np.generic) else value
     return "" if plain != plain else plain
+
+
+def deeplabcut_layout(data: Keypoints | Pose3D) -> tuple[dict[str, list[str]], np.ndarray, np.ndarray]:
+    """Of DeepLabCut's tables the header cells by level, frame numbers (T,) and values (T, 3K)."""
+    points = points_of(data)
+    coords, values = ("x", "y", "z"), points.values
+    if points.likelihood is not None:
+        coords, values = ("x", "y", "likelihood"), np.concatenate([values, points.likelihood[..., None]], axis=2)
+    n = len(points.names) * len(coords)
+    header = {"scorer": [_with_fps(points.scorer, points.fps)] * n}
+    if points.individual is not None:
+        header["individuals"] = [points.individual] * n
+    header |= {"bodyparts": [name for name in points.names for _ in coords], "coords": [*coords] * len(points.names)}
+    return header, points.frames, values.reshape(len(values), -1)
+
+
+def _with_fps(scorer: str | None, fps: float | None) -> str:
+    """The scorer with the frame rate behind it, as ours; of points that another program found, its own stays."""
+    ours = SCORER if fps is None else f"{SCORER}_{repr(fps).removesuffix('.0')}fps"
+    if scorer in (None, SCORER):
+        return ours
+    return str(scorer) if fps is None else f"{scorer}_{ours}"
