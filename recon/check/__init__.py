@@ -1,8 +1,7 @@
 """Every diagnosis of an input or of a fit: a `Finding` has a code and numbers, `CODES` its severity and its words.
 
 `judged` gives a motion its findings and the verdict that follows from them. Findings that fit a clip again are
-`input_findings`, those that compare its cameras `agreement_findings`.
-"""
+`input_findings`, those that compare its cameras `agreement_findings`."""
 
 from typing import TYPE_CHECKING
 

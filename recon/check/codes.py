@@ -1,7 +1,6 @@
 """Every code of a finding: how serious it is, and its words. The only place where a finding becomes a sentence.
 
-docs/findings.md says of each code what it means, what it does to the result, and what to do.
-"""
+docs/findings.md says of each code what it means, what it does to the result, and what to do."""
 
 from __future__ import annotations
 

@@ -3,8 +3,7 @@ another camera's by its file's name, a wrong frame rate.
 
 What was copied, and how no animal moves, is said first. Detections that are the same to the last digit were copied, not
 measured. Under a camera that pans, feet that stand slide, all of them alike. The rest is recognised by how much
-likelier the clip is with it undone (`recon.check.likelihood`).
-"""
+likelier the clip is with it undone (`recon.check.likelihood`)."""
 
 from __future__ import annotations
 
@@ -127,8 +126,7 @@ AROUND, LEAST_STEP_PX, LEAST_STEPS = 7, 5.0, 20
 
 
 def copies(sources: Sequence[Source], resampled: bool = False) -> Iterator[Finding]:
-    """Findings on points that are copies of others, in all cameras' files. resampled: points were taken between frames
-    here, and straight lines say nothing."""
+    """Findings on points that are copies of others. resampled: points were taken between frames: lines say nothing."""
     for source in sources:
         keypoints, camera = source.keypoints, source.camera.name
         if not resampled:

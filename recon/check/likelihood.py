@@ -6,8 +6,7 @@ detector's errors last, and keypoints of one limb err together: an error that st
 is (`unlikely`).
 
 The hypotheses here are another picture than the camera's (keypoints of 0 to 1, turned over, of a smaller video), a
-picture that zooms, and another frame rate, at which angles do not swing as the prior knows; swaps are in `swaps`.
-"""
+picture that zooms, and another frame rate, at which angles do not swing as the prior knows; swaps are in `swaps`."""
 
 from __future__ import annotations
 
@@ -35,15 +34,13 @@ from recon.geometry.kinematics import ROOT
 _TOLERANCE, _ITERATIONS = 3e-3, 12
 """When a minimum is good enough."""
 CLEAR = float(np.log(1000.0))
-"""A hypothesis is worth a closer look, or believed where nothing is like it, if it makes what was seen so many times as
-likely, as a logarithm."""
+"""A hypothesis is worth a closer look if it makes what was seen so many times as likely, as a logarithm."""
 MARGIN, SURE = 25.0, 30.0
 """A swap, or a zoom, is believed where it makes a solution so much likelier, as a logarithm; by the second where
 another in its place contradicts it, and for the whole clip with all swaps undone, as another frame rate is. Chosen on
 real clips (docs/benchmarks.md, left-right swaps): what a model of the animal gets wrong is not noise."""
 TOGETHER = 0.4
-"""Keypoints of one limb err together: so much of what they say is each one's own. Chosen on real clips, by leaving runs
-out (docs/benchmarks.md, mistakes)."""
+"""So much of what keypoints of one limb say is each one's own. Chosen on real clips (docs/benchmarks.md, mistakes)."""
 TAILS = 3.0
 """Degrees of freedom of Student's distribution, which errors have."""
 AT_ONCE_S = 1.0
@@ -211,8 +208,7 @@ _Other = tuple[str, dict[str, Any], View]
 
 
 def of_unit_square(given: Baseline) -> Finding | None:
-    """Keypoints as parts of the picture's width and height: all lie in its corner, where the detector of a video would
-    have put them anywhere."""
+    """Keypoints as parts of the picture's width and height: all lie in its corner."""
     view = given.view
     points = view.xy_px[view.present]
     if not len(points) or np.percentile(np.abs(points - 0.5), NEARLY_ALL) > 1.0:

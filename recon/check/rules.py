@@ -1,8 +1,7 @@
 """What a motion says by itself of how far it can be used: rules that cost nothing, one list of them.
 
 A rule is a function of a motion that yields its findings. Those that fit the clip again are called where clips are
-fitted (`recon.check.inputs`, `recon.check.agreement`).
-"""
+fitted (`recon.check.inputs`, `recon.check.agreement`)."""
 
 from __future__ import annotations
 
@@ -147,8 +146,7 @@ def few_frames(motion: Motion) -> Iterator[Finding]:
 
 
 def cameras_out_of_step(motion: Motion) -> Iterator[Finding]:
-    """A time offset is expected to be a fraction of a frame: one that comes out larger is held back, and larger
-    still."""
+    """A time offset is expected to be a fraction of a frame: one that comes out larger is larger still."""
     if len(motion.sources) < 2:
         return
     late = [v.offset_frames - s.offset_frames for v, s in zip(motion.solution.views, motion.sources, strict=True)]

@@ -4,8 +4,7 @@ A fit follows exchanged keypoints. Stretches are proposed cheaply: where an exch
 both sides jump at once, unless the legs cross there; and a fit to which each keypoint of a leg may be either side's
 says which of them it looks like in each frame. The few likeliest stretches are undone, one by one, and their second of
 the clip is solved anew. What makes it clearly likelier (`believed`), also than any other stretch that contradicts it,
-is a swap. Between two that are about as likely, none is chosen.
-"""
+is a swap. Between two that are about as likely, none is chosen."""
 
 from __future__ import annotations
 
@@ -28,8 +27,7 @@ from recon.fit.result import Finding
 JUMP = -3.0
 """Exchanges begin and end where that makes the tracks so much likelier, as a logarithm: legs that cross hardly jump."""
 LIKELY, REFITTED, STRETCHES = 15.0, 3, 4
-"""Stretches are undone of which tracks and looks say so much, so many of them at a time, and so many exchanges found in
-a clip."""
+"""Stretches are undone that are so likely, so many at a time, and so many exchanges are found in a clip."""
 POSSIBLE = 10.0
 """A whole clip is undone that looks so much likelier exchanged: 32 that are right reach 8. One that then is so much
 likelier, and not as much as is believed, is to be looked at: nothing else shows a mirrored video."""

@@ -2,8 +2,7 @@
 
 What the posterior states is right on average, and does not tell a good view from a bad one. The expected error of the
 pose is therefore a product of powers of what does (`Evidence.factors`), which `benchmarks/verdict.py` fits. The
-position is expected as far off as the posterior states.
-"""
+position is expected as far off as the posterior states."""
 
 from __future__ import annotations
 
@@ -28,8 +27,7 @@ LIMIT_OF_TRUNK = 0.2
 to be used if its error is below that with 95 %, and not to be used if it is above more likely than not."""
 POWERS = {"posterior": 0.73, "misfit": 0.33, "distance": 0.19, "end_on": 0.71}
 SCALE, SPREAD = -1.19, 0.27
-"""The constant of the logarithm of the pose's error, relative to the trunk, and the standard deviation that is left in
-runs left out (`benchmarks/verdict.py`)."""
+"""The constant of the logarithm of the pose's error by the trunk, and the standard deviation in runs left out."""
 USUAL = {"posterior": -2.4, "misfit": 0.0, "distance": 1.9, "end_on": 0.05}
 """`Evidence.factors` of a view like most."""
 WHY = {

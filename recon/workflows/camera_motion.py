@@ -25,7 +25,8 @@ from recon.io.video import missing_frames, missing_note, probe, timed_frames
 from recon.show.plain import picked, to_json
 from recon.workflows.cameras import size_problems
 from recon.workflows.cli.common import Answer, counted
-from recon.workflows.settings import FIRST_FRAME, FitSettings
+from recon.workflows.options import FIRST_FRAME
+from recon.workflows.settings import FitSettings
 
 MIN_LIKELIHOOD = 0.3
 """Keypoints that are less sure do not hide anything."""

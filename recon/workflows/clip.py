@@ -50,8 +50,7 @@ _MOST_OF_FILE = 0.8
 HEIGHT_SIGMA = 0.05
 """Relative, of a size that follows from the height at the withers: animals differ in their proportions."""
 PADDED, INSIDE = 0.05, 0.9
-"""Detectors pad the picture: keypoints that many times its width or height outside are as good as in it. At least so
-many of a clip's have to be."""
+"""Detectors pad the picture: so far outside keypoints are as good as in it; at least so many of a clip's have to be."""
 _FAR_OUTSIDE = "too far outside the picture to have been found in it"
 _WITHOUT_POSE = "in frames for which the camera's track has no pose"
 
@@ -357,8 +356,7 @@ def _require_inside(camera: Camera, keypoints: Keypoints, settings: FitSettings)
 
 
 def _holds(size_px: tuple[int, int], points: Array) -> bool:
-    """Whether nearly all points (n, 2) lie in a picture of that size, or as little outside as detectors put them, which
-    pad it."""
+    """Whether nearly all points (n, 2) lie in a picture of that size, or as little outside as detectors put them."""
     over = np.max([-points, points - size_px], axis=0) / size_px
     return bool(np.mean(over.max(axis=1) <= PADDED) >= INSIDE)
 

@@ -19,7 +19,8 @@ from recon.io import CONVERTED, Format, Pose3D, as_keypoints, in_metres, read_po
 from recon.io.columns import parse_map
 from recon.show.export.rig import rig_of
 from recon.workflows.cli.common import Answer, table_of
-from recon.workflows.settings import ANYWAY, INDIVIDUAL, RENAME
+from recon.workflows.options import ANYWAY
+from recon.workflows.settings import INDIVIDUAL, RENAME
 
 ROBOTS, ROBOT_FILE = "recon.robotics.robot.trainers", "robot.npz"
 """What converts a folder of `recon retarget`, which has such a file. It is imported by its name, as no room needs a

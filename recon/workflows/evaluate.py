@@ -11,7 +11,7 @@ from rich.text import Text
 
 from recon.base.settings import Option, Settings
 from recon.workflows.cli.common import Answer, table_of, verdict_texts
-from recon.workflows.settings import ANYWAY
+from recon.workflows.options import ANYWAY
 
 if TYPE_CHECKING:
     from recon.gait.evaluation import Evaluation

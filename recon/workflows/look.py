@@ -36,7 +36,7 @@ from recon.workflows.analyse import SUMMARY as ANALYSIS
 from recon.workflows.batch import SUMMARY, write_summary_page
 from recon.workflows.cameras import cameras_in, size_problems
 from recon.workflows.cli.common import Answer, error_text, terminal, verdict_texts
-from recon.workflows.settings import ANYWAY, FIRST_FRAME
+from recon.workflows.options import ANYWAY, FIRST_FRAME
 
 SLOW_FPS = 30.0
 """Every frame is shown, and no more than this many in a second, unless a speed is given."""

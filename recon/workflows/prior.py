@@ -27,7 +27,7 @@ from recon.io import Pose3D, read_pose_segments
 from recon.show.plain import picked
 from recon.workflows.batch.inputs import file_names
 from recon.workflows.cli.common import Answer, table_of
-from recon.workflows.settings import ANYWAY
+from recon.workflows.options import ANYWAY
 
 Segment = tuple[str, Array, float]
 """Name, states (T, D), frames per second."""

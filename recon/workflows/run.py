@@ -39,7 +39,8 @@ from recon.workflows.clip import fit_clip, read_model_and_cameras
 from recon.workflows.clip_results import Record, file_sha256, identity, identity_of, output_files, write_clip
 from recon.workflows.config import read_settings
 from recon.workflows.look import OverlaySettings, PageSettings, rate_note, run_overlay, run_page
-from recon.workflows.settings import FIRST_FRAME, SETTINGS, FitSettings
+from recon.workflows.options import FIRST_FRAME
+from recon.workflows.settings import SETTINGS, FitSettings
 
 RECORD = "run.jsonl"
 Stage = Literal["detect", "camera-motion", "fit", "analyse", "overlay", "page"]

@@ -55,28 +55,15 @@ def _frames(given: str) -> str:
     return given
 
 
-def _start_and_end(given: Any) -> Any:
-    return tuple(given.split(":")) if isinstance(given, str) else given
-
-
 Size = Annotated[tuple[Count, Count], BeforeValidator(_size)]
 """The size of a picture in pixels: (width, height), or the text "1920x1080"."""
 FrameRange = Annotated[str, AfterValidator(_frames)]
 """A:B, from A up to but without B."""
-StrideTimes = Annotated[tuple[Number, Number], BeforeValidator(_start_and_end)]
-"""(start, end) in seconds since frame 0, or the text "0.31:0.62"."""
 
-FIRST_FRAME = Option("Number that the video's first frame has in the keypoint file, if it was cut.")
-ANYWAY = Option('Also of a clip whose verdict is "do not use".')
 FPS = "Frame rate of the video in Hz, as in 120. (default: what the file says, if it does)"
 INDIVIDUAL = "Which animal of a multi-animal file, as in animal1."
 RENAME = Option(
     "New names of keypoints: a CSV file of old and new ones, or a built-in map, as in superanimal-quadruped."
-)
-STRIDE = Option(
-    "A stride, in seconds since frame 0, as in 0.31:0.62. (default: one that is found)",
-    "START:END in seconds, as in 0.31:0.62",
-    metavar="START:END",
 )
 
 
@@ -85,8 +72,7 @@ class FitSettings(Settings):
 
     One of camera (a calibration file) and hfov_deg with image_size_px is needed. Text is taken for numbers, sizes and
     files. Fields without a unit in their name are counts, names or shares; the solvers' are explained at
-    `recon.fit.TrajectoryOptions` and by the packages of the other methods.
-    """
+    `recon.fit.TrajectoryOptions` and by the packages of the other methods."""
 
     keypoints: Annotated[
         OneOrMore[File], Option(expected="a keypoint file, or one for each camera", argument="KEYPOINTS")
