@@ -438,21 +438,23 @@ def _rate_errors(job: Job) -> dict[str, np.ndarray]:
     true_middle = truth_m.mean(axis=1, keepdims=True)
     of_middle = (solution.covariance_m2 - solution.relative_covariance_m2).mean(axis=1, keepdims=True)
     pose_m2, place_m2 = (_in_camera(solution, c) for c in (solution.relative_covariance_m2, of_middle))
+    by_size = solution.size_sigma / solution.size * middle
     parts = {
-        "pose": (found - middle - truth_m + true_middle, pose_m2, POSE_LASTS_S),
-        "place": (middle - true_middle, place_m2, POSITION_LASTS_S),
+        "pose": (found - middle - truth_m + true_middle, pose_m2, 0 * found, POSE_LASTS_S),
+        "place": (middle - true_middle, place_m2, by_size, POSITION_LASTS_S),
     }
     rows = {}
-    for part, (off, covariance, lasts_s) in parts.items():
-        sigma = np.sqrt(np.maximum(np.diagonal(covariance, axis1=2, axis2=3), 1e-12))
+    for part, (off, covariance, size_m, lasts_s) in parts.items():
+        rest = np.sqrt(np.maximum(np.diagonal(covariance, axis1=2, axis2=3) - size_m**2, 1e-12))
+        errors = Errors(size_m, np.inf), Errors(rest, lasts_s)
         rows[part] = np.concatenate(
-            [_rate_rows(time_s, off[:, j], Errors(sigma[:, j], lasts_s)) for j in range(off.shape[1])]
+            [_rate_rows(time_s, off[:, j], [e[:, j] for e in errors]) for j in range(off.shape[1])]
         )
     return rows
 
 
-def _rate_rows(time_s: np.ndarray, off_m: np.ndarray, errors: Errors) -> np.ndarray:
-    moved = series_kinematics(time_s, off_m, [errors], oversampling=1)
+def _rate_rows(time_s: np.ndarray, off_m: np.ndarray, errors: Sequence[Errors]) -> np.ndarray:
+    moved = series_kinematics(time_s, off_m, errors, oversampling=1)
     columns = (
         *(moved.value, moved.value_sigma, moved.rate, moved.rate_sigma),
         *(moved.acceleration, moved.acceleration_sigma),

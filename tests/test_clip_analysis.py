@@ -79,6 +79,14 @@ def test_stated_velocity_errors_have_the_size_of_the_true_ones(whole):
     assert 0.3 < np.sqrt(np.mean(np.square(z))) < 1.5
 
 
+def test_a_larger_animal_is_as_much_faster(whole):
+    solution, size_given = whole.motion.solution, whole.moved(whole.reference, with_size=False).series
+    series = whole.reference_motion.series
+    by_size = series.rate_sigma**2 - size_given.rate_sigma**2
+    np.testing.assert_allclose(by_size, (solution.size_sigma / solution.size * series.rate) ** 2, rtol=1e-6, atol=1e-9)
+    np.testing.assert_array_equal(series.rate, size_given.rate)
+
+
 def test_a_place_that_moves_as_a_whole_turns_no_angle(whole):
     """The uncertainty of angles comes from the pose alone; that of the place would make it several times as large."""
     knee = whole.angles["l_back_knee"]

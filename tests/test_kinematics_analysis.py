@@ -106,14 +106,16 @@ def test_deviations_are_those_of_many_draws(smooth, correlation_s):
 
 
 def test_deviations_of_a_long_clip_are_those_of_its_whole_spline():
-    """Worked out in pieces, against the operator on all values at once; two errors add up."""
+    """Worked out in pieces, against the operator on all values at once; errors add up, and one lasts."""
     rng = np.random.default_rng(1)
     time_s = np.arange(450) / FPS
     errors = [Errors(rng.uniform(0.01, 0.02, (450, 1))), Errors(rng.uniform(0.1, 0.2, (450, 1)), 0.1)]
+    errors += [Errors(np.cos(9 * time_s)[:, None], np.inf)]
     moved = series_kinematics(time_s, np.sin(time_s)[:, None], errors, oversampling=2)
     operator = _evaluate(_curve(time_s, np.eye(450), np.ones(450), 0.0), moved.time_s)
     smooth = np.exp(-0.5 * ((time_s[:, None] - time_s) / 0.1) ** 2)
     covariance = np.diag(errors[0].sigma[:, 0] ** 2) + errors[1].sigma * smooth * errors[1].sigma[:, 0]
+    covariance += errors[2].sigma * errors[2].sigma[:, 0]
     expected = np.sqrt(np.einsum("omi,ij,omj->om", operator, covariance, operator, optimize=True))
     for found, whole in zip((moved.value_sigma, moved.rate_sigma, moved.acceleration_sigma), expected, strict=True):
         assert found is not None

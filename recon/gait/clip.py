@@ -4,8 +4,9 @@ Where the fit gives no uncertainty (the frame method), its joints jitter from fr
 exact splines are mostly noise: paths and angles are then smoothed by their own jitter, and all the rest is worked out
 from the smoothed ones.
 
-Errors of a fit with uncertainty are taken for two kinds that last for different times: the place of the whole animal,
-and the pose. The times are those at which the deviations of velocities are right in the mean for real runs (`python
+Errors of a fit with uncertainty are taken for three kinds that last for different times: the animal's size, which puts
+it further from a single camera in every frame alike; the place of the whole animal; and the pose. The times of the
+latter two are those at which the deviations of velocities are not too small in the mean for real runs (`python
 benchmarks/trajectory.py --only rates`).
 """
 
@@ -24,6 +25,7 @@ from recon.base.errors import InputError, Problem, decimals
 from recon.clip.keypoints import frame_ranges
 from recon.fit.motion import MEASURED_SHARE, Motion
 from recon.fit.posterior import radius
+from recon.fit.result import TrajectorySolution
 from recon.gait import kinematics, phase
 from recon.gait.dynamics import Dynamics, dynamics
 from recon.gait.gait import BODY, INTERVAL, Gait, Stride, gait, pose_tracks
@@ -80,16 +82,17 @@ class ClipAnalysis:
         others = {name: at_frames(self.moved(name)) for name in self.motion.upright.names if name != self.reference}
         return {name: others.get(name, self.reference_motion) for name in self.motion.upright.names}
 
-    def moved(self, name: str) -> JointKinematics:
-        """The motion of a joint on the fine grid."""
+    def moved(self, name: str, with_size: bool = True) -> JointKinematics:
+        """The motion of a joint on the fine grid; its deviations without the size's if that is taken as given."""
         motion = self.motion
-        return kinematics.joint_kinematics(motion.upright, name, motion.fps, _errors(motion), smooth=motion.jitters)
+        errors = [error for error in _errors(motion) if with_size or error.correlation_s < np.inf]
+        return kinematics.joint_kinematics(motion.upright, name, motion.fps, errors, smooth=motion.jitters)
 
     @cached_property
     def angles(self) -> dict[str, AngleKinematics]:
         """The angle at every inner joint of a chain and the flexion of the spine, where the skeleton has one."""
         # A common displacement of all joints turns none of the angles.
-        errors = () if self.motion.jitters else _errors(self.motion)[1:]
+        errors = () if self.motion.jitters else _errors(self.motion)[-1:]
         found, fps, (rear, front) = {}, self.motion.fps, self.motion.forward_names
         for along in limb_chains(self.motion).values():
             for i in range(1, len(along) - 1):
@@ -265,14 +268,20 @@ def limb_chains(motion: Motion) -> dict[str, tuple[str, ...]]:
 
 
 def _errors(motion: Motion) -> Sequence[Errors]:
-    """Errors of the position and of the pose, by the jitter where the fit does not give them over time."""
+    """Errors of the size, the position and the pose, by the jitter where the fit does not give them over time."""
     if motion.jitters:
         return kinematics.lasting_errors(motion.upright.xyz_m, motion.fps)
     # What is common to all joints; the relative errors of a single one can be larger than its absolute ones.
     floor = 1e-4
     position = np.sqrt(np.maximum(motion.upright_sigma_m**2 - motion.upright_relative_sigma_m**2, floor**2))
     pose = np.maximum(motion.upright_relative_sigma_m, floor)
-    return Errors(position, POSITION_LASTS_S), Errors(pose, POSE_LASTS_S)
+    of_pose, solution = Errors(pose, POSE_LASTS_S), motion.solution
+    if not isinstance(solution, TrajectorySolution) or len(solution.views) != 1:
+        return Errors(position, POSITION_LASTS_S), of_pose
+    from_camera_m = solution.joints_m - solution.views[0].centre_m[:, None]
+    by_size = solution.size_sigma / solution.size * from_camera_m
+    rest = np.sqrt(np.maximum(position**2 - by_size**2, floor**2))
+    return Errors(by_size, np.inf), Errors(rest, POSITION_LASTS_S), of_pose
 
 
 def _angle_errors(motion: Motion) -> list[Sequence[Errors]]:

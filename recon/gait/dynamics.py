@@ -110,7 +110,7 @@ class Dynamics:
 
 
 def dynamics(motion: Motion, gait: Gait | None, errors: Sequence[Errors]) -> Dynamics | None:
-    """errors: of the joints, as `recon.gait.clip` has them, the place's first. None of a skeleton without masses or
+    """errors: of the joints, as `recon.gait.clip` has them. None of a skeleton without masses or
     feet, and of a chain."""
     shares = motion.body.mass
     if not shares or gait is None or motion.side is not None:
@@ -122,7 +122,7 @@ def dynamics(motion: Motion, gait: Gait | None, errors: Sequence[Errors]) -> Dyn
     centre_m = np.einsum("tsk,s->tk", middles_m, share)
     apart_m = middles_m - centre_m[:, None]
     ends = [motion.upright.names.index(name) for name in motion.forward_names]
-    by_pose = [Errors(np.sqrt(np.mean(e.sigma[:, ends] ** 2, axis=1)), e.correlation_s) for e in errors]
+    by_pose = [Errors(np.mean(e.sigma[:, ends], axis=1), e.correlation_s) for e in errors]
     by_mass = Errors(np.maximum(np.sqrt(np.einsum("tsk,s->tk", apart_m**2, sigma**2)), 1e-6), MASS_LASTS_S)
     centre = kinematics.point_kinematics(motion.time_s, centre_m, [*by_pose, by_mass] if errors else ())
     # What turns about the centre is worked out at frames: the rods' paths on the fine grid would take far longer.

@@ -66,9 +66,9 @@ class Errors:
     """How far values may be wrong."""
 
     sigma: Array
-    """Standard deviations of the values, in their shape and unit, positive."""
+    """Standard deviations of the values, in their shape and unit; of one error that lasts, with its signs."""
     correlation_s: float = 0.0
-    """How long an error lasts (see the module), 0 for frames that have nothing to do with each other."""
+    """How long an error lasts (see the module), 0 for frames that have nothing to do with each other, inf for one."""
 
     def __getitem__(self, at) -> Errors:
         """The errors of a part of the values."""
@@ -170,7 +170,7 @@ def series_kinematics(
 ) -> Series:
     """Values (T, d) at increasing times (T,) -> their spline; NaN in any dimension is a missing frame.
 
-    errors: what adds up to the values' errors, sigma (T, d) each, positive; with smooth, the first is the weights as
+    errors: what adds up to the values' errors, sigma (T, d) each; with smooth, the first is the weights as
     well. A span needs four values (five with smooth). propagate: whether to work out deviations, which with smooth
     takes memory of 8 bytes x N x T, and a spline for each value. Raises ValueError where times do not increase.
     """
@@ -228,6 +228,10 @@ def _spline_sigmas(t: Array, at: Array, errors: Sequence[Errors], weight: Array,
     """Standard deviations (3, M, d) of value, rate and acceleration at times (M,) of the splines of a span (n,)."""
     variance = np.zeros((3, len(at), len(lam)))
     smooth = bool(lam.any())
+    for lasting in (error for error in errors if error.correlation_s == np.inf):  # one error is a curve itself
+        curves = [_curve(t, *of) for of in zip(lasting.sigma.T, weight.T, lam, strict=True)]
+        variance += np.stack([_evaluate(curve, at) for curve in curves], axis=-1) ** 2
+    errors = [error for error in errors if error.correlation_s < np.inf]
     pieces = [(slice(None), slice(None))] if smooth else [*_windows(t, at)]
     if not smooth and len(t) > 4 * _REACH and np.allclose(np.diff(t), t[1] - t[0], rtol=1e-6, atol=0):
         per = (len(at) - 1) // (len(t) - 1)

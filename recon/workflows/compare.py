@@ -26,6 +26,7 @@ from recon.fit import TrajectorySolution
 from recon.fit.motion import Motion
 from recon.fit.motion_forms import MOTION
 from recon.gait.clip import POSITION_LASTS_S, ClipAnalysis, analyse
+from recon.gait.kinematics import JointKinematics
 from recon.show.plots.style import COLOURS, drawing
 from recon.workflows.cli.common import Answer, counted, table_of
 from recon.workflows.options import ANYWAY
@@ -144,6 +145,7 @@ def _groups(table: Path | None, by: str | None, names: Sequence[str]) -> dict[st
 
 
 def _stride_rows(found: ClipAnalysis) -> Iterator[dict]:
+    moved = found.moved(found.reference, with_size=False)
     for stride in () if found.gait is None else found.gait.strides:
         lasts_s = stride.duration_s
         events_s = stride.duty_sigma * lasts_s  # of two events, as of a stance's two
@@ -152,7 +154,7 @@ def _stride_rows(found: ClipAnalysis) -> Iterator[dict]:
             "foot": stride.foot,
             "start_s": stride.start_s,
             "speed_m_s": speed,
-            "speed_m_s_sigma": _speed_sigma(found, stride.start_s, stride.end_s),
+            "speed_m_s_sigma": _speed_sigma(moved, stride.start_s, stride.end_s),
             "stride_length_m": stride.length_m,
             "stride_length_m_sigma": speed * events_s,
             "stride_frequency_hz": 1 / lasts_s,
@@ -162,9 +164,8 @@ def _stride_rows(found: ClipAnalysis) -> Iterator[dict]:
         }
 
 
-def _speed_sigma(found: ClipAnalysis, start_s: float, end_s: float) -> float:
+def _speed_sigma(moved: JointKinematics, start_s: float, end_s: float) -> float:
     """The standard deviation of the mean speed in a time: errors of the path last `POSITION_LASTS_S` on either side."""
-    moved = found.joints[found.reference]
     if moved.speed_sigma_m_s is None:
         return np.nan
     sigma = moved.speed_sigma_m_s[(moved.series.time_s >= start_s) & (moved.series.time_s <= end_s)]
@@ -180,8 +181,9 @@ def _clip_row(found: ClipAnalysis, strides: Sequence[dict]) -> dict:
     for name in QUANTITIES:
         if name == "speed_m_s":
             known = found.why_no_speed is None
-            value = found.joints[found.reference].mean_speed_m_s if known else np.nan
-            sigma = _speed_sigma(found, *motion.time_s[[0, -1]]) if known else np.nan
+            moved = found.moved(found.reference, with_size=False)
+            value = moved.mean_speed_m_s if known else np.nan
+            sigma = _speed_sigma(moved, *motion.time_s[[0, -1]]) if known else np.nan
         elif len(table):
             feet = table["foot"].nunique()
             scatter = table[name].std() / np.sqrt(len(table)) if len(table) > 1 else 0.0
