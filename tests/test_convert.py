@@ -17,6 +17,7 @@ from typer.testing import CliRunner
 
 from recon.clip import Keypoints
 from recon.io import CONVERTED, FORMATS, Format, Pose3D, read_keypoints, read_pose3d
+from recon.robotics.robot.trainers import FORMATS as ROBOT_FORMATS
 from recon.workflows import ConvertSettings, app, main
 from recon.workflows.convert import choose_format, convert
 
@@ -484,7 +485,7 @@ def test_command(files_3d, tmp_path):
 
 def test_command_lists_formats():
     listed = json.loads(run("--list", "--json").output)
-    assert [row["--to"] for row in listed] == [f.name for f in CONVERTED]
+    assert [row["--to"] for row in listed] == [*(f.name for f in CONVERTED), *ROBOT_FORMATS]
     shown = run("--list").output
     assert all(f.name in shown for f in CONVERTED)
 

@@ -49,9 +49,12 @@ class CalibrationSettings(Settings):
 
 
 def calibrate(settings: CalibrationSettings, progress: Progress) -> Answer:
-    """Calibrate a camera: pictures or a video of a board in, a camera file and a picture of the coverage out. Example:
-    recon calibrate board/ --board chessboard:9x6:25mm --model radtan --out camera.toml Exit code 0: written. 1:
-    refused, because a check failed. 2: the input cannot be used."""
+    """Calibrate a camera: pictures or a video of a board in, a camera file and a picture of the coverage out.
+
+    Example: recon calibrate board/ --board chessboard:9x6:25mm --model radtan --out camera.toml
+
+    Exit code 0: written. 1: refused, because a check failed. 2: the input cannot be used.
+    """
     report = run_calibration(settings, progress)
     errors = []
     if report["written"] is None:

@@ -87,8 +87,10 @@ class _CameraAdviceSettings(Settings):
 
 
 def camera_advice(settings: _CameraAdviceSettings, progress: Progress) -> Answer:
-    """Where to put a camera, or two, so that an angle or a joint is seen and not guessed. Example: recon camera-advice
-    --skeleton cheetah-24 --angle front_trunk_yaw --out advice"""
+    """Where to put a camera, or two, so that an angle or a joint is seen and not guessed.
+
+    Example: recon camera-advice --skeleton cheetah-24 --angle front_trunk_yaw --out advice
+    """
     body = load_skeleton(settings.skeleton, settings.subject)
     given = {"angle": (settings.angle, body.state_names[4:]), "joint": (settings.joint, body.markers)}
     refuse(

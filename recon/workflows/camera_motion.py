@@ -73,8 +73,10 @@ def of_clip(settings: FitSettings, video: Path, out: Path, **more: Any) -> _Came
 
 
 def camera_motion(settings: _CameraMotionSettings, progress: Progress) -> Answer:
-    """Find how a camera turned (and zoomed) from the background of its video: a camera track. Example: recon
-    camera-motion clip.mp4 --camera camera.toml --keypoints clip.csv --out track.csv"""
+    """Find how a camera turned (and zoomed) from the background of its video: a camera track.
+
+    Example: recon camera-motion clip.mp4 --camera camera.toml --keypoints clip.csv --out track.csv
+    """
     report, files = run_camera_motion(settings, progress)
     lost, keyframes = len(report["frames_without_background"]), counted(len(report["keyframes"]), "keyframe")
     lines = [f"{report['frames'] - lost} of {report['frames']} frames placed, {keyframes}."]

@@ -225,9 +225,12 @@ def fit(
     console: Console,
     progress: Progress,
 ) -> Answer:
-    """Reconstruct one clip: keypoints and a camera in, 3D poses, angles, report and playback out. Example: recon fit
-    clip.csv --camera scene.json --camera-name cam2 --fps 90 --out results/clip Exit code 0: done, whatever the verdict.
-    1: no frame could be solved. 2: the input cannot be used."""
+    """Reconstruct one clip: keypoints and a camera in, 3D poses, angles, report and playback out.
+
+    Example: recon fit clip.csv --camera scene.json --camera-name cam2 --fps 90 --out results/clip
+
+    Exit code 0: done, whatever the verdict. 1: no frame could be solved. 2: the input cannot be used.
+    """
     out, config = settings.out, settings.config
     no_out = [Problem("--out", "folder", "nothing", "a folder for the results, as in results/clip1")]
     try:

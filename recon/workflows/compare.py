@@ -68,7 +68,9 @@ class _CompareSettings(Settings):
 
 def compare(settings: _CompareSettings, progress: Progress) -> Answer:
     """Strides and speeds of several clips, by group: each with its uncertainty, and the groups' means and spreads.
-    Example: recon compare results/a results/b results/c --table animals.csv --by sex --out comparison"""
+
+    Example: recon compare results/a results/b results/c --table animals.csv --by sex --out comparison
+    """
     out = settings.out
     some = [path for path in settings.folders if not path.is_file()] or settings.folders  # all/* has files of the batch
     folders = [folder for given in some for folder in _results_in(given)]

@@ -61,9 +61,12 @@ Conversion = tuple[Keypoints | Pose3D, Format, tuple[str, ...]]
 
 
 def convert_command(settings: ConvertSettings) -> Answer:
-    """Convert 2D keypoints, 3D positions or results from one file format to another, by the extension of OUT. Example:
-    recon convert results/clip model.osim 3D positions are metres, z up, in all formats but those that have another
-    custom; see recon convert --list."""
+    """Convert 2D keypoints, 3D positions or results from one file format to another, by the extension of OUT.
+
+    Example: recon convert results/clip model.osim
+
+    3D positions are metres, z up, in all formats but those that have another custom; see recon convert --list.
+    """
     if not settings.show_list:
         if settings.source is not None and settings.out is not None and (settings.source / ROBOT_FILE).is_file():
             given = settings.to, settings.fps, settings.overwrite
