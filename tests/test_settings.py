@@ -460,3 +460,8 @@ def test_the_height_at_the_withers_is_a_size():
     with refusal(("--height-m", "height_m", ["mouse-top", "no feet"], "--set size")):
         read_model_and_cameras(replace(settings, skeleton="mouse-top"))
     refuses({**GIVEN, "height_m": 1.3, "size": 2.0}, ("height_m", [1.3, "size, 2"], "one of the two"))
+
+
+def test_every_help_has_an_example_in_a_paragraph_of_its_own():
+    without = [name for name, command in commands().items() if "\n\nExample: recon " not in (command.help or "")]
+    assert without == []
