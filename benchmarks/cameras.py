@@ -29,7 +29,7 @@ from shares import share_inside
 from trajectory import SKELETON, body_of, meta_of, prior_of, truth_of
 
 from recon import Body, FitSettings
-from recon.animal.writing import detector_toml
+from recon.animal.measured import detector_toml
 from recon.clip import Source, View, views_of
 from recon.fit import TrajectoryOptions, TrajectorySolution, solve_trajectory
 from recon.fit.clip_problem import ClipProblem

@@ -26,7 +26,7 @@ from recordings import recordings
 from trajectory import body_of, meta_of, prior_of, truth_of
 
 from recon import Body, FitSettings, Pose3D, read_pose3d
-from recon.animal.writing import detector_toml
+from recon.animal.measured import detector_toml
 from recon.clip import together, views_of
 from recon.fit import TrajectoryOptions
 from recon.fit.clip_problem import ClipProblem

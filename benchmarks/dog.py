@@ -31,8 +31,8 @@ from recordings import recordings
 from trajectory import print_table
 
 from recon import Body, Camera, FitSettings, fit_clip, load_skeleton, write_camera
+from recon.animal.measured import save_prior
 from recon.animal.prior import prior_from_body
-from recon.animal.writing import save_prior
 from recon.fit import TrajectorySolution
 from recon.fit.points import solve_points
 from recon.gait.evaluation import align_similarity, centre, joint_errors, score

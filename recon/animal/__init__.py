@@ -14,6 +14,7 @@ if TYPE_CHECKING:
         side_of,
     )
     from recon.animal.chain import Chain, builtin_chains, euler_angles, facing_side, load_chain, upright_rotation
+    from recon.animal.measured import detector_toml, save_prior, subject_toml
     from recon.animal.naming import (
         NameMap,
         both_sides,
@@ -43,6 +44,5 @@ if TYPE_CHECKING:
         load_skeleton,
         seen_by,
     )
-    from recon.animal.writing import detector_toml, save_prior, subject_toml
 
 __getattr__ = lazily(__name__, __file__)

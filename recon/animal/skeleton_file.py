@@ -123,12 +123,12 @@ def _load_body(raw: dict[str, Any], source: str, subject: str | Path | None) -> 
     if subject is None:
         file, problems = validated(_BodyFile, raw, source), list[Problem]()
     else:
-        from recon.animal import subject_file
+        from recon.animal.measured import read_subject, subject_problems, with_subject
 
         table, of = read_named(subject, "subject")
-        file, animal = all_of(lambda: validated(_BodyFile, raw, source), lambda: subject_file.read(table, of))
-        problems = [*subject_file.problems(animal, file, of)]
-        file = subject_file.applied(animal, file)
+        file, animal = all_of(lambda: validated(_BodyFile, raw, source), lambda: read_subject(table, of))
+        problems = [*subject_problems(animal, file, of)]
+        file = with_subject(animal, file)
     problems += _body_problems(file, source)
     refuse(dict.fromkeys(problems))  # both sides of a mirrored segment can have the same
     return replace(_body(file), subject=None if subject is None else str(subject))

@@ -1,26 +1,68 @@
-"""The files of what was measured of animals, as they are written: subjects, detectors and priors."""
+"""Files of what was measured of animals: subjects (their lengths), read and written; detectors and priors, written."""
 
 from __future__ import annotations
 
 import io
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import tomli_w
+from pydantic import Field
 
 from recon.animal.body import Body, other_side, side_of
 from recon.animal.prior import SHAPES, MotionPrior
-from recon.animal.skeleton_file import read_named
+from recon.base.documents import FileTable, Number, Sigma, named_table, unknown, validated
+from recon.base.errors import Problem
 from recon.base.files import staged_file, write_bytes
+
+_Offset = tuple[Number, Number, Number]
+
+
+class _SubjectFile(FileTable):
+    skeleton: str
+    title: str
+    size_sigma: Sigma
+    at_m: dict[str, _Offset]
+    keypoint_offset_m: dict[str, _Offset] = Field(default_factory=dict)
+
+
+def read_subject(table: dict[str, Any], source: str) -> _SubjectFile:
+    """Raises InputError with everything that is wrong with the table."""
+    return validated(_SubjectFile, table, source)
+
+
+def subject_problems(animal: _SubjectFile, file: Any, source: str) -> Iterator[Problem]:
+    """What keeps a subject from being one of a skeleton, which is a table of `recon.animal.skeleton_file`."""
+    if animal.skeleton != file.name:
+        yield Problem(source, "skeleton", repr(animal.skeleton), f"{file.name!r}, the skeleton that it is used with")
+        return
+    markers = [marker.name for marker in file.markers]
+    names = [*(segment.name for segment in file.segments[1:]), *markers]
+    placed = [(f"at_m.{name}", name) for name in animal.at_m]
+    yield from unknown(source, placed, names, f"a segment but the root, or a marker, of {file.name}: ")
+    offset = [(f"keypoint_offset_m.{name}", name) for name in animal.keypoint_offset_m]
+    yield from unknown(source, offset, markers, f"a marker of {file.name}: ")
+
+
+def with_subject(animal: _SubjectFile, file: Any) -> Any:
+    """The skeleton with an animal's lengths and keypoint offsets; the root stays."""
+
+    def changed(item: Any) -> Any:
+        measured = {"at_m": animal.at_m, "keypoint_offset_m": animal.keypoint_offset_m}
+        return item.model_copy(update={field: of[item.name] for field, of in measured.items() if item.name in of})
+
+    root, *segments = file.segments
+    parts = {"segments": (root, *map(changed, segments)), "markers": tuple(map(changed, file.markers))}
+    return file.model_copy(update={"title": animal.title, "size_sigma": animal.size_sigma, **parts})
 
 
 def subject_toml(skeleton: str | Path, body: Body, title: str, notes: Sequence[str] = ()) -> str:
     """The text of a subject file: the lengths and keypoint offsets of a body, of that skeleton. notes: comments."""
-    raw, _ = read_named(skeleton)
+    raw, _ = named_table(skeleton, "animal/skeletons", "--skeleton", "skeleton")
     placed = {item.name: item.offset_m for item in (*body.tree.segments, *body.tree.markers)}
     given = [item["name"] for item in (*raw["segments"][1:], *raw["markers"])]
     offsets = {marker["name"]: body.keypoint_offset_m.get(marker["name"]) for marker in raw["markers"]}
