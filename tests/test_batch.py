@@ -98,6 +98,17 @@ def test_a_file_that_may_not_be_read_is_said(clips, monkeypatch):
     monkeypatch.setattr("os.access", lambda path, mode: Path(path).name != "b.csv" and readable(path, mode))
     _, notes = find_clips([clips], QUICK)
     assert [says(note, clips, "not readable: b.csv") for note in notes] == [True]
+    with monkeypatch.context() as disk:
+
+        def fails(path: Path, kind: str) -> None:
+            raise OSError(5, "Input/output error")
+
+        disk.setattr("recon.workflows.batch.inputs.recognised", fails)
+        with refusal((clips, "files", "no keypoint files")):
+            find_clips([clips], QUICK)
+    if Path("/proc/self/mem").exists():  # nothing of it can be read
+        (clips / "mem.csv").symlink_to("/proc/self/mem")
+        assert names(clips / "*.csv") == ["a", "b", "c", "mem"]
 
 
 def test_no_cell_of_the_summary_is_a_formula(tmp_path):

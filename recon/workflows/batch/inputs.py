@@ -185,13 +185,17 @@ def _why_left_out(path: Path) -> str:
     """Why a file of a folder is no clip; nothing of one that is, or too damaged to tell, as the clip will say so."""
     if not os.access(path, os.R_OK):
         return "not readable"
-    with suppress(InputError):
+    try:
         if not path.stat().st_size or recognised(path, "2D") is None:
             with suppress(InputError):
                 return "cameras (for a manifest's column camera)" if read_cameras(path) else ""
             return "of no known format"
         if any({"x", "y", "z"} <= {*cells} for _, cells in islice(text_rows(path), 4)):  # the rows of a header
             return "3D positions"
+    except OSError:  # of a disk that fails
+        return "not readable"
+    except InputError:
+        pass
     return ""
 
 
@@ -283,7 +287,7 @@ def is_manifest(path: Path) -> bool:
     """Whether a file is a CSV table whose header has a column `keypoints`."""
     try:
         return path.suffix.lower() == ".csv" and os.path.isfile(path) and "keypoints" in _header(path)
-    except InputError:  # no table of text
+    except (InputError, OSError):  # no table of text, or a disk that fails: the clip will say so
         return False
 
 
