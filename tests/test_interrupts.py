@@ -51,6 +51,16 @@ WORK = {
     except BaseException:
         pass
 """,
+    "within an import": """
+    class Finder:
+        @staticmethod
+        def find_spec(name, path=None, target=None):
+            if name == "wave":
+                ctrl_c(); time.sleep(0.2)
+    sys.meta_path.insert(0, Finder)
+    import wave
+    time.sleep(60)
+""",
     "in a destructor": """
     class Thing:
         def __del__(self):

@@ -29,9 +29,9 @@ STOPPING = (signal.SIGINT, signal.SIGTERM)
 class Interrupts:
     """The handler of `STOPPING` in a process that runs one command.
 
-    While the command runs, the first Ctrl-C is a KeyboardInterrupt, so that the command can clean up. At any other
-    time the process ends at once, and within imports, too: there, libraries turn exceptions into others, or print them.
-    So it does at a second Ctrl-C, and where the command does not end in time.
+    While the command runs, the first Ctrl-C is a KeyboardInterrupt, so that the command can clean up; within an import
+    it is one as soon as that is over, as libraries turn exceptions into others there, or print them. At any other time
+    the process ends at once, and so it does at a second Ctrl-C, and where the command does not end in time.
 
     in_command: whether a command runs that can clean up. said: whether the one line has been printed.
     """
@@ -42,6 +42,7 @@ class Interrupts:
         self._raised = False
         self._swallowed = False
         self._leaving = False
+        self._watched = False
 
     @property
     def received(self) -> bool:
@@ -70,6 +71,9 @@ class Interrupts:
     def __call__(self, number: int, frame: FrameType | None) -> None:
         if self._leaving:
             return
+        if self.in_command and self._watched and not self._raised and _is_importing(frame):
+            self._swallowed = True  # it comes again until the import is over
+            return
         if not self.in_command or self._raised or _is_importing(frame):
             self.leave()
         self._raised = True
@@ -90,7 +94,7 @@ class Interrupts:
         os.set_blocking(writer, False)
         signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
         os.register_at_fork(after_in_child=lambda: signal.set_wakeup_fd(-1))
-        main = threading.get_ident()
+        main, self._watched = threading.get_ident(), True
         threading.Thread(target=self._watch, args=(reader, main), name="interrupts", daemon=True).start()
 
     def _watch(self, reader: int, main: int) -> None:
@@ -102,7 +106,7 @@ class Interrupts:
             time.sleep(TICK_S)
             if self._swallowed:
                 self._swallowed = self._raised = False
-                signal.pthread_kill(main, signal.SIGINT)
+                signal.pthread_kill(main, next(one for one in STOPPING if signal.getsignal(one) is self))
             if time.monotonic() - began > (CLEAN_UP_S if self.received else STUCK_S):
                 self.leave()
 
