@@ -448,6 +448,19 @@ def test_each_camera_may_have_its_own_file(tmp_path):
     assert settings.plain()["camera"] == [str(file) for file in files]
 
 
+def test_the_schema_takes_configs_and_names_mistakes(tmp_path):
+    jsonschema = pytest.importorskip("jsonschema")
+    schema = json.loads(run("settings", "--schema").out)
+    check = jsonschema.Draft202012Validator(schema)
+    settings = FitSettings(keypoints="a.csv", camera=("c.toml", "d.toml"), fps=60, frames="3:9", image_size_px="9x8")
+    assert list(check.iter_errors(tomllib.loads(settings.to_toml()))) == []
+    fit = schema["properties"]["recon"]["properties"]["fit"]["properties"]
+    assert fit.keys() == SETTINGS.keys()
+    assert all(one["description"] for one in fit.values())
+    for wrong in ({"fps": -1}, {"camera_unit": "yards"}, {"speed": 3}, {"fast": 3}):
+        assert list(check.iter_errors({"recon": {"fit": wrong}})), wrong
+
+
 def test_the_height_at_the_withers_is_a_size():
     settings = FitSettings(keypoints="a.csv", hfov_deg=40, image_size_px="9x8", skeleton="horse-22", height_m=1.3)
     (horse, _, _), usual = read_model_and_cameras(settings), load_skeleton("horse-22")

@@ -1,12 +1,14 @@
-"""Settings of a fit from config.toml and the command line."""
+"""Settings of a fit from config.toml and the command line, and the JSON schema of that file."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import MISSING, replace
 from pathlib import Path
 from typing import Any
+
+from pydantic import TypeAdapter
 
 from recon.base.documents import read_toml
 from recon.base.errors import InputError, Problem
@@ -59,3 +61,38 @@ def _read_config(config: Path) -> dict[str, Any]:
 def beside(folder: Path, name: str, given: Any) -> Any:
     """The value of a setting that stands in a file of that folder: its paths are relative to the folder."""
     return with_paths(name, given, lambda path: os.path.normpath(folder.absolute() / path))
+
+
+LIMITS = {"gt": "exclusiveMinimum", "ge": "minimum", "lt": "exclusiveMaximum", "le": "maximum"}
+"""What pydantic leaves under its own names where a text is read first."""
+
+
+def config_schema() -> dict[str, Any]:
+    """The JSON schema of config.toml, with what each setting means; texts such as "1920x1080" stand for sizes and
+    ranges."""
+    of_fit = TypeAdapter(FitSettings).json_schema()
+    for name, info in SETTINGS.items():
+        given = of_fit["properties"][name]
+        choices = [_of_schema(one) for one in given.pop("anyOf", [given]) if one.get("type") != "null"]
+        # One value stands for a list of one, and a text for what is read from it.
+        choices += [one["items"] for one in choices if "items" in one]
+        if not any(one.get("type") in ("string", "boolean") for one in choices):
+            choices.append({"type": "string"})
+        default = {} if info.default in (MISSING, None) else {"default": info.plain(info.default)}
+        of_fit["properties"][name] = {"description": info.option.help, "anyOf": choices} | default
+    of_fit |= {"title": "recon.fit", "description": "The settings of a fit", "required": []}
+    digests = {"type": "object", "description": "Files' digests", "additionalProperties": {"type": "string"}}
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "title": "config.toml of recon",
+        "type": "object",
+        "properties": {"recon": {"type": "object", "properties": {"fit": of_fit, "sha256": digests}}},
+    }
+
+
+def _of_schema(made: dict[str, Any]) -> dict[str, Any]:
+    """Limits as JSON schema calls them."""
+    named = {
+        LIMITS.get(key, key): _of_schema(value) if isinstance(value, dict) else value for key, value in made.items()
+    }
+    return {key: value for key, value in named.items() if key not in ("title", "default")}

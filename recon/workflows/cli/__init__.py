@@ -11,6 +11,7 @@ from importlib import import_module
 from typing import Annotated, Any
 
 import typer
+from rich.text import Text
 from typer.core import TyperCommand, TyperGroup
 
 from recon.base.errors import InputError, Problem
@@ -147,6 +148,8 @@ class _ListedSettings(Settings):
 
     command: Annotated[str, Option(argument="COMMAND")] = "fit"
     """The command, as in fit."""
+    schema: bool = False
+    """Print the JSON schema of config.toml in place of the list: editors complete and check by it."""
 
 
 def settings(settings: _ListedSettings) -> Answer:
@@ -154,6 +157,9 @@ def settings(settings: _ListedSettings) -> Answer:
 
     Example: recon settings fit
     """
+    if settings.schema:
+        schema = import_module("recon.workflows.config").config_schema()
+        return Answer(schema, [Text(json.dumps(schema, indent=1, ensure_ascii=False))])
     command = commands().get(settings.command)
     if command is None:
         expected = f"one of {', '.join(commands())}"
