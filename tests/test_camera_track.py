@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,8 +15,9 @@ from scipy.spatial.transform import Rotation
 from recon import FitSettings, Motion, find_clips, fit_clip, read_keypoints
 from recon.clip import Keypoints, View, held, views_of
 from recon.geometry import Camera, inverse, rigid
-from recon.io import read_camera_track, read_pose3d, write_csv
+from recon.io import read_camera_track, read_pose3d, write_camera, write_csv
 from recon.workflows import identity, prepare
+from recon.workflows.cameras import read_clip_cameras
 from tests import test_cameras
 from tests.command_line import refusal, says
 from tests.command_line import run as command
@@ -169,6 +171,17 @@ def test_lenses_of_a_colmap_model(tmp_path, line, model, distortion):
         assert (lens.name, lens.model, lens.image_size_px) == ("phone", model, (1920, 1080))
         np.testing.assert_array_equal(lens.matrix, [[1000, 0, 959.5], [0, 1000, 539.5], [0, 0, 1]])
         np.testing.assert_array_equal(lens.distortion, distortion)
+
+
+def test_a_focal_length_in_another_unit_than_pixels(tmp_path):
+    frames, poses = np.arange(3), np.stack([LEVEL] * 3)
+    write_camera(DRONE, tmp_path / "camera.toml")
+    given = {"keypoints": tmp_path / "a.csv", "camera": tmp_path / "camera.toml", "fps": 60}
+    for focal, known in ((1e5, False), (24.0, False), (3000.0, True)):
+        track = write_track(tmp_path / "track.csv", frames, poses, np.tile([focal, focal, 959.5, 539.5], (3, 1)))
+        settings = FitSettings(**given, camera_track=track)
+        with nullcontext() if known else refusal((track, "fx", f"{focal:.4g} px", "of the camera file")):
+            read_clip_cameras(settings)
 
 
 def test_a_colmap_model_that_zooms(tmp_path):

@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from recon.io.video import VideoInfo
 
 AXES, FIRST_CAMERA = ("x", "y", "z"), "first-camera"
+MOST_ZOOM = 20
+"""More than lenses zoom, from the setting in which they were calibrated."""
 
 ClipCamera = tuple[Camera, "io.CameraTrack | None"]
 """The camera of a keypoint file, with a track its lens only: it has no pose; and the track of a camera that moves."""
@@ -36,6 +38,7 @@ def read_clip_cameras(settings: FitSettings) -> Cameras:
     tracks = tuple(all_of(*(lambda path=path: io.read_camera_track(path) for path in settings.camera_track or ())))
     choose = _cameras_of_one if len(settings.keypoints) == 1 else _cameras_of_several
     chosen = tuple((_as_it_stands(*one, settings.camera_unit), one[1]) for one in choose(settings, tracks))
+    refuse(_focal_problems(chosen))
     if settings.up is not None:
         chosen = _turned_up(chosen, settings.up)
     if settings.tilt_deg is None:
@@ -45,6 +48,16 @@ def read_clip_cameras(settings: FitSettings) -> Cameras:
         raise InputError(Problem("--tilt-deg", "tilt_deg", found, "one of the two"))
     tilt_rad = math.radians(settings.tilt_deg)
     return tuple((replace(camera, tilt_rad=tilt_rad), track) for camera, track in chosen)
+
+
+def _focal_problems(cameras: Cameras) -> Iterator[Problem]:
+    """Tracks of cameras that zoom, whose focal length is nowhere near the camera file's, as in another unit."""
+    for camera, track in cameras:
+        if track is not None and track.intrinsics_px is not None:
+            found, own = float(np.median(track.intrinsics_px[:, 0])), float(camera.matrix[0, 0])
+            if not own / MOST_ZOOM <= found <= own * MOST_ZOOM:
+                expected = f"about the {own:.4g} px of the camera file, or {MOST_ZOOM} times more or less"
+                yield Problem(track.source, "fx", f"{found:.4g} px (median)", expected)
 
 
 def _turned_up(cameras: Cameras, up: str) -> Cameras:
