@@ -4,7 +4,7 @@
 
 Each run is a folder as in `cheetah_runs.py`. Two: the named camera and the one that sees the animal from the most
 different direction. Where the detector's keypoints lie is measured in the other runs, with all their cameras and the
-poses that the reference has; without these, as `recon subject fit --no-lengths --offsets` does, in one table
+poses that the reference has, as `recon subject fit --no-lengths --offsets --poses` does; without these in one table
 beside it. The shipped file knows all runs, and is printed in the end. Errors are over all 24 joints. Without FOLDER:
 the cheetah-runs of $RECON_SHARED_DATA, or of ../shared/data. One thread.
 """

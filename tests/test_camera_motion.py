@@ -11,10 +11,11 @@ from functools import cache
 import cv2
 import numpy as np
 import pytest
-from command_line import refused, run, says
+from command_line import refusal, refused, run, says
 from scipy.spatial.transform import Rotation
 
-from recon.calibrate.camera_motion import Orientation, Tracker, as_level, tilted
+from recon.calibrate import read_marks
+from recon.calibrate.camera_motion import Orientation, Tracker, as_level, tilted, up_by_marks
 from recon.calibrate.camera_motion.rotation import rays_of
 from recon.calibrate.camera_motion.track import CLEARLY
 from recon.geometry import Camera
@@ -180,6 +181,49 @@ def test_level_is_the_first_frame_as_told_or_the_mean_frame():
     np.testing.assert_allclose(mean[2] / np.linalg.norm(mean[2]), [0, 1, 0], atol=1e-3)
 
 
+def marked(folder, lines: list[tuple[str, int, np.ndarray]]):
+    """A table of marks: of points (2, 3) of the world, in the pictures of a camera in the origin that pans."""
+    rows = []
+    for kind, frame, points in lines:
+        pixels, _ = FISHEYE.project(points @ pan(9, 10.0)[frame].T)
+        rows.append(f"{kind},{frame + 3}," + ",".join(f"{x:.3f}" for x in pixels.ravel()))
+    (folder / "level.csv").write_text("kind,frame,x1,y1,x2,y2\n" + "\n".join(rows) + "\n")
+    return folder / "level.csv"
+
+
+UP = np.array([0.1, -0.98, -0.15]) / np.linalg.norm([0.1, -0.98, -0.15])
+ACROSS = np.cross(UP, [0.0, 0.0, 1.0])
+AWAY = np.cross(ACROSS, UP)
+HORIZON = ("horizon", 2, np.stack([5 * AWAY - 2 * ACROSS, 5 * AWAY + 2 * ACROSS]))
+POSTS = [("vertical", t, 5 * AWAY + x * ACROSS + np.outer([-2.2, 2.2], UP)) for t, x in ((1, -2.0), (7, 2.5))]
+
+
+@pytest.mark.parametrize("lines", [[HORIZON], POSTS, [HORIZON, *POSTS]], ids=["horizon", "posts", "both"])
+def test_marks_tell_which_way_is_up(tmp_path, lines):
+    path, orientations = marked(tmp_path, lines), [Orientation(R) for R in pan(9, 10.0)]
+    up, sigma = up_by_marks(
+        path, read_marks(path), FISHEYE, {t + 3: orientation for t, orientation in enumerate(orientations)}
+    )
+    np.testing.assert_allclose(up, orientations[0].rotation @ UP, atol=1e-4)
+    assert 0.001 < sigma < 0.05
+    np.testing.assert_allclose(as_level(orientations, up)[4].rotation[:, 2], orientations[4].rotation @ UP, atol=1e-4)
+
+
+def test_marks_that_do_not_tell_are_refused(tmp_path):
+    orientations = {t + 3: Orientation(R) for t, R in enumerate(pan(9, 10.0))}
+    path = marked(tmp_path, POSTS[:1])
+    with refusal((path, "marks", ["leave", "upward direction"])):
+        up_by_marks(path, read_marks(path), FISHEYE, orientations)
+    with refusal((path, "frame", 4)):
+        up_by_marks(path, read_marks(path), FISHEYE, {3: Orientation(np.eye(3))})
+    path.write_text(
+        "kind,frame,x1,y1,x2,y2\nhorizon,1,2,3,4,5\nskyline,1,2,3,4,5\nvertical,1,2,3,2,3\nhorizon,1,2,3,inf,5\n"
+    )
+    wrong = enumerate(path.read_text().splitlines()[2:], 3)
+    with refusal(*((path, f"line {number}", f"'{line}'", "horizon or vertical") for number, line in wrong)):
+        read_marks(path)
+
+
 # -- the command ------------------------------------------------------------------------------------------------------
 
 
@@ -219,6 +263,9 @@ def test_command_writes_a_track_that_the_fit_reads(pan_film, tmp_path):
     assert report["by_frame"]["tilt_deg"][0] == pytest.approx(10)
     assert report["by_frame"]["frame"] == list(range(5, 13))
     assert "rolling shutter" in " ".join(report["notes"])
+    panorama = cv2.imread(str(tmp_path / "track_panorama.png"))
+    assert panorama is not None
+    assert panorama.shape[1] > 1000
 
 
 def test_a_damaged_video_keeps_the_numbers_that_a_detector_gives_and_says_what_is_missing(tmp_path):
@@ -260,6 +307,20 @@ def test_without_a_tilt_the_mean_frame_is_said_to_be_level(pan_film, tmp_path):
     )
     assert ended.code == 0, ended.err
     assert says(ended.out, "mean of all frames")
+
+
+def test_level_by_marks_is_said_and_so_is_what_does_not_fit(pan_film, tmp_path):
+    (tmp_path / "level.csv").write_text("kind,frame,x1,y1,x2,y2\nhorizon,0,10,95,300,85\n")
+    given = ("camera-motion", pan_film / "pan.avi", "--camera", pan_film / "camera.toml", "--out", tmp_path / "a.csv")
+    ended = run(*given, "--level-marks", tmp_path / "level.csv")
+    assert ended.code == 0, ended.err
+    assert "by 1 marks in" in ended.out
+    report = json.loads((tmp_path / "a_report.json").read_text())["by_frame"]
+    assert report["roll_deg"][0] == pytest.approx(-np.degrees(np.arctan2(10, 290)), abs=0.05)
+    assert report["tilt_deg"][0] == pytest.approx(0.0, abs=0.2)
+    marks = tmp_path / "level.csv"
+    beside = ("--tilt-deg", "level", [3, marks], "one of the two")
+    refused([*given, "--overwrite", "--level-marks", marks, "--tilt-deg", 3], beside)
 
 
 def film_refused(

@@ -10,6 +10,7 @@ import pytest
 
 from recon import Body, SubjectFitSettings, load_skeleton, run_subject_fit
 from recon.fit import ClipProblem, Shape, ShapeFit, TrajectoryOptions, constants, fit_shape, solve_points
+from recon.io import Pose3D, write_csv
 from tests.command_line import refusal, run
 from tests.test_cameras import folder, settings  # noqa: F401
 from tests.test_trajectory import BODY, FPS, PRIOR
@@ -125,6 +126,12 @@ def test_command(folder, tmp_path):  # noqa: F811
     table = run("subject", "fit", config, "--out", out, "--overwrite", "--no-lengths", "--offsets")
     assert "off its marker" in table.out
     assert "length of" not in table.out
+    poses = tmp_path / "poses.csv"
+    xyz_m = truth_m()
+    write_csv(Pose3D(BODY.markers, xyz_m, np.arange(len(xyz_m))), poses)
+    offsets = ("--no-lengths", "--offsets", "--poses", poses, "--json")
+    said = json.loads(run("subject", "fit", config, "--out", tmp_path / "network.toml", *offsets).out)
+    assert max(abs(row["value"]) for row in said["values"]) < 12  # mm: the keypoints lie on the markers
 
 
 def _mean_factor(animal: Body) -> float:
@@ -139,12 +146,17 @@ def test_what_is_wrong_is_said(folder, tmp_path):  # noqa: F811
     config, one = tmp_path / "config.toml", tmp_path / "one.toml"
     config.write_text(settings(folder, 1, 2).to_toml())
     one.write_text(settings(folder, 1).to_toml())
+    other, detector = tmp_path / "other.csv", {"lengths": False, "offsets": True}
+    write_csv(Pose3D(("nose",), np.zeros((40, 1, 3)), np.arange(40)), other)
     for paths, options, expected in (
         ([one], {}, (one, "cameras", ["one camera", "cam1"], "several cameras")),
         ([config], {"out": tmp_path / "x.txt"}, ("--out", "file", tmp_path / "x.txt", "ends in .toml")),
         ([config], {"out": config}, ("--out", "file", config, "--overwrite")),
         ([config], {"lengths": False}, ("--no-lengths", "unknowns", "nothing", "--offsets")),
         ([tmp_path / "none"], {}, (tmp_path / "none", "file", "no such file")),
+        ([config], {"poses": [other]}, ("--poses", "unknowns", "lengths, or no offsets")),
+        ([config], detector | {"poses": [other, other]}, ("--poses", "files", "2 for 1 clips")),
+        ([config], detector | {"poses": [other]}, (other, "poses", ["40 of the", "1 of the"], "8 or more")),
     ):
         with refusal(expected):
             run_subject_fit(SubjectFitSettings(clips=paths, **{"out": tmp_path / "cat.toml", **options}))

@@ -1,11 +1,13 @@
-"""`recon camera-motion`: the video of a camera that turns in, a camera track and a report out."""
+"""`recon camera-motion`: the video of a camera that turns in, a camera track, a report and a panorama out."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
+import cv2
 import numpy as np
 from pydantic import Field
 from scipy.spatial.transform import Rotation
@@ -13,15 +15,16 @@ from scipy.spatial.transform import Rotation
 from recon.base import Progress, silent
 from recon.base.arrays import Array
 from recon.base.errors import InputError, Problem, all_of, refuse
-from recon.base.files import require_free_file, staged_folder
+from recon.base.files import require_free_file, staged_folder, write_bytes
 from recon.base.settings import Integer, Number, Option, Settings
 from recon.calibrate import camera_motion as turning
+from recon.calibrate.camera_motion.panorama import panorama, thumbnail
 from recon.calibrate.camera_motion.track import CLEARLY
 from recon.clip.keypoints import Keypoints
 from recon.geometry.camera import Camera
 from recon.io import read_camera, read_keypoints, write_table
 from recon.io.camera_track import INTRINSICS, POSE, SIGMA
-from recon.io.video import missing_frames, missing_note, probe, timed_frames
+from recon.io.video import Image, missing_frames, missing_note, probe, timed_frames
 from recon.show.plain import picked, to_json
 from recon.workflows.cameras import size_problems
 from recon.workflows.cli.common import Answer, counted
@@ -58,10 +61,16 @@ class _CameraMotionSettings(Settings):
     first_frame: Annotated[Integer, FIRST_FRAME] = 0
     tilt_deg: Annotated[Number, Field(ge=-90, le=90)] | None = None
     """Degrees that the camera looks down in the first frame. (default: level in the mean of all frames)"""
+    level_marks: Path | None = None
+    """Instead: a table (kind,frame,x1,y1,x2,y2) of horizons and verticals, as in level.csv."""
     zoom: bool = False
     """The focal length changes; the first frame has the file's."""
     overwrite: bool = False
     """Replace the track."""
+
+    def problems(self) -> Iterator[Problem]:
+        if self.tilt_deg is not None and self.level_marks is not None:
+            yield Problem("--tilt-deg", "level", f"{self.tilt_deg:g} beside {self.level_marks}", "one of the two")
 
 
 def of_clip(settings: FitSettings, video: Path, out: Path, **more: Any) -> _CameraMotionSettings:
@@ -90,21 +99,26 @@ def camera_motion(settings: _CameraMotionSettings, progress: Progress) -> Answer
 def run_camera_motion(
     settings: _CameraMotionSettings, progress: Progress = silent
 ) -> tuple[dict[str, Any], tuple[Path, ...]]:
-    """The report and the files: the track (`recon.io.camera_track`), and beside it <stem>_report.json. Raises
-    InputError, with every problem, for inputs that cannot be used, and for a camera that did more than turn."""
-    info, lens, animal, _ = all_of(
+    """The report and the files: the track (`recon.io.camera_track`), and beside it <stem>_report.json and
+    <stem>_panorama.png. Raises InputError, with every problem, for inputs that cannot be used, and for a camera that
+    did more than turn."""
+    info, lens, animal, marks, _ = all_of(
         lambda: probe(settings.video),
         lambda: read_camera(settings.camera, settings.camera_name),
         lambda: None if settings.keypoints is None else read_keypoints(settings.keypoints, settings.individual),
+        lambda: () if settings.level_marks is None else turning.read_marks(settings.level_marks),
         lambda: require_free_file(settings.out, settings.overwrite, suffixes=(".csv",)),
     )
     refuse(size_problems(settings.video, info, lens))
     points = {} if animal is None else _points(animal, settings.first_frame)
     stamps_s: list[float] = []
+    pictures: list[Image] = []
     tracker = turning.Tracker(lens, settings.zoom, points.get)
     for number, stamp_s, picture in timed_frames(settings.video):
         stamps_s.append(stamp_s)
         tracker.add(number, picture)
+        if len(tracker.keys) > len(pictures):
+            pictures.append(thumbnail(picture))
         if tracker.cut is not None:
             break
         progress("following the background", min(1.0, number / (info.stated_frames or number + 1)))
@@ -113,17 +127,18 @@ def run_camera_motion(
     _require_turning(settings, motion, lens)
     if animal is not None:
         _require_same_frames(settings, points, times_s)
-    up, level = None, "the mean of all frames is taken as level: its tilt and roll are 0"
-    if settings.tilt_deg is not None:
-        up = turning.tilted(np.radians(settings.tilt_deg))
-        level = f"the first frame looks {settings.tilt_deg:g} degrees down, as given, and its roll is taken as 0"
+    up, level = _up(settings, motion, lens, marks)
     motion = replace(motion, orientations=turning.as_level(motion.orientations, up))
     report = _report(settings, motion, lens, level, times_s)
-    report_file = settings.out.with_name(f"{settings.out.stem}_report.json")
+    report_file, picture_file = (
+        settings.out.with_name(settings.out.stem + end) for end in ("_report.json", "_panorama.png")
+    )
+    drawn = panorama(lens, motion, pictures, points)
     with staged_folder(settings.out.absolute().parent) as folder:
         _write_track(folder / settings.out.name, settings, motion, lens)
         (folder / report_file.name).write_text(to_json(report), encoding="utf-8")
-    return report, (settings.out, report_file)
+        write_bytes(folder / picture_file.name, cv2.imencode(".png", drawn)[1].tobytes())
+    return report, (settings.out, report_file, picture_file)
 
 
 # -- what cannot be used ----------------------------------------------------------------------------------------------
@@ -181,6 +196,23 @@ def _points(keypoints: Keypoints, first_frame: int) -> dict[int, Array]:
     pixels = np.where((keypoints.confidence < MIN_LIKELIHOOD)[..., None], np.nan, keypoints.xy_px)
     shown = np.asarray(np.isfinite(pixels).all(axis=2)).any(axis=1)
     return dict(zip((keypoints.frames[shown] - first_frame).tolist(), pixels[shown], strict=True))
+
+
+# -- which way is up --------------------------------------------------------------------------------------------------
+
+
+def _up(
+    s: _CameraMotionSettings, motion: turning.TurningMotion, lens: Camera, marks: Sequence[turning.LevelMark]
+) -> tuple[Array | None, str]:
+    """Up (3,) in the first frame's camera, None if the mean frame is to be level, and how that is known."""
+    if s.tilt_deg is not None:
+        level = f"the first frame looks {s.tilt_deg:g} degrees down, as given, and its roll is taken as 0"
+        return turning.tilted(np.radians(s.tilt_deg)), level
+    if s.level_marks is None:
+        return None, "the mean of all frames is taken as level: its tilt and roll are 0"
+    by_frame = dict(zip((motion.frames + s.first_frame).tolist(), motion.orientations, strict=True))
+    up, sigma = turning.up_by_marks(s.level_marks, marks, lens, by_frame)
+    return up, f"by {len(marks)} marks in {s.level_marks}, to {np.degrees(sigma):.1g} degrees if they are 2 px off"
 
 
 # -- what comes out ---------------------------------------------------------------------------------------------------

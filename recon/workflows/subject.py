@@ -13,12 +13,15 @@ from rich.table import Table
 
 from recon.animal import detector_toml, subject_toml
 from recon.animal.skeleton_file import NONE
+from recon.base.arrays import Array, Integers
 from recon.base.errors import InputError, Problem, all_of
 from recon.base.files import require_free_file, staged_file
 from recon.base.settings import OneOrMore, Option, Settings
 from recon.clip import views_of
 from recon.fit.clip_problem import ClipProblem
-from recon.fit.shape import Shape, ShapeFit, fit_shape
+from recon.fit.points import MIN_MARKERS, solve_points
+from recon.fit.shape import POSED_OFFSET_SIGMA_M, Shape, ShapeFit, fit_shape
+from recon.io import Pose3D, read_pose3d
 from recon.workflows.cli.common import Answer, counted, table_of
 from recon.workflows.clip import prepare
 from recon.workflows.clip_results import CONFIG, read_config
@@ -52,15 +55,22 @@ class SubjectFitSettings(Settings):
     """Measure the lengths of the segments, left equal to right."""
     offsets: bool = False
     """Measure where the detector's keypoints lie beside the markers."""
+    poses: tuple[Path, ...] = ()
+    """3D poses by another method, one file a clip: offsets are measured beside these."""
     title: str | None = None
     """Title of the animal, in words. (default: made up)"""
     overwrite: bool = False
     """Replace the file."""
 
     def problems(self) -> Iterator[Problem]:
-        """What is to be measured has to be named."""
+        """What is to be measured has to be named, and poses have to be there for each clip."""
         if not self.lengths and not self.offsets:
             yield Problem("--no-lengths", "unknowns", "nothing to fit", "--offsets with it, or without it")
+        if self.poses and (self.lengths or not self.offsets):
+            yield Problem("--poses", "unknowns", "lengths, or no offsets", "--no-lengths --offsets beside it")
+        if self.poses and len(self.poses) != len(self.clips):
+            found = f"{len(self.poses)} for {len(self.clips)} clips"
+            yield Problem("--poses", "files", found, "one for each clip")
 
 
 def subject_fit(settings: SubjectFitSettings) -> Answer:
@@ -100,21 +110,27 @@ def run_subject_fit(settings: SubjectFitSettings) -> dict[str, Any]:
     detector file. What was found is given as plain types; its size is the lengths' mean factor on the skeleton's.
 
     clips: result folders of `recon fit`, or their config.toml. lengths: of the segments; offsets: of the keypoints from
-    the markers. Raises InputError for clips and options that cannot be used, with the problems of all of them.
+    the markers. poses: of each clip, its 3D poses in the cameras' world as another method knows them, and then the
+    offsets are those beside these. Raises InputError for clips and options that cannot be used, with the problems of
+    all of them.
     """
-    fits, _ = all_of(
+    fits, _, known = all_of(
         lambda: all_of(
             *(partial(read_config, path / CONFIG if path.is_dir() else path, {}) for path in settings.clips)
         ),
         lambda: require_free_file(settings.out, settings.overwrite, suffixes=(".toml",)),
+        lambda: all_of(*(partial(read_pose3d, path) for path in settings.poses)),
     )
     _require_one_skeleton(fits, settings.clips)
     if settings.lengths:  # those of a measured animal would be measured again
         fits = [replace(one, subject=None) for one in fits]
     if settings.offsets:
         fits = [replace(one, detector=NONE) for one in fits]
-    given = all_of(*(partial(_problem, *of) for of in zip(fits, settings.clips, strict=True)))
+    each = zip(fits, settings.clips, known or (None,) * len(settings.clips), strict=True)
+    given = all_of(*(partial(_problem, *of) for of in each))
     shape = Shape.of(given[0].body, settings.lengths, settings.offsets)
+    if known:
+        shape = replace(shape, offset_sigma_m=POSED_OFFSET_SIGMA_M)
     try:
         fit = fit_shape(shape, given)
     except ValueError as error:
@@ -151,7 +167,7 @@ def _require_one_skeleton(settings: Sequence[FitSettings], clips: Sequence[Path]
         raise InputError(Problem("CLIPS", "skeleton", found, "clips of the same skeleton"))
 
 
-def _problem(settings: FitSettings, path: Path) -> ClipProblem:
+def _problem(settings: FitSettings, path: Path, pose: Pose3D | None) -> ClipProblem:
     """A clip from which the animal can be measured. Raises InputError for others."""
     if settings.method != "trajectory":
         raise InputError(Problem(path, "method", settings.method, "the trajectory method"))
@@ -164,4 +180,21 @@ def _problem(settings: FitSettings, path: Path) -> ClipProblem:
     if not problem.shows_size:
         found = f"one camera that stands still, {given.sources[0].camera.name}"
         raise InputError(Problem(path, "cameras", found, "several cameras, or a moving one: one cannot tell lengths"))
-    return problem
+    if pose is None:
+        return problem
+    return replace(problem, known=_states_known(problem, given.sources[0].keypoints.frames, pose))
+
+
+def _states_known(setting: ClipProblem, frames: Integers, pose: Pose3D) -> Array:
+    """(T, D): states of the setting's body, whose markers are nearest to a pose, NaN where it has none. Raises
+    InputError where it has no frame or too few of the markers."""
+    markers = setting.body.markers
+    _, mine, theirs = np.intersect1d(frames, pose.frames, return_indices=True)
+    points_m = np.full((len(frames), len(markers), 3), np.nan)
+    points_m[mine] = pose.of_joints(markers)[theirs]
+    states, *_ = solve_points(setting.body, points_m)
+    if not np.isfinite(states).all(axis=1).any():
+        found = f"{len(mine)} of the clip's frames, {len({*markers} & {*pose.names})} of the skeleton's markers"
+        expected = f"{MIN_MARKERS} or more of {', '.join(markers)} in frames of the clip, numbered as its keypoints are"
+        raise InputError(Problem(pose.source or "--poses", "poses", found, expected))
+    return states

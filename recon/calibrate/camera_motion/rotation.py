@@ -7,8 +7,6 @@ they are spread, not how many they are.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import cv2
@@ -17,7 +15,6 @@ from scipy.spatial.transform import Rotation
 
 from recon.base.arrays import Array, Bools, Integers
 from recon.geometry.camera import Camera
-from recon.geometry.frames import level_from_camera
 from recon.io.video import Image
 
 WORK_PX = 1280
@@ -325,26 +322,3 @@ def expected_px(camera: Camera, rays: Array, orientation: Orientation) -> tuple[
     """Pixels (N, 2) of world rays (N, 3), and whether they are in the picture."""
     pixels, valid = pixels_of(camera, rays @ orientation.rotation.T, orientation.zoom)
     return pixels, valid & camera.in_image(np.where(valid[:, None], pixels, -1e9))
-
-
-# -- which way is up ---------------------------------------------------------------------------------------------------
-
-
-def as_level(orientations: Sequence[Orientation], up: Array | None) -> tuple[Orientation, ...]:
-    """The turns from a world with z up, y away from the camera.
-
-    up: (3,) in the first frame's camera. None: the mean frame looks level.
-    """
-    reference = orientations[0].rotation
-    if up is None:
-        reference, up = (
-            Rotation.from_matrix([one.rotation for one in orientations]).mean().as_matrix(),
-            tilted(0.0),
-        )
-    level = level_from_camera(up) @ reference  # of the old world
-    return tuple(replace(orientation, rotation=orientation.rotation @ level.T) for orientation in orientations)
-
-
-def tilted(tilt_rad: float) -> Array:
-    """Up (3,) in a camera that looks down so far, its picture level to the sides."""
-    return np.array([0.0, -math.cos(tilt_rad), -math.sin(tilt_rad)])
