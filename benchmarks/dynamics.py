@@ -66,8 +66,8 @@ def against_plates(run: Path, found: ClipAnalysis, fps: float) -> list[dict[str,
 
         def off(start_s, end_s, impulse, at_s: np.ndarray = at_s, plate=plate) -> float:
             """Root mean square of what the mean of stances of these ends and impulses is off."""
-            start_s, lasts = start_s[1:, None], (end_s - start_s)[1:, None]
-            force = impulse[1:, None] / (MEAN_OF_PEAK * lasts) * shape((at_s - start_s) / lasts)
+            begins_s, lasts = start_s[1:, None], (end_s - start_s)[1:, None]
+            force = impulse[1:, None] / (MEAN_OF_PEAK * lasts) * shape((at_s - begins_s) / lasts)
             return float(np.sqrt(np.mean((force.mean(axis=0) - plate) ** 2)))
 
         i = next(i for i, s in enumerate(found.gait.stances) if (s.foot, s.start_s) == (foot, one["start_s"]))
@@ -81,10 +81,10 @@ def against_plates(run: Path, found: ClipAnalysis, fps: float) -> list[dict[str,
                 "peak": one["peak_bw"] / plate.max() - 1,
                 "peak inside": float(one["peak_low_bw"] <= plate.max() <= one["peak_high_bw"]),
                 "impulse inside": float(one["impulse_low_bw_s"] <= impulse <= one["impulse_high_bw_s"]),
-                "times": off(*known.T, drawn[:, i]),
+                "times": off(known[:, 0], known[:, 1], drawn[:, i]),
                 "sum of the feet": off(*said, level),
                 "each foot's impulse": off(*said, right),
-                "times and impulses": off(*known.T, right),
+                "times and impulses": off(known[:, 0], known[:, 1], right),
             }
         )
     return rows

@@ -27,6 +27,7 @@ from typer.testing import CliRunner
 
 from recon import InputError
 from recon.animal import load_names, load_prior, load_skeleton
+from recon.calibrate import read_marks
 from recon.clip import Keypoints
 from recon.io import deeplabcut_h5, movement, nwb, read_camera_track, read_keypoints, read_pose3d
 from recon.io.deeplabcut_h5 import plain_pickle
@@ -317,7 +318,7 @@ def test_out_of_memory_is_one_line(error, monkeypatch, capsys):
     assert says(line, "not enough memory", str(error), "--frames")
 
 
-@pytest.mark.parametrize("read", [read_keypoints, read_label_file, load_names, read_camera_track])
+@pytest.mark.parametrize("read", [read_keypoints, read_label_file, read_marks, load_names, read_camera_track])
 def test_a_cell_that_is_too_long(read, tmp_path):
     (tmp_path / "long.csv").write_text(f"scorer,a\n{'1' * 131_073},2\n")
     with pytest.raises(InputError):

@@ -443,11 +443,6 @@ def test_errors_over_time_are_those_of_all_cameras(filmed_twice: Recording, two_
     assert (outliers.sum(axis=1) == [0, 24, 24]).all()  # the second camera is not where it was taken to be
 
 
-def test_viewer_needs_a_file(tmp_path: Path) -> None:
-    with refusal((tmp_path / "motion.rrd", "file", "no such file", "recon fit")):
-        open_viewer(tmp_path / "motion.rrd")
-
-
 @pytest.mark.skipif(sys.platform != "linux", reason="others always have a screen, or say it otherwise")
 def test_viewer_needs_a_display(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "motion.rrd").touch()

@@ -279,11 +279,14 @@ def _stages(job: _Job) -> dict[str, _Stage]:
         return run_analyse(AnalyseSettings(folder=out, overwrite=True), progress=progress)[2], ()
 
     def draw(progress: Progress) -> tuple[Iterable[Path], Iterable[str]]:
-        settings = OverlaySettings(folder=out, out=out / OVERLAY, overwrite=True, **film, **first)
+        settings = OverlaySettings(
+            folder=out, out=out / OVERLAY, overwrite=True, video=run.video, first_frame=run.first_frame
+        )
         return [out / OVERLAY], run_overlay(settings, progress=progress)[-1]
 
     def page(progress: Progress) -> tuple[Iterable[Path], Iterable[str]]:
-        return [run_page(PageSettings(folder=out, **film, **first), progress=progress)], ()
+        settings = PageSettings(folder=out, video=run.video, first_frame=run.first_frame)
+        return [run_page(settings, progress=progress)], ()
 
     stages = {}
     if run.model is not None:
