@@ -97,7 +97,7 @@ def opposites(names: Sequence[str]) -> Index:
 
 
 def opposite_word(word: str) -> str:
-    """In the same case."""
+    """The word of the other side, in the same case."""
     other = _OPPOSITE[word.lower()]
     return other.upper() if word.isupper() else other.title() if word.istitle() else other
 

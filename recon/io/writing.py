@@ -121,7 +121,7 @@ def _cell(value: Any) -> Any:
 
 
 def deeplabcut_layout(data: Keypoints | Pose3D) -> tuple[dict[str, list[str]], np.ndarray, np.ndarray]:
-    """Of DeepLabCut's tables the header cells by level, frame numbers (T,) and values (T, 3K)."""
+    """The header cells by level, frame numbers (T,) and values (T, 3K) of DeepLabCut's tables."""
     points = points_of(data)
     coords, values = ("x", "y", "z"), points.values
     if points.likelihood is not None:

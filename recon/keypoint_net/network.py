@@ -461,9 +461,11 @@ def load_model(folder: Path, device: torch.device) -> TrainedNetwork:
         if old := kept.get("calibrations", {}).get("fast"):  # of version 0.2
             kept["calibration"] = old["slope"], old["offset"]
         names = [field.name for field in dataclasses.fields(Spec)]
-        spec = validated(Spec, {name: kept[name] for name in names if name in kept}, "spec")
+        spec = validated(Spec, {name: kept[name] for name in names if name in kept}, path)
         network = new_network(len(spec.names), spec.two_stages)
         network.load_state_dict(content["weights"])
+    except InputError:
+        raise
     except (KeyError, TypeError, ValueError, AttributeError, RuntimeError) as error:
         found = f"a network with parts missing or altered ({' '.join(str(error).split())[:100]})"
         raise InputError(Problem(path, "model", found, "one as `recon train` wrote it")) from None
