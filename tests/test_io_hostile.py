@@ -366,17 +366,23 @@ def test_hostile_network_runs_nothing(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "change",
-    [{"spec": None}, {"spec": {}}, {"weights": {}}, {"weights": None}, {"spec": {"names": 1}}],
+    ("change", "fields"),
+    [
+        ({"spec": None}, ["model"]),
+        ({"spec": {}}, ["names", "scale", "body_length_px", "tolerance_px"]),
+        ({"weights": {}}, ["model"]),
+        ({"weights": None}, ["model"]),
+        ({"spec": {"names": 1}}, ["names", "scale", "body_length_px", "tolerance_px"]),
+    ],
 )
-def test_altered_network(tmp_path, change):
+def test_altered_network(tmp_path, change, fields):
     torch = pytest.importorskip("torch")
     from recon.keypoint_net import FORMAT, load_model
 
     spec = {"names": ["a"], "scale": 0.5, "body_length_px": 9.0, "tolerance_px": 9.0}
     content = {"format": FORMAT, "spec": spec, "weights": {}} | change
     torch.save(content, tmp_path / "model.pt")
-    with refusal((tmp_path / "model.pt", "model", "missing or altered", "recon train")):
+    with refusal(*((tmp_path / "model.pt", field) for field in fields)):
         load_model(tmp_path / "model.pt", torch.device("cpu"))
 
 
