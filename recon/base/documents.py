@@ -95,7 +95,7 @@ def parse_toml(text: str, source: str | Path, expected: str = "TOML") -> dict[st
     return _parsed(_toml, text, source, expected)
 
 
-_LONG_KEY = re.compile(r"""(?<![\w"'-])(?:[\w"'-]++[ \t]*+\.[ \t]*+){100}""")
+_LONG_KEY = re.compile(r"""(?<![\w"'-])(?:(?:"[^"\n]*+"|'[^'\n]*+'|[\w-]++)[ \t]*+\.[ \t]*+){100}""")
 
 
 def _toml(text: str) -> dict[str, Any]:
@@ -224,7 +224,8 @@ def named_file(
     path, expected = Path(name), f"a {what} file ({ending})"
     if not os.path.isfile(path):  # False, not an OSError, of a name that is too long
         choice = ", ".join(known if names is None else names)
-        raise InputError(Problem(option, "name or file", repr(str(name)), f"one of {choice}, or {expected}"))
+        found = f"{str(name)!r}{', no such file' if path.suffix else ''}"
+        raise InputError(Problem(option, "name or file", found, f"one of {choice}, or {expected}"))
     return read_content(path, expected, MAX_UNPACKED), str(path)
 
 

@@ -101,13 +101,14 @@ class Interrupts:
         """Python runs signal handlers between two steps of the main thread, which may be in a library for long."""
         while not {*STOPPING} & {*os.read(reader, 64)}:
             pass
-        began = time.monotonic()
+        began, told = time.monotonic(), False
         while True:
             time.sleep(TICK_S)
+            told |= self.received
             if self._swallowed:
                 self._swallowed = self._raised = False
                 signal.pthread_kill(main, next(one for one in STOPPING if signal.getsignal(one) is self))
-            if time.monotonic() - began > (CLEAN_UP_S if self.received else STUCK_S):
+            if time.monotonic() - began > (CLEAN_UP_S if told else STUCK_S):
                 self.leave()
 
 

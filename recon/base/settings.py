@@ -1,5 +1,4 @@
-(
-    """Settings: one class for each command, from which its options, its help and what Python takes follow.
+"""Settings: one class for each command, from which its options, its help and what Python takes follow.
 
 A setting is one field: its type says which values it may have, the text below it is its help, and an `Option` in its
 `Annotated` says what else the command line has to know.
@@ -8,9 +7,8 @@ A setting is one field: its type says which values it may have, the text below i
         folder: Annotated[Path, Option(argument="DIR")]
         \"""Folder of results, as in results/clip.\"""
         speed: Positive = 1.0
-        \"""Speed of the playback, 1 is real time.\""""
-    ""
-)
+        \"""Speed of the playback, 1 is real time.\"""
+"""
 
 from __future__ import annotations
 

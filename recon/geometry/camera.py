@@ -38,7 +38,7 @@ TILT = "radians between -pi/2 and pi/2, and 0 beside a pose that says which way 
 class Camera:
     """One calibrated camera. Raises InputError, naming every fault, for wrong shapes or numbers of coefficients, values
     that are not finite, focal lengths or image sizes that are not positive, a rotation that is not orthonormal and
-    right-handed to 1e-6, and a tilt of a right angle or more, or beside a pose that says which way is up."""
+    right-handed to 1e-6, and a tilt of more than a right angle, or beside a pose that says which way is up."""
 
     name: str
     """The name in its calibration file."""

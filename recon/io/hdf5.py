@@ -24,6 +24,8 @@ FREE_BYTES = 1 << 26
 """What a dataset or a piece of it may take in any case; beyond that what it takes in the file, or, up to
 `MAX_UNPACKED`, `MAX_RATIO` times that."""
 MAX_RATIO = 1100
+USUAL_RATIO = 100
+"""Of tables that are mostly empty, as tracks of many animals are: these may be four times larger."""
 """The most that gzip can compress is 1032 times."""
 FILTERS = (1, 2, 3, 32000)
 """gzip, shuffle, Fletcher's checksum, LZF: those that every h5py has, and whose decoders hold."""
@@ -263,7 +265,9 @@ def _require_readable(dataset: Any) -> None:
         wanted = item
         for n in shape:
             wanted *= int(n)
-        if wanted > max(FREE_BYTES, stored, min(MAX_RATIO * stored, MAX_UNPACKED)):
+        if wanted > max(
+            FREE_BYTES, stored, min(MAX_RATIO * stored, MAX_UNPACKED), min(USUAL_RATIO * stored, 4 * MAX_UNPACKED)
+        ):
             raise ValueError(f"{dataset.name} asks for {wanted:.3g} bytes, of which the file has {stored}")
 
 

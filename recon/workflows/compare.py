@@ -77,7 +77,8 @@ def compare(settings: _CompareSettings, progress: Progress) -> Answer:
     names = [folder.absolute().name for folder in folders]
     refuse(Problem(n, "clip", f"{names.count(n)} folders of that name", "one") for n in {*names} if names.count(n) > 1)
     of_clip = _groups(settings.table, settings.by, names)
-    require_free_folder(out, [GROUPS], settings.overwrite, "a comparison")
+    written = [name for table in (GROUPS, STRIDES, CLIPS) for name in (table, table.replace(".csv", ".parquet"))]
+    require_free_folder(out, [*written, FIGURE], settings.overwrite, "a comparison")
     motions = all_of(
         *(lambda folder=folder: usable(Motion.load(folder), folder, settings.anyway) for folder in folders)
     )
@@ -90,10 +91,10 @@ def compare(settings: _CompareSettings, progress: Progress) -> Answer:
         rows += own
         clip_rows.append(head | _clip_row(found, own))
     clips = pd.DataFrame(clip_rows)
-    groups = _group_rows(clips)
+    groups, strides = _group_rows(clips), pd.DataFrame(rows, columns=None if rows else [*clip_rows[0]][:3])
     progress("tables", 0.95)
     with staged_folder(out) as staging:
-        for name, table in ((STRIDES, pd.DataFrame(rows)), (CLIPS, clips), (GROUPS, groups)):
+        for name, table in ((STRIDES, strides), (CLIPS, clips), (GROUPS, groups)):
             table.to_csv(staging / name, index=False)
             table.to_parquet((staging / name).with_suffix(".parquet"), index=False)
         _figure(clips, groups).savefig(staging / FIGURE)

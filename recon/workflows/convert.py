@@ -164,7 +164,9 @@ def choose_format(out: Path, name: str | None) -> Format:
     extensions that are not there."""
     names = tuple(dict.fromkeys(f.name for f in CONVERTED))
     if name is not None and name not in names:
-        raise InputError(Problem("--to", "format", f"'{name}'", f"one of: {', '.join(names)}"))
+        of_robots = name in import_module(ROBOTS).FORMATS
+        wanted = "IN to be a folder that `recon retarget` wrote" if of_robots else f"one of: {', '.join(names)}"
+        raise InputError(Problem("--to", "format", f"'{name}'", wanted))
     named = [f for f in CONVERTED if name in (None, f.name)]
     found = next((f for f in named if out.suffix.lower() in f.suffixes), None)
     if found is None:

@@ -10,6 +10,7 @@ from typing import Annotated, Any
 
 import numpy as np
 from pydantic import Field
+from rich.console import Console
 
 from recon.base import Progress, silent
 from recon.base.arrays import Array
@@ -24,7 +25,7 @@ from recon.geometry.frames import level_from_camera, rigid
 from recon.io import write_cameras
 from recon.workflows.batch.inputs import AUTO, find_clips
 from recon.workflows.cli.command import OptionsOf
-from recon.workflows.cli.common import Answer, say, terminal
+from recon.workflows.cli.common import Answer, say
 from recon.workflows.clip import ClipInputs, prepare
 from recon.workflows.config import read_settings
 from recon.workflows.settings import FitSettings
@@ -65,6 +66,7 @@ def extrinsics(
     settings: _ExtrinsicsSettings,
     given: Annotated[dict[str, Any], OptionsOf(FitSettings, _SETTINGS)],
     progress: Progress,
+    console: Console,
 ) -> Answer:
     """Find where cameras stand, from their lenses and clips of the animal: one tells it roughly, several well.
 
@@ -77,7 +79,7 @@ def extrinsics(
     """
     clips, notes = clips_of(settings.inputs, given, settings.cameras_by)
     for note in notes:
-        say(terminal(stderr=True), note, "yellow")
+        say(console, note, "yellow")
     level_rad = None if settings.level_deg is None else math.radians(settings.level_deg)
     cameras, report = run_extrinsics(clips, settings.out, settings.overwrite, level_rad, progress)
     written = f"Written: {settings.out}. Fit clips with: recon fit ... --camera {settings.out}"

@@ -13,6 +13,7 @@ from typing import Annotated
 import cv2
 import numpy as np
 from pydantic import Field
+from rich.console import Console
 
 from recon.base import Progress, silent
 from recon.base.arrays import Array, Index
@@ -35,7 +36,7 @@ from recon.workflows.analyse import FOLDER, PLAYBACK
 from recon.workflows.analyse import SUMMARY as ANALYSIS
 from recon.workflows.batch import SUMMARY, write_summary_page
 from recon.workflows.cameras import cameras_in, size_problems
-from recon.workflows.cli.common import Answer, error_text, terminal, verdict_texts
+from recon.workflows.cli.common import Answer, error_text, say, terminal, verdict_texts
 from recon.workflows.options import ANYWAY, FIRST_FRAME
 
 SLOW_FPS = 30.0
@@ -329,7 +330,7 @@ class _ViewSettings(_ResultSettings):
                 yield Problem("settings", name, "no --video", "one beside the other")
 
 
-def view(settings: _ViewSettings) -> Answer:
+def view(settings: _ViewSettings, console: Console) -> Answer:
     """Open the playback of a reconstruction in the rerun viewer, with the plots of its analysis.
 
     Example: recon view results/clip --video clip.mp4
@@ -341,16 +342,17 @@ def view(settings: _ViewSettings) -> Answer:
     read_manifest(folder).require(PLAYBACK)
     if out is not None:
         require_free_file(out, settings.overwrite)
-    analysed, said = (folder / FOLDER / ANALYSIS).is_file(), []
+    analysed = (folder / FOLDER / ANALYSIS).is_file()
     with TemporaryDirectory() as temporary:
         if out is not None or settings.video is not None or analysed:
             motion, number, _ = result_and_video(settings)
-            said += [f"note: {note}"] if (note := first_frame_note(motion, settings)) else []
+            if note := first_frame_note(motion, settings):
+                say(console, f"note: {note}")
             found = analyse(motion) if analysed else None
             playback = Path(temporary) / PLAYBACK if out is None else out
             with staged_file(playback) as staged:
                 viewer.write(motion, staged, found, settings.video, settings.first_frame, number)
         if out is None:
             viewer.open_viewer(playback)
-    said += [] if out is None else [f"The recording is in {out}. Watch it with: rerun {shlex.quote(str(out))}"]
-    return Answer({"recording": playback if out is None else out}, said)
+    said = [] if out is None else [f"The recording is in {out}. Watch it with: rerun {shlex.quote(str(out))}"]
+    return Answer({"recording": folder / PLAYBACK if out is None else out}, said)

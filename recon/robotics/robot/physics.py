@@ -50,7 +50,7 @@ STRETCHED = 0.05
 """A foot does not move in a direction in which its leg reaches less than this share of its best."""
 CLEAR = 0.05
 """The height within which swinging feet are bent away from the ground, as a share of the standing height."""
-CHANGES = ((1.0, 1.0), (1.0, 0.8), (1.0, 0.6), (1.0, 0.5), (1.3, 0.8), (1.3, 0.6), (1.3, 0.5))
+CHANGES = ((1.0, 1.0), (1.0, 0.8), (1.0, 0.6), (1.0, 0.5), (1.0, 0.4), (1.3, 0.8), (1.3, 0.6), (1.3, 0.5))
 """Factors on times and lengths that are tried, in this order: shorter strides first, as a slower robot has to leap the
 higher over the same share of a stride."""
 DEGREE, MOST = 5, 10.0

@@ -214,10 +214,12 @@ FORMATS: dict[str, tuple[str, Callable[[_RobotSamples, Path, Mapping[str, Any]],
 """By name, the file's and what writes it."""
 
 
-def write_for_trainer(motion: RobotMotion, name: str, rate_hz: float, path: Path, said: Any) -> None:
-    """Write a file of one of `FORMATS`. said: what the file should say of where it comes from. Raises InputError as
-    `sampled`, and of a robot that the format has no room for."""
-    FORMATS[name][1](sampled(motion, rate_hz), path, said)
+def write_for_trainer(motion: RobotMotion, name: str, rate_hz: float, path: Path, said: Any) -> float:
+    """Write a file of one of `FORMATS`, and return its rate. said: what the file should say of where it comes from.
+    Raises InputError as `sampled`, and of a robot that the format has no room for."""
+    found = sampled(motion, rate_hz)
+    FORMATS[name][1](found, path, said)
+    return found.rate_hz
 
 
 # -- motions that are kept, for `recon convert` ------------------------------------------------------------------------
@@ -305,7 +307,11 @@ def convert(folder: Path, out: Path, name: str | None, rate_hz: float | None, ov
         *(partial(require_free_file, path, overwrite, "OUT") for path in files),
     )
     *motions, said = kept
+    rates = []
     for motion, path in zip(motions, (out, stride_out), strict=True):
         with staged_file(path) as staged:
-            write_for_trainer(motion, chosen, rate_hz or RATE_HZ, staged, said)
-    return f"{out}: {chosen}, {motions[0].robot.title}; a stride that repeats is in {stride_out}"
+            rates.append(write_for_trainer(motion, chosen, rate_hz or RATE_HZ, staged, said))
+    hz = " and ".join(f"{rate:.4g}" for rate in rates)
+    return (
+        f"{out}: {chosen}, {motions[0].robot.title}, {hz} frames per second; a stride that repeats is in {stride_out}"
+    )

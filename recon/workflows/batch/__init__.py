@@ -468,7 +468,7 @@ def shown_batch(console: Console, left: int, work: Callable[[Callable[[Event, Su
                 nonlocal ended
                 summaries[:] = [so_far]
                 if event.kind == "progress":
-                    progress(f"{event.name}: {event.stage}", ended / max(left, 1))
+                    progress(f"{ended}/{left} {event.name}: {event.stage}", ended / max(left, 1))
                     return
                 ended, row = ended + 1, so_far.rows[event.name]
                 where = errors if row["status"] == "failed" else console

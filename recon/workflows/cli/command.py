@@ -106,7 +106,7 @@ def make_command(name: str, function: Callable[..., Answer]) -> SettingsCommand:
                 more["settings"] = takes["settings"](**{name: values[name] for name in own if name in values})
             except InputError as error:
                 raise InputError(on_command_line(problem, own) for problem in error.problems) from None
-        with progress_bar(console) if "progress" in takes else nullcontext() as progress:
+        with progress_bar(terminal(quiet=quiet, stderr=True)) if "progress" in takes else nullcontext() as progress:
             answer = function(**more, **({"progress": progress} if progress else {}))
         answer.show(console, as_json)
 

@@ -43,16 +43,20 @@ class Answer:
 
     def show(self, console: Console, as_json: bool) -> None:
         """Print it, and end with its exit code."""
-        from recon.show.plain import to_json  # numpy is slow to import
-
         if as_json:
-            typer.echo(self.data if isinstance(self.data, str) else to_json(self.data), nl=False)
+            typer.echo(self.data if isinstance(self.data, str) else _json(self.data), nl=False)
         for line in () if as_json else self.lines:
             console.print(line) if isinstance(line, Table) else say(console, line)
         for error in self.errors:
             terminal(stderr=True, soft_wrap=True).print(error_text(error))
         if self.errors or self.code:
             raise typer.Exit(EXIT_UNSOLVED if self.errors else self.code)
+
+
+def _json(data: Any) -> str:
+    from recon.show.plain import to_json  # numpy is slow to import, and recon doctor says where it cannot be
+
+    return to_json(data)
 
 
 def terminal(**given: Any) -> Console:
