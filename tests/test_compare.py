@@ -86,3 +86,6 @@ def test_what_cannot_be_compared_is_refused(clips: Path, tmp_path: Path, whole_m
     assert not out.exists()
     assert run("compare", tmp_path / "wreck", clips / "a", "--out", out, "--anyway").code == 0
     refuses([clips], ("--out", "folder", ["groups.csv", out], "--overwrite"))
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "clips.parquet").write_text("of somebody else")
+    refused(["compare", clips, "--out", tmp_path / "mine"], ("--out", "folder", "clips.parquet", "--overwrite"))

@@ -32,7 +32,7 @@ def fit():
     finally:
         print("cleaned up", flush=True)
 
-results = sys.modules["recon.workflows.clip_results"] = types.ModuleType("recon.workflows.clip_results")
+results = sys.modules["recon.workflows.cli.fit"] = types.ModuleType("recon.workflows.cli.fit")
 results.fit = fit
 sys.modules["pandas"] = types.ModuleType("pandas")
 """

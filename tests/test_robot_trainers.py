@@ -184,6 +184,8 @@ def test_a_robots_folder_is_converted_at_any_rate(whole_results, tmp_path):
         assert len(frames) - 1 == pytest.approx((len(at_80["joint_pos"]) - 1) * 50 / 80, abs=1)
     refused(["convert", robot, out, "--to", "trc"], ("--to", "format", "'trc'", ["amp", "mjlab-csv"]))
     refused(["convert", robot, tmp_path / "motion.bvh"], (tmp_path / "motion.bvh", "extension", "'.bvh'", ".json"))
+    later, expected = tmp_path / "x.json", ("--to", "format", "'amp'", "recon retarget")
+    refused(["convert", whole_results, later, "--to", "amp"], expected)
     refused(  # over none of the files that it would write
         ["convert", robot, tmp_path / "motion.csv"],
         ("OUT", "file", str(tmp_path / "motion.json"), "--overwrite"),

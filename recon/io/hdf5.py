@@ -25,7 +25,7 @@ FREE_BYTES = 1 << 26
 `MAX_UNPACKED`, `MAX_RATIO` times that."""
 MAX_RATIO = 1100
 USUAL_RATIO = 100
-"""Of tables that are mostly empty, as tracks of many animals are: these may be four times larger."""
+"""Up to this, a table may be four times larger: tracks of many animals are mostly empty."""
 """The most that gzip can compress is 1032 times."""
 FILTERS = (1, 2, 3, 32000)
 """gzip, shuffle, Fletcher's checksum, LZF: those that every h5py has, and whose decoders hold."""

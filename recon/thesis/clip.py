@@ -15,8 +15,8 @@ from recon.fit.motion import Motion
 from recon.thesis.frame import FrameOptions, solve_frames
 from recon.workflows.cli.command import OptionsOf
 from recon.workflows.cli.common import Answer
+from recon.workflows.cli.fit import FitRunSettings, fit
 from recon.workflows.clip import prepare
-from recon.workflows.clip_results import FitRunSettings, fit
 from recon.workflows.settings import SETTINGS, FitSettings
 
 _OPTIONS = tuple(name for name, info in SETTINGS.items() if name != "method" and info.option.method in (None, "frame"))

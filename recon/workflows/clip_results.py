@@ -9,9 +9,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from typing import Annotated, Any
-
-from rich.console import Console
+from typing import Any
 
 from recon import io
 from recon.animal.prior import load_prior
@@ -21,7 +19,6 @@ from recon.base.errors import InputError, Problem
 from recon.base.files import require_free_folder, sole_writer, staged_file, staged_results
 from recon.base.manifest import MANIFEST, read_manifest, sha256_of
 from recon.base.package import version
-from recon.base.settings import Settings
 from recon.clip import views_of
 from recon.fit.clip_problem import ClipProblem
 from recon.fit.motion import Motion
@@ -31,9 +28,7 @@ from recon.show.export.clip_csv import CAMERA_OUTPUTS, CLIP_OUTPUTS, of_any_came
 from recon.show.page import PAGE
 from recon.show.plain import write_report
 from recon.show.report import build_report
-from recon.workflows.cli.command import OptionsOf
-from recon.workflows.cli.common import Answer, answer_of_fit, say
-from recon.workflows.clip import fit_clip, keypoint_problems
+from recon.workflows.clip import fit_clip
 from recon.workflows.config import read_settings
 from recon.workflows.settings import FitSettings
 
@@ -203,43 +198,3 @@ def replaced_files(config: Path, given: Mapping[str, Any], settings: FitSettings
 def _named(given: Mapping[str, Any], settings: FitSettings) -> dict[str, Path]:
     """The input files that are not given beside the config.toml."""
     return {role: path for role, path in input_files(settings).items() if given.get(role.split()[0]) is None}
-
-
-# -- the command ------------------------------------------------------------------------------------------------------
-
-
-class FitRunSettings(Settings):
-    """The settings of `recon fit`, and of `recon frame`, beside those of the fit itself."""
-
-    out: Path | None = None
-    """Folder for the results, as in results/clip1."""
-    config: Path | None = None
-    """config.toml of an earlier run; options given here overrule it."""
-    overwrite: bool = False
-    """Replace results in the folder."""
-
-
-def fit(
-    settings: FitRunSettings,
-    given: Annotated[dict[str, Any], OptionsOf(FitSettings)],
-    console: Console,
-    progress: Progress,
-) -> Answer:
-    """Reconstruct one clip: keypoints and a camera in, 3D poses, angles, report and playback out.
-
-    Example: recon fit clip.csv --camera scene.json --camera-name cam2 --fps 90 --out results/clip
-
-    Exit code 0: done, whatever the verdict. 1: no frame could be solved. 2: the input cannot be used.
-    """
-    out, config = settings.out, settings.config
-    no_out = [Problem("--out", "folder", "nothing", "a folder for the results, as in results/clip1")]
-    try:
-        fitted = read_settings(None, given) if config is None else read_config(config, given)
-    except InputError as error:
-        files = keypoint_problems(given.get("keypoints") or (), given.get("individual"))
-        raise InputError((*files, *error.problems, *([] if out else no_out))) from None
-    if out is None:
-        raise InputError(no_out)
-    for path in [] if config is None else replaced_files(config, given, fitted):
-        say(console, f"note: {path} is not the file that {config} was written for: its content is another")
-    return answer_of_fit(run_clip(fitted, out, settings.overwrite, progress), out)

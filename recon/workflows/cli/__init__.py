@@ -24,7 +24,7 @@ _CORE, _ROBOTICS, _NET = "recon.workflows.", "recon.robotics.cli:", "recon.keypo
 _THESIS = "recon.thesis."
 COMMANDS = {
     "From a clip to its motion": {
-        "fit": (_CORE + "clip_results:fit", "One clip: keypoints and a camera in, a folder of results out."),
+        "fit": (_CORE + "cli.fit:fit", "One clip: keypoints and a camera in, a folder of results out."),
         "batch": (_CORE + "batch:batch", "Many clips in parallel, from where it was stopped."),
         "run": (_CORE + "run:run", "From a video to a page: keypoints, fit, analysis, overlay, report.html."),
         "demo": (_CORE + "demo:demo", "Fit the bundled sample and compare it with its truth."),
