@@ -5,9 +5,13 @@ import sys
 
 from recon.base.interrupts import Interrupts
 
+LEAST_MB = 640
+"""Where a process may have less, OpenBLAS waits for memory for ever, and rerun cannot be loaded."""
+
 
 def main() -> None:
     """Run the command line. Ctrl-C ends it with one line and its exit code at any moment, also while it imports."""
+    _require_memory()
     interrupts = Interrupts()
     interrupts.install()
     try:
@@ -18,6 +22,20 @@ def main() -> None:
         if interrupts.received and not interrupts.said:
             interrupts.leave()
         _flush()
+
+
+def _require_memory() -> None:
+    try:
+        from resource import RLIM_INFINITY, RLIMIT_AS, getrlimit
+    except ImportError:  # Windows
+        return
+    limit = getrlimit(RLIMIT_AS)[0]
+    if limit != RLIM_INFINITY and limit < LEAST_MB << 20:
+        print(
+            f"error: not enough memory: a limit of {limit >> 20} MB (ulimit -v), expected {LEAST_MB} MB",
+            file=sys.stderr,
+        )
+        sys.exit(1)
 
 
 def _flush() -> None:

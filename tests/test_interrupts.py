@@ -195,3 +195,16 @@ def test_from_outside(after_s, tmp_path):
     fit = ["fit", samples / "whole.csv", "--camera", samples / "camera.toml", "--fps", 60, "--out", tmp_path / "out"]
     ended = interrupted([*map(str, fit)], after_s, tmp_path)
     assert not fault(ended), ended
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="others do not limit what a process may have")
+def test_too_little_memory_is_said_before_a_library_waits_for_it():
+    ended = subprocess.run(
+        ["bash", "-c", f"ulimit -v 400000; exec '{sys.executable}' -m recon doctor"],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert (ended.returncode, ended.stdout) == (1, "")
+    assert ended.stderr == "error: not enough memory: a limit of 390 MB (ulimit -v), expected 640 MB\n"
