@@ -26,7 +26,7 @@ from recon.check import finding, findings_of, sentence
 from recon.fit import Motion
 from recon.io import video_writer
 from recon.show import TO_DO, build_report, clip_page, drawing
-from recon.show.page.pages import _solid, _without_direction, doubtful_frames, inline
+from recon.show.page.pages import _solid, _without_unseen, doubtful_frames, inline
 from recon.show.plots.over_time import angle_over_time, together
 from recon.workflows import COLUMNS, PageSettings, run_page, write_summary_page
 
@@ -142,9 +142,10 @@ def test_a_browser_shows_all_of_a_page(page, tmp_path, wide, scheme):
 
 
 def test_marks_of_direction_are_shown_as_codes():
-    assert _without_direction("a\u202egnp.exe") == r"a\u202egnp.exe"
-    assert isinstance(_without_direction(Markup("<b>\u2067</b>")), Markup)
-    assert _without_direction("Jürgen: 3\u00a0m") == "Jürgen: 3\u00a0m"
+    assert _without_unseen("a\u202egnp.exe") == r"a\u202egnp.exe"
+    assert _without_unseen("a\x1b[2Jb\n\u00e9") == "a\\x1b[2Jb\n\u00e9"
+    assert isinstance(_without_unseen(Markup("<b>\u2067</b>")), Markup)
+    assert _without_unseen("Jürgen: 3\u00a0m") == "Jürgen: 3\u00a0m"
 
 
 def test_a_page_says_what_the_report_says(page, folder):

@@ -36,8 +36,8 @@ from recon.show.report import TO_DO, build_report, in_sentences, warnings
 
 JPEG_QUALITY = 80
 PNG_DPI = 190.0
-DIRECTION = re.compile("[\u061c\u200e\u200f\u202a-\u202e\u2066-\u2069]")
-"""Characters for the direction of text, as in names of files."""
+UNSEEN = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u061c\u200e\u200f\u202a-\u202e\u2066-\u2069]")
+"""Characters of control, and for the direction of text, as in names of files."""
 
 
 def rendered(template: str, **content: Any) -> str:
@@ -46,7 +46,7 @@ def rendered(template: str, **content: Any) -> str:
         loader=FileSystemLoader(Path(__file__).parent / "templates"),
         autoescape=True,
         undefined=StrictUndefined,
-        finalize=_without_direction,
+        finalize=_without_unseen,
         trim_blocks=True,
         lstrip_blocks=True,
     )
@@ -54,11 +54,12 @@ def rendered(template: str, **content: Any) -> str:
     return environment.get_template(template).render(given | content)
 
 
-def _without_direction(value: Any) -> Any:
-    """Text with codes in place of marks that would turn what follows the other way."""
-    if not isinstance(value, str) or not DIRECTION.search(value):
+def _without_unseen(value: Any) -> Any:
+    """Text with codes in place of marks that would turn what follows the other way, and of those that command a
+    terminal."""
+    if not isinstance(value, str) or not UNSEEN.search(value):
         return value
-    return type(value)(DIRECTION.sub(lambda mark: printable(mark[0]), value))
+    return type(value)(UNSEEN.sub(lambda mark: printable(mark[0]), value))
 
 
 def inline(figure: Figure, largest: int) -> str:
