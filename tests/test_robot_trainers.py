@@ -184,6 +184,9 @@ def test_a_robots_folder_is_converted_at_any_rate(whole_results, tmp_path):
         assert len(frames) - 1 == pytest.approx((len(at_80["joint_pos"]) - 1) * 50 / 80, abs=1)
     refused(["convert", robot, out, "--to", "trc"], ("--to", "format", "'trc'", ["amp", "mjlab-csv"]))
     refused(["convert", robot, tmp_path / "motion.bvh"], (tmp_path / "motion.bvh", "extension", "'.bvh'", ".json"))
+    slow = tmp_path / "slow.json"  # enough for the clip, too few for the stride: neither is written
+    refused(["convert", robot, slow, "--fps", "1.2"], ("--fps", "frames a second", "1.2", "two frames"))
+    assert not slow.exists()
     later, expected = tmp_path / "x.json", ("--to", "format", "'amp'", "recon retarget")
     refused(["convert", whole_results, later, "--to", "amp"], expected)
     refused(  # over none of the files that it would write

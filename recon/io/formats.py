@@ -19,8 +19,8 @@ from recon.base.errors import InputError, Problem
 from recon.clip.keypoints import Keypoints
 from recon.io.common import NoChoiceError, StoredPoints, damage_named, with_likelihoods
 
-Kind = Literal["2D", "3D", "bones", "cameras"]
-"""2D keypoints, 3D positions, bones (`recon.io.bones`), or cameras."""
+Kind = Literal["2D", "3D", "bones", "cameras", "robot"]
+"""2D keypoints, 3D positions, bones (`recon.io.bones`), cameras, or a robot's motion, which a wing writes."""
 
 
 @dataclass(frozen=True)

@@ -99,7 +99,7 @@ class IkSettings(Settings):
             yield Problem("settings", "alpha", "0", self.infos()["alpha"].expected())
 
 
-MOST_SAMPLES = 10_000
+MOST_SAMPLES, RATE_HZ = 10_000, 50.0
 
 
 class RetargetSettings(Settings):
@@ -117,7 +117,7 @@ class RetargetSettings(Settings):
     stride: Annotated[StrideTimes | None, STRIDE] = None
     format: Literal["amp", "isaaclab", "mjlab", "mjlab-csv"] | None = None
     """For programs that train policies, also: amp, isaaclab, mjlab or mjlab-csv, with velocities."""
-    rate: Annotated[Positive, Option(expected="a number above 0")] = 50.0
+    rate: Annotated[Positive, Option(expected="a number above 0")] = RATE_HZ
     """Frames a second of --format."""
     samples: Annotated[
         Annotated[Integer, Field(ge=2, le=MOST_SAMPLES)] | None, Option(expected=f"a number from 2 to {MOST_SAMPLES}")

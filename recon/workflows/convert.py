@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from importlib import import_module
@@ -69,18 +70,17 @@ def convert_command(settings: ConvertSettings) -> Answer:
     """
     if not settings.show_list:
         if settings.source is not None and settings.out is not None and (settings.source / ROBOT_FILE).is_file():
-            given = settings.to, settings.fps, settings.overwrite
-            said = import_module(ROBOTS).convert(settings.source, settings.out, *given)
-            return Answer({"out": settings.out}, [said])
+            name = choose_format(settings.out, settings.to, _robot_formats()).name
+            given = settings.source, settings.out, name, settings.fps, settings.overwrite
+            return Answer({"out": settings.out, "format": name}, [import_module(ROBOTS).convert(*given)])
         data, written, notes = convert(settings)
         what = f"{len(data.names)} keypoints, 2D" if isinstance(data, Keypoints) else f"{len(data.names)} joints, 3D"
         frames = f"frames {data.frames[0]} to {data.frames[-1]} ({len(data.frames)})"
         fps = "frame rate not known" if data.fps is None else f"{data.fps:g} frames per second"
         lines = [*notes, f"{settings.out}: {written.title}, {what}, {frames}, {fps}"]
         return Answer({"out": settings.out, "format": written.name, "notes": notes}, lines)
-    rows = [(f.name, " ".join(f.suffixes), ", ".join(f.writes), f.fps, f.frames, f.axes) for f in CONVERTED]
-    robots = import_module(ROBOTS).FORMATS.items()
-    rows += [(name, Path(file).suffix, "robot", "kept", "from 0", "m, z up") for name, (file, _) in robots]
+    every = (*CONVERTED, *_robot_formats())
+    rows = [(f.name, " ".join(f.suffixes), ", ".join(f.writes), f.fps, f.frames, f.axes) for f in every]
     names = ("--to", "extension", "holds", "frame rate", "frame numbers", "3D axes")
     first = "Where an extension has several formats, the first is meant unless --to names another."
     return Answer([dict(zip(names, row, strict=True)) for row in rows], [table_of(*names, rows=rows), first])
@@ -159,15 +159,21 @@ def _of_results(folder: Path, anyway: bool) -> Pose3D:
     return replace(motion.upright, notes=notes, sigma_m=motion.upright_sigma_m, flags=flags)
 
 
-def choose_format(out: Path, name: str | None) -> Format:
+def _robot_formats() -> tuple[Format, ...]:
+    own = {"writes": ("robot",), "fps": "kept", "frames": "from 0", "axes": "m, z up"}
+    files = import_module(ROBOTS).FORMATS.items()
+    return tuple(Format(name, name, (Path(file).suffix,), ROBOTS, **own) for name, (file, _) in files)
+
+
+def choose_format(out: Path, name: str | None, formats: Sequence[Format] = CONVERTED) -> Format:
     """What to write, by the name of a format, if given, and the file's extension. Raises InputError for names and
     extensions that are not there."""
-    names = tuple(dict.fromkeys(f.name for f in CONVERTED))
+    names = tuple(dict.fromkeys(f.name for f in formats))
     if name is not None and name not in names:
-        of_robots = name in import_module(ROBOTS).FORMATS
+        of_robots = name in [f.name for f in _robot_formats()]
         wanted = "IN to be a folder that `recon retarget` wrote" if of_robots else f"one of: {', '.join(names)}"
         raise InputError(Problem("--to", "format", f"'{name}'", wanted))
-    named = [f for f in CONVERTED if name in (None, f.name)]
+    named = [f for f in formats if name in (None, f.name)]
     found = next((f for f in named if out.suffix.lower() in f.suffixes), None)
     if found is None:
         expected = ", ".join(dict.fromkeys(s for f in named for s in f.suffixes))

@@ -258,16 +258,23 @@ def report(settings: PageSettings, progress: Progress) -> Answer:
         raise InputError(
             Problem("--video", "file", f"{settings.video} for many clips", "the folder of one clip's results")
         )
-    page, failed = _batch_pages(folder, progress) if of_batch else (run_page(settings, progress), {})
+    failed, note = dict[str, str](), None
+    if of_batch:
+        page, failed = _batch_pages(folder, progress)
+    else:
+        page, note = _noted_page(settings, progress)
     for clip, error in failed.items():
         terminal(stderr=True, soft_wrap=True).print(error_text(f"{clip}: {error}"))
-    note = first_frame_note(Motion.load(folder), settings) if settings.video else None
     said = [f"note: {note}"] if note else []
     return Answer({"page": page, "failed": failed}, [*said, f"Open {page} in a browser."])
 
 
 def run_page(settings: PageSettings, progress: Progress = silent) -> Path:
     """The page of a result, in its folder; an earlier one is replaced. Raises InputError, with every problem."""
+    return _noted_page(settings, progress)[0]
+
+
+def _noted_page(settings: PageSettings, progress: Progress) -> tuple[Path, str | None]:
     page, video = settings.folder / PAGE, settings.video
     motion, number, _ = result_and_video(settings, lambda: require_own_page(page))
     progress("pictures", 0.1)
@@ -278,7 +285,7 @@ def run_page(settings: PageSettings, progress: Progress = silent) -> Path:
     html = clip_page(motion, shown, None if video is None else video.name, _files(settings.folder), number)
     with staged_file(page) as staged:
         staged.write_text(html, encoding="utf-8")
-    return page
+    return page, first_frame_note(motion, settings)
 
 
 def _files(folder: Path) -> list[str]:

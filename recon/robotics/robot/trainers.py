@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -26,15 +26,16 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from recon.base.arrays import Array, Bools
 from recon.base.errors import InputError, Problem, all_of
-from recon.base.files import require_free_file, staged_file
+from recon.base.files import require_free_file, staged_folder
 from recon.base.records import load_record, save_record
 from recon.robotics.robot.quadruped import LEGS, Quadruped, RobotLeg
 from recon.robotics.robot.retarget import RobotMotion
 from recon.robotics.robot.robot_file import builtin_robots, load_robot
+from recon.robotics.settings import RATE_HZ
 
 KEPT, SCHEMA = "robot.npz", {"name": "recon.robot", "version": 1}
-RATE_HZ = 50.0
-"""The rate of the files, unless another is asked for."""
+_OPTIONS = {"--rate": "--fps", "--format": "--to"}
+"""What options of `recon retarget` are called by `recon convert`."""
 AMP_LEGS = ("RF", "LF", "RH", "LH")
 AMP_JOINTS = 3
 """The joints of a leg, in the layout."""
@@ -288,30 +289,21 @@ def kept_motions(path: Path) -> tuple[RobotMotion, RobotMotion, Mapping[str, Any
     return restored(found.clip), restored(found.stride), found.said
 
 
-def convert(folder: Path, out: Path, name: str | None, rate_hz: float | None, overwrite: bool) -> str:
-    """`recon convert` of a folder of `recon retarget`: the clip into out, the stride that repeats beside it; and what
-    to say of it. name: of `FORMATS`, None: the first with out's extension. Raises InputError."""
-    if name is not None and name not in FORMATS:
-        raise InputError(Problem("--to", "format", f"'{name}'", f"of a robot's motion, one of: {', '.join(FORMATS)}"))
-    named = {one: Path(file).suffix for one, (file, _) in FORMATS.items() if name in (None, one)}
-    chosen = next((one for one, suffix in named.items() if suffix == out.suffix.lower()), None)
-    if chosen is None:
-        expected = f"one of: {', '.join(dict.fromkeys(named.values()))}"
-        raise InputError(Problem(out, "extension", f"'{out.suffix}'", expected))
-    stride_out = out.with_name(f"stride_{out.name}")
-    files = [out, stride_out]
-    if chosen == "mjlab-csv":  # what it is stands in a file beside it
-        files += [path.with_suffix(".json") for path in files]
-    kept, *_ = all_of(
-        lambda: kept_motions(folder / KEPT),
-        *(partial(require_free_file, path, overwrite, "OUT") for path in files),
-    )
-    *motions, said = kept
-    rates = []
-    for motion, path in zip(motions, (out, stride_out), strict=True):
-        with staged_file(path) as staged:
-            rates.append(write_for_trainer(motion, chosen, rate_hz or RATE_HZ, staged, said))
+def convert(folder: Path, out: Path, name: str, rate_hz: float | None, overwrite: bool) -> str:
+    """`recon convert` of a folder of `recon retarget`: the clip into out, the stride that repeats beside it, both or
+    none; and what to say of it. name: of `FORMATS`. Raises InputError."""
+    (*motions, said), _ = all_of(lambda: kept_motions(folder / KEPT), lambda: require_free_file(out, overwrite, "OUT"))
+    stride = out.with_name(f"stride_{out.name}")
+    with staged_folder(out.parent) as staging:
+        try:
+            rates = [
+                write_for_trainer(motion, name, rate_hz or RATE_HZ, staging / path.name, said)
+                for motion, path in zip(motions, (out, stride), strict=True)
+            ]
+        except InputError as error:
+            raise InputError(
+                replace(one, file=_OPTIONS.get(str(one.file), one.file)) for one in error.problems
+            ) from None
+        all_of(*(partial(require_free_file, out.parent / one.name, overwrite, "OUT") for one in staging.iterdir()))
     hz = " and ".join(f"{rate:.4g}" for rate in rates)
-    return (
-        f"{out}: {chosen}, {motions[0].robot.title}, {hz} frames per second; a stride that repeats is in {stride_out}"
-    )
+    return f"{out}: {name}, {motions[0].robot.title}, {hz} frames per second; a stride that repeats is in {stride}"
