@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -151,37 +152,40 @@ def test_what_each_program_reads(solved, tmp_path):
     assert beside["joint_names"] == [*found.robot.joints]
 
 
-def test_the_command_writes_both_with_the_verdict(whole_results, tmp_path):
-    options = ("--robot", "go2", "--format", "isaaclab", "--out", tmp_path / "go2")
-    ended = run("retarget", whole_results, *options)
+@pytest.fixture(scope="module")
+def written(whole_results, tmp_path_factory) -> Path:
+    out = tmp_path_factory.mktemp("robot") / "go2"
+    options = ("--robot", "go2", "--format", "isaaclab", "--rate", "80", "--samples", "3")
+    ended = run("retarget", whole_results, *options, "--out", out)
     assert ended.code == 0, ended.err
+    return out
+
+
+def test_the_command_writes_both_with_the_verdict(whole_results, written, tmp_path):
     for name in ("isaaclab.npz", "stride_isaaclab.npz"):
-        with np.load(tmp_path / "go2" / name) as file:
+        with np.load(written / name) as file:
             assert "FL_foot" in file["body_names"]
             assert json.loads(str(file["source"]))["verdict"]["level"] in ("use", "check")
     refused(
-        ["retarget", whole_results, *options, "--rate", "0.5", "--overwrite"],
+        ["retarget", whole_results, "--robot", "go2", "--format", "amp", "--rate", "0.5", "--out", tmp_path / "go2"],
         ("--rate", "frames a second", 0.5, ["2.9", "two frames"]),
     )
 
 
-def test_a_robots_folder_is_converted_at_any_rate(whole_results, tmp_path):
+def test_a_robots_folder_is_converted_at_any_rate(whole_results, written, tmp_path):
     """As if `recon retarget` had been asked for it."""
-    robot, out = tmp_path / "a1", tmp_path / "later.npz"
-    assert (
-        run("retarget", whole_results, "--robot", "a1", "--format", "mjlab", "--rate", "80", "--out", robot).code == 0
-    )
-    assert run("convert", robot, out, "--to", "mjlab", "--fps", "80").code == 0
-    for at_once, later in (("mjlab.npz", out), ("stride_mjlab.npz", tmp_path / "stride_later.npz")):
+    robot, out = written, tmp_path / "later.npz"
+    assert run("convert", robot, out, "--to", "isaaclab", "--fps", "80").code == 0
+    for at_once, later in (("isaaclab.npz", out), ("stride_isaaclab.npz", tmp_path / "stride_later.npz")):
         with np.load(robot / at_once) as expected, np.load(later) as found:
             assert {*found} == {*expected}
             assert str(found["source"]) == str(expected["source"])
-            for name in ("fps", "joint_pos", "joint_vel", "body_pos_w", "body_quat_w", "contacts"):
+            for name in ("fps", "dof_positions", "dof_velocities", "body_positions", "body_rotations", "contacts"):
                 np.testing.assert_allclose(found[name], expected[name], atol=1e-12)
     assert run("convert", robot, tmp_path / "motion.json").code == 0  # by the extension
     with np.load(out) as at_80:
         frames = json.loads((tmp_path / "motion.json").read_text(encoding="utf-8"))["Frames"]
-        assert len(frames) - 1 == pytest.approx((len(at_80["joint_pos"]) - 1) * 50 / 80, abs=1)
+        assert len(frames) - 1 == pytest.approx((len(at_80["dof_positions"]) - 1) * 50 / 80, abs=1)
     refused(["convert", robot, out, "--to", "trc"], ("--to", "format", "'trc'", ["amp", "mjlab-csv"]))
     refused(["convert", robot, tmp_path / "motion.bvh"], (tmp_path / "motion.bvh", "extension", "'.bvh'", ".json"))
     slow = tmp_path / "slow.json"  # enough for the clip, too few for the stride: neither is written
@@ -218,18 +222,15 @@ def test_draws_scatter_as_the_fit_states_and_last_from_frame_to_frame(whole_resu
     assert np.median(neighbours) > 0.9
 
 
-def test_the_command_draws_an_ensemble(whole_results, tmp_path):
-    options = ("--robot", "a1", "--samples", "3", "--format", "mjlab")
-    ended = run("retarget", whole_results, *options, "--out", tmp_path / "a1")
-    assert ended.code == 0, ended.err
-    report = json.loads((tmp_path / "a1" / "report.json").read_text(encoding="utf-8"))
+def test_the_command_draws_an_ensemble(written):
+    report = json.loads((written / "report.json").read_text(encoding="utf-8"))
     assert report["samples"]["count"] == 3
     assert 0 < report["samples"]["base_sigma_m"]["x"] < 0.5
-    with np.load(tmp_path / "a1" / "samples.npz") as stacked:
+    with np.load(written / "samples.npz") as stacked:
         assert stacked["joint_positions"].shape == (3, len(stacked["time_s"]), 12)
         assert json.loads(str(stacked["source"]))["verdict"]["level"] in ("use", "check")
     for number in (1, 2, 3):
-        with np.load(tmp_path / "a1" / f"sample_{number:02d}_mjlab.npz") as file:
+        with np.load(written / f"sample_{number:02d}_isaaclab.npz") as file:
             assert json.loads(str(file["source"]))["sample"] == number
 
 
