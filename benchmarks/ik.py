@@ -32,7 +32,7 @@ from recon.animal.chain import load_chain
 from recon.animal.skeleton_file import load_skeleton
 from recon.fit.points import solve_points
 from recon.gait.gait import pose_gait
-from recon.robotics.ik.animal import (
+from recon.wings.robotics.ik.animal import (
     StridePath,
     body_chain,
     body_chain_angles,
@@ -41,10 +41,10 @@ from recon.robotics.ik.animal import (
     projected_chain,
     spine_front_leg,
 )
-from recon.robotics.ik.chain import SerialChain
-from recon.robotics.ik.clip import LAST, Limb, fit_parameter_series, follow_stride, stride_lasts_s
-from recon.robotics.ik.drive import degree_of_closure, drive_to, follow, to_null_space_optimum
-from recon.robotics.ik.methods import (
+from recon.wings.robotics.ik.chain import SerialChain
+from recon.wings.robotics.ik.clip import LAST, Limb, fit_parameter_series, follow_stride, stride_lasts_s
+from recon.wings.robotics.ik.drive import degree_of_closure, drive_to, follow, to_null_space_optimum
+from recon.wings.robotics.ik.methods import (
     Cost,
     ExtendedJacobian,
     Fit,

@@ -30,9 +30,9 @@ from net_circle import run_circle
 from net_large import run_large, write_large_film
 
 from recon.io.video import video_writer
-from recon.keypoint_net.evaluate2d import evaluate_2d_files
-from recon.keypoint_net.labels import read_label_file
-from recon.keypoint_net.network import (
+from recon.wings.keypoint_net.evaluate2d import evaluate_2d_files
+from recon.wings.keypoint_net.labels import read_label_file
+from recon.wings.keypoint_net.network import (
     Spec,
     TrainedNetwork,
     choose_device,
@@ -41,8 +41,8 @@ from recon.keypoint_net.network import (
     placed,
     require_torch,
 )
-from recon.keypoint_net.train import TrainSettings
-from recon.keypoint_net.workflows import LabelSource, PredictSettings, predict_video, run_prediction, run_training
+from recon.wings.keypoint_net.train import TrainSettings
+from recon.wings.keypoint_net.workflows import LabelSource, PredictSettings, predict_video, run_prediction, run_training
 
 FIRST = 50
 """Number that the horse's labels give to the video's first frame."""

@@ -24,12 +24,12 @@ import numpy as np
 
 from recon import FitSettings
 from recon.fit.motion import Motion
-from recon.robotics.robot.playback import write_robot
-from recon.robotics.robot.quadruped import LEGS
-from recon.robotics.robot.reference import reference_of
-from recon.robotics.robot.retarget import Retargeting, retarget
-from recon.robotics.robot.retarget_clip import companion
-from recon.robotics.robot.robot_file import builtin_robots, load_robot
+from recon.wings.robotics.robot.playback import write_robot
+from recon.wings.robotics.robot.quadruped import LEGS
+from recon.wings.robotics.robot.reference import reference_of
+from recon.wings.robotics.robot.retarget import Retargeting, retarget
+from recon.wings.robotics.robot.retarget_clip import companion
+from recon.wings.robotics.robot.robot_file import builtin_robots, load_robot
 from recon.workflows.clip_results import run_clip
 
 ROOT = Path(__file__).resolve().parents[1]

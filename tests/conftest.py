@@ -28,9 +28,9 @@ from recon.animal import load_chain, load_skeleton
 from recon.clip import Keypoints, Source, camera_poses, clean, still_view, views_of
 from recon.fit import Ground, Motion, MotionSegment, TrajectorySolution
 from recon.geometry import Camera, inverse, moved
-from recon.robotics.ik import clip as ik_clip
 from recon.show.plots import style
-from recon.thesis import FrameOptions, mean_pose, solve_frames
+from recon.wings.robotics.ik import clip as ik_clip
+from recon.wings.thesis import FrameOptions, mean_pose, solve_frames
 from recon.workflows import analyse, run_clip
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ from gallop import add_noise, gallop
 from recon.animal import load_chain
 from recon.clip import still_view
 from recon.geometry import inverse
-from recon.thesis import (
+from recon.wings.thesis import (
     FrameOptions,
     FrameProblem,
     FrameSolver,
@@ -20,9 +20,9 @@ from recon.thesis import (
     mean_pose,
     solve_frames,
 )
-from recon.thesis.frame import CONVERGED, posterior_covariance, precision_shares
-from recon.thesis.objectives import JointReprojection
-from recon.thesis.starts import Travel
+from recon.wings.thesis.frame import CONVERGED, posterior_covariance, precision_shares
+from recon.wings.thesis.objectives import JointReprojection
+from recon.wings.thesis.starts import Travel
 
 SK = load_chain("cheetah-8u")
 EXACT = FrameOptions(sigma_px=1.0, keypoint_sigma_m=0.0, base_sigma_m=0.001)

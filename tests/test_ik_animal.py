@@ -8,7 +8,14 @@ from gallop import gallop
 
 from recon.animal import load_chain, load_skeleton
 from recon.geometry import ROOT, YAW, inverse, rigid
-from recon.robotics import body_chain, body_chain_angles, chain_angles, planar_chain, projected_chain, spine_front_leg
+from recon.wings.robotics import (
+    body_chain,
+    body_chain_angles,
+    chain_angles,
+    planar_chain,
+    projected_chain,
+    spine_front_leg,
+)
 
 # -- the spine-front-leg chain ---------------------------------------------------------------------------------------
 

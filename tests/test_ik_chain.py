@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from recon import load_skeleton
 from recon.animal import load_chain
-from recon.robotics import (
+from recon.wings.robotics import (
     body_chain,
     harmonic_map,
     joint_differences,
@@ -20,7 +20,7 @@ from recon.robotics import (
     user_cost,
     weighted_sum,
 )
-from recon.robotics.ik.chain import joint_chain, manipulability, mobility, two_link
+from recon.wings.robotics.ik.chain import joint_chain, manipulability, mobility, two_link
 
 LENGTHS = (0.4, 0.3, 0.25, 0.28, 0.2)
 CHAINS = {"planar": planar_chain(LENGTHS), "summed": summed_chain(LENGTHS)}

@@ -17,7 +17,7 @@ from scipy.interpolate import CubicSpline
 from recon.fit import Motion
 from recon.gait import pose_gait
 from recon.io import Pose3D
-from recon.robotics import (
+from recon.wings.robotics import (
     IkSettings,
     LeastNorm,
     damped_least_squares,
@@ -27,9 +27,9 @@ from recon.robotics import (
     run_ik,
     weighted_least_norm,
 )
-from recon.robotics.ik.clip import cost_of, fit_parameters, follow_stride, stride_lasts_s, stride_of
-from recon.robotics.ik.methods import DAMPING_M, PULL, Frames, explained_by, fits, rates_of
-from recon.robotics.settings import METHODS
+from recon.wings.robotics.ik.clip import cost_of, fit_parameters, follow_stride, stride_lasts_s, stride_of
+from recon.wings.robotics.ik.methods import DAMPING_M, PULL, Frames, explained_by, fits, rates_of
+from recon.wings.robotics.settings import METHODS
 
 pytestmark = pytest.mark.usefixtures("small_pictures")
 
@@ -359,7 +359,7 @@ def test_tables_are_written_where_figures_fail(whole_results, tmp_path, monkeypa
     def full(*args: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("recon.robotics.ik.clip.write_figures", full)
+    monkeypatch.setattr("recon.wings.robotics.ik.clip.write_figures", full)
     done = run("ik", whole_results, "--method", "damped", "--target", "0.7,0.1,-0.4", "--out", tmp_path / "a")
     assert done.code == 2
     assert "No space left on device" in done.err

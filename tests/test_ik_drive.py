@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from recon.animal import load_chain
-from recon.robotics import (
+from recon.wings.robotics import (
     ExtendedJacobian,
     GradientProjection,
     JacobianTranspose,

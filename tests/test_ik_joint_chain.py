@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from recon.robotics import (
+from recon.wings.robotics import (
     ExtendedJacobian,
     LeastNorm,
     damped_least_squares,
@@ -15,7 +15,7 @@ from recon.robotics import (
     planar_chain,
     rotational_energy,
 )
-from recon.robotics.ik.chain import joint_chain, unreachable
+from recon.wings.robotics.ik.chain import joint_chain, unreachable
 
 SLIDING = np.array([False, True, False, False, False, True])
 

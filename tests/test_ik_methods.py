@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.linalg import orthogonal_procrustes
 
-from recon.robotics import (
+from recon.wings.robotics import (
     ExtendedJacobian,
     GradientProjection,
     JacobianTranspose,
@@ -25,7 +25,7 @@ from recon.robotics import (
     weighted_least_norm,
     weighted_sum,
 )
-from recon.robotics.ik.methods import PULL, Frames, explained_by, fits, rates_of, reduced_gradient, right_inverse
+from recon.wings.robotics.ik.methods import PULL, Frames, explained_by, fits, rates_of, reduced_gradient, right_inverse
 
 LENGTHS = (0.4, 0.3, 0.25, 0.28, 0.2)
 CHAINS = {"planar": planar_chain(LENGTHS), "summed": summed_chain(LENGTHS)}

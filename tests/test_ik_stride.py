@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from recon.robotics import LeastNorm, farthest_reach, find_stride, follow, planar_chain
+from recon.wings.robotics import LeastNorm, farthest_reach, find_stride, follow, planar_chain
 
 CHAIN = planar_chain((0.5, 0.4, 0.3))
 

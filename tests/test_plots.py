@@ -18,7 +18,10 @@ from recon.animal import Side, load_skeleton
 from recon.gait import Closure, Errors, Portrait, angle_kinematics, phase_portrait, point_kinematics, vector_field
 from recon.gait.gait import BODY, FEET, Plane, Stance, Stride, gait, pose_tracks
 from recon.io.common import Pose3D
-from recon.robotics import (
+from recon.show import plots
+from recon.show.plots import configurations, phase, style
+from recon.show.plots.observability import share_colours
+from recon.wings.robotics import (
     JacobianTranspose,
     LeastNorm,
     damped_least_squares,
@@ -27,10 +30,7 @@ from recon.robotics import (
     planar_chain,
     summed_chain,
 )
-from recon.robotics.ik import plots as ik_plots
-from recon.show import plots
-from recon.show.plots import configurations, phase, style
-from recon.show.plots.observability import share_colours
+from recon.wings.robotics.ik import plots as ik_plots
 
 FPS = 50.0
 LIMBS = {"trunk": (0, 1), "near leg": (0, 2), "off leg": (0, 3)}

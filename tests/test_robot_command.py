@@ -8,7 +8,7 @@ import pytest
 from command_line import refused, run
 from robot_urdf import a1_urdf
 
-from recon.robotics import all_solutions, load_robot
+from recon.wings.robotics import all_solutions, load_robot
 
 PUMA = """convention = "modified"
 joints = [

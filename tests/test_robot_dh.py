@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from recon.robotics import (
+from recon.wings.robotics import (
     ExtendedJacobian,
     GradientProjection,
     JacobianTranspose,
@@ -16,7 +16,7 @@ from recon.robotics import (
     joint_differences,
     weighted_least_norm,
 )
-from recon.robotics.robot.dh import DHRow, dh_chain, dh_table
+from recon.wings.robotics.robot.dh import DHRow, dh_chain, dh_table
 
 QUARTER = np.pi / 2
 PUMA_MODIFIED = tuple(

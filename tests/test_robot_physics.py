@@ -13,10 +13,10 @@ from command_line import refusal, refused, run, says
 from robot_urdf import a1_urdf
 
 from recon.fit import Motion
-from recon.robotics import LEGS, body_pose, load_robot, read_model, reference_of, retarget, simulated
-from recon.robotics.robot.physics import FRICTION, RULES, carried, check, followed, kept
-from recon.robotics.robot.retarget import RobotMotion, posed
-from recon.robotics.robot.trainers import sampled
+from recon.wings.robotics import LEGS, body_pose, load_robot, read_model, reference_of, retarget, simulated
+from recon.wings.robotics.robot.physics import FRICTION, RULES, carried, check, followed, kept
+from recon.wings.robotics.robot.retarget import RobotMotion, posed
+from recon.wings.robotics.robot.trainers import sampled
 
 NO_MASSES = ("aibo", "masses", "none")
 

@@ -14,12 +14,12 @@ from robot_urdf import a1_urdf
 from recon import InputError
 from recon.animal import load_skeleton
 from recon.fit import Motion
-from recon.robotics import LEGS, RetargetSettings, feet_in_world, load_robot, reference_of, retarget, run_retarget
-from recon.robotics.robot.playback import Companion, write_robot
-from recon.robotics.robot.reference import closed_stride, stride_window
-from recon.robotics.robot.retarget import drawn_in, on_robot, place, planted, stances
-from recon.robotics.robot.retarget_clip import companion, repeated, report_of
 from recon.show.view.scene import LEFT, MIDDLE, RIGHT
+from recon.wings.robotics import LEGS, RetargetSettings, feet_in_world, load_robot, reference_of, retarget, run_retarget
+from recon.wings.robotics.robot.playback import Companion, write_robot
+from recon.wings.robotics.robot.reference import closed_stride, stride_window
+from recon.wings.robotics.robot.retarget import drawn_in, on_robot, place, planted, stances
+from recon.wings.robotics.robot.retarget_clip import companion, repeated, report_of
 
 # -- footholds ---------------------------------------------------------------------------------------------------------
 
@@ -309,7 +309,7 @@ def test_command(whole_results, frame_results, tmp_path):
 
 
 def test_urdf_file(whole, tmp_path):
-    """The same robot joint by joint, solved by the methods of recon.robotics.ik."""
+    """The same robot joint by joint, solved by the methods of recon.wings.robotics.ik."""
     path = tmp_path / "a1.urdf"
     shape = '<link name="trunk"><visual><geometry><box size="0.4 0.1 0.1"/></geometry></visual></link>'
     facet = np.zeros(1, [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])

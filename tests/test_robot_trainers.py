@@ -11,10 +11,10 @@ from command_line import refusal, refused, run
 from scipy.spatial.transform import Rotation
 
 from recon.fit import Motion, draws
-from recon.robotics import Retargeting, RetargetSettings, load_robot, reference_of, retarget, simulated
-from recon.robotics.robot.physics import check, kept
-from recon.robotics.robot.retarget_clip import drawn
-from recon.robotics.robot.trainers import FORMATS, sampled, write_for_trainer
+from recon.wings.robotics import Retargeting, RetargetSettings, load_robot, reference_of, retarget, simulated
+from recon.wings.robotics.robot.physics import check, kept
+from recon.wings.robotics.robot.retarget_clip import drawn
+from recon.wings.robotics.robot.trainers import FORMATS, sampled, write_for_trainer
 from recon.workflows import problem_of
 
 LATERAL, THIGH, SHIN = 0.0838, 0.2, 0.2

@@ -8,7 +8,7 @@ from command_line import refusal
 from robot_urdf import HEAD, JOINT, a1_urdf, moving
 
 from recon import InputError
-from recon.robotics import (
+from recon.wings.robotics import (
     LEGS,
     ExtendedJacobian,
     GradientProjection,
@@ -24,7 +24,7 @@ from recon.robotics import (
     simulated,
     weighted_least_norm,
 )
-from recon.robotics.robot.robot_file import model_chain
+from recon.wings.robotics.robot.robot_file import model_chain
 
 ARM = (
     (

@@ -16,7 +16,7 @@ from command_line import carry_out_here, refusal, refused, run, says
 from recon import FitSettings, Keypoints, read_keypoints, write_clip
 from recon.base import staged_results
 from recon.io import video_writer
-from recon.keypoint_net.workflows import PredictSettings
+from recon.wings.keypoint_net.workflows import PredictSettings
 from recon.workflows.clip_results import output_files
 from recon.workflows.run import _Job, _RunSettings, job_of, jobs_of, keypoints_of, run_folder, run_video
 
@@ -76,7 +76,7 @@ def called(monkeypatch, report, small_trajectory) -> list[str]:
             (folder / "pose3d.csv").write_text(f"poses {next(numbers)}")
         return json.loads(report)
 
-    monkeypatch.setattr("recon.keypoint_net.run_prediction", predict)
+    monkeypatch.setattr("recon.wings.keypoint_net.run_prediction", predict)
     monkeypatch.setattr("recon.workflows.camera_motion.run_camera_motion", track)
     monkeypatch.setattr("recon.workflows.run._check_inputs", lambda job: None)
     monkeypatch.setattr("recon.workflows.run.fit_clip", lambda settings, progress: None)

@@ -23,7 +23,7 @@ from recon.workflows.cli.common import Answer, table_of
 from recon.workflows.options import ANYWAY
 from recon.workflows.settings import INDIVIDUAL, RENAME
 
-ROBOTS, ROBOT_FILE = "recon.robotics.robot.trainers", "robot.npz"
+ROBOTS, ROBOT_FILE = "recon.wings.robotics.robot.trainers", "robot.npz"
 """What converts a folder of `recon retarget`, which has such a file. It is imported by its name, as no room needs a
 wing."""
 

@@ -45,7 +45,7 @@ from recon.workflows.settings import SETTINGS, FitSettings
 RECORD = "run.jsonl"
 Stage = Literal["detect", "camera-motion", "fit", "analyse", "overlay", "page"]
 OVERLAY = "overlay.mp4"
-DETECTOR = "recon.keypoint_net"
+DETECTOR = "recon.wings.keypoint_net"
 """The package that finds keypoints. It is imported by its name, where a job has a network: no room needs a wing."""
 _OF_THE_FIT = tuple(name for name in SETTINGS if name != "keypoints")
 

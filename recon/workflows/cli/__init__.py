@@ -20,8 +20,8 @@ from recon.base.settings import Option, SettingInfo, Settings
 from recon.workflows.cli.command import HELP, SettingsCommand, make_command
 from recon.workflows.cli.common import EXIT_BAD_INPUT, EXIT_UNSOLVED, Answer, error_text, stop, table_of, terminal
 
-_CORE, _ROBOTICS, _NET = "recon.workflows.", "recon.robotics.cli:", "recon.keypoint_net."
-_THESIS = "recon.thesis."
+_CORE, _ROBOTICS, _NET = "recon.workflows.", "recon.wings.robotics.cli:", "recon.wings.keypoint_net."
+_THESIS = "recon.wings.thesis."
 COMMANDS = {
     "From a clip to its motion": {
         "fit": (_CORE + "cli.fit:fit", "One clip: keypoints and a camera in, a folder of results out."),

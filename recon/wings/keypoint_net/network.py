@@ -1,0 +1,490 @@
+"""The network: a picture in, for each keypoint its place and likelihood out; saved with all that it takes to use it.
+
+An encoder of residual blocks down to 1/32 of the picture, and a decoder back up to 1/4 (`STRIDE`). Convolutions only,
+so that any size of picture goes in; about 2.7 million parameters for any number of keypoints. For an animal that is
+large in the pictures there are two: one for the whole animal in small pictures, and one that looks again near each of
+its points at full size.
+
+A softmax over the grid makes probabilities of a keypoint's scores. The point is where most of it lies within a small
+blur (`BLUR` places): a broad peak beats a sharp one of less weight. Between places of the grid, a parabola through the
+logarithm of the blurred probability at the peak and its neighbours finds the maximum; it is exact for a Gaussian, which
+is what the network is trained on. The raw likelihood is the probability within the tolerance of the point.
+
+A network is surer on the pictures that it knows than it may be on others. On the validation pictures it is known which
+points are right (within the tolerance of their label); a logistic function of the raw likelihood's logit is fitted to
+them, and makes of it the share of points that are right.
+
+It needs the optional package torch, which is imported where it is used.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import zipfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from io import BytesIO
+from itertools import pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+from scipy.optimize import minimize
+from scipy.special import expit, logit
+
+from recon.base.arrays import Array, Bools
+from recon.base.documents import check_unpacked_size, validated
+from recon.base.errors import InputError, Problem
+from recon.base.files import staged_file, write_bytes
+from recon.base.package import install_command
+from recon.base.parallel import available_cores
+from recon.base.settings import Option
+from recon.io.video import Image
+from recon.wings.keypoint_net.labels import resize, scale_points
+
+if TYPE_CHECKING:
+    import torch  # pyright: ignore[reportMissingImports]
+
+FORMAT = 1
+MODEL_FILE = "model.pt"
+
+CHANNELS = 6
+"""Three colours, and their differences to the still background."""
+GREY, SPREAD, DIFFERENCE = 115.0, 64.0, 64.0
+"""Levels that become 0 and 1, and the difference that becomes 1."""
+STRIDE = 4
+"""Pixels between neighbouring places of the grid; place (0, 0) is pixel (0, 0)."""
+WIDTHS, BLOCKS = (16, 32, 64, 128, 192), (0, 1, 2, 2, 2)
+"""Channels and residual blocks at 1/2, 1/4, ... 1/32 of the picture."""
+SECOND_WIDTHS, SECOND_BLOCKS = (16, 32, 64, 96), (0, 1, 2, 2)
+"""Widths and blocks of the second stage, which sees parts of a large animal at full size: less context, and less
+work."""
+HEAD = 48
+
+SIGMA = 0.9
+"""The standard deviation of the Gaussian that the network is to give, in places of the grid."""
+LEAST_SIGMA = 0.15
+"""Standard deviation of a point in places, if the probability is no broader than that."""
+BLUR = 0.8
+"""Standard deviation, in places of the grid."""
+FAR = 4.0
+_REACH = 3
+NOWHERE = -1e4
+"""Score of places outside of the window."""
+MARGIN_PX = 32
+"""Around where the second stage looks, for it to see what is near."""
+SURE = 0.05
+"""Raw likelihood of points that the second stage's part of a picture has to hold."""
+
+_EDGE = 1e-4
+_PRIOR, _PRIOR_SIGMA = np.array([1.0, 0.0]), np.array([0.5, 2.0])
+
+DEVICES = ("auto", "cpu", "cuda", "mps")
+DEVICE = Option("auto, cpu, cuda or mps.")
+THREADS = Option("Threads on the CPU. (default: one for each core)", "1 or more")
+
+
+# -- torch -----------------------------------------------------------------------------------------------------------
+
+
+def require_torch() -> Any:
+    """The package. Raises InputError, which says what to install, where there is none."""
+    try:
+        import torch  # pyright: ignore[reportMissingImports]
+    except ImportError:
+        found, expected = "none", f"torch: {install_command('net')}"
+        raise InputError(Problem("recon train, recon predict", "package for networks", found, expected)) from None
+    return torch
+
+
+def choose_device(name: str) -> torch.device:
+    """ "auto" is CUDA or MPS where there is one, else the CPU. Raises InputError for a device that is not there."""
+    torch = require_torch()
+    there = {"cpu": True, "cuda": torch.cuda.is_available(), "mps": torch.backends.mps.is_available()}
+    if name == "auto":
+        name = next(device for device in ("cuda", "mps", "cpu") if there[device])
+    if not there.get(name):
+        found = f"'{name}'" if name not in DEVICES else f"{name}, which torch {torch.__version__} does not find here"
+        raise InputError(
+            Problem("--device", "device", found, "one of: auto, " + ", ".join(d for d in there if there[d]))
+        )
+    return torch.device(name)
+
+
+def use_threads(count: int | None) -> None:
+    """Threads for the CPU: as given, or as many as this process may use. The number is part of what a run repeats."""
+    require_torch().set_num_threads(count or available_cores())
+
+
+def fast_half(device: torch.device) -> Any:
+    """bfloat16 where a device computes faster with it than with float32, or None. Not float16, whose range is too small
+    for gradients unless they are scaled."""
+    torch = require_torch()
+    if device.type == "cuda":
+        return torch.bfloat16 if torch.cuda.is_bf16_supported() else None
+    if device.type == "cpu":
+        has = (getattr(torch.cpu, f"_is_{unit}_supported", lambda: False)() for unit in ("amx_tile", "avx512_bf16"))
+        return torch.bfloat16 if any(has) else None
+    return None
+
+
+# -- layers ----------------------------------------------------------------------------------------------------------
+
+
+def build_network(keypoints: int, widths: tuple[int, ...], blocks: tuple[int, ...]) -> torch.nn.Module:
+    """A network with random weights: (B, CHANNELS, H, W) in, scores (B, keypoints, ceil(H / 4), ceil(W / 4)) out."""
+    torch = require_torch()
+    nn, functional = torch.nn, torch.nn.functional
+
+    def conv(inputs: int, outputs: int, size: int = 3, stride: int = 1) -> torch.nn.Sequential:
+        kernel = nn.Conv2d(inputs, outputs, size, stride, size // 2, bias=False)
+        return nn.Sequential(kernel, nn.BatchNorm2d(outputs), nn.ReLU(inplace=True))
+
+    class Residual(nn.Module):
+        def __init__(self, width: int) -> None:
+            super().__init__()
+            self.first = conv(width, width)
+            self.second = nn.Sequential(nn.Conv2d(width, width, 3, 1, 1, bias=False), nn.BatchNorm2d(width))
+            nn.init.zeros_(self.second[1].weight)  # the block begins as the identity
+
+        def forward(self, x: torch.Tensor) -> torch.Tensor:
+            return functional.relu(x + self.second(self.first(x)))
+
+    class Network(nn.Module):
+        def __init__(self) -> None:
+            super().__init__()
+            ins = (CHANNELS, *widths[:-1])
+            self.down = nn.ModuleList(
+                nn.Sequential(conv(a, b, stride=2), *(Residual(b) for _ in range(n)))
+                for a, b, n in zip(ins, widths, blocks, strict=True)
+            )
+            outs = (HEAD, *widths[2:])  # of the decoder, from 1/4 down; the deepest is the encoder's
+            self.across = nn.ModuleList(nn.Conv2d(w, o, 1) for w, o in zip(widths[1:-1], outs[:-1], strict=True))
+            self.up = nn.ModuleList(nn.Conv2d(b, a, 1) for a, b in pairwise(outs))
+            self.mix = nn.ModuleList(conv(o, o) for o in outs[:-1])
+            self.scores = nn.Conv2d(HEAD, keypoints, 1)
+            nn.init.normal_(self.scores.weight, std=0.01)
+
+        def forward(self, x: torch.Tensor) -> torch.Tensor:
+            levels = []
+            for stage in self.down:
+                x = stage(x)
+                levels.append(x)
+            for i in reversed(range(len(self.mix))):
+                skip = levels[i + 1]
+                x = functional.interpolate(self.up[i](x), size=skip.shape[-2:], mode="nearest")
+                x = self.mix[i](functional.relu(x + self.across[i](skip)))
+            return self.scores(x)
+
+    return Network()
+
+
+def new_network(keypoints: int, two_stages: bool) -> torch.nn.Module:
+    """With random weights; of two stages a dict of `first`, for the whole animal, and `second`, for its parts."""
+    first = build_network(keypoints, WIDTHS, BLOCKS)
+    if not two_stages:
+        return first
+    second = build_network(keypoints, SECOND_WIDTHS, SECOND_BLOCKS)
+    return require_torch().nn.ModuleDict({"first": first, "second": second})
+
+
+def stages(network: torch.nn.Module) -> tuple[torch.nn.Module, ...]:
+    """The two of `new_network`, or the one that there is."""
+    return tuple(network.children()) if isinstance(network, require_torch().nn.ModuleDict) else (network,)
+
+
+def placed(network: Any, device: torch.device) -> Any:
+    """On a device, in the layout that convolutions are fastest in."""
+    return network.to(device).to(memory_format=require_torch().channels_last)
+
+
+def as_input(pictures: NDArray[np.uint8], background: Image | None, device: torch.device) -> torch.Tensor:
+    """(B, 6, H, W): what the network sees of pictures (B, H, W, 3) with one background, or one for each."""
+    torch = require_torch()
+    x = torch.from_numpy(pictures).to(device).float()
+    still = x if background is None else torch.from_numpy(np.ascontiguousarray(background)).to(device).float()
+    return torch.cat([(x - GREY) / SPREAD, (x - still) / DIFFERENCE], dim=-1).permute(0, 3, 1, 2)
+
+
+# -- scores and points -----------------------------------------------------------------------------------------------
+
+Window = tuple["torch.Tensor", float]
+"""Where each keypoint may be: near (B, K, 2), and within which distance of it, in places of the grid."""
+
+
+def _inside(window: Window, size: Sequence[int]) -> torch.Tensor:
+    """(B, K, h, w): which places are in the window; none for a keypoint that is NaN."""
+    return _distance2(window[0], size) <= window[1] ** 2
+
+
+def _distance2(xy: torch.Tensor, size: Sequence[int]) -> torch.Tensor:
+    """(B, K, h, w): squared distance of each place from points (B, K, 2)."""
+    import torch  # pyright: ignore[reportMissingImports]
+
+    rows, columns = (torch.arange(n, dtype=torch.float32, device=xy.device) for n in size)
+    across, down = (columns - xy[..., :1]) ** 2, (rows - xy[..., 1:]) ** 2
+    return down[..., :, None] + across[..., None, :]
+
+
+def probabilities(scores: torch.Tensor, window: Window | None = None) -> torch.Tensor:
+    """(B, K, h, w), float32, each keypoint's grid adding up to 1."""
+    scores = scores.float()
+    if window is not None:
+        scores = scores.masked_fill(~_inside(window, scores.shape[2:]), NOWHERE)
+    return scores.flatten(2).softmax(dim=2).view(scores.shape)
+
+
+def decode(probability: torch.Tensor, tolerance: float) -> tuple[torch.Tensor, torch.Tensor]:
+    """Points (B, K, 2) as x, y in places of the grid, and the probability (B, K) within `tolerance` places of them."""
+    import torch  # pyright: ignore[reportMissingImports]
+
+    b, k, h, w = probability.shape
+    offsets = torch.arange(-_REACH, _REACH + 1, dtype=torch.float32, device=probability.device)
+    kernel = torch.exp(-0.5 * (offsets / BLUR) ** 2)
+    kernel = kernel / kernel.sum()
+    across = kernel.view(1, 1, 1, -1).expand(k, 1, 1, -1).contiguous()
+    down = kernel.view(1, 1, -1, 1).expand(k, 1, -1, 1).contiguous()
+    blurred = torch.nn.functional.conv2d(probability, across, padding=(0, _REACH), groups=k)
+    blurred = torch.nn.functional.conv2d(blurred, down, padding=(_REACH, 0), groups=k).reshape(b * k, h, w)
+    peak = blurred.flatten(1).argmax(dim=1)
+    row, column = peak // w, peak % w
+    n = torch.arange(b * k, device=probability.device)
+
+    def refined(along: torch.Tensor, size: int, at: list[torch.Tensor]) -> torch.Tensor:
+        before, here, after = (value.clamp_min(1e-30).log() for value in at)
+        bend = before - 2 * here + after
+        shift = torch.where(bend < -1e-6, 0.5 * (before - after) / bend.clamp(max=-1e-6), torch.zeros_like(bend))
+        inside = (along > 0) & (along < size - 1)
+        return along + torch.where(inside, shift.clamp(-0.5, 0.5), torch.zeros_like(shift))
+
+    x = refined(column, w, [blurred[n, row, (column + d).clamp(0, w - 1)] for d in (-1, 0, 1)])
+    y = refined(row, h, [blurred[n, (row + d).clamp(0, h - 1), column] for d in (-1, 0, 1)])
+    xy = torch.stack([x, y], dim=1).view(b, k, 2)
+    # A place at the tolerance's edge counts in part.
+    share = (tolerance + 0.5 - _distance2(xy, (h, w)).sqrt()).clamp(0, 1)
+    return xy, (probability * share).sum(dim=(2, 3)).clamp(0, 1)
+
+
+def variance(probability: torch.Tensor, xy: torch.Tensor) -> torch.Tensor:
+    """(B, K), in places squared, along each axis, of points (B, K, 2): how much broader the probability (B, K, h, w) is
+    around them than the Gaussian that the network is to give. What is far away counts as at `FAR`."""
+    spread = 0.5 * (probability * _distance2(xy, probability.shape[2:]).clamp(max=FAR**2)).sum(dim=(2, 3))
+    return (spread - SIGMA**2).clamp_min(0) + LEAST_SIGMA**2
+
+
+def loss(scores: torch.Tensor, xy: torch.Tensor, window: Window | None = None) -> torch.Tensor:
+    """Mean cross-entropy with a Gaussian around each point that is labelled: those of xy (B, K, 2), in places of the
+    grid, that are not NaN; inside of the window, if there is one. 0 where there is none."""
+    import torch  # pyright: ignore[reportMissingImports]
+
+    size = scores.shape[2:]
+    labelled = torch.isfinite(xy).all(dim=2)
+    known = torch.where(labelled[..., None], xy, torch.zeros_like(xy))
+    aim = (-0.5 * _distance2(known, size) / SIGMA**2).flatten(2).softmax(dim=2)
+    scores = scores.float()
+    if window is not None:
+        mask = _inside(window, size)
+        aim = aim * mask.flatten(2)
+        aim = aim / aim.sum(dim=2, keepdim=True).clamp_min(1e-6)
+        scores = scores.masked_fill(~mask, NOWHERE)
+    each = -(aim * scores.flatten(2).log_softmax(dim=2)).sum(dim=2)
+    return (each * labelled).sum() / labelled.sum().clamp_min(1)
+
+
+# -- likelihoods -----------------------------------------------------------------------------------------------------
+
+Calibration = tuple[float, float]
+"""slope and offset: likelihood = expit(slope * logit(raw) + offset)."""
+
+
+def calibrated(raw: Array, calibration: Calibration | None) -> Array:
+    """Calibrated likelihoods from raw ones; NaN stays NaN."""
+    if calibration is None:
+        return np.clip(raw, 0.0, 1.0)
+    slope, offset = calibration
+    return expit(slope * logit(np.clip(raw, _EDGE, 1 - _EDGE)) + offset)
+
+
+def fit_calibration(raw: Array, right: Bools) -> Calibration | None:
+    """From raw likelihoods (N,) and whether their points are right (N,), by maximum likelihood with a weak prior on
+    slope and offset, which keeps both finite where all points are right."""
+    if not len(raw):
+        return None
+    x, y = logit(np.clip(raw, _EDGE, 1 - _EDGE)), right.astype(float)
+
+    def cost(p: Array) -> tuple[float, Array]:
+        z, off = p[0] * x + p[1], (p - _PRIOR) / _PRIOR_SIGMA
+        slack = expit(z) - y
+        value = float((np.logaddexp(0, z) - y * z).sum() + 0.5 * (off**2).sum())
+        return value, np.array([(slack * x).sum(), slack.sum()]) + off / _PRIOR_SIGMA
+
+    found = minimize(cost, _PRIOR, jac=True, method="L-BFGS-B", bounds=[(0.05, 5.0), (-10.0, 10.0)])
+    return float(found.x[0]), float(found.x[1])
+
+
+# -- a trained network -----------------------------------------------------------------------------------------------
+
+
+_Pixels = Annotated[float, Field(gt=0, lt=1e6)]
+
+
+@dataclass(frozen=True)
+class Spec:
+    """What belongs to a network's weights."""
+
+    names: Annotated[tuple[str, ...], Field(min_length=1, max_length=1000)]
+    """The names of the keypoints."""
+    scale: Annotated[float, Field(gt=1e-3, lt=1e3)]
+    """The scale of the network's pictures to those of the clip."""
+    body_length_px: _Pixels
+    """The length of the animal in the labelled pictures, before scaling."""
+    tolerance_px: _Pixels
+    """Within which a point counts as right, for its likelihood; in the labelled pictures, before scaling."""
+    first: Annotated[float, Field(gt=1e-3, le=1)] = 1.0
+    """The scale of the pictures of the first stage to the network's; 1 where there is but one stage."""
+    calibration: Calibration | None = None
+
+    @property
+    def two_stages(self) -> bool:
+        return self.first < 1
+
+    @property
+    def reach_places(self) -> float:
+        """How far from a point of the first stage the second one looks, in its own pictures: as far as the first one
+        says that it is likely to be."""
+        return self.tolerance_px * self.scale / STRIDE
+
+
+@dataclass(frozen=True, eq=False)
+class TrainedNetwork:
+    spec: Spec
+    network: torch.nn.Module
+    device: torch.device
+    half: Any = None
+    """A 16-bit type to compute in, or None."""
+
+    def points(self, pictures: Sequence[Image], background: Image | None) -> tuple[Array, Array]:
+        """Points (B, K, 2) in pixels of the clip and raw likelihoods (B, K) of pictures of one size, scaled already."""
+        first = self.spec.first
+        small, still = np.stack([resize(picture, first) for picture in pictures]), background
+        if still is not None:
+            still = resize(still, first)
+        xy_px, raw, variance_px2 = self._found(0, small, still)
+        if self.spec.two_stages:
+            begin = scale_points(xy_px, 1 / first), raw, variance_px2 / first**2
+            xy_px = self._refined(*begin, pictures, background)
+        return scale_points(xy_px, 1 / self.spec.scale), raw
+
+    def _refined(
+        self, xy_px: Array, raw: Array, variance_px2: Array, pictures: Sequence[Image], background: Image | None
+    ) -> Array:
+        """Points (B, K, 2): the mean of what both stages see, weighted by how sure each is of it, in the part of each
+        picture where most points are; others stay."""
+        low, size = part_of(xy_px, raw, STRIDE * self.spec.reach_places + MARGIN_PX, pictures[0].shape[1::-1])
+        parts = [(slice(y, y + size[1]), slice(x, x + size[0])) for x, y in low]
+        crops = np.stack([picture[part] for picture, part in zip(pictures, parts, strict=True)])
+        still = None if background is None else np.stack([background[part] for part in parts])
+        near = xy_px - low[:, None]
+        found_px, _, found_px2 = self._found(1, crops, still, near)
+        inside = ((near >= 0) & (near <= np.array(size) - 1)).all(axis=2)
+        weight = inside * variance_px2 / (variance_px2 + found_px2)
+        return xy_px + weight[..., None] * (found_px - near)
+
+    def _found(
+        self, stage: int, pictures: Image, background: Image | None, near_px: Array | None = None
+    ) -> tuple[Array, Array, Array]:
+        """Points (B, K, 2) in pixels of the pictures, raw likelihoods (B, K), and the points' variances along each axis
+        (B, K); near_px: where the second stage looks."""
+        torch, spec = require_torch(), self.spec
+        with torch.inference_mode():
+            x = as_input(pictures, background, self.device)
+            window = None if near_px is None else (places(near_px, self.device), spec.reach_places)
+            with torch.autocast(x.device.type, self.half, enabled=self.half is not None):
+                scores = stages(self.network)[stage](x)
+            found = probabilities(scores, window)
+            xy, raw = decode(found, spec.reach_places * spec.first)
+            parts = (STRIDE * xy, raw, STRIDE**2 * variance(found, xy))
+        xy_px, raw, variance_px2 = (part.cpu().double().numpy() for part in parts)
+        return xy_px, raw, variance_px2
+
+
+def part_of(
+    xy_px: Array, raw: Array, margin_px: float, size_px: Sequence[int]
+) -> tuple[NDArray[np.int64], tuple[int, int]]:
+    """The part of pictures of size_px around the points (B, K, 2) that are likely enough: its first pixel in each (B,
+    2), and the size (width, height) of all."""
+    sure = (raw >= np.minimum(SURE, raw.max(axis=1, keepdims=True)))[..., None]
+    low = np.where(sure, xy_px, np.inf).min(axis=1) - margin_px
+    high = np.where(sure, xy_px, -np.inf).max(axis=1) + margin_px
+    sides = 32 * np.ceil((high - low).max(axis=0) / 32)
+    width, height = (int(n) for n in np.minimum(sides, size_px))
+    first = np.rint(0.5 * (low + high - [width, height])).astype(np.int64)
+    return np.clip(first, 0, np.array(size_px) - [width, height]), (width, height)
+
+
+def places(xy_px: Array, device: torch.device) -> torch.Tensor:
+    """The places in the grid of points in pixels."""
+    return require_torch().from_numpy((xy_px / STRIDE).astype(np.float32)).to(device)
+
+
+def save_torch(content: dict[str, Any], path: Path) -> None:
+    """Whole or not at all."""
+    made = BytesIO()
+    require_torch().save(content, made)
+    with staged_file(path) as staged:
+        write_bytes(staged, made.getvalue())
+
+
+def save_model(spec: Spec, weights: dict[str, Any], path: Path) -> None:
+    save_torch({"format": FORMAT, "spec": dataclasses.asdict(spec), "weights": weights}, path)
+
+
+def model_file(folder: Path) -> Path:
+    """Where the network of a folder is that `recon train` wrote. Raises InputError where there is none."""
+    path = folder / MODEL_FILE if folder.is_dir() else folder
+    if not path.is_file():
+        expected = f"the {MODEL_FILE} of a folder that `recon train` wrote"
+        raise InputError(Problem("--model", "file", f"{path}, no such file", expected))
+    return path
+
+
+def load_model(folder: Path, device: torch.device) -> TrainedNetwork:
+    """The network of such a folder. Raises InputError."""
+    path = model_file(folder)
+    content = load_torch(path)
+    if not isinstance(content, dict) or content.get("format") != FORMAT:
+        raise InputError(Problem(path, "model", "a file of another kind or version", "one that `recon train` wrote"))
+    try:
+        kept = content["spec"]
+        if old := kept.get("calibrations", {}).get("fast"):  # of version 0.2
+            kept["calibration"] = old["slope"], old["offset"]
+        names = [field.name for field in dataclasses.fields(Spec)]
+        spec = validated(Spec, {name: kept[name] for name in names if name in kept}, path)
+        network = new_network(len(spec.names), spec.two_stages)
+        network.load_state_dict(content["weights"])
+    except InputError:
+        raise
+    except (KeyError, TypeError, ValueError, AttributeError, RuntimeError) as error:
+        found = f"a network with parts missing or altered ({' '.join(str(error).split())[:100]})"
+        raise InputError(Problem(path, "model", found, "one as `recon train` wrote it")) from None
+    return TrainedNetwork(spec, placed(network, device).eval(), device, fast_half(device))
+
+
+MAX_PICKLE_BYTES = 1 << 22
+
+
+def load_torch(path: Path) -> Any:
+    """What torch saved: numbers and plain types only. Raises InputError for another kind of file, or a damaged one."""
+    torch = require_torch()
+    try:
+        # torch writes a zip archive; what it makes of other and damaged files is almost any exception.
+        with zipfile.ZipFile(path) as archive:
+            check_unpacked_size(archive)
+            if any(one.file_size > MAX_PICKLE_BYTES for one in archive.infolist() if one.filename.endswith(".pkl")):
+                raise ValueError("more than names and sizes")  # torch reads them slowly
+        return torch.load(path, map_location="cpu", weights_only=True)
+    except Exception as error:
+        found = "a file that torch cannot read, of another kind or damaged"
+        raise InputError(Problem(path, "model", found, "a file that `recon train` wrote")) from error

@@ -1,0 +1,371 @@
+"""Training pictures, in batches that a thread makes while the network learns from the last ones.
+
+Pictures that nobody took are made of those that are labelled: turned, scaled, moved, mirrored, pasted elsewhere, in
+another light, blurred, covered in part and noisy. Each is a function of its random generator, and that of the run's
+seed and the place of the picture in it: a run that goes on after a break draws the same pictures.
+
+The still background of a clip is what a camera on a tripod sees where nothing moves. The network gets the difference of
+a picture to it besides the picture itself, which shows what is new in the scene whatever the place and the light; and
+training pastes the animal on it elsewhere. Where the camera moves, or where there are too few pictures, there is none,
+and the difference is all zero.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable, Generator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from itertools import count
+from pathlib import Path
+from typing import TypeVar
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from recon.base.arrays import Array, Integers
+from recon.io.video import Image, probe, read_frames
+from recon.wings.keypoint_net.labels import Labels, body_length_px, known_points, resize, scaled_size
+
+NETWORK_LENGTH_PX = 120.0
+"""Length of the animal in the pictures that the network sees; clips are scaled to it, unless they are near."""
+FULL_LENGTH_PX = 480.0
+"""Length of the animal in the pictures of a second stage, at most: labels are no more precise than this."""
+TWO_STAGES = 1.5
+"""Animals so many times longer than NETWORK_LENGTH_PX are looked for in small pictures, and each of their points then
+near the place found, at full size."""
+PART_PX = (128, 128)
+"""Size of training pictures of the second stage."""
+OFF = 0.75
+"""How far off the first stage is taken to be at most, in training, relative to where the second one looks."""
+CROP = 1.4
+"""Size of training pictures, relative to the animal's length."""
+MARGIN = 0.12
+"""The margin around the animal's labelled points, relative to its length."""
+NO_BACKGROUND = 0.2
+"""Share of the training pictures whose difference to the background is left out."""
+AHEAD = 3
+
+LEAST_PICTURES = 8
+MOST_PICTURES = 60
+MOST_BYTES = 2**28
+"""The most bytes of a video's pictures that are held at a time."""
+STILL_LEVELS = 12.0
+"""Grey levels by which most of a picture differs at most from the background where the camera is still."""
+STILL_SHARE = 0.6
+"""The share of a picture's pixels that stay the same where the camera stands still."""
+MOVED_LEVELS = 22.0
+"""Grey levels by which the animal differs from the background, in some colour."""
+
+
+@dataclass(frozen=True)
+class Augmentation:
+    """Ranges; each is drawn evenly between its ends, in its logarithm where it is a factor. Shares are probabilities.
+
+    partner: for each keypoint, the one that it becomes in a mirror; None: pictures are not mirrored.
+    """
+
+    rotation_deg: float = 20.0
+    scale: tuple[float, float] = (0.6, 1.6)
+    stretch: float = 0.12
+    partner: tuple[int, ...] | None = None
+    paste: float = 0.5
+    contrast: float = 0.3
+    brightness: float = 25.0
+    gamma: float = 0.3
+    colour: float = 0.12
+    light_patch: float = 0.3
+    cutout: float = 0.5
+    blur: float = 0.25
+    noise: float = 6.0
+
+
+@dataclass(frozen=True, eq=False)
+class Example:
+    """A picture to learn from, h by w pixels, with K points."""
+
+    picture: Image
+    """The picture, shape (h, w, 3)."""
+    background: Image | None
+    """The median picture of the clip, of the pictures' shape; None where the camera moves."""
+    mask: Image | None
+    """(h, w), the animal's, None where the camera moves."""
+    xy_px: Array
+    """(K, 2), NaN where not labelled."""
+    length_px: float
+    """The length of the animal in pixels."""
+    part: bool = False
+    """Whether pictures are made of what is around one of its points, rather than of all of it."""
+
+
+def augment(
+    example: Example, size_px: tuple[int, int], options: Augmentation, rng: np.random.Generator
+) -> tuple[Image, Image | None, Array]:
+    """A picture of size_px (width, height), its background, and the points in it (K, 2), NaN where there is none."""
+    mirrored = options.partner is not None and rng.random() < 0.5
+    to = _affine(example, size_px, options, mirrored, rng)
+    picture = _warp(example.picture, to, size_px)
+    background = None
+    if example.background is not None:
+        background = _warp(example.background, to, size_px)
+        if example.mask is not None and rng.random() < options.paste:
+            mask = _warp(example.mask, to, size_px, constant=True)[..., None].astype(np.float32) / 255
+            background = _other_background(example.background, size_px, rng)
+            picture = (picture * mask + background * (1 - mask)).astype(np.uint8)
+    xy_px = example.xy_px @ to[:, :2].T + to[:, 2]
+    if mirrored and options.partner is not None:
+        xy_px = xy_px[list(options.partner)]
+    outside = np.any((xy_px < 0) | (xy_px > np.array(size_px) - 1.0), axis=1, keepdims=True)
+    xy_px = np.where(outside, np.nan, xy_px)
+    light = _random_light(size_px, options, rng)
+    picture = _in_light(picture, light)
+    if background is not None:
+        background = _in_light(background, light)
+    picture = _partly_covered(picture, background, example.length_px, options, rng)
+    if rng.random() < options.blur:
+        picture = motion_blur(picture, rng.uniform(1.5, 0.06 * example.length_px + 2), rng.uniform(0, math.pi))
+    sigma = rng.uniform(0, options.noise)
+    grain = rng.standard_normal((*picture.shape[:2], 1), np.float32) * np.float32(sigma)
+    return np.clip(picture + grain, 0, 255).astype(np.uint8), background, xy_px
+
+
+def motion_blur(picture: Image, length_px: float, angle_rad: float) -> Image:
+    """As of a picture that moved evenly along a line while it was taken."""
+    half = max(1, math.ceil(length_px / 2))
+    kernel = np.zeros((2 * half + 1, 2 * half + 1), np.float32)
+    for t in np.linspace(-0.5, 0.5, 8 * half + 1):
+        x, y = half + t * length_px * math.cos(angle_rad), half + t * length_px * math.sin(angle_rad)
+        x0, y0 = min(int(x), 2 * half - 1), min(int(y), 2 * half - 1)
+        for dy, wy in ((0, 1 - (y - y0)), (1, y - y0)):
+            for dx, wx in ((0, 1 - (x - x0)), (1, x - x0)):
+                kernel[y0 + dy, x0 + dx] += wx * wy
+    return np.asarray(cv2.filter2D(picture, -1, kernel / kernel.sum(), borderType=cv2.BORDER_REPLICATE), np.uint8)
+
+
+def _affine(
+    example: Example, size_px: tuple[int, int], options: Augmentation, mirrored: bool, rng: np.random.Generator
+) -> Array:
+    """(2, 3): the animal's middle, or one of its points, to anywhere in the new picture but its edges."""
+    known = example.xy_px[known_points(example.xy_px)]
+    height, width = example.picture.shape[:2]
+    centre = 0.5 * (known.min(axis=0) + known.max(axis=0)) if len(known) else rng.uniform(0, [width, height])
+    if example.part and len(known):
+        centre = known[rng.integers(len(known))]
+    scale = math.exp(rng.uniform(*np.log(options.scale)))
+    stretch = math.exp(rng.uniform(-options.stretch, options.stretch))
+    turn = math.radians(rng.normal(0, options.rotation_deg / 2))
+    turn = float(np.clip(turn, *np.radians([-options.rotation_deg, options.rotation_deg])))
+    rotation = np.array([[math.cos(turn), -math.sin(turn)], [math.sin(turn), math.cos(turn)]])
+    linear = rotation @ np.diag([scale * stretch * (-1 if mirrored else 1), scale / stretch])
+    place = rng.uniform([0.2, 0.25], [0.8, 0.75]) * size_px
+    return np.column_stack([linear, place - linear @ centre])
+
+
+def _warp(picture: Image, to: Array, size_px: tuple[int, int], constant: bool = False) -> Image:
+    border = cv2.BORDER_CONSTANT if constant else cv2.BORDER_REFLECT_101
+    small = abs(np.linalg.det(to[:, :2])) < 0.5
+    flags = cv2.INTER_AREA if small else cv2.INTER_LINEAR
+    return np.asarray(cv2.warpAffine(picture, to, size_px, flags=flags, borderMode=border), np.uint8)
+
+
+def _other_background(background: Image, size_px: tuple[int, int], rng: np.random.Generator) -> Image:
+    """Another part of the clip's own background, or its mirror picture."""
+    height, width = background.shape[:2]
+    scale = math.exp(rng.uniform(-0.4, 0.5)) * max(1.0, 0.7 * size_px[0] / width, 0.7 * size_px[1] / height)
+    mirror = -1.0 if rng.random() < 0.5 else 1.0
+    linear = np.diag([scale * mirror, scale])
+    place = 0.5 * np.array(size_px) - linear @ rng.uniform([0.2 * width, 0.2 * height], [0.8 * width, 0.8 * height])
+    return _warp(background, np.column_stack([linear, place]), size_px)
+
+
+def _random_light(
+    size_px: tuple[int, int], options: Augmentation, rng: np.random.Generator
+) -> tuple[NDArray[np.uint8], NDArray[np.float32] | None]:
+    """A table (256, 3) for the levels of each colour, and a factor for each pixel (H, W, 1) where there is a patch."""
+    levels = np.arange(256)[:, None] / 255.0
+    gamma = math.exp(rng.uniform(-options.gamma, options.gamma))
+    contrast = math.exp(rng.uniform(-options.contrast, options.contrast))
+    colour = np.exp(rng.uniform(-options.colour, options.colour, 3))
+    pivot = rng.uniform(0.2, 0.6)
+    table = 255 * ((levels**gamma - pivot) * contrast + pivot) * colour
+    table = table + rng.uniform(-options.brightness, options.brightness)
+    table = np.clip(table, 0, 255).astype(np.uint8)
+    if rng.random() >= options.light_patch:
+        return table, None
+    x, y = np.meshgrid(np.arange(size_px[0]), np.arange(size_px[1]))
+    angle, at = rng.uniform(0, 2 * math.pi), rng.uniform(0.2, 0.8, 2) * size_px
+    across = (x - at[0]) * math.cos(angle) + (y - at[1]) * math.sin(angle)
+    soft = 1 / (1 + np.exp(-np.clip(across / rng.uniform(2, 30), -30, 30)))
+    factor = 1 + (math.exp(rng.uniform(-0.7, 0.5)) - 1) * soft
+    return table, factor[..., None].astype(np.float32)
+
+
+def _in_light(picture: Image, light: tuple[NDArray[np.uint8], NDArray[np.float32] | None]) -> Image:
+    table, factor = light
+    lit = cv2.LUT(picture, table[None])
+    return np.asarray(lit if factor is None else np.clip(lit * factor, 0, 255), np.uint8)
+
+
+def _partly_covered(
+    picture: Image, background: Image | None, length_px: float, options: Augmentation, rng: np.random.Generator
+) -> Image:
+    """Up to three rectangles of one colour, or of the background: what stands before the animal."""
+    if rng.random() >= options.cutout:
+        return picture
+    picture = picture.copy()
+    height, width = picture.shape[:2]
+    for _ in range(rng.integers(1, 4)):
+        w, h = np.maximum(rng.uniform(0.05, 0.25, 2) * length_px, 2).astype(int)
+        x, y = rng.integers(0, max(1, width - w)), rng.integers(0, max(1, height - h))
+        if background is not None and rng.random() < 0.5:
+            picture[y : y + h, x : x + w] = background[y : y + h, x : x + w]
+        else:
+            picture[y : y + h, x : x + w] = rng.integers(0, 256, 3)
+    return picture
+
+
+# -- the still background ----------------------------------------------------------------------------------------------
+
+
+def background_of(pictures: Sequence[Image]) -> Image | None:
+    """The median of pictures of one clip; None where they are few, or where the camera moves."""
+    if len(pictures) < LEAST_PICTURES:
+        return None
+    picked = [pictures[i] for i in np.unique(np.linspace(0, len(pictures) - 1, MOST_PICTURES).round().astype(int))]
+    background = np.empty_like(picked[0])
+    for rows in np.array_split(np.arange(len(background)), max(1, background.size * len(picked) // 2**24)):
+        background[rows] = np.median(np.stack([p[rows] for p in picked]), axis=0).astype(np.uint8)
+    still = [float((cv2.absdiff(p, background).max(axis=2) < STILL_LEVELS).mean()) for p in picked]
+    return background if float(np.median(still)) >= STILL_SHARE else None
+
+
+def backgrounds(labels: Labels, apart: Integers) -> tuple[Image | None, ...]:
+    """One for each clip, from its pictures but those `apart` (indices), which nobody has yet."""
+    found = []
+    for c in range(len(labels.clips)):
+        here = np.flatnonzero(labels.clip == c)
+        known = np.setdiff1d(here, apart)
+        found.append(background_of([labels.pictures[i] for i in (known if len(known) else here)]))
+    return tuple(found)
+
+
+def background_of_video(video: Path, scale: float) -> Image | None:
+    """From pictures spread over the frames that the video states, at the network's scale. Few are held at a time."""
+    info = probe(video)
+    width, height = scaled_size(info.size_px, scale)
+    most = int(np.clip(MOST_BYTES // (3 * width * height), LEAST_PICTURES, MOST_PICTURES))
+    step = max(1, (info.stated_frames or MOST_PICTURES) // most)
+    pictures = [resize(picture, scale) for _, picture in read_frames(video, 0, step * most, step)]
+    return background_of(pictures)
+
+
+def moving_mask(picture: Image, background: Image, xy_px: Array, margin_px: float) -> Image:
+    """(height, width), 0 to 255: what differs from the background near the labelled points (K, 2)."""
+    near = np.zeros(picture.shape[:2], np.uint8)
+    known = xy_px[known_points(xy_px)]
+    if len(known):
+        hull = cv2.convexHull(known.astype(np.float32)).round().astype(np.int32)
+        cv2.fillConvexPoly(near, hull, 255)
+        size = 2 * round(margin_px) + 1
+        near = cv2.dilate(near, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)))
+    moved = (cv2.absdiff(picture, background).max(axis=2) > MOVED_LEVELS).astype(np.uint8) * 255
+    moved = cv2.bitwise_and(cv2.morphologyEx(moved, cv2.MORPH_OPEN, np.ones((2, 2), np.uint8)), near)
+    # Holes are where the animal looks like the background; what lies between its legs is open to the ground.
+    gap = 2 * max(1, round(0.25 * margin_px)) + 1
+    moved = cv2.morphologyEx(moved, cv2.MORPH_CLOSE, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (gap, gap)))
+    outlines, _ = cv2.findContours(moved, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    cv2.drawContours(moved, outlines, -1, 255, cv2.FILLED)
+    moved = cv2.dilate(moved, np.ones((3, 3), np.uint8))
+    return np.asarray(cv2.GaussianBlur(moved, (3, 3), 0), np.uint8)
+
+
+# -- batches -----------------------------------------------------------------------------------------------------------
+
+
+T = TypeVar("T")
+
+
+def ahead(made: Generator[T], count: int) -> Generator[T]:
+    """The items of a generator, none of which is None, made by a thread up to `count` of them ahead."""
+    with ThreadPoolExecutor(max_workers=1, thread_name_prefix="ahead") as executor:
+        waiting = deque(executor.submit(next, made, None) for _ in range(count))
+        try:
+            while (item := waiting.popleft().result()) is not None:
+                waiting.append(executor.submit(next, made, None))
+                yield item
+        finally:
+            executor.shutdown(wait=True, cancel_futures=True)
+            made.close()
+
+
+Batch = tuple[NDArray[np.uint8], NDArray[np.uint8], Array, Array | None]
+"""Pictures (B, H, W, 3); their backgrounds (B, H, W, 3), the picture itself where there is none, which makes the
+difference 0; K points of each (B, K, 2), NaN where a point is not labelled or not in the picture; and places near them
+(B, K, 2), as a first stage might find them, None for the first stage itself."""
+
+
+def network_scales(xy_px: Array) -> tuple[float, float]:
+    """By which pictures are scaled for the network, and from there once more for its first stage (1: there is but one),
+    from labels (N, K, 2)."""
+    length = body_length_px(xy_px)
+    scale = NETWORK_LENGTH_PX / length if np.isfinite(length) and length > 0 else 1.0
+    if TWO_STAGES * scale < 1:
+        full = min(1.0, round(FULL_LENGTH_PX / length, 3))
+        return full, round(scale / full, 3)
+    return 1.0 if 0.75 < scale < 1.35 else float(np.clip(round(scale, 3), 0.1, 2.0)), 1.0
+
+
+def crop_size(labels: Labels, scale: float) -> tuple[int, int]:
+    """(width, height) of training pictures at a scale of the labels' own: that of the clips' pictures, or less where
+    the animal is small in them."""
+    length = scale * body_length_px(labels.xy_px)
+    length = length if np.isfinite(length) else NETWORK_LENGTH_PX
+    sizes = [scaled_size((p.shape[1], p.shape[0]), scale) for p in labels.pictures]
+    widest, highest = np.max(sizes, axis=0)
+    sides = np.minimum([widest, highest], [CROP * 1.15 * length, CROP * 0.85 * length])
+    width, height = (max(64, 32 * round(float(side) / 32)) for side in sides)
+    return width, height
+
+
+def examples_of(labels: Labels, backgrounds: tuple[Image | None, ...]) -> list[Example]:
+    length = body_length_px(labels.xy_px)
+    length = length if np.isfinite(length) else NETWORK_LENGTH_PX
+    found = []
+    for picture, clip, xy in zip(labels.pictures, labels.clip, labels.xy_px, strict=True):
+        background = backgrounds[clip]
+        mask = None
+        if background is not None and known_points(xy).sum() >= 4:
+            mask = moving_mask(picture, background, xy, MARGIN * length)
+        found.append(Example(picture, background, mask, xy, length))
+    return found
+
+
+def make_batch(
+    examples: Sequence[Example], size_px: tuple[int, int], options: Augmentation, size: int, seed: int, step: int,
+    pool: Integers, off_px: float = 0.0,
+) -> Batch:  # fmt: skip
+    """The batch of a step: a function of the seed, the step and the pictures to draw from only. off_px: how far from
+    its points a second stage is told to look; 0: it is the first."""
+    pictures, backgrounds, points, near = [], [], [], []
+    for i in range(size):
+        rng = np.random.default_rng((seed, step, i))
+        example = examples[int(rng.choice(pool))]
+        if rng.random() < NO_BACKGROUND:
+            example = replace(example, background=None, mask=None)
+        picture, background, xy = augment(example, size_px, options, rng)
+        pictures.append(picture)
+        backgrounds.append(picture if background is None else background)
+        points.append(xy)
+        if off_px:
+            angle, far = rng.uniform(0, 2 * np.pi, len(xy)), off_px * rng.uniform(0, 1, len(xy)) ** 0.5
+            near.append(xy + np.stack([far * np.cos(angle), far * np.sin(angle)], axis=1))
+    return np.stack(pictures), np.stack(backgrounds), np.stack(points), np.stack(near) if near else None
+
+
+def batches(
+    sources: Sequence[Callable[[int, Integers], Batch]], step: int, pool: Integers
+) -> Generator[tuple[Batch, ...]]:
+    """The batches of this step and all that follow, one of each source, made ahead."""
+    return ahead((tuple(source(s, pool) for source in sources) for s in count(step)), AHEAD)

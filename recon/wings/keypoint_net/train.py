@@ -1,0 +1,487 @@
+"""Training: from labelled pictures to weights.
+
+AdamW with a warm-up and a cosine down to nothing, twice; the weights that count are a moving average of those that it
+moves. The first part of a run learns from the training pictures and is judged by the validation pictures, which also
+calibrate the likelihoods; the last part, from `FINISH` on, learns from both, so that no label is lost.
+
+A run is a function of its settings, its labels and its device: augmentation depends on the seed and the step only, and
+a checkpoint holds everything else. With a number of steps, a run that was stopped and goes on ends in the same weights
+bit for bit; with a number of minutes, the speed of the machine decides how many steps there are.
+"""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+import math
+import time
+from colorsys import hsv_to_rgb
+from contextlib import closing
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import cv2
+import numpy as np
+import pandas as pd
+from pydantic import Field
+
+from recon import __version__
+from recon.base import Progress, silent
+from recon.base.arrays import Array, Bools, Integers, mean, median
+from recon.base.errors import InputError, Problem, refuse
+from recon.base.files import write_bytes
+from recon.base.settings import Count, Integer, Number, Option, Settings
+from recon.io.video import Image
+from recon.show.overlay import Colour, draw_circle, draw_line, draw_text
+from recon.show.plain import to_json, to_plain
+from recon.wings.keypoint_net import network as net
+from recon.wings.keypoint_net import pictures
+from recon.wings.keypoint_net.evaluate2d import evaluate_2d, reliability
+from recon.wings.keypoint_net.labels import (
+    Labels,
+    body_length_px,
+    extents_px,
+    frames_by_part,
+    resize,
+    scale_points,
+    sides,
+)
+
+if TYPE_CHECKING:
+    import torch  # pyright: ignore[reportMissingImports]
+
+CHECKPOINT_FILE = "checkpoint.pt"
+TOLERANCE = 0.04
+"""Within this, relative to the body length, a point counts as right for its likelihood."""
+LEARNING_RATE, WEIGHT_DECAY = 2e-3, 0.05
+FINISH = 0.6
+"""Share of a run after which the validation pictures are learned from, too."""
+FINISH_RATE = 0.5
+"""The learning rate with which that begins, relative to the highest before."""
+WARM_UP = 0.04
+EVALUATIONS = 30
+MOST_AVERAGED = 300.0
+"""Steps over which the weights are averaged, at most; fewer at the beginning."""
+TRAINING, SPLIT = "Training", "Which pictures"
+
+
+class TrainSettings(Settings):
+    """How a network is trained."""
+
+    minutes: Annotated[Number, Field(ge=0.05), Option("Time to train.", "0.05 minutes or more", panel=TRAINING)] = 15.0
+    steps: Annotated[Count | None, Option(expected="1 or more", panel=TRAINING)] = None
+    """Steps to train, instead of a time: the same in every run."""
+    batch: Annotated[Count, Option(expected="1 or more", panel=TRAINING)] = 8
+    """Pictures in a step."""
+    seed: Annotated[
+        Integer, Field(ge=0), Option("Seed of weights, split and augmentation.", "0 or more", panel=TRAINING)
+    ] = 0
+    mirror: Annotated[bool, Option(panel=TRAINING)] = False
+    """Train on mirror pictures, too, in which left and right, or near and off, change their names: for animals that are
+    labelled going one way and filmed going both. Takes longer to learn."""
+
+    def of_training(self) -> dict[str, Any]:
+        """The settings of training alone, where there are others beside them."""
+        return {name: getattr(self, name) for name in TrainSettings.infos()}
+
+
+@dataclass(frozen=True, eq=False)
+class TrainingRun:
+    """What stays the same from step to step; pictures are at the network's scale."""
+
+    settings: TrainSettings
+    spec: net.Spec
+    labels: Labels
+    scaled: Labels
+    split: dict[str, Integers]
+    still: tuple[Image | None, ...]
+    device: torch.device
+
+
+@dataclass
+class State:
+    """All that a run carries from step to step."""
+
+    network: torch.nn.Module
+    average: torch.nn.Module
+    optimizer: torch.optim.Optimizer
+    step: int = 0
+    share: float = 0.0
+    """The share of the run that is done; it decides the learning rate."""
+    seconds: float = 0.0
+    """The time that all its parts have taken."""
+    calibration: net.Calibration | None = None
+    judged: tuple[list[float], list[bool]] = ([], [])
+    """The calibrated likelihoods of the labelled validation points, and which of them are right."""
+    history: list[dict[str, float]] = field(default_factory=list)
+    """A row for each evaluation."""
+    losses: list[float] = field(default_factory=list)
+    """The losses of the steps since the last evaluation."""
+    threads: int = 0
+    """With which it computes on the CPU; 0 where none were chosen yet."""
+
+    @property
+    def finishing(self) -> bool:
+        return self.share >= FINISH
+
+
+def prepare(labels: Labels, split: dict[str, Integers], settings: TrainSettings, device: torch.device) -> TrainingRun:
+    known = np.concatenate([split["train"], split["validation"]])
+    scale, first = pictures.network_scales(labels.xy_px[known])
+    length = body_length_px(labels.xy_px[known])
+    length = length if np.isfinite(length) else 100.0
+    spec = net.Spec(labels.names, scale, float(length), float(TOLERANCE * length), first)
+    scaled = labels.scaled(scale)
+    return TrainingRun(settings, spec, labels, scaled, split, pictures.backgrounds(scaled, split["test"]), device)
+
+
+def train(
+    run: TrainingRun, out: Path, resume: bool = False, threads: int | None = None, progress: Progress = silent
+) -> State:
+    """Trains, or goes on, to the end; `out` gets a checkpoint at each evaluation, and the model at the end.
+
+    threads: for the CPU; None: those that a run had before, or all.
+    """
+    torch = net.require_torch()
+    torch.backends.cudnn.deterministic, torch.backends.cudnn.benchmark = True, False
+    state = _resumed(run, out) if resume else _begin(run)
+    settings, half = run.settings, net.fast_half(run.device)
+    shown = np.flatnonzero(run.labels.labelled.any(axis=1))
+    first = np.intersect1d(run.split["train"], shown)
+    both = np.union1d(first, np.intersect1d(run.split["validation"], shown))
+    sources = _sources(run)
+    net.use_threads(threads or state.threads)
+    state.threads = torch.get_num_threads()
+    began_s = time.monotonic() - state.seconds
+    while state.share < 1.0:
+        held_out = not state.finishing
+        with closing(pictures.batches(sources, state.step, first if held_out else both)) as drawn:
+            while state.share < 1.0 and held_out != state.finishing:
+                rate, before = LEARNING_RATE * schedule(state.share), state.share
+                value = _learn(state, next(drawn), rate, run, half)
+                state.seconds = time.monotonic() - began_s
+                timed = max(before, state.seconds / (60 * settings.minutes))
+                share = before + 1 / settings.steps if settings.steps else timed
+                state.share = 1.0 if share > 1 - 1e-9 else share
+                state.losses.append(value)
+                due = math.floor(state.share * EVALUATIONS) > math.floor(before * EVALUATIONS) or state.share >= 1
+                if due or (held_out and state.finishing):
+                    row = {"step": state.step, "loss": float(np.mean(state.losses)), "rate": rate, "share": state.share}
+                    state.history.append(row | ({} if held_out else {"finishing": 1.0}))
+                    state.losses.clear()
+                    _evaluate(state, run, calibrates=held_out and state.finishing)
+                    _save_checkpoint(state, run, out)
+                last = state.history[-1] if state.history else {}
+                text = f"step {state.step}, loss {np.mean(state.losses) if state.losses else last['loss']:.3f}"
+                if "validation_px" in last:
+                    text += f", validation error {last['validation_px']:.2f} px"
+                progress(f"{'finishing' if state.finishing else 'learning'}: {text}", state.share)
+    net.save_model(calibrated_spec(run, state), state.average.state_dict(), out / net.MODEL_FILE)
+    return state
+
+
+def calibrated_spec(run: TrainingRun, state: State) -> net.Spec:
+    return dataclasses.replace(run.spec, calibration=state.calibration)
+
+
+def _sources(run: TrainingRun) -> tuple[Any, ...]:
+    """For each stage, what makes the batch of a step from a pool of pictures."""
+    settings, spec = run.settings, run.spec
+    options = pictures.Augmentation(partner=sides(spec.names) if settings.mirror else None)
+    labels, still = run.scaled, run.still
+    if spec.two_stages:
+        labels = labels.scaled(spec.first)
+        still = tuple(None if b is None else resize(b, spec.first) for b in still)
+    size_px, last = pictures.crop_size(run.scaled, spec.first), (options, settings.batch, settings.seed)
+    first = partial(pictures.make_batch, pictures.examples_of(labels, still), size_px, *last)
+    if not spec.two_stages:
+        return (first,)
+    # What is drawn or blurred on a part is as large in it as on the whole animal in its smaller picture.
+    parts = [
+        dataclasses.replace(e, part=True, length_px=pictures.NETWORK_LENGTH_PX)
+        for e in pictures.examples_of(run.scaled, run.still)
+    ]
+    return first, partial(
+        pictures.make_batch, parts, pictures.PART_PX, *last, off_px=pictures.OFF * spec.reach_places * net.STRIDE
+    )
+
+
+def schedule(share: float) -> float:
+    """Factor of the learning rate at a share of the run: a warm-up and a cosine, and another one for the last part.
+
+    The network is at rest when it is calibrated, as it is at the end.
+    """
+    if share < FINISH:
+        return min(1.0, (share + 1e-3) / WARM_UP) * _cosine(share / FINISH)
+    return FINISH_RATE * _cosine((share - FINISH) / (1 - FINISH))
+
+
+def _cosine(share: float) -> float:
+    """From 1 down to nearly 0."""
+    return 1e-3 + (0.5 + 0.5 * math.cos(math.pi * share))
+
+
+def _learn(state: State, batch: tuple[pictures.Batch, ...], rate: float, run: TrainingRun, half: Any) -> float:
+    import torch  # pyright: ignore[reportMissingImports]
+
+    state.network.train()
+    for group in state.optimizer.param_groups:
+        group["lr"] = rate
+    state.optimizer.zero_grad(set_to_none=True)
+    value = 0.0
+    for stage, part in zip(net.stages(state.network), batch, strict=True):
+        seen, stills, xy_px, near_px = part
+        x = net.as_input(seen, stills, run.device)
+        window = None if near_px is None else (net.places(near_px, run.device), run.spec.reach_places)
+        with torch.autocast(run.device.type, half, enabled=half is not None):
+            scores = stage(x)
+        error = net.loss(scores, net.places(xy_px, run.device), window)
+        error.backward()
+        value += float(error.detach())
+    torch.nn.utils.clip_grad_norm_(state.network.parameters(), 5.0)
+    state.optimizer.step()
+    state.step += 1
+    keep = 1 - 1 / min(MOST_AVERAGED, 1 + 0.2 * state.step)
+    with torch.no_grad():
+        for a, b in zip(state.average.state_dict().values(), state.network.state_dict().values(), strict=True):
+            if a.dtype.is_floating_point:
+                a.lerp_(b, 1 - keep)
+            else:
+                a.copy_(b)
+    return value
+
+
+def _evaluate(state: State, run: TrainingRun, calibrates: bool) -> None:
+    """By the validation pictures; calibrates: at the end of the first part, when they have not been learned from."""
+    which = run.split["validation"]
+    if not run.labels.labelled[which].any():
+        return
+    errors, raw, _ = judge(net.TrainedNetwork(run.spec, state.average, run.device), run, which)
+    labelled = np.isfinite(errors)
+    known = errors[labelled]
+    state.history[-1] |= {"validation_px": float(np.median(known)), "validation_mean_px": float(known.mean())}
+    if calibrates:
+        right: Bools = known <= run.spec.tolerance_px
+        state.calibration = net.fit_calibration(raw[labelled], right)
+        state.judged = net.calibrated(raw[labelled], state.calibration).tolist(), right.tolist()
+
+
+def judge(trained: net.TrainedNetwork, run: TrainingRun, which: Integers) -> tuple[Array, Array, Array]:
+    """Errors (n, K) in px of the clip, NaN where there is no label; raw likelihoods (n, K); points (n, K, 2)."""
+    xy, raw = np.zeros((len(which), len(run.spec.names), 2)), np.zeros((len(which), len(run.spec.names)))
+    for c in np.unique(run.scaled.clip[which]):
+        here = np.flatnonzero(run.scaled.clip[which] == c)
+        for part in np.array_split(here, -(-len(here) // 8)):
+            xy[part], raw[part] = trained.points([run.scaled.pictures[which[i]] for i in part], run.still[c])
+    return np.linalg.norm(xy - run.labels.xy_px[which], axis=2), raw, xy
+
+
+# -- checkpoints -----------------------------------------------------------------------------------------------------
+
+_PLAIN = ("step", "share", "seconds", "calibration", "judged", "history", "threads")
+_TORCH = ("network", "average", "optimizer")
+
+
+def _begin(run: TrainingRun) -> State:
+    torch = net.require_torch()
+    with torch.random.fork_rng():
+        torch.manual_seed(run.settings.seed)
+        network = net.new_network(len(run.spec.names), run.spec.two_stages)
+    network = net.placed(network, run.device)
+    decayed = [p for p in network.parameters() if p.ndim > 1]
+    others = [p for p in network.parameters() if p.ndim <= 1]
+    groups = [{"params": decayed, "weight_decay": WEIGHT_DECAY}, {"params": others, "weight_decay": 0.0}]
+    optimizer = torch.optim.AdamW(groups, lr=LEARNING_RATE)
+    return State(network, copy.deepcopy(network).requires_grad_(False).eval(), optimizer)
+
+
+def _save_checkpoint(state: State, run: TrainingRun, out: Path) -> None:
+    """Everything that the rest of a run depends on, whole or not at all."""
+    content = {
+        "settings": run.settings.of_training(),
+        "names": list(run.spec.names),
+        "split": frames_by_part(run.labels, run.split),
+        **{name: getattr(state, name).state_dict() for name in _TORCH},
+        **{name: getattr(state, name) for name in _PLAIN},
+    }
+    net.save_torch(content, out / CHECKPOINT_FILE)
+
+
+def _resumed(run: TrainingRun, out: Path) -> State:
+    """The state of a checkpoint. Raises InputError where it belongs to other keypoints, settings or pictures."""
+    path = out / CHECKPOINT_FILE
+    content = net.load_torch(path)
+    if not isinstance(content, dict) or "optimizer" not in content:
+        raise InputError(Problem(path, "checkpoint", "a file of another kind", "one that `recon train` wrote"))
+    problems = []
+    if content["names"] != list(run.spec.names):
+        expected = f"those of the labels: {', '.join(run.spec.names)}"
+        problems.append(Problem(path, "keypoints", ", ".join(content["names"]), expected))
+    for name, value in run.settings.of_training().items():
+        was = content["settings"].get(name)
+        if to_plain(value) != to_plain(was):
+            problems.append(Problem(path, f"setting {name}", str(was), f"{value}, as now given"))
+    if not problems and content["split"] != frames_by_part(run.labels, run.split):
+        problems.append(Problem(path, "pictures", "another split of them", "the labels and split of the run so far"))
+    state = _begin(run)
+    same = content["network"].keys() == state.network.state_dict().keys() and {*_PLAIN} <= content.keys()
+    if not problems and not same:
+        expected = "one of this version of recon; --overwrite begins again"
+        problems.append(Problem(path, "network", "one that another version began", expected))
+    refuse(problems)
+    for name in _TORCH:
+        getattr(state, name).load_state_dict(content[name])
+    return dataclasses.replace(state, **{name: content[name] for name in _PLAIN})
+
+
+# -- what a training run tells about itself ----------------------------------------------------------------------------
+
+WORST = 6
+LEAST_WIDTH_PX = 560
+"""Smaller pictures are enlarged."""
+LABEL, LINE = (255, 255, 255), (60, 60, 230)
+FAR, APART = 0.2, 0.15
+"""Body lengths from which on a label stands out: from the network's point, from the others."""
+REASONS = {
+    "network": "body lengths from where the network sees it",
+    "others": "body lengths farther from every other label than usual",
+}
+LEARNED = 5.0
+"""Times a keypoint's median distance that the network's point must be away, too: it has to know the keypoint."""
+USUAL = 0.95
+"""A distance between two keypoints is usual up to this quantile of it."""
+MOST = 30
+
+
+def write_training_report(run: TrainingRun, state: State, folder: Path) -> dict[str, Any]:
+    """Into an existing folder; returns what stands in training.json."""
+    spec, split, history = calibrated_spec(run, state), run.split, state.history
+    errors, raw, xy_px = judge(
+        net.TrainedNetwork(spec, state.average, run.device), run, np.arange(len(run.labels.images))
+    )
+    likelihood, judged = net.calibrated(raw, spec.calibration), {}
+    for name, which in split.items():
+        if len(which):
+            truth, length_px = run.labels.xy_px[which], median(extents_px(run.labels.xy_px[which]))
+            length_px = length_px if np.isfinite(length_px) else spec.body_length_px
+            given = spec.names, xy_px[which], likelihood[which], truth, length_px
+            judged[name] = evaluate_2d(*given, tolerance_px=spec.tolerance_px)
+    # Of the network as it was calibrated: before it learned from the validation pictures.
+    before = reliability(np.array(state.judged[0]), np.array(state.judged[1], bool))
+    # Elsewhere, that the network disagrees says more about the network.
+    learned = np.concatenate([split["train"], split["validation"]])
+    seen = np.full_like(xy_px, np.nan)
+    seen[learned] = xy_px[learned]
+    suspects = suspicious_labels(run.labels, seen, spec.body_length_px)
+    held_out = [row for row in history if "validation_px" in row and "finishing" not in row]
+    best = min(held_out, key=lambda row: row["validation_px"], default=None)
+    first = [int(row["step"]) for row in history if "finishing" not in row]
+    report = {
+        "recon": __version__,
+        "torch": str(net.require_torch().__version__),
+        "device": str(run.device),
+        "threads": state.threads,
+        "source": run.labels.source,
+        "keypoints": list(spec.names),
+        "parameters": sum(p.numel() for p in state.network.parameters()),
+        "scale": spec.scale,
+        "first_stage_scale": spec.first,
+        "body_length_px": spec.body_length_px,
+        "tolerance_px": spec.tolerance_px,
+        "settings": run.settings.of_training(),
+        "split": frames_by_part(run.labels, split),
+        "labelled_points": {name: int(run.labels.labelled[which].sum()) for name, which in split.items()},
+        "steps": state.step,
+        "seconds": round(state.seconds, 1),
+        "best_validation": best and {"median_px": best["validation_px"], "step": best["step"]},
+        "validation_in_training_from": max(first, default=None),
+        "calibration": spec.calibration and dict(zip(("slope", "offset"), spec.calibration, strict=True)),
+        "reliability_validation": before,
+        "errors": judged,
+        "suspicious_labels": suspects,
+        "history": history,
+        "notes": list(run.labels.notes),
+    }
+    (folder / "training.json").write_text(to_json(report), encoding="utf-8")
+    digits = {"x_px": 2, "y_px": 2, "rank": 3, "network": 3, "others": 3}
+    table = pd.DataFrame(suspects, columns=["image", "keypoint", *digits, "reasons"])
+    for name, count in digits.items():
+        table[name] = ["" if np.isnan(value) else f"{value:.{count}f}" for value in table[name]]
+    table.assign(reasons=table["reasons"].map("; ".join)).to_csv(folder / "suspicious.csv", index=False)
+    held = np.concatenate([split["validation"], split["test"]])
+    _write_worst(run.labels, errors, xy_px, held if len(held) else split["train"], folder / "worst.png")
+    return report
+
+
+def _write_worst(labels: Labels, errors: Array, xy_px: Array, which: Integers, path: Path) -> None:
+    """The pictures with the largest mean error, no two of them neighbours in time: a ring at each label, a dot at its
+    prediction, and a line between them."""
+    mean_px, chosen = np.array([mean(of_one) for of_one in errors]), []
+    for i in which[np.argsort(-np.nan_to_num(mean_px[which], nan=-np.inf))]:
+        apart = all(labels.clip[i] != labels.clip[j] or abs(labels.numbers[i] - labels.numbers[j]) > 2 for j in chosen)
+        if apart and np.isfinite(mean_px[i]) and len(chosen) < WORST:
+            chosen.append(i)
+    tiles = []
+    for i in chosen:
+        factor = max(1, -(-LEAST_WIDTH_PX // labels.pictures[i].shape[1]))
+        drawn = np.asarray(cv2.resize(labels.pictures[i], None, fx=factor, fy=factor, interpolation=cv2.INTER_CUBIC))
+        radius = max(3.0, drawn.shape[1] / 160)
+        for k, colour in enumerate(point_colours(len(labels.names))):
+            if labels.labelled[i, k]:
+                label, found = (scale_points(points[i, k], factor) for points in (labels.xy_px, xy_px))
+                draw_line(drawn, label, found, LINE, 1)
+                draw_circle(drawn, label, radius + 1, LABEL, 1)
+                draw_circle(drawn, found, 0.6 * radius, colour, -1)
+        draw_text(drawn, f"{labels.images[i]}: mean {mean_px[i]:.1f} px", (8, 20), 0.5, LABEL)
+        tiles.append(drawn)
+    height, width, _ = np.max([tile.shape for tile in tiles], axis=0)
+    sheet = np.zeros((height * -(-len(tiles) // 2), 2 * width, 3), np.uint8)
+    for n, tile in enumerate(tiles):
+        sheet[n // 2 * height :, n % 2 * width :][: tile.shape[0], : tile.shape[1]] = tile
+    write_bytes(path, cv2.imencode(path.suffix, sheet)[1].tobytes())
+
+
+def point_colours(count: int) -> list[Colour]:
+    """One for each keypoint, blue, green, red: evenly around the colour wheel, bright and dark by turns."""
+    found = (hsv_to_rgb(k / count, 0.85, 0.75 if k % 2 else 1.0) for k in range(count))
+    return [(round(255 * blue), round(255 * green), round(255 * red)) for red, green, blue in found]
+
+
+def suspicious_labels(labels: Labels, xy_px: Array, length_px: float) -> list[dict[str, Any]]:
+    """Labels that are probably wrong, found in two ways: the network, once trained, puts the keypoint somewhere else
+    and is not tempted by the label; or the label is farther from every other label of its picture than this keypoint is
+    anywhere else from them. The distances are in body lengths; a label's rank is the sum of those in which it stands
+    out. The most suspicious first: image and keypoint, x_px and y_px; what speaks against the label, by the network and
+    the others, in body lengths (NaN where it says nothing); its rank and the reasons in words.
+
+    xy_px (N, K, 2): what the network says, in pixels of the clip, NaN in pictures that it has not learned from."""
+    clues = {
+        "network": np.linalg.norm(xy_px - labels.xy_px, axis=2) / length_px,
+        "others": _excess_distance_px(labels.xy_px) / length_px,
+    }
+    known = np.array([median(of_one) for of_one in clues["network"].T])
+    limits = {"network": np.fmax(FAR, LEARNED * known), "others": np.full(len(known), APART)}
+    found = []
+    for i, k in np.argwhere(labels.labelled):
+        (x, y), against = labels.xy_px[i, k].tolist(), {name: float(of_all[i, k]) for name, of_all in clues.items()}
+        beyond = [name for name, value in against.items() if value > limits[name][k]]
+        reasons = tuple(f"{against[name]:.2f} {REASONS[name]}" for name in beyond)
+        row = {"image": labels.images[i], "keypoint": labels.names[k], "x_px": x, "y_px": y, **against}
+        found += [row | {"rank": sum(against[name] for name in beyond), "reasons": reasons}] if beyond else []
+    return sorted(found, key=lambda row: -row["rank"])[:MOST]
+
+
+def _excess_distance_px(xy_px: Array) -> Array:
+    """(N, K): by how much a label is farther than usual from that of the others to which this is least so; px."""
+    n, k = xy_px.shape[:2]
+    least = np.full((n, k), np.inf)
+    for j in range(k):
+        distance = np.linalg.norm(xy_px - xy_px[:, j : j + 1], axis=2)
+        distance[:, j] = np.nan
+        known = np.isfinite(distance).sum(axis=0) >= 5
+        usual = np.full(k, np.nan)
+        usual[known] = np.nanquantile(distance[:, known], USUAL, axis=0)
+        least = np.fmin(least, distance - usual)
+    return np.where(np.isfinite(least), least, np.nan)

@@ -1,0 +1,483 @@
+"""A climb frame by frame: the feet follow their paths, fields carry the torso, and what the plan keeps away from.
+
+Before each footfall the torso shifts over the three other feet, all four planted, at the pace of its caps; then the
+foot rises, crosses and sinks at the speeds of the phases, while the torso stays in the equilibrium of its fields. Where
+the caps of a frame hold the torso back, the foot waits.
+
+r is a leg's vector from hip to foot in body axes, X and Y the lateral and the forward axis. Every leg has three fields
+of one form, the slope of a well of its coordinate q:
+
+    radial  q = |r|                        the hip is pushed along r
+    swing   q = atan2(forwards, down)      along X x r, in the plane whose normal is lateral
+    flap    q = atan2(outwards, down)      along r x Y, in the plane whose normal is forward
+
+and the balance field pulls the centre of mass to the level centroid of the planted feet, at distance d, with
+gain tanh(sharpness d).
+
+The publication (D. Cohen, SUNFEST, University of Pennsylvania, 2005) leaves open how an angle's force is divided by
+the length of the leg, and what it does to the torso's rotation. Here each field is the gradient of one energy in all of
+the torso's degrees of freedom, so that there is a minimum: the force of an angle is slope (X x r) / |X x r|^2, and its
+moment that of the same force at the foot.
+
+In the file of a recipe, legs are numbered left front, left rear, right front, right rear, as the published footfalls
+are; places are given to the right and forwards. In Python legs stand in the order of `LEGS`, and x is forwards, y left,
+z up.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Annotated, Any, Literal, NamedTuple
+
+import numpy as np
+from pydantic import AfterValidator, BeforeValidator, Field
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from recon.base.arrays import Array, Bools, Integers
+from recon.base.documents import FileTable, read_toml, validated
+from recon.base.errors import InputError, Problem
+from recon.wings.robotics.robot.quadruped import LEGS, Quadruped, leg_targets
+from recon.wings.robotics.robot.retarget import RobotMotion, posed
+
+NONE = -1
+"""The lifted leg where all are planted."""
+AROUND = (0, 2, 3, 1)
+"""The legs counterclockwise, seen from above."""
+LEFT = np.array([1.0 if label[0] == "L" else -1.0 for label in LEGS])
+MAX_WAIT = 400
+"""Frames."""
+MAX_EVALUATIONS = 100
+"""How often the fields are evaluated in one frame, at most."""
+NUDGE, SETTLED = 1e-6, 1e-8
+"""Metres and radians: between wrenches whose difference is a stiffness; a last step so short."""
+NEWTON_REACH_M, TRUST_RAD = 0.03, 0.5
+"""Longest step of Newton's method."""
+SHIN_POINTS = (0.25, 0.5, 0.75)
+"""Shares of the way from foot to knee, where a shin must not touch the ground or the step."""
+ROUNDING_M = 1e-9
+"""A planted foot may be this far under the surface that it stands on."""
+RECIPES = Path(__file__).parent / "recipes"
+IN_FILES = (0, 2, 1, 3)
+"""Index into `LEGS` of the legs of a file, and the other way round."""
+PLANAR, SPATIAL = (0, 1, 2, 4), (0, 1, 2, 3, 4, 5)
+"""Degrees of freedom of a torso: x, y, z and pitch, or roll and yaw too."""
+LARGEST = 1e9
+Number = Annotated[float, Field(strict=True, gt=-LARGEST, lt=LARGEST, allow_inf_nan=False)]
+Positive = Annotated[float, Field(strict=True, gt=0, lt=LARGEST, allow_inf_nan=False)]
+"""In a recipe's file: what more or less than these would be can only be damage."""
+
+
+def _all_legs(given: Any) -> Any:
+    """One number for all legs, or two: of the front and of the rear legs."""
+    front, rear = given if isinstance(given, list) and len(given) == 2 else (given, given)
+    return (front, front, rear, rear)
+
+
+_Legs = Annotated[tuple[Number, Number, Number, Number], BeforeValidator(_all_legs)]
+_PositiveLegs = Annotated[tuple[Positive, Positive, Positive, Positive], BeforeValidator(_all_legs)]
+
+
+class _Table:
+    """A table of a recipe's file."""
+
+    __pydantic_config__ = FileTable.model_config
+
+
+@dataclass(frozen=True)
+class _Well(_Table):
+    """A potential of a coordinate q of each leg, with a wall at either end. Raises ValueError."""
+
+    gain: _PositiveLegs
+    """Slope per unit of q."""
+    natural: _Legs
+    """The q of the least energy."""
+    least: _Legs
+    """The q of the lower wall."""
+    most: _Legs
+    """The q of the upper wall."""
+    low: _PositiveLegs
+    """Sharpness of the lower wall, per unit of q."""
+    high: _PositiveLegs
+    """Sharpness of the upper wall, per unit of q."""
+
+    def __post_init__(self) -> None:
+        if any(not a <= b <= c for a, b, c in zip(self.least, self.natural, self.most, strict=True)):
+            raise ValueError("least <= natural <= most")
+
+    def slope(self, q: Array) -> Array:
+        """At q (legs,): almost flat between least and most (the dead zone), and steep beyond."""
+        off, above, below = (q - np.array(of) for of in (self.natural, self.most, self.least))
+        return np.array(self.gain) * off * (np.exp(self.high * above) + np.exp(-np.array(self.low) * below))
+
+
+@dataclass(frozen=True)
+class _Balance(_Table):
+    """What pulls the torso over its feet."""
+
+    gain: Positive
+    """Force far from the centroid."""
+    sharpness: Positive
+    """Per metre."""
+
+
+@dataclass(frozen=True)
+class Fields(_Table):
+    """The wells of the legs, and what balances the torso."""
+
+    radial: _Well
+    swing: _Well
+    flap: _Well
+    balance: _Balance
+
+
+@dataclass(frozen=True)
+class Step(_Table):
+    """A step up across the way: the ground is level at 0 as far as edge_m forward (x), and at height_m beyond."""
+
+    edge_m: Number
+    height_m: Number
+
+    def distance_m(self, points_m: Array) -> Array:
+        """(...): from points (..., 3) to the ground or the step, whichever is nearer, negative inside."""
+        x, z = points_m[..., 0] - self.edge_m, points_m[..., 2] - self.height_m
+        away = np.hypot(np.maximum(-x, 0), np.maximum(z, 0))
+        return np.minimum(points_m[..., 2], np.where((x > 0) & (z < 0), -np.minimum(x, -z), away))
+
+    def corner_m(self, points_m: Array) -> Array:
+        """(...): from points (..., 3) to the step's edge, negative inside the step."""
+        x, z = points_m[..., 0] - self.edge_m, points_m[..., 2] - self.height_m
+        return np.where((x > 0) & (z < 0), -1.0, 1.0) * np.hypot(x, z)
+
+
+@dataclass(frozen=True)
+class _Footfall(_Table):
+    """A step that one leg takes."""
+
+    leg: Annotated[int, Field(strict=True, ge=1, le=4), AfterValidator(lambda number: IN_FILES[number - 1])]
+    """Index into `LEGS`."""
+    forward_m: Number
+    up_m: Number
+    sideways_m: Number = 0.0
+    """To the right."""
+
+    @property
+    def vector_m(self) -> Array:
+        return np.array([self.forward_m, -self.sideways_m, self.up_m])
+
+
+@dataclass(frozen=True)
+class Primitive(_Table):
+    """Some footfalls in the same fields."""
+
+    name: str
+    rise_rad: Positive
+    """Angle of the feet's paths."""
+    lower_rad: Positive
+    """Angle of the feet's paths."""
+    footfalls: Annotated[tuple[_Footfall, ...], Field(min_length=1)]
+    fields: Fields
+
+
+@dataclass(frozen=True)
+class _Swing(_Table):
+    """How a foot moves: its path's clearance above the higher end, and its speeds by phase."""
+
+    clearance_m: Positive
+    rise_m_s: Positive
+    traverse_m_s: Positive
+    lower_m_s: Positive
+
+
+@dataclass(frozen=True)
+class _Pace(_Table):
+    """How far the torso goes in a frame, at most."""
+
+    max_step_m: Positive
+    max_turn_rad: Positive
+
+
+@dataclass(frozen=True)
+class Recipe(_Table):
+    """What a climb is planned from."""
+
+    robot: str
+    """Name of its description."""
+    dofs: Literal[4, 6]
+    """How many the torso has."""
+    fps: Positive
+    stance_m: Annotated[tuple[tuple[Number, Number], ...], Field(min_length=4, max_length=4)]
+    """Where the feet stand at first, right and forward, in the order of the file."""
+    step: Step
+    swing: _Swing
+    motion: _Pace
+    primitives: Annotated[tuple[Primitive, ...], Field(min_length=1)]
+    about: str = ""
+    """What it is for, and where its numbers are from."""
+
+    @property
+    def free(self) -> tuple[int, ...]:
+        """The torso's degrees of freedom."""
+        return PLANAR if self.dofs == 4 else SPATIAL
+
+    @property
+    def feet_m(self) -> Array:
+        """(4, 3): where they stand at first."""
+        right, forward = np.array(self.stance_m)[list(IN_FILES)].T
+        return np.column_stack([forward, -right, np.zeros(4)])
+
+
+def bundled() -> list[str]:
+    return sorted(p.stem for p in RECIPES.glob("*.toml"))
+
+
+def load_recipe(recipe: str | Path) -> Recipe:
+    """A bundled recipe by name, or a file. Raises InputError."""
+    path = RECIPES / f"{recipe}.toml" if str(recipe) in bundled() else Path(recipe)
+    table = read_toml(path, f"a recipe of a climb: a TOML file, or one of {', '.join(bundled())}")
+    return validated(Recipe, table, path)
+
+
+def raised(recipe: Recipe, height_m: float) -> Recipe:
+    """For a step of another height: all heights in proportion."""
+    ratio = height_m / recipe.step.height_m
+    primitives = tuple(
+        replace(p, footfalls=tuple(replace(f, up_m=f.up_m * ratio) for f in p.footfalls)) for p in recipe.primitives
+    )
+    return replace(recipe, step=replace(recipe.step, height_m=height_m), primitives=primitives)
+
+
+# -- a climb ---------------------------------------------------------------------------------------------------------
+
+
+class _Rule(NamedTuple):
+    """How one kind of margin is shown."""
+
+    what: str
+    """For the table."""
+    unit: str
+    """How it is printed."""
+    per_unit: float
+    """What a value is multiplied by when it is printed."""
+
+
+RULES = {
+    "reach": _Rule("foot within the leg's reach", "mm", 1e3),
+    "limits": _Rule("joints within their limits", "deg", 180 / np.pi),
+    "support": _Rule("centre of mass inside the polygon of the planted feet", "mm", 1e3),
+    "knees": _Rule("knees above ground and step", "mm", 1e3),
+    "shins": _Rule("shins above ground and step", "mm", 1e3),
+    "hips": _Rule("hips above ground and step", "mm", 1e3),
+    "corner": _Rule("lifted foot from the step's edge", "mm", 1e3),
+    "footing": _Rule("planted feet from the step's edge", "mm", 1e3),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Climb:
+    """A planned climb of T frames. World: x forward, y left, z up."""
+
+    recipe: Recipe
+    motion: RobotMotion
+    lifted: Integers
+    """(T,): the leg that is up, or `NONE`."""
+    footfall: Integers
+    """(T,): index, counted through the recipe; the last for the final shift."""
+    evaluations: Integers
+    """(T,), of the fields."""
+    settled: Bools
+    """(T,): whether the equilibrium was found."""
+
+    @property
+    def position_m(self) -> Array:
+        """(T, 3), of the centre of mass."""
+        return self.motion.pose.translation
+
+    @property
+    def pitch_rad(self) -> Array:
+        """(T,): positive with the nose up."""
+        return np.arcsin(np.clip(self.motion.pose.rotation.as_matrix()[:, 2, 0], -1, 1))
+
+    @cached_property
+    def margins(self) -> dict[str, Array]:
+        """The least distance from each rule by frame (T,): negative where it is broken, infinite without one."""
+        step, feet, robot = self.recipe.step, self.motion.feet_m, self.motion.robot
+        targets, places = leg_targets(self.motion.pose, np.zeros(3), feet), [self.motion.points(x) for x in LEGS]
+        hips, knees = (np.stack([of_leg[:, k] for of_leg in places], axis=1) for k in (0, 2))
+        shins = np.concatenate([feet + f * (knees - feet) for f in SHIN_POINTS], axis=1)
+        edge = np.where(feet[..., 2] > step.height_m / 2, 1, -1) * (feet[..., 0] - step.edge_m)
+        legs = list(enumerate(robot.legs.values()))
+        # Where a foot is out of reach, its leg has no angles; that it is out of reach is said already.
+        limits = [np.nan_to_num(leg.margins(leg.closed_angles(targets[:, k])), nan=np.inf) for k, leg in legs]
+        up = self.lifted[:, None] == np.arange(4)
+        found = {
+            "reach": np.column_stack([leg.slack_m(targets[:, k]) for k, leg in legs]),
+            "limits": np.concatenate(limits, axis=1),
+            "support": support_m(self.position_m[:, :2], feet[..., :2], self.lifted),
+            "knees": step.distance_m(knees),
+            "shins": step.distance_m(shins),
+            "hips": step.distance_m(hips),
+            "corner": np.where(up, step.corner_m(feet), np.inf),
+            "footing": np.where(up, np.inf, edge),
+        }
+        return {name: values.min(axis=1) for name, values in found.items()}
+
+    @property
+    def least(self) -> dict[str, tuple[float, int]]:
+        """The least margin of each rule, in its unit, and the frame."""
+        frames = {name: int(values.argmin()) for name, values in self.margins.items()}
+        return {name: (float(self.margins[name][k]) * RULES[name].per_unit, k) for name, k in frames.items()}
+
+    def problems(self) -> list[str]:
+        """What is wrong, in words; nothing of a climb that is valid."""
+        step, feet = self.recipe.step, self.motion.feet_m
+        least = ((RULES[name], *of) for name, of in self.least.items())
+        found = [f"{rule.what}: {value:.2f} {rule.unit} in frame {k}" for rule, value, k in least if not value >= 0]
+        deepest = -float(step.distance_m(feet).min())
+        if deepest > ROUNDING_M:
+            found.append(f"a foot is {1000 * deepest:.2f} mm under the surface")
+        if not np.all((feet[-1, :, 0] > step.edge_m) & (np.abs(feet[-1, :, 2] - step.height_m) < ROUNDING_M)):
+            found.append("not all feet end on top of the step")
+        return found
+
+
+def support_m(centre_m: Array, feet_m: Array, lifted: Integers) -> Array:
+    """(..., 8): from the centre of mass (..., 2) to the sides of the polygon of the planted feet, feet (..., 4, 2);
+    infinite for lines between feet that are not its sides."""
+    feet = feet_m[..., AROUND, :]
+    up = np.asarray(lifted)[..., None] == np.array(AROUND)
+    found = []
+    for apart in (1, 2):
+        a, b = feet, np.roll(feet, -apart, axis=-2)
+        way, there = b - a, centre_m[..., None, :] - a
+        # The legs go round counterclockwise: inside is on the left of every side.
+        left = (way[..., 0] * there[..., 1] - way[..., 1] * there[..., 0]) / np.linalg.norm(way, axis=-1)
+        applies = ~(up | np.roll(up, -1, axis=-1)) if apart == 1 else np.roll(up, -1, axis=-1)
+        found.append(np.where(applies, left, np.inf))
+    return np.concatenate(found, axis=-1)
+
+
+# -- planning --------------------------------------------------------------------------------------------------------
+
+
+def plan(robot: Quadruped, recipe: Recipe) -> Climb:
+    """The climb of the recipe. Whether it is a valid one, its `problems` say. Raises InputError for legs of another
+    kind than swing, flap, knee in closed form."""
+    if any(leg.closed is None or leg.closed.first != "swing" for leg in robot.legs.values()):
+        expected = "a robot whose legs are given by dimensions, their swing joint first (aibo is one)"
+        raise InputError(Problem(robot.name, "legs", "other legs", expected))
+    hips, feet, pace = np.array([leg.hip_m for leg in robot.legs.values()]), recipe.feet_m, recipe.motion
+    fields = recipe.primitives[0].fields
+    height = float(np.mean(fields.radial.natural)) - hips[:, 2].mean()
+    torso = RigidTransform.from_translation([*feet[:, :2].mean(axis=0), height])
+    torso = goal = equilibrium(fields, hips, feet, NONE, torso, recipe.free)[0]
+    rows: list[tuple] = []
+
+    def settle(fields: Fields, without: int, *label: int) -> None:
+        """One frame in the fields without a leg, and more while the caps hold the torso back: the feet wait for it."""
+        nonlocal torso, goal
+        for _ in range(MAX_WAIT):
+            goal, count, settled = equilibrium(fields, hips, feet, without, goal, recipe.free)
+            turn = (torso.rotation.inv() * goal.rotation).as_rotvec()
+            step = np.concatenate([goal.translation - torso.translation, turn])
+            short = capped(step, pace.max_step_m, pace.max_turn_rad)
+            torso = _moved(torso, short)
+            rows.append((torso.as_matrix(), feet, *label, count, settled))
+            if np.array_equal(short, step):
+                return
+
+    number = 0
+    for primitive in recipe.primitives:
+        fields = primitive.fields
+        for fall in primitive.footfalls:
+            settle(fields, fall.leg, NONE, number)
+            for point in swing_path(recipe, primitive, feet[fall.leg], feet[fall.leg] + fall.vector_m):
+                feet = feet.copy()
+                feet[fall.leg] = point
+                settle(fields, fall.leg, fall.leg, number)
+            number += 1
+    settle(fields, NONE, NONE, number - 1)
+    poses, places, lifted, *others = (np.array(column) for column in zip(*rows, strict=True))
+    time_s, standing = np.arange(len(rows)) / recipe.fps, lifted[:, None] != np.arange(4)
+    return Climb(recipe, posed(robot, time_s, RigidTransform.from_matrix(poses), places, standing), lifted, *others)
+
+
+def wrench(fields: Fields, hips_m: Array, feet_m: Array, without: int, torso: RigidTransform) -> Array:
+    """(N, 6): force in world axes and moment about the centre of mass in body axes on torsos (N), of all legs; balance
+    pulls to the feet without that of one leg, or `NONE`. hips_m (4, 3): in body axes; feet_m (4, 3): in the world."""
+    rotation = torso.rotation.as_matrix()
+    arm = (feet_m - torso.translation[:, None]) @ rotation
+    x, y, z = np.moveaxis(arm - hips_m, -1, 0)
+    outwards, length = LEFT * y, np.sqrt(x * x + y * y + z * z)
+    radial = fields.radial.slope(length) / length
+    swing = fields.swing.slope(np.arctan2(x, -z)) / (x * x + z * z)
+    flap = fields.flap.slope(np.arctan2(outwards, -z)) / (y * y + z * z)
+    forces = np.stack(
+        [radial * x - swing * z, radial * y - flap * LEFT * z, radial * z + swing * x + flap * outwards], axis=-1
+    )
+    force, moment = (rotation @ forces.sum(axis=1)[..., None])[..., 0], np.cross(arm, forces).sum(axis=1)
+    away = feet_m[np.arange(4) != without, :2].mean(axis=0) - torso.translation[:, :2]
+    distance, balance = np.maximum(np.linalg.norm(away, axis=1), 1e-12)[:, None], fields.balance
+    force[:, :2] += balance.gain * np.tanh(balance.sharpness * distance) / distance * away
+    return np.concatenate([force, moment], axis=1)
+
+
+def equilibrium(
+    fields: Fields, hips_m: Array, feet_m: Array, without: int, start: RigidTransform, free: tuple[int, ...]
+) -> tuple[RigidTransform, int, bool]:
+    """The torso of the least energy next to the start, how often the fields were evaluated around a place, and whether
+    it was found: by Newton's method on forces and moments, with the magnitudes of the stiffness. free: which of x, y,
+    z, roll, pitch, yaw are; the others as of `wrench`."""
+    picked, n, torso = list(free), len(free), start
+    nudges = np.zeros((2 * n + 1, 6))
+    nudges[1:, picked] = NUDGE * np.concatenate([np.eye(n), -np.eye(n)])
+    for count in range(1, MAX_EVALUATIONS):
+        found = wrench(fields, hips_m, feet_m, without, _moved(torso, nudges))[:, picked]
+        stiffness = (found[n + 1 :] - found[1 : n + 1]) / (2 * NUDGE)
+        values, vectors = np.linalg.eigh((stiffness + stiffness.T) / 2)
+        step = np.zeros(6)
+        step[picked] = vectors @ (vectors.T @ found[0] / np.abs(values))
+        torso = _moved(torso, capped(step, NEWTON_REACH_M, TRUST_RAD))
+        if np.linalg.norm(step) < SETTLED:
+            return torso, count, True
+    return torso, MAX_EVALUATIONS, False
+
+
+def _moved(torso: RigidTransform, step: Array) -> RigidTransform:
+    """Shifted in world axes and turned (rotation vector) in body axes by the step, (6,) or (N, 6)."""
+    turned = torso.rotation * Rotation.from_rotvec(step[..., 3:])
+    return RigidTransform.from_components(torso.translation + step[..., :3], turned)
+
+
+def swing_path(recipe: Recipe, primitive: Primitive, start_m: Array, end_m: Array) -> Array:
+    """(n, 3): where a foot is in the frames of its step: up at one angle, across, down at another."""
+    s = recipe.swing
+    corners = path_corners(start_m, end_m, s.clearance_m, primitive.rise_rad, primitive.lower_rad)
+    points = []
+    for a, b, speed in zip(corners, corners[1:], (s.rise_m_s, s.traverse_m_s, s.lower_m_s), strict=False):
+        n = int(np.ceil(float(np.linalg.norm(b - a)) / speed * recipe.fps - 1e-9))
+        points.append(a + (np.arange(1, n + 1) / max(n, 1))[:, None] * (b - a))
+    return np.concatenate(points)
+
+
+def path_corners(start_m: Array, end_m: Array, clearance_m: float, rise_rad: float, lower_rad: float) -> Array:
+    """(4, 3): the corners of the path of a foot from start_m (3,) to end_m (3,), like a trapezoid.
+
+    The foot rises at rise_rad above the forward direction (more than a right angle: leaning back) and sinks at
+    lower_rad above the backward direction, in the plane of forward (x) and up; between them it crosses, sideways too,
+    clearance_m above the higher end. Where both slopes take up more than the way there is, they are steeper, and meet.
+    """
+    top = max(start_m[2], end_m[2]) + clearance_m
+    ahead, back = (top - start_m[2]) / np.tan(rise_rad), (top - end_m[2]) / np.tan(lower_rad)
+    way = max(end_m[0] - start_m[0], 0.0)
+    over = way / max(ahead + back, 1e-12) if ahead + back > way else 1.0
+    first = [start_m[0] + over * ahead, start_m[1], top]
+    second = [end_m[0] - over * back, end_m[1], top]
+    return np.array([start_m, first, second, end_m])
+
+
+def capped(step: Array, max_step_m: float, max_turn_rad: float) -> Array:
+    """The step (6,), shortened as a whole until its shift and its turn are within the caps."""
+    shift, turn = float(np.linalg.norm(step[:3])), float(np.linalg.norm(step[3:]))
+    return step / max(1.0, shift / max_step_m, turn / max_turn_rad)

@@ -1,0 +1,301 @@
+"""Chains from Denavit-Hartenberg parameters, in both conventions, and what `recon robot` answers of chains and bodies.
+
+modified (Craig):  T_{i-1, i} = Rx(alpha_{i-1}) Tx(a_{i-1}) Rz(theta_i) Tz(d_i)
+standard:          T_{i-1, i} = Rz(theta_i) Tz(d_i) Tx(a_i) Rx(alpha_i)
+
+A joint that turns adds q to theta, one that slides to d. A row of the modified convention holds a and alpha of the link
+before the joint, of the standard one those of the link after it, as the tables in print do.
+
+Each answer is what `--json` prints: metres and radians. What is asked is as typed, in degrees. All configurations of a
+chain that put its end in one place are found from many fixed random starts, by MINPACK's Levenberg-Marquardt with the
+exact Jacobian: every start that ends on the target counts, and equal ends count once. More starts can find more: that
+there is no other solution is not proven.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+from pydantic import Field, StrictBool
+from scipy.optimize import root
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from recon.base.arrays import Array
+from recon.base.documents import FileTable, read_toml, validated
+from recon.base.errors import InputError, Problem
+from recon.wings.robotics.ik.chain import SerialChain, joint_chain
+from recon.wings.robotics.robot.quadruped import LEGS, Length, Limits, body_pose, leg_targets
+from recon.wings.robotics.robot.robot_file import (
+    SUFFIXES,
+    body_names,
+    builtin_robots,
+    leaves_of,
+    load_robot,
+    model_chain,
+    read_model,
+)
+from recon.wings.robotics.settings import PoseSettings, TableSettings
+
+Convention = Literal["modified", "standard"]
+_PARALLEL = 1e-9
+"""Sine of the angle between axes."""
+
+
+@dataclass(frozen=True)
+class DHRow:
+    """One link of a table of Denavit and Hartenberg."""
+
+    __pydantic_config__ = FileTable.model_config
+    a_m: Length = 0.0
+    """The length of the link."""
+    alpha_rad: Length = 0.0
+    """The twist of the link."""
+    d_m: Length = 0.0
+    """The offset along the joint's axis, with q = 0."""
+    theta_rad: Length = 0.0
+    """The angle about the joint's axis, with q = 0."""
+    slides: StrictBool = False
+    """q adds to d, not to theta."""
+    limits: Limits | None = None
+    """The limits of q."""
+
+
+class _DHFile(FileTable):
+    convention: Convention
+    joints: Annotated[list[DHRow], Field(min_length=1)]
+
+
+def load_dh(path: Path) -> tuple[SerialChain, Convention, list[DHRow]]:
+    """The chain of a table in TOML (docs/robot.md), and the table. Raises InputError."""
+    file = validated(_DHFile, read_toml(path, "a table of Denavit-Hartenberg parameters (TOML)"), path)
+    return dh_chain(file.joints, file.convention), file.convention, file.joints
+
+
+def dh_chain(rows: Sequence[DHRow], convention: Convention) -> SerialChain:
+    """The chain of the rows from the base. Raises ValueError."""
+    if convention not in ("modified", "standard") or not rows:
+        raise ValueError(f"rows and the convention, modified or standard, expected, got {len(rows)}, {convention!r}")
+    link = [_along("x", row.a_m, row.alpha_rad) for row in rows]
+    joint = [_along("z", row.d_m, row.theta_rad) for row in rows]
+    nothing = RigidTransform.identity()
+    before, tool = (link, nothing) if convention == "modified" else ([nothing, *link[:-1]], link[-1])
+    placed = [a * b for a, b in zip(before, joint, strict=True)]
+    lower, upper = np.transpose([row.limits or (-np.inf, np.inf) for row in rows])
+    return joint_chain(
+        np.array([t.translation for t in placed]),
+        np.tile([0.0, 0.0, 1.0], (len(rows), 1)),
+        Rotation.concatenate([t.rotation for t in placed]),
+        [row.slides for row in rows],
+        tool.translation,
+        tool.rotation,
+        (lower, upper),
+    )
+
+
+def dh_table(chain: SerialChain) -> tuple[RigidTransform, tuple[DHRow, ...], RigidTransform]:
+    """Any chain as base * rows * tool, the rows modified (Craig) with a_m and alpha_rad 0 in the first: base and tool
+    are what the parameters leave out. z goes along each joint's axis, x along the common normal to the next; where axes
+    are parallel, through the origin before."""
+    zero = np.zeros(chain.n)
+    axes, places = chain.joint_axes(zero), chain.positions(zero)
+    end = _transform(*chain.pose(zero))
+    frames, x = [], _across(axes[0])
+    for j, z in enumerate(axes):
+        if j + 1 == chain.n:
+            origin, normal = (places[j] if j == 0 else _nearest_on_axis(places[j], z, frames[-1].translation)), x
+        else:
+            origin, normal = _common_normal(places[j], z, places[j + 1], axes[j + 1], frames)
+        # The same x as before where the normal leaves it open: theta is 0 then.
+        x = normal if normal is not None else x
+        x = x - (x @ z) * z
+        size = float(np.linalg.norm(x))
+        x = x / size if size > 1e-6 else _across(z)
+        frames.append(_transform(np.column_stack([x, np.cross(z, x), z]), origin))
+    steps = [a.inv() * b for a, b in pairwise(frames)]
+    rows = [DHRow(slides=bool(chain.sliding[0])), *map(_row, steps, chain.sliding[1:])]
+    return frames[0], tuple(rows), frames[-1].inv() * end
+
+
+def _row(step: RigidTransform, slides: bool) -> DHRow:
+    """Rx(alpha) Tx(a) Rz(theta) Tz(d), read off its matrix."""
+    T = step.as_matrix()
+    alpha = np.arctan2(-T[1, 2], T[2, 2])
+    d = -np.sin(alpha) * T[1, 3] + np.cos(alpha) * T[2, 3]
+    theta = np.arctan2(-T[0, 1], T[0, 0])
+    return DHRow(float(T[0, 3]), float(alpha), float(d), float(theta), bool(slides))
+
+
+def _transform(R: Any, p: Array) -> RigidTransform:
+    return RigidTransform.from_components(p, Rotation.from_matrix(R))
+
+
+def _nearest_on_axis(place: Array, z: Array, near: Array) -> Array:
+    """The point of the axis through place along z that is nearest."""
+    return place + ((near - place) @ z) * z
+
+
+def _common_normal(
+    place: Array, z: Array, after: Array, z_after: Array, before: list[RigidTransform]
+) -> tuple[Array, Array | None]:
+    """Where on the axis the common normal with the next one starts, and its direction, None where it is free."""
+    across = np.cross(z, z_after)
+    size = np.linalg.norm(across)
+    if size < _PARALLEL:
+        origin = _nearest_on_axis(place, z, before[-1].translation) if before else place
+        way = _nearest_on_axis(after, z_after, origin) - origin
+        return origin, way if np.linalg.norm(way) > 1e-9 else None
+    # (after - place) = s z + t across - u z_after
+    along = np.linalg.solve(np.column_stack([z, across, -z_after]), after - place)
+    return place + along[0] * z, across if along[1] >= -1e-12 else -across
+
+
+def _across(z: Array) -> Array:
+    """A unit vector at right angles to z: x where z is not along it."""
+    x = np.eye(3)[0 if abs(z[0]) < 0.9 else 1]
+    x = x - (x @ z) * z
+    return x / np.linalg.norm(x)
+
+
+def _along(axis: Literal["x", "z"], distance_m: float, angle_rad: float) -> RigidTransform:
+    """A screw: the translation along an axis and the rotation about it, which commute."""
+    shift = distance_m * np.eye(3)["xyz".index(axis)]
+    return RigidTransform.from_components(shift, Rotation.from_euler(axis, angle_rad))
+
+
+# -- what the commands answer ----------------------------------------------------------------------------------------
+
+Answer = dict[str, Any]
+ENDLESS = "the joints can move on without moving the end: one of endlessly many"
+STARTS = 100
+SAME = 1e-4
+"""rad or m: configurations that differ by less are one."""
+REACHED = 1e-7
+"""Error of a solution, of the chain's length."""
+
+
+def pose_of(settings: PoseSettings) -> Answer:
+    """The legs' angles of a body moved and turned from where it stands, the feet planted."""
+    machine, position = load_robot(settings.robot), settings.move or (0.0, 0.0, 0.0)
+    turned = {name: float(np.radians(getattr(settings, name))) for name in ("roll", "pitch", "yaw")}
+    pose = body_pose(position, turned["roll"], turned["pitch"], turned["yaw"])
+    feet = leg_targets(pose, np.zeros((4, 3)), [leg.neutral_m for leg in machine.legs.values()])
+    found = {}
+    for (label, leg), foot in zip(machine.legs.items(), feet, strict=True):
+        q = leg.angles(foot[None])[0]
+        reached = bool(np.isfinite(q).all())
+        why = "" if reached else "out of reach, or of a joint's limits"
+        angles, margin = q if reached else None, float(leg.margins(q).min())
+        found[label] = {"joints": leg.joints, "foot_m": foot, "angles_rad": angles, "margin_rad": margin, "why": why}
+    angles = {f"{name}_rad": angle for name, angle in turned.items()}
+    return {"robot": machine.title, "position_m": position, **angles, "legs": found}
+
+
+def chain_of(settings: TableSettings, angles: Sequence[float] | None) -> Answer:
+    """A table of parameters (TOML), a leg of a robot, or a chain of a URDF or MJCF file, by default to its only
+    leaf."""
+    chain, table = _chain(settings.source, settings.tip)
+    if table is None:
+        base, rows, tool = dh_table(chain)
+        table = {"base": _pose_answer(base), "tool": _pose_answer(tool), **_table("modified", rows)}
+    answer: Answer = {"joints": chain.names, "slides": chain.sliding, "lower": chain.lower_rad}
+    answer |= {"upper": chain.upper_rad, "dh": table}
+    if angles is not None:
+        q = np.asarray(angles, float)
+        if len(q) != chain.n:
+            raise InputError(Problem("--angles", "joints", f"{len(q)} numbers", f"{chain.n}, one for each joint"))
+        q = np.where(chain.sliding, q, np.radians(q))
+        R, place = chain.pose(q)
+        end = RigidTransform.from_components(place, Rotation.from_matrix(R))
+        answer["forward"] = {"q": q, **_pose_answer(end), "within_limits": _within(chain, q)}
+    if settings.place is not None:
+        turned = None if settings.turned is None else np.radians(settings.turned)
+        matrix = None if turned is None else Rotation.from_euler("ZYX", turned[::-1]).as_matrix()
+        every, isolated = all_solutions(chain, settings.place, matrix)
+        rows = [{"q": q, "within_limits": _within(chain, q)} for q in (_in_limits(chain, q) for q in every)]
+        note = "no solution" if not rows else "" if isolated else ENDLESS
+        answer["inverse"] = {"solutions": rows, "note": note, "place_m": settings.place, "roll_pitch_yaw_rad": turned}
+    return answer
+
+
+def _chain(source: str, tip: str | None) -> tuple[SerialChain, Answer | None]:
+    """And its table, where the source is one."""
+    if tip in LEGS:
+        return load_robot(source).legs[tip].chain, None
+    if source in builtin_robots():
+        raise InputError(Problem("--tip", "leg", str(tip or "none"), f"one of {', '.join(LEGS)}"))
+    file = Path(source)
+    if file.suffix.lower() in SUFFIXES:
+        model = read_model(file)
+        ends = [tip] if tip is not None else [body_names(model)[leaf - 1] for leaf in leaves_of(model)]
+        if len(ends) > 1:
+            raise InputError(Problem("--tip", "link", "none", f"one of {', '.join(ends)}"))
+        return model_chain(model, file, ends[0]), None
+    if tip is not None:
+        raise InputError(Problem("--tip", "link", tip, "none: the file has one chain"))
+    chain, convention, rows = load_dh(file)
+    return chain, _table(convention, rows)
+
+
+def _table(convention: str, rows: Sequence[DHRow]) -> Answer:
+    columns = ("a_m", "alpha_rad", "d_m", "theta_rad")
+    return {"convention": convention, "rows": [{name: getattr(row, name) for name in columns} for row in rows]}
+
+
+def _pose_answer(transform: RigidTransform) -> Answer:
+    yaw, pitch, roll = transform.rotation.as_euler("ZYX", suppress_warnings=True)
+    return {"place_m": transform.translation, "roll_pitch_yaw_rad": [roll, pitch, yaw]}
+
+
+def _in_limits(chain: SerialChain, q: Array) -> Array:
+    """Turning joints by whole turns, to nearest the middle of their limits, if they have any."""
+    bounded = np.isfinite(chain.lower_rad) & np.isfinite(chain.upper_rad) & ~chain.sliding
+    middle = np.where(bounded, (np.where(bounded, chain.lower_rad, 0) + np.where(bounded, chain.upper_rad, 0)) / 2, q)
+    return np.where(bounded, middle + (q - middle + np.pi) % (2 * np.pi) - np.pi, q)
+
+
+def _within(chain: SerialChain, q: Array) -> bool:
+    return bool(((q >= chain.lower_rad - 1e-9) & (q <= chain.upper_rad + 1e-9)).all())
+
+
+def all_solutions(
+    chain: SerialChain, place_m: ArrayLike, rotation: ArrayLike | None = None, starts: int = STARTS
+) -> tuple[Array, bool]:
+    """Configurations (m, n) with the end effector at place_m (3,), turned by rotation (3, 3), None: turned anyhow;
+    turning joints in [-pi, pi), whatever the limits. And whether they are isolated: False where the joints can move on
+    without moving the end effector, and one of endlessly many is given."""
+    target = np.asarray(place_m, float)
+    size = max(float(chain.lengths_m.sum()), float(np.linalg.norm(target)), 1e-9)
+    turns = ~np.asarray(chain.sliding, bool)
+
+    def equations(q: Array) -> tuple[Array, Array]:
+        """(12 + n,), the last n are 0, so that there are never fewer than joints, and their derivatives."""
+        R, p = chain.pose(q)
+        J = chain.geometric_jacobian(q)
+        error, slope = np.zeros(12 + chain.n), np.zeros((12 + chain.n, chain.n))
+        error[:3], slope[:3] = (p - target) / size, J[:3] / size
+        if rotation is not None:
+            error[3:12] = (R - np.asarray(rotation, float)).T.ravel()
+            slope[3:12] = np.concatenate([np.cross(J[3:].T, axis).T for axis in R.T])
+        return error, slope
+
+    low = np.where(turns, -np.pi, np.maximum(chain.lower_rad, -size))
+    high = np.where(turns, np.pi, np.minimum(chain.upper_rad, size))
+    places = [(low + high) / 2, *np.random.default_rng(0).uniform(low, high, (starts, chain.n))]
+    ends = (root(equations, q, jac=True, method="lm", options={"xtol": 1e-12, "ftol": 1e-14}).x for q in places)
+    found = [
+        np.where(turns, (q + np.pi) % (2 * np.pi) - np.pi, q) for q in ends if np.abs(equations(q)[0]).max() < REACHED
+    ]
+    isolated = all(np.linalg.matrix_rank(equations(q)[1], 1e-6) == chain.n for q in found)
+    distinct: list[Array] = []
+    for q in found if isolated else found[:1]:
+        apart = [np.where(turns, np.angle(np.exp(1j * (q - other))), q - other) for other in distinct]
+        if all(np.abs(one).max() > SAME for one in apart):
+            distinct.append(q)
+    kept = np.array(distinct).reshape(len(distinct), chain.n)
+    return kept[np.lexsort(kept.round(6).T[::-1])], isolated

@@ -1,0 +1,518 @@
+"""Whether a robot could do a motion, by MuJoCo's inverse dynamics: limits, torques, forces on the ground.
+
+A robot's own file is taken as it is, without meshes. One that is described by its dimensions gets, from its masses, a
+body with its inertia, links as capsules as thick as `LEGS_APART` says, and feet as points.
+
+In every frame, forces of the feet that stand, within the friction cone, are sought that leave the least of what the
+body's motion asks for; what is left, in weights, is the margin `forces`. It holds friction and the centre of pressure,
+as feet push only where they are, and flights that are no free fall. `carried` moves the base until every rule is kept,
+and `followed` simulates a robot that follows what comes of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from scipy import sparse
+from scipy.interpolate import BSpline, CubicSpline
+from scipy.optimize import nnls
+from scipy.sparse.linalg import splu
+from scipy.spatial.transform import Rotation
+from scipy.stats import binom
+
+from recon.base.arrays import Array
+from recon.base.errors import InputError, Problem
+from recon.show.plots.style import GREY, SMALL, drawing
+from recon.wings.robotics.robot.quadruped import LEGS, Quadruped, RobotLeg, body_pose, feet_in_world, leg_targets
+from recon.wings.robotics.robot.retarget import LEGS_APART, RobotMotion, posed, stances, swinging
+from recon.wings.robotics.robot.robot_file import SUFFIXES, read_model, root_of, the_mujoco
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+FRICTION = 0.8
+RATE_HZ = 100.0
+FOOT_M = 1e-3
+GAINS = (100.0, 2.0)
+"""N m / rad and N m s / rad."""
+TIMESTEP_S, TORQUES_HZ = 5e-4, 500.0
+STEP_S, STEP = 1e-4, 1e-5
+"""Between velocities whose difference is an acceleration; of states whose difference is a derivative."""
+SLOPES = np.array([[0, 0, 1], *([x, y, 1] for x, y in FRICTION * np.array([[1, 0], [-1, 0], [0, 1], [0, -1]]))])
+"""Forces that span the friction cone."""
+TRIES = 5
+"""How often forces are sought that keep the torques' limits, too."""
+STRETCHED = 0.05
+"""A foot does not move in a direction in which its leg reaches less than this share of its best."""
+CLEAR = 0.05
+"""The height within which swinging feet are bent away from the ground, as a share of the standing height."""
+CHANGES = ((1.0, 1.0), (1.0, 0.8), (1.0, 0.6), (1.0, 0.5), (1.0, 0.4), (1.3, 0.8), (1.3, 0.6), (1.3, 0.5))
+"""Factors on times and lengths that are tried, in this order: shorter strides first, as a slower robot has to leap the
+higher over the same share of a stride."""
+DEGREE, MOST = 5, 10.0
+"""The degree of the polynomials by which forces grow and fade; the largest coefficient, in weights."""
+TURNS, HOPELESS = 12, 50.0
+"""Steps at most; what is beyond the limits after three of them where more steps do not help."""
+UNIT, TORQUE, WITHIN, NEAR = 0.02, 0.05, 0.02, 3.0
+"""What a step allows of each as much: shares of the weight that are left, and of limits of torques, rates and angles,
+beyond what is aimed at; weight of the base's deviation (of the standing height, and rad)."""
+AIM = {"base": 0.0, "torques": 0.85, "rates": 0.95, "angles": 0.97}
+"""Shares of the limits."""
+WIDER_RAD = 0.4
+"""What joints may go beyond their limits by on the way to a base with which they keep them."""
+
+
+class _Rule(NamedTuple):
+    """What is looked at in every frame."""
+
+    what: str
+    least: float
+    """The margin that is enough."""
+    unit: str
+    advice: str
+    """What to change where it is not kept."""
+
+
+RULES = {
+    "joint_limits": _Rule("joints within their limits", -1e-6, "rad", "a smaller --scale"),
+    "joint_rates": _Rule("joint rates, left of the limit", -1e-6, "share", "--fit-limits, or a larger --slower"),
+    "torques": _Rule("torques, left of the limit", 0.0, "share", "--fit-limits, or a larger --slower"),
+    "forces": _Rule("forces that standing feet lack", -0.1, "weight", "--fit-limits"),
+    "legs_apart": _Rule("legs that run into each other", 0.0, "m", "a smaller --scale"),
+    "ground": _Rule("lowest point above the ground", -1e-3, "m", "a smaller --scale"),
+}
+
+
+def simulated(robot: Quadruped) -> Any:
+    """MuJoCo's model (`MjModel`) of the robot, free in the world. Raises InputError for one without masses."""
+    if Path(robot.source).suffix.lower() in SUFFIXES:
+        return read_model(robot.source, free=True)
+    return described(robot).compile()
+
+
+def described(robot: Quadruped) -> Any:
+    """What MuJoCo makes a model from (`MjSpec`), of a robot that is described by its dimensions. Raises InputError."""
+    mujoco = the_mujoco(robot.source)
+    if robot.masses is None:
+        raise InputError(Problem(robot.source, "masses", "none", "masses and max_torque_n_m (docs/robot.md)"))
+    spec, masses = mujoco.MjSpec(), robot.masses
+    spec.compiler.degree = False
+    base = spec.worldbody.add_body(name="base", mass=masses.body_kg, inertia=masses.body_inertia_kg_m2)
+    base.explicitinertial = True
+    base.add_freejoint()
+    capsule, sphere = mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_SPHERE
+    thick = LEGS_APART * robot.stand_m / 2
+    for k, (label, leg) in enumerate(robot.legs.items()):
+        places, axes = leg.chain.positions(np.zeros(leg.chain.n)), leg.chain.joint_axes(np.zeros(leg.chain.n))
+        body, at, way = base, np.zeros(3), np.zeros(3)
+        for j, name in enumerate(leg.joints):
+            body = body.add_body(name=name, pos=places[j] - at)
+            at, way = places[j], places[j + 1] - places[j]
+            limit = masses.max_torque_n_m[j]
+            within = {"limited": 1, "range": [leg.chain.lower_rad[j], leg.chain.upper_rad[j]]}
+            body.add_joint(name=name, axis=axes[j], actfrclimited=1, actfrcrange=[-limit, limit], **within)
+            kind = {"type": capsule, "fromto": [*np.zeros(3), *way]} if np.linalg.norm(way) > 1e-3 else {"type": sphere}
+            # Legs meet those of other legs only.
+            meet = {"contype": (1 << k) if j else 0, "conaffinity": (15 & ~(1 << k)) if j else 0}
+            body.add_geom(**kind, size=[thick, 0, 0], mass=masses.links_kg[j], **meet)
+        foot = {"name": f"{label} foot", "type": sphere, "size": [FOOT_M, 0, 0], "pos": way}
+        body.add_geom(**foot, mass=masses.foot_kg, contype=0, conaffinity=0)
+    return spec
+
+
+class _Asked(NamedTuple):
+    """What N states of a robot, with rates and accelerations, ask for, by the base's place, its turn about its own axes
+    and the J joints."""
+
+    needed: Array
+    """(N, 6 + J): forces, moments and torques, without those of the ground."""
+    moves: Array
+    """(N, 4, 3, 6 + J): how the feet move with them."""
+
+
+def _asked(robot: Quadruped, model: Any, states: Array, rates: Array, bends: Array) -> _Asked:
+    """For states (N, 6 + J) of the robot's tree, their rates and their accelerations."""
+    mujoco = the_mujoco(robot.source)
+    joints = [model.joint(name) for name in robot.joints]
+    order = [*range(6), *(joint.dofadr[0] for joint in joints)]
+    bodies = [model.joint(leg.joints[-1]).bodyid[0] for leg in robot.legs.values()]
+    data, n = mujoco.MjData(model), len(states)
+    places, v, a = _places(model, robot, states), np.zeros((n, model.nv)), np.zeros((n, model.nv))
+    v[:, order], a[:, order] = rates, bends
+    on, here, off = (
+        Rotation.from_euler("ZYX", (states + step * rates + step**2 / 2 * bends)[:, 3:6])
+        for step in (STEP_S, 0.0, -STEP_S)
+    )
+    later, earlier = ((one.inv() * other).as_rotvec() / STEP_S for one, other in ((here, on), (off, here)))
+    v[:, 3:6], a[:, 3:6] = (later + earlier) / 2, (later - earlier) / STEP_S
+    feet = robot.tree.pose(states).points_m[:, robot.foot_markers]
+    needed, moves = np.zeros((n, model.nv)), np.zeros((n, len(LEGS), 3, model.nv))
+    flags = model.opt.disableflags
+    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
+    for k in range(n):
+        data.qpos[:], data.qvel[:], data.qacc[:] = places[k], v[k], a[k]
+        mujoco.mj_inverse(model, data)
+        needed[k] = data.qfrc_inverse
+        for foot, body in enumerate(bodies):
+            mujoco.mj_jac(model, data, moves[k, foot], None, feet[k, foot], body)
+    model.opt.disableflags = flags
+    return _Asked(needed[:, order], moves[..., order])
+
+
+def _apart(motion: RobotMotion, model: Any, time_s: Array) -> Array:
+    """(K,): the least distance of parts that run into each other, negative, else 0."""
+    mujoco = the_mujoco(motion.robot.source)
+    data, found = mujoco.MjData(model), np.zeros(len(time_s))
+    for k, place in enumerate(_places(model, motion.robot, motion.states(time_s))):
+        data.qpos[:] = place
+        mujoco.mj_fwdPosition(model, data)
+        found[k] = min((float(c.dist) for c in data.contact), default=0.0)
+    return found
+
+
+def _places(model: Any, robot: Quadruped, states: Array) -> Array:
+    """MuJoCo's (K, nq) of states (K, 6 + J) of the robot's tree."""
+    places = np.zeros((len(states), model.nq))
+    places[:, :3] = states[:, :3]
+    places[:, 3:7] = Rotation.from_euler("ZYX", states[:, 3:6]).as_quat(scalar_first=True)
+    places[:, [model.joint(name).qposadr[0] for name in robot.joints]] = states[:, 6:]
+    return places
+
+
+def _units(motion: RobotMotion, model: Any, torques: float) -> Array:
+    """(6 + J): what forces and moments on the base, as shares of the weight, and torques, as shares of their limits
+    times a factor, are multiplied by."""
+    weight = float(model.body_subtreemass[root_of(model)]) * float(np.linalg.norm(model.opt.gravity))
+    limits = model.jnt_actfrcrange[[model.joint(name).id for name in motion.robot.joints], 1]
+    of_base = np.array([1, 1, 1, *[1 / motion.robot.stand_m] * 3]) / weight
+    return np.concatenate([of_base, torques / np.where(limits > 0, limits, np.inf)])  # a file may state none
+
+
+def balanced(motion: RobotMotion, model: Any, time_s: Array) -> Array:
+    """What is left (K, 6 + J) of a motion's needs at times (K,): what the forces of the feet that stand, in the
+    friction cone, do not give the base, and the joints' torques with these forces."""
+    found, plain = _asked(motion.robot, model, *_states(motion, time_s)), _units(motion, model, 1.0)
+    left = found.needed.copy()
+    for k, stands in enumerate(motion.stands_at(time_s)):
+        pushes = (SLOPES @ found.moves[k, stands]).reshape(-1, len(plain)).T
+        units, over = plain * ([1.0] * 6 + [1e-3] * (len(plain) - 6)), np.zeros(len(plain), bool)
+        for _ in range(TRIES if stands.any() else 0):
+            units[over] *= 3
+            left[k] = found.needed[k] - pushes @ nnls(units[:, None] * pushes, units * found.needed[k])[0]
+            over[6:] = np.abs(plain * left[k])[6:] > 1
+            if not over.any():
+                break
+    return left
+
+
+def _states(motion: RobotMotion, time_s: Array) -> tuple[Array, Array, Array]:
+    """States (K, 6 + J) of the robot's tree at times (K,), their rates and their accelerations."""
+    states, rates, bends = (motion.states(time_s, order) for order in range(3))
+    return states, rates, bends
+
+
+def check(motion: RobotMotion, model: Any) -> tuple[Array, dict[str, Array]]:
+    """Times (K,), and by the names of `RULES` the margins (K,) of a motion."""
+    duration = float(motion.time_s[-1] - motion.time_s[0])
+    time = motion.time_s[0] + np.linspace(0.0, duration, max(2, round(duration * RATE_HZ) + 1))
+    states, rates = motion.states(time), motion.states(time, 1)
+    lower, upper, fastest = motion.robot.limits()
+    used = _used(_units(motion, model, 1.0) * balanced(motion, model, time))
+    return time, {
+        "joint_limits": np.minimum(states[:, 6:] - lower, upper - states[:, 6:]).min(axis=1),
+        "joint_rates": 1 - np.abs(rates[:, 6:] / fastest).max(axis=1),
+        "torques": 1 - used[:, 1:].max(axis=1),
+        "forces": used[:, 0] * RULES["forces"].least,
+        "legs_apart": _apart(motion, model, time),
+        "ground": motion.robot.tree.pose(states).points_m[..., 2].min(axis=1),
+    }
+
+
+def followed(motion: RobotMotion, strides: int = 1) -> tuple[Array, Array]:
+    """A simulation of the robot that follows a motion, and what it does: times (K,), and how far the base is from where
+    it should be (K,), in metres. Of a robot that is described by its dimensions.
+
+    Each joint is driven by the torque that the motion asks for with the forces of the standing feet, and by a spring
+    and a damper (`GAINS`) to its angle and rate in the motion, at every step of the simulation, within its limits. The
+    ground is level, with a friction of 1.
+    """
+    mujoco, robot = the_mujoco(motion.robot.source), motion.robot
+    model = simulated(robot)
+    spec = described(robot)
+    spec.option.timestep, ground = TIMESTEP_S, 1 << len(LEGS)
+    spec.worldbody.add_geom(
+        type=mujoco.mjtGeom.mjGEOM_PLANE,
+        size=[0, 0, 1],
+        pos=[0, 0, -FOOT_M],
+        contype=0,
+        conaffinity=ground,
+        friction=[1, 0, 0],
+    )
+    for foot in [geom for geom in spec.geoms if geom.name.endswith(" foot")]:
+        foot.contype, foot.friction = ground, [1, 0, 0]
+    world = spec.compile()
+    data, order = mujoco.MjData(world), [world.joint(name) for name in robot.joints]
+    places, columns = [joint.qposadr[0] for joint in order], [joint.dofadr[0] for joint in order]
+    limits = world.jnt_actfrcrange[[joint.id for joint in order], 1]
+    lasts = float(motion.time_s[-1] - motion.time_s[0])
+    time = np.linspace(0.0, strides * lasts, round(strides * lasts / TIMESTEP_S), endpoint=False)
+    knots = np.linspace(0.0, lasts, round(lasts * TORQUES_HZ) + 1)
+    torques = CubicSpline(knots, balanced(motion, model, motion.time_s[0] + knots)[:, 6:])(time % lasts)
+    states, rates = motion.states(motion.time_s[0] + time), motion.states(motion.time_s[0] + time, 1)
+    off = np.zeros(len(time))
+    begin = _places(model, robot, motion.states(motion.time_s[0] + np.array([0.0, STEP_S])))
+    data.qpos[:] = begin[0]
+    mujoco.mj_differentiatePos(world, data.qvel, STEP_S, *begin)
+    for k, (state, rate, torque) in enumerate(zip(states, rates, torques, strict=True)):
+        off[k] = np.linalg.norm(data.qpos[:3] - state[:3])
+        torque = torque + GAINS[0] * (state[6:] - data.qpos[places]) + GAINS[1] * (rate[6:] - data.qvel[columns])
+        data.qfrc_applied[columns] = np.clip(torque, -limits, limits)
+        mujoco.mj_step(world, data)
+    return time, off
+
+
+def carried(motion: RobotMotion, model: Any, hopeless: float = HOPELESS) -> tuple[RobotMotion, Array]:
+    """The motion with its base moved by as little as lets the robot do it, and by how much (N, 6): its place, yaw,
+    pitch and roll. Where no way is found that keeps every rule, the last; hopeless: as `HOPELESS`.
+
+    The base's way is a cubic spline with a knot a frame. Each stance pushes with forces in the friction cone that grow
+    from nothing and fade to nothing, as Bernstein's polynomials do. Both are found together by least squares (Levenberg
+    and Marquardt's steps, with the derivatives of the whole robot's dynamics): of what the forces leave of the base's
+    needs, of what torques, rates and angles are beyond their limits, and of the base's deviation.
+    """
+    work, off = _Carrying(motion, model), np.zeros((len(motion.time_s), 6))
+    moved, pushes = np.zeros(work.moved_shape), np.full(work.n_pushes, 0.2)
+    now, best, found = motion, motion, _asked(motion.robot, model, *_states(motion, work.time_s))
+    values, damping, slow = work.values(now, found, moved, pushes), 300.0, 0
+    for turn in range(TURNS):
+        if min(rule["share"] for rule in kept(check(best, model)[1]).values()) == 1 or slow > 2:
+            break
+        beyond = work.beyond(values)
+        if turn > 2 and float(np.sum(beyond[work.limited] ** 2)) > hopeless:
+            break
+        cost, slopes = float(np.sum(beyond**2)), work.slopes(now, found, pushes)
+        for _ in range(8):
+            step = work.step(slopes, values, damping)
+            to, by = moved + step[: moved.size].reshape(moved.shape), pushes + step[moved.size :]
+            tried = moved_by(motion, work.everywhere @ to, work.wider)
+            after = _asked(motion.robot, model, *_states(tried, work.time_s))
+            ahead = work.values(tried, after, to, by)
+            less = float(np.sum(work.beyond(ahead) ** 2))
+            if less < cost:
+                break
+            damping *= 5
+        else:
+            break
+        slow = slow + 1 if less > 0.98 * cost else 0
+        now, moved, pushes, found, values, damping = tried, to, by, after, ahead, damping / 5
+        off = work.everywhere @ moved
+        best = moved_by(motion, off)
+    return best, off
+
+
+def moved_by(motion: RobotMotion, off: Array, robot: Quadruped | None = None) -> RobotMotion:
+    """The motion with its base moved by off (N, 6): its place, yaw, pitch and roll. Feet that stand stay where they
+    are, those that swing go with the base. robot: the same with other limits."""
+    yaw, pitch, roll = motion.pose.rotation.as_euler("ZYX").T + off[:, 3:].T
+    pose, loose = body_pose(motion.pose.translation + off[:, :3], roll, pitch, yaw), swinging(motion)[..., None]
+    along = feet_in_world(pose, np.zeros(3), leg_targets(motion.pose, np.zeros(3), motion.feet_m))
+    feet = motion.feet_m + loose * (along - motion.feet_m)
+    feet[..., 2] = (feet[..., 2] + np.hypot(feet[..., 2], CLEAR * motion.robot.stand_m * loose[..., 0])) / 2
+    again = replace(posed(robot or motion.robot, motion.time_s, pose, feet, motion.standing), robot=motion.robot)
+    return replace(again, scale=motion.scale, slower=motion.slower, advance_m=motion.advance_m)
+
+
+def _wider(leg: RobotLeg) -> RobotLeg:
+    """The leg, its joints' limits `WIDER_RAD` farther."""
+    lower, upper = leg.chain.lower_rad - WIDER_RAD, leg.chain.upper_rad + WIDER_RAD
+    return replace(leg, chain=replace(leg.chain, limits_rad=(lower, upper)))
+
+
+class _Carrying:
+    """The least squares of `carried`, over K frames: rows for what is left of the base's needs, for torques, rates and
+    angles as shares of their limits, for pushes and for the base's deviation; columns for the base's way and the
+    pushes."""
+
+    def __init__(self, motion: RobotMotion, model: Any) -> None:
+        self.motion, self.model, robot = motion, model, motion.robot
+        self.start, self.lasts = motion.time_s[0], float(motion.time_s[-1] - motion.time_s[0])
+        self.loops, self.frames = motion.advance_m is not None, max(6, round(RATE_HZ * self.lasts))
+        time = self.start + np.linspace(0.0, self.lasts, self.frames + 1)
+        self.time_s = time[:-1] if self.loops else time
+        self.ways = [self._spline(self.time_s, order) for order in range(3)]
+        self.everywhere = self._spline(motion.time_s)
+        self.units = _units(motion, model, 1.0)
+        lower, upper, self.fastest = robot.limits()
+        lower, upper = np.maximum(lower, -1e3), np.minimum(upper, 1e3)  # a file may state none
+        self.middle, self.half = (lower + upper) / 2, (upper - lower) / 2
+        self.wider = replace(robot, legs={label: _wider(leg) for label, leg in robot.legs.items()})
+        loose = swinging(motion)
+        self.held = 1 - np.stack([np.interp(self.time_s, motion.time_s, of) for of in loose.T], axis=1)
+        self.stances = [(foot, grown / self.units[0]) for foot, grown in _pushes(motion, self.time_s)]
+        self.n_pushes = len(SLOPES) * sum(grown.shape[1] for _, grown in self.stances)
+        K, n, J = len(self.time_s), self.ways[0].shape[1], len(robot.joints)
+        self.moved_shape = n, 6
+        scale = np.diag([1 / robot.stand_m] * 3 + [1.0] * 3)
+        self.near = sparse.csr_array(np.einsum("kn,ij->kinj", self.ways[0], scale).reshape(6 * K, 6 * n))
+        sizes = [6 * K, J * K, J * K, J * K, self.n_pushes, 6 * K]
+        self.weights = np.repeat([1 / UNIT, 1 / TORQUE, 1 / WITHIN, 1 / WITHIN, 1 / UNIT, NEAR], sizes)
+        self.allowed = np.repeat([*AIM.values(), MOST / 2, 0.0], sizes)
+        self.limited = slice(6 * K, sum(sizes[:4]))
+
+    def _spline(self, time_s: Array, order: int = 0) -> Array:
+        """How the base is moved at times (K,) by each of the spline's coefficients (K, n), or its derivative."""
+        m, size = self.frames, self.lasts / self.frames
+        at = np.clip((time_s - self.start) / size, 0, m)
+        found = BSpline(np.arange(-3.0, m + 4), np.eye(m + 3), 3)(at, nu=order) / size**order
+        if not self.loops:
+            return found
+        found[:, :3] += found[:, m:]
+        return found[:, :m]
+
+    def _forces(self, pushes: Array) -> Array:
+        """(K, 4, 3): on the feet."""
+        found, ends = np.zeros((len(self.time_s), len(LEGS), 3)), 0
+        for foot, grown in self.stances:
+            begin, ends = ends, ends + len(SLOPES) * grown.shape[1]
+            found[:, foot] += grown @ pushes[begin:ends].reshape(len(SLOPES), -1).T @ SLOPES
+        return found
+
+    def values(self, motion: RobotMotion, found: _Asked, moved: Array, pushes: Array) -> Array:
+        """The rows, of a motion and what it asks for."""
+        states, rates, _ = _states(motion, self.time_s)
+        left = self.units * (found.needed - np.einsum("kfi,kfij->kj", self._forces(pushes), found.moves))
+        shares = [left[:, :6], left[:, 6:], rates[:, 6:] / self.fastest, (states[:, 6:] - self.middle) / self.half]
+        return np.concatenate([*(of.ravel() for of in shares), pushes - MOST / 2, self.near @ moved.ravel()])
+
+    def beyond(self, values: Array) -> Array:
+        """What of the rows is beyond what is allowed, by their weights."""
+        return self.weights * np.maximum(np.abs(values) - self.allowed, 0.0)
+
+    def slopes(self, motion: RobotMotion, found: _Asked, pushes: Array) -> Any:
+        """The rows' derivatives, sparse: by the base's way, and by the pushes."""
+        states = _states(motion, self.time_s)
+        K, J, forces = len(self.time_s), len(self.fastest), self._forces(pushes)
+        # How states go with the base's: the joints of a leg whose foot is held turn with it.
+        moves = motion.robot.tree.pose_with_jacobian(states[0]).jacobian[:, motion.robot.foot_markers]
+        goes, ends = np.zeros((K, 6 + J, 6)), np.cumsum([6, *(len(leg.joints) for leg in motion.robot.legs.values())])
+        goes[:, range(6), range(6)] = 1.0
+        for foot, own in enumerate(map(slice, ends[:-1], ends[1:])):
+            back = np.linalg.pinv(moves[:, foot, :, own], rcond=STRETCHED)
+            goes[:, own] = -self.held[:, foot, None, None] * (back @ moves[:, foot, :, :6])
+        if self.loops:
+            time = np.append(self.time_s, self.start + self.lasts)
+            along = CubicSpline(time, np.concatenate([goes, goes[:1]]), bc_type="periodic")
+        else:
+            along = CubicSpline(self.time_s, goes)
+        speeds, bends, still = along(self.time_s, 1), along(self.time_s, 2), np.zeros_like(goes)
+
+        def needs(*ways: Array) -> Array:
+            """(K, 6 + J, 6): how needs go with states, rates and accelerations that go as is said."""
+            near = (np.swapaxes(of[:, :, None] + STEP * way, 1, 2) for of, way in zip(states, ways, strict=True))
+            there = _asked(motion.robot, self.model, *(of.reshape(-1, 6 + J) for of in near))
+            given = np.einsum("nfi,nfij->nj", np.repeat(forces, 6, axis=0), there.moves)
+            here = found.needed - np.einsum("kfi,kfij->kj", forces, found.moves)
+            return ((there.needed - given).reshape(K, 6, -1) - here[:, None]).swapaxes(1, 2) / STEP
+
+        def rows(*parts: Array) -> Array:
+            """By the spline's coefficients, of parts by the base's deviation and by its derivatives."""
+            by = (np.einsum("kij,kn->kinj", part, way) for part, way in zip(parts, self.ways, strict=False))
+            return np.sum([*by], axis=0).reshape(K, parts[0].shape[1], -1)
+
+        left = self.units[:, None] * rows(
+            needs(goes, speeds, bends), needs(still, goes, 2 * speeds), needs(still, still, goes)
+        )
+        rates = rows(speeds[:, 6:], goes[:, 6:]) / self.fastest[:, None]
+        angles = rows(goes[:, 6:]) / self.half[:, None]
+        given = [np.einsum("gi,kij,km->kjgm", SLOPES, found.moves[:, foot], of) for foot, of in self.stances]
+        given = np.concatenate([of.reshape(K, 6 + J, -1) for of in given], axis=2) * -self.units[:, None]
+        parts = [left[:, :6], left[:, 6:], rates, angles, given[:, :6], given[:, 6:]]
+        base, torques, rates, angles, on_base, on_torques = (
+            sparse.csr_array(of.reshape(-1, of.shape[2])) for of in parts
+        )
+        pushed = sparse.eye_array(self.n_pushes)
+        return sparse.block_array(
+            [[base, on_base], [torques, on_torques], [rates, None], [angles, None], [None, pushed], [self.near, None]],
+            format="csr",
+        )
+
+    def step(self, slopes: Any, values: Array, damping: float) -> Array:
+        """The step of all unknowns with the least sum of squares of what is beyond: Newton's steps, each as far as the
+        sum falls, as rows are allowed as much as that or not."""
+        size = slopes.shape[1]
+        slack = sparse.block_diag([damping * self.near.T @ self.near, 1e-3 * sparse.eye_array(self.n_pushes)])
+        step, now, shares = np.zeros(size), values, 0.6 ** np.arange(16)
+
+        def total(step: Array, now: Array) -> float:
+            return float(step @ (slack @ step) + np.sum(self.beyond(now) ** 2))
+
+        least = total(step, now)
+        for _ in range(25):
+            over = np.abs(now) > self.allowed
+            weighed = (sparse.diags_array(self.weights[over]) @ slopes[over]).tocsr()
+            pull = weighed.T @ (self.weights * (values - np.sign(now) * self.allowed))[over]
+            factor = splu((slack + weighed.T @ weighed).tocsc(), "MMD_AT_PLUS_A", 0.0, options={"SymmetricMode": True})
+            way = -factor.solve(pull) - step
+            ahead = slopes @ way
+            totals = [total(step + share * way, now + share * ahead) for share in shares]
+            best = int(np.argmin(totals))
+            if totals[best] < least:
+                step, now = step + shares[best] * way, now + shares[best] * ahead
+            if totals[best] > 0.999 * least:
+                break
+            least = totals[best]
+        return step
+
+
+def _used(left: Array) -> Array:
+    """(K, 1 + J): what is left of the base's needs (shares of the weight), of what may be, and the torques' shares."""
+    missing = np.linalg.norm(left[:, :3], axis=1) + np.linalg.norm(left[:, 3:6], axis=1)
+    return np.column_stack([missing / -RULES["forces"].least, np.abs(left[:, 6:])])
+
+
+def _pushes(motion: RobotMotion, time_s: Array) -> list[tuple[int, Array]]:
+    """The foot of each stance, and how its forces may grow and fade (K, .) at times (K,)."""
+    lasts, loops, found = float(motion.time_s[-1] - motion.time_s[0]), motion.advance_m is not None, []
+    for foot in range(len(LEGS)):
+        spans = [(motion.time_s[a], motion.time_s[b]) for a, b in stances(motion.standing[:, foot])]
+        if loops and len(spans) > 1 and motion.standing[0, foot]:
+            spans = [*spans[1:-1], (spans[-1][0] - lasts, spans[0][1])]
+        for begin, end in spans:
+            open_ends = (not loops and begin == motion.time_s[0], not loops and end == motion.time_s[-1])
+            orders = range(1 - open_ends[0], DEGREE + open_ends[1])
+            share = (time_s[:, None] + np.array([-lasts, 0.0, lasts] if loops else [0.0]) - begin) / (end - begin)
+            values = [
+                np.where((share >= 0) & (share <= 1), binom.pmf(n, DEGREE, np.clip(share, 0, 1)), 0) for n in orders
+            ]
+            found.append((foot, np.stack(values).sum(axis=2).T))
+    return found
+
+
+def kept(margins: dict[str, Array]) -> dict[str, dict[str, float]]:
+    """For the report: by rule the share of frames that keep it, and the least margin."""
+    return {
+        name: {"share": float(np.mean(margins[name] >= rule.least)), "least": float(margins[name].min())}
+        for name, rule in RULES.items()
+    }
+
+
+def margins_figure(time_s: Array, margins: Mapping[str, tuple[Array, float, str]], title: str) -> Figure:
+    """Margins over time by what they are of: values (K,), infinite where there are none, what they have to stay above,
+    and their unit. A dot is the least."""
+    with drawing(40.0 * -(-len(margins) // 2), title=title) as figure:
+        panels = np.ravel(figure.subplots(-(-len(margins) // 2), 2, sharex=True))
+        for axes, (what, (values, enough, unit)) in zip(panels, margins.items(), strict=True):
+            shown = np.where(np.isfinite(values), values, np.nan)
+            least = int(np.nanargmin(shown))
+            axes.axhline(enough, color=GREY, lw=0.8)
+            axes.plot(time_s, shown, color="k", lw=0.9)
+            axes.plot(time_s[least], shown[least], "o", ms=3, color="k")
+            axes.set_title(f"{what}: least {shown[least]:.3g} {unit}", fontsize=SMALL, loc="left", pad=2)
+            axes.set_ylabel(unit, fontsize=SMALL)
+        for axes in panels[-2:]:
+            axes.set_xlabel("time (s)")
+    return figure

@@ -1,0 +1,178 @@
+"""Playback of a robot's motion, with the animal that it follows beside it, as a rerun recording.
+
+Entities: `world/robot`, its legs and body, and `world/robot/feet`, those that stand; `world/animal`, scaled to the
+robot's size, with a view of its own; `world/support`, the polygon of three or more feet that stand; `world/ground`,
+`world/path`, `world/step` (static); `world/followed` and `world/animal/followed`, invisible; `angles/<leg>` in degrees;
+`<leg>`, when it stands. Timelines: `frame`, the sample, and `time`, the robot's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+
+from recon.animal.body import Side
+from recon.base.arrays import Array, Bools
+from recon.show.recording import recording
+from recon.show.view import laid_out, state_rows, time_view
+from recon.show.view.scene import (
+    BACKGROUND,
+    DETECTION,
+    GRID,
+    LEFT,
+    LIMB_COLOURS,
+    PATH,
+    RIGHT,
+    SIDE_COLOURS,
+    TRAIL,
+    Log,
+    TimePlot,
+    grid_lines,
+    limb_strips,
+    strips,
+)
+from recon.wings.robotics.climb.plan import Step
+from recon.wings.robotics.robot.quadruped import LEGS
+from recon.wings.robotics.robot.retarget import RobotMotion
+
+ROBOT = DETECTION
+STEP = (58, 62, 72)
+GRID_LINES = 60
+"""Across the path, at most."""
+
+
+@dataclass(frozen=True, eq=False)
+class Companion:
+    """The animal: points (N, J, 3) in the robot's world and of its size, and the limbs, by name, as their indices, with
+    the side of each."""
+
+    points_m: Array
+    limbs: dict[str, tuple[int, ...]]
+    limb_sides: dict[str, Side | None]
+    title: str
+
+
+def write_robot(
+    motion: RobotMotion,
+    path: Path,
+    companion: Companion | None = None,
+    step: Step | None = None,
+    more: Sequence[TimePlot] = (),
+    title: str = "",
+) -> None:
+    """The recording; step: one across the way, along which x is forwards; more: plots before those of the angles, which
+    share one place then."""
+    series, size = [_angles(motion, label) for label in LEGS], motion.robot.stand_m
+    # The middle of what is to be seen, near the ground, and half its size: of the robot, and of the animal.
+    middle, half = motion.pose.translation * (1.0, 1.0, 0.1), 1.2 * size
+    clouds, beside = [motion.feet_m.reshape(-1, 3), motion.pose.translation], middle
+    if step is not None:
+        middle[:, 2] += step.height_m
+        half += 0.7 * step.height_m
+    if companion is not None:
+        points = companion.points_m
+        clouds.append(points.reshape(-1, 3))
+        beside = np.column_stack([(points.min(axis=1) + points.max(axis=1))[:, :2] / 2, middle[:, 2]])
+    level = np.concatenate(clouds)[:, :2]
+    low, high = level.min(axis=0) - 1.5 * size, level.max(axis=0) + 1.5 * size
+
+    title = title or motion.robot.title
+    if motion.slower != 1:
+        title += f"; {motion.slower:.3g} times slower than the animal"
+    scene: rrb.View | rrb.Container = _scene(title, "world/followed", middle[0], half, ["world/animal"])
+    if companion is not None:
+        other = f"{companion.title}, at {motion.scale:.2f} of its size"
+        of_robot = ["shapes", "world/robot", "world/support", "world/path", "world/step"]
+        scene = rrb.Horizontal(scene, _scene(other, "world/animal/followed", beside[0], half, of_robot))
+    angles = [time_view(s) for s in series]
+    angles = [rrb.Tabs(*angles)] if more else angles
+    below = rrb.Horizontal(*(time_view(s) for s in more), *angles, state_rows(LEGS, "Feet that stand"))
+    fps = min(len(motion.time_s) / float(motion.time_s[-1]), len(motion.time_s) / 4)
+    with recording(path, laid_out(rrb.Vertical(scene, below, row_shares=[3, 2]), fps)) as stream:
+        stream.send_recording_name(f"{motion.robot.name} {path.stem}")
+        log = Log(stream, np.arange(len(motion.time_s)), motion.time_s)
+        log.fix("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP)
+        _write_robot(motion, log)
+        log.follow("world/followed", middle, half)
+        if companion is not None:
+            colours = [SIDE_COLOURS[companion.limb_sides[limb]] for limb in companion.limbs]
+            log.fix("world/animal", rr.LineStrips3D.from_fields(colors=colours, radii=0.02 * size))
+            shown = np.ones(len(motion.time_s), bool)
+            log.send("world/animal", limb_strips(rr.LineStrips3D, companion.points_m, companion.limbs, shown))
+            log.follow("world/animal/followed", beside, half)
+        for s in [*more, *series]:
+            log.plot(s)
+        spacing = 0.1
+        while np.max(high - low) / spacing > GRID_LINES:
+            spacing *= 2
+        flat = grid_lines(np.floor(low / spacing) * spacing, np.ceil(high / spacing) * spacing, spacing)
+        lines = [np.column_stack([line, np.zeros(2)]) for line in flat]
+        log.fix("world/ground", rr.LineStrips3D(lines, colors=GRID, radii=0.004 * size))
+        if step is not None:  # a solid block, as wide as the ground and as far as the robot goes
+            low, high = np.append(low, 0.0), np.append(high, step.height_m)
+            low[0] = step.edge_m
+            log.fix("world/step", rr.Boxes3D(mins=[low], sizes=[high - low], colors=STEP, fill_mode="solid"))
+            edges = [[[step.edge_m, y, z] for y in (low[1], high[1])] for z in (0.0, step.height_m)]
+            log.fix("world/step/edge", rr.LineStrips3D(edges, colors=PATH, radii=0.006 * size))
+
+
+def _write_robot(motion: RobotMotion, log: Log) -> None:
+    size, legs = motion.robot.stand_m, np.stack([motion.points(label) for label in LEGS], axis=1)
+    body = legs[:, [LEGS.index(label) for label in ("LF", "RF", "RH", "LH", "LF")], 0]
+    colours = [LEFT if label[0] == "L" else RIGHT for label in LEGS]
+    log.fix("world/robot", rr.LineStrips3D.from_fields(colors=[*colours, ROBOT], radii=0.025 * size))
+    lines = [[*of_legs, of_body] for of_legs, of_body in zip(legs, body, strict=True)]
+    log.send("world/robot", strips(rr.LineStrips3D, lines))
+    log.points("world/robot/feet", motion.feet_m, motion.standing, colors=TRAIL, radii=0.06 * size)
+    log.fix("world/support", rr.LineStrips3D.from_fields(colors=TRAIL, radii=0.008 * size))
+    polygons = [_polygon(feet, stand) for feet, stand in zip(motion.feet_m, motion.standing, strict=True)]
+    log.send("world/support", strips(rr.LineStrips3D, polygons))
+    log.fix("world/path", rr.LineStrips3D([motion.pose.translation], colors=PATH, radii=0.008 * size))
+    if motion.robot.source.lower().endswith(".urdf"):  # its own shapes, as rerun reads them
+        urdf = rr.urdf.UrdfTree.from_file_path(motion.robot.source, "shapes")
+        urdf.log_urdf_to_recording(log.stream)
+        for name, angles in zip(motion.robot.joints, motion.angles_rad.T, strict=True):
+            joint = urdf.get_joint_by_name(name)
+            assert joint is not None
+            log.send(f"world/robot/joints/{name}", joint.compute_transform_columns(angles.tolist(), clamp=False))
+        placed = rr.Transform3D.columns(
+            translation=motion.pose.translation,
+            quaternion=motion.pose.rotation.as_quat(),
+            parent_frame=["tf#/world"] * len(motion.time_s),
+            child_frame=[urdf.root_link().name] * len(motion.time_s),
+        )
+        log.send("world/robot/base", placed)
+    for k, label in enumerate(LEGS):
+        log.state(label, "stance", colours[k], motion.standing[:, k])
+
+
+def _polygon(feet_m: Array, standing: Bools) -> list[Array]:
+    around = [LEGS.index(label) for label in ("LF", "LH", "RH", "RF")]
+    feet = [feet_m[k] for k in around if standing[k]]
+    return [np.array([*feet, feet[0]])] if len(feet) > 2 else []
+
+
+def _angles(motion: RobotMotion, label: str) -> TimePlot:
+    names, values = motion.robot.legs[label].joints, np.degrees(motion.leg_angles(label))
+    colours = [LIMB_COLOURS[k % len(LIMB_COLOURS)] for k in range(len(names))]
+    return TimePlot(f"angles/{label}", f"{label}, degrees", names, colours, values)
+
+
+def _scene(name: str, followed: str, middle_m: Array, half_m: float, hidden: Sequence[str]) -> rrb.Spatial3DView:
+    """From the right and ahead, going along."""
+    eye = rrb.EyeControls3D(
+        kind=rrb.Eye3DKind.Orbital,
+        position=middle_m + half_m * np.array([0.5, -2.0, 0.9]),
+        look_target=middle_m,
+        eye_up=(0.0, 0.0, 1.0),
+        tracking_entity=followed,
+    )
+    contents = ["$origin/**", "+ shapes/**", *(f"- {entity}/**" for entity in hidden)]
+    return rrb.Spatial3DView(
+        origin="world", contents=contents, name=name, background=BACKGROUND, line_grid=False, eye_controls=eye
+    )

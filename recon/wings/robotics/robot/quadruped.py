@@ -1,0 +1,358 @@
+"""Four-legged robots: hips, legs with their joints' names, limits and rates.
+
+Body axes: x forwards, y left, z up. Legs are LF, RF, LH, RH (left or right, fore or hind). Joint angles are the robot's
+own: of the bundled robots, and of others described by their dimensions, those of the closed form with signs;
+of URDF and MJCF files, the file's. World: z up. Yaw, pitch and roll turn about z, y and x in this order, so that a
+positive pitch puts the nose down.
+
+Legs of three joints have a closed form: swing, flap and knee, with offsets at the knee and the foot.
+Leg axes, at the hip: x lateral (outwards), y forward, z up, written for the right front leg; the others mirror x, y or
+both, and keep the same angles. a swing, b flap, s knee; l1 thigh, l2 shin, uo offset at the knee, lo at the foot. In
+the plane of the leg the foot lies P forward and Q below the hip,
+
+    P = lo cos s + l2 sin s + uo        Q = l1 + l2 cos s - lo sin s
+
+With the swing joint first, the flap joint on it (the Sony Aibo's):
+
+    x = Q sin b        y = Q cos b sin a + P cos a        z = P sin a - Q cos b cos a
+
+With the flap joint first and the swing joint `lateral_m` = d further out (most robots of today), Y and Z the place in
+the plane that the flap joint turns:
+
+    Y = Q sin a + P cos a        Z = P sin a - Q cos a
+    x = d cos b - Z sin b        y = Y        z = d sin b + Z cos b
+
+The inverse starts with the knee, from P^2 + Q^2 = n^2, the squared distance of the foot from the swing joint:
+
+    s = atan2(q, p) -+ acos(-r / sqrt(p^2 + q^2))
+    p = 2 (uo lo + l1 l2)    q = 2 (l2 uo - l1 lo)    r = lo^2 + l2^2 + uo^2 + l1^2 - n^2
+
+The two signs are the two ways to bend the knee; taken is the one beyond the stretched leg, atan2(q, p), so the knee is
+never bent backwards. The other angles follow from linear pairs. Of the two flaps that reach a foot, the leg pointing
+down or up, taken is the one within 90 degrees of down.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Annotated, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+from pydantic import AfterValidator, Field
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from recon.base.arrays import Array
+from recon.base.documents import FileTable
+from recon.geometry.kinematics import Marker, Segment, Tree
+from recon.wings.robotics.ik.chain import SerialChain, joint_chain
+from recon.wings.robotics.ik.drive import drive_to
+from recon.wings.robotics.ik.methods import LeastNorm
+
+LEGS = ("LF", "RF", "LH", "RH")
+IK_TOLERANCE_M = 1e-5
+_BISECTIONS = 12
+
+
+# -- a leg in closed form --------------------------------------------------------------------------------------------
+
+LEG_ANGLES = ("swing", "flap", "knee")
+Length = Annotated[float, Field(gt=-1e6, lt=1e6, allow_inf_nan=False)]
+PositiveLength = Annotated[float, Field(gt=1e-6, lt=1e6, allow_inf_nan=False)]
+"""Metres or radians in a file; more, or less, can only be damage."""
+
+
+def _ordered(limits: tuple[float, float]) -> tuple[float, float]:
+    if limits[0] > limits[1]:
+        raise ValueError("the lower one first")
+    return limits
+
+
+Limits = Annotated[tuple[Length, Length], AfterValidator(_ordered)]
+
+_ROUNDING = 1e-12
+"""Share of the leg by which a target may lie outside the reach: a stretched leg must reach its own foot."""
+
+
+@dataclass(frozen=True)
+class Leg:
+    """A leg with a thigh and a shin; feet are (..., 3) in leg axes, angles swing, flap and knee (..., 3)."""
+
+    __pydantic_config__ = FileTable.model_config
+    first: Literal["swing", "flap"]
+    """The joint next to the body."""
+    thigh_m: PositiveLength
+    shin_m: PositiveLength
+    knee_offset_m: Length = 0.0
+    """Forwards, at right angles to the thigh."""
+    foot_offset_m: Length = 0.0
+    """Forwards, at right angles to the shin."""
+    lateral_m: Length = 0.0
+    """From the flap joint out to the swing joint, where the flap joint is the first."""
+    mirror: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    """1 or -1 for each axis, 1 for the right front leg."""
+
+    @property
+    def order(self) -> list[int]:
+        """The angles in the order of the joints from the hip down."""
+        return [0, 1, 2] if self.first == "swing" else [1, 0, 2]
+
+    @cached_property
+    def chain(self) -> SerialChain:
+        """The same leg joint by joint, its joints in the order in which they follow each other, not mirrored."""
+        out, swing, flap = (self.lateral_m, 0.0, 0.0), (1, 0, 0), (0, -1, 0)
+        return joint_chain(
+            [(0, 0, 0), out, (0.0, self.knee_offset_m, -self.thigh_m)],
+            [swing, flap, swing] if self.first == "swing" else [flap, swing, swing],
+            tool_m=(0.0, self.foot_offset_m, -self.shin_m),
+        )
+
+    @property
+    def stretched_rad(self) -> float:
+        """The knee's angle with the foot farthest from the swing joint."""
+        p, q, _ = self._pqr
+        return float(np.arctan2(q, p))
+
+    @property
+    def distances_m(self) -> tuple[float, float]:
+        """Least and largest distance of the foot from the swing joint."""
+        upper, lower = np.hypot(self.thigh_m, self.knee_offset_m), np.hypot(self.shin_m, self.foot_offset_m)
+        return float(abs(upper - lower)), float(upper + lower)
+
+    @property
+    def _pqr(self) -> tuple[float, float, float]:
+        """p, q, and r + n^2."""
+        l1, l2, uo, lo = self.thigh_m, self.shin_m, self.knee_offset_m, self.foot_offset_m
+        return 2 * (uo * lo + l1 * l2), 2 * (l2 * uo - l1 * lo), lo * lo + l2 * l2 + uo * uo + l1 * l1
+
+    def in_plane(self, knee_rad: Array) -> tuple[Array, Array]:
+        """The coordinates P and Q (...) of the foot in the leg's plane, in metres."""
+        c, s = np.cos(knee_rad), np.sin(knee_rad)
+        P = self.foot_offset_m * c + self.shin_m * s + self.knee_offset_m
+        return P, self.thigh_m + self.shin_m * c - self.foot_offset_m * s
+
+    def forward(self, angles_rad: ArrayLike) -> Array:
+        """The places of the feet from the hip, for these angles."""
+        return self.chain.end(np.asarray(angles_rad, float)[..., self.order]) * self.mirror
+
+    def inverse(self, feet_m: ArrayLike) -> Array:
+        """Angles, whatever the limits, NaN out of reach."""
+        x, y, z = np.moveaxis(np.asarray(feet_m, float) * self.mirror, -1, 0)
+        d, swing_first = self.lateral_m, self.first == "swing"
+        z2 = x * x + z * z - d * d
+        n2 = x * x + y * y + z * z if swing_first else np.maximum(z2, 0.0) + y * y
+        p, q, rest = self._pqr
+        cosine = (n2 - rest) / np.hypot(p, q)
+        s = np.arctan2(q, p) + np.arccos(np.clip(cosine, -1.0, 1.0))
+        P, Q = self.in_plane(s)
+        # U^2 = y^2 + z^2 - P^2 and atan2 in place of asin(x / Q), which loses half the digits at 90 degrees.
+        square = y * y + z * z - P * P if swing_first else z2
+        root = np.sqrt(np.maximum(square, 0.0))
+        if swing_first:
+            up = np.where(Q < 0, -1.0, 1.0)
+            a, b = _wrapped(np.arctan2(z, y) + np.arctan2(up * root, P)), np.arctan2(up * x, root)
+        else:
+            # (x, z) is (d, Z) turned by b; (y, Z) is (P, -Q) turned by a.
+            a = _wrapped(np.arctan2(-root, y) + np.arctan2(Q, P))
+            b = _wrapped(np.arctan2(z, x) - np.arctan2(-root, d))
+        longest = np.hypot(self.distances_m[1], d)
+        reached = (np.abs(cosine) <= 1 + _ROUNDING) & (square >= -_ROUNDING * longest**2)
+        return np.where(reached[..., None], np.stack([a, b, s], axis=-1), np.nan)
+
+    def slack_m(self, feet_m: Array) -> Array:
+        """How far feet are within the reach of a leg whose swing joint is the first (...), negative outside."""
+        distance, (least, most) = np.linalg.norm(feet_m, axis=-1), self.distances_m
+        p, q, rest = self._pqr
+        bend = np.arccos(np.clip((distance**2 - rest) / np.hypot(p, q), -1.0, 1.0))
+        # A bent leg does not come nearer to the axis of its swing joint than P.
+        aside = np.hypot(feet_m[..., 1], feet_m[..., 2]) - np.abs(self.in_plane(self.stretched_rad + bend)[0])
+        return np.minimum(np.minimum(distance - least, most - distance), aside)
+
+
+def _wrapped(angle: Array) -> Array:
+    """In [-pi, pi)."""
+    return (angle + np.pi) % (2 * np.pi) - np.pi
+
+
+# -- legs and robots -------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class RobotLeg:
+    """n joints, in their order from the hip down; feet are points in body axes, from the body's origin."""
+
+    chain: SerialChain
+    """Joint by joint in body axes, with names and limits, its end effector the foot."""
+    neutral_m: Array
+    """(3,): the foot of the standing leg."""
+    home_rad: Array | None = None
+    """(n,): the standing leg, from where a leg without a closed form is solved; None for one that cannot stand."""
+    closed: Leg | None = None
+    """Its closed form, in leg axes."""
+    signs: Array | None = None
+    """(n,): of the joints' own angles against those of the closed form."""
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """The names of the leg's joints."""
+        return self.chain.names
+
+    @cached_property
+    def hip_m(self) -> Array:
+        """(3,): where the first joint is."""
+        return self.chain.positions(np.zeros(self.chain.n))[0]
+
+    def margins(self, angles_rad: Array) -> Array:
+        """(..., n): how far each angle is within its limits, negative outside, NaN without an angle."""
+        return np.minimum(angles_rad - self.chain.lower_rad, self.chain.upper_rad - angles_rad)
+
+    def closed_angles(self, feet_m: Array) -> Array:
+        """In closed form, angles (T, n) of feet (T, 3) whatever the limits, NaN out of reach."""
+        assert self.closed is not None
+        assert self.signs is not None
+        return self.closed.inverse(_to_leg_axes(feet_m - self.hip_m))[..., self.closed.order] * self.signs
+
+    def slack_m(self, feet_m: Array) -> Array:
+        """The same, how far feet are within the reach (T,), negative outside."""
+        assert self.closed is not None
+        return self.closed.slack_m(_to_leg_axes(feet_m - self.hip_m))
+
+    def angles(self, feet_m: Array) -> Array:
+        """Angles (T, n) of feet (T, 3) that follow each other, NaN where there are none within the limits."""
+        if self.closed is not None:
+            solved = self.closed_angles(feet_m)
+            return np.where(np.all(self.margins(solved) >= 0, axis=-1)[..., None], solved, np.nan)
+        out, q = np.full((len(feet_m), self.chain.n), np.nan), self.home_rad
+        if q is None or self.home_rad is None:
+            return out
+        for k, foot in enumerate(feet_m):
+            found = reach(self.chain, q, foot)
+            if found is None and q is not self.home_rad:
+                found = reach(self.chain, self.home_rad, foot)
+            if found is not None:
+                out[k] = q = found
+        return out
+
+
+@dataclass(frozen=True)
+class Masses:
+    """What a robot weighs, and what its motors give: the links and torques of a leg in the order of its joints."""
+
+    __pydantic_config__ = FileTable.model_config
+    body_kg: PositiveLength
+    body_inertia_kg_m2: tuple[PositiveLength, PositiveLength, PositiveLength]
+    links_kg: tuple[PositiveLength, PositiveLength, PositiveLength]
+    foot_kg: PositiveLength
+    max_torque_n_m: tuple[PositiveLength, PositiveLength, PositiveLength]
+
+
+@dataclass(frozen=True, eq=False)
+class Quadruped:
+    """A robot with four legs."""
+
+    name: str
+    title: str
+    legs: Mapping[str, RobotLeg]
+    """By LF, RF, LH, RH, in this order."""
+    stand_m: float
+    """The height that its hips stand at."""
+    source: str = ""
+    masses: Masses | None = None
+    """The masses of a robot that is described by its dimensions."""
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """All legs', in the order of `LEGS`."""
+        return tuple(name for leg in self.legs.values() for name in leg.joints)
+
+    def limits(self) -> tuple[Array, Array, Array]:
+        """Lower, upper and rate (joints,) of all legs' joints."""
+        chains = [leg.chain for leg in self.legs.values()]
+        each = [(chain.lower_rad, chain.upper_rad, chain.max_rate_rad_s) for chain in chains]
+        lower, upper, rate = (np.concatenate(of) for of in zip(*each, strict=True))
+        return lower, upper, rate
+
+    @cached_property
+    def tree(self) -> Tree:
+        """The tree of the body, free in the world, and all legs: its state is the body's place, yaw, pitch and roll and
+        then `joints`; its markers are the body's origin and, of each leg, its joints and its foot."""
+        segments, markers = [Segment("base", None, "free")], [Marker("base", "base")]
+        for label, leg in self.legs.items():
+            own = leg.chain.tree
+            called = {segment.name: f"{label} {segment.name}" for segment in own.segments[1:]} | {"base": "base"}
+            for segment in own.segments[1:]:
+                on = called[segment.parent or "base"]
+                segments.append(replace(segment, name=called[segment.name], parent=on))
+                markers.append(Marker(called[segment.name], called[segment.name]))
+            foot = own.markers[0]
+            markers.append(replace(foot, name=f"{label} foot", segment=called[foot.segment]))
+        return Tree(tuple(segments), tuple(markers))
+
+    @cached_property
+    def foot_markers(self) -> list[int]:
+        """Where the feet are among the tree's markers, in the order of `LEGS`."""
+        names = [marker.name for marker in self.tree.markers]
+        return [names.index(f"{label} foot") for label in LEGS]
+
+    @cached_property
+    def ground_m(self) -> float:
+        """The ground of the standing robot, in body axes: the mean of the feet."""
+        return float(np.mean([leg.neutral_m[2] for leg in self.legs.values()]))
+
+    @cached_property
+    def folding_m(self) -> Array:
+        """(4,): how high the legs lift their feet straight up from where they stand, in the order of `LEGS`."""
+        heights = []
+        for leg in self.legs.values():
+            near, far = 0.0, -float(leg.neutral_m[2])
+            for _ in range(_BISECTIONS):
+                height = (near + far) / 2
+                reached = np.isfinite(leg.angles((leg.neutral_m + np.array([0.0, 0.0, height]))[None])).all()
+                near, far = (height, far) if reached else (near, height)
+            heights.append(near)
+        return np.array(heights)
+
+
+def reach(chain: SerialChain, q: Array, foot_m: Array) -> Array | None:
+    """Angles (n,) within the limits that put the end effector there, from nearby ones; None if they are not found."""
+    # Rates do not limit a single place: an iteration is given the time that the slowest joint takes for a turn.
+    interval = 2 * np.pi / float(chain.max_rate_rad_s.min())
+    run = drive_to(chain, q, foot_m, LeastNorm(), IK_TOLERANCE_M, max_iterations=200, interval_s=interval)
+    return run.q[-1] if run.reached else None
+
+
+def standing(chain: SerialChain, foot_m: Array) -> Array | None:
+    """Angles (n,) of the standing leg: reached from the middle of the limits, or else from random places in them."""
+    lower, upper = np.maximum(chain.lower_rad, -np.pi), np.minimum(chain.upper_rad, np.pi)
+    starts = [(lower + upper) / 2, *np.random.default_rng(0).uniform(lower, upper, (30, chain.n))]
+    found = (reach(chain, q, foot_m) for q in starts)
+    return next((q for q in found if q is not None), None)
+
+
+def _to_leg_axes(v: Array) -> Array:
+    return np.stack([-v[..., 1], v[..., 0], v[..., 2]], axis=-1)
+
+
+# -- the body on its feet --------------------------------------------------------------------------------------------
+
+
+def body_pose(position_m: ArrayLike, roll_rad: ArrayLike, pitch_rad: ArrayLike, yaw_rad: ArrayLike) -> RigidTransform:
+    """T_world_body of positions (..., 3) and angles (...)."""
+    angles = np.stack(np.broadcast_arrays(yaw_rad, pitch_rad, roll_rad), axis=-1)
+    return RigidTransform.from_components(np.asarray(position_m, float), Rotation.from_euler("ZYX", angles))
+
+
+def leg_targets(pose: RigidTransform, hips_m: ArrayLike, feet_m: ArrayLike) -> Array:
+    """Feet from their hips in body axes (..., L, 3), for T_world_body (...), hips (L, 3) in body axes and feet in the
+    world, (L, 3) or (..., L, 3)."""
+    hips, feet = np.asarray(hips_m, float), np.asarray(feet_m, float)
+    position, R = np.asarray(pose.translation), np.asarray(pose.rotation.as_matrix())
+    return np.einsum("...lj,...jk->...lk", feet - position[..., None, :], R) - hips
+
+
+def feet_in_world(pose: RigidTransform, hips_m: ArrayLike, targets_m: ArrayLike) -> Array:
+    """The inverse: feet (..., L, 3) in the world of targets (..., L, 3) from the hips."""
+    position, R = np.asarray(pose.translation), np.asarray(pose.rotation.as_matrix())
+    return np.einsum("...lk,...jk->...lj", np.asarray(targets_m) + np.asarray(hips_m), R) + position[..., None, :]

@@ -1,0 +1,342 @@
+"""A reference motion on a quadruped: footholds, the body's pose, joint angles, and how well they do.
+
+One factor, the scale, turns the animal's lengths into the robot's. The robot's base goes where the scaled animal's
+does; it stands at its own height, to which the scaled deviations of height, pitch and roll are added, held within
+`LIFT`, `PITCH_RAD` and `ROLL_RAD` by a tanh. A foot is at its neutral place under the hip, moved by the scaled way of
+the animal's foot from its middle place, and plants itself where the animal's does.
+It is lifted as high as the scaled animal's, but held by a tanh within `CLEARANCE` of what the leg can be folded by.
+
+Unless it is given, the scale is the largest up to stand_m / leg_m at which all feet, of the clip and of the stride that
+repeats, are within the legs' reach and the joints' limits; and the motion is as slow as the joints' rates ask for, but
+not faster than the animal's. With a given scale, a foot out of reach is drawn towards its neutral place until it is
+not.
+
+In a stance a foot stays at the stance's mean place, on the ground. Over a swing its path is shifted from that of the
+stance before to that of the next, and it leaves its foothold for this path, and comes back to one, within the share
+`EASE` of the swing, so that its acceleration does not jump where it lifts off and lands.
+
+An animal with a back that bends gathers its feet so far in a gallop that on a rigid body fore and hind legs would meet.
+Hind feet go outside of the fore feet then, as a cheetah's do: by the least of `SPREADS` that keeps the legs' lines
+`LEGS_APART` from each other.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.interpolate import CubicHermiteSpline, CubicSpline
+from scipy.spatial.transform import RigidTransform
+
+from recon.base.arrays import Array, Bools
+from recon.clip.keypoints import frame_ranges
+from recon.wings.robotics.robot.quadruped import LEGS, Quadruped, RobotLeg, body_pose, feet_in_world, leg_targets
+from recon.wings.robotics.robot.reference import Animal, Reference, StrideWindow, closed_stride, stride_window
+
+PITCH_RAD, ROLL_RAD = 0.25, 0.15
+LIFT = 0.15
+"""How high a swinging foot rises, as a share of the height that the hips stand at."""
+CLEARANCE = 0.7
+SPREADS = (0.0, 0.1, 0.2, 0.3, 0.4)
+LEGS_APART = 0.15
+"""Both of the height that the hips stand at; legs are about as thick."""
+SCALES = 0.97 ** np.arange(76)
+"""Shares of the largest scale that are tried."""
+_EVERY = 5
+"""Samples from one to the next that a scale is tried on; half a frame."""
+_BISECTIONS = 25
+EASE, SOFT = 0.28, 0.1
+"""Shares of a swing's time, and of the foot's height within which its path is bent to stay above the ground."""
+
+
+@dataclass(frozen=True, eq=False)
+class RobotMotion:
+    """A robot's motion at N times, its 4 legs in the order of `LEGS`, its joints in that of robot.joints."""
+
+    robot: Quadruped
+    scale: float
+    slower: float
+    time_s: Array
+    """(N,): the robot's."""
+    angles_rad: Array
+    """(N, joints)"""
+    pose: RigidTransform
+    """(N): T_world_body."""
+    feet_m: Array
+    """(N, 4, 3): where the feet should be, in the world."""
+    standing: Bools
+    """(N, 4)"""
+    short: Bools
+    """(N, 4): feet that were out of reach."""
+    advance_m: Array | None = None
+    """As of the reference."""
+
+    def leg_angles(self, label: str) -> Array:
+        """(N, n) of one leg."""
+        counts = [len(leg.joints) for leg in self.robot.legs.values()]
+        return np.split(self.angles_rad, np.cumsum(counts)[:-1], axis=1)[LEGS.index(label)]
+
+    @cached_property
+    def _spline(self) -> CubicSpline:
+        """Through the states of `Quadruped.tree`, less the way of a stride that repeats."""
+        turn = np.unwrap(self.pose.rotation.as_euler("ZYX"), axis=0)
+        states = np.hstack([self.pose.translation, turn, self.angles_rad])
+        if self.advance_m is None:
+            return CubicSpline(self.time_s, states)
+        states[:, :2] -= np.linspace(0.0, 1.0, len(states))[:, None] * self.advance_m
+        return CubicSpline(self.time_s, np.concatenate([states[:-1], states[:1]]), bc_type="periodic")
+
+    def states(self, time_s: Array, derivative: int = 0) -> Array:
+        """The states (K, 6 + joints) of `Quadruped.tree` at times (K,), or their derivatives: of cubic splines through
+        the samples, of which there are ten for each of the clip's frames."""
+        found = self._spline(time_s, derivative)
+        if self.advance_m is not None and derivative < 2:
+            share = (time_s - self.time_s[0], np.ones(len(time_s)))[derivative] / (self.time_s[-1] - self.time_s[0])
+            found[:, :2] += share[:, None] * self.advance_m
+        return found
+
+    def stands_at(self, time_s: Array) -> Bools:
+        """Which feet stand at the samples nearest to times (K,), shape (K, 4)."""
+        return self.standing[np.argmin(np.abs(self.time_s[None] - time_s[:, None]), axis=1)]
+
+    @cached_property
+    def rate_share(self) -> Array:
+        """(joints,): the fastest rate between two samples, of the limit."""
+        rates = np.diff(self.angles_rad, axis=0) / np.diff(self.time_s)[:, None]
+        return np.abs(rates).max(axis=0) / self.robot.limits()[2]
+
+    @cached_property
+    def margin_rad(self) -> Array:
+        """(joints,): the least distance from a limit, negative beyond it."""
+        lower, upper, _ = self.robot.limits()
+        return np.minimum(self.angles_rad - lower, upper - self.angles_rad).min(axis=0)
+
+    def points(self, label: str) -> Array:
+        """A leg's hip, joints and foot in the world (N, ., 3)."""
+        along = self.robot.legs[label].chain.positions(self.leg_angles(label))
+        return feet_in_world(self.pose, np.zeros(3), along)
+
+    @cached_property
+    def apart_m(self) -> float:
+        """The least distance between the fore and the hind leg of a side, by nine points along each link."""
+        share, legs = np.linspace(0.0, 1.0, 9)[:, None], {}
+        for label in LEGS:
+            points = self.points(label)[::_EVERY]
+            links = points[:, :-1, None] * (1 - share) + points[:, 1:, None] * share
+            legs[label] = links.reshape(len(points), -1, 3)
+        pairs = ((legs[f"{side}F"][:, :, None], legs[f"{side}H"][:, None]) for side in "LR")
+        return float(min(np.linalg.norm(fore - hind, axis=-1).min() for fore, hind in pairs))
+
+    @cached_property
+    def slip_m(self) -> Array:
+        """(4,): farthest that a foot gets from where it stood first, in any stance, by the joints' angles at the
+        samples and half-way between them. 0 for a foot that never stands."""
+        fine = np.linspace(self.time_s[0], self.time_s[-1], 2 * len(self.time_s) - 1)
+        feet = self.robot.tree.pose(self.states(fine)).points_m[:, self.robot.foot_markers]
+        stood = [[feet[2 * a : 2 * b + 1, k] for a, b in stances(self.standing[:, k])] for k in range(len(LEGS))]
+        return np.array([max((np.linalg.norm(p - p[0], axis=1).max() for p in every), default=0.0) for every in stood])
+
+    @cached_property
+    def closing_percent(self) -> float:
+        """For a stride that repeats: the largest difference of an angle between its ends, of the angle's range."""
+        return 100 * float(np.max(np.abs(self.angles_rad[-1] - self.angles_rad[0]) / np.ptp(self.angles_rad, axis=0)))
+
+
+@dataclass(frozen=True, eq=False)
+class Retargeting:
+    """A robot's motion after an animal's."""
+
+    animal: Animal
+    window: StrideWindow
+    clip: RobotMotion
+    """The whole of it."""
+    stride: RobotMotion
+    """One that repeats."""
+    spread_m: float
+    """How far outside of its neutral place each hind foot goes."""
+
+
+def retarget(
+    animal: Animal,
+    robot: Quadruped,
+    scale: float | None = None,
+    slower: float | None = None,
+    window: StrideWindow | None = None,
+) -> Retargeting:
+    """scale: of lengths, None: the largest that fits; slower: factor on times, None: as the rates ask for; window: of
+    the stride, by default the one that is found."""
+    window = window or stride_window(animal)
+    moved, repeats, spread = on_robot(animal.reference, closed_stride(animal, window), robot, scale, slower)
+    return Retargeting(animal, window, moved, repeats, spread)
+
+
+def on_robot(
+    clip: Reference, stride: Reference, robot: Quadruped, scale: float | None = None, slower: float | None = None
+) -> tuple[RobotMotion, RobotMotion, float]:
+    """A clip and a closed stride of it, as a robot's motions, and how far its hind feet go outside.
+    scale, slower: as of `retarget`."""
+    tried: list[tuple[float, list[RobotMotion], float]] = []
+    enough = LEGS_APART * robot.stand_m
+    for share in SPREADS:
+        spread = share * robot.stand_m
+        chosen = largest_scale((clip, stride), robot, spread) if scale is None else scale
+        both = []
+        for one in (clip, stride):
+            moved = posed(robot, one.time_s - one.time_s[0], *place(one, robot, chosen, spread))
+            advance = None if one.advance_m is None else chosen * one.advance_m
+            both.append(replace(moved, scale=chosen, advance_m=advance))
+        tried.append((min(motion.apart_m for motion in both), both, spread))
+        if tried[-1][0] >= enough:
+            break
+    _, both, spread = max(tried, key=lambda one: min(one[0], enough))
+    if slower is None:
+        slower = max(1.0, *(float(motion.rate_share.max()) for motion in both))
+    moved, repeats = (slowed(motion, slower) for motion in both)
+    return moved, repeats, spread
+
+
+def slowed(motion: RobotMotion, factor: float) -> RobotMotion:
+    """The motion, as much slower as is said."""
+    return replace(motion, slower=factor * motion.slower, time_s=factor * motion.time_s)
+
+
+def largest_scale(references: tuple[Reference, ...], robot: Quadruped, spread_m: float = 0.0) -> float:
+    """The largest at which every foot is in reach; where none of `SCALES` is, half of the largest."""
+    most = robot.stand_m / references[0].leg_m
+
+    def fits(scale: float, every: int) -> bool:
+        for reference in references:
+            pose, feet, _ = place(reference, robot, scale, spread_m)
+            targets = leg_targets(pose, np.zeros(3), feet)[::every]
+            if not all(np.isfinite(leg.angles(targets[:, k])).all() for k, leg in enumerate(robot.legs.values())):
+                return False
+        return True
+
+    scales = (float(scale) for scale in most * SCALES)
+    return next((scale for scale in scales if fits(scale, _EVERY) and fits(scale, 1)), most / 2)
+
+
+def place(
+    reference: Reference, robot: Quadruped, scale: float, spread_m: float = 0.0
+) -> tuple[RigidTransform, Array, Bools]:
+    """T_world_body (N), the feet in the world (N, 4, 3) with their footholds, and which stand (N, 4)."""
+    roll, pitch, yaw = reference.roll_pitch_yaw_rad.T
+    position = scale * reference.base_m
+    position[:, 2] = _within(position[:, 2], LIFT * robot.stand_m) - robot.ground_m
+    pose = body_pose(position, _within(roll, ROLL_RAD), _within(pitch, PITCH_RAD), yaw)
+    level = body_pose(position * (1.0, 1.0, 0.0), 0.0, 0.0, yaw)
+    neutral = np.array([leg.neutral_m * (1.0, 1.0, 0.0) for leg in robot.legs.values()])
+    neutral[:, 1] += [spread_m * (label[1] == "H") * (1 if label[0] == "L" else -1) for label in LEGS]
+    ways = scale * reference.feet_m
+    room = np.maximum(CLEARANCE * robot.folding_m, 1e-9)  # some height also where legs cannot bend
+    ways[..., 2] = np.where(ways[..., 2] > 0, _within(ways[..., 2], room), ways[..., 2])
+    standing = reference.standing
+    advance = None if reference.advance_m is None else scale * reference.advance_m
+
+    def on_ground(raw: Array) -> Array:
+        paths = [planted(reference.time_s, raw[:, k], standing[:, k], advance) for k in range(len(LEGS))]
+        return np.stack(paths, axis=1)
+
+    # Footholds move the middle of a foot's way, by which the animal's was taken off: back under the hip with it.
+    moved = leg_targets(level, neutral, on_ground(feet_in_world(level, neutral, ways)))[..., 0]
+    ways[..., 0] -= (moved.min(axis=0) + moved.max(axis=0)) / 2
+    return pose, on_ground(feet_in_world(level, neutral, ways)), standing
+
+
+def posed(robot: Quadruped, time_s: Array, pose: RigidTransform, feet_m: Array, standing: Bools) -> RobotMotion:
+    """The motion of a robot from T_world_body (N), feet in the world (N, 4, 3) and which stand (N, 4); feet out of
+    reach are drawn in."""
+    targets = leg_targets(pose, np.zeros(3), feet_m)
+    solved = [drawn_in(leg, targets[:, k]) for k, leg in enumerate(robot.legs.values())]
+    angles = np.concatenate([angles for angles, _ in solved], axis=1)
+    short = np.stack([short for _, short in solved], axis=1)
+    return RobotMotion(robot, 1.0, 1.0, time_s, angles, pose, feet_m, standing, short)
+
+
+def drawn_in(leg: RobotLeg, feet_m: Array) -> tuple[Array, Bools]:
+    """Angles (T, n) of feet (T, 3) in body axes, and which of them (T,) are out of reach: these are drawn towards the
+    neutral place as little as needed."""
+    angles = leg.angles(feet_m)
+    short = ~np.asarray(np.isfinite(angles).all(axis=1))
+    if not short.any():
+        return angles, short
+    away = feet_m[short] - leg.neutral_m
+    near, step = np.zeros(len(away)), 0.5
+    angles[short] = leg.angles(leg.neutral_m[None])
+    for _ in range(_BISECTIONS):
+        tried = leg.angles(leg.neutral_m + (near + step)[:, None] * away)
+        good = np.isfinite(tried).all(axis=1)
+        angles[np.flatnonzero(short)[good]] = tried[good]
+        near, step = near + step * good, step / 2
+    return angles, short
+
+
+def _within(values: Array, limit: float | Array) -> Array:
+    return limit * np.tanh(values / limit)
+
+
+# -- footholds -------------------------------------------------------------------------------------------------------
+
+
+def stances(standing: Bools) -> list[tuple[int, int]]:
+    """First and last sample of each."""
+    return [(first, end - 1) for first, end in frame_ranges(np.flatnonzero(standing))]
+
+
+def planted(time_s: Array, path_m: Array, standing: Bools, advance_m: Array | None = None) -> Array:
+    """A path (N, 3), ground at z = 0, standing (N,) -> the same with footholds, nowhere below the ground.
+
+    advance_m (2,): for a stride that repeats, by how far its last sample is ahead of its first.
+    """
+    if advance_m is not None:
+        n, period, ahead = len(time_s) - 1, time_s[-1] - time_s[0], np.append(advance_m, 0.0)
+        time = np.concatenate([time_s[:-1] - period, time_s[:-1], time_s + period])
+        path = np.concatenate([path_m[:-1] - ahead, path_m[:-1], path_m + ahead])
+        out = planted(time, path, np.concatenate([standing[:-1], standing[:-1], standing]))[n : 2 * n + 1]
+        out[-1] = out[0] + ahead
+        return out
+    place, ends = np.zeros_like(path_m), []
+    for first, last in stances(standing):
+        place[first : last + 1, :2] = path_m[first : last + 1, :2].mean(axis=0)
+        ends += [first, last]
+    knots = np.unique(ends or [0])
+    moving = path_m.copy()
+    if len(knots) > 1:
+        shift = CubicHermiteSpline(time_s[knots], (place - path_m)[knots], np.zeros((len(knots), 3)))
+        moving += shift(np.clip(time_s, time_s[knots[0]], time_s[knots[-1]]))
+    moving[:, 2] = (moving[:, 2] + np.hypot(moving[:, 2], SOFT * np.ptp(path_m[:, 2]))) / 2
+    if not ends:
+        return moving
+    before, after, since, until, lasts = _swings(time_s, standing)
+    share = np.minimum(np.minimum(since, until) / (EASE * lasts), 1.0)[:, None]
+    hold = place[np.where(since <= until, before, np.minimum(after, len(time_s) - 1))]
+    return hold + share**2 * (6 - 8 * share + 3 * share**2) * (moving - hold)
+
+
+def _swings(time_s: Array, standing: Bools) -> tuple[Array, Array, Array, Array, Array]:
+    """For each sample (N,) the last before it and the first after it that stand, the times since and until then, and
+    how long the swing lasts."""
+    samples = np.arange(len(time_s))
+    before = np.maximum.accumulate(np.where(standing, samples, -1))
+    after = np.minimum.accumulate(np.where(standing, samples, len(samples))[::-1])[::-1]
+    since, until = time_s - np.append(time_s, -np.inf)[before], np.append(time_s, np.inf)[after] - time_s
+    swing = since + until
+    # A swing that the clip cuts is as long as the longest other one.
+    longest = swing[np.isfinite(swing)].max() or time_s[-1] - time_s[0]
+    return before, after, since, until, np.where(np.isfinite(swing) & ~standing, swing, longest)
+
+
+def swinging(motion: RobotMotion) -> Array:
+    """(N, 4): 0 where a foot stands, 1 in the middle of its swings, and smooth between."""
+    time, standing, n = motion.time_s, motion.standing, len(motion.time_s) - 1
+    if motion.advance_m is not None:
+        lasts = time[-1] - time[0]
+        time = np.concatenate([time[:-1] - lasts, time[:-1], time + lasts])
+        standing = np.concatenate([standing[:-1], standing[:-1], standing])
+    found = np.ones(standing.shape)
+    for foot in np.flatnonzero(standing.any(axis=0)):
+        _, _, since, until, lasts = _swings(time, standing[:, foot])
+        share = np.minimum(2 * np.minimum(since, until) / lasts, 1.0)
+        found[:, foot] = share**3 * (10 - 15 * share + 6 * share**2)
+    return found if motion.advance_m is None else found[n : 2 * n + 1]

@@ -1,0 +1,27 @@
+"""The reference method: the published problem of 21 unknowns, solved one frame after the other.
+
+C. van der Leek, "Kinematic Modeling and Dynamic Aspects of an Accelerating Quadruped", MSc(Eng), University of Cape
+Town, 2022. The chain and its states as published stand in `recon.animal.chain`; objectives: the terms f1 to f5 and the
+priors that they need besides, one small class each; starts: where the first frame starts; frame: the solver; clip: what
+`recon frame` runs; solver: what the optimiser did, which `recon solver` shows.
+"""
+
+from typing import TYPE_CHECKING
+
+from recon.base import lazily
+
+if TYPE_CHECKING:
+    from recon.wings.thesis.clip import fit_clip, load_body
+    from recon.wings.thesis.frame import (
+        FrameOptions,
+        FrameProblem,
+        FrameSolution,
+        FrameSolver,
+        base_length,
+        frame_objectives,
+        solve_frames,
+    )
+    from recon.wings.thesis.solver import SolverRecord, read_solver
+    from recon.wings.thesis.starts import mean_pose
+
+__getattr__ = lazily(__name__, __file__)
