@@ -19,7 +19,7 @@ import numpy as np
 from markdown_table import print_header, print_row
 from trajectory import FPS, SIMULATED_CAMERA, body_of, circling
 
-from recon.clip.keypoints import Keypoints
+from recon.clip import Keypoints
 from recon.io.deeplabcut import write_csv
 
 

@@ -21,7 +21,7 @@ import numpy as np
 
 from recon.animal.chain import Chain, Side, euler_angles, load_chain
 from recon.base.arrays import Array, Bools
-from recon.clip.keypoints import Keypoints
+from recon.clip import Keypoints
 from recon.geometry.camera import Camera
 from recon.geometry.frames import euler_rotation
 

@@ -23,7 +23,7 @@ from markdown_table import print_header, print_row
 from trajectory import FPS, SIMULATED_CAMERA, body_of, circling
 
 import recon
-from recon.clip.keypoints import Keypoints
+from recon.clip import Keypoints
 from recon.io.deeplabcut import write_csv
 
 CASES = ("1000x1", "4000x1", "16000x1", "4000x6", "216000/120")

@@ -41,8 +41,7 @@ from recon.animal.skeleton_file import builtin_subjects
 from recon.check import Finding, input_findings, likelihood, mends
 from recon.check.likelihood import baseline_of
 from recon.check.swaps import _Stretch, swaps
-from recon.clip import Source, views_of
-from recon.clip.keypoints import Keypoints, clean
+from recon.clip import Keypoints, Source, clean, views_of
 from recon.fit import TrajectoryOptions, TrajectorySolution, solve_trajectory
 from recon.fit.clip_problem import ClipProblem
 from recon.gait.evaluation import centre, joint_errors

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from recon.clip.keypoints import Keypoints
+from recon.clip import Keypoints
 from recon.gait.evaluation import Evaluation, evaluate_files
 from recon.io import read_keypoints
 from recon.io.deeplabcut import write_csv

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from recon.clip.keypoints import Keypoints
+from recon.clip import Keypoints
 from recon.io import read_keypoints
 from recon.io.video import video_writer
 from recon.wings.keypoint_net.evaluate2d import evaluate_2d

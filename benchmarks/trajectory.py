@@ -37,8 +37,7 @@ from recon.animal.body import other_side
 from recon.animal.chain import load_chain
 from recon.animal.prior import MotionPrior, load_prior
 from recon.animal.prior_fit import as_one_gaussian
-from recon.clip import View, still_view
-from recon.clip.keypoints import clean
+from recon.clip import View, clean, still_view
 from recon.fit import TrajectoryOptions, TrajectorySolution, constants, solve_trajectory
 from recon.fit.points import solve_points
 from recon.fit.posterior import radius, sigmas

@@ -38,7 +38,7 @@ from shares import share_inside
 from recon import Camera, FitSettings, InputError, Motion, fit_clip, read_camera, read_keypoints, read_pose3d
 from recon.animal.body import other_side
 from recon.base.documents import builtin_file
-from recon.clip.keypoints import Keypoints
+from recon.clip import Keypoints
 from recon.io import write_cameras
 from recon.io.deeplabcut import write_csv
 

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from recon.animal.body import Body
     from recon.animal.skeleton_file import load_skeleton
     from recon.base.errors import InputError
-    from recon.clip.keypoints import Keypoints, clean
+    from recon.clip import Keypoints, clean
     from recon.fit.motion import Motion
     from recon.gait.clip import ClipAnalysis, analyse
     from recon.gait.evaluation import Evaluation, evaluate, evaluate_files

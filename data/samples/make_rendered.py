@@ -11,7 +11,7 @@ import numpy as np
 from draw_film import render_frames
 from make_samples import SyntheticClip, seen_by, whole_animal, write_keypoints, write_truth
 
-from recon.clip.keypoints import Keypoints
+from recon.clip import Keypoints
 from recon.geometry.camera import Camera
 from recon.io import write_camera
 from recon.io.video import Image, video_writer

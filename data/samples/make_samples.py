@@ -11,7 +11,7 @@ import numpy as np
 
 import recon.animal
 from recon.animal.skeleton_file import load_skeleton
-from recon.clip.keypoints import Keypoints
+from recon.clip import Keypoints
 from recon.fit import solve_points
 from recon.geometry.camera import Camera
 from recon.io import write_camera

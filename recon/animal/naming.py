@@ -18,7 +18,7 @@ from recon.animal.chain import builtin_chains
 from recon.animal.skeleton_file import builtin_names, load_skeleton
 from recon.base import documents
 from recon.base.errors import InputError, Problem, refuse
-from recon.clip.keypoints import Keypoints
+from recon.clip import Keypoints
 
 HEADER = ("file", "skeleton")
 """May be the first row of a map."""

@@ -21,8 +21,7 @@ from recon.base.arrays import Array, Bools
 from recon.check.codes import FLAG_OF, finding
 from recon.check.likelihood import CLEAR, baseline_of, log_tail, of_other_picture, of_unit_square, other_rate, zooms
 from recon.check.swaps import swap_finding, swaps
-from recon.clip import Source, View
-from recon.clip.keypoints import Keypoints, frame_ranges, leave_out
+from recon.clip import Keypoints, Source, View, frame_ranges, leave_out
 from recon.fit import TrajectoryOptions, TrajectorySolution
 from recon.fit.clip_problem import ClipProblem
 from recon.fit.motion import Motion

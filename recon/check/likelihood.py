@@ -19,8 +19,7 @@ import numpy as np
 from recon.animal.prior import ANGLES, NONE
 from recon.base.arrays import Array, Bools, Integers
 from recon.check.codes import finding
-from recon.clip import View
-from recon.clip.keypoints import frame_ranges
+from recon.clip import View, frame_ranges
 from recon.fit import solve_trajectory
 from recon.fit.clip_problem import ClipProblem, above_ground, contacts
 from recon.fit.least_squares import Estimate, LeastSquares

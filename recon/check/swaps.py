@@ -19,8 +19,7 @@ from recon.base.arrays import Array, Bools, Index
 from recon.check import likelihood
 from recon.check.codes import finding
 from recon.check.likelihood import Baseline, Refit
-from recon.clip import Source, View
-from recon.clip.keypoints import Keypoints
+from recon.clip import Keypoints, Source, View
 from recon.fit import TrajectorySolution
 from recon.fit.result import Finding
 

@@ -13,8 +13,7 @@ import numpy as np
 
 from recon.animal.body import Body, Side, Skeleton
 from recon.base.arrays import Array, Bools, Integers, median
-from recon.clip import Source, world_from_reference
-from recon.clip.keypoints import CleaningReport, Keypoints
+from recon.clip import CleaningReport, Keypoints, Source, world_from_reference
 from recon.fit.result import OUTLIER_SIGMAS, Finding, MotionSegment, Solution, Verdict
 from recon.geometry.camera import Camera
 from recon.geometry.frames import inverse, moved

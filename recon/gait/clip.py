@@ -22,7 +22,7 @@ import numpy as np
 
 from recon.base.arrays import Array, Bools
 from recon.base.errors import InputError, Problem, decimals
-from recon.clip.keypoints import frame_ranges
+from recon.clip import frame_ranges
 from recon.fit.motion import MEASURED_SHARE, Motion
 from recon.fit.posterior import radius
 from recon.fit.result import TrajectorySolution

@@ -28,7 +28,7 @@ import numpy as np
 from recon.animal.capsules import capsules, inertias_m2, middles_m
 from recon.base.arrays import Array
 from recon.check import finding
-from recon.clip.keypoints import frame_ranges
+from recon.clip import frame_ranges
 from recon.fit.motion import Motion
 from recon.fit.posterior import radius
 from recon.fit.result import Finding

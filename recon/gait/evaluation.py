@@ -20,7 +20,7 @@ from recon.animal import fitting_maps, load_names, new_names
 from recon.base.errors import InputError, Problem, all_of, refuse
 from recon.base.manifest import MANIFEST
 from recon.check import mismatches, sentence, usable
-from recon.clip.keypoints import frame_ranges
+from recon.clip import frame_ranges
 from recon.fit.motion import Motion
 from recon.fit.posterior import radius
 from recon.fit.result import Verdict

@@ -46,7 +46,7 @@ import numpy as np
 
 from recon.base.arrays import Array, Bools, mean, median
 from recon.base.errors import length_text
-from recon.clip.keypoints import frame_ranges
+from recon.clip import frame_ranges
 from recon.fit.posterior import radius
 from recon.gait import kinematics
 from recon.gait.kinematics import MIN_POINTS, Errors, Series

@@ -25,7 +25,7 @@ import numpy as np
 from recon.base.documents import MAX_UNPACKED
 from recon.base.errors import InputError, Problem, refuse
 from recon.base.files import write_bytes
-from recon.clip.keypoints import Keypoints
+from recon.clip import Keypoints
 from recon.io import common, writing
 from recon.io.common import Pose3D, StoredPoints
 from recon.io.units import frames_of_times

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from recon.base.errors import InputError, Problem, refuse
-from recon.clip.keypoints import Keypoints
+from recon.clip import Keypoints
 
 
 @dataclass(frozen=True, eq=False)

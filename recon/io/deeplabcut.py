@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from recon.base.errors import InputError, Problem, refuse
-from recon.clip.keypoints import Keypoints
+from recon.clip import Keypoints
 from recon.io import common
 from recon.io.common import SCORER, Pose3D, StoredPoints
 

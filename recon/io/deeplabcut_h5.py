@@ -18,7 +18,7 @@ import numpy as np
 
 from recon.base.errors import InputError, Problem
 from recon.base.files import write_bytes
-from recon.clip.keypoints import Keypoints
+from recon.clip import Keypoints
 from recon.io.common import Pose3D, StoredPoints, formats_extra, is_hdf5
 from recon.io.deeplabcut import HEADERS, header_problem, points_of_table
 from recon.io.hdf5 import attribute, child, groups, member, numbers, opened, raw_attribute, read_values

@@ -16,7 +16,7 @@ import numpy as np
 
 from recon.base.documents import read_head
 from recon.base.errors import InputError, Problem
-from recon.clip.keypoints import Keypoints
+from recon.clip import Keypoints
 from recon.io.common import NoChoiceError, StoredPoints, damage_named, with_likelihoods
 
 Kind = Literal["2D", "3D", "bones", "cameras", "robot"]

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from recon.base.errors import InputError, Problem
-from recon.clip.keypoints import Keypoints
+from recon.clip import Keypoints
 from recon.io.columns import ROLES, gathered
 from recon.io.common import StoredPoints, damage_named
 from recon.io.deeplabcut import points_of_table

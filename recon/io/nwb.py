@@ -18,7 +18,7 @@ import numpy as np
 
 from recon.base.errors import InputError, Problem, refuse
 from recon.base.files import write_bytes
-from recon.clip.keypoints import Keypoints
+from recon.clip import Keypoints
 from recon.io import common, units, writing
 from recon.io.common import Pose3D, StoredPoints
 from recon.io.hdf5 import attribute, child, groups, names, numbers, opened, outline, texts

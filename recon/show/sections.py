@@ -22,7 +22,7 @@ from recon.animal.prior import NONE as NO_PRIOR
 from recon.animal.skeleton_file import NONE, OWN, of_scorer
 from recon.base.arrays import Array, finite, mean, median
 from recon.base.errors import decimals, length_text
-from recon.clip.keypoints import COUNTS
+from recon.clip import COUNTS
 from recon.fit import TrajectorySolution
 from recon.fit.motion import MEASURED_SHARE, Motion, Picture
 from recon.fit.result import MotionSegment

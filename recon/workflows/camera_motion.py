@@ -20,7 +20,7 @@ from recon.base.settings import Integer, Number, Option, Settings
 from recon.calibrate import camera_motion as turning
 from recon.calibrate.camera_motion.panorama import panorama, thumbnail
 from recon.calibrate.camera_motion.track import CLEARLY
-from recon.clip.keypoints import Keypoints
+from recon.clip import Keypoints
 from recon.geometry.camera import Camera
 from recon.io import read_camera, read_keypoints, write_table
 from recon.io.camera_track import INTRINSICS, POSE, SIGMA

@@ -20,8 +20,20 @@ from recon.animal.skeleton_file import load_skeleton, seen_by
 from recon.base import Progress, silent
 from recon.base.arrays import Array, Bools
 from recon.base.errors import InputError, Problem, all_of, refuse
-from recon.clip import FramePoses, Source, View, at_rate, held, together, views_of
-from recon.clip.keypoints import CleaningReport, Keypoints, clean, leave_out, parse_frame_range
+from recon.clip import (
+    CleaningReport,
+    FramePoses,
+    Keypoints,
+    Source,
+    View,
+    at_rate,
+    clean,
+    held,
+    leave_out,
+    parse_frame_range,
+    together,
+    views_of,
+)
 from recon.fit import TrajectorySolution, solve_trajectory
 from recon.fit.motion import Motion
 from recon.geometry.camera import Camera

@@ -14,7 +14,7 @@ from recon.base.errors import InputError, Problem, all_of
 from recon.base.files import require_free_file, staged_file
 from recon.base.settings import Option, Positive, Settings
 from recon.check import usable, verdict_lines
-from recon.clip.keypoints import Keypoints, mark_missing
+from recon.clip import Keypoints, mark_missing
 from recon.fit.motion import Motion
 from recon.io import CONVERTED, Format, Pose3D, as_keypoints, in_metres, read_points
 from recon.io.columns import parse_map

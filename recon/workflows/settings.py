@@ -24,7 +24,7 @@ from recon.base.settings import (
     Positive,
     Settings,
 )
-from recon.clip.keypoints import parse_frame_range
+from recon.clip import parse_frame_range
 
 if TYPE_CHECKING:
     from recon.fit import TrajectoryOptions

@@ -33,8 +33,7 @@ from recon.base.errors import InputError, Problem, all_of, length_text
 from recon.base.files import require_free_file, require_free_folder, staged_file
 from recon.base.settings import File, OneOrMore, Option, Positive, Settings
 from recon.check.agreement import points_m
-from recon.clip import Source, together, views_of
-from recon.clip.keypoints import clean
+from recon.clip import Source, clean, together, views_of
 from recon.geometry.kinematics import ANGLE_OF_AXIS, AXES
 from recon.io import read_keypoints
 from recon.io.deeplabcut_project import bodyparts, find_project

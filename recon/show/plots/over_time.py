@@ -18,7 +18,7 @@ from matplotlib.ticker import MaxNLocator
 from recon.animal import both_sides, side_of
 from recon.base.arrays import Array, Bools
 from recon.base.errors import length_text
-from recon.clip.keypoints import frame_ranges
+from recon.clip import frame_ranges
 from recon.gait.dynamics import Dynamics
 from recon.gait.gait import Gait, Stance
 from recon.gait.kinematics import JointKinematics

@@ -15,7 +15,7 @@ from recon.animal import load_names, map_to_write, renamed
 from recon.base.arrays import Array, Bools
 from recon.base.errors import Problem, all_of, refuse
 from recon.base.settings import Integer, Number, Option, Positive, Settings
-from recon.clip.keypoints import Keypoints, mark_missing, parse_frame_range
+from recon.clip import Keypoints, mark_missing, parse_frame_range
 from recon.io import read_keypoints
 from recon.wings.keypoint_net.labels import body_length_px, known_points, read_label_file, sides
 from recon.workflows.cli.common import Answer, table_of

@@ -21,7 +21,7 @@ from recon.base.arrays import Array
 from recon.base.errors import InputError, Problem, all_of
 from recon.base.files import require_free_file, sole_writer, staged_file, staged_folder
 from recon.base.settings import Count, Integer, Option, Settings
-from recon.clip.keypoints import Keypoints
+from recon.clip import Keypoints
 from recon.io import FORMATS
 from recon.io.video import Image, VideoInfo, missing_note, probe, require_codec, timed_frames, video_writer
 from recon.show.overlay import draw_circle

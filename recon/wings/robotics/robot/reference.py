@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 
 from recon.base.arrays import Array, Bools, Index
 from recon.base.errors import InputError, Problem
-from recon.clip.keypoints import frame_ranges
+from recon.clip import frame_ranges
 from recon.fit.motion import Motion
 from recon.gait.clip import ClipAnalysis, analyse
 from recon.gait.gait import Gait

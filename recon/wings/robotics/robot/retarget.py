@@ -30,7 +30,7 @@ from scipy.interpolate import CubicHermiteSpline, CubicSpline
 from scipy.spatial.transform import RigidTransform
 
 from recon.base.arrays import Array, Bools
-from recon.clip.keypoints import frame_ranges
+from recon.clip import frame_ranges
 from recon.wings.robotics.robot.quadruped import LEGS, Quadruped, RobotLeg, body_pose, feet_in_world, leg_targets
 from recon.wings.robotics.robot.reference import Animal, Reference, StrideWindow, closed_stride, stride_window
 
