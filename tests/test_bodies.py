@@ -32,8 +32,9 @@ from recon.clip import View, camera_poses
 from recon.fit import TrajectoryOptions, solve_trajectory
 from recon.gait import LEVELS
 from recon.geometry import rigid
-from recon.io import trc, write_csv
+from recon.io import write_csv
 from recon.io.json_poses import LISTS
+from recon.io.markers import write_trc
 from recon.workflows import draft_skeleton, prepare, run_clip
 from recon.workflows.skeleton import _SkeletonDraftSettings, drafted, run_skeleton_draft
 
@@ -57,7 +58,7 @@ def no_playback(monkeypatch):
 def fitted(folder: Path, settings: FitSettings, truth) -> tuple[Motion, dict[str, float]]:
     """And millimetres off,with the shares of coordinates within the intervals of 90 %."""
     run_clip(settings, folder / "out")
-    trc.write(truth, folder / "truth.trc")
+    write_trc(truth, folder / "truth.trc")
     found = evaluate_files(folder / "out", folder / "truth.trc")
     at = LEVELS.index(0.9)
     shares = {what: found.inside[what][at] for what in ("place", "pose")}

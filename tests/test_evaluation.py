@@ -16,7 +16,8 @@ from scipy.spatial.transform import Rotation
 from recon import evaluate, evaluate_files
 from recon.check import mismatches, sentence
 from recon.gait.evaluation import align_scale, align_similarity, centre, joint_errors
-from recon.io import Pose3D, read_pose3d, trc, write_csv
+from recon.io import Pose3D, read_pose3d, write_csv
+from recon.io.markers import write_trc
 
 NAN = float("nan")
 SAMPLES = Path(__file__).parents[1] / "data" / "samples"
@@ -250,8 +251,8 @@ def test_a_reference_that_counts_from_1_and_says_neither_unit_nor_up(tmp_path):
     """As TRC files and plain tables of other programs do."""
     pose = read_pose3d(SAMPLES / "whole_truth.csv")
     pose = replace(pose, frames=pose.frames - pose.frames[0], fps=60.0)
-    trc.write(pose, tmp_path / "pose.trc")
-    trc.write(replace(pose, frames=pose.frames + 1), tmp_path / "truth.trc")
+    write_trc(pose, tmp_path / "pose.trc")
+    write_trc(replace(pose, frames=pose.frames + 1), tmp_path / "truth.trc")
     (note,) = [n for n in evaluate_files(tmp_path / "pose.trc", tmp_path / "truth.trc").notes if "counts" in n]
     assert says(note, "reference counts", "from 1", "from 0", "0.0 mm")
     alike = evaluate_files(tmp_path / "pose.trc", tmp_path / "pose.trc").notes

@@ -29,8 +29,9 @@ from recon import InputError
 from recon.animal import load_names, load_prior, load_skeleton
 from recon.calibrate import read_marks
 from recon.clip import Keypoints
-from recon.io import deeplabcut_h5, movement, nwb, read_camera_track, read_keypoints, read_pose3d
+from recon.io import deeplabcut_h5, read_camera_track, read_keypoints, read_pose3d
 from recon.io.deeplabcut_h5 import plain_pickle
+from recon.io.hdf5_poses import write_movement, write_nwb
 from recon.wings.keypoint_net import read_label_file
 from recon.workflows import app, main
 
@@ -73,7 +74,7 @@ def object_cells(path: Path, marker: Path) -> None:
 
 
 def in_netcdf(path: Path, marker: Path) -> None:
-    movement.write(CLIP, path)
+    write_movement(CLIP, path)
     with h5py.File(path, "a") as file:
         for holder in (file, file["position"]):
             holder.attrs["CLASS"] = harm(marker)
@@ -81,7 +82,7 @@ def in_netcdf(path: Path, marker: Path) -> None:
 
 
 def in_nwb(path: Path, marker: Path) -> None:
-    nwb.write(CLIP, path)
+    write_nwb(CLIP, path)
     with h5py.File(path, "a") as file:
         for holder in (file, file["processing"]):
             holder.attrs["CLASS"] = harm(marker)
@@ -279,7 +280,7 @@ def many_names(folder: Path) -> dict[str, Path]:
     }
     for name, text in content.items():
         (folder / name).write_text(text)
-    nwb.write(Keypoints(("nose",), np.zeros((50, 1, 2)), np.ones((50, 1)), np.arange(50), fps=50.0), folder / "a.nwb")
+    write_nwb(Keypoints(("nose",), np.zeros((50, 1, 2)), np.ones((50, 1)), np.arange(50), fps=50.0), folder / "a.nwb")
     with h5py.File(folder / "a.nwb", "a") as file:
         poses: Any = file["processing/behavior/PoseEstimation"]
         for name in names:
@@ -327,7 +328,7 @@ def test_a_cell_that_is_too_long(read, tmp_path):
 
 def test_heap_without_an_end(tmp_path):
     """The library would look for the next object for ever."""
-    movement.write(CLIP, tmp_path / "a.nc")
+    write_movement(CLIP, tmp_path / "a.nc")
     content = bytearray((tmp_path / "a.nc").read_bytes())
     heap = content.index(b"GCOL")
     content[heap + 24 : heap + 32] = (2**64 - 16).to_bytes(8, "little")  # the first object's size

@@ -13,7 +13,7 @@ from command_line import refusal
 
 import recon
 from recon.fit import Motion
-from recon.io.movement import dataset_of
+from recon.io.hdf5_poses import dataset_of
 
 SAMPLES = Path(__file__).resolve().parents[1] / "data" / "samples"
 

@@ -103,9 +103,9 @@ def table_of(motion: Any, wide: bool) -> pd.DataFrame:
 
 def dataset_of(motion: Any) -> Any:
     """The data set that `Motion.to_xarray` gives."""
-    from recon.io import movement
+    from recon.io import hdf5_poses
 
-    made = movement.dataset_of(motion.upright)
+    made = hdf5_poses.dataset_of(motion.upright)
     made["position_sigma"] = (made["position"].dims, motion.upright_sigma_m.transpose(0, 2, 1)[..., None])
     verdict = motion.verdict
     said = {} if verdict is None else {"verdict": verdict.level, "verdict_reason": verdict.reason}

@@ -30,8 +30,9 @@ from recon.base.arrays import Array
 from recon.base.documents import read_text
 from recon.base.errors import Problem, refuse
 from recon.base.package import version
-from recon.io import common, trc, writing
+from recon.io import common, writing
 from recon.io.common import Pose3D, StoredPoints
+from recon.io.markers import write_trc
 
 AXIS: dict[str, tuple[int, int, int]] = {"yaw": (0, 1, 0), "pitch": (0, 0, -1), "roll": (1, 0, 0)}
 """What each kind of angle turns about."""
@@ -284,7 +285,7 @@ def write_opensim(rig: Armature, path: Path) -> None:
     text = '<?xml version="1.0" encoding="UTF-8"?>\n' + tostring(document, encoding="unicode") + "\n"
     path.write_text(text, encoding="utf-8", newline="")
     _write_motion(rig, path.with_suffix(".mot"))
-    trc.write(rig.pose, path.with_suffix(".trc"))
+    write_trc(rig.pose, path.with_suffix(".trc"))
 
 
 def _join(joints: Element, rig: Armature, bone: Bone) -> None:

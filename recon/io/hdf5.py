@@ -230,6 +230,12 @@ def texts(dataset: Any) -> list[str]:
     return found
 
 
+def texts_in(group: h5py.Group, name: str) -> list[str]:
+    """Those of a dataset in a group; none where it is not there, or has none."""
+    dataset = child(group, name)
+    return texts(dataset) if getattr(dataset, "size", 0) else []
+
+
 def read_values(dataset: Any) -> np.ndarray:
     """A dataset of numbers, of texts of one length, or of records of those. Raises ValueError as `numbers` does."""
     _require_readable(dataset)

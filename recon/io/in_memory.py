@@ -14,7 +14,7 @@ from recon.io.columns import ROLES, gathered
 from recon.io.common import StoredPoints, damage_named
 from recon.io.deeplabcut import points_of_table
 from recon.io.formats import as_keypoints
-from recon.io.movement import points_of_dataset
+from recon.io.hdf5_poses import points_of_dataset
 
 if TYPE_CHECKING:
     import pandas as pd

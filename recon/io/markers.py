@@ -1,9 +1,12 @@
-"""C3D files of marker positions: the unit and the screen's axes in the header; a missing point has residual -1.
+"""TRC and C3D: positions of markers, as motion capture has them.
 
-C3D counts frames from 1: its frame 1 is frame 0 here. Our own files list their frame numbers, which may have gaps, in
-which all points are missing. The format (c3d.org, user guide): blocks of 512 bytes; a header, a section of parameters
-in groups, and for each frame four numbers of every point, x, y, z and a word with the residual, followed by the analog
-samples. Numbers are those of Intel's or MIPS' processors; DEC's floats are not read. (ezc3d dies of damaged files.)
+TRC is text, separated by tabs or commas, the unit in the header, y up by custom.
+
+C3D (c3d.org, user guide): blocks of 512 bytes; a header, a section of parameters in groups, and for each frame four
+numbers of every point, x, y, z and a word with the residual, -1 of a missing point, followed by the analog samples. The
+unit and the screen's axes are in the header. Numbers are those of Intel's or MIPS' processors; DEC's floats are not
+read. C3D counts frames from 1: its frame 1 is frame 0 here. Our own files list their frame numbers, which may have
+gaps, in which all points are missing. (ezc3d dies of damaged files.)
 """
 
 from __future__ import annotations
@@ -16,11 +19,81 @@ from typing import Any
 
 import numpy as np
 
-from recon.base.errors import InputError, Problem
-from recon.io import common, units, writing
+from recon.base.documents import read_text
+from recon.base.errors import InputError, Problem, refuse
+from recon.io import common, writing
 from recon.io.common import Pose3D, StoredPoints
+from recon.io.units import PER_METRE, UNIT_NAMES
 
-TITLE = "C3D"
+# -- TRC --------------------------------------------------------------------------------------------------------------
+
+UP_TEXT = "y up: x forwards, y up, z right"
+"""At the end of the first line of our own files."""
+HEADER_LINES = 5
+
+
+def recognises_trc(path: Path) -> bool:
+    return common.starts_with_text(path, b"PathFileType")
+
+
+def read_trc(path: Path, individual: str | None = None) -> StoredPoints:
+    """Raises InputError for a header or cells that cannot be used."""
+    lines = read_text(path, "a TRC file").splitlines()
+    separator = "\t" if "\t" in lines[0] else ","
+    cells = [[cell.strip() for cell in line.split(separator)] for line in lines]
+    header = dict(zip(cells[1], cells[2], strict=False))
+    names = [name for name in cells[3][2:] if name]
+    columns = ["Frame#", "Time", *(f"{name} {axis}" for name in names for axis in "XYZ")]
+    rows = (
+        (line, row if any(row[len(columns) :]) else row[: len(columns)])
+        for line, row in enumerate(cells[HEADER_LINES:], start=HEADER_LINES + 1)
+        if any(row)
+    )
+    _, values, problems = common.number_rows(path, rows, columns)
+    refuse(common.first_problems(problems, path))
+    notes = ()
+    if header.get("NumFrames") != str(len(values)):
+        notes = (f"The header announces {header.get('NumFrames', 'no number of')} frames, the file has {len(values)}.",)
+    unit = header.get("Units") or None
+    more: dict[str, Any] = {"unit": UNIT_NAMES.get(str(unit), unit), "up": "y" if UP_TEXT in cells[0] else None}
+    xyz = values[:, 2:].reshape(len(values), len(names), 3)
+    fps = common.rate(header.get("DataRate"))
+    return common.points_of_arrays(path, individual, xyz, values[:, 0], names, fps=fps, notes=notes, **more)
+
+
+def write_trc(pose: Pose3D, path: Path) -> None:
+    """Metres, y up (x forwards, y up, z right), as OpenSim takes it; gaps are empty cells.
+
+    Raises InputError without a frame rate, or for names with tabs or line breaks.
+    """
+    fps = writing.required_fps(pose.fps, "TRC")
+    writing.require_names(pose.names, r"[\t\r\n]|^\s|\s$", "TRC")
+    header = {
+        "DataRate": repr(fps),
+        "CameraRate": repr(fps),
+        "NumFrames": len(pose.frames),
+        "NumMarkers": len(pose.names),
+        "Units": "m",
+        "OrigDataRate": repr(fps),
+        "OrigDataStartFrame": pose.frames[0],
+        "OrigNumFrames": len(pose.frames),
+    }
+    lines = [
+        ["PathFileType", "4", "(X/Y/Z)", path.name, UP_TEXT],
+        list(header),
+        list(header.values()),
+        ["Frame#", "Time", *(cell for name in pose.names for cell in (name, "", ""))],
+        ["", "", *(f"{axis}{j + 1}" for j in range(len(pose.names)) for axis in "XYZ")],
+    ]
+    values = writing.y_up_from_z_up(pose.xyz_m).reshape(len(pose.frames), -1)
+    for frame, row in zip(pose.frames.tolist(), values.tolist(), strict=True):
+        lines.append([frame, repr(frame / fps), *("" if v != v else repr(v) for v in row)])
+    text = "".join("\t".join(map(str, line)) + "\n" for line in lines)
+    path.write_text(text, encoding="utf-8", newline="")
+
+
+# -- C3D --------------------------------------------------------------------------------------------------------------
+
 UNIT = "mm"
 """The unit that our own files are written in."""
 OWN_GROUP = "RECON"
@@ -34,7 +107,7 @@ Parameters = dict[str, dict[str, Any]]
 """By group and name: lists of texts, or arrays of numbers."""
 
 
-def recognises(path: Path) -> bool:
+def recognises_c3d(path: Path) -> bool:
     """By the key of the header and the kind of processor of the parameters."""
     with path.open("rb") as file:
         head = file.read(2)
@@ -44,7 +117,7 @@ def recognises(path: Path) -> bool:
         return file.read(1) in {bytes([p]) for p in (INTEL, MIPS)}
 
 
-def read(path: Path, individual: str | None = None) -> StoredPoints:
+def read_c3d(path: Path, individual: str | None = None) -> StoredPoints:
     """Raises InputError for a damaged file."""
     parameters, xyz, first = _content(path.read_bytes())
     point = parameters.get("POINT", {})
@@ -57,12 +130,7 @@ def read(path: Path, individual: str | None = None) -> StoredPoints:
         frames, xyz = listed, xyz[listed - listed[0]]
     unit, screen = ("".join(point.get(name, ())[:1]) for name in ("UNITS", "Y_SCREEN"))
     up = {"+Z": "z", "Z": "z", "+Y": "y", "Y": "y"}.get(screen.upper())
-    return common.points_of_arrays(
-        path, individual, xyz, frames, names, fps=fps, unit=units.UNIT_NAMES.get(unit), up=up
-    )
-
-
-# -- the file -----------------------------------------------------------------------------------------------------
+    return common.points_of_arrays(path, individual, xyz, frames, names, fps=fps, unit=UNIT_NAMES.get(unit), up=up)
 
 
 def _content(content: bytes) -> tuple[Parameters, np.ndarray, int]:
@@ -143,21 +211,18 @@ def _text(data: bytes) -> str:
         return data.decode("latin-1").strip(" \0")
 
 
-# -- writing ---------------------------------------------------------------------------------------------------------
-
-
-def write(pose: Pose3D, path: Path) -> None:
+def write_c3d(pose: Pose3D, path: Path) -> None:
     """Millimetres, z up. Raises InputError without a frame rate, and for names, numbers of frames or gaps that C3D
     cannot hold."""
-    fps = writing.required_fps(pose.fps, TITLE)
-    writing.require_names(pose.names, r"^\s|\s$|\x00", TITLE, bytes_max=TEXT_MAX)
-    with common.formats_extra(TITLE):
+    fps = writing.required_fps(pose.fps, "C3D")
+    writing.require_names(pose.names, r"^\s|\s$|\x00", "C3D", bytes_max=TEXT_MAX)
+    with common.formats_extra("C3D"):
         import ezc3d
-    xyz = writing.without_gaps(pose.frames, pose.xyz_m * units.PER_METRE[UNIT], TITLE)
+    xyz = writing.without_gaps(pose.frames, pose.xyz_m * PER_METRE[UNIT], "C3D")
     ranges = writing.frames_text(pose.frames)
     for what, count, most in (("frames", len(xyz), WORD_MAX), ("gaps", len(ranges) - 1, TEXT_MAX - 1)):
         if count > most:
-            raise InputError(Problem(TITLE, what, str(count), f"at most {most}"))
+            raise InputError(Problem("C3D", what, str(count), f"at most {most}"))
     points = np.ones((4, len(pose.names), len(xyz)))
     points[:3] = np.nan_to_num(xyz, nan=0.0).transpose(2, 1, 0)
     missing = np.any(np.isnan(xyz), axis=2)
@@ -174,6 +239,6 @@ def write(pose: Pose3D, path: Path) -> None:
     file.add_parameter(OWN_GROUP, "FRAMES", ranges)
     file.write(str(path))
     with suppress(InputError, *common.DAMAGE):  # the library does not say when a disk is full
-        if np.array_equal(read(path).values, xyz[pose.frames - first].astype(np.float32), equal_nan=True):
+        if np.array_equal(read_c3d(path).values, xyz[pose.frames - first].astype(np.float32), equal_nan=True):
             return
     raise OSError(errno.ENOSPC, "the file could not be written: is the disk full?", str(path))

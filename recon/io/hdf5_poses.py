@@ -1,0 +1,397 @@
+"""Poses in HDF5 files of other programs: SLEAP, sleap-anipose, movement, and NWB with the extension ndx-pose.
+
+- SLEAP's analysis: `tracks`, `point_scores`, `track_occupancy`, `node_names`, `track_names`. The order of the axes is
+  in the attribute `dims` of each dataset; files without it have SLEAP's first order. The frame axis counts from frame 0
+  of the video. Frames in which a track is not occupied are left out.
+- sleap-anipose's points3d.h5: `tracks` (frame, track, node, xyz), and perhaps `frames`, the first and the end. Files of
+  others have names beside them, and the rate as `recording_frame_rate`.
+- movement's netCDF 4: `position (time, space, keypoint, individual)` and `confidence`. Dimensions are called
+  `keypoints` and `individuals` in files of movement before 0.17. `space` is x, y in pixels, or x, y, z in a unit that
+  only our own files state (`length_unit`, `up_axis`). They have the names of movement 0.17, and times in seconds since
+  frame 0 where the frame rate is known, and otherwise in frames.
+- NWB: one `PoseEstimationSeries` for each point, in one container for each animal. They are read by the types that the
+  groups say they have, so that files of every version of the extension are taken alike. Ours are given 1970-01-01 as
+  the start of their session, which NWB asks for and nobody knows here.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+from uuid import uuid4
+
+import h5py
+import numpy as np
+
+from recon.base.errors import InputError, Problem, refuse
+from recon.base.files import write_bytes
+from recon.clip import Keypoints
+from recon.io import common, hdf5, writing
+from recon.io.common import Pose3D, StoredPoints
+from recon.io.hdf5 import attribute, child, names, numbers, opened, outline, texts, texts_in
+from recon.io.units import UNIT_NAMES, frames_of_times
+
+# -- SLEAP ------------------------------------------------------------------------------------------------------------
+
+SLEAP_AXES = {
+    "tracks": ("track", "xy", "node", "frame"),
+    "point_scores": ("track", "node", "frame"),
+    "track_occupancy": ("frame", "track"),
+}
+"""The orders of axes in files without `dims`."""
+WANTED = ("frame", "track", "node", "xy")
+
+
+def recognises_sleap(path: Path) -> bool:
+    return {"tracks", "node_names"} <= outline(path)
+
+
+def read_sleap(path: Path, individual: str | None = None) -> StoredPoints:
+    """The keypoints of one track: a file without scores has unknown ones, without occupancy every track in every frame.
+    Raises InputError for a file that is damaged or whose arrays do not fit."""
+    with opened(path) as file:
+        there = [name for name in SLEAP_AXES if child(file, name) is not None]
+        arrays = {name: _sleap_array(path, child(file, name), name) for name in there}
+        nodes, tracks = texts_in(file, "node_names"), texts_in(file, "track_names")
+    xy = arrays["tracks"]
+    score = arrays.get("point_scores", np.full(xy.shape[:3], np.nan))
+    occupied = arrays.get("track_occupancy")
+    return common.points_of_arrays(path, individual, xy, np.arange(len(xy)), nodes, tracks, score, occupied)
+
+
+def _sleap_array(path: Path, dataset: Any, name: str) -> np.ndarray:
+    """One array with its axes in the order of `WANTED`."""
+    dims = attribute(dataset, "dims")
+    order = SLEAP_AXES[name] if dims is None else tuple(str(axis) for axis in json.loads(dims))
+    if dims is None and name == "tracks" and attribute(dataset.file, "transpose") in (False, 0):
+        order = ("frame", "node", "xy", "track")
+    wanted = [axis for axis in WANTED if axis in SLEAP_AXES[name]]
+    values = numbers(dataset)
+    if sorted(order) != sorted(wanted) or values.ndim != len(wanted):
+        found = f"{values.dtype} {values.shape} with the axes {', '.join(order)[:80]}"
+        expected = f"numbers with the axes {', '.join(SLEAP_AXES[name])}, or as dims says"
+        raise InputError(Problem(path, name, found, expected))
+    return values.transpose([order.index(axis) for axis in wanted])
+
+
+def recognises_points3d(path: Path) -> bool:
+    there = outline(path)
+    if "tracks" not in there or {"point_scores", "track_occupancy", "edge_inds", "instance_scores"} & there:
+        return False
+    with opened(path) as file:
+        shape = getattr(child(file, "tracks"), "shape", ())
+        return len(shape) == 4 and shape[-1] == 3
+
+
+def read_points3d(path: Path, individual: str | None = None) -> StoredPoints:
+    """The 3D points of one track. Raises InputError."""
+    with opened(path) as file:
+        values, nodes, tracks = (
+            numbers(child(file, "tracks")),
+            texts_in(file, "node_names"),
+            texts_in(file, "track_names"),
+        )
+        first, fps = (
+            None if (dataset := child(file, name)) is None else float(numbers(dataset).ravel()[0])
+            for name in ("frames", "recording_frame_rate")
+        )
+    frames = (first or 0.0) + np.arange(len(values))
+    return common.points_of_arrays(path, individual, values, frames, nodes, tracks, fps=common.rate(fps))
+
+
+# -- movement ---------------------------------------------------------------------------------------------------------
+
+CLASSIC = b"CDF"
+VARIABLES = ("position", "confidence", "time", "space", "keypoint", "individual", "keypoints", "individuals")
+ATTRIBUTES = ("ds_type", "fps", "time_unit", "length_unit", "up_axis")
+PACKING = ("scale_factor", "add_offset", "missing_value")
+"""Attributes of variables that netCDF packs in another unit, which nobody does with poses."""
+NO_VARIABLE = "This is a netCDF dimension but not a netCDF variable"
+"""At the beginning of the attribute NAME of a dimension without labels."""
+POSITION = ("time", "individual", "keypoint", "space")
+Variables = Mapping[str, tuple[tuple[str, ...], np.ndarray]]
+"""By name, as files have it today: the names of an array's axes, and the array."""
+
+
+def recognises_movement(path: Path) -> bool:
+    """Whether the file is movement's, 2D or 3D."""
+    if common.starts_with(path, CLASSIC):
+        expected = "netCDF 4: in Python, xarray.load_dataset(old).to_netcdf(new, engine='h5netcdf')"
+        raise InputError(Problem(path, "format", "netCDF 3", expected))
+    return {"position", "space"} <= outline(path)
+
+
+def read_movement(path: Path, individual: str | None = None) -> StoredPoints:
+    """The points of one animal. Raises InputError."""
+    found = {}
+    with opened(path) as file:
+        scales = {name: item for name in names(file) if hdf5.is_scale(item := child(file, name))}
+        for name in VARIABLES:
+            dataset = child(file, name)
+            about = "" if dataset is None else str(attribute(dataset, "NAME") or "")
+            if not isinstance(dataset, h5py.Dataset) or about.startswith(NO_VARIABLE):
+                continue
+            if any(attribute(dataset, packing) is not None for packing in PACKING):
+                raise ValueError(f"{name} has packed numbers ({', '.join(PACKING)})")
+            is_text = hdf5.is_text(dataset)
+            values = np.array(texts(dataset), object).reshape(dataset.shape) if is_text else numbers(dataset)
+            found[name.removesuffix("s")] = _axes(dataset, name, scales), values
+        attributes = {name: attribute(file, name) for name in ATTRIBUTES}
+    plain = str | int | float | np.integer | np.floating
+    attributes = {name: value if isinstance(value, plain) else None for name, value in attributes.items()}
+    return _of_variables(path, found, attributes, individual)
+
+
+def points_of_dataset(source: Path, dataset: Any, fps: float | None, individual: str | None) -> StoredPoints:
+    """The same from an `xarray.Dataset`. fps: what it is to be taken for. Raises InputError."""
+    stored = {
+        name.removesuffix("s"): (
+            tuple(str(dim).removesuffix("s") for dim in dataset[name].dims),
+            dataset[name].to_numpy().copy(),
+        )
+        for name in VARIABLES
+        if name in dataset.variables
+    }
+    attributes = {name: dataset.attrs.get(name) for name in ATTRIBUTES}
+    return _of_variables(source, stored, attributes if fps is None else attributes | {"fps": fps}, individual)
+
+
+def _of_variables(path: Path, stored: Variables, attributes: Mapping[str, Any], individual: str | None) -> StoredPoints:
+    def ordered(name: str, dims: tuple[str, ...]) -> np.ndarray:
+        """A variable with its axes in this order; without any element where there is none."""
+        axes, values = stored.get(name, (dims, np.zeros([0] * len(dims))))
+        if sorted(axes) != sorted(dims):
+            found = f"{values.dtype} with the dimensions {', '.join(axes)}"
+            raise InputError(Problem(path, name, found, ", ".join(dims)))
+        return values.transpose([axes.index(dim) for dim in dims])
+
+    values, confidence = ordered("position", POSITION), ordered("confidence", POSITION[:-1])
+    space, keypoints, individuals = (
+        [str(text) for text in stored[dim][1].tolist()] if dim in stored else []
+        for dim in ("space", "keypoint", "individual")
+    )
+    kind, coords = attributes["ds_type"] or "poses", list("xyz"[: values.shape[-1]])
+    wrong = {
+        "ds_type": (str(kind), "poses: keypoints, not boxes", kind == "poses"),
+        "space": (", ".join(space)[:80], "x, y or x, y, z", (space or coords) == coords),
+    }
+    refuse(Problem(path, field, found, expected) for field, (found, expected, right) in wrong.items() if not right)
+    ticks, fps = stored["time"][1] if "time" in stored else np.arange(len(values)), common.rate(attributes["fps"])
+    # Without the attribute, whole numbers are frames.
+    in_frames = (attributes["time_unit"] or ("frames" if ticks.dtype.kind in "iu" else "seconds")) == "frames"
+    frames, rate = frames_of_times(path, ticks.astype(float), 1.0 if in_frames else fps)
+    return common.points_of_arrays(
+        path,
+        individual,
+        values,
+        frames,
+        keypoints,
+        individuals,
+        confidence if "confidence" in stored else None,
+        fps=fps if in_frames else rate,
+        unit=UNIT_NAMES.get(str(attributes["length_unit"])),
+        up=up if (up := str(attributes["up_axis"])) in ("x", "y", "z") else None,
+    )
+
+
+def _axes(dataset: Any, name: str, scales: Mapping[str, Any]) -> tuple[str, ...]:
+    """The names of a variable's dimensions, each of which is a dataset of the file: by their numbers, or by what each
+    says it belongs to. (HDF5's own functions for this crash with damaged files.)"""
+    if name in scales:
+        return (name.removesuffix("s"), *(f"{name}_{axis}" for axis in range(1, dataset.ndim)))
+    listed = attribute(dataset, "_Netcdf4Coordinates")
+    if listed is not None:
+        found = {attribute(scale, "_Netcdf4Dimid"): other for other, scale in scales.items()}
+        numbered = np.atleast_1d(listed).tolist()
+    else:
+        found = {axis: other for other, scale in scales.items() for axis in hdf5.scale_of(scale, dataset)}
+        numbered = range(dataset.ndim)
+    return tuple(found.get(number, "?").removesuffix("s") for number in numbered)
+
+
+def write_movement(data: Keypoints | Pose3D, path: Path) -> None:
+    """x, y in pixels, or x, y, z in metres with z up; of these the confidence, which the format asks for, is NaN."""
+    with common.formats_extra("movement netCDF"):
+        import h5netcdf  # noqa: F401  what xarray writes with
+    write_bytes(path, bytes(dataset_of(data).to_netcdf(None, engine="h5netcdf")))
+
+
+def dataset_of(data: Keypoints | Pose3D) -> Any:
+    """The same as an `xarray.Dataset`. Raises InputError where xarray is not installed."""
+    with common.formats_extra("movement netCDF"):
+        import xarray
+    points = writing.points_of(data)
+    unknown = np.full(points.values.shape[:2], np.nan)
+    confidence = unknown if points.likelihood is None else points.likelihood
+    attributes: dict[str, Any] = {"source_software": "recon", "ds_type": "poses", "source_file": ""}
+    attributes |= {"length_unit": points.unit, "up_axis": points.up} if points.in_space else {}
+    attributes |= {"time_unit": "frames"} if points.fps is None else {"time_unit": "seconds", "fps": points.fps}
+    return xarray.Dataset(
+        data_vars={
+            "position": (("time", "space", "keypoint", "individual"), points.values.transpose(0, 2, 1)[..., None]),
+            "confidence": (("time", "keypoint", "individual"), confidence[..., None]),
+        },
+        coords={
+            "time": points.frames if points.fps is None else points.frames / points.fps,
+            "space": list("xyz"[: points.values.shape[-1]]),
+            "keypoint": list(points.names),
+            "individual": [points.individual or common.UNNAMED[0]],
+        },
+        attrs=attributes,
+    )
+
+
+# -- NWB --------------------------------------------------------------------------------------------------------------
+
+NWB = "ndx-pose NWB"
+NO_NAMES = r"[/:]"
+IN_PICTURE = "(0, 0) is the upper left corner of the picture, x to the right, y down"
+RATE_TEXT = "frame number = time in seconds x {fps!r} Hz"
+"""In the comments of our own series, whose times may be irregular."""
+UP_TEXT = "z up"
+"""At the end of the frame of reference of our own 3D series."""
+
+
+def recognises_nwb(path: Path) -> bool:
+    """Whether the file is NWB's, with poses or without."""
+    return "nwb_version" in outline(path)
+
+
+def read_nwb(path: Path, individual: str | None = None) -> StoredPoints:
+    """The points of one animal, which a file of several calls by its container. Raises InputError."""
+    with opened(path) as file:
+        containers = {}
+        for group in hdf5.groups(file):
+            of_type: dict[str, list[Any]] = {}
+            for one in (child(group, name) for name in names(group)):
+                of_type.setdefault("" if one is None else str(attribute(one, "neurodata_type")), []).append(one)
+            if "PoseEstimationSeries" in of_type:
+                containers[_last(group)] = group, of_type
+        if not containers:
+            raise InputError(Problem(path, "PoseEstimationSeries", "none", "poses of the extension ndx-pose"))
+        name = [*containers][common.choose(path, [*containers], individual)]
+        group, of_type = containers[name]
+        # The first version of the extension had the skeleton's nodes in the container itself.
+        skeleton = next((one for one in (group, *of_type.get("Skeleton", ())) if child(one, "nodes") is not None), None)
+        nodes = [] if skeleton is None else texts(child(skeleton, "nodes"))
+        linked = None if skeleton is None else child(skeleton, "edges")
+        edges = [] if linked is None else numbers(linked).reshape(-1, 2).tolist()
+        scorer, found = "".join(texts_in(group, "scorer")), of_type["PoseEstimationSeries"]
+        common.require_span(max(len(child(one, "data")) for one in found), len(found), path)
+        found.sort(key=lambda one: nodes.index(_last(one)) if _last(one) in nodes else len(nodes))
+        points = [_last(one) for one in found]
+        values, confidence, times_s, rates = zip(*(_series(path, one) for one in found), strict=True)
+        unit = UNIT_NAMES.get(str(attribute(child(found[0], "data"), "unit") or ""))
+        z_up = "".join(texts_in(found[0], "reference_frame")).endswith(UP_TEXT)
+    first = points[0]
+    refuse(
+        Problem(path, f"{name}/{other}", *said)
+        for other, own, own_s in zip(points, values, times_s, strict=True)
+        for wrong, *said in [
+            (own.shape != values[0].shape, f"{own.shape} positions", f"{values[0].shape}, as in {first}"),
+            (not _same(own_s, times_s[0]), f"other times than in {first}", "one time line"),
+        ]
+        if wrong
+    )
+    frames, fps = frames_of_times(path, times_s[0], rates[0])
+    return common.points_of_arrays(
+        path,
+        None,
+        np.stack(values, axis=1),
+        frames,
+        points,
+        [name] if len(containers) > 1 or not name.startswith("PoseEstimation") else [],
+        np.stack(confidence, axis=1),
+        fps=fps,
+        scorer=scorer,
+        unit=unit,
+        up="z" if z_up else None,
+        edges=tuple((nodes[a], nodes[b]) for a, b in edges) if {*nodes} == {*points} else (),
+    )
+
+
+def _same(a_s: np.ndarray, b_s: np.ndarray) -> bool:
+    return a_s.shape != b_s.shape or np.allclose(a_s, b_s, rtol=0, atol=1e-6)
+
+
+def _last(group: Any) -> str:
+    return str(group.name).rsplit("/", 1)[-1]
+
+
+def _series(path: Path, group: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray, float | None]:
+    """One point in T frames: (T, 2 or 3), its confidences and times in seconds (T,), and the frame rate."""
+    data, confidence, stamps, start = (
+        child(group, name) for name in ("data", "confidence", "timestamps", "starting_time")
+    )
+    scale, shift = attribute(data, "conversion"), attribute(data, "offset")
+    values = numbers(data).astype(float) * float(1 if scale is None else scale) + float(shift or 0)
+    T = len(values)
+    sure = np.full(T, np.nan) if confidence is None else numbers(confidence)
+    comment = str(attribute(group, "comments") or "")
+    ours = re.search(re.escape(RATE_TEXT).replace(r"\{fps!r\}", "([0-9.e+-]+)"), comment)
+    fps = common.rate(ours[1]) if ours else None
+    if stamps is not None:
+        times_s = numbers(stamps).astype(float)
+    elif start is not None:
+        fps = common.rate(attribute(start, "rate"))
+        times_s = float(numbers(start)) + np.arange(T) / (fps or np.nan)
+    else:
+        raise InputError(Problem(path, _last(group), "no times", "timestamps, or starting_time with a rate"))
+    if sure.shape != (T,) or times_s.shape != (T,):
+        found = f"{T} positions, {len(sure)} confidences and {len(times_s)} times"
+        raise InputError(Problem(path, _last(group), found, "as many of each"))
+    return values, sure, times_s, fps
+
+
+def write_nwb(data: Keypoints | Pose3D, path: Path) -> None:
+    """x, y in pixels; or x, y, z in metres with z up, and joints that are linked as the skeleton's edges.
+
+    Raises InputError without a frame rate, or for names that NWB cannot hold.
+    """
+    points = writing.points_of(data)
+    container = points.individual or "PoseEstimation"
+    fps = float(writing.required_fps(points.fps, NWB))
+    writing.require_names((container, *points.names), NO_NAMES, NWB)
+    with common.formats_extra(NWB):
+        from ndx_pose import PoseEstimation, PoseEstimationSeries, Skeleton, Skeletons
+        from pynwb import NWBHDF5IO, NWBFile
+    frames, edges = points.frames, points.edges
+    regular = int(frames[-1] - frames[0]) + 1 == len(frames)
+    of_all: dict[str, Any] = {
+        "unit": "metres" if points.in_space else "pixels",
+        "reference_frame": f"x, y and z in metres, right-handed, {UP_TEXT}" if points.in_space else IN_PICTURE,
+        "comments": RATE_TEXT.format(fps=fps),
+    } | ({"rate": fps, "starting_time": frames[0] / fps} if regular else {"timestamps": frames / fps})
+    series = []
+    for k, name in enumerate(points.names):
+        sure = {} if points.likelihood is None else {"confidence": points.likelihood[:, k]}
+        sure |= {"confidence_definition": "likelihood of the detection, 0 to 1"} if sure else {}
+        series.append(PoseEstimationSeries(name=name, data=points.values[:, k], **of_all, **sure))
+    few = len(points.names) < 256
+    linked = {"edges": writing.index_edges(points.names, edges).astype(np.uint8)} if edges and few else {}
+    skeleton = Skeleton(name="skeleton", nodes=list(points.names), **linked)
+    poses = PoseEstimation(
+        name=container,
+        pose_estimation_series=series,
+        description="Points of one animal.",
+        scorer=points.scorer or "recon",
+        source_software="recon",
+        skeleton=skeleton,
+    )
+    file: Any = NWBFile(
+        session_description="Poses of an animal; the session's start is not known.",
+        identifier=str(uuid4()),
+        session_start_time=datetime(1970, 1, 1, tzinfo=UTC),
+    )
+    behavior = file.create_processing_module("behavior", "processed behavioral data")
+    behavior.add([Skeletons(skeletons=[skeleton]), poses])
+    writer: Any = NWBHDF5IO
+    made = BytesIO()
+    with h5py.File(made, "w") as stored, writer(file=stored, mode="w") as io:
+        io.write(file)
+    write_bytes(path, made.getvalue())
