@@ -120,8 +120,8 @@ def gallop(
     state[:, chain.euler_slice] = np.unwrap(euler_angles(in_camera), axis=0)
 
     other: Side = "left" if side == "right" else "right"
-    by_name = dict(zip(chain.keypoint_names(other), np.moveaxis(far, 1, 0), strict=True))
-    by_name |= dict(zip(chain.keypoint_names(side), np.moveaxis(near, 1, 0), strict=True))
+    by_name = dict(zip(chain.body.keypoint_names(other), np.moveaxis(far, 1, 0), strict=True))
+    by_name |= dict(zip(chain.body.keypoint_names(side), np.moveaxis(near, 1, 0), strict=True))
     truth_m = np.stack([by_name[name] for name in KEYPOINT_NAMES], axis=1)
     xy_px, valid = camera.project(truth_m @ r.T + t)
     visible = valid & camera.in_image(xy_px)

@@ -314,7 +314,7 @@ def real_legs(folder: Path) -> dict[str, list[Leg]]:
             known = np.isfinite(root[:, 0])
             flat, q, _ = projected_chain(points(leg), root[known][-1] - root[known][0])
             legs["2D"].append(Leg(name, flat, q, fps, lasts_s))
-            states, _, factor = solve_points(skeleton.body, points(skeleton.keypoint_names(side)), None)
+            states, _, factor = solve_points(skeleton.body, points(skeleton.body.keypoint_names(side)), None)
             summed = spine_front_leg(skeleton, factor * skeleton.nominal_base_length_m, 3, limited=False)
             legs["3D"].append(Leg(name, summed, chain_angles(skeleton, states), fps, lasts_s))
             whole = body_chain(body, leg[-1], size, limited=False)

@@ -29,7 +29,7 @@ DEFAULT = FrameOptions()
 
 def fit(clip: SyntheticClip, keypoints, options: FrameOptions, outliers: np.ndarray | None = None) -> list[str]:
     """Cells of one row: converged, worst and mean frame reprojection, MPJPE, MPE, outliers named, time."""
-    columns = [keypoints.names.index(name) for name in SKELETON.keypoint_names(clip.side)]
+    columns = [keypoints.names.index(name) for name in SKELETON.body.keypoint_names(clip.side)]
     xy, confidence = keypoints.xy_px[:, columns], keypoints.confidence[:, columns]
     fps = clip.keypoints.fps or 30.0
     solution = solve_frames(still_view(clip.camera, xy, confidence), SKELETON, fps, options)

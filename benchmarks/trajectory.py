@@ -651,7 +651,7 @@ def long_hole() -> dict[str, Rows]:
     rows, hole, scored = [], slice(80, 120), np.r_[0:80, 120:200]
     (circle,), joints_m = circling(200)
     clip, chain = gallop(fps=200.0, n_frames=200), load_chain("cheetah-8u")
-    columns = [clip.keypoints.names.index(name) for name in chain.keypoint_names(clip.side)]
+    columns = [clip.keypoints.names.index(name) for name in chain.body.keypoint_names(clip.side)]
     gallop_px = clip.keypoints.xy_px[:, columns] + 2.0 * np.random.default_rng(0).normal(size=(200, len(columns), 2))
     galloping = still_view(clip.camera, gallop_px, np.isfinite(gallop_px[..., 0]).astype(float))
     gallop_m = moved(inverse(galloping.T_camera_world), clip.camera.world_to_camera(clip.truth_m[:, columns]))

@@ -205,7 +205,7 @@ def small_motion() -> Motion:
     states = np.tile(mean_pose(chain), (6, 1))
     states[:, chain.place_slice] = [-1.5, 0.0, 9.0] + 0.3 * np.arange(6)[:, None] * [1.0, 0.0, 0.0]
     xy_px, _ = camera.project(chain.pose(states).joints_m)
-    names = chain.keypoint_names("right")
+    names = chain.body.keypoint_names("right")
     xy_px[4, names.index("neck_base"), 1] -= 300.0
     xy_px[3] = np.nan
     xy_px[5, [1, 4, 6]] = np.nan

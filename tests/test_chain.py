@@ -57,11 +57,11 @@ def test_the_chain_of_the_design():
         *(f"phi_{i}" for i in (6, 7, 8, 1, 2, 3, 4)),
         *("x0_m", "y0_m", "z0_m", "xi", "psi", "zeta", "base_length_m"),
     )
-    assert skeleton.keypoint_names("left")[:5] == (
+    assert skeleton.body.keypoint_names("left")[:5] == (
         *("tail_base", "l_back_knee", "l_back_ankle", "l_back_paw"),
         "spine",
     )
-    assert skeleton.keypoint_names("right")[-1] == "r_front_paw"
+    assert skeleton.body.keypoint_names("right")[-1] == "r_front_paw"
 
 
 def test_a_pose_by_hand():

@@ -15,7 +15,7 @@ SK = load_chain("cheetah-8u")
 
 
 def near_detections(clip) -> np.ndarray:
-    return clip.keypoints.xy_px[:, [clip.keypoints.names.index(n) for n in SK.keypoint_names(clip.side)]]
+    return clip.keypoints.xy_px[:, [clip.keypoints.names.index(n) for n in SK.body.keypoint_names(clip.side)]]
 
 
 @pytest.mark.parametrize("direction", ["left", "right"])

@@ -43,7 +43,7 @@ def level_states(n: int) -> np.ndarray:
 
 
 def near(clip, values: np.ndarray) -> np.ndarray:
-    return values[:, [clip.keypoints.names.index(n) for n in SK.keypoint_names(clip.side)]]
+    return values[:, [clip.keypoints.names.index(n) for n in SK.body.keypoint_names(clip.side)]]
 
 
 def fit(clip, keypoints, options: FrameOptions):

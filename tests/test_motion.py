@@ -138,7 +138,7 @@ def test_states_of_the_frame_method_give_its_joints_in_the_world(small_motion):
     published = chain.pose(solution.chain_states[solved]).joints_m
     np.testing.assert_allclose(published, small_motion.joints_camera_m[solved], atol=1e-12)
     assert solution.size == np.nanmedian(base) / chain.nominal_base_length_m
-    assert small_motion.names == chain.keypoint_names("right")
+    assert small_motion.names == chain.body.keypoint_names("right")
 
 
 # -- uncertainty ----------------------------------------------------------------------------------------------------

@@ -66,7 +66,7 @@ def test_size_and_names(clip):
 
 def test_state_reproduces_truth_and_pixels(clip):
     joints = SKELETON.pose(clip.state).joints_m
-    near = np.stack([joint(clip, name) for name in SKELETON.keypoint_names(clip.side)], axis=1)
+    near = np.stack([joint(clip, name) for name in SKELETON.body.keypoint_names(clip.side)], axis=1)
     np.testing.assert_allclose(joints, in_camera(clip.camera, near), rtol=0, atol=1e-9)
     xy_px, valid = clip.camera.project(in_camera(clip.camera, clip.truth_m))
     assert valid.all()
@@ -74,7 +74,7 @@ def test_state_reproduces_truth_and_pixels(clip):
 
 
 def test_links_keep_their_length(clip):
-    names = dict(zip(SKELETON.joints, SKELETON.keypoint_names(clip.side), strict=True))
+    names = dict(zip(SKELETON.joints, SKELETON.body.keypoint_names(clip.side), strict=True))
     for link in SKELETON.links:
         length = np.linalg.norm(joint(clip, names[link.end]) - joint(clip, names[link.start]), axis=1)
         np.testing.assert_allclose(length, 0.203 * link.length_ratio, rtol=1e-9)

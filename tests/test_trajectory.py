@@ -266,7 +266,7 @@ def test_the_size_follows_from_the_ground():
     clip = gallop(fps=FPS, n_frames=80, heading_rad=0.2)
     chain = load_chain("cheetah-8u")
     body = dataclasses.replace(chain.body, size_sigma=0.1)
-    names = chain.keypoint_names(clip.side)
+    names = chain.body.keypoint_names(clip.side)
     xy_px = clip.keypoints.xy_px[:, [clip.keypoints.names.index(n) for n in names]]
     known = solve(xy_px, body=body, prior=prior_from_body(body), camera=clip.camera)
     assert [segment.ground is not None for segment in known.segments] == [True]

@@ -25,7 +25,7 @@ from __future__ import annotations
 import os
 import warnings
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any
@@ -152,19 +152,26 @@ class Chain(Skeleton):
 
     file: _ChainFile
     """What the skeleton's file says."""
-    links: tuple[_Link, ...]
-    """The file's, with the lengths that were measured."""
-    joints: tuple[str, ...]
-    """Names, root first, then the links' ends in the order of the links."""
-    keypoints: tuple[tuple[str, str], ...]
-    """For each joint its keypoint's name on the (left, right) side."""
-    feet: tuple[str, ...]
-    """The joints that touch the ground."""
-    foot_labels: tuple[str, ...]
-    """Where they are, of `recon.animal.body.CHAIN_PLACES`."""
-    theta: AngleRanges
-    phi: AngleRanges
     nominal_base_length_m: float
+
+    @cached_property
+    def links(self) -> tuple[_Link, ...]:
+        """The file's, with the lengths that were measured."""
+        ratios = {name: length_m / self.file.base_length.nominal_m for name, length_m in self.file.length_m.items()}
+        return tuple(x.model_copy(update={"length_ratio": ratios.get(x.name, x.length_ratio)}) for x in self.file.links)
+
+    @cached_property
+    def joints(self) -> tuple[str, ...]:
+        """Names, root first, then the links' ends in the order of the links."""
+        return self.file.root, *(link.end for link in self.links)
+
+    @cached_property
+    def theta(self) -> AngleRanges:
+        return _ranges(link.theta for link in self.links)
+
+    @cached_property
+    def phi(self) -> AngleRanges:
+        return _ranges(link.phi for link in self.links)
 
     # -- layout of the state --------------------------------------------------------------------------------------
 
@@ -209,18 +216,6 @@ class Chain(Skeleton):
     def state_names(self) -> tuple[str, ...]:
         return (*self.angle_names, "x0_m", "y0_m", "z0_m", "xi", "psi", "zeta", "base_length_m")
 
-    def keypoint_names(self, side: Side) -> tuple[str, ...]:
-        """The joints' keypoints when the limbs of that side are fitted, (J,)."""
-        return tuple(left if side == "left" else right for left, right in self.keypoints)
-
-    @cached_property
-    def limbs(self) -> dict[str, tuple[str, ...]]:
-        """Joints along each limb, from its start, for drawing."""
-        limbs: dict[str, list[str]] = {}
-        for link in self.links:
-            limbs.setdefault(link.limb, [link.start]).append(link.end)
-        return {name: tuple(joints) for name, joints in limbs.items()}
-
     # -- kinematics ----------------------------------------------------------------------------------------------
 
     @cached_property
@@ -242,6 +237,9 @@ class Chain(Skeleton):
             segments.append(Segment(link.end, link.start, joint, (length.get(link.start, 0.0), 0.0, 0.0)))
         markers = (Marker(self.joints[0], self.joints[0]), *(Marker(j, j, (length[j], 0.0, 0.0)) for j in length))
         tree = Tree(tuple(segments), markers)
+        limbs: dict[str, tuple[str, ...]] = {}
+        for link in self.links:
+            limbs[link.limb] = (*limbs.get(link.limb, (link.start,)), link.end)
 
         ranges, prior = [self.theta, self.phi], self.file.prior
         expected = np.zeros((3, tree.n_state))
@@ -257,11 +255,11 @@ class Chain(Skeleton):
             name=self.name,
             title=self.title,
             tree=tree,
-            keypoints=self.keypoints,
-            limbs=self.limbs,
+            keypoints=(self.file.root_keypoint, *(link.keypoint for link in self.links)),
+            limbs=limbs,
             forward=self.file.forward,
-            feet=self.feet,
-            foot_labels=self.foot_labels,
+            feet=tuple(self.file.feet.values()),
+            foot_labels=tuple(CHAIN_PLACES[place] for place in self.file.feet),
             keypoint_sigma_m=self.file.keypoint_sigma_m,
             size_sigma=self.file.base_length.sigma_m / self.nominal_base_length_m,
             mean_rad=expected[0, 4:],
@@ -292,26 +290,16 @@ class Chain(Skeleton):
         body_state[:, self.body_angles] = state[:, : 2 * self.n_angles]
         return body_state, state[:, self.base_index] / self.nominal_base_length_m
 
-    @cached_property
-    def _local_tree(self) -> Tree:
-        """The body with its root held at the origin of the world, whose axes are the body's."""
-        root, *links = self.body.tree.segments
-        return Tree((replace(root, joint="fixed"), *links), self.body.tree.markers)
-
     def _local_state(self, state: Array) -> Array:
-        """The chain's angles as the state of `_local_tree`."""
-        local_state = np.zeros((len(state), self._local_tree.n_state))
-        local_state[:, self._local_angles] = state[:, : 2 * self.n_angles]
+        """The body's state with the chain's angles, its root held at the origin of the world, whose axes are its."""
+        local_state = np.zeros((len(state), self.body.n_state))
+        local_state[:, self.body_angles] = state[:, : 2 * self.n_angles]
         return local_state
-
-    @cached_property
-    def _local_angles(self) -> Index:
-        return self.body_angles - 3
 
     def local_joints(self, state: Array) -> Array:
         """Joint positions relative to the root in the local frame UVW, metres: states (N, D) -> (N, J, 3)."""
         size = state[:, self.base_index] / self.nominal_base_length_m
-        return self._local_tree.pose(self._local_state(state), size).points_m @ UVW_BODY.T
+        return self.body.tree.pose(self._local_state(state), size).points_m @ UVW_BODY.T
 
     def pose(self, state: Array) -> ChainPose:
         """Joints in the camera frame for states (N, D), without Jacobian."""
@@ -322,7 +310,7 @@ class Chain(Skeleton):
     def pose_with_jacobian(self, state: Array) -> ChainPose:
         """Joints in the camera frame and their exact derivatives with respect to the state (N, D)."""
         N, J, A = len(state), len(self.joints), self.n_angles
-        tree = self._local_tree.pose_with_jacobian(self._local_state(state))
+        tree = self.body.tree.pose_with_jacobian(self._local_state(state))
         size = state[:, self.base_index, None, None] / self.nominal_base_length_m
         c_per_size = UVW_BODY @ tree.points_m.transpose(0, 2, 1)  # (N, 3, J)
         p = c_per_size * size + state[:, self.place_slice, None]
@@ -332,7 +320,7 @@ class Chain(Skeleton):
         R, dR = R.reshape(N, 3, 3), dR.reshape(N, 3, 3, 3)
 
         jacobian = np.empty((N, 3, J, self.n_state))
-        turned = tree.jacobian.take(self._local_angles, axis=-1).transpose(0, 2, 1, 3).reshape(N, 3, J * 2 * A)
+        turned = tree.jacobian.take(self.body_angles, axis=-1).transpose(0, 2, 1, 3).reshape(N, 3, J * 2 * A)
         jacobian[..., : 2 * A] = (size * (R @ UVW_BODY) @ turned).reshape(N, 3, J, 2 * A)
         jacobian[..., self.place_slice] = R[:, :, None]
         jacobian[..., self.euler_slice] = (dR @ p[:, None]).transpose(0, 2, 3, 1)
@@ -390,7 +378,7 @@ def chain_of(raw: dict[str, Any], source: str) -> Chain:
     """A file's tables as a chain. Raises InputError with everything that is wrong with them."""
     file = validated(_ChainFile, _extended(raw, source), source)
     refuse(_chain_problems(file, source))
-    return _chain(file)
+    return Chain(file.name, file.title, file, file.base_length.nominal_m)
 
 
 def _chain_problems(file: _ChainFile, source: str) -> Iterator[Problem]:
@@ -418,24 +406,6 @@ def _chain_problems(file: _ChainFile, source: str) -> Iterator[Problem]:
 def _ranges(ranges: Iterable[_Range | None]) -> AngleRanges:
     rows = [(r.mean_rad, r.tolerance_rad, r.max_rate_rad_s) for r in ranges if r is not None]
     return AngleRanges(*np.array(rows, dtype=float).reshape(-1, 3).T)
-
-
-def _chain(f: _ChainFile) -> Chain:
-    ratios = {name: length_m / f.base_length.nominal_m for name, length_m in f.length_m.items()}
-    links = tuple(x.model_copy(update={"length_ratio": ratios.get(x.name, x.length_ratio)}) for x in f.links)
-    return Chain(
-        f.name,
-        f.title,
-        file=f,
-        links=links,
-        joints=(f.root, *(x.end for x in links)),
-        keypoints=(f.root_keypoint, *(x.keypoint for x in links)),
-        feet=tuple(f.feet.values()),
-        foot_labels=tuple(CHAIN_PLACES[place] for place in f.feet),
-        theta=_ranges(x.theta for x in links),
-        phi=_ranges(x.phi for x in links),
-        nominal_base_length_m=f.base_length.nominal_m,
-    )
 
 
 def euler_angles(rotation: npt.ArrayLike) -> Array:

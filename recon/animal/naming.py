@@ -45,6 +45,10 @@ class NameMap:
     names: Mapping[str, str]
     """The skeleton's by the file's, empty for those that are left out."""
 
+    def common(self, names: Iterable[str], wanted: Iterable[str]) -> int:
+        """How many of the wanted names a file with these names then has."""
+        return len({self.names.get(name, name) for name in names} & {*wanted})
+
 
 def builtin_maps() -> tuple[str, ...]:
     """Names of the maps that come with the package."""
@@ -136,9 +140,8 @@ def suggestions(unused: Iterable[str], missing: Iterable[str]) -> dict[str, str]
 
 def fitting_maps(names: Sequence[str], wanted: Iterable[str]) -> list[str]:
     """Built-in maps that give a file more of the wanted names than it has, the best first."""
-    wanted = set(wanted)
-    maps = [load_names(name) for name in builtin_maps()]
-    shares = {by.source: len({by.names.get(name, name) for name in names} & wanted) for by in maps}
+    wanted = {*wanted}
+    shares = {name: load_names(name).common(names, wanted) for name in builtin_maps()}
     better = [name for name, share in shares.items() if share > len({*names} & wanted)]
     return sorted(better, key=lambda name: -shares[name])
 
@@ -146,18 +149,20 @@ def fitting_maps(names: Sequence[str], wanted: Iterable[str]) -> list[str]:
 def fitting_skeleton(names: Sequence[str]) -> tuple[str, int]:
     """The options of the built-in skeleton of a whole animal that has most of these keypoints, with the map that it
     takes (`--skeleton human-25 --rename coco-17`), and how many they are; without a map where it takes none."""
-    chains, maps = builtin_chains(), [NameMap("", {}), *map(load_names, builtin_maps())]
+    maps = [NameMap("", {}), *map(load_names, builtin_maps())]
     found = {
-        f"--skeleton {skeleton}{by.source and ' --rename '}{by.source}": len(
-            {by.names.get(name, name) for name in names} & markers
-        )
-        for skeleton in builtin_names()
-        if skeleton not in chains
-        for markers in [{*load_skeleton(skeleton).markers}]
+        f"--skeleton {skeleton}{by.source and ' --rename '}{by.source}": by.common(names, markers)
+        for skeleton, markers in _whole_animals().items()
         for by in maps
     }
     best = max(found, key=lambda options: found[options])
     return best, found[best]
+
+
+def _whole_animals() -> dict[str, tuple[str, ...]]:
+    """The markers of the built-in skeletons of whole animals, by the skeletons' names."""
+    chains = builtin_chains()
+    return {name: load_skeleton(name).markers for name in builtin_names() if name not in chains}
 
 
 def map_to_write(names: Iterable[str], wanted: Iterable[str]) -> Iterator[str]:
@@ -210,7 +215,6 @@ def both_sides(name: str) -> str:
 def skeleton_of(keypoints: Iterable[str]) -> str | None:
     """The built-in skeleton of a whole animal whose markers, all of them, are called as some of these keypoints; of
     several the one with most."""
-    names, chains = {*keypoints}, builtin_chains()
-    markers = {name: {*load_skeleton(name).markers} for name in builtin_names() if name not in chains}
-    fitting = [name for name, own in markers.items() if own <= names]
-    return max(fitting, key=lambda name: len(markers[name]), default=None)
+    names = {*keypoints}
+    fitting = {name: len(markers) for name, markers in _whole_animals().items() if {*markers} <= names}
+    return max(fitting, key=lambda name: fitting[name], default=None)

@@ -301,7 +301,7 @@ def in_world(
         weight=np.where(view.present, trusted[:, None], np.nan)[None],
         flags=(),
         alternative_m=np.full(T, np.nan),  # of all starts only the best is kept
-        contact=np.zeros((T, len(chain.feet))),
+        contact=np.zeros((T, len(chain.body.feet))),
         segments=(MotionSegment(slice(0, T), None),),
         stage_s={},
         chain=chain,

@@ -120,7 +120,7 @@ def _angles_near(directions: Array, theta: Array, phi: Array) -> tuple[Array, Ar
 
 def _path(chain: Chain) -> list[int]:
     """Indices of the links from the root to the fore foot."""
-    joint = dict(zip(chain.foot_labels, chain.feet, strict=True)).get("F")
+    joint = chain.body.feet_by_label().get("F")
     if joint is None:
         raise ValueError(f"{chain.name} has no fore foot")
     into = {link.end: i for i, link in enumerate(chain.links)}
