@@ -35,7 +35,7 @@ from recon.animal.measured import save_prior
 from recon.animal.prior import prior_from_body
 from recon.fit import TrajectorySolution
 from recon.fit.points import solve_points
-from recon.gait.evaluation import align_similarity, centre, joint_errors, score
+from recon.gait.evaluation import aligned, joint_errors, score
 from recon.workflows.prior import PriorFitSettings, run_prior_fit
 
 SKELETON = "dog-27"
@@ -226,7 +226,7 @@ def fit_row(clip: Clip, prior: str, folder: Path, seed: int) -> dict:
     solution, truth_m = motion.solution, motion.camera.world_to_camera(clip.markers(motion.solution.body))
     assert isinstance(solution, TrajectorySolution)
     found_m = solution.joints_camera_m
-    centred = score(joint_errors(centre(found_m, truth_m), truth_m))
+    centred = score(joint_errors(aligned(found_m, truth_m), truth_m))
     return {
         "clip": clip.name,
         "frames": len(truth_m),
@@ -234,7 +234,7 @@ def fit_row(clip: Clip, prior: str, folder: Path, seed: int) -> dict:
         "status": solution.status,
         "mpjpe_mm": 1000 * centred.mean,
         "mpe_mm": 1000 * score(joint_errors(found_m, truth_m)).mean,
-        "pa_mpjpe_mm": 1000 * score(joint_errors(align_similarity(found_m, truth_m), truth_m)).mean,
+        "pa_mpjpe_mm": 1000 * score(joint_errors(aligned(found_m, truth_m, scale=True, turn=True), truth_m)).mean,
         "95 % of frames below mm": 1000 * float(np.percentile(centred.per_frame, 95)),
         "worst frame mm": 1000 * float(centred.per_frame.max()),
         "frames flagged": sum(map(bool, solution.flags)),

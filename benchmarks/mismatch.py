@@ -36,7 +36,7 @@ from recon.animal.skeleton_file import seen_by
 from recon.clip import View, still_view
 from recon.fit import TrajectorySolution, solve_trajectory
 from recon.fit.points import solve_points
-from recon.gait.evaluation import centre, joint_errors, score
+from recon.gait.evaluation import aligned, joint_errors, score
 from recon.io import read_pose_segments
 
 FAST_M_S = 8.5
@@ -64,7 +64,7 @@ def fitted(case: Case, prior: MotionPrior) -> TrajectorySolution:
 def errors_mm(case: Case, solution: TrajectorySolution) -> tuple[float, float]:
     """MPJPE and MPE."""
     found_m = solution.joints_m
-    centred, off = (joint_errors(p, case.truth_m) for p in (centre(found_m, case.truth_m), found_m))
+    centred, off = (joint_errors(p, case.truth_m) for p in (aligned(found_m, case.truth_m), found_m))
     return 1000 * score(centred).mean, 1000 * score(off).mean
 
 

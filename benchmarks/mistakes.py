@@ -44,7 +44,7 @@ from recon.check.swaps import _Stretch, swaps
 from recon.clip import Keypoints, Source, clean, views_of
 from recon.fit import TrajectoryOptions, TrajectorySolution, solve_trajectory
 from recon.fit.clip_problem import ClipProblem
-from recon.gait.evaluation import centre, joint_errors
+from recon.gait.evaluation import aligned, joint_errors
 from recon.io.deeplabcut import write_csv
 
 SWAP, UNCLEAR, OUTLIERS = "left_right_swap", "left_right_swap_possible", "gross_outliers"
@@ -192,7 +192,7 @@ def error_mm(view: View, motion: Motion, frames: np.ndarray) -> float:
     truth_m = view.truth_m[frames]
     if not np.isfinite(motion.joints_camera_m[frames]).any():
         return np.nan
-    return 1000 * float(np.nanmean(joint_errors(centre(motion.joints_camera_m[frames], truth_m), truth_m)))
+    return 1000 * float(np.nanmean(joint_errors(aligned(motion.joints_camera_m[frames], truth_m), truth_m)))
 
 
 def of_input(motion: Motion) -> list[Finding]:

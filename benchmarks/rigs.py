@@ -33,7 +33,7 @@ from recon.clip import View, still_view
 from recon.fit import TrajectoryOptions, TrajectorySolution, solve_trajectory
 from recon.fit.posterior import radius
 from recon.fit.shape import Shape
-from recon.gait.evaluation import centre
+from recon.gait.evaluation import aligned
 from recon.geometry.frames import rigid
 
 FPS, T = 60.0, 72
@@ -107,7 +107,7 @@ def inside(error_m: np.ndarray, covariance_m2: np.ndarray) -> float:
 
 def scored(found: TrajectorySolution, true_m: np.ndarray) -> tuple[float, ...]:
     """Shares of positions and poses within the intervals, MPJPE and MPE in metres."""
-    off, centred = found.joints_m - true_m, centre(found.joints_m, true_m) - true_m
+    off, centred = found.joints_m - true_m, aligned(found.joints_m, true_m) - true_m
     errors = (float(np.linalg.norm(e, axis=2).mean()) for e in (centred, off))
     return inside(off, found.covariance_m2), inside(centred, found.relative_covariance_m2), *errors
 

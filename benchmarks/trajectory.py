@@ -42,7 +42,7 @@ from recon.fit import TrajectoryOptions, TrajectorySolution, constants, solve_tr
 from recon.fit.points import solve_points
 from recon.fit.posterior import radius, sigmas
 from recon.gait.clip import POSE_LASTS_S, POSITION_LASTS_S
-from recon.gait.evaluation import centre, joint_errors, score
+from recon.gait.evaluation import aligned, joint_errors, score
 from recon.gait.kinematics import Errors, series_kinematics
 from recon.geometry.frames import inverse, moved, rigid
 from recon.workflows.clip import arrange
@@ -216,7 +216,7 @@ def fit(job: Job) -> Fit:
     centred = found - found.mean(axis=1, keepdims=True) - truth_m + truth_m.mean(axis=1, keepdims=True)
     return Fit(
         job=job,
-        centred_m=joint_errors(centre(found, truth_m), truth_m),
+        centred_m=joint_errors(aligned(found, truth_m), truth_m),
         off_m=joint_errors(found, truth_m),
         inside_relative=_inside(centred, _in_camera(solution, solution.relative_covariance_m2)),
         inside_place=_inside(found - truth_m, _in_camera(solution, solution.covariance_m2)),
@@ -614,7 +614,7 @@ def solved(views: Sequence[View]) -> TrajectorySolution:
 
 def errors_mm(solution: TrajectorySolution, joints_m: np.ndarray) -> np.ndarray:
     """(T,)"""
-    return 1000 * score(joint_errors(centre(solution.joints_m, joints_m), joints_m)).per_frame
+    return 1000 * score(joint_errors(aligned(solution.joints_m, joints_m), joints_m)).per_frame
 
 
 def scaling_row(T: int, cameras: int) -> dict:

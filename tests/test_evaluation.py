@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from recon import evaluate, evaluate_files
 from recon.check import mismatches, sentence
-from recon.gait.evaluation import align_scale, align_similarity, centre, joint_errors
+from recon.gait.evaluation import aligned, joint_errors
 from recon.io import Pose3D, read_pose3d, write_csv
 from recon.io.markers import write_trc
 
@@ -80,8 +80,8 @@ def test_similarity_agrees_with_scipy():
     noisy = TRUTH + RNG.normal(0, 0.2, TRUTH.shape)
     mirrored = noisy * [1, 1, -1]
     for candidate in (noisy, mirrored):
-        aligned = align_similarity(candidate, TRUTH)
-        for got, p, t in zip(aligned, candidate, TRUTH, strict=True):
+        similar = aligned(candidate, TRUTH, scale=True, turn=True)
+        for got, p, t in zip(similar, candidate, TRUTH, strict=True):
             p_0, t_0 = p - p.mean(axis=0), t - t.mean(axis=0)
             rotated = Rotation.align_vectors(t_0, p_0)[0].apply(p_0)
             expected = rotated * np.sum(rotated * t_0) / np.sum(p_0**2) + t.mean(axis=0)
@@ -95,23 +95,24 @@ def test_similarity_and_scale_are_least_squares():
         return np.sum((np.exp(x[6]) * Rotation.from_rotvec(x[:3]).apply(noisy[0]) + x[3:6] - TRUTH[0]) ** 2)
 
     best = minimize(similarity, np.zeros(7), method="BFGS", tol=1e-10)
-    assert np.sum((align_similarity(noisy, TRUTH[:1]) - TRUTH[:1]) ** 2) == pytest.approx(best.fun, rel=1e-6)
+    left = aligned(noisy, TRUTH[:1], scale=True, turn=True) - TRUTH[:1]
+    assert np.sum(left**2) == pytest.approx(best.fun, rel=1e-6)
 
     centred, mean = noisy[0] - noisy[0].mean(axis=0), TRUTH[0].mean(axis=0)
     best = minimize(lambda s: np.sum((s[0] * centred + mean - TRUTH[0]) ** 2), [1.0], tol=1e-12)
-    assert np.sum((align_scale(noisy, TRUTH[:1]) - TRUTH[:1]) ** 2) == pytest.approx(best.fun, rel=1e-9)
+    assert np.sum((aligned(noisy, TRUTH[:1], scale=True) - TRUTH[:1]) ** 2) == pytest.approx(best.fun, rel=1e-9)
 
 
-@pytest.mark.parametrize("align", [centre, align_scale, align_similarity])
-def test_only_common_joints_count(align):
+@pytest.mark.parametrize("how", [{}, {"scale": True}, {"scale": True, "turn": True}])
+def test_only_common_joints_count(how):
     noisy = TRUTH + RNG.normal(0, 0.1, TRUTH.shape)
     gone_pose, gone_truth = noisy.copy(), TRUTH.copy()
     gone_pose[:, 1] = NAN
     gone_truth[:, 4, 2] = NAN
     keep = [0, 2, 3, 5]
-    errors = joint_errors(align(gone_pose, gone_truth), gone_truth)
+    errors = joint_errors(aligned(gone_pose, gone_truth, **how), gone_truth)
     assert np.isnan(errors[:, [1, 4]]).all()
-    expected = joint_errors(align(noisy[:, keep], TRUTH[:, keep]), TRUTH[:, keep])
+    expected = joint_errors(aligned(noisy[:, keep], TRUTH[:, keep], **how), TRUTH[:, keep])
     np.testing.assert_allclose(errors[:, keep], expected, atol=1e-12)
 
 

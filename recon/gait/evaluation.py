@@ -199,12 +199,12 @@ def evaluate(pose: Pose3D, truth: Pose3D, sigmas_m: tuple[np.ndarray, np.ndarray
     if not problems and not common.any():
         problems.append(Problem(here, "positions", "no joint known on both sides in any frame", "at least one"))
     refuse(problems)
-    centred, inside = centre(pose_m, truth_m), {}
+    centred, inside = aligned(pose_m, truth_m), {}
     if sigmas_m is not None:
         place_m, relative_m = (sigma_m[in_pose][:, where] for sigma_m in sigmas_m)
         inside = {"place": _inside(pose_m - truth_m, place_m), "pose": _inside(centred - truth_m, relative_m)}
     centred_m = joint_errors(centred, truth_m)
-    similar_m = joint_errors(align_similarity(pose_m, truth_m), truth_m)
+    similar_m = joint_errors(aligned(pose_m, truth_m, scale=True, turn=True), truth_m)
     return Evaluation(
         pose=here,
         truth=there,
@@ -212,7 +212,7 @@ def evaluate(pose: Pose3D, truth: Pose3D, sigmas_m: tuple[np.ndarray, np.ndarray
         frames=frames,
         mpjpe_m=score(centred_m),
         mpe_m=score(joint_errors(pose_m, truth_m)),
-        scale_mpjpe_m=score(joint_errors(align_scale(pose_m, truth_m), truth_m)),
+        scale_mpjpe_m=score(joint_errors(aligned(pose_m, truth_m, scale=True), truth_m)),
         pa_mpjpe_m=score(similar_m),
         pck=tuple((t, score(np.where(np.isnan(centred_m), np.nan, centred_m <= t))) for t in PCK_THRESHOLDS_M),
         inside=inside,
@@ -248,50 +248,27 @@ def score(values: np.ndarray) -> _Score:
     return _Score(mean=float(_mean(per_frame, axis=0)), per_frame=per_frame, per_joint=_mean(values, axis=0))
 
 
-def centre(pose_m: np.ndarray, truth_m: np.ndarray) -> np.ndarray:
-    """The pose (T, J, 3), moved in each frame so that the means of the common joints coincide."""
-    pose_0, _, _, target = _centred(pose_m, truth_m)
-    return pose_0 + target
-
-
-def align_scale(pose_m: np.ndarray, truth_m: np.ndarray) -> np.ndarray:
-    """The pose (T, J, 3), moved as by `centre` and scaled about that mean by one least-squares factor per frame.
-
-    The factor is not negative: that would mirror the animal.
-    """
-    pose_0, truth_0, common, target = _centred(pose_m, truth_m)
-    product = np.sum(pose_0 * truth_0, axis=(1, 2), where=common)
-    square = np.sum(pose_0**2, axis=(1, 2), where=common)
-    return _ratio(np.maximum(product, 0), square)[:, None, None] * pose_0 + target
-
-
-def align_similarity(pose_m: np.ndarray, truth_m: np.ndarray) -> np.ndarray:
-    """The pose (T, J, 3), moved, scaled and rotated (not mirrored) onto the truth by least squares in each frame.
-
-    All NaN in frames of fewer than 3 common joints, where a rotation has no meaning. (Umeyama 1991.)
-    """
-    pose_0, truth_0, common, target = _centred(pose_m, truth_m)
-    p, t = np.where(common, pose_0, 0), np.where(common, truth_0, 0)
-    u, s, vt = np.linalg.svd(np.swapaxes(p, 1, 2) @ t)
-    # A determinant of -1 is a reflection: turn the direction that matters least.
-    sign = np.sign(np.linalg.det(u @ vt))
-    s[:, 2] *= sign
-    vt[:, 2] *= sign[:, None]
-    scale = _ratio(s.sum(axis=1), np.sum(p**2, axis=(1, 2)))
-    aligned = scale[:, None, None] * (pose_0 @ (u @ vt)) + target
-    return np.where((common.sum(axis=1) >= 3)[:, None], aligned, np.nan)
-
-
-def _centred(pose_m: np.ndarray, truth_m: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Both sides less the mean of their common joints, which joints these are (T, J, 1), the mean of the truth."""
+def aligned(pose_m: np.ndarray, truth_m: np.ndarray, scale: bool = False, turn: bool = False) -> np.ndarray:
+    """The pose (T, J, 3), moved in each frame so that the means of the common joints coincide, and, about that mean,
+    brought nearest to the truth by least squares: by one factor, which is not negative, as that would mirror the
+    animal, and by a rotation, no reflection. (Umeyama 1991.) All NaN in frames of fewer than 3 common joints, where a
+    rotation has no meaning."""
     common = common_joints(pose_m, truth_m)[..., None]
     pose_mean, truth_mean = (_mean(np.where(common, p, np.nan), axis=1)[:, None] for p in (pose_m, truth_m))
-    return pose_m - pose_mean, truth_m - truth_mean, common, truth_mean
-
-
-def _ratio(product: np.ndarray, square: np.ndarray) -> np.ndarray:
-    """The least-squares factor of each frame; 1 where all joints coincide and every factor is as good."""
-    return np.divide(product, square, out=np.ones_like(square), where=square > 0)
+    moved, about, goal = (
+        pose_m - pose_mean,
+        *(np.where(common, p - mean, 0) for p, mean in ((pose_m, pose_mean), (truth_m, truth_mean))),
+    )
+    if turn:
+        u, _, vt = np.linalg.svd(np.swapaxes(about, 1, 2) @ goal)
+        vt[:, 2] *= np.sign(np.linalg.det(u @ vt))[:, None]  # the direction that matters least
+        moved, about = (of @ (u @ vt) for of in (np.where(common.sum(axis=1)[:, None] >= 3, moved, np.nan), about))
+    if scale:
+        product, square = (np.sum(about * of, axis=(1, 2)) for of in (goal, about))
+        # where all joints coincide every factor is as good
+        factor = np.divide(np.maximum(product, 0), square, out=np.ones_like(square), where=square > 0)
+        moved = factor[:, None, None] * moved
+    return moved + truth_mean
 
 
 def _mean(values: np.ndarray, axis: int) -> np.ndarray:
