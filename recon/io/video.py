@@ -22,6 +22,7 @@ import numpy.typing as npt
 from recon.base.arrays import Array
 from recon.base.errors import InputError, Problem
 from recon.base.files import staged_file
+from recon.geometry.camera import Camera
 
 Image = npt.NDArray[np.uint8]
 CODECS = {".mp4": "mp4v", ".avi": "MJPG"}
@@ -62,6 +63,13 @@ def probe(path: str | Path) -> VideoInfo:
         raise InputError(Problem(path, "video", "no frame that can be decoded", "a video"))
     known = np.isfinite(fps) and 0 < fps < 1e5
     return VideoInfo((image.shape[1], image.shape[0]), float(fps) if known else None, int(count) if count > 0 else None)
+
+
+def size_problems(video: Path, info: VideoInfo, camera: Camera) -> Iterator[Problem]:
+    """Where a video has another size than the camera is calibrated for."""
+    found, wanted = ("{}x{}".format(*size) for size in (info.size_px, camera.image_size_px))
+    if found != wanted:
+        yield Problem(video, "size", found, f"{wanted}, the size that the camera is calibrated for")
 
 
 def read_picture(path: Path, how: int) -> Image | None:

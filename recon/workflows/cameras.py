@@ -4,29 +4,13 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from itertools import combinations
-from pathlib import Path
-from typing import TYPE_CHECKING
-
-import numpy as np
 
 from recon import io
-from recon.base.arrays import Array
 from recon.base.errors import InputError, Problem, all_of, refuse
-from recon.clip import camera_poses
 from recon.geometry.camera import Camera
-from recon.geometry.frames import level_from_camera
-from recon.io.common import numbers
 from recon.workflows.settings import UNITS_M, FitSettings, Unit
-
-if TYPE_CHECKING:
-    from recon.io.video import VideoInfo
-
-AXES, FIRST_CAMERA = ("x", "y", "z"), "first-camera"
-MOST_ZOOM = 20
-"""More than lenses zoom, from the setting in which they were calibrated."""
 
 ClipCamera = tuple[Camera, "io.CameraTrack | None"]
 """The camera of a keypoint file, with a track its lens only: it has no pose; and the track of a camera that moves."""
@@ -38,9 +22,11 @@ def read_clip_cameras(settings: FitSettings) -> Cameras:
     tracks = tuple(all_of(*(lambda path=path: io.read_camera_track(path) for path in settings.camera_track or ())))
     choose = _cameras_of_one if len(settings.keypoints) == 1 else _cameras_of_several
     chosen = tuple((_as_it_stands(*one, settings.camera_unit), one[1]) for one in choose(settings, tracks))
-    refuse(_focal_problems(chosen))
-    if settings.up is not None:
-        chosen = _turned_up(chosen, settings.up)
+    if tracks or settings.up is not None:
+        from recon.workflows import rigs
+
+        refuse(rigs.focal_problems(chosen))
+        chosen = chosen if settings.up is None else rigs.turned_up(chosen, settings.up)
     if settings.tilt_deg is None:
         return chosen
     if any(camera.knows_up for camera, _ in chosen):
@@ -48,46 +34,6 @@ def read_clip_cameras(settings: FitSettings) -> Cameras:
         raise InputError(Problem("--tilt-deg", "tilt_deg", found, "one of the two"))
     tilt_rad = math.radians(settings.tilt_deg)
     return tuple((replace(camera, tilt_rad=tilt_rad), track) for camera, track in chosen)
-
-
-def _focal_problems(cameras: Cameras) -> Iterator[Problem]:
-    """Tracks of cameras that zoom, whose focal length is nowhere near the camera file's, as in another unit."""
-    for camera, track in cameras:
-        if track is not None and track.intrinsics_px is not None:
-            found, own = float(np.median(track.intrinsics_px[:, 0])), float(camera.matrix[0, 0])
-            if not own / MOST_ZOOM <= found <= own * MOST_ZOOM:
-                expected = f"about the {own:.4g} px of the camera file, or {MOST_ZOOM} times more or less"
-                yield Problem(track.source, "fx", f"{found:.4g} px (median)", expected)
-
-
-def _turned_up(cameras: Cameras, up: str) -> Cameras:
-    """Cameras whose calibration does not say which way is up, in a world with z up. Raises InputError."""
-    if up == FIRST_CAMERA:
-        return cameras
-    sign, axis = (-1.0, up[1:]) if up[:1] == "-" and up[1:] in AXES else (1.0, up)
-    if axis in AXES:
-        direction = sign * np.eye(3)[AXES.index(axis)]
-    else:
-        cells = [cell.strip() for cell in up.split(",")]
-        values, wrong = numbers(cells)
-        direction = values if len(cells) == 3 and not wrong and np.isfinite(values).all() else np.zeros(3)
-    if not np.linalg.norm(direction) > 0:
-        raise InputError(
-            Problem("--set up", "direction", repr(up), f"x, y or z, -x, -y or -z, {FIRST_CAMERA}, or 0,-1,0")
-        )
-    refuse(
-        Problem("--set up", f"camera {camera.name}", why, "poses that do not say which way is up")
-        for camera, _ in cameras
-        for why in (["no pose"] if not camera.has_extrinsics else ["a pose that says it"] if camera.world_z_up else [])
-    )
-    return tuple((with_up(camera, direction / np.linalg.norm(direction)), track) for camera, track in cameras)
-
-
-def with_up(camera: Camera, up: Array, origin_m: Array | float = 0.0) -> Camera:
-    """With its pose in a world with z up, of one where the unit vector (3,) points up, and about a point (3,) of it."""
-    R_camera = np.asarray(camera.rotation)
-    translation_m = np.asarray(camera.translation_m) + R_camera @ np.broadcast_to(origin_m, 3)
-    return replace(camera, rotation=R_camera @ level_from_camera(up).T, translation_m=translation_m, world_z_up=True)
 
 
 def other_cameras(camera: Camera, settings: FitSettings) -> tuple[Camera, ...]:
@@ -135,10 +81,12 @@ def _own_lens(camera: Camera, settings: FitSettings, place: int) -> Camera:
 
 def _cameras_of_several(settings: FitSettings, tracks: Sequence[io.CameraTrack]) -> Cameras:
     """A track is that of the camera whose name its own contains."""
+    from recon.workflows.rigs import problems_of_several
+
     cameras = _cameras_in_file(settings, tracks)
     names = [camera.name for camera in cameras]
     owners = {track.source: list(cameras_in(io.track_label(track.source), dict.fromkeys(names))) for track in tracks}
-    refuse(_problems_of_several(settings.camera_text or "--camera", cameras, owners))
+    refuse(problems_of_several(settings.camera_text or "--camera", cameras, owners))
     chosen = []
     for i, camera in enumerate(cameras):
         track = next((one for one in tracks if camera.name in owners[one.source]), None)
@@ -181,41 +129,6 @@ def _cameras_in_file(settings: FitSettings, tracks: Sequence[io.CameraTrack]) ->
             problems.append(Problem(path, "camera", found, expected))
     refuse(problems)
     return tuple(chosen)
-
-
-def _problems_of_several(
-    file: str, cameras: Sequence[Camera], owners: Mapping[Path, Sequence[str]]
-) -> Iterator[Problem]:
-    """What cameras that film together must have. owners: of each track the cameras whose names its own contains."""
-    names = [camera.name for camera in cameras]
-    for name in sorted({name for name in names if names.count(name) > 1}):
-        yield Problem(file, "camera", f"{name} for two keypoint files", "a camera for each, by --camera-name")
-    for track, of_track in owners.items():
-        if len(of_track) != 1:
-            found = f"{io.track_label(track)}, with the name of {' and of '.join(of_track) or 'no camera'}"
-            yield Problem(track, "name", found, f"the name of one of {', '.join(names)} in it")
-    moving = [of_track[0] for of_track in owners.values() if len(of_track) == 1]
-    for name in sorted({name for name in moving if moving.count(name) > 1}):
-        yield Problem("--camera-track", name, f"{moving.count(name)} tracks of it", "one")
-    for camera in (camera for camera in cameras if camera.name not in moving):
-        if not camera.has_extrinsics:
-            yield Problem(file, f"camera {camera.name}", "no pose", "its rotation and translation beside the others'")
-        elif owners and not camera.knows_up:
-            expected = "one in the world of the camera track, z up (world_z_up)"
-            yield Problem(file, f"camera {camera.name}", "a pose that does not say which way is up", expected)
-    still = [camera for camera in cameras if camera.has_extrinsics and camera.name not in moving]
-    for one, other in combinations(still, 2):
-        poses = camera_poses([one, other])
-        if one.name != other.name and np.array_equal(poses[0], poses[1]):
-            found = "the same pose, as of an entry that was copied"
-            yield Problem(file, f"cameras {one.name} and {other.name}", found, "each camera's own pose")
-
-
-def size_problems(video: Path, info: VideoInfo, camera: Camera) -> Iterator[Problem]:
-    """Where a video has another size than the camera is calibrated for."""
-    found, wanted = ("{}x{}".format(*size) for size in (info.size_px, camera.image_size_px))
-    if found != wanted:
-        yield Problem(video, "size", found, f"{wanted}, the size that the camera is calibrated for")
 
 
 def cameras_in(stem: str, names: Iterable[str]) -> dict[str, re.Match[str]]:

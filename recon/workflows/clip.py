@@ -37,7 +37,6 @@ from recon.clip import (
 from recon.fit import TrajectorySolution, solve_trajectory
 from recon.fit.motion import Motion
 from recon.geometry.camera import Camera
-from recon.geometry.frames import rigid
 from recon.workflows.cameras import (
     Cameras,
     ClipCamera,
@@ -45,7 +44,6 @@ from recon.workflows.cameras import (
     other_camera_in,
     other_cameras,
     read_clip_cameras,
-    with_up,
 )
 from recon.workflows.settings import METHODS, FitSettings
 
@@ -190,23 +188,12 @@ def prepare(settings: FitSettings, read_shared: Callable[[FitSettings], Unknown]
     given = ClipInputs(seen, prior, sources, later_frames, fps, side, reason)
     cameras = [source.camera for source in sources]
     unsaid = all(camera.has_extrinsics and not camera.world_z_up and not camera.tilt_rad for camera in cameras)
-    return _turned_up(given, settings) if len(cameras) > 1 and unsaid and settings.up is None else given
-
-
-def _turned_up(given: ClipInputs, settings: FitSettings) -> ClipInputs:
-    """With z up and the ground at 0, where the feet say which way is up."""
-    views = [
-        replace(view, T_camera_world=rigid(np.asarray(view.camera.rotation), np.asarray(view.camera.translation_m)))
-        for view in views_of(given.sources)
-    ]
-    upward = check.up_from_feet(views, given.body, given.fps, settings.trajectory_options().sigma_px)
-    if upward is None:
+    if len(cameras) == 1 or not unsaid or settings.up is not None:
         return given
-    apart = tuple(replace(s, camera=with_up(s.camera, upward.up, upward.ground_m)) for s in given.apart)
-    height_m = float(upward.up @ (views[0].centre_m[0] - upward.ground_m))
-    up = ",".join(f"{x:.3f}" for x in upward.up)
-    said = check.finding("up_from_feet", up=up, height_m=height_m, sigma_rad=upward.sigma_rad)
-    return replace(given, apart=apart, found=(said,))
+    from recon.workflows.rigs import turned_up_by_feet
+
+    apart, found = turned_up_by_feet(given.sources, sources, seen, fps, settings.trajectory_options().sigma_px)
+    return replace(given, apart=apart, found=found)
 
 
 def read_model_and_cameras(settings: FitSettings) -> Unknown:

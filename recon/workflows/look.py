@@ -26,7 +26,7 @@ from recon.check import FLAG_OF, usable
 from recon.fit.motion import Motion
 from recon.fit.result import Verdict
 from recon.gait.clip import analyse
-from recon.io.video import Image, VideoInfo, missing_note, probe, require_codec, video_writer
+from recon.io.video import Image, VideoInfo, missing_note, probe, require_codec, size_problems, video_writer
 from recon.show import view as viewer
 from recon.show.overlay import SIDE_COLOURS, Overlay, canvas_size, clip_frames, draw_frame, draw_tiles
 from recon.show.page import PAGE, require_own_page
@@ -35,7 +35,7 @@ from recon.show.report import REPORT
 from recon.workflows.analyse import FOLDER, PLAYBACK
 from recon.workflows.analyse import SUMMARY as ANALYSIS
 from recon.workflows.batch import SUMMARY, write_summary_page
-from recon.workflows.cameras import cameras_in, size_problems
+from recon.workflows.cameras import cameras_in
 from recon.workflows.cli.common import Answer, error_text, say, terminal, verdict_texts
 from recon.workflows.options import ANYWAY, FIRST_FRAME
 

@@ -25,14 +25,13 @@ from recon.base.settings import Count, Integer, Option, Settings
 from recon.fit.motion import Motion
 from recon.gait.kinematics import MIN_POINTS
 from recon.io import recognised
-from recon.io.video import SUFFIXES, probe
+from recon.io.video import SUFFIXES, probe, size_problems
 from recon.show.page import PAGE, SUMMARY_PAGE, require_own_page
 from recon.show.plain import picked
 from recon.show.report import build_report, is_unsolved
 from recon.workflows.analyse import AnalyseSettings, run_analyse
 from recon.workflows.batch import Clip, ClipPlan, Summary, results_of, shown_batch, work_off
 from recon.workflows.batch.inputs import file_names
-from recon.workflows.cameras import size_problems
 from recon.workflows.cli.command import OptionsOf
 from recon.workflows.cli.common import Answer, answer_of_fit, progress_bar, say
 from recon.workflows.clip import fit_clip, read_model_and_cameras
