@@ -525,31 +525,6 @@ def together(sources: Sequence[Source], later_frames: Sequence[float]) -> tuple[
     )
 
 
-def at_rate(keypoints: Keypoints, fps: float) -> Keypoints:
-    """Keypoints of a camera with another frame rate at that of the clip, frame 0 staying where it is, along straight
-    lines; those of slower ones count less in proportion. Raises InputError for fewer frames than that needs."""
-    assert keypoints.fps is not None
-    if keypoints.fps == fps:
-        return keypoints
-    times = keypoints.frames * fps / keypoints.fps
-    frames = np.arange(int(np.ceil(times[0])), int(np.floor(times[-1])) + 1)
-    if len(times) < 2 or not len(frames):
-        expected = f"two or more that last as long as one at {fps:g} Hz"
-        raise InputError(Problem(keypoints.source or "keypoints", "frames", str(len(times)), expected))
-    after = np.clip(np.searchsorted(times, frames), 1, len(times) - 1)
-    share = ((frames - times[after - 1]) / (times[after] - times[after - 1]))[:, None]
-
-    def between(values: Array, share: Array) -> Array:
-        before, later = values[after - 1], values[after]
-        mixed = (1 - share) * before + share * later
-        return np.where(share == 0, before, np.where(share == 1, later, mixed))
-
-    xy_px = between(keypoints.xy_px, share[..., None])
-    confidence = between(keypoints.confidence, share) * min(1.0, keypoints.fps / fps)
-    confidence = np.where(np.isnan(xy_px[..., 0]), 0.0, confidence)
-    return replace(keypoints, xy_px=xy_px, confidence=confidence, frames=frames, fps=fps)
-
-
 def _near_detections(sources: Sequence[Source], starts: Sequence[int], frames: Integers, bridged: float) -> Bools:
     """(T,): the first and the last of consecutive frames, and those near ones in which something is seen: of a stretch
     in which nothing is, so many are left that it is still not bridged."""

@@ -13,9 +13,10 @@ from test_cameras import folder, keypoints_of, settings
 from recon import fit_clip
 from recon.check import solved_in_step
 from recon.check.agreement import search_offsets
-from recon.clip import Source, at_rate, clean
+from recon.clip import Source, clean
 from recon.fit import TrajectoryOptions, TrajectorySolution, solve_trajectory
 from recon.workflows import prepare
+from recon.workflows.rigs import at_rate
 from tests.test_agreement import KEYPOINT_M, cameras, late
 from tests.test_trajectory import BODY, CAMERA, FPS, PRIOR
 

@@ -34,6 +34,8 @@ _SEPARATORS = "_-. "
 _FILLERS = {"of", "the"}
 _NEAR = 0.8
 """Names are near each other if they share this part of their letters."""
+_MOST_OF_FILE = 0.8
+"""Another skeleton that has so many of a file's keypoints is probably theirs."""
 
 
 @dataclass(frozen=True)
@@ -163,6 +165,21 @@ def _whole_animals() -> dict[str, tuple[str, ...]]:
     """The markers of the built-in skeletons of whole animals, by the skeletons' names."""
     chains = builtin_chains()
     return {name: load_skeleton(name).markers for name in builtin_names() if name not in chains}
+
+
+def problem_of_names(names: Sequence[str], wanted: Sequence[str], skeleton: str, source: str) -> Problem:
+    """What a file's names are not, those of a skeleton, with what would make them so: another skeleton, a map that
+    comes with the package, or one that the lines of the problem begin."""
+    found = f"{', '.join(names)}: {', '.join(name for name in names if name in wanted) or 'none'} of the skeleton's"
+    if own := skeleton_of(names):
+        return Problem(source, "bodyparts", found, f"with these names, which are its own: --skeleton {own}")
+    maps, (options, count) = fitting_maps(names, wanted), fitting_skeleton(names)
+    if count >= _MOST_OF_FILE * len(names) and f"--skeleton {skeleton} " not in f"{options} ":
+        hint = f"{options}, or"
+    else:
+        hint = f"--rename {maps[0]}, or" if maps else "another animal's --skeleton, or"
+    expected = f"those of the skeleton {skeleton}: {', '.join(wanted)}; {hint} --rename with a file of these lines, "
+    return Problem(source, "bodyparts", found, f"{expected}completed", tuple(map_to_write(names, wanted)))
 
 
 def map_to_write(names: Iterable[str], wanted: Iterable[str]) -> Iterator[str]:

@@ -18,15 +18,12 @@ from recon.animal.body import Body, Side
 from recon.animal.prior import MotionPrior, load_prior
 from recon.animal.skeleton_file import load_skeleton, seen_by
 from recon.base import Progress, silent
-from recon.base.arrays import Array, Bools
+from recon.base.arrays import Array
 from recon.base.errors import InputError, Problem, all_of, refuse
 from recon.clip import (
-    CleaningReport,
-    FramePoses,
     Keypoints,
     Source,
     View,
-    at_rate,
     clean,
     held,
     leave_out,
@@ -55,14 +52,11 @@ an animal does from one frame to the next is lost in the rounding of its acceler
 
 FEW_OF_SKELETON, FEW_OF_FILE = 0.25, 0.5
 """A file with fewer of the skeleton's keypoints, to which fewer of its own belong, has other names for them."""
-_MOST_OF_FILE = 0.8
-"""Another skeleton that has so many of a file's keypoints is probably theirs."""
 HEIGHT_SIGMA = 0.05
 """Relative, of a size that follows from the height at the withers: animals differ in their proportions."""
 PADDED, INSIDE = 0.05, 0.9
 """Detectors pad the picture: so far outside keypoints are as good as in it; at least so many of a clip's have to be."""
 _FAR_OUTSIDE = "too far outside the picture to have been found in it"
-_WITHOUT_POSE = "in frames for which the camera's track has no pose"
 
 
 def fit_clip(settings: FitSettings, progress: Progress = silent) -> Motion:
@@ -292,32 +286,20 @@ def _cleaned(body: Body, settings: FitSettings, fps: float, file: Keypoints, of:
         if track is not None:
             expected = f"that of the first camera, {fps:g}: one that moves cannot have another"
             raise InputError(Problem(track.source, "fps", f"{file.fps:g}", expected))
+        from recon.workflows.rigs import at_rate
+
         keypoints = at_rate(keypoints, fps)
         note = f"{camera.name} filmed at {file.fps:g} Hz: its points are taken between its frames, at {fps:g} Hz"
         cleaning = replace(cleaning, notes=(*cleaning.notes, note))
     poses = None
     if track is not None:
-        poses, filled = track.at(keypoints.frames, fps)
-        keypoints, cleaning = _with_pose(keypoints, cleaning, poses, filled, track)
+        from recon.workflows.rigs import with_poses
+
+        keypoints, cleaning, poses = with_poses(keypoints, cleaning, track, fps)
     lenses = None if poses is None else poses.each(held).intrinsics_px
     view = View(camera, np.eye(4), keypoints.xy_px, keypoints.confidence, lenses)
     keypoints, cleaning = leave_out(keypoints, cleaning, keypoints.present & ~view.seen, _FAR_OUTSIDE)
     return Source(camera, keypoints, cleaning, file.names, 0.0, poses)
-
-
-def _with_pose(
-    keypoints: Keypoints, cleaning: CleaningReport, poses: FramePoses, filled: Bools, track: io.CameraTrack
-) -> tuple[Keypoints, CleaningReport]:
-    """Without detections in frames for which a track has no pose. Raises InputError where there are no others."""
-    if not (keypoints.present & poses.known[:, None]).any():
-        first, last = keypoints.frames[[0, -1]]
-        found = f"{track.frames[0]} to {track.frames[-1]}, none in common with {keypoints.source or 'the keypoints'}"
-        raise InputError(Problem(track.source, "frame", found, f"the numbers of the clip's frames, {first} to {last}"))
-    if filled.any():
-        between = f"between two of its track that are {track.max_gap_s:g} s apart or less"
-        note = f"{filled.sum()} frames have a camera pose {between}"
-        cleaning = replace(cleaning, notes=(*cleaning.notes, note))
-    return leave_out(keypoints, cleaning, keypoints.present & ~poses.known[:, None], _WITHOUT_POSE)
 
 
 def _require_keypoints_of(body: Body, keypoints: Keypoints) -> None:
@@ -326,19 +308,7 @@ def _require_keypoints_of(body: Body, keypoints: Keypoints) -> None:
     known = [name for name in keypoints.names if name in wanted]
     if known and (len(known) >= FEW_OF_SKELETON * len(wanted) or len(known) >= FEW_OF_FILE * len(keypoints.names)):
         return
-    found = f"{', '.join(keypoints.names)}: {', '.join(known) or 'none'} of the skeleton's"
-    where = keypoints.source or "keypoints"
-    if own := animal.skeleton_of(keypoints.names):
-        raise InputError(Problem(where, "bodyparts", found, f"with these names, which are its own: --skeleton {own}"))
-    maps = animal.fitting_maps(keypoints.names, wanted)
-    options, count = animal.fitting_skeleton(keypoints.names)
-    if count >= _MOST_OF_FILE * len(keypoints.names) and f"--skeleton {body.name} " not in f"{options} ":
-        hint = f"{options}, or"
-    else:
-        hint = f"--rename {maps[0]}, or" if maps else "another animal's --skeleton, or"
-    expected = f"those of the skeleton {body.name}: {', '.join(wanted)}; {hint} --rename with a file of these lines, "
-    lines = tuple(animal.map_to_write(keypoints.names, wanted))
-    raise InputError(Problem(where, "bodyparts", found, f"{expected}completed", lines))
+    raise InputError(animal.problem_of_names(keypoints.names, wanted, body.name, keypoints.source or "keypoints"))
 
 
 def _require_inside(camera: Camera, keypoints: Keypoints, settings: FitSettings) -> None:

@@ -13,7 +13,7 @@ from recon import check, io
 from recon.animal.body import Body
 from recon.base.arrays import Array
 from recon.base.errors import InputError, Problem, refuse
-from recon.clip import Source, camera_poses, views_of
+from recon.clip import CleaningReport, FramePoses, Keypoints, Source, camera_poses, leave_out, views_of
 from recon.geometry.camera import Camera
 from recon.geometry.frames import level_from_camera, rigid
 from recon.io.common import numbers
@@ -62,6 +62,49 @@ def focal_problems(cameras: _Cameras) -> Iterator[Problem]:
             if not own / MOST_ZOOM <= found <= own * MOST_ZOOM:
                 expected = f"about the {own:.4g} px of the camera file, or {MOST_ZOOM} times more or less"
                 yield Problem(track.source, "fx", f"{found:.4g} px (median)", expected)
+
+
+def with_poses(
+    keypoints: Keypoints, cleaning: CleaningReport, track: io.CameraTrack, fps: float
+) -> tuple[Keypoints, CleaningReport, FramePoses]:
+    """The poses of a track in the keypoints' frames, and these without detections in frames for which it has none.
+    Raises InputError where there are no others."""
+    poses, filled = track.at(keypoints.frames, fps)
+    if not (keypoints.present & poses.known[:, None]).any():
+        first, last = keypoints.frames[[0, -1]]
+        found = f"{track.frames[0]} to {track.frames[-1]}, none in common with {keypoints.source or 'the keypoints'}"
+        raise InputError(Problem(track.source, "frame", found, f"the numbers of the clip's frames, {first} to {last}"))
+    if filled.any():
+        between = f"between two of its track that are {track.max_gap_s:g} s apart or less"
+        note = f"{filled.sum()} frames have a camera pose {between}"
+        cleaning = replace(cleaning, notes=(*cleaning.notes, note))
+    unknown = keypoints.present & ~poses.known[:, None]
+    return *leave_out(keypoints, cleaning, unknown, "in frames for which the camera's track has no pose"), poses
+
+
+def at_rate(keypoints: Keypoints, fps: float) -> Keypoints:
+    """Keypoints of a camera with another frame rate at that of the clip, frame 0 staying where it is, along straight
+    lines; those of slower ones count less in proportion. Raises InputError for fewer frames than that needs."""
+    assert keypoints.fps is not None
+    if keypoints.fps == fps:
+        return keypoints
+    times = keypoints.frames * fps / keypoints.fps
+    frames = np.arange(int(np.ceil(times[0])), int(np.floor(times[-1])) + 1)
+    if len(times) < 2 or not len(frames):
+        expected = f"two or more that last as long as one at {fps:g} Hz"
+        raise InputError(Problem(keypoints.source or "keypoints", "frames", str(len(times)), expected))
+    after = np.clip(np.searchsorted(times, frames), 1, len(times) - 1)
+    share = ((frames - times[after - 1]) / (times[after] - times[after - 1]))[:, None]
+
+    def between(values: Array, share: Array) -> Array:
+        before, later = values[after - 1], values[after]
+        mixed = (1 - share) * before + share * later
+        return np.where(share == 0, before, np.where(share == 1, later, mixed))
+
+    xy_px = between(keypoints.xy_px, share[..., None])
+    confidence = between(keypoints.confidence, share) * min(1.0, keypoints.fps / fps)
+    confidence = np.where(np.isnan(xy_px[..., 0]), 0.0, confidence)
+    return replace(keypoints, xy_px=xy_px, confidence=confidence, frames=frames, fps=fps)
 
 
 # -- which way is up -------------------------------------------------------------------------------------------------
