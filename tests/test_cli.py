@@ -29,8 +29,7 @@ from recon.check import verdict_lines
 from recon.io import read_keypoints
 from recon.show import to_plain
 from recon.workflows import OUTPUT_FILES
-from recon.workflows.cli import error_text, terminal
-from recon.workflows.cli.common import say, table_of
+from recon.workflows.cli import error_text, say, table_of, terminal
 
 SAMPLES = Path(__file__).parents[1] / "data" / "samples"
 CLIP, CAMERA, TRUTH = SAMPLES / "noisy.csv", SAMPLES / "camera.toml", SAMPLES / "noisy_truth.csv"

@@ -32,7 +32,7 @@ def fit():
     finally:
         print("cleaned up", flush=True)
 
-results = sys.modules["recon.workflows.cli.fit"] = types.ModuleType("recon.workflows.cli.fit")
+results = sys.modules["recon.workflows.fit"] = types.ModuleType("recon.workflows.fit")
 results.fit = fit
 sys.modules["pandas"] = types.ModuleType("pandas")
 """
@@ -93,7 +93,7 @@ def test_the_command_cleans_up(moment):
 
 
 @posix
-@pytest.mark.parametrize("module", ["typer", "rich.markup", "recon.workflows.cli.command"])
+@pytest.mark.parametrize("module", ["typer", "rich.markup", "recon.workflows.cli"])
 def test_within_an_import(module):
     """There, libraries print exceptions that are not theirs."""
     code = f"""

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import errno
+import hashlib
+import json
 import os
 import shutil
 import sys
 import tempfile
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
 
 from recon.base.errors import InputError, Problem, refuse
-from recon.base.manifest import MANIFEST, read_manifest, write_manifest
 
 if sys.platform == "win32":
     import msvcrt
@@ -28,6 +30,9 @@ else:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
+MANIFEST = "manifest.json"
+SCHEMA = {"name": "recon.manifest", "version": 1}
+AGAIN = "the results of one run as they were written: run the command again, with --overwrite"
 _PREFIX = ".recon-partial-"
 _LOCK, _NEW, _OLD = "lock", "new", "old"
 """In a staging folder: the file that its process holds locked, the files to come, and those that they replace."""
@@ -57,7 +62,7 @@ def staged_folder(folder: str | Path) -> Iterator[Path]:
 
 @contextmanager
 def staged_results(folder: str | Path, names: Iterable[str] = ()) -> Iterator[Path]:
-    """The same for files that belong together: all of them move, or none, with a manifest (`recon.base.manifest`).
+    """The same for files that belong together: all of them move, or none, with a manifest (`recon.base.files`).
 
     names: of all files that results of this kind may have. Those of an earlier run that this one does not write go.
     """
@@ -228,6 +233,80 @@ def seen_from(folder: Path, path: str | Path) -> str:
 def name_seen_from(folder: Path, name: str) -> str:
     """The same of what may be the name of something built in."""
     return seen_from(folder, name) if Path(name).suffix else name
+
+
+# -- which files belong together --------------------------------------------------------------------------------------
+
+# A manifest goes before the first file of a run is replaced, and comes after the last (`staged_results`): a run that is
+# killed in between leaves none, and a mixture of two runs is not taken for one.
+
+
+@dataclass(frozen=True)
+class _Manifest:
+    """What one run wrote into a folder."""
+
+    folder: Path
+    files: Mapping[str, tuple[int, str]]
+    """By name: size in bytes, and the SHA-256 of the content in hexadecimal digits."""
+
+    def __contains__(self, name: str) -> bool:
+        return name in self.files
+
+    def changed(self, names: Iterable[str] | None = None) -> list[Problem]:
+        """What is missing or is not as it was written, of the named files, or of all."""
+        return [
+            Problem(self.folder / name, *fault, AGAIN)
+            for name in (self.files if names is None else names)
+            if (fault := self._fault(name)) is not None
+        ]
+
+    def require(self, *names: str) -> None:
+        """Raises InputError unless these files are there and as the run wrote them."""
+        refuse(self.changed(names))
+
+    def _fault(self, name: str) -> tuple[str, str] | None:
+        entry, path = self.files.get(name), self.folder / name
+        if entry is None:
+            return "file", f"no word of it in {MANIFEST}"
+        try:
+            if path.stat().st_size == entry[0] and sha256_of(path) == entry[1]:
+                return None
+        except OSError as error:
+            there = not isinstance(error, FileNotFoundError)
+            return "file", f"{error.strerror}" if there else f"no such file, which {MANIFEST} names"
+        return "content", f"other than {MANIFEST} says: it was changed, or is of another run"
+
+
+def read_manifest(folder: Path) -> _Manifest:
+    """Raises InputError where there is none, as after a run that was interrupted while it wrote."""
+    path = folder / MANIFEST
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        if content["schema"] != SCHEMA:
+            raise ValueError
+        files = {str(name): (int(entry["size"]), str(entry["sha256"])) for name, entry in content["files"].items()}
+    except FileNotFoundError:
+        found = f"no {MANIFEST}: of an interrupted run, or of an earlier version"
+        raise InputError(Problem(folder, "folder", found, AGAIN)) from None
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError, OverflowError):
+        raise InputError(Problem(path, "content", "something else", AGAIN)) from None
+    return _Manifest(folder, files)
+
+
+def write_manifest(folder: Path) -> None:
+    """Write the manifest of the files that are in the folder now."""
+    files = {
+        path.name: {"size": path.stat().st_size, "sha256": sha256_of(path)}
+        for path in sorted(folder.iterdir())
+        if path.name != MANIFEST and path.is_file()
+    }
+    text = json.dumps({"schema": SCHEMA, "files": files}, indent=1) + "\n"
+    (folder / MANIFEST).write_text(text, encoding="utf-8", newline="\n")
+
+
+def sha256_of(path: str | os.PathLike[str]) -> str:
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 # -- not over others -------------------------------------------------------------------------------------------------

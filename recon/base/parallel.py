@@ -1,6 +1,7 @@
 """Many tasks beside each other, each in a process: one whose process dies takes no other with it.
 
-A pool of `concurrent.futures` loses all that it has under way when one of its processes dies, and hears of no progress.
+They are done on this machine, or on a Dask cluster, whose workers see the same files at the same paths. A pool of
+`concurrent.futures` loses all that it has under way when one of its processes dies, and hears of no progress.
 """
 
 from __future__ import annotations
@@ -8,11 +9,13 @@ from __future__ import annotations
 import faulthandler
 import multiprocessing
 import os
+import queue
 import signal
 import sys
 import threading
 import time
 import traceback
+import uuid
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -22,15 +25,21 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import ModuleType
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from recon.base import Progress
 from recon.base.errors import InputError, Problem
+from recon.base.package import install_command
+
+if TYPE_CHECKING:
+    from distributed import Client, Future
 
 Outcome = Mapping[str, Any]
 """What became of a task, by name, at least its status; a task that failed has an error."""
 Work = Callable[[Any, Progress], Outcome]
 """What is done with each task: a function at the top of a module, so that another process finds it."""
+Tasks = Sequence[tuple[str, Any]]
+"""Each with its name."""
 STARTING = "starting"
 TASKS_PER_PROCESS = 50
 """Then a new process takes over: rerun keeps two to four threads and 1.5 to 3 MB of each recording for good."""
@@ -60,6 +69,9 @@ class Event:
     """The outcome of a task that has ended."""
 
 
+Tell = Callable[[Event], None]
+
+
 def available_cores() -> int:
     """How many processor cores this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
@@ -78,14 +90,7 @@ def outcome_of(work: Work, task: Any, progress: Progress) -> dict[str, Any]:
     return {"seconds": round(time.perf_counter() - began, 3), "attempts": 1, **outcome}
 
 
-def carry_out(
-    work: Work,
-    tasks: Sequence[tuple[str, Any]],
-    tell: Callable[[Event], None],
-    *,
-    jobs: int | None = None,
-    retries: int = 0,
-) -> None:
+def carry_out(work: Work, tasks: Tasks, tell: Tell, jobs: int | None = None, retries: int = 0) -> None:
     """All tasks, each with its name, in processes of this machine with one thread each; what happens is told.
 
     jobs: tasks at a time, by default one for each core; retries: how often a task is tried again whose process died or
@@ -246,3 +251,98 @@ def _end_with_parent() -> None:
     if parent is not None:
         parent.join()
         os._exit(0)
+
+
+# -- on a cluster -----------------------------------------------------------------------------------------------------
+
+CONNECT_S = 10.0
+_STOPPED: set[str] = set()
+"""On a Dask worker: the batches that are over."""
+
+
+class _StoppedError(Exception):
+    """The batch that a task belongs to is over."""
+
+
+def carry_out_on_cluster(address: str, work: Work, tasks: Tasks, tell: Tell, retries: int = 0) -> None:
+    """All tasks as futures of the scheduler at an address, told of as they end; a Dask worker that dies costs no task,
+    as others take them. After an exception the tasks under way are stopped. Raises InputError where there is no
+    scheduler, or no Dask here, and where the scheduler goes away."""
+    client = _client(address)
+    batch = uuid.uuid4().hex
+    underway: dict[str, tuple[str, Future]] = {}  # by key
+    ended: queue.SimpleQueue[Future] = queue.SimpleQueue()
+    try:
+        for name, task in tasks:
+            key = f"recon-{batch}-{name}"
+            future = client.submit(_on_worker, batch, work, task, key=key, retries=retries, pure=False)
+            underway[key] = name, future
+            tell(Event("progress", name, stage=STARTING))
+            future.add_done_callback(ended.put)
+        while underway:
+            try:
+                future = ended.get(timeout=TICK_S)
+            except queue.Empty:
+                if client.status in ("closed", "closing"):
+                    raise _lost("no connection to the scheduler any more") from None
+            else:
+                name, _ = underway.pop(str(future.key))
+                tell(Event("ended", name, outcome=_outcome(future)))
+                future.release()  # else it is computed again when the Dask worker that holds it dies
+    finally:
+        if client.status == "running":
+            client.cancel([future for _, future in underway.values()], force=True)
+            client.run(_stop, batch, on_error="ignore")
+        client.close()
+
+
+def _client(address: str) -> Client:
+    import asyncio  # slow to import
+
+    try:
+        from distributed import Client, Security
+        from distributed.comm.core import connect
+    except ImportError:
+        expected = f"Dask: {install_command('cluster')}"
+        raise InputError(Problem("--scheduler", "package", "no package distributed", expected)) from None
+
+    async def answers() -> None:
+        (await connect(address, CONNECT_S, **Security().get_connection_args("client"))).abort()
+
+    try:
+        asyncio.run(asyncio.wait_for(answers(), CONNECT_S))  # a client would wait on where a port only accepts
+        return Client(address, timeout=CONNECT_S, set_as_default=False)
+    except Exception as error:  # of addresses, of the network, of certificates that there are not
+        silent = f"no answer within {CONNECT_S:g} s" if isinstance(error, TimeoutError) else type(error).__name__
+        found = " ".join(str(error).split())[:200] or silent
+        expected = "a running Dask scheduler, as in tcp://host:8786"
+        if address.startswith("tls://"):
+            expected += ", or tls:// with the certificates of Dask's configuration (distributed.comm.tls)"
+        raise InputError(Problem("--scheduler", address, found, expected)) from None
+
+
+def _outcome(future: Future) -> dict[str, Any]:
+    if future.status == "finished":
+        return future.result()
+    if future.status == "error":
+        error = future.exception()
+        return {"status": "failed", "error": f"{type(error).__name__}: {error}", "attempts": 1}
+    raise _lost("tasks that the scheduler has cancelled")
+
+
+def _lost(found: str) -> InputError:
+    expected = "workers until the end: the same command again goes on from here"
+    return InputError(Problem("recon batch", "workers", found, expected))
+
+
+def _stop(batch: str) -> None:
+    """On a Dask worker, beside its tasks."""
+    _STOPPED.add(batch)
+
+
+def _on_worker(batch: str, work: Work, task: Any) -> dict[str, Any]:
+    def progress(stage: str, share: float) -> None:
+        if batch in _STOPPED:
+            raise _StoppedError
+
+    return outcome_of(work, task, progress)

@@ -14,7 +14,7 @@ import numpy as np
 
 from recon.base.arrays import Array
 from recon.base.errors import InputError, Problem
-from recon.base.manifest import MANIFEST, read_manifest
+from recon.base.files import MANIFEST, read_manifest
 from recon.base.records import load_record
 from recon.fit.result import SHAPES
 from recon.geometry.kinematics import YAW

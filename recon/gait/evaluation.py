@@ -18,7 +18,7 @@ import numpy as np
 
 from recon.animal import fitting_maps, load_names, new_names
 from recon.base.errors import InputError, Problem, all_of, refuse
-from recon.base.manifest import MANIFEST
+from recon.base.files import MANIFEST
 from recon.check import mismatches, sentence, usable
 from recon.clip import frame_ranges
 from recon.fit.motion import Motion

@@ -29,8 +29,7 @@ from recon.gait.gait import Gait, Stride, doubtful_text
 from recon.show.export import analysis_csv
 from recon.show.plain import picked, to_json
 from recon.show.report import in_sentences
-from recon.workflows.cli.common import Answer, table_of, verdict_texts
-from recon.workflows.options import ANYWAY, STRIDE, StrideTimes
+from recon.workflows.cli import ANYWAY, STRIDE, Answer, StrideTimes, table_of, verdict_texts
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -22,7 +22,7 @@ from recon.check import names_text
 from recon.geometry.lens import LENS_MODELS
 from recon.io import write_camera
 from recon.show.plain import picked
-from recon.workflows.cli.common import Answer, table_of
+from recon.workflows.cli import Answer, table_of
 
 
 def _finite(value: Any) -> Any:

@@ -26,8 +26,7 @@ from recon.io import read_camera, read_keypoints, write_table
 from recon.io.camera_track import INTRINSICS, POSE, SIGMA
 from recon.io.video import Image, missing_frames, missing_note, probe, size_problems, timed_frames
 from recon.show.plain import picked, to_json
-from recon.workflows.cli.common import Answer, counted
-from recon.workflows.options import FIRST_FRAME
+from recon.workflows.cli import FIRST_FRAME, Answer, counted
 from recon.workflows.settings import FitSettings
 
 MIN_LIKELIHOOD = 0.3

@@ -16,8 +16,15 @@ from recon.animal.prior import load_prior
 from recon.base import Progress, silent
 from recon.base.documents import read_toml
 from recon.base.errors import InputError, Problem
-from recon.base.files import require_free_folder, sole_writer, staged_file, staged_results
-from recon.base.manifest import MANIFEST, read_manifest, sha256_of
+from recon.base.files import (
+    MANIFEST,
+    read_manifest,
+    require_free_folder,
+    sha256_of,
+    sole_writer,
+    staged_file,
+    staged_results,
+)
 from recon.base.package import version
 from recon.clip import views_of
 from recon.fit.clip_problem import ClipProblem

@@ -28,8 +28,7 @@ from recon.fit.motion_forms import MOTION
 from recon.gait.clip import POSITION_LASTS_S, ClipAnalysis, analyse
 from recon.gait.kinematics import JointKinematics
 from recon.show.plots.style import COLOURS, drawing
-from recon.workflows.cli.common import Answer, counted, table_of
-from recon.workflows.options import ANYWAY
+from recon.workflows.cli import ANYWAY, Answer, counted, table_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

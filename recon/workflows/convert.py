@@ -19,8 +19,7 @@ from recon.fit.motion import Motion
 from recon.io import CONVERTED, Format, Pose3D, as_keypoints, in_metres, read_points
 from recon.io.columns import parse_map
 from recon.show.export.rig import rig_of
-from recon.workflows.cli.common import Answer, table_of
-from recon.workflows.options import ANYWAY
+from recon.workflows.cli import ANYWAY, Answer, table_of
 from recon.workflows.settings import INDIVIDUAL, RENAME
 
 ROBOTS, ROBOT_FILE = "recon.wings.robotics.robot.trainers", "robot.npz"

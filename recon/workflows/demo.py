@@ -12,7 +12,7 @@ from recon.fit.motion import Motion
 from recon.gait.clip import ClipAnalysis
 from recon.gait.evaluation import evaluate_files
 from recon.show.report import in_sentences
-from recon.workflows.cli.common import Answer, answer_of_fit
+from recon.workflows.cli import Answer, answer_of_fit
 from recon.workflows.clip_results import run_clip
 from recon.workflows.look import PageSettings, run_page
 from recon.workflows.settings import FitSettings

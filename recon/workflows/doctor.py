@@ -20,7 +20,7 @@ from rich.text import Text
 
 from recon.base import Progress, silent
 from recon.base.package import DISTRIBUTION, install_command, pip_command, version
-from recon.workflows.cli.common import Answer
+from recon.workflows.cli import Answer
 
 if TYPE_CHECKING:
     from packaging.specifiers import SpecifierSet

@@ -10,8 +10,7 @@ from rich.table import Table
 from rich.text import Text
 
 from recon.base.settings import Option, Settings
-from recon.workflows.cli.common import Answer, table_of, verdict_texts
-from recon.workflows.options import ANYWAY
+from recon.workflows.cli import ANYWAY, Answer, table_of, verdict_texts
 
 if TYPE_CHECKING:
     from recon.gait.evaluation import Evaluation

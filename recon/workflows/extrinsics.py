@@ -24,8 +24,7 @@ from recon.geometry.camera import Camera
 from recon.geometry.frames import level_from_camera, rigid
 from recon.io import write_cameras
 from recon.workflows.batch.inputs import AUTO, find_clips
-from recon.workflows.cli.command import OptionsOf
-from recon.workflows.cli.common import Answer, say
+from recon.workflows.cli import Answer, OptionsOf, say
 from recon.workflows.clip import ClipInputs, prepare
 from recon.workflows.config import read_settings
 from recon.workflows.settings import FitSettings

@@ -18,8 +18,7 @@ from rich.console import Console
 from recon.base import Progress, silent
 from recon.base.arrays import Array, Index
 from recon.base.errors import InputError, Problem, all_of, refuse
-from recon.base.files import require_free_file, sole_writer, staged_file
-from recon.base.manifest import MANIFEST, read_manifest
+from recon.base.files import MANIFEST, read_manifest, require_free_file, sole_writer, staged_file
 from recon.base.parallel import Event, carry_out
 from recon.base.settings import Integer, Number, Option, Settings
 from recon.check import FLAG_OF, usable
@@ -36,8 +35,7 @@ from recon.workflows.analyse import FOLDER, PLAYBACK
 from recon.workflows.analyse import SUMMARY as ANALYSIS
 from recon.workflows.batch import SUMMARY, write_summary_page
 from recon.workflows.cameras import cameras_in
-from recon.workflows.cli.common import Answer, error_text, say, terminal, verdict_texts
-from recon.workflows.options import ANYWAY, FIRST_FRAME
+from recon.workflows.cli import ANYWAY, FIRST_FRAME, Answer, error_text, say, terminal, verdict_texts
 
 SLOW_FPS = 30.0
 """Every frame is shown, and no more than this many in a second, unless a speed is given."""

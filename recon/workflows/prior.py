@@ -26,8 +26,7 @@ from recon.fit.points import MIN_MARKERS, solve_points
 from recon.io import Pose3D, read_pose_segments
 from recon.show.plain import picked
 from recon.workflows.batch.inputs import file_names
-from recon.workflows.cli.common import Answer, table_of
-from recon.workflows.options import ANYWAY
+from recon.workflows.cli import ANYWAY, Answer, table_of
 
 Segment = tuple[str, Array, float]
 """Name, states (T, D), frames per second."""

@@ -18,8 +18,7 @@ from rich.console import Console
 
 from recon.base import Progress, silent
 from recon.base.errors import InputError, Problem, all_of, refuse
-from recon.base.files import sole_writer
-from recon.base.manifest import MANIFEST, read_manifest, sha256_of
+from recon.base.files import MANIFEST, read_manifest, sha256_of, sole_writer
 from recon.base.parallel import Event, carry_out
 from recon.base.settings import Count, Integer, Option, Settings
 from recon.fit.motion import Motion
@@ -32,13 +31,11 @@ from recon.show.report import build_report, is_unsolved
 from recon.workflows.analyse import AnalyseSettings, run_analyse
 from recon.workflows.batch import Clip, ClipPlan, Summary, results_of, shown_batch, work_off
 from recon.workflows.batch.inputs import file_names
-from recon.workflows.cli.command import OptionsOf
-from recon.workflows.cli.common import Answer, answer_of_fit, progress_bar, say
+from recon.workflows.cli import FIRST_FRAME, Answer, OptionsOf, answer_of_fit, progress_bar, say
 from recon.workflows.clip import fit_clip, read_model_and_cameras
 from recon.workflows.clip_results import Record, file_sha256, identity, identity_of, output_files, write_clip
 from recon.workflows.config import read_settings
 from recon.workflows.look import OverlaySettings, PageSettings, rate_note, run_overlay, run_page
-from recon.workflows.options import FIRST_FRAME
 from recon.workflows.settings import SETTINGS, FitSettings
 
 RECORD = "run.jsonl"

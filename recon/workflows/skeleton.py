@@ -39,7 +39,7 @@ from recon.io import read_keypoints
 from recon.io.deeplabcut_project import bodyparts, find_project
 from recon.show.plain import by_name, picked
 from recon.workflows.cameras import read_clip_cameras
-from recon.workflows.cli.common import Answer, table_of
+from recon.workflows.cli import Answer, table_of
 from recon.workflows.clip import arrange, read_clips
 from recon.workflows.settings import INDIVIDUAL, FitSettings
 

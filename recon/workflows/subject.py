@@ -22,7 +22,7 @@ from recon.fit.clip_problem import ClipProblem
 from recon.fit.points import MIN_MARKERS, solve_points
 from recon.fit.shape import POSED_OFFSET_SIGMA_M, Shape, ShapeFit, fit_shape
 from recon.io import Pose3D, read_pose3d
-from recon.workflows.cli.common import Answer, counted, table_of
+from recon.workflows.cli import Answer, counted, table_of
 from recon.workflows.clip import prepare
 from recon.workflows.clip_results import CONFIG, read_config
 from recon.workflows.settings import FitSettings

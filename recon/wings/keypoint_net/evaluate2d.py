@@ -18,7 +18,7 @@ from recon.base.settings import Integer, Number, Option, Positive, Settings
 from recon.clip import Keypoints, mark_missing, parse_frame_range
 from recon.io import read_keypoints
 from recon.wings.keypoint_net.labels import body_length_px, known_points, read_label_file, sides
-from recon.workflows.cli.common import Answer, table_of
+from recon.workflows.cli import Answer, table_of
 from recon.workflows.settings import RENAME, FrameRange
 
 BINS = 10

@@ -38,7 +38,7 @@ from recon.wings.keypoint_net.train import (
     train,
     write_training_report,
 )
-from recon.workflows.cli.common import Answer, stop
+from recon.workflows.cli import Answer, stop
 from recon.workflows.settings import RENAME
 
 WRITERS = {f.suffixes[0]: f.write for f in FORMATS if f.name == "deeplabcut"}

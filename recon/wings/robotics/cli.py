@@ -10,7 +10,7 @@ from typing import Any
 from rich.table import Table
 
 from recon.wings.robotics.settings import ClimbSettings, IkSettings, PoseSettings, RetargetSettings, TableSettings
-from recon.workflows.cli.common import EXIT_UNSOLVED, Answer, numbers, table_of, verdict_texts
+from recon.workflows.cli import EXIT_UNSOLVED, Answer, numbers, table_of, verdict_texts
 
 WIDE_GAP_PERCENT = 25
 CLOSES_PERCENT = 90

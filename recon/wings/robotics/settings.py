@@ -10,7 +10,7 @@ from pydantic import BeforeValidator, Field
 
 from recon.base.errors import Problem
 from recon.base.settings import Integer, Number, Option, Positive, Settings
-from recon.workflows.options import ANYWAY, STRIDE, StrideTimes
+from recon.workflows.cli import ANYWAY, STRIDE, StrideTimes
 
 Extended = Literal["extended-differences", "extended-energy", "extended-harmonic"]
 MethodName = Literal[

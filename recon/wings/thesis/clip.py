@@ -13,10 +13,9 @@ from recon.check import judged
 from recon.clip import views_of
 from recon.fit.motion import Motion
 from recon.wings.thesis.frame import FrameOptions, solve_frames
-from recon.workflows.cli.command import OptionsOf
-from recon.workflows.cli.common import Answer
-from recon.workflows.cli.fit import FitRunSettings, fit
+from recon.workflows.cli import Answer, OptionsOf
 from recon.workflows.clip import prepare
+from recon.workflows.fit import FitRunSettings, fit
 from recon.workflows.settings import SETTINGS, FitSettings
 
 _OPTIONS = tuple(name for name, info in SETTINGS.items() if name != "method" and info.option.method in (None, "frame"))

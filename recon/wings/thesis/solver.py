@@ -25,14 +25,13 @@ from threadpoolctl import threadpool_limits
 from recon.base import Progress
 from recon.base.arrays import Array, mean
 from recon.base.errors import InputError, Problem
-from recon.base.files import require_free_folder, sole_writer, staged_folder, write_bytes
-from recon.base.manifest import read_manifest
+from recon.base.files import read_manifest, require_free_folder, sole_writer, staged_folder, write_bytes
 from recon.base.settings import Integer, Option, Settings
 from recon.fit.motion import Motion
 from recon.show.plain import to_json
 from recon.show.plots import style
 from recon.wings.thesis.frame import FrameOptions, FrameSearch, FrameSolution, FrameSolver, solve_frames
-from recon.workflows.cli.common import Answer
+from recon.workflows.cli import Answer
 from recon.workflows.clip_results import CONFIG, read_config
 
 FOLDER, SUMMARY, JACOBIAN = "solver", "solver.json", "jacobian.npz"

@@ -26,19 +26,16 @@ from threadpoolctl import threadpool_limits
 
 from recon.base import Progress
 from recon.base.errors import InputError, Problem, refuse
-from recon.base.files import require_free_folder, seen_from, sole_writer, staged_file
-from recon.base.manifest import MANIFEST, read_manifest
+from recon.base.files import MANIFEST, read_manifest, require_free_folder, seen_from, sole_writer, staged_file
 from recon.base.package import version
-from recon.base.parallel import STARTING, Event, carry_out
+from recon.base.parallel import STARTING, Event, carry_out, carry_out_on_cluster
 from recon.base.settings import Count, Integer, OneOrMore, Option, Settings
 from recon.fit.result import LEVELS
 from recon.show.page import SUMMARY_PAGE, require_own_page
 from recon.show.report import STYLES, is_unsolved, warnings
-from recon.workflows.batch.cluster import carry_out_on_cluster
 from recon.workflows.batch.inputs import SUMMARY, Clip
 from recon.workflows.batch.inputs import find_clips as find_clips
-from recon.workflows.cli.command import OptionsOf
-from recon.workflows.cli.common import Answer, counted, progress_bar, say, stop, table_of, terminal
+from recon.workflows.cli import Answer, OptionsOf, counted, progress_bar, say, stop, table_of, terminal
 from recon.workflows.clip import Unknown, fit_clip, prepare, read_model_and_cameras
 from recon.workflows.clip_results import Record, digest, file_sha256, identity, output_files, write_clip
 from recon.workflows.config import beside

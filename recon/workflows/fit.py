@@ -10,8 +10,7 @@ from rich.console import Console
 from recon.base import Progress
 from recon.base.errors import InputError, Problem
 from recon.base.settings import Settings
-from recon.workflows.cli.command import OptionsOf
-from recon.workflows.cli.common import Answer, answer_of_fit, say
+from recon.workflows.cli import Answer, OptionsOf, answer_of_fit, say
 from recon.workflows.config import read_settings
 from recon.workflows.settings import FitSettings
 

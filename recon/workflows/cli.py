@@ -1,0 +1,540 @@
+"""The command line: what commands share, how they are made of their settings, which there are, how mistakes end.
+
+A command is a function beside what it runs, whose parameters say what it takes, all by name; its options, help and
+completion follow from them:
+
+    def view(settings: ViewSettings, progress: Progress) -> Answer:
+
+settings: of the class that is annotated. given: what was given of another class, for example those of every fit of a
+batch, as a dictionary by name (annotated with `OptionsOf`). console, progress: where it prints, and the progress bar's
+function. Its docstring is the help, and its answer is printed as --json and --quiet say.
+"""
+
+from __future__ import annotations
+
+import inspect
+import json
+import os
+import re
+import shlex
+import sys
+import typing
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager, nullcontext
+from dataclasses import MISSING, dataclass, replace
+from importlib import import_module
+from math import isfinite
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
+
+import typer
+from pydantic import BeforeValidator
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+from rich.segment import Segment
+from rich.table import Column, Table
+from rich.text import Text
+from typer.core import TyperCommand, TyperGroup
+
+from recon.base.errors import InputError, Problem, printable, refuse
+from recon.base.interrupts import EXIT_INTERRUPTED, MESSAGE, Interrupts, installed
+from recon.base.settings import Number, Option, SettingInfo, Settings, on_command_line, unknown_setting
+
+if TYPE_CHECKING:
+    from recon.fit.result import Verdict  # numpy is slow to import
+
+# -- options that several commands have -------------------------------------------------------------------------------
+
+
+def _start_and_end(given: Any) -> Any:
+    return tuple(given.split(":")) if isinstance(given, str) else given
+
+
+StrideTimes = Annotated[tuple[Number, Number], BeforeValidator(_start_and_end)]
+"""(start, end) in seconds since frame 0, or the text "0.31:0.62"."""
+FIRST_FRAME = Option("Number that the video's first frame has in the keypoint file, if it was cut.")
+ANYWAY = Option('Also of a clip whose verdict is "do not use".')
+STRIDE = Option(
+    "A stride, in seconds since frame 0, as in 0.31:0.62. (default: one that is found)",
+    "START:END in seconds, as in 0.31:0.62",
+    metavar="START:END",
+)
+
+# -- what a command prints --------------------------------------------------------------------------------------------
+
+EXIT_UNSOLVED = 1
+EXIT_BAD_INPUT = 2
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a command has found, for people and for other programs."""
+
+    data: Any
+    """What --json prints; a text as it is."""
+    lines: Iterable[str | Text | Table] = ()
+    """What is printed without --json."""
+    errors: Sequence[str] = ()
+    """What has failed: printed in any case, as errors are, and the exit code is 1."""
+    code: int = 0
+    """The exit code, where there are no errors."""
+
+    def show(self, console: Console, as_json: bool) -> None:
+        """Print it, and end with its exit code."""
+        if as_json:
+            typer.echo(self.data if isinstance(self.data, str) else _json(self.data), nl=False)
+        for line in () if as_json else self.lines:
+            console.print(line) if isinstance(line, Table) else say(console, line)
+        for error in self.errors:
+            terminal(stderr=True, soft_wrap=True).print(error_text(error))
+        if self.errors or self.code:
+            raise typer.Exit(EXIT_UNSOLVED if self.errors else self.code)
+
+
+def _json(data: Any) -> str:
+    from recon.show.plain import to_json  # numpy is slow to import, and recon doctor says where it cannot be
+
+    return to_json(data)
+
+
+def terminal(**given: Any) -> Console:
+    """Where a command prints. Brackets and colons in names are no markup, and a terminal's commands are shown."""
+    return _Terminal(markup=False, emoji=False, **given)
+
+
+class _Terminal(Console):
+    def render(self, renderable: Any, options: Any = None) -> Iterator[Segment]:
+        for segment in super().render(renderable, options):
+            if segment.control or segment.text.isprintable():
+                yield segment
+            else:
+                text = "\n".join(map(printable, segment.text.split("\n")))
+                yield Segment(text, segment.style)
+
+
+def say(console: Console, text: str | Text, style: str = "") -> None:
+    """One line, however long: no markup, and no breaks that a terminal would not make."""
+    console.print(Text(printable(text), style) if isinstance(text, str) else text, soft_wrap=True)
+
+
+def verdict_texts(verdict: Verdict | None) -> Iterator[Text]:
+    """The first lines of what is made of a clip; nothing of a motion that was not judged."""
+    from recon.show.report import STYLES
+
+    for line in verdict.lines if verdict else ():
+        level = next((level for level in STYLES if line.startswith(f"{level}:")), "")
+        yield Text.assemble((level, STYLES.get(level, "")), line[len(level) :])
+
+
+def counted(count: int, what: str) -> str:
+    """As in 1 clip, 2 clips."""
+    return f"{count} {what}{'s' * (count != 1)}"
+
+
+def table_of(*texts: str, numbers: Iterable[str] = (), rows: Iterable[Iterable[str | Text]] = (), **more: Any) -> Table:
+    """A table: columns of texts, the first of which names the row, then of numbers."""
+    first, *others = texts
+    columns = (Column(first, no_wrap=True), *others, *(Column(name, justify="right") for name in numbers))
+    table = Table(*columns, box=SIMPLE_HEAD, title_justify="left", **more)
+    for row in rows:
+        table.add_row(*(Text(cell) if isinstance(cell, str) else cell for cell in row))
+    return table
+
+
+def error_text(message: str) -> Text:
+    return Text.assemble(("error:", "bold red"), " ", printable(message))
+
+
+def stop(message: str = MESSAGE) -> NoReturn:
+    """End a command at Ctrl-C: one line, and exit code 130."""
+    interrupts = installed()
+    if interrupts is not None:
+        interrupts.said = True
+    terminal(stderr=True, soft_wrap=True).print(Text(message, "bold"))
+    raise typer.Exit(EXIT_INTERRUPTED)
+
+
+def numbers(option: str, given: str, count: int | None = None) -> list[float]:
+    """The numbers of a text such as "1,2.5,-3"; count: how many, None: any. Raises InputError."""
+    try:
+        found = [float(part) for part in given.split(",")]
+    except ValueError:
+        found = []
+    if not found or not all(map(isfinite, found)) or count not in (None, len(found)):
+        expected = f"{'' if count is None else f'{count} '}numbers with commas, as in 0.1,-20,3"
+        raise InputError(Problem(option, "numbers", repr(given), expected))
+    return found
+
+
+@contextmanager
+def progress_bar(console: Console) -> Iterator[Any]:
+    """A function of a stage and how much of all is done (0 to 1)."""
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console, transient=True, disable=console.quiet or not console.is_terminal) as bar:
+        task = bar.add_task("reading", total=1.0)
+        yield lambda stage, share: bar.update(task, description=stage, completed=share)
+
+
+def answer_of_fit(report: dict[str, Any], out: Path, page: Path | None = None, **more: Any) -> Answer:
+    """What there is to say of a fit. page: if there is one; more: fields for --json."""
+    from recon.show.report import console_summary, is_unsolved
+
+    own = {name: report[name] for name in ("method", "summary", "findings")}
+    data = {"out": out, **own, "seconds": report["timing_s"]["solve_s"], **more}
+    if is_unsolved(report):
+        message = f"no frame could be solved: see {out / 'report.json'}"
+        return Answer(data, [console_summary(report)], [message])
+    folder, what = shlex.quote(str(out)), "pictures, figures and all numbers"
+    playback = f"Results are in {out}. Watch them with: recon view {folder}"
+    more_to_see = f"Open {page} in a browser: {what}." if page else f"A page with {what}: recon report {folder}"
+    return Answer(data, [console_summary(report), playback, more_to_see])
+
+
+# -- a command of its settings ----------------------------------------------------------------------------------------
+
+_JSON = typer.Option("--json", help="Print what there is to say as JSON.")
+_QUIET = typer.Option("--quiet", "-q", help="Print errors only.")
+HELP = {"help_option_names": ["-h", "--help"]}
+_RATES = ("framerate", "frame-rate")
+"""What others call --fps."""
+_SET = "set_"
+"""Name of the parameter of --set."""
+
+
+@dataclass(frozen=True)
+class OptionsOf:
+    """Settings of another class that a command takes too. names: which of them, all if empty; panel: the heading in
+    the help under which they stand."""
+
+    settings: type[Settings]
+    names: tuple[str, ...] = ()
+    panel: str | None = None
+
+    @property
+    def infos(self) -> dict[str, SettingInfo]:
+        infos = self.settings.infos()
+        return {
+            name: replace(infos[name], option=replace(infos[name].option, panel=infos[name].option.panel or self.panel))
+            for name in self.names or infos
+        }
+
+
+class SettingsCommand(TyperCommand):
+    """A command whose settings say themselves what is missing or wrong, all at once."""
+
+    infos: dict[str, SettingInfo]
+    """All settings by name, those of another class first."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        rare = (info for info in self.infos.values() if not info.option.common)
+        settings = {info.on_command_line.removeprefix("--set "): info.field for info in rare}
+        expected = {name: f"--set {name}=VALUE" for name in settings}
+        if "fps" in self.infos:
+            settings |= dict.fromkeys(_RATES, "fps")
+            expected |= dict.fromkeys(_RATES, "--fps")
+        written = {word: word.partition("=")[0].removeprefix("--").removeprefix("no-") for word in args}
+        refuse(
+            Problem(word.partition("=")[0], settings[name], "no option of this name", expected[name])
+            for word, name in written.items()
+            if word.startswith("--") and name in settings
+        )
+        return super().parse_args(ctx, args)
+
+    def format_help(self, ctx: Any, formatter: Any) -> None:
+        for parameter in self.params:  # the parser never asks for what must be given, the help says it
+            info = self.infos.get(str(parameter.name))
+            parameter.required = info is not None and info.default is MISSING
+        super().format_help(ctx, formatter)
+
+
+def make_command(name: str, function: Callable[..., Answer]) -> SettingsCommand:
+    """The command of a function, see the text of the module."""
+    takes = typing.get_type_hints(function, include_extras=True)
+    own: dict[str, SettingInfo] = takes["settings"].infos() if "settings" in takes else {}
+    of_others = takes["given"].__metadata__[0].infos if "given" in takes else {}
+    infos = of_others | own
+    parameters = [_parameter(info, name in of_others) for name, info in infos.items() if info.option.common]
+    if len(parameters) < len(infos):
+        help = "Another setting, as in sigma-px=2, also several times. Listed by: recon settings"
+        parameters.append(_keyword(_SET, list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help=help)))
+    parameters += [_keyword("as_json", bool, _JSON, False), _keyword("quiet", bool, _QUIET, False)]
+
+    def call(as_json: bool, quiet: bool, **arguments: Any) -> None:
+        """Raises InputError with everything that is wrong with the command's own settings."""
+        console = terminal(quiet=quiet, stderr=as_json)
+        more: dict[str, Any] = {"console": console} if "console" in takes else {}
+        values = _values_of_set(arguments.pop(_SET, None) or [], infos)
+        values |= {name: value for name, value in arguments.items() if value not in (None, [])}
+        if "given" in takes:
+            more["given"] = {name: value for name, value in values.items() if name not in own}
+        if "settings" in takes:
+            try:
+                more["settings"] = takes["settings"](**{name: values[name] for name in own if name in values})
+            except InputError as error:
+                raise InputError(on_command_line(problem, own) for problem in error.problems) from None
+        with progress_bar(terminal(quiet=quiet, stderr=True)) if "progress" in takes else nullcontext() as progress:
+            answer = function(**more, **({"progress": progress} if progress else {}))
+        answer.show(console, as_json)
+
+    call.__dict__["__signature__"] = inspect.Signature(parameters)
+    call.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
+    app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+    app.command(name, help=inspect.getdoc(function), cls=SettingsCommand, context_settings=HELP)(call)
+    command = typer.main.get_command(app)
+    assert isinstance(command, SettingsCommand)
+    command.infos = infos
+    return command
+
+
+def _values_of_set(texts: list[str], infos: dict[str, SettingInfo]) -> dict[str, Any]:
+    """The values of --set. Raises InputError for those that are none."""
+    found: dict[str, Any] = {}
+    problems = []
+    for text in texts:
+        name, equals, value = text.partition("=")
+        name = name.strip().replace("-", "_")
+        if not equals:
+            problems.append(Problem("--set", "setting", repr(text), "name=value, as in sigma-px=2"))
+        elif name not in infos:
+            problems.append(unknown_setting("--set", name, infos))
+        elif infos[name].is_many:
+            found.setdefault(name, []).append(value)
+        else:
+            found[name] = value
+    refuse(problems)
+    return found
+
+
+def _keyword(name: str, kind: Any, info: Any, default: Any = None) -> inspect.Parameter:
+    return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=Annotated[kind, info])
+
+
+def _parameter(info: SettingInfo, overrules: bool) -> inspect.Parameter:
+    """An option or argument of typer's. Its value is text, or a path, which the settings check. overrules: whether it
+    may take back what a file says."""
+    option, default = info.option, None if info.default is MISSING else info.default
+    kind: Any = bool if info.is_flag else Path if Path in info.parts else str
+    help = option.help
+    if default not in (None, "", ()) and not info.is_flag:
+        help += f" (default: {default:g})" if info.is_number else f" (default: {default})"
+    metavar = option.metavar or ("<number>" if info.is_number else "|".join(info.choices)) or None
+    more: dict[str, Any] = {"help": help, "show_default": False}
+    if info.choices:
+        more["autocompletion"] = lambda incomplete: [one for one in info.choices if one.startswith(incomplete)]
+    if option.argument:
+        typer_info = typer.Argument(metavar=option.argument, **more)
+    else:
+        flag = info.on_command_line
+        if info.is_flag and (default is not False or overrules):
+            flag = f"{flag}/--no-{flag[2:]}"
+        typer_info = typer.Option(flag, metavar=metavar, rich_help_panel=option.panel, **more)
+    return _keyword(info.field, list[kind] | None if info.is_many else kind | None, typer_info)
+
+
+# -- all commands -----------------------------------------------------------------------------------------------------
+
+_CORE, _ROBOTICS, _NET = "recon.workflows.", "recon.wings.robotics.cli:", "recon.wings.keypoint_net."
+_THESIS = "recon.wings.thesis."
+COMMANDS = {
+    "From a clip to its motion": {
+        "fit": (_CORE + "fit:fit", "One clip: keypoints and a camera in, a folder of results out."),
+        "batch": (_CORE + "batch:batch", "Many clips in parallel, from where it was stopped."),
+        "run": (_CORE + "run:run", "From a video to a page: keypoints, fit, analysis, overlay, report.html."),
+        "demo": (_CORE + "demo:demo", "Fit the bundled sample and compare it with its truth."),
+        "settings": (_CORE + "cli:settings", "All settings of a command, also those that are no options."),
+    },
+    "Look at it and use it": {
+        "view": (_CORE + "look:view", "The playback in the rerun viewer, with the plots of its analysis."),
+        "report": (_CORE + "look:report", "A page of a result, or of a batch, to look at and to pass on."),
+        "analyse": (_CORE + "analyse:analyse_command", "Speeds, angles, gait, vector fields and phase portraits."),
+        "compare": (_CORE + "compare:compare", "Strides and speeds of several clips, by group."),
+        "evaluate": (_CORE + "evaluate:evaluate", "Compare a result with a reference."),
+        "convert": (_CORE + "convert:convert_command", "Keypoints, 3D positions or results in another file format."),
+        "overlay": (_CORE + "look:overlay", "Draw a result on its video."),
+    },
+    "Cameras": {
+        "calibrate": (_CORE + "calibrate:calibrate", "A camera, from pictures of a board."),
+        "calibrate extrinsics": (_CORE + "extrinsics:extrinsics", "Where cameras stand, from clips of the animal."),
+        "camera-motion": (_CORE + "camera_motion:camera_motion", "How a camera turned, from its video."),
+        "camera-advice": (_CORE + "camera_advice:camera_advice", "Where to put a camera, to see an angle or a joint."),
+    },
+    "Keypoints from video": {
+        "train": (_NET + "workflows:train_command", "Train a small keypoint network on a few labels."),
+        "predict": (_NET + "workflows:predict_command", "Find the keypoints in every frame of a video."),
+        "evaluate-2d": (_NET + "evaluate2d:evaluate_2d_command", "Compare keypoints with labels."),
+    },
+    "Models and priors": {
+        "skeleton list": (_CORE + "skeleton:skeleton_list", "List the skeletons that come with the package."),
+        "skeleton check": (_CORE + "skeleton:skeleton_check", "Check a skeleton file, list it, and draw it."),
+        "skeleton from-keypoints": (_CORE + "skeleton:skeleton_from_keypoints", "Draft one for a file's points."),
+        "subject fit": (_CORE + "subject:subject_fit", "Measure one animal in clips of several cameras."),
+        "prior fit": (_CORE + "prior:prior_fit", "Fit a motion prior to results or 3D poses."),
+    },
+    "Robots and the thesis": {
+        "ik": (_ROBOTICS + "ik", "Inverse kinematics from the trunk to a foot."),
+        "retarget": (_ROBOTICS + "retarget", "The motion on a four-legged robot."),
+        "robot pose": (_ROBOTICS + "pose", "The legs' angles of a body that moves over planted feet."),
+        "robot dh": (_ROBOTICS + "dh", "A leg or chain by its Denavit-Hartenberg table, forward and inverse."),
+        "climb": (_ROBOTICS + "climb", "A four-legged robot climbs a step by potential fields."),
+        "frame": (_THESIS + "clip:frame", "Fit one side of the animal, one frame after the other."),
+        "solver": (_THESIS + "solver:solver", "What the optimiser of recon frame did: costs, Jacobian, limits."),
+    },
+    "This installation": {
+        "doctor": (_CORE + "doctor:doctor", "Check versions, optional parts, the viewer, and a fit of the sample."),
+    },
+}
+"""By heading and name: where the command's function is, and what `recon --help` says of it. Modules are named, not
+imported: a wing's command is known here by its name only."""
+GROUPS = {
+    "skeleton": "Skeletons: those that come with the package, and your own.",
+    "subject": "Measured animals: lengths of one animal, and how a detector sees it.",
+    "prior": "Motion priors: which poses occur, and how they change.",
+    "robot": "A robot's kinematics: its body's pose, legs, tables of parameters; all solutions.",
+}
+
+
+class _Group(TyperGroup):
+    """Commands by name, of which only the one that is called is imported. functions: where each one's function is."""
+
+    functions: dict[str, str]
+
+    def load(self, name: str) -> SettingsCommand:
+        """A command by its name, of one word or two."""
+        module, _, function = self.functions[name].partition(":")
+        return make_command(name, getattr(import_module(module), function))
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        both = " ".join(args[:2])
+        name, command, rest = super().resolve_command(ctx, [both, *args[2:]] if both in self.commands else args)
+        is_leaf = command is not None and not isinstance(command, _Group)
+        return name, self.load(str(name)) if is_leaf else command, rest
+
+
+class _Commands(_Group):
+    """All commands of `COMMANDS`. Any of them ends at Ctrl-C with one line and exit code 130."""
+
+    def __init__(self, **more: Any) -> None:
+        super().__init__(**more)
+        entries = {name: (*entry, panel) for panel, of in COMMANDS.items() for name, entry in of.items()}
+        self.functions = {name: function for name, (function, _, _) in entries.items()}
+        for name, (function, help, panel) in entries.items():
+            first, _, rest = name.partition(" ")
+            if first not in GROUPS:
+                self.add_command(TyperCommand(name, help=help, rich_help_panel=panel))
+                continue
+            more = {"help": GROUPS[first], "rich_help_panel": panel, "no_args_is_help": True}
+            group = self.commands.setdefault(first, _Group(name=first, **more))
+            assert isinstance(group, _Group)
+            group.functions = {**getattr(group, "functions", {}), rest: function}
+            group.add_command(TyperCommand(rest, help=help))
+
+    def invoke(self, ctx: Any) -> Any:
+        interrupts = installed() or Interrupts()
+        try:
+            interrupts.in_command = True
+            return super().invoke(ctx)
+        except KeyboardInterrupt:
+            stop()
+        finally:
+            interrupts.in_command = False
+            if interrupts.received and not interrupts.said:  # a library has made another exception of it, or none
+                stop()
+
+
+app = typer.Typer(
+    cls=_Commands,
+    help="Metric 3D motion of a running animal from the keypoints of one camera or several, still or panning.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    context_settings=HELP,
+)
+
+
+def commands() -> dict[str, SettingsCommand]:
+    """All commands by name, each made."""
+    group = _Commands()
+    return {name: group.load(name) for name in group.functions}
+
+
+class _ListedSettings(Settings):
+    """The settings of `recon settings`."""
+
+    command: Annotated[str, Option(argument="COMMAND")] = "fit"
+    """The command, as in fit."""
+    schema: bool = False
+    """Print the JSON schema of config.toml in place of the list: editors complete and check by it."""
+
+
+def settings(settings: _ListedSettings) -> Answer:
+    """List all settings of a command: those that are options, and those that only --set and config.toml have.
+
+    Example: recon settings fit
+    """
+    if settings.schema:
+        schema = import_module("recon.workflows.config").config_schema()
+        return Answer(schema, [Text(json.dumps(schema, indent=1, ensure_ascii=False))])
+    command = commands().get(settings.command)
+    if command is None:
+        expected = f"one of {', '.join(commands())}"
+        raise InputError(Problem("COMMAND", "command", repr(settings.command), expected))
+    rows = [row_of(info) for info in command.infos.values()]
+    cells = (
+        (r["written"], json.dumps(r["default"] if r["default"] is not None else "").strip('"'), r["meaning"])
+        for r in rows
+    )
+    return Answer(rows, [table_of("setting", "default", "meaning", rows=cells)])
+
+
+def row_of(info: SettingInfo) -> dict[str, Any]:
+    """A setting as JSON has it."""
+    default = None if info.default is MISSING else info.plain(info.default)
+    return {"name": info.field, "written": info.on_command_line, "default": default, "meaning": info.option.help}
+
+
+_NO_MEMORY = re.compile(
+    r"(?i)(cannot|can't|could not) allocate|insufficient memory|out of memory|bad_alloc|failed to map segment"
+    r"|can't start new thread|failed to spawn|error return without exception"
+)
+"""What libraries say where memory is short, in exceptions of many types: as they are loaded, too, and of threads."""
+
+
+def main() -> None:
+    """Run the command line; a user's mistake ends with one message and exit code 2."""
+    console = terminal(stderr=True, soft_wrap=True)
+    try:
+        app()
+    except InputError as error:
+        for problem in error.problems:
+            first, *more = problem.lines
+            console.print(error_text(first), *more, sep="\n")
+        sys.exit(EXIT_BAD_INPUT)
+    except Exception as error:
+        said = " ".join(str(error).split())
+        if isinstance(error, MemoryError) or _NO_MEMORY.search(said):
+            said = f" ({said[:200]})" if said else ""
+            console.print(error_text(f"not enough memory{said}: try fewer frames at once (--frames)"))
+            sys.stdout.flush()
+            os._exit(EXIT_UNSOLVED)  # what libraries have made by half crashes when it is taken down
+        if not isinstance(error, OSError):
+            raise
+        where = f"{error.filename}: " if error.filename else ""
+        console.print(error_text(f"{where}{error.strerror or error}"))
+        sys.exit(EXIT_BAD_INPUT)
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        from recon import __version__
+
+        typer.echo(f"recon {__version__}")
+        raise typer.Exit()
+
+
+@app.callback()
+def _root(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
+    ] = False,
+) -> None:
+    pass
