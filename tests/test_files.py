@@ -15,7 +15,8 @@ import pytest
 from command_line import refusal
 
 from recon import InputError
-from recon.base import read_manifest, require_free_folder, sole_writer, staged_file, staged_folder, staged_results
+from recon.base import read_manifest, sole_writer, staged_file, staged_folder, staged_results
+from recon.base.files import require_free_folder
 
 
 def contents(folder: Path) -> dict[str, str]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from recon.io import Image
+from recon.io.video import Image
 from recon.wings.keypoint_net.pictures import (
     Augmentation,
     Example,

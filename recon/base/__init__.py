@@ -10,16 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from recon.base.errors import decimals, length_text
-    from recon.base.files import (
-        MANIFEST,
-        read_manifest,
-        require_free_folder,
-        sole_writer,
-        staged_file,
-        staged_folder,
-        staged_results,
-        write_manifest,
-    )
+    from recon.base.files import read_manifest, sole_writer, staged_file, staged_folder, staged_results, write_manifest
     from recon.base.interrupts import MESSAGE
     from recon.base.package import DISTRIBUTION, install_command, pip_command
     from recon.base.records import load_record, save_record

@@ -12,32 +12,12 @@ if TYPE_CHECKING:
     from recon.io.camera_files import write_camera, write_cameras
     from recon.io.camera_track import CameraTrack, read_camera_track, track_files, track_label
     from recon.io.columns import parse_map
-    from recon.io.common import Pose3D, StoredPoints
+    from recon.io.common import Pose3D
     from recon.io.deeplabcut import write_csv
     from recon.io.deeplabcut_project import find_project, predictions
-    from recon.io.formats import (
-        CONVERTED,
-        FORMATS,
-        Format,
-        as_keypoints,
-        file_head,
-        individuals,
-        read_keypoints,
-        read_points,
-        recognised,
-        titles,
-    )
+    from recon.io.formats import CONVERTED, FORMATS, Format, individuals, read_keypoints, read_points, recognised
     from recon.io.positions import in_metres, read_pose3d, read_pose_segments
-    from recon.io.video import (
-        Image,
-        VideoInfo,
-        missing_frames,
-        missing_note,
-        probe,
-        read_frames,
-        timed_frames,
-        video_writer,
-    )
-    from recon.io.writing import write_columns, write_rows, write_table, y_up_from_z_up
+    from recon.io.video import VideoInfo, missing_frames, missing_note, probe, read_frames, timed_frames, video_writer
+    from recon.io.writing import write_rows, write_table, y_up_from_z_up
 
 __getattr__ = lazily(__name__, __file__)

@@ -139,13 +139,13 @@ def read_opensfm(path: Path, individual: str | None = None) -> list[CameraRecord
         values: dict[str, Any] = {"model": table.get("projection_type"), "world_z_up": False}
         with suppress(KeyError, TypeError, ValueError, OverflowError):  # what is missing then is said
             values["model"], given = OPENSFM_LENSES[table["projection_type"]]
-            w, h = (float(table[side]) for side in ("width", "height"))
-            fx, fy = (float(table[f"focal_{axis}"] if f"focal_{axis}" in table else table["focal"]) for axis in "xy")
-            cx, cy = (float(table.get(f"c_{axis}", 0.0)) for axis in "xy")
-            bent = {key: float(table.get(key, 0.0)) for key in given}
-            longer = max(w, h)
-            middle = longer * cx + (w - 1) / 2, longer * cy + (h - 1) / 2
-            values |= _of_numbers(values["model"], (w, h), (longer * fx, longer * fy), middle, bent)
+            n = {key: float(table.get(key, 0.0)) for key in given} | {"w": float(table["width"])}
+            n["h"] = float(table["height"])
+            longer = max(n["w"], n["h"])
+            for axis, side in (("x", "w"), ("y", "h")):
+                n[f"f{axis}"] = longer * float(table[f"focal_{axis}" if f"focal_{axis}" in table else "focal"])
+                n[f"c{axis}"] = longer * float(table.get(f"c_{axis}", 0.0)) + (n[side] - 1) / 2
+            values |= _of_numbers(values["model"], n)
         records.append(CameraRecord(name, f"{name}: ", values, called, OPENSFM_LENSES))
     return records
 
@@ -161,27 +161,22 @@ def read_colmap(path: Path) -> list[CameraRecord]:
         with suppress(LookupError, ValueError):  # what is missing then is said
             values["model"], names = COLMAP_LENSES[cells[1]]
             w, h = values["image_size_px"] = number(cells[2]), number(cells[3])
-            bent = dict(zip(names, map(number, cells[4:]), strict=True))
-            focal = (bent["f"], bent["f"]) if "f" in bent else (bent["fx"], bent["fy"])
-            values |= _of_numbers(values["model"], (w, h), focal, (bent["cx"] - 0.5, bent["cy"] - 0.5), bent)
+            n = dict(zip(names, map(number, cells[4:]), strict=True)) | {"w": w, "h": h}
+            n |= {"fx": n.get("f", n.get("fx")), "fy": n.get("f", n.get("fy"))}
+            values |= _of_numbers(values["model"], n | {"cx": n["cx"] - 0.5, "cy": n["cy"] - 0.5})
         called = {"matrix": "parameters"}
         records.append(CameraRecord(cells[0], f"line {line}, camera {cells[0]}: ", values, called, COLMAP_LENSES))
     return records
 
 
-def _of_numbers(
-    model: str,
-    size: tuple[float, float],
-    focal: tuple[float, float],
-    centre: tuple[float, float],
-    bent: dict[str, float],
-) -> dict[str, Any]:
-    """Values of a record; bent: coefficients of the lens by their names, of which those that are not there are 0."""
+def _of_numbers(model: str, n: dict[str, float]) -> dict[str, Any]:
+    """Values of a record, of w, h, fx, fy, cx, cy, and the coefficients of the lens, of which those that are not there
+    are 0."""
     lens = LENS_MODELS[model]
-    count = min(n for n in lens.counts if n >= sum(name in bent for name in lens.coefficients))
-    matrix = [[focal[0], 0.0, centre[0]], [0.0, focal[1], centre[1]], [0.0, 0.0, 1.0]]
-    distortion = [bent.get(name, 0.0) for name in lens.coefficients[:count]]
-    return {"model": model, "image_size_px": [*size], "matrix": matrix, "distortion": distortion}
+    count = min(count for count in lens.counts if count >= sum(name in n for name in lens.coefficients))
+    matrix = [[n["fx"], 0.0, n["cx"]], [0.0, n["fy"], n["cy"]], [0.0, 0.0, 1.0]]
+    distortion = [n.get(name, 0.0) for name in lens.coefficients[:count]]
+    return {"model": model, "image_size_px": [n["w"], n["h"]], "matrix": matrix, "distortion": distortion}
 
 
 # -- OpenCV, ROS -----------------------------------------------------------------------------------------------------

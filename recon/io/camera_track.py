@@ -17,7 +17,7 @@ In all the world has to be in metres with z up, which no format promises.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar
@@ -37,6 +37,8 @@ from recon.io.common import MAX_FRAME, first_problems, frame_number, number_rows
 
 POSE, INTRINSICS = ("qw", "qx", "qy", "qz", "tx", "ty", "tz"), ("fx", "fy", "cx", "cy")
 SIGMA = "sigma_deg"
+Columns = dict[str, Array]
+"""Numbers (N,) of N poses: frame and `POSE`, and `INTRINSICS` or `SIGMA` where they are known."""
 UNIT_TOLERANCE = 1e-2
 """The tolerance of a quaternion's length: rounded to three digits it is within this."""
 MAX_PLACE_M, MAX_PX, MAX_SIGMA_DEG, MAX_ROTATION_RAD = 1e7, 1e6, 10.0, 100.0
@@ -151,34 +153,26 @@ def _require_upright(track: CameraTrack, path: Path) -> None:
 
 
 def _checked_track(
-    path: Path,
-    places: Sequence[str],
-    frames: Array,
-    table: Array,
-    problems: Sequence[Problem],
-    camera: Camera | None = None,
-    sigma_deg: Array | None = None,
+    path: Path, places: Sequence[str], columns: Columns, problems: Sequence[Problem], camera: Camera | None = None
 ) -> CameraTrack:
-    """The track of N rows with their places in the file. table: (N, 7), qw, qx, qy, qz, tx, ty, tz, or (N, 11), with
-    fx, fy, cx, cy of a camera that zooms. Raises InputError with the known problems, or what is wrong in the rows."""
+    """The track of N rows with their places in the file. Raises InputError with the known problems, or what is wrong in
+    the rows."""
     refuse(first_problems(problems, path))
     if not len(places):
         raise InputError(Problem(path, "rows", "none", "a pose for each frame"))
-    sigma = np.zeros(len(places)) if sigma_deg is None else sigma_deg
+    frames, sigma = columns["frame"], columns.get(SIGMA, np.zeros(len(places)))
+    quaternion, place = _joined(columns, POSE[:4]), _joined(columns, POSE[4:])
+    zoom = _joined(columns, INTRINSICS) if INTRINSICS[0] in columns else np.ones((len(places), 4))
     _, row_of, count = np.unique(frames, return_inverse=True, return_counts=True)
     with np.errstate(all="ignore"):
-        lengths = np.linalg.norm(table[:, :4], axis=1)
+        lengths, lens_text = np.linalg.norm(quaternion, axis=1), f"pixels, no more than {MAX_PX:g}, fx and fy above 0"
         checks = (
             ("frame", f"a whole number up to {MAX_FRAME}", (np.abs(frames) <= MAX_FRAME) & (frames % 1 == 0)),
             ("frame", "one pose for each frame, of one camera", count[row_of] == 1),
-            ("numbers", "finite numbers", np.isfinite(table).all(axis=1)),
+            ("numbers", "finite numbers", np.isfinite(np.hstack([quaternion, place, zoom])).all(axis=1)),
             ("qw, qx, qy, qz", f"unit quaternions (to {UNIT_TOLERANCE:g})", ~(np.abs(lengths - 1) > UNIT_TOLERANCE)),
-            ("tx, ty, tz", f"metres, no more than {MAX_PLACE_M:g}", ~(np.abs(table[:, 4:7]) > MAX_PLACE_M).any(axis=1)),
-            (
-                "fx, fy, cx, cy",
-                f"pixels, no more than {MAX_PX:g}, fx and fy above 0",
-                ~((table[:, 7:9] <= 0).any(axis=1) | (np.abs(table[:, 7:]) > MAX_PX).any(axis=1)),
-            ),
+            ("tx, ty, tz", f"metres, no more than {MAX_PLACE_M:g}", ~(np.abs(place) > MAX_PLACE_M).any(axis=1)),
+            ("fx, fy, cx, cy", lens_text, ~((zoom[:, :2] <= 0).any(axis=1) | (np.abs(zoom) > MAX_PX).any(axis=1))),
             (SIGMA, f"0 to {MAX_SIGMA_DEG:g} degrees", (sigma >= 0) & (sigma <= MAX_SIGMA_DEG)),
         )
     refuse(
@@ -187,11 +181,14 @@ def _checked_track(
         if not right.all()
     )
     order = np.argsort(frames)
-    table = table[order]
-    poses = rigid(_rotations(table[:, :4]), table[:, 4:7])
-    zoom = table[:, 7:] if table.shape[1] > 7 else None
-    sigmas = None if sigma_deg is None else np.radians(sigma_deg[order])
-    return CameraTrack(poses, zoom, sigmas, source=path, frames=frames[order].astype(np.int64), camera=camera)
+    poses = rigid(_rotations(quaternion[order]), place[order])
+    zooms = zoom[order] if INTRINSICS[0] in columns else None
+    sigmas = np.radians(sigma[order]) if SIGMA in columns else None
+    return CameraTrack(poses, zooms, sigmas, source=path, frames=frames[order].astype(np.int64), camera=camera)
+
+
+def _joined(columns: Columns, names: Sequence[str]) -> Array:
+    return np.column_stack([columns[name] for name in names])
 
 
 def _rotations(quaternion: Array) -> Array:
@@ -221,22 +218,16 @@ def _read_csv(path: Path) -> CameraTrack:
         if header.count(name) != 1
     )
     at = [header.index(name) for name in wanted]
-    lines: list[str] = []
-
-    def chosen() -> Iterator[tuple[int, list[str]]]:
-        for line, cells in rows:
-            yield line, [cells[column] for column in at if column < len(cells)]
-            lines.append(f"line {line}")
-
-    _, values, problems = number_rows(path, chosen(), wanted)
-    frames, table = values[:, 0], values[:, 1 : len(values[0]) - (SIGMA in header)] if len(values) else values
-    if outward and len(values):
-        table[:, 1:4] *= -1
-        largest = np.abs(table[:, :4]).max(axis=1)
-        usable = np.isfinite(table).all(axis=1) & (largest > 0.1) & (largest < 10)  # others are refused
-        table[usable, 4:7] = -(_rotations(table[usable, :4]) @ table[usable, 4:7, None])[..., 0]
-    sigma_deg = values[:, -1] if SIGMA in header else None
-    return _checked_track(path, lines, frames, table, problems, sigma_deg=sigma_deg)
+    cells = [(line, [row[column] for column in at if column < len(row)]) for line, row in rows]
+    _, values, problems = number_rows(path, cells, wanted)
+    columns = dict(zip(wanted, values.T, strict=True))
+    if outward:
+        quaternion, place = _joined(columns, POSE[:4]) * [1, -1, -1, -1], _joined(columns, PLACE)
+        largest = np.abs(quaternion).max(axis=1, initial=0)
+        usable = np.isfinite(values[:, 1:8]).all(axis=1) & (largest > 0.1) & (largest < 10)  # others are refused
+        place[usable] = -(_rotations(quaternion[usable]) @ place[usable, :, None])[..., 0]
+        columns |= dict(zip(POSE, np.hstack([quaternion, place]).T, strict=True))
+    return _checked_track(path, [f"line {line}" for line, _ in cells], columns, problems)
 
 
 # -- OpenDroneMap, OpenSfM ------------------------------------------------------------------------------------------
@@ -254,7 +245,6 @@ def _read_shots(path: Path) -> CameraTrack:
     if not isinstance(shots, dict) or not shots:
         several = f"{len(document)} reconstructions" if isinstance(document, list) else "no shots"
         raise InputError(Problem(path, "shots", several, EXPECTED))
-    frames: list[int] = []
     table: list[list[float]] = []
     problems: list[Problem] = []
     for name, shot in shots.items():
@@ -271,10 +261,8 @@ def _read_shots(path: Path) -> CameraTrack:
         if features is not None:  # places, not translations
             at = -rotation.apply(at)
         x, y, z, w = rotation.as_quat().tolist()
-        frames.append(frame)
-        table.append([w, x, y, z, *at])
-    places = [f"shots.{name}" for name in shots]
-    return _checked_track(path, places, np.array(frames, dtype=float), np.array(table), problems)
+        table.append([frame, w, x, y, z, *at])
+    return _checked_track(path, [f"shots.{name}" for name in shots], _columns(table), problems)
 
 
 # -- COLMAP ---------------------------------------------------------------------------------------------------------
@@ -285,9 +273,8 @@ def _read_colmap(images: Path, cameras: Path | None) -> CameraTrack:
     InputError."""
     lines = enumerate(read_text(images, EXPECTED).splitlines(), start=1)
     places: list[str] = []
-    frames: list[int] = []
     of_camera: list[str] = []
-    poses: list[Array] = []
+    table: list[list[float]] = []
     problems: list[Problem] = []
     for at, line in lines:
         if not line.strip() or line.lstrip().startswith("#"):
@@ -300,20 +287,23 @@ def _read_colmap(images: Path, cameras: Path | None) -> CameraTrack:
             problems.append(Problem(images, f"line {at}", repr(line.strip()[:60]), expected))
         else:
             places.append(f"line {at}")
-            frames.append(frame)
             of_camera.append(cells[8])
-            poses.append(values)
+            table.append([frame, *values])
         at, points = next(lines, (0, ""))
         if len(points.split()) % 3:
             expected = "the points of the image above, X Y POINT3D_ID each, or an empty line"
             problems.append(Problem(images, f"line {at}", repr(points.strip()[:60]), expected))
     lenses = {} if cameras is None else _lenses(cameras, dict.fromkeys(of_camera))
-    table, camera = np.array(poses).reshape(-1, 7), None
+    columns, camera = _columns(table), None
     if lenses:
         own = np.array([lenses[key].matrix[[0, 1, 0, 1], [0, 1, 2, 2]] for key in of_camera])
-        table = np.hstack([table, own]) if np.ptp(own, axis=0).any() else table
+        columns |= dict(zip(INTRINSICS, own.T, strict=True)) if np.ptp(own, axis=0).any() else {}
         camera = replace(lenses[of_camera[0]], name=track_label(images))
-    return _checked_track(images, places, np.array(frames, dtype=float), table, problems, camera)
+    return _checked_track(images, places, columns, problems, camera)
+
+
+def _columns(rows: Sequence[Sequence[float]]) -> Columns:
+    return dict(zip(("frame", *POSE), np.array(rows, dtype=float).reshape(-1, 8).T, strict=True))
 
 
 def _frame_of_name(name: str) -> int | None:

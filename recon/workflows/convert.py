@@ -16,8 +16,9 @@ from recon.base.settings import Option, Positive, Settings
 from recon.check import usable, verdict_lines
 from recon.clip import Keypoints, mark_missing
 from recon.fit.motion import Motion
-from recon.io import CONVERTED, Format, Pose3D, as_keypoints, in_metres, read_points
+from recon.io import CONVERTED, Format, Pose3D, in_metres, read_points
 from recon.io.columns import parse_map
+from recon.io.formats import as_keypoints
 from recon.show.export.rig import rig_of
 from recon.workflows.cli import ANYWAY, Answer, table_of
 from recon.workflows.settings import INDIVIDUAL, RENAME

@@ -17,7 +17,8 @@ from scipy.spatial.transform import RigidTransform
 
 from recon import FitSettings, InputError, find_clips, read_settings
 from recon.animal import builtin_subjects, load_names, load_prior, load_skeleton, seen_by
-from recon.base import MANIFEST, write_manifest
+from recon.base import write_manifest
+from recon.base.files import MANIFEST
 from recon.clip import Keypoints, clean
 from recon.fit import MOTION, Motion
 from recon.geometry import Camera

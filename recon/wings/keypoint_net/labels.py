@@ -15,9 +15,9 @@ from recon.animal import load_names, new_names, other_side
 from recon.base.arrays import Array, Bools, Integers, median
 from recon.base.errors import InputError, Problem, all_of, refuse
 from recon.clip import Keypoints, mark_missing, parse_frame_range
-from recon.io import as_keypoints, file_head, recognised
 from recon.io.common import first_problems
 from recon.io.deeplabcut_project import Project, find_project, label_files
+from recon.io.formats import as_keypoints, file_head, recognised
 from recon.io.video import Image, probe, read_frames, read_picture
 from recon.io.writing import frames_text
 

@@ -18,10 +18,11 @@ from recon.base.documents import read_toml
 from recon.base.errors import InputError, Problem, refuse
 from recon.check import names_text
 from recon.fit.motion_forms import MOTION
-from recon.io import file_head, individuals, recognised, titles
+from recon.io import individuals, recognised
 from recon.io.calibration import read_cameras
 from recon.io.common import text_rows
 from recon.io.deeplabcut_project import find_project, predictions
+from recon.io.formats import file_head, titles
 from recon.show.page import SUMMARY_PAGE
 from recon.workflows.cameras import cameras_in
 from recon.workflows.config import beside, read_settings
