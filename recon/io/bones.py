@@ -266,21 +266,20 @@ def write_opensim(rig: Armature, path: Path) -> None:
     Raises InputError for names with blanks or slashes."""
     writing.require_names([bone.name for bone in rig.bones] + list(rig.joints), r"[\s/\\*+]", OPENSIM)
     document = Element("OpenSimDocument", Version=OPENSIM_VERSION)
-    model = SubElement(document, "Model", name=rig.name)
-    _texts(model, credits=f"recon, from {rig.title}", length_units="meters", force_units="N")
+    units = {"length_units": "meters", "force_units": "N"}
+    model = _add(document, "Model", rig.name, credits=f"recon, from {rig.title}", **units)
     bodies, joints, markers = (
-        SubElement(SubElement(model, kind, name=kind.lower()), "objects")
-        for kind in ("BodySet", "JointSet", "MarkerSet")
+        _add(_add(model, kind, kind.lower()), "objects") for kind in ("BodySet", "JointSet", "MarkerSet")
     )
     for bone in rig.bones:
-        body = SubElement(bodies, "Body", name=bone.name)
+        body = _add(bodies, "Body", bone.name)
         _draw(body, rig, bone)
         moments = _numbers(bone.inertia_kg_m2[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]])
         _texts(body, mass=repr(bone.mass_kg), mass_center=_numbers(bone.centre_m), inertia=moments)
         _join(joints, rig, bone)
     for name, at, offset_m in zip(rig.joints, rig.joint_bones, rig.joint_offsets_m, strict=True):
-        marker = SubElement(markers, "Marker", name=name)
-        _texts(marker, socket_parent_frame=f"/bodyset/{rig.bones[at].name}", location=_numbers(offset_m))
+        frame = f"/bodyset/{rig.bones[at].name}"
+        _add(markers, "Marker", name, socket_parent_frame=frame, location=_numbers(offset_m))
     indent(document)
     text = '<?xml version="1.0" encoding="UTF-8"?>\n' + tostring(document, encoding="unicode") + "\n"
     path.write_text(text, encoding="utf-8", newline="")
@@ -291,21 +290,21 @@ def write_opensim(rig: Armature, path: Path) -> None:
 def _join(joints: Element, rig: Armature, bone: Bone) -> None:
     """To its parent, or the ground."""
     is_root = bone.parent is None
-    joint = SubElement(joints, "CustomJoint" if bone.turns else "WeldJoint", name=bone.name)
+    frames = {"socket_parent_frame": "origin", "socket_child_frame": f"/bodyset/{bone.name}"}
+    joint = _add(joints, "CustomJoint" if bone.turns else "WeldJoint", bone.name, **frames)
     above = "/ground" if bone.parent is None else f"/bodyset/{rig.bones[bone.parent].name}"
-    _texts(joint, socket_parent_frame="origin", socket_child_frame=f"/bodyset/{bone.name}")
     if bone.turns:
-        coordinates = SubElement(joint, "coordinates")
+        coordinates = _add(joint, "coordinates")
         for name in PLACE if is_root else ():
-            _texts(SubElement(coordinates, "Coordinate", name=name), clamped="false")
+            _add(coordinates, "Coordinate", name, clamped="false")
         for turn in bone.turns:
-            coordinate = SubElement(coordinates, "Coordinate", name=turn.name)
-            _texts(coordinate, default_value=repr(turn.mean_rad), range=_numbers(turn.range_rad), clamped="false")
-    origin = SubElement(SubElement(joint, "frames"), "PhysicalOffsetFrame", name="origin")
-    _texts(origin, socket_parent=above, translation=_numbers(bone.offset_m), orientation="0 0 0")
+            limits = {"default_value": repr(turn.mean_rad), "range": _numbers(turn.range_rad)}
+            _add(coordinates, "Coordinate", turn.name, **limits, clamped="false")
+    place = {"socket_parent": above, "translation": _numbers(bone.offset_m), "orientation": "0 0 0"}
+    _add(_add(joint, "frames"), "PhysicalOffsetFrame", "origin", **place)
     if not bone.turns:
         return
-    transform = SubElement(joint, "SpatialTransform")
+    transform = _add(joint, "SpatialTransform")
     # Three axes are needed, also where there are fewer angles.
     of_kind = {turn.kind: turn.name for turn in bone.turns}
     kinds = dict.fromkeys((*of_kind, *AXIS))
@@ -313,24 +312,23 @@ def _join(joints: Element, rig: Armature, bone: Bone) -> None:
     moves = [(name if is_root else "", axis) for name, axis in PLACE.items()]
     for what, axes in (("rotation", turns), ("translation", moves)):
         for i, (name, axis) in enumerate(axes, start=1):
-            element = SubElement(transform, "TransformAxis", name=f"{what}{i}")
-            _texts(element, coordinates=name, axis=_numbers(axis))
+            element = _add(transform, "TransformAxis", f"{what}{i}", coordinates=name, axis=_numbers(axis))
             if name:
-                _texts(SubElement(element, "LinearFunction", name="function"), coefficients="1 0")
+                _add(element, "LinearFunction", "function", coefficients="1 0")
 
 
 def _draw(body: Element, rig: Armature, bone: Bone) -> None:
     """Cylinders where its capsules are."""
     of_it = [c for c in rig.capsules if rig.bones[c.segment] is bone]
-    components = SubElement(body, "components") if of_it else body
+    components = _add(body, "components") if of_it else body
     for i, capsule in enumerate(of_it):
         end = writing.y_up_from_z_up(np.array(capsule.end_m))
-        frame = SubElement(components, "PhysicalOffsetFrame", name=f"shape_{i}")
-        cylinder = SubElement(SubElement(frame, "attached_geometry"), "Cylinder", name="cylinder")
-        _texts(cylinder, radius=repr(capsule.radius_m), half_height=repr(float(np.linalg.norm(end)) / 2))
+        frame = _add(components, "PhysicalOffsetFrame", f"shape_{i}")
+        size = {"radius": repr(capsule.radius_m), "half_height": repr(float(np.linalg.norm(end)) / 2)}
+        _add(_add(frame, "attached_geometry"), "Cylinder", "cylinder", **size)
         # It lies along y, and the capsule in the x-y plane.
-        _texts(frame, socket_parent="..", translation=_numbers(end / 2))
-        _texts(frame, orientation=_numbers([0.0, 0.0, float(np.arctan2(-end[0], end[1]))]))
+        turn = _numbers([0.0, 0.0, float(np.arctan2(-end[0], end[1]))])
+        _texts(frame, socket_parent="..", translation=_numbers(end / 2), orientation=turn)
 
 
 def _write_motion(rig: Armature, path: Path) -> None:
@@ -342,6 +340,13 @@ def _write_motion(rig: Armature, path: Path) -> None:
     header = ["Coordinates", "version=1", *sizes, "inDegrees=no", "endheader"]
     lines = [*header, "\t".join(columns), *("\t".join(map(repr, row)) for row in values.tolist())]
     path.write_text("\n".join(lines) + "\n", encoding="utf-8", newline="")
+
+
+def _add(parent: Element, kind: str, called: str | None = None, **elements: str) -> Element:
+    """A new element, with its name, and elements of text in it."""
+    found = SubElement(parent, kind, {} if called is None else {"name": called})
+    _texts(found, **elements)
+    return found
 
 
 def _texts(parent: Element, **elements: str) -> None:

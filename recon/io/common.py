@@ -340,6 +340,8 @@ def require_span(frames: int, points: int, source: str | Path) -> None:
 # -- tables of text --------------------------------------------------------------------------------------------------
 
 SEPARATORS = (",", ";", "\t")
+Rows = Iterable[tuple[int, list[str]]]
+"""With the numbers of their lines."""
 
 
 def text_rows(path: Path, separator: str | None = None) -> Iterator[tuple[int, list[str]]]:
@@ -362,7 +364,7 @@ def text_rows(path: Path, separator: str | None = None) -> Iterator[tuple[int, l
 
 
 def number_rows(
-    path: Path, rows: Iterable[tuple[int, list[str]]], columns: Sequence[str], index: int = 0
+    path: Path, rows: Rows, columns: Sequence[str], index: int = 0
 ) -> tuple[list[list[str]], np.ndarray, list[Problem]]:
     """Rows with the numbers of their lines: of each the first `index` cells, which are texts, and the others as numbers
     (T, C), one for each of `columns`, NaN for an empty cell; and what is wrong with them."""

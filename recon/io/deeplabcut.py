@@ -11,7 +11,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path, PureWindowsPath
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -51,17 +51,13 @@ def read_csv(path: Path, individual: str | None = None) -> StoredPoints:
 
 
 def points_of_rows(
-    path: Path,
-    header: dict[str, list[str]],
-    rows: Iterable[tuple[int, list[str]]],
-    index_columns: int,
-    individual: str | None = None,
+    path: Path, header: dict[str, list[str]], rows: common.Rows, index_columns: int, individual: str | None = None
 ) -> StoredPoints:
     """header: the texts of the data's columns by level; rows: with their lines, each of so many cells that say the
     frame, and one for each column. Raises InputError."""
     labels = list(zip(*header.values(), strict=True))
     index, values, problems = common.number_rows(path, rows, ["/".join(label[-2:]) for label in labels], index_columns)
-    return points_of_table(path, individual, tuple(header), labels, index, values, problems)
+    return points_of_table(path, individual, Table(tuple(header), labels, index, values, problems))
 
 
 def _read_header(path: Path, rows: Iterator[tuple[int, list[str]]]) -> tuple[dict[str, list[str]], int]:
@@ -97,18 +93,22 @@ def _without_fps(scorer: str) -> tuple[str, float | None]:
     return (scorer, None) if match is None or fps is None else (match[1] or SCORER, fps)
 
 
-def points_of_table(
-    path: Path,
-    individual: str | None,
-    levels: Sequence[str | None],
-    labels: Sequence[tuple[str, ...]],
-    index: Sequence[Sequence[str]],
-    values: np.ndarray,
-    problems: Sequence[Problem] = (),
-) -> StoredPoints:
-    """The points of one animal as the file states them. labels: of its C columns, one text for each level; index: of
-    its T rows, one text or several; values: (T, C), NaN in empty cells; problems: known already. Raises InputError."""
-    named = [dict(zip(levels, label, strict=True)) for label in labels]
+class Table(NamedTuple):
+    """A table with columns of several levels, and what is known to be wrong with it."""
+
+    levels: Sequence[str | None]
+    labels: Sequence[tuple[str, ...]]
+    """Of its C columns, one text for each level."""
+    index: Sequence[Sequence[str]]
+    """Of its T rows, one text or several."""
+    values: np.ndarray
+    """(T, C), NaN in empty cells."""
+    problems: Sequence[Problem] = ()
+
+
+def points_of_table(path: Path, individual: str | None, table: Table) -> StoredPoints:
+    """The points of one animal as the file states them. Raises InputError."""
+    named, values = [dict(zip(table.levels, label, strict=True)) for label in table.labels], table.values
     raw = [(n.get("individuals", ""), n["bodyparts"], n["coords"]) for n in named]
     columns = [(animal.strip(), part.strip(), coord.strip()) for animal, part, coord in raw]
     notes = tuple(
@@ -116,8 +116,8 @@ def points_of_table(
         for name in dict.fromkeys(name for column in raw for name in column[:2])
         if name != name.strip()
     )
-    frames, images, frame_problems = _frame_numbers(path, index)
-    refuse(common.first_problems([*_column_problems(path, columns), *problems, *frame_problems], path))
+    frames, images, frame_problems = _frame_numbers(path, table.index)
+    refuse(common.first_problems([*_column_problems(path, columns), *table.problems, *frame_problems], path))
     if {animal for animal, _, _ in columns} == {""} and _prefixes(part for _, part, _ in columns):
         columns = [(part.partition("_")[0], part.partition("_")[2], coord) for _, part, coord in columns]
     everyone = list(dict.fromkeys(animal for animal, _, _ in columns))

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import pickle
 import pickletools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, cast
 
@@ -20,7 +20,7 @@ from recon.base.errors import InputError, Problem
 from recon.base.files import write_bytes
 from recon.clip import Keypoints
 from recon.io.common import Pose3D, StoredPoints, formats_extra, is_hdf5
-from recon.io.deeplabcut import HEADERS, header_problem, points_of_table
+from recon.io.deeplabcut import HEADERS, Table, header_problem, points_of_table
 from recon.io.hdf5 import attribute, child, groups, member, numbers, opened, raw_attribute, read_values
 from recon.io.writing import deeplabcut_layout
 
@@ -38,8 +38,6 @@ PLAIN_PICKLES = {
 """Instructions of pickles that build texts, numbers, lists, tuples and dictionaries, and import or call nothing."""
 
 Label = tuple[str, ...]
-_Table = tuple[Sequence[str | None], Sequence[Label], Sequence[Label], np.ndarray]
-"""Names of the columns' levels, labels of C columns, labels of T rows, and cells (T, C)."""
 
 
 def recognises(path: Path) -> bool:
@@ -56,15 +54,16 @@ def read(path: Path, individual: str | None = None) -> StoredPoints:
     with opened(path) as file:
         group = child(file, keys[0])
         kind = attribute(group, "pandas_type")
-        layouts: dict[Any, Callable[[Any], _Table]] = {"frame": _fixed_frame, "frame_table": _table_frame}
+        layouts: dict[Any, Callable[[Any], Table]] = {"frame": _fixed_frame, "frame_table": _table_frame}
         if kind not in layouts:
             raise InputError(Problem(path, f"key {keys[0]}", f"pandas' '{kind}'", "a table"))
-        levels, columns, index, cells = layouts[kind](group)
-    if not any(levels):
-        levels = {2: HEADERS[2], 3: HEADERS[0], 4: HEADERS[1]}.get(len(levels), levels)
-    if tuple(levels) not in HEADERS:
-        raise InputError(header_problem(path, f"column levels {', '.join(map(str, levels))}"))
-    return points_of_table(path, individual, levels, columns, index, cells)
+        table = layouts[kind](group)
+    if not any(table.levels):
+        known = {2: HEADERS[2], 3: HEADERS[0], 4: HEADERS[1]}
+        table = table._replace(levels=known.get(len(table.levels), table.levels))
+    if tuple(table.levels) not in HEADERS:
+        raise InputError(header_problem(path, f"column levels {', '.join(map(str, table.levels))}"))
+    return points_of_table(path, individual, table)
 
 
 def _keys(path: Path) -> list[str]:
@@ -76,7 +75,7 @@ def _keys(path: Path) -> list[str]:
 # -- fixed layout: the axes and the blocks of columns of one type, each an array ---------------------------------
 
 
-def _fixed_frame(group: Any) -> _Table:
+def _fixed_frame(group: Any) -> Table:
     levels, columns = _axis(group, "axis0")
     _, index = _axis(group, "axis1")
     free: dict[Label, list[int]] = {}
@@ -90,7 +89,7 @@ def _fixed_frame(group: Any) -> _Table:
             values = numbers(dataset)
             places = [free[label].pop(0) for label in items]
             cells[:, places] = values if attribute(dataset, "transposed") else values.T
-    return levels, columns, index, cells
+    return Table(levels, columns, index, cells)
 
 
 def _axis(group: Any, name: str) -> tuple[list[str | None], list[Label]]:
@@ -133,7 +132,7 @@ def _is_empty(dataset: Any) -> bool:
 # -- table layout: one array of records, and the labels of its columns pickled -----------------------------------
 
 
-def _table_frame(group: Any) -> _Table:
+def _table_frame(group: Any) -> Table:
     ((_, given),) = _attribute_value(group, "non_index_axes")
     columns = [_label(label) for label in given]
     dataset = member(group, "table")
@@ -144,7 +143,7 @@ def _table_frame(group: Any) -> _Table:
         cells[:, places] = rows[str(name)].reshape(len(rows), -1)
     names = ((_attribute_value(group, "info") or {}).get(1) or {}).get("names")
     levels = names if names and len(names) == len(columns[0]) else [None] * len(columns[0])
-    return levels, columns, [(text,) for text in _texts_of(group, rows["index"])], cells
+    return Table(levels, columns, [(text,) for text in _texts_of(group, rows["index"])], cells)
 
 
 def _label(label: Any) -> Label:

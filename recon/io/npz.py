@@ -15,17 +15,8 @@ import numpy as np
 from recon.base.documents import KINDS, MAX_UNPACKED, arrays_of, read_content
 from recon.base.errors import InputError, Problem, refuse
 from recon.base.files import write_bytes
-from recon.io import writing
-from recon.io.common import (
-    DAMAGE,
-    Pose3D,
-    StoredPoints,
-    damage_named,
-    points_of_arrays,
-    rate,
-    require_span,
-    starts_with,
-)
+from recon.io import common, writing
+from recon.io.common import Pose3D, StoredPoints, points_of_arrays, rate
 from recon.io.json_poses import ANIMAL3D, LENGTHS
 
 
@@ -40,12 +31,12 @@ def recognises_fmpose3d(path: Path) -> bool:
 
 def _has(path: Path, name: str, damaged: bool) -> bool:
     """Whether it is an archive with that file in it; damaged: of one that cannot be read."""
-    if not starts_with(path, b"PK\x03\x04"):
+    if not common.starts_with(path, b"PK\x03\x04"):
         return False
     try:
         with zipfile.ZipFile(path) as archive:
             return name in archive.namelist()
-    except (zipfile.BadZipFile, EOFError, *DAMAGE):
+    except (zipfile.BadZipFile, EOFError, *common.DAMAGE):
         return damaged
 
 
@@ -70,7 +61,7 @@ def read_fmpose3d(path: Path, individual: str | None = None) -> StoredPoints:
         Problem(file, "number", f"frame {frame} twice", "one file a frame") for frame, file in files if frame in again
     )
     names = ANIMAL3D.split()
-    require_span(len(files), len(names), path.parent)
+    common.require_span(len(files), len(names), path.parent)
     values = np.concatenate([_pose_of(file, len(names)) for _, file in files])
     return points_of_arrays(path, individual, values, np.array(numbers), names, notes=(LENGTHS,))
 
@@ -78,7 +69,7 @@ def read_fmpose3d(path: Path, individual: str | None = None) -> StoredPoints:
 def _pose_of(path: Path, points: int) -> np.ndarray:
     """(1, points, 3): the pose of one picture, of a size that is known before the next file is read."""
     expected = f"the {points} points of one animal as pose3d"
-    with damage_named(path, expected):
+    with common.damage_named(path, expected):
         pose = arrays_of(read_content(path, "a whole file", MAX_UNPACKED), KINDS)["pose3d"]
     if pose.shape not in ((points, 3), (1, points, 3)):
         raise InputError(Problem(path, "pose3d", f"an array of the shape {pose.shape}", expected))
