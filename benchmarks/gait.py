@@ -116,7 +116,7 @@ def fitted_row(name: str, sample: str, fps: int, options: dict, truth: Pose3D, t
         found = analyse(Motion.load(Path(folder) / "fit"))
     row = sample_row(name, found.pose, fps, truth, truth_fps, found.motion.foot_names)
     sigma = found.joints[REFERENCE].speed_sigma_m_s
-    return row | {"stated sigma m/s": "-" if sigma is None else f"{np.nanmedian(sigma):.1f}"}
+    return row | {"stated sigma m/s": "-" if np.isnan(sigma).all() else f"{np.nanmedian(sigma):.1f}"}
 
 
 def sample_row(name: str, pose: Pose3D, fps: int, truth: Pose3D, truth_fps: int, feet: Mapping[str, str]) -> dict:

@@ -34,7 +34,6 @@ def measured(motion: Motion, truth: Pose3D) -> tuple[float, float, float, float,
     _, here, there = np.intersect1d(motion.frames, truth.frames, return_indices=True)
     time_s = frame_times(truth.frames, motion.fps)
     true = series_kinematics(time_s, truth.xyz_m[:, at], oversampling=1).rate[there]
-    assert series.rate_sigma is not None
     error, sigma = series.rate[here] - true, series.rate_sigma[here]
     points = np.full_like(motion.upright.xyz_m[:, 0], np.nan)
     points[here] = truth.xyz_m[there, at]

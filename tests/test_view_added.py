@@ -56,7 +56,6 @@ def test_plots_of_an_analysis_are_those_at_the_frames(found: ClipAnalysis, analy
     speed = by_frame(data["/analysis/speed"], "Scalars:scalars")
     assert list(speed) == found.motion.frames.tolist()
     at = moved.series.oversampling * 7
-    assert moved.speed_sigma_m_s is not None
     value, sigma = moved.speed_m_s[at], moved.speed_sigma_m_s[at]
     np.testing.assert_allclose(speed[found.motion.frames[7]], [value, value - sigma, value + sigma])
     (names,) = [row["SeriesLines:names"] for row in data["/analysis/speed"] if "SeriesLines:names" in row]

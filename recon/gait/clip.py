@@ -180,9 +180,8 @@ class ClipAnalysis:
         if self.why_no_speed is not None:
             raise InputError(Problem(self.motion.file, "speed", self.why_no_speed, "a path whose speed is known"))
         moved = self.reference_motion
-        sigma = np.full_like(moved.speed_m_s, np.nan) if moved.speed_sigma_m_s is None else moved.speed_sigma_m_s
-        reach = radius(INTERVAL) * sigma
-        values = {"speed_m_s": moved.speed_m_s, "sigma_m_s": sigma}
+        reach = radius(INTERVAL) * moved.speed_sigma_m_s
+        values = {"speed_m_s": moved.speed_m_s, "sigma_m_s": moved.speed_sigma_m_s}
         values |= {"low_m_s": np.maximum(moved.speed_m_s - reach, 0.0), "high_m_s": moved.speed_m_s + reach}
         return pd.DataFrame(values, index=pd.Index(moved.series.time_s, name="time_s"))
 
@@ -301,12 +300,9 @@ def _with_sigma(
 ) -> dict[str, tuple[phase.LinkField, ...]]:
     """Fields with what the errors of the angles' rates mean for them, each angle's on its own."""
     rates = [angle.series.rate_sigma for angle in angles]
-    if not fields or any(rate is None for rate in rates):
-        return fields
     names, step = motion.names, 1e-5
     moved: dict[str, list[Array]] = {limb: [] for limb in chains}
     for k, (angle, rate) in enumerate(zip(angles, rates, strict=True)):
-        assert rate is not None
         by = step * (np.arange(motion.states.shape[1]) == 4 + k)
         joints = [motion.body.tree.pose(motion.states + way, motion.size).points_m for way in (-by, by)]
         rear, front = (names.index(joint) for joint in motion.forward_names)

@@ -103,8 +103,6 @@ class Dynamics:
     def energy_sigma_j_kg(self) -> Array:
         """(N,): one standard deviation of the total without the internal one."""
         series = self.centre.series
-        if series.rate_sigma is None or series.value_sigma is None:
-            return np.full(len(series.time_s), np.nan)
         moved = np.sum((series.rate * series.rate_sigma) ** 2, axis=1)
         return np.sqrt(moved + (G_M_S2 * series.value_sigma[:, 2]) ** 2)
 

@@ -309,7 +309,7 @@ def pose_tracks(
         """Positions, speeds and their deviations, of one foot after the other: a path of a long clip is large."""
         found = path(pose.xyz_m[:, at], [error[:, at] for error in errors])
         velocity, speed = found.rate[:, :2], np.linalg.norm(found.rate[:, :2], axis=1)
-        deviation = (0 * found.rate if found.rate_sigma is None else found.rate_sigma)[:, :2]
+        deviation = (found.rate_sigma if len(errors) else 0 * found.rate)[:, :2]
         return found.value, speed, np.linalg.norm(velocity / np.maximum(speed, 1e-9)[:, None] * deviation, axis=1)
 
     foot, foot_speed, foot_speed_sigma = (np.stack(of, axis=1) for of in zip(*map(foot_path, where[:n]), strict=True))

@@ -88,11 +88,11 @@ class Series:
     """(N, d), per second in the values' unit."""
     acceleration: Array
     """(N, d), per second^2 in the values' unit."""
-    value_sigma: Array | None
-    """(N, d): one standard deviation, None where none was given."""
-    rate_sigma: Array | None
+    value_sigma: Array
+    """(N, d): one standard deviation, as the next two NaN where no errors were given."""
+    rate_sigma: Array
     """Standard deviations of the rates, shape (N, d)."""
-    acceleration_sigma: Array | None
+    acceleration_sigma: Array
     """Standard deviations of the accelerations, shape (N, d)."""
     oversampling: int
 
@@ -107,10 +107,10 @@ class JointKinematics:
     """(N,): norm of the velocity."""
     acceleration_m_s2: Array
     """(N,): norm of the acceleration."""
-    speed_sigma_m_s: Array | None
-    """(N,): linear, None without errors (noise also biases a norm upwards, by about sigma^2 / norm, which is not
+    speed_sigma_m_s: Array
+    """(N,): linear, NaN without errors (noise also biases a norm upwards, by about sigma^2 / norm, which is not
     taken out)."""
-    acceleration_sigma_m_s2: Array | None
+    acceleration_sigma_m_s2: Array
     """Standard deviations of the acceleration, shape (N,)."""
     distance_m: float
     """Arc length of the known spans."""
@@ -178,7 +178,7 @@ def series_kinematics(
     N = (T - 1) * oversampling + 1 if T else 0
     fine_s = np.interp(np.arange(N) / oversampling, np.arange(T), time_s) if T else np.empty(0)
     out = np.full((3, N, d), np.nan)
-    spread = np.full((3, N, d), np.nan) if len(errors) and propagate else None
+    spread = np.full((3, N, d), np.nan) if len(errors) and propagate else np.broadcast_to(np.nan, (3, N, d))
     weight = 1.0 / errors[0].sigma if smooth else np.ones((T, d))
     for rows in _stretches(time_s, values, max_gap_s, MIN_SMOOTHING_POINTS if smooth else MIN_POINTS):
         where = slice(rows[0] * oversampling, rows[-1] * oversampling + 1)
@@ -188,9 +188,9 @@ def series_kinematics(
         for k in range(d) if smooth else ():
             lam[k] = _discrepancy_lam(t, values[rows, k], weight[rows, k])
             out[:, where, k] = _evaluate(_curve(t, values[rows, k], weight[rows, k], lam[k]), at)
-        if spread is not None:
+        if len(errors) and propagate:
             spread[:, where] = _spline_sigmas(t, at, [e[rows] for e in errors], weight[rows], lam)
-    return Series(fine_s, *out, *((None, None, None) if spread is None else spread), oversampling=oversampling)
+    return Series(fine_s, *out, *spread, oversampling=oversampling)
 
 
 def _stretches(time_s: Array, values: Array, max_gap_s: float, min_points: int) -> list[Index]:
@@ -334,9 +334,9 @@ def point_kinematics(time_s: Array, xyz_m: Array, errors: Sequence[Errors] = (),
     )
 
 
-def _at_peak(values: Array, others: Array | None) -> float:
+def _at_peak(values: Array, others: Array) -> float:
     """The others (N,), where values (N,) are largest; NaN without."""
-    return np.nan if others is None or not np.isfinite(values).any() else float(others[np.nanargmax(values)])
+    return float(others[np.nanargmax(values)]) if np.isfinite(values).any() else np.nan
 
 
 def frame_jitter_m(points_m: Array) -> Array:
@@ -419,11 +419,9 @@ def joint_kinematics(pose: Pose3D, joint: str, fps: float, errors: Sequence[Erro
     return point_kinematics(frame_times(pose.frames, fps), pose.xyz_m[:, j], of_joint, **options)
 
 
-def _norm(vector: Array, sigma: Array | None) -> tuple[Array, Array | None]:
+def _norm(vector: Array, sigma: Array) -> tuple[Array, Array]:
     """Norms (N,) of vectors (N, d), and their standard deviations: sum((v_k / |v|)^2 sigma_k^2)."""
     norm = np.linalg.norm(vector, axis=1)
-    if sigma is None:
-        return norm, None
     # At rest the direction is unknown: the mean over the directions.
     share = np.divide(vector, norm[:, None], out=np.full_like(vector, vector.shape[1] ** -0.5), where=norm[:, None] > 0)
     return norm, np.sqrt(np.sum((share * sigma) ** 2, axis=1))

@@ -65,11 +65,11 @@ class LinkField:
     """The angular velocity of the link's tip, shape (T,)."""
     speed_m_s: Array
     """(T,): in that plane, the norm of (dr, r dtheta)."""
-    dr_sigma_m_s: Array | None = None
-    """(T,): one standard deviation (`field_with_sigma`), None where none is known."""
-    dtheta_sigma_rad_s: Array | None = None
+    dr_sigma_m_s: Array | float = np.nan
+    """(T,): one standard deviation (`field_with_sigma`), NaN where none is known."""
+    dtheta_sigma_rad_s: Array | float = np.nan
     """Standard deviations of the angular velocity, shape (T,)."""
-    speed_sigma_m_s: Array | None = None
+    speed_sigma_m_s: Array | float = np.nan
     """Standard deviations of the speed, shape (T,)."""
 
 
@@ -97,10 +97,10 @@ class Portrait:
     """The angle at the N times, shape (N,), NaN where it is unknown."""
     rate_rad_s: Array
     """The rate of the angle at the N times, shape (N,), NaN where it is unknown."""
-    angle_sigma_rad: Array | None = None
-    """(N,): standard deviation, None where none is known."""
-    rate_sigma_rad_s: Array | None = None
-    """(N,): standard deviation, None where none is known."""
+    angle_sigma_rad: Array | float = np.nan
+    """(N,): standard deviation, NaN where none is known."""
+    rate_sigma_rad_s: Array | float = np.nan
+    """(N,): standard deviation, NaN where none is known."""
 
 
 # -- vector field ----------------------------------------------------------------------------------------------------
@@ -136,7 +136,7 @@ def field_means(fields: Sequence[LinkField]) -> pd.DataFrame:
         values = np.abs(np.stack([field.speed_m_s, space, field.dr_m_s, field.dtheta_rad_s]))
         known = np.isfinite(values).all(axis=0)
         means = [mean(of[known]) for of in values]
-        sigma = np.nan if field.speed_sigma_m_s is None else np.sqrt(mean(field.speed_sigma_m_s[known] ** 2))
+        sigma = np.sqrt(mean(np.broadcast_to(field.speed_sigma_m_s, known.shape)[known] ** 2))
         rows.append(("-".join(field.link), "-".join(field.parent), *means, float(sigma), int(known.sum())))
     columns = ["link", "parent", "speed_m_s", "speed_3d_m_s", "dr_m_s", "dtheta_rad_s", "speed_sigma_m_s", "frames"]
     return pd.DataFrame(rows, columns=columns)
@@ -206,8 +206,8 @@ def phase_portrait(angle: AngleKinematics, start_s: float = -np.inf, end_s: floa
     s = angle.series
     # The times of a grid carry rounding errors.
     inside = (s.time_s >= start_s - 1e-9) & (s.time_s <= end_s + 1e-9)
-    sigmas = (None if of is None else of[inside, 0] for of in (s.value_sigma, s.rate_sigma))
-    return Portrait(s.time_s[inside], s.value[inside, 0], s.rate[inside, 0], *sigmas)
+    quantities = (of[inside, 0] for of in (s.value, s.rate, s.value_sigma, s.rate_sigma))
+    return Portrait(s.time_s[inside], *quantities)
 
 
 def closure(portrait: Portrait) -> Closure:
@@ -221,9 +221,10 @@ def closure(portrait: Portrait) -> Closure:
 
 def _closure_sigma(portrait: Portrait) -> tuple[float, float]:
     """Standard deviations of the closures of the angle and in the plane; see the module's text."""
-    if portrait.angle_sigma_rad is None or portrait.rate_sigma_rad_s is None or not portrait.rate_sigma_rad_s.any():
+    lasting = np.sum(portrait.angle_sigma_rad), np.sum(portrait.rate_sigma_rad_s)
+    if not lasting[1] > 0:  # nor NaN
         return np.nan, np.nan
-    lasts_s = portrait.angle_sigma_rad.sum() / portrait.rate_sigma_rad_s.sum()
+    lasts_s = lasting[0] / lasting[1]
     turns = np.array([NormalDist().inv_cdf((k + 0.5) / _WAVES) for k in range(_WAVES)])  # over lasts_s
     phase = np.outer(turns, portrait.time_s / lasts_s)
     a, b = np.random.default_rng(0).normal(0, _WAVES**-0.5, (2, DRAWN, _WAVES))

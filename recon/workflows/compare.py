@@ -168,8 +168,6 @@ def _stride_rows(found: ClipAnalysis) -> Iterator[dict]:
 
 def _speed_sigma(moved: JointKinematics, start_s: float, end_s: float) -> float:
     """The standard deviation of the mean speed in a time: errors of the path last `POSITION_LASTS_S` on either side."""
-    if moved.speed_sigma_m_s is None:
-        return np.nan
     sigma = moved.speed_sigma_m_s[(moved.series.time_s >= start_s) & (moved.series.time_s <= end_s)]
     independent = max(1.0, (end_s - start_s) / (2 * POSITION_LASTS_S))
     return float(np.sqrt(np.nanmean(sigma**2) / independent)) if np.isfinite(sigma).any() else np.nan

@@ -40,9 +40,9 @@ def reference(found: ClipAnalysis) -> Columns:
     series = moved.series
     columns = {"time_s": series.time_s, "frame": series.time_s * found.motion.fps} | _axes("{}_m", series.value)
     columns |= _axes("v{}_m_s", series.rate) | _axes("a{}_m_s2", series.acceleration)
-    columns |= {"speed_m_s": moved.speed_m_s, "speed_sigma_m_s": _or_nan(moved.speed_sigma_m_s, series.time_s)}
-    deviation = _or_nan(moved.acceleration_sigma_m_s2, series.time_s)
-    return columns | {"acceleration_m_s2": moved.acceleration_m_s2, "acceleration_sigma_m_s2": deviation}
+    columns |= {"speed_m_s": moved.speed_m_s, "speed_sigma_m_s": moved.speed_sigma_m_s}
+    columns["acceleration_m_s2"] = moved.acceleration_m_s2
+    return columns | {"acceleration_sigma_m_s2": moved.acceleration_sigma_m_s2}
 
 
 def velocities(found: ClipAnalysis) -> Columns:
@@ -51,8 +51,7 @@ def velocities(found: ClipAnalysis) -> Columns:
     for name, moved in found.joints.items():
         s = moved.series
         for column, of in (("v{}_m_s", s.rate), ("v{}_sigma_m_s", s.rate_sigma), ("a{}_m_s2", s.acceleration)):
-            if of is not None:
-                columns |= _axes(f"{name}_{column}", of[:: s.oversampling])
+            columns |= _axes(f"{name}_{column}", of[:: s.oversampling])
     return columns
 
 
@@ -133,7 +132,7 @@ def vector_field(found: ClipAnalysis) -> Columns:
         part = {name: np.full(len(found.pose.frames), text) for name, text in texts.items()}
         part |= {"frame": found.pose.frames, "time_s": found.motion.time_s}
         part |= _axes("{}_m", field.position_m) | _axes("d{}_m_s", field.velocity_m_s)
-        parts.append(part | {name: _or_nan(getattr(field, name), field.speed_m_s) for name in names})
+        parts.append(part | {name: getattr(field, name) + np.zeros(len(field.speed_m_s)) for name in names})
     return {name: np.concatenate([part[name] for part in parts]) for name in (parts[0] if parts else ())}
 
 
@@ -160,7 +159,7 @@ def centre_of_mass(found: ClipAnalysis) -> Columns:
     s = d.centre.series
     columns = {"time_s": s.time_s} | _axes("{}_m", s.value)
     for name, of in (("{}_sigma_m", s.value_sigma), ("v{}_m_s", s.rate), ("v{}_sigma_m_s", s.rate_sigma)):
-        columns |= _axes(name, np.full(s.value.shape, np.nan) if of is None else of)
+        columns |= _axes(name, of)
     columns |= _axes("angular_momentum_{}_m2_s", d.angular_momentum)
     columns |= {f"{name}_j_kg": values for name, values in d.energy_j_kg.items()}
     return columns | {"energy_sigma_j_kg": d.energy_sigma_j_kg}
@@ -220,10 +219,6 @@ def write(found: ClipAnalysis, folder: Path) -> None:
 def _axes(name: str, vectors: np.ndarray) -> Columns:
     """The columns of vectors (N, 3)."""
     return {name.format(axis): column for axis, column in zip("xyz", vectors.T, strict=True)}
-
-
-def _or_nan(values: np.ndarray | None, like: np.ndarray) -> np.ndarray:
-    return np.full(like.shape, np.nan) if values is None else values
 
 
 def _yes(value: bool) -> str:

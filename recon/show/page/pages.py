@@ -198,7 +198,7 @@ def _sections(found: ClipAnalysis) -> Iterator[_FigureGroup]:
     )
     name, hardly = motion.reference, _is_unknown(moved.acceleration_m_s2, moved.acceleration_sigma_m_s2)
     text = f"How fast {name} moves along its path" + (
-        ", with bands of one standard deviation" if moved.speed_sigma_m_s is not None else ""
+        ", with bands of one standard deviation" if np.isfinite(moved.speed_sigma_m_s).any() else ""
     )
     shown = {"width_mm": SPEED_MM, "unknown": found.why_no_speed is not None, "acceleration": not hardly}
     drawn_speed = _inline([plots.speeds({name: moved}, **shown)])
@@ -256,9 +256,9 @@ def _solid(motion: Motion, posed: Bools, gait: Gait | None) -> dict[str, Any] | 
     }
 
 
-def _is_unknown(values: Array, sigma: Array | None) -> bool:
+def _is_unknown(values: Array, sigma: Array) -> bool:
     """Whether most of the values (N,) are less than their standard deviations."""
-    return sigma is not None and float(np.mean(sigma > values, where=np.isfinite(values))) > 0.5
+    return float(np.mean(sigma > values, where=np.isfinite(values))) > 0.5
 
 
 def _stretches(motion: Motion, moved: JointKinematics) -> Iterator[Array]:

@@ -142,7 +142,7 @@ def forces(d: Dynamics, gait: Gait) -> Figure:
         top.invert_yaxis()
         top.set_title("stances, and vertical force of each foot (body weights; band: 90 %)", loc="left")
         series = d.centre.series
-        sigma = np.zeros_like(series.value[:, 2]) if series.value_sigma is None else series.value_sigma[:, 2]
+        sigma = np.nan_to_num(series.value_sigma[:, 2])
         height = series.value[:, 2] - d.ground_m
         last.fill_between(series.time_s, height - sigma, height + sigma, color="0.5", alpha=0.25, lw=0)
         last.plot(series.time_s, height, color="k")
@@ -191,12 +191,12 @@ def speeds(
     return figure
 
 
-def _curve(axes: Axes, i: int, motion: JointKinematics, value: Array, sigma: Array | None, unknown: bool) -> Line2D:
+def _curve(axes: Axes, i: int, motion: JointKinematics, value: Array, sigma: Array, unknown: bool) -> Line2D:
     drawn: dict[str, Any] = style.look(i) | ({"color": style.GREY} if unknown else {})
     t = motion.series.time_s
     every = motion.series.oversampling
     (line,) = axes.plot(t, value, **style.dots(len(t) // every, 2.2), markevery=every, zorder=3, **drawn)
-    if sigma is not None:
+    if np.isfinite(sigma).any():
         style.draw_band(axes, t, value, sigma, drawn["color"])
     if np.isfinite(value).any() and not unknown:
         k = int(np.nanargmax(value))

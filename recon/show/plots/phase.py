@@ -64,7 +64,7 @@ def phase_portraits(
             axes.set_axis_off()
         gap = "\n" if count == 1 else "   "
         marks = "○ start   ■ end" + (f"{gap}%: degree of closure, of the angle / in the plane" if closed else "")
-        if any(portrait.angle_sigma_rad is not None for portrait in portraits.values()):
+        if any(np.isfinite(portrait.angle_sigma_rad).any() for portrait in portraits.values()):
             marks += f"{gap}band, ±: one sigma"
         if shares:
             marks += (
@@ -98,7 +98,7 @@ def _draw(axes: Axes, portrait: Portrait, colours: tuple[ListedColormap, Normali
         lines.set_array(np.array(middles))
     axes.add_collection(lines, autolim=False)
     axes.update_datalim(path[known])
-    if portrait.angle_sigma_rad is not None and portrait.rate_sigma_rad_s is not None:
+    if np.isfinite(portrait.angle_sigma_rad).any():
         _band(
             axes, path[known], np.degrees(np.column_stack([portrait.angle_sigma_rad, portrait.rate_sigma_rad_s]))[known]
         )
@@ -170,8 +170,8 @@ def vector_fields(fields: tuple[LinkField, ...], time_s: Array, title: str = "")
                 _key(left, arrows, float(fastest), every, height)
                 keyed = True
             right.plot(time_s, field.speed_m_s, color=colour, **style.dots(len(time_s), 1.8))
-            if (sigma := field.speed_sigma_m_s) is not None:
-                style.draw_band(right, time_s, field.speed_m_s, sigma, colour)
+            if np.isfinite(field.speed_sigma_m_s).any():
+                style.draw_band(right, time_s, field.speed_m_s, field.speed_sigma_m_s, colour)
             right.set_ylim(0, 1.08 * fastest or 1.0)
             right.locator_params(axis="y", nbins=3)
             speed, sigma = means["speed_m_s"], means["speed_sigma_m_s"]
@@ -185,7 +185,7 @@ def vector_fields(fields: tuple[LinkField, ...], time_s: Array, title: str = "")
             axes.spines["bottom"].set_visible(False)
             axes.tick_params(bottom=False)
         panels[-1, 0].set_xlabel("time (s);  → along the parent, ↑ normal to it")
-        banded = any(field.speed_sigma_m_s is not None for field in fields)
+        banded = any(np.isfinite(field.speed_sigma_m_s).any() for field in fields)
         panels[-1, 1].set_xlabel("time (s)" + (";  band: one sigma" if banded else ""))
         panels[len(fields) // 2, 1].set_ylabel("speed in the plane (m/s)")
     return figure

@@ -104,7 +104,7 @@ def dots(count: int, size: float) -> dict[str, Any]:
     return {"marker": "o", "ms": size} if count <= MOST_DOTS else {}
 
 
-def draw_band(axes: Axes, time_s: Array, value: Array, sigma: Array, colour: str) -> None:
+def draw_band(axes: Axes, time_s: Array, value: Array, sigma: Array | float, colour: str) -> None:
     """One standard deviation about a value that is never negative; all (N,)."""
     axes.fill_between(time_s, np.maximum(value - sigma, 0.0), value + sigma, color=colour, alpha=0.2, lw=0)
 

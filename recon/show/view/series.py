@@ -105,17 +105,17 @@ def analysis_plots(found: ClipAnalysis) -> Iterator[scene.TimePlot]:
     """Speed, acceleration and flexion with one sigma, the links' speeds, and the feet's vertical forces."""
     moved, times_s = found.joints[found.reference], found.motion.time_s
     every, name = moved.series.oversampling, found.reference
-    shown: list[tuple[str, str, Array, Array | None]] = [
+    shown: list[tuple[str, str, Array, Array]] = [
         ("speed", f"Speed of {name} (m/s)", moved.speed_m_s, moved.speed_sigma_m_s),
         ("acceleration", f"Acceleration of {name} (m/s²)", moved.acceleration_m_s2, moved.acceleration_sigma_m_s2),
     ]
     if "spine_flexion" in found.angles:
         flexion = found.angles["spine_flexion"].series
-        sigma = None if flexion.value_sigma is None else np.degrees(flexion.value_sigma[:, 0])
-        shown.append(("spine", "Flexion of the spine (°)", np.degrees(flexion.value[:, 0]), sigma))
+        bent, sigma = (np.degrees(of[:, 0]) for of in (flexion.value, flexion.value_sigma))
+        shown.append(("spine", "Flexion of the spine (°)", bent, sigma))
     for entity, title, values, sigma in shown:
         lines = {entity: values}
-        if sigma is not None and entity != "acceleration":  # whose deviations are many times as large as it is
+        if np.isfinite(sigma).any() and entity != "acceleration":  # whose deviations are many times as large as it is
             lines |= {"minus one sigma": values - sigma, "plus one sigma": values + sigma}
         at_frames, colours = (
             np.stack([*lines.values()], axis=1)[::every],
