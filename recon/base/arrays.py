@@ -30,3 +30,11 @@ def median(values: Array | Sequence[float]) -> float:
     """The median of the values that are known, NaN where none is."""
     known = finite(values)
     return float(np.median(known)) if len(known) else np.nan
+
+
+def mean_along(values: Array, axis: int | tuple[int, ...]) -> Array:
+    """The mean along an axis, or several, of the values that are known, NaN where none is."""
+    known = ~np.isnan(values)
+    count = known.sum(axis=axis)
+    total = np.sum(values, axis=axis, where=known)
+    return np.divide(total, count, out=np.full(count.shape, np.nan), where=count > 0)

@@ -153,8 +153,7 @@ def mean_stride(body: Body, prior: MotionPrior) -> Array:
 
 def length_m(body: Body) -> float:
     """From end to end, in the expected pose."""
-    state = np.concatenate([np.zeros(4), body.mean_rad])
-    return float(np.ptp(body.tree.pose(state[None]).points_m[0, :, 0]))
+    return float(np.ptp(body.expected_points_m()[:, 0]))
 
 
 def placed(camera: Camera, target_m: Array, azimuth_rad: float, elevation_rad: float, distance_m: float) -> Camera:

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from recon.animal.prior import ANGLES, NONE
-from recon.base.arrays import Array, Bools, Integers
+from recon.base.arrays import Array, Bools, Integers, mean_along
 from recon.check.codes import finding
 from recon.clip import View, frame_ranges
 from recon.fit import solve_trajectory
@@ -260,18 +260,12 @@ def _feet_below(clip: ClipProblem, view: View) -> float:
     """How far the feet are below the trunk's ends, as a part of how far they are from them in the picture: 1 of an
     animal that stands, -1 of one that is upside down."""
     trunk = [clip.body.markers.index(marker) for marker in clip.body.forward]
-    off_px = _mean(view.xy_px[:, clip.feet]) - _mean(view.xy_px[:, trunk])
+    off_px = mean_along(view.xy_px[:, clip.feet], 1) - mean_along(view.xy_px[:, trunk], 1)
     off_px = off_px[np.isfinite(off_px[:, 0])]
     if not len(off_px):
         return 1.0
     away, up = np.median(off_px, axis=0), view.rotation.reshape(-1, 3, 3)[0, :2, 2]
     return -float(away @ up) / max(float(np.linalg.norm(away)), 1e-9)
-
-
-def _mean(values: Array) -> Array:
-    """(T, 2) of points (T, N, 2), over what is known."""
-    count = np.isfinite(values).sum(axis=1)
-    return np.where(count > 0, np.nansum(values, axis=1) / np.maximum(count, 1), np.nan)
 
 
 def smaller(camera: Camera, times: float) -> Camera:

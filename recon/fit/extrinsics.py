@@ -19,6 +19,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 from threadpoolctl import threadpool_limits
 
 from recon.base import Progress, silent
@@ -206,9 +207,7 @@ def _aligned(a: Array, b: Array, rounds: int = 30) -> Array:
     weight, R, t = np.ones(len(a)), np.eye(3), np.zeros(3)
     for _ in range(rounds):
         share = weight / weight.sum()
-        from_a, from_b = a - share @ a, b - share @ b
-        u, _, vt = np.linalg.svd((share[:, None] * from_b).T @ from_a)
-        R = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
+        R = Rotation.align_vectors(b - share @ b, a - share @ a, share)[0].as_matrix()
         t = share @ b - R @ (share @ a)
         off = np.linalg.norm(a @ R.T + t - b, axis=1)
         weight = 1.0 / (1.0 + (off / max(float(np.median(off)), 1e-6)) ** 2)

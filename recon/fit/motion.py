@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from recon.animal.body import Body, Side, Skeleton
-from recon.base.arrays import Array, Bools, Integers, median
+from recon.base.arrays import Array, Bools, Integers, mean_along, median
 from recon.clip import CleaningReport, Keypoints, Source, world_from_reference
 from recon.fit.result import OUTLIER_SIGMAS, Finding, MotionSegment, Solution, Verdict
 from recon.geometry.camera import Camera
@@ -511,9 +511,7 @@ class Motion:
     @cached_property
     def mean_weight(self) -> Array:
         """(T,): how far all cameras' detections were trusted on average, 0 to 1, NaN without any or without a pose."""
-        weight = self.solution.weight
-        seen = np.isfinite(weight).sum(axis=(0, 2))
-        return np.where(seen > 0, np.nansum(weight, axis=(0, 2)) / np.maximum(seen, 1), np.nan)
+        return mean_along(self.solution.weight, (0, 2))
 
     def _turned(self, covariance_m2: Array) -> Array:
         R = self.T_reference_world[:3, :3]

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from recon.animal import fitting_maps, load_names, new_names
+from recon.base.arrays import mean_along
 from recon.base.errors import InputError, Problem, all_of, refuse
 from recon.base.files import MANIFEST
 from recon.check import mismatches, sentence, usable
@@ -244,8 +245,8 @@ def joint_errors(pose_m: np.ndarray, truth_m: np.ndarray) -> np.ndarray:
 
 def score(values: np.ndarray) -> _Score:
     """The means of (T, J) values that may be NaN."""
-    per_frame = _mean(values, axis=1)
-    return _Score(mean=float(_mean(per_frame, axis=0)), per_frame=per_frame, per_joint=_mean(values, axis=0))
+    per_frame = mean_along(values, axis=1)
+    return _Score(mean=float(mean_along(per_frame, axis=0)), per_frame=per_frame, per_joint=mean_along(values, axis=0))
 
 
 def aligned(pose_m: np.ndarray, truth_m: np.ndarray, scale: bool = False, turn: bool = False) -> np.ndarray:
@@ -254,7 +255,7 @@ def aligned(pose_m: np.ndarray, truth_m: np.ndarray, scale: bool = False, turn: 
     animal, and by a rotation, no reflection. (Umeyama 1991.) All NaN in frames of fewer than 3 common joints, where a
     rotation has no meaning."""
     common = common_joints(pose_m, truth_m)[..., None]
-    pose_mean, truth_mean = (_mean(np.where(common, p, np.nan), axis=1)[:, None] for p in (pose_m, truth_m))
+    pose_mean, truth_mean = (mean_along(np.where(common, p, np.nan), axis=1)[:, None] for p in (pose_m, truth_m))
     moved, about, goal = (
         pose_m - pose_mean,
         *(np.where(common, p - mean, 0) for p, mean in ((pose_m, pose_mean), (truth_m, truth_mean))),
@@ -269,14 +270,6 @@ def aligned(pose_m: np.ndarray, truth_m: np.ndarray, scale: bool = False, turn: 
         factor = np.divide(np.maximum(product, 0), square, out=np.ones_like(square), where=square > 0)
         moved = factor[:, None, None] * moved
     return moved + truth_mean
-
-
-def _mean(values: np.ndarray, axis: int) -> np.ndarray:
-    """np.nanmean without its warning: NaN where there is nothing."""
-    known = ~np.isnan(values)
-    count = known.sum(axis=axis)
-    total = np.sum(values, axis=axis, where=known)
-    return np.divide(total, count, out=np.full(count.shape, np.nan), where=count > 0)
 
 
 def _plain(value: Any) -> Any:

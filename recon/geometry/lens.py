@@ -19,7 +19,7 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 import numpy.typing as npt
-from numpy.polynomial import polynomial
+from numpy.polynomial import Polynomial, polynomial
 
 from recon.base.arrays import Array, Bools
 
@@ -106,12 +106,9 @@ class _RadialTangential(Lens):
     def max_radius(self) -> float:
         k = self.k
         # d(r N/D)/dr has the sign of N D + 2 q (N' D - N D'), q = r^2, up to the first pole of N/D.
-        n, d = np.array((1, k[0], k[1], k[4])), np.array((1, k[5], k[6], k[7]))
-        cross = polynomial.polysub(
-            polynomial.polymul(polynomial.polyder(n), d), polynomial.polymul(n, polynomial.polyder(d))
-        )
-        slope = polynomial.polyadd(polynomial.polymul(n, d), polynomial.polymul((0, 2), cross))
-        return math.sqrt(min(_first_positive_root(slope), _first_positive_root(d)))
+        n, d = Polynomial((1, k[0], k[1], k[4])), Polynomial((1, k[5], k[6], k[7]))
+        slope = n * d + Polynomial((0, 2)) * (n.deriv() * d - n * d.deriv())
+        return math.sqrt(min(_first_positive_root(slope.coef), _first_positive_root(d.coef)))
 
     def distort(self, a: Array, b: Array, r2: Array) -> tuple[Any, ...]:
         k1, k2, p1, p2, k3, k4, k5, k6 = self.k

@@ -18,7 +18,7 @@ from recon.animal.body import Body, Side
 from recon.animal.prior import MotionPrior, load_prior
 from recon.animal.skeleton_file import load_skeleton, seen_by
 from recon.base import Progress, silent
-from recon.base.arrays import Array
+from recon.base.arrays import Array, mean_along
 from recon.base.errors import InputError, Problem, all_of, refuse
 from recon.clip import (
     Keypoints,
@@ -345,9 +345,7 @@ def _side(body: Body, keypoints: Keypoints, settings: FitSettings) -> tuple[Side
     ends = []
     for marker in body.forward:
         names = body.keypoints[body.markers.index(marker)]
-        both = arrange(keypoints, tuple(dict.fromkeys(names))).xy_px
-        counts = np.isfinite(both).sum(axis=1, keepdims=True)
-        ends.append(np.nansum(both, axis=1) / np.where(counts[:, 0] > 0, counts[:, 0], np.nan))
+        ends.append(mean_along(arrange(keypoints, tuple(dict.fromkeys(names))).xy_px, 1))
     facing, reason = animal.facing_side(*ends)
     if settings.side != "auto":
         return settings.side, f"as given; {reason}"
