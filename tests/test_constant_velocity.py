@@ -44,11 +44,9 @@ def test_placing_a_known_shape_on_its_own_rays_is_exact_and_survives_a_wrong_ray
     place = np.array([1.0, 0.5, 8.0])
     rays = shape + place
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
-    np.testing.assert_allclose(position_on_rays(shape, rays[None])[0][0], place, atol=1e-5)
+    np.testing.assert_allclose(position_on_rays(shape, rays[None])[0], place, atol=1e-5)
     rays[3] = [1, 0, 0]
-    found, miss = position_on_rays(shape, rays[None])
-    np.testing.assert_allclose(found[0], place, atol=0.05)
-    assert np.argmax(miss[0]) == 3
+    np.testing.assert_allclose(position_on_rays(shape, rays[None])[0], place, atol=0.05)
 
 
 def test_geometric_start_faces_the_heading_and_lies_in_front():

@@ -21,10 +21,9 @@ _MISFIT_M = 0.15
 """Distance from a ray at which a joint of the mean pose counts half: a leg's swing."""
 
 
-def position_on_rays(joints_m: Array, rays: Array) -> tuple[Array, Array]:
+def position_on_rays(joints_m: Array, rays: Array) -> Array:
     """Translations (..., 3) that bring a rigid shape joints_m (..., J, 3) nearest to viewing rays (..., J, 3), unit
-    vectors, NaN where missing, at least two a row; and the joints' distances (..., J) from them. Leading axes
-    broadcast.
+    vectors, NaN where missing, at least two a row. Leading axes broadcast.
 
     The first guess is the median over joints, at the median distance over pairs of joints; Gauss-Newton steps on the
     angles, with Geman-McClure weights, follow (distances from the rays would draw the shape towards the camera)."""
@@ -46,8 +45,7 @@ def position_on_rays(joints_m: Array, rays: Array) -> tuple[Array, Array]:
         step = -_solution(normal + 1e-9 * np.eye(3), pull)[..., 0]
         length = np.linalg.norm(step, axis=-1)
         t = t + step * np.minimum(1.0, 0.3 * depth / np.maximum(length, 1e-9))[..., None]
-    points = joints_m + t[..., None, :]
-    return t, np.where(seen, np.linalg.norm(np.cross(np.nan_to_num(rays), points), axis=-1), np.nan)
+    return t
 
 
 def _dot(a: Array, b: Array) -> Array:
@@ -93,7 +91,7 @@ def constant_velocity(
     m/s. Gauss-Newton with Geman-McClure weights, all headings at once."""
     (H, J), F = shapes.shape[:2], len(rays)
     centres = np.zeros((F, 3)) if centres_m is None else centres_m
-    places = position_on_rays(shapes[:, None], rays)[0]  # (H, F, 3)
+    places = position_on_rays(shapes[:, None], rays)  # (H, F, 3)
     scale = np.median(np.linalg.norm(places, axis=2), axis=1)[:, None, None] / _MISFIT_M
     seen = np.isfinite(rays[..., 0])
     motion = np.stack([run_path(heading, up, time_s) for heading in headings])  # (H, F, 3, 6)

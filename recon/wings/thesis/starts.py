@@ -93,7 +93,7 @@ def geometric_start(camera: Camera, chain: Chain, rays: Array, heading: Array) -
     """State (D,): the mean pose facing `heading` (3,), placed on one frame's rays (J, 3)."""
     state = mean_pose(chain)
     rotation = upright_rotation(heading, camera.up)
-    place, _ = position_on_rays(chain.local_joints(state[None])[0] @ rotation.T, rays[None])
+    place = position_on_rays(chain.local_joints(state[None])[0] @ rotation.T, rays[None])
     # Contradictory rays can meet behind the camera; the solver needs a start that is in view.
     in_front = place[0] if place[0, 2] > 0 else -place[0]
     state[chain.place_slice] = rotation.T @ in_front
