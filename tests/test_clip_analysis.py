@@ -334,6 +334,14 @@ def test_quiet_prints_nothing_and_many_stances_are_not_listed(whole_results, tmp
     assert re.search(r"Strides are 4\.\d\d m long, 3\.\d\d a second \(average of [5-9] strides\); a foot", many.out)
 
 
+def test_standard_deviations_of_angles_are_in_the_table_where_there_are_any(whole, one_sided):
+    with_sigma = {"spine_flexion_sigma_rad", "spine_flexion_rate_sigma_rad_s"}
+    assert with_sigma <= {*analysis_csv.angle_rates(whole)}
+    columns = analysis_csv.angle_rates(one_sided)
+    assert not with_sigma & {*columns}
+    assert {"spine_flexion_rad", f"{one_sided.motion.posture_names[0]}_sigma_rad"} <= {*columns}
+
+
 def test_tables_are_written_where_figures_fail(whole_results, tmp_path, monkeypatch):
     def full(*args: object) -> None:
         raise OSError(28, "No space left on device")

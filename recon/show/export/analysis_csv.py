@@ -68,12 +68,12 @@ def angles(found: ClipAnalysis) -> Table:
 
 def angle_rates(found: ClipAnalysis) -> Columns:
     """Every angle, its rate and acceleration at every frame, with standard deviations where there are any."""
-    columns = {"frame": found.pose.frames, "time_s": found.motion.time_s}
-    named: list[tuple[str, AngleKinematics]] = [
-        *((f"{name}_angle" if name != "spine_flexion" else name, angle) for name, angle in found.angles.items()),
-        *found.skeleton_angles.items(),
+    columns, stated = {"frame": found.pose.frames, "time_s": found.motion.time_s}, not found.motion.jitters
+    named: list[tuple[str, AngleKinematics, bool]] = [
+        *((f"{name}_angle" if name != "spine_flexion" else name, of, stated) for name, of in found.angles.items()),
+        *((name, of, True) for name, of in found.skeleton_angles.items()),
     ]
-    for name, angle in named:
+    for name, angle, with_sigma in named:
         s = angle.series
         for column, of in (
             ("rad", s.value),
@@ -82,7 +82,7 @@ def angle_rates(found: ClipAnalysis) -> Columns:
             ("rate_sigma_rad_s", s.rate_sigma),
             ("acceleration_rad_s2", s.acceleration),
         ):
-            if of is not None:
+            if with_sigma or "sigma" not in column:
                 columns[f"{name}_{column}"] = of[:: s.oversampling, 0]
     return columns
 
