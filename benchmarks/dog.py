@@ -36,7 +36,7 @@ from recon.animal.prior import prior_from_body
 from recon.fit import TrajectorySolution
 from recon.fit.points import solve_points
 from recon.gait.evaluation import aligned, joint_errors, score
-from recon.workflows.prior import PriorFitSettings, run_prior_fit
+from recon.workflows.models import PriorFitSettings, run_prior_fit
 
 SKELETON = "dog-27"
 WIDEN = 1.5

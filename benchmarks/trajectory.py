@@ -46,7 +46,7 @@ from recon.gait.evaluation import aligned, joint_errors, score
 from recon.gait.kinematics import Errors, series_kinematics
 from recon.geometry.frames import inverse, moved, rigid
 from recon.workflows.clip import arrange
-from recon.workflows.prior import PriorFitSettings, run_prior_fit
+from recon.workflows.models import PriorFitSettings, run_prior_fit
 
 SKELETON, PRIOR = "cheetah-24", "running-cheetah"
 ONE_GAUSSIAN = "one Gaussian"

@@ -29,9 +29,8 @@ if TYPE_CHECKING:
     from recon.workflows.clip_results import write_clip
     from recon.workflows.config import read_settings
     from recon.workflows.demo import samples_folder
-    from recon.workflows.prior import PriorFitSettings, run_prior_fit
+    from recon.workflows.models import PriorFitSettings, SubjectFitSettings, run_prior_fit, run_subject_fit
     from recon.workflows.settings import FitSettings
-    from recon.workflows.subject import SubjectFitSettings, run_subject_fit
 
     __version__: str
 

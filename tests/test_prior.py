@@ -39,7 +39,7 @@ from recon.animal.prior_fit import (
 from recon.fit import Motion
 from recon.io import read_pose_segments
 from recon.workflows import app
-from recon.workflows.prior import _lines, _sound_states
+from recon.workflows.models import _lines, _sound_states
 
 OMEGA_RAD_S = 12.0
 SPREAD_RAD = 0.3

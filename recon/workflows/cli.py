@@ -368,8 +368,8 @@ COMMANDS = {
         "skeleton list": (_CORE + "skeleton:skeleton_list", "List the skeletons that come with the package."),
         "skeleton check": (_CORE + "skeleton:skeleton_check", "Check a skeleton file, list it, and draw it."),
         "skeleton from-keypoints": (_CORE + "skeleton:skeleton_from_keypoints", "Draft one for a file's points."),
-        "subject fit": (_CORE + "subject:subject_fit", "Measure one animal in clips of several cameras."),
-        "prior fit": (_CORE + "prior:prior_fit", "Fit a motion prior to results or 3D poses."),
+        "subject fit": (_CORE + "models:subject_fit", "Measure one animal in clips of several cameras."),
+        "prior fit": (_CORE + "models:prior_fit", "Fit a motion prior to results or 3D poses."),
     },
     "Robots and the thesis": {
         "ik": (_ROBOTICS + "ik", "Inverse kinematics from the trunk to a foot."),

@@ -20,28 +20,11 @@ from recon.animal.skeleton_file import load_skeleton, seen_by
 from recon.base import Progress, silent
 from recon.base.arrays import Array, mean_along
 from recon.base.errors import InputError, Problem, all_of, refuse
-from recon.clip import (
-    Keypoints,
-    Source,
-    View,
-    clean,
-    held,
-    leave_out,
-    parse_frame_range,
-    together,
-    views_of,
-)
+from recon.clip import Keypoints, Source, View, clean, held, leave_out, parse_frame_range, together, views_of
 from recon.fit import TrajectorySolution, solve_trajectory
 from recon.fit.motion import Motion
 from recon.geometry.camera import Camera
-from recon.workflows.cameras import (
-    Cameras,
-    ClipCamera,
-    cameras_in,
-    other_camera_in,
-    other_cameras,
-    read_clip_cameras,
-)
+from recon.workflows.cameras import Cameras, ClipCamera, cameras_in, other_camera_in, other_cameras, read_clip_cameras
 from recon.workflows.settings import METHODS, FitSettings
 
 LOGGER = logging.getLogger("recon")

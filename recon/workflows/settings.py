@@ -13,17 +13,7 @@ import tomli_w
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from recon.base.errors import Problem
-from recon.base.settings import (
-    Count,
-    File,
-    NameOrFile,
-    NotNegative,
-    Number,
-    OneOrMore,
-    Option,
-    Positive,
-    Settings,
-)
+from recon.base.settings import Count, File, NameOrFile, NotNegative, Number, OneOrMore, Option, Positive, Settings
 from recon.clip import parse_frame_range
 
 if TYPE_CHECKING:

@@ -302,7 +302,7 @@ def _by_map(path: Path) -> object:
 
 
 def _rates(path: Path) -> object:
-    from recon.workflows.prior import _rates as read
+    from recon.workflows.models import _rates as read
 
     return read(str(path), [path])
 

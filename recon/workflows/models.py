@@ -1,10 +1,14 @@
-"""`recon prior fit`: results of fits or 3D poses of a class of motions in, a motion prior out."""
+"""What is learned of animals: priors and measured animals.
+
+`recon prior fit`: results of fits or 3D poses of a class of motions in, a motion prior out. `recon subject fit`: clips
+that several cameras filmed in, one animal's lengths and its detector's offsets out.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
@@ -12,21 +16,28 @@ from typing import Annotated, Any
 import numpy as np
 from rich.table import Table
 
-from recon.animal import Body, MotionPrior, fit_prior, load_skeleton, save_prior
+from recon.animal import Body, MotionPrior, detector_toml, fit_prior, load_skeleton, save_prior, subject_toml
 from recon.animal.prior import mean_speed_m_s
 from recon.animal.prior_fit import FRAMES_PER_COMPONENT, as_one_gaussian, log_likelihood
-from recon.base.arrays import Array
+from recon.animal.skeleton_file import NONE
+from recon.base.arrays import Array, Integers
 from recon.base.documents import read_json
 from recon.base.errors import InputError, Problem, all_of, refuse
-from recon.base.files import require_free_file
+from recon.base.files import require_free_file, staged_file
 from recon.base.settings import Count, NotNegative, OneOrMore, Option, Settings
 from recon.check import usable
+from recon.clip import views_of
+from recon.fit.clip_problem import ClipProblem
 from recon.fit.motion import Motion
 from recon.fit.points import MIN_MARKERS, solve_points
-from recon.io import Pose3D, read_pose_segments
+from recon.fit.shape import POSED_OFFSET_SIGMA_M, Shape, ShapeFit, fit_shape
+from recon.io import Pose3D, read_pose3d, read_pose_segments
 from recon.show.plain import picked
 from recon.workflows.batch.inputs import file_names
-from recon.workflows.cli import ANYWAY, Answer, table_of
+from recon.workflows.cli import ANYWAY, Answer, counted, table_of
+from recon.workflows.clip import prepare
+from recon.workflows.clip_results import CONFIG, read_config
+from recon.workflows.settings import FitSettings
 
 Segment = tuple[str, Array, float]
 """Name, states (T, D), frames per second."""
@@ -213,9 +224,6 @@ def _held_out(body: Body, segments: Sequence[Segment], prior: MotionPrior) -> di
     return {"mixture": mixture, "one_gaussian": one_gaussian, "components": fewest}
 
 
-# -- input --------------------------------------------------------------------------------------------------------
-
-
 def _body(skeleton: str | None, subject: str | None, folders: Sequence[Path]) -> Body | None:
     """As given; None where results have it."""
     if skeleton is None:
@@ -275,3 +283,175 @@ def _problems_of_files(
     count = sum(map(len, files.values()))
     if files and len(rates) not in (1, count):
         yield Problem(fps, "fps", f"{len(rates)} numbers", f"one, or {count}: one for every piece")
+
+
+# -- a measured animal ------------------------------------------------------------------------------------------------
+
+LEAST_SIZE_SIGMA = 0.01
+"""The least size_sigma of a measured animal: its lengths are known no better than a keypoint's place on it is."""
+
+
+def _rows(fit: ShapeFit) -> Iterator[dict[str, Any]]:
+    """What was measured: lengths in metres, offsets in millimetres."""
+    shape, values, sigma = fit.shape, fit.values, fit.sigma
+    body = shape.applied(shape.body, values)
+    items = {item.name: item for item in (*body.tree.segments, *body.tree.markers)}
+    for name, s in zip(shape.lengths, sigma, strict=False):
+        length = float(np.linalg.norm(items[name].offset_m))
+        yield {"name": name, "value": length, "sigma": float(length * s), "unit": "m"}
+    first = len(shape.lengths)
+    for name, value, s in zip(shape.names[first:], values[first:], sigma[first:], strict=True):
+        yield {"name": name, "value": 1e3 * float(value), "sigma": 1e3 * float(s), "unit": "mm"}
+
+
+class SubjectFitSettings(Settings):
+    """What `recon subject fit` is told."""
+
+    clips: Annotated[OneOrMore[Path], Option(argument="CLIPS")]
+    """Results of several cameras, or their config.toml."""
+    out: Path
+    """File for the subject, as in my-cat.toml."""
+    lengths: bool = True
+    """Measure the lengths of the segments, left equal to right."""
+    offsets: bool = False
+    """Measure where the detector's keypoints lie beside the markers."""
+    poses: tuple[Path, ...] = ()
+    """3D poses by another method, one file a clip: offsets are measured beside these."""
+    title: str | None = None
+    """Title of the animal, in words. (default: made up)"""
+    overwrite: bool = False
+    """Replace the file."""
+
+    def problems(self) -> Iterator[Problem]:
+        """What is to be measured has to be named, and poses have to be there for each clip."""
+        if not self.lengths and not self.offsets:
+            yield Problem("--no-lengths", "unknowns", "nothing to fit", "--offsets with it, or without it")
+        if self.poses and (self.lengths or not self.offsets):
+            yield Problem("--poses", "unknowns", "lengths, or no offsets", "--no-lengths --offsets beside it")
+        if self.poses and len(self.poses) != len(self.clips):
+            found = f"{len(self.poses)} for {len(self.clips)} clips"
+            yield Problem("--poses", "files", found, "one for each clip")
+
+
+def subject_fit(settings: SubjectFitSettings) -> Answer:
+    """Measure one animal in clips that several cameras filmed, for `recon fit --subject`; without its lengths the
+    detector only, for `recon fit --set detector`, also from several measured animals.
+
+    Example: recon subject fit results/run1 results/run2 --offsets --out my-cat.toml
+    """
+    found = run_subject_fit(settings)
+    return Answer({"out": settings.out, **found}, _subject_lines(found, settings.out))
+
+
+def _subject_lines(found: dict[str, Any], out: Path) -> Iterator[str | Table]:
+    lengths, offsets = ([row for row in found["values"] if row["unit"] == unit] for unit in ("m", "mm"))
+    if lengths:
+        rows = ((row["name"], f"{row['value']:.3f}", f"{row['sigma']:.3f}") for row in lengths)
+        yield table_of("length of", numbers=("m", "±"), rows=rows)
+    if offsets:
+        rows = []
+        for three in zip(offsets[::3], offsets[1::3], offsets[2::3], strict=True):
+            sigma = max(row["sigma"] for row in three)
+            values = (f"{row['value']:.0f}" for row in three)
+            rows.append((three[0]["name"].removesuffix("_x"), *values, f"{sigma:.0f}"))
+        columns = ("forwards", "left", "up", "±")
+        yield table_of("keypoint off its marker, mm", numbers=columns, rows=rows)
+    if lengths:
+        yield f"Size: {found['size']:.3f} ± {found['size_sigma']:.3f} of the skeleton's lengths."
+    if not found["converged"]:
+        yield "The last step was not small yet: more frames would say more."
+    kind, use = ("subject", "--subject ") if lengths else ("detector", "--set detector=")
+    yield f"From {counted(found['clips'], 'clip')}, {found['frames']} frames. The {kind} is in {out}."
+    yield f"Use it with: recon fit {use}{out}"
+
+
+def run_subject_fit(settings: SubjectFitSettings) -> dict[str, Any]:
+    """`recon subject fit`: measure an animal and its detector, and write the subject file; without lengths, the
+    detector file. What was found is given as plain types; its size is the lengths' mean factor on the skeleton's.
+
+    clips: result folders of `recon fit`, or their config.toml. lengths: of the segments; offsets: of the keypoints from
+    the markers. poses: of each clip, its 3D poses in the cameras' world as another method knows them, and then the
+    offsets are those beside these. Raises InputError for clips and options that cannot be used, with the problems of
+    all of them.
+    """
+    fits, _, known = all_of(
+        lambda: all_of(
+            *(partial(read_config, path / CONFIG if path.is_dir() else path, {}) for path in settings.clips)
+        ),
+        lambda: require_free_file(settings.out, settings.overwrite, suffixes=(".toml",)),
+        lambda: all_of(*(partial(read_pose3d, path) for path in settings.poses)),
+    )
+    _require_one_skeleton(fits, settings.clips)
+    if settings.lengths:  # those of a measured animal would be measured again
+        fits = [replace(one, subject=None) for one in fits]
+    if settings.offsets:
+        fits = [replace(one, detector=NONE) for one in fits]
+    each = zip(fits, settings.clips, known or (None,) * len(settings.clips), strict=True)
+    given = all_of(*(partial(_problem, *of) for of in each))
+    shape = Shape.of(given[0].body, settings.lengths, settings.offsets)
+    if known:
+        shape = replace(shape, offset_sigma_m=POSED_OFFSET_SIGMA_M)
+    try:
+        fit = fit_shape(shape, given)
+    except ValueError as error:
+        raise InputError(Problem(settings.clips[0], "clips", str(error), "clips that `recon fit` can solve")) from None
+    n = len(shape.lengths)
+    size, sigma = 1.0, given[0].size_sigma
+    if n:
+        size = float(np.exp(fit.values[:n].mean()))
+        sigma = max(float(np.sqrt(fit.covariance[:n, :n].mean())), LEAST_SIZE_SIGMA)
+    frames = sum(int((one.present().sum(axis=1) > 0).sum()) for one in given)
+    rows = list(_rows(fit))
+    body = replace(shape.applied(shape.body, fit.values), size_sigma=sigma)
+    notes = ["{name}: {value:.4g} ± {sigma:.2g} {unit}".format(**row) for row in rows]
+    count = f"measured in {len(settings.clips)} clip{'s' * (len(settings.clips) > 1)}"
+    if settings.lengths:
+        if not settings.offsets:  # the detector's are not the animal's
+            body = replace(body, keypoint_offset_m={})
+        text = subject_toml(fits[0].skeleton_name, body, settings.title or f"{shape.body.title}, {count}", notes)
+    else:
+        text = detector_toml(fit.seen(shape.body), settings.title or f"a detector, {count}", notes)
+    with staged_file(settings.out) as staged:
+        staged.write_text(text, encoding="utf-8")
+    counts = {"clips": len(settings.clips), "frames": frames, "converged": fit.converged}
+    return {**counts, "size": size, "size_sigma": sigma, "values": rows}
+
+
+def _require_one_skeleton(settings: Sequence[FitSettings], clips: Sequence[Path]) -> None:
+    names = {one.skeleton_name for one in settings}
+    if len(names) > 1:
+        found = ", ".join(f"{path}: {one.skeleton_name}" for path, one in zip(clips, settings, strict=True))
+        raise InputError(Problem("CLIPS", "skeleton", found, "clips of the same skeleton"))
+
+
+def _problem(settings: FitSettings, path: Path, pose: Pose3D | None) -> ClipProblem:
+    """A clip from which the animal can be measured. Raises InputError for others."""
+    if settings.method != "trajectory":
+        raise InputError(Problem(path, "method", settings.method, "the trajectory method"))
+    given = prepare(settings)
+    if given.body.one_sided:
+        expected = "a whole animal: a chain's lengths stand in its own skeleton file"
+        raise InputError(Problem(path, "skeleton", given.body.name, expected))
+    views, options = views_of(given.sources), settings.trajectory_options()
+    problem = ClipProblem.of(views, given.body, given.prior, given.fps, options)
+    if not problem.shows_size:
+        found = f"one camera that stands still, {given.sources[0].camera.name}"
+        raise InputError(Problem(path, "cameras", found, "several cameras, or a moving one: one cannot tell lengths"))
+    if pose is None:
+        return problem
+    return replace(problem, known=_states_known(problem, given.sources[0].keypoints.frames, pose))
+
+
+def _states_known(setting: ClipProblem, frames: Integers, pose: Pose3D) -> Array:
+    """(T, D): states of the setting's body, whose markers are nearest to a pose, NaN where it has none. Raises
+    InputError where it has no frame or too few of the markers."""
+    markers = setting.body.markers
+    _, mine, theirs = np.intersect1d(frames, pose.frames, return_indices=True)
+    points_m = np.full((len(frames), len(markers), 3), np.nan)
+    points_m[mine] = pose.of_joints(markers)[theirs]
+    states, *_ = solve_points(setting.body, points_m)
+    if not np.isfinite(states).all(axis=1).any():
+        found = f"{len(mine)} of the clip's frames, {len({*markers} & {*pose.names})} of the skeleton's markers"
+        expected = f"{MIN_MARKERS} or more of {', '.join(markers)} in frames of the clip, numbered as its keypoints are"
+        raise InputError(Problem(pose.source or "--poses", "poses", found, expected))
+    return states
