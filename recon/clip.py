@@ -20,7 +20,7 @@ from recon.geometry.frames import euler_rotation, inverse, level_from_camera, ri
 if TYPE_CHECKING:
     import pandas as pd
 
-IN_MEMORY = "recon.io.in_memory"
+IN_MEMORY = "recon.io.columns"
 """What reads tables in memory as it reads files. It is imported by its name: the readers are built on this room."""
 CORNER_PX, CONSTANT_SHARE, CONSTANT_KEYPOINTS = 1.0, 0.005, 3
 """A point stands for missing ones this near the corner, with so many of all points and of the keypoints just there."""

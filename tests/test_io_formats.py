@@ -19,7 +19,7 @@ from recon import FitSettings, InputError
 from recon.clip import Keypoints
 from recon.io import FORMATS, Pose3D, parse_map, read_cameras, read_keypoints, read_pose3d
 from recon.io.common import NoChoiceError
-from recon.io.units import frames_of_times
+from recon.io.positions import frames_of_times
 from recon.io.writing import frames_of_text, frames_text
 from recon.workflows import ConvertSettings
 from recon.workflows.convert import convert

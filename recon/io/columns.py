@@ -1,4 +1,5 @@
-"""Plain tables, long (one row for each frame and point) or wide (one row for each frame), as CSV or Parquet.
+"""Plain tables, long (one row for each frame and point) or wide (one row for each frame), as CSV or Parquet; and tables
+in memory, pandas' and movement's, which are read as the files that hold the same.
 
 Which column is what says a map, or names that people use. A map looks like this; capitals do not matter where columns
 are recognised by their names:
@@ -18,7 +19,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from io import BytesIO
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -27,8 +28,13 @@ from recon.base.errors import InputError, Problem, refuse
 from recon.base.files import write_bytes
 from recon.clip import Keypoints
 from recon.io import common, writing
-from recon.io.common import Pose3D, StoredPoints
-from recon.io.units import frames_of_times
+from recon.io.common import Pose3D, StoredPoints, damage_named
+from recon.io.deeplabcut import Table, points_of_table
+from recon.io.formats import as_keypoints
+from recon.io.positions import frames_of_times
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Columns = Mapping[str, Any]
 """A table by column: sequences of text cells, or arrays of numbers."""
@@ -315,3 +321,57 @@ def write_parquet(pose: Pose3D, path: Path) -> None:
     made = BytesIO()
     pq.write_table(table.replace_schema_metadata({METADATA: json.dumps(about)}), made)
     write_bytes(path, made.getvalue())
+
+
+# -- in memory ---------------------------------------------------------------------------------------------------------
+
+BODYPARTS = ("bodyparts", "keypoints", "bodypart", "keypoint")
+INDIVIDUALS = ("individuals", "individual")
+
+
+def from_dataframe(table: pd.DataFrame, fps: float | None, individual: str | None) -> Keypoints:
+    """Keypoints from a pandas table; see `recon.Keypoints.from_dataframe`."""
+    source = Path("DataFrame")
+    with damage_named(source, "numbers, in DeepLabCut's levels or in columns frame, keypoint, x, y, confidence"):
+        if table.columns.nlevels > 1:
+            stored = _of_levels(source, table, individual)
+        else:
+            stored = gathered(source, {str(name): table[name].to_numpy() for name in table.columns}, individual, None)
+    return _keypoints(source, stored, fps)
+
+
+def _of_levels(source: Path, table: pd.DataFrame, individual: str | None) -> StoredPoints:
+    """From DeepLabCut's levels, whose names may be missing: the last is then of the coordinates, the one before of the
+    bodyparts."""
+    levels = [str(name or "").lower() for name in table.columns.names]
+    part = next((i for i, level in enumerate(levels) if level in BODYPARTS), len(levels) - 2)
+    animal = next((i for i, level in enumerate(levels) if level in INDIVIDUALS), None)
+    labels = [
+        (
+            "",
+            "" if animal is None else str(column[animal]),
+            str(column[part]),
+            "likelihood" if str(column[-1]).lower() in ROLES["likelihood"] else str(column[-1]),
+        )
+        for column in table.columns
+    ]
+    frames = table.index.to_numpy() if table.index.to_numpy().dtype.kind in "iu" else np.arange(len(table))
+    names = ("scorer", "individuals", "bodyparts", "coords")
+    index = [(str(frame),) for frame in frames]
+    return points_of_table(source, individual, Table(names, labels, index, table.to_numpy(dtype=float)))
+
+
+def from_xarray(dataset: Any, fps: float | None, individual: str | None) -> Keypoints:
+    """Keypoints from movement's dataset; see `recon.Keypoints.from_xarray`."""
+    from recon.io.hdf5_poses import points_of_dataset
+
+    source = Path("Dataset")
+    with damage_named(source, "movement's poses"):
+        return _keypoints(source, points_of_dataset(source, dataset, fps, individual), fps)
+
+
+def _keypoints(source: Path, stored: StoredPoints, fps: float | None) -> Keypoints:
+    if stored.in_space:
+        raise InputError(Problem(source, "space", "x, y, z", "x, y: pixels of one camera"))
+    found = as_keypoints(source, stored)
+    return replace(found, fps=found.fps if fps is None else fps, source=None)

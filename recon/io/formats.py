@@ -52,19 +52,20 @@ class Format:
 
     def recognises(self, path: Path) -> bool:
         """Whether a readable file, not empty, has content of this format. Raises InputError where damage hides it."""
-        return self._function("recognises")(path)
+        return self.function("recognises")(path)
 
     def read(self, path: Path, individual: str | None = None) -> Any:
         """From a file that is recognised, the `StoredPoints` of one animal, by its name, or a list of `CameraRecord`;
         raises InputError, also for what Python and libraries say of a damaged file."""
         with damage_named(path, f"a whole file: {self.title}"):
-            return self._function("read")(path, individual)
+            return self.function("read")(path, individual)
 
     def write(self, data: Any, path: Path) -> None:
         """`Keypoints`, `Pose3D`, `Armature` or cameras, which it `writes`, as a new file; raises InputError."""
-        self._function("write")(data, path)
+        self.function("write")(data, path)
 
-    def _function(self, verb: str) -> Callable[..., Any]:
+    def function(self, verb: str) -> Callable[..., Any]:
+        """What recognises, reads or writes it, in its module."""
         module, _, ending = self.code.partition("/")
         return getattr(import_module(f"recon.io.{module}"), f"{verb}_{ending}" if ending else verb)
 
@@ -151,9 +152,7 @@ def read_points(
         _refuse_several(path)
     head = file_head(path)
     if by is not None:
-        from recon.io.columns import read_long
-
-        return PLAIN, read_long(path, individual, by)
+        return PLAIN, PLAIN.function("read")(path, individual, by)
     found = recognised(path)
     if found is None:
         raise InputError(Problem(path, "format", describe(head), f"one of: {titles(kind)}"))

@@ -34,7 +34,7 @@ from recon.clip import Keypoints
 from recon.io import common, hdf5, writing
 from recon.io.common import Pose3D, StoredPoints
 from recon.io.hdf5 import attribute, child, names, numbers, opened, outline, texts, texts_in
-from recon.io.units import UNIT_NAMES, frames_of_times
+from recon.io.positions import UNIT_NAMES, frames_of_times
 
 # -- SLEAP ------------------------------------------------------------------------------------------------------------
 

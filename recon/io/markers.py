@@ -23,7 +23,7 @@ from recon.base.documents import read_text
 from recon.base.errors import InputError, Problem, refuse
 from recon.io import common, writing
 from recon.io.common import Pose3D, StoredPoints
-from recon.io.units import PER_METRE, UNIT_NAMES
+from recon.io.positions import PER_METRE, UNIT_NAMES
 
 # -- TRC --------------------------------------------------------------------------------------------------------------
 
