@@ -18,8 +18,7 @@ from markdown_table import print_table
 
 from recon.wings.robotics.climb import Climb, bundled, load_recipe, plan
 from recon.wings.robotics.climb.plan import IN_FILES, RULES
-from recon.wings.robotics.robot.quadruped import Quadruped
-from recon.wings.robotics.robot.robot_file import load_robot
+from recon.wings.robotics.robot.quadruped import Quadruped, load_robot
 
 RUNS = 5
 

@@ -32,7 +32,8 @@ from recon.animal.chain import load_chain
 from recon.animal.skeleton_file import load_skeleton
 from recon.fit.points import solve_points
 from recon.gait.gait import pose_gait
-from recon.wings.robotics.ik.animal import (
+from recon.wings.robotics.ik.chain import (
+    SerialChain,
     StridePath,
     body_chain,
     body_chain_angles,
@@ -41,7 +42,6 @@ from recon.wings.robotics.ik.animal import (
     projected_chain,
     spine_front_leg,
 )
-from recon.wings.robotics.ik.chain import SerialChain
 from recon.wings.robotics.ik.clip import LAST, Limb, fit_parameter_series, follow_stride, stride_lasts_s
 from recon.wings.robotics.ik.drive import degree_of_closure, drive_to, follow, to_null_space_optimum
 from recon.wings.robotics.ik.methods import (
@@ -94,6 +94,12 @@ COSTS: dict[str, Callable[[SerialChain], Cost]] = {
 }
 NEAR_RAD, CLOSED_RAD, APART = 1e-6, 1e-3, 1e3
 """How near two starts are; how well a path closes; how much further apart than they began two chaotic ways end."""
+
+
+def joined(parts: list[Frames]) -> Frames:
+    """The frames of several chains of one kind, one after the other."""
+    arrays = (np.concatenate([getattr(part, of) for part in parts]) for of in ("q", "jacobian", "dx", "dq"))
+    return Frames(*arrays, names=parts[0].names)
 
 
 def chains(limited: bool) -> dict[str, SerialChain]:
@@ -473,9 +479,7 @@ def print_held_out(folder: Path) -> None:
         print(f"\n{kind}, {len(data)} strides, parameters from the other runs:\n")
         rows = []
         for name, fit_of, unit in FITS:
-            fits = [
-                fit_of(s.leg.chain)(Frames.joined([o.frames for o in of])) for s, of in zip(data, others, strict=True)
-            ]
+            fits = [fit_of(s.leg.chain)(joined([o.frames for o in of])) for s, of in zip(data, others, strict=True)]
             own = [fit_of(s.leg.chain)(s.frames).explained for s in data]
             rates = [rates_of(fit.method, s.frames) for fit, s in zip(fits, data, strict=True)]
             value = ", ".join(f"{v:.2g}" for v in np.median([fit.parameter for fit in fits], axis=0)) + unit
@@ -507,7 +511,7 @@ def print_online(folder: Path) -> None:
     for name, fit in fits().items():
         cells = []
         for s, each in zip(data, online, strict=True):
-            kept, own = fit(Frames.joined([o.frames for o in data if o.run != s.run])).method, each[name]
+            kept, own = fit(joined([o.frames for o in data if o.run != s.run])).method, each[name]
             rates = [rates_of(method, s.frames[t : t + 1])[0] for t, method in enumerate(own)]
             explained = explained_by(rates_of(kept, s.frames), s.frames.dq), explained_by(np.array(rates), s.frames.dq)
             cells.append([100 * share for share in explained] + [s.off_deg(kept), s.off_deg(kept, own)])

@@ -30,19 +30,20 @@ from net_circle import run_circle
 from net_large import run_large, write_large_film
 
 from recon.io.video import video_writer
-from recon.wings.keypoint_net.evaluate2d import evaluate_2d_files
-from recon.wings.keypoint_net.labels import read_label_file
+from recon.wings.keypoint_net.labels import evaluate_2d_files, read_label_file
 from recon.wings.keypoint_net.network import (
+    PredictSettings,
     Spec,
     TrainedNetwork,
     choose_device,
     load_model,
     new_network,
     placed,
+    predict_video,
     require_torch,
+    run_prediction,
 )
-from recon.wings.keypoint_net.train import TrainSettings
-from recon.wings.keypoint_net.workflows import LabelSource, PredictSettings, predict_video, run_prediction, run_training
+from recon.wings.keypoint_net.train import LabelSource, TrainSettings, run_training
 
 FIRST = 50
 """Number that the horse's labels give to the video's first frame."""

@@ -25,11 +25,9 @@ import numpy as np
 from recon import FitSettings
 from recon.fit.motion import Motion
 from recon.wings.robotics.robot.playback import write_robot
-from recon.wings.robotics.robot.quadruped import LEGS
-from recon.wings.robotics.robot.reference import reference_of
-from recon.wings.robotics.robot.retarget import Retargeting, retarget
+from recon.wings.robotics.robot.quadruped import LEGS, builtin_robots, load_robot
+from recon.wings.robotics.robot.retarget import Retargeting, reference_of, retarget
 from recon.wings.robotics.robot.retarget_clip import companion
-from recon.wings.robotics.robot.robot_file import builtin_robots, load_robot
 from recon.workflows.clip_results import run_clip
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -115,7 +115,7 @@ def test_quality_of_the_frame_method_has_the_same_columns(small_motion, tmp_path
 @pytest.mark.parametrize("motion", ["small_motion", "small_trajectory"])
 def test_every_writer_writes(motion, tmp_path, request):
     write_tables(request.getfixturevalue(motion), tmp_path)
-    outputs = [*clip_csv.CLIP_OUTPUTS, *clip_csv.CAMERA_OUTPUTS]
+    outputs = [*clip_csv.CLIP_OUTPUTS, clip_csv.REPROJECTION]
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted(outputs)
     for path in tmp_path.iterdir():
         text = path.read_bytes()
@@ -137,11 +137,11 @@ def test_every_camera_has_its_table(two_cameras, tmp_path):
 
 
 def test_files_of_cameras_with_any_names():
-    assert clip_csv.camera_files("a.csv", ["x/y"]) == ["a.csv"]
-    assert clip_csv.camera_files("a.csv", ["x/y", "x y", "", "Cam", "cam"]) == [
-        "a_x-y.csv",
-        "a_x-y-2.csv",
-        "a_3.csv",
-        "a_Cam.csv",
-        "a_cam-5.csv",
+    assert clip_csv.camera_files(["x/y"]) == ["reprojection.csv"]
+    assert clip_csv.camera_files(["x/y", "x y", "", "Cam", "cam"]) == [
+        "reprojection_x-y.csv",
+        "reprojection_x-y-2.csv",
+        "reprojection_3.csv",
+        "reprojection_Cam.csv",
+        "reprojection_cam-5.csv",
     ]

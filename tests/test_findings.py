@@ -13,7 +13,7 @@ from command_line import says
 from recon import Motion
 from recon.check import CODES, FLAG_OF, FLAGS, Finding, finding, findings_of, sentence
 from recon.check.rules import likelihoods_low, no_pose
-from recon.show.sections import keypoint_lines, keypoints
+from recon.show.report import keypoint_lines, keypoints
 
 DOCS = Path(__file__).resolve().parents[1] / "docs" / "findings.md"
 AGAINST = {"error_px": 31.4, "level": 5.24}

@@ -20,9 +20,8 @@ from recon.wings.thesis import (
     mean_pose,
     solve_frames,
 )
-from recon.wings.thesis.frame import CONVERGED, posterior_covariance, precision_shares
+from recon.wings.thesis.frame import CONVERGED, Travel, posterior_covariance, precision_shares
 from recon.wings.thesis.objectives import JointReprojection
-from recon.wings.thesis.starts import Travel
 
 SK = load_chain("cheetah-8u")
 EXACT = FrameOptions(sigma_px=1.0, keypoint_sigma_m=0.0, base_sigma_m=0.001)
@@ -239,7 +238,8 @@ def test_covariance_of_the_joints_done_by_hand():
     C[0, SK.place_slice, SK.place_slice] = np.diag([0.1, 0.2, 0.3]) ** 2
     C[1, SK.base_index, SK.base_index] = 0.01**2
     view = still_view(camera, np.zeros((2, 9, 2)), np.ones((2, 9)))
-    found = frame.in_world(view, SK, state, C, (None, None), Travel(np.zeros((2, 3)), np.zeros(2)), (), 30.0)
+    told = {"reports": (None, None), "travel": Travel(np.zeros((2, 3)), np.zeros(2)), "objectives": (), "fps": 30.0}
+    found = frame.in_world(view, SK, state, C, **told)
     R = camera.rotation.T
     expected = R @ np.diag([0.1, 0.2, 0.3]) ** 2 @ R.T
     np.testing.assert_allclose(found.covariance_m2[0], np.tile(expected, (9, 1, 1)), atol=1e-15)
@@ -259,7 +259,7 @@ def test_deviations_of_the_angles_done_by_hand():
     rng = np.random.default_rng(0)
     state, root = mean_pose(SK)[None], rng.normal(0, 0.01, (SK.n_state, SK.n_state))
     C, travel = (root @ root.T)[None], Travel(np.zeros((1, 3)), np.zeros(1))
-    found = frame.in_world(view, SK, state, C, (None,), travel, (), 30.0)
+    found = frame.in_world(view, SK, state, C, reports=(None,), travel=travel, objectives=(), fps=30.0)
     sigma = dict(zip(SK.body.state_names[3:], found.angle_sigma_rad[0], strict=True))
     for name, own in zip(SK.angle_names, np.sqrt(np.diagonal(C[0])), strict=False):
         assert sigma[name] == own

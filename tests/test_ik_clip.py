@@ -17,19 +17,20 @@ from scipy.interpolate import CubicSpline
 from recon.fit import Motion
 from recon.gait import pose_gait
 from recon.io import Pose3D
-from recon.wings.robotics import (
-    IkSettings,
+from recon.wings.robotics import IkSettings, limb_of, methods_of, run_ik
+from recon.wings.robotics.ik.clip import METHODS, cost_of, fit_parameters, follow_stride, stride_lasts_s, stride_of
+from recon.wings.robotics.ik.drive import drive_to
+from recon.wings.robotics.ik.methods import (
+    DAMPING_M,
+    PULL,
+    Frames,
     LeastNorm,
     damped_least_squares,
-    drive_to,
-    limb_of,
-    methods_of,
-    run_ik,
+    explained_by,
+    fits,
+    rates_of,
     weighted_least_norm,
 )
-from recon.wings.robotics.ik.clip import cost_of, fit_parameters, follow_stride, stride_lasts_s, stride_of
-from recon.wings.robotics.ik.methods import DAMPING_M, PULL, Frames, explained_by, fits, rates_of
-from recon.wings.robotics.settings import METHODS
 
 pytestmark = pytest.mark.usefixtures("small_pictures")
 

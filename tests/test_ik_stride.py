@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from recon.wings.robotics import LeastNorm, farthest_reach, find_stride, follow, planar_chain
+from recon.wings.robotics.ik.chain import farthest_reach, find_stride, planar_chain
+from recon.wings.robotics.ik.drive import follow
+from recon.wings.robotics.ik.methods import LeastNorm
 
 CHAIN = planar_chain((0.5, 0.4, 0.3))
 

@@ -8,8 +8,7 @@ from command_line import refusal, run
 from scipy.special import expit, logit
 
 from recon.wings.keypoint_net import evaluate_2d_files
-from recon.wings.keypoint_net.evaluate2d import evaluate_2d, reliability
-from recon.wings.keypoint_net.labels import Labels
+from recon.wings.keypoint_net.labels import Labels, evaluate_2d, reliability
 from recon.wings.keypoint_net.network import calibrated, fit_calibration
 from recon.wings.keypoint_net.train import suspicious_labels
 

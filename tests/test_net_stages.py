@@ -17,13 +17,19 @@ from recon.wings.keypoint_net import (  # noqa: E402
     LabelSource,
     TrainSettings,
     load_model,
-    load_torch,
     network,
     pictures,
     run_prediction,
     run_training,
 )
-from recon.wings.keypoint_net.network import FORMAT, MODEL_FILE, Spec, TrainedNetwork, part_of  # noqa: E402
+from recon.wings.keypoint_net.network import (  # noqa: E402
+    FORMAT,
+    MODEL_FILE,
+    Spec,
+    TrainedNetwork,
+    load_torch,
+    part_of,
+)
 from recon.wings.keypoint_net.pictures import network_scales  # noqa: E402
 from recon.wings.keypoint_net.train import CHECKPOINT_FILE  # noqa: E402
 
@@ -36,7 +42,7 @@ SETTINGS = TrainSettings(steps=8, batch=2, seed=3, mirror=True)
 def no_report(monkeypatch: pytest.MonkeyPatch) -> None:
     """Only what is in it on threads."""
     monkeypatch.setattr(
-        "recon.wings.keypoint_net.workflows.write_training_report",
+        "recon.wings.keypoint_net.train.write_training_report",
         lambda run, state, folder: {"threads": state.threads},
     )
 

@@ -19,12 +19,12 @@ from recon.io import VideoInfo, probe, read_keypoints, video_writer  # noqa: E40
 from recon.wings.keypoint_net import (  # noqa: E402
     LabelSource,
     TrainSettings,
-    load_torch,
     run_prediction,
     run_training,
 )
+from recon.wings.keypoint_net import network as predict_module  # noqa: E402
 from recon.wings.keypoint_net import train as train_module  # noqa: E402
-from recon.wings.keypoint_net import workflows as predict_module  # noqa: E402
+from recon.wings.keypoint_net.network import load_torch  # noqa: E402
 from recon.wings.keypoint_net.train import schedule  # noqa: E402
 from tests.test_video import damaged  # noqa: E402
 
@@ -98,7 +98,7 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
 def quick_training(patch: pytest.MonkeyPatch) -> None:
     """Narrow networks, and no report."""
     narrow_networks(patch)
-    patch.setattr("recon.wings.keypoint_net.workflows.write_training_report", lambda run, state, folder: {})
+    patch.setattr("recon.wings.keypoint_net.train.write_training_report", lambda run, state, folder: {})
 
 
 class Killed(Exception):
@@ -152,7 +152,7 @@ def test_ctrl_c_says_how_to_go_on(clip, tmp_path, monkeypatch):
     def interrupted(*args: object, **options: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("recon.wings.keypoint_net.workflows.train", interrupted)
+    monkeypatch.setattr("recon.wings.keypoint_net.train.train", interrupted)
     arguments = ["train", clip / "clip.avi", "--labels", clip / "labels.csv", "--first-frame", "50", "--steps", "3"]
     ended = run(*arguments, "--out", tmp_path / "out")
     assert ended.code == 130

@@ -19,18 +19,12 @@ from recon.gait import Closure, Errors, Portrait, angle_kinematics, phase_portra
 from recon.gait.gait import BODY, FEET, Plane, Stance, Stride, gait, pose_tracks
 from recon.io.common import Pose3D
 from recon.show import plots
-from recon.show.plots import configurations, phase, style
-from recon.show.plots.observability import share_colours
-from recon.wings.robotics import (
-    JacobianTranspose,
-    LeastNorm,
-    damped_least_squares,
-    drive_to,
-    follow,
-    planar_chain,
-    summed_chain,
-)
-from recon.wings.robotics.ik import plots as ik_plots
+from recon.show.plots import configurations, over_time, style
+from recon.show.plots.configurations import share_colours
+from recon.wings.robotics.ik import clip as ik_plots
+from recon.wings.robotics.ik.chain import planar_chain, summed_chain
+from recon.wings.robotics.ik.drive import drive_to, follow
+from recon.wings.robotics.ik.methods import JacobianTranspose, LeastNorm, damped_least_squares
 
 FPS = 50.0
 LIMBS = {"trunk": (0, 1), "near leg": (0, 2), "off leg": (0, 3)}
@@ -422,7 +416,7 @@ def test_a_portrait_with_its_deviations_and_of_an_angle_that_is_not_seen():
     assert second.get_title() == "hip\n20% from pixels"
     (lines,) = (c for c in second.collections if isinstance(c, LineCollection))
     assert len({*map(tuple, lines.get_edgecolors())}) == 1
-    (band,) = (p for p in first.findobj(PathPatch) if p.get_facecolor() == to_rgba(phase._BAND))
+    (band,) = (p for p in first.findobj(PathPatch) if p.get_facecolor() == to_rgba(over_time._BAND))
     ellipses = band.get_path().vertices.reshape(-1, len(mpl.path.Path.unit_circle().vertices), 2)
     assert np.median(np.ptp(ellipses[..., 0], axis=1)) == pytest.approx(4.0, rel=0.02)
     middles = np.mean([ellipses.min(axis=1), ellipses.max(axis=1)], axis=0)
@@ -458,14 +452,14 @@ def test_observability_over_time():
     names = body.state_names[4:]
     share = np.tile([0.9 if name.startswith("theta") else 0.1 for name in names], (12, 1))
     share[:, names.index("J0_pitch")] = np.nan
-    over_time = plots.observability(body, share, times(12)).axes[0]
+    over_the_time = plots.observability(body, share, times(12)).axes[0]
     seen, unseen = share_colours()(0.9), share_colours()(0.1)
     assert seen[2] > seen[0] + 0.3
     assert np.ptp(unseen[:3]) < 0.01
-    (image,) = over_time.get_images()
+    (image,) = over_the_time.get_images()
     np.testing.assert_array_equal(image.get_array().filled(np.nan), share.T)
-    assert [label.get_text() for label in over_time.get_yticklabels()][2:4] == ["phi 6", "theta 6"]
-    beside = [text.get_text() for text in over_time.texts]
+    assert [label.get_text() for label in over_the_time.get_yticklabels()][2:4] == ["phi 6", "theta 6"]
+    beside = [text.get_text() for text in over_the_time.texts]
     assert beside == ["–" if n == "J0_pitch" else "90%" if n.startswith("theta") else "10%" for n in names]
     nothing = plots.observability(body, np.full_like(share, np.nan), times(12))
     assert [text.get_text() for text in nothing.texts][-1] == "no data"

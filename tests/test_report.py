@@ -62,8 +62,8 @@ def with_states(motion, states, reports=None):
     """A motion by the frame method, with other states of the chain."""
     was = motion.solution
     covariance = np.tile(np.eye(states.shape[1]), (len(states), 1, 1))
-    given = (reports or was.reports, was.travel, was.objectives, was.fps)
-    return replace(motion, solution=in_world(was.views[0], was.chain, states, covariance, *given))
+    told = {name: getattr(was, name) for name in ("travel", "objectives", "fps")} | {"reports": reports or was.reports}
+    return replace(motion, solution=in_world(was.views[0], was.chain, states, covariance, **told))
 
 
 @pytest.mark.parametrize("method", ["frame", "trajectory"])

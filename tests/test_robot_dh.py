@@ -4,19 +4,18 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from recon.wings.robotics import (
+from recon.wings.robotics.ik.drive import drive_to
+from recon.wings.robotics.ik.methods import (
     ExtendedJacobian,
     GradientProjection,
     JacobianTranspose,
     LeastNorm,
     SelectivelyDamped,
-    all_solutions,
     damped_least_squares,
-    drive_to,
     joint_differences,
     weighted_least_norm,
 )
-from recon.wings.robotics.robot.dh import DHRow, dh_chain, dh_table
+from recon.wings.robotics.robot.dh import DHRow, all_solutions, dh_chain, dh_table
 
 QUARTER = np.pi / 2
 PUMA_MODIFIED = tuple(

@@ -13,10 +13,11 @@ from command_line import refusal, refused, run, says
 from robot_urdf import a1_urdf
 
 from recon.fit import Motion
-from recon.wings.robotics import LEGS, body_pose, load_robot, read_model, reference_of, retarget, simulated
+from recon.wings.robotics import LEGS, load_robot, reference_of, retarget, simulated
 from recon.wings.robotics.robot.physics import FRICTION, RULES, carried, check, followed, kept
+from recon.wings.robotics.robot.quadruped import body_pose, read_model
 from recon.wings.robotics.robot.retarget import RobotMotion, posed
-from recon.wings.robotics.robot.trainers import sampled
+from recon.wings.robotics.robot.retarget_clip import RobotSamples
 
 NO_MASSES = ("aibo", "masses", "none")
 
@@ -32,7 +33,7 @@ def test_bodies_velocities_and_contacts_are_those_of_mujoco(a1, part, tmp_path):
     path = tmp_path / "a1.urdf"
     path.write_text(a1_urdf())
     model = read_model(path, free=True)
-    data, found = mujoco.MjData(model), sampled(getattr(a1, part), 50)
+    data, found = mujoco.MjData(model), RobotSamples(getattr(a1, part), 50)
     at = {name: model.joint(name) for name in found.robot.joints}
     placed = {name: name.replace("base", "trunk") for name in found.bodies}
     for k in range(len(found.time_s)):

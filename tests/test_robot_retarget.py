@@ -4,6 +4,7 @@ import csv
 import json
 import os
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,10 +16,18 @@ from recon import InputError
 from recon.animal import load_skeleton
 from recon.fit import Motion
 from recon.show.view.scene import LEFT, MIDDLE, RIGHT
-from recon.wings.robotics import LEGS, RetargetSettings, feet_in_world, load_robot, reference_of, retarget, run_retarget
-from recon.wings.robotics.robot.playback import Companion, write_robot
-from recon.wings.robotics.robot.reference import closed_stride, stride_window
-from recon.wings.robotics.robot.retarget import drawn_in, on_robot, place, planted, stances
+from recon.wings.robotics import LEGS, RetargetSettings, load_robot, reference_of, retarget, run_retarget
+from recon.wings.robotics.robot.playback import write_robot
+from recon.wings.robotics.robot.quadruped import feet_in_world
+from recon.wings.robotics.robot.retarget import (
+    closed_stride,
+    drawn_in,
+    on_robot,
+    place,
+    planted,
+    stances,
+    stride_window,
+)
 from recon.wings.robotics.robot.retarget_clip import companion, repeated, report_of
 
 # -- footholds ---------------------------------------------------------------------------------------------------------
@@ -224,8 +233,8 @@ def test_the_animal_beside_the_robot_has_the_colours_of_its_sides(whole, tmp_pat
     at = {marker: j for j, marker in enumerate(horse.markers)}
     limbs = {limb: tuple(at[marker] for marker in along) for limb, along in horse.limbs.items()}
     points = np.zeros((len(solved.clip.time_s), len(at), 3))
-    beside = Companion(points, limbs, horse.limb_sides(), horse.title)
-    write_robot(solved.clip, tmp_path / "motion.rrd", beside)
+    beside = SimpleNamespace(limbs=limbs, limb_sides=horse.limb_sides(), title=horse.title)
+    write_robot(solved.clip, tmp_path / "motion.rrd", (points, beside))
     reader = RrdReader(tmp_path / "motion.rrd")
     (store,) = reader.recordings()
     (colours,) = (
@@ -245,7 +254,7 @@ def test_the_animal_beside_the_robot_has_the_colours_of_its_sides(whole, tmp_pat
     # Side by side, each in a view of its own.
     assert len(contents) == 2
     assert {"- world/animal/**" in c for c in contents} == {"- world/robot/**" in c for c in contents} == {True, False}
-    assert companion(solved).limb_sides["left front leg"] == "left"
+    assert companion(solved)[1].limb_sides["left front leg"] == "left"
 
 
 # -- the command -------------------------------------------------------------------------------------------------------

@@ -13,8 +13,7 @@ from scipy.spatial.transform import Rotation
 from recon.fit import Motion, draws
 from recon.wings.robotics import Retargeting, RetargetSettings, load_robot, reference_of, retarget, simulated
 from recon.wings.robotics.robot.physics import check, kept
-from recon.wings.robotics.robot.retarget_clip import drawn
-from recon.wings.robotics.robot.trainers import FORMATS, sampled, write_for_trainer
+from recon.wings.robotics.robot.retarget_clip import FORMATS, RobotSamples, drawn, write_for_trainer
 from recon.workflows import problem_of
 
 LATERAL, THIGH, SHIN = 0.0838, 0.2, 0.2
@@ -50,7 +49,7 @@ def a1_bodies(name: str, q: np.ndarray) -> dict[str, tuple[np.ndarray, Rotation]
 
 @pytest.mark.parametrize("part", ["clip", "stride"])
 def test_bodies_are_where_the_robots_own_file_has_them(solved, part):
-    found = sampled(getattr(solved, part), 50)
+    found = RobotSamples(getattr(solved, part), 50)
     assert abs(found.rate_hz - 50) < 2
     for t in range(0, len(found.time_s), 7):
         at = dict(zip(found.robot.joints, found.angles_rad[t], strict=True))
@@ -74,7 +73,7 @@ def aibo(animal) -> Retargeting:
 @pytest.mark.parametrize("robot", ["solved", "aibo"])
 @pytest.mark.parametrize("part", ["clip", "stride"])
 def test_velocities_are_the_derivatives_of_what_is_written(robot, part, request):
-    found = sampled(getattr(request.getfixturevalue(robot), part), 1_000)
+    found = RobotSamples(getattr(request.getfixturevalue(robot), part), 1_000)
     twice = 2 * (found.time_s[1] - found.time_s[0])
     matrices = found.turned
     turns = Rotation.from_matrix((matrices[2:] @ matrices[:-2].swapaxes(-1, -2)).reshape(-1, 3, 3)).as_rotvec()
@@ -88,7 +87,7 @@ def test_velocities_are_the_derivatives_of_what_is_written(robot, part, request)
 
 
 def test_the_feet_that_stand_are_still_and_a_stride_goes_on_where_it_ends(solved):
-    found = sampled(solved.stride, 200)
+    found = RobotSamples(solved.stride, 200)
     feet = [found.foot(label) for label in ("LF", "RF", "LH", "RH")]
     speed = np.linalg.norm(found.velocity_m_s[:, feet], axis=2)
     within = found.feet_stand[1:-1] & found.feet_stand[:-2] & found.feet_stand[2:]
@@ -104,7 +103,7 @@ def test_the_feet_that_stand_are_still_and_a_stride_goes_on_where_it_ends(solved
 
 def test_what_each_program_reads(solved, tmp_path):
     motion = solved.clip
-    found = sampled(motion, 50)
+    found = RobotSamples(motion, 50)
     K = len(found.time_s)
     for name, (file, _) in FORMATS.items():
         write_for_trainer(motion, name, 50, tmp_path / file, {"robot": "a1"})
@@ -122,7 +121,7 @@ def test_what_each_program_reads(solved, tmp_path):
             toe = a1_bodies(name, frames[t, 7 + 3 * i : 10 + 3 * i])[f"{name}_foot"][0]
             np.testing.assert_allclose(frames[t, 19 + 3 * i : 22 + 3 * i], toe, atol=1e-9)
     # Velocities in the base's axes: turned back they are those of its path; toes' are those of the toes' places.
-    fine = sampled(motion, 1_000)
+    fine = RobotSamples(motion, 1_000)
     np.testing.assert_allclose(base.apply(frames[:, 31:34]), found.velocity_m_s[:, 0], atol=1e-9)
     np.testing.assert_allclose(base.apply(frames[:, 34:37]), found.angular_velocity_rad_s[:, 0], atol=1e-9)
     write_for_trainer(motion, "amp", 1_000, tmp_path / "fine_amp.json", {})
@@ -203,7 +202,7 @@ def test_a_robots_folder_is_converted_at_any_rate(whole_results, written, tmp_pa
 
 def test_a_robot_for_which_a_layout_has_no_room(solved, tmp_path):
     with refusal(("--rate", "frames a second", 0.1, ["2.6", "two frames"])):
-        sampled(solved.stride, 0.1)
+        RobotSamples(solved.stride, 0.1)
 
 
 def test_draws_scatter_as_the_fit_states_and_last_from_frame_to_frame(whole_results):

@@ -16,7 +16,7 @@ from command_line import carry_out_here, refusal, refused, run, says
 from recon import FitSettings, Keypoints, read_keypoints, write_clip
 from recon.base import staged_results
 from recon.io import video_writer
-from recon.wings.keypoint_net.workflows import PredictSettings
+from recon.wings.keypoint_net.network import PredictSettings
 from recon.workflows.clip_results import output_files
 from recon.workflows.run import _Job, _RunSettings, job_of, jobs_of, keypoints_of, run_folder, run_video
 

@@ -11,7 +11,7 @@ from recon.check import finding, judged, sentence, usable, verdict_lines
 from recon.check.verdict import LIMIT_OF_TRUNK, evidence_of, expected_pose_of_trunk, expected_position
 from recon.fit import ExpectedError, Motion, Verdict
 from recon.io import video_writer, write_csv
-from recon.show import sections as given
+from recon.show import report as given
 from tests.command_line import refused, run, says
 
 

@@ -140,8 +140,8 @@ class Solution:
 
     method: ClassVar[str]
     """What the report calls it."""
-    described_by: ClassVar[str] = "recon.show.sections"
-    """The module whose `SECTIONS` are what is said of such a solution (`recon.show.sections.Section`)."""
+    described_by: ClassVar[str] = "recon.show.report"
+    """The module whose `SECTIONS` are what is said of such a solution (`recon.show.report.Section`)."""
     jitters: ClassVar[bool] = False
     """Whether each frame was solved by itself, so that paths jitter from frame to frame."""
 

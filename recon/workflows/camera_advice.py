@@ -20,7 +20,7 @@ from recon.fit.motion import MEASURED_SHARE
 from recon.io import write_rows
 from recon.show import plots
 from recon.show.plain import picked, to_json
-from recon.show.plots.observability import in_words
+from recon.show.plots.configurations import in_words
 from recon.workflows.cli import Answer
 
 REPORT, TABLE, FIGURE = "camera_advice.json", "camera_advice.csv", "camera_advice"

@@ -334,7 +334,7 @@ def _parameter(info: SettingInfo, overrules: bool) -> inspect.Parameter:
 
 # -- all commands -----------------------------------------------------------------------------------------------------
 
-_CORE, _ROBOTICS, _NET = "recon.workflows.", "recon.wings.robotics.cli:", "recon.wings.keypoint_net."
+_CORE, _ROBOTICS, _NET = "recon.workflows.", "recon.wings.robotics.", "recon.wings.keypoint_net."
 _THESIS = "recon.wings.thesis."
 COMMANDS = {
     "From a clip to its motion": {
@@ -360,9 +360,9 @@ COMMANDS = {
         "camera-advice": (_CORE + "camera_advice:camera_advice", "Where to put a camera, to see an angle or a joint."),
     },
     "Keypoints from video": {
-        "train": (_NET + "workflows:train_command", "Train a small keypoint network on a few labels."),
-        "predict": (_NET + "workflows:predict_command", "Find the keypoints in every frame of a video."),
-        "evaluate-2d": (_NET + "evaluate2d:evaluate_2d_command", "Compare keypoints with labels."),
+        "train": (_NET + "train:train_command", "Train a small keypoint network on a few labels."),
+        "predict": (_NET + "network:predict_command", "Find the keypoints in every frame of a video."),
+        "evaluate-2d": (_NET + "labels:evaluate_2d_command", "Compare keypoints with labels."),
     },
     "Models and priors": {
         "skeleton list": (_CORE + "skeleton:skeleton_list", "List the skeletons that come with the package."),
@@ -372,11 +372,11 @@ COMMANDS = {
         "prior fit": (_CORE + "models:prior_fit", "Fit a motion prior to results or 3D poses."),
     },
     "Robots and the thesis": {
-        "ik": (_ROBOTICS + "ik", "Inverse kinematics from the trunk to a foot."),
-        "retarget": (_ROBOTICS + "retarget", "The motion on a four-legged robot."),
-        "robot pose": (_ROBOTICS + "pose", "The legs' angles of a body that moves over planted feet."),
-        "robot dh": (_ROBOTICS + "dh", "A leg or chain by its Denavit-Hartenberg table, forward and inverse."),
-        "climb": (_ROBOTICS + "climb", "A four-legged robot climbs a step by potential fields."),
+        "ik": (_ROBOTICS + "ik.clip:ik", "Inverse kinematics from the trunk to a foot."),
+        "retarget": (_ROBOTICS + "robot.retarget_clip:retarget_command", "The motion on a four-legged robot."),
+        "robot pose": (_ROBOTICS + "robot.dh:pose", "The legs' angles of a body that moves over planted feet."),
+        "robot dh": (_ROBOTICS + "robot.dh:dh", "A leg or chain by its Denavit-Hartenberg table, forward and inverse."),
+        "climb": (_ROBOTICS + "climb.plan:climb", "A four-legged robot climbs a step by potential fields."),
         "frame": (_THESIS + "clip:frame", "Fit one side of the animal, one frame after the other."),
         "solver": (_THESIS + "solver:solver", "What the optimiser of recon frame did: costs, Jacobian, limits."),
     },

@@ -31,7 +31,7 @@ from recon.fit.clip_problem import ClipProblem
 from recon.fit.motion import Motion
 from recon.fit.motion_forms import MOTION
 from recon.fit.result import TrajectorySolution
-from recon.show.export.clip_csv import CAMERA_OUTPUTS, CLIP_OUTPUTS, of_any_camera, write_tables
+from recon.show.export.clip_csv import CLIP_OUTPUTS, REPROJECTION, of_any_camera, write_tables
 from recon.show.page import PAGE
 from recon.show.plain import write_report
 from recon.show.report import build_report
@@ -44,8 +44,8 @@ SCHEMA = {"name": "recon.record", "version": 1}
 AS_THEY_WERE = "the prior and the settings of the fit, as they were: fit the clip again"
 REFINED_CAMERAS = "cameras.toml"
 """Where cameras' poses were refined."""
-OUTPUT_FILES = (*CLIP_OUTPUTS, *CAMERA_OUTPUTS, MOTION, "report.json", "motion.rrd", CONFIG, MANIFEST)
-"""Every file that a clip of one camera gets. With several cameras there are `CAMERA_OUTPUTS` for each."""
+OUTPUT_FILES = (*CLIP_OUTPUTS, REPROJECTION, MOTION, "report.json", "motion.rrd", CONFIG, MANIFEST)
+"""Every file that a clip of one camera gets. With several cameras there is a `REPROJECTION` for each."""
 
 
 def output_files(out: Path) -> tuple[str, ...]:

@@ -37,11 +37,11 @@ from recon.io import (
 from recon.io.columns import read_long
 from recon.show import make_rig
 from recon.wings.keypoint_net import read_label_file
-from recon.wings.robotics import LEGS, described, load_recipe, load_robot
+from recon.wings.robotics import LEGS, load_recipe, load_robot
 from recon.wings.robotics.robot.dh import load_dh
-from recon.wings.robotics.robot.reference import Reference
-from recon.wings.robotics.robot.retarget import place, posed
-from recon.wings.robotics.robot.trainers import KEPT, keep, kept_motions, sampled
+from recon.wings.robotics.robot.physics import described
+from recon.wings.robotics.robot.retarget import Reference, place, posed
+from recon.wings.robotics.robot.retarget_clip import KEPT, RobotSamples, keep, kept_motions
 from recon.workflows import Record, run_clip
 
 SAMPLES = Path(__file__).resolve().parents[2] / "data" / "samples"
@@ -365,7 +365,7 @@ def _built_in() -> Iterator[Seed]:
         content = (resources.files("recon.wings.robotics.robot") / "robots" / f"{name}.toml").read_bytes()
         yield Seed(f"robot-{name}.toml", content, _walking, 1.5)
     yield Seed("dh.toml", DH, load_dh)
-    yield Seed("robot.npz", _kept_robot(), lambda path: sampled(kept_motions(path)[0], 50.0), 1.5)
+    yield Seed("robot.npz", _kept_robot(), lambda path: RobotSamples(kept_motions(path)[0], 50.0), 1.5)
     if find_spec("mujoco") is not None:
         yield Seed("robot.urdf", _urdf().encode(), _walking, 0.3)
         spec = described(load_robot("a1"))

@@ -67,37 +67,34 @@ CLIP_OUTPUTS: dict[str, Callable[[Motion, Path], None]] = {
 }
 """The tables that every clip gets, by file name."""
 
-CAMERA_OUTPUTS: dict[str, Callable[[Motion, Path, int], None]] = {"reprojection.csv": reprojection}
-"""The tables that every clip gets for each camera, which is named in them where there are several (`camera_files`)."""
+REPROJECTION = "reprojection.csv"
+"""The table that every clip gets for each camera, which is named in it where there are several (`camera_files`)."""
 
 
 def write_tables(motion: Motion, folder: Path) -> None:
     """Every table of a motion, into a folder that exists."""
     for name, write in CLIP_OUTPUTS.items():
         write(motion, folder / name)
-    for name, write in CAMERA_OUTPUTS.items():
-        for camera, file in enumerate(camera_files(name, [picture.name for picture in motion.pictures])):
-            write(motion, folder / file, camera)
+    for camera, file in enumerate(camera_files([picture.name for picture in motion.pictures])):
+        reprojection(motion, folder / file, camera)
 
 
-def camera_files(table: str, cameras: Sequence[str]) -> list[str]:
-    """The files of one of `CAMERA_OUTPUTS` for each of these cameras: reprojection.csv, or reprojection_cam1.csv ..."""
+def camera_files(cameras: Sequence[str]) -> list[str]:
+    """`REPROJECTION` of each of these cameras: reprojection.csv, or reprojection_cam1.csv ..."""
     if len(cameras) == 1:
-        return [table]
-    stem, suffix = table.rsplit(".", 1)
+        return [REPROJECTION]
     files: list[str] = []
     for number, camera in enumerate(cameras, start=1):
         name = re.sub(r"[^\w.-]+", "-", camera) or str(number)
         # Names that differ in letters that a file's name cannot have, or that some systems take for the same.
-        twice = any(f"{stem}_{name}.{suffix}".lower() == file.lower() for file in files)
-        files.append(f"{stem}_{name}-{number}.{suffix}" if twice else f"{stem}_{name}.{suffix}")
+        twice = any(f"reprojection_{name}.csv".lower() == file.lower() for file in files)
+        files.append(f"reprojection_{name}-{number}.csv" if twice else f"reprojection_{name}.csv")
     return files
 
 
 def of_any_camera(folder: Path) -> list[str]:
-    """The files in a folder that are called like those of `CAMERA_OUTPUTS` of some camera."""
-    patterns = [table.replace(".", "_*.") for table in CAMERA_OUTPUTS]
-    return sorted(path.name for pattern in patterns for path in folder.glob(pattern))
+    """The files in a folder that are called like `REPROJECTION` of some camera."""
+    return sorted(path.name for path in folder.glob("reprojection_*.csv"))
 
 
 def _write_points(path: Path, motion: Motion, coords: Sequence[str], values: np.ndarray, scorer: str = "") -> None:

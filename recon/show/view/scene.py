@@ -1,20 +1,30 @@
 """The animal in space, and in the cameras' pictures; and what the views share: colours, the geometry of the scene, and
-how lines, plots and states are written."""
+how lines, plots and states are written.
+
+Recordings for rerun. On a full disk rerun's own writer waits for ever, so that it writes into a pipe, and what comes
+out of it is written here: a long recording is never in memory as a whole."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import pairwise
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 import rerun as rr
+import rerun.blueprint as rrb
 from rerun.components import FillMode
 from scipy.spatial.transform import Rotation
 
 from recon.animal import Side
 from recon.base.arrays import Array, Bools, Integers
+from recon.base.files import write_bytes
 from recon.fit import MotionSegment
 from recon.fit.motion import Motion, Picture
 from recon.geometry.frames import level_from_camera
@@ -77,17 +87,22 @@ class Log:
         """What is the same in all frames."""
         self.stream.log(entity, archetype, static=True)
 
-    def points(self, entity: str, points_m: Array, shown: Bools, **style: Any) -> None:
-        """Points (T, N, 3), in each frame those that are shown, (T, N)."""
-        self.send(entity, rr.Points3D.columns(positions=points_m[shown]).partition(shown.sum(axis=1)))
-        self.fix(entity, rr.Points3D.from_fields(**style))
+    def draw(self, entity: str, kind: Any, columns: rr.ComponentColumnList, **style: Any) -> None:
+        """Columns of a kind of archetype with a row for each frame, of which the rest is the same in all frames."""
+        self.send(entity, columns)
+        self.fix(entity, kind.from_fields(**style))
+
+    def points(self, entity: str, places: Array, shown: Bools, **style: Any) -> None:
+        """Points (T, N, 2 or 3), in each frame those that are shown, (T, N)."""
+        kind = rr.Points2D if places.shape[-1] == 2 else rr.Points3D
+        self.draw(entity, kind, kind.columns(positions=places[shown]).partition(shown.sum(axis=1)), **style)
 
     def plot(self, plot: TimePlot) -> None:
         """A value that is NaN breaks its line; where all are, the row is empty."""
         known, count = np.isfinite(plot.values).any(axis=1), plot.values.shape[1]
         columns = rr.Scalars.columns(scalars=plot.values[known].ravel())
-        self.send(plot.entity, columns.partition(np.where(known, count, 0)))
-        self.fix(plot.entity, rr.SeriesLines(names=plot.names, colors=plot.colours, widths=[1.8] * count))
+        style = {"names": plot.names, "colors": plot.colours, "widths": [1.8] * count}
+        self.draw(plot.entity, rr.SeriesLines, columns.partition(np.where(known, count, 0)), **style)
 
     def state(self, entity: str, text: str, colour: Colour, holds: Bools) -> None:
         """A row of states: when something holds, (T,). Its text is blank: the row's name says it, and the viewer would
@@ -178,43 +193,38 @@ def joint_limbs(motion: Motion) -> Integers:
 # -- lines --------------------------------------------------------------------------------------------------------
 
 
-Strips = type[rr.LineStrips2D | rr.LineStrips3D]
-
-
-def limb_strips(
-    archetype: Strips, points: Array, limbs: Mapping[str, Sequence[int]], shown: Bools, **columns: Any
-) -> rr.ComponentColumnList:
-    """Lines along the limbs of joints (T, J, 2 or 3), in frames that are shown (T,)."""
+def limb_strips(points: Array, limbs: Mapping[str, Sequence[int]], shown: Bools) -> rr.ComponentColumnList:
+    """Lines along the limbs of joints (T, J, 3), in frames that are shown (T,)."""
     along = points[shown][:, [joint for limb in limbs.values() for joint in limb]]
     counts = np.tile([len(limb) for limb in limbs.values()], len(along))
-    arrow = _arrow(archetype, along.reshape(-1, along.shape[-1]), counts)
-    return archetype.columns(strips=arrow, **columns).partition(np.where(shown, len(limbs), 0))
+    return _strips(along.reshape(-1, 3), counts).partition(np.where(shown, len(limbs), 0))
 
 
-def strips(archetype: Strips, frames: Sequence[Sequence[Array]], **columns: Any) -> rr.ComponentColumnList:
-    """Columns of line strips: any number a frame, each of shape (points, 2 or 3). columns: others, by strip."""
+def strips(frames: Sequence[Sequence[Array]]) -> rr.ComponentColumnList:
+    """Columns of line strips: any number a frame, each of shape (points, 3)."""
     every = [strip for strips in frames for strip in strips]
-    points = np.concatenate(every) if every else np.zeros((0, 2 if archetype is rr.LineStrips2D else 3))
-    made = archetype.columns(strips=_arrow(archetype, points, [len(strip) for strip in every]), **columns)
-    return made.partition([len(strips) for strips in frames])
+    points = np.concatenate([np.zeros((0, 3)), *every])
+    return _strips(points, [len(strip) for strip in every]).partition([len(strips) for strips in frames])
 
 
-def lines(archetype: Strips, ends: Array, counts: Integers, **columns: Any) -> rr.ComponentColumnList:
-    """The same of straight lines between ends (N, 2, 2 or 3), so many in each frame (T,)."""
-    arrow = _arrow(archetype, ends.reshape(-1, ends.shape[-1]), np.full(len(ends), 2))
-    return archetype.columns(strips=arrow, **columns).partition(counts)
+def lines(ends: Array, counts: Integers, **columns: Any) -> rr.ComponentColumnList:
+    """The same of straight lines between ends (N, 2, 2 or 3), so many in each frame (T,). columns: others, by line."""
+    return _strips(ends.reshape(-1, ends.shape[-1]), np.full(len(ends), 2), **columns).partition(counts)
 
 
-def _arrow(archetype: Strips, points: Array, counts: Sequence[int] | Integers) -> Any:
+def _strips(points: Array, counts: Sequence[int] | Integers, **columns: Any) -> Any:
     """Strips of so many of the points (N, 2 or 3) each, as rerun has them in the end: its own way there makes an
     object of every strip, which takes longer than the fit of a long clip."""
     import pyarrow as pa  # rerun has it
 
-    batch = rr.components.LineStrip2DBatch if archetype is rr.LineStrips2D else rr.components.LineStrip3DBatch
+    of, batch = rr.LineStrips3D, rr.components.LineStrip3DBatch
+    if points.shape[1] == 2:
+        of, batch = rr.LineStrips2D, rr.components.LineStrip2DBatch
     kind = batch([]).as_arrow_array().type
     values = pa.array(np.ascontiguousarray(points, dtype=np.float32).ravel())
     ends = pa.array(np.concatenate([[0], np.cumsum(counts)]), pa.int32())
-    return pa.ListArray.from_arrays(ends, pa.FixedSizeListArray.from_arrays(values, type=kind.value_type), type=kind)
+    every = pa.FixedSizeListArray.from_arrays(values, type=kind.value_type)
+    return of.columns(strips=pa.ListArray.from_arrays(ends, every, type=kind), **columns)
 
 
 def unbroken(points: Array) -> list[Array]:
@@ -247,9 +257,8 @@ def write_world(motion: Motion, scene: Scene, log: Log) -> None:
     elif motion.camera.world_z_up:
         log.fix("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP)
 
-    classes = range(len(motion.limbs))
-    log.fix("world/skeleton", rr.LineStrips3D.from_fields(class_ids=classes, radii=0.017, show_labels=False))
-    log.send("world/skeleton", limb_strips(rr.LineStrips3D, joints, motion.limbs, solved))
+    style = {"class_ids": range(len(motion.limbs)), "radii": 0.017, "show_labels": False}
+    log.draw("world/skeleton", rr.LineStrips3D, limb_strips(joints, motion.limbs, solved), **style)
     style = {"class_ids": joint_limbs(motion), "radii": 0.028, "labels": motion.names, "show_labels": False}
     log.points("world/skeleton/joints", joints, np.broadcast_to(solved[:, None], joints.shape[:2]), **style)
     # More than the animal, and without the flutter of its legs.
@@ -257,18 +266,18 @@ def write_world(motion: Motion, scene: Scene, log: Log) -> None:
 
     root = motion.root_m
     log.fix("world/path", rr.LineStrips3D(unbroken(root), colors=PATH, radii=rr.Radius.ui_points(1.5)))
-    log.fix("world/trail", rr.LineStrips3D.from_fields(colors=TRAIL, radii=rr.Radius.ui_points(2.5)))
     # The view shows this entity's rows up to the current one: a step each.
     step = solved[1:] & solved[:-1]
     ends = np.stack([root[:-1], root[1:]], axis=1)[step]
-    log.send("world/trail", lines(rr.LineStrips3D, ends, np.append(0, step)))
+    style = {"colors": TRAIL, "radii": rr.Radius.ui_points(2.5)}
+    log.draw("world/trail", rr.LineStrips3D, lines(ends, np.append(0, step)), **style)
 
     segments = [segment for segment in motion.solution.segments if solved[segment.rows].any()]
     grids = [_grid(motion, scene, segment) for segment in segments]
     style = {"colors": GRID, "radii": rr.Radius.ui_points(0.75)}
     log.fix("world/ground", rr.LineStrips3D.from_fields(**style))
     if len(grids) > 1:
-        log.send("world/ground", strips(rr.LineStrips3D, grids), [segment.rows.start for segment in segments])
+        log.send("world/ground", strips(grids), [segment.rows.start for segment in segments])
     elif grids:
         log.fix("world/ground", rr.LineStrips3D(grids[0], **style))
     for entity, picture in zip(by_camera(CAMERAS, motion.pictures), motion.pictures, strict=True):
@@ -364,27 +373,25 @@ def _write_points(root: str, origin_px: Array, motion: Motion, picture: Picture,
     detected, reprojected = (xy - origin_px[:, None] for xy in (picture.detected_px, picture.reprojected_px))
     for entity, colour, chosen in (("detections", DETECTION, ~outliers), ("outliers", OUTLIER, outliers)):
         shown = chosen & np.isfinite(detected[..., 0])
-        log.send(f"{root}/{entity}", rr.Points2D.columns(positions=detected[shown]).partition(shown.sum(axis=1)))
-        log.fix(f"{root}/{entity}", rr.Points2D.from_fields(colors=colour, radii=rr.Radius.ui_points(2.0)))
+        log.points(f"{root}/{entity}", detected, shown, colors=colour, radii=rr.Radius.ui_points(2.0))
 
     along = [(c, *bone) for c, limb in enumerate(motion.limbs.values()) for bone in pairwise(limb)]
     pairs = np.array(along, dtype=int).reshape(-1, 3)
     bones = reprojected[:, pairs[:, 1:]]
     drawn = np.isfinite(bones[..., 0]).all(axis=2)
     classes = np.broadcast_to(pairs[:, 0], drawn.shape)[drawn]
-    log.send(f"{root}/reprojections", lines(rr.LineStrips2D, bones[drawn], drawn.sum(axis=1), class_ids=classes))
-    log.fix(f"{root}/reprojections", rr.LineStrips2D.from_fields(radii=rr.Radius.ui_points(1.5), show_labels=False))
+    columns, style = lines(bones[drawn], drawn.sum(axis=1), class_ids=classes), {"show_labels": False}
+    log.draw(f"{root}/reprojections", rr.LineStrips2D, columns, radii=rr.Radius.ui_points(1.5), **style)
     seen = np.isfinite(reprojected[..., 0])
     classes = np.broadcast_to(joint_limbs(motion), seen.shape)[seen]
-    columns = rr.Points2D.columns(positions=reprojected[seen], class_ids=classes)
-    log.send(f"{root}/reprojections/joints", columns.partition(seen.sum(axis=1)))
-    log.fix(f"{root}/reprojections/joints", rr.Points2D.from_fields(radii=rr.Radius.ui_points(3.5), show_labels=False))
+    columns = rr.Points2D.columns(positions=reprojected[seen], class_ids=classes).partition(seen.sum(axis=1))
+    log.draw(f"{root}/reprojections/joints", rr.Points2D, columns, radii=rr.Radius.ui_points(3.5), **style)
 
     both = np.isfinite(picture.distance_px)
     ends = np.stack((detected, reprojected), axis=2)
     colours = np.where(outliers[both][:, None], OUTLIER, LINK).astype(np.uint8)
-    log.send(f"{root}/links", lines(rr.LineStrips2D, ends[both], both.sum(axis=1), colors=colours))
-    log.fix(f"{root}/links", rr.LineStrips2D.from_fields(radii=rr.Radius.ui_points(1.5)))
+    columns = lines(ends[both], both.sum(axis=1), colors=colours)
+    log.draw(f"{root}/links", rr.LineStrips2D, columns, radii=rr.Radius.ui_points(1.5))
 
 
 def middle_and_reach_px(picture: Picture) -> tuple[Array, Array]:
@@ -408,3 +415,58 @@ def picture_bounds(picture: Picture) -> tuple[Array, Array]:
     low, high = points.min(axis=0), points.max(axis=0)
     margin = 0.08 * float(np.max(high - low)) + 10.0
     return low - margin, high + margin
+
+
+# -- recordings --------------------------------------------------------------------------------------------------------
+
+_AT_ONCE = 1 << 20
+
+
+@contextmanager
+def recording(path: Path, layout: rrb.Blueprint) -> Iterator[rr.RecordingStream]:
+    """A recording to log to, which is written to `path`; there is none when the block raises.
+
+    Raises OSError that names the path.
+    """
+    stream = rr.RecordingStream("recon")
+    try:
+        if not hasattr(os, "mkfifo"):  # Windows
+            memory = stream.memory_recording()
+            stream.send_blueprint(layout, make_active=False, make_default=True)
+            yield stream
+            write_bytes(path, memory.drain_as_bytes())
+            return
+        with TemporaryDirectory() as folder, ThreadPoolExecutor(1) as beside:
+            pipe = Path(folder) / "pipe"
+            os.mkfifo(pipe)
+            source = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
+            os.set_blocking(source, True)
+            stream.save(pipe)
+            written = beside.submit(_copy, source, path)
+            try:
+                stream.send_blueprint(layout, make_active=False, make_default=True)
+                yield stream
+            except BaseException:
+                stream.disconnect()  # which ends what is read
+                written.exception()
+                path.unlink(missing_ok=True)
+                raise
+            stream.disconnect()
+            written.result()
+    finally:
+        stream.disconnect()
+
+
+def _copy(source: int, path: Path) -> None:
+    """All of a pipe into a file. Where that cannot be written, the pipe is read to its end all the same: whoever fills
+    it would wait for ever."""
+    with open(source, "rb") as pipe:
+        try:
+            with path.open("wb") as file:
+                while content := pipe.read(_AT_ONCE):
+                    file.write(content)
+        except OSError as error:
+            while pipe.read(_AT_ONCE):
+                pass
+            error.filename = str(path)
+            raise

@@ -15,16 +15,22 @@ points are right (within the tolerance of their label); a logistic function of t
 them, and makes of it the share of points that are right.
 
 It needs the optional package torch, which is imported where it is used.
+
+`recon predict` takes a video and writes a keypoint file. The frames go through the network in batches, the next ones
+decoded meanwhile. Pictures are held for a few batches only; what grows with the video are the points, 12 bytes each.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import time
 import zipfile
-from collections.abc import Sequence
+from collections.abc import Generator, Sequence
+from colorsys import hsv_to_rgb
+from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from io import BytesIO
-from itertools import pairwise
+from itertools import islice, pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -34,15 +40,22 @@ from pydantic import Field
 from scipy.optimize import minimize
 from scipy.special import expit, logit
 
+from recon.base import Progress, silent
 from recon.base.arrays import Array, Bools
 from recon.base.documents import check_unpacked_size, validated
-from recon.base.errors import InputError, Problem
-from recon.base.files import staged_file, write_bytes
+from recon.base.errors import InputError, Problem, all_of
+from recon.base.files import require_free_file, staged_file, write_bytes
 from recon.base.package import install_command
 from recon.base.parallel import available_cores
-from recon.base.settings import Option
-from recon.io.video import Image
+from recon.base.settings import Count, Option, Settings
+from recon.clip import Keypoints
+from recon.io import FORMATS
+from recon.io.video import Image, VideoInfo, missing_note, probe, require_codec, timed_frames, video_writer
+from recon.show.overlay import Colour, draw_circle
+from recon.show.plain import picked
 from recon.wings.keypoint_net.labels import resize, scale_points
+from recon.wings.keypoint_net.pictures import ahead, background_of_video
+from recon.workflows.cli import Answer
 
 if TYPE_CHECKING:
     import torch  # pyright: ignore[reportMissingImports]
@@ -437,10 +450,6 @@ def save_torch(content: dict[str, Any], path: Path) -> None:
         write_bytes(staged, made.getvalue())
 
 
-def save_model(spec: Spec, weights: dict[str, Any], path: Path) -> None:
-    save_torch({"format": FORMAT, "spec": dataclasses.asdict(spec), "weights": weights}, path)
-
-
 def model_file(folder: Path) -> Path:
     """Where the network of a folder is that `recon train` wrote. Raises InputError where there is none."""
     path = folder / MODEL_FILE if folder.is_dir() else folder
@@ -488,3 +497,154 @@ def load_torch(path: Path) -> Any:
     except Exception as error:
         found = "a file that torch cannot read, of another kind or damaged"
         raise InputError(Problem(path, "model", found, "a file that `recon train` wrote")) from error
+
+
+# -- recon predict: a video in, a keypoint file out --------------------------------------------------------------------
+
+WRITERS = {f.suffixes[0]: f.write for f in FORMATS if f.name == "deeplabcut"}
+
+
+LIKELY = 0.5
+"""Points less likely than this are rings in the overlay."""
+PIXELS = 2**20
+"""The most pixels of a batch, at the network's scale."""
+WAITING = 2
+"""Batches that are decoded ahead."""
+LOST_SHARE, LOST_FRAMES = 0.01, 3
+"""So many frames fewer than the video states are its count's fault; more are the video's."""
+
+_Chunk = tuple[list[int], list[float], list[Image], list[Image]]
+"""Numbers of consecutive frames, their time stamps in seconds, their pictures at the network's scale, and as they
+are, if they are drawn on."""
+
+
+class PredictSettings(Settings):
+    """What `recon predict` finds, and where."""
+
+    video: Annotated[Path, Option(argument="VIDEO")]
+    """The video, as in run.mp4."""
+    model: Annotated[Path, Option(metavar="DIR")]
+    """Folder of a trained network, as in models/run."""
+    out: Path
+    """The keypoint file, .csv or .h5, in DeepLabCut's layout."""
+    overlay: Path | None = None
+    """A new video with the points drawn, .mp4 (MPEG-4) or .avi (Motion JPEG)."""
+    device: Annotated[str, DEVICE] = "auto"
+    threads: Annotated[Count | None, THREADS] = None
+    partial: bool = False
+    """Accept a video of which fewer frames can be decoded than it states."""
+    overwrite: bool = False
+    """Replace files that are there."""
+
+
+def predict_command(settings: PredictSettings, progress: Progress) -> Answer:
+    """Find the keypoints in every frame of a video, with a network that `recon train` made.
+
+    Example: recon predict run.mp4 --model models/run --out run.csv --overlay run_points.mp4
+    """
+    start = time.monotonic()
+    keypoints = run_prediction(**picked(settings, *settings.infos()), progress=progress)
+    frames, seconds = len(keypoints.frames), time.monotonic() - start
+    sure = float((keypoints.confidence >= LIKELY).mean())
+    drawn = f", drawn on the video in {settings.overlay}" if settings.overlay else ""
+    said = (
+        f"{frames} frames in {seconds:.1f} s ({frames / seconds:.0f} a second); {sure:.0%} of the points have a "
+        f"likelihood of {LIKELY:g} or more. They are in {settings.out}{drawn}."
+    )
+    data = {**picked(settings, "out", "overlay"), "frames": frames, "seconds": seconds, "likely_share": sure}
+    return Answer(data | {"notes": keypoints.notes}, [said, *(f"note: {note}" for note in keypoints.notes)])
+
+
+def run_prediction(video: Path, model: Path, out: Path, *, progress: Progress = silent, **options: Any) -> Keypoints:
+    """`recon predict`: a keypoint file in DeepLabCut's layout. options: the other fields of `PredictSettings`. Raises
+    InputError; then nothing is written."""
+    s = PredictSettings(video=video, model=model, out=out, **options)
+    _, device, *_ = all_of(
+        lambda: model_file(model),
+        lambda: choose_device(s.device),
+        lambda: require_free_file(out, s.overwrite, suffixes=WRITERS),
+        lambda: _check_overlay(s),
+    )
+    keypoints = predict_video(load_model(model, device), s, progress)
+    with staged_file(out) as staged:
+        WRITERS[out.suffix.lower()](keypoints, staged)
+    return keypoints
+
+
+def _check_overlay(settings: PredictSettings) -> None:
+    if settings.overlay is not None:
+        require_codec(settings.overlay)
+        require_free_file(settings.overlay, settings.overwrite, "--overlay", settings.video)
+
+
+def predict_video(trained: TrainedNetwork, settings: PredictSettings, progress: Progress = silent) -> Keypoints:
+    """Every frame's points as the network sees them, without smoothing, with calibrated likelihoods. Raises
+    InputError."""
+    video, spec = settings.video, trained.spec
+    info = probe(video)
+    progress("background", 0.0)
+    background = background_of_video(video, spec.scale)
+    use_threads(settings.threads)
+    found: list[tuple[list[int], list[float], NDArray[np.float32], NDArray[np.float32]]] = []
+    total, count = max(info.stated_frames or 0, 1), 0
+    with ExitStack() as stack:
+        write = None
+        if settings.overlay is not None:
+            even = (info.size_px[0] // 2 * 2, info.size_px[1] // 2 * 2)
+            write = stack.enter_context(video_writer(settings.overlay, even, info.fps or 30.0))
+        made = _chunks(video, info, spec.scale, keep=write is not None)
+        for of_chunk, stamps_s, pictures, originals in stack.enter_context(closing(ahead(made, 1 + WAITING))):
+            xy, raw = trained.points(pictures, background)
+            sure = calibrated(raw, spec.calibration)
+            found.append((of_chunk, stamps_s, xy.astype(np.float32), sure.astype(np.float32)))
+            count += len(of_chunk)
+            if write is not None:
+                for picture, points, how in zip(originals, xy, sure, strict=True):
+                    drawn = draw_points(picture, points, how)
+                    write(drawn[: drawn.shape[0] // 2 * 2, : drawn.shape[1] // 2 * 2])
+            progress(f"frame {of_chunk[-1]}", min(1.0, count / total))
+        lost = (stated := info.stated_frames or 0) - count
+        if not settings.partial and lost > max(LOST_FRAMES, LOST_SHARE * stated):
+            expected = f"the {stated} that the file states; --partial takes what can be decoded"
+            raise InputError(Problem(video, "frames", f"{count} that can be decoded", expected))
+    numbers, times_s, xy_px, likelihood = (np.concatenate(column) for column in zip(*found, strict=True))
+    note = missing_note(video, times_s)
+    return Keypoints(
+        spec.names,
+        xy_px.astype(float),
+        likelihood.astype(float),
+        numbers,
+        fps=info.fps,
+        image_size_px=info.size_px,
+        source=str(video),
+        notes=() if note is None else (note,),
+    )
+
+
+def _chunks(video: Path, info: VideoInfo, scale: float, keep: bool) -> Generator[_Chunk]:
+    """The frames of a video in batches. keep: the original pictures, too."""
+    width, height = info.size_px
+    size = int(np.clip(PIXELS / (width * height * scale**2), 1, 32))
+    frames = timed_frames(video)
+    while some := list(islice(frames, size)):
+        numbers, times_s, pictures = (list(column) for column in zip(*some, strict=True))
+        yield numbers, times_s, [resize(picture, scale) for picture in pictures], pictures if keep else []
+
+
+def draw_points(picture: Image, xy_px: Array, likelihood: Array) -> Image:
+    """A copy with dots at points (K, 2); those less likely than `LIKELY` are rings."""
+    drawn = picture.copy()
+    radius = max(2.0, max(picture.shape[:2]) / 160)
+    for at, how, colour in zip(xy_px, likelihood, point_colours(len(xy_px)), strict=True):
+        if np.isfinite(at).all():
+            likely = how >= LIKELY
+            if likely:
+                draw_circle(drawn, at, radius + 1, (0, 0, 0), -1)
+            draw_circle(drawn, at, radius if likely else 0.7 * radius, colour, -1 if likely else 1)
+    return drawn
+
+
+def point_colours(count: int) -> list[Colour]:
+    """One for each keypoint, blue, green, red: evenly around the colour wheel, bright and dark by turns."""
+    found = (hsv_to_rgb(k / count, 0.85, 0.75 if k % 2 else 1.0) for k in range(count))
+    return [(round(255 * blue), round(255 * green), round(255 * red)) for red, green, blue in found]

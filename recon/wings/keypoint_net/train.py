@@ -1,4 +1,4 @@
-"""Training: from labelled pictures to weights.
+"""`recon train`: from labelled pictures to weights.
 
 AdamW with a warm-up and a cosine down to nothing, twice; the weights that count are a moving average of those that it
 moves. The first part of a run learns from the training pictures and is judged by the validation pictures, which also
@@ -15,7 +15,7 @@ import copy
 import dataclasses
 import math
 import time
-from colorsys import hsv_to_rgb
+from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import dataclass, field
 from functools import partial
@@ -30,24 +30,29 @@ from pydantic import Field
 from recon import __version__
 from recon.base import Progress, silent
 from recon.base.arrays import Array, Bools, Integers, mean, median
-from recon.base.errors import InputError, Problem, refuse
-from recon.base.files import write_bytes
+from recon.base.errors import InputError, Problem, all_of, refuse
+from recon.base.files import sole_writer, staged_folder, write_bytes
 from recon.base.settings import Count, Integer, Number, Option, Settings
 from recon.io.video import Image
-from recon.show.overlay import Colour, draw_circle, draw_line, draw_text
-from recon.show.plain import to_json, to_plain
+from recon.show.overlay import draw_circle, draw_line, draw_text
+from recon.show.plain import picked, to_json, to_plain
 from recon.wings.keypoint_net import network as net
 from recon.wings.keypoint_net import pictures
-from recon.wings.keypoint_net.evaluate2d import evaluate_2d, reliability
 from recon.wings.keypoint_net.labels import (
     Labels,
     body_length_px,
+    evaluate_2d,
     extents_px,
     frames_by_part,
+    read_labels,
+    reliability,
     resize,
     scale_points,
     sides,
+    split_labels,
 )
+from recon.workflows.cli import Answer, stop
+from recon.workflows.settings import RENAME
 
 if TYPE_CHECKING:
     import torch  # pyright: ignore[reportMissingImports]
@@ -85,6 +90,37 @@ class TrainSettings(Settings):
     def of_training(self) -> dict[str, Any]:
         """The settings of training alone, where there are others beside them."""
         return {name: getattr(self, name) for name in TrainSettings.infos()}
+
+
+class LabelSource(Settings):
+    """Labelled pictures, and which of them to learn from."""
+
+    data: Annotated[Path, Option(argument="DATA")]
+    """DeepLabCut project (its folder or config.yaml), or a video (with --labels)."""
+    labels: Path | None = None
+    """Label file of the video, as in CollectedData_me.csv."""
+    first_frame: Integer = 0
+    """Number that the labels give to the video's first frame: 50 where 0050.png is frame 0."""
+    individual: str | None = None
+    """The animal, where the labels name several."""
+    rename: Annotated[str | None, RENAME] = None
+    validation: Annotated[str, Option(panel=SPLIT)] = "0.2"
+    """Pictures to judge and calibrate by: a share, or frame numbers A:B (B excluded)."""
+    test: Annotated[str, Option(panel=SPLIT)] = "0"
+    """Pictures that are only judged at the end, in the same way."""
+
+
+class _TrainRunSettings(LabelSource, TrainSettings):
+    """What `recon train` does: labels, how to learn from them, and where and with what."""
+
+    out: Annotated[Path, Option(metavar="DIR")]
+    """Folder for the network and its report, as in models/horse."""
+    device: Annotated[str, net.DEVICE] = "auto"
+    threads: Annotated[Count | None, net.THREADS] = None
+    resume: bool = False
+    """Go on from the checkpoint in DIR."""
+    overwrite: bool = False
+    """Begin again in a DIR that has a network."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,12 +214,10 @@ def train(
                 if "validation_px" in last:
                     text += f", validation error {last['validation_px']:.2f} px"
                 progress(f"{'finishing' if state.finishing else 'learning'}: {text}", state.share)
-    net.save_model(calibrated_spec(run, state), state.average.state_dict(), out / net.MODEL_FILE)
+    spec = dataclasses.asdict(run.spec) | {"calibration": state.calibration}
+    content = {"format": net.FORMAT, "spec": spec, "weights": state.average.state_dict()}
+    net.save_torch(content, out / net.MODEL_FILE)
     return state
-
-
-def calibrated_spec(run: TrainingRun, state: State) -> net.Spec:
-    return dataclasses.replace(run.spec, calibration=state.calibration)
 
 
 def _sources(run: TrainingRun) -> tuple[Any, ...]:
@@ -357,7 +391,7 @@ MOST = 30
 
 def write_training_report(run: TrainingRun, state: State, folder: Path) -> dict[str, Any]:
     """Into an existing folder; returns what stands in training.json."""
-    spec, split, history = calibrated_spec(run, state), run.split, state.history
+    spec, split, history = dataclasses.replace(run.spec, calibration=state.calibration), run.split, state.history
     errors, raw, xy_px = judge(
         net.TrainedNetwork(spec, state.average, run.device), run, np.arange(len(run.labels.images))
     )
@@ -428,7 +462,7 @@ def _write_worst(labels: Labels, errors: Array, xy_px: Array, which: Integers, p
         factor = max(1, -(-LEAST_WIDTH_PX // labels.pictures[i].shape[1]))
         drawn = np.asarray(cv2.resize(labels.pictures[i], None, fx=factor, fy=factor, interpolation=cv2.INTER_CUBIC))
         radius = max(3.0, drawn.shape[1] / 160)
-        for k, colour in enumerate(point_colours(len(labels.names))):
+        for k, colour in enumerate(net.point_colours(len(labels.names))):
             if labels.labelled[i, k]:
                 label, found = (scale_points(points[i, k], factor) for points in (labels.xy_px, xy_px))
                 draw_line(drawn, label, found, LINE, 1)
@@ -441,12 +475,6 @@ def _write_worst(labels: Labels, errors: Array, xy_px: Array, which: Integers, p
     for n, tile in enumerate(tiles):
         sheet[n // 2 * height :, n % 2 * width :][: tile.shape[0], : tile.shape[1]] = tile
     write_bytes(path, cv2.imencode(path.suffix, sheet)[1].tobytes())
-
-
-def point_colours(count: int) -> list[Colour]:
-    """One for each keypoint, blue, green, red: evenly around the colour wheel, bright and dark by turns."""
-    found = (hsv_to_rgb(k / count, 0.85, 0.75 if k % 2 else 1.0) for k in range(count))
-    return [(round(255 * blue), round(255 * green), round(255 * red)) for red, green, blue in found]
 
 
 def suspicious_labels(labels: Labels, xy_px: Array, length_px: float) -> list[dict[str, Any]]:
@@ -485,3 +513,87 @@ def _excess_distance_px(xy_px: Array) -> Array:
         usual[known] = np.nanquantile(distance[:, known], USUAL, axis=0)
         least = np.fmin(least, distance - usual)
     return np.where(np.isfinite(least), least, np.nan)
+
+
+# -- the command -------------------------------------------------------------------------------------------------------
+
+
+def train_command(settings: _TrainRunSettings, progress: Progress) -> Answer:
+    """Train a small keypoint network on a few labels in DeepLabCut's layout.
+
+    Example: recon train run.mp4 --labels CollectedData_me.csv --out models/run
+    """
+    out, how = settings.out, picked(settings, "device", "threads", "resume", "overwrite")
+    try:
+        report = run_training(settings, settings, out, **how, progress=progress)
+    except KeyboardInterrupt:
+        message = "the same command with --resume goes on from the last checkpoint"
+        if not (out / CHECKPOINT_FILE).is_file():
+            message = "there is no checkpoint yet"
+        stop(f"Stopped: {message}.")
+    return Answer(report, _summary(report, out))
+
+
+def run_training(
+    source: LabelSource,
+    settings: TrainSettings,
+    out: Path,
+    *,
+    device: str = "auto",
+    threads: int | None = None,
+    resume: bool = False,
+    overwrite: bool = False,
+    progress: Progress = silent,
+) -> dict[str, Any]:
+    """`recon train`: `out` gets the network, a checkpoint and the training report, which is returned.
+
+    Raises InputError, with every problem, before anything is written.
+    """
+    net.require_torch()
+    chosen, labels, _ = all_of(
+        lambda: net.choose_device(device),
+        lambda: read_labels(source.data, source.labels, source.first_frame, source.individual, source.rename),
+        lambda: _check_folder(out, resume, overwrite),
+    )
+    run = prepare(labels, split_labels(labels, source.validation, source.test, settings.seed), settings, chosen)
+    with sole_writer(out):
+        _check_folder(out, resume, overwrite)
+        state = train(run, out, resume, threads, progress)
+        progress("report", 1.0)
+        with staged_folder(out) as staging:
+            return write_training_report(run, state, staging)
+
+
+def _summary(report: dict[str, Any], out: Path) -> Iterator[str]:
+    yield f"{report['steps']} steps in {report['seconds']:.0f} s on {report['device']}."
+    best = report["best_validation"]
+    if best:
+        yield f"Validation pictures, before any was learned from: median error {best['median_px']:.2f} px at best."
+        if best["median_px"] > 2 * report["tolerance_px"]:
+            yield (
+                f"That is too far off to be of use: a point counts as right within {report['tolerance_px']:.1f} px. "
+                "Train longer (--minutes), or label more."
+            )
+    if "test" in report["errors"]:
+        score = report["errors"]["test"]["all"]
+        yield f"Test pictures: median error {score['median_px']:.2f} px, {score['pck_px']['5.0']:.0%} within 5 px."
+    suspects = report["suspicious_labels"]
+    if suspects:
+        first = suspects[0]
+        yield (
+            f"{len(suspects)} labels look wrong, {first['keypoint']} in {first['image']} the most: "
+            f"see {out / 'suspicious.csv'}."
+        )
+    yield f"The network and its report are in {out}. Use it with: recon predict VIDEO --model {out} --out FILE.csv"
+
+
+def _check_folder(out: Path, resume: bool, overwrite: bool) -> None:
+    if resume and not (out / CHECKPOINT_FILE).is_file():
+        expected = "one to go on from; without --resume, a new run"
+        raise InputError(Problem(out / CHECKPOINT_FILE, "checkpoint", "no such file", expected))
+    there = [name for name in (net.MODEL_FILE, CHECKPOINT_FILE) if (out / name).exists()]
+    if there and not resume and not overwrite:
+        expected = "a new folder, --resume to go on, or --overwrite to begin again"
+        raise InputError(Problem("--out", "folder", f"{out}, which has a {there[0]}", expected))
+    if out.exists() and not out.is_dir():
+        raise InputError(Problem("--out", "folder", f"{out}, which is a file", "a folder"))

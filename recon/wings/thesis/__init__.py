@@ -2,8 +2,8 @@
 
 C. van der Leek, "Kinematic Modeling and Dynamic Aspects of an Accelerating Quadruped", MSc(Eng), University of Cape
 Town, 2022. The chain and its states as published stand in `recon.animal.chain`; objectives: the terms f1 to f5 and the
-priors that they need besides, one small class each; starts: where the first frame starts; frame: the solver; clip: what
-`recon frame` runs; solver: what the optimiser did, which `recon solver` shows.
+priors that they need besides, one small class each; frame: the solver, and where it starts; clip: what `recon
+frame` runs and what is said of its result; solver: what the optimiser did, which `recon solver` shows.
 """
 
 from typing import TYPE_CHECKING
@@ -19,9 +19,9 @@ if TYPE_CHECKING:
         FrameSolver,
         base_length,
         frame_objectives,
+        mean_pose,
         solve_frames,
     )
     from recon.wings.thesis.solver import SolverRecord, read_solver
-    from recon.wings.thesis.starts import mean_pose
 
 __getattr__ = lazily(__name__, __file__)

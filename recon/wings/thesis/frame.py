@@ -2,8 +2,12 @@
 
 It solves the 21 unknowns of the 8U chain one frame after the other with scipy's Levenberg-Marquardt
 (`least_squares(method="lm")`, MINPACK) on the stacked residuals of all objectives. A frame starts from the solution of
-the frame before, its place carried on along its path; the first starts from geometry (`starts.py`). Frames
-whose solution leaves points unexplained get further starts, and the lowest cost wins.
+the frame before, its place carried on along its path; the first starts from geometry alone, the
+direction of travel and a rough placement of the chain. Frames whose solution leaves points unexplained get further
+starts, and the lowest cost wins.
+
+The mean pose is put at the detections' bearings (`recon.fit.starts`), over many headings and all frames of a
+stretch: the heading is chosen whose chain fits and which agrees with the path that it implies.
 """
 
 from __future__ import annotations
@@ -19,14 +23,15 @@ from scipy.linalg import eigh
 from scipy.optimize import least_squares
 
 from recon.animal.body import MIN_JOINTS, MIN_REACH_PX
-from recon.animal.chain import Chain, ChainPose
+from recon.animal.chain import Chain, ChainPose, euler_angles, upright_rotation
 from recon.base.arrays import Array, Index, median
 from recon.check import Finding, finding
 from recon.clip import View
 from recon.fit.motion import Motion
 from recon.fit.result import OUTLIER_SIGMAS, MotionSegment, Solution
+from recon.fit.starts import constant_velocity, position_on_rays
 from recon.geometry.camera import Camera
-from recon.geometry.frames import inverse, moved
+from recon.geometry.frames import inverse, level_axes, moved
 from recon.geometry.kinematics import ROLL, YAW
 from recon.wings.thesis.objectives import (
     AngleRange,
@@ -37,7 +42,6 @@ from recon.wings.thesis.objectives import (
     Objective,
     RateLimit,
 )
-from recon.wings.thesis.starts import Travel, estimate_travel, geometric_start
 
 Status = Literal["converged", "not_converged", "no_data"]
 
@@ -135,7 +139,7 @@ class FrameSolution(Solution):
     fps: float
 
     method: ClassVar = "frame"
-    described_by: ClassVar = "recon.wings.thesis.report"
+    described_by: ClassVar = "recon.wings.thesis.clip"
     jitters: ClassVar = True
 
     @property
@@ -258,21 +262,14 @@ def solve_frames(
         if report.in_view:  # a pose that diverged is no start for the next frame
             solver.states[frame], covariance[frame] = state, C
     names = tuple(term.name for term in solver.objectives)
-    return in_world(view, chain, solver.states, covariance, tuple(reports), solver.travel, names, fps)
+    told = {"reports": tuple(reports), "travel": solver.travel, "objectives": names, "fps": fps}
+    return in_world(view, chain, solver.states, covariance, **told)
 
 
-def in_world(
-    view: View,
-    chain: Chain,
-    states: Array,
-    covariance: Array,
-    reports: tuple[_FrameReport | None, ...],
-    travel: Travel,
-    objectives: tuple[str, ...],
-    fps: float,
-) -> FrameSolution:
-    """What was solved, in the world. states (T, D) and their covariance (T, D, D) are the chain's."""
-    T, J = view.present.shape
+def in_world(view: View, chain: Chain, states: Array, covariance: Array, **told: Any) -> FrameSolution:
+    """What was solved, in the world. states (T, D) and their covariance (T, D, D) are the chain's; told: reports,
+    travel, objectives and fps of the solution."""
+    (T, J), reports = view.present.shape, told["reports"]
     T_world_camera = inverse(view.T_camera_world)
     posed = chain.pose_with_jacobian(states)
     assert posed.joints_jacobian is not None
@@ -306,10 +303,7 @@ def in_world(
         stage_s={},
         chain=chain,
         chain_states=states,
-        reports=reports,
-        travel=travel,
-        objectives=objectives,
-        fps=fps,
+        **told,
     )
     return replace(found, flags=_flags(found))
 
@@ -655,3 +649,89 @@ def precision_shares(C: Array, J_data: Array) -> Array:
     All NaN where C is.
     """
     return np.clip(np.diag(C @ (J_data.T @ J_data) @ C) / np.diag(C), 0, 1)
+
+
+# -- where it starts ---------------------------------------------------------------------------------------------------
+
+_HEADINGS = 36
+_STRETCH_S = 1.0
+_MIN_SPEED_M_S = 1.0
+_MIN_STRETCH_S = 0.15
+"""Slower, or over a shorter time (half a stride), the path says nothing about the heading."""
+
+
+@dataclass(frozen=True)
+class Travel:
+    """heading (T, 3): level unit vector in the camera frame, the way the animal faces; speed_m_s (T,): along its path,
+    0 where it is too slow or too rarely seen to have one."""
+
+    heading: Array
+    speed_m_s: Array
+
+
+def mean_pose(chain: Chain) -> Array:
+    """State (D,) with expected angles and nominal size, at the origin."""
+    state = np.zeros(chain.n_state)
+    state[chain.theta_slice] = chain.theta.mean_rad
+    state[chain.phi_slice] = chain.phi.mean_rad
+    state[chain.base_index] = chain.nominal_base_length_m
+    return state
+
+
+def estimate_travel(camera: Camera, chain: Chain, xy_px: Array, fps: float) -> Travel:
+    """Heading and speed over the clip from detections (T, J, 2), about one second of straight path at a time.
+
+    Stretches without five joints in at least five frames take the heading of the nearest stretch that has them.
+    """
+    T = len(xy_px)
+    rays, _ = camera.rays(xy_px)
+    usable = np.isfinite(rays[..., 0]).sum(axis=1) >= MIN_JOINTS
+    right, away = level_axes(camera.up)
+    angle = 2 * np.pi * np.arange(_HEADINGS) / _HEADINGS
+    headings = np.cos(angle)[:, None] * right + np.sin(angle)[:, None] * away
+    shapes = chain.local_joints(mean_pose(chain)[None])[0] @ upright_rotation(headings, camera.up).transpose(0, 2, 1)
+
+    stretches = np.array_split(np.arange(T), max(1, round(T / fps / _STRETCH_S)))
+    found = np.full((len(stretches), 4), np.nan)
+    for s, rows in enumerate(stretches):
+        rows = rows[usable[rows]]
+        if len(rows) >= MIN_JOINTS:
+            found[s] = _stretch_travel(headings, shapes, camera.up, rays[rows], rows / fps)
+    known = np.flatnonzero(np.isfinite(found[:, 0]))
+    if len(known) == 0:
+        return Travel(np.tile(right, (T, 1)), np.zeros(T))
+    nearest = known[np.argmin(np.abs(np.arange(len(stretches))[:, None] - known), axis=1)]
+    speed = np.where(np.isfinite(found[:, 3]), found[:, 3], 0.0)
+    lengths = [len(rows) for rows in stretches]
+    return Travel(np.repeat(found[nearest, :3], lengths, axis=0), np.repeat(speed, lengths))
+
+
+def _stretch_travel(headings: Array, shapes: Array, up: Array, rays: Array, time_s: Array) -> Array:
+    """(4,): heading and speed of one stretch; the speed is NaN where it says nothing.
+
+    For every heading the mean pose runs straight ahead, with a constant acceleration and a slope of the ground; the
+    heading whose run fits all the rays best decides. It is seen in the shape's foreshortening and in the path alike.
+    """
+    time_s = time_s - time_s.mean()
+    misfit, runs = constant_velocity(headings, shapes, up, rays, time_s)
+    speeds = np.abs(runs[:, 3])
+    best = int(np.argmin(misfit))
+    # The minimum between grid points, from the parabola through the best three.
+    left, here, right = misfit[[best - 1, best, (best + 1) % len(headings)]]
+    bend = left - 2 * here + right
+    turn = 0.5 * (left - right) / bend * 2 * np.pi / len(headings) if bend > 0 else 0.0
+    heading = np.cos(turn) * headings[best] + np.sin(turn) * np.cross(up, headings[best])
+    moves = speeds[best] >= _MIN_SPEED_M_S and np.ptp(time_s) >= _MIN_STRETCH_S
+    return np.append(heading, speeds[best] if moves else np.nan)
+
+
+def geometric_start(camera: Camera, chain: Chain, rays: Array, heading: Array) -> Array:
+    """State (D,): the mean pose facing `heading` (3,), placed on one frame's rays (J, 3)."""
+    state = mean_pose(chain)
+    rotation = upright_rotation(heading, camera.up)
+    place = position_on_rays(chain.local_joints(state[None])[0] @ rotation.T, rays[None])
+    # Contradictory rays can meet behind the camera; the solver needs a start that is in view.
+    in_front = place[0] if place[0, 2] > 0 else -place[0]
+    state[chain.place_slice] = rotation.T @ in_front
+    state[chain.euler_slice] = euler_angles(rotation)
+    return state

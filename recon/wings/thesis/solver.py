@@ -134,6 +134,11 @@ class SolverRecord:
     """The clip with the camera's rotation held still, or free where the fit held it."""
 
     @property
+    def frame(self) -> int:
+        """The number of the frame that is looked into."""
+        return int(self.motion.frames[self.search.problem.frame])
+
+    @property
     def unknowns(self) -> tuple[str, ...]:
         """(D,): the names of the chain's unknowns."""
         return self.solution.chain.state_names
@@ -207,7 +212,7 @@ class SolverRecord:
         unknowns |= {f"column_norm_{f.__name__}": f(norm, axis=0) for f in (np.min, np.median, np.max)}
         errors = {"camera": motion.pictures[0].name, "frame": motion.frames}
         errors |= {f"{name}_px": of_joint for name, of_joint in zip(motion.names, self.image_error_px.T, strict=True)}
-        points = {"frame": int(motion.frames[search.problem.frame]), "point": range(len(search.points))}
+        points = {"frame": self.frame, "point": range(len(search.points))}
         points |= {"evaluations": search.evaluations_at, "cost": search.costs, "damping": [*search.damping, np.nan]}
         return dict(zip(TABLES, map(pd.DataFrame, (frames, unknowns, errors, points)), strict=True))
 
@@ -255,8 +260,10 @@ EXIT_FLAGS = {
 def solver_search(record: SolverRecord) -> Figure:
     """Over time: cost by term, the largest part of the gradient, the steps' length, how often the residuals were
     evaluated, coloured by why MINPACK ended, and limits passed."""
+    status = record.solution.status
+    title = f"{status.count('converged')} of {len(status)} frames converged, each solved by itself"
     time_s, names = record.motion.time_s, [str(n) if c.sum() > 0 else f"{n}: 0" for n, c in record.cost.items()]
-    with style.drawing(170 + style.legend_shape(names)[1], title=_outcome(record)) as figure:
+    with style.drawing(170 + style.legend_shape(names)[1], title=title) as figure:
         rows = figure.subplots(5, 1, sharex=True, height_ratios=(1.8, 1, 1, 1, 1))
         cost, optimality, step, evaluations, limits = rows
         _logarithmic(cost, time_s, [*record.cost.to_numpy().T])
@@ -329,7 +336,7 @@ def solver_unknowns(record: SolverRecord) -> Figure:
 def solver_frame(record: SolverRecord) -> Figure:
     """Within the frame that is looked into: objective and damping from one accepted point to the next."""
     search = record.search
-    title = f"{_looked_into(record)}: {len(search.damping)} steps, {search.evaluations_at[-1]} evaluations"
+    title = f"frame {record.frame}: {len(search.damping)} steps, {search.evaluations_at[-1]} evaluations"
     labels = ("objective (½σ²)", f"damping λ ({_UNDAMPED:g}: none)")
     with style.drawing(80, title=title) as figure:
         rows = figure.subplots(2, 1, sharex=True)
@@ -347,7 +354,7 @@ def solver_matrices(record: SolverRecord) -> Figure:
     search, names = record.search, record.unknowns
     parts = search.problem.by_term(search.x)
     counts, J = np.array([len(r) for r, _ in parts.values()]), np.concatenate([J for _, J in parts.values()])
-    with style.drawing(140, title=f"{_looked_into(record)}, at the minimum") as figure:
+    with style.drawing(140, title=f"frame {record.frame}, at the minimum") as figure:
         panels = figure.subplots(1, 2)
         for axes, (matrix, label) in zip(panels, ((J, "|J|"), (J.T @ J, "|J'J|")), strict=True):
             size = np.where(matrix == 0, np.nan, np.abs(matrix))
@@ -390,10 +397,6 @@ FIGURES = (solver_search, solver_unknowns, image_errors, solver_frame, solver_ma
 """What is drawn, each under its name."""
 
 
-def _looked_into(record: SolverRecord) -> str:
-    return f"frame {record.motion.frames[record.search.problem.frame]}"
-
-
 def _over_time(figure: Figure, rows: Sequence[Axes], labels: Sequence[str], across: str = "time (s)") -> None:
     for axes, label in zip(rows, labels, strict=True):
         axes.set_ylabel(label)
@@ -408,8 +411,3 @@ def _logarithmic(axes: Axes, time_s: Array, curves: Sequence[Array]) -> None:
     low, high = axes.get_ylim()
     axes.set_ylim(max(low, _DECADES * high), high)
     style.plain_logarithm(axes.yaxis)
-
-
-def _outcome(record: SolverRecord) -> str:
-    status = record.solution.status
-    return f"{status.count('converged')} of {len(status)} frames converged, each solved by itself"

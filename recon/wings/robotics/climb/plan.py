@@ -26,20 +26,35 @@ z up.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
+from math import degrees
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from pydantic import AfterValidator, BeforeValidator, Field
+from rich.table import Table
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from recon.base.arrays import Array, Bools, Integers
 from recon.base.documents import FileTable, read_toml, validated
-from recon.base.errors import InputError, Problem
-from recon.wings.robotics.robot.quadruped import LEGS, Quadruped, leg_targets
+from recon.base.errors import InputError, Problem, all_of
+from recon.base.files import name_seen_from, require_free_folder, sole_writer, staged_results
+from recon.base.settings import Option, Positive, Settings
+from recon.io.writing import write_rows
+from recon.show.plots.style import COLOURS, GREY, PALE, SMALL, add_legend, drawing, save
+from recon.show.report import to_json
+from recon.show.view.scene import LIMB_COLOURS, TimePlot
+from recon.wings.robotics.robot.physics import margins_figure
+from recon.wings.robotics.robot.playback import write_robot
+from recon.wings.robotics.robot.quadruped import LEGS, Length, PositiveLength, Quadruped, leg_targets, load_robot
 from recon.wings.robotics.robot.retarget import RobotMotion, posed
+from recon.wings.robotics.robot.retarget_clip import write_tables
+from recon.workflows.cli import EXIT_UNSOLVED, Answer, table_of
 
 NONE = -1
 """The lifted leg where all are planted."""
@@ -63,10 +78,6 @@ IN_FILES = (0, 2, 1, 3)
 """Index into `LEGS` of the legs of a file, and the other way round."""
 PLANAR, SPATIAL = (0, 1, 2, 4), (0, 1, 2, 3, 4, 5)
 """Degrees of freedom of a torso: x, y, z and pitch, or roll and yaw too."""
-LARGEST = 1e9
-Number = Annotated[float, Field(strict=True, gt=-LARGEST, lt=LARGEST, allow_inf_nan=False)]
-Positive = Annotated[float, Field(strict=True, gt=0, lt=LARGEST, allow_inf_nan=False)]
-"""In a recipe's file: what more or less than these would be can only be damage."""
 
 
 def _all_legs(given: Any) -> Any:
@@ -75,8 +86,10 @@ def _all_legs(given: Any) -> Any:
     return (front, front, rear, rear)
 
 
-_Legs = Annotated[tuple[Number, Number, Number, Number], BeforeValidator(_all_legs)]
-_PositiveLegs = Annotated[tuple[Positive, Positive, Positive, Positive], BeforeValidator(_all_legs)]
+_Legs = Annotated[tuple[Length, Length, Length, Length], BeforeValidator(_all_legs)]
+_PositiveLegs = Annotated[
+    tuple[PositiveLength, PositiveLength, PositiveLength, PositiveLength], BeforeValidator(_all_legs)
+]
 
 
 class _Table:
@@ -116,9 +129,9 @@ class _Well(_Table):
 class _Balance(_Table):
     """What pulls the torso over its feet."""
 
-    gain: Positive
+    gain: PositiveLength
     """Force far from the centroid."""
-    sharpness: Positive
+    sharpness: PositiveLength
     """Per metre."""
 
 
@@ -136,8 +149,8 @@ class Fields(_Table):
 class Step(_Table):
     """A step up across the way: the ground is level at 0 as far as edge_m forward (x), and at height_m beyond."""
 
-    edge_m: Number
-    height_m: Number
+    edge_m: Length
+    height_m: Length
 
     def distance_m(self, points_m: Array) -> Array:
         """(...): from points (..., 3) to the ground or the step, whichever is nearer, negative inside."""
@@ -157,9 +170,9 @@ class _Footfall(_Table):
 
     leg: Annotated[int, Field(strict=True, ge=1, le=4), AfterValidator(lambda number: IN_FILES[number - 1])]
     """Index into `LEGS`."""
-    forward_m: Number
-    up_m: Number
-    sideways_m: Number = 0.0
+    forward_m: Length
+    up_m: Length
+    sideways_m: Length = 0.0
     """To the right."""
 
     @property
@@ -172,9 +185,9 @@ class Primitive(_Table):
     """Some footfalls in the same fields."""
 
     name: str
-    rise_rad: Positive
+    rise_rad: PositiveLength
     """Angle of the feet's paths."""
-    lower_rad: Positive
+    lower_rad: PositiveLength
     """Angle of the feet's paths."""
     footfalls: Annotated[tuple[_Footfall, ...], Field(min_length=1)]
     fields: Fields
@@ -184,18 +197,18 @@ class Primitive(_Table):
 class _Swing(_Table):
     """How a foot moves: its path's clearance above the higher end, and its speeds by phase."""
 
-    clearance_m: Positive
-    rise_m_s: Positive
-    traverse_m_s: Positive
-    lower_m_s: Positive
+    clearance_m: PositiveLength
+    rise_m_s: PositiveLength
+    traverse_m_s: PositiveLength
+    lower_m_s: PositiveLength
 
 
 @dataclass(frozen=True)
 class _Pace(_Table):
     """How far the torso goes in a frame, at most."""
 
-    max_step_m: Positive
-    max_turn_rad: Positive
+    max_step_m: PositiveLength
+    max_turn_rad: PositiveLength
 
 
 @dataclass(frozen=True)
@@ -206,8 +219,8 @@ class Recipe(_Table):
     """Name of its description."""
     dofs: Literal[4, 6]
     """How many the torso has."""
-    fps: Positive
-    stance_m: Annotated[tuple[tuple[Number, Number], ...], Field(min_length=4, max_length=4)]
+    fps: PositiveLength
+    stance_m: Annotated[tuple[tuple[Length, Length], ...], Field(min_length=4, max_length=4)]
     """Where the feet stand at first, right and forward, in the order of the file."""
     step: Step
     swing: _Swing
@@ -481,3 +494,176 @@ def capped(step: Array, max_step_m: float, max_turn_rad: float) -> Array:
     """The step (6,), shortened as a whole until its shift and its turn are within the caps."""
     shift, turn = float(np.linalg.norm(step[:3])), float(np.linalg.norm(step[3:]))
     return step / max(1.0, shift / max_step_m, turn / max_turn_rad)
+
+
+class ClimbSettings(Settings):
+    """What `recon climb` is told."""
+
+    recipe: Annotated[str, Option(argument="RECIPE")] = "found-50"
+    """found-50, published-50, highest-spatial, or a file .toml."""
+    out: Path
+    """Folder for tables, figures and playback."""
+    height: Annotated[Positive | None, Option(expected="metres, as in 0.045")] = None
+    """Height of the step, metres; the footfalls' heights are in proportion. (default: the recipe's)"""
+    figures: bool = True
+    """PNG and SVG beside the tables."""
+    overwrite: bool = False
+    """Replace earlier ones."""
+
+
+def climb(settings: ClimbSettings) -> Answer:
+    """A four-legged robot climbs a step by potential fields.
+
+    Example: recon climb published-50 --height 0.045 --out results/climb
+
+    Exit code 0: valid in every frame. 1: it is not, and all is written. 2: the input cannot be used.
+    """
+    report = run_climb(settings)
+    return Answer(report, _climb_lines(report, settings.out), code=0 if report["valid"] else EXIT_UNSOLVED)
+
+
+def _climb_lines(report: dict[str, Any], out: Path) -> Iterator[str | Table]:
+    pitch, rate = degrees(report["largest_pitch_rad"]), 100 * report["rate_share"]
+    yield (
+        f"{report['robot']} climbs {1000 * report['step_m']:.0f} mm in {report['duration_s']:.1f} s, "
+        f"{report['frames']} frames; pitch up to {pitch:.0f}°; joints at {rate:.0f} % of the fastest rate at most"
+    )
+    least = report["least_margins"].values()
+    rows = ((row["what"], f"{row['value']:.1f}", row["unit"], f"{row['at_s']:.2f}") for row in least)
+    yield table_of("least margin", numbers=("", "", "at s"), rows=rows)
+    yield "valid in every frame" if report["valid"] else f"not valid: {'; '.join(report['problems'])}"
+    if report["settled_share"] < 1:
+        yield f"note: in equilibrium in {100 * report['settled_share']:.0f} % of the frames only"
+    yield f"The playback is {out / 'climb.rrd'}."
+
+
+# -- what the command runs ---------------------------------------------------------------------------------------------
+
+REPORT = "report.json"
+_COLUMNS = 4
+
+
+def run_climb(settings: ClimbSettings) -> dict[str, Any]:
+    """`recon climb`: what report.json says. Raises InputError."""
+    out = settings.out
+    recipe, _ = all_of(
+        lambda: load_recipe(settings.recipe), lambda: require_free_folder(out, (REPORT,), settings.overwrite)
+    )
+    climb = plan(load_robot(recipe.robot), recipe if settings.height is None else raised(recipe, settings.height))
+    report = _report(climb, settings)
+    with sole_writer(out):
+        require_free_folder(out, (REPORT,), settings.overwrite)
+        with staged_results(out) as staging:
+            _write(climb, report, staging)
+            if settings.figures:
+                save(climb_footfalls(climb), staging, "footfalls")
+                shown = {
+                    rule.what: (climb.margins[name] * rule.per_unit, 0.0, rule.unit) for name, rule in RULES.items()
+                }
+                save(margins_figure(climb.motion.time_s, shown, _title(climb)), staging, "margins")
+    return report
+
+
+def _report(climb: Climb, settings: ClimbSettings) -> dict[str, Any]:
+    recipe, time_s = climb.recipe, climb.motion.time_s
+    return {
+        "schema": {"name": "recon.climb", "version": 1},
+        "robot": climb.motion.robot.name,
+        "recipe": {
+            "name": name_seen_from(settings.out, settings.recipe),
+            "about": recipe.about,
+            "degrees_of_freedom": recipe.dofs,
+        },
+        "step_m": recipe.step.height_m,
+        "edge_m": recipe.step.edge_m,
+        "valid": not climb.problems(),
+        "problems": climb.problems(),
+        "least_margins": {
+            rule: {
+                "what": RULES[rule].what,
+                "value": value,
+                "unit": RULES[rule].unit,
+                "at_s": float(time_s[k]),
+                "lifted": _lifted(climb, k) or "none",
+            }
+            for rule, (value, k) in climb.least.items()
+        },
+        "frames": len(time_s),
+        "duration_s": float(time_s[-1]),
+        "evaluations_per_frame": float(climb.evaluations.mean()),
+        "settled_share": float(climb.settled.mean()),
+        "largest_pitch_rad": float(climb.pitch_rad.max()),
+        "rate_share": float(climb.motion.rate_share.max()),
+    }
+
+
+def _lifted(climb: Climb, frame: int) -> str:
+    """The leg that is up, empty where none is."""
+    leg = int(climb.lifted[frame])
+    return "" if leg == NONE else LEGS[leg]
+
+
+def _write(climb: Climb, report: dict[str, Any], folder: Path) -> None:
+    write_tables(climb.motion, folder, "")
+    names = [f"{rule}_{'rad' if RULES[rule].unit == 'deg' else 'm'}" for rule in RULES]
+    columns = np.column_stack([climb.motion.time_s, *climb.margins.values()])
+    rows = [["" if np.isinf(x) else x for x in row] for row in columns.tolist()]
+    write_rows(folder / "margins.csv", [["time_s", *names]], rows)
+    (folder / REPORT).write_text(to_json(report), encoding="utf-8")
+    curves = [
+        TimePlot(name, text, (name,), LIMB_COLOURS[:1], values[:, None])
+        for name, text, values in (
+            ("margin", "centre of mass inside the planted feet, mm", 1000 * climb.margins["support"]),
+            ("pitch", "pitch, degrees, nose up", np.degrees(climb.pitch_rad)),
+        )
+    ]
+    write_robot(
+        climb.motion,
+        folder / "climb.rrd",
+        step=(climb.recipe.step.edge_m, climb.recipe.step.height_m),
+        more=curves,
+        title=_title(climb),
+    )
+
+
+def _title(climb: Climb) -> str:
+    return f"{climb.motion.robot.name} climbs a step of {1000 * climb.recipe.step.height_m:.0f} mm"
+
+
+# -- figures ---------------------------------------------------------------------------------------------------------
+
+
+def climb_footfalls(climb: Climb) -> Figure:
+    """The robot from the right: at first, in the middle of every footfall, and in the end."""
+    frames = [0]
+    for k in np.unique(climb.footfall):
+        up = np.flatnonzero((climb.footfall == k) & (climb.lifted != NONE))
+        frames.append(int(up[len(up) // 2]))
+    frames.append(len(climb.lifted) - 1)
+    rows, dashed, step = -(-len(frames) // _COLUMNS), (0, (2, 1)), climb.recipe.step
+    legs = {label: climb.motion.points(label)[..., [0, 2]] for label in LEGS}
+    ends = climb.motion.feet_m[..., 0].min() - 0.05, climb.motion.feet_m[..., 0].max() + 0.05
+    with drawing(24.0 * rows + 20, title=_title(climb)) as figure:
+        panels = np.ravel(figure.subplots(rows, _COLUMNS, sharex=True, sharey=True, squeeze=False))
+        for axes, frame in zip(panels, frames, strict=False):
+            ground = [ends[0], step.edge_m, step.edge_m, ends[1]]
+            axes.plot(ground, [0, 0, step.height_m, step.height_m], color=GREY, lw=1)
+            up = _lifted(climb, frame)
+            for label, of_leg in legs.items():
+                line = dashed if label == up else "-"
+                axes.plot(*of_leg[frame].T, marker="o", ms=2, color=COLOURS[label[0] == "R"], ls=line)
+            hips = np.array([legs[label][frame, 0] for label in ("LF", "LH", "RH", "RF", "LF")])
+            axes.plot(*hips.T, color=COLOURS[2], lw=2)
+            text = f"{climb.motion.time_s[frame]:.1f} s, {up or 'all planted'}"
+            axes.set_title(text, fontsize=SMALL, pad=2)
+            axes.set_aspect("equal")
+        for axes in panels[len(frames) :]:
+            axes.set_axis_off()
+        for axes in panels[len(frames) - _COLUMNS : len(frames)]:
+            axes.tick_params(labelbottom=True)
+            axes.set_xlabel("forward (m)")
+        figure.supylabel("up (m)", fontsize=8)
+        lines = [Line2D([], [], color=colour) for colour in COLOURS[:2]]
+        lines.append(Line2D([], [], color=PALE, ls=dashed))
+        add_legend(figure, lines, ["left legs", "right legs", "foot that is up"])
+    return figure

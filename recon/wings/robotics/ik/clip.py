@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from math import degrees
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
 import numpy as np
 import pandas as pd
+from matplotlib.figure import Figure
+from pydantic import Field
+from rich.table import Table
 from scipy.interpolate import CubicSpline
 from threadpoolctl import threadpool_limits
 
@@ -17,6 +21,7 @@ from recon.animal.chain import Chain
 from recon.base.arrays import Array
 from recon.base.errors import InputError, Problem
 from recon.base.files import require_free_folder, sole_writer, staged_folder
+from recon.base.settings import Integer, Number, Option, Settings
 from recon.check import usable, verdict_fields
 from recon.fit.motion import Motion
 from recon.gait.clip import ClipAnalysis, limb_chains, stride_given
@@ -24,11 +29,188 @@ from recon.gait.gait import AGREE, OVERSAMPLING, Gait, doubtful_text
 from recon.gait.kinematics import MIN_POINTS
 from recon.gait.phase import Closure, Portrait
 from recon.show.plain import by_name, picked, to_json
-from recon.wings.robotics.ik import animal
+from recon.show.plots import style
+from recon.show.plots.over_time import phase_portraits
+from recon.wings.robotics.ik import chain as chains
 from recon.wings.robotics.ik import methods as ways
 from recon.wings.robotics.ik.chain import SerialChain
 from recon.wings.robotics.ik.drive import Run, control_columns, drive_to, follow, to_null_space_optimum
-from recon.wings.robotics.settings import EXTENDED, STRIDE_MAX, IkSettings
+from recon.workflows.cli import ANYWAY, STRIDE, Answer, StrideTimes, table_of, verdict_texts
+
+Extended = Literal["extended-differences", "extended-energy", "extended-harmonic"]
+
+
+MethodName = Literal[
+    "least-norm", "transpose", "gradient-projection", "weighted", "damped", "selectively-damped", Extended, "extended"
+]
+
+
+EXTENDED = "extended"
+"""The extended Jacobian with the cost that is asked for."""
+
+
+METHODS: tuple[str, ...] = tuple(name for name in get_args(MethodName) if name != EXTENDED)
+
+
+STRIDE_MAX = "stride-max"
+
+
+class IkSettings(Settings):
+    """What `recon ik` is told."""
+
+    folder: Annotated[Path, Option(argument="DIR")]
+    """Folder of results, as in results/clip."""
+    method: Annotated[
+        MethodName,
+        Option(
+            f"{', '.join(METHODS)}, or {EXTENDED} with --cost.",
+            f"{', '.join(METHODS)}, or {EXTENDED} with --cost",
+            metavar="METHOD",
+        ),
+    ] = "damped"
+    target: str | None = None
+    """Drive the foot there: stride-max, its foremost place in the stride, from its rearmost; or x,y,z in metres from
+    the chain's base, as in 0.8,0.1,-0.5."""
+    follow: Literal["stride"] | None = None
+    """Follow a path with the foot: stride, one of its own, closed."""
+    compare: bool = False
+    """All methods in one table; both jobs unless one is asked for."""
+    foot: Annotated[str | None, Option(metavar="FOOT")] = None
+    """LF, RF, LH, RH, or the joint's name. (default: the first fore foot)"""
+    stride: Annotated[StrideTimes | None, STRIDE] = None
+    dim: Annotated[Integer, Field(ge=2, le=3)] = 3
+    """2: in the vertical plane of travel; 3: in space."""
+    turns: Annotated[Integer, Field(ge=1)] = 1
+    """How often to follow the stride."""
+    limits: bool = True
+    """Limits of the joints."""
+    fitted: bool = False
+    """With the methods' parameters fitted to this clip; also fits them to each frame of the stride."""
+    online: bool = False
+    """Along the stride, parameters refitted at every frame to the animal's joint rates just before."""
+    cost: str | None = None
+    """Cost of the methods extended and gradient-projection: differences, energy, harmonic, pose (distance from the
+    clip's mean pose), or a sum with weights, as in energy,differences=0.1."""
+    alpha: Annotated[Literal["step"] | Number | None, Option(expected="step, or a number other than 0")] = None
+    """Factor on the joints' rates of every method: a number, or step, at every step the one with which the foot moves
+    nearest to what is asked for. (default: none)"""
+    out: Path | None = None
+    """Folder for tables and figures. (default: ik in DIR)"""
+    figures: bool = True
+    """PNG and SVG beside the tables."""
+    anyway: Annotated[bool, ANYWAY] = False
+    overwrite: bool = False
+    """Replace earlier ones."""
+
+    @property
+    def methods(self) -> tuple[str, ...]:
+        """The names of the methods that are run."""
+        own = () if self.cost is None else (EXTENDED,)
+        return (*METHODS, *own) if self.compare else (self.method,)
+
+    @property
+    def parameters(self) -> str:
+        """Which parameters the methods have, in words."""
+        return "refitted at every frame" if self.online else "fitted to the clip" if self.fitted else "standard"
+
+    @property
+    def both(self) -> bool:
+        """Whether no single job is asked for."""
+        return self.target is None and self.follow is None
+
+    @property
+    def out_folder(self) -> Path:
+        return self.folder / "ik" if self.out is None else self.out
+
+    def problems(self) -> Iterator[Problem]:
+        if self.both and not self.compare:
+            yield Problem("options", "job", "none", "--target, --follow stride or --compare")
+        if self.method == EXTENDED and self.cost is None:
+            yield Problem("settings", "method", repr(EXTENDED), self.infos()["method"].expected())
+        if self.alpha == 0:
+            yield Problem("settings", "alpha", "0", self.infos()["alpha"].expected())
+
+
+WIDE_GAP_PERCENT = 25
+
+
+CLOSES_PERCENT = 90
+"""Above what the joints' paths of a stride close to of methods that no limit stops."""
+
+
+def ik(settings: IkSettings) -> Answer:
+    """Inverse kinematics of the chain from the trunk to a foot: to a target, or along a stride.
+
+    Example: recon ik results/clip --compare
+    """
+    done = run_ik(settings)
+    lines = _ik_lines(done.summary, settings.out_folder)
+    return Answer(done.summary, [*verdict_texts(done.motion.verdict), *lines])
+
+
+def _ik_lines(summary: dict[str, Any], out: Path) -> Iterator[str | Table]:
+    stride, driven, along = (summary[name] for name in ("stride", "to_target", "along_stride"))
+    how = {
+        "given": "as given",
+        "gait": "from touchdown to touchdown",
+        "return": "the clip has no complete one: the nearest return of the foot to the same place",
+        "whole clip": "the clip has no complete one: the whole clip",
+    }[stride["how"]]
+    yield f"{summary['foot']}: {len(summary['joints'])} joints, {summary['dimensions']}D ({summary['base_frame']})"
+    if summary["misfit_m"]:
+        yield f"the chain's end lies {1000 * summary['misfit_m']:.0f} mm from the foot's projection (median)"
+    gap = f"gap {1000 * stride['gap_m']:.0f} mm ({stride['gap_percent']:.1f} % of its extent), closed"
+    yield f"stride: {stride['start_s']:.3f} to {stride['end_s']:.3f} s, {how}; {gap}"
+    yield from (f"note: {note}" for note in stride["notes"])
+    if stride["gap_percent"] > WIDE_GAP_PERCENT:
+        yield "note: so wide a gap is not of one stride: a touchdown was missed, or the clip is too short"
+
+    def table(rows: dict[str, Any], title: str, columns: dict[str, Callable[[Any], str]]) -> Table:
+        every = ([name, *(cell(row) for cell in columns.values())] for name, row in rows.items())
+        return table_of("method", numbers=columns, title=title, rows=every)
+
+    def limits(row: dict[str, Any]) -> str:
+        first, *others = row["limits_hit"] or ["-"]
+        return first + (f" +{len(others)}" if others else "")
+
+    def each(row: dict[str, Any]) -> str:
+        return "-" if row["us_per_step"] is None else f"{row['us_per_step']:.0f}"
+
+    if driven:
+        columns = {
+            "reached": lambda row: "yes" if row["reached"] else "no",
+            "steps": lambda row: str(row["iterations"]),
+            "µs each": each,
+            "path m": lambda row: f"{row['length_m']:.2f}",
+            "limits": limits,
+        }
+        yield table(driven, f"to ({', '.join(f'{x:.3f}' for x in summary['target_m'])}) m", columns)
+        yield from (f"{name}: {row['reason']}" for name, row in driven.items() if not row["reached"])
+    if along:
+        least = [f"least_closure_{kind}_percent" for kind in ("angle", "plane")]
+        columns = {
+            "worst mm": lambda row: f"{1000 * row['worst_error_m']:.1f}",
+            "µs each": each,
+            "off °": lambda row: f"{degrees(row['joints_off_rad']):.0f}",
+            "limits": limits,
+            "closure %": lambda row: "/".join(f"{row[kind]:.1f}" for kind in least),
+        }
+        yield table(along, f"along the stride, turns: {summary['turns']}", columns)
+        yield from (f"{name}: {row['note']}" for name, row in along.items() if row["note"])
+        for name, row in along.items():
+            if row["limits_hit"] and row[least[0]] < CLOSES_PERCENT:
+                also = f"; then {', '.join(row['limits_hit'][1:])}" if row["limits_hit"][1:] else ""
+                yield f"{name} does not close, stopped by {row['first_limit']}{also}"
+        if any(row["limits_hit"] for row in along.values()):
+            yield "What a method does without the limits of the joints: --no-limits."
+        yield "closure: the least of any joint, of its angle/of angle and rate; off: the joints from the animal's"
+    if driven or along:
+        yield "limits: the first joint that one stopped, and how many more"
+    parameters = summary["parameters"]
+    explained = ", ".join(f"{name} {fit['explained']:.0%}" for name, fit in parameters["fitted"].items())
+    yield f"parameters: {parameters['used']}. Fitted to the clip, they explain of its joint rates: {explained}"
+    yield f"Tables and figures are in {out}."
+
 
 Dim = Literal[2, 3]
 
@@ -77,7 +259,7 @@ class _IKRun:
     settings: IkSettings
     motion: Motion
     limb: Limb
-    stride: animal.StridePath
+    stride: chains.StridePath
     target_m: Array | None
     """(dim,)"""
     runs: Mapping[str, Mapping[str, Run]]
@@ -139,19 +321,19 @@ def limb_of(motion: Motion, foot: str | None = None, dim: Dim = 3, limited: bool
     """
     label = _foot_label(motion, foot)
     name = motion.foot_names[label]
-    travel, first_s = animal.body_travel(motion.states), float(motion.time_s[0])
+    travel, first_s = chains.body_travel(motion.states), float(motion.time_s[0])
     if isinstance(motion.chain, Chain):
-        leg = animal.spine_front_leg(motion.chain, motion.size * motion.chain.nominal_base_length_m, dim, limited)
-        q = animal.chain_angles(motion.chain, motion.states, dim=dim)
+        leg = chains.spine_front_leg(motion.chain, motion.size * motion.chain.nominal_base_length_m, dim, limited)
+        q = chains.chain_angles(motion.chain, motion.states, dim=dim)
         return Limb(name, leg, q, motion.fps, first_s, "UVW", 0.0)
     if dim == 3:
         marker = motion.joints[motion.names.index(name)]
-        chain = animal.body_chain(motion.body, marker, motion.size, limited)
-        q = animal.body_chain_angles(motion.body, marker, motion.states)
+        chain = chains.body_chain(motion.body, marker, motion.size, limited)
+        q = chains.body_chain_angles(motion.body, marker, motion.states)
         return Limb(name, chain, q, motion.fps, first_s, "xyz", 0.0)
     along = next(along for along in limb_chains(motion).values() if along[-1] == name)
     points = motion.upright.xyz_m[:, [motion.names.index(joint) for joint in along]]
-    chain, q, misfit = animal.projected_chain(points, travel)
+    chain, q, misfit = chains.projected_chain(points, travel)
     named = replace(chain, names=tuple(along[:-1]))
     return Limb(name, named, q, motion.fps, first_s, "UVW", float(np.nanmedian(misfit)))
 
@@ -226,7 +408,7 @@ def fit_parameters(limb: Limb, cost: ways.Cost | None = None) -> dict[str, ways.
 
 
 def fit_parameter_series(
-    limb: Limb, stride: animal.StridePath, cost: ways.Cost | None = None, last: int = 0
+    limb: Limb, stride: chains.StridePath, cost: ways.Cost | None = None, last: int = 0
 ) -> tuple[pd.DataFrame, dict[str, list[ways.Method]]]:
     """The same fitted to each frame of a stride by itself, or to the `last` ones before it: the methods, and a row for
     each frame: time_s in the clip, and of every method its parameter (`PARAMETERS`; one for each joint where there are
@@ -282,7 +464,7 @@ def run_ik(settings: IkSettings) -> _IKRun:
             if fitted:
                 series, refitted = fit_parameter_series(limb, stride, cost, LAST if settings.online else 0)
             methods = methods_of(limb, settings.methods, parameters, fitted, cost, settings.alpha)
-            start, foremost = animal.farthest_reach(chain, stride.q)
+            start, foremost = chains.farthest_reach(chain, stride.q)
             goal = foremost if target == STRIDE_MAX else goal
             drives = {} if goal is None else {n: drive_to(chain, start, goal, m) for n, m in methods.items()}
             followed = methods if settings.both or settings.follow is not None else {}
@@ -308,7 +490,7 @@ def _coordinates(target: str, dim: int) -> Array:
     return values
 
 
-def stride_of(motion: Motion, limb: Limb, stride_s: tuple[float, float] | None = None) -> animal.StridePath:
+def stride_of(motion: Motion, limb: Limb, stride_s: tuple[float, float] | None = None) -> chains.StridePath:
     """The stride that is given; or the first of the foot that counts (`recon.gait.gait`); or, of a clip without any,
     where the foot comes back to nearest in the time that a stride takes. Raises InputError for a clip that shows too
     little."""
@@ -328,7 +510,7 @@ def stride_of(motion: Motion, limb: Limb, stride_s: tuple[float, float] | None =
             how = "gait"
     span_s = None if found is None else (found.start_s - limb.first_s, found.end_s - limb.first_s)
     try:
-        stride = animal.find_stride(limb.chain, limb.q, limb.fps, span_s, lasts_s)
+        stride = chains.find_stride(limb.chain, limb.q, limb.fps, span_s, lasts_s)
     except ValueError as error:
         raise InputError(Problem(motion.file, "stride", str(error), "a clip that shows more of one")) from None
     return replace(stride, how=how or stride.how, notes=tuple(notes))
@@ -349,7 +531,7 @@ def stride_lasts_s(gait: Gait) -> tuple[float, float]:
 
 
 def follow_stride(
-    chain: SerialChain, stride: animal.StridePath, method: ways.Method, turns: int = 1, each: Sequence[ways.Method] = ()
+    chain: SerialChain, stride: chains.StridePath, method: ways.Method, turns: int = 1, each: Sequence[ways.Method] = ()
 ) -> Run:
     """Along the stride, `SLOWER` than the animal; times and rates are the animal's again. The extended Jacobian starts
     where its cost is stationary, with the foot in the same place. each: a method for every frame of the stride."""
@@ -400,18 +582,101 @@ def _cell(value: Any) -> Any:
 
 def write_figures(solved: _IKRun, folder: Path) -> None:
     """Paths in task and joint space, and phase portraits with closures by method, PNG and SVG."""
-    from recon.show.plots.phase import phase_portraits
-    from recon.show.plots.style import save
-    from recon.wings.robotics.ik import plots
-
     limb, aims = solved.limb, {"target": solved.target_m, "follow": solved.stride.path_m}
     for job, runs in solved.runs.items():
         if runs:
-            save(plots.task_space(runs, limb.chain, aims[job], limb.base), folder, f"{job}_task_space")
-            save(plots.joint_space(runs, limb.names), folder, f"{job}_joint_space")
+            style.save(task_space(runs, limb.chain, aims[job], limb.base), folder, f"{job}_task_space")
+            style.save(joint_space(runs, limb.names), folder, f"{job}_joint_space")
     for name, run in solved.runs["follow"].items():
         of_joints = zip(run.q.T, run.control[0].T, strict=True)
         portraits = [Portrait(solved.begins_s + run.time_s, angle, rate) for angle, rate in of_joints]
         closed = [Closure(*one) for one in zip(*run.closures().values(), strict=True)]
         figure = phase_portraits(by_name(limb.names, portraits), by_name(limb.names, closed), name)
-        save(figure, folder, f"follow_phase_{name}")
+        style.save(figure, folder, f"follow_phase_{name}")
+
+
+# -- figures of ways to a target or along a path, by method ------------------------------------------------------------
+
+VIEWS = {
+    "UVW": (("side", 0, 1, "forwards (m)", "down (m)"), ("top", 0, 2, "forwards (m)", "to the left (m)")),
+    "xyz": (("side", 0, 2, "forwards (m)", "up (m)"), ("top", 0, 1, "forwards (m)", "to the left (m)")),
+}
+"""The views of the base frames of `recon.wings.robotics.ik.chain`: name, coordinates, and what the axes are called."""
+_ROOM = 0.06
+
+
+def task_space(
+    moves: Mapping[str, Run],
+    chain: SerialChain,
+    aim_m: Array | None = None,
+    base: Literal["UVW", "xyz"] = "UVW",
+) -> Figure:
+    """The end effector's paths by method: in the plane, or in space from the side and from above, with the chain as it
+    stood at first and, of every method, at last.
+
+    aim_m: the target (dim,), a cross, or the way that was to be followed (K, dim). base: what the coordinates mean,
+    forwards, down and left or forwards, left and up; two are U and V.
+    """
+    labels, first = [f"{name}{_outcome(move)}" for name, move in moves.items()], next(iter(moves.values()))
+    aims = () if aim_m is None else ("path to follow",) if aim_m.ndim == 2 else ("target",)
+    said, start, stood_there, aim = ("start", "chain at the start", *aims), [], [], []
+    with style.drawing(92 + style.legend_shape([*labels, *said])[1]) as figure:
+        views = VIEWS[base][: chain.dim - 1]
+        panels = np.ravel(figure.subplots(1, len(views), squeeze=False))
+        for axes, (view, i, j, across, upwards) in zip(panels, views, strict=True):
+            stood = {"color": style.GREY, "lw": 2.2, "alpha": 0.5, "marker": "o", "ms": 2, "zorder": 1}
+            stood_there = axes.plot(*chain.positions(first.q[0])[:, [i, j]].T, **stood)
+            if aim_m is not None and aim_m.ndim == 2:
+                aim = axes.plot(*aim_m[:, [i, j]].T, color=style.PALE, lw=3.5, zorder=1, gid="path")
+            elif aim_m is not None:
+                aim = axes.plot(*aim_m[[i, j]], "+", color="k", ms=10, mew=1.2, zorder=5, gid="target")
+            for k, move in enumerate(moves.values()):
+                drawn = style.look(k)
+                last = chain.positions(move.q[-1])[:, [i, j]]
+                axes.plot(*last.T, **drawn, marker="o", ms=2, lw=0.7, alpha=0.8, zorder=2)
+                axes.plot(*move.end_m[:, [i, j]].T, **drawn, zorder=3, label=labels[k])
+                axes.plot(*move.end_m[-1, [i, j]], "o", ms=3.5, color=drawn["color"], zorder=4)
+            start = axes.plot(*first.end_m[0, [i, j]], "o", mfc="w", mec="k", ms=5, zorder=5)
+            axes.set_xlabel(across)
+            axes.set_ylabel(upwards)
+            axes.set_aspect("equal", adjustable="datalim")
+            axes.margins(_ROOM)
+            if upwards.startswith("down"):
+                axes.invert_yaxis()
+            if chain.dim == 3:
+                axes.set_title(view, loc="left", fontsize=style.SMALL, color=style.GREY)
+        ways, _ = panels[0].get_legend_handles_labels()
+        style.add_legend(figure, [*ways, *start, *stood_there, *aim], [*labels, *said])
+    return figure
+
+
+def joint_space(moves: Mapping[str, Run], names: Sequence[str]) -> Figure:
+    """Each joint's angle (deg) by method, over the iterations to a target or the time along a path. names (n,)."""
+    n, driven = len(names), any(move.driven for move in moves.values())
+    least, aspect = (3, 0.62) if n <= 6 else (5, 0.9)
+    rows, columns = style.grid_shape(n, style.WIDTH_MM, aspect, least)
+    labels = [f"{name}{_outcome(move)}" for name, move in moves.items()]
+    with style.drawing(rows * aspect * style.WIDTH_MM / columns + 14 + style.legend_shape(labels)[1]) as figure:
+        panels = figure.subplots(rows, columns, sharex=True, squeeze=False).ravel()
+        for joint, axes in enumerate(panels[:n]):
+            for k, move in enumerate(moves.values()):
+                along = np.arange(len(move.q)) if driven else move.time_s
+                axes.plot(along, np.degrees(move.q[:, joint]), **style.look(k))
+            axes.set_title(names[joint], fontsize=style.SMALL, pad=2)
+            axes.locator_params(axis="y", nbins=4)
+        for axes in panels[n:]:
+            axes.set_axis_off()
+        for axes in panels[max(0, n - columns) : n]:
+            axes.set_xlabel("iteration" if driven else "time (s)")
+            axes.tick_params(labelbottom=True)
+        figure.supylabel("angle (deg)", fontsize=8)
+        style.add_legend(figure, panels[0].get_lines(), labels)
+    return figure
+
+
+def _outcome(move: Run) -> str:
+    """What did not go as it should, in a few words."""
+    if not move.note:
+        return ""
+    what = move.note.split(":")[0].split(" (")[0]
+    return f" (not reached, {what})" if move.driven else f" ({what})"

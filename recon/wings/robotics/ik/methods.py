@@ -434,7 +434,7 @@ PARAMETERS = {
 
 @dataclass(frozen=True, eq=False)
 class Frames:
-    """T frames of a chain, or of several of one kind."""
+    """T frames of a chain, or, one after the other, of several of one kind."""
 
     q: Array
     """(T, n), rad."""
@@ -454,11 +454,6 @@ class Frames:
         if not known.any():
             raise ValueError("no frame without a missing value")
         return cls(q[known], chain.jacobian(q[known]), dx[known], dq[known], chain.names)
-
-    @classmethod
-    def joined(cls, parts: Sequence[Frames]) -> Frames:
-        arrays = (np.concatenate([getattr(p, of) for p in parts]) for of in ("q", "jacobian", "dx", "dq"))
-        return cls(*arrays, names=parts[0].names)
 
     def __getitem__(self, rows: slice) -> Frames:
         return Frames(self.q[rows], self.jacobian[rows], self.dx[rows], self.dq[rows], self.names)

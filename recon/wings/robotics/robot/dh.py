@@ -14,33 +14,27 @@ there is no other solution is not proven.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import accumulate, pairwise
+from math import degrees, isinf
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import Field, StrictBool
+from pydantic import BeforeValidator, Field, StrictBool
+from rich.table import Table
 from scipy.optimize import root
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from recon.base.arrays import Array
 from recon.base.documents import FileTable, read_toml, validated
 from recon.base.errors import InputError, Problem
+from recon.base.settings import Number, Option, Settings
 from recon.wings.robotics.ik.chain import SerialChain, joint_chain
-from recon.wings.robotics.robot.quadruped import LEGS, Length, Limits, body_pose, leg_targets
-from recon.wings.robotics.robot.robot_file import (
-    SUFFIXES,
-    body_names,
-    builtin_robots,
-    leaves_of,
-    load_robot,
-    model_chain,
-    read_model,
-)
-from recon.wings.robotics.settings import PoseSettings, TableSettings
+from recon.wings.robotics.robot.quadruped import Length, Limits, body_pose, leg_targets, load_robot, robot_chain
+from recon.workflows.cli import Answer, numbers, table_of
 
 Convention = Literal["modified", "standard"]
 _PARALLEL = 1e-9
@@ -85,16 +79,16 @@ def dh_chain(rows: Sequence[DHRow], convention: Convention) -> SerialChain:
     joint = [_along("z", row.d_m, row.theta_rad) for row in rows]
     nothing = RigidTransform.identity()
     before, tool = (link, nothing) if convention == "modified" else ([nothing, *link[:-1]], link[-1])
-    placed = [a * b for a, b in zip(before, joint, strict=True)]
-    lower, upper = np.transpose([row.limits or (-np.inf, np.inf) for row in rows])
+    placed = [*accumulate((a * b for a, b in zip(before, joint, strict=True)), lambda here, step: here * step)]
+    end = placed[-1] * tool
+    steps = np.diff([np.zeros(3), *(T.translation for T in placed), end.translation], axis=0)
     return joint_chain(
-        np.array([t.translation for t in placed]),
-        np.tile([0.0, 0.0, 1.0], (len(rows), 1)),
-        Rotation.concatenate([t.rotation for t in placed]),
+        steps[:-1],
+        [T.rotation.apply([0.0, 0.0, 1.0]) for T in placed],
         [row.slides for row in rows],
-        tool.translation,
-        tool.rotation,
-        (lower, upper),
+        steps[-1],
+        end.rotation,
+        (*np.transpose([row.limits or (-np.inf, np.inf) for row in rows]),),
     )
 
 
@@ -168,9 +162,110 @@ def _along(axis: Literal["x", "z"], distance_m: float, angle_rad: float) -> Rigi
     return RigidTransform.from_components(shift, Rotation.from_euler(axis, angle_rad))
 
 
+def _split(given: Any) -> Any:
+    return tuple(given.split(",")) if isinstance(given, str) else given
+
+
+Three = Annotated[tuple[Number, Number, Number], BeforeValidator(_split)]
+"""Several numbers; as text with commas between them."""
+
+
+_THREE = Option(expected="3 numbers with commas, as in 0.1,-20,3", metavar="X,Y,Z")
+
+
+class PoseSettings(Settings):
+    """What `recon robot pose` is told."""
+
+    robot: Annotated[str, Option(argument="ROBOT")]
+    """a1, go2, aibo, or a file .toml, .urdf or .xml (MJCF)."""
+    move: Annotated[Three | None, _THREE] = None
+    """The body forwards, left and up from where it stands, metres, as in 0,0,-0.02. (default: 0,0,0)"""
+    roll: Annotated[Number, Option(expected="degrees, as in 10")] = 0.0
+    """Degrees, right side down."""
+    pitch: Annotated[Number, Option(expected="degrees, as in 10")] = 0.0
+    """Degrees, nose down."""
+    yaw: Annotated[Number, Option(expected="degrees, as in 10")] = 0.0
+    """Degrees, to the left."""
+
+
+class TableSettings(Settings):
+    """What `recon robot dh` is told."""
+
+    source: Annotated[str, Option(argument="SOURCE")]
+    """A table of parameters (.toml), a robot (a1, go2, aibo, or a file), or a .urdf or .xml."""
+    tip: str | None = None
+    """Leg, LF, RF, LH or RH; of a .urdf or .xml, too, the link at the end. (default: the only leaf)"""
+    angles: Annotated[str | None, Option(metavar="NUMBERS")] = None
+    """Where is the end at these, degrees (metres of joints that slide)? As in 0,45,-90."""
+    place: Annotated[Three | None, _THREE] = None
+    """All angles that put the end there: base or body axes, metres, as in 0.4,0.1,0.2."""
+    turned: Annotated[Three | None, _THREE] = None
+    """With --place: the end's roll, pitch and yaw, degrees, as in 0,90,0. (default: any)"""
+
+
+def pose(settings: PoseSettings) -> Answer:
+    """The legs' angles of a body that is moved and turned, the feet planted.
+
+    Example: recon robot pose aibo --pitch 10 --move 0,0,-0.01
+    """
+    answer = pose_of(settings)
+    table = table_of("leg", "joint", numbers=("angle °", "foot x m", "y m", "z m"), title=answer["robot"])
+    for label, leg in answer["legs"].items():
+        angles = ["-"] * len(leg["joints"]) if leg["angles_rad"] is None else _deg(leg["angles_rad"])
+        for k, row in enumerate(zip(leg["joints"], angles, strict=True)):
+            table.add_row("" if k else label, *row, *(f"{x:.4f}" for x in leg["foot_m"] if not k))
+    why = (f"{label}: {leg['why']}" for label, leg in answer["legs"].items() if leg["why"])
+    return Answer(answer, [table, *why])
+
+
+def dh(settings: TableSettings) -> Answer:
+    """The Denavit-Hartenberg table of a chain or a robot's leg, its end at given angles, and all angles of a given end.
+
+    Example: recon robot dh aibo --tip LF --place 0.09,0.07,-0.1
+    """
+    answer = chain_of(settings, None if settings.angles is None else numbers("--angles", settings.angles))
+    return Answer(answer, _chain_lines(answer, f"{settings.source} {settings.tip or ''}".strip()))
+
+
+def _chain_lines(answer: dict[str, Any], title: str) -> Iterator[str | Table]:
+    slides, columns = answer["slides"], ("a m", "alpha °", "d m", "theta °", "least", "most")
+    table = table_of("joint", numbers=columns, title=f"{title}: {answer['dh']['convention']}")
+    limits = zip(answer["lower"], answer["upper"], strict=True)
+    for name, row, limit, slide in zip(answer["joints"], answer["dh"]["rows"], limits, slides, strict=True):
+        values = (row[column] for column in ("a_m", "alpha_rad", "d_m", "theta_rad"))
+        table.add_row(name, *_typed([*values, *limit], [True, False, True, False, slide, slide]))
+    yield table
+    yield from (f"{name}: {_pose_text(answer['dh'][name])}" for name in ("base", "tool") if name in answer["dh"])
+    if "forward" in answer:
+        beyond = "" if answer["forward"]["within_limits"] else "; beyond a joint's limits"
+        yield f"end: {_pose_text(answer['forward'])}{beyond}"
+    if "inverse" in answer:
+        rows = [
+            [str(k), *_typed(one["q"], slides), "yes" if one["within_limits"] else "no"]
+            for k, one in enumerate(answer["inverse"]["solutions"], start=1)
+        ]
+        if rows:
+            yield table_of("solution", numbers=(*answer["joints"], "within limits"), rows=rows)
+        if answer["inverse"]["note"]:
+            yield answer["inverse"]["note"]
+
+
+def _pose_text(answer: dict[str, Any]) -> str:
+    place = ", ".join(f"{x:z.4f}" for x in answer["place_m"])
+    return f"at ({place}) m, roll, pitch and yaw ({', '.join(_deg(answer['roll_pitch_yaw_rad']))})°"
+
+
+def _typed(values: Sequence[float], slides: Sequence[bool]) -> list[str]:
+    """As a user types them: degrees, or metres."""
+    return [f"{x:z.4f}" if slide else _deg([x])[0] for x, slide in zip(values, slides, strict=True)]
+
+
+def _deg(angles_rad: Sequence[float]) -> list[str]:
+    return ["any" if isinf(x) else f"{degrees(x):z.2f}" for x in angles_rad]
+
+
 # -- what the commands answer ----------------------------------------------------------------------------------------
 
-Answer = dict[str, Any]
 ENDLESS = "the joints can move on without moving the end: one of endlessly many"
 STARTS = 100
 SAME = 1e-4
@@ -179,7 +274,7 @@ REACHED = 1e-7
 """Error of a solution, of the chain's length."""
 
 
-def pose_of(settings: PoseSettings) -> Answer:
+def pose_of(settings: PoseSettings) -> dict[str, Any]:
     """The legs' angles of a body moved and turned from where it stands, the feet planted."""
     machine, position = load_robot(settings.robot), settings.move or (0.0, 0.0, 0.0)
     turned = {name: float(np.radians(getattr(settings, name))) for name in ("roll", "pitch", "yaw")}
@@ -196,14 +291,14 @@ def pose_of(settings: PoseSettings) -> Answer:
     return {"robot": machine.title, "position_m": position, **angles, "legs": found}
 
 
-def chain_of(settings: TableSettings, angles: Sequence[float] | None) -> Answer:
+def chain_of(settings: TableSettings, angles: Sequence[float] | None) -> dict[str, Any]:
     """A table of parameters (TOML), a leg of a robot, or a chain of a URDF or MJCF file, by default to its only
     leaf."""
     chain, table = _chain(settings.source, settings.tip)
     if table is None:
         base, rows, tool = dh_table(chain)
         table = {"base": _pose_answer(base), "tool": _pose_answer(tool), **_table("modified", rows)}
-    answer: Answer = {"joints": chain.names, "slides": chain.sliding, "lower": chain.lower_rad}
+    answer: dict[str, Any] = {"joints": chain.names, "slides": chain.sliding, "lower": chain.lower_rad}
     answer |= {"upper": chain.upper_rad, "dh": table}
     if angles is not None:
         q = np.asarray(angles, float)
@@ -223,31 +318,22 @@ def chain_of(settings: TableSettings, angles: Sequence[float] | None) -> Answer:
     return answer
 
 
-def _chain(source: str, tip: str | None) -> tuple[SerialChain, Answer | None]:
+def _chain(source: str, tip: str | None) -> tuple[SerialChain, dict[str, Any] | None]:
     """And its table, where the source is one."""
-    if tip in LEGS:
-        return load_robot(source).legs[tip].chain, None
-    if source in builtin_robots():
-        raise InputError(Problem("--tip", "leg", str(tip or "none"), f"one of {', '.join(LEGS)}"))
-    file = Path(source)
-    if file.suffix.lower() in SUFFIXES:
-        model = read_model(file)
-        ends = [tip] if tip is not None else [body_names(model)[leaf - 1] for leaf in leaves_of(model)]
-        if len(ends) > 1:
-            raise InputError(Problem("--tip", "link", "none", f"one of {', '.join(ends)}"))
-        return model_chain(model, file, ends[0]), None
+    if (chain := robot_chain(source, tip)) is not None:
+        return chain, None
     if tip is not None:
         raise InputError(Problem("--tip", "link", tip, "none: the file has one chain"))
-    chain, convention, rows = load_dh(file)
+    chain, convention, rows = load_dh(Path(source))
     return chain, _table(convention, rows)
 
 
-def _table(convention: str, rows: Sequence[DHRow]) -> Answer:
+def _table(convention: str, rows: Sequence[DHRow]) -> dict[str, Any]:
     columns = ("a_m", "alpha_rad", "d_m", "theta_rad")
     return {"convention": convention, "rows": [{name: getattr(row, name) for name in columns} for row in rows]}
 
 
-def _pose_answer(transform: RigidTransform) -> Answer:
+def _pose_answer(transform: RigidTransform) -> dict[str, Any]:
     yaw, pitch, roll = transform.rotation.as_euler("ZYX", suppress_warnings=True)
     return {"place_m": transform.translation, "roll_pitch_yaw_rad": [roll, pitch, yaw]}
 

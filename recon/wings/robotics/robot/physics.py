@@ -27,9 +27,19 @@ from scipy.stats import binom
 from recon.base.arrays import Array
 from recon.base.errors import InputError, Problem
 from recon.show.plots.style import GREY, SMALL, drawing
-from recon.wings.robotics.robot.quadruped import LEGS, Quadruped, RobotLeg, body_pose, feet_in_world, leg_targets
+from recon.wings.robotics.robot.quadruped import (
+    LEGS,
+    SUFFIXES,
+    Quadruped,
+    RobotLeg,
+    body_pose,
+    feet_in_world,
+    leg_targets,
+    read_model,
+    root_of,
+    the_mujoco,
+)
 from recon.wings.robotics.robot.retarget import LEGS_APART, RobotMotion, posed, stances, swinging
-from recon.wings.robotics.robot.robot_file import SUFFIXES, read_model, root_of, the_mujoco
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

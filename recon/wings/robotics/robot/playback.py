@@ -9,16 +9,14 @@ robot's size, with a view of its own; `world/support`, the polygon of three or m
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from recon.animal.body import Side
 from recon.base.arrays import Array, Bools
-from recon.show.recording import recording
+from recon.fit.motion import Motion
 from recon.show.view import laid_out, state_rows, time_view
 from recon.show.view.scene import (
     BACKGROUND,
@@ -34,9 +32,9 @@ from recon.show.view.scene import (
     TimePlot,
     grid_lines,
     limb_strips,
+    recording,
     strips,
 )
-from recon.wings.robotics.climb.plan import Step
 from recon.wings.robotics.robot.quadruped import LEGS
 from recon.wings.robotics.robot.retarget import RobotMotion
 
@@ -46,36 +44,26 @@ GRID_LINES = 60
 """Across the path, at most."""
 
 
-@dataclass(frozen=True, eq=False)
-class Companion:
-    """The animal: points (N, J, 3) in the robot's world and of its size, and the limbs, by name, as their indices, with
-    the side of each."""
-
-    points_m: Array
-    limbs: dict[str, tuple[int, ...]]
-    limb_sides: dict[str, Side | None]
-    title: str
-
-
 def write_robot(
     motion: RobotMotion,
     path: Path,
-    companion: Companion | None = None,
-    step: Step | None = None,
+    companion: tuple[Array, Motion] | None = None,
+    step: tuple[float, float] | None = None,
     more: Sequence[TimePlot] = (),
     title: str = "",
 ) -> None:
-    """The recording; step: one across the way, along which x is forwards; more: plots before those of the angles, which
-    share one place then."""
+    """The recording; companion: the animal beside the robot, its points (N, J, 3) in the robot's world and of its size,
+    and whose they are; step: of one across the way, along which x is forwards, the place of its edge and its height;
+    more: plots before those of the angles, which share one place then."""
     series, size = [_angles(motion, label) for label in LEGS], motion.robot.stand_m
     # The middle of what is to be seen, near the ground, and half its size: of the robot, and of the animal.
     middle, half = motion.pose.translation * (1.0, 1.0, 0.1), 1.2 * size
     clouds, beside = [motion.feet_m.reshape(-1, 3), motion.pose.translation], middle
     if step is not None:
-        middle[:, 2] += step.height_m
-        half += 0.7 * step.height_m
+        middle[:, 2] += step[1]
+        half += 0.7 * step[1]
     if companion is not None:
-        points = companion.points_m
+        points = companion[0]
         clouds.append(points.reshape(-1, 3))
         beside = np.column_stack([(points.min(axis=1) + points.max(axis=1))[:, :2] / 2, middle[:, 2]])
     level = np.concatenate(clouds)[:, :2]
@@ -86,7 +74,7 @@ def write_robot(
         title += f"; {motion.slower:.3g} times slower than the animal"
     scene: rrb.View | rrb.Container = _scene(title, "world/followed", middle[0], half, ["world/animal"])
     if companion is not None:
-        other = f"{companion.title}, at {motion.scale:.2f} of its size"
+        other = f"{companion[1].title}, at {motion.scale:.2f} of its size"
         of_robot = ["shapes", "world/robot", "world/support", "world/path", "world/step"]
         scene = rrb.Horizontal(scene, _scene(other, "world/animal/followed", beside[0], half, of_robot))
     angles = [time_view(s) for s in series]
@@ -100,10 +88,10 @@ def write_robot(
         _write_robot(motion, log)
         log.follow("world/followed", middle, half)
         if companion is not None:
-            colours = [SIDE_COLOURS[companion.limb_sides[limb]] for limb in companion.limbs]
-            log.fix("world/animal", rr.LineStrips3D.from_fields(colors=colours, radii=0.02 * size))
-            shown = np.ones(len(motion.time_s), bool)
-            log.send("world/animal", limb_strips(rr.LineStrips3D, companion.points_m, companion.limbs, shown))
+            points, animal = companion
+            colours = [SIDE_COLOURS[animal.limb_sides[limb]] for limb in animal.limbs]
+            columns = limb_strips(points, animal.limbs, np.ones(len(motion.time_s), bool))
+            log.draw("world/animal", rr.LineStrips3D, columns, colors=colours, radii=0.02 * size)
             log.follow("world/animal/followed", beside, half)
         for s in [*more, *series]:
             log.plot(s)
@@ -114,10 +102,11 @@ def write_robot(
         lines = [np.column_stack([line, np.zeros(2)]) for line in flat]
         log.fix("world/ground", rr.LineStrips3D(lines, colors=GRID, radii=0.004 * size))
         if step is not None:  # a solid block, as wide as the ground and as far as the robot goes
-            low, high = np.append(low, 0.0), np.append(high, step.height_m)
-            low[0] = step.edge_m
+            edge_m, height_m = step
+            low, high = np.append(low, 0.0), np.append(high, height_m)
+            low[0] = edge_m
             log.fix("world/step", rr.Boxes3D(mins=[low], sizes=[high - low], colors=STEP, fill_mode="solid"))
-            edges = [[[step.edge_m, y, z] for y in (low[1], high[1])] for z in (0.0, step.height_m)]
+            edges = [[[edge_m, y, z] for y in (low[1], high[1])] for z in (0.0, height_m)]
             log.fix("world/step/edge", rr.LineStrips3D(edges, colors=PATH, radii=0.006 * size))
 
 
@@ -125,13 +114,11 @@ def _write_robot(motion: RobotMotion, log: Log) -> None:
     size, legs = motion.robot.stand_m, np.stack([motion.points(label) for label in LEGS], axis=1)
     body = legs[:, [LEGS.index(label) for label in ("LF", "RF", "RH", "LH", "LF")], 0]
     colours = [LEFT if label[0] == "L" else RIGHT for label in LEGS]
-    log.fix("world/robot", rr.LineStrips3D.from_fields(colors=[*colours, ROBOT], radii=0.025 * size))
-    lines = [[*of_legs, of_body] for of_legs, of_body in zip(legs, body, strict=True)]
-    log.send("world/robot", strips(rr.LineStrips3D, lines))
+    lines = strips([[*of_legs, of_body] for of_legs, of_body in zip(legs, body, strict=True)])
+    log.draw("world/robot", rr.LineStrips3D, lines, colors=[*colours, ROBOT], radii=0.025 * size)
     log.points("world/robot/feet", motion.feet_m, motion.standing, colors=TRAIL, radii=0.06 * size)
-    log.fix("world/support", rr.LineStrips3D.from_fields(colors=TRAIL, radii=0.008 * size))
-    polygons = [_polygon(feet, stand) for feet, stand in zip(motion.feet_m, motion.standing, strict=True)]
-    log.send("world/support", strips(rr.LineStrips3D, polygons))
+    polygons = strips([_polygon(feet, stand) for feet, stand in zip(motion.feet_m, motion.standing, strict=True)])
+    log.draw("world/support", rr.LineStrips3D, polygons, colors=TRAIL, radii=0.008 * size)
     log.fix("world/path", rr.LineStrips3D([motion.pose.translation], colors=PATH, radii=0.008 * size))
     if motion.robot.source.lower().endswith(".urdf"):  # its own shapes, as rerun reads them
         urdf = rr.urdf.UrdfTree.from_file_path(motion.robot.source, "shapes")

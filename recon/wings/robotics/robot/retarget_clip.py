@@ -4,39 +4,160 @@ Every draw of an ensemble is a whole clip from the posterior (`recon.fit.posteri
 and the pace of the fit's own motion. One file each in the layout of `--format`, and all of them stacked in
 `samples.npz`: `time_s` (N,), of K draws `base_position` (K, N, 3), `base_quaternion_wxyz` (K, N, 4), `joint_positions`
 (K, N, joints) and `contacts` (K, N, 4), the names, and what the fit's verdict is.
+
+Programs that train policies read a motion sampled at a rate of one's own, with velocities, all of it worked out from
+the states of the robot's tree and from their derivatives (`RobotMotion.states`), so that velocities
+belong exactly to what is written.
+
+Bodies are the base, the links, called as the joint that moves them (without "_joint"), and the feet; a link's frame is
+at its joint, and turned as the base where all angles are 0. World: z up, the ground at 0. Frames last exactly a share
+of the whole, the rate being the nearest to the one asked for; the last frame of a stride is its first, a stride on.
+
+Layouts: AMP's JSON is that of A. Escontrela et al., Adversarial Motion Priors Make Good Substitutes for Complex Reward
+Functions, 2022: 61 numbers a frame, legs in the order RF, LF, RH, LH, quaternions xyzw, velocities and toes in the
+base's axes. Isaac Lab's NPZ and mjlab's have quaternions wxyz and velocities in the world.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
-from dataclasses import replace
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, fields, replace
+from functools import partial
+from math import degrees
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
-from scipy.spatial.transform import RigidTransform
+from pydantic import Field
+from rich.table import Table
+from scipy.spatial.transform import RigidTransform, Rotation
 
-from recon.base.arrays import Array
-from recon.base.errors import all_of
-from recon.base.files import name_seen_from, require_free_folder, seen_from, sole_writer, staged_results
+from recon.base.arrays import Array, Bools
+from recon.base.errors import InputError, Problem, all_of
+from recon.base.files import (
+    name_seen_from,
+    require_free_file,
+    require_free_folder,
+    seen_from,
+    sole_writer,
+    staged_folder,
+    staged_results,
+)
+from recon.base.records import load_record, save_record
+from recon.base.settings import Integer, Option, Positive, Settings
 from recon.check import usable, verdict_fields
 from recon.fit.motion import Motion
 from recon.fit.result import TrajectorySolution
 from recon.fit.sampling import draws
 from recon.gait.gait import doubtful_text
 from recon.io.writing import write_rows
+from recon.show.plain import picked, to_json
 from recon.show.plots.style import save
-from recon.show.report import to_json
 from recon.wings.robotics.ik.drive import control_columns
 from recon.wings.robotics.robot import physics
-from recon.wings.robotics.robot.quadruped import LEGS
-from recon.wings.robotics.robot.reference import reference_of
-from recon.wings.robotics.robot.retarget import LEGS_APART, Retargeting, RobotMotion, retarget
-from recon.wings.robotics.robot.robot_file import load_robot
-from recon.wings.robotics.robot.trainers import FORMATS, KEPT, keep, write_for_trainer
-from recon.wings.robotics.settings import RetargetSettings
+from recon.wings.robotics.robot.quadruped import LEGS, Quadruped, RobotLeg, builtin_robots, load_robot
+from recon.wings.robotics.robot.retarget import LEGS_APART, Retargeting, RobotMotion, reference_of, retarget
+from recon.workflows.cli import ANYWAY, STRIDE, Answer, StrideTimes, table_of, verdict_texts
 from recon.workflows.clip_results import problem_of
+
+MOST_SAMPLES, RATE_HZ = 10_000, 50.0
+
+
+class RetargetSettings(Settings):
+    """What `recon retarget` is told."""
+
+    folder: Annotated[Path, Option(argument="DIR")]
+    """Folder of results, as in results/clip."""
+    robot: str
+    """a1, go2, aibo, or a file .toml, .urdf or .xml (MJCF)."""
+    out: Path
+    """Folder for tables, report and playback."""
+    scale: Annotated[Positive | None, Option(expected="a number above 0")] = None
+    """Factor on the animal's lengths. (default: the largest within reach and limits)"""
+    slower: Annotated[Positive | None, Option(expected="a number above 0")] = None
+    """Factor on the animal's times. (default: what the joints' rates ask for, at least 1)"""
+    stride: Annotated[StrideTimes | None, STRIDE] = None
+    format: Literal["amp", "isaaclab", "mjlab", "mjlab-csv"] | None = None
+    """For programs that train policies, also: amp, isaaclab, mjlab or mjlab-csv, with velocities."""
+    rate: Annotated[Positive, Option(expected="a number above 0")] = RATE_HZ
+    """Frames a second of --format."""
+    samples: Annotated[
+        Annotated[Integer, Field(ge=2, le=MOST_SAMPLES)] | None, Option(expected=f"a number from 2 to {MOST_SAMPLES}")
+    ] = None
+    """Beside it, so many motions as the animal's may have been, drawn from the fit's posterior, as in 32."""
+    check: bool = False
+    """By MuJoCo, frame by frame: limits, torques, forces on the ground, legs that meet: table, figure, and what to
+    change."""
+    fit_limits: bool = False
+    """The least change of stride, time and the base's path, also of the draws', with which the robot can do it, by
+    MuJoCo; the check of before and after."""
+    anyway: Annotated[bool, ANYWAY] = False
+    overwrite: bool = False
+    """Replace earlier ones."""
+
+
+def retarget_command(settings: RetargetSettings) -> Answer:
+    """The motion of a reconstruction on a four-legged robot, and one stride of it that repeats.
+
+    Example: recon retarget results/clip --robot a1 --out results/robot
+    """
+    done, report = run_retarget(settings)
+    verdict = done.animal.analysis.motion.verdict
+    return Answer(report, [*verdict_texts(verdict), *_lines(report, settings.out)])
+
+
+def _lines(report: dict[str, Any], out: Path) -> Iterator[str | Table]:
+    scale = f"{report['scale']:.3f} of the animal's size, {report['slower']:.2f} times slower"
+    yield f"{report['robot']['title']}: {scale}"
+    for name in ("clip", "stride"):
+        part = report[name]
+        slip, margin = 1000 * max(part["slip_m"].values()), min(part["least_margin_rad"].values())
+        rate = 100 * max(part["rate_share"].values())
+        text = (
+            f"{name}: {part['duration_s']:.2f} s, {part['speed_m_s']:.2f} m/s; feet slip by {slip:.2f} mm at most in "
+            f"stance; joints stay {margin:.2f} rad within their limits, at {rate:.0f} % of the fastest rate"
+        )
+        if name == "stride":
+            text += f"; its ends meet to {max(part['closing_percent'], 0.1):.1g} %"
+        yield text
+    if "samples" in report:
+        apart = report["samples"]
+        place, angle = (max(apart[name].values()) for name in ("base_sigma_m", "joint_sigma_rad"))
+        text = f"{apart['count']} motions that it may have been, in {out / 'samples.npz'}: the base is known to"
+        yield f"{text} {place:.3f} m, joint angles to {angle:.2f} rad (one standard deviation, the worst)"
+        if "keep_every_rule" in apart:
+            yield f"{apart['keep_every_rule']} of these motions keep every rule below in every frame"
+    if "check" in report:
+        yield from _check_lines(report["check"])
+    yield from (f"note: {note}" for note in report["notes"])
+    yield f"Joint angles: {out / 'joints.csv'}, of one stride stride_joints.csv; the playback is motion.rrd."
+
+
+def _check_lines(check: dict[str, Any]) -> Iterator[str | Table]:
+    before = check.get("before")
+    numbers = [*(["before, %"] if before else []), "clip, %", "stride, %", "least", ""]
+    table, advice = table_of("frames that keep it", numbers=numbers), {}
+    for name, rule in physics.RULES.items():
+        clip, stride = check["clip"][name], check["stride"][name]
+        earlier = [f"{100 * min(before[part][name]['share'] for part in ('clip', 'stride')):.0f}"] if before else []
+        shares = [f"{100 * part['share']:.0f}" for part in (clip, stride)]
+        table.add_row(rule.what, *earlier, *shares, f"{min(clip['least'], stride['least']):.2f}", rule.unit)
+        if min(clip["share"], stride["share"]) < 1:
+            advice[rule.what] = rule.advice
+    yield table
+    if before:
+        made = check["changed"]
+        yield (
+            f"changed: time {made['slower']:.2f} times, stride {made['scale']:.2f} times, standing height "
+            f"{made['height']:.2f} times; the base moved by up to {1000 * made['base_moved_m']:.0f} mm and "
+            f"{degrees(made['base_turned_rad']):.0f}°"
+        )
+        if advice:
+            yield "note: no change that was tried keeps every rule in every frame; this one comes nearest"
+    else:
+        yield from (f"{what}: {change}" for what, change in advice.items())
+
 
 REPORT, STACKED = "report.json", "samples.npz"
 REPEATS = 3
@@ -139,28 +260,14 @@ def report_of(done: Retargeting) -> dict[str, Any]:
     animal, window, robot = done.animal, done.window, done.clip.robot
     fitted, time = animal.analysis.motion, animal.reference.time_s
     limits = zip(robot.joints, *(numbers.tolist() for numbers in robot.limits()), strict=True)
-    stride = {
-        "how": window.how,
-        "gap_percent": window.gap_percent,
-        "closing_percent": done.stride.closing_percent,
-        "start_s": float(time[window.first]),
-        "end_s": float(time[window.last]),
-    }
+    joints = {n: {"lower_rad": low, "upper_rad": up, "max_rate_rad_s": rate} for n, low, up, rate in limits}
+    times_s = {"start_s": float(time[window.first]), "end_s": float(time[window.last])}
+    stride = picked(window, "how", "gap_percent") | {"closing_percent": done.stride.closing_percent} | times_s
     return {
         "schema": {"name": "recon.retarget", "version": 1},
         "verdict": verdict_fields(fitted),
-        "robot": {
-            "name": robot.name,
-            "title": robot.title,
-            "source": robot.source,
-            "stand_m": robot.stand_m,
-            "joints": {n: {"lower_rad": low, "upper_rad": up, "max_rate_rad_s": rate} for n, low, up, rate in limits},
-        },
-        "animal": {
-            "results": fitted.file,
-            "title": fitted.title,
-            "leg_m": animal.reference.leg_m,
-        },
+        "robot": picked(robot, "name", "title", "source", "stand_m") | {"joints": joints},
+        "animal": {"results": fitted.file, "title": fitted.title, "leg_m": animal.reference.leg_m},
         "scale": done.clip.scale,
         "hind_feet_out_m": done.spread_m,
         "slower": done.clip.slower,
@@ -250,17 +357,15 @@ def _table(path: Path, columns: list[str], *parts: Array) -> None:
     write_rows(path, [columns], np.hstack(parts).tolist())
 
 
-def companion(done: Retargeting) -> Any:
+def companion(done: Retargeting) -> tuple[Array, Motion]:
     """The animal, of the robot's size, to the left of the robot, at the samples of the clip."""
-    from recon.wings.robotics.robot.playback import Companion
-
     animal, motion = done.animal, done.clip
     fitted = animal.analysis.motion
     points = np.stack([animal.analysis.moved(name).series.value[animal.rows] for name in fitted.names], axis=1)
     hips = np.array([motion.points(label)[0, 0] for label in LEGS])
     beside = np.ptp(hips[:, 1]) + 2 * motion.robot.stand_m
     placed = motion.scale * (points - animal.origin_m) @ animal.rotation.as_matrix().T + [0.0, beside, 0.0]
-    return Companion(placed, fitted.limbs, fitted.limb_sides, fitted.title)
+    return placed, fitted
 
 
 def repeated(stride: RobotMotion, times: int) -> RobotMotion:
@@ -332,3 +437,247 @@ def write_ensemble(
         "base_sigma_m": dict(zip("xyz", base, strict=True)),
         "joint_sigma_rad": dict(zip(first.robot.joints, joint, strict=True)),
     }
+
+
+# -- files for programs that train policies ----------------------------------------------------------------------------
+
+KEPT, SCHEMA = "robot.npz", {"name": "recon.robot", "version": 1}
+_OPTIONS = {"--rate": "--fps", "--format": "--to"}
+"""What options of `recon retarget` are called by `recon convert`."""
+AMP_LEGS = ("RF", "LF", "RH", "LH")
+AMP_JOINTS = 3
+"""The joints of a leg, in the layout."""
+STEP_S = 1e-6
+"""Between the places whose difference is a velocity; they are on a tangent, so that it is exact to round-off."""
+
+
+class RobotSamples:
+    """A motion at the rate nearest to rate_hz of which a whole number of frames fits: K frames, evenly spaced; the
+    robot's joints in its own order; B bodies, the base first. Raises InputError where fewer than two frames fit."""
+
+    def __init__(self, motion: RobotMotion, rate_hz: float) -> None:
+        duration = float(motion.time_s[-1] - motion.time_s[0])
+        frames = round(duration * rate_hz)
+        if frames < 1:
+            expected = f"at least {1 / duration:.1f}, two frames of its {duration:.2f} s"
+            raise InputError(Problem("--rate", "frames a second", f"{rate_hz:g}", expected))
+        self.robot, self.loops, self.rate_hz = motion.robot, motion.advance_m is not None, frames / duration
+        self.time_s = np.linspace(0.0, duration, frames + 1)
+        at, tree, self.bodies = motion.time_s[0] + self.time_s, motion.robot.tree, _body_names(motion.robot)
+        states, changes = (motion.states(at, order) for order in (0, 1))
+        self.angles_rad, self.rates_rad_s = states[:, 6:], changes[:, 6:]
+        self.feet_stand = motion.stands_at(at)  # (K, 4), in the order of `LEGS`
+        straight = tree.orientations(np.zeros((1, tree.n_state)))[0].transpose(0, 2, 1)
+        segment = [[s.name for s in tree.segments].index(marker.segment) for marker in tree.markers]
+        # Along the tangent, so that what is written of the joints and what is written of the bodies belong together.
+        here, before, after = (states + step * changes for step in (0.0, -STEP_S, STEP_S))
+        (self.position_m, p, q), (turned, A, B) = (  # (K, B, 3)
+            [of(s) for s in (here, before, after)] for of in (lambda s: tree.pose(s).points_m, tree.orientations)
+        )
+        spin = np.einsum("ksij,kslj->ksil", B - A, turned) / (2 * STEP_S)
+        self.turned = (turned @ straight)[:, segment]  # (K, B, 3, 3), T_world_body
+        self.velocity_m_s = (q - p) / (2 * STEP_S)
+        self.angular_velocity_rad_s = spin[:, segment][..., [2, 0, 1], [1, 2, 0]]
+
+    @property
+    def quaternions(self) -> Array:
+        """(K, B, 4), xyzw, each near to the one before it."""
+        flat = Rotation.from_matrix(self.turned.reshape(-1, 3, 3)).as_quat(canonical=True)
+        found = flat.reshape(len(self.time_s), len(self.bodies), 4)
+        flips = np.sign(np.sum(found[1:] * found[:-1], axis=2))
+        found[1:] *= np.cumprod(np.where(flips < 0, -1.0, 1.0), axis=0)[..., None]
+        return found
+
+    def foot(self, label: str) -> int:
+        """Its place among the bodies."""
+        return self.bodies.index(_foot_name(self.robot.legs[label], label))
+
+
+def _body_names(robot: Quadruped) -> tuple[str, ...]:
+    names = ["base"]
+    for label, leg in robot.legs.items():
+        names += [*(name.removesuffix("_joint") for name in leg.joints), _foot_name(leg, label)]
+    return tuple(names)
+
+
+def _foot_name(leg: RobotLeg, label: str) -> str:
+    """As FL_foot, of joints that are called FL_hip_joint and so on."""
+    head, *rest = leg.joints[0].split("_")
+    return f"{head}_foot" if rest and all(name.split("_")[0] == head for name in leg.joints) else f"{label}_foot"
+
+
+# -- files -----------------------------------------------------------------------------------------------------------
+
+
+def _amp(found: RobotSamples, path: Path, said: Mapping[str, Any]) -> None:
+    robot = found.robot
+    if any(len(leg.joints) != AMP_JOINTS for leg in robot.legs.values()):
+        expected = f"a robot with {AMP_JOINTS} joints a leg, or another format"
+        raise InputError(Problem("--format", "amp", f"{len(robot.joints)} joints", expected))
+    order = [joint for label in AMP_LEGS for joint in robot.legs[label].joints]
+    columns = [robot.joints.index(joint) for joint in order]
+    feet = [found.foot(label) for label in AMP_LEGS]
+    v, w = found.velocity_m_s[:, :1], found.angular_velocity_rad_s[:, :1]
+    arms = found.position_m[:, feet] - found.position_m[:, :1]
+    relative = found.velocity_m_s[:, feet] - v - np.cross(w, arms)
+
+    def in_base(vectors: Array) -> Array:
+        return np.einsum("kbc,kcd->kbd", vectors, found.turned[:, 0]).reshape(len(vectors), -1)
+
+    angles, rates = found.angles_rad[:, columns], found.rates_rad_s[:, columns]
+    parts = [found.position_m[:, 0], found.quaternions[:, 0], angles, in_base(arms), in_base(v), in_base(w), rates]
+    text = {
+        "LoopMode": "Wrap" if found.loops else "Clamp",
+        "FrameDuration": 1 / found.rate_hz,
+        "EnableCycleOffsetPosition": True,
+        "EnableCycleOffsetRotation": True,
+        "MotionWeight": 1.0,
+        "JointNames": order,
+        "FootNames": [found.bodies[k] for k in feet],
+        "Contacts": found.feet_stand[:, [LEGS.index(label) for label in AMP_LEGS]].astype(int).tolist(),
+        "Source": dict(said),
+        "Frames": np.concatenate([*parts, in_base(relative)], axis=1).tolist(),
+    }
+    path.write_text(json.dumps(text, indent=None) + "\n", encoding="utf-8")
+
+
+_NPZ = {
+    "isaaclab": (
+        *("dof_names", "dof_positions", "dof_velocities", "body_positions", "body_rotations"),
+        *("body_linear_velocities", "body_angular_velocities"),
+    ),
+    "mjlab": (
+        *("joint_names", "joint_pos", "joint_vel", "body_pos_w", "body_quat_w"),
+        *("body_lin_vel_w", "body_ang_vel_w"),
+    ),
+}
+"""What the layouts call names, angles and rates of the joints, and places, quaternions, velocities and angular
+velocities of the bodies."""
+
+
+def _npz(layout: str, found: RobotSamples, path: Path, said: Mapping[str, Any]) -> None:
+    arrays = (
+        *(np.array(found.robot.joints), found.angles_rad, found.rates_rad_s, found.position_m),
+        *(found.quaternions[..., [3, 0, 1, 2]], found.velocity_m_s, found.angular_velocity_rad_s),
+    )
+    named: dict[str, Any] = dict(zip(_NPZ[layout], arrays, strict=True))
+    np.savez(
+        path,
+        fps=np.array(found.rate_hz),
+        body_names=np.array(found.bodies),
+        contacts=found.feet_stand,
+        contact_names=np.array([found.bodies[found.foot(label)] for label in LEGS]),
+        source=np.array(json.dumps(said)),
+        **named,
+    )
+
+
+def _mjlab_csv(found: RobotSamples, path: Path, said: Mapping[str, Any]) -> None:
+    """No header, as its readers expect none: x y z, qx qy qz qw, joints. What it is stands in a file beside it."""
+    table = np.concatenate([found.position_m[:, 0], found.quaternions[:, 0], found.angles_rad], axis=1)
+    np.savetxt(path, table, delimiter=",", fmt="%.17g")
+    beside = {"fps": found.rate_hz, "joint_names": found.robot.joints, "source": dict(said)}
+    path.with_suffix(".json").write_text(json.dumps(beside) + "\n", encoding="utf-8")
+
+
+FORMATS: dict[str, tuple[str, Callable[[RobotSamples, Path, Mapping[str, Any]], None]]] = {
+    "amp": ("amp.json", _amp),
+    "isaaclab": ("isaaclab.npz", partial(_npz, "isaaclab")),
+    "mjlab": ("mjlab.npz", partial(_npz, "mjlab")),
+    "mjlab-csv": ("mjlab.csv", _mjlab_csv),
+}
+"""By name, the file's and what writes it."""
+
+
+def write_for_trainer(motion: RobotMotion, name: str, rate_hz: float, path: Path, said: Any) -> float:
+    """Write a file of one of `FORMATS`, and return its rate. said: what the file should say of where it comes from.
+    Raises InputError as `RobotSamples`, and of a robot that the format has no room for."""
+    found = RobotSamples(motion, rate_hz)
+    FORMATS[name][1](found, path, said)
+    return found.rate_hz
+
+
+# -- motions that are kept, for `recon convert` ------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class _KeptMotion:
+    """A `RobotMotion` as plain arrays, without its robot."""
+
+    scale: float
+    slower: float
+    time_s: Array
+    angles_rad: Array
+    position_m: Array
+    quaternion_xyzw: Array
+    feet_m: Array
+    standing: Bools
+    short: Bools
+    advance_m: Array | None
+
+
+@dataclass(frozen=True, eq=False)
+class _Kept:
+    robot: str
+    """The name, or the file, seen from the folder."""
+    said: Mapping[str, Any]
+    clip: _KeptMotion
+    stride: _KeptMotion
+
+
+def keep(clip: RobotMotion, stride: RobotMotion, robot: str, said: Mapping[str, Any], path: Path) -> None:
+    """Write both motions as they are, from which `convert` makes files of any of `FORMATS`, at any rate."""
+
+    def plain(motion: RobotMotion) -> _KeptMotion:
+        same = {f.name: getattr(motion, f.name) for f in fields(_KeptMotion) if hasattr(motion, f.name)}
+        place, turn = motion.pose.translation, motion.pose.rotation.as_quat()
+        return _KeptMotion(position_m=place, quaternion_xyzw=turn, **same)
+
+    save_record(_Kept(robot, said, plain(clip), plain(stride)), path, SCHEMA)
+
+
+def kept_motions(path: Path) -> tuple[RobotMotion, RobotMotion, Mapping[str, Any]]:
+    """The clip, the stride, and what files of them say of where they come from. Raises InputError."""
+    found = load_record(_Kept, path, SCHEMA, "motions of a robot, as `recon retarget` writes them")
+    named = found.robot if found.robot in builtin_robots() else str(path.parent / found.robot)
+    robot = load_robot(named)
+
+    joints = len(robot.joints)
+
+    def restored(kept: _KeptMotion) -> RobotMotion:
+        n = len(kept.time_s)
+        shapes = {"time_s": (n,), "angles_rad": (n, joints), "position_m": (n, 3), "quaternion_xyzw": (n, 4)}
+        shapes |= {"feet_m": (n, 4, 3), "standing": (n, 4), "short": (n, 4)}
+        shapes |= {} if kept.advance_m is None else {"advance_m": (2,)}
+        for name, shape in shapes.items():
+            values: Array = getattr(kept, name)
+            if values.shape != shape or not np.isfinite(values).all():
+                expected = f"finite numbers {shape}, {joints} joints as in {named}"
+                raise InputError(Problem(path, name, f"{values.shape}", expected))
+        if n < 2 or not (np.diff(kept.time_s) > 0).all() or not kept.quaternion_xyzw.any(axis=1).all():
+            raise InputError(Problem(path, "content", "no motion", "times that go on, and rotations"))
+        same = {f.name: getattr(kept, f.name) for f in fields(kept)}
+        place, turn = same.pop("position_m"), Rotation.from_quat(same.pop("quaternion_xyzw"))
+        return RobotMotion(robot=robot, pose=RigidTransform.from_components(place, turn), **same)
+
+    return restored(found.clip), restored(found.stride), found.said
+
+
+def convert(folder: Path, out: Path, name: str, rate_hz: float | None, overwrite: bool) -> str:
+    """`recon convert` of a folder of `recon retarget`: the clip into out, the stride that repeats beside it, both or
+    none; and what to say of it. name: of `FORMATS`. Raises InputError."""
+    (*motions, said), _ = all_of(lambda: kept_motions(folder / KEPT), lambda: require_free_file(out, overwrite, "OUT"))
+    stride = out.with_name(f"stride_{out.name}")
+    with staged_folder(out.parent) as staging:
+        try:
+            rates = [
+                write_for_trainer(motion, name, rate_hz or RATE_HZ, staging / path.name, said)
+                for motion, path in zip(motions, (out, stride), strict=True)
+            ]
+        except InputError as error:
+            raise InputError(
+                replace(one, file=_OPTIONS.get(str(one.file), one.file)) for one in error.problems
+            ) from None
+        all_of(*(partial(require_free_file, out.parent / one.name, overwrite, "OUT") for one in staging.iterdir()))
+    hz = " and ".join(f"{rate:.4g}" for rate in rates)
+    return f"{out}: {name}, {motions[0].robot.title}, {hz} frames per second; a stride that repeats is in {stride}"
