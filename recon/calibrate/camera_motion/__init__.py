@@ -2,6 +2,5 @@
 
 from __future__ import annotations
 
-from recon.calibrate.camera_motion.level import LevelMark, as_level, read_marks, tilted, up_by_marks
-from recon.calibrate.camera_motion.rotation import Orientation
+from recon.calibrate.camera_motion.rotation import LevelMark, Orientation, as_level, read_marks, tilted, up_by_marks
 from recon.calibrate.camera_motion.track import Tracker, TurningMotion
