@@ -145,15 +145,9 @@ def read_bvh(path: Path, individual: str | None = None) -> StoredPoints:
     common.require_span(count, len(joints), path)
     kept = {j: joint.parent for j, joint in enumerate(joints) if not joint.end or any(joint.offset)}
     xyz = _positions(joints, np.array(rows).reshape(-1, width))[:, [*kept]]
-    return common.points_of_arrays(
-        path,
-        individual,
-        xyz,
-        np.arange(count),
-        [joints[j].name for j in kept],
-        fps=float(f"{1 / frame_time_s:.9g}"),
-        edges=tuple((joints[p].name, joints[j].name) for j, p in kept.items() if p in kept),
-    )
+    names, fps = tuple(joints[j].name for j in kept), float(f"{1 / frame_time_s:.9g}")
+    edges = tuple((joints[p].name, joints[j].name) for j, p in kept.items() if p in kept)
+    return common.one_animal(path, individual, StoredPoints(names, xyz, np.arange(count), fps=fps, edges=edges))
 
 
 def _hierarchy(lines: Iterator[str]) -> list[_Joint]:

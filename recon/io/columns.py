@@ -269,18 +269,10 @@ def gathered(path: Path, table: Columns, individual: str | None, given: Mapping[
     ]
     refuse(common.first_problems(problems, path))
     frames, fps = (distinct, fps) if "frame" in role else frames_of_times(path, distinct, fps)
-    return common.points_of_arrays(
-        path,
-        animal or None,
-        values[..., :-1],
-        frames,
-        [*index],
-        [animal] if animal else [],
-        values[..., -1],
-        fps=fps,
-        unit=layout.unit if layout.unit != "px" else None,
-        notes=(f"Columns left out: {', '.join(layout.ignored)}.",) if layout.ignored and given is None else (),
-    )
+    notes = (f"Columns left out: {', '.join(layout.ignored)}.",) if layout.ignored and given is None else ()
+    more: dict[str, Any] = {"fps": fps, "unit": layout.unit if layout.unit != "px" else None, "notes": notes}
+    stored = StoredPoints(tuple(index), values[..., :-1], frames, values[..., -1], **more)
+    return common.one_animal(path, animal or None, stored, [animal] if animal else [])
 
 
 # -- writing ---------------------------------------------------------------------------------------------------------

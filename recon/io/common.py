@@ -13,7 +13,6 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -97,11 +96,6 @@ class StoredPoints:
 
 
 UNNAMED_POINTS = "The file names no points: they are called point1, point2, ... in its order."
-
-
-def numbered_names(count: int) -> tuple[str, ...]:
-    """For the points of a file that has no names, which has the note `UNNAMED_POINTS`."""
-    return tuple(f"point{k}" for k in range(1, count + 1))
 
 
 # -- reading -----------------------------------------------------------------------------------------------------------
@@ -197,22 +191,18 @@ def choose(path: Path, animals: Sequence[str], individual: str | None, seen: Ite
     return animals.index(individual)
 
 
-def points_of_arrays(
+def one_animal(
     path: Path,
     individual: str | None,
-    values: np.ndarray,
-    frames: np.ndarray,
-    names: Sequence[str] = (),
+    stored: StoredPoints,
     animals: Sequence[str] = (),
-    likelihood: np.ndarray | None = None,
     occupied: np.ndarray | None = None,
-    notes: tuple[str, ...] = (),
-    **more: Any,
 ) -> StoredPoints:
-    """The points of one animal, once all that a reader found in a file fits together: values (T, N, K, 2 or 3), or
-    without N of a file of one animal; likelihood, without the last axis; frames (T,); names of the K points and the N
-    animals, where the file has them; occupied (T, N): in which frames each animal is; more: other fields of
-    `StoredPoints`. Raises InputError with all that does not fit, and as `choose`."""
+    """The points of one animal, once all that a reader found in a file fits together. stored: of N animals, with values
+    (T, N, K, 2 or 3) and likelihoods (T, N, K), or without N of a file of one animal, and names where the file has
+    them; animals: their names, where it has them; occupied (T, N): in which frames each animal is. Raises InputError
+    with all that does not fit, and as `choose`."""
+    names, values, frames, likelihood = stored.names, stored.values, stored.frames, stored.likelihood
     if values.ndim == 3:
         values, likelihood = values[:, None], None if likelihood is None else likelihood[:, None]
     if values.ndim != 4 or values.shape[3] not in (2, 3) or not values.size:
@@ -250,14 +240,14 @@ def points_of_arrays(
     if not there[:, which].any():
         raise InputError(Problem(path, "frames", "none with the animal", "at least one"))
     named = bool(len(animals)) and (N > 1 or called[0] not in UNNAMED)
-    return StoredPoints(
-        tuple(names) or numbered_names(K),
-        values[rows, which].astype(float, copy=False),
-        frames[rows].astype(np.int64),
-        None if likelihood is None else likelihood[rows, which].astype(float, copy=False),
+    return replace(
+        stored,
+        names=names or tuple(f"point{k}" for k in range(1, K + 1)),
+        values=values[rows, which].astype(float, copy=False),
+        frames=frames[rows].astype(np.int64),
+        likelihood=None if likelihood is None else likelihood[rows, which].astype(float, copy=False),
         individual=called[which] if named else None,
-        notes=notes if len(names) else (*notes, UNNAMED_POINTS),
-        **more,
+        notes=stored.notes if names else (*stored.notes, UNNAMED_POINTS),
     )
 
 

@@ -25,7 +25,7 @@ from recon.base.documents import read_content
 from recon.base.errors import InputError, Problem
 from recon.io.calibration import CameraRecord
 from recon.io.camera_files import record_of
-from recon.io.common import StoredPoints, points_of_arrays, starts_with
+from recon.io.common import StoredPoints, one_animal, starts_with
 
 MAX_BYTES, MAX_UNPACKED = 1 << 28, 1 << 28
 MAX_DEPTH, MAX_ITEMS = 12, 100_000
@@ -57,7 +57,7 @@ def read(path: Path, individual: str | None = None) -> StoredPoints:
         raise InputError(Problem(path, "data_3d", "nothing", expected))
     skeleton = found.get("skeleton")
     names = _all_texts(skeleton.get("joint_names")) if isinstance(skeleton, dict) else ()
-    return points_of_arrays(path, individual, values, frames.ravel(), names)
+    return one_animal(path, individual, StoredPoints(names, values, frames.ravel()))
 
 
 def _all_texts(value: Any) -> tuple[str, ...]:

@@ -145,23 +145,13 @@ def points_of_table(path: Path, individual: str | None, table: Table) -> StoredP
     if common.FMPOSE3D in (scorer or ""):
         from recon.io.json_poses import true_names
 
-        names, more = true_names(names, scorer or "", in_space)
-        notes += more
-    ours: dict[str, Any] = {"unit": "m", "up": "z"} if in_space and scorer == SCORER else {}
-    return common.points_of_arrays(
-        path,
-        animal or None,
-        points,
-        frames[order],
-        names,
-        [animal] if animal else [],
-        likelihood,
-        fps=fps,
-        scorer=None if in_space else scorer,
-        images=tuple(images[i] for i in order) if images else (),
-        notes=notes,
-        **ours,
-    )
+        names, said = true_names(names, scorer or "", in_space)
+        notes += said
+    more: dict[str, Any] = {"unit": "m", "up": "z"} if in_space and scorer == SCORER else {}
+    more |= {"fps": fps, "scorer": None if in_space else scorer, "notes": notes}
+    more["images"] = tuple(images[i] for i in order) if images else ()
+    stored = StoredPoints(names, points, frames[order], likelihood, **more)
+    return common.one_animal(path, animal or None, stored, [animal] if animal else [])
 
 
 def _column_problems(path: Path, columns: Sequence[tuple[str, str, str]]) -> Iterator[Problem]:

@@ -61,7 +61,8 @@ def read_sleap(path: Path, individual: str | None = None) -> StoredPoints:
     xy = arrays["tracks"]
     score = arrays.get("point_scores", np.full(xy.shape[:3], np.nan))
     occupied = arrays.get("track_occupancy")
-    return common.points_of_arrays(path, individual, xy, np.arange(len(xy)), nodes, tracks, score, occupied)
+    stored = StoredPoints(tuple(nodes), xy, np.arange(len(xy)), score)
+    return common.one_animal(path, individual, stored, tracks, occupied)
 
 
 def _sleap_array(path: Path, dataset: Any, name: str) -> np.ndarray:
@@ -101,7 +102,8 @@ def read_points3d(path: Path, individual: str | None = None) -> StoredPoints:
             for name in ("frames", "recording_frame_rate")
         )
     frames = (first or 0.0) + np.arange(len(values))
-    return common.points_of_arrays(path, individual, values, frames, nodes, tracks, fps=common.rate(fps))
+    stored = StoredPoints(tuple(nodes), values, frames, fps=common.rate(fps))
+    return common.one_animal(path, individual, stored, tracks)
 
 
 # -- movement ---------------------------------------------------------------------------------------------------------
@@ -185,17 +187,12 @@ def _of_variables(path: Path, stored: Variables, attributes: Mapping[str, Any], 
     # Without the attribute, whole numbers are frames.
     in_frames = (attributes["time_unit"] or ("frames" if ticks.dtype.kind in "iu" else "seconds")) == "frames"
     frames, rate = frames_of_times(path, ticks.astype(float), 1.0 if in_frames else fps)
-    return common.points_of_arrays(
-        path,
-        individual,
-        values,
-        frames,
-        keypoints,
-        individuals,
-        confidence if "confidence" in stored else None,
-        fps=fps if in_frames else rate,
-        unit=UNIT_NAMES.get(str(attributes["length_unit"])),
-        up=up if (up := str(attributes["up_axis"])) in ("x", "y", "z") else None,
+    more: dict[str, Any] = {"fps": fps if in_frames else rate}
+    more["unit"], up = UNIT_NAMES.get(str(attributes["length_unit"])), str(attributes["up_axis"])
+    more |= {"up": up if up in ("x", "y", "z") else None}
+    sure = confidence if "confidence" in stored else None
+    return common.one_animal(
+        path, individual, StoredPoints(tuple(keypoints), values, frames, sure, **more), individuals
     )
 
 
@@ -299,20 +296,11 @@ def read_nwb(path: Path, individual: str | None = None) -> StoredPoints:
         if wrong
     )
     frames, fps = frames_of_times(path, times_s[0], rates[0])
-    return common.points_of_arrays(
-        path,
-        None,
-        np.stack(values, axis=1),
-        frames,
-        points,
-        [name] if len(containers) > 1 or not name.startswith("PoseEstimation") else [],
-        np.stack(confidence, axis=1),
-        fps=fps,
-        scorer=scorer,
-        unit=unit,
-        up="z" if z_up else None,
-        edges=tuple((nodes[a], nodes[b]) for a, b in edges) if {*nodes} == {*points} else (),
-    )
+    links = tuple((nodes[a], nodes[b]) for a, b in edges) if {*nodes} == {*points} else ()
+    more: dict[str, Any] = {"fps": fps, "scorer": scorer, "unit": unit, "up": "z" if z_up else None, "edges": links}
+    stored = StoredPoints(tuple(points), np.stack(values, axis=1), frames, np.stack(confidence, axis=1), **more)
+    called = [name] if len(containers) > 1 or not name.startswith("PoseEstimation") else []
+    return common.one_animal(path, None, stored, called)
 
 
 def _same(a_s: np.ndarray, b_s: np.ndarray) -> bool:

@@ -83,7 +83,7 @@ def _points(
             xy[row[one.frame]], score[row[one.frame]] = one.xy_px, one.score
     refuse(common.first_problems(problems, path))
     called = [chosen] if len(animals) > 1 or not re.fullmatch("[0-9]*", chosen) else []
-    return common.points_of_arrays(path, None, xy, numbers, names, called, score, **more)
+    return common.one_animal(path, None, StoredPoints(tuple(names), xy, numbers, score, **more), called)
 
 
 # -- COCO -------------------------------------------------------------------------------------------------------------
@@ -279,4 +279,4 @@ def read_fmpose3d(path: Path, individual: str | None = None) -> StoredPoints:
     common.require_span(len(content["poses_3d"]), len(written), path)
     values = np.array([pose or nothing for pose in content["poses_3d"]], dtype=float)
     names, notes = true_names(written, str(content.get("model")))
-    return common.points_of_arrays(path, individual, values, np.arange(len(values)), names, notes=notes)
+    return common.one_animal(path, individual, StoredPoints(names, values, np.arange(len(values)), notes=notes))

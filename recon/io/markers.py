@@ -58,7 +58,8 @@ def read_trc(path: Path, individual: str | None = None) -> StoredPoints:
     more: dict[str, Any] = {"unit": UNIT_NAMES.get(str(unit), unit), "up": "y" if UP_TEXT in cells[0] else None}
     xyz = values[:, 2:].reshape(len(values), len(names), 3)
     fps = common.rate(header.get("DataRate"))
-    return common.points_of_arrays(path, individual, xyz, values[:, 0], names, fps=fps, notes=notes, **more)
+    stored = StoredPoints(tuple(names), xyz, values[:, 0], fps=fps, notes=notes, **more)
+    return common.one_animal(path, individual, stored)
 
 
 def write_trc(pose: Pose3D, path: Path) -> None:
@@ -130,7 +131,8 @@ def read_c3d(path: Path, individual: str | None = None) -> StoredPoints:
         frames, xyz = listed, xyz[listed - listed[0]]
     unit, screen = ("".join(point.get(name, ())[:1]) for name in ("UNITS", "Y_SCREEN"))
     up = {"+Z": "z", "Z": "z", "+Y": "y", "Y": "y"}.get(screen.upper())
-    return common.points_of_arrays(path, individual, xyz, frames, names, fps=fps, unit=UNIT_NAMES.get(unit), up=up)
+    stored = StoredPoints(tuple(names), xyz, frames, fps=fps, unit=UNIT_NAMES.get(unit), up=up)
+    return common.one_animal(path, individual, stored)
 
 
 def _content(content: bytes) -> tuple[Parameters, np.ndarray, int]:

@@ -16,7 +16,7 @@ from recon.base.documents import KINDS, MAX_UNPACKED, arrays_of, read_content
 from recon.base.errors import InputError, Problem, refuse
 from recon.base.files import write_bytes
 from recon.io import common, writing
-from recon.io.common import Pose3D, StoredPoints, points_of_arrays, rate
+from recon.io.common import Pose3D, StoredPoints, one_animal, rate
 from recon.io.json_poses import ANIMAL3D, LENGTHS
 
 
@@ -46,7 +46,7 @@ def read(path: Path, individual: str | None = None) -> StoredPoints:
     names = [str(name) for name in arrays["names"].tolist()]
     edges = tuple((names[a], names[b]) for a, b in arrays["edges"])
     more: dict[str, Any] = {"fps": rate(arrays["fps"]), "unit": "m", "up": "z", "edges": edges}
-    return points_of_arrays(path, individual, arrays["xyz_m"], arrays["frames"], names, **more)
+    return one_animal(path, individual, StoredPoints(tuple(names), arrays["xyz_m"], arrays["frames"], **more))
 
 
 def read_fmpose3d(path: Path, individual: str | None = None) -> StoredPoints:
@@ -63,7 +63,7 @@ def read_fmpose3d(path: Path, individual: str | None = None) -> StoredPoints:
     names = ANIMAL3D.split()
     common.require_span(len(files), len(names), path.parent)
     values = np.concatenate([_pose_of(file, len(names)) for _, file in files])
-    return points_of_arrays(path, individual, values, np.array(numbers), names, notes=(LENGTHS,))
+    return one_animal(path, individual, StoredPoints(tuple(names), values, np.array(numbers), notes=(LENGTHS,)))
 
 
 def _pose_of(path: Path, points: int) -> np.ndarray:
