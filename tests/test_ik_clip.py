@@ -64,7 +64,7 @@ def test_chain_of_a_whole_animal_ends_at_its_foot(whole_results, foot):
 def test_planar_chain_of_a_whole_animal(whole_results):
     results = Motion.load(whole_results)
     limb = limb_of(results, "LF", dim=2)
-    assert limb.names[:3] == ("spine", "neck_base", "l_shoulder")
+    assert limb.chain.names[:3] == ("spine", "neck_base", "l_shoulder")
     at = results.names.index
     base, paw = results.upright.xyz_m[:, at("spine")], results.upright.xyz_m[:, at("l_front_paw")]
     down = base[:, 2] - paw[:, 2]
@@ -175,7 +175,7 @@ def test_rates_for_control(folder, tmp_path):
         table = pd.read_csv(tmp_path / "a" / f"follow_{name}.csv")
         time_s = table["time_s"].to_numpy()
         assert time_s[[0, -1]] == pytest.approx([begins_s, begins_s + stride.end_s - stride.start_s])
-        for joint in done.limb.names:
+        for joint in done.limb.chain.names:
             angle, rate, acceleration = (
                 table[f"{joint}_{what}"].to_numpy() for what in ("rad", "rate_rad_s", "acceleration_rad_s2")
             )
@@ -217,7 +217,7 @@ def test_a_cost_of_ones_own_a_factor_and_parameters_of_each_frame(folder):
     assert len(times) == len(done.stride.q)
     assert times[0] == pytest.approx(limb.first_s + done.stride.start_s)
     np.testing.assert_allclose(np.diff(times), 1 / limb.fps)
-    weights = table[[f"weighted_{joint}" for joint in limb.names]].to_numpy()
+    weights = table[[f"weighted_{joint}" for joint in limb.chain.names]].to_numpy()
     np.testing.assert_allclose(weights.mean(axis=1), 1.0)
     # The best of each configuration explains no less than the best of all.
     assert (table["weighted_explained"] > table["least-norm_explained"] - 1e-9).all()
@@ -236,12 +236,12 @@ def test_parameters_refitted_on_the_way(folder):
     frames = Frames.of(limb.chain, limb.q, dx, dq)
     for t in (5, len(stride.q) - 1):
         fit = fits(pull=PULL)["weighted"](frames[first + t - 3 : first + t])
-        np.testing.assert_allclose(series[[f"weighted_{joint}" for joint in limb.names]].iloc[t], fit.parameter)
+        np.testing.assert_allclose(series[[f"weighted_{joint}" for joint in limb.chain.names]].iloc[t], fit.parameter)
         now = frames[first + t : first + t + 1]
         assert series["weighted_explained"].iloc[t] == pytest.approx(explained_by(rates_of(fit.method, now), now.dq))
     # The first step of the way is the one that these weights give.
     run, least = done.runs["follow"]["weighted"], done.runs["follow"]["least-norm"]
-    weights = series[[f"weighted_{joint}" for joint in limb.names]].iloc[0].to_numpy()
+    weights = series[[f"weighted_{joint}" for joint in limb.chain.names]].iloc[0].to_numpy()
     towards = (stride.path_m[1] - stride.path_m[0]) / stride.interval_s
     expected = weighted_least_norm(weights).rates(limb.chain, run.q[0], towards / 10).dq * 10
     np.testing.assert_allclose(run.dq[0], expected, rtol=1e-9)

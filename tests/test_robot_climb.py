@@ -23,6 +23,7 @@ from recon.wings.robotics.climb.plan import (
     NONE,
     PLANAR,
     RECIPES,
+    RULES,
     SPATIAL,
     Fields,
     Step,
@@ -358,9 +359,9 @@ def test_the_command_writes_what_the_plan_is(tmp_path, aibo):
 def test_figure_of_margins(aibo):
     found = plan(aibo, one_footfall())
     support = 1000 * found.margins["support"]
-    shown = {"support": (support, 0.0, "mm"), "corner": (found.margins["corner"], 0.0, "m")}
-    figure = margins_figure(found.motion.time_s, shown, "a title")
-    assert figure.axes[0].get_title(loc="left") == f"support: least {found.least['support'][0]:.3g} mm"
+    shown = {name: found.margins[name] for name in ("support", "corner")}
+    figure = margins_figure(found.motion.time_s, shown, RULES, "a title")
+    assert figure.axes[0].get_title(loc="left") == f"{RULES['support'].what}: least {found.least['support'][0]:.3g} mm"
     assert figure.axes[0].lines[2].get_ydata()[0] == support.min()
 
 

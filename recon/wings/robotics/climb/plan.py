@@ -31,7 +31,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from math import degrees
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -49,7 +49,7 @@ from recon.io.writing import write_rows
 from recon.show.plots.style import COLOURS, GREY, PALE, SMALL, add_legend, drawing, save
 from recon.show.report import to_json
 from recon.show.view.scene import LIMB_COLOURS, TimePlot
-from recon.wings.robotics.robot.physics import margins_figure
+from recon.wings.robotics.robot.physics import Rule, margins_figure
 from recon.wings.robotics.robot.playback import write_robot
 from recon.wings.robotics.robot.quadruped import LEGS, Length, PositiveLength, Quadruped, leg_targets, load_robot
 from recon.wings.robotics.robot.retarget import RobotMotion, posed
@@ -264,26 +264,15 @@ def raised(recipe: Recipe, height_m: float) -> Recipe:
 # -- a climb ---------------------------------------------------------------------------------------------------------
 
 
-class _Rule(NamedTuple):
-    """How one kind of margin is shown."""
-
-    what: str
-    """For the table."""
-    unit: str
-    """How it is printed."""
-    per_unit: float
-    """What a value is multiplied by when it is printed."""
-
-
 RULES = {
-    "reach": _Rule("foot within the leg's reach", "mm", 1e3),
-    "limits": _Rule("joints within their limits", "deg", 180 / np.pi),
-    "support": _Rule("centre of mass inside the polygon of the planted feet", "mm", 1e3),
-    "knees": _Rule("knees above ground and step", "mm", 1e3),
-    "shins": _Rule("shins above ground and step", "mm", 1e3),
-    "hips": _Rule("hips above ground and step", "mm", 1e3),
-    "corner": _Rule("lifted foot from the step's edge", "mm", 1e3),
-    "footing": _Rule("planted feet from the step's edge", "mm", 1e3),
+    "reach": Rule("foot within the leg's reach", "mm", per_unit=1e3),
+    "limits": Rule("joints within their limits", "deg", per_unit=180 / np.pi),
+    "support": Rule("centre of mass inside the polygon of the planted feet", "mm", per_unit=1e3),
+    "knees": Rule("knees above ground and step", "mm", per_unit=1e3),
+    "shins": Rule("shins above ground and step", "mm", per_unit=1e3),
+    "hips": Rule("hips above ground and step", "mm", per_unit=1e3),
+    "corner": Rule("lifted foot from the step's edge", "mm", per_unit=1e3),
+    "footing": Rule("planted feet from the step's edge", "mm", per_unit=1e3),
 }
 
 
@@ -557,10 +546,7 @@ def run_climb(settings: ClimbSettings) -> dict[str, Any]:
             _write(climb, report, staging)
             if settings.figures:
                 save(climb_footfalls(climb), staging, "footfalls")
-                shown = {
-                    rule.what: (climb.margins[name] * rule.per_unit, 0.0, rule.unit) for name, rule in RULES.items()
-                }
-                save(margins_figure(climb.motion.time_s, shown, _title(climb)), staging, "margins")
+                save(margins_figure(climb.motion.time_s, climb.margins, RULES, _title(climb)), staging, "margins")
     return report
 
 

@@ -19,7 +19,7 @@ from threadpoolctl import threadpool_limits
 
 from recon.animal.chain import Chain
 from recon.base.arrays import Array
-from recon.base.errors import InputError, Problem
+from recon.base.errors import InputError, Problem, refuse
 from recon.base.files import require_free_folder, sole_writer, staged_folder
 from recon.base.settings import Integer, Number, Option, Settings
 from recon.check import usable, verdict_fields
@@ -238,11 +238,6 @@ class Limb:
     misfit_m: float
     """Distance of the chain's end from the foot, median."""
 
-    @property
-    def names(self) -> tuple[str, ...]:
-        """(n,): of the joints, in everything that is written."""
-        return self.chain.names
-
 
 COSTS: dict[str, Callable[[Limb], ways.Cost]] = {
     "differences": lambda limb: ways.joint_differences(limb.chain),
@@ -288,7 +283,7 @@ class _IKRun:
             "verdict": verdict_fields(self.motion),
             "foot": limb.foot,
             "dimensions": limb.chain.dim,
-            "joints": list(limb.names),
+            "joints": list(limb.chain.names),
             "base_frame": "U forwards, V down, W left" if limb.base == "UVW" else "x forwards, y left, z up",
             "misfit_m": limb.misfit_m,
             "stride": stride_s | picked(stride, "how", "notes", "gap_m", "gap_percent"),
@@ -306,7 +301,7 @@ class _IKRun:
             **run.measures(),
             **{f"least_closure_{kind}_percent": float(np.fmin.reduce(of)) for kind, of in closed.items()},
             "joints_off_rad": float(np.sqrt(np.nanmean(off_rad**2))),
-            **{f"closure_{kind}_percent": by_name(self.limb.names, of.tolist()) for kind, of in closed.items()},
+            **{f"closure_{kind}_percent": by_name(self.limb.chain.names, of.tolist()) for kind, of in closed.items()},
         }
 
 
@@ -395,8 +390,7 @@ def cost_of(limb: Limb, text: str) -> ways.Cost:
         except (ValueError, KeyError):
             expected = f"{', '.join(COSTS)}, or a sum with weights, as in energy,differences=0.1"
             problems.append(Problem("--cost", "cost", repr(part), expected))
-    if problems:
-        raise InputError(problems)
+    refuse(problems)
     return ways.weighted_sum(costs, weights)
 
 
@@ -426,7 +420,7 @@ def fit_parameter_series(
         found = [fit(frames[window]) for window in rows]
         methods[name] = [one.method for one in found]
         values = np.array([one.parameter for one in found])
-        called = limb.names if values.shape[1] == limb.chain.n else ways.PARAMETERS.get(name, ())
+        called = limb.chain.names if values.shape[1] == limb.chain.n else ways.PARAMETERS.get(name, ())
         columns |= {f"{name}_{part}": of_part for part, of_part in zip(called, values.T, strict=True)}
         columns[f"{name}_best_alpha"] = np.array([one.alpha for one in found])
         own = zip(methods[name], (frames[t : t + 1] for t in range(first, stop)), strict=True)
@@ -550,7 +544,7 @@ def follow_stride(
 
 
 def _write(solved: _IKRun, folder: Path) -> None:
-    summary, names = solved.summary, solved.limb.names
+    summary, names = solved.summary, solved.limb.chain.names
     tables: dict[str, pd.DataFrame] = {}
     for file, rows in (("target.csv", summary["to_target"]), ("follow.csv", summary["along_stride"])):
         if rows:
@@ -586,12 +580,12 @@ def write_figures(solved: _IKRun, folder: Path) -> None:
     for job, runs in solved.runs.items():
         if runs:
             style.save(task_space(runs, limb.chain, aims[job], limb.base), folder, f"{job}_task_space")
-            style.save(joint_space(runs, limb.names), folder, f"{job}_joint_space")
+            style.save(joint_space(runs, limb.chain.names), folder, f"{job}_joint_space")
     for name, run in solved.runs["follow"].items():
         of_joints = zip(run.q.T, run.control[0].T, strict=True)
         portraits = [Portrait(solved.begins_s + run.time_s, angle, rate) for angle, rate in of_joints]
         closed = [Closure(*one) for one in zip(*run.closures().values(), strict=True)]
-        figure = phase_portraits(by_name(limb.names, portraits), by_name(limb.names, closed), name)
+        figure = phase_portraits(by_name(limb.chain.names, portraits), by_name(limb.chain.names, closed), name)
         style.save(figure, folder, f"follow_phase_{name}")
 
 

@@ -76,24 +76,27 @@ WIDER_RAD = 0.4
 """What joints may go beyond their limits by on the way to a base with which they keep them."""
 
 
-class _Rule(NamedTuple):
-    """What is looked at in every frame."""
+class Rule(NamedTuple):
+    """What is looked at in every frame, and how its margin is shown."""
 
     what: str
-    least: float
-    """The margin that is enough."""
     unit: str
-    advice: str
+    """How it is printed."""
+    least: float = 0.0
+    """The margin that is enough."""
+    advice: str = ""
     """What to change where it is not kept."""
+    per_unit: float = 1.0
+    """What a value is multiplied by when it is printed."""
 
 
 RULES = {
-    "joint_limits": _Rule("joints within their limits", -1e-6, "rad", "a smaller --scale"),
-    "joint_rates": _Rule("joint rates, left of the limit", -1e-6, "share", "--fit-limits, or a larger --slower"),
-    "torques": _Rule("torques, left of the limit", 0.0, "share", "--fit-limits, or a larger --slower"),
-    "forces": _Rule("forces that standing feet lack", -0.1, "weight", "--fit-limits"),
-    "legs_apart": _Rule("legs that run into each other", 0.0, "m", "a smaller --scale"),
-    "ground": _Rule("lowest point above the ground", -1e-3, "m", "a smaller --scale"),
+    "joint_limits": Rule("joints within their limits", "rad", -1e-6, "a smaller --scale"),
+    "joint_rates": Rule("joint rates, left of the limit", "share", -1e-6, "--fit-limits, or a larger --slower"),
+    "torques": Rule("torques, left of the limit", "share", 0.0, "--fit-limits, or a larger --slower"),
+    "forces": Rule("forces that standing feet lack", "weight", -0.1, "--fit-limits"),
+    "legs_apart": Rule("legs that run into each other", "m", 0.0, "a smaller --scale"),
+    "ground": Rule("lowest point above the ground", "m", -1e-3, "a smaller --scale"),
 }
 
 
@@ -510,15 +513,15 @@ def kept(margins: dict[str, Array]) -> dict[str, dict[str, float]]:
     }
 
 
-def margins_figure(time_s: Array, margins: Mapping[str, tuple[Array, float, str]], title: str) -> Figure:
-    """Margins over time by what they are of: values (K,), infinite where there are none, what they have to stay above,
-    and their unit. A dot is the least."""
+def margins_figure(time_s: Array, margins: Mapping[str, Array], rules: Mapping[str, Rule], title: str) -> Figure:
+    """Margins over time by rule: values (K,), infinite where there are none. A dot is the least."""
     with drawing(40.0 * -(-len(margins) // 2), title=title) as figure:
         panels = np.ravel(figure.subplots(-(-len(margins) // 2), 2, sharex=True))
-        for axes, (what, (values, enough, unit)) in zip(panels, margins.items(), strict=True):
-            shown = np.where(np.isfinite(values), values, np.nan)
+        for axes, (name, values) in zip(panels, margins.items(), strict=True):
+            what, unit, enough, _, per_unit = rules[name]
+            shown = per_unit * np.where(np.isfinite(values), values, np.nan)
             least = int(np.nanargmin(shown))
-            axes.axhline(enough, color=GREY, lw=0.8)
+            axes.axhline(per_unit * enough, color=GREY, lw=0.8)
             axes.plot(time_s, shown, color="k", lw=0.9)
             axes.plot(time_s[least], shown[least], "o", ms=3, color="k")
             axes.set_title(f"{what}: least {shown[least]:.3g} {unit}", fontsize=SMALL, loc="left", pad=2)

@@ -566,25 +566,19 @@ def read_model(path: str | Path, free: bool = False) -> Any:
 def rates_of(path: Path) -> dict[str, float]:
     """The joints' fastest rates that a URDF file states, which MuJoCo does not keep; MJCF has none. Raises InputError
     for limits of joints that it takes for none."""
-    rates, problems = {}, []
     try:
         stated = {j.get("name", ""): j.find("limit") for j in ElementTree.parse(path).getroot().iter("joint")}
-        numbers = {
+        limits = {
             name: [float(limit.get(what) or 0) for what in ("lower", "upper", "velocity")]
             for name, limit in stated.items()
             if limit is not None
         }
     except (ElementTree.ParseError, ValueError) as error:
         raise InputError(Problem(path, "limit", str(error)[:120], "numbers in a whole file")) from None
-    for name, (lower, upper, rate) in numbers.items():
-        if lower > upper:
-            problems.append(Problem(path, f"joint {name}", f"limits {lower:g}, {upper:g}", "the lower one first"))
-        if rate and not 1e-6 < rate < LARGEST:
-            problems.append(Problem(path, f"joint {name}", f"velocity {rate:g}", "a rate above 0"))
-        elif rate:
-            rates[name] = rate
-    if problems:
-        raise InputError(problems)
+    rates = {name: rate for name, (_, _, rate) in limits.items() if rate}
+    wrong = [(n, f"limits {low:g}, {up:g}", "the lower one first") for n, (low, up, _) in limits.items() if low > up]
+    wrong += [(n, f"velocity {r:g}", "a rate above 0") for n, r in rates.items() if not 1e-6 < r < LARGEST]
+    refuse(Problem(path, f"joint {name}", found, expected) for name, found, expected in wrong)
     return rates
 
 
@@ -644,9 +638,7 @@ def model_chain(model: Any, path: Path, tip: str, end_m: ArrayLike = (0.0, 0.0, 
         found = f"none that moves from {names[start - 1]} to {tip}"
         raise InputError(Problem(path, "chain", found, "a link that joints move"))
     other = [model.joint(j).name for j in joints if model.jnt_type[j] not in (2, 3)]  # slide, hinge
-    if other:
-        expected = "joints that turn or slide"
-        raise InputError([Problem(path, f"joint {name}", "another kind", expected) for name in other])
+    refuse(Problem(path, f"joint {name}", "another kind", "joints that turn or slide") for name in other)
     mujoco = the_mujoco(path)
     mujoco.mj_kinematics(model, data := mujoco.MjData(model))  # all joints at 0
     root_axes, tip_axes = (data.xmat[body].reshape(3, 3) for body in (start, last))

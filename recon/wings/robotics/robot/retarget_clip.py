@@ -247,8 +247,8 @@ def checked(done: Retargeting, model: Any, folder: Path | None = None) -> dict[s
         found[name] = physics.kept(margins)
         if folder is not None:
             _table(folder / f"{prefix}check.csv", ["time_s", *margins], np.column_stack([time, *margins.values()]))
-            shown = {rule.what: (margins[one], rule.least, rule.unit) for one, rule in physics.RULES.items()}
-            save(physics.margins_figure(time, shown, f"{motion.robot.title}, {name}"), folder, f"{prefix}check")
+            title = f"{motion.robot.title}, {name}"
+            save(physics.margins_figure(time, margins, physics.RULES, title), folder, f"{prefix}check")
     return found
 
 
