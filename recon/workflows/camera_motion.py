@@ -18,8 +18,7 @@ from recon.base.errors import InputError, Problem, all_of, refuse
 from recon.base.files import require_free_file, staged_folder, write_bytes
 from recon.base.settings import Integer, Number, Option, Settings
 from recon.calibrate import camera_motion as turning
-from recon.calibrate.camera_motion.panorama import panorama, thumbnail
-from recon.calibrate.camera_motion.track import CLEARLY
+from recon.calibrate.camera_motion.track import CLEARLY, panorama, thumbnail
 from recon.clip import Keypoints
 from recon.geometry.camera import Camera
 from recon.io import read_camera, read_keypoints, write_table
