@@ -1001,9 +1001,8 @@ def test_no_cluster(clips, tmp_path):
 @pytest.mark.parametrize("scheme", ["tcp", "tls"])
 def test_a_scheduler_that_says_nothing_is_not_waited_for(scheme, monkeypatch):
     pytest.importorskip("distributed")
-    from recon.workflows.batch import cluster
 
-    monkeypatch.setattr(cluster, "CONNECT_S", 0.3)
+    monkeypatch.setattr("recon.base.parallel.CONNECT_S", 0.3)
     with socket.socket() as silent:
         silent.bind(("127.0.0.1", 0))
         silent.listen()

@@ -54,12 +54,11 @@ def output_files(out: Path) -> tuple[str, ...]:
     return (*OUTPUT_FILES, PAGE, REFINED_CAMERAS, *of_any_camera(out))
 
 
+_Digests = Mapping[str, str | None]
+
+
 def write_clip(
-    motion: Motion,
-    settings: FitSettings,
-    out: Path,
-    solve_s: float | None = None,
-    sha256: Mapping[str, str | None] | None = None,
+    motion: Motion, settings: FitSettings, out: Path, solve_s: float | None = None, sha256: _Digests | None = None
 ) -> dict[str, Any]:
     """Write every output of a clip into the folder `out`, all or none, and give back the report. sha256: of the
     input files by their role, if they are known."""

@@ -44,6 +44,7 @@ _SETTINGS = (
     "keypoint_sigma_m",
 )
 """The settings of a fit that are read."""
+_OfClips = Annotated[dict[str, Any], OptionsOf(FitSettings, _SETTINGS)]
 
 
 class _ExtrinsicsSettings(Settings):
@@ -61,12 +62,7 @@ class _ExtrinsicsSettings(Settings):
     """Replace the file."""
 
 
-def extrinsics(
-    settings: _ExtrinsicsSettings,
-    given: Annotated[dict[str, Any], OptionsOf(FitSettings, _SETTINGS)],
-    progress: Progress,
-    console: Console,
-) -> Answer:
+def extrinsics(settings: _ExtrinsicsSettings, given: _OfClips, progress: Progress, console: Console) -> Answer:
     """Find where cameras stand, from their lenses and clips of the animal: one tells it roughly, several well.
 
     With --set refine-cameras=true, the poses in the camera file are taken for as good as 2 degrees and 5 cm, and are
@@ -79,7 +75,7 @@ def extrinsics(
     clips, notes = clips_of(settings.inputs, given, settings.cameras_by)
     for note in notes:
         say(console, note, "yellow")
-    level_rad = None if settings.level_deg is None else math.radians(settings.level_deg)
+    level_rad = math.radians(settings.level_deg or 0.0)
     cameras, report = run_extrinsics(clips, settings.out, settings.overwrite, level_rad, progress)
     written = f"Written: {settings.out}. Fit clips with: recon fit ... --camera {settings.out}"
     return Answer(report, [*lines_of(cameras, report), written])
@@ -122,7 +118,7 @@ def run_extrinsics(
     clips: Sequence[FitSettings],
     out: Path,
     overwrite: bool = False,
-    level_rad: float | None = None,
+    level_rad: float = 0.0,
     progress: Progress = silent,
 ) -> tuple[tuple[Camera, ...], dict[str, Any]]:
     """`recon calibrate extrinsics`: write `out`, which `recon.io.calibration.read_cameras` reads; the cameras, with
@@ -130,13 +126,13 @@ def run_extrinsics(
     prints. There the sigmas of a camera are of its place beside the first (`Camera.corrected`), its height's is null
     where the ground was not found, or is the camera file's, and offsets are as given or found.
 
-    level_rad: how far cameras are from level, or from the tilt that is said, by default `LEVEL_RAD`. Poses in the
+    level_rad: how far cameras are from level, or from the tilt that is said, 0: `LEVEL_RAD`. Poses in the
     camera file are read where the clips' settings say that they are refined; these know which way is up. Raises
     InputError, with every problem, for inputs that cannot be used.
     """
     posed, tilt_deg = bool(clips[0].refine_cameras), clips[0].tilt_deg
     twice = "a value beside --set refine-cameras=true, whose file says it", "one of the two"
-    both = {"--tilt-deg": tilt_deg, "--level-deg": level_rad} if posed else {}
+    both = {"--tilt-deg": tilt_deg, "--level-deg": level_rad or None} if posed else {}
     given, *_ = all_of(
         lambda: all_of(*(lambda clip=clip: _each_alone(clip) for clip in clips)),
         lambda: refuse(Problem(option, "up", *twice) for option, value in both.items() if value is not None),
@@ -155,8 +151,9 @@ def run_extrinsics(
     in_step = [_in_step(*of) for of in zip(clips, given, strict=True)]
     if not posed:
         _require_motion(in_step)
-    settings = [_setting(*of, cameras, poses) for of in zip(clips, given, in_step, strict=True)]
-    rig = solve_extrinsics(settings, posed, LEVEL_RAD if level_rad is None else level_rad, progress)
+    firsts = [one[0] for one in given]
+    settings = [_setting(*of, cameras, poses) for of in zip(clips, firsts, in_step, strict=True)]
+    rig = solve_extrinsics(settings, posed, level_rad or LEVEL_RAD, progress)
     expected = "clips in which the animal goes other ways through the view"
     refuse(
         Problem("KEYPOINTS", f"camera {camera.name}", f"a turn known to {turn_deg:.0f} degrees only", expected)
@@ -222,7 +219,7 @@ def _in_step(clip: FitSettings, given: Sequence[ClipInputs]) -> tuple[Source, ..
     if not clip.find_offsets:
         return sources
     cameras = [replace(source.camera, rotation=None, translation_m=None) for source in sources]
-    frames = search_offsets(_setting(clip, given, sources, cameras, [np.eye(4)] * len(cameras)))
+    frames = search_offsets(_setting(clip, given[0], sources, cameras, [np.eye(4)] * len(cameras)))
     lost = [camera.name for camera, lost in zip(cameras, np.isnan(frames), strict=True) if lost]
     if lost:
         found = f"no offset at which it sees the motion that {cameras[0].name} sees"
@@ -232,14 +229,11 @@ def _in_step(clip: FitSettings, given: Sequence[ClipInputs]) -> tuple[Source, ..
 
 
 def _setting(
-    clip: FitSettings,
-    given: Sequence[ClipInputs],
-    sources: Sequence[Source],
-    cameras: Sequence[Camera],
-    poses: Sequence[Array],
+    clip: FitSettings, first: ClipInputs, sources: Sequence[Source], cameras: Sequence[Camera], poses: Sequence[Array]
 ) -> ClipProblem:
-    """A clip with a view of every camera; one that did not film it has seen nothing."""
-    first, by_name = given[0], {source.camera.name: source for source in sources}
+    """A clip with a view of every camera; one that did not film it has seen nothing. first: as one of them prepared
+    it."""
+    by_name = {source.camera.name: source for source in sources}
     nothing = np.full_like(sources[0].keypoints.xy_px, np.nan)
     views = []
     for camera, pose in zip(cameras, poses, strict=True):

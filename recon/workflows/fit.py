@@ -26,12 +26,10 @@ class FitRunSettings(Settings):
     """Replace results in the folder."""
 
 
-def fit(
-    settings: FitRunSettings,
-    given: Annotated[dict[str, Any], OptionsOf(FitSettings)],
-    console: Console,
-    progress: Progress,
-) -> Answer:
+_OfFit = Annotated[dict[str, Any], OptionsOf(FitSettings)]
+
+
+def fit(settings: FitRunSettings, given: _OfFit, console: Console, progress: Progress) -> Answer:
     """Reconstruct one clip: keypoints and a camera in, 3D poses, angles, report and playback out.
 
     Example: recon fit clip.csv --camera scene.json --camera-name cam2 --fps 90 --out results/clip

@@ -41,6 +41,8 @@ from recon.workflows.settings import FitSettings
 
 Segment = tuple[str, Array, float]
 """Name, states (T, D), frames per second."""
+_Files = Mapping[Path, Mapping[str, Pose3D]]
+"""Poses by file and piece of motion."""
 
 
 class PriorFitSettings(Settings):
@@ -176,11 +178,7 @@ def _sound_states(motion: Motion) -> Array:
 
 
 def _solved_segments(
-    body: Body,
-    files: Mapping[Path, Mapping[str, Pose3D]],
-    names: Mapping[Path, str],
-    rates: Sequence[float],
-    estimate_size: bool,
+    body: Body, files: _Files, names: Mapping[Path, str], rates: Sequence[float], estimate_size: bool
 ) -> tuple[list[Segment], list[float | None], dict[Path, float]]:
     """The segments of pose files, between jumps of their frame numbers, called as their piece of motion, or as the file
     of `names`, or both; the body's misfit to each (mm); and the factor on its lengths by file."""
@@ -270,9 +268,7 @@ def _rates(fps: str | None, tables: Sequence[Path]) -> list[float]:
     return rates
 
 
-def _problems_of_files(
-    body: Body, files: Mapping[Path, Mapping[str, Pose3D]], rates: Sequence[float], fps: str
-) -> Iterator[Problem]:
+def _problems_of_files(body: Body, files: _Files, rates: Sequence[float], fps: str) -> Iterator[Problem]:
     """Too few markers, and rates that are not one or one a piece."""
     for path, pieces in files.items():
         names = next(iter(pieces.values())).names

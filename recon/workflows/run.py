@@ -19,7 +19,7 @@ from rich.console import Console
 from recon.base import Progress, silent
 from recon.base.errors import InputError, Problem, all_of, refuse
 from recon.base.files import MANIFEST, read_manifest, sha256_of, sole_writer
-from recon.base.parallel import Event, carry_out
+from recon.base.parallel import carry_out
 from recon.base.settings import Count, Integer, Option, Settings
 from recon.fit.motion import Motion
 from recon.gait.kinematics import MIN_POINTS
@@ -29,7 +29,7 @@ from recon.show.page import PAGE, SUMMARY_PAGE, require_own_page
 from recon.show.plain import picked
 from recon.show.report import build_report, is_unsolved
 from recon.workflows.analyse import AnalyseSettings, run_analyse
-from recon.workflows.batch import Clip, ClipPlan, Summary, results_of, shown_batch, work_off
+from recon.workflows.batch import Clip, ClipPlan, OnEvent, Summary, results_of, shown_batch, work_off
 from recon.workflows.batch.inputs import file_names
 from recon.workflows.cli import FIRST_FRAME, Answer, OptionsOf, answer_of_fit, progress_bar, say
 from recon.workflows.clip import fit_clip, read_model_and_cameras
@@ -44,6 +44,7 @@ OVERLAY = "overlay.mp4"
 DETECTOR = "recon.wings.keypoint_net"
 """The package that finds keypoints. It is imported by its name, where a job has a network: no room needs a wing."""
 _OF_THE_FIT = tuple(name for name in SETTINGS if name != "keypoints")
+_OfFit = Annotated[dict[str, Any], OptionsOf(FitSettings, _OF_THE_FIT, "Settings of the fit")]
 
 
 class _RunSettings(Settings):
@@ -121,11 +122,7 @@ class _StageOutcome(NamedTuple):
     """What is wrong with the video, as the stage found."""
 
 
-def run(
-    settings: _RunSettings,
-    given: Annotated[dict[str, Any], OptionsOf(FitSettings, _OF_THE_FIT, "Settings of the fit")],
-    console: Console,
-) -> Answer:
+def run(settings: _RunSettings, given: _OfFit, console: Console) -> Answer:
     """From a video to a page: find the keypoints, fit, analyse, draw the overlay, and write report.html.
 
     What has been done with the same files and settings is not done again. The frame rate is the video's unless --fps is
@@ -335,10 +332,7 @@ def keypoints_of(video: Path, folder: Path) -> Path:
 
 
 def run_folder(
-    jobs: Sequence[_Job],
-    out: Path,
-    processes: int | None = None,
-    on_event: Callable[[Event, Summary], None] = lambda event, summary: None,
+    jobs: Sequence[_Job], out: Path, processes: int | None = None, on_event: OnEvent = lambda *_: None
 ) -> Summary:
     """`run_video` for all jobs, and summary.csv and summary.html of them in `out`. processes: at a time, by default one
     for each core, each with one thread. A video that fails stops nothing; KeyboardInterrupt as in `run_batch`."""

@@ -28,7 +28,7 @@ from recon.base import Progress
 from recon.base.errors import InputError, Problem, refuse
 from recon.base.files import MANIFEST, read_manifest, require_free_folder, seen_from, sole_writer, staged_file
 from recon.base.package import version
-from recon.base.parallel import STARTING, Event, carry_out, carry_out_on_cluster
+from recon.base.parallel import STARTING, Event, Tell, carry_out, carry_out_on_cluster
 from recon.base.settings import Count, Integer, OneOrMore, Option, Settings
 from recon.fit.result import LEVELS
 from recon.show.page import SUMMARY_PAGE, require_own_page
@@ -61,6 +61,10 @@ DYING_S = 5.0
 """So long a process may hold a clip's folder after the batch that it belonged to was killed."""
 FORMULAS = ("=", "+", "-", "@", "\t", "\r")
 """A text that begins so would be run by a spreadsheet."""
+
+
+OnEvent = Callable[[Event, "Summary"], None]
+"""Told of what happens to a clip, and of what became of all so far."""
 
 
 @dataclass(frozen=True)
@@ -192,7 +196,7 @@ def run_batch(
     jobs: int | None = None,
     retries: int = 1,
     scheduler: str | None = None,
-    on_event: Callable[[Event, Summary], None] = lambda event, summary: None,
+    on_event: OnEvent = lambda *_: None,
 ) -> Summary:
     """`recon batch`: fit what is not done, each clip in a folder of its own, and keep `out / summary.csv` up to date;
     summary.html comes last.
@@ -230,12 +234,7 @@ def run_batch(
         return work_off(plan, out, partial(run, fit_planned, tasks, retries=retries), note)
 
 
-def work_off(
-    plan: Sequence[ClipPlan],
-    out: Path,
-    run: Callable[[Callable[[Event], None]], None],
-    on_event: Callable[[Event, Summary], None],
-) -> Summary:
+def work_off(plan: Sequence[ClipPlan], out: Path, run: Callable[[Tell], None], on_event: OnEvent) -> Summary:
     """The clips of a plan by `carry_out` with its tasks given, and the summary of it all, written again and again."""
     summary = Summary(plan, out)
 
@@ -383,6 +382,7 @@ _STYLES = {"unsolved": "red", "failed": "red", "pending": "yellow"}
 """Styles of the statuses; what is done has a verdict."""
 _COMMON, _WORK = "Settings of every clip", "How the work is done"
 _OF_CLIPS = tuple(name for name in SETTINGS if name != "keypoints")
+_OfFits = Annotated[dict[str, Any], OptionsOf(FitSettings, _OF_CLIPS, _COMMON)]
 
 
 class _BatchSettings(Settings):
@@ -414,11 +414,7 @@ class _BatchSettings(Settings):
     """Exit code 1 if any clip failed or is unsolved."""
 
 
-def batch(
-    settings: _BatchSettings,
-    given: Annotated[dict[str, Any], OptionsOf(FitSettings, _OF_CLIPS, _COMMON)],
-    console: Console,
-) -> Answer:
+def batch(settings: _BatchSettings, given: _OfFits, console: Console) -> Answer:
     """Reconstruct many clips in parallel. The same command again goes on where it was stopped.
 
     A clip is done when its folder holds results of the same keypoints, camera and other files (by their content), the
@@ -451,7 +447,7 @@ def batch(
     return replace(answer, code=int(settings.strict and failed))
 
 
-def shown_batch(console: Console, left: int, work: Callable[[Callable[[Event, Summary], None]], Summary]) -> Answer:
+def shown_batch(console: Console, left: int, work: Callable[[OnEvent], Summary]) -> Answer:
     """Do what tells of its events, and say how it goes, a line a clip and a bar on a terminal; how it went. left: how
     many clips there are to do."""
     summaries: list[Summary] = []
