@@ -22,7 +22,7 @@ import tomli_w
 from command_line import Refusal, carry_out_here, compare, refusal, refused, run, says
 
 from recon import FitSettings, InputError, find_clips, fit_clip, plan_batch, run_batch
-from recon.base import silent, sole_writer
+from recon.base import parallel, silent, sole_writer
 from recon.base.parallel import Event, outcome_of
 from recon.io import read_cameras
 from recon.workflows import COLUMNS, AnalyseSettings, Record, digest, run_analyse, run_clip
@@ -1002,7 +1002,7 @@ def test_no_cluster(clips, tmp_path):
 def test_a_scheduler_that_says_nothing_is_not_waited_for(scheme, monkeypatch):
     pytest.importorskip("distributed")
 
-    monkeypatch.setattr("recon.base.parallel.CONNECT_S", 0.3)
+    monkeypatch.setattr(parallel, "CONNECT_S", 0.3)
     with socket.socket() as silent:
         silent.bind(("127.0.0.1", 0))
         silent.listen()
@@ -1010,5 +1010,5 @@ def test_a_scheduler_that_says_nothing_is_not_waited_for(scheme, monkeypatch):
         at = f"{scheme}://127.0.0.1:{silent.getsockname()[1]}"
         found, expected = ("0.3 s", "tcp://") if scheme == "tcp" else ("TLS", "distributed.comm.tls")
         with refusal(("--scheduler", at, found, expected)):
-            cluster._client(at)
+            parallel._client(at)
         assert time.monotonic() - began < 5
