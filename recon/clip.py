@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from recon.base.arrays import Array, Bools, Index, Integers
+from recon.base.arrays import Array, Bools, Brief, Index, Integers
 from recon.base.errors import InputError, Problem
 from recon.geometry.camera import Camera
 from recon.geometry.frames import euler_rotation, inverse, level_from_camera, rigid
@@ -26,8 +26,8 @@ CORNER_PX, CONSTANT_SHARE, CONSTANT_KEYPOINTS = 1.0, 0.005, 3
 """A point stands for missing ones this near the corner, with so many of all points and of the keypoints just there."""
 
 
-@dataclass(frozen=True, eq=False)
-class Keypoints:
+@dataclass(frozen=True, eq=False, repr=False)
+class Keypoints(Brief):
     """Detections of K named keypoints in T frames of one camera. A reader hands over what its file says: a confidence
     of NaN means that the file has none, and a missing point may still carry one. `clean` turns this into the form
     below. Raises ValueError where names, shapes or types do not fit together."""
@@ -99,8 +99,8 @@ without a likelihood, as NaN with one, or as nothing, a frame that the file lack
 that stands for missing ones (`CleaningReport.constant_px`). The last are used points without a likelihood."""
 
 
-@dataclass(frozen=True)
-class CleaningReport:
+@dataclass(frozen=True, repr=False)
+class CleaningReport(Brief):
     """What `clean` did. Frame ranges are half-open pairs (A, B) of original frame numbers: A is in, B is not."""
 
     likelihood_min: float
@@ -279,8 +279,8 @@ def _source(keypoints: Keypoints) -> str:
 # -- views and sources ------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, eq=False)
-class View:
+@dataclass(frozen=True, eq=False, repr=False)
+class View(Brief):
     """What one camera saw in the T frames of a clip, and from where. Metres, pixels of the distorted picture."""
 
     camera: Camera
@@ -446,8 +446,8 @@ BRIDGED_S = 2.0
 """Without detections for longer than this, what comes before and after are two clips."""
 
 
-@dataclass(frozen=True, eq=False)
-class FramePoses:
+@dataclass(frozen=True, eq=False, repr=False)
+class FramePoses(Brief):
     """Where a camera that moves was in T frames, in a world with z up; NaN where that is not known."""
 
     T_camera_world: Array
@@ -468,8 +468,8 @@ class FramePoses:
         return FramePoses(change(self.T_camera_world), zoom, sigma)
 
 
-@dataclass(frozen=True, eq=False)
-class Source:
+@dataclass(frozen=True, eq=False, repr=False)
+class Source(Brief):
     """One camera's keypoints and what became of them."""
 
     camera: Camera

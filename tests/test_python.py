@@ -51,7 +51,21 @@ def test_a_notebook_shows_verdict_picture_and_summary(sample_fit: Motion):
     assert shown.count("<polyline") == 8 * len(sample_fit.limbs)
     assert re.search(r"<th[^>]*>clip</th><td[^>]*>whole.csv, frames 0 to 59 at 60 fps<", shown)
     assert "http" not in shown
-    assert len(repr(sample_fit)) < 120
+
+
+def test_results_show_themselves_in_a_line(sample_fit: Motion, tmp_path: Path):
+    motion, analysis = sample_fit, recon.analyse(sample_fit)
+    solution, truth = motion.solution, recon.read_pose3d(SAMPLES / "whole_truth.csv")
+    evaluation = recon.evaluate(motion.upright, truth)
+    clips, _ = recon.find_clips([SAMPLES / "whole.csv"], {"camera": SAMPLES / "camera.toml", "fps": 60})
+    results = [motion, motion.verdict, *motion.sources, motion.body, solution, *solution.segments, *solution.views]
+    results += [motion.camera, motion.keypoints, motion.cleaning, truth, evaluation, evaluation.mpjpe_m, *clips]
+    results += [analysis, analysis.reference_motion, analysis.gait, analysis.dynamics, *analysis.portraits.values()]
+    results += [clips[0].settings, *recon.plan_batch(clips, tmp_path)]
+    assert {type(one).__name__: len(repr(one)) for one in results if len(repr(one)) > 300 or "\n" in repr(one)} == {}
+    assert "joints_m=array (60, 24, 3)" in repr(solution)
+    assert repr(motion.verdict).startswith("Verdict(level='use', reason='Nothing speaks against it.', pose_m=Expected")
+    assert repr(clips[0].settings).endswith("fps=60.0)")
 
 
 def test_speed_has_its_times_and_its_band(sample_fit: Motion):

@@ -17,7 +17,7 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import BeforeValidator
 
-from recon.base.arrays import Array, Index
+from recon.base.arrays import Array, Brief, Index
 from recon.base.errors import Problem
 from recon.geometry.kinematics import Tree
 
@@ -116,8 +116,8 @@ class Skeleton:
     title: str
 
 
-@dataclass(frozen=True)
-class Body:
+@dataclass(frozen=True, repr=False)
+class Body(Brief):
     """A tree with J markers and D unknowns per frame, and the expectations of them."""
 
     name: str

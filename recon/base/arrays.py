@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import fields, is_dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +14,28 @@ Bools = NDArray[np.bool_]
 Integers = NDArray[np.int64]
 Index = NDArray[np.intp]
 """Indices of places in another array."""
+LONGEST, LONGEST_PART = 250, 75
+"""The characters that an object shows of itself at most, and a part of it."""
+
+
+class Brief:
+    """What a dataclass with large parts is a subclass of (`repr=False`), so that it shows itself in one line."""
+
+    def __repr__(self: Any) -> str:
+        text = ", ".join(f"{field.name}={_brief(getattr(self, field.name))}" for field in fields(self))
+        return f"{type(self).__name__}({text if len(text) <= LONGEST else text[:LONGEST] + '...'})"
+
+
+def _brief(part: Any) -> str:
+    """A part of an object in a few words: a long one by its shape, its number of items, or its class."""
+    if isinstance(part, np.ndarray):
+        return f"array {part.shape}"
+    text = f"{part:.4g}" if isinstance(part, float) else " ".join(repr(part).split())
+    if len(text) <= LONGEST_PART:
+        return text
+    if isinstance(part, tuple | list | dict):
+        return f"{type(part).__name__} of {len(part)}"
+    return type(part).__name__ if is_dataclass(part) else f"{text[: LONGEST_PART - 3]}..."
 
 
 def finite(values: Array | Sequence[float]) -> Array:

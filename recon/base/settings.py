@@ -161,7 +161,7 @@ class Settings:
     if not TYPE_CHECKING:  # type checkers know the fields
 
         def __init_subclass__(cls) -> None:
-            pydantic.dataclasses.dataclass(frozen=True, kw_only=True, config=_CONFIG)(cls)
+            pydantic.dataclasses.dataclass(frozen=True, kw_only=True, repr=False, config=_CONFIG)(cls)
             check = cls.__init__
 
             def __init__(self: Settings, **given: Any) -> None:
@@ -177,6 +177,12 @@ class Settings:
                 refuse(problems)
 
             cls.__init__ = __init__
+
+    def __repr__(self) -> str:
+        """What is not as by default."""
+        values = {name: (getattr(self, name), info.default) for name, info in self.infos().items()}
+        changed = (f"{name}={value!r}" for name, (value, usual) in values.items() if value != usual)
+        return f"{type(self).__name__}({', '.join(changed)})"
 
     @classmethod
     def problems_of_given(cls, given: Mapping[str, Any]) -> Iterable[Problem]:

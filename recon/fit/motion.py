@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from recon.animal.body import Body, Side, Skeleton
-from recon.base.arrays import Array, Bools, Integers, mean_along, median
+from recon.base.arrays import Array, Bools, Brief, Integers, mean_along, median
 from recon.clip import CleaningReport, Keypoints, Source, world_from_reference
 from recon.fit.result import OUTLIER_SIGMAS, Finding, MotionSegment, Solution, Verdict
 from recon.geometry.camera import Camera
@@ -27,8 +27,8 @@ MEASURED_SHARE = 0.5
 """A quantity with less of its precision from the pixels is not called measured."""
 
 
-@dataclass(frozen=True, eq=False)
-class Picture:
+@dataclass(frozen=True, eq=False, repr=False)
+class Picture(Brief):
     """One camera's picture of a motion, T frames with J joints: where the detector saw them, and where they are."""
 
     source: Source

@@ -9,7 +9,7 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from recon.animal.body import Body
-from recon.base.arrays import Array, Bools
+from recon.base.arrays import Array, Bools, Brief
 from recon.clip import View
 
 Severity = Literal["error", "warning", "note"]
@@ -41,8 +41,8 @@ LEVELS: tuple[Level, ...] = ("do not use", "check", "use")
 """In the order in which they are to be looked at."""
 
 
-@dataclass(frozen=True)
-class ExpectedError:
+@dataclass(frozen=True, repr=False)
+class ExpectedError(Brief):
     """An error before it is known: the middle of its distribution, and the ends of the interval that holds 90 %."""
 
     expected: float
@@ -61,8 +61,8 @@ class ExpectedError:
         return ExpectedError(factor * self.expected, factor * self.low, factor * self.high)
 
 
-@dataclass(frozen=True)
-class Verdict:
+@dataclass(frozen=True, repr=False)
+class Verdict(Brief):
     """On one clip. `recon.check.verdict` makes it; docs/verdict.md says what to do with it."""
 
     level: Level
@@ -118,8 +118,8 @@ class Ground:
         return replace(self, height_m=float(height), sigma_m=size * self.sigma_m)
 
 
-@dataclass(frozen=True)
-class MotionSegment:
+@dataclass(frozen=True, repr=False)
+class MotionSegment(Brief):
     """A stretch of the clip that was solved by itself, as nothing was seen for long before and after: its rows, and the
     ground under its feet, None where none stood. Segments lie in their order, and apart."""
 
@@ -133,8 +133,8 @@ class MotionSegment:
     """The motion is none that the prior knows."""
 
 
-@dataclass(frozen=True, eq=False)
-class Solution:
+@dataclass(frozen=True, eq=False, repr=False)
+class Solution(Brief):
     """An animal's motion over T frames, as every method gives it: J markers, D unknowns a frame, F feet, V views. In
     the world frame (`recon.geometry.frames`) and metres; NaN in frames without a pose."""
 
@@ -207,7 +207,7 @@ class Solution:
         )
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class TrajectorySolution(Solution):
     """A solution of the trajectory method. Flags: "no data", "diverged", "data poor", "ambiguous depth"."""
 

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from recon.base.arrays import Array, Bools
+from recon.base.arrays import Array, Bools, Brief
 from recon.base.errors import InputError, Problem, decimals
 from recon.clip import frame_ranges
 from recon.fit.motion import MEASURED_SHARE, Motion
@@ -43,8 +43,8 @@ UNSEEN_S = 0.2
 """For about as long, what was seen before and after says where a foot is; then only how animals of its kind move."""
 
 
-@dataclass(frozen=True, eq=False)
-class ClipAnalysis:
+@dataclass(frozen=True, eq=False, repr=False)
+class ClipAnalysis(Brief):
     """What a motion of T frames says, each part worked out when it is asked for; N times on the grid of ten times the
     frame rate. All but the gait's ground needs `MIN_POINTS` frames with a pose, for which `analyse` looks."""
 

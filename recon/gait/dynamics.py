@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from recon.animal.capsules import capsules, inertias_m2, middles_m
-from recon.base.arrays import Array
+from recon.base.arrays import Array, Brief
 from recon.check import finding
 from recon.clip import frame_ranges
 from recon.fit.motion import Motion
@@ -59,8 +59,8 @@ MASS_LASTS_S = 10.0
 """Errors of masses are the same all the time."""
 
 
-@dataclass(frozen=True, eq=False)
-class Dynamics:
+@dataclass(frozen=True, eq=False, repr=False)
+class Dynamics(Brief):
     """The centre of mass, energies and forces of a clip of T frames, with N times on the grid of ten times the frame
     rate."""
 

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from recon.animal import fitting_maps, load_names, new_names
-from recon.base.arrays import mean_along
+from recon.base.arrays import Brief, mean_along
 from recon.base.errors import InputError, Problem, all_of, refuse
 from recon.base.files import MANIFEST
 from recon.check import mismatches, sentence, usable
@@ -32,8 +32,8 @@ LEVELS = (0.5, 0.9)
 """The levels of the intervals that are compared with the truth."""
 
 
-@dataclass(frozen=True, eq=False)
-class _Score:
+@dataclass(frozen=True, eq=False, repr=False)
+class _Score(Brief):
     """One metric. NaN where nothing could be scored."""
 
     mean: float
@@ -44,8 +44,8 @@ class _Score:
     """(J,), mean over its frames."""
 
 
-@dataclass(frozen=True, eq=False)
-class Evaluation:
+@dataclass(frozen=True, eq=False, repr=False)
+class Evaluation(Brief):
     """A reconstruction against the truth, over T common frames and J common joints. Frame ranges are half-open."""
 
     pose: str

@@ -44,7 +44,7 @@ from typing import Literal
 
 import numpy as np
 
-from recon.base.arrays import Array, Bools, mean, median
+from recon.base.arrays import Array, Bools, Brief, mean, median
 from recon.base.errors import length_text
 from recon.clip import frame_ranges
 from recon.fit.posterior import radius
@@ -152,8 +152,8 @@ class Plane:
         return xyz_m[..., 2] - self.height_m - (xyz_m[..., :2] - self.middle_m) @ np.array(self.slope)
 
 
-@dataclass(frozen=True, eq=False)
-class Tracks:
+@dataclass(frozen=True, eq=False, repr=False)
+class Tracks(Brief):
     """The feet's and the body's motion on the fine grid, N times, F feet; NaN where unknown."""
 
     feet: tuple[str, ...]
@@ -220,8 +220,8 @@ class Stride:
         return 1.0 / self.duration_s
 
 
-@dataclass(frozen=True)
-class _GaitName:
+@dataclass(frozen=True, repr=False)
+class _GaitName(Brief):
     """What a gait is called."""
 
     name: str
@@ -243,8 +243,8 @@ class _GaitName:
         return max(low, 0.0), min(high, 1.0)
 
 
-@dataclass(frozen=True, eq=False)
-class Gait:
+@dataclass(frozen=True, eq=False, repr=False)
+class Gait(Brief):
     """The gait of a clip. Lengths and frequencies are means over complete strides, duty factors medians; NaN without
     any."""
 

@@ -31,7 +31,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from scipy.interpolate import CubicSpline, make_smoothing_spline
 from scipy.optimize import brentq
 
-from recon.base.arrays import Array, Index
+from recon.base.arrays import Array, Brief, Index
 from recon.base.errors import InputError, Problem
 from recon.io.common import Pose3D
 
@@ -61,8 +61,8 @@ _REACH, _LEAST_PRODUCT, _AT_ONCE = 20, 1e-11, 1000
 count, relative to the largest; and of how many frames they are worked out at once."""
 
 
-@dataclass(frozen=True, eq=False)
-class Errors:
+@dataclass(frozen=True, eq=False, repr=False)
+class Errors(Brief):
     """How far values may be wrong."""
 
     sigma: Array
@@ -75,8 +75,8 @@ class Errors:
         return Errors(self.sigma[at], self.correlation_s)
 
 
-@dataclass(frozen=True, eq=False)
-class Series:
+@dataclass(frozen=True, eq=False, repr=False)
+class Series(Brief):
     """Values in d dimensions and their derivatives on a fine grid, N = (T - 1) oversampling + 1 times. NaN where
     unknown."""
 
@@ -97,8 +97,8 @@ class Series:
     oversampling: int
 
 
-@dataclass(frozen=True, eq=False)
-class JointKinematics:
+@dataclass(frozen=True, eq=False, repr=False)
+class JointKinematics(Brief):
     """A point's motion, world frame. NaN where nothing is known."""
 
     series: Series
@@ -125,8 +125,8 @@ class JointKinematics:
     """The standard deviation of the peak acceleration; NaN without errors."""
 
 
-@dataclass(frozen=True, eq=False)
-class AngleKinematics:
+@dataclass(frozen=True, eq=False, repr=False)
+class AngleKinematics(Brief):
     """An angle over time. NaN where nothing is known."""
 
     series: Series

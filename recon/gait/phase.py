@@ -32,7 +32,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
-from recon.base.arrays import Array, mean
+from recon.base.arrays import Array, Brief, mean
 from recon.gait.kinematics import AngleKinematics, frame_times, joint_index, series_kinematics
 from recon.io.common import Pose3D
 
@@ -45,8 +45,8 @@ DRAWN, _WAVES, _DIRECTIONS = 100, 50, 32
 """Paths that a closure's deviation comes from, waves in each, and directions in which their extent is measured."""
 
 
-@dataclass(frozen=True, eq=False)
-class LinkField:
+@dataclass(frozen=True, eq=False, repr=False)
+class LinkField(Brief):
     """One link's tip in its parent's frame, at the T frames, NaN where unknown."""
 
     link: tuple[str, str]
@@ -87,8 +87,8 @@ class Closure:
     """Standard deviation, NaN where none is known."""
 
 
-@dataclass(frozen=True, eq=False)
-class Portrait:
+@dataclass(frozen=True, eq=False, repr=False)
+class Portrait(Brief):
     """A path in phase space."""
 
     time_s: Array

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from recon.base.arrays import Array, Bools
+from recon.base.arrays import Array, Bools, Brief
 from recon.base.errors import Problem, refuse
 from recon.geometry.frames import euler_rotation
 from recon.geometry.lens import LENS_MODELS, Lens
@@ -34,8 +34,8 @@ POSE = ("rotation", "translation_m")
 TILT = "radians between -pi/2 and pi/2, and 0 beside a pose that says which way is up"
 
 
-@dataclass(frozen=True, eq=False)
-class Camera:
+@dataclass(frozen=True, eq=False, repr=False)
+class Camera(Brief):
     """One calibrated camera. Raises InputError, naming every fault, for wrong shapes or numbers of coefficients, values
     that are not finite, focal lengths or image sizes that are not positive, a rotation that is not orthonormal and
     right-handed to 1e-6, and a tilt of more than a right angle, or beside a pose that says which way is up."""

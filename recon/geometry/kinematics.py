@@ -26,7 +26,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from recon.base.arrays import Array
+from recon.base.arrays import Array, Brief
 
 Joint = Literal["free", "ball", "universal", "hinge", "fixed", "summed", "turn", "slide"]
 
@@ -192,8 +192,8 @@ class _Plan:
         """(K, M): 1 for the pairs of each rotation, otherwise 0."""
 
 
-@dataclass(frozen=True)
-class Tree:
+@dataclass(frozen=True, repr=False)
+class Tree(Brief):
     """Segments, root first and parents before children, and J markers; D = 6 + number of angles."""
 
     segments: tuple[Segment, ...]

@@ -16,12 +16,13 @@ from pathlib import Path
 
 import numpy as np
 
+from recon.base.arrays import Brief
 from recon.base.errors import InputError, Problem, refuse
 from recon.clip import Keypoints
 
 
-@dataclass(frozen=True, eq=False)
-class Pose3D:
+@dataclass(frozen=True, eq=False, repr=False)
+class Pose3D(Brief):
     """3D positions of J joints in T frames. Raises ValueError where its parts do not fit together."""
 
     names: tuple[str, ...]

@@ -124,7 +124,7 @@ class _FrameReport:
     solution, and has no shares and covariance (NaN)."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class FrameSolution(Solution):
     """A solution of the frame method, with D unknowns of the chain. Covariances are given the frame before."""
 

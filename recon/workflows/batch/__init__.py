@@ -25,6 +25,7 @@ from rich.text import Text
 from threadpoolctl import threadpool_limits
 
 from recon.base import Progress
+from recon.base.arrays import Brief
 from recon.base.errors import InputError, Problem, refuse
 from recon.base.files import MANIFEST, read_manifest, require_free_folder, seen_from, sole_writer, staged_file
 from recon.base.package import version
@@ -67,8 +68,8 @@ OnEvent = Callable[[Event, "Summary"], None]
 """Told of what happens to a clip, and of what became of all so far."""
 
 
-@dataclass(frozen=True)
-class ClipPlan:
+@dataclass(frozen=True, repr=False)
+class ClipPlan(Brief):
     """A clip with what is to be done with it, and why."""
 
     clip: Clip

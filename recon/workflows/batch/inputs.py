@@ -14,6 +14,7 @@ from itertools import count, islice
 from pathlib import Path
 from typing import Any
 
+from recon.base.arrays import Brief
 from recon.base.documents import read_toml
 from recon.base.errors import InputError, Problem, refuse
 from recon.check import names_text
@@ -47,8 +48,8 @@ _OF_SEVERAL = ("offset_s", "camera_track", "camera_fps", "find_offsets", "refine
 """What may be there once for each camera of a clip."""
 
 
-@dataclass(frozen=True)
-class Clip:
+@dataclass(frozen=True, repr=False)
+class Clip(Brief):
     """One fit of a batch. name: of its folder, unique among the batch's clips whatever their case."""
 
     name: str
