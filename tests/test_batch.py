@@ -800,6 +800,7 @@ def test_command(clips, tmp_path, monkeypatch):
     ended = run(*args(clips, out))
     assert ended.code == 0
     assert ended.out.startswith("2 of 3 clips are done already.\n2 check, 1 failed in ")
+    assert says(ended.out, f"Open {out / 'summary.html'}", f"recon report {out}/CLIP", f"recon compare {out} --out")
     assert ended.err.startswith(f"[1/1] failed  c: {clips / 'c.csv'}: header: ")
     ended = run(*args(clips, out, "--strict", "--quiet", "--json"))
     assert ended.code == 1

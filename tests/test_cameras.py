@@ -191,7 +191,7 @@ def test_what_is_wrong_is_said(folder, tmp_path):
     with refusal(("scene.json", "camera", ["2 cameras", "clip.csv"], ["cam1, cam2", "--camera-name"])):
         prepare(given)
     write_cameras([CAMERA], tmp_path / "one.toml")
-    with refusal(("one.toml", "camera", "1 of the 2 cameras")):
+    with refusal(("one.toml", "camera", "1 of the 2 cameras", "--camera once for each")):
         prepare(replace(given, camera=tmp_path / "one.toml"))
 
 

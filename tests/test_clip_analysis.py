@@ -163,6 +163,15 @@ def test_from_the_side_the_transverse_angles_are_not_seen(fit, request):
     assert f"grey in figures: {', '.join(found.not_measured)}." in [*notes(found)][fit == "one_sided"]
 
 
+def test_strides_slower_than_a_leg_swings_by_itself_are_said(whole):
+    assert not any("swings to and fro" in note for note in notes(whole))
+    slow = replace(whole)
+    vars(slow)["gait"] = replace(whole.gait, stride_frequency_hz=0.4)
+    swing_s = 2 * np.pi * np.sqrt(2 * whole.gait.tracks.leg_m / (3 * 9.81))
+    said = f"Strides last 2.5 s, longer than a leg of this length swings to and fro by itself ({swing_s:.1f} s)"
+    assert any(note.startswith(said) for note in notes(slow))
+
+
 @pytest.mark.parametrize("fit", ["one_sided", "chain", "whole"])
 def test_strides_are_those_of_the_sample(fit, request):
     """The sample gallops at 3.2 to 3.4 strides a second."""

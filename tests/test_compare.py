@@ -11,7 +11,7 @@ import pytest
 from command_line import Refusal, refused, run, says
 
 from recon.fit import Motion
-from recon.workflows.compare import QUANTITIES, _mean_of
+from recon.workflows.compare import QUANTITIES, _figure, _group_rows, _lines, _mean_of
 
 
 @pytest.fixture(scope="module")
@@ -51,6 +51,17 @@ def test_groups_have_a_row_each_and_strides_one_each(clips: Path, tmp_path: Path
             assert f**2 - shared**2 == pytest.approx((m**2 - shared**2) / 2, rel=1e-6)
         else:
             assert f == pytest.approx(m / 2**0.5, rel=1e-6)
+
+
+def test_only_what_some_clip_has_is_drawn():
+    row = {"clip": "a", "group": "all", "verdict": "use", "strides": 0, "size_sigma": 0.1}
+    clips = pd.DataFrame([row | {name: np.nan for q in QUANTITIES for name in (q, f"{q}_sigma")}])
+    assert [axes.get_title() for axes in _figure(clips, _group_rows(clips)).axes] == [""]
+    clips[["speed_m_s", "speed_m_s_sigma"]] = 5.0, 0.5
+    groups = _group_rows(clips)
+    assert [axes.get_title() for axes in _figure(clips, groups).axes] == ["speed (m/s)"]
+    said = [line for line in _lines(clips, groups, Path("out")) if isinstance(line, str)]
+    assert said[-2] == "No clip has a complete stride: no stride length (m), stride frequency (Hz), duty factor."
 
 
 def test_the_mean_of_clips_knows_their_spread():

@@ -61,6 +61,7 @@ def test_each_alignment_undoes_its_own_change():
 
     assert evaluate(moved, pose(TRUTH)).mpjpe_m.mean == pytest.approx(0, abs=1e-12)
     assert evaluate(moved, pose(TRUTH)).mpe_m.per_frame == pytest.approx(np.linalg.norm(shift[:, 0], axis=1))
+    assert evaluate(moved, pose(TRUTH)).position_m == pytest.approx(np.linalg.norm(shift[:, 0], axis=1).mean())
     assert evaluate(scaled, pose(TRUTH)).mpjpe_m.mean > 0.05
     assert evaluate(scaled, pose(TRUTH)).scale_mpjpe_m.mean == pytest.approx(0, abs=1e-12)
     assert evaluate(turned, pose(TRUTH)).scale_mpjpe_m.mean > 0.05

@@ -494,7 +494,7 @@ def test_console_summary_of_a_trajectory(trajectory):
     shown = out.getvalue()
     for text in (
         "run.csv, frames 10 to 17 at 30 fps",
-        "8 of 8 with a pose, 2 doubtful (1 no data, 1 data poor, 1 ambiguous depth)",
+        "8 of 8 with a pose, 2 doubtful (some for several reasons: 1 no data, 1 data poor, 1 ambiguous depth)",
         "161 used, 31 missing",
         "23 of the skeleton's 24 used; missing: r_eye; not used: ear",
         "9.0 m/s on average",

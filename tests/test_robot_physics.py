@@ -175,13 +175,15 @@ def test_the_command_says_what_it_changed(trotting, tmp_path):
     clip, out = tmp_path / "trot", tmp_path / "out"
     clip.mkdir()
     trotting.save(clip)
-    ended = run("retarget", clip, "--robot", "go2", "--scale", "0.35", "--fit-limits", "--out", out)
+    ended = run("retarget", clip, "--robot", "go2", "--scale", "0.35", "--fit-limits", "--format", "amp", "--out", out)
     assert ended.code == 0, ended.err
     changed = "time 1.00 times", "stride 1.00 times", "height 1.00 times", "base moved by"
     assert says(ended.out, *changed)
     report = json.loads((out / "report.json").read_text())
     assert report["check"]["before"]["stride"]["forces"]["share"] < 0.6
     assert 0 < report["check"]["changed"]["base_moved_m"] < 0.15
+    assert json.loads((out / "amp.json").read_text())["Source"]["check"] == report["check"]
+    assert json.loads((out / "amp.json").read_text())["Source"]["check"] == report["check"]
     for part, prefix in (("clip", ""), ("stride", "stride_")):
         table = np.genfromtxt(out / f"{prefix}check.csv", delimiter=",", names=True)
         assert table.dtype.names == ("time_s", *RULES)

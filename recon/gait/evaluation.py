@@ -61,6 +61,8 @@ class Evaluation(Brief):
     """Centred, with one scale per frame."""
     pa_mpjpe_m: _Score
     """After a similarity (Procrustes) per frame."""
+    position_m: float
+    """How far the mean of a frame's common joints is off, mean over the frames."""
     pck: tuple[tuple[float, _Score], ...]
     """For each threshold (m), the fraction of centred errors up to it."""
     inside: dict[str, tuple[float, ...]]
@@ -215,6 +217,7 @@ def evaluate(pose: Pose3D, truth: Pose3D, sigmas_m: tuple[np.ndarray, np.ndarray
         mpe_m=score(joint_errors(pose_m, truth_m)),
         scale_mpjpe_m=score(joint_errors(aligned(pose_m, truth_m, scale=True), truth_m)),
         pa_mpjpe_m=score(similar_m),
+        position_m=float(mean_along(mean_along(np.linalg.norm(pose_m - centred, axis=2), 1), 0)),
         pck=tuple((t, score(np.where(np.isnan(centred_m), np.nan, centred_m <= t))) for t in PCK_THRESHOLDS_M),
         inside=inside,
         frames_not_scored=int((~common.any(axis=1)).sum()),

@@ -430,7 +430,8 @@ def summary(motion: Motion) -> dict[str, Any]:
 
 def summary_lines(motion: Motion, data: Any) -> Iterator[Line]:
     why = [f"{count} {flag}" for flag, count in data["flags"].items() if count]
-    flagged = f"{data['frames_flagged']} doubtful ({', '.join(why)})" if why else "none doubtful"
+    several = "some for several reasons: " if sum(data["flags"].values()) > data["frames_flagged"] else ""
+    flagged = f"{data['frames_flagged']} doubtful ({several}{', '.join(why)})" if why else "none doubtful"
     left_out = data["frames_left_out"]
     far = f"; {left_out} far from all detections, and in no table" if left_out else ""
     yield "frames", f"{data['frames_with_pose']} of {data['frames']} with a pose, {flagged}{far}"
@@ -672,7 +673,7 @@ REPORT = "report.json"
 STYLES = {"use": "bold green", "check": "bold yellow", "do not use": "bold red"}
 """Styles of the levels of a verdict, on a terminal."""
 TO_DO = {  # what is to be used needs no word more
-    "check": "Do what the reason says, and look at the poses on the video before you use them.",
+    "check": "Look at the poses on the video (recon overlay) before use; do what the reason and the warnings ask for.",
     "do not use": "Do not use these numbers: mend what the reason names, and fit again.",
 }
 FRONT = ("assumed", "clip", "frames", "distance", "side", "keypoints", "detections", "note", "speed", "path", "size")

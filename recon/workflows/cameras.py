@@ -116,7 +116,8 @@ def _cameras_in_file(settings: FitSettings, tracks: Sequence[io.CameraTrack]) ->
         return cameras
     if len(cameras) < len(settings.keypoints):
         found = f"{len(cameras)} of the {len(settings.keypoints)} cameras"
-        raise InputError(Problem(path, "camera", found, "a file with the camera of every keypoint file"))
+        expected = "one for each keypoint file: a file that has all of them, or --camera once for each"
+        raise InputError(Problem(path, "camera", found, expected))
     chosen, problems = [], []
     for file in settings.keypoints:
         names = cameras_in(file.stem, [camera.name for camera in cameras])

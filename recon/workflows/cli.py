@@ -133,9 +133,11 @@ def counted(count: int, what: str) -> str:
 
 
 def table_of(*texts: str, numbers: Iterable[str] = (), rows: Iterable[Iterable[str | Text]] = (), **more: Any) -> Table:
-    """A table: columns of texts, the first of which names the row, then of numbers."""
+    """A table: columns of texts, the first of which names the row, then of numbers. No word of a header is cut."""
     first, *others = texts
-    columns = (Column(first, no_wrap=True), *others, *(Column(name, justify="right") for name in numbers))
+    columns = Column(first, no_wrap=True), *map(Column, others), *(Column(name, justify="right") for name in numbers)
+    for column in columns:
+        column.min_width = max(map(len, str(column.header).split()), default=None)
     table = Table(*columns, box=SIMPLE_HEAD, title_justify="left", **more)
     for row in rows:
         table.add_row(*(Text(cell) if isinstance(cell, str) else cell for cell in row))

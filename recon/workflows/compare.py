@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from textwrap import fill
 from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
@@ -105,7 +106,7 @@ def _lines(clips: pd.DataFrame, groups: pd.DataFrame, out: Path) -> Iterator[str
     yield f"{counted(len(clips), 'clip')}: " + ", ".join(f"{n} {level}" for level, n in levels.items())
     rows = (
         (
-            *map(str, (row["group"], QUANTITIES[q][0], row["clips"], row["strides"])),
+            *map(str, (fill(row["group"], 20), QUANTITIES[q][0], row["clips"], row["strides"])),
             *_cells(row[q], row[f"{q}_sigma"], row[f"{q}_spread"]),
         )
         for row in groups.to_dict("records")
@@ -113,8 +114,9 @@ def _lines(clips: pd.DataFrame, groups: pd.DataFrame, out: Path) -> Iterator[str
     )
     yield table_of("group", "quantity", numbers=("clips", "strides", "mean", "±", "spread"), rows=rows)
     yield "±: one standard deviation of the mean, with the size's; spread: one standard deviation between the clips."
-    if not groups["strides"].sum():
-        yield "No clip has a complete stride."
+    if missing := [QUANTITIES[q][0] for q in QUANTITIES if q not in _known(clips)]:
+        none = "No clip has a complete stride: no" if not groups["strides"].sum() else "No clip has a known"
+        yield f"{none} {', '.join(missing)}."
     yield f"Rows by stride, clip and group (CSV and Parquet), and {FIGURE}, are in {out}."
 
 
@@ -225,11 +227,17 @@ def _group_rows(clips: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
+def _known(clips: pd.DataFrame) -> list[str]:
+    """The quantities that some clip has."""
+    return [name for name in QUANTITIES if clips[name].notna().any()]
+
+
 def _figure(clips: pd.DataFrame, groups: pd.DataFrame) -> Figure:
-    """Each clip with one standard deviation, and each group's mean with that of the mean, by quantity."""
+    """Each clip with one standard deviation, and each group's mean with that of the mean, by quantity that is known."""
     with drawing(62.0) as figure:
-        panels = figure.subplots(1, len(QUANTITIES), squeeze=False)[0]
-        for axes, name in zip(panels, QUANTITIES, strict=True):
+        known = _known(clips)
+        panels = figure.subplots(1, max(len(known), 1), squeeze=False)[0]
+        for axes, name in zip(panels, known, strict=False):
             for at, group in enumerate(groups["group"]):
                 own, colour = clips[clips["group"] == group], COLOURS[at % len(COLOURS)]
                 beside = at + np.linspace(-0.18, 0.18, len(own)) if len(own) > 1 else np.array([float(at)])
@@ -240,6 +248,8 @@ def _figure(clips: pd.DataFrame, groups: pd.DataFrame) -> Figure:
                         [at - 0.32, at + 0.32], mean - sigma, mean + sigma, color=colour, alpha=0.25, lw=0
                     )
                     axes.plot([at - 0.32, at + 0.32], [mean, mean], color=colour, lw=1.4)
-            axes.set_xticks(range(len(groups)), groups["group"], rotation=30 if len(groups) > 3 else 0)
+            axes.set_xticks(
+                range(len(groups)), [fill(name, 14) for name in groups["group"]], rotation=30 if len(groups) > 3 else 0
+            )
             axes.set_title(QUANTITIES[name][0])
     return figure

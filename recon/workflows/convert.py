@@ -38,7 +38,7 @@ class ConvertSettings(Settings):
     to: str | None = None
     """Format, where the extension has several, as in long. (default: see --list)"""
     fps: Positive | None = None
-    """Frame rate in Hz, as in 120, if the file does not say it; of a robot's motion: the file's. (default there: 50)"""
+    """Frames a second, as in 120, where IN does not say it. For a robot's motion: those that OUT gets. (default: 50)"""
     individual: Annotated[str | None, Option(INDIVIDUAL)] = None
     columns: str | None = None
     """Columns of a plain CSV, as in 'frame=Frame,bodypart=Node,x=X,y=Y,likelihood=Score', or for one row per frame

@@ -71,10 +71,13 @@ def _table_notes(result: Evaluation) -> Iterator[str]:
     yield "MPE     without centring"
     yield "scaled  centred, and scaled to the size of the reference"
     yield "PA      centred, scaled and turned onto the reference"
+    off = f"the mean of the joints is off by {1000 * result.position_m:.1f} mm"
+    yield f"Position: {off}. A verdict's position is an estimate of this, its pose one of MPJPE."
     yield f"PCK     share of the joints within {thresholds} mm, centred"
     for what, shares in result.inside.items():
         stated, held = (" and ".join(f"{100 * p:.0f}".replace("nan", "-") for p in of) for of in (LEVELS, shares))
-        yield f"Uncertainty of the {what}: intervals of {stated} % hold {held} % of the reference's coordinates"
+        of = {"place": "position"}.get(what, what)
+        yield f"Uncertainty of the {of}: intervals of {stated} % hold {held} % of the reference's coordinates"
     yield f"Compared: {len(result.frames) - result.frames_not_scored} frames, {len(result.names)} joints."
     for what, reconstruction, reference in (
         ("Joints", result.joints_only_in_pose, result.joints_only_in_truth),

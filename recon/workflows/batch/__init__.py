@@ -478,7 +478,12 @@ def shown_batch(console: Console, left: int, work: Callable[[OnEvent], Summary])
     parts += [Text(f"{n} {status}", style) for status, n in counts.items() if (style := _STYLES.get(status))]
     seconds = time.monotonic() - began
     said = Text.assemble(Text(", ").join(parts), f" in {seconds:.0f} s. Summary: {summary.path}")
-    return Answer({"summary": summary.path, "counts": counts, "clips": [*summary.rows.values()]}, [said])
+    out, lines = summary.path.parent, [said, f"Open {summary.path.with_name(SUMMARY_PAGE)} in a browser."]
+    if summary.verdicts():
+        lines.append(
+            f"Next: recon report {out}/CLIP, a page of one clip; recon compare {out} --out FOLDER, all of them."
+        )
+    return Answer({"summary": summary.path, "counts": counts, "clips": [*summary.rows.values()]}, lines)
 
 
 def _plan_rows(plan: Sequence[ClipPlan], problems: Sequence[tuple[Problem, ...]]) -> list[dict[str, Any]]:

@@ -87,11 +87,11 @@ class RetargetSettings(Settings):
     ] = None
     """Beside it, so many motions as the animal's may have been, drawn from the fit's posterior, as in 32."""
     check: bool = False
-    """By MuJoCo, frame by frame: limits, torques, forces on the ground, legs that meet: table, figure, and what to
-    change."""
+    """By MuJoCo (the extra robots), frame by frame: limits, torques, forces on the ground, legs that meet: table,
+    figure, and what to change."""
     fit_limits: bool = False
     """The least change of stride, time and the base's path, also of the draws', with which the robot can do it, by
-    MuJoCo; the check of before and after."""
+    MuJoCo (the extra robots); the check of before and after."""
     anyway: Annotated[bool, ANYWAY] = False
     overwrite: bool = False
     """Replace earlier ones."""
@@ -197,7 +197,7 @@ def run_retarget(settings: RetargetSettings) -> tuple[Retargeting, dict[str, Any
                 if model is not None:
                     report["samples"]["keep_every_rule"] = sum(_least_share(one, model) == 1 for one in motions)
             if model is not None:
-                report["check"] = checked(done, model, staging) | before
+                report["check"] = said["check"] = checked(done, model, staging) | before
             _write(done, report, staging)
             keep(done.clip, done.stride, report["robot"]["source"], said, staging / KEPT)
             if settings.format is not None:
