@@ -177,10 +177,6 @@ def _cat(folder: Path, seed: int = 0) -> tuple[Body, Pose3D]:
     return body, Pose3D(body.markers, body.tree.pose(states).points_m, np.arange(400), fps=CAT_FPS)
 
 
-def _cat_poses(path: Path) -> None:
-    write_csv(_cat(path.parent)[1], path)
-
-
 def _cat_clip(path: Path) -> None:
     """Seen by the samples' camera, nearer."""
     _, truth = _cat(path.parent, seed=1)
@@ -232,7 +228,6 @@ OF_PAGE: dict[str, dict[str, Callable[[Path], None]]] = {
     "robot.md": {"arm.toml": _toml("robot.md", 0)},
     "writing-a-skeleton.md": {
         "my-cat.toml": cat_file,
-        "poses.csv": _cat_poses,
         "clip.csv": _cat_clip,
     },
 }
