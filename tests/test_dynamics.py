@@ -21,6 +21,7 @@ from recon.gait.dynamics import (
     _forces,
     findings_of_dynamics,
     off_gravity,
+    over_stride,
     shape,
 )
 from recon.show import clip_page
@@ -86,7 +87,10 @@ def test_energies_are_those_of_the_path(found: ClipAnalysis):
     np.testing.assert_allclose(energy["potential"], G_M_S2 * (series.value[:, 2] - d.ground_m), rtol=1e-9)
     np.testing.assert_allclose(energy["total"], kinetic + energy["potential"] + energy["internal"], rtol=1e-9)
     assert (energy["internal"] > 0).all()
-    assert (d.energy_sigma_j_kg > 0).all()
+    sigma = d.energy_sigma_j_kg
+    np.testing.assert_allclose(sigma["potential"], G_M_S2 * series.value_sigma[:, 2])
+    np.testing.assert_allclose(sigma["kinetic_up"], np.abs(series.rate[:, 2]) * series.rate_sigma[:, 2])
+    assert (sigma["total"] > np.hypot(sigma["potential"], sigma["kinetic_up"])).all()
 
 
 def test_forces_of_a_stride_carry_the_body(found: ClipAnalysis):
@@ -193,6 +197,29 @@ def test_the_work_of_a_stride_is_what_the_energy_gains(found: ClipAnalysis):
         assert row["net_work_j_kg"] == pytest.approx(ends[1] - ends[0], abs=0.5)
         low, high = row["net_work_interval_j_kg"]
         assert low < row["net_work_j_kg"] < high
+        speed = np.interp([stride.start_s, stride.end_s], time_s, d.centre.speed_m_s)
+        faster = np.diff(speed)[0] / stride.duration_s
+        assert row["net_acceleration_m_s2"] == pytest.approx(faster, abs=0.3)
+        assert row["net_acceleration_interval_m_s2"][0] < faster < row["net_acceleration_interval_m_s2"][1]
+    # Over the clip the reference joint, on the trunk, gets faster as the centre of mass does.
+    net, of_joint = d.net_acceleration_m_s2, found.net_acceleration_m_s2
+    assert net == pytest.approx(of_joint, rel=0.15)
+
+
+@pytest.mark.parametrize(("sign", "share"), [(-1, 1.0), (1, 0.0)])
+def test_a_pendulum_exchanges_its_energies_and_a_spring_does_not(found: ClipAnalysis, sign: int, share: float):
+    d = found.dynamics
+    assert d is not None
+    series, turning = d.centre.series, 2 * np.pi * d.centre.series.time_s / 0.3
+    up_m, up_m_s = 0.02 * np.cos(turning), -0.02 * 2 * np.pi / 0.3 * np.sin(turning)
+    level_j_kg = 12.0 + sign * (G_M_S2 * up_m + up_m_s**2 / 2)
+    value = np.stack([3.0 * series.time_s, 0 * up_m, up_m], axis=1)
+    rate = np.stack([np.sqrt(2 * level_j_kg), 0 * up_m, up_m_s], axis=1)
+    known = replace(series, value=value, rate=rate, value_sigma=1e-5 + 0 * rate, rate_sigma=1e-5 + 0 * rate)
+    centre = replace(d.centre, series=known)
+    (exchanged, sigma) = over_stride(replace(d, centre=centre, ground_m=0 * up_m), 0.1, 0.7)["exchange"]
+    assert exchanged == pytest.approx(share, abs=1e-6)
+    assert 0 < sigma < 0.01
 
 
 @pytest.mark.parametrize("name", ["horse-22", "dog-27", "quadruped"])

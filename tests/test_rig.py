@@ -100,6 +100,22 @@ def test_an_opensim_model_has_masses_and_inertias(tmp_path):
         assert 0 <= moments[2] <= moments[:2].sum() * (1 + 1e-9)
 
 
+def test_opensim_holds_an_animal_that_stays_with_its_weight(tmp_path):
+    opensim = pytest.importorskip("opensim")
+    body = load_skeleton("cheetah-24")
+    still = np.tile(np.concatenate([np.zeros(4), body.mean_rad]), (20, 1))
+    write_opensim(make_rig(body, 1.0, body.markers, np.arange(20), still, 50.0, body_mass_kg=40.0), tmp_path / "a.osim")
+    model, tool = opensim.Model(str(tmp_path / "a.osim")), opensim.InverseDynamicsTool()
+    assert model.getTotalMass(model.initSystem()) == pytest.approx(40.0)
+    tool.setModel(model)
+    tool.setCoordinatesFileName(str(tmp_path / "a.mot"))
+    tool.setResultsDir(str(tmp_path))
+    tool.setOutputGenForceFileName("forces.sto")
+    assert tool.run()
+    up = opensim.TimeSeriesTable(str(tmp_path / "forces.sto")).getDependentColumn("z_m_force").to_numpy()
+    np.testing.assert_allclose(up, 40.0 * 9.80665, rtol=1e-3)
+
+
 def test_coordinates_of_an_opensim_model_are_the_skeletons(tmp_path):
     """In its terms and values, with what it expects of them."""
     rig, body = a_rig("cheetah-24"), load_skeleton("cheetah-24")

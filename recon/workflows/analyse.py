@@ -23,7 +23,7 @@ from recon.check import sentence, usable, verdict_fields
 from recon.fit.motion import MEASURED_SHARE, Motion
 from recon.fit.posterior import radius
 from recon.gait.clip import ClipAnalysis, analyse
-from recon.gait.dynamics import G_M_S2, Dynamics, findings_of_dynamics, net_work_j_kg
+from recon.gait.dynamics import G_M_S2, Dynamics, findings_of_dynamics, over_stride
 from recon.gait.gait import INTERVAL as REGION
 from recon.gait.gait import Gait, Stride, doubtful_text
 from recon.show.export import analysis_csv
@@ -226,6 +226,7 @@ def _dynamics_summary(found: ClipAnalysis) -> dict[str, Any] | None:
         "stride_sigma_s": found.gait.stride_sigma_s,
         "mean_peak_bw": float(d.forces["peak_bw"].mean()) if len(d.forces) else None,
         "flights": d.flights[["start_s", "end_s", "up_m_s2", "sigma_m_s2"]].to_dict("records"),
+        **_with_interval("net_acceleration_m_s2", *d.net_acceleration_m_s2),
         "strides": [_stride_energy(d, stride) for stride in found.gait.strides],
         "findings": [one.code for one in findings_of_dynamics(found.motion, d)],
         "energy_mean_j_kg": {name: float(np.nanmean(values)) for name, values in d.energy_j_kg.items()},
@@ -233,15 +234,23 @@ def _dynamics_summary(found: ClipAnalysis) -> dict[str, Any] | None:
 
 
 def _stride_energy(d: Dynamics, stride: Stride) -> dict[str, Any]:
-    """What the animal's energy gains over a stride, per kilogram, and in the mean per second."""
-    work, sigma = net_work_j_kg(d, stride.start_s, stride.end_s)
-    reach, lasts = radius(REGION) * sigma, stride.duration_s
-    return picked(stride, "foot", "start_s", "end_s") | {
-        "net_work_j_kg": work,
-        "net_work_interval_j_kg": [work - reach, work + reach],
-        "net_power_w_kg": work / lasts,
-        "net_power_interval_w_kg": [(work - reach) / lasts, (work + reach) / lasts],
-    }
+    """What the animal's energy gains over a stride, per kilogram, and in the mean per second; its net acceleration, and
+    the exchange of its energies."""
+    known = over_stride(d, stride.start_s, stride.end_s)
+    work, sigma = known["net_work_j_kg"]
+    known["net_power_w_kg"] = work / stride.duration_s, sigma / stride.duration_s
+    row = picked(stride, "foot", "start_s", "end_s")
+    for name, (value, sigma) in known.items():
+        row |= _with_interval(name, value, sigma)
+    return row
+
+
+def _with_interval(name: str, value: float, sigma: float) -> dict[str, Any]:
+    """net_work_j_kg and net_work_interval_j_kg, and the like."""
+    what = next((what for what in ("net_work", "net_power", "net_acceleration") if name.startswith(what)), name)
+    low, high = value - radius(REGION) * sigma, value + radius(REGION) * sigma
+    interval = [max(low, 0.0), min(high, 1.0)] if name == "exchange" else [low, high]
+    return {name: value, f"{what}_interval{name.removeprefix(what)}": interval}
 
 
 def _gait_summary(gait: Gait) -> dict[str, Any]:

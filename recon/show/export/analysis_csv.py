@@ -162,7 +162,8 @@ def centre_of_mass(found: ClipAnalysis) -> Columns:
         columns |= _axes(name, of)
     columns |= _axes("angular_momentum_{}_m2_s", d.angular_momentum)
     columns |= {f"{name}_j_kg": values for name, values in d.energy_j_kg.items()}
-    return columns | {"energy_sigma_j_kg": d.energy_sigma_j_kg}
+    columns |= {"energy_sigma_j_kg": d.energy_sigma_j_kg["total"]}
+    return columns | {f"{name}_sigma_j_kg": of for name, of in d.energy_sigma_j_kg.items() if name != "total"}
 
 
 def forces(found: ClipAnalysis) -> Table:
