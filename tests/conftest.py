@@ -30,7 +30,8 @@ from recon.fit import Ground, Motion, MotionSegment, TrajectorySolution
 from recon.geometry import Camera, inverse, moved
 from recon.show.plots import style
 from recon.wings.robotics.ik import clip as ik_clip
-from recon.wings.thesis import FrameOptions, mean_pose, solve_frames
+from recon.wings.thesis import FrameOptions, solve_frames
+from recon.wings.thesis.frame import mean_pose
 from recon.workflows import analyse, run_clip
 
 if TYPE_CHECKING:

@@ -11,16 +11,8 @@ from gallop import add_noise, gallop
 from recon.animal import load_chain
 from recon.clip import still_view
 from recon.geometry import inverse
-from recon.wings.thesis import (
-    FrameOptions,
-    FrameProblem,
-    FrameSolver,
-    base_length,
-    frame,
-    mean_pose,
-    solve_frames,
-)
-from recon.wings.thesis.frame import CONVERGED, Travel, posterior_covariance, precision_shares
+from recon.wings.thesis import FrameOptions, FrameProblem, FrameSolver, frame, solve_frames
+from recon.wings.thesis.frame import CONVERGED, Travel, base_length, mean_pose, posterior_covariance, precision_shares
 from recon.wings.thesis.objectives import JointReprojection
 
 SK = load_chain("cheetah-8u")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import tomllib
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -44,14 +43,23 @@ HIPS = np.array([[0.065, 0.0625, 0], [0.065, -0.0625, 0], [-0.065, 0.0625, 0], [
 
 def well(*numbers: float) -> _Well:
     """The same for all legs."""
-    return _Well(*((number, number, number, number) for number in numbers))
+    of_legs = ((number, number, number, number) for number in numbers)
+    return _Well.model_construct(**dict(zip(_Well.model_fields, of_legs, strict=True)))
+
+
+def balance(gain: float) -> _Balance:
+    return _Balance.model_construct(gain=gain, sharpness=60.0)
+
+
+def changed(of, **numbers):
+    return of.model_copy(update=numbers)
 
 
 FIELDS = Fields(
-    well(1.0, 0.12, 0.1, 0.135, 120.0, 150.0),
-    well(0.02, 0.1, -0.6, 0.7, 8.0, 9.0),
-    well(0.02, 0.05, -0.1, 0.5, 7.0, 8.0),
-    _Balance(0.3, 60.0),
+    radial=well(1.0, 0.12, 0.1, 0.135, 120.0, 150.0),
+    swing=well(0.02, 0.1, -0.6, 0.7, 8.0, 9.0),
+    flap=well(0.02, 0.05, -0.1, 0.5, 7.0, 8.0),
+    balance=balance(0.3),
 )
 NOWHERE = well(1e-12, 0.12, 0.1, 0.135, 1.0, 1.0)
 HERE = RigidTransform.identity()
@@ -104,11 +112,11 @@ def test_fields_act_along_the_published_directions():
         "swing": (np.arctan(0.05 / 0.1), a / (a @ a)),  # from straight down, in the plane whose normal is lateral
         "flap": (np.arctan(0.03 / 0.1), b / (b @ b)),
     }
-    none = replace(NOWHERE, gain=(0.0,) * 4)
+    none = changed(NOWHERE, gain=(0.0,) * 4)
     for kind, (q, way) in ways.items():
         of = getattr(FIELDS, kind)
-        one_leg = replace(of, gain=(0.0, of.gain[1], 0.0, 0.0))
-        only = replace(Fields(none, none, none, _Balance(1e-12, 1.0)), **{kind: one_leg})
+        one_leg = changed(of, gain=(0.0, of.gain[1], 0.0, 0.0))
+        only = changed(Fields(radial=none, swing=none, flap=none, balance=balance(1e-14)), **{kind: one_leg})
         found = wrench_at(only, HIPS + r[None], HERE)
         np.testing.assert_allclose(found[:3], of.slope(np.array(q))[1] * way, rtol=1e-9, atol=1e-11)
         np.testing.assert_allclose(found[3:], np.cross(HIPS[1] + r, found[:3]), atol=1e-11)
@@ -142,7 +150,7 @@ def test_wrench_is_the_gradient_of_one_energy(seed):
 
 
 def test_balance_pulls_to_the_centroid_with_a_gain_that_saturates():
-    only, level = Fields(NOWHERE, NOWHERE, NOWHERE, _Balance(0.3, 60.0)), HIPS - [0, 0, 0.12]
+    only, level = Fields(radial=NOWHERE, swing=NOWHERE, flap=NOWHERE, balance=balance(0.3)), HIPS - [0, 0, 0.12]
     for away, gain in (([3.0, 4.0], 0.3), ([0.003, 0.004], 0.3 * np.tanh(60 * 0.005))):
         found = wrench_at(only, level + np.array([*away, 0]), HERE)[:2]
         np.testing.assert_allclose(found, gain * np.array([0.6, 0.8]), atol=1e-9)
@@ -299,9 +307,9 @@ def test_every_bundled_climb_is_valid_in_every_frame(aibo, name):
 
 def test_a_climb_that_is_not_valid_says_why(aibo):
     recipe = load_recipe("published-50")
-    climb = plan(aibo, replace(recipe, step=replace(recipe.step, edge_m=recipe.step.edge_m - 0.03)))
+    climb = plan(aibo, changed(recipe, step=changed(recipe.step, edge_m=recipe.step.edge_m - 0.03)))
     assert any(says(p, "planted feet", "edge") for p in climb.problems())
-    front = plan(aibo, replace(recipe, primitives=recipe.primitives[:1]))
+    front = plan(aibo, changed(recipe, primitives=recipe.primitives[:1]))
     (problem,) = front.problems()
     assert says(problem, "not all feet")
 
@@ -328,7 +336,7 @@ def test_robots_with_other_legs_are_refused():
 
 def one_footfall() -> Recipe:
     recipe = raised(load_recipe("published-50"), 0.035)
-    return replace(recipe, primitives=(replace(recipe.primitives[0], footfalls=recipe.primitives[0].footfalls[:1]),))
+    return changed(recipe, primitives=(changed(recipe.primitives[0], footfalls=recipe.primitives[0].footfalls[:1]),))
 
 
 def test_the_command_writes_what_the_plan_is(tmp_path, aibo):

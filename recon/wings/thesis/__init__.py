@@ -12,16 +12,7 @@ from recon.base import lazily
 
 if TYPE_CHECKING:
     from recon.wings.thesis.clip import fit_clip, load_body
-    from recon.wings.thesis.frame import (
-        FrameOptions,
-        FrameProblem,
-        FrameSolution,
-        FrameSolver,
-        base_length,
-        frame_objectives,
-        mean_pose,
-        solve_frames,
-    )
+    from recon.wings.thesis.frame import FrameOptions, FrameProblem, FrameSolution, FrameSolver, solve_frames
     from recon.wings.thesis.solver import SolverRecord, read_solver
 
 __getattr__ = lazily(__name__, __file__)

@@ -27,7 +27,7 @@ z up.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from math import degrees
 from pathlib import Path
@@ -36,7 +36,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from pydantic import AfterValidator, BeforeValidator, Field
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 from rich.table import Table
 from scipy.spatial.transform import RigidTransform, Rotation
 
@@ -92,14 +92,7 @@ _PositiveLegs = Annotated[
 ]
 
 
-class _Table:
-    """A table of a recipe's file."""
-
-    __pydantic_config__ = FileTable.model_config
-
-
-@dataclass(frozen=True)
-class _Well(_Table):
+class _Well(FileTable):
     """A potential of a coordinate q of each leg, with a wall at either end. Raises ValueError."""
 
     gain: _PositiveLegs
@@ -115,9 +108,11 @@ class _Well(_Table):
     high: _PositiveLegs
     """Sharpness of the upper wall, per unit of q."""
 
-    def __post_init__(self) -> None:
+    @model_validator(mode="after")
+    def _in_order(self) -> _Well:
         if any(not a <= b <= c for a, b, c in zip(self.least, self.natural, self.most, strict=True)):
             raise ValueError("least <= natural <= most")
+        return self
 
     def slope(self, q: Array) -> Array:
         """At q (legs,): almost flat between least and most (the dead zone), and steep beyond."""
@@ -125,8 +120,7 @@ class _Well(_Table):
         return np.array(self.gain) * off * (np.exp(self.high * above) + np.exp(-np.array(self.low) * below))
 
 
-@dataclass(frozen=True)
-class _Balance(_Table):
+class _Balance(FileTable):
     """What pulls the torso over its feet."""
 
     gain: PositiveLength
@@ -135,8 +129,7 @@ class _Balance(_Table):
     """Per metre."""
 
 
-@dataclass(frozen=True)
-class Fields(_Table):
+class Fields(FileTable):
     """The wells of the legs, and what balances the torso."""
 
     radial: _Well
@@ -145,8 +138,7 @@ class Fields(_Table):
     balance: _Balance
 
 
-@dataclass(frozen=True)
-class Step(_Table):
+class Step(FileTable):
     """A step up across the way: the ground is level at 0 as far as edge_m forward (x), and at height_m beyond."""
 
     edge_m: Length
@@ -164,8 +156,7 @@ class Step(_Table):
         return np.where((x > 0) & (z < 0), -1.0, 1.0) * np.hypot(x, z)
 
 
-@dataclass(frozen=True)
-class _Footfall(_Table):
+class _Footfall(FileTable):
     """A step that one leg takes."""
 
     leg: Annotated[int, Field(strict=True, ge=1, le=4), AfterValidator(lambda number: IN_FILES[number - 1])]
@@ -180,8 +171,7 @@ class _Footfall(_Table):
         return np.array([self.forward_m, -self.sideways_m, self.up_m])
 
 
-@dataclass(frozen=True)
-class Primitive(_Table):
+class Primitive(FileTable):
     """Some footfalls in the same fields."""
 
     name: str
@@ -193,8 +183,7 @@ class Primitive(_Table):
     fields: Fields
 
 
-@dataclass(frozen=True)
-class _Swing(_Table):
+class _Swing(FileTable):
     """How a foot moves: its path's clearance above the higher end, and its speeds by phase."""
 
     clearance_m: PositiveLength
@@ -203,16 +192,14 @@ class _Swing(_Table):
     lower_m_s: PositiveLength
 
 
-@dataclass(frozen=True)
-class _Pace(_Table):
+class _Pace(FileTable):
     """How far the torso goes in a frame, at most."""
 
     max_step_m: PositiveLength
     max_turn_rad: PositiveLength
 
 
-@dataclass(frozen=True)
-class Recipe(_Table):
+class Recipe(FileTable):
     """What a climb is planned from."""
 
     robot: str
@@ -255,10 +242,13 @@ def load_recipe(recipe: str | Path) -> Recipe:
 def raised(recipe: Recipe, height_m: float) -> Recipe:
     """For a step of another height: all heights in proportion."""
     ratio = height_m / recipe.step.height_m
-    primitives = tuple(
-        replace(p, footfalls=tuple(replace(f, up_m=f.up_m * ratio) for f in p.footfalls)) for p in recipe.primitives
-    )
-    return replace(recipe, step=replace(recipe.step, height_m=height_m), primitives=primitives)
+
+    def higher(primitive: Primitive) -> Primitive:
+        falls = tuple(fall.model_copy(update={"up_m": fall.up_m * ratio}) for fall in primitive.footfalls)
+        return primitive.model_copy(update={"footfalls": falls})
+
+    step = recipe.step.model_copy(update={"height_m": height_m})
+    return recipe.model_copy(update={"step": step, "primitives": tuple(map(higher, recipe.primitives))})
 
 
 # -- a climb ---------------------------------------------------------------------------------------------------------
