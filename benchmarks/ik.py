@@ -43,7 +43,6 @@ from recon.wings.robotics.ik.chain import (
     spine_front_leg,
 )
 from recon.wings.robotics.ik.clip import LAST, Limb, fit_parameter_series, follow_stride, stride_lasts_s
-from recon.wings.robotics.ik.drive import degree_of_closure, drive_to, follow, to_null_space_optimum
 from recon.wings.robotics.ik.methods import (
     Cost,
     ExtendedJacobian,
@@ -56,13 +55,17 @@ from recon.wings.robotics.ik.methods import (
     SelectivelyDamped,
     best_scale,
     damped_least_squares,
+    degree_of_closure,
+    drive_to,
     explained_by,
     fits,
+    follow,
     harmonic_map,
     joint_differences,
     pose_distance,
     rates_of,
     rotational_energy,
+    to_null_space_optimum,
     weighted_least_norm,
 )
 

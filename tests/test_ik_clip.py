@@ -19,13 +19,13 @@ from recon.gait import pose_gait
 from recon.io import Pose3D
 from recon.wings.robotics import IkSettings, limb_of, methods_of, run_ik
 from recon.wings.robotics.ik.clip import METHODS, cost_of, fit_parameters, follow_stride, stride_lasts_s, stride_of
-from recon.wings.robotics.ik.drive import drive_to
 from recon.wings.robotics.ik.methods import (
     DAMPING_M,
     PULL,
     Frames,
     LeastNorm,
     damped_least_squares,
+    drive_to,
     explained_by,
     fits,
     rates_of,

@@ -9,7 +9,6 @@ import pytest
 
 from recon.animal import load_chain
 from recon.wings.robotics.ik.chain import null_basis, planar_chain, spine_front_leg
-from recon.wings.robotics.ik.drive import degree_of_closure, drive_to, follow, to_null_space_optimum
 from recon.wings.robotics.ik.methods import (
     ExtendedJacobian,
     GradientProjection,
@@ -17,9 +16,13 @@ from recon.wings.robotics.ik.methods import (
     LeastNorm,
     SelectivelyDamped,
     damped_least_squares,
+    degree_of_closure,
+    drive_to,
+    follow,
     harmonic_map,
     joint_differences,
     rotational_energy,
+    to_null_space_optimum,
     user_cost,
     weighted_least_norm,
 )

@@ -7,11 +7,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from recon.wings.robotics.ik.chain import joint_chain, planar_chain, unreachable
-from recon.wings.robotics.ik.drive import drive_to
 from recon.wings.robotics.ik.methods import (
     ExtendedJacobian,
     LeastNorm,
     damped_least_squares,
+    drive_to,
     joint_differences,
     rotational_energy,
 )

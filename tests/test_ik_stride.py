@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from recon.wings.robotics.ik.chain import farthest_reach, find_stride, planar_chain
-from recon.wings.robotics.ik.drive import follow
-from recon.wings.robotics.ik.methods import LeastNorm
+from recon.wings.robotics.ik.methods import LeastNorm, follow
 
 CHAIN = planar_chain((0.5, 0.4, 0.3))
 

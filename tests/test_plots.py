@@ -23,8 +23,7 @@ from recon.show.plots import configurations, over_time, style
 from recon.show.plots.configurations import share_colours
 from recon.wings.robotics.ik import clip as ik_plots
 from recon.wings.robotics.ik.chain import planar_chain, summed_chain
-from recon.wings.robotics.ik.drive import drive_to, follow
-from recon.wings.robotics.ik.methods import JacobianTranspose, LeastNorm, damped_least_squares
+from recon.wings.robotics.ik.methods import JacobianTranspose, LeastNorm, damped_least_squares, drive_to, follow
 
 FPS = 50.0
 LIMBS = {"trunk": (0, 1), "near leg": (0, 2), "off leg": (0, 3)}

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from recon.wings.robotics.ik.drive import drive_to
 from recon.wings.robotics.ik.methods import (
     ExtendedJacobian,
     GradientProjection,
@@ -12,6 +11,7 @@ from recon.wings.robotics.ik.methods import (
     LeastNorm,
     SelectivelyDamped,
     damped_least_squares,
+    drive_to,
     joint_differences,
     weighted_least_norm,
 )

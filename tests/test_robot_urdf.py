@@ -9,7 +9,6 @@ from robot_urdf import HEAD, JOINT, a1_urdf, moving
 
 from recon import InputError
 from recon.wings.robotics import LEGS, load_robot, simulated
-from recon.wings.robotics.ik.drive import drive_to
 from recon.wings.robotics.ik.methods import (
     ExtendedJacobian,
     GradientProjection,
@@ -17,6 +16,7 @@ from recon.wings.robotics.ik.methods import (
     LeastNorm,
     SelectivelyDamped,
     damped_least_squares,
+    drive_to,
     joint_differences,
     weighted_least_norm,
 )

@@ -34,7 +34,7 @@ from recon.show.plots.over_time import phase_portraits
 from recon.wings.robotics.ik import chain as chains
 from recon.wings.robotics.ik import methods as ways
 from recon.wings.robotics.ik.chain import SerialChain
-from recon.wings.robotics.ik.drive import Run, control_columns, drive_to, follow, to_null_space_optimum
+from recon.wings.robotics.ik.methods import Run, control_columns, drive_to, follow, to_null_space_optimum
 from recon.workflows.cli import ANYWAY, STRIDE, Answer, StrideTimes, table_of, verdict_texts
 
 Extended = Literal["extended-differences", "extended-energy", "extended-harmonic"]

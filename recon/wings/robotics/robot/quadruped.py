@@ -55,8 +55,7 @@ from recon.base.errors import InputError, Problem, refuse
 from recon.base.package import install_command
 from recon.geometry.kinematics import Marker, Segment, Tree
 from recon.wings.robotics.ik.chain import MAX_RATE_RAD_S, SerialChain, joint_chain
-from recon.wings.robotics.ik.drive import drive_to
-from recon.wings.robotics.ik.methods import LeastNorm
+from recon.wings.robotics.ik.methods import LeastNorm, drive_to
 
 LEGS = ("LF", "RF", "LH", "RH")
 IK_TOLERANCE_M = 1e-5

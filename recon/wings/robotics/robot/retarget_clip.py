@@ -54,7 +54,7 @@ from recon.gait.gait import doubtful_text
 from recon.io.writing import write_rows
 from recon.show.plain import picked, to_json
 from recon.show.plots.style import save
-from recon.wings.robotics.ik.drive import control_columns
+from recon.wings.robotics.ik.methods import control_columns
 from recon.wings.robotics.robot import physics
 from recon.wings.robotics.robot.quadruped import LEGS, Quadruped, RobotLeg, builtin_robots, load_robot
 from recon.wings.robotics.robot.retarget import LEGS_APART, Retargeting, RobotMotion, reference_of, retarget
