@@ -79,7 +79,10 @@ SENTENCES = {
     "frames_not_converged": ("2 of 9 frames did not converge", {"count": 2, "frames_total": 9}),
     "not_converged": ("ended before it had converged", {}),
     "size_unexpected": ("comes out 0.70 times as large as usual, where 1 ± 0.1", {"size": 0.7, "expected_sigma": 0.1}),
-    "distances_scaled": ("distances come out 1.10 times as long as they are", {"times": 1.1}),
+    "pair_disagrees": (
+        "One of cam1, cam2 is probably turned or moved, and positions are further off than stated",
+        {"cameras": ("cam1", "cam2"), "misfit": 9.06, "limit": 4.0},
+    ),
     "too_fast": ("41 m/s, and none runs as fast", {"speed_m_s": 41.2}),
     "second_solution": ("up to 0.30 m away", {"count": 2, "frames_total": 9, "apart_m": 0.3}),
     "few_frames": ("A clip of 8 frames tells little", {"count": 8}),

@@ -6,14 +6,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from recon.check.inputs import baseline_of, copies, movement, zooms
-from recon.check.rules import distances_scaled, ground_elsewhere, subject_unlike_species
+from recon.check.rules import ground_elsewhere, pair_disagrees, subject_unlike_species
 from recon.clip import Keypoints, Source, clean
-from recon.fit import ClipProblem, Ground, Motion, TrajectoryOptions
+from recon.fit import ClipProblem, Ground, Motion, TrajectoryOptions, solve_trajectory
 from recon.geometry import rigid
 from recon.workflows.cameras import other_camera_in
 from tests.test_trajectory import BODY, CAMERA, CAMERA_FROM_LEVEL, FPS, PRIOR, errors_m, plain, run, seen, solve
+from tests.test_views import AHEAD, ASIDE, truth_m, two, view_of
 
 NAMES = BODY.keypoint_names(None)
 
@@ -177,22 +179,14 @@ def test_a_fit_is_the_same_wherever_the_ground_is(height_m):
     assert segment.ground.height_m == pytest.approx(height_m, abs=0.2)
 
 
-@pytest.mark.parametrize(
-    ("found", "ground_m", "times"),
-    [(0.93, 0.0, None), (0.84, None, 0.84), (1.08, None, None), (1.08, -0.12, 1.0966), (1.08, 0.06, None)],
-)
-def test_distances_that_two_cameras_scale_are_named_by_size_and_ground(found, ground_m, times):
-    motion = moved(plain().states)
-    ground = None if ground_m is None else Ground(ground_m, np.zeros(2), 0.03, near_zero=True)
-    segments = tuple(replace(segment, ground=ground) for segment in motion.solution.segments)
-    one = replace(motion, solution=replace(motion.solution, size=found, size_prior_sigma=0.1, segments=segments))
-    view = replace(one.solution.views[0], T_camera_world=rigid(np.eye(3), np.array([0.0, 0.0, -1.0])))
-    two = replace(
-        one,
-        sources=(source(noisy()), source(noisy(1), "cam2")),
-        solution=replace(one.solution, views=(view, view)),
-    )
-    assert [*distances_scaled(one)] == []
-    assert [finding.numbers["times"] for finding in distances_scaled(two)] == (
-        [] if times is None else [pytest.approx(times, abs=1e-4)]
-    )
+@pytest.mark.parametrize(("turn_deg", "shift_m"), [(6.0, 0.0), (-6.0, 0.0), (0.0, 0.5), (0.0, -1.0)])
+def test_two_cameras_of_which_one_is_turned_or_moved_are_named(turn_deg, shift_m):
+    """In the plane of both cameras and the animal, where rays still meet."""
+    turn = Rotation.from_euler("y", turn_deg, degrees=True).as_matrix()
+    views = [view_of(truth_m(), AHEAD), view_of(truth_m(), ASIDE, seed=1)]
+    views[1] = replace(views[1], T_camera_world=rigid(turn, np.array([shift_m, 0.0, 0.0])) @ ASIDE)
+    right, wrong = two(), solve_trajectory(views, BODY, PRIOR, FPS, TrajectoryOptions(fast=True))
+    one = moved(plain().states)
+    for solution, said in ((one.solution, False), (right, False), (wrong, True)):
+        motion = replace(one, solution=replace(one.solution, segments=solution.segments))
+        assert [finding.code for finding in pair_disagrees(motion)] == ["pair_disagrees"] * said

@@ -131,6 +131,9 @@ class MotionSegment(Brief):
     """The part of its weight that the prior kept, each angle on its own having the rest; 1 where the motion fits."""
     unlike_prior: bool = False
     """The motion is none that the prior knows."""
+    second_camera_misfit: float | None = None
+    """Of two cameras: how far the second's pose is from one at which pictures, size and ground agree better, as a chi
+    square with six degrees of freedom; None where it was not held, or there is no second."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)

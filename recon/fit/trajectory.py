@@ -34,12 +34,13 @@ from recon.base import Progress, silent
 from recon.base.arrays import Array, Bools
 from recon.clip import BRIDGED_S, View
 from recon.fit import constants
+from recon.fit.banded import eliminated
 from recon.fit.clip_problem import ClipProblem, TrajectoryOptions, contacts
-from recon.fit.least_squares import Estimate, LeastSquares
+from recon.fit.least_squares import Estimate, LeastSquares, Unknown
 from recon.fit.posterior import Posterior, PriorMisfit, posterior, prior_misfit_of, with_size
 from recon.fit.result import SHAPES, Ground, MotionSegment, TrajectorySolution
 from recon.fit.starts import StartFit, approach, between
-from recon.fit.terms import SIDESLIP, Reprojection, extrinsic_correction, focal, size_of, time_offset
+from recon.fit.terms import SIDESLIP, SIZE, Reprojection, extrinsic_correction, focal, size_of, time_offset
 from recon.geometry.kinematics import ROOT, YAW
 
 MARGIN_S = 0.25
@@ -123,11 +124,13 @@ class SegmentFit:
     def size(self) -> float:
         return size_of(self.estimate.shared)
 
-    def in_world(self, origin_m: Array, size: float) -> MotionSegment:
-        """What the solution says of the segment; at nominal size about (3,) until then."""
-        ground, misfit = self.ground and self.ground.about(origin_m, size), self.prior_misfit
+    def in_world(self, clip: ClipProblem, size: float) -> MotionSegment:
+        """What the solution says of the segment; at nominal size about the clip's origin until then."""
+        ground, misfit = self.ground and self.ground.about(clip.origin_m, size), self.prior_misfit
         level, unlike = (None, False) if misfit is None else (misfit.level, misfit.unlike)
-        return MotionSegment(self.rows, ground, level, self.prior_weight, unlike)
+        held = len(clip.views) == 2 and clip.shows_size and not clip.options.refine_cameras
+        misplaced = _second_camera_misfit(clip, self) if held else None
+        return MotionSegment(self.rows, ground, level, self.prior_weight, unlike, misplaced)
 
     def found(self, name: str, count: int = 1) -> Array:
         """(count,): the values of shared unknowns, 0 where they are none."""
@@ -311,7 +314,7 @@ def _solution(clip: ClipProblem, solved: Sequence[SegmentFit], began: float) -> 
         data_share=np.sum(shares, axis=0) / posed if shares else np.full(len(clip.body.markers), np.nan),
         flags=flags,
         alternative_cost=second_cost if np.isfinite(second_cost) else np.nan,
-        segments=tuple(one.in_world(clip.origin_m, size) for one in solved if not away[one.rows].all()),
+        segments=tuple(one.in_world(clip, size) for one in solved if not away[one.rows].all()),
         prior=clip.prior.name,
         status="converged" if solved and all(one.estimate.converged for one in solved) else "not_converged",
         cost_by_term={
@@ -376,6 +379,23 @@ def _size(
             pull += float(clip.origin_m[2]) * below / variance
             sources.append("ground")
     return float(pull / precision), float(precision**-0.5), tuple(dict.fromkeys(sources))
+
+
+def _second_camera_misfit(clip: ClipProblem, one: SegmentFit) -> float:
+    """How far the second of two cameras would go from its pose if that were free and all else followed, as a chi square
+    of its six unknowns beyond what a calibration leaves open. Where rays meet in spite of a wrong pose, the animal is
+    too large or too small: so its size is taken to be as usual."""
+    root, size_sigma = clip.correlation_frames**0.5, constants.USUAL_SIZE_SHARE * clip.size_sigma
+    free = Unknown(extrinsic_correction(1), np.zeros(6), np.full(6, np.inf))
+    size = Unknown(SIZE, np.ones(1), np.hypot([size_sigma], constants.SIZE_OF_TWO_CAMERAS) / root)
+    others = [unknown for unknown in (*one.problem.shared, *one.problem.doubtful) if unknown.name != SIZE]
+    problem = replace(one.problem, shared=[free, size, *others], doubtful=())
+    normals = problem.normals(one.estimate.states, problem.expected() | dict(one.estimate.shared))
+    reduced = np.sum([window.reduced() for window in eliminated(normals(), bounded=True)], axis=0) / root**2
+    of_others = np.linalg.solve(reduced[6:, 6:-1], np.delete(reduced[6:], np.s_[6:-1], axis=1))
+    precision, pull = np.split(np.delete(reduced[:6], np.s_[6:-1], axis=1) - reduced[:6, 6:-1] @ of_others, [6], axis=1)
+    calibrated = np.repeat([constants.CALIBRATED_RAD, constants.CAMERA_SHIFT_M], 3) ** 2
+    return float(pull[:, 0] @ np.linalg.lstsq(precision + precision * calibrated @ precision, pull[:, 0])[0])
 
 
 def _size_of_offsets(clip: ClipProblem) -> float:
