@@ -12,8 +12,15 @@ from recon.animal import load_chain
 from recon.clip import still_view
 from recon.geometry import inverse
 from recon.wings.thesis import FrameOptions, FrameProblem, FrameSolver, frame, solve_frames
-from recon.wings.thesis.frame import CONVERGED, Travel, base_length, mean_pose, posterior_covariance, precision_shares
-from recon.wings.thesis.objectives import JointReprojection
+from recon.wings.thesis.frame import (
+    CONVERGED,
+    JointReprojection,
+    Travel,
+    base_length,
+    mean_pose,
+    posterior_covariance,
+    precision_shares,
+)
 
 SK = load_chain("cheetah-8u")
 EXACT = FrameOptions(sigma_px=1.0, keypoint_sigma_m=0.0, base_sigma_m=0.001)
