@@ -30,6 +30,7 @@ from recon.fit import TrajectorySolution
 from recon.fit.motion import MEASURED_SHARE, Motion, Picture
 from recon.fit.result import MotionSegment
 from recon.gait.clip import ClipAnalysis
+from recon.gait.dynamics import G_M_S2
 from recon.gait.gait import Gait
 from recon.gait.kinematics import MIN_POINTS, JointKinematics, frame_jitter_m, jitter_errors, point_kinematics
 from recon.show.plain import by_name, file_name, frame_count, number, picked, to_plain
@@ -726,6 +727,12 @@ def in_sentences(motion: Motion, moved: JointKinematics, gait: Gait | None, doub
             f"of {len(gait.strides)} strides); a foot stands {gait.name.duty_factor:.0%} of the time "
             "(90 %: {:.0%} to {:.0%}).".format(*gait.name.duty_interval)
         )
+        lasts_s, swing_s = 1 / gait.stride_frequency_hz, 2 * math.pi * math.sqrt(gait.tracks.leg_m / 1.5 / G_M_S2)
+        if lasts_s > swing_s:
+            yield (
+                f"Strides last {lasts_s:.1f} s, longer than a leg of this length swings to and fro by itself "
+                f"({swing_s:.1f} s): the video may be in slow motion. Check --fps."
+            )
 
 
 def warnings(report: Mapping[str, Any]) -> list[str]:

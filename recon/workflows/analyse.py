@@ -23,7 +23,7 @@ from recon.check import sentence, usable, verdict_fields
 from recon.fit.motion import MEASURED_SHARE, Motion
 from recon.fit.posterior import radius
 from recon.gait.clip import ClipAnalysis, analyse
-from recon.gait.dynamics import G_M_S2, Dynamics, findings_of_dynamics, over_stride
+from recon.gait.dynamics import Dynamics, findings_of_dynamics, over_stride
 from recon.gait.gait import INTERVAL as REGION
 from recon.gait.gait import Gait, Stride, doubtful_text
 from recon.show.export import analysis_csv
@@ -195,13 +195,6 @@ def notes(found: ClipAnalysis) -> Iterator[str]:
         )
     if gait is not None and len(motion.foot_names) < 4:
         yield f"Only the feet {', '.join(motion.foot_names)} were fitted: the gait has no name."
-    if gait is not None and gait.strides:
-        lasts_s, swing_s = 1 / gait.stride_frequency_hz, 2 * math.pi * math.sqrt(gait.tracks.leg_m / 1.5 / G_M_S2)
-        if lasts_s > swing_s:
-            yield (
-                f"Strides last {lasts_s:.1f} s, longer than a leg of this length swings to and fro by itself "
-                f"({swing_s:.1f} s): the video may be in slow motion. Check --fps."
-            )
     doubtful = [] if gait is None else [doubtful_text(doubt) for doubt in gait.doubtful]
     yield from doubtful[:SHOWN]
     if (more := len(doubtful) - SHOWN) > 0:
