@@ -14,9 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from recon.base.arrays import Array
+from recon.base import Array, InputError, Problem, all_of, refuse
 from recon.base.documents import parse_json, parse_toml, read_text
-from recon.base.errors import InputError, Problem, all_of, refuse
 from recon.geometry.camera import BLOCKS, LARGEST, POSE, TILT, Camera, is_rotation
 from recon.geometry.lens import LENS_MODELS
 from recon.io.formats import FORMATS, recognised, titles

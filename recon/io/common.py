@@ -16,8 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from recon.base.arrays import Brief
-from recon.base.errors import InputError, Problem, refuse
+from recon.base import Brief, InputError, Problem, refuse
 from recon.clip import Keypoints
 
 

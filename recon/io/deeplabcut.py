@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from recon.base.errors import InputError, Problem, refuse
+from recon.base import InputError, Problem, refuse
 from recon.clip import Keypoints
 from recon.io import common
 from recon.io.common import SCORER, Pose3D, StoredPoints

@@ -16,7 +16,7 @@ from typing import Any, cast
 import h5py
 import numpy as np
 
-from recon.base.errors import InputError, Problem
+from recon.base import InputError, Problem
 from recon.base.files import write_bytes
 from recon.clip import Keypoints
 from recon.io.common import Pose3D, StoredPoints, formats_extra, is_hdf5

@@ -14,8 +14,8 @@ from typing import Any, Literal
 
 import numpy as np
 
+from recon.base import InputError, Problem
 from recon.base.documents import read_head
-from recon.base.errors import InputError, Problem
 from recon.clip import Keypoints
 from recon.io.common import NoChoiceError, StoredPoints, damage_named, with_likelihoods
 

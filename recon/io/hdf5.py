@@ -16,8 +16,8 @@ import h5py
 import numpy as np
 from h5py import h5t
 
+from recon.base import InputError, Problem
 from recon.base.documents import MAX_UNPACKED
-from recon.base.errors import InputError, Problem
 from recon.io.common import damage_named, is_hdf5
 
 FREE_BYTES = 1 << 26

@@ -28,7 +28,7 @@ from uuid import uuid4
 import h5py
 import numpy as np
 
-from recon.base.errors import InputError, Problem, refuse
+from recon.base import InputError, Problem, refuse
 from recon.base.files import write_bytes
 from recon.clip import Keypoints
 from recon.io import common, hdf5, writing

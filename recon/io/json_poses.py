@@ -24,8 +24,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from recon.base import InputError, Problem, refuse
 from recon.base.documents import read_json
-from recon.base.errors import InputError, Problem, refuse
 from recon.io import common
 from recon.io.common import StoredPoints
 

@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
+from recon.base import InputError, Problem, refuse
 from recon.base.documents import KINDS, MAX_UNPACKED, arrays_of, read_content
-from recon.base.errors import InputError, Problem, refuse
 from recon.base.files import write_bytes
 from recon.io import common, writing
 from recon.io.common import Pose3D, StoredPoints, one_animal, rate

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from recon.base.errors import InputError, Problem, all_of
+from recon.base import InputError, Problem, all_of
 from recon.io.common import MAX_FRAME, Pose3D, StoredPoints, text_rows
 from recon.io.deeplabcut import points_of_rows
 from recon.io.formats import Format, file_head, read_points

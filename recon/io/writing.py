@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from recon.base.errors import InputError, Problem, refuse
+from recon.base import InputError, Problem, refuse
 from recon.clip import Keypoints, frame_ranges
 from recon.io.common import MAX_FRAME, SCORER, Pose3D, StoredPoints, require_span
 

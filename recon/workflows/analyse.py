@@ -14,9 +14,7 @@ from rich.table import Table
 from rich.text import Text
 from threadpoolctl import threadpool_limits
 
-from recon.base import Progress, silent
-from recon.base.arrays import median
-from recon.base.errors import decimals
+from recon.base import Progress, decimals, median, silent
 from recon.base.files import require_free_folder, sole_writer, staged_folder
 from recon.base.settings import Option, Positive, Settings
 from recon.check import sentence, usable, verdict_fields

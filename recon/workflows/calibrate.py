@@ -11,8 +11,7 @@ from typing import Annotated, Any
 from rich.table import Table
 from rich.text import Text
 
-from recon.base import Progress, silent
-from recon.base.errors import Problem, all_of, refuse
+from recon.base import Problem, Progress, all_of, refuse, silent
 from recon.base.files import require_free_file, staged_folder, write_bytes
 from recon.base.settings import OneOrMore, Option, Settings
 from recon.calibrate.boards import calibrate as solved

@@ -11,8 +11,7 @@ import pandas as pd
 from pydantic import Field
 
 from recon.animal import load_prior, load_skeleton
-from recon.base import Progress
-from recon.base.errors import Problem, refuse
+from recon.base import Problem, Progress, refuse
 from recon.base.files import require_free_folder, staged_folder
 from recon.base.settings import Integer, Number, Settings
 from recon.calibrate.camera_advice import PICTURE_PX, Advice, advise

@@ -12,9 +12,7 @@ import numpy as np
 from pydantic import Field
 from scipy.spatial.transform import Rotation
 
-from recon.base import Progress, silent
-from recon.base.arrays import Array
-from recon.base.errors import InputError, Problem, all_of, refuse
+from recon.base import Array, InputError, Problem, Progress, all_of, refuse, silent
 from recon.base.files import require_free_file, staged_folder, write_bytes
 from recon.base.settings import Integer, Number, Option, Settings
 from recon.calibrate import camera_motion as turning

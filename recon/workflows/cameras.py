@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 from recon import io
-from recon.base.errors import InputError, Problem, all_of, refuse
+from recon.base import InputError, Problem, all_of, refuse
 from recon.geometry.camera import Camera
 from recon.workflows.settings import UNITS_M, FitSettings, Unit
 

@@ -37,7 +37,7 @@ from rich.table import Column, Table
 from rich.text import Text
 from typer.core import TyperCommand, TyperGroup
 
-from recon.base.errors import InputError, Problem, printable, refuse
+from recon.base import InputError, Problem, printable, refuse
 from recon.base.interrupts import EXIT_INTERRUPTED, MESSAGE, Interrupts, installed
 from recon.base.settings import Number, Option, SettingInfo, Settings, on_command_line, unknown_setting
 

@@ -17,9 +17,7 @@ from recon import animal, check, io
 from recon.animal.body import Body, Side
 from recon.animal.prior import MotionPrior, load_prior
 from recon.animal.skeleton_file import load_skeleton, seen_by
-from recon.base import Progress, silent
-from recon.base.arrays import Array, mean_along
-from recon.base.errors import InputError, Problem, all_of, refuse
+from recon.base import Array, InputError, Problem, Progress, all_of, mean_along, refuse, silent
 from recon.clip import Keypoints, Source, View, clean, held, leave_out, parse_frame_range, together, views_of
 from recon.fit import TrajectorySolution, solve_trajectory
 from recon.fit.motion import Motion

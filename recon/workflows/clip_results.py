@@ -13,18 +13,9 @@ from typing import Any
 
 from recon import io
 from recon.animal.prior import load_prior
-from recon.base import Progress, silent
+from recon.base import InputError, Problem, Progress, read_manifest, silent, sole_writer, staged_file, staged_results
 from recon.base.documents import read_toml
-from recon.base.errors import InputError, Problem
-from recon.base.files import (
-    MANIFEST,
-    read_manifest,
-    require_free_folder,
-    sha256_of,
-    sole_writer,
-    staged_file,
-    staged_results,
-)
+from recon.base.files import MANIFEST, require_free_folder, sha256_of
 from recon.base.package import version
 from recon.clip import views_of
 from recon.fit.clip_problem import ClipProblem

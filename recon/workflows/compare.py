@@ -17,9 +17,7 @@ import numpy as np
 import pandas as pd
 from rich.table import Table
 
-from recon.base import Progress
-from recon.base.arrays import Array
-from recon.base.errors import InputError, Problem, all_of, refuse
+from recon.base import Array, InputError, Problem, Progress, all_of, refuse
 from recon.base.files import require_free_folder, staged_folder
 from recon.base.settings import OneOrMore, Option, Settings
 from recon.check import usable

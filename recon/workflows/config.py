@@ -10,8 +10,8 @@ from typing import Any
 
 from pydantic import TypeAdapter
 
+from recon.base import InputError, Problem
 from recon.base.documents import read_toml
-from recon.base.errors import InputError, Problem
 from recon.base.settings import on_command_line
 from recon.workflows.settings import SETTINGS, FitSettings, with_paths
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from recon.animal.naming import load_names, renamed
-from recon.base.errors import InputError, Problem, all_of
+from recon.base import InputError, Problem, all_of
 from recon.base.files import require_free_file, staged_file
 from recon.base.settings import Option, Positive, Settings
 from recon.check import usable, verdict_lines

@@ -12,9 +12,7 @@ import numpy as np
 from pydantic import Field
 from rich.console import Console
 
-from recon.base import Progress, silent
-from recon.base.arrays import Array
-from recon.base.errors import InputError, Problem, all_of, length_text, refuse
+from recon.base import Array, InputError, Problem, Progress, all_of, length_text, refuse, silent
 from recon.base.files import require_free_file
 from recon.base.settings import Number, OneOrMore, Option, Settings
 from recon.clip import Source, View, camera_poses, together

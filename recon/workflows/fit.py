@@ -7,8 +7,7 @@ from typing import Annotated, Any
 
 from rich.console import Console
 
-from recon.base import Progress
-from recon.base.errors import InputError, Problem
+from recon.base import InputError, Problem, Progress
 from recon.base.settings import Settings
 from recon.workflows.cli import Answer, OptionsOf, answer_of_fit, say
 from recon.workflows.config import read_settings

@@ -15,9 +15,7 @@ import numpy as np
 from pydantic import Field
 from rich.console import Console
 
-from recon.base import Progress, silent
-from recon.base.arrays import Array, Index
-from recon.base.errors import InputError, Problem, all_of, refuse
+from recon.base import Array, Index, InputError, Problem, Progress, all_of, refuse, silent
 from recon.base.files import MANIFEST, read_manifest, require_free_file, sole_writer, staged_file
 from recon.base.parallel import Event, carry_out
 from recon.base.settings import Integer, Number, Option, Settings

@@ -20,9 +20,8 @@ from recon.animal import Body, MotionPrior, detector_toml, fit_prior, load_skele
 from recon.animal.prior import mean_speed_m_s
 from recon.animal.prior_fit import FRAMES_PER_COMPONENT, as_one_gaussian, log_likelihood
 from recon.animal.skeleton_file import NONE
-from recon.base.arrays import Array, Integers
+from recon.base import Array, InputError, Integers, Problem, all_of, refuse
 from recon.base.documents import read_json
-from recon.base.errors import InputError, Problem, all_of, refuse
 from recon.base.files import require_free_file, staged_file
 from recon.base.settings import Count, NotNegative, OneOrMore, Option, Settings
 from recon.check import usable

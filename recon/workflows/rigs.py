@@ -11,8 +11,7 @@ import numpy as np
 
 from recon import check, io
 from recon.animal.body import Body
-from recon.base.arrays import Array
-from recon.base.errors import InputError, Problem, refuse
+from recon.base import Array, InputError, Problem, refuse
 from recon.clip import CleaningReport, FramePoses, Keypoints, Source, camera_poses, leave_out, views_of
 from recon.geometry.camera import Camera
 from recon.geometry.frames import level_from_camera, rigid

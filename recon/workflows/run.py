@@ -16,8 +16,7 @@ from typing import Annotated, Any, Literal, NamedTuple
 
 from rich.console import Console
 
-from recon.base import Progress, silent
-from recon.base.errors import InputError, Problem, all_of, refuse
+from recon.base import InputError, Problem, Progress, all_of, refuse, silent
 from recon.base.files import MANIFEST, read_manifest, sha256_of, sole_writer
 from recon.base.parallel import carry_out
 from recon.base.settings import Count, Integer, Option, Settings

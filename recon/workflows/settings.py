@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tomli_w
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
-from recon.base.errors import Problem
+from recon.base import Problem
 from recon.base.settings import Count, File, NameOrFile, NotNegative, Number, OneOrMore, Option, Positive, Settings
 from recon.clip import parse_frame_range
 

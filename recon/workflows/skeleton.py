@@ -27,9 +27,8 @@ from scipy.spatial.distance import squareform
 from recon import animal
 from recon.animal import Body, builtin_names, load_prior, load_skeleton, other_side
 from recon.animal.body import PLACES
-from recon.base.arrays import Array
+from recon.base import Array, InputError, Problem, all_of, length_text
 from recon.base.documents import builtin_file
-from recon.base.errors import InputError, Problem, all_of, length_text
 from recon.base.files import require_free_file, require_free_folder, staged_file
 from recon.base.settings import File, OneOrMore, Option, Positive, Settings
 from recon.check.agreement import points_m

@@ -24,9 +24,7 @@ from rich.table import Table
 from rich.text import Text
 from threadpoolctl import threadpool_limits
 
-from recon.base import Progress
-from recon.base.arrays import Brief
-from recon.base.errors import InputError, Problem, refuse
+from recon.base import Brief, InputError, Problem, Progress, refuse
 from recon.base.files import MANIFEST, read_manifest, require_free_folder, seen_from, sole_writer, staged_file
 from recon.base.package import version
 from recon.base.parallel import STARTING, Event, Tell, carry_out, carry_out_on_cluster

@@ -14,9 +14,8 @@ from itertools import count, islice
 from pathlib import Path
 from typing import Any
 
-from recon.base.arrays import Brief
+from recon.base import Brief, InputError, Problem, refuse
 from recon.base.documents import read_toml
-from recon.base.errors import InputError, Problem, refuse
 from recon.check import names_text
 from recon.fit.motion_forms import MOTION
 from recon.io import individuals, recognised
