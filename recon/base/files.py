@@ -62,7 +62,7 @@ def staged_folder(folder: str | Path) -> Iterator[Path]:
 
 @contextmanager
 def staged_results(folder: str | Path, names: Iterable[str] = ()) -> Iterator[Path]:
-    """The same for files that belong together: all of them move, or none, with a manifest (`recon.base.files`).
+    """The same for files that belong together: all of them move, or none, with a manifest that names them.
 
     names: of all files that results of this kind may have. Those of an earlier run that this one does not write go.
     """

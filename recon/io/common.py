@@ -331,7 +331,7 @@ def require_span(frames: int, points: int, source: str | Path) -> None:
 
 SEPARATORS = (",", ";", "\t")
 Rows = Iterable[tuple[int, list[str]]]
-"""With the numbers of their lines."""
+"""Rows of a table, with the numbers of their lines."""
 
 
 def text_rows(path: Path, separator: str | None = None) -> Iterator[tuple[int, list[str]]]:

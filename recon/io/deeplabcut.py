@@ -98,9 +98,9 @@ class Table(NamedTuple):
 
     levels: Sequence[str | None]
     labels: Sequence[tuple[str, ...]]
-    """Of its C columns, one text for each level."""
+    """The labels of the C columns, one text for each level."""
     index: Sequence[Sequence[str]]
-    """Of its T rows, one text or several."""
+    """What names the T rows, one text or several for each."""
     values: np.ndarray
     """(T, C), NaN in empty cells."""
     problems: Sequence[Problem] = ()

@@ -231,7 +231,7 @@ def texts(dataset: Any) -> list[str]:
 
 
 def texts_in(group: h5py.Group, name: str) -> list[str]:
-    """Those of a dataset in a group; none where it is not there, or has none."""
+    """The texts of a dataset in a group; none where it is not there, or is empty."""
     dataset = child(group, name)
     return texts(dataset) if getattr(dataset, "size", 0) else []
 

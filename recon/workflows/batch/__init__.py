@@ -63,7 +63,7 @@ FORMULAS = ("=", "+", "-", "@", "\t", "\r")
 
 
 OnEvent = Callable[[Event, "Summary"], None]
-"""Told of what happens to a clip, and of what became of all so far."""
+"""What is told of each event of a clip, with what became of all so far."""
 
 
 @dataclass(frozen=True, repr=False)
