@@ -226,6 +226,9 @@ def _forces(gait: Gait) -> tuple[pd.DataFrame, dict[str, Array]]:
 
     starts, ends, impulses = _drawn(gait)
     time_s, rows = gait.tracks.time_s, []
+    some_last = np.where([stance.begins and stance.ends for stance in gait.stances], ends - starts, np.nan)
+    some_peak = impulses / (MEAN_OF_PEAK * some_last)
+    peak, impulse = (np.stack([of[0], *np.quantile(of[1:], _ENDS, axis=0)]) for of in (some_peak, impulses))
     force = {foot: np.zeros((len(time_s), 3)) for foot in gait.tracks.feet}
     for i, stance in enumerate(gait.stances):
         whole = stance.begins and stance.ends
@@ -235,14 +238,12 @@ def _forces(gait: Gait) -> tuple[pd.DataFrame, dict[str, Array]]:
         if not whole:
             force[stance.foot][near] = np.nan
             continue
-        lasts, some_s = (ends - starts)[:, i], np.linspace(first, last, NODES)
-        peaks = impulses[:, i] / (MEAN_OF_PEAK * lasts)
-        drawn = peaks[1:, None] * shape((some_s - starts[1:, i, None]) / lasts[1:, None])
+        some_s = np.linspace(first, last, NODES)
+        drawn = some_peak[1:, i, None] * shape((some_s - starts[1:, i, None]) / some_last[1:, i, None])
         for k, of_draws in enumerate((drawn.mean(axis=0), *np.quantile(drawn, _ENDS, axis=0))):
             force[stance.foot][near, k] += np.interp(time_s[near], some_s, of_draws)
         if np.isfinite(impulses[0, i]):
-            peak, impulse = ((of[0], *np.quantile(of[1:], _ENDS)) for of in (peaks, impulses[:, i]))
-            rows.append((stance.foot, stance.start_s, stance.end_s, *map(float, (*peak, *impulse))))
+            rows.append((stance.foot, stance.start_s, stance.end_s, *peak[:, i].tolist(), *impulse[:, i].tolist()))
     return pd.DataFrame(rows, columns=[*FORCE_COLUMNS]), force
 
 
