@@ -186,6 +186,7 @@ def size_rows(run: Run) -> Iterator[dict]:
         "30 %, slip 1": size(0.3, 1.0),
         "nothing, slip 1": size(10.0, 1.0),
         "at 5 m/s, 30 %, slip 2.5": size(0.3, 2.5, 5.0),
+        "at 2 m/s, 10 %, slip 2.5": size(0.1, 2.5, 2.0),
     }
 
 

@@ -18,6 +18,7 @@ from rigs import clip, scored
 from scipy.spatial.transform import Rotation
 
 from recon import (
+    Camera,
     FitSettings,
     Keypoints,
     Motion,
@@ -29,7 +30,9 @@ from recon import (
 )
 from recon.animal import fitting_maps, load_names, new_names, prior_from_body
 from recon.clip import View, camera_poses
-from recon.fit import TrajectoryOptions, solve_trajectory
+from recon.fit import ClipProblem, TrajectoryOptions, solve_trajectory
+from recon.fit.posterior import about_keypoint_bias
+from recon.fit.trajectory import solve_segments
 from recon.gait import LEVELS
 from recon.geometry import rigid
 from recon.io import write_csv
@@ -115,6 +118,39 @@ def test_intervals_widen_where_lengths_are_others(skeleton):
     prior = prior_from_body(body)
     place, pose, *_ = scored(solve_trajectory(views, body, prior, rigs.FPS, TrajectoryOptions(fast=True)), true_m)
     assert 0.83 < min(place, pose) < max(place, pose) < 0.97  # 0.65 to 0.82 with keypoints as near as expected
+
+
+@pytest.mark.parametrize("cameras", [2, 1])
+def test_keypoint_bias_is_no_noise(cameras):
+    """Detections have 2 px of noise, and lie 15 mm beside their markers all the time, 4 px. The posterior of two
+    cameras takes hardly more than the first for noise; of one, whose keypoints show no bias in common, all of it."""
+    body = load_skeleton("human-25")
+    views, _ = clip(body, 0.0, cameras, 0)
+    setting = ClipProblem.of(views, body, prior_from_body(body), rigs.FPS, TrajectoryOptions(fast=True))
+    (one,) = solve_segments(setting)
+    counted = about_keypoint_bias(one.problem, one.estimate, setting.correlation_frames)
+    seen, noise_px = views[0].present, float(np.median(one.noise_px[0]))
+    given, now = (problem.terms[0].view.confidence[seen].mean() for problem in (one.problem, counted))
+    assert noise_px > 1.8 * rigs.SIGMA_PX
+    if cameras == 1:
+        assert now == given
+    else:
+        assert 0.8 * rigs.SIGMA_PX < noise_px * np.sqrt(given / now) < 1.3 * rigs.SIGMA_PX
+
+
+def test_a_drone_that_hovers_does_not_tell_the_size():
+    """8 m above a person who walks, it drifts by half a metre: feet in swing do not make the person small."""
+    body, random = load_skeleton("human-25"), np.random.default_rng(0)
+    states, poses = walking(60, 30.0), np.tile(np.diag([1.0, -1.0, -1.0, 1.0]), (60, 1, 1))
+    centres_m = np.array([0.3, 0.2, 8.0]) + 0.3 * np.arange(-30, 30)[:, None] / 30 * [1.0, 0.0, 0.0]
+    poses[:, :3, 3] = -centres_m * [1.0, -1.0, -1.0]
+    lens, markers_m = Camera.from_hfov(40.0, (1920, 1080)), body.tree.pose(states).points_m
+    seen = View(lens, poses, np.zeros((60, len(body.markers), 2)), np.ones((60, len(body.markers))))
+    xy_px, _ = seen.project(markers_m)
+    seen = replace(seen, xy_px=xy_px + random.normal(size=xy_px.shape))
+    found = solve_trajectory([seen], body, prior_from_body(body), 30.0, TrajectoryOptions(fast=True))
+    assert abs(found.size - 1) < 0.5 * found.size_sigma < 0.05
+    assert np.linalg.norm(found.joints_m - markers_m, axis=2).mean() < 0.5
 
 
 # -- names ---------------------------------------------------------------------------------------------------------

@@ -94,11 +94,12 @@ def seen_late(shared: bool = True) -> LeastSquares:
     held = Linear("held", (0,), 0.01 * np.eye(BODY.n_state)[None], np.zeros(BODY.n_state))  # the last frame by one view
     free = [*unknown, *displaced] if shared else unknown
     stance = StanceVelocity(FEET, FPS, 2.5, 2.0)
+    driven = replace(stance, at=0.9, by_size=rng.normal(size=(T - 1, len(FEET), 3)))
     rear, front = (BODY.markers.index(marker) for marker in BODY.forward)
     return LeastSquares(
         BODY.tree,
         [*linear, held],
-        [*seen, stance, Heading(rear, front, FPS, 0.5)],
+        [*seen, stance, driven, Heading(rear, front, FPS, 0.5)],
         free,
         () if shared else [*displaced, *common],
     )

@@ -278,10 +278,21 @@ def above_ground(clip: ClipProblem, points_m: Array, size: float = 1.0) -> float
 
 
 def contacts(clip: ClipProblem, points_m: Array, size: float) -> tuple[Array, Ground | None, tuple[terms.Term, ...]]:
-    """Contact (T, F) of the feet of markers (T, J, 3), the ground under them, and the terms that hold both."""
+    """Contact (T, F) of the feet of markers (T, J, 3), the ground under them, and the terms that hold both.
+
+    What one moving camera sees tells the size by feet that stand, which would go as the camera does if the animal were
+    of another size, and not by those in swing; the more the camera goes along with the animal, whose feet it sees going
+    both ways, the more by all of them."""
     feet = clip.feet
     stance = terms.StanceVelocity(feet, clip.fps, constants.SLIP_M_S, constants.SLIP_C)
     _, _, still = stance.contact(points_m, size)
+    if len(clip.views) == 1 and clip.shows_size:
+        camera = np.diff(clip.views[0].centre_m, axis=0)[:, None]
+        body = np.diff(points_m.mean(axis=1), axis=0)[:, None] + (1.0 - 1.0 / size) * camera  # of the expected size
+        along = np.clip(np.sum(body * camera) / max(np.sum(body**2), 1e-12), 0.0, 1.0)
+        seen = (1.0 - along) * np.where(still[..., None] > 0.5, 0.0, camera) / size
+        by_size = (seen + along * np.diff(points_m[:, feet], axis=0)) * clip.fps
+        stance = replace(stance, at=size, by_size=by_size)
     middle = 0.5 * (points_m[1:, feet] + points_m[:-1, feet])
     height, sigma = float(np.percentile(middle[..., 2], 10)), 10.0
     near_zero = abs(above_ground(clip, points_m, size)) < ELSEWHERE if clip.ground_known else None

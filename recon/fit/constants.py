@@ -9,6 +9,9 @@ KEYPOINT_BIAS_SHARE = 0.6
 """The part of a keypoint's distance from its marker that stays the same over a clip."""
 COMMON_BIAS_SHARE = 0.4
 """The part of that variance which several cameras see alike: the likeliest in the benchmark's real runs."""
+NOISE_ABOUT_BIAS = 1.2
+"""By what the variance of detections about their keypoints' bias is multiplied, as real bias is not quite the same over
+a clip: the 90 % intervals of the benchmark's real runs hold as much as if all of it counted as noise."""
 ERROR_TIME_S = 0.16
 """How long errors of detections last: what is seen in that time counts once in the uncertainty. Set on the benchmark's
 real runs, so that 90 % regions hold about 90 % of the joints."""

@@ -98,10 +98,10 @@ class LeastSquares:
         terms = [term for term in self.terms if term.name in names]
         return replace(self, linear=linear, terms=terms, shared=(), doubtful=())
 
-    def squares(self, states: Array) -> float:
+    def squares(self, states: Array, shared: Mapping[str, Array] | None = None) -> float:
         """The sum of all squared residuals."""
         total = sum(float(np.sum(term.residual(states) ** 2)) for term in self.linear)
-        for span in self.spans(states, self.expected(), jacobian=True):
+        for span in self.spans(states, self.expected() if shared is None else shared, jacobian=True):
             for term in self.terms:
                 total += float(np.sum(term.evaluate(span, jacobian=True).residual ** 2))
         return total

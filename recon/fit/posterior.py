@@ -31,7 +31,7 @@ from recon.base.arrays import Array
 from recon.fit import constants
 from recon.fit.banded import Window, eliminated
 from recon.fit.least_squares import Estimate, LeastSquares
-from recon.fit.terms import COMMON_KEYPOINT_BIAS, PRIOR_TERMS, SIZE, size_of
+from recon.fit.terms import COMMON_KEYPOINT_BIAS, PRIOR_TERMS, SIZE, Reprojection, keypoint_bias, size_of
 from recon.geometry.kinematics import ROOT, YAW
 
 _HELD = 1e8
@@ -41,6 +41,8 @@ _HARDLY = 1e-3
 _FRAMES_AT_ONCE = 256
 _WIDER_ROUNDS, _AS_EXPECTED = 10, 8
 """Rounds of expectation and maximisation, and how many unknowns the expectation of their variance is worth."""
+_NOISE_ROUNDS, _NOISE_FACTOR = 2, (0.05, 4.0)
+"""The same of the noise of detections about their keypoints' bias, and what a round makes of its variance."""
 
 
 @dataclass(frozen=True)
@@ -85,6 +87,10 @@ class _Curvature:
     """The size's precision by the pixels, before the factor on variances; 0 where it is not among the unknowns."""
     beyond_m2: Array | float
     """(J,): by how much the variance of the keypoint bias that all cameras share is larger than expected."""
+    expected_precision: Array
+    """(1 + P,): the part of the precision that is expected of each, before anything is seen."""
+    pull: Array
+    """(1 + P,): the gradient of all that is shared, with all else at its minimum."""
 
     def windows(self) -> Iterator[tuple[Window, Array, Array]]:
         """Each with how its n frames move with the P unknowns besides the size (n, D, P), and with the size (n, D)."""
@@ -106,18 +112,21 @@ def curvature(problem: LeastSquares, found: Estimate, variance_factor: float) ->
 
     reduced = np.sum([window.reduced() for window in windows()], axis=0)
     S, first, beyond_m2 = reduced[:, :-1].copy(), int(SIZE in problem.columns), 0.0
-    if (own := problem.columns.get(COMMON_KEYPOINT_BIAS)) is not None:
-        (variance_m2,) = (u.sigma**2 for u in problem.shared if u.name == COMMON_KEYPOINT_BIAS)
+    expected = np.concatenate([np.zeros(0), *(unknown.sigma**-2.0 for unknown in problem.shared)])
+    name, axes = (COMMON_KEYPOINT_BIAS, 3) if keypoint_bias(1) in problem.columns else (keypoint_bias(0), 2)
+    if (own := problem.columns.get(name)) is not None:
+        variance_m2 = 1.0 / expected[own]
         wider = _wider(S, reduced[:, -1], own, variance_m2, variance_factor)
         S[own, own] += np.diag((1.0 / wider - 1.0) / variance_m2)
-        beyond_m2 = (wider - 1.0) * variance_m2[::3]
+        expected[own] /= wider
+        beyond_m2 = (wider - 1.0) * variance_m2[::axes]
     of_others, known = np.linalg.inv(S[first:, first:]), 0.0
     others_by_size = np.zeros(len(of_others))
     if first:
         others_by_size = -of_others @ S[1:, 0]
         known = float(S[0, 0] + S[0, 1:] @ others_by_size - problem.shared[0].sigma[0] ** -2)
     root = np.asarray(np.linalg.cholesky(of_others), dtype=float)
-    return _Curvature(windows, root, others_by_size, S, max(known, 0.0), beyond_m2)
+    return _Curvature(windows, root, others_by_size, S, max(known, 0.0), beyond_m2, expected, reduced[:, -1])
 
 
 def _wider(S: Array, g: Array, own: slice, variance: Array, variance_factor: float) -> float:
@@ -131,6 +140,28 @@ def _wider(S: Array, g: Array, own: slice, variance: Array, variance_factor: flo
         squares = ((of_own @ pull) ** 2 / variance_factor + np.diagonal(of_own)) / variance
         wider = float((squares.sum() + _AS_EXPECTED) / (len(squares) + _AS_EXPECTED))
     return max(wider, 1.0)
+
+
+def about_keypoint_bias(problem: LeastSquares, found: Estimate, variance_factor: float) -> LeastSquares:
+    """The problem of several cameras with the noise that detections have about their keypoints' bias. A solution takes
+    the bias for zero, so that its residuals hold both, and as noise the bias would be counted twice.
+
+    The noise's variance is the likeliest one: what the squared residuals are with the bias that they ask for, over the
+    number of detections less those that show the bias, as errors last."""
+    if COMMON_KEYPOINT_BIAS not in [unknown.name for unknown in problem.doubtful]:
+        return problem
+    for _ in range(_NOISE_ROUNDS):
+        known, pictures = curvature(problem, found, variance_factor), problem.only(("reprojection",))
+        covariance = np.linalg.inv(known.shared_precision)
+        bias, expected = covariance @ known.pull, known.expected_precision
+        squares = pictures.squares(found.states, found.shared) - float(known.pull @ bias + expected @ bias**2)
+        show_bias = variance_factor * (len(bias) - float(expected @ np.diagonal(covariance)))
+        seen = [term for term in problem.terms if isinstance(term, Reprojection)]
+        free = max(2 * sum(int(term.view.present.sum()) for term in seen) - show_bias, 1.0)
+        factor = float(np.clip(constants.NOISE_ABOUT_BIAS * squares / free, *_NOISE_FACTOR))
+        seen = [replace(term, view=replace(term.view, confidence=term.view.confidence / factor)) for term in seen]
+        problem = replace(problem, terms=[*seen, *(t for t in problem.terms if not isinstance(t, Reprojection))])
+    return problem
 
 
 def posterior(problem: LeastSquares, body: Body, found: Estimate, variance_factor: float) -> Posterior:

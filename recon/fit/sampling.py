@@ -13,7 +13,7 @@ import numpy as np
 from recon.base.arrays import Array, mean
 from recon.fit.clip_problem import ClipProblem, contacts
 from recon.fit.least_squares import Estimate
-from recon.fit.posterior import curvature
+from recon.fit.posterior import about_keypoint_bias, curvature
 from recon.fit.result import TrajectorySolution
 from recon.fit.terms import SIDESLIP, SIZE, time_offset
 from recon.geometry.kinematics import ROOT
@@ -43,7 +43,8 @@ def draws(clip: ClipProblem, solution: TrajectorySolution, count: int, seed: int
         problem = part.problem(noise_px, 1.0, contacts(part, points, size)[2] if stand else (), points, size)
         # refined cameras are in place
         shared = {name: (problem.expected() | stated)[name] for name in problem.columns}
-        known = curvature(problem, Estimate(states, 0.0, 0, True, shared), clip.correlation_frames)
+        at, alike = Estimate(states, 0.0, 0, True, shared), clip.correlation_frames
+        known = curvature(about_keypoint_bias(problem, at, alike), at, alike)
         white = rng.normal(size=(*states.shape, count))
         others = known.root @ rng.normal(size=(len(known.root), count))
         first = segment.rows.start

@@ -370,34 +370,48 @@ class Heading:
 @dataclass(frozen=True)
 class StanceVelocity:
     """A foot (F,) that nearly stands, stands: its velocity with the loss of Geman and McClure, (c sigma)^2 / 2 at most.
-    In the world: at nominal size, feet that a moving camera follows would stand for any animal that is large enough."""
+    In the world: at nominal size, feet that a moving camera follows would stand for any animal that is large enough.
+
+    by_size (n, F, 3), frozen: how velocities follow the size about `at`, m/s, with the states held. By default they are
+    in proportion. Of an animal that one moving camera sees, they then are in proportion relative to the camera, so that
+    the feet of a smaller one are slower before a slow camera, which says nothing of its size: see `contacts`."""
 
     feet: Index
     fps: float
     sigma_m_s: float
     c: float
+    at: float = 1.0
+    by_size: Array | None = None
     name: str = "stance"
     stencil: tuple[int, ...] = (0, 1)
 
     def contact(self, points_m: Array, size: float) -> tuple[Array, Array, Array]:
         """Velocity (n, F, 3), loss (n, F) and its slope (n, F) between frames of markers (n + 1, J, 3)."""
         v = np.diff(points_m[:, self.feet], axis=0) * self.fps * size
+        return v, *self._loss(v)
+
+    def _loss(self, v: Array) -> tuple[Array, Array]:
         q = np.sum(v * v, axis=-1) / self.sigma_m_s**2
         shrink = 1.0 / (1.0 + q / self.c**2)
-        return v, q * shrink, shrink**2
+        return q * shrink, shrink**2
 
     def evaluate(self, span: Span, jacobian: bool) -> _TermRows:
         n, F = len(span.states) - 1, len(self.feet)
         size = size_of(span.shared)
-        v, loss, slope = self.contact(span.pose.points_m, size)
+        nominal = np.diff(span.pose.points_m[:, self.feet], axis=0) * self.fps
+        factor, by_size = size, nominal
+        if self.by_size is not None:
+            factor, by_size = self.at, self.by_size[span.first : span.first + n]
+        v = factor * nominal + (size - factor) * by_size
+        loss, slope = self._loss(v)
         weight = REFERENCE_HZ / self.fps
         cost = 0.5 * weight * loss.sum(axis=1)
         if not jacobian:
             return _TermRows(cost)
         root = np.sqrt(weight * slope)[..., None] / self.sigma_m_s
-        foot = span.pose.jacobian[:, self.feet] * self.fps * size
+        foot = span.pose.jacobian[:, self.feet] * self.fps * factor
         rows = np.stack([-foot[:-1] * root[..., None], foot[1:] * root[..., None]], axis=3)
-        by_shared = {SIZE: (v / size * root).reshape(n, 3 * F, 1)} if SIZE in span.shared else {}
+        by_shared = {SIZE: (by_size * root).reshape(n, 3 * F, 1)} if SIZE in span.shared else {}
         return _TermRows(cost, (v * root).reshape(n, 3 * F), rows.reshape(n, 3 * F, 2, -1), by_shared)
 
 

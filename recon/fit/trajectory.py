@@ -37,7 +37,7 @@ from recon.fit import constants
 from recon.fit.banded import eliminated
 from recon.fit.clip_problem import ClipProblem, TrajectoryOptions, contacts
 from recon.fit.least_squares import Estimate, LeastSquares, Unknown
-from recon.fit.posterior import Posterior, PriorMisfit, posterior, prior_misfit_of, with_size
+from recon.fit.posterior import Posterior, PriorMisfit, about_keypoint_bias, posterior, prior_misfit_of, with_size
 from recon.fit.result import SHAPES, Ground, MotionSegment, TrajectorySolution
 from recon.fit.starts import StartFit, approach, between
 from recon.fit.terms import SIDESLIP, SIZE, Reprojection, extrinsic_correction, focal, size_of, time_offset
@@ -273,7 +273,11 @@ def _noise_factors(clip: ClipProblem, points_m: Array, size: float, factors: Arr
 
 
 def _solution(clip: ClipProblem, solved: Sequence[SegmentFit], began: float) -> TrajectorySolution:
-    known = [posterior(one.problem, clip.body, one.estimate, clip.correlation_frames) for one in solved]
+    alike = clip.correlation_frames
+    known = [
+        posterior(about_keypoint_bias(one.problem, one.estimate, alike), clip.body, one.estimate, alike)
+        for one in solved
+    ]
     size, size_sigma, size_from = _size(clip, solved, known)
     sizes = {"T": len(clip), "J": len(clip.body.markers), "V": len(clip.views), "F": len(clip.feet), "3": 3}
     sizes |= {"D": clip.body.n_state, "A": clip.body.n_state - YAW}
