@@ -162,7 +162,7 @@ def read_colmap(path: Path) -> list[CameraRecord]:
             values["model"], names = COLMAP_LENSES[cells[1]]
             w, h = values["image_size_px"] = number(cells[2]), number(cells[3])
             n = dict(zip(names, map(number, cells[4:]), strict=True)) | {"w": w, "h": h}
-            n |= {"fx": n.get("f", n.get("fx")), "fy": n.get("f", n.get("fy"))}
+            n |= {"fx": n["f"], "fy": n["f"]} if "f" in n else {}
             values |= _of_numbers(values["model"], n | {"cx": n["cx"] - 0.5, "cy": n["cy"] - 0.5})
         called = {"matrix": "parameters"}
         records.append(CameraRecord(cells[0], f"line {line}, camera {cells[0]}: ", values, called, COLMAP_LENSES))

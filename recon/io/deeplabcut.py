@@ -99,7 +99,7 @@ class Table(NamedTuple):
     levels: Sequence[str | None]
     labels: Sequence[tuple[str, ...]]
     """The labels of the C columns, one text for each level."""
-    index: Sequence[Sequence[str]]
+    rows: Sequence[Sequence[str]]
     """What names the T rows, one text or several for each."""
     values: np.ndarray
     """(T, C), NaN in empty cells."""
@@ -116,7 +116,7 @@ def points_of_table(path: Path, individual: str | None, table: Table) -> StoredP
         for name in dict.fromkeys(name for column in raw for name in column[:2])
         if name != name.strip()
     )
-    frames, images, frame_problems = _frame_numbers(path, table.index)
+    frames, images, frame_problems = _frame_numbers(path, table.rows)
     refuse(common.first_problems([*_column_problems(path, columns), *table.problems, *frame_problems], path))
     if {animal for animal, _, _ in columns} == {""} and _prefixes(part for _, part, _ in columns):
         columns = [(part.partition("_")[0], part.partition("_")[2], coord) for _, part, coord in columns]
