@@ -339,7 +339,8 @@ def other_rate(clip: ClipProblem, states: Array, stated_hz: float | None) -> Fin
 
     at, last = 0, 1
     while at != last and abs(at) < RATE_STEPS:  # downhill
-        at, last = min((at, at - 1, at + 1), key=cost), at
+        around: list[int] = [at, at - 1, at + 1]
+        at, last = min(around, key=cost), at
     if abs(at) in (0, RATE_STEPS):
         return None
     slope, bend = 0.5 * (cost(at + 1) - cost(at - 1)), cost(at - 1) - 2 * cost(at) + cost(at + 1)
