@@ -182,7 +182,7 @@ def recognises_parquet(path: Path) -> bool:
 
 def read_parquet(path: Path, individual: str | None = None) -> StoredPoints:
     """The 3D positions of a Parquet file. Raises InputError."""
-    with common.formats_extra(path):
+    with writing.formats_extra(path):
         import pyarrow as pa
         import pyarrow.parquet as pq
     size = pq.read_metadata(path)  # a column of equal values takes no room in the file
@@ -293,7 +293,7 @@ def write_long(keypoints: Keypoints, path: Path) -> None:
 
 def write_parquet(pose: Pose3D, path: Path) -> None:
     """One row for each frame and joint: frame, joint, x_m, y_m, z_m (metres, z up)."""
-    with common.formats_extra("Parquet"):
+    with writing.formats_extra("Parquet"):
         import pyarrow as pa
         import pyarrow.parquet as pq
     T, J = pose.xyz_m.shape[:2]

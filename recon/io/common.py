@@ -117,25 +117,9 @@ LIKELIHOOD_MARGIN = 0.5
 """Networks whose scores are no probabilities, such as SLEAP's, go somewhat beyond 1."""
 
 
-@contextmanager
-def formats_extra(path: str | Path) -> Iterator[None]:
-    """Around the import of a library of the extra `formats`: an InputError says what to install where it is missing."""
-    try:
-        yield
-    except ModuleNotFoundError as error:
-        from recon.base.package import install_command
-
-        found = f"a format that needs the package {(error.name or '').split('.')[0]}, which is not installed"
-        raise InputError(Problem(path, "format", found, install_command("formats"))) from None
-
-
 def starts_with(path: Path, signature: bytes) -> bool:
     with path.open("rb") as file:
         return file.read(len(signature)) == signature
-
-
-def is_hdf5(path: Path) -> bool:
-    return starts_with(path, b"\x89HDF\r\n\x1a\n")
 
 
 def starts_with_text(path: Path, word: bytes) -> bool:

@@ -19,10 +19,10 @@ import numpy as np
 from recon.base import InputError, Problem
 from recon.base.files import write_bytes
 from recon.clip import Keypoints
-from recon.io.common import Pose3D, StoredPoints, formats_extra, is_hdf5
+from recon.io.common import Pose3D, StoredPoints
 from recon.io.deeplabcut import HEADERS, Table, header_problem, points_of_table
-from recon.io.hdf5 import attribute, child, groups, member, numbers, opened, raw_attribute, read_values
-from recon.io.writing import deeplabcut_layout
+from recon.io.hdf5 import attribute, child, groups, is_hdf5, member, numbers, opened, raw_attribute, read_values
+from recon.io.writing import deeplabcut_layout, formats_extra
 
 KEY = "df_with_missing"
 ANY_PANDAS = "0.15.2"

@@ -62,6 +62,18 @@ def find_project(path: Path) -> Project | None:
     )
 
 
+def refuse_several(path: Path) -> None:
+    """Raises InputError for a folder, and for a project, which have several files to choose from."""
+    if path.is_dir() and (files := sorted(path.glob("*.json"))):
+        raise InputError(Problem(path, "file", "a folder", f"one of its files, which stands for all: {files[0].name}"))
+    if find_project(path):
+        expected = (
+            "one of its tables, as videos/run1DLC_*.h5; the project as a whole is for recon batch, recon train and "
+            "recon skeleton from-keypoints"
+        )
+        raise InputError(Problem(path, "file", "a project of DeepLabCut", expected))
+
+
 def _entries(text: str) -> dict[str, list[str]]:
     """By each key of the document its value, the items of its list, or the keys of its mapping."""
     found: dict[str, list[str]] = {}

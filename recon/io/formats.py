@@ -149,7 +149,9 @@ def read_points(
     the columns of a plain table (`recon.io.columns.parse_map`)."""
     path = Path(path)
     if os.path.isdir(path) or path.suffix.lower() in (".yaml", ".yml"):
-        _refuse_several(path)
+        from recon.io.deeplabcut_project import refuse_several
+
+        refuse_several(path)
     head = file_head(path)
     if by is not None:
         return PLAIN, PLAIN.function("read")(path, individual, by)
@@ -165,20 +167,6 @@ def read_points(
     if np.isinf(stored.values).any():
         raise InputError(Problem(path, "points", "infinite coordinates", "numbers, or nothing where one is missing"))
     return found, stored
-
-
-def _refuse_several(path: Path) -> None:
-    """Raises InputError for a folder, and for a project, which have several files to choose from."""
-    from recon.io.deeplabcut_project import find_project
-
-    if path.is_dir() and (files := sorted(path.glob("*.json"))):
-        raise InputError(Problem(path, "file", "a folder", f"one of its files, which stands for all: {files[0].name}"))
-    if find_project(path):
-        expected = (
-            "one of its tables, as videos/run1DLC_*.h5; the project as a whole is for recon batch, recon train and "
-            "recon skeleton from-keypoints"
-        )
-        raise InputError(Problem(path, "file", "a project of DeepLabCut", expected))
 
 
 def _require_kind(path: Path, kind: Kind | None, found: Format, stored: StoredPoints | None) -> StoredPoints:

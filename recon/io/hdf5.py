@@ -18,7 +18,7 @@ from h5py import h5t
 
 from recon.base import InputError, Problem
 from recon.base.documents import MAX_UNPACKED
-from recon.io.common import damage_named, is_hdf5
+from recon.io.common import damage_named, starts_with
 
 FREE_BYTES = 1 << 26
 """What a dataset or a piece of it may take in any case; beyond that what it takes in the file, or, up to
@@ -34,6 +34,10 @@ MAX_TEXTS = 100_000
 MAX_DEPTH = 12
 MAX_GROUPS = 20_000
 MAX_HOPS = 8
+
+
+def is_hdf5(path: Path) -> bool:
+    return starts_with(path, b"\x89HDF\r\n\x1a\n")
 
 
 @contextmanager

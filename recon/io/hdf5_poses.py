@@ -213,14 +213,14 @@ def _axes(dataset: Any, name: str, scales: Mapping[str, Any]) -> tuple[str, ...]
 
 def write_movement(data: Keypoints | Pose3D, path: Path) -> None:
     """x, y in pixels, or x, y, z in metres with z up; of these the confidence, which the format asks for, is NaN."""
-    with common.formats_extra("movement netCDF"):
+    with writing.formats_extra("movement netCDF"):
         import h5netcdf  # noqa: F401  what xarray writes with
     write_bytes(path, bytes(dataset_of(data).to_netcdf(None, engine="h5netcdf")))
 
 
 def dataset_of(data: Keypoints | Pose3D) -> Any:
     """The same as an `xarray.Dataset`. Raises InputError where xarray is not installed."""
-    with common.formats_extra("movement netCDF"):
+    with writing.formats_extra("movement netCDF"):
         import xarray
     points = writing.points_of(data)
     unknown = np.full(points.values.shape[:2], np.nan)
@@ -345,7 +345,7 @@ def write_nwb(data: Keypoints | Pose3D, path: Path) -> None:
     container = points.individual or "PoseEstimation"
     fps = float(writing.required_fps(points.fps, NWB))
     writing.require_names((container, *points.names), NO_NAMES, NWB)
-    with common.formats_extra(NWB):
+    with writing.formats_extra(NWB):
         from ndx_pose import PoseEstimation, PoseEstimationSeries, Skeleton, Skeletons
         from pynwb import NWBHDF5IO, NWBFile
     frames, edges = points.frames, points.edges

@@ -218,7 +218,7 @@ def write_c3d(pose: Pose3D, path: Path) -> None:
     cannot hold."""
     fps = writing.required_fps(pose.fps, "C3D")
     writing.require_names(pose.names, r"^\s|\s$|\x00", "C3D", bytes_max=TEXT_MAX)
-    with common.formats_extra("C3D"):
+    with writing.formats_extra("C3D"):
         import ezc3d
     xyz = writing.without_gaps(pose.frames, pose.xyz_m * PER_METRE[UNIT], "C3D")
     ranges = writing.frames_text(pose.frames)

@@ -5,7 +5,8 @@ from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,18 @@ import numpy as np
 from recon.base import InputError, Problem, refuse
 from recon.clip import Keypoints, frame_ranges
 from recon.io.common import MAX_FRAME, SCORER, Pose3D, StoredPoints, require_span
+
+
+@contextmanager
+def formats_extra(path: str | Path) -> Iterator[None]:
+    """Around the import of a library of the extra `formats`: an InputError says what to install where it is missing."""
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        from recon.base.package import install_command
+
+        found = f"a format that needs the package {(error.name or '').split('.')[0]}, which is not installed"
+        raise InputError(Problem(path, "format", found, install_command("formats"))) from None
 
 
 def points_of(data: Keypoints | Pose3D) -> StoredPoints:
