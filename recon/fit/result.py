@@ -132,7 +132,7 @@ class MotionSegment(Brief):
     unlike_prior: bool = False
     """The motion is none that the prior knows."""
     second_camera_misfit: float | None = None
-    """Of two cameras: how far the second's pose is from one at which pictures, size and ground agree better, as a chi
+    """How far the second of two cameras is from the pose at which pictures and the animal's size agree better, as a chi
     square with six degrees of freedom; None where it was not held, or there is no second."""
 
 

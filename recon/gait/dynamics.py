@@ -72,7 +72,7 @@ class Dynamics(Brief):
     centre: JointKinematics
     """The centre of mass, in the upright frame."""
     net_acceleration_m_s2: tuple[float, float]
-    """That of the centre over the clip, along its way, and one standard deviation."""
+    """The centre's own over the clip, along its way, and one standard deviation."""
     internal_j_kg: Array
     """(N,): kinetic energy of the segments about the centre of mass."""
     angular_momentum: Array
