@@ -197,12 +197,11 @@ def test_the_part_of_a_picture_where_the_points_are():
 
 @pytest.mark.usefixtures("no_report")
 def test_all_threads_are_taken_unless_given_and_kept_on_resume(clip, tmp_path, monkeypatch):
-    before = torch.get_num_threads()
+    taken = []
+    monkeypatch.setattr(torch, "set_num_threads", taken.append)  # several make tests that run beside each other slow
+    monkeypatch.setattr(torch, "get_num_threads", lambda: taken[-1])
     monkeypatch.setattr(network, "available_cores", lambda: 2)
-    try:
-        assert train_in(tmp_path, clip, threads=None)["threads"] == 2
-        monkeypatch.setattr(network, "available_cores", lambda: 1)
-        assert train_in(tmp_path, clip, threads=None, resume=True)["threads"] == 2
-        assert train_in(tmp_path, clip, threads=1, overwrite=True)["threads"] == 1
-    finally:
-        torch.set_num_threads(before)
+    assert train_in(tmp_path, clip, threads=None)["threads"] == 2
+    monkeypatch.setattr(network, "available_cores", lambda: 1)
+    assert train_in(tmp_path, clip, threads=None, resume=True)["threads"] == 2
+    assert train_in(tmp_path, clip, threads=1, overwrite=True)["threads"] == 1
