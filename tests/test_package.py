@@ -98,11 +98,14 @@ def test_no_text_names_the_package_of_somebody_else():
 
 def docstrings(path: Path) -> Iterator[tuple[int, str, str]]:
     """Line, name and text of every docstring of a file, those beneath constants and fields included."""
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    nodes: list[ast.AST] = [ast.parse(path.read_text(encoding="utf-8"))]
+    while nodes:
+        body = getattr(node := nodes.pop(), "body", [])
+        nodes += [*body, *getattr(node, "orelse", []), *getattr(node, "handlers", [])]
         if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef):
             if text := ast.get_docstring(node):
                 yield getattr(node, "lineno", 1), getattr(node, "name", path.stem), text
-            for named, said in zip(node.body, node.body[1:], strict=False):
+            for named, said in zip(body, body[1:], strict=False):
                 value = said.value if isinstance(said, ast.Expr) else None
                 if isinstance(named, ast.Assign | ast.AnnAssign) and isinstance(value, ast.Constant):
                     yield value.lineno, "", str(value.value)
