@@ -9,6 +9,7 @@ import sys
 import tomllib
 from collections.abc import Iterator
 from importlib import metadata
+from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -105,7 +106,7 @@ def docstrings(path: Path) -> Iterator[tuple[int, str, str]]:
         if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef):
             if text := ast.get_docstring(node):
                 yield getattr(node, "lineno", 1), getattr(node, "name", path.stem), text
-            for named, said in zip(body, body[1:], strict=False):
+            for named, said in pairwise(body):
                 value = said.value if isinstance(said, ast.Expr) else None
                 if isinstance(named, ast.Assign | ast.AnnAssign) and isinstance(value, ast.Constant):
                     yield value.lineno, "", str(value.value)

@@ -148,7 +148,7 @@ def test_without_a_manifest_they_are_no_results(left, whole_results, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "content", ["", "[]", "{}", '{"schema": {"name": "recon.base.files", "version": 1}}', "9" * 5000]
+    "content", ["", "[]", "{}", '{"schema": {"name": "recon.manifest", "version": 1}}', "9" * 5000]
 )
 def test_a_manifest_of_another_kind(whole_results, tmp_path, content):
     folder = copy(whole_results, tmp_path)

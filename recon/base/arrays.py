@@ -14,8 +14,8 @@ Bools = NDArray[np.bool_]
 Integers = NDArray[np.int64]
 Index = NDArray[np.intp]
 """Indices of places in another array."""
-LONGEST, LONGEST_PART = 250, 75
-"""The characters that an object shows of itself at most, and a part of it."""
+LONGEST, LONGEST_PART, SMALL = 250, 75, 12
+"""The characters that an object shows of itself at most, and a part of it; numbers of an array that is shown itself."""
 
 
 class Brief:
@@ -29,8 +29,8 @@ class Brief:
 def _brief(part: Any) -> str:
     """A part of an object in a few words: a long one by its shape, its number of items, or its class."""
     if isinstance(part, np.ndarray):
-        return f"array {part.shape}"
-    text = f"{part:.4g}" if isinstance(part, float) else " ".join(repr(part).split())
+        return f"array {part.shape}" if part.size > SMALL else f"array {part.tolist()}"
+    text = f"{part:.6g}" if isinstance(part, float) else " ".join(repr(part).split())
     if len(text) <= LONGEST_PART:
         return text
     if isinstance(part, tuple | list | dict):

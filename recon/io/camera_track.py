@@ -17,7 +17,7 @@ In all the world has to be in metres with z up, which no format promises.
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar
@@ -217,8 +217,14 @@ def _read_csv(path: Path) -> CameraTrack:
         if header.count(name) != 1
     )
     at = [header.index(name) for name in wanted]
-    cells = [(line, [row[column] for column in at if column < len(row)]) for line, row in rows]
-    _, values, problems = number_rows(path, cells, wanted)
+    places: list[str] = []
+
+    def chosen() -> Iterator[tuple[int, list[str]]]:
+        for line, row in rows:
+            yield line, [row[column] for column in at if column < len(row)]
+            places.append(f"line {line}")
+
+    _, values, problems = number_rows(path, chosen(), wanted)  # row by row: a long track has many
     columns = dict(zip(wanted, values.T, strict=True))
     if outward:
         quaternion, place = _joined(columns, POSE[:4]) * [1, -1, -1, -1], _joined(columns, PLACE)
@@ -226,7 +232,7 @@ def _read_csv(path: Path) -> CameraTrack:
         usable = np.isfinite(values[:, 1:8]).all(axis=1) & (largest > 0.1) & (largest < 10)  # others are refused
         place[usable] = -(_rotations(quaternion[usable]) @ place[usable, :, None])[..., 0]
         columns |= dict(zip(POSE, np.hstack([quaternion, place]).T, strict=True))
-    return _checked_track(path, [f"line {line}" for line, _ in cells], columns, problems)
+    return _checked_track(path, places, columns, problems)
 
 
 # -- OpenDroneMap, OpenSfM ------------------------------------------------------------------------------------------

@@ -55,10 +55,16 @@ def _mentions(path: Path, *keys: bytes) -> bool:
 
 
 def _points(
-    path: Path, individual: str | None, names: Sequence[str], frames: Iterable[int], seen: Sequence[_Seen], **more: Any
+    path: Path,
+    individual: str | None,
+    names: Sequence[str],
+    frames: Iterable[int],
+    seen: Sequence[_Seen],
+    named: bool = False,
+    **more: Any,
 ) -> StoredPoints:
-    """The points of one animal in all frames, whatever the format; the number of a file's only one is no name. Raises
-    InputError."""
+    """The points of one animal in all frames, whatever the format. named: whether a file's only animal has a name.
+    Raises InputError."""
     animals = list(dict.fromkeys(one.animal for one in seen)) or [""]
     if "" in animals and len(animals) > 1:
         raise InputError(
@@ -82,7 +88,7 @@ def _points(
             taken.add(one.frame)
             xy[row[one.frame]], score[row[one.frame]] = one.xy_px, one.score
     refuse(common.first_problems(problems, path))
-    called = [chosen] if len(animals) > 1 or not re.fullmatch("[0-9]*", chosen) else []
+    called = [chosen] if len(animals) > 1 or named else []
     return common.one_animal(path, None, StoredPoints(tuple(names), xy, numbers, score, **more), called)
 
 
@@ -117,6 +123,7 @@ def read_coco(path: Path, individual: str | None = None) -> StoredPoints:
         seen,
         fps=common.rate(info.get("fps")) if isinstance(info, dict) else None,
         image_size_px=_size(content["images"]),
+        named=any("individual" in one for one in annotations),  # the number of the only track is no name
         notes=notes,
     )
 

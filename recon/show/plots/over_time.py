@@ -195,7 +195,7 @@ def speeds(
         )[:rows]:
             axes.set_ylabel(unit)
             _limit(axes, [(getattr(m, values), getattr(m, sigmas)) for m in curves.values()])
-        banded = any(motion.speed_sigma_m_s is not None for motion in curves.values())
+        banded = any(np.isfinite(motion.speed_sigma_m_s).any() for motion in curves.values())
         below.set_xlabel("time (s)" + ("; bands: one standard deviation" if banded else ""))
         style.add_legend(figure, handles, labels, width_mm)
     return figure

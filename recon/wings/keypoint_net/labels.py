@@ -155,9 +155,10 @@ def _read_video(video: Path, path: Path, first_frame: int, individual: str | Non
         expected = f"{keypoints.frames[0]} or less: the labels begin with frame {keypoints.frames[0]}"
         raise InputError(Problem("--first-frame", "number", str(first_frame), expected))
     wanted, pictures, decoded = (keypoints.frames - first_frame).tolist(), {}, 0
+    asked = {*wanted}
     for number, picture in read_frames(video, 0, max(wanted) + 1):
         decoded = number + 1
-        if number in wanted:
+        if number in asked:
             pictures[number] = picture
     if missing := [image for image, number in zip(images, wanted, strict=True) if number not in pictures]:
         stated = "" if info.stated_frames in (None, decoded) else f" (the file states {info.stated_frames})"

@@ -441,14 +441,17 @@ def batch(settings: _BatchSettings, given: _OfFits, console: Console) -> Answer:
         are = "clip is" if len(plan) == 1 else "clips are"
         console.print(f"{len(plan) - left} of {len(plan)} {are} done already.")
     how = settings.jobs, settings.retries, settings.scheduler
-    answer = shown_batch(console, left, lambda tell: run_batch(plan, settings.out, *how, tell))
+    answer = shown_batch(console, left, lambda tell: run_batch(plan, settings.out, *how, tell), PAGE_OF_A_CLIP)
     failed = any(row["status"] in ("failed", "unsolved") for row in answer.data["clips"])
     return replace(answer, code=int(settings.strict and failed))
 
 
-def shown_batch(console: Console, left: int, work: Callable[[OnEvent], Summary]) -> Answer:
+PAGE_OF_A_CLIP = "recon report {out}/CLIP, a page of one clip; "
+
+
+def shown_batch(console: Console, left: int, work: Callable[[OnEvent], Summary], of_a_clip: str = "") -> Answer:
     """Do what tells of its events, and say how it goes, a line a clip and a bar on a terminal; how it went. left: how
-    many clips there are to do."""
+    many clips there are to do. of_a_clip: the command that is next for one of them, with {out} for the folder."""
     summaries: list[Summary] = []
     began, ended = time.monotonic(), 0
     # Trouble is said even where nothing else is.
@@ -478,9 +481,7 @@ def shown_batch(console: Console, left: int, work: Callable[[OnEvent], Summary])
     said = Text.assemble(Text(", ").join(parts), f" in {seconds:.0f} s. Summary: {summary.path}")
     out, lines = summary.path.parent, [said, f"Open {summary.path.with_name(SUMMARY_PAGE)} in a browser."]
     if summary.verdicts():
-        lines.append(
-            f"Next: recon report {out}/CLIP, a page of one clip; recon compare {out} --out FOLDER, all of them."
-        )
+        lines.append(f"Next: {of_a_clip.format(out=out)}recon compare {out} --out FOLDER, all of them.")
     return Answer({"summary": summary.path, "counts": counts, "clips": [*summary.rows.values()]}, lines)
 
 

@@ -80,6 +80,10 @@ PLANAR, SPATIAL = (0, 1, 2, 4), (0, 1, 2, 3, 4, 5)
 """Degrees of freedom of a torso: x, y, z and pitch, or roll and yaw too."""
 
 
+Gain = Annotated[float, Field(strict=True, gt=0, lt=1e9, allow_inf_nan=False)]
+"""What a recipe weighs by, of any size above 0: more can only be damage."""
+
+
 def _all_legs(given: Any) -> Any:
     """One number for all legs, or two: of the front and of the rear legs."""
     front, rear = given if isinstance(given, list) and len(given) == 2 else (given, given)
@@ -87,9 +91,7 @@ def _all_legs(given: Any) -> Any:
 
 
 _Legs = Annotated[tuple[Length, Length, Length, Length], BeforeValidator(_all_legs)]
-_PositiveLegs = Annotated[
-    tuple[PositiveLength, PositiveLength, PositiveLength, PositiveLength], BeforeValidator(_all_legs)
-]
+_PositiveLegs = Annotated[tuple[Gain, Gain, Gain, Gain], BeforeValidator(_all_legs)]
 
 
 class _Well(FileTable):
@@ -123,9 +125,9 @@ class _Well(FileTable):
 class _Balance(FileTable):
     """What pulls the torso over its feet."""
 
-    gain: PositiveLength
+    gain: Gain
     """Force far from the centroid."""
-    sharpness: PositiveLength
+    sharpness: Gain
     """Per metre."""
 
 
@@ -206,7 +208,7 @@ class Recipe(FileTable):
     """Name of its description."""
     dofs: Literal[4, 6]
     """How many the torso has."""
-    fps: PositiveLength
+    fps: Gain
     stance_m: Annotated[tuple[tuple[Length, Length], ...], Field(min_length=4, max_length=4)]
     """Where the feet stand at first, right and forward, in the order of the file."""
     step: Step
