@@ -47,6 +47,7 @@ SENTENCES = {
         {"part": "the fore legs"},
     ),
     "left_right_swap_mended": ("were swapped in frame 10, of all keypoints, and", {"part": "all keypoints"}),
+    "clip_swapped_back": ("were swapped in frame 10, of all keypoints, and", {"part": "all keypoints"}),
     "frame_rate_stated": ("file says 60 frames per second, but --fps is 30", {"other_hz": 60.0, "given_hz": 30.0}),
     "frame_rate": ("at about 60 frames per second, not 30", {"other_hz": 60.0, "given_hz": 30.0}),
     "no_pose": ("too few points were detected in every frame", {}),

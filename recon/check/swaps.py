@@ -277,5 +277,7 @@ def without_swaps(
         named = np.isin(keypoints.names, one.names("keypoints"))
         back = _exchanged(keypoints, rows, np.where(named, places, np.arange(len(places))))
         mended[number] = replace(mended[number], keypoints=replace(keypoints, **back))
-        marked[i] = finding("left_right_swap_mended", one.frames, one.camera, **one.numbers)
+        most = one.numbers["part"] == PARTS["all"] and 2 * (rows.stop - rows.start) > len(keypoints.frames)
+        code = "clip_swapped_back" if most else "left_right_swap_mended"  # a mirrored video looks like a swapped clip
+        marked[i] = finding(code, one.frames, one.camera, **one.numbers)
     return tuple(mended), tuple(marked)
