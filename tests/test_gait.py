@@ -12,7 +12,7 @@ from command_line import says
 from dog import read_clips
 from gallop import KEYPOINT_NAMES, gallop
 
-from recon import InputError, Pose3D, load_skeleton, read_pose3d
+from recon import FitSettings, InputError, Pose3D, analyse, fit_clip, load_skeleton, read_pose3d
 from recon.fit import radius
 from recon.gait import Errors, pose_gait
 from recon.gait.gait import (
@@ -430,3 +430,15 @@ def test_a_walking_dog_walks(shared_data: Path):
         found = gait(pose_tracks(pose, clip.fps, feet=body.feet_by_label(), body=body.forward))
         assert found.name.name == "walk", found.name.criterion
         assert 0.54 < found.name.duty_factor < 0.66
+
+
+def test_a_led_horse_walks(shared_data: Path):
+    """Of labels by hand, whose skeleton is only roughly this horse's."""
+    labels = shared_data / "horse-side" / "CollectedData_Byron.csv"
+    given = FitSettings(keypoints=(labels,), skeleton="horse-22", fps=24.0, hfov_deg=50.0, image_size_px=(288, 162))
+    motion = fit_clip(given)
+    assert motion.verdict is not None
+    assert motion.verdict.level == "check"
+    gait = analyse(motion).gait
+    assert gait.name.name == "walk"
+    assert 0.6 < gait.name.duty_factor < 0.8

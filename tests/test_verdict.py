@@ -88,6 +88,14 @@ def test_an_uncertain_pose_is_not_to_be_used(small_trajectory):
     assert says(verdict.reason, "too uncertain")
 
 
+def test_a_pose_of_which_nothing_says_how_far_off_it_is_is_not_to_be_used(small_trajectory):
+    solution = small_trajectory.solution
+    unknown = replace(solution, relative_covariance_m2=np.full_like(solution.relative_covariance_m2, np.nan))
+    verdict = judged(replace(small_trajectory, solution=unknown)).verdict
+    assert verdict is not None
+    assert (verdict.level, verdict.pose_m) == ("do not use", None)
+
+
 def test_no_pose_is_not_to_be_used(small_trajectory):
     nowhere = np.full_like(small_trajectory.solution.joints_m, np.nan)
     motion = replace(small_trajectory, solution=replace(small_trajectory.solution, joints_m=nowhere))

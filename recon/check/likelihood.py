@@ -311,7 +311,7 @@ def zooms(given: Baseline, noise_px: Array) -> Iterator[Finding]:
 
 # -- the frame rate ---------------------------------------------------------------------------------------------------
 
-RATE_STEP, RATE_STEPS = 2**0.5, 5
+RATE_STEP, RATE_STEPS = 2**0.5, 8
 """The factor between rates that are tried, and so many of them are sought through upwards and downwards at most."""
 NEARLY, ANOTHER, SPEEDS = 1.02, 1.35, 1.25
 """Factors by which rates that files state are one, and from which on a rate at which angles swing is another: animals

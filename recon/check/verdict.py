@@ -135,6 +135,8 @@ def _verdict(motion: Motion) -> Verdict:
         return Verdict("do not use", "No frame has a pose.")
     evidence = evidence_of(motion)
     pose, position = expected_pose_of_trunk(evidence), expected_position(evidence)
+    if not np.isfinite(pose.expected + position.expected):  # as of the frame method without its priors
+        return Verdict("do not use", WHY["posterior"])
     warnings = [one for one in motion.findings if one.severity == "warning"]
     level = level_of(pose, error=False, warning=bool(warnings))
     # the factor that is furthest above what it is in a good view

@@ -31,7 +31,7 @@ from recon.base.arrays import Array
 from recon.fit import constants
 from recon.fit.banded import Window, eliminated
 from recon.fit.least_squares import Estimate, LeastSquares
-from recon.fit.terms import COMMON_KEYPOINT_BIAS, PRIOR_TERMS, SIZE, Reprojection, keypoint_bias, size_of
+from recon.fit.terms import COMMON_KEYPOINT_BIAS, PRIOR_TERMS, SIZE, Reprojection, size_of
 from recon.geometry.kinematics import ROOT, YAW
 
 _HELD = 1e8
@@ -113,13 +113,12 @@ def curvature(problem: LeastSquares, found: Estimate, variance_factor: float) ->
     reduced = np.sum([window.reduced() for window in windows()], axis=0)
     S, first, beyond_m2 = reduced[:, :-1].copy(), int(SIZE in problem.columns), 0.0
     expected = np.concatenate([np.zeros(0), *(unknown.sigma**-2.0 for unknown in problem.shared)])
-    name, axes = (COMMON_KEYPOINT_BIAS, 3) if keypoint_bias(1) in problem.columns else (keypoint_bias(0), 2)
-    if (own := problem.columns.get(name)) is not None:
+    if (own := problem.columns.get(COMMON_KEYPOINT_BIAS)) is not None:
         variance_m2 = 1.0 / expected[own]
         wider = _wider(S, reduced[:, -1], own, variance_m2, variance_factor)
         S[own, own] += np.diag((1.0 / wider - 1.0) / variance_m2)
         expected[own] /= wider
-        beyond_m2 = (wider - 1.0) * variance_m2[::axes]
+        beyond_m2 = (wider - 1.0) * variance_m2[::3]
     of_others, known = np.linalg.inv(S[first:, first:]), 0.0
     others_by_size = np.zeros(len(of_others))
     if first:
