@@ -177,7 +177,7 @@ def problem_of_names(names: Sequence[str], wanted: Sequence[str], skeleton: str,
     if count >= _MOST_OF_FILE * len(names) and f"--skeleton {skeleton} " not in f"{options} ":
         hint = f"{options}, or"
     else:
-        fits = maps and 2 * load_names(maps[0]).common(names, {*wanted}) >= len(names)
+        fits = maps and 2 * load_names(maps[0]).common(names, {*wanted}) >= min(len(names), len(wanted))
         hint = f"--rename {maps[0]}, or" if fits else "another animal's --skeleton, or"
     expected = f"those of the skeleton {skeleton}: {', '.join(wanted)}; {hint} --rename with a file of these lines, "
     return Problem(source, "bodyparts", found, f"{expected}completed", tuple(map_to_write(names, wanted)))
