@@ -29,7 +29,8 @@ from recon import (
     write_cameras,
 )
 from recon.animal import fitting_maps, load_names, new_names, prior_from_body
-from recon.clip import View, camera_poses
+from recon.check.rules import CAMERA_MISFIT
+from recon.clip import View, camera_poses, still_view
 from recon.fit import ClipProblem, TrajectoryOptions, solve_trajectory
 from recon.fit.posterior import about_keypoint_bias
 from recon.fit.trajectory import solve_segments
@@ -118,6 +119,21 @@ def test_intervals_widen_where_lengths_are_others(skeleton):
     prior = prior_from_body(body)
     place, pose, *_ = scored(solve_trajectory(views, body, prior, rigs.FPS, TrajectoryOptions(fast=True)), true_m)
     assert 0.83 < min(place, pose) < max(place, pose) < 0.97  # 0.65 to 0.82 with keypoints as near as expected
+
+
+@pytest.mark.parametrize("size", [0.8, 1.1])
+def test_the_ground_does_not_pull_at_the_size_that_two_cameras_find(size):
+    """A dog whose root is as high as that of one of usual size, so that its feet are off z = 0."""
+    body, random = load_skeleton("dog-27"), np.random.default_rng(1)
+    true_m, views = body.tree.pose(rigs.motion(body, random), size).points_m, []
+    for camera in rigs.rig(body, 2, random):
+        xy_px, valid = camera.project(camera.world_to_camera(true_m))
+        views.append(still_view(camera, xy_px + random.normal(0, rigs.SIGMA_PX, xy_px.shape), valid.astype(float)))
+    found = solve_trajectory(views, body, prior_from_body(body), rigs.FPS, TrajectoryOptions(fast=True))
+    assert found.size == pytest.approx(size, abs=0.02)
+    (segment,) = found.segments
+    assert segment.second_camera_misfit is not None
+    assert segment.second_camera_misfit < CAMERA_MISFIT  # true to the other camera, whatever the size
 
 
 @pytest.mark.parametrize("cameras", [2, 1])

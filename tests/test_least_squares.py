@@ -17,6 +17,7 @@ from recon.fit.terms import (
     SIZE,
     Heading,
     Linear,
+    OnGround,
     Reprojection,
     StanceVelocity,
     climb_term,
@@ -95,11 +96,13 @@ def seen_late(shared: bool = True) -> LeastSquares:
     free = [*unknown, *displaced] if shared else unknown
     stance = StanceVelocity(FEET, FPS, 2.5, 2.0)
     driven = replace(stance, at=0.9, by_size=rng.normal(size=(T - 1, len(FEET), 3)))
+    contact, plane = rng.uniform(size=(T - 1, len(FEET))), np.array([-0.8, 0.01, -0.02])
+    ground = OnGround(FEET, contact, plane, np.array([0.3, 7.0]), FPS, 0.04, at=0.9)
     rear, front = (BODY.markers.index(marker) for marker in BODY.forward)
     return LeastSquares(
         BODY.tree,
         [*linear, held],
-        [*seen, stance, driven, Heading(rear, front, FPS, 0.5)],
+        [*seen, stance, driven, ground, Heading(rear, front, FPS, 0.5)],
         free,
         () if shared else [*displaced, *common],
     )

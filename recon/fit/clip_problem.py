@@ -314,7 +314,10 @@ def contacts(clip: ClipProblem, points_m: Array, size: float) -> tuple[Array, Gr
     both = np.concatenate([contact[:1], np.maximum(contact[1:], contact[:-1]), contact[-1:]])
     if contact.sum() < 3:  # no foot stands: nothing is known of the ground
         return both, None, (stance,)
-    on_ground = terms.OnGround(feet, contact, plane, centre, clip.fps, constants.GROUND_FOOT_M)
+    # Several cameras see where it lies, and at nominal size it would pull at the size; those that are refined see less.
+    in_world = len(clip.views) > 1 and (near_zero or not clip.options.refine_cameras)
+    at = size if in_world else None
+    on_ground = terms.OnGround(feet, contact, plane, centre, clip.fps, constants.GROUND_FOOT_M, at)
     slope = plane[1:]
     sigma = float(np.sqrt(covariance[0, 0] * clip.correlation_frames))
     ground = Ground(float(plane[0] - slope @ centre), slope, sigma, near_zero)

@@ -417,8 +417,9 @@ class StanceVelocity:
 
 @dataclass(frozen=True)
 class OnGround:
-    """Feet in stance lie on a plane: (z - height - slope . (x - middle)) sqrt(contact) / sigma. feet (F,); contact
-    (T - 1, F), frozen; plane (3,): height, slope x, slope y; middle (2,)."""
+    """Feet in stance lie on a plane: (z - height - slope . (x - middle)) sqrt(contact) / sigma, with feet at x and z
+    times the size relative to `at`. feet (F,); contact (T - 1, F), frozen; plane (3,): height, slope x, slope y; middle
+    (2,)."""
 
     feet: Index
     contact: Array
@@ -426,6 +427,8 @@ class OnGround:
     middle: Array
     fps: float
     sigma_m: float
+    at: float | None = None
+    """The size at which the plane was found, where it stays in the world; None: it goes along with the size."""
     name: str = "ground"
     stencil: tuple[int, ...] = (0, 1)
 
@@ -435,11 +438,15 @@ class OnGround:
         foot = span.pose.points_m[:, self.feet]
         middle = 0.5 * (foot[1:] + foot[:-1])
         root = np.sqrt(self.contact[frames] * REFERENCE_HZ / self.fps) / self.sigma_m
-        r = (middle[..., 2] - self.plane[0] - (middle[..., :2] - self.middle) @ self.plane[1:]) * root
+        factor = 1.0 if self.at is None else size_of(span.shared) / self.at
+        by_factor = middle[..., 2] - middle[..., :2] @ self.plane[1:]
+        r = (factor * by_factor - self.plane[0] + self.middle @ self.plane[1:]) * root
         cost = 0.5 * np.sum(r * r, axis=1)
         if not jacobian:
             return _TermRows(cost)
         normal = np.array([-self.plane[1], -self.plane[2], 1.0])
-        lift = 0.5 * np.einsum("a,njad->njd", normal, span.pose.jacobian[:, self.feet])
+        lift = 0.5 * factor * np.einsum("a,njad->njd", normal, span.pose.jacobian[:, self.feet])
         rows = np.stack([lift[:-1] * root[..., None], lift[1:] * root[..., None]], axis=2)
-        return _TermRows(cost, r, rows)
+        if self.at is None or SIZE not in span.shared:
+            return _TermRows(cost, r, rows)
+        return _TermRows(cost, r, rows, {SIZE: (by_factor * root / self.at)[..., None]})
