@@ -262,6 +262,13 @@ def frame_ranges(frames: np.ndarray) -> tuple[tuple[int, int], ...]:
     return tuple((int(run[0]), int(run[-1]) + 1) for run in runs)
 
 
+def busiest(counts: Integers, n: int) -> slice:
+    """The stretch of so many rows, at most, in which the sum is largest."""
+    n, total = min(n, len(counts)), np.concatenate([[0], np.cumsum(counts)])
+    first = int(np.argmax(total[n:] - total[: len(total) - n]))
+    return slice(first, first + n)
+
+
 def _without_points(keypoints: Keypoints, points: np.ndarray) -> Keypoints:
     if not (keypoints.present & points).any() and not keypoints.confidence[points].any():
         return keypoints

@@ -31,8 +31,7 @@ from recon.animal.body import Body
 from recon.base.arrays import Array, Index
 from recon.base.errors import InputError, Problem, refuse
 from recon.check.codes import finding
-from recon.check.likelihood import busiest
-from recon.clip import Source, View, together, views_of
+from recon.clip import Source, View, busiest, together, views_of
 from recon.fit import TrajectorySolution, constants
 from recon.fit.motion import Motion
 from recon.fit.result import Finding

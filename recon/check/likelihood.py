@@ -18,9 +18,9 @@ from typing import Any
 import numpy as np
 
 from recon.animal.prior import ANGLES, NONE, mean_speed_m_s
-from recon.base.arrays import Array, Bools, Integers, mean_along
+from recon.base.arrays import Array, Bools, mean_along
 from recon.check.codes import finding
-from recon.clip import View, frame_ranges
+from recon.clip import View, busiest, frame_ranges
 from recon.fit import solve_trajectory
 from recon.fit.clip_problem import ClipProblem, above_ground, contacts
 from recon.fit.least_squares import Estimate, LeastSquares
@@ -184,13 +184,6 @@ def best_seen(view: View, fps: float) -> slice:
     part = busiest(counts, round(AT_ONCE_S * fps))
     seen = part.start + np.flatnonzero(counts[part])
     return slice(int(seen[0]), int(seen[-1]) + 1) if len(seen) else slice(0, 0)
-
-
-def busiest(counts: Integers, n: int) -> slice:
-    """The stretch of so many rows, at most, in which the sum is largest."""
-    n, total = min(n, len(counts)), np.concatenate([[0], np.cumsum(counts)])
-    first = int(np.argmax(total[n:] - total[: len(total) - n]))
-    return slice(first, first + n)
 
 
 # -- the picture -------------------------------------------------------------------------------------------------------

@@ -32,7 +32,7 @@ from recon.animal.body import MIN_JOINTS, MIN_REACH_PX, Body
 from recon.animal.prior import ANGLES, NONE, MotionPrior
 from recon.base import Progress, silent
 from recon.base.arrays import Array, Bools
-from recon.clip import BRIDGED_S, View
+from recon.clip import BRIDGED_S, View, busiest
 from recon.fit import constants
 from recon.fit.banded import eliminated
 from recon.fit.clip_problem import ClipProblem, TrajectoryOptions, contacts
@@ -54,6 +54,8 @@ POOR_SHARE, POORER_SHARE = 1 / 3, 0.8
 """Frames are "data poor" in which less than this part of the joints is trusted, or of what is in the good frames."""
 END_ON_RAD = np.radians(30)
 """Seen along its trunk within this angle, an animal's depth shows in its perspective only: "ambiguous depth"."""
+JUDGED_S = 5.0
+"""So much of a clip is judged whether its second camera is in its place."""
 ALTERNATIVE_M, ALTERNATIVE_COST = 0.1, 20.0
 """A second solution is worth a flag if it is further away than this, and its cost not higher than this."""
 
@@ -388,7 +390,14 @@ def _size(
 def _second_camera_misfit(clip: ClipProblem, one: SegmentFit) -> float:
     """How far the second of two cameras would go from its pose if that were free and all else followed, as a chi square
     of its six unknowns beyond what a calibration leaves open. Where rays meet in spite of a wrong pose, the animal is
-    too large or too small: so its size is taken to be as usual."""
+    too large or too small: so its size is taken to be as usual. Judged is the stretch in which both cameras see most:
+    what is not quite as the model says, and lasts, would grow with a clip's length."""
+    together = np.all([view.present[one.rows] for view in clip.views], axis=0).sum(axis=1)
+    rows = busiest(together, round(JUDGED_S * clip.fps))
+    if rows.stop - rows.start < len(together):
+        estimate = replace(one.estimate, states=one.estimate.states[rows])
+        start = one.rows.start
+        one = refined(clip, replace(one, rows=slice(start + rows.start, start + rows.stop), estimate=estimate))
     root, size_sigma = clip.correlation_frames**0.5, constants.USUAL_SIZE_SHARE * clip.size_sigma
     free = Unknown(extrinsic_correction(1), np.zeros(6), np.full(6, np.inf))
     size = Unknown(SIZE, np.ones(1), np.hypot([size_sigma], constants.SIZE_OF_TWO_CAMERAS) / root)
