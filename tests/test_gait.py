@@ -433,7 +433,7 @@ def test_a_walking_dog_walks(shared_data: Path):
 
 
 def test_a_led_horse_walks(shared_data: Path):
-    """Of labels by hand, whose skeleton is only roughly this horse's."""
+    """Its labels were set by hand, and the skeleton is only roughly this horse's."""
     labels = shared_data / "horse-side" / "CollectedData_Byron.csv"
     given = FitSettings(keypoints=(labels,), skeleton="horse-22", fps=24.0, hfov_deg=50.0, image_size_px=(288, 162))
     motion = fit_clip(given)
