@@ -81,7 +81,7 @@ SENTENCES = {
     "not_converged": ("ended before it had converged", {}),
     "size_unexpected": ("comes out 0.70 times as large as usual, where 1 ± 0.1", {"size": 0.7, "expected_sigma": 0.1}),
     "pair_disagrees": (
-        "One of cam1, cam2 is probably turned or moved, and positions are further off than stated",
+        "usual). Check both poses, or give the animal's lengths (--subject).",
         {"cameras": ("cam1", "cam2"), "misfit": 9.06, "limit": 4.0},
     ),
     "too_fast": ("41 m/s, and none runs as fast", {"speed_m_s": 41.2}),

@@ -217,7 +217,7 @@ class ClipProblem:
         focals = [] if o.focal_sigma is None else [lasting(terms.focal(i), o.focal_sigma) for i in range(V)]
         return [*size, *sideslip, *time_offsets, *corrections, *focals], biases
 
-    def _shifts_m(self, around_m: Array, size: float) -> Array:
+    def shifts_m(self, around_m: Array, size: float) -> Array:
         """(V,): how far cameras may stand from their places. Those of a small rig are measured as much better."""
         middle = self.in_world(around_m.mean(axis=1), size)
         distances_m = [np.median(np.linalg.norm(middle - view.centre_m, axis=1)) for view in self.views]
@@ -239,7 +239,7 @@ class ClipProblem:
             terms.Reprojection(view, sigma_px, constants.ROBUST_C, self.origin_m, i)
             for i, (view, sigma_px) in enumerate(zip(self.views, noise_px, strict=True))
         ]
-        shared, doubtful = ([], []) if around_m is None else self.shared(self._shifts_m(around_m, size))
+        shared, doubtful = ([], []) if around_m is None else self.shared(self.shifts_m(around_m, size))
         if around_m is not None:
             drift_m = np.gradient(around_m, axis=0) if T > 1 else np.zeros_like(around_m)
             px_per_m = self.px_per_m(around_m, size)

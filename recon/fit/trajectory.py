@@ -390,7 +390,7 @@ def _size(
 def _second_camera_misfit(clip: ClipProblem, one: SegmentFit) -> float:
     """How far the second of two cameras would go from its pose if that were free and all else followed, as a chi square
     of its six unknowns beyond what a calibration leaves open. Where rays meet in spite of a wrong pose, the animal is
-    too large or too small: so its size is taken to be as usual. Judged is the stretch in which both cameras see most:
+    too large or too small: so its size is held as expected. Judged is the stretch in which both cameras see most:
     what is not quite as the model says, and lasts, would grow with a clip's length."""
     together = np.all([view.present[one.rows] for view in clip.views], axis=0).sum(axis=1)
     rows = busiest(together, round(JUDGED_S * clip.fps))
@@ -398,16 +398,17 @@ def _second_camera_misfit(clip: ClipProblem, one: SegmentFit) -> float:
         estimate = replace(one.estimate, states=one.estimate.states[rows])
         start = one.rows.start
         one = refined(clip, replace(one, rows=slice(start + rows.start, start + rows.stop), estimate=estimate))
-    root, size_sigma = clip.correlation_frames**0.5, constants.USUAL_SIZE_SHARE * clip.size_sigma
+    root = clip.correlation_frames**0.5
     free = Unknown(extrinsic_correction(1), np.zeros(6), np.full(6, np.inf))
-    size = Unknown(SIZE, np.ones(1), np.hypot([size_sigma], constants.SIZE_OF_TWO_CAMERAS) / root)
+    size = Unknown(SIZE, np.ones(1), np.hypot([clip.size_sigma], constants.SIZE_OF_TWO_CAMERAS) / root)
     others = [unknown for unknown in (*one.problem.shared, *one.problem.doubtful) if unknown.name != SIZE]
     problem = replace(one.problem, shared=[free, size, *others], doubtful=())
     normals = problem.normals(one.estimate.states, problem.expected() | dict(one.estimate.shared))
     reduced = np.sum([window.reduced() for window in eliminated(normals(), bounded=True)], axis=0) / root**2
     of_others = np.linalg.solve(reduced[6:, 6:-1], np.delete(reduced[6:], np.s_[6:-1], axis=1))
     precision, pull = np.split(np.delete(reduced[:6], np.s_[6:-1], axis=1) - reduced[:6, 6:-1] @ of_others, [6], axis=1)
-    calibrated = np.repeat([constants.CALIBRATED_RAD, constants.CAMERA_SHIFT_M], 3) ** 2
+    shift_m = clip.part(one.rows).shifts_m(clip.markers(one.estimate.states), one.size)[1]
+    calibrated = np.repeat([constants.CALIBRATED_RAD, shift_m], 3) ** 2
     return float(pull[:, 0] @ np.linalg.lstsq(precision + precision * calibrated @ precision, pull[:, 0])[0])
 
 
