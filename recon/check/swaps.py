@@ -9,7 +9,6 @@ is a swap. Between two that are about as likely, none is chosen."""
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,7 +19,6 @@ from recon.check import likelihood
 from recon.check.codes import finding
 from recon.check.likelihood import Baseline, Refit
 from recon.clip import Keypoints, Source, View
-from recon.fit import TrajectorySolution
 from recon.fit.result import Finding
 
 JUMP = -3.0
@@ -60,10 +58,10 @@ class _Stretch:
 
 def exchanged(view: View, stretch: _Stretch) -> View:
     """The view with the sides of a stretch exchanged."""
-    return replace(view, **_exchanged(view, stretch.rows, stretch.places))
+    return replace(view, **exchanged_rows(view, stretch.rows, stretch.places))
 
 
-def _exchanged(seen: View | Keypoints, rows: slice, places: Index) -> dict[str, Array]:
+def exchanged_rows(seen: View | Keypoints, rows: slice, places: Index) -> dict[str, Array]:
     """What was seen, with its keypoints taken from other places (J,) in some rows."""
     values = {"xy_px": seen.xy_px.copy(), "confidence": seen.confidence.copy()}
     for of in values.values():
@@ -247,37 +245,3 @@ def swap_finding(trial: _SwapTrial, source: Source, body: Body) -> Finding:
     names = tuple(source.keypoints.names[j] for j in stretch.markers)
     code = "left_right_swap" if trial.clear else "left_right_swap_possible"
     return finding(code, frames, source.camera.name, part=part, keypoints=names, log_likelihood_ratio=trial.ratio)
-
-
-def mends(mended: TrajectorySolution, given: TrajectorySolution) -> bool:
-    """Whether a fit of a clip with its swaps undone is clearly likelier as a whole than that of the clip as it came."""
-    before, after = (sum(solution.cost_by_term.values()) for solution in (given, mended))
-    likelier = before - after + float(np.nansum(np.log(given.noise_px / mended.noise_px)))
-    return likelihood.believed(likelier, surely=True)
-
-
-def doubted(one: Finding) -> Finding:
-    """A swap that does not make the whole clip likelier is only to be looked at."""
-    if one.code != "left_right_swap":
-        return one
-    return finding("left_right_swap_possible", one.frames, one.camera, **one.numbers)
-
-
-def without_swaps(
-    sources: Sequence[Source], findings: Sequence[Finding], body: Body
-) -> tuple[tuple[Source, ...], tuple[Finding, ...]]:
-    """The sources with left and right swapped back where a finding says so, and the findings, which say that, too."""
-    mended, marked, places = [*sources], [*findings], opposites(body.markers)
-    for i, one in enumerate(findings):
-        if one.code != "left_right_swap" or one.frames is None:
-            continue
-        number = next(v for v, source in enumerate(sources) if source.camera.name == one.camera)
-        keypoints = mended[number].keypoints
-        rows = slice(*np.searchsorted(keypoints.frames, one.frames))
-        named = np.isin(keypoints.names, one.names("keypoints"))
-        back = _exchanged(keypoints, rows, np.where(named, places, np.arange(len(places))))
-        mended[number] = replace(mended[number], keypoints=replace(keypoints, **back))
-        most = one.numbers["part"] == PARTS["all"] and 2 * (rows.stop - rows.start) > len(keypoints.frames)
-        code = "clip_swapped_back" if most else "left_right_swap_mended"  # a mirrored video looks like a swapped clip
-        marked[i] = finding(code, one.frames, one.camera, **one.numbers)
-    return tuple(mended), tuple(marked)
