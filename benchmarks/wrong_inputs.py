@@ -390,7 +390,7 @@ CASES = {
     "whole clip swapped": Case(swapped("", lambda T: slice(0, T)), SWAPS),
     "fore legs swapped": Case(swapped("front", lambda T: slice(T // 2, T)), SWAPS),
     "hind legs swapped": Case(swapped("back", lambda T: slice(T // 2, T)), SWAPS),
-    **{f"frame rate x {by:.2g}": Case(at_rate(by), ("frame_rate",)) for by in (0.5, 0.6, 5 / 3, 2.0)},
+    **{f"frame rate x {by:.2g}": Case(at_rate(by), ("frame_rate",)) for by in (0.5, 0.6, 0.75, 4 / 3, 5 / 3, 2.0)},
     "y up in the picture": Case(lambda c, g: g.seen([0, g.size_px[1] - 1] + g.xy_px * [1, -1]), ("keypoints_y_up",)),
     "upside down": Case(lambda c, g: g.seen(g.size_px - 1 - g.xy_px), ("picture_upside_down",)),
     "video of half the size": Case(lambda c, g: g.seen(g.xy_px / 2), ("smaller_video",)),

@@ -39,7 +39,7 @@ def _brief(part: Any) -> str:
 
 
 def finite(values: Array | Sequence[float]) -> Array:
-    """Which rows (N,) of an array (N, ...) have no NaN and no infinity."""
+    """The values of an array that are neither NaN nor infinite, in one row."""
     values = np.asarray(values, dtype=float)
     return values[np.isfinite(values)]
 
