@@ -32,7 +32,7 @@ from recon.fit.posterior import radius
 from recon.gait.clip import ClipAnalysis, analyse
 from recon.gait.dynamics import G_M_S2, MEAN_OF_PEAK, OFF_GRAVITY, off_gravity, shape
 from recon.gait.gait import FEET, INTERVAL
-from recon.gait.kinematics import net_acceleration, point_kinematics
+from recon.gait.kinematics import OVERSAMPLING, net_acceleration, point_kinematics
 
 
 def trials() -> list[Path]:
@@ -127,20 +127,35 @@ def carry_the_body(*found: ClipAnalysis) -> str:
     return f"{len(rows)}, {held}, {rows[:, 0].mean():.2f}"
 
 
-def cheetahs() -> list[ClipAnalysis]:
-    """Every view of the cheetah-runs."""
-    found = []
+def cheetahs() -> tuple[list[ClipAnalysis], list[float]]:
+    """Every view of the cheetah-runs; and the share of a run's frames in which what turns about the centre of mass lies
+    in the view's intervals, by all cameras of the run: the internal energy, each part of the angular momentum."""
+    found, held = [], []
     for run in sorted(path.parent for path in recordings("cheetah-runs").glob("*/meta.json")):
         about = json.loads((run / "meta.json").read_text(encoding="utf-8"))
-        for camera in about["cameras"]:
+        of_run = []
+        for cameras in (about["cameras"], *([camera] for camera in about["cameras"])):
             view = FitSettings(
-                keypoints=(run / f"cam{camera}.csv",),
+                keypoints=tuple(run / f"cam{camera}.csv" for camera in cameras),
                 camera=(run / "scene.json",),
-                camera_name=(f"cam{camera}",),
+                camera_name=tuple(f"cam{camera}" for camera in cameras),
                 fps=about["fps"],
             )
-            found.append(analyse(fit_clip(view)))
-    return found
+            of_run.append(analyse(fit_clip(view)))
+        (true, true_sigma), *views = map(turning, of_run)
+        off = (((said - true) ** 2 / (sigma**2 + true_sigma**2)).dropna() for said, sigma in views)
+        held.append(np.mean([(of < radius(INTERVAL) ** 2).mean() for of in off], axis=0))
+        found += of_run[1:]
+    return found, np.mean(held, axis=0).tolist()
+
+
+def turning(found: ClipAnalysis) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """The internal energy and the angular momentum in columns, frames in rows; and their standard deviations."""
+    d, frames = found.dynamics, found.motion.frames
+    assert d is not None
+    both = (d.internal_j_kg, d.angular_momentum), (d.internal_sigma_j_kg, d.angular_momentum_sigma)
+    said, sigma = (pd.DataFrame(np.column_stack(of)[::OVERSAMPLING], index=frames) for of in both)
+    return said, sigma
 
 
 def dog_rows() -> list[list[str]]:
@@ -265,8 +280,14 @@ def main() -> None:
         head = ["clip", "speed in 90 %", "off, stated, m/s", "net acceleration, 90 %, true, m/s²"]
         print("\nA dog by one camera:\n")
         print_table([*head, "flights, against gravity", CARRIED], dogs)
-    if views := cheetahs():
+    views, held = cheetahs()
+    if views:
         print(f"\nCheetahs, views of the cheetah-runs: {CARRIED}: {carry_the_body(*views)}")
+        print(
+            "in 90 % of a view, by all cameras: internal energy {:.0%}, angular momentum {:.0%} {:.0%} {:.0%}".format(
+                *held
+            )
+        )
     if not rows:
         print("no recordings: forces not measured")
     samples = samples_folder()

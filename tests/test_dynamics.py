@@ -19,11 +19,13 @@ from recon.gait.dynamics import (
     OFF_GRAVITY,
     SKEW,
     _forces,
+    _turning_sigma,
     findings_of_dynamics,
     off_gravity,
     over_stride,
     shape,
 )
+from recon.gait.kinematics import Errors
 from recon.show import clip_page
 from recon.show.export.analysis_csv import forces
 from recon.workflows import summarise
@@ -149,6 +151,29 @@ def test_a_rigid_animal_that_turns_has_the_energy_and_the_momentum_of_its_inerti
     np.testing.assert_allclose(d.internal_j_kg[middle], 0.5 * inertia * rate_rad_s**2, rtol=0.03)
     np.testing.assert_allclose(d.angular_momentum[middle, 2], inertia * rate_rad_s, rtol=0.03)
     assert share @ own > 0.08 * inertia
+
+
+def test_what_turns_is_as_uncertain_as_draws_of_the_joints_and_masses_say():
+    rng, share, lasts_s = np.random.default_rng(0), np.array([0.2, 0.2, 0.3, 0.3]), 0.05
+    of_joint, share_sigma = np.array([0, 1, 1, 2]), np.array([0.02, 0.02, 0.03, 0.03])
+    at_m, rate_m_s, sigma_m = (
+        rng.normal(size=(1, 4, 3)),
+        3 * rng.normal(size=(1, 4, 3)),
+        rng.uniform(0, 0.02, (1, 3, 3)),
+    )
+    # Of the centre of mass, as the rods' ends are.
+    at_m, rate_m_s = (of - np.einsum("tek,e->tk", of, share)[:, None] for of in (at_m, rate_m_s))
+    near = Errors(sigma_m[:, of_joint], lasts_s)
+    said = _turning_sigma(at_m, rate_m_s, share, share_sigma, of_joint, near)[0]
+
+    place, rate = (rng.normal(size=(20000, 3, 3)) * sigma_m * of for of in (1, 1 / lasts_s))
+    drawn = np.repeat(share[::2] + share_sigma[::2] * rng.normal(size=(20000, 2)), 2, axis=1)
+    drawn /= drawn.sum(axis=1, keepdims=True)
+    at_m, rate_m_s = at_m + place[:, of_joint], rate_m_s + rate[:, of_joint]
+    at_m, rate_m_s = (of - np.einsum("tek,te->tk", of, drawn)[:, None] for of in (at_m, rate_m_s))
+    energy = 0.5 * np.einsum("tek,tek,te->t", rate_m_s, rate_m_s, drawn)
+    momentum = np.einsum("tek,te->tk", np.cross(at_m, rate_m_s), drawn)
+    np.testing.assert_allclose(said, np.std(np.column_stack([energy, momentum]), axis=0), rtol=0.05)
 
 
 def test_the_shape_begins_and_ends_at_nothing_and_leans_forwards():

@@ -28,7 +28,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from recon.animal.capsules import capsules, inertias_m2, middles_m
-from recon.base.arrays import Array, Brief
+from recon.base.arrays import Array, Brief, Integers
 from recon.check import finding
 from recon.clip import frame_ranges
 from recon.fit.motion import Motion
@@ -75,8 +75,12 @@ class Dynamics(Brief):
     """The centre's own over the clip, along its way, and one standard deviation."""
     internal_j_kg: Array
     """(N,): kinetic energy of the segments about the centre of mass."""
+    internal_sigma_j_kg: Array
+    """One standard deviation of it, shape (N,)."""
     angular_momentum: Array
     """(N, 3): about the centre of mass, m^2/s per kilogram."""
+    angular_momentum_sigma: Array
+    """One standard deviation of it, shape (N, 3)."""
     ground_m: Array
     """(N,): height of the ground under the centre of mass."""
     forces: pd.DataFrame
@@ -109,12 +113,12 @@ class Dynamics(Brief):
 
     @cached_property
     def energy_sigma_j_kg(self) -> dict[str, Array]:
-        """One standard deviation of these, each (N,), but of the internal one, which the total is here without."""
+        """One standard deviation of these, each (N,)."""
         series = self.centre.series
         moved = np.abs(series.rate @ self.ways) * np.sqrt(series.rate_sigma**2 @ self.ways**2)
         found = {"potential": G_M_S2 * series.value_sigma[:, 2]} | dict(zip(KINETIC, moved.T, strict=True))
-        total = np.sum((series.rate * series.rate_sigma) ** 2, axis=1) + found["potential"] ** 2
-        return found | {"total": np.sqrt(total)}
+        found["internal"] = self.internal_sigma_j_kg
+        return found | {"total": np.linalg.norm([*found.values()], axis=0)}
 
 
 def dynamics(motion: Motion, gait: Gait | None, errors: Sequence[Errors]) -> Dynamics | None:
@@ -143,13 +147,18 @@ def dynamics(motion: Motion, gait: Gait | None, errors: Sequence[Errors]) -> Dyn
     of_ends = np.repeat(share / 2, 2)
     internal = 0.5 * np.sum(rate**2, axis=2) @ of_ends
     momentum = np.einsum("nsk,s->nk", np.cross(value, rate), of_ends)
-    turning = kinematics.series_kinematics(motion.time_s, np.column_stack([internal, momentum])).value
+    of_joint = _nearest(motion, rods_m)
+    near = Errors(errors[-1].sigma[:, of_joint], errors[-1].correlation_s)
+    spread = _turning_sigma(value, rate, of_ends, np.repeat(sigma / 2, 2), of_joint, near)
+    turning = kinematics.series_kinematics(motion.time_s, np.column_stack([internal, momentum, spread])).value
     forces, force = _forces(gait)
     return Dynamics(
         centre=centre,
         net_acceleration_m_s2=net,
         internal_j_kg=turning[:, 0],
-        angular_momentum=turning[:, 1:],
+        internal_sigma_j_kg=np.maximum(turning[:, 4], 0.0),
+        angular_momentum=turning[:, 1:4],
+        angular_momentum_sigma=np.maximum(turning[:, 5:], 0.0),
         ground_m=centre.series.value[:, 2] - gait.tracks.above_ground(centre.series.value),
         forces=forces,
         force=force,
@@ -175,6 +184,34 @@ def _rods(motion: Motion) -> Array:
     )
     points_m = Tree(tree.segments, markers).pose(motion.states, motion.size).points_m
     return points_m.reshape(len(points_m), len(ends), 2, 3)
+
+
+def _nearest(motion: Motion, rods_m: Array) -> Integers:
+    """(E,): the joint that each end of the rods (T, S, 2, 3) is nearest to, in the first frame with a pose."""
+    first = int(np.flatnonzero(motion.solved)[0])
+    apart_m = rods_m[first].reshape(-1, 1, 3) - motion.upright.xyz_m[first]
+    return np.linalg.norm(apart_m, axis=2).argmin(axis=1)
+
+
+def _turning_sigma(
+    at_m: Array, rate_m_s: Array, share: Array, share_sigma: Array, of_joint: Integers, errors: Errors
+) -> Array:
+    """(T, 4): one standard deviation of the internal energy and the angular momentum of ends of rods (T, E, 3), whose
+    errors are those of their joints: alike for all ends of a joint, independent of other joints'. Errors that last for
+    `correlation_s` move at sigma / correlation_s."""
+    axes = np.eye(3)
+    by_rate = np.concatenate([rate_m_s[:, :, :, None], np.cross(at_m[:, :, None], axes)], axis=3)
+    by_place = np.concatenate([np.zeros_like(rate_m_s)[:, :, :, None], np.cross(axes, rate_m_s[:, :, None])], axis=3)
+    own = np.concatenate([0.5 * np.sum(rate_m_s**2, axis=2, keepdims=True), np.cross(at_m, rate_m_s)], axis=2)
+    total = np.einsum("teq,e->tq", own, share)
+    of_segment = (own - total[:, None]).reshape(len(own), -1, 2, 4).mean(axis=2) * 2 * share_sigma[::2, None]
+    variance = np.sum(of_segment**2, axis=1)
+    for joint in np.unique(of_joint):
+        ends = np.flatnonzero(of_joint == joint)
+        sigma = errors.sigma[:, ends[0], :, None]
+        for by, of in ((by_rate, sigma / errors.correlation_s), (by_place, sigma)):
+            variance += np.sum((np.einsum("tekq,e->tkq", by[:, ends], share[ends]) * of) ** 2, axis=1)
+    return np.sqrt(variance)
 
 
 def shape(into: Array) -> Array:
@@ -308,7 +345,10 @@ def over_stride(found: Dynamics, start_s: float, end_s: float) -> dict[str, tupl
     way = np.diff(series.value[at], axis=0)[0] * [1, 1, 0]
     ahead = way / max(float(np.linalg.norm(way)), 1e-9)
     changes = {
-        "net_work_j_kg": [np.diff(energy["total"][at] - energy["internal"][at])[0], np.hypot(*sigma["total"][at])],
+        "net_work_j_kg": [
+            np.diff(energy["total"][at] - energy["internal"][at])[0],
+            np.sqrt(np.sum(sigma["total"][at] ** 2 - sigma["internal"][at] ** 2)),
+        ],
         "net_acceleration_m_s2": np.divide(
             [np.diff(series.rate[at] @ ahead)[0], np.linalg.norm(series.rate_sigma[at] * ahead)], end_s - start_s
         ),

@@ -161,6 +161,7 @@ def centre_of_mass(found: ClipAnalysis) -> Columns:
     for name, of in (("{}_sigma_m", s.value_sigma), ("v{}_m_s", s.rate), ("v{}_sigma_m_s", s.rate_sigma)):
         columns |= _axes(name, of)
     columns |= _axes("angular_momentum_{}_m2_s", d.angular_momentum)
+    columns |= _axes("angular_momentum_{}_sigma_m2_s", d.angular_momentum_sigma)
     columns |= {f"{name}_j_kg": values for name, values in d.energy_j_kg.items()}
     columns |= {"energy_sigma_j_kg": d.energy_sigma_j_kg["total"]}
     return columns | {f"{name}_sigma_j_kg": of for name, of in d.energy_sigma_j_kg.items() if name != "total"}
