@@ -343,7 +343,7 @@ def test_wrong_files(body, prior, tmp_path, changes, expected):
 def test_no_prior_at_all(body, tmp_path, content):
     path = tmp_path / "x.npz"
     path.write_bytes(content)
-    with refusal((path, "file", "none that can be read", "motion prior")):
+    with refusal((path, "file", "data that cannot be read", "motion prior")):
         load_prior(path, body)
 
 

@@ -151,11 +151,9 @@ def load_prior(name_or_path: str | Path | None, body: Body) -> MotionPrior:
 
 
 def _prior(content: bytes, source: str, body: Body) -> MotionPrior:
-    try:
+    with documents.damage_named(source, _EXPECTED, "file"):
         stored = documents.arrays_of(content, f"{documents.KINDS}U")
-        text = str(stored["about"]) if "about" in stored else ""
-    except ValueError as error:
-        raise InputError(Problem(source, "file", f"none that can be read ({error})", _EXPECTED)) from None
+        text = str(stored.get("about", ""))
     lacking = [key for key in ("about", *SHAPES) if key not in stored]
     if lacking:
         raise InputError([Problem(source, key, "nothing", _EXPECTED) for key in lacking])

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from typing import Any
 
@@ -36,6 +37,19 @@ def _brief(part: Any) -> str:
     if isinstance(part, tuple | list | dict):
         return f"{type(part).__name__} of {len(part)}"
     return type(part).__name__ if is_dataclass(part) else f"{text[: LONGEST_PART - 3]}..."
+
+
+def to_plain(value: Any, digits: int = 9) -> Any:
+    """Arrays, tuples, mappings and numbers as JSON types; NaN and infinities are None. digits: the significant ones."""
+    if isinstance(value, Mapping):
+        return {str(key): to_plain(item, digits) for key, item in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        return to_plain(value.tolist(), digits)
+    if isinstance(value, list | tuple):
+        return [to_plain(item, digits) for item in value]
+    if isinstance(value, float):
+        return float(f"{value:.{digits}g}") if math.isfinite(value) else None
+    return value if value is None or isinstance(value, bool | int | str) else str(value)
 
 
 def finite(values: Array | Sequence[float]) -> Array:

@@ -16,7 +16,8 @@ import tomllib
 import warnings
 import zipfile
 import zlib
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from importlib import resources
 from importlib.resources.abc import Traversable
 from io import BytesIO
@@ -31,6 +32,27 @@ from recon.base.errors import InputError, Problem
 MAX_BYTES = 1 << 28
 MAX_TOML_BYTES = 1 << 23
 """The parser is slow; a skeleton has some ten thousand."""
+DAMAGE = (
+    *(OSError, LookupError, TypeError, ValueError, RuntimeError, AttributeError, StopIteration, ArithmeticError),
+    *(MemoryError, SystemError, EOFError, ImportError, SyntaxError, struct.error, zlib.error, lzma.LZMAError),
+    *(zipfile.BadZipFile, tokenize.TokenError),
+)
+"""What Python and libraries say of damaged files."""
+
+
+@contextmanager
+def damage_named(source: str | Path, expected: str, field: str = "content") -> Iterator[None]:
+    """Around the reading of a file: what is said of a damaged one becomes an InputError. expected: of a whole one."""
+    try:
+        yield
+    except InputError:
+        raise
+    except RecursionError:
+        raise InputError(Problem(source, field, "tables or lists that are nested too deeply", expected)) from None
+    except DAMAGE as error:
+        said = " ".join(str(error).split())[:200] or type(error).__name__
+        found = f"an entry without {said}" if isinstance(error, KeyError) else f"data that cannot be read ({said})"
+        raise InputError(Problem(source, field, found, expected)) from None
 
 
 def read_text(path: Path, expected: str, most: int = MAX_BYTES) -> str:
@@ -58,12 +80,8 @@ def read_content(path: Path, expected: str, most: int = MAX_BYTES) -> bytes:
 def read_head(path: Path, expected: str, length: int) -> bytes:
     """The first bytes of a file. Raises InputError for anything but a file that can be read."""
     require_file(path, expected)
-    try:
-        with path.open("rb") as file:
-            return file.read(min(os.fstat(file.fileno()).st_size, length))
-    except OSError as error:
-        found = f"a file that cannot be opened ({error.strerror or error})"
-        raise InputError(Problem(path, "file", found, expected)) from None
+    with damage_named(path, expected, "file"), path.open("rb") as file:
+        return file.read(min(os.fstat(file.fileno()).st_size, length))
 
 
 def require_file(path: Path, expected: str = "a file that can be read") -> None:
@@ -88,31 +106,18 @@ def read_toml(path: Path, expected: str = "a TOML file") -> dict[str, Any]:
 
 
 def parse_json(text: str, source: str | Path, expected: str = "JSON") -> Any:
-    return _parsed(json.loads, text, source, expected)
-
-
-def parse_toml(text: str, source: str | Path, expected: str = "TOML") -> dict[str, Any]:
-    return _parsed(_toml, text, source, expected)
+    with damage_named(source, expected):
+        return json.loads(text)
 
 
 _LONG_KEY = re.compile(r"""(?<![\w"'-])(?:(?:"[^"\n]*+"|'[^'\n]*+'|[\w-]++)[ \t]*+\.[ \t]*+){100}""")
 
 
-def _toml(text: str) -> dict[str, Any]:
-    if _LONG_KEY.search(text):
-        raise RecursionError  # tomllib takes the square of a key's length in time and memory
-    return tomllib.loads(text)
-
-
-def _parsed(parse: Callable[[str], Any], text: str, source: str | Path, expected: str) -> Any:
-    try:
-        return parse(text)
-    except RecursionError:
-        found = "tables or lists that are nested too deeply"
-    except (ValueError, OverflowError, MemoryError, AttributeError, KeyError, IndexError, TypeError) as error:
-        # Beside its own error tomllib lets those of dates and of long numbers pass.
-        found = " ".join(str(error).split())[:200] or type(error).__name__
-    raise InputError(Problem(source, "content", found, expected))
+def parse_toml(text: str, source: str | Path, expected: str = "TOML") -> dict[str, Any]:
+    with damage_named(source, expected):
+        if _LONG_KEY.search(text):
+            raise RecursionError  # tomllib takes the square of a key's length in time and memory
+        return tomllib.loads(text)
 
 
 _Model = TypeVar("_Model")
@@ -135,22 +140,18 @@ MAX_UNPACKED, MAX_ARRAYS = 1 << 30, 1 << 16
 """The largest archive that is unpacked, and the largest size and number of arrays that it is unpacked to."""
 KINDS = "biuf"
 """The types of arrays that are read, as NumPy names them: truth values, whole numbers and floats."""
-DAMAGE = (OSError, ValueError, KeyError, TypeError, EOFError, MemoryError, RuntimeError, ImportError)
-_DAMAGE_OF_ZIP = (zipfile.BadZipFile, zlib.error, lzma.LZMAError, struct.error, SyntaxError, tokenize.TokenError)
-"""The last two are of an array's header."""
 
 
 def arrays_of(content: bytes, kinds: str) -> dict[str, np.ndarray]:
     """The arrays of a NumPy archive by name. kinds: of their types, as NumPy names them; "O", pickles, is none. Raises
-    ValueError for damage, other types, and too much memory: sizes are checked before anything is unpacked."""
-    try:
-        with zipfile.ZipFile(BytesIO(content)) as archive:
-            check_unpacked_size(archive)
-            return {
-                one.filename.removesuffix(".npy"): _array(_unpacked(archive, one), kinds) for one in archive.infolist()
-            }
-    except (*DAMAGE, *_DAMAGE_OF_ZIP) as error:
-        raise ValueError(" ".join(str(error).split())[:200] or type(error).__name__) from None
+    what `DAMAGE` lists, also for other types and too much memory: sizes are checked before anything is unpacked."""
+    found = {}
+    with zipfile.ZipFile(BytesIO(content)) as archive:
+        check_unpacked_size(archive)
+        for one in archive.infolist():
+            with archive.open(one) as file:  # no more than the size that it states: the whole of it may be larger
+                found[one.filename.removesuffix(".npy")] = _array(file.read(one.file_size), kinds)
+    return found
 
 
 def check_unpacked_size(archive: zipfile.ZipFile) -> None:
@@ -161,12 +162,6 @@ def check_unpacked_size(archive: zipfile.ZipFile) -> None:
         raise ValueError(f"{len(infos)} arrays of {size >> 20} MB are too much")
     if any(info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED) for info in infos):
         raise ValueError("compressed in another way than NumPy does")  # zipfile unpacks those without a limit
-
-
-def _unpacked(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> bytes:
-    """A file of the archive, and no more than the size that it states: the whole of it may be larger."""
-    with archive.open(info) as file:
-        return file.read(info.file_size)
 
 
 def _array(content: bytes, kinds: str) -> np.ndarray:

@@ -20,7 +20,7 @@ from typing import Any, TypeVar
 import numpy as np
 from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 
-from recon.base.documents import DAMAGE, KINDS, MAX_UNPACKED, arrays_of, parse_json, read_content
+from recon.base.documents import KINDS, MAX_UNPACKED, arrays_of, damage_named, read_content
 from recon.base.errors import InputError, Problem
 from recon.base.field_problems import problems_of
 
@@ -57,28 +57,17 @@ def load_record(of: type[_Class], path: Path, schema: Mapping[str, Any], expecte
     Raises InputError for a file that is damaged, is something else, or would take too much memory: the sizes of all
     that is in it are checked before anything is unpacked."""
     content = read_content(path, expected, MAX_UNPACKED)
-
-    def unread(error: Exception) -> InputError:
-        why = " ".join(str(error).split())[:100] or type(error).__name__
-        return InputError(Problem(path, "content", f"data that cannot be read ({why})", expected))
-
-    try:
+    with damage_named(path, expected):
         arrays = arrays_of(content, KINDS)
-        text = arrays.pop(RECORD).astype(np.uint8, casting="no").tobytes().decode()
-    except DAMAGE as error:
-        raise unread(error) from None
-    record = parse_json(text, path, expected)
-    found = record.get("schema") if isinstance(record, dict) else None
-    if found != schema:
-        told = f"{found.get('name')}, version {found.get('version')}" if isinstance(found, dict) else "none"
-        wanted = f"{schema['name']}, version {schema['version']}: {expected}"
-        raise InputError(Problem(path, "schema", told[:100], wanted))
-    try:
-        return _validated(of, _restored(record["value"], arrays))
-    except ValidationError as error:
-        raise InputError(problems_of(error, path, within=1)) from None
-    except (*DAMAGE, AttributeError, IndexError, OverflowError, RecursionError) as error:
-        raise unread(error) from None
+        record = json.loads(arrays.pop(RECORD).astype(np.uint8, casting="no").tobytes())
+        found = record["schema"]
+        if found != schema:
+            wanted = f"{schema['name']}, version {schema['version']}: {expected}"
+            raise InputError(Problem(path, "schema", f"{found['name']}, version {found['version']}"[:100], wanted))
+        try:
+            return _validated(of, _restored(record["value"], arrays))
+        except ValidationError as error:
+            raise InputError(problems_of(error, path, within=1)) from None
 
 
 def _plain(value: Any, where: str, arrays: dict[str, np.ndarray], name_of: dict[int, str]) -> Any:

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from recon.animal import fitting_maps, load_names, new_names
-from recon.base.arrays import Brief, mean_along
+from recon.base.arrays import Brief, mean_along, to_plain
 from recon.base.errors import InputError, Problem, all_of, refuse
 from recon.base.files import MANIFEST
 from recon.check import mismatches, sentence, usable
@@ -102,7 +102,7 @@ class Evaluation(Brief):
             what: [{"level": level, "share": share} for level, share in zip(LEVELS, shares, strict=True)]
             for what, shares in self.inside.items()
         }
-        return _plain(result)
+        return to_plain(result, digits=17)
 
 
 def evaluate_files(
@@ -273,12 +273,3 @@ def aligned(pose_m: np.ndarray, truth_m: np.ndarray, scale: bool = False, turn: 
         factor = np.divide(np.maximum(product, 0), square, out=np.ones_like(square), where=square > 0)
         moved = factor[:, None, None] * moved
     return moved + truth_mean
-
-
-def _plain(value: Any) -> Any:
-    """JSON types, with None for NaN."""
-    if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple | np.ndarray):
-        return [_plain(item) for item in (value.tolist() if isinstance(value, np.ndarray) else value)]
-    return None if isinstance(value, float) and np.isnan(value) else value

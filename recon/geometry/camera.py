@@ -245,19 +245,10 @@ class Camera(Brief):
     # ---- plain data ----
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain strings, numbers and lists, in the order of the fields; an unknown pose and no tilt are left out."""
-        plain: dict[str, Any] = {
-            "name": self.name,
-            "model": self.model,
-            "image_size_px": list(self.image_size_px),
-            "matrix": self.matrix.tolist(),
-            "distortion": self.distortion.tolist(),
-        }
-        if self.rotation is not None and self.translation_m is not None:
-            plain |= {"rotation": self.rotation.tolist(), "translation_m": self.translation_m.tolist()}
-        if self.tilt_rad:
-            plain["tilt_rad"] = self.tilt_rad
-        return plain | {"world_z_up": self.world_z_up}
+        """Plain strings, numbers and lists; an unknown pose and no tilt are left out."""
+        names = ("name", "model", "image_size_px", *BLOCKS, *(["tilt_rad"] if self.tilt_rad else []), "world_z_up")
+        values = {name: getattr(self, name) for name in names}
+        return {name: np.asarray(value).tolist() for name, value in values.items() if value is not None}
 
 
 def is_rotation(matrix: Array, tolerance: float) -> bool:

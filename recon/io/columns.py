@@ -24,11 +24,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from recon.base import InputError, Problem, refuse
-from recon.base.documents import MAX_UNPACKED
+from recon.base.documents import MAX_UNPACKED, damage_named
 from recon.base.files import write_bytes
 from recon.clip import Keypoints
 from recon.io import common, writing
-from recon.io.common import Pose3D, StoredPoints, damage_named
+from recon.io.common import Pose3D, StoredPoints
 from recon.io.deeplabcut import Table, points_of_table
 from recon.io.formats import as_keypoints
 from recon.io.positions import frames_of_times

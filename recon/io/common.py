@@ -5,12 +5,10 @@ from __future__ import annotations
 
 import csv
 import re
-import struct
-import zlib
 from array import array
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -126,26 +124,6 @@ def starts_with_text(path: Path, word: bytes) -> bool:
     """Whether it is the first of the text, after blanks and a byte order mark."""
     with path.open("rb") as file:
         return file.read(256).removeprefix(b"\xef\xbb\xbf").lstrip().startswith(word)
-
-
-DAMAGE = (
-    *(OSError, LookupError, TypeError, ValueError, RuntimeError, AttributeError, StopIteration),
-    *(ArithmeticError, MemoryError, SystemError, struct.error, zlib.error),
-)
-"""What Python and libraries say of damaged files."""
-
-
-@contextmanager
-def damage_named(path: Path, expected: str, field: str = "content") -> Iterator[None]:
-    """Around the reading of a file: what is said of a damaged one becomes an InputError. expected: of a whole one."""
-    try:
-        yield
-    except InputError:
-        raise
-    except DAMAGE as error:
-        said = " ".join(str(error).split())[:200] or type(error).__name__
-        found = f"an entry without {said}" if isinstance(error, KeyError) else f"data that cannot be read ({said})"
-        raise InputError(Problem(path, field, found, expected)) from None
 
 
 class NoChoiceError(InputError):

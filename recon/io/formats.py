@@ -15,9 +15,9 @@ from typing import Any, Literal
 import numpy as np
 
 from recon.base import InputError, Problem
-from recon.base.documents import read_head
+from recon.base.documents import damage_named, read_head
 from recon.clip import Keypoints
-from recon.io.common import NoChoiceError, StoredPoints, damage_named, with_likelihoods
+from recon.io.common import NoChoiceError, StoredPoints, with_likelihoods
 
 Kind = Literal["2D", "3D", "bones", "cameras", "robot"]
 """2D keypoints, 3D positions, bones (`recon.io.bones`), cameras, or a robot's motion, which a wing writes."""

@@ -17,8 +17,8 @@ import numpy as np
 from h5py import h5t
 
 from recon.base import InputError, Problem
-from recon.base.documents import MAX_UNPACKED
-from recon.io.common import damage_named, starts_with
+from recon.base.documents import MAX_UNPACKED, damage_named
+from recon.io.common import starts_with
 
 FREE_BYTES = 1 << 26
 """What a dataset or a piece of it may take in any case; beyond that what it takes in the file, or, up to

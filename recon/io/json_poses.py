@@ -25,7 +25,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from recon.base import InputError, Problem, refuse
-from recon.base.documents import read_json
+from recon.base.documents import damage_named, read_json
 from recon.io import common
 from recon.io.common import StoredPoints
 
@@ -226,7 +226,7 @@ def read_openpose(path: Path, individual: str | None = None) -> StoredPoints:
     seen: list[_Seen] = []
     for file, number in files.items():
         content = read_json(file, _EXPECTED)
-        with common.damage_named(file, "x, y, confidence of each point", "people"):
+        with damage_named(file, "x, y, confidence of each point", "people"):
             rows = [np.array(person[KEY], dtype=float) for person in content["people"]]
             people = [row.reshape(-1, 3) for row in rows if row.size]
         for k, points in enumerate(people, start=1):

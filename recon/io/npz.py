@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from recon.base import InputError, Problem, refuse
-from recon.base.documents import KINDS, MAX_UNPACKED, arrays_of, read_content
+from recon.base.documents import DAMAGE, KINDS, MAX_UNPACKED, arrays_of, damage_named, read_content
 from recon.base.files import write_bytes
 from recon.io import common, writing
 from recon.io.common import Pose3D, StoredPoints, one_animal, rate
@@ -36,7 +36,7 @@ def _has(path: Path, name: str, damaged: bool) -> bool:
     try:
         with zipfile.ZipFile(path) as archive:
             return name in archive.namelist()
-    except (zipfile.BadZipFile, EOFError, *common.DAMAGE):
+    except DAMAGE:
         return damaged
 
 
@@ -69,7 +69,7 @@ def read_fmpose3d(path: Path, individual: str | None = None) -> StoredPoints:
 def _pose_of(path: Path, points: int) -> np.ndarray:
     """(1, points, 3): the pose of one picture, of a size that is known before the next file is read."""
     expected = f"the {points} points of one animal as pose3d"
-    with common.damage_named(path, expected):
+    with damage_named(path, expected):
         pose = arrays_of(read_content(path, "a whole file", MAX_UNPACKED), KINDS)["pose3d"]
     if pose.shape not in ((points, 3), (1, points, 3)):
         raise InputError(Problem(path, "pose3d", f"an array of the shape {pose.shape}", expected))

@@ -11,10 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from recon.base.arrays import Array, finite, mean
-
-DIGITS = 9
-"""Significant digits of the numbers in the report."""
+from recon.base.arrays import Array, finite, mean, to_plain
 
 
 def write_report(report: Mapping[str, Any], path: Path) -> None:
@@ -28,21 +25,6 @@ def write_report(report: Mapping[str, Any], path: Path) -> None:
 def to_json(value: Any) -> str:
     """The text of a file, and what `--json` prints."""
     return json.dumps(to_plain(value), indent=1, allow_nan=False, ensure_ascii=False) + "\n"
-
-
-def to_plain(value: Any) -> Any:
-    """Arrays, tuples, mappings and numbers as JSON types; NaN and infinities are None."""
-    if isinstance(value, Mapping):
-        return {str(key): to_plain(item) for key, item in value.items()}
-    if isinstance(value, np.ndarray | np.generic):
-        return to_plain(value.tolist())
-    if isinstance(value, list | tuple):
-        return [to_plain(item) for item in value]
-    if isinstance(value, float):
-        return float(f"{value:.{DIGITS}g}") if math.isfinite(value) else None
-    if value is None or isinstance(value, bool | int | str):
-        return value
-    return str(value)
 
 
 def file_name(path: str | None) -> str | None:
