@@ -14,8 +14,8 @@ from recon import Body, Camera, FitSettings, load_skeleton, read_keypoints
 from recon.animal import detector_toml, prior_from_body, seen_by
 from recon.clip import still_view
 from recon.fit import ClipProblem, TrajectoryOptions
-from recon.io import deeplabcut, deeplabcut_h5
-from recon.io.hdf5_poses import write_movement, write_nwb
+from recon.io import deeplabcut
+from recon.io.hdf5_poses import write_deeplabcut, write_movement, write_nwb
 from recon.show import build_report
 from recon.workflows import prepare
 from tests.test_cameras import folder, settings  # noqa: F401
@@ -169,7 +169,7 @@ def test_a_detector_of_no_known_name():
         seen_by(body(), "zebra")
 
 
-@pytest.mark.parametrize(("name", "write"), [("copy.h5", deeplabcut_h5.write), ("copy.nwb", write_nwb)])
+@pytest.mark.parametrize(("name", "write"), [("copy.h5", write_deeplabcut), ("copy.nwb", write_nwb)])
 def test_other_files_keep_it_too(folder, tmp_path, name, write):  # noqa: F811
     (path,) = with_scorers(folder, tmp_path, OF_ACINOSET).keypoints
     write(replace(read_keypoints(path), fps=90.0), tmp_path / name)

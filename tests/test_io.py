@@ -13,7 +13,7 @@ from command_line import refusal, says
 
 from recon import InputError
 from recon.clip import Keypoints, clean
-from recon.io import Pose3D, deeplabcut_h5, individuals, read_keypoints, read_pose3d
+from recon.io import Pose3D, hdf5_poses, individuals, read_keypoints, read_pose3d
 
 NAN = float("nan")
 SINGLE = """\
@@ -171,7 +171,7 @@ def test_real_labels(shared_data):
     "name", ["sleap/small_robot.000_small_robot_3_frame.analysis.h5", "ndx-pose/0.3.0_poseestimation_one_camera.nwb"]
 )
 def test_real_hdf5_of_other_kinds_is_no_deeplabcut_file(shared_data, name):
-    assert not deeplabcut_h5.recognises(shared_data / "importer-files" / name)
+    assert not hdf5_poses.recognises_deeplabcut(shared_data / "importer-files" / name)
 
 
 def test_hdf5_of_another_kind(tmp_path):

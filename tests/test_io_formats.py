@@ -618,9 +618,9 @@ def test_bvh_against_another_reader(tmp_path):
     ("change", "expected"),
     [
         (("Frames: 2", "Frames: 3"), ("MOTION", "2 rows, and Frames: 3")),
-        (("1 2 3 90 0 0 0 90 0", "1 2 3 90"), ("frame 2 of MOTION", "4 numbers", 9)),
+        (("1 2 3 90 0 0 0 90 0", "1 2 3 90"), ("line 20", "4 cells", 9)),
         (("Frame Time: 0.0333333", "Frame Time: 0"), ("Frame Time", 0, "above 0")),
-        (("1 2 3 90 0 0 0 90 0", "1 2 3 90 0 0 0 90 x"), ("content", "'x'")),
+        (("1 2 3 90 0 0 0 90 0", "1 2 3 90 0 0 0 90 x"), ("line 20, knee Yrotation", "'x'", "number")),
         (("CHANNELS 3 Zrotation", "CHANNELS 3 Zscale"), ("content", ["Zscale", "hierarchy"])),
         (("OFFSET 1.0 0.0 0.0", "OFFSET 1.0"), ("content", ["'OFFSET 1.0'", "hierarchy"])),
         (("MOTION", ""), ("content", ["'Frames: 2'", "hierarchy"])),

@@ -29,9 +29,8 @@ from recon import InputError
 from recon.animal import load_names, load_prior, load_skeleton
 from recon.calibrate import read_marks
 from recon.clip import Keypoints
-from recon.io import deeplabcut_h5, read_camera_track, read_keypoints, read_pose3d
-from recon.io.deeplabcut_h5 import plain_pickle
-from recon.io.hdf5_poses import write_movement, write_nwb
+from recon.io import read_camera_track, read_keypoints, read_pose3d
+from recon.io.hdf5_poses import plain_pickle, write_deeplabcut, write_movement, write_nwb
 from recon.wings.keypoint_net import read_label_file
 from recon.workflows import app, main
 
@@ -57,7 +56,7 @@ def attribute_of(where: str, name: str) -> Callable[[Path, Path], None]:
     """A table of DeepLabCut's with one attribute replaced."""
 
     def make(path: Path, marker: Path) -> None:
-        deeplabcut_h5.write(CLIP, path)
+        write_deeplabcut(CLIP, path)
         with h5py.File(path, "a") as file:
             file[where].attrs[name] = harm(marker)
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from recon.geometry import PITCH, ROLL, ROOT, YAW, Joint, Marker, Segment, Tree
-from recon.geometry.curvature import derivatives
+from recon.geometry.kinematics import derivatives
 
 
 def tree(*joints: Joint) -> Tree:

@@ -325,3 +325,27 @@ class Tree(Brief):
         if len(plan.sliding):
             moved[plan.sliding] = about[plan.sliding, :3]
         return points[len(self.segments) :], axes, moved
+
+
+def derivatives(tree: Tree, state: Array) -> tuple[Array, Array, Callable[[Array], Array]]:
+    """For one state (D,), as inverse kinematics needs them: the markers' Jacobian (J, 3, D), the axes (D - 3, 3) of the
+    angles, of joints that are not summed, and a function from weights (J, 3) to the weighted sum (D - 3, D - 3) of the
+    markers' second derivatives."""
+    plan, J = tree.plan, len(tree.markers)
+    _, axes, moved = tree.moved(state[None], np.ones(1))
+    axes, moved = axes[..., 0], moved[..., 0]
+    jacobian = np.zeros((J, 3, tree.n_state))
+    jacobian.reshape(-1)[plan.entries] = moved if plan.merge is None else plan.merge @ moved
+    jacobian[..., ROOT] = np.eye(3)
+    sums = plan.sums[:-1]
+
+    def curvature(weights: Array) -> Array:
+        # weight . (outer axis x moved) = outer axis . (moved x weight)
+        by = weights.take(plan.marker, axis=0).take(CYCLE, axis=1)
+        along = moved.take(CYCLE, axis=1)
+        swept = plan.gathered @ (along[:, 1:4] * by[:, 2:] - along[:, 2:] * by[:, 1:4])
+        pairs = plan.outer * (axes @ swept.T)
+        pairs = pairs + np.triu(pairs, 1).T
+        return sums.T @ pairs @ sums
+
+    return jacobian, axes, curvature

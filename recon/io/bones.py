@@ -15,7 +15,7 @@ from __future__ import annotations
 import json
 import re
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -100,7 +100,7 @@ def turned(turns: tuple[BoneAngle, ...], count: int) -> Array:
 # -- BVH --------------------------------------------------------------------------------------------------------------
 
 AXES = "XYZ"
-_CHANNEL = {(0, 1, 0): "Yrotation", (0, 0, -1): "Zrotation", (1, 0, 0): "Xrotation"}
+_CHANNEL = {"yaw": "Yrotation", "pitch": "Zrotation", "roll": "Xrotation"}
 
 
 @dataclass
@@ -124,44 +124,37 @@ def recognises_bvh(path: Path) -> bool:
 
 def read_bvh(path: Path, individual: str | None = None) -> StoredPoints:
     """The joints' positions, by forward kinematics. Raises InputError for a file that is cut off or no BVH."""
-    text = read_text(path, "a BVH file")
-    lines = iter([line.strip() for line in text.splitlines() if line.strip()])
-    joints = _hierarchy(lines)
-    count = common.frame_number(_value(lines, r"Frames:\s*(\S+)")) or 0
-    frame_time_s = common.number(_value(lines, r"Frame Time:\s*(\S+)"))
-    rows = [[common.number(cell) for cell in line.split()] for line in lines]
-    width = sum(len(joint.channels) for joint in joints)
-    problems = [
-        Problem(path, f"frame {i + 1} of MOTION", f"{len(row)} numbers", f"{width}, one for each channel")
-        for i, row in enumerate(rows)
-        if len(row) != width
-    ][:3]
-    if len(rows) != count:
-        problems.append(Problem(path, "MOTION", f"{len(rows)} rows, and Frames: {count}", "as many"))
+    lines = [(at, line.split()) for at, line in enumerate(read_text(path, "a BVH file").splitlines(), start=1)]
+    rows = iter([(at, words) for at, words in lines if words])
+    joints = _hierarchy(words for _, words in rows)
+    count = common.frame_number(_value(next(rows)[1], r"Frames:\s*(\S+)")) or 0
+    frame_time_s = common.number(_value(next(rows)[1], r"Frame Time:\s*(\S+)"))
+    channels = [f"{joint.name} {channel}" for joint in joints for channel in joint.channels]
+    common.require_span(count, len(joints), path)
+    _, motion, problems = common.number_rows(path, rows, channels)
+    if len(motion) != count and not problems:
+        problems.append(Problem(path, "MOTION", f"{len(motion)} rows, and Frames: {count}", "as many"))
     if not 0 < frame_time_s < float("inf"):
         problems.append(Problem(path, "Frame Time", f"{frame_time_s:g}", "seconds above 0"))
-    refuse(problems)
-    common.require_span(count, len(joints), path)
+    refuse(common.first_problems(problems, path))
     kept = {j: joint.parent for j, joint in enumerate(joints) if not joint.end or any(joint.offset)}
-    xyz = _positions(joints, np.array(rows).reshape(-1, width))[:, [*kept]]
+    xyz = _positions(joints, motion)[:, [*kept]]
     names, fps = tuple(joints[j].name for j in kept), float(f"{1 / frame_time_s:.9g}")
     edges = tuple((joints[p].name, joints[j].name) for j, p in kept.items() if p in kept)
     return common.one_animal(path, individual, StoredPoints(names, xyz, np.arange(count), fps=fps, edges=edges))
 
 
-def _hierarchy(lines: Iterator[str]) -> list[_Joint]:
-    """The joints in the order of their channels, each after its parent. Raises what `DAMAGE` lists."""
-    if next(lines) != "HIERARCHY":
-        raise ValueError("no HIERARCHY")
+def _hierarchy(lines: Iterable[list[str]]) -> list[_Joint]:
+    """The joints in the order of their channels, each after its parent, from lines of words. Raises what `DAMAGE`
+    lists."""
     joints: list[_Joint] = []
     open_: list[int] = []
-    for line in lines:
-        word, *rest = line.split()
+    for word, *rest in lines:
         if word == "MOTION":
             return joints
         if word in ("ROOT", "JOINT", "End"):
             parent = open_[-1] if open_ else -1
-            name = f"{joints[parent].name}_end" if word == "End" else line[len(word) :].strip()
+            name = f"{joints[parent].name}_end" if word == "End" else " ".join(rest)
             joints.append(_Joint(name, parent, end=word == "End"))
         elif word == "{":
             open_.append(len(joints) - 1)
@@ -172,16 +165,15 @@ def _hierarchy(lines: Iterator[str]) -> list[_Joint]:
         elif word == "CHANNELS" and all(re.fullmatch(r"[XYZ](position|rotation)", name) for name in rest[1:]):
             joints[-1].column = sum(len(joint.channels) for joint in joints[:-1])
             joints[-1].channels = rest[1:]
-        else:
-            raise ValueError(f"'{line[:60]}' in the hierarchy")
+        elif word != "HIERARCHY":
+            raise ValueError(f"'{' '.join((word, *rest))[:60]}' in the hierarchy")
     raise ValueError("no MOTION")
 
 
-def _value(lines: Iterator[str], pattern: str) -> str:
-    line = next(lines)
-    match = re.fullmatch(pattern, line)
+def _value(words: Sequence[str], pattern: str) -> str:
+    match = re.fullmatch(pattern, " ".join(words))
     if match is None:
-        raise ValueError(f"'{line[:60]}' where '{pattern.split(':')[0]}:' should be")
+        raise ValueError(f"'{' '.join(words)[:60]}' where '{pattern.split(':')[0]}:' should be")
     return match[1]
 
 
@@ -218,11 +210,10 @@ def write_bvh(rig: Armature, path: Path) -> None:
         indent = "  " * depth
         turns = () if bone is None else rig.bones[bone].turns
         angles = {turn.kind: sum(AXIS[turn.kind]) * np.degrees(turn.angle_rad) for turn in turns}
-        # All three, as programs expect them.
-        order = [*dict.fromkeys((*angles, *AXIS))]
-        columns.extend(angles.get(k, np.zeros(len(rig.root_m)))[:, None] for k in order)
+        angles |= {kind: np.zeros(len(rig.root_m)) for kind in AXIS if kind not in angles}  # programs expect all three
+        columns.extend(angle[:, None] for angle in angles.values())
         channels = ["Xposition", "Yposition", "Zposition"] if depth == 0 else []
-        channels += [_CHANNEL[AXIS[k]] for k in order]
+        channels += [_CHANNEL[kind] for kind in angles]
         lines.extend([f"{indent}{kind} {name}", f"{indent}{{", f"{indent}  OFFSET {_numbers(offset_m)}"])
         lines.append(f"{indent}  CHANNELS {len(channels)} {' '.join(channels)}")
         children = [i for i, of_it in enumerate(rig.bones) if bone is not None and of_it.parent == bone]
@@ -265,10 +256,9 @@ def write_opensim(rig: Armature, path: Path) -> None:
         _add(_add(model, kind, kind.lower()), "objects") for kind in ("BodySet", "JointSet", "MarkerSet")
     )
     for bone in rig.bones:
-        body = _add(bodies, "Body", bone.name)
-        _draw(body, rig, bone)
         moments = _numbers(bone.inertia_kg_m2[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]])
-        _texts(body, mass=repr(bone.mass_kg), mass_center=_numbers(bone.centre_m), inertia=moments)
+        mass = {"mass": repr(bone.mass_kg), "mass_center": _numbers(bone.centre_m), "inertia": moments}
+        _draw(_add(bodies, "Body", bone.name, **mass), rig, bone)
         _join(joints, rig, bone)
     for name, at, offset_m in zip(rig.joints, rig.joint_bones, rig.joint_offsets_m, strict=True):
         frame = f"/bodyset/{rig.bones[at].name}"
@@ -282,27 +272,24 @@ def write_opensim(rig: Armature, path: Path) -> None:
 
 def _join(joints: Element, rig: Armature, bone: Bone) -> None:
     """To its parent, or the ground."""
-    is_root = bone.parent is None
     frames = {"socket_parent_frame": "origin", "socket_child_frame": f"/bodyset/{bone.name}"}
     joint = _add(joints, "CustomJoint" if bone.turns else "WeldJoint", bone.name, **frames)
     above = "/ground" if bone.parent is None else f"/bodyset/{rig.bones[bone.parent].name}"
-    if bone.turns:
-        coordinates = _add(joint, "coordinates")
-        for name in PLACE if is_root else ():
-            _add(coordinates, "Coordinate", name, clamped="false")
-        for turn in bone.turns:
-            limits = {"default_value": repr(turn.mean_rad), "range": _numbers(turn.range_rad)}
-            _add(coordinates, "Coordinate", turn.name, **limits, clamped="false")
     place = {"socket_parent": above, "translation": _numbers(bone.offset_m), "orientation": "0 0 0"}
     _add(_add(joint, "frames"), "PhysicalOffsetFrame", "origin", **place)
     if not bone.turns:
         return
+    coordinates = _add(joint, "coordinates")
+    for name in PLACE if bone.parent is None else ():
+        _add(coordinates, "Coordinate", name, clamped="false")
+    for turn in bone.turns:
+        limits = {"default_value": repr(turn.mean_rad), "range": _numbers(turn.range_rad)}
+        _add(coordinates, "Coordinate", turn.name, **limits, clamped="false")
     transform = _add(joint, "SpatialTransform")
     # Three axes are needed, also where there are fewer angles.
     of_kind = {turn.kind: turn.name for turn in bone.turns}
-    kinds = dict.fromkeys((*of_kind, *AXIS))
-    turns = [(of_kind.get(kind, ""), AXIS[kind]) for kind in kinds]
-    moves = [(name if is_root else "", axis) for name, axis in PLACE.items()]
+    turns = [(of_kind.get(kind, ""), AXIS[kind]) for kind in dict.fromkeys((*of_kind, *AXIS))]
+    moves = [(name if bone.parent is None else "", axis) for name, axis in PLACE.items()]
     for what, axes in (("rotation", turns), ("translation", moves)):
         for i, (name, axis) in enumerate(axes, start=1):
             element = _add(transform, "TransformAxis", f"{what}{i}", coordinates=name, axis=_numbers(axis))
@@ -316,12 +303,12 @@ def _draw(body: Element, rig: Armature, bone: Bone) -> None:
     components = _add(body, "components") if of_it else body
     for i, capsule in enumerate(of_it):
         end = writing.y_up_from_z_up(np.array(capsule.end_m))
-        frame = _add(components, "PhysicalOffsetFrame", f"shape_{i}")
-        size = {"radius": repr(capsule.radius_m), "half_height": repr(float(np.linalg.norm(end)) / 2)}
-        _add(_add(frame, "attached_geometry"), "Cylinder", "cylinder", **size)
         # It lies along y, and the capsule in the x-y plane.
         turn = _numbers([0.0, 0.0, float(np.arctan2(-end[0], end[1]))])
-        _texts(frame, socket_parent="..", translation=_numbers(end / 2), orientation=turn)
+        place = {"socket_parent": "..", "translation": _numbers(end / 2), "orientation": turn}
+        frame = _add(components, "PhysicalOffsetFrame", f"shape_{i}", **place)
+        size = {"radius": repr(capsule.radius_m), "half_height": repr(float(np.linalg.norm(end)) / 2)}
+        _add(_add(frame, "attached_geometry"), "Cylinder", "cylinder", **size)
 
 
 def _write_motion(rig: Armature, path: Path) -> None:
@@ -338,13 +325,9 @@ def _write_motion(rig: Armature, path: Path) -> None:
 def _add(parent: Element, kind: str, called: str | None = None, **elements: str) -> Element:
     """A new element, with its name, and elements of text in it."""
     found = SubElement(parent, kind, {} if called is None else {"name": called})
-    _texts(found, **elements)
-    return found
-
-
-def _texts(parent: Element, **elements: str) -> None:
     for name, text in elements.items():
-        SubElement(parent, name).text = text
+        SubElement(found, name).text = text
+    return found
 
 
 # -- glTF -------------------------------------------------------------------------------------------------------------
@@ -374,16 +357,9 @@ class _Buffer:
         rows = np.asarray(values, dtype=kind).reshape(len(values), -1)
         self.views.append({"buffer": 0, "byteOffset": len(self.content), "byteLength": rows.nbytes})
         self.content += rows.astype(rows.dtype.newbyteorder("<")).tobytes()
-        self.accessors.append(
-            {
-                "bufferView": len(self.views) - 1,
-                "componentType": _COMPONENTS[kind],
-                "count": len(rows),
-                "type": _TYPES[rows.shape[1]],
-                "min": rows.min(axis=0).tolist(),
-                "max": rows.max(axis=0).tolist(),
-            }
-        )
+        of_rows = {"type": _TYPES[rows.shape[1]], "componentType": _COMPONENTS[kind], "count": len(rows)}
+        bounds = {"min": rows.min(axis=0).tolist(), "max": rows.max(axis=0).tolist()}
+        self.accessors.append({"bufferView": len(self.views) - 1, **of_rows, **bounds})
         return len(self.accessors) - 1
 
 
@@ -399,10 +375,8 @@ def write_gltf(rig: Armature, path: Path) -> None:
     unbind[:, 3, :3] = -at_rest  # by columns
     turns = [_unbroken(Rotation.from_matrix(turned(bone.turns, len(rig.root_m))).as_quat()) for bone in rig.bones]
     names = [*(bone.name for bone in rig.bones), *rig.joints]
-    nodes: list[dict[str, Any]] = [
-        {"name": name, "translation": offset_m.tolist()} for name, offset_m in zip(names, offsets_m, strict=True)
-    ]
-    nodes[0]["translation"] = rig.root_m[0].tolist()
+    places = np.concatenate([rig.root_m[:1], offsets_m[1:]]).tolist()
+    nodes: list[dict[str, Any]] = [{"name": a, "translation": b} for a, b in zip(names, places, strict=True)]
     for node, turn in zip(nodes, turns, strict=False):
         node["rotation"] = turn[0].tolist()
     for i, parent in enumerate(parents):
@@ -447,25 +421,18 @@ def write_gltf(rig: Armature, path: Path) -> None:
 
 def _primitive(buffer: _Buffer, rig: Armature, side: Side | None, at_rest: Array, material: int) -> dict[str, Any]:
     """The capsules of one side, each moved by its own bone."""
-    points, normals, triangles, bones = [], [], [], []
-    for capsule in rig.capsules:
-        if capsule.side == side:
-            of_it, normal = _surface(capsule)
-            triangles.append(_TRIANGLES + sum(map(len, points)))
-            points.append(at_rest[capsule.segment] + of_it)
-            normals.append(normal)
-            bones.append(np.full(len(of_it), capsule.segment))
-    joints = np.concatenate(bones)[:, None] * [1, 0, 0, 0]
-    return {
-        "attributes": {
-            "POSITION": buffer.add(np.concatenate(points)),
-            "NORMAL": buffer.add(np.concatenate(normals)),
-            "JOINTS_0": buffer.add(joints, "uint16"),
-            "WEIGHTS_0": buffer.add(np.tile([1.0, 0.0, 0.0, 0.0], (len(joints), 1))),
-        },
-        "indices": buffer.add(np.concatenate(triangles).ravel(), "uint32"),
-        "material": material,
+    own = [capsule for capsule in rig.capsules if capsule.side == side]
+    points, normals = np.swapaxes([_surface(capsule) for capsule in own], 0, 1)  # (capsules, N, 3)
+    bones = np.array([capsule.segment for capsule in own])
+    joints = np.repeat(bones, points.shape[1])[:, None] * [1, 0, 0, 0]
+    attributes = {
+        "POSITION": buffer.add((points + at_rest[bones, None]).reshape(-1, 3)),
+        "NORMAL": buffer.add(normals.reshape(-1, 3)),
+        "JOINTS_0": buffer.add(joints, "uint16"),
+        "WEIGHTS_0": buffer.add(np.tile([1.0, 0.0, 0.0, 0.0], (len(joints), 1))),
     }
+    triangles = _TRIANGLES + points.shape[1] * np.arange(len(own))[:, None, None]
+    return {"attributes": attributes, "indices": buffer.add(triangles.ravel(), "uint32"), "material": material}
 
 
 def _triangles() -> Array:

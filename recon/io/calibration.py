@@ -6,7 +6,7 @@ with `format = "recon-camera"`, or several in `[[cameras]]`; those of other prog
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -53,9 +53,8 @@ def read_cameras(path: CameraFiles, image_size_px: tuple[int, int] | None = None
         for one, cameras in zip(path, of_file, strict=True):
             alone = len(cameras) == 1 and names.count(cameras[0].name) > 1
             found += [replace(cameras[0], name=one.stem)] if alone else cameras
-        refuse(
-            Problem(path[-1], "camera", f"{name}, as in another file", "a name of its own") for name in _twice(found)
-        )
+        twice = [f"{name}, as in another file" for name in _twice(found)]
+        refuse(Problem(path[-1], "camera", name, "a name of its own") for name in twice)
         return tuple(found)
     path = Path(path)
     return cameras_of(_records(path), path, image_size_px)
@@ -65,15 +64,10 @@ def cameras_of(
     records: Sequence[CameraRecord], path: Path, image_size_px: tuple[int, int] | None = None
 ) -> tuple[Camera, ...]:
     """The cameras of a file's records. Raises InputError with every problem."""
-    problems: list[Problem] = []
-    built = [_build(record, i, path, image_size_px, problems) for i, record in enumerate(records, 1)]
-    cameras = tuple(camera for camera in built if camera)
-    problems += [
-        Problem(path, "camera names", f"{name!r} {count} times", "a name of its own for each camera")
-        for name, count in _twice(cameras).items()
-    ]
-    refuse(problems)
-    return cameras
+    cameras = all_of(*(partial(_camera, record, i, path, image_size_px) for i, record in enumerate(records, 1)))
+    expected = "a name of its own for each camera"
+    refuse(Problem(path, "camera names", f"{name!r} {n} times", expected) for name, n in _twice(cameras).items())
+    return tuple(cameras)
 
 
 def _twice(cameras: Sequence[Camera]) -> dict[str, int]:
@@ -150,39 +144,35 @@ def read_own(path: Path, individual: str | None = None) -> list[CameraRecord]:
 # -- from records to cameras ------------------------------------------------------------------------------------------
 
 
-def _build(
-    record: CameraRecord, number: int, path: Path, image_size_px: tuple[int, int] | None, problems: list[Problem]
-) -> Camera | None:
-    """The camera of a record; or None, with every reason appended to problems."""
-    values, said = record.values, set[str]()
-
-    def fault(field: str, found: str, expected: str) -> None:
-        said.add(field)
-        problems.append(Problem(path, record.place + record.called.get(field, field), found, expected))
-
-    if values.get("matrix") is None and values.get("model") not in (None, *LENS_MODELS):
-        return fault("model", repr(values["model"]), f"one of: {', '.join(record.lenses)}")  # it tells numbers apart
+def _camera(record: CameraRecord, number: int, path: Path, image_size_px: tuple[int, int] | None) -> Camera:
+    """The camera of a record. Raises InputError with everything that is wrong with it."""
+    values, camera = record.values, None
+    faults: dict[str, tuple[str, str]] = {}
+    """By field, what was found and expected."""
     given: dict[str, Any] = {"name": f"cam{number}" if record.name is None else str(record.name)}
-    placed = any(values.get(field) is not None for field in POSE)
-    for field, (_, expected) in BLOCKS.items():
-        given[field] = array = _numbers(values.get(field))
-        if values.get(field) is not None and array is None:
-            fault(field, "something other than a block of numbers", expected)
-        elif array is None and (placed or field not in POSE):
-            fault(field, "nothing", expected)
-    given["image_size_px"] = _image_size(values.get("image_size_px"), image_size_px, fault) or (1, 1)
     given |= {"world_z_up": values["world_z_up"], "tilt_rad": values.get("tilt_rad", 0.0), "model": values.get("model")}
     for field, kinds, expected in (("world_z_up", bool, "true or false"), ("tilt_rad", int | float, TILT)):
         if not isinstance(given[field], kinds):
-            fault(field, repr(given.pop(field)), expected)
-    try:
-        camera = Camera(**_as_a_camera_has_them(given))
-    except InputError as error:
-        for one in error.problems:
-            if one.field not in said:
-                fault(one.field, one.found, one.expected)
-        return None
-    return None if said else camera
+            faults[field] = repr(given.pop(field)), expected
+    placed = any(values.get(field) is not None for field in POSE)
+    for field, (_, expected) in BLOCKS.items():
+        given[field] = _numbers(values.get(field))
+        if given[field] is None and (placed or field not in POSE):
+            absent = values.get(field) is None
+            faults[field] = "nothing" if absent else "something other than a block of numbers", expected
+    given["image_size_px"], fault = _image_size(values.get("image_size_px"), image_size_px)
+    faults |= {"image_size_px": fault} if fault else {}
+    if values.get("matrix") is None and given["model"] not in (None, *LENS_MODELS):  # it tells numbers apart
+        faults = {"model": (repr(given["model"]), f"one of: {', '.join(record.lenses)}")}
+    else:
+        try:
+            camera = Camera(**_as_a_camera_has_them(given))
+        except InputError as error:
+            faults = {one.field: (one.found, one.expected) for one in error.problems} | faults
+    if faults or camera is None:
+        where = {field: record.place + record.called.get(field, field) for field in faults}
+        raise InputError(Problem(path, where[field], *fault) for field, fault in faults.items())
+    return camera
 
 
 def _as_a_camera_has_them(given: dict[str, Any]) -> dict[str, Any]:
@@ -204,22 +194,18 @@ def _as_a_camera_has_them(given: dict[str, Any]) -> dict[str, Any]:
     return given
 
 
-def _image_size(
-    value: Any, given: tuple[int, int] | None, fault: Callable[[str, str, str], None]
-) -> tuple[int, int] | None:
-    """The image size from the file and from the caller, which must agree where both are known."""
+def _image_size(value: Any, given: tuple[int, int] | None) -> tuple[tuple[int, int], tuple[str, str] | None]:
+    """The image size from the file and from the caller, which must agree where both are known; and what was found and
+    expected, where there is none."""
     expected = "the image size: width and height in pixels"
     if value is None:
-        if given is None:
-            fault("image_size_px", "nothing", f"{expected}, in the file or by --image-size")
-        return given
+        return given or (1, 1), None if given else ("nothing", f"{expected}, in the file or by --image-size")
     array = _numbers(value)
     if array is None or array.shape != (2,) or not ((array > 0) & (array < MAX_SIZE_PX)).all() or (array % 1).any():
-        return fault("image_size_px", str(value), expected)
-    size = (int(array[0]), int(array[1]))
-    if given is not None and size != tuple(given):
-        fault("image_size_px", f"{size[0]}x{size[1]}", f"{given[0]}x{given[1]}, as was given")
-    return size
+        return (1, 1), (str(value), expected)
+    width, height = map(int, array)
+    right = given is None or (width, height) == tuple(given)
+    return (width, height), None if right else (f"{width}x{height}", "{}x{}, as was given".format(*given))
 
 
 def _numbers(value: Any) -> Array | None:

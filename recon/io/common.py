@@ -15,7 +15,6 @@ from pathlib import Path
 import numpy as np
 
 from recon.base import Brief, InputError, Problem, refuse
-from recon.clip import Keypoints
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -111,8 +110,6 @@ MAX_FRAME = 10**9
 """Frame numbers on either side of 0 up to it, three months at 120 Hz; larger ones are time stamps or accidents."""
 POINTS_MAX = 20_000_000
 """The most points in all frames of a file together, where each takes memory whether the file has it or not."""
-LIKELIHOOD_MARGIN = 0.5
-"""Networks whose scores are no probabilities, such as SLEAP's, go somewhat beyond 1."""
 
 
 def starts_with(path: Path, signature: bytes) -> bool:
@@ -230,7 +227,7 @@ def number(text: str) -> float:
 
 def numbers(cells: Iterable[object]) -> tuple[np.ndarray, list[int]]:
     """Cells (N,) as floats, NaN for `MISSING`; and the places of those that are no numbers, or infinite."""
-    cells, values, wrong = list(cells), [], []
+    cells = list(cells)
     with suppress(ValueError, TypeError):  # the usual case, and several times as fast
         joined = "".join(cells)  # type: ignore[arg-type]
         if not joined:  # nothing was seen, as in most of a long recording
@@ -238,16 +235,13 @@ def numbers(cells: Iterable[object]) -> tuple[np.ndarray, list[int]]:
         if "_" not in joined and joined.isascii():
             found = np.array([float(cell) if cell else np.nan for cell in cells])  # type: ignore[arg-type]
             return found, np.flatnonzero(np.isinf(found)).tolist()
+    found = np.full(len(cells), np.inf)
     for i, cell in enumerate(cells):
         text = cell.strip() if isinstance(cell, str) else "" if cell is None else str(cell)
-        try:
-            values.append(number(text))
-        except ValueError:
-            values.append(np.nan)
-            if text.lower() not in MISSING:
-                wrong.append(i)
-    found = np.array(values, dtype=float)
-    return found, sorted([*wrong, *np.flatnonzero(np.isinf(found)).tolist()])
+        with suppress(ValueError):
+            found[i] = number("" if text.lower() in MISSING else text)
+    wrong = np.isinf(found)
+    return np.where(wrong, np.nan, found), np.flatnonzero(wrong).tolist()
 
 
 def frame_number(text: str, least: int = 0) -> int | None:
@@ -256,29 +250,12 @@ def frame_number(text: str, least: int = 0) -> int | None:
     return number if number is not None and least <= number <= MAX_FRAME else None
 
 
-def with_likelihoods(keypoints: Keypoints, path: Path) -> Keypoints:
-    """The same, with a note where likelihoods lie beside 0 to 1. Raises InputError where they are infinite or so far
-    from it that they mean something else, such as per cent: every one would pass for certain."""
-    stated = keypoints.confidence[~np.isnan(keypoints.confidence)]
-    low, high = (float(stated.min()), float(stated.max())) if stated.size else (0.0, 1.0)
-    if low < -LIKELIHOOD_MARGIN or high > 1 + LIKELIHOOD_MARGIN:
-        found = f"{low:g} to {high:g}"
-        if low >= 0 and 1 < high <= 100:
-            found += ", as if in per cent"
-        raise InputError(Problem(path, "likelihood", found, "numbers from 0 to 1"))
-    if low < 0 or high > 1:
-        note = f"Likelihoods range from {low:g} to {high:g}; they should lie between 0 and 1."
-        return replace(keypoints, notes=(*keypoints.notes, note))
-    return keypoints
-
-
 def rate(value: object) -> float | None:
     """A frame rate as a file has it; None for anything that is none."""
-    try:
-        fps = float(value)  # type: ignore[arg-type]
-    except (TypeError, ValueError):
-        return None
-    return fps if 0 < fps < float("inf") else None
+    with suppress(TypeError, ValueError):
+        if 0 < (fps := float(value)) < float("inf"):  # type: ignore[arg-type]
+            return fps
+    return None
 
 
 def require_span(frames: int, points: int, source: str | Path) -> None:

@@ -4,7 +4,7 @@ Both are a table with one row per frame and a header of several levels: `scorer`
 `bodyparts`, `coords`. Prediction files number their rows by frame. Label files index them by image path, in one column
 or three, and have no likelihood. Our own have the frame rate in the scorer, `recon_90fps`: there is no other place.
 
-Here are the table and its CSV files; `recon.io.deeplabcut_h5` has its H5 files."""
+Here are the table and its CSV files; `recon.io.hdf5_poses` has its H5 files."""
 
 from __future__ import annotations
 

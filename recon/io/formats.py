@@ -17,7 +17,7 @@ import numpy as np
 from recon.base import InputError, Problem
 from recon.base.documents import damage_named, read_head
 from recon.clip import Keypoints
-from recon.io.common import NoChoiceError, StoredPoints, with_likelihoods
+from recon.io.common import NoChoiceError, StoredPoints
 
 Kind = Literal["2D", "3D", "bones", "cameras", "robot"]
 """2D keypoints, 3D positions, bones (`recon.io.bones`), cameras, or a robot's motion, which a wing writes."""
@@ -80,7 +80,7 @@ _CAMERAS: tuple[Kind, ...] = ("cameras",)
 FORMATS: tuple[Format, ...] = (
     Format("deeplabcut", "DeepLabCut CSV", (".csv",), "deeplabcut/csv", _BOTH, _BOTH,
            "in the scorer", "kept", "m, z up", unit="m"),
-    Format("deeplabcut", "DeepLabCut H5", (".h5", ".hdf5"), "deeplabcut_h5", _BOTH, _BOTH,
+    Format("deeplabcut", "DeepLabCut H5", (".h5", ".hdf5"), "hdf5_poses/deeplabcut", _BOTH, _BOTH,
            "in the scorer", "kept", "m, z up", unit="m"),
     Format("sleap-anipose", "sleap-anipose's points3d.h5", (".h5",), "hdf5_poses/points3d", _3D),
     Format("sleap", "SLEAP analysis H5", (".h5",), "hdf5_poses/sleap", _2D),
@@ -115,6 +115,9 @@ FORMATS: tuple[Format, ...] = (
 CONVERTED = tuple(f for f in FORMATS if f.writes)
 """What `recon convert` can write."""
 PLAIN = next(f for f in FORMATS if f.name == "long")
+
+LIKELIHOOD_MARGIN = 0.5
+"""Networks whose scores are no probabilities, such as SLEAP's, go somewhat beyond 1."""
 
 
 def recognised(path: Path, kind: Kind | None = None) -> Format | None:
@@ -178,21 +181,29 @@ def _require_kind(path: Path, kind: Kind | None, found: Format, stored: StoredPo
 
 
 def as_keypoints(path: Path, stored: StoredPoints) -> Keypoints:
-    """The 2D points of a file. Raises InputError for likelihoods that are none."""
-    scorer = (stored.scorer or "").strip()
-    keypoints = Keypoints(
+    """The 2D points of a file, with a note where likelihoods lie beside 0 to 1. Raises InputError where they are
+    infinite or so far from it that they mean something else, such as per cent: every one would pass for certain."""
+    scorer, notes = (stored.scorer or "").strip(), stored.notes
+    likelihood = np.full(stored.values.shape[:2], np.nan) if stored.likelihood is None else stored.likelihood
+    stated = likelihood[~np.isnan(likelihood)]
+    low, high = (float(stated.min()), float(stated.max())) if stated.size else (0.0, 1.0)
+    if low < -LIKELIHOOD_MARGIN or high > 1 + LIKELIHOOD_MARGIN:
+        found = f"{low:g} to {high:g}{', as if in per cent' * (low >= 0 and 1 < high <= 100)}"
+        raise InputError(Problem(path, "likelihood", found, "numbers from 0 to 1"))
+    if low < 0 or high > 1:
+        notes = (*notes, f"Likelihoods range from {low:g} to {high:g}; they should lie between 0 and 1.")
+    return Keypoints(
         stored.names,
         stored.values,
-        np.full(stored.values.shape[:2], np.nan) if stored.likelihood is None else stored.likelihood,
+        likelihood,
         stored.frames,
         fps=stored.fps,
         image_size_px=stored.image_size_px,
         individual=stored.individual,
         source=str(path),
         scorer=scorer if scorer.isprintable() and scorer else None,
-        notes=stored.notes,
+        notes=notes,
     )
-    return with_likelihoods(keypoints, path)
 
 
 def individuals(path: str | Path) -> tuple[str, ...]:

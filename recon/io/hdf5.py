@@ -6,6 +6,7 @@ before: heaps of texts that lead nowhere, sizes that the file cannot fill, data 
 
 from __future__ import annotations
 
+import math
 import mmap
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -271,14 +272,10 @@ def _require_readable(dataset: Any) -> None:
     sizes = [dataset.shape]
     if layout.get_layout() == h5py.h5d.CHUNKED:
         sizes.append(layout.get_chunk())
-    for shape in sizes:
-        wanted = item
-        for n in shape:
-            wanted *= int(n)
-        if wanted > max(
-            FREE_BYTES, stored, min(MAX_RATIO * stored, MAX_UNPACKED), min(USUAL_RATIO * stored, 4 * MAX_UNPACKED)
-        ):
-            raise ValueError(f"{dataset.name} asks for {wanted:.3g} bytes, of which the file has {stored}")
+    wanted = max(item * math.prod(map(int, shape)) for shape in sizes)
+    packed = min(MAX_RATIO * stored, MAX_UNPACKED), min(USUAL_RATIO * stored, 4 * MAX_UNPACKED)
+    if wanted > max(FREE_BYTES, stored, *packed):
+        raise ValueError(f"{dataset.name} asks for {wanted:.3g} bytes, of which the file has {stored}")
 
 
 def _is_readable(kind: Any, inside: bool = False) -> bool:

@@ -75,18 +75,14 @@ def required_fps(fps: float | None, title: str) -> float:
     return fps
 
 
-def require_names(names: Sequence[str], forbidden: str, title: str, bytes_max: int | None = None) -> None:
+def require_names(names: Sequence[str], forbidden: str, title: str, bytes_max: int = 65_535) -> None:
     """Raises InputError for names with a character that matches the pattern `forbidden`, or that are too long."""
-    problems = [
-        Problem(title, "name", f"'{name}', with {found.group()!r} in it", "a name that the format can hold")
-        for name in names
-        if (found := re.search(forbidden, name))
-    ]
-    problems += [
-        Problem(title, "name", f"'{name}', {len(name.encode())} bytes in UTF-8", f"at most {bytes_max}")
-        for name in names
-        if bytes_max is not None and len(name.encode()) > bytes_max
-    ]
+    problems = []
+    for name in names:
+        if found := re.search(forbidden, name):
+            problems.append(Problem(title, "name", f"'{name}', with {found.group()!r} in it", "one without it"))
+        if (size := len(name.encode())) > bytes_max:
+            problems.append(Problem(title, "name", f"'{name}', {size} bytes in UTF-8", f"at most {bytes_max}"))
     refuse(problems[:10])
 
 

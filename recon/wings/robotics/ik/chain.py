@@ -47,8 +47,7 @@ from recon.animal.body import Body
 from recon.animal.chain import UVW_BODY, Chain, upright_rotation
 from recon.base.arrays import Array, Bools, Index
 from recon.gait.phase import diameter
-from recon.geometry.curvature import derivatives
-from recon.geometry.kinematics import AXES, PITCH, ROOT, YAW, Marker, Segment, Tree
+from recon.geometry.kinematics import AXES, PITCH, ROOT, YAW, Marker, Segment, Tree, derivatives
 
 Curvature = Callable[[Array], Array]
 Limits = tuple[ArrayLike, ArrayLike]
