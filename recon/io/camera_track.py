@@ -125,30 +125,20 @@ def read_camera_track(path: Path) -> CameraTrack:
     """Raises InputError with everything that is wrong with the file, and where its world has not z up."""
     first, *beside = track_files(path)
     if first.suffix.lower() == ".csv":
-        require_file(path, EXPECTED)
         track = _read_csv(path)
     elif first.suffix.lower() in SHOTS:
-        require_file(path, EXPECTED)
         track = _read_shots(path)
     elif first.suffix.lower() == ".txt":
         track = _read_colmap(first, beside[0] if beside else None)
     else:
         raise InputError(Problem(path, "format", f"suffix {path.suffix!r}", EXPECTED))
-    _require_upright(track, path)
-    return track
-
-
-def _require_upright(track: CameraTrack, path: Path) -> None:
-    upward = -track.T_camera_world[:, 1, 2]  # of the picture's upward direction, along z
-    downward = -track.T_camera_world[:, 2, 2]
+    upward, downward = -track.T_camera_world[:, 1:3, 2].T  # along z: of the picture's upward direction, of the view
     leans = (upward < np.cos(LEANING_MAX_RAD)) & (downward < np.sin(LOOKING_DOWN_RAD))
     if leans.mean() > 0.5:
         found = f"a camera whose picture's upper edge is not up by z in {leans.sum()} of {len(leans)} frames"
-        expected = (
-            "a world with z up, and poses from the world to the camera (X_camera = R X_world + t): turn the model so "
-            "that z points up"
-        )
+        expected = "a world with z up, and poses from the world to the camera: turn the model so that z points up"
         raise InputError(Problem(path, "poses", found, expected))
+    return track
 
 
 def _checked_track(
@@ -205,6 +195,7 @@ def _some(items: Sequence[Any]) -> str:
 
 
 def _read_csv(path: Path) -> CameraTrack:
+    require_file(path, EXPECTED)
     rows = text_rows(path)
     header = [cell.strip().lower() for cell in next(rows, (1, []))[1]]
     outward = {*PLACE} <= {*header} and not {"tx", "ty", "tz"} & {*header}

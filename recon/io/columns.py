@@ -16,7 +16,7 @@ import csv
 import json
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -62,18 +62,9 @@ METADATA = b"recon"
 
 _Meaning = tuple[str, str, str | None]
 """What a column is: a bodypart, empty where it is for all of them; a role of `ROLES`; and a unit, where it says one."""
-
-
-@dataclass(frozen=True)
-class _Layout:
-    """Which column holds what."""
-
-    columns: dict[tuple[str, str], str]
-    """By bodypart and role. A long table has none of a bodypart's own."""
-    unit: str | None
-    """The unit of the coordinates, if all have the same."""
-    ignored: tuple[str, ...]
-    """The other columns of the table."""
+_Layout = tuple[dict[tuple[str, str], str], str | None, list[str]]
+"""Columns by bodypart and role, in a long table for all bodyparts; the unit of the coordinates, if all have the same;
+and the other columns of the table."""
 
 
 def parse_map(text: str) -> dict[str, str]:
@@ -116,8 +107,8 @@ def _layout(columns: Sequence[str], meaning: Callable[[str], _Meaning | None]) -
     units = {unit for (_, role), (_, unit) in kept.items() if role in "xyz"}
     used = {key: column for key, (column, _) in kept.items()}
     those = {*used.values()}
-    ignored = tuple(column for column in columns if column.strip() and column not in those)
-    return _Layout(used, units.pop() if len(units) == 1 else None, ignored)
+    ignored = [column for column in columns if column.strip() and column not in those]
+    return used, units.pop() if len(units) == 1 else None, ignored
 
 
 def _by_name(column: str) -> _Meaning | None:
@@ -216,7 +207,8 @@ def gathered(path: Path, table: Columns, individual: str | None, given: Mapping[
         expected = "frame, bodypart, x, y or frame, NAME_x, NAME_y, ...; or a map of columns (--columns)"
         found = f"no '{absent[0]}' in {', '.join(table)[:120]}" if absent else ", ".join(table)[:120]
         raise InputError(Problem(path, "columns", found, expected))
-    role = {role: column for (part, role), column in layout.columns.items() if not part}
+    columns, unit, ignored = layout
+    role = {role: column for (part, role), column in columns.items() if not part}
     whose = [str(cell).strip() for cell in table[role["individual"]]] if "individual" in role else []
     animals = list(dict.fromkeys(whose)) or [""]
     animal = animals[common.choose(path, animals, individual)]
@@ -225,13 +217,10 @@ def gathered(path: Path, table: Columns, individual: str | None, given: Mapping[
 
     def cells_of(column: str) -> np.ndarray:
         """As floats; those that are no numbers, or infinite, become problems."""
-        cells = table[column]
+        cells, expected = table[column], "a number or an empty cell"
         values, wrong = common.numbers(cells[row] for row in rows)
-        problems.extend(
-            Problem(path, f"line {rows[i] + 2}, {column}", f"'{str(cells[rows[i]]).strip()}'", expected)
-            for i in wrong
-            for expected in ["a number or an empty cell"]
-        )
+        found = [(f"line {row + 2}, {column}", f"'{str(cells[row]).strip()}'") for row in rows[wrong]]
+        problems.extend(Problem(path, *one, expected) for one in found)
         return values
 
     rates = {*cells_of(role["fps"]).tolist()} if "fps" in role else {None}
@@ -250,27 +239,24 @@ def gathered(path: Path, table: Columns, individual: str | None, given: Mapping[
         point_of = np.array([index[point] for point in points], dtype=int)
         repeated = row_of * len(index) + point_of
     else:
-        index = {part: k for k, part in enumerate(dict.fromkeys(part for part, _ in layout.columns if part))}
+        index = {part: k for k, part in enumerate(dict.fromkeys(part for part, _ in columns if part))}
         point_of, repeated = row_of, row_of
     if len(first := np.unique(repeated, return_index=True)[1]) < len(rows):
         line = rows[np.setdiff1d(np.arange(len(rows)), first)[0]] + 2
         problems.append(Problem(path, f"line {line}", "a second row of a frame or of a point in it", "one"))
     common.require_span(len(distinct), len(index), path)
-    coords = ("x", "y", "z") if any(role == "z" for _, role in layout.columns) else ("x", "y")
+    coords = ("x", "y", "z") if any(role == "z" for _, role in columns) else ("x", "y")
     values = np.full((len(distinct), len(index), len(coords) + 1), np.nan)
-    for (part, what), column in layout.columns.items():
+    for (part, what), column in columns.items():
         if what in OF_POINTS:
             point: Any = index[part] if part else point_of
             values[row_of, point, (*coords, "likelihood").index(what)] = cells_of(column)
-    problems += [
-        Problem(path, f"bodypart {part}", "no z", ", ".join(coords))
-        for part in index
-        if "z" in coords and "bodypart" not in role and (part, "z") not in layout.columns
-    ]
+    flat = [part for part in index if "z" in coords and "bodypart" not in role and (part, "z") not in columns]
+    problems += [Problem(path, f"bodypart {part}", "no z", ", ".join(coords)) for part in flat]
     refuse(common.first_problems(problems, path))
     frames, fps = (distinct, fps) if "frame" in role else frames_of_times(path, distinct, fps)
-    notes = (f"Columns left out: {', '.join(layout.ignored)}.",) if layout.ignored and given is None else ()
-    more: dict[str, Any] = {"fps": fps, "unit": layout.unit if layout.unit != "px" else None, "notes": notes}
+    notes = (f"Columns left out: {', '.join(ignored)}.",) if ignored and given is None else ()
+    more: dict[str, Any] = {"fps": fps, "unit": unit if unit != "px" else None, "notes": notes}
     stored = StoredPoints(tuple(index), values[..., :-1], frames, values[..., -1], **more)
     return common.one_animal(path, animal or None, stored, [animal] if animal else [])
 
@@ -338,15 +324,10 @@ def _of_levels(source: Path, table: pd.DataFrame, individual: str | None) -> Sto
     levels = [str(name or "").lower() for name in table.columns.names]
     part = next((i for i, level in enumerate(levels) if level in BODYPARTS), len(levels) - 2)
     animal = next((i for i, level in enumerate(levels) if level in INDIVIDUALS), None)
-    labels = [
-        (
-            "",
-            "" if animal is None else str(column[animal]),
-            str(column[part]),
-            "likelihood" if str(column[-1]).lower() in ROLES["likelihood"] else str(column[-1]),
-        )
-        for column in table.columns
-    ]
+    labels = []
+    for column in table.columns:
+        coord = "likelihood" if str(column[-1]).lower() in ROLES["likelihood"] else str(column[-1])
+        labels.append(("", "" if animal is None else str(column[animal]), str(column[part]), coord))
     frames = table.index.to_numpy() if table.index.to_numpy().dtype.kind in "iu" else np.arange(len(table))
     names = ("scorer", "individuals", "bodyparts", "coords")
     index = [(str(frame),) for frame in frames]

@@ -328,14 +328,10 @@ def read_movement(path: Path, individual: str | None = None) -> StoredPoints:
 
 def points_of_dataset(source: Path, dataset: Any, fps: float | None, individual: str | None) -> StoredPoints:
     """The same from an `xarray.Dataset`. fps: what it is to be taken for. Raises InputError."""
-    stored = {
-        name.removesuffix("s"): (
-            tuple(str(dim).removesuffix("s") for dim in dataset[name].dims),
-            dataset[name].to_numpy().copy(),
-        )
-        for name in VARIABLES
-        if name in dataset.variables
-    }
+    stored = {}
+    for name in (name for name in VARIABLES if name in dataset.variables):
+        axes = tuple(str(dim).removesuffix("s") for dim in dataset[name].dims)
+        stored[name.removesuffix("s")] = axes, dataset[name].to_numpy().copy()
     attributes = {name: dataset.attrs.get(name) for name in ATTRIBUTES}
     return _of_variables(source, stored, attributes if fps is None else attributes | {"fps": fps}, individual)
 
@@ -405,19 +401,15 @@ def dataset_of(data: Keypoints | Pose3D) -> Any:
     attributes: dict[str, Any] = {"source_software": "recon", "ds_type": "poses", "source_file": ""}
     attributes |= {"length_unit": points.unit, "up_axis": points.up} if points.in_space else {}
     attributes |= {"time_unit": "frames"} if points.fps is None else {"time_unit": "seconds", "fps": points.fps}
-    return xarray.Dataset(
-        data_vars={
-            "position": (("time", "space", "keypoint", "individual"), points.values.transpose(0, 2, 1)[..., None]),
-            "confidence": (("time", "keypoint", "individual"), confidence[..., None]),
-        },
-        coords={
-            "time": points.frames if points.fps is None else points.frames / points.fps,
-            "space": list("xyz"[: points.values.shape[-1]]),
-            "keypoint": list(points.names),
-            "individual": [points.individual or common.UNNAMED[0]],
-        },
-        attrs=attributes,
-    )
+    variables = {
+        "position": (("time", "space", "keypoint", "individual"), points.values.transpose(0, 2, 1)[..., None]),
+        "confidence": (("time", "keypoint", "individual"), confidence[..., None]),
+        "time": points.frames if points.fps is None else points.frames / points.fps,
+        "space": list("xyz"[: points.values.shape[-1]]),
+        "keypoint": list(points.names),
+        "individual": [points.individual or common.UNNAMED[0]],
+    }
+    return xarray.Dataset(variables, attrs=attributes)
 
 
 # -- NWB --------------------------------------------------------------------------------------------------------------
@@ -462,16 +454,14 @@ def read_nwb(path: Path, individual: str | None = None) -> StoredPoints:
         values, confidence, times_s, rates = zip(*(_series(path, one) for one in found), strict=True)
         unit = UNIT_NAMES.get(str(attribute(child(found[0], "data"), "unit") or ""))
         z_up = "".join(hdf5.texts_in(found[0], "reference_frame")).endswith(UP_TEXT)
-    first = points[0]
-    refuse(
-        Problem(path, f"{name}/{other}", *said)
-        for other, own, own_s in zip(points, values, times_s, strict=True)
-        for wrong, *said in [
-            (own.shape != values[0].shape, f"{own.shape} positions", f"{values[0].shape}, as in {first}"),
-            (not _same(own_s, times_s[0]), f"other times than in {first}", "one time line"),
-        ]
-        if wrong
-    )
+    problems, first = [], points[0]
+    for other, own, own_s in zip(points, values, times_s, strict=True):
+        if own.shape != values[0].shape:
+            expected = f"{values[0].shape}, as in {first}"
+            problems.append(Problem(path, f"{name}/{other}", f"{own.shape} positions", expected))
+        elif not np.allclose(own_s, times_s[0], rtol=0, atol=1e-6):
+            problems.append(Problem(path, f"{name}/{other}", f"other times than in {first}", "one time line"))
+    refuse(problems)
     frames, fps = frames_of_times(path, times_s[0], rates[0])
     links = tuple((nodes[a], nodes[b]) for a, b in edges) if {*nodes} == {*points} else ()
     more: dict[str, Any] = {"fps": fps, "scorer": scorer, "unit": unit, "up": "z" if z_up else None, "edges": links}
@@ -480,19 +470,14 @@ def read_nwb(path: Path, individual: str | None = None) -> StoredPoints:
     return common.one_animal(path, None, stored, called)
 
 
-def _same(a_s: np.ndarray, b_s: np.ndarray) -> bool:
-    return a_s.shape != b_s.shape or np.allclose(a_s, b_s, rtol=0, atol=1e-6)
-
-
 def _last(group: Any) -> str:
     return str(group.name).rsplit("/", 1)[-1]
 
 
 def _series(path: Path, group: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray, float | None]:
     """One point in T frames: (T, 2 or 3), its confidences and times in seconds (T,), and the frame rate."""
-    data, confidence, stamps, start = (
-        child(group, name) for name in ("data", "confidence", "timestamps", "starting_time")
-    )
+    parts = ("data", "confidence", "timestamps", "starting_time")
+    data, confidence, stamps, start = (child(group, name) for name in parts)
     scale, shift = attribute(data, "conversion"), attribute(data, "offset")
     values = numbers(data).astype(float) * float(1 if scale is None else scale) + float(shift or 0)
     T = len(values)
@@ -540,19 +525,10 @@ def write_nwb(data: Keypoints | Pose3D, path: Path) -> None:
     few = len(points.names) < 256
     linked = {"edges": writing.index_edges(points.names, edges).astype(np.uint8)} if edges and few else {}
     skeleton = Skeleton(name="skeleton", nodes=list(points.names), **linked)
-    poses = PoseEstimation(
-        name=container,
-        pose_estimation_series=series,
-        description="Points of one animal.",
-        scorer=points.scorer or "recon",
-        source_software="recon",
-        skeleton=skeleton,
-    )
-    file: Any = NWBFile(
-        session_description="Poses of an animal; the session's start is not known.",
-        identifier=str(uuid4()),
-        session_start_time=datetime(1970, 1, 1, tzinfo=UTC),
-    )
+    about = {"description": "Points of one animal.", "scorer": points.scorer or "recon", "source_software": "recon"}
+    poses = PoseEstimation(name=container, pose_estimation_series=series, skeleton=skeleton, **about)
+    unknown = "Poses of an animal; the session's start is not known."
+    file: Any = NWBFile(unknown, str(uuid4()), datetime(1970, 1, 1, tzinfo=UTC))
     behavior = file.create_processing_module("behavior", "processed behavioral data")
     behavior.add([Skeletons(skeletons=[skeleton]), poses])
     writer: Any = NWBHDF5IO

@@ -5,14 +5,13 @@ from __future__ import annotations
 
 import re
 import zipfile
-from collections import Counter
 from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from recon.base import InputError, Problem, refuse
+from recon.base import InputError, Problem
 from recon.base.documents import DAMAGE, KINDS, MAX_UNPACKED, arrays_of, damage_named, read_content
 from recon.base.files import write_bytes
 from recon.io import common, writing
@@ -52,18 +51,13 @@ def read(path: Path, individual: str | None = None) -> StoredPoints:
 def read_fmpose3d(path: Path, individual: str | None = None) -> StoredPoints:
     """The poses of all files in the folder that are numbered as this one; one without a number is frame 0. Raises
     InputError."""
-    numbered = [(re.fullmatch(r"(\d+)_3D", file.stem), file) for file in sorted(path.parent.glob("*.npz"))]
-    files = [(int(found[1]), file) for found, file in numbered if found]
-    files = sorted(files) if path in [file for _, file in files] else [(0, path)]
-    numbers = [frame for frame, _ in files]
-    again = {frame for frame, count in Counter(numbers).items() if count > 1}
-    refuse(
-        Problem(file, "number", f"frame {frame} twice", "one file a frame") for frame, file in files if frame in again
-    )
-    names = ANIMAL3D.split()
+    named = [(re.fullmatch(r"(\d+)_3D", file.stem), file) for file in path.parent.glob("*.npz")]
+    files = sorted((int(number[1]), file) for number, file in named if number)
+    files = files if path in [file for _, file in files] else [(0, path)]
+    names, numbers = ANIMAL3D.split(), np.array([number for number, _ in files])
     common.require_span(len(files), len(names), path.parent)
     values = np.concatenate([_pose_of(file, len(names)) for _, file in files])
-    return one_animal(path, individual, StoredPoints(tuple(names), values, np.array(numbers), notes=(LENGTHS,)))
+    return one_animal(path, individual, StoredPoints(tuple(names), values, numbers, notes=(LENGTHS,)))
 
 
 def _pose_of(path: Path, points: int) -> np.ndarray:
