@@ -21,7 +21,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection, wait
-from multiprocessing.process import BaseProcess
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import ModuleType
@@ -100,16 +99,22 @@ def carry_out(work: Work, tasks: Tasks, tell: Tell, jobs: int | None = None, ret
     """
     waiting = deque((name, task, 1) for name, task in tasks)
     underway: dict[Any, tuple[_Process, str, Any, int]] = {}
+    processes: list[_Process] = []
 
-    def begin(process: _Process, name: str, task: Any, attempt: int) -> None:
-        underway[process.give(work, task)] = process, name, task, attempt
+    def begin(process: _Process | None, name: str, task: Any, attempt: int) -> None:
+        if process is None or process.tasks_left == 0:
+            if process is not None:
+                process.channel.close()  # upon which it ends
+            process = _Process(Path(logs) / str(len(processes)))
+            processes.append(process)
+        process.give(work, task)
+        underway[process.channel] = process, name, task, attempt
         tell(Event("progress", name, process.pid, STARTING))
 
     with TemporaryDirectory(ignore_cleanup_errors=True) as logs:
-        processes = [_Process(Path(logs) / str(i)) for i in range(min(jobs or available_cores(), len(tasks)))]
         try:
-            for process in processes:
-                begin(process, *waiting.popleft())
+            for _ in range(min(jobs or available_cores(), len(tasks))):
+                begin(None, *waiting.popleft())
             while underway:
                 for channel in wait(list(underway), TICK_S):
                     process, name, task, attempt = underway[channel]
@@ -138,53 +143,34 @@ def carry_out(work: Work, tasks: Tasks, tell: Tell, jobs: int | None = None, ret
 
 
 class _Process:
-    """A process that does one task at a time, started when it is needed, again when it died, and anew now and then."""
+    """A process that does one task at a time, up to `TASKS_PER_PROCESS`, until its channel is closed or it dies."""
 
     def __init__(self, log: Path) -> None:
-        self._log = log
-        self._process: BaseProcess | None = None
-        self._tasks = 0
-
-    @property
-    def pid(self) -> int | None:
-        return None if self._process is None else self._process.pid
-
-    def give(self, work: Work, task: Any) -> Connection:
-        """Begin a task; what becomes of it comes through the channel."""
-        if self._process is None or self._tasks == TASKS_PER_PROCESS:
-            self._start()
-        self._tasks += 1
-        with suppress(OSError):  # it is dead, as its channel says
-            self._channel.send((work, task))
-        return self._channel
-
-    def _start(self) -> None:
-        if self._process is not None:
-            self._channel.close()  # upon which it ends
         context = multiprocessing.get_context("spawn")  # others cannot be started beside threads
-        self._channel, theirs = context.Pipe()
-        process = context.Process(target=_work_off, args=(theirs, self._log))
+        self.channel, theirs = context.Pipe()
+        self._process, self._log = context.Process(target=_work_off, args=(theirs, log)), log
         try:
             with _alone():
-                process.start()
+                self._process.start()
         except OSError as error:
             raise InputError(Problem("processes", "start", str(error), "a system that can start another one")) from None
         theirs.close()
-        self._process, self._tasks = process, 0
+        self.pid, self.tasks_left = self._process.pid, TASKS_PER_PROCESS
+
+    def give(self, work: Work, task: Any) -> None:
+        """Begin a task; what becomes of it comes through the channel."""
+        self.tasks_left -= 1
+        with suppress(OSError):  # it is dead, as its channel says
+            self.channel.send((work, task))
 
     def heard(self) -> tuple[str, float] | dict[str, Any]:
         """The task's next progress, or its outcome, also where the process died of it."""
-        try:
-            return self._channel.recv()
-        except (EOFError, OSError):
-            return self._death()
-
-    def _death(self) -> dict[str, Any]:
-        assert self._process is not None
+        with suppress(EOFError, OSError):
+            return self.channel.recv()
         self._process.join()
+        self.tasks_left = 0
         text = self._log.read_bytes()[-LOG_BYTES:] if self._log.exists() else b""
         code, log = self._process.exitcode or 0, text.decode("utf-8", errors="replace")
-        self._process = None
         if code < 0:
             memory = ", as the system does when memory runs out" if -code == getattr(signal, "SIGKILL", 9) else ""
             return _failure(f"was killed ({signal.Signals(-code).name}{memory})", log)
@@ -192,14 +178,12 @@ class _Process:
 
     def stop(self) -> None:
         """What it does is stopped, and cleans up; one that waits for a task just ends."""
-        if self._process is not None:
-            self._process.terminate()
+        self._process.terminate()
 
     def join(self, until_s: float) -> None:
-        if self._process is not None:
-            self._process.join(max(0.0, until_s - time.monotonic()))
-            self._process.kill()
-            self._process.join()
+        self._process.join(max(0.0, until_s - time.monotonic()))
+        self._process.kill()
+        self._process.join()
 
 
 def _failure(what: str, log: str) -> dict[str, Any]:
