@@ -188,11 +188,9 @@ def _in_place(name: str | bytes | int | None, staging: Path | None, folder: Path
 
 def _require_places(folder: Path, names: Iterable[str]) -> None:
     """Raises InputError where a folder is in the place of a file."""
-    refuse(
-        Problem(folder / name, "file", "a folder of that name", f"a place for {name}: move the folder away")
-        for name in names
-        if (folder / name).is_dir()
-    )
+    taken = [name for name in names if (folder / name).is_dir()]
+    expected = "a place for {}: move the folder away"
+    refuse(Problem(folder / name, "file", "a folder of that name", expected.format(name)) for name in taken)
 
 
 def _exchange(staging: Path, folder: Path, obsolete: Iterable[str]) -> None:
@@ -254,11 +252,8 @@ class _Manifest:
 
     def changed(self, names: Iterable[str] | None = None) -> list[Problem]:
         """What is missing or is not as it was written, of the named files, or of all."""
-        return [
-            Problem(self.folder / name, *fault, AGAIN)
-            for name in (self.files if names is None else names)
-            if (fault := self._fault(name)) is not None
-        ]
+        faults = ((name, self._fault(name)) for name in (self.files if names is None else names))
+        return [Problem(self.folder / name, *fault, AGAIN) for name, fault in faults if fault]
 
     def require(self, *names: str) -> None:
         """Raises InputError unless these files are there and as the run wrote them."""

@@ -30,8 +30,8 @@ from recon.base.arrays import Array, Brief
 
 Joint = Literal["free", "ball", "universal", "hinge", "fixed", "summed", "turn", "slide"]
 
-_OF_ANIMALS = {"free": "zyx", "ball": "zyx", "universal": "zy", "hinge": "y", "fixed": "", "summed": "zy"}
-AXES: dict[str, str] = _OF_ANIMALS | {"turn": "z", "slide": "s"}
+AXES: dict[str, str] = {"free": "zyx", "ball": "zyx", "universal": "zy", "hinge": "y", "fixed": "", "summed": "zy"}
+AXES |= {"turn": "z", "slide": "s"}
 """Rotations of each kind of joint, in the order of the state; "s" is a slide along z."""
 
 ANGLE_OF_AXIS = {"z": "yaw", "y": "pitch", "x": "roll"}

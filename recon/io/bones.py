@@ -394,10 +394,8 @@ def write_gltf(rig: Armature, path: Path) -> None:
         "samplers": [{"input": time_s, "output": buffer.add(values)} for _, _, values in moved],
     }
     surface = {"metallicFactor": 0.0, "roughnessFactor": 0.7}
-    materials = [
-        {"name": side or "middle", "pbrMetallicRoughness": {"baseColorFactor": [*COLOURS[side], 1.0], **surface}}
-        for side in sides
-    ]
+    colours = {side or "middle": {"baseColorFactor": [*COLOURS[side], 1.0], **surface} for side in sides}
+    materials = [{"name": name, "pbrMetallicRoughness": colour} for name, colour in colours.items()]
     about = {"version": "2.0", "generator": f"recon {version()}", "extras": {"first_frame": int(rig.pose.frames[0])}}
     document: dict[str, Any] = {
         "asset": about,

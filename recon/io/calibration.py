@@ -131,12 +131,10 @@ def read_own(path: Path, individual: str | None = None) -> list[CameraRecord]:
         tables = {f"cameras[{i}].": table for i, table in enumerate(several)}
     if not tables or not all(isinstance(table, dict) for table in tables.values()):
         raise InputError(Problem(path, "format", "no table of a camera", f'[camera] with format = "{FORMAT}"'))
-    refuse(
-        Problem(path, f"{place}format", f"format {table.get('format')!r}, version {table.get('version')!r}", expected)
-        for place, table in tables.items()
-        for expected in [f"format {FORMAT!r}, version {VERSION}"]
-        if (table.get("format"), table.get("version")) != (FORMAT, VERSION)
-    )
+    words, expected = "format {!r}, version {!r}", (FORMAT, VERSION)
+    stated = {f"{place}format": (table.get("format"), table.get("version")) for place, table in tables.items()}
+    wrong = {field: found for field, found in stated.items() if found != expected}
+    refuse(Problem(path, field, words.format(*found), words.format(*expected)) for field, found in wrong.items())
     up = {"world_z_up": True}
     return [CameraRecord(table.get("name"), place, up | table, {}) for place, table in tables.items()]
 

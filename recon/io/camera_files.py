@@ -100,10 +100,8 @@ def read_acinoset(path: Path, individual: str | None = None) -> list[CameraRecor
         raise InputError(Problem(path, "cameras", "no list of cameras", "a list with k, d, r and t of each camera"))
     of_all = {"camera_resolution": document.get("camera_resolution")}
     more = {"model": "fisheye", "world_z_up": True}
-    return [
-        record_of(entry.get("name"), f"cameras[{i}]." if "cameras" in document else "", of_all | entry, **more)
-        for i, entry in enumerate(entries)
-    ]
+    places = [f"cameras[{i}]." if "cameras" in document else "" for i in range(len(entries))]
+    return [record_of(e.get("name"), place, of_all | e, **more) for e, place in zip(entries, places, strict=True)]
 
 
 # -- OpenDroneMap, OpenSfM, COLMAP -----------------------------------------------------------------------------------

@@ -164,11 +164,8 @@ def _checked_track(
             ("fx, fy, cx, cy", lens_text, ~((zoom[:, :2] <= 0).any(axis=1) | (np.abs(zoom) > MAX_PX).any(axis=1))),
             (SIGMA, f"0 to {MAX_SIGMA_DEG:g} degrees", (sigma >= 0) & (sigma <= MAX_SIGMA_DEG)),
         )
-    refuse(
-        Problem(path, kind, f"others in {_some([places[row] for row in np.flatnonzero(~right).tolist()])}", expected)
-        for kind, expected, right in checks
-        if not right.all()
-    )
+    wrong = [(kind, [places[row] for row in np.flatnonzero(~right)], expected) for kind, expected, right in checks]
+    refuse(Problem(path, kind, f"others in {_some(rows)}", expected) for kind, rows, expected in wrong if rows)
     order = np.argsort(frames)
     poses = rigid(_rotations(quaternion[order]), place[order])
     zooms = zoom[order] if INTRINSICS[0] in columns else None
@@ -202,11 +199,8 @@ def _read_csv(path: Path) -> CameraTrack:
     zooms = any(name in header for name in INTRINSICS)
     wanted = ["frame", *POSE[:4], *(PLACE if outward else POSE[4:]), *(INTRINSICS if zooms else ())]
     wanted += [SIGMA] * (SIGMA in header)
-    refuse(
-        Problem(path, "columns", f"{name} more than once" if name in header else f"no {name}", EXPECTED)
-        for name in wanted
-        if header.count(name) != 1
-    )
+    wrong = [f"{name} more than once" if name in header else f"no {name}" for name in wanted if header.count(name) != 1]
+    refuse(Problem(path, "columns", found, EXPECTED) for found in wrong)
     at = [header.index(name) for name in wanted]
     places: list[str] = []
 

@@ -283,21 +283,15 @@ def write_parquet(pose: Pose3D, path: Path) -> None:
         import pyarrow as pa
         import pyarrow.parquet as pq
     T, J = pose.xyz_m.shape[:2]
-    of_fit = {}
+    columns = {"frame": pa.array(np.repeat(pose.frames, J), pa.int64())}
+    columns["joint"] = pa.array(list(pose.names) * T, pa.string())
+    columns |= {f"{axis}_m": pa.array(pose.xyz_m[..., i].ravel(), pa.float64()) for i, axis in enumerate("xyz")}
     if pose.sigma_m is not None and pose.flags is not None:
-        of_fit = {f"{axis}_sigma_m": pa.array(pose.sigma_m[..., i].ravel()) for i, axis in enumerate("xyz")}
-        of_fit["flags"] = pa.array(np.repeat(pose.flags, J))
-    table = pa.table(
-        {
-            "frame": pa.array(np.repeat(pose.frames, J), pa.int64()),
-            "joint": pa.array(list(pose.names) * T, pa.string()),
-            **{f"{axis}_m": pa.array(pose.xyz_m[..., i].ravel(), pa.float64()) for i, axis in enumerate("xyz")},
-            **of_fit,
-        }
-    )
+        columns |= {f"{axis}_sigma_m": pa.array(pose.sigma_m[..., i].ravel()) for i, axis in enumerate("xyz")}
+        columns["flags"] = pa.array(np.repeat(pose.flags, J))
     about = {"fps": pose.fps, "unit": "m", "up": "z", "notes": pose.notes}
     made = BytesIO()
-    pq.write_table(table.replace_schema_metadata({METADATA: json.dumps(about)}), made)
+    pq.write_table(pa.table(columns).replace_schema_metadata({METADATA: json.dumps(about)}), made)
     write_bytes(path, made.getvalue())
 
 

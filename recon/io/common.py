@@ -170,11 +170,8 @@ def one_animal(
     T, N, K, _ = values.shape
     problems = []
     for field, found, count in (("names of points", names, K), ("names of animals", animals, N)):
-        problems += [
-            Problem(path, field, f"'{name}'", "names that are unique and can be printed")
-            for name, count_of_it in Counter(found).items()
-            if not name or not name.isprintable() or count_of_it > 1
-        ]
+        faulty = [name for name, times in Counter(found).items() if not name or not name.isprintable() or times > 1]
+        problems += [Problem(path, field, f"'{name}'", "names that are unique and can be printed") for name in faulty]
         if len(found) not in (0, count):
             problems.append(Problem(path, field, str(len(found)), f"{count}, as there are in the data"))
     for field, given, shape in (("likelihoods", likelihood, (T, N, K)), ("occupied frames", occupied, (T, N))):
@@ -306,10 +303,9 @@ def number_rows(
             problems.append(Problem(path, f"line {line}", f"{len(row)} cells", f"{width}, as in the header"))
             continue
         found, wrong = numbers(row[index:])
-        problems += [
-            Problem(path, f"line {line}, {columns[j]}", f"'{row[index + j].strip()}'", "a number or an empty cell")
-            for j in wrong
-        ]
+        for j in wrong:
+            found_text, expected = f"'{row[index + j].strip()}'", "a number or an empty cell"
+            problems.append(Problem(path, f"line {line}, {columns[j]}", found_text, expected))
         texts.append(row[:index])
         values.frombytes(found.tobytes())
     return texts, np.frombuffer(values).reshape(len(texts), len(columns)), problems

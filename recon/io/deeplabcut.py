@@ -111,11 +111,8 @@ def points_of_table(path: Path, individual: str | None, table: Table) -> StoredP
     named, values = [dict(zip(table.levels, label, strict=True)) for label in table.labels], table.values
     raw = [(n.get("individuals", ""), n["bodyparts"], n["coords"]) for n in named]
     columns = [(animal.strip(), part.strip(), coord.strip()) for animal, part, coord in raw]
-    notes = tuple(
-        f"'{name}' is read as '{name.strip()}'."
-        for name in dict.fromkeys(name for column in raw for name in column[:2])
-        if name != name.strip()
-    )
+    blank = dict.fromkeys(name for column in raw for name in column[:2] if name != name.strip())
+    notes = tuple(f"'{name}' is read as '{name.strip()}'." for name in blank)
     frames, images, frame_problems = _frame_numbers(path, table.rows)
     refuse(common.first_problems([*_column_problems(path, columns), *table.problems, *frame_problems], path))
     if {animal for animal, _, _ in columns} == {""} and _prefixes(part for _, part, _ in columns):

@@ -146,16 +146,12 @@ def predictions(project: Project) -> tuple[dict[str, Path], tuple[str, ...]]:
             "project, the folder where they are"
         )
         raise InputError(Problem(project.config, "predictions", f"none in {project.folder / 'videos'}", expected))
-    refuse(
-        Problem(
-            project.config,
-            f"predictions of {video}",
-            f"of {len(of)} networks: {', '.join(of)}",
-            f"of one, chosen by a pattern in place of the project: '{project.folder / 'videos'}/*{next(iter(of))}.*'",
-        )
-        for video, of in by_video.items()
-        if len(of) > 1
-    )
+    problems, pattern = [], f"of one, chosen by a pattern in place of the project: '{project.folder / 'videos'}/*"
+    for video, of in by_video.items():
+        if len(of) > 1:
+            found = f"of {len(of)} networks: {', '.join(of)}"
+            problems.append(Problem(project.config, f"predictions of {video}", found, f"{pattern}{next(iter(of))}.*'"))
+    refuse(problems)
     chosen = {video: min(next(iter(of.values())))[-1] for video, of in by_video.items()}
     left_out = (file.name for of in by_video.values() for files in of.values() for *_, file in sorted(files)[1:])
     return chosen, tuple(left_out)

@@ -114,18 +114,11 @@ def read_coco(path: Path, individual: str | None = None) -> StoredPoints:
         animal = one.get("individual", one.get("track_id"))
         place = f"annotation {one.get('id', '?')}", numbers[one["image_id"]]
         seen.append(_Seen(*place, "" if animal is None else str(animal), xy, score))
-    info = content.get("info")
-    return _points(
-        path,
-        individual,
-        _names(path, content["categories"], annotations),
-        numbers.values(),
-        seen,
-        fps=common.rate(info.get("fps")) if isinstance(info, dict) else None,
-        image_size_px=_size(content["images"]),
-        named=any("individual" in one for one in annotations),  # the number of the only track is no name
-        notes=notes,
-    )
+    info, names = content.get("info"), _names(path, content["categories"], annotations)
+    more: dict[str, Any] = {"fps": common.rate(info.get("fps")) if isinstance(info, dict) else None, "notes": notes}
+    more["image_size_px"] = _size(content["images"])
+    named = any("individual" in one for one in annotations)  # the number of the only track is no name
+    return _points(path, individual, names, numbers.values(), seen, named, **more)
 
 
 def _names(path: Path, categories: list[Table], annotations: list[Table]) -> tuple[str, ...]:
@@ -174,17 +167,10 @@ def read_mmpose(path: Path, individual: str | None = None) -> StoredPoints:
     names = content["meta_info"]["keypoint_id2name"]
     instances = {frame["frame_id"]: frame["instances"] for frame in content["instance_info"]}
     first = min(1, min(instances, default=1))
-    seen = [
-        _Seen(
-            f"frame {number}",
-            number - first,
-            str(one.get("track_id", "")),
-            np.array(one["keypoints"], dtype=float),
-            np.array(one["keypoint_scores"], dtype=float),
-        )
-        for number, some in instances.items()
-        for one in some
-    ]
+    seen = []
+    for number, one in ((number, one) for number, some in instances.items() for one in some):
+        points, scores = (np.array(one[key], dtype=float) for key in ("keypoints", "keypoint_scores"))
+        seen.append(_Seen(f"frame {number}", number - first, str(one.get("track_id", "")), points, scores))
     names = [str(names[str(k)]) for k in range(len(names))]
     return _points(path, individual, names, [number - first for number in instances], seen)
 

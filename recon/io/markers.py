@@ -69,16 +69,9 @@ def write_trc(pose: Pose3D, path: Path) -> None:
     """
     fps = writing.required_fps(pose.fps, "TRC")
     writing.require_names(pose.names, r"[\t\r\n]|^\s|\s$", "TRC")
-    header = {
-        "DataRate": repr(fps),
-        "CameraRate": repr(fps),
-        "NumFrames": len(pose.frames),
-        "NumMarkers": len(pose.names),
-        "Units": "m",
-        "OrigDataRate": repr(fps),
-        "OrigDataStartFrame": pose.frames[0],
-        "OrigNumFrames": len(pose.frames),
-    }
+    T, rate = len(pose.frames), repr(fps)
+    header = {"DataRate": rate, "CameraRate": rate, "NumFrames": T, "NumMarkers": len(pose.names), "Units": "m"}
+    header |= {"OrigDataRate": rate, "OrigDataStartFrame": pose.frames[0], "OrigNumFrames": T}
     lines = [
         ["PathFileType", "4", "(X/Y/Z)", path.name, UP_TEXT],
         list(header),

@@ -72,17 +72,10 @@ def _pose_of(path: Path, points: int) -> np.ndarray:
 
 def write(pose: Pose3D, path: Path) -> None:
     made = BytesIO()
-    of_fit: dict[str, Any] = (
-        {} if pose.sigma_m is None else {"sigma_m": pose.sigma_m, "flags": np.array(pose.flags, dtype=str)}
-    )
-    np.savez_compressed(
-        made,
-        names=np.array(pose.names),
-        xyz_m=pose.xyz_m,
-        frames=pose.frames,
-        fps=np.array(np.nan if pose.fps is None else pose.fps),
-        edges=writing.index_edges(pose.names, pose.edges),
-        notes=np.array(pose.notes, dtype=str),
-        **of_fit,
-    )
+    arrays: dict[str, Any] = {"names": np.array(pose.names), "xyz_m": pose.xyz_m, "frames": pose.frames}
+    arrays |= {"fps": np.array(pose.fps, dtype=float), "edges": writing.index_edges(pose.names, pose.edges)}
+    arrays |= {"notes": np.array(pose.notes, dtype=str)}
+    if pose.sigma_m is not None:
+        arrays |= {"sigma_m": pose.sigma_m, "flags": np.array(pose.flags, dtype=str)}
+    np.savez_compressed(made, **arrays)
     write_bytes(path, made.getvalue())

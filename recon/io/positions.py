@@ -62,12 +62,10 @@ def read_pose3d(
 
 def in_metres(path: Path, reader: Format, stored: StoredPoints, unit: str | None, up: str | None) -> Pose3D:
     """The positions of a file in our unit and axes; unit and up as for `read_pose3d`. Raises InputError."""
-    notes = list(stored.notes)
-    problems = [
-        Problem(path, name, f"{given} as given, but {stated} in the file", "one of the two")
-        for name, given, stated in (("unit", unit, stored.unit), ("up", up, stored.up))
-        if given is not None and stated is not None and given != stated
-    ]
+    notes, problems = list(stored.notes), []
+    for name, given, stated in (("unit", unit, stored.unit), ("up", up, stored.up)):
+        if given is not None and stated is not None and given != stated:
+            problems.append(Problem(path, name, f"{given} as given, but {stated} in the file", "one of the two"))
     unit = unit or stored.unit or reader.unit
     if unit not in PER_METRE:
         found = "none in the file" if unit is None else unit
