@@ -380,7 +380,7 @@ class TestMalformed:
             ("a.xml", "<?xml version='1.0'?><opencv_storage>" + "<a>" * 50_000, ("content", "nested")),
             ("a.json", '{"x": "opencv-matrix", "a": ' + "[" * 100_000, ("content", "nested")),
             ("a.txt", "x", ("format", "'.txt'", ".json")),
-            *((f"a{suffix}", " \n", ("file", "empty")) for suffix in (".json", ".toml", ".yml", ".xml")),
+            *((f"a{suffix}", "", ("file", "empty")) for suffix in (".json", ".toml", ".yml", ".xml")),
         ],
     )
     def test_text(self, write, capfd, name, text, expected):

@@ -309,7 +309,7 @@ def test_mistakes_in_a_config_name_the_file(tmp_path):
     [
         ("fps = = 3", "content", "Invalid value"),
         ("[other]\nfps = 3", "table", "other"),
-        ("", "table", "nothing"),
+        ("", "file", "an empty file"),
         ("recon = 3", "table", "recon"),
         ("[recon]\nfit = 3", "table", "recon"),
     ],

@@ -77,11 +77,14 @@ def read_content(path: Path, expected: str, most: int = MAX_BYTES) -> bytes:
     return content
 
 
-def read_head(path: Path, expected: str, length: int) -> bytes:
-    """The first bytes of a file. Raises InputError for anything but a file that can be read."""
+def read_head(path: Path, expected: str = "a file that can be read", length: int = 64) -> bytes:
+    """The first bytes of a file. Raises InputError for anything but a file that can be read, or with nothing in it."""
     require_file(path, expected)
     with damage_named(path, expected, "file"), path.open("rb") as file:
-        return file.read(min(os.fstat(file.fileno()).st_size, length))
+        head = file.read(min(os.fstat(file.fileno()).st_size, length))
+    if not head:
+        raise InputError(Problem(path, "file", "an empty file", expected))
+    return head
 
 
 def require_file(path: Path, expected: str = "a file that can be read") -> None:

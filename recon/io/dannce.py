@@ -32,7 +32,7 @@ MAX_DEPTH, MAX_ITEMS = 12, 100_000
 _MATRIX, _COMPRESSED = 14, 15
 _NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
 """NumPy's by the type of an element."""
-_TEXTS = {1: "latin-1", 2: "latin-1", 4: "utf-16-", 16: "utf-8", 17: "utf-16-"}
+_TEXTS = {1: "latin-1", 2: "latin-1", 4: "utf-16-le", 16: "utf-8", 17: "utf-16-le"}
 _CELL, _STRUCT, _CHAR = 1, 2, 4
 _NUMERIC = range(6, 16)
 _COMPLEX = 0x0800
@@ -97,18 +97,17 @@ def _variables(path: Path) -> dict[str, Any]:
     """By name: arrays of numbers (with MATLAB's shape), texts, dictionaries of structs (lists of them, where there are
     several), lists of cells, and None for anything else. Raises InputError."""
     content = read_content(path, "a MATLAB file", MAX_BYTES)
-    if content.startswith(b"MATLAB 7.3"):
+    if content.startswith(b"MATLAB 7.3") or content[126:128] != b"IM":
         expected = "version 7 or older: in MATLAB, save(name, '-v7')"
-        raise InputError(Problem(path, "file", "a MATLAB file of version 7.3", expected))
-    order = {b"IM": "<", b"MI": ">"}[content[126:128]]
-    return dict(_File(order).top(memoryview(content)[128:]))
+        raise InputError(Problem(path, "file", "a MATLAB file of version 7.3, or of another processor", expected))
+    return dict(_File().top(memoryview(content)[128:]))
 
 
 class _File:
     """What is left of the memory and of the items that a file may ask for. Its methods raise what `DAMAGE` lists."""
 
-    def __init__(self, order: str) -> None:
-        self.order, self.left, self.items = order, MAX_UNPACKED, MAX_ITEMS
+    def __init__(self) -> None:
+        self.left, self.items = MAX_UNPACKED, MAX_ITEMS
 
     def top(self, data: memoryview) -> Iterator[tuple[str, Any]]:
         for kind, body in self.elements(data, packed=True):
@@ -126,7 +125,7 @@ class _File:
         """Type and data of each. packed: at the top of a file, where compressed ones are not padded."""
         at = 0
         while at + 8 <= len(data):
-            kind, size = struct.unpack_from(f"{self.order}II", data, at)
+            kind, size = struct.unpack_from("<II", data, at)
             if kind >> 16:  # up to 4 bytes beside the type
                 size, kind, begin, step = kind >> 16, kind & 0xFFFF, at + 4, 8
                 if size > 4:
@@ -155,8 +154,7 @@ class _File:
             return name, self.structs(parts[3:], depth)
         if kind == _CHAR:
             of, text = parts[3]
-            ends = ("le" if self.order == "<" else "be") if _TEXTS[of].endswith("-") else ""
-            return name, bytes(text).decode(_TEXTS[of] + ends)
+            return name, bytes(text).decode(_TEXTS[of])
         if kind not in _NUMERIC or flags & _COMPLEX:
             return name, None
         values = self.numbers(*parts[3]) if len(parts) > 3 else np.zeros(0)
@@ -175,4 +173,4 @@ class _File:
         return rows[0] if len(rows) == 1 else rows
 
     def numbers(self, kind: int, data: memoryview) -> np.ndarray:
-        return np.frombuffer(data, np.dtype(self.order + _NUMBERS[kind]))
+        return np.frombuffer(data, np.dtype(f"<{_NUMBERS[kind]}"))

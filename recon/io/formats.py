@@ -155,7 +155,7 @@ def read_points(
         from recon.io.deeplabcut_project import refuse_several
 
         refuse_several(path)
-    head = file_head(path)
+    head = read_head(path)
     if by is not None:
         return PLAIN, PLAIN.function("read")(path, individual, by)
     found = recognised(path)
@@ -215,14 +215,6 @@ def individuals(path: str | Path) -> tuple[str, ...]:
     except InputError:  # said when it is read
         pass
     return ()
-
-
-def file_head(path: Path) -> bytes:
-    """The first bytes of a file. Raises InputError where there is no file to read, or nothing in it."""
-    head = read_head(path, "a file that can be read", 64)
-    if not head:
-        raise InputError(Problem(path, "file", "an empty file", "a file that can be read"))
-    return head
 
 
 def describe(head: bytes) -> str:

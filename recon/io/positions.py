@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from recon.base import InputError, Problem, all_of
+from recon.base.documents import read_head
 from recon.io.common import MAX_FRAME, Pose3D, StoredPoints, text_rows
 from recon.io.deeplabcut import points_of_rows
-from recon.io.formats import Format, file_head, read_points
+from recon.io.formats import Format, read_points
 
 PER_METRE = {"m": 1.0, "cm": 100.0, "mm": 1000.0}
 UNIT_NAMES = {
@@ -94,7 +95,7 @@ def read_pose_segments(path: str | Path) -> dict[str, Pose3D]:
     """Several pieces of motion in one CSV file, by name: a first header row `segment, frame, <joints>`, a second with
     x, y, z, and metres. A file as `read_pose3d` takes it is one piece, named after the file. Raises InputError."""
     path = Path(path)
-    if not file_head(path).removeprefix(b"\xef\xbb\xbf").startswith(b"segment,frame,"):
+    if not read_head(path).removeprefix(b"\xef\xbb\xbf").startswith(b"segment,frame,"):
         return {path.stem: read_pose3d(path)}
     rows = text_rows(path, ",")
     names, coords = next(rows)[1], next(rows, (2, []))[1]

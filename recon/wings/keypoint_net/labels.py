@@ -19,13 +19,14 @@ from rich.text import Text
 
 from recon.animal import load_names, map_to_write, new_names, other_side, renamed
 from recon.base.arrays import Array, Bools, Integers, median
+from recon.base.documents import read_head
 from recon.base.errors import InputError, Problem, all_of, refuse
 from recon.base.settings import Integer, Number, Option, Positive, Settings
 from recon.clip import Keypoints, mark_missing, parse_frame_range
 from recon.io import read_keypoints
 from recon.io.common import first_problems
 from recon.io.deeplabcut_project import Project, find_project, label_files
-from recon.io.formats import as_keypoints, file_head, recognised
+from recon.io.formats import as_keypoints, recognised
 from recon.io.video import Image, probe, read_frames, read_picture
 from recon.io.writing import frames_text
 from recon.workflows.cli import Answer, table_of
@@ -140,7 +141,7 @@ def read_label_file(path: Path, individual: str | None = None) -> tuple[Keypoint
 
 
 def _read_rows(path: Path, individual: str | None) -> tuple[Keypoints, tuple[str, ...]]:
-    file_head(path)
+    read_head(path)
     found = recognised(path, "2D")
     if found is None or found.name != "deeplabcut":
         raise InputError(Problem(path, "format", "another kind of file", "labels in DeepLabCut's layout, CSV or H5"))

@@ -15,14 +15,14 @@ from pathlib import Path
 from typing import Any
 
 from recon.base import Brief, InputError, Problem, refuse
-from recon.base.documents import read_toml
+from recon.base.documents import read_head, read_toml
 from recon.check import names_text
 from recon.fit.motion_forms import MOTION
 from recon.io import individuals, recognised
 from recon.io.calibration import read_cameras
 from recon.io.common import text_rows
 from recon.io.deeplabcut_project import find_project, predictions
-from recon.io.formats import file_head, titles
+from recon.io.formats import titles
 from recon.show.page import SUMMARY_PAGE
 from recon.workflows.cameras import cameras_in
 from recon.workflows.config import beside, read_settings
@@ -145,7 +145,7 @@ def _drafts_of(given: str, common: Mapping[str, Any], recursive: bool) -> Drafts
     if not files:
         raise InputError(Problem(given, "files", "none that match", "a pattern such as 'clips/*.csv'"))
     if files == [path]:
-        file_head(path)  # a typing error ends the batch before it begins
+        read_head(path)  # a typing error ends the batch before it begins
     each = (_drafts_of_manifest(file) if is_manifest(file) else [_Draft((file.absolute(),))] for file in files)
     return [draft for drafts in each for draft in drafts], []
 
