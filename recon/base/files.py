@@ -105,30 +105,38 @@ def _names(folder: Path) -> list[str]:
 
 
 @contextmanager
+def _gone_if_empty(folder: Path) -> Iterator[None]:
+    """After the block, a folder that was made in it goes again if nothing is in it, and so do its parents."""
+    made = [p for p in (folder, *folder.parents) if not p.exists()]
+    try:
+        yield
+    finally:
+        for one in made:
+            with suppress(OSError):  # it was not made after all, or there is something in it
+                one.rmdir()
+
+
+@contextmanager
 def _staging(folder: Path) -> Iterator[Path]:
     """A new staging folder in `folder`, which is made if need be."""
-    made = [p for p in (folder, *folder.parents) if not p.exists()]
-    staging, lock = None, None
-    try:
-        _remove_stale(folder)
-        staging, lock = _new_staging(folder)
-        yield staging
-    except BaseException as error:
-        if isinstance(error, OSError) and error.errno is not None:
-            error.filename = _in_place(error.filename, staging, folder)
-        if staging is not None:
-            shutil.rmtree(staging, ignore_errors=True)
-        for folder_made in made:
-            with suppress(OSError):  # it was not made after all, or others have put something into it
-                folder_made.rmdir()
-        raise
-    else:
-        shutil.rmtree(staging, ignore_errors=True)
-    finally:
-        if lock is not None:
-            os.close(lock)
-        if staging is not None and staging.exists():  # Windows keeps a file that is open
-            shutil.rmtree(staging, ignore_errors=True)
+    staging = None
+    with _gone_if_empty(folder):
+        try:
+            _remove_stale(folder)
+            staging, lock = _new_staging(folder)
+            try:
+                yield staging
+            finally:
+                shutil.rmtree(staging, ignore_errors=True)
+                os.close(lock)
+                shutil.rmtree(staging, ignore_errors=True)  # Windows keeps a file that is open
+        except OSError as error:
+            name = error.filename
+            if name is None and error.errno is not None:
+                error.filename = str(folder)
+            elif staging is not None and isinstance(name, str) and Path(name).is_relative_to(staging / _NEW):
+                error.filename = str(folder / Path(name).relative_to(staging / _NEW))
+            raise
 
 
 def _new_staging(folder: Path) -> tuple[Path, int]:
@@ -159,13 +167,12 @@ def _remove_stale(folder: Path) -> None:
         with suppress(OSError):
             lock = os.open(stale / _LOCK, os.O_RDWR | os.O_CREAT, 0o600)
             try:
-                dead = _locked(lock)
-                if dead and sys.platform != "win32":
+                if dead := _locked(lock):
                     shutil.rmtree(stale, ignore_errors=True)
             finally:
                 os.close(lock)
-            if dead and sys.platform == "win32":
-                shutil.rmtree(stale, ignore_errors=True)
+            if dead:
+                shutil.rmtree(stale, ignore_errors=True)  # Windows keeps a file that is open
 
 
 def _locked(file: int) -> bool | None:
@@ -175,15 +182,6 @@ def _locked(file: int) -> bool | None:
     except OSError as error:
         return False if error.errno in (errno.EAGAIN, errno.EACCES, errno.EDEADLK) else None
     return True
-
-
-def _in_place(name: str | bytes | int | None, staging: Path | None, folder: Path) -> str | bytes | int:
-    """The file that a staged one was to become; the folder where an error names nothing."""
-    if name is None:
-        return str(folder)
-    if staging is not None and isinstance(name, str) and Path(name).is_relative_to(staging / _NEW):
-        return str(folder / Path(name).relative_to(staging / _NEW))
-    return name
 
 
 def _require_places(folder: Path, names: Iterable[str]) -> None:
@@ -313,11 +311,9 @@ def sole_writer(folder: str | Path, wait_s: float = 0.0) -> Iterator[None]:
 
     Raises InputError where another one is in it, after wait_s. A process that dies lets go of the folder.
     """
-    folder = Path(folder)
-    _require_usable(folder)
-    made = [p for p in (folder, *folder.parents) if not p.exists()]
-    path = folder / WRITING
-    try:
+    _require_usable(Path(folder))
+    path = Path(folder) / WRITING
+    with _gone_if_empty(Path(folder)):
         lock = _only_lock(path, time.monotonic() + wait_s)
         try:
             yield
@@ -328,10 +324,6 @@ def sole_writer(folder: str | Path, wait_s: float = 0.0) -> Iterator[None]:
             else:
                 path.unlink(missing_ok=True)
                 os.close(lock)
-    finally:
-        for folder_made in made:
-            with suppress(OSError):  # it holds what was written
-                folder_made.rmdir()
 
 
 def _only_lock(path: Path, until_s: float) -> int:
@@ -343,13 +335,15 @@ def _only_lock(path: Path, until_s: float) -> int:
         except FileNotFoundError:
             continue  # the process that had made the folder has just removed it
         try:
-            free = _locked(lock)
-            if free is not False and _is_file_at(lock, path):
-                with suppress(OSError):  # a full disk holds no number
-                    os.truncate(lock, 0)
-                    os.write(lock, f"{os.getpid()}\n".encode())
-                return lock
-            owner = _written_in(lock)
+            free, owner = _locked(lock), ""
+            with suppress(FileNotFoundError):  # the process that had it before removes it
+                if free is not False and os.path.samestat(os.fstat(lock), os.stat(path)):
+                    with suppress(OSError):  # a full disk holds no number
+                        os.truncate(lock, 0)
+                        os.write(lock, f"{os.getpid()}\n".encode())
+                    return lock
+            with suppress(OSError):  # where a lock keeps it from being read
+                owner = os.read(lock, 20).decode("ascii", "replace").strip()
         except BaseException:
             os.close(lock)
             raise
@@ -359,21 +353,6 @@ def _only_lock(path: Path, until_s: float) -> int:
             expected = "one at a time: wait until it has ended, or choose another folder"
             raise InputError(Problem(path.parent, "folder", found, expected))
         time.sleep(_POLL_S if free is False else 0.0)
-
-
-def _written_in(file: int) -> str:
-    """Its first words; none where a lock keeps them from being read."""
-    with suppress(OSError):
-        return os.read(file, 20).decode("ascii", "replace").strip()
-    return ""
-
-
-def _is_file_at(file: int, path: Path) -> bool:
-    """Whether it is still there: the process that had it before removes it."""
-    try:
-        return os.path.samestat(os.fstat(file), os.stat(path))
-    except FileNotFoundError:
-        return False
 
 
 def require_free_folder(out: Path, names: Iterable[str], overwrite: bool, expected: str = "results") -> None:

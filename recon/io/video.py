@@ -52,12 +52,9 @@ class VideoInfo:
 
 def probe(path: str | Path) -> VideoInfo:
     """What a video says about itself; its first frame is decoded. Raises InputError for a file that is no video."""
-    capture = _open(Path(path))
-    try:
+    with _opened(Path(path)) as capture:
         fps, count = capture.get(cv2.CAP_PROP_FPS), capture.get(cv2.CAP_PROP_FRAME_COUNT)
         found, image = capture.read()
-    finally:
-        capture.release()
     if not found:
         raise InputError(Problem(path, "video", "no frame that can be decoded", "a video"))
     known = np.isfinite(fps) and 0 < fps < 1e5
@@ -149,9 +146,8 @@ def timed_frames(
     path: str | Path, first: int = 0, stop: int | None = None, step: int = 1
 ) -> Iterator[tuple[int, float, Image]]:
     """As `read_frames`, with each frame's time stamp in seconds between its number and its picture."""
-    capture = _open(Path(path))
-    try:
-        number = 0
+    number = 0
+    with _opened(Path(path)) as capture:
         while (stop is None or number < stop) and capture.grab():
             if number >= first and (number - first) % step == 0:
                 stamp_s = capture.get(cv2.CAP_PROP_POS_MSEC) / 1e3
@@ -160,8 +156,6 @@ def timed_frames(
                     return
                 yield number, stamp_s, np.asarray(image, dtype=np.uint8)
             number += 1
-    finally:
-        capture.release()
 
 
 @contextmanager
@@ -239,11 +233,15 @@ def _local(path: Path) -> str:
     return str(path.absolute())
 
 
-def _open(path: Path) -> cv2.VideoCapture:
+@contextmanager
+def _opened(path: Path) -> Iterator[cv2.VideoCapture]:
     if not path.is_file():
         raise InputError(Problem(path, "video", "a folder" if path.is_dir() else "no such file", "a video"))
     with _quiet():
         capture = cv2.VideoCapture(_local(path), cv2.CAP_FFMPEG)
     if not capture.isOpened():
         raise InputError(Problem(path, "video", "a file that cannot be decoded", "a video"))
-    return capture
+    try:
+        yield capture
+    finally:
+        capture.release()
