@@ -75,13 +75,16 @@ def test_the_stride_runs_straight_with_the_prior_s_swing():
     assert np.abs(STATES[:, 4:] - PRIOR.mean).max() == pytest.approx(top, rel=0.01)
 
 
-def test_advice_finds_the_least_deviation_and_a_second_camera_adds_to_the_first():
+def test_advice_finds_the_least_deviation_and_a_second_camera_adds_to_the_first(monkeypatch):
     few = np.radians([0.0, 90.0, 180.0])
-    (one,) = advise(BODY, PRIOR, "theta_1", azimuths_rad=few, elevations_rad=ELEVATIONS_RAD[:2])
+    monkeypatch.setattr("recon.calibrate.camera_advice.AZIMUTHS_RAD", few)
+    monkeypatch.setattr("recon.calibrate.camera_advice.ELEVATIONS_RAD", ELEVATIONS_RAD[:2])
+    (one,) = advise(BODY, PRIOR, "theta_1")
     assert one.place == (few[1], ELEVATIONS_RAD[0])
     assert one.sigma[one.best] == one.sigma.min()
     assert one.share[one.best] == one.share.max()
-    both = advise(BODY, PRIOR, "theta_1", azimuths_rad=few, elevations_rad=ELEVATIONS_RAD[:1], cameras=2)
+    monkeypatch.setattr("recon.calibrate.camera_advice.ELEVATIONS_RAD", ELEVATIONS_RAD[:1])
+    both = advise(BODY, PRIOR, "theta_1", cameras=2)
     assert [advice.beside for advice in both] == [None, one.place]
     assert both[1].sigma.max() < one.sigma.min()
     assert one.distance_m == pytest.approx(4 * length_m(BODY))

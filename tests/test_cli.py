@@ -20,7 +20,7 @@ import pytest
 from command_line import Ended, Refusal, refused, run, run_process, says
 from rerun.chunk import RrdReader
 
-import recon.show.export.clip_csv
+import recon.show.tables
 import recon.show.view
 import recon.workflows.cli
 from recon import FitSettings, Motion, evaluate_files, read_settings
@@ -757,7 +757,7 @@ def test_failing_writer_leaves_nothing(full, tmp_path, monkeypatch):
     if full == "motion.rrd":
         monkeypatch.setattr(recon.show.view, "write", write)
     else:
-        monkeypatch.setitem(recon.show.export.clip_csv.CLIP_OUTPUTS, full, write)
+        monkeypatch.setitem(recon.show.tables.CLIP_OUTPUTS, full, write)
     ended = run(*fit_args(tmp_path / "a" / "b", "--frames", ":3"))
     assert ended.code == 2
     assert ended.out == ""

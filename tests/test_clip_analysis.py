@@ -20,8 +20,8 @@ from recon.gait import joint_kinematics, limb_chains
 from recon.gait.kinematics import at_frames
 from recon.io import read_pose3d
 from recon.show import build_report
-from recon.show.export import analysis_csv
 from recon.show.report import in_sentences
+from recon.show.tables import TABLES, angle_rates, joints, write_analysis
 from recon.workflows import notes, summarise
 from recon.workflows.analyse import figures_of
 
@@ -46,8 +46,8 @@ def chain(chain_results) -> ClipAnalysis:
 @pytest.fixture(scope="module")
 def tables(whole, tmp_path_factory) -> dict[str, pd.DataFrame]:
     folder = tmp_path_factory.mktemp("tables")
-    analysis_csv.write(whole, folder)
-    assert {path.name for path in folder.iterdir()} == {*analysis_csv.TABLES}
+    write_analysis(whole, folder)
+    assert {path.name for path in folder.iterdir()} == {*TABLES}
     return {path.stem: pd.read_csv(path) for path in folder.iterdir()}
 
 
@@ -305,7 +305,7 @@ def test_command_writes_tables_figures_and_plots(of_results, whole_results, monk
     labels = [line.partition(": ")[0] for line in printed.splitlines() if ": " in line and not line.startswith("note")]
     assert len(set(labels)) == len(labels)
     written = {path.name for path in (folder / "analysis").iterdir()}
-    assert {*analysis_csv.TABLES, "analysis.json"} <= written
+    assert {*TABLES, "analysis.json"} <= written
     assert {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()} == results
     assert f"with: recon view {folder}\n" in printed
     assert {name for name in written if name.endswith((".png", ".svg"))} == {
@@ -346,8 +346,8 @@ def test_quiet_prints_nothing_and_many_stances_are_not_listed(whole_results, tmp
 
 def test_standard_deviations_of_angles_are_in_the_table_where_there_are_any(whole, one_sided):
     with_sigma = {"spine_flexion_sigma_rad", "spine_flexion_rate_sigma_rad_s"}
-    assert with_sigma <= {*analysis_csv.angle_rates(whole)}
-    columns = analysis_csv.angle_rates(one_sided)
+    assert with_sigma <= {*angle_rates(whole)}
+    columns = angle_rates(one_sided)
     assert not with_sigma & {*columns}
     assert {"spine_flexion_rad", f"{one_sided.motion.posture_names[0]}_sigma_rad"} <= {*columns}
 
@@ -360,13 +360,13 @@ def test_tables_are_written_where_figures_fail(whole_results, tmp_path, monkeypa
     done = run("analyse", whole_results, "--out", tmp_path / "a")
     assert done.code == 2
     assert "No space left on device" in done.err
-    written = {*analysis_csv.TABLES, "analysis.json"}
+    written = {*TABLES, "analysis.json"}
     assert {path.name for path in (tmp_path / "a").iterdir()} == written
 
 
 def test_speeds_that_are_not_known_are_in_no_table_and_grey(whole, one_sided):
     """The frame method's path in depth: errors, no speeds."""
-    columns, rows = analysis_csv.joints(whole)
+    columns, rows = joints(whole)
     assert {row[-1] for row in rows} == {"yes"}
     assert np.isfinite([row[1] for row in rows]).all()
     motion = one_sided.motion
@@ -376,7 +376,7 @@ def test_speeds_that_are_not_known_are_in_no_table_and_grey(whole, one_sided):
     spoilt = replace(motion, solution=replace(motion.solution, joints_m=points_m))
     found = analyse(spoilt)
     assert found.why_no_speed is not None
-    columns, rows = analysis_csv.joints(found)
+    columns, rows = joints(found)
     assert columns[-1] == "known"
     assert all(row[-1] == "no" and np.isnan(row[1:-1]).all() for row in rows)
     figure = figures_of(found)["speed"]()

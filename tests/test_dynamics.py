@@ -27,7 +27,7 @@ from recon.gait.dynamics import (
 )
 from recon.gait.kinematics import Errors
 from recon.show import clip_page
-from recon.show.export.analysis_csv import forces
+from recon.show.tables import forces
 from recon.workflows import summarise
 
 SKELETON = Path(__file__).parents[1] / "recon" / "animal" / "skeletons" / "cheetah-24.toml"

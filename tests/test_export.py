@@ -9,13 +9,12 @@ import pandas as pd
 import pytest
 
 from recon.io import read_keypoints, read_pose3d
-from recon.show import write_tables
-from recon.show.export import clip_csv
+from recon.show import tables, write_tables
 
 
 def test_pose3d_round_trip(small_motion, tmp_path):
     path = tmp_path / "pose3d.csv"
-    clip_csv.pose3d(small_motion, path)
+    tables.pose3d(small_motion, path)
     pose = read_pose3d(path)
     assert pose.names == small_motion.names
     np.testing.assert_array_equal(pose.xyz_m, small_motion.joints_m)
@@ -30,7 +29,7 @@ def test_pose3d_round_trip(small_motion, tmp_path):
 
 def test_angles_round_trip(small_motion, tmp_path):
     path = tmp_path / "angles.csv"
-    clip_csv.angles(small_motion, path)
+    tables.angles(small_motion, path)
     table = pd.read_csv(path, index_col="frame")
     assert list(table.columns[:8]) == [
         *("x_m", "y_m", "z_m", "J0_yaw_rad", "J0_pitch_rad", "J0_roll_rad", "phi_6_rad", "theta_6_rad")
@@ -41,7 +40,7 @@ def test_angles_round_trip(small_motion, tmp_path):
 
 def test_reprojection_is_a_deeplabcut_file(small_motion, tmp_path):
     path = tmp_path / "reprojection.csv"
-    clip_csv.reprojection(small_motion, path)
+    tables.reprojection(small_motion, path)
     keypoints = read_keypoints(path)
     assert keypoints.names == small_motion.names
     np.testing.assert_array_equal(keypoints.xy_px, small_motion.pictures[0].reprojected_px)
@@ -57,7 +56,7 @@ def test_reprojection_is_a_deeplabcut_file(small_motion, tmp_path):
 
 
 def test_angles_of_a_whole_animal(world_trajectory, tmp_path):
-    clip_csv.angles(world_trajectory, tmp_path / "angles.csv")
+    tables.angles(world_trajectory, tmp_path / "angles.csv")
     table = pd.read_csv(tmp_path / "angles.csv", index_col="frame")
     assert list(table.columns[:5]) == ["x_m", "y_m", "z_m", "rear_trunk_yaw_rad", "rear_trunk_pitch_rad"]
     assert table.columns[-1] == "r_hind_foot_pitch_rad"
@@ -65,7 +64,7 @@ def test_angles_of_a_whole_animal(world_trajectory, tmp_path):
 
 
 def test_pose3d_sigma_has_the_layout_of_pose3d(world_trajectory, tmp_path):
-    clip_csv.pose3d_sigma(world_trajectory, tmp_path / "pose3d_sigma.csv")
+    tables.pose3d_sigma(world_trajectory, tmp_path / "pose3d_sigma.csv")
     table = pd.read_csv(tmp_path / "pose3d_sigma.csv", header=[0, 1], index_col=0)
     assert table.columns.names == ["bodyparts", "coords"]
     assert list(table.columns.get_level_values(0).unique()) == list(world_trajectory.names)
@@ -80,7 +79,7 @@ def test_angles_sigma_has_the_columns_of_the_angles(world_trajectory, tmp_path):
     solution, (T, A) = world_trajectory.solution, world_trajectory.angles_rad.shape
     share = np.linspace(0, 1, T * A).reshape(T, A)
     motion = replace(world_trajectory, solution=replace(solution, angle_data_share=share))
-    clip_csv.angles_sigma(motion, tmp_path / "angles_sigma.csv")
+    tables.angles_sigma(motion, tmp_path / "angles_sigma.csv")
     table = pd.read_csv(tmp_path / "angles_sigma.csv", index_col="frame")
     np.testing.assert_array_equal(table["rear_trunk_pitch_data_share"], share[:, 1])
     np.testing.assert_array_equal(table["r_hind_foot_pitch_sigma_rad"], 0.1)
@@ -88,7 +87,7 @@ def test_angles_sigma_has_the_columns_of_the_angles(world_trajectory, tmp_path):
 
 
 def test_quality_names_what_is_doubtful(small_trajectory, tmp_path):
-    clip_csv.quality(small_trajectory, tmp_path / "quality.csv")
+    tables.quality(small_trajectory, tmp_path / "quality.csv")
     table = pd.read_csv(tmp_path / "quality.csv", index_col="frame")
     assert table["flags"].fillna("").tolist() == ["", "", "", "no data", "", "data poor;ambiguous depth", "", ""]
     assert table["detections"].tolist() == [23, 23, 23, 0, 23, 23, 23, 23]
@@ -99,9 +98,9 @@ def test_quality_names_what_is_doubtful(small_trajectory, tmp_path):
 
 
 def test_quality_of_the_frame_method_has_the_same_columns(small_motion, tmp_path):
-    clip_csv.quality(small_motion, tmp_path / "quality.csv")
+    tables.quality(small_motion, tmp_path / "quality.csv")
     table = pd.read_csv(tmp_path / "quality.csv", index_col="frame")
-    assert tuple(table.columns) == clip_csv.QUALITY_COLUMNS[1:]
+    assert tuple(table.columns) == tables.QUALITY_COLUMNS[1:]
     assert table["flags"].fillna("").tolist() == ["", "", "", "no data", "outliers", "few points"]
     assert table["detections"].tolist() == [9, 8, 9, 0, 9, 6]
     assert table["alternative_m"].isna().all()
@@ -115,7 +114,7 @@ def test_quality_of_the_frame_method_has_the_same_columns(small_motion, tmp_path
 @pytest.mark.parametrize("motion", ["small_motion", "small_trajectory"])
 def test_every_writer_writes(motion, tmp_path, request):
     write_tables(request.getfixturevalue(motion), tmp_path)
-    outputs = [*clip_csv.CLIP_OUTPUTS, clip_csv.REPROJECTION]
+    outputs = [*tables.CLIP_OUTPUTS, tables.REPROJECTION]
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted(outputs)
     for path in tmp_path.iterdir():
         text = path.read_bytes()
@@ -127,7 +126,7 @@ def test_every_writer_writes(motion, tmp_path, request):
 def test_every_camera_has_its_table(two_cameras, tmp_path):
     write_tables(two_cameras, tmp_path)
     names = {path.name for path in tmp_path.glob("reprojection*")}
-    assert names == {"reprojection_cam1.csv", "reprojection_cam2.csv"} == {*clip_csv.of_any_camera(tmp_path)}
+    assert names == {"reprojection_cam1.csv", "reprojection_cam2.csv"} == {*tables.of_any_camera(tmp_path)}
     for picture in two_cameras.pictures:
         table = read_keypoints(tmp_path / f"reprojection_{picture.name}.csv")
         np.testing.assert_allclose(table.xy_px, picture.reprojected_px, rtol=1e-12)
@@ -137,8 +136,8 @@ def test_every_camera_has_its_table(two_cameras, tmp_path):
 
 
 def test_files_of_cameras_with_any_names():
-    assert clip_csv.camera_files(["x/y"]) == ["reprojection.csv"]
-    assert clip_csv.camera_files(["x/y", "x y", "", "Cam", "cam"]) == [
+    assert tables.camera_files(["x/y"]) == ["reprojection.csv"]
+    assert tables.camera_files(["x/y", "x y", "", "Cam", "cam"]) == [
         "reprojection_x-y.csv",
         "reprojection_x-y-2.csv",
         "reprojection_3.csv",

@@ -141,14 +141,14 @@ def test_labels_of_larger_pictures(clip, tmp_path):
     xy = np.array([[[50.0, 60.0], [52, 62], [54, 64]]])
     path = write_labels(tmp_path / "larger.csv", ["img50.png"], xy)
     with refusal((path, "labels", ["3 of 3 points", "nose in img50.png"])):
-        read_labels(clip[0], path, 50)
+        read_labels(clip[0], path, first_frame=50)
 
 
 def test_a_video_that_is_none(clip, tmp_path):
     path = tmp_path / "bad.mp4"
     path.write_bytes(b"not a video")
     with refusal(("bad.mp4", "video", "cannot be decoded")):
-        read_labels(path, clip[1], 50)
+        read_labels(path, clip[1], first_frame=50)
     with refusal(("--labels", "file", "none", "run.avi")):
         read_labels(clip[0])
     with refusal(("nowhere", "data", "nothing there")):

@@ -26,8 +26,8 @@ from recon.check import finding, findings_of, sentence
 from recon.fit import Motion
 from recon.io import video_writer
 from recon.show import TO_DO, build_report, clip_page, drawing
-from recon.show.page.pages import _solid, _without_unseen, doubtful_frames, inline
-from recon.show.plots.over_time import angle_over_time, together
+from recon.show.page.pages import _angles, _solid, _without_unseen, doubtful_frames, inline
+from recon.show.plots.over_time import angle_over_time
 from recon.workflows import COLUMNS, PageSettings, run_page, write_summary_page
 
 EVIL = '<img src=x onerror="alert(1)">&\'.csv'
@@ -170,7 +170,7 @@ def test_a_page_says_what_the_report_says(page, folder):
     assert page.html.index("<img") < page.html.index("Frames: 8 of 8")
     assert len(page.attributes("img", "src")) == 8
     assert set(page.attributes("img", "alt")) == {f"frame {frame}" for frame in range(10, 18)}
-    panels = together(dict.fromkeys(results.posture_names, None))
+    panels = _angles(results)
     assert len(panels) == 18
     assert page.html.count("<svg") == 3 + len(panels)
     assert set(page.attributes("a", "href")) == set(read_manifest(folder).files)
@@ -277,19 +277,15 @@ def test_figures_stand_in_a_page_as_vectors_or_where_those_are_large_as_pixels()
     assert inline(figure, 1000).startswith('<img alt="" src="data:image/png;base64,')
 
 
-def test_angles_of_both_sides_share_a_figure():
+def test_angles_of_both_sides_share_a_figure(small_trajectory):
+    found = _angles(small_trajectory)
+    assert [*found["l/r hind shin pitch"]] == ["l_hind_shin_pitch", "r_hind_shin_pitch"]
+    assert [*found["head yaw"]] == ["head_yaw"]
+    assert sorted(name for both in found.values() for name in both) == sorted(small_trajectory.posture_names)
     time_s, ones = np.arange(5) / 10.0, np.ones(5)
-    curves = {
-        "l_hip_pitch": (0.1 * ones, 0.01 * ones, True),
-        "r_hip_pitch": (0.2 * ones, 0.02 * ones, False),
-        "head_yaw": (0.3 * ones, 0.03 * ones, True),
-    }
-    assert {title: list(both) for title, both in together(curves).items()} == {
-        "l/r hip pitch": ["l_hip_pitch", "r_hip_pitch"],
-        "head yaw": ["head_yaw"],
-    }
+    curves = {"l_hip_pitch": (0.1 * ones, 0.01 * ones, True), "r_hip_pitch": (0.2 * ones, 0.02 * ones, False)}
     doubtful = np.array([False, True, True, False, True])
-    (axes,) = angle_over_time(time_s, together(curves)["l/r hip pitch"], doubtful, "hips").axes
+    (axes,) = angle_over_time(time_s, "hips", curves, doubtful).axes
     left, right = axes.lines
     np.testing.assert_allclose(left.get_ydata(), np.degrees(0.1))
     np.testing.assert_allclose(right.get_ydata(), np.degrees(0.2))

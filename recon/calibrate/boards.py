@@ -28,6 +28,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -505,22 +506,17 @@ def _solve_fisheye(views: Sequence[BoardView], points: Array, size: tuple[int, i
     names = ("CALIB_USE_INTRINSIC_GUESS", "CALIB_RECOMPUTE_EXTRINSIC", "CALIB_FIX_SKEW")
     # OpenCV 4 has flags of its own for fisheyes, of other values; OpenCV 5 has one set for all lenses.
     flags = sum(getattr(cv2.fisheye if hasattr(cv2.fisheye, "CALIB_FIX_SKEW") else cv2, name) for name in names)
-    best: Any = None
-    failure: cv2.error | None = None
+    found: list[Any] = []
     for field_deg in FISHEYE_STARTS_DEG:
         focal = size[0] / math.radians(field_deg)
         guess = np.array([[focal, 0, (size[0] - 1) / 2], [0, focal, (size[1] - 1) / 2], [0, 0, 1]])
-        try:
-            start = np.zeros(coefficients)
-            found = cv2.fisheye.calibrate(objects, images, size, guess, start, flags=flags, criteria=_CRITERIA)
-        except cv2.error as error:
-            failure = error
-            continue
-        if math.isfinite(found[0]) and (best is None or found[0] < best[0]):
-            best = found
-    if best is None:
-        raise failure or ValueError("no finite solution")
-    _, matrix, distortion, rotations, translations = best
+        given = (objects, images, size, guess, np.zeros(coefficients))
+        with suppress(cv2.error):  # there is nothing to be found from some starts
+            found.append(cv2.fisheye.calibrate(*given, flags=flags, criteria=_CRITERIA))
+    finite = [one for one in found if math.isfinite(one[0])]
+    if not finite:
+        raise ValueError("no finite solution")
+    _, matrix, distortion, rotations, translations = min(finite, key=lambda one: one[0])
     return matrix, np.ravel(distortion), rotations, translations
 
 
@@ -572,7 +568,7 @@ class _CalibrationCheck:
     """A reason to refuse where the value is beyond it (below it, if `at_least`)."""
     at_least: bool
     advice: str
-    value: float = math.nan
+    value: float
 
     @property
     def verdict(self) -> Verdict:
@@ -598,49 +594,36 @@ class _CalibrationCheck:
 
 
 LIMITS = (
-    _CalibrationCheck(
-        "images", "pictures used", "", 10, 6, True, "take more pictures"
-    ),  # three determine the matrix, two more the lens; with six an error of one can still be seen in the others
-    _CalibrationCheck(
-        "dropped", "pictures left out as outliers", "%", 10, 25, False, "look for a board that bends, or moves"
-    ),  # one in four is no exception any more: the median itself is in doubt
-    _CalibrationCheck(
-        "rms", "reprojection error", "px of 1920", 0.5, 1.0, False, "check the board's numbers, flatness, and --model"
-    ),  # corners are found to 0.05-0.3 px; more is a wrong lens model or board. Relative to the width above 1920
-    _CalibrationCheck(
-        "coverage", "share of the picture where the board was", "%", 60, 30, True, "move the board over all of it"
-    ),  # the lens is measured there and extrapolated elsewhere, by polynomials
-    _CalibrationCheck(
-        "border", "widest strip along a border without a corner", "% of the side", 12, math.nan, False,
-        "hold the board at the borders, partly outside if it is a ChArUco board",
-    ),  # the distortion is largest there
-    _CalibrationCheck(
-        "tilt", "largest angle between two boards", "degrees", 40, 20, True, "tilt the board by 30 to 45 degrees"
-    ),  # parallel boards say nothing new: a longer focal length and a longer distance look alike
-    _CalibrationCheck(
-        "tilt axes", "spread of the tilt in its least varied direction", "degrees", 6, 2, True,
-        "tilt the board sideways as well as forwards",
-    ),  # about one axis, only one of fx and fy is determined by perspective
-    _CalibrationCheck(
-        "focal length", "standard deviation of fx or fy", "%", 0.3, 1.0, False, "take more pictures, closer and tilted"
-    ),  # what the lens model cannot express is not in it: take it for a third of the truth
-    _CalibrationCheck(
-        "principal point", "standard deviation of cx or cy", "% of the width", 0.3, 1.0, False,
-        "take more pictures, tilted and at the borders",
-    ),
-    _CalibrationCheck(
-        "aspect", "difference between fx and fy", "%", 0.5, 5.0, False, "check that the video is not stretched"
-    ),  # pixels of today's sensors are square to 0.1 %
-    _CalibrationCheck(
-        "centre", "distance of the principal point from the middle", "% of the width", 5, 15, False,
-        "check that the picture is not cropped",
-    ),  # lenses are centred to some 2 %
-    _CalibrationCheck(
-        "folded", "part of the picture where the lens model has no ray", "%", 0.0, 5.0, False,
-        "cover the borders, or use another --model",
-    ),  # there the fitted polynomial turns back; a circular fisheye picture has such corners by nature
+    # three determine the matrix, two more the lens; with six an error of one can still be seen in the others
+    ("images", "pictures used", "", 10, 6, True, "take more pictures"),
+    # one in four is no exception any more: the median itself is in doubt
+    ("dropped", "pictures left out as outliers", "%", 10, 25, False, "look for a board that bends, or moves"),
+    # corners are found to 0.05-0.3 px; more is a wrong lens model or board. Relative to the width above 1920
+    ("rms", "reprojection error", "px of 1920", 0.5, 1.0, False, "check the board's numbers, flatness, and --model"),
+    # the lens is measured there and extrapolated elsewhere, by polynomials
+    ("coverage", "share of the picture where the board was", "%", 60, 30, True, "move the board over all of it"),
+    # the distortion is largest there
+    ("border", "widest strip along a border without a corner", "% of the side", 12, math.nan, False,
+     "hold the board at the borders, partly outside if it is a ChArUco board"),
+    # parallel boards say nothing new: a longer focal length and a longer distance look alike
+    ("tilt", "largest angle between two boards", "degrees", 40, 20, True, "tilt the board by 30 to 45 degrees"),
+    # about one axis, only one of fx and fy is determined by perspective
+    ("tilt axes", "spread of the tilt in its least varied direction", "degrees", 6, 2, True,
+     "tilt the board sideways as well as forwards"),
+    # what the lens model cannot express is not in it: take it for a third of the truth
+    ("focal length", "standard deviation of fx or fy", "%", 0.3, 1.0, False, "take more pictures, closer and tilted"),
+    ("principal point", "standard deviation of cx or cy", "% of the width", 0.3, 1.0, False,
+     "take more pictures, tilted and at the borders"),
+    # pixels of today's sensors are square to 0.1 %
+    ("aspect", "difference between fx and fy", "%", 0.5, 5.0, False, "check that the video is not stretched"),
+    # lenses are centred to some 2 %
+    ("centre", "distance of the principal point from the middle", "% of the width", 5, 15, False,
+     "check that the picture is not cropped"),
+    # there the fitted polynomial turns back; a circular fisheye picture has such corners by nature
+    ("folded", "part of the picture where the lens model has no ray", "%", 0.0, 5.0, False,
+     "cover the borders, or use another --model"),
 )  # fmt: skip
-"""Without their values."""
+"""The first fields of each `_CalibrationCheck`, all but its value."""
 
 
 def check(calibration: Calibration) -> tuple[_CalibrationCheck, ...]:
@@ -667,7 +650,7 @@ def check(calibration: Calibration) -> tuple[_CalibrationCheck, ...]:
         "centre": 100 * math.hypot(values["cx"] - (width - 1) / 2, values["cy"] - (height - 1) / 2) / width,
         "folded": 100 * (1 - camera.rays(np.stack((x, y), axis=-1))[1].mean()),
     }
-    return tuple(replace(limit, value=float(measured[limit.name])) for limit in LIMITS)
+    return tuple(_CalibrationCheck(*limit, value=float(measured[limit[0]])) for limit in LIMITS)
 
 
 def coverage(calibration: Calibration) -> Bools:

@@ -27,6 +27,7 @@ from recon.geometry.kinematics import ROOT
 AZIMUTHS_RAD = np.radians(np.arange(0, 360, 30))
 """About the animal, from above counter-clockwise: 0 ahead of it, a quarter turn to its left."""
 ELEVATIONS_RAD = np.radians([5, 30, 55, 80])
+"""Above the level of the animal's middle."""
 FPS, FRAMES = 60.0, 21
 STRIDES_HZ, LENGTHS_S = 3.0, 5.0
 """How often the stride repeats in a second, and how many of its own lengths the animal runs in a second."""
@@ -39,17 +40,13 @@ SAME = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Advice:
-    """One camera on a sphere about the animal, in every place of a grid of A azimuths and E elevations."""
+    """One camera on a sphere about the animal, in every place of the grid of `AZIMUTHS_RAD` and `ELEVATIONS_RAD`."""
 
     of: str
     """What is to be seen."""
     unit: str
     """"rad" of an angle, "m" of joints."""
     distance_m: float
-    azimuths_rad: Array
-    """(A,): see `AZIMUTHS_RAD`."""
-    elevations_rad: Array
-    """(E,): above the level of the animal's middle."""
     sigma: Array
     """(E, A): standard deviation, the median over the frames; infinite where the animal is not in the picture."""
     share: Array
@@ -68,7 +65,7 @@ class Advice:
     def place(self) -> tuple[float, float]:
         """The best azimuth and elevation."""
         row, column = self.best
-        return float(self.azimuths_rad[column]), float(self.elevations_rad[row])
+        return float(AZIMUTHS_RAD[column]), float(ELEVATIONS_RAD[row])
 
 
 def advise(
@@ -78,8 +75,6 @@ def advise(
     hfov_deg: float = 60.0,
     distance_m: float | None = None,
     cameras: int = 1,
-    azimuths_rad: Array = AZIMUTHS_RAD,
-    elevations_rad: Array = ELEVATIONS_RAD,
     progress: Callable[[float], None] = lambda share: None,
 ) -> list[Advice]:
     """On one camera, or on a second one as well, beside the first in its best place. of: an angle of the body's states,
@@ -89,19 +84,19 @@ def advise(
     states, lens = mean_stride(body, prior), Camera.from_hfov(hfov_deg, PICTURE_PX)
     middle = body.tree.pose(states).points_m.mean(axis=(0, 1))
     distance = AWAY_LENGTHS * length_m(body) if distance_m is None else distance_m
-    found, shape = list[Advice](), (len(elevations_rad), len(azimuths_rad))
+    found, shape = list[Advice](), (len(ELEVATIONS_RAD), len(AZIMUTHS_RAD))
     for number in range(cameras):
         beside = found[0].place if found else None
         others = [placed(replace(lens, name="beside"), middle, *beside, distance)] if beside else []
         grid = np.empty((*shape, 2))
         for done, (row, column) in enumerate(np.ndindex(shape)):
-            place = float(azimuths_rad[column]), float(elevations_rad[row])
+            place = float(AZIMUTHS_RAD[column]), float(ELEVATIONS_RAD[row])
             there = placed(replace(lens, name="there"), middle, *place, distance)
             with threadpool_limits(1, user_api="blas"):
                 grid[row, column] = known(body, prior, states, [*others, there], of)
             progress((number + (done + 1) / math.prod(shape)) / cameras)
-        what = of or "all joints", "rad" if of in body.state_names[4:] else "m", distance
-        found.append(Advice(*what, azimuths_rad, elevations_rad, grid[..., 0], grid[..., 1], beside))
+        unit = "rad" if of in body.state_names[4:] else "m"
+        found.append(Advice(of or "all joints", unit, distance, grid[..., 0], grid[..., 1], beside))
     return found
 
 
@@ -129,10 +124,8 @@ def known(
     result = posterior(problem, body, found, max(constants.ERROR_TIME_S * FPS, 1.0))
     if of in body.state_names[4:]:
         column = body.state_names[3:].index(of)
-        return (
-            float(np.median(np.sqrt(result.angle_variance[0][:, column]))),
-            float(np.median(result.angle_data_share[:, column])),
-        )
+        sigma, share = np.sqrt(result.angle_variance[0][:, column]), result.angle_data_share[:, column]
+        return float(np.median(sigma)), float(np.median(share))
     which = slice(None) if of is None else [body.markers.index(of)]
     variance = np.trace(result.relative_covariance_m2[:, which], axis1=2, axis2=3).mean(axis=1)
     return float(np.median(np.sqrt(variance))), float(np.nanmean(result.data_share[which]))

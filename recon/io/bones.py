@@ -2,7 +2,7 @@
 the files that hold it, BVH, an OpenSim model and glTF 2.0.
 
 Axes are x forwards, y up, z right, metres. With all angles 0 every bone's axes are those of the world. Angles keep
-their names and signs: yaw turns about y, pitch about -z and roll about x. `recon.show.export.rig` makes an armature of
+their names and signs: yaw turns about y, pitch about -z and roll about x. `recon.show.rig` makes an armature of
 a fit. Joints are bones without a turn, that end limbs.
 
 BVH files of others are read as the joints' positions, y up by custom; the unit is not stated. Channels of position take

@@ -5,11 +5,11 @@ from typing import TYPE_CHECKING
 from recon.base import lazily
 
 if TYPE_CHECKING:
-    from recon.show.export.clip_csv import write_tables
-    from recon.show.export.rig import make_rig, rig_of
     from recon.show.page.pages import clip_page
     from recon.show.plain import to_plain, write_report
     from recon.show.plots.style import drawing
     from recon.show.report import TO_DO, build_report
+    from recon.show.rig import make_rig, rig_of
+    from recon.show.tables import write_tables
 
 __getattr__ = lazily(__name__, __file__)

@@ -10,7 +10,7 @@ small in the picture is shown enlarged in a corner that it hardly comes to.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -21,7 +21,7 @@ import numpy as np
 import pandas as pd
 
 from recon.animal.body import Side
-from recon.base.arrays import Array, Bools, Index, Integers
+from recon.base.arrays import Array, Bools, Index, Integers, finite, mean_along
 from recon.base.errors import InputError, Problem
 from recon.io.video import Image, probe, timed_frames
 
@@ -81,10 +81,9 @@ class Overlay:
     @cached_property
     def nearness(self) -> Array:
         """(T, J): 1 near, -1 far, 0 at the middle of the animal; the same scale over the clip."""
-        known = np.isfinite(self.depth_m)
-        count = np.maximum(known.sum(axis=1, keepdims=True), 1)
-        relative = self.depth_m - np.where(known, self.depth_m, 0.0).sum(axis=1, keepdims=True) / count
-        reach = float(np.percentile(np.abs(relative[known]), 95)) if known.any() else 1.0
+        relative = self.depth_m - mean_along(self.depth_m, axis=1)[:, None]
+        known = np.abs(finite(relative))
+        reach = float(np.percentile(known, 95)) if len(known) else 1.0
         return np.clip(-relative / max(reach, 1e-9), -1.0, 1.0)
 
     @cached_property
@@ -137,10 +136,8 @@ class Overlay:
     def bounds(self) -> dict[str, tuple[Array, Array]]:
         """By view: lowest and highest (2,), metres, over the clip but for poses that went astray."""
         known = {name: points[np.isfinite(points).all(axis=-1)][:, :2] for name, points in self.views.items()}
-        one = np.ones(2)
-        return {
-            name: tuple(np.percentile(xy, (1, 99), axis=0)) if len(xy) else (-one, one) for name, xy in known.items()
-        }
+        unknown = -np.ones(2), np.ones(2)
+        return {name: (*np.percentile(xy, (1, 99), axis=0),) if len(xy) else unknown for name, xy in known.items()}
 
 
 def smoothed_headings(forward_m: Array, fps: float) -> Array:
@@ -187,9 +184,8 @@ def draw_frame(overlay: Overlay, t: int | None, frame: int, picture: Image) -> I
     """
     height, width = picture.shape[:2]
     canvas_w, canvas_h = canvas_size((width, height))
-    canvas = np.empty((canvas_h, canvas_w, 3), dtype=np.uint8)
+    canvas = np.full((canvas_h, canvas_w, 3), PAPER, np.uint8)
     canvas[:height, :width] = picture
-    canvas[height:], canvas[:, width:] = PAPER, PAPER
     unit = max(width, height) / 1920  # sizes are those for 1920 px
     if t is not None:
         image = canvas[:height, :width]
@@ -211,10 +207,8 @@ def draw_tiles(overlay: Overlay, rows: Sequence[int] | Index, pictures: Sequence
     corners = boxes.mean(axis=1) - 0.5 * np.array(TILE_PX) / scale
     tiles = []
     for i, (t, corner) in enumerate(zip(rows, corners, strict=True)):
-        tile, cut = np.empty((TILE_PX[1], TILE_PX[0], 3), dtype=np.uint8), _Cut(corner, scale)
-        tile[:] = PAPER
-        if pictures is not None:
-            tile[:] = cut.of(pictures[i], TILE_PX)
+        cut, ground = _Cut(corner, scale), np.full((TILE_PX[1], TILE_PX[0], 3), PAPER, np.uint8)
+        tile = ground if pictures is None else cut.of(pictures[i], TILE_PX)
         _draw_pose(tile, overlay, int(t), TILE_UNIT, cut)
         _draw_caption(tile, overlay, int(t), int(overlay.frames[t]), TILE_PX, TILE_UNIT)
         tiles.append(tile)
@@ -310,9 +304,8 @@ def _draw_caption(
     if flags:
         draw_text(canvas, ", ".join(flags), (x, y + round(46 * unit)), scale, DOUBT)
         edge = max(2, round(6 * unit))
-        cv2.rectangle(
-            canvas, (edge // 2, edge // 2), (size_px[0] - 1 - edge // 2, size_px[1] - 1 - edge // 2), DOUBT, edge
-        )
+        inside, (wide, high) = edge // 2, size_px
+        cv2.rectangle(canvas, (inside, inside), (wide - 1 - inside, high - 1 - inside), DOUBT, edge)
 
 
 def _draw_strip(canvas: Image, overlay: Overlay, t: int | None, top: int, width: int) -> None:
@@ -330,32 +323,28 @@ def _draw_strip(canvas: Image, overlay: Overlay, t: int | None, top: int, width:
         for side, extent in zip((w, h), np.subtract(*overlay.bounds[name][::-1]), strict=True)
     )
     for name, (x, y, w, h) in boxes.items():
-        low, high = overlay.bounds[name]
-        middle = np.array([x + w / 2, y + h / 2])
-
-        def place(points: Array, middle: Array = middle, low: Array = low, high: Array = high) -> Array:
-            return middle + (points[..., :2] - 0.5 * (low + high)) * scale * [1.0, -1.0]
-
+        middle_m, middle = 0.5 * np.add(*overlay.bounds[name]), np.array([x + w / 2, y + h / 2])
         if name != "from above":
-            ground = float(place(np.zeros(2))[1])
+            ground = float(middle[1] + middle_m[1] * scale)
             draw_line(canvas, np.array([x, ground]), np.array([x + w, ground]), FAINT, max(1, round(unit)))
         if t is not None:
-            _draw_view(canvas, overlay, overlay.views[name][t], place, max(1, round(3 * unit)))
+            points = overlay.views[name][t]
+            places = middle + (points[:, :2] - middle_m) * scale * [1.0, -1.0]
+            _draw_view(canvas, overlay, places, points[:, 2], max(1, round(3 * unit)))
         draw_text(canvas, name, (x, top + height - round(14 * unit)), 0.7 * unit, INK)
     _draw_scale(canvas, boxes["side"], scale, top + height - round(20 * unit), unit)
     _draw_key(canvas, overlay, (round(left * width) + pad, top + pad + round(16 * unit)), unit)
 
 
-def _draw_view(canvas: Image, overlay: Overlay, points: Array, place: Callable[[Array], Array], thickness: int) -> None:
-    """The limbs of a pose (J, 3) as `Overlay.views` has it, the nearest to the viewer last."""
+def _draw_view(canvas: Image, overlay: Overlay, places: Array, nearness: Array, thickness: int) -> None:
+    """The limbs of a pose whose joints are at these places (J, 2), the nearest (J,) to the viewer last."""
     drawn = [
-        (float(np.nanmean(points[list(limb), 2])), limb, colour)
+        (float(np.nanmean(nearness[list(limb)])), limb, colour)
         for limb, colour in zip(overlay.limbs, overlay.colours, strict=True)
-        if np.isfinite(points[list(limb)]).any()
+        if np.isfinite(nearness[list(limb)]).any()
     ]
     for _, limb, colour in sorted(drawn, key=lambda d: d[0]):
-        ends = [(place(points[a]), place(points[b])) for a, b in pairwise(limb)]
-        known = [pair for pair in ends if np.isfinite(pair).all()]
+        known = [pair for pair in pairwise(places[list(limb)]) if np.isfinite(pair).all()]
         for paint, width in ((PAPER, thickness + 2), (colour, thickness)):
             for start, end in known:
                 draw_line(canvas, start, end, paint, width)

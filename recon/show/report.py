@@ -333,23 +333,20 @@ def _found_text(motion: Motion, camera: dict[str, Any]) -> str:
 def root_path(motion: Motion) -> dict[str, Any]:
     """The path of the reference point, exactly as reconstructed, and without the jitter from frame to frame, where each
     frame was solved by itself and that can be told."""
-    jitter, root = frame_jitter_m(motion.root_m), motion.root_name
-    smooth = motion.solution.jitters and np.isfinite(jitter).all()
+    jitter, root, time_s = frame_jitter_m(motion.root_m), motion.root_name, motion.time_s
+    names = "distance_m", "peak_speed_m_s", "mean_speed_m_s", "peak_acceleration_m_s2"
+    exact = point_kinematics(time_s, motion.root_m, propagate=False)
+    smoothed = None
+    if motion.solution.jitters and np.isfinite(jitter).all():
+        path = point_kinematics(time_s, motion.root_m, jitter_errors(motion.root_m), smooth=True, propagate=False)
+        smoothed = {"smoothing_m": jitter, **picked(path, *names)}
     return {
         "joint": root,
         "keypoint": motion.names[motion.joints.index(root)] if root in motion.joints else None,
         "jitter_m": jitter,
-        "exact": _kinematics(motion, None),
-        "smoothed": _kinematics(motion, jitter) if smooth else None,
+        "exact": {"smoothing_m": None, **picked(exact, *names)},
+        "smoothed": smoothed,
     }
-
-
-def _kinematics(motion: Motion, smoothing_m: Array | None) -> dict[str, Any]:
-    smooth = smoothing_m is not None
-    errors = jitter_errors(motion.root_m) if smooth else ()
-    path = point_kinematics(motion.time_s, motion.root_m, errors, smooth=smooth, propagate=False)
-    names = "distance_m", "peak_speed_m_s", "mean_speed_m_s", "peak_acceleration_m_s2"
-    return {"smoothing_m": smoothing_m, **picked(path, *names)}
 
 
 def heading_text(angle_rad: float | None) -> str:
@@ -394,11 +391,10 @@ def _sentences(motion: Motion) -> Iterator[str]:
     elif detector == OWN:
         lie = "beside the markers as the skeleton's or the subject's file says"
     yield f"Keypoints are taken to lie {lie}."
-    yield "Poses and their changes are expected to be " + (
-        "as the skeleton's file says, each angle on its own."
-        if solution.prior == NO_PRIOR
-        else f"as in the motions that the prior {file_name(solution.prior)} was made from."
-    )
+    known = f"as in the motions that the prior {file_name(solution.prior)} was made from"
+    if solution.prior == NO_PRIOR:
+        known = "as the skeleton's file says, each angle on its own"
+    yield f"Poses and their changes are expected to be {known}."
     yield from sentences(motion)
     if any(segment.ground is not None for segment in solution.segments):
         yield "The ground is a plane, and feet that stand stand still on it."
@@ -438,10 +434,10 @@ def summary_lines(motion: Motion, data: Any) -> Iterator[Line]:
     yield "frames", f"{data['frames_with_pose']} of {data['frames']} with a pose, {flagged}{far}"
     sigma_m, distances = data["place_sigma_m"], [mean(picture.distance_m) for picture in motion.pictures]
     known = [(away, _called(motion, v)) for v, away in enumerate(distances) if math.isfinite(away)]
-    if sigma_m is not None and known and sigma_m > HARDLY_KNOWN * min(known)[0]:
-        size_text = _solution(motion).size_sigma <= HARDLY_KNOWN / 2
-        why = "these pictures hardly tell it" if size_text else "the size is not known better"
-        away, camera = min(known)
+    away, camera = min(known, default=(math.inf, ""))
+    if sigma_m is not None and sigma_m > HARDLY_KNOWN * away:
+        size_known = _solution(motion).size_sigma <= HARDLY_KNOWN / 2
+        why = "these pictures hardly tell it" if size_known else "the size is not known better"
         yield "distance", f"{away:{decimals(away)}} ± {sigma_m:{decimals(away)}} m from {camera}: {why}"
 
 
@@ -533,12 +529,11 @@ def _telling(solution: TrajectorySolution) -> list[str]:
 def prior(motion: Motion) -> dict[str, Any]:
     """The misfit and the weight are those of the segment that the prior fits least."""
     solution = _solution(motion)
+    misfits = [segment.prior_misfit for segment in solution.segments if segment.prior_misfit is not None]
     return {
         "name": file_name(solution.prior),
         "mean_data_share": mean(solution.data_share),
-        "prior_misfit": max(
-            (segment.prior_misfit for segment in solution.segments if segment.prior_misfit is not None), default=None
-        ),
+        "prior_misfit": max(misfits, default=None),
         "weight": min((segment.prior_weight for segment in solution.segments), default=1.0),
     }
 
@@ -555,14 +550,11 @@ def prior_lines(motion: Motion, data: Any) -> Iterator[Line]:
 
 def segments(motion: Motion) -> list[dict[str, Any]]:
     """The stretches that were solved, each by itself, and the ground under them."""
-    return [
-        {
-            "frames": (motion.frames[one.rows.start], motion.frames[one.rows.stop - 1] + 1),
-            "ground": _ground(motion, one),
-            "prior_weight": one.prior_weight,
-        }
-        for one in motion.solution.segments
-    ]
+    found = []
+    for one in motion.solution.segments:
+        ends = motion.frames[one.rows.start], motion.frames[one.rows.stop - 1] + 1
+        found.append({"frames": ends, "ground": _ground(motion, one), "prior_weight": one.prior_weight})
+    return found
 
 
 def _ground(motion: Motion, segment: MotionSegment) -> dict[str, Any] | None:
@@ -684,17 +676,15 @@ FRONT = ("assumed", "clip", "frames", "distance", "side", "keypoints", "detectio
 def build_report(motion: Motion) -> dict[str, Any]:
     """The report of one clip, plain JSON types: NaN becomes None, floats have nine significant digits. `lines` are the
     summary's, label and text, without the findings."""
-    report = to_plain(
-        {
-            "schema": {"name": SCHEMA_NAME, "version": SCHEMA_VERSION},
-            "recon_version": version(),
-            "method": motion.solution.method,
-            "settings": motion.settings,
-            "timing_s": {**motion.timing_s, **motion.solution.stage_s} or None,
-            "findings": [asdict(one) | {"text": text} for one, text in check.sentences(motion)],
-            "lines": [],
-        }
-    )
+    report = {
+        "schema": {"name": SCHEMA_NAME, "version": SCHEMA_VERSION},
+        "recon_version": version(),
+        "method": motion.solution.method,
+        "settings": to_plain(motion.settings),
+        "timing_s": to_plain({**motion.timing_s, **motion.solution.stage_s} or None),
+        "findings": [to_plain(asdict(one) | {"text": text}) for one, text in check.sentences(motion)],
+        "lines": [],
+    }
     for section in sections_of(motion):
         data = report[section.name] = to_plain(section.data(motion))
         report["lines"] += [[label, text] for label, text in section.lines(motion, data)]
@@ -713,9 +703,8 @@ def in_sentences(motion: Motion, moved: JointKinematics, gait: Gait | None, doub
             f"The animal moved {moved.distance_m:{of_path}} m, at {moved.mean_speed_m_s:{form}} m/s on average{peak}."
         )
     else:
-        run = (
-            "" if run_m_s is None else f" A straight run through all frames has {median(run_m_s[run_m_s > 0]):.1f} m/s."
-        )
+        straight = "" if run_m_s is None else f"{median(run_m_s[run_m_s > 0]):.1f} m/s"
+        run = straight and f" A straight run through all frames has {straight}."
         yield f"The animal's path is too uncertain in depth for a speed: {doubt}.{run}"
     if gait is None:
         yield "The skeleton has no feet: no gait."

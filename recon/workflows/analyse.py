@@ -24,9 +24,9 @@ from recon.gait.clip import ClipAnalysis, analyse
 from recon.gait.dynamics import Dynamics, findings_of_dynamics, over_stride
 from recon.gait.gait import INTERVAL as REGION
 from recon.gait.gait import Gait, Stride, doubtful_text
-from recon.show.export import analysis_csv
 from recon.show.plain import picked, to_json
 from recon.show.report import in_sentences
+from recon.show.tables import TABLES, write_analysis
 from recon.workflows.cli import ANYWAY, STRIDE, Answer, StrideTimes, table_of, verdict_texts
 
 if TYPE_CHECKING:
@@ -125,7 +125,7 @@ def run_analyse(settings: AnalyseSettings, progress: Progress = silent) -> Analy
     progress("reading", 0.0)
     motion = usable(Motion.load(settings.folder), settings.folder, settings.anyway)
     with sole_writer(out):
-        require_free_folder(out, (SUMMARY, *analysis_csv.TABLES), settings.overwrite, "an analysis")
+        require_free_folder(out, (SUMMARY, *TABLES), settings.overwrite, "an analysis")
         progress("analysis", 0.1)
         with threadpool_limits(1, user_api="blas"):  # of small matrices, threads cost more than they bring
             found = analyse(motion, settings.stride)
@@ -133,7 +133,7 @@ def run_analyse(settings: AnalyseSettings, progress: Progress = silent) -> Analy
         summary = summarise(found, settings.folder.absolute().name)
         progress("tables", FIGURES_BEGIN - 0.1)
         with staged_folder(out) as staging:
-            analysis_csv.write(found, staging)
+            write_analysis(found, staging)
             (staging / SUMMARY).write_text(to_json(summary), encoding="utf-8")
             files = [path.name for path in staging.iterdir()]
         if settings.figures:

@@ -14,7 +14,7 @@ from recon.animal import load_prior, load_skeleton
 from recon.base import Problem, Progress, refuse
 from recon.base.files import require_free_folder, staged_folder
 from recon.base.settings import Integer, Number, Settings
-from recon.calibrate.camera_advice import PICTURE_PX, Advice, advise
+from recon.calibrate.camera_advice import AZIMUTHS_RAD, ELEVATIONS_RAD, PICTURE_PX, Advice, advise
 from recon.fit.motion import MEASURED_SHARE
 from recon.io import write_rows
 from recon.show import plots
@@ -42,7 +42,7 @@ def in_sentences(found: Sequence[Advice]) -> Iterator[str]:
             f"the pixels, ±{in_words(sigma, advice.unit)}."
         )
     worst = np.unravel_index(int(np.argmax(found[0].sigma)), found[0].sigma.shape)
-    place = found[0].azimuths_rad[worst[1]], found[0].elevations_rad[worst[0]]
+    place = AZIMUTHS_RAD[worst[1]], ELEVATIONS_RAD[worst[0]]
     sigma = float(found[0].sigma[worst])
     said = f"±{in_words(sigma, found[0].unit)}" if np.isfinite(sigma) else "it is not in the picture"
     yield f"The worst place for one camera is {where(*map(float, place))}: {said}."
@@ -103,7 +103,7 @@ def camera_advice(settings: _CameraAdviceSettings, progress: Progress) -> Answer
     wanted = settings.angle or settings.joint
     found = advise(body, motions, wanted, **setup, progress=lambda share: progress("cameras", share))
     table = pd.concat([_places(number, advice) for number, advice in enumerate(found, start=1)])
-    best = [advice.best[0] * len(advice.azimuths_rad) + advice.best[1] for advice in found]
+    best = [advice.best[0] * len(AZIMUTHS_RAD) + advice.best[1] for advice in found]
     report = {
         "schema": {"name": "recon.camera_advice", "version": 1},
         "skeleton": body.name,
@@ -127,7 +127,7 @@ def camera_advice(settings: _CameraAdviceSettings, progress: Progress) -> Answer
 
 def _places(number: int, advice: Advice) -> pd.DataFrame:
     """A row for each place of a camera; without a sigma where the animal is not in the picture."""
-    elevation, azimuth = (at.ravel() for at in np.meshgrid(advice.elevations_rad, advice.azimuths_rad, indexing="ij"))
+    elevation, azimuth = (at.ravel() for at in np.meshgrid(ELEVATIONS_RAD, AZIMUTHS_RAD, indexing="ij"))
     places = {"azimuth_rad": azimuth, "elevation_rad": elevation, "height_m": advice.distance_m * np.sin(elevation)}
     sigma = np.where(np.isfinite(advice.sigma), advice.sigma, np.nan).ravel()
     known = {f"sigma_{advice.unit}": sigma, "data_share": advice.share.ravel()}

@@ -22,10 +22,10 @@ from recon.fit.clip_problem import ClipProblem
 from recon.fit.motion import Motion
 from recon.fit.motion_forms import MOTION
 from recon.fit.result import TrajectorySolution
-from recon.show.export.clip_csv import CLIP_OUTPUTS, REPROJECTION, of_any_camera, write_tables
 from recon.show.page import PAGE
 from recon.show.plain import write_report
 from recon.show.report import build_report
+from recon.show.tables import CLIP_OUTPUTS, REPROJECTION, of_any_camera, write_tables
 from recon.workflows.clip import fit_clip
 from recon.workflows.config import read_settings
 from recon.workflows.settings import FitSettings

@@ -19,7 +19,7 @@ from recon.fit.motion import Motion
 from recon.io import CONVERTED, Format, Pose3D, in_metres, read_points
 from recon.io.columns import parse_map
 from recon.io.formats import as_keypoints
-from recon.show.export.rig import rig_of
+from recon.show.rig import rig_of
 from recon.workflows.cli import ANYWAY, Answer, table_of
 from recon.workflows.settings import INDIVIDUAL, RENAME
 

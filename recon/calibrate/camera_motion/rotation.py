@@ -292,7 +292,7 @@ def refined(
     while True:
         residual, jacobian = _linearised(camera, rays, seen_px, orientation)
         size = np.linalg.norm(residual, axis=1)
-        weights = np.maximum(1 - (size / limit) ** 2, 0) ** 2
+        weights = tukey(size, limit)
         if (weights > 0).sum() < MIN_POINTS:
             return None
         if not rounds:
@@ -305,6 +305,11 @@ def refined(
         )
         median = float(np.median(size[weights > 0]))
         limit = limit_px * float(np.clip(4 * median / limit_px, LEAST_LIMIT, FINAL_LIMIT))
+
+
+def tukey(size: Array, limit: float) -> Array:
+    """Tukey's weights of residuals of such a size, 0 from the limit on."""
+    return np.maximum(1 - (size / limit) ** 2, 0) ** 2
 
 
 def normal_equations(jacobian: Array, weights: Array, residual_px: Array) -> tuple[Array, Array]:
@@ -353,10 +358,8 @@ def as_level(orientations: Sequence[Orientation], up: Array | None) -> tuple[Ori
     """
     reference = orientations[0].rotation
     if up is None:
-        reference, up = (
-            Rotation.from_matrix([one.rotation for one in orientations]).mean().as_matrix(),
-            tilted(0.0),
-        )
+        reference = Rotation.from_matrix([one.rotation for one in orientations]).mean().as_matrix()
+        up = tilted(0.0)
     level = level_from_camera(up) @ reference  # of the old world
     return tuple(replace(orientation, rotation=orientation.rotation @ level.T) for orientation in orientations)
 

@@ -286,7 +286,7 @@ class Tracker:
         weights = agreement.weights[own] / agreement.sigma_px**2
         normal, gradient = turning.normal_equations(J, weights, agreement.residual_px[own])
         zooms = np.log([orientation.zoom, key.orientation.zoom])
-        return _FrameLink(place, key.number, orientation.rotation @ key.orientation.rotation.T, zooms, normal, gradient)
+        return place, key.number, orientation.rotation @ key.orientation.rotation.T, zooms, normal, gradient
 
     def _new_key(self, frame: GreyPicture, mask: Bools | None, agreement: AgreedOrientation, seen: _Seen) -> None:
         """Its points are as trusted as the nearest that were followed into it."""
@@ -303,15 +303,9 @@ class Tracker:
         self.support = 0.0
         orientation = self.orientations[-1]
         rays, valid = turning.rays_of(self.camera, points, orientation.zoom)
-        place, known, points, background = (
-            len(self.frames) - 1,
-            turning.described(frame),
-            points[valid],
-            background[valid],
-        )
-        settled = np.zeros(len(points), bool)
-        key = _Keyframe(place, frame, points, orientation, background, known, rays[valid], settled, self.frames[-1])
-        self.keys.append(key)
+        known, settled = turning.described(frame), np.zeros(int(valid.sum()), bool)
+        seen = points[valid], orientation, background[valid], known, rays[valid], settled
+        self.keys.append(_Keyframe(len(self.frames) - 1, frame, *seen, self.frames[-1]))
         with_picture = [key for key in self.keys if key.frame is not None]
         if len(with_picture) > MAX_PICTURES:
             min(with_picture, key=lambda key: key.used).frame = None
@@ -321,15 +315,13 @@ class Tracker:
     def finish(self) -> TurningMotion:
         """All frames adjusted together: the motion of the camera."""
         frames, lost = np.array(self.frames, dtype=np.int64), np.array(self.lost, dtype=np.int64)
-        inliers = np.array([n for n, _ in self.supports], dtype=np.int64)
-        residual = np.array([px for _, px in self.supports])
+        inliers, residual = np.array(self.supports, dtype=float).reshape(-1, 2).T
         keys = np.array([key.number for key in self.keys], dtype=np.int64)
         orientations: Sequence[Orientation] = self.orientations
-        sigma, sigma_zoom = np.zeros(len(frames)), np.zeros(len(frames))
+        sigma, sigma_zoom = np.zeros((2, len(frames)))
         if self.links:
-            orientations, sigma, sigma_zoom = _adjust(
-                orientations, self.links, self.solve_zoom, PICTURE_FLOOR_PX / self.camera.matrix[0, 0]
-            )
+            floor_rad = PICTURE_FLOOR_PX / self.camera.matrix[0, 0]
+            orientations, sigma, sigma_zoom = _adjust(orientations, self.links, self.solve_zoom, floor_rad)
         torn = sum(share < MIN_STILL for share in self.still)
         turned_only = self.apart <= MAX_APART * (len(frames) + len(lost)) and torn <= MAX_TORN
         pairs = _furthest_turned(self.pairs)
@@ -338,7 +330,7 @@ class Tracker:
             turns = np.stack([one.rotation for one in orientations]) @ orientations[0].rotation.T
             sigma = np.hypot(sigma, abs(focal[0]) * Rotation.from_matrix(turns).magnitude())
         return TurningMotion(
-            *(frames, tuple(orientations), inliers, residual, sigma, sigma_zoom, focal),
+            *(frames, tuple(orientations), inliers.astype(np.int64), residual, sigma, sigma_zoom, focal),
             *(lost, keys, turned_only, self.cut),
         )
 
@@ -380,17 +372,10 @@ class _Seen(NamedTuple):
 # -- all frames and keyframes, adjusted to what each saw of the others: a return shows no drift ------------------------
 
 
-class _FrameLink(NamedTuple):
-    """A frame's points in a keyframe (both by their place among the frames). Their cost is e'He - 2 g'e; e: how much
-    further the frame is turned (rad) from the keyframe than by `turn` (3, 3), and how far the log zooms of frame and
-    keyframe are from `log_zooms` (2,). normal: H (5, 5). gradient: g (5,)."""
-
-    frame: int
-    key: int
-    turn: Array
-    log_zooms: Array
-    normal: Array
-    gradient: Array
+_FrameLink = tuple[int, int, Array, Array, Array, Array]
+"""A frame's points in a keyframe: both by their place among the frames; turn (3, 3), log zooms (2,), H (5, 5) and g
+(5,). Their cost is e'He - 2 g'e; e: how much further the frame is turned (rad) from the keyframe than by that turn, and
+how far the log zooms of frame and keyframe are from these."""
 
 
 def _adjust(
@@ -508,7 +493,7 @@ def _left_px(camera: Camera, pair: _TurnedPair, log_factor: float) -> Array:
 def _weights(left_px: Array) -> Array:
     """(N,): Tukey's, of residuals (N, 2)."""
     size = np.linalg.norm(left_px, axis=1)
-    return np.maximum(1 - (size / max(4 * float(np.median(size)), 1.0)) ** 2, 0) ** 2
+    return turning.tukey(size, max(4 * float(np.median(size)), 1.0))
 
 
 # -- the panorama: longitude to the right, latitude upward, in the level world ----------------------------------------
@@ -533,24 +518,17 @@ class _Canvas:
     @classmethod
     def around(cls, camera: Camera, orientations: Sequence[Orientation]) -> _Canvas:
         """What all of the views together cover. The longitudes go on in the camera's direction past half a turn."""
-        outline = _outline(camera)
         middle = np.unwrap([_angles(orientation.rotation[2])[0] for orientation in orientations])
-        lon, lat = [], []
-        for orientation, centre in zip(orientations, middle, strict=True):
-            angles = _angles(turning.rays_of(camera, outline, orientation.zoom)[0] @ orientation.rotation)
-            lon.append(centre + (angles[0] - centre + np.pi) % (2 * np.pi) - np.pi)
-            lat.append(angles[1])
-        west, east, south, north = (f(part) for part in (lon, lat) for f in (np.nanmin, np.nanmax))
+        angles = [_angles(_edge(camera, one), centre) for one, centre in zip(orientations, middle, strict=True)]
+        west, south = np.nanmin(angles, axis=(0, 2))
+        east, north = np.nanmax(angles, axis=(0, 2))
         step = max((east - west) / WIDTH_PX, (north - south) / HEIGHT_PX)
         size = (max(2, int((east - west) / step) // 2 * 2), max(2, int((north - south) / step) // 2 * 2))
         return cls(float(west), float(north), float(step), size)
 
     def place(self, rays: Array) -> Array:
         """Pixels (N, 2) of world rays (N, 3), as near to the canvas as they come."""
-        lon, lat = _angles(rays)
-        orientation = 2 * np.pi
-        middle = self.west + self.step * self.size_px[0] / 2
-        lon = middle + (lon - middle + np.pi) % orientation - np.pi
+        lon, lat = _angles(rays, self.west + self.step * self.size_px[0] / 2)
         return np.column_stack([(lon - self.west) / self.step, (self.north - lat) / self.step])
 
     def warped(self, camera: Camera, orientation: Orientation, picture: Image) -> tuple[Image, Array]:
@@ -594,15 +572,13 @@ def panorama(camera: Camera, motion: TurningMotion, pictures: Sequence[Image], p
         weight += share
     drawn = (total / weight[..., None]).astype(np.uint8)
     for row in (0, len(motion.orientations) // 2, -1):
-        view = motion.orientations[row]
-        _draw_path(canvas, drawn, turning.rays_of(camera, _outline(camera), view.zoom)[0] @ view.rotation, VIEW)
+        _draw_path(canvas, drawn, _edge(camera, motion.orientations[row]), VIEW)
     _draw_path(canvas, drawn, np.stack([orientation.rotation[2] for orientation in motion.orientations]), PATH)
     nowhere = np.full(2, np.nan)
     middles = [np.nanmean(points[i], axis=0) if i in points else nowhere for i in motion.frames.tolist()]
     ways = zip(middles, motion.orientations, strict=True)
-    _draw_path(
-        canvas, drawn, np.stack([turning.rays_of(camera, px, one.zoom)[0] @ one.rotation for px, one in ways]), ANIMAL
-    )
+    way = [turning.rays_of(camera, px, one.zoom)[0] @ one.rotation for px, one in ways]
+    _draw_path(canvas, drawn, np.stack(way), ANIMAL)
     return drawn
 
 
@@ -614,15 +590,15 @@ def _draw_path(canvas: _Canvas, picture: Image, rays: Array, colour: tuple[int, 
             cv2.line(picture, (x0, y0), (x1, y1), colour, 2, cv2.LINE_AA)
 
 
-def _outline(camera: Camera) -> Array:
-    """Pixels (N, 2) once around the picture."""
+def _edge(camera: Camera, view: Orientation) -> Array:
+    """World rays (N, 3) once around the picture of a view."""
     width, height = (n - 1 for n in camera.image_size_px)
     corners = np.array([(0, 0), (width, 0), (width, height), (0, height), (0, 0)], dtype=float)
-    share = np.linspace(0, 1, 17)[:, None]
-    return np.concatenate([a + share * (b - a) for a, b in pairwise(corners)])
+    outline = np.concatenate(np.linspace(corners[:-1], corners[1:], 17, axis=1))
+    return turning.rays_of(camera, outline, view.zoom)[0] @ view.rotation
 
 
-def _angles(rays: Array) -> tuple[Array, Array]:
-    """Longitude, from the y axis to the x axis, and latitude of rays (..., 3)."""
+def _angles(rays: Array, middle_rad: float = 0.0) -> tuple[Array, Array]:
+    """Longitude, from the y axis to the x axis, within half a turn of the middle, and latitude of rays (..., 3)."""
     x, y, z = np.moveaxis(rays, -1, 0)
-    return np.arctan2(x, y), np.arctan2(z, np.hypot(x, y))
+    return middle_rad + (np.arctan2(x, y) - middle_rad + np.pi) % (2 * np.pi) - np.pi, np.arctan2(z, np.hypot(x, y))

@@ -6,18 +6,18 @@ from __future__ import annotations
 import base64
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
 from datetime import date
 from itertools import groupby
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import cv2
 import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from matplotlib.figure import Figure
 
+from recon.animal import both_sides
 from recon.base.arrays import Array, Bools
 from recon.base.errors import InputError, printable
 from recon.base.package import version
@@ -30,7 +30,7 @@ from recon.gait.kinematics import MIN_POINTS, JointKinematics
 from recon.io.video import Image
 from recon.show import plots
 from recon.show.page import GENERATED, PAGE
-from recon.show.plots.over_time import AngleCurve, angle_over_time, together
+from recon.show.plots.over_time import AngleCurve, angle_over_time
 from recon.show.plots.style import png_of, svg_of
 from recon.show.report import TO_DO, build_report, in_sentences, warnings
 
@@ -94,17 +94,6 @@ SOLID_FRAMES = 600
 UNKNOWN_ACCELERATION = (
     " The acceleration is hardly known, most of the time less than its standard deviation, and not shown."
 )
-
-
-@dataclass(frozen=True)
-class _FigureGroup:
-    """Figures with a heading and what they show."""
-
-    heading: str
-    text: str
-    figures: Sequence[str]
-    width: Literal["wide", "narrow", "small"] = "wide"
-    """small: several beside each other; a wide one scrolls on a phone."""
 
 
 def clip_page(
@@ -184,42 +173,46 @@ def doubtful_frames(motion: Motion) -> Iterator[tuple[str, str]]:
 # -- figures ----------------------------------------------------------------------------------------------------------
 
 
-def _sections(found: ClipAnalysis) -> Iterator[_FigureGroup]:
+def _group(heading: str, text: str, figures: Sequence[Figure], width: str = "wide") -> dict[str, Any]:
+    """Figures with a heading and what they show. width: small ones are several beside each other, wide ones scroll on a
+    phone, narrow ones do neither."""
+    drawn = [inline(figure, SECTION_CHARACTERS // len(figures)) for figure in figures]
+    return {"heading": heading, "text": text, "figures": drawn, "width": width}
+
+
+def _sections(found: ClipAnalysis) -> Iterator[dict[str, Any]]:
     motion, moved, gait = found.motion, found.reference_motion, found.gait
     ground = None if gait is None else gait.tracks.grounds
     drawn = {"ground": ground, "sides": motion.limb_sides}
     slope = (
         " The grey line is the ground that feet stand on: a slope is the ground's, or an error of the camera's tilt."
     )
-    yield _FigureGroup(
+    yield _group(
         "From the side, from above and from ahead",
         f"Poses evenly spaced in time, turned so that the animal runs to the right.{slope if ground else ''}",
-        _inline([plots.composites(m, motion.limbs, motion.time_s, **drawn) for m in _stretches(motion, moved)]),
+        [plots.composites(m, motion.limbs, motion.time_s, **drawn) for m in _stretches(motion, moved)],
     )
     name, hardly = motion.reference, _is_unknown(moved.acceleration_m_s2, moved.acceleration_sigma_m_s2)
-    text = f"How fast {name} moves along its path" + (
-        ", with bands of one standard deviation" if np.isfinite(moved.speed_sigma_m_s).any() else ""
-    )
+    banded = ", with bands of one standard deviation" * bool(np.isfinite(moved.speed_sigma_m_s).any())
+    text = f"How fast {name} moves along its path{banded}.{UNKNOWN_ACCELERATION * hardly}"
     shown = {"width_mm": SPEED_MM, "unknown": found.why_no_speed is not None, "acceleration": not hardly}
-    drawn_speed = _inline([plots.speeds({name: moved}, **shown)])
-    yield _FigureGroup("Speed", f"{text}.{UNKNOWN_ACCELERATION * hardly}", drawn_speed, "narrow")
+    yield _group("Speed", text, [plots.speeds({name: moved}, **shown)], "narrow")
     if gait is not None:
         text = "When each foot stands: by its speed over the ground and its height, and by its path below the body."
-        yield _FigureGroup("Footfalls", text, _inline([plots.footfall({"gait": gait}, motion.fps)]))
+        yield _group("Footfalls", text, [plots.footfall({"gait": gait}, motion.fps)])
         dynamics = None if motion.jitters else found.dynamics
         if dynamics is not None and len(dynamics.forces):
             text = (
                 "Each foot, in body weights: from its stances and the impulse that a stride needs on level ground, "
                 f"with the masses of {motion.body.mass_source}. Forces are validated on galloping cheetahs."
             )
-            yield _FigureGroup("Vertical forces", text, _inline([plots.forces(dynamics, gait)]))
-    panels = together(_angle_curves(motion)).items()
+            yield _group("Vertical forces", text, [plots.forces(dynamics, gait)])
     doubtful = np.array([bool(flags) for flags in motion.flags])
-    yield _FigureGroup(
+    yield _group(
         "Angles",
         "Angles of the model's joints, with bands of one standard deviation: left sides blue and dashed, right sides "
         "orange, the middle as the axes; grey ones are mostly expected, not seen. Doubtful frames have a grey ground.",
-        _inline([angle_over_time(motion.time_s, curves, doubtful, title) for title, curves in panels]),
+        [angle_over_time(motion.time_s, *panel, doubtful) for panel in _angles(motion).items()],
         "small",
     )
 
@@ -274,14 +267,13 @@ def _stretches(motion: Motion, moved: JointKinematics) -> Iterator[Array]:
         yield part
 
 
-def _inline(figures: Sequence[Any]) -> list[str]:
-    return [inline(figure, SECTION_CHARACTERS // len(figures)) for figure in figures]
-
-
-def _angle_curves(motion: Motion) -> dict[str, AngleCurve]:
-    shares = motion.data_shares
-    columns: Iterable[Any] = zip(motion.posture_names, motion.posture_rad.T, motion.posture_sigma_rad.T, strict=True)
-    return {name: (angle, sigma, not shares[name] < MEASURED_SHARE) for name, angle, sigma in columns}
+def _angles(motion: Motion) -> dict[str, dict[str, AngleCurve]]:
+    """By title: an angle with its counterpart of the other side."""
+    shares, panels = motion.data_shares, dict[str, dict[str, AngleCurve]]()
+    for name, angle, sigma in zip(motion.posture_names, motion.posture_rad.T, motion.posture_sigma_rad.T, strict=True):
+        panel = panels.setdefault(both_sides(name).replace("_", " "), {})
+        panel[name] = angle, sigma, not shares[name] < MEASURED_SHARE
+    return panels
 
 
 # -- of a batch --------------------------------------------------------------------------------------------------------
@@ -304,43 +296,9 @@ FOLDERS = re.compile(r"(?<![\w.])(?:[A-Za-z]:)?[/\\](?:[^/\\:]+[/\\])+")
 """The folders of a file that an error names: they stay in the house."""
 
 
-@dataclass(frozen=True)
-class _ClipRow:
-    """One clip: its row of summary.csv, and what its results say."""
-
-    cells: Mapping[str, str]
-    page: str | None
-    """Beside the summary, with forward slashes."""
-    doubtful: int | None
-    """Frames with a flag; None where there is no report."""
-    thumbnail: Sequence[tuple[str, str]]
-    """A pose as the camera saw it: its lines, each with its side, in a box of `THUMBNAIL_PX`."""
-
-    @property
-    def share(self) -> float:
-        """The share of the frames that are doubtful; 0 where it is not known."""
-        return (self.doubtful or 0) / max(1.0, float(self.cells["frames"] or 0))
-
-    def number(self, column: str, spec: str) -> str:
-        """A number of summary.csv, rounded; nothing where it has none."""
-        cell = self.cells[column]
-        return format(int(cell) if spec == "d" else float(cell), spec) if cell else ""
-
-    @property
-    def state(self) -> str:
-        """The verdict, or what has kept the clip from one."""
-        return self.cells["status"] if self.cells["status"] in FIRST else self.cells["verdict"]
-
-    @property
-    def rank(self) -> tuple[int, float]:
-        """The smallest is the one to look at first."""
-        order = (*FIRST, *LEVELS)
-        return order.index(self.state) if self.state in order else 0, -float(self.cells["pose_mm"] or 0)
-
-
 def batch_page(out: Path, rows: Sequence[Mapping[str, str]]) -> str:
     """HTML of the batch in a folder, whose summary.csv has these rows."""
-    clips = sorted((_clip_row(out, row) for row in rows), key=lambda clip: clip.rank)
+    clips = sorted((_clip_row(out, row) for row in rows), key=lambda clip: clip["rank"])
     counted = Counter(row["verdict"] or row["status"] for row in rows)
     counts = {name: counted[name] for name in dict.fromkeys((*FIRST, *LEVELS, *counted)) if counted[name]}
     return rendered(
@@ -349,24 +307,39 @@ def batch_page(out: Path, rows: Sequence[Mapping[str, str]]) -> str:
         clips=clips,
         counts=", ".join(f"{count} {name}" for name, count in counts.items()),
         numbers=NUMBERS,
-        pages=any(clip.page for clip in clips),
+        pages=any(clip["page"] for clip in clips),
         box=THUMBNAIL_PX,
     )
 
 
-def _clip_row(out: Path, cells: Mapping[str, str]) -> _ClipRow:
-    folder = out / cells["clip"]
-    cells = {**cells, "error": FOLDERS.sub("", cells["error"])}
-    page = f"{cells['clip']}/{PAGE}" if (folder / PAGE).is_file() else None
+def _clip_row(out: Path, cells: Mapping[str, str]) -> dict[str, Any]:
+    """One clip: the cells of its row of summary.csv, and those that are numbers as they are shown; its page, beside the
+    summary, with forward slashes; how many of its frames are doubtful, None where there is no result, and their share;
+    its thumbnail; its state, the verdict or what has kept the clip from one; and its rank, of which the smallest is the
+    one to look at first."""
+    folder, order = out / cells["clip"], (*FIRST, *LEVELS)
     try:
         motion = Motion.load(folder)
-        return _ClipRow(cells, page, sum(map(bool, motion.flags)), _thumbnail(motion))
+        doubtful, thumbnail = sum(map(bool, motion.flags)), _thumbnail(motion)
     except (OSError, InputError):  # failed, or damaged since
-        return _ClipRow(cells, page, None, ())
+        doubtful, thumbnail = None, []
+    state = cells["status"] if cells["status"] in FIRST else cells["verdict"]
+    known = {name: spec for name, (_, spec) in NUMBERS.items() if cells[name]}
+    return {
+        "cells": {**cells, "error": FOLDERS.sub("", cells["error"])},
+        "numbers": {n: format((int if spec == "d" else float)(cells[n]), spec) for n, spec in known.items()},
+        "page": f"{cells['clip']}/{PAGE}" if (folder / PAGE).is_file() else None,
+        "doubtful": doubtful,
+        "share": (doubtful or 0) / max(1.0, float(cells["frames"] or 0)),
+        "thumbnail": thumbnail,
+        "state": state,
+        "rank": (order.index(state) if state in order else 0, -float(cells["pose_mm"] or 0)),
+    }
 
 
 def _thumbnail(motion: Motion) -> list[tuple[str, str]]:
-    """The picture of the frame with a pose that is nearest to the middle, by the first camera."""
+    """A pose as the first camera saw it: its lines, each with its side, in a box of `THUMBNAIL_PX`. It is that of the
+    frame with a pose that is nearest to the middle."""
     reprojected_px = motion.pictures[0].reprojected_px
     posed = np.flatnonzero(np.isfinite(reprojected_px).any(axis=(1, 2)))
     if not len(posed):

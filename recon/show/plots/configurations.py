@@ -24,22 +24,11 @@ from recon.animal import Body, Side, both_sides, other_side, side_of
 from recon.animal.chain import UVW_BODY
 from recon.base.arrays import Array, Bools, Index, median
 from recon.calibrate.boards import Calibration, coverage
-from recon.calibrate.camera_advice import Advice
+from recon.calibrate.camera_advice import AZIMUTHS_RAD, ELEVATIONS_RAD, Advice
 from recon.fit.motion import MEASURED_SHARE
 from recon.gait.gait import Plane
 from recon.geometry.kinematics import ROOT
-from recon.show.plots.style import (
-    COLOURS,
-    GREY,
-    PAGE_MM,
-    PALE,
-    SMALL,
-    WIDTH_MM,
-    drawing,
-    grid_shape,
-    round_below,
-    time_colours,
-)
+from recon.show.plots import style
 
 CONFIGURATIONS = 10
 STILL = 0.1
@@ -72,24 +61,24 @@ def composites(
     """
     rows = chosen(joints_m, limbs)
     if not len(rows):
-        with drawing(40, title=title) as figure:
+        with style.drawing(40, title=title) as figure:
             return figure
     R, origin = run_frame(joints_m, rows)
     points = (joints_m[rows] - origin) @ R.T
     x, y, z = np.nanmax(points, axis=(0, 1)) - np.nanmin(points, axis=(0, 1)) + 0.1
     scale = min(_WIDE_MM / x, _HEIGHT_MM / (y + z))
     heights = [max(scale * z, 16.0), max(scale * y, 12.0), _FRONT_MM]
-    with drawing(sum(heights) + _LABELS_MM, title=title) as figure:
+    with style.drawing(sum(heights) + _LABELS_MM, title=title) as figure:
         cells = figure.subplot_mosaic([["side", "side"], ["top", "top"], ["front", "key"]], height_ratios=heights)
         views = (cells["side"], 0, 2), (cells["top"], 0, 1), (cells["front"], 1, 2)
         cells["top"].sharex(cells["side"])
-        cmap, norm = time_colours(time_s[rows])
+        cmap, norm = style.time_colours(time_s[rows])
         for axes, i, j in views:
             for pose, t in zip(points, time_s[rows], strict=True):
                 for limb, joints in limbs.items():
                     dashes, thick, _ = STYLES[sides.get(limb)]
-                    style = {"color": cmap(norm(t)), "lw": thick, "linestyle": dashes, "zorder": 2}
-                    axes.plot(*pose[list(joints)][:, [i, j]].T, **style)
+                    look = {"color": cmap(norm(t)), "lw": thick, "linestyle": dashes, "zorder": 2}
+                    axes.plot(*pose[list(joints)][:, [i, j]].T, **look)
             axes.set_aspect("equal", adjustable="datalim")
             axes.locator_params(axis="y", nbins=4)
         for part, plane in ground or ():
@@ -100,7 +89,8 @@ def composites(
                 for axes, i in ((cells["side"], 0), (cells["front"], 1)):
                     ends = np.tile([*(low + high)[:2] / 2, 0.0], (2, 1))
                     ends[:, i] = low[i], high[i]
-                    axes.plot(ends[:, i], -plane.above(ends @ R + origin), color=GREY, lw=0.8, zorder=1, gid="ground")
+                    height_m = -plane.above(ends @ R + origin)
+                    axes.plot(ends[:, i], height_m, color=style.GREY, lw=0.8, zorder=1, gid="ground")
         cells["side"].tick_params(labelbottom=False)
         for (axes, *_), across, up in zip(
             views, ("", "along the run (m)", "left (m)"), ("height", "left", "height"), strict=True
@@ -137,14 +127,14 @@ def run_frame(joints_m: Array, rows: Index) -> tuple[Array, Array]:
 
 
 def _handles(sides: set[Side | None], ground: bool) -> list[Line2D]:
-    shown = [style for side, style in STYLES.items() if side in sides] if sides != {None} else []
+    shown = [look for side, look in STYLES.items() if side in sides] if sides != {None} else []
     lines = [Line2D([], [], color="k", lw=lw, linestyle=dashes, label=label) for dashes, lw, label in shown]
-    return lines + [Line2D([], [], color=GREY, lw=0.8, label="ground")] * ground
+    return lines + [Line2D([], [], color=style.GREY, lw=0.8, label="ground")] * ground
 
 
 # -- in the animal's own frame ------------------------------------------------------------------------------------
 
-SIDE_COLOURS: Mapping[Side | None, str] = {"left": COLOURS[0], "right": COLOURS[1], None: COLOURS[-1]}
+SIDE_COLOURS: Mapping[Side | None, str] = {"left": style.COLOURS[0], "right": style.COLOURS[1], None: style.COLOURS[-1]}
 LABELS = ("U, forwards (m)", "V, down (m)", "W, to the left (m)")
 _SAYS = "left blue, right orange; pale: first, full colour: last configuration; +: the reference joint"
 _PALEST = 0.25
@@ -178,7 +168,7 @@ def body_fixed(
     """
     rows = chosen(joints_m, limbs)
     if not len(rows):
-        with drawing(40.0, title=title) as figure:
+        with style.drawing(40.0, title=title) as figure:
             return figure
     shown = joints_m[rows]
     flat = shown[:, sorted({j for along in limbs.values() for j in along})].reshape(-1, 3)
@@ -186,19 +176,19 @@ def body_fixed(
     room = np.maximum(_ROOM * np.max(high - low), 0.5 * (0.3 * np.max(high - low) - (high - low)))
     box = np.stack([low - room, high + room], axis=1)
     u, v, w = np.ptp(box, axis=1)
-    mm_per_m = min((WIDTH_MM - _LABELS_MM) / (u + w), (PAGE_MM - _LABELS_MM) / (v + w))
-    with drawing(mm_per_m * (v + w) + _LABELS_MM, title=title) as figure:
+    mm_per_m = min((style.WIDTH_MM - _LABELS_MM) / (u + w), (style.PAGE_MM - _LABELS_MM) / (v + w))
+    with style.drawing(mm_per_m * (v + w) + _LABELS_MM, title=title) as figure:
         (side, front), (top, empty) = figure.subplots(2, 2, width_ratios=(u, w), height_ratios=(v, w))
         empty.remove()
         for axes, name, i, j in ((side, "UV, side", 0, 1), (front, "WV, front", 2, 1), (top, "UW, top", 0, 2)):
             for limb, along in limbs.items():
                 _draw(axes, shown[:, list(along)][..., [i, j]], sides.get(limb))
-            axes.plot(0, 0, "+", color=GREY, ms=7, zorder=0, gid="reference")
-            axes.set_title(name, loc="left", fontsize=SMALL, color=GREY, pad=2)
+            axes.plot(0, 0, "+", color=style.GREY, ms=7, zorder=0, gid="reference")
+            axes.set_title(name, loc="left", fontsize=style.SMALL, color=style.GREY, pad=2)
             axes.set(xlim=box[i], ylim=box[j][:: -1 if j == 1 else 1], aspect="equal")  # V is down
             axes.set(xlabel=LABELS[i], ylabel=LABELS[j])
         says = f"{_SAYS}; {time_s[rows[0]]:.2f} to {time_s[rows[-1]]:.2f} s"
-        figure.supxlabel(says, fontsize=SMALL, color=GREY)
+        figure.supxlabel(says, fontsize=style.SMALL, color=style.GREY)
     return figure
 
 
@@ -215,8 +205,9 @@ def _draw(axes: Axes, paths_m: Array, side: Side | None) -> None:
 
 VIEWS = {"side": [0, 2], "top": [0, 1], "front": [1, 2]}
 """Coordinates to the right and upwards, x forwards, y left, z up: the animal faces right, and in the last view us."""
-_SIDE_COLOURS = {"left": COLOURS[0], "right": COLOURS[1], None: "#333333"}
-_NAME_MM = 3.4
+_SIDE_COLOURS = {"left": style.COLOURS[0], "right": style.COLOURS[1], None: "#333333"}
+_NAME_MM, _LONG_MM = 3.4, 0.42 * style.WIDTH_MM
+"""The height of a name, and the animal's length."""
 _SAME = 0.01
 """Points nearer to each other than this part of the picture share a name."""
 
@@ -226,11 +217,10 @@ def views(body: Body, title: str = "") -> Figure:
     points = body.expected_points_m()
     long = np.ptp(points[:, 0])
     labels = {view: _labels(points[:, axes], body.markers) for view, axes in VIEWS.items()}
-    heights = [
-        max(0.42 * WIDTH_MM * np.ptp(points[:, axes[1]]) / long + 8, _NAME_MM * (len(labels[view]) + 1) / 2 + 6, 30.0)
-        for view, axes in VIEWS.items()
-    ]
-    with drawing(sum(heights) + 12, title=title) as figure:
+    named_mm = [_NAME_MM * (len(names) + 1) / 2 + 6 for names in labels.values()]
+    drawn_mm = [_LONG_MM * np.ptp(points[:, axes[1]]) / long + 8 for axes in VIEWS.values()]
+    heights = np.maximum(np.maximum(named_mm, drawn_mm), 30.0).tolist()
+    with style.drawing(sum(heights) + 12, title=title) as figure:
         panels = figure.subplots(len(VIEWS), 1, height_ratios=heights)
         for axes, (view, coordinates) in zip(panels, VIEWS.items(), strict=True):
             _draw_limbs(axes, body, points[:, coordinates])
@@ -249,18 +239,18 @@ def angle_ranges(body: Body, reach_sigmas: float, title: str = "") -> Figure:
     names = body.state_names[4:]
     shown = [i for i, name in enumerate(names) if not (side_of(name) == "right" and other_side(name) in names)]
     mean = body.expected_points_m()
-    rows, columns = grid_shape(len(shown), WIDTH_MM, 0.9, least=4)
-    with drawing(rows * 38 + 14, title=title) as figure:
+    rows, columns = style.grid_shape(len(shown), style.WIDTH_MM, 0.9, least=4)
+    with style.drawing(rows * 38 + 14, title=title) as figure:
         panels = figure.subplots(rows, columns, squeeze=False).ravel()
         for axes, i in zip(panels, shown, strict=False):
             coordinates = VIEWS[{"y": "side", "z": "top", "x": "front"}[body.tree.axes[i + 1]]]
-            _draw_limbs(axes, body, mean[:, coordinates], PALE)
+            _draw_limbs(axes, body, mean[:, coordinates], style.PALE)
             reach_rad = reach_sigmas * body.sigma_rad[i]
-            for end, colour in ((-reach_rad, COLOURS[4]), (reach_rad, COLOURS[5])):
+            for end, colour in ((-reach_rad, style.COLOURS[4]), (reach_rad, style.COLOURS[5])):
                 moved = body.expected_points_m(i, end)
                 _draw_limbs(axes, body, moved[:, coordinates], colour, (moved != mean).any(axis=1))
             low, high = np.degrees(body.mean_rad[i] + np.array([-reach_rad, reach_rad]))
-            axes.set_title(f"{names[i].replace('_', ' ')}\n{low:.0f}° to {high:.0f}°", fontsize=SMALL)
+            axes.set_title(f"{names[i].replace('_', ' ')}\n{low:.0f}° to {high:.0f}°", fontsize=style.SMALL)
         for axes in panels:
             _frame(axes)
     return figure
@@ -297,20 +287,21 @@ def _name(axes: Axes, points: Array, labels: Sequence[tuple[float, float, str]],
     centre, half = (low_x + high_x) / 2, len(labels) // 2
     for column, sign, align in ((labels[:half], -1, "right"), (labels[half:], 1, "left")):
         x = centre + sign * 0.62 * long
-        step = max(_NAME_MM / (0.42 * WIDTH_MM) * long, (high_y - low_y) / max(len(column), 1))
+        step = max(_NAME_MM / _LONG_MM * long, (high_y - low_y) / max(len(column), 1))
         for i, (at_x, at_y, text) in enumerate(sorted(column, key=lambda label: label[1])):
             y = (low_y + high_y) / 2 + step * (i - (len(column) - 1) / 2)
-            axes.plot([at_x, x - sign * 0.01 * long], [at_y, y], color=PALE, linewidth=0.4, zorder=0)
-            axes.text(x, y, text, ha=align, va="center", fontsize=SMALL)
+            axes.plot([at_x, x - sign * 0.01 * long], [at_y, y], color=style.PALE, linewidth=0.4, zorder=0)
+            axes.text(x, y, text, ha=align, va="center", fontsize=style.SMALL)
     axes.set_xlim(centre - 1.15 * long, centre + 1.15 * long)
 
 
 def _scale(axes: Axes, points: Array, long: float) -> None:
     """A bar of at most a half of the animal's length, below it."""
-    length = round_below(0.5 * long)
+    length = style.round_below(0.5 * long)
     x, y = float(points[:, 0].min() + points[:, 0].max() - length) / 2, float(points[:, 1].min() - 0.08 * long)
-    axes.plot([x, x + length], [y, y], color=GREY, linewidth=2, solid_capstyle="butt")
-    axes.text(x + length / 2, y - 0.02 * long, f"{length:g} m", ha="center", va="top", fontsize=SMALL, color=GREY)
+    axes.plot([x, x + length], [y, y], color=style.GREY, linewidth=2, solid_capstyle="butt")
+    look = {"ha": "center", "va": "top", "fontsize": style.SMALL, "color": style.GREY}
+    axes.text(x + length / 2, y - 0.02 * long, f"{length:g} m", **look)
 
 
 def _frame(axes: Axes) -> None:
@@ -337,19 +328,21 @@ def observability(body: Body, share: Array, time_s: Array, title: str = "") -> F
     """share (T, D - 4): of the precision of the root's pitch and roll and of the joints' angles, what comes from the
     pixels, NaN where unknown; time_s (T,). Over time, with the medians beside them."""
     names = [name.replace("_", " ") for name in body.state_names[4:]]
-    with drawing(min(_ROW_MM * len(names) + _REST_MM, PAGE_MM), title=title) as figure:
+    with style.drawing(min(_ROW_MM * len(names) + _REST_MM, style.PAGE_MM), title=title) as figure:
         medians = np.array([median(of_angle) for of_angle in share.T])
         if np.isnan(medians).all():
             return figure
         axes, half = figure.subplots(), 0.5 * float(np.median(np.diff(time_s))) if len(time_s) > 1 else 0.5
         extent = (float(time_s[0]) - half, float(time_s[-1]) + half, len(names) - 0.5, -0.5)
-        style = {"vmin": 0, "vmax": 1, "aspect": "auto", "interpolation": "nearest"}
-        image = axes.imshow(share.T, cmap=share_colours(), extent=extent, **style)
+        scale = {"vmin": 0, "vmax": 1, "aspect": "auto", "interpolation": "nearest"}
+        image = axes.imshow(share.T, cmap=share_colours(), extent=extent, **scale)
         axes.set_yticks(range(len(names)), names)
         axes.tick_params(axis="y", length=0)
+        look = {"transform": axes.get_yaxis_transform(), "va": "center", "fontsize": style.SMALL}
         for row, (label, middle) in enumerate(zip(axes.get_yticklabels(), medians, strict=True)):
-            text, colour = f"{middle:.0%}" if np.isfinite(middle) else "–", "k" if middle >= MEASURED_SHARE else GREY
-            axes.text(1.01, row, text, transform=axes.get_yaxis_transform(), va="center", fontsize=SMALL, color=colour)
+            text = f"{middle:.0%}" if np.isfinite(middle) else "–"
+            colour = "k" if middle >= MEASURED_SHARE else style.GREY
+            axes.text(1.01, row, text, color=colour, **look)
             label.set_color(colour)
         axes.set_xlabel("time (s);  right: median over these frames")
         bar = figure.colorbar(image, ax=axes, location="bottom", aspect=60, pad=0.01, shrink=0.7)
@@ -365,7 +358,7 @@ _PANEL_MM, _BESIDE_MM = 52.0, 26.0
 
 def camera_advice(found: Sequence[Advice]) -> Figure:
     """One panel a camera, each beside those before it: the pixels' share by azimuth and height, and one sigma."""
-    with drawing(_PANEL_MM * len(found) + _BESIDE_MM) as figure:
+    with style.drawing(_PANEL_MM * len(found) + _BESIDE_MM) as figure:
         panels = figure.subplots(len(found), 1, squeeze=False)[:, 0]
         figure.suptitle(
             f"{found[0].of}: how well it is known, by where the camera is, {found[0].distance_m:.3g} m away"
@@ -381,27 +374,27 @@ def camera_advice(found: Sequence[Advice]) -> Figure:
 
 
 def _grid(axes: Axes, advice: Advice) -> None:
-    degrees = np.round(np.degrees(advice.azimuths_rad)).astype(int)
-    raised = np.round(np.degrees(advice.elevations_rad)).astype(int)
+    degrees = np.round(np.degrees(AZIMUTHS_RAD)).astype(int)
+    raised = np.round(np.degrees(ELEVATIONS_RAD)).astype(int)
     rows, columns = advice.share.shape
     axes.imshow(advice.share, cmap=share_colours(), vmin=0, vmax=1, aspect="auto", origin="lower")
     for (row, column), share in np.ndenumerate(advice.share):
         sigma, colour = float(advice.sigma[row, column]), "w" if share > (1 + MEASURED_SHARE) / 2 else "k"
         text = f"{share:.0%}\n±{in_words(sigma, advice.unit)}" if np.isfinite(sigma) else "not in\nthe picture"
-        axes.text(column, row, text, ha="center", va="center", fontsize=SMALL, color=colour)
+        axes.text(column, row, text, ha="center", va="center", fontsize=style.SMALL, color=colour)
     row, column = advice.best
     axes.add_patch(Rectangle((column - 0.5, row - 0.5), 1, 1, fill=False, lw=2.5, clip_on=False))
     if advice.beside is not None:
         azimuth, elevation = advice.beside
-        at = np.argmin(np.abs(advice.azimuths_rad - azimuth)), np.argmin(np.abs(advice.elevations_rad - elevation))
+        at = np.argmin(np.abs(AZIMUTHS_RAD - azimuth)), np.argmin(np.abs(ELEVATIONS_RAD - elevation))
         axes.plot(at[0] + 0.38, at[1] + 0.32, "k+", ms=7, mew=1.6)
-    axes.set_xticks(range(columns), [f"{d}°\n{ROUND.get(int(d), '')}" for d in degrees], fontsize=SMALL)
-    heights = advice.distance_m * np.sin(advice.elevations_rad)
+    axes.set_xticks(range(columns), [f"{d}°\n{ROUND.get(int(d), '')}" for d in degrees], fontsize=style.SMALL)
+    heights = advice.distance_m * np.sin(ELEVATIONS_RAD)
     axes.set_yticks(range(rows), [f"{h:.2g} m ({r}°)" for h, r in zip(heights, raised, strict=True)])
     axes.set_ylabel("above its middle")
     axes.tick_params(length=0)
     for spine in axes.spines.values():
-        spine.set(visible=True, color=GREY)
+        spine.set(visible=True, color=style.GREY)
 
 
 def in_words(sigma: float, unit: str) -> str:
@@ -420,7 +413,7 @@ def calibration(found: Calibration) -> Figure:
     left_out = [view for view in found.views if not view.used]
     pictures = f"{len(used)} pictures" + (f", {len(left_out)} left out (red)" if left_out else "")
     title = f"{camera.model}, {width}x{height} px, {pictures}; covered: {covered.mean():.0%} of the picture"
-    with drawing(min(WIDTH_MM * height / width + 24, PAGE_MM), title=title) as figure:
+    with style.drawing(min(style.WIDTH_MM * height / width + 24, style.PAGE_MM), title=title) as figure:
         axes, edges = figure.subplots(), (-0.5, width - 0.5, height - 0.5, -0.5)
         axes.imshow(covered, extent=edges, cmap="Greys", vmax=4, interpolation="nearest")
         x, y = np.meshgrid(np.linspace(0, width - 1, 160), np.linspace(0, height - 1, 160))
@@ -429,7 +422,7 @@ def calibration(found: Calibration) -> Figure:
         # near a right angle from the axis, the plane of the grid is infinite
         step = min(float(np.nanmax(np.abs(ideal[0]))), 3.0) / 8
         for values in ideal:
-            axes.contour(x, y, values, step * np.arange(-24, 25), colors=PALE, linewidths=0.7, linestyles="solid")
+            axes.contour(x, y, values, step * np.arange(-24, 25), colors=style.PALE, linewidths=0.7, linestyles="solid")
         at, errors = np.concatenate([view.xy_px for view in used]), [np.full(len(v.ids), v.rms_px) for v in used]
         dots = axes.scatter(*at.T, c=np.concatenate(errors), s=4, vmin=0.0, linewidths=0)
         for view in left_out:

@@ -22,14 +22,14 @@ from matplotlib.path import Path
 from matplotlib.quiver import Quiver
 from matplotlib.ticker import MaxNLocator
 
-from recon.animal import both_sides, side_of
+from recon.animal import side_of
 from recon.base.arrays import Array, Bools
 from recon.base.errors import length_text
 from recon.clip import frame_ranges
 from recon.fit.motion import MEASURED_SHARE
 from recon.gait.dynamics import Dynamics
 from recon.gait.gait import Gait, Stance
-from recon.gait.kinematics import JointKinematics
+from recon.gait.kinematics import JointKinematics, Series
 from recon.gait.phase import Closure, LinkField, Portrait, field_means
 from recon.show.plots import style
 
@@ -181,30 +181,25 @@ def speeds(
     """
     peaks = ["not known, errors of the path" if unknown else _peak(motion, acceleration) for motion in curves.values()]
     labels = [f"{name}: {peak}" for name, peak in zip(curves, peaks, strict=True)]
-    rows = 2 if acceleration else 1
-    with style.drawing(14 + 42 * rows + style.legend_shape(labels, width_mm)[1], width_mm, title) as figure:
-        above, below = figure.subplots(2, 1, sharex=True) if acceleration else [figure.subplots()] * 2
-        handles = []
-        for i, motion in enumerate(curves.values()):
-            handles.append(_curve(above, i, motion, motion.speed_m_s, motion.speed_sigma_m_s, unknown))
-            if acceleration:
-                _curve(below, i, motion, motion.acceleration_m_s2, motion.acceleration_sigma_m_s2, unknown)
-        for axes, unit, values, sigmas in (
-            (above, "speed (m/s)", "speed_m_s", "speed_sigma_m_s"),
-            (below, "acceleration (m/s²)", "acceleration_m_s2", "acceleration_sigma_m_s2"),
-        )[:rows]:
-            axes.set_ylabel(unit)
-            _limit(axes, [(getattr(m, values), getattr(m, sigmas)) for m in curves.values()])
+    quantities = ("speed", "m_s", "m/s"), *([("acceleration", "m_s2", "m/s²")] if acceleration else [])
+    height_mm = 14 + 42 * len(quantities) + style.legend_shape(labels, width_mm)[1]
+    with style.drawing(height_mm, width_mm, title) as figure:
+        panels, lines = figure.subplots(len(quantities), 1, sharex=True, squeeze=False)[:, 0], []
+        for axes, (name, of, unit) in zip(panels, quantities, strict=True):
+            known = [(getattr(m, f"{name}_{of}"), getattr(m, f"{name}_sigma_{of}")) for m in curves.values()]
+            series = [motion.series for motion in curves.values()]
+            lines = [_curve(axes, i, s, *k, unknown) for i, (s, k) in enumerate(zip(series, known, strict=True))]
+            axes.set_ylabel(f"{name} ({unit})")
+            _limit(axes, known)
         banded = any(np.isfinite(motion.speed_sigma_m_s).any() for motion in curves.values())
-        below.set_xlabel("time (s)" + ("; bands: one standard deviation" if banded else ""))
-        style.add_legend(figure, handles, labels, width_mm)
+        panels[-1].set_xlabel("time (s)" + ("; bands: one standard deviation" if banded else ""))
+        style.add_legend(figure, lines, labels, width_mm)
     return figure
 
 
-def _curve(axes: Axes, i: int, motion: JointKinematics, value: Array, sigma: Array, unknown: bool) -> Line2D:
+def _curve(axes: Axes, i: int, series: Series, value: Array, sigma: Array, unknown: bool) -> Line2D:
     drawn: dict[str, Any] = style.look(i) | ({"color": style.GREY} if unknown else {})
-    t = motion.series.time_s
-    every = motion.series.oversampling
+    t, every = series.time_s, series.oversampling
     (line,) = axes.plot(t, value, **style.dots(len(t) // every, 2.2), markevery=every, zorder=3, **drawn)
     if np.isfinite(sigma).any():
         style.draw_band(axes, t, value, sigma, drawn["color"])
@@ -229,12 +224,12 @@ def _deviation(sigma: float, digits: int) -> str:
     return "" if np.isnan(sigma) else f" ± {sigma:.{digits}f}"
 
 
-def _limit(axes: Axes, series: list[tuple[Array, Array | None]]) -> None:
+def _limit(axes: Axes, series: list[tuple[Array, Array]]) -> None:
     highest = np.max([np.nanmax(v) for v, _ in series if np.isfinite(v).any()], initial=-np.inf)
     if not np.isfinite(highest):
         style.blank(axes)
         return
-    tops = [np.nanmax(v + s) for v, s in series if s is not None and np.isfinite(v + s).any()]
+    tops = [np.nanmax(v + s) for v, s in series if np.isfinite(v + s).any()]
     top = min(np.max(tops, initial=highest), BAND_ROOM * highest)
     axes.set_ylim(0, 1.06 * top if top > 0 else 1.0)
 
@@ -251,15 +246,7 @@ AngleCurve = tuple[Array, Array, bool]
 pixels say more of it than what was expected."""
 
 
-def together(curves: Mapping[str, AngleCurve]) -> dict[str, dict[str, AngleCurve]]:
-    """By title: an angle with its counterpart of the other side."""
-    pairs: dict[str, dict[str, AngleCurve]] = {}
-    for name, curve in curves.items():
-        pairs.setdefault(both_sides(name).replace("_", " "), {})[name] = curve
-    return pairs
-
-
-def angle_over_time(time_s: Array, curves: Mapping[str, AngleCurve], doubtful: Bools, title: str = "") -> Figure:
+def angle_over_time(time_s: Array, title: str, curves: Mapping[str, AngleCurve], doubtful: Bools) -> Figure:
     """Degrees, with a band of one standard deviation; the left side's are blue, the right side's orange, those that are
     mostly expected grey. time_s (T,); doubtful (T,): frames with a grey background."""
     width, height = ANGLES_MM
@@ -356,17 +343,14 @@ def _draw(axes: Axes, portrait: Portrait, colours: tuple[ListedColormap, Normali
     cuts = np.unique(np.linspace(known[0], known[-1], SHADES + 1).astype(int))
     pieces = [path[a : b + 1] for a, b in pairwise(cuts)]
     middles = [float(np.mean(portrait.time_s[[a, b]])) for a, b in pairwise(cuts)]
-    if colours is None:
-        lines = LineCollection(pieces, color=_UNSEEN, lw=1.2, capstyle="round")
-    else:
-        lines = LineCollection(pieces, cmap=colours[0], norm=colours[1], lw=1.2, capstyle="round")
-        lines.set_array(np.array(middles))
-    axes.add_collection(lines, autolim=False)
+    shades = {"color": _UNSEEN}
+    if colours is not None:
+        shades = {"cmap": colours[0], "norm": colours[1], "array": np.array(middles)}
+    axes.add_collection(LineCollection(pieces, lw=1.2, capstyle="round", **shades), autolim=False)
     axes.update_datalim(path[known])
     if np.isfinite(portrait.angle_sigma_rad).any():
-        _band(
-            axes, path[known], np.degrees(np.column_stack([portrait.angle_sigma_rad, portrait.rate_sigma_rad_s]))[known]
-        )
+        sigma = np.degrees(np.column_stack([portrait.angle_sigma_rad, portrait.rate_sigma_rad_s]))
+        _band(axes, path[known], sigma[known])
     # What does not move should not look as if it did.
     middle = (path[known].min(axis=0) + path[known].max(axis=0)) / 2
     axes.update_datalim([middle - _LEAST, middle + _LEAST])
@@ -418,7 +402,7 @@ def vector_fields(fields: tuple[LinkField, ...], time_s: Array, title: str = "")
         if not fields:
             return figure
         panels = figure.subplots(len(fields), 2, sharex="col", squeeze=False, width_ratios=(2, 1))
-        keyed = False
+        arrows = None
         for (left, right), field in zip(panels, fields, strict=True):
             name, parent = (f"{a} → {b}" for a, b in (field.link, field.parent))
             left.set_title(f"{name}  in the frame of  {parent}", loc="left", pad=2, fontsize=style.SMALL)
@@ -428,22 +412,19 @@ def vector_fields(fields: tuple[LinkField, ...], time_s: Array, title: str = "")
                 style.blank(left)
                 style.blank(right)
                 continue
-            means = field_means((field,)).iloc[0]
-            colour = style.GREY if means["speed_sigma_m_s"] > means["speed_m_s"] else style.COLOURS[0]
-            arrows = _arrows(left, field, time_s, every, float(fastest), colour)
-            if not keyed:
-                _key(left, arrows, float(fastest), every, height)
-                keyed = True
+            speed, sigma = field_means((field,)).iloc[0][["speed_m_s", "speed_sigma_m_s"]]
+            grey = sigma > speed
+            colour = style.GREY if grey else style.COLOURS[0]
+            drawn = _arrows(left, field, time_s, every, float(fastest), colour)
+            if arrows is None:
+                _key(left, arrows := drawn, float(fastest), every, height)
             right.plot(time_s, field.speed_m_s, color=colour, **style.dots(len(time_s), 1.8))
             if np.isfinite(field.speed_sigma_m_s).any():
                 style.draw_band(right, time_s, field.speed_m_s, field.speed_sigma_m_s, colour)
             right.set_ylim(0, 1.08 * fastest or 1.0)
             right.locator_params(axis="y", nbins=3)
-            speed, sigma = means["speed_m_s"], means["speed_sigma_m_s"]
             text = f"mean {speed:.2f}{f', sigma {sigma:.2f}' if np.isfinite(sigma) else ''} m/s"
-            right.set_title(
-                text, loc="right", pad=2, fontsize=style.SMALL, color="k" if colour != style.GREY else style.GREY
-            )
+            right.set_title(text, loc="right", pad=2, fontsize=style.SMALL, color=style.GREY if grey else "k")
         room = 0.08 * float(np.ptp(time_s)) or 0.5
         panels[0, 0].set_xlim(time_s[0] - room, time_s[-1] + room)
         for axes in panels[:-1, 0]:

@@ -28,7 +28,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 
 from recon.base.arrays import Array
-from recon.base.files import staged_folder
+from recon.base.files import staged_folder, write_bytes
 
 WIDTH_MM, COLUMN_MM = 180.0, 85.0
 PAGE_MM = 235.0
@@ -66,27 +66,28 @@ def drawing(height_mm: float, width_mm: float = WIDTH_MM, title: str | None = No
 
 def save(figure: Figure, folder: str | Path, stem: str) -> tuple[Path, Path]:
     """Writes stem.png (`PNG_DPI`) and stem.svg (text as text) into the folder, which is made; returns their paths."""
-    paths = Path(folder) / f"{stem}.png", Path(folder) / f"{stem}.svg"
-    with _settings(), staged_folder(folder) as staging:
-        figure.savefig(staging / paths[0].name, dpi=PNG_DPI, metadata={"Software": None})
-        figure.savefig(staging / paths[1].name, metadata={"Date": None, "Creator": None})
-    return paths
+    with staged_folder(folder) as staging:
+        write_bytes(staging / f"{stem}.png", png_of(figure))
+        write_bytes(staging / f"{stem}.svg", _content(figure, "svg"))
+    return Path(folder) / f"{stem}.png", Path(folder) / f"{stem}.svg"
 
 
 def svg_of(figure: Figure) -> str:
     """The element <svg> by itself, for a page: no ground behind it, and text as text."""
-    content = io.StringIO()
-    with _settings():
-        figure.savefig(content, format="svg", transparent=True, metadata=dict.fromkeys(("Date", "Creator")))
-    text = content.getvalue()
+    text = _content(figure, "svg", transparent=True).decode()
     return re.sub(r"<metadata>.*?</metadata>|<style .*?</style>", "", text[text.index("<svg") :], flags=re.DOTALL)
 
 
 def png_of(figure: Figure, dpi: float = PNG_DPI, transparent: bool = False) -> bytes:
     """The PNG of a figure; transparent: with no ground behind it."""
-    content = io.BytesIO()
+    return _content(figure, "png", dpi=dpi, transparent=transparent)
+
+
+def _content(figure: Figure, kind: str, **how: Any) -> bytes:
+    """The file of a figure, without what differs from one time to the next."""
+    content, unsaid = io.BytesIO(), {"png": ("Software",), "svg": ("Date", "Creator")}[kind]
     with _settings():
-        figure.savefig(content, format="png", dpi=dpi, transparent=transparent, metadata={"Software": None})
+        figure.savefig(content, format=kind, metadata=dict.fromkeys(unsaid), **how)
     return content.getvalue()
 
 

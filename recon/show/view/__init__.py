@@ -85,9 +85,7 @@ def write(
         if found is not None:
             write_forces(found, log)
         if video is not None:
-            from recon.show.view.video import write_video  # OpenCV
-
-            write_video(motion, log, video, first_frame, camera)
+            scenes.write_video(motion, log, video, first_frame, camera)
 
 
 # -- which views there are, where they are, and from where they look ---------------------------------------------------
@@ -274,6 +272,18 @@ def states(motion: Motion, stands: Bools) -> dict[str, tuple[str, scenes.Colour,
     return {rr.escape_entity_path_part(name): row for name, row in rows.items()}
 
 
+def _plot(
+    entity: str,
+    title: str,
+    lines: Mapping[str, Array],
+    tab: str = "",
+    colours: Sequence[scenes.Colour] = scenes.LINE_COLOURS,
+) -> TimePlot:
+    """A plot of lines (T,) by their names, which take the colours in turn."""
+    own = [colours[i % len(colours)] for i in range(len(lines))]
+    return TimePlot(entity, title, [*lines], own, np.stack([*lines.values()], axis=1), tab)
+
+
 # -- of every motion ----------------------------------------------------------------------------------------------
 
 
@@ -287,9 +297,8 @@ def angle_plots(motion: Motion) -> Iterator[TimePlot]:
         for key, names in _parts(own):
             entity = f"angles/{kind}" + f"/{key.replace(', ', '_')}" * bool(key)
             degrees = np.degrees(motion.angles_rad[:, [motion.angle_names.index(name) for name in names]])
-            labels = [without_side(name).replace("_", " ") for name in names]
-            colours = [scenes.LINE_COLOURS[i % len(scenes.LINE_COLOURS)] for i in range(len(names))]
-            yield TimePlot(entity, f"{kind} {key}".strip().capitalize() + " (°)", labels, colours, degrees)
+            lines = {without_side(name).replace("_", " "): of for name, of in zip(names, degrees.T, strict=True)}
+            yield _plot(entity, f"{kind} {key}".strip().capitalize() + " (°)", lines)
 
 
 def _parts(keys: Mapping[str, str]) -> Iterator[tuple[str, list[str]]]:
@@ -308,36 +317,29 @@ def _parts(keys: Mapping[str, str]) -> Iterator[tuple[str, list[str]]]:
     yield from parts
 
 
-def other_plots(motion: Motion) -> list[TimePlot]:
+def other_plots(motion: Motion) -> Iterator[TimePlot]:
     """Speed, errors in the pictures (the largest without outliers, which would hide the rest), and uncertainty."""
-    distance = np.concatenate([picture.distance_px for picture in motion.pictures], axis=1)
-    outliers = np.concatenate([picture.outliers for picture in motion.pictures], axis=1)
-    known = np.isfinite(distance).any(axis=1)
-    residuals = np.full((len(distance), 2), np.nan)
-    residuals[known, 0] = np.nanmedian(distance[known], axis=1)
-    residuals[:, 1] = np.fmax.reduce(np.where(outliers, np.nan, distance), axis=1)
-    names = ["median of the joints", "worst but for outliers"]
-    errors = TimePlot("residuals", "Reprojection (px)", names, [scenes.LIMB_COLOURS[1], scenes.EDGE], residuals)
-    names = ["joint within the pose", "position in depth"]
-    sigmas = np.stack((motion.relative_rms_m, motion.place_sigma_m), axis=1)
-    return [
-        _speed(motion),
-        errors,
-        TimePlot("uncertainty", "One sigma (m)", names, [scenes.LIMB_COLOURS[1], scenes.LINK], sigmas),
-    ]
-
-
-def _speed(motion: Motion) -> TimePlot:
-    speed = speed_at_frames(motion.time_s, motion.root_m)
-    run_m_s, lines = motion.solution.constant_velocity_m_s, {"speed": speed}
+    speed = np.where(motion.solved, speed_at_frames(motion.time_s, motion.root_m), np.nan)
+    run_m_s, lines, title = motion.solution.constant_velocity_m_s, {"speed": speed}, "Speed (m/s)"
     if run_m_s is not None:
         path_known = np.isfinite(frame_jitter_m(motion.root_m)).all()
         smooth = speed_at_frames(motion.time_s, motion.root_m, smooth=True) if path_known else speed
         lines = {"smoothed by its jitter": smooth, "straight run": run_m_s, "cubic spline": speed}
-    values = np.where(motion.solved[:, None], np.stack([*lines.values()], axis=1), np.nan)
-    ends = f", {np.nanmin(values):.1f} to {np.nanmax(values):.1f} m/s" if np.isfinite(values).any() else " (m/s)"
-    title = "Speed (m/s)" if len(lines) > 1 else f"Speed{ends}"
-    return TimePlot("speed", title, [*lines], [scenes.TRAIL, scenes.LIMB_COLOURS[0], scenes.EDGE][: len(lines)], values)
+        lines = {name: np.where(motion.solved, values, np.nan) for name, values in lines.items()}
+    elif np.isfinite(speed).any():
+        title = f"Speed, {np.nanmin(speed):.1f} to {np.nanmax(speed):.1f} m/s"
+    yield _plot("speed", title, lines, colours=(scenes.TRAIL, scenes.LIMB_COLOURS[0], scenes.EDGE))
+
+    distance = np.concatenate([picture.distance_px for picture in motion.pictures], axis=1)
+    outliers = np.concatenate([picture.outliers for picture in motion.pictures], axis=1)
+    known, middle = np.isfinite(distance).any(axis=1), np.full(len(distance), np.nan)
+    middle[known] = np.nanmedian(distance[known], axis=1)
+    worst = np.fmax.reduce(np.where(outliers, np.nan, distance), axis=1)
+    lines = {"median of the joints": middle, "worst but for outliers": worst}
+    yield _plot("residuals", "Reprojection (px)", lines, colours=(scenes.LIMB_COLOURS[1], scenes.EDGE))
+
+    lines = {"joint within the pose": motion.relative_rms_m, "position in depth": motion.place_sigma_m}
+    yield _plot("uncertainty", "One sigma (m)", lines, colours=(scenes.LIMB_COLOURS[1], scenes.LINK))
 
 
 # -- of an analysis -----------------------------------------------------------------------------------------------
@@ -356,28 +358,19 @@ def analysis_plots(found: ClipAnalysis) -> Iterator[TimePlot]:
         bent, sigma = (np.degrees(of[:, 0]) for of in (flexion.value, flexion.value_sigma))
         shown.append(("spine", "Flexion of the spine (°)", bent, sigma))
     for entity, title, values, sigma in shown:
-        lines = {entity: values}
+        lines = {entity: values[::every]}
         if np.isfinite(sigma).any() and entity != "acceleration":  # whose deviations are many times as large as it is
-            lines |= {"minus one sigma": values - sigma, "plus one sigma": values + sigma}
-        at_frames, colours = (
-            np.stack([*lines.values()], axis=1)[::every],
-            [scenes.TRAIL, scenes.LINK, scenes.LINK][: len(lines)],
-        )
-        yield TimePlot(f"analysis/{entity}", title, [*lines], colours, at_frames, "Kinematics")
+            lines |= {"minus one sigma": (values - sigma)[::every], "plus one sigma": (values + sigma)[::every]}
+        yield _plot(f"analysis/{entity}", title, lines, "Kinematics", (scenes.TRAIL, scenes.LINK, scenes.LINK))
     if found.dynamics is not None and found.gait is not None:
         rows = np.searchsorted(found.gait.tracks.time_s, times_s - 1e-6)
         forces = {foot: force[rows, 0] for foot, force in found.dynamics.force.items()}
-        yield _lines("analysis/forces", "Vertical force (body weights)", forces, "Forces")
+        yield _plot("analysis/forces", "Vertical force (body weights)", forces, "Forces")
     paws = {*found.motion.foot_names.values()}
     for limb, fields in found.fields.items():
         speeds = {field.link[1].replace("_", " "): field.speed_m_s for field in fields}
         tab = "Legs, tips about parents" if fields[-1].link[1] in paws else "Trunk, tips about parents"
-        yield _lines(f"analysis/links/{limb.replace(' ', '_')}", f"{limb} (m/s)", speeds, tab)
-
-
-def _lines(entity: str, title: str, lines: Mapping[str, Array], tab: str) -> TimePlot:
-    colours: Sequence[scenes.Colour] = [scenes.LINE_COLOURS[i % len(scenes.LINE_COLOURS)] for i in range(len(lines))]
-    return TimePlot(entity, title, [*lines], colours, np.stack([*lines.values()], axis=1), tab=tab)
+        yield _plot(f"analysis/links/{limb.replace(' ', '_')}", f"{limb} (m/s)", speeds, tab)
 
 
 def write_forces(found: ClipAnalysis, log: Log) -> None:

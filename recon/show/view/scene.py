@@ -23,8 +23,9 @@ from rerun.components import FillMode
 from scipy.spatial.transform import Rotation
 
 from recon.animal import Side
-from recon.base.arrays import Array, Bools, Integers
+from recon.base.arrays import Array, Bools, Integers, mean_along
 from recon.base.files import write_bytes
+from recon.clip import frame_ranges
 from recon.fit import MotionSegment
 from recon.fit.motion import Motion, Picture
 from recon.geometry.frames import level_from_camera
@@ -229,9 +230,8 @@ def _strips(points: Array, counts: Sequence[int] | Integers, **columns: Any) -> 
 
 def unbroken(points: Array) -> list[Array]:
     """The stretches of a line (N, 2 or 3) without NaN that have at least two points."""
-    known = np.isfinite(points[:, 0])
-    runs = np.split(np.arange(len(points)), np.flatnonzero(np.diff(known)) + 1)
-    return [points[run] for run in runs if len(run) > 1 and known[run[0]]]
+    known = frame_ranges(np.flatnonzero(np.isfinite(points[:, 0])))
+    return [points[first:stop] for first, stop in known if stop > first + 1]
 
 
 def grid_lines(low_m: Array, high_m: Array, spacing_m: float) -> list[Array]:
@@ -396,10 +396,8 @@ def _write_points(root: str, origin_px: Array, motion: Motion, picture: Picture,
 
 def middle_and_reach_px(picture: Picture) -> tuple[Array, Array]:
     """(T, 2): middle of the reprojected skeleton, 0 without one; (2,): how far its joints lie from there in x and y."""
-    middle = np.zeros((len(picture.reprojected_px), 2))
     seen = np.isfinite(picture.reprojected_px[..., 0])
-    known = np.any(seen, axis=-1)
-    middle[known] = np.nanmean(picture.reprojected_px[known], axis=1)
+    middle = np.nan_to_num(mean_along(picture.reprojected_px, axis=1))
     return middle, np.abs(picture.reprojected_px - middle[:, None])[seen].max(axis=0, initial=1.0)
 
 
@@ -415,6 +413,44 @@ def picture_bounds(picture: Picture) -> tuple[Array, Array]:
     low, high = points.min(axis=0), points.max(axis=0)
     margin = 0.08 * float(np.max(high - low)) + 10.0
     return low - margin, high + margin
+
+
+ASPECT = 2.4
+"""Width to height of what is shown of a video around the animal: of its place in the layout."""
+JPEG_QUALITY = 85
+
+
+def write_video(motion: Motion, log: Log, video: Path, first_frame: int = 0, number: int = 0) -> None:
+    """The frames of a video that go with a motion: `picture/video`, or `picture/<name>/video` of one of several
+    cameras, and `closeup/video`, what lies around the animal. first_frame: the number that the video's first frame has
+    in it; number: of the camera whose video it is, of the same size. Raises InputError where the video lacks frames.
+
+    A JPEG for each frame of the playback is what every viewer shows; of the codecs of videos it decodes only AV1 by
+    itself, and the others jump from key frame to key frame where there is no ffmpeg. rerun has the corner of the top
+    left pixel at (0, 0), where the points have its centre: the whole picture lies half a pixel to the right and below.
+    """
+    import cv2  # which takes long, and most playbacks are without a video
+
+    from recon.show.overlay import clip_frames
+
+    def jpeg(image: Any) -> rr.ComponentColumnList:
+        content = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1].tobytes()
+        return rr.EncodedImage.columns(blob=[content], media_type=["image/jpeg"])
+
+    middles, reach = middle_and_reach_px(motion.pictures[number])
+    posed = np.asarray(np.isfinite(motion.pictures[number].reprojected_px).any(axis=(1, 2)))
+    wide, high = 2 * CLOSE * reach
+    size_px = np.ceil([max(wide, ASPECT * high), max(high, wide / ASPECT)]).astype(int)
+    whole, close = (f"{by_camera(root, motion.pictures)[number]}/video" for root in (PICTURE, CLOSEUP))
+    log.fix(close, rr.Transform3D(translation=[*(-size_px / 2), 0.0]))
+    for _, t, _, image in clip_frames(motion.frames, video, first_frame):
+        if t is None:
+            continue
+        log.send(whole, jpeg(image), [t])
+        if posed[t]:  # the animal's middle in the middle
+            off = (size_px - 1) / 2 - middles[t]
+            move = np.hstack([np.eye(2), off[:, None]])
+            log.send(close, jpeg(cv2.warpAffine(image, move, size_px.tolist(), borderValue=BACKGROUND[::-1])), [t])
 
 
 # -- recordings --------------------------------------------------------------------------------------------------------

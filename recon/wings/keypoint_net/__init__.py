@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 from recon.base import lazily
 
 if TYPE_CHECKING:
-    from recon.wings.keypoint_net.labels import evaluate_2d_files, read_label_file, read_labels
+    from recon.wings.keypoint_net.labels import LabelSource, evaluate_2d_files, read_label_file, read_labels
     from recon.wings.keypoint_net.network import FORMAT, PredictSettings, load_model, model_file, run_prediction
-    from recon.wings.keypoint_net.train import LabelSource, TrainSettings, run_training
+    from recon.wings.keypoint_net.train import TrainSettings, run_training
 
 __getattr__ = lazily(__name__, __file__)

@@ -32,6 +32,7 @@ from recon.io.writing import frames_text
 from recon.workflows.cli import Answer, table_of
 from recon.workflows.settings import RENAME, FrameRange
 
+SPLIT = "Which pictures"
 OUTSIDE = 0.1
 """Share of the labels that may lie outside of their pictures."""
 
@@ -69,6 +70,24 @@ class Labels:
         return replace(self, pictures=pictures, xy_px=scale_points(self.xy_px, scale))
 
 
+class LabelSource(Settings):
+    """Labelled pictures, and which of them to learn from."""
+
+    data: Annotated[Path, Option(argument="DATA")]
+    """DeepLabCut project (its folder or config.yaml), or a video (with --labels)."""
+    labels: Path | None = None
+    """Label file of the video, as in CollectedData_me.csv."""
+    first_frame: Integer = 0
+    """Number that the labels give to the video's first frame: 50 where 0050.png is frame 0."""
+    individual: str | None = None
+    """The animal, where the labels name several."""
+    rename: Annotated[str | None, RENAME] = None
+    validation: Annotated[str, Option(panel=SPLIT)] = "0.2"
+    """Pictures to judge and calibrate by: a share, or frame numbers A:B (B excluded)."""
+    test: Annotated[str, Option(panel=SPLIT)] = "0"
+    """Pictures that are only judged at the end, in the same way."""
+
+
 def known_points(xy_px: Array) -> Bools:
     """Which points (..., 2) have both coordinates, (...)."""
     return np.asarray(np.isfinite(xy_px).all(axis=-1), dtype=np.bool_)
@@ -81,8 +100,7 @@ def resize(picture: Image, scale: float) -> Image:
     size = scaled_size((picture.shape[1], picture.shape[0]), scale)
     to = np.array([[scale, 0.0, (scale - 1) / 2], [0.0, scale, (scale - 1) / 2]])
     if scale < 0.8:  # each pixel averages those that it covers
-        blurred = cv2.GaussianBlur(picture, (0, 0), 0.5 * (1 / scale - 1) ** 0.5 + 0.15 / scale)
-        return np.asarray(cv2.warpAffine(blurred, to, size, borderMode=cv2.BORDER_REPLICATE), np.uint8)
+        picture = np.asarray(cv2.GaussianBlur(picture, (0, 0), 0.5 * (1 / scale - 1) ** 0.5 + 0.15 / scale), np.uint8)
     return np.asarray(cv2.warpAffine(picture, to, size, borderMode=cv2.BORDER_REPLICATE), np.uint8)
 
 
@@ -95,30 +113,24 @@ def scale_points(xy_px: Array, scale: float) -> Array:
     return (xy_px + 0.5) * scale - 0.5
 
 
-def read_labels(
-    data: Path,
-    labels: Path | None = None,
-    first_frame: int = 0,
-    individual: str | None = None,
-    rename: str | None = None,
-) -> Labels:
-    """A project folder, or its config.yaml, or a video with its label file.
+def read_labels(data: Path, labels: Path | None = None, **options: Any) -> Labels:
+    """A project folder, or its config.yaml, or a video with its label file; options: the other fields of `LabelSource`.
 
-    first_frame: the number that the label file gives to the video's first frame. rename: a map of the keypoints' names.
     Raises InputError with every problem: labels without a picture, pictures that cannot be read, files that do not fit
     each other.
     """
+    s = LabelSource(data=data, labels=labels, **options)
     if labels is None:
         project = find_project(data)
         if data.is_file() and project is None:
             raise InputError(Problem("--labels", "file", "none", f"the label file (CSV or H5) of the video {data}"))
-        read = _read_project(data, project, individual)
+        read = _read_project(data, project, s.individual)
     elif data.is_dir():
         raise InputError(Problem("--labels", "file", str(labels), f"none: the folder {data} has its own label files"))
     else:
-        read = _read_video(data, labels, first_frame, individual)
-    if rename is not None:
-        keep, names, note = new_names(read.names, load_names(rename), read.source)
+        read = _read_video(data, labels, s.first_frame, s.individual)
+    if s.rename is not None:
+        keep, names, note = new_names(read.names, load_names(s.rename), read.source)
         read = replace(read, names=names, xy_px=read.xy_px[:, keep], notes=(*read.notes, note))
     sizes = np.array([picture.shape[1::-1] for picture in read.pictures], float)[:, None]
     outside = read.labelled & ((read.xy_px < -0.5) | (read.xy_px > sizes - 0.5)).any(axis=2)
@@ -187,23 +199,13 @@ def _read_project(folder: Path, project: Project | None, individual: str | None)
     parts = [part for part in all_of(*(lambda f=f: _read_folder(f, individual) for f in files)) if part is not None]
     if not parts:
         raise InputError(Problem(folder, "labels", "none in any label file", "at least one labelled point"))
-    names = parts[0].names
-    refuse(
-        Problem(p.source, "bodyparts", ", ".join(p.names), f"those of {parts[0].source}: {', '.join(names)}")
-        for p in parts
-        if sorted(p.names) != sorted(names)
-    )
-    return Labels(
-        names,
-        np.concatenate([p.xy_px[:, [p.names.index(n) for n in names]] for p in parts]),
-        np.concatenate([p.numbers for p in parts]),
-        tuple(image for p in parts for image in p.images),
-        np.concatenate([np.full(len(p.images), i) for i, p in enumerate(parts)]),
-        tuple(p.clips[0] for p in parts),
-        tuple(picture for p in parts for picture in p.pictures),
-        str(folder),
-        tuple(note for p in parts for note in p.notes),
-    )
+    names, expected = parts[0].names, f"those of {parts[0].source}: {', '.join(parts[0].names)}"
+    others = [p for p in parts if sorted(p.names) != sorted(names)]
+    refuse(Problem(p.source, "bodyparts", ", ".join(p.names), expected) for p in others)
+    joined = {name: sum((getattr(p, name) for p in parts), ()) for name in ("images", "clips", "pictures", "notes")}
+    xy_px = np.concatenate([p.xy_px[:, [p.names.index(n) for n in names]] for p in parts])
+    clip = np.repeat(np.arange(len(parts)), [len(p.images) for p in parts])
+    return Labels(names, xy_px, np.concatenate([p.numbers for p in parts]), clip=clip, source=str(folder), **joined)
 
 
 def _read_folder(path: Path, individual: str | None) -> Labels | None:
@@ -295,13 +297,11 @@ def split_labels(labels: Labels, validation: str, test: str, seed: int) -> dict[
 
 def frames_by_part(labels: Labels, split: dict[str, Integers]) -> dict[str, dict[str, list[str]]]:
     """Frame numbers by part and clip."""
-    return {
-        part: {
-            labels.clips[c]: frames_text(labels.numbers[which][labels.clip[which] == c])
-            for c in np.unique(labels.clip[which])
-        }
-        for part, which in split.items()
-    }
+    found: dict[str, dict[str, list[str]]] = {part: {} for part in split}
+    for part, which in split.items():
+        for c in np.unique(labels.clip[which]):
+            found[part][labels.clips[c]] = frames_text(labels.numbers[which][labels.clip[which] == c])
+    return found
 
 
 def _parse(text: str, option: str) -> _Choice:
@@ -426,31 +426,26 @@ def evaluate_2d(
     many `frames`; scores (`_score`) of `all`, of those with a likelihood cut-off (`likely`), and with the two sides of
     the animal allowed to be the wrong way round (`swaps_forgiven`, None where no names differ in their side), by
     keypoint (`per_keypoint`, `likely_per_keypoint`); and the `reliability` of the likelihoods, None without any."""
-    labelled = known_points(label_px)
-    errors = np.linalg.norm(xy_px - label_px, axis=2)
+    errors, partner = np.linalg.norm(xy_px - label_px, axis=2), sides(names)
     likely = np.where(likelihood >= likelihood_min, errors, np.nan)
-    partner = sides(names)
     paired = any(p != k for k, p in enumerate(partner))
     known = np.isfinite(errors) & np.isfinite(likelihood)
 
-    def by_keypoint(values: Array) -> dict[str, dict[str, Any]]:
-        return {n: _score(values[:, k], labelled[:, k], length_px) for k, n in enumerate(names)}
+    def score(values: Array, which: int | slice = slice(None)) -> dict[str, Any]:
+        return _score(values[:, which], known_points(label_px)[:, which], length_px)
 
+    sure, right = np.clip(likelihood[known], 0, 1), errors[known] <= tolerance_px
     return {
         "frames": len(label_px),
         "body_length_px": length_px,
         "likelihood_min": likelihood_min,
         "tolerance_px": tolerance_px,
-        "all": _score(errors, labelled, length_px),
-        "likely": _score(likely, labelled, length_px),
-        "swaps_forgiven": _score(_forgiving_errors_px(xy_px, label_px, partner), labelled, length_px)
-        if paired
-        else None,
-        "per_keypoint": by_keypoint(errors),
-        "likely_per_keypoint": by_keypoint(likely),
-        "reliability": reliability(np.clip(likelihood[known], 0, 1), errors[known] <= tolerance_px)
-        if known.any()
-        else None,
+        "all": score(errors),
+        "likely": score(likely),
+        "swaps_forgiven": score(_forgiving_errors_px(xy_px, label_px, partner)) if paired else None,
+        "per_keypoint": {name: score(errors, k) for k, name in enumerate(names)},
+        "likely_per_keypoint": {name: score(likely, k) for k, name in enumerate(names)},
+        "reliability": reliability(sure, right) if known.any() else None,
     }
 
 
@@ -488,8 +483,7 @@ def reliability(likelihood: Array, right: Bools, bins: int = BINS) -> dict[str, 
     are; their `expected_calibration_error`, the mean difference of likelihood and share of right points, NaN without
     any; and for the `bins` of equal width with points in them how many; low and high, between which their likelihoods
     lie; their mean; and the share of them that is right."""
-    which = np.minimum((likelihood * bins).astype(int), bins - 1)
-    rows = []
+    which, rows = np.minimum((likelihood * bins).astype(int), bins - 1), []
     for b in np.unique(which):
         here = which == b
         ends = {"low": float(b / bins), "high": float((b + 1) / bins), "points": int(here.sum())}

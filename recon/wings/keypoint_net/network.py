@@ -120,9 +120,8 @@ def choose_device(name: str) -> torch.device:
         name = next(device for device in ("cuda", "mps", "cpu") if there[device])
     if not there.get(name):
         found = f"'{name}'" if name not in DEVICES else f"{name}, which torch {torch.__version__} does not find here"
-        raise InputError(
-            Problem("--device", "device", found, "one of: auto, " + ", ".join(d for d in there if there[d]))
-        )
+        expected = ", ".join(["one of: auto", *(device for device in there if there[device])])
+        raise InputError(Problem("--device", "device", found, expected))
     return torch.device(name)
 
 
@@ -381,9 +380,8 @@ class TrainedNetwork:
     def points(self, pictures: Sequence[Image], background: Image | None) -> tuple[Array, Array]:
         """Points (B, K, 2) in pixels of the clip and raw likelihoods (B, K) of pictures of one size, scaled already."""
         first = self.spec.first
-        small, still = np.stack([resize(picture, first) for picture in pictures]), background
-        if still is not None:
-            still = resize(still, first)
+        small = np.stack([resize(picture, first) for picture in pictures])
+        still = None if background is None else resize(background, first)
         xy_px, raw, variance_px2 = self._found(0, small, still)
         if self.spec.two_stages:
             begin = scale_points(xy_px, 1 / first), raw, variance_px2 / first**2
@@ -547,10 +545,9 @@ def predict_command(settings: PredictSettings, progress: Progress) -> Answer:
     frames, seconds = len(keypoints.frames), time.monotonic() - start
     sure = float((keypoints.confidence >= LIKELY).mean())
     drawn = f", drawn on the video in {settings.overlay}" if settings.overlay else ""
-    said = (
-        f"{frames} frames in {seconds:.1f} s ({frames / seconds:.0f} a second); {sure:.0%} of the points have a "
-        f"likelihood of {LIKELY:g} or more. They are in {settings.out}{drawn}."
-    )
+    speed = f"{frames} frames in {seconds:.1f} s ({frames / seconds:.0f} a second)"
+    likely = f"{sure:.0%} of the points have a likelihood of {LIKELY:g} or more"
+    said = f"{speed}; {likely}. They are in {settings.out}{drawn}."
     data = {**picked(settings, "out", "overlay"), "frames": frames, "seconds": seconds, "likely_share": sure}
     return Answer(data | {"notes": keypoints.notes}, [said, *(f"note: {note}" for note in keypoints.notes)])
 
@@ -563,18 +560,13 @@ def run_prediction(video: Path, model: Path, out: Path, *, progress: Progress = 
         lambda: model_file(model),
         lambda: choose_device(s.device),
         lambda: require_free_file(out, s.overwrite, suffixes=WRITERS),
-        lambda: _check_overlay(s),
+        lambda: None if s.overlay is None else require_codec(s.overlay),
+        lambda: None if s.overlay is None else require_free_file(s.overlay, s.overwrite, "--overlay", video),
     )
     keypoints = predict_video(load_model(model, device), s, progress)
     with staged_file(out) as staged:
         WRITERS[out.suffix.lower()](keypoints, staged)
     return keypoints
-
-
-def _check_overlay(settings: PredictSettings) -> None:
-    if settings.overlay is not None:
-        require_codec(settings.overlay)
-        require_free_file(settings.overlay, settings.overwrite, "--overlay", settings.video)
 
 
 def predict_video(trained: TrainedNetwork, settings: PredictSettings, progress: Progress = silent) -> Keypoints:
@@ -609,16 +601,9 @@ def predict_video(trained: TrainedNetwork, settings: PredictSettings, progress: 
             raise InputError(Problem(video, "frames", f"{count} that can be decoded", expected))
     numbers, times_s, xy_px, likelihood = (np.concatenate(column) for column in zip(*found, strict=True))
     note = missing_note(video, times_s)
-    return Keypoints(
-        spec.names,
-        xy_px.astype(float),
-        likelihood.astype(float),
-        numbers,
-        fps=info.fps,
-        image_size_px=info.size_px,
-        source=str(video),
-        notes=() if note is None else (note,),
-    )
+    about: dict[str, Any] = {"fps": info.fps, "image_size_px": info.size_px, "source": str(video)}
+    about["notes"] = () if note is None else (note,)
+    return Keypoints(spec.names, xy_px.astype(float), likelihood.astype(float), numbers, **about)
 
 
 def _chunks(video: Path, info: VideoInfo, scale: float, keep: bool) -> Generator[_Chunk]:

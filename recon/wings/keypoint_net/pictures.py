@@ -104,8 +104,8 @@ def augment(
     example: Example, size_px: tuple[int, int], options: Augmentation, rng: np.random.Generator
 ) -> tuple[Image, Image | None, Array]:
     """A picture of size_px (width, height), its background, and the points in it (K, 2), NaN where there is none."""
-    mirrored = options.partner is not None and rng.random() < 0.5
-    to = _affine(example, size_px, options, mirrored, rng)
+    partner = options.partner if options.partner is not None and rng.random() < 0.5 else None
+    to = _affine(example, size_px, options, partner is not None, rng)
     picture = _warp(example.picture, to, size_px)
     background = None
     if example.background is not None:
@@ -115,8 +115,8 @@ def augment(
             background = _other_background(example.background, size_px, rng)
             picture = (picture * mask + background * (1 - mask)).astype(np.uint8)
     xy_px = example.xy_px @ to[:, :2].T + to[:, 2]
-    if mirrored and options.partner is not None:
-        xy_px = xy_px[list(options.partner)]
+    if partner is not None:
+        xy_px = xy_px[list(partner)]
     outside = np.any((xy_px < 0) | (xy_px > np.array(size_px) - 1.0), axis=1, keepdims=True)
     xy_px = np.where(outside, np.nan, xy_px)
     light = _random_light(size_px, options, rng)

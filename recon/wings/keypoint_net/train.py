@@ -31,7 +31,7 @@ from recon import __version__
 from recon.base import Progress, silent
 from recon.base.arrays import Array, Bools, Integers, mean, median
 from recon.base.errors import InputError, Problem, all_of, refuse
-from recon.base.files import sole_writer, staged_folder, write_bytes
+from recon.base.files import require_free_folder, sole_writer, staged_folder, write_bytes
 from recon.base.settings import Count, Integer, Number, Option, Settings
 from recon.io.video import Image
 from recon.show.overlay import draw_circle, draw_line, draw_text
@@ -40,6 +40,7 @@ from recon.wings.keypoint_net import network as net
 from recon.wings.keypoint_net import pictures
 from recon.wings.keypoint_net.labels import (
     Labels,
+    LabelSource,
     body_length_px,
     evaluate_2d,
     extents_px,
@@ -52,7 +53,6 @@ from recon.wings.keypoint_net.labels import (
     split_labels,
 )
 from recon.workflows.cli import Answer, stop
-from recon.workflows.settings import RENAME
 
 if TYPE_CHECKING:
     import torch  # pyright: ignore[reportMissingImports]
@@ -69,7 +69,7 @@ WARM_UP = 0.04
 EVALUATIONS = 30
 MOST_AVERAGED = 300.0
 """Steps over which the weights are averaged, at most; fewer at the beginning."""
-TRAINING, SPLIT = "Training", "Which pictures"
+TRAINING = "Training"
 
 
 class TrainSettings(Settings):
@@ -90,24 +90,6 @@ class TrainSettings(Settings):
     def of_training(self) -> dict[str, Any]:
         """The settings of training alone, where there are others beside them."""
         return {name: getattr(self, name) for name in TrainSettings.infos()}
-
-
-class LabelSource(Settings):
-    """Labelled pictures, and which of them to learn from."""
-
-    data: Annotated[Path, Option(argument="DATA")]
-    """DeepLabCut project (its folder or config.yaml), or a video (with --labels)."""
-    labels: Path | None = None
-    """Label file of the video, as in CollectedData_me.csv."""
-    first_frame: Integer = 0
-    """Number that the labels give to the video's first frame: 50 where 0050.png is frame 0."""
-    individual: str | None = None
-    """The animal, where the labels name several."""
-    rename: Annotated[str | None, RENAME] = None
-    validation: Annotated[str, Option(panel=SPLIT)] = "0.2"
-    """Pictures to judge and calibrate by: a share, or frame numbers A:B (B excluded)."""
-    test: Annotated[str, Option(panel=SPLIT)] = "0"
-    """Pictures that are only judged at the end, in the same way."""
 
 
 class _TrainRunSettings(LabelSource, TrainSettings):
@@ -233,13 +215,10 @@ def _sources(run: TrainingRun) -> tuple[Any, ...]:
     if not spec.two_stages:
         return (first,)
     # What is drawn or blurred on a part is as large in it as on the whole animal in its smaller picture.
-    parts = [
-        dataclasses.replace(e, part=True, length_px=pictures.NETWORK_LENGTH_PX)
-        for e in pictures.examples_of(run.scaled, run.still)
-    ]
-    return first, partial(
-        pictures.make_batch, parts, pictures.PART_PX, *last, off_px=pictures.OFF * spec.reach_places * net.STRIDE
-    )
+    seen = {"part": True, "length_px": pictures.NETWORK_LENGTH_PX}
+    parts = [dataclasses.replace(example, **seen) for example in pictures.examples_of(run.scaled, run.still)]
+    off_px = pictures.OFF * spec.reach_places * net.STRIDE
+    return first, partial(pictures.make_batch, parts, pictures.PART_PX, *last, off_px=off_px)
 
 
 def schedule(share: float) -> float:
@@ -392,9 +371,8 @@ MOST = 30
 def write_training_report(run: TrainingRun, state: State, folder: Path) -> dict[str, Any]:
     """Into an existing folder; returns what stands in training.json."""
     spec, split, history = dataclasses.replace(run.spec, calibration=state.calibration), run.split, state.history
-    errors, raw, xy_px = judge(
-        net.TrainedNetwork(spec, state.average, run.device), run, np.arange(len(run.labels.images))
-    )
+    trained = net.TrainedNetwork(spec, state.average, run.device)
+    errors, raw, xy_px = judge(trained, run, np.arange(len(run.labels.images)))
     likelihood, judged = net.calibrated(raw, spec.calibration), {}
     for name, which in split.items():
         if len(which):
@@ -420,10 +398,8 @@ def write_training_report(run: TrainingRun, state: State, folder: Path) -> dict[
         "source": run.labels.source,
         "keypoints": list(spec.names),
         "parameters": sum(p.numel() for p in state.network.parameters()),
-        "scale": spec.scale,
         "first_stage_scale": spec.first,
-        "body_length_px": spec.body_length_px,
-        "tolerance_px": spec.tolerance_px,
+        **picked(spec, "scale", "body_length_px", "tolerance_px"),
         "settings": run.settings.of_training(),
         "split": frames_by_part(run.labels, split),
         "labelled_points": {name: int(run.labels.labelled[which].sum()) for name, which in split.items()},
@@ -457,7 +433,7 @@ def _write_worst(labels: Labels, errors: Array, xy_px: Array, which: Integers, p
         apart = all(labels.clip[i] != labels.clip[j] or abs(labels.numbers[i] - labels.numbers[j]) > 2 for j in chosen)
         if apart and np.isfinite(mean_px[i]) and len(chosen) < WORST:
             chosen.append(i)
-    tiles = []
+    tiles: list[Image] = []
     for i in chosen:
         factor = max(1, -(-LEAST_WIDTH_PX // labels.pictures[i].shape[1]))
         drawn = np.asarray(cv2.resize(labels.pictures[i], None, fx=factor, fy=factor, interpolation=cv2.INTER_CUBIC))
@@ -471,9 +447,9 @@ def _write_worst(labels: Labels, errors: Array, xy_px: Array, which: Integers, p
         draw_text(drawn, f"{labels.images[i]}: mean {mean_px[i]:.1f} px", (8, 20), 0.5, LABEL)
         tiles.append(drawn)
     height, width, _ = np.max([tile.shape for tile in tiles], axis=0)
-    sheet = np.zeros((height * -(-len(tiles) // 2), 2 * width, 3), np.uint8)
-    for n, tile in enumerate(tiles):
-        sheet[n // 2 * height :, n % 2 * width :][: tile.shape[0], : tile.shape[1]] = tile
+    alike = [np.pad(tile, ((0, height - len(tile)), (0, width - len(tile[0])), (0, 0))) for tile in tiles]
+    alike += [np.zeros_like(alike[0])] * (len(tiles) % 2)
+    sheet = np.vstack([np.hstack(pair) for pair in zip(alike[::2], alike[1::2], strict=True)])
     write_bytes(path, cv2.imencode(path.suffix, sheet)[1].tobytes())
 
 
@@ -494,10 +470,10 @@ def suspicious_labels(labels: Labels, xy_px: Array, length_px: float) -> list[di
     found = []
     for i, k in np.argwhere(labels.labelled):
         (x, y), against = labels.xy_px[i, k].tolist(), {name: float(of_all[i, k]) for name, of_all in clues.items()}
-        beyond = [name for name, value in against.items() if value > limits[name][k]]
-        reasons = tuple(f"{against[name]:.2f} {REASONS[name]}" for name in beyond)
+        beyond = {name: value for name, value in against.items() if value > limits[name][k]}
+        reasons = tuple(f"{value:.2f} {REASONS[name]}" for name, value in beyond.items())
         row = {"image": labels.images[i], "keypoint": labels.names[k], "x_px": x, "y_px": y, **against}
-        found += [row | {"rank": sum(against[name] for name in beyond), "reasons": reasons}] if beyond else []
+        found += [row | {"rank": sum(beyond.values()), "reasons": reasons}] if beyond else []
     return sorted(found, key=lambda row: -row["rank"])[:MOST]
 
 
@@ -535,30 +511,25 @@ def train_command(settings: _TrainRunSettings, progress: Progress) -> Answer:
 
 
 def run_training(
-    source: LabelSource,
-    settings: TrainSettings,
-    out: Path,
-    *,
-    device: str = "auto",
-    threads: int | None = None,
-    resume: bool = False,
-    overwrite: bool = False,
-    progress: Progress = silent,
+    source: LabelSource, settings: TrainSettings, out: Path, *, progress: Progress = silent, **options: Any
 ) -> dict[str, Any]:
-    """`recon train`: `out` gets the network, a checkpoint and the training report, which is returned.
+    """`recon train`: `out` gets the network, a checkpoint and the training report, which is returned. options: device,
+    threads, resume and overwrite, as of the command.
 
     Raises InputError, with every problem, before anything is written.
     """
+    given = picked(source, *LabelSource.infos()) | picked(settings, *TrainSettings.infos())
+    s = _TrainRunSettings(out=out, **given, **options)
     net.require_torch()
     chosen, labels, _ = all_of(
-        lambda: net.choose_device(device),
-        lambda: read_labels(source.data, source.labels, source.first_frame, source.individual, source.rename),
-        lambda: _check_folder(out, resume, overwrite),
+        lambda: net.choose_device(s.device),
+        lambda: read_labels(**picked(s, "data", "labels", "first_frame", "individual", "rename")),
+        lambda: _check_folder(s),
     )
-    run = prepare(labels, split_labels(labels, source.validation, source.test, settings.seed), settings, chosen)
+    run = prepare(labels, split_labels(labels, s.validation, s.test, s.seed), s, chosen)
     with sole_writer(out):
-        _check_folder(out, resume, overwrite)
-        state = train(run, out, resume, threads, progress)
+        _check_folder(s)
+        state = train(run, out, s.resume, s.threads, progress)
         progress("report", 1.0)
         with staged_folder(out) as staging:
             return write_training_report(run, state, staging)
@@ -569,31 +540,23 @@ def _summary(report: dict[str, Any], out: Path) -> Iterator[str]:
     best = report["best_validation"]
     if best:
         yield f"Validation pictures, before any was learned from: median error {best['median_px']:.2f} px at best."
-        if best["median_px"] > 2 * report["tolerance_px"]:
-            yield (
-                f"That is too far off to be of use: a point counts as right within {report['tolerance_px']:.1f} px. "
-                "Train longer (--minutes), or label more."
-            )
+        if best["median_px"] > 2 * (right_px := report["tolerance_px"]):
+            yield f"That is too far off to be of use: a point counts as right within {right_px:.1f} px."
+            yield "Train longer (--minutes), or label more."
     if "test" in report["errors"]:
         score = report["errors"]["test"]["all"]
         yield f"Test pictures: median error {score['median_px']:.2f} px, {score['pck_px']['5.0']:.0%} within 5 px."
     suspects = report["suspicious_labels"]
     if suspects:
         first = suspects[0]
-        yield (
-            f"{len(suspects)} labels look wrong, {first['keypoint']} in {first['image']} the most: "
-            f"see {out / 'suspicious.csv'}."
-        )
+        most = f"{first['keypoint']} in {first['image']} the most"
+        yield f"{len(suspects)} labels look wrong, {most}: see {out / 'suspicious.csv'}."
     yield f"The network and its report are in {out}. Use it with: recon predict VIDEO --model {out} --out FILE.csv"
 
 
-def _check_folder(out: Path, resume: bool, overwrite: bool) -> None:
-    if resume and not (out / CHECKPOINT_FILE).is_file():
-        expected = "one to go on from; without --resume, a new run"
-        raise InputError(Problem(out / CHECKPOINT_FILE, "checkpoint", "no such file", expected))
-    there = [name for name in (net.MODEL_FILE, CHECKPOINT_FILE) if (out / name).exists()]
-    if there and not resume and not overwrite:
-        expected = "a new folder, --resume to go on, or --overwrite to begin again"
-        raise InputError(Problem("--out", "folder", f"{out}, which has a {there[0]}", expected))
-    if out.exists() and not out.is_dir():
-        raise InputError(Problem("--out", "folder", f"{out}, which is a file", "a folder"))
+def _check_folder(s: _TrainRunSettings) -> None:
+    checkpoint, expected = s.out / CHECKPOINT_FILE, "one to go on from; without --resume, a new run"
+    if s.resume and not checkpoint.is_file():
+        raise InputError(Problem(checkpoint, "checkpoint", "no such file", expected))
+    made = net.MODEL_FILE, CHECKPOINT_FILE
+    require_free_folder(s.out, made, s.overwrite or s.resume, "a network, --resume to go on with it")

@@ -1,7 +1,12 @@
-"""The tables of `recon analyse`, from a `ClipAnalysis`. Columns: docs/gait.md."""
+"""The tables of a fit (docs/report.md), a function of a motion and a path for each; and those of `recon analyse`
+(docs/gait.md), a function of a `ClipAnalysis` that gives the table.
+
+They are written in place; `recon.base.files.staged_folder` makes a folder of them appear whole or not at all.
+"""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable, Sequence
 from operator import attrgetter
 from pathlib import Path
@@ -9,11 +14,103 @@ from typing import Any
 
 import numpy as np
 
+from recon.fit.motion import Motion
 from recon.gait.clip import ClipAnalysis
 from recon.gait.dynamics import FORCE_COLUMNS, G_M_S2
 from recon.gait.kinematics import AngleKinematics
 from recon.gait.phase import field_means
-from recon.io.writing import write_columns, write_rows
+from recon.io.writing import write_columns, write_rows, write_table
+
+QUALITY_COLUMNS = ("frame", "flags", "alternative_m", "detections", "mean_weight", "place_sigma_m", "relative_rms_m")
+
+
+def pose3d(motion: Motion, path: Path) -> None:
+    """x, y, z in metres of each joint, under its keypoint's name, in the motion's frame of reference."""
+    _write_points(path, motion, ("x", "y", "z"), motion.joints_m)
+
+
+def pose3d_sigma(motion: Motion, path: Path) -> None:
+    """Standard deviations in metres along the axes of the frame of reference, for each joint: of its position, and of
+    its position relative to the mean of all joints."""
+    coords = ("x_sigma", "y_sigma", "z_sigma", "x_rel", "y_rel", "z_rel")
+    _write_points(path, motion, coords, np.concatenate((motion.joint_sigma_m, motion.relative_sigma_m), axis=2))
+
+
+def angles(motion: Motion, path: Path) -> None:
+    """The whole state, in its order: angles in rad, the place in metres."""
+    columns = [name if name.endswith("_m") else f"{name}_rad" for name in motion.state_names]
+    write_table(path, [["frame", *columns]], motion.frames, motion.states)
+
+
+def angles_sigma(motion: Motion, path: Path) -> None:
+    """The standard deviation of every angle of angles.csv, then every angle's information fraction."""
+    columns = [f"{name}_{what}" for what in ("sigma_rad", "data_share") for name in motion.angle_names]
+    values = np.hstack((motion.solution.angle_sigma_rad, motion.solution.angle_data_share))
+    write_table(path, [["frame", *columns]], motion.frames, values)
+
+
+def quality(motion: Motion, path: Path) -> None:
+    """What is doubtful about each frame: flags, separated by semicolons, and the numbers behind them."""
+    flags = [";".join(flags) for flags in motion.flags]
+    columns = (motion.frames, flags, *(getattr(motion, name) for name in QUALITY_COLUMNS[2:]))
+    write_rows(path, [QUALITY_COLUMNS], zip(*columns, strict=True))
+
+
+def reprojection(motion: Motion, path: Path, camera: int = 0) -> None:
+    """The joints in the picture of one of the motion's cameras, as a file of DeepLabCut's: x, y in pixels and a
+    likelihood of 1; without a pose, or where the camera cannot see it, empty and 0."""
+    xy_px = motion.pictures[camera].reprojected_px
+    likelihood = np.isfinite(xy_px).all(axis=-1, keepdims=True)
+    values = np.concatenate([np.where(likelihood, xy_px, np.nan), likelihood], axis=-1)
+    _write_points(path, motion, ("x", "y", "likelihood"), values, scorer="recon")
+
+
+_EVERY_CLIP = pose3d, angles, quality, pose3d_sigma, angles_sigma
+CLIP_OUTPUTS: dict[str, Callable[[Motion, Path], None]] = {f"{table.__name__}.csv": table for table in _EVERY_CLIP}
+"""The tables that every clip gets, by file name."""
+
+REPROJECTION = "reprojection.csv"
+"""The table that every clip gets for each camera, which is named in it where there are several (`camera_files`)."""
+
+
+def write_tables(motion: Motion, folder: Path) -> None:
+    """Every table of a motion, into a folder that exists."""
+    for name, write in CLIP_OUTPUTS.items():
+        write(motion, folder / name)
+    for camera, file in enumerate(camera_files([picture.name for picture in motion.pictures])):
+        reprojection(motion, folder / file, camera)
+
+
+def camera_files(cameras: Sequence[str]) -> list[str]:
+    """`REPROJECTION` of each of these cameras: reprojection.csv, or reprojection_cam1.csv ..."""
+    if len(cameras) == 1:
+        return [REPROJECTION]
+    files: list[str] = []
+    for number, camera in enumerate(cameras, start=1):
+        name = re.sub(r"[^\w.-]+", "-", camera) or str(number)
+        # Names that differ in letters that a file's name cannot have, or that some systems take for the same.
+        twice = any(f"reprojection_{name}.csv".lower() == file.lower() for file in files)
+        files.append(f"reprojection_{name}-{number}.csv" if twice else f"reprojection_{name}.csv")
+    return files
+
+
+def of_any_camera(folder: Path) -> list[str]:
+    """The files in a folder that are called like `REPROJECTION` of some camera."""
+    return sorted(path.name for path in folder.glob("reprojection_*.csv"))
+
+
+def _write_points(path: Path, motion: Motion, coords: Sequence[str], values: np.ndarray, scorer: str = "") -> None:
+    """DeepLabCut's layout: header rows `bodyparts, coords`, before them `scorer` if there is one. values (T, J, C)."""
+    header = [
+        ["bodyparts", *(name for name in motion.names for _ in coords)],
+        ["coords", *(coord for _ in motion.names for coord in coords)],
+    ]
+    if scorer:
+        header.insert(0, ["scorer"] + [scorer] * (len(header[0]) - 1))
+    write_table(path, header, motion.frames, values.reshape(len(motion.frames), -1))
+
+
+# -- of an analysis ----------------------------------------------------------------------------------------------------
 
 Rows = Iterable[Sequence[Any]]
 Table = tuple[Sequence[str], Rows]
@@ -55,7 +152,7 @@ def velocities(found: ClipAnalysis) -> Columns:
     return columns
 
 
-def angles(found: ClipAnalysis) -> Table:
+def joint_angles(found: ClipAnalysis) -> Table:
     """Range of motion and peak rates: the angles at the joints and the spine's flexion, then the skeleton's own."""
     names, shares = ("range_of_motion_rad", "peak_rate_rad_s", "peak_acceleration_rad_s2"), found.motion.data_shares
     rows = [
@@ -189,26 +286,13 @@ def force_over_time(found: ClipAnalysis) -> Columns:
     return columns
 
 
-TABLES: dict[str, Callable[[ClipAnalysis], Table | Columns]] = {
-    "joints.csv": joints,
-    "reference.csv": reference,
-    "velocities.csv": velocities,
-    "joint_angles.csv": angles,
-    "angle_rates.csv": angle_rates,
-    "stances.csv": stances,
-    "strides.csv": strides,
-    "gait.csv": gait,
-    "vector_field.csv": vector_field,
-    "vector_field_means.csv": vector_field_means,
-    "closures.csv": closures,
-    "centre_of_mass.csv": centre_of_mass,
-    "forces.csv": forces,
-    "force_over_time.csv": force_over_time,
-}
-"""The tables by their files' names."""
+_MOTION = joints, reference, velocities, joint_angles, angle_rates, vector_field, vector_field_means, closures
+_GAIT = stances, strides, gait, centre_of_mass, forces, force_over_time
+TABLES: dict[str, Callable[[ClipAnalysis], Table | Columns]] = {f"{of.__name__}.csv": of for of in (*_MOTION, *_GAIT)}
+"""The tables by their files' names, which are those of their functions."""
 
 
-def write(found: ClipAnalysis, folder: Path) -> None:
+def write_analysis(found: ClipAnalysis, folder: Path) -> None:
     """Every table, into a folder that exists."""
     for name, table in TABLES.items():
         made = table(found)
