@@ -159,9 +159,8 @@ def parse_board(text: str) -> Board:
         marker_m = float(size) * UNITS_M[unit]
         board = replace(board, marker_m=marker_m, dictionary=dictionary.upper(), legacy=bool(legacy))
         if not 0 < marker_m < board.square_m:
-            problems.append(
-                Problem("--board", "side of a marker", size + unit, f"less than {square}{unit} of a square")
-            )
+            expected = f"less than {square}{unit} of a square"
+            problems.append(Problem("--board", "side of a marker", size + unit, expected))
         known = sorted(name for name in dir(cv2.aruco) if name.startswith("DICT_") and name == name.upper())
         needed = board.columns * board.rows // 2
         if board.dictionary not in known:
@@ -280,12 +279,10 @@ def find_views(files: Sequence[Path], board: Board, progress: Progress = silent)
         problems.append(_mixed_sizes(sizes))
     refuse(problems)
     if not found:
-        expected = (
-            f"a {board}, whole and with a white margin: is that the board? --board counts inner corners, one fewer "
-            "than squares each way"
-            if board.marker_m is None
-            else f"a {board}: is that the board? It may have the layout of OpenCV before 4.6: try :legacy"
-        )
+        expected = f"a {board}: is that the board? It may have the layout of OpenCV before 4.6: try :legacy"
+        if board.marker_m is None:
+            expected = f"a {board}, whole and with a white margin: is that the board? --board counts inner corners, "
+            expected += "one fewer than squares each way"
         looked = f"none in {len(without)} {'frames' if is_video else 'pictures'}"
         raise InputError(Problem(files[0] if len(files) == 1 else "pictures", "board", looked, expected))
     views = [found[i] for i in choose(np.array(sharpness), np.array(outlines))] if is_video else found
@@ -446,8 +443,8 @@ def calibrate(views: BoardViews, model: str, name: str = "cam1") -> Calibration:
     if len(views.views) < MIN_VIEWS:
         found = f"the board in {len(views.views)} of {views.examined} pictures"
         raise InputError(Problem("pictures", "views", found, f"{MIN_VIEWS} or more; 12 to 40 are good"))
-    points, left_out = views.board.points_m, dict[str, _FittedBoardView]()
-    camera, fitted = _solve(views.views, points, views.image_size_px, model, name)
+    left_out = dict[str, _FittedBoardView]()
+    camera, fitted = _solve(views, model, name)
     for _ in range(ROUNDS):
         errors = np.array([view.rms_px for view in fitted])
         good = errors <= max(DROP_FACTOR * float(np.median(errors)), DROP_FLOOR_PX)
@@ -455,37 +452,30 @@ def calibrate(views: BoardViews, model: str, name: str = "cam1") -> Calibration:
             break
         bad = [view for view, is_good in zip(fitted, good, strict=True) if not is_good]
         left_out |= {view.name: replace(view, used=False) for view in bad}
-        used = [view for view in fitted if view.name not in left_out]
-        camera, fitted = _solve(used, points, views.image_size_px, model, name)
+        used = tuple(view for view in fitted if view.name not in left_out)
+        camera, fitted = _solve(replace(views, views=used), model, name)
     every = left_out | {view.name: view for view in fitted}
-    sigma = _sigma(fitted, points, camera)
+    sigma = _sigma(fitted, views.board.points_m, camera)
     return Calibration(camera, views.board, tuple(every[view.name] for view in views.views), tuple(sigma.tolist()))
 
 
-def _fitted_view(
-    view: BoardView, points: Array, camera: Camera, rotation_vector: Array, translation: Array
-) -> _FittedBoardView:
-    rotation = np.asarray(cv2.Rodrigues(rotation_vector)[0], dtype=float)
-    translation = np.ravel(translation)
-    projected, valid = camera.project(points[view.ids] @ rotation.T + translation)
-    # Where the lens model folds there is no projection: as wrong as can be, and finite.
-    far = float(np.hypot(*camera.image_size_px))
-    residual = np.where(valid[:, None], projected - view.xy_px, far)
-    return _FittedBoardView(view.name, view.ids, view.xy_px, rotation, translation, residual, used=True)
-
-
-def _solve(
-    views: Sequence[BoardView], points: Array, size: tuple[int, int], model: str, name: str
-) -> tuple[Camera, list[_FittedBoardView]]:
+def _solve(views: BoardViews, model: str, name: str) -> tuple[Camera, list[_FittedBoardView]]:
+    points, size, lens = views.board.points_m, views.image_size_px, LENS_MODELS[model]
     try:
-        solve = _solve_fisheye if LENS_MODELS[model].opencv == "fisheye" else _solve_standard
-        matrix, distortion, rotations, translations = solve(views, points, size, LENS_MODELS[model].calibrated)
+        solve = _solve_fisheye if lens.opencv == "fisheye" else _solve_standard
+        matrix, distortion, rotations, translations = solve(views.views, points, size, lens.calibrated)
         camera = Camera(name, matrix, distortion, model, size)
     except (cv2.error, ValueError) as error:
         expected = "boards tilted in different ways, over the whole picture"
         raise InputError(Problem("pictures", f"{model} model", "no solution", expected)) from error
-    poses = zip(views, rotations, translations, strict=True)
-    return camera, [_fitted_view(view, points, camera, rotation, place) for view, rotation, place in poses]
+    fitted = []
+    for view, turn, place in zip(views.views, rotations, translations, strict=True):
+        rotation, translation = np.asarray(cv2.Rodrigues(turn)[0], dtype=float), np.ravel(place)
+        projected, valid = camera.project(points[view.ids] @ rotation.T + translation)
+        # Where the lens model folds there is no projection: as wrong as can be, and finite.
+        residual = np.where(valid[:, None], projected - view.xy_px, math.hypot(*size))
+        fitted.append(_FittedBoardView(view.name, view.ids, view.xy_px, rotation, translation, residual, used=True))
+    return camera, fitted
 
 
 def _solve_standard(views: Sequence[BoardView], points: Array, size: tuple[int, int], coefficients: int) -> Any:

@@ -101,20 +101,14 @@ def advise(
 
 
 def known(
-    body: Body,
-    prior: MotionPrior,
-    states: Array,
-    cameras: Sequence[Camera],
-    of: str | None = None,
-    options: TrajectoryOptions | None = None,
+    body: Body, prior: MotionPrior, states: Array, cameras: Sequence[Camera], of: str | None = None
 ) -> tuple[float, float]:
     """Standard deviation (rad, or m of a joint within the pose) and the pixels' share of the precision, medians over
     frames, where cameras see the motion of states (T, D). (inf, 0) where none sees it. See `advise`."""
-    options = options or TrajectoryOptions()
     views = [_seen(body, states, camera) for camera in cameras]
     if not any(view.present.any() for view in views):
         return np.inf, 0.0
-    clip = ClipProblem.of(views, body, prior, FPS, options)
+    clip = ClipProblem.of(views, body, prior, FPS, TrajectoryOptions())
     at_origin = states.copy()
     at_origin[:, ROOT] -= clip.origin_m
     around_m = clip.markers(at_origin)

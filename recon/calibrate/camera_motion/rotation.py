@@ -409,21 +409,19 @@ def read_marks(path: Path) -> tuple[LevelMark, ...]:
     (_, header), *rows = [*text_rows(path, ",")] or [(1, [])]
     if tuple(cell.strip() for cell in header) != COLUMNS:
         raise InputError(Problem(path, "header", repr(",".join(header))[:80], EXPECTED))
-    marks = [(line, cells, _mark(cells)) for line, cells in rows]
-    problems = [
-        Problem(path, f"line {line}", repr(",".join(cells))[:80], EXPECTED) for line, cells, mark in marks if not mark
-    ]
-    refuse(first_problems(problems, path) if marks else [Problem(path, "lines", "none", EXPECTED)])
-    return tuple(mark for _, _, mark in marks if mark)
+    marks, problems = list[LevelMark](), list[Problem]()
+    for line, cells in rows:
+        try:
+            marks.append(_mark(*(cell.strip() for cell in cells)))
+        except (TypeError, ValueError):  # too few, or other than numbers
+            problems.append(Problem(path, f"line {line}", repr(",".join(cells))[:80], EXPECTED))
+    refuse(first_problems(problems, path) if rows else [Problem(path, "lines", "none", EXPECTED)])
+    return tuple(marks)
 
 
-def _mark(cells: Sequence[str]) -> LevelMark | None:
-    if len(cells) != len(COLUMNS) or cells[0].strip() not in ("horizon", "vertical"):
-        return None
-    try:
-        frame, (x1, y1, x2, y2) = frame_number(cells[1].strip()), (number(cell.strip()) for cell in cells[2:])
-    except ValueError:
-        return None
-    if frame is None or not np.isfinite([x1, y1, x2, y2]).all() or (x1, y1) == (x2, y2):
-        return None
-    return cells[0].strip(), frame, ((x1, y1), (x2, y2))
+def _mark(kind: str, frame: str, *ends: str) -> LevelMark:
+    at, (x1, y1, x2, y2) = frame_number(frame), map(number, ends)
+    known = kind in ("horizon", "vertical") and np.isfinite([x1, y1, x2, y2]).all()
+    if at is None or not known or (x1, y1) == (x2, y2):
+        raise ValueError
+    return kind, at, ((x1, y1), (x2, y2))

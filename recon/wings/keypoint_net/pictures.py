@@ -14,10 +14,9 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Generator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from itertools import count
 from pathlib import Path
 from typing import TypeVar
 
@@ -47,6 +46,7 @@ MARGIN = 0.12
 NO_BACKGROUND = 0.2
 """Share of the training pictures whose difference to the background is left out."""
 AHEAD = 3
+"""Batches that are made while the network learns from an earlier one."""
 
 LEAST_PICTURES = 8
 MOST_PICTURES = 60
@@ -362,10 +362,3 @@ def make_batch(
             angle, far = rng.uniform(0, 2 * np.pi, len(xy)), off_px * rng.uniform(0, 1, len(xy)) ** 0.5
             near.append(xy + np.stack([far * np.cos(angle), far * np.sin(angle)], axis=1))
     return np.stack(pictures), np.stack(backgrounds), np.stack(points), np.stack(near) if near else None
-
-
-def batches(
-    sources: Sequence[Callable[[int, Integers], Batch]], step: int, pool: Integers
-) -> Generator[tuple[Batch, ...]]:
-    """The batches of this step and all that follow, one of each source, made ahead."""
-    return ahead((tuple(source(s, pool) for source in sources) for s in count(step)), AHEAD)

@@ -19,6 +19,7 @@ from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import dataclass, field
 from functools import partial
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -175,7 +176,9 @@ def train(
     began_s = time.monotonic() - state.seconds
     while state.share < 1.0:
         held_out = not state.finishing
-        with closing(pictures.batches(sources, state.step, first if held_out else both)) as drawn:
+        pool, steps = first if held_out else both, count(state.step)
+        made = (tuple(source(step, pool) for source in sources) for step in steps)
+        with closing(pictures.ahead(made, pictures.AHEAD)) as drawn:
             while state.share < 1.0 and held_out != state.finishing:
                 rate, before = LEARNING_RATE * schedule(state.share), state.share
                 value = _learn(state, next(drawn), rate, run, half)
@@ -417,8 +420,8 @@ def write_training_report(run: TrainingRun, state: State, folder: Path) -> dict[
     (folder / "training.json").write_text(to_json(report), encoding="utf-8")
     digits = {"x_px": 2, "y_px": 2, "rank": 3, "network": 3, "others": 3}
     table = pd.DataFrame(suspects, columns=["image", "keypoint", *digits, "reasons"])
-    for name, count in digits.items():
-        table[name] = ["" if np.isnan(value) else f"{value:.{count}f}" for value in table[name]]
+    for name, places in digits.items():
+        table[name] = ["" if np.isnan(value) else f"{value:.{places}f}" for value in table[name]]
     table.assign(reasons=table["reasons"].map("; ".join)).to_csv(folder / "suspicious.csv", index=False)
     held = np.concatenate([split["validation"], split["test"]])
     _write_worst(run.labels, errors, xy_px, held if len(held) else split["train"], folder / "worst.png")
