@@ -343,7 +343,7 @@ def _draw(axes: Axes, portrait: Portrait, colours: tuple[ListedColormap, Normali
     cuts = np.unique(np.linspace(known[0], known[-1], SHADES + 1).astype(int))
     pieces = [path[a : b + 1] for a, b in pairwise(cuts)]
     middles = [float(np.mean(portrait.time_s[[a, b]])) for a, b in pairwise(cuts)]
-    shades = {"color": _UNSEEN}
+    shades: dict[str, Any] = {"color": _UNSEEN}
     if colours is not None:
         shades = {"cmap": colours[0], "norm": colours[1], "array": np.array(middles)}
     axes.add_collection(LineCollection(pieces, lw=1.2, capstyle="round", **shades), autolim=False)

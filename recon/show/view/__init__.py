@@ -28,6 +28,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 from itertools import product
 from pathlib import Path
 
@@ -113,14 +114,9 @@ def blueprint(motion: Motion, scene: Scene, plots: Sequence[TimePlot], rows: Seq
 
 def laid_out(content: rrb.Container, fps: float) -> rrb.Blueprint:
     """The viewer shows this and nothing else, and plays it in a loop."""
-    return rrb.Blueprint(
-        content,
-        rrb.BlueprintPanel(state="hidden"),
-        rrb.SelectionPanel(state="hidden"),
-        rrb.TimePanel(state="collapsed", timeline="frame", fps=fps, play_state="playing", loop_mode="all"),
-        auto_layout=False,
-        auto_views=False,
-    )
+    hidden = rrb.BlueprintPanel(state="hidden"), rrb.SelectionPanel(state="hidden")
+    time = rrb.TimePanel(state="collapsed", timeline="frame", fps=fps, play_state="playing", loop_mode="all")
+    return rrb.Blueprint(content, *hidden, time, auto_layout=False, auto_views=False)
 
 
 def _in_space(name: str, eye: rrb.EyeControls3D) -> rrb.Spatial3DView:
@@ -187,6 +183,9 @@ def state_rows(entities: Sequence[str], name: str) -> rrb.StateTimelineView:
     return rrb.StateTimelineView(origin="/", contents=[f"/{entity}" for entity in entities], name=name)
 
 
+_orbit = partial(rrb.EyeControls3D, kind=rrb.Eye3DKind.Orbital)
+
+
 def _eye_on_animal(motion: Motion, scene: Scene) -> rrb.EyeControls3D:
     """Going along with the animal, on the camera's side of it, and slightly raised."""
     up = scene.axes[2]
@@ -203,13 +202,7 @@ def _eye_on_animal(motion: Motion, scene: Scene) -> rrb.EyeControls3D:
     direction = side / max(float(np.linalg.norm(side)), 1e-9) + 0.3 * up
     target = poses[0].mean(axis=0)
     position = target + (1.05 * scene.size_m + 0.4) * direction
-    return rrb.EyeControls3D(
-        kind=rrb.Eye3DKind.Orbital,
-        position=position,
-        look_target=target,
-        eye_up=up,
-        tracking_entity="world/followed",
-    )
+    return _orbit(position=position, look_target=target, eye_up=up, tracking_entity="world/followed")
 
 
 def _eye_on_all(motion: Motion, scene: Scene) -> rrb.EyeControls3D:
@@ -218,7 +211,7 @@ def _eye_on_all(motion: Motion, scene: Scene) -> rrb.EyeControls3D:
     box_m = np.array([*product(*zip(scene.low_m, scene.high_m, strict=True))]) @ scene.axes
     points = np.concatenate([box_m, *cameras_m])
     position, target = fitting_eye(points[np.isfinite(points).all(axis=1)], scene.axes, 0.5 * scene.size_m)
-    return rrb.EyeControls3D(kind=rrb.Eye3DKind.Orbital, position=position, look_target=target, eye_up=scene.axes[2])
+    return _orbit(position=position, look_target=target, eye_up=scene.axes[2])
 
 
 def fitting_eye(points_m: Array, axes: Array, margin_m: float = 0.0) -> tuple[Array, Array]:

@@ -22,13 +22,14 @@ from recon.base.arrays import Array, Bools, Integers, median
 from recon.base.documents import read_head
 from recon.base.errors import InputError, Problem, all_of, refuse
 from recon.base.settings import Integer, Number, Option, Positive, Settings
-from recon.clip import Keypoints, mark_missing, parse_frame_range
+from recon.clip import Keypoints, mark_missing, parse_frame_range, select_frames
 from recon.io import read_keypoints
 from recon.io.common import first_problems
 from recon.io.deeplabcut_project import Project, find_project, label_files
 from recon.io.formats import as_keypoints, recognised
 from recon.io.video import Image, probe, read_frames, read_picture
 from recon.io.writing import frames_text
+from recon.show.plain import picked
 from recon.workflows.cli import Answer, table_of
 from recon.workflows.settings import RENAME, FrameRange
 
@@ -233,10 +234,9 @@ def _read_folder(path: Path, individual: str | None) -> Labels | None:
 def extents_px(xy_px: Array) -> Array:
     """(N,): diagonals of the boxes around the labelled points (N, K, 2); NaN with fewer than two."""
     known = known_points(xy_px)
-    low = np.where(known[..., None], xy_px, np.inf).min(axis=1)
-    high = np.where(known[..., None], xy_px, -np.inf).max(axis=1)
-    several = known.sum(axis=1, keepdims=True) > 1
-    return np.linalg.norm(np.where(several, high - low, np.nan), axis=1)
+    points = np.where(known[..., None], xy_px, np.nan)
+    sides = np.fmax.reduce(points, axis=1) - np.fmin.reduce(points, axis=1)
+    return np.where(known.sum(axis=1) > 1, np.linalg.norm(sides, axis=1), np.nan)
 
 
 def body_length_px(xy_px: Array) -> float:
@@ -370,7 +370,7 @@ def evaluate_2d_command(settings: Evaluate2DSettings) -> Answer:
 
     Example: recon evaluate-2d run.csv CollectedData_me.csv
     """
-    result = evaluate_2d_files(**{name: getattr(settings, name) for name in settings.infos()})
+    result = evaluate_2d_files(**picked(settings, *settings.infos()))
     return Answer(result, [_table(result), *_notes(result)])
 
 
@@ -383,17 +383,16 @@ def evaluate_2d_files(predicted: Path, labels: Path, **options: Any) -> dict[str
         keypoints = mark_missing(read_keypoints(predicted, o.individual))[0]
         return keypoints if o.rename is None else renamed(keypoints, load_names(o.rename))
 
-    guess, (truth, _) = all_of(read_predicted, lambda: read_label_file(labels, o.individual))
+    asked = parse_frame_range(o.frames) if o.frames else None
+    guess, truth = all_of(read_predicted, lambda: select_frames(read_label_file(labels, o.individual)[0], asked))
     common = [name for name in truth.names if name in guess.names]
     problems = []
     if not common:
         expected = f"some of: {', '.join(truth.names)}; --rename with a file of these lines, completed"
         lines = tuple(map_to_write(guess.names, truth.names))
         problems.append(Problem(predicted, "keypoints", ", ".join(guess.names), expected, lines))
-    low, high = parse_frame_range(o.frames) if o.frames else (None, None)
     numbers = guess.frames + o.first_frame  # as the labels count
-    asked = (truth.frames >= (-np.inf if low is None else low)) & (truth.frames < (np.inf if high is None else high))
-    rows_t = np.flatnonzero(asked & np.isin(truth.frames, numbers))
+    rows_t = np.flatnonzero(np.isin(truth.frames, numbers))
     if not len(rows_t):
         first, last = truth.frames[[0, -1]]
         expected = f"some of the labels' frames {first} to {last} that are asked for; --first-frame"
@@ -402,15 +401,9 @@ def evaluate_2d_files(predicted: Path, labels: Path, **options: Any) -> dict[str
     refuse(problems)
     rows_g = pd.Index(numbers).get_indexer(truth.frames[rows_t])
     g, t = [guess.names.index(n) for n in common], [truth.names.index(n) for n in common]
-    return evaluate_2d(
-        tuple(common),
-        guess.xy_px[rows_g][:, g],
-        guess.confidence[rows_g][:, g],
-        truth.xy_px[rows_t][:, t],
-        body_length_px(truth.xy_px[rows_t]),
-        o.likelihood_min,
-        o.tolerance_px,
-    )
+    found, sure, known = guess.xy_px[rows_g][:, g], guess.confidence[rows_g][:, g], truth.xy_px[rows_t]
+    limits = picked(o, "likelihood_min", "tolerance_px")
+    return evaluate_2d(tuple(common), found, sure, known[:, t], body_length_px(known), **limits)
 
 
 def evaluate_2d(

@@ -483,15 +483,11 @@ def suspicious_labels(labels: Labels, xy_px: Array, length_px: float) -> list[di
 def _excess_distance_px(xy_px: Array) -> Array:
     """(N, K): by how much a label is farther than usual from that of the others to which this is least so; px."""
     n, k = xy_px.shape[:2]
-    least = np.full((n, k), np.inf)
-    for j in range(k):
-        distance = np.linalg.norm(xy_px - xy_px[:, j : j + 1], axis=2)
-        distance[:, j] = np.nan
-        known = np.isfinite(distance).sum(axis=0) >= 5
-        usual = np.full(k, np.nan)
-        usual[known] = np.nanquantile(distance[:, known], USUAL, axis=0)
-        least = np.fmin(least, distance - usual)
-    return np.where(np.isfinite(least), least, np.nan)
+    distance = np.linalg.norm(xy_px[:, :, None] - xy_px[:, None], axis=3)
+    distance[:, range(k), range(k)] = np.nan
+    pairs = pd.DataFrame(distance.reshape(n, k * k))
+    usual = pairs.quantile(USUAL).where(pairs.count() >= 5)
+    return np.fmin.reduce((pairs - usual).to_numpy().reshape(n, k, k), axis=2)
 
 
 # -- the command -------------------------------------------------------------------------------------------------------
