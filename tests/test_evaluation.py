@@ -14,8 +14,8 @@ from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
 from recon import evaluate, evaluate_files
-from recon.check import mismatches, sentence
-from recon.gait.evaluation import aligned, joint_errors
+from recon.check import sentence
+from recon.gait.evaluation import aligned, joint_errors, mismatches
 from recon.io import Pose3D, read_pose3d, write_csv
 from recon.io.markers import write_trc
 

@@ -12,7 +12,6 @@ if TYPE_CHECKING:
     from recon.check.codes import CODES, FLAG_OF, FLAGS, finding, names_text, sentence, sentences
     from recon.check.inputs import flagged, input_findings, without_gross_outliers
     from recon.check.mended import doubted, mends, without_swaps
-    from recon.check.mismatch import mismatches
     from recon.check.rules import findings_of
     from recon.check.verdict import judged, usable, verdict_fields, verdict_lines
     from recon.fit.result import Finding

@@ -5,26 +5,31 @@ centring, scaling and rotating use these common joints only.
 
 Every mean is taken over frames of the mean within the frame, so that a frame counts the same however many of its joints
 are known.
+
+A fit's errors differ from frame to frame. One motion of the whole clip that takes most of the error away says that the
+two stand in different axes, units or names instead (`mismatches`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import warnings
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from recon.animal import fitting_maps, load_names, new_names
-from recon.base.arrays import Brief, mean_along, to_plain
+from recon.animal import fitting_maps, load_names, new_names, opposites
+from recon.base.arrays import Array, Brief, mean_along, to_plain
 from recon.base.errors import InputError, Problem, all_of, refuse
 from recon.base.files import MANIFEST
-from recon.check import mismatches, sentence, usable
+from recon.check import finding, sentence, usable
 from recon.clip import frame_ranges
 from recon.fit.motion import Motion
 from recon.fit.posterior import radius
-from recon.fit.result import Verdict
+from recon.fit.result import Finding, Verdict
 from recon.io import Pose3D, read_pose3d
 
 PCK_THRESHOLDS_M = (0.05, 0.1, 0.15)
@@ -257,19 +262,99 @@ def aligned(pose_m: np.ndarray, truth_m: np.ndarray, scale: bool = False, turn: 
     brought nearest to the truth by least squares: by one factor, which is not negative, as that would mirror the
     animal, and by a rotation, no reflection. (Umeyama 1991.) All NaN in frames of fewer than 3 common joints, where a
     rotation has no meaning."""
-    common = common_joints(pose_m, truth_m)[..., None]
-    pose_mean, truth_mean = (mean_along(np.where(common, p, np.nan), axis=1)[:, None] for p in (pose_m, truth_m))
-    moved, about, goal = (
-        pose_m - pose_mean,
-        *(np.where(common, p - mean, 0) for p, mean in ((pose_m, pose_mean), (truth_m, truth_mean))),
-    )
+    centred, (pose_mean, truth_mean) = _together(pose_m, truth_m)
+    moved, (about, goal) = pose_m - pose_mean, np.nan_to_num(centred)
     if turn:
+        enough = np.isfinite(centred[0]).all(axis=2).sum(axis=1)[:, None, None] >= 3
         u, _, vt = np.linalg.svd(np.swapaxes(about, 1, 2) @ goal)
         vt[:, 2] *= np.sign(np.linalg.det(u @ vt))[:, None]  # the direction that matters least
-        moved, about = (of @ (u @ vt) for of in (np.where(common.sum(axis=1)[:, None] >= 3, moved, np.nan), about))
+        moved, about = (of @ (u @ vt) for of in (np.where(enough, moved, np.nan), about))
     if scale:
         product, square = (np.sum(about * of, axis=(1, 2)) for of in (goal, about))
         # where all joints coincide every factor is as good
         factor = np.divide(np.maximum(product, 0), square, out=np.ones_like(square), where=square > 0)
         moved = factor[:, None, None] * moved
     return moved + truth_mean
+
+
+def _together(pose_m: Array, truth_m: Array) -> tuple[Array, Array]:
+    """(2, T, J, 3): both about the mean of the joints that both have in a frame, NaN for all others; and the means,
+    (2, T, 1, 3)."""
+    both = np.where(common_joints(pose_m, truth_m)[..., None], np.stack([pose_m, truth_m]), np.nan)
+    means = mean_along(both, axis=2)[:, :, None]
+    return both - means, means
+
+
+# -- what does not belong together -----------------------------------------------------------------------------------
+
+SHARE = 1 / 3
+"""An error that falls to this part of itself has been explained."""
+SMALL = 0.05
+"""An error below this part of the animal's size needs no explanation. Size: root mean square of the joints' distances
+from their mean."""
+SCALED = 2.0
+"""Nor does a size that is less than this many times too large or too small: one camera hardly sees it."""
+UNLIKE = 0.3
+"""An error above this part of the size is that of another clip: those of running cheetahs are 0.27 to 0.67 of it apart,
+and the poorest of the fits in docs/benchmarks.md is 0.22 of it off."""
+FAR = 4.0
+"""The same of the distance between the two, in sizes."""
+
+
+def mismatches(pose_m: Array, truth_m: Array, names: Sequence[str]) -> tuple[Finding, ...]:
+    """Findings on two sets of positions (T, J, 3) in metres, NaN for missing, that do not belong together."""
+    rows = np.isfinite(pose_m + truth_m).all(axis=2).sum(axis=1) >= 3
+    pose_m, truth_m = pose_m[rows], truth_m[rows]
+    if not rows.any():
+        return ()
+    pose, truth = _together(pose_m, truth_m)[0]
+    size = float(np.sqrt(np.nanmean(np.sum(truth**2, axis=2))))
+    error = _error(pose, truth)
+    found, left = None, error
+    for code, other, numbers in _explanations(pose_m, truth_m, names):
+        if left > SMALL * size and other <= SHARE * left:
+            found, left = finding(code, error_mm=1000 * error, left_mm=1000 * other, **numbers), other
+    if left > UNLIKE * size:  # whatever else takes some of it away
+        left = min(left, _error(_turned(pose, truth)[0], truth))
+    if left > UNLIKE * size:
+        return (finding("reference_unlike", left_mm=1000 * left, share=left / size),)
+    if found is not None:
+        return (found,)
+    away = np.nanmean(pose_m - truth_m, axis=1)
+    middle = np.median(away, axis=0)
+    distance, rest = (float(np.linalg.norm(x, axis=1).mean()) for x in (away, away - middle))
+    if distance > FAR * size and rest <= SHARE * distance:
+        x, y, z = middle.tolist()
+        return (finding("reference_elsewhere", x_m=x, y_m=y, z_m=z),)
+    return ()
+
+
+def _explanations(pose_m: Array, truth_m: Array, names: Sequence[str]) -> Iterator[tuple[str, float, dict[str, Any]]]:
+    """What the matter could be, the simplest first, each with the rotation of the whole clip that fits best: its code,
+    the error that would then be left, and its numbers."""
+    (pose, truth), sides = _together(pose_m, truth_m)[0], opposites(names)
+    tries = [("reference_rotated", pose, truth)]
+    if (sides != np.arange(len(names))).any():
+        tries.append(("reference_swapped", *_together(pose_m[:, sides], truth_m)[0]))
+    tries.append(("reference_mirrored", pose * (1.0, -1.0, 1.0), truth))
+    for code, of_pose, of_truth in tries:
+        turned, turn_rad = _turned(of_pose, of_truth)
+        yield code, _error(turned, of_truth), {"turn_rad": turn_rad}
+    turned, turn_rad = _turned(pose, truth)
+    factor = float(np.nansum(turned * truth) / max(np.nansum(turned**2), 1e-300))
+    if not 1 / SCALED < factor < SCALED:
+        yield "reference_scaled", _error(factor * turned, truth), {"factor": factor, "turn_rad": turn_rad}
+
+
+def _error(pose: Array, truth: Array) -> float:
+    return score(joint_errors(pose, truth)).mean
+
+
+def _turned(pose: Array, truth: Array) -> tuple[Array, float]:
+    """The pose brought nearest to the truth by one rotation for all frames, and the rotation's angle in rad."""
+    known = np.isfinite(pose[..., 0])
+    if not known.any():
+        return pose, 0.0
+    with warnings.catch_warnings(action="ignore"):  # of points on a line, which several rotations fit
+        turn, _ = Rotation.align_vectors(truth[known], pose[known])
+    return pose @ turn.as_matrix().T, float(turn.magnitude())
