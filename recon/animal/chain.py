@@ -36,11 +36,9 @@ from pydantic import BeforeValidator, Field
 from scipy.spatial.transform import Rotation
 
 from recon.animal.body import CHAIN_PLACES, MIN_JOINTS, Body, Side, Skeleton, foot_problems, foot_table
-from recon.base import documents
-from recon.base.arrays import Array, Index
+from recon.base import Array, Index, InputError, Problem, documents, refuse
 from recon.base.documents import FileTable, Number, Sigma, unknown, validated
-from recon.base.errors import InputError, Problem, refuse
-from recon.geometry.frames import euler_rotation, euler_rotation_with_jacobian
+from recon.geometry import euler_rotation, euler_rotation_with_jacobian
 from recon.geometry.kinematics import PITCH, ROLL, ROOT, YAW, Joint, Marker, Segment, Tree
 
 _SKELETONS = "animal/skeletons"

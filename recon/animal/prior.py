@@ -15,10 +15,8 @@ import numpy as np
 from pydantic import ConfigDict
 
 from recon.animal.body import Body
-from recon.base import documents
-from recon.base.arrays import Array
+from recon.base import Array, InputError, Problem, documents, refuse
 from recon.base.documents import FileTable
-from recon.base.errors import InputError, Problem, refuse
 
 ANGLES = slice(4, None)
 """The angles that a prior is about, in the state."""

@@ -13,8 +13,7 @@ from scipy.special import logsumexp
 
 from recon.animal.body import Body
 from recon.animal.prior import ANGLES, MotionPrior, SegmentRow, mean_speed_m_s
-from recon.base.arrays import Array, Bools
-from recon.base.errors import Problem, refuse
+from recon.base import Array, Bools, Problem, refuse
 
 FRAMES_PER_COMPONENT = 20
 """Fewer would let a component of the mixture be one short piece of one segment."""

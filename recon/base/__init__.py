@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from recon.base.arrays import Array, Bools, Brief, Index, Integers, mean_along, median
+    from recon.base.arrays import Array, Bools, Brief, Index, Integers, mean, mean_along, median
     from recon.base.errors import InputError, Problem, all_of, decimals, length_text, printable, refuse
     from recon.base.files import read_manifest, sole_writer, staged_file, staged_folder, staged_results, write_manifest
     from recon.base.interrupts import MESSAGE

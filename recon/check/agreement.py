@@ -28,14 +28,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from recon.animal.body import Body
-from recon.base.arrays import Array, Index
-from recon.base.errors import InputError, Problem, refuse
+from recon.base import Array, Index, InputError, Problem, refuse
 from recon.check.codes import finding
 from recon.clip import Source, View, busiest, together, views_of
-from recon.fit import TrajectorySolution, constants
-from recon.fit.motion import Motion
-from recon.fit.result import Finding
-from recon.fit.terms import StanceVelocity
+from recon.fit import Finding, Motion, StanceVelocity, TrajectorySolution, constants
 
 MAX_LEVEL = 1.6
 """A camera agrees up to this level, or more where the others are noisier than expected."""

@@ -11,8 +11,8 @@ from typing import Any
 
 from recon.base.documents import builtin_file
 from recon.base.errors import length_text
-from recon.fit.motion import Motion
-from recon.fit.result import Finding, Severity
+from recon.fit import Finding, Motion
+from recon.fit.result import Severity
 
 NAMED = 5
 """Up to so many names are listed in a sentence."""

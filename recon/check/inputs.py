@@ -22,11 +22,7 @@ from recon.check.codes import FLAG_OF, finding
 from recon.check.likelihood import CLEAR, baseline_of, log_tail, of_other_picture, of_unit_square, other_rate, zooms
 from recon.check.swaps import swap_finding, swaps
 from recon.clip import Keypoints, Source, View, frame_ranges, leave_out
-from recon.fit import TrajectoryOptions, TrajectorySolution
-from recon.fit.clip_problem import ClipProblem
-from recon.fit.motion import Motion
-from recon.fit.result import Finding
-from recon.fit.terms import REFERENCE_HZ
+from recon.fit import REFERENCE_HZ, ClipProblem, Finding, Motion, TrajectoryOptions, TrajectorySolution
 from recon.geometry.kinematics import ROOT
 
 FASTEST_M_S = 40.0

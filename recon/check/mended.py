@@ -12,8 +12,7 @@ from recon.check import likelihood
 from recon.check.codes import finding
 from recon.check.swaps import PARTS, exchanged_rows
 from recon.clip import Source
-from recon.fit import TrajectorySolution
-from recon.fit.result import Finding
+from recon.fit import Finding, TrajectorySolution
 
 
 def mends(mended: TrajectorySolution, given: TrajectorySolution) -> bool:

@@ -13,14 +13,11 @@ from typing import Any
 
 import numpy as np
 
-from recon.base.arrays import Array
-from recon.base.errors import InputError, Problem
+from recon.base import Array, InputError, Problem
 from recon.check.codes import sentence
 from recon.check.rules import findings_of
-from recon.fit import TrajectorySolution
-from recon.fit.motion import Motion
-from recon.fit.posterior import radius
-from recon.fit.result import ExpectedError, Finding, Level, Verdict
+from recon.fit import ExpectedError, Finding, Motion, TrajectorySolution, Verdict, radius
+from recon.fit.result import Level
 
 LIMIT_OF_TRUNK = 0.2
 """A mean error of the joints as large as this, of the trunk's length, spoils most uses: with a cheetah 14 cm. A clip is

@@ -20,12 +20,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from recon.base.arrays import Array, Bools, Brief
-from recon.base.errors import InputError, Problem, decimals
+from recon.base import Array, Bools, Brief, InputError, Problem, decimals
 from recon.clip import frame_ranges
-from recon.fit.motion import MEASURED_SHARE, Motion
-from recon.fit.posterior import radius
-from recon.fit.result import TrajectorySolution
+from recon.fit import MEASURED_SHARE, Motion, TrajectorySolution, radius
 from recon.gait import kinematics, phase
 from recon.gait.dynamics import Dynamics, dynamics
 from recon.gait.gait import BODY, INTERVAL, Gait, Stride, gait, pose_tracks

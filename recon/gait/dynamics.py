@@ -31,8 +31,7 @@ from recon.animal.capsules import capsules, inertias_m2, middles_m
 from recon.base.arrays import Array, Brief, Integers
 from recon.check import finding
 from recon.clip import frame_ranges
-from recon.fit.motion import Motion
-from recon.fit.result import Finding
+from recon.fit import Finding, Motion
 from recon.gait import kinematics
 from recon.gait.gait import INTERVAL, Gait
 from recon.gait.kinematics import OVERSAMPLING, Errors, JointKinematics

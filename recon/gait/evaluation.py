@@ -22,14 +22,12 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from recon.animal import fitting_maps, load_names, new_names, opposites
-from recon.base.arrays import Array, Brief, mean_along, to_plain
-from recon.base.errors import InputError, Problem, all_of, refuse
+from recon.base import Array, Brief, InputError, Problem, all_of, mean_along, refuse
+from recon.base.arrays import to_plain
 from recon.base.files import MANIFEST
 from recon.check import finding, sentence, usable
 from recon.clip import frame_ranges
-from recon.fit.motion import Motion
-from recon.fit.posterior import radius
-from recon.fit.result import Finding, Verdict
+from recon.fit import Finding, Motion, Verdict, radius
 from recon.io import Pose3D, read_pose3d
 
 PCK_THRESHOLDS_M = (0.05, 0.1, 0.15)

@@ -44,8 +44,7 @@ from typing import Literal
 
 import numpy as np
 
-from recon.base.arrays import Array, Bools, Brief, mean, median
-from recon.base.errors import length_text
+from recon.base import Array, Bools, Brief, length_text, mean, median
 from recon.clip import frame_ranges
 from recon.fit.posterior import radius
 from recon.gait import kinematics

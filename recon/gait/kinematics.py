@@ -31,8 +31,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from scipy.interpolate import CubicSpline, make_smoothing_spline
 from scipy.optimize import brentq
 
-from recon.base.arrays import Array, Brief, Index
-from recon.base.errors import InputError, Problem
+from recon.base import Array, Brief, Index, InputError, Problem
 from recon.io.common import Pose3D
 
 Curve = Callable[[Array, int], Array]

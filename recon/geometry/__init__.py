@@ -14,7 +14,7 @@ if TYPE_CHECKING:
         moved,
         rigid,
     )
-    from recon.geometry.kinematics import PITCH, ROLL, ROOT, YAW, Joint, Marker, Segment, Tree
+    from recon.geometry.kinematics import PITCH, ROLL, ROOT, YAW, Joint, Marker, Segment, Tree, TreePose
     from recon.geometry.lens import LENS_MODELS
 
 __getattr__ = lazily(__name__, __file__)
