@@ -153,7 +153,8 @@ def clean(
     used = cleaned.present.sum(axis=0)
     if not used.any():
         found = f"every point of the clip missing ({rejected.sum()} rejected as less likely than {likelihood_min:g})"
-        raise InputError(Problem(_source(keypoints), "points", found, "at least one point to work with"))
+        expected = "a lower --set likelihood-min" if rejected.any() else "at least one point to work with"
+        raise InputError(Problem(_source(keypoints), "points", found, expected))
     missing["missing_absent_frame"] = np.full(len(used), absent)
     counted = {"frames": np.full(len(used), len(cleaned.frames)), "used": used, "missing": sum(missing.values())}
     counted |= {"rejected": rejected, **missing, "likelihood_unknown": likelihood_unknown}

@@ -323,6 +323,20 @@ def test_files_of_one_clip_are_known_by_the_names_of_cameras(tmp_path):
     assert says(without, "without", "trot (cam1)")
 
 
+@pytest.mark.parametrize("given", [["pose/cam?_json/*.json"], ["pose/cam1_json", "pose/cam2_json"]])
+def test_files_of_single_frames_are_one_clip(tmp_path, given):
+    """In Pose2Sim's folders, one for each camera; files of several clips in a folder are as many."""
+    for name in ("pose/cam1_json/cam1", "pose/cam2_json/cam2", "both/run", "both/walk"):
+        for frame in (3, 4):
+            path = tmp_path / f"{name}_{frame:06d}.json"
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text('{"people": [{"pose_keypoints_2d": %s}]}' % ([1.0] * 75), encoding="utf-8")
+    (clip,), _ = find_clips([tmp_path / one for one in given], TWO)
+    assert (clip.name, clip.settings.camera_name) == ("pose", ("cam1", "cam2"))
+    assert [path.name for path in clip.settings.keypoints] == ["cam1_000003.json", "cam2_000003.json"]
+    assert [*cameras([tmp_path / "both"])] == ["run", "walk"]
+
+
 @pytest.mark.parametrize(
     ("common", "by"),
     [(TWO, "none"), (TWO | {"camera_name": "cam2"}, "auto"), (QUICK | {"camera": SCENE}, "auto"), (QUICK, "auto")],

@@ -70,10 +70,11 @@ def test_a_file_is_that_of_the_camera_that_its_name_contains(folder):
         ("run_1-B", ["B", "1"]),
         ("run_cam_02_DLC", ["cam02"]),
         ("run_cam-2_DLC", ["2"]),
+        ("cam4_json", ["int_cam4_img"]),
     ],
 )
 def test_names_of_cameras_in_names_of_files(name, found):
-    assert [*cameras_in(name, ["top1", "A", "B", "1", "2", "cam02"])] == found
+    assert [*cameras_in(name, ["top1", "A", "B", "1", "2", "cam02", "int_cam4_img"])] == found
 
 
 def test_cameras_in_millimetres(folder):

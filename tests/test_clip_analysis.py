@@ -13,6 +13,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from command_line import refusal, refused, run, says
+from scipy.spatial.transform import Rotation
 
 from recon import ClipAnalysis, analyse
 from recon.fit import Motion
@@ -350,6 +351,14 @@ def test_standard_deviations_of_angles_are_in_the_table_where_there_are_any(whol
     columns = angle_rates(one_sided)
     assert not with_sigma & {*columns}
     assert {"spine_flexion_rad", f"{one_sided.motion.posture_names[0]}_sigma_rad"} <= {*columns}
+
+
+def test_a_back_of_one_segment_has_no_flexion(whole):
+    """Also where it rolls, so that it seems to bend in the vertical plane."""
+    solution, rolls = whole.motion.solution, Rotation.from_euler("x", np.linspace(0.0, 0.5, 60)[:, None]).as_matrix()
+    stiff_m = np.einsum("tab,jb->tja", rolls, solution.joints_m[0])
+    stiff = analyse(replace(whole.motion, solution=replace(solution, joints_m=stiff_m)))
+    assert {*whole.angles} - {*stiff.angles} == {"spine_flexion"}
 
 
 def test_tables_are_written_where_figures_fail(whole_results, tmp_path, monkeypatch):

@@ -119,6 +119,8 @@ def test_unlikely_points_are_rejected_not_missing():
     assert cleaned.confidence[:, 0].tolist() == [0, 0.6, 0.61, 0]
     assert (report.total("rejected"), report.total("missing")) == (2, 0)
     assert clean(clip, 0)[1].total("used") == 4
+    with refusal(("keypoints", "points", ["every point", "4 rejected"], "--set likelihood-min")):
+        clean(clip, 0.7)
 
 
 @pytest.mark.parametrize("likelihood_min", [-0.1, 1.1, NAN])

@@ -39,6 +39,9 @@ SPEED_KNOWN = 0.1
 UNSEEN_S = 0.2
 """For about as long, what was seen before and after says where a foot is; then only how animals of its kind move."""
 
+STIFF_RAD = 1e-6
+"""The back of a skeleton has no flexion where the angle changes by less: its joints are on one segment."""
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ClipAnalysis(Brief):
@@ -99,8 +102,9 @@ class ClipAnalysis(Brief):
             if {rear, front} <= {*along}:
                 first, last = sorted((along.index(rear), along.index(front)))
                 if between := along[first + 1 : last]:
-                    middle = between[len(between) // 2]
-                    found["spine_flexion"] = kinematics.spine_flexion(self.pose, fps, errors, (rear, middle, front))
+                    joints = rear, between[len(between) // 2], front
+                    if np.ptp(kinematics.joint_angle(self.pose, joints, fps).range_rad) > STIFF_RAD:
+                        found["spine_flexion"] = kinematics.spine_flexion(self.pose, fps, errors, joints)
         return found
 
     @cached_property

@@ -17,6 +17,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -197,6 +198,17 @@ _FILE_NAME = re.compile(r"(.*?)(\d+)((?:_keypoints)?\.json)", re.IGNORECASE | re
 
 def recognises_openpose(path: Path) -> bool:
     return _mentions(path, b"people")
+
+
+def clip_of_frame(path: Path) -> Path | None:
+    """What the clip is called that a file has a frame of, the same for all its frames; None for a file of another
+    format. Pose2Sim has them in a folder for each camera, as in cam1_json/cam1_000000.json."""
+    name = _FILE_NAME.fullmatch(path.name)
+    if name is None or not os.access(path, os.R_OK) or not recognises_openpose(path):
+        return None
+    called = name[1].rstrip("_-. ")
+    folder = path.parent.parent if path.parent.name == f"{called}_json" else path.parent
+    return folder / f"{called}{name[3]}"
 
 
 def read_openpose(path: Path, individual: str | None = None) -> StoredPoints:

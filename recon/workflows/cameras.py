@@ -135,8 +135,8 @@ def _cameras_in_file(settings: FitSettings, tracks: Sequence[io.CameraTrack]) ->
 def cameras_in(stem: str, names: Iterable[str]) -> dict[str, re.Match[str]]:
     """Which cameras' names a file's name has, and where: cam1 is in run_cam1DLC, not in run_cam10; A is in run-A, not
     in run-Alex. If a file's name has camA or cam-1, the cameras A and 1 are looked for nowhere else in it."""
-    # cam01 is also cam_01 and cam-01
-    called = {name: re.fullmatch(r"([A-Za-z]+)[-_ ]?([0-9]+)", name) for name in names}
+    # cam01 is also cam_01 and cam-01, and what Pose2Sim calls int_cam01_img
+    called = {name: re.fullmatch(r"(?:int_)?([A-Za-z]+)[-_ ]?([0-9]+)(?:_img)?", name) for name in names}
     spelt = {name: re.escape(name) if of is None else f"{of[1]}[-_ ]?{of[2]}" for name, of in called.items()}
     for before in ("cam(?:era)?[-_ ]?", ""):
         ends = {name: "(?![0-9])" if name[-1:].isdigit() else "(?![0-9])(?=DLC|[^a-z]|$)" for name in spelt}

@@ -23,6 +23,7 @@ from recon.io.calibration import read_cameras
 from recon.io.common import text_rows
 from recon.io.deeplabcut_project import find_project, predictions
 from recon.io.formats import titles
+from recon.io.json_poses import clip_of_frame
 from recon.show.page import SUMMARY_PAGE
 from recon.workflows.cameras import cameras_in
 from recon.workflows.config import beside, read_settings
@@ -140,14 +141,18 @@ def _drafts_of(given: str, common: Mapping[str, Any], recursive: bool) -> Drafts
             return _drafts_of_sessions(sessions, common)
         if not files:
             raise InputError(Problem(path, "files", "no keypoint files", f"files of a known format: {titles('2D')}"))
-        return [_Draft((file,)) for file in files], notes
+        return [_draft_of(file) for file in files], notes
     files = _matching_files(path)
     if not files:
         raise InputError(Problem(given, "files", "none that match", "a pattern such as 'clips/*.csv'"))
     if files == [path]:
         read_head(path)  # a typing error ends the batch before it begins
-    each = (_drafts_of_manifest(file) if is_manifest(file) else [_Draft((file.absolute(),))] for file in files)
+    each = (_drafts_of_manifest(file) if is_manifest(file) else [_draft_of(file.absolute())] for file in files)
     return [draft for drafts in each for draft in drafts], []
+
+
+def _draft_of(file: Path) -> _Draft:
+    return _Draft((file,), called=clip_of_frame(file))
 
 
 def _matching_files(path: Path) -> list[Path]:
@@ -168,6 +173,8 @@ def _files_in(folder: Path, recursive: bool = False) -> tuple[list[Path], list[s
             inside.append(path)
         elif why := _why_left_out(path):
             left_out.setdefault(why, []).append(path.name)
+        elif clip := clip_of_frame(path):
+            chosen.setdefault(str(clip), path.absolute())
         else:
             if path.stem in chosen:
                 left_out.setdefault("beside a file of the same name", []).append(chosen[path.stem].name)
@@ -201,14 +208,14 @@ def _why_left_out(path: Path) -> str:
 
 
 def _without_repeats(drafts: Sequence[_Draft]) -> list[_Draft]:
-    """A file that two patterns name is one clip; the rows of a manifest are all meant."""
+    """A file that two patterns name is one clip, and files of its frames are; the rows of a manifest are all meant."""
     seen: set[Path] = set()
     kept = []
     for draft in drafts:
-        if draft.where is not None or not seen.issuperset(draft.paths):
+        if draft.where is not None or not (draft.title in seen or seen.issuperset(draft.paths)):
             kept.append(draft)
         if draft.where is None:
-            seen.update(draft.paths)
+            seen.update((*draft.paths, draft.title))
     return kept
 
 
