@@ -21,8 +21,9 @@ if TYPE_CHECKING:
     from recon.gait.evaluation import Evaluation, evaluate, evaluate_files
     from recon.geometry.camera import Camera
     from recon.io import Pose3D, read_camera, read_cameras, read_keypoints, read_pose3d, write_camera, write_cameras
+    from recon.wings.keypoint_net.labels import LabelSource
     from recon.wings.keypoint_net.network import run_prediction
-    from recon.wings.keypoint_net.train import LabelSource, TrainSettings, run_training
+    from recon.wings.keypoint_net.train import TrainSettings, run_training
     from recon.workflows.batch import find_clips, plan_batch, run_batch
     from recon.workflows.calibrate import CalibrationSettings, run_calibration
     from recon.workflows.clip import fit_clip

@@ -37,22 +37,9 @@ from recon.base.settings import Count, Integer, Number, Option, Settings
 from recon.io.video import Image
 from recon.show.overlay import draw_circle, draw_line, draw_text
 from recon.show.plain import picked, to_json, to_plain
+from recon.wings.keypoint_net import labels as data
 from recon.wings.keypoint_net import network as net
 from recon.wings.keypoint_net import pictures
-from recon.wings.keypoint_net.labels import (
-    Labels,
-    LabelSource,
-    body_length_px,
-    evaluate_2d,
-    extents_px,
-    frames_by_part,
-    read_labels,
-    reliability,
-    resize,
-    scale_points,
-    sides,
-    split_labels,
-)
 from recon.workflows.cli import Answer, stop
 
 if TYPE_CHECKING:
@@ -93,7 +80,7 @@ class TrainSettings(Settings):
         return {name: getattr(self, name) for name in TrainSettings.infos()}
 
 
-class _TrainRunSettings(LabelSource, TrainSettings):
+class _TrainRunSettings(data.LabelSource, TrainSettings):
     """What `recon train` does: labels, how to learn from them, and where and with what."""
 
     out: Annotated[Path, Option(metavar="DIR")]
@@ -112,8 +99,8 @@ class TrainingRun:
 
     settings: TrainSettings
     spec: net.Spec
-    labels: Labels
-    scaled: Labels
+    labels: data.Labels
+    scaled: data.Labels
     split: dict[str, Integers]
     still: tuple[Image | None, ...]
     device: torch.device
@@ -146,14 +133,15 @@ class State:
         return self.share >= FINISH
 
 
-def prepare(labels: Labels, split: dict[str, Integers], settings: TrainSettings, device: torch.device) -> TrainingRun:
+def prepare(labels: data.Labels, s: _TrainRunSettings, device: torch.device) -> TrainingRun:
+    split = data.split_labels(labels, s.validation, s.test, s.seed)
     known = np.concatenate([split["train"], split["validation"]])
     scale, first = pictures.network_scales(labels.xy_px[known])
-    length = body_length_px(labels.xy_px[known])
+    length = data.body_length_px(labels.xy_px[known])
     length = length if np.isfinite(length) else 100.0
     spec = net.Spec(labels.names, scale, float(length), float(TOLERANCE * length), first)
     scaled = labels.scaled(scale)
-    return TrainingRun(settings, spec, labels, scaled, split, pictures.backgrounds(scaled, split["test"]), device)
+    return TrainingRun(s, spec, labels, scaled, split, pictures.backgrounds(scaled, split["test"]), device)
 
 
 def train(
@@ -208,11 +196,11 @@ def train(
 def _sources(run: TrainingRun) -> tuple[Any, ...]:
     """For each stage, what makes the batch of a step from a pool of pictures."""
     settings, spec = run.settings, run.spec
-    options = pictures.Augmentation(partner=sides(spec.names) if settings.mirror else None)
+    options = pictures.Augmentation(partner=data.sides(spec.names) if settings.mirror else None)
     labels, still = run.scaled, run.still
     if spec.two_stages:
         labels = labels.scaled(spec.first)
-        still = tuple(None if b is None else resize(b, spec.first) for b in still)
+        still = tuple(None if b is None else data.resize(b, spec.first) for b in still)
     size_px, last = pictures.crop_size(run.scaled, spec.first), (options, settings.batch, settings.seed)
     first = partial(pictures.make_batch, pictures.examples_of(labels, still), size_px, *last)
     if not spec.two_stages:
@@ -318,7 +306,7 @@ def _save_checkpoint(state: State, run: TrainingRun, out: Path) -> None:
     content = {
         "settings": run.settings.of_training(),
         "names": list(run.spec.names),
-        "split": frames_by_part(run.labels, run.split),
+        "split": data.frames_by_part(run.labels, run.split),
         **{name: getattr(state, name).state_dict() for name in _TORCH},
         **{name: getattr(state, name) for name in _PLAIN},
     }
@@ -339,7 +327,7 @@ def _resumed(run: TrainingRun, out: Path) -> State:
         was = content["settings"].get(name)
         if to_plain(value) != to_plain(was):
             problems.append(Problem(path, f"setting {name}", str(was), f"{value}, as now given"))
-    if not problems and content["split"] != frames_by_part(run.labels, run.split):
+    if not problems and content["split"] != data.frames_by_part(run.labels, run.split):
         problems.append(Problem(path, "pictures", "another split of them", "the labels and split of the run so far"))
     state = _begin(run)
     same = content["network"].keys() == state.network.state_dict().keys() and {*_PLAIN} <= content.keys()
@@ -379,12 +367,12 @@ def write_training_report(run: TrainingRun, state: State, folder: Path) -> dict[
     likelihood, judged = net.calibrated(raw, spec.calibration), {}
     for name, which in split.items():
         if len(which):
-            truth, length_px = run.labels.xy_px[which], median(extents_px(run.labels.xy_px[which]))
+            truth, length_px = run.labels.xy_px[which], median(data.extents_px(run.labels.xy_px[which]))
             length_px = length_px if np.isfinite(length_px) else spec.body_length_px
             given = spec.names, xy_px[which], likelihood[which], truth, length_px
-            judged[name] = evaluate_2d(*given, tolerance_px=spec.tolerance_px)
+            judged[name] = data.evaluate_2d(*given, tolerance_px=spec.tolerance_px)
     # Of the network as it was calibrated: before it learned from the validation pictures.
-    before = reliability(np.array(state.judged[0]), np.array(state.judged[1], bool))
+    before = data.reliability(np.array(state.judged[0]), np.array(state.judged[1], bool))
     # Elsewhere, that the network disagrees says more about the network.
     learned = np.concatenate([split["train"], split["validation"]])
     seen = np.full_like(xy_px, np.nan)
@@ -404,7 +392,7 @@ def write_training_report(run: TrainingRun, state: State, folder: Path) -> dict[
         "first_stage_scale": spec.first,
         **picked(spec, "scale", "body_length_px", "tolerance_px"),
         "settings": run.settings.of_training(),
-        "split": frames_by_part(run.labels, split),
+        "split": data.frames_by_part(run.labels, split),
         "labelled_points": {name: int(run.labels.labelled[which].sum()) for name, which in split.items()},
         "steps": state.step,
         "seconds": round(state.seconds, 1),
@@ -428,7 +416,7 @@ def write_training_report(run: TrainingRun, state: State, folder: Path) -> dict[
     return report
 
 
-def _write_worst(labels: Labels, errors: Array, xy_px: Array, which: Integers, path: Path) -> None:
+def _write_worst(labels: data.Labels, errors: Array, xy_px: Array, which: Integers, path: Path) -> None:
     """The pictures with the largest mean error, no two of them neighbours in time: a ring at each label, a dot at its
     prediction, and a line between them."""
     mean_px, chosen = np.array([mean(of_one) for of_one in errors]), []
@@ -443,7 +431,7 @@ def _write_worst(labels: Labels, errors: Array, xy_px: Array, which: Integers, p
         radius = max(3.0, drawn.shape[1] / 160)
         for k, colour in enumerate(net.point_colours(len(labels.names))):
             if labels.labelled[i, k]:
-                label, found = (scale_points(points[i, k], factor) for points in (labels.xy_px, xy_px))
+                label, found = (data.scale_points(points[i, k], factor) for points in (labels.xy_px, xy_px))
                 draw_line(drawn, label, found, LINE, 1)
                 draw_circle(drawn, label, radius + 1, LABEL, 1)
                 draw_circle(drawn, found, 0.6 * radius, colour, -1)
@@ -456,7 +444,7 @@ def _write_worst(labels: Labels, errors: Array, xy_px: Array, which: Integers, p
     write_bytes(path, cv2.imencode(path.suffix, sheet)[1].tobytes())
 
 
-def suspicious_labels(labels: Labels, xy_px: Array, length_px: float) -> list[dict[str, Any]]:
+def suspicious_labels(labels: data.Labels, xy_px: Array, length_px: float) -> list[dict[str, Any]]:
     """Labels that are probably wrong, found in two ways: the network, once trained, puts the keypoint somewhere else
     and is not tempted by the label; or the label is farther from every other label of its picture than this keypoint is
     anywhere else from them. The distances are in body lengths; a label's rank is the sum of those in which it stands
@@ -510,22 +498,22 @@ def train_command(settings: _TrainRunSettings, progress: Progress) -> Answer:
 
 
 def run_training(
-    source: LabelSource, settings: TrainSettings, out: Path, *, progress: Progress = silent, **options: Any
+    source: data.LabelSource, settings: TrainSettings, out: Path, *, progress: Progress = silent, **options: Any
 ) -> dict[str, Any]:
     """`recon train`: `out` gets the network, a checkpoint and the training report, which is returned. options: device,
     threads, resume and overwrite, as of the command.
 
     Raises InputError, with every problem, before anything is written.
     """
-    given = picked(source, *LabelSource.infos()) | picked(settings, *TrainSettings.infos())
+    given = picked(source, *data.LabelSource.infos()) | picked(settings, *TrainSettings.infos())
     s = _TrainRunSettings(out=out, **given, **options)
     net.require_torch()
     chosen, labels, _ = all_of(
         lambda: net.choose_device(s.device),
-        lambda: read_labels(**picked(s, "data", "labels", "first_frame", "individual", "rename")),
+        lambda: data.read_labels(**picked(s, "data", "labels", "first_frame", "individual", "rename")),
         lambda: _check_folder(s),
     )
-    run = prepare(labels, split_labels(labels, s.validation, s.test, s.seed), s, chosen)
+    run = prepare(labels, s, chosen)
     with sole_writer(out):
         _check_folder(s)
         state = train(run, out, s.resume, s.threads, progress)
