@@ -19,7 +19,9 @@ from markdown_table import print_table
 from recordings import recordings
 
 from recon import FitSettings, Motion, Pose3D, fit_clip, read_pose3d
+from recon.fit.posterior import radius
 from recon.gait.clip import ClipAnalysis
+from recon.gait.gait import INTERVAL
 from recon.gait.kinematics import at_frames, frame_times, net_acceleration, series_kinematics
 
 METHODS = {"frame": {"method": "frame", "skeleton": "cheetah-8u"}, "trajectory": {}}
@@ -72,10 +74,10 @@ def main() -> None:
                 [
                     *(method, name, str(len(views)), f"{np.sqrt(np.mean(error**2)):.1f}"),
                     *(f"{np.sqrt(np.mean(stated**2)):.1f}", f"{np.sqrt(np.mean(quotient**2)):.2f}"),
-                    *(f"{known.sum():.0f}", f"{np.median(np.abs(off)):.1f}", f"{np.mean(z < 1.96):.0%}"),
+                    *(f"{known.sum():.0f}", f"{np.median(np.abs(off)):.1f}", f"{np.mean(z < radius(INTERVAL)):.0%}"),
                 ]
             )
-    columns = "method, run, views, error m/s, stated m/s, error / stated, known, net acceleration off m/s², within 95 %"
+    columns = "method, run, views, error m/s, stated m/s, error / stated, known, net acceleration off m/s², within 90 %"
     print_table(columns.split(", "), rows)
 
 

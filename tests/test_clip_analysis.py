@@ -342,7 +342,7 @@ def test_quiet_prints_nothing_and_many_stances_are_not_listed(whole_results, tmp
     monkeypatch.setattr(sys.modules["recon.workflows.analyse"], "MOST_STANCES", 3)
     many = run("analyse", whole_results, "--out", tmp_path / "b", "--no-figures")
     assert "LH l_back_paw" not in many.out
-    assert re.search(r"Strides are 4\.\d\d m long, 3\.\d\d a second \(average of [5-9] strides\); a foot", many.out)
+    assert re.search(r"Strides are 4\.\d\d m long, 3\.\d\d a second \(average of the feet.s [5-9] strides\)", many.out)
 
 
 def test_standard_deviations_of_angles_are_in_the_table_where_there_are_any(whole, one_sided):

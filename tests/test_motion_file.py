@@ -130,7 +130,7 @@ def test_pickles(saved: Path) -> None:
         (lambda a, r: r.update(schema={"name": "other", "version": 1}), ("schema", "other", "recon.motion")),
         (lambda a, r: r.pop("value"), ("content", "'value'")),
         (lambda a, r: r["value"].pop("side"), ("side", "nothing")),
-        (lambda a, r: r["value"].update(more=1), ("more", "unknown field")),
+        (lambda a, r: r["value"].update(more=1), ("more", "unknown field", "`recon fit`")),
         (lambda a, r: r["value"].update(side="up"), ("side", "'up'", "'left' or 'right'")),
         (lambda a, r: r["value"]["solution"].update({"class": "os:system"}), ("content", "'os:system'")),
         (lambda a, r: r["value"]["solution"].update({"class": "recon.none:None"}), ("content", "'recon.none'")),

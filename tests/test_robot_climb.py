@@ -376,7 +376,7 @@ def test_figure_of_margins(aibo):
 @pytest.mark.parametrize(
     ("args", "expected"),
     [
-        (("--height", "-1"), ("--height", "height", "'-1'", "metres")),
+        (("--height", "1e300"), ("--height", "height", "'1e300'", "metres")),
         (("none.toml",), ("none.toml", "file", "no such file", "published-50")),
     ],
 )

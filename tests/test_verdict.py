@@ -132,7 +132,7 @@ def test_what_is_made_of_a_clip_refuses_one_that_is_not_to_be_used(small_traject
         ("retarget", tmp_path / "clip", "--robot", "a1", "--out", out),
         ("prior", "fit", tmp_path / "clip", "--out", out.with_suffix(".npz")),
     ):
-        refused(command, (tmp_path / "clip", "verdict", ["do not use", wrong.verdict.reason], "--anyway"))
+        refused(command, (tmp_path / "clip", "verdict", ["do not use", wrong.verdict.reason.rstrip(".")], "--anyway"))
     assert sorted(path.name for path in tmp_path.iterdir()) == ["clip", "clip.mp4", "truth.csv"]
     anyway = run("evaluate", tmp_path / "clip", truth, "--anyway")
     assert anyway.out.startswith(f"do not use: {wrong.verdict.reason}")

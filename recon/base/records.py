@@ -67,7 +67,8 @@ def load_record(of: type[_Class], path: Path, schema: Mapping[str, Any], expecte
         try:
             return _validated(of, _restored(record["value"], arrays))
         except ValidationError as error:
-            raise InputError(problems_of(error, path, within=1)) from None
+            found = problems_of(error, path, within=1)
+            raise InputError(dataclasses.replace(p, expected=f"{p.expected}: {expected}") for p in found) from None
 
 
 def _plain(value: Any, where: str, arrays: dict[str, np.ndarray], name_of: dict[int, str]) -> Any:

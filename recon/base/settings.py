@@ -137,6 +137,9 @@ class SettingInfo:
         if self.choices:
             *first, last = self.choices
             return f"{', '.join(first)} or {last}" if first else last
+        if message == "Field required" and self.option.help:
+            said = self.option.help.split(". ")[0].rstrip(".")
+            return said if said.startswith("DeepLabCut") else said[0].lower() + said[1:]
         kinds = {bool: "true or false", float: "a number", int: "a whole number", Path: "a file or a folder"}
         kind = next((words for part, words in kinds.items() if part in self.parts), "text")
         limit = message.removeprefix("Input should be ")
@@ -224,8 +227,8 @@ def _problems(cls: type[Settings], given: Mapping[str, Any], error: ValidationEr
 
 def unknown_setting(file: str, name: str, infos: Mapping[str, SettingInfo]) -> Problem:
     """The problem of a setting that there is not, with the one that was perhaps meant."""
-    meant = "".join(f" (did you mean {one}?)" for one in get_close_matches(name, infos, 1))
-    return Problem(file, name, f"an unknown setting{meant}", f"one of {', '.join(infos)}")
+    meant = get_close_matches(name, infos, 1)
+    return Problem(file, name, "an unknown setting", f"perhaps {meant[0]}" if meant else f"one of {', '.join(infos)}")
 
 
 def _parts(kind: Any) -> Iterator[Any]:

@@ -158,7 +158,8 @@ def usable(motion: Motion, folder: Path | str, anyway: bool) -> Motion:
     """The motion of a folder. Raises InputError for one whose verdict is "do not use", unless it is wanted anyway."""
     verdict = motion.verdict
     if verdict is not None and verdict.level == "do not use" and not anyway:
-        raise InputError(Problem(folder, "verdict", f"do not use: {verdict.reason}", "a clip to be used, or --anyway"))
+        found = f"do not use: {verdict.reason.rstrip('.')}"
+        raise InputError(Problem(folder, "verdict", found, "a clip to be used, or --anyway"))
     return motion
 
 

@@ -99,7 +99,8 @@ def _records(path: Path) -> list[CameraRecord]:
     suffixes = sorted({suffix for f in FORMATS if "cameras" in f.reads for suffix in f.suffixes})
     if path.suffix.lower() not in suffixes:
         expected = f"a calibration file: {', '.join(suffixes)}"
-        raise InputError(Problem(path, "format", f"suffix {path.suffix!r}", expected))
+        found = "a folder" if path.is_dir() else f"suffix {path.suffix!r}"
+        raise InputError(Problem(path, "format", found, expected))
     found = recognised(path, "cameras")
     if found is not None:
         return found.read(path, None)

@@ -64,14 +64,16 @@ def find_project(path: Path) -> Project | None:
 
 def refuse_several(path: Path) -> None:
     """Raises InputError for a folder, and for a project, which have several files to choose from."""
-    if path.is_dir() and (files := sorted(path.glob("*.json"))):
-        raise InputError(Problem(path, "file", "a folder", f"one of its files, which stands for all: {files[0].name}"))
     if find_project(path):
         expected = (
             "one of its tables, as videos/run1DLC_*.h5; the project as a whole is for recon batch, recon train and "
             "recon skeleton from-keypoints"
         )
         raise InputError(Problem(path, "file", "a project of DeepLabCut", expected))
+    if path.is_dir():
+        openpose = [f" ({file.name} stands for all)" for file in sorted(path.glob("*[0-9]*.json"))[:1]]
+        expected = f"one of its files{''.join(openpose) or '; recon batch takes all of a folder'}"
+        raise InputError(Problem(path, "file", "a folder", expected))
 
 
 def _entries(text: str) -> dict[str, list[str]]:

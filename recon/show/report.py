@@ -713,7 +713,7 @@ def in_sentences(motion: Motion, moved: JointKinematics, gait: Gait | None, doub
     if gait.strides:
         yield (
             f"Strides are {length_text(gait.stride_length_m)} long, {gait.stride_frequency_hz:.2f} a second (average "
-            f"of {len(gait.strides)} strides); a foot stands {gait.name.duty_factor:.0%} of the time "
+            f"of the feet's {len(gait.strides)} strides); a foot stands {gait.name.duty_factor:.0%} of the time "
             "(90 %: {:.0%} to {:.0%}).".format(*gait.name.duty_interval)
         )
         lasts_s, swing_s = 1 / gait.stride_frequency_hz, 2 * math.pi * math.sqrt(gait.tracks.leg_m / 1.5 / G_M_S2)

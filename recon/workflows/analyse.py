@@ -22,8 +22,7 @@ from recon.fit.motion import MEASURED_SHARE, Motion
 from recon.fit.posterior import radius
 from recon.gait.clip import ClipAnalysis, analyse
 from recon.gait.dynamics import Dynamics, findings_of_dynamics, over_stride
-from recon.gait.gait import INTERVAL as REGION
-from recon.gait.gait import Gait, Stride, doubtful_text
+from recon.gait.gait import INTERVAL, Gait, Stride, doubtful_text
 from recon.show.plain import picked, to_json
 from recon.show.report import in_sentences
 from recon.show.tables import TABLES, write_analysis
@@ -37,8 +36,6 @@ FOLDER = "analysis"
 """In the results' own, by default."""
 PLAYBACK = "motion.rrd"
 """What the fit wrote, and what goes with it."""
-INTERVAL = 1.96
-"""Standard deviations to either side that hold 95 %."""
 FIGURES_BEGIN = 0.5
 """The share of the progress at which the figures begin."""
 SHOWN = 3
@@ -103,10 +100,10 @@ def _lines(
 def _sentences(found: ClipAnalysis) -> Iterator[str]:
     net, sigma = found.net_acceleration_m_s2
     if math.isfinite(net):
-        low, high = net - INTERVAL * sigma, net + INTERVAL * sigma
+        low, high = net - radius(INTERVAL) * sigma, net + radius(INTERVAL) * sigma
         form = f"+{decimals(max(-low, high))}"
         interval = f"{low:{form}} to {high:{form}}"
-        yield f"Acceleration along the way, over the whole clip: {net:{form}} m/s² (95 %: {interval})."
+        yield f"Acceleration along the way, over the whole clip: {net:{form}} m/s² (90 %: {interval})."
     if "spine_flexion" in found.angles:
         low, high = (math.degrees(angle) for angle in found.angles["spine_flexion"].range_rad)
         yield f"Flexion of the spine: {low:+.0f}° to {high:+.0f}° (positive: arched up)."
@@ -167,8 +164,7 @@ def summarise(found: ClipAnalysis, results: str) -> dict[str, Any]:
             "peak_time_s": moved.peak_speed_time_s,
             "peak_acceleration_m_s2": moved.peak_acceleration_m_s2,
             "doubt": found.why_no_speed,
-            "net_acceleration_m_s2": net,
-            "net_acceleration_interval_m_s2": [net - INTERVAL * net_sigma, net + INTERVAL * net_sigma],
+            **_with_interval("net_acceleration_m_s2", net, net_sigma),
             "straight_run_m_s": None if run is None else median(run[run > 0]),
         },
         "spine_flexion_rad": found.angles["spine_flexion"].range_rad if "spine_flexion" in found.angles else None,
@@ -239,7 +235,7 @@ def _stride_energy(d: Dynamics, stride: Stride) -> dict[str, Any]:
 def _with_interval(name: str, value: float, sigma: float) -> dict[str, Any]:
     """net_work_j_kg and net_work_interval_j_kg, and the like."""
     what = next((what for what in ("net_work", "net_power", "net_acceleration") if name.startswith(what)), name)
-    low, high = value - radius(REGION) * sigma, value + radius(REGION) * sigma
+    low, high = value - radius(INTERVAL) * sigma, value + radius(INTERVAL) * sigma
     interval = [max(low, 0.0), min(high, 1.0)] if name == "exchange" else [low, high]
     return {name: value, f"{what}_interval{name.removeprefix(what)}": interval}
 

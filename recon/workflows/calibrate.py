@@ -83,9 +83,9 @@ def _lines(report: dict[str, Any]) -> Iterator[str | Text | Table]:
         yield f"Not found in: {names_text(report['without_board'])}"
     yield ""
     for row in report["parameters"]:
-        digits = 1 if row["name"] in ("fx", "fy", "cx", "cy") else 4
+        digits, unit = (1, " px") if row["name"] in ("fx", "fy", "cx", "cy") else (4, "")
         sigma = math.inf if row["sigma"] is None else row["sigma"]
-        yield f"{row['name']}  {row['value']:.{digits}f} ± {sigma:.{digits}f}"
+        yield f"{row['name']}  {row['value']:.{digits}f} ± {sigma:.{digits}f}{unit}"
     yield f"reprojection error {report['rms_px']:.3f} px (root mean square)"
     for check in report["checks"]:
         if check["verdict"] == "warning" or (check["verdict"] == "refused" and written is not None):

@@ -85,7 +85,8 @@ def camera_motion(settings: _CameraMotionSettings, progress: Progress) -> Answer
     lost, keyframes = len(report["frames_without_background"]), counted(len(report["keyframes"]), "keyframe")
     lines = [f"{report['frames'] - lost} of {report['frames']} frames placed, {keyframes}."]
     lines += [f"Too little background in {counted(lost, 'frame')}: no pose there."] if lost else []
-    lines.append(f"Off by {report['residual_px']:.2f} px, turned to {report['sigma_deg']:.3f} degrees.")
+    fit, known = f"{report['residual_px']:.2f} px", f"{report['sigma_deg']:.3f}°"
+    lines.append(f"The background fits to {fit}; the camera's direction is known to ±{known}.")
     lines += [f"Note: {note}." for note in report["notes"][len(NOTES) :]]
     lines.append(f"Level: {report['level']}. A rolling shutter is not modelled.")
     return Answer(report, [*lines, "Written: " + ", ".join(map(str, files))])

@@ -102,9 +102,10 @@ def compare(settings: _CompareSettings, progress: Progress) -> Answer:
 def _lines(clips: pd.DataFrame, groups: pd.DataFrame, out: Path) -> Iterator[str | Table]:
     levels = clips["verdict"].value_counts()
     yield f"{counted(len(clips), 'clip')}: " + ", ".join(f"{n} {level}" for level, n in levels.items())
+    known = clips.groupby("group")[[*QUANTITIES]].count()
     rows = (
         (
-            *map(str, (fill(row["group"], 20), QUANTITIES[q][0], row["clips"], row["strides"])),
+            *map(str, (fill(row["group"], 20), QUANTITIES[q][0], known.loc[row["group"], q], row["strides"])),
             *_cells(row[q], row[f"{q}_sigma"], row[f"{q}_spread"]),
         )
         for row in groups.to_dict("records")
@@ -118,8 +119,9 @@ def _lines(clips: pd.DataFrame, groups: pd.DataFrame, out: Path) -> Iterator[str
     yield f"Rows by stride, clip and group (CSV and Parquet), and {FIGURE}, are in {out}."
 
 
-def _cells(mean: float, sigma: float, spread: float) -> tuple[str, str, str]:
-    return (f"{mean:.3g}", f"{sigma:.2g}", f"{spread:.2g}") if np.isfinite(mean) else ("-", "-", "-")
+def _cells(mean: float, sigma: float, spread: float) -> tuple[str, ...]:
+    shown = f"{mean:.3g}", f"{sigma:.2g}", f"{spread:.2g}"
+    return tuple("-" if one == "nan" else one for one in shown)
 
 
 def _results_in(folder: Path) -> list[Path]:
@@ -208,7 +210,7 @@ def _mean_of(values: Array, sigmas: Array, shared: float) -> tuple[float, float,
     between = max(0.0, (float(w @ (x - fixed) ** 2) - freedom) / scale) if freedom else 0.0
     w = 1 / (variance + between)
     mean = float(np.average(x, weights=w))
-    return mean, float(np.hypot(w.sum() ** -0.5, shared * mean)), between**0.5
+    return mean, float(np.hypot(w.sum() ** -0.5, shared * mean)), between**0.5 if freedom else np.nan
 
 
 def _group_rows(clips: pd.DataFrame) -> pd.DataFrame:

@@ -46,6 +46,6 @@ def demo(settings: _DemoSettings, progress: Progress) -> Answer:
     page = run_page(PageSettings(folder=out), progress)
     mpjpe_mm = 1000 * evaluate_files(out / "pose3d.csv", samples / "whole_truth.csv").mpjpe_m.mean
     answer, found = answer_of_fit(report, out, page, mpjpe_mm=mpjpe_mm), ClipAnalysis(Motion.load(out))
-    error = f"Error against the sample's truth: {mpjpe_mm:.0f} mm (MPJPE)"
+    error = f"Error against the sample's truth: {mpjpe_mm:.0f} mm (MPJPE); what is expected is fitted to real clips"
     said = in_sentences(found.motion, found.reference_motion, found.gait, found.why_no_speed)
     return replace(answer, lines=[*answer.lines, error, *said])

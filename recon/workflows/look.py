@@ -102,7 +102,7 @@ def camera_number(motion: Motion, camera: str | None, video: Path | None) -> int
 class OverlaySettings(_ResultSettings):
     """The settings of `recon overlay`."""
 
-    video: Path  # pyright: ignore[reportGeneralTypeIssues]
+    video: Path = Field()
     """The video that the keypoints came from, as in clip.mp4."""
     out: Path
     """The new video, .mp4 (MPEG-4) or .avi (Motion JPEG), as in overlay.mp4."""

@@ -99,7 +99,7 @@ class FitSettings(Settings):
     that counts as level. (default: what the file says, or the ground that feet stand on)"""
     tilt_deg: Annotated[Number, Field(ge=-90, le=90)] | None = None
     """Without extrinsics: how far the camera looks down, in degrees, as in 5. (default: level)"""
-    height_m: Annotated[Positive | None, _TRAJECTORY] = None
+    height_m: Annotated[Annotated[Number, Field(ge=1e-3, le=10)] | None, _TRAJECTORY] = None
     """Height of the animal at the withers, in metres, as in 1.6. (default: the skeleton's)"""
     individual: Annotated[str | None, Option(INDIVIDUAL)] = None
     rename: Annotated[NameOrFile | None, RENAME] = None
@@ -134,7 +134,7 @@ class FitSettings(Settings):
     """Which side of a one-sided skeleton to fit."""
     ground: Annotated[Literal["auto", "none"], _RARE_TRAJECTORY] = "auto"
     """auto: feet that stand are still and on one plane; none: not."""
-    size: Annotated[Positive | None, _RARE_TRAJECTORY] = None
+    size: Annotated[Annotated[Number, Field(ge=1e-3, le=1e3)] | None, _RARE_TRAJECTORY] = None
     """How many times as large as the skeleton the animal is, as in 0.1."""
     size_sigma: Annotated[Positive | None, _RARE_TRAJECTORY] = None
     """Relative standard deviation of the animal's size, as in 0.1. (default: the skeleton's)"""

@@ -136,7 +136,7 @@ def forces(d: Dynamics, gait: Gait) -> Figure:
         top, *below, last = panels
         time_s = gait.tracks.time_s
         for row, foot in enumerate(feet):
-            own, colour = [s for s in gait.stances if s.foot == foot], style.COLOURS[row % len(style.COLOURS)]
+            own, colour = [s for s in gait.stances if s.foot == foot], style.COLOURS[foot.startswith("R")]
             top.broken_barh([(s.start_s, s.duration_s) for s in own], (row - 0.35, 0.7), color=colour, alpha=0.6)
             middle, low, high = d.force[foot].T
             below[row].fill_between(time_s, low, high, color=colour, alpha=0.25, lw=0)
@@ -149,7 +149,7 @@ def forces(d: Dynamics, gait: Gait) -> Figure:
                 below[row].set_yticks([])
         top.set_yticks(range(len(feet)), feet)
         top.invert_yaxis()
-        top.set_title("stances, and vertical force of each foot (body weights; band: 90 %)", loc="left")
+        top.set_title("stances, and each foot's force (body weights; band: 90 %); left blue, right orange", loc="left")
         series = d.centre.series
         sigma = np.nan_to_num(series.value_sigma[:, 2])
         height = series.value[:, 2] - d.ground_m

@@ -140,7 +140,8 @@ def _drafts_of(given: str, common: Mapping[str, Any], recursive: bool) -> Drafts
         if (not here or path.absolute().name.startswith("pose-2d")) and (sessions := _sessions_in(path)):
             return _drafts_of_sessions(sessions, common)
         if not files:
-            raise InputError(Problem(path, "files", "no keypoint files", f"files of a known format: {titles('2D')}"))
+            deeper = "" if recursive else "; --recursive looks further down"
+            raise InputError(Problem(path, "files", "no keypoint files", f"a known format: {titles('2D')}{deeper}"))
         return [_draft_of(file) for file in files], notes
     files = _matching_files(path)
     if not files:

@@ -44,7 +44,7 @@ from recon.base.arrays import Array, Bools, Integers
 from recon.base.documents import FileTable, read_toml, validated
 from recon.base.errors import InputError, Problem, all_of
 from recon.base.files import name_seen_from, require_free_folder, sole_writer, staged_results
-from recon.base.settings import Option, Positive, Settings
+from recon.base.settings import Number, Option, Settings
 from recon.io.writing import write_rows
 from recon.show.plots.style import COLOURS, GREY, PALE, SMALL, add_legend, drawing, save
 from recon.show.report import to_json
@@ -484,7 +484,7 @@ class ClimbSettings(Settings):
     """found-50, published-50, highest-spatial, or a file .toml."""
     out: Path
     """Folder for tables, figures and playback."""
-    height: Annotated[Positive | None, Option(expected="metres, as in 0.045")] = None
+    height: Annotated[Annotated[Number, Field(gt=0, le=10)] | None, Option(expected="metres, as in 0.045")] = None
     """Height of the step, metres; the footfalls' heights are in proportion. (default: the recipe's)"""
     figures: bool = True
     """PNG and SVG beside the tables."""

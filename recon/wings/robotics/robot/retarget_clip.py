@@ -108,7 +108,7 @@ def retarget_command(settings: RetargetSettings) -> Answer:
 
 
 def _lines(report: dict[str, Any], out: Path) -> Iterator[str | Table]:
-    scale = f"{report['scale']:.3f} of the animal's size, {report['slower']:.2f} times slower"
+    scale = f"moves {report['scale']:.3f} times as far as the animal, in {report['slower']:.2f} times its time"
     yield f"{report['robot']['title']}: {scale}"
     for name in ("clip", "stride"):
         part = report[name]
