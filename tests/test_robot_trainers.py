@@ -88,7 +88,7 @@ def test_velocities_are_the_derivatives_of_what_is_written(robot, part, request)
 
 def test_the_feet_that_stand_are_still_and_a_stride_goes_on_where_it_ends(solved):
     found = RobotSamples(solved.stride, 200)
-    feet = [found.foot(label) for label in ("LF", "RF", "LH", "RH")]
+    feet = [*found.feet]
     speed = np.linalg.norm(found.velocity_m_s[:, feet], axis=2)
     within = found.feet_stand[1:-1] & found.feet_stand[:-2] & found.feet_stand[2:]
     assert np.median(speed[1:-1][within]) < 0.02 * speed.max()

@@ -10,7 +10,6 @@ from recon.base import lazily
 
 if TYPE_CHECKING:
     from recon.wings.robotics.climb import load_recipe
-    from recon.wings.robotics.climb.plan import ClimbSettings, run_climb
     from recon.wings.robotics.ik.clip import IkSettings, limb_of, methods_of, run_ik
     from recon.wings.robotics.robot.physics import simulated
     from recon.wings.robotics.robot.quadruped import LEGS, Quadruped, builtin_robots, load_robot

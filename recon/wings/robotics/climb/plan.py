@@ -499,8 +499,20 @@ def climb(settings: ClimbSettings) -> Answer:
 
     Exit code 0: valid in every frame. 1: it is not, and all is written. 2: the input cannot be used.
     """
-    report = run_climb(settings)
-    return Answer(report, _climb_lines(report, settings.out), code=0 if report["valid"] else EXIT_UNSOLVED)
+    out = settings.out
+    recipe, _ = all_of(
+        lambda: load_recipe(settings.recipe), lambda: require_free_folder(out, (REPORT,), settings.overwrite)
+    )
+    done = plan(load_robot(recipe.robot), recipe if settings.height is None else raised(recipe, settings.height))
+    report = _report(done, settings)
+    with sole_writer(out):
+        require_free_folder(out, (REPORT,), settings.overwrite)
+        with staged_results(out) as staging:
+            _write(done, report, staging)
+            if settings.figures:
+                save(climb_footfalls(done), staging, "footfalls")
+                save(margins_figure(done.motion.time_s, done.margins, RULES, _title(done)), staging, "margins")
+    return Answer(report, _climb_lines(report, out), code=0 if report["valid"] else EXIT_UNSOLVED)
 
 
 def _climb_lines(report: dict[str, Any], out: Path) -> Iterator[str | Table]:
@@ -522,24 +534,6 @@ def _climb_lines(report: dict[str, Any], out: Path) -> Iterator[str | Table]:
 
 REPORT = "report.json"
 _COLUMNS = 4
-
-
-def run_climb(settings: ClimbSettings) -> dict[str, Any]:
-    """`recon climb`: what report.json says. Raises InputError."""
-    out = settings.out
-    recipe, _ = all_of(
-        lambda: load_recipe(settings.recipe), lambda: require_free_folder(out, (REPORT,), settings.overwrite)
-    )
-    climb = plan(load_robot(recipe.robot), recipe if settings.height is None else raised(recipe, settings.height))
-    report = _report(climb, settings)
-    with sole_writer(out):
-        require_free_folder(out, (REPORT,), settings.overwrite)
-        with staged_results(out) as staging:
-            _write(climb, report, staging)
-            if settings.figures:
-                save(climb_footfalls(climb), staging, "footfalls")
-                save(margins_figure(climb.motion.time_s, climb.margins, RULES, _title(climb)), staging, "margins")
-    return report
 
 
 def _report(climb: Climb, settings: ClimbSettings) -> dict[str, Any]:
@@ -588,12 +582,12 @@ def _write(climb: Climb, report: dict[str, Any], folder: Path) -> None:
     rows = [["" if np.isinf(x) else x for x in row] for row in columns.tolist()]
     write_rows(folder / "margins.csv", [["time_s", *names]], rows)
     (folder / REPORT).write_text(to_json(report), encoding="utf-8")
+    inside, nose = 1000 * climb.margins["support"], np.degrees(climb.pitch_rad)
     curves = [
-        TimePlot(name, text, (name,), LIMB_COLOURS[:1], values[:, None])
-        for name, text, values in (
-            ("margin", "centre of mass inside the planted feet, mm", 1000 * climb.margins["support"]),
-            ("pitch", "pitch, degrees, nose up", np.degrees(climb.pitch_rad)),
-        )
+        TimePlot(
+            "margin", "centre of mass inside the planted feet, mm", ["margin"], LIMB_COLOURS[:1], inside[:, None]
+        ),
+        TimePlot("pitch", "pitch, degrees, nose up", ["pitch"], LIMB_COLOURS[:1], nose[:, None]),
     ]
     write_robot(
         climb.motion,

@@ -38,7 +38,7 @@ from recon.workflows.cli import Answer, numbers, table_of
 
 Convention = Literal["modified", "standard"]
 _PARALLEL = 1e-9
-"""Sine of the angle between axes."""
+"""The sine of an angle between axes, or a distance in metres, that is none."""
 
 
 @dataclass(frozen=True)
@@ -98,22 +98,28 @@ def dh_table(chain: SerialChain) -> tuple[RigidTransform, tuple[DHRow, ...], Rig
     are parallel, through the origin before."""
     zero = np.zeros(chain.n)
     axes, places = chain.joint_axes(zero), chain.positions(zero)
-    end = _transform(*chain.pose(zero))
-    frames, x = [], _across(axes[0])
+    frames, x, origin = [], _across(axes[0]), places[0]
     for j, z in enumerate(axes):
-        if j + 1 == chain.n:
-            origin, normal = (places[j] if j == 0 else _nearest_on_axis(places[j], z, frames[-1].translation)), x
-        else:
-            origin, normal = _common_normal(places[j], z, places[j + 1], axes[j + 1], frames)
+        origin = _nearest_on_axis(places[j], z, origin)
+        normal = np.zeros(3)
+        if j + 1 < chain.n:
+            after, z_after = places[j + 1], axes[j + 1]
+            normal = np.cross(z, z_after)
+            if np.linalg.norm(normal) < _PARALLEL:
+                normal = _nearest_on_axis(after, z_after, origin) - origin
+            else:
+                # (after - place) = s z + t normal - u z_after
+                along = np.linalg.solve(np.column_stack([z, normal, -z_after]), after - places[j])
+                origin, normal = places[j] + along[0] * z, normal if along[1] >= -1e-12 else -normal
         # The same x as before where the normal leaves it open: theta is 0 then.
-        x = normal if normal is not None else x
+        x = normal if np.linalg.norm(normal) > _PARALLEL else x
         x = x - (x @ z) * z
         size = float(np.linalg.norm(x))
         x = x / size if size > 1e-6 else _across(z)
         frames.append(_transform(np.column_stack([x, np.cross(z, x), z]), origin))
     steps = [a.inv() * b for a, b in pairwise(frames)]
     rows = [DHRow(slides=bool(chain.sliding[0])), *map(_row, steps, chain.sliding[1:])]
-    return frames[0], tuple(rows), frames[-1].inv() * end
+    return frames[0], tuple(rows), frames[-1].inv() * _transform(*chain.pose(zero))
 
 
 def _row(step: RigidTransform, slides: bool) -> DHRow:
@@ -134,21 +140,6 @@ def _nearest_on_axis(place: Array, z: Array, near: Array) -> Array:
     return place + ((near - place) @ z) * z
 
 
-def _common_normal(
-    place: Array, z: Array, after: Array, z_after: Array, before: list[RigidTransform]
-) -> tuple[Array, Array | None]:
-    """Where on the axis the common normal with the next one starts, and its direction, None where it is free."""
-    across = np.cross(z, z_after)
-    size = np.linalg.norm(across)
-    if size < _PARALLEL:
-        origin = _nearest_on_axis(place, z, before[-1].translation) if before else place
-        way = _nearest_on_axis(after, z_after, origin) - origin
-        return origin, way if np.linalg.norm(way) > 1e-9 else None
-    # (after - place) = s z + t across - u z_after
-    along = np.linalg.solve(np.column_stack([z, across, -z_after]), after - place)
-    return place + along[0] * z, across if along[1] >= -1e-12 else -across
-
-
 def _across(z: Array) -> Array:
     """A unit vector at right angles to z: x where z is not along it."""
     x = np.eye(3)[0 if abs(z[0]) < 0.9 else 1]
@@ -166,10 +157,7 @@ def _split(given: Any) -> Any:
     return tuple(given.split(",")) if isinstance(given, str) else given
 
 
-Three = Annotated[tuple[Number, Number, Number], BeforeValidator(_split)]
-"""Several numbers; as text with commas between them."""
-
-
+_Three = Annotated[tuple[Number, Number, Number], BeforeValidator(_split)]
 _THREE = Option(expected="3 numbers with commas, as in 0.1,-20,3", metavar="X,Y,Z")
 
 
@@ -178,7 +166,7 @@ class PoseSettings(Settings):
 
     robot: Annotated[str, Option(argument="ROBOT")]
     """a1, go2, aibo, or a file .toml, .urdf or .xml (MJCF)."""
-    move: Annotated[Three | None, _THREE] = None
+    move: Annotated[_Three | None, _THREE] = None
     """The body forwards, left and up from where it stands, metres, as in 0,0,-0.02. (default: 0,0,0)"""
     roll: Annotated[Number, Option(expected="degrees, as in 10")] = 0.0
     """Degrees, right side down."""
@@ -197,9 +185,9 @@ class TableSettings(Settings):
     """Leg, LF, RF, LH or RH; of a .urdf or .xml, too, the link at the end. (default: the only leaf)"""
     angles: Annotated[str | None, Option(metavar="NUMBERS")] = None
     """Where is the end at these, degrees (metres of joints that slide)? As in 0,45,-90."""
-    place: Annotated[Three | None, _THREE] = None
+    place: Annotated[_Three | None, _THREE] = None
     """All angles that put the end there: base or body axes, metres, as in 0.4,0.1,0.2."""
-    turned: Annotated[Three | None, _THREE] = None
+    turned: Annotated[_Three | None, _THREE] = None
     """With --place: the end's roll, pitch and yaw, degrees, as in 0,90,0. (default: any)"""
 
 
@@ -208,14 +196,24 @@ def pose(settings: PoseSettings) -> Answer:
 
     Example: recon robot pose aibo --pitch 10 --move 0,0,-0.01
     """
-    answer = pose_of(settings)
-    table = table_of("leg", "joint", numbers=("angle °", "foot x m", "y m", "z m"), title=answer["robot"])
-    for label, leg in answer["legs"].items():
-        angles = ["-"] * len(leg["joints"]) if leg["angles_rad"] is None else _deg(leg["angles_rad"])
-        for k, row in enumerate(zip(leg["joints"], angles, strict=True)):
-            table.add_row("" if k else label, *row, *(f"{x:.4f}" for x in leg["foot_m"] if not k))
-    why = (f"{label}: {leg['why']}" for label, leg in answer["legs"].items() if leg["why"])
-    return Answer(answer, [table, *why])
+    machine, position = load_robot(settings.robot), settings.move or (0.0, 0.0, 0.0)
+    turned = {name: float(np.radians(getattr(settings, name))) for name in ("roll", "pitch", "yaw")}
+    placed = body_pose(position, turned["roll"], turned["pitch"], turned["yaw"])
+    feet = leg_targets(placed, np.zeros((4, 3)), [leg.neutral_m for leg in machine.legs.values()])
+    found, why = {}, []
+    table = table_of("leg", "joint", numbers=("angle °", "foot x m", "y m", "z m"), title=machine.title)
+    for (label, leg), foot in zip(machine.legs.items(), feet, strict=True):
+        q = leg.angles(foot[None])[0]
+        reached = bool(np.isfinite(q).all())
+        says = "" if reached else "out of reach, or of a joint's limits"
+        why += [f"{label}: {says}"] if says else []
+        angles, margin = q if reached else None, float(leg.margins(q).min())
+        found[label] = {"joints": leg.joints, "foot_m": foot, "angles_rad": angles, "margin_rad": margin, "why": says}
+        angles = _deg(q) if reached else ["-"] * len(q)
+        for k, row in enumerate(zip(leg.joints, angles, strict=True)):
+            table.add_row("" if k else label, *row, *(f"{x:.4f}" for x in foot if not k))
+    told = {f"{name}_rad": angle for name, angle in turned.items()}
+    return Answer({"robot": machine.title, "position_m": position, **told, "legs": found}, [table, *why])
 
 
 def dh(settings: TableSettings) -> Answer:
@@ -223,7 +221,7 @@ def dh(settings: TableSettings) -> Answer:
 
     Example: recon robot dh aibo --tip LF --place 0.09,0.07,-0.1
     """
-    answer = chain_of(settings, None if settings.angles is None else numbers("--angles", settings.angles))
+    answer = chain_of(settings)
     return Answer(answer, _chain_lines(answer, f"{settings.source} {settings.tip or ''}".strip()))
 
 
@@ -274,24 +272,7 @@ REACHED = 1e-7
 """Error of a solution, of the chain's length."""
 
 
-def pose_of(settings: PoseSettings) -> dict[str, Any]:
-    """The legs' angles of a body moved and turned from where it stands, the feet planted."""
-    machine, position = load_robot(settings.robot), settings.move or (0.0, 0.0, 0.0)
-    turned = {name: float(np.radians(getattr(settings, name))) for name in ("roll", "pitch", "yaw")}
-    pose = body_pose(position, turned["roll"], turned["pitch"], turned["yaw"])
-    feet = leg_targets(pose, np.zeros((4, 3)), [leg.neutral_m for leg in machine.legs.values()])
-    found = {}
-    for (label, leg), foot in zip(machine.legs.items(), feet, strict=True):
-        q = leg.angles(foot[None])[0]
-        reached = bool(np.isfinite(q).all())
-        why = "" if reached else "out of reach, or of a joint's limits"
-        angles, margin = q if reached else None, float(leg.margins(q).min())
-        found[label] = {"joints": leg.joints, "foot_m": foot, "angles_rad": angles, "margin_rad": margin, "why": why}
-    angles = {f"{name}_rad": angle for name, angle in turned.items()}
-    return {"robot": machine.title, "position_m": position, **angles, "legs": found}
-
-
-def chain_of(settings: TableSettings, angles: Sequence[float] | None) -> dict[str, Any]:
+def chain_of(settings: TableSettings) -> dict[str, Any]:
     """A table of parameters (TOML), a leg of a robot, or a chain of a URDF or MJCF file, by default to its only
     leaf."""
     chain, table = _chain(settings.source, settings.tip)
@@ -300,14 +281,13 @@ def chain_of(settings: TableSettings, angles: Sequence[float] | None) -> dict[st
         table = {"base": _pose_answer(base), "tool": _pose_answer(tool), **_table("modified", rows)}
     answer: dict[str, Any] = {"joints": chain.names, "slides": chain.sliding, "lower": chain.lower_rad}
     answer |= {"upper": chain.upper_rad, "dh": table}
-    if angles is not None:
-        q = np.asarray(angles, float)
+    if settings.angles is not None:
+        q = np.array(numbers("--angles", settings.angles))
         if len(q) != chain.n:
             raise InputError(Problem("--angles", "joints", f"{len(q)} numbers", f"{chain.n}, one for each joint"))
         q = np.where(chain.sliding, q, np.radians(q))
-        R, place = chain.pose(q)
-        end = RigidTransform.from_components(place, Rotation.from_matrix(R))
-        answer["forward"] = {"q": q, **_pose_answer(end), "within_limits": _within(chain, q)}
+        end = _pose_answer(_transform(*chain.pose(q)))
+        answer["forward"] = {"q": q, **end, "within_limits": _within(chain, q)}
     if settings.place is not None:
         turned = None if settings.turned is None else np.radians(settings.turned)
         matrix = None if turned is None else Rotation.from_euler("ZYX", turned[::-1]).as_matrix()

@@ -302,7 +302,7 @@ def carried(motion: RobotMotion, model: Any, hopeless: float = HOPELESS) -> tupl
     now, best, found = motion, motion, _asked(motion.robot, model, *_states(motion, work.time_s))
     values, damping, slow = work.values(now, found, moved, pushes), 300.0, 0
     for turn in range(TURNS):
-        if min(rule["share"] for rule in kept(check(best, model)[1]).values()) == 1 or slow > 2:
+        if least_share(best, model) == 1 or slow > 2:
             break
         beyond = work.beyond(values)
         if turn > 2 and float(np.sum(beyond[work.limited] ** 2)) > hopeless:
@@ -511,6 +511,11 @@ def kept(margins: dict[str, Array]) -> dict[str, dict[str, float]]:
         name: {"share": float(np.mean(margins[name] >= rule.least)), "least": float(margins[name].min())}
         for name, rule in RULES.items()
     }
+
+
+def least_share(motion: RobotMotion, model: Any) -> float:
+    """The least share of frames that keep a rule."""
+    return min(rule["share"] for rule in kept(check(motion, model)[1]).values())
 
 
 def margins_figure(time_s: Array, margins: Mapping[str, Array], rules: Mapping[str, Rule], title: str) -> Figure:

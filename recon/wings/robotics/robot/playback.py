@@ -17,28 +17,11 @@ import rerun.blueprint as rrb
 
 from recon.base.arrays import Array, Bools
 from recon.fit.motion import Motion
-from recon.show.view import laid_out, state_rows, time_view
-from recon.show.view.scene import (
-    BACKGROUND,
-    DETECTION,
-    GRID,
-    LEFT,
-    LIMB_COLOURS,
-    PATH,
-    RIGHT,
-    SIDE_COLOURS,
-    TRAIL,
-    Log,
-    TimePlot,
-    grid_lines,
-    limb_strips,
-    recording,
-    strips,
-)
+from recon.show.view import laid_out, scene, state_rows, time_view
 from recon.wings.robotics.robot.quadruped import LEGS
 from recon.wings.robotics.robot.retarget import RobotMotion
 
-ROBOT = DETECTION
+ROBOT = scene.DETECTION
 STEP = (58, 62, 72)
 GRID_LINES = 60
 """Across the path, at most."""
@@ -49,7 +32,7 @@ def write_robot(
     path: Path,
     companion: tuple[Array, Motion] | None = None,
     step: tuple[float, float] | None = None,
-    more: Sequence[TimePlot] = (),
+    more: Sequence[scene.TimePlot] = (),
     title: str = "",
 ) -> None:
     """The recording; companion: the animal beside the robot, its points (N, J, 3) in the robot's world and of its size,
@@ -72,25 +55,25 @@ def write_robot(
     title = title or motion.robot.title
     if motion.slower != 1:
         title += f"; {motion.slower:.3g} times slower than the animal"
-    scene: rrb.View | rrb.Container = _scene(title, "world/followed", middle[0], half, ["world/animal"])
+    shown: rrb.View | rrb.Container = _scene(title, "world/followed", middle[0], half, ["world/animal"])
     if companion is not None:
         other = f"{companion[1].title}, at {motion.scale:.2f} of its size"
         of_robot = ["shapes", "world/robot", "world/support", "world/path", "world/step"]
-        scene = rrb.Horizontal(scene, _scene(other, "world/animal/followed", beside[0], half, of_robot))
+        shown = rrb.Horizontal(shown, _scene(other, "world/animal/followed", beside[0], half, of_robot))
     angles = [time_view(s) for s in series]
     angles = [rrb.Tabs(*angles)] if more else angles
     below = rrb.Horizontal(*(time_view(s) for s in more), *angles, state_rows(LEGS, "Feet that stand"))
     fps = min(len(motion.time_s) / float(motion.time_s[-1]), len(motion.time_s) / 4)
-    with recording(path, laid_out(rrb.Vertical(scene, below, row_shares=[3, 2]), fps)) as stream:
+    with scene.recording(path, laid_out(rrb.Vertical(shown, below, row_shares=[3, 2]), fps)) as stream:
         stream.send_recording_name(f"{motion.robot.name} {path.stem}")
-        log = Log(stream, np.arange(len(motion.time_s)), motion.time_s)
+        log = scene.Log(stream, np.arange(len(motion.time_s)), motion.time_s)
         log.fix("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP)
         _write_robot(motion, log)
         log.follow("world/followed", middle, half)
         if companion is not None:
             points, animal = companion
-            colours = [SIDE_COLOURS[animal.limb_sides[limb]] for limb in animal.limbs]
-            columns = limb_strips(points, animal.limbs, np.ones(len(motion.time_s), bool))
+            colours = [scene.SIDE_COLOURS[animal.limb_sides[limb]] for limb in animal.limbs]
+            columns = scene.limb_strips(points, animal.limbs, np.ones(len(motion.time_s), bool))
             log.draw("world/animal", rr.LineStrips3D, columns, colors=colours, radii=0.02 * size)
             log.follow("world/animal/followed", beside, half)
         for s in [*more, *series]:
@@ -98,28 +81,28 @@ def write_robot(
         spacing = 0.1
         while np.max(high - low) / spacing > GRID_LINES:
             spacing *= 2
-        flat = grid_lines(np.floor(low / spacing) * spacing, np.ceil(high / spacing) * spacing, spacing)
+        flat = scene.grid_lines(np.floor(low / spacing) * spacing, np.ceil(high / spacing) * spacing, spacing)
         lines = [np.column_stack([line, np.zeros(2)]) for line in flat]
-        log.fix("world/ground", rr.LineStrips3D(lines, colors=GRID, radii=0.004 * size))
+        log.fix("world/ground", rr.LineStrips3D(lines, colors=scene.GRID, radii=0.004 * size))
         if step is not None:  # a solid block, as wide as the ground and as far as the robot goes
             edge_m, height_m = step
             low, high = np.append(low, 0.0), np.append(high, height_m)
             low[0] = edge_m
             log.fix("world/step", rr.Boxes3D(mins=[low], sizes=[high - low], colors=STEP, fill_mode="solid"))
             edges = [[[edge_m, y, z] for y in (low[1], high[1])] for z in (0.0, height_m)]
-            log.fix("world/step/edge", rr.LineStrips3D(edges, colors=PATH, radii=0.006 * size))
+            log.fix("world/step/edge", rr.LineStrips3D(edges, colors=scene.PATH, radii=0.006 * size))
 
 
-def _write_robot(motion: RobotMotion, log: Log) -> None:
+def _write_robot(motion: RobotMotion, log: scene.Log) -> None:
     size, legs = motion.robot.stand_m, np.stack([motion.points(label) for label in LEGS], axis=1)
     body = legs[:, [LEGS.index(label) for label in ("LF", "RF", "RH", "LH", "LF")], 0]
-    colours = [LEFT if label[0] == "L" else RIGHT for label in LEGS]
-    lines = strips([[*of_legs, of_body] for of_legs, of_body in zip(legs, body, strict=True)])
+    colours = [scene.LEFT if label[0] == "L" else scene.RIGHT for label in LEGS]
+    lines = scene.strips([[*of_legs, of_body] for of_legs, of_body in zip(legs, body, strict=True)])
     log.draw("world/robot", rr.LineStrips3D, lines, colors=[*colours, ROBOT], radii=0.025 * size)
-    log.points("world/robot/feet", motion.feet_m, motion.standing, colors=TRAIL, radii=0.06 * size)
-    polygons = strips([_polygon(feet, stand) for feet, stand in zip(motion.feet_m, motion.standing, strict=True)])
-    log.draw("world/support", rr.LineStrips3D, polygons, colors=TRAIL, radii=0.008 * size)
-    log.fix("world/path", rr.LineStrips3D([motion.pose.translation], colors=PATH, radii=0.008 * size))
+    log.points("world/robot/feet", motion.feet_m, motion.standing, colors=scene.TRAIL, radii=0.06 * size)
+    polygons = scene.strips([_polygon(feet, stand) for feet, stand in zip(motion.feet_m, motion.standing, strict=True)])
+    log.draw("world/support", rr.LineStrips3D, polygons, colors=scene.TRAIL, radii=0.008 * size)
+    log.fix("world/path", rr.LineStrips3D([motion.pose.translation], colors=scene.PATH, radii=0.008 * size))
     if motion.robot.source.lower().endswith(".urdf"):  # its own shapes, as rerun reads them
         urdf = rr.urdf.UrdfTree.from_file_path(motion.robot.source, "shapes")
         urdf.log_urdf_to_recording(log.stream)
@@ -144,10 +127,10 @@ def _polygon(feet_m: Array, standing: Bools) -> list[Array]:
     return [np.array([*feet, feet[0]])] if len(feet) > 2 else []
 
 
-def _angles(motion: RobotMotion, label: str) -> TimePlot:
+def _angles(motion: RobotMotion, label: str) -> scene.TimePlot:
     names, values = motion.robot.legs[label].joints, np.degrees(motion.leg_angles(label))
-    colours = [LIMB_COLOURS[k % len(LIMB_COLOURS)] for k in range(len(names))]
-    return TimePlot(f"angles/{label}", f"{label}, degrees", names, colours, values)
+    colours = [scene.LIMB_COLOURS[k % len(scene.LIMB_COLOURS)] for k in range(len(names))]
+    return scene.TimePlot(f"angles/{label}", f"{label}, degrees", names, colours, values)
 
 
 def _scene(name: str, followed: str, middle_m: Array, half_m: float, hidden: Sequence[str]) -> rrb.Spatial3DView:
@@ -161,5 +144,5 @@ def _scene(name: str, followed: str, middle_m: Array, half_m: float, hidden: Seq
     )
     contents = ["$origin/**", "+ shapes/**", *(f"- {entity}/**" for entity in hidden)]
     return rrb.Spatial3DView(
-        origin="world", contents=contents, name=name, background=BACKGROUND, line_grid=False, eye_controls=eye
+        origin="world", contents=contents, name=name, background=scene.BACKGROUND, line_grid=False, eye_controls=eye
     )

@@ -32,7 +32,7 @@ Hind feet go outside of the fore feet then, as a cheetah's do: by the least of `
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -273,18 +273,20 @@ EASE, SOFT = 0.28, 0.1
 
 
 @dataclass(frozen=True, eq=False)
-class RobotMotion:
-    """A robot's motion at N times, its 4 legs in the order of `LEGS`, its joints in that of robot.joints."""
+class KeptMotion:
+    """A robot's motion at N times as plain arrays, its 4 legs in the order of `LEGS`, its joints in that of
+    robot.joints."""
 
-    robot: Quadruped
     scale: float
     slower: float
     time_s: Array
     """(N,): the robot's."""
     angles_rad: Array
     """(N, joints)"""
-    pose: RigidTransform
-    """(N): T_world_body."""
+    position_m: Array
+    """(N, 3): of the body in the world."""
+    quaternion_xyzw: Array
+    """(N, 4): of the body in the world."""
     feet_m: Array
     """(N, 4, 3): where the feet should be, in the world."""
     standing: Bools
@@ -293,6 +295,18 @@ class RobotMotion:
     """(N, 4): feet that were out of reach."""
     advance_m: Array | None = None
     """As of the reference."""
+
+
+@dataclass(frozen=True, eq=False)
+class RobotMotion(KeptMotion):
+    """The same, and whose it is."""
+
+    robot: Quadruped = field(kw_only=True)
+
+    @cached_property
+    def pose(self) -> RigidTransform:
+        """(N): T_world_body."""
+        return RigidTransform.from_components(self.position_m, Rotation.from_quat(self.quaternion_xyzw))
 
     def leg_angles(self, label: str) -> Array:
         """(N, n) of one leg."""
@@ -303,7 +317,7 @@ class RobotMotion:
     def _spline(self) -> CubicSpline:
         """Through the states of `Quadruped.tree`, less the way of a stride that repeats."""
         turn = np.unwrap(self.pose.rotation.as_euler("ZYX"), axis=0)
-        states = np.hstack([self.pose.translation, turn, self.angles_rad])
+        states = np.hstack([self.position_m, turn, self.angles_rad])
         if self.advance_m is None:
             return CubicSpline(self.time_s, states)
         states[:, :2] -= np.linspace(0.0, 1.0, len(states))[:, None] * self.advance_m
@@ -473,7 +487,8 @@ def posed(robot: Quadruped, time_s: Array, pose: RigidTransform, feet_m: Array, 
     solved = [drawn_in(leg, targets[:, k]) for k, leg in enumerate(robot.legs.values())]
     angles = np.concatenate([angles for angles, _ in solved], axis=1)
     short = np.stack([short for _, short in solved], axis=1)
-    return RobotMotion(robot, 1.0, 1.0, time_s, angles, pose, feet_m, standing, short)
+    place, turned = pose.translation, pose.rotation.as_quat()
+    return RobotMotion(1.0, 1.0, time_s, angles, place, turned, feet_m, standing, short, robot=robot)
 
 
 def drawn_in(leg: RobotLeg, feet_m: Array) -> tuple[Array, Bools]:

@@ -31,19 +31,11 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field
 from rich.table import Table
-from scipy.spatial.transform import RigidTransform, Rotation
+from scipy.spatial.transform import Rotation
 
-from recon.base.arrays import Array, Bools
+from recon.base import files
+from recon.base.arrays import Array
 from recon.base.errors import InputError, Problem, all_of
-from recon.base.files import (
-    name_seen_from,
-    require_free_file,
-    require_free_folder,
-    seen_from,
-    sole_writer,
-    staged_folder,
-    staged_results,
-)
 from recon.base.records import load_record, save_record
 from recon.base.settings import Integer, Option, Positive, Settings
 from recon.check import usable, verdict_fields
@@ -56,8 +48,8 @@ from recon.show.plain import picked, to_json
 from recon.show.plots.style import save
 from recon.wings.robotics.ik.methods import control_columns
 from recon.wings.robotics.robot import physics
-from recon.wings.robotics.robot.quadruped import LEGS, Quadruped, RobotLeg, builtin_robots, load_robot
-from recon.wings.robotics.robot.retarget import LEGS_APART, Retargeting, RobotMotion, reference_of, retarget
+from recon.wings.robotics.robot.quadruped import LEGS, Quadruped, builtin_robots, load_robot
+from recon.wings.robotics.robot.retarget import LEGS_APART, KeptMotion, Retargeting, RobotMotion, reference_of, retarget
 from recon.workflows.cli import ANYWAY, STRIDE, Answer, StrideTimes, table_of, verdict_texts
 from recon.workflows.clip_results import problem_of
 
@@ -172,11 +164,11 @@ def run_retarget(settings: RetargetSettings) -> tuple[Retargeting, dict[str, Any
     results, machine, _ = all_of(
         lambda: usable(Motion.load(folder), folder, settings.anyway),
         lambda: load_robot(settings.robot),
-        lambda: require_free_folder(out, (REPORT,), settings.overwrite),
+        lambda: files.require_free_folder(out, (REPORT,), settings.overwrite),
     )
     animal = reference_of(results, settings.stride)
-    with sole_writer(out):
-        require_free_folder(out, (REPORT,), settings.overwrite)
+    with files.sole_writer(out):
+        files.require_free_folder(out, (REPORT,), settings.overwrite)
         done = retarget(animal, machine, settings.scale, settings.slower)
         model = physics.simulated(machine) if settings.check or settings.fit_limits else None
         before: dict[str, Any] = {}
@@ -187,15 +179,15 @@ def run_retarget(settings: RetargetSettings) -> tuple[Retargeting, dict[str, Any
             "scale_found": settings.scale is None,
             "slower_found": settings.slower is None,
         }
-        report["animal"]["results"] = seen_from(out, folder)
-        report["robot"]["source"] = name_seen_from(out, machine.source)
+        report["animal"]["results"] = files.seen_from(out, folder)
+        report["robot"]["source"] = files.name_seen_from(out, machine.source)
         said = {k: report[k] for k in ("verdict", "robot", "animal", "scale", "slower")}
-        with staged_results(out) as staging:
+        with files.staged_results(out) as staging:
             if settings.samples is not None:
                 motions = drawn(done, settings, settings.samples, model if settings.fit_limits else None)
                 report["samples"] = write_ensemble(motions, settings, staging, said)
                 if model is not None:
-                    report["samples"]["keep_every_rule"] = sum(_least_share(one, model) == 1 for one in motions)
+                    report["samples"]["keep_every_rule"] = sum(physics.least_share(one, model) == 1 for one in motions)
             if model is not None:
                 report["check"] = said["check"] = checked(done, model, staging) | before
             _write(done, report, staging)
@@ -215,28 +207,23 @@ def within_limits(done: Retargeting, model: Any) -> tuple[Retargeting, dict[str,
         own = done.stride
         again = retarget(done.animal, own.robot, scale * own.scale, slower * own.slower, done.window)
         stride, clip = physics.carried(again.stride, model)[0], None
-        share = _least_share(stride, model)
+        share = physics.least_share(stride, model)
         if share == 1:
             clip = physics.carried(again.clip, model)[0]
-            share += _least_share(clip, model)
+            share += physics.least_share(clip, model)
         tried.append((share, again, stride, clip))
         if share == 2:
             break
     _, again, stride, clip = max(tried, key=lambda one: one[0])
     clip = clip or physics.carried(again.clip, model)[0]
     pairs = ((again.clip.pose, clip.pose), (again.stride.pose, stride.pose))
-    ups = clip.pose.translation[:, 2] - again.clip.pose.translation[:, 2]
+    ups = clip.position_m[:, 2] - again.clip.position_m[:, 2]
     changed = {name: getattr(clip, name) / getattr(done.clip, name) for name in ("slower", "scale")} | {
         "height": 1 + float(ups.mean()) / clip.robot.stand_m,
         "base_moved_m": max(float(np.linalg.norm(b.translation - a.translation, axis=1).max()) for a, b in pairs),
         "base_turned_rad": max(float((b.rotation * a.rotation.inv()).magnitude().max()) for a, b in pairs),
     }
     return replace(again, clip=clip, stride=stride), changed
-
-
-def _least_share(motion: RobotMotion, model: Any) -> float:
-    """The least share of frames that keep a rule."""
-    return min(rule["share"] for rule in physics.kept(physics.check(motion, model)[1]).values())
 
 
 def checked(done: Retargeting, model: Any, folder: Path | None = None) -> dict[str, Any]:
@@ -278,7 +265,7 @@ def report_of(done: Retargeting) -> dict[str, Any]:
 
 
 def _figures(motion: RobotMotion) -> dict[str, Any]:
-    way = motion.pose.translation[-1, :2] - motion.pose.translation[0, :2]
+    way = motion.position_m[-1, :2] - motion.position_m[0, :2]
     duration = float(motion.time_s[-1])
     return {
         "duration_s": duration,
@@ -346,7 +333,7 @@ def write_tables(motion: RobotMotion, folder: Path, prefix: str) -> None:
     _table(folder / f"{prefix}joints.csv", names, time, motion.angles_rad, *states)
     names = ["time_s", "x_m", "y_m", "z_m", "qx", "qy", "qz", "qw"]
     quaternions = motion.pose.rotation.as_quat(canonical=True)
-    _table(folder / f"{prefix}base.csv", names, time, motion.pose.translation, quaternions)
+    _table(folder / f"{prefix}base.csv", names, time, motion.position_m, quaternions)
     names = ["time_s", *(f"{label}_{axis}_m" for label in LEGS for axis in "xyz"), *(f"{x}_stands" for x in LEGS)]
     places = np.hstack([time, motion.feet_m.reshape(len(time), -1)]).tolist()
     stands = motion.standing.astype(int).tolist()
@@ -380,7 +367,8 @@ def repeated(stride: RobotMotion, times: int) -> RobotMotion:
         stride,
         time_s=stride.time_s[within] + turn * period,
         angles_rad=stride.angles_rad[within],
-        pose=RigidTransform.from_components(stride.pose.translation[within] + ahead, stride.pose.rotation[within]),
+        position_m=stride.position_m[within] + ahead,
+        quaternion_xyzw=stride.quaternion_xyzw[within],
         feet_m=stride.feet_m[within] + ahead[:, None],
         standing=stride.standing[within],
         short=stride.short[within],
@@ -413,7 +401,7 @@ def write_ensemble(
     """The files, into a folder that there is, and how far the draws lie apart, for the report: standard deviations of
     the base's place (m, by axis) and of the joints' angles (rad), medians over the clip."""
     first = motions[0]
-    places = np.stack([motion.pose.translation for motion in motions])
+    places = np.stack([motion.position_m for motion in motions])
     angles = np.stack([motion.angles_rad for motion in motions])
     np.savez(
         out / STACKED,
@@ -442,8 +430,6 @@ def write_ensemble(
 # -- files for programs that train policies ----------------------------------------------------------------------------
 
 KEPT, SCHEMA = "robot.npz", {"name": "recon.robot", "version": 1}
-_OPTIONS = {"--rate": "--fps", "--format": "--to"}
-"""What options of `recon retarget` are called by `recon convert`."""
 AMP_LEGS = ("RF", "LF", "RH", "LH")
 AMP_JOINTS = 3
 """The joints of a leg, in the layout."""
@@ -453,17 +439,19 @@ STEP_S = 1e-6
 
 class RobotSamples:
     """A motion at the rate nearest to rate_hz of which a whole number of frames fits: K frames, evenly spaced; the
-    robot's joints in its own order; B bodies, the base first. Raises InputError where fewer than two frames fit."""
+    robot's joints in its own order; B bodies, the base first. Raises InputError about the option where fewer than two
+    frames fit."""
 
-    def __init__(self, motion: RobotMotion, rate_hz: float) -> None:
+    def __init__(self, motion: RobotMotion, rate_hz: float, option: str = "--rate") -> None:
         duration = float(motion.time_s[-1] - motion.time_s[0])
         frames = round(duration * rate_hz)
         if frames < 1:
             expected = f"at least {1 / duration:.1f}, two frames of its {duration:.2f} s"
-            raise InputError(Problem("--rate", "frames a second", f"{rate_hz:g}", expected))
+            raise InputError(Problem(option, "frames a second", f"{rate_hz:g}", expected))
         self.robot, self.loops, self.rate_hz = motion.robot, motion.advance_m is not None, frames / duration
         self.time_s = np.linspace(0.0, duration, frames + 1)
-        at, tree, self.bodies = motion.time_s[0] + self.time_s, motion.robot.tree, _body_names(motion.robot)
+        at, tree = motion.time_s[0] + self.time_s, motion.robot.tree
+        self.bodies, self.feet = _bodies(motion.robot)
         states, changes = (motion.states(at, order) for order in (0, 1))
         self.angles_rad, self.rates_rad_s = states[:, 6:], changes[:, 6:]
         self.feet_stand = motion.stands_at(at)  # (K, 4), in the order of `LEGS`
@@ -488,22 +476,17 @@ class RobotSamples:
         found[1:] *= np.cumprod(np.where(flips < 0, -1.0, 1.0), axis=0)[..., None]
         return found
 
-    def foot(self, label: str) -> int:
-        """Its place among the bodies."""
-        return self.bodies.index(_foot_name(self.robot.legs[label], label))
 
-
-def _body_names(robot: Quadruped) -> tuple[str, ...]:
-    names = ["base"]
+def _bodies(robot: Quadruped) -> tuple[list[str], list[int]]:
+    """The names of all bodies, and which of them are the feet, in the order of `LEGS`. A foot is FL_foot where the
+    leg's joints are called FL_hip_joint and so on."""
+    names, feet = ["base"], []
     for label, leg in robot.legs.items():
-        names += [*(name.removesuffix("_joint") for name in leg.joints), _foot_name(leg, label)]
-    return tuple(names)
-
-
-def _foot_name(leg: RobotLeg, label: str) -> str:
-    """As FL_foot, of joints that are called FL_hip_joint and so on."""
-    head, *rest = leg.joints[0].split("_")
-    return f"{head}_foot" if rest and all(name.split("_")[0] == head for name in leg.joints) else f"{label}_foot"
+        head = leg.joints[0].split("_")[0]
+        alike = all(name.startswith(f"{head}_") for name in leg.joints)
+        feet.append(len(names) + len(leg.joints))
+        names += [*(name.removesuffix("_joint") for name in leg.joints), f"{head if alike else label}_foot"]
+    return names, feet
 
 
 # -- files -----------------------------------------------------------------------------------------------------------
@@ -513,10 +496,10 @@ def _amp(found: RobotSamples, path: Path, said: Mapping[str, Any]) -> None:
     robot = found.robot
     if any(len(leg.joints) != AMP_JOINTS for leg in robot.legs.values()):
         expected = f"a robot with {AMP_JOINTS} joints a leg, or another format"
-        raise InputError(Problem("--format", "amp", f"{len(robot.joints)} joints", expected))
+        raise InputError(Problem(robot.name, "joints for amp", f"{len(robot.joints)}", expected))
     order = [joint for label in AMP_LEGS for joint in robot.legs[label].joints]
     columns = [robot.joints.index(joint) for joint in order]
-    feet = [found.foot(label) for label in AMP_LEGS]
+    feet = [found.feet[LEGS.index(label)] for label in AMP_LEGS]
     v, w = found.velocity_m_s[:, :1], found.angular_velocity_rad_s[:, :1]
     arms = found.position_m[:, feet] - found.position_m[:, :1]
     relative = found.velocity_m_s[:, feet] - v - np.cross(w, arms)
@@ -566,7 +549,7 @@ def _npz(layout: str, found: RobotSamples, path: Path, said: Mapping[str, Any]) 
         fps=np.array(found.rate_hz),
         body_names=np.array(found.bodies),
         contacts=found.feet_stand,
-        contact_names=np.array([found.bodies[found.foot(label)] for label in LEGS]),
+        contact_names=np.array([found.bodies[k] for k in found.feet]),
         source=np.array(json.dumps(said)),
         **named,
     )
@@ -589,10 +572,12 @@ FORMATS: dict[str, tuple[str, Callable[[RobotSamples, Path, Mapping[str, Any]], 
 """By name, the file's and what writes it."""
 
 
-def write_for_trainer(motion: RobotMotion, name: str, rate_hz: float, path: Path, said: Any) -> float:
+def write_for_trainer(
+    motion: RobotMotion, name: str, rate_hz: float, path: Path, said: Any, option: str = "--rate"
+) -> float:
     """Write a file of one of `FORMATS`, and return its rate. said: what the file should say of where it comes from.
     Raises InputError as `RobotSamples`, and of a robot that the format has no room for."""
-    found = RobotSamples(motion, rate_hz)
+    found = RobotSamples(motion, rate_hz, option)
     FORMATS[name][1](found, path, said)
     return found.rate_hz
 
@@ -601,39 +586,19 @@ def write_for_trainer(motion: RobotMotion, name: str, rate_hz: float, path: Path
 
 
 @dataclass(frozen=True, eq=False)
-class _KeptMotion:
-    """A `RobotMotion` as plain arrays, without its robot."""
-
-    scale: float
-    slower: float
-    time_s: Array
-    angles_rad: Array
-    position_m: Array
-    quaternion_xyzw: Array
-    feet_m: Array
-    standing: Bools
-    short: Bools
-    advance_m: Array | None
-
-
-@dataclass(frozen=True, eq=False)
 class _Kept:
     robot: str
     """The name, or the file, seen from the folder."""
     said: Mapping[str, Any]
-    clip: _KeptMotion
-    stride: _KeptMotion
+    clip: KeptMotion
+    stride: KeptMotion
 
 
 def keep(clip: RobotMotion, stride: RobotMotion, robot: str, said: Mapping[str, Any], path: Path) -> None:
     """Write both motions as they are, from which `convert` makes files of any of `FORMATS`, at any rate."""
 
-    def plain(motion: RobotMotion) -> _KeptMotion:
-        same = {f.name: getattr(motion, f.name) for f in fields(_KeptMotion) if hasattr(motion, f.name)}
-        place, turn = motion.pose.translation, motion.pose.rotation.as_quat()
-        return _KeptMotion(position_m=place, quaternion_xyzw=turn, **same)
-
-    save_record(_Kept(robot, said, plain(clip), plain(stride)), path, SCHEMA)
+    names = [one.name for one in fields(KeptMotion)]
+    save_record(_Kept(robot, said, *(KeptMotion(**picked(of, *names)) for of in (clip, stride))), path, SCHEMA)
 
 
 def kept_motions(path: Path) -> tuple[RobotMotion, RobotMotion, Mapping[str, Any]]:
@@ -644,7 +609,7 @@ def kept_motions(path: Path) -> tuple[RobotMotion, RobotMotion, Mapping[str, Any
 
     joints = len(robot.joints)
 
-    def restored(kept: _KeptMotion) -> RobotMotion:
+    def restored(kept: KeptMotion) -> RobotMotion:
         n = len(kept.time_s)
         shapes = {"time_s": (n,), "angles_rad": (n, joints), "position_m": (n, 3), "quaternion_xyzw": (n, 4)}
         shapes |= {"feet_m": (n, 4, 3), "standing": (n, 4), "short": (n, 4)}
@@ -656,9 +621,7 @@ def kept_motions(path: Path) -> tuple[RobotMotion, RobotMotion, Mapping[str, Any
                 raise InputError(Problem(path, name, f"{values.shape}", expected))
         if n < 2 or not (np.diff(kept.time_s) > 0).all() or not kept.quaternion_xyzw.any(axis=1).all():
             raise InputError(Problem(path, "content", "no motion", "times that go on, and rotations"))
-        same = {f.name: getattr(kept, f.name) for f in fields(kept)}
-        place, turn = same.pop("position_m"), Rotation.from_quat(same.pop("quaternion_xyzw"))
-        return RobotMotion(robot=robot, pose=RigidTransform.from_components(place, turn), **same)
+        return RobotMotion(**vars(kept), robot=robot)
 
     return restored(found.clip), restored(found.stride), found.said
 
@@ -666,18 +629,17 @@ def kept_motions(path: Path) -> tuple[RobotMotion, RobotMotion, Mapping[str, Any
 def convert(folder: Path, out: Path, name: str, rate_hz: float | None, overwrite: bool) -> str:
     """`recon convert` of a folder of `recon retarget`: the clip into out, the stride that repeats beside it, both or
     none; and what to say of it. name: of `FORMATS`. Raises InputError."""
-    (*motions, said), _ = all_of(lambda: kept_motions(folder / KEPT), lambda: require_free_file(out, overwrite, "OUT"))
+
+    def free(path: Path) -> None:
+        files.require_free_file(path, overwrite, "OUT")
+
+    (*motions, said), _ = all_of(lambda: kept_motions(folder / KEPT), lambda: free(out))
     stride = out.with_name(f"stride_{out.name}")
-    with staged_folder(out.parent) as staging:
-        try:
-            rates = [
-                write_for_trainer(motion, name, rate_hz or RATE_HZ, staging / path.name, said)
-                for motion, path in zip(motions, (out, stride), strict=True)
-            ]
-        except InputError as error:
-            raise InputError(
-                replace(one, file=_OPTIONS.get(str(one.file), one.file)) for one in error.problems
-            ) from None
-        all_of(*(partial(require_free_file, out.parent / one.name, overwrite, "OUT") for one in staging.iterdir()))
+    with files.staged_folder(out.parent) as staging:
+        rates = [
+            write_for_trainer(motion, name, rate_hz or RATE_HZ, staging / path.name, said, "--fps")
+            for motion, path in zip(motions, (out, stride), strict=True)
+        ]
+        all_of(*(partial(free, out.parent / one.name) for one in staging.iterdir()))
     hz = " and ".join(f"{rate:.4g}" for rate in rates)
     return f"{out}: {name}, {motions[0].robot.title}, {hz} frames per second; a stride that repeats is in {stride}"
