@@ -291,14 +291,14 @@ def test_every_bundled_climb_is_valid_in_every_frame(aibo, name):
         np.testing.assert_allclose(motion.points(label)[:, -1], motion.feet_m[:, k], atol=1e-9)
     for k in np.flatnonzero(climb.lifted != NONE):
         planted = motion.feet_m[k][np.arange(4) != climb.lifted[k], :2]
-        shares = np.linalg.solve(np.vstack([planted.T, np.ones(3)]), [*climb.position_m[k, :2], 1])
+        shares = np.linalg.solve(np.vstack([planted.T, np.ones(3)]), [*climb.motion.position_m[k, :2], 1])
         assert shares.min() > 0
     still = climb.lifted[1:, None] != np.arange(4)
     assert np.abs(np.diff(motion.feet_m, axis=0)[still]).max() == 0
     np.testing.assert_array_equal(motion.standing.sum(axis=1), 4 - (climb.lifted != NONE))
     np.testing.assert_allclose(motion.feet_m[-1, :, 2], recipe.step.height_m, atol=1e-9)
     turns = (motion.pose.rotation[:-1].inv() * motion.pose.rotation[1:]).magnitude()
-    assert np.linalg.norm(np.diff(climb.position_m, axis=0), axis=1).max() <= recipe.motion.max_step_m * (1 + 1e-9)
+    assert np.linalg.norm(np.diff(climb.motion.position_m, axis=0), axis=1).max() <= recipe.motion.max_step_m * (1 + 1e-9)
     assert turns.max() <= recipe.motion.max_turn_rad * (1 + 1e-9)
     if recipe.dofs == 4:
         across = motion.pose.rotation.as_matrix()[:, 1]

@@ -76,7 +76,7 @@ def test_figures(frame):
     assert [axes.get_ylabel() for axes in rows[:4]] == ["xi (°)", "psi (°)", "zeta (°)", "base length (m)"]
     np.testing.assert_allclose(rows[2].lines[0].get_ydata(), np.degrees(frame.solution.unknown("zeta")))
     heat, _ = solver_plots.image_errors(frame).axes
-    shown = np.ma.filled(heat.collections[0].get_array(), np.nan)
+    shown = np.ma.filled(heat.images[0].get_array(), np.nan)
     np.testing.assert_array_equal(shown, frame.image_error_px.T)
     gradient, norm = solver_plots.solver_unknowns(frame).axes
     np.testing.assert_allclose(norm.lines[0].get_xdata(), np.median(frame.column_norm, axis=0))

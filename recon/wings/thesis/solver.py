@@ -19,6 +19,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
+from matplotlib.image import AxesImage
 from scipy.sparse import block_diag
 from threadpoolctl import threadpool_limits
 
@@ -66,7 +67,7 @@ def solver(settings: _SolverSettings, progress: Progress) -> Answer:
     Example: recon solver results/clip
     """
     out = settings.folder / FOLDER if settings.out is None else settings.out
-    motion, files = Motion.load(settings.folder), 0
+    motion = Motion.load(settings.folder)
     with sole_writer(out):
         require_free_folder(out, (SUMMARY, *TABLES, JACOBIAN), settings.overwrite, "what the optimiser did")
         progress("problem", 0.1)
@@ -79,14 +80,12 @@ def solver(settings: _SolverSettings, progress: Progress) -> Answer:
                 table.to_csv(staging / name, index=False, lineterminator="\n")
             record.write_jacobian(staging / JACOBIAN)
             (staging / SUMMARY).write_text(to_json(summary), encoding="utf-8")
-            files += sum(1 for _ in staging.iterdir())
         if settings.figures:
             with staged_folder(out) as staging:
                 for done, draw in enumerate(FIGURES):
                     progress(f"figures: {draw.__name__}", FIGURES_BEGIN + (1.0 - FIGURES_BEGIN) * done / len(FIGURES))
                     style.save(draw(record), staging, draw.__name__)
-                files += sum(1 for _ in staging.iterdir())
-    return Answer(summary, [f"{files} files are in {out}."])
+    return Answer(summary, [f"{len(TABLES) + 2 + 2 * len(FIGURES) * settings.figures} files are in {out}."])
 
 
 # -- what it did ------------------------------------------------------------------------------------------------------
@@ -291,19 +290,11 @@ def image_errors(record: SolverRecord) -> Figure:
     names, frames, values = record.motion.names, record.motion.frames, record.image_error_px.T
     with style.drawing(min(4.0 * len(names) + 8, style.PAGE_MM - 20) + 14) as figure:
         axes = figure.subplots()
-        image = axes.pcolormesh(
-            np.append(frames, frames[-1] + 1) - 0.5,
-            np.arange(len(names) + 1) - 0.5,
-            values,
-            norm=LogNorm(0.5, max(float(np.nanmax(values, initial=0.0)), 10.0)),
-            rasterized=len(frames) > style.MOST_DOTS,  # as lines, thousands of cells take seconds and megabytes
-        )
+        most = max(float(np.nanmax(values, initial=0.0)), 10.0)
+        image = _logarithmic_image(figure, axes, values, 0.5, most, "error in the picture (px)")
+        image.set_extent((frames[0] - 0.5, frames[-1] + 0.5, len(names) - 0.5, -0.5))
         axes.set_yticks(range(len(names)), names)
-        axes.set_ylim(len(names) - 0.5, -0.5)
-        axes.tick_params(axis="y", length=0)
         axes.set_title(f"{record.motion.pictures[0].name}: mean {mean(values):.1f} px", loc="left")
-        bar = figure.colorbar(image, ax=axes, label="error in the picture (px)", extend="min", aspect=40, pad=0.01)
-        style.plain_logarithm(bar.ax.yaxis)
         axes.set_xlabel("frame")
     return figure
 
@@ -359,11 +350,8 @@ def solver_matrices(record: SolverRecord) -> Figure:
         for axes, (matrix, label) in zip(panels, ((J, "|J|"), (J.T @ J, "|J'J|")), strict=True):
             size = np.where(matrix == 0, np.nan, np.abs(matrix))
             most = float(np.nanmax(size, initial=1.0))
-            image = axes.imshow(size, aspect="auto", norm=LogNorm(_DECADES * most, most), interpolation="none")
+            _logarithmic_image(figure, axes, size, _DECADES * most, most, label)
             axes.set_xticks(range(len(names)), names, rotation=90, fontsize=style.SMALL)
-            axes.tick_params(length=0)
-            bar = figure.colorbar(image, ax=axes, label=label, extend="min", aspect=40, pad=0.02)
-            style.plain_logarithm(bar.ax.yaxis)
         panels[0].set_yticks(np.cumsum(counts) - counts / 2 - 0.5, [*parts], fontsize=style.SMALL)
         panels[1].set_yticks(range(len(names)), names, fontsize=style.SMALL)
     return figure
@@ -402,6 +390,15 @@ def _over_time(figure: Figure, rows: Sequence[Axes], labels: Sequence[str], acro
         axes.set_ylabel(label)
     rows[-1].set_xlabel(across)
     figure.align_ylabels()
+
+
+def _logarithmic_image(figure: Figure, axes: Axes, values: Array, least: float, most: float, label: str) -> AxesImage:
+    """Rows of values as colours; white: none."""
+    image = axes.imshow(values, aspect="auto", norm=LogNorm(least, most), interpolation="none")
+    axes.tick_params(length=0)
+    bar = figure.colorbar(image, ax=axes, label=label, extend="min", aspect=40, pad=0.02)
+    style.plain_logarithm(bar.ax.yaxis)
+    return image
 
 
 def _logarithmic(axes: Axes, time_s: Array, curves: Sequence[Array]) -> None:

@@ -284,11 +284,6 @@ class Climb:
     """(T,): whether the equilibrium was found."""
 
     @property
-    def position_m(self) -> Array:
-        """(T, 3), of the centre of mass."""
-        return self.motion.pose.translation
-
-    @property
     def pitch_rad(self) -> Array:
         """(T,): positive with the nose up."""
         return np.arcsin(np.clip(self.motion.pose.rotation.as_matrix()[:, 2, 0], -1, 1))
@@ -308,7 +303,7 @@ class Climb:
         found = {
             "reach": np.column_stack([leg.slack_m(targets[:, k]) for k, leg in legs]),
             "limits": np.concatenate(limits, axis=1),
-            "support": support_m(self.position_m[:, :2], feet[..., :2], self.lifted),
+            "support": support_m(self.motion.position_m[:, :2], feet[..., :2], self.lifted),
             "knees": step.distance_m(knees),
             "shins": step.distance_m(shins),
             "hips": step.distance_m(hips),
@@ -584,9 +579,7 @@ def _write(climb: Climb, report: dict[str, Any], folder: Path) -> None:
     (folder / REPORT).write_text(to_json(report), encoding="utf-8")
     inside, nose = 1000 * climb.margins["support"], np.degrees(climb.pitch_rad)
     curves = [
-        TimePlot(
-            "margin", "centre of mass inside the planted feet, mm", ["margin"], LIMB_COLOURS[:1], inside[:, None]
-        ),
+        TimePlot("margin", "centre of mass inside the planted feet, mm", ["margin"], LIMB_COLOURS[:1], inside[:, None]),
         TimePlot("pitch", "pitch, degrees, nose up", ["pitch"], LIMB_COLOURS[:1], nose[:, None]),
     ]
     write_robot(

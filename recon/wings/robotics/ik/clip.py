@@ -316,21 +316,21 @@ def limb_of(motion: Motion, foot: str | None = None, dim: Dim = 3, limited: bool
     """
     label = _foot_label(motion, foot)
     name = motion.foot_names[label]
-    travel, first_s = chains.body_travel(motion.states), float(motion.time_s[0])
+    base: Literal["UVW", "xyz"] = "UVW"
+    misfit = np.zeros(1)
     if isinstance(motion.chain, Chain):
-        leg = chains.spine_front_leg(motion.chain, motion.size * motion.chain.nominal_base_length_m, dim, limited)
+        chain = chains.spine_front_leg(motion.chain, motion.size * motion.chain.nominal_base_length_m, dim, limited)
         q = chains.chain_angles(motion.chain, motion.states, dim=dim)
-        return Limb(name, leg, q, motion.fps, first_s, "UVW", 0.0)
-    if dim == 3:
-        marker = motion.joints[motion.names.index(name)]
+    elif dim == 3:
+        marker, base = motion.joints[motion.names.index(name)], "xyz"
         chain = chains.body_chain(motion.body, marker, motion.size, limited)
         q = chains.body_chain_angles(motion.body, marker, motion.states)
-        return Limb(name, chain, q, motion.fps, first_s, "xyz", 0.0)
-    along = next(along for along in limb_chains(motion).values() if along[-1] == name)
-    points = motion.upright.xyz_m[:, [motion.names.index(joint) for joint in along]]
-    chain, q, misfit = chains.projected_chain(points, travel)
-    named = replace(chain, names=tuple(along[:-1]))
-    return Limb(name, named, q, motion.fps, first_s, "UVW", float(np.nanmedian(misfit)))
+    else:
+        along = next(along for along in limb_chains(motion).values() if along[-1] == name)
+        points = motion.upright.xyz_m[:, [motion.names.index(joint) for joint in along]]
+        chain, q, misfit = chains.projected_chain(points, chains.body_travel(motion.states))
+        chain = replace(chain, names=tuple(along[:-1]))
+    return Limb(name, chain, q, motion.fps, float(motion.time_s[0]), base, float(np.nanmedian(misfit)))
 
 
 def _foot_label(motion: Motion, foot: str | None) -> str:

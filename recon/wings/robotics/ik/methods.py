@@ -609,8 +609,8 @@ class Run:
     """From one configuration to the next."""
     end_m: Array
     """(K, dim)"""
-    distance_m: Array
-    """(K,): from the target, or from the path."""
+    aim_m: Array
+    """The target (dim,), or the points of the path (K, dim)."""
     manipulability: Array
     """(K,): sqrt(det J J')."""
     singular: Bools
@@ -619,13 +619,21 @@ class Run:
     """(K - 1,): computing time of each step."""
     limits: dict[str, str]
     """By joint that a limit stopped, in their order: which limit, and in which step the first time."""
-    driven: bool
-    """Whether it was to a target."""
     closed: bool
     """Whether it was along a closed path."""
     note: str
     """What kept it from a target, "unreachable: ...", "singular: ...", "limits: ..." or "no progress: ..."; along a
     path the first thing that went wrong, with its step. Empty where nothing did."""
+
+    @property
+    def driven(self) -> bool:
+        """Whether it was to a target."""
+        return self.aim_m.ndim == 1
+
+    @property
+    def distance_m(self) -> Array:
+        """How far the end effector is from the target, or from the path, shape (K,)."""
+        return np.linalg.norm(self.aim_m - self.end_m, axis=1)
 
     @property
     def reached(self) -> bool:
@@ -713,12 +721,11 @@ def drive_to(
         q, note = np.zeros(chain.n), "no progress: the start is not finite"
     if not note and isinstance(method, ExtendedJacobian):
         q = to_null_space_optimum(chain, q, method.cost)[0]
-    distances, best, best_at = [], np.inf, 0
+    best, best_at = np.inf, 0
 
     def ask(k: int, end: Array, last: JointRates, stopped: list[int]) -> Array | str:
         nonlocal best, best_at
         distance = float(np.linalg.norm(target - end))
-        distances.append(distance)
         if note or distance <= tolerance_m:
             return note
         if distance < (1 - PROGRESS) * best:
@@ -732,9 +739,7 @@ def drive_to(
             return f"no progress: {left}" + (", the most that are allowed" if k >= max_iterations else "")
         return (target - end) * (min(1.0, MAX_STEP_M / distance) / interval_s)
 
-    method = _with_gain(method, interval_s)
-    run, _ = _moved(chain, q, ask, lambda _: method, interval_s)
-    return replace(run, distance_m=np.array(distances))
+    return _moved(chain, q, target, ask, lambda _: method, interval_s)
 
 
 def follow(
@@ -758,10 +763,10 @@ def follow(
     if turns > 1 and not closed:
         raise ValueError("only a closed path can be followed more than once")
     points = np.concatenate([path[:1], *[path[1:]] * turns])
-    given, note = _with_gain(method, interval_s) if isinstance(method, Method) else method, ""
+    note = ""
 
     def of_step(k: int) -> Method:
-        return given if isinstance(given, Method) else given(k)
+        return method if isinstance(method, Method) else method(k)
 
     def ask(k: int, end: Array, last: JointRates, stopped: list[int]) -> Array | str:
         nonlocal note
@@ -769,22 +774,22 @@ def follow(
             note = f"{last.note} (step {k - 1})"
         return note if k == len(points) - 1 else (points[k + 1] - end) / interval_s
 
-    run, q = _moved(chain, chain.inside_limits(np.asarray(q0, float)), ask, of_step, interval_s)
+    run = _moved(chain, chain.inside_limits(np.asarray(q0, float)), points, ask, of_step, interval_s)
     again = path[1] - path[0] if closed else path[-1] - path[-2]
-    last = _one_interval(chain, q, again / interval_s, of_step(run.iterations), interval_s)[0].dq
-    off = np.linalg.norm(run.end_m - points, axis=1)
-    return replace(run, dq=np.vstack([run.dq[:-1], last]), distance_m=off, driven=False, closed=closed)
+    last = _one_interval(chain, run.q[-1], again / interval_s, of_step(run.iterations), interval_s)[0].dq
+    return replace(run, dq=np.vstack([run.dq[:-1], last]), closed=closed)
 
 
 def _moved(
     chain: SerialChain,
     q: Array,
+    aim_m: Array,
     ask: Callable[[int, Array, JointRates, list[int]], Array | str],
     method: Callable[[int], Method],
     interval_s: float,
-) -> tuple[Run, Array]:
+) -> Run:
     """From q (n,) on, an interval after the other, at the velocity (dim,) that ask(k, end, last rates, joints stopped)
-    wants in step k, until it gives the run's note in its place; and the last configuration (n,)."""
+    wants in step k, until it gives the run's note in its place."""
     path, ends, limits = [q], [chain.end(q)], {}
     steps: list[JointRates] = []
     times: list[float] = []
@@ -806,15 +811,14 @@ def _moved(
         dq=np.array([*(step.dq for step in steps), np.zeros(chain.n)]),
         interval_s=interval_s,
         end_m=np.array(ends),
-        distance_m=np.empty(0),
+        aim_m=aim_m,
         manipulability=manipulability(chain.jacobian(np.array(path))),
         singular=np.array([step.singular for step in steps], bool),
         solve_s=np.array(times),
         limits=limits,
-        driven=True,
         closed=False,
         note=dx,
-    ), q
+    )
 
 
 def degree_of_closure(path: Array) -> float:
@@ -831,7 +835,10 @@ def degree_of_closure(path: Array) -> float:
 def _one_interval(
     chain: SerialChain, q: Array, dx: Array, method: Method, interval_s: float
 ) -> tuple[JointRates, Array, list[int]]:
-    """One interval: the step, where it leads, and the joints that a limit stopped."""
+    """One interval: the step, where it leads, and the joints that a limit stopped. The extended Jacobian has the gain
+    that keeps it at G = 0."""
+    if isinstance(method, ExtendedJacobian) and method.full and not method.gain_per_s:
+        method = replace(method, gain_per_s=1 / interval_s)
     free = np.ones(chain.n, bool)
     while True:
         step = method.rates(chain, q, dx, ALL if free.all() else free)
@@ -846,13 +853,6 @@ def _one_interval(
 
 def _listed(chain: SerialChain, joints: Iterable[int]) -> str:
     return ", ".join(chain.names[joint] for joint in joints)
-
-
-def _with_gain(method: Method, interval_s: float) -> Method:
-    """The extended Jacobian with the gain that keeps it at G = 0."""
-    if isinstance(method, ExtendedJacobian) and method.full and not method.gain_per_s:
-        return replace(method, gain_per_s=1 / interval_s)
-    return method
 
 
 # -- along the null space --------------------------------------------------------------------------------------------

@@ -27,19 +27,8 @@ from scipy.stats import binom
 from recon.base.arrays import Array
 from recon.base.errors import InputError, Problem
 from recon.show.plots.style import GREY, SMALL, drawing
-from recon.wings.robotics.robot.quadruped import (
-    LEGS,
-    SUFFIXES,
-    Quadruped,
-    RobotLeg,
-    body_pose,
-    feet_in_world,
-    leg_targets,
-    read_model,
-    root_of,
-    the_mujoco,
-)
-from recon.wings.robotics.robot.retarget import LEGS_APART, RobotMotion, posed, stances, swinging
+from recon.wings.robotics.robot.quadruped import LEGS, SUFFIXES, Quadruped, read_model, root_of, the_mujoco
+from recon.wings.robotics.robot.retarget import LEGS_APART, RobotMotion, moved_by, stances, swinging
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -58,8 +47,6 @@ TRIES = 5
 """How often forces are sought that keep the torques' limits, too."""
 STRETCHED = 0.05
 """A foot does not move in a direction in which its leg reaches less than this share of its best."""
-CLEAR = 0.05
-"""The height within which swinging feet are bent away from the ground, as a share of the standing height."""
 CHANGES = ((1.0, 1.0), (1.0, 0.8), (1.0, 0.6), (1.0, 0.5), (1.0, 0.4), (1.3, 0.8), (1.3, 0.6), (1.3, 0.5))
 """Factors on times and lengths that are tried, in this order: shorter strides first, as a slower robot has to leap the
 higher over the same share of a stride."""
@@ -327,24 +314,6 @@ def carried(motion: RobotMotion, model: Any, hopeless: float = HOPELESS) -> tupl
     return best, off
 
 
-def moved_by(motion: RobotMotion, off: Array, robot: Quadruped | None = None) -> RobotMotion:
-    """The motion with its base moved by off (N, 6): its place, yaw, pitch and roll. Feet that stand stay where they
-    are, those that swing go with the base. robot: the same with other limits."""
-    yaw, pitch, roll = motion.pose.rotation.as_euler("ZYX").T + off[:, 3:].T
-    pose, loose = body_pose(motion.pose.translation + off[:, :3], roll, pitch, yaw), swinging(motion)[..., None]
-    along = feet_in_world(pose, np.zeros(3), leg_targets(motion.pose, np.zeros(3), motion.feet_m))
-    feet = motion.feet_m + loose * (along - motion.feet_m)
-    feet[..., 2] = (feet[..., 2] + np.hypot(feet[..., 2], CLEAR * motion.robot.stand_m * loose[..., 0])) / 2
-    again = replace(posed(robot or motion.robot, motion.time_s, pose, feet, motion.standing), robot=motion.robot)
-    return replace(again, scale=motion.scale, slower=motion.slower, advance_m=motion.advance_m)
-
-
-def _wider(leg: RobotLeg) -> RobotLeg:
-    """The leg, its joints' limits `WIDER_RAD` farther."""
-    lower, upper = leg.chain.lower_rad - WIDER_RAD, leg.chain.upper_rad + WIDER_RAD
-    return replace(leg, chain=replace(leg.chain, limits_rad=(lower, upper)))
-
-
 class _Carrying:
     """The least squares of `carried`, over K frames: rows for what is left of the base's needs, for torques, rates and
     angles as shares of their limits, for pushes and for the base's deviation; columns for the base's way and the
@@ -362,7 +331,11 @@ class _Carrying:
         lower, upper, self.fastest = robot.limits()
         lower, upper = np.maximum(lower, -1e3), np.minimum(upper, 1e3)  # a file may state none
         self.middle, self.half = (lower + upper) / 2, (upper - lower) / 2
-        self.wider = replace(robot, legs={label: _wider(leg) for label, leg in robot.legs.items()})
+        wider = {}
+        for label, leg in robot.legs.items():
+            limits = leg.chain.lower_rad - WIDER_RAD, leg.chain.upper_rad + WIDER_RAD
+            wider[label] = replace(leg, chain=replace(leg.chain, limits_rad=limits))
+        self.wider = replace(robot, legs=wider)
         loose = swinging(motion)
         self.held = 1 - np.stack([np.interp(self.time_s, motion.time_s, of) for of in loose.T], axis=1)
         self.stances = [(foot, grown / self.units[0]) for foot, grown in _pushes(motion, self.time_s)]

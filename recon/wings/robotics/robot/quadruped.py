@@ -50,7 +50,7 @@ from pydantic import AfterValidator, Field
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from recon.base.arrays import Array
-from recon.base.documents import FileTable, builtin_names, named_file, parse_toml, text_of, validated
+from recon.base.documents import FileTable, builtin_names, named_table, validated
 from recon.base.errors import InputError, Problem, refuse
 from recon.base.package import install_command
 from recon.geometry.kinematics import Marker, Segment, Tree
@@ -275,9 +275,9 @@ class Quadruped:
 
     def limits(self) -> tuple[Array, Array, Array]:
         """Lower, upper and rate (joints,) of all legs' joints."""
+        names = ("lower_rad", "upper_rad", "max_rate_rad_s")
         chains = [leg.chain for leg in self.legs.values()]
-        each = [(chain.lower_rad, chain.upper_rad, chain.max_rate_rad_s) for chain in chains]
-        lower, upper, rate = (np.concatenate(of) for of in zip(*each, strict=True))
+        lower, upper, rate = (np.concatenate([getattr(chain, name) for chain in chains]) for name in names)
         return lower, upper, rate
 
     @cached_property
@@ -423,8 +423,8 @@ def load_robot(robot: str | Path) -> Quadruped:
     if (path := Path(robot)).suffix.lower() in SUFFIXES:
         return _checked_robot(_quadruped_of_model(path))
     choice = (*builtin_robots(), "a file .urdf or .xml")
-    content, _ = named_file(robot, "wings/robotics/robot/robots", ".toml", "--robot", "robot", choice)
-    return _checked_robot(_quadruped(str(robot), parse_toml(text_of(content, robot, "a robot file"), robot)))
+    table, _ = named_table(robot, "wings/robotics/robot/robots", "--robot", "robot", choice)
+    return _checked_robot(_quadruped(str(robot), table))
 
 
 def _quadruped(source: str, table: dict[str, Any]) -> Quadruped:

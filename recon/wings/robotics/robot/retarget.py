@@ -268,6 +268,8 @@ SCALES = 0.97 ** np.arange(76)
 _EVERY = 5
 """Samples from one to the next that a scale is tried on; half a frame."""
 _BISECTIONS = 25
+CLEAR = 0.05
+"""The height within which swinging feet are bent away from the ground, as a share of the standing height."""
 EASE, SOFT = 0.28, 0.1
 """Shares of a swing's time, and of the foot's height within which its path is bent to stay above the ground."""
 
@@ -577,3 +579,15 @@ def swinging(motion: RobotMotion) -> Array:
         share = np.minimum(2 * np.minimum(since, until) / lasts, 1.0)
         found[:, foot] = share**3 * (10 - 15 * share + 6 * share**2)
     return found if motion.advance_m is None else found[n : 2 * n + 1]
+
+
+def moved_by(motion: RobotMotion, off: Array, robot: Quadruped | None = None) -> RobotMotion:
+    """The motion with its base moved by off (N, 6): its place, yaw, pitch and roll. Feet that stand stay where they
+    are, those that swing go with the base. robot: the same with other limits."""
+    yaw, pitch, roll = motion.pose.rotation.as_euler("ZYX").T + off[:, 3:].T
+    pose, loose = body_pose(motion.pose.translation + off[:, :3], roll, pitch, yaw), swinging(motion)[..., None]
+    along = feet_in_world(pose, np.zeros(3), leg_targets(motion.pose, np.zeros(3), motion.feet_m))
+    feet = motion.feet_m + loose * (along - motion.feet_m)
+    feet[..., 2] = (feet[..., 2] + np.hypot(feet[..., 2], CLEAR * motion.robot.stand_m * loose[..., 0])) / 2
+    again = replace(posed(robot or motion.robot, motion.time_s, pose, feet, motion.standing), robot=motion.robot)
+    return replace(again, scale=motion.scale, slower=motion.slower, advance_m=motion.advance_m)
