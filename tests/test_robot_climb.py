@@ -298,7 +298,7 @@ def test_every_bundled_climb_is_valid_in_every_frame(aibo, name):
     np.testing.assert_array_equal(motion.standing.sum(axis=1), 4 - (climb.lifted != NONE))
     np.testing.assert_allclose(motion.feet_m[-1, :, 2], recipe.step.height_m, atol=1e-9)
     turns = (motion.pose.rotation[:-1].inv() * motion.pose.rotation[1:]).magnitude()
-    assert np.linalg.norm(np.diff(climb.motion.position_m, axis=0), axis=1).max() <= recipe.motion.max_step_m * (1 + 1e-9)
+    assert np.linalg.norm(np.diff(motion.position_m, axis=0), axis=1).max() <= recipe.motion.max_step_m * (1 + 1e-9)
     assert turns.max() <= recipe.motion.max_turn_rad * (1 + 1e-9)
     if recipe.dofs == 4:
         across = motion.pose.rotation.as_matrix()[:, 1]

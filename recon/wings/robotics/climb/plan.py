@@ -46,8 +46,8 @@ from recon.base.errors import InputError, Problem, all_of
 from recon.base.files import name_seen_from, require_free_folder, sole_writer, staged_results
 from recon.base.settings import Number, Option, Settings
 from recon.io.writing import write_rows
+from recon.show.plain import picked, to_json
 from recon.show.plots.style import COLOURS, GREY, PALE, SMALL, add_legend, drawing, save
-from recon.show.report import to_json
 from recon.show.view.scene import LIMB_COLOURS, TimePlot
 from recon.wings.robotics.robot.physics import Rule, margins_figure
 from recon.wings.robotics.robot.playback import write_robot
@@ -533,28 +533,21 @@ _COLUMNS = 4
 
 def _report(climb: Climb, settings: ClimbSettings) -> dict[str, Any]:
     recipe, time_s = climb.recipe, climb.motion.time_s
+    name = name_seen_from(settings.out, settings.recipe)
+    least = {
+        rule: picked(RULES[rule], "what", "unit")
+        | {"value": value, "at_s": float(time_s[k]), "lifted": _lifted(climb, k) or "none"}
+        for rule, (value, k) in climb.least.items()
+    }
     return {
         "schema": {"name": "recon.climb", "version": 1},
         "robot": climb.motion.robot.name,
-        "recipe": {
-            "name": name_seen_from(settings.out, settings.recipe),
-            "about": recipe.about,
-            "degrees_of_freedom": recipe.dofs,
-        },
+        "recipe": {"name": name, "about": recipe.about, "degrees_of_freedom": recipe.dofs},
         "step_m": recipe.step.height_m,
         "edge_m": recipe.step.edge_m,
         "valid": not climb.problems(),
         "problems": climb.problems(),
-        "least_margins": {
-            rule: {
-                "what": RULES[rule].what,
-                "value": value,
-                "unit": RULES[rule].unit,
-                "at_s": float(time_s[k]),
-                "lifted": _lifted(climb, k) or "none",
-            }
-            for rule, (value, k) in climb.least.items()
-        },
+        "least_margins": least,
         "frames": len(time_s),
         "duration_s": float(time_s[-1]),
         "evaluations_per_frame": float(climb.evaluations.mean()),

@@ -202,28 +202,28 @@ def run_retarget(settings: RetargetSettings) -> tuple[Retargeting, dict[str, Any
 def within_limits(done: Retargeting, model: Any) -> tuple[Retargeting, dict[str, Any]]:
     """The first of `physics.CHANGES` with which clip and stride, their bases moved, keep every rule, and what it is;
     where none does, the one that keeps most."""
-    tried: list[tuple[float, Retargeting, RobotMotion, RobotMotion | None]] = []
+    tried: list[tuple[float, Retargeting, Retargeting]] = []
     for slower, scale in physics.CHANGES:
         own = done.stride
         again = retarget(done.animal, own.robot, scale * own.scale, slower * own.slower, done.window)
-        stride, clip = physics.carried(again.stride, model)[0], None
-        share = physics.least_share(stride, model)
+        moved = replace(again, stride=physics.carried(again.stride, model)[0])
+        share = physics.least_share(moved.stride, model)
         if share == 1:
-            clip = physics.carried(again.clip, model)[0]
-            share += physics.least_share(clip, model)
-        tried.append((share, again, stride, clip))
+            moved = replace(moved, clip=physics.carried(again.clip, model)[0])
+            share += physics.least_share(moved.clip, model)
+        tried.append((share, again, moved))
         if share == 2:
             break
-    _, again, stride, clip = max(tried, key=lambda one: one[0])
-    clip = clip or physics.carried(again.clip, model)[0]
-    pairs = ((again.clip.pose, clip.pose), (again.stride.pose, stride.pose))
-    ups = clip.position_m[:, 2] - again.clip.position_m[:, 2]
+    _, again, moved = max(tried, key=lambda one: one[0])
+    if moved.clip is again.clip:
+        moved = replace(moved, clip=physics.carried(again.clip, model)[0])
+    clip, pairs = moved.clip, ((again.clip, moved.clip), (again.stride, moved.stride))
     changed = {name: getattr(clip, name) / getattr(done.clip, name) for name in ("slower", "scale")} | {
-        "height": 1 + float(ups.mean()) / clip.robot.stand_m,
-        "base_moved_m": max(float(np.linalg.norm(b.translation - a.translation, axis=1).max()) for a, b in pairs),
-        "base_turned_rad": max(float((b.rotation * a.rotation.inv()).magnitude().max()) for a, b in pairs),
+        "height": 1 + float((clip.position_m - again.clip.position_m)[:, 2].mean()) / clip.robot.stand_m,
+        "base_moved_m": max(float(np.linalg.norm(b.position_m - a.position_m, axis=1).max()) for a, b in pairs),
+        "base_turned_rad": max(float((b.pose.rotation * a.pose.rotation.inv()).magnitude().max()) for a, b in pairs),
     }
-    return replace(again, clip=clip, stride=stride), changed
+    return moved, changed
 
 
 def checked(done: Retargeting, model: Any, folder: Path | None = None) -> dict[str, Any]:
