@@ -20,8 +20,8 @@ from recon.io import Pose3D
 from recon.wings.robotics import IkSettings, limb_of, methods_of, run_ik
 from recon.wings.robotics.ik.clip import METHODS, cost_of, fit_parameters, follow_stride, stride_lasts_s, stride_of
 from recon.wings.robotics.ik.methods import (
-    DAMPING_M,
     PULL,
+    RANGE,
     Frames,
     LeastNorm,
     damped_least_squares,
@@ -221,7 +221,7 @@ def test_a_cost_of_ones_own_a_factor_and_parameters_of_each_frame(folder):
     np.testing.assert_allclose(weights.mean(axis=1), 1.0)
     # The best of each configuration explains no less than the best of all.
     assert (table["weighted_explained"] > table["least-norm_explained"] - 1e-9).all()
-    assert table["damped_lambda_m"].between(*DAMPING_M).all()
+    assert table["damped_lambda_m"].between(*RANGE).all()
 
 
 def test_parameters_refitted_on_the_way(folder):

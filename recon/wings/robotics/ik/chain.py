@@ -71,10 +71,12 @@ class SerialChain:
     """(n,): what the joints are called."""
     groups: tuple[tuple[int, ...], ...]
     """The joints that follow each other along the chain, one tuple for each kind of angle."""
-    limits_rad: Limits = FREE
-    """Lower and upper, each one number or (n,); metres for joints that slide, as of all limits."""
-    rates_rad_s: ArrayLike = MAX_RATE_RAD_S
-    """The fastest rates of the joints that are allowed or expected, one or (n,)."""
+    lower_rad: Array
+    """The lower limits of the joints, shape (n,); metres for joints that slide, as of all limits."""
+    upper_rad: Array
+    """The upper limits of the joints, shape (n,)."""
+    max_rate_rad_s: Array
+    """The fastest rates of the joints that are allowed or expected, shape (n,)."""
     base: Array = field(default_factory=lambda: np.eye(3))
     """(dim, 3): from the axes of the tree's world to those of the base frame."""
     tool_rotation: Array = field(default_factory=lambda: np.eye(3))
@@ -85,21 +87,6 @@ class SerialChain:
             raise ValueError("a lower limit is above the upper one")
         if not np.all(np.isfinite(self.max_rate_rad_s) & (self.max_rate_rad_s > 0)):
             raise ValueError("rate limits must be positive and finite")
-
-    @cached_property
-    def lower_rad(self) -> Array:
-        """The lower limits of the joints, shape (n,)."""
-        return np.array(np.broadcast_to(self.limits_rad[0], self.n), float)
-
-    @cached_property
-    def upper_rad(self) -> Array:
-        """The upper limits of the joints, shape (n,)."""
-        return np.array(np.broadcast_to(self.limits_rad[1], self.n), float)
-
-    @cached_property
-    def max_rate_rad_s(self) -> Array:
-        """The fastest rates of the joints, shape (n,)."""
-        return np.array(np.broadcast_to(self.rates_rad_s, self.n), float)
 
     @property
     def n(self) -> int:
@@ -227,7 +214,8 @@ def summed_chain(
     dim: Literal[2, 3] = 3,
 ) -> SerialChain:
     """Universal joints in space whose angles add up: q (2 L,) = [theta..., phi...], base frame UVW, of lengths_m (L,).
-    dim 2: only the thetas. Limits and rates as of `SerialChain`. Raises ValueError."""
+    dim 2: only the thetas. Limits: lower and upper, rates: the fastest, each one number or one for each joint. Raises
+    ValueError."""
     lengths = np.array(lengths_m, float)
     if lengths.ndim != 1 or not len(lengths) or not np.all(np.isfinite(lengths) & (lengths > 0)):
         raise ValueError(f"positive lengths (L,) expected, got {lengths_m}")
@@ -240,7 +228,8 @@ def summed_chain(
     columns = np.concatenate([phi + 1, phi])[: L * (dim - 1)]
     groups = tuple(tuple(range(k * L, (k + 1) * L)) for k in range(dim - 1))
     names = tuple(tree.state_names[column] for column in columns)
-    return SerialChain(tree, columns, names, groups, limits_rad, max_rate_rad_s, UVW_BODY[:dim])
+    limits = _each(len(columns), *limits_rad, max_rate_rad_s)
+    return SerialChain(tree, columns, names, groups, *limits, base=UVW_BODY[:dim])
 
 
 def joint_chain(
@@ -258,7 +247,7 @@ def joint_chain(
 
     offsets_m (n, 3): each joint's place from that of the joint before it; axes (n, 3); sliding: one or (n,), which
     slide along their axes; tool_m (3,), tool_rotation: the end effector from the last joint; names: None: joint 1 and
-    so on; limits and rates as of `SerialChain`. Raises ValueError.
+    so on; limits: lower and upper, rates: the fastest, each one number or one for each joint. Raises ValueError.
     """
     offsets, axes, tool = (np.array(x, float) for x in (offsets_m, axes, tool_m))
     n = len(offsets)
@@ -278,8 +267,13 @@ def joint_chain(
     tree = Tree(tuple(segments), (Marker("end", segments[-1].name, _triple(back[n] @ tool)),))
     end = back[n] if tool_rotation is None else back[n] @ tool_rotation.as_matrix()
     names = tuple(f"joint {j + 1}" for j in range(n)) if names is None else names
-    columns, groups = 3 + np.arange(n), (tuple(range(n)),)
-    return SerialChain(tree, columns, names, groups, limits_rad, max_rate_rad_s, tool_rotation=end)
+    columns, groups, limits = 3 + np.arange(n), (tuple(range(n)),), _each(n, *limits_rad, max_rate_rad_s)
+    return SerialChain(tree, columns, names, groups, *limits, tool_rotation=end)
+
+
+def _each(n: int, *numbers: ArrayLike) -> list[Array]:
+    """Numbers, one or (n,) each, of n joints."""
+    return [np.array(np.broadcast_to(one, n), float) for one in numbers]
 
 
 def _triple(v: Array) -> tuple[float, float, float]:
@@ -474,9 +468,9 @@ def body_chain(body: Body, foot: str, size: float = 1.0, limited: bool = True) -
     low, high = ((mean + sign * LIMIT_SIGMAS * sigma)[where - YAW] for sign in (-1, 1))
     low[0], high[0] = -np.pi, np.pi
     groups = (tuple(i for i, about in enumerate(tree.axes) if about == axis) for axis in "zyx")
-    limits = (low, high) if limited else FREE
+    limits = _each(len(names), *((low, high) if limited else FREE), MAX_RATE_RAD_S)
     columns = 3 + np.arange(len(names))
-    return SerialChain(tree, columns, names, tuple(group for group in groups if group), limits)
+    return SerialChain(tree, columns, names, tuple(group for group in groups if group), *limits)
 
 
 def body_chain_angles(body: Body, foot: str, states: Array, travel: Array | None = None) -> Array:

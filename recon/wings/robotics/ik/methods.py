@@ -423,10 +423,8 @@ def _share_within(rates: Array, along: Array, limit: Array) -> float:
 
 # -- their parameters, from given joint rates -----------------------------------------------------------------------
 
-DAMPING_M = (1e-4, 1e2)
-"""Range of lambda: beyond, it makes no difference, or no motion."""
-GAMMA_RAD = (1e-4, 1e2)
-"""Range of gamma_max."""
+RANGE = (1e-4, 1e2)
+"""Of lambda (m) and of gamma_max (rad): beyond, it makes no difference, or no motion."""
 WEIGHT_RANGE = 1e3
 """Greatest ratio of a weight to the one it starts from."""
 PULL = 0.01
@@ -505,8 +503,8 @@ def fits(costs: Sequence[Cost] = (), pull: float = 0.0) -> dict[str, Fit]:
         "transpose": lambda frames: _linear(lambda c: JacobianTranspose(float(c[0])), 1, frames),
         "gradient-projection": lambda frames: _linear(projection, len(costs) or frames.q.shape[1], frames),
         "weighted": lambda frames: _weights(frames, pull),
-        "damped": lambda frames: _in_range(damped_least_squares, DAMPING_M, ("lambda", "m"), frames),
-        "selectively-damped": lambda frames: _in_range(SelectivelyDamped, GAMMA_RAD, ("gamma_max", "rad"), frames),
+        "damped": lambda frames: _in_range(damped_least_squares, ("lambda", "m"), frames),
+        "selectively-damped": lambda frames: _in_range(SelectivelyDamped, ("gamma_max", "rad"), frames),
     }
 
 
@@ -551,20 +549,18 @@ def _linear(method: Callable[[Array], Method], n: int, frames: Frames) -> Parame
     return _fitted(method(c), c, frames)
 
 
-def _in_range(
-    method: Callable[[float], Method], bounds: tuple[float, float], called: tuple[str, str], frames: Frames
-) -> ParameterFit:
-    """The parameter within bounds whose rates are nearest to the frames': the best of a logarithmic grid, refined."""
+def _in_range(method: Callable[[float], Method], called: tuple[str, str], frames: Frames) -> ParameterFit:
+    """The parameter within `RANGE` whose rates are nearest to the frames': the best of a logarithmic grid, refined."""
 
     def cost(log_value: float) -> float:
         return float(np.sum((rates_of(method(float(np.exp(log_value))), frames) - frames.dq) ** 2))
 
-    grid = np.linspace(np.log(bounds[0]), np.log(bounds[1]), 61)
+    grid = np.linspace(*np.log(RANGE), 61)
     i = int(np.argmin([cost(x) for x in grid]))
     around = grid[max(i - 1, 0)], grid[min(i + 1, len(grid) - 1)]
     refined = float(minimize_scalar(cost, bounds=around, method="bounded", options={"xatol": 1e-8}).x)
     value = float(np.exp(refined if cost(refined) < cost(grid[i]) else grid[i]))
-    (low, high), (name, unit), note = bounds, called, ""
+    (low, high), (name, unit), note = RANGE, called, ""
     if i in (0, len(grid) - 1):
         note = f"{name} at the edge of {low:g} to {high:g} {unit}"
     elif np.array_equal(rates_of(method(value), frames), rates_of(method(high), frames)):

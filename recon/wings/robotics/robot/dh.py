@@ -33,7 +33,8 @@ from recon.base.documents import FileTable, read_toml, validated
 from recon.base.errors import InputError, Problem
 from recon.base.settings import Number, Option, Settings
 from recon.wings.robotics.ik.chain import SerialChain, joint_chain
-from recon.wings.robotics.robot.quadruped import Length, Limits, body_pose, leg_targets, load_robot, robot_chain
+from recon.wings.robotics.robot import quadruped as robots
+from recon.wings.robotics.robot.quadruped import LEGS, Length, Limits, body_pose, leg_targets, load_robot
 from recon.workflows.cli import Answer, numbers, table_of
 
 Convention = Literal["modified", "standard"]
@@ -299,12 +300,21 @@ def chain_of(settings: TableSettings) -> dict[str, Any]:
 
 
 def _chain(source: str, tip: str | None) -> tuple[SerialChain, dict[str, Any] | None]:
-    """And its table, where the source is one."""
-    if (chain := robot_chain(source, tip)) is not None:
-        return chain, None
+    """A robot's leg, tip being its label, the chain of a URDF or MJCF file to a link, by default its only leaf, or that
+    of a table, with the table."""
+    if tip in LEGS:
+        return load_robot(source).legs[tip].chain, None
+    if source in robots.builtin_robots():
+        raise InputError(Problem("--tip", "leg", str(tip or "none"), f"one of {', '.join(LEGS)}"))
+    if (file := Path(source)).suffix.lower() in robots.SUFFIXES:
+        model = robots.read_model(file)
+        ends = [tip] if tip is not None else [robots.body_names(model)[leaf - 1] for leaf in robots.leaves_of(model)]
+        if len(ends) > 1:
+            raise InputError(Problem("--tip", "link", "none", f"one of {', '.join(ends)}"))
+        return robots.model_chain(model, file, ends[0]), None
     if tip is not None:
         raise InputError(Problem("--tip", "link", tip, "none: the file has one chain"))
-    chain, convention, rows = load_dh(Path(source))
+    chain, convention, rows = load_dh(file)
     return chain, _table(convention, rows)
 
 

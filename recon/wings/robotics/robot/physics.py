@@ -333,8 +333,8 @@ class _Carrying:
         self.middle, self.half = (lower + upper) / 2, (upper - lower) / 2
         wider = {}
         for label, leg in robot.legs.items():
-            limits = leg.chain.lower_rad - WIDER_RAD, leg.chain.upper_rad + WIDER_RAD
-            wider[label] = replace(leg, chain=replace(leg.chain, limits_rad=limits))
+            lower, upper = leg.chain.lower_rad - WIDER_RAD, leg.chain.upper_rad + WIDER_RAD
+            wider[label] = replace(leg, chain=replace(leg.chain, lower_rad=lower, upper_rad=upper))
         self.wider = replace(robot, legs=wider)
         loose = swinging(motion)
         self.held = 1 - np.stack([np.interp(self.time_s, motion.time_s, of) for of in loose.T], axis=1)

@@ -419,12 +419,22 @@ def builtin_robots() -> tuple[str, ...]:
 
 
 def load_robot(robot: str | Path) -> Quadruped:
-    """A built-in robot by name, or one of a file, .toml, .urdf or .xml (MJCF). Raises InputError."""
+    """A built-in robot by name, or one of a file, .toml, .urdf or .xml (MJCF). Raises InputError, also for a robot that
+    cannot stand, and for joints named twice."""
     if (path := Path(robot)).suffix.lower() in SUFFIXES:
-        return _checked_robot(_quadruped_of_model(path))
-    choice = (*builtin_robots(), "a file .urdf or .xml")
-    table, _ = named_table(robot, "wings/robotics/robot/robots", "--robot", "robot", choice)
-    return _checked_robot(_quadruped(str(robot), table))
+        found = _quadruped_of_model(path)
+    else:
+        choice = (*builtin_robots(), "a file .urdf or .xml")
+        table, _ = named_table(robot, "wings/robotics/robot/robots", "--robot", "robot", choice)
+        found = _quadruped(str(robot), table)
+    problems = []
+    if len({*found.joints}) < len(found.joints):
+        problems.append(Problem(found.source, "joints", "one name for several", "a name for each"))
+    for label, leg in found.legs.items():
+        if not np.isfinite(leg.angles(leg.neutral_m[None])).all():
+            problems.append(_cannot_stand(found.source, label))
+    refuse(problems)
+    return found
 
 
 def _quadruped(source: str, table: dict[str, Any]) -> Quadruped:
@@ -457,18 +467,6 @@ def _quadruped(source: str, table: dict[str, Any]) -> Quadruped:
         )
         legs[label] = RobotLeg(chain, placed.hip_m + in_body[7], closed=leg, signs=signs)
     return Quadruped(file.name, file.title, legs, file.stand_m, source, file.masses)
-
-
-def _checked_robot(robot: Quadruped) -> Quadruped:
-    """Raises InputError for a robot that cannot stand, and for joints named twice."""
-    problems = []
-    if len({*robot.joints}) < len(robot.joints):
-        problems.append(Problem(robot.source, "joints", "one name for several", "a name for each"))
-    for label, leg in robot.legs.items():
-        if not np.isfinite(leg.angles(leg.neutral_m[None])).all():
-            problems.append(_cannot_stand(robot.source, label))
-    refuse(problems)
-    return robot
 
 
 def _cannot_stand(source: str, label: str) -> Problem:
@@ -661,19 +659,3 @@ def model_chain(model: Any, path: Path, tip: str, end_m: ArrayLike = (0.0, 0.0, 
         np.array([rates.get(name, MAX_RATE_RAD_S) for name in called]),
         called,
     )
-
-
-def robot_chain(source: str, tip: str | None) -> SerialChain | None:
-    """A robot's leg, tip being its label, or the chain of a URDF or MJCF file to a link, by default its only leaf; None
-    for a source of another kind. Raises InputError."""
-    if tip in LEGS:
-        return load_robot(source).legs[tip].chain
-    if source in builtin_robots():
-        raise InputError(Problem("--tip", "leg", str(tip or "none"), f"one of {', '.join(LEGS)}"))
-    if (file := Path(source)).suffix.lower() not in SUFFIXES:
-        return None
-    model = read_model(file)
-    ends = [tip] if tip is not None else [body_names(model)[leaf - 1] for leaf in leaves_of(model)]
-    if len(ends) > 1:
-        raise InputError(Problem("--tip", "link", "none", f"one of {', '.join(ends)}"))
-    return model_chain(model, file, ends[0])
