@@ -5,7 +5,6 @@ the files of `recon/animal/priors`, .npz without pickles. `recon.animal.prior_fi
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -156,8 +155,12 @@ def _prior(content: bytes, source: str, body: Body) -> MotionPrior:
     if lacking:
         raise InputError([Problem(source, key, "nothing", _EXPECTED) for key in lacking])
     about = documents.validated(_About, documents.parse_json(text, source, _EXPECTED), source)
-    if about.angles != list(body.state_names[ANGLES]):
-        raise InputError(_other_angles(about.angles, body, source))
+    angles = body.state_names[ANGLES]
+    if about.angles != [*angles]:
+        lacking = [name for name in angles if name not in about.angles]
+        differs = f"{len(lacking)} missing ({', '.join(lacking[:3])})" if lacking else "more, or in another order"
+        expected = f"the {len(angles)} angles of {body.name}, in its order"
+        raise InputError(Problem(source, "angles", f"{len(about.angles)} angles, {differs}", expected))
     refuse(
         Problem(source, key, f"an array of {stored[key].dtype}", "floating-point numbers")
         for key in SHAPES
@@ -170,14 +173,3 @@ def _prior(content: bytes, source: str, body: Body) -> MotionPrior:
         arrays[key] = (arrays[key] + arrays[key].swapaxes(-1, -2)) / 2
     arrays["weights"] = arrays["weights"] / arrays["weights"].sum()
     return MotionPrior(about.name, tuple(about.angles), **arrays, source=about.source, segments=tuple(about.segments))
-
-
-def _other_angles(angles: Sequence[str], body: Body, source: str) -> Problem:
-    expected = body.state_names[ANGLES]
-    differing = {
-        "missing": [name for name in expected if name not in angles],
-        "of another body": [name for name in angles if name not in expected],
-    }
-    parts = [f"{len(names)} {what} ({', '.join(names[:3])})" for what, names in differing.items() if names]
-    found = f"{len(angles)} angles, {' and '.join(parts) or 'in another order'}"
-    return Problem(source, "angles", found, f"the {len(expected)} angles of {body.name}, in its order")

@@ -163,13 +163,10 @@ def _body_problems(file: _BodyFile, source: str) -> Iterator[Problem]:
         at = f"segments[{i}]"
         yield from _name_problems(segment, at, used, source)
         if i == 0:
-            root = [("joint", segment.joint != "free", repr(segment.joint), "free: the first segment is the root")]
-            root.append(
-                ("parent", segment.parent is not None, repr(segment.parent), "none: the first segment is the root")
-            )
-            root.append(("at_m", any(segment.at_m), str([*segment.at_m]), "none: the root's origin is an unknown"))
-            root.append(("mirrored", segment.mirrored, "true", "one root"))
-            yield from (Problem(source, f"{at}.{field}", found, wanted) for field, bad, found, wanted in root if bad)
+            root = {"joint": "free", "parent": None, "at_m": (0.0, 0.0, 0.0), "mirrored": False}
+            wanted = "joint = free, and no parent, at_m or mirrored: the first segment is the root"
+            for field in (field for field, value in root.items() if getattr(segment, field) != value):
+                yield Problem(source, f"{at}.{field}", repr(getattr(segment, field)), wanted)
         elif segment.joint == "free":
             yield Problem(source, f"{at}.joint", "'free'", "ball, universal, hinge or fixed: only the root is free")
         if i > 0 and segment.parent not in segments:

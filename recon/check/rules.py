@@ -133,12 +133,6 @@ def no_pose(motion: Motion) -> Iterator[Finding]:
     yield finding("no_pose_diverged" if diverged else "no_pose")
 
 
-def few_frames(motion: Motion) -> Iterator[Finding]:
-    solved = int(motion.solved.sum())
-    if solved < FEW_FRAMES:
-        yield finding("few_frames", count=solved)
-
-
 def cameras_out_of_step(motion: Motion) -> Iterator[Finding]:
     """A time offset is expected to be a fraction of a frame: one that comes out larger is larger still."""
     if len(motion.sources) < 2:
@@ -217,15 +211,17 @@ def _span(body: Body) -> float:
     return float(np.sqrt(np.mean(np.sum((points - points.mean(axis=0)) ** 2, axis=1))))
 
 
-def not_converged(motion: Motion) -> Iterator[Finding]:
-    if _solution(motion).status != "converged":
+def solution_unusual(motion: Motion) -> Iterator[Finding]:
+    """Findings on single numbers of the solution: its minimum, its size, its speed, and how many frames it has."""
+    solution, speed, solved = _solution(motion), mean_speed_m_s(motion.states, motion.fps), int(motion.solved.sum())
+    if solution.status != "converged":
         yield finding("not_converged")
-
-
-def size(motion: Motion) -> Iterator[Finding]:
-    solution = _solution(motion)
     if abs(solution.size - 1) > SIZE_SIGMAS * solution.size_prior_sigma:
         yield finding("size_unexpected", size=solution.size, expected_sigma=solution.size_prior_sigma)
+    if speed > FASTEST_M_S:
+        yield finding("too_fast", speed_m_s=speed)
+    if solved < FEW_FRAMES:
+        yield finding("few_frames", count=solved)
 
 
 def pair_disagrees(motion: Motion) -> Iterator[Finding]:
@@ -236,12 +232,6 @@ def pair_disagrees(motion: Motion) -> Iterator[Finding]:
     if misfit > CAMERA_MISFIT:
         names = tuple(picture.name for picture in motion.pictures)
         yield finding("pair_disagrees", cameras=names, misfit=misfit, limit=CAMERA_MISFIT)
-
-
-def too_fast(motion: Motion) -> Iterator[Finding]:
-    speed = mean_speed_m_s(motion.states, motion.fps)
-    if speed > FASTEST_M_S:
-        yield finding("too_fast", speed_m_s=speed)
 
 
 def second_solution(motion: Motion) -> Iterator[Finding]:
@@ -258,12 +248,9 @@ OF_TRAJECTORY: tuple[Rule, ...] = (
     ground_above_camera,
     ground_elsewhere,
     subject_unlike_species,
-    not_converged,
-    size,
+    solution_unusual,
     pair_disagrees,
-    too_fast,
     second_solution,
-    few_frames,
 )
 
 
