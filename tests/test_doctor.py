@@ -225,7 +225,8 @@ def test_prior_fit_prints_its_table_as_json(tmp_path):
     assert shown["components"] == 2
     assert shown["held_out"] is None
     (row,) = shown["segments"]
-    table = run(*args, "--out", tmp_path / "b.npz").out
+    table = run(*args, "--out", tmp_path / "b.npz", "--check").out
+    assert "two segments" in table
     line = next(line for line in table.splitlines() if row["name"] in line).split()
     assert line == [row["name"], str(row["frames"]), "60", f"{row['speed_m_s']:.1f}", f"{row['misfit_mm']:.1f}", "yes"]
 

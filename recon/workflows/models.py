@@ -82,7 +82,9 @@ def prior_fit(settings: PriorFitSettings) -> Answer:
     Example: recon prior fit results/run1 results/run2 --out my-cat.npz
     """
     done = run_prior_fit(settings)
-    return Answer({"out": settings.out, **done}, [*_lines(done), f"The prior is in {settings.out}."])
+    short = settings.check and done["held_out"] is None
+    note = [f"Nothing could be held out: --check needs two segments of {FRAMES_PER_COMPONENT} frames."] if short else []
+    return Answer({"out": settings.out, **done}, [*_lines(done), *note, f"The prior is in {settings.out}."])
 
 
 def _lines(done: dict[str, Any]) -> Iterator[str | Table]:

@@ -27,8 +27,9 @@ from recon.base.arrays import Array, Bools
 from recon.base.errors import length_text
 from recon.clip import frame_ranges
 from recon.fit.motion import MEASURED_SHARE
+from recon.fit.posterior import radius
 from recon.gait.dynamics import Dynamics
-from recon.gait.gait import Gait, Stance
+from recon.gait.gait import INTERVAL, Gait, Stance
 from recon.gait.kinematics import JointKinematics, Series
 from recon.gait.phase import Closure, LinkField, Portrait, field_means
 from recon.show.plots import style
@@ -128,7 +129,7 @@ def _fill(m: int) -> dict[str, Any]:
 
 def forces(d: Dynamics, gait: Gait) -> Figure:
     """Footfalls above, and beneath each other the vertical force of each foot in body weights with the band that holds
-    it with 90 %; below, the height of the centre of mass with one standard deviation."""
+    it with 90 %; below, likewise, the height of the centre of mass."""
     feet = [foot for foot in ROWS if foot in d.force] or list(d.force)
     with style.drawing(26.0 + 24.0 * (len(feet) + 1)) as figure:
         heights = [0.7, *[1.0] * len(feet), 1.0]
@@ -149,11 +150,11 @@ def forces(d: Dynamics, gait: Gait) -> Figure:
                 below[row].set_yticks([])
         top.set_yticks(range(len(feet)), feet)
         top.invert_yaxis()
-        top.set_title("stances, and each foot's force (body weights; band: 90 %); left blue, right orange", loc="left")
+        top.set_title("stances, and each foot's force (body weights; bands: 90 %); left blue, right orange", loc="left")
         series = d.centre.series
-        sigma = np.nan_to_num(series.value_sigma[:, 2])
+        half = radius(INTERVAL) * np.nan_to_num(series.value_sigma[:, 2])
         height = series.value[:, 2] - d.ground_m
-        last.fill_between(series.time_s, height - sigma, height + sigma, color="0.5", alpha=0.25, lw=0)
+        last.fill_between(series.time_s, height - half, height + half, color="0.5", alpha=0.25, lw=0)
         last.plot(series.time_s, height, color="k")
         last.set_ylabel("centre of\nmass (m)")
         last.set_xlabel("time (s)")
