@@ -217,11 +217,6 @@ class Chain(Skeleton):
     # -- kinematics ----------------------------------------------------------------------------------------------
 
     @cached_property
-    def length_ratios(self) -> Array:
-        """The lengths of the L links divided by the base length, shape (L,)."""
-        return np.array([link.length_ratio for link in self.links])
-
-    @cached_property
     def body(self) -> Body:
         """The same chain as a tree of segments in metres, root first: one per link, named after the joint it ends in.
 

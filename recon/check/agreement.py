@@ -93,11 +93,8 @@ def agreement_findings(motion: Motion, sigma_px: float, keypoint_sigma_m: float)
     rows, fps = busiest(together, FRAMES), motion.fps
     views = [view.part(rows) for view in views]
     compared = (int(motion.frames[rows][0]), int(motion.frames[rows][-1]) + 1)
-    names, noise, everyone = (
-        [view.camera.name for view in views],
-        (sigma_px, keypoint_sigma_m),
-        tuple(range(len(views))),
-    )
+    names, everyone = [view.camera.name for view in views], tuple(range(len(views)))
+    noise = (sigma_px, keypoint_sigma_m)
     sights = _sights(views, *noise)
     levels, limit = _levels(sights, everyone), MAX_LEVEL
     exchanged, judged = None, sights

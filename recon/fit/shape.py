@@ -189,11 +189,9 @@ def fit_shape(shape: Shape, clips: Sequence[ClipProblem]) -> ShapeFit:
     by_marker: dict[str, list[Array]] = {}
     for name, of in zip(shape.body.markers, noise_m, strict=True):
         by_marker.setdefault(shape.leader(name), []).append(of)
-    each_m, spread_m = (
-        {name: float(np.exp(np.mean(of))) for name, of in by_marker.items()},
-        _spread_m(shape.body, solved),
-    )
-    return ShapeFit(shape, values, covariance, converged, float(np.exp(noise_m.mean())), each_m, spread_m)
+    each_m = {name: float(np.exp(np.mean(of))) for name, of in by_marker.items()}
+    sigma_m, spread_m = float(np.exp(noise_m.mean())), _spread_m(shape.body, solved)
+    return ShapeFit(shape, values, covariance, converged, sigma_m, each_m, spread_m)
 
 
 def _spread_m(body: Body, solved: Sequence[tuple[ClipProblem, SegmentFit]]) -> dict[str, float]:

@@ -6,7 +6,7 @@ animal comes nearer or goes away."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -144,17 +144,9 @@ _MIN_RAYS = 2
 """A row of rays places a shape from so many on."""
 
 
-@dataclass(frozen=True, eq=False)
-class StartFit:
-    """A start after the approach, best known at the frames of the clip."""
-
-    estimate: Estimate
-    finished: bool = False
-    """It was carried to the end."""
-
-
-def approach(clip: ClipProblem) -> list[StartFit]:
-    """The starts of one window, approached with noise that narrows: best first, only the first ones to the end."""
+def approach(clip: ClipProblem) -> list[Estimate]:
+    """The starts of one window, approached with noise that narrows, best first. Only the first two, of a fast fit the
+    first, are carried to the end, at all frames of the window."""
     fast, ones = clip.options.fast, np.ones((len(clip.views), len(clip.body.markers)))
     step = max(1, round(clip.fps / APPROACH_HZ))
     thin, every = clip.thinned(step), np.arange(0, len(clip), step)
@@ -163,15 +155,14 @@ def approach(clip: ClipProblem) -> list[StartFit]:
         noise = thin.noise_px(thin.markers(states), ones) * widen
         return thin.problem(noise).minimise(states, tolerance, iterations)
 
-    tried = [StartFit(minimum(states[every], _WIDE[0], 1e-2, 12)) for states in _starts(clip)]
-    tried.sort(key=lambda a: a.estimate.cost)
-    for i, start in enumerate(tried[: 1 if fast else 2]):
-        estimate = start.estimate
+    tried = [minimum(states[every], _WIDE[0], 1e-2, 12) for states in _starts(clip)]
+    tried.sort(key=lambda start: start.cost)
+    count, finished = 1 if fast else 2, list[Estimate]()
+    for estimate in tried[:count]:
         for widen in _WIDE[1:]:
             estimate = minimum(estimate.states, widen, 3e-3 if fast else 1e-3, 15)
-        full = replace(estimate, states=between(estimate.states, every, len(clip)))
-        tried[i] = StartFit(full, finished=True)
-    return sorted(tried, key=lambda a: (not a.finished, a.estimate.cost))
+        finished.append(replace(estimate, states=between(estimate.states, every, len(clip))))
+    return [*sorted(finished, key=lambda start: start.cost), *tried[count:]]
 
 
 def between(states: Array, at: Index, T: int) -> Array:

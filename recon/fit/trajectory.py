@@ -38,7 +38,7 @@ from recon.fit.clip_problem import ClipProblem, TrajectoryOptions, contacts
 from recon.fit.least_squares import Estimate, LeastSquares, Unknown
 from recon.fit.posterior import Posterior, PriorMisfit, about_keypoint_bias, posterior, prior_misfit_of, with_size
 from recon.fit.result import SHAPES, Ground, MotionSegment, TrajectorySolution
-from recon.fit.starts import StartFit, approach, between
+from recon.fit.starts import approach, between
 from recon.fit.terms import SIDESLIP, SIZE, Reprojection, extrinsic_correction, focal, size_of, time_offset
 from recon.geometry.kinematics import ROOT, YAW
 
@@ -118,7 +118,7 @@ class SegmentFit:
     """The misfit of the motion under the prior, as first found."""
     prior_weight: float = 1.0
     """The part of its weight that the prior has."""
-    windows: list[tuple[slice, list[StartFit]]] = field(default_factory=list)
+    windows: list[tuple[slice, list[Estimate]]] = field(default_factory=list)
     iterations: int = 0
 
     @property
@@ -155,12 +155,12 @@ def refined(clip: ClipProblem, solved: SegmentFit) -> SegmentFit:
 def _solve_segment(clip: ClipProblem, rows: slice, progress: Progress) -> SegmentFit:
     o, T = clip.options, len(clip)
     windows = _windows(clip, progress)
-    iterations = sum(a.estimate.iterations for _, starts in windows for a in starts)
+    iterations = sum(start.iterations for _, starts in windows for start in starts)
 
     temperatures = [t for t in _TEMPERATURES if t > 1 and not o.fast and len(clip.prior.weights) > 1]
     steps: list[tuple[float | None, bool]] = [(None, False)] if len(windows) > 1 else []
     steps += [*((t, False) for t in temperatures), *[(1.0, True)] * o.noise_rounds]
-    best = [(frames, starts[0].estimate.states) for frames, starts in windows]
+    best = [(frames, starts[0].states) for frames, starts in windows]
     at = np.concatenate([np.arange(T)[frames] for frames, _ in best])
     estimate = Estimate(between(np.concatenate([states for _, states in best]), at, T), np.inf, 0, False)
     noise = np.ones((len(clip.views), len(clip.body.markers)))
@@ -240,7 +240,7 @@ def _found(
     )
 
 
-def _windows(clip: ClipProblem, progress: Progress) -> list[tuple[slice, list[StartFit]]]:
+def _windows(clip: ClipProblem, progress: Progress) -> list[tuple[slice, list[Estimate]]]:
     """The starts of every stretch of about a second in which something is seen."""
     windows, present, T = [], clip.present(), len(clip)
     parts = np.array_split(np.arange(T), min(max(1, round(T / clip.fps / WINDOW_S)), T))
@@ -425,14 +425,13 @@ def _second(clip: ClipProblem, one: SegmentFit, size: float, apart_m: Array) -> 
     extra_cost = np.inf
     points = clip.body.tree.pose(one.estimate.states).points_m
     for window, (best, *others) in one.windows:
-        other = next((a for a in others if a.finished), None)
-        if other is None or other.estimate.cost > best.estimate.cost + ALTERNATIVE_COST:
+        if clip.options.fast or not others or others[0].cost > best.cost + ALTERNATIVE_COST:
             continue
-        there = clip.body.tree.pose(other.estimate.states).points_m
+        there = clip.body.tree.pose(others[0].states).points_m
         here, there = (p - p.mean(axis=1, keepdims=True) for p in (points[window], there))
         at = slice(one.rows.start + window.start, one.rows.start + window.stop)
         apart_m[at] = size * np.linalg.norm(here - there, axis=-1).mean(axis=1)
-        extra_cost = min(extra_cost, other.estimate.cost - best.estimate.cost)
+        extra_cost = min(extra_cost, others[0].cost - best.cost)
     return extra_cost
 
 

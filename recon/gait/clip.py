@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -65,11 +65,9 @@ class ClipAnalysis(Brief):
         pose = self.motion.upright
         if not self.motion.jitters:
             return pose
-        of_joint = partial(
-            kinematics.joint_kinematics, errors=kinematics.jitter_errors(pose.xyz_m), smooth=True, propagate=False
-        )
-        paths = [of_joint(pose, name, self.motion.fps, oversampling=1).series.value for name in pose.names]
-        return replace(pose, xyz_m=np.stack(paths, axis=1))
+        errors, options = kinematics.jitter_errors(pose.xyz_m), {"smooth": True, "propagate": False, "oversampling": 1}
+        paths = [kinematics.joint_kinematics(pose, name, self.motion.fps, errors, **options) for name in pose.names]
+        return replace(pose, xyz_m=np.stack([path.series.value for path in paths], axis=1))
 
     @cached_property
     def reference_motion(self) -> JointKinematics:
@@ -111,7 +109,10 @@ class ClipAnalysis(Brief):
     def skeleton_angles(self) -> dict[str, AngleKinematics]:
         """The angles that the fit itself has, by name."""
         motion = self.motion
-        of_angles = zip(motion.posture_names, motion.posture_rad.T, _angle_errors(motion), strict=True)
+        sigma = np.maximum(np.nan_to_num(motion.posture_sigma_rad), 1e-6)
+        stated = [[Errors(of_one, POSE_LASTS_S)] for of_one in sigma.T]
+        errors = map(kinematics.jitter_errors, motion.posture_rad.T) if motion.jitters else stated
+        of_angles = zip(motion.posture_names, motion.posture_rad.T, errors, strict=True)
         return {
             name: kinematics.angle_kinematics(motion.time_s, angle, errors, smooth=motion.jitters)
             for name, angle, errors in of_angles
@@ -282,15 +283,6 @@ def _errors(motion: Motion) -> Sequence[Errors]:
     by_size = solution.size_sigma / solution.size * from_camera_m
     rest = np.sqrt(np.maximum(position**2 - by_size**2, floor**2))
     return Errors(by_size, np.inf), Errors(rest, POSITION_LASTS_S), of_pose
-
-
-def _angle_errors(motion: Motion) -> list[Sequence[Errors]]:
-    """The errors of each of the fit's own angles."""
-    if motion.jitters:
-        return [kinematics.jitter_errors(angle) for angle in motion.posture_rad.T]
-    least = 1e-6
-    sigma = np.maximum(np.nan_to_num(motion.posture_sigma_rad), least)
-    return [[Errors(of_one, POSE_LASTS_S)] for of_one in sigma.T]
 
 
 def _with_sigma(

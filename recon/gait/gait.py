@@ -119,10 +119,6 @@ class Stance:
         return self.end_s - self.start_s
 
     @property
-    def duration_sigma_s(self) -> float:
-        return float(np.hypot(self.start_sigma_s, self.end_sigma_s))
-
-    @property
     def start_interval_s(self) -> tuple[float, float]:
         """Holds the touch-down with `INTERVAL`; NaN where the clip cuts it."""
         return _interval(self.start_s, self.start_sigma_s)
@@ -490,7 +486,8 @@ def strides(moved: Tracks, found: tuple[Stance, ...]) -> tuple[Stride, ...]:
             lost = not np.isfinite(step).all() or np.isnan(moved.foot_m[a : b + 1, moved.feet.index(foot)]).any()
             if not lost and still[a : b + 1].mean() < 0.5:
                 length = float(np.linalg.norm(step, axis=1).sum())
-                duty, sigma = (of / (end - start) for of in (stance.duration_s, stance.duration_sigma_s))
+                sigma_s = float(np.hypot(stance.start_sigma_s, stance.end_sigma_s))
+                duty, sigma = (of / (end - start) for of in (stance.duration_s, sigma_s))
                 taken.append(Stride(foot, start, end, length, duty, sigma, at))
     return tuple(sorted(taken, key=lambda s: (s.start_s, s.foot)))
 

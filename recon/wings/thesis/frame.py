@@ -567,7 +567,7 @@ class FrameProblem:
         if not nominal / MOST_SIZE < base < nominal * MOST_SIZE:
             return False
         depth = float(np.median(self.chain.pose(x[None]).joints_m[0, :, 2]))
-        reach = float(self.chain.length_ratios.sum()) * base * _focal_px(self.pixels.camera)
+        reach = sum(link.length_ratio for link in self.chain.links) * base * _focal_px(self.pixels.camera)
         return reach > MIN_REACH_PX * depth and bool(np.all(np.isfinite(self.sigmas_off(x))))
 
 
