@@ -459,6 +459,8 @@ def test_a_row_of_a_manifest_with_several_cameras(tmp_path):
     assert third.settings.camera_name == ("1",)
     manifest(tmp_path, "keypoints\nz*.csv\n")
     refuses([path], (path, "line 2, keypoints", "z*.csv"))
+    manifest(tmp_path, "keypoint,camera\nx1.csv,scene.json\n")  # not a keypoint file of an unknown format
+    refuses([path], (path, "column 'keypoint'", "unknown"), (path, "line 2, keypoints", "nothing"))
 
 
 def test_a_camera_more_or_less_is_the_same_clip_again(tmp_path):

@@ -26,7 +26,7 @@ from recon.fit.motion import Motion
 from recon.fit.motion_forms import MOTION
 from recon.gait.clip import POSITION_LASTS_S, ClipAnalysis, analyse
 from recon.gait.kinematics import JointKinematics
-from recon.show.plots.style import COLOURS, drawing
+from recon.show.plots.style import COLOURS, SMALL, drawing
 from recon.workflows.cli import ANYWAY, Answer, counted, table_of
 
 if TYPE_CHECKING:
@@ -252,4 +252,5 @@ def _figure(clips: pd.DataFrame, groups: pd.DataFrame) -> Figure:
                 range(len(groups)), [fill(name, 14) for name in groups["group"]], rotation=30 if len(groups) > 3 else 0
             )
             axes.set_title(QUANTITIES[name][0])
+        figure.supxlabel("dots: clips; lines: the groups' means; each ± one standard deviation", fontsize=SMALL)
     return figure

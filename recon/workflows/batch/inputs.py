@@ -293,9 +293,10 @@ def _table(config: Mapping[str, Any], name: str) -> Mapping[str, Any]:
 
 
 def is_manifest(path: Path) -> bool:
-    """Whether a file is a CSV table whose header has a column `keypoints`."""
+    """Whether a file is a CSV table with a column `keypoints`, or `camera`, where the other is misspelt."""
     try:
-        return path.suffix.lower() == ".csv" and os.path.isfile(path) and "keypoints" in _header(path)
+        is_table = path.suffix.lower() == ".csv" and os.path.isfile(path)
+        return is_table and not {"keypoints", "camera"}.isdisjoint(_header(path))
     except (InputError, OSError):  # no table of text, or a disk that fails: the clip will say so
         return False
 
