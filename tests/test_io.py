@@ -187,7 +187,7 @@ def test_h5_that_is_cut_off(shared_data, tmp_path, name):
     for length in (8, 100, 2000, len(whole) // 2, len(whole) - 1):
         path = tmp_path / "cut.h5"
         path.write_bytes(whole[:length])
-        refuses(path, ("file", "cut off"))
+        refuses(path, ("content", "cannot be read", "whole"))
 
 
 # What the files say

@@ -72,11 +72,8 @@ class Lens:
         scale = np.where(radius_d > 0, np.tan(np.interp(radius_d, radii_d, angles)) / radius_d, 1.0)
         # what is not radial can carry pixels past the largest radius that the radial part alone reaches
         scale = np.where(radius_d < radii_d[-1], scale, 0.95 * scale)
-        return self._newton(xd, yd, scale * xd, scale * yd)
-
-    def _newton(self, xd: Array, yd: Array, a: Array, b: Array) -> tuple[Array, Array, Bools]:
-        """Newton's method on the whole distortion, from the inverse of its radial part."""
-        tolerance = 1e-14 * (1 + np.hypot(xd, yd))
+        a, b, tolerance = scale * xd, scale * yd, 1e-14 * (1 + radius_d)
+        # Newton's method on the whole distortion, from the inverse of its radial part.
         error = determinant = np.full(a.shape, np.inf)
         for _ in range(30):
             x, y, d_aa, d_ab, d_bb = self.distort(a, b, a * a + b * b)

@@ -16,7 +16,7 @@ import numpy as np
 
 from recon.base import Array, InputError, Problem, all_of, refuse
 from recon.base.documents import parse_json, parse_toml, read_text
-from recon.geometry.camera import BLOCKS, LARGEST, POSE, TILT, Camera, is_rotation
+from recon.geometry.camera import BLOCKS, LARGEST, TILT, Camera, is_rotation
 from recon.geometry.lens import LENS_MODELS
 from recon.io.formats import FORMATS, recognised, titles
 
@@ -57,7 +57,16 @@ def read_cameras(path: CameraFiles, image_size_px: tuple[int, int] | None = None
         refuse(Problem(path[-1], "camera", name, "a name of its own") for name in twice)
         return tuple(found)
     path = Path(path)
-    return cameras_of(_records(path), path, image_size_px)
+    suffixes = sorted({suffix for f in FORMATS if "cameras" in f.reads for suffix in f.suffixes})
+    if path.suffix.lower() not in suffixes:
+        expected = f"a calibration file: {', '.join(suffixes)}"
+        found = "a folder" if path.is_dir() else f"suffix {path.suffix!r}"
+        raise InputError(Problem(path, "format", found, expected))
+    reader = recognised(path, "cameras")
+    if reader is None:
+        parse_json(read_calibration(path), path)
+        raise InputError(Problem(path, "format", "JSON of another kind", f"one of: {titles('cameras')}"))
+    return cameras_of(reader.read(path), path, image_size_px)
 
 
 def cameras_of(
@@ -93,19 +102,6 @@ def read_camera(
     expected = f"one of {', '.join(camera.name for camera in cameras)}{' by --camera-name' if name is None else ''}"
     path = path if isinstance(path, str | Path) else ", ".join(map(str, path))
     raise InputError(Problem(path, "camera", found, expected))
-
-
-def _records(path: Path) -> list[CameraRecord]:
-    suffixes = sorted({suffix for f in FORMATS if "cameras" in f.reads for suffix in f.suffixes})
-    if path.suffix.lower() not in suffixes:
-        expected = f"a calibration file: {', '.join(suffixes)}"
-        found = "a folder" if path.is_dir() else f"suffix {path.suffix!r}"
-        raise InputError(Problem(path, "format", found, expected))
-    found = recognised(path, "cameras")
-    if found is not None:
-        return found.read(path, None)
-    parse_json(read_calibration(path), path)
-    raise InputError(Problem(path, "format", "JSON of another kind", f"one of: {titles('cameras')}"))
 
 
 def read_calibration(path: Path) -> str:
@@ -150,12 +146,10 @@ def _camera(record: CameraRecord, number: int, path: Path, image_size_px: tuple[
     for field, kinds, expected in (("world_z_up", bool, "true or false"), ("tilt_rad", int | float, TILT)):
         if not isinstance(given[field], kinds):
             faults[field] = repr(given.pop(field)), expected
-    placed = any(values.get(field) is not None for field in POSE)
     for field, (_, expected) in BLOCKS.items():
         given[field] = _numbers(values.get(field))
-        if given[field] is None and (placed or field not in POSE):
-            absent = values.get(field) is None
-            faults[field] = "nothing" if absent else "something other than a block of numbers", expected
+        if given[field] is None and values.get(field) is not None:
+            faults[field] = "something other than a block of numbers", expected
     given["image_size_px"], fault = _image_size(values.get("image_size_px"), image_size_px)
     faults |= {"image_size_px": fault} if fault else {}
     if values.get("matrix") is None and given["model"] not in (None, *LENS_MODELS):  # it tells numbers apart
@@ -200,8 +194,9 @@ def _image_size(value: Any, given: tuple[int, int] | None) -> tuple[tuple[int, i
     if array is None or array.shape != (2,) or not ((array > 0) & (array < MAX_SIZE_PX)).all() or (array % 1).any():
         return (1, 1), (str(value), expected)
     width, height = map(int, array)
-    right = given is None or (width, height) == tuple(given)
-    return (width, height), None if right else (f"{width}x{height}", "{}x{}, as was given".format(*given))
+    if given is not None and (width, height) != tuple(given):
+        return (width, height), (f"{width}x{height}", f"{given[0]}x{given[1]}, as was given")
+    return (width, height), None
 
 
 def _numbers(value: Any) -> Array | None:

@@ -17,7 +17,8 @@ In all the world has to be in metres with z up, which no format promises.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar
@@ -235,14 +236,12 @@ def _read_shots(path: Path) -> CameraTrack:
     if not isinstance(shots, dict) or not shots:
         several = f"{len(document)} reconstructions" if isinstance(document, list) else "no shots"
         raise InputError(Problem(path, "shots", several, EXPECTED))
-    table: list[list[float]] = []
+    rows: dict[str, list[float]] = {}
     problems: list[Problem] = []
     for name, shot in shots.items():
-        frame = _frame_of_name(name)
-        try:
+        frame, turn, at = _frame_of_name(name), *np.full((2, 3), np.nan)
+        with suppress(KeyError, TypeError, ValueError, OverflowError):
             turn, at = (np.array(shot[key], dtype=float).reshape(3) for key in ("rotation", "translation"))
-        except (KeyError, TypeError, ValueError, OverflowError):
-            turn = at = np.full(3, np.nan)
         if frame is None or not np.isfinite([turn, at]).all() or np.abs(turn).max() > MAX_ROTATION_RAD:
             expected = "rotation and translation of 3 numbers each, and the frame's number last in the name"
             problems.append(Problem(path, f"shots.{name[:60]}", "others", expected))
@@ -251,8 +250,8 @@ def _read_shots(path: Path) -> CameraTrack:
         if features is not None:  # places, not translations
             at = -rotation.apply(at)
         x, y, z, w = rotation.as_quat().tolist()
-        table.append([frame, w, x, y, z, *at])
-    return _checked_track(path, [f"shots.{name}" for name in shots], _columns(table), problems)
+        rows[f"shots.{name}"] = [frame, w, x, y, z, *at]
+    return _checked_track(path, [*rows], _columns(rows), problems)
 
 
 # -- COLMAP ---------------------------------------------------------------------------------------------------------
@@ -262,9 +261,8 @@ def _read_colmap(images: Path, cameras: Path | None) -> CameraTrack:
     """Every image has two lines, the second for its points. Without cameras.txt the lens comes from elsewhere. Raises
     InputError."""
     lines = enumerate(read_text(images, EXPECTED).splitlines(), start=1)
-    places: list[str] = []
+    rows: dict[str, list[float]] = {}
     of_camera: list[str] = []
-    table: list[list[float]] = []
     problems: list[Problem] = []
     for at, line in lines:
         if not line.strip() or line.lstrip().startswith("#"):
@@ -276,24 +274,23 @@ def _read_colmap(images: Path, cameras: Path | None) -> CameraTrack:
             expected = "IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, with the frame's number last in the name"
             problems.append(Problem(images, f"line {at}", repr(line.strip()[:60]), expected))
         else:
-            places.append(f"line {at}")
             of_camera.append(cells[8])
-            table.append([frame, *values])
+            rows[f"line {at}"] = [frame, *values]
         at, points = next(lines, (0, ""))
         if len(points.split()) % 3:
             expected = "the points of the image above, X Y POINT3D_ID each, or an empty line"
             problems.append(Problem(images, f"line {at}", repr(points.strip()[:60]), expected))
     lenses = {} if cameras is None else _lenses(cameras, dict.fromkeys(of_camera))
-    columns, camera = _columns(table), None
+    columns, camera = _columns(rows), None
     if lenses:
         own = np.array([lenses[key].matrix[[0, 1, 0, 1], [0, 1, 2, 2]] for key in of_camera])
         columns |= dict(zip(INTRINSICS, own.T, strict=True)) if np.ptp(own, axis=0).any() else {}
         camera = replace(lenses[of_camera[0]], name=track_label(images))
-    return _checked_track(images, places, columns, problems, camera)
+    return _checked_track(images, [*rows], columns, problems, camera)
 
 
-def _columns(rows: Sequence[Sequence[float]]) -> Columns:
-    return dict(zip(("frame", *POSE), np.array(rows, dtype=float).reshape(-1, 8).T, strict=True))
+def _columns(rows: Mapping[str, Sequence[float]]) -> Columns:
+    return dict(zip(("frame", *POSE), np.array([*rows.values()], dtype=float).reshape(-1, 8).T, strict=True))
 
 
 def _frame_of_name(name: str) -> int | None:

@@ -92,9 +92,6 @@ class StoredPoints:
         return self.values.shape[-1] == 3
 
 
-UNNAMED_POINTS = "The file names no points: they are called point1, point2, ... in its order."
-
-
 # -- reading -----------------------------------------------------------------------------------------------------------
 
 # What tools call the only animal of a file when nobody named it.
@@ -196,6 +193,7 @@ def one_animal(
     if not there[:, which].any():
         raise InputError(Problem(path, "frames", "none with the animal", "at least one"))
     named = bool(len(animals)) and (N > 1 or called[0] not in UNNAMED)
+    unnamed = f"The file names no points: in its order they are called point1 to point{K}."
     return replace(
         stored,
         names=names or tuple(f"point{k}" for k in range(1, K + 1)),
@@ -203,7 +201,7 @@ def one_animal(
         frames=frames[rows].astype(np.int64),
         likelihood=None if likelihood is None else likelihood[rows, which].astype(float, copy=False),
         individual=called[which] if named else None,
-        notes=stored.notes if names else (*stored.notes, UNNAMED_POINTS),
+        notes=stored.notes if names else (*stored.notes, unnamed),
     )
 
 

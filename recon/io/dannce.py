@@ -34,8 +34,6 @@ _NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f
 """NumPy's by the type of an element."""
 _TEXTS = {1: "latin-1", 2: "latin-1", 4: "utf-16-le", 16: "utf-8", 17: "utf-16-le"}
 _CELL, _STRUCT, _CHAR = 1, 2, 4
-_NUMERIC = range(6, 16)
-_COMPLEX = 0x0800
 
 
 def recognises(path: Path) -> bool:
@@ -155,7 +153,7 @@ class _File:
         if kind == _CHAR:
             of, text = parts[3]
             return name, bytes(text).decode(_TEXTS[of])
-        if kind not in _NUMERIC or flags & _COMPLEX:
+        if not 6 <= kind < 16 or flags & 0x0800:  # neither numbers, nor real ones
             return name, None
         values = self.numbers(*parts[3]) if len(parts) > 3 else np.zeros(0)
         if min(shape) < 0:

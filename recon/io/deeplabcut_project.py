@@ -53,13 +53,10 @@ def find_project(path: Path) -> Project | None:
     entries = _entries(read_text(config, "DeepLabCut's config.yaml"))
     if not {"Task", "scorer"} <= {*entries}:
         return None
-    several = entries.get("bodyparts") == [SEVERAL]
-    return Project(
-        config,
-        next(iter(entries["scorer"]), ""),
-        tuple(entries.get("multianimalbodyparts" if several else "bodyparts", ())),
-        tuple(entries.get("video_sets", ())),
-    )
+    names = entries.get("bodyparts", [])
+    if names == [SEVERAL]:
+        names = entries.get("multianimalbodyparts", [])
+    return Project(config, "".join(entries["scorer"][:1]), tuple(names), tuple(entries.get("video_sets", ())))
 
 
 def refuse_several(path: Path) -> None:

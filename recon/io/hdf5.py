@@ -17,7 +17,6 @@ import h5py
 import numpy as np
 from h5py import h5t
 
-from recon.base import InputError, Problem
 from recon.base.documents import MAX_UNPACKED, damage_named
 from recon.io.common import starts_with
 
@@ -47,15 +46,10 @@ def opened(path: Path, outline: bool = False) -> Iterator[h5py.File]:
 
     outline: only names and types are looked at, which is safe without `_require_sound_heaps`.
     """
-    with damage_named(path, "an undamaged file"):
+    with damage_named(path, "an HDF5 file that is whole and undamaged"):
         if not outline:
             _require_sound_heaps(path)
-        try:
-            file = h5py.File(path, "r")
-        except OSError:
-            found = "an HDF5 file that is cut off or damaged"
-            raise InputError(Problem(path, "file", found, "a whole file")) from None
-        with file:
+        with h5py.File(path, "r") as file:
             yield file
 
 
@@ -261,7 +255,7 @@ def _require_readable(dataset: Any) -> None:
     kind, layout = dataset.id.get_type(), dataset.id.get_create_plist()
     if not _is_readable(kind):
         raise ValueError(f"{dataset.name} has neither numbers nor texts")
-    if layout.get_layout() == h5py.h5d.VIRTUAL or layout.get_external_count():
+    if dataset.is_virtual or dataset.external:
         raise ValueError(f"the data of {dataset.name} lie in another file")
     for i in range(layout.get_nfilters()):
         if (code := layout.get_filter(i)[0]) not in FILTERS:
@@ -269,10 +263,7 @@ def _require_readable(dataset: Any) -> None:
     if dataset.shape is None:
         raise ValueError(f"{dataset.name} is empty")
     stored, item = dataset.id.get_storage_size(), kind.get_size()
-    sizes = [dataset.shape]
-    if layout.get_layout() == h5py.h5d.CHUNKED:
-        sizes.append(layout.get_chunk())
-    wanted = max(item * math.prod(map(int, shape)) for shape in sizes)
+    wanted = item * max(math.prod(dataset.shape), math.prod(dataset.chunks or ()))
     packed = min(MAX_RATIO * stored, MAX_UNPACKED), min(USUAL_RATIO * stored, 4 * MAX_UNPACKED)
     if wanted > max(FREE_BYTES, stored, *packed):
         raise ValueError(f"{dataset.name} asks for {wanted:.3g} bytes, of which the file has {stored}")

@@ -98,17 +98,14 @@ def _keys(path: Path) -> list[str]:
 def _fixed_frame(group: Any) -> Table:
     levels, columns = _axis(group, "axis0")
     _, index = _axis(group, "axis1")
-    free: dict[Label, list[int]] = {}
-    for at, label in enumerate(columns):
-        free.setdefault(label, []).append(at)
+    place_of = {label: at for at, label in enumerate(columns)}  # those of one label are refused later
     cells = np.full((len(index), len(columns)), np.nan)
     for block in range(int(attribute(group, "nblocks"))):
         _, items = _axis(group, f"block{block}_items")
         dataset = member(group, f"block{block}_values")
         if not _is_empty(dataset):  # stored as (C, T), and turned over where it says so
             values = numbers(dataset)
-            places = [free[label].pop(0) for label in items]
-            cells[:, places] = values if attribute(dataset, "transposed") else values.T
+            cells[:, [place_of[label] for label in items]] = values if attribute(dataset, "transposed") else values.T
     return Table(levels, columns, index, cells)
 
 
@@ -285,7 +282,6 @@ def read_points3d(path: Path, individual: str | None = None) -> StoredPoints:
 
 # -- movement ---------------------------------------------------------------------------------------------------------
 
-CLASSIC = b"CDF"
 VARIABLES = ("position", "confidence", "time", "space", "keypoint", "individual", "keypoints", "individuals")
 ATTRIBUTES = ("ds_type", "fps", "time_unit", "length_unit", "up_axis")
 PACKING = ("scale_factor", "add_offset", "missing_value")
@@ -299,7 +295,7 @@ Variables = Mapping[str, tuple[tuple[str, ...], np.ndarray]]
 
 def recognises_movement(path: Path) -> bool:
     """Whether the file is movement's, 2D or 3D."""
-    if common.starts_with(path, CLASSIC):
+    if common.starts_with(path, b"CDF"):
         expected = "netCDF 4: in Python, xarray.load_dataset(old).to_netcdf(new, engine='h5netcdf')"
         raise InputError(Problem(path, "format", "netCDF 3", expected))
     return {"position", "space"} <= outline(path)
@@ -415,7 +411,6 @@ def dataset_of(data: Keypoints | Pose3D) -> Any:
 # -- NWB --------------------------------------------------------------------------------------------------------------
 
 NWB = "ndx-pose NWB"
-NO_NAMES = r"[/:]"
 IN_PICTURE = "(0, 0) is the upper left corner of the picture, x to the right, y down"
 RATE_TEXT = "frame number = time in seconds x {fps!r} Hz"
 """In the comments of our own series, whose times may be irregular."""
@@ -506,7 +501,7 @@ def write_nwb(data: Keypoints | Pose3D, path: Path) -> None:
     points = writing.points_of(data)
     container = points.individual or "PoseEstimation"
     fps = float(writing.required_fps(points.fps, NWB))
-    writing.require_names((container, *points.names), NO_NAMES, NWB)
+    writing.require_names((container, *points.names), r"[/:]", NWB)
     with writing.formats_extra(NWB):
         from ndx_pose import PoseEstimation, PoseEstimationSeries, Skeleton, Skeletons
         from pynwb import NWBHDF5IO, NWBFile

@@ -30,7 +30,6 @@ from recon.base.documents import damage_named, read_json
 from recon.io import common
 from recon.io.common import StoredPoints
 
-FRAME_KEYS = ("frame_id", "frame_index", "frame_number")
 _EXPECTED = "a whole file of JSON"
 Table = dict[str, Any]
 
@@ -135,7 +134,8 @@ def _names(path: Path, categories: list[Table], annotations: list[Table]) -> tup
 def _frame_numbers(path: Path, images: list[Table]) -> tuple[dict[Any, int], tuple[str, ...]]:
     """Image id to frame number: as stated, else from the ends of the file names, else the id."""
     ids = [image["id"] for image in images]
-    key = next((k for k in FRAME_KEYS if images and all(isinstance(image.get(k), int) for image in images)), None)
+    stated = ("frame_id", "frame_index", "frame_number")
+    key = next((k for k in stated if images and all(isinstance(image.get(k), int) for image in images)), None)
     ends = [re.search(r"([0-9]{1,15})$", Path(str(image.get("file_name", ""))).stem) for image in images]
     if key is not None:
         numbers, notes = [image[key] for image in images], ()
