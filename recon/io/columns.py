@@ -29,7 +29,7 @@ from recon.base.files import write_bytes
 from recon.clip import Keypoints
 from recon.io import common, writing
 from recon.io.common import Pose3D, StoredPoints
-from recon.io.deeplabcut import Table, points_of_table
+from recon.io.deeplabcut import points_of_table
 from recon.io.formats import as_keypoints
 from recon.io.positions import frames_of_times
 
@@ -325,7 +325,7 @@ def _of_levels(source: Path, table: pd.DataFrame, individual: str | None) -> Sto
     frames = table.index.to_numpy() if table.index.to_numpy().dtype.kind in "iu" else np.arange(len(table))
     names = ("scorer", "individuals", "bodyparts", "coords")
     index = [(str(frame),) for frame in frames]
-    return points_of_table(source, individual, Table(names, labels, index, table.to_numpy(dtype=float)))
+    return points_of_table(source, individual, names, labels, index, table.to_numpy(dtype=float))
 
 
 def from_xarray(dataset: Any, fps: float | None, individual: str | None) -> Keypoints:

@@ -53,11 +53,8 @@ class Pose3D(Brief):
 
     def of_joints(self, names: Sequence[str]) -> np.ndarray:
         """(T, N, 3): of N joints, NaN where they are not among these."""
-        xyz_m = np.full((len(self.frames), len(names), 3), np.nan)
-        for j, name in enumerate(names):
-            if name in self.names:
-                xyz_m[:, j] = self.xyz_m[:, self.names.index(name)]
-        return xyz_m
+        padded = np.pad(self.xyz_m, ((0, 0), (0, 1), (0, 0)), constant_values=np.nan)
+        return padded[:, [self.names.index(name) if name in self.names else -1 for name in names]]
 
 
 @dataclass(frozen=True, eq=False)

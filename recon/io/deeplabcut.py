@@ -11,7 +11,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path, PureWindowsPath
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -57,7 +57,7 @@ def points_of_rows(
     frame, and one for each column. Raises InputError."""
     labels = list(zip(*header.values(), strict=True))
     index, values, problems = common.number_rows(path, rows, ["/".join(label[-2:]) for label in labels], index_columns)
-    return points_of_table(path, individual, Table(tuple(header), labels, index, values, problems))
+    return points_of_table(path, individual, [*header], labels, index, values, problems)
 
 
 def _read_header(path: Path, rows: Iterator[tuple[int, list[str]]]) -> tuple[dict[str, list[str]], int]:
@@ -93,28 +93,25 @@ def _without_fps(scorer: str) -> tuple[str, float | None]:
     return (scorer, None) if match is None or fps is None else (match[1] or SCORER, fps)
 
 
-class Table(NamedTuple):
-    """A table with columns of several levels, and what is known to be wrong with it."""
-
-    levels: Sequence[str | None]
-    labels: Sequence[tuple[str, ...]]
-    """The labels of the C columns, one text for each level."""
-    rows: Sequence[Sequence[str]]
-    """What names the T rows, one text or several for each."""
-    values: np.ndarray
-    """(T, C), NaN in empty cells."""
-    problems: Sequence[Problem] = ()
-
-
-def points_of_table(path: Path, individual: str | None, table: Table) -> StoredPoints:
-    """The points of one animal as the file states them. Raises InputError."""
-    named, values = [dict(zip(table.levels, label, strict=True)) for label in table.labels], table.values
+def points_of_table(
+    path: Path,
+    individual: str | None,
+    levels: Sequence[str | None],
+    labels: Sequence[tuple[str, ...]],
+    rows: Sequence[Sequence[str]],
+    values: np.ndarray,
+    problems: Sequence[Problem] = (),
+) -> StoredPoints:
+    """The points of one animal, of a table whose columns have several levels, as the file states them. labels: those of
+    the C columns, one text for each level; rows: what names the T rows, one text or several for each; values: (T, C),
+    NaN in empty cells; problems: what is already known to be wrong. Raises InputError."""
+    named = [dict(zip(levels, label, strict=True)) for label in labels]
     raw = [(n.get("individuals", ""), n["bodyparts"], n["coords"]) for n in named]
     columns = [(animal.strip(), part.strip(), coord.strip()) for animal, part, coord in raw]
     blank = dict.fromkeys(name for column in raw for name in column[:2] if name != name.strip())
     notes = tuple(f"'{name}' is read as '{name.strip()}'." for name in blank)
-    frames, images, frame_problems = _frame_numbers(path, table.rows)
-    refuse(common.first_problems([*_column_problems(path, columns), *table.problems, *frame_problems], path))
+    frames, images, frame_problems = _frame_numbers(path, rows)
+    refuse(common.first_problems([*_column_problems(path, columns), *problems, *frame_problems], path))
     if {animal for animal, _, _ in columns} == {""} and _prefixes(part for _, part, _ in columns):
         columns = [(part.partition("_")[0], part.partition("_")[2], coord) for _, part, coord in columns]
     everyone = list(dict.fromkeys(animal for animal, _, _ in columns))

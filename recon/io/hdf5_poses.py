@@ -23,7 +23,7 @@ import json
 import pickle
 import pickletools
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
 from io import BytesIO
 from pathlib import Path
@@ -38,7 +38,7 @@ from recon.base.files import write_bytes
 from recon.clip import Keypoints
 from recon.io import common, hdf5, writing
 from recon.io.common import Pose3D, StoredPoints
-from recon.io.deeplabcut import HEADERS, Table, header_problem, points_of_table
+from recon.io.deeplabcut import HEADERS, header_problem, points_of_table
 from recon.io.hdf5 import attribute, child, member, names, numbers, opened, outline, raw_attribute, read_values, texts
 from recon.io.positions import UNIT_NAMES, frames_of_times
 
@@ -58,6 +58,8 @@ PLAIN_PICKLES = {
 """Instructions of pickles that build texts, numbers, lists, tuples and dictionaries, and import or call nothing."""
 
 Label = tuple[str, ...]
+_Table = tuple[Sequence[str | None], list[Label], list[Label], np.ndarray]
+"""Names of the columns' levels, labels of columns and rows, and cells, as `points_of_table` takes them."""
 
 
 def recognises_deeplabcut(path: Path) -> bool:
@@ -74,16 +76,15 @@ def read_deeplabcut(path: Path, individual: str | None = None) -> StoredPoints:
     with opened(path) as file:
         group = child(file, keys[0])
         kind = attribute(group, "pandas_type")
-        layouts: dict[Any, Callable[[Any], Table]] = {"frame": _fixed_frame, "frame_table": _table_frame}
+        layouts: dict[Any, Callable[[Any], _Table]] = {"frame": _fixed_frame, "frame_table": _table_frame}
         if kind not in layouts:
             raise InputError(Problem(path, f"key {keys[0]}", f"pandas' '{kind}'", "a table"))
-        table = layouts[kind](group)
-    if not any(table.levels):
-        known = {2: HEADERS[2], 3: HEADERS[0], 4: HEADERS[1]}
-        table = table._replace(levels=known.get(len(table.levels), table.levels))
-    if tuple(table.levels) not in HEADERS:
-        raise InputError(header_problem(path, f"column levels {', '.join(map(str, table.levels))}"))
-    return points_of_table(path, individual, table)
+        levels, *table = layouts[kind](group)
+    if not any(levels):
+        levels = {2: HEADERS[2], 3: HEADERS[0], 4: HEADERS[1]}.get(len(levels), levels)
+    if tuple(levels) not in HEADERS:
+        raise InputError(header_problem(path, f"column levels {', '.join(map(str, levels))}"))
+    return points_of_table(path, individual, levels, *table)
 
 
 def _keys(path: Path) -> list[str]:
@@ -95,7 +96,7 @@ def _keys(path: Path) -> list[str]:
 # fixed layout: the axes and the blocks of columns of one type, each an array
 
 
-def _fixed_frame(group: Any) -> Table:
+def _fixed_frame(group: Any) -> _Table:
     levels, columns = _axis(group, "axis0")
     _, index = _axis(group, "axis1")
     place_of = {label: at for at, label in enumerate(columns)}  # those of one label are refused later
@@ -106,7 +107,7 @@ def _fixed_frame(group: Any) -> Table:
         if not _is_empty(dataset):  # stored as (C, T), and turned over where it says so
             values = numbers(dataset)
             cells[:, [place_of[label] for label in items]] = values if attribute(dataset, "transposed") else values.T
-    return Table(levels, columns, index, cells)
+    return levels, columns, index, cells
 
 
 def _axis(group: Any, name: str) -> tuple[list[str | None], list[Label]]:
@@ -149,7 +150,7 @@ def _is_empty(dataset: Any) -> bool:
 # table layout: one array of records, and the labels of its columns pickled
 
 
-def _table_frame(group: Any) -> Table:
+def _table_frame(group: Any) -> _Table:
     ((_, given),) = _attribute_value(group, "non_index_axes")
     columns = [_label(label) for label in given]
     dataset = member(group, "table")
@@ -160,7 +161,7 @@ def _table_frame(group: Any) -> Table:
         cells[:, places] = rows[str(name)].reshape(len(rows), -1)
     names = ((_attribute_value(group, "info") or {}).get(1) or {}).get("names")
     levels = names if names and len(names) == len(columns[0]) else [None] * len(columns[0])
-    return Table(levels, columns, [(text,) for text in _texts_of(group, rows["index"])], cells)
+    return levels, columns, [(text,) for text in _texts_of(group, rows["index"])], cells
 
 
 def _label(label: Any) -> Label:

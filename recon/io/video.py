@@ -71,17 +71,13 @@ def size_problems(video: Path, info: VideoInfo, camera: Camera) -> Iterator[Prob
 def read_picture(path: Path, how: int) -> Image | None:
     """A picture, turned upright as its camera says, None where it cannot be read or has more pixels than OpenCV takes.
     how: as OpenCV's flags say."""
-    if not path.is_file():
-        return None
+    image = None
     try:
         data = np.fromfile(path, dtype=np.uint8)  # cv2.imread does not take every path on Windows
         image = cv2.imdecode(data, how) if data.size else None
-    except OSError:
-        return None
-    except cv2.error as error:
-        if error.code == cv2.Error.StsNoMem:
+    except (OSError, cv2.error) as error:
+        if isinstance(error, cv2.error) and error.code == cv2.Error.StsNoMem:
             raise
-        return None
     return None if image is None else np.asarray(image, dtype=np.uint8)
 
 
