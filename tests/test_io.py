@@ -452,7 +452,7 @@ def test_binary_after_the_header(tmp_path):
     path = tmp_path / "clip.csv"
     for junk in (bytes(range(128, 256)), b"\xff\xfe"):
         path.write_bytes(SINGLE.encode() + junk)
-        refuses(path, ("text", "UTF-8"))
+        refuses(path, ("text", "utf-8"))
     path.write_bytes(SINGLE.encode() + b"3,\x00,1,1,1,1,1\n")
     refuses(path, ("line 7, nose/x", "'\x00'"))
 

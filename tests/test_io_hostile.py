@@ -405,5 +405,5 @@ def test_a_prior_with_numbers_that_signal(tmp_path):
 
 
 def test_a_name_too_long_for_a_file(tmp_path):
-    with refusal((tmp_path / f"{'a' * 300}.csv", "file", "cannot be opened")):
+    with refusal((tmp_path / f"{'a' * 300}.csv", "file", "cannot be read")):
         read_keypoints(tmp_path / f"{'a' * 300}.csv")

@@ -4,6 +4,7 @@ Whatever is in them, the answer is a table, arrays or an InputError: sizes are l
 
 from __future__ import annotations
 
+import csv
 import json
 import lzma
 import math
@@ -35,7 +36,7 @@ MAX_TOML_BYTES = 1 << 23
 DAMAGE = (
     *(OSError, LookupError, TypeError, ValueError, RuntimeError, AttributeError, StopIteration, ArithmeticError),
     *(MemoryError, SystemError, EOFError, ImportError, SyntaxError, struct.error, zlib.error, lzma.LZMAError),
-    *(zipfile.BadZipFile, tokenize.TokenError),
+    *(zipfile.BadZipFile, tokenize.TokenError, csv.Error),
 )
 """What Python and libraries say of damaged files."""
 
@@ -50,7 +51,7 @@ def damage_named(source: str | Path, expected: str, field: str = "content") -> I
     except RecursionError:
         raise InputError(Problem(source, field, "tables or lists that are nested too deeply", expected)) from None
     except DAMAGE as error:
-        said = " ".join(str(error).split())[:200] or type(error).__name__
+        said = " ".join(str(getattr(error, "strerror", None) or error).split())[:200] or type(error).__name__
         found = f"an entry without {said}" if isinstance(error, KeyError) else f"data that cannot be read ({said})"
         raise InputError(Problem(source, field, found, expected)) from None
 
@@ -89,13 +90,10 @@ def read_head(path: Path, expected: str = "a file that can be read", length: int
 
 def require_file(path: Path, expected: str = "a file that can be read") -> None:
     """Raises InputError for anything but a file, such as a pipe, which reading would wait for."""
-    try:
-        what = "a folder" if path.is_dir() else "a pipe or a device" if path.exists() else "no such file"
-        found = None if path.is_file() else what
-    except (OSError, ValueError) as error:  # ValueError: a name with a zero in it
-        found = f"a file that cannot be opened ({error})"
-    if found is not None:
-        raise InputError(Problem(path, "file", found, expected))
+    with damage_named(path, expected, "file"):
+        if not path.is_file():
+            found = "a folder" if path.is_dir() else "a pipe or a device" if path.exists() else "no such file"
+            raise InputError(Problem(path, "file", found, expected))
 
 
 def read_json(path: Path, expected: str) -> Any:

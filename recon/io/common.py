@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from recon.base import Brief, InputError, Problem, refuse
+from recon.base.documents import damage_named
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -268,20 +269,12 @@ Rows = Iterable[tuple[int, list[str]]]
 def text_rows(path: Path, separator: str | None = None) -> Iterator[tuple[int, list[str]]]:
     """The rows of a text table that are not blank, with their lines' numbers. separator: by default whichever of
     `SEPARATORS` the first line has most. Raises InputError for bytes that are not UTF-8, and for no table."""
-    with path.open(encoding="utf-8-sig", newline="") as file:
-        line = 0
-        try:
-            first = file.readline()
-            file.seek(0)
-            rows = csv.reader(file, delimiter=separator or max(SEPARATORS, key=first.count))
-            for row in rows:
-                line = rows.line_num
-                if any(cell.strip() for cell in row):
-                    yield line, row
-        except UnicodeDecodeError:
-            raise InputError(Problem(path, "text", "bytes that are not UTF-8", "a text file in UTF-8")) from None
-        except csv.Error as error:
-            raise InputError(Problem(path, f"line {line + 1}", str(error), "a table of text")) from None
+    expected = "a table of text in UTF-8"
+    with damage_named(path, expected, "text"), path.open(encoding="utf-8-sig", newline="") as file:
+        first = file.readline()
+        file.seek(0)
+        rows = csv.reader(file, delimiter=separator or max(SEPARATORS, key=first.count))
+        yield from ((rows.line_num, row) for row in rows if any(cell.strip() for cell in row))
 
 
 def number_rows(
