@@ -20,6 +20,7 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from itertools import compress
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -165,7 +166,7 @@ def _checked_track(
             ("fx, fy, cx, cy", lens_text, ~((zoom[:, :2] <= 0).any(axis=1) | (np.abs(zoom) > MAX_PX).any(axis=1))),
             (SIGMA, f"0 to {MAX_SIGMA_DEG:g} degrees", (sigma >= 0) & (sigma <= MAX_SIGMA_DEG)),
         )
-    wrong = [(kind, [places[row] for row in np.flatnonzero(~right)], expected) for kind, expected, right in checks]
+    wrong = [(kind, [*compress(places, ~right)], expected) for kind, expected, right in checks]
     refuse(Problem(path, kind, f"others in {_some(rows)}", expected) for kind, rows, expected in wrong if rows)
     order = np.argsort(frames)
     poses = rigid(_rotations(quaternion[order]), place[order])

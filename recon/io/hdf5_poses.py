@@ -79,12 +79,12 @@ def read_deeplabcut(path: Path, individual: str | None = None) -> StoredPoints:
         layouts: dict[Any, Callable[[Any], _Table]] = {"frame": _fixed_frame, "frame_table": _table_frame}
         if kind not in layouts:
             raise InputError(Problem(path, f"key {keys[0]}", f"pandas' '{kind}'", "a table"))
-        levels, *table = layouts[kind](group)
+        levels, labels, rows, cells = layouts[kind](group)
     if not any(levels):
         levels = {2: HEADERS[2], 3: HEADERS[0], 4: HEADERS[1]}.get(len(levels), levels)
     if tuple(levels) not in HEADERS:
         raise InputError(header_problem(path, f"column levels {', '.join(map(str, levels))}"))
-    return points_of_table(path, individual, levels, *table)
+    return points_of_table(path, individual, levels, labels, rows, cells)
 
 
 def _keys(path: Path) -> list[str]:
@@ -523,8 +523,8 @@ def write_nwb(data: Keypoints | Pose3D, path: Path) -> None:
     skeleton = Skeleton(name="skeleton", nodes=list(points.names), **linked)
     about = {"description": "Points of one animal.", "scorer": points.scorer or "recon", "source_software": "recon"}
     poses = PoseEstimation(name=container, pose_estimation_series=series, skeleton=skeleton, **about)
-    unknown = "Poses of an animal; the session's start is not known."
-    file: Any = NWBFile(unknown, str(uuid4()), datetime(1970, 1, 1, tzinfo=UTC))
+    said, start = "Poses of an animal; the session's start is not known.", datetime(1970, 1, 1, tzinfo=UTC)
+    file: Any = NWBFile(session_description=said, identifier=str(uuid4()), session_start_time=start)
     behavior = file.create_processing_module("behavior", "processed behavioral data")
     behavior.add([Skeletons(skeletons=[skeleton]), poses])
     writer: Any = NWBHDF5IO
