@@ -86,6 +86,8 @@ def test_damaged_bytes(saved: Path) -> None:
     for content in (b"PK\x03\x04", whole[:-30], whole[: len(whole) // 2], b"x" * 100):
         saved.write_bytes(content)
         refuses(saved, ("content", "cannot be read"))
+    saved.write_bytes(b"")
+    refuses(saved, ("file", "an empty file"))
     rng = np.random.default_rng(0)
     for at in rng.integers(0, len(whole), 60):
         damaged = bytearray(whole)

@@ -4,19 +4,14 @@ Whatever is in them, the answer is a table, arrays or an InputError: sizes are l
 
 from __future__ import annotations
 
-import csv
 import json
-import lzma
 import math
 import os
 import re
-import struct
 import sys
-import tokenize
 import tomllib
 import warnings
 import zipfile
-import zlib
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from importlib import resources
@@ -33,24 +28,19 @@ from recon.base.errors import InputError, Problem
 MAX_BYTES = 1 << 28
 MAX_TOML_BYTES = 1 << 23
 """The parser is slow; a skeleton has some ten thousand."""
-DAMAGE = (
-    *(OSError, LookupError, TypeError, ValueError, RuntimeError, AttributeError, StopIteration, ArithmeticError),
-    *(MemoryError, SystemError, EOFError, ImportError, SyntaxError, struct.error, zlib.error, lzma.LZMAError),
-    *(zipfile.BadZipFile, tokenize.TokenError, csv.Error),
-)
-"""What Python and libraries say of damaged files."""
 
 
 @contextmanager
 def damage_named(source: str | Path, expected: str, field: str = "content") -> Iterator[None]:
-    """Around the reading of a file: what is said of a damaged one becomes an InputError. expected: of a whole one."""
+    """Around the reading of a file: what Python and libraries say of a damaged one, which is almost any exception,
+    becomes an InputError. expected: of a whole one."""
     try:
         yield
     except InputError:
         raise
     except RecursionError:
         raise InputError(Problem(source, field, "tables or lists that are nested too deeply", expected)) from None
-    except DAMAGE as error:
+    except Exception as error:
         said = " ".join(str(getattr(error, "strerror", None) or error).split())[:200] or type(error).__name__
         found = f"an entry without {said}" if isinstance(error, KeyError) else f"data that cannot be read ({said})"
         raise InputError(Problem(source, field, found, expected)) from None
@@ -145,7 +135,8 @@ KINDS = "biuf"
 
 def arrays_of(content: bytes, kinds: str) -> dict[str, np.ndarray]:
     """The arrays of a NumPy archive by name. kinds: of their types, as NumPy names them; "O", pickles, is none. Raises
-    what `DAMAGE` lists, also for other types and too much memory: sizes are checked before anything is unpacked."""
+    whatever NumPy and zipfile do, also for other types and too much memory: sizes are checked before anything is
+    unpacked."""
     found = {}
     with zipfile.ZipFile(BytesIO(content)) as archive:
         check_unpacked_size(archive)

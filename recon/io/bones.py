@@ -145,8 +145,8 @@ def read_bvh(path: Path, individual: str | None = None) -> StoredPoints:
 
 
 def _hierarchy(lines: Iterable[list[str]]) -> list[_Joint]:
-    """The joints in the order of their channels, each after its parent, from lines of words. Raises what `DAMAGE`
-    lists."""
+    """The joints in the order of their channels, each after its parent, from lines of words. Raises whatever a damaged
+    file causes."""
     joints: list[_Joint] = []
     open_: list[int] = []
     for word, *rest in lines:

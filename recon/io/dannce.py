@@ -102,7 +102,8 @@ def _variables(path: Path) -> dict[str, Any]:
 
 
 class _File:
-    """What is left of the memory and of the items that a file may ask for. Its methods raise what `DAMAGE` lists."""
+    """What is left of the memory and of the items that a file may ask for. Its methods raise whatever a damaged file
+    causes."""
 
     def __init__(self) -> None:
         self.left, self.items = MAX_UNPACKED, MAX_ITEMS

@@ -67,9 +67,8 @@ def _points(
     Raises InputError."""
     animals = list(dict.fromkeys(one.animal for one in seen)) or [""]
     if "" in animals and len(animals) > 1:
-        raise InputError(
-            Problem(path, "annotations", "some without track_id", "one for each animal in every annotation")
-        )
+        expected = "one for each animal in every annotation"
+        raise InputError(Problem(path, "annotations", "some without track_id", expected))
     chosen = animals[common.choose(path, animals, individual)]
     numbers = np.array(sorted(frames), dtype=np.int64)
     common.require_span(len(numbers), len(names), path)

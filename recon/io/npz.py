@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from recon.base import InputError, Problem
-from recon.base.documents import DAMAGE, KINDS, MAX_UNPACKED, arrays_of, damage_named, read_content
+from recon.base.documents import KINDS, MAX_UNPACKED, arrays_of, damage_named, read_content
 from recon.base.files import write_bytes
 from recon.io import common, writing
 from recon.io.common import Pose3D, StoredPoints, one_animal, rate
@@ -35,7 +35,7 @@ def _has(path: Path, name: str, damaged: bool) -> bool:
     try:
         with zipfile.ZipFile(path) as archive:
             return name in archive.namelist()
-    except DAMAGE:
+    except Exception:
         return damaged
 
 
