@@ -343,7 +343,8 @@ def test_wrong_files(body, prior, tmp_path, changes, expected):
 def test_no_prior_at_all(body, tmp_path, content):
     path = tmp_path / "x.npz"
     path.write_bytes(content)
-    with refusal((path, "file", "data that cannot be read", "motion prior")):
+    found = "data that cannot be read" if content else "an empty file"
+    with refusal((path, "file", found, "prior")):
         load_prior(path, body)
 
 
