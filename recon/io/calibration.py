@@ -60,8 +60,8 @@ def read_cameras(path: CameraFiles, image_size_px: tuple[int, int] | None = None
     suffixes = sorted({suffix for f in FORMATS if "cameras" in f.reads for suffix in f.suffixes})
     if path.suffix.lower() not in suffixes:
         expected = f"a calibration file: {', '.join(suffixes)}"
-        found = "a folder" if path.is_dir() else f"suffix {path.suffix!r}"
-        raise InputError(Problem(path, "format", found, expected))
+        what = "a folder" if path.is_dir() else f"suffix {path.suffix!r}"
+        raise InputError(Problem(path, "format", what, expected))
     reader = recognised(path, "cameras")
     if reader is None:
         parse_json(read_calibration(path), path)
