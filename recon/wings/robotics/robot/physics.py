@@ -221,12 +221,12 @@ def check(motion: RobotMotion, model: Any) -> tuple[Array, dict[str, Array]]:
     time = motion.time_s[0] + np.linspace(0.0, duration, max(2, round(duration * RATE_HZ) + 1))
     states, rates = motion.states(time), motion.states(time, 1)
     lower, upper, fastest = motion.robot.limits()
-    used = _used(_units(motion, model, 1.0) * balanced(motion, model, time))
+    left = _units(motion, model, 1.0) * balanced(motion, model, time)
     return time, {
         "joint_limits": np.minimum(states[:, 6:] - lower, upper - states[:, 6:]).min(axis=1),
         "joint_rates": 1 - np.abs(rates[:, 6:] / fastest).max(axis=1),
-        "torques": 1 - used[:, 1:].max(axis=1),
-        "forces": used[:, 0] * RULES["forces"].least,
+        "torques": 1 - np.abs(left[:, 6:]).max(axis=1),
+        "forces": -np.linalg.norm(left[:, :3], axis=1) - np.linalg.norm(left[:, 3:6], axis=1),
         "legs_apart": _apart(motion, model, time),
         "ground": motion.robot.tree.pose(states).points_m[..., 2].min(axis=1),
     }
@@ -452,12 +452,6 @@ class _Carrying:
                 break
             least = totals[best]
         return step
-
-
-def _used(left: Array) -> Array:
-    """(K, 1 + J): what is left of the base's needs (shares of the weight), of what may be, and the torques' shares."""
-    missing = np.linalg.norm(left[:, :3], axis=1) + np.linalg.norm(left[:, 3:6], axis=1)
-    return np.column_stack([missing / -RULES["forces"].least, np.abs(left[:, 6:])])
 
 
 def _pushes(motion: RobotMotion, time_s: Array) -> list[tuple[int, Array]]:

@@ -331,8 +331,8 @@ def reach(chain: SerialChain, q: Array, foot_m: Array) -> Array | None:
 
 def standing(chain: SerialChain, foot_m: Array) -> Array | None:
     """Angles (n,) of the standing leg: reached from the middle of the limits, or else from random places in them."""
-    lower, upper = np.maximum(chain.lower_rad, -np.pi), np.minimum(chain.upper_rad, np.pi)
-    starts = [(lower + upper) / 2, *np.random.default_rng(0).uniform(lower, upper, (30, chain.n))]
+    turns = _turns(chain)
+    starts = [turns.mean(axis=0), *np.random.default_rng(0).uniform(*turns, (30, chain.n))]
     found = (reach(chain, q, foot_m) for q in starts)
     return next((q for q in found if q is not None), None)
 
@@ -486,7 +486,7 @@ def _quadruped_of_model(path: Path) -> Quadruped:
         joints = tuple(moving(model, way_to(model, leaf)))
         if len(joints) >= 3:
             chain = model_chain(model, path, names[leaf - 1], end_m=foot_of(model, leaf))
-            low = chain.end(_middle(chain.lower_rad, chain.upper_rad))[2]
+            low = chain.end(_turns(chain).mean(axis=0))[2]
             if joints not in found or low < found[joints][0]:
                 found[joints] = (low, names[leaf - 1], chain)
     if len(found) != 4:
@@ -513,10 +513,9 @@ def _quadruped_of_model(path: Path) -> Quadruped:
     return Quadruped(called, called, {label: legs[label] for label in LEGS}, stand, str(path))
 
 
-def _middle(lower: Array, upper: Array) -> Array:
-    """The middle of limits; 0 for a joint that has none."""
-    bounded = np.isfinite(lower) & np.isfinite(upper)
-    return np.where(bounded, np.where(bounded, lower, 0.0) + np.where(bounded, upper, 0.0), 0.0) / 2
+def _turns(chain: SerialChain) -> Array:
+    """(2, n): limits, of joints without any half a turn each way."""
+    return np.array([np.maximum(chain.lower_rad, -np.pi), np.minimum(chain.upper_rad, np.pi)])
 
 
 # -- what MuJoCo reads (extra robots); meshes are left out: they need files beside it, and no kinematics needs them ----
