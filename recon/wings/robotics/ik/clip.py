@@ -364,16 +364,13 @@ def methods_of(
     on all rates, or "step" for the one of each step with which the foot moves nearest to what is asked for.
     """
 
-    def method(name: str) -> ways.Method:
-        if name == EXTENDED and cost is not None:
-            return ways.ExtendedJacobian(cost)
-        if name.startswith("extended-"):
-            return ways.ExtendedJacobian(COSTS[name.removeprefix("extended-")](limb))
-        if name == "gradient-projection" and not fitted:
-            return ways.GradientProjection(cost or ways.joint_differences(limb.chain))
-        return parameters[name].method if fitted or name == "weighted" else ways.STANDARD[name]
-
-    chosen = {name: method(name) for name in names}
+    costs = {name: COSTS[name.removeprefix("extended-")](limb) for name in names if name.startswith("extended-")}
+    costs |= {} if cost is None else {EXTENDED: cost}
+    standard = ways.STANDARD | {name: ways.ExtendedJacobian(of) for name, of in costs.items()}
+    standard["gradient-projection"] = ways.GradientProjection(cost or ways.joint_differences(limb.chain))
+    own = {name: of.method for name, of in parameters.items()}
+    every = standard | own if fitted else own | standard
+    chosen = {name: every[name] for name in names}
     if alpha is None:
         return chosen
     return {name: replace(one, alpha=None if alpha == "step" else alpha) for name, one in chosen.items()}
