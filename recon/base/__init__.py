@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from recon.base.arrays import Array, Bools, Brief, Index, Integers, mean, mean_along, median
+    from recon.base.arrays import Array, Bools, Brief, Index, Integers, finite, mean, mean_along, median
     from recon.base.errors import InputError, Problem, all_of, decimals, length_text, printable, refuse
     from recon.base.files import read_manifest, sole_writer, staged_file, staged_folder, staged_results, write_manifest
     from recon.base.interrupts import MESSAGE
-    from recon.base.package import DISTRIBUTION, install_command, pip_command
+    from recon.base.package import DISTRIBUTION, install_command, pip_command, version
     from recon.base.records import load_record, save_record
 
 Progress = Callable[[str, float], None]

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from recon.fit.clip_problem import ClipProblem, TrajectoryOptions
     from recon.fit.extrinsics import solve_extrinsics
     from recon.fit.least_squares import Estimate, LeastSquares, Unknown
-    from recon.fit.motion import MEASURED_SHARE, Motion
+    from recon.fit.motion import MEASURED_SHARE, Motion, Picture
     from recon.fit.motion_forms import MOTION
     from recon.fit.points import solve_points
     from recon.fit.posterior import DEGREES_OF_FREEDOM, prior_misfit_of, radius, sigmas

@@ -22,16 +22,10 @@ from recon import check
 from recon.animal.naming import suggestions
 from recon.animal.prior import NONE as NO_PRIOR
 from recon.animal.skeleton_file import NONE, OWN, of_scorer
-from recon.base.arrays import Array, finite, mean, median
-from recon.base.errors import decimals, length_text
-from recon.base.package import version
+from recon.base import Array, decimals, finite, length_text, mean, median, version
 from recon.clip import COUNTS
-from recon.fit import TrajectorySolution
-from recon.fit.motion import MEASURED_SHARE, Motion, Picture
-from recon.fit.result import MotionSegment
-from recon.gait.clip import ClipAnalysis
-from recon.gait.dynamics import G_M_S2
-from recon.gait.gait import Gait
+from recon.fit import MEASURED_SHARE, Motion, MotionSegment, Picture, TrajectorySolution
+from recon.gait import G_M_S2, ClipAnalysis, Gait
 from recon.gait.kinematics import MIN_POINTS, JointKinematics, frame_jitter_m, jitter_errors, point_kinematics
 from recon.show.plain import by_name, file_name, frame_count, number, picked, to_plain
 from recon.show.plain import to_json as to_json

@@ -18,14 +18,11 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from matplotlib.figure import Figure
 
 from recon.animal import both_sides
-from recon.base.arrays import Array, Bools
-from recon.base.errors import InputError, printable
-from recon.base.package import version
+from recon.base import Array, Bools, InputError, printable, version
 from recon.check import FLAGS, verdict_lines
 from recon.fit.motion import MEASURED_SHARE, Motion
 from recon.fit.result import LEVELS
-from recon.gait.clip import ClipAnalysis
-from recon.gait.gait import Gait
+from recon.gait import ClipAnalysis, Gait
 from recon.gait.kinematics import MIN_POINTS, JointKinematics
 from recon.io.video import Image
 from recon.show import plots

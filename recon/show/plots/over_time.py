@@ -23,15 +23,11 @@ from matplotlib.quiver import Quiver
 from matplotlib.ticker import MaxNLocator
 
 from recon.animal import side_of
-from recon.base.arrays import Array, Bools
-from recon.base.errors import length_text
+from recon.base import Array, Bools, length_text
 from recon.clip import frame_ranges
-from recon.fit.motion import MEASURED_SHARE
-from recon.fit.posterior import radius
-from recon.gait.dynamics import Dynamics
-from recon.gait.gait import INTERVAL, Gait, Stance
+from recon.fit import MEASURED_SHARE, radius
+from recon.gait import INTERVAL, Closure, Dynamics, Gait, LinkField, Portrait, Stance, field_means
 from recon.gait.kinematics import JointKinematics, Series
-from recon.gait.phase import Closure, LinkField, Portrait, field_means
 from recon.show.plots import style
 
 # -- stances and forces -----------------------------------------------------------------------------------------------

@@ -38,8 +38,7 @@ import rerun.blueprint as rrb
 from rerun.blueprint.archetypes import PlotBackground
 
 from recon.animal import side_of, without_side
-from recon.base.arrays import Array, Bools
-from recon.base.errors import InputError, Problem
+from recon.base import Array, Bools, InputError, Problem
 from recon.fit.motion import Motion, Picture
 from recon.gait.clip import ClipAnalysis
 from recon.gait.kinematics import frame_jitter_m, speed_at_frames

@@ -26,8 +26,7 @@ from recon.animal import Side
 from recon.base.arrays import Array, Bools, Integers, mean_along
 from recon.base.files import write_bytes
 from recon.clip import frame_ranges
-from recon.fit import MotionSegment
-from recon.fit.motion import Motion, Picture
+from recon.fit import Motion, MotionSegment, Picture
 from recon.geometry.frames import level_from_camera
 
 Colour = tuple[int, int, int]

@@ -40,12 +40,9 @@ from pydantic import Field
 from scipy.optimize import minimize
 from scipy.special import expit, logit
 
-from recon.base import Progress, silent
-from recon.base.arrays import Array, Bools
+from recon.base import Array, Bools, InputError, Problem, Progress, all_of, install_command, silent
 from recon.base.documents import check_unpacked_size, validated
-from recon.base.errors import InputError, Problem, all_of
 from recon.base.files import require_free_file, staged_file, write_bytes
-from recon.base.package import install_command
 from recon.base.parallel import available_cores
 from recon.base.settings import Count, Option, Settings
 from recon.clip import Keypoints

@@ -29,9 +29,7 @@ import pandas as pd
 from pydantic import Field
 
 from recon import __version__
-from recon.base import Progress, silent
-from recon.base.arrays import Array, Bools, Integers, mean, median
-from recon.base.errors import InputError, Problem, all_of, refuse
+from recon.base import Array, Bools, InputError, Integers, Problem, Progress, all_of, mean, median, refuse, silent
 from recon.base.files import require_free_folder, sole_writer, staged_folder, write_bytes
 from recon.base.settings import Count, Integer, Number, Option, Settings
 from recon.io.video import Image
