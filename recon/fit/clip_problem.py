@@ -47,10 +47,6 @@ class TrajectoryOptions:
         """How far a body's keypoints lie from the markers."""
         return body.keypoint_sigma_m if self.keypoint_sigma_m is None else self.keypoint_sigma_m
 
-    @property
-    def noise_rounds(self) -> int:
-        return 1 if self.fast else constants.NOISE_ROUNDS
-
 
 @dataclass(frozen=True, eq=False)
 class ClipProblem:

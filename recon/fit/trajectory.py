@@ -154,12 +154,13 @@ def refined(clip: ClipProblem, solved: SegmentFit) -> SegmentFit:
 
 def _solve_segment(clip: ClipProblem, rows: slice, progress: Progress) -> SegmentFit:
     o, T = clip.options, len(clip)
+    rounds = 1 if o.fast else constants.NOISE_ROUNDS
     windows = _windows(clip, progress)
     iterations = sum(start.iterations for _, starts in windows for start in starts)
 
     temperatures = [t for t in _TEMPERATURES if t > 1 and not o.fast and len(clip.prior.weights) > 1]
     steps: list[tuple[float | None, bool]] = [(None, False)] if len(windows) > 1 else []
-    steps += [*((t, False) for t in temperatures), *[(1.0, True)] * o.noise_rounds]
+    steps += [*((t, False) for t in temperatures), *[(1.0, True)] * rounds]
     best = [(frames, starts[0].states) for frames, starts in windows]
     at = np.concatenate([np.arange(T)[frames] for frames, _ in best])
     estimate = Estimate(between(np.concatenate([states for _, states in best]), at, T), np.inf, 0, False)
@@ -175,7 +176,7 @@ def _solve_segment(clip: ClipProblem, rows: slice, progress: Progress) -> Segmen
             solved = replace(solved, prior_misfit=solved.prior_misfit or found, prior_weight=clip.prior_weight)
         progress("whole clip", 0.4 + 0.6 * (i + 1) / len(steps))
     settled = solved.prior_misfit is None or not solved.prior_misfit.unlike
-    for _ in range(int(o.noise_rounds == 1 and solved.prior_weight < 1) if settled else _MORE_ROUNDS):
+    for _ in range(int(rounds == 1 and solved.prior_weight < 1) if settled else _MORE_ROUNDS):
         solved = _round(clip, solved, 1.0, whole=True)
     return replace(solved, windows=windows, iterations=solved.iterations + iterations)
 
