@@ -16,7 +16,7 @@ from recon.io.deeplabcut import write_csv
 from recon.wings.keypoint_net import LabelSource, TrainSettings, run_training
 from recon.wings.keypoint_net.labels import body_length_px, evaluate_2d, read_label_file
 from recon.wings.keypoint_net.network import run_prediction
-from recon.workflows.camera_motion import of_clip, run_camera_motion
+from recon.workflows.camera_motion import camera_motion, of_clip
 from recon.workflows.clip_results import run_clip
 from recon.workflows.demo import samples_folder
 from recon.workflows.settings import FitSettings
@@ -90,7 +90,7 @@ def run_circle(
         )
         if turns:
             track = (out / f"{name}_track.csv").absolute()
-            run_camera_motion(of_clip(options, film, track, overwrite=True))
+            camera_motion(of_clip(options, film, track, overwrite=True))
             options = replace(options, camera_track=(track,), tilt_deg=None)
         run_clip(options, out / name, overwrite=True)
         errors.append(evaluate_files(out / name / "pose3d.csv", samples / "rendered_truth.csv"))

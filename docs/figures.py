@@ -15,10 +15,10 @@ from PIL import Image
 
 from recon import FitSettings, Motion, samples_folder
 from recon.io.video import read_frames, video_writer
-from recon.workflows.analyse import AnalyseSettings, run_analyse
+from recon.workflows.analyse import AnalyseSettings, analyse_command
 from recon.workflows.cli import app
 from recon.workflows.clip_results import run_clip
-from recon.workflows.look import OverlaySettings, run_overlay
+from recon.workflows.look import OverlaySettings, overlay
 
 HERE = Path(__file__).resolve().parent
 COLOURS = 255
@@ -57,11 +57,11 @@ def main() -> None:
         clip = out / "clip"
         run_clip(FitSettings(keypoints=samples / "whole.csv", camera=samples / "camera.toml", fps=60), clip)
         result = Motion.load(clip)
-        run_analyse(AnalyseSettings(folder=clip))
+        analyse_command(AnalyseSettings(folder=clip))
         for name in ("speed", "footfalls", "phase_portraits", "observability", "body_fixed"):
             save(clip / "analysis" / f"{name}.png", f"{name}.png", 900)
         plain_video(out / "clip.avi", result.camera.image_size_px, result.fps, len(result.frames))
-        run_overlay(OverlaySettings(folder=clip, video=out / "clip.avi", out=out / "overlay.avi"))
+        overlay(OverlaySettings(folder=clip, video=out / "clip.avi", out=out / "overlay.avi"))
         ((_, image),) = read_frames(out / "overlay.avi", FRAME, FRAME + 1)
         cv2.imwrite(str(out / "overlay.png"), image)
         save(out / "overlay.png", "overlay.png", 960)

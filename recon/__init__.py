@@ -12,68 +12,45 @@ from typing import TYPE_CHECKING, Any
 from recon.base import lazily
 
 if TYPE_CHECKING:
-    from recon.animal.body import Body
-    from recon.animal.skeleton_file import load_skeleton
-    from recon.base.errors import InputError
-    from recon.clip import Keypoints, clean
-    from recon.fit.motion import Motion
-    from recon.gait.clip import ClipAnalysis, analyse
-    from recon.gait.evaluation import Evaluation, evaluate, evaluate_files
-    from recon.geometry.camera import Camera
-    from recon.io import Pose3D, read_camera, read_cameras, read_keypoints, read_pose3d, write_camera, write_cameras
-    from recon.wings.keypoint_net.labels import LabelSource
-    from recon.wings.keypoint_net.network import run_prediction
-    from recon.wings.keypoint_net.train import TrainSettings, run_training
-    from recon.workflows.batch import find_clips, plan_batch, run_batch
-    from recon.workflows.calibrate import CalibrationSettings, run_calibration
-    from recon.workflows.clip import fit_clip
-    from recon.workflows.clip_results import write_clip
-    from recon.workflows.config import read_settings
-    from recon.workflows.demo import samples_folder
-    from recon.workflows.models import PriorFitSettings, SubjectFitSettings, run_prior_fit, run_subject_fit
-    from recon.workflows.settings import FitSettings
+    from recon.animal.body import Body as Body
+    from recon.animal.skeleton_file import load_skeleton as load_skeleton
+    from recon.base.errors import InputError as InputError
+    from recon.clip import Keypoints as Keypoints
+    from recon.clip import clean as clean
+    from recon.fit.motion import Motion as Motion
+    from recon.gait.clip import ClipAnalysis as ClipAnalysis
+    from recon.gait.clip import analyse as analyse
+    from recon.gait.evaluation import Evaluation as Evaluation
+    from recon.gait.evaluation import evaluate as evaluate
+    from recon.gait.evaluation import evaluate_files as evaluate_files
+    from recon.geometry.camera import Camera as Camera
+    from recon.io import Pose3D as Pose3D
+    from recon.io import read_camera as read_camera
+    from recon.io import read_cameras as read_cameras
+    from recon.io import read_keypoints as read_keypoints
+    from recon.io import read_pose3d as read_pose3d
+    from recon.io import write_camera as write_camera
+    from recon.io import write_cameras as write_cameras
+    from recon.wings.keypoint_net.labels import LabelSource as LabelSource
+    from recon.wings.keypoint_net.network import run_prediction as run_prediction
+    from recon.wings.keypoint_net.train import TrainSettings as TrainSettings
+    from recon.wings.keypoint_net.train import run_training as run_training
+    from recon.workflows.batch import find_clips as find_clips
+    from recon.workflows.batch import plan_batch as plan_batch
+    from recon.workflows.batch import run_batch as run_batch
+    from recon.workflows.calibrate import CalibrationSettings as CalibrationSettings
+    from recon.workflows.calibrate import run_calibration as run_calibration
+    from recon.workflows.clip import fit_clip as fit_clip
+    from recon.workflows.clip_results import read_settings as read_settings
+    from recon.workflows.clip_results import write_clip as write_clip
+    from recon.workflows.demo import samples_folder as samples_folder
+    from recon.workflows.models import PriorFitSettings as PriorFitSettings
+    from recon.workflows.models import SubjectFitSettings as SubjectFitSettings
+    from recon.workflows.models import run_prior_fit as run_prior_fit
+    from recon.workflows.models import run_subject_fit as run_subject_fit
+    from recon.workflows.settings import FitSettings as FitSettings
 
     __version__: str
-
-__all__ = [
-    "Body",
-    "CalibrationSettings",
-    "Camera",
-    "ClipAnalysis",
-    "Evaluation",
-    "FitSettings",
-    "InputError",
-    "Keypoints",
-    "LabelSource",
-    "Motion",
-    "Pose3D",
-    "PriorFitSettings",
-    "SubjectFitSettings",
-    "TrainSettings",
-    "analyse",
-    "clean",
-    "evaluate",
-    "evaluate_files",
-    "find_clips",
-    "fit_clip",
-    "load_skeleton",
-    "plan_batch",
-    "read_camera",
-    "read_cameras",
-    "read_keypoints",
-    "read_pose3d",
-    "read_settings",
-    "run_batch",
-    "run_calibration",
-    "run_prediction",
-    "run_prior_fit",
-    "run_subject_fit",
-    "run_training",
-    "samples_folder",
-    "write_camera",
-    "write_cameras",
-    "write_clip",
-]
 
 _public = lazily(__name__, __file__)
 logging.getLogger(__name__).addHandler(logging.NullHandler())  # messages are for who listens to them
@@ -91,4 +68,4 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return [*__all__, "__version__"]
+    return [*_public("__all__"), "__version__"]

@@ -59,13 +59,11 @@ class Keypoints(Brief):
         t, k = len(self.frames), len(self.names)
         if len(set(self.names)) != k or not all(self.names):
             raise ValueError(f"keypoint names must be unique and not empty: {self.names}")
-        if self.xy_px.shape != (t, k, 2) or self.confidence.shape != (t, k) or self.frames.shape != (t,):
-            raise ValueError(
-                f"expected xy_px {(t, k, 2)}, confidence {(t, k)}, frames {(t,)}; "
-                f"found {self.xy_px.shape}, {self.confidence.shape}, {self.frames.shape}"
-            )
-        if self.xy_px.dtype.kind != "f" or self.confidence.dtype.kind != "f" or self.frames.dtype.kind != "i":
-            raise ValueError("xy_px and confidence must be floats, frames integers")
+        for name, shape, kind in (("xy_px", (t, k, 2), "f"), ("confidence", (t, k), "f"), ("frames", (t,), "i")):
+            array = getattr(self, name)
+            if array.shape != shape or array.dtype.kind != kind:
+                expected = f"{'floats' if kind == 'f' else 'integers'} of shape {shape}"
+                raise ValueError(f"{name}: expected {expected}, found {array.dtype} of shape {array.shape}")
         if np.any(np.diff(self.frames) <= 0):
             raise ValueError("frames must be strictly increasing")
         if self.fps is not None and not 0 < self.fps < float("inf"):
@@ -273,11 +271,8 @@ def busiest(counts: Integers, n: int) -> slice:
 def _without_points(keypoints: Keypoints, points: np.ndarray) -> Keypoints:
     if not (keypoints.present & points).any() and not keypoints.confidence[points].any():
         return keypoints
-    xy_px, confidence = (
-        np.where(points[..., None], np.nan, keypoints.xy_px),
-        np.where(points, 0.0, keypoints.confidence),
-    )
-    return replace(keypoints, xy_px=xy_px, confidence=confidence)
+    xy_px = np.where(points[..., None], np.nan, keypoints.xy_px)
+    return replace(keypoints, xy_px=xy_px, confidence=np.where(points, 0.0, keypoints.confidence))
 
 
 def _source(keypoints: Keypoints) -> str:

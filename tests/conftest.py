@@ -33,6 +33,7 @@ from recon.wings.robotics.ik import clip as ik_clip
 from recon.wings.thesis import FrameOptions, solve_frames
 from recon.wings.thesis.frame import mean_pose
 from recon.workflows import analyse, run_clip
+from recon.workflows.cli import Answer
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -98,7 +99,9 @@ def fit_demo_from(whole_results: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         return json.loads((copy_results(whole_results, out) / "report.json").read_text(encoding="utf-8"))
 
     monkeypatch.setattr("recon.workflows.demo.run_clip", copied)
-    monkeypatch.setattr("recon.workflows.demo.run_page", lambda settings, *more: settings.folder / "report.html")
+    monkeypatch.setattr(
+        "recon.workflows.demo.report", lambda settings, *more: Answer({"page": settings.folder / "report.html"})
+    )
 
 
 def draw_small(patch: pytest.MonkeyPatch) -> None:

@@ -25,7 +25,7 @@ from recon import FitSettings, InputError, find_clips, fit_clip, plan_batch, run
 from recon.base import parallel, silent, sole_writer
 from recon.base.parallel import Event, outcome_of
 from recon.io import read_cameras
-from recon.workflows import COLUMNS, AnalyseSettings, Record, digest, run_analyse, run_clip
+from recon.workflows import COLUMNS, AnalyseSettings, Record, analyse_command, digest, run_clip
 from recon.workflows.batch import RECORD, Clip, Summary, fit_planned, input_problems, read_rows
 
 SAMPLES = Path(__file__).parents[1] / "data" / "samples"
@@ -592,7 +592,7 @@ def test_what_comes_after_the_fit_does_not_have_it_made_again(clips, tmp_path):
     """But results that are not as they were written do."""
     out = tmp_path / "out"
     fit(found(clips / "a.csv"), out)
-    run_analyse(AnalyseSettings(folder=out / "a", figures=False))
+    analyse_command(AnalyseSettings(folder=out / "a", figures=False))
     (out / "a" / "notes.txt").write_text("of the user")
     (planned,) = plan_batch(found(clips / "a.csv"), out)
     assert planned.action == "done"

@@ -41,7 +41,7 @@ from recon.io import write_csv
 from recon.io.json_poses import LISTS
 from recon.io.markers import write_trc
 from recon.workflows import draft_skeleton, prepare, run_clip
-from recon.workflows.skeleton import _SkeletonDraftSettings, drafted, run_skeleton_draft
+from recon.workflows.skeleton import _SkeletonDraftSettings, drafted, skeleton_from_keypoints
 
 OBLIQUE_M = [[1.0, -5.5, 1.5], [4.5, -4.0, 1.7], [-4.5, 4.0, 1.8], [5.0, 4.0, 2.0]]
 ABOVE_M = [[0.35, 0.1, 0.45], [-0.1, 0.4, 0.45], [-0.35, -0.1, 0.5], [0.1, -0.4, 0.4]]
@@ -270,9 +270,9 @@ def test_a_draft_from_geometry(skeleton, alone, tmp_path):
     off_m = np.linalg.norm(found.joints_m - true_m[:, order], axis=2)  # with the keypoints' bias
     assert np.median(off_m) < 1.5 * true.keypoint_sigma_m
     with refusal(("KEYPOINTS", "files", "2 files without --camera", "--camera")):
-        run_skeleton_draft(_SkeletonDraftSettings(keypoints=tuple(files[:2]), out=tmp_path / "a.toml"))
+        skeleton_from_keypoints(_SkeletonDraftSettings(keypoints=tuple(files[:2]), out=tmp_path / "a.toml"))
     with refusal(("--camera", "poses", "1 camera(s): cam1", ["two or more", "--up"])):
-        run_skeleton_draft(
+        skeleton_from_keypoints(
             _SkeletonDraftSettings(keypoints=(files[0],), camera=(rig,), fps=rigs.FPS, out=tmp_path / "a.toml")
         )
 

@@ -17,7 +17,7 @@ from recon.clip import Keypoints, View, held, views_of
 from recon.geometry import Camera, inverse, rigid
 from recon.io import read_camera_track, read_pose3d, write_camera, write_csv
 from recon.workflows import identity, prepare
-from recon.workflows.cameras import read_clip_cameras
+from recon.workflows.clip import read_clip_cameras
 from tests import test_cameras
 from tests.command_line import refusal, says
 from tests.command_line import run as command

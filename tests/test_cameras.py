@@ -15,7 +15,7 @@ from recon.clip import Source, View, together
 from recon.fit import TrajectorySolution, solve_extrinsics, solve_trajectory
 from recon.io import read_cameras, read_keypoints, write_cameras, write_csv
 from recon.workflows import prepare
-from recon.workflows.cameras import cameras_in
+from recon.workflows.clip import cameras_in
 from recon.workflows.extrinsics import clips_of, lines_of, run_extrinsics
 from tests.command_line import refusal, says
 from tests.command_line import run as command

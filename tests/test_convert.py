@@ -100,18 +100,16 @@ def pairs(formats: Sequence[Format]) -> list[tuple[Format, Format]]:
 @pytest.mark.parametrize(("start", "end"), pairs(OF_2D), ids=label)
 def test_pairs_of_2d_formats(files_2d, start, end, tmp_path):
     out = tmp_path / f"out{end.suffixes[0]}"
-    _, written, notes = convert(ConvertSettings(source=files_2d[label(start)], out=out, to=end.name))
-    assert written is end
-    assert notes == ()
+    done = convert(ConvertSettings(source=files_2d[label(start)], out=out, to=end.name))
+    assert done.data == {"out": out, "format": end.name, "notes": ()}
     assert_same_keypoints(read_keypoints(out), a_clip())
 
 
 @pytest.mark.parametrize(("start", "end"), pairs(OF_3D), ids=label)
 def test_pairs_of_3d_formats(files_3d, start, end, tmp_path):
     out = tmp_path / f"out{end.suffixes[0]}"
-    _, written, notes = convert(ConvertSettings(source=files_3d[label(start)], out=out))
-    assert written is end
-    assert notes == ()
+    done = convert(ConvertSettings(source=files_3d[label(start)], out=out))
+    assert done.data == {"out": out, "format": end.name, "notes": ()}
     tolerance_m = max(TOLERANCE_M.get(start.name, 0), TOLERANCE_M.get(end.name, 0))
     assert_same_pose(read_pose3d(out), a_pose(), tolerance_m)
 
@@ -409,7 +407,7 @@ def test_whole_or_not_at_all(files_2d, tmp_path):
 
 
 def test_frame_rate_as_given_overrules_the_file(files_2d, tmp_path):
-    *_, notes = convert(ConvertSettings(source=files_2d["movement.nc"], out=tmp_path / "a.nc", fps=240))
+    notes = convert(ConvertSettings(source=files_2d["movement.nc"], out=tmp_path / "a.nc", fps=240)).data["notes"]
     assert [says(note, "119.88 frames", "240 as given") for note in notes] == [True]
     found = read_keypoints(tmp_path / "a.nc")
     assert found.fps == 240
@@ -421,7 +419,7 @@ def test_frame_rate_as_given_overrules_the_file(files_2d, tmp_path):
 def test_zero_zero_is_missing_everywhere(tmp_path):
     text = "scorer,n,n,n\nbodyparts,nose,nose,nose\ncoords,x,y,likelihood\n0,0,0,0\n1,0,0,0.9\n2,3,4,\n"
     (tmp_path / "a.csv").write_text(text)
-    *_, notes = convert(ConvertSettings(source=tmp_path / "a.csv", out=tmp_path / "a.nc"))
+    notes = convert(ConvertSettings(source=tmp_path / "a.csv", out=tmp_path / "a.nc")).data["notes"]
     assert [says(note, "1 points", "(0, 0)", "missing") for note in notes] == [True]
     found = read_keypoints(tmp_path / "a.nc")
     np.testing.assert_array_equal(found.xy_px[:, 0], [[NAN, NAN], [0, 0], [3, 4]])
@@ -459,7 +457,7 @@ def test_folder_of_results(results, tmp_path):
     """The joints upright, with the frame rate of the report and the limbs of the skeleton."""
     from recon.fit import Motion
 
-    *_, notes = convert(ConvertSettings(source=results, out=tmp_path / "a.nwb"))
+    notes = convert(ConvertSettings(source=results, out=tmp_path / "a.nwb")).data["notes"]
     assert "level frame" in notes[0]
     expected = Motion.load(results).upright
     found = read_pose3d(tmp_path / "a.nwb")

@@ -18,7 +18,7 @@ from recon import evaluate_files, find_clips
 from recon.animal import load_names
 from recon.io import find_project, predictions, read_keypoints, read_pose3d
 from recon.wings.keypoint_net import read_labels
-from recon.workflows.skeleton import _SkeletonDraftSettings, run_skeleton_draft
+from recon.workflows.skeleton import _SkeletonDraftSettings, skeleton_from_keypoints
 
 SAMPLE = Path(__file__).parents[1] / "data" / "samples" / "whole.csv"
 CAMERA = {"hfov_deg": 60.0, "image_size_px": (1920, 1080), "fps": 60.0}
@@ -60,9 +60,11 @@ def project(tmp_path: Path) -> Path:
 
 @pytest.mark.parametrize("name", ["", "config.yaml"])
 def test_a_skeleton_of_a_project(project, tmp_path, name):
-    known, others, text = run_skeleton_draft(_SkeletonDraftSettings(keypoints=project / name, out=tmp_path / "a.toml"))
-    assert (list(known), others) == (["nose", "l_eye", "neck_base", "tail_base", "l_front_paw", "r_front_paw"], ())
-    assert 'keypoints of "horse-me-2026-05-01"' in text
+    out = tmp_path / "a.toml"
+    found = skeleton_from_keypoints(_SkeletonDraftSettings(keypoints=project / name, out=out)).data
+    assert [*found["keypoints"]] == ["nose", "l_eye", "neck_base", "tail_base", "l_front_paw", "r_front_paw"]
+    assert found["without_place"] == ()
+    assert 'keypoints of "horse-me-2026-05-01"' in out.read_text(encoding="utf-8")
 
 
 def test_a_configuration(project):
@@ -80,7 +82,7 @@ def test_a_configuration(project):
     assert find_project(config) is None
     config.write_text("Task: dogs\nscorer: me\nbodyparts:\n", encoding="utf-8")
     with refusal(("config.yaml", "bodyparts", "none")):
-        run_skeleton_draft(_SkeletonDraftSettings(keypoints=config, out=project / "a.toml"))
+        skeleton_from_keypoints(_SkeletonDraftSettings(keypoints=config, out=project / "a.toml"))
 
 
 @pytest.mark.parametrize("name", ["", "config.yaml"])

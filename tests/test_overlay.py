@@ -40,9 +40,9 @@ from recon.workflows.look import (
     first_frame_note,
     overlay_of,
     rate_note,
-    run_overlay,
     stills,
 )
+from recon.workflows.look import overlay as draw
 
 SIZE = (1920, 1080)
 GREY = np.full((1080, 1920, 3), 128, np.uint8)
@@ -196,8 +196,8 @@ def test_headings_are_averaged_and_reach_into_gaps():
 def test_every_frame_of_the_clip_is_drawn_on_its_own_picture(folder, video, tmp_path):
     """The result has frames 10 to 17; the video begins with number 7, so that they are its pictures 3 to 10."""
     out = tmp_path / "o.avi"
-    run = run_overlay(OverlaySettings(folder=folder, video=video, out=out, first_frame=7, speed=0.5))
-    assert (run[:3], run[4]) == ((8, 15.0, 0.5), [])
+    data = draw(OverlaySettings(folder=folder, video=video, out=out, first_frame=7, speed=0.5)).data
+    assert data == {"out": out, "frames": 8, "fps": 15.0, "speed": 0.5, "notes": []}
     info = probe(out)
     assert (info.size_px, info.fps) == (canvas_size(SIZE), 15.0)
     levels = [float(image[1000, 1800].mean()) for _, image in read_frames(out)]
@@ -221,13 +221,13 @@ def test_a_video_of_a_varying_rate_is_said_to_be_one(folder, tmp_path):
     video.write_bytes(content)
     assert blocks == 8
     settings = OverlaySettings(folder=folder, video=video, out=tmp_path / "o.avi", first_frame=10)
-    *_, (note,) = run_overlay(settings)
+    (note,) = draw(settings).data["notes"]
     assert says(note, "film.mkv", "uneven", "(18 to 49 ms apart)")
 
 
 def test_a_video_that_is_too_short_is_said_so(folder, video, tmp_path):
     with refusal((video, "video", "12 frames", ["18 or more", "frames 10 to 17", "--first-frame 10"])):
-        run_overlay(OverlaySettings(folder=folder, video=video, out=tmp_path / "o.mp4"))
+        draw(OverlaySettings(folder=folder, video=video, out=tmp_path / "o.mp4"))
     assert list(tmp_path.iterdir()) == []
 
 
@@ -236,12 +236,12 @@ def test_what_does_not_fit_is_named_at_once(folder, tmp_path):
     with video_writer(small, (64, 48), 30.0) as write:
         write(np.zeros((48, 64, 3), np.uint8))
     with refusal((small, "size", "64x48", "1920x1080"), ("--first-frame", "number", 11, "10 or less")):
-        run_overlay(OverlaySettings(folder=folder, video=small, out=tmp_path / "o.mp4", first_frame=11))
+        draw(OverlaySettings(folder=folder, video=small, out=tmp_path / "o.mp4", first_frame=11))
     with refusal(("settings", "speed", "-1", "greater than 0")):
         OverlaySettings(folder=folder, video=small, out=tmp_path / "o.mp4", speed=-1)
     there = ("--out", "file", small, "--overwrite")
     with refusal((tmp_path, "folder", "no motion.npz"), (tmp_path / "none.mp4", "video", "no such file"), there):
-        run_overlay(OverlaySettings(folder=tmp_path, video=tmp_path / "none.mp4", out=small))
+        draw(OverlaySettings(folder=tmp_path, video=tmp_path / "none.mp4", out=small))
 
 
 def test_command(folder, video, tmp_path):
@@ -320,11 +320,11 @@ def test_what_is_wrong_with_one_cameras_detections_is_not_said_of_anothers(filme
 
 def test_the_camera_of_the_video_is_chosen_by_name(filmed_twice, folder, video, tmp_path):
     out = tmp_path / "o.avi"
-    run = run_overlay(OverlaySettings(folder=filmed_twice, video=video, out=out, first_frame=7, camera_name="cam2"))
-    assert run[0] == 8
+    drawn = draw(OverlaySettings(folder=filmed_twice, video=video, out=out, first_frame=7, camera_name="cam2"))
+    assert drawn.data["frames"] == 8
     for camera in (None, "cam3"):
         with refusal(("--camera-name", "camera", camera or "nothing", "cam1, cam2")):
-            run_overlay(
+            draw(
                 OverlaySettings(
                     folder=filmed_twice, video=video, out=tmp_path / "p.avi", first_frame=7, camera_name=camera
                 )
@@ -334,9 +334,7 @@ def test_the_camera_of_the_video_is_chosen_by_name(filmed_twice, folder, video, 
     result = Motion.load(filmed_twice)
     assert [camera_number(result, None, of) for of in (named, None)] == [1, 0]  # of no video: the first
     with refusal(("--camera-name", "camera", "cam2", "one of cam1")):
-        run_overlay(
-            OverlaySettings(folder=folder, video=video, out=tmp_path / "p.avi", first_frame=7, camera_name="cam2")
-        )
+        draw(OverlaySettings(folder=folder, video=video, out=tmp_path / "p.avi", first_frame=7, camera_name="cam2"))
 
 
 def test_a_small_animal_is_shown_enlarged_where_it_is_not(overlay):

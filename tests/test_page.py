@@ -28,7 +28,7 @@ from recon.io import video_writer
 from recon.show import TO_DO, build_report, clip_page, drawing
 from recon.show.page.pages import _angles, _solid, _without_unseen, doubtful_frames, inline
 from recon.show.plots.over_time import angle_over_time
-from recon.workflows import COLUMNS, PageSettings, run_page, write_summary_page
+from recon.workflows import COLUMNS, PageSettings, report, write_summary_page
 
 EVIL = '<img src=x onerror="alert(1)">&\'.csv'
 MOST_BYTES = 3_000_000
@@ -87,7 +87,7 @@ def folder(small_trajectory, tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="module")
 def page(folder) -> Page:
-    return Page(run_page(PageSettings(folder=folder)))
+    return Page(report(PageSettings(folder=folder)).data["page"])
 
 
 def test_a_page_is_one_file_in_which_names_are_text(page, folder):
@@ -209,13 +209,13 @@ def test_a_page_has_the_video_behind_its_pictures(folder, tmp_path, monkeypatch)
     monkeypatch.setattr("recon.workflows.look.clip_page", clip_page)
     copy = tmp_path / "copy"
     shutil.copytree(folder, copy)
-    run_page(PageSettings(folder=copy))
-    run_page(PageSettings(folder=copy, video=video))
+    report(PageSettings(folder=copy))
+    report(PageSettings(folder=copy, video=video))
     assert [*shown] == [None, "run & away.avi"]
     assert len(shown[None]) == len(shown["run & away.avi"]) == 8
     assert not {*shown[None]} & {*shown["run & away.avi"]}
     with refusal(("--first-frame", "number", 11, "10 or less")):
-        run_page(PageSettings(folder=folder, video=video, first_frame=11))
+        report(PageSettings(folder=folder, video=video, first_frame=11))
 
 
 @pytest.mark.usefixtures("page_undrawn")
@@ -223,7 +223,7 @@ def test_of_several_cameras_the_page_says_whose_pictures_they_are(two_cameras, t
     files = (Path("run_cam1.csv"), Path("run_cam2.csv"))
     write_clip(two_cameras, FitSettings(keypoints=files, camera=Path("scene.json"), fps=30), tmp_path)
     for camera, name in ((None, "cam1"), ("cam2", "cam2")):
-        page = run_page(PageSettings(folder=tmp_path, camera_name=camera))
+        page = report(PageSettings(folder=tmp_path, camera_name=camera)).data["page"]
         assert f"The pose as {name} sees it" in page.read_text(encoding="utf-8")
 
 
@@ -233,11 +233,13 @@ def test_a_page_goes_with_its_results(small_trajectory, tmp_path):
     write_clip(small_trajectory, settings, tmp_path)
     (tmp_path / "report.html").write_text("my own")
     with refusal((tmp_path / "report.html", "file", "not made")):
-        run_page(PageSettings(folder=tmp_path))
+        report(PageSettings(folder=tmp_path))
     assert (tmp_path / "report.html").read_text() == "my own"
     (tmp_path / "report.html").unlink()
     (tmp_path / "quality.csv").unlink()  # nothing reads it
-    assert 'href="angles.csv"' in (page := run_page(PageSettings(folder=tmp_path)).read_text(encoding="utf-8"))
+    assert 'href="angles.csv"' in (
+        page := report(PageSettings(folder=tmp_path)).data["page"].read_text(encoding="utf-8")
+    )
     assert "quality.csv" not in page
     write_clip(small_trajectory, settings, tmp_path)
     (tmp_path / "report.html").write_text(GENERATED)

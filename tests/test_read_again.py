@@ -14,7 +14,7 @@ from recon import Camera, FitSettings, Keypoints, Motion, analyse, evaluate_file
 from recon.animal import Body, builtin_names, load_skeleton
 from recon.clip import camera_poses
 from recon.io import CONVERTED, read_points, write_camera, write_cameras, write_csv
-from recon.workflows import ConvertSettings, PageSettings, run_clip, run_page
+from recon.workflows import ConvertSettings, PageSettings, report, run_clip
 from recon.workflows import analyse as analysis
 from recon.workflows.convert import convert
 from tests.test_camera_track import write_track
@@ -136,4 +136,4 @@ def test_what_a_fit_writes_is_read_by_all_behind_it(clip, tmp_path, monkeypatch)
             np.testing.assert_array_equal(read_points(made, None, "3D")[1].frames, motion.frames)
     if clip == "bare root":  # figures take long
         monkeypatch.setattr("matplotlib.figure.Figure.get_layout_engine", lambda _: None)
-        run_page(PageSettings(folder=out))
+        report(PageSettings(folder=out))

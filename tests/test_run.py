@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import pickle
 import shutil
+from collections.abc import Callable
 from dataclasses import replace
 from itertools import count
 from pathlib import Path
@@ -17,6 +18,7 @@ from recon import FitSettings, Keypoints, read_keypoints, write_clip
 from recon.base import staged_results
 from recon.io import video_writer
 from recon.wings.keypoint_net.network import PredictSettings
+from recon.workflows.cli import Answer
 from recon.workflows.clip_results import output_files
 from recon.workflows.run import _Job, _RunSettings, job_of, jobs_of, keypoints_of, run_folder, run_video
 
@@ -51,7 +53,7 @@ def called(monkeypatch, report, small_trajectory) -> list[str]:
         path.write_text(f"{name} {len(names)}")
         return path
 
-    def does(name: str, file: str, give=lambda path: path):
+    def does(name: str, file: str, give: Callable[[Path], Answer]):
         def work(settings, *args, **options):
             names.append(name)
             return give(write(settings.folder / file, name))
@@ -64,9 +66,9 @@ def called(monkeypatch, report, small_trajectory) -> list[str]:
         shutil.copy(SAMPLES / "whole.csv", out)
         return read_keypoints(out)
 
-    def track(settings, **options):
+    def track(settings, progress):
         names.append("camera-motion")
-        return {"notes": []}, (write(settings.out, "track"),)
+        return Answer({"notes": []}, files=(write(settings.out, "track"),))
 
     def write_results(motion, settings, out: Path, seconds: float) -> dict:
         names.append("fit")
@@ -77,17 +79,16 @@ def called(monkeypatch, report, small_trajectory) -> list[str]:
         return json.loads(report)
 
     monkeypatch.setattr("recon.wings.keypoint_net.run_prediction", predict)
-    monkeypatch.setattr("recon.workflows.camera_motion.run_camera_motion", track)
+    monkeypatch.setattr("recon.workflows.camera_motion.camera_motion", track)
     monkeypatch.setattr("recon.workflows.run._check_inputs", lambda job: None)
     monkeypatch.setattr("recon.workflows.run.fit_clip", lambda settings, progress: None)
     monkeypatch.setattr("recon.workflows.run.write_clip", write_results)
-    analysed = does("analyse", "analysis/analysis.json", lambda path: (None, {}, [path]))
-    monkeypatch.setattr("recon.workflows.run.run_analyse", analysed)
-    monkeypatch.setattr(
-        "recon.workflows.run.run_overlay",
-        does("overlay", "overlay.mp4", lambda path: (1, 60.0, 1.0, None, ["uneven in time"])),
-    )
-    monkeypatch.setattr("recon.workflows.run.run_page", does("page", "report.html"))
+    analysed = does("analyse", "analysis/analysis.json", lambda path: Answer({}, files=[path]))
+    monkeypatch.setattr("recon.workflows.run.analyse_command", analysed)
+    drawn = does("overlay", "overlay.mp4", lambda path: Answer({"notes": ["uneven in time"]}))
+    monkeypatch.setattr("recon.workflows.run.overlay", drawn)
+    shown = does("page", "report.html", lambda path: Answer({"page": path}))
+    monkeypatch.setattr("recon.workflows.run.report", shown)
     return names
 
 
@@ -169,7 +170,7 @@ def test_a_stage_that_was_interrupted_is_done_again(film, called, monkeypatch):
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr("recon.workflows.run.run_overlay", interrupted)
+        patch.setattr("recon.workflows.run.overlay", interrupted)
         with pytest.raises(KeyboardInterrupt):
             run_video(job(film))
     assert called == ["fit", "analyse"]

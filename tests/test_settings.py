@@ -393,7 +393,7 @@ def test_a_setting_that_is_no_option_is_checked():
 
 def test_a_setting_of_several_values_is_set_several_times(monkeypatch):
     seen = []
-    monkeypatch.setattr("recon.workflows.fit.read_settings", lambda config, given: seen.append(given))
+    monkeypatch.setattr("recon.workflows.clip_results.read_settings", lambda config, given: seen.append(given))
     with pytest.raises(InputError):
         app(["fit", "a.csv", "--set", "offset-s=0", "--set", "offset_s=0.5", "--set", "fast=true", "--no-fix-swaps"])
     assert seen[0]["offset_s"] == ["0", "0.5"]

@@ -13,7 +13,7 @@ from recon.check.rules import ground_elsewhere, pair_disagrees, subject_unlike_s
 from recon.clip import Keypoints, Source, clean
 from recon.fit import ClipProblem, Ground, Motion, TrajectoryOptions, solve_trajectory
 from recon.geometry import rigid
-from recon.workflows.cameras import other_camera_in
+from recon.workflows.clip import other_camera_in
 from tests.test_trajectory import BODY, CAMERA, CAMERA_FROM_LEVEL, FPS, PRIOR, errors_m, plain, run, seen, solve
 from tests.test_views import AHEAD, ASIDE, truth_m, two, view_of
 

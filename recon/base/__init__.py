@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from recon.base.arrays import Array, Bools, Brief, Index, Integers, finite, mean, mean_along, median
-    from recon.base.errors import InputError, Problem, all_of, decimals, length_text, printable, refuse
+    from recon.base.errors import InputError, Problem, all_of, decimals, length_text, printable, problems_of, refuse
     from recon.base.files import read_manifest, sole_writer, staged_file, staged_folder, staged_results, write_manifest
     from recon.base.interrupts import MESSAGE
     from recon.base.package import DISTRIBUTION, install_command, pip_command, version
@@ -26,12 +26,16 @@ def silent(stage: str, share: float) -> None:
 
 def lazily(package: str, file: str) -> Callable[[str], Any]:
     """The `__getattr__` of a package, of that `__file__`, that names what others may use in imports under `if
-    TYPE_CHECKING:` only: a room costs nothing until one of its names is used."""
+    TYPE_CHECKING:` only: a room costs nothing until one of its names is used. `__all__` are those with `as`."""
     tree = ast.parse(Path(file).read_text(encoding="utf-8"))
     imports = [node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
     module_of = {alias.name: str(node.module) for node in imports for alias in node.names}
 
+    public = sorted(alias.asname for node in imports for alias in node.names if alias.asname)
+
     def attribute(name: str) -> Any:
+        if name == "__all__":
+            return public
         if name not in module_of:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
         return getattr(import_module(module_of[name]), name)

@@ -56,15 +56,24 @@ def refuse(problems: Iterable[Problem]) -> None:
         raise InputError(found)
 
 
+def problems_of(read: Callable[[], Any]) -> tuple[Problem, ...]:
+    """What is wrong with an input, none where it can be read."""
+    try:
+        read()
+    except InputError as error:
+        return error.problems
+    return ()
+
+
 def all_of(*reads: Callable[[], Any]) -> list[Any]:
-    """Every result, or one InputError with the problems of all."""
+    """Every result, or one InputError with the problems of all; what several have in common is said once."""
     results, problems = [], []
     for read in reads:
         try:
             results.append(read())
         except InputError as error:
             problems.extend(error.problems)
-    refuse(problems)
+    refuse(dict.fromkeys(problems))
     return results
 
 

@@ -42,10 +42,6 @@ SHOWN = 3
 """How many strides that do not count are said one by one, by method."""
 
 
-Analysed = tuple[ClipAnalysis, dict[str, Any], list[Path]]
-"""All of it, what analysis.json holds, and the files that were written, in one folder."""
-
-
 class AnalyseSettings(Settings):
     """The settings of `recon analyse`."""
 
@@ -67,56 +63,12 @@ MOST_STANCES = 100
 """How many stances are printed at most, of all feet."""
 
 
-def analyse_command(settings: AnalyseSettings, progress: Progress) -> Answer:
+def analyse_command(settings: AnalyseSettings, progress: Progress = silent) -> Answer:
     """Kinematics, gait, vector fields and phase portraits of a reconstruction.
 
     Writes tables (CSV) and figures (PNG, SVG); recon view shows the plots beside the playback from then on.
 
     Example: recon analyse results/clip
-    """
-    found, summary, files = run_analyse(settings, progress)
-    return Answer(summary, _lines(settings, found, summary, files))
-
-
-def _lines(
-    settings: AnalyseSettings, found: ClipAnalysis, summary: Mapping[str, Any], files: Sequence[Path]
-) -> Iterator[str | Text | Table]:
-    out, motion = files[0].parent, found.motion
-    yield from verdict_texts(motion.verdict)
-    yield from in_sentences(motion, found.reference_motion, found.gait, found.why_no_speed)
-    yield from _sentences(found)
-    if found.gait is not None and len(found.gait.stances) <= MOST_STANCES:
-        spans: dict[str, list[str]] = {foot: [] for foot in motion.foot_names}
-        for s in found.gait.stances:
-            spans[s.foot].append(f"{'' if s.begins else '≤'}{s.start_s:.3f}-{s.end_s:.3f}{'' if s.ends else '+'}")
-        rows = ((f"{foot} {motion.foot_names[foot]}", ", ".join(of) or "none") for foot, of in spans.items())
-        yield table_of("foot", f"stances, s (frame number / {motion.fps:g})", rows=rows)
-    yield from (f"note: {note}" for note in summary["notes"])
-    yield f"{len(files)} files are in {out}."
-    if out == settings.folder / FOLDER and (settings.folder / PLAYBACK).is_file():
-        yield f"See them beside the playback with: recon view {settings.folder}"
-
-
-def _sentences(found: ClipAnalysis) -> Iterator[str]:
-    net, sigma = found.net_acceleration_m_s2
-    if math.isfinite(net):
-        low, high = net - radius(INTERVAL) * sigma, net + radius(INTERVAL) * sigma
-        form = f"+{decimals(max(-low, high))}"
-        interval = f"{low:{form}} to {high:{form}}"
-        yield f"Acceleration along the way, over the whole clip: {net:{form}} m/s² (90 %: {interval})."
-    if "spine_flexion" in found.angles:
-        low, high = (math.degrees(angle) for angle in found.angles["spine_flexion"].range_rad)
-        yield f"Flexion of the spine: {low:+.0f}° to {high:+.0f}° (positive: arched up)."
-    if (stride := found.stride) is not None:
-        which = "as given" if found.given is not None else f"of {stride.foot}"
-        yield f"Phase portraits: the stride from {stride.start_s:.3f} to {stride.end_s:.3f} s, {which}."
-
-
-def run_analyse(settings: AnalyseSettings, progress: Progress = silent) -> Analysed:
-    """`recon analyse`: into `out`, by default the folder analysis in the results' own.
-
-    The results are not written to. Figures come last: whatever befalls them, the tables are there. Raises InputError:
-    no results, too few frames, or files in the way.
     """
     out = settings.folder / FOLDER if settings.out is None else settings.out
     progress("reading", 0.0)
@@ -133,11 +85,39 @@ def run_analyse(settings: AnalyseSettings, progress: Progress = silent) -> Analy
             write_analysis(found, staging)
             (staging / SUMMARY).write_text(to_json(summary), encoding="utf-8")
             files = [path.name for path in staging.iterdir()]
-        if settings.figures:
+        if settings.figures:  # whatever befalls them, the tables are there
             with staged_folder(out) as staging:
                 write_figures(found, staging, progress)
                 files += [path.name for path in staging.iterdir()]
-    return found, summary, [out / name for name in sorted(files)]
+    lines = [*_lines(found, summary), f"{len(files)} files are in {out}."]
+    if out == settings.folder / FOLDER and (settings.folder / PLAYBACK).is_file():
+        lines.append(f"See them beside the playback with: recon view {settings.folder}")
+    return Answer(summary, lines, files=[out / name for name in sorted(files)])
+
+
+def _lines(found: ClipAnalysis, summary: Mapping[str, Any]) -> Iterator[str | Text | Table]:
+    motion = found.motion
+    yield from verdict_texts(motion.verdict)
+    yield from in_sentences(motion, found.reference_motion, found.gait, found.why_no_speed)
+    net, sigma = found.net_acceleration_m_s2
+    if math.isfinite(net):
+        low, high = net - radius(INTERVAL) * sigma, net + radius(INTERVAL) * sigma
+        form = f"+{decimals(max(-low, high))}"
+        interval = f"{low:{form}} to {high:{form}}"
+        yield f"Acceleration along the way, over the whole clip: {net:{form}} m/s² (90 %: {interval})."
+    if "spine_flexion" in found.angles:
+        low, high = (math.degrees(angle) for angle in found.angles["spine_flexion"].range_rad)
+        yield f"Flexion of the spine: {low:+.0f}° to {high:+.0f}° (positive: arched up)."
+    if (stride := found.stride) is not None:
+        which = "as given" if found.given is not None else f"of {stride.foot}"
+        yield f"Phase portraits: the stride from {stride.start_s:.3f} to {stride.end_s:.3f} s, {which}."
+    if found.gait is not None and len(found.gait.stances) <= MOST_STANCES:
+        spans: dict[str, list[str]] = {foot: [] for foot in motion.foot_names}
+        for s in found.gait.stances:
+            spans[s.foot].append(f"{'' if s.begins else '≤'}{s.start_s:.3f}-{s.end_s:.3f}{'' if s.ends else '+'}")
+        rows = ((f"{foot} {motion.foot_names[foot]}", ", ".join(of) or "none") for foot, of in spans.items())
+        yield table_of("foot", f"stances, s (frame number / {motion.fps:g})", rows=rows)
+    yield from (f"note: {note}" for note in summary["notes"])
 
 
 # -- summary ---------------------------------------------------------------------------------------------------------
@@ -269,23 +249,22 @@ def figures_of(found: ClipAnalysis) -> dict[str, Callable[[], Figure]]:
     joints_m = plots.in_body(motion.body, motion.states[during], motion.size, motion.reference_joint)
     title = f"one stride of {found.stride.foot}" if found.stride else "whole clip: no complete stride"
     title = "the stride that was given" if found.given is not None else title
-    own = {"time_s": time_s[during], "sides": motion.limb_sides, "title": title}
+    limbs, sides = motion.limbs, motion.limb_sides
+    own = {"time_s": time_s[during], "sides": sides, "title": title}
     shares, ground = motion.posture_data_share[during], None if gait is None else gait.tracks.grounds
     moved, unknown = {found.reference: found.reference_motion}, found.why_no_speed is not None
     drawn: dict[str, Callable[[], Figure]] = {
-        "composites": partial(
-            plots.composites, found.pose.xyz_m, motion.limbs, time_s, ground, sides=motion.limb_sides
-        ),
+        "composites": partial(plots.composites, found.pose.xyz_m, limbs, time_s, ground, sides=sides),
         "speed": partial(plots.speeds, moved, unknown=unknown),
         "phase_portraits": lambda: plots.phase_portraits(found.portraits, found.closures, title, motion.data_shares),
         "observability": partial(plots.observability, motion.body, shares, time_s[during], title),
-        "body_fixed": partial(plots.body_fixed, joints_m, motion.limbs, **own),
+        "body_fixed": partial(plots.body_fixed, joints_m, limbs, **own),
     }
     parts: dict[str, dict[str, Sequence[int]]] = {}
-    for limb, along in motion.limbs.items():
-        parts.setdefault("spine" if motion.limb_sides[limb] is None else limb, {})[limb] = along
-    for name, limbs in parts.items() if len(parts) > 1 else ():
-        drawn[f"body_fixed_{name.replace(' ', '_')}"] = partial(plots.body_fixed, joints_m, limbs, **own)
+    for limb, along in limbs.items():
+        parts.setdefault("spine" if sides[limb] is None else limb, {})[limb] = along
+    for name, of_part in parts.items() if len(parts) > 1 else ():
+        drawn[f"body_fixed_{name.replace(' ', '_')}"] = partial(plots.body_fixed, joints_m, of_part, **own)
     for limb, fields in found.fields.items():
         drawn[f"vector_field_{limb.replace(' ', '_')}"] = partial(plots.vector_fields, fields, time_s, limb)
     if gait is not None:

@@ -73,8 +73,7 @@ def _lines(report: dict[str, Any]) -> Iterator[str | Text | Table]:
         )
         for view in pictures
     )
-    columns = ("corners", "error px", "worst px", "tilt", "distance m", "")
-    yield table_of("picture", numbers=columns, rows=rows)
+    yield table_of("picture", numbers=("corners", "error px", "worst px", "tilt", "distance m", ""), rows=rows)
     looked = f"{report['board']}: found in {report['found']} of {report['examined']} pictures"
     if report["found"] > len(pictures):
         looked += f", the {len(pictures)} sharpest and most different were taken"

@@ -16,6 +16,7 @@ from recon.base import Array, InputError, Problem, Progress, all_of, refuse, sil
 from recon.base.files import require_free_file, staged_folder, write_bytes
 from recon.base.settings import Integer, Number, Option, Settings
 from recon.calibrate import camera_motion as turning
+from recon.calibrate.camera_motion import LevelMark, TurningMotion
 from recon.calibrate.camera_motion.track import CLEARLY, panorama, thumbnail
 from recon.clip import Keypoints
 from recon.geometry.camera import Camera
@@ -38,7 +39,7 @@ NOTES = (
 )
 
 
-class _CameraMotionSettings(Settings):
+class _MotionSettings(Settings):
     """The settings of `recon camera-motion`."""
 
     video: Annotated[Path, Option(argument="VIDEO")]
@@ -68,36 +69,19 @@ class _CameraMotionSettings(Settings):
             yield Problem("--tilt-deg", "level", f"{self.tilt_deg:g} beside {self.level_marks}", "one of the two")
 
 
-def of_clip(settings: FitSettings, video: Path, out: Path, **more: Any) -> _CameraMotionSettings:
+def of_clip(settings: FitSettings, video: Path, out: Path, **more: Any) -> _MotionSettings:
     """For the one camera of a clip, which has a calibration. more: other fields."""
     assert settings.camera is not None
     of_first = {"camera": settings.camera[0], "keypoints": settings.keypoints[0]}
     more |= of_first | {"camera_name": next(iter(settings.camera_name or ()), None)}
-    return _CameraMotionSettings(video=video, out=out, **picked(settings, "individual", "tilt_deg"), **more)
+    return _MotionSettings(video=video, out=out, **picked(settings, "individual", "tilt_deg"), **more)
 
 
-def camera_motion(settings: _CameraMotionSettings, progress: Progress) -> Answer:
+def camera_motion(settings: _MotionSettings, progress: Progress = silent) -> Answer:
     """Find how a camera turned (and zoomed) from the background of its video: a camera track.
 
     Example: recon camera-motion clip.mp4 --camera camera.toml --keypoints clip.csv --out track.csv
     """
-    report, files = run_camera_motion(settings, progress)
-    lost, keyframes = len(report["frames_without_background"]), counted(len(report["keyframes"]), "keyframe")
-    lines = [f"{report['frames'] - lost} of {report['frames']} frames placed, {keyframes}."]
-    lines += [f"Too little background in {counted(lost, 'frame')}: no pose there."] if lost else []
-    fit, known = f"{report['residual_px']:.2f} px", f"{report['sigma_deg']:.3f}°"
-    lines.append(f"The background fits to {fit}; the camera's direction is known to ±{known}.")
-    lines += [f"Note: {note}." for note in report["notes"][len(NOTES) :]]
-    lines.append(f"Level: {report['level']}. A rolling shutter is not modelled.")
-    return Answer(report, [*lines, "Written: " + ", ".join(map(str, files))])
-
-
-def run_camera_motion(
-    settings: _CameraMotionSettings, progress: Progress = silent
-) -> tuple[dict[str, Any], tuple[Path, ...]]:
-    """The report and the files: the track (`recon.io.camera_track`), and beside it <stem>_report.json and
-    <stem>_panorama.png. Raises InputError, with every problem, for inputs that cannot be used, and for a camera that
-    did more than turn."""
     info, lens, animal, marks, _ = all_of(
         lambda: probe(settings.video),
         lambda: read_camera(settings.camera, settings.camera_name),
@@ -126,21 +110,28 @@ def run_camera_motion(
     up, level = _up(settings, motion, lens, marks)
     motion = replace(motion, orientations=turning.as_level(motion.orientations, up))
     report = _report(settings, motion, lens, level, times_s)
-    report_file, picture_file = (
-        settings.out.with_name(settings.out.stem + end) for end in ("_report.json", "_panorama.png")
-    )
+    ends = "_report.json", "_panorama.png"
+    report_file, picture_file = (settings.out.with_name(settings.out.stem + end) for end in ends)
     drawn = panorama(lens, motion, pictures, points)
     with staged_folder(settings.out.absolute().parent) as folder:
         _write_track(folder / settings.out.name, settings, motion, lens)
         (folder / report_file.name).write_text(to_json(report), encoding="utf-8")
         write_bytes(folder / picture_file.name, cv2.imencode(".png", drawn)[1].tobytes())
-    return report, (settings.out, report_file, picture_file)
+    files = (settings.out, report_file, picture_file)
+    lost, keyframes = len(report["frames_without_background"]), counted(len(report["keyframes"]), "keyframe")
+    lines = [f"{report['frames'] - lost} of {report['frames']} frames placed, {keyframes}."]
+    lines += [f"Too little background in {counted(lost, 'frame')}: no pose there."] if lost else []
+    fit, known = f"{report['residual_px']:.2f} px", f"{report['sigma_deg']:.3f}°"
+    lines.append(f"The background fits to {fit}; the camera's direction is known to ±{known}.")
+    lines += [f"Note: {note}." for note in report["notes"][len(NOTES) :]]
+    lines.append(f"Level: {report['level']}. A rolling shutter is not modelled.")
+    return Answer(report, [*lines, "Written: " + ", ".join(map(str, files))], files=files)
 
 
 # -- what cannot be used ----------------------------------------------------------------------------------------------
 
 
-def _focal_note(motion: turning.TurningMotion, lens: Camera) -> str | None:
+def _focal_note(motion: TurningMotion, lens: Camera) -> str | None:
     """Where the turns close with another focal length than the camera file's."""
     if motion.focal is None or abs(motion.focal[0]) <= CLEARLY * motion.focal[1]:
         return None
@@ -152,7 +143,7 @@ def _focal_note(motion: turning.TurningMotion, lens: Camera) -> str | None:
     )
 
 
-def _require_turning(s: _CameraMotionSettings, motion: turning.TurningMotion, lens: Camera) -> None:
+def _require_turning(s: _MotionSettings, motion: TurningMotion, lens: Camera) -> None:
     """Raises InputError for a cut, for too little background, and for a camera that did more than turn."""
     if motion.cut is not None:
         found = f"a cut, or a jump of the whole view, at frame {motion.cut + s.first_frame}"
@@ -162,9 +153,7 @@ def _require_turning(s: _CameraMotionSettings, motion: turning.TurningMotion, le
         grows, zoom = ("", "") if s.zoom else (", or it grows", " (--zoom if its focal length changes)")
         found = f"a background that no turn explains: parts of it move against each other{grows}"
         found += f"; {note}" if note else ""
-        expected = (
-            f"a camera that turns about a fixed point, and is calibrated{zoom}; of one that is carried or driven, "
-        )
+        expected = f"a calibrated camera that turns about a fixed point{zoom}; of one that is carried or driven, "
         expected += "make the track with COLMAP, and give that to --camera-track"
         raise InputError(Problem(s.video, "motion", found, expected))
     if motion.focal is not None and abs(motion.focal[0]) > MAX_FOCAL_OFF and note:
@@ -177,7 +166,7 @@ def _require_turning(s: _CameraMotionSettings, motion: turning.TurningMotion, le
         raise InputError(Problem(s.video, "background", found, f"no more than {MAX_LOST:.0%} of such frames"))
 
 
-def _require_same_frames(s: _CameraMotionSettings, points: dict[int, Array], times_s: Array) -> None:
+def _require_same_frames(s: _MotionSettings, points: dict[int, Array], times_s: Array) -> None:
     """Raises InputError where the keypoint file counts otherwise than the video."""
     outside = [number for number in points if not 0 <= number < len(times_s)]
     if outside:
@@ -198,7 +187,7 @@ def _points(keypoints: Keypoints, first_frame: int) -> dict[int, Array]:
 
 
 def _up(
-    s: _CameraMotionSettings, motion: turning.TurningMotion, lens: Camera, marks: Sequence[turning.LevelMark]
+    s: _MotionSettings, motion: TurningMotion, lens: Camera, marks: Sequence[LevelMark]
 ) -> tuple[Array | None, str]:
     """Up (3,) in the first frame's camera, None if the mean frame is to be level, and how that is known."""
     if s.tilt_deg is not None:
@@ -214,7 +203,7 @@ def _up(
 # -- what comes out ---------------------------------------------------------------------------------------------------
 
 
-def _write_track(path: Path, s: _CameraMotionSettings, motion: turning.TurningMotion, camera: Camera) -> None:
+def _write_track(path: Path, s: _MotionSettings, motion: TurningMotion, camera: Camera) -> None:
     turns = Rotation.from_matrix(np.stack([one.rotation for one in motion.orientations]))
     q = turns.as_quat(canonical=True, scalar_first=True)
     poses = np.round(np.concatenate([q, np.zeros((len(q), 3))], axis=1), 9)
@@ -226,9 +215,7 @@ def _write_track(path: Path, s: _CameraMotionSettings, motion: turning.TurningMo
     write_table(path, [["frame", *POSE, *(INTRINSICS if s.zoom else ()), SIGMA]], motion.frames + s.first_frame, poses)
 
 
-def _report(
-    s: _CameraMotionSettings, motion: turning.TurningMotion, lens: Camera, level: str, times_s: Array
-) -> dict[str, Any]:
+def _report(s: _MotionSettings, motion: TurningMotion, lens: Camera, level: str, times_s: Array) -> dict[str, Any]:
     axes = np.stack([orientation.rotation[2] for orientation in motion.orientations])
     pan = np.degrees(np.unwrap(np.arctan2(axes[:, 0], axes[:, 1])))
     tilt = np.degrees(-np.arcsin(np.clip(axes[:, 2], -1, 1)))

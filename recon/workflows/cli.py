@@ -47,11 +47,9 @@ if TYPE_CHECKING:
 # -- options that several commands have -------------------------------------------------------------------------------
 
 
-def _start_and_end(given: Any) -> Any:
-    return tuple(given.split(":")) if isinstance(given, str) else given
-
-
-StrideTimes = Annotated[tuple[Number, Number], BeforeValidator(_start_and_end)]
+StrideTimes = Annotated[
+    tuple[Number, Number], BeforeValidator(lambda given: given.split(":") if isinstance(given, str) else given)
+]
 """(start, end) in seconds since frame 0, or the text "0.31:0.62"."""
 FIRST_FRAME = Option("Number that the video's first frame has in the keypoint file, if it was cut.")
 ANYWAY = Option('Also of a clip whose verdict is "do not use".')
@@ -79,6 +77,8 @@ class Answer:
     """What has failed: printed in any case, as errors are, and the exit code is 1."""
     code: int = 0
     """The exit code, where there are no errors."""
+    files: Sequence[Path] = ()
+    """What was written, where a stage of `recon run` has to know it."""
 
     def show(self, console: Console, as_json: bool) -> None:
         """Print it, and end with its exit code."""
@@ -185,8 +185,7 @@ def answer_of_fit(report: dict[str, Any], out: Path, page: Path | None = None, *
     own = {name: report[name] for name in ("method", "summary", "findings")}
     data = {"out": out, **own, "seconds": report["timing_s"]["solve_s"], **more}
     if is_unsolved(report):
-        message = f"no frame could be solved: see {out / 'report.json'}"
-        return Answer(data, [console_summary(report)], [message])
+        return Answer(data, [console_summary(report)], [f"no frame could be solved: see {out / 'report.json'}"])
     folder, what = shlex.quote(str(out)), "pictures, figures and all numbers"
     playback = f"Results are in {out}. Watch them with: recon view {folder}"
     more_to_see = f"Open {page} in a browser: {what}." if page else f"A page with {what}: recon report {folder}"
@@ -229,18 +228,12 @@ class SettingsCommand(TyperCommand):
     """All settings by name, those of another class first."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        rare = (info for info in self.infos.values() if not info.option.common)
-        settings = {info.on_command_line.removeprefix("--set "): info.field for info in rare}
-        expected = {name: f"--set {name}=VALUE" for name in settings}
-        if "fps" in self.infos:
-            settings |= dict.fromkeys(_RATES, "fps")
-            expected |= dict.fromkeys(_RATES, "--fps")
-        written = {word: word.partition("=")[0].removeprefix("--").removeprefix("no-") for word in args}
-        refuse(
-            Problem(word.partition("=")[0], settings[name], "no option of this name", expected[name])
-            for word, name in written.items()
-            if word.startswith("--") and name in settings
-        )
+        rare = {info.on_command_line: info.field for info in self.infos.values() if not info.option.common}
+        meant = {written[6:]: (field, f"{written}=VALUE") for written, field in rare.items()}
+        meant |= dict.fromkeys(_RATES, ("fps", "--fps")) if "fps" in self.infos else {}
+        options = (word.partition("=")[0] for word in args if word.startswith("--"))
+        wrong = {option: meant.get(option[2:].removeprefix("no-")) for option in options}
+        refuse(Problem(option, of[0], "no option of this name", of[1]) for option, of in wrong.items() if of)
         return super().parse_args(ctx, args)
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
@@ -352,7 +345,7 @@ COMMANDS = {
         "analyse": (_CORE + "analyse:analyse_command", "Speeds, angles, gait, vector fields and phase portraits."),
         "compare": (_CORE + "compare:compare", "Strides and speeds of several clips, by group."),
         "evaluate": (_CORE + "evaluate:evaluate", "Compare a result with a reference."),
-        "convert": (_CORE + "convert:convert_command", "Keypoints, 3D positions or results in another file format."),
+        "convert": (_CORE + "convert:convert", "Keypoints, 3D positions or results in another file format."),
         "overlay": (_CORE + "look:overlay", "Draw a result on its video."),
     },
     "Cameras": {
@@ -399,7 +392,9 @@ GROUPS = {
 class _Group(TyperGroup):
     """Commands by name, of which only the one that is called is imported. functions: where each one's function is."""
 
-    functions: dict[str, str]
+    def __init__(self, **more: Any) -> None:
+        super().__init__(**more)
+        self.functions: dict[str, str] = {}
 
     def load(self, name: str) -> SettingsCommand:
         """A command by its name, of one word or two."""
@@ -418,9 +413,9 @@ class _Commands(_Group):
 
     def __init__(self, **more: Any) -> None:
         super().__init__(**more)
-        entries = {name: (*entry, panel) for panel, of in COMMANDS.items() for name, entry in of.items()}
-        self.functions = {name: function for name, (function, _, _) in entries.items()}
-        for name, (function, help, panel) in entries.items():
+        entries = ((*entry, panel) for panel, of in COMMANDS.items() for entry in of.items())
+        for name, (function, help), panel in entries:
+            self.functions[name] = function
             first, _, rest = name.partition(" ")
             if first not in GROUPS:
                 self.add_command(TyperCommand(name, help=help, rich_help_panel=panel))
@@ -428,7 +423,7 @@ class _Commands(_Group):
             more = {"help": GROUPS[first], "rich_help_panel": panel, "no_args_is_help": True}
             group = self.commands.setdefault(first, _Group(name=first, **more))
             assert isinstance(group, _Group)
-            group.functions = {**getattr(group, "functions", {}), rest: function}
+            group.functions[rest] = function
             group.add_command(TyperCommand(rest, help=help))
 
     def invoke(self, ctx: Any) -> Any:
@@ -474,24 +469,25 @@ def settings(settings: _ListedSettings) -> Answer:
     Example: recon settings fit
     """
     if settings.schema:
-        schema = import_module("recon.workflows.config").config_schema()
+        schema = import_module("recon.workflows.clip_results").config_schema()
         return Answer(schema, [Text(json.dumps(schema, indent=1, ensure_ascii=False))])
     command = commands().get(settings.command)
     if command is None:
-        expected = f"one of {', '.join(commands())}"
-        raise InputError(Problem("COMMAND", "command", repr(settings.command), expected))
-    rows = [row_of(info) for info in command.infos.values()]
+        raise InputError(Problem("COMMAND", "command", repr(settings.command), f"one of {', '.join(commands())}"))
+    rows = [
+        {
+            "name": info.field,
+            "written": info.on_command_line,
+            "default": None if info.default is MISSING else info.plain(info.default),
+            "meaning": info.option.help,
+        }
+        for info in command.infos.values()
+    ]
     cells = (
         (r["written"], json.dumps(r["default"] if r["default"] is not None else "").strip('"'), r["meaning"])
         for r in rows
     )
     return Answer(rows, [table_of("setting", "default", "meaning", rows=cells)])
-
-
-def row_of(info: SettingInfo) -> dict[str, Any]:
-    """A setting as JSON has it."""
-    default = None if info.default is MISSING else info.plain(info.default)
-    return {"name": info.field, "written": info.on_command_line, "default": default, "meaning": info.option.help}
 
 
 _NO_MEMORY = re.compile(

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import logging
 import math
+import re
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from importlib import import_module
@@ -22,8 +23,7 @@ from recon.clip import Keypoints, Source, View, clean, held, leave_out, parse_fr
 from recon.fit import TrajectorySolution, solve_trajectory
 from recon.fit.motion import Motion
 from recon.geometry.camera import Camera
-from recon.workflows.cameras import Cameras, ClipCamera, cameras_in, other_camera_in, other_cameras, read_clip_cameras
-from recon.workflows.settings import METHODS, FitSettings
+from recon.workflows.settings import METHODS, UNITS_M, FitSettings, Unit
 
 LOGGER = logging.getLogger("recon")
 RATES_HZ = (1.0, 10_000.0)
@@ -38,6 +38,10 @@ HEIGHT_SIGMA = 0.05
 PADDED, INSIDE = 0.05, 0.9
 """Detectors pad the picture: so far outside keypoints are as good as in it; at least so many of a clip's have to be."""
 _FAR_OUTSIDE = "too far outside the picture to have been found in it"
+
+ClipCamera = tuple[Camera, "io.CameraTrack | None"]
+"""The camera of a keypoint file, with a track its lens only: it has no pose; and the track of a camera that moves."""
+Cameras = tuple[ClipCamera, ...]
 
 
 def fit_clip(settings: FitSettings, progress: Progress = silent) -> Motion:
@@ -143,9 +147,8 @@ class ClipInputs:
 def prepare(settings: FitSettings, read_shared: Callable[[FitSettings], Unknown] | None = None) -> ClipInputs:
     """Everything that comes before solving: the one list of checks, of a fit and of who asks whether it can be done.
     read_shared: `read_model_and_cameras`, or one that remembers. Raises InputError as `fit_clip`."""
-    files, (body, prior, cameras) = all_of(
-        lambda: read_clips(settings), lambda: (read_shared or read_model_and_cameras)(settings)
-    )
+    shared = read_shared or read_model_and_cameras
+    files, (body, prior, cameras) = all_of(lambda: read_clips(settings), lambda: shared(settings))
     later = settings.offset_s or (0.0,) * len(files)
     fps = files[0].fps
     assert fps is not None
@@ -204,15 +207,6 @@ def read_clips(settings: FitSettings) -> list[Keypoints]:
     return list(files)
 
 
-def keypoint_problems(paths: Iterable[Path], individual: str | None) -> list[Problem]:
-    """The problems of the files themselves, beside settings that cannot be used."""
-    try:
-        all_of(*(partial(io.read_keypoints, path, individual) for path in paths))
-    except InputError as error:
-        return list(error.problems)
-    return []
-
-
 def _read_clip(settings: FitSettings, path: Path, given_fps: float | None) -> Keypoints:
     file = io.read_keypoints(path, settings.individual)
     if settings.rename is not None:
@@ -220,8 +214,7 @@ def _read_clip(settings: FitSettings, path: Path, given_fps: float | None) -> Ke
     fps = file.fps if given_fps is None else given_fps
     if fps is not None and not RATES_HZ[0] <= fps <= RATES_HZ[1]:
         where = path if given_fps is None else "--fps" if settings.camera_fps is None else "--set camera-fps"
-        expected = f"{RATES_HZ[0]:g} to {RATES_HZ[1]:g} frames per second"
-        raise InputError(Problem(where, "fps", f"{fps:g}", expected))
+        raise InputError(Problem(where, "fps", f"{fps:g}", f"{RATES_HZ[0]:g} to {RATES_HZ[1]:g} frames per second"))
     return replace(file, fps=fps, stated_fps=file.fps if file.fps != fps else None)
 
 
@@ -335,3 +328,148 @@ def _side(body: Body, keypoints: Keypoints, settings: FitSettings) -> tuple[Side
     if of_facing < of_other / 2:
         return other, f"{reason}, but that side has {of_facing} points and the other {of_other}"
     return facing, reason
+
+
+# -- which camera a keypoint file is of, and where it was -------------------------------------------------------------
+
+
+def read_clip_cameras(settings: FitSettings) -> Cameras:
+    """The camera of each keypoint file. Raises InputError."""
+    tracks = tuple(all_of(*(lambda path=path: io.read_camera_track(path) for path in settings.camera_track or ())))
+    choose = _cameras_of_one if len(settings.keypoints) == 1 else _cameras_of_several
+    chosen = tuple((_as_it_stands(*one, settings.camera_unit), one[1]) for one in choose(settings, tracks))
+    if tracks or settings.up is not None:
+        from recon.workflows import rigs
+
+        refuse(rigs.focal_problems(chosen))
+        chosen = chosen if settings.up is None else rigs.turned_up(chosen, settings.up)
+    if settings.tilt_deg is None:
+        return chosen
+    if any(camera.knows_up for camera, _ in chosen):
+        found = f"{settings.tilt_deg:g} beside the pose in {settings.camera_text}, which says which way is up"
+        raise InputError(Problem("--tilt-deg", "tilt_deg", found, "one of the two"))
+    tilt_rad = math.radians(settings.tilt_deg)
+    return tuple((replace(camera, tilt_rad=tilt_rad), track) for camera, track in chosen)
+
+
+def other_cameras(camera: Camera, settings: FitSettings) -> tuple[Camera, ...]:
+    """The cameras of the camera file that the clip is not said to be of, none where there is no such file."""
+    if settings.camera is None:
+        return ()
+    cameras = io.read_cameras(settings.camera, settings.image_size_px)
+    return tuple(other for other in cameras if other.name != camera.name)
+
+
+def _as_it_stands(camera: Camera, track: io.CameraTrack | None, unit: Unit) -> Camera:
+    """Where the camera file says in that unit where it is; with a track, only that says it."""
+    if track is not None:
+        return replace(camera, rotation=None, translation_m=None, tilt_rad=0.0)
+    if camera.translation_m is None or unit == "m":
+        return camera
+    return replace(camera, translation_m=UNITS_M[unit] * camera.translation_m)
+
+
+def _cameras_of_one(settings: FitSettings, tracks: Sequence[io.CameraTrack]) -> Cameras:
+    """A clip with one keypoint file, whose camera any track is."""
+    track = tracks[0] if tracks else None
+    given = "a camera file" if settings.camera is not None else "--hfov-deg" if settings.hfov_deg is not None else None
+    if track is not None and track.camera is not None:
+        if given is not None:
+            found = f"{given} beside {track.source}, which has the lens"
+            raise InputError(Problem("--camera-track", "camera", found, "one of the two"))
+        return ((_own_lens(track.camera, settings, 0), track),)
+    if settings.camera is not None:
+        return ((_cameras_in_file(settings, ())[0], track),)
+    if settings.hfov_deg is not None and settings.image_size_px is not None:
+        return ((Camera.from_hfov(settings.hfov_deg, settings.image_size_px), track),)
+    found = "nothing" if track is None else f"nothing, and {track.source.name} comes without a lens"
+    raise InputError(Problem("settings", "camera", found, "a camera file, or hfov_deg with image_size_px"))
+
+
+def _own_lens(camera: Camera, settings: FitSettings, place: int) -> Camera:
+    """The lens of a track, named as given. Raises InputError for another size of the picture than is given."""
+    size, given = camera.image_size_px, settings.image_size_px
+    if given is not None and size != given:
+        expected = f"{given[0]}x{given[1]}, as was given"
+        raise InputError(Problem("--camera-track", "image size", f"{size[0]}x{size[1]}", expected))
+    return camera if settings.camera_name is None else replace(camera, name=settings.camera_name[place])
+
+
+def _cameras_of_several(settings: FitSettings, tracks: Sequence[io.CameraTrack]) -> Cameras:
+    """A track is that of the camera whose name its own contains."""
+    from recon.workflows.rigs import problems_of_several
+
+    cameras = _cameras_in_file(settings, tracks)
+    names = [camera.name for camera in cameras]
+    owners = {track.source: list(cameras_in(io.track_label(track.source), dict.fromkeys(names))) for track in tracks}
+    refuse(problems_of_several(settings.camera_text or "--camera", cameras, owners))
+    chosen = []
+    for i, camera in enumerate(cameras):
+        track = next((one for one in tracks if camera.name in owners[one.source]), None)
+        own = None if track is None else track.camera
+        chosen.append((camera if own is None else _own_lens(replace(own, name=camera.name), settings, i), track))
+    return tuple(chosen)
+
+
+def _camera_by_name(settings: FitSettings, place: int, name: str, tracks: Sequence[io.CameraTrack]) -> Camera:
+    """The camera of a track with a lens, or from the camera file."""
+    for track in tracks:
+        if track.camera is not None and name in cameras_in(io.track_label(track.source), settings.camera_name or ()):
+            return _own_lens(track.camera, settings, place)
+    if settings.camera is None:
+        raise InputError(Problem("--camera", "camera", f"no lens of {name}", "a camera file with it"))
+    return io.read_camera(settings.camera, name, settings.image_size_px)
+
+
+def _cameras_in_file(settings: FitSettings, tracks: Sequence[io.CameraTrack]) -> tuple[Camera, ...]:
+    """By name as given, in a track with a lens or in the camera file; else the only one there, or the one whose name
+    the keypoint file's name contains."""
+    if settings.camera_name is not None:
+        named = enumerate(settings.camera_name)
+        return tuple(all_of(*(lambda i=i, name=name: _camera_by_name(settings, i, name, tracks) for i, name in named)))
+    path, cameras = settings.camera_text, io.read_cameras(settings.camera or (), settings.image_size_px)
+    if len(cameras) == 1 == len(settings.keypoints):
+        return cameras
+    if len(cameras) < len(settings.keypoints):
+        found = f"{len(cameras)} of the {len(settings.keypoints)} cameras"
+        expected = "one for each keypoint file: a file that has all of them, or --camera once for each"
+        raise InputError(Problem(path, "camera", found, expected))
+    chosen, problems = [], []
+    for file in settings.keypoints:
+        names = cameras_in(file.stem, [camera.name for camera in cameras])
+        named = [camera for camera in cameras if camera.name in names]
+        chosen += named
+        if len(named) != 1:
+            found = f"{len(cameras)} cameras and no choice"
+            found += f" for {file.name}" if len(settings.keypoints) > 1 else ""
+            expected = f"one of {', '.join(camera.name for camera in cameras)} by --camera-name, or in the file's name"
+            problems.append(Problem(path, "camera", found, expected))
+    refuse(problems)
+    return tuple(chosen)
+
+
+def cameras_in(stem: str, names: Iterable[str]) -> dict[str, re.Match[str]]:
+    """Which cameras' names a file's name has, and where: cam1 is in run_cam1DLC, not in run_cam10; A is in run-A, not
+    in run-Alex. If a file's name has camA or cam-1, the cameras A and 1 are looked for nowhere else in it."""
+    # cam01 is also cam_01 and cam-01, and what Pose2Sim calls int_cam01_img
+    called = {name: re.fullmatch(r"(?:int_)?([A-Za-z]+)[-_ ]?([0-9]+)(?:_img)?", name) for name in names}
+    spelt = {name: re.escape(name) if of is None else f"{of[1]}[-_ ]?{of[2]}" for name, of in called.items()}
+    for before in ("cam(?:era)?[-_ ]?", ""):
+        ends = {name: "(?![0-9])" if name[-1:].isdigit() else "(?![0-9])(?=DLC|[^a-z]|$)" for name in spelt}
+        patterns = {name: rf"(?<![0-9A-Za-z]){before}{spelt[name]}{ends[name]}" for name in spelt}
+        matches = {name: re.search(pattern, stem, re.IGNORECASE) for name, pattern in patterns.items()}
+        found = {name: match for name, match in matches.items() if match is not None}
+        if found:
+            return found
+    return {}
+
+
+def other_camera_in(stem: str, name: str) -> str | None:
+    """The camera that a file's name says, if it is called as this one but for its number: cam1 in run_cam1DLC, where
+    the camera is cam3. None where it says none, or this one."""
+    called = re.fullmatch(r"([A-Za-z]{3,})([-_ ]?)([0-9]+)", name)
+    if called is None:
+        return None
+    word, between, number = called.groups()
+    found = re.findall(rf"(?<![0-9A-Za-z]){word}[-_ ]?([0-9]+)", stem, re.IGNORECASE)
+    return None if not found or int(number) in map(int, found) else f"{word}{between}{found[0]}"

@@ -11,10 +11,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from textwrap import fill
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import numpy as np
 import pandas as pd
+from matplotlib.figure import Figure
 from rich.table import Table
 
 from recon.base import Array, InputError, Problem, Progress, all_of, refuse
@@ -28,9 +29,6 @@ from recon.gait.clip import POSITION_LASTS_S, ClipAnalysis, analyse
 from recon.gait.kinematics import JointKinematics
 from recon.show.plots.style import COLOURS, SMALL, drawing
 from recon.workflows.cli import ANYWAY, Answer, counted, table_of
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 STRIDES, CLIPS, GROUPS, FIGURE = "strides.csv", "clips.csv", "groups.csv", "comparison.png"
 QUANTITIES = {
@@ -71,15 +69,18 @@ def compare(settings: _CompareSettings, progress: Progress) -> Answer:
     """
     out = settings.out
     some = [path for path in settings.folders if not path.is_file()] or settings.folders  # all/* has files of the batch
-    folders = [folder for given in some for folder in _results_in(given)]
+    folders = []
+    for given in some:  # the folder, or those in it, of a batch
+        inside = [given / MOTION] if (given / MOTION).is_file() else sorted(given.glob(f"*/{MOTION}"))
+        if not inside:
+            raise InputError(Problem(given, "folder", "no results", "a folder of results, or of a batch"))
+        folders += [path.parent for path in inside]
     names = [folder.absolute().name for folder in folders]
     refuse(Problem(n, "clip", f"{names.count(n)} folders of that name", "one") for n in {*names} if names.count(n) > 1)
     of_clip = _groups(settings.table, settings.by, names)
     written = [name for table in (GROUPS, STRIDES, CLIPS) for name in (table, table.replace(".csv", ".parquet"))]
     require_free_folder(out, [*written, FIGURE], settings.overwrite, "a comparison")
-    motions = all_of(
-        *(lambda folder=folder: usable(Motion.load(folder), folder, settings.anyway) for folder in folders)
-    )
+    motions = all_of(*(lambda path=path: usable(Motion.load(path), path, settings.anyway) for path in folders))
     rows, clip_rows = [], []
     for i, (name, motion) in enumerate(zip(names, motions, strict=True)):
         progress("analysis", i / len(names))
@@ -122,16 +123,6 @@ def _lines(clips: pd.DataFrame, groups: pd.DataFrame, out: Path) -> Iterator[str
 def _cells(mean: float, sigma: float, spread: float) -> tuple[str, ...]:
     shown = f"{mean:.3g}", f"{sigma:.2g}", f"{spread:.2g}"
     return tuple("-" if one == "nan" else one for one in shown)
-
-
-def _results_in(folder: Path) -> list[Path]:
-    """The folder, or those in it, of a batch."""
-    if (folder / MOTION).is_file():
-        return [folder]
-    inside = sorted(path.parent for path in folder.glob(f"*/{MOTION}"))
-    if not inside:
-        raise InputError(Problem(folder, "folder", "no results", "a folder of results, or of a batch"))
-    return inside
 
 
 def _groups(table: Path | None, by: str | None, names: Sequence[str]) -> dict[str, str]:
@@ -244,13 +235,11 @@ def _figure(clips: pd.DataFrame, groups: pd.DataFrame) -> Figure:
                 axes.errorbar(beside, own[name], own[f"{name}_sigma"], fmt="o", ms=3, lw=0.8, color=colour, alpha=0.7)
                 mean, sigma = groups.loc[groups["group"] == group, [name, f"{name}_sigma"]].to_numpy(float)[0]
                 if np.isfinite(mean):
-                    axes.fill_between(
-                        [at - 0.32, at + 0.32], mean - sigma, mean + sigma, color=colour, alpha=0.25, lw=0
-                    )
-                    axes.plot([at - 0.32, at + 0.32], [mean, mean], color=colour, lw=1.4)
-            axes.set_xticks(
-                range(len(groups)), [fill(name, 14) for name in groups["group"]], rotation=30 if len(groups) > 3 else 0
-            )
+                    wide = [at - 0.32, at + 0.32]
+                    axes.fill_between(wide, mean - sigma, mean + sigma, color=colour, alpha=0.25, lw=0)
+                    axes.plot(wide, [mean, mean], color=colour, lw=1.4)
+            labels = [fill(name, 14) for name in groups["group"]]
+            axes.set_xticks(range(len(labels)), labels, rotation=30 if len(labels) > 3 else 0)
             axes.set_title(QUANTITIES[name][0])
         figure.supxlabel("dots: clips; lines: the groups' means; each ± one standard deviation", fontsize=SMALL)
     return figure

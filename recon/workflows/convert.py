@@ -19,6 +19,7 @@ from recon.fit.motion import Motion
 from recon.io import CONVERTED, Format, Pose3D, in_metres, read_points
 from recon.io.columns import parse_map
 from recon.io.formats import as_keypoints
+from recon.show.plain import by_name
 from recon.show.rig import rig_of
 from recon.workflows.cli import ANYWAY, Answer, table_of
 from recon.workflows.settings import INDIVIDUAL, RENAME
@@ -57,42 +58,27 @@ class ConvertSettings(Settings):
     """Print the formats."""
 
 
-Conversion = tuple[Keypoints | Pose3D, Format, tuple[str, ...]]
-"""What was read, the format that it was written in, and notes."""
-
-
-def convert_command(settings: ConvertSettings) -> Answer:
+def convert(settings: ConvertSettings) -> Answer:
     """Convert 2D keypoints, 3D positions or results from one file format to another, by the extension of OUT.
 
     Example: recon convert results/clip model.osim
 
     3D positions are metres, z up, in all formats but those that have another custom; see recon convert --list.
     """
-    if not settings.show_list:
-        if settings.source is not None and settings.out is not None and (settings.source / ROBOT_FILE).is_file():
-            name = choose_format(settings.out, settings.to, _robot_formats()).name
-            given = settings.source, settings.out, name, settings.fps, settings.overwrite
-            return Answer({"out": settings.out, "format": name}, [import_module(ROBOTS).convert(*given)])
-        data, written, notes = convert(settings)
-        what = f"{len(data.names)} keypoints, 2D" if isinstance(data, Keypoints) else f"{len(data.names)} joints, 3D"
-        frames = f"frames {data.frames[0]} to {data.frames[-1]} ({len(data.frames)})"
-        fps = "frame rate not known" if data.fps is None else f"{data.fps:g} frames per second"
-        lines = [*notes, f"{settings.out}: {written.title}, {what}, {frames}, {fps}"]
-        return Answer({"out": settings.out, "format": written.name, "notes": notes}, lines)
-    every = (*CONVERTED, *_robot_formats())
-    rows = [(f.name, " ".join(f.suffixes), ", ".join(f.writes), f.fps, f.frames, f.axes) for f in every]
-    names = ("--to", "extension", "holds", "frame rate", "frame numbers", "3D axes")
-    first = "Where an extension has several formats, the first is meant unless --to names another."
-    return Answer([dict(zip(names, row, strict=True)) for row in rows], [table_of(*names, rows=rows), first])
-
-
-def convert(settings: ConvertSettings) -> Conversion:
-    """Read a file, or a folder of results (its 3D positions), and write it as `out`, whole or not at all. A missing
-    point is written as the format has it, whichever way the source had it. Raises InputError."""
+    if settings.show_list:
+        every = (*CONVERTED, *_robot_formats())
+        rows = [(f.name, " ".join(f.suffixes), ", ".join(f.writes), f.fps, f.frames, f.axes) for f in every]
+        names = ("--to", "extension", "holds", "frame rate", "frame numbers", "3D axes")
+        first = "Where an extension has several formats, the first is meant unless --to names another."
+        return Answer([by_name(names, row) for row in rows], [table_of(*names, rows=rows), first])
     source, out = settings.source, settings.out
     if source is None or out is None:
         found = "nothing" if source is None else "one file"
         raise InputError(Problem("recon convert", "files", found, "IN and OUT, as in recon convert clip.csv clip.nc"))
+    if (source / ROBOT_FILE).is_file():
+        name = choose_format(out, settings.to, _robot_formats()).name
+        said = import_module(ROBOTS).convert(source, out, name, settings.fps, settings.overwrite)
+        return Answer({"out": out, "format": name}, [said])
     data, target, _ = all_of(
         lambda: read_any(source, settings),
         lambda: choose_format(out, settings.to),
@@ -123,7 +109,11 @@ def convert(settings: ConvertSettings) -> Conversion:
         raise InputError(Problem(source, "content", content, wanted))
     with staged_file(out) as staged:
         target.write(written, staged)
-    return data, target, notes
+    what = f"{len(data.names)} keypoints, 2D" if isinstance(data, Keypoints) else f"{len(data.names)} joints, 3D"
+    frames = f"frames {data.frames[0]} to {data.frames[-1]} ({len(data.frames)})"
+    fps = "frame rate not known" if data.fps is None else f"{data.fps:g} frames per second"
+    lines = [*notes, f"{out}: {target.title}, {what}, {frames}, {fps}"]
+    return Answer({"out": out, "format": target.name, "notes": notes}, lines)
 
 
 def read_any(source: Path, settings: ConvertSettings) -> Keypoints | Pose3D:

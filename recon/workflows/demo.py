@@ -13,7 +13,7 @@ from recon.gait.evaluation import evaluate_files
 from recon.show.report import in_sentences
 from recon.workflows.cli import Answer, answer_of_fit
 from recon.workflows.clip_results import run_clip
-from recon.workflows.look import PageSettings, run_page
+from recon.workflows.look import PageSettings, report
 from recon.workflows.settings import FitSettings
 
 
@@ -42,10 +42,10 @@ def demo(settings: _DemoSettings, progress: Progress) -> Answer:
     """
     samples, out = samples_folder(), settings.out
     of_sample = FitSettings(keypoints=(samples / "whole.csv",), camera=(samples / "camera.toml",), fps=60)
-    report = run_clip(of_sample, out, settings.overwrite, progress)
-    page = run_page(PageSettings(folder=out), progress)
+    of_fit = run_clip(of_sample, out, settings.overwrite, progress)
+    page = report(PageSettings(folder=out), progress).data["page"]
     mpjpe_mm = 1000 * evaluate_files(out / "pose3d.csv", samples / "whole_truth.csv").mpjpe_m.mean
-    answer, found = answer_of_fit(report, out, page, mpjpe_mm=mpjpe_mm), ClipAnalysis(Motion.load(out))
+    answer, found = answer_of_fit(of_fit, out, page, mpjpe_mm=mpjpe_mm), ClipAnalysis(Motion.load(out))
     error = f"Error against the sample's truth: {mpjpe_mm:.0f} mm (MPJPE); what is expected is fitted to real clips"
     said = in_sentences(found.motion, found.reference_motion, found.gait, found.why_no_speed)
     return replace(answer, lines=[*answer.lines, error, *said])

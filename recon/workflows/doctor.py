@@ -67,12 +67,9 @@ def doctor(progress: Progress) -> Answer:
     for check in checks:
         found = check.found + (f"\n{check.hint}" if check.status != "ok" else "")
         table.add_row(check.name, Text(check.status, STYLES[check.status]), Text(found, overflow="fold"))
-    data, said = {"ok": not broken, "checks": [asdict(check) for check in checks]}, "recon works here."
-    return Answer(
-        json.dumps(data, indent=1) + "\n",
-        [table, f"Broken: {', '.join(broken)}" if broken else said],
-        code=int(bool(broken)),
-    )
+    data = {"ok": not broken, "checks": [asdict(check) for check in checks]}
+    said = f"Broken: {', '.join(broken)}" if broken else "recon works here."
+    return Answer(json.dumps(data, indent=1) + "\n", [table, said], code=int(bool(broken)))
 
 
 def run_doctor(progress: Progress = silent) -> tuple[_Check, ...]:

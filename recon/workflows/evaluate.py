@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 from rich.table import Table
 from rich.text import Text
 
 from recon.base.settings import Option, Settings
+from recon.gait.evaluation import LEVELS, Evaluation, evaluate_files
 from recon.workflows.cli import ANYWAY, Answer, table_of, verdict_texts
-
-if TYPE_CHECKING:
-    from recon.gait.evaluation import Evaluation
 
 
 class _EvaluateSettings(Settings):
@@ -37,11 +35,8 @@ def evaluate(settings: _EvaluateSettings) -> Answer:
 
     Example: recon evaluate results/clip truth.csv
     """
-    from recon.gait.evaluation import evaluate_files
-
-    result = evaluate_files(
-        settings.pose3d, settings.truth, settings.anyway, settings.unit, settings.up, settings.rename
-    )
+    given = settings.anyway, settings.unit, settings.up, settings.rename
+    result = evaluate_files(settings.pose3d, settings.truth, *given)
     against = f"{result.pose} against the reference {result.truth}"
     notes = [*_table_notes(result), *(f"Look at this: {note}" for note in result.notes)]
     return Answer(result.to_dict(), [*verdict_texts(result.verdict), against, _table(result), *notes])
@@ -64,8 +59,6 @@ def _table(result: Evaluation) -> Table:
 
 
 def _table_notes(result: Evaluation) -> Iterator[str]:
-    from recon.gait.evaluation import LEVELS
-
     thresholds = ", ".join(f"{1000 * t:.0f}" for t, _ in result.pck)
     yield "MPJPE   mean distance of the joints from the reference, each frame centred"
     yield "MPE     without centring"

@@ -24,7 +24,7 @@ from recon.io import write_cameras
 from recon.workflows.batch.inputs import AUTO, find_clips
 from recon.workflows.cli import Answer, OptionsOf, say
 from recon.workflows.clip import ClipInputs, prepare
-from recon.workflows.config import read_settings
+from recon.workflows.clip_results import read_settings
 from recon.workflows.settings import FitSettings
 
 DISAGREEMENT = 16.0
@@ -165,9 +165,8 @@ def run_extrinsics(
     )
     write_cameras(found, out)
     names, rows = [camera.name for camera in found], []
-    for clip, sources, of, late_frames, apart in zip(
-        clips, in_step, given, rig.time_offset_frames, rig.disagreement, strict=True
-    ):
+    each = zip(clips, in_step, given, rig.time_offset_frames, rig.disagreement, strict=True)
+    for clip, sources, of, late_frames, apart in each:
         late_s = dict(zip(names, np.array(late_frames) / of[0].fps, strict=True))
         began_s = np.array([source.offset_s + late_s[source.camera.name] for source in sources])
         offsets = {"offset_s": (began_s - began_s[0]).tolist(), "found_offsets": bool(clip.find_offsets)}

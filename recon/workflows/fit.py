@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
 from rich.console import Console
 
-from recon.base import InputError, Problem, Progress
+from recon.base import InputError, Problem, Progress, all_of, problems_of
 from recon.base.settings import Settings
 from recon.workflows.cli import Answer, OptionsOf, answer_of_fit, say
-from recon.workflows.config import read_settings
 from recon.workflows.settings import FitSettings
 
 
@@ -35,16 +35,16 @@ def fit(settings: FitRunSettings, given: _OfFit, console: Console, progress: Pro
 
     Exit code 0: done, whatever the verdict. 1: no frame could be solved. 2: the input cannot be used.
     """
-    from recon.workflows.clip import keypoint_problems
-    from recon.workflows.clip_results import read_config, replaced_files, run_clip
+    from recon.io import read_keypoints
+    from recon.workflows.clip_results import read_config, read_settings, replaced_files, run_clip
 
     out, config = settings.out, settings.config
     no_out = [Problem("--out", "folder", "nothing", "a folder for the results, as in results/clip1")]
     try:
         fitted = read_settings(None, given) if config is None else read_config(config, given)
     except InputError as error:
-        files = keypoint_problems(given.get("keypoints") or (), given.get("individual"))
-        raise InputError((*files, *error.problems, *([] if out else no_out))) from None
+        read = (partial(read_keypoints, path, given.get("individual")) for path in given.get("keypoints") or ())
+        raise InputError((*problems_of(lambda: all_of(*read)), *error.problems, *([] if out else no_out))) from None
     if out is None:
         raise InputError(no_out)
     for path in [] if config is None else replaced_files(config, given, fitted):

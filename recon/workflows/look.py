@@ -21,9 +21,8 @@ from recon.base.parallel import Event, carry_out
 from recon.base.settings import Integer, Number, Option, Settings
 from recon.check import FLAG_OF, usable
 from recon.fit.motion import Motion
-from recon.fit.result import Verdict
 from recon.gait.clip import analyse
-from recon.io.video import Image, VideoInfo, missing_note, probe, require_codec, size_problems, video_writer
+from recon.io.video import Image, missing_note, probe, require_codec, size_problems, video_writer
 from recon.show import view as viewer
 from recon.show.overlay import SIDE_COLOURS, Overlay, canvas_size, clip_frames, draw_frame, draw_tiles
 from recon.show.page import PAGE, require_own_page
@@ -32,8 +31,8 @@ from recon.show.report import REPORT
 from recon.workflows.analyse import FOLDER, PLAYBACK
 from recon.workflows.analyse import SUMMARY as ANALYSIS
 from recon.workflows.batch import SUMMARY, write_summary_page
-from recon.workflows.cameras import cameras_in
 from recon.workflows.cli import ANYWAY, FIRST_FRAME, Answer, error_text, say, terminal, verdict_texts
+from recon.workflows.clip import cameras_in
 
 SLOW_FPS = 30.0
 """Every frame is shown, and no more than this many in a second, unless a speed is given."""
@@ -58,28 +57,22 @@ class _ResultSettings(Settings):
     first_frame: Annotated[Integer, FIRST_FRAME] = 0
 
 
-def result_and_video(settings: _ResultSettings, *checks: Callable[[], object]) -> tuple[Motion, int, tuple[int, int]]:
-    """A result, which of its cameras is meant, and the size of the pictures: the video's, if there is one, which has to
-    be of that camera. checks: of what else was given. Raises InputError."""
+def result_and_video(settings: _ResultSettings, *checks: Callable[[], object]) -> tuple[Motion, int]:
+    """A result, and which of its cameras is meant; the video, if there is one, has to be of that camera. checks: of
+    what else was given. Raises InputError."""
     video = settings.video
 
     def opened() -> tuple[Motion, int]:
         motion, info = all_of(lambda: Motion.load(settings.folder), lambda: None if video is None else probe(video))
-        number = camera_number(motion, settings.camera_name, video)
-        if info is not None:
-            refuse(_video_problems(motion, number, settings, info))
+        number, first = camera_number(motion, settings.camera_name, video), int(motion.frames.min())
+        if video is not None and info is not None:
+            expected = f"{first} or less: the result begins with frame {first}"
+            late = Problem("--first-frame", "number", str(settings.first_frame), expected)
+            wrong = size_problems(video, info, motion.cameras[number])
+            refuse([*wrong, *([late] if settings.first_frame > first else ())])
         return motion, number
 
-    (motion, number), *_ = all_of(opened, *checks)
-    return motion, number, motion.cameras[number].image_size_px
-
-
-def _video_problems(motion: Motion, number: int, settings: _ResultSettings, info: VideoInfo) -> Iterator[Problem]:
-    yield from size_problems(settings.video or Path(), info, motion.cameras[number])
-    first = int(motion.frames.min())
-    if settings.first_frame > first:
-        expected = f"{first} or less: the result begins with frame {first}"
-        yield Problem("--first-frame", "number", str(settings.first_frame), expected)
+    return all_of(opened, *checks)[0]
 
 
 def camera_number(motion: Motion, camera: str | None, video: Path | None) -> int:
@@ -113,27 +106,15 @@ class OverlaySettings(_ResultSettings):
     """Replace the new files."""
 
 
-def overlay(settings: OverlaySettings, progress: Progress) -> Answer:
+def overlay(settings: OverlaySettings, progress: Progress = silent) -> Answer:
     """Draw a reconstruction on its video: detections, skeleton, doubtful frames, and the pose from three sides.
 
     Example: recon overlay results/clip --video clip.mp4 --out overlay.mp4
     """
-    frames, fps, speed, verdict, notes = run_overlay(settings, progress)
-    said = f"{frames} frames at {speed:.3g} times their speed ({fps:.4g} a second) are in {settings.out}."
-    data = {"out": settings.out, "frames": frames, "fps": fps, "speed": speed, "notes": notes}
-    return Answer(data, [*verdict_texts(verdict), *(f"note: {note}" for note in notes), said])
-
-
-def run_overlay(
-    settings: OverlaySettings, progress: Progress = silent
-) -> tuple[int, float, float, Verdict | None, list[str]]:
-    """Every frame of a result's clip, drawn on the video that it came from. Gives how many there are, how many a
-    second, the speed, 1 being real time, the verdict on the clip, and what the video's frame rate and time stamps speak
-    against. Raises InputError, with every problem, for inputs that do not belong together; then nothing is written."""
     video, out = settings.video, settings.out
     free = partial(require_free_file, out, settings.overwrite, source=video)
-    motion, number, (wide, high) = result_and_video(settings, lambda: require_codec(out), free)
-    usable(motion, settings.folder, settings.anyway)
+    motion, number = result_and_video(settings, lambda: require_codec(out), free)
+    wide, high = usable(motion, settings.folder, settings.anyway).cameras[number].image_size_px
     speed = min(1.0, SLOW_FPS / motion.fps) if settings.speed is None else settings.speed
     zoom = -(-MIN_WIDTH_PX // wide)
     drawn = overlay_of(motion, speed, zoom, number)
@@ -150,7 +131,9 @@ def run_overlay(
     before = first - settings.first_frame if len(stamps_s) == count else None
     of_times = missing_note(video, np.array(stamps_s), first, before)
     notes = [note for note in (first_frame_note(motion, settings), rate_note(video, motion.fps), of_times) if note]
-    return count, fps, speed, motion.verdict, notes
+    said = f"{count} frames at {speed:.3g} times their speed ({fps:.4g} a second) are in {out}."
+    data = {"out": out, "frames": count, "fps": fps, "speed": speed, "notes": notes}
+    return Answer(data, [*verdict_texts(motion.verdict), *(f"note: {note}" for note in notes), said])
 
 
 def stills(
@@ -240,7 +223,7 @@ class PageSettings(_ResultSettings):
     """Folder of results, as in results/clip, or of a batch."""
 
 
-def report(settings: PageSettings, progress: Progress) -> Answer:
+def report(settings: PageSettings, progress: Progress = silent) -> Answer:
     """Make a page of a result to look at and to pass on: report.html in its folder, one file that opens in any browser.
 
     In the folder of a batch, those of all clips, and summary.html with links to them. A page that was made before is
@@ -248,50 +231,29 @@ def report(settings: PageSettings, progress: Progress) -> Answer:
 
     Example: recon report results/clip --video clip.mp4
     """
-    folder = settings.folder
-    of_batch = (folder / SUMMARY).is_file() and not (folder / REPORT).is_file()
-    if of_batch and settings.video is not None:
-        raise InputError(
-            Problem("--video", "file", f"{settings.video} for many clips", "the folder of one clip's results")
-        )
-    failed, note = dict[str, str](), None
-    if of_batch:
-        page, failed = _batch_pages(folder, progress)
-    else:
-        page, note = _noted_page(settings, progress)
-    for clip, error in failed.items():
-        terminal(stderr=True, soft_wrap=True).print(error_text(f"{clip}: {error}"))
-    said = [f"note: {note}"] if note else []
-    return Answer({"page": page, "failed": failed}, [*said, f"Open {page} in a browser."])
-
-
-def run_page(settings: PageSettings, progress: Progress = silent) -> Path:
-    """The page of a result, in its folder; an earlier one is replaced. Raises InputError, with every problem."""
-    return _noted_page(settings, progress)[0]
-
-
-def _noted_page(settings: PageSettings, progress: Progress) -> tuple[Path, str | None]:
-    page, video = settings.folder / PAGE, settings.video
-    motion, number, _ = result_and_video(settings, lambda: require_own_page(page))
+    folder, page, video = settings.folder, settings.folder / PAGE, settings.video
+    if (folder / SUMMARY).is_file() and not (folder / REPORT).is_file():
+        return _pages_of_batch(folder, video, progress)
+    motion, number = result_and_video(settings, lambda: require_own_page(page))
     progress("pictures", 0.1)
     drawn, rows, pictures = stills(motion, number, settings, STILLS)
     tiles = draw_tiles(drawn, rows, pictures) if len(rows) else []
     shown = [(jpeg(tile), f"frame {drawn.frames[t]}") for tile, t in zip(tiles, rows, strict=True)]
     progress("figures", 0.3)
-    html = clip_page(motion, shown, None if video is None else video.name, _files(settings.folder), number)
+    names = [*BESIDE, *(sorted(read_manifest(folder).files) if (folder / MANIFEST).is_file() else ())]
+    files = [name for name in names if (folder / name).is_file()]
+    html = clip_page(motion, shown, None if video is None else video.name, files, number)
     with staged_file(page) as staged:
         staged.write_text(html, encoding="utf-8")
-    return page, first_frame_note(motion, settings)
+    note = first_frame_note(motion, settings)
+    said = [f"note: {note}"] if note else []
+    return Answer({"page": page, "failed": {}}, [*said, f"Open {page} in a browser."])
 
 
-def _files(folder: Path) -> list[str]:
-    names = [*BESIDE, *(sorted(read_manifest(folder).files) if (folder / MANIFEST).is_file() else ())]
-    return [name for name in names if (folder / name).is_file()]
-
-
-def _batch_pages(out: Path, progress: Progress) -> tuple[Path, dict[str, str]]:
-    """The page of every result in the folder of a batch, in parallel, and the summary's page; its path, and what went
-    wrong by clip."""
+def _pages_of_batch(out: Path, video: Path | None, progress: Progress) -> Answer:
+    """The page of every result in the folder of a batch, in parallel, and the summary's page."""
+    if video is not None:
+        raise InputError(Problem("--video", "file", f"{video} for many clips", "the folder of one clip's results"))
     failed: dict[str, str] = {}
     with sole_writer(out):
         clips = [path.parent for path in sorted(out.glob(f"*/{REPORT}"))]
@@ -306,11 +268,14 @@ def _batch_pages(out: Path, progress: Progress) -> tuple[Path, dict[str, str]]:
                 progress(f"{done} of {len(clips)} pages", done / len(clips))
 
         carry_out(_page_of, [(clip.name, clip.absolute()) for clip in clips], tell)
-        return write_summary_page(out), failed
+        page = write_summary_page(out)
+    for clip, error in failed.items():
+        terminal(stderr=True, soft_wrap=True).print(error_text(f"{clip}: {error}"))
+    return Answer({"page": page, "failed": failed}, [f"Open {page} in a browser."])
 
 
 def _page_of(folder: Path, progress: Progress) -> dict[str, str]:
-    run_page(PageSettings(folder=folder), progress)
+    report(PageSettings(folder=folder), progress)
     return {"status": "done"}
 
 
@@ -348,7 +313,7 @@ def view(settings: _ViewSettings, console: Console) -> Answer:
     analysed = (folder / FOLDER / ANALYSIS).is_file()
     with TemporaryDirectory() as temporary:
         if out is not None or settings.video is not None or analysed:
-            motion, number, _ = result_and_video(settings)
+            motion, number = result_and_video(settings)
             if note := first_frame_note(motion, settings):
                 say(console, f"note: {note}")
             found = analyse(motion) if analysed else None

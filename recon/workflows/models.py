@@ -326,8 +326,7 @@ class SubjectFitSettings(Settings):
         if self.poses and (self.lengths or not self.offsets):
             yield Problem("--poses", "unknowns", "lengths, or no offsets", "--no-lengths --offsets beside it")
         if self.poses and len(self.poses) != len(self.clips):
-            found = f"{len(self.poses)} for {len(self.clips)} clips"
-            yield Problem("--poses", "files", found, "one for each clip")
+            yield Problem("--poses", "files", f"{len(self.poses)} for {len(self.clips)} clips", "one for each clip")
 
 
 def subject_fit(settings: SubjectFitSettings) -> Answer:
@@ -351,8 +350,7 @@ def _subject_lines(found: dict[str, Any], out: Path) -> Iterator[str | Table]:
             sigma = max(row["sigma"] for row in three)
             values = (f"{row['value']:.0f}" for row in three)
             rows.append((three[0]["name"].removesuffix("_x"), *values, f"{sigma:.0f}"))
-        columns = ("forwards", "left", "up", "±")
-        yield table_of("keypoint off its marker, mm", numbers=columns, rows=rows)
+        yield table_of("keypoint off its marker, mm", numbers=("forwards", "left", "up", "±"), rows=rows)
     if lengths:
         yield f"Size: {found['size']:.3f} ± {found['size_sigma']:.3f} of the skeleton's lengths."
     if not found["converged"]:
@@ -372,9 +370,7 @@ def run_subject_fit(settings: SubjectFitSettings) -> dict[str, Any]:
     all of them.
     """
     fits, _, known = all_of(
-        lambda: all_of(
-            *(partial(read_config, path / CONFIG if path.is_dir() else path, {}) for path in settings.clips)
-        ),
+        lambda: all_of(*(partial(read_config, p / CONFIG if p.is_dir() else p, {}) for p in settings.clips)),
         lambda: require_free_file(settings.out, settings.overwrite, suffixes=(".toml",)),
         lambda: all_of(*(partial(read_pose3d, path) for path in settings.poses)),
     )

@@ -25,9 +25,7 @@ _Cameras = tuple[tuple[Camera, "io.CameraTrack | None"], ...]
 """The camera of each keypoint file, with its track where it moves."""
 
 
-def problems_of_several(
-    file: str, cameras: Sequence[Camera], owners: Mapping[Path, Sequence[str]]
-) -> Iterator[Problem]:
+def problems_of_several(file: str, cameras: Sequence[Camera], owners: Mapping[Path, list[str]]) -> Iterator[Problem]:
     """What cameras that film together must have. owners: of each track the cameras whose names its own contains."""
     names = [camera.name for camera in cameras]
     for name in sorted({name for name in names if names.count(name) > 1}):
@@ -121,9 +119,8 @@ def turned_up(cameras: _Cameras, up: str) -> _Cameras:
         values, wrong = numbers(cells)
         direction = values if len(cells) == 3 and not wrong and np.isfinite(values).all() else np.zeros(3)
     if not np.linalg.norm(direction) > 0:
-        raise InputError(
-            Problem("--set up", "direction", repr(up), f"x, y or z, -x, -y or -z, {FIRST_CAMERA}, or 0,-1,0")
-        )
+        expected = f"x, y or z, -x, -y or -z, {FIRST_CAMERA}, or 0,-1,0"
+        raise InputError(Problem("--set up", "direction", repr(up), expected))
     refuse(
         Problem("--set up", f"camera {camera.name}", why, "poses that do not say which way is up")
         for camera, _ in cameras

@@ -27,14 +27,13 @@ from recon.io.video import SUFFIXES, probe, size_problems
 from recon.show.page import PAGE, SUMMARY_PAGE, require_own_page
 from recon.show.plain import picked
 from recon.show.report import build_report, is_unsolved
-from recon.workflows.analyse import AnalyseSettings, run_analyse
+from recon.workflows.analyse import AnalyseSettings, analyse_command
 from recon.workflows.batch import Clip, ClipPlan, OnEvent, Summary, results_of, shown_batch, work_off
 from recon.workflows.batch.inputs import file_names
 from recon.workflows.cli import FIRST_FRAME, Answer, OptionsOf, answer_of_fit, progress_bar, say
 from recon.workflows.clip import fit_clip, read_model_and_cameras
-from recon.workflows.clip_results import Record, file_sha256, identity, identity_of, output_files, write_clip
-from recon.workflows.config import read_settings
-from recon.workflows.look import OverlaySettings, PageSettings, rate_note, run_overlay, run_page
+from recon.workflows.clip_results import Record, digest, identity, identity_of, output_files, read_settings, write_clip
+from recon.workflows.look import OverlaySettings, PageSettings, overlay, rate_note, report
 from recon.workflows.settings import SETTINGS, FitSettings
 
 RECORD = "run.jsonl"
@@ -136,12 +135,12 @@ def run(settings: _RunSettings, given: _OfFit, console: Console) -> Answer:
         return shown_batch(console, len(plan), partial(run_folder, plan, settings.out, settings.jobs))
     with progress_bar(console) as progress:
         job = job_of(settings, given)
-        done, report = run_video(job, progress, lambda stage: say(console, _line(stage)))
-    of_rate = rate_note(settings.video, job.fit.fps)
-    for note in dict.fromkeys([*([of_rate] if of_rate else ()), *(note for stage in done for note in stage.notes)]):
+        done, found = run_video(job, progress, lambda stage: say(console, _line(stage)))
+    notes = [rate_note(settings.video, job.fit.fps), *(note for stage in done for note in stage.notes)]
+    for note in filter(None, dict.fromkeys(notes)):
         say(console, f"note: {note}")
     stages = [{"stage": s.stage, "status": s.status, "seconds": round(s.seconds, 3)} for s in done]
-    return answer_of_fit(report, settings.out, settings.out / PAGE, stages=stages)
+    return answer_of_fit(found, settings.out, settings.out / PAGE, stages=stages)
 
 
 def _line(done: _StageOutcome) -> str:
@@ -186,8 +185,7 @@ def run_video(
 ) -> tuple[list[_StageOutcome], dict[str, Any]]:
     """All stages of a video, and the report of its fit; ended: told of each. Raises InputError where one cannot be
     done; what was done before stays."""
-    file_sha256.cache_clear()  # files may have changed since
-    out, report = job.run.out, {}
+    out, found = job.run.out, {}
     with sole_writer(out):
         record, stages, dones, again = Record(out / RECORD), _stages(job), [], False
         for number, (name, stage) in enumerate(stages.items()):
@@ -196,27 +194,25 @@ def run_video(
             def tell(what: str, share: float, number: int = number, name: str = name) -> None:
                 progress(f"{name}: {what}", (number + share) / len(stages))
 
-            if name in ("analyse", "overlay") and report["summary"]["frames_with_pose"] < MIN_POINTS:
+            if name in ("analyse", "overlay") and found["summary"]["frames_with_pose"] < MIN_POINTS:
                 done = _StageOutcome(name, "left out", 0.0)
             else:
                 done = _carry_out(name, stage, job, record, again, tell)
             if name == "fit":
-                report = build_report(Motion.load(out))
+                found = build_report(Motion.load(out))
             dones.append(done)
             ended(done)
-        return dones, report
+        return dones, found
 
 
 def _carry_out(name: str, stage: _Stage, job: _Job, record: Record, again: bool, progress: Progress) -> _StageOutcome:
     began, known, before = time.perf_counter(), stage.identity(), record.rows.get(name)
     out, files = job.run.out, (before or {}).get("files", {})
-    changed = [path for path, digest in files.items() if not (out / path).is_file() or sha256_of(out / path) != digest]
+    changed = [out / path for path, sha256 in files.items() if digest(out / path) != sha256]
     if not again and not job.run.overwrite:
-        _require_own(name, stage, before is None, [out / path for path in changed])
+        _require_own(name, stage, before is None, changed)
     if files and before is not None and before["identity"] == known and not again and not changed:
-        return _StageOutcome(
-            name, "unchanged", time.perf_counter() - began, tuple(files), tuple(before.get("notes", ()))
-        )
+        return _StageOutcome(name, "unchanged", time.perf_counter() - began, tuple(files), tuple(before["notes"]))
     if name in ("detect", "camera-motion", "fit"):
         _check_inputs(job)
     record.note(name, known)
@@ -248,7 +244,9 @@ def _check_inputs(job: _Job) -> None:
 def _stages(job: _Job) -> dict[str, _Stage]:
     """The stages that this job has, by name."""
     run, given, out = job.run, job.given, job.run.out
-    keypoints, film, first = given.keypoints[0], {"video": run.video}, {"first_frame": run.first_frame}
+    keypoints = given.keypoints[0]
+    film: dict[str, Any] = {"video": run.video}
+    first: dict[str, Any] = {"first_frame": run.first_frame}
     fit, places = {"fit": out / MANIFEST}, tuple(out / name for name in output_files(out) if name != PAGE)
 
     def detect(progress: Progress) -> tuple[Iterable[Path], Iterable[str]]:
@@ -256,11 +254,11 @@ def _stages(job: _Job) -> dict[str, _Stage]:
         return [keypoints], import_module(DETECTOR).run_prediction(run.video, run.model, keypoints, **how).notes
 
     def follow(progress: Progress) -> tuple[Iterable[Path], Iterable[str]]:
-        from recon.workflows.camera_motion import NOTES, of_clip, run_camera_motion
+        from recon.workflows.camera_motion import NOTES, camera_motion, of_clip
 
         settings = of_clip(given, run.video, run.track, **first, zoom=run.camera_motion == "zooms", overwrite=True)
-        report, files = run_camera_motion(settings, progress=progress)
-        return files, report["notes"][len(NOTES) :]
+        followed = camera_motion(settings, progress)
+        return followed.files, followed.data["notes"][len(NOTES) :]
 
     def solve(progress: Progress) -> tuple[Iterable[Path], Iterable[str]]:
         began, motion = time.perf_counter(), fit_clip(job.fit, progress)
@@ -268,17 +266,14 @@ def _stages(job: _Job) -> dict[str, _Stage]:
         return [out / name for name in (*read_manifest(out).files, MANIFEST)], ()
 
     def analyse(progress: Progress) -> tuple[Iterable[Path], Iterable[str]]:
-        return run_analyse(AnalyseSettings(folder=out, overwrite=True), progress=progress)[2], ()
+        return analyse_command(AnalyseSettings(folder=out, overwrite=True), progress).files, ()
 
     def draw(progress: Progress) -> tuple[Iterable[Path], Iterable[str]]:
-        settings = OverlaySettings(
-            folder=out, out=out / OVERLAY, overwrite=True, video=run.video, first_frame=run.first_frame
-        )
-        return [out / OVERLAY], run_overlay(settings, progress=progress)[-1]
+        settings = OverlaySettings(folder=out, out=out / OVERLAY, overwrite=True, **film, **first)
+        return [out / OVERLAY], overlay(settings, progress).data["notes"]
 
     def page(progress: Progress) -> tuple[Iterable[Path], Iterable[str]]:
-        settings = PageSettings(folder=out, video=run.video, first_frame=run.first_frame)
-        return [run_page(settings, progress=progress)], ()
+        return [report(PageSettings(folder=out, **film, **first), progress).data["page"]], ()
 
     stages = {}
     if run.model is not None:
@@ -305,15 +300,12 @@ def jobs_of(run: _RunSettings, given: Mapping[str, Any]) -> list[_Job]:
     if not videos:
         raise InputError(Problem(run.video, "files", "no videos", f"files that end in {', '.join(SUFFIXES)}"))
     names = file_names(videos)
-    jobs, problems = [], []
-    for video in videos:
-        try:
-            keypoints = None if run.keypoints is None else keypoints_of(video, run.keypoints)
-            jobs.append(job_of(replace(run, video=video, out=run.out / names[video], keypoints=keypoints), given))
-        except InputError as error:
-            problems += error.problems
-    refuse(dict.fromkeys(problems))  # what all videos have in common is said once
-    return jobs
+
+    def job(video: Path) -> _Job:
+        keypoints = None if run.keypoints is None else keypoints_of(video, run.keypoints)
+        return job_of(replace(run, video=video, out=run.out / names[video], keypoints=keypoints), given)
+
+    return all_of(*(partial(job, video) for video in videos))
 
 
 def keypoints_of(video: Path, folder: Path) -> Path:
@@ -345,6 +337,6 @@ def run_folder(
 
 def _row_of(job: _Job, progress: Progress) -> dict[str, Any]:
     """All of `recon run` on one video: columns of its summary."""
-    stages, report = run_video(job, progress)
+    stages, found = run_video(job, progress)
     new = any(done.status == "done" for done in stages)
-    return {"status": "unsolved" if is_unsolved(report) else "done" if new else "done earlier", **results_of(report)}
+    return {"status": "unsolved" if is_unsolved(found) else "done" if new else "done earlier", **results_of(found)}

@@ -126,9 +126,7 @@ class FitSettings(Settings):
     detector: Annotated[NameOrFile | None, _RARE_TRAJECTORY] = None
     """Where the detector's keypoints lie beside the markers: a built-in name, as in acinoset, a TOML file, or none.
     (default: as the subject's or skeleton's file says, or the keypoint file's scorer)"""
-    likelihood_min: Annotated[
-        Annotated[Number, Field(ge=0, le=1)], Option(expected="a number from 0 to 1", common=False)
-    ] = 0.5
+    likelihood_min: Annotated[Number, Field(ge=0, le=1), Option(expected="a number from 0 to 1", common=False)] = 0.5
     """Leave out points less likely than this, 0 to 1."""
     side: Annotated[Literal["auto", "left", "right"], _RARE] = "auto"
     """Which side of a one-sided skeleton to fit."""

@@ -37,9 +37,8 @@ from recon.geometry.kinematics import ANGLE_OF_AXIS, AXES
 from recon.io import read_keypoints
 from recon.io.deeplabcut_project import bodyparts, find_project
 from recon.show.plain import by_name, picked
-from recon.workflows.cameras import read_clip_cameras
 from recon.workflows.cli import Answer, table_of
-from recon.workflows.clip import arrange, read_clips
+from recon.workflows.clip import arrange, read_clip_cameras, read_clips
 from recon.workflows.settings import INDIVIDUAL, FitSettings
 
 STEMS = ("skeleton", "angles")
@@ -67,9 +66,8 @@ def skeleton_list() -> Answer:
     Example: recon skeleton list
     """
     shown = ("name", "kind", "markers", "unknowns", "title")
-    found = [
-        {name: c[name] for name in shown} | {"markers": len(c["markers"])} for c in map(check_skeleton, builtin_names())
-    ]
+    checks = map(check_skeleton, builtin_names())
+    found = [{name: c[name] for name in shown} | {"markers": len(c["markers"])} for c in checks]
     return Answer(found, [table_of(*shown, rows=(map(str, row.values()) for row in found))])
 
 
@@ -121,8 +119,7 @@ def check_skeleton(name_or_path: str | Path, subject: str | Path | None = None) 
     frame, `prior` is the one that a fit takes by default, and `remarks` say what is allowed, but looks like a mistake.
     Raises InputError, naming every problem, for a file that describes no skeleton."""
     body = load_skeleton(name_or_path, subject)
-    points = body.expected_points_m()
-    length, _, height = np.ptp(points, axis=0).tolist()
+    length, _, height = np.ptp(body.expected_points_m(), axis=0).tolist()
     return {
         **picked(body, "name", "title", "size_sigma", "keypoint_sigma_m", "limbs"),
         "kind": "chain" if body.one_sided else "whole animal",
@@ -161,8 +158,7 @@ def _segments(body: Body) -> Iterator[dict[str, Any]]:
 
 
 def _remarks(body: Body) -> Iterator[str]:
-    points = body.expected_points_m()
-    at = dict(zip(body.markers, points, strict=True))
+    at = dict(zip(body.markers, body.expected_points_m(), strict=True))
     rear, front = (at[marker] for marker in body.forward)
     if front[0] <= rear[0]:
         yield f"forward: in the expected pose {body.forward[1]} is not ahead (x) of {body.forward[0]}."
@@ -228,32 +224,26 @@ def skeleton_from_keypoints(settings: _SkeletonDraftSettings) -> Answer:
 
     Example: recon skeleton from-keypoints clip.csv --out my-animal.toml
     """
-    (markers, others, _), out = run_skeleton_draft(settings), settings.out
-    other = [f"{name} as {marker}" for name, marker in markers.items() if name != marker]
-    lines = [f"{out}: {len(markers)} of {len(markers) + len(others)} keypoints have a place."]
-    lines += [f"Taken for the quadruped's: {', '.join(other)}."] if other else []
-    lines += [f"Without a place: {', '.join(others)}."] if others else []
-    look = f"Look at it with: recon skeleton check {shlex.quote(str(out))} --out pictures"
-    return Answer({"out": out, "keypoints": markers, "without_place": others}, [*lines, look])
-
-
-def run_skeleton_draft(settings: _SkeletonDraftSettings) -> SkeletonDraft:
-    """`recon skeleton from-keypoints`: write a draft of a skeleton for a keypoint file. Raises InputError."""
+    out, source = settings.out, settings.keypoints[0]
     for path in settings.keypoints:
-        require_free_file(settings.out, settings.overwrite, source=path)
-    source = settings.keypoints[0]
+        require_free_file(out, settings.overwrite, source=path)
     if settings.camera is not None:
-        draft = _of_geometry(settings)
+        markers, others, text = _of_geometry(settings)
     elif len(settings.keypoints) > 1:
         found = f"{len(settings.keypoints)} files without --camera"
         raise InputError(Problem("KEYPOINTS", "files", found, "one, for its names; or --camera beside several"))
     else:
         project = find_project(source)
         names = bodyparts(project) if project else read_keypoints(source, settings.individual).names
-        draft = draft_skeleton(names, settings.out.stem, project.folder if project else source)
-    with staged_file(settings.out) as staged:
-        staged.write_text(draft[-1], encoding="utf-8")
-    return draft
+        markers, others, text = draft_skeleton(names, out.stem, project.folder if project else source)
+    with staged_file(out) as staged:
+        staged.write_text(text, encoding="utf-8")
+    other = [f"{name} as {marker}" for name, marker in markers.items() if name != marker]
+    lines = [f"{out}: {len(markers)} of {len(markers) + len(others)} keypoints have a place."]
+    lines += [f"Taken for the quadruped's: {', '.join(other)}."] if other else []
+    lines += [f"Without a place: {', '.join(others)}."] if others else []
+    look = f"Look at it with: recon skeleton check {shlex.quote(str(out))} --out pictures"
+    return Answer({"out": out, "keypoints": markers, "without_place": others}, [*lines, look])
 
 
 def _of_geometry(settings: _SkeletonDraftSettings) -> SkeletonDraft:
@@ -357,9 +347,8 @@ def drafted(names: Sequence[str], points_m: Array, fps: float, title: str, sourc
     kept = np.flatnonzero(seen.sum(axis=0) >= FEWEST_FRAMES)
     if len(kept) < animal.MIN_JOINTS or (seen[:, kept].T.astype(int) @ seen[:, kept]).min() < FEWEST_FRAMES:
         found = f"{len(kept)} that two cameras see in {FEWEST_FRAMES} frames, not all of them together"
-        raise InputError(
-            Problem(source, "keypoints", found, f"{animal.MIN_JOINTS} or more, each together with each other")
-        )
+        expected = f"{animal.MIN_JOINTS} or more, each together with each other"
+        raise InputError(Problem(source, "keypoints", found, expected))
     points, labels = points_m[:, kept], [names[k] for k in kept.tolist()]
     apart = np.stack([np.linalg.norm(points - point[:, None], axis=2) for point in points.swapaxes(0, 1)], axis=1)
     usual_m = np.nanmedian(apart, axis=0)
@@ -368,9 +357,7 @@ def drafted(names: Sequence[str], points_m: Array, fps: float, title: str, sourc
     same_m = max(NOISE * float(np.median(nearest_m)), RIGID * long_m)  # nearly every point is on a body with another
     if same_m > TOO_MUCH * long_m:
         found = f"distances between neighbours change by {1000 * same_m / NOISE:.1f} mm in an animal of {long_m:.3g} m"
-        expected = (
-            f"by {TOO_MUCH / NOISE:.0%} or less of its length, to tell what bends from noise: more or nearer cameras"
-        )
+        expected = f"by {TOO_MUCH / NOISE:.0%} or less of its length; more or nearer cameras tell what bends from noise"
         raise InputError(Problem(source, "keypoints", found, expected))
     of = fcluster(linkage(squareform(changes_m, checks=False), "complete"), same_m, "distance")
     bodies = [np.flatnonzero(of == i).tolist() for i in np.unique(of)]

@@ -24,7 +24,7 @@ from rich.table import Table
 from rich.text import Text
 from threadpoolctl import threadpool_limits
 
-from recon.base import Brief, InputError, Problem, Progress, refuse
+from recon.base import Brief, InputError, Problem, Progress, all_of, problems_of, refuse
 from recon.base.files import MANIFEST, read_manifest, require_free_folder, seen_from, sole_writer, staged_file
 from recon.base.package import version
 from recon.base.parallel import STARTING, Event, Tell, carry_out, carry_out_on_cluster
@@ -36,8 +36,7 @@ from recon.workflows.batch.inputs import SUMMARY, Clip
 from recon.workflows.batch.inputs import find_clips as find_clips
 from recon.workflows.cli import Answer, OptionsOf, counted, progress_bar, say, stop, table_of, terminal
 from recon.workflows.clip import Unknown, fit_clip, prepare, read_model_and_cameras
-from recon.workflows.clip_results import Record, digest, file_sha256, identity, output_files, write_clip
-from recon.workflows.config import beside
+from recon.workflows.clip_results import Record, beside, digest, identity, output_files, write_clip
 from recon.workflows.settings import SETTINGS, FitSettings
 
 RECORD, CRASH_LOG = "batch.jsonl", "crash.log"
@@ -88,16 +87,8 @@ def plan_batch(clips: Sequence[Clip], out: Path, overwrite: bool = False) -> lis
     results, unless they may be overwritten.
     """
     require_free_folder(out, (), overwrite=True)
-    file_sha256.cache_clear()  # files may have changed since the last plan of this process
     record = Record(out / RECORD).rows
-    planned, problems = [], []
-    for clip in clips:
-        try:
-            planned.append(_planned(clip, out / clip.name, record.get(clip.name), overwrite))
-        except InputError as error:
-            problems += error.problems
-    refuse(problems)
-    return planned
+    return all_of(*(partial(_planned, clip, out / clip.name, record.get(clip.name), overwrite) for clip in clips))
 
 
 def _planned(clip: Clip, out: Path, row: Mapping[str, Any] | None, overwrite: bool) -> ClipPlan:
@@ -154,21 +145,8 @@ def input_problems(clips: Sequence[Clip], shared_only: bool = False) -> list[Pro
         names = [path.name if settings.camera_name is None else str(i) for i, path in enumerate(settings.keypoints)]
         return read(replace(settings, keypoints=names, individual=None, frames=None))
 
-    each: list[Problems] = []
-    for clip in clips:
-        try:
-            read_once(clip.settings) if shared_only else prepare(clip.settings, read_once)
-            each.append(())
-        except InputError as error:
-            each.append(error.problems)
-    return each
-
-
-def check_shared(clips: Sequence[Clip]) -> None:
-    """Raises InputError for problems with cameras, skeletons, subjects and priors that every clip has, be it each with
-    a file of its own."""
-    each = input_problems(clips, shared_only=True)
-    refuse(problem for problem, places in repeated(each) if len(places) == len(clips))
+    check = read_once if shared_only else partial(prepare, read_shared=read_once)
+    return [problems_of(partial(check, clip.settings)) for clip in clips]
 
 
 def repeated(each: Sequence[Problems]) -> list[tuple[Problem, tuple[int, ...]]]:
@@ -263,8 +241,7 @@ def fit_planned(planned: ClipPlan, progress: Progress) -> dict[str, Any]:
         motion = fit_clip(planned.clip.settings, progress)
         solve_s = time.perf_counter() - began
         progress("writing", 1.0)
-        known = planned.identity["inputs"]
-        report = write_clip(motion, planned.clip.settings, planned.out, solve_s, sha256=known)
+        report = write_clip(motion, planned.clip.settings, planned.out, solve_s, sha256=planned.identity["inputs"])
     return {"status": "unsolved" if is_unsolved(report) else "done", **results_of(report)}
 
 
@@ -432,10 +409,9 @@ def batch(settings: _BatchSettings, given: _OfFits, console: Console) -> Answer:
         say(console, note, "yellow")
     plan = plan_batch(clips, settings.out, settings.overwrite)
     if settings.dry_run:
-        problems = input_problems(clips)
-        rows = _plan_rows(plan, problems)
-        return Answer({"clips": rows}, _plan_lines(rows, problems), code=int(settings.strict and any(problems)))
-    check_shared(clips)
+        return _only_looked(plan, input_problems(clips), settings.strict)
+    shared = repeated(input_problems(clips, shared_only=True))  # be it each with a file of its own
+    refuse(problem for problem, places in shared if len(places) == len(clips))
     left = sum(planned.action != "done" for planned in plan)
     if left < len(plan):
         are = "clip is" if len(plan) == 1 else "clips are"
@@ -485,8 +461,9 @@ def shown_batch(console: Console, left: int, work: Callable[[OnEvent], Summary],
     return Answer({"summary": summary.path, "counts": counts, "clips": [*summary.rows.values()]}, lines)
 
 
-def _plan_rows(plan: Sequence[ClipPlan], problems: Sequence[tuple[Problem, ...]]) -> list[dict[str, Any]]:
-    return [
+def _only_looked(plan: Sequence[ClipPlan], problems: Sequence[Problems], strict: bool) -> Answer:
+    """What would be done with each clip, and what inputs lack."""
+    rows: list[dict[str, Any]] = [
         {
             "clip": planned.clip.name,
             "keypoints": planned.clip.settings.keypoints_text,
@@ -500,29 +477,25 @@ def _plan_rows(plan: Sequence[ClipPlan], problems: Sequence[tuple[Problem, ...]]
         }
         for planned, found in zip(plan, problems, strict=True)
     ]
-
-
-def _plan_lines(
-    rows: Sequence[Mapping[str, Any]], problems: Sequence[tuple[Problem, ...]]
-) -> Iterator[str | Text | Table]:
     cells = []
     for row in rows:
         what = row["action"] + f" ({row['reason']})" * bool(row["reason"])
         camera = ", ".join(row["cameras"] or [Path(row["camera"]).name or "--hfov-deg"])
         fps = "the file's" if row["fps"] is None else f"{row['fps']:g}"
         cells.append((row["clip"], camera, fps, row["out"], what))
-    yield table_of("clip", "camera", "fps", "out", "what", rows=cells)
+    lines: list[str | Text | Table] = [table_of("clip", "camera", "fps", "out", "what", rows=cells)]
     if len(rows) > 1 and len({(row["camera"], row["fps"]) for row in rows}) == 1:
         other = "Where they differ, give a CSV table with columns keypoints, camera and fps instead."
-        yield f"All clips have the same --camera and --fps. {other}"
+        lines.append(f"All clips have the same --camera and --fps. {other}")
     for problem, places in repeated(problems):
         names = ", ".join(rows[place]["clip"] for place in places[:NAMED])
         more = "" if len(places) <= NAMED else f" and {len(places) - NAMED} more clips"
-        yield Text.assemble((f"{names}{more}: ", "bold red"), str(problem))
+        lines.append(Text.assemble((f"{names}{more}: ", "bold red"), str(problem)))
     of = Counter(row["action"] for row in rows)
     bad = f", {of[CANNOT]} that {CANNOT}" if of[CANNOT] else ""
     said = f"{of['new']} new, {of['refit']} to fit again, {of['done']} done{bad}"
-    yield f"{counted(len(rows), 'clip')}: {said}"
+    lines.append(f"{counted(len(rows), 'clip')}: {said}")
+    return Answer({"clips": rows}, lines, code=int(strict and any(problems)))
 
 
 def _row_text(row: Mapping[str, Any]) -> Text:

@@ -25,8 +25,8 @@ from recon.io.deeplabcut_project import find_project, predictions
 from recon.io.formats import titles
 from recon.io.json_poses import clip_of_frame
 from recon.show.page import SUMMARY_PAGE
-from recon.workflows.cameras import cameras_in
-from recon.workflows.config import beside, read_settings
+from recon.workflows.clip import cameras_in
+from recon.workflows.clip_results import beside, read_settings
 from recon.workflows.settings import SETTINGS, FitSettings
 
 SUMMARY = "summary.csv"
@@ -254,9 +254,8 @@ def _drafts_of_sessions(sessions: Sequence[tuple[Path, Path]], common: Mapping[s
         if own and calibration is None:
             expected = "calibration/calibration.toml in it or above it, or --camera"
             problems.append(Problem(folder, "calibration", "none", expected))
-        elif (
-            own and common.get("camera_unit") is None and isinstance(square, int | float) and square >= LEAST_NO_METRES
-        ):
+        unsaid = own and calibration is not None and common.get("camera_unit") is None
+        if unsaid and isinstance(square, int | float) and square >= LEAST_NO_METRES:
             found = f"{square:g}, so that the calibration is not in metres"
             problems.append(Problem(file or folder, SQUARE, found, "its unit besides, as in --camera-unit mm"))
         row = {"camera": str(calibration)} if own else {}
@@ -537,20 +536,11 @@ def _names(drafts: Sequence[_Draft]) -> list[str]:
 def file_names(paths: Sequence[Path] | Mapping[Path, None]) -> dict[Path, str]:
     """A name for each file: those that share it get their suffix or as many folders in front as it takes."""
     siblings = Counter((path.parent, path.stem.casefold()) for path in paths)
-    stems = {
-        path: f"{path.stem}-{path.suffix[1:]}" if siblings[path.parent, path.stem.casefold()] > 1 else path.stem
-        for path in paths
-    }
-    depth = dict.fromkeys(paths, 0)
-
-    def name(path: Path) -> str:
-        folders = [part for part in path.parent.parts if part != path.anchor]
-        return "-".join([*folders[len(folders) - depth[path] :], stems[path]])
-
-    while True:
-        count = Counter(name(path).casefold() for path in paths)
-        shared = [p for p in paths if count[name(p).casefold()] > 1 and depth[p] < len(p.parent.parts) - 1]
-        if not shared:
-            return {path: name(path) for path in paths}
-        for path in shared:
-            depth[path] += 1
+    twins = (siblings[path.parent, path.stem.casefold()] > 1 for path in paths)
+    stems = {p: f"{p.stem}-{p.suffix[1:]}" if twin else p.stem for p, twin in zip(paths, twins, strict=True)}
+    names, depth, shared = stems, 0, [*paths]
+    while shared:
+        count, depth = Counter(name.casefold() for name in names.values()), depth + 1
+        shared = [path for path in paths if count[names[path].casefold()] > 1 and depth < len(path.parent.parts)]
+        names = names | {path: "-".join([*path.parent.parts[-depth:], stems[path]]) for path in shared}
+    return names
