@@ -28,7 +28,7 @@ import pandas as pd
 from markdown_table import print_table
 from recordings import recordings
 from scipy.stats import spearmanr
-from wrong_inputs import Case, Clip, Given, cameras_of, fitted, measured
+from wrong_inputs import Case, Clip, Given, cameras_of, fitted, hidden, lower_leg, measured, without
 
 from recon import InputError
 from recon.animal.body import side_of
@@ -59,16 +59,6 @@ def first_half(clip: Clip, given: Given) -> Given:
     return given.seen(given.xy_px[:T], given.keypoints.frames[:T])
 
 
-def without(share: float) -> Callable[[Clip, Given], Given]:
-    """Detections missing."""
-
-    def change(clip: Clip, given: Given) -> Given:
-        gone = clip.rng.uniform(size=given.xy_px.shape[:2]) < share
-        return given.seen(np.where(gone[..., None], np.nan, given.xy_px))
-
-    return change
-
-
 def noisier(share: float) -> Callable[[Clip, Given], Given]:
     """Noise, of the animal's extent in the picture."""
 
@@ -86,17 +76,6 @@ def half_the_frames(clip: Clip, given: Given) -> Given:
     return given.seen(given.xy_px[::2], np.arange(len(frames)), frame=lambda t: frames[t], told=told)
 
 
-def without_far_legs(clip: Clip, given: Given) -> Given:
-    """The far side hidden: that of the right."""
-    hidden = np.array([side_of(name) == "right" for name in given.keypoints.names])
-    return given.seen(np.where(hidden[:, None], np.nan, given.xy_px))
-
-
-def without_lower_legs(clip: Clip, given: Given) -> Given:
-    hidden = np.array([name.endswith(("knee", "ankle", "paw")) for name in given.keypoints.names])
-    return given.seen(np.where(hidden[:, None], np.nan, given.xy_px))
-
-
 WORSE = {
     "first half": Case(first_half),
     "half the frames": Case(half_the_frames),
@@ -104,8 +83,8 @@ WORSE = {
     "60 % missing": Case(without(0.6)),
     "noise of 2 %": Case(noisier(0.02)),
     "noise of 6 %": Case(noisier(0.06)),
-    "one side hidden": Case(without_far_legs),
-    "lower legs hidden": Case(without_lower_legs),
+    "one side hidden": Case(hidden(lambda name: side_of(name) == "right")),
+    "lower legs hidden": Case(hidden(lower_leg)),
 }
 """Right detections, fewer of them or coarser."""
 

@@ -56,6 +56,7 @@ CAUSES = {
     *("world_not_z_up", "smaller_video", "other_camera_named", "left_right_swap", "frame_rate_stated"),
     *("frame_rate", "animal_still", "time_reversed", "camera_moves", "camera_unit", "subject_unlike_species"),
     *("cameras_apart_in_time", "cameras_exchanged", "cameras_disagree", "camera_turned", "camera_late", "camera_off"),
+    *("picture_zooms", "keypoints_undistorted"),
 }
 """Codes that say what is wrong with an input."""
 SWAPS = ("left_right_swap", "left_right_swap_possible")
@@ -331,6 +332,53 @@ def same_twice(clip: Clip, given: Given) -> Given:
     return replace(given, keypoints=replace(clip.given(clip.cameras[0]).keypoints, source=given.keypoints.source))
 
 
+def without(share: float) -> Change:
+    """Detections missing."""
+
+    def change(clip: Clip, given: Given) -> Given:
+        gone = clip.rng.uniform(size=given.xy_px.shape[:2]) < share
+        return given.seen(np.where(gone[..., None], np.nan, given.xy_px))
+
+    return change
+
+
+def hidden(which: Callable[[str], bool]) -> Change:
+    """Keypoints that are never detected."""
+
+    def change(clip: Clip, given: Given) -> Given:
+        never = np.array([which(name) for name in given.keypoints.names])
+        return given.seen(np.where(never[:, None], np.nan, given.xy_px))
+
+    return change
+
+
+def lower_leg(name: str) -> bool:
+    return name.endswith(("knee", "ankle", "paw"))
+
+
+def middle(n: int) -> Change:
+    """So many frames."""
+
+    def change(clip: Clip, given: Given) -> Given:
+        part = slice((len(given.xy_px) - n) // 2, (len(given.xy_px) - n) // 2 + n)
+        return given.seen(given.xy_px[part], given.keypoints.frames[part])
+
+    return change
+
+
+def beyond_edge(comes: bool) -> Change:
+    """An edge of the picture where half of the animal is seen after a quarter of the clip, or three quarters."""
+
+    def change(clip: Clip, given: Given) -> Given:
+        x, t = np.nanmedian(given.xy_px[..., 0], axis=1), np.arange(len(given.xy_px))
+        line = np.polyfit(t[np.isfinite(x)], x[np.isfinite(x)], 1)
+        edge = np.polyval(line, len(t) // 4 if comes else 3 * len(t) // 4)
+        gone = given.xy_px[..., 0] < edge if (line[0] > 0) == comes else given.xy_px[..., 0] > edge
+        return given.seen(np.where(gone[..., None], np.nan, given.xy_px))
+
+    return change
+
+
 def lengths_15(clip: Clip, given: Given) -> Given:
     """Told the animal's lengths, one and a half times as long."""
     skeleton = tomllib.loads(builtin_file("animal/skeletons", "cheetah-24.toml").read_text())
@@ -356,7 +404,7 @@ CASES = {
     "cropped video": Case(cropped, ("smaller_video", "ground_elsewhere")),
     "focal length x 1.5": Case(focal_15),
     "tilt 15 degrees": Case(lambda c, g: g.turned(about("x", 15)), ("ground_elsewhere",)),
-    "undistorted, lens kept": Case(undistorted, ("picture_zooms",)),
+    "undistorted, lens kept": Case(undistorted, ("keypoints_undistorted", "picture_zooms")),
     "pans by 400 px": Case(pans, ("camera_moves", "picture_zooms", "path_jolts")),
     "follows": Case(follows, ("camera_moves", "picture_zooms", "path_jolts")),
     "zooms x 1.5": Case(zooms, ("camera_moves", "picture_zooms", "path_jolts")),
@@ -394,6 +442,13 @@ CASES = {
     "y up in the picture": Case(lambda c, g: g.seen([0, g.size_px[1] - 1] + g.xy_px * [1, -1]), ("keypoints_y_up",)),
     "upside down": Case(lambda c, g: g.seen(g.size_px - 1 - g.xy_px), ("picture_upside_down",)),
     "video of half the size": Case(lambda c, g: g.seen(g.xy_px / 2), ("smaller_video",)),
+    "right: half missing": Case(without(0.5)),
+    "right: a side hidden": Case(hidden(lambda name: name.startswith("r_"))),
+    "right: a fore leg hidden": Case(hidden(lambda name: name.startswith("r_front") and lower_leg(name))),
+    "right: lower legs hidden": Case(hidden(lower_leg)),
+    "right: 15 frames": Case(middle(15)),
+    "right: comes into the picture": Case(beyond_edge(True)),
+    "right: leaves the picture": Case(beyond_edge(False)),
     "two cameras": Case(lambda clip, given: given, two=True),
     **{
         f"two, one turned by {degrees} degrees": Case(lambda c, g, by=degrees: g.turned(about("y", by)), OFF, two=True)
@@ -402,6 +457,14 @@ CASES = {
     **{
         f"two, one moved by {x_m} m": Case(lambda c, g, by_m=x_m: g.turned(np.eye(3), (by_m, 0, 0)), OFF, two=True)
         for x_m in (0.5, -0.5, 0.25, -0.25)
+    },
+    **{
+        f"two, one late by {by} frames": Case(
+            lambda c, g, by=by: replace(g, keypoints=replace(g.keypoints, frames=g.keypoints.frames + by)),
+            ("camera_late", *OFF),
+            two=True,
+        )
+        for by in (2, -2)
     },
     "two, one of half the rate": Case(half_rate_of_one, (*OFF, "cameras_apart_in_time", "frame_rate"), two=True),
     "two, the same keypoints": Case(same_twice, (*OFF, "same_keypoints"), two=True),

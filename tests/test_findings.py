@@ -31,6 +31,7 @@ SENTENCES = {
     "animal_still": ("stands still (0.02 m/s)", {"speed_m_s": 0.02}),
     "time_reversed": ("runs backwards at 7.5 m/s", {"speed_m_s": 7.5}),
     "camera_moves": ("the slowest ones go at -7.0 m/s", {"slide_m_s": -7.0, "speed_m_s": 0.3}),
+    "keypoints_undistorted": ("fits clearly better without the lens", {}),
     "picture_zooms": ("better if the picture zooms in. Check", {"way": "in"}),
     "path_jolts": ("as no animal does (by its heading)", {"of": "heading", "cost": 1.2}),
     "ground_elsewhere": ("stand at z = 0.47 ± 0.04 m", {"height_m": 0.47, "sigma_m": 0.04}),

@@ -197,6 +197,15 @@ def test_an_end_of_a_clip_is_judged_beside_the_rest_of_it():
     assert {(0, 20), (20, T)} <= ends
 
 
+@pytest.mark.parametrize(("seen_s", "legs", "told"), [(0.4, True, True), (0.2, True, False), (0.4, False, False)])
+def test_sides_of_a_whole_clip_are_tried_if_it_is_long_enough_and_has_legs(seen_s, legs, told):
+    of_leg = pairs_of(BODY)["fore"] != pairs_of(BODY)["hind"]
+    shown = moved(np.where(of_leg[:, None] & ~np.bool(legs), np.nan, view().xy_px))
+    n = round(seen_s * FPS)
+    stretches = likely(given(exchanged(shown, stretch("all", 0, T)), slice(0, n)), pairs_of(BODY), False)
+    assert (slice(0, n) in [one.rows for one in stretches]) == told
+
+
 def given_half():
     return fitted(exchanged(view(), stretch("hind", 20, T)))
 

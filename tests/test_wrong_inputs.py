@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from recon.check.inputs import baseline_of, copies, movement, zooms
+from recon.check.inputs import baseline_of, copies, movement, of_lens
 from recon.check.rules import ground_elsewhere, pair_disagrees, subject_unlike_species
 from recon.clip import Keypoints, Source, clean
 from recon.fit import ClipProblem, Ground, Motion, TrajectoryOptions, solve_trajectory
@@ -71,6 +71,18 @@ def test_one_file_of_two_cameras_is_named_and_measured_points_are_not():
     assert not [*copies([source(interpolated(noisy())[:37])], resampled=True)]
 
 
+def test_frames_in_which_only_fast_keypoints_are_seen_are_not_left_out():
+    """In a fifth of the frames only those are seen that go twice as far."""
+    T, J = noisy().shape[:2]
+    px_a_frame = np.where(np.arange(J) < 2 * J // 3, 10.0, 25.0)
+    xy_px = np.stack([px_a_frame * np.arange(2 * T)[:, None], np.full((2 * T, J), 500.0)], axis=-1)
+    xy_px += np.random.default_rng(0).normal(0, 1, xy_px.shape)
+    xy_px[::5, : 2 * J // 3] = np.nan
+    assert not [*copies([source(xy_px)])]
+    (found,) = copies([source(np.delete(xy_px, np.s_[3::4], axis=0))])
+    assert found.code == "frames_dropped"
+
+
 def moved(states: np.ndarray) -> Motion:
     """A motion whose body goes along these states."""
     solution, body = plain(), plain().body
@@ -111,8 +123,18 @@ def test_a_picture_that_zooms_is_named(times, ways):
     zoom = np.linspace(1.0, times, len(seen(run())))[:, None, None]
     solution = solve(centre + zoom * (seen(run()) - centre))
     setting = ClipProblem.of(solution.views, BODY, PRIOR, FPS, TrajectoryOptions())
-    found = [*zooms(baseline_of(setting, 0, solution.states, solution.size), solution.noise_px[0])]
+    found = [*of_lens(baseline_of(setting, 0, solution.states, solution.size), solution.noise_px[0])]
     assert [one.numbers["way"] for one in found] == ways
+
+
+@pytest.mark.parametrize(("kept", "codes"), [(False, ["keypoints_undistorted"]), (True, [])])
+def test_keypoints_without_the_lens_that_the_camera_has_are_named(kept, codes):
+    bent = replace(CAMERA, model="radtan", distortion=np.array([-0.6, 0.3, 0.0, 0.0]))
+    xy_px = bent.project(run())[0] if kept else seen(run(), 0.0)
+    solution = solve(xy_px + np.random.default_rng(0).normal(0, 2, xy_px.shape), camera=bent)
+    setting = ClipProblem.of(solution.views, BODY, PRIOR, FPS, TrajectoryOptions())
+    found = of_lens(baseline_of(setting, 0, solution.states, solution.size), solution.noise_px[0])
+    assert [one.code for one in found] == codes
 
 
 def test_a_path_that_no_animal_takes_is_named():

@@ -5,12 +5,13 @@ compared with the same second as it was given. That takes as long as a fit: whoe
 detector's errors last, and keypoints of one limb err together: an error that stays is hardly surprising, one that jumps
 is (`unlikely`).
 
-The hypotheses here are another picture than the camera's (keypoints of 0 to 1, turned over, of a smaller video), a
-picture that zooms, and another frame rate, at which angles do not swing as the prior knows; swaps are in `swaps`."""
+The hypotheses here are another picture than the camera's (keypoints of 0 to 1, turned over, of a smaller video, of one
+without the lens), a picture that zooms, and another frame rate, at which angles do not swing as the prior knows; swaps
+are in `swaps`."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
@@ -21,7 +22,16 @@ from recon.animal.prior import ANGLES, NONE, mean_speed_m_s
 from recon.base.arrays import Array, Bools, mean_along
 from recon.check.codes import finding
 from recon.clip import View, busiest, frame_ranges
-from recon.fit import APPROACH_HZ, Estimate, Finding, LeastSquares, between, prior_misfit_of, solve_trajectory
+from recon.fit import (
+    APPROACH_HZ,
+    Estimate,
+    Finding,
+    LeastSquares,
+    TrajectorySolution,
+    between,
+    prior_misfit_of,
+    solve_trajectory,
+)
 from recon.fit.clip_problem import ClipProblem, above_ground, contacts
 from recon.fit.terms import MOTION
 from recon.geometry import ROOT, Camera
@@ -269,31 +279,74 @@ def smaller(camera: Camera, times: float) -> Camera:
 
 # -- the lens -------------------------------------------------------------------------------------------------------
 
-ZOOM, _ROUNDS = 0.2, 6
-"""Logarithm of a zoom in a clip that is tried, and the least that is named: smaller ones fit better, too, where an
-animal of other proportions comes nearer. Chosen by leaving runs out; and rounds of the solver."""
+ZOOM, LARGEST, _ROUNDS = 0.2, 5.0, 6
+"""Logarithm of a zoom in a second that is tried, and the least that is named: smaller ones fit better, too, where an
+animal of other proportions comes nearer. Chosen by leaving runs out; how many times as large one is believed, and
+rounds of the solver."""
+LASTING = 0.25
+"""Keypoints seen in a larger part of the first and of the last third of a second are seen all the time. By these a zoom
+is judged, and only with all feet among them: an animal that leaves the picture does not grow, and feet that nobody sees
+do not slide."""
+_Minimum = Callable[[View, Array], Estimate]
+"""The minimum of another view of a second of a clip, from states."""
 
 
-def zooms(given: Baseline, noise_px: Array) -> Iterator[Finding]:
-    """A picture that zooms in the second in which most is seen. noise_px (T, J): as the fit found it."""
+def whole_ratio(other: TrajectorySolution, given: TrajectorySolution) -> float:
+    """How much likelier a whole fit of the same detections is than another, as a logarithm, each with its own noise."""
+    before, after = (sum(solution.cost_by_term.values()) for solution in (given, other))
+    weight = np.array([np.where(view.present, view.confidence, 0.0) for view in given.views])
+    spread = 2.0 * np.nansum(weight * np.log(given.noise_px / other.noise_px))  # both coordinates of a detection
+    return before - after + float(spread)
+
+
+def of_lens(given: Baseline, noise_px: Array) -> Iterator[Finding]:
+    """At most one: a lens that the keypoints no longer have, or a picture that zooms, in the second in which most is
+    seen. noise_px (T, J): as the fit found it."""
     part = best_seen(given.view, given.clip.fps)
     clip, states, (view,) = given.clip.part(part), given.states[part], given.clip.part(part).views
     if len(states) < 3 or not np.isfinite(states).all():
         return
     *_, standing = contacts(clip, clip.markers(states), 1.0)
-    centre, time = view.camera.matrix[:2, 2], np.linspace(-0.5, 0.5, len(states))[:, None, None]
 
-    def minimum(zoom: float, states: Array) -> Estimate:
-        undone = replace(view, xy_px=centre + (view.xy_px - centre) * np.exp(-zoom * time))
-        problem = replace(clip, views=(undone,)).problem(noise_px[None, part], 1.0, standing)
+    def minimum(view: View, states: Array) -> Estimate:
+        problem = replace(clip, views=(view,)).problem(noise_px[None, part], 1.0, standing)
         return problem.minimise(states, _RATE_TOLERANCE, _ROUNDS)
 
-    as_given = minimum(0.0, states)
-    nearer, away = (as_given.cost - minimum(zoom, as_given.states).cost for zoom in (ZOOM, -ZOOM))
+    as_given = minimum(view, states)
+    flat = replace(view.camera, model="pinhole", distortion=np.zeros(0))
+    if view.camera.distortion.any() and as_given.cost - minimum(replace(view, camera=flat), states).cost > CLEAR:
+        ratio = _without_lens(given.clip, flat)
+        if believed(ratio, surely=True):
+            yield finding("keypoints_undistorted", log_likelihood_ratio=ratio)
+            return
+    ends = np.array_split(view.present, 3)
+    lasting = (ends[0].mean(axis=0) > LASTING) & (ends[-1].mean(axis=0) > LASTING)
+    if lasting[clip.feet].all():
+        steady = replace(view, xy_px=np.where(lasting[:, None], view.xy_px, np.nan))
+        yield from _zooms(steady, as_given.states, minimum)
+
+
+def _without_lens(clip: ClipProblem, flat: Camera) -> float:
+    """How much likelier the stretch in which most is seen is if the camera bends nothing, solved both ways."""
+    clip = clip.part(busiest(clip.present().sum(axis=1), round(RATE_S * clip.fps)))
+    bent, straight = (
+        solve_trajectory(views, clip.body, clip.prior, clip.fps, replace(clip.options, fast=False))
+        for views in (clip.views, [replace(view, camera=flat) for view in clip.views])
+    )
+    return whole_ratio(straight, bent)
+
+
+def _zooms(view: View, states: Array, minimum: _Minimum) -> Iterator[Finding]:
+    centre, time = view.camera.matrix[:2, 2], np.linspace(-0.5, 0.5, len(states))[:, None, None]
+
+    def at(zoom: float, states: Array) -> Estimate:
+        return minimum(replace(view, xy_px=centre + (view.xy_px - centre) * np.exp(-zoom * time)), states)
+
+    as_given = at(0.0, states)
+    nearer, away = (as_given.cost - at(zoom, as_given.states).cost for zoom in (ZOOM, -ZOOM))
     slope, bend = 0.5 * (nearer - away), nearer + away  # of the parabola through both, in zooms
-    best = -slope / bend if bend < 0 else float(np.sign(slope))
-    ratio = slope * best + 0.5 * bend * best**2
-    if believed(ratio) and abs(best) >= 1.0:
+    best = float(np.clip(-slope / bend if bend < 0 else np.sign(slope), -LARGEST, LARGEST))
+    if abs(best) >= 1.0 and believed(ratio := as_given.cost - at(ZOOM * best, as_given.states).cost):
         yield finding("picture_zooms", way="in" if best > 0 else "out", log_likelihood_ratio=ratio)
 
 

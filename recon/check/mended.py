@@ -17,9 +17,7 @@ from recon.fit import Finding, TrajectorySolution
 
 def mends(mended: TrajectorySolution, given: TrajectorySolution) -> bool:
     """Whether a fit of a clip with its swaps undone is clearly likelier as a whole than that of the clip as it came."""
-    before, after = (sum(solution.cost_by_term.values()) for solution in (given, mended))
-    likelier = before - after + float(np.nansum(np.log(given.noise_px / mended.noise_px)))
-    return likelihood.believed(likelier, surely=True)
+    return likelihood.believed(likelihood.whole_ratio(mended, given), surely=True)
 
 
 def doubted(one: Finding) -> Finding:

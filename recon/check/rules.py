@@ -134,14 +134,19 @@ def no_pose(motion: Motion) -> Iterator[Finding]:
 
 
 def cameras_out_of_step(motion: Motion) -> Iterator[Finding]:
-    """A time offset is expected to be a fraction of a frame: one that comes out larger is larger still."""
+    """A time offset is expected to be a fraction of a frame: one that comes out larger is larger still. What pictures
+    hardly tell comes out small: estimates vary by the variance that is expected, less that which is left."""
     if len(motion.sources) < 2:
         return
-    late = [v.offset_frames - s.offset_frames for v, s in zip(motion.solution.views, motion.sources, strict=True)]
-    first, last = int(np.argmin(late)), int(np.argmax(late))
-    apart = late[last] - late[first]
-    if apart > OUT_OF_STEP_SIGMAS * math.sqrt(2.0) * constants.TIME_OFFSET_FRAMES:
-        names = tuple(motion.pictures[v].name for v in (first, last))
+    solution = motion.solution
+    late = [v.offset_frames - s.offset_frames for v, s in zip(solution.views, motion.sources, strict=True)]
+    ends = [int(np.argmin(late)), int(np.argmax(late))]
+    apart = late[ends[1]] - late[ends[0]]
+    expected, left = constants.TIME_OFFSET_FRAMES**2, solution.time_offset_sigma_frames[ends] ** 2
+    told = np.sum(expected - left) * len(late) / (len(late) - 1)  # what all cameras have in common is not seen
+    variance = told if 0.0 < told < 2.0 * expected else 2.0 * expected
+    if apart > OUT_OF_STEP_SIGMAS * math.sqrt(variance):
+        names = tuple(motion.pictures[v].name for v in ends)
         yield finding("cameras_out_of_step", cameras=names, apart_frames=apart)
 
 

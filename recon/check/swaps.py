@@ -29,6 +29,8 @@ LOOKS = -10.0
 """A whole clip is undone unless it looks so much likelier as it is. One that is likelier undone, and not as much as is
 believed, is to be looked at, as nothing else shows a mirrored video: that makes 32 that are right less likely by 6 at
 least, or is not tried."""
+LEAST_S = 0.25
+"""The sides of a shorter clip, less than a stride, cannot be told as a whole; nor can they without a leg."""
 OF_LEG = 3
 """How many of a leg's last markers tell its side: what is above hardly does."""
 _STRAIGHT = 3
@@ -148,7 +150,8 @@ def likely(given: Baseline, kinds: dict[str, Index], unlike: bool) -> list[_Stre
     ]
     whole = float(evidence["all"].sum())
     suspects = sorted(suspects, reverse=True)[:REFITTED]
-    if whole > LOOKS and not unlike:
+    told = T / given.clip.fps > LEAST_S and evidence["all"].any() and not unlike
+    if told and whole > LOOKS:
         suspects.append((whole, "all", (0, T)))
     chosen = [(name, rows) for _, name, ends in suspects for rows in _parts(*ends, T)]
     return [_Stretch(slice(*ends), kinds[name]) for name, ends in dict.fromkeys(chosen)]
