@@ -173,7 +173,7 @@ class _Footfall(FileTable):
         return np.array([self.forward_m, -self.sideways_m, self.up_m])
 
 
-class Primitive(FileTable):
+class _Primitive(FileTable):
     """Some footfalls in the same fields."""
 
     name: str
@@ -214,7 +214,7 @@ class Recipe(FileTable):
     step: Step
     swing: _Swing
     motion: _Pace
-    primitives: Annotated[tuple[Primitive, ...], Field(min_length=1)]
+    primitives: Annotated[tuple[_Primitive, ...], Field(min_length=1)]
     about: str = ""
     """What it is for, and where its numbers are from."""
 
@@ -245,7 +245,7 @@ def raised(recipe: Recipe, height_m: float) -> Recipe:
     """For a step of another height: all heights in proportion."""
     ratio = height_m / recipe.step.height_m
 
-    def higher(primitive: Primitive) -> Primitive:
+    def higher(primitive: _Primitive) -> _Primitive:
         falls = tuple(fall.model_copy(update={"up_m": fall.up_m * ratio}) for fall in primitive.footfalls)
         return primitive.model_copy(update={"footfalls": falls})
 
@@ -439,7 +439,7 @@ def _moved(torso: RigidTransform, step: Array) -> RigidTransform:
     return RigidTransform.from_components(torso.translation + step[..., :3], turned)
 
 
-def swing_path(recipe: Recipe, primitive: Primitive, start_m: Array, end_m: Array) -> Array:
+def swing_path(recipe: Recipe, primitive: _Primitive, start_m: Array, end_m: Array) -> Array:
     """(n, 3): where a foot is in the frames of its step: up at one angle, across, down at another."""
     s = recipe.swing
     corners = path_corners(start_m, end_m, s.clearance_m, primitive.rise_rad, primitive.lower_rad)
@@ -472,7 +472,7 @@ def capped(step: Array, max_step_m: float, max_turn_rad: float) -> Array:
     return step / max(1.0, shift / max_step_m, turn / max_turn_rad)
 
 
-class ClimbSettings(Settings):
+class _ClimbSettings(Settings):
     """What `recon climb` is told."""
 
     recipe: Annotated[str, Option(argument="RECIPE")] = "found-50"
@@ -487,7 +487,7 @@ class ClimbSettings(Settings):
     """Replace earlier ones."""
 
 
-def climb(settings: ClimbSettings) -> Answer:
+def climb(settings: _ClimbSettings) -> Answer:
     """A four-legged robot climbs a step by potential fields.
 
     Example: recon climb published-50 --height 0.045 --out results/climb
@@ -531,7 +531,7 @@ REPORT = "report.json"
 _COLUMNS = 4
 
 
-def _report(climb: Climb, settings: ClimbSettings) -> dict[str, Any]:
+def _report(climb: Climb, settings: _ClimbSettings) -> dict[str, Any]:
     recipe, time_s = climb.recipe, climb.motion.time_s
     name = name_seen_from(settings.out, settings.recipe)
     least = {
