@@ -32,7 +32,6 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
-from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -263,12 +262,8 @@ def quadratic(matrix: Array, about: Array | float = 0.0) -> Cost:
 
 def joint_differences(chain: SerialChain) -> Cost:
     """sum (q_{k+1} - q_k)^2 over the joints that follow each other, thetas and phis apart: an even bend."""
-    H = np.zeros((chain.n, chain.n))
-    for group in chain.groups:
-        for i, j in pairwise(group):
-            H[[i, j], [i, j]] += 2
-            H[[i, j], [j, i]] -= 2
-    return quadratic(H)
+    D = np.concatenate([np.diff(np.eye(chain.n)[[*group]], axis=0) for group in chain.groups])
+    return quadratic(2 * D.T @ D)
 
 
 def rotational_energy(chain: SerialChain) -> Cost:
@@ -306,22 +301,19 @@ def harmonic_map(a: float = 1.0, b: float = 0.0, joints: Sequence[int] = (2, 3, 
         second = (3 * a * q1 + b) / root - line * q1 * q1 / root**3
         return q2, line * root, first, second
 
+    def differences(q: Array) -> Array:
+        """(2, n): q1 and q2 by q."""
+        out = np.zeros((2, len(q)))
+        out[[0, 1], [i, k]], out[:, j] = 1.0, -1.0
+        return out
+
     def gradient(q: Array) -> Array:
         q2, f, first, _ = parts(q)
-        out = np.zeros(len(q))
-        out[i], out[j], out[k] = q2 * first, -q2 * first - f, f
-        return out
+        return np.array([q2 * first, f]) @ differences(q)
 
     def hessian(q: Array) -> Array:
         q2, _, first, second = parts(q)
-        c = q2 * second
-        out = np.zeros((len(q), len(q)))
-        out[np.ix_(joints, joints)] = (
-            (c, -c - first, first),
-            (-c - first, c + 2 * first, -first),
-            (first, -first, 0.0),
-        )
-        return out
+        return differences(q).T @ np.array([[q2 * second, first], [first, 0.0]]) @ differences(q)
 
     return Cost(lambda q: math.prod(parts(q)[:2]), gradient, hessian)
 
