@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 import tomllib
-from dataclasses import replace
+from dataclasses import MISSING, replace
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +20,7 @@ from recon.io import read_camera, read_cameras
 from recon.wings.thesis import FrameOptions
 from recon.workflows import app, commands
 from recon.workflows.clip import read_model_and_cameras
+from recon.workflows.look import OverlaySettings, PageSettings
 from recon.workflows.settings import SETTINGS
 
 GIVEN = {"keypoints": Path("/data/clip.csv"), "camera": Path("/data/camera.toml"), "fps": 30.0}
@@ -432,6 +433,7 @@ def test_options_that_are_numbers(arguments):
     assert (arguments[-2], "'90fps'") in problems
     missing = problems.get(("--video", "nothing"), "")  # it is optional for `recon report`, whose settings these extend
     assert missing.startswith("the video that") == (arguments[0] == "overlay")
+    assert [of.infos()["video"].default for of in (OverlaySettings, PageSettings)] == [MISSING, None]
 
 
 def test_each_camera_may_have_its_own_file(tmp_path):

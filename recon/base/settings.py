@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import typing
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import MISSING, dataclass, fields, replace
 from difflib import get_close_matches
 from functools import cache
 from pathlib import Path
@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar, dataclass_transform
 
 import pydantic
 from pydantic import AfterValidator, BeforeValidator, Field, ValidationError
+from pydantic.fields import FieldInfo
 
 from recon.base.errors import Problem, refuse
 
@@ -208,7 +209,8 @@ class Settings:
             given = getattr(types[field.name], "__metadata__", ())
             option = next((one for one in given if isinstance(one, Option)), Option())
             option = replace(option, help=option.help or texts.get(field.name, ""))
-            found[field.name] = SettingInfo(field.name, option, field.default, tuple(_parts(types[field.name])))
+            default = MISSING if isinstance(field.default, FieldInfo) else field.default  # required
+            found[field.name] = SettingInfo(field.name, option, default, tuple(_parts(types[field.name])))
         return found
 
 
