@@ -234,12 +234,8 @@ class _Sight:
 
     def later(self, frames: float) -> _Sight:
         """If the pictures were taken that much later."""
-        return replace(
-            self,
-            rays=_shifted(self.rays, frames),
-            centre_m=_shifted(self.centre_m, frames),
-            rotation=_shifted(self.rotation, round(frames)),
-        )
+        rays, centre_m = _shifted(self.rays, frames), _shifted(self.centre_m, frames)
+        return replace(self, rays=rays, centre_m=centre_m, rotation=_shifted(self.rotation, round(frames)))
 
     def part(self, rows: Index) -> _Sight:
         """The same, cut to these rows."""
@@ -253,15 +249,12 @@ _Points = tuple[Array, Array]
 
 def _shifted(values: Array, frames: float) -> Array:
     """Values (T, ...) moved on by so many rows, between rows along straight lines; NaN where they come from outside."""
-    whole = int(np.floor(frames))
-    result = np.full((2, *values.shape), np.nan)
-    for moved, by in zip(result, (whole, whole + 1), strict=True):
-        if by >= 0:
-            moved[by:] = values[: max(len(values) - by, 0)]
-        else:
-            moved[:by] = values[-by:]
+    whole, T = int(np.floor(frames)), len(values)
+    rows = np.arange(T) - np.array([[whole], [whole + 1]])
+    inside = ((rows >= 0) & (rows < T)).reshape(2, T, *[1] * (values.ndim - 1))
+    first, second = np.where(inside, values[rows.clip(0, T - 1)], np.nan)
     share = frames - whole
-    return (1 - share) * result[0] + share * result[1] if share else result[0]
+    return (1 - share) * first + share * second if share else first
 
 
 def _sights(views: Sequence[View], sigma_px: float, keypoint_sigma_m: float) -> list[_Sight]:
@@ -374,9 +367,8 @@ def _errors(sight: _Sight, points: _Points) -> tuple[Array, Array]:
     a, b, c = (covariance[..., i, j] for i, j in ((0, 0), (0, 1), (1, 1)))
     a, c = a + sight.noise_rad**2, c + sight.noise_rad**2
     squared = (c * error[..., 0] ** 2 - 2 * b * error[..., 0] * error[..., 1] + a * error[..., 1] ** 2) / (a * c - b**2)
-    return towards, np.where(
-        np.sum(off * sight.rays, axis=-1) > 0, squared, np.where(np.isnan(squared), np.nan, np.inf)
-    )
+    ahead, behind = np.sum(off * sight.rays, axis=-1) > 0, np.where(np.isnan(squared), np.nan, np.inf)
+    return towards, np.where(ahead, squared, behind)
 
 
 def _across(rays: Array) -> tuple[Array, Array]:
@@ -456,9 +448,8 @@ def search_offsets(views: Sequence[View], fps: float, sigma_px: float, keypoint_
 def _best_offset(sight: _Sight, others: Sequence[_Sight], reach: int, rows: Index) -> float:
     offsets = np.arange(-reach, reach + 1)
     partners = [other.part(rows) for other in others]
-    pairs = np.array(
-        [[_pair_level(sight.later(by).part(rows), other) for other in partners] for by in offsets.tolist()]
-    )
+    shifted = [sight.later(by).part(rows) for by in offsets.tolist()]
+    pairs = np.array([[_pair_level(one, other) for other in partners] for one in shifted])
     levels, points = pairs[..., 0], pairs[..., 2]
     compared = np.isfinite(levels) & (points >= _COMPARED * points.max(axis=0))
     if not compared.any():

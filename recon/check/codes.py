@@ -20,10 +20,7 @@ LENGTHS = ("height", "apart", "in_cm", "in_mm")
 """Numbers that a sentence may have as lengths: height_m, with sigma_m if there is one, as height_length."""
 SWAPPED, OUTLIERS = "left-right swap", "gross outliers"
 """Flags of frames in which one camera's detections are wrong."""
-FLAG_OF: Mapping[str, str] = {
-    "left_right_swap": SWAPPED,
-    "gross_outliers": OUTLIERS,
-}
+FLAG_OF: Mapping[str, str] = {"left_right_swap": SWAPPED, "gross_outliers": OUTLIERS}
 """Flags of frames, by the code of the finding that is about them."""
 FLAGS: Mapping[str, str] = {
     "no data": "nothing was detected: the pose, if there is one, comes from the frames around",
@@ -62,9 +59,8 @@ def sentence(one: Finding, named: bool = True) -> str:
     degrees = {f"{name[:-4]}_deg": math.degrees(value) for name, value in given.items() if name.endswith("_rad")}
     sigma_m, known = given.get("sigma_m"), [name for name in LENGTHS if f"{name}_m" in given]
     lengths = {f"{name}_length": length_text(given[f"{name}_m"], sigma_m) for name in known}
-    text = words.format(
-        **values, **degrees, **lengths, camera=one.camera if named else "the camera", where=_where(one.frames)
-    )
+    camera, where = one.camera if named else "the camera", _where(one.frames)
+    text = words.format(**values, **degrees, **lengths, camera=camera, where=where)
     return f"{one.camera}: {text}" if named and one.camera and "{camera}" not in words else text
 
 

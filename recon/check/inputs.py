@@ -133,9 +133,8 @@ def copies(sources: Sequence[Source], resampled: bool = False) -> Iterator[Findi
     for a, b in combinations(sources, 2):
         identical, both = _identical(a.keypoints.xy_px, b.keypoints.xy_px)
         if _many(identical, both):
-            yield finding(
-                "same_keypoints", cameras=(a.camera.name, b.camera.name), share=float(identical.sum() / both.sum())
-            )
+            names, share = (a.camera.name, b.camera.name), float(identical.sum() / both.sum())
+            yield finding("same_keypoints", cameras=names, share=share)
 
 
 def _identical(a: np.ndarray, b: np.ndarray) -> tuple[Bools, Bools]:
@@ -151,9 +150,8 @@ def _many(identical: Bools, of: Bools) -> bool:
 def _repeated(keypoints: Keypoints, camera: str) -> Iterator[Finding]:
     """Frames whose points are those of the frame before: every second, as of a video at twice its rate, or some."""
     identical, both = _identical(keypoints.xy_px[1:], keypoints.xy_px[:-1])
-    repeats = np.concatenate(
-        [[False], (identical.sum(axis=1) >= FEWEST) & (2 * identical.sum(axis=1) > both.sum(axis=1))]
-    )
+    count = identical.sum(axis=1)
+    repeats = np.append(False, (count >= FEWEST) & (2 * count > both.sum(axis=1)))
     if repeats.sum() <= FRAMES * len(repeats):
         return
     new = np.flatnonzero(~repeats)

@@ -104,10 +104,8 @@ def likelihoods_low(motion: Motion) -> Iterator[Finding]:
     for source in motion.sources:
         used, rejected = source.cleaning.total("used"), source.cleaning.total("rejected")
         if rejected > MOST_REJECTED * (used + rejected):
-            share = rejected / (used + rejected)
-            yield finding(
-                "likelihoods_low", camera=source.camera.name, share=share, limit=source.cleaning.likelihood_min
-            )
+            share, limit = rejected / (used + rejected), source.cleaning.likelihood_min
+            yield finding("likelihoods_low", camera=source.camera.name, share=share, limit=limit)
 
 
 COMMON: tuple[Rule, ...] = (
@@ -153,18 +151,16 @@ def cameras_out_of_step(motion: Motion) -> Iterator[Finding]:
 def motion_unlike_prior(motion: Motion) -> Iterator[Finding]:
     """A finding on the segment that the prior fits least; nothing where another frame rate explains it."""
     solution = _solution(motion)
-    if any(segment.unlike_prior for segment in solution.segments) and not any(
-        one.code in ("frame_rate", "frame_rate_stated") for one in motion.findings
-    ):
+    explained = any(one.code in ("frame_rate", "frame_rate_stated") for one in motion.findings)
+    if any(segment.unlike_prior for segment in solution.segments) and not explained:
         misfit = max(segment.prior_misfit for segment in solution.segments if segment.prior_misfit is not None)
         weight = min(segment.prior_weight for segment in solution.segments)
         share = _outliers(motion)[1]
         if share > UNEXPLAINED_SHARE:
             yield finding("motion_unexplained", prior=solution.prior, misfit=misfit, share=share)
             return
-        yield finding(
-            "motion_unlike_prior", prior=solution.prior, misfit=misfit, limit=constants.MISFIT_LEVEL, weight=weight
-        )
+        numbers = {"prior": solution.prior, "misfit": misfit, "limit": constants.MISFIT_LEVEL, "weight": weight}
+        yield finding("motion_unlike_prior", **numbers)
 
 
 def ground_above_camera(motion: Motion) -> Iterator[Finding]:
@@ -261,10 +257,8 @@ OF_TRAJECTORY: tuple[Rule, ...] = (
 
 def _outliers(motion: Motion) -> tuple[int, float]:
     """Detections that the pose does not explain: their number, and their share of all."""
-    count, detections = (
-        sum(int(values.sum()) for values in of_all)
-        for of_all in zip(*((picture.outliers, picture.present) for picture in motion.pictures), strict=True)
-    )
+    count = sum(int(picture.outliers.sum()) for picture in motion.pictures)
+    detections = sum(int(picture.present.sum()) for picture in motion.pictures)
     return count, count / max(detections, 1)
 
 

@@ -240,11 +240,8 @@ class Reprojection:
         points = np.sum([share * span.pose.points_m[part] for part, share in parts], axis=0)
         frames = slice(span.first, span.first + len(points))
         view, sigma = self.view.part(frames), self.sigma_px[frames]
-        size, late, off = (
-            size_of(span.shared),
-            span.shared.get(time_offset(self.number)),
-            span.shared.get(keypoint_bias(self.number)),
-        )
+        size, late = size_of(span.shared), span.shared.get(time_offset(self.number))
+        off = span.shared.get(keypoint_bias(self.number))
         if late is not None and self.drift_m is not None:
             points = points + late * self.drift_m[frames]
         world, correction = self.origin_m + size * points, span.shared.get(extrinsic_correction(self.number))

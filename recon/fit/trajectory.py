@@ -309,6 +309,7 @@ def _solution(clip: ClipProblem, solved: Sequence[SegmentFit], began: float) -> 
     shares = [of_one.data_share * (one.rows.stop - one.rows.start) for one, of_one in zip(solved, known, strict=True)]
     shared = _shared(clip, solved, known)
     costs = [one.problem.costs(one.estimate.states, one.estimate.shared) for one in solved]
+    names = dict.fromkeys(chain.from_iterable(costs))
     return TrajectorySolution(
         body=clip.body,
         views=_found(clip.views, shared["time_offset_frames"], shared["extrinsic_correction"], shared["focal"]),
@@ -323,9 +324,7 @@ def _solution(clip: ClipProblem, solved: Sequence[SegmentFit], began: float) -> 
         segments=tuple(one.in_world(clip, size) for one in solved if not away[one.rows].all()),
         prior=clip.prior.name,
         status="converged" if solved and all(one.estimate.converged for one in solved) else "not_converged",
-        cost_by_term={
-            name: sum(of_one.get(name, 0.0) for of_one in costs) for name in dict.fromkeys(chain.from_iterable(costs))
-        },
+        cost_by_term={name: sum(of_one.get(name, 0.0) for of_one in costs) for name in names},
         iterations=sum(one.iterations for one in solved),
         starts=sum(len(tried) for one in solved for _, tried in one.windows),
         **shared,

@@ -143,10 +143,8 @@ class ClipAnalysis(Brief):
     @cached_property
     def fields(self) -> dict[str, tuple[phase.LinkField, ...]]:
         """Vector fields of the links, by limb."""
-        motion, chains = self.motion, limb_chains(self.motion)
-        fields = {
-            limb: phase.pose_vector_field(self.pose, c, motion.fps, motion.forward_names) for limb, c in chains.items()
-        }
+        motion, chains, forward = self.motion, limb_chains(self.motion), self.motion.forward_names
+        fields = {limb: phase.pose_vector_field(self.pose, c, motion.fps, forward) for limb, c in chains.items()}
         return _with_sigma(fields, motion, chains, [*self.skeleton_angles.values()])
 
     @cached_property
@@ -168,9 +166,8 @@ class ClipAnalysis(Brief):
     def net_acceleration_m_s2(self) -> tuple[float, float]:
         """`net_acceleration` of the reference joint."""
         points_m, at = self.motion.upright.xyz_m, self.motion.names.index(self.reference)
-        return kinematics.net_acceleration(
-            self.motion.time_s, points_m[:, at], [error[:, at] for error in _errors(self.motion)]
-        )
+        errors = [error[:, at] for error in _errors(self.motion)]
+        return kinematics.net_acceleration(self.motion.time_s, points_m[:, at], errors)
 
     @property
     def speed(self) -> pd.DataFrame:

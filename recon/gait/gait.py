@@ -39,7 +39,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
-from types import MappingProxyType
 from typing import Literal
 
 import numpy as np
@@ -51,9 +50,7 @@ from recon.gait import kinematics
 from recon.gait.kinematics import MIN_POINTS, Errors, Series
 from recon.io.common import Pose3D
 
-FEET: Mapping[str, str] = MappingProxyType(
-    {"LH": "l_back_paw", "RH": "r_back_paw", "LF": "l_front_paw", "RF": "r_front_paw"}
-)
+FEET: Mapping[str, str] = {"LH": "l_back_paw", "RH": "r_back_paw", "LF": "l_front_paw", "RF": "r_front_paw"}
 BODY = ("neck_base", "tail_base")
 
 OVERSAMPLING = 10
@@ -289,11 +286,8 @@ def pose_tracks(
     ground of their own. restless: feet seem to move even when they stand, of poses that jitter; how fast, their own
     10th percentile says. Raises InputError with every joint that the pose lacks, ValueError.
     """
-    where, time_s, n = (
-        kinematics.joint_index(pose, (*feet.values(), *body)),
-        kinematics.frame_times(pose.frames, fps),
-        len(feet),
-    )
+    where, n = kinematics.joint_index(pose, (*feet.values(), *body)), len(feet)
+    time_s = kinematics.frame_times(pose.frames, fps)
     if len(time_s) < MIN_POINTS:
         raise ValueError(f"a gait needs at least {MIN_POINTS} frames, got {len(time_s)}")
 

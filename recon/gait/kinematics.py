@@ -447,9 +447,8 @@ def sagittal_flexion(rear_m: Array, middle_m: Array, front_m: Array) -> Array:
     ahead = (front_m - rear_m)[:, :2]
     length = np.linalg.norm(ahead, axis=1, keepdims=True)
     ahead = np.divide(ahead, length, out=np.full_like(ahead, np.nan), where=length > 0)
-    rise = [
-        np.arctan2(link[:, 2], np.sum(link[:, :2] * ahead, axis=1)) for link in (middle_m - rear_m, front_m - middle_m)
-    ]
+    links = (middle_m - rear_m, front_m - middle_m)
+    rise = [np.arctan2(link[:, 2], np.sum(link[:, :2] * ahead, axis=1)) for link in links]
     return np.pi - np.mod(np.pi - (rise[0] - rise[1]), 2 * np.pi)
 
 
