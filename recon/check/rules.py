@@ -136,7 +136,7 @@ def cameras_out_of_step(motion: Motion) -> Iterator[Finding]:
     hardly tell comes out small: estimates vary by the variance that is expected, less that which is left."""
     if len(motion.sources) < 2:
         return
-    solution = motion.solution
+    solution = _solution(motion)
     late = [v.offset_frames - s.offset_frames for v, s in zip(solution.views, motion.sources, strict=True)]
     ends = [int(np.argmin(late)), int(np.argmax(late))]
     apart = late[ends[1]] - late[ends[0]]
