@@ -9,6 +9,7 @@ counts the clips whose error in pose or position is at least twice that of the s
 finding says what it is, or something as true of it. Called something else: a finding of `CAUSES` that it is not, and
 that the clip does not have without the mistake. Of what was seen: the errors in the frame of the camera whose keypoints
 they are, and of the clip that they are of, which is all that one camera can tell.
+Nothing is wrong with a case whose name begins with "right".
 --findings: which findings each case has, and a horse that is fitted as a cheetah, the horse-side of the same folder.
 """
 
