@@ -547,7 +547,7 @@ def _in_range(method: Callable[[float], Method], called: tuple[str, str], frames
     def cost(log_value: float) -> float:
         return float(np.sum((rates_of(method(float(np.exp(log_value))), frames) - frames.dq) ** 2))
 
-    grid = np.linspace(*np.log(RANGE), 61)
+    grid = np.linspace(np.log(RANGE[0]), np.log(RANGE[1]), 61)
     i = int(np.argmin([cost(x) for x in grid]))
     around = grid[max(i - 1, 0)], grid[min(i + 1, len(grid) - 1)]
     refined = float(minimize_scalar(cost, bounds=around, method="bounded", options={"xatol": 1e-8}).x)

@@ -332,7 +332,7 @@ def reach(chain: SerialChain, q: Array, foot_m: Array) -> Array | None:
 def standing(chain: SerialChain, foot_m: Array) -> Array | None:
     """Angles (n,) of the standing leg: reached from the middle of the limits, or else from random places in them."""
     turns = _turns(chain)
-    starts = [turns.mean(axis=0), *np.random.default_rng(0).uniform(*turns, (30, chain.n))]
+    starts = [turns.mean(axis=0), *np.random.default_rng(0).uniform(turns[0], turns[1], (30, chain.n))]
     found = (reach(chain, q, foot_m) for q in starts)
     return next((q for q in found if q is not None), None)
 
