@@ -166,7 +166,7 @@ def _checked_track(
             ("fx, fy, cx, cy", lens_text, ~((zoom[:, :2] <= 0).any(axis=1) | (np.abs(zoom) > MAX_PX).any(axis=1))),
             (SIGMA, f"0 to {MAX_SIGMA_DEG:g} degrees", (sigma >= 0) & (sigma <= MAX_SIGMA_DEG)),
         )
-    wrong = [(kind, [*compress(places, ~right)], expected) for kind, expected, right in checks]
+    wrong = [(kind, [*compress(places, np.logical_not(right))], expected) for kind, expected, right in checks]
     refuse(Problem(path, kind, f"others in {_some(rows)}", expected) for kind, rows, expected in wrong if rows)
     order = np.argsort(frames)
     poses = rigid(_rotations(quaternion[order]), place[order])
