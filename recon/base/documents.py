@@ -36,7 +36,7 @@ def damage_named(source: str | Path, expected: str, field: str = "content") -> I
     becomes an InputError. expected: of a whole one."""
     try:
         yield
-    except InputError:
+    except (InputError, AssertionError, NameError):  # the latter two are mistakes of a reader
         raise
     except RecursionError:
         raise InputError(Problem(source, field, "tables or lists that are nested too deeply", expected)) from None

@@ -273,8 +273,14 @@ def text_rows(path: Path, separator: str | None = None) -> Iterator[tuple[int, l
     with damage_named(path, expected, "text"), path.open(encoding="utf-8-sig", newline="") as file:
         first = file.readline()
         file.seek(0)
-        rows = csv.reader(file, delimiter=separator or max(SEPARATORS, key=first.count))
-        yield from ((rows.line_num, row) for row in rows if any(cell.strip() for cell in row))
+        rows, line = csv.reader(file, delimiter=separator or max(SEPARATORS, key=first.count)), 0
+        try:
+            for row in rows:
+                line = rows.line_num
+                if any(cell.strip() for cell in row):
+                    yield line, row
+        except csv.Error as error:
+            raise InputError(Problem(path, f"line {line + 1}", str(error), expected)) from None
 
 
 def number_rows(

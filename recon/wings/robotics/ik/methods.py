@@ -416,7 +416,7 @@ def _share_within(rates: Array, along: Array, limit: Array) -> float:
 # -- their parameters, from given joint rates -----------------------------------------------------------------------
 
 RANGE = (1e-4, 1e2)
-"""Of lambda (m) and of gamma_max (rad): beyond, it makes no difference, or no motion."""
+"""Limits of lambda (m) and of gamma_max (rad): beyond, it makes no difference, or no motion."""
 WEIGHT_RANGE = 1e3
 """Greatest ratio of a weight to the one it starts from."""
 PULL = 0.01

@@ -301,13 +301,13 @@ class KeptMotion:
 
 @dataclass(frozen=True, eq=False)
 class RobotMotion(KeptMotion):
-    """The same, and whose it is."""
+    """The arrays of a robot's motion, and the robot."""
 
     robot: Quadruped = field(kw_only=True)
 
     @cached_property
     def pose(self) -> RigidTransform:
-        """(N): T_world_body."""
+        """The base's poses in the world, T_world_body, N of them."""
         return RigidTransform.from_components(self.position_m, Rotation.from_quat(self.quaternion_xyzw))
 
     def leg_angles(self, label: str) -> Array:
