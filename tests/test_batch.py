@@ -27,6 +27,7 @@ from recon.base.parallel import Event, outcome_of
 from recon.io import read_cameras
 from recon.workflows import COLUMNS, AnalyseSettings, Record, analyse_command, digest, run_clip
 from recon.workflows.batch import RECORD, Clip, Summary, fit_planned, input_problems, read_rows
+from recon.workflows.batch.inputs import is_manifest
 
 SAMPLES = Path(__file__).parents[1] / "data" / "samples"
 CAMERA = SAMPLES / "camera.toml"
@@ -461,6 +462,8 @@ def test_a_row_of_a_manifest_with_several_cameras(tmp_path):
     refuses([path], (path, "line 2, keypoints", "z*.csv"))
     manifest(tmp_path, "keypoint,camera\nx1.csv,scene.json\n")  # not a keypoint file of an unknown format
     refuses([path], (path, "column 'keypoint'", "unknown"), (path, "line 2, keypoints", "nothing"))
+    manifest(tmp_path, "frame,bodypart,x,y,camera\n0,nose,1,2,north\n")
+    assert not is_manifest(path)  # keypoints, of which a column says by which camera
 
 
 def test_a_camera_more_or_less_is_the_same_clip_again(tmp_path):

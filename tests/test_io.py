@@ -187,7 +187,7 @@ def test_h5_that_is_cut_off(shared_data, tmp_path, name):
     for length in (8, 100, 2000, len(whole) // 2, len(whole) - 1):
         path = tmp_path / "cut.h5"
         path.write_bytes(whole[:length])
-        refuses(path, ("content", "cannot be read", "whole"))
+        refuses(path, ("file", "cut off", "whole"))
 
 
 # What the files say
@@ -452,7 +452,9 @@ def test_binary_after_the_header(tmp_path):
     path = tmp_path / "clip.csv"
     for junk in (bytes(range(128, 256)), b"\xff\xfe"):
         path.write_bytes(SINGLE.encode() + junk)
-        refuses(path, ("text", "utf-8"))
+        refuses(path, ("text", "bytes that are not UTF-8", "UTF-8"))
+    path.write_text(SINGLE, encoding="utf-16")
+    refuses(path, ("format", "UTF-16"))
     path.write_bytes(SINGLE.encode() + b"3,\x00,1,1,1,1,1\n")
     refuses(path, ("line 7, nose/x", "'\x00'"))
 

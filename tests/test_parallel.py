@@ -52,11 +52,14 @@ def ended(*tasks: str, **more: Any) -> dict[str, Any]:
 
 def test_processes_have_one_thread_and_are_replaced(monkeypatch):
     monkeypatch.setattr(parallel, "TASKS_PER_PROCESS", 2)
+    held, stop = [], parallel._Process.stop
+    monkeypatch.setattr(parallel._Process, "stop", lambda self: (held.append(self.pid), stop(self)))
     for library in ("OMP", "OPENBLAS"):  # which the tests set, too
         monkeypatch.delenv(f"{library}_NUM_THREADS", raising=False)
     first, second, third = ended("environment:1", "environment:2", "environment:3", jobs=1).values()
     assert first["pid"] == second["pid"] != third["pid"] != os.getpid()
     assert first["threads"] == "1"
+    assert held == [third["pid"]]  # those before it keep no files open, however many there are
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals are of POSIX")

@@ -36,8 +36,10 @@ def damage_named(source: str | Path, expected: str, field: str = "content") -> I
     becomes an InputError. expected: of a whole one."""
     try:
         yield
-    except (InputError, AssertionError, NameError):  # the latter two are mistakes of a reader
+    except (InputError, AssertionError, NameError, ImportError):  # all but the first are no fault of the file
         raise
+    except UnicodeDecodeError as error:
+        raise InputError(Problem(source, field, f"bytes that are not {error.encoding.upper()}", expected)) from None
     except RecursionError:
         raise InputError(Problem(source, field, "tables or lists that are nested too deeply", expected)) from None
     except Exception as error:

@@ -20,6 +20,7 @@ from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
+from itertools import count
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -100,12 +101,14 @@ def carry_out(work: Work, tasks: Tasks, tell: Tell, jobs: int | None = None, ret
     waiting = deque((name, task, 1) for name, task in tasks)
     underway: dict[Any, tuple[_Process, str, Any, int]] = {}
     processes: list[_Process] = []
+    numbers = count()
 
     def begin(process: _Process | None, name: str, task: Any, attempt: int) -> None:
         if process is None or process.tasks_left == 0:
             if process is not None:
                 process.channel.close()  # upon which it ends
-            process = _Process(Path(logs) / str(len(processes)))
+                processes.remove(process)  # its open files with it: there may be any number of processes after it
+            process = _Process(Path(logs) / str(next(numbers)))
             processes.append(process)
         process.give(work, task)
         underway[process.channel] = process, name, task, attempt

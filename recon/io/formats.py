@@ -223,6 +223,8 @@ def describe(head: bytes) -> str:
         return "an HDF5 file of another kind"
     if head[4:8] == b"ftyp" or head[8:12] == b"AVI " or head.startswith(b"\x1aE\xdf\xa3"):
         return "a video (recon run and recon predict find the keypoints in one)"
+    if head.startswith((b"\xff\xfe", b"\xfe\xff")):
+        return "a text in UTF-16 (save it in UTF-8)"
     text = head.decode("utf-8", errors="ignore").lstrip("\ufeff").strip()
     # The head may end in the middle of a character of up to 4 bytes; more than that is lost only from binary files.
     if len(text.encode()) < len(head.strip()) - 6 or not all(c.isprintable() or c.isspace() for c in text):

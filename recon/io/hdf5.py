@@ -17,6 +17,7 @@ import h5py
 import numpy as np
 from h5py import h5t
 
+from recon.base import InputError, Problem
 from recon.base.documents import MAX_UNPACKED, damage_named
 from recon.io.common import starts_with
 
@@ -49,7 +50,12 @@ def opened(path: Path, outline: bool = False) -> Iterator[h5py.File]:
     with damage_named(path, "an HDF5 file that is whole and undamaged"):
         if not outline:
             _require_sound_heaps(path)
-        with h5py.File(path, "r") as file:
+        try:
+            file = h5py.File(path, "r")
+        except OSError:
+            found = "an HDF5 file that is cut off or damaged"
+            raise InputError(Problem(path, "file", found, "a whole file")) from None
+        with file:
             yield file
 
 

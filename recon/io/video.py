@@ -72,6 +72,8 @@ def read_picture(path: Path, how: int) -> Image | None:
     """A picture, turned upright as its camera says, None where it cannot be read or has more pixels than OpenCV takes.
     how: as OpenCV's flags say."""
     image = None
+    if not path.is_file():  # a pipe would be waited for
+        return None
     try:
         data = np.fromfile(path, dtype=np.uint8)  # cv2.imread does not take every path on Windows
         image = cv2.imdecode(data, how) if data.size else None

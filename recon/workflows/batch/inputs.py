@@ -292,10 +292,11 @@ def _table(config: Mapping[str, Any], name: str) -> Mapping[str, Any]:
 
 
 def is_manifest(path: Path) -> bool:
-    """Whether a file is a CSV table with a column `keypoints`, or `camera`, where the other is misspelt."""
+    """Whether a file is a CSV table with a column `keypoints`, or `camera`, where the other is misspelt; keypoints may
+    have a column of that name, too."""
     try:
-        is_table = path.suffix.lower() == ".csv" and os.path.isfile(path)
-        return is_table and not {"keypoints", "camera"}.isdisjoint(_header(path))
+        header = _header(path) if path.suffix.lower() == ".csv" and os.path.isfile(path) else ()
+        return "keypoints" in header or ("camera" in header and recognised(path) is None)
     except (InputError, OSError):  # no table of text, or a disk that fails: the clip will say so
         return False
 
