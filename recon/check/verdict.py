@@ -31,7 +31,7 @@ WHY = {
     "posterior": "The detections leave the poses too uncertain.",
     "misfit": "The motion is unlike those that the prior knows, so that the poses are uncertain.",
     "distance": "The animal is far away, so that the poses are uncertain.",
-    "end_on": "The animal is seen from the front or the back, which hardly shows its pose.",
+    "end_on": "The animal is seen from the front or the back, which hardly shows its pose: a camera at its side does.",
 }
 _SIGMAS = 1.645
 """5 % of a normal distribution lie further up."""

@@ -660,7 +660,7 @@ REPORT = "report.json"
 STYLES = {"use": "bold green", "check": "bold yellow", "do not use": "bold red"}
 """Styles of the levels of a verdict, on a terminal."""
 TO_DO = {  # what is to be used needs no word more
-    "check": "Look at the poses on the video (recon overlay) before use; do what the reason and the warnings ask for.",
+    "check": "Look at the poses on the video (recon overlay) before use: reason and warnings say what may be wrong.",
     "do not use": "Do not use these numbers: mend what the reason names, and fit again.",
 }
 FRONT = ("assumed", "clip", "frames", "distance", "side", "keypoints", "detections", "note", "speed", "path", "size")

@@ -282,7 +282,7 @@ NUMBERS = {
     "position_m": ("position off by, m", ".2f"),
     "frames": ("frames", "d"),
     "outliers": ("outliers", "d"),
-    "mean_reprojection_px": ("reprojection, px", ".1f"),
+    "mean_reprojection_px": ("mean reprojection, px", ".1f"),
     "mean_speed_m_s": ("mean m/s", ".1f"),
     "peak_speed_m_s": ("peak m/s", ".1f"),
     "size": ("size", ".2f"),
