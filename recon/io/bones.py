@@ -124,8 +124,8 @@ def recognises_bvh(path: Path) -> bool:
 
 def read_bvh(path: Path, individual: str | None = None) -> StoredPoints:
     """The joints' positions, by forward kinematics. Raises InputError for a file that is cut off or no BVH."""
-    lines = [(at, line.split()) for at, line in enumerate(read_text(path, "a BVH file").splitlines(), start=1)]
-    rows = iter([(at, words) for at, words in lines if words])
+    lines = enumerate(read_text(path, "a BVH file").splitlines(), start=1)
+    rows = ((at, line.split()) for at, line in lines if line.strip())
     joints = _hierarchy(words for _, words in rows)
     count = common.frame_number(_value(next(rows)[1], r"Frames:\s*(\S+)")) or 0
     frame_time_s = common.number(_value(next(rows)[1], r"Frame Time:\s*(\S+)"))

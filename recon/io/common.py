@@ -228,11 +228,14 @@ def numbers(cells: Iterable[object]) -> tuple[np.ndarray, list[int]]:
         if "_" not in joined and joined.isascii():
             found = np.array([float(cell) if cell else np.nan for cell in cells])  # type: ignore[arg-type]
             return found, np.flatnonzero(np.isinf(found)).tolist()
-    found = np.full(len(cells), np.inf)
-    for i, cell in enumerate(cells):
-        text = cell.strip() if isinstance(cell, str) else "" if cell is None else str(cell)
-        with suppress(ValueError):
-            found[i] = number("" if text.lower() in MISSING else text)
+    if all(isinstance(cell, float) for cell in cells):  # of Parquet files and tables in memory
+        found = np.array(cells, dtype=float)
+    else:
+        found = np.full(len(cells), np.inf)
+        for i, cell in enumerate(cells):
+            text = cell.strip() if isinstance(cell, str) else "" if cell is None else str(cell)
+            with suppress(ValueError):
+                found[i] = number("" if text.lower() in MISSING else text)
     wrong = np.isinf(found)
     return np.where(wrong, np.nan, found), np.flatnonzero(wrong).tolist()
 
