@@ -329,7 +329,7 @@ NOT_DEFINITE = np.eye(24) - 2 * np.eye(24, k=0) * (np.arange(24) == 5)
         ({"format": 7}, [("format", 7, 1)]),
         ({"angles": "head_yaw", "source": 3}, [("source", 3), ("angles", "'head_yaw'")]),
         ({"segments": [{"name": "a"}]}, [(f"segments[0].{name}",) for name in ("frames", "fps", "speed_m_s", "used")]),
-        ({"angles": ["head_yaw"]}, [("angles", ["1 angles", "23 missing (rear_trunk_pitch"])]),
+        ({"angles": ["wing"]}, [("angles", ["1 angles", "24 missing (rear_trunk_pitch", "1 of another body (wing)"])]),
         ({"angles": [*cheetah().state_names[:3:-1]]}, [("angles", ["24 angles", "another order"])]),
     ],
 )
@@ -343,8 +343,7 @@ def test_wrong_files(body, prior, tmp_path, changes, expected):
 def test_no_prior_at_all(body, tmp_path, content):
     path = tmp_path / "x.npz"
     path.write_bytes(content)
-    found = "data that cannot be read" if content else "an empty file"
-    with refusal((path, "file", found, "prior")):
+    with refusal((path, "file", "data that cannot be read", "motion prior")):
         load_prior(path, body)
 
 

@@ -78,6 +78,8 @@ def test_figures(frame):
     heat, _ = solver_plots.image_errors(frame).axes
     shown = np.ma.filled(heat.images[0].get_array(), np.nan)
     np.testing.assert_array_equal(shown, frame.image_error_px.T)
+    assert heat.images[0].get_extent()[:2] == [frame.motion.frames[0] - 0.5, frame.motion.frames[-1] + 0.5]
+    assert heat.xaxis.get_major_ticks()[0].tick1line.get_markersize() > 0
     gradient, norm = solver_plots.solver_unknowns(frame).axes
     np.testing.assert_allclose(norm.lines[0].get_xdata(), np.median(frame.column_norm, axis=0))
     assert [label.get_text() for label in gradient.get_yticklabels()] == [*frame.unknowns]

@@ -157,10 +157,13 @@ def _prior(content: bytes, source: str, body: Body) -> MotionPrior:
     about = documents.validated(_About, documents.parse_json(text, source, _EXPECTED), source)
     angles = body.state_names[ANGLES]
     if about.angles != [*angles]:
-        lacking = [name for name in angles if name not in about.angles]
-        differs = f"{len(lacking)} missing ({', '.join(lacking[:3])})" if lacking else "more, or in another order"
+        missing = [name for name in angles if name not in about.angles]
+        more = [name for name in about.angles if name not in angles]
+        differing = (("missing", missing), ("of another body", more))
+        parts = [f"{len(names)} {what} ({', '.join(names[:3])})" for what, names in differing if names]
+        found = f"{len(about.angles)} angles, {' and '.join(parts) or 'in another order'}"
         expected = f"the {len(angles)} angles of {body.name}, in its order"
-        raise InputError(Problem(source, "angles", f"{len(about.angles)} angles, {differs}", expected))
+        raise InputError(Problem(source, "angles", found, expected))
     refuse(
         Problem(source, key, f"an array of {stored[key].dtype}", "floating-point numbers")
         for key in SHAPES

@@ -294,6 +294,7 @@ def image_errors(record: SolverRecord) -> Figure:
         image = _logarithmic_image(figure, axes, values, 0.5, most, "error in the picture (px)")
         image.set_extent((frames[0] - 0.5, frames[-1] + 0.5, len(names) - 0.5, -0.5))
         axes.set_yticks(range(len(names)), names)
+        axes.tick_params(axis="y", length=0)
         axes.set_title(f"{record.motion.pictures[0].name}: mean {mean(values):.1f} px", loc="left")
         axes.set_xlabel("frame")
     return figure
@@ -352,6 +353,7 @@ def solver_matrices(record: SolverRecord) -> Figure:
             most = float(np.nanmax(size, initial=1.0))
             _logarithmic_image(figure, axes, size, _DECADES * most, most, label)
             axes.set_xticks(range(len(names)), names, rotation=90, fontsize=style.SMALL)
+            axes.tick_params(length=0)
         panels[0].set_yticks(np.cumsum(counts) - counts / 2 - 0.5, [*parts], fontsize=style.SMALL)
         panels[1].set_yticks(range(len(names)), names, fontsize=style.SMALL)
     return figure
@@ -395,7 +397,6 @@ def _over_time(figure: Figure, rows: Sequence[Axes], labels: Sequence[str], acro
 def _logarithmic_image(figure: Figure, axes: Axes, values: Array, least: float, most: float, label: str) -> AxesImage:
     """Rows of values as colours; white: none."""
     image = axes.imshow(values, aspect="auto", norm=LogNorm(least, most), interpolation="none")
-    axes.tick_params(length=0)
     bar = figure.colorbar(image, ax=axes, label=label, extend="min", aspect=40, pad=0.02)
     style.plain_logarithm(bar.ax.yaxis)
     return image
