@@ -83,6 +83,16 @@ def test_frames_in_which_only_fast_keypoints_are_seen_are_not_left_out():
     assert found.code == "frames_dropped"
 
 
+def test_legs_that_swing_and_a_camera_that_shakes_are_no_frames_left_out():
+    """Legs that are fast for three of twelve frames, seen by a camera that follows; and one that is shaken."""
+    T, J = 60, noisy().shape[1]
+    noise, rng = np.random.default_rng(0).normal(0, 1, (T, J, 2)), np.random.default_rng(1)
+    swings = np.cumsum(np.where(np.arange(T) % 12 < 3, 40.0, 10.0))[:, None, None] * [1.0, 0.0]
+    shaken = 20.0 * np.arange(T)[:, None, None] * [1.0, 0.0] + rng.normal(0, 8, (T, 1, 2))
+    assert not [*copies([source(swings + noise)])]
+    assert not [*copies([source(shaken + noise)])]
+
+
 def moved(states: np.ndarray) -> Motion:
     """A motion whose body goes along these states."""
     solution, body = plain(), plain().body
