@@ -11,6 +11,7 @@ from __future__ import annotations
 import dataclasses
 import json
 from collections.abc import Mapping
+from contextlib import suppress
 from functools import cache
 from importlib import import_module
 from pathlib import Path
@@ -129,7 +130,9 @@ def _restored(value: Any, arrays: Mapping[str, np.ndarray]) -> Any:
 def _dataclass_named(name: str) -> type:
     """By its module and name. Raises ValueError unless it is one of this package."""
     module, _, own = name.partition(":")
-    found = getattr(import_module(module), own, None) if module.startswith(f"{PACKAGE}.") else None
+    found = None
+    with suppress(ImportError):
+        found = getattr(import_module(module), own, None) if module.startswith(f"{PACKAGE}.") else None
     if not (isinstance(found, type) and dataclasses.is_dataclass(found)):
         raise ValueError(f"{name[:60]!r}, which is no class of {PACKAGE}")
     return found
