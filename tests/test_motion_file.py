@@ -135,7 +135,7 @@ def test_pickles(saved: Path) -> None:
         (lambda a, r: r["value"].update(more=1), ("more", "unknown field", "`recon fit`")),
         (lambda a, r: r["value"].update(side="up"), ("side", "'up'", "'left' or 'right'")),
         (lambda a, r: r["value"]["solution"].update({"class": "os:system"}), ("content", "'os:system'")),
-        (lambda a, r: r["value"]["solution"].update({"class": "recon.none:None"}), ("content", "'recon.none'")),
+        (lambda a, r: r["value"]["solution"].update({"class": "recon.none:None"}), ("content", "recon.none")),
         (lambda a, r: r["value"]["solution"].update(size="large"), ("size", "'large'", "number")),
         (
             lambda a, r: r["value"]["sources"][0]["camera"].update(model="none"),
