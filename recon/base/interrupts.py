@@ -41,6 +41,7 @@ class Interrupts:
         self.said = False
         self._raised = False
         self._swallowed = False
+        self._answered = True
         self._leaving = False
         self._watched = False
 
@@ -69,6 +70,7 @@ class Interrupts:
         os._exit(EXIT_INTERRUPTED)
 
     def __call__(self, number: int, frame: FrameType | None) -> None:
+        self._answered = True
         if self._leaving:
             return
         if self.in_command and self._watched and not self._raised and _is_importing(frame):
@@ -105,8 +107,8 @@ class Interrupts:
         while True:
             time.sleep(TICK_S)
             told |= self.received
-            if self._swallowed:
-                self._swallowed = self._raised = False
+            if self._swallowed or not self._answered:  # a signal just before the main thread begins to wait is lost
+                self._swallowed = self._raised = self._answered = False
                 signal.pthread_kill(main, next(one for one in STOPPING if signal.getsignal(one) is self))
             if time.monotonic() - began > (CLEAN_UP_S if told else STUCK_S):
                 self.leave()
