@@ -38,7 +38,6 @@ SPEED_KNOWN = 0.1
 """The standard deviation of a peak speed, relative to it, up to which speeds count as known."""
 UNSEEN_S = 0.2
 """For about as long, what was seen before and after says where a foot is; then only how animals of its kind move."""
-
 STIFF_RAD = 1e-6
 """The back of a skeleton has no flexion where the angle changes by less: its joints are on one segment."""
 

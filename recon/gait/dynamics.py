@@ -148,7 +148,7 @@ def dynamics(motion: Motion, gait: Gait | None, errors: Sequence[Errors]) -> Dyn
     momentum = np.einsum("nsk,s->nk", np.cross(value, rate), of_ends)
     of_joint = _nearest(motion, rods_m)
     near = Errors(errors[-1].sigma[:, of_joint], errors[-1].correlation_s)
-    spread = _turning_sigma(value, rate, of_ends, np.repeat(sigma / 2, 2), of_joint, near)
+    spread = _turning_sigma(value, rate, of_ends, sigma, of_joint, near)
     turning = kinematics.series_kinematics(motion.time_s, np.column_stack([internal, momentum, spread])).value
     forces, force = _forces(gait)
     return Dynamics(
@@ -195,15 +195,16 @@ def _nearest(motion: Motion, rods_m: Array) -> Integers:
 def _turning_sigma(
     at_m: Array, rate_m_s: Array, share: Array, share_sigma: Array, of_joint: Integers, errors: Errors
 ) -> Array:
-    """(T, 4): one standard deviation of the internal energy and the angular momentum of ends of rods (T, E, 3), whose
-    errors are those of their joints: alike for all ends of a joint, independent of other joints'. Errors that last for
+    """(T, 4): one standard deviation of the internal energy and the angular momentum of ends of rods (T, E, 3), two for
+    each segment, with shares (E,) of the mass, those of segments with standard deviations (S,). The ends' errors are
+    those of their joints: alike for all ends of a joint, independent of other joints'. Errors that last for
     `correlation_s` move at sigma / correlation_s."""
     axes = np.eye(3)
     by_rate = np.concatenate([rate_m_s[:, :, :, None], np.cross(at_m[:, :, None], axes)], axis=3)
     by_place = np.concatenate([np.zeros_like(rate_m_s)[:, :, :, None], np.cross(axes, rate_m_s[:, :, None])], axis=3)
     own = np.concatenate([0.5 * np.sum(rate_m_s**2, axis=2, keepdims=True), np.cross(at_m, rate_m_s)], axis=2)
     total = np.einsum("teq,e->tq", own, share)
-    of_segment = (own - total[:, None]).reshape(len(own), -1, 2, 4).mean(axis=2) * 2 * share_sigma[::2, None]
+    of_segment = (own - total[:, None]).reshape(len(own), -1, 2, 4).mean(axis=2) * share_sigma[:, None]
     variance = np.sum(of_segment**2, axis=1)
     for joint in np.unique(of_joint):
         ends = np.flatnonzero(of_joint == joint)
