@@ -39,6 +39,11 @@ sys.modules["pandas"] = types.ModuleType("pandas")
 IN_A_LIBRARY = "hashlib.pbkdf2_hmac('sha256', b'', b'', 10**9)"
 WORK = {
     "at work": "ctrl_c(); time.sleep(60)",
+    "just before it waits": """
+    import threading
+    threading.Timer(0.1, lambda: signal.pthread_kill(threading.get_ident(), signal.SIGINT)).start()
+    time.sleep(60)
+""",
     "another exception": """
     try:
         ctrl_c(); time.sleep(60)
@@ -144,6 +149,20 @@ def work():
     assert recon_in(code.replace("raise KeyboardInterrupt", "sys.exit(0)")) == Ended(
         130, "cleaned up\n", f"{MESSAGE}\n"
     )
+
+
+@posix
+def test_while_python_ends():
+    """Nothing is left to stop then: the exit code is the command's."""
+    code = """
+class Last:
+    def __del__(self, kill=os.kill, pid=os.getpid(), number=signal.SIGINT):
+        kill(pid, number)
+last = Last()
+def work():
+    sys.exit(3)
+"""
+    assert recon_in(code) == Ended(3, "cleaned up\n", "")
 
 
 @posix

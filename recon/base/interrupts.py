@@ -5,6 +5,7 @@ This is imported before anything else, and therefore imports next to nothing.
 
 from __future__ import annotations
 
+import atexit
 import os
 import signal
 import sys
@@ -33,28 +34,24 @@ class Interrupts:
     it is one as soon as that is over, as libraries turn exceptions into others there, or print them. At any other time
     the process ends at once, and so it does at a second Ctrl-C, and where the command does not end in time.
 
-    in_command: whether a command runs that can clean up. said: whether the one line has been printed.
+    in_command: whether a command runs that can clean up. received: whether it has to stop. said: whether the one line
+    has been printed.
     """
 
     def __init__(self) -> None:
         self.in_command = False
         self.said = False
+        self.received = False
         self._raised = False
-        self._swallowed = False
-        self._answered = True
         self._leaving = False
         self._watched = False
-
-    @property
-    def received(self) -> bool:
-        """Whether the command has been told to stop."""
-        return self._raised or self._swallowed
 
     def install(self) -> None:
         """In the main thread. Where SIGINT is ignored, as in the background jobs of a shell script, it stays so."""
         taken = [one for one in STOPPING if signal.getsignal(one) in (signal.default_int_handler, signal.SIG_DFL)]
         for one in taken:
             signal.signal(one, self)
+            atexit.register(signal.signal, one, signal.SIG_IGN)  # Python's own end takes 0.3 s, and nothing is lost
         if taken and os.name == "posix":
             self._start_watch()
 
@@ -70,14 +67,17 @@ class Interrupts:
         os._exit(EXIT_INTERRUPTED)
 
     def __call__(self, number: int, frame: FrameType | None) -> None:
-        self._answered = True
         if self._leaving:
             return
-        if self.in_command and self._watched and not self._raised and _is_importing(frame):
-            self._swallowed = True  # it comes again until the import is over
-            return
-        if not self.in_command or self._raised or _is_importing(frame):
+        if not self.in_command or self.received or (_is_importing(frame) and not self._watched):
             self.leave()
+        self.received = True
+        self._tell(number, frame)
+
+    def _tell(self, number: int, frame: FrameType | None) -> None:
+        """Let the command know, if it has to and can: otherwise the watch calls for this again."""
+        if not self.received or self._raised or not self.in_command or _is_importing(frame):
+            return
         self._raised = True
         # What a library makes of the exception is of no use to anybody.
         sys.excepthook = lambda *_: None
@@ -87,7 +87,7 @@ class Interrupts:
     def _on_swallowed(self, unraisable: UnraisableHookArgs) -> None:
         """Python drops exceptions in destructors and the like."""
         if issubclass(unraisable.exc_type, KeyboardInterrupt):
-            self._swallowed = True
+            self._raised = False
 
     def _start_watch(self) -> None:
         import threading
@@ -96,22 +96,21 @@ class Interrupts:
         os.set_blocking(writer, False)
         signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
         os.register_at_fork(after_in_child=lambda: signal.set_wakeup_fd(-1))
+        signal.signal(signal.SIGURG, self._tell)
         main, self._watched = threading.get_ident(), True
         threading.Thread(target=self._watch, args=(reader, main), name="interrupts", daemon=True).start()
 
     def _watch(self, reader: int, main: int) -> None:
-        """Python runs signal handlers between two steps of the main thread, which may be in a library for long."""
+        """Python runs signal handlers between two steps of the main thread, which may be in a library for long, or
+        begin to wait just after the signal. SIGURG, which does nothing elsewhere, brings it to its next step."""
         while not {*STOPPING} & {*os.read(reader, 64)}:
             pass
-        began, told = time.monotonic(), False
-        while True:
+        began = time.monotonic()
+        while time.monotonic() - began < (CLEAN_UP_S if self.received else STUCK_S):
             time.sleep(TICK_S)
-            told |= self.received
-            if self._swallowed or not self._answered:  # a signal just before the main thread begins to wait is lost
-                self._swallowed = self._raised = self._answered = False
-                signal.pthread_kill(main, next(one for one in STOPPING if signal.getsignal(one) is self))
-            if time.monotonic() - began > (CLEAN_UP_S if told else STUCK_S):
-                self.leave()
+            if not self._raised:
+                signal.pthread_kill(main, signal.SIGURG)
+        self.leave()
 
 
 def installed() -> Interrupts | None:
