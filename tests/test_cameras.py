@@ -71,6 +71,7 @@ def test_a_file_is_that_of_the_camera_that_its_name_contains(folder):
         ("run_cam_02_DLC", ["cam02"]),
         ("run_cam-2_DLC", ["2"]),
         ("cam4_json", ["int_cam4_img"]),
+        ("run_cam04", ["int_cam4_img"]),
     ],
 )
 def test_names_of_cameras_in_names_of_files(name, found):
@@ -191,6 +192,9 @@ def test_what_is_wrong_is_said(folder, tmp_path):
     given = replace(settings(folder, 1, 2), keypoints=(tmp_path / "clip.csv", folder / "run_cam2.csv"))
     with refusal(("scene.json", "camera", ["2 cameras", "clip.csv"], ["cam1, cam2", "--camera-name"])):
         prepare(given)
+    gone = tmp_path / "gone.csv"
+    with refusal((gone, "file", "no such file")):  # and not also for having no camera in its name
+        prepare(replace(given, keypoints=(gone, folder / "run_cam2.csv")))
     write_cameras([CAMERA], tmp_path / "one.toml")
     with refusal(("one.toml", "camera", "1 of the 2 cameras", "--camera once for each")):
         prepare(replace(given, camera=tmp_path / "one.toml"))

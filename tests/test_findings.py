@@ -98,7 +98,7 @@ SENTENCES = {
         "to ±1.5 degrees: the first camera is 1.9 m above the ground that they stand on, which is z = 0",
         {"height_m": 1.9, "sigma_rad": np.radians(1.5), "up": "0.000,-0.900,0.400"},
     ),
-    "camera_taken_level": ("taken to be level", {}),
+    "camera_taken_level": ("and cam1 is taken to be level. To say it: --set up", {"option": "--set up"}),
     "reference_unlike": ("410 mm from the reference's, 61% of", {"left_mm": 410.2, "share": 0.61}),
     "reference_rotated": (
         "by 90°, brings MPJPE from 410.2 to 20.0 mm",

@@ -462,10 +462,10 @@ def test_binary_after_the_header(tmp_path):
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
-        ("scorer", ("header", "'scorer'")),
+        ("scorer", ("header", "end of the file after scorer")),
         (SINGLE.replace("coords,x,y,likelihood,x,y,likelihood\n", ""), ("header", "'scorer, bodyparts, 0'")),
         (SINGLE.replace("bodyparts", "parts"), ("header", "'scorer, parts'")),
-        ("\n".join(SINGLE.splitlines()[:2]), ("header", "'scorer, bodyparts'")),
+        ("\n".join(SINGLE.splitlines()[:2]), ("header", "end of the file after scorer, bodyparts")),
         ("\n".join(SINGLE.splitlines()[:3]), ("points", "no frames")),
         ("scorer\nbodyparts\ncoords\n0\n", ("header rows", "no columns")),
         (SINGLE.replace(",x,y,likelihood\n", "\n"), ("header rows", "7 in scorer, 7 in bodyparts, 4 in coords")),

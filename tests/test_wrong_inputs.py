@@ -117,13 +117,18 @@ def test_what_no_animal_does_is_named(code):
     assert found.code == code
 
 
-@pytest.mark.parametrize(("size", "codes"), [(1.0, ["animal_still"]), (0.1, [])])
-def test_a_small_animal_stands_still_at_a_lower_speed(size, codes):
-    """All joints of one go by 0.2 m in a second: three times its trunk's length, or a third of it."""
+@pytest.mark.parametrize(
+    ("size", "seconds", "codes"),
+    [(1.0, 0.5, ["animal_still"]), (0.1, 0.5, []), (0.5, 0.5, ["animal_still"]), (0.5, 1.0, [])],
+)
+def test_an_animal_that_stands_still_stays_in_its_place(size, seconds, codes):
+    """All joints of one go by 0.2 m in a second: a third of its trunk's length, or three times it; and two thirds, by
+    which it leaves its place in the end."""
     motion = moved(np.repeat(plain().states[:1], len(plain().states), axis=0))
-    ahead_m = 0.2 * np.arange(len(motion.frames))[:, None, None] / FPS * np.array([1.0, 0.0, 0.0])
-    joints_m = size * motion.solution.joints_m + ahead_m
-    found = movement(replace(motion, solution=replace(motion.solution, joints_m=joints_m)))
+    ahead_m = 0.2 * np.linspace(0, seconds, len(motion.frames))[:, None, None] * np.array([1.0, 0.0, 0.0])
+    joints_m, (one,) = size * motion.solution.joints_m + ahead_m, motion.sources
+    one = replace(one, keypoints=replace(one.keypoints, fps=len(motion.frames) / seconds))
+    found = movement(replace(motion, sources=(one,), solution=replace(motion.solution, joints_m=joints_m)))
     assert [one.code for one in found] == codes
 
 

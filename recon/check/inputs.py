@@ -215,9 +215,9 @@ def _copied_sides(keypoints: Keypoints, camera: str) -> Iterator[Finding]:
 
 LEAST_S = 0.25
 """Motions that are shorter say nothing."""
-STILL, STILL_M_S, STILL_RAD_S = 0.95, 0.3, 0.6
+STILL, STILL_M_S, STILL_RAD_S, STILL_TRUNKS = 0.95, 0.3, 0.6, 0.5
 """An animal that stands still is not faster in so many frames, nor goes by its trunk's length in a second, nor are its
-joints' angular speeds larger, by their median."""
+joints' angular speeds larger, by their median, nor does it leave its place by half its trunk's length."""
 BACKWARDS_M_S, BACKWARDS = 1.0, 0.9
 """No animal runs backwards as fast, for so much of a clip."""
 SLOWEST = 0.1
@@ -237,10 +237,12 @@ def movement(motion: Motion) -> Iterator[Finding]:
         return
     forward, feet = _along(motion)
     turns = np.abs(np.diff(motion.states[:, 6:], axis=0)) * motion.fps
-    speed = np.linalg.norm(np.gradient(solution.joints_m.mean(axis=1), axis=0), axis=1) * motion.fps
+    middle_m = solution.joints_m.mean(axis=1)
+    speed = np.linalg.norm(np.gradient(middle_m, axis=0), axis=1) * motion.fps
     rear, front = motion.forward
     trunk_m = float(np.nanmedian(np.linalg.norm(solution.joints_m[:, rear] - solution.joints_m[:, front], axis=1)))
-    if np.nanquantile(speed, STILL) < min(STILL_M_S, trunk_m) and np.nanmedian(turns) < STILL_RAD_S:
+    stays = np.linalg.norm(np.nanmax(middle_m, axis=0) - np.nanmin(middle_m, axis=0)) < STILL_TRUNKS * trunk_m
+    if stays and np.nanquantile(speed, STILL) < min(STILL_M_S, trunk_m) and np.nanmedian(turns) < STILL_RAD_S:
         yield finding("animal_still", speed_m_s=float(np.nanmedian(speed)))
     elif np.mean(forward[np.isfinite(forward)] < -BACKWARDS_M_S) > BACKWARDS:
         yield finding("time_reversed", speed_m_s=-float(np.nanmedian(forward)))

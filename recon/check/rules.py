@@ -88,8 +88,9 @@ def keypoints_that_do_not_fit(motion: Motion) -> Iterator[Finding]:
 
 
 def camera_taken_level(motion: Motion) -> Iterator[Finding]:
-    if not motion.knows_up and motion.camera.tilt_rad == 0:
-        yield finding("camera_taken_level")
+    if not motion.knows_up and motion.camera.tilt_rad == 0 and motion.settings.get("up") is None:
+        option = "--set up" if motion.camera.has_extrinsics else "--tilt-deg"
+        yield finding("camera_taken_level", camera=motion.camera.name, option=option)
 
 
 def missing_as_constant(motion: Motion) -> Iterator[Finding]:

@@ -30,7 +30,8 @@ from recon.clip import frame_ranges
 from recon.fit import Finding, Motion, Verdict, radius
 from recon.io import Pose3D, read_pose3d
 
-PCK_THRESHOLDS_M = (0.05, 0.1, 0.15)
+PCK_THRESHOLDS_M, PCK_LARGEST = (0.05, 0.1, 0.15), 1 / 3
+"""Divided by ten until the largest is at most this part of the animal: a mouse's joints all lie within 0.15 m."""
 LEVELS = (0.5, 0.9)
 """The levels of the intervals that are compared with the truth."""
 
@@ -221,7 +222,7 @@ def evaluate(pose: Pose3D, truth: Pose3D, sigmas_m: tuple[np.ndarray, np.ndarray
         scale_mpjpe_m=score(joint_errors(aligned(pose_m, truth_m, scale=True), truth_m)),
         pa_mpjpe_m=score(similar_m),
         position_m=float(mean_along(mean_along(np.linalg.norm(pose_m - centred, axis=2), 1), 0)),
-        pck=tuple((t, score(np.where(np.isnan(centred_m), np.nan, centred_m <= t))) for t in PCK_THRESHOLDS_M),
+        pck=tuple((t, score(np.where(np.isnan(centred_m), np.nan, centred_m <= t))) for t in _thresholds_m(truth_m)),
         inside=inside,
         frames_not_scored=int((~common.any(axis=1)).sum()),
         frames_without_pa=int(np.isnan(similar_m).all(axis=1).sum()),
@@ -231,6 +232,14 @@ def evaluate(pose: Pose3D, truth: Pose3D, sigmas_m: tuple[np.ndarray, np.ndarray
         frames_only_in_truth=frame_ranges(np.setdiff1d(truth.frames, frames)),
         notes=tuple(map(sentence, mismatches(pose_m, truth_m, names))),
     )
+
+
+def _thresholds_m(truth_m: np.ndarray) -> tuple[float, ...]:
+    """Of PCK, for an animal as large as joints (T, J, 3) are apart, by the median over the frames."""
+    posed_m = truth_m[np.isfinite(truth_m).any(axis=(1, 2))]
+    size_m = float(np.median(np.linalg.norm(np.nanmax(posed_m, axis=1) - np.nanmin(posed_m, axis=1), axis=1)))
+    tens = max(np.ceil(np.log10(PCK_THRESHOLDS_M[-1] / max(PCK_LARGEST * size_m, 1e-6))), 0.0)
+    return tuple(t / 10.0**tens for t in PCK_THRESHOLDS_M)
 
 
 def _inside(error_m: np.ndarray, sigma_m: np.ndarray) -> tuple[float, ...]:

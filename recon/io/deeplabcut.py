@@ -71,6 +71,8 @@ def _read_header(path: Path, rows: Iterator[tuple[int, list[str]]]) -> tuple[dic
         header[first] = row
         if first == "coords":
             break
+    else:
+        raise InputError(header_problem(path, f"the end of the file after {', '.join(header)}"))
     if tuple(header) not in HEADERS:
         found = ", ".join(dict.fromkeys((*header, first[:40])))
         raise InputError(header_problem(path, f"rows that begin with '{found}'"))

@@ -492,8 +492,9 @@ def size(motion: Motion) -> dict[str, Any]:
 def size_lines(motion: Motion, data: Any) -> Iterator[Line]:
     by, given, animal = _telling(_solution(motion)), _size_given(motion), data["lengths"].split(",")[0]
     if by:
-        relative, of = data["sigma"] / data["factor"], given or animal
-        yield "size", f"{data['factor']:.2f} times the skeleton ({of}), ±{relative:.0%}, by {' and '.join(by)}"
+        percent, of = 100 * data["sigma"] / data["factor"], given or animal
+        known = f"±{percent:.0f}%" if percent >= 1 else f"±{percent:.1g}%"
+        yield "size", f"{data['factor']:.2f} times the skeleton ({of}), {known}, by {' and '.join(by)}"
     elif given:
         yield "size", f"as given ({given}), ±{data['sigma']:.0%}"
     else:

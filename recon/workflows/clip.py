@@ -439,7 +439,7 @@ def _cameras_in_file(settings: FitSettings, tracks: Sequence[io.CameraTrack]) ->
         names = cameras_in(file.stem, [camera.name for camera in cameras])
         named = [camera for camera in cameras if camera.name in names]
         chosen += named
-        if len(named) != 1:
+        if len(named) != 1 and file.exists():  # or that is what is wrong with it
             found = f"{len(cameras)} cameras and no choice"
             found += f" for {file.name}" if len(settings.keypoints) > 1 else ""
             expected = f"one of {', '.join(camera.name for camera in cameras)} by --camera-name, or in the file's name"
@@ -451,9 +451,9 @@ def _cameras_in_file(settings: FitSettings, tracks: Sequence[io.CameraTrack]) ->
 def cameras_in(stem: str, names: Iterable[str]) -> dict[str, re.Match[str]]:
     """Which cameras' names a file's name has, and where: cam1 is in run_cam1DLC, not in run_cam10; A is in run-A, not
     in run-Alex. If a file's name has camA or cam-1, the cameras A and 1 are looked for nowhere else in it."""
-    # cam01 is also cam_01 and cam-01, and what Pose2Sim calls int_cam01_img
-    called = {name: re.fullmatch(r"(?:int_)?([A-Za-z]+)[-_ ]?([0-9]+)(?:_img)?", name) for name in names}
-    spelt = {name: re.escape(name) if of is None else f"{of[1]}[-_ ]?{of[2]}" for name, of in called.items()}
+    # cam1 is also cam_1, cam-1 and cam_01, and what Pose2Sim calls int_cam01_img
+    called = {name: re.fullmatch(r"(?:int_)?([A-Za-z]+)[-_ ]?0*([0-9]+)(?:_img)?", name) for name in names}
+    spelt = {name: re.escape(name) if of is None else f"{of[1]}[-_ ]?0*{of[2]}" for name, of in called.items()}
     for before in ("cam(?:era)?[-_ ]?", ""):
         ends = {name: "(?![0-9])" if name[-1:].isdigit() else "(?![0-9])(?=DLC|[^a-z]|$)" for name in spelt}
         patterns = {name: rf"(?<![0-9A-Za-z]){before}{spelt[name]}{ends[name]}" for name in spelt}

@@ -50,7 +50,7 @@ def _table(result: Evaluation) -> Table:
         cells = [f"{1000 * of(one):.1f}" for one in scores] + [f"{of(one):.0%}" for one in shares.values()]
         return [name, *(cell.replace("nan%", "-").replace("nan", "-") for cell in cells)]
 
-    numbers = ("MPJPE", "MPE", "scaled", "PA", *(f"PCK {1000 * t:.0f}" for t in shares))
+    numbers = ("MPJPE", "MPE", "scaled", "PA", *(f"PCK {1000 * t:g}" for t in shares))
     table = table_of("errors in mm", numbers=numbers, rows=[row("all", lambda one: one.mean)])
     table.add_section()
     for j, name in enumerate(result.names):
@@ -59,7 +59,7 @@ def _table(result: Evaluation) -> Table:
 
 
 def _table_notes(result: Evaluation) -> Iterator[str]:
-    thresholds = ", ".join(f"{1000 * t:.0f}" for t, _ in result.pck)
+    thresholds = ", ".join(f"{1000 * t:g}" for t, _ in result.pck)
     yield "MPJPE   mean distance of the joints from the reference, each frame centred"
     yield "MPE     without centring"
     yield "scaled  centred, and scaled to the size of the reference"
