@@ -72,10 +72,11 @@ def test_a_file_is_that_of_the_camera_that_its_name_contains(folder):
         ("run_cam-2_DLC", ["2"]),
         ("cam4_json", ["int_cam4_img"]),
         ("run_cam04", ["int_cam4_img"]),
+        ("run_Camera03", ["hires_cam3_params"]),
     ],
 )
 def test_names_of_cameras_in_names_of_files(name, found):
-    assert [*cameras_in(name, ["top1", "A", "B", "1", "2", "cam02", "int_cam4_img"])] == found
+    assert [*cameras_in(name, ["top1", "A", "B", "1", "2", "cam02", "hires_cam3_params", "int_cam4_img"])] == found
 
 
 def test_cameras_in_millimetres(folder):
@@ -195,6 +196,8 @@ def test_what_is_wrong_is_said(folder, tmp_path):
     gone = tmp_path / "gone.csv"
     with refusal((gone, "file", "no such file")):  # and not also for having no camera in its name
         prepare(replace(given, keypoints=(gone, folder / "run_cam2.csv")))
+    with refusal((gone, "file", "no such file")):
+        prepare(replace(given, keypoints=(gone,)))
     write_cameras([CAMERA], tmp_path / "one.toml")
     with refusal(("one.toml", "camera", "1 of the 2 cameras", "--camera once for each")):
         prepare(replace(given, camera=tmp_path / "one.toml"))

@@ -920,7 +920,9 @@ def test_dannce(tmp_path, packed):
 
 
 def test_dannce_predictions_and_names(tmp_path):
-    savemat(tmp_path / "save_data_AVG.mat", {"pred": np.arange(12.0).reshape(2, 3, 2), "sampleID": [[1, 2]]})
+    savemat(
+        tmp_path / "save_data_AVG.mat", {"pred": np.arange(12.0).reshape(2, 1, 3, 2), "sampleID": [[1, 2]]}
+    )  # one animal
     pose = read_pose3d(tmp_path / "save_data_AVG.mat", unit="m")
     np.testing.assert_array_equal(pose.xyz_m[0], [[0, 2, 4], [1, 3, 5]])
     path = dannce_file(tmp_path / "a.mat", skeleton={"joint_names": cell("nose", "tail")})

@@ -31,7 +31,7 @@ from recon.fit import Finding, Motion, Verdict, radius
 from recon.io import Pose3D, read_pose3d
 
 PCK_THRESHOLDS_M, PCK_LARGEST = (0.05, 0.1, 0.15), 1 / 3
-"""Divided by ten until the largest is at most this part of the animal: a mouse's joints all lie within 0.15 m."""
+"""They are divided by ten until the largest is at most this part of the animal: a mouse is all within 0.15 m."""
 LEVELS = (0.5, 0.9)
 """The levels of the intervals that are compared with the truth."""
 
@@ -235,7 +235,7 @@ def evaluate(pose: Pose3D, truth: Pose3D, sigmas_m: tuple[np.ndarray, np.ndarray
 
 
 def _thresholds_m(truth_m: np.ndarray) -> tuple[float, ...]:
-    """Of PCK, for an animal as large as joints (T, J, 3) are apart, by the median over the frames."""
+    """The thresholds of PCK for an animal as large as joints (T, J, 3) are apart, by the median over the frames."""
     posed_m = truth_m[np.isfinite(truth_m).any(axis=(1, 2))]
     size_m = float(np.median(np.linalg.norm(np.nanmax(posed_m, axis=1) - np.nanmin(posed_m, axis=1), axis=1)))
     tens = max(np.ceil(np.log10(PCK_THRESHOLDS_M[-1] / max(PCK_LARGEST * size_m, 1e-6))), 0.0)

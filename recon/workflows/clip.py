@@ -19,6 +19,7 @@ from recon.animal.body import Body, Side
 from recon.animal.prior import MotionPrior, load_prior
 from recon.animal.skeleton_file import load_skeleton, seen_by
 from recon.base import Array, InputError, Problem, Progress, all_of, mean_along, refuse, silent
+from recon.base.documents import require_file
 from recon.clip import Keypoints, Source, View, clean, held, leave_out, parse_frame_range, together, views_of
 from recon.fit import TrajectorySolution, solve_trajectory
 from recon.fit.motion import Motion
@@ -434,26 +435,31 @@ def _cameras_in_file(settings: FitSettings, tracks: Sequence[io.CameraTrack]) ->
         found = f"{len(cameras)} of the {len(settings.keypoints)} cameras"
         expected = "one for each keypoint file: a file that has all of them, or --camera once for each"
         raise InputError(Problem(path, "camera", found, expected))
-    chosen, problems = [], []
-    for file in settings.keypoints:
-        names = cameras_in(file.stem, [camera.name for camera in cameras])
-        named = [camera for camera in cameras if camera.name in names]
-        chosen += named
-        if len(named) != 1 and file.exists():  # or that is what is wrong with it
-            found = f"{len(cameras)} cameras and no choice"
-            found += f" for {file.name}" if len(settings.keypoints) > 1 else ""
-            expected = f"one of {', '.join(camera.name for camera in cameras)} by --camera-name, or in the file's name"
-            problems.append(Problem(path, "camera", found, expected))
-    refuse(problems)
-    return tuple(chosen)
+    names = [camera.name for camera in cameras]
+    chosen = {file: cameras_in(file.stem, names) for file in settings.keypoints}
+    unclear = [file for file, of in chosen.items() if len(of) != 1]
+    for file in unclear:
+        require_file(file)
+    if unclear:
+        found = f"{len(cameras)} cameras and no choice"
+        found += f" for {', '.join(file.name for file in unclear)}" if len(chosen) > 1 else ""
+        raise InputError(
+            Problem(path, "camera", found, f"one of {', '.join(names)} by --camera-name, or in the file's name")
+        )
+    return tuple(camera for of in chosen.values() for camera in cameras if camera.name in of)
 
 
 def cameras_in(stem: str, names: Iterable[str]) -> dict[str, re.Match[str]]:
     """Which cameras' names a file's name has, and where: cam1 is in run_cam1DLC, not in run_cam10; A is in run-A, not
     in run-Alex. If a file's name has camA or cam-1, the cameras A and 1 are looked for nowhere else in it."""
-    # cam1 is also cam_1, cam-1 and cam_01, and what Pose2Sim calls int_cam01_img
-    called = {name: re.fullmatch(r"(?:int_)?([A-Za-z]+)[-_ ]?0*([0-9]+)(?:_img)?", name) for name in names}
-    spelt = {name: re.escape(name) if of is None else f"{of[1]}[-_ ]?0*{of[2]}" for name, of in called.items()}
+    # cam1 is also cam_01 and Camera1, what Pose2Sim calls int_cam01_img, and DANNCE hires_cam1_params
+    called = {
+        name: re.fullmatch(r"(?:int_|hires_)?([A-Za-z]+)[-_ ]?0*([0-9]+)(?:_img|_params)?", name) for name in names
+    }
+    spelt = {
+        name: re.escape(name) if of is None else re.sub("(?i)^cam(era)?$", "cam(?:era)?", of[1]) + f"[-_ ]?0*{of[2]}"
+        for name, of in called.items()
+    }
     for before in ("cam(?:era)?[-_ ]?", ""):
         ends = {name: "(?![0-9])" if name[-1:].isdigit() else "(?![0-9])(?=DLC|[^a-z]|$)" for name in spelt}
         patterns = {name: rf"(?<![0-9A-Za-z]){before}{spelt[name]}{ends[name]}" for name in spelt}
