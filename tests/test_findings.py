@@ -82,8 +82,8 @@ SENTENCES = {
     "not_converged": ("ended before it had converged", {}),
     "size_unexpected": ("comes out 0.70 times as large as usual, where 1 ± 0.1", {"size": 0.7, "expected_sigma": 0.1}),
     "pair_disagrees": (
-        "usual). Check both poses, or give the animal's lengths (--subject).",
-        {"cameras": ("cam1", "cam2"), "misfit": 9.06, "limit": 4.0},
+        "agree better. Check both poses, or give the animal's lengths (--subject).",
+        {"cameras": ("cam1", "cam2"), "log_likelihood_ratio": 9.06},
     ),
     "too_fast": ("41 m/s, and none runs as fast", {"speed_m_s": 41.2}),
     "second_solution": ("up to 0.30 m away", {"count": 2, "frames_total": 9, "apart_m": 0.3}),

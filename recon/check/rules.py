@@ -38,9 +38,6 @@ FEW_FRAMES = 12
 """Fewer tell little more than one does."""
 SIZE_SIGMAS = 2.5
 """A size further off what is expected, in standard deviations, says that something else is wrong."""
-CAMERA_MISFIT = 4.0
-"""A second camera's misfit from which one of the two is named: 65 of 68 real pairs have less; with one camera turned by
-6 degrees or moved by 0.5 m, 231 of 272 have more, or another finding (benchmarks/wrong_inputs.py)."""
 OF_PICTURE = ("keypoints_y_up", "picture_upside_down", "picture_turned", "world_not_z_up", "other_camera_named")
 """Codes after which the ground says nothing."""
 UNITS_PER_M = {"inches": 39.37, "cm": 100.0, "mm": 1000.0}
@@ -227,13 +224,12 @@ def solution_unusual(motion: Motion) -> Iterator[Finding]:
 
 
 def pair_disagrees(motion: Motion) -> Iterator[Finding]:
-    """A finding on two cameras of which one is turned or moved, also where their rays still meet: the animal has then
-    another size in one picture than in the other, or than is expected."""
-    misfits = (segment.second_camera_misfit for segment in motion.solution.segments)
-    misfit = max((one for one in misfits if one is not None), default=0.0)
-    if misfit > CAMERA_MISFIT:
+    """A finding on two cameras of which one is likelier turned or moved than not, also where their rays still meet: the
+    animal has then another size in one picture than in the other, or than is expected."""
+    likelier = max((segment.second_camera_misplaced or 0.0 for segment in motion.solution.segments), default=0.0)
+    if likelier > 0:
         names = tuple(picture.name for picture in motion.pictures)
-        yield finding("pair_disagrees", cameras=names, misfit=misfit, limit=CAMERA_MISFIT)
+        yield finding("pair_disagrees", cameras=names, log_likelihood_ratio=likelier)
 
 
 def second_solution(motion: Motion) -> Iterator[Finding]:

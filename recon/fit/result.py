@@ -131,9 +131,9 @@ class MotionSegment(Brief):
     """The part of its weight that the prior kept, each angle on its own having the rest; 1 where the motion fits."""
     unlike_prior: bool = False
     """The motion is none that the prior knows."""
-    second_camera_misfit: float | None = None
-    """How far the second of two cameras is from the pose at which pictures and the animal's size agree better, as a chi
-    square with six degrees of freedom; None where it was not held, or there is no second."""
+    second_camera_misplaced: float | None = None
+    """How much likelier the second of two cameras is turned or moved than as well calibrated as cameras are, as a
+    logarithm; None where it was not held, or there is no second."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
