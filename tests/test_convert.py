@@ -377,6 +377,8 @@ def test_2d_does_not_become_3d_nor_3d_2d(files_2d, files_3d, tmp_path):
         convert(ConvertSettings(source=files_2d["movement.nc"], out=tmp_path / "a.trc"))
     with refusal((files_3d["movement.nc"], "content", "3D positions", "2D keypoints for plain CSV")):
         convert(ConvertSettings(source=files_3d["movement.nc"], out=tmp_path / "a.csv", to="long"))
+    with refusal(("--up", "IN", ["2D keypoints", files_2d["movement.nc"]], "left out")):
+        convert(ConvertSettings(source=files_2d["movement.nc"], out=tmp_path / "a.csv", up="z"))
     assert list(tmp_path.iterdir()) == []
 
 
@@ -463,6 +465,9 @@ def test_folder_of_results(results, tmp_path):
     found = read_pose3d(tmp_path / "a.nwb")
     assert_same_pose(found, replace(expected, fps=30.0))
     assert ("neck_base", "nose") in found.edges or ("nose", "neck_base") in found.edges
+    given = {"unit": "mm", "individual": "a"}
+    with refusal(*((f"--{name}", "IN", ["results", results], "left out") for name in given)):
+        convert(ConvertSettings(source=results, out=tmp_path / "b.nwb", **given))
     with refusal((tmp_path, "folder", "no motion.npz", "recon fit")):
         convert(ConvertSettings(source=tmp_path, out=tmp_path / "b.nwb"))
 

@@ -260,7 +260,10 @@ def test_a_reference_that_counts_from_1_and_says_neither_unit_nor_up(tmp_path):
     (note,) = [n for n in evaluate_files(tmp_path / "pose.trc", tmp_path / "truth.trc").notes if "counts" in n]
     assert says(note, "reference counts", "from 1", "from 0", "0.0 mm")
     alike = evaluate_files(tmp_path / "pose.trc", tmp_path / "pose.trc").notes
-    assert not [note for note in alike if "counts" in note]
+    assert not [note for note in alike if "counts" in note or "run" in note]
+    write_trc(replace(pose, frames=pose.frames + 30), tmp_path / "late.trc")
+    (note,) = [n for n in evaluate_files(tmp_path / "pose.trc", tmp_path / "late.trc").notes if "run" in n]
+    assert says(note, "30 of 60 frame numbers", "another run")
     rows = ["frame,joint,x,y,z"]
     for frame, points in zip(pose.frames, 1000 * pose.xyz_m, strict=True):
         rows += [f"{frame},{n},{x!r},{z!r},{-y!r}" for n, (x, y, z) in zip(pose.names, points.tolist(), strict=True)]

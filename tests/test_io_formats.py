@@ -682,7 +682,7 @@ def test_parquet_of_others(tmp_path):
     np.testing.assert_allclose(read_pose3d(tmp_path / "a.parquet").xyz_m[:, 0], [[0.001, 0.002, 0.003], [NAN] * 3])
     table.drop(columns="nose_z_mm").to_parquet(tmp_path / "b.parquet")
     long = pd.DataFrame({"frame": [0, 0, 1, 1], "joint": ["nose", "tail"] * 2, "x_m": range(4), "y_m": 1.0, "z_m": 2.0})
-    for kind in ("category", "large_string[pyarrow]"):
+    for kind in ("category", "large_string[pyarrow]", "string_view[pyarrow]"):
         long.astype({"joint": kind}).to_parquet(tmp_path / "long.parquet")
         found = read_pose3d(tmp_path / "long.parquet")
         assert found.names == ("nose", "tail")

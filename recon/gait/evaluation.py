@@ -129,6 +129,9 @@ def evaluate_files(
         pose, truth = (pose, _renamed(truth, rename)) if pose_path.is_dir() else (_renamed(pose, rename), truth)
     found = replace(evaluate(pose, truth, sigmas_m), verdict=verdict)
     notes = *pose.notes, *truth.notes, *found.notes, *_counted_from_one(pose, truth, found)
+    both, fewer = len(found.frames), min(len(pose.frames), len(truth.frames))
+    if both <= fewer / 2:  # otherwise one side is a part of the other, as where few frames were labelled
+        notes += (f"only {both} of {fewer} frame numbers are in both: the reference may be that of another run",)
     notes += () if rename else tuple(_other_names(pose, truth, found))
     if _is_result(truth_path) and not _is_result(pose_path):
         notes += (

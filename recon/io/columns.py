@@ -182,7 +182,7 @@ def read_parquet(path: Path, individual: str | None = None) -> StoredPoints:
         raise ValueError(f"{size.num_rows} rows of {size.num_columns} columns, {unpacked >> 20} MB, are too much")
     # Texts stay numbers of a list: one that stands in every row takes room once.
     fields = pq.read_schema(path)
-    kinds = pa.types.is_string, pa.types.is_large_string, pa.types.is_dictionary
+    kinds = pa.types.is_string, pa.types.is_large_string, pa.types.is_string_view, pa.types.is_dictionary
     texts = [field.name for field in fields if any(kind(field.type) for kind in kinds)]
     values = [field.name for field in fields if pa.types.is_integer(field.type) or pa.types.is_floating(field.type)]
     table = pq.read_table(path, columns=texts + values, read_dictionary=texts, use_threads=False)

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from recon.animal.naming import load_names, renamed
-from recon.base import InputError, Problem, all_of
+from recon.base import InputError, Problem, all_of, refuse
 from recon.base.files import require_free_file, staged_file
 from recon.base.settings import Option, Positive, Settings
 from recon.check import usable, verdict_lines
@@ -120,6 +120,7 @@ def read_any(source: Path, settings: ConvertSettings) -> Keypoints | Pose3D:
     """2D keypoints or 3D positions, whichever the source holds. Raises InputError."""
     if source.is_dir() and ((source / "report.json").is_file() or not any(source.glob("*.json"))):
         data = _of_results(source, settings.anyway)
+        _require_none(settings, ("individual", "columns", "unit", "up"), source, "results of recon fit")
     else:
         by = None if settings.columns is None else parse_map(settings.columns)
         found, stored = read_points(source, settings.individual, by=by)
@@ -127,6 +128,7 @@ def read_any(source: Path, settings: ConvertSettings) -> Keypoints | Pose3D:
             data = in_metres(source, found, stored, settings.unit, settings.up)
         else:
             data = as_keypoints(source, stored)
+            _require_none(settings, ("unit", "up"), source, "2D keypoints")
     if settings.rename is not None:
         if not isinstance(data, Keypoints):
             raise InputError(Problem("--rename", "names", f"3D positions in {source}", "2D keypoints"))
@@ -137,6 +139,12 @@ def read_any(source: Path, settings: ConvertSettings) -> Keypoints | Pose3D:
     if data.fps is not None:
         notes += (f"{data.fps:g} frames per second in the source, {settings.fps:g} as given.",)
     return replace(data, fps=settings.fps, notes=notes)
+
+
+def _require_none(settings: ConvertSettings, names: Sequence[str], source: Path, content: str) -> None:
+    """Raises InputError for options that say nothing about such content."""
+    given = [f"--{name}" for name in names if getattr(settings, name) is not None]
+    refuse([Problem(option, "IN", f"{content}, {source}", "to be left out") for option in given])
 
 
 def _of_results(folder: Path, anyway: bool) -> Pose3D:
