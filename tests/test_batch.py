@@ -32,6 +32,7 @@ from recon.workflows.batch.inputs import is_manifest
 SAMPLES = Path(__file__).parents[1] / "data" / "samples"
 CAMERA = SAMPLES / "camera.toml"
 QUICK = {"camera": CAMERA, "fps": 30, "method": "frame", "frames": "0:6"}
+pytestmark = pytest.mark.usefixtures("no_playback")
 linux = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="looks at processes in /proc")
 
 
@@ -1002,7 +1003,7 @@ def test_a_cluster_with_certificates(clips, tmp_path, certificates):
     one, out = clips / "a.csv", tmp_path / "out"
     with dask.config.set(certificates):
         how = {"n_workers": 1, "threads_per_worker": 1, "dashboard_address": None, "protocol": "tls://"}
-        cluster = distributed.LocalCluster(**how, security=distributed.Security())
+        cluster = distributed.LocalCluster(**how, processes=False, security=distributed.Security())
     with cluster:
         assert cluster.scheduler_address.startswith("tls://")
         at = cluster.scheduler_address

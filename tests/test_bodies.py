@@ -42,6 +42,7 @@ from recon.io.markers import write_trc
 from recon.workflows import draft_skeleton, prepare, run_clip
 from recon.workflows.skeleton import _SkeletonDraftSettings, drafted, skeleton_from_keypoints
 
+pytestmark = pytest.mark.usefixtures("no_playback")
 OBLIQUE_M = [[1.0, -5.5, 1.5], [4.5, -4.0, 1.7], [-4.5, 4.0, 1.8], [5.0, 4.0, 2.0]]
 ABOVE_M = [[0.35, 0.1, 0.45], [-0.1, 0.4, 0.45], [-0.35, -0.1, 0.5], [0.1, -0.4, 0.4]]
 COCO_17 = words(
@@ -52,11 +53,6 @@ MOUSE_15 = words(
     "Nose,Ear_R,Ear_L,TTI,TailTip,Head,Trunk,Tail_0,Tail_1,Tail_2,Shoulder_left,Shoulder_right,Haunch_left",
     "Haunch_right,Neck",
 )
-
-
-@pytest.fixture(autouse=True)
-def no_playback(monkeypatch):
-    monkeypatch.setattr("recon.show.view.write", lambda *_: None)
 
 
 def fitted(folder: Path, settings: FitSettings, truth) -> tuple[Motion, dict[str, float]]:
@@ -297,11 +293,10 @@ def test_no_draft_of_what_does_not_show_its_joints(path_m, bends, noise_m, expec
 # -- small rigs ----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2])
-def test_refined_cameras_of_a_small_rig_stay_near_their_places(seed):
+def test_refined_cameras_of_a_small_rig_stay_near_their_places():
     """A mouse with a wider trunk and a longer head than the skeleton's before cameras that are turned by a degree about
     each axis: they are not moved by what is wrong with its lengths."""
-    body, rng = load_skeleton("mouse-top"), np.random.default_rng(seed)
+    body, rng = load_skeleton("mouse-top"), np.random.default_rng(0)
     states = running_about(60, 60.0)
     stretched = [
         replace(m, offset_m=(1.3 * m.offset_m[0], 1.5 * m.offset_m[1], m.offset_m[2])) for m in body.tree.markers

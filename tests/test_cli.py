@@ -235,6 +235,7 @@ def test_options_overrule_the_config(fitted, tmp_path):
     assert "l_front_paw" in table.columns.get_level_values(0)
 
 
+@pytest.mark.usefixtures("no_playback", "page_undrawn")
 def test_results_can_be_moved_with_what_they_were_made_from(tmp_path, monkeypatch):
     """And nobody reads in them where that lay."""
     house, skeleton = (
@@ -256,6 +257,7 @@ def test_results_can_be_moved_with_what_they_were_made_from(tmp_path, monkeypatc
     assert (settings.keypoints, settings.camera) == ((moved / "noisy.csv",), (moved / "camera.toml",))
 
 
+@pytest.mark.usefixtures("no_playback")
 def test_a_config_away_from_its_files_or_beside_others_says_so(tmp_path):
     for path in (CLIP, CAMERA):
         shutil.copy(path, tmp_path / path.name)
@@ -273,6 +275,7 @@ def test_a_config_away_from_its_files_or_beside_others_says_so(tmp_path):
     refused(["fit", "--config", config, "--out", tmp_path / "gone"], missing)
 
 
+@pytest.mark.usefixtures("no_playback")
 def test_camera_from_its_field_of_view(tmp_path):
     args = fit_args(tmp_path, "--hfov-deg", 60, "--image-size", "1920x1080", camera=None)
     assert run(*args).code == 0
@@ -285,12 +288,14 @@ def test_camera_from_its_field_of_view(tmp_path):
     assert 8 < depth.to_numpy().mean() < 22
 
 
+@pytest.mark.usefixtures("no_playback")
 def test_size_of_the_image_from_the_command_line(inputs, tmp_path):
     args = fit_args(tmp_path, "--image-size", "1920x1080", "--frames", ":3", camera=inputs / "no_size.json")
     assert run(*args).code == 0
     assert report_of(tmp_path)["summary"]["frames_converged"] == 3
 
 
+@pytest.mark.usefixtures("no_playback")
 def test_choice_of_camera_and_animal(inputs, tmp_path):
     more = ("--camera-name", "cam_b", "--individual", "animal2", "--frames", ":3")
     assert run(*fit_args(tmp_path, *more, keypoints=inputs / "animals.csv", camera=inputs / "two.toml")).code == 0
@@ -366,6 +371,7 @@ def test_report_and_config_of_a_trajectory_say_what_was_done(whole):
     assert report["settings"] == settings.plain(out)
 
 
+@pytest.mark.usefixtures("no_playback")
 def test_config_repeats_a_trajectory_bit_for_bit(whole, tmp_path, monkeypatch):
     out, _ = whole
     monkeypatch.chdir(tmp_path)
