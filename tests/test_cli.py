@@ -210,16 +210,6 @@ def test_report_and_config_say_what_was_done(fitted):
     assert report["settings"] == settings.plain(out)
 
 
-def test_config_repeats_the_run_bit_for_bit(fitted, tmp_path, monkeypatch):
-    out, _ = fitted
-    monkeypatch.chdir(tmp_path)
-    assert run("fit", "--config", out / "config.toml", "--out", "other").code == 0
-    other = tmp_path / "other"
-    for name in ("pose3d.csv", "angles.csv", "reprojection.csv"):
-        assert (other / name).read_bytes() == (out / name).read_bytes(), name
-    assert_same_reports(out, other)
-
-
 def test_options_overrule_the_config(fitted, tmp_path):
     out, _ = fitted
     other = tmp_path / "other"
@@ -699,20 +689,22 @@ def test_exit_code_1_when_no_frame_can_be_solved(tmp_path):
 # ---- overwriting, and runs that are cut short ----
 
 
-def test_overwrite_keeps_other_files(fitted, tmp_path):
+def test_a_config_repeats_the_run_bit_for_bit_and_overwrite_keeps_other_files(fitted, tmp_path, monkeypatch):
     out, _ = fitted
+    monkeypatch.chdir(tmp_path)
     for name in OUTPUT_FILES:
         (tmp_path / name).write_text("old")
     (tmp_path / "notes.txt").write_text("mine")
     stale = tmp_path / ".recon-partial-abc"
     stale.mkdir()
     (stale / "pose3d.csv").write_text("half")
-    assert run(*fit_args(tmp_path, "--overwrite")).code == 0
+    assert run("fit", "--config", out / "config.toml", "--out", ".", "--overwrite").code == 0
     # Nothing of the other method's results stays behind.
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted((*OUTPUT_FILES, "notes.txt"))
     assert (tmp_path / "notes.txt").read_text() == "mine"
     for name in ("pose3d.csv", "angles.csv", "reprojection.csv"):
-        assert (tmp_path / name).read_bytes() == (out / name).read_bytes()
+        assert (tmp_path / name).read_bytes() == (out / name).read_bytes(), name
+    assert_same_reports(out, tmp_path)
 
 
 KILLED_APPROACHING = """
@@ -732,15 +724,11 @@ recon.show.view.write = half
 
 
 @needs_sigkill
-@pytest.mark.parametrize("before", [KILLED_APPROACHING, KILLED_WRITING], ids=["fitting", "writing"])
-def test_killed_run_leaves_no_output_and_the_next_works(before, tmp_path):
+def test_killed_run_leaves_no_output_and_the_next_works(tmp_path):
     out = tmp_path / "out"
     args = whole_args(out, "--frames", ":6")
-    assert run_process(*args, before=before).code == -signal.SIGKILL
-    writing, *partial = sorted((path.name for path in out.iterdir()), reverse=True)
-    assert writing == ".recon-writing"
-    assert len(partial) == (before is KILLED_WRITING)
-    assert all(name.startswith(".recon-partial-") for name in partial)
+    assert run_process(*args, before=KILLED_APPROACHING).code == -signal.SIGKILL
+    assert [path.name for path in out.iterdir()] == [".recon-writing"]
     assert run(*args).code == 0
     assert sorted(path.name for path in out.iterdir()) == sorted(OUTPUT_FILES)
 
@@ -752,6 +740,8 @@ def test_killed_overwriting_leaves_the_earlier_results(tmp_path):
     args = whole_args(tmp_path, "--frames", ":6", "--overwrite")
     assert run_process(*args, before=KILLED_WRITING).code == -signal.SIGKILL
     assert {(tmp_path / name).read_text() for name in OUTPUT_FILES} == {"old"}
+    *_, partial, writing = sorted({path.name for path in tmp_path.iterdir()} - {*OUTPUT_FILES}, key=len, reverse=True)
+    assert (partial[:15], writing) == (".recon-partial-", ".recon-writing")
 
 
 @pytest.mark.parametrize("full", ["motion.rrd", "quality.csv"])
@@ -859,14 +849,14 @@ def test_view_shows_what_goes_with_the_recording(fitted, tmp_path, monkeypatch):
     monkeypatch.setattr("recon.show.view.open_viewer", look)
     before = {path: path.read_bytes() for path in out.rglob("*") if path.is_file()}
     assert run("view", out) == Ended(0, "", "")
+    (tmp_path / "all.rrd").write_text("old")
+    there = ("--out", "file", tmp_path / "all.rrd", "--overwrite")
+    refused(["view", out, "--out", tmp_path / "all.rrd"], there)
     said = f"The recording is in {tmp_path / 'all.rrd'}. Watch it with: rerun {tmp_path / 'all.rrd'}\n"
-    assert run("view", out, "--out", tmp_path / "all.rrd") == Ended(0, said, "")
+    assert run("view", out, "--out", tmp_path / "all.rrd", "--overwrite") == Ended(0, said, "")
     look(tmp_path / "all.rrd")
     assert seen == [{"/analysis/speed", "/speed"}] * 2
     assert {path: path.read_bytes() for path in out.rglob("*") if path.is_file()} == before
-    there = ("--out", "file", tmp_path / "all.rrd", "--overwrite")
-    refused(["view", out, "--out", tmp_path / "all.rrd"], there)
-    assert run("view", out, "--out", tmp_path / "all.rrd", "--overwrite").code == 0
 
 
 @pytest.mark.parametrize("command", ["fit", "evaluate", "view", "demo"])
