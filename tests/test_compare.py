@@ -53,6 +53,14 @@ def test_groups_have_a_row_each_and_strides_one_each(clips: Path, tmp_path: Path
             assert f == pytest.approx(m / 2**0.5, rel=1e-6)
 
 
+def test_results_of_one_run_are_named(clips: Path, tmp_path: Path, whole_motion: Motion):
+    (source,) = whole_motion.sources
+    later = replace(source, keypoints=replace(source.keypoints, frames=source.keypoints.frames + 1000))
+    replace(whole_motion, sources=(later,)).save(tmp_path / "later")
+    ended = run("compare", clips / "a", clips / "b", tmp_path / "later", "--out", tmp_path / "out")
+    assert says(ended.out, "Of one run", "a and b. Give one")
+
+
 def test_only_what_some_clip_has_is_drawn():
     row = {"clip": "a", "group": "all", "verdict": "use", "strides": 0, "size_sigma": 0.1}
     clips = pd.DataFrame([row | {name: np.nan for q in QUANTITIES for name in (q, f"{q}_sigma")}])
@@ -93,9 +101,13 @@ def test_what_cannot_be_compared_is_refused(clips: Path, tmp_path: Path, whole_m
     assert whole_motion.verdict is not None
     wreck = replace(whole_motion, verdict=replace(whole_motion.verdict, level="do not use"))
     wreck.save(tmp_path / "wreck")
-    refuses([tmp_path / "wreck", clips / "a"], (tmp_path / "wreck", "verdict", "do not use", "--anyway"))
+    refuses([tmp_path / "wreck"], (tmp_path / "wreck", "verdict", "do not use", "--anyway"))
     assert not out.exists()
-    assert run("compare", tmp_path / "wreck", clips / "a", "--out", out, "--anyway").code == 0
+    ended = run("compare", tmp_path / "wreck", clips / "a", "--out", out)
+    assert (ended.code, list(pd.read_csv(out / "clips.csv")["clip"])) == (0, ["a"])
+    assert says(ended.out, "Left out", "wreck", "--anyway")
+    assert run("compare", tmp_path / "wreck", clips / "a", "--out", out, "--anyway", "--overwrite").code == 0
+    assert list(pd.read_csv(out / "clips.csv")["clip"]) == ["wreck", "a"]
     refuses([clips], ("--out", "folder", ["groups.csv", out], "--overwrite"))
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "clips.parquet").write_text("of somebody else")

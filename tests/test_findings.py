@@ -62,7 +62,7 @@ SENTENCES = {
     "cameras_exchanged": ("cam1, cam2 look as if their files", {"cameras": ("cam1", "cam2"), **AGAINST}),
     "cameras_disagree": ("with each other (31 px, 5.2 sigma)", {"cameras": ("cam1", "cam2"), **AGAINST}),
     "camera_turned": ("cam1 looks turned by about 5.0 degrees", {"turn_rad": np.radians(5.0), **AGAINST}),
-    "camera_late": ("-2.5 frames late", {"late_frames": -2.5, "offset_s": 0.1, **AGAINST}),
+    "camera_late": ("cam1 is 2.5 frames early against", {"late_frames": -2.5, "offset_s": 0.1, **AGAINST}),
     "camera_off": ("cam1 does not agree with the other cameras (31 px", AGAINST),
     "cameras_not_refined": ("would be 62.8 px off, and is 5.4", {"before_px": 5.4, "after_px": 62.8}),
     "camera_left_its_pose": ("cam1 would be turned by 17 degrees", {"turn_deg": 17.2}),
@@ -80,6 +80,7 @@ SENTENCES = {
     "ground_above_camera": ("0.52 ± 0.03 m above cam1", {"height_m": 0.52, "sigma_m": 0.03}),
     "frames_not_converged": ("2 of 9 frames did not converge", {"count": 2, "frames_total": 9}),
     "not_converged": ("ended before it had converged", {}),
+    "size_impossible": ("comes out 0.42 times as large as usual, which none is", {"size": 0.42, "expected_sigma": 0.1}),
     "size_unexpected": ("comes out 0.70 times as large as usual, where 1 ± 0.1", {"size": 0.7, "expected_sigma": 0.1}),
     "pair_disagrees": (
         "agree better. Check both poses, or give the animal's lengths (--subject).",

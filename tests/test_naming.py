@@ -59,6 +59,13 @@ def in_file(folder: Path, text: str) -> Path:
 # -- maps ----------------------------------------------------------------------------------------------------------
 
 
+WOLF = detector_files.words(
+    "snout,left_eye,right_eye,neck,withers,sacrum,tail_base,tail_mid,tail_tip,left_shoulder,left_elbow,left_wrist",
+    "left_forepaw,right_shoulder,right_elbow,right_wrist,right_forepaw,left_hip,left_stifle,left_hock,left_hindpaw",
+    "right_hip,right_stifle,right_hock,right_hindpaw",
+)
+
+
 @pytest.mark.parametrize(
     "text",
     [
@@ -90,7 +97,7 @@ def test_faults_of_a_map_are_named(text, expected, tmp_path):
 
 
 def test_a_map_of_no_known_name():
-    with refusal(("--rename", "name or file", "'superanimal'", "one of animal3d")):
+    with refusal(("--rename", "name or file", "'superanimal'", "one of anatomical, animal3d")):
         load_names("superanimal")
 
 
@@ -122,13 +129,14 @@ def test_a_map_that_does_not_fit_is_refused():
         ("ap-10k", AP_10K, 17),
         ("ap-10k", MMPOSE_AP_10K, 17),
         ("animal3d", ANIMAL3D, 19),
+        ("anatomical", WOLF, 23),
     ],
 )
 def test_bundled_maps(bundled, names, of_cheetah):
     """They have no name that their detector lacks, and keep the sides; the fit finds its own map."""
     by = load_names(bundled)
     cheetah = load_skeleton("cheetah-24")
-    if bundled != "ap-10k":  # which has two spellings
+    if bundled not in ("ap-10k", "anatomical"):  # which have two spellings
         assert {*by.names} < {*names}
     _, new, note = new_names(names, by, "clip.csv")
     assert len({*new} & {*cheetah.markers}) == of_cheetah
@@ -143,7 +151,7 @@ def test_bundled_maps(bundled, names, of_cheetah):
 
 def test_every_bundled_map_is_tested():
     """`coco-17` and `mouse-15` in tests/test_bodies.py."""
-    assert builtin_maps() == ("animal3d", "ap-10k", "coco-17", "mouse-15", "superanimal-quadruped")
+    assert builtin_maps() == ("anatomical", "animal3d", "ap-10k", "coco-17", "mouse-15", "superanimal-quadruped")
 
 
 @pytest.mark.parametrize(
@@ -287,7 +295,7 @@ def test_a_detectors_own_file(name, tmp_path):
 
 
 def test_every_bundled_map_has_a_file_of_its_detector():
-    of_four_legs = {*builtin_maps()} - {"coco-17", "mouse-15"}
+    of_four_legs = {*builtin_maps()} - {"coco-17", "mouse-15", "anatomical"}
     assert of_four_legs == {bundled for bundled, _ in detector_files.FILES.values() if bundled}
 
 

@@ -59,8 +59,10 @@ def sentence(one: Finding, named: bool = True) -> str:
     degrees = {f"{name[:-4]}_deg": math.degrees(value) for name, value in given.items() if name.endswith("_rad")}
     sigma_m, known = given.get("sigma_m"), [name for name in LENGTHS if f"{name}_m" in given]
     lengths = {f"{name}_length": length_text(given[f"{name}_m"], sigma_m) for name in known}
+    frames = given.get("late_frames", 0.0)
+    late = f"{abs(frames):.1f} frames {'late' if frames > 0 else 'early'}"
     camera, where = one.camera if named else "the camera", _where(one.frames)
-    text = words.format(**values, **degrees, **lengths, camera=camera, where=where)
+    text = words.format(**values, **degrees, **lengths, camera=camera, where=where, late=late)
     return f"{one.camera}: {text}" if named and one.camera and "{camera}" not in words else text
 
 

@@ -37,6 +37,8 @@ FARTHEST = 100.0
 FEW_FRAMES = 12
 """Fewer tell little more than one does."""
 SIZE_SIGMAS = 2.5
+LOG_SIZE_MOST = math.log(2.0)
+"""No grown animal is twice or half as large as its kind: of whom that is not expected, it is not so."""
 """A size further off what is expected, in standard deviations, says that something else is wrong."""
 OF_PICTURE = ("keypoints_y_up", "picture_upside_down", "picture_turned", "world_not_z_up", "other_camera_named")
 """Codes after which the ground says nothing."""
@@ -216,7 +218,8 @@ def solution_unusual(motion: Motion) -> Iterator[Finding]:
     if solution.status != "converged":
         yield finding("not_converged")
     if abs(solution.size - 1) > SIZE_SIGMAS * solution.size_prior_sigma:
-        yield finding("size_unexpected", size=solution.size, expected_sigma=solution.size_prior_sigma)
+        code = "size_impossible" if abs(math.log(solution.size)) > LOG_SIZE_MOST else "size_unexpected"
+        yield finding(code, size=solution.size, expected_sigma=solution.size_prior_sigma)
     if speed > FASTEST_M_S:
         yield finding("too_fast", speed_m_s=speed)
     if solved < FEW_FRAMES:

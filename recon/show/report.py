@@ -64,7 +64,11 @@ def verdict_lines(motion: Motion, data: Any) -> Iterator[Line]:
     if len(motion.sources) == 1 and motion.verdict is not None and motion.verdict.position_m is not None:
         share = motion.settings.get("focal_sigma")
         known = f" (its focal length to {share:.0%}, as given)" if share else ""
-        yield "assumed", f"The camera is as said{known}: one camera cannot tell its focal length, nor where it stands."
+        yield (
+            "assumed",
+            f"The camera is as said{known}: one camera cannot tell its focal length, where it stands, nor whether the "
+            "video was cropped or is another camera's.",
+        )
 
 
 # -- the clip ---------------------------------------------------------------------------------------------------------

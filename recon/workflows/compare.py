@@ -9,6 +9,7 @@ is that of all clips and adds to the mean of lengths and speeds, however many cl
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from itertools import combinations
 from pathlib import Path
 from textwrap import fill
 from typing import Annotated
@@ -21,7 +22,7 @@ from rich.table import Table
 from recon.base import Array, InputError, Problem, Progress, all_of, refuse
 from recon.base.files import require_free_folder, staged_folder
 from recon.base.settings import OneOrMore, Option, Settings
-from recon.check import usable
+from recon.check import is_refused, names_text, usable
 from recon.fit import TrajectorySolution
 from recon.fit.motion import Motion
 from recon.fit.motion_forms import MOTION
@@ -80,9 +81,12 @@ def compare(settings: _CompareSettings, progress: Progress) -> Answer:
     of_clip = _groups(settings.table, settings.by, names)
     written = [name for table in (GROUPS, STRIDES, CLIPS) for name in (table, table.replace(".csv", ".parquet"))]
     require_free_folder(out, [*written, FIGURE], settings.overwrite, "a comparison")
-    motions = all_of(*(lambda path=path: usable(Motion.load(path), path, settings.anyway) for path in folders))
+    loaded = dict(zip(names, all_of(*(lambda path=path: Motion.load(path) for path in folders)), strict=True))
+    motions = {name: motion for name, motion in loaded.items() if settings.anyway or not is_refused(motion)}
+    if not motions:  # said of each
+        all_of(*(lambda at=at: usable(*at, anyway=False) for at in zip(loaded.values(), folders, strict=True)))
     rows, clip_rows = [], []
-    for i, (name, motion) in enumerate(zip(names, motions, strict=True)):
+    for i, (name, motion) in enumerate(motions.items()):
         progress("analysis", i / len(names))
         found = analyse(motion)
         head = {"group": of_clip[name], "clip": name, "verdict": motion.verdict.level if motion.verdict else ""}
@@ -97,7 +101,34 @@ def compare(settings: _CompareSettings, progress: Progress) -> Answer:
             table.to_csv(staging / name, index=False)
             table.to_parquet((staging / name).with_suffix(".parquet"), index=False)
         _figure(clips, groups).savefig(staging / FIGURE)
-    return Answer(groups.to_dict("records"), _lines(clips, groups, out))
+    notes = []
+    if left_out := [name for name in loaded if name not in motions]:
+        notes.append(f'Left out, as their verdict is "do not use": {names_text(left_out)}. With --anyway they count.')
+    given = {name: (motion, folder) for name, motion, folder in zip(loaded, loaded.values(), folders, strict=True)}
+    if twice := [f"{a} and {b}" for a, b in combinations(motions, 2) if _one_run(given[a], given[b])]:
+        notes.append(
+            f"Of one run, by their cameras' folder, frames and paths, and yet each counted as a clip: "
+            f"{names_text(twice)}. Give one result of each run, best that of all its cameras."
+        )
+    return Answer(groups.to_dict("records"), [*_lines(clips, groups, out), *notes])
+
+
+def _one_run(a: tuple[Motion, Path], b: tuple[Motion, Path]) -> bool:
+    """Whether two results, each with its folder, are probably of one run: with calibrations of one folder, at the same
+    time, and at one place within what is expected of their positions."""
+    places, high_m = [], 0.0
+    for motion, folder in (a, b):
+        cameras, expected = motion.settings.get("camera"), motion.verdict and motion.verdict.position_m
+        if not cameras or not expected:
+            return False
+        places.append((folder / ([cameras] if isinstance(cameras, str) else cameras)[0]).resolve().parent)
+        high_m += expected.high
+    (one, _), (other, _) = a, b
+    times, of_one, of_other = np.intersect1d(one.frames[one.solved], other.frames[other.solved], return_indices=True)
+    if places[0] != places[1] or one.fps != other.fps or not len(times):
+        return False
+    apart_m = one.root_m[one.solved][of_one] - other.root_m[other.solved][of_other]
+    return bool(np.linalg.norm(apart_m, axis=1).mean() <= high_m)
 
 
 def _lines(clips: pd.DataFrame, groups: pd.DataFrame, out: Path) -> Iterator[str | Table]:
