@@ -147,7 +147,7 @@ def finished(out: Path) -> dict[str, int]:
     """The moment at which each finished clip's report was written."""
     found = {}
     for name, row in Record(out / RECORD).rows.items():
-        if "made" in row:
+        if "files" in row:
             found[name] = (out / name / "report.json").stat().st_mtime_ns
     return found
 

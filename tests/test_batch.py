@@ -25,7 +25,7 @@ from recon import FitSettings, InputError, find_clips, fit_clip, plan_batch, run
 from recon.base import parallel, silent, sole_writer
 from recon.base.parallel import Event, outcome_of
 from recon.io import read_cameras
-from recon.workflows import COLUMNS, AnalyseSettings, Record, analyse_command, digest, run_clip
+from recon.workflows import COLUMNS, AnalyseSettings, Record, analyse_command, run_clip
 from recon.workflows.batch import RECORD, Clip, Summary, fit_planned, input_problems, read_rows
 from recon.workflows.batch.inputs import is_manifest
 
@@ -479,7 +479,7 @@ def test_a_camera_more_or_less_is_the_same_clip_again(tmp_path):
     begun = {"identity": planned.identity, "keypoints": planned.clip.settings.keypoints_from(out)}
     record.note("walk", **begun)
     assert plan_batch(both, out)[0].reason == "not finished before"
-    record.note("walk", **begun, made=digest(planned.out / "manifest.json"), row={})
+    record.note("walk", **begun, files={"pose3d.csv": "of other results"}, row={})
     assert plan_batch(both, out)[0].reason == "not complete"
     assert Summary([planned], out).rows["walk"]["cameras"] == 2
     for camera in ("cam1", "cam2"):
@@ -652,10 +652,11 @@ def test_the_record_has_one_row_a_clip_when_a_batch_begins(clips, tmp_path):
     assert len((out / RECORD).read_text().splitlines()) == 4
     before = Record(out / RECORD).rows
     with (out / RECORD).open("a") as file:
-        file.write('{"schema": 1}\n[]\nnonsense\n{"part": "a", "sch')
+        file.write(json.dumps({"schema": before["a"]["schema"], "part": "a"}))
+        file.write('\n{"schema": 1}\n[]\nnonsense\n{"part": "a", "sch')
     assert fit(found(clips), out) == [("done", ""), ("done", ""), ("new", "")]
     rows = [json.loads(line) for line in (out / RECORD).read_text().splitlines()]
-    assert [(row["part"], "made" in row) for row in rows] == [("a", True), ("b", True), ("c", False), ("c", True)]
+    assert [(row["part"], "files" in row) for row in rows] == [("a", True), ("b", True), ("c", False), ("c", True)]
     assert Record(out / RECORD).rows.items() > before.items()
 
 
@@ -887,7 +888,7 @@ def in_the_middle(clips, tmp_path) -> Iterator[tuple[subprocess.Popen[str], Path
 
 def finished(out: Path) -> dict[str, int]:
     """The moment of each finished clip."""
-    done = [name for name, row in Record(out / RECORD).rows.items() if "made" in row]
+    done = [name for name, row in Record(out / RECORD).rows.items() if "files" in row]
     return {name: (out / name / "report.json").stat().st_mtime_ns for name in done}
 
 

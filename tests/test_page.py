@@ -247,6 +247,17 @@ def test_a_page_goes_with_its_results(small_trajectory, tmp_path):
     assert not (tmp_path / "report.html").exists()
 
 
+@pytest.mark.usefixtures("page_undrawn")
+def test_a_page_of_frames_that_are_too_few_for_a_speed(small_motion, tmp_path):
+    joints_m = small_motion.solution.joints_m.copy()
+    joints_m[0] = np.nan
+    motion = replace(small_motion, solution=replace(small_motion.solution, joints_m=joints_m))
+    given = {"camera": Path("camera.toml"), "fps": 30, "method": "frame"}
+    write_clip(motion, FitSettings(keypoints=Path("run.csv"), **given), tmp_path)
+    html = report(PageSettings(folder=tmp_path)).data["page"].read_text(encoding="utf-8")
+    assert "acceleration is hardly known" in html
+
+
 def test_a_page_without_any_pose(small_trajectory, tmp_path):
     names = ("states", "joints_m", "covariance_m2", "relative_covariance_m2", "alternative_m", "contact", "noise_px")
     nothing = {name: np.full_like(getattr(small_trajectory.solution, name), np.nan) for name in names}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import pickle
 import shutil
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import count
 from pathlib import Path
@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from command_line import carry_out_here, refusal, refused, run, says
 
+import recon.workflows.run as module
 from recon import FitSettings, Keypoints, read_keypoints, write_clip
 from recon.base import staged_results
 from recon.io import video_writer
@@ -53,10 +54,10 @@ def called(monkeypatch, report, small_trajectory) -> list[str]:
         path.write_text(f"{name} {len(names)}")
         return path
 
-    def does(name: str, file: str, give: Callable[[Path], Answer]):
+    def does(name: str, file: str, notes: Sequence[str] = ()):
         def work(settings, *args, **options):
             names.append(name)
-            return give(write(settings.folder / file, name))
+            return Answer({}, files=[write(settings.folder / file, name)], notes=notes)
 
         return work
 
@@ -68,9 +69,9 @@ def called(monkeypatch, report, small_trajectory) -> list[str]:
 
     def track(settings, progress):
         names.append("camera-motion")
-        return Answer({"notes": []}, files=(write(settings.out, "track"),))
+        return Answer({}, files=(write(settings.out, "track"),))
 
-    def write_results(motion, settings, out: Path, seconds: float) -> dict:
+    def write_results(out: Path, settings, progress) -> dict:
         names.append("fit")
         with staged_results(out, output_files(out)) as folder:
             replace(small_trajectory, timing_s={"solve_s": 0.1}).save(folder)
@@ -79,16 +80,12 @@ def called(monkeypatch, report, small_trajectory) -> list[str]:
         return json.loads(report)
 
     monkeypatch.setattr("recon.wings.keypoint_net.run_prediction", predict)
-    monkeypatch.setattr("recon.workflows.camera_motion.camera_motion", track)
+    monkeypatch.setattr("recon.workflows.run.camera_motion", track)
     monkeypatch.setattr("recon.workflows.run._check_inputs", lambda job: None)
-    monkeypatch.setattr("recon.workflows.run.fit_clip", lambda settings, progress: None)
-    monkeypatch.setattr("recon.workflows.run.write_clip", write_results)
-    analysed = does("analyse", "analysis/analysis.json", lambda path: Answer({}, files=[path]))
-    monkeypatch.setattr("recon.workflows.run.analyse_command", analysed)
-    drawn = does("overlay", "overlay.mp4", lambda path: Answer({"notes": ["uneven in time"]}))
-    monkeypatch.setattr("recon.workflows.run.overlay", drawn)
-    shown = does("page", "report.html", lambda path: Answer({"page": path}))
-    monkeypatch.setattr("recon.workflows.run.report", shown)
+    monkeypatch.setattr("recon.workflows.run.fit_into", write_results)
+    monkeypatch.setattr("recon.workflows.run.analyse_command", does("analyse", "analysis/analysis.json"))
+    monkeypatch.setattr("recon.workflows.run.overlay", does("overlay", "overlay.mp4", ["uneven in time"]))
+    monkeypatch.setattr("recon.workflows.run.report", does("page", "report.html"))
     return names
 
 
@@ -155,8 +152,13 @@ def test_names_of_files_are_relative_to_where_one_is(film, called, monkeypatch):
 
 
 def test_a_camera_that_turns(film, called, monkeypatch):
-    fitted = []
-    monkeypatch.setattr("recon.workflows.run.fit_clip", lambda settings, progress: fitted.append(settings))
+    fitted, write = [], module.fit_into
+
+    def noted(out: Path, settings, progress) -> dict:
+        fitted.append(settings)
+        return write(out, settings, progress)
+
+    monkeypatch.setattr(module, "fit_into", noted)
     turning = {"camera_motion": "turns", "given": {"tilt_deg": 3.0}}
     assert done(job(film, **turning), called) == ["camera-motion", *ALL]
     assert fitted[0].camera_track == (film.parent.absolute() / "out" / "run_camera.csv",)
@@ -204,12 +206,12 @@ def test_without_a_pose_there_is_a_page_and_no_more(film, called, report, monkey
     nothing["summary"] |= {"frames_with_pose": 0}
     nothing["unsolved"] = True
 
-    def write(motion, settings, out: Path, seconds: float) -> dict:
+    def write(out: Path, settings, progress) -> dict:
         with staged_results(out, output_files(out)) as folder:
             (folder / "report.json").write_text(json.dumps(nothing))
         return nothing
 
-    monkeypatch.setattr("recon.workflows.run.write_clip", write)
+    monkeypatch.setattr("recon.workflows.run.fit_into", write)
     monkeypatch.setattr("recon.workflows.run.Motion.load", lambda folder: None)
     monkeypatch.setattr("recon.workflows.run.build_report", lambda motion: nothing)
     ended = run(

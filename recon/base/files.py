@@ -88,6 +88,12 @@ def staged_file(path: str | Path) -> Iterator[Path]:
         raise
 
 
+def write_text(path: str | Path, text: str) -> None:
+    """A file of text, whole or not at all."""
+    with staged_file(path) as staged:
+        staged.write_text(text, encoding="utf-8")
+
+
 def write_bytes(path: Path, content: bytes) -> None:
     """What a library has made in memory: libraries that write themselves hang, crash or say nothing on a full disk.
 
@@ -247,6 +253,11 @@ class _Manifest:
 
     def __contains__(self, name: str) -> bool:
         return name in self.files
+
+    @property
+    def paths(self) -> list[Path]:
+        """All of them, and the manifest itself."""
+        return [self.folder / name for name in (*self.files, MANIFEST)]
 
     def changed(self, names: Iterable[str] | None = None) -> list[Problem]:
         """What is missing or is not as it was written, of the named files, or of all."""

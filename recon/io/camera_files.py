@@ -26,7 +26,7 @@ import tomli_w
 
 from recon.base import InputError, Problem
 from recon.base.documents import parse_json, parse_toml
-from recon.base.files import staged_file
+from recon.base.files import write_text
 from recon.geometry.camera import Camera
 from recon.geometry.lens import LENS_MODELS, lens_named
 from recon.io.calibration import FORMAT, VERSION, CameraRecord, read_calibration
@@ -263,5 +263,4 @@ def _table(camera: Camera) -> dict[str, Any]:
 
 
 def _write(document: dict[str, Any], path: str | Path) -> None:
-    with staged_file(path) as staged:
-        staged.write_text(tomli_w.dumps(document), encoding="utf-8")
+    write_text(path, tomli_w.dumps(document))

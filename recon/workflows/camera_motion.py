@@ -123,9 +123,10 @@ def camera_motion(settings: _MotionSettings, progress: Progress = silent) -> Ans
     lines += [f"Too little background in {counted(lost, 'frame')}: no pose there."] if lost else []
     fit, known = f"{report['residual_px']:.2f} px", f"{report['sigma_deg']:.3f}°"
     lines.append(f"The background fits to {fit}; the camera's direction is known to ±{known}.")
-    lines += [f"Note: {note}." for note in report["notes"][len(NOTES) :]]
+    notes = report["notes"][len(NOTES) :]
+    lines += [f"Note: {note}." for note in notes]
     lines.append(f"Level: {report['level']}. A rolling shutter is not modelled.")
-    return Answer(report, [*lines, "Written: " + ", ".join(map(str, files))], files=files)
+    return Answer(report, [*lines, "Written: " + ", ".join(map(str, files))], files=files, notes=notes)
 
 
 # -- what cannot be used ----------------------------------------------------------------------------------------------

@@ -79,6 +79,8 @@ class Answer:
     """The exit code, where there are no errors."""
     files: Sequence[Path] = ()
     """What was written, where a stage of `recon run` has to know it."""
+    notes: Sequence[str] = ()
+    """What is wrong with the video, likewise."""
 
     def show(self, console: Console, as_json: bool) -> None:
         """Print it, and end with its exit code."""

@@ -6,7 +6,7 @@ from __future__ import annotations
 import json
 import os
 import time
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import MISSING, replace
 from functools import cache
 from pathlib import Path
@@ -16,9 +16,9 @@ from pydantic import TypeAdapter
 
 from recon import io
 from recon.animal.prior import load_prior
-from recon.base import InputError, Problem, Progress, read_manifest, silent, sole_writer, staged_file, staged_results
+from recon.base import InputError, Problem, Progress, read_manifest, silent, sole_writer, staged_results
 from recon.base.documents import read_toml
-from recon.base.files import MANIFEST, require_free_folder, sha256_of
+from recon.base.files import MANIFEST, require_free_folder, sha256_of, write_text
 from recon.base.package import version
 from recon.base.settings import on_command_line
 from recon.clip import views_of
@@ -80,9 +80,18 @@ def run_clip(settings: FitSettings, out: Path, overwrite: bool = False, progress
     `out` holds results already and may not be overwritten, or if another process is writing to it."""
     with sole_writer(out):
         require_free_folder(out, output_files(out), overwrite)
-        start = time.perf_counter()
-        motion = fit_clip(settings, progress)
-        return write_clip(motion, settings, out, time.perf_counter() - start)
+        return fit_into(out, settings, progress)
+
+
+def fit_into(
+    out: Path, settings: FitSettings, progress: Progress = silent, sha256: _Digests | None = None
+) -> dict[str, Any]:
+    """Reconstruct a clip and write its folder, over what is there; the report. sha256: as for `write_clip`."""
+    start = time.perf_counter()
+    motion = fit_clip(settings, progress)
+    solve_s = time.perf_counter() - start
+    progress("writing", 1.0)
+    return write_clip(motion, settings, out, solve_s, sha256)
 
 
 # -- what results were made from --------------------------------------------------------------------------------------
@@ -131,9 +140,9 @@ def identity_of(files: Mapping[str, Path], settings: Mapping[str, Any]) -> dict[
 class Record:
     """What each part of a work was made from, and what became of it: lines of JSON, of which the last of a part counts.
 
-    Only one process writes it. A part has a row before it begins and another one, with what was made, when it has
-    ended: what a run that is killed at any moment leaves does not look finished. Rows that are damaged, as by a full
-    disk, and those of other versions count as none.
+    Only one process writes it. A part has a row before it begins and another one, with the files that it wrote, when it
+    has ended: what a run that is killed at any moment leaves does not look finished. Rows that are damaged, as by a
+    full disk, and those of other versions count as none.
     """
 
     def __init__(self, path: Path) -> None:
@@ -147,20 +156,49 @@ class Record:
         for line in lines:
             try:
                 row = json.loads(line)
-                if row["schema"] == SCHEMA:
+                if row["schema"] == SCHEMA and {*row["identity"]} >= {"inputs", "settings", "version"}:
                     self.rows[row["part"]] = row
             except (ValueError, KeyError, TypeError, RecursionError):
                 continue
 
     def tidy(self) -> None:
         """Leave the last row of each part, before others come behind it."""
-        with staged_file(self.path) as staged:
-            staged.write_text("".join(json.dumps(row) + "\n" for row in self.rows.values()), encoding="utf-8")
+        write_text(self.path, "".join(json.dumps(row) + "\n" for row in self.rows.values()))
 
     def note(self, part: str, identity: Mapping[str, Any], **more: Any) -> None:
+        """A part with that identity begins, or has ended, with the digests of its `files` as `digests` gives them."""
         self.rows[part] = {"schema": SCHEMA, "part": part, "identity": identity, **more}
         with self.path.open("a", encoding="utf-8") as file:
             file.write(json.dumps(self.rows[part]) + "\n")
+
+    def look(self, part: str, identity: Mapping[str, Any], folder: Path) -> tuple[str, list[Path]]:
+        """Why a part has to be made, or made again, nothing where it is up to date; and which of its files, in that
+        folder, are missing or not as they were written. A manifest among them answers for those that it lists."""
+        row = self.rows.get(part)
+        if row is None:
+            return "new", []
+        if "files" not in row:
+            return "not finished before", []
+        changed = [folder / name for name, sha256 in row["files"].items() if digest(folder / name) != sha256]
+        if row["identity"] != identity:
+            return f"changed: {', '.join(_changed_names(row['identity'], identity))}", changed
+        if MANIFEST in row["files"] and not changed:
+            changed = [Path(problem.file) for problem in read_manifest(folder).changed()]
+        return "not complete" if changed else "", changed
+
+
+def digests(paths: Iterable[Path], folder: Path) -> dict[str, str]:
+    """The digests of files in a folder, by their path from there."""
+    return {path.absolute().relative_to(folder.absolute()).as_posix(): sha256_of(path) for path in paths}
+
+
+def _changed_names(theirs: Mapping[str, Any], mine: Mapping[str, Any]) -> list[str]:
+    """Names of the input files and settings that differ, and the version."""
+    names = []
+    for part in ("inputs", "settings"):
+        old, new = theirs[part], mine[part]
+        names += [name.split()[0] for name in sorted({*old, *new}) if old.get(name) != new.get(name)]
+    return list(dict.fromkeys(names)) + (["version of recon"] if theirs["version"] != mine["version"] else [])
 
 
 # -- config.toml ------------------------------------------------------------------------------------------------------

@@ -16,7 +16,7 @@ from pydantic import Field
 from rich.console import Console
 
 from recon.base import Array, Index, InputError, Problem, Progress, all_of, refuse, silent
-from recon.base.files import MANIFEST, read_manifest, require_free_file, sole_writer, staged_file
+from recon.base.files import MANIFEST, read_manifest, require_free_file, sole_writer, staged_file, write_text
 from recon.base.parallel import Event, carry_out
 from recon.base.settings import Integer, Number, Option, Settings
 from recon.check import FLAG_OF, usable
@@ -133,7 +133,8 @@ def overlay(settings: OverlaySettings, progress: Progress = silent) -> Answer:
     notes = [note for note in (first_frame_note(motion, settings), rate_note(video, motion.fps), of_times) if note]
     said = f"{count} frames at {speed:.3g} times their speed ({fps:.4g} a second) are in {out}."
     data = {"out": out, "frames": count, "fps": fps, "speed": speed, "notes": notes}
-    return Answer(data, [*verdict_texts(motion.verdict), *(f"note: {note}" for note in notes), said])
+    lines = [*verdict_texts(motion.verdict), *(f"note: {note}" for note in notes), said]
+    return Answer(data, lines, files=[out], notes=notes)
 
 
 def stills(
@@ -243,11 +244,10 @@ def report(settings: PageSettings, progress: Progress = silent) -> Answer:
     names = [*BESIDE, *(sorted(read_manifest(folder).files) if (folder / MANIFEST).is_file() else ())]
     files = [name for name in names if (folder / name).is_file()]
     html = clip_page(motion, shown, None if video is None else video.name, files, number)
-    with staged_file(page) as staged:
-        staged.write_text(html, encoding="utf-8")
+    write_text(page, html)
     note = first_frame_note(motion, settings)
     said = [f"note: {note}"] if note else []
-    return Answer({"page": page, "failed": {}}, [*said, f"Open {page} in a browser."])
+    return Answer({"page": page, "failed": {}}, [*said, f"Open {page} in a browser."], files=[page])
 
 
 def _pages_of_batch(out: Path, video: Path | None, progress: Progress) -> Answer:

@@ -22,7 +22,7 @@ from recon.animal.prior_fit import FRAMES_PER_COMPONENT, as_one_gaussian, log_li
 from recon.animal.skeleton_file import NONE
 from recon.base import Array, InputError, Integers, Problem, all_of, refuse
 from recon.base.documents import read_json
-from recon.base.files import require_free_file, staged_file
+from recon.base.files import require_free_file, write_text
 from recon.base.settings import Count, NotNegative, OneOrMore, Option, Settings
 from recon.check import usable
 from recon.clip import views_of
@@ -404,8 +404,7 @@ def run_subject_fit(settings: SubjectFitSettings) -> dict[str, Any]:
         text = subject_toml(fits[0].skeleton_name, body, settings.title or f"{shape.body.title}, {count}", notes)
     else:
         text = detector_toml(fit.seen(shape.body), settings.title or f"a detector, {count}", notes)
-    with staged_file(settings.out) as staged:
-        staged.write_text(text, encoding="utf-8")
+    write_text(settings.out, text)
     counts = {"clips": len(settings.clips), "frames": frames, "converged": fit.converged}
     return {**counts, "size": size, "size_sigma": sigma, "values": rows}
 

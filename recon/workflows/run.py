@@ -7,7 +7,7 @@ ended has written nothing down, and is done again. A folder of videos is a batch
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from importlib import import_module
@@ -17,7 +17,7 @@ from typing import Annotated, Any, Literal, NamedTuple
 from rich.console import Console
 
 from recon.base import InputError, Problem, Progress, all_of, refuse, silent
-from recon.base.files import MANIFEST, read_manifest, sha256_of, sole_writer
+from recon.base.files import MANIFEST, read_manifest, sole_writer
 from recon.base.parallel import carry_out
 from recon.base.settings import Count, Integer, Option, Settings
 from recon.fit.motion import Motion
@@ -27,22 +27,23 @@ from recon.io.video import SUFFIXES, probe, size_problems
 from recon.show.page import PAGE, SUMMARY_PAGE, require_own_page
 from recon.show.plain import picked
 from recon.show.report import build_report, is_unsolved
-from recon.workflows.analyse import AnalyseSettings, analyse_command
+from recon.workflows.analyse import FOLDER, AnalyseSettings, analyse_command
+from recon.workflows.analyse import SUMMARY as ANALYSIS
 from recon.workflows.batch import Clip, ClipPlan, OnEvent, Summary, results_of, shown_batch, work_off
 from recon.workflows.batch.inputs import file_names
+from recon.workflows.camera_motion import camera_motion, of_clip
 from recon.workflows.cli import FIRST_FRAME, Answer, OptionsOf, answer_of_fit, progress_bar, say
-from recon.workflows.clip import fit_clip, read_model_and_cameras
-from recon.workflows.clip_results import Record, digest, identity, identity_of, output_files, read_settings, write_clip
+from recon.workflows.clip import read_model_and_cameras
+from recon.workflows.clip_results import Record, digests, fit_into, identity, identity_of, output_files, read_settings
 from recon.workflows.look import OverlaySettings, PageSettings, overlay, rate_note, report
-from recon.workflows.settings import SETTINGS, FitSettings
+from recon.workflows.settings import OF_ANY_CLIP, FitSettings
 
 RECORD = "run.jsonl"
 Stage = Literal["detect", "camera-motion", "fit", "analyse", "overlay", "page"]
 OVERLAY = "overlay.mp4"
 DETECTOR = "recon.wings.keypoint_net"
 """The package that finds keypoints. It is imported by its name, where a job has a network: no room needs a wing."""
-_OF_THE_FIT = tuple(name for name in SETTINGS if name != "keypoints")
-_OfFit = Annotated[dict[str, Any], OptionsOf(FitSettings, _OF_THE_FIT, "Settings of the fit")]
+_OfFit = Annotated[dict[str, Any], OptionsOf(FitSettings, OF_ANY_CLIP, "Settings of the fit")]
 
 
 class _RunSettings(Settings):
@@ -100,10 +101,10 @@ class _Job:
 class _Stage(NamedTuple):
     """A part of the work."""
 
-    identity: Callable[[], dict[str, Any]]
-    """What it is made from."""
-    work: Callable[[Progress], tuple[Iterable[Path], Iterable[str]]]
+    work: Callable[[Progress], Answer]
     """Does it, over what is there, and gives the files that it wrote, and notes on the video."""
+    identity: Callable[[], dict[str, Any]]
+    """What it is made from, once the stages before it are done."""
     places: tuple[Path, ...] = ()
     """Files that are in its way, unless a run has made them; none where it looks for itself what it may replace."""
 
@@ -206,21 +207,20 @@ def run_video(
 
 
 def _carry_out(name: str, stage: _Stage, job: _Job, record: Record, again: bool, progress: Progress) -> _StageOutcome:
-    began, known, before = time.perf_counter(), stage.identity(), record.rows.get(name)
-    out, files = job.run.out, (before or {}).get("files", {})
-    changed = [out / path for path, sha256 in files.items() if digest(out / path) != sha256]
+    began, known, out = time.perf_counter(), stage.identity(), job.run.out
+    why, changed = record.look(name, known, out)
     if not again and not job.run.overwrite:
-        _require_own(name, stage, before is None, changed)
-    if files and before is not None and before["identity"] == known and not again and not changed:
-        return _StageOutcome(name, "unchanged", time.perf_counter() - began, tuple(files), tuple(before["notes"]))
-    if name in ("detect", "camera-motion", "fit"):
-        _check_inputs(job)
-    record.note(name, known)
-    progress("starting", 0.0)
-    paths, notes = stage.work(progress)
-    files = {p.absolute().relative_to(out.absolute()).as_posix(): sha256_of(p) for p in paths}
-    record.note(name, known, files=files, notes=[*notes])
-    return _StageOutcome(name, "done", time.perf_counter() - began, tuple(files), tuple(notes))
+        _require_own(name, stage, name not in record.rows, changed)
+    status: Literal["done", "unchanged"] = "done" if why or again else "unchanged"
+    if status == "done":
+        if name in ("detect", "camera-motion", "fit"):
+            _check_inputs(job)
+        record.note(name, known)
+        progress("starting", 0.0)
+        made = stage.work(progress)
+        record.note(name, known, files=digests(made.files, out), notes=[*made.notes])
+    row = record.rows[name]
+    return _StageOutcome(name, status, time.perf_counter() - began, tuple(row["files"]), tuple(row["notes"]))
 
 
 def _require_own(name: str, stage: _Stage, is_first: bool, changed: Sequence[Path]) -> None:
@@ -244,50 +244,35 @@ def _check_inputs(job: _Job) -> None:
 def _stages(job: _Job) -> dict[str, _Stage]:
     """The stages that this job has, by name."""
     run, given, out = job.run, job.given, job.run.out
-    keypoints = given.keypoints[0]
-    film: dict[str, Any] = {"video": run.video}
-    first: dict[str, Any] = {"first_frame": run.first_frame}
-    fit, places = {"fit": out / MANIFEST}, tuple(out / name for name in output_files(out) if name != PAGE)
+    keypoints, places = given.keypoints[0], tuple(out / name for name in output_files(out) if name != PAGE)
+    fit, film, first = {"fit": out / MANIFEST}, {"video": run.video}, {"first_frame": run.first_frame}
+    shown: dict[str, Any] = {"folder": out, **film, **first}
 
-    def detect(progress: Progress) -> tuple[Iterable[Path], Iterable[str]]:
+    def detect(progress: Progress) -> Answer:
         how = {"threads": job.threads, "overwrite": True, "progress": progress}
-        return [keypoints], import_module(DETECTOR).run_prediction(run.video, run.model, keypoints, **how).notes
+        found = import_module(DETECTOR).run_prediction(run.video, run.model, keypoints, **how)
+        return Answer({}, files=[keypoints], notes=found.notes)
 
-    def follow(progress: Progress) -> tuple[Iterable[Path], Iterable[str]]:
-        from recon.workflows.camera_motion import NOTES, camera_motion, of_clip
-
-        settings = of_clip(given, run.video, run.track, **first, zoom=run.camera_motion == "zooms", overwrite=True)
-        followed = camera_motion(settings, progress)
-        return followed.files, followed.data["notes"][len(NOTES) :]
-
-    def solve(progress: Progress) -> tuple[Iterable[Path], Iterable[str]]:
-        began, motion = time.perf_counter(), fit_clip(job.fit, progress)
-        write_clip(motion, job.fit, out, time.perf_counter() - began)
-        return [out / name for name in (*read_manifest(out).files, MANIFEST)], ()
-
-    def analyse(progress: Progress) -> tuple[Iterable[Path], Iterable[str]]:
-        return analyse_command(AnalyseSettings(folder=out, overwrite=True), progress).files, ()
-
-    def draw(progress: Progress) -> tuple[Iterable[Path], Iterable[str]]:
-        settings = OverlaySettings(folder=out, out=out / OVERLAY, overwrite=True, **film, **first)
-        return [out / OVERLAY], overlay(settings, progress).data["notes"]
-
-    def page(progress: Progress) -> tuple[Iterable[Path], Iterable[str]]:
-        return [report(PageSettings(folder=out, **film, **first), progress).data["page"]], ()
+    def solve(progress: Progress) -> Answer:
+        fit_into(out, job.fit, progress)
+        return Answer({}, files=read_manifest(out).paths)
 
     stages = {}
     if run.model is not None:
         network = film | {"model": import_module(DETECTOR).model_file(run.model)}
-        stages["detect"] = _Stage(lambda: identity_of(network, {}), detect, (keypoints,))
+        stages["detect"] = _Stage(detect, lambda: identity_of(network, {}), (keypoints,))
     if run.camera_motion is not None and given.camera is not None:
+        turning = of_clip(given, run.video, run.track, **first, zoom=run.camera_motion == "zooms", overwrite=True)
         files = film | {"camera": given.camera[0], "keypoints": keypoints}
         how = first | {"motion": run.camera_motion} | picked(given, "camera_name", "tilt_deg", "individual")
-        stages["camera-motion"] = _Stage(lambda: identity_of(files, how), follow, (run.track,))
+        stages["camera-motion"] = _Stage(partial(camera_motion, turning), lambda: identity_of(files, how), (run.track,))
+    analysis = AnalyseSettings(folder=out, overwrite=True)
+    drawn = OverlaySettings(out=out / OVERLAY, overwrite=True, **shown)
     return stages | {
-        "fit": _Stage(lambda: identity(job.fit), solve, places),
-        "analyse": _Stage(lambda: identity_of(fit, {}), analyse, (out / "analysis" / "analysis.json",)),
-        "overlay": _Stage(lambda: identity_of(fit | film, first), draw, (out / OVERLAY,)),
-        "page": _Stage(lambda: identity_of(fit | film, first), page),
+        "fit": _Stage(solve, lambda: identity(job.fit), places),
+        "analyse": _Stage(partial(analyse_command, analysis), lambda: identity_of(fit, {}), (out / FOLDER / ANALYSIS,)),
+        "overlay": _Stage(partial(overlay, drawn), lambda: identity_of(fit | film, first), (out / OVERLAY,)),
+        "page": _Stage(partial(report, PageSettings(**shown)), lambda: identity_of(fit | film, first)),
     }
 
 

@@ -251,6 +251,8 @@ class FitSettings(Settings):
 
 SETTINGS = FitSettings.infos()
 """By name, in the order of `FitSettings`."""
+OF_ANY_CLIP = tuple(name for name in SETTINGS if name != "keypoints")
+"""The settings that several clips can have in common."""
 
 
 def seen_from(folder: Path, name: str, given: Any) -> Any:

@@ -29,7 +29,7 @@ from recon.animal import Body, builtin_names, load_prior, load_skeleton, other_s
 from recon.animal.body import PLACES
 from recon.base import Array, InputError, Problem, all_of, length_text
 from recon.base.documents import builtin_file
-from recon.base.files import require_free_file, require_free_folder, staged_file
+from recon.base.files import require_free_file, require_free_folder, write_text
 from recon.base.settings import File, OneOrMore, Option, Positive, Settings
 from recon.check.agreement import points_m
 from recon.clip import Source, clean, together, views_of
@@ -236,8 +236,7 @@ def skeleton_from_keypoints(settings: _SkeletonDraftSettings) -> Answer:
         project = find_project(source)
         names = bodyparts(project) if project else read_keypoints(source, settings.individual).names
         markers, others, text = draft_skeleton(names, out.stem, project.folder if project else source)
-    with staged_file(out) as staged:
-        staged.write_text(text, encoding="utf-8")
+    write_text(out, text)
     other = [f"{name} as {marker}" for name, marker in markers.items() if name != marker]
     lines = [f"{out}: {len(markers)} of {len(markers) + len(others)} keypoints have a place."]
     lines += [f"Taken for the quadruped's: {', '.join(other)}."] if other else []

@@ -247,8 +247,9 @@ def _solid(motion: Motion, posed: Bools, gait: Gait | None) -> dict[str, Any] | 
 
 
 def _is_unknown(values: Array, sigma: Array) -> bool:
-    """Whether most of the values (N,) are less than their standard deviations."""
-    return float(np.mean(sigma > values, where=np.isfinite(values))) > 0.5
+    """Whether none of the values (N,) is known, or most are less than their standard deviations."""
+    known = np.isfinite(values)
+    return not known.any() or float(np.mean(sigma[known] > values[known])) > 0.5
 
 
 def _stretches(motion: Motion, moved: JointKinematics) -> Iterator[Array]:
@@ -256,7 +257,7 @@ def _stretches(motion: Motion, moved: JointKinematics) -> Iterator[Array]:
     joints_m = motion.upright.xyz_m
     posed = np.flatnonzero(np.isfinite(joints_m).all(axis=(1, 2)))
     long_m = float(np.median(np.ptp(joints_m[posed], axis=1), axis=0).max())
-    count = int(np.clip(np.round(moved.distance_m / (LENGTHS * long_m)), 1, STRETCHES))
+    count = int(np.clip(np.round(np.nan_to_num(moved.distance_m) / (LENGTHS * long_m)), 1, STRETCHES))
     shown = posed[np.round(np.linspace(0, len(posed) - 1, count * POSES)).astype(int)]
     for rows in np.split(shown, count):
         part = np.full_like(joints_m, np.nan)

@@ -24,8 +24,8 @@ from rich.table import Table
 from rich.text import Text
 from threadpoolctl import threadpool_limits
 
-from recon.base import Brief, InputError, Problem, Progress, all_of, problems_of, refuse
-from recon.base.files import MANIFEST, read_manifest, require_free_folder, seen_from, sole_writer, staged_file
+from recon.base import Brief, InputError, Problem, Progress, all_of, problems_of, refuse, sole_writer
+from recon.base.files import MANIFEST, require_free_folder, seen_from, staged_file, write_text
 from recon.base.package import version
 from recon.base.parallel import STARTING, Event, Tell, carry_out, carry_out_on_cluster
 from recon.base.settings import Count, Integer, OneOrMore, Option, Settings
@@ -35,9 +35,9 @@ from recon.show.report import STYLES, is_unsolved, warnings
 from recon.workflows.batch.inputs import SUMMARY, Clip
 from recon.workflows.batch.inputs import find_clips as find_clips
 from recon.workflows.cli import Answer, OptionsOf, counted, progress_bar, say, stop, table_of, terminal
-from recon.workflows.clip import Unknown, fit_clip, prepare, read_model_and_cameras
-from recon.workflows.clip_results import Record, beside, digest, identity, output_files, write_clip
-from recon.workflows.settings import SETTINGS, FitSettings
+from recon.workflows.clip import Unknown, prepare, read_model_and_cameras
+from recon.workflows.clip_results import Record, beside, digests, fit_into, identity, output_files
+from recon.workflows.settings import OF_ANY_CLIP, FitSettings
 
 RECORD, CRASH_LOG = "batch.jsonl", "crash.log"
 Problems = tuple[Problem, ...]
@@ -87,43 +87,24 @@ def plan_batch(clips: Sequence[Clip], out: Path, overwrite: bool = False) -> lis
     results, unless they may be overwritten.
     """
     require_free_folder(out, (), overwrite=True)
-    record = Record(out / RECORD).rows
-    return all_of(*(partial(_planned, clip, out / clip.name, record.get(clip.name), overwrite) for clip in clips))
+    record = Record(out / RECORD)
+    return all_of(*(partial(_planned, clip, out / clip.name, record, overwrite) for clip in clips))
 
 
-def _planned(clip: Clip, out: Path, row: Mapping[str, Any] | None, overwrite: bool) -> ClipPlan:
-    mine = identity(clip.settings)
+def _planned(clip: Clip, out: Path, record: Record, overwrite: bool) -> ClipPlan:
+    mine, row = identity(clip.settings), record.rows.get(clip.name)
     if not any((out / name).exists() for name in output_files(out)):
         return ClipPlan(clip, out, "new", "", mine)
     if overwrite:
         return ClipPlan(clip, out, "refit", "--overwrite", mine)
     expected = "a folder without results, or of an earlier batch of this clip; or --overwrite"
-    is_own = row is not None and ("made" not in row or row["made"] == digest(out / MANIFEST))
-    if row is None or not (is_own or not (out / MANIFEST).exists()):
+    why, changed = record.look(clip.name, mine, out)
+    if row is None or (out / MANIFEST in changed and (out / MANIFEST).exists()):
         raise InputError(Problem(out, "folder", "results that no batch has made", expected))
-    theirs = row["identity"]
     before = beside(out.parent, "keypoints", row["keypoints"])
-    if not {*before} & {*map(str, clip.settings.keypoints)} and not _keypoints(theirs) & _keypoints(mine):
+    if not {*before} & {*map(str, clip.settings.keypoints)} and not _keypoints(row["identity"]) & _keypoints(mine):
         raise InputError(Problem(out, "folder", f"results of {', '.join(before)}", expected))
-    if "made" not in row:
-        return ClipPlan(clip, out, "refit", "not finished before", mine)
-    if theirs != mine:
-        return ClipPlan(clip, out, "refit", f"changed: {', '.join(_changed_names(theirs, mine))}", mine)
-    try:
-        whole = not read_manifest(out).changed()
-    except InputError:
-        whole = False
-    plan = ClipPlan(clip, out, "refit", "not complete", mine)
-    return replace(plan, action="done", reason="", row=row["row"]) if whole else plan
-
-
-def _changed_names(theirs: Mapping[str, Any], mine: Mapping[str, Any]) -> list[str]:
-    """Names of the input files and settings that differ, and the version."""
-    names = []
-    for part in ("inputs", "settings"):
-        old, new = theirs[part], mine[part]
-        names += [name.split()[0] for name in sorted({*old, *new}) if old.get(name) != new.get(name)]
-    return list(dict.fromkeys(names)) + (["version of recon"] if theirs["version"] != mine["version"] else [])
+    return ClipPlan(clip, out, "refit", why, mine) if why else ClipPlan(clip, out, "done", "", mine, row["row"])
 
 
 def _keypoints(known: Mapping[str, Any]) -> set[str]:
@@ -194,8 +175,7 @@ def run_batch(
         elif event.kind == "ended" and outcome["status"] != "failed":
             log.unlink(missing_ok=True)
             row = {name: outcome[name] for name in COLUMNS if name in outcome and name != "attempts"}
-            made = digest(planned.out / MANIFEST)
-            record.note(event.name, planned.identity, keypoints=keypoints, made=made, row=row)
+            record.note(event.name, planned.identity, keypoints=keypoints, files=outcome["files"], row=row)
         elif "log" in outcome:
             with suppress(OSError):
                 planned.out.mkdir(parents=True, exist_ok=True)
@@ -232,17 +212,15 @@ def work_off(plan: Sequence[ClipPlan], out: Path, run: Callable[[Tell], None], o
 
 
 def fit_planned(planned: ClipPlan, progress: Progress) -> dict[str, Any]:
-    """Fit and write one clip, in a process that does nothing else meanwhile: columns of its summary."""
+    """Fit and write one clip, in a process that does nothing else meanwhile: columns of its summary, and the digest of
+    its manifest."""
     here, there = version(), planned.identity["version"]
     if here != there:
         return {"status": "failed", "error": f"recon {here} on the worker, {there} where the batch runs"}
-    began = time.perf_counter()
     with sole_writer(planned.out, DYING_S), threadpool_limits(1):
-        motion = fit_clip(planned.clip.settings, progress)
-        solve_s = time.perf_counter() - began
-        progress("writing", 1.0)
-        report = write_clip(motion, planned.clip.settings, planned.out, solve_s, sha256=planned.identity["inputs"])
-    return {"status": "unsolved" if is_unsolved(report) else "done", **results_of(report)}
+        report = fit_into(planned.out, planned.clip.settings, progress, planned.identity["inputs"])
+        files = digests([planned.out / MANIFEST], planned.out)
+    return {"status": "unsolved" if is_unsolved(report) else "done", **results_of(report), "files": files}
 
 
 # -- what became of the clips -----------------------------------------------------------------------------------------
@@ -320,9 +298,7 @@ def write_summary_page(out: Path) -> Path:
 
     page = out / SUMMARY_PAGE
     require_own_page(page)
-    html = batch_page(out, read_rows(out / SUMMARY))
-    with staged_file(page) as staged:
-        staged.write_text(html, encoding="utf-8")
+    write_text(page, batch_page(out, read_rows(out / SUMMARY)))
     return page
 
 
@@ -357,8 +333,7 @@ NAMED = 3
 _STYLES = {"unsolved": "red", "failed": "red", "pending": "yellow"}
 """Styles of the statuses; what is done has a verdict."""
 _COMMON, _WORK = "Settings of every clip", "How the work is done"
-_OF_CLIPS = tuple(name for name in SETTINGS if name != "keypoints")
-_OfFits = Annotated[dict[str, Any], OptionsOf(FitSettings, _OF_CLIPS, _COMMON)]
+_OfFits = Annotated[dict[str, Any], OptionsOf(FitSettings, OF_ANY_CLIP, _COMMON)]
 
 
 class _BatchSettings(Settings):
