@@ -134,6 +134,14 @@ def test_command(folder, tmp_path):  # noqa: F811
     assert max(abs(row["value"]) for row in said["values"]) < 12  # mm: the keypoints lie on the markers
 
 
+def test_a_few_frames_say_little_and_nothing_else_is_said(folder, tmp_path):  # noqa: F811
+    config = tmp_path / "config.toml"
+    config.write_text(settings(folder, 1, 2, subject=None, frames="10:16").to_toml())
+    ended = run("subject", "fit", config, "--out", tmp_path / "cat.toml", "--json")
+    assert (ended.code, ended.err) == (0, "")
+    assert json.loads(ended.out)["frames"] == 6
+
+
 def _mean_factor(animal: Body) -> float:
     generic = load_skeleton("cheetah-24")
     shape = Shape.of(generic)

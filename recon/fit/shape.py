@@ -211,7 +211,8 @@ def _spread_m(body: Body, solved: Sequence[tuple[ClipProblem, SegmentFit]]) -> d
             off_m = np.where(weight > 0, view.xy_px - view.project(at)[0], 0.0) / scale[:, None, None]
             seen = np.flatnonzero(view.present.sum(axis=0) >= one.correlation_frames)
             mean_m = (weight * off_m).sum(axis=0)[seen] / np.maximum(weight.sum(axis=0)[seen], 1e-9)
-            for j, own in zip(seen, mean_m - np.median(mean_m, axis=0), strict=True):
+            shared_m = np.median(mean_m, axis=0) if len(seen) else 0.0
+            for j, own in zip(seen, mean_m - shared_m, strict=True):
                 name = body.markers[j]
                 squares[other_side(name) if _follows(name, body) else name].append(float(own @ own) / 2)
     return {
