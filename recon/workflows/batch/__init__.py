@@ -123,8 +123,8 @@ def input_problems(clips: Sequence[Clip], shared_only: bool = False) -> list[Pro
     def read_once(settings: FitSettings) -> Unknown:
         """What clips share is read once."""
         # Names of keypoint files choose cameras.
-        names = [path.name if settings.camera_name is None else str(i) for i, path in enumerate(settings.keypoints)]
-        return read(replace(settings, keypoints=names, individual=None, frames=None))
+        files = [str(i) for i, _ in enumerate(settings.keypoints)] if settings.camera_name else settings.keypoints
+        return read(replace(settings, keypoints=files, individual=None, frames=None))
 
     check = read_once if shared_only else partial(prepare, read_shared=read_once)
     return [problems_of(partial(check, clip.settings)) for clip in clips]
