@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command_line import run
+from conftest import leave_out_playback
 from docs_files import cat_file
 from test_docs import DOCS, blocks, commands
 
@@ -42,6 +43,7 @@ def after(tmp_path_factory: pytest.TempPathFactory) -> Callable[[int], Path]:
     def done(n: int) -> Path:
         with pytest.MonkeyPatch.context() as patch:
             patch.chdir(folder)
+            leave_out_playback(patch)
             while len(STEPS) - len(left) < n:
                 for command in commands(left.pop(0)):
                     ended = run(*shlex.split(command)[1:])

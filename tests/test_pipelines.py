@@ -20,6 +20,7 @@ from recon.calibrate import parse_board
 from recon.io import read_frames, video_writer
 from tests.test_calibrate import CAMERAS
 
+pytestmark = pytest.mark.usefixtures("no_playback")
 ROOT = Path(__file__).resolve().parents[1]
 PIPELINES = ROOT / "pipelines"
 SCRIPTS = sorted(path.stem for path in PIPELINES.glob("*.py"))
