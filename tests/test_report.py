@@ -15,7 +15,7 @@ from motions import with_first
 from rich.console import Console
 
 from recon.check import findings_of
-from recon.fit import MotionSegment
+from recon.fit import MotionSegment, SecondCamera
 from recon.show import TO_DO, to_plain, write_report
 from recon.show import report as reports
 from recon.show.report import SCHEMA_VERSION, console_summary, is_unsolved
@@ -432,15 +432,22 @@ def test_the_summary_begins_with_a_distance_that_is_hardly_told(small_trajectory
 
 
 @pytest.mark.parametrize(
-    ("lags", "left_frames", "warned"),
-    [((-0.4, 0.5), 0.21, False), ((-0.4, 0.5), 0.26, True), ((0.8, -0.7), 0.21, True)],
+    ("lags", "left_frames", "second", "warned"),
+    [
+        ((-0.4, 0.5), 0.21, None, False),
+        ((-0.4, 0.5), 0.21, SecondCamera(1.0, 0.5, 3.0), False),
+        ((-0.4, 0.5), 0.21, SecondCamera(-1.0, 0.5, 3.0), True),
+        ((-0.4, 0.5), 0.26, None, True),
+        ((0.8, -0.7), 0.21, None, True),
+    ],
 )
-def test_cameras_that_look_out_of_step_are_named(two_cameras, lags, left_frames, warned):
+def test_cameras_that_look_out_of_step_are_named(two_cameras, lags, left_frames, second, warned):
     """A lag is expected within 0.29 frames, and the difference of two within 0.41, if pictures tell it. left_frames:
     the standard deviation that they leave of each; if it is nearly as large, what is found is a part of the lag."""
     both = zip(two_cameras.solution.views, two_cameras.sources, lags, strict=True)
     views = tuple(replace(view, offset_frames=source.offset_frames + lag) for view, source, lag in both)
-    told = {"views": views, "time_offset_sigma_frames": np.full(2, left_frames)}
+    segments = tuple(replace(segment, second_camera=second) for segment in two_cameras.solution.segments)
+    told = {"views": views, "time_offset_sigma_frames": np.full(2, left_frames), "segments": segments}
     report = build_report(with_solution(two_cameras, **told), {})
     assert ("cameras_out_of_step" in codes(report)) == warned
     if lags[0] > 0:

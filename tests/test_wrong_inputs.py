@@ -216,14 +216,21 @@ def test_a_fit_is_the_same_wherever_the_ground_is(height_m):
     assert segment.ground.height_m == pytest.approx(height_m, abs=0.2)
 
 
-@pytest.mark.parametrize(("turn_deg", "shift_m"), [(6.0, 0.0), (-6.0, 0.0), (0.0, 0.5), (0.0, -1.0)])
-def test_two_cameras_of_which_one_is_turned_or_moved_are_named(turn_deg, shift_m):
-    """In the plane of both cameras and the animal, where rays still meet."""
+@pytest.mark.parametrize(
+    ("turn_deg", "shift_m", "late"), [(6.0, 0.0, 0), (-6.0, 0.0, 0), (0.0, 0.5, 0), (0.0, -1.0, 0), (0.0, 0.0, 3)]
+)
+def test_two_cameras_of_which_one_is_turned_moved_or_late_are_named(turn_deg, shift_m, late):
+    """In the plane of both cameras and the animal, where rays still meet; and pictures that were taken later."""
     turn = Rotation.from_euler("y", turn_deg, degrees=True).as_matrix()
     views = [view_of(truth_m(), AHEAD), view_of(truth_m(), ASIDE, seed=1)]
     views[1] = replace(views[1], T_camera_world=rigid(turn, np.array([shift_m, 0.0, 0.0])) @ ASIDE)
+    views = [view.part(slice(late * i, len(view.xy_px) + late * (i - 1))) for i, view in enumerate(views)]
     right, wrong = two(), solve_trajectory(views, BODY, PRIOR, FPS, TrajectoryOptions(fast=True))
     one = moved(plain().states)
     for solution, said in ((one.solution, False), (right, False), (wrong, True)):
         motion = replace(one, solution=replace(one.solution, segments=solution.segments))
-        assert [finding.code for finding in pair_disagrees(motion)] == ["pair_disagrees"] * said
+        assert [finding.code for finding in pair_disagrees(motion)] == ["pair_disagrees"] * (said and not late)
+    second = wrong.segments[0].second_camera
+    assert second is not None
+    assert (second.late > max(second.misplaced, 0.0)) == bool(late)
+    assert not late or second.late_frames == pytest.approx(late, abs=1.0)

@@ -13,7 +13,7 @@ import numpy as np
 from recon.animal import Body, builtin_names, load_skeleton, mean_speed_m_s
 from recon.check.codes import finding, ordered
 from recon.check.inputs import FASTEST_M_S
-from recon.fit import ALTERNATIVE_M, Finding, Motion, TrajectorySolution, constants
+from recon.fit import ALTERNATIVE_M, Finding, Motion, SecondCamera, TrajectorySolution, constants
 
 Rule = Callable[[Motion], Iterator[Finding]]
 
@@ -133,7 +133,8 @@ def no_pose(motion: Motion) -> Iterator[Finding]:
 
 def cameras_out_of_step(motion: Motion) -> Iterator[Finding]:
     """A time offset is expected to be a fraction of a frame: one that comes out larger is larger still. What pictures
-    hardly tell comes out small: estimates vary by the variance that is expected, less that which is left."""
+    hardly tell comes out small: estimates vary by the variance that is expected, less that which is left. And two are
+    out of step where that is likelier than not."""
     if len(motion.sources) < 2:
         return
     solution = _solution(motion)
@@ -143,7 +144,9 @@ def cameras_out_of_step(motion: Motion) -> Iterator[Finding]:
     expected, left = constants.TIME_OFFSET_FRAMES**2, solution.time_offset_sigma_frames[ends] ** 2
     told = np.sum(expected - left) * len(late) / (len(late) - 1)  # what all cameras have in common is not seen
     variance = told if 0.0 < told < 2.0 * expected else 2.0 * expected
-    if apart > OUT_OF_STEP_SIGMAS * math.sqrt(variance):
+    likelier = [one for one in _second_cameras(motion) if one.late > max(one.misplaced, 0.0)]
+    if likelier or apart > OUT_OF_STEP_SIGMAS * math.sqrt(variance):
+        apart = max([apart, *(abs(one.late_frames) for one in likelier)])
         names = tuple(motion.pictures[v].name for v in ends)
         yield finding("cameras_out_of_step", cameras=names, apart_frames=apart)
 
@@ -229,10 +232,14 @@ def solution_unusual(motion: Motion) -> Iterator[Finding]:
 def pair_disagrees(motion: Motion) -> Iterator[Finding]:
     """A finding on two cameras of which one is likelier turned or moved than not, also where their rays still meet: the
     animal has then another size in one picture than in the other, or than is expected."""
-    likelier = max((segment.second_camera_misplaced or 0.0 for segment in motion.solution.segments), default=0.0)
+    likelier = max((one.misplaced for one in _second_cameras(motion) if one.misplaced >= one.late), default=0.0)
     if likelier > 0:
         names = tuple(picture.name for picture in motion.pictures)
         yield finding("pair_disagrees", cameras=names, log_likelihood_ratio=likelier)
+
+
+def _second_cameras(motion: Motion) -> list[SecondCamera]:
+    return [segment.second_camera for segment in motion.solution.segments if segment.second_camera is not None]
 
 
 def second_solution(motion: Motion) -> Iterator[Finding]:

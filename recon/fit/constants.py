@@ -28,7 +28,8 @@ metres or as a share of its distance from the animal, whichever is less."""
 CALIBRATED_RAD = 0.008726646259971648
 """How far a camera whose pose is not to be refined is turned about each of its axes (half a degree)."""
 MISPLACED = 12.0
-"""So many times as far off is a camera that was moved since it was calibrated: 6 degrees, 0.6 m. A round number."""
+"""So many times as far off is a camera that was moved since it was calibrated, or whose clock is wrong: 6 degrees, 0.6
+m, 3.5 frames. A round number."""
 SIZE_OF_TWO_CAMERAS = 0.03
 """The relative standard deviation of a size that two cameras measure."""
 

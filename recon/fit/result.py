@@ -118,6 +118,16 @@ class Ground:
         return replace(self, height_m=float(height), sigma_m=size * self.sigma_m)
 
 
+@dataclass(frozen=True)
+class SecondCamera:
+    """How much likelier the second of two cameras is turned or moved, or late by so many frames, than as well placed
+    and in step as cameras are, as logarithms."""
+
+    misplaced: float
+    late: float
+    late_frames: float
+
+
 @dataclass(frozen=True, repr=False)
 class MotionSegment(Brief):
     """A stretch of the clip that was solved by itself, as nothing was seen for long before and after: its rows, and the
@@ -131,9 +141,8 @@ class MotionSegment(Brief):
     """The part of its weight that the prior kept, each angle on its own having the rest; 1 where the motion fits."""
     unlike_prior: bool = False
     """The motion is none that the prior knows."""
-    second_camera_misplaced: float | None = None
-    """How much likelier the second of two cameras is turned or moved than as well calibrated as cameras are, as a
-    logarithm; None where it was not held, or there is no second."""
+    second_camera: SecondCamera | None = None
+    """None where there is no second of two, or its pose was not held."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)

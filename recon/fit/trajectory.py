@@ -37,7 +37,7 @@ from recon.fit.banded import eliminated
 from recon.fit.clip_problem import ClipProblem, TrajectoryOptions, contacts
 from recon.fit.least_squares import Estimate, LeastSquares, Unknown
 from recon.fit.posterior import Posterior, PriorMisfit, about_keypoint_bias, posterior, prior_misfit_of, with_size
-from recon.fit.result import SHAPES, Ground, MotionSegment, TrajectorySolution
+from recon.fit.result import SHAPES, Ground, MotionSegment, SecondCamera, TrajectorySolution
 from recon.fit.starts import approach, between
 from recon.fit.terms import SIDESLIP, SIZE, OnGround, Reprojection, extrinsic_correction, focal, size_of, time_offset
 from recon.geometry.kinematics import ROOT, YAW
@@ -130,8 +130,8 @@ class SegmentFit:
         ground, misfit = self.ground and self.ground.about(clip.origin_m, size), self.prior_misfit
         level, unlike = (None, False) if misfit is None else (misfit.level, misfit.unlike)
         held = len(clip.views) == 2 and clip.shows_size and not clip.options.refine_cameras
-        misplaced = _second_camera_misplaced(clip, self) if held else None
-        return MotionSegment(self.rows, ground, level, self.prior_weight, unlike, misplaced)
+        second = _second_camera(clip, self) if held else None
+        return MotionSegment(self.rows, ground, level, self.prior_weight, unlike, second)
 
     def found(self, name: str, count: int = 1) -> Array:
         """(count,): the values of shared unknowns, 0 where they are none."""
@@ -386,38 +386,41 @@ def _size(
     return float(pull / precision), float(precision**-0.5), tuple(dict.fromkeys(sources))
 
 
-def _second_camera_misplaced(clip: ClipProblem, one: SegmentFit) -> float:
-    """How much likelier it is that the second of two cameras is turned about, or moved along, one of its axes than that
-    its pose is as good as calibrations are, as a logarithm, at the likeliest of the six. All else follows the pose, but
-    for the size, which is held as expected: where rays meet in spite of a wrong pose, the animal is too large or too
-    small. The ground follows the feet: as it is, it would hold the world. Judged is the stretch in which both cameras
-    see most: what is not quite as the model says, and lasts, would grow with a clip's length."""
+def _second_camera(clip: ClipProblem, one: SegmentFit) -> SecondCamera:
+    """What is likelier of the second of two cameras than that its pose and clock are as good as expected: that one axis
+    about which it is turned or along which it stands, or its clock, is `MISPLACED` times as far off. All else follows,
+    but for the size, which is held as expected: where rays meet in spite of a wrong pose, the animal is too large or
+    too small. The ground follows the feet: as it is, it would hold the world. Judged is the stretch in which both
+    cameras see most: what is not quite as the model says, and lasts, would grow with a clip's length."""
     together = np.all([view.present[one.rows] for view in clip.views], axis=0).sum(axis=1)
     rows = busiest(together, round(JUDGED_S * clip.fps))
     if rows.stop - rows.start < len(together):
         estimate = replace(one.estimate, states=one.estimate.states[rows])
         start = one.rows.start
         one = refined(clip, replace(one, rows=slice(start + rows.start, start + rows.stop), estimate=estimate))
-    root = clip.correlation_frames**0.5
-    free = Unknown(extrinsic_correction(1), np.zeros(6), np.full(6, np.inf))
+    root, late = clip.correlation_frames**0.5, time_offset(1)
+    shared = {unknown.name: unknown for unknown in (*one.problem.shared, *one.problem.doubtful)}
+    shift_m = clip.part(one.rows).shifts_m(clip.markers(one.estimate.states), one.size)[1]
+    usual = np.array([*np.repeat([constants.CALIBRATED_RAD, shift_m], 3), root * shared[late].sigma[0]])
+    names = (extrinsic_correction(1), late)
+    free = {name: Unknown(name, np.zeros(n), np.full(n, np.inf)) for name, n in zip(names, (6, 1), strict=True)}
     size = Unknown(SIZE, np.ones(1), np.hypot([clip.size_sigma], constants.SIZE_OF_TWO_CAMERAS) / root)
-    others = [unknown for unknown in (*one.problem.shared, *one.problem.doubtful) if unknown.name != SIZE]
     terms = [term for term in one.problem.terms if not isinstance(term, OnGround)]
-    problem = replace(one.problem, terms=terms, shared=[free, size, *others], doubtful=())
+    problem = replace(one.problem, terms=terms, shared=[*(free | shared | free | {SIZE: size}).values()], doubtful=())
     normals = problem.normals(one.estimate.states, problem.expected() | dict(one.estimate.shared))
     reduced = np.sum([window.reduced() for window in eliminated(normals(), bounded=True)], axis=0) / root**2
-    of_others = np.linalg.solve(reduced[6:, 6:-1], np.delete(reduced[6:], np.s_[6:-1], axis=1))
-    precision, pull = np.split(np.delete(reduced[:6], np.s_[6:-1], axis=1) - reduced[:6, 6:-1] @ of_others, [6], axis=1)
+    n = len(usual)
+    of_others = np.linalg.solve(reduced[n:, n:-1], np.delete(reduced[n:], np.s_[n:-1], axis=1))
+    left = np.delete(reduced[:n], np.s_[n:-1], axis=1) - reduced[:n, n:-1] @ of_others
+    precision, pull = left[:, :n], left[:, n] - left[:, n - 1] * one.found(late)  # where all are as said
 
-    def evidence(sigma: Array) -> float:
-        drop = float(pull[:, 0] @ np.linalg.solve(precision + np.diag(sigma**-2), pull[:, 0]))
-        return 0.5 * (drop - float(np.linalg.slogdet(np.eye(6) + precision * sigma**2)[1]))
+    def evidence(sigma: Array) -> tuple[float, Array]:
+        off = -np.linalg.solve(precision + np.diag(sigma**-2), pull)
+        return -0.5 * float(pull @ off + np.linalg.slogdet(np.eye(n) + precision * sigma**2)[1]), off
 
-    shift_m = clip.part(one.rows).shifts_m(clip.markers(one.estimate.states), one.size)[1]
-    calibrated = np.repeat([constants.CALIBRATED_RAD, shift_m], 3)
-    return max(evidence(np.where(axis, constants.MISPLACED, 1.0) * calibrated) for axis in np.eye(6)) - evidence(
-        calibrated
-    )
+    each = [evidence(np.where(axis, constants.MISPLACED, 1.0) * usual) for axis in np.eye(n)]
+    likelier = np.array([one for one, _ in each]) - evidence(usual)[0]
+    return SecondCamera(float(likelier[:-1].max()), float(likelier[-1]), float(each[-1][1][-1]))
 
 
 def _size_of_offsets(clip: ClipProblem) -> float:
