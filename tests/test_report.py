@@ -15,7 +15,8 @@ from motions import with_first
 from rich.console import Console
 
 from recon.check import findings_of
-from recon.fit import MotionSegment, SecondCamera
+from recon.fit import MotionSegment
+from recon.fit.result import SecondCamera
 from recon.show import TO_DO, to_plain, write_report
 from recon.show import report as reports
 from recon.show.report import SCHEMA_VERSION, console_summary, is_unsolved

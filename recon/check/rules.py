@@ -13,7 +13,7 @@ import numpy as np
 from recon.animal import Body, builtin_names, load_skeleton, mean_speed_m_s
 from recon.check.codes import finding, ordered
 from recon.check.inputs import FASTEST_M_S
-from recon.fit import ALTERNATIVE_M, Finding, Motion, SecondCamera, TrajectorySolution, constants
+from recon.fit import ALTERNATIVE_M, Finding, Motion, TrajectorySolution, constants
 
 Rule = Callable[[Motion], Iterator[Finding]]
 
@@ -144,7 +144,7 @@ def cameras_out_of_step(motion: Motion) -> Iterator[Finding]:
     expected, left = constants.TIME_OFFSET_FRAMES**2, solution.time_offset_sigma_frames[ends] ** 2
     told = np.sum(expected - left) * len(late) / (len(late) - 1)  # what all cameras have in common is not seen
     variance = told if 0.0 < told < 2.0 * expected else 2.0 * expected
-    likelier = [one for one in _second_cameras(motion) if one.late > max(one.misplaced, 0.0)]
+    likelier = [one for one in solution.second_cameras if one.late > max(one.misplaced, 0.0)]
     if likelier or apart > OUT_OF_STEP_SIGMAS * math.sqrt(variance):
         apart = max([apart, *(abs(one.late_frames) for one in likelier)])
         names = tuple(motion.pictures[v].name for v in ends)
@@ -232,14 +232,12 @@ def solution_unusual(motion: Motion) -> Iterator[Finding]:
 def pair_disagrees(motion: Motion) -> Iterator[Finding]:
     """A finding on two cameras of which one is likelier turned or moved than not, also where their rays still meet: the
     animal has then another size in one picture than in the other, or than is expected."""
-    likelier = max((one.misplaced for one in _second_cameras(motion) if one.misplaced >= one.late), default=0.0)
+    likelier = max(
+        (one.misplaced for one in _solution(motion).second_cameras if one.misplaced >= one.late), default=0.0
+    )
     if likelier > 0:
         names = tuple(picture.name for picture in motion.pictures)
         yield finding("pair_disagrees", cameras=names, log_likelihood_ratio=likelier)
-
-
-def _second_cameras(motion: Motion) -> list[SecondCamera]:
-    return [segment.second_camera for segment in motion.solution.segments if segment.second_camera is not None]
 
 
 def second_solution(motion: Motion) -> Iterator[Finding]:

@@ -15,16 +15,7 @@ if TYPE_CHECKING:
     from recon.fit.motion_forms import MOTION
     from recon.fit.points import solve_points
     from recon.fit.posterior import DEGREES_OF_FREEDOM, prior_misfit_of, radius, sigmas
-    from recon.fit.result import (
-        ExpectedError,
-        Finding,
-        Ground,
-        MotionSegment,
-        SecondCamera,
-        Solution,
-        TrajectorySolution,
-        Verdict,
-    )
+    from recon.fit.result import ExpectedError, Finding, Ground, MotionSegment, Solution, TrajectorySolution, Verdict
     from recon.fit.sampling import draws
     from recon.fit.shape import Shape, ShapeFit, fit_shape
     from recon.fit.starts import APPROACH_HZ, between, constant_velocity, position_on_rays

@@ -257,3 +257,7 @@ class TrajectorySolution(Solution):
     sideslip_sigma_rad: float
 
     method: ClassVar = "trajectory"
+
+    @property
+    def second_cameras(self) -> list[SecondCamera]:
+        return [segment.second_camera for segment in self.segments if segment.second_camera is not None]
