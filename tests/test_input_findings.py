@@ -154,6 +154,14 @@ def test_what_is_not_clear_is_only_to_be_looked_at():
     assert not any("left-right swap" in flags for flags in flagged(motion_of(plain()), [unclear]).flags)
 
 
+def test_a_whole_clip_that_only_looks_exchanged_is_to_be_looked_at(monkeypatch):
+    refit = Refit(plain().states, 0.0, 0.0)
+    monkeypatch.setattr("recon.check.swaps.undone", lambda given, one: _SwapTrial(one, refit, -20.0))
+    (found,) = swaps(fitted(exchanged(view(), stretch("all", 0, T))))
+    assert (found.clear, found.stretch.rows) == (False, slice(0, T))
+    assert swaps(fitted(view())) == []
+
+
 def test_of_two_that_exclude_each_other_the_likelier_has_to_lead():
     one, other = stretch("hind", 0, 20), stretch("hind", 20, T)
     swapped = fitted(exchanged(view(), other))

@@ -27,8 +27,8 @@ LIKELY, REFITTED, STRETCHES = 15.0, 3, 4
 """Stretches are undone that are so likely, so many at a time, and so many exchanges are found in a clip."""
 LOOKS = -10.0
 """A whole clip is undone unless it looks so much likelier as it is. One that is likelier undone, and not as much as is
-believed, is to be looked at, as nothing else shows a mirrored video: that makes 32 that are right less likely by 6 at
-least, or is not tried."""
+believed, or only looks `LIKELY` to be exchanged, is to be looked at, as nothing else shows a mirrored video: undone,
+32 that are right are less likely by 6 at least, or not tried, and look so by 9 at most."""
 LEAST_S = 0.25
 """The sides of a shorter clip, less than a stride, cannot be told as a whole; nor can they without a leg."""
 OF_LEG = 3
@@ -90,8 +90,9 @@ def swaps(given: Baseline, unlike: bool = False) -> list[_SwapTrial]:
         trials = sorted((undone(given, one) for one in likely(given, kinds, unlike)), key=lambda one: -one.ratio)
         if not trials or not likelihood.believed(trials[0].ratio):
             T = len(given.states)
-            whole = [one for one in trials if one.stretch.rows == slice(0, T) and one.ratio > 0]
-            found += [replace(one, clear=False) for one in whole if not found]
+            for one in (one for one in trials if one.stretch.rows == slice(0, T) and not found):
+                if one.ratio > 0 or _evidence(given, kinds)["all"].sum() > LIKELY:
+                    found.append(replace(one, clear=False))
             break
         best, *others = trials
         then = with_undone(given, best)
