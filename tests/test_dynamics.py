@@ -17,6 +17,7 @@ from recon.gait.dynamics import (
     G_M_S2,
     MEAN_OF_PEAK,
     OFF_GRAVITY,
+    OVER_STRIDE,
     SKEW,
     _forces,
     _turning_sigma,
@@ -27,7 +28,7 @@ from recon.gait.dynamics import (
 )
 from recon.gait.kinematics import Errors
 from recon.show import clip_page
-from recon.show.tables import forces
+from recon.show.tables import forces, strides
 from recon.workflows import summarise
 
 SKELETON = Path(__file__).parents[1] / "recon" / "animal" / "skeletons" / "cheetah-24.toml"
@@ -176,6 +177,25 @@ def test_what_turns_is_as_uncertain_as_draws_of_the_joints_and_masses_say():
     np.testing.assert_allclose(said, np.std(np.column_stack([energy, momentum]), axis=0), rtol=0.05)
 
 
+def test_a_stance_whose_time_is_hardly_known_lasts_about_as_long_as_the_others(found: ClipAnalysis):
+    gait = found.gait
+    assert gait is not None
+    i = next(i for i, stance in enumerate(gait.stances) if stance.begins and stance.ends)
+    known, quarter_s = gait.stances[i], gait.stances[i].duration_s / 4
+    short = replace(known, end_s=known.start_s + 2 * quarter_s, start_sigma_s=quarter_s, end_sigma_s=quarter_s)
+    before, after = (
+        _forces(replace(gait, stances=(*gait.stances[:i], one, *gait.stances[i + 1 :])))[0].iloc[0]
+        for one in (known, short)
+    )
+    assert after["foot"] == known.foot
+    assert after["peak_bw"] < 1.5 * before["peak_bw"]  # twice as high if it lasted half as long
+    assert after["peak_high_bw"] < 1.6 * before["peak_high_bw"]
+    # One that is known is taken as it is.
+    sure = replace(short, start_sigma_s=1e-4, end_sigma_s=1e-4)
+    taken = _forces(replace(gait, stances=(*gait.stances[:i], sure, *gait.stances[i + 1 :])))[0].iloc[0]
+    assert taken["impulse_bw_s"] == pytest.approx(taken["peak_bw"] * MEAN_OF_PEAK * sure.duration_s, rel=0.01)
+
+
 def test_the_shape_begins_and_ends_at_nothing_and_leans_forwards():
     into = np.linspace(-0.2, 1.2, 1401)
     force = shape(into)
@@ -215,11 +235,21 @@ def test_the_work_of_a_stride_is_what_the_energy_gains(found: ClipAnalysis):
     d, gait = found.dynamics, found.gait
     assert d is not None
     assert gait is not None
-    for stride, row in zip(gait.strides, summarise(found, "clip")["dynamics"]["strides"], strict=True):
+    summary = summarise(found, "clip")["dynamics"]
+    for name, mean in summary["energy_mean_j_kg"].items():
+        low, high = summary["energy_mean_interval_j_kg"][name]
+        assert low < mean < high
+    head, rows = strides(found)
+    tabled = pd.DataFrame(rows, columns=head).set_index(["foot", "start_s"])
+    for stride, row in zip(gait.strides, summary["strides"], strict=True):
         time_s = d.centre.series.time_s
         total = d.energy_j_kg["total"] - d.internal_j_kg
         ends = np.interp([stride.start_s, stride.end_s], time_s, total)
         assert row["net_work_j_kg"] == pytest.approx(ends[1] - ends[0], abs=0.5)
+        table = tabled.loc[[(stride.foot, stride.start_s)]].iloc[0]
+        for name, unit in OVER_STRIDE.items():
+            said = [row[f"{name}{unit}"], *row[f"{name}_interval{unit}"]]
+            assert said == table[[f"{name}{end}{unit}" for end in ("", "_low", "_high")]].tolist()
         low, high = row["net_work_interval_j_kg"]
         assert low < row["net_work_j_kg"] < high
         speed = np.interp([stride.start_s, stride.end_s], time_s, d.centre.speed_m_s)
@@ -242,9 +272,9 @@ def test_a_pendulum_exchanges_its_energies_and_a_spring_does_not(found: ClipAnal
     rate = np.stack([np.sqrt(2 * level_j_kg), 0 * up_m, up_m_s], axis=1)
     known = replace(series, value=value, rate=rate, value_sigma=1e-5 + 0 * rate, rate_sigma=1e-5 + 0 * rate)
     centre = replace(d.centre, series=known)
-    (exchanged, sigma) = over_stride(replace(d, centre=centre, ground_m=0 * up_m), 0.1, 0.7)["exchange"]
+    exchanged, low, high = over_stride(replace(d, centre=centre, ground_m=0 * up_m), 0.1, 0.7)["exchange"]
     assert exchanged == pytest.approx(share, abs=1e-6)
-    assert 0 < sigma < 0.01
+    assert 0 < high - low < 0.02
 
 
 @pytest.mark.parametrize("name", ["horse-22", "dog-27", "quadruped"])

@@ -15,7 +15,17 @@ from matplotlib.quiver import Quiver
 from PIL import Image
 
 from recon.animal import Side, load_skeleton
-from recon.gait import Closure, Errors, Portrait, angle_kinematics, phase_portrait, point_kinematics, vector_field
+from recon.fit import radius
+from recon.gait import (
+    INTERVAL,
+    Closure,
+    Errors,
+    Portrait,
+    angle_kinematics,
+    phase_portrait,
+    point_kinematics,
+    vector_field,
+)
 from recon.gait.gait import BODY, FEET, Plane, Stance, Stride, gait, pose_tracks
 from recon.io.common import Pose3D
 from recon.show import plots
@@ -326,7 +336,7 @@ def test_speed_and_acceleration():
     edge = band.get_paths()[0].vertices
     k = 33
     at = edge[np.isclose(edge[:, 0], known.series.time_s[k])][:, 1]
-    expected = known.speed_m_s[k] + np.array([-1, 1]) * known.speed_sigma_m_s[k]
+    expected = known.speed_m_s[k] + radius(INTERVAL) * np.array([-1, 1]) * known.speed_sigma_m_s[k]
     np.testing.assert_allclose([at.min(), at.max()], expected)
     rings = [line.get_xydata()[0] for line in above.get_lines() if line.get_markerfacecolor() == "none"]
     np.testing.assert_allclose(rings[1], [gap.peak_speed_time_s, gap.peak_speed_m_s])
@@ -411,13 +421,13 @@ def test_a_portrait_with_its_deviations_and_of_an_angle_that_is_not_seen():
         {"knee": portrait, "hip": portrait}, {"knee": Closure(91.4, 88, 12.3, 9)}, "", shares
     )
     first, second = figure.axes[:2]
-    assert first.get_title() == "knee\n80% from pixels\n91±12 / 88±9 %"
+    assert first.get_title() == "knee\n80% from pixels\n91±20 / 88±14 %"  # 90 %
     assert second.get_title() == "hip\n20% from pixels"
     (lines,) = (c for c in second.collections if isinstance(c, LineCollection))
     assert len({*map(tuple, lines.get_edgecolors())}) == 1
     (band,) = (p for p in first.findobj(PathPatch) if p.get_facecolor() == to_rgba(over_time._BAND))
     ellipses = band.get_path().vertices.reshape(-1, len(mpl.path.Path.unit_circle().vertices), 2)
-    assert np.median(np.ptp(ellipses[..., 0], axis=1)) == pytest.approx(4.0, rel=0.02)
+    assert np.median(np.ptp(ellipses[..., 0], axis=1)) == pytest.approx(4.0 * radius(INTERVAL), rel=0.02)
     middles = np.mean([ellipses.min(axis=1), ellipses.max(axis=1)], axis=0)
     path = np.degrees(np.column_stack([portrait.angle_rad, portrait.rate_rad_s]))
     near = np.abs(middles[:, None] - path) / (np.ptp(ellipses, axis=1)[:, None] / 2)
@@ -432,7 +442,7 @@ def test_speeds_of_links_with_their_deviations():
     field = replace(first, speed_sigma_m_s=np.full(20, 0.25))
     axes = plots.vector_fields((field,), t).axes[1]
     (band,) = (c for c in axes.collections if isinstance(c, FillBetweenPolyCollection))
-    assert band.get_paths()[0].vertices[:, 1].max() == pytest.approx(first.speed_m_s.max() + 0.25)
+    assert band.get_paths()[0].vertices[:, 1].max() == pytest.approx(first.speed_m_s.max() + radius(INTERVAL) * 0.25)
 
 
 def test_a_link_is_grey_where_it_is_not_seen():
@@ -511,6 +521,23 @@ def test_bars_stand_where_feet_do():
     np.testing.assert_allclose(frames.get_xlim(), FPS * np.array(axes.get_xlim()))
     for said in ("ground: unknown (", "stride 2.00 m, 3.33 Hz", "cut by the clip", "complete stride"):
         assert said in texts(figure)
+
+
+def test_feet_of_one_gait_have_the_colours_of_their_sides():
+    figure = plots.footfall({"ground": gaits()["ground"]}, FPS)
+    edges = [c for c in figure.axes[0].collections if isinstance(c, LineCollection)]
+    by_row = {round(end[0][1] + 0.2): to_rgb(c.get_color()[0]) for c in edges for end in c.get_segments()}
+    assert by_row[0] == to_rgb(style.COLOURS[0])
+    assert all(f"{side} foot" in texts(figure) for side in ("left", "right"))
+
+
+def test_a_band_that_is_wider_than_the_curve_leaves_it_a_third_of_its_panel():
+    t = times(21)
+    wide = point_kinematics(t, path(21), [Errors(np.full((21, 3), 0.2))])
+    axes = plots.speeds({"fit": wide}).axes[1]
+    top, highest = axes.get_ylim()[1], wide.acceleration_m_s2.max()
+    assert (wide.acceleration_m_s2 + radius(INTERVAL) * wide.acceleration_sigma_m_s2).max() > 10 * highest
+    assert highest / top > 0.3
 
 
 # -- inverse kinematics ----------------------------------------------------------------------------------------------

@@ -13,7 +13,8 @@ from command_line import refusal
 from rerun.chunk import RrdReader
 
 from recon import ClipAnalysis, analyse
-from recon.fit import Motion
+from recon.fit import Motion, radius
+from recon.gait import INTERVAL
 from recon.io import video_writer
 from recon.show.view import write
 
@@ -57,9 +58,10 @@ def test_plots_of_an_analysis_are_those_at_the_frames(found: ClipAnalysis, analy
     assert list(speed) == found.motion.frames.tolist()
     at = moved.series.oversampling * 7
     value, sigma = moved.speed_m_s[at], moved.speed_sigma_m_s[at]
-    np.testing.assert_allclose(speed[found.motion.frames[7]], [value, value - sigma, value + sigma])
+    half = radius(INTERVAL) * sigma
+    np.testing.assert_allclose(speed[found.motion.frames[7]], [value, value - half, value + half])
     (names,) = [row["SeriesLines:names"] for row in data["/analysis/speed"] if "SeriesLines:names" in row]
-    assert names == ["speed", "minus one sigma", "plus one sigma"]
+    assert names == ["speed", "90 %: from", "90 %: to"]
     trunk = by_frame(data["/analysis/links/trunk"], "Scalars:scalars")
     np.testing.assert_allclose(trunk[found.motion.frames[7]], [field.speed_m_s[7] for field in found.fields["trunk"]])
 
@@ -69,6 +71,7 @@ def test_forces_stand_under_the_feet(found: ClipAnalysis, analysed: Path) -> Non
     d, gait, data = found.dynamics, found.gait, rows(analysed)
     assert d is not None
     assert gait is not None
+    (colours,) = [row["SeriesLines:colors"] for row in data["/analysis/forces"] if "SeriesLines:colors" in row]
     at = np.searchsorted(gait.tracks.time_s, found.motion.time_s - 1e-6)
     force = np.stack([d.force[foot][at, 0] for foot in gait.tracks.feet], axis=1)
     lines = by_frame(data["/analysis/forces"], "Scalars:scalars")
@@ -82,6 +85,12 @@ def test_forces_stand_under_the_feet(found: ClipAnalysis, analysed: Path) -> Non
     origins = by_frame(data["/world/forces"], "Arrows3D:origins")[found.motion.frames[t]]
     feet_m = found.motion.in_reference(gait.tracks.foot_m[at[t]])
     np.testing.assert_allclose(origins, feet_m[force[t] > 0], atol=1e-5)
+    # Each in the colour of its side, of which the lines of hind feet are.
+    of_foot = zip(gait.tracks.feet, colours, strict=True)
+    of_side = {foot[0]: colour for foot, colour in of_foot if foot.endswith("H")}
+    own = by_frame(data["/world/forces"], "Arrows3D:colors")[found.motion.frames[t]]
+    assert own == [of_side[foot[0]] for foot, force_bw in zip(gait.tracks.feet, force[t], strict=True) if force_bw > 0]
+    assert len({*colours}) == len(gait.tracks.feet)
 
 
 def test_each_kind_has_a_tab_behind_the_fits_own_plots(found: ClipAnalysis, analysed: Path, tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from recon.fit.motion import Motion
-from recon.gait import FORCE_COLUMNS, G_M_S2, ClipAnalysis, field_means
+from recon.gait import FORCE_COLUMNS, G_M_S2, OVER_STRIDE, ClipAnalysis, field_means, over_stride
 from recon.gait.kinematics import AngleKinematics
 from recon.io.writing import write_columns, write_rows, write_table
 
@@ -199,9 +199,15 @@ def stances(found: ClipAnalysis) -> Table:
 
 
 def strides(found: ClipAnalysis) -> Table:
-    """A table of every complete stride."""
+    """A table of every complete stride; of a skeleton with masses what its energy changes, with intervals of 90 %."""
     names = ["foot", "at", "start_s", "end_s", "duration_s", "length_m", "frequency_hz", "duty_factor"]
-    return names, map(attrgetter(*names), found.gait.strides if found.gait else ())
+    own, d = found.gait.strides if found.gait else (), found.dynamics
+    rows = map(attrgetter(*names), own)
+    if d is None:
+        return names, rows
+    head = [f"{name}{end}{unit}" for name, unit in OVER_STRIDE.items() for end in ("", "_low", "_high")]
+    more = [np.ravel([*over_stride(d, stride.start_s, stride.end_s).values()]) for stride in own]
+    return [*names, *head], [(*row, *of_row) for row, of_row in zip(rows, more, strict=True)]
 
 
 def gait(found: ClipAnalysis) -> Table:

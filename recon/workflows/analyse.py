@@ -19,10 +19,9 @@ from recon.base.files import require_free_folder, sole_writer, staged_folder
 from recon.base.settings import Option, Positive, Settings
 from recon.check import sentence, usable, verdict_fields
 from recon.fit.motion import MEASURED_SHARE, Motion
-from recon.fit.posterior import radius
 from recon.gait.clip import ClipAnalysis, analyse
-from recon.gait.dynamics import Dynamics, findings_of_dynamics, over_stride
-from recon.gait.gait import INTERVAL, Gait, Stride, doubtful_text
+from recon.gait.dynamics import OVER_STRIDE, Dynamics, findings_of_dynamics, interval_of, over_stride
+from recon.gait.gait import Gait, Stride, doubtful_text
 from recon.show.plain import picked, to_json
 from recon.show.report import in_sentences
 from recon.show.tables import TABLES, write_analysis
@@ -101,7 +100,7 @@ def _lines(found: ClipAnalysis, summary: Mapping[str, Any]) -> Iterator[str | Te
     yield from in_sentences(motion, found.reference_motion, found.gait, found.why_no_speed)
     net, sigma = found.net_acceleration_m_s2
     if math.isfinite(net):
-        low, high = net - radius(INTERVAL) * sigma, net + radius(INTERVAL) * sigma
+        _, low, high = interval_of(net, sigma)
         form = f"+{decimals(max(-low, high))}"
         interval = f"{low:{form}} to {high:{form}}"
         yield f"Acceleration along the way, over the whole clip: {net:{form}} m/s² (90 %: {interval})."
@@ -144,7 +143,7 @@ def summarise(found: ClipAnalysis, results: str) -> dict[str, Any]:
             "peak_time_s": moved.peak_speed_time_s,
             "peak_acceleration_m_s2": moved.peak_acceleration_m_s2,
             "doubt": found.why_no_speed,
-            **_with_interval("net_acceleration_m_s2", net, net_sigma),
+            **_with_interval("net_acceleration", "_m_s2", interval_of(net, net_sigma)),
             "straight_run_m_s": None if run is None else median(run[run > 0]),
         },
         "spine_flexion_rad": found.angles["spine_flexion"].range_rad if "spine_flexion" in found.angles else None,
@@ -186,38 +185,38 @@ def notes(found: ClipAnalysis) -> Iterator[str]:
 def _dynamics_summary(found: ClipAnalysis) -> dict[str, Any] | None:
     if (d := found.dynamics) is None or found.gait is None:
         return None
+    # Errors of energies last: those of a mean over the clip may be as large as those at its instants.
+    sigma = {name: np.nanmean(of) for name, of in d.energy_sigma_j_kg.items()}
+    means = {name: interval_of(float(np.nanmean(of)), sigma[name]) for name, of in d.energy_j_kg.items()}
     return {
         "masses": found.motion.body.mass_source,
         "body_mass_kg": found.body_mass_kg,
         "stride_s": found.gait.stride_s,
         "stride_sigma_s": found.gait.stride_sigma_s,
         "mean_peak_bw": float(d.forces["peak_bw"].mean()) if len(d.forces) else None,
+        "mean_peak_interval_bw": d.forces[["peak_low_bw", "peak_high_bw"]].mean().tolist() if len(d.forces) else None,
         "flights": d.flights[["start_s", "end_s", "up_m_s2", "sigma_m_s2"]].to_dict("records"),
-        **_with_interval("net_acceleration_m_s2", *d.net_acceleration_m_s2),
+        **_with_interval("net_acceleration", "_m_s2", interval_of(*d.net_acceleration_m_s2)),
         "strides": [_stride_energy(d, stride) for stride in found.gait.strides],
         "findings": [one.code for one in findings_of_dynamics(found.motion, d)],
-        "energy_mean_j_kg": {name: float(np.nanmean(values)) for name, values in d.energy_j_kg.items()},
+        "energy_mean_j_kg": {name: mean for name, (mean, *_) in means.items()},
+        "energy_mean_interval_j_kg": {name: interval for name, (_, *interval) in means.items()},
     }
 
 
 def _stride_energy(d: Dynamics, stride: Stride) -> dict[str, Any]:
     """What the animal's energy gains over a stride, per kilogram, and in the mean per second; its net acceleration, and
     the exchange of its energies."""
-    known = over_stride(d, stride.start_s, stride.end_s)
-    work, sigma = known["net_work_j_kg"]
-    known["net_power_w_kg"] = work / stride.duration_s, sigma / stride.duration_s
     row = picked(stride, "foot", "start_s", "end_s")
-    for name, (value, sigma) in known.items():
-        row |= _with_interval(name, value, sigma)
+    for name, known in over_stride(d, stride.start_s, stride.end_s).items():
+        row |= _with_interval(name, OVER_STRIDE[name], known)
     return row
 
 
-def _with_interval(name: str, value: float, sigma: float) -> dict[str, Any]:
+def _with_interval(name: str, unit: str, known: tuple[float, float, float]) -> dict[str, Any]:
     """net_work_j_kg and net_work_interval_j_kg, and the like."""
-    what = next((what for what in ("net_work", "net_power", "net_acceleration") if name.startswith(what)), name)
-    low, high = value - radius(INTERVAL) * sigma, value + radius(INTERVAL) * sigma
-    interval = [max(low, 0.0), min(high, 1.0)] if name == "exchange" else [low, high]
-    return {name: value, f"{what}_interval{name.removeprefix(what)}": interval}
+    value, *interval = known
+    return {f"{name}{unit}": value, f"{name}_interval{unit}": interval}
 
 
 def _gait_summary(gait: Gait) -> dict[str, Any]:

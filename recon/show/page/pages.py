@@ -190,7 +190,7 @@ def _sections(found: ClipAnalysis) -> Iterator[dict[str, Any]]:
         [plots.composites(m, motion.limbs, motion.time_s, **drawn) for m in _stretches(motion, moved)],
     )
     name, hardly = motion.reference, _is_unknown(moved.acceleration_m_s2, moved.acceleration_sigma_m_s2)
-    banded = ", with bands of one standard deviation" * bool(np.isfinite(moved.speed_sigma_m_s).any())
+    banded = ", with bands of 90 %" * bool(np.isfinite(moved.speed_sigma_m_s).any())
     text = f"How fast {name} moves along its path{banded}.{UNKNOWN_ACCELERATION * hardly}"
     shown = {"width_mm": SPEED_MM, "unknown": found.why_no_speed is not None, "acceleration": not hardly}
     yield _group("Speed", text, [plots.speeds({name: moved}, **shown)], "narrow")
@@ -207,8 +207,8 @@ def _sections(found: ClipAnalysis) -> Iterator[dict[str, Any]]:
     doubtful = np.array([bool(flags) for flags in motion.flags])
     yield _group(
         "Angles",
-        "Angles of the model's joints, with bands of one standard deviation: left sides blue and dashed, right sides "
-        "orange, the middle as the axes; grey ones are mostly expected, not seen. Doubtful frames have a grey ground.",
+        "Angles of the model's joints, with bands of 90 %: left sides blue and dashed, right sides orange, the middle "
+        "as the axes; grey ones are mostly expected, not seen. Doubtful frames have a grey ground.",
         [angle_over_time(motion.time_s, *panel, doubtful) for panel in _angles(motion).items()],
         "small",
     )

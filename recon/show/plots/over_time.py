@@ -25,8 +25,8 @@ from matplotlib.ticker import MaxNLocator
 from recon.animal import side_of
 from recon.base import Array, Bools, length_text
 from recon.clip import frame_ranges
-from recon.fit import MEASURED_SHARE, radius
-from recon.gait import INTERVAL, Closure, Dynamics, Gait, LinkField, Portrait, Stance, field_means
+from recon.fit import MEASURED_SHARE
+from recon.gait import Closure, Dynamics, Gait, LinkField, Portrait, Stance, field_means
 from recon.gait.kinematics import JointKinematics, Series
 from recon.show.plots import style
 
@@ -43,7 +43,8 @@ def footfall(gaits: Mapping[str, Gait], fps: float, title: str = "") -> Figure:
     """Stances by foot, those of several gaits, by name, one above the other; the second axis counts frames,
     of which 0 is at 0 s.
 
-    A stance that the clip cuts has no edge there, but an arrow: it is at least as long as its bar. Lines across the
+    Left feet are blue and right ones orange, or each gait has a colour. A stance that the clip cuts has no edge there,
+    but an arrow: it is at least as long as its bar. Lines across the
     edges hold touch-downs and lift-offs with 90 %; thin lines with ticks are complete strides. Below: what each gait is
     called and why.
     """
@@ -62,7 +63,8 @@ def footfall(gaits: Mapping[str, Gait], fps: float, title: str = "") -> Figure:
             axes.add_collection(LineCollection(ends, color="k", lw=0.7, zorder=3.5), autolim=False)
             axes.plot(*np.reshape(ends, (-1, 2)).T, "k|", ms=5, zorder=3.5)
             for foot, y in place.items():
-                _bars(axes, [s for s in gait.stances if s.foot == foot], y, 0.86 * thick, m)
+                colour = style.foot_colour(foot) if len(gaits) == 1 else style.COLOURS[m % len(style.COLOURS)]
+                _bars(axes, [s for s in gait.stances if s.foot == foot], y, 0.86 * thick, colour, m)
         axes.set_yticks(range(len(feet)), feet)
         axes.set_ylim(len(feet) - 0.5, -0.5)
         axes.tick_params(axis="y", length=0)
@@ -77,14 +79,14 @@ def footfall(gaits: Mapping[str, Gait], fps: float, title: str = "") -> Figure:
         frames.xaxis.set_major_locator(MaxNLocator("auto", integer=True, steps=[1, 2, 5, 10]))
         if not any(g.stances for g in gaits.values()):
             axes.text(0.5, 0.5, "no stances", transform=axes.transAxes, ha="center", va="center")
-        _legend(figure, gaits)
+        _legend(figure, gaits, feet)
     return figure
 
 
-def _bars(axes: Axes, stances: Sequence[Stance], y: float, height: float, m: int) -> None:
-    """The bars of one foot."""
-    colour, low, high, edges = style.COLOURS[m % len(style.COLOURS)], y - height / 2, y + height / 2, []
-    axes.broken_barh([(s.start_s, s.duration_s) for s in stances], (low, height), **_fill(m), lw=0, zorder=2)
+def _bars(axes: Axes, stances: Sequence[Stance], y: float, height: float, colour: str, m: int = 0) -> None:
+    """The bars of one foot, of the m-th gait."""
+    low, high, edges = y - height / 2, y + height / 2, []
+    axes.broken_barh([(s.start_s, s.duration_s) for s in stances], (low, height), **_fill(colour, m), lw=0, zorder=2)
     for stance in stances:
         # An edge only where the stance begins or ends.
         left, right = stance.start_s, stance.end_s
@@ -106,8 +108,11 @@ def _caption(name: str, gait: Gait) -> str:
     return textwrap.fill(text, 125)
 
 
-def _legend(figure: Figure, gaits: Mapping[str, Gait]) -> None:
-    handles: list = [Patch(**_fill(m), label=name if len(gaits) > 1 else "stance") for m, name in enumerate(gaits)]
+def _legend(figure: Figure, gaits: Mapping[str, Gait], feet: Sequence[str]) -> None:
+    looks = {name: (style.COLOURS[m % len(style.COLOURS)], m) for m, name in enumerate(gaits)}
+    if len(gaits) == 1:
+        looks = {f"{'right' if foot.startswith('R') else 'left'} foot": (style.foot_colour(foot), 0) for foot in feet}
+    handles: list = [Patch(**_fill(*look), label=name) for name, look in looks.items()]
     if not all(s.begins and s.ends for g in gaits.values() for s in g.stances):
         handles.append(Line2D([], [], linestyle="", marker=">", ms=4, color="k", label="cut by the clip"))
     if any(np.isfinite((s.start_sigma_s, s.end_sigma_s)).any() for g in gaits.values() for s in g.stances):
@@ -117,9 +122,8 @@ def _legend(figure: Figure, gaits: Mapping[str, Gait]) -> None:
     style.add_legend(figure, handles, [h.get_label() for h in handles])
 
 
-def _fill(m: int) -> dict[str, Any]:
-    """Pale, with a hatch and an edge, of the m-th gait."""
-    colour = style.COLOURS[m % len(style.COLOURS)]
+def _fill(colour: str, m: int) -> dict[str, Any]:
+    """Pale, with the hatch of the m-th gait and an edge."""
     return {"fc": [0.55 + 0.45 * c for c in to_rgb(colour)], "ec": colour, "hatch": HATCHES[m % len(HATCHES)]}
 
 
@@ -129,26 +133,27 @@ def forces(d: Dynamics, gait: Gait) -> Figure:
     feet = [foot for foot in ROWS if foot in d.force] or list(d.force)
     with style.drawing(26.0 + 24.0 * (len(feet) + 1)) as figure:
         heights = [0.7, *[1.0] * len(feet), 1.0]
-        panels = figure.subplots(len(feet) + 2, 1, sharex=True, gridspec_kw={"height_ratios": heights})
-        top, *below, last = panels
+        top, *below, last = figure.subplots(len(feet) + 2, 1, sharex=True, gridspec_kw={"height_ratios": heights})
         time_s = gait.tracks.time_s
         for row, foot in enumerate(feet):
-            own, colour = [s for s in gait.stances if s.foot == foot], style.COLOURS[foot.startswith("R")]
-            top.broken_barh([(s.start_s, s.duration_s) for s in own], (row - 0.35, 0.7), color=colour, alpha=0.6)
+            own, colour = [s for s in gait.stances if s.foot == foot], style.foot_colour(foot)
+            _bars(top, own, row, 0.7, colour)
             middle, low, high = d.force[foot].T
             below[row].fill_between(time_s, low, high, color=colour, alpha=0.25, lw=0)
             below[row].plot(time_s, middle, color=colour)
             below[row].set_ylabel(foot)
-            below[row].set_ylim(bottom=0)
+            below[row].sharey(below[0])
             if np.isnan(middle).any() and not np.nan_to_num(middle).any():
                 drawn = {"transform": below[row].transAxes, "ha": "center", "va": "center", "color": style.GREY}
                 below[row].text(0.5, 0.5, "not known: the clip cuts its stances", **drawn)
                 below[row].set_yticks([])
         top.set_yticks(range(len(feet)), feet)
         top.invert_yaxis()
-        top.set_title("stances, and each foot's force (body weights; bands: 90 %); left blue, right orange", loc="left")
+        about = "body weights; bands: 90 %; gaps: stances that the clip cuts; left blue, right orange"
+        top.set_title(f"stances, and each foot's force ({about})", loc="left")
+        below[0].set_ylim(bottom=0)
         series = d.centre.series
-        half = radius(INTERVAL) * np.nan_to_num(series.value_sigma[:, 2])
+        half = style.REACH * np.nan_to_num(series.value_sigma[:, 2])
         height = series.value[:, 2] - d.ground_m
         last.fill_between(series.time_s, height - half, height + half, color="0.5", alpha=0.25, lw=0)
         last.plot(series.time_s, height, color="k")
@@ -159,8 +164,9 @@ def forces(d: Dynamics, gait: Gait) -> Figure:
 
 # -- speed ------------------------------------------------------------------------------------------------------------
 
-BAND_ROOM = 1.6
-"""Bands may take the axis up to this times the highest curve: at a spline's ends they are several times as wide."""
+BAND_ROOM = 3.0
+"""Bands may take the axis up to this times the highest curve, which keeps a third of the panel: by one camera the band
+of an acceleration is wider than that at many instants, and any band at a spline's ends."""
 
 
 def speeds(
@@ -170,7 +176,7 @@ def speeds(
     unknown: bool = False,
     acceleration: bool = True,
 ) -> Figure:
-    """Speed and acceleration of one joint or of several, by name, with bands of one sigma where known.
+    """Speed and acceleration of one joint or of several, by name, with bands of 90 % where known.
 
     Dots are frames, the rest is the spline between them; it is open where the path is not known. The legend gives the
     peak, which has a ring. unknown: that they are errors of the path rather than speeds; grey, without peaks.
@@ -189,7 +195,7 @@ def speeds(
             axes.set_ylabel(f"{name} ({unit})")
             _limit(axes, known)
         banded = any(np.isfinite(motion.speed_sigma_m_s).any() for motion in curves.values())
-        panels[-1].set_xlabel("time (s)" + ("; bands: one standard deviation" if banded else ""))
+        panels[-1].set_xlabel("time (s)" + ("; bands, ±: 90 %" if banded else ""))
         style.add_legend(figure, lines, labels, width_mm)
     return figure
 
@@ -218,7 +224,7 @@ def _peak(motion: JointKinematics, acceleration: bool) -> str:
 
 
 def _deviation(sigma: float, digits: int) -> str:
-    return "" if np.isnan(sigma) else f" ± {sigma:.{digits}f}"
+    return "" if np.isnan(sigma) else f" ± {style.REACH * sigma:.{digits}f}"
 
 
 def _limit(axes: Axes, series: list[tuple[Array, Array]]) -> None:
@@ -226,7 +232,7 @@ def _limit(axes: Axes, series: list[tuple[Array, Array]]) -> None:
     if not np.isfinite(highest):
         style.blank(axes)
         return
-    tops = [np.nanmax(v + s) for v, s in series if np.isfinite(v + s).any()]
+    tops = [np.nanmax(v + style.REACH * s) for v, s in series if np.isfinite(v + s).any()]
     top = min(np.max(tops, initial=highest), BAND_ROOM * highest)
     axes.set_ylim(0, 1.06 * top if top > 0 else 1.0)
 
@@ -244,7 +250,7 @@ pixels say more of it than what was expected."""
 
 
 def angle_over_time(time_s: Array, title: str, curves: Mapping[str, AngleCurve], doubtful: Bools) -> Figure:
-    """Degrees, with a band of one standard deviation; the left side's are blue, the right side's orange, those that are
+    """Degrees, with a band of 90 %; the left side's are blue, the right side's orange, those that are
     mostly expected grey. time_s (T,); doubtful (T,): frames with a grey background."""
     width, height = ANGLES_MM
     with style.drawing(height, width) as figure:
@@ -253,9 +259,9 @@ def angle_over_time(time_s: Array, title: str, curves: Mapping[str, AngleCurve],
         for name, (angle_rad, sigma_rad, measured) in curves.items():
             side = side_of(name)
             colour = {"left": style.COLOURS[0], "right": style.COLOURS[1], None: "k"}[side] if measured else style.GREY
-            degrees, spread = np.degrees(angle_rad), np.degrees(sigma_rad)
+            degrees = np.degrees(angle_rad)
             axes.plot(time_s, degrees, color=colour, lw=1.0, linestyle=(0, (4, 1.2)) if side == "left" else "-")
-            axes.fill_between(time_s, degrees - spread, degrees + spread, color=colour, alpha=0.2, lw=0)
+            style.draw_band(axes, time_s, degrees, np.degrees(sigma_rad), colour, least=-np.inf)
         half = 0.5 * float(np.median(np.diff(time_s))) if len(time_s) > 1 else 0.5
         for first, stop in frame_ranges(np.flatnonzero(doubtful)):
             ends = float(time_s[first]) - half, float(time_s[stop - 1]) + half
@@ -276,9 +282,9 @@ _LEAST = (0.05, 0.5)
 """Half of the least range of an axis, degrees and degrees per second."""
 _ASPECT, _REST_MM = 0.9, 24.0
 _BAND, _UNSEEN = "#E6E6E6", "#9A9A9A"
-"""The opacity of a band of one standard deviation about a path, and of a path that is mostly expected."""
+"""The colours of a band about a path, and of a path that is mostly expected."""
 _ALONG = 0.25
-"""Standard deviations between ellipses of a band."""
+"""Half axes between ellipses of a band."""
 
 
 def phase_portraits(
@@ -290,7 +296,8 @@ def phase_portraits(
     """(angle, rate) in degrees and degrees per second, one panel for each angle, on one page.
 
     closed: degrees of closure; shares: of the angle's precision, what comes from the pixels, both by the same names.
-    With less than `MEASURED_SHARE` the path is grey. One standard deviation is a band. Each panel has its own axes.
+    With less than `MEASURED_SHARE` the path is grey. A band holds angle and rate with 90 % each.
+    Each panel has its own axes.
     """
     count = len(portraits)
     width = style.COLUMN_MM if count == 1 else style.WIDTH_MM
@@ -314,7 +321,7 @@ def phase_portraits(
         gap = "\n" if count == 1 else "   "
         marks = "○ start   ■ end" + (f"{gap}%: degree of closure, of the angle / in the plane" if closed else "")
         if any(np.isfinite(portrait.angle_sigma_rad).any() for portrait in portraits.values()):
-            marks += f"{gap}band, ±: one sigma"
+            marks += f"{gap}band, ±: 90 %"
         if shares:
             marks += (
                 f"\ngrey path: mostly expected, with less than {MEASURED_SHARE:.0%} of its precision from the pixels"
@@ -347,7 +354,7 @@ def _draw(axes: Axes, portrait: Portrait, colours: tuple[ListedColormap, Normali
     axes.update_datalim(path[known])
     if np.isfinite(portrait.angle_sigma_rad).any():
         sigma = np.degrees(np.column_stack([portrait.angle_sigma_rad, portrait.rate_sigma_rad_s]))
-        _band(axes, path[known], sigma[known])
+        _band(axes, path[known], style.REACH * sigma[known])
     # What does not move should not look as if it did.
     middle = (path[known].min(axis=0) + path[known].max(axis=0)) / 2
     axes.update_datalim([middle - _LEAST, middle + _LEAST])
@@ -359,22 +366,22 @@ def _draw(axes: Axes, portrait: Portrait, colours: tuple[ListedColormap, Normali
     axes.tick_params(labelsize=6, pad=1.5, length=2)
 
 
-def _band(axes: Axes, path: Array, sigma: Array) -> None:
-    """Ellipses of one standard deviation along a path (N, 2), close enough to look like one shape, which they are."""
-    steps = np.linalg.norm(np.diff(path, axis=0) / np.maximum(sigma[1:], 1e-12), axis=1)
+def _band(axes: Axes, path: Array, half: Array) -> None:
+    """Ellipses of half axes (N, 2) along a path (N, 2), close enough to look like one shape, which they are."""
+    steps = np.linalg.norm(np.diff(path, axis=0) / np.maximum(half[1:], 1e-12), axis=1)
     along = np.concatenate([[0.0], np.cumsum(steps)])
     some = np.unique(np.searchsorted(along, np.arange(0.0, along[-1] + _ALONG, _ALONG)).clip(max=len(path) - 1))
     circle = Path.unit_circle()
-    corners = path[some, None] + sigma[some, None] * np.asarray(circle.vertices)
+    corners = path[some, None] + half[some, None] * np.asarray(circle.vertices)
     codes = np.tile(np.asarray(circle.codes), len(some))
     axes.add_artist(PathPatch(Path(corners.reshape(-1, 2), codes), fc=_BAND, lw=0))
-    axes.update_datalim(np.concatenate([path - sigma, path + sigma]))
+    axes.update_datalim(np.concatenate([path - half, path + half]))
 
 
 def _percent(value: float, sigma: float) -> str:
     if not np.isfinite(value):
         return "–"
-    return f"{value:.0f}±{sigma:.0f}" if np.isfinite(sigma) else f"{value:.0f}"
+    return f"{value:.0f}±{style.REACH * sigma:.0f}" if np.isfinite(sigma) else f"{value:.0f}"
 
 
 # -- vector fields ----------------------------------------------------------------------------------------------------
@@ -429,7 +436,7 @@ def vector_fields(fields: tuple[LinkField, ...], time_s: Array, title: str = "")
             axes.tick_params(bottom=False)
         panels[-1, 0].set_xlabel("time (s);  → along the parent, ↑ normal to it")
         banded = any(np.isfinite(field.speed_sigma_m_s).any() for field in fields)
-        panels[-1, 1].set_xlabel("time (s)" + (";  band: one sigma" if banded else ""))
+        panels[-1, 1].set_xlabel("time (s)" + (";  band: 90 %" if banded else ""))
         panels[len(fields) // 2, 1].set_ylabel("speed in the plane (m/s)")
     return figure
 

@@ -29,6 +29,8 @@ from matplotlib.ticker import LogLocator, NullFormatter
 
 from recon.base.arrays import Array
 from recon.base.files import staged_folder, write_bytes
+from recon.fit import radius
+from recon.gait import INTERVAL
 
 WIDTH_MM, COLUMN_MM = 180.0, 85.0
 PAGE_MM = 235.0
@@ -100,14 +102,24 @@ def look(i: int) -> dict[str, Any]:
     return {"color": COLOURS[i % len(COLOURS)], "linestyle": DASHES[i % len(DASHES)]}
 
 
+def foot_colour(foot: str) -> str:
+    """Blue for left feet, orange for right ones, by their labels (LH, RF and so on)."""
+    return COLOURS[foot.startswith("R")]
+
+
 def dots(count: int, size: float) -> dict[str, Any]:
     """The marker of a line through count samples, where there is room for them."""
     return {"marker": "o", "ms": size} if count <= MOST_DOTS else {}
 
 
-def draw_band(axes: Axes, time_s: Array, value: Array, sigma: Array | float, colour: str) -> None:
-    """One standard deviation about a value that is never negative; all (N,)."""
-    axes.fill_between(time_s, np.maximum(value - sigma, 0.0), value + sigma, color=colour, alpha=0.2, lw=0)
+REACH = radius(INTERVAL)
+"""Standard deviations from the middle of a band to its edge."""
+
+
+def draw_band(axes: Axes, time_s: Array, value: Array, sigma: Array | float, colour: str, least: float = 0.0) -> None:
+    """What holds a value that is never below `least` with 90 %, by its standard deviation; all (N,)."""
+    low, high = np.maximum(value - REACH * sigma, least), value + REACH * sigma
+    axes.fill_between(time_s, low, high, color=colour, alpha=0.2, lw=0)
 
 
 def legend_shape(labels: Sequence[str], width_mm: float = WIDTH_MM) -> tuple[int, float]:

@@ -39,7 +39,9 @@ from rerun.blueprint.archetypes import PlotBackground
 
 from recon.animal import side_of, without_side
 from recon.base import Array, Bools, InputError, Problem
+from recon.fit import radius
 from recon.fit.motion import Motion, Picture
+from recon.gait import INTERVAL
 from recon.gait.clip import ClipAnalysis
 from recon.gait.kinematics import frame_jitter_m, speed_at_frames
 from recon.show.view import scene as scenes
@@ -260,7 +262,7 @@ def states(motion: Motion, stands: Bools) -> dict[str, tuple[str, scenes.Colour,
     flags = {flag: np.array([flag in some for some in motion.flags]) for flag in named}
     rows = {flag.replace(" ", "_"): (flag, scenes.OUTLIER, holds) for flag, holds in flags.items()}
     for foot, label, stood in zip(motion.feet, motion.foot_labels, stands.T, strict=True):
-        rows[motion.names[foot]] = "stance", scenes.LEFT if label[0] == "L" else scenes.RIGHT, stood
+        rows[motion.names[foot]] = "stance", _foot_colour(label), stood
     return {rr.escape_entity_path_part(name): row for name, row in rows.items()}
 
 
@@ -338,7 +340,8 @@ def other_plots(motion: Motion) -> Iterator[TimePlot]:
 
 
 def analysis_plots(found: ClipAnalysis) -> Iterator[TimePlot]:
-    """Speed, acceleration and flexion with one sigma, the links' speeds, and the feet's vertical forces."""
+    """Speed, acceleration and flexion with what holds them with 90 %, the links' speeds, and the feet's vertical
+    forces: left feet blue, right ones orange, fore feet paler."""
     moved, times_s = found.joints[found.reference], found.motion.time_s
     every, name = moved.series.oversampling, found.reference
     shown: list[tuple[str, str, Array, Array]] = [
@@ -352,12 +355,14 @@ def analysis_plots(found: ClipAnalysis) -> Iterator[TimePlot]:
     for entity, title, values, sigma in shown:
         lines = {entity: values[::every]}
         if np.isfinite(sigma).any() and entity != "acceleration":  # whose deviations are many times as large as it is
-            lines |= {"minus one sigma": (values - sigma)[::every], "plus one sigma": (values + sigma)[::every]}
+            half = radius(INTERVAL) * sigma
+            lines |= {"90 %: from": (values - half)[::every], "90 %: to": (values + half)[::every]}
         yield _plot(f"analysis/{entity}", title, lines, "Kinematics", (scenes.TRAIL, scenes.LINK, scenes.LINK))
     if found.dynamics is not None and found.gait is not None:
         rows = np.searchsorted(found.gait.tracks.time_s, times_s - 1e-6)
         forces = {foot: force[rows, 0] for foot, force in found.dynamics.force.items()}
-        yield _plot("analysis/forces", "Vertical force (body weights)", forces, "Forces")
+        colours = [_foot_colour(foot, paler=foot.endswith("F")) for foot in forces]
+        yield _plot("analysis/forces", "Vertical force (body weights)", forces, "Forces", colours)
     paws = {*found.motion.foot_names.values()}
     for limb, fields in found.fields.items():
         speeds = {field.link[1].replace("_", " "): field.speed_m_s for field in fields}
@@ -365,8 +370,15 @@ def analysis_plots(found: ClipAnalysis) -> Iterator[TimePlot]:
         yield _plot(f"analysis/links/{limb.replace(' ', '_')}", f"{limb} (m/s)", speeds, tab)
 
 
+def _foot_colour(foot: str, paler: bool = False) -> scenes.Colour:
+    """A foot's side's, halfway to white if it is paler."""
+    red, green, blue = scenes.RIGHT if foot.startswith("R") else scenes.LEFT
+    return ((red + 255) // 2, (green + 255) // 2, (blue + 255) // 2) if paler else (red, green, blue)
+
+
 def write_forces(found: ClipAnalysis, log: Log) -> None:
-    """Arrows under the feet, of which a body weight is as long as the centre of mass is high, and its path."""
+    """Arrows under the feet in the colours of their sides, of which a body weight is as long as the centre of mass is
+    high, and its path."""
     if (d := found.dynamics) is None or found.gait is None:
         return
     tracks, motion, centre_m = found.gait.tracks, found.motion, d.centre.series.value
@@ -375,7 +387,8 @@ def write_forces(found: ClipAnalysis, log: Log) -> None:
     high_m = float(np.nanmedian(centre_m[:, 2] - d.ground_m))
     up = motion.in_reference(np.array([0.0, 0.0, high_m])) - motion.in_reference(np.zeros(3))
     there, origins_m = force > 0, motion.in_reference(tracks.foot_m[rows])
-    columns = rr.Arrows3D.columns(vectors=force[there][:, None] * up, origins=origins_m[there])
-    log.draw("world/forces", rr.Arrows3D, columns.partition(there.sum(axis=1)), colors=scenes.TRAIL, radii=0.01)
+    own = np.broadcast_to(np.uint8([_foot_colour(foot) for foot in tracks.feet]), (*there.shape, 3))[there]
+    coloured = rr.Arrows3D.columns(vectors=force[there][:, None] * up, origins=origins_m[there], colors=own)
+    log.draw("world/forces", rr.Arrows3D, coloured.partition(there.sum(axis=1)), radii=0.01)
     path = motion.in_reference(centre_m[np.isfinite(centre_m).all(axis=1)])
     log.fix("world/forces/centre_of_mass", rr.LineStrips3D([path], colors=scenes.TRAIL, radii=0.006))
