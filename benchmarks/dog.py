@@ -23,6 +23,7 @@ import json
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -33,7 +34,7 @@ from trajectory import print_table
 from recon import Body, Camera, FitSettings, fit_clip, load_skeleton, write_camera
 from recon.animal.measured import save_prior
 from recon.animal.prior import prior_from_body
-from recon.fit import TrajectorySolution
+from recon.fit import TrajectorySolution, constants
 from recon.fit.points import solve_points
 from recon.gait.evaluation import aligned, joint_errors, score
 from recon.workflows.models import PriorFitSettings, run_prior_fit
@@ -199,12 +200,23 @@ def narrowest(points_m: np.ndarray, centre_m: np.ndarray) -> tuple[Camera, float
 
 
 def write_view(
-    clip: Clip, folder: Path, seed: int, skeleton: str = SKELETON, reference: str = "Hips"
+    clip: Clip, folder: Path, seed: int, skeleton: str = SKELETON, reference: str = "Hips", as_stated: bool = False
 ) -> tuple[FitSettings, float]:
-    """Detections and camera as files, and the settings that read them; the field of view."""
+    """Detections and camera as files, and the settings that read them; the field of view. as_stated: keypoints lie off
+    their markers as the skeleton says that a detector's do, in part for the whole clip."""
     camera, hfov_deg = side_view(clip, reference)
-    px, _ = camera.project(camera.world_to_camera(clip.points_m))
-    px += np.random.default_rng(seed).normal(0, NOISE_PX, px.shape)
+    in_camera_m = camera.world_to_camera(clip.points_m)
+    px, _ = camera.project(in_camera_m)
+    rng = np.random.default_rng(seed)
+    px += rng.normal(0, NOISE_PX, px.shape)
+    if as_stated:
+        off = rng.standard_normal(px.shape)
+        stays = np.exp(-2 / (constants.ERROR_TIME_S * clip.fps))  # the correlations of all frames add up to that time
+        for before, now in pairwise(off):
+            now[:] = stays * before + (1 - stays**2) ** 0.5 * now
+        off *= (1 - constants.KEYPOINT_BIAS_SHARE**2) ** 0.5
+        off += constants.KEYPOINT_BIAS_SHARE * rng.standard_normal(px.shape[1:])
+        px += load_skeleton(skeleton).keypoint_sigma_m * camera.matrix[0, 0] / in_camera_m[..., 2:] * off
     table = np.concatenate([px, np.ones((*px.shape[:2], 1))], axis=2).reshape(len(px), -1)
     columns = pd.MultiIndex.from_product(
         [["simulated"], clip.names, ["x", "y", "likelihood"]], names=["scorer", "bodyparts", "coords"]

@@ -22,10 +22,10 @@ import numpy as np
 
 from recon.base import Array, Bools, Brief, InputError, Problem, decimals
 from recon.clip import frame_ranges
-from recon.fit import MEASURED_SHARE, Motion, TrajectorySolution, radius
+from recon.fit import MEASURED_SHARE, Motion, TrajectorySolution
 from recon.gait import kinematics, phase
 from recon.gait.dynamics import Dynamics, dynamics
-from recon.gait.gait import BODY, INTERVAL, Gait, Stride, gait, pose_tracks
+from recon.gait.gait import BODY, Gait, Stride, gait, interval_of, pose_tracks
 from recon.gait.kinematics import MIN_POINTS, AngleKinematics, Errors, JointKinematics, at_frames
 from recon.io.common import Pose3D
 
@@ -178,9 +178,9 @@ class ClipAnalysis(Brief):
         if self.why_no_speed is not None:
             raise InputError(Problem(self.motion.file, "speed", self.why_no_speed, "a path whose speed is known"))
         moved = self.reference_motion
-        reach = radius(INTERVAL) * moved.speed_sigma_m_s
-        values = {"speed_m_s": moved.speed_m_s, "sigma_m_s": moved.speed_sigma_m_s}
-        values |= {"low_m_s": np.maximum(moved.speed_m_s - reach, 0.0), "high_m_s": moved.speed_m_s + reach}
+        speed, low, high = interval_of(moved.speed_m_s, moved.speed_sigma_m_s)
+        values = {"speed_m_s": speed, "sigma_m_s": moved.speed_sigma_m_s, "low_m_s": np.maximum(low, 0.0)}
+        values["high_m_s"] = high
         return pd.DataFrame(values, index=pd.Index(moved.series.time_s, name="time_s"))
 
     @cached_property

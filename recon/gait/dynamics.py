@@ -31,9 +31,9 @@ from recon.animal.capsules import capsules, inertias_m2, middles_m
 from recon.base.arrays import Array, Brief, Integers
 from recon.check import finding
 from recon.clip import frame_ranges
-from recon.fit import Finding, Motion, radius
+from recon.fit import Finding, Motion
 from recon.gait import kinematics
-from recon.gait.gait import INTERVAL, Gait
+from recon.gait.gait import INTERVAL, Gait, interval_of
 from recon.gait.kinematics import OVERSAMPLING, Errors, JointKinematics
 from recon.geometry.kinematics import Marker, Tree
 
@@ -362,24 +362,16 @@ def over_stride(found: Dynamics, start_s: float, end_s: float) -> dict[str, tupl
     rise = max(high + fast, 1e-9)
     way = np.diff(series.value[at], axis=0)[0] * [1, 1, 0]
     ahead = way / max(float(np.linalg.norm(way)), 1e-9)
-    work = np.array(
-        [
-            np.diff(energy["total"][at] - energy["internal"][at])[0],
-            np.sqrt(np.sum(sigma["total"][at] ** 2 - sigma["internal"][at] ** 2)),
-        ]
-    )
-    faster = np.array([np.diff(series.rate[at] @ ahead)[0], np.linalg.norm(series.rate_sigma[at] * ahead)])
-    share_sigma = np.hypot(both_sigma, both / rise * np.hypot(high_sigma, fast_sigma)) / rise
-    lasts_s, shared = end_s - start_s, interval_of(1 - both / rise, share_sigma)
-    return {
-        "net_work": interval_of(*work),
-        "net_power": interval_of(*(work / lasts_s)),
-        "net_acceleration": interval_of(*(faster / lasts_s)),
-        "exchange": (shared[0], max(shared[1], 0.0), min(shared[2], 1.0)),
+    lasts_s, work = end_s - start_s, np.diff(energy["total"][at] - energy["internal"][at])[0]
+    work_sigma = np.sqrt(np.sum(sigma["total"][at] ** 2 - sigma["internal"][at] ** 2))
+    faster, faster_sigma = np.diff(series.rate[at] @ ahead)[0], np.linalg.norm(series.rate_sigma[at] * ahead)
+    exchange_sigma = np.hypot(both_sigma, both / rise * np.hypot(high_sigma, fast_sigma)) / rise
+    changes = {
+        "net_work": (work, work_sigma),
+        "net_power": (work / lasts_s, work_sigma / lasts_s),
+        "net_acceleration": (faster / lasts_s, faster_sigma / lasts_s),
+        "exchange": (1 - both / rise, exchange_sigma),
     }
-
-
-def interval_of(value: float, sigma: float) -> tuple[float, float, float]:
-    """A value, and what holds it with `INTERVAL`."""
-    reach = radius(INTERVAL) * sigma
-    return float(value), float(value - reach), float(value + reach)
+    found_as = {name: interval_of(*map(float, of)) for name, of in changes.items()}
+    shared, low, high = found_as["exchange"]
+    return found_as | {"exchange": (shared, max(low, 0.0), min(high, 1.0))}

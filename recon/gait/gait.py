@@ -39,7 +39,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -118,12 +118,12 @@ class Stance:
     @property
     def start_interval_s(self) -> tuple[float, float]:
         """Holds the touch-down with `INTERVAL`; NaN where the clip cuts it."""
-        return _interval(self.start_s, self.start_sigma_s)
+        return interval_of(self.start_s, self.start_sigma_s)[1:]
 
     @property
     def end_interval_s(self) -> tuple[float, float]:
         """Holds the lift-off with `INTERVAL`; NaN where the clip cuts it."""
-        return _interval(self.end_s, self.end_sigma_s)
+        return interval_of(self.end_s, self.end_sigma_s)[1:]
 
 
 @dataclass(frozen=True)
@@ -231,7 +231,7 @@ class _GaitName(Brief):
     @property
     def duty_interval(self) -> tuple[float, float]:
         """Holds the duty factor with `INTERVAL`."""
-        low, high = _interval(self.duty_factor, self.duty_sigma)
+        _, low, high = interval_of(self.duty_factor, self.duty_sigma)
         return max(low, 0.0), min(high, 1.0)
 
 
@@ -263,9 +263,10 @@ class Gait(Brief):
         return _mean_time(near, 1) if near else (self.stride_s, self.stride_sigma_s)
 
 
-def _interval(value: float, sigma: float) -> tuple[float, float]:
+def interval_of(value: Any, sigma: Any) -> tuple[Any, Any, Any]:
+    """A value, or an array of them, and what holds it with `INTERVAL`."""
     reach = radius(INTERVAL) * sigma
-    return value - reach, value + reach
+    return value, value - reach, value + reach
 
 
 # -- tracks ----------------------------------------------------------------------------------------------------------

@@ -20,8 +20,8 @@ from recon.base.settings import Option, Positive, Settings
 from recon.check import sentence, usable, verdict_fields
 from recon.fit.motion import MEASURED_SHARE, Motion
 from recon.gait.clip import ClipAnalysis, analyse
-from recon.gait.dynamics import OVER_STRIDE, Dynamics, findings_of_dynamics, interval_of, over_stride
-from recon.gait.gait import Gait, Stride, doubtful_text
+from recon.gait.dynamics import OVER_STRIDE, Dynamics, findings_of_dynamics, over_stride
+from recon.gait.gait import Gait, Stride, doubtful_text, interval_of
 from recon.show.plain import picked, to_json
 from recon.show.report import in_sentences
 from recon.show.tables import TABLES, write_analysis

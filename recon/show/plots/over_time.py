@@ -153,9 +153,8 @@ def forces(d: Dynamics, gait: Gait) -> Figure:
         top.set_title(f"stances, and each foot's force ({about})", loc="left")
         below[0].set_ylim(bottom=0)
         series = d.centre.series
-        half = style.REACH * np.nan_to_num(series.value_sigma[:, 2])
         height = series.value[:, 2] - d.ground_m
-        last.fill_between(series.time_s, height - half, height + half, color="0.5", alpha=0.25, lw=0)
+        style.draw_band(last, series.time_s, height, np.nan_to_num(series.value_sigma[:, 2]), "0.5", least=-np.inf)
         last.plot(series.time_s, height, color="k")
         last.set_ylabel("centre of\nmass (m)")
         last.set_xlabel("time (s)")

@@ -30,7 +30,7 @@ from matplotlib.ticker import LogLocator, NullFormatter
 from recon.base.arrays import Array
 from recon.base.files import staged_folder, write_bytes
 from recon.fit import radius
-from recon.gait import INTERVAL
+from recon.gait.gait import INTERVAL, interval_of
 
 WIDTH_MM, COLUMN_MM = 180.0, 85.0
 PAGE_MM = 235.0
@@ -118,8 +118,8 @@ REACH = radius(INTERVAL)
 
 def draw_band(axes: Axes, time_s: Array, value: Array, sigma: Array | float, colour: str, least: float = 0.0) -> None:
     """What holds a value that is never below `least` with 90 %, by its standard deviation; all (N,)."""
-    low, high = np.maximum(value - REACH * sigma, least), value + REACH * sigma
-    axes.fill_between(time_s, low, high, color=colour, alpha=0.2, lw=0)
+    _, low, high = interval_of(value, sigma)
+    axes.fill_between(time_s, np.maximum(low, least), high, color=colour, alpha=0.2, lw=0)
 
 
 def legend_shape(labels: Sequence[str], width_mm: float = WIDTH_MM) -> tuple[int, float]:

@@ -39,10 +39,9 @@ from rerun.blueprint.archetypes import PlotBackground
 
 from recon.animal import side_of, without_side
 from recon.base import Array, Bools, InputError, Problem
-from recon.fit import radius
 from recon.fit.motion import Motion, Picture
-from recon.gait import INTERVAL
 from recon.gait.clip import ClipAnalysis
+from recon.gait.gait import interval_of
 from recon.gait.kinematics import frame_jitter_m, speed_at_frames
 from recon.show.view import scene as scenes
 from recon.show.view.scene import Log, Scene, TimePlot, limb_colours, recording
@@ -355,8 +354,8 @@ def analysis_plots(found: ClipAnalysis) -> Iterator[TimePlot]:
     for entity, title, values, sigma in shown:
         lines = {entity: values[::every]}
         if np.isfinite(sigma).any() and entity != "acceleration":  # whose deviations are many times as large as it is
-            half = radius(INTERVAL) * sigma
-            lines |= {"90 %: from": (values - half)[::every], "90 %: to": (values + half)[::every]}
+            _, low, high = interval_of(values, sigma)
+            lines |= {"90 %: from": low[::every], "90 %: to": high[::every]}
         yield _plot(f"analysis/{entity}", title, lines, "Kinematics", (scenes.TRAIL, scenes.LINK, scenes.LINK))
     if found.dynamics is not None and found.gait is not None:
         rows = np.searchsorted(found.gait.tracks.time_s, times_s - 1e-6)
