@@ -190,8 +190,11 @@ def test_a_stance_whose_time_is_hardly_known_lasts_about_as_long_as_the_others(f
     assert after["foot"] == known.foot
     assert after["peak_bw"] < 1.5 * before["peak_bw"]  # twice as high if it lasted half as long
     assert after["peak_high_bw"] < 1.6 * before["peak_high_bw"]
-    # One that is known is taken as it is.
-    sure = replace(short, start_sigma_s=1e-4, end_sigma_s=1e-4)
+    # So does a part of one, whatever its ends seem to be; one that is known is taken as it is.
+    part = replace(known, end_s=known.start_s + quarter_s / 2, start_sigma_s=quarter_s / 6, end_sigma_s=quarter_s / 6)
+    longer = _forces(replace(gait, stances=(*gait.stances[:i], part, *gait.stances[i + 1 :])))[0].iloc[0]
+    assert longer["peak_bw"] < 3 * before["peak_bw"]  # eight times as high as it is
+    sure = replace(known, start_sigma_s=1e-4, end_sigma_s=1e-4)
     taken = _forces(replace(gait, stances=(*gait.stances[:i], sure, *gait.stances[i + 1 :])))[0].iloc[0]
     assert taken["impulse_bw_s"] == pytest.approx(taken["peak_bw"] * MEAN_OF_PEAK * sure.duration_s, rel=0.01)
 

@@ -256,9 +256,11 @@ def _drawn(gait: Gait) -> tuple[Array, Array, Array]:
     variance = start_sigma**2 + end_sigma**2
     for i in np.flatnonzero(whole & np.isfinite(lasts)):
         near = whole & (start < end[i] + lasts[i]) & (end > start[i] - lasts[i])
-        spread = STANCES_ALIKE * np.median(drawn[0, near])
-        of_all = np.average(drawn[:, near], axis=1, weights=1 / (variance[near] + spread**2))
-        longer = (of_all + spread * noise[:, i] - drawn[:, i]) / (variance[i] + spread**2)
+        of_all = np.median(drawn[:, near], axis=1)
+        spread = STANCES_ALIKE * of_all[0]
+        # A part of a stance is further off than its ends seem to be.
+        off = max(1.0, (of_all[0] - drawn[0, i]) ** 2 / (variance[i] + spread**2))
+        longer = off * (of_all + spread * noise[:, i] - drawn[:, i]) / (off * variance[i] + spread**2)
         starts[:, i] -= start_sigma[i] ** 2 * longer
         ends[:, i] += end_sigma[i] ** 2 * longer
     return starts, np.maximum(ends, starts + 0.3 * (end - start)), share[:, of_foot] * period
