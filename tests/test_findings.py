@@ -96,7 +96,7 @@ SENTENCES = {
     ),
     "at_range_limits": ("2 of 9 frames have angles beyond", {"count": 2, "frames_total": 9}),
     "up_from_feet": (
-        "to ±1.5 degrees: the first camera is 1.9 m above the ground that they stand on, which is z = 0",
+        "beyond their intervals: the first camera is 1.9 m above the ground that they stand on, which is z = 0",
         {"height_m": 1.9, "sigma_rad": np.radians(1.5), "up": "0.000,-0.900,0.400"},
     ),
     "camera_taken_level": ("and cam1 is taken to be level. To say it: --set up", {"option": "--set up"}),

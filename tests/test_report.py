@@ -14,7 +14,7 @@ from command_line import says
 from motions import with_first
 from rich.console import Console
 
-from recon.check import findings_of
+from recon.check import finding, findings_of, sentence
 from recon.fit import MotionSegment
 from recon.fit.result import SecondCamera
 from recon.show import TO_DO, to_plain, write_report
@@ -524,6 +524,13 @@ def test_console_summary_of_a_trajectory(trajectory):
     ):
         assert text in lines
         assert text not in shown
+
+
+def test_how_up_was_found_is_said_to_begin_with(small_trajectory):
+    said = finding("up_from_feet", up="0,1,0", height_m=1.9, sigma_rad=0.12)
+    lines = build_report(replace(small_trajectory, findings=(said,)), {})["lines"]
+    assert ["assumed", sentence(said)] in lines
+    assert "assumed" in reports.FRONT
 
 
 @pytest.mark.parametrize("level", ["use", "check", "do not use"])

@@ -69,6 +69,7 @@ def verdict_lines(motion: Motion, data: Any) -> Iterator[Line]:
             f"The camera is as said{known}: one camera cannot tell its focal length, where it stands, nor whether the "
             "video was cropped or is another camera's.",
         )
+    yield from (("assumed", check.sentence(one)) for one in motion.findings if one.code == "up_from_feet")
 
 
 # -- the clip ---------------------------------------------------------------------------------------------------------
