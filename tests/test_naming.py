@@ -228,7 +228,7 @@ def test_a_skeleton_is_drafted_from_names(names, placed, tmp_path):
 
 def test_a_draft_needs_both_ends_of_the_trunk():
     names = ["nose", "l_eye", "r_eye", "neck_base", "withers"]
-    with refusal(("clip.csv", "bodyparts", ", ".join(names), ["rear", "(tail_base, l_hip, spine)"])):
+    with refusal(("clip.csv", "bodyparts", ", ".join(names), ["rear", "(tail_base, l_hip, spine)", "--camera"])):
         draft_skeleton(names, "mine", Path("clip.csv"))
 
 

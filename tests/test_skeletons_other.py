@@ -390,6 +390,7 @@ def test_check_lists_what_is_in_a_file(tmp_path):
     assert "r_hind_shin" in text
     assert "17 to 132" in text
     assert "Nothing looks odd." in text
+    assert "keypoints within 4 mm" in output("skeleton", "check", "mouse-top")
     plain = json.loads(output("skeleton", "check", file, "--json"))
     assert [part["name"] for part in plain["parts"]] == [part["name"] for part in check["parts"]]
     assert plain["markers"][-1] == {"name": "right_hind_paw", "segment": "r_hind_foot", "at_m": [0.0, 0.0, -0.07]}

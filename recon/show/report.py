@@ -319,8 +319,8 @@ def _found_text(motion: Motion, camera: dict[str, Any]) -> str:
         text += f"; began {later_s:.4f} ± {sigma_frames / motion.fps:.4f} s later"
     if (correction := camera["extrinsic_correction"]) is not None:
         turn, turn_sigma = (math.degrees(np.linalg.norm(correction[name])) for name in ("turn_rad", "turn_sigma_rad"))
-        shift, shift_sigma = (100 * float(np.linalg.norm(correction[name])) for name in ("shift_m", "shift_sigma_m"))
-        text += f"; turned by {turn:.1f} ± {turn_sigma:.1f}° and moved by {shift:.0f} ± {shift_sigma:.0f} cm"
+        shift = length_text(*(float(np.linalg.norm(correction[name])) for name in ("shift_m", "shift_sigma_m")))
+        text += f"; turned by {turn:.1f} ± {turn_sigma:.1f}° and moved by {shift}"
     if (focal := camera["focal"]) is not None:
         text += f"; focal length times {focal['factor']:.3f} ± {focal['sigma']:.3f}"
     return text

@@ -96,7 +96,7 @@ def _lines(check: dict[str, Any]) -> Iterator[str | Table]:
     yield (
         f"A {check['kind']} with {len(check['markers'])} markers and {check['unknowns']} unknowns a frame, "
         f"{length_text(check['length_m'])} long and {length_text(check['height_m'])} high in its expected pose "
-        f"(size ± {100 * check['size_sigma']:.0f} %, keypoints within {100 * check['keypoint_sigma_m']:.0f} cm)."
+        f"(size ± {100 * check['size_sigma']:.0f} %, keypoints within {length_text(check['keypoint_sigma_m'])})."
     )
     names = ("yaw", "pitch", "roll")
     rows = []
@@ -279,7 +279,7 @@ def draft_skeleton(names: Sequence[str], title: str, source: Path) -> SkeletonDr
         found = f"{', '.join(names)}: of these, {', '.join(known) or 'none'} can be placed"
         expected = (
             f"at least {animal.MIN_JOINTS}, one of them at the rear of the trunk ({', '.join(REAR)}) and one at its "
-            f"front ({', '.join(FRONT)}); or a skeleton written by hand"
+            f"front ({', '.join(FRONT)}); or clips of several cameras with --camera, or a skeleton by hand"
         )
         raise InputError(Problem(source, "bodyparts", found, expected))
     others = tuple(name for name in names if name not in known)
