@@ -17,7 +17,7 @@ that `dog.py` reads, without a learned prior, or the runs that `cameras.py` read
 The solution is the most likely motion and distance together. Nearer by, the same pixels take smaller angles, which cost
 the prior less, while fewer motions fit; the distance's own distribution counts these, by the determinant of the normal
 equations. "mode": what that is expected to take off the distance, and ranks without it. A motion drawn as widely as the
-uncertainty says (0.16 s) has four times the misfit of real ones, for which a misfit lasts 0.04 s: --motion-s 0.04.
+uncertainty says (0.16 s) has four times the misfit of real ones, for which --motion-s is 0.04.
 The noise of real detections lasts some frames: --noise-s 0.035.
 """
 
@@ -215,7 +215,7 @@ def pull_of_the_mode(setting: ClipProblem, solved: SegmentFit) -> float:
     """By how much the logarithm of the distance at the joint minimum is expected to lie above its own distribution.
 
     That has the density exp(-cost / l) / sqrt(det H) where the other unknowns follow the distance, H theirs, and l the
-    number of frames in which a misfit lasts. Beside the cost's minimum its top is off by the slope times a variance.
+    squares that are usual of a prior that fits. Beside the cost's minimum its top is off by the slope times a variance.
     """
     problem, states = solved.problem, solved.estimate.states
 
@@ -231,7 +231,7 @@ def pull_of_the_mode(setting: ClipProblem, solved: SegmentFit) -> float:
 
     _, variance, along = at(states)
     slope = (at(states + STEP * along)[0] - at(states - STEP * along)[0]) / (2 * STEP)
-    return max(constants.MISFIT_LASTS_S * setting.fps, 1.0) * variance * slope
+    return constants.MISFIT_USUAL * variance * slope
 
 
 def summary(label: str, rows: Sequence[dict[str, float]]) -> list[object]:

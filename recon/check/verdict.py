@@ -22,14 +22,13 @@ from recon.fit.result import Level
 LIMIT_OF_TRUNK = 0.2
 """A mean error of the joints as large as this, of the trunk's length, spoils most uses: with a cheetah 14 cm. A clip is
 to be used if its error is below that with 95 %, and not to be used if it is above more likely than not."""
-POWERS = {"posterior": 0.73, "misfit": 0.33, "distance": 0.19, "end_on": 0.71}
-SCALE, SPREAD = -1.19, 0.27
+POWERS = {"posterior": 0.66, "distance": 0.14, "end_on": 0.78}
+SCALE, SPREAD = -1.30, 0.25
 """The constant of the logarithm of the pose's error by the trunk, and the standard deviation in runs left out."""
-USUAL = {"posterior": -2.4, "misfit": 0.0, "distance": 1.9, "end_on": 0.05}
+USUAL = {"posterior": -2.4, "distance": 1.9, "end_on": 0.05}
 """`Evidence.factors` of a view like most."""
 WHY = {
     "posterior": "The detections leave the poses too uncertain.",
-    "misfit": "The motion is unlike those that the prior knows, so that the poses are uncertain.",
     "distance": "The animal is far away, so that the poses are uncertain.",
     "end_on": "The animal is seen from the front or the back, which hardly shows its pose: a camera at its side does.",
 }
@@ -55,7 +54,7 @@ class Evidence:
     """Mean distance of the joints that the posterior expects, both poses centred, at the size that was found: how large
     the animal is moves all joints alike, and animals are as large as expected more often than stated."""
     misfit: float
-    """The misfit of the prior, 1 where there is none."""
+    """The misfit of the prior, 1 where there is none: the scale of the variances that it should have had."""
     distance_m: float
     """The distance from the nearest camera."""
     end_on: float
@@ -67,8 +66,7 @@ class Evidence:
     def factors(self) -> dict[str, float]:
         """Whose powers make the error relative to the trunk, as logarithms."""
         return {
-            "posterior": math.log(self.posterior_m / self.trunk_m),
-            "misfit": math.log(self.misfit),
+            "posterior": math.log(self.posterior_m * math.sqrt(self.misfit) / self.trunk_m),
             "distance": math.log(self.distance_m / self.trunk_m),
             "end_on": self.end_on**8,
         }

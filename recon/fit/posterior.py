@@ -257,7 +257,7 @@ class PriorMisfit:
         return self.level >= max(constants.MISFIT_LEVEL, by_chance)
 
 
-def prior_misfit_of(problem: LeastSquares, found: Estimate, fps: float) -> PriorMisfit:
+def prior_misfit_of(problem: LeastSquares, found: Estimate) -> PriorMisfit:
     """The misfit of the prior as the problem weighs it, at its minimum."""
     prior, said = problem.only(PRIOR_TERMS), 0.0
     windows = eliminated(problem.normals(found.states, found.shared)(), bounded=True)
@@ -265,7 +265,7 @@ def prior_misfit_of(problem: LeastSquares, found: Estimate, fps: float) -> Prior
         both = window.marginal_blocks() * of_prior.blocks
         said += float(both[:, 0].sum() + 2 * both[:, 1:].sum())
     freedom = max(found.states[:, ANGLES].size - said, 1.0)
-    return PriorMisfit(prior.squares(found.states) / freedom / max(constants.MISFIT_LASTS_S * fps, 1.0), freedom)
+    return PriorMisfit(prior.squares(found.states) / freedom / constants.MISFIT_USUAL, freedom)
 
 
 DEGREES_OF_FREEDOM = 7.0

@@ -171,7 +171,7 @@ def _solve_segment(clip: ClipProblem, rows: slice, progress: Progress) -> Segmen
         solved, last = _round(clip, solved, temperature, whole), i == len(steps) - 1
         unsettled = solved.prior_misfit is None or (solved.prior_weight < 1 and not last)
         if whole and unsettled and clip.prior.name != NONE:
-            found = prior_misfit_of(solved.problem, solved.estimate, clip.fps)
+            found = prior_misfit_of(solved.problem, solved.estimate)
             clip = replace(clip, prior_weight=clip.prior_weight * found.prior_weight)
             solved = replace(solved, prior_misfit=solved.prior_misfit or found, prior_weight=clip.prior_weight)
         progress("whole clip", 0.4 + 0.6 * (i + 1) / len(steps))
