@@ -11,7 +11,7 @@ import pytest
 from command_line import says
 
 from recon import Motion
-from recon.check import CODES, FLAG_OF, FLAGS, Finding, finding, findings_of, sentence
+from recon.check import CODES, FLAG_OF, FLAGS, Finding, finding, findings_of, judged, sentence
 from recon.check.rules import likelihoods_low, no_pose
 from recon.show.report import keypoint_lines, keypoints
 
@@ -88,6 +88,10 @@ SENTENCES = {
     ),
     "too_fast": ("41 m/s, and none runs as fast", {"speed_m_s": 41.2}),
     "second_solution": ("up to 0.30 m away", {"count": 2, "frames_total": 9, "apart_m": 0.3}),
+    "frames_flagged": (
+        '42 of 42 frames have a flag, most of them "data poor": few joints. A camera',
+        {"count": 42, "frames_total": 42, "flag": "data poor", "meaning": "few joints"},
+    ),
     "few_frames": ("A clip of 8 frames tells little", {"count": 8}),
     "many_outliers": ("51 detections (57%) do not agree", {"count": 51, "share": 0.566}),
     "keypoints_do_not_fit": (
@@ -145,6 +149,21 @@ def test_findings_come_in_the_order_of_their_codes(small_trajectory):
     codes = [one.code for one in findings_of(small_trajectory)]
     assert codes == sorted(codes, key=[*CODES].index)
     assert {"few_frames", "second_solution", "camera_taken_level"} <= {*codes}
+
+
+def test_a_clip_of_which_every_frame_has_a_flag_says_so(whole_results):
+    motion = Motion.load(whole_results)
+
+    def named(*flags: str) -> list[str]:
+        solution = replace(motion.solution, flags=(flags,) * len(motion.frames))
+        verdict = judged(replace(motion, findings=(), solution=solution)).verdict
+        assert verdict is not None
+        return [verdict.level, verdict.reason]
+
+    assert named()[0] == named("left-right swap")[0] == "use"  # a swap has a finding of its own
+    level, reason = named("ambiguous depth", "left-right swap")
+    assert level == "check"
+    assert says(reason, f"of {len(motion.frames)} frames have a flag", "ambiguous depth", "from the front or the back")
 
 
 def test_findings_go_with_a_motion_that_is_saved(small_trajectory, tmp_path):

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from recon.animal import Body, builtin_names, load_skeleton, mean_speed_m_s
-from recon.check.codes import finding, ordered
+from recon.check.codes import FLAG_OF, FLAGS, finding, ordered
 from recon.check.inputs import FASTEST_M_S
 from recon.fit import ALTERNATIVE_M, Finding, Motion, TrajectorySolution, constants
 
@@ -34,6 +34,8 @@ MOST_REJECTED = 0.5
 """Share of the points below the least likelihood from which it is named."""
 FARTHEST = 100.0
 """Distance between cameras in animals' sizes that can only be another unit."""
+FLAGGED = 0.9
+"""Share of the frames that have a flag from which it is named: who leaves them out has hardly a frame left."""
 FEW_FRAMES = 12
 """Fewer tell little more than one does."""
 SIZE_SIGMAS = 2.5
@@ -248,6 +250,15 @@ def second_solution(motion: Motion) -> Iterator[Finding]:
         yield finding("second_solution", count=int(rows.sum()), frames_total=len(rows), apart_m=apart)
 
 
+def frames_flagged(motion: Motion) -> Iterator[Finding]:
+    """Nothing of flags that another finding is about."""
+    flags = [{*flags}.difference(FLAG_OF.values()) for flags, t in zip(motion.flags, motion.solved, strict=True) if t]
+    count = sum(map(bool, flags))
+    if count > FLAGGED * len(flags):
+        most = max(FLAGS, key=lambda name: sum(name in of for of in flags))
+        yield finding("frames_flagged", count=count, frames_total=len(flags), flag=most, meaning=FLAGS[most])
+
+
 OF_TRAJECTORY: tuple[Rule, ...] = (
     cameras_out_of_step,
     motion_unlike_prior,
@@ -257,6 +268,7 @@ OF_TRAJECTORY: tuple[Rule, ...] = (
     solution_unusual,
     pair_disagrees,
     second_solution,
+    frames_flagged,
 )
 
 
