@@ -359,6 +359,14 @@ def test_prior(trajectory):
     assert trajectory["convergence"]["cost_by_term"] == {"reprojection": 120, "pose prior": 30}
 
 
+def test_the_summary_says_what_was_not_checked_without_a_prior(small_trajectory):
+    def said(name: str) -> str:
+        return " ".join(text for _, text in build_report(with_solution(small_trajectory, prior=name), {})["lines"])
+
+    assert says(said("none"), "swaps", "frame rate were not checked", "prior")
+    assert "not checked" not in said("running-cheetah")
+
+
 def test_a_motion_that_the_prior_does_not_know_is_named_first(trajectory, small_trajectory):
     """The misfit is that of the segment that fits least; nothing is said where the prior fits."""
     assert (trajectory["prior"]["prior_misfit"], trajectory["prior"]["weight"]) == (None, 1)

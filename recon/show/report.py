@@ -539,8 +539,10 @@ def prior(motion: Motion) -> dict[str, Any]:
 
 
 def prior_lines(motion: Motion, data: Any) -> Iterator[Line]:
-    name = "the skeleton's own expectations" if data["name"] == NO_PRIOR else data["name"]
-    share = data["mean_data_share"]
+    name, share = data["name"], data["mean_data_share"]
+    if name == NO_PRIOR:
+        name = "the skeleton's own expectations"
+        yield "note", "Left-right swaps, lens, zoom and frame rate were not checked: that needs a learned prior."
     if share is not None:
         yield "prior", f"{share:.0%} of the pose rests on the video, {1 - share:.0%} on {name}"
 
