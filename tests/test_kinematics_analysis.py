@@ -161,6 +161,18 @@ def test_a_cosine_angle():
     assert angle.peak_acceleration_rad_s2 == pytest.approx(18.0, rel=0.01)
 
 
+def test_a_joint_that_goes_on_through_a_straight_line_has_no_peak_there():
+    """A link that turns on by 5 rad/s, from bent to one side to bent to the other: the angle between 0 and pi folds."""
+    turn = np.linspace(-1.0, 1.0, 25)
+    tip = np.column_stack([np.cos(turn), np.sin(turn), 0 * turn])
+    pose = Pose3D(("a", "b", "c"), np.stack([0 * tip - [1, 0, 0], 0 * tip, tip], axis=1), np.arange(25))
+    errors = [Errors(np.full((25, 3, 3), 0.03), 0.1)]
+    exact, found = (joint_angle(pose, ("a", "b", "c"), 60, of) for of in ((), errors))
+    assert exact.peak_acceleration_rad_s2 > 1000
+    assert found.peak_rate_rad_s == pytest.approx(5.0, rel=0.1)
+    assert found.peak_acceleration_rad_s2 < 100
+
+
 def test_an_angle_that_turns_round_does_not_jump():
     turn = 5.0 * TIME_S
     angle = angle_kinematics(TIME_S, np.arctan2(np.sin(turn), np.cos(turn)))

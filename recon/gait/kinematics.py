@@ -59,6 +59,9 @@ _REACH, _LEAST_PRODUCT, _AT_ONCE = 20, 1e-11, 1000
 """The same of evenly spaced frames away from the ends, 1e-11 over the reach; which products of two values' shares
 count, relative to the largest; and of how many frames they are worked out at once."""
 
+STRAIGHT_SIGMAS = 2.0
+"""An angle that is less from straight may be bent to either side."""
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Errors(Brief):
@@ -461,8 +464,12 @@ def angle_kinematics(time_s: Array, angle_rad: Array, errors: Sequence[Errors] =
     series = series_kinematics(time_s, angle[:, None], [error[:, None] for error in errors], **options)
     value = series.value[np.isfinite(series.value)]
     low, high = (float(value.min()), float(value.max())) if len(value) else (np.nan, np.nan)
-    peaks = (float(np.nanmax(np.abs(of))) if len(value) else np.nan for of in (series.rate, series.acceleration))
-    return AngleKinematics(series, (low, high), *peaks)
+    return AngleKinematics(series, (low, high), _greatest(series.rate), _greatest(series.acceleration))
+
+
+def _greatest(of: Array) -> float:
+    known = np.abs(of[np.isfinite(of)])
+    return float(known.max()) if len(known) else np.nan
 
 
 def joint_angle(
@@ -474,7 +481,11 @@ def joint_angle(
     **options,
 ) -> AngleKinematics:
     """The angle at joints[1] between joints[0] and joints[2], 0 to pi, or another one of three joints. errors
-    (T, J, 3), metres, of joints independent of each other. Raises InputError."""
+    (T, J, 3), metres, of joints independent of each other. Raises InputError.
+
+    An angle between 0 and pi turns round where the joint goes on through a straight line: its peaks are of the times at
+    which it is two standard deviations or more away from there.
+    """
     where = joint_index(pose, joints)
     points = pose.xyz_m[:, where]
     angle = angle_of(*np.moveaxis(points, 1, 0))
@@ -482,7 +493,13 @@ def joint_angle(
     for error in of_angle:
         # Where the angle has no first derivative there is no linear deviation either.
         angle = np.where(np.isfinite(error.sigma) & (error.sigma > 0), angle, np.nan)
-    return angle_kinematics(frame_times(pose.frames, fps), angle, of_angle, **options)
+    found = angle_kinematics(frame_times(pose.frames, fps), angle, of_angle, **options)
+    if angle_of is not angle_between or not errors:
+        return found
+    series = found.series
+    bent = np.minimum(series.value, np.pi - series.value) >= STRAIGHT_SIGMAS * series.value_sigma
+    peaks = _greatest(series.rate[bent]), _greatest(series.acceleration[bent])
+    return replace(found, peak_rate_rad_s=peaks[0], peak_acceleration_rad_s2=peaks[1])
 
 
 def spine_flexion(

@@ -229,4 +229,8 @@ def describe(head: bytes) -> str:
     # The head may end in the middle of a character of up to 4 bytes; more than that is lost only from binary files.
     if len(text.encode()) < len(head.strip()) - 6 or not all(c.isprintable() or c.isspace() for c in text):
         return "a binary file"
-    return f"a file that begins with '{text.splitlines()[0][:40]}'" if text else "a file of blanks"
+    if not text:
+        return "a file of blanks"
+    first = text.splitlines()[0]
+    hint = " (the first cells of DeepLabCut's header are scorer, bodyparts, coords)" if first.startswith(",") else ""
+    return f"a file that begins with '{first[:40]}'{hint}"
