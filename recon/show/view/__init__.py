@@ -386,7 +386,7 @@ def write_forces(found: ClipAnalysis, log: Log) -> None:
     high_m = float(np.nanmedian(centre_m[:, 2] - d.ground_m))
     up = motion.in_reference(np.array([0.0, 0.0, high_m])) - motion.in_reference(np.zeros(3))
     there, origins_m = force > 0, motion.in_reference(tracks.foot_m[rows])
-    own = np.broadcast_to(np.uint8([_foot_colour(foot) for foot in tracks.feet]), (*there.shape, 3))[there]
+    own = np.broadcast_to(np.array([_foot_colour(foot) for foot in tracks.feet], np.uint8), (*there.shape, 3))[there]
     coloured = rr.Arrows3D.columns(vectors=force[there][:, None] * up, origins=origins_m[there], colors=own)
     log.draw("world/forces", rr.Arrows3D, coloured.partition(there.sum(axis=1)), radii=0.01)
     path = motion.in_reference(centre_m[np.isfinite(centre_m).all(axis=1)])
