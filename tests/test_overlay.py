@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 import pytest
 from command_line import refusal, says
+from motions import with_first
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
@@ -285,6 +286,18 @@ def test_the_video_is_behind_each_still(folder, video):
     np.testing.assert_allclose(levels, [30, 70, 100], atol=8)  # frames 10, 14 and 17
     with refusal((video, "video", "12 frames", "13 or more")):
         stills(motion, 0, PageSettings(folder=folder, video=video, first_frame=5), 2)
+
+
+@pytest.mark.parametrize(
+    ("offset_s", "given", "levels"), [(-0.1, 10, [30, 100]), (0.2, 6, [0, 50]), (0.0, 7, [30, 100])]
+)
+def test_a_camera_that_began_at_another_time_has_frame_numbers_of_its_own(folder, video, offset_s, given, levels):
+    """3 frames earlier than the first camera, or 6 later, without pictures of the clip's first two frames."""
+    motion = with_first(Motion.load(folder), offset_s=offset_s)
+    drawn, rows, pictures = stills(motion, 0, PageSettings(folder=folder, video=video, first_frame=given), 2)
+    assert pictures is not None
+    np.testing.assert_allclose([picture.mean() for picture in pictures], levels, atol=8)
+    assert drawn.frames[rows].tolist() == [12 if offset_s > 0 else 10, 17]
 
 
 # -- several cameras ------------------------------------------------------------------------------------------------

@@ -155,7 +155,7 @@ def clip_frames(frames: Integers, video: Path, first_frame: int) -> Iterator[tup
     them, its time stamp in seconds, and its picture; and the frame after them, if the video has one. first_frame: the
     number that the video's first frame has in the clip. Raises InputError where the video ends before the clip."""
     rows = {int(frame): t for t, frame in enumerate(frames)}
-    first, last, read = min(rows), max(rows), 0
+    first, last, read = max(min(rows), first_frame), max(rows), 0  # a camera that began later lacks the first ones
     for index, stamp_s, picture in timed_frames(video, first - first_frame, last + 2 - first_frame):
         read += 1
         yield index + first_frame, rows.get(index + first_frame), stamp_s, picture

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 import shlex
 from collections.abc import Callable, Iterator
 from functools import partial
@@ -69,10 +70,16 @@ def result_and_video(settings: _ResultSettings, *checks: Callable[[], object]) -
             expected = f"{first} or less: the result begins with frame {first}"
             late = Problem("--first-frame", "number", str(settings.first_frame), expected)
             wrong = size_problems(video, info, motion.cameras[number])
-            refuse([*wrong, *([late] if settings.first_frame > first else ())])
+            refuse([*wrong, *([late] if settings.first_frame > max(first, 0) else ())])
         return motion, number
 
     return all_of(opened, *checks)[0]
+
+
+def first_in_clip(motion: Motion, number: int, settings: _ResultSettings) -> int:
+    """The number that the video's first frame has in the clip: a camera that began later or earlier than the first has
+    its own in its keypoint file."""
+    return settings.first_frame + math.floor(motion.sources[number].offset_s * (motion.fps or 0.0) + 1e-6)
 
 
 def camera_number(motion: Motion, camera: str | None, video: Path | None) -> int:
@@ -118,17 +125,18 @@ def overlay(settings: OverlaySettings, progress: Progress = silent) -> Answer:
     speed = min(1.0, SLOW_FPS / motion.fps) if settings.speed is None else settings.speed
     zoom = -(-MIN_WIDTH_PX // wide)
     drawn = overlay_of(motion, speed, zoom, number)
-    fps, count, stamps_s = motion.fps * speed, int(np.ptp(motion.frames)) + 1, []
+    start = first_in_clip(motion, number, settings)
+    first = max(int(motion.frames.min()), start)
+    fps, count, stamps_s = motion.fps * speed, int(motion.frames.max()) + 1 - first, []
     with video_writer(out, canvas_size((zoom * wide, zoom * high)), fps) as write:
-        for frame, row, stamp_s, picture in clip_frames(motion.frames, video, settings.first_frame):
+        for frame, row, stamp_s, picture in clip_frames(motion.frames, video, start):
             stamps_s.append(stamp_s)
             if len(stamps_s) > count:
                 break
             enlarged = np.asarray(cv2.resize(picture, None, fx=zoom, fy=zoom), dtype=np.uint8)
             write(draw_frame(drawn, row, frame, enlarged))
             progress("drawing", len(stamps_s) / count)
-    first = int(motion.frames.min())
-    before = first - settings.first_frame if len(stamps_s) == count else None
+    before = first - start if len(stamps_s) == count else None
     of_times = missing_note(video, np.array(stamps_s), first, before)
     notes = [note for note in (first_frame_note(motion, settings), rate_note(video, motion.fps), of_times) if note]
     said = f"{count} frames at {speed:.3g} times their speed ({fps:.4g} a second) are in {out}."
@@ -142,12 +150,13 @@ def stills(
 ) -> tuple[Overlay, Index, list[Image] | None]:
     """What there is to draw of up to `count` frames with a pose, evenly spaced: all of it, their rows, and the video's
     pictures of them, if there is one. Raises InputError for a frame that the video lacks."""
-    drawn = overlay_of(motion, number=number)
-    posed = np.flatnonzero(np.isfinite(drawn.reprojected_px).any(axis=(1, 2)))
+    drawn, start = overlay_of(motion, number=number), first_in_clip(motion, number, settings)
+    filmed = motion.frames >= start if settings.video else True
+    posed = np.flatnonzero(np.isfinite(drawn.reprojected_px).any(axis=(1, 2)) & filmed)
     rows = posed[np.unique(np.round(np.linspace(0, len(posed) - 1, count)).astype(int))] if len(posed) else posed
     if settings.video is None or not len(rows):
         return drawn, rows, None
-    frames = clip_frames(motion.frames[rows], settings.video, settings.first_frame)
+    frames = clip_frames(motion.frames[rows], settings.video, start)
     return drawn, rows, [picture for _, row, _, picture in frames if row is not None]
 
 
@@ -190,7 +199,8 @@ def _enlarged(xy_px: Array, zoom: int) -> Array:
 
 def first_frame_note(motion: Motion, settings: _ResultSettings) -> str | None:
     """What to say where a video goes on after the clip's last frame, and nobody says which frame it begins with."""
-    if settings.video is None or settings.first_frame or motion.settings.get("frames") is not None:
+    told = settings.first_frame or motion.settings.get("frames") is not None
+    if settings.video is None or told or any(one.offset_s for one in motion.sources):
         return None
     count, first, last = probe(settings.video).stated_frames or 0, int(motion.frames[0]), int(motion.frames[-1])
     if count <= last + 1:
@@ -319,7 +329,7 @@ def view(settings: _ViewSettings, console: Console) -> Answer:
             found = analyse(motion) if analysed else None
             playback = Path(temporary) / PLAYBACK if out is None else out
             with staged_file(playback) as staged:
-                viewer.write(motion, staged, found, settings.video, settings.first_frame, number)
+                viewer.write(motion, staged, found, settings.video, first_in_clip(motion, number, settings), number)
         if out is None:
             viewer.open_viewer(playback)
     said = [] if out is None else [f"The recording is in {out}. Watch it with: rerun {shlex.quote(str(out))}"]
