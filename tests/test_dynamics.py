@@ -27,7 +27,7 @@ from recon.gait.dynamics import (
     shape,
 )
 from recon.gait.kinematics import Errors
-from recon.show import clip_page
+from recon.show import clip_page, plots
 from recon.show.tables import forces, strides
 from recon.workflows import summarise
 
@@ -296,6 +296,17 @@ def test_the_page_shows_the_forces(motion: Motion):
     assert "Vertical forces" in page
     plain = replace(motion, solution=replace(motion.solution, body=replace(motion.body, mass={}, mass_source=None)))
     assert "Vertical forces" not in clip_page(plain, [], None, [])
+
+
+def test_feet_share_a_scale_also_where_a_force_is_unknown(found: ClipAnalysis):
+    d, gait = found.dynamics, found.gait
+    assert d is not None
+    assert gait is not None
+    force = d.force | {"LF": np.full_like(d.force["LF"], np.nan)}
+    panels = {axes.get_ylabel(): axes for axes in plots.forces(replace(d, force=force), gait).axes}
+    assert len({panels[foot].get_ylim() for foot in force}) == 1
+    shown = [len([text for text in panels[foot].get_yticklabels() if text.get_visible()]) > 1 for foot in force]
+    assert shown == [foot != "LF" for foot in force]
 
 
 def test_forces_in_newtons_of_an_animal_that_was_weighed(found: ClipAnalysis):

@@ -53,6 +53,8 @@ def test_metrics_by_hand():
     assert [(t, s.mean) for t, s in result.pck] == [(0.05, 0), (0.1, 1), (0.15, 1)]
     small = evaluate(pose([[[-0.1, 0, 0.03], [0.116, 0, 0.03]]]), pose([[[-0.1, 0, 0], [0.1, 0, 0]]]))
     assert [(t, s.mean) for t, s in small.pck] == [(0.005, 0), (0.01, 1), (0.015, 1)]
+    one = evaluate(pose([[[0, 0, 0]]] * 2), pose([[[0, 0, 0]], [[0, 0, np.nan]]]))
+    assert [t for t, _ in one.pck] == [0.05, 0.1, 0.15]  # a joint has no size
 
 
 def test_each_alignment_undoes_its_own_change():

@@ -80,7 +80,7 @@ SENTENCES = {
     "ground_above_camera": ("0.52 ± 0.03 m above cam1", {"height_m": 0.52, "sigma_m": 0.03}),
     "frames_not_converged": ("2 of 9 frames did not converge", {"count": 2, "frames_total": 9}),
     "not_converged": ("ended before it had converged", {}),
-    "size_impossible": ("comes out 0.42 times as large as usual, which none is", {"size": 0.42, "expected_sigma": 0.1}),
+    "size_impossible": ("comes out 0.42 times as large as expected, which none", {"size": 0.42, "expected_sigma": 0.1}),
     "size_unexpected": ("comes out 0.70 times as large as usual, where 1 ± 0.1", {"size": 0.7, "expected_sigma": 0.1}),
     "pair_disagrees": (
         "agree better. Check both poses, or give the animal's lengths (--subject).",

@@ -162,6 +162,11 @@ def test_a_whole_clip_that_only_looks_exchanged_is_to_be_looked_at(monkeypatch):
     assert swaps(fitted(view())) == []
 
 
+def test_two_frames_of_a_camera_between_those_of_another_have_no_swaps():
+    setting = ClipProblem.of([replace(view(), offset_frames=0.3).part(slice(2))], BODY, PRIOR, FPS, TrajectoryOptions())
+    assert swaps(baseline_of(setting, 0, plain().states[:2], plain().size)) == []
+
+
 def test_of_two_that_exclude_each_other_the_likelier_has_to_lead():
     one, other = stretch("hind", 0, 20), stretch("hind", 20, T)
     swapped = fitted(exchanged(view(), other))

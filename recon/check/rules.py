@@ -39,9 +39,9 @@ FLAGGED = 0.9
 FEW_FRAMES = 12
 """Fewer tell little more than one does."""
 SIZE_SIGMAS = 2.5
+"""A size further off what is expected, in standard deviations, says that something else is wrong."""
 LOG_SIZE_MOST = math.log(2.0)
 """No grown animal is twice or half as large as its kind: of whom that is not expected, it is not so."""
-"""A size further off what is expected, in standard deviations, says that something else is wrong."""
 OF_PICTURE = ("keypoints_y_up", "picture_upside_down", "picture_turned", "world_not_z_up", "other_camera_named")
 """Codes after which the ground says nothing."""
 UNITS_PER_M = {"inches": 39.37, "cm": 100.0, "mm": 1000.0}

@@ -267,8 +267,8 @@ class Reprojection:
         root = np.sqrt(np.where(seen, confidence / (1.0 + q), 0.0))[..., None]
         by_point = by_point * np.where(seen[..., None], root / sigma[..., None], 0.0)[..., None]
         N, J = q.shape
-        by_state = by_point * size
-        slots = [(by_state * share @ span.pose.jacobian[part]).reshape(N, 2 * J, 1, -1) for part, share in parts]
+        by_state, D = by_point * size, span.pose.jacobian.shape[-1]  # of a single frame beside none, N is 0
+        slots = [(by_state * share @ span.pose.jacobian[part]).reshape(N, 2 * J, 1, D) for part, share in parts]
         rows = slots[0] if len(slots) == 1 else np.concatenate(slots, axis=2)
         by_shared = {SIZE: (by_point @ points[..., None]).reshape(N, 2 * J, 1)} if SIZE in span.shared else {}
         if late is not None and self.drift_m is not None:

@@ -210,6 +210,7 @@ def evaluate(pose: Pose3D, truth: Pose3D, sigmas_m: tuple[np.ndarray, np.ndarray
         problems.append(Problem(here, "positions", "no joint known on both sides in any frame", "at least one"))
     refuse(problems)
     centred, inside = aligned(pose_m, truth_m), {}
+    thresholds_m = _thresholds_m(np.where(common[..., None], truth_m, np.nan)[common.any(axis=1)])
     if sigmas_m is not None:
         place_m, relative_m = (sigma_m[in_pose][:, where] for sigma_m in sigmas_m)
         inside = {"place": _inside(pose_m - truth_m, place_m), "pose": _inside(centred - truth_m, relative_m)}
@@ -225,7 +226,7 @@ def evaluate(pose: Pose3D, truth: Pose3D, sigmas_m: tuple[np.ndarray, np.ndarray
         scale_mpjpe_m=score(joint_errors(aligned(pose_m, truth_m, scale=True), truth_m)),
         pa_mpjpe_m=score(similar_m),
         position_m=float(mean_along(mean_along(np.linalg.norm(pose_m - centred, axis=2), 1), 0)),
-        pck=tuple((t, score(np.where(np.isnan(centred_m), np.nan, centred_m <= t))) for t in _thresholds_m(truth_m)),
+        pck=tuple((t, score(np.where(np.isnan(centred_m), np.nan, centred_m <= t))) for t in thresholds_m),
         inside=inside,
         frames_not_scored=int((~common.any(axis=1)).sum()),
         frames_without_pa=int(np.isnan(similar_m).all(axis=1).sum()),
@@ -239,10 +240,9 @@ def evaluate(pose: Pose3D, truth: Pose3D, sigmas_m: tuple[np.ndarray, np.ndarray
 
 def _thresholds_m(truth_m: np.ndarray) -> tuple[float, ...]:
     """The thresholds of PCK for an animal as large as joints (T, J, 3) are apart, by the median over the frames."""
-    posed_m = truth_m[np.isfinite(truth_m).any(axis=(1, 2))]
-    size_m = float(np.median(np.linalg.norm(np.nanmax(posed_m, axis=1) - np.nanmin(posed_m, axis=1), axis=1)))
-    tens = max(np.ceil(np.log10(PCK_THRESHOLDS_M[-1] / max(PCK_LARGEST * size_m, 1e-6))), 0.0)
-    return tuple(t / 10.0**tens for t in PCK_THRESHOLDS_M)
+    size_m = float(np.median(np.linalg.norm(np.nanmax(truth_m, axis=1) - np.nanmin(truth_m, axis=1), axis=1)))
+    tens = np.ceil(np.log10(PCK_THRESHOLDS_M[-1] / (PCK_LARGEST * size_m))) if size_m else 0.0  # of one joint
+    return tuple(float(t / 10.0 ** max(tens, 0.0)) for t in PCK_THRESHOLDS_M)
 
 
 def _inside(error_m: np.ndarray, sigma_m: np.ndarray) -> tuple[float, ...]:

@@ -229,7 +229,7 @@ def keypoint_lines(motion: Motion, data: Any) -> Iterator[Line]:
     more = "; if they are good, lower --set likelihood-min" if low else ""
     counted = [f"{used} used", *([f"{missing} missing"] if missing else [])]
     unknown = sum(row["likelihood_unknown"] for row in fitted if row["in_file"])
-    counted += [f"{unknown} without a likelihood, of which none is left out before the fit"] if unknown else []
+    counted += [f"{unknown} without a likelihood (never left out as unlikely)"] if unknown else []
     counted += [f"{rejected}{share} left out before the fit, as unlikely or far outside{more}"] if rejected else []
     yield "detections", ", ".join(counted)
     errors = found["reprojection_px"]

@@ -146,7 +146,7 @@ def forces(d: Dynamics, gait: Gait) -> Figure:
             if np.isnan(middle).any() and not np.nan_to_num(middle).any():
                 drawn = {"transform": below[row].transAxes, "ha": "center", "va": "center", "color": style.GREY}
                 below[row].text(0.5, 0.5, "not known: the clip cuts its stances", **drawn)
-                below[row].set_yticks([])
+                below[row].tick_params(left=False, labelleft=False)  # the axis is that of all feet
         top.set_yticks(range(len(feet)), feet)
         top.invert_yaxis()
         about = "body weights; bands: 90 %; gaps: stances that the clip cuts; left blue, right orange"
