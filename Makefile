@@ -42,7 +42,7 @@ demo: $(BASE)
 	@echo 'The results are in $(DEMO_OUT)/. To play them back: $(BIN)/recon view $(DEMO_OUT)'
 
 # pyright keeps one processor busy for a minute, and the tests one process for each processor: they run at the same
-# time. pytest takes longer, so that its summary is the last line.
+# time. pyright says only what is wrong, so that pytest's summary is the last line.
 test: ruff
 	@$(MAKE) --no-print-directory --jobs 2 types tests
 
@@ -53,7 +53,7 @@ ruff: $(DEV)
 	$(BIN)/ruff format --check .
 
 types: $(DEV)
-	$(BIN)/pyright
+	@found=$$($(BIN)/pyright) || { echo "$$found"; exit 1; }
 
 tests: $(DEV)
 	$(BIN)/python -m pytest --numprocesses logical --maxprocesses 8 --dist worksteal

@@ -53,12 +53,20 @@ def test_groups_have_a_row_each_and_strides_one_each(clips: Path, tmp_path: Path
             assert f == pytest.approx(m / 2**0.5, rel=1e-6)
 
 
-def test_results_of_one_run_are_named(clips: Path, tmp_path: Path, whole_motion: Motion):
+def test_results_of_one_run_are_named(tmp_path: Path, whole_motion: Motion):
     (source,) = whole_motion.sources
     later = replace(source, keypoints=replace(source.keypoints, frames=source.keypoints.frames + 1000))
-    replace(whole_motion, sources=(later,)).save(tmp_path / "later")
-    ended = run("compare", clips / "a", clips / "b", tmp_path / "later", "--out", tmp_path / "out")
-    assert says(ended.out, "Of one run", "a and b. Give one")
+    other = {**whole_motion.settings, "keypoints": "other.csv"}  # of the same camera
+    second = replace(source, camera=replace(source.camera, name="second"))
+    motions = {
+        "a": whole_motion,
+        "b": replace(whole_motion, sources=(second,), settings=other),
+        "later": replace(whole_motion, sources=(later,)),
+        "other": replace(whole_motion, settings=other),
+    }
+    folders = [motion.save(tmp_path / name).parent for name, motion in motions.items()]
+    ended = run("compare", *folders, "--out", tmp_path / "out")
+    assert says(ended.out, "Probably of one run", ": a and b, b and other. Give one")
 
 
 def test_only_what_some_clip_has_is_drawn():

@@ -112,6 +112,11 @@ def done(job: _Job, called: list[str]) -> list[str]:
     return called.copy()
 
 
+def test_a_camera_is_chosen_before_the_keypoints_are_found(film):
+    with refusal(("whole_scene.json", "camera", "2 cameras and no choice", "--camera-name")):
+        module._check_inputs(job(film, model=film.parent / "net", given={"camera": SAMPLES / "whole_scene.json"}))
+
+
 def test_nothing_is_done_twice(film, called):
     assert done(job(film), called) == ALL
     assert [stage.notes for stage in run_video(job(film))[0]] == [(), (), ("uneven in time",), ()]  # said again

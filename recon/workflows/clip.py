@@ -438,14 +438,12 @@ def _cameras_in_file(settings: FitSettings, tracks: Sequence[io.CameraTrack]) ->
     names = [camera.name for camera in cameras]
     chosen = {file: cameras_in(file.stem, names) for file in settings.keypoints}
     unclear = [file for file, of in chosen.items() if len(of) != 1]
-    for file in unclear:
-        require_file(file)
-    if unclear:
-        found = f"{len(cameras)} cameras and no choice"
-        found += f" for {', '.join(file.name for file in unclear)}" if len(chosen) > 1 else ""
-        raise InputError(
-            Problem(path, "camera", found, f"one of {', '.join(names)} by --camera-name, or in the file's name")
-        )
+    there = [file for file in unclear if file.exists()]
+    found = f"{len(cameras)} cameras and no choice"
+    found += f" for {', '.join(file.name for file in there)}" if len(chosen) > 1 else ""
+    problem = Problem(path, "camera", found, f"one of {', '.join(names)} by --camera-name, or in the file's name")
+    missing = (partial(require_file, file) for file in unclear if file not in there)
+    all_of(*missing, lambda: refuse([problem] * bool(there)))
     return tuple(camera for of in chosen.values() for camera in cameras if camera.name in of)
 
 

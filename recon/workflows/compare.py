@@ -104,31 +104,40 @@ def compare(settings: _CompareSettings, progress: Progress) -> Answer:
     notes = []
     if left_out := [name for name in loaded if name not in motions]:
         notes.append(f'Left out, as their verdict is "do not use": {names_text(left_out)}. With --anyway they count.')
-    given = {name: (motion, folder) for name, motion, folder in zip(loaded, loaded.values(), folders, strict=True)}
-    if twice := [f"{a} and {b}" for a, b in combinations(motions, 2) if _one_run(given[a], given[b])]:
+    seen = {name: _files_seen(motion, folder) for (name, motion), folder in zip(loaded.items(), folders, strict=True)}
+    pairs = combinations(motions, 2)
+    if twice := [f"{a} and {b}" for a, b in pairs if _one_run(motions[a], motions[b], seen[a], seen[b])]:
         notes.append(
-            f"Of one run, by their cameras' folder, frames and paths, and yet each counted as a clip: "
+            f"Probably of one run, by their cameras' folder, frames and paths, and yet each counted as a clip: "
             f"{names_text(twice)}. Give one result of each run, best that of all its cameras."
         )
     return Answer(groups.to_dict("records"), [*_lines(clips, groups, out), *notes])
 
 
-def _one_run(a: tuple[Motion, Path], b: tuple[Motion, Path]) -> bool:
-    """Whether two results, each with its folder, are probably of one run: with calibrations of one folder, at the same
-    time, and at one place within what is expected of their positions."""
-    places, high_m = [], 0.0
-    for motion, folder in (a, b):
-        cameras, expected = motion.settings.get("camera"), motion.verdict and motion.verdict.position_m
-        if not cameras or not expected:
-            return False
-        places.append((folder / ([cameras] if isinstance(cameras, str) else cameras)[0]).resolve().parent)
-        high_m += expected.high
-    (one, _), (other, _) = a, b
-    times, of_one, of_other = np.intersect1d(one.frames[one.solved], other.frames[other.solved], return_indices=True)
-    if places[0] != places[1] or one.fps != other.fps or not len(times):
+_Seen = dict[tuple[Path, str], Path]
+
+
+def _files_seen(motion: Motion, folder: Path) -> _Seen:
+    """A result's keypoint files, each by the calibration file and the name of its camera."""
+    cameras, files = (
+        [(folder / path).resolve() for path in ([given] if isinstance(given, str) else given or ())]
+        for given in map(motion.settings.get, ("camera", "keypoints"))
+    )
+    each = cameras * len(files) if len(cameras) == 1 else cameras
+    return {(path, of.camera.name): file for path, of, file in zip(each, motion.sources, files, strict=False)}
+
+
+def _one_run(one: Motion, other: Motion, seen: _Seen, others: _Seen) -> bool:
+    """Whether two results are probably of one run: with calibrations of one folder, at the same time, and at one place
+    within what is expected of their positions. Other keypoints of one camera are of another run."""
+    places = {next(iter(of))[0].parent if of else None for of in (seen, others)}
+    high_m = [of.verdict.position_m.high for of in (one, other) if of.verdict and of.verdict.position_m]
+    differ = any(others.get(camera, file) != file for camera, file in seen.items())
+    if differ or None in places or len(places) > 1 or len(high_m) < 2 or one.fps != other.fps:
         return False
+    times, of_one, of_other = np.intersect1d(one.frames[one.solved], other.frames[other.solved], return_indices=True)
     apart_m = one.root_m[one.solved][of_one] - other.root_m[other.solved][of_other]
-    return bool(np.linalg.norm(apart_m, axis=1).mean() <= high_m)
+    return bool(len(times) and np.linalg.norm(apart_m, axis=1).mean() <= sum(high_m))
 
 
 def _lines(clips: pd.DataFrame, groups: pd.DataFrame, out: Path) -> Iterator[str | Table]:

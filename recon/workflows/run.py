@@ -237,7 +237,9 @@ def _require_own(name: str, stage: _Stage, is_first: bool, changed: Sequence[Pat
 
 def _check_inputs(job: _Job) -> None:
     """What would only be said after minutes of work. Raises InputError."""
-    info, (_, _, cameras) = all_of(lambda: probe(job.run.video), lambda: read_model_and_cameras(job.given))
+    # Keypoints that are not there yet are called as the video.
+    given = job.given if job.run.model is None else replace(job.given, keypoints=job.run.video)
+    info, (_, _, cameras) = all_of(lambda: probe(job.run.video), lambda: read_model_and_cameras(given))
     refuse(size_problems(job.run.video, info, cameras[0][0]))
 
 
