@@ -401,6 +401,15 @@ def test_a_motion_at_another_rate_than_it_was_filmed_at(factor):
     assert number(found, "log_likelihood_ratio") > CLEAR
 
 
+def test_the_rate_of_a_motion_that_is_hardly_seen_is_not_judged(monkeypatch):
+    judged: list[bool] = []
+    monkeypatch.setattr("recon.check.inputs.other_rate", lambda *_, by_motion: judged.append(by_motion))
+    for flags in ((), ("data poor",)):
+        motion = motion_of(replace(plain(), flags=(flags,) * T))
+        input_findings(motion, PRIOR, TrajectoryOptions(), NAMED, seek_swaps=False)
+    assert judged == [True, False]
+
+
 def test_half_the_frame_rate_of_the_sample_is_named():
     camera = samples_folder() / "camera.toml"
     motion = fit_clip(FitSettings(keypoints=(samples_folder() / "whole.csv",), camera=camera, fps=30))

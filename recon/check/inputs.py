@@ -28,6 +28,8 @@ from recon.geometry.kinematics import ROOT
 FASTEST_M_S = 40.0
 """No animal runs as fast: cheetahs reach 29 m/s (N. Sharp, *Timed running speed of a cheetah*, J. Zool. 1997)."""
 
+MOSTLY_POOR = 0.9
+"""The share of frames of which little or nothing is seen from which the motion is the prior's, and so is its rate."""
 MOVES = ("animal_still", "time_reversed", "camera_moves")
 """What makes sides doubtful by itself."""
 
@@ -88,7 +90,8 @@ def _of_rate(clip: ClipProblem, solution: TrajectorySolution, stated_hz: float |
     longest = max(segments, key=lambda rows: rows.stop - rows.start)
     states = solution.states[longest].copy()
     states[:, ROOT] = (states[:, ROOT] - clip.origin_m) / solution.size
-    found = other_rate(clip.part(longest), states, stated_hz)
+    poor = np.mean([bool({*flags} & {"no data", "data poor"}) for flags in solution.flags[longest]]) > MOSTLY_POOR
+    found = other_rate(clip.part(longest), states, stated_hz, by_motion=not poor)
     return () if found is None else (found,)
 
 

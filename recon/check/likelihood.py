@@ -364,12 +364,12 @@ RATE_S = 5.0
 _RATE_TOLERANCE, _RATE_ITERATIONS = 1e-3, 10
 
 
-def other_rate(clip: ClipProblem, states: Array, stated_hz: float | None) -> Finding | None:
+def other_rate(clip: ClipProblem, states: Array, stated_hz: float | None, by_motion: bool = True) -> Finding | None:
     """states (T, D) at nominal size about the origin, without gaps, of a solved stretch. stated_hz: what the file
-    says."""
+    says. by_motion: whether angles that swing at another rate are a finding, too."""
     if stated_hz is not None and not 1 / NEARLY < stated_hz / clip.fps < NEARLY:
         return finding("frame_rate_stated", given_hz=clip.fps, other_hz=stated_hz)
-    if clip.prior.name == NONE:
+    if clip.prior.name == NONE or not by_motion:
         return None
     rows = busiest(clip.present().sum(axis=1), round(RATE_S * clip.fps))
     clip, states, step = clip.part(rows), states[rows], max(1, round(clip.fps / APPROACH_HZ))

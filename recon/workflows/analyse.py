@@ -14,7 +14,7 @@ from rich.table import Table
 from rich.text import Text
 from threadpoolctl import threadpool_limits
 
-from recon.base import Progress, decimals, median, silent
+from recon.base import Progress, decimals, mean, median, silent
 from recon.base.files import require_free_folder, sole_writer, staged_folder
 from recon.base.settings import Option, Positive, Settings
 from recon.check import sentence, usable, verdict_fields
@@ -186,8 +186,8 @@ def _dynamics_summary(found: ClipAnalysis) -> dict[str, Any] | None:
     if (d := found.dynamics) is None or found.gait is None:
         return None
     # Errors of energies last: those of a mean over the clip may be as large as those at its instants.
-    sigma = {name: np.nanmean(of) for name, of in d.energy_sigma_j_kg.items()}
-    means = {name: interval_of(float(np.nanmean(of)), sigma[name]) for name, of in d.energy_j_kg.items()}
+    sigma = {name: mean(of) for name, of in d.energy_sigma_j_kg.items()}
+    means = {name: interval_of(mean(of), sigma[name]) for name, of in d.energy_j_kg.items()}
     return {
         "masses": found.motion.body.mass_source,
         "body_mass_kg": found.body_mass_kg,
