@@ -920,11 +920,11 @@ def test_dannce(tmp_path, packed):
 
 
 def test_dannce_predictions_and_names(tmp_path):
-    savemat(
-        tmp_path / "save_data_AVG.mat", {"pred": np.arange(12.0).reshape(2, 1, 3, 2), "sampleID": [[1, 2]]}
-    )  # one animal
-    pose = read_pose3d(tmp_path / "save_data_AVG.mat", unit="m")
-    np.testing.assert_array_equal(pose.xyz_m[0], [[0, 2, 4], [1, 3, 5]])
+    for shape, animal in ((2, 3, 2), None), ((2, 1, 3, 2), None), ((1, 2, 3, 2), "track_0"):
+        file = {"pred": np.arange(12.0).reshape(shape), "sampleID": range(shape[0])}
+        savemat(tmp_path / "save_data_AVG.mat", file)
+        pose = read_pose3d(tmp_path / "save_data_AVG.mat", animal, unit="m")
+        np.testing.assert_array_equal(pose.xyz_m[0], [[0, 2, 4], [1, 3, 5]])
     path = dannce_file(tmp_path / "a.mat", skeleton={"joint_names": cell("nose", "tail")})
     assert read_pose3d(path, unit="mm").names == ("nose", "tail")
 

@@ -49,8 +49,7 @@ def read(path: Path, individual: str | None = None) -> StoredPoints:
         values, frames = label["data_3d"], label["data_frame"]
         values = values.reshape(len(values), -1, 3)
     elif "pred" in found:
-        values, frames = found["pred"], found["sampleID"]
-        values = values.reshape(len(values), *values.shape[-2:]).transpose(0, 2, 1)  # perhaps by animal
+        values, frames = found["pred"].swapaxes(-2, -1), found["sampleID"]  # perhaps by animal
     else:
         expected = "labelData with data_3d (frames, 3 for each point), or pred (frames, 3, points)"
         raise InputError(Problem(path, "data_3d", "nothing", expected))
