@@ -41,6 +41,7 @@ from recon.workflows.look import (
     first_frame_note,
     overlay_of,
     rate_note,
+    result_and_video,
     stills,
 )
 from recon.workflows.look import overlay as draw
@@ -289,12 +290,16 @@ def test_the_video_is_behind_each_still(folder, video):
 
 
 @pytest.mark.parametrize(
-    ("offset_s", "given", "levels"), [(-0.1, 10, [30, 100]), (0.2, 6, [0, 50]), (0.0, 7, [30, 100])]
+    ("offset_s", "given", "levels"),
+    [(-0.1, 10, [30, 100]), (-0.1, 13, [0, 70]), (0.2, 6, [0, 50]), (0.0, 7, [30, 100])],
 )
-def test_a_camera_that_began_at_another_time_has_frame_numbers_of_its_own(folder, video, offset_s, given, levels):
+def test_a_camera_that_began_at_another_time_has_its_own_frame_numbers(
+    folder, video, offset_s, given, levels, tmp_path
+):
     """3 frames earlier than the first camera, or 6 later, without pictures of the clip's first two frames."""
-    motion = with_first(Motion.load(folder), offset_s=offset_s)
-    drawn, rows, pictures = stills(motion, 0, PageSettings(folder=folder, video=video, first_frame=given), 2)
+    with_first(Motion.load(folder), offset_s=offset_s).save(tmp_path / "result")
+    told = PageSettings(folder=tmp_path / "result", video=video, first_frame=given)
+    drawn, rows, pictures = stills(*result_and_video(told), told, 2)
     assert pictures is not None
     np.testing.assert_allclose([picture.mean() for picture in pictures], levels, atol=8)
     assert drawn.frames[rows].tolist() == [12 if offset_s > 0 else 10, 17]

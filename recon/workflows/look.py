@@ -67,10 +67,11 @@ def result_and_video(settings: _ResultSettings, *checks: Callable[[], object]) -
         motion, info = all_of(lambda: Motion.load(settings.folder), lambda: None if video is None else probe(video))
         number, first = camera_number(motion, settings.camera_name, video), int(motion.frames.min())
         if video is not None and info is not None:
-            expected = f"{first} or less: the result begins with frame {first}"
+            last = max(first, first + settings.first_frame - first_in_clip(motion, number, settings), 0)
+            expected = f"{last} or less: the result begins with frame {last}"
             late = Problem("--first-frame", "number", str(settings.first_frame), expected)
             wrong = size_problems(video, info, motion.cameras[number])
-            refuse([*wrong, *([late] if settings.first_frame > max(first, 0) else ())])
+            refuse([*wrong, *([late] if settings.first_frame > last else ())])
         return motion, number
 
     return all_of(opened, *checks)[0]
