@@ -17,6 +17,7 @@ from recon.io import CONVERTED, read_points, write_camera, write_cameras, write_
 from recon.workflows import ConvertSettings, PageSettings, report, run_clip
 from recon.workflows import analyse as analysis
 from recon.workflows.convert import convert
+from recon.workflows.skeleton import draft_skeleton
 from tests.test_camera_track import write_track
 from tests.test_views import pose
 
@@ -30,6 +31,15 @@ def placed(name: str, centre_m: list[float], yaw: float) -> Camera:
 
 
 CAMERAS = [placed("cam1", [0.0, -7.0, 1.0], np.pi / 2), placed("cam2", [4.0, -6.0, 1.3], np.pi / 2 + 0.5)]
+
+
+SIX = [
+    *CAMERAS,
+    placed("cam3", [-4.0, -6.0, 1.3], np.pi / 2 - 0.5),
+    placed("cam4", [0.0, 7.0, 1.0], -np.pi / 2),
+    placed("cam5", [4.0, 6.0, 1.2], -np.pi / 2 - 0.5),
+    placed("cam6", [-4.0, 6.0, 1.1], -np.pi / 2 + 0.5),
+]
 
 
 def keypoints_of(body: Body, camera: Camera, first: int = 0) -> Keypoints:
@@ -70,6 +80,13 @@ def one_began_earlier(folder: Path) -> FitSettings:
     return settings_of(folder, "quadruped", CAMERAS, (0, -3))
 
 
+def six_that_began_apart(folder: Path) -> FitSettings:
+    """With the skeleton that is drafted from the names of their keypoints."""
+    names = load_skeleton("quadruped").markers
+    (folder / "drafted.toml").write_text(draft_skeleton(names, "drafted", folder)[2])
+    return settings_of(folder, folder / "drafted.toml", SIX, (0, -3, 2, 0, 1, 0))
+
+
 def bare_root(folder: Path) -> FitSettings:
     """No marker lies at the root's origin."""
     text = (Path(__file__).parents[1] / "recon" / "animal" / "skeletons" / "quadruped.toml").read_text()
@@ -104,6 +121,7 @@ CLIPS = {name: one_camera(name) for name in builtin_names()}
 ODD = ("offset", "bare root", "away")
 """Whose points are written in every format, too."""
 CLIPS |= {"away": away_for_a_minute, "offset": one_began_earlier, "bare root": bare_root, "track": followed}
+CLIPS |= {"six, drafted": six_that_began_apart}
 
 
 @pytest.mark.parametrize("clip", CLIPS)
@@ -115,7 +133,7 @@ def test_what_a_fit_writes_is_read_by_all_behind_it(clip, tmp_path, monkeypatch)
     monkeypatch.setattr(Motion, "load", cache(Motion.load))
     motion = Motion.load(out)
     assert motion.solved.sum() > FRAMES / 2
-    assert (motion.frames[0] < 0) == (clip == "offset")
+    assert (motion.frames[0] < 0) == (clip in ("offset", "six, drafted"))
     compared = evaluate_files(out / "pose3d.csv", out)
     assert len(compared.frames) - compared.frames_not_scored == motion.solved.sum()
     if clip == "away":
