@@ -126,9 +126,9 @@ def test_a_whole_animal_is_fitted_and_written(tmp_path, subject):
     report = write_clip(motion, settings, tmp_path / "out")
     assert sorted(p.name for p in (tmp_path / "out").iterdir()) == sorted(OUTPUT_FILES)
     assert (motion.side, motion.body.one_sided) == (None, False)
-    said = "by the camera's height above the ground" if subject is None else "as given (jules)"
+    said = "not measured: all metres and m/s assume average size" if subject is None else "as given (jules)"
     assert says(dict(report["lines"])["size"], said)
-    assert report["size"]["measured"] is True
+    assert report["size"]["measured"] == (subject is not None)
     assert ("Jules" in report["size"]["lengths"]) == (subject is not None)
     assert motion.solved.all()
 
