@@ -21,7 +21,7 @@ export PYRIGHT_PYTHON_IGNORE_WARNINGS := 1
 # Compiled modules are kept, whatever the environment says: the tests start many processes.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: help demo test lint ruff types tests format docs docs-version docs-figures notebooks samples benchmark wheel clean
+.PHONY: help demo test lint format docs docs-version docs-figures notebooks samples benchmark wheel clean
 
 help:
 	@echo 'make demo       reconstruct the sample clip into $(DEMO_OUT)/'
@@ -41,22 +41,14 @@ demo: $(BASE)
 	@echo
 	@echo 'The results are in $(DEMO_OUT)/. To play them back: $(BIN)/recon view $(DEMO_OUT)'
 
-# pyright keeps one processor busy for a minute, and the tests one process for each processor: they run at the same
-# time. pyright says only what is wrong, so that pytest's summary is the last line.
-test: ruff
-	@$(MAKE) --no-print-directory --jobs 2 types tests
+# pytest comes last, so that its summary is the last line. Tests run in one process for each processor.
+test: lint
+	$(BIN)/python -m pytest --numprocesses logical --maxprocesses 8 --dist worksteal
 
-lint: ruff types
-
-ruff: $(DEV)
+lint: $(DEV)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-
-types: $(DEV)
-	@found=$$($(BIN)/pyright) || { echo "$$found"; exit 1; }
-
-tests: $(DEV)
-	$(BIN)/python -m pytest --numprocesses logical --maxprocesses 8 --dist worksteal
+	$(BIN)/pyright
 
 format: $(DEV)
 	$(BIN)/ruff check --fix .
