@@ -152,15 +152,10 @@ def level_of(pose_of_trunk: ExpectedError, error: bool, warning: bool) -> Level:
     return "check" if warning or pose_of_trunk.high > LIMIT_OF_TRUNK else "use"
 
 
-def is_refused(motion: Motion) -> bool:
-    """Whether the verdict on a motion is "do not use"."""
-    return motion.verdict is not None and motion.verdict.level == "do not use"
-
-
 def usable(motion: Motion, folder: Path | str, anyway: bool) -> Motion:
     """The motion of a folder. Raises InputError for one whose verdict is "do not use", unless it is wanted anyway."""
     verdict = motion.verdict
-    if verdict is not None and is_refused(motion) and not anyway:
+    if verdict is not None and verdict.level == "do not use" and not anyway:
         found = f"do not use: {verdict.reason.rstrip('.')}"
         raise InputError(Problem(folder, "verdict", found, "a clip to be used, or --anyway"))
     return motion

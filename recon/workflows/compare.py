@@ -22,7 +22,7 @@ from rich.table import Table
 from recon.base import Array, InputError, Problem, Progress, all_of, refuse
 from recon.base.files import require_free_folder, staged_folder
 from recon.base.settings import OneOrMore, Option, Settings
-from recon.check import is_refused, names_text, usable
+from recon.check import names_text, usable
 from recon.fit import TrajectorySolution
 from recon.fit.motion import Motion
 from recon.fit.motion_forms import MOTION
@@ -82,14 +82,15 @@ def compare(settings: _CompareSettings, progress: Progress) -> Answer:
     written = [name for table in (GROUPS, STRIDES, CLIPS) for name in (table, table.replace(".csv", ".parquet"))]
     require_free_folder(out, [*written, FIGURE], settings.overwrite, "a comparison")
     loaded = dict(zip(names, all_of(*(lambda path=path: Motion.load(path) for path in folders)), strict=True))
-    motions = {name: motion for name, motion in loaded.items() if settings.anyway or not is_refused(motion)}
+    levels = {name: motion.verdict.level if motion.verdict else "" for name, motion in loaded.items()}
+    motions = {name: of for name, of in loaded.items() if settings.anyway or levels[name] != "do not use"}
     if not motions:  # said of each
         all_of(*(lambda at=at: usable(*at, anyway=False) for at in zip(loaded.values(), folders, strict=True)))
     rows, clip_rows = [], []
     for i, (name, motion) in enumerate(motions.items()):
         progress("analysis", i / len(names))
         found = analyse(motion)
-        head = {"group": of_clip[name], "clip": name, "verdict": motion.verdict.level if motion.verdict else ""}
+        head = {"group": of_clip[name], "clip": name, "verdict": levels[name]}
         own = [head | row for row in _stride_rows(found)]
         rows += own
         clip_rows.append(head | _clip_row(found, own))
