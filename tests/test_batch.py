@@ -86,7 +86,7 @@ def test_files_patterns_and_folders(clips):
     (clips / "notes.csv").write_text("day,weather\n1,rain\n")
     assert names(clips / "b.csv", clips / "a.csv") == ["b", "a"]
     assert names(clips / "[ab].csv") == ["a", "b"]
-    assert names(clips / "a.csv", clips / "[ab].csv", clips) == ["a", "b", "c"]
+    assert names(clips / "a.csv", clips / "[ab].csv", clips, clips / ".." / "clips") == ["a", "b", "c"]
     of_folder, notes = find_clips([clips], QUICK)
     assert [clip.settings.keypoints[0] for clip in of_folder] == [clips / f"{name}.csv" for name in "abc"]
     assert [says(note, clips, "no known format", "notes.csv, video.mp4") for note in notes] == [True]
@@ -116,7 +116,7 @@ def test_a_file_that_may_not_be_read_is_said(clips, monkeypatch):
 def test_no_cell_of_the_summary_is_a_formula(tmp_path):
     summary = Summary([], tmp_path)
     names = ["=1+1", "@a", "'b", "'=c", "plain"]
-    summary.rows = {name: dict.fromkeys(COLUMNS, name) | {"frames": -1} for name in names}
+    summary.rows = {name: dict.fromkeys(COLUMNS) | {"clip": name, "status": name, "frames": -1} for name in names}
     summary.write()
     with summary.path.open(newline="") as file:
         rows = list(csv.DictReader(file))
@@ -652,12 +652,49 @@ def test_the_record_has_one_row_a_clip_when_a_batch_begins(clips, tmp_path):
     assert len((out / RECORD).read_text().splitlines()) == 4
     before = Record(out / RECORD).rows
     with (out / RECORD).open("a") as file:
-        file.write(json.dumps({"schema": before["a"]["schema"], "part": "a"}))
-        file.write('\n{"schema": 1}\n[]\nnonsense\n{"part": "a", "sch')
+        file.write('{"schema": 1, "part": 3}\n{"part": "a", "sch')  # of another version, and cut off
     assert fit(found(clips), out) == [("done", ""), ("done", ""), ("new", "")]
     rows = [json.loads(line) for line in (out / RECORD).read_text().splitlines()]
     assert [(row["part"], "files" in row) for row in rows] == [("a", True), ("b", True), ("c", False), ("c", True)]
     assert Record(out / RECORD).rows.items() > before.items()
+
+
+def test_a_record_that_somebody_spoilt_is_named_by_line_and_field(clips, tmp_path):
+    out = tmp_path / "out"
+    fit(found(clips / "a.csv"), out)
+    row = Record(out / RECORD).rows["a"]
+    spoilt: list[tuple[object, str, Any]] = [
+        (row | {"identity": {"inputs": [], "version": 2}}, "identity.inputs", "a table"),
+        (row | {"files": ["manifest.json"]}, "files", "a table"),
+        (row | {"keypoints": 3}, "keypoints", "a list"),
+        ([], "content", "a table"),
+    ]
+    for line, field, expected in spoilt:
+        (out / RECORD).write_text(f"{json.dumps(row)}\n{json.dumps(line)}\n")
+        with pytest.raises(InputError) as caught:
+            plan_batch(found(clips / "a.csv"), out)
+        first = caught.value.problems[0]
+        assert (first.file, first.field, first.expected) == (f"{out / RECORD}, line 2", field, expected)
+    (out / RECORD).write_text(f"nonsense\n{json.dumps(row)}\n")
+    with refusal((f"{out / RECORD}, line 1", "content")):
+        plan_batch(found(clips / "a.csv"), out)
+    (out / RECORD).write_text(json.dumps(row | {"row": {"status": "done", "pose_mm": "wide", "verdict": ["use"]}}))
+    where = f"{out / RECORD}, row of a"
+    refused(args(clips / "a.csv", out), (where, "pose_mm", "wide", "number"), (where, "verdict", "use", "text"))
+    del row["row"]
+    (out / RECORD).write_text(json.dumps(row))
+    assert plan_batch(found(clips / "a.csv"), out)[0].action == "refit"
+
+
+def test_a_summary_that_somebody_spoilt_is_named_by_line_and_column(clips, tmp_path):
+    out = tmp_path / "out"
+    fit(found(clips / "a.csv"), out)
+    summary = out / "summary.csv"
+    kept = summary.read_text()
+    summary.write_text(kept.replace(",6,6,", ",6,many,").replace("frames,", "rows,", 1))
+    refused(["report", out], (f"{summary}, line 2", "frames_with_pose", "many", "number"))
+    summary.write_text(kept.replace("clip,", "name,"))
+    refused(["report", out], (f"{summary}, line 2", "clip", "nothing", "text"))
 
 
 def test_input_problems(clips, tmp_path):

@@ -79,6 +79,12 @@ def test_names_of_cameras_in_names_of_files(name, found):
     assert [*cameras_in(name, ["top1", "A", "B", "1", "2", "cam02", "hires_cam3_params", "int_cam4_img"])] == found
 
 
+def test_the_camera_whose_name_a_file_has_as_it_is_written_is_meant():
+    for name in ("cam1", "cam01", "Cam1"):
+        assert [*cameras_in(f"run_{name}", ["cam1", "cam01", "Cam1"])] == [name]
+    assert [*cameras_in("run_cam001", ["cam1", "cam01"])] == ["cam1", "cam01"]
+
+
 def test_cameras_in_millimetres(folder):
     def places_m(given: FitSettings) -> np.ndarray:
         return np.array([source.camera.translation_m for source in prepare(given).sources], dtype=float)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -114,7 +115,11 @@ def test_what_cannot_be_compared_is_refused(clips: Path, tmp_path: Path, whole_m
     ended = run("compare", tmp_path / "wreck", clips / "a", "--out", out)
     assert (ended.code, list(pd.read_csv(out / "clips.csv")["clip"])) == (0, ["a"])
     assert says(ended.out, "Left out", "wreck", "--anyway")
-    assert run("compare", tmp_path / "wreck", clips / "a", "--out", out, "--anyway", "--overwrite").code == 0
+    again = "compare", tmp_path / "wreck", clips / "a", "--out", out, "--overwrite", "--json"
+    said = json.loads(run(*again).out)
+    assert (said["left_out"], [group["clips"] for group in said["groups"]]) == (["wreck"], [1])
+    assert says(said["notes"][0], "Left out", "wreck")
+    assert json.loads(run(*again, "--anyway").out)["left_out"] == []
     assert list(pd.read_csv(out / "clips.csv")["clip"]) == ["wreck", "a"]
     refuses([clips], ("--out", "folder", ["groups.csv", out], "--overwrite"))
     (tmp_path / "mine").mkdir()

@@ -377,7 +377,7 @@ def test_pages_of_a_batch_are_made_beside_each_other(batch, monkeypatch):
     with (batch / "good" / "motion.npz").open("ab") as file:
         file.write(b"more")
     ended = run("report", batch)
-    assert ended.code == 0
+    assert ended.code == 1
     assert pages == []
     assert "good: " in ended.err
     assert "motion.npz" in ended.err  # other than the manifest says

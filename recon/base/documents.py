@@ -14,6 +14,7 @@ import warnings
 import zipfile
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from functools import cache
 from importlib import resources
 from importlib.resources.abc import Traversable
 from io import BytesIO
@@ -116,9 +117,12 @@ def parse_toml(text: str, source: str | Path, expected: str = "TOML") -> dict[st
 _Model = TypeVar("_Model")
 
 
+_adapter = cache(TypeAdapter)  # takes longer to make than a table to check
+
+
 def validated(model: type[_Model], table: Mapping[str, Any], source: str | Path) -> _Model:
     """A table as a model, pydantic's or a dataclass. Raises InputError with everything that is wrong with it."""
-    adapter = TypeAdapter(model)
+    adapter = _adapter(model)
     try:
         return adapter.validate_python(table)
     except ValidationError as error:

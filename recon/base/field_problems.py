@@ -39,6 +39,7 @@ def problems_of(
     for one in error.errors():
         way, kind = one["loc"][within:], one["type"]
         field = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in way).removeprefix(".")
+        field = field or "content"
         if kind in _UNKNOWN:
             known = _table_at(schema or {}, way[:-1]).get("properties", {})
             yield Problem(source, field, "an unknown field", f"one of {', '.join(known)}" if known else "no such field")

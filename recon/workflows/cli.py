@@ -80,7 +80,7 @@ class Answer:
     files: Sequence[Path] = ()
     """What was written, where a stage of `recon run` has to know it."""
     notes: Sequence[str] = ()
-    """What is wrong with the video, likewise."""
+    """What a reader should know before using it: printed behind the lines, and by `recon run` once for all stages."""
 
     def show(self, console: Console, as_json: bool) -> None:
         """Print it, and end with its exit code."""
@@ -88,6 +88,8 @@ class Answer:
             typer.echo(self.data if isinstance(self.data, str) else _json(self.data), nl=False)
         for line in () if as_json else self.lines:
             console.print(line) if isinstance(line, Table) else say(console, line)
+        for note in () if as_json else self.notes:
+            say(console, f"note: {note}")
         for error in self.errors:
             terminal(stderr=True, soft_wrap=True).print(error_text(error))
         if self.errors or self.code:

@@ -449,7 +449,8 @@ def _cameras_in_file(settings: FitSettings, tracks: Sequence[io.CameraTrack]) ->
 
 def cameras_in(stem: str, names: Iterable[str]) -> dict[str, re.Match[str]]:
     """Which cameras' names a file's name has, and where: cam1 is in run_cam1DLC, not in run_cam10; A is in run-A, not
-    in run-Alex. If a file's name has camA or cam-1, the cameras A and 1 are looked for nowhere else in it."""
+    in run-Alex; cam1 is in run_cam01, unless there is a cam01. If a file's name has camA or cam-1, the cameras A and 1
+    are looked for nowhere else in it."""
     # cam1 is also cam_01 and Camera1, what Pose2Sim calls int_cam01_img, and DANNCE hires_cam1_params
     called = {
         name: re.fullmatch(r"(?:int_|hires_)?([A-Za-z]+)[-_ ]?0*([0-9]+)(?:_img|_params)?", name) for name in names
@@ -463,8 +464,9 @@ def cameras_in(stem: str, names: Iterable[str]) -> dict[str, re.Match[str]]:
         patterns = {name: rf"(?<![0-9A-Za-z]){before}{spelt[name]}{ends[name]}" for name in spelt}
         matches = {name: re.search(pattern, stem, re.IGNORECASE) for name, pattern in patterns.items()}
         found = {name: match for name, match in matches.items() if match is not None}
+        as_written = {match.span(): name for name, match in found.items() if match[0].endswith(name)}
         if found:
-            return found
+            return {name: match for name, match in found.items() if as_written.get(match.span(), name) == name}
     return {}
 
 

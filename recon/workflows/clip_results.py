@@ -7,7 +7,7 @@ import json
 import os
 import time
 from collections.abc import Iterable, Mapping
-from dataclasses import MISSING, replace
+from dataclasses import MISSING, dataclass, field, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,7 @@ from pydantic import TypeAdapter
 from recon import io
 from recon.animal.prior import load_prior
 from recon.base import InputError, Problem, Progress, read_manifest, silent, sole_writer, staged_results
-from recon.base.documents import read_toml
+from recon.base.documents import parse_json, read_toml, validated
 from recon.base.files import MANIFEST, require_free_folder, sha256_of, write_text
 from recon.base.package import version
 from recon.base.settings import on_command_line
@@ -137,12 +137,32 @@ def identity_of(files: Mapping[str, Path], settings: Mapping[str, Any]) -> dict[
     return {"inputs": inputs, "settings": dict(settings), "version": version()}
 
 
+@dataclass(frozen=True)
+class _Identity:
+    inputs: dict[str, str | None]
+    settings: dict[str, Any]
+    version: str
+
+
+@dataclass(frozen=True)
+class _Line:
+    """A line of a record; what follows `identity` is there once the part has ended, the last two as it is noted."""
+
+    part: str
+    identity: _Identity
+    files: dict[str, str] = field(default_factory=dict)
+    keypoints: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+    row: dict[str, Any] = field(default_factory=dict)
+
+
 class Record:
     """What each part of a work was made from, and what became of it: lines of JSON, of which the last of a part counts.
 
     Only one process writes it. A part has a row before it begins and another one, with the files that it wrote, when it
-    has ended: what a run that is killed at any moment leaves does not look finished. Rows that are damaged, as by a
-    full disk, and those of other versions count as none.
+    has ended: what a run that is killed at any moment leaves does not look finished. Rows of other versions count as
+    none, and so does the last one where it is cut off, as by a full disk. Raises InputError for any other that a
+    record cannot have.
     """
 
     def __init__(self, path: Path) -> None:
@@ -153,13 +173,17 @@ class Record:
             lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
         except OSError:
             return
-        for line in lines:
+        for number, line in enumerate(lines, 1):
+            where = f"{path}, line {number}"
             try:
-                row = json.loads(line)
-                if row["schema"] == SCHEMA and {*row["identity"]} >= {"inputs", "settings", "version"}:
-                    self.rows[row["part"]] = row
-            except (ValueError, KeyError, TypeError, RecursionError):
-                continue
+                row = parse_json(line, where)
+            except InputError:
+                if number < len(lines):
+                    raise
+                break
+            if not isinstance(row, dict) or row.get("schema") == SCHEMA:
+                validated(_Line, row, where)
+                self.rows[row["part"]] = row
 
     def tidy(self) -> None:
         """Leave the last row of each part, before others come behind it."""

@@ -112,7 +112,8 @@ def compare(settings: _CompareSettings, progress: Progress) -> Answer:
             f"Probably of one run, by their cameras' folder, frames and paths, and yet each counted as a clip: "
             f"{names_text(twice)}. Give one result of each run, best that of all its cameras."
         )
-    return Answer(groups.to_dict("records"), [*_lines(clips, groups, out), *notes])
+    data = {"groups": groups.to_dict("records"), "left_out": left_out, "notes": notes}
+    return Answer(data, _lines(clips, groups, out), notes=notes)
 
 
 _Seen = dict[tuple[Path, str], Path]

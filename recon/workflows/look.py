@@ -31,8 +31,8 @@ from recon.show.page.pages import clip_page, jpeg
 from recon.show.report import REPORT
 from recon.workflows.analyse import FOLDER, PLAYBACK
 from recon.workflows.analyse import SUMMARY as ANALYSIS
-from recon.workflows.batch import SUMMARY, write_summary_page
-from recon.workflows.cli import ANYWAY, FIRST_FRAME, Answer, error_text, say, terminal, verdict_texts
+from recon.workflows.batch import SUMMARY, read_rows, write_summary_page
+from recon.workflows.cli import ANYWAY, FIRST_FRAME, Answer, say, verdict_texts
 from recon.workflows.clip import cameras_in
 
 SLOW_FPS = 30.0
@@ -142,8 +142,7 @@ def overlay(settings: OverlaySettings, progress: Progress = silent) -> Answer:
     notes = [note for note in (first_frame_note(motion, settings), rate_note(video, motion.fps), of_times) if note]
     said = f"{count} frames at {speed:.3g} times their speed ({fps:.4g} a second) are in {out}."
     data = {"out": out, "frames": count, "fps": fps, "speed": speed, "notes": notes}
-    lines = [*verdict_texts(motion.verdict), *(f"note: {note}" for note in notes), said]
-    return Answer(data, lines, files=[out], notes=notes)
+    return Answer(data, [*verdict_texts(motion.verdict), said], files=[out], notes=notes)
 
 
 def stills(
@@ -242,6 +241,8 @@ def report(settings: PageSettings, progress: Progress = silent) -> Answer:
     replaced.
 
     Example: recon report results/clip --video clip.mp4
+
+    Exit code 1: a page of a batch could not be made; the others are there.
     """
     folder, page, video = settings.folder, settings.folder / PAGE, settings.video
     if (folder / SUMMARY).is_file() and not (folder / REPORT).is_file():
@@ -256,9 +257,9 @@ def report(settings: PageSettings, progress: Progress = silent) -> Answer:
     files = [name for name in names if (folder / name).is_file()]
     html = clip_page(motion, shown, None if video is None else video.name, files, number)
     write_text(page, html)
-    note = first_frame_note(motion, settings)
-    said = [f"note: {note}"] if note else []
-    return Answer({"page": page, "failed": {}}, [*said, f"Open {page} in a browser."], files=[page])
+    notes = [*filter(None, [first_frame_note(motion, settings)])]
+    data = {"page": page, "failed": {}, "notes": notes}
+    return Answer(data, [f"Open {page} in a browser."], files=[page], notes=notes)
 
 
 def _pages_of_batch(out: Path, video: Path | None, progress: Progress) -> Answer:
@@ -267,6 +268,7 @@ def _pages_of_batch(out: Path, video: Path | None, progress: Progress) -> Answer
         raise InputError(Problem("--video", "file", f"{video} for many clips", "the folder of one clip's results"))
     failed: dict[str, str] = {}
     with sole_writer(out):
+        read_rows(out / SUMMARY)  # raises InputError before any work
         clips = [path.parent for path in sorted(out.glob(f"*/{REPORT}"))]
         done = 0
 
@@ -280,9 +282,8 @@ def _pages_of_batch(out: Path, video: Path | None, progress: Progress) -> Answer
 
         carry_out(_page_of, [(clip.name, clip.absolute()) for clip in clips], tell)
         page = write_summary_page(out)
-    for clip, error in failed.items():
-        terminal(stderr=True, soft_wrap=True).print(error_text(f"{clip}: {error}"))
-    return Answer({"page": page, "failed": failed}, [f"Open {page} in a browser."])
+    errors = [f"{clip}: {error}" for clip, error in failed.items()]
+    return Answer({"page": page, "failed": failed}, [f"Open {page} in a browser."], errors)
 
 
 def _page_of(folder: Path, progress: Progress) -> dict[str, str]:

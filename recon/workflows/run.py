@@ -220,7 +220,7 @@ def _carry_out(name: str, stage: _Stage, job: _Job, record: Record, again: bool,
         made = stage.work(progress)
         record.note(name, known, files=digests(made.files, out), notes=[*made.notes])
     row = record.rows[name]
-    return _StageOutcome(name, status, time.perf_counter() - began, tuple(row["files"]), tuple(row["notes"]))
+    return _StageOutcome(name, status, time.perf_counter() - began, tuple(row["files"]), tuple(row.get("notes", ())))
 
 
 def _require_own(name: str, stage: _Stage, is_first: bool, changed: Sequence[Path]) -> None:

@@ -281,8 +281,8 @@ FIRST = ("failed", "unsolved", "pending")
 NUMBERS = {
     "pose_mm": ("pose off by, mm", ".0f"),
     "position_m": ("position off by, m", ".2f"),
-    "frames": ("frames", "d"),
-    "outliers": ("outliers", "d"),
+    "frames": ("frames", ".0f"),
+    "outliers": ("outliers", ".0f"),
     "mean_reprojection_px": ("mean reprojection, px", ".1f"),
     "mean_speed_m_s": ("mean m/s", ".1f"),
     "peak_speed_m_s": ("peak m/s", ".1f"),
@@ -325,7 +325,7 @@ def _clip_row(out: Path, cells: Mapping[str, str]) -> dict[str, Any]:
     known = {name: spec for name, (_, spec) in NUMBERS.items() if cells[name]}
     return {
         "cells": {**cells, "error": FOLDERS.sub("", cells["error"])},
-        "numbers": {n: format((int if spec == "d" else float)(cells[n]), spec) for n, spec in known.items()},
+        "numbers": {n: format(float(cells[n]), spec) for n, spec in known.items()},
         "page": f"{cells['clip']}/{PAGE}" if (folder / PAGE).is_file() else None,
         "doubtful": doubtful,
         "share": (doubtful or 0) / max(1.0, float(cells["frames"] or 0)),

@@ -546,7 +546,7 @@ def predict_command(settings: PredictSettings, progress: Progress) -> Answer:
     likely = f"{sure:.0%} of the points have a likelihood of {LIKELY:g} or more"
     said = f"{speed}; {likely}. They are in {settings.out}{drawn}."
     data = {**picked(settings, "out", "overlay"), "frames": frames, "seconds": seconds, "likely_share": sure}
-    return Answer(data | {"notes": keypoints.notes}, [said, *(f"note: {note}" for note in keypoints.notes)])
+    return Answer(data | {"notes": keypoints.notes}, [said], notes=keypoints.notes)
 
 
 def run_prediction(video: Path, model: Path, out: Path, *, progress: Progress = silent, **options: Any) -> Keypoints:

@@ -18,18 +18,20 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Field
+from pydantic import Field, create_model
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 from threadpoolctl import threadpool_limits
 
 from recon.base import Brief, InputError, Problem, Progress, all_of, problems_of, refuse, sole_writer
+from recon.base.documents import validated
 from recon.base.files import MANIFEST, require_free_folder, seen_from, staged_file, write_text
 from recon.base.package import version
 from recon.base.parallel import STARTING, Event, Tell, carry_out, carry_out_on_cluster
 from recon.base.settings import Count, Integer, OneOrMore, Option, Settings
 from recon.fit.result import LEVELS
+from recon.io.common import text_rows
 from recon.show.page import SUMMARY_PAGE, require_own_page
 from recon.show.report import STYLES, is_unsolved, warnings
 from recon.workflows.batch.inputs import SUMMARY, Clip
@@ -52,6 +54,11 @@ COLUMNS = (
     *RESULTS,
     *("seconds", "attempts", "settings_hash", "inputs_hash"),
 )
+_TEXTS = ("keypoints", "out", "error", "verdict", "reason", "settings_hash", "inputs_hash")
+_CELLS: dict[str, Any] = {name: (str | None if name in _TEXTS else float | None, None) for name in COLUMNS}
+_CELLS |= {"clip": (str, ...), "status": (str, ...)}
+_Row = create_model("_Row", **_CELLS)
+"""What the cells of a row of the summary may be."""
 STATUSES = ("done", "done earlier", "unsolved", "failed", "pending")
 """unsolved: fitted, but no frame has a pose. pending: not tried, because the batch was interrupted."""
 WRITE_EVERY_S = 0.5
@@ -101,10 +108,13 @@ def _planned(clip: Clip, out: Path, record: Record, overwrite: bool) -> ClipPlan
     why, changed = record.look(clip.name, mine, out)
     if row is None or (out / MANIFEST in changed and (out / MANIFEST).exists()):
         raise InputError(Problem(out, "folder", "results that no batch has made", expected))
-    before = beside(out.parent, "keypoints", row["keypoints"])
+    before = beside(out.parent, "keypoints", row.get("keypoints", ()))
     if not {*before} & {*map(str, clip.settings.keypoints)} and not _keypoints(row["identity"]) & _keypoints(mine):
         raise InputError(Problem(out, "folder", f"results of {', '.join(before)}", expected))
-    return ClipPlan(clip, out, "refit", why, mine) if why else ClipPlan(clip, out, "done", "", mine, row["row"])
+    if why or "row" not in row:
+        return ClipPlan(clip, out, "refit", why, mine)
+    validated(_Row, {"clip": clip.name, **row["row"]}, f"{record.path}, row of {clip.name}")
+    return ClipPlan(clip, out, "done", "", mine, row["row"])
 
 
 def _keypoints(known: Mapping[str, Any]) -> set[str]:
@@ -133,15 +143,15 @@ def input_problems(clips: Sequence[Clip], shared_only: bool = False) -> list[Pro
 def repeated(each: Sequence[Problems]) -> list[tuple[Problem, tuple[int, ...]]]:
     """What several clips have in common is said once, whatever the files are called: each problem, and the places among
     all clips of those that have the same."""
-    found: dict[tuple[str, str, str], dict[int, Problem]] = {}
+    found: dict[tuple[str, str, str], list[tuple[int, Problem]]] = {}
     for place, problems in enumerate(each):
-        for problem in problems:
-            found.setdefault((problem.field, problem.found, problem.expected), {}).setdefault(place, problem)
+        for one in problems:
+            found.setdefault((one.field, one.found, one.expected), []).append((place, one))
     said = []
-    for by_place in found.values():
-        file, *others = dict.fromkeys(str(problem.file) for problem in by_place.values())
-        named = f"{file} and {len(others)} more files" if others else file
-        said.append((replace(next(iter(by_place.values())), file=named), tuple(by_place)))
+    for same in found.values():
+        file, *others = dict.fromkeys(str(one.file) for _, one in same)
+        named = f"{file} and {counted(len(others), 'more file')}" if others else file
+        said.append((replace(same[0][1], file=named), tuple(dict.fromkeys(place for place, _ in same))))
     return said
 
 
@@ -303,10 +313,16 @@ def write_summary_page(out: Path) -> Path:
 
 
 def read_rows(path: Path) -> list[dict[str, str]]:
-    """The rows of a summary.csv as they were before `Summary.write` made texts of formulas."""
-    with path.open(encoding="utf-8", newline="") as file:
-        rows = list(csv.DictReader(file))
-    return [{name: x[1:] if x[:1] == "'" and _is_formula(x) else x for name, x in row.items()} for row in rows]
+    """The rows of a summary.csv as they were before `Summary.write` made texts of formulas. Raises InputError."""
+    found, checks = [], []
+    (_, header), *rows = [*text_rows(path)] or [(1, [])]
+    for line, cells in rows:
+        texts = [x[1:] if x[:1] == "'" and _is_formula(x) else x for x in cells]
+        found.append(dict.fromkeys(COLUMNS, "") | dict(zip(header, texts, strict=False)))
+        known = {name: x for name, x in found[-1].items() if x}
+        checks.append(partial(validated, _Row, known, f"{path}, line {line}"))
+    all_of(*checks)
+    return found
 
 
 def _row(planned: ClipPlan, out: Path) -> dict[str, Any]:

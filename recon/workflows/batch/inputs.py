@@ -209,14 +209,16 @@ def _why_left_out(path: Path) -> str:
 
 
 def _without_repeats(drafts: Sequence[_Draft]) -> list[_Draft]:
-    """A file that two patterns name is one clip, and files of its frames are; the rows of a manifest are all meant."""
+    """A file that two patterns name is one clip, and files of its frames are, by whatever way to their folder; the rows
+    of a manifest are all meant."""
     seen: set[Path] = set()
     kept = []
     for draft in drafts:
-        if draft.where is not None or not (draft.title in seen or seen.issuperset(draft.paths)):
+        title, *paths = (path.parent.resolve() / path.name for path in (draft.title, *draft.paths))
+        if draft.where is not None or not (title in seen or seen.issuperset(paths)):
             kept.append(draft)
         if draft.where is None:
-            seen.update((*draft.paths, draft.title))
+            seen.update((title, *paths))
     return kept
 
 
