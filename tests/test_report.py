@@ -299,6 +299,8 @@ def test_size_says_what_it_comes_from(trajectory, small_trajectory):
     assert dict(summary_lines(tall))["size"] == "as given (--height-m 0.8), ±6%"
     odd = build_report(with_solution(small_trajectory, size=0.7), {})
     assert numbers(odd, "size_unexpected") == {"size": 0.7, "expected_sigma": 0.1}
+    odder = build_report(with_solution(small_trajectory, size=0.6), {})
+    assert numbers(odder, "size_impossible") == {"size": 0.6, "expected_sigma": 0.1}
 
 
 def test_ground_and_stances(trajectory, small_trajectory, world_trajectory):

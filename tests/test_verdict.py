@@ -31,6 +31,24 @@ def test_the_most_serious_finding_decides(small_trajectory):
     assert verdict_lines(wrong.verdict) == (f"do not use: {wrong.verdict.reason}",)
 
 
+def test_of_several_errors_the_cause_is_the_reason(small_trajectory):
+    numbers = {"cameras": ("one", "two"), "error_px": 200.0, "level": 40.0}
+    follows = finding("frame_rate", other_hz=46.0, given_hz=60.0), finding("too_fast", speed_m_s=50.0)
+    warned = finding("ground_elsewhere", height_m=1.0, sigma_m=0.1)
+    judged_so = judged(replace(small_trajectory, findings=(warned, *follows, finding("cameras_exchanged", **numbers))))
+    errors = ["cameras_exchanged", "frame_rate", "too_fast"]
+    assert [one.code for one in judged_so.findings][:3] == errors
+    assert "exchanged" in judged_so.verdict.reason
+
+
+def test_errors_that_a_warning_doubts_are_said_to_be_so(whole_results):
+    warned = finding("ground_elsewhere", height_m=1.0, sigma_m=0.1)
+    verdict = judged(replace(Motion.load(whole_results), findings=(warned,))).verdict
+    assert verdict is not None
+    assert (verdict.level, verdict.warned) == ("check", True)
+    assert verdict.lines[1].startswith("apart from that, pose off by")
+
+
 def test_a_clip_to_be_used_names_keypoints_that_do_not_fit(whole_results):
     named = finding("keypoints_do_not_fit", keypoints=("l_hip",), share=0.8, used=40)
     verdict = judged(replace(Motion.load(whole_results), findings=(named,))).verdict

@@ -37,7 +37,8 @@ CODES: Mapping[str, tuple[Severity, str]] = {
     code: (row["severity"], row["text"])
     for code, row in tomllib.loads(builtin_file("check", "codes.toml").read_text(encoding="utf-8")).items()
 }
-"""Severity and sentence, by code, from `codes.toml`; in the order of a summary."""
+"""Severity and sentence, by code, from `codes.toml`; causes before what follows from them."""
+_SERIOUS: tuple[Severity, ...] = ("error", "warning", "note")
 
 
 def finding(code: str, frames: tuple[int, int] | None = None, camera: str | None = None, **numbers: Any) -> Finding:
@@ -46,9 +47,9 @@ def finding(code: str, frames: tuple[int, int] | None = None, camera: str | None
 
 
 def ordered(findings: Sequence[Finding]) -> tuple[Finding, ...]:
-    """In the order of `CODES`; those of one code stay as they come."""
+    """The most serious first, then in the order of `CODES`; those of one code stay as they come."""
     place = {code: i for i, code in enumerate(CODES)}
-    return tuple(sorted(findings, key=lambda one: place[one.code]))
+    return tuple(sorted(findings, key=lambda one: (_SERIOUS.index(one.severity), place[one.code])))
 
 
 def sentence(one: Finding, named: bool = True) -> str:

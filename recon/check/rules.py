@@ -40,8 +40,8 @@ FEW_FRAMES = 12
 """Fewer tell little more than one does."""
 SIZE_SIGMAS = 2.5
 """A size further off what is expected, in standard deviations, says that something else is wrong."""
-LOG_SIZE_MOST = math.log(2.0)
-"""No grown animal is twice or half as large as its kind: of whom that is not expected, it is not so."""
+SIZE_SIGMAS_MOST, LOG_SIZE_MOST = 4.0, math.log(2.0)
+"""No grown animal is further off its kind, nor twice or half as large: of whom that is not expected, it is not so."""
 OF_PICTURE = ("keypoints_y_up", "picture_upside_down", "picture_turned", "world_not_z_up", "other_camera_named")
 """Codes after which the ground says nothing."""
 UNITS_PER_M = {"inches": 39.37, "cm": 100.0, "mm": 1000.0}
@@ -52,7 +52,7 @@ SUBJECT_SIGMAS = 3.0
 
 
 def findings_of(motion: Motion) -> tuple[Finding, ...]:
-    """All findings of a motion, those that it has and those of the rules, in the order of their codes."""
+    """All findings of a motion, those that it has and those of the rules, in the order of a summary."""
     solution = motion.solution
     own = [*motion.findings, *solution.findings()]
     rules = COMMON
@@ -223,7 +223,8 @@ def solution_unusual(motion: Motion) -> Iterator[Finding]:
     if solution.status != "converged":
         yield finding("not_converged")
     if abs(solution.size - 1) > SIZE_SIGMAS * solution.size_prior_sigma:
-        code = "size_impossible" if abs(math.log(solution.size)) > LOG_SIZE_MOST else "size_unexpected"
+        most = min(SIZE_SIGMAS_MOST * solution.size_prior_sigma, LOG_SIZE_MOST)
+        code = "size_impossible" if abs(math.log(solution.size)) > most else "size_unexpected"
         yield finding(code, size=solution.size, expected_sigma=solution.size_prior_sigma)
     if speed > FASTEST_M_S:
         yield finding("too_fast", speed_m_s=speed)

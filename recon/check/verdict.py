@@ -140,9 +140,10 @@ def _verdict(motion: Motion) -> Verdict:
     reason = why if pose.high > LIMIT_OF_TRUNK else "Nothing in the clip speaks against it."
     if level == "use" and (notes := [one for one in motion.findings if one.code == "keypoints_do_not_fit"]):
         reason = f"Good but for this: {_said(motion, notes[0])}"
-    if warnings and level != "do not use":
+    warned = bool(warnings) and level != "do not use"
+    if warned:
         reason = _said(motion, warnings[0])
-    return Verdict(level, reason, pose.times(evidence.trunk_m), pose, position)
+    return Verdict(level, reason, pose.times(evidence.trunk_m), pose, position, warned)
 
 
 def level_of(pose_of_trunk: ExpectedError, error: bool, warning: bool) -> Level:

@@ -74,6 +74,8 @@ class Verdict(Brief):
     """The same, relative to the length of the trunk."""
     position_m: ExpectedError | None = None
     """Distance of the mean of all joints from its true place, mean over the frames."""
+    warned: bool = False
+    """Whether a warning, the reason, says that errors may be larger."""
 
     @property
     def lines(self) -> tuple[str, ...]:
@@ -82,7 +84,8 @@ class Verdict(Brief):
         if self.pose_m is None or self.pose_of_trunk is None or self.position_m is None:
             return (said,)
         share = f"{self.pose_of_trunk.expected:.0%} of the trunk's length"
-        return said, f"pose off by {self.pose_m.in_words}, {share}; position by {self.position_m.in_words}"
+        apart = "apart from that, " if self.warned else ""
+        return said, f"{apart}pose off by {self.pose_m.in_words}, {share}; position by {self.position_m.in_words}"
 
 
 SHAPES = {
