@@ -6,6 +6,8 @@ The cheetah-runs and plate-trials of $RECON_SHARED_DATA, or of ../shared/data: e
 lengths of the animal where there are any, two cameras, and all, as `recon fit` fits them; and every view with `WORSE`
 detections, which count less (`WORSE_WEIGHT`). The constants of `recon.check.verdict` are fitted to all runs but one, by
 least squares in logarithms, and that run is judged with them; the last row, of all runs, is what stands in the code.
+What pixels do not say is fitted to what these leave, as clips as they are have little of it. So is the spread; the code
+has more of it where pixels say everything, for the sake of clips of 15 frames.
 The mistakes that double an error, and the verdicts on them, are in `wrong_inputs.py` and `mistakes.py`.
 """
 
@@ -128,6 +130,7 @@ def evidence(of: pd.Series) -> Evidence:
 def fit(table: pd.DataFrame) -> dict[str, float]:
     """The constants: "constant", and the powers by name; in logarithms of the error relative to the trunk."""
     factors = pd.DataFrame([evidence(one).factors for _, one in table.iterrows()])
+    unseen = factors.pop("unseen")
     error = np.log(table["pose_mm"].to_numpy() / 1000 / table["trunk_m"].to_numpy())
     weight = np.where(table["label"].isin(AS_IT_IS), 1.0, WORSE_WEIGHT)
     middle, spread = factors.mean(), factors.std()
@@ -137,7 +140,16 @@ def fit(table: pd.DataFrame) -> dict[str, float]:
     normal = (scores * weight[:, None]).T @ scores + RIDGE * np.eye(scores.shape[1])
     slopes = np.linalg.solve(normal, (scores * weight[:, None]).T @ (error - mean)) / spread.to_numpy()
     constant = mean - slopes @ (middle.to_numpy() + centre * spread.to_numpy())
-    return {"constant": float(constant), **dict(zip(factors.columns, slopes, strict=True))}
+    left = error - constant - factors @ slopes
+    found = {"constant": float(constant), **dict(zip(factors.columns, slopes, strict=True))}
+    return found | {"unseen": float(left @ unseen / (unseen @ unseen))}
+
+
+def spreads(table: pd.DataFrame) -> list[float]:
+    """The spread of what is left, `verdict.SPREAD` and `verdict.SPREAD_UNSEEN`, by least squares in its square."""
+    squares = np.log(table["pose_mm"] / table["expected mm"]).to_numpy() ** 2
+    known = np.stack([np.ones(len(table)), table["unseen"].to_numpy() ** 2], axis=1)
+    return [float(np.sqrt(max(of, 0.0))) for of in np.linalg.lstsq(known, squares, rcond=None)[0]]
 
 
 def judge(table: pd.DataFrame, constants: dict[str, float]) -> pd.DataFrame:
@@ -187,12 +199,13 @@ def main() -> None:
     left_out = pd.concat([judge(table[table["run"] == run], constants[run]) for run in runs])
     if arguments.csv:
         left_out.to_csv(arguments.csv, index=False)
-    header = ["left out", *(names := ["constant", *verdict.POWERS])]
-    rows = [[run, *(f"{constants[run][name]:.3f}" for name in names)] for run in runs]
-    of_all = fit(table)
-    spread = np.log(left_out["pose_mm"] / left_out["expected mm"]).std()
-    print_table(header, [*rows, ["none", *(f"{of_all[name]:.3f}" for name in names)]])
-    print(f"\nSpread of the logarithm that is left: {spread:.3f}\n")
+    names = ["constant", *verdict.POWERS]
+    rows = []
+    for run, of in (constants | {"none": fit(table)}).items():
+        left = spreads(left_out[left_out["run"] != run])
+        rows.append([run, *(f"{value:.3f}" for value in (*(of[name] for name in names), *left))])
+    print_table(["left out", *names, "spread", "of what is unseen"], rows)
+    print()
     print_table(
         COLUMNS,
         [

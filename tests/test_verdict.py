@@ -75,6 +75,16 @@ def test_expected_errors(small_trajectory):
     assert expected_pose_of_trunk(less_sure).expected > 1.5 * pose.expected
 
 
+def test_what_no_pixel_says_makes_the_error_larger_and_less_sure(small_trajectory):
+    solution, evidence = small_trajectory.solution, evidence_of(small_trajectory)
+    hidden = replace(solution, data_share=np.zeros_like(solution.data_share))
+    less = evidence_of(replace(small_trajectory, solution=hidden))
+    assert 0 < evidence.unseen < less.unseen == pytest.approx(1)
+    pose, wider = expected_pose_of_trunk(evidence), expected_pose_of_trunk(less)
+    assert wider.expected > pose.expected
+    assert wider.high / wider.low > 2 * pose.high / pose.low
+
+
 def test_how_well_a_focal_length_is_known_is_expected_of_the_position(small_trajectory):
     evidence = evidence_of(small_trajectory)
     vague = evidence_of(replace(small_trajectory, settings={**small_trajectory.settings, "focal_sigma": 0.5}))
@@ -90,10 +100,10 @@ def test_the_summary_says_what_one_camera_cannot_tell(small_trajectory):
     assert "assumed" not in dict(given.verdict_lines(replace(motion, verdict=known, sources=2 * motion.sources), None))
 
 
-@pytest.mark.parametrize("name", ["posterior_m", "misfit", "distance_m", "end_on"])
+@pytest.mark.parametrize("name", ["posterior_m", "misfit", "distance_m", "end_on", "unseen"])
 def test_worse_evidence_expects_more(small_trajectory, name):
     evidence = evidence_of(small_trajectory)
-    worse = replace(evidence, **{name: 1.0 if name == "end_on" else 3 * getattr(evidence, name)})
+    worse = replace(evidence, **{name: 1.0 if name in ("end_on", "unseen") else 3 * getattr(evidence, name)})
     assert expected_pose_of_trunk(worse).expected > expected_pose_of_trunk(evidence).expected
 
 

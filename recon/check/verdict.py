@@ -22,15 +22,17 @@ from recon.fit.result import Level
 LIMIT_OF_TRUNK = 0.2
 """A mean error of the joints as large as this, of the trunk's length, spoils most uses: with a cheetah 14 cm. A clip is
 to be used if its error is below that with 95 %, and not to be used if it is above more likely than not."""
-POWERS = {"posterior": 0.66, "distance": 0.14, "end_on": 0.78}
-SCALE, SPREAD = -1.30, 0.25
-"""The constant of the logarithm of the pose's error by the trunk, and the standard deviation in runs left out."""
-USUAL = {"posterior": -2.4, "distance": 1.9, "end_on": 0.05}
+POWERS = {"posterior": 0.66, "distance": 0.14, "end_on": 0.78, "unseen": 0.80}
+SCALE, SPREAD, SPREAD_UNSEEN = -1.30, 0.23, 0.45
+"""The constant of the logarithm of the pose's error by the trunk; its standard deviation in runs left out where pixels
+say everything; and another where they say nothing, since what only the prior says is off by the same in all frames."""
+USUAL = {"posterior": -2.4, "distance": 1.9, "end_on": 0.05, "unseen": 0.0}
 """`Evidence.factors` of a view like most."""
 WHY = {
     "posterior": "The detections leave the poses too uncertain.",
     "distance": "The animal is far away, so that the poses are uncertain.",
     "end_on": "The animal is seen from the front or the back, which hardly shows its pose: a camera at its side does.",
+    "unseen": "Much of the animal is hardly ever detected: its pose there is only what is usual.",
 }
 _SIGMAS = 1.645
 """5 % of a normal distribution lie further up."""
@@ -59,6 +61,8 @@ class Evidence:
     """The distance from the nearest camera."""
     end_on: float
     """The cosine between the trunk and the line of sight of the camera that sees the animal most from the side."""
+    unseen: float
+    """The part of the joints' variance that is not from the pixels; 0 by a method that solves each frame by itself."""
     position_sigma_m: float
     """As the posterior states, and with what is said of one camera's focal length: the distance goes with it."""
 
@@ -69,6 +73,7 @@ class Evidence:
             "posterior": math.log(self.posterior_m * math.sqrt(self.misfit) / self.trunk_m),
             "distance": math.log(self.distance_m / self.trunk_m),
             "end_on": self.end_on**8,
+            "unseen": self.unseen**4,
         }
 
 
@@ -77,25 +82,25 @@ def evidence_of(motion: Motion) -> Evidence:
     solution, posed = motion.solution, motion.solved
     joints_m, relative = solution.joints_m[posed], solution.relative_covariance_m2[posed]
     middle_m = joints_m.mean(axis=1)
-    variance = np.trace(relative, axis1=2, axis2=3)
+    variance, unseen = np.trace(relative, axis1=2, axis2=3), np.zeros(joints_m.shape[1])
     if isinstance(solution, TrajectorySolution):
+        unseen = 1.0 - np.nan_to_num(solution.data_share, nan=1.0)
         from_middle_m = np.linalg.norm(joints_m - middle_m[:, None], axis=-1)
         variance = variance - (from_middle_m * solution.size_sigma / solution.size) ** 2
+    variance = np.maximum(variance, _LEAST_M2)
     of_middle = np.trace((solution.covariance_m2[posed] - relative).mean(axis=1), axis1=1, axis2=2)
     rear, front = motion.forward
     trunk_m = joints_m[:, front] - joints_m[:, rear]
     sights_m = [middle_m - np.broadcast_to(view.centre_m, (len(posed), 3))[posed] for view in solution.views]
-    misfits = [segment.prior_misfit for segment in solution.segments if segment.prior_misfit is not None]
     distance_m = min(float(np.linalg.norm(sight_m, axis=-1).mean()) for sight_m in sights_m)
     stated = (motion.settings.get("focal_sigma") or 0.0) if len(motion.sources) == 1 else 0.0
     return Evidence(
         trunk_m=float(np.linalg.norm(trunk_m, axis=-1).mean()),
-        posterior_m=(_FRAME_BY_FRAME if solution.jitters else 1.0)
-        * _MEAN_OF_NORM
-        * float(np.sqrt(np.maximum(variance, _LEAST_M2)).mean()),
-        misfit=max(misfits, default=1.0),
+        posterior_m=(_FRAME_BY_FRAME if solution.jitters else 1.0) * _MEAN_OF_NORM * float(np.sqrt(variance).mean()),
+        misfit=max((one.prior_misfit for one in solution.segments if one.prior_misfit is not None), default=1.0),
         distance_m=distance_m,
         end_on=min(float(np.abs(_cosine(trunk_m, sight_m)).mean()) for sight_m in sights_m),
+        unseen=float(np.average(unseen, weights=variance.mean(axis=0))),
         position_sigma_m=math.hypot(float(np.sqrt(np.maximum(of_middle, 0.0)).mean()), stated * distance_m),
     )
 
@@ -107,13 +112,13 @@ def _cosine(a: Array, b: Array) -> Array:
 def expected_pose_of_trunk(evidence: Evidence) -> ExpectedError:
     """The mean error of the joints, both poses centred, relative to the length of the trunk."""
     middle = SCALE + sum(POWERS[name] * value for name, value in evidence.factors.items())
-    return ExpectedError(*(math.exp(middle + off * SPREAD) for off in (0.0, -_SIGMAS, _SIGMAS)))
+    reach = _SIGMAS * math.hypot(SPREAD, SPREAD_UNSEEN * evidence.unseen)
+    return ExpectedError(*map(math.exp, (middle, middle - reach, middle + reach)))
 
 
 def expected_position(evidence: Evidence) -> ExpectedError:
     """How far the animal's middle is off, mean over the frames: in one clip, nearly all of it is common to them."""
-    low, high = radius(0.05), radius(0.95)
-    return ExpectedError(_MEAN_OF_SIGMA, low, high).times(evidence.position_sigma_m)
+    return ExpectedError(_MEAN_OF_SIGMA, radius(0.05), radius(0.95)).times(evidence.position_sigma_m)
 
 
 def judged(motion: Motion) -> Motion:
@@ -123,8 +128,8 @@ def judged(motion: Motion) -> Motion:
 
 
 def _verdict(motion: Motion) -> Verdict:
-    errors = [one for one in motion.findings if one.severity == "error"]
-    if errors:  # what is expected of errors does not hold for data that are none of this animal, camera or time
+    if errors := [one for one in motion.findings if one.severity == "error"]:
+        # what is expected of errors does not hold for data that are none of this animal, camera or time
         return Verdict("do not use", _said(motion, errors[0]))
     if not motion.solved.any():
         return Verdict("do not use", "No frame has a pose.")
@@ -135,8 +140,7 @@ def _verdict(motion: Motion) -> Verdict:
     warnings = [one for one in motion.findings if one.severity == "warning"]
     level = level_of(pose, error=False, warning=bool(warnings))
     # the factor that is furthest above what it is in a good view
-    off = {name: POWERS[name] * (value - USUAL[name]) for name, value in evidence.factors.items()}
-    why = WHY[max(off, key=lambda name: off[name])]
+    why = WHY[max(WHY, key=lambda name: POWERS[name] * (evidence.factors[name] - USUAL[name]))]
     reason = why if pose.high > LIMIT_OF_TRUNK else "Nothing in the clip speaks against it."
     if level == "use" and (notes := [one for one in motion.findings if one.code == "keypoints_do_not_fit"]):
         reason = f"Good but for this: {_said(motion, notes[0])}"
