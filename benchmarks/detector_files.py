@@ -64,7 +64,7 @@ UNSEEN = 10
 
 def detected(names: Sequence[str], bundled: str | None) -> np.ndarray:
     """(T, K, 3): x, y and likelihood of the sample's keypoints under these names; NaN where it has none."""
-    file, of = read_keypoints(SAMPLES / "whole.csv"), {} if bundled is None else load_names(bundled).names
+    file, of = read_keypoints(SAMPLES / "whole.csv"), {} if bundled is None else load_names(bundled)
     values = np.empty((len(file.frames), len(names), 3))
     values[:] = np.append(np.nanmean(file.xy_px, axis=(0, 1)), 0.95)
     values[..., :2] = np.nanmean(file.xy_px, axis=1, keepdims=True)

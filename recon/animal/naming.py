@@ -11,7 +11,9 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from difflib import SequenceMatcher
+from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 from recon.animal.body import SIDE_WORD, SIDES, opposite_word, side_of
 from recon.animal.chain import builtin_chains
@@ -46,9 +48,18 @@ class NameMap:
     names: Mapping[str, str]
     """The skeleton's by the file's, empty for those that are left out."""
 
+    def get(self, name: str, otherwise: Any = None) -> Any:
+        """What the skeleton calls a keypoint of the file, or something otherwise. A map that comes with the package has
+        it however its side and words are written: left_carpus, LeftCarpus, carpus_L."""
+        return self.names.get(name, self._by_words.get(_written(name), otherwise))
+
+    @cached_property
+    def _by_words(self) -> dict[tuple[str | None, ...], str]:
+        return {_written(name): new for name, new in self.names.items() if self.source in builtin_maps()}
+
     def common(self, names: Iterable[str], wanted: Iterable[str]) -> int:
         """How many of the wanted names a file with these names then has."""
-        return len({self.names.get(name, name) for name in names} & {*wanted})
+        return len({self.get(name, name) for name in names} & {*wanted})
 
 
 def builtin_maps() -> tuple[str, ...]:
@@ -103,13 +114,13 @@ def new_names(names: Sequence[str], by: NameMap, source: str) -> tuple[list[int]
 
     Raises InputError where none of the map's names is in the file, or two keypoints would have the same.
     """
-    known = [name for name in names if name in by.names]
+    known = [name for name in names if by.get(name) is not None]
     if not known:
         found = f"{', '.join(by.names)}: none of them in {source}"
         raise InputError(Problem(by.source, "names", found, f"some of {', '.join(names)}"))
     olds: dict[str, list[str]] = {}
     for name in names:
-        olds.setdefault(by.names.get(name, name), []).append(name)
+        olds.setdefault(by.get(name) if name in known else name, []).append(name)
     left_out = olds.pop("", [])
     problems = [
         Problem(by.source, "names", f"{new!r} for {', '.join(several)}", "it for one of them only")
@@ -194,12 +205,17 @@ def _likeness(a: str, b: str) -> float:
     """From 0 to 1; 0 between the sides."""
     if side_of(a) != side_of(b):
         return 0.0
-    words_a, words_b = _words(a), _words(b)
-    if sorted(words_a) == sorted(words_b):
+    if _written(a) == _written(b):
         return 1.0
+    words_a, words_b = _words(a), _words(b)
     if ({*words_a} ^ {*words_b}) & {"front", "back"}:
         return 0.0
     return SequenceMatcher(None, "".join(words_a), "".join(words_b), autojunk=False).ratio()
+
+
+def _written(name: str) -> tuple[str | None, ...]:
+    """The side and the words of a name, which are the same in whatever order and case."""
+    return side_of(name), *sorted(_words(name))
 
 
 def _words(name: str) -> list[str]:

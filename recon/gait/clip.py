@@ -20,12 +20,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from recon.base import Array, Bools, Brief, InputError, Problem, decimals
+from recon.base import Array, Bools, Brief, InputError, Problem
 from recon.clip import frame_ranges
 from recon.fit import MEASURED_SHARE, Motion, TrajectorySolution
 from recon.gait import kinematics, phase
 from recon.gait.dynamics import Dynamics, dynamics
-from recon.gait.gait import BODY, Gait, Stride, gait, interval_of, pose_tracks
+from recon.gait.gait import BODY, Gait, Stride, gait, interval_of, interval_text, pose_tracks
 from recon.gait.kinematics import MIN_POINTS, AngleKinematics, Errors, JointKinematics, at_frames
 from recon.io.common import Pose3D
 
@@ -195,8 +195,7 @@ class ClipAnalysis(Brief):
         if not self.motion.jitters:
             return None
         peak, sigma = self.reference_motion.peak_speed_m_s, self.reference_motion.peak_speed_sigma_m_s
-        form = decimals(peak)
-        return f"its peak is {peak:{form}} ± {sigma:{form}} m/s" if sigma > SPEED_KNOWN * peak else None
+        return f"its peak is {interval_text(peak, sigma, 'm/s')}" if sigma > SPEED_KNOWN * peak else None
 
     @property
     def during_stride(self) -> Bools:

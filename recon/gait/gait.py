@@ -43,7 +43,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from recon.base import Array, Bools, Brief, length_text, mean, median
+from recon.base import Array, Bools, Brief, decimals, length_text, mean, median
 from recon.clip import frame_ranges
 from recon.fit.posterior import radius
 from recon.gait import kinematics
@@ -267,6 +267,13 @@ def interval_of(value: Any, sigma: Any) -> tuple[Any, Any, Any]:
     """A value, or an array of them, and what holds it with `INTERVAL`."""
     reach = radius(INTERVAL) * sigma
     return value, value - reach, value + reach
+
+
+def interval_text(value: float, sigma: float, unit: str, sign: str = "") -> str:
+    """As in 16.2 m/s (90 %: 14.2 to 18.1); the value alone where sigma is NaN. sign: + with a sign."""
+    _, low, high = interval_of(value, sigma)
+    form = sign + decimals(max(abs(value), -low, high))
+    return f"{value:{form}} {unit}" + f" (90 %: {low:{form}} to {high:{form}})" * (not np.isnan(sigma))
 
 
 # -- tracks ----------------------------------------------------------------------------------------------------------

@@ -26,6 +26,7 @@ from recon.base import Array, decimals, finite, length_text, mean, median, versi
 from recon.clip import COUNTS
 from recon.fit import MEASURED_SHARE, Motion, MotionSegment, Picture, TrajectorySolution
 from recon.gait import G_M_S2, ClipAnalysis, Gait
+from recon.gait.gait import interval_text
 from recon.gait.kinematics import MIN_POINTS, JointKinematics, frame_jitter_m, jitter_errors, point_kinematics
 from recon.show.plain import by_name, file_name, frame_count, number, picked, to_plain
 from recon.show.plain import to_json as to_json
@@ -697,12 +698,12 @@ def build_report(motion: Motion) -> dict[str, Any]:
 
 def in_sentences(motion: Motion, moved: JointKinematics, gait: Gait | None, doubt: str | None) -> Iterator[str]:
     """The movement of the reference joint and the gait; doubt: why no speed is known."""
-    sigma, run_m_s = moved.peak_speed_sigma_m_s, motion.solution.constant_velocity_m_s
+    most, sigma = moved.peak_speed_m_s, moved.peak_speed_sigma_m_s
+    run_m_s = motion.solution.constant_velocity_m_s
     if doubt is None:
-        form, of_path = decimals(moved.peak_speed_m_s), decimals(moved.distance_m)
-        spread = "" if np.isnan(sigma) else f" ± {sigma:{form}}"
+        form, of_path = decimals(most), decimals(moved.distance_m)
         # a peak below its own deviation is not known
-        peak = "" if sigma > moved.peak_speed_m_s else f" and {moved.peak_speed_m_s:{form}}{spread} m/s at most"
+        peak = "" if sigma > most else f" and at most {interval_text(most, sigma, 'm/s')}"
         yield (
             f"The animal moved {moved.distance_m:{of_path}} m, at {moved.mean_speed_m_s:{form}} m/s on average{peak}."
         )

@@ -14,14 +14,14 @@ from rich.table import Table
 from rich.text import Text
 from threadpoolctl import threadpool_limits
 
-from recon.base import Progress, decimals, mean, median, silent
+from recon.base import Progress, mean, median, silent
 from recon.base.files import require_free_folder, sole_writer, staged_folder
 from recon.base.settings import Option, Positive, Settings
 from recon.check import sentence, usable, verdict_fields
 from recon.fit.motion import MEASURED_SHARE, Motion
 from recon.gait.clip import ClipAnalysis, analyse
 from recon.gait.dynamics import OVER_STRIDE, Dynamics, findings_of_dynamics, over_stride
-from recon.gait.gait import Gait, Stride, doubtful_text, interval_of
+from recon.gait.gait import Gait, Stride, doubtful_text, interval_of, interval_text
 from recon.show.plain import picked, to_json
 from recon.show.report import in_sentences
 from recon.show.tables import TABLES, write_analysis
@@ -100,10 +100,7 @@ def _lines(found: ClipAnalysis, summary: Mapping[str, Any]) -> Iterator[str | Te
     yield from in_sentences(motion, found.reference_motion, found.gait, found.why_no_speed)
     net, sigma = found.net_acceleration_m_s2
     if math.isfinite(net):
-        _, low, high = interval_of(net, sigma)
-        form = f"+{decimals(max(-low, high))}"
-        interval = f"{low:{form}} to {high:{form}}"
-        yield f"Acceleration along the way, over the whole clip: {net:{form}} m/s² (90 %: {interval})."
+        yield f"Acceleration along the way, over the whole clip: {interval_text(net, sigma, 'm/s²', '+')}."
     if "spine_flexion" in found.angles:
         low, high = (math.degrees(angle) for angle in found.angles["spine_flexion"].range_rad)
         yield f"Flexion of the spine: {low:+.0f}° to {high:+.0f}° (positive: arched up)."

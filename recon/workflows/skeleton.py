@@ -312,7 +312,7 @@ def draft_skeleton(names: Sequence[str], title: str, source: Path) -> SkeletonDr
 def _understood(names: Sequence[str], markers: Sequence[str]) -> dict[str, str]:
     """Markers by keypoint: of the same name, of the built-in map that knows most of them, or a near miss."""
     maps = animal.fitting_maps(names, markers)
-    by = animal.load_names(maps[0]).names if maps else {}
+    by = animal.load_names(maps[0]) if maps else {}
     known: dict[str, str] = {}
     for name in names:
         marker = by.get(name, name)
