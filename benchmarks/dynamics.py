@@ -258,7 +258,7 @@ def simulated_row(name: str, run: Run, fps: float, frames: int, fore: tuple[floa
 
 
 def main() -> None:
-    runs, rows, tables = trials(), [], []
+    runs, rows, tables, carried = trials(), [], [], []
     for kind in ("single views", "both cameras"):
         found: list[dict[str, float]] = []
         for run in runs:
@@ -269,7 +269,20 @@ def main() -> None:
                     camera=tuple(run / f"cam{c}.toml" for c in cameras),
                     fps=about["fps"],
                 )
-                found += against_plates(run, analyse(fit_clip(settings)), about["fps"])
+                analysed = analyse(fit_clip(settings))
+                of_clip = against_plates(run, analysed, about["fps"])
+                found += of_clip
+                if analysed.gait is not None:
+                    impulse_bw_s = measured(run)[0].to_numpy().sum() / about["fps"]
+                    rms = np.sqrt(np.mean([row["rms"] ** 2 for row in of_clip]))
+                    carried.append(
+                        [
+                            run.name,
+                            "+".join(map(str, cameras)),
+                            f"{impulse_bw_s / analysed.gait.stride_s:.2f}",
+                            f"{rms:.2f}",
+                        ]
+                    )
         if found:
             table = pd.DataFrame(found)
             tables.append((kind, table))
@@ -289,6 +302,8 @@ def main() -> None:
         print_table(
             ["of", *parts], [[kind, *(f"{np.sqrt((t[x] ** 2).mean()):.2f}" for x in parts)] for kind, t in tables]
         )
+        print("\nBy clip, and of what share of a body weight the plates' forces are the mean over its stride:\n")
+        print_table(["trial", "cameras", "body weights", "RMS"], carried)
     for how, as_stated in (("of its own size and keypoints", False), ("both off as the skeleton states", True)):
         if dogs := dog_rows(as_stated):
             head = ["clip", "speed in 90 %, independent", "off, stated, m/s", "net acceleration, 90 %, true, m/s²"]

@@ -41,7 +41,7 @@ from recon.clip import View, clean, still_view
 from recon.fit import TrajectoryOptions, TrajectorySolution, constants, solve_trajectory
 from recon.fit.points import solve_points
 from recon.fit.posterior import radius, sigmas
-from recon.gait.clip import POSE_LASTS_S, POSITION_LASTS_S
+from recon.gait.clip import POSE_LASTS, POSITION_LASTS, lasts_s
 from recon.gait.evaluation import aligned, joint_errors, score
 from recon.gait.kinematics import Errors, series_kinematics
 from recon.geometry.frames import inverse, moved, rigid
@@ -419,10 +419,10 @@ def rates(runs: Sequence[Path]) -> dict[str, Rows]:
     with multiprocessing.Pool(2) as pool:
         found = pool.map(_rate_errors, views(runs), chunksize=1)
     rows = []
-    for part, lasts_s in (("pose", POSE_LASTS_S), ("place", POSITION_LASTS_S)):
+    for part in ("pose", "place"):
         values = np.concatenate([f[part] for f in found])
         root = np.sqrt(np.mean(values**2, axis=0))
-        row: dict[str, object] = {"errors of the": part, "last s": lasts_s}
+        row: dict[str, object] = {"errors of the": part}
         for name, i in (("position m", 0), ("velocity m/s", 2), ("acceleration m/s2", 4)):
             row |= {f"{name}, error": root[i], f"{name}, sigma": root[i + 1]}
         rows.append(row)
@@ -439,13 +439,14 @@ def _rate_errors(job: Job) -> dict[str, np.ndarray]:
     pose_m2, place_m2 = (_in_camera(solution, c) for c in (solution.relative_covariance_m2, of_middle))
     by_size = solution.size_sigma / solution.size * middle
     parts = {
-        "pose": (found - middle - truth_m + true_middle, pose_m2, 0 * found, POSE_LASTS_S),
-        "place": (middle - true_middle, place_m2, by_size, POSITION_LASTS_S),
+        "pose": (found - middle - truth_m + true_middle, pose_m2, 0 * found, POSE_LASTS),
+        "place": (middle - true_middle, place_m2, by_size, POSITION_LASTS),
     }
     rows = {}
-    for part, (off, covariance, size_m, lasts_s) in parts.items():
+    last_s = lasts_s(found, meta_of(job.run)["fps"])
+    for part, (off, covariance, size_m, lasts) in parts.items():
         rest = np.sqrt(np.maximum(np.diagonal(covariance, axis1=2, axis2=3) - size_m**2, 1e-12))
-        errors = Errors(size_m, np.inf), Errors(rest, lasts_s)
+        errors = Errors(size_m, np.inf), Errors(rest, lasts * last_s)
         rows[part] = np.concatenate(
             [_rate_rows(time_s, off[:, j], [e[:, j] for e in errors]) for j in range(off.shape[1])]
         )

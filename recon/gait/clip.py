@@ -5,8 +5,9 @@ exact splines are mostly noise: paths and angles are then smoothed by their own 
 from the smoothed ones.
 
 Errors of a fit with uncertainty are taken for three kinds that last for different times: the animal's size, which puts
-it further from a single camera in every frame alike; the place of the whole animal; and the pose. The times of the
-latter two are those at which the deviations of velocities are not too small in the mean for real runs (`python
+it further from a single camera in every frame alike; the place of the whole animal; and the pose. The latter two change
+as the errors of detections do and as the animal moves: they last for the root of the times of both
+(`lasts_s`), as much longer as makes the deviations of velocities not too small in the mean for real runs (`python
 benchmarks/trajectory.py --only rates`).
 """
 
@@ -22,7 +23,7 @@ import numpy as np
 
 from recon.base import Array, Bools, Brief, InputError, Problem
 from recon.clip import frame_ranges
-from recon.fit import MEASURED_SHARE, Motion, TrajectorySolution
+from recon.fit import MEASURED_SHARE, Motion, TrajectorySolution, constants
 from recon.gait import kinematics, phase
 from recon.gait.dynamics import Dynamics, dynamics
 from recon.gait.gait import BODY, Gait, Stride, gait, interval_of, interval_text, pose_tracks
@@ -32,8 +33,12 @@ from recon.io.common import Pose3D
 if TYPE_CHECKING:
     import pandas as pd
 
-POSITION_LASTS_S, POSE_LASTS_S = 0.2, 0.05
-"""`Errors.correlation_s` of the animal's place and of the joints relative to their mean."""
+POSITION_LASTS, POSE_LASTS = 2.0, 0.6
+"""So many times as long as `lasts_s` says errors of the animal's place last, and those of the joints relative to their
+mean. Both are from running cheetahs; for a dog's walk, which is three times slower, they are right to a twentieth."""
+RUNNING_S = 0.1
+"""What `lasts_s` says of an animal that runs. By that the feet of all stand: with their own the stances of a dog that
+walks come out 5 to 20 % too short."""
 SPEED_KNOWN = 0.1
 """The standard deviation of a peak speed, relative to it, up to which speeds count as known."""
 UNSEEN_S = 0.2
@@ -59,6 +64,11 @@ class ClipAnalysis(Brief):
         return self.motion.reference
 
     @cached_property
+    def errors(self) -> Sequence[Errors]:
+        """Errors of the size, the position and the pose, by the jitter where the fit does not give them over time."""
+        return _errors(self.motion, lasts_s(self.motion.upright.xyz_m, self.motion.fps))
+
+    @cached_property
     def pose(self) -> Pose3D:
         """What angles, gait and fields are worked out from, upright; smoothed where the motion jitters."""
         pose = self.motion.upright
@@ -82,14 +92,14 @@ class ClipAnalysis(Brief):
     def moved(self, name: str, with_size: bool = True) -> JointKinematics:
         """The motion of a joint on the fine grid; its deviations without the size's if that is taken as given."""
         motion = self.motion
-        errors = [error for error in _errors(motion) if with_size or error.correlation_s < np.inf]
+        errors = [error for error in self.errors if with_size or error.correlation_s < np.inf]
         return kinematics.joint_kinematics(motion.upright, name, motion.fps, errors, smooth=motion.jitters)
 
     @cached_property
     def angles(self) -> dict[str, AngleKinematics]:
         """The angle at every inner joint of a chain and the flexion of the spine, where the skeleton has one."""
         # A common displacement of all joints turns none of the angles.
-        errors = () if self.motion.jitters else _errors(self.motion)[-1:]
+        errors = () if self.motion.jitters else self.errors[-1:]
         found, fps, (rear, front) = {}, self.motion.fps, self.motion.forward_names
         for along in limb_chains(self.motion).values():
             for i in range(1, len(along) - 1):
@@ -109,7 +119,7 @@ class ClipAnalysis(Brief):
         """The angles that the fit itself has, by name."""
         motion = self.motion
         sigma = np.maximum(np.nan_to_num(motion.posture_sigma_rad), 1e-6)
-        stated = [[Errors(of_one, POSE_LASTS_S)] for of_one in sigma.T]
+        stated = [[Errors(of_one, self.errors[-1].correlation_s)] for of_one in sigma.T]
         errors = map(kinematics.jitter_errors, motion.posture_rad.T) if motion.jitters else stated
         of_angles = zip(motion.posture_names, motion.posture_rad.T, errors, strict=True)
         return {
@@ -124,9 +134,10 @@ class ClipAnalysis(Brief):
         if not motion.foot_names:
             return None
         body = BODY if set(BODY) <= {*self.pose.names} else motion.forward_names
-        segments, errors = [segment.rows for segment in motion.segments], _errors(motion)
-        seen, feet = _seen(motion, self.pose), motion.foot_names
-        return gait(pose_tracks(seen, motion.fps, errors, feet, body, segments, restless=motion.jitters))
+        segments, seen = [segment.rows for segment in motion.segments], _seen(motion, self.pose)
+        errors = _errors(motion, RUNNING_S)
+        tracks = pose_tracks(seen, motion.fps, errors, motion.foot_names, body, segments, restless=motion.jitters)
+        return gait(tracks)
 
     @cached_property
     def standing(self) -> Bools:
@@ -159,13 +170,13 @@ class ClipAnalysis(Brief):
     @cached_property
     def dynamics(self) -> Dynamics | None:
         """Centre of mass, energy and vertical forces; None of a skeleton without masses, or of one side."""
-        return dynamics(self.motion, self.gait, _errors(self.motion))
+        return dynamics(self.motion, self.gait, self.errors)
 
     @property
     def net_acceleration_m_s2(self) -> tuple[float, float]:
         """`net_acceleration` of the reference joint."""
         points_m, at = self.motion.upright.xyz_m, self.motion.names.index(self.reference)
-        errors = [error[:, at] for error in _errors(self.motion)]
+        errors = [error[:, at] for error in self.errors]
         return kinematics.net_acceleration(self.motion.time_s, points_m[:, at], errors)
 
     @property
@@ -263,21 +274,30 @@ def limb_chains(motion: Motion) -> dict[str, tuple[str, ...]]:
     return chains
 
 
-def _errors(motion: Motion) -> Sequence[Errors]:
-    """Errors of the size, the position and the pose, by the jitter where the fit does not give them over time."""
+def _errors(motion: Motion, last_s: float) -> Sequence[Errors]:
     if motion.jitters:
         return kinematics.lasting_errors(motion.upright.xyz_m, motion.fps)
     # What is common to all joints; the relative errors of a single one can be larger than its absolute ones.
     floor = 1e-4
     position = np.sqrt(np.maximum(motion.upright_sigma_m**2 - motion.upright_relative_sigma_m**2, floor**2))
-    pose = np.maximum(motion.upright_relative_sigma_m, floor)
-    of_pose, solution = Errors(pose, POSE_LASTS_S), motion.solution
+    of_pose = Errors(np.maximum(motion.upright_relative_sigma_m, floor), POSE_LASTS * last_s)
+    solution = motion.solution
     if not isinstance(solution, TrajectorySolution) or len(solution.views) != 1:
-        return Errors(position, POSITION_LASTS_S), of_pose
+        return Errors(position, POSITION_LASTS * last_s), of_pose
     from_camera_m = solution.joints_m - solution.views[0].centre_m[:, None]
     by_size = solution.size_sigma / solution.size * from_camera_m
     rest = np.sqrt(np.maximum(position**2 - by_size**2, floor**2))
-    return Errors(by_size, np.inf), Errors(rest, POSITION_LASTS_S), of_pose
+    return Errors(by_size, np.inf), Errors(rest, POSITION_LASTS * last_s), of_pose
+
+
+def lasts_s(xyz_m: Array, fps: float) -> float:
+    """The root of the times for which errors of detections last and in which the pose (T, J, 3) changes, the latter at
+    most as long: the root mean square of how far joints are, relative to their mean, from where they are on average,
+    over that of how fast they are."""
+    from_mean_m = xyz_m - xyz_m.mean(axis=1, keepdims=True)
+    far_m, speed_m_s = from_mean_m - np.nanmean(from_mean_m, axis=0), fps * np.diff(from_mean_m, axis=0)
+    changes_s = np.sqrt(np.nanmean(far_m**2) / max(np.nanmean(speed_m_s**2), 1e-12))
+    return float(np.sqrt(constants.ERROR_TIME_S * min(changes_s, constants.ERROR_TIME_S)))
 
 
 def _with_sigma(

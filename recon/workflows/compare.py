@@ -26,7 +26,7 @@ from recon.check import names_text, usable
 from recon.fit import TrajectorySolution
 from recon.fit.motion import Motion
 from recon.fit.motion_forms import MOTION
-from recon.gait.clip import POSITION_LASTS_S, ClipAnalysis, analyse
+from recon.gait.clip import ClipAnalysis, analyse
 from recon.gait.kinematics import JointKinematics
 from recon.show.plots.style import COLOURS, SMALL, drawing
 from recon.workflows.cli import ANYWAY, Answer, counted, table_of
@@ -191,7 +191,7 @@ def _stride_rows(found: ClipAnalysis) -> Iterator[dict]:
             "foot": stride.foot,
             "start_s": stride.start_s,
             "speed_m_s": speed,
-            "speed_m_s_sigma": _speed_sigma(moved, stride.start_s, stride.end_s),
+            "speed_m_s_sigma": _speed_sigma(found, moved, stride.start_s, stride.end_s),
             "stride_length_m": stride.length_m,
             "stride_length_m_sigma": speed * events_s,
             "stride_frequency_hz": 1 / lasts_s,
@@ -201,10 +201,11 @@ def _stride_rows(found: ClipAnalysis) -> Iterator[dict]:
         }
 
 
-def _speed_sigma(moved: JointKinematics, start_s: float, end_s: float) -> float:
-    """The standard deviation of the mean speed in a time: errors of the path last `POSITION_LASTS_S` on either side."""
+def _speed_sigma(found: ClipAnalysis, moved: JointKinematics, start_s: float, end_s: float) -> float:
+    """The standard deviation of the mean speed in a time: errors of the path last on either side."""
     sigma = moved.speed_sigma_m_s[(moved.series.time_s >= start_s) & (moved.series.time_s <= end_s)]
-    independent = max(1.0, (end_s - start_s) / (2 * POSITION_LASTS_S))
+    last_s = max(error.correlation_s for error in found.errors if error.correlation_s < np.inf)
+    independent = max(1.0, (end_s - start_s) / (2 * last_s))
     return float(np.sqrt(np.nanmean(sigma**2) / independent)) if np.isfinite(sigma).any() else np.nan
 
 
@@ -218,7 +219,7 @@ def _clip_row(found: ClipAnalysis, strides: Sequence[dict]) -> dict:
             known = found.why_no_speed is None
             moved = found.moved(found.reference, with_size=False)
             value = moved.mean_speed_m_s if known else np.nan
-            sigma = _speed_sigma(moved, *motion.time_s[[0, -1]]) if known else np.nan
+            sigma = _speed_sigma(found, moved, *motion.time_s[[0, -1]]) if known else np.nan
         elif len(table):
             feet = table["foot"].nunique()
             scatter = table[name].std() / np.sqrt(len(table)) if len(table) > 1 else 0.0
