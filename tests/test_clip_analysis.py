@@ -16,8 +16,9 @@ from command_line import refusal, refused, run, says
 from scipy.spatial.transform import Rotation
 
 from recon import ClipAnalysis, analyse
-from recon.fit import Motion
+from recon.fit import Motion, constants
 from recon.gait import joint_kinematics, limb_chains
+from recon.gait.clip import POSE_LASTS, lasts_s
 from recon.gait.kinematics import at_frames
 from recon.io import read_pose3d
 from recon.show import build_report
@@ -77,6 +78,17 @@ def test_stated_velocity_errors_have_the_size_of_the_true_ones(whole):
         true = (truth[2:, j] - truth[:-2, j]) * 30
         z.append((series.rate[1:-1] - true) / series.rate_sigma[1:-1])
     assert 0.3 < np.sqrt(np.mean(np.square(z))) < 1.5
+
+
+def test_errors_of_a_slower_animal_last_longer(whole):
+    # At most as long as those of detections; without a pose as long.
+    pose_m = whole.motion.upright.xyz_m
+    runs_s = lasts_s(pose_m, 120.0)
+    assert lasts_s(pose_m, 60.0) == pytest.approx(np.sqrt(2) * runs_s)
+    assert lasts_s(pose_m, 1.0) == lasts_s(np.full_like(pose_m, np.nan), 60.0) == constants.ERROR_TIME_S
+    size, place, pose = (error.correlation_s for error in whole.errors)
+    assert size == np.inf
+    assert place > pose == pytest.approx(POSE_LASTS * lasts_s(pose_m, whole.motion.fps))
 
 
 def test_a_larger_animal_is_as_much_faster(whole):

@@ -295,7 +295,10 @@ def lasts_s(xyz_m: Array, fps: float) -> float:
     most as long: the root mean square of how far joints are, relative to their mean, from where they are on average,
     over that of how fast they are."""
     from_mean_m = xyz_m - xyz_m.mean(axis=1, keepdims=True)
-    far_m, speed_m_s = from_mean_m - np.nanmean(from_mean_m, axis=0), fps * np.diff(from_mean_m, axis=0)
+    speed_m_s = fps * np.diff(from_mean_m, axis=0)
+    if not np.isfinite(speed_m_s).any():
+        return constants.ERROR_TIME_S
+    far_m = from_mean_m - np.nanmean(from_mean_m, axis=0)
     changes_s = np.sqrt(np.nanmean(far_m**2) / max(np.nanmean(speed_m_s**2), 1e-12))
     return float(np.sqrt(constants.ERROR_TIME_S * min(changes_s, constants.ERROR_TIME_S)))
 
