@@ -97,6 +97,16 @@ def test_a_page_is_one_file_in_which_names_are_text(page, folder):
     assert page.text.count("\n") > 20
 
 
+def test_a_page_has_no_link_to_a_file_that_was_changed(folder, tmp_path):
+    copy = shutil.copytree(folder, tmp_path / "copy")
+    (copy / "angles.csv").write_text("x")
+    answer = report(PageSettings(folder=copy))
+    assert len(answer.notes) == 1
+    assert says(answer.notes[0], "angles.csv", "no link")
+    links = Page(answer.data["page"]).attributes("a", "href")
+    assert set(links) == set(read_manifest(folder).files) - {"angles.csv"}
+
+
 def test_the_poses_that_can_be_turned_are_the_motions(page, folder):
     """Read as the page's script does."""
     motion = Motion.load(folder)
@@ -323,6 +333,8 @@ def batch(folder, tmp_path_factory) -> Path:
         for name, status in names.items():
             row = {"clip": name, "status": status, "frames": 8, "mean_reprojection_px": 7.77, "size": 1}
             row |= {"verdict": verdicts.get(name, ""), "reason": "why not"}
+            if name == "good":
+                row |= {"reason": "Good but for this", "pose_mm": 51.2, "pose_mm_low": 33.6, "pose_mm_high": 77}
             writer.writerow(
                 row
                 if status != "failed"
@@ -348,7 +360,9 @@ def test_a_batch_has_a_table_with_what_is_to_be_looked_at_first(batch):
     assert states == [(s.replace(" ", "-"), s) for s in ("failed", "unsolved", "do not use", "check", "use")]
     assert page.attributes("a", "href") == [f"{quote(EVIL)}/report.html"]
     assert "5 clips: 1 failed, 1 unsolved, 1 do not use, 1 check, 1 use" in page.text
-    assert page.text.count("why not") == 2  # of what is to be used it would say nothing
+    assert page.text.count("why not") == 2
+    assert "useGood but for this" in page.text
+    assert "51(34 to 77)" in page.text
     assert "a.csv: <b>no</b>" in page.text
     assert "/home" not in page.html
     assert page.text.count("7.8") == 5

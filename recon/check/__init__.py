@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from recon.check.inputs import flagged, input_findings, without_gross_outliers
     from recon.check.mended import doubted, mends, without_swaps
     from recon.check.rules import findings_of
-    from recon.check.verdict import judged, usable, verdict_fields, verdict_lines
+    from recon.check.verdict import NOTHING_AGAINST, judged, usable, verdict_fields, verdict_lines
     from recon.fit.result import Finding
 
 __getattr__ = lazily(__name__, __file__)

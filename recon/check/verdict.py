@@ -34,6 +34,8 @@ WHY = {
     "end_on": "The animal is seen from the front or the back, which hardly shows its pose: a camera at its side does.",
     "unseen": "Much of the animal is hardly ever detected: its pose there is only what is usual.",
 }
+NOTHING_AGAINST = "Nothing in the clip speaks against it."
+"""The reason of "use" that needs no saying in a list of clips."""
 _SIGMAS = 1.645
 """5 % of a normal distribution lie further up."""
 _MEAN_OF_NORM = 0.92
@@ -141,7 +143,7 @@ def _verdict(motion: Motion) -> Verdict:
     level = level_of(pose, error=False, warning=bool(warnings))
     # the factor that is furthest above what it is in a good view
     why = WHY[max(WHY, key=lambda name: POWERS[name] * (evidence.factors[name] - USUAL[name]))]
-    reason = why if pose.high > LIMIT_OF_TRUNK else "Nothing in the clip speaks against it."
+    reason = why if pose.high > LIMIT_OF_TRUNK else NOTHING_AGAINST
     if level == "use" and (notes := [one for one in motion.findings if one.code == "keypoints_do_not_fit"]):
         reason = f"Good but for this: {_said(motion, notes[0])}"
     warned = bool(warnings) and level != "do not use"

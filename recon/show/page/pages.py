@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 
 from recon.animal import both_sides
 from recon.base import Array, Bools, InputError, printable, version
-from recon.check import FLAGS, verdict_lines
+from recon.check import FLAGS, NOTHING_AGAINST, verdict_lines
 from recon.fit.motion import MEASURED_SHARE, Motion
 from recon.fit.result import LEVELS
 from recon.gait import ClipAnalysis, Gait
@@ -279,8 +279,8 @@ def _angles(motion: Motion) -> dict[str, dict[str, AngleCurve]]:
 FIRST = ("failed", "unsolved", "pending")
 """The statuses that stand above all others."""
 NUMBERS = {
-    "pose_mm": ("pose off by, mm", ".0f"),
-    "position_m": ("position off by, m", ".2f"),
+    "pose_mm": ("pose off by, mm (90%)", ".0f"),
+    "position_m": ("position off by, m (90%)", ".2f"),
     "frames": ("frames", ".0f"),
     "outliers": ("outliers", ".0f"),
     "mean_reprojection_px": ("mean reprojection, px", ".1f"),
@@ -311,10 +311,10 @@ def batch_page(out: Path, rows: Sequence[Mapping[str, str]]) -> str:
 
 
 def _clip_row(out: Path, cells: Mapping[str, str]) -> dict[str, Any]:
-    """One clip: the cells of its row of summary.csv, and those that are numbers as they are shown; its page, beside the
-    summary, with forward slashes; how many of its frames are doubtful, None where there is no result, and their share;
-    its thumbnail; its state, the verdict or what has kept the clip from one; and its rank, of which the smallest is the
-    one to look at first."""
+    """One clip: the cells of its row of summary.csv; the reason of its verdict, if it says something; the numbers as
+    they are shown, each with its 90 % interval, if it has one; its page, beside the summary, with forward slashes; how
+    many of its frames are doubtful, None where there is no result, and their share; its thumbnail; its state, the
+    verdict or what has kept the clip from one; and its rank, of which the smallest is the one to look at first."""
     folder, order = out / cells["clip"], (*FIRST, *LEVELS)
     try:
         motion = Motion.load(folder)
@@ -322,10 +322,14 @@ def _clip_row(out: Path, cells: Mapping[str, str]) -> dict[str, Any]:
     except (OSError, InputError):  # failed, or damaged since
         doubtful, thumbnail = None, []
     state = cells["status"] if cells["status"] in FIRST else cells["verdict"]
-    known = {name: spec for name, (_, spec) in NUMBERS.items() if cells[name]}
+    numbers = dict[str, list[str]]()
+    for name, (_, spec) in NUMBERS.items():
+        shown = [format(float(x), spec) for end in ("", "_low", "_high") if (x := cells.get(name + end))]
+        numbers[name] = [shown[0], f"({' to '.join(shown[1:])})"] if len(shown) > 1 else shown
     return {
         "cells": {**cells, "error": FOLDERS.sub("", cells["error"])},
-        "numbers": {n: format(float(cells[n]), spec) for n, spec in known.items()},
+        "reason": cells["reason"] if state == cells["verdict"] and cells["reason"] != NOTHING_AGAINST else "",
+        "numbers": numbers,
         "page": f"{cells['clip']}/{PAGE}" if (folder / PAGE).is_file() else None,
         "doubtful": doubtful,
         "share": (doubtful or 0) / max(1.0, float(cells["frames"] or 0)),

@@ -30,6 +30,7 @@ from recon.base.files import MANIFEST, require_free_folder, seen_from, staged_fi
 from recon.base.package import version
 from recon.base.parallel import STARTING, Event, Tell, carry_out, carry_out_on_cluster
 from recon.base.settings import Count, Integer, OneOrMore, Option, Settings
+from recon.check import NOTHING_AGAINST
 from recon.fit.result import LEVELS
 from recon.io.common import text_rows
 from recon.show.page import SUMMARY_PAGE, require_own_page
@@ -496,6 +497,6 @@ def _row_text(row: Mapping[str, Any]) -> Text:
     if row["error"]:
         return text.append(f": {row['error']}")
     pose = "" if row["pose_mm"] is None else f", pose off by {row['pose_mm']:.0f} mm"
-    why = "" if level in ("", "use") else f": {row['reason']}"
+    why = "" if row["reason"] in (None, NOTHING_AGAINST) else f": {row['reason']}"
     text.append("  ").append(level, STYLES.get(level, ""))
     return text.append(f"{pose}, {row['frames']} frames, {row['seconds']:.1f} s{why}")
