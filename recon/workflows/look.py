@@ -253,11 +253,14 @@ def report(settings: PageSettings, progress: Progress = silent) -> Answer:
     tiles = draw_tiles(drawn, rows, pictures) if len(rows) else []
     shown = [(jpeg(tile), f"frame {drawn.frames[t]}") for tile, t in zip(tiles, rows, strict=True)]
     progress("figures", 0.3)
-    names = [*BESIDE, *(sorted(read_manifest(folder).files) if (folder / MANIFEST).is_file() else ())]
-    files = [name for name in names if (folder / name).is_file()]
+    written = read_manifest(folder) if (folder / MANIFEST).is_file() else None
+    changed = [Path(problem.file).name for problem in written.changed()] if written else []
+    names = [*BESIDE, *sorted(written.files if written else ())]
+    files = [name for name in names if name not in changed and (folder / name).is_file()]
     html = clip_page(motion, shown, None if video is None else video.name, files, number)
     write_text(page, html)
-    notes = [*filter(None, [first_frame_note(motion, settings)])]
+    of_changed = f"missing, or not as the fit wrote it, so that the page has no link to it: {', '.join(changed)}"
+    notes = [*filter(None, [first_frame_note(motion, settings), of_changed if changed else None])]
     data = {"page": page, "failed": {}, "notes": notes}
     return Answer(data, [f"Open {page} in a browser."], files=[page], notes=notes)
 
