@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import os
 from importlib import resources
+from pathlib import Path
 
 import pytest
+from command_line import refused
 
 from recon import InputError, read_settings
 from recon.animal import load_skeleton
@@ -80,3 +82,21 @@ def test_robots(tmp_path, change, said):
     with pytest.raises(InputError) as error:
         load_robot(tmp_path / "a.toml")
     assert said in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("option", "field", "expected"),
+    [
+        ("--camera", "cameras", "[camera]"),
+        ("--skeleton", "content", "segments"),
+        ("--subject", "content", "skeleton"),
+        ("--set=detector", "content", "keypoints"),
+    ],
+)
+def test_a_file_about_something_else_is_one_problem(tmp_path, option, field, expected):
+    other = tmp_path / "other.toml"
+    other.write_text('[project]\nname = "a"\n\n[tool.ruff]\nline-length = 120\n')
+    samples = Path(__file__).parent.parent / "data/samples"
+    given = {"--camera": samples / "camera.toml"} | {option: other}
+    args = [f"{name}={value}" for name, value in given.items()]
+    refused(["fit", samples / "whole.csv", *args, "--fps", 60, "--out", tmp_path / "out"], (other, field, "", expected))

@@ -128,7 +128,7 @@ def validated(model: type[_Model], table: Mapping[str, Any], source: str | Path)
     except ValidationError as error:
         from recon.base.field_problems import problems_of
 
-        raise InputError(problems_of(error, source, adapter.json_schema())) from None
+        raise InputError(problems_of(error, source, adapter.json_schema(), table=table)) from None
 
 
 # -- arrays ---------------------------------------------------------------------------------------------------------

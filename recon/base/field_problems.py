@@ -31,11 +31,20 @@ _UNKNOWN = ("extra_forbidden", "unexpected_keyword_argument")
 
 
 def problems_of(
-    error: ValidationError, source: str | Path, schema: Mapping[str, Any] | None = None, within: int = 0
+    error: ValidationError,
+    source: str | Path,
+    schema: Mapping[str, Any] | None = None,
+    within: int = 0,
+    table: Mapping[str, Any] | None = None,
 ) -> Iterator[Problem]:
     """Each with its field, as in legs[0].hip_m. schema: the JSON schema of what was to be read, which tells the fields
-    of a table and the types of those that are missing; within: how many steps of the way to a field go without saying.
-    """
+    of a table and the types of those that are missing; within: how many steps of the way to a field go without saying;
+    table: what was to be read, a file about something else where it has no field of the schema: one problem."""
+    fields = (schema or {}).get("properties", {})
+    if table is not None and fields and not fields.keys() & table.keys():
+        found = f"only {', '.join(map(str, table))[:60]}" if table else "nothing"
+        yield Problem(source, "content", found, f"a file with {', '.join(fields)}")
+        return
     for one in error.errors():
         way, kind = one["loc"][within:], one["type"]
         field = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in way).removeprefix(".")

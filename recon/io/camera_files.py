@@ -75,7 +75,9 @@ def read_anipose(path: Path, individual: str | None = None) -> list[CameraRecord
     document = parse_toml(read_calibration(path), path)
     expected = f'[camera] with format = "{FORMAT}", or one table per camera as Anipose and Pose2Sim write'
     tables = {key: table for key, table in document.items() if isinstance(table, dict) and key != "metadata"}
-    records = []
+    records, known = [], {key for keys in ALIASES.values() for key in keys}
+    if not any(known & table.keys() for table in tables.values()):
+        tables = {}  # a file about something else
     for section, table in _tables(path, tables, expected).items():
         bent = table.get("distortions")
         if isinstance(bent, list) and len(bent) == 1:
