@@ -33,11 +33,11 @@ FLAGS: Mapping[str, str] = {
     OUTLIERS: "the detections are not those of an animal: they are left out, and the pose comes from the frames around",
 }
 """What a flag of a frame means, in the order of a summary."""
-CODES: Mapping[str, tuple[Severity, str]] = {
-    code: (row["severity"], row["text"])
-    for code, row in tomllib.loads(builtin_file("check", "codes.toml").read_text(encoding="utf-8")).items()
-}
+_ROWS = tomllib.loads(builtin_file("check", "codes.toml").read_text(encoding="utf-8"))
+CODES: Mapping[str, tuple[Severity, str]] = {code: (row["severity"], row["text"]) for code, row in _ROWS.items()}
 """Severity and sentence, by code, from `codes.toml`; causes before what follows from them."""
+FOLLOWS = frozenset(code for code, row in _ROWS.items() if row.get("follows"))
+"""Codes of what may come of another mistake."""
 _SERIOUS: tuple[Severity, ...] = ("error", "warning", "note")
 
 
@@ -46,10 +46,12 @@ def finding(code: str, frames: tuple[int, int] | None = None, camera: str | None
     return Finding(code, CODES[code][0], frames, camera, numbers)
 
 
-def ordered(findings: Sequence[Finding]) -> tuple[Finding, ...]:
-    """The most serious first, then in the order of `CODES`; those of one code stay as they come."""
-    place = {code: i for i, code in enumerate(CODES)}
-    return tuple(sorted(findings, key=lambda one: (_SERIOUS.index(one.severity), place[one.code])))
+def summed_up(findings: Sequence[Finding]) -> tuple[Finding, ...]:
+    """The most serious first, then in the order of `CODES`; those of one code stay as they come. Where an error is no
+    consequence, without those that may be one."""
+    caused = any(one.severity == "error" and one.code not in FOLLOWS for one in findings)
+    said, place = (one for one in findings if not (caused and one.code in FOLLOWS)), [*CODES]
+    return tuple(sorted(said, key=lambda one: (_SERIOUS.index(one.severity), place.index(one.code))))
 
 
 def sentence(one: Finding, named: bool = True) -> str:

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from recon.animal import Body, builtin_names, load_skeleton, mean_speed_m_s
-from recon.check.codes import FLAG_OF, FLAGS, finding, ordered
+from recon.check.codes import FLAG_OF, FLAGS, finding, summed_up
 from recon.check.inputs import FASTEST_M_S
 from recon.fit import ALTERNATIVE_M, Finding, Motion, TrajectorySolution, constants
 
@@ -42,8 +42,6 @@ SIZE_SIGMAS = 2.5
 """A size further off what is expected, in standard deviations, says that something else is wrong."""
 SIZE_SIGMAS_MOST, LOG_SIZE_MOST = 4.0, math.log(2.0)
 """No grown animal is further off its kind, nor twice or half as large: of whom that is not expected, it is not so."""
-OF_PICTURE = ("keypoints_y_up", "picture_upside_down", "picture_turned", "world_not_z_up", "other_camera_named")
-"""Codes after which the ground says nothing."""
 UNITS_PER_M = {"inches": 39.37, "cm": 100.0, "mm": 1000.0}
 NEARLY_UNIT = 1.35
 """A camera's height that is so many times right, or wrong, is still of a unit: an animal's size is not known better."""
@@ -58,7 +56,7 @@ def findings_of(motion: Motion) -> tuple[Finding, ...]:
     rules = COMMON
     if isinstance(solution, TrajectorySolution):
         rules = (*COMMON, *OF_TRAJECTORY) if motion.solved.any() else (no_pose,)
-    return ordered([*own, *(one for rule in rules for one in rule(motion))])
+    return summed_up([*own, *(one for rule in rules for one in rule(motion))])
 
 
 # -- both methods -----------------------------------------------------------------------------------------------------
@@ -182,9 +180,7 @@ def ground_above_camera(motion: Motion) -> Iterator[Finding]:
 
 def ground_elsewhere(motion: Motion) -> Iterator[Finding]:
     """A finding on the first segment whose feet stand elsewhere than near z = 0; a camera about as many times too high
-    as there are of another unit in a metre is in that unit. Nothing where the picture or the world is another."""
-    if any(one.code in OF_PICTURE for one in motion.findings):
-        return
+    as there are of another unit in a metre is in that unit."""
     for segment in motion.solution.segments:
         ground, below = segment.ground, motion.below_m(segment)
         if ground is not None and below is not None and ground.near_zero is False:
