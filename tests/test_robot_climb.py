@@ -12,9 +12,10 @@ from command_line import refusal, refused, run, says
 from rerun.chunk import RrdReader
 from scipy.integrate import quad
 from scipy.optimize import root
-from scipy.spatial.transform import RigidTransform, Rotation
+from scipy.spatial.transform import Rotation
 
 from recon import InputError
+from recon.geometry import rigid
 from recon.wings.robotics import LEGS, Quadruped, load_recipe, load_robot
 from recon.wings.robotics.climb import Recipe, bundled, plan, raised
 from recon.wings.robotics.climb.plan import (
@@ -62,7 +63,7 @@ FIELDS = Fields(
     balance=balance(0.3),
 )
 NOWHERE = well(1e-12, 0.12, 0.1, 0.135, 1.0, 1.0)
-HERE = RigidTransform.identity()
+HERE = np.eye(4)
 
 
 def feet(seed: int) -> np.ndarray:
@@ -70,13 +71,13 @@ def feet(seed: int) -> np.ndarray:
     return HIPS * [1, 1.2, 1] + [0, 0, -0.12] + rng.normal(size=(4, 3)) * 0.01
 
 
-def torso(seed: int) -> RigidTransform:
+def torso(seed: int) -> np.ndarray:
     rng = np.random.default_rng(100 + seed)
     turned = Rotation.from_rotvec(rng.normal(size=3) * 0.15)
-    return RigidTransform.from_components(rng.normal(size=3) * 0.01, turned)
+    return rigid(turned.as_matrix(), rng.normal(size=3) * 0.01)
 
 
-def wrench_at(fields: Fields, feet_m: np.ndarray, at: RigidTransform, without: int = NONE) -> np.ndarray:
+def wrench_at(fields: Fields, feet_m: np.ndarray, at: np.ndarray, without: int = NONE) -> np.ndarray:
     return wrench(fields, HIPS, feet_m, without, _moved(at, np.zeros((1, 6))))[0]
 
 
@@ -122,9 +123,9 @@ def test_fields_act_along_the_published_directions():
         np.testing.assert_allclose(found[3:], np.cross(HIPS[1] + r, found[:3]), atol=1e-11)
 
 
-def energy(feet_m: np.ndarray, at: RigidTransform) -> float:
+def energy(feet_m: np.ndarray, at: np.ndarray) -> float:
     """By quadrature of the slopes from where they are none, and of the pull."""
-    r = at.rotation.inv().apply(feet_m - at.translation) - HIPS
+    r = (feet_m - at[:3, 3]) @ at[:3, :3] - HIPS
     ways = zip(
         (np.linalg.norm(r, axis=1), np.arctan2(r[:, 0], -r[:, 2]), np.arctan2(LEFT * r[:, 1], -r[:, 2])),
         (FIELDS.radial, FIELDS.swing, FIELDS.flap),
@@ -135,7 +136,7 @@ def energy(feet_m: np.ndarray, at: RigidTransform) -> float:
         for q, kind in ways
         for k in range(4)
     )
-    d = float(np.linalg.norm(feet_m[:, :2].mean(axis=0) - at.translation[:2]))
+    d = float(np.linalg.norm(feet_m[:, :2].mean(axis=0) - at[:2, 3]))
     return sum(of_legs) + 0.3 * quad(lambda x: np.tanh(60 * x), 0, d, epsabs=1e-14)[0]
 
 
@@ -177,10 +178,10 @@ def test_the_equilibrium_is_that_of_scipy(dofs):
     # A turn about one fixed axis, or none at all: the same rotation vector from both.
     oracle = np.zeros(6)
     oracle[list(dofs)] = root(balance, np.zeros(len(dofs)), tol=1e-13).x
-    np.testing.assert_allclose(found.translation, oracle[:3], atol=1e-8)
-    np.testing.assert_allclose(found.rotation.as_rotvec(), oracle[3:], atol=1e-7)
+    np.testing.assert_allclose(found[:3, 3], oracle[:3], atol=1e-8)
+    np.testing.assert_allclose(Rotation.from_matrix(found[:3, :3]).as_rotvec(), oracle[3:], atol=1e-7)
     if dofs == PLANAR:  # it neither rolls nor yaws
-        np.testing.assert_allclose(found.rotation.as_matrix()[1], [0, 1, 0], atol=1e-14)
+        np.testing.assert_allclose(found[1, :3], [0, 1, 0], atol=1e-14)
 
 
 def test_caps_shorten_a_step_as_a_whole():

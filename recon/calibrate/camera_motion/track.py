@@ -50,7 +50,7 @@ PICTURE_FLOOR_PX = 0.1
 MIN_PAIR_POINTS, MIN_PAIRS = 30, 4
 WIDEST = 0.7
 """The largest logarithm of a factor on the focal length that is tried."""
-STEP, STEPS, ROUNDS = 1e-3, 6, 4
+STEP, STEPS, ROUNDS, COARSE_ROUNDS = 1e-3, 6, 4, 2
 PAIR_FLOOR_PX = 0.15
 """How far all points of a pair of pictures may be off together, in pixels."""
 
@@ -451,7 +451,7 @@ def _focal_factor(camera: Camera, pairs: Sequence[_TurnedPair], limit_px: float)
     some = pairs[:: max(1, len(pairs) // 12)]
 
     def cost(log_factor: float) -> float:
-        sizes = [np.linalg.norm(_left_px(camera, pair, log_factor), axis=1) for pair in some]
+        sizes = [np.linalg.norm(_left_px(camera, pair, log_factor, COARSE_ROUNDS), axis=1) for pair in some]
         return sum(float(np.minimum(size / limit_px, 1.0).mean()) for size in sizes)
 
     log_factor = min(np.linspace(-WIDEST, WIDEST, 29).tolist(), key=cost)
@@ -476,17 +476,18 @@ def _information(camera: Camera, pair: _TurnedPair, log_factor: float) -> tuple[
     return float(weights @ (slope**2).sum(axis=1)) / sigma2, -float(weights @ (slope * left).sum(axis=1)) / sigma2
 
 
-def _left_px(camera: Camera, pair: _TurnedPair, log_factor: float) -> Array:
+def _left_px(camera: Camera, pair: _TurnedPair, log_factor: float, rounds: int = ROUNDS) -> Array:
     """(N, 2): how far the points of a pair are apart in its second picture, by the rotation that fits best then."""
     zoom = float(np.exp(log_factor))
     (a, known), (b, seen) = (turning.rays_of(camera, points_px, zoom) for points_px in (pair.a_px, pair.b_px))
     known &= seen
     turn = Rotation.from_rotvec(Rotation.from_matrix(pair.turn).as_rotvec() / zoom)  # as far in the picture
     left = np.full(pair.a_px.shape, 1e9)
-    for _ in range(ROUNDS):
+    for number in range(rounds):
+        if number:
+            turn, _ = Rotation.align_vectors(b[known], a[known], weights=_weights(left)[known])
         pixels, valid = turning.pixels_of(camera, turn.apply(np.where(known[:, None], a, b)), zoom)
         left = np.where((known & valid)[:, None], pixels - pair.b_px, 1e9)
-        turn, _ = Rotation.align_vectors(b[known], a[known], weights=_weights(left)[known])
     return left
 
 

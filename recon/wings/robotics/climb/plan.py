@@ -45,6 +45,7 @@ from recon.base.documents import FileTable, read_toml, validated
 from recon.base.errors import InputError, Problem, all_of
 from recon.base.files import name_seen_from, require_free_folder, sole_writer, staged_results
 from recon.base.settings import Number, Option, Settings
+from recon.geometry import rigid
 from recon.io.writing import write_rows
 from recon.show.plain import picked, to_json
 from recon.show.plots.style import COLOURS, GREY, PALE, SMALL, add_legend, drawing, save
@@ -359,7 +360,7 @@ def plan(robot: Quadruped, recipe: Recipe) -> Climb:
     hips, feet, pace = np.array([leg.hip_m for leg in robot.legs.values()]), recipe.feet_m, recipe.motion
     fields = recipe.primitives[0].fields
     height = float(np.mean(fields.radial.natural)) - hips[:, 2].mean()
-    torso = RigidTransform.from_translation([*feet[:, :2].mean(axis=0), height])
+    torso = rigid(np.eye(3), np.array([*feet[:, :2].mean(axis=0), height]))
     torso = goal = equilibrium(fields, hips, feet, NONE, torso, recipe.free)[0]
     rows: list[tuple] = []
 
@@ -368,11 +369,11 @@ def plan(robot: Quadruped, recipe: Recipe) -> Climb:
         nonlocal torso, goal
         for _ in range(MAX_WAIT):
             goal, count, settled = equilibrium(fields, hips, feet, without, goal, recipe.free)
-            turn = (torso.rotation.inv() * goal.rotation).as_rotvec()
-            step = np.concatenate([goal.translation - torso.translation, turn])
+            turn = Rotation.from_matrix(torso[:3, :3].T @ goal[:3, :3]).as_rotvec()
+            step = np.concatenate([goal[:3, 3] - torso[:3, 3], turn])
             short = capped(step, pace.max_step_m, pace.max_turn_rad)
             torso = _moved(torso, short)
-            rows.append((torso.as_matrix(), feet, *label, count, settled))
+            rows.append((torso, feet, *label, count, settled))
             if np.array_equal(short, step):
                 return
 
@@ -392,11 +393,12 @@ def plan(robot: Quadruped, recipe: Recipe) -> Climb:
     return Climb(recipe, posed(robot, time_s, RigidTransform.from_matrix(poses), places, standing), lifted, *others)
 
 
-def wrench(fields: Fields, hips_m: Array, feet_m: Array, without: int, torso: RigidTransform) -> Array:
-    """(N, 6): force in world axes and moment about the centre of mass in body axes on torsos (N), of all legs; balance
-    pulls to the feet without that of one leg, or `NONE`. hips_m (4, 3): in body axes; feet_m (4, 3): in the world."""
-    rotation = torso.rotation.as_matrix()
-    arm = (feet_m - torso.translation[:, None]) @ rotation
+def wrench(fields: Fields, hips_m: Array, feet_m: Array, without: int, torso: Array) -> Array:
+    """(N, 6): force in world axes and moment about the centre of mass in body axes on torsos T_world_body (N, 4, 4), of
+    all legs; balance pulls to the feet without that of one leg, or `NONE`. hips_m (4, 3): in body axes; feet_m (4, 3):
+    in the world."""
+    rotation, place_m = torso[:, :3, :3], torso[:, :3, 3]
+    arm = (feet_m - place_m[:, None]) @ rotation
     x, y, z = np.moveaxis(arm - hips_m, -1, 0)
     outwards, length = LEFT * y, np.sqrt(x * x + y * y + z * z)
     radial = fields.radial.slope(length) / length
@@ -406,15 +408,15 @@ def wrench(fields: Fields, hips_m: Array, feet_m: Array, without: int, torso: Ri
         [radial * x - swing * z, radial * y - flap * LEFT * z, radial * z + swing * x + flap * outwards], axis=-1
     )
     force, moment = (rotation @ forces.sum(axis=1)[..., None])[..., 0], np.cross(arm, forces).sum(axis=1)
-    away = feet_m[np.arange(4) != without, :2].mean(axis=0) - torso.translation[:, :2]
+    away = feet_m[np.arange(4) != without, :2].mean(axis=0) - place_m[:, :2]
     distance, balance = np.maximum(np.linalg.norm(away, axis=1), 1e-12)[:, None], fields.balance
     force[:, :2] += balance.gain * np.tanh(balance.sharpness * distance) / distance * away
     return np.concatenate([force, moment], axis=1)
 
 
 def equilibrium(
-    fields: Fields, hips_m: Array, feet_m: Array, without: int, start: RigidTransform, free: tuple[int, ...]
-) -> tuple[RigidTransform, int, bool]:
+    fields: Fields, hips_m: Array, feet_m: Array, without: int, start: Array, free: tuple[int, ...]
+) -> tuple[Array, int, bool]:
     """The torso of the least energy next to the start, how often the fields were evaluated around a place, and whether
     it was found: by Newton's method on forces and moments, with the magnitudes of the stiffness. free: which of x, y,
     z, roll, pitch, yaw are; the others as of `wrench`."""
@@ -433,10 +435,9 @@ def equilibrium(
     return torso, MAX_EVALUATIONS, False
 
 
-def _moved(torso: RigidTransform, step: Array) -> RigidTransform:
-    """Shifted in world axes and turned (rotation vector) in body axes by the step, (6,) or (N, 6)."""
-    turned = torso.rotation * Rotation.from_rotvec(step[..., 3:])
-    return RigidTransform.from_components(torso.translation + step[..., :3], turned)
+def _moved(torso: Array, step: Array) -> Array:
+    """A torso (4, 4) shifted in world axes and turned (rotation vector) in body axes by the step, (6,) or (N, 6)."""
+    return rigid(torso[:3, :3] @ Rotation.from_rotvec(step[..., 3:]).as_matrix(), torso[:3, 3] + step[..., :3])
 
 
 def swing_path(recipe: Recipe, primitive: _Primitive, start_m: Array, end_m: Array) -> Array:
