@@ -112,6 +112,11 @@ def draw_small(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(style, "_SHEET", Path(sheet.name))
 
 
+def leave_out_layout(patch: pytest.MonkeyPatch) -> None:
+    """For figures that nobody looks at: their layout takes longer than the drawing, and `test_plots.py` looks at it."""
+    patch.setattr("matplotlib.figure.Figure.get_layout_engine", lambda _: None)
+
+
 def draw_two_methods(patch: pytest.MonkeyPatch) -> None:
     """`recon ik --compare` draws only the first two of its methods."""
     write_ik_figures = ik_clip.write_figures
@@ -134,6 +139,7 @@ def optimiser() -> None:
 def page_undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     """A page has the places of its figures, and none is drawn: for tests of its words."""
     monkeypatch.setattr("recon.show.page.pages.svg_of", lambda figure: "<svg></svg>")
+    leave_out_layout(monkeypatch)
 
 
 @pytest.fixture
@@ -170,6 +176,7 @@ def of_results(made_once, whole_results) -> Callable[[str], tuple[str, Path]]:
             copy_results(whole_results, folder / "results" / "clip")
             with pytest.MonkeyPatch.context() as patch:
                 draw_small(patch)
+                leave_out_layout(patch)
                 patch.setattr(analyse, "figures_of", lambda found: dict.fromkeys(figures_of(found), empty_figure))
                 draw_two_methods(patch)
                 patch.chdir(folder)

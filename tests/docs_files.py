@@ -65,13 +65,6 @@ def _filmed_twice(folder: Path, name: str) -> None:
         (folder / f"{name}-{camera}.csv").write_text("".join(lines[:18]))
 
 
-def _video(path: Path) -> None:
-    """A video of the size that the sample's camera is calibrated for."""
-    with video_writer(path, read_camera(SAMPLES / "camera.toml").image_size_px, 60.0) as write:
-        for number in range(60):
-            write(np.full((1080, 1920, 3), 2 * number, np.uint8))
-
-
 def _sleap(path: Path) -> None:
     write_sleap(keypoints(), path)
 
@@ -194,7 +187,6 @@ FILES: dict[str, Callable[[Path], None]] = {
     "camera.toml": sample("camera.toml"),
     "truth.csv": sample("whole_truth.csv"),
     "clips": _clips,
-    "clip.mp4": _video,
     "clip.analysis.h5": _sleap,
     "pair.h5": _two_animals,
     "capture.bvh": _bvh,

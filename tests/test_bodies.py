@@ -13,6 +13,7 @@ import pytest
 import rigs
 from bodies import filmed, looking_at, running_about, walking
 from command_line import refusal, run, says
+from conftest import leave_out_layout
 from detector_files import HORSE_10, words
 from rigs import clip, scored
 from scipy.spatial.transform import Rotation
@@ -100,7 +101,7 @@ def test_a_mouse_of_a_tenth_of_a_metre(tmp_path, monkeypatch):
     assert motion.verdict.level == "use"
     assert motion.solution.size == pytest.approx(1.14, abs=0.03)
     monkeypatch.setattr("recon.show.plots.save", lambda *_: None)  # figures are made, not laid out and not written
-    monkeypatch.setattr("matplotlib.figure.Figure.get_layout_engine", lambda _: None)
+    leave_out_layout(monkeypatch)
     ended = run("analyse", tmp_path / "out", "--out", tmp_path / "analysed")
     assert (ended.code, ended.err) == (0, "")
     assert "no feet" in ended.out

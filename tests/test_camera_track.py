@@ -267,7 +267,7 @@ def test_a_world_whose_z_does_not_point_up_is_refused(tmp_path):
 def test_a_drone_that_looks_down_on_the_animal_and_follows_it(tmp_path, down_deg, rolled_deg):
     """At 12 m; where in the picture up is may be anything. The depth is known to the animal's size."""
     truth = read_pose3d(SAMPLES / "whole_truth.csv")
-    truth = replace(truth, xyz_m=truth.xyz_m[:30], frames=truth.frames[:30])
+    truth = replace(truth, xyz_m=truth.xyz_m[:16], frames=truth.frames[:16])
     turn = Rotation.from_euler("xz", [-90 - down_deg, rolled_deg], degrees=True).as_matrix()
     ahead = turn[2] / abs(turn[2, 2])
     above = truth.xyz_m.mean(axis=1) * [1, 1, 0] - 12.0 * ahead

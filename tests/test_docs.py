@@ -27,7 +27,7 @@ from urllib.parse import unquote, urlsplit
 import pytest
 import typer
 from command_line import carry_out_here, copy_results, run
-from conftest import draw_small, fit_demo_from, leave_out_playback
+from conftest import draw_small, fit_demo_from, leave_out_layout, leave_out_playback
 from docs_files import FILES, OF_PAGE
 
 from recon import find_clips
@@ -56,6 +56,7 @@ NOT_RUN = {
     r"recon report ": "tests/test_page.py",
     r"recon (fit|calibrate extrinsics) run\d?_cam": "of several cameras; tests/test_offsets.py, test_cameras.py",
     r"recon camera-motion ": "needs a video of a camera that turns; tests/test_camera_motion.py",
+    r"recon overlay ": "tests/test_overlay.py",
     r"recon doctor": "looks at this machine; tests/test_doctor.py",
 }
 """Commands, from their beginning, and why they are not run."""
@@ -207,6 +208,7 @@ def folder_after(made_once, whole_results, of_results) -> Callable[[Path, int], 
             with pytest.MonkeyPatch.context() as patch:
                 patch.chdir(folder)
                 draw_small(patch)
+                leave_out_layout(patch)
                 patch.setattr("recon.workflows.batch.carry_out", carry_out_here)
                 leave_out_playback(patch)
                 fit_demo_from(whole_results, patch)
@@ -279,6 +281,12 @@ def test_reasons_are_used():
         assert any(re.match(pattern, command + " ") for command in everything), pattern
 
 
+def not_run(page: Path) -> Iterator[str]:
+    """The commands of recon in the blocks of a page that are not run."""
+    everything = (command for block in blocks(page) if block.language == "sh" for command in commands(block))
+    return (one for one in everything if one.startswith("recon ") and reason_not_to_run(one))
+
+
 def all_options() -> Iterator[str]:
     for command in (typer.main.get_command(app), *commands_of_recon().values()):
         for parameter in command.params:
@@ -304,9 +312,8 @@ def test_options_in_the_text_exist():
     known = {*all_options(), *OTHERS_OPTIONS}
     for page in PAGES:
         text = FENCE.sub("", page.read_text(encoding="utf-8"))
-        unknown = {
-            o for code in re.findall(r"`([^`\n]+)`", text) for o in re.findall(r"(?<![\w-])--[a-z][\w-]*", code)
-        } - known
+        codes = [*re.findall(r"`([^`\n]+)`", text), *not_run(page)]
+        unknown = {o for code in codes for o in re.findall(r"(?<![\w-])--[a-z][\w-]*", code)} - known
         assert not unknown, f"{page.name}: {', '.join(sorted(unknown))}"
 
 

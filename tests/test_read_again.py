@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import leave_out_layout
 
 from recon import Camera, FitSettings, Keypoints, Motion, analyse, evaluate_files, read_keypoints
 from recon.animal import Body, builtin_names, load_skeleton
@@ -153,5 +154,5 @@ def test_what_a_fit_writes_is_read_by_all_behind_it(clip, tmp_path, monkeypatch)
         if "3D" in target.reads and "3D" in target.writes:
             np.testing.assert_array_equal(read_points(made, None, "3D")[1].frames, motion.frames)
     if clip == "bare root":  # figures take long
-        monkeypatch.setattr("matplotlib.figure.Figure.get_layout_engine", lambda _: None)
+        leave_out_layout(monkeypatch)
         report(PageSettings(folder=out))
