@@ -29,6 +29,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy.interpolate import CubicSpline, make_smoothing_spline
+from scipy.linalg import solveh_banded
 from scipy.optimize import brentq
 
 from recon.base import Array, Brief, Index, InputError, Problem
@@ -214,11 +215,23 @@ def _evaluate(curve: Curve, at: Array) -> Array:
 
 def _discrepancy_lam(t: Array, x: Array, weight: Array) -> float:
     """The lam with sum((weight (x - f))^2) = n; the largest in range where a straight line is as close as that."""
-    scale = np.mean(weight**2) * ((t[-1] - t[0]) / len(t)) ** 3
+    scale, h, variance = np.mean(weight**2) * ((t[-1] - t[0]) / len(t)) ** 3, np.diff(t), weight**-2.0
+    # Reinsch's equations of the curve's second derivatives g at the inner times: (R + lam Q' W^-1 Q) g = Q' x, whose
+    # bands are these, and x - f = lam W^-1 Q g
+    before, after = 1 / h[:-1], 1 / h[1:]
+    at = -before - after
+    R, pull = np.zeros((2, 3, len(at)))
+    R[1, 1:], R[2] = h[1:-1] / 6, (h[:-1] + h[1:]) / 3
+    pull[0, 2:] = after[:-2] * variance[2:-2] * before[2:]
+    pull[1, 1:] = at[:-1] * variance[1:-2] * before[1:] + after[:-1] * variance[2:-1] * at[1:]
+    pull[2] = before**2 * variance[:-2] + at**2 * variance[1:-1] + after**2 * variance[2:]
+    bends = np.diff(np.diff(x) / h)
 
     def excess(log10_lam: float) -> float:
         lam = 10.0**log10_lam * scale
-        return float(np.sum((weight * (x - _curve(t, x, weight, lam)(t, 0))) ** 2)) / len(t) - 1.0
+        g = solveh_banded(R + lam * pull, bends)
+        off = lam * np.diff(np.diff(g, prepend=0, append=0) / h, prepend=0, append=0)
+        return float(np.sum(off**2 * variance)) / len(t) - 1.0
 
     low, high = _LOG10_LAM
     if excess(high) <= 0:
