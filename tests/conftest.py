@@ -7,9 +7,12 @@ import json
 import os
 import re
 import shlex
-from collections.abc import Callable
+import tomllib
+from collections.abc import Callable, Iterator
 from contextlib import suppress
+from copy import deepcopy
 from dataclasses import replace
+from functools import lru_cache
 from itertools import islice
 from pathlib import Path
 from tempfile import NamedTemporaryFile
@@ -59,6 +62,15 @@ SMALL_DPI = 50
 SAMPLES = Path(__file__).resolve().parents[1] / "data" / "samples"
 
 
+@pytest.fixture(scope="session", autouse=True)
+def toml_once() -> Iterator[None]:
+    """The same text is parsed once: commands in this process read the bundled skeletons again and again."""
+    parsed = lru_cache(maxsize=100)(tomllib.loads)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(tomllib, "loads", lambda text: deepcopy(parsed(text)))
+        yield
+
+
 @pytest.fixture(scope="session")
 def made_once(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, Callable[[Path], object]], Path]:
     """A folder that all processes of the tests share: `made_once(name, make)` is its path, `make(path)` writes it.
@@ -105,7 +117,8 @@ def fit_demo_from(whole_results: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def draw_small(patch: pytest.MonkeyPatch) -> None:
-    """Figures are drawn as always, at a lower resolution, and letters are not fitted to its pixels."""
+    """Figures are drawn as always, at a lower resolution; they are not laid out, nor letters fitted to pixels."""
+    leave_out_layout(patch)
     patch.setattr(style, "PNG_DPI", SMALL_DPI)
     with NamedTemporaryFile("w", suffix=".mplstyle", encoding="utf-8", delete=False) as sheet:
         sheet.write(style._SHEET.read_text(encoding="utf-8") + "text.hinting: none\n")
@@ -176,7 +189,6 @@ def of_results(made_once, whole_results) -> Callable[[str], tuple[str, Path]]:
             copy_results(whole_results, folder / "results" / "clip")
             with pytest.MonkeyPatch.context() as patch:
                 draw_small(patch)
-                leave_out_layout(patch)
                 patch.setattr(analyse, "figures_of", lambda found: dict.fromkeys(figures_of(found), empty_figure))
                 draw_two_methods(patch)
                 patch.chdir(folder)

@@ -97,7 +97,7 @@ def test_places_in_words():
     assert where(np.radians(120), np.radians(80)) == "almost above it, behind to its left"
 
 
-def test_command(tmp_path, small_pictures):
+def test_command(tmp_path):
     out = tmp_path / "advice"
     done = run("camera-advice", "--skeleton", "cheetah-8u", "--angle", "theta_6", "--out", out)
     assert done.code == 0

@@ -295,7 +295,6 @@ FIGURES = (
 
 
 @pytest.mark.parametrize("name", FIGURES)
-@pytest.mark.usefixtures("small_pictures")
 def test_each_figure_is_drawn(name, whole, tmp_path):
     figure = figures_of(whole)[name]()
     assert all(axes.has_data() for axes in figure.axes if axes.axison)

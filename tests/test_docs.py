@@ -27,7 +27,7 @@ from urllib.parse import unquote, urlsplit
 import pytest
 import typer
 from command_line import carry_out_here, copy_results, run
-from conftest import draw_small, fit_demo_from, leave_out_layout, leave_out_playback
+from conftest import draw_small, fit_demo_from, leave_out_playback
 from docs_files import FILES, OF_PAGE
 
 from recon import find_clips
@@ -208,7 +208,6 @@ def folder_after(made_once, whole_results, of_results) -> Callable[[Path, int], 
             with pytest.MonkeyPatch.context() as patch:
                 patch.chdir(folder)
                 draw_small(patch)
-                leave_out_layout(patch)
                 patch.setattr("recon.workflows.batch.carry_out", carry_out_here)
                 leave_out_playback(patch)
                 fit_demo_from(whole_results, patch)

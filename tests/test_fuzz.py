@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+import io
 import os
 import re
-import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
-from functools import cache
+from contextlib import redirect_stdout
 from multiprocessing import get_context
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -26,7 +26,6 @@ CASES = {"formats": 150, "settings": 250}
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="the cases run in forked processes")
 
 
-@cache
 def good_files(kinds: str, folder: Path) -> list[Seed]:
     from tests.fuzz import corpus
 
@@ -41,38 +40,40 @@ def cases(kinds: str, folder: Path, count: int) -> Tally:
     return run_all(0, count, 1, good_files(kinds, folder), folder, 1)
 
 
+def of_the_command(folder: Path) -> tuple[int, str]:
+    """How `python -m tests.fuzz` of cameras and their tracks ends, and what it prints."""
+    from tests.fuzz import __main__ as fuzz
+    from tests.fuzz import corpus
+
+    out = io.StringIO()
+    with pytest.MonkeyPatch.context() as patch, redirect_stdout(out):
+        patch.setattr(fuzz, "seeds", lambda *_: [*corpus._cameras(folder), *corpus._tracks()])
+        patch.setattr(sys, "argv", ["fuzz", "--cases", "40", "--seed", "1"])
+        return fuzz.main(), out.getvalue()
+
+
 @pytest.fixture(scope="module")
-def cases_from(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[[str, int], Tally]]:
-    """`cases_from(kinds, count)` is what becomes of the first so many cases: in a process that has no threads, so that
-    it can be forked, and in which the good files are made once."""
-    folder = tmp_path_factory.mktemp("fuzz")
+def pool() -> Iterator[ProcessPoolExecutor]:
+    """A process that has no threads, so that it can be forked, and in which the good files are made once."""
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(ROOT)
         with ProcessPoolExecutor(1, get_context("spawn")) as pool:
-            yield lambda kinds, count: pool.submit(cases, kinds, folder / kinds, count).result()
+            yield pool
 
 
 @pytest.mark.parametrize("kinds", CASES)
-def test_spoilt_files_are_read_or_refused(kinds: str, cases_from) -> None:
+def test_spoilt_files_are_read_or_refused(kinds: str, pool: ProcessPoolExecutor, tmp_path: Path) -> None:
     """More than a tenth is read, as not all are spoilt beyond recognition."""
-    tally, count = cases_from(kinds, CASES[kinds]), CASES[kinds]
+    count = CASES[kinds]
+    tally = pool.submit(cases, kinds, tmp_path / kinds, count).result()
     assert tally.causes == {}
     assert tally.done == tally.read + tally.refused == count
     assert tally.read > count / 10
 
 
-FEW_KINDS = """
-import sys
-from tests.fuzz import __main__ as fuzz, corpus
-fuzz.seeds = lambda folder, real: [*corpus._cameras(folder.parent), *corpus._tracks()]
-sys.exit(fuzz.main())
-"""
-
-
-def test_the_command_says_what_happened() -> None:
-    command = [sys.executable, "-c", FEW_KINDS, "--cases", "40", "--seed", "1"]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, f"{done.stdout}\n{done.stderr}"
-    counts = {words: int(number) for number, words in re.findall(r"(?m)^ *(\d+)  (\w.*)$", done.stdout)}
+def test_the_command_says_what_happened(pool: ProcessPoolExecutor, tmp_path: Path) -> None:
+    code, printed = pool.submit(of_the_command, tmp_path).result()
+    assert code == 0, printed
+    counts = {words: int(number) for number, words in re.findall(r"(?m)^ *(\d+)  (\w.*)$", printed)}
     assert counts["cases"] == counts["read"] + counts["refused in words"] == 40
     assert counts["neither"] == 0

@@ -138,9 +138,8 @@ def small_film(folder: Path) -> None:
 
 @pytest.mark.usefixtures("optimiser", "small_pictures")
 def test_video_to_3d(said, folder, monkeypatch):
-    """With a network that learned next to nothing, whose points no other picture explains better."""
+    """With a network that learned next to nothing."""
     narrow_networks(monkeypatch)
-    monkeypatch.setattr("recon.check.inputs.of_other_picture", lambda given: None)
     monkeypatch.setattr("recon.wings.keypoint_net.train.EVALUATIONS", 1)
     small_film(folder)
     changes = {

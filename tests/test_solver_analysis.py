@@ -112,15 +112,16 @@ def test_the_frame_that_is_looked_into_has_a_pose(frame_results, whole_results):
 
 
 def test_figures_of_the_frame_method(frame):
-    bars = solver_plots.solver_search(frame).axes[3].containers
+    figures = {draw.__name__: draw(frame) for draw in solver_plots.FIGURES}
+    bars = figures["solver_search"].axes[3].containers
     spent = frame.solution.reported("function_evaluations")
     assert sum(bar.get_height() for one in bars for bar in one) == spent.sum()
-    above, below = solver_plots.solver_frame(frame).axes
+    above, below = figures["solver_frame"].axes
     np.testing.assert_array_equal(above.lines[0].get_ydata(), frame.search.costs)
     assert below.lines[0].get_ydata().max() == frame.search.damping.max()
-    jacobian, *_ = solver_plots.solver_matrices(frame).axes
+    jacobian, *_ = figures["solver_matrices"].axes
     assert jacobian.images[0].get_array().shape == frame.search.problem.at(frame.search.x)[1].shape
-    *_, errors = solver_plots.solver_rotation(frame).axes
+    *_, errors = figures["solver_rotation"].axes
     shown = np.nanmean(errors.lines[0].get_ydata())
     assert shown == pytest.approx(np.nanmean([np.nanmean(of_frame) for of_frame in frame.image_error_px]))
 

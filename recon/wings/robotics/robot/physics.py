@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from math import comb
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -22,7 +23,6 @@ from scipy.interpolate import BSpline, CubicSpline
 from scipy.optimize import nnls
 from scipy.sparse.linalg import splu
 from scipy.spatial.transform import Rotation
-from scipy.stats import binom
 
 from recon.base.arrays import Array
 from recon.base.errors import InputError, Problem
@@ -465,9 +465,8 @@ def _pushes(motion: RobotMotion, time_s: Array) -> list[tuple[int, Array]]:
             open_ends = (not loops and begin == motion.time_s[0], not loops and end == motion.time_s[-1])
             orders = range(1 - open_ends[0], DEGREE + open_ends[1])
             share = (time_s[:, None] + np.array([-lasts, 0.0, lasts] if loops else [0.0]) - begin) / (end - begin)
-            values = [
-                np.where((share >= 0) & (share <= 1), binom.pmf(n, DEGREE, np.clip(share, 0, 1)), 0) for n in orders
-            ]
+            within = np.where((share >= 0) & (share <= 1), share, np.nan)
+            values = [np.nan_to_num(comb(DEGREE, n) * within**n * (1 - within) ** (DEGREE - n)) for n in orders]
             found.append((foot, np.stack(values).sum(axis=2).T))
     return found
 
