@@ -302,6 +302,17 @@ def test_each_figure_is_drawn(name, whole, tmp_path):
     assert (tmp_path / "figure.svg").stat().st_size > 5000
 
 
+def test_what_is_hardly_known_is_not_drawn(whole):
+    """The figure has the page's words in place of the acceleration."""
+    why = whole.reference_motion.why_no_acceleration
+    figure = figures_of(whole)["speed"]()
+    assert [axes.get_ylabel() for axes in figure.axes] == ["speed (m/s)"]
+    assert says(figure.get_suptitle(), "acceleration", "not shown")
+    assert figure.get_suptitle() == why
+    known = np.full_like(whole.reference_motion.acceleration_sigma_m_s2, 1e-3)
+    assert replace(whole.reference_motion, acceleration_sigma_m_s2=known).why_no_acceleration == ""
+
+
 # -- the command -----------------------------------------------------------------------------------------------------
 
 
@@ -316,6 +327,7 @@ def test_command_writes_tables_figures_and_plots(of_results, whole_results, monk
         assert (folder / name).stat().st_mtime_ns < (folder / "analysis").stat().st_mtime_ns
     assert "transverse gallop" in printed
     assert "peak" in printed
+    assert says(printed, "Peak vertical force of a foot: 2.", "body weights (90 %: 1.", "forces.csv")
     labels = [line.partition(": ")[0] for line in printed.splitlines() if ": " in line and not line.startswith("note")]
     assert len(set(labels)) == len(labels)
     written = {path.name for path in (folder / "analysis").iterdir()}

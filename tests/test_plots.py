@@ -470,6 +470,9 @@ def test_observability_over_time():
     assert [label.get_text() for label in over_the_time.get_yticklabels()][2:4] == ["phi 6", "theta 6"]
     beside = [text.get_text() for text in over_the_time.texts]
     assert beside == ["–" if n == "J0_pitch" else "90%" if n.startswith("theta") else "10%" for n in names]
+    of_clip = plots.observability(body, share, times(12), "a stride", np.tile(0.3 * share, (2, 1))).axes[0]
+    assert {text.get_text() for text in of_clip.texts} == {"–", "27%", "3%"}
+    assert "the whole clip" in of_clip.get_xlabel()
     nothing = plots.observability(body, np.full_like(share, np.nan), times(12))
     assert [text.get_text() for text in nothing.texts][-1] == "no data"
 
@@ -521,6 +524,18 @@ def test_bars_stand_where_feet_do():
     np.testing.assert_allclose(frames.get_xlim(), FPS * np.array(axes.get_xlim()))
     for said in ("ground: unknown (", "stride 2.00 m, 3.33 Hz", "cut by the clip", "complete stride"):
         assert said in texts(figure)
+
+
+def test_a_short_stances_touch_down_and_lift_off_do_not_merge():
+    ground = gaits()["ground"]
+    (stance, *_) = ground.stances
+    short = replace(stance, start_sigma_s=0.06, end_sigma_s=0.06)
+    figure = plots.footfall({"ground": replace(ground, stances=(short,))}, FPS)
+    collections = [c for c in figure.axes[0].collections if isinstance(c, LineCollection)]
+    down, up = (end for c in collections if to_rgb(c.get_color()[0]) == to_rgb("0.35") for end in c.get_segments())
+    np.testing.assert_allclose([down[:, 0], up[:, 0]], [short.start_interval_s, short.end_interval_s])
+    assert down[1, 0] > up[0, 0]  # they overlap
+    assert down[0, 1] < up[0, 1] - 0.2  # the axis points down
 
 
 def test_feet_of_one_gait_have_the_colours_of_their_sides():

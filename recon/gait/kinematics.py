@@ -127,6 +127,14 @@ class JointKinematics(Brief):
     peak_acceleration_sigma_m_s2: float
     """The standard deviation of the peak acceleration; NaN without errors."""
 
+    @property
+    def why_no_acceleration(self) -> str:
+        """What figures say in place of an acceleration that is hardly known, or not at all."""
+        values, known = self.acceleration_m_s2, np.isfinite(self.acceleration_m_s2)
+        if known.any() and np.mean(self.acceleration_sigma_m_s2[known] > values[known]) <= 0.5:
+            return ""
+        return "The acceleration is hardly known, most of the time less than its standard deviation, and not shown."
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class AngleKinematics(Brief):

@@ -104,6 +104,12 @@ def _lines(found: ClipAnalysis, summary: Mapping[str, Any]) -> Iterator[str | Te
     if "spine_flexion" in found.angles:
         low, high = (math.degrees(angle) for angle in found.angles["spine_flexion"].range_rad)
         yield f"Flexion of the spine: {low:+.0f}° to {high:+.0f}° (positive: arched up)."
+    if (d := summary["dynamics"]) is not None and d["mean_peak_bw"] is not None:
+        low, high = d["mean_peak_interval_bw"]
+        yield (
+            f"Peak vertical force of a foot: {d['mean_peak_bw']:.1f} body weights (90 %: {low:.1f} to {high:.1f}), "
+            "mean over the stances in forces.csv."
+        )
     if (stride := found.stride) is not None:
         which = "as given" if found.given is not None else f"of {stride.foot}"
         yield f"Phase portraits: the stride from {stride.start_s:.3f} to {stride.end_s:.3f} s, {which}."
@@ -247,13 +253,14 @@ def figures_of(found: ClipAnalysis) -> dict[str, Callable[[], Figure]]:
     title = "the stride that was given" if found.given is not None else title
     limbs, sides = motion.limbs, motion.limb_sides
     own = {"time_s": time_s[during], "sides": sides, "title": title}
-    shares, ground = motion.posture_data_share[during], None if gait is None else gait.tracks.grounds
+    shares, ground = motion.posture_data_share, None if gait is None else gait.tracks.grounds
     moved, unknown = {found.reference: found.reference_motion}, found.why_no_speed is not None
+    why_not = found.reference_motion.why_no_acceleration
     drawn: dict[str, Callable[[], Figure]] = {
         "composites": partial(plots.composites, found.pose.xyz_m, limbs, time_s, ground, sides=sides),
-        "speed": partial(plots.speeds, moved, unknown=unknown),
+        "speed": partial(plots.speeds, moved, why_not, unknown=unknown, acceleration=not why_not),
         "phase_portraits": lambda: plots.phase_portraits(found.portraits, found.closures, title, motion.data_shares),
-        "observability": partial(plots.observability, motion.body, shares, time_s[during], title),
+        "observability": partial(plots.observability, motion.body, shares[during], time_s[during], title, shares),
         "body_fixed": partial(plots.body_fixed, joints_m, limbs, **own),
     }
     parts: dict[str, dict[str, Sequence[int]]] = {}

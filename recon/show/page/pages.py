@@ -88,9 +88,6 @@ LENGTHS, POSES, STRETCHES = 4.0, 7, 3
 """How many times its length an animal runs in a figure of so many poses, in so many stretches of the clip at most."""
 SOLID_FRAMES = 600
 """How many frames can be turned by hand, every other one or fewer of a longer clip: 100 kB of the page."""
-UNKNOWN_ACCELERATION = (
-    " The acceleration is hardly known, most of the time less than its standard deviation, and not shown."
-)
 
 
 def clip_page(
@@ -189,10 +186,10 @@ def _sections(found: ClipAnalysis) -> Iterator[dict[str, Any]]:
         f"Poses evenly spaced in time, turned so that the animal runs to the right.{slope if ground else ''}",
         [plots.composites(m, motion.limbs, motion.time_s, **drawn) for m in _stretches(motion, moved)],
     )
-    name, hardly = motion.reference, _is_unknown(moved.acceleration_m_s2, moved.acceleration_sigma_m_s2)
+    name, why_not = motion.reference, moved.why_no_acceleration
     banded = ", with bands of 90 %" * bool(np.isfinite(moved.speed_sigma_m_s).any())
-    text = f"How fast {name} moves along its path{banded}.{UNKNOWN_ACCELERATION * hardly}"
-    shown = {"width_mm": SPEED_MM, "unknown": found.why_no_speed is not None, "acceleration": not hardly}
+    text = f"How fast {name} moves along its path{banded}. {why_not}"
+    shown = {"width_mm": SPEED_MM, "unknown": found.why_no_speed is not None, "acceleration": not why_not}
     yield _group("Speed", text, [plots.speeds({name: moved}, **shown)], "narrow")
     if gait is not None:
         text = "When each foot stands: by its speed over the ground and its height, and by its path below the body."
@@ -244,12 +241,6 @@ def _solid(motion: Motion, posed: Bools, gait: Gait | None) -> dict[str, Any] | 
         "ground_m": np.round(ground_m, 3).tolist(),
         "limbs": [[side or "middle", [int(j) for j in limb]] for limb, side in limbs],
     }
-
-
-def _is_unknown(values: Array, sigma: Array) -> bool:
-    """Whether none of the values (N,) is known, or most are less than their standard deviations."""
-    known = np.isfinite(values)
-    return not known.any() or float(np.mean(sigma[known] > values[known])) > 0.5
 
 
 def _stretches(motion: Motion, moved: JointKinematics) -> Iterator[Array]:

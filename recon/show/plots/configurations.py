@@ -324,12 +324,13 @@ def share_colours() -> ListedColormap:
     return ListedColormap([*greys, *blues[:: -(-256 // (256 - low))]])
 
 
-def observability(body: Body, share: Array, time_s: Array, title: str = "") -> Figure:
+def observability(body: Body, share: Array, time_s: Array, title: str = "", whole: Array | None = None) -> Figure:
     """share (T, D - 4): of the precision of the root's pitch and roll and of the joints' angles, what comes from the
-    pixels, NaN where unknown; time_s (T,). Over time, with the medians beside them."""
+    pixels, NaN where unknown; time_s (T,). Over time, with the medians beside them. whole: the same of the whole clip,
+    for the medians, where time_s is a stride's."""
     names = [name.replace("_", " ") for name in body.state_names[4:]]
     with style.drawing(min(_ROW_MM * len(names) + _REST_MM, style.PAGE_MM), title=title) as figure:
-        medians = np.array([median(of_angle) for of_angle in share.T])
+        medians = np.array([median(of_angle) for of_angle in (share if whole is None else whole).T])
         if np.isnan(medians).all():
             return figure
         axes, half = figure.subplots(), 0.5 * float(np.median(np.diff(time_s))) if len(time_s) > 1 else 0.5
@@ -344,7 +345,7 @@ def observability(body: Body, share: Array, time_s: Array, title: str = "") -> F
             colour = "k" if middle >= MEASURED_SHARE else style.GREY
             axes.text(1.01, row, text, color=colour, **look)
             label.set_color(colour)
-        axes.set_xlabel("time (s);  right: median over these frames")
+        axes.set_xlabel(f"time (s);  right: median over {'these frames' if whole is None else 'the whole clip'}")
         bar = figure.colorbar(image, ax=axes, location="bottom", aspect=60, pad=0.01, shrink=0.7)
         bar.set_label(_SHARES)
     return figure

@@ -44,9 +44,8 @@ def footfall(gaits: Mapping[str, Gait], fps: float, title: str = "") -> Figure:
     of which 0 is at 0 s.
 
     Left feet are blue and right ones orange, or each gait has a colour. A stance that the clip cuts has no edge there,
-    but an arrow: it is at least as long as its bar. Lines across the
-    edges hold touch-downs and lift-offs with 90 %; thin lines with ticks are complete strides. Below: what each gait is
-    called and why.
+    but an arrow: it is at least as long as its bar. Lines across the edges hold touch-downs, above, and lift-offs,
+    below, with 90 %; thin lines with ticks are complete strides. Below: what each gait is called and why.
     """
     captions = [_caption(name, gait) for name, gait in gaits.items()]
     lines = sum(caption.count("\n") + 1 for caption in captions)
@@ -97,7 +96,8 @@ def _bars(axes: Axes, stances: Sequence[Stance], y: float, height: float, colour
     lines = LineCollection(edges, color=colour, lw=1.1, capstyle="projecting", zorder=3)
     axes.add_collection(lines, autolim=False)
     intervals = np.array([of for stance in stances for of in (stance.start_interval_s, stance.end_interval_s)])
-    known = [[(left, y + height / 4), (right, y + height / 4)] for left, right in intervals if np.isfinite(left)]
+    sides = y + height / 4 * np.tile([-1, 1], len(stances))  # apart: those of a short stance overlap
+    known = [[(a, at), (b, at)] for (a, b), at in zip(intervals, sides, strict=True) if np.isfinite(a)]
     axes.add_collection(LineCollection(known, color="0.35", lw=0.7, zorder=3.2), autolim=False)
 
 
@@ -140,8 +140,9 @@ def forces(d: Dynamics, gait: Gait) -> Figure:
             _bars(top, own, row, 0.7, colour)
             middle, low, high = d.force[foot].T
             below[row].fill_between(time_s, low, high, color=colour, alpha=0.25, lw=0)
+            below[row].plot(time_s, d.force[foot][:, 1:], color=colour, lw=0.4)
             below[row].plot(time_s, middle, color=colour)
-            below[row].set_ylabel(foot)
+            below[row].set_ylabel(f"{foot}\n(body weights)")
             below[row].sharey(below[0])
             if np.isnan(middle).any() and not np.nan_to_num(middle).any():
                 drawn = {"transform": below[row].transAxes, "ha": "center", "va": "center", "color": style.GREY}
@@ -149,7 +150,7 @@ def forces(d: Dynamics, gait: Gait) -> Figure:
                 below[row].tick_params(left=False, labelleft=False)  # the axis is that of all feet
         top.set_yticks(range(len(feet)), feet)
         top.invert_yaxis()
-        about = "body weights; bands: 90 %; gaps: stances that the clip cuts; left blue, right orange"
+        about = "bands: 90 %; gaps: stances that the clip cuts; left blue, right orange"
         top.set_title(f"stances, and each foot's force ({about})", loc="left")
         below[0].set_ylim(bottom=0)
         series = d.centre.series
@@ -323,7 +324,8 @@ def phase_portraits(
             marks += f"{gap}band, ±: 90 %"
         if shares:
             marks += (
-                f"\ngrey path: mostly expected, with less than {MEASURED_SHARE:.0%} of its precision from the pixels"
+                "\nfrom pixels: the share of the precision, over the whole clip; "
+                f"grey: less than {MEASURED_SHARE:.0%}, mostly expected"
             )
         figure.supxlabel(f"angle (deg)\n{marks}", fontsize=8)
         figure.supylabel("rate (deg/s)", fontsize=8)
