@@ -479,6 +479,11 @@ def run(*arguments: str | Path):
     return CliRunner().invoke(app, ["convert", *map(str, arguments)])
 
 
+def test_results_as_json_have_the_verdict_as_the_report_has_it(whole_results, tmp_path):
+    said = json.loads(run(whole_results, tmp_path / "a.csv", "--json").output)
+    assert said["verdict"] == json.loads((whole_results / "report.json").read_text(encoding="utf-8"))["verdict"]
+
+
 def test_command(files_3d, tmp_path):
     done = run(files_3d["trc.trc"], tmp_path / "a.c3d")
     assert done.exit_code == 0

@@ -35,7 +35,7 @@ SENTENCES = {
     "picture_zooms": ("better if the picture zooms in. Check", {"way": "in"}),
     "path_jolts": ("as no animal does (by its heading)", {"of": "heading", "cost": 1.2}),
     "ground_elsewhere": ("stand at z = 0.47 ± 0.04 m", {"height_m": 0.47, "sigma_m": 0.04}),
-    "camera_unit": ("100 times too far", {"unit": "cm", "times": 100.2}),
+    "camera_unit": ("is 100 times that above the animal's feet", {"unit": "cm", "times": 100.2}),
     "subject_unlike_species": ("are 1.50 times those", {"times": 1.5, "expected_sigma": 0.1}),
     "keypoints_normalised": ("parts of the picture, from 0 to 1", {}),
     "keypoints_y_up": ("as if y went up", {}),

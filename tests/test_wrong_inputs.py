@@ -193,6 +193,18 @@ def test_a_ground_that_is_not_at_zero_is_named(near_zero, height_m, camera_m, co
     assert [one.code for one in found] == ([] if code is None else [code])
 
 
+@pytest.mark.parametrize(
+    ("unit", "camera_m", "code"),
+    [("mm", 0.0015, "camera_unit"), ("cm", 0.015, "camera_unit"), ("mm", 0.0, "ground_elsewhere")],
+)
+def test_a_camera_in_metres_that_was_said_to_be_in_another_unit_is_named(unit, camera_m, code):
+    """One in the world's origin says nothing of a unit."""
+    motion = ground(False, camera_m - 1.5, (0.0, 0.0, camera_m))
+    (found,) = ground_elsewhere(replace(motion, settings={**motion.settings, "camera_unit": unit}))
+    assert found.code == code
+    assert code == "ground_elsewhere" or found.numbers["unit"] == "metres"
+
+
 def test_lengths_that_no_animal_of_its_kind_has_are_named():
     motion = moved(plain().states)
     assert not [*subject_unlike_species(motion)]

@@ -42,7 +42,7 @@ SIZE_SIGMAS = 2.5
 """A size further off what is expected, in standard deviations, says that something else is wrong."""
 SIZE_SIGMAS_MOST, LOG_SIZE_MOST = 4.0, math.log(2.0)
 """No grown animal is further off its kind, nor twice or half as large: of whom that is not expected, it is not so."""
-UNITS_PER_M = {"inches": 39.37, "cm": 100.0, "mm": 1000.0}
+UNITS_PER_M = {"m": 1.0, "inches": 39.37, "cm": 100.0, "mm": 1000.0}
 NEARLY_UNIT = 1.35
 """A camera's height that is so many times right, or wrong, is still of a unit: an animal's size is not known better."""
 SUBJECT_SIGMAS = 3.0
@@ -180,16 +180,18 @@ def ground_above_camera(motion: Motion) -> Iterator[Finding]:
 
 def ground_elsewhere(motion: Motion) -> Iterator[Finding]:
     """A finding on the first segment whose feet stand elsewhere than near z = 0; a camera about as many times too high
-    as there are of another unit in a metre is in that unit."""
+    as there are of another unit in a metre is in that unit, and in metres where it is as many times too low as there
+    are of the unit that was given."""
     for segment in motion.solution.segments:
         ground, below = segment.ground, motion.below_m(segment)
         if ground is not None and below is not None and ground.near_zero is False:
             camera_m = motion.solution.views[0].centre_m[0]
             times = camera_m[2] / (camera_m[2] - below[2])
             aside_m = math.hypot(camera_m[0], camera_m[1])
-            for unit, per_m in UNITS_PER_M.items():
+            given = UNITS_PER_M[motion.settings.get("camera_unit") or "m"]
+            for unit, per_m in UNITS_PER_M.items() if given == 1.0 else [("metres", 1 / given)]:
                 in_metres = 1.0 < aside_m < min(50.0, 0.5 * per_m)  # in that unit the camera would stand in the origin
-                if not in_metres and 1 / NEARLY_UNIT < times / per_m < NEARLY_UNIT:
+                if per_m != 1.0 and not in_metres and 1 / NEARLY_UNIT < times / per_m < NEARLY_UNIT:
                     yield finding("camera_unit", unit=unit, times=float(times))
                     return
             yield finding("ground_elsewhere", height_m=float(below[2]), sigma_m=ground.sigma_m)

@@ -13,7 +13,7 @@ from recon.animal.naming import load_names, renamed
 from recon.base import InputError, Problem, all_of, refuse
 from recon.base.files import require_free_file, staged_file
 from recon.base.settings import Option, Positive, Settings
-from recon.check import usable, verdict_lines
+from recon.check import usable, verdict_fields, verdict_lines
 from recon.clip import Keypoints, mark_missing
 from recon.fit.motion import Motion
 from recon.io import CONVERTED, Format, Pose3D, in_metres, read_points
@@ -79,7 +79,7 @@ def convert(settings: ConvertSettings) -> Answer:
         name = choose_format(out, settings.to, _robot_formats()).name
         said = import_module(ROBOTS).convert(source, out, name, settings.fps, settings.overwrite)
         return Answer({"out": out, "format": name}, [said])
-    data, target, _ = all_of(
+    (data, motion), target, _ = all_of(
         lambda: read_any(source, settings),
         lambda: choose_format(out, settings.to),
         lambda: require_free_file(out, settings.overwrite, "OUT"),
@@ -87,10 +87,10 @@ def convert(settings: ConvertSettings) -> Answer:
     notes, content, wanted = data.notes, "2D keypoints" if isinstance(data, Keypoints) else "3D positions", ""
     written: Any = data
     if "bones" in target.writes:
-        if source.is_dir():
+        if motion is not None:
             beside = [out.with_suffix(extension) for extension in target.beside]
             all_of(*(partial(require_free_file, path, settings.overwrite, "OUT") for path in beside))
-            written = rig_of(Motion.load(source), data.fps, settings.body_mass_kg)
+            written = rig_of(motion, data.fps, settings.body_mass_kg)
             data, notes = written.pose, notes + written.notes
             notes += (f"Beside it: {', '.join(map(str, beside))}.",) if beside else ()
         else:
@@ -113,13 +113,16 @@ def convert(settings: ConvertSettings) -> Answer:
     frames = f"frames {data.frames[0]} to {data.frames[-1]} ({len(data.frames)})"
     fps = "frame rate not known" if data.fps is None else f"{data.fps:g} frames per second"
     lines = [*notes, f"{out}: {target.title}, {what}, {frames}, {fps}"]
-    return Answer({"out": out, "format": target.name, "notes": notes}, lines)
+    verdict = {} if motion is None else {"verdict": verdict_fields(motion)}
+    return Answer({"out": out, "format": target.name, "notes": notes} | verdict, lines)
 
 
-def read_any(source: Path, settings: ConvertSettings) -> Keypoints | Pose3D:
-    """2D keypoints or 3D positions, whichever the source holds. Raises InputError."""
+def read_any(source: Path, settings: ConvertSettings) -> tuple[Keypoints | Pose3D, Motion | None]:
+    """2D keypoints or 3D positions, whichever the source holds, and the motion of results. Raises InputError."""
+    motion = None
     if source.is_dir() and ((source / "report.json").is_file() or not any(source.glob("*.json"))):
-        data = _of_results(source, settings.anyway)
+        motion = usable(Motion.load(source), source, settings.anyway)
+        data = _pose_of(motion)
         _require_none(settings, ("individual", "columns", "unit", "up"), source, "results of recon fit")
     else:
         by = None if settings.columns is None else parse_map(settings.columns)
@@ -134,11 +137,11 @@ def read_any(source: Path, settings: ConvertSettings) -> Keypoints | Pose3D:
             raise InputError(Problem("--rename", "names", f"3D positions in {source}", "2D keypoints"))
         data = renamed(data, load_names(settings.rename))
     if settings.fps is None or settings.fps == data.fps:
-        return data
+        return data, motion
     notes = data.notes
     if data.fps is not None:
         notes += (f"{data.fps:g} frames per second in the source, {settings.fps:g} as given.",)
-    return replace(data, fps=settings.fps, notes=notes)
+    return replace(data, fps=settings.fps, notes=notes), motion
 
 
 def _require_none(settings: ConvertSettings, names: Sequence[str], source: Path, content: str) -> None:
@@ -147,9 +150,8 @@ def _require_none(settings: ConvertSettings, names: Sequence[str], source: Path,
     refuse([Problem(option, "IN", f"{content}, {source}", "to be left out") for option in given])
 
 
-def _of_results(folder: Path, anyway: bool) -> Pose3D:
+def _pose_of(motion: Motion) -> Pose3D:
     """The joints of a fit, upright, with their frame rate and limbs."""
-    motion = usable(Motion.load(folder), folder, anyway)
     notes = verdict_lines(motion.verdict)
     if not motion.knows_up:
         notes += ("Positions are in the level frame, z up: the camera file does not say where the camera is.",)

@@ -62,7 +62,7 @@ def read_data(out: Path) -> object:
         return sizes
     return read_any(
         out, ConvertSettings(fps=60, unit="m", up="z") if out.suffix in (".csv", ".bvh") else ConvertSettings()
-    )
+    )[0]
 
 
 def read_manifest(out: Path) -> object:
