@@ -25,6 +25,7 @@ from recon.wings.robotics.robot.retarget import (
     on_robot,
     place,
     planted,
+    posed,
     stances,
     stride_window,
 )
@@ -330,13 +331,15 @@ def test_urdf_file(whole, tmp_path):
     assert (shape in text, thigh in text) == (True, True)
     path.write_text(text)
     stride = closed_stride(whole, stride_window(whole))
-    found = [on_robot(stride, stride, load_robot(robot), scale=0.35)[1] for robot in ("a1", path)]
-    np.testing.assert_allclose(found[1].angles_rad, found[0].angles_rad, atol=1e-3)
-    assert found[1].slip_m.max() < 0.0005
-    assert found[1].closing_percent < 0.1
+    closed, robot = on_robot(stride, stride, load_robot("a1"), scale=0.35), load_robot(path)
+    found = posed(robot, stride.time_s - stride.time_s[0], *place(stride, robot, 0.35, closed[2]))
+    found = replace(found, scale=0.35, advance_m=closed[1].advance_m)
+    np.testing.assert_allclose(found.angles_rad, closed[1].angles_rad, atol=1e-3)
+    assert found.slip_m.max() < 0.0005
+    assert found.closing_percent < 0.1
     refused(["retarget", tmp_path, "--robot", path, "--out", tmp_path / "out"], (tmp_path, "folder", "no motion.npz"))
     # In its playback it has the shapes of its file, where the joints and the base put them.
-    write_robot(found[1], tmp_path / "motion.rrd")
+    write_robot(found, tmp_path / "motion.rrd")
     reader = RrdReader(tmp_path / "motion.rrd")
     rows: dict[str, list] = {}
     for chunk in reader.stream(store=reader.recordings()[0]):
@@ -351,10 +354,10 @@ def test_urdf_file(whole, tmp_path):
     assert [(bytes(row["Asset3D:blob"][0]), row["Asset3D:media_type"]) for row in meshes] == [(mesh, ["model/stl"])]
     hip, base = rows["/world/robot/joints/FL_hip_joint"], rows["/world/robot/base"]
     assert (hip[0]["Transform3D:parent_frame"], base[0]["Transform3D:child_frame"]) == (["trunk"], ["base"])
-    half = found[1].angles_rad[:, found[1].robot.joints.index("FL_hip_joint")] / 2
+    half = found.angles_rad[:, found.robot.joints.index("FL_hip_joint")] / 2
     np.testing.assert_allclose([row["Transform3D:quaternion"][0][0] for row in hip], np.sin(half), atol=1e-6)
     places = [row["Transform3D:translation"][0] for row in base]
-    np.testing.assert_allclose(places, found[1].pose.translation, atol=1e-6)
+    np.testing.assert_allclose(places, found.pose.translation, atol=1e-6)
 
 
 def test_every_problem_at_once(tmp_path):
