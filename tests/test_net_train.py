@@ -249,9 +249,9 @@ def test_a_video_that_ends_before_its_stated_end(clip, model, tmp_path, monkeypa
     assert len(found.frames) == FRAMES
 
 
-def test_frames_that_are_missing_inside_a_video_are_named(model, tmp_path):
+def test_frames_that_are_missing_inside_a_video_are_named(whole, quick, tmp_path):
     video = damaged(tmp_path / "a.mkv")
-    ended = run("predict", video, "--model", model, "--out", tmp_path / "p.csv", "--partial", "--device", "cpu")
+    ended = run("predict", video, "--model", whole, "--out", tmp_path / "p.csv", "--partial", "--device", "cpu")
     said = re.search(r"note: by its time stamps a\.mkv lacks frames \((\d+) before frame", " ".join(ended.out.split()))
     assert ended.code == 0, ended.err
     assert said is not None, ended.out
