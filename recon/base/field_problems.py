@@ -27,15 +27,12 @@ _EXPECTED = {
     "literal_error": "{expected}",
 }
 """What a value should have been, by the type of pydantic's error, which is filled in from the error's context."""
+_Table = Mapping[str, Any] | None
 _UNKNOWN = ("extra_forbidden", "unexpected_keyword_argument")
 
 
 def problems_of(
-    error: ValidationError,
-    source: str | Path,
-    schema: Mapping[str, Any] | None = None,
-    within: int = 0,
-    table: Mapping[str, Any] | None = None,
+    error: ValidationError, source: str | Path, schema: _Table = None, within: int = 0, table: _Table = None
 ) -> Iterator[Problem]:
     """Each with its field, as in legs[0].hip_m. schema: the JSON schema of what was to be read, which tells the fields
     of a table and the types of those that are missing; within: how many steps of the way to a field go without saying;

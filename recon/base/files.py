@@ -251,9 +251,6 @@ class _Manifest:
     files: Mapping[str, tuple[int, str]]
     """By name: size in bytes, and the SHA-256 of the content in hexadecimal digits."""
 
-    def __contains__(self, name: str) -> bool:
-        return name in self.files
-
     @property
     def paths(self) -> list[Path]:
         """All of them, and the manifest itself."""

@@ -74,10 +74,9 @@ def read_anipose(path: Path, individual: str | None = None) -> list[CameraRecord
     """The cameras of an Anipose or Pose2Sim TOML file. Raises InputError."""
     document = parse_toml(read_calibration(path), path)
     expected = f'[camera] with format = "{FORMAT}", or one table per camera as Anipose and Pose2Sim write'
-    tables = {key: table for key, table in document.items() if isinstance(table, dict) and key != "metadata"}
-    records, known = [], {key for keys in ALIASES.values() for key in keys}
-    if not any(known & table.keys() for table in tables.values()):
-        tables = {}  # a file about something else
+    known, records = {key for keys in ALIASES.values() for key in keys}, []
+    # others are metadata, or the file is about something else
+    tables = {key: table for key, table in document.items() if isinstance(table, dict) and known & table.keys()}
     for section, table in _tables(path, tables, expected).items():
         bent = table.get("distortions")
         if isinstance(bent, list) and len(bent) == 1:
@@ -252,17 +251,13 @@ def _plain_node(node: Any) -> Any:
 
 def write_cameras(cameras: Sequence[Camera], path: str | Path) -> None:
     """Write cameras as TOML that `read_cameras` reads back exactly; whole or not at all."""
-    _write({"cameras": [_table(camera) for camera in cameras]}, path)
+    write_text(path, tomli_w.dumps({"cameras": [_table(camera) for camera in cameras]}))
 
 
 def write_camera(camera: Camera, path: str | Path) -> None:
     """The same of one, that `read_camera` reads back without its name."""
-    _write({"camera": _table(camera)}, path)
+    write_text(path, tomli_w.dumps({"camera": _table(camera)}))
 
 
 def _table(camera: Camera) -> dict[str, Any]:
     return {"format": FORMAT, "version": VERSION, **camera.to_dict()}
-
-
-def _write(document: dict[str, Any], path: str | Path) -> None:
-    write_text(path, tomli_w.dumps(document))

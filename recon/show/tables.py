@@ -169,14 +169,9 @@ def angle_rates(found: ClipAnalysis) -> Columns:
         *((name, of, True) for name, of in found.skeleton_angles.items()),
     ]
     for name, angle, with_sigma in named:
-        s = angle.series
-        for column, of in (
-            ("rad", s.value),
-            ("sigma_rad", s.value_sigma),
-            ("rate_rad_s", s.rate),
-            ("rate_sigma_rad_s", s.rate_sigma),
-            ("acceleration_rad_s2", s.acceleration),
-        ):
+        s, names = angle.series, ("rad", "sigma_rad", "rate_rad_s", "rate_sigma_rad_s", "acceleration_rad_s2")
+        values = s.value, s.value_sigma, s.rate, s.rate_sigma, s.acceleration
+        for column, of in zip(names, values, strict=True):
             if with_sigma or "sigma" not in column:
                 columns[f"{name}_{column}"] = of[:: s.oversampling, 0]
     return columns

@@ -104,12 +104,10 @@ def _lines(found: ClipAnalysis, summary: Mapping[str, Any]) -> Iterator[str | Te
     if "spine_flexion" in found.angles:
         low, high = (math.degrees(angle) for angle in found.angles["spine_flexion"].range_rad)
         yield f"Flexion of the spine: {low:+.0f}° to {high:+.0f}° (positive: arched up)."
-    if (d := summary["dynamics"]) is not None and d["mean_peak_bw"] is not None:
-        low, high = d["mean_peak_interval_bw"]
-        yield (
-            f"Peak vertical force of a foot: {d['mean_peak_bw']:.1f} body weights (90 %: {low:.1f} to {high:.1f}), "
-            "mean over the stances in forces.csv."
-        )
+    if (d := found.dynamics) is not None and len(d.forces):
+        peak, low, high = d.forces[["peak_bw", "peak_low_bw", "peak_high_bw"]].mean()
+        said = f"{peak:.1f} body weights (90 %: {low:.1f} to {high:.1f}), mean over the stances in forces.csv"
+        yield f"Peak vertical force of a foot: {said}."
     if (stride := found.stride) is not None:
         which = "as given" if found.given is not None else f"of {stride.foot}"
         yield f"Phase portraits: the stride from {stride.start_s:.3f} to {stride.end_s:.3f} s, {which}."

@@ -102,7 +102,8 @@ def camera_advice(settings: _CameraAdviceSettings, progress: Progress) -> Answer
     setup = picked(settings, "hfov_deg", "distance_m", "cameras")
     wanted = settings.angle or settings.joint
     found = advise(body, motions, wanted, **setup, progress=lambda share: progress("cameras", share))
-    table = pd.concat([_places(number, advice) for number, advice in enumerate(found, start=1)])
+    places = [_places(number, advice) for number, advice in enumerate(found, start=1)]
+    table = pd.concat(places)
     best = [advice.best[0] * len(AZIMUTHS_RAD) + advice.best[1] for advice in found]
     report = {
         "schema": {"name": "recon.camera_advice", "version": 1},
@@ -112,10 +113,7 @@ def camera_advice(settings: _CameraAdviceSettings, progress: Progress) -> Answer
         "hfov_deg": settings.hfov_deg,
         "image_size_px": PICTURE_PX,
         "distance_m": found[0].distance_m,
-        "cameras": [
-            table[table["camera"] == number].drop(columns="camera").iloc[at].to_dict()
-            for number, at in enumerate(best, start=1)
-        ],
+        "cameras": [of.drop(columns="camera").iloc[at].to_dict() for of, at in zip(places, best, strict=True)],
         "words": [*in_sentences(found)],
     }
     with staged_folder(settings.out) as staging:

@@ -86,15 +86,14 @@ def convert(settings: ConvertSettings) -> Answer:
     )
     notes, content, wanted = data.notes, "2D keypoints" if isinstance(data, Keypoints) else "3D positions", ""
     written: Any = data
-    if "bones" in target.writes:
-        if motion is not None:
-            beside = [out.with_suffix(extension) for extension in target.beside]
-            all_of(*(partial(require_free_file, path, settings.overwrite, "OUT") for path in beside))
-            written = rig_of(motion, data.fps, settings.body_mass_kg)
-            data, notes = written.pose, notes + written.notes
-            notes += (f"Beside it: {', '.join(map(str, beside))}.",) if beside else ()
-        else:
-            wanted = f"a folder of results of recon fit: {target.title} has bones, which turn"
+    if "bones" in target.writes and motion is not None:
+        beside = [out.with_suffix(extension) for extension in target.beside]
+        all_of(*(partial(require_free_file, path, settings.overwrite, "OUT") for path in beside))
+        written = rig_of(motion, data.fps, settings.body_mass_kg)
+        data, notes = written.pose, notes + written.notes
+        notes += (f"Beside it: {', '.join(map(str, beside))}.",) if beside else ()
+    elif "bones" in target.writes:
+        wanted = f"a folder of results of recon fit: {target.title} has bones, which turn"
     elif isinstance(data, Keypoints):
         if "2D" not in target.writes:
             wanted = f"3D positions for {target.title}: fit the clip first (recon fit)"

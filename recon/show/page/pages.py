@@ -178,9 +178,7 @@ def _sections(found: ClipAnalysis) -> Iterator[dict[str, Any]]:
     motion, moved, gait = found.motion, found.reference_motion, found.gait
     ground = None if gait is None else gait.tracks.grounds
     drawn = {"ground": ground, "sides": motion.limb_sides}
-    slope = (
-        " The grey line is the ground that feet stand on: a slope is the ground's, or an error of the camera's tilt."
-    )
+    slope = " The grey line is the ground that feet stand on: a slope is the ground's, or the camera's tilt is off."
     yield _group(
         "From the side, from above and from ahead",
         f"Poses evenly spaced in time, turned so that the animal runs to the right.{slope if ground else ''}",

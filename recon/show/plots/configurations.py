@@ -205,7 +205,6 @@ def _draw(axes: Axes, paths_m: Array, side: Side | None) -> None:
 
 VIEWS = {"side": [0, 2], "top": [0, 1], "front": [1, 2]}
 """Coordinates to the right and upwards, x forwards, y left, z up: the animal faces right, and in the last view us."""
-_SIDE_COLOURS = {"left": style.COLOURS[0], "right": style.COLOURS[1], None: "#333333"}
 _NAME_MM, _LONG_MM = 3.4, 0.42 * style.WIDTH_MM
 """The height of a name, and the animal's length."""
 _SAME = 0.01
@@ -225,7 +224,7 @@ def views(body: Body, title: str = "") -> Figure:
         for axes, (view, coordinates) in zip(panels, VIEWS.items(), strict=True):
             _draw_limbs(axes, body, points[:, coordinates])
             for point, marker in zip(points[:, coordinates], body.markers, strict=True):
-                axes.plot(*point, ".", color=_SIDE_COLOURS[body.side_of(marker)], markersize=4)
+                axes.plot(*point, ".", color=SIDE_COLOURS[body.side_of(marker)], markersize=4)
             _name(axes, points[:, coordinates], labels[view], long)
             _scale(axes, points[:, coordinates], long)
             _frame(axes)
@@ -263,7 +262,7 @@ def _draw_limbs(axes: Axes, body: Body, points: Array, colour: str | None = None
         parts = [
             [points[a], points[b], [np.nan, np.nan]] for a, b in pairwise(along) if only is None or only[[a, b]].any()
         ]
-        own = colour or _SIDE_COLOURS[sides[limb]]
+        own = colour or SIDE_COLOURS[sides[limb]]
         axes.plot(*np.reshape(parts, (-1, 2)).T, color=own, linewidth=1.2, solid_capstyle="round")
 
 

@@ -154,11 +154,8 @@ def _along(axis: Literal["x", "z"], distance_m: float, angle_rad: float) -> Rigi
     return RigidTransform.from_components(shift, Rotation.from_euler(axis, angle_rad))
 
 
-def _split(given: Any) -> Any:
-    return tuple(given.split(",")) if isinstance(given, str) else given
-
-
-_Three = Annotated[tuple[Number, Number, Number], BeforeValidator(_split)]
+_split = BeforeValidator(lambda given: tuple(given.split(",")) if isinstance(given, str) else given)
+_Three = Annotated[tuple[Number, Number, Number], _split]
 _THREE = Option(expected="3 numbers with commas, as in 0.1,-20,3", metavar="X,Y,Z")
 
 
