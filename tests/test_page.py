@@ -168,7 +168,7 @@ def test_a_page_says_what_the_report_says(page, folder):
         *report["assumptions"]["sentences"],
         "few joints were seen and trusted",
         "The grey line is the ground that feet stand on",
-        "off the pose by no more than detectors err",
+        "rings: detected, off by what detectors err",
         "The acceleration is hardly known, most of the time less than its standard deviation, and not shown.",
     ):
         assert text in page.text
