@@ -38,7 +38,7 @@ def problems_of(
     of a table and the types of those that are missing; within: how many steps of the way to a field go without saying;
     table: what was to be read, a file about something else where it has no field of the schema: one problem."""
     fields = (schema or {}).get("properties", {})
-    if table is not None and fields and not fields.keys() & table.keys():
+    if isinstance(table, Mapping) and fields and not fields.keys() & table.keys():
         found = f"only {', '.join(map(str, table))[:60]}" if table else "nothing"
         yield Problem(source, "content", found, f"a file with {', '.join(fields)}")
         return
