@@ -298,11 +298,10 @@ def test_no_draft_of_what_does_not_show_its_joints(path_m, bends, noise_m, expec
 # -- small rigs ----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2])
-def test_refined_cameras_of_a_small_rig_stay_near_their_places(seed):
+def test_refined_cameras_of_a_small_rig_stay_near_their_places():
     """A mouse with a wider trunk and a longer head than the skeleton's before cameras that are turned by a degree about
     each axis: they are not moved by what is wrong with its lengths."""
-    body, rng = load_skeleton("mouse-top"), np.random.default_rng(seed)
+    body, rng = load_skeleton("mouse-top"), np.random.default_rng(0)
     states = running_about(60, 60.0)
     stretched = [
         replace(m, offset_m=(1.3 * m.offset_m[0], 1.5 * m.offset_m[1], m.offset_m[2])) for m in body.tree.markers

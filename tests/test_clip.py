@@ -10,7 +10,7 @@ import pytest
 from command_line import compare, refusal, says
 
 from recon import FitSettings, InputError, fit_clip, samples_folder, write_clip
-from recon.animal import builtin_chains, load_chain
+from recon.animal import load_chain
 from recon.base import read_manifest
 from recon.clip import still_view
 from recon.io import read_camera, read_keypoints, write_csv
@@ -100,8 +100,8 @@ def test_the_camera_of_the_file_that_shows_the_points_is_named(tmp_path):
 
 
 @pytest.mark.parametrize("method", ["frame", "trajectory"])
-@pytest.mark.parametrize("skeleton", [*builtin_chains(), "example", "front root"])
-def test_every_chain_is_fitted_and_written(tmp_path, skeleton: str, method: str):
+@pytest.mark.parametrize("skeleton", ["cheetah-8u", "example", "front root"])
+def test_a_chain_is_fitted_and_written(tmp_path, skeleton: str, method: str):
     texts = {"example": EXAMPLE, "front root": FRONT_ROOT}
     if skeleton in texts:
         (tmp_path / "chain.toml").write_text(texts[skeleton])

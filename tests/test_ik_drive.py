@@ -27,7 +27,7 @@ from recon.wings.robotics.ik.methods import (
     weighted_least_norm,
 )
 
-STARTS = 20
+STARTS = 12
 
 
 def methods(chain):
