@@ -6,6 +6,8 @@ averaged over each pixel: no picture is warped, so that nothing but the camera m
 
 from __future__ import annotations
 
+from functools import cache
+
 import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -87,6 +89,7 @@ def poses(
     return found
 
 
+@cache
 def _dark_quads_m(board: Board) -> Array:
     """Everything dark on the board, as quadrilaterals (Q, 4, 3)."""
     return _dark_squares_m(board) if board.marker_m is None else _dark_of_charuco_m(board)
