@@ -41,6 +41,9 @@ from recon.workflows.cli import Answer
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+# Modules are no garbage, nor is most of what a test makes: it is looked for less often than Python does by itself.
+gc.set_threshold(20_000)
+
 
 @pytest.fixture(scope="session")
 def shared_data() -> Path:
