@@ -315,15 +315,12 @@ def write_summary_page(out: Path) -> Path:
 
 def read_rows(path: Path) -> list[dict[str, str]]:
     """The rows of a summary.csv as they were before `Summary.write` made texts of formulas. Raises InputError."""
-    found, checks = [], []
     (_, header), *rows = [*text_rows(path)] or [(1, [])]
-    for line, cells in rows:
-        texts = [x[1:] if x[:1] == "'" and _is_formula(x) else x for x in cells]
-        found.append(dict.fromkeys(COLUMNS, "") | dict(zip(header, texts, strict=False)))
-        known = {name: x for name, x in found[-1].items() if x}
-        checks.append(partial(validated, _Row, known, f"{path}, line {line}"))
-    all_of(*checks)
-    return found
+    texts = ([x[1:] if x[:1] == "'" and _is_formula(x) else x for x in cells] for _, cells in rows)
+    found = [{name: x for name, x in zip(header, row, strict=False) if x} for row in texts]
+    wheres = (f"{path}, line {line}" for line, _ in rows)
+    all_of(*(partial(validated, _Row, *at) for at in zip(found, wheres, strict=True)))
+    return [dict.fromkeys(COLUMNS, "") | row for row in found]
 
 
 def _row(planned: ClipPlan, out: Path) -> dict[str, Any]:
