@@ -303,7 +303,7 @@ def test_feet_share_a_scale_also_where_a_force_is_unknown(found: ClipAnalysis):
     assert d is not None
     assert gait is not None
     force = d.force | {"LF": np.full_like(d.force["LF"], np.nan)}
-    panels = {axes.get_ylabel(): axes for axes in plots.forces(replace(d, force=force), gait).axes}
+    panels = {axes.get_ylabel()[:2]: axes for axes in plots.forces(replace(d, force=force), gait).axes}
     assert len({panels[foot].get_ylim() for foot in force}) == 1
     shown = [len([text for text in panels[foot].get_yticklabels() if text.get_visible()]) > 1 for foot in force]
     assert shown == [foot != "LF" for foot in force]

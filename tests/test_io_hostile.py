@@ -369,7 +369,7 @@ def test_hostile_network_runs_nothing(tmp_path):
     ("change", "fields"),
     [
         ({"spec": None}, ["model"]),
-        ({"spec": {}}, ["names", "scale", "body_length_px", "tolerance_px"]),
+        ({"spec": {}}, ["content"]),
         ({"weights": {}}, ["model"]),
         ({"weights": None}, ["model"]),
         ({"spec": {"names": 1}}, ["names", "scale", "body_length_px", "tolerance_px"]),

@@ -34,7 +34,7 @@ def load_skeleton(name_or_path: str | Path, subject: str | Path | None = None) -
     """The built-in skeleton of that name, or the one in a TOML file. subject: name or file of a measured animal, for a
     whole one only. Raises InputError, naming every problem."""
     raw, source = read_named(name_or_path)
-    if not raw.keys() & {"links", "extends"}:
+    if "segments" in raw or not raw.keys() & {"links", "extends"}:
         return _load_body(raw, source, subject)
     if subject is not None:
         expected = f"none: {source} is a chain, and a measured chain is a skeleton of its own"
