@@ -147,7 +147,7 @@ def fit(table: pd.DataFrame) -> dict[str, float]:
 
 def spreads(table: pd.DataFrame) -> list[float]:
     """The spread of what is left, `verdict.SPREAD` and `verdict.SPREAD_UNSEEN`, by least squares in its square."""
-    squares = np.log(table["pose_mm"] / table["expected mm"]).to_numpy() ** 2
+    squares = np.log((table["pose_mm"] / table["expected mm"]).to_numpy(float)) ** 2
     known = np.stack([np.ones(len(table)), table["unseen"].to_numpy() ** 2], axis=1)
     return [float(np.sqrt(max(of, 0.0))) for of in np.linalg.lstsq(known, squares, rcond=None)[0]]
 
