@@ -23,8 +23,8 @@ from recordings import recordings
 
 from recon import FitSettings, Pose3D, evaluate, fit_clip, read_pose3d
 from recon.gait.kinematics import frame_jitter_m
-from recon.wings.thesis import FrameSolution, frame
-from recon.wings.thesis.frame import Objective, ResidualAndJacobian
+from recon.thesis import FrameSolution, frame
+from recon.thesis.frame import Objective, ResidualAndJacobian
 
 LIMITS = ("theta range", "phi range", "theta rate", "phi rate")
 """f2, f3, f4 and f5."""

@@ -32,7 +32,7 @@ from recon.animal.chain import load_chain
 from recon.animal.skeleton_file import load_skeleton
 from recon.fit.points import solve_points
 from recon.gait.gait import pose_gait
-from recon.wings.robotics.ik.chain import (
+from recon.ik.chain import (
     SerialChain,
     StridePath,
     body_chain,
@@ -42,8 +42,8 @@ from recon.wings.robotics.ik.chain import (
     projected_chain,
     spine_front_leg,
 )
-from recon.wings.robotics.ik.clip import LAST, Limb, fit_parameter_series, follow_stride, stride_lasts_s
-from recon.wings.robotics.ik.methods import (
+from recon.ik.clip import LAST, Limb, fit_parameter_series, follow_stride, stride_lasts_s
+from recon.ik.methods import (
     Cost,
     ExtendedJacobian,
     Fit,

@@ -30,9 +30,9 @@ from net_circle import run_circle
 from net_large import run_large, write_large_film
 
 from recon.io.video import video_writer
-from recon.wings.keypoint_net import LabelSource, TrainSettings, run_training
-from recon.wings.keypoint_net.labels import evaluate_2d_files, read_label_file
-from recon.wings.keypoint_net.network import (
+from recon.keypoint_net import LabelSource, TrainSettings, run_training
+from recon.keypoint_net.labels import evaluate_2d_files, read_label_file
+from recon.keypoint_net.network import (
     PredictSettings,
     Spec,
     TrainedNetwork,

@@ -13,9 +13,9 @@ import numpy as np
 from recon.clip import Keypoints
 from recon.io import read_keypoints
 from recon.io.video import video_writer
-from recon.wings.keypoint_net import LabelSource, TrainSettings, run_training
-from recon.wings.keypoint_net.labels import body_length_px, evaluate_2d, read_label_file
-from recon.wings.keypoint_net.network import run_prediction
+from recon.keypoint_net import LabelSource, TrainSettings, run_training
+from recon.keypoint_net.labels import body_length_px, evaluate_2d, read_label_file
+from recon.keypoint_net.network import run_prediction
 from recon.workflows.demo import samples_folder
 
 sys.path.insert(0, str(samples_folder()))

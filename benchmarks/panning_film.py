@@ -29,7 +29,7 @@ from scipy.spatial.transform import Rotation
 
 from recon.geometry.camera import Camera
 from recon.io.camera_track import read_camera_track
-from recon.wings.keypoint_net.train import TrainSettings
+from recon.keypoint_net.train import TrainSettings
 from recon.workflows.demo import samples_folder
 
 sys.path.insert(0, str(samples_folder()))

@@ -24,10 +24,10 @@ import numpy as np
 
 from recon import FitSettings
 from recon.fit.motion import Motion
-from recon.wings.robotics.robot.playback import write_robot
-from recon.wings.robotics.robot.quadruped import LEGS, builtin_robots, load_robot
-from recon.wings.robotics.robot.retarget import Retargeting, reference_of, retarget
-from recon.wings.robotics.robot.retarget_clip import companion
+from recon.robotics.playback import write_robot
+from recon.robotics.quadruped import LEGS, builtin_robots, load_robot
+from recon.robotics.retarget import Retargeting, reference_of, retarget
+from recon.robotics.retarget_clip import companion
 from recon.workflows.clip_results import run_clip
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -31,10 +31,10 @@ if TYPE_CHECKING:
     from recon.io import read_pose3d as read_pose3d
     from recon.io import write_camera as write_camera
     from recon.io import write_cameras as write_cameras
-    from recon.wings.keypoint_net.labels import LabelSource as LabelSource
-    from recon.wings.keypoint_net.network import run_prediction as run_prediction
-    from recon.wings.keypoint_net.train import TrainSettings as TrainSettings
-    from recon.wings.keypoint_net.train import run_training as run_training
+    from recon.keypoint_net.labels import LabelSource as LabelSource
+    from recon.keypoint_net.network import run_prediction as run_prediction
+    from recon.keypoint_net.train import TrainSettings as TrainSettings
+    from recon.keypoint_net.train import run_training as run_training
     from recon.workflows.batch import find_clips as find_clips
     from recon.workflows.batch import plan_batch as plan_batch
     from recon.workflows.batch import run_batch as run_batch

@@ -10,7 +10,7 @@ EVALUATIONS = 3
 def narrow_networks(patch: pytest.MonkeyPatch) -> None:
     """Networks as deep as those of users, but narrow, judged three times in a run, and the same on every machine.
     Of their points, which are noise, no fit asks whether another picture explains them better."""
-    from recon.wings.keypoint_net import network, train
+    from recon.keypoint_net import network, train
 
     for name, value in (("WIDTHS", (4, 8, 12, 16, 16)), ("SECOND_WIDTHS", (4, 8, 12, 16)), ("HEAD", 8)):
         patch.setattr(network, name, value)

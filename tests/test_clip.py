@@ -14,7 +14,7 @@ from recon.animal import load_chain
 from recon.base import read_manifest
 from recon.clip import still_view
 from recon.io import read_camera, read_keypoints, write_csv
-from recon.wings.thesis import FrameOptions, solve_frames
+from recon.thesis import FrameOptions, solve_frames
 from recon.workflows import OUTPUT_FILES, prepare, run_clip
 
 EXAMPLE = (Path(__file__).parent / "files" / "trunk-and-leg.toml").read_text()

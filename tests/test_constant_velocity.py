@@ -8,7 +8,7 @@ from gallop import gallop
 
 from recon.animal import facing_side, load_chain, upright_rotation
 from recon.fit import constant_velocity, position_on_rays, starts
-from recon.wings.thesis.frame import estimate_travel, geometric_start, mean_pose
+from recon.thesis.frame import estimate_travel, geometric_start, mean_pose
 
 SK = load_chain("cheetah-8u")
 

@@ -17,7 +17,7 @@ from typer.testing import CliRunner
 
 from recon.clip import Keypoints
 from recon.io import CONVERTED, FORMATS, Format, Pose3D, read_keypoints, read_pose3d
-from recon.wings.robotics.robot.retarget_clip import FORMATS as ROBOT_FORMATS
+from recon.robotics.retarget_clip import FORMATS as ROBOT_FORMATS
 from recon.workflows import ConvertSettings, app, main
 from recon.workflows.convert import choose_format, convert
 

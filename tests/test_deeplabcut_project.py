@@ -17,7 +17,7 @@ from test_net_labels import NAMES, grey, write_labels
 from recon import evaluate_files, find_clips
 from recon.animal import load_names
 from recon.io import find_project, predictions, read_keypoints, read_pose3d
-from recon.wings.keypoint_net import read_labels
+from recon.keypoint_net import read_labels
 from recon.workflows.skeleton import _SkeletonDraftSettings, skeleton_from_keypoints
 
 SAMPLE = Path(__file__).parents[1] / "data" / "samples" / "whole.csv"

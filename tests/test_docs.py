@@ -31,7 +31,7 @@ from conftest import draw_small, fit_demo_from, leave_out_playback
 from docs_files import FILES, OF_PAGE
 
 from recon import find_clips
-from recon.wings.thesis import solver
+from recon.thesis import solver
 from recon.workflows import app
 from recon.workflows import commands as commands_of_recon
 

@@ -13,7 +13,7 @@ from recon import InputError, read_settings
 from recon.animal import load_skeleton
 from recon.base.documents import MAX_TOML_BYTES, read_content, read_json, read_toml
 from recon.io import read_keypoints, read_pose3d
-from recon.wings.robotics import load_robot
+from recon.robotics import load_robot
 
 DIGITS = "1" * 5000
 TEXTS = {
@@ -77,7 +77,7 @@ def test_a_pipe_is_not_waited_for(tmp_path):
     ],
 )
 def test_robots(tmp_path, change, said):
-    content = (resources.files("recon.wings.robotics.robot") / "robots" / "a1.toml").read_bytes()
+    content = (resources.files("recon.robotics") / "robots" / "a1.toml").read_bytes()
     (tmp_path / "a.toml").write_bytes(content.replace(*change, 1))
     with pytest.raises(InputError) as error:
         load_robot(tmp_path / "a.toml")

@@ -11,8 +11,8 @@ from gallop import add_noise, gallop
 from recon.animal import load_chain
 from recon.clip import still_view
 from recon.geometry import inverse
-from recon.wings.thesis import FrameOptions, FrameProblem, FrameSolver, frame, solve_frames
-from recon.wings.thesis.frame import (
+from recon.thesis import FrameOptions, FrameProblem, FrameSolver, frame, solve_frames
+from recon.thesis.frame import (
     CONVERGED,
     JointReprojection,
     Travel,

@@ -8,7 +8,7 @@ from gallop import gallop
 
 from recon.animal import load_chain, load_skeleton
 from recon.geometry import ROOT, YAW, inverse, rigid
-from recon.wings.robotics.ik.chain import (
+from recon.ik.chain import (
     body_chain,
     body_chain_angles,
     chain_angles,

@@ -7,7 +7,7 @@ import pytest
 
 from recon import load_skeleton
 from recon.animal import load_chain
-from recon.wings.robotics.ik.chain import (
+from recon.ik.chain import (
     body_chain,
     joint_chain,
     manipulability,
@@ -17,7 +17,7 @@ from recon.wings.robotics.ik.chain import (
     summed_chain,
     two_link,
 )
-from recon.wings.robotics.ik.methods import (
+from recon.ik.methods import (
     harmonic_map,
     joint_differences,
     pose_distance,

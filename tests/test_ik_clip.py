@@ -16,10 +16,9 @@ from scipy.interpolate import CubicSpline
 
 from recon.fit import Motion
 from recon.gait import pose_gait
-from recon.io import Pose3D
-from recon.wings.robotics import IkSettings, limb_of, methods_of, run_ik
-from recon.wings.robotics.ik.clip import METHODS, cost_of, fit_parameters, follow_stride, stride_lasts_s, stride_of
-from recon.wings.robotics.ik.methods import (
+from recon.ik import IkSettings, limb_of, methods_of, run_ik
+from recon.ik.clip import METHODS, cost_of, fit_parameters, follow_stride, stride_lasts_s, stride_of
+from recon.ik.methods import (
     PULL,
     RANGE,
     Frames,
@@ -31,6 +30,7 @@ from recon.wings.robotics.ik.methods import (
     rates_of,
     weighted_least_norm,
 )
+from recon.io import Pose3D
 
 pytestmark = pytest.mark.usefixtures("small_pictures")
 
@@ -360,7 +360,7 @@ def test_tables_are_written_where_figures_fail(whole_results, tmp_path, monkeypa
     def full(*args: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("recon.wings.robotics.ik.clip.write_figures", full)
+    monkeypatch.setattr("recon.ik.clip.write_figures", full)
     done = run("ik", whole_results, "--method", "damped", "--target", "0.7,0.1,-0.4", "--out", tmp_path / "a")
     assert done.code == 2
     assert "No space left on device" in done.err

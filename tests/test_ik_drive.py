@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from recon.animal import load_chain
-from recon.wings.robotics.ik.chain import null_basis, planar_chain, spine_front_leg
-from recon.wings.robotics.ik.methods import (
+from recon.ik.chain import null_basis, planar_chain, spine_front_leg
+from recon.ik.methods import (
     ExtendedJacobian,
     GradientProjection,
     JacobianTranspose,

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from recon.wings.robotics.ik.chain import joint_chain, planar_chain, unreachable
-from recon.wings.robotics.ik.methods import (
+from recon.ik.chain import joint_chain, planar_chain, unreachable
+from recon.ik.methods import (
     ExtendedJacobian,
     LeastNorm,
     damped_least_squares,

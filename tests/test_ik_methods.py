@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.linalg import orthogonal_procrustes
 
-from recon.wings.robotics.ik.chain import null_basis, planar_chain, summed_chain
-from recon.wings.robotics.ik.methods import (
+from recon.ik.chain import null_basis, planar_chain, summed_chain
+from recon.ik.methods import (
     PULL,
     ExtendedJacobian,
     Frames,

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from recon.wings.robotics.ik.chain import farthest_reach, find_stride, planar_chain
-from recon.wings.robotics.ik.methods import LeastNorm, follow
+from recon.ik.chain import farthest_reach, find_stride, planar_chain
+from recon.ik.methods import LeastNorm, follow
 
 CHAIN = planar_chain((0.5, 0.4, 0.3))
 

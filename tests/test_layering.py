@@ -1,8 +1,8 @@
 """Rooms import in one direction only, and nothing that the base install lacks.
 
 `LAYERS` is the order: a room, which is a package directly under `recon`, imports from those named before it and from
-its own package, wherever the import stands. `WINGS`, the packages of `recon.wings`, come after all rooms: a wing
-imports rooms and itself, no other wing, and no room imports a wing. `recon/__init__.py` is the public API: it may
+its own package, wherever the import stands. `WINGS` can be taken away one by one: each imports rooms and itself, no
+other wing, and no room imports a wing. `recon/__init__.py` is the public API: it may
 import all of them, and none imports it.
 """
 
@@ -34,6 +34,7 @@ LAYERS = (
     "calibrate",
     "show",
     "workflows",
+    "ik",
 )
 WINGS = ("robotics", "keypoint_net", "thesis")
 
@@ -80,9 +81,8 @@ def violations(module: str, source: str, base: set[str]) -> list[str]:
 
 
 def room(parts: tuple[str, ...]) -> str:
-    """The room of a dotted name, given as its parts; a wing's room is the wing."""
-    inside = parts[2:] if parts[1:2] == ("wings",) else parts[1:]
-    return inside[0] if inside else ""
+    """The room of a dotted name, given as its parts."""
+    return parts[1] if len(parts) > 1 else ""
 
 
 def all_imports(module: str, tree: ast.Module) -> Iterator[tuple[int, tuple[str, ...]]]:
@@ -158,8 +158,8 @@ def test_there_is_something_to_check():
         ("recon.fit.result", "def f():\n    from recon.show.page import clip_page"),
         ("recon.fit.result", "import importlib\ndef f():\n    importlib.import_module('recon.show.view')"),
         ("recon.base.errors", "from recon.io.npz import write"),
-        ("recon.workflows.clip", "from recon.wings.robotics.ik.clip import run_ik"),
-        ("recon.wings.robotics.ik.clip", "from recon.wings.thesis.frame import Frame"),
+        ("recon.show.report", "from recon.ik.clip import run_ik"),
+        ("recon.robotics.dh", "from recon.thesis.frame import Frame"),
     ],
 )
 def test_catches_an_import_against_the_order(module, source):
@@ -186,7 +186,7 @@ def test_catches_a_module_without_a_place(module):
         "with b:\n    import torch",
     ],
 )
-@pytest.mark.parametrize("module", ["recon.__init__", "recon.show.view", "recon.wings.robotics.ik.damped"])
+@pytest.mark.parametrize("module", ["recon.__init__", "recon.show.view", "recon.ik.damped"])
 def test_catches_an_optional_import_at_the_top(module, source):
     (found,) = violations(module, source, base_imports())
     assert "the base install has no" in found

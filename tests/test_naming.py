@@ -27,9 +27,9 @@ from recon.animal import (
 )
 from recon.fit import Motion
 from recon.io import read_keypoints, write_csv
+from recon.keypoint_net import evaluate_2d_files
+from recon.robotics import load_robot, reference_of, retarget
 from recon.show import build_report
-from recon.wings.keypoint_net import evaluate_2d_files
-from recon.wings.robotics import load_robot, reference_of, retarget
 from recon.workflows import (
     ConvertSettings,
     check_skeleton,
@@ -361,7 +361,7 @@ def test_positions_in_3d_are_not_renamed(tmp_path):
 
 
 def test_labels_and_predictions_of_other_names(tmp_path):
-    from recon.wings.keypoint_net import read_labels
+    from recon.keypoint_net import read_labels
 
     names = in_file(tmp_path, "".join(f"{n},{n.upper()}\n" for n in ("nose", "l_eye", "spine")))
     labels = read_labels(SAMPLES / "rendered.mp4", SAMPLES / "rendered_labels.csv", rename=str(names))

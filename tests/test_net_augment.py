@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from recon.io.video import Image
-from recon.wings.keypoint_net.pictures import (
+from recon.keypoint_net.pictures import (
     Augmentation,
     Example,
     augment,

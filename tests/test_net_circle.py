@@ -12,7 +12,7 @@ import pytest
 from networks import narrow_networks
 
 from recon.io import probe, read_frames, read_keypoints, video_writer
-from recon.wings.keypoint_net import read_labels
+from recon.keypoint_net import read_labels
 
 SAMPLES = Path(__file__).resolve().parents[1] / "data" / "samples"
 
@@ -101,7 +101,7 @@ def test_the_circle_at_a_small_size(tmp_path, monkeypatch):
     """A few steps of a narrow network: the points are poor, but every part gives what the next one takes."""
     from net_circle import run_circle
 
-    from recon.wings.keypoint_net import TrainSettings
+    from recon.keypoint_net import TrainSettings
 
     narrow_networks(monkeypatch)
     settings, film = TrainSettings(steps=4, batch=2), first_frames(tmp_path / "film", 32)

@@ -7,10 +7,10 @@ import pytest
 from command_line import refusal, run
 from scipy.special import expit, logit
 
-from recon.wings.keypoint_net import evaluate_2d_files
-from recon.wings.keypoint_net.labels import Labels, evaluate_2d, reliability
-from recon.wings.keypoint_net.network import calibrated, fit_calibration
-from recon.wings.keypoint_net.train import suspicious_labels
+from recon.keypoint_net import evaluate_2d_files
+from recon.keypoint_net.labels import Labels, evaluate_2d, reliability
+from recon.keypoint_net.network import calibrated, fit_calibration
+from recon.keypoint_net.train import suspicious_labels
 
 NAN = float("nan")
 

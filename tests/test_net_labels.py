@@ -11,8 +11,8 @@ from command_line import refusal, says
 
 from recon import InputError
 from recon.io import video_writer
-from recon.wings.keypoint_net import read_labels
-from recon.wings.keypoint_net.labels import (
+from recon.keypoint_net import read_labels
+from recon.keypoint_net.labels import (
     PARTS,
     body_length_px,
     frames_by_part,

@@ -13,7 +13,7 @@ from networks import narrow_networks
 torch = pytest.importorskip("torch")
 
 from recon.io import video_writer  # noqa: E402
-from recon.wings.keypoint_net import (  # noqa: E402
+from recon.keypoint_net import (  # noqa: E402
     LabelSource,
     TrainSettings,
     load_model,
@@ -22,7 +22,7 @@ from recon.wings.keypoint_net import (  # noqa: E402
     run_prediction,
     run_training,
 )
-from recon.wings.keypoint_net.network import (  # noqa: E402
+from recon.keypoint_net.network import (  # noqa: E402
     FORMAT,
     MODEL_FILE,
     Spec,
@@ -30,8 +30,8 @@ from recon.wings.keypoint_net.network import (  # noqa: E402
     load_torch,
     part_of,
 )
-from recon.wings.keypoint_net.pictures import network_scales  # noqa: E402
-from recon.wings.keypoint_net.train import CHECKPOINT_FILE  # noqa: E402
+from recon.keypoint_net.pictures import network_scales  # noqa: E402
+from recon.keypoint_net.train import CHECKPOINT_FILE  # noqa: E402
 
 SIZE, FRAMES = (160, 96), 12
 NAMES = ("nose", "l_paw", "r_paw")
@@ -42,7 +42,7 @@ SETTINGS = TrainSettings(steps=8, batch=2, seed=3, mirror=True)
 def no_report(monkeypatch: pytest.MonkeyPatch) -> None:
     """Only what is in it on threads."""
     monkeypatch.setattr(
-        "recon.wings.keypoint_net.train.write_training_report",
+        "recon.keypoint_net.train.write_training_report",
         lambda run, state, folder: {"threads": state.threads},
     )
 

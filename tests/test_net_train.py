@@ -16,16 +16,16 @@ torch = pytest.importorskip("torch")
 
 from recon.base import install_command  # noqa: E402
 from recon.io import VideoInfo, probe, read_keypoints, video_writer  # noqa: E402
-from recon.wings.keypoint_net import (  # noqa: E402
+from recon.keypoint_net import (  # noqa: E402
     LabelSource,
     TrainSettings,
     run_prediction,
     run_training,
 )
-from recon.wings.keypoint_net import network as predict_module  # noqa: E402
-from recon.wings.keypoint_net import train as train_module  # noqa: E402
-from recon.wings.keypoint_net.network import load_torch  # noqa: E402
-from recon.wings.keypoint_net.train import schedule  # noqa: E402
+from recon.keypoint_net import network as predict_module  # noqa: E402
+from recon.keypoint_net import train as train_module  # noqa: E402
+from recon.keypoint_net.network import load_torch  # noqa: E402
+from recon.keypoint_net.train import schedule  # noqa: E402
 from tests.test_video import damaged  # noqa: E402
 
 SIZE, FRAMES = (96, 64), 20
@@ -98,7 +98,7 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
 def quick_training(patch: pytest.MonkeyPatch) -> None:
     """Narrow networks, and no report."""
     narrow_networks(patch)
-    patch.setattr("recon.wings.keypoint_net.train.write_training_report", lambda run, state, folder: {})
+    patch.setattr("recon.keypoint_net.train.write_training_report", lambda run, state, folder: {})
 
 
 class Killed(Exception):
@@ -152,7 +152,7 @@ def test_ctrl_c_says_how_to_go_on(clip, tmp_path, monkeypatch):
     def interrupted(*args: object, **options: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("recon.wings.keypoint_net.train.train", interrupted)
+    monkeypatch.setattr("recon.keypoint_net.train.train", interrupted)
     arguments = ["train", clip / "clip.avi", "--labels", clip / "labels.csv", "--first-frame", "50", "--steps", "3"]
     ended = run(*arguments, "--out", tmp_path / "out")
     assert ended.code == 130

@@ -9,7 +9,7 @@ import pytest
 
 from recon.animal import load_chain
 from recon.geometry import Camera
-from recon.wings.thesis.frame import (
+from recon.thesis.frame import (
     AngleRange,
     DirectionPrior,
     GaussianPrior,

@@ -140,7 +140,7 @@ def small_film(folder: Path) -> None:
 def test_video_to_3d(said, folder, monkeypatch):
     """With a network that learned next to nothing."""
     narrow_networks(monkeypatch)
-    monkeypatch.setattr("recon.wings.keypoint_net.train.EVALUATIONS", 1)
+    monkeypatch.setattr("recon.keypoint_net.train.EVALUATIONS", 1)
     small_film(folder)
     changes = {
         "../data/samples/rendered.mp4": "film.mp4",

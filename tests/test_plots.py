@@ -27,13 +27,13 @@ from recon.gait import (
     vector_field,
 )
 from recon.gait.gait import BODY, FEET, Plane, Stance, Stride, gait, pose_tracks
+from recon.ik import clip as ik_plots
+from recon.ik.chain import planar_chain, summed_chain
+from recon.ik.methods import JacobianTranspose, LeastNorm, damped_least_squares, drive_to, follow
 from recon.io.common import Pose3D
 from recon.show import plots
 from recon.show.plots import configurations, over_time, style
 from recon.show.plots.configurations import share_colours
-from recon.wings.robotics.ik import clip as ik_plots
-from recon.wings.robotics.ik.chain import planar_chain, summed_chain
-from recon.wings.robotics.ik.methods import JacobianTranspose, LeastNorm, damped_least_squares, drive_to, follow
 
 FPS = 50.0
 LIMBS = {"trunk": (0, 1), "near leg": (0, 2), "off leg": (0, 3)}

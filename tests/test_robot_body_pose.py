@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from recon.wings.robotics.robot.quadruped import body_pose, feet_in_world, leg_targets
+from recon.robotics.quadruped import body_pose, feet_in_world, leg_targets
 
 A, C, L = 0.065, 0.0625, 0.11
 """Half length, half width, height."""

@@ -16,9 +16,9 @@ from scipy.spatial.transform import Rotation
 
 from recon import InputError
 from recon.geometry import rigid
-from recon.wings.robotics import LEGS, Quadruped, load_recipe, load_robot
-from recon.wings.robotics.climb import Recipe, bundled, plan, raised
-from recon.wings.robotics.climb.plan import (
+from recon.robotics import LEGS, Quadruped, load_recipe, load_robot
+from recon.robotics.climb import Recipe, bundled, plan, raised
+from recon.robotics.climb.plan import (
     LEFT,
     NONE,
     PLANAR,
@@ -37,7 +37,7 @@ from recon.wings.robotics.climb.plan import (
     swing_path,
     wrench,
 )
-from recon.wings.robotics.robot.physics import margins_figure
+from recon.robotics.physics import margins_figure
 
 HIPS = np.array([[0.065, 0.0625, 0], [0.065, -0.0625, 0], [-0.065, 0.0625, 0], [-0.065, -0.0625, 0]])
 

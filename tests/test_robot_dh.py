@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from recon.wings.robotics.ik.methods import (
+from recon.ik.methods import (
     ExtendedJacobian,
     GradientProjection,
     JacobianTranspose,
@@ -15,7 +15,7 @@ from recon.wings.robotics.ik.methods import (
     joint_differences,
     weighted_least_norm,
 )
-from recon.wings.robotics.robot.dh import DHRow, all_solutions, dh_chain, dh_table
+from recon.robotics.dh import DHRow, all_solutions, dh_chain, dh_table
 
 QUARTER = np.pi / 2
 PUMA_MODIFIED = tuple(

@@ -13,11 +13,11 @@ from command_line import refusal, refused, run, says
 from robot_urdf import a1_urdf
 
 from recon.fit import Motion
-from recon.wings.robotics import LEGS, load_robot, reference_of, retarget, simulated
-from recon.wings.robotics.robot.physics import FRICTION, RULES, carried, check, followed, kept
-from recon.wings.robotics.robot.quadruped import body_pose, read_model
-from recon.wings.robotics.robot.retarget import RobotMotion, posed
-from recon.wings.robotics.robot.retarget_clip import RobotSamples
+from recon.robotics import LEGS, load_robot, reference_of, retarget, simulated
+from recon.robotics.physics import FRICTION, RULES, carried, check, followed, kept
+from recon.robotics.quadruped import body_pose, read_model
+from recon.robotics.retarget import RobotMotion, posed
+from recon.robotics.retarget_clip import RobotSamples
 
 NO_MASSES = ("aibo", "masses", "none")
 

@@ -5,7 +5,7 @@ import pytest
 from command_line import refusal
 
 from recon import InputError
-from recon.wings.robotics import LEGS, builtin_robots, load_robot
+from recon.robotics import LEGS, builtin_robots, load_robot
 
 AIBO = """
 name = "mine"

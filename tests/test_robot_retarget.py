@@ -15,11 +15,10 @@ from robot_urdf import a1_urdf
 from recon import InputError
 from recon.animal import load_skeleton
 from recon.fit import Motion
-from recon.show.view.scene import LEFT, MIDDLE, RIGHT
-from recon.wings.robotics import LEGS, RetargetSettings, load_robot, reference_of, retarget, run_retarget
-from recon.wings.robotics.robot.playback import write_robot
-from recon.wings.robotics.robot.quadruped import feet_in_world
-from recon.wings.robotics.robot.retarget import (
+from recon.robotics import LEGS, RetargetSettings, load_robot, reference_of, retarget, run_retarget
+from recon.robotics.playback import write_robot
+from recon.robotics.quadruped import feet_in_world
+from recon.robotics.retarget import (
     closed_stride,
     drawn_in,
     on_robot,
@@ -29,7 +28,8 @@ from recon.wings.robotics.robot.retarget import (
     stances,
     stride_window,
 )
-from recon.wings.robotics.robot.retarget_clip import companion, repeated, report_of
+from recon.robotics.retarget_clip import companion, repeated, report_of
+from recon.show.view.scene import LEFT, MIDDLE, RIGHT
 
 # -- footholds ---------------------------------------------------------------------------------------------------------
 
@@ -319,7 +319,7 @@ def test_command(whole_results, frame_results, tmp_path):
 
 
 def test_urdf_file(whole, tmp_path):
-    """The same robot joint by joint, solved by the methods of recon.wings.robotics.ik."""
+    """The same robot joint by joint, solved by the methods of recon.ik."""
     path = tmp_path / "a1.urdf"
     shape = '<link name="trunk"><visual><geometry><box size="0.4 0.1 0.1"/></geometry></visual></link>'
     facet = np.zeros(1, [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])

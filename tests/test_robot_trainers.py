@@ -11,9 +11,9 @@ from command_line import refusal, refused, run
 from scipy.spatial.transform import Rotation
 
 from recon.fit import Motion, draws
-from recon.wings.robotics import Retargeting, RetargetSettings, load_robot, reference_of, retarget, simulated
-from recon.wings.robotics.robot.physics import check, kept
-from recon.wings.robotics.robot.retarget_clip import FORMATS, RobotSamples, drawn, write_for_trainer
+from recon.robotics import Retargeting, RetargetSettings, load_robot, reference_of, retarget, simulated
+from recon.robotics.physics import check, kept
+from recon.robotics.retarget_clip import FORMATS, RobotSamples, drawn, write_for_trainer
 from recon.workflows import problem_of
 
 LATERAL, THIGH, SHIN = 0.0838, 0.2, 0.2

@@ -8,8 +8,7 @@ from command_line import refusal
 from robot_urdf import HEAD, JOINT, a1_urdf, moving
 
 from recon import InputError
-from recon.wings.robotics import LEGS, load_robot, simulated
-from recon.wings.robotics.ik.methods import (
+from recon.ik.methods import (
     ExtendedJacobian,
     GradientProjection,
     JacobianTranspose,
@@ -20,8 +19,9 @@ from recon.wings.robotics.ik.methods import (
     joint_differences,
     weighted_least_norm,
 )
-from recon.wings.robotics.robot.physics import described
-from recon.wings.robotics.robot.quadruped import model_chain, read_model
+from recon.robotics import LEGS, load_robot, simulated
+from recon.robotics.physics import described
+from recon.robotics.quadruped import model_chain, read_model
 
 ARM = (
     (

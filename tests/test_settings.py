@@ -17,7 +17,7 @@ from recon import FitSettings, InputError, read_settings
 from recon.animal import load_skeleton
 from recon.fit import TrajectoryOptions
 from recon.io import read_camera, read_cameras
-from recon.wings.thesis import FrameOptions
+from recon.thesis import FrameOptions
 from recon.workflows import app, commands
 from recon.workflows.clip import read_model_and_cameras
 from recon.workflows.look import OverlaySettings, PageSettings

@@ -13,9 +13,9 @@ from scipy.sparse import load_npz
 
 from recon.fit import Motion
 from recon.show import build_report
-from recon.wings.thesis import SolverRecord, read_solver
-from recon.wings.thesis import solver as solver_plots
-from recon.wings.thesis.solver import TABLES
+from recon.thesis import SolverRecord, read_solver
+from recon.thesis import solver as solver_plots
+from recon.thesis.solver import TABLES
 
 
 @pytest.fixture(scope="module")

@@ -65,7 +65,7 @@ def test_a_fit_imports_what_it_uses(tmp_path):
 def test_the_process_that_fits_many_clips_imports_what_it_uses():
     modules = imported_by(what=("-c", "import recon.workflows.batch"))
     assert "recon.workflows.clip" in modules
-    unused = {"recon.show.plots", "recon.wings.keypoint_net", "cv2", "torch", "matplotlib"}
+    unused = {"recon.show.plots", "recon.keypoint_net", "cv2", "torch", "matplotlib"}
     assert modules & unused == set()
 
 

@@ -12,7 +12,7 @@ is the joint's local position, p0 the root's, R = Rx(xi) Ry(psi) Rz(zeta). One f
 
     [theta of every free link, phi of every free link, x0, y0, z0, xi, psi, zeta, base_length]
 
-with base_length in metres scaling all links. That is the form of the frame method (`recon.wings.thesis`). For
+with base_length in metres scaling all links. That is the form of the frame method (`recon.thesis`). For
 everything else the chain is a tree of segments as any animal's (`Chain.body`).
 
 Source: C. van der Leek, "Kinematic Modeling and Dynamic Aspects of an Accelerating Quadruped", MSc(Eng), University of

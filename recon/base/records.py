@@ -129,7 +129,7 @@ def _restored(value: Any, arrays: Mapping[str, np.ndarray]) -> Any:
 
 def _dataclass_named(name: str) -> type:
     """By its module and name. Raises ValueError unless it is one of this package."""
-    module, _, own = name.partition(":")
+    module, _, own = name.replace("recon.wings.", "recon.").partition(":")
     found = None
     with suppress(ImportError):
         found = getattr(import_module(module), own, None) if module.startswith(f"{PACKAGE}.") else None

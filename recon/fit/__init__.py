@@ -1,7 +1,8 @@
 """Views of a clip -> an animal's motion over the whole clip.
 
-The only place that solves for an animal's motion, besides the wings' own methods. `recon.fit.constants` has the numbers
-that no user sets."""
+The only place that solves for an animal's motion, besides the frame method of `recon.thesis`. `recon.fit.constants`
+has the numbers that no user sets.
+"""
 
 from typing import TYPE_CHECKING
 

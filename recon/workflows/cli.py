@@ -333,8 +333,8 @@ def _parameter(info: SettingInfo, overrules: bool) -> inspect.Parameter:
 
 # -- all commands -----------------------------------------------------------------------------------------------------
 
-_CORE, _ROBOTICS, _NET = "recon.workflows.", "recon.wings.robotics.", "recon.wings.keypoint_net."
-_THESIS = "recon.wings.thesis."
+_CORE, _ROBOTICS, _NET = "recon.workflows.", "recon.robotics.", "recon.keypoint_net."
+_THESIS = "recon.thesis."
 COMMANDS = {
     "From a clip to its motion": {
         "fit": (_CORE + "fit:fit", "One clip: keypoints and a camera in, a folder of results out."),
@@ -371,10 +371,10 @@ COMMANDS = {
         "prior fit": (_CORE + "models:prior_fit", "Fit a motion prior to results or 3D poses."),
     },
     "Robots and the thesis": {
-        "ik": (_ROBOTICS + "ik.clip:ik", "Inverse kinematics from the trunk to a foot."),
-        "retarget": (_ROBOTICS + "robot.retarget_clip:retarget_command", "The motion on a four-legged robot."),
-        "robot pose": (_ROBOTICS + "robot.dh:pose", "The legs' angles of a body that moves over planted feet."),
-        "robot dh": (_ROBOTICS + "robot.dh:dh", "A leg or chain by its Denavit-Hartenberg table, forward and inverse."),
+        "ik": ("recon.ik.clip:ik", "Inverse kinematics from the trunk to a foot."),
+        "retarget": (_ROBOTICS + "retarget_clip:retarget_command", "The motion on a four-legged robot."),
+        "robot pose": (_ROBOTICS + "dh:pose", "The legs' angles of a body that moves over planted feet."),
+        "robot dh": (_ROBOTICS + "dh:dh", "A leg or chain by its Denavit-Hartenberg table, forward and inverse."),
         "climb": (_ROBOTICS + "climb.plan:climb", "A four-legged robot climbs a step by potential fields."),
         "frame": (_THESIS + "clip:frame", "Fit one side of the animal, one frame after the other."),
         "solver": (_THESIS + "solver:solver", "What the optimiser of recon frame did: costs, Jacobian, limits."),

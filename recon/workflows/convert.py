@@ -24,7 +24,7 @@ from recon.show.rig import rig_of
 from recon.workflows.cli import ANYWAY, Answer, table_of
 from recon.workflows.settings import INDIVIDUAL, RENAME
 
-ROBOTS, ROBOT_FILE = "recon.wings.robotics.robot.retarget_clip", "robot.npz"
+ROBOTS, ROBOT_FILE = "recon.robotics.retarget_clip", "robot.npz"
 """What converts a folder of `recon retarget`, which has such a file. It is imported by its name, as no room needs a
 wing."""
 

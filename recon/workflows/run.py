@@ -41,7 +41,7 @@ from recon.workflows.settings import OF_ANY_CLIP, FitSettings
 RECORD = "run.jsonl"
 Stage = Literal["detect", "camera-motion", "fit", "analyse", "overlay", "page"]
 OVERLAY = "overlay.mp4"
-DETECTOR = "recon.wings.keypoint_net"
+DETECTOR = "recon.keypoint_net"
 """The package that finds keypoints. It is imported by its name, where a job has a network: no room needs a wing."""
 _OfFit = Annotated[dict[str, Any], OptionsOf(FitSettings, OF_ANY_CLIP, "Settings of the fit")]
 

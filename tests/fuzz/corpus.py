@@ -35,13 +35,13 @@ from recon.io import (
     write_camera,
 )
 from recon.io.columns import read_long
+from recon.keypoint_net import read_label_file
+from recon.robotics import LEGS, load_recipe, load_robot
+from recon.robotics.dh import load_dh
+from recon.robotics.physics import described
+from recon.robotics.retarget import Reference, place, posed
+from recon.robotics.retarget_clip import KEPT, RobotSamples, keep, kept_motions
 from recon.show import make_rig
-from recon.wings.keypoint_net import read_label_file
-from recon.wings.robotics import LEGS, load_recipe, load_robot
-from recon.wings.robotics.robot.dh import load_dh
-from recon.wings.robotics.robot.physics import described
-from recon.wings.robotics.robot.retarget import Reference, place, posed
-from recon.wings.robotics.robot.retarget_clip import KEPT, RobotSamples, keep, kept_motions
 from recon.workflows import Record, run_clip
 
 SAMPLES = Path(__file__).resolve().parents[2] / "data" / "samples"
@@ -362,7 +362,7 @@ def _built_in() -> Iterator[Seed]:
     prior = (package / "priors" / "running-cheetah.npz").read_bytes()
     yield Seed("prior.npz", prior, lambda path: load_prior(path, body), 1.5)
     for name in ("aibo", "a1"):
-        content = (resources.files("recon.wings.robotics.robot") / "robots" / f"{name}.toml").read_bytes()
+        content = (resources.files("recon.robotics") / "robots" / f"{name}.toml").read_bytes()
         yield Seed(f"robot-{name}.toml", content, _walking, 1.5)
     yield Seed("dh.toml", DH, load_dh)
     yield Seed("robot.npz", _kept_robot(), lambda path: RobotSamples(kept_motions(path)[0], 50.0), 1.5)
@@ -371,7 +371,7 @@ def _built_in() -> Iterator[Seed]:
         spec = described(load_robot("a1"))
         spec.compile()
         yield Seed("robot.xml", spec.to_xml().encode(), _walking, 0.3)
-    recipe = sorted((resources.files("recon.wings.robotics.climb") / "recipes").iterdir(), key=str)[0]
+    recipe = sorted((resources.files("recon.robotics.climb") / "recipes").iterdir(), key=str)[0]
     yield Seed("recipe.toml", recipe.read_bytes(), load_recipe)
 
 
@@ -442,7 +442,7 @@ def _models(folder: Path) -> Iterator[Seed]:
         return
     import torch
 
-    from recon.wings.keypoint_net import FORMAT, load_model
+    from recon.keypoint_net import FORMAT, load_model
 
     spec = {"names": ["nose", "tail"], "scale": 0.5, "body_length_px": 300.0, "tolerance_px": 9.0}
     spec |= {"calibration": [1.0, 0.0]}

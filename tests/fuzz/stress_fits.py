@@ -34,7 +34,7 @@ from recon.fit import Motion
 from recon.geometry import Camera
 from recon.io import write_camera, write_csv
 from recon.show import build_report, write_report, write_tables
-from recon.wings.thesis import FrameSolution
+from recon.thesis import FrameSolution
 
 Array = NDArray[np.float64]
 Rng = np.random.Generator

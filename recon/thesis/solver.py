@@ -31,7 +31,7 @@ from recon.base.settings import Integer, Option, Settings
 from recon.fit.motion import Motion
 from recon.show.plain import to_json
 from recon.show.plots import style
-from recon.wings.thesis.frame import FrameOptions, FrameSearch, FrameSolution, FrameSolver, solve_frames
+from recon.thesis.frame import FrameOptions, FrameSearch, FrameSolution, FrameSolver, solve_frames
 from recon.workflows.cli import Answer
 from recon.workflows.clip_results import CONFIG, read_config
 

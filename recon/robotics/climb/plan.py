@@ -47,14 +47,14 @@ from recon.base.files import name_seen_from, require_free_folder, sole_writer, s
 from recon.base.settings import Number, Option, Settings
 from recon.geometry import rigid
 from recon.io.writing import write_rows
+from recon.robotics.physics import Rule, margins_figure
+from recon.robotics.playback import write_robot
+from recon.robotics.quadruped import LEGS, Length, PositiveLength, Quadruped, leg_targets, load_robot
+from recon.robotics.retarget import RobotMotion, posed
+from recon.robotics.retarget_clip import write_tables
 from recon.show.plain import picked, to_json
 from recon.show.plots.style import COLOURS, GREY, PALE, SMALL, add_legend, drawing, save
 from recon.show.view.scene import LIMB_COLOURS, TimePlot
-from recon.wings.robotics.robot.physics import Rule, margins_figure
-from recon.wings.robotics.robot.playback import write_robot
-from recon.wings.robotics.robot.quadruped import LEGS, Length, PositiveLength, Quadruped, leg_targets, load_robot
-from recon.wings.robotics.robot.retarget import RobotMotion, posed
-from recon.wings.robotics.robot.retarget_clip import write_tables
 from recon.workflows.cli import EXIT_UNSOLVED, Answer, table_of
 
 NONE = -1

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 from recon.base import lazily
 
 if TYPE_CHECKING:
-    from recon.wings.thesis.clip import fit_clip, load_body
-    from recon.wings.thesis.frame import FrameOptions, FrameProblem, FrameSolution, FrameSolver, solve_frames
-    from recon.wings.thesis.solver import SolverRecord, read_solver
+    from recon.thesis.clip import fit_clip, load_body
+    from recon.thesis.frame import FrameOptions, FrameProblem, FrameSolution, FrameSolver, solve_frames
+    from recon.thesis.solver import SolverRecord, read_solver
 
 __getattr__ = lazily(__name__, __file__)

@@ -22,7 +22,7 @@ from recon.geometry.frames import level_axes
 from recon.show import report as sections
 from recon.show.plain import number, spread
 from recon.show.report import Line, Section
-from recon.wings.thesis.frame import FrameOptions, base_length, frame_solution, solve_frames
+from recon.thesis.frame import FrameOptions, base_length, frame_solution, solve_frames
 from recon.workflows.cli import Answer, OptionsOf
 from recon.workflows.clip import prepare
 from recon.workflows.fit import FitRunSettings, fit

@@ -28,13 +28,13 @@ from recon.gait.clip import ClipAnalysis, limb_chains, stride_given
 from recon.gait.gait import AGREE, OVERSAMPLING, Gait, doubtful_text
 from recon.gait.kinematics import MIN_POINTS
 from recon.gait.phase import Closure, Portrait
+from recon.ik import chain as chains
+from recon.ik import methods as ways
+from recon.ik.chain import SerialChain
+from recon.ik.methods import Run, control_columns, drive_to, follow, to_null_space_optimum
 from recon.show.plain import by_name, picked, to_json
 from recon.show.plots import style
 from recon.show.plots.over_time import phase_portraits
-from recon.wings.robotics.ik import chain as chains
-from recon.wings.robotics.ik import methods as ways
-from recon.wings.robotics.ik.chain import SerialChain
-from recon.wings.robotics.ik.methods import Run, control_columns, drive_to, follow, to_null_space_optimum
 from recon.workflows.cli import ANYWAY, STRIDE, Answer, StrideTimes, table_of, verdict_texts
 
 Extended = Literal["extended-differences", "extended-energy", "extended-harmonic"]
@@ -592,7 +592,7 @@ VIEWS = {
     "UVW": (("side", 0, 1, "forwards (m)", "down (m)"), ("top", 0, 2, "forwards (m)", "to the left (m)")),
     "xyz": (("side", 0, 2, "forwards (m)", "up (m)"), ("top", 0, 1, "forwards (m)", "to the left (m)")),
 }
-"""The views of the base frames of `recon.wings.robotics.ik.chain`: name, coordinates, and what the axes are called."""
+"""The views of the base frames of `recon.ik.chain`: name, coordinates, and what the axes are called."""
 _ROOM = 0.06
 
 

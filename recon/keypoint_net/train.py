@@ -33,11 +33,11 @@ from recon.base import Array, Bools, InputError, Integers, Problem, Progress, al
 from recon.base.files import require_free_folder, sole_writer, staged_folder, write_bytes
 from recon.base.settings import Count, Integer, Number, Option, Settings
 from recon.io.video import Image
+from recon.keypoint_net import labels as data
+from recon.keypoint_net import network as net
+from recon.keypoint_net import pictures
 from recon.show.overlay import draw_circle, draw_line, draw_text
 from recon.show.plain import picked, to_json, to_plain
-from recon.wings.keypoint_net import labels as data
-from recon.wings.keypoint_net import network as net
-from recon.wings.keypoint_net import pictures
 from recon.workflows.cli import Answer, stop
 
 if TYPE_CHECKING:

@@ -26,9 +26,9 @@ from scipy.spatial.transform import Rotation
 
 from recon.base.arrays import Array
 from recon.base.errors import InputError, Problem
+from recon.robotics.quadruped import LEGS, SUFFIXES, Quadruped, read_model, root_of, the_mujoco
+from recon.robotics.retarget import LEGS_APART, RobotMotion, moved_by, stances, swinging
 from recon.show.plots.style import GREY, SMALL, drawing
-from recon.wings.robotics.robot.quadruped import LEGS, SUFFIXES, Quadruped, read_model, root_of, the_mujoco
-from recon.wings.robotics.robot.retarget import LEGS_APART, RobotMotion, moved_by, stances, swinging
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -308,7 +308,7 @@ class FrameSolution(Solution):
     fps: float
 
     method: ClassVar = "frame"
-    described_by: ClassVar = "recon.wings.thesis.clip"
+    described_by: ClassVar = "recon.thesis.clip"
     jitters: ClassVar = True
 
     @property

@@ -43,13 +43,13 @@ from recon.fit.motion import Motion
 from recon.fit.result import TrajectorySolution
 from recon.fit.sampling import draws
 from recon.gait.gait import doubtful_text
+from recon.ik.methods import control_columns
 from recon.io.writing import write_rows
+from recon.robotics import physics
+from recon.robotics.quadruped import LEGS, Quadruped, builtin_robots, load_robot
+from recon.robotics.retarget import LEGS_APART, KeptMotion, Retargeting, RobotMotion, reference_of, retarget
 from recon.show.plain import picked, to_json
 from recon.show.plots.style import save
-from recon.wings.robotics.ik.methods import control_columns
-from recon.wings.robotics.robot import physics
-from recon.wings.robotics.robot.quadruped import LEGS, Quadruped, builtin_robots, load_robot
-from recon.wings.robotics.robot.retarget import LEGS_APART, KeptMotion, Retargeting, RobotMotion, reference_of, retarget
 from recon.workflows.cli import ANYWAY, STRIDE, Answer, StrideTimes, table_of, verdict_texts
 from recon.workflows.clip_results import problem_of
 
@@ -316,7 +316,7 @@ def _notes(done: Retargeting) -> list[str]:
 
 
 def _write(done: Retargeting, report: dict[str, Any], folder: Path) -> None:
-    from recon.wings.robotics.robot.playback import write_robot
+    from recon.robotics.playback import write_robot
 
     write_tables(done.clip, folder, "")
     write_tables(done.stride, folder, "stride_")

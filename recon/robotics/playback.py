@@ -17,9 +17,9 @@ import rerun.blueprint as rrb
 
 from recon.base.arrays import Array, Bools
 from recon.fit.motion import Motion
+from recon.robotics.quadruped import LEGS
+from recon.robotics.retarget import RobotMotion
 from recon.show.view import laid_out, scene, state_rows, time_view
-from recon.wings.robotics.robot.quadruped import LEGS
-from recon.wings.robotics.robot.retarget import RobotMotion
 
 ROBOT = scene.DETECTION
 STEP = (58, 62, 72)

@@ -54,8 +54,8 @@ from recon.base.documents import FileTable, builtin_names, named_table, validate
 from recon.base.errors import InputError, Problem, refuse
 from recon.base.package import install_command
 from recon.geometry.kinematics import Marker, Segment, Tree
-from recon.wings.robotics.ik.chain import MAX_RATE_RAD_S, SerialChain, joint_chain
-from recon.wings.robotics.ik.methods import LeastNorm, drive_to
+from recon.ik.chain import MAX_RATE_RAD_S, SerialChain, joint_chain
+from recon.ik.methods import LeastNorm, drive_to
 
 LEGS = ("LF", "RF", "LH", "RH")
 IK_TOLERANCE_M = 1e-5
@@ -415,7 +415,7 @@ class _RobotFile(FileTable):
 
 def builtin_robots() -> tuple[str, ...]:
     """Names of the robots that come with the package."""
-    return builtin_names("wings/robotics/robot/robots", ".toml")
+    return builtin_names("robotics/robots", ".toml")
 
 
 def load_robot(robot: str | Path) -> Quadruped:
@@ -425,7 +425,7 @@ def load_robot(robot: str | Path) -> Quadruped:
         found = _quadruped_of_model(path)
     else:
         choice = (*builtin_robots(), "a file .urdf or .xml")
-        table, _ = named_table(robot, "wings/robotics/robot/robots", "--robot", "robot", choice)
+        table, _ = named_table(robot, "robotics/robots", "--robot", "robot", choice)
         found = _quadruped(str(robot), table)
     problems = []
     if len({*found.joints}) < len(found.joints):

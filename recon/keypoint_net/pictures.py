@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from recon.base.arrays import Array, Integers
 from recon.io.video import Image, probe, read_frames
-from recon.wings.keypoint_net.labels import Labels, body_length_px, known_points, resize, scaled_size
+from recon.keypoint_net.labels import Labels, body_length_px, known_points, resize, scaled_size
 
 NETWORK_LENGTH_PX = 120.0
 """Length of the animal in the pictures that the network sees; clips are scaled to it, unless they are near."""

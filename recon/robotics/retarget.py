@@ -46,7 +46,7 @@ from recon.clip import frame_ranges
 from recon.fit.motion import Motion
 from recon.gait.clip import ClipAnalysis, analyse
 from recon.gait.gait import Gait
-from recon.wings.robotics.robot.quadruped import LEGS, Quadruped, RobotLeg, body_pose, feet_in_world, leg_targets
+from recon.robotics.quadruped import LEGS, Quadruped, RobotLeg, body_pose, feet_in_world, leg_targets
 
 # -- an animal's motion as a reference -------------------------------------------------------------------------------
 

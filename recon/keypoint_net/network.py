@@ -48,10 +48,10 @@ from recon.base.settings import Count, Option, Settings
 from recon.clip import Keypoints
 from recon.io import FORMATS
 from recon.io.video import Image, VideoInfo, missing_note, probe, require_codec, timed_frames, video_writer
+from recon.keypoint_net.labels import resize, scale_points
+from recon.keypoint_net.pictures import ahead, background_of_video
 from recon.show.overlay import Colour, draw_circle
 from recon.show.plain import picked
-from recon.wings.keypoint_net.labels import resize, scale_points
-from recon.wings.keypoint_net.pictures import ahead, background_of_video
 from recon.workflows.cli import Answer
 
 if TYPE_CHECKING:

@@ -41,7 +41,7 @@ from scipy.optimize import least_squares, minimize_scalar
 
 from recon.base.arrays import Array, Bools
 from recon.gait import phase
-from recon.wings.robotics.ik.chain import Curvature, SerialChain, manipulability, null_basis, unreachable
+from recon.ik.chain import Curvature, SerialChain, manipulability, null_basis, unreachable
 
 INTERVAL_S = 1 / 90
 """What one iteration of `drive_to` and `follow` takes."""

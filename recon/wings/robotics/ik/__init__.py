@@ -1,1 +1,0 @@
-"""Inverse kinematics of serial chains at the rate level: chains, methods, driving and following, fits (docs/ik.md)."""
