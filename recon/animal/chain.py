@@ -36,7 +36,7 @@ from pydantic import BeforeValidator, Field
 from scipy.spatial.transform import Rotation
 
 from recon.animal.body import CHAIN_PLACES, MIN_JOINTS, Body, Side, Skeleton, foot_problems, foot_table
-from recon.base import Array, Index, InputError, Problem, documents, refuse
+from recon.base import Array, Index, InputError, Problem, documents, raise_problems
 from recon.base.documents import FileTable, Number, Sigma, unknown, validated
 from recon.geometry import euler_rotation, euler_rotation_with_jacobian
 from recon.geometry.kinematics import PITCH, ROLL, ROOT, YAW, Joint, Marker, Segment, Tree
@@ -370,7 +370,7 @@ def _beside(name: str, source: str) -> str:
 def chain_of(raw: dict[str, Any], source: str) -> Chain:
     """A file's tables as a chain. Raises InputError with everything that is wrong with them."""
     file = validated(_ChainFile, _extended(raw, source), source)
-    refuse(_chain_problems(file, source))
+    raise_problems(_chain_problems(file, source))
     return Chain(file.name, file.title, file, file.base_length.nominal_m)
 
 

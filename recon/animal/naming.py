@@ -18,7 +18,7 @@ from typing import Any
 from recon.animal.body import SIDE_WORD, SIDES, opposite_word, side_of
 from recon.animal.chain import builtin_chains
 from recon.animal.skeleton_file import builtin_names, load_skeleton
-from recon.base import InputError, Problem, documents, refuse
+from recon.base import InputError, Problem, documents, raise_problems
 from recon.clip import Keypoints
 
 HEADER = ("file", "skeleton")
@@ -86,7 +86,7 @@ def load_names(name_or_path: str | Path) -> NameMap:
             names[cells[0]] = cells[1]
     if not names and not problems:
         problems = [Problem(source, "lines", "none", _EXPECTED)]
-    refuse(problems)
+    raise_problems(problems)
     return NameMap(source, names)
 
 
@@ -129,7 +129,7 @@ def new_names(names: Sequence[str], by: NameMap, source: str) -> tuple[list[int]
     ]
     if not olds:
         problems = [Problem(by.source, "names", f"every keypoint of {source} left out", "a name for some of them")]
-    refuse(problems)
+    raise_problems(problems)
     note = f"{len(known)} of {len(names)} keypoints have their names from {Path(by.source).name}"
     note += f"; left out: {', '.join(left_out)}" if left_out else ""
     absent = [] if by.source in builtin_maps() else [name for name in by.names if name not in names]

@@ -14,7 +14,7 @@ import numpy as np
 from pydantic import ConfigDict
 
 from recon.animal.body import Body
-from recon.base import Array, InputError, Problem, documents, refuse
+from recon.base import Array, InputError, Problem, documents, raise_problems
 from recon.base.documents import FileTable
 
 ANGLES = slice(4, None)
@@ -164,14 +164,14 @@ def _prior(content: bytes, source: str, body: Body) -> MotionPrior:
         found = f"{len(about.angles)} angles, {' and '.join(parts) or 'in another order'}"
         expected = f"the {len(angles)} angles of {body.name}, in its order"
         raise InputError(Problem(source, "angles", found, expected))
-    refuse(
+    raise_problems(
         Problem(source, key, f"an array of {stored[key].dtype}", "floating-point numbers")
         for key in SHAPES
         if stored[key].dtype.kind != "f"
     )
     with np.errstate(invalid="ignore"):  # a NaN that signals, as damaged floats can be
         arrays = {key: stored[key].astype(float) for key in SHAPES}
-    refuse(Problem(source, *misfit) for misfit in misfits(arrays, len(about.angles)))
+    raise_problems(Problem(source, *misfit) for misfit in misfits(arrays, len(about.angles)))
     for key in ("covariances", "covariance", "acceleration_covariance"):
         arrays[key] = (arrays[key] + arrays[key].swapaxes(-1, -2)) / 2
     arrays["weights"] = arrays["weights"] / arrays["weights"].sum()

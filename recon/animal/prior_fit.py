@@ -13,7 +13,7 @@ from scipy.special import logsumexp
 
 from recon.animal.body import Body
 from recon.animal.prior import ANGLES, MotionPrior, SegmentRow, mean_speed_m_s
-from recon.base import Array, Bools, Problem, refuse
+from recon.base import Array, Bools, Problem, raise_problems
 
 FRAMES_PER_COMPONENT = 20
 """Fewer would let a component of the mixture be one short piece of one segment."""
@@ -67,7 +67,7 @@ def fit_prior(
     problems += [Problem("prior", "apart", repr(s), expected) for s in apart if s not in owners]
     if not len(accelerations):
         problems.append(Problem("prior", "frames", "no three in a row", "segments without gaps"))
-    refuse(problems)
+    raise_problems(problems)
 
     mean = poses.mean(axis=0)
     extra = np.diag(POSE_FLOOR_RAD**2 + np.where(_still(poses), STILL_SIGMA_RAD**2, 0.0))

@@ -15,7 +15,7 @@ import numpy as np
 from pydantic import Field
 
 from recon.animal.body import MIN_JOINTS, PLACES, Body, foot_problems, foot_table, other_side, side_of
-from recon.base import InputError, Problem, all_of, documents, refuse
+from recon.base import InputError, Problem, collect_problems, documents, raise_problems
 from recon.base.documents import FileTable, Number, Sigma, unknown, validated
 from recon.geometry.kinematics import ANGLE_OF_AXIS, AXES, Marker, Segment, Tree
 
@@ -125,11 +125,11 @@ def _load_body(raw: dict[str, Any], source: str, subject: str | Path | None) -> 
         from recon.animal.measured import read_subject, subject_problems, with_subject
 
         table, of = read_named(subject, "subject")
-        file, animal = all_of(lambda: validated(_BodyFile, raw, source), lambda: read_subject(table, of))
+        file, animal = collect_problems(lambda: validated(_BodyFile, raw, source), lambda: read_subject(table, of))
         problems = [*subject_problems(animal, file, of)]
         file = with_subject(animal, file)
     problems += _body_problems(file, source)
-    refuse(dict.fromkeys(problems))  # both sides of a mirrored segment can have the same
+    raise_problems(dict.fromkeys(problems))  # both sides of a mirrored segment can have the same
     return replace(_body(file), subject=None if subject is None else str(subject))
 
 
@@ -287,7 +287,7 @@ def seen_by(body: Body, detector: str | Path | None, scorers: Mapping[str, str |
     file = validated(_DetectorFile, raw, source)
     if file.skeleton != body.name:
         raise InputError(Problem(source, "skeleton", repr(file.skeleton), f"{body.name}, the skeleton of the fit"))
-    refuse(unknown(source, [(f"keypoints.{marker}", marker) for marker in file.keypoints], body.markers))
+    raise_problems(unknown(source, [(f"keypoints.{marker}", marker) for marker in file.keypoints], body.markers))
     offset_m, spread_m, noise_m = {}, {}, {}
     for marker in body.markers:
         follows = marker not in file.keypoints and side_of(marker) == "right"

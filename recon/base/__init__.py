@@ -10,7 +10,16 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from recon.base.arrays import Array, Bools, Brief, Index, Integers, finite, mean, mean_along, median
-    from recon.base.errors import InputError, Problem, all_of, decimals, length_text, printable, problems_of, refuse
+    from recon.base.errors import (
+        InputError,
+        Problem,
+        collect_problems,
+        decimals,
+        length_text,
+        printable,
+        problems_of,
+        raise_problems,
+    )
     from recon.base.files import read_manifest, sole_writer, staged_file, staged_folder, staged_results, write_manifest
     from recon.base.interrupts import MESSAGE
     from recon.base.package import DISTRIBUTION, install_command, pip_command, version

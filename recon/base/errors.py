@@ -49,7 +49,7 @@ class InputError(ValueError):
         super().__init__("\n".join(line for p in self.problems for line in p.lines))
 
 
-def refuse(problems: Iterable[Problem]) -> None:
+def raise_problems(problems: Iterable[Problem]) -> None:
     """Raise InputError with the problems, if there are any."""
     found = tuple(problems)
     if found:
@@ -65,7 +65,7 @@ def problems_of(read: Callable[[], Any]) -> tuple[Problem, ...]:
     return ()
 
 
-def all_of(*reads: Callable[[], Any]) -> list[Any]:
+def collect_problems(*reads: Callable[[], Any]) -> list[Any]:
     """Every result, or one InputError with the problems of all; what several have in common is said once."""
     results, problems = [], []
     for read in reads:
@@ -73,7 +73,7 @@ def all_of(*reads: Callable[[], Any]) -> list[Any]:
             results.append(read())
         except InputError as error:
             problems.extend(error.problems)
-    refuse(dict.fromkeys(problems))
+    raise_problems(dict.fromkeys(problems))
     return results
 
 

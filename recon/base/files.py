@@ -15,7 +15,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from recon.base.errors import InputError, Problem, refuse
+from recon.base.errors import InputError, Problem, raise_problems
 
 if sys.platform == "win32":
     import msvcrt
@@ -194,7 +194,7 @@ def _require_places(folder: Path, names: Iterable[str]) -> None:
     """Raises InputError where a folder is in the place of a file."""
     taken = [name for name in names if (folder / name).is_dir()]
     expected = "a place for {}: move the folder away"
-    refuse(Problem(folder / name, "file", "a folder of that name", expected.format(name)) for name in taken)
+    raise_problems(Problem(folder / name, "file", "a folder of that name", expected.format(name)) for name in taken)
 
 
 def _exchange(staging: Path, folder: Path, obsolete: Iterable[str]) -> None:
@@ -263,7 +263,7 @@ class _Manifest:
 
     def require(self, *names: str) -> None:
         """Raises InputError unless these files are there and as the run wrote them."""
-        refuse(self.changed(names))
+        raise_problems(self.changed(names))
 
     def _fault(self, name: str) -> tuple[str, str] | None:
         entry, path = self.files.get(name), self.folder / name

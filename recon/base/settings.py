@@ -24,7 +24,7 @@ import pydantic
 from pydantic import AfterValidator, BeforeValidator, Field, ValidationError
 from pydantic.fields import FieldInfo
 
-from recon.base.errors import Problem, refuse
+from recon.base.errors import Problem, raise_problems
 
 FILE_SUFFIXES = (".toml", ".npz", ".csv")
 """What ends so is no name of something built in."""
@@ -178,7 +178,7 @@ class Settings:
                 problems += self.problems_of_given(given)
                 if not problems:
                     problems += self.problems()
-                refuse(problems)
+                raise_problems(problems)
 
             cls.__init__ = __init__
 

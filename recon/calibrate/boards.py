@@ -39,7 +39,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import block_diag
 
-from recon.base import Array, Bools, Index, InputError, Problem, Progress, refuse, silent
+from recon.base import Array, Bools, Index, InputError, Problem, Progress, raise_problems, silent
 from recon.geometry import LENS_MODELS, Camera
 from recon.io.video import SUFFIXES as VIDEO_SUFFIXES
 from recon.io.video import probe, read_frames, read_picture
@@ -164,7 +164,7 @@ def parse_board(text: str) -> Board:
             problems.append(Problem("--board", "dictionary", repr(dictionary), f"one of {', '.join(known)}"))
         elif (held := len(_dictionary(board.dictionary).bytesList)) < needed:
             problems.append(Problem("--board", "dictionary", f"{held} markers in {dictionary}", f"{needed} or more"))
-    refuse(problems)
+    raise_problems(problems)
     return board
 
 
@@ -243,7 +243,7 @@ def collect(paths: Iterable[Path]) -> list[Path]:
     if videos and len(files) > 1:
         expected = "one video alone, or pictures and folders of pictures"
         problems.append(Problem(videos[0], "inputs", f"a video among {len(files)} files", expected))
-    refuse(problems)
+    raise_problems(problems)
     return list(dict.fromkeys(files))
 
 
@@ -274,7 +274,7 @@ def find_views(files: Sequence[Path], board: Board, progress: Progress = silent)
             outlines.append(_outline(board, *corners) / math.hypot(*sizes[name]))
     if len(set(sizes.values())) > 1:
         problems.append(_mixed_sizes(sizes))
-    refuse(problems)
+    raise_problems(problems)
     if not found:
         expected = f"a {board}: is that the board? It may have the layout of OpenCV before 4.6: try :legacy"
         if board.marker_m is None:

@@ -28,7 +28,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from recon.animal.body import Body
-from recon.base import Array, Index, InputError, Problem, refuse
+from recon.base import Array, Index, InputError, Problem, raise_problems
 from recon.check.codes import finding
 from recon.clip import Source, View, busiest, together, views_of
 from recon.fit import Finding, Motion, StanceVelocity, TrajectorySolution, constants
@@ -499,7 +499,7 @@ def solved_in_step(
         later = later + solution.time_offset_frames
         sources = together(apart, later.tolist())
         solution = solve(sources)
-    refuse(_problems(names, later, solution.time_offset_frames, solution.time_offset_sigma_frames))
+    raise_problems(_problems(names, later, solution.time_offset_frames, solution.time_offset_sigma_frames))
     return sources, solution
 
 

@@ -22,7 +22,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from recon.animal import fitting_maps, load_names, new_names, opposites
-from recon.base import Array, Brief, InputError, Problem, all_of, mean_along, refuse
+from recon.base import Array, Brief, InputError, Problem, collect_problems, mean_along, raise_problems
 from recon.base.arrays import to_plain
 from recon.base.files import MANIFEST
 from recon.check import finding, sentence, usable
@@ -122,7 +122,7 @@ def evaluate_files(
     be used; unit, up: of the reference, where its file does not say them (see `read_pose3d`); rename: a map of the
     joints' names, of the file that is scored, or of the reference where a folder of results is. Raises InputError."""
     pose_path, truth_path = Path(pose_path), Path(truth_path)
-    (pose, sigmas_m, verdict), (truth, *_) = all_of(
+    (pose, sigmas_m, verdict), (truth, *_) = collect_problems(
         lambda: _positions(pose_path, anyway), lambda: _positions(truth_path, anyway, unit, up)
     )
     if rename is not None:
@@ -208,7 +208,7 @@ def evaluate(pose: Pose3D, truth: Pose3D, sigmas_m: tuple[np.ndarray, np.ndarray
         problems.append(Problem(here, "frames", f"none in common ({shown})", f"frames that are in {there}"))
     if not problems and not common.any():
         problems.append(Problem(here, "positions", "no joint known on both sides in any frame", "at least one"))
-    refuse(problems)
+    raise_problems(problems)
     centred, inside = aligned(pose_m, truth_m), {}
     thresholds_m = _thresholds_m(np.where(common[..., None], truth_m, np.nan)[common.any(axis=1)])
     if sigmas_m is not None:

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from recon.base.arrays import Array, Bools, Brief
-from recon.base.errors import Problem, refuse
+from recon.base.errors import Problem, raise_problems
 from recon.geometry.frames import euler_rotation
 from recon.geometry.lens import LENS_MODELS, Lens
 
@@ -67,7 +67,7 @@ class Camera(Brief):
                 array.setflags(write=False)
                 object.__setattr__(self, field, array)
         object.__setattr__(self, "image_size_px", tuple(int(n) for n in self.image_size_px))
-        refuse(Problem(f"camera {self.name!r}", *fault) for fault in self._faults())
+        raise_problems(Problem(f"camera {self.name!r}", *fault) for fault in self._faults())
 
     def _faults(self) -> Iterator[tuple[str, str, str]]:
         """Fields that no camera can have: what each of them is, and what it should be."""

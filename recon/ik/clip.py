@@ -19,7 +19,7 @@ from threadpoolctl import threadpool_limits
 
 from recon.animal.chain import Chain
 from recon.base.arrays import Array
-from recon.base.errors import InputError, Problem, refuse
+from recon.base.errors import InputError, Problem, raise_problems
 from recon.base.files import require_free_folder, sole_writer, staged_folder
 from recon.base.settings import Integer, Number, Option, Settings
 from recon.check import usable, verdict_fields
@@ -387,7 +387,7 @@ def cost_of(limb: Limb, text: str) -> ways.Cost:
         except (ValueError, KeyError):
             expected = f"{', '.join(COSTS)}, or a sum with weights, as in energy,differences=0.1"
             problems.append(Problem("--cost", "cost", repr(part), expected))
-    refuse(problems)
+    raise_problems(problems)
     return ways.weighted_sum(costs, weights)
 
 

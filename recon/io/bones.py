@@ -26,7 +26,7 @@ from scipy.spatial.transform import Rotation
 
 from recon.animal.body import Side
 from recon.animal.capsules import Capsule
-from recon.base import Array, Problem, refuse
+from recon.base import Array, Problem, raise_problems
 from recon.base.documents import read_text
 from recon.base.package import version
 from recon.io import common, writing
@@ -136,7 +136,7 @@ def read_bvh(path: Path, individual: str | None = None) -> StoredPoints:
         problems.append(Problem(path, "MOTION", f"{len(motion)} rows, and Frames: {count}", "as many"))
     if not 0 < frame_time_s < float("inf"):
         problems.append(Problem(path, "Frame Time", f"{frame_time_s:g}", "seconds above 0"))
-    refuse(common.first_problems(problems, path))
+    raise_problems(common.first_problems(problems, path))
     kept = {j: joint.parent for j, joint in enumerate(joints) if not joint.end or any(joint.offset)}
     xyz = _positions(joints, motion)[:, [*kept]]
     names, fps = tuple(joints[j].name for j in kept), float(f"{1 / frame_time_s:.9g}")

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from recon.base import Array, InputError, Problem, all_of, refuse
+from recon.base import Array, InputError, Problem, collect_problems, raise_problems
 from recon.base.documents import parse_json, parse_toml, read_text
 from recon.geometry.camera import BLOCKS, LARGEST, TILT, Camera, is_rotation
 from recon.geometry.lens import LENS_MODELS
@@ -47,14 +47,14 @@ def read_cameras(path: CameraFiles, image_size_px: tuple[int, int] | None = None
     files, one after the other; a file's only camera is called as the file where two have one name. image_size_px:
     (width, height) for files that do not hold it. Raises InputError with every problem, also where it contradicts."""
     if not isinstance(path, str | Path):
-        of_file = all_of(*(partial(read_cameras, one, image_size_px) for one in path))
+        of_file = collect_problems(*(partial(read_cameras, one, image_size_px) for one in path))
         names = [camera.name for cameras in of_file for camera in cameras]
         found: list[Camera] = []
         for one, cameras in zip(path, of_file, strict=True):
             alone = len(cameras) == 1 and names.count(cameras[0].name) > 1
             found += [replace(cameras[0], name=one.stem)] if alone else cameras
         twice = [f"{name}, as in another file" for name in _twice(found)]
-        refuse(Problem(path[-1], "camera", name, "a name of its own") for name in twice)
+        raise_problems(Problem(path[-1], "camera", name, "a name of its own") for name in twice)
         return tuple(found)
     path = Path(path)
     suffixes = sorted({suffix for f in FORMATS if "cameras" in f.reads for suffix in f.suffixes})
@@ -73,9 +73,13 @@ def cameras_of(
     records: Sequence[CameraRecord], path: Path, image_size_px: tuple[int, int] | None = None
 ) -> tuple[Camera, ...]:
     """The cameras of a file's records. Raises InputError with every problem."""
-    cameras = all_of(*(partial(_camera, record, i, path, image_size_px) for i, record in enumerate(records, 1)))
+    cameras = collect_problems(
+        *(partial(_camera, record, i, path, image_size_px) for i, record in enumerate(records, 1))
+    )
     expected = "a name of its own for each camera"
-    refuse(Problem(path, "camera names", f"{name!r} {n} times", expected) for name, n in _twice(cameras).items())
+    raise_problems(
+        Problem(path, "camera names", f"{name!r} {n} times", expected) for name, n in _twice(cameras).items()
+    )
     return tuple(cameras)
 
 
@@ -128,7 +132,9 @@ def read_own(path: Path, individual: str | None = None) -> list[CameraRecord]:
     words, expected = "format {!r}, version {!r}", (FORMAT, VERSION)
     stated = {f"{place}format": (table.get("format"), table.get("version")) for place, table in tables.items()}
     wrong = {field: found for field, found in stated.items() if found != expected}
-    refuse(Problem(path, field, words.format(*found), words.format(*expected)) for field, found in wrong.items())
+    raise_problems(
+        Problem(path, field, words.format(*found), words.format(*expected)) for field, found in wrong.items()
+    )
     up = {"world_z_up": True}
     return [CameraRecord(table.get("name"), place, up | table, {}) for place, table in tables.items()]
 

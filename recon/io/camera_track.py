@@ -27,7 +27,7 @@ from typing import Any, ClassVar
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from recon.base import Array, Bools, InputError, Integers, Problem, refuse
+from recon.base import Array, Bools, InputError, Integers, Problem, raise_problems
 from recon.base.documents import parse_json, read_text, require_file
 from recon.clip import FramePoses
 from recon.geometry.camera import Camera
@@ -148,7 +148,7 @@ def _checked_track(
 ) -> CameraTrack:
     """The track of N rows with their places in the file. Raises InputError with the known problems, or what is wrong in
     the rows."""
-    refuse(first_problems(problems, path))
+    raise_problems(first_problems(problems, path))
     if not len(places):
         raise InputError(Problem(path, "rows", "none", "a pose for each frame"))
     frames, sigma = columns["frame"], columns.get(SIGMA, np.zeros(len(places)))
@@ -167,7 +167,7 @@ def _checked_track(
             (SIGMA, f"0 to {MAX_SIGMA_DEG:g} degrees", (sigma >= 0) & (sigma <= MAX_SIGMA_DEG)),
         )
     wrong = [(kind, [*compress(places, np.logical_not(right))], expected) for kind, expected, right in checks]
-    refuse(Problem(path, kind, f"others in {_some(rows)}", expected) for kind, rows, expected in wrong if rows)
+    raise_problems(Problem(path, kind, f"others in {_some(rows)}", expected) for kind, rows, expected in wrong if rows)
     order = np.argsort(frames)
     poses = rigid(_rotations(quaternion[order]), place[order])
     zooms = zoom[order] if INTRINSICS[0] in columns else None
@@ -202,7 +202,7 @@ def _read_csv(path: Path) -> CameraTrack:
     wanted = ["frame", *POSE[:4], *(PLACE if outward else POSE[4:]), *(INTRINSICS if zooms else ())]
     wanted += [SIGMA] * (SIGMA in header)
     wrong = [f"{name} more than once" if name in header else f"no {name}" for name in wanted if header.count(name) != 1]
-    refuse(Problem(path, "columns", found, EXPECTED) for found in wrong)
+    raise_problems(Problem(path, "columns", found, EXPECTED) for found in wrong)
     at = [header.index(name) for name in wanted]
     places: list[str] = []
 
@@ -305,7 +305,7 @@ def _lenses(path: Path, wanted: dict[str, None]) -> dict[str, Camera]:
     records = [record for record in read_colmap(path) if record.name in wanted]
     found = {camera.name: camera for camera in cameras_of(records, path)}
     missing = [key for key in wanted if key not in found]
-    refuse([Problem(path, "cameras", f"no camera {_some(missing)}", f"those of {IMAGES}")] if missing else [])
+    raise_problems([Problem(path, "cameras", f"no camera {_some(missing)}", f"those of {IMAGES}")] if missing else [])
     if len({(c.model, c.image_size_px, *c.distortion.tolist()) for c in found.values()}) > 1:
         expected = "one lens, whose focal length and centre alone may change from image to image"
         raise InputError(Problem(path, "cameras", f"{len(found)} with different lenses or picture sizes", expected))

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from recon.base import InputError, Problem, refuse
+from recon.base import InputError, Problem, raise_problems
 from recon.base.documents import MAX_UNPACKED, damage_named
 from recon.base.files import write_bytes
 from recon.clip import Keypoints
@@ -88,7 +88,7 @@ def parse_map(text: str) -> dict[str, str]:
         found = f"{PART} in {', '.join(sorted(wide))}"
         expected = f"a wide table with {PART} in x, y and likelihood, or a long one with bodypart=COLUMN"
         problems.append(Problem("--columns", "map", found, expected))
-    refuse(problems)
+    raise_problems(problems)
     return given
 
 
@@ -162,7 +162,7 @@ def read_long(path: Path, individual: str | None = None, columns: Mapping[str, s
         table.append(row)
         if len(row) != len(header):
             problems.append(Problem(path, f"line {line}", f"{len(row)} cells", f"{len(header)}, as in line 1"))
-    refuse(common.first_problems(problems, path))
+    raise_problems(common.first_problems(problems, path))
     cells = list(zip(*table, strict=True)) or [()] * len(header)
     return gathered(path, dict(zip(header, cells, strict=True)), individual, columns)
 
@@ -229,7 +229,7 @@ def gathered(path: Path, table: Columns, individual: str | None, given: Mapping[
     ticks = cells_of(clock)
     for i in np.flatnonzero(np.isnan(ticks)):
         problems.append(Problem(path, f"line {rows[i] + 2}, {clock}", "nothing", "a frame number, or seconds"))
-    refuse(common.first_problems(problems, path))
+    raise_problems(common.first_problems(problems, path))
     distinct, row_of = np.unique(ticks, return_inverse=True)
     if "bodypart" in role:
         labels = table[role["bodypart"]]
@@ -253,7 +253,7 @@ def gathered(path: Path, table: Columns, individual: str | None, given: Mapping[
             values[row_of, point, (*coords, "likelihood").index(what)] = cells_of(column)
     flat = [part for part in index if "z" in coords and "bodypart" not in role and (part, "z") not in columns]
     problems += [Problem(path, f"bodypart {part}", "no z", ", ".join(coords)) for part in flat]
-    refuse(common.first_problems(problems, path))
+    raise_problems(common.first_problems(problems, path))
     frames, fps = (distinct, fps) if "frame" in role else frames_of_times(path, distinct, fps)
     notes = (f"Columns left out: {', '.join(ignored)}.",) if ignored and given is None else ()
     more: dict[str, Any] = {"fps": fps, "unit": unit if unit != "px" else None, "notes": notes}

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from recon.base import Brief, InputError, Problem, refuse
+from recon.base import Brief, InputError, Problem, raise_problems
 from recon.base.documents import damage_named
 
 
@@ -183,7 +183,7 @@ def one_animal(
             problems.append(
                 Problem(path, "frames", said, f"increasing whole numbers up to {MAX_FRAME}, no time stamps")
             )
-    refuse(problems)
+    raise_problems(problems)
     called = list(animals) or ([""] if N == 1 else [f"track_{n}" for n in range(N)])
     there = np.ones((T, N), dtype=bool) if occupied is None else occupied > 0
     which = choose(path, called, individual, (bool(np.isfinite(values[there[:, n], n]).any()) for n in range(N)))

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from recon.base import InputError, Problem, refuse
+from recon.base import InputError, Problem, raise_problems
 from recon.clip import Keypoints
 from recon.io import common
 from recon.io.common import SCORER, Pose3D, StoredPoints
@@ -113,7 +113,7 @@ def points_of_table(
     blank = dict.fromkeys(name for column in raw for name in column[:2] if name != name.strip())
     notes = tuple(f"'{name}' is read as '{name.strip()}'." for name in blank)
     frames, images, frame_problems = _frame_numbers(path, rows)
-    refuse(common.first_problems([*_column_problems(path, columns), *problems, *frame_problems], path))
+    raise_problems(common.first_problems([*_column_problems(path, columns), *problems, *frame_problems], path))
     if {animal for animal, _, _ in columns} == {""} and _prefixes(part for _, part, _ in columns):
         columns = [(part.partition("_")[0], part.partition("_")[2], coord) for _, part, coord in columns]
     everyone = list(dict.fromkeys(animal for animal, _, _ in columns))
@@ -180,7 +180,7 @@ def _points(
         for i, coord in enumerate(coords):
             if coord in of_part:
                 points[:, k, i] = values[:, of_part[coord][0]]
-    refuse(common.first_problems(problems, path))
+    raise_problems(common.first_problems(problems, path))
     return tuple(places), points
 
 

@@ -10,7 +10,7 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
-from recon.base import InputError, Problem, refuse
+from recon.base import InputError, Problem, raise_problems
 from recon.base.documents import read_text
 
 CONFIG = "config.yaml"
@@ -150,7 +150,7 @@ def predictions(project: Project) -> tuple[dict[str, Path], tuple[str, ...]]:
         if len(of) > 1:
             found = f"of {len(of)} networks: {', '.join(of)}"
             problems.append(Problem(project.config, f"predictions of {video}", found, f"{pattern}{next(iter(of))}.*'"))
-    refuse(problems)
+    raise_problems(problems)
     chosen = {video: min(next(iter(of.values())))[-1] for video, of in by_video.items()}
     left_out = (file.name for of in by_video.values() for files in of.values() for *_, file in sorted(files)[1:])
     return chosen, tuple(left_out)

@@ -33,7 +33,7 @@ from uuid import uuid4
 import h5py
 import numpy as np
 
-from recon.base import InputError, Problem, refuse
+from recon.base import InputError, Problem, raise_problems
 from recon.base.files import write_bytes
 from recon.clip import Keypoints
 from recon.io import common, hdf5, writing
@@ -352,7 +352,9 @@ def _of_variables(path: Path, stored: Variables, attributes: Mapping[str, Any], 
         "ds_type": (str(kind), "poses: keypoints, not boxes", kind == "poses"),
         "space": (", ".join(space)[:80], "x, y or x, y, z", (space or coords) == coords),
     }
-    refuse(Problem(path, field, found, expected) for field, (found, expected, right) in wrong.items() if not right)
+    raise_problems(
+        Problem(path, field, found, expected) for field, (found, expected, right) in wrong.items() if not right
+    )
     ticks, fps = stored["time"][1] if "time" in stored else np.arange(len(values)), common.rate(attributes["fps"])
     # Without the attribute, whole numbers are frames.
     in_frames = (attributes["time_unit"] or ("frames" if ticks.dtype.kind in "iu" else "seconds")) == "frames"
@@ -457,7 +459,7 @@ def read_nwb(path: Path, individual: str | None = None) -> StoredPoints:
             problems.append(Problem(path, f"{name}/{other}", f"{own.shape} positions", expected))
         elif not np.allclose(own_s, times_s[0], rtol=0, atol=1e-6):
             problems.append(Problem(path, f"{name}/{other}", f"other times than in {first}", "one time line"))
-    refuse(problems)
+    raise_problems(problems)
     frames, fps = frames_of_times(path, times_s[0], rates[0])
     links = tuple((nodes[a], nodes[b]) for a, b in edges) if {*nodes} == {*points} else ()
     more: dict[str, Any] = {"fps": fps, "scorer": scorer, "unit": unit, "up": "z" if z_up else None, "edges": links}

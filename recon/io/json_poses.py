@@ -25,7 +25,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from recon.base import InputError, Problem, refuse
+from recon.base import InputError, Problem, raise_problems
 from recon.base.documents import damage_named, read_json
 from recon.io import common
 from recon.io.common import StoredPoints
@@ -86,7 +86,7 @@ def _points(
         else:
             taken.add(one.frame)
             xy[row[one.frame]], score[row[one.frame]] = one.xy_px, one.score
-    refuse(common.first_problems(problems, path))
+    raise_problems(common.first_problems(problems, path))
     called = [chosen] if len(animals) > 1 or named else []
     return common.one_animal(path, None, StoredPoints(tuple(names), xy, numbers, score, **more), called)
 

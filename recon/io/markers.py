@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from recon.base import InputError, Problem, refuse
+from recon.base import InputError, Problem, raise_problems
 from recon.base.documents import read_text
 from recon.io import common, writing
 from recon.io.common import Pose3D, StoredPoints
@@ -50,7 +50,7 @@ def read_trc(path: Path, individual: str | None = None) -> StoredPoints:
         if any(row)
     )
     _, values, problems = common.number_rows(path, rows, columns)
-    refuse(common.first_problems(problems, path))
+    raise_problems(common.first_problems(problems, path))
     notes = ()
     if header.get("NumFrames") != str(len(values)):
         notes = (f"The header announces {header.get('NumFrames', 'no number of')} frames, the file has {len(values)}.",)

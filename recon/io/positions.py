@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from recon.base import InputError, Problem, all_of
+from recon.base import InputError, Problem, collect_problems
 from recon.base.documents import read_head
 from recon.io.common import MAX_FRAME, Pose3D, StoredPoints, text_rows
 from recon.io.deeplabcut import points_of_rows
@@ -108,7 +108,7 @@ def read_pose_segments(path: str | Path) -> dict[str, Pose3D]:
         raise InputError(Problem(path, "rows", "no frames", "at least one row below the header"))
     header = {"bodyparts": names[2:], "coords": coords[2:]}
     try:
-        found = all_of(*(partial(_piece, path, header, rows) for rows in pieces.values()))
+        found = collect_problems(*(partial(_piece, path, header, rows) for rows in pieces.values()))
     except InputError as error:  # all pieces have the same header
         raise InputError(list(dict.fromkeys(error.problems))) from None
     return dict(zip(pieces, found, strict=True))

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from recon.base import InputError, Problem, refuse
+from recon.base import InputError, Problem, raise_problems
 from recon.clip import Keypoints, frame_ranges
 from recon.io.common import MAX_FRAME, SCORER, Pose3D, StoredPoints, require_span
 
@@ -83,7 +83,7 @@ def require_names(names: Sequence[str], forbidden: str, title: str, bytes_max: i
             problems.append(Problem(title, "name", f"'{name}', with {found.group()!r} in it", "one without it"))
         if (size := len(name.encode())) > bytes_max:
             problems.append(Problem(title, "name", f"'{name}', {size} bytes in UTF-8", f"at most {bytes_max}"))
-    refuse(problems[:10])
+    raise_problems(problems[:10])
 
 
 def without_gaps(frames: np.ndarray, values: np.ndarray, title: str) -> np.ndarray:

@@ -18,7 +18,7 @@ from rich.table import Table
 from rich.text import Text
 
 from recon.animal import load_names, map_to_write, new_names, other_side, renamed
-from recon.base import Array, Bools, InputError, Integers, Problem, all_of, median, refuse
+from recon.base import Array, Bools, InputError, Integers, Problem, collect_problems, median, raise_problems
 from recon.base.documents import read_head
 from recon.base.settings import Integer, Number, Option, Positive, Settings
 from recon.clip import Keypoints, mark_missing, parse_frame_range, select_frames
@@ -162,7 +162,7 @@ def _read_rows(path: Path, individual: str | None) -> tuple[Keypoints, tuple[str
 
 
 def _read_video(video: Path, path: Path, first_frame: int, individual: str | None) -> Labels:
-    (keypoints, images), info = all_of(lambda: read_label_file(path, individual), lambda: probe(video))
+    (keypoints, images), info = collect_problems(lambda: read_label_file(path, individual), lambda: probe(video))
     if keypoints.frames[0] < first_frame:
         expected = f"{keypoints.frames[0]} or less: the labels begin with frame {keypoints.frames[0]}"
         raise InputError(Problem("--first-frame", "number", str(first_frame), expected))
@@ -195,12 +195,14 @@ def _read_project(folder: Path, project: Project | None, individual: str | None)
     if not files:
         expected = "labeled-data/*/CollectedData_*.csv or .h5, as in a DeepLabCut project whose frames are labelled"
         raise InputError(Problem(folder, "label files", "none", expected))
-    parts = [part for part in all_of(*(lambda f=f: _read_folder(f, individual) for f in files)) if part is not None]
+    parts = [
+        part for part in collect_problems(*(lambda f=f: _read_folder(f, individual) for f in files)) if part is not None
+    ]
     if not parts:
         raise InputError(Problem(folder, "labels", "none in any label file", "at least one labelled point"))
     names, expected = parts[0].names, f"those of {parts[0].source}: {', '.join(parts[0].names)}"
     others = [p for p in parts if sorted(p.names) != sorted(names)]
-    refuse(Problem(p.source, "bodyparts", ", ".join(p.names), expected) for p in others)
+    raise_problems(Problem(p.source, "bodyparts", ", ".join(p.names), expected) for p in others)
     joined = {name: sum((getattr(p, name) for p in parts), ()) for name in ("images", "clips", "pictures", "notes")}
     xy_px = np.concatenate([p.xy_px[:, [p.names.index(n) for n in names]] for p in parts])
     clip = np.repeat(np.arange(len(parts)), [len(p.images) for p in parts])
@@ -225,7 +227,7 @@ def _read_folder(path: Path, individual: str | None) -> Labels | None:
     if len(sizes) > 1:
         shown = ", ".join(f"{w}x{h}" for w, h in sizes)
         problems.append(Problem(path.parent, "pictures", f"several sizes: {shown} px", "one size, that of the video"))
-    refuse(first_problems(problems, path))
+    raise_problems(first_problems(problems, path))
     return _of_clip(path.parent, keypoints, images, pictures, path)
 
 
@@ -281,7 +283,7 @@ _Choice = float | tuple[int | None, int | None]
 def split_labels(labels: Labels, validation: str, test: str, seed: int) -> dict[str, Integers]:
     """For each of `PARTS` its indices into the labelled pictures, increasing. validation, test: a share as in "0.2", or
     frame numbers as in "110:150". Raises InputError where nothing would be left to train on."""
-    chosen = all_of(lambda: _parse(validation, "--validation"), lambda: _parse(test, "--test"))
+    chosen = collect_problems(lambda: _parse(validation, "--validation"), lambda: _parse(test, "--test"))
     rest = np.arange(len(labels.images))
     of_test = _choose(labels, rest, chosen[1], seed, "--test")
     rest = np.setdiff1d(rest, of_test)
@@ -382,7 +384,9 @@ def evaluate_2d_files(predicted: Path, labels: Path, **options: Any) -> dict[str
         return keypoints if o.rename is None else renamed(keypoints, load_names(o.rename))
 
     asked = parse_frame_range(o.frames) if o.frames else None
-    guess, truth = all_of(read_predicted, lambda: select_frames(read_label_file(labels, o.individual)[0], asked))
+    guess, truth = collect_problems(
+        read_predicted, lambda: select_frames(read_label_file(labels, o.individual)[0], asked)
+    )
     common = [name for name in truth.names if name in guess.names]
     problems = []
     if not common:
@@ -396,7 +400,7 @@ def evaluate_2d_files(predicted: Path, labels: Path, **options: Any) -> dict[str
         expected = f"some of the labels' frames {first} to {last} that are asked for; --first-frame"
         found = f"frames {numbers[0]} to {numbers[-1]}, in the labels' numbers"
         problems.append(Problem(predicted, "frames", found, expected))
-    refuse(problems)
+    raise_problems(problems)
     rows_g = pd.Index(numbers).get_indexer(truth.frames[rows_t])
     g, t = [guess.names.index(n) for n in common], [truth.names.index(n) for n in common]
     found, sure, known = guess.xy_px[rows_g][:, g], guess.confidence[rows_g][:, g], truth.xy_px[rows_t]

@@ -40,7 +40,7 @@ from pydantic import Field
 from scipy.optimize import minimize
 from scipy.special import expit, logit
 
-from recon.base import Array, Bools, InputError, Problem, Progress, all_of, install_command, silent
+from recon.base import Array, Bools, InputError, Problem, Progress, collect_problems, install_command, silent
 from recon.base.documents import check_unpacked_size, validated
 from recon.base.files import require_free_file, staged_file, write_bytes
 from recon.base.parallel import available_cores
@@ -553,7 +553,7 @@ def run_prediction(video: Path, model: Path, out: Path, *, progress: Progress = 
     """`recon predict`: a keypoint file in DeepLabCut's layout. options: the other fields of `PredictSettings`. Raises
     InputError; then nothing is written."""
     s = PredictSettings(video=video, model=model, out=out, **options)
-    _, device, *_ = all_of(
+    _, device, *_ = collect_problems(
         lambda: model_file(model),
         lambda: choose_device(s.device),
         lambda: require_free_file(out, s.overwrite, suffixes=WRITERS),

@@ -29,7 +29,19 @@ import pandas as pd
 from pydantic import Field
 
 from recon import __version__
-from recon.base import Array, Bools, InputError, Integers, Problem, Progress, all_of, mean, median, refuse, silent
+from recon.base import (
+    Array,
+    Bools,
+    InputError,
+    Integers,
+    Problem,
+    Progress,
+    collect_problems,
+    mean,
+    median,
+    raise_problems,
+    silent,
+)
 from recon.base.files import require_free_folder, sole_writer, staged_folder, write_bytes
 from recon.base.settings import Count, Integer, Number, Option, Settings
 from recon.io.video import Image
@@ -332,7 +344,7 @@ def _resumed(run: TrainingRun, out: Path) -> State:
     if not problems and not same:
         expected = "one of this version of recon; --overwrite begins again"
         problems.append(Problem(path, "network", "one that another version began", expected))
-    refuse(problems)
+    raise_problems(problems)
     for name in _TORCH:
         getattr(state, name).load_state_dict(content[name])
     return dataclasses.replace(state, **{name: content[name] for name in _PLAIN})
@@ -506,7 +518,7 @@ def run_training(
     given = picked(source, *data.LabelSource.infos()) | picked(settings, *TrainSettings.infos())
     s = _TrainRunSettings(out=out, **given, **options)
     net.require_torch()
-    chosen, labels, _ = all_of(
+    chosen, labels, _ = collect_problems(
         lambda: net.choose_device(s.device),
         lambda: data.read_labels(**picked(s, "data", "labels", "first_frame", "individual", "rename")),
         lambda: _check_folder(s),

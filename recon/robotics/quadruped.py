@@ -51,7 +51,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from recon.base.arrays import Array
 from recon.base.documents import FileTable, builtin_names, named_table, validated
-from recon.base.errors import InputError, Problem, refuse
+from recon.base.errors import InputError, Problem, raise_problems
 from recon.base.package import install_command
 from recon.geometry.kinematics import Marker, Segment, Tree
 from recon.ik.chain import MAX_RATE_RAD_S, SerialChain, joint_chain
@@ -433,7 +433,7 @@ def load_robot(robot: str | Path) -> Quadruped:
     for label, leg in found.legs.items():
         if not np.isfinite(leg.angles(leg.neutral_m[None])).all():
             problems.append(_cannot_stand(found.source, label))
-    refuse(problems)
+    raise_problems(problems)
     return found
 
 
@@ -574,7 +574,7 @@ def rates_of(path: Path) -> dict[str, float]:
     rates = {name: rate for name, (_, _, rate) in limits.items() if rate}
     wrong = [(n, f"limits {low:g}, {up:g}", "the lower one first") for n, (low, up, _) in limits.items() if low > up]
     wrong += [(n, f"velocity {r:g}", "a rate above 0") for n, r in rates.items() if not 1e-6 < r < LARGEST]
-    refuse(Problem(path, f"joint {name}", found, expected) for name, found, expected in wrong)
+    raise_problems(Problem(path, f"joint {name}", found, expected) for name, found, expected in wrong)
     return rates
 
 
@@ -634,7 +634,7 @@ def model_chain(model: Any, path: Path, tip: str, end_m: ArrayLike = (0.0, 0.0, 
         found = f"none that moves from {names[start - 1]} to {tip}"
         raise InputError(Problem(path, "chain", found, "a link that joints move"))
     other = [model.joint(j).name for j in joints if model.jnt_type[j] not in (2, 3)]  # slide, hinge
-    refuse(Problem(path, f"joint {name}", "another kind", "joints that turn or slide") for name in other)
+    raise_problems(Problem(path, f"joint {name}", "another kind", "joints that turn or slide") for name in other)
     mujoco = the_mujoco(path)
     mujoco.mj_kinematics(model, data := mujoco.MjData(model))  # all joints at 0
     root_axes, tip_axes = (data.xmat[body].reshape(3, 3) for body in (start, last))

@@ -35,7 +35,7 @@ from scipy.spatial.transform import Rotation
 
 from recon.base import files
 from recon.base.arrays import Array
-from recon.base.errors import InputError, Problem, all_of
+from recon.base.errors import InputError, Problem, collect_problems
 from recon.base.records import load_record, save_record
 from recon.base.settings import Integer, Option, Positive, Settings
 from recon.check import usable, verdict_fields
@@ -161,7 +161,7 @@ SLIP_M = 0.002
 def run_retarget(settings: RetargetSettings) -> tuple[Retargeting, dict[str, Any]]:
     """`recon retarget`: tables, report and playback into a folder; and what report.json says. Raises InputError."""
     out, folder = settings.out, settings.folder
-    results, machine, _ = all_of(
+    results, machine, _ = collect_problems(
         lambda: usable(Motion.load(folder), folder, settings.anyway),
         lambda: load_robot(settings.robot),
         lambda: files.require_free_folder(out, (REPORT,), settings.overwrite),
@@ -633,13 +633,13 @@ def convert(folder: Path, out: Path, name: str, rate_hz: float | None, overwrite
     def free(path: Path) -> None:
         files.require_free_file(path, overwrite, "OUT")
 
-    (*motions, said), _ = all_of(lambda: kept_motions(folder / KEPT), lambda: free(out))
+    (*motions, said), _ = collect_problems(lambda: kept_motions(folder / KEPT), lambda: free(out))
     stride = out.with_name(f"stride_{out.name}")
     with files.staged_folder(out.parent) as staging:
         rates = [
             write_for_trainer(motion, name, rate_hz or RATE_HZ, staging / path.name, said, "--fps")
             for motion, path in zip(motions, (out, stride), strict=True)
         ]
-        all_of(*(partial(free, out.parent / one.name) for one in staging.iterdir()))
+        collect_problems(*(partial(free, out.parent / one.name) for one in staging.iterdir()))
     hz = " and ".join(f"{rate:.4g}" for rate in rates)
     return f"{out}: {name}, {motions[0].robot.title}, {hz} frames per second; a stride that repeats is in {stride}"

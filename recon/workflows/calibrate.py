@@ -11,7 +11,7 @@ from typing import Annotated, Any
 from rich.table import Table
 from rich.text import Text
 
-from recon.base import Problem, Progress, all_of, refuse, silent
+from recon.base import Problem, Progress, collect_problems, raise_problems, silent
 from recon.base.files import require_free_file, staged_folder, write_bytes
 from recon.base.settings import OneOrMore, Option, Settings
 from recon.calibrate.boards import calibrate as solved
@@ -100,10 +100,10 @@ def run_calibration(settings: CalibrationSettings, progress: Progress = silent) 
     picture = settings.out.with_name(f"{settings.out.stem}_coverage.png")
     known = [name for name, lens in LENS_MODELS.items() if lens.opencv]
     unknown = Problem("--model", "lens model", repr(settings.model), f"one of {', '.join(known)}")
-    files, board, *_ = all_of(
+    files, board, *_ = collect_problems(
         lambda: collect(settings.inputs),
         lambda: parse_board(settings.board),
-        lambda: refuse([unknown] if settings.model not in known else []),
+        lambda: raise_problems([unknown] if settings.model not in known else []),
         lambda: require_free_file(settings.out, settings.overwrite, suffixes=(".toml",)),
     )
     views = find_views(files, board, progress)

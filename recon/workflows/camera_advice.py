@@ -11,7 +11,7 @@ import pandas as pd
 from pydantic import Field
 
 from recon.animal import load_prior, load_skeleton
-from recon.base import Problem, Progress, refuse
+from recon.base import Problem, Progress, raise_problems
 from recon.base.files import require_free_folder, staged_folder
 from recon.base.settings import Integer, Number, Settings
 from recon.calibrate.camera_advice import AZIMUTHS_RAD, ELEVATIONS_RAD, PICTURE_PX, Advice, advise
@@ -92,7 +92,7 @@ def camera_advice(settings: _CameraAdviceSettings, progress: Progress) -> Answer
     """
     body = load_skeleton(settings.skeleton, settings.subject)
     given = {"angle": (settings.angle, body.state_names[4:]), "joint": (settings.joint, body.markers)}
-    refuse(
+    raise_problems(
         Problem(f"--{what}", "value", repr(name), f"one of {', '.join(names)}")
         for what, (name, names) in given.items()
         if name is not None and name not in names

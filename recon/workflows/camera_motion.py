@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import Field
 from scipy.spatial.transform import Rotation
 
-from recon.base import Array, InputError, Problem, Progress, all_of, refuse, silent
+from recon.base import Array, InputError, Problem, Progress, collect_problems, raise_problems, silent
 from recon.base.files import require_free_file, staged_folder, write_bytes
 from recon.base.settings import Integer, Number, Option, Settings
 from recon.calibrate import camera_motion as turning
@@ -82,14 +82,14 @@ def camera_motion(settings: _MotionSettings, progress: Progress = silent) -> Ans
 
     Example: recon camera-motion clip.mp4 --camera camera.toml --keypoints clip.csv --out track.csv
     """
-    info, lens, animal, marks, _ = all_of(
+    info, lens, animal, marks, _ = collect_problems(
         lambda: probe(settings.video),
         lambda: read_camera(settings.camera, settings.camera_name),
         lambda: None if settings.keypoints is None else read_keypoints(settings.keypoints, settings.individual),
         lambda: () if settings.level_marks is None else turning.read_marks(settings.level_marks),
         lambda: require_free_file(settings.out, settings.overwrite, suffixes=(".csv",)),
     )
-    refuse(size_problems(settings.video, info, lens))
+    raise_problems(size_problems(settings.video, info, lens))
     points = {} if animal is None else _points(animal, settings.first_frame)
     stamps_s: list[float] = []
     pictures: list[Image] = []

@@ -37,7 +37,7 @@ from rich.table import Column, Table
 from rich.text import Text
 from typer.core import TyperCommand, TyperGroup
 
-from recon.base import InputError, Problem, printable, refuse
+from recon.base import InputError, Problem, printable, raise_problems
 from recon.base.interrupts import EXIT_INTERRUPTED, MESSAGE, Interrupts, installed
 from recon.base.settings import Number, Option, SettingInfo, Settings, on_command_line, unknown_setting
 
@@ -237,7 +237,7 @@ class SettingsCommand(TyperCommand):
         meant |= dict.fromkeys(_RATES, ("fps", "--fps")) if "fps" in self.infos else {}
         options = (word.partition("=")[0] for word in args if word.startswith("--"))
         wrong = {option: meant.get(option[2:].removeprefix("no-")) for option in options}
-        refuse(Problem(option, of[0], "no option of this name", of[1]) for option, of in wrong.items() if of)
+        raise_problems(Problem(option, of[0], "no option of this name", of[1]) for option, of in wrong.items() if of)
         return super().parse_args(ctx, args)
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
@@ -301,7 +301,7 @@ def _values_of_set(texts: list[str], infos: dict[str, SettingInfo]) -> dict[str,
             found.setdefault(name, []).append(value)
         else:
             found[name] = value
-    refuse(problems)
+    raise_problems(problems)
     return found
 
 

@@ -18,7 +18,7 @@ from recon import animal, check, io
 from recon.animal.body import Body, Side
 from recon.animal.prior import MotionPrior, load_prior
 from recon.animal.skeleton_file import load_skeleton, seen_by
-from recon.base import Array, InputError, Problem, Progress, all_of, mean_along, refuse, silent
+from recon.base import Array, InputError, Problem, Progress, collect_problems, mean_along, raise_problems, silent
 from recon.base.documents import require_file
 from recon.clip import Keypoints, Source, View, clean, held, leave_out, parse_frame_range, together, views_of
 from recon.fit import TrajectorySolution, solve_trajectory
@@ -149,13 +149,13 @@ def prepare(settings: FitSettings, read_shared: Callable[[FitSettings], Unknown]
     """Everything that comes before solving: the one list of checks, of a fit and of who asks whether it can be done.
     read_shared: `read_model_and_cameras`, or one that remembers. Raises InputError as `fit_clip`."""
     shared = read_shared or read_model_and_cameras
-    files, (body, prior, cameras) = all_of(lambda: read_clips(settings), lambda: shared(settings))
+    files, (body, prior, cameras) = collect_problems(lambda: read_clips(settings), lambda: shared(settings))
     later = settings.offset_s or (0.0,) * len(files)
     fps = files[0].fps
     assert fps is not None
     later_frames = tuple((s - later[0]) * fps for s in later)
     scorers = {file.source or f"camera {i}": file.scorer for i, file in enumerate(files, start=1)}
-    seen, *cleaned = all_of(
+    seen, *cleaned = collect_problems(
         lambda: body if body.detector is not None else seen_by(body, None, scorers),
         *(partial(_cleaned, body, settings, fps, *of) for of in zip(files, cameras, later_frames, strict=True)),
     )
@@ -177,7 +177,7 @@ def prepare(settings: FitSettings, read_shared: Callable[[FitSettings], Unknown]
 
 def read_model_and_cameras(settings: FitSettings) -> Unknown:
     """Raises InputError with the problems of both."""
-    model, cameras = all_of(lambda: _model(settings), lambda: read_clip_cameras(settings))
+    model, cameras = collect_problems(lambda: _model(settings), lambda: read_clip_cameras(settings))
     return *model, cameras
 
 
@@ -196,7 +196,9 @@ def read_clips(settings: FitSettings) -> list[Keypoints]:
     """The keypoint files, with the frame rate as given or their own. Raises InputError with the problems of all, also
     without a frame rate, or with two that nobody gave."""
     rates = settings.camera_fps or (settings.fps,) * len(settings.keypoints)
-    files = all_of(*(partial(_read_clip, settings, *of) for of in zip(settings.keypoints, rates, strict=True)))
+    files = collect_problems(
+        *(partial(_read_clip, settings, *of) for of in zip(settings.keypoints, rates, strict=True))
+    )
     silent = [path.name for path, file in zip(settings.keypoints, files, strict=True) if file.fps is None]
     if silent:
         found = f"nothing, and {', '.join(silent)} {'does' if len(silent) == 1 else 'do'} not say"
@@ -228,7 +230,9 @@ def _model(settings: FitSettings) -> tuple[Body, MotionPrior]:
     body = body if settings.height_m is None else _as_high(body, settings.height_m)
     sides = f"nothing: {body.name} is a whole animal, and both sides are fitted"
     wrong = [Problem("--set side", "side", repr(settings.side), sides)] if settings.side != "auto" else []
-    prior, _ = all_of(lambda: load_prior(settings.prior, body), lambda: refuse(wrong if not body.one_sided else ()))
+    prior, _ = collect_problems(
+        lambda: load_prior(settings.prior, body), lambda: raise_problems(wrong if not body.one_sided else ())
+    )
     return body, prior
 
 
@@ -336,13 +340,15 @@ def _side(body: Body, keypoints: Keypoints, settings: FitSettings) -> tuple[Side
 
 def read_clip_cameras(settings: FitSettings) -> Cameras:
     """The camera of each keypoint file. Raises InputError."""
-    tracks = tuple(all_of(*(lambda path=path: io.read_camera_track(path) for path in settings.camera_track or ())))
+    tracks = tuple(
+        collect_problems(*(lambda path=path: io.read_camera_track(path) for path in settings.camera_track or ()))
+    )
     choose = _cameras_of_one if len(settings.keypoints) == 1 else _cameras_of_several
     chosen = tuple((_as_it_stands(*one, settings.camera_unit), one[1]) for one in choose(settings, tracks))
     if tracks or settings.up is not None:
         from recon.workflows import rigs
 
-        refuse(rigs.focal_problems(chosen))
+        raise_problems(rigs.focal_problems(chosen))
         chosen = chosen if settings.up is None else rigs.turned_up(chosen, settings.up)
     if settings.tilt_deg is None:
         return chosen
@@ -403,7 +409,7 @@ def _cameras_of_several(settings: FitSettings, tracks: Sequence[io.CameraTrack])
     cameras = _cameras_in_file(settings, tracks)
     names = [camera.name for camera in cameras]
     owners = {track.source: list(cameras_in(io.track_label(track.source), dict.fromkeys(names))) for track in tracks}
-    refuse(problems_of_several(settings.camera_text or "--camera", cameras, owners))
+    raise_problems(problems_of_several(settings.camera_text or "--camera", cameras, owners))
     chosen = []
     for i, camera in enumerate(cameras):
         track = next((one for one in tracks if camera.name in owners[one.source]), None)
@@ -427,7 +433,9 @@ def _cameras_in_file(settings: FitSettings, tracks: Sequence[io.CameraTrack]) ->
     the keypoint file's name contains."""
     if settings.camera_name is not None:
         named = enumerate(settings.camera_name)
-        return tuple(all_of(*(lambda i=i, name=name: _camera_by_name(settings, i, name, tracks) for i, name in named)))
+        return tuple(
+            collect_problems(*(lambda i=i, name=name: _camera_by_name(settings, i, name, tracks) for i, name in named))
+        )
     path, cameras = settings.camera_text, io.read_cameras(settings.camera or (), settings.image_size_px)
     if len(cameras) == 1 == len(settings.keypoints):
         return cameras
@@ -443,7 +451,7 @@ def _cameras_in_file(settings: FitSettings, tracks: Sequence[io.CameraTrack]) ->
     found += f" for {', '.join(file.name for file in there)}" if len(chosen) > 1 else ""
     problem = Problem(path, "camera", found, f"one of {', '.join(names)} by --camera-name, or in the file's name")
     missing = (partial(require_file, file) for file in unclear if file not in there)
-    all_of(*missing, lambda: refuse([problem] * bool(there)))
+    collect_problems(*missing, lambda: raise_problems([problem] * bool(there)))
     return tuple(camera for of in chosen.values() for camera in cameras if camera.name in of)
 
 

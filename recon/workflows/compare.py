@@ -19,7 +19,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 from rich.table import Table
 
-from recon.base import Array, InputError, Problem, Progress, all_of, refuse
+from recon.base import Array, InputError, Problem, Progress, collect_problems, raise_problems
 from recon.base.files import require_free_folder, staged_folder
 from recon.base.settings import OneOrMore, Option, Settings
 from recon.check import names_text, usable
@@ -77,15 +77,19 @@ def compare(settings: _CompareSettings, progress: Progress) -> Answer:
             raise InputError(Problem(given, "folder", "no results", "a folder of results, or of a batch"))
         folders += [path.parent for path in inside]
     names = [folder.absolute().name for folder in folders]
-    refuse(Problem(n, "clip", f"{names.count(n)} folders of that name", "one") for n in {*names} if names.count(n) > 1)
+    raise_problems(
+        Problem(n, "clip", f"{names.count(n)} folders of that name", "one") for n in {*names} if names.count(n) > 1
+    )
     of_clip = _groups(settings.table, settings.by, names)
     written = [name for table in (GROUPS, STRIDES, CLIPS) for name in (table, table.replace(".csv", ".parquet"))]
     require_free_folder(out, [*written, FIGURE], settings.overwrite, "a comparison")
-    loaded = dict(zip(names, all_of(*(lambda path=path: Motion.load(path) for path in folders)), strict=True))
+    loaded = dict(zip(names, collect_problems(*(lambda path=path: Motion.load(path) for path in folders)), strict=True))
     levels = {name: motion.verdict.level if motion.verdict else "" for name, motion in loaded.items()}
     motions = {name: of for name, of in loaded.items() if settings.anyway or levels[name] != "do not use"}
     if not motions:  # said of each
-        all_of(*(lambda at=at: usable(*at, anyway=False) for at in zip(loaded.values(), folders, strict=True)))
+        collect_problems(
+            *(lambda at=at: usable(*at, anyway=False) for at in zip(loaded.values(), folders, strict=True))
+        )
     rows, clip_rows = [], []
     for i, (name, motion) in enumerate(motions.items()):
         progress("analysis", i / len(names))
@@ -175,9 +179,13 @@ def _groups(table: Path | None, by: str | None, names: Sequence[str]) -> dict[st
     except (OSError, ValueError) as error:
         raise InputError(Problem(table, "file", " ".join(str(error).split())[:200], "a CSV table")) from None
     columns = ", ".join(map(str, rows.columns))
-    refuse(Problem(table, "column", f"no {c!r} ({columns})", "clip, and --by") for c in ("clip", by) if c not in rows)
+    raise_problems(
+        Problem(table, "column", f"no {c!r} ({columns})", "clip, and --by") for c in ("clip", by) if c not in rows
+    )
     found = dict(zip(rows["clip"], rows[by].astype(str), strict=True))
-    refuse(Problem(table, "clip", f"no row for {name}", "one for every clip") for name in names if name not in found)
+    raise_problems(
+        Problem(table, "clip", f"no row for {name}", "one for every clip") for name in names if name not in found
+    )
     return {name: found[name] for name in names}
 
 

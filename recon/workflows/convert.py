@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from recon.animal.naming import load_names, renamed
-from recon.base import InputError, Problem, all_of, refuse
+from recon.base import InputError, Problem, collect_problems, raise_problems
 from recon.base.files import require_free_file, staged_file
 from recon.base.settings import Option, Positive, Settings
 from recon.check import usable, verdict_fields, verdict_lines
@@ -79,7 +79,7 @@ def convert(settings: ConvertSettings) -> Answer:
         name = choose_format(out, settings.to, _robot_formats()).name
         said = import_module(ROBOTS).convert(source, out, name, settings.fps, settings.overwrite)
         return Answer({"out": out, "format": name}, [said])
-    (data, motion), target, _ = all_of(
+    (data, motion), target, _ = collect_problems(
         lambda: read_any(source, settings),
         lambda: choose_format(out, settings.to),
         lambda: require_free_file(out, settings.overwrite, "OUT"),
@@ -88,7 +88,7 @@ def convert(settings: ConvertSettings) -> Answer:
     written: Any = data
     if "bones" in target.writes and motion is not None:
         beside = [out.with_suffix(extension) for extension in target.beside]
-        all_of(*(partial(require_free_file, path, settings.overwrite, "OUT") for path in beside))
+        collect_problems(*(partial(require_free_file, path, settings.overwrite, "OUT") for path in beside))
         written = rig_of(motion, data.fps, settings.body_mass_kg)
         data, notes = written.pose, notes + written.notes
         notes += (f"Beside it: {', '.join(map(str, beside))}.",) if beside else ()
@@ -146,7 +146,7 @@ def read_any(source: Path, settings: ConvertSettings) -> tuple[Keypoints | Pose3
 def _require_none(settings: ConvertSettings, names: Sequence[str], source: Path, content: str) -> None:
     """Raises InputError for options that say nothing about such content."""
     given = [f"--{name}" for name in names if getattr(settings, name) is not None]
-    refuse([Problem(option, "IN", f"{content}, {source}", "to be left out") for option in given])
+    raise_problems([Problem(option, "IN", f"{content}, {source}", "to be left out") for option in given])
 
 
 def _pose_of(motion: Motion) -> Pose3D:

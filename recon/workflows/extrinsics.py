@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import Field
 from rich.console import Console
 
-from recon.base import Array, InputError, Problem, Progress, all_of, length_text, refuse, silent
+from recon.base import Array, InputError, Problem, Progress, collect_problems, length_text, raise_problems, silent
 from recon.base.files import require_free_file
 from recon.base.settings import Number, OneOrMore, Option, Settings
 from recon.clip import Source, View, camera_poses, together
@@ -131,9 +131,9 @@ def run_extrinsics(
     posed, tilt_deg = bool(clips[0].refine_cameras), clips[0].tilt_deg
     twice = "a value beside --set refine-cameras=true, whose file says it", "one of the two"
     both = {"--tilt-deg": tilt_deg, "--level-deg": level_rad or None} if posed else {}
-    given, *_ = all_of(
-        lambda: all_of(*(lambda clip=clip: _each_alone(clip) for clip in clips)),
-        lambda: refuse(Problem(option, "up", *twice) for option, value in both.items() if value is not None),
+    given, *_ = collect_problems(
+        lambda: collect_problems(*(lambda clip=clip: _each_alone(clip) for clip in clips)),
+        lambda: raise_problems(Problem(option, "up", *twice) for option, value in both.items() if value is not None),
         lambda: require_free_file(out, overwrite, suffixes=(".toml",)),
     )
     cameras = _all_cameras(given)
@@ -153,7 +153,7 @@ def run_extrinsics(
     settings = [_setting(*of, cameras, poses) for of in zip(clips, firsts, in_step, strict=True)]
     rig = solve_extrinsics(settings, posed, level_rad or LEVEL_RAD, progress)
     expected = "clips in which the animal goes other ways through the view"
-    refuse(
+    raise_problems(
         Problem("KEYPOINTS", f"camera {camera.name}", f"a turn known to {turn_deg:.0f} degrees only", expected)
         for camera, turn_deg in zip(cameras, np.degrees(np.linalg.norm(rig.sigma[:, :3], axis=1)), strict=True)
         if turn_deg > UNTOLD_DEG
@@ -251,7 +251,7 @@ def _each_alone(settings: FitSettings) -> list[ClipInputs]:
         replace(alone, keypoints=(path,), camera_name=None if name is None else (name,))
         for path, name in zip(settings.keypoints, names, strict=True)
     ]
-    given = all_of(*(lambda one=one: prepare(one) for one in each))
+    given = collect_problems(*(lambda one=one: prepare(one) for one in each))
     rates = {one.fps for one in given}
     if len(rates) > 1:
         expected = "one frame rate for all cameras, or --fps"

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 from rich.console import Console
 
-from recon.base import InputError, Problem, Progress, all_of, problems_of
+from recon.base import InputError, Problem, Progress, collect_problems, problems_of
 from recon.base.settings import Settings
 from recon.workflows.cli import Answer, OptionsOf, answer_of_fit, say
 from recon.workflows.settings import FitSettings
@@ -44,7 +44,9 @@ def fit(settings: FitRunSettings, given: _OfFit, console: Console, progress: Pro
         fitted = read_settings(None, given) if config is None else read_config(config, given)
     except InputError as error:
         read = (partial(read_keypoints, path, given.get("individual")) for path in given.get("keypoints") or ())
-        raise InputError((*problems_of(lambda: all_of(*read)), *error.problems, *([] if out else no_out))) from None
+        raise InputError(
+            (*problems_of(lambda: collect_problems(*read)), *error.problems, *([] if out else no_out))
+        ) from None
     if out is None:
         raise InputError(no_out)
     for path in [] if config is None else replaced_files(config, given, fitted):

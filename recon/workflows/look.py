@@ -16,7 +16,7 @@ import numpy as np
 from pydantic import Field
 from rich.console import Console
 
-from recon.base import Array, Index, InputError, Problem, Progress, all_of, refuse, silent
+from recon.base import Array, Index, InputError, Problem, Progress, collect_problems, raise_problems, silent
 from recon.base.files import MANIFEST, read_manifest, require_free_file, sole_writer, staged_file, write_text
 from recon.base.parallel import Event, carry_out
 from recon.base.settings import Integer, Number, Option, Settings
@@ -64,17 +64,19 @@ def result_and_video(settings: _ResultSettings, *checks: Callable[[], object]) -
     video = settings.video
 
     def opened() -> tuple[Motion, int]:
-        motion, info = all_of(lambda: Motion.load(settings.folder), lambda: None if video is None else probe(video))
+        motion, info = collect_problems(
+            lambda: Motion.load(settings.folder), lambda: None if video is None else probe(video)
+        )
         number, first = camera_number(motion, settings.camera_name, video), int(motion.frames.min())
         if video is not None and info is not None:
             last = max(first, first + settings.first_frame - first_in_clip(motion, number, settings), 0)
             expected = f"{last} or less: the result begins with frame {last}"
             late = Problem("--first-frame", "number", str(settings.first_frame), expected)
             wrong = size_problems(video, info, motion.cameras[number])
-            refuse([*wrong, *([late] if settings.first_frame > last else ())])
+            raise_problems([*wrong, *([late] if settings.first_frame > last else ())])
         return motion, number
 
-    return all_of(opened, *checks)[0]
+    return collect_problems(opened, *checks)[0]
 
 
 def first_in_clip(motion: Motion, number: int, settings: _ResultSettings) -> int:

@@ -20,7 +20,7 @@ from recon.animal import Body, MotionPrior, detector_toml, fit_prior, load_skele
 from recon.animal.prior import mean_speed_m_s
 from recon.animal.prior_fit import FRAMES_PER_COMPONENT, as_one_gaussian, log_likelihood
 from recon.animal.skeleton_file import NONE
-from recon.base import Array, InputError, Integers, Problem, all_of, refuse
+from recon.base import Array, InputError, Integers, Problem, collect_problems, raise_problems
 from recon.base.documents import read_json
 from recon.base.files import require_free_file, write_text
 from recon.base.settings import Count, NotNegative, OneOrMore, Option, Settings
@@ -132,16 +132,16 @@ def run_prior_fit(settings: PriorFitSettings) -> dict[str, Any]:
     """
     paths = list(dict.fromkeys(settings.poses))
     folders, tables = [path for path in paths if path.is_dir()], [path for path in paths if not path.is_dir()]
-    given, results, files, rates, *_ = all_of(
+    given, results, files, rates, *_ = collect_problems(
         lambda: _body(settings.skeleton, settings.subject, folders),
-        lambda: all_of(*(partial(_motion, path, settings.anyway) for path in folders)),
-        lambda: all_of(*(partial(read_pose_segments, path) for path in tables)),
+        lambda: collect_problems(*(partial(_motion, path, settings.anyway) for path in folders)),
+        lambda: collect_problems(*(partial(read_pose_segments, path) for path in tables)),
         lambda: _rates(settings.fps, tables),
         lambda: require_free_file(settings.out, settings.overwrite, suffixes=(".npz",)),
     )
     results, files = dict(zip(folders, results, strict=True)), dict(zip(tables, files, strict=True))
     body = _common_body(given, results)
-    refuse(_problems_of_files(body, files, rates, settings.fps or "--fps"))
+    raise_problems(_problems_of_files(body, files, rates, settings.fps or "--fps"))
 
     names = file_names([*dict.fromkeys(path.absolute() for path in paths)])
     of_results = [(names[path.absolute()], _sound_states(one), one.fps) for path, one in results.items()]
@@ -369,10 +369,10 @@ def run_subject_fit(settings: SubjectFitSettings) -> dict[str, Any]:
     offsets are those beside these. Raises InputError for clips and options that cannot be used, with the problems of
     all of them.
     """
-    fits, _, known = all_of(
-        lambda: all_of(*(partial(read_config, p / CONFIG if p.is_dir() else p, {}) for p in settings.clips)),
+    fits, _, known = collect_problems(
+        lambda: collect_problems(*(partial(read_config, p / CONFIG if p.is_dir() else p, {}) for p in settings.clips)),
         lambda: require_free_file(settings.out, settings.overwrite, suffixes=(".toml",)),
-        lambda: all_of(*(partial(read_pose3d, path) for path in settings.poses)),
+        lambda: collect_problems(*(partial(read_pose3d, path) for path in settings.poses)),
     )
     _require_one_skeleton(fits, settings.clips)
     if settings.lengths:  # those of a measured animal would be measured again
@@ -380,7 +380,7 @@ def run_subject_fit(settings: SubjectFitSettings) -> dict[str, Any]:
     if settings.offsets:
         fits = [replace(one, detector=NONE) for one in fits]
     each = zip(fits, settings.clips, known or (None,) * len(settings.clips), strict=True)
-    given = all_of(*(partial(_problem, *of) for of in each))
+    given = collect_problems(*(partial(_problem, *of) for of in each))
     shape = Shape.of(given[0].body, settings.lengths, settings.offsets)
     if known:
         shape = replace(shape, offset_sigma_m=POSED_OFFSET_SIGMA_M)

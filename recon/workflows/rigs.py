@@ -11,7 +11,7 @@ import numpy as np
 
 from recon import check, io
 from recon.animal.body import Body
-from recon.base import Array, InputError, Problem, refuse
+from recon.base import Array, InputError, Problem, raise_problems
 from recon.clip import CleaningReport, FramePoses, Keypoints, Source, camera_poses, leave_out, views_of
 from recon.geometry.camera import Camera
 from recon.geometry.frames import level_from_camera, rigid
@@ -121,7 +121,7 @@ def turned_up(cameras: _Cameras, up: str) -> _Cameras:
     if not np.linalg.norm(direction) > 0:
         expected = f"x, y or z, -x, -y or -z, {FIRST_CAMERA}, or 0,-1,0"
         raise InputError(Problem("--set up", "direction", repr(up), expected))
-    refuse(
+    raise_problems(
         Problem("--set up", f"camera {camera.name}", why, "poses that do not say which way is up")
         for camera, _ in cameras
         for why in (["no pose"] if not camera.has_extrinsics else ["a pose that says it"] if camera.world_z_up else [])

@@ -16,7 +16,7 @@ from typing import Annotated, Any, Literal, NamedTuple
 
 from rich.console import Console
 
-from recon.base import InputError, Problem, Progress, all_of, refuse, silent
+from recon.base import InputError, Problem, Progress, collect_problems, raise_problems, silent
 from recon.base.files import MANIFEST, read_manifest, sole_writer
 from recon.base.parallel import carry_out
 from recon.base.settings import Count, Integer, Option, Settings
@@ -158,11 +158,11 @@ def job_of(run: _RunSettings, given: Mapping[str, Any]) -> _Job:
     """given: settings of the fit by name. The frame rate is the video's own unless it is given. Raises InputError with
     every problem."""
     keypoints = run.keypoints or run.out / f"{run.video.stem}_keypoints.csv"
-    info, _, settings, _ = all_of(
+    info, _, settings, _ = collect_problems(
         lambda: probe(run.video),
         lambda: None if run.model is None else import_module(DETECTOR).model_file(run.model),
         lambda: read_settings(run.config, {**given, "keypoints": keypoints}),
-        lambda: refuse(_motion_problems(run, given)),
+        lambda: raise_problems(_motion_problems(run, given)),
     )
     if settings.fps is None:
         if info.fps is None:
@@ -239,8 +239,8 @@ def _check_inputs(job: _Job) -> None:
     """What would only be said after minutes of work. Raises InputError."""
     # Keypoints that are not there yet are called as the video.
     given = job.given if job.run.model is None else replace(job.given, keypoints=job.run.video)
-    info, (_, _, cameras) = all_of(lambda: probe(job.run.video), lambda: read_model_and_cameras(given))
-    refuse(size_problems(job.run.video, info, cameras[0][0]))
+    info, (_, _, cameras) = collect_problems(lambda: probe(job.run.video), lambda: read_model_and_cameras(given))
+    raise_problems(size_problems(job.run.video, info, cameras[0][0]))
 
 
 def _stages(job: _Job) -> dict[str, _Stage]:
@@ -292,7 +292,7 @@ def jobs_of(run: _RunSettings, given: Mapping[str, Any]) -> list[_Job]:
         keypoints = None if run.keypoints is None else keypoints_of(video, run.keypoints)
         return job_of(replace(run, video=video, out=run.out / names[video], keypoints=keypoints), given)
 
-    return all_of(*(partial(job, video) for video in videos))
+    return collect_problems(*(partial(job, video) for video in videos))
 
 
 def keypoints_of(video: Path, folder: Path) -> Path:

@@ -27,7 +27,7 @@ from scipy.spatial.distance import squareform
 from recon import animal
 from recon.animal import Body, builtin_names, load_prior, load_skeleton, other_side
 from recon.animal.body import PLACES
-from recon.base import Array, InputError, Problem, all_of, length_text
+from recon.base import Array, InputError, Problem, collect_problems, length_text
 from recon.base.documents import builtin_file
 from recon.base.files import require_free_file, require_free_folder, write_text
 from recon.base.settings import File, OneOrMore, Option, Positive, Settings
@@ -248,7 +248,7 @@ def skeleton_from_keypoints(settings: _SkeletonDraftSettings) -> Answer:
 def _of_geometry(settings: _SkeletonDraftSettings) -> SkeletonDraft:
     """Raises InputError also where the cameras' poses are not known, or which way is up."""
     given = FitSettings(**picked(settings, "keypoints", "camera", "fps", "up", "individual"))
-    files, cameras = all_of(lambda: read_clips(given), lambda: read_clip_cameras(given))
+    files, cameras = collect_problems(lambda: read_clips(given), lambda: read_clip_cameras(given))
     first, source = files[0], settings.keypoints[0]
     assert first.fps is not None
     if len(files) < 2 or not all(camera.knows_up for camera, _ in cameras):

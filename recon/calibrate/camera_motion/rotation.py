@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from recon.base import Array, Bools, InputError, Integers, Problem, refuse
+from recon.base import Array, Bools, InputError, Integers, Problem, raise_problems
 from recon.base.documents import require_file
 from recon.geometry import Camera, level_from_camera
 from recon.io.common import first_problems, frame_number, number, text_rows
@@ -388,7 +388,7 @@ def up_by_marks(
         else:
             level = rays if kind == "horizon" else np.cross(*rays)[None]
             rows.append(level @ orientation.rotation @ first.T)
-    refuse(dict.fromkeys(problems))
+    raise_problems(dict.fromkeys(problems))
     # A ray is as exact as a mark over the focal length; a plane's normal as two marks over the length between them,
     # which is that of the cross product.
     A = np.concatenate(rows) * camera.matrix[0, 0] / MARKED_PX
@@ -413,7 +413,7 @@ def read_marks(path: Path) -> tuple[LevelMark, ...]:
             marks.append(_mark(*(cell.strip() for cell in cells)))
         except (TypeError, ValueError):  # too few, or other than numbers
             problems.append(Problem(path, f"line {line}", repr(",".join(cells))[:80], EXPECTED))
-    refuse(first_problems(problems, path) if rows else [Problem(path, "lines", "none", EXPECTED)])
+    raise_problems(first_problems(problems, path) if rows else [Problem(path, "lines", "none", EXPECTED)])
     return tuple(marks)
 
 

@@ -42,7 +42,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from recon.base.arrays import Array, Bools, Integers
 from recon.base.documents import FileTable, read_toml, validated
-from recon.base.errors import InputError, Problem, all_of
+from recon.base.errors import InputError, Problem, collect_problems
 from recon.base.files import name_seen_from, require_free_folder, sole_writer, staged_results
 from recon.base.settings import Number, Option, Settings
 from recon.geometry import rigid
@@ -496,7 +496,7 @@ def climb(settings: _ClimbSettings) -> Answer:
     Exit code 0: valid in every frame. 1: it is not, and all is written. 2: the input cannot be used.
     """
     out = settings.out
-    recipe, _ = all_of(
+    recipe, _ = collect_problems(
         lambda: load_recipe(settings.recipe), lambda: require_free_folder(out, (REPORT,), settings.overwrite)
     )
     done = plan(load_robot(recipe.robot), recipe if settings.height is None else raised(recipe, settings.height))

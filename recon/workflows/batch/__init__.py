@@ -24,7 +24,7 @@ from rich.table import Table
 from rich.text import Text
 from threadpoolctl import threadpool_limits
 
-from recon.base import Brief, InputError, Problem, Progress, all_of, problems_of, refuse, sole_writer
+from recon.base import Brief, InputError, Problem, Progress, collect_problems, problems_of, raise_problems, sole_writer
 from recon.base.documents import validated
 from recon.base.files import MANIFEST, require_free_folder, seen_from, staged_file, write_text
 from recon.base.package import version
@@ -96,7 +96,7 @@ def plan_batch(clips: Sequence[Clip], out: Path, overwrite: bool = False) -> lis
     """
     require_free_folder(out, (), overwrite=True)
     record = Record(out / RECORD)
-    return all_of(*(partial(_planned, clip, out / clip.name, record, overwrite) for clip in clips))
+    return collect_problems(*(partial(_planned, clip, out / clip.name, record, overwrite) for clip in clips))
 
 
 def _planned(clip: Clip, out: Path, record: Record, overwrite: bool) -> ClipPlan:
@@ -319,7 +319,7 @@ def read_rows(path: Path) -> list[dict[str, str]]:
     texts = ([x[1:] if x[:1] == "'" and _is_formula(x) else x for x in cells] for _, cells in rows)
     found = [{name: x for name, x in zip(header, row, strict=False) if x} for row in texts]
     wheres = (f"{path}, line {line}" for line, _ in rows)
-    all_of(*(partial(validated, _Row, *at) for at in zip(found, wheres, strict=True)))
+    collect_problems(*(partial(validated, _Row, *at) for at in zip(found, wheres, strict=True)))
     return [dict.fromkeys(COLUMNS, "") | row for row in found]
 
 
@@ -400,7 +400,7 @@ def batch(settings: _BatchSettings, given: _OfFits, console: Console) -> Answer:
     if settings.dry_run:
         return _only_looked(plan, input_problems(clips), settings.strict)
     shared = repeated(input_problems(clips, shared_only=True))  # be it each with a file of its own
-    refuse(problem for problem, places in shared if len(places) == len(clips))
+    raise_problems(problem for problem, places in shared if len(places) == len(clips))
     left = sum(planned.action != "done" for planned in plan)
     if left < len(plan):
         are = "clip is" if len(plan) == 1 else "clips are"

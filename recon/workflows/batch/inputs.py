@@ -14,7 +14,7 @@ from itertools import count, islice
 from pathlib import Path
 from typing import Any
 
-from recon.base import Brief, InputError, Problem, refuse
+from recon.base import Brief, InputError, Problem, raise_problems
 from recon.base.documents import read_head, read_toml
 from recon.check import names_text
 from recon.fit.motion_forms import MOTION
@@ -114,7 +114,7 @@ def find_clips(
     cameras_of = _cameras_of(common, config, posed)
     drafts, said = tried(_joined, drafts, cameras_by, common.get("camera_name"), cameras_of, otherwise=(drafts, []))
     every = [one for draft in drafts for one in tried(_with_settings, draft, common, config, otherwise=[])]
-    refuse(dict.fromkeys((*problems, *_name_problems(drafts))))  # what all clips have in common is said once
+    raise_problems(dict.fromkeys((*problems, *_name_problems(drafts))))  # what all clips have in common is said once
     if not every:
         raise InputError(Problem("INPUT", "clips", "none", "keypoint files, a folder of them, or a manifest"))
     names = _names([draft for draft, _ in every])
@@ -265,7 +265,7 @@ def _drafts_of_sessions(sessions: Sequence[tuple[Path, Path]], common: Mapping[s
         files, said = _files_in(poses)
         drafts += [_Draft((path,), row, called=folder / path.name, cam_regex=cam_regex) for path in files]
         notes += said
-    refuse(dict.fromkeys(problems))
+    raise_problems(dict.fromkeys(problems))
     if not drafts:
         places = names_text([str(poses) for _, poses in sessions])
         raise InputError(Problem(places, "files", "no keypoint files", f"files of a known format: {titles('2D')}"))
@@ -334,7 +334,7 @@ def _drafts_of_manifest(path: Path) -> list[_Draft]:
         drafts.append(_Draft(tuple(files), values, out, (path, line)))
     if not drafts and not problems:
         problems.append(Problem(path, "rows", "none", "one row a clip below the header"))
-    refuse(problems)
+    raise_problems(problems)
     return drafts
 
 
