@@ -1,8 +1,9 @@
-"""A camera: intrinsics, lens model and pose; projection with exact derivatives, and the way back to rays.
+"""Project points into a camera with exact derivatives, and turn pixels back into rays.
 
 Camera frame: x right, y down, z forward, metres. Pixels: centres at whole numbers, (0, 0) is the top left pixel.
 Projection is `sigma * (u, v, 1) = K (x', y', 1)`, `K = [[fx, s, ox], [0, fy, oy], [0, 0, 1]]`, where (x', y') are the
-normalised coordinates (x/z, y/z) after the distortion of the lens (`recon.geometry.lens`)."""
+normalised coordinates (x/z, y/z) after the distortion of the lens (`recon.geometry.lens`).
+"""
 
 from __future__ import annotations
 
@@ -22,23 +23,29 @@ from recon.geometry.lens import LENS_MODELS, Lens
 
 MIN_DEPTH_M = 1e-6
 LARGEST = 1e9
-"""The largest number that a camera has: more can only be damage."""
+"""The largest number that a camera may have; more can only be damage."""
 BLOCKS: dict[str, tuple[tuple[int, ...], str]] = {
     "matrix": ((3, 3), "[[fx, s, ox], [0, fy, oy], [0, 0, 1]], fx and fy > 0"),
     "distortion": ((), "the lens coefficients"),
     "rotation": ((3, 3), "a rotation, world to camera: 3x3 or a Rodrigues vector"),
     "translation_m": ((3,), "a translation of 3 numbers"),
 }
-"""The arrays of a camera: their shapes, if they have one, and what they are."""
+"""The arrays of a camera: their shapes, where fixed, and their meaning."""
 POSE = ("rotation", "translation_m")
 TILT = "radians between -pi/2 and pi/2, and 0 beside a pose that says which way is up"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Camera(Brief):
-    """One calibrated camera. Raises InputError, naming every fault, for wrong shapes or numbers of coefficients, values
-    that are not finite, focal lengths or image sizes that are not positive, a rotation that is not orthonormal and
-    right-handed to 1e-6, and a tilt of more than a right angle, or beside a pose that says which way is up."""
+    """One calibrated camera.
+
+    Raises
+    ------
+    InputError
+        Naming every fault: wrong shapes or numbers of coefficients, values that are not finite, focal lengths or image
+        sizes that are not positive, a rotation that is not orthonormal and right-handed to 1e-6, a tilt of more than a
+        right angle, or a tilt beside a pose that says which way is up.
+    """
 
     name: str
     """The name in its calibration file."""
@@ -49,7 +56,7 @@ class Camera(Brief):
     model: str
     """The lens model, one of `LENS_MODELS`."""
     image_size_px: tuple[int, int]
-    """The size of the picture: (width, height)."""
+    """Width and height of the picture, pixels."""
     rotation: Array | None = None
     """(3, 3), of T_camera_world: X_camera = rotation X_world + translation_m. None when the pose is unknown."""
     translation_m: Array | None = None
@@ -57,7 +64,7 @@ class Camera(Brief):
     world_z_up: bool = True
     """Whether the world frame's z axis points up (False where a calibration board defines the world)."""
     tilt_rad: float = 0.0
-    """How far a camera that does not know which way is up looks down; 0 is level."""
+    """How far a camera looks down if its pose does not say which way is up; 0 is level."""
 
     def __post_init__(self) -> None:
         for field in ("matrix", "distortion", "rotation", "translation_m"):
@@ -70,7 +77,7 @@ class Camera(Brief):
         raise_problems(Problem(f"camera {self.name!r}", *fault) for fault in self._faults())
 
     def _faults(self) -> Iterator[tuple[str, str, str]]:
-        """Fields that no camera can have: what each of them is, and what it should be."""
+        """Yield each impossible field, its value, and what it should be."""
         sound = set[str]()
         for field, (shape, expected) in BLOCKS.items():
             array = getattr(self, field)
@@ -100,8 +107,11 @@ class Camera(Brief):
 
     @classmethod
     def from_hfov(cls, hfov_deg: float, image_size_px: tuple[int, int], name: str = "cam1") -> Camera:
-        """A pinhole camera with square pixels and a central principal point, from its horizontal field of view. Raises
-        ValueError for a field of view outside (0, 180) degrees."""
+        """Return a pinhole camera with a given horizontal field of view.
+
+        Pixels are square and the principal point is central. Raises ValueError for a field of view outside (0, 180)
+        degrees.
+        """
         if not 0 < hfov_deg < 180:
             raise ValueError(f"the horizontal field of view must lie between 0 and 180 degrees, got {hfov_deg}")
         width, height = image_size_px
@@ -112,15 +122,35 @@ class Camera(Brief):
     # ---- projection ----
 
     def project(self, points_m: npt.ArrayLike) -> tuple[Array, Bools]:
-        """Pixels (..., 2) and validity (...) of points (..., 3) in the camera frame. Valid: in front of the camera and
-        where the lens model still increases with the angle from the optical axis (beyond, a polynomial folds points
-        back into the image). Invalid points are NaN. A valid point may lie outside the image: see `in_image`."""
+        """Project points of the camera frame to pixels.
+
+        Parameters
+        ----------
+        points_m : (..., 3)
+            Points in the camera frame.
+
+        Returns
+        -------
+        pixels : (..., 2)
+            NaN where invalid.
+        valid : (...)
+            Whether the point is in front of the camera and within the range where the lens model increases with the
+            angle from the optical axis. Beyond this range a polynomial folds points back into the image. A valid point
+            may lie outside the image: see `in_image`.
+        """
         pixels, _, valid = self.project_with_jacobian(points_m, jacobian=False)
         return pixels, valid
 
     def project_with_jacobian(self, points_m: npt.ArrayLike, jacobian: bool = True) -> tuple[Array, Array, Bools]:
-        """Pixels (..., 2), exact derivatives by the point (..., 2, 3), and validity (...), as `project`; zero
-        derivatives of invalid points, and none if they are not asked for."""
+        """Project points as `project` does, with exact derivatives.
+
+        Returns
+        -------
+        pixels : (..., 2)
+        by_point : (..., 2, 3)
+            Derivatives by the point; zero where invalid, empty unless `jacobian`.
+        valid : (...)
+        """
         points = np.asarray(points_m, dtype=float)
         x, y, z = points.reshape(-1, 3).T
         fx, s, ox, fy, oy = self._intrinsics
@@ -148,33 +178,46 @@ class Camera(Brief):
         return pixels.reshape(*shape, 2), by_point.reshape(*(shape if jacobian else (0,)), 2, 3), valid.reshape(shape)
 
     def in_image(self, pixels: npt.ArrayLike) -> Bools:
-        """Whether pixels (..., 2) lie on the image, whose edges are half a pixel outside the outermost centres."""
+        """Return whether pixels (..., 2) lie on the image.
+
+        The edges of the image are half a pixel outside the outermost pixel centres.
+        """
         uv = np.asarray(pixels, dtype=float)
         return np.asarray(((uv >= -0.5) & (uv <= np.array(self.image_size_px) - 0.5)).all(axis=-1))
 
     def sees(self, pixels: npt.ArrayLike, unzoomed_px: Array | None = None) -> Bools:
-        """Whether something found at pixels (..., 2) can be in the picture: no further outside than the picture is
-        wide and high, as trackers and interpolation carry points over the edge, and with a ray. False for NaN.
-        unzoomed_px: where it is by the camera's own matrix, of one that zooms."""
+        """Return whether detections at pixels (..., 2) are possible.
+
+        A detection is possible no further outside the picture than the picture is wide and high, since trackers and
+        interpolation carry points over the edge, and where the pixel has a ray. NaN gives False. `unzoomed_px` (..., 2)
+        are the pixels by the camera's own matrix, if the camera zooms.
+        """
         uv, size = np.asarray(pixels, dtype=float), np.array(self.image_size_px)
         seen = np.asarray(((uv >= -size) & (uv <= 2 * size)).all(axis=-1))
         seen[seen] = self.rays((uv if unzoomed_px is None else unzoomed_px)[seen])[1]
         return seen
 
-    # ---- the way back ----
+    # ---- pixels to rays ----
 
     def rays(self, pixels: npt.ArrayLike) -> tuple[Array, Bools]:
-        """Unit rays (..., 3) in the camera frame through pixels (..., 2), and validity (...). Invalid, and NaN: pixels
-        that are NaN or that no point within the lens model's range projects to."""
+        """Return unit rays in the camera frame through pixels.
+
+        Returns
+        -------
+        rays : (..., 3)
+            NaN where invalid.
+        valid : (...)
+            False for pixels that are NaN or that no point within the lens model's range projects to.
+        """
         uv, (fx, s, ox, fy, oy) = np.asarray(pixels, dtype=float), self._intrinsics
         u, v = uv.reshape(-1, 2).T
         valid = np.isfinite(u) & np.isfinite(v)
         yd = np.where(valid, v - oy, 0.0) / fy
         xd = (np.where(valid, u - ox, 0.0) - s * yd) / fx
         with np.errstate(all="ignore"):
-            a, b, found = self.lens.undistort(xd, yd)
+            a, b, solved = self.lens.undistort(xd, yd)
             rays = np.stack((a, b, np.ones_like(a)), axis=-1) / np.hypot(np.hypot(a, b), 1)[:, None]
-        valid &= found
+        valid &= solved
         rays[~valid] = np.nan
         return rays.reshape(*uv.shape[:-1], 3), valid.reshape(uv.shape[:-1])
 
@@ -182,7 +225,7 @@ class Camera(Brief):
 
     @cached_property
     def lens(self) -> Lens:
-        """The model of how the lens bends rays, with its coefficients."""
+        """Lens model with its coefficients."""
         return LENS_MODELS[self.model](self.distortion.tolist())
 
     @cached_property
@@ -194,7 +237,7 @@ class Camera(Brief):
 
     @property
     def has_extrinsics(self) -> bool:
-        """Whether it is known where the camera stands."""
+        """Whether the camera's position is known."""
         return self.rotation is not None
 
     @property
@@ -204,8 +247,11 @@ class Camera(Brief):
 
     @property
     def up(self) -> Array:
-        """Unit vector (3,), camera frame, that points up. From the pose where the world's z axis points up; otherwise
-        the camera's x axis is taken to be level, and its tilt is `tilt_rad`: (0, -1, 0) for a level camera."""
+        """Unit vector (3,), camera frame, that points up.
+
+        Taken from the pose where the world's z axis points up. Otherwise the camera's x axis is assumed level and the
+        tilt is `tilt_rad`: (0, -1, 0) for a level camera.
+        """
         if self.rotation is not None and self.world_z_up:
             return self.rotation[:, 2].copy()
         return np.array((0.0, -math.cos(self.tilt_rad), 0.0 - math.sin(self.tilt_rad)))
@@ -231,13 +277,16 @@ class Camera(Brief):
         return self.rotation, self.translation_m
 
     def corrected(self, correction: Array) -> Camera:
-        """With an extrinsic correction (6,), as `View.corrected`. Raises ValueError when the pose is unknown."""
+        """Return the camera with an extrinsic correction (6,), as `View.corrected`.
+
+        Raises ValueError when the pose is unknown.
+        """
         rotation, translation = self._pose()
         turn = euler_rotation(correction[:3])
         return replace(self, rotation=turn @ rotation, translation_m=turn @ translation + correction[3:])
 
     def with_focal_scale(self, log_scale: float) -> Camera:
-        """With focal lengths that are longer by a factor, given by its logarithm."""
+        """Return the camera with focal lengths times exp(log_scale)."""
         matrix = self.matrix.copy()
         matrix[:2, :2] *= math.exp(log_scale)
         return replace(self, matrix=matrix)
@@ -245,14 +294,17 @@ class Camera(Brief):
     # ---- plain data ----
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain strings, numbers and lists; an unknown pose and no tilt are left out."""
+        """Return plain strings, numbers and lists, without an unknown pose or a zero tilt."""
         names = ("name", "model", "image_size_px", *BLOCKS, *(["tilt_rad"] if self.tilt_rad else []), "world_z_up")
         values = {name: getattr(self, name) for name in names}
         return {name: np.asarray(value).tolist() for name, value in values.items() if value is not None}
 
 
 def is_rotation(matrix: Array, tolerance: float) -> bool:
-    """Whether a 3x3 matrix is finite, orthonormal to `tolerance` (largest entry of |R R' - I|) and right-handed."""
+    """Return whether a 3x3 matrix is finite, orthonormal and right-handed.
+
+    `tolerance` bounds the largest entry of |R R' - I|.
+    """
     with np.errstate(invalid="ignore", over="ignore"):
-        off = np.abs(matrix @ matrix.T - np.eye(3)).max()
-    return bool(off <= tolerance and np.linalg.det(matrix) > 0)
+        error = np.abs(matrix @ matrix.T - np.eye(3)).max()
+    return bool(error <= tolerance and np.linalg.det(matrix) > 0)

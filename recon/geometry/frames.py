@@ -1,12 +1,16 @@
-"""Frames of reference. `T_a_b` (4, 4) takes points from frame b to frame a: p_a = T_a_b p_b, metres.
+"""Convert points and rotations between frames of reference.
 
-camera: x to the picture's right, y down, z forward (OpenCV's). level: a camera's centre, x to the picture's right, y
-away from the camera, z up. world: where motion is solved, right-handed with z up and at rest: the camera files' world
-where its z axis is known to point up, otherwise the level frame of the first camera. reference: what results are given
-in, the camera files' world where there is one, otherwise the first camera's frame.
+`T_a_b` (4, 4) takes points from frame b to frame a: p_a = T_a_b p_b, metres.
 
-Rotations: Euler angles with their derivatives, which scipy's `Rotation` does not give. R = Rx(xi) Ry(psi) Rz(zeta)
-throughout, right-handed rotations about X, Y and Z multiplied in that order (scipy's intrinsic "XYZ"), in radians."""
+- camera: x to the picture's right, y down, z forward (OpenCV's).
+- level: origin at a camera's centre, x to the picture's right, y away from the camera, z up.
+- world: where motion is solved, right-handed with z up and at rest: the camera files' world where its z axis is known
+  to point up, otherwise the level frame of the first camera.
+- reference: the frame of results: the camera files' world if there is one, otherwise the first camera's frame.
+
+Rotations are Euler angles with their derivatives, which scipy's `Rotation` does not give. R = Rx(xi) Ry(psi) Rz(zeta)
+throughout, right-handed rotations about X, Y and Z multiplied in that order (scipy's intrinsic "XYZ"), in radians.
+"""
 
 from __future__ import annotations
 
@@ -21,53 +25,62 @@ _CROSS_TWICE = _CROSS @ _CROSS
 
 
 def level_axes(up: Array) -> tuple[Array, Array]:
-    """Two level unit vectors (3,) in the camera frame: to the picture's right, or down where that is up, and away from
-    the camera. up (3,): the upward unit vector there."""
-    across = np.eye(3)[int(abs(up[0]) > 0.999)]
-    right = across - up * (across @ up)
+    """Return two level unit vectors (3,) in the camera frame: right and away.
+
+    The first points to the picture's right, or down if right is up; the second points away from the camera. `up` (3,)
+    is the upward unit vector in the camera frame.
+    """
+    sideways = np.eye(3)[int(abs(up[0]) > 0.999)]
+    right = sideways - up * (sideways @ up)
     right /= float(np.linalg.norm(right))
     return right, np.asarray(np.cross(up, right), dtype=float)
 
 
 def level_from_camera(up: Array) -> Array:
-    """The rotation R_level_camera (3, 3)."""
+    """Return the rotation R_level_camera (3, 3)."""
     right, away = level_axes(up)
     return np.stack([right, away, up])
 
 
 def rigid(rotation: Array, translation_m: Array) -> Array:
-    """T (..., 4, 4) of rotations (..., 3, 3) and translations (..., 3)."""
+    """Return transforms T (..., 4, 4) of rotations (..., 3, 3) and translations (..., 3)."""
     T = np.zeros((*rotation.shape[:-2], 4, 4))
     T[..., :3, :3], T[..., :3, 3], T[..., 3, 3] = rotation, translation_m, 1.0
     return T
 
 
 def inverse(T: Array) -> Array:
-    """The inverse of rigid transforms (..., 4, 4)."""
+    """Return the inverses of rigid transforms (..., 4, 4)."""
     rotation = T[..., :3, :3].swapaxes(-1, -2)
     return rigid(rotation, -(rotation @ T[..., :3, 3, None])[..., 0])
 
 
 def moved(T: Array, points_m: Array) -> Array:
-    """Points (..., 3) of frame b in frame a; T (4, 4) is T_a_b, of all points."""
+    """Return points (..., 3) of frame b in frame a; T (4, 4) is T_a_b."""
     return points_m @ T[:3, :3].T + T[:3, 3]
 
 
 def euler_rotation(angles_rad: npt.ArrayLike) -> Array:
-    """Rotation matrices R = Rx(xi) Ry(psi) Rz(zeta), shape (..., 3, 3), of angles (xi, psi, zeta), shape (..., 3)."""
+    """Return rotations R = Rx(xi) Ry(psi) Rz(zeta) (..., 3, 3) of angles (..., 3)."""
     x, y, z = _turns(angles_rad)
     return x @ y @ z
 
 
 def euler_rotation_with_jacobian(angles_rad: npt.ArrayLike) -> tuple[Array, Array]:
-    """Rotation matrices R (..., 3, 3) of angles (..., 3), and their exact derivatives by angle k, dR[..., k, :, :]."""
+    """Return rotations R (..., 3, 3) of angles (..., 3) and exact derivatives.
+
+    The derivative by angle k is dR[..., k, :, :].
+    """
     x, y, z = _turns(angles_rad)
     rotation = x @ y @ z
     return rotation, np.stack([_CROSS[0] @ rotation, x @ _CROSS[1] @ y @ z, rotation @ _CROSS[2]], axis=-3)
 
 
 def _turns(angles_rad: npt.ArrayLike) -> tuple[Array, Array, Array]:
-    """Rotations about each axis: with G its cross product, R = I + sin G + (1 - cos) G G (Rodrigues), dR = G R."""
+    """Return the rotation about each axis, (..., 3, 3) three times.
+
+    With G the cross product of an axis, R = I + sin G + (1 - cos) G G (Rodrigues) and dR = G R.
+    """
     angles = np.asarray(angles_rad, dtype=float)[..., None, None]
     turns = _IDENTITY + np.sin(angles) * _CROSS + (1.0 - np.cos(angles)) * _CROSS_TWICE
     return turns[..., 0, :, :], turns[..., 1, :, :], turns[..., 2, :, :]

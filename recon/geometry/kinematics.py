@@ -1,21 +1,24 @@
-"""Forward kinematics of a tree of rigid segments, with its exact derivatives, for many frames at once.
+"""Compute forward kinematics of a tree of rigid segments, with exact derivatives, for many frames.
 
 Every segment has an origin fixed in its parent's frame and up to three rotations about its own z, y and x axes, in that
 order (yaw, pitch, roll; right-handed; x forwards, y left, z up):
 
     O_segment = O_parent Rz(yaw) Ry(pitch) Rx(roll)        o_segment = o_parent + size O_parent offset
 
-The first segment is the root: it is free, its frame's parent is the world. Markers are points fixed on segments. One
-frame's unknowns, the state, are [root's origin (3), metres; root's yaw, pitch, roll, rad; the other segments' angles].
+The first segment is the root: it is free and its parent frame is the world. Markers are points fixed on segments. The
+unknowns of one frame, the state, are [root's origin (3), metres; root's yaw, pitch, roll, rad; the other segments'
+angles].
 
-Joint kinds differ in their axes only: hinge y, universal z y, ball z y x, free for the root; those of machines turn
-about z ("turn") or slide along it ("slide", metres in place of an angle), their frames at a fixed rotation to the
-parent's. A "summed" universal joint, of the 8U chain (`recon.animal.chain`), has the angles of all its summed ancestors
-added to its own and turns relative to the root: O_segment = O_root Rz(sum of yaw) Ry(sum of pitch).
+Kinds of joints differ only in their axes: hinge y, universal z y, ball z y x, free for the root. Joints of machines
+turn about z ("turn") or slide along z ("slide", metres in place of an angle); their frames have a fixed rotation to the
+parent's. A "summed" universal joint, of the 8U chain (`recon.animal.chain`), adds the angles of all its summed
+ancestors to its own and turns relative to the root: O_segment = O_root Rz(sum of yaw) Ry(sum of pitch).
 
-A marker is the root's origin plus vectors fixed in the frames between the root and it. An angle's derivative is axis x
-(the sum of the vectors in the frames that it turns): all that follow, or for a summed joint those up to the next summed
-one. Of two angles, the second derivative is the outer's axis x the derivative by the inner."""
+A marker is the root's origin plus vectors fixed in the frames between the root and the marker. The derivative by an
+angle is axis x (the sum of the vectors in the frames that the angle turns): all frames that follow, or for a summed
+joint those up to the next summed joint. The second derivative by two angles is the outer angle's axis x the derivative
+by the inner angle.
+"""
 
 from __future__ import annotations
 
@@ -31,17 +34,18 @@ from recon.base.arrays import Array, Brief
 Joint = Literal["free", "ball", "universal", "hinge", "fixed", "summed", "turn", "slide"]
 
 AXES: dict[str, str] = {"free": "zyx", "ball": "zyx", "universal": "zy", "hinge": "y", "fixed": "", "summed": "zy"}
+"""Rotations of each kind of joint, in the order of the state; "s" is a slide along z."""
 AXES |= {"turn": "z", "slide": "s"}
 """Rotations of each kind of joint, in the order of the state; "s" is a slide along z."""
 
 ANGLE_OF_AXIS = {"z": "yaw", "y": "pitch", "x": "roll"}
-"""What a rotation about each axis is called."""
+"""Name of a rotation about each axis."""
 _NAMES = ANGLE_OF_AXIS | {"s": "slide"}
 _SUMMED = {"z": "phi", "y": "theta"}
-"""What it is called of a summed joint, as published of the 8U chain."""
+"""Names of a summed joint's rotations, as published for the 8U chain."""
 
 _BLOCK, _FRAMES_AT_ONCE = 64, 4096
-"""Frames whose Jacobian is worked out at once, to stay in the processor's cache; and whose poses are, to stay small."""
+"""Frames per block: with Jacobians, to stay in the processor's cache; and without, to keep memory small."""
 
 CYCLE = np.array([0, 1, 2, 0, 1])
 _IDENTITY, _NONE = np.eye(3), np.zeros(0)
@@ -60,11 +64,11 @@ class Segment:
     parent: str | None
     """The name of an earlier segment, None for the root."""
     joint: Joint
-    """How it turns against its parent."""
+    """How the segment turns against its parent."""
     offset_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Its origin in its parent's frame, (x, y, z)."""
     rotation: tuple[tuple[float, ...], ...] | None = None
-    """(3, 3), from its frame to its parent's before its joint moves; of the joints turn, slide and fixed only."""
+    """(3, 3), from its frame to its parent's before its joint moves; only for joints turn, slide and fixed."""
 
 
 @dataclass(frozen=True)
@@ -78,7 +82,7 @@ class Marker:
 
 @dataclass(frozen=True)
 class TreePose:
-    """Where N states put a tree's J markers; the derivatives are empty unless they were asked for."""
+    """Markers of a tree for N states; derivatives are empty unless requested."""
 
     points_m: Array
     """(N, J, 3), the markers in the world."""
@@ -89,52 +93,55 @@ class TreePose:
 
 
 class _Plan:
-    """What a tree's kinematics need besides the state, of S segments, J markers, K rotations, M pairs of a marker and a
-    rotation that moves it, and P pairs of a marker and an angle of the state."""
+    """Everything that a tree's kinematics need besides the state.
+
+    Dimensions: S segments, J markers, K rotations, M pairs of a marker and a rotation that moves it, and P pairs of a
+    marker and an angle of the state.
+    """
 
     def __init__(self, tree: Tree) -> None:
         segments, markers, rotations = tree.segments, tree.markers, tree.rotations
         S, K, J = len(segments), len(rotations), len(markers)
-        at = {segment.name: i for i, segment in enumerate(segments)}
+        index_of = {segment.name: i for i, segment in enumerate(segments)}
         summed = [segment.joint == "summed" for segment in segments]
-        ways: list[list[int]] = []
-        """The segments from the root to each one."""
+        paths: list[list[int]] = []
+        """(S,): the segments from the root to each segment."""
         for i, segment in enumerate(segments):
-            ways.append([i] if segment.parent is None else [*ways[at[segment.parent]], i])
-        bases = [0 if summed[way[-1]] else way[-2] for way in ways[1:]]
-        """The segment whose frame each one but the root turns from: its parent's, of a summed one the root's."""
-        on = [way[-2] for way in ways[1:]] + [at[marker.segment] for marker in markers]
-        """The segment that each origin but the root's, and each marker, is fixed on."""
+            paths.append([i] if segment.parent is None else [*paths[index_of[segment.parent]], i])
+        base_segments = [0 if summed[path[-1]] else path[-2] for path in paths[1:]]
+        """(S - 1,): for each segment but the root, the segment whose frame it turns from: the root if summed."""
+        carriers = [path[-2] for path in paths[1:]] + [index_of[marker.segment] for marker in markers]
+        """(S - 1 + J,): the segment that each origin but the root's, and each marker, is fixed on."""
 
         self.sums = np.eye(K + 1, K)
-        """(K + 1, K): which angles of the state add up to the angle that each rotation turns by; the last is 0."""
+        """(K + 1, K): 1 where an angle of the state is part of a rotation's angle; the last row is 0."""
         for k, (i, axis) in enumerate(rotations):
-            for j in ways[i][:-1]:
+            for j in paths[i][:-1]:
                 if summed[i] and summed[j]:
                     self.sums[k, rotations.index((j, axis))] = 1.0
 
-        depth, base_frame = [0], np.array([0, *(base + 1 for base in bases)], dtype=np.intp)
-        for base in bases:
+        depth, base_frame = [0], np.array([0, *(base + 1 for base in base_segments)], dtype=np.intp)
+        for base in base_segments:
             depth.append(depth[base] + 1)
         levels = [np.flatnonzero(np.equal(depth, level)) for level in range(max(depth) + 1)]
         self.levels = [(1 + level, base_frame[level]) for level in levels]
-        """Frames that depend on earlier levels only, and the frames that they turn from."""
+        """By level, the frames that depend on earlier levels only, and the frames that they turn from."""
 
         points = np.zeros((S + J, 3, S + 1))
-        for i, (parent, item) in enumerate(zip(on, (*segments[1:], *markers), strict=True), start=1):
+        for i, (parent, item) in enumerate(zip(carriers, (*segments[1:], *markers), strict=True), start=1):
             points[i] = points[parent]
             points[i, :, parent + 1] = item.offset_m
         self.points = points.reshape(S + J, 3 * (S + 1))
         """(S + J, 3 (S + 1)): each point as vectors in all frames."""
 
         self.angle = np.full((3 if any(axis == "x" for _, axis in rotations) else 2, S + 1), K, dtype=np.intp)
-        """(3, S + 1): which angle turns each frame about z, y and, where any is turned about that, x; K: none."""
+        """(2 or 3, S + 1): the angle that turns each frame about z, y and, if any frame has one, x; K: none."""
         axes = np.empty((K, 2), dtype=np.intp)
         for k, (i, axis) in enumerate(rotations):
             if axis != "s":
                 self.angle["zyx".index(axis), i + 1] = k
-            # Yaw turns about the z axis that the joint starts from, roll about the segment's x axis, and so does pitch
-            # about its y axis where there is no roll. A joint of z alone has it in common with its segment.
+            # Yaw turns about the z axis of the frame that the joint starts from; roll about the segment's x axis; pitch
+            # about the segment's y axis where there is no roll. A joint with z alone shares its axis with its segment.
             starts = axis == "z" and AXES[segments[i].joint] != "z"
             axes[k] = "xyz".index("z" if axis == "s" else axis), base_frame[i] if starts else i + 1
         self.axes = axes @ (S + 1, 1)
@@ -145,47 +152,47 @@ class _Plan:
         self.rolls = self.pitched + 1
         self.z_axes = 2 * (S + 1) + axes[pitched, 1]
 
-        # The arm ends at the marker, or at the first summed joint on the way to it: what follows is not turned. The
-        # root turns all.
+        # The arm ends at the marker, or at the first summed joint on the path to the marker, because a summed joint is
+        # not turned by its ancestors. The root turns everything.
         pairs = []
-        for j, way in enumerate(ways[i] for i in on[S - 1 :]):
+        for j, path in enumerate(paths[i] for i in carriers[S - 1 :]):
             for k, (i, axis) in enumerate(rotations):
-                later = way[way.index(i) + 1 :] if i in way and i > 0 else []
+                later = path[path.index(i) + 1 :] if i in path and i > 0 else []
                 arm = next((s for s in later if summed[s]), S + j)
                 slides = axis == "s" or any(segments[s].joint == "slide" for s in later)
-                if i in way and (slides or (points[arm] != points[i]).any()):
+                if i in path and (slides or (points[arm] != points[i]).any()):
                     pairs.append((j, k, arm, i))
         self.marker, self.turning, self.arm, self.centre = np.array(pairs, dtype=np.intp).reshape(-1, 4).T.copy()
-        """(M,) each: marker and rotation of each pair, which moves by axis x (arm - centre), two points."""
-        marker, by, self.merge = self.marker, self.turning, None
-        """merge (P, M): from the M pairs to those of a marker and an angle of the state. None: identity."""
+        """(M,) each: marker and rotation of each pair. The marker moves by axis x (arm - centre), two points."""
+        marker, moving_angle, self.merge = self.marker, self.turning, None
+        """(P, M): sums the M pairs to the P pairs of a marker and an angle of the state. None: identity."""
         if any(summed):
             moving = (marker == np.arange(J)[:, None])[:, None] * self.sums[self.turning].T  # (J, K, M)
-            marker, by = np.nonzero(moving.any(axis=2))
-            self.merge = moving[marker, by]
-        self.entries = (3 * marker[:, None] + np.arange(3)) * tree.n_state + 3 + by[:, None]
-        """(P, 3): their places in a Jacobian (J, 3, D)."""
+            marker, moving_angle = np.nonzero(moving.any(axis=2))
+            self.merge = moving[marker, moving_angle]
+        self.entries = (3 * marker[:, None] + np.arange(3)) * tree.n_state + 3 + moving_angle[:, None]
+        """(P, 3): indices of the P pairs in a flat Jacobian (J, 3, D)."""
 
         self.placed = None
-        """(S + 1, 3, 3), the segments' rotations; None where none has any."""
+        """(S + 1, 3, 3): fixed rotations of the segments; None if no segment has one."""
         if any(segment.rotation is not None for segment in segments):
             self.placed = np.array([_IDENTITY, *(_IDENTITY if s.rotation is None else s.rotation for s in segments)])
         slides = [k for k, (_, axis) in enumerate(rotations) if axis == "s"]
         self.slides = np.array(slides, dtype=np.intp)
         """(L,): the rotations that are slides."""
-        reached = [*ways, *(ways[i] for i in on[S - 1 :])]
-        self.slid = np.array([[float(rotations[k][0] in way) for k in slides] for way in reached])
+        reached = [*paths, *(paths[i] for i in carriers[S - 1 :])]
+        self.slid = np.array([[float(rotations[k][0] in path) for k in slides] for path in reached])
         """(S + J, L): 1 for the points that each slide shifts, otherwise 0."""
         self.sliding = np.flatnonzero(np.isin(self.turning, slides))
         """The pairs whose rotation is a slide."""
 
-        # A segment is turned by those whose frames its own turns from, and by its own earlier angles.
+        # A segment is turned by all segments whose frames it turns from, and by its own earlier angles.
         self.outer = np.zeros((K, K))
         """(K, K): 1 where the first of two rotations turns what the second moves, otherwise 0."""
         for k, (inner, _) in enumerate(rotations):
             turned_by = [inner]
             while turned_by[-1] != 0:
-                turned_by.append(bases[turned_by[-1] - 1])
+                turned_by.append(base_segments[turned_by[-1] - 1])
             for i, (segment, axis) in enumerate(rotations[: k + 1]):
                 self.outer[i, k] = axis != "s" and segment in turned_by
         self.gathered = (np.arange(K)[:, None] == self.turning).astype(float)
@@ -200,20 +207,20 @@ class Tree(Brief):
     markers: tuple[Marker, ...]
 
     def lengthened(self, factor_of: Callable[[str], float]) -> Tree:
-        """With the offsets of segments and markers longer by a factor of their names."""
+        """Return the tree with each offset times a factor of its segment's or marker's name."""
 
-        def longer(one: Any) -> Any:
-            return replace(one, offset_m=tuple(float(factor_of(one.name)) * value for value in one.offset_m))
+        def longer(item: Any) -> Any:
+            return replace(item, offset_m=tuple(float(factor_of(item.name)) * value for value in item.offset_m))
 
         return Tree(tuple(map(longer, self.segments)), tuple(map(longer, self.markers)))
 
     def scaled(self, size: float) -> Tree:
-        """With all lengths times a factor."""
+        """Return the tree with all lengths times a factor."""
         return self.lengthened(lambda _: size)
 
     @cached_property
     def state_names(self) -> tuple[str, ...]:
-        """(D,): x_m, y_m, z_m, then <segment>_yaw and so on; of the summed joint of segment J6 phi_6 and theta_6."""
+        """(D,): x_m, y_m, z_m, then <segment>_yaw etc.; phi_6 and theta_6 for the summed joint of segment J6."""
         names = [
             f"{_SUMMED[axis]}_{s.name.lstrip('J')}" if s.joint == "summed" else f"{s.name}_{_NAMES[axis]}"
             for s in self.segments
@@ -223,26 +230,36 @@ class Tree(Brief):
 
     @cached_property
     def axes(self) -> tuple[str, ...]:
-        """(D - 3,): what each angle of the state turns about, "x", "y" or "z"."""
+        """(D - 3,): the axis of each angle of the state, "x", "y" or "z"."""
         return tuple(axis for _, axis in self.rotations)
 
     @cached_property
     def n_state(self) -> int:
+        """Number D of unknowns of a frame."""
         return len(self.state_names)
 
     @cached_property
     def rotations(self) -> list[tuple[int, str]]:
-        """The segment, by its place, and the axis of every angle of the state."""
+        """Index of the segment, and axis, of every angle of the state."""
         return [(i, axis) for i, s in enumerate(self.segments) for axis in AXES[s.joint]]
 
     @cached_property
     def plan(self) -> _Plan:
+        """Everything that the kinematics need besides the state."""
         return _Plan(self)
 
     # -- kinematics ------------------------------------------------------------------------------------------------
 
     def _frames(self, state: Array) -> tuple[Array, Array, Array]:
-        """Frames (3 columns, S + 1, 3, N), and cosine and sine (K + 1, N) of the angles; the last angle is 0."""
+        """Return the frames, and cosine and sine of the angles, for states (N, D).
+
+        Returns
+        -------
+        frames : (3, S + 1, 3, N)
+            Columns, frames (the world first), components.
+        cosine, sine : (K + 1, N)
+            The last angle is 0.
+        """
         plan, N = self.plan, len(state)
         angles = plan.sums @ state[:, 3:].T
         cosine, sine = np.cos(angles), np.sin(angles)
@@ -264,11 +281,11 @@ class Tree(Brief):
         return frames, cosine, sine
 
     def orientations(self, state: Array) -> Array:
-        """T_world_segment's rotation for every segment, (N, S, 3, 3)."""
+        """Return T_world_segment's rotation for every segment, (N, S, 3, 3)."""
         return self._frames(state)[0][:, 1:].transpose(3, 1, 2, 0)
 
     def pose(self, state: Array, size: Array | float = 1.0) -> TreePose:
-        """Markers for states (N, D); size: a factor on all offsets, one or (N,)."""
+        """Return markers for states (N, D), with all offsets times `size`, a scalar or (N,)."""
         sizes, relative = np.ones(len(state)) * size, np.empty((len(state), len(self.markers), 3))
         for first in range(0, len(state), _FRAMES_AT_ONCE):
             block = slice(first, first + _FRAMES_AT_ONCE)
@@ -277,22 +294,22 @@ class Tree(Brief):
         return TreePose(state[:, None, ROOT] + relative)
 
     def origins(self, state: Array) -> Array:
-        """The segments' origins in the world (N, S, 3), for states (N, D)."""
+        """Return the segments' origins in the world (N, S, 3), for states (N, D)."""
         relative = self._points(self._frames(state)[0], state, 1.0)[: len(self.segments)]
         return state[:, None, ROOT] + relative.transpose(2, 0, 1)
 
     def _points(self, frames: Array, state: Array, size: Array | float) -> Array:
-        """`_Plan.points` relative to the root (S + J, 3, N), of the frames of `_frames`."""
+        """Return `_Plan.points` relative to the root (S + J, 3, N), for the frames of `_frames`."""
         plan, N = self.plan, len(state)
         columns = frames.reshape(plan.points.shape[1], 3, N)
         points = np.tensordot(plan.points, columns, 1) * size
         if len(plan.slides):
-            along = columns.take(plan.axes[plan.slides], axis=0) * state.T[3 + plan.slides, None]
-            points += np.tensordot(plan.slid, along, 1)
+            direction = columns.take(plan.axes[plan.slides], axis=0) * state.T[3 + plan.slides, None]
+            points += np.tensordot(plan.slid, direction, 1)
         return points
 
     def pose_with_jacobian(self, state: Array, size: Array | float = 1.0) -> TreePose:
-        """Markers and their exact derivatives for states (N, D)."""
+        """Return markers and their exact derivatives for states (N, D)."""
         N, J = len(state), len(self.markers)
         sizes = np.ones(N) * size
         relative, jacobian = np.empty((N, J, 3)), np.zeros((N, J, 3, self.n_state))
@@ -308,8 +325,17 @@ class Tree(Brief):
         return TreePose(state[:, None, ROOT] + relative, jacobian, relative)
 
     def moved(self, state: Array, size: Array) -> tuple[Array, Array, Array]:
-        """Markers relative to the root (J, 3, N), the rotations' axes (K, 3, N), and for each of `_Plan`'s pairs the
-        derivative of its marker by its rotation (M, 3, N)."""
+        """Return marker positions, rotation axes, and the derivative of each of `_Plan`'s pairs.
+
+        Returns
+        -------
+        points : (J, 3, N)
+            Markers relative to the root.
+        axes : (K, 3, N)
+            Axes of the rotations.
+        moved : (M, 3, N)
+            Derivative of each pair's marker by its rotation.
+        """
         plan, N = self.plan, len(state)
         frames, cosine, sine = self._frames(state)
         points, columns = self._points(frames, state, size), frames.reshape(plan.points.shape[1], 3, N)
@@ -318,19 +344,28 @@ class Tree(Brief):
             y, z = axes[plan.pitched], columns[plan.z_axes]
             axes[plan.pitched] = cosine[plan.rolls, None] * y - sine[plan.rolls, None] * z
         # x, y, z, x, y: then the cross product's cyclic neighbours are slices
-        about = axes.take(CYCLE, axis=1).take(plan.turning, axis=0)
+        turn_axes = axes.take(CYCLE, axis=1).take(plan.turning, axis=0)
         cyclic = points.take(CYCLE, axis=1)
         arms = cyclic.take(plan.arm, axis=0) - cyclic.take(plan.centre, axis=0)
-        moved = about[:, 1:4] * arms[:, 2:] - about[:, 2:] * arms[:, 1:4]
+        moved = turn_axes[:, 1:4] * arms[:, 2:] - turn_axes[:, 2:] * arms[:, 1:4]
         if len(plan.sliding):
-            moved[plan.sliding] = about[plan.sliding, :3]
+            moved[plan.sliding] = turn_axes[plan.sliding, :3]
         return points[len(self.segments) :], axes, moved
 
 
 def derivatives(tree: Tree, state: Array) -> tuple[Array, Array, Callable[[Array], Array]]:
-    """For one state (D,), as inverse kinematics needs them: the markers' Jacobian (J, 3, D), the axes (D - 3, 3) of the
-    angles, of joints that are not summed, and a function from weights (J, 3) to the weighted sum (D - 3, D - 3) of the
-    markers' second derivatives."""
+    """Return first and second derivatives of the markers for one state (D,), for inverse kinematics.
+
+    Only for trees without summed joints.
+
+    Returns
+    -------
+    jacobian : (J, 3, D)
+    axes : (D - 3, 3)
+        Axes of the angles.
+    curvature : function
+        From weights (J, 3) to the weighted sum (D - 3, D - 3) of the markers' second derivatives.
+    """
     plan, J = tree.plan, len(tree.markers)
     _, axes, moved = tree.moved(state[None], np.ones(1))
     axes, moved = axes[..., 0], moved[..., 0]
@@ -341,9 +376,9 @@ def derivatives(tree: Tree, state: Array) -> tuple[Array, Array, Callable[[Array
 
     def curvature(weights: Array) -> Array:
         # weight . (outer axis x moved) = outer axis . (moved x weight)
-        by = weights.take(plan.marker, axis=0).take(CYCLE, axis=1)
-        along = moved.take(CYCLE, axis=1)
-        swept = plan.gathered @ (along[:, 1:4] * by[:, 2:] - along[:, 2:] * by[:, 1:4])
+        arms = weights.take(plan.marker, axis=0).take(CYCLE, axis=1)
+        cyclic_moved = moved.take(CYCLE, axis=1)
+        swept = plan.gathered @ (cyclic_moved[:, 1:4] * arms[:, 2:] - cyclic_moved[:, 2:] * arms[:, 1:4])
         pairs = plan.outer * (axes @ swept.T)
         pairs = pairs + np.triu(pairs, 1).T
         return sums.T @ pairs @ sums

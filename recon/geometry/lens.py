@@ -1,14 +1,15 @@
-"""Lens models: one class each, and the table of them, from which everything else that knows lenses follows.
+"""Bend and unbend rays by a lens model: one class per model, and the table of all models.
 
-A lens bends ideal normalised coordinates (a, b) = (x/z, y/z) to distorted ones, which the camera's matrix makes pixels
-of. As in OpenCV's documentation (modules calib3d and fisheye):
+A lens bends ideal normalised coordinates (a, b) = (x/z, y/z) to distorted coordinates, which the camera's matrix turns
+into pixels. As in OpenCV's documentation (modules calib3d and fisheye):
 
 - "pinhole": no distortion, no coefficients.
 - "radtan": radial-tangential, k1 k2 p1 p2 [k3 [k4 k5 k6]]; with 8 coefficients the radial part is rational.
 - "fisheye": equidistant, k1 k2 k3 k4; theta_d = theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4 theta^8).
 
-To add one: a class below with `distort` and `max_radius`, and its place in `LENS_MODELS`; all else follows. A line in
-tests/test_camera.py tests it."""
+To add a model, write a class with `distort` and `max_radius`, add it to `LENS_MODELS`, and add a line to
+tests/test_camera.py.
+"""
 
 from __future__ import annotations
 
@@ -24,50 +25,62 @@ from numpy.polynomial import Polynomial, polynomial
 from recon.base.arrays import Array, Bools
 
 _ANGLES, _LARGEST_RADIUS = 2048, 1e8
-"""How finely, and how far, the radial part is tabulated where Newton's method starts."""
+"""Number of samples and largest radius of the table where Newton's method starts."""
 
 
 class Lens:
-    """A lens: its coefficients, in one model of how it bends. The base has all that models share."""
+    """A lens model with its coefficients; the base class holds what all models share."""
 
     name: ClassVar[str]
-    """As in our own files and options."""
+    """Name in our own files and options."""
     coefficients: ClassVar[tuple[str, ...]] = ()
-    """All that it can have, in OpenCV's order."""
+    """All coefficients of the model, in OpenCV's order."""
     counts: ClassVar[tuple[int, ...]] = (0,)
-    """How many of them a camera may state; the others are 0."""
+    """Numbers of coefficients that a camera may state; the others are 0."""
     aliases: ClassVar[tuple[str, ...]] = ()
-    """What ROS (`distortion_model`) and other files call it."""
+    """Names in ROS (`distortion_model`) and other files."""
     colmap: ClassVar[Mapping[str, str]] = {}
-    """COLMAP's models of this kind, and their parameters in their order."""
+    """COLMAP's models of this kind, with their parameters in order."""
     opencv: ClassVar[Literal["standard", "fisheye"] | None] = None
-    """Which of OpenCV's functions fit it to pictures of a board (`recon.calibrate.boards`), if any."""
+    """OpenCV's functions that calibrate the model from pictures of a board (`recon.calibrate.boards`), if any."""
     calibrated: ClassVar[int] = 0
-    """How many coefficients they find."""
+    """Number of coefficients that this calibration finds."""
 
     def __init__(self, coefficients: Sequence[float]) -> None:
         self.k = (*coefficients, *[0.0] * (len(self.coefficients) - len(coefficients)))
 
     @cached_property
     def max_radius(self) -> float:
-        """The radius sqrt(a^2 + b^2) up to which the distorted radius increases with it; inf where it always does."""
+        """Radius sqrt(a^2 + b^2) up to which the distorted radius increases; inf where it always does."""
         return math.inf
 
     def distort(self, a: Array, b: Array, r2: Array) -> tuple[Any, ...]:
-        """Distorted coordinates a', b' of ideal ones (N,), with r2 = a^2 + b^2, and their exact derivatives da'/da,
-        da'/db = db'/da (symmetric in every model), db'/db."""
+        """Return distorted coordinates of ideal ones, with exact derivatives.
+
+        Parameters
+        ----------
+        a, b : (N,)
+            Ideal coordinates x/z and y/z.
+        r2 : (N,)
+            a^2 + b^2.
+
+        Returns
+        -------
+        a', b', da'/da, da'/db = db'/da, db'/db
+            The mixed derivative is symmetric in every model.
+        """
         raise NotImplementedError
 
     @cached_property
     def _radial(self) -> tuple[Array, Array]:
-        """Distorted radii on a line through the middle, and the angles from the optical axis that they are seen at."""
+        """Distorted radii along a line through the centre, and the angles of their rays from the optical axis."""
         angles = np.linspace(0.0, math.atan(min(self.max_radius, _LARGEST_RADIUS)), _ANGLES)
         r, zero = np.tan(angles), np.zeros(_ANGLES)
-        there, opposite = (self.distort(a, zero, r * r)[0] for a in (r, -r))
-        return 0.5 * (there - opposite), angles  # what is not radial is the same on both sides
+        ahead, opposite = (self.distort(a, zero, r * r)[0] for a in (r, -r))
+        return 0.5 * (ahead - opposite), angles  # what is not radial is the same on both sides
 
     def undistort(self, xd: Array, yd: Array) -> tuple[Array, Array, Bools]:
-        """Ideal coordinates (N,), (N,) of distorted ones, and whether there are any: the inverse of `distort`."""
+        """Return ideal coordinates (N,), (N,) of distorted ones, and whether they exist."""
         radius_d, (radii_d, angles) = np.hypot(xd, yd), self._radial
         scale = np.where(radius_d > 0, np.tan(np.interp(radius_d, radii_d, angles)) / radius_d, 1.0)
         # what is not radial can carry pixels past the largest radius that the radial part alone reaches
@@ -168,7 +181,7 @@ LENS_MODELS: dict[str, type[Lens]] = {lens.name: lens for lens in (_Pinhole, _Ra
 
 
 def lens_named(text: str) -> str | None:
-    """The name of the model that a file calls by its name or another one; None where there is none."""
+    """Return our name of the model that a file calls `text`; None if unknown."""
     return next((lens.name for lens in LENS_MODELS.values() if text in (lens.name, *lens.aliases)), None)
 
 
@@ -176,7 +189,10 @@ def lens_named(text: str) -> str | None:
 
 
 def _first_positive_root(coefficients: npt.ArrayLike) -> float:
-    """Smallest positive real root of a polynomial, coefficients in increasing order; inf if there is none."""
+    """Return the smallest positive real root of a polynomial, inf if there is none.
+
+    Coefficients are in increasing order.
+    """
     array = np.asarray(coefficients, dtype=float)
     trimmed = np.trim_zeros(np.where(np.abs(array) < 1e-100, 0.0, array), "b")  # roots divide by the last one
     roots = polynomial.polyroots(trimmed) if trimmed.size > 1 else np.zeros(0)
