@@ -46,7 +46,7 @@ from trajectory import body_of, prior_of
 from recon import Body, Camera, load_skeleton
 from recon.animal.prior import ANGLES, MotionPrior, builtin_priors, load_prior, prior_from_body
 from recon.animal.prior_fit import as_one_gaussian
-from recon.animal.skeleton_file import seen_by
+from recon.animal.skeleton_file import with_detector_offsets
 from recon.base.errors import InputError
 from recon.clip import View, still_view
 from recon.fit import TrajectoryOptions, constants, solve_trajectory
@@ -82,8 +82,8 @@ def model(skeleton: str) -> tuple[Body, MotionPrior]:
         raise SystemExit(f"{skeleton}: expected a whole animal")
     for name in builtin_priors():
         with suppress(InputError):  # it is another animal's
-            return seen_by(body, "acinoset"), as_one_gaussian(load_prior(name, body))
-    return seen_by(body, "acinoset"), prior_from_body(body)
+            return with_detector_offsets(body, "acinoset"), as_one_gaussian(load_prior(name, body))
+    return with_detector_offsets(body, "acinoset"), prior_from_body(body)
 
 
 def extent(body: Body) -> float:
@@ -121,7 +121,7 @@ def recorded_motions(animal: str) -> list[Motion]:
     motions = []
     for path in sorted(recordings("cheetah-runs").resolve().glob("*/meta.json")):
         run = run_of(path.parent)
-        body, known = seen_by(body_of(run.subject), "acinoset"), np.isfinite(run.truth_m).all(axis=(1, 2))
+        body, known = with_detector_offsets(body_of(run.subject), "acinoset"), np.isfinite(run.truth_m).all(axis=(1, 2))
         marked_m = body.detected.pose(states_of(run, np.zeros(3))).points_m
         motions.append(Motion(body, prior_of(PRIOR), run.fps, run.truth_m[known], marked_m[known]))
     return motions

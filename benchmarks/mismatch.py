@@ -32,7 +32,7 @@ from recordings import recordings
 from recon import Body, Camera
 from recon.animal.prior import MotionPrior, load_prior, mean_speed_m_s, prior_from_body
 from recon.animal.prior_fit import fit_prior
-from recon.animal.skeleton_file import seen_by
+from recon.animal.skeleton_file import with_detector_offsets
 from recon.clip import View, still_view
 from recon.fit import TrajectorySolution, solve_trajectory
 from recon.fit.points import solve_points
@@ -164,7 +164,7 @@ def cheetahs(runs: Sequence[Path], segments: Sequence[tuple[str, np.ndarray, flo
 def _real(job: trajectory.Job) -> Case:
     camera, xy_px, confidence, truth_m = trajectory.view_of(job.run, job.camera)
     meta = trajectory.meta_of(job.run)
-    body = seen_by(trajectory.body_of(meta["subject"]), "acinoset")
+    body = with_detector_offsets(trajectory.body_of(meta["subject"]), "acinoset")
     view = still_view(camera, xy_px, np.where(np.isfinite(xy_px[..., 0]), confidence, 0.0))
     return Case(f"{job.run.name} {job.camera}", body, view, meta["fps"], camera.camera_to_world(truth_m))
 

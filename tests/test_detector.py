@@ -11,7 +11,7 @@ import pytest
 from command_line import refusal
 
 from recon import Body, Camera, FitSettings, load_skeleton, read_keypoints
-from recon.animal import detector_toml, prior_from_body, seen_by
+from recon.animal import detector_toml, prior_from_body, with_detector_offsets
 from recon.clip import still_view
 from recon.fit import ClipProblem, TrajectoryOptions
 from recon.io import deeplabcut
@@ -89,7 +89,7 @@ def test_cameras_of_two_detectors_are_not_mixed(folder, tmp_path, other):  # noq
 )
 def test_the_summary_says_which_detector_was_taken_and_why(small_trajectory, scorer, stated, line):
     sources = [replace(s, keypoints=replace(s.keypoints, scorer=scorer)) for s in small_trajectory.sources]
-    seen = seen_by(small_trajectory.body, stated, {"clip.csv": scorer})
+    seen = with_detector_offsets(small_trajectory.body, stated, {"clip.csv": scorer})
     motion = replace(
         small_trajectory,
         sources=tuple(sources),
@@ -103,9 +103,9 @@ def test_the_summary_says_which_detector_was_taken_and_why(small_trajectory, sco
 
 def test_the_offsets_of_a_measured_animal_come_first():
     measured = replace(body(), keypoint_offset_m={"nose": (0.01, 0.0, 0.0)})
-    assert seen_by(measured, None).keypoint_offset_m == {"nose": (0.01, 0.0, 0.0)}
-    assert seen_by(measured, None).detector == "own"
-    assert seen_by(measured, "acinoset").keypoint_offset_m["nose"] != (0.01, 0.0, 0.0)
+    assert with_detector_offsets(measured, None).keypoint_offset_m == {"nose": (0.01, 0.0, 0.0)}
+    assert with_detector_offsets(measured, None).detector == "own"
+    assert with_detector_offsets(measured, "acinoset").keypoint_offset_m["nose"] != (0.01, 0.0, 0.0)
 
 
 def test_a_file_is_read_as_it_was_written(tmp_path):
@@ -117,7 +117,7 @@ def test_a_file_is_read_as_it_was_written(tmp_path):
     )
     text = detector_toml(as_seen, "mine", ["a note"])
     path.write_text(text)
-    found = seen_by(body(), path)
+    found = with_detector_offsets(body(), path)
     assert text.startswith("# a note\n")
     assert found.keypoint_offset_m == offsets | {"r_hip": (0.01, -0.02, -0.03)}
     assert found.keypoint_sigma_m == 0.07
@@ -161,12 +161,12 @@ def test_what_is_wrong_with_a_file_is_said(tmp_path, old, new, expected):
     as_seen = replace(body(), keypoint_offset_m={"spine": (0.0, 0.0, 0.04)}, **spine)
     path.write_text(detector_toml(as_seen, "mine").replace(old, new))
     with refusal((path, *expected)):
-        seen_by(body(), path)
+        with_detector_offsets(body(), path)
 
 
 def test_a_detector_of_no_known_name():
     with refusal(("--set detector", "name or file", "'zebra'", "acinoset")):
-        seen_by(body(), "zebra")
+        with_detector_offsets(body(), "zebra")
 
 
 @pytest.mark.parametrize(("name", "write"), [("copy.h5", write_deeplabcut), ("copy.nwb", write_nwb)])

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from gallop import KEYPOINT_NAMES, MARGIN_PX, SLOPE, add_noise, gallop
 
-from recon.animal import load_chain, load_skeleton, seen_by
+from recon.animal import load_chain, load_skeleton, with_detector_offsets
 from recon.clip import clean
 from recon.fit import solve_points
 from recon.io import read_camera, read_cameras, read_keypoints, read_pose3d
@@ -239,7 +239,7 @@ def test_samples_read_back(name, camera):
     assert truth.names == keypoints.names
     seen_m = truth.xyz_m
     if name == "whole":  # the detector sees its keypoints beside the markers
-        body = seen_by(load_skeleton("cheetah-24"), "acinoset")
+        body = with_detector_offsets(load_skeleton("cheetah-24"), "acinoset")
         order = [truth.names.index(marker) for marker in body.markers]
         states, _, size = solve_points(body, truth.xyz_m[:, order], None)
         seen_m = np.empty_like(truth.xyz_m)

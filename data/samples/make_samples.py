@@ -80,7 +80,7 @@ def whole_animal(fps: float = 60, n_frames: int = 60) -> tuple[SyntheticClip, Sy
     column["tail_2_yaw"][:] = 0.3 * np.sin(2 * np.pi * 1.3 * t - 0.8)
     column["tail_1_pitch"][:] = -0.45 + 0.2 * np.cos(2 * np.pi * 3.3 * t)
     clip = replace(clip, truth_m=body.tree.pose(states).points_m, names=body.markers)
-    detected = recon.animal.seen_by(body, SAMPLES / "detector.toml").detected
+    detected = recon.animal.with_detector_offsets(body, SAMPLES / "detector.toml").detected
     return clip, replace(clip, truth_m=detected.pose(states).points_m)
 
 

@@ -25,6 +25,6 @@ if TYPE_CHECKING:
     )
     from recon.animal.prior import ANGLES, MotionPrior, builtin_priors, load_prior, mean_speed_m_s, prior_from_body
     from recon.animal.prior_fit import fit_prior
-    from recon.animal.skeleton_file import builtin_names, builtin_subjects, load_skeleton, seen_by
+    from recon.animal.skeleton_file import builtin_names, builtin_subjects, load_skeleton, with_detector_offsets
 
 __getattr__ = lazily(__name__, __file__)

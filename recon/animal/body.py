@@ -1,10 +1,12 @@
-"""An animal: a tree of segments (`recon.geometry.kinematics`), its markers, and what is expected of its pose.
+"""Describe an animal: its segments and markers, and the expected pose.
 
-The states are the tree's; x forwards, y left, z up. There is one model for a whole animal and for a chain
-(`recon.animal.chain`), which is a tree with the limbs of one side and has two keypoints for a marker.
+A body is a tree (`recon.geometry.kinematics`) with expectations. States are the tree's; x forwards, y left, z up. One
+class serves a whole animal and a chain (`recon.animal.chain`), which is a tree with the limbs of one side and has two
+keypoints for each marker.
 
-What is left and right, fore and hind, stands here and nowhere else: names of segments and markers say by a word which
-side they belong to (`SIDES`), the skeleton's file says where each foot is (`PLACES`)."""
+Left and right, fore and hind are decided here only: a word in the name of a segment or marker gives its side (`SIDES`),
+and the skeleton's file gives the position of each foot (`PLACES`).
+"""
 
 from __future__ import annotations
 
@@ -21,20 +23,23 @@ from recon.base import Array, Brief, Index, Problem
 from recon.geometry.kinematics import Tree
 
 MIN_JOINTS = 5
-"""Fewer detected joints than this do not place an animal."""
+"""Fewer detected joints do not determine an animal's pose."""
 MIN_REACH_PX = 50.0
-"""All limbs end to end shorter than this in the picture: too far away to have been detected."""
+"""An animal whose limbs, end to end, are shorter than this in the picture is too far away to be detected."""
 
 Side = Literal["left", "right"]
 
 SIDES = {"left": "right", "near": "off", "l": "r"}
-"""Words for the left side, and for the right. A horse's near side is its left one, wherever it is seen from."""
+"""Words for the left side, with those for the right. A horse's near side is its left, from wherever it is seen."""
 _OPPOSITE = SIDES | {right: left for left, right in SIDES.items()}
 
 
 def _side_pattern() -> re.Pattern[str]:
-    """A word of a side in a name: between separators, as in front_left_paw or eye.L, or told apart by capitals, as in
-    frontLeftPaw, hipR or Nearknee. A letter beside a number is none: l1 may be a vertebra."""
+    """Return a pattern of the word in a name that gives its side.
+
+    The word stands between separators, as in front_left_paw or eye.L, or is set off by capitals, as in frontLeftPaw,
+    hipR or Nearknee. A letter beside a digit does not count: l1 may be a vertebra.
+    """
     words = [word for word in _OPPOSITE if len(word) > 1]
     lower, title, upper = ("|".join(map(case, words)) for case in (str.lower, str.title, str.upper))
     return re.compile(
@@ -51,17 +56,17 @@ def _side_pattern() -> re.Pattern[str]:
 SIDE_WORD = _side_pattern()
 
 PLACES = {"left_fore": "LF", "right_fore": "RF", "left_hind": "LH", "right_hind": "RH"}
-"""Where a foot of a whole animal is, and its label."""
+"""Positions of a whole animal's feet, with their labels."""
 _LABELLED: dict[str, Side] = {"L": "left", "R": "right"}
 CHAIN_PLACES = {"fore": "F", "hind": "H"}
-"""The same of a chain, which stands for either side: the label gets that of the fit in front of it."""
+"""Positions of a chain's feet. The label gets the letter of the fitted side in front."""
 
 
-def foot_table(places: Iterable[str], example: str) -> BeforeValidator:
-    """One message for whatever else stands there, and for nothing."""
+def foot_table(allowed: Iterable[str], example: str) -> BeforeValidator:
+    """Return a validator of a table of feet, with one message for every fault."""
 
     def checked(value: Any) -> Any:
-        if isinstance(value, dict) and {*value} <= {*places} and all(isinstance(foot, str) for foot in value.values()):
+        if isinstance(value, dict) and {*value} <= {*allowed} and all(isinstance(foot, str) for foot in value.values()):
             return value
         raise ValueError(f"a table that says where each foot is, as {example}")
 
@@ -69,47 +74,53 @@ def foot_table(places: Iterable[str], example: str) -> BeforeValidator:
 
 
 def foot_problems(feet: dict[str, str], source: str) -> Iterator[Problem]:
-    for place, foot in feet.items():
+    """Yield a problem for each foot on the wrong side, and for feet named twice."""
+    for position, foot in feet.items():
         side = side_of(foot)
-        if side is not None and place in PLACES and not place.startswith(side):
-            yield Problem(source, f"feet.{place}", repr(foot), f"a {place.split('_')[0]} one: by its name it is {side}")
+        if side is not None and position in PLACES and not position.startswith(side):
+            yield Problem(
+                source, f"feet.{position}", repr(foot), f"a {position.split('_')[0]} one: by its name it is {side}"
+            )
     if len({*feet.values()}) < len(feet):
         yield Problem(source, "feet", ", ".join(feet.values()), "every foot once")
 
 
 def side_of(name: str) -> Side | None:
-    """None: the middle. Of several sides the first counts."""
+    """Return the side that a name gives; the first word counts, and None is the middle."""
     word = SIDE_WORD.search(name)
     return None if word is None else "left" if word[0].lower() in SIDES else "right"
 
 
 def other_side(name: str) -> str:
-    """l_paw -> r_paw and back; names of the middle stay."""
+    """Return the name of the other side, l_paw -> r_paw and back; names of the middle stay."""
     word = SIDE_WORD.search(name)
     return name if word is None else name[: word.start()] + opposite_word(word[0]) + name[word.end() :]
 
 
 def opposites(names: Sequence[str]) -> Index:
-    """(N,): the place of each name's other side among the names; of the middle, and of what has none, its own."""
-    at = {name: i for i, name in enumerate(names)}
-    return np.array([at.get(other_side(name), i) for name, i in at.items()], dtype=np.intp)
+    """Return the index of each name's other side among the names, (N,).
+
+    Names of the middle, and names without a counterpart, have their own index.
+    """
+    index_of = {name: i for i, name in enumerate(names)}
+    return np.array([index_of.get(other_side(name), i) for name, i in index_of.items()], dtype=np.intp)
 
 
 def opposite_word(word: str) -> str:
-    """The word of the other side, in the same case."""
-    other = _OPPOSITE[word.lower()]
-    return other.upper() if word.isupper() else other.title() if word.istitle() else other
+    """Return the word of the other side, in the same case."""
+    opposite = _OPPOSITE[word.lower()]
+    return opposite.upper() if word.isupper() else opposite.title() if word.istitle() else opposite
 
 
 def common_side(sides: Iterable[Side | None]) -> Side | None:
-    """The side that all these sides agree on: None where there are several, or all are in the middle."""
-    found: set[Side] = {side for side in sides if side is not None}
-    return found.pop() if len(found) == 1 else None
+    """Return the side that all sides agree on; None if they differ, or all are in the middle."""
+    distinct: set[Side] = {side for side in sides if side is not None}
+    return distinct.pop() if len(distinct) == 1 else None
 
 
 @dataclass(frozen=True)
 class Skeleton:
-    """What a skeleton's file describes in a form of its own, which a body is made from (`recon.animal.chain`)."""
+    """A skeleton's file in a form of its own, from which a body is made (`recon.animal.chain`)."""
 
     name: str
     title: str
@@ -117,13 +128,13 @@ class Skeleton:
 
 @dataclass(frozen=True, repr=False)
 class Body(Brief):
-    """A tree with J markers and D unknowns per frame, and the expectations of them."""
+    """A tree with J markers and D unknowns per frame, with the expectations of them."""
 
     name: str
     title: str
     tree: Tree
     keypoints: tuple[tuple[str, str], ...]
-    """(J,): of each marker the keypoint's name when limbs of the left, and of the right are fitted."""
+    """(J,): the keypoint's name of each marker, if limbs of the left, and of the right are fitted."""
     limbs: dict[str, tuple[str, ...]]
     """Marker names along each limb, for drawing."""
     forward: tuple[str, str]
@@ -131,34 +142,34 @@ class Body(Brief):
     feet: tuple[str, ...]
     """The markers that touch the ground."""
     foot_labels: tuple[str, ...]
-    """Where the feet are, of `PLACES`, or of a chain `CHAIN_PLACES`."""
+    """Positions of the feet, of `PLACES`, or of `CHAIN_PLACES` for a chain."""
     keypoint_sigma_m: float
-    """How far keypoints lie from the markers."""
+    """Standard deviation of a keypoint's distance from its marker."""
     size_sigma: float
     """The standard deviation of the size, the factor on all lengths, around 1."""
     mean_rad: Array
-    """(D - 4,): expected angles state[:, 4:], that is the root's pitch and roll and the joints' angles."""
+    """(D - 4,): expected angles state[:, 4:], the root's pitch and roll and the joints' angles."""
     sigma_rad: Array
-    """(D - 4,): one standard deviation of them."""
+    """(D - 4,): standard deviations of these angles."""
     acceleration_rad_s2: Array
-    """(D - 4,): one standard deviation of their acceleration."""
+    """(D - 4,): standard deviations of their accelerations."""
     keypoint_offset_m: dict[str, tuple[float, float, float]] = field(default_factory=dict)
-    """How far a detector's keypoint lies from a marker, (x, y, z) in the marker's segment, by marker."""
+    """Offset of a detector's keypoint from its marker, (x, y, z) in the marker's segment, by marker."""
     keypoint_spread_m: dict[str, float] = field(default_factory=dict)
-    """How far off that it lies in one clip, along each axis and all the time."""
+    """Standard deviation of this offset between clips, along each axis, by marker."""
     keypoint_noise_m: dict[str, float] = field(default_factory=dict)
-    """How far off in a single frame, of markers of which it is known; of others it is keypoint_sigma_m."""
+    """Standard deviation in a single frame, by marker where known; otherwise keypoint_sigma_m."""
     detector: str | None = None
-    """Whose keypoints are expected (`recon.animal.skeleton_file`)."""
+    """Name of the detector whose keypoints are expected (`recon.animal.skeleton_file`)."""
     mass: dict[str, tuple[float, float]] = field(default_factory=dict)
-    """By segment: its share of the body's mass, and one standard deviation; empty where it is not known."""
+    """By segment, its share of the body's mass and one standard deviation; empty if unknown."""
     mass_source: str | None = None
-    """What the masses rest on."""
+    """Source of the masses."""
     subject: str | None = None
-    """The measured animal whose lengths these are, as it was named; None: those of the skeleton."""
+    """Name of the measured animal whose lengths these are; None for those of the skeleton."""
 
     def scaled(self, size: float) -> Body:
-        """The body of an animal with the same proportions that is so many times as large."""
+        """Return the body of an animal of the same proportions, `size` times as large."""
 
         def times(lengths_m: dict[str, float]) -> dict[str, float]:
             return {name: size * length_m for name, length_m in lengths_m.items()}
@@ -177,7 +188,7 @@ class Body(Brief):
 
     @cached_property
     def detected(self) -> Tree:
-        """The tree with its markers where a detector sees them."""
+        """Tree with its markers at the points that the detector sees."""
         if not self.keypoint_offset_m:
             return self.tree
         zero = (0.0, 0.0, 0.0)
@@ -190,55 +201,67 @@ class Body(Brief):
 
     @cached_property
     def markers(self) -> tuple[str, ...]:
-        """The names of the J markers, in the order of all arrays of joints."""
+        """Names of the J markers, in the order of all arrays of joints."""
         return tuple(m.name for m in self.tree.markers)
 
     @cached_property
     def one_sided(self) -> bool:
-        """A chain, which stands for the limbs of either side; otherwise a whole animal."""
+        """Whether it is a chain, which stands for the limbs of either side."""
         return any(left != right for left, right in self.keypoints)
 
     def keypoint_names(self, side: Side | None) -> tuple[str, ...]:
-        """(J,): of the markers, when the limbs of that side are fitted. None: of a whole animal."""
+        """Return the keypoint names of the markers, (J,), if limbs of `side` are fitted.
+
+        None is for a whole animal.
+        """
         return tuple(right if side == "right" else left for left, right in self.keypoints)
 
     def feet_by_label(self, side: Side | None = None) -> dict[str, str]:
-        """Markers of the feet by LF, RF, LH, RH. side: the fitted one, of a chain."""
+        """Return the markers of the feet by LF, RF, LH, RH.
+
+        `side` is the fitted one, for a chain.
+        """
         start = "" if side is None else side[0].upper()
         labels = (label if label in PLACES.values() else start + label for label in self.foot_labels)
         return dict(zip(labels, self.feet, strict=True))
 
     def side_of(self, marker: str) -> Side | None:
-        """By what is said of it as a foot, or else by its name."""
+        """Return a marker's side, by its foot label or else by its name."""
         label = dict(zip(self.feet, self.foot_labels, strict=True)).get(marker, "")
         return _LABELLED[label[0]] if label in PLACES.values() else side_of(marker)
 
     def limb_sides(self, side: Side | None = None) -> dict[str, Side | None]:
-        """The side of each limb; None: the middle, or both. side: the fitted one, of a chain."""
-        of_either = {m for m, (left, right) in zip(self.markers, self.keypoints, strict=True) if left != right}
+        """Return the side of each limb; None is the middle, or both sides.
+
+        `side` is the fitted one, for a chain.
+        """
+        one_sided = {m for m, (left, right) in zip(self.markers, self.keypoints, strict=True) if left != right}
         return {
-            limb: common_side(side if marker in of_either else self.side_of(marker) for marker in along)
-            for limb, along in self.limbs.items()
+            limb: common_side(side if marker in one_sided else self.side_of(marker) for marker in markers)
+            for limb, markers in self.limbs.items()
         }
 
     @cached_property
     def limb_rows(self) -> dict[str, tuple[int, ...]]:
-        """Markers along each limb by their places, for drawing."""
-        at = {marker: j for j, marker in enumerate(self.markers)}
-        return {limb: tuple(at[marker] for marker in along) for limb, along in self.limbs.items()}
+        """Indices of the markers along each limb, for drawing."""
+        index_of = {marker: j for j, marker in enumerate(self.markers)}
+        return {limb: tuple(index_of[marker] for marker in markers) for limb, markers in self.limbs.items()}
 
     @property
     def n_state(self) -> int:
-        """D: how many unknowns a frame has."""
+        """Number D of unknowns of a frame."""
         return self.tree.n_state
 
     @property
     def state_names(self) -> tuple[str, ...]:
-        """(D,): of the unknowns, the root's position and heading first."""
+        """Names of the unknowns (D,), the root's position and heading first."""
         return self.tree.state_names
 
     def expected_points_m(self, angle: int | None = None, off_rad: float = 0.0) -> Array:
-        """(J, 3): the markers with all angles at their means, but for one of state[4:]; the root's origin is zero."""
+        """Return the markers (J, 3) with all angles at their means and the root at zero.
+
+        `angle`, an index of state[4:], differs from its mean by `off_rad`.
+        """
         state = np.concatenate([np.zeros(4), self.mean_rad])
         if angle is not None:
             state[4 + angle] += off_rad
@@ -246,6 +269,9 @@ class Body(Brief):
 
     @cached_property
     def mirror(self) -> tuple[Index, Array]:
-        """Permutation and sign, (D,): state[..., permutation] * sign is the animal mirrored at the x-z plane."""
+        """Permutation and sign, (D,) each, that mirror a state at the x-z plane.
+
+        state[..., permutation] * sign is the mirrored animal.
+        """
         flips = np.array([False, True, False, *(axis != "y" for axis in self.tree.axes)])
         return opposites(self.state_names), np.where(flips, -1.0, 1.0)

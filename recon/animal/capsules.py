@@ -1,4 +1,4 @@
-"""What an animal looks like, roughly: capsules along the segments of its tree, for pictures."""
+"""Give an animal a rough shape: capsules along the segments of its tree, for pictures."""
 
 from __future__ import annotations
 
@@ -12,62 +12,68 @@ from recon.base.arrays import Array
 from recon.geometry.kinematics import Tree
 
 _SLENDER = 0.12
-"""Radius of a segment, at least, relative to its longest capsule."""
+"""Smallest radius of a segment, relative to its longest capsule."""
 
 
 @dataclass(frozen=True)
 class Capsule:
-    """A cylinder with round ends, from a segment's origin to a point (x, y, z) of its frame. Metres."""
+    """A cylinder with round ends, from a segment's origin to a point (x, y, z) of its frame, metres."""
 
     segment: int
-    """The name of the tree's segment that the capsule is fixed on."""
+    """Index of the tree's segment that carries the capsule."""
     end_m: tuple[float, float, float]
     radius_m: float
     side: Side | None
 
 
 def capsules(tree: Tree, names: Sequence[str]) -> tuple[Capsule, ...]:
-    """The capsules of a tree whose J markers have these names, which say the sides with those of the segments.
+    """Return the capsules of a tree.
 
-    They lie in a segment's middle plane, from its origin to those of the next segments and to its markers. It is as
-    thick as these are far apart; between two others of the trunk, at least as the thinner of them.
+    They lie in a segment's middle plane, from its origin to the origins of the next segments and to its markers. A
+    capsule is as thick as these points are far apart. Between two other segments of the trunk it is at least as thick
+    as the thinner of them. `names` (J,) are the markers' keypoint names, which give the sides together with the
+    segments' names.
     """
     segments = tree.segments
     ends, radii, sides = [], [], []
     for segment in segments:
-        on_it = [(m.offset_m, name) for m, name in zip(tree.markers, names, strict=True) if m.segment == segment.name]
-        points = [s.offset_m for s in segments if s.parent == segment.name] + [offset_m for offset_m, _ in on_it]
+        fixed = [(m.offset_m, name) for m, name in zip(tree.markers, names, strict=True) if m.segment == segment.name]
+        points = [s.offset_m for s in segments if s.parent == segment.name] + [offset_m for offset_m, _ in fixed]
         ends.append(list(dict.fromkeys((x, 0.0, z) for x, _, z in points if (x, z) != (0.0, 0.0))))
         reach = max((float(np.hypot(x, z)) for x, _, z in ends[-1]), default=0.0)
         radii.append(max([_SLENDER * reach, *(abs(y) for _, y, _ in points)]))
-        sides.append(common_side(side_of(name) for name in (segment.name, *(name for _, name in on_it))))
-    at = {segment.name: i for i, segment in enumerate(segments)}
-    found = []
+        sides.append(common_side(side_of(name) for name in (segment.name, *(name for _, name in fixed))))
+    index_of = {segment.name: i for i, segment in enumerate(segments)}
+    shape = []
     for i, segment in enumerate(segments):
         radius = radii[i]
         if sides[i] is None and segment.parent is not None:
             beyond = [radii[j] for j, s in enumerate(segments) if s.parent == segment.name and sides[j] is None]
-            radius = max(radius, min(radii[at[segment.parent]], max(beyond, default=0.0)))
-        found += [Capsule(i, end, radius, sides[i]) for end in ends[i]]
-    return tuple(found)
+            radius = max(radius, min(radii[index_of[segment.parent]], max(beyond, default=0.0)))
+        shape += [Capsule(i, end, radius, sides[i]) for end in ends[i]]
+    return tuple(shape)
 
 
 def middles_m(tree: Tree, shape: Sequence[Capsule]) -> Array:
-    """(S, 3): of each segment's capsules, in its frame; its origin where it has none."""
+    """Return the centre of each segment's capsules in its frame (S, 3), the origin if it has none."""
     ends = [[c.end_m for c in shape if c.segment == i] or [(0.0, 0.0, 0.0)] for i in range(len(tree.segments))]
-    return np.array([np.mean(of_one, axis=0) / 2 for of_one in ends])
+    return np.array([np.mean(segment_ends, axis=0) / 2 for segment_ends in ends])
 
 
 def inertias_m2(tree: Tree, shape: Sequence[Capsule]) -> Array:
-    """(S, 3, 3): moments of inertia about `middles_m`, per kilogram, of solid cylinders of one density, without their
-    round ends."""
-    found, volume = np.zeros((len(tree.segments), 3, 3)), np.zeros(len(tree.segments))
+    """Return each segment's moments of inertia about `middles_m`, per kilogram, (S, 3, 3).
+
+    Capsules count as solid cylinders of one density without their round ends.
+    """
+    inertia, volume = np.zeros((len(tree.segments), 3, 3)), np.zeros(len(tree.segments))
     middles = middles_m(tree, shape)
     for capsule in shape:
         end, square = np.array(capsule.end_m), capsule.radius_m**2
         length = float(np.linalg.norm(end))
-        along, off = np.outer(end, end) / length**2, end / 2 - middles[capsule.segment]
-        own = square / 2 * along + (square / 4 + length**2 / 12) * (np.eye(3) - along)
-        found[capsule.segment] += length * square * (own + off @ off * np.eye(3) - np.outer(off, off))
+        axial, offset = np.outer(end, end) / length**2, end / 2 - middles[capsule.segment]
+        about_centre = square / 2 * axial + (square / 4 + length**2 / 12) * (np.eye(3) - axial)
+        inertia[capsule.segment] += (
+            length * square * (about_centre + offset @ offset * np.eye(3) - np.outer(offset, offset))
+        )
         volume[capsule.segment] += length * square
-    return found / np.maximum(volume, 1e-12)[:, None, None]
+    return inertia / np.maximum(volume, 1e-12)[:, None, None]

@@ -1,4 +1,4 @@
-"""A chain of rigid links joined by universal joints: the 8U chain, as published and as a tree of segments.
+"""Model a chain of rigid links joined by universal joints: the 8U chain, as published and as a tree.
 
 The chain hangs from a root joint in the local frame UVW (U forwards along the first spine link, V down, W to the side,
 right-handed). Every link has two angles relative to its parent, theta in the sagittal UV plane and phi in the
@@ -7,17 +7,19 @@ link of length r adds
 
     r (cos T cos P,  sin T,  cos T sin P)
 
-to the position, so that it keeps its length for any angles. The pose of the chain in the camera frame is R (p0 + c): c
-is the joint's local position, p0 the root's, R = Rx(xi) Ry(psi) Rz(zeta). One frame's unknowns, the state, are
+to the position, so that it keeps its length for any angles. The pose of the chain in the camera frame is R (p0 + c),
+with c the joint's local position, p0 the root's, and R = Rx(xi) Ry(psi) Rz(zeta). The unknowns of one frame, the state,
+are
 
     [theta of every free link, phi of every free link, x0, y0, z0, xi, psi, zeta, base_length]
 
-with base_length in metres scaling all links. That is the form of the frame method (`recon.thesis`). For
-everything else the chain is a tree of segments as any animal's (`Chain.body`).
+with base_length in metres scaling all links. The frame method (`recon.thesis`) uses this form. Everything else takes
+the chain as a tree of segments, as for any animal (`Chain.body`).
 
-Source: C. van der Leek, "Kinematic Modeling and Dynamic Aspects of an Accelerating Quadruped", MSc(Eng), University of
-Cape Town, 2022, with the link direction corrected (printed sin T cos P for the first component does not keep the
-length).
+References
+----------
+C. van der Leek, "Kinematic Modeling and Dynamic Aspects of an Accelerating Quadruped", MSc(Eng), University of Cape
+Town, 2022, with the link direction corrected (printed sin T cos P for the first component does not keep the length).
 """
 
 from __future__ import annotations
@@ -50,14 +52,14 @@ _ROOT_RAD_S2 = 40.0
 """Standard deviation of the acceleration of its pitch and roll."""
 
 
-def _both(given: Any) -> Any:
-    """A keypoint's name on either side, or a table of both, as (left, right)."""
-    if isinstance(given, dict) and {*given} == {"left", "right"}:
-        return given["left"], given["right"]
-    return (given, given) if isinstance(given, str) else given
+def _left_and_right(names: Any) -> Any:
+    """Return a keypoint's name, or a table of both sides, as (left, right)."""
+    if isinstance(names, dict) and {*names} == {"left", "right"}:
+        return names["left"], names["right"]
+    return (names, names) if isinstance(names, str) else names
 
 
-_Sides = Annotated[tuple[str, str], BeforeValidator(_both)]
+_Sides = Annotated[tuple[str, str], BeforeValidator(_left_and_right)]
 
 
 class _Range(FileTable):
@@ -80,7 +82,7 @@ class _Link(FileTable):
 
     @property
     def free(self) -> bool:
-        """Whether it has angles of its own, or lies on its parent's axis."""
+        """Whether it has angles of its own; otherwise it lies on its parent's axis."""
         return self.theta is not None
 
 
@@ -113,7 +115,7 @@ class _ChainFile(FileTable):
     prior: _Prior
     links: tuple[_Link, ...] = Field(min_length=1)
     length_m: dict[str, Sigma] = Field(default_factory=dict)
-    """Measured lengths of links, in place of their ratios."""
+    """Measured lengths of links, which replace their ratios."""
 
 
 @dataclass(frozen=True)
@@ -124,13 +126,15 @@ class AngleRanges:
     """The expected range is mean +- tolerance."""
     tolerance_rad: Array
     max_rate_rad_s: Array
-    """The fastest expected change."""
+    """Fastest expected change."""
 
 
 @dataclass(frozen=True)
 class ChainPose:
-    """States and where they put the chain, in the camera frame; N states, J joints, D unknowns. The Jacobians are
-    None unless they were asked for."""
+    """States and the chain's pose in the camera frame; N states, J joints, D unknowns.
+
+    The Jacobians are None unless requested.
+    """
 
     state: Array
     """(N, D)"""
@@ -141,34 +145,36 @@ class ChainPose:
     joints_jacobian: Array | None = None
     """(N, J, 3, D)"""
     rotation_jacobian: Array | None = None
-    """(N, 3, 3, 3), whose axis 1 runs over xi, psi, zeta."""
+    """(N, 3, 3, 3); axis 1 runs over xi, psi, zeta."""
 
 
 @dataclass(frozen=True)
 class Chain(Skeleton):
-    """A chain's geometry, its keypoints and what is expected of its angles."""
+    """A chain's geometry, its keypoints and the expectations of its angles."""
 
     file: _ChainFile
-    """What the skeleton's file says."""
+    """Content of the skeleton's file."""
     nominal_base_length_m: float
 
     @cached_property
     def links(self) -> tuple[_Link, ...]:
-        """The file's, with the lengths that were measured."""
+        """Links of the file, with measured lengths where the file has them."""
         ratios = {name: length_m / self.file.base_length.nominal_m for name, length_m in self.file.length_m.items()}
         return tuple(x.model_copy(update={"length_ratio": ratios.get(x.name, x.length_ratio)}) for x in self.file.links)
 
     @cached_property
     def joints(self) -> tuple[str, ...]:
-        """Names, root first, then the links' ends in the order of the links."""
+        """Names of the joints, the root first, then the links' ends in the order of the links."""
         return self.file.root, *(link.end for link in self.links)
 
     @cached_property
     def theta(self) -> AngleRanges:
+        """Expected theta of the free links."""
         return _ranges(link.theta for link in self.links)
 
     @cached_property
     def phi(self) -> AngleRanges:
+        """Expected phi of the free links."""
         return _ranges(link.phi for link in self.links)
 
     # -- layout of the state --------------------------------------------------------------------------------------
@@ -180,28 +186,32 @@ class Chain(Skeleton):
 
     @property
     def n_state(self) -> int:
+        """Number D of unknowns of a frame."""
         return 2 * self.n_angles + 7
 
     @cached_property
     def theta_slice(self) -> slice:
+        """Theta of the free links in the state."""
         return slice(0, self.n_angles)
 
     @cached_property
     def phi_slice(self) -> slice:
+        """Phi of the free links in the state."""
         return slice(self.n_angles, 2 * self.n_angles)
 
     @cached_property
     def place_slice(self) -> slice:
-        """x0, y0, z0: the root in the local frame, metres."""
+        """x0, y0, z0 in the state: the root in the local frame, metres."""
         return slice(2 * self.n_angles, 2 * self.n_angles + 3)
 
     @cached_property
     def euler_slice(self) -> slice:
-        """xi, psi, zeta of R_camera_local, rad."""
+        """xi, psi, zeta of R_camera_local in the state, rad."""
         return slice(2 * self.n_angles + 3, 2 * self.n_angles + 6)
 
     @property
     def base_index(self) -> int:
+        """Index of the base length in the state."""
         return 2 * self.n_angles + 6
 
     @cached_property
@@ -212,16 +222,17 @@ class Chain(Skeleton):
 
     @cached_property
     def state_names(self) -> tuple[str, ...]:
+        """Names of the unknowns, (D,)."""
         return (*self.angle_names, "x0_m", "y0_m", "z0_m", "xi", "psi", "zeta", "base_length_m")
 
     # -- kinematics ----------------------------------------------------------------------------------------------
 
     @cached_property
     def body(self) -> Body:
-        """The same chain as a tree of segments in metres, root first: one per link, named after the joint it ends in.
+        """The chain as a tree of segments in metres, root first, one per link, named after its end joint.
 
         The segments' x axes lie along the links. The root's axes are x = U, y = W, z = -V, its origin is the root
-        joint, and every joint is a marker: theta is pitch, phi is yaw, both summed.
+        joint, and every joint is a marker. Theta is pitch and phi is yaw, both summed.
         """
         length = {link.end: link.length_ratio * self.nominal_base_length_m for link in self.links}
         segments = [Segment(self.joints[0], None, "free")]
@@ -240,8 +251,8 @@ class Chain(Skeleton):
         expected[:, ROLL] = 0.0, prior.roll_sigma_rad, _ROOT_RAD_S2
         expected[0, self.body_angles] = np.concatenate([r.mean_rad for r in ranges])
         expected[1, self.body_angles] = np.repeat([prior.theta_sigma_rad, prior.phi_sigma_rad], self.n_angles)
-        # A swing through the expected range that just reaches the fastest rate, w = rate / tolerance, accelerates by
-        # w^2 tolerance at most, and by that over sqrt(2) on the average.
+        # A swing through the expected range that just reaches the fastest rate, w = rate / tolerance, has a largest
+        # acceleration of w^2 tolerance, and a root mean square of that over sqrt(2).
         swing = [r.max_rate_rad_s**2 / r.tolerance_rad / np.sqrt(2) for r in ranges]
         expected[2, self.body_angles] = np.concatenate(swing)
         return Body(
@@ -252,7 +263,7 @@ class Chain(Skeleton):
             limbs=limbs,
             forward=self.file.forward,
             feet=tuple(self.file.feet.values()),
-            foot_labels=tuple(CHAIN_PLACES[place] for place in self.file.feet),
+            foot_labels=tuple(CHAIN_PLACES[position] for position in self.file.feet),
             keypoint_sigma_m=self.file.keypoint_sigma_m,
             size_sigma=self.file.base_length.sigma_m / self.nominal_base_length_m,
             mean_rad=expected[0, 4:],
@@ -262,15 +273,15 @@ class Chain(Skeleton):
 
     @cached_property
     def body_angles(self) -> Index:
-        """(2 A,): where the body's state has this state's angles."""
+        """(2 A,): indices of the chain's angles in the body's state."""
         # After the root's six unknowns, every free link has its yaw and then its pitch.
         pitch = 7 + 2 * np.arange(self.n_angles)
         return np.concatenate([pitch, pitch - 1])
 
     def to_body(self, state: Array, T_world_camera: Array) -> tuple[Array, Array]:
-        """States (N, D') of the body in the world, and its sizes (N,), from states of this chain (N, D).
+        """Return the body's states in the world (N, D') and sizes (N,) for states of this chain (N, D).
 
-        T_world_camera: (4, 4) or (N, 4, 4).
+        `T_world_camera` is (4, 4) or (N, 4, 4).
         """
         R_world_local = T_world_camera[..., :3, :3] @ euler_rotation(state[:, self.euler_slice])
         R = R_world_local @ UVW_BODY
@@ -284,30 +295,30 @@ class Chain(Skeleton):
         return body_state, state[:, self.base_index] / self.nominal_base_length_m
 
     def _local_state(self, state: Array) -> Array:
-        """The body's state with the chain's angles, its root held at the origin of the world, whose axes are its."""
+        """Return the body's states with the chain's angles and the root at the origin."""
         local_state = np.zeros((len(state), self.body.n_state))
         local_state[:, self.body_angles] = state[:, : 2 * self.n_angles]
         return local_state
 
     def local_joints(self, state: Array) -> Array:
-        """Joint positions relative to the root in the local frame UVW, metres: states (N, D) -> (N, J, 3)."""
+        """Return joint positions relative to the root in the local frame UVW, metres, (N, J, 3), for states (N, D)."""
         size = state[:, self.base_index] / self.nominal_base_length_m
         return self.body.tree.pose(self._local_state(state), size).points_m @ UVW_BODY.T
 
     def pose(self, state: Array) -> ChainPose:
-        """Joints in the camera frame for states (N, D), without Jacobian."""
+        """Return joints in the camera frame for states (N, D), without Jacobian."""
         R = euler_rotation(state[:, self.euler_slice])
         p = self.local_joints(state) + state[:, None, self.place_slice]
         return ChainPose(state, R, p @ R.transpose(0, 2, 1))
 
     def pose_with_jacobian(self, state: Array) -> ChainPose:
-        """Joints in the camera frame and their exact derivatives with respect to the state (N, D)."""
+        """Return joints in the camera frame and their exact derivatives by the state (N, D)."""
         N, J, A = len(state), len(self.joints), self.n_angles
         tree = self.body.tree.pose_with_jacobian(self._local_state(state))
         size = state[:, self.base_index, None, None] / self.nominal_base_length_m
         c_per_size = UVW_BODY @ tree.points_m.transpose(0, 2, 1)  # (N, 3, J)
         p = c_per_size * size + state[:, self.place_slice, None]
-        # One frame is the frame method's inner loop, and one rotation by itself is several times quicker.
+        # The frame method's inner loop has one frame, and a single rotation is several times quicker.
         angles = state[:, self.euler_slice]
         R, dR = euler_rotation_with_jacobian(angles[0] if N == 1 else angles)
         R, dR = R.reshape(N, 3, 3), dR.reshape(N, 3, 3, 3)
@@ -322,7 +333,10 @@ class Chain(Skeleton):
 
 
 def upright_rotation(heading: Array, up: Array) -> Array:
-    """R_camera_local (..., 3, 3) of a level animal: U along heading (..., 3), V down, W to the side."""
+    """Return R_camera_local (..., 3, 3) of a level animal.
+
+    U points along heading (..., 3), V down, W to the side.
+    """
     down = np.broadcast_to(-up, heading.shape)
     return np.stack([heading, down, np.cross(heading, down)], axis=-1)
 
@@ -331,12 +345,15 @@ def upright_rotation(heading: Array, up: Array) -> Array:
 
 
 def builtin_chains() -> tuple[str, ...]:
-    """The names of the built-in skeletons that are chains, for the frame method."""
+    """Return the names of the built-in skeletons that are chains, for the frame method."""
     return tuple(name for name in documents.builtin_names(_SKELETONS, ".toml") if "segments" not in _read(name)[0])
 
 
 def load_chain(name_or_path: str | Path) -> Chain:
-    """The chain that a skeleton is, for the frame method. Raises InputError for a whole animal, too."""
+    """Load a skeleton that is a chain, for the frame method.
+
+    Raises InputError, also for a whole animal.
+    """
     raw, source = _read(name_or_path, builtin_chains())
     if "segments" in raw:
         expected = f"a chain for the frame method: one of {', '.join(builtin_chains())}, or a file with [[links]]"
@@ -349,26 +366,29 @@ def _read(name: str | Path, suggested: Iterable[str] | None = None) -> tuple[dic
 
 
 def _extended(raw: dict[str, Any], source: str) -> dict[str, Any]:
-    """With the tables of the skeleton that it `extends`, where it has none of its own."""
+    """Return a file's tables, completed with those of the skeleton that it `extends`."""
     if "extends" not in raw:
         return raw
     if not isinstance(name := raw["extends"], str):
         raise InputError(Problem(source, "extends", repr(name), "the name or the file of a skeleton"))
-    parent, parent_source = _read(_beside(name, source))
+    parent, parent_source = _read(_parent_of_file(name, source))
     if "segments" in parent or "extends" in parent:
         expected = "a chain that extends none; a body's lengths stand in a subject file"
         raise InputError(Problem(source, "extends", parent_source, expected))
     return {**parent, **{key: value for key, value in raw.items() if key != "extends"}}
 
 
-def _beside(name: str, source: str) -> str:
-    """A skeleton that a file names: built in, or a file that lies beside it, or is found from where the user is."""
+def _parent_of_file(name: str, source: str) -> str:
+    """Return the file of a skeleton beside `source`, or the name if it is built in.
+
+    A path that is not beside `source` is relative to the user's folder.
+    """
     file = Path(source).parent / name
     return str(file) if os.path.isfile(file) and name not in documents.builtin_names(_SKELETONS, ".toml") else name
 
 
 def chain_of(raw: dict[str, Any], source: str) -> Chain:
-    """A file's tables as a chain. Raises InputError with everything that is wrong with them."""
+    """Return a file's tables as a chain; raise InputError with every problem."""
     file = validated(_ChainFile, _extended(raw, source), source)
     raise_problems(_chain_problems(file, source))
     return Chain(file.name, file.title, file, file.base_length.nominal_m)
@@ -402,11 +422,11 @@ def _ranges(ranges: Iterable[_Range | None]) -> AngleRanges:
 
 
 def euler_angles(rotation: npt.ArrayLike) -> Array:
-    """Angles (xi, psi, zeta), shape (..., 3), of rotation matrices (..., 3, 3): the inverse of
-    `recon.geometry.frames.euler_rotation`.
+    """Return angles (xi, psi, zeta) (..., 3) of rotations (..., 3, 3).
 
-    psi lies in [-pi/2, pi/2]. At psi = +-pi/2 only xi + zeta or xi - zeta is determined; zeta is then set to 0.
-    Raises ValueError for a matrix that is not a rotation (determinant not positive).
+    The inverse of `recon.geometry.frames.euler_rotation`. psi lies in [-pi/2, pi/2]. At psi = +-pi/2 only xi + zeta or
+    xi - zeta is determined; zeta is then set to 0. Raises ValueError for a matrix that is not a rotation (determinant
+    not positive).
     """
     matrices = np.asarray(rotation, dtype=float)
     if (np.linalg.det(matrices) <= 0).any():  # older scipy takes them for rotations
@@ -418,10 +438,10 @@ def euler_angles(rotation: npt.ArrayLike) -> Array:
 
 
 def facing_side(rear_px: Array, front_px: Array) -> tuple[Side, str]:
-    """The side of the animal that faces an upright camera, and why.
+    """Return the side of the animal that faces an upright camera, and the reason.
 
-    rear_px, front_px (T, 2): ends of the trunk, NaN where missing. An animal that faces the right of the picture shows
-    its right side.
+    rear_px, front_px (T, 2) are the ends of the trunk, NaN where missing. An animal that faces the right of the picture
+    shows its right side.
     """
     ahead = (front_px - rear_px)[:, 0]
     ahead = ahead[np.isfinite(ahead)]

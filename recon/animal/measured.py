@@ -1,4 +1,4 @@
-"""Files of what was measured of animals: subjects (their lengths), read and written; detectors and priors, written."""
+"""Read and write files about measured animals: subjects (lengths); write detectors and priors."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ class _SubjectFile(FileTable):
 
 
 def read_subject(table: dict[str, Any], source: str) -> _SubjectFile:
-    """Raises InputError with everything that is wrong with the table."""
+    """Return a subject's table, checked; raise InputError with every problem."""
     return validated(_SubjectFile, table, source)
 
 
 def subject_problems(animal: _SubjectFile, file: Any, source: str) -> Iterator[Problem]:
-    """What keeps a subject from being one of a skeleton, which is a table of `recon.animal.skeleton_file`."""
+    """Yield what keeps a subject from fitting a skeleton's table (`recon.animal.skeleton_file`)."""
     if animal.skeleton != file.name:
         yield Problem(source, "skeleton", repr(animal.skeleton), f"{file.name!r}, the skeleton that it is used with")
         return
@@ -49,35 +49,45 @@ def subject_problems(animal: _SubjectFile, file: Any, source: str) -> Iterator[P
 
 
 def with_subject(animal: _SubjectFile, file: Any) -> Any:
-    """The skeleton with an animal's lengths and keypoint offsets; the root stays."""
+    """Return a skeleton's table with an animal's lengths and keypoint offsets; the root stays."""
 
     def changed(item: Any) -> Any:
         measured = {"at_m": animal.at_m, "keypoint_offset_m": animal.keypoint_offset_m}
-        return item.model_copy(update={field: of[item.name] for field, of in measured.items() if item.name in of})
+        return item.model_copy(
+            update={field: values[item.name] for field, values in measured.items() if item.name in values}
+        )
 
     root, *segments = file.segments
-    parts = {"segments": (root, *map(changed, segments)), "markers": tuple(map(changed, file.markers))}
-    return file.model_copy(update={"title": animal.title, "size_sigma": animal.size_sigma, **parts})
+    tables = {"segments": (root, *map(changed, segments)), "markers": tuple(map(changed, file.markers))}
+    return file.model_copy(update={"title": animal.title, "size_sigma": animal.size_sigma, **tables})
 
 
 def subject_toml(skeleton: str | Path, body: Body, title: str, notes: Sequence[str] = ()) -> str:
-    """The text of a subject file: the lengths and keypoint offsets of a body, of that skeleton. notes: comments."""
+    """Return the text of a subject file: a body's lengths and keypoint offsets.
+
+    `notes` become comments.
+    """
     raw, _ = named_table(skeleton, "animal/skeletons", "--skeleton", "skeleton")
     placed = {item.name: item.offset_m for item in (*body.tree.segments, *body.tree.markers)}
-    given = [item["name"] for item in (*raw["segments"][1:], *raw["markers"])]
+    names = [item["name"] for item in (*raw["segments"][1:], *raw["markers"])]
     offsets = {marker["name"]: body.keypoint_offset_m.get(marker["name"]) for marker in raw["markers"]}
     plain = {
         "skeleton": raw["name"],
         "title": title,
         "size_sigma": round(body.size_sigma, 4),
-        "at_m": {name: [round(x, 4) for x in placed[name]] for name in given if any(placed[name])},
-        "keypoint_offset_m": {name: [round(x, 4) for x in at] for name, at in offsets.items() if at is not None},
+        "at_m": {name: [round(x, 4) for x in placed[name]] for name in names if any(placed[name])},
+        "keypoint_offset_m": {
+            name: [round(x, 4) for x in offset] for name, offset in offsets.items() if offset is not None
+        },
     }
     return "".join(f"# {note}\n" for note in notes) + tomli_w.dumps(plain)
 
 
 def detector_toml(body: Body, title: str, notes: Sequence[str] = ()) -> str:
-    """The text of a detector file, as a body is seen, of the left side and the middle. notes: comments."""
+    """Return the text of a detector file for the left side and the middle of a body.
+
+    `notes` become comments.
+    """
     keypoints = {
         marker: {
             "offset_m": [round(x, 4) for x in body.keypoint_offset_m[marker]],
@@ -93,10 +103,10 @@ def detector_toml(body: Body, title: str, notes: Sequence[str] = ()) -> str:
 
 def save_prior(prior: MotionPrior, path: str | Path) -> None:
     """Write an .npz: the arrays in single precision, the texts as JSON, no pickles."""
-    about: dict[str, Any] = {"format": 1, "name": prior.name, "source": prior.source}
-    about |= {"angles": list(prior.angles), "segments": [asdict(row) for row in prior.segments]}
+    description: dict[str, Any] = {"format": 1, "name": prior.name, "source": prior.source}
+    description |= {"angles": list(prior.angles), "segments": [asdict(row) for row in prior.segments]}
     arrays = {name: getattr(prior, name).astype(np.float32) for name in SHAPES}
     made = io.BytesIO()
-    np.savez_compressed(made, about=np.array(json.dumps(about)), **arrays)
+    np.savez_compressed(made, about=np.array(json.dumps(description)), **arrays)
     with staged_file(Path(path)) as staged:
         write_bytes(staged, made.getvalue())

@@ -1,7 +1,7 @@
-"""Names of keypoints: from those of a detector to those of a skeleton, by a map.
+"""Translate keypoint names of a detector to those of a skeleton, by a map.
 
-A map is a CSV file with two columns: a keypoint's name in the file, and the skeleton's name for it; nothing there
-leaves the keypoint out. Built-in maps are the files of `recon/animal/names`.
+A map is a CSV file with two columns: a keypoint's name in the file, and the skeleton's name for it. An empty second
+cell leaves the keypoint out. Built-in maps are the files of `recon/animal/names`.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from recon.base import InputError, Problem, documents, raise_problems
 from recon.clip import Keypoints
 
 HEADER = ("file", "skeleton")
-"""May be the first row of a map."""
+"""Optional first row of a map."""
 _EXPECTED = "a CSV file with two columns: a keypoint's name in the file, and the skeleton's"
 _SAME_WORDS: dict[str, str] = {
     "thai": "thigh",
@@ -34,23 +34,25 @@ _SAME_WORDS: dict[str, str] = {
 _SEPARATORS = "_-. "
 _FILLERS = {"of", "the"}
 _NEAR = 0.8
-"""Names are near each other if they share this part of their letters."""
+"""Names are similar if they share this part of their letters."""
 _MOST_OF_FILE = 0.8
-"""Another skeleton that has so many of a file's keypoints is probably theirs."""
+"""A skeleton with this share of a file's keypoints is probably theirs."""
 
 
 @dataclass(frozen=True)
 class NameMap:
-    """What keypoints of a file are called in a skeleton."""
+    """The skeleton's names for keypoints of a file."""
 
     source: str
-    """A built-in name, or the file's."""
+    """Built-in name, or the file's."""
     names: Mapping[str, str]
-    """The skeleton's by the file's, empty for those that are left out."""
+    """The skeleton's name by the file's, empty for keypoints that are left out."""
 
     def get(self, name: str, otherwise: Any = None) -> Any:
-        """What the skeleton calls a keypoint of the file, or something otherwise. A map that comes with the package has
-        it however its side and words are written: left_carpus, LeftCarpus, carpus_L."""
+        """Return the skeleton's name for a keypoint of the file, or `otherwise`.
+
+        A built-in map finds a name in any spelling of its side and words: left_carpus, LeftCarpus, carpus_L.
+        """
         return self.names.get(name, self._by_words.get(_written(name), otherwise))
 
     @cached_property
@@ -58,17 +60,20 @@ class NameMap:
         return {_written(name): new for name, new in self.names.items() if self.source in builtin_maps()}
 
     def common(self, names: Iterable[str], wanted: Iterable[str]) -> int:
-        """How many of the wanted names a file with these names then has."""
+        """Return how many of the wanted names a file with these names then has."""
         return len({self.get(name, name) for name in names} & {*wanted})
 
 
 def builtin_maps() -> tuple[str, ...]:
-    """Names of the maps that come with the package."""
+    """Return the names of the built-in maps."""
     return documents.builtin_names("animal/names", ".csv")
 
 
 def load_names(name_or_path: str | Path) -> NameMap:
-    """The built-in map of that name, or the one in a CSV file. Raises InputError with every problem."""
+    """Load a map by its built-in name or from a CSV file.
+
+    Raises InputError with every problem.
+    """
     source = str(name_or_path)
     content, _ = documents.named_file(name_or_path, "animal/names", ".csv", "--rename", "map of names")
     text = documents.text_of(content, source, _EXPECTED)
@@ -97,9 +102,12 @@ def _cells(line: str, delimiter: str) -> list[str]:
         return []
 
 
-def renamed(keypoints: Keypoints, by: NameMap) -> Keypoints:
-    """With the map's names, and a note. Raises InputError as `new_names`."""
-    keep, names, note = new_names(keypoints.names, by, keypoints.source or "the keypoints")
+def renamed(keypoints: Keypoints, name_map: NameMap) -> Keypoints:
+    """Return keypoints with the map's names, and a note.
+
+    Raises InputError as `new_names`.
+    """
+    keep, names, note = new_names(keypoints.names, name_map, keypoints.source or "the keypoints")
     return replace(
         keypoints,
         names=names,
@@ -109,49 +117,52 @@ def renamed(keypoints: Keypoints, by: NameMap) -> Keypoints:
     )
 
 
-def new_names(names: Sequence[str], by: NameMap, source: str) -> tuple[list[int], tuple[str, ...], str]:
-    """Which of a file's names stay, by their places, what they are called then, and a note of it. source: the file.
+def new_names(names: Sequence[str], name_map: NameMap, source: str) -> tuple[list[int], tuple[str, ...], str]:
+    """Return the indices of a file's names that stay, their new names, and a note.
 
-    Raises InputError where none of the map's names is in the file, or two keypoints would have the same.
+    `source` is the file. Raises InputError if none of the map's names is in the file, or two keypoints would have the
+    same name.
     """
-    known = [name for name in names if by.get(name) is not None]
+    known = [name for name in names if name_map.get(name) is not None]
     if not known:
-        found = f"{', '.join(by.names)}: none of them in {source}"
-        raise InputError(Problem(by.source, "names", found, f"some of {', '.join(names)}"))
+        detail = f"{', '.join(name_map.names)}: none of them in {source}"
+        raise InputError(Problem(name_map.source, "names", detail, f"some of {', '.join(names)}"))
     olds: dict[str, list[str]] = {}
     for name in names:
-        olds.setdefault(by.get(name) if name in known else name, []).append(name)
+        olds.setdefault(name_map.get(name) if name in known else name, []).append(name)
     left_out = olds.pop("", [])
     problems = [
-        Problem(by.source, "names", f"{new!r} for {', '.join(several)}", "it for one of them only")
+        Problem(name_map.source, "names", f"{new!r} for {', '.join(several)}", "it for one of them only")
         for new, several in olds.items()
         if len(several) > 1
     ]
     if not olds:
-        problems = [Problem(by.source, "names", f"every keypoint of {source} left out", "a name for some of them")]
+        problems = [
+            Problem(name_map.source, "names", f"every keypoint of {source} left out", "a name for some of them")
+        ]
     raise_problems(problems)
-    note = f"{len(known)} of {len(names)} keypoints have their names from {Path(by.source).name}"
+    note = f"{len(known)} of {len(names)} keypoints have their names from {Path(name_map.source).name}"
     note += f"; left out: {', '.join(left_out)}" if left_out else ""
-    absent = [] if by.source in builtin_maps() else [name for name in by.names if name not in names]
+    absent = [] if name_map.source in builtin_maps() else [name for name in name_map.names if name not in names]
     note += f"; not in the file: {', '.join(absent)}." if absent else "."
     return [k for k, name in enumerate(names) if name not in left_out], tuple(olds), note
 
 
-# -- near misses ---------------------------------------------------------------------------------------------------
+# -- similar names -------------------------------------------------------------------------------------------------
 
 
 def suggestions(unused: Iterable[str], missing: Iterable[str]) -> dict[str, str]:
-    """Which missing name of a skeleton an unused one of a file probably stands for; each once, the closest first."""
+    """Return the most similar missing name for each unused one; each once, the closest first."""
     pairs = [(likeness, a, b) for a in unused for b in missing if (likeness := _likeness(a, b)) >= _NEAR]
-    found: dict[str, str] = {}
+    matches: dict[str, str] = {}
     for _, a, b in sorted(pairs, key=lambda pair: -pair[0]):
-        if a not in found and b not in found.values():
-            found[a] = b
-    return found
+        if a not in matches and b not in matches.values():
+            matches[a] = b
+    return matches
 
 
 def fitting_maps(names: Sequence[str], wanted: Iterable[str]) -> list[str]:
-    """Built-in maps that give a file more of the wanted names than it has, the best first."""
+    """Return built-in maps that raise the number of wanted names in a file, the best first."""
     wanted = {*wanted}
     shares = {name: load_names(name).common(names, wanted) for name in builtin_maps()}
     better = [name for name, share in shares.items() if share > len({*names} & wanted)]
@@ -159,30 +170,34 @@ def fitting_maps(names: Sequence[str], wanted: Iterable[str]) -> list[str]:
 
 
 def fitting_skeleton(names: Sequence[str]) -> tuple[str, int]:
-    """The options of the built-in skeleton of a whole animal that has most of these keypoints, with the map that it
-    takes (`--skeleton human-25 --rename coco-17`), and how many they are; without a map where it takes none."""
+    """Return options for the built-in skeleton that has most of these keypoints, and their number.
+
+    The options name the map if one helps: `--skeleton human-25 --rename coco-17`.
+    """
     maps = [NameMap("", {}), *map(load_names, builtin_maps())]
-    found = {
-        f"--skeleton {skeleton}{by.source and ' --rename '}{by.source}": by.common(names, markers)
+    counts = {
+        f"--skeleton {skeleton}{name_map.source and ' --rename '}{name_map.source}": name_map.common(names, markers)
         for skeleton, markers in _whole_animals().items()
-        for by in maps
+        for name_map in maps
     }
-    best = max(found, key=lambda options: found[options])
-    return best, found[best]
+    best = max(counts, key=lambda options: counts[options])
+    return best, counts[best]
 
 
 def _whole_animals() -> dict[str, tuple[str, ...]]:
-    """The markers of the built-in skeletons of whole animals, by the skeletons' names."""
+    """Return the markers of the built-in skeletons of whole animals, by name."""
     chains = builtin_chains()
     return {name: load_skeleton(name).markers for name in builtin_names() if name not in chains}
 
 
 def problem_of_names(names: Sequence[str], wanted: Sequence[str], skeleton: str, source: str) -> Problem:
-    """What a file's names are not, those of a skeleton, with what would make them so: another skeleton, a map that
-    comes with the package, or one that the lines of the problem begin."""
-    found = f"{', '.join(names)}: {', '.join(name for name in names if name in wanted) or 'none'} of the skeleton's"
-    if own := skeleton_of(names):
-        return Problem(source, "bodyparts", found, f"with these names, which are its own: --skeleton {own}")
+    """Return the problem of a file whose names are not the skeleton's, with a way out.
+
+    The way out is another skeleton, a built-in map, or a map that the problem's lines begin.
+    """
+    detail = f"{', '.join(names)}: {', '.join(name for name in names if name in wanted) or 'none'} of the skeleton's"
+    if matching := skeleton_of(names):
+        return Problem(source, "bodyparts", detail, f"with these names, which are its own: --skeleton {matching}")
     maps, (options, count) = fitting_maps(names, wanted), fitting_skeleton(names)
     if count >= _MOST_OF_FILE * len(names) and f"--skeleton {skeleton} " not in f"{options} ":
         hint = f"{options}, or"
@@ -190,11 +205,11 @@ def problem_of_names(names: Sequence[str], wanted: Sequence[str], skeleton: str,
         fits = maps and 2 * load_names(maps[0]).common(names, {*wanted}) >= min(len(names), len(wanted))
         hint = f"--rename {maps[0]}, or" if fits else "another animal's --skeleton, or"
     expected = f"those of the skeleton {skeleton}: {', '.join(wanted)}; {hint} --rename with a file of these lines, "
-    return Problem(source, "bodyparts", found, f"{expected}completed", tuple(map_to_write(names, wanted)))
+    return Problem(source, "bodyparts", detail, f"{expected}completed", tuple(map_to_write(names, wanted)))
 
 
 def map_to_write(names: Iterable[str], wanted: Iterable[str]) -> Iterator[str]:
-    """Lines of a map for a file with these names: near misses filled in, and nothing for names without one."""
+    """Yield lines of a map for a file with these names, with similar names filled in."""
     names, wanted = list(names), list(wanted)
     near = suggestions([n for n in names if n not in wanted], [w for w in wanted if w not in names])
     yield ",".join(HEADER)
@@ -202,7 +217,7 @@ def map_to_write(names: Iterable[str], wanted: Iterable[str]) -> Iterator[str]:
 
 
 def _likeness(a: str, b: str) -> float:
-    """From 0 to 1; 0 between the sides."""
+    """Return the similarity of two names from 0 to 1; 0 for different sides."""
     if side_of(a) != side_of(b):
         return 0.0
     if _written(a) == _written(b):
@@ -214,19 +229,19 @@ def _likeness(a: str, b: str) -> float:
 
 
 def _written(name: str) -> tuple[str | None, ...]:
-    """The side and the words of a name, which are the same in whatever order and case."""
+    """Return a name's side and words in a fixed order and case."""
     return side_of(name), *sorted(_words(name))
 
 
 def _words(name: str) -> list[str]:
-    """The words of a name without its side, in lower case: rootOfTail -> base, tail."""
-    parts = re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|[0-9]+|[^\W\d_a-zA-Z]+", without_side(name))
-    lower: list[str] = [part.lower() for part in parts]
+    """Return the words of a name without its side, in lower case: rootOfTail -> base, tail."""
+    words = re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|[0-9]+|[^\W\d_a-zA-Z]+", without_side(name))
+    lower: list[str] = [word.lower() for word in words]
     return [_SAME_WORDS.get(word, word) for word in lower if word not in _FILLERS]
 
 
 def without_side(name: str) -> str:
-    """front_left_paw -> front_paw; names of the middle stay."""
+    """Return a name without its side, front_left_paw -> front_paw; names of the middle stay."""
     word = SIDE_WORD.search(name)
     if word is None:
         return name
@@ -237,17 +252,19 @@ def without_side(name: str) -> str:
 
 
 def both_sides(name: str) -> str:
-    """l_paw or r_paw -> l/r_paw; names of the middle stay."""
+    """Return a name with both sides, l_paw or r_paw -> l/r_paw; names of the middle stay."""
     word = SIDE_WORD.search(name)
     if word is None:
         return name
-    left, right = sorted((word[0], opposite_word(word[0])), key=lambda one: one.lower() not in SIDES)
+    left, right = sorted((word[0], opposite_word(word[0])), key=lambda side: side.lower() not in SIDES)
     return f"{name[: word.start()]}{left}/{right}{name[word.end() :]}"
 
 
 def skeleton_of(keypoints: Iterable[str]) -> str | None:
-    """The built-in skeleton of a whole animal whose markers, all of them, are called as some of these keypoints; of
-    several the one with most."""
+    """Return the built-in skeleton whose markers are all among these keypoints.
+
+    Of several skeletons, the largest; None if there is none.
+    """
     names = {*keypoints}
     fitting = {name: len(markers) for name, markers in _whole_animals().items() if {*markers} <= names}
     return max(fitting, key=lambda name: fitting[name], default=None)

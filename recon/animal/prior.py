@@ -1,7 +1,8 @@
-"""What a class of motions looks like: which poses occur, how likely they are, and how they change.
+"""Describe a class of motions: which poses occur, how likely they are, and how they change.
 
 A prior is about a body's angles z = state[4:], the root's pitch and roll and the joints' angles. Built-in priors are
-the files of `recon/animal/priors`, .npz without pickles. `recon.animal.prior_fit` makes priors."""
+the files of `recon/animal/priors`, .npz without pickles. `recon.animal.prior_fit` makes priors.
+"""
 
 from __future__ import annotations
 
@@ -18,11 +19,11 @@ from recon.base import Array, InputError, Problem, documents, raise_problems
 from recon.base.documents import FileTable
 
 ANGLES = slice(4, None)
-"""The angles that a prior is about, in the state."""
+"""The prior's angles in the state."""
 NONE = "none"
-"""The name of the prior that knows the body's own expectations only."""
+"""Name of the prior that has only the body's own expectations."""
 LARGEST = 1e12
-"""The largest number in a prior: more can only be damage."""
+"""The largest number in a prior; more can only be damage."""
 SHAPES = {
     "weights": "K",
     "means": "KA",
@@ -37,7 +38,7 @@ SHAPES = {
 
 @dataclass(frozen=True)
 class SegmentRow:
-    """One continuous piece of motion that was at hand; used: whether the prior was fitted to it."""
+    """A continuous piece of motion, and whether the prior was fitted to it."""
 
     name: str
     frames: int
@@ -48,7 +49,10 @@ class SegmentRow:
 
 @dataclass(frozen=True, eq=False)
 class MotionPrior:
-    """Statistics of A angles in rad, with K components. Raises ValueError, naming everything that does not fit."""
+    """Statistics of A angles in rad, with K components.
+
+    Raises ValueError, naming everything that does not fit.
+    """
 
     name: str
     angles: tuple[str, ...]
@@ -63,11 +67,11 @@ class MotionPrior:
     drift: Array
     """(A, 2A): d2z/dt2 = drift @ [z - mean, dz/dt] + noise, in rad and s."""
     acceleration_covariance: Array
-    """(A, A): of that noise."""
+    """(A, A): covariance of that noise."""
     source: str
-    """Where the poses come from."""
+    """Origin of the poses."""
     segments: tuple[SegmentRow, ...] = ()
-    """What was at hand."""
+    """The pieces of motion that were available."""
 
     def __post_init__(self) -> None:
         wrong = misfits({name: getattr(self, name) for name in SHAPES}, len(self.angles))
@@ -76,7 +80,7 @@ class MotionPrior:
 
 
 def misfits(arrays: dict[str, Array], n_angles: int) -> list[tuple[str, str, str]]:
-    """(field, found, expected) of everything that keeps arrays from being a prior of that many angles."""
+    """Return (field, found, expected) of each fault of a prior's arrays."""
     problems = []
     lengths = {"A": n_angles, "B": 2 * n_angles, "K": len(np.atleast_1d(arrays["weights"]))}
     if not lengths["K"]:
@@ -100,7 +104,7 @@ def _is_positive_definite(matrices: Array) -> bool:
 
 
 def prior_from_body(body: Body) -> MotionPrior:
-    """What is used where no prior was learned: each angle on its own, as the skeleton file expects it."""
+    """Return the prior of a skeleton's file alone: independent angles with its expectations."""
     mean, covariance, n = body.mean_rad, np.diag(body.sigma_rad**2), len(body.mean_rad)
     dynamics = np.zeros((n, 2 * n)), np.diag(body.acceleration_rad_s2**2)
     arrays = (np.ones(1), mean[None], covariance[None], mean, covariance, *dynamics)
@@ -108,7 +112,7 @@ def prior_from_body(body: Body) -> MotionPrior:
 
 
 def mean_speed_m_s(states: Array, fps: float) -> float:
-    """Mean horizontal speed of the root over states (T, D), 0 if no two frames follow each other."""
+    """Return the mean horizontal speed of the root over states (T, D), 0 without consecutive frames."""
     steps = np.linalg.norm(np.diff(states[:, :2], axis=0), axis=1) * fps
     return float(np.nanmean(steps)) if np.isfinite(steps).any() else 0.0
 
@@ -129,13 +133,16 @@ class _About(FileTable):
 
 
 def builtin_priors() -> tuple[str, ...]:
-    """Names of the priors that come with the package."""
+    """Return the names of the built-in priors."""
     return documents.builtin_names("animal/priors", ".npz")
 
 
 def load_prior(name_or_path: str | Path | None, body: Body) -> MotionPrior:
-    """The built-in prior of that name, or the one in a file; "none": `prior_from_body`. None: the built-in one for a
-    body with these angles, or else the body's. Raises InputError, naming every problem."""
+    """Load a prior by its built-in name or from a file.
+
+    "none" is `prior_from_body`. None is the first built-in prior for a body with these angles, or else
+    `prior_from_body`. Raises InputError, naming every problem.
+    """
     if name_or_path is None:
         for name in builtin_priors():
             with suppress(InputError):  # it is another animal's
@@ -154,16 +161,16 @@ def _prior(content: bytes, source: str, body: Body) -> MotionPrior:
     lacking = [key for key in ("about", *SHAPES) if key not in stored]
     if lacking:
         raise InputError([Problem(source, key, "nothing", _EXPECTED) for key in lacking])
-    about = documents.validated(_About, documents.parse_json(text, source, _EXPECTED), source)
+    description = documents.validated(_About, documents.parse_json(text, source, _EXPECTED), source)
     angles = body.state_names[ANGLES]
-    if about.angles != [*angles]:
-        missing = [name for name in angles if name not in about.angles]
-        more = [name for name in about.angles if name not in angles]
-        differing = (("missing", missing), ("of another body", more))
-        parts = [f"{len(names)} {what} ({', '.join(names[:3])})" for what, names in differing if names]
-        found = f"{len(about.angles)} angles, {' and '.join(parts) or 'in another order'}"
+    if description.angles != [*angles]:
+        missing = [name for name in angles if name not in description.angles]
+        extra = [name for name in description.angles if name not in angles]
+        differing = (("missing", missing), ("of another body", extra))
+        details = [f"{len(names)} {kind} ({', '.join(names[:3])})" for kind, names in differing if names]
+        detail = f"{len(description.angles)} angles, {' and '.join(details) or 'in another order'}"
         expected = f"the {len(angles)} angles of {body.name}, in its order"
-        raise InputError(Problem(source, "angles", found, expected))
+        raise InputError(Problem(source, "angles", detail, expected))
     raise_problems(
         Problem(source, key, f"an array of {stored[key].dtype}", "floating-point numbers")
         for key in SHAPES
@@ -171,8 +178,14 @@ def _prior(content: bytes, source: str, body: Body) -> MotionPrior:
     )
     with np.errstate(invalid="ignore"):  # a NaN that signals, as damaged floats can be
         arrays = {key: stored[key].astype(float) for key in SHAPES}
-    raise_problems(Problem(source, *misfit) for misfit in misfits(arrays, len(about.angles)))
+    raise_problems(Problem(source, *misfit) for misfit in misfits(arrays, len(description.angles)))
     for key in ("covariances", "covariance", "acceleration_covariance"):
         arrays[key] = (arrays[key] + arrays[key].swapaxes(-1, -2)) / 2
     arrays["weights"] = arrays["weights"] / arrays["weights"].sum()
-    return MotionPrior(about.name, tuple(about.angles), **arrays, source=about.source, segments=tuple(about.segments))
+    return MotionPrior(
+        description.name,
+        tuple(description.angles),
+        **arrays,
+        source=description.source,
+        segments=tuple(description.segments),
+    )

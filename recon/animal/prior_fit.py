@@ -1,4 +1,4 @@
-"""Segments of motion in, a prior out; and how likely poses are under one."""
+"""Fit a motion prior to segments of motion, and evaluate its likelihood of poses."""
 
 from __future__ import annotations
 
@@ -16,17 +16,18 @@ from recon.animal.prior import ANGLES, MotionPrior, SegmentRow, mean_speed_m_s
 from recon.base import Array, Bools, Problem, raise_problems
 
 FRAMES_PER_COMPONENT = 20
-"""Fewer would let a component of the mixture be one short piece of one segment."""
+"""With fewer, a component of the mixture could be one short piece of one segment."""
 POSE_FLOOR_RAD = 0.1
-"""Added to the spread of every angle: no reconstruction that a prior is fitted to is exact. Held-out segments like it
-best (docs/priors.md)."""
+"""Added to the spread of every angle, because no reconstruction is exact. The value maximises the likelihood of
+held-out segments (docs/priors.md).
+"""
 STILL_SIGMA_RAD = 0.15
-"""The spread of angles that do not move in the data."""
+"""Spread of angles that do not move in the data."""
 MISSING_BELOW_RAD = 0.01
-"""Angles that spread by less are no part of the model that the poses come from."""
+"""Angles with a smaller spread do not exist in the model that the poses come from."""
 _EM_ITERATIONS, _K_MEANS_ITERATIONS = 30, 50
 RIDGE_PER_ROW = 0.1
-"""Held-out accelerations like it best (docs/priors.md)."""
+"""The value maximises the likelihood of held-out accelerations (docs/priors.md)."""
 ACCELERATION_FLOOR_RAD_S2 = 10.0
 """Added to the spread of every acceleration."""
 
@@ -41,13 +42,26 @@ def fit_prior(
     min_speed_m_s: float = 0.0,
     apart: Sequence[str] = (),
 ) -> MotionPrior:
-    """The statistics of segments, each (name, states (T, D), frames per second); NaN frames are left out.
+    """Fit a prior to segments of motion.
 
-    Every segment counts a second time mirrored left to right. shrink: how far the covariance of a component is moved
-    towards the average within all of them. Segments slower than min_speed_m_s are listed, but not used.
-    apart: segments of the body, such as a tail,
-    whose movement neither follows from the pose nor says anything about the others'; their acceleration is noise.
-    Raises InputError where there are too few frames, or apart names what is no segment with angles.
+    Every segment counts a second time mirrored left to right.
+
+    Parameters
+    ----------
+    segments : sequence of (name, states (T, D), frames per second)
+        NaN frames are left out.
+    shrink : float
+        How far the covariance of a component is moved towards the average within all components.
+    min_speed_m_s : float
+        Slower segments are listed, but not used.
+    apart : sequence of str
+        Segments of the body, such as a tail, whose movement neither follows from the pose nor depends on the others';
+        their acceleration is noise.
+
+    Raises
+    ------
+    InputError
+        For too few frames, and where `apart` names no segment with angles.
     """
     rows = tuple(
         SegmentRow(label, len(states), float(fps), speed, speed >= min_speed_m_s)
@@ -55,7 +69,7 @@ def fit_prior(
         for speed in [mean_speed_m_s(states, fps)]
     )
     used = [(states, fps) for (_, states, fps), row in zip(segments, rows, strict=True) if row.used]
-    poses, at, rates, accelerations = _poses_and_changes(body, used)
+    poses, inner_poses, rates, accelerations = _poses_and_changes(body, used)
     angles = body.state_names[ANGLES]
     owners = [angle.rsplit("_", 1)[0] for angle in angles]
     n_frames, problems = len(poses) // 2, []
@@ -73,41 +87,44 @@ def fit_prior(
     extra = np.diag(POSE_FLOOR_RAD**2 + np.where(_still(poses), STILL_SIGMA_RAD**2, 0.0))
     weights, means, covariances = _mixture(poses, components, shrink, extra, np.random.default_rng(0))
     loose = np.isin(owners, apart)
-    drift, acceleration_covariance = ridge(np.concatenate([at - mean, rates], axis=1), accelerations, loose)
+    states = np.concatenate([inner_poses - mean, rates], axis=1)
+    drift, acceleration_covariance = ridge(states, accelerations, loose)
     covariance = np.cov(poses.T, bias=True) + extra
     arrays = (weights, means, covariances, mean, covariance, drift, acceleration_covariance)
     return MotionPrior(name, angles, *arrays, source=source, segments=rows)
 
 
 def _poses_and_changes(body: Body, segments: Sequence[tuple[Array, float]]) -> tuple[Array, Array, Array, Array]:
-    """Poses (N, A); and where three follow each other, poses, rates and accelerations, each (M, A). Each segment is
-    followed by its mirror image."""
+    """Return all poses (N, A), and poses, rates and accelerations (M, A) of inner frames.
+
+    Inner frames have a frame before and after. Each segment is followed by its mirror image.
+    """
     permutation, sign = body.mirror
-    nothing = np.empty((0, body.n_state - 4))
-    parts: tuple[list[Array], ...] = ([nothing], [nothing], [nothing], [nothing])
+    empty = np.empty((0, body.n_state - 4))
+    collected: tuple[list[Array], ...] = ([empty], [empty], [empty], [empty])
     for states, fps in segments:
         for z in (states[:, ANGLES], (states[:, permutation] * sign)[:, ANGLES]):
             whole = np.asarray(np.isfinite(z).all(axis=1))
             inner = np.nonzero(whole[:-2] & whole[1:-1] & whole[2:])[0] + 1
-            before, at, after = z[inner - 1], z[inner], z[inner + 1]
-            moving = (after - before) * (fps / 2), (after - 2 * at + before) * fps**2
-            for part, values in zip(parts, (z[whole], at, *moving), strict=True):
-                part.append(values)
-    poses, at, rates, accelerations = (np.concatenate(part) for part in parts)
-    return poses, at, rates, accelerations
+            previous, current, following = z[inner - 1], z[inner], z[inner + 1]
+            moving = (following - previous) * (fps / 2), (following - 2 * current + previous) * fps**2
+            for target, values in zip(collected, (z[whole], current, *moving), strict=True):
+                target.append(values)
+    poses, current, rates, accelerations = (np.concatenate(target) for target in collected)
+    return poses, current, rates, accelerations
 
 
 def _still(poses: Array) -> Bools:
-    """(A,): angles of poses (N, A) that do not move."""
+    """Return which angles of poses (N, A) do not move, (A,)."""
     return poses.std(axis=0) < MISSING_BELOW_RAD
 
 
 def _mixture(
     poses: Array, components: int, shrink: float, extra: Array, rng: np.random.Generator
 ) -> tuple[Array, Array, Array]:
-    """Weights (K,), means (K, A), covariances (K, A, A) of poses (N, A).
+    """Return weights (K,), means (K, A) and covariances (K, A, A) of poses (N, A).
 
-    shrink: how far each covariance is moved towards the average within all components; extra (A, A): added to it.
+    `shrink` moves each covariance towards the average within all components; `extra` (A, A) is added.
     """
     scaled = poses / np.maximum(poses.std(axis=0), MISSING_BELOW_RAD)
     with warnings.catch_warnings(action="ignore"):  # of a cluster that stays empty, where poses repeat
@@ -122,15 +139,22 @@ def _mixture(
 def _mixture_parameters(poses: Array, share: Array, shrink: float, extra: Array) -> tuple[Array, Array, Array]:
     count = np.maximum(share.sum(axis=0), 1e-9)
     means = share.T @ poses / count[:, None]
-    off = (poses - mean for mean in means)
-    own = np.stack([(part[:, None] * one).T @ one for part, one in zip((share / count).T, off, strict=True)])
+    deviations = (poses - mean for mean in means)
+    scatter = np.stack(
+        [
+            (shares[:, None] * deviation).T @ deviation
+            for shares, deviation in zip((share / count).T, deviations, strict=True)
+        ]
+    )
     weights = count / count.sum()
-    return weights, means, (1 - shrink) * own + shrink * np.tensordot(weights, own, axes=1) + extra
+    return weights, means, (1 - shrink) * scatter + shrink * np.tensordot(weights, scatter, axes=1) + extra
 
 
 def ridge(states: Array, accelerations: Array, loose: Bools) -> tuple[Array, Array]:
-    """Drift (A, 2A) from states (M, 2A) to accelerations (M, A), and the covariance of what is left (A, A). The loose
-    angles (A,) have no part in it."""
+    """Return the drift (A, 2A) from states (M, 2A) to accelerations (M, A), and the residual covariance (A, A).
+
+    The loose angles (A,) take no part.
+    """
     scale = states.std(axis=0)
     n_angles = accelerations.shape[1]
     # What does not move, or only by the noise of the fit, explains nothing.
@@ -139,26 +163,26 @@ def ridge(states: Array, accelerations: Array, loose: Bools) -> tuple[Array, Arr
     normal = scaled.T @ scaled + RIDGE_PER_ROW * len(scaled) * np.eye(scaled.shape[1])
     drift = np.linalg.solve(normal, scaled.T @ accelerations).T / np.where(moves, scale, 1.0)
     drift[loose] = 0.0
-    left = accelerations - states @ drift.T
-    covariance = np.where(loose[:, None] == loose, left.T @ left / len(left), 0.0)
+    residuals = accelerations - states @ drift.T
+    covariance = np.where(loose[:, None] == loose, residuals.T @ residuals / len(residuals), 0.0)
     return drift, covariance + ACCELERATION_FLOOR_RAD_S2**2 * np.eye(n_angles)
 
 
 def as_one_gaussian(prior: MotionPrior) -> MotionPrior:
-    """The same prior with its one Gaussian of poses in the place of the mixture."""
+    """Return the prior with its one Gaussian of poses instead of the mixture."""
     return replace(prior, weights=np.ones(1), means=prior.mean[None], covariances=prior.covariance[None])
 
 
 def log_likelihood(prior: MotionPrior, states: Array) -> float:
-    """Mean over frames of the natural logarithm of the mixture's density (per rad^A) at states (T, D)."""
+    """Return the mean over frames of the mixture's log density (per rad^A) at states (T, D)."""
     poses = states[np.isfinite(states).all(axis=1)][:, ANGLES]
     return float(logsumexp(log_densities(poses, prior.weights, prior.means, prior.covariances), axis=1).mean())
 
 
 def log_densities(poses: Array, weights: Array, means: Array, covariances: Array) -> Array:
-    """(N, K): the logarithm of each component's density times its weight."""
+    """Return the log of each component's density times its weight, (N, K)."""
     roots = np.linalg.cholesky(covariances)
     white = (solve_triangular(L, (poses - mean).T, lower=True) for L, mean in zip(roots, means, strict=True))
-    squares = np.stack([(one**2).sum(axis=0) for one in white], axis=1)
+    squares = np.stack([(offset**2).sum(axis=0) for offset in white], axis=1)
     constants = np.log(np.diagonal(roots, axis1=1, axis2=2)).sum(axis=1) + 0.5 * means.shape[1] * np.log(2 * np.pi)
     return np.log(np.maximum(weights, 1e-300)) - constants - 0.5 * squares

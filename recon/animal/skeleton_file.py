@@ -1,7 +1,8 @@
-"""Skeletons by their names or files (TOML), with one animal's lengths, and as a detector sees them.
+"""Load skeletons by name or from a file (TOML), with one animal's lengths and a detector's offsets.
 
-Built-in ones are the files of `recon/animal/skeletons`, `subjects` (one animal's lengths) and `detectors`: how far the
-points on the skin that a network marks lie from a model's markers. The scorer of a keypoint file says its detector."""
+Built-in files are in `recon/animal/skeletons`, `subjects` (one animal's lengths) and `detectors` (offsets from a
+model's markers to the points on the skin that a network marks). The scorer of a keypoint file gives its detector.
+"""
 
 from __future__ import annotations
 
@@ -21,18 +22,21 @@ from recon.geometry.kinematics import ANGLE_OF_AXIS, AXES, Marker, Segment, Tree
 
 
 def builtin_names() -> tuple[str, ...]:
-    """Names of the skeletons that come with the package."""
+    """Return the names of the built-in skeletons."""
     return documents.builtin_names("animal/skeletons", ".toml")
 
 
 def builtin_subjects() -> tuple[str, ...]:
-    """Names of the subjects that come with the package."""
+    """Return the names of the built-in subjects."""
     return documents.builtin_names("animal/subjects", ".toml")
 
 
 def load_skeleton(name_or_path: str | Path, subject: str | Path | None = None) -> Body:
-    """The built-in skeleton of that name, or the one in a TOML file. subject: name or file of a measured animal, for a
-    whole one only. Raises InputError, naming every problem."""
+    """Load a skeleton by its built-in name or from a TOML file.
+
+    `subject` is the name or file of a measured animal, for a whole animal only. Raises InputError, naming every
+    problem.
+    """
     raw, source = read_named(name_or_path)
     if "segments" in raw or not raw.keys() & {"links", "extends"}:
         return _load_body(raw, source, subject)
@@ -48,7 +52,7 @@ def read_named(
     name_or_path: str | Path,
     kind: Literal["skeleton", "subject", "detector"] = "skeleton",
 ) -> tuple[dict[str, Any], str]:
-    """A file's tables, and what to call it in messages."""
+    """Return a file's tables, and its name for messages."""
     option = "--set detector" if kind == "detector" else f"--{kind}"
     return documents.named_table(name_or_path, f"animal/{kind}s", option, kind)
 
@@ -124,9 +128,11 @@ def _load_body(raw: dict[str, Any], source: str, subject: str | Path | None) -> 
     else:
         from recon.animal.measured import read_subject, subject_problems, with_subject
 
-        table, of = read_named(subject, "subject")
-        file, animal = collect_problems(lambda: validated(_BodyFile, raw, source), lambda: read_subject(table, of))
-        problems = [*subject_problems(animal, file, of)]
+        table, subject_source = read_named(subject, "subject")
+        file, animal = collect_problems(
+            lambda: validated(_BodyFile, raw, source), lambda: read_subject(table, subject_source)
+        )
+        problems = [*subject_problems(animal, file, subject_source)]
         file = with_subject(animal, file)
     problems += _body_problems(file, source)
     raise_problems(dict.fromkeys(problems))  # both sides of a mirrored segment can have the same
@@ -137,7 +143,7 @@ _Item = TypeVar("_Item", _Segment, _Marker)
 
 
 def _both_sides(items: Iterable[_Item]) -> Iterator[tuple[int, _Item]]:
-    """Every segment or marker with its row in the file; the mirrored ones are followed by their right counterpart."""
+    """Yield every segment or marker with its row in the file, mirrored ones twice: left, then right."""
     for i, item in enumerate(items):
         yield i, item
         if item.mirrored and side_of(item.name) == "left":
@@ -153,31 +159,31 @@ def _both_sides(items: Iterable[_Item]) -> Iterator[tuple[int, _Item]]:
 
 
 def _expected_angles(segment: _Segment) -> list[str]:
-    """The angles that have an expectation, in the order of the state: all but the heading of the root."""
+    """Return a segment's angles with an expectation, in the order of the state: all but the root's heading."""
     return [ANGLE_OF_AXIS[axis] for axis in AXES[segment.joint] if (segment.joint, axis) != ("free", "z")]
 
 
 def _body_problems(file: _BodyFile, source: str) -> Iterator[Problem]:
     segments, used = list[str](), set[str]()
     for i, segment in _both_sides(file.segments):
-        at = f"segments[{i}]"
-        yield from _name_problems(segment, at, used, source)
+        row = f"segments[{i}]"
+        yield from _name_problems(segment, row, used, source)
         if i == 0:
             root = {"joint": "free", "parent": None, "at_m": (0.0, 0.0, 0.0), "mirrored": False}
             wanted = "joint = free, and no parent, at_m or mirrored: the first segment is the root"
             for field in (field for field, value in root.items() if getattr(segment, field) != value):
-                yield Problem(source, f"{at}.{field}", repr(getattr(segment, field)), wanted)
+                yield Problem(source, f"{row}.{field}", repr(getattr(segment, field)), wanted)
         elif segment.joint == "free":
-            yield Problem(source, f"{at}.joint", "'free'", "ball, universal, hinge or fixed: only the root is free")
+            yield Problem(source, f"{row}.joint", "'free'", "ball, universal, hinge or fixed: only the root is free")
         if i > 0 and segment.parent not in segments:
-            yield Problem(source, f"{at}.parent", repr(segment.parent), "the name of an earlier segment")
+            yield Problem(source, f"{row}.parent", repr(segment.parent), "the name of an earlier segment")
         expected = _expected_angles(segment)
         for angle in ANGLE_OF_AXIS.values():
-            given = getattr(segment, angle) is not None
-            if given != (angle in expected):
-                found = "an expectation" if given else "none"
+            is_given = getattr(segment, angle) is not None
+            if is_given != (angle in expected):
+                state = "an expectation" if is_given else "none"
                 wanted = f"{' and '.join(expected) or 'no angle'}, since its joint is {segment.joint}"
-                yield Problem(source, f"{at}.{angle}", found, wanted)
+                yield Problem(source, f"{row}.{angle}", state, wanted)
         segments.append(segment.name)
     markers = []
     for i, marker in _both_sides(file.markers):
@@ -201,7 +207,7 @@ def _body_problems(file: _BodyFile, source: str) -> Iterator[Problem]:
 
 
 def _name_problems(item: _Segment | _Marker, field: str, used: set[str], source: str) -> Iterator[Problem]:
-    """used: names of earlier segments and markers, which this one's joins."""
+    """Yield problems of an item's name, and add it to `used`, the names of earlier items."""
     if item.name in used:
         yield Problem(source, f"{field}.name", repr(item.name), "a name that no earlier segment or marker has")
     if item.mirrored and side_of(item.name) != "left":
@@ -226,7 +232,7 @@ def _body(f: _BodyFile) -> Body:
         limbs=f.limbs,
         forward=f.forward,
         feet=tuple(f.feet.values()),
-        foot_labels=tuple(PLACES[place] for place in f.feet),
+        foot_labels=tuple(PLACES[position] for position in f.feet),
         keypoint_sigma_m=f.keypoint_sigma_m,
         size_sigma=f.size_sigma,
         mean_rad=np.array([e.mean_rad for e in expected]),
@@ -242,9 +248,9 @@ def _body(f: _BodyFile) -> Body:
 # -- detectors --------------------------------------------------------------------------------------------------------
 
 NONE = "none"
-"""The detector whose keypoints lie on the markers."""
+"""Name of the detector whose keypoints lie on the markers."""
 OWN = "own"
-"""The detector where a skeleton's or a subject's own file says where its keypoints lie."""
+"""Name of the detector where the skeleton's or the subject's own file has the offsets."""
 
 
 class _Keypoint(FileTable):
@@ -262,18 +268,37 @@ class _DetectorFile(FileTable):
 
 
 def of_scorer(scorer: str | None, skeleton: str) -> str:
-    """The built-in detector that writes that scorer into its files, for a skeleton; "none" where there is none."""
+    """Return the built-in detector that writes `scorer` into its files, "none" if unknown."""
     for name in documents.builtin_names("animal/detectors", ".toml") if scorer else ():
         raw, _ = read_named(name, "detector")
-        if raw["skeleton"] == skeleton and any(fnmatchcase(scorer or "", one) for one in raw.get("scorers", ())):
+        if raw["skeleton"] == skeleton and any(
+            fnmatchcase(scorer or "", pattern) for pattern in raw.get("scorers", ())
+        ):
             return name
     return NONE
 
 
-def seen_by(body: Body, detector: str | Path | None, scorers: Mapping[str, str | None] | None = None) -> Body:
-    """The body as a detector sees it, by name, file or "none"; by default as the animal's or the skeleton's file says,
-    or else the scorers of the keypoint files, by file. Markers of the right side follow those of the left, mirrored.
-    Raises InputError for a file that does not fit the body, and for scorers of two detectors."""
+def with_detector_offsets(
+    body: Body, detector: str | Path | None, scorers: Mapping[str, str | None] | None = None
+) -> Body:
+    """Return the body with a detector's keypoint offsets.
+
+    Parameters
+    ----------
+    detector : name, file or "none"
+        By default the detector that the subject's or the skeleton's file names, else that of the scorers.
+    scorers : mapping of file to scorer
+        Scorers of the keypoint files.
+
+    Raises
+    ------
+    InputError
+        For a file that does not fit the body, and for scorers of two detectors.
+
+    Notes
+    -----
+    Markers of the right side follow those of the left, mirrored.
+    """
     if detector is None and body.keypoint_offset_m:
         return replace(body, detector=OWN)
     detector = body.detector if detector is None else detector
@@ -290,12 +315,12 @@ def seen_by(body: Body, detector: str | Path | None, scorers: Mapping[str, str |
     raise_problems(unknown(source, [(f"keypoints.{marker}", marker) for marker in file.keypoints], body.markers))
     offset_m, spread_m, noise_m = {}, {}, {}
     for marker in body.markers:
-        follows = marker not in file.keypoints and side_of(marker) == "right"
-        found = file.keypoints.get(other_side(marker) if follows else marker)
-        if found is not None:
-            x, y, z = found.offset_m
-            offset_m[marker], spread_m[marker] = (x, -y if follows else y, z), found.spread_m
-            noise_m |= {marker: found.sigma_m} if found.sigma_m is not None else {}
+        is_mirrored = marker not in file.keypoints and side_of(marker) == "right"
+        keypoint = file.keypoints.get(other_side(marker) if is_mirrored else marker)
+        if keypoint is not None:
+            x, y, z = keypoint.offset_m
+            offset_m[marker], spread_m[marker] = (x, -y if is_mirrored else y, z), keypoint.spread_m
+            noise_m |= {marker: keypoint.sigma_m} if keypoint.sigma_m is not None else {}
     return replace(
         body,
         detector=str(detector),
@@ -307,9 +332,12 @@ def seen_by(body: Body, detector: str | Path | None, scorers: Mapping[str, str |
 
 
 def _of_scorers(scorers: Mapping[str, str | None], skeleton: str) -> str:
-    found = {file: of_scorer(scorer, skeleton) for file, scorer in scorers.items()}
-    if len({*found.values()}) > 1:
-        each = (f"{Path(file).name} of {of} (scorer {str(scorers[file])[:60]!r})" for file, of in found.items())
+    detectors = {file: of_scorer(scorer, skeleton) for file, scorer in scorers.items()}
+    if len({*detectors.values()}) > 1:
+        files = (
+            f"{Path(file).name} of {detector} (scorer {str(scorers[file])[:60]!r})"
+            for file, detector in detectors.items()
+        )
         expected = f"files of one detector, or the one to take for all cameras: --set detector={NONE}, or its name"
-        raise InputError(Problem("KEYPOINTS", "detector", ", ".join(each), expected))
-    return next(iter(found.values()))
+        raise InputError(Problem("KEYPOINTS", "detector", ", ".join(files), expected))
+    return next(iter(detectors.values()))

@@ -17,7 +17,7 @@ import numpy as np
 from recon import animal, check, io
 from recon.animal.body import Body, Side
 from recon.animal.prior import MotionPrior, load_prior
-from recon.animal.skeleton_file import load_skeleton, seen_by
+from recon.animal.skeleton_file import load_skeleton, with_detector_offsets
 from recon.base import Array, InputError, Problem, Progress, collect_problems, mean_along, raise_problems, silent
 from recon.base.documents import require_file
 from recon.clip import Keypoints, Source, View, clean, held, leave_out, parse_frame_range, together, views_of
@@ -156,7 +156,7 @@ def prepare(settings: FitSettings, read_shared: Callable[[FitSettings], Unknown]
     later_frames = tuple((s - later[0]) * fps for s in later)
     scorers = {file.source or f"camera {i}": file.scorer for i, file in enumerate(files, start=1)}
     seen, *cleaned = collect_problems(
-        lambda: body if body.detector is not None else seen_by(body, None, scorers),
+        lambda: body if body.detector is not None else with_detector_offsets(body, None, scorers),
         *(partial(_cleaned, body, settings, fps, *of) for of in zip(files, cameras, later_frames, strict=True)),
     )
     side, reason = None, "both sides are fitted"
@@ -225,7 +225,7 @@ def _model(settings: FitSettings) -> tuple[Body, MotionPrior]:
     if settings.method in METHODS:
         body = import_module(METHODS[settings.method]).load_body(settings)
         return body, load_prior(None, body)
-    body = seen_by(load_skeleton(settings.skeleton_name, settings.subject), settings.detector)
+    body = with_detector_offsets(load_skeleton(settings.skeleton_name, settings.subject), settings.detector)
     body = body if settings.size is None else body.scaled(settings.size)
     body = body if settings.height_m is None else _as_high(body, settings.height_m)
     sides = f"nothing: {body.name} is a whole animal, and both sides are fitted"

@@ -16,7 +16,7 @@ from scipy.io import savemat
 from scipy.spatial.transform import RigidTransform
 
 from recon import FitSettings, InputError, find_clips, read_settings
-from recon.animal import builtin_subjects, load_names, load_prior, load_skeleton, seen_by
+from recon.animal import builtin_subjects, load_names, load_prior, load_skeleton, with_detector_offsets
 from recon.base import write_manifest
 from recon.base.files import MANIFEST
 from recon.clip import Keypoints, clean
@@ -358,7 +358,7 @@ def _built_in() -> Iterator[Seed]:
     yield Seed("names.csv", (package / "names" / "animal3d.csv").read_bytes(), load_names)
     body = load_skeleton("cheetah-24")
     detector = (package / "detectors" / "acinoset.toml").read_bytes()
-    yield Seed("detector.toml", detector, lambda path: seen_by(body, path), 1.5)
+    yield Seed("detector.toml", detector, lambda path: with_detector_offsets(body, path), 1.5)
     prior = (package / "priors" / "running-cheetah.npz").read_bytes()
     yield Seed("prior.npz", prior, lambda path: load_prior(path, body), 1.5)
     for name in ("aibo", "a1"):
