@@ -361,10 +361,10 @@ def test_every_setting_is_listed():
     refused(["settings", "fitt"], ("COMMAND", "command", "'fitt'", "fit, batch"))
 
 
-def test_settings_that_are_no_options_are_in_the_docs():
+def test_settings_without_an_option_are_in_the_docs():
     """By name, and what they are for; their help and defaults are what `recon settings` prints."""
     text = (Path(__file__).parents[1] / "docs" / "commands.md").read_text(encoding="utf-8")
-    listed = set(re.findall(r"`([a-z-]+)`", text.partition("## Settings that are no options")[2]))
+    listed = set(re.findall(r"`([a-z-]+)`", text.partition("## Settings without an option")[2]))
     for info in SETTINGS.values():
         if not info.option.common and info.option.method != "frame":
             assert info.field.replace("_", "-") in listed, info.field
