@@ -1,14 +1,14 @@
-"""All that `recon.gait` says of a fitted clip: kinematics, angles, gait, vector fields, closures.
+"""Analyse a fitted clip: kinematics, angles, gait, vector fields, closures.
 
-Where the fit gives no uncertainty (the frame method), its joints jitter from frame to frame, and derivatives of the
-exact splines are mostly noise: paths and angles are then smoothed by their own jitter, and all the rest is worked out
-from the smoothed ones.
+A fit without uncertainty (the frame method) has joints that jitter from frame to frame, and the derivatives of exact
+splines through them are mostly noise. Its paths and angles are therefore smoothed by their own jitter, and everything
+else is derived from the smoothed ones.
 
-Errors of a fit with uncertainty are taken for three kinds that last for different times: the animal's size, which puts
-it further from a single camera in every frame alike; the place of the whole animal; and the pose. The latter two change
-as the errors of detections do and as the animal moves: they last for the root of the times of both
-(`lasts_s`), as much longer as makes the deviations of velocities not too small in the mean for real runs (`python
-benchmarks/trajectory.py --only rates`).
+The errors of a fit with uncertainty have three parts that last for different times: the animal's size, which moves it
+away from a single camera in every frame by the same factor; the position of the whole animal; and the pose. The latter
+two change as the errors of detections do and as the animal moves. They last for the geometric mean of the two times
+(`lasts_s`), multiplied by a factor that makes the standard deviations of velocities large enough on average in real
+runs (`python benchmarks/trajectory.py --only rates`).
 """
 
 from __future__ import annotations
@@ -34,43 +34,51 @@ if TYPE_CHECKING:
     import pandas as pd
 
 POSITION_LASTS, POSE_LASTS = 2.0, 0.6
-"""So many times as long as `lasts_s` says errors of the animal's place last, and those of the joints relative to their
-mean. Both are from running cheetahs; for a dog's walk, which is three times slower, they are right to a twentieth."""
+"""Correlation times of the errors of the animal's position, and of those of the joints relative to their mean, in
+units of `lasts_s`. Both come from running cheetahs; they hold to a twentieth for a dog's walk, which is three times
+slower."""
 RUNNING_S = 0.1
-"""What `lasts_s` says of an animal that runs. By that the feet of all stand: with their own the stances of a dog that
-walks come out 5 to 20 % too short."""
+"""`lasts_s` of a running animal. All stances are found with it: with their own value the stances of a walking dog
+come out 5 to 20 % too short."""
 SPEED_KNOWN = 0.1
-"""The standard deviation of a peak speed, relative to it, up to which speeds count as known."""
+"""Largest standard deviation of a peak speed, relative to it, with which speeds count as known."""
 UNSEEN_S = 0.2
-"""For about as long, what was seen before and after says where a foot is; then only how animals of its kind move."""
+"""Time for which detections before and after determine the position of a foot. Beyond it only the prior does."""
 STIFF_RAD = 1e-6
-"""The back of a skeleton has no flexion where the angle changes by less: its joints are on one segment."""
+"""Least change of the back's angle. A skeleton whose angle changes by less has no flexion: its joints are on one
+segment."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ClipAnalysis(Brief):
-    """What a motion of T frames says, each part worked out when it is asked for; N times on the grid of ten times the
-    frame rate. All but the gait's ground needs `MIN_POINTS` frames with a pose, for which `analyse` looks."""
+    """Analysis of a motion of T frames; each part is computed when it is first asked for.
+
+    The fine grid has N times, ten for each frame. All but the gait's ground needs `MIN_POINTS` frames with a pose,
+    which `analyse` checks.
+    """
 
     motion: Motion
     given: Stride | None = None
-    """A stride, if the user gave one."""
+    """Stride that the user gave."""
     body_mass_kg: float | None = None
-    """What the animal weighs, if that is known."""
+    """Mass of the animal, if known."""
 
     @property
     def reference(self) -> str:
-        """The joint that stands for the animal's place."""
+        """Return the joint that stands for the animal's position."""
         return self.motion.reference
 
     @cached_property
     def errors(self) -> Sequence[Errors]:
-        """Errors of the size, the position and the pose, by the jitter where the fit does not give them over time."""
+        """Return the errors of the size, the position and the pose.
+
+        Of the jitter if the fit gives no errors over time.
+        """
         return _errors(self.motion, lasts_s(self.motion.upright.xyz_m, self.motion.fps))
 
     @cached_property
     def pose(self) -> Pose3D:
-        """What angles, gait and fields are worked out from, upright; smoothed where the motion jitters."""
+        """Return the upright pose that angles, gait and fields are derived from; smoothed if the motion jitters."""
         pose = self.motion.upright
         if not self.motion.jitters:
             return pose
@@ -80,68 +88,74 @@ class ClipAnalysis(Brief):
 
     @cached_property
     def reference_motion(self) -> JointKinematics:
-        """The motion of the reference joint, on the fine grid."""
+        """Return the motion of the reference joint on the fine grid."""
         return self.moved(self.reference)
 
     @cached_property
     def joints(self) -> dict[str, JointKinematics]:
-        """The motion of each joint, by its name; but for the reference at the frames only, as it takes much memory."""
-        others = {name: at_frames(self.moved(name)) for name in self.motion.upright.names if name != self.reference}
-        return {name: others.get(name, self.reference_motion) for name in self.motion.upright.names}
+        """Return the motion of each joint by its name.
+
+        All but the reference have values at the frames only, to save memory.
+        """
+        at_rate = {name: at_frames(self.moved(name)) for name in self.motion.upright.names if name != self.reference}
+        return {name: at_rate.get(name, self.reference_motion) for name in self.motion.upright.names}
 
     def moved(self, name: str, with_size: bool = True) -> JointKinematics:
-        """The motion of a joint on the fine grid; its deviations without the size's if that is taken as given."""
+        """Return the motion of a joint on the fine grid.
+
+        with_size: include the uncertainty of the animal's size in the standard deviations.
+        """
         motion = self.motion
         errors = [error for error in self.errors if with_size or error.correlation_s < np.inf]
         return kinematics.joint_kinematics(motion.upright, name, motion.fps, errors, smooth=motion.jitters)
 
     @cached_property
     def angles(self) -> dict[str, AngleKinematics]:
-        """The angle at every inner joint of a chain and the flexion of the spine, where the skeleton has one."""
+        """Return the angle at every inner joint of a chain and the flexion of the spine, if the skeleton has one."""
         # A common displacement of all joints turns none of the angles.
         errors = () if self.motion.jitters else self.errors[-1:]
-        found, fps, (rear, front) = {}, self.motion.fps, self.motion.forward_names
+        result, fps, (rear, front) = {}, self.motion.fps, self.motion.forward_names
         for along in limb_chains(self.motion).values():
             for i in range(1, len(along) - 1):
-                if along[i] not in found:
+                if along[i] not in result:
                     joints = along[i - 1], along[i], along[i + 1]
-                    found[along[i]] = kinematics.joint_angle(self.pose, joints, fps, errors)
+                    result[along[i]] = kinematics.joint_angle(self.pose, joints, fps, errors)
             if {rear, front} <= {*along}:
                 first, last = sorted((along.index(rear), along.index(front)))
-                if between := along[first + 1 : last]:
-                    joints = rear, between[len(between) // 2], front
+                if between_ends := along[first + 1 : last]:
+                    joints = rear, between_ends[len(between_ends) // 2], front
                     if np.ptp(kinematics.joint_angle(self.pose, joints, fps).range_rad) > STIFF_RAD:
-                        found["spine_flexion"] = kinematics.spine_flexion(self.pose, fps, errors, joints)
-        return found
+                        result["spine_flexion"] = kinematics.spine_flexion(self.pose, fps, errors, joints)
+        return result
 
     @cached_property
     def skeleton_angles(self) -> dict[str, AngleKinematics]:
-        """The angles that the fit itself has, by name."""
+        """Return the angles of the fit itself by name."""
         motion = self.motion
         sigma = np.maximum(np.nan_to_num(motion.posture_sigma_rad), 1e-6)
-        stated = [[Errors(of_one, self.errors[-1].correlation_s)] for of_one in sigma.T]
+        stated = [[Errors(column, self.errors[-1].correlation_s)] for column in sigma.T]
         errors = map(kinematics.jitter_errors, motion.posture_rad.T) if motion.jitters else stated
-        of_angles = zip(motion.posture_names, motion.posture_rad.T, errors, strict=True)
+        rows = zip(motion.posture_names, motion.posture_rad.T, errors, strict=True)
         return {
             name: kinematics.angle_kinematics(motion.time_s, angle, errors, smooth=motion.jitters)
-            for name, angle, errors in of_angles
+            for name, angle, errors in rows
         }
 
     @cached_property
     def gait(self) -> Gait | None:
-        """The gait, or None for an animal without feet."""
+        """Return the gait, or None for an animal without feet."""
         motion = self.motion
         if not motion.foot_names:
             return None
         body = BODY if set(BODY) <= {*self.pose.names} else motion.forward_names
-        segments, seen = [segment.rows for segment in motion.segments], _seen(motion, self.pose)
+        segments, seen_pose = [segment.rows for segment in motion.segments], _seen(motion, self.pose)
         errors = _errors(motion, RUNNING_S)
-        tracks = pose_tracks(seen, motion.fps, errors, motion.foot_names, body, segments, restless=motion.jitters)
+        tracks = pose_tracks(seen_pose, motion.fps, errors, motion.foot_names, body, segments, restless=motion.jitters)
         return gait(tracks)
 
     @cached_property
     def standing(self) -> Bools:
-        """(T, F): whether each of the motion's feet stands."""
+        """Return whether each of the motion's feet stands, shape (T, F)."""
         motion = self.motion
         stands = np.zeros((len(motion.frames), len(motion.feet)), dtype=bool)
         if len(stands) >= MIN_POINTS and self.gait is not None:
@@ -152,15 +166,19 @@ class ClipAnalysis(Brief):
 
     @cached_property
     def fields(self) -> dict[str, tuple[phase.LinkField, ...]]:
-        """Vector fields of the links, by limb."""
+        """Return the vector fields of the links by limb."""
         motion, chains, forward = self.motion, limb_chains(self.motion), self.motion.forward_names
-        fields = {limb: phase.pose_vector_field(self.pose, c, motion.fps, forward) for limb, c in chains.items()}
+        fields = {
+            limb: phase.pose_vector_field(self.pose, chain, motion.fps, forward) for limb, chain in chains.items()
+        }
         return _with_sigma(fields, motion, chains, [*self.skeleton_angles.values()])
 
     @cached_property
     def stride(self) -> Stride | None:
-        """The stride that phase portraits are shown for: the one that was given, or the first complete one of the foot
-        with the most; None without."""
+        """Return the stride that phase portraits show, or None.
+
+        The given one, or the first complete stride of the foot with the most strides.
+        """
         if self.given is not None:
             return self.given
         strides = () if self.gait is None else self.gait.strides
@@ -169,21 +187,23 @@ class ClipAnalysis(Brief):
 
     @cached_property
     def dynamics(self) -> Dynamics | None:
-        """Centre of mass, energy and vertical forces; None of a skeleton without masses, or of one side."""
+        """Return centre of mass, energy and vertical forces; None for a skeleton without masses or with one side."""
         return dynamics(self.motion, self.gait, self.errors)
 
     @property
     def net_acceleration_m_s2(self) -> tuple[float, float]:
-        """`net_acceleration` of the reference joint."""
-        points_m, at = self.motion.upright.xyz_m, self.motion.names.index(self.reference)
-        errors = [error[:, at] for error in self.errors]
-        return kinematics.net_acceleration(self.motion.time_s, points_m[:, at], errors)
+        """Return `net_acceleration` of the reference joint."""
+        points_m, index = self.motion.upright.xyz_m, self.motion.names.index(self.reference)
+        errors = [error[:, index] for error in self.errors]
+        return kinematics.net_acceleration(self.motion.time_s, points_m[:, index], errors)
 
     @property
     def speed(self) -> pd.DataFrame:
-        """The speed of the reference joint along its path: speed_m_s, sigma_m_s, and low_m_s and high_m_s, between
-        which it lies with 90 %; by time_s, ten times for each frame. Raises InputError where no speed is known
-        (`why_no_speed`)."""
+        """Return a table of the reference joint's speed along its path, with ten rows for each frame.
+
+        Columns speed_m_s, sigma_m_s, low_m_s and high_m_s (the 90 % interval), indexed by time_s. Raises InputError if
+        the speed is unknown (`why_no_speed`).
+        """
         import pandas as pd
 
         if self.why_no_speed is not None:
@@ -196,13 +216,15 @@ class ClipAnalysis(Brief):
 
     @cached_property
     def not_measured(self) -> tuple[str, ...]:
-        """The fit's angles with less than `MEASURED_SHARE` of their precision from the pixels."""
+        """Return the fit's angles with less than `MEASURED_SHARE` of their precision from the pixels."""
         return tuple(name for name, share in self.motion.data_shares.items() if share < MEASURED_SHARE)
 
     @cached_property
     def why_no_speed(self) -> str | None:
-        """Why no joint's speed is known; None where they are, or where the fit says how uncertain they are. An error of
-        the animal's depth is one of all joints."""
+        """Return why no joint's speed is known; None if it is, or if the fit states its uncertainty.
+
+        An error of the animal's depth is common to all joints.
+        """
         if not self.motion.jitters:
             return None
         peak, sigma = self.reference_motion.peak_speed_m_s, self.reference_motion.peak_speed_sigma_m_s
@@ -210,7 +232,7 @@ class ClipAnalysis(Brief):
 
     @property
     def during_stride(self) -> Bools:
-        """(T,): the frames of `stride`, or without one all."""
+        """Return the frames of `stride`, or all frames without one, shape (T,)."""
         time_s, half = self.motion.time_s, 0.5 / self.motion.fps
         if self.stride is None:
             return np.ones(len(time_s), dtype=bool)
@@ -218,36 +240,49 @@ class ClipAnalysis(Brief):
 
     @cached_property
     def portraits(self) -> dict[str, phase.Portrait]:
-        """Phase portraits of the fit's own angles: over `stride`, or without one over the whole clip."""
+        """Return phase portraits of the fit's own angles over `stride`, or without one over the whole clip."""
         ends = () if self.stride is None else (self.stride.start_s, self.stride.end_s)
         return {name: phase.phase_portrait(angle, *ends) for name, angle in self.skeleton_angles.items()}
 
     @cached_property
     def closures(self) -> dict[str, phase.Closure]:
-        """Degrees of closure of the portraits over `stride`, those without gaps; empty without a stride."""
+        """Return degrees of closure of the portraits without gaps over `stride`; empty without a stride."""
         if self.stride is None:
             return {}
-        known = {n: p for n, p in self.portraits.items() if len(p.time_s) > 1 and np.isfinite(p.rate_rad_s).all()}
-        return {name: phase.closure(portrait) for name, portrait in known.items()}
+        complete = {
+            k: path for k, path in self.portraits.items() if len(path.time_s) > 1 and np.isfinite(path.rate_rad_s).all()
+        }
+        return {name: phase.closure(portrait) for name, portrait in complete.items()}
 
 
 def analyse(motion: Motion, stride_s: tuple[float, float] | None = None) -> ClipAnalysis:
-    """What a motion says.
+    """Return the analysis of a motion.
 
-    stride_s: from when to when a stride lasts; None: one that is found.
+    Parameters
+    ----------
+    motion : Motion
+        A fitted clip.
+    stride_s : tuple of float, optional
+        Start and end of the stride that phase portraits show, s. None: the first complete stride that is found.
 
-    Raises InputError for a clip with fewer than four frames with a pose, or a stride that it does not hold.
+    Raises
+    ------
+    InputError
+        If fewer than four frames have a pose, or the stride does not lie in the clip.
     """
     given = None if stride_s is None else stride_given(motion, stride_s)
-    known = np.isfinite(motion.upright.xyz_m).all(axis=(1, 2))
-    if known.sum() < MIN_POINTS:
-        found = f"{known.sum()} frames with a pose"
-        raise InputError(Problem(motion.file, "frames", found, f"at least {MIN_POINTS}"))
+    is_known = np.isfinite(motion.upright.xyz_m).all(axis=(1, 2))
+    if is_known.sum() < MIN_POINTS:
+        pose_count = f"{is_known.sum()} frames with a pose"
+        raise InputError(Problem(motion.file, "frames", pose_count, f"at least {MIN_POINTS}"))
     return ClipAnalysis(motion, given)
 
 
 def stride_given(motion: Motion, stride_s: tuple[float, float]) -> Stride:
-    """As `--stride` gives it, of no foot. Raises InputError for times that are not in the clip."""
+    """Return the stride of `--stride`, which belongs to no foot.
+
+    Raises InputError for times that are not in the clip.
+    """
     start_s, end_s = stride_s
     first_s, last_s = motion.time_s[[0, -1]]
     slack = 0.5 / motion.fps
@@ -258,15 +293,18 @@ def stride_given(motion: Motion, stride_s: tuple[float, float]) -> Stride:
 
 
 def limb_chains(motion: Motion) -> dict[str, tuple[str, ...]]:
-    """The joints along every limb that hangs on the trunk, at least three, begun with the trunk's joint before it, so
-    that the limb's first link has a parent; and the trunk itself."""
+    """Return the joints along every limb that hangs on the trunk, and along the trunk itself.
+
+    Chains have at least three joints. A limb's begins with the trunk's joint before it, so that the limb's first link
+    has a parent.
+    """
     limbs = {limb: tuple(motion.names[j] for j in along) for limb, along in motion.limbs.items()}
     trunk = next((along for along in limbs.values() if set(motion.forward_names) <= {*along}), motion.forward_names)
     chains = {}
     for limb, along in limbs.items():
         if along[0] in trunk and along != trunk:
-            at = trunk.index(along[0])
-            along = (trunk[at - 1] if at else trunk[1], *along)
+            index = trunk.index(along[0])
+            along = (trunk[index - 1] if index else trunk[1], *along)
         elif along != trunk:
             continue
         if len(along) > 2:
@@ -291,15 +329,17 @@ def _errors(motion: Motion, last_s: float) -> Sequence[Errors]:
 
 
 def lasts_s(xyz_m: Array, fps: float) -> float:
-    """The root of the times for which errors of detections last and in which the pose (T, J, 3) changes, the latter at
-    most as long: the root mean square of how far joints are, relative to their mean, from where they are on average,
-    over that of how fast they are."""
+    """Return the geometric mean of the correlation time of detections' errors and the time in which the pose changes.
+
+    The latter, at most as long, is the root mean square distance of the joints of the pose (T, J, 3), relative to their
+    mean, from their average position, divided by that of their speed.
+    """
     from_mean_m = xyz_m - xyz_m.mean(axis=1, keepdims=True)
     speed_m_s = fps * np.diff(from_mean_m, axis=0)
     if not np.isfinite(speed_m_s).any():
         return constants.ERROR_TIME_S
-    far_m = from_mean_m - np.nanmean(from_mean_m, axis=0)
-    changes_s = np.sqrt(np.nanmean(far_m**2) / max(np.nanmean(speed_m_s**2), 1e-12))
+    deviation_m = from_mean_m - np.nanmean(from_mean_m, axis=0)
+    changes_s = np.sqrt(np.nanmean(deviation_m**2) / max(np.nanmean(speed_m_s**2), 1e-12))
     return float(np.sqrt(constants.ERROR_TIME_S * min(changes_s, constants.ERROR_TIME_S)))
 
 
@@ -309,19 +349,19 @@ def _with_sigma(
     chains: Mapping[str, tuple[str, ...]],
     angles: Sequence[AngleKinematics],
 ) -> dict[str, tuple[phase.LinkField, ...]]:
-    """Fields with what the errors of the angles' rates mean for them, each angle's on its own."""
+    """Return the fields with standard deviations from the errors of the angles' rates, each angle's independent."""
     rates = [angle.series.rate_sigma for angle in angles]
     names, step = motion.names, 1e-5
     moved: dict[str, list[Array]] = {limb: [] for limb in chains}
     for k, (angle, rate) in enumerate(zip(angles, rates, strict=True)):
-        by = step * (np.arange(motion.states.shape[1]) == 4 + k)
-        joints = [motion.body.tree.pose(motion.states + way, motion.size).points_m for way in (-by, by)]
+        shift = step * (np.arange(motion.states.shape[1]) == 4 + k)
+        joints = [motion.body.tree.pose(motion.states + change, motion.size).points_m for change in (-shift, shift)]
         rear, front = (names.index(joint) for joint in motion.forward_names)
-        turned = (joints[0] != joints[1]).any(axis=(0, 2))
+        is_turned = (joints[0] != joints[1]).any(axis=(0, 2))
         for limb, chain in chains.items():
-            at = [names.index(joint) for joint in chain]
-            if turned[[*at, rear, front]].any():
-                before, after = (phase.tips(points[:, at], points[:, front] - points[:, rear]) for points in joints)
+            rows = [names.index(joint) for joint in chain]
+            if is_turned[[*rows, rear, front]].any():
+                before, after = (phase.tips(points[:, rows], points[:, front] - points[:, rear]) for points in joints)
                 per_rad = (after - before) / (2 * step)
                 moved[limb].append(per_rad * rate[:: angle.series.oversampling, :, None])
     return {
@@ -331,14 +371,14 @@ def _with_sigma(
 
 
 def _seen(motion: Motion, pose: Pose3D) -> Pose3D:
-    """Without the feet while no camera sees them or the joint above them for more than `UNSEEN_S`."""
+    """Return the pose without a foot while no camera sees it or the joint above it for more than `UNSEEN_S`."""
     xyz_m = pose.xyz_m.copy()
     for joint in motion.foot_names.values():
         foot = motion.names.index(joint)
         limb = next(limb for limb in motion.limbs.values() if foot in limb)
         end = [*limb[max(limb.index(foot) - 1, 0) : limb.index(foot) + 1]]
-        seen = np.any([picture.present[:, end].any(axis=1) for picture in motion.pictures], axis=0)
-        for first, stop in frame_ranges(np.flatnonzero(~seen)):
+        is_seen = np.any([picture.present[:, end].any(axis=1) for picture in motion.pictures], axis=0)
+        for first, stop in frame_ranges(np.flatnonzero(~is_seen)):
             if stop - first > UNSEEN_S * motion.fps:
                 xyz_m[first:stop, pose.names.index(joint)] = np.nan
     return replace(pose, xyz_m=xyz_m)

@@ -1,36 +1,37 @@
-"""Gait: stances, strides, duty factors, footfall order and the gait's name.
+"""Find stances, strides, duty factors, the footfall order and the name of the gait.
 
-Feet are LH, RH, LF, RF (left and right, hind and fore). World frame, z up, metres; the ground may lie anywhere and
-slope. Paths are cubic splines on a grid of ten times the frame rate (`recon.gait.kinematics`), and so are the
-events' times. The body is the mean of `body`'s joints.
+Feet are LH, RH, LF, RF (left and right, hind and fore). The world frame has z up and metres; the ground may lie at any
+height and may slope. Paths are cubic splines on a grid of ten times the frame rate (`recon.gait.kinematics`), and
+events are timed on the same grid. The mean of `body`'s joints stands for the body.
 
-Stances: a foot may stand where its speed over the ground is below `SLOW[1]` of its own speed in the swing and its
-height below `LOW[1]` of the leg's length; such a time is a stance if at least one instant in it is below `SLOW[0]` and
-`LOW[0]` too (hysteresis). The stance lasts from the first instant in it below `LANDS` (`SLOW[0]` where it never is) to
-the last below `LIFTS`: a foot lands flat, and rolls over its toes before it lifts. A foot's speed in the swing is its
-95th percentile, or `SWING` times the body's mean speed where a clip shows less of it: at a gallop that is twice the
-body's speed and at a walk four times, because the swing is short or long. Held against the body's speed, one threshold
-cannot be right for both. The marker lies some centimetres above the sole and rises with the heel while the foot stands,
-hence 0.15 of the leg (9 cm of 0.6 m) to count as low at all, and 0.3 for the end of the push-off. A foot that stands
-seems to move by what the speed's error is, `SPEED_ERROR` of its stated deviation, whose square is taken off first.
-Stances shorter than `MIN_STANCE_S` are noise. The ground is a plane through the slow feet's positions, fitted with
-Tukey weights; clips of a few strides hardly fix its slope across the track, so that slopes have a prior of 0 +-
-`SLOPE_SIGMA`. Every segment of a clip, a stretch that was reconstructed by itself, has a plane of its own. Where no
-foot is slow, or the slow ones are `LOW[0]` of the leg off a plane, the ground cannot be told, and there are no stances.
+Stances: a foot may stand while its speed over the ground is below `SLOW[1]` of its own speed in the swing and its
+height is below `LOW[1]` of the leg's length. Such a time is a stance if at least one instant in it is below `SLOW[0]`
+and `LOW[0]` too (hysteresis). The stance lasts from the first instant below `LANDS` (`SLOW[0]` if no instant is below
+`LANDS`) to the last below `LIFTS`: a foot lands flat and rolls over its toes before it lifts. A foot's speed in the
+swing is its 95th percentile, or `SWING` times the body's mean speed if the clip shows less. This speed is twice the
+body's at a gallop and four times the body's at a walk, because the swing is short or long, so that one threshold
+relative to the body's speed cannot be right for both. The marker lies some centimetres above the sole and rises with
+the heel during the stance; hence 0.15 of the leg (9 cm of 0.6 m) for a low foot, and 0.3 for the end of the push-off. A
+standing foot seems to move by the error of its speed, `SPEED_ERROR` of the stated standard deviation, whose square is
+subtracted first. Stances shorter than `MIN_STANCE_S` are noise. The ground is a plane through the positions of the slow
+feet, fitted with Tukey weights. Clips of a few strides hardly determine its slope across the track, so the slopes have
+a prior of 0 ± `SLOPE_SIGMA`. Every segment of a clip, a stretch that was reconstructed by itself, has a plane of its
+own. If no foot is slow, or if the slow feet are `LOW[0]` of the leg away from a plane, the ground is unknown and there
+are no stances.
 
-Events' standard deviations: a foot's speed is known to what the path's errors leave, as much of their stated deviation
-as standing feet seem to move by in nine of ten instants (`Tracks.unrest`); and the speed at which it lands or lifts to
-`EVENT_SIGMAS` of that in the swing. Both over the foot's acceleration at the event are a time. No event is further off
-than the stance's middle. What stances and intervals are worth against force plates and motion capture:
-`benchmarks/gait.py`.
+Standard deviations of events: the uncertainty of a foot's speed has two parts. One is the path's error, scaled to the
+speed below which standing feet seem to move in nine of ten instants (`Tracks.unrest`). The other is the landing or
+lift-off threshold itself, `EVENT_SIGMAS` of the speed in the swing. Divided by the foot's acceleration at the event,
+their sum is a time. No event is further off than the middle of the stance. `benchmarks/gait.py` compares stances and
+intervals with force plates and motion capture.
 
-The leg's length is the body's median height above the ground, the length of Froude numbers.
+The leg's length is the median height of the body above the ground, which is the length in Froude numbers.
 
-Strides: across half a stride or more in which all four feet stand there is none: the animal stands still. A stance
-that was missed makes two strides one, and a stance that was cut makes one two. A stride counts if it is within `AGREE`
-of the median of all feet's strides at its time, or, where it is alone, of those before and after it. How long a stride
-lasts is the mean of those that count or, in a clip without any, the period of the feet's motion relative to the body,
-if the clip holds enough of it.
+Strides: an animal whose four feet all stand for half a stride or more stands still, and that time is no stride. A
+missed stance joins two strides into one, and a stance that is cut in two splits one stride. A stride counts if its
+duration is within `AGREE` of the median over all feet's strides at its time or, without such strides, over the strides
+before and after. The stride's duration is the mean over the strides that count or, in a clip without any, the period of
+the feet's motion relative to the body, if the clip holds enough of it.
 """
 
 from __future__ import annotations
@@ -57,38 +58,39 @@ OVERSAMPLING = 10
 MAX_GAP_S = 0.05
 """Longer gaps of a foot or the body are not bridged: they could hide a touchdown."""
 SLOW, SWING = (0.16, 0.32), 1.3
-"""Speed over the ground of a standing foot, of its speed in the swing: surely, and at most; and the least speed in the
-swing, of the body's."""
+"""Speed of a standing foot over the ground, relative to its speed in the swing: certainly standing, and at most; and
+the least speed in the swing, relative to the body's."""
 LANDS, LIFTS, EVENT_SIGMAS = 0.12, 0.22, (0.05, 0.1)
-"""The same when it lands and when it lifts, against force plates, and one standard deviation of each."""
+"""Relative speed at touch-down and at lift-off, fitted to force plates, and one standard deviation of each."""
 SPEED_ERROR = 0.6
-"""How much of its speed's stated deviation a standing foot seems to move by: `benchmarks/gait.py --held-out` chooses it
-by the stances of two of three kinds of recordings, and times the third with it."""
+"""Apparent speed of a standing foot, in standard deviations of its speed. `benchmarks/gait.py --held-out` chooses
+the value on two of three kinds of recordings and times the third with it."""
 LOW = (0.15, 0.3)
-"""Height of a standing foot above the ground, leg lengths: surely, and at most."""
+"""Height of a standing foot above the ground in leg lengths: certainly standing, and at most."""
 INTERVAL = 0.9
-"""What the intervals of times and duty factors hold."""
+"""Probability that the intervals of times and duty factors cover."""
 MIN_STANCE_S = 0.02
 """Far below a galloping cheetah's stances, some 0.06 s."""
 SLOPE_SIGMA, HEIGHT_SIGMA_M = 0.1, 0.03
-"""One sigma of the ground's slopes, and of a standing foot's marker about the plane."""
+"""One standard deviation of the ground's slopes, and of a standing foot's marker about the plane."""
 
 PERIOD_OF_CLIP, PERIOD_SIGMA, PERIODIC = (0.5, 1 / 0.6), 0.08, 0.9
-"""A stride that is longer than half of a clip without a complete one, of the clip's time; one standard deviation of a
-period so found, relative to it, of a dog's strides cut to 0.7 to 1.2 of their time; and the least share of the feet's
-motion that it has to explain."""
+"""Shortest and longest period searched for in a clip without a complete stride, relative to its duration; one
+standard deviation of the result, relative to it, measured on a dog's strides cut to 0.7 to 1.2 of their duration;
+and the least share of the feet's motion that the period has to explain."""
 AGREE = 0.2
-"""A stride that misses a stance is twice as long; the ends of a right one are off by two frames of some ten at most."""
+"""Tolerance of a stride's duration: a stride that misses a stance is twice as long, and the ends of a correct one
+are off by two of some ten frames at most."""
 
 TOGETHER = 0.05
-"""Two feet of a pair land together if less than this of a stride lies between: bound."""
+"""Two feet of a pair land together if their touch-downs are less than this share of a stride apart: bound."""
 ALTERNATE = 0.4
-"""They alternate if at least this lies between (0.5 is exact): a symmetrical gait."""
+"""They alternate if they are at least this share apart (0.5 is exact): a symmetrical gait."""
 IN_PHASE = 0.125
-"""Trot and pace: how far the fore foot may be from its diagonal or same-sided hind foot (Hildebrand's eighths)."""
+"""Trot and pace: largest phase of the fore foot against its diagonal or same-sided hind foot (Hildebrand's eighths)."""
 STEADY, MOST = 0.5, 2 / 3
-"""What makes a gait of strides: mean resultant length of the phases; and the share of strides with a duty factor above
-a half, of a walk, or below, of a run."""
+"""Least mean resultant length of a steady phase; and the share of strides with a duty factor above one half that
+makes a walk, or below that makes a run."""
 
 
 @dataclass(frozen=True)
@@ -103,32 +105,33 @@ class Stance:
     end_frame: float
     """Counts rows of the clip and has fractions."""
     begins: bool = True
-    """False where the clip, or a gap in it, cuts the beginning, so that the time is only a bound."""
+    """False if the clip, or a gap in it, cuts the beginning, so that the time is only a bound."""
     ends: bool = True
-    """The same of the end."""
+    """False if the clip, or a gap in it, cuts the end."""
     start_sigma_s: float = np.nan
-    """One standard deviation, NaN where the clip cuts the beginning."""
+    """One standard deviation, NaN if the clip cuts the beginning."""
     end_sigma_s: float = np.nan
-    """The same of the end."""
+    """One standard deviation, NaN if the clip cuts the end."""
 
     @property
     def duration_s(self) -> float:
+        """Return how long the foot stands, s."""
         return self.end_s - self.start_s
 
     @property
     def start_interval_s(self) -> tuple[float, float]:
-        """Holds the touch-down with `INTERVAL`; NaN where the clip cuts it."""
+        """Return the interval of the touch-down, which covers `INTERVAL`; NaN if the clip cuts the touch-down."""
         return interval_of(self.start_s, self.start_sigma_s)[1:]
 
     @property
     def end_interval_s(self) -> tuple[float, float]:
-        """Holds the lift-off with `INTERVAL`; NaN where the clip cuts it."""
+        """Return the interval of the lift-off, which covers `INTERVAL`; NaN if the clip cuts the lift-off."""
         return interval_of(self.end_s, self.end_sigma_s)[1:]
 
 
 @dataclass(frozen=True)
 class Plane:
-    """Ground z = height_m + slope[0] (x - x0) + slope[1] (y - y0), through the middle (x0, y0) of the slow feet."""
+    """Ground z = height_m + slope[0] (x - x0) + slope[1] (y - y0), with (x0, y0) in the middle of the slow feet."""
 
     middle_m: tuple[float, float]
     height_m: float
@@ -136,17 +139,17 @@ class Plane:
     spread_m: float
     """Robust standard deviation of the slow feet about it."""
     samples: int
-    """Their number (fine grid), 0 if there was no slow foot and the plane is level, through the lowest position of
-    any foot."""
+    """Number of samples of slow feet (fine grid). 0: no foot was slow, and the plane is level through the lowest
+    position of any foot."""
 
     def above(self, xyz_m: Array) -> Array:
-        """Heights (...) of points (..., 3) above the plane."""
+        """Return the heights (...) of points (..., 3) above the plane."""
         return xyz_m[..., 2] - self.height_m - (xyz_m[..., :2] - self.middle_m) @ np.array(self.slope)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Tracks(Brief):
-    """The feet's and the body's motion on the fine grid, N times, F feet; NaN where unknown."""
+    """Motion of the F feet and of the body at the N times of the fine grid; NaN where unknown."""
 
     feet: tuple[str, ...]
     time_s: Array
@@ -158,87 +161,97 @@ class Tracks(Brief):
     foot_speed_m_s: Array
     """The horizontal speeds of the feet, shape (N, F)."""
     foot_speed_sigma_m_s: Array
-    """(N, F): one standard deviation; 0 of paths without errors."""
+    """One standard deviation of the feet's speeds, shape (N, F); 0 for paths without errors."""
     body_speed_m_s: Array
     """The horizontal speed of the body, shape (N,)."""
     slow_m_s: Array
-    """(4, F): below which speed each foot surely stands, may stand at most, has landed, and has not lifted."""
+    """Speeds (4, F) below which each foot certainly stands, stands at most, has landed, and has not lifted."""
     swing_m_s: Array
-    """(F,): each foot's speed in the swing, above that at rest."""
+    """Each foot's speed in the swing above its speed at rest, shape (F,)."""
     height_m: Array
-    """(N, F): above the ground."""
+    """Heights of the feet above the ground, shape (N, F)."""
     grounds: tuple[tuple[slice, Plane], ...]
-    """The clip's rows and the plane under the feet in them, one for every segment of the clip."""
+    """Rows of the clip and the plane under the feet in them, one pair for every segment of the clip."""
     leg_m: float
 
     @cached_property
     def unrest(self) -> float:
-        """The speed that nine in ten instants of standing feet stay below, of its stated deviation; 1 without any."""
+        """Return the speed below which standing feet stay in nine of ten instants, relative to its standard deviation.
+
+        1 if no foot stands.
+        """
         rest = (self.foot_speed_m_s < self.slow_m_s[0]) & (self.height_m < LOW[0] * self.leg_m)
         rest &= self.foot_speed_sigma_m_s > 0
         relative = self.foot_speed_m_s[rest] / self.foot_speed_sigma_m_s[rest]
         return float(np.quantile(relative, 0.9)) if len(relative) else 1.0
 
     def above_ground(self, xyz_m: Array) -> Array:
-        """Heights (N, ...) of points (N, ..., 3), each above its segment's ground; NaN outside of all."""
+        """Return the heights (N, ...) of points (N, ..., 3) above their segment's ground; NaN outside all segments."""
         return _above(self.grounds, xyz_m)
 
 
 @dataclass(frozen=True)
 class Stride:
-    """From one touchdown of a foot to its next, or from one lift-off to the next where the clip holds no two
-    touchdowns. One that is given is of no foot, length and duty factor NaN."""
+    """Time from one touch-down of a foot to its next.
+
+    It goes from one lift-off to the next if the clip holds no two touch-downs of the foot. A stride given by the user
+    belongs to no foot; its length and duty factor are NaN.
+    """
 
     foot: str
     start_s: float
     end_s: float
     length_m: float
-    """How far the body travels horizontally in the stride."""
+    """Horizontal distance that the body travels in the stride."""
     duty_factor: float
-    """The duty factor of its stance, which lies in the clip from its beginning to its end."""
+    """Share of the stride for which the foot stands; the clip holds that stance from beginning to end."""
     duty_sigma: float
-    """One standard deviation of it."""
+    """One standard deviation of the duty factor."""
     at: Literal["touchdown", "lift-off", "given"]
-    """What it goes from and to."""
+    """Event at which the stride begins and ends."""
     others_s: float = np.nan
-    """For a stride that does not count: how long the strides of all feet around its time last, median."""
+    """Median duration of all feet's strides around its time, for a stride that does not count."""
 
     @property
     def duration_s(self) -> float:
+        """Return the duration of the stride, s."""
         return self.end_s - self.start_s
 
     @property
     def frequency_hz(self) -> float:
+        """Return the number of strides a second."""
         return 1.0 / self.duration_s
 
 
 @dataclass(frozen=True, repr=False)
 class _GaitName(Brief):
-    """What a gait is called."""
+    """Name of a gait and the reasons for it."""
 
     name: str
     """walk, trot, pace, bound, half-bound, rotary gallop, transverse gallop, or unknown."""
     criterion: str
-    """What it was decided on."""
+    """What decided the name."""
     phase: Mapping[str, float]
-    """Each foot's touchdown after the first foot's, in strides, [0, 1)."""
+    """Each foot's touch-down after the first foot's, in strides, [0, 1)."""
     duty_factor: float
-    """Median over the strides, which one that was cut does not move, or NaN."""
+    """Median over the strides, which one cut stance does not move; NaN without strides."""
     duty_sigma: float
-    """One standard deviation of it, or NaN. What shifts a foot's events shifts them alike in all its strides, so that
-    the feet count, not the strides."""
+    """One standard deviation of the duty factor, NaN without strides. A foot's events are shifted equally in all its
+    strides, so the number of feet counts and not that of strides."""
 
     @property
     def duty_interval(self) -> tuple[float, float]:
-        """Holds the duty factor with `INTERVAL`."""
+        """Return the interval of the duty factor that covers `INTERVAL`."""
         _, low, high = interval_of(self.duty_factor, self.duty_sigma)
         return max(low, 0.0), min(high, 1.0)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Gait(Brief):
-    """The gait of a clip. Lengths and frequencies are means over complete strides, duty factors medians; NaN without
-    any."""
+    """Gait of a clip.
+
+    Lengths and frequencies are means over complete strides, duty factors medians; all are NaN without complete strides.
+    """
 
     tracks: Tracks
     stances: tuple[Stance, ...]
@@ -248,29 +261,46 @@ class Gait(Brief):
     stride_length_m: float
     stride_frequency_hz: float
     stride_s: float
-    """How long a stride lasts: of complete ones, or by the pose's period; NaN where neither is known."""
+    """Duration of a stride, from complete strides or the pose's period; NaN if neither is known."""
     stride_sigma_s: float
-    """One standard deviation of it."""
+    """One standard deviation of the duration."""
     duty_factor: Mapping[str, float]
     speed_m_s: float
     name: _GaitName
     doubtful: tuple[Stride, ...] = ()
-    """Strides that the other feet's speak against; none of them is in `strides`."""
+    """Strides whose duration the other feet contradict; none of them is in `strides`."""
 
     def stride_time(self, start_s: float, end_s: float) -> tuple[float, float]:
-        """How long the strides of a time last, and one standard deviation; the clip's where none is complete there."""
+        """Return the mean duration of the strides around a time and its standard deviation.
+
+        The clip's if none is complete there.
+        """
         near = [stride for stride in self.strides if stride.start_s < end_s and stride.end_s > start_s]
         return _mean_time(near, 1) if near else (self.stride_s, self.stride_sigma_s)
 
 
 def interval_of(value: Any, sigma: Any) -> tuple[Any, Any, Any]:
-    """A value, or an array of them, and what holds it with `INTERVAL`."""
+    """Return a value and the ends of its interval, which covers `INTERVAL`.
+
+    Parameters
+    ----------
+    value, sigma : float or ndarray
+        The value and its standard deviation, in the same unit.
+
+    Returns
+    -------
+    value, low, high : tuple
+        The value, unchanged, and the two ends.
+    """
     reach = radius(INTERVAL) * sigma
     return value, value - reach, value + reach
 
 
 def interval_text(value: float, sigma: float, unit: str, sign: str = "") -> str:
-    """As in 16.2 m/s (90 %: 14.2 to 18.1); the value alone where sigma is NaN. sign: + with a sign."""
+    """Format a value with its interval, as in "16.2 m/s (90 %: 14.2 to 18.1)"; without sigma the value alone.
+
+    sign: "+" to write the sign of positive values.
+    """
     _, low, high = interval_of(value, sigma)
     form = sign + decimals(max(abs(value), -low, high))
     return f"{value:{form}} {unit}" + f" (90 %: {low:{form}} to {high:{form}})" * (not np.isnan(sigma))
@@ -288,13 +318,33 @@ def pose_tracks(
     segments: Sequence[slice] = (slice(None),),
     restless: bool = False,
 ) -> Tracks:
-    """The tracks of a pose of T frames, metres, z up, NaN where missing, with errors (T, J, 3) that add up.
+    """Return the motion of the feet and the body on the fine grid.
 
-    feet: joint of each foot, by LH, RH, LF, RF; body: joints whose mean stands for the body. segments: rows that have a
-    ground of their own. restless: feet seem to move even when they stand, of poses that jitter; how fast, their own
-    10th percentile says. Raises InputError with every joint that the pose lacks, ValueError.
+    Parameters
+    ----------
+    pose : Pose3D
+        T frames, metres, z up, NaN where missing.
+    fps : float
+        Frames a second.
+    errors : sequence of Errors
+        Errors (T, J, 3) of the positions, metres, which add up.
+    feet : mapping
+        Joint of each foot, by LH, RH, LF, RF.
+    body : tuple of str
+        Joints whose mean stands for the body.
+    segments : sequence of slice
+        Rows that have a ground of their own.
+    restless : bool
+        True for poses that jitter: standing feet seem to move, at the 10th percentile of their speed.
+
+    Raises
+    ------
+    InputError
+        Names every joint that the pose lacks.
+    ValueError
+        If there are fewer than `MIN_POINTS` frames.
     """
-    where, n = kinematics.joint_index(pose, (*feet.values(), *body)), len(feet)
+    joint_rows, foot_count = kinematics.joint_index(pose, (*feet.values(), *body)), len(feet)
     time_s = kinematics.frame_times(pose.frames, fps)
     if len(time_s) < MIN_POINTS:
         raise ValueError(f"a gait needs at least {MIN_POINTS} frames, got {len(time_s)}")
@@ -304,25 +354,27 @@ def pose_tracks(
 
     def foot_path(at: int) -> tuple[Array, Array, Array]:
         """Positions, speeds and their deviations, of one foot after the other: a path of a long clip is large."""
-        found = path(pose.xyz_m[:, at], [error[:, at] for error in errors])
-        velocity, speed = found.rate[:, :2], np.linalg.norm(found.rate[:, :2], axis=1)
-        deviation = (found.rate_sigma if len(errors) else 0 * found.rate)[:, :2]
-        return found.value, speed, np.linalg.norm(velocity / np.maximum(speed, 1e-9)[:, None] * deviation, axis=1)
+        series = path(pose.xyz_m[:, at], [error[:, at] for error in errors])
+        velocity, speed = series.rate[:, :2], np.linalg.norm(series.rate[:, :2], axis=1)
+        deviation = (series.rate_sigma if len(errors) else 0 * series.rate)[:, :2]
+        return series.value, speed, np.linalg.norm(velocity / np.maximum(speed, 1e-9)[:, None] * deviation, axis=1)
 
-    foot, foot_speed, foot_speed_sigma = (np.stack(of, axis=1) for of in zip(*map(foot_path, where[:n]), strict=True))
-    middle = path(pose.xyz_m[:, where[n:]].mean(axis=1))
-    body_speed = np.linalg.norm(middle.rate[:, :2], axis=1)
-    seen = [of[np.isfinite(of)] if np.isfinite(of).any() else np.zeros(1) for of in foot_speed.T]
-    rest, fast = np.array([np.percentile(of, (10, 95)) for of in seen]).T * [[restless], [1]]
+    foot, foot_speed, foot_speed_sigma = (
+        np.stack(of, axis=1) for of in zip(*map(foot_path, joint_rows[:foot_count]), strict=True)
+    )
+    body_path = path(pose.xyz_m[:, joint_rows[foot_count:]].mean(axis=1))
+    body_speed = np.linalg.norm(body_path.rate[:, :2], axis=1)
+    known_speeds = [of[np.isfinite(of)] if np.isfinite(of).any() else np.zeros(1) for of in foot_speed.T]
+    rest, fast = np.array([np.percentile(of, (10, 95)) for of in known_speeds]).T * [[restless], [1]]
     swing_m_s = np.maximum(fast, SWING * mean(body_speed)) - rest
     slow_m_s = rest + np.multiply.outer((*SLOW, LANDS, LIFTS), swing_m_s)
     slow = foot_speed < slow_m_s[0]
     grounds = tuple((rows, ground_plane(foot[_fine(rows)], slow[_fine(rows)])) for rows in segments)
     return Tracks(
         feet=tuple(feet),
-        time_s=middle.time_s,
+        time_s=body_path.time_s,
         foot_m=foot,
-        body_m=middle.value,
+        body_m=body_path.value,
         foot_speed_m_s=foot_speed,
         foot_speed_sigma_m_s=foot_speed_sigma,
         body_speed_m_s=body_speed,
@@ -330,12 +382,12 @@ def pose_tracks(
         swing_m_s=swing_m_s,
         height_m=_above(grounds, foot),
         grounds=grounds,
-        leg_m=median(_above(grounds, middle.value)),
+        leg_m=median(_above(grounds, body_path.value)),
     )
 
 
 def _fine(rows: slice) -> slice:
-    """The fine grid, from the first of the clip's rows to the last."""
+    """Return the rows of the fine grid between the first and the last of the clip's rows."""
     return slice((rows.start or 0) * OVERSAMPLING, None if rows.stop is None else (rows.stop - 1) * OVERSAMPLING + 1)
 
 
@@ -347,8 +399,11 @@ def _above(grounds: Sequence[tuple[slice, Plane]], xyz_m: Array) -> Array:
 
 
 def ground_plane(foot_m: Array, slow: Bools) -> Plane:
-    """The plane through the feet (N, F, 3) where they are slow (N, F), by least squares with Tukey's weights and a
-    prior on its slopes; without any the level through the lowest position."""
+    """Fit a plane to the feet (N, F, 3) where they are slow (N, F).
+
+    Least squares with Tukey's weights and a prior on the slopes. If no foot is slow, the plane is level through the
+    lowest position.
+    """
     points_m = foot_m[slow]
     if not len(points_m):
         lowest = float(np.nanmin(foot_m[..., 2])) if np.isfinite(foot_m).any() else np.nan
@@ -362,10 +417,10 @@ def ground_plane(foot_m: Array, slow: Bools) -> Plane:
     for _ in range(20):
         normal = design.T @ (weight[:, None] * design) / OVERSAMPLING + prior
         parameters = np.linalg.solve(normal, design.T @ (weight * points_m[:, 2]) / OVERSAMPLING)
-        off = points_m[:, 2] - design @ parameters
-        spread = float(np.median(np.abs(off)) / 0.6745)
-        limit = 4.685 * max(spread, HEIGHT_SIGMA_M)
-        weight = np.where(np.abs(off) < limit, (1 - (off / limit) ** 2) ** 2, 0.0)
+        residual_m = points_m[:, 2] - design @ parameters
+        spread = float(np.median(np.abs(residual_m)) / 0.6745)
+        cutoff_m = 4.685 * max(spread, HEIGHT_SIGMA_M)
+        weight = np.where(np.abs(residual_m) < cutoff_m, (1 - (residual_m / cutoff_m) ** 2) ** 2, 0.0)
     (x, y), (height, along_x, along_y) = middle.tolist(), parameters.tolist()
     return Plane((x, y), height, (along_x, along_y), spread, len(points_m))
 
@@ -374,15 +429,15 @@ def ground_plane(foot_m: Array, slow: Bools) -> Plane:
 
 
 def stances(moved: Tracks) -> tuple[Stance, ...]:
-    """All feet's stances in the order of their beginnings (see the module); none where the ground cannot be told."""
+    """Return all feet's stances in the order of their beginnings; none if the ground is unknown."""
     if why_no_ground(moved):
         return ()
-    found = [s for k in range(len(moved.feet)) for s in _stances_of(moved, k)]
-    return tuple(sorted(found, key=lambda s: (s.start_s, s.foot)))
+    result = [s for k in range(len(moved.feet)) for s in _stances_of(moved, k)]
+    return tuple(sorted(result, key=lambda s: (s.start_s, s.foot)))
 
 
 def why_no_ground(moved: Tracks) -> str | None:
-    """Why the ground under the feet cannot be told; None where it can."""
+    """Return why the ground under the feet is unknown, or None if it is known."""
     planes = [plane for _, plane in moved.grounds if plane.samples]
     if not planes:
         return "the ground is not known: no foot is slow enough to stand"
@@ -393,126 +448,141 @@ def why_no_ground(moved: Tracks) -> str | None:
 
 
 def _stances_of(moved: Tracks, k: int) -> list[Stance]:
-    off, height = SPEED_ERROR * moved.foot_speed_sigma_m_s[:, k], moved.height_m[:, k]
-    speed = np.sqrt(np.maximum(moved.foot_speed_m_s[:, k] ** 2 - off**2, 0.0))
-    surely, at_most, lands, lifts = moved.slow_m_s[:, k]
-    still = np.flatnonzero(speed < surely)
-    sure = still[height[still] < LOW[0] * moved.leg_m]
-    known = np.pad(np.isfinite(speed), 1)  # by the index after
-    found = []
-    slow = np.less(speed, at_most) & np.less(height, LOW[1] * moved.leg_m)
-    for first, end in frame_ranges(np.flatnonzero(slow)):
-        if np.any((sure >= first) & (sure < end)):
+    speed_error, height = SPEED_ERROR * moved.foot_speed_sigma_m_s[:, k], moved.height_m[:, k]
+    speed = np.sqrt(np.maximum(moved.foot_speed_m_s[:, k] ** 2 - speed_error**2, 0.0))
+    certain_speed, largest_speed, landing_speed, lifting_speed = moved.slow_m_s[:, k]
+    slow_rows = np.flatnonzero(speed < certain_speed)
+    certain_rows = slow_rows[height[slow_rows] < LOW[0] * moved.leg_m]
+    is_known = np.pad(np.isfinite(speed), 1)  # by the index after
+    result = []
+    may_stand = np.less(speed, largest_speed) & np.less(height, LOW[1] * moved.leg_m)
+    for first, end in frame_ranges(np.flatnonzero(may_stand)):
+        if np.any((certain_rows >= first) & (certain_rows < end)):
             within = speed[first:end]
-            landed = within < (lands if within.min() < lands else surely)
-            a, b = first + int(landed.argmax()), end - 1 - int((within < lifts)[::-1].argmax())
-            seen = bool(a > first or known[first]), bool(b < end - 1 or known[end + 1])
-            start_s, end_s = (float(moved.time_s[i]) for i in (a, b))
+            has_landed = within < (landing_speed if within.min() < landing_speed else certain_speed)
+            landing, lift_off = first + int(has_landed.argmax()), end - 1 - int((within < lifting_speed)[::-1].argmax())
+            is_seen = bool(landing > first or is_known[first]), bool(lift_off < end - 1 or is_known[end + 1])
+            start_s, end_s = (float(moved.time_s[i]) for i in (landing, lift_off))
             sigmas = [
-                _event_sigma_s(moved, k, i, (end_s - start_s) / 2, own) if is_seen else np.nan
-                for i, is_seen, own in zip((a, b), seen, EVENT_SIGMAS, strict=True)
+                _event_sigma_s(moved, k, i, (end_s - start_s) / 2, threshold_sigma) if event_seen else np.nan
+                for i, event_seen, threshold_sigma in zip((landing, lift_off), is_seen, EVENT_SIGMAS, strict=True)
             ]
-            found.append(Stance(moved.feet[k], start_s, end_s, a / OVERSAMPLING, b / OVERSAMPLING, *seen, *sigmas))
-    return [s for s in found if s.duration_s >= MIN_STANCE_S or not (s.begins and s.ends)]
+            result.append(
+                Stance(
+                    moved.feet[k], start_s, end_s, landing / OVERSAMPLING, lift_off / OVERSAMPLING, *is_seen, *sigmas
+                )
+            )
+    return [s for s in result if s.duration_s >= MIN_STANCE_S or not (s.begins and s.ends)]
 
 
-def _event_sigma_s(moved: Tracks, k: int, i: int, most_s: float, own: float) -> float:
-    """The standard deviation in seconds of a landing or lift-off of the k-th foot at an instant, most_s from the
-    stance's middle (see the module); own: the threshold's, relative to the speed in the swing."""
-    about = slice(max(i - OVERSAMPLING // 2, 0), i + OVERSAMPLING // 2 + 1)
-    speed, time = moved.foot_speed_m_s[about, k], moved.time_s[about]
+def _event_sigma_s(moved: Tracks, k: int, i: int, most_s: float, threshold_sigma: float) -> float:
+    """Return the standard deviation in seconds of an event of the k-th foot at the i-th instant.
+
+    most_s: time from the event to the middle of the stance; threshold_sigma: one standard deviation of the threshold,
+    relative to the speed in the swing.
+    """
+    nearby = slice(max(i - OVERSAMPLING // 2, 0), i + OVERSAMPLING // 2 + 1)
+    speed, time = moved.foot_speed_m_s[nearby, k], moved.time_s[nearby]
     known = np.isfinite(speed)
-    changes = np.ptp(speed[known]) / np.ptp(time[known])
-    sigma = float(np.hypot(moved.unrest * moved.foot_speed_sigma_m_s[i, k], own * moved.swing_m_s[k]))
-    return min(sigma / max(changes, 1e-9), most_s / radius(INTERVAL))
+    acceleration = np.ptp(speed[known]) / np.ptp(time[known])
+    sigma = float(np.hypot(moved.unrest * moved.foot_speed_sigma_m_s[i, k], threshold_sigma * moved.swing_m_s[k]))
+    return min(sigma / max(acceleration, 1e-9), most_s / radius(INTERVAL))
 
 
-def match_stances(first: Sequence[Stance], second: Sequence[Stance]) -> list[tuple[Stance, Stance]]:
-    """Pairs stances of the same foot that overlap, each with the one it overlaps most, if that is mutual."""
+def match_stances(first_set: Sequence[Stance], second_set: Sequence[Stance]) -> list[tuple[Stance, Stance]]:
+    """Pair stances of the same foot that overlap, each with the one it overlaps most, if that is mutual."""
 
-    def most(of: Stance, others: Sequence[Stance]) -> Stance | None:
-        shared = [(min(of.end_s, o.end_s) - max(of.start_s, o.start_s), -i) for i, o in enumerate(others)]
-        same = [pair for pair in shared if pair[0] > 0 and others[-pair[1]].foot == of.foot]
-        return others[-max(same)[1]] if same else None
+    def best_match(stance: Stance, candidates: Sequence[Stance]) -> Stance | None:
+        overlaps = [(min(stance.end_s, o.end_s) - max(stance.start_s, o.start_s), -i) for i, o in enumerate(candidates)]
+        same_foot = [pair for pair in overlaps if pair[0] > 0 and candidates[-pair[1]].foot == stance.foot]
+        return candidates[-max(same_foot)[1]] if same_foot else None
 
-    pairs = [(a, b) for a in first if (b := most(a, second)) is not None]
-    return [(a, b) for a, b in pairs if most(b, first) is a]
+    best_pairs = [(a, b) for a in first_set if (b := best_match(a, second_set)) is not None]
+    return [(a, b) for a, b in best_pairs if best_match(b, first_set) is a]
 
 
 # -- strides and gait ------------------------------------------------------------------------------------------------
 
 
 def gait(moved: Tracks) -> Gait:
-    """Stances, strides and the gait's name, the strides of each foot held against those of all."""
-    found = stances(moved)
-    taken, doubtful = _counted(strides(moved, found))
-    lengths, durations = [s.length_m for s in taken], [s.duration_s for s in taken]
-    lasts_s, sigma_s = _stride_time(moved, taken)
-    landed = sorted((s for s in found if s.begins), key=lambda s: s.start_s)
-    doubt = why_no_ground(moved)
-    if doubt is None and not {*FEET} <= {*moved.feet}:
-        doubt = f"only gaits of four feet have names; here are {', '.join(moved.feet)}"
+    """Find stances, strides and the gait's name; each foot's strides are compared with those of all feet."""
+    all_stances = stances(moved)
+    counted, doubtful = _counted(strides(moved, all_stances))
+    lengths, durations = [s.length_m for s in counted], [s.duration_s for s in counted]
+    lasts_s, sigma_s = _stride_time(moved, counted)
+    touch_downs = sorted((s for s in all_stances if s.begins), key=lambda s: s.start_s)
+    why_unknown = why_no_ground(moved)
+    if why_unknown is None and not {*FEET} <= {*moved.feet}:
+        why_unknown = f"only gaits of four feet have names; here are {', '.join(moved.feet)}"
     return Gait(
         tracks=moved,
-        stances=found,
-        strides=taken,
-        order=tuple(s.foot for s in landed),
+        stances=all_stances,
+        strides=counted,
+        order=tuple(s.foot for s in touch_downs),
         stride_length_m=mean(lengths),
         stride_frequency_hz=1.0 / mean(durations) if durations else np.nan,
         stride_s=lasts_s,
         stride_sigma_s=sigma_s,
-        duty_factor={foot: median([s.duty_factor for s in taken if s.foot == foot]) for foot in moved.feet},
+        duty_factor={foot: median([s.duty_factor for s in counted if s.foot == foot]) for foot in moved.feet},
         speed_m_s=mean(moved.body_speed_m_s),
-        name=name_gait(found, taken, lasts_s, doubt),
+        name=name_gait(all_stances, counted, lasts_s, why_unknown),
         doubtful=doubtful,
     )
 
 
 def pose_gait(pose: Pose3D, fps: float, errors: Sequence[Errors] = (), **options) -> Gait:
-    """The gait of a pose; options as `pose_tracks`. Raises InputError, ValueError."""
+    """Return the gait of a pose; options are those of `pose_tracks`.
+
+    Raises InputError for a joint that the pose lacks, ValueError for too few frames.
+    """
     return gait(pose_tracks(pose, fps, errors, **options))
 
 
-def strides(moved: Tracks, found: tuple[Stance, ...]) -> tuple[Stride, ...]:
-    """Complete strides: both touchdowns (or, for a foot without two, both lift-offs) and the stance are in the clip."""
-    taken, still = [], _all_stand(moved, found)
+def strides(moved: Tracks, all_stances: tuple[Stance, ...]) -> tuple[Stride, ...]:
+    """Return the complete strides, whose two touch-downs and whose stance are in the clip.
+
+    A foot without two touch-downs has its strides between two lift-offs.
+    """
+    result, all_stand = [], _all_stand(moved, all_stances)
     for foot in moved.feet:
-        own = [s for s in found if s.foot == foot]
-        landings = [(a.start_s, b.start_s, a) for a, b in pairwise(own) if a.begins and a.ends and b.begins]
-        liftings = [(a.end_s, b.end_s, b) for a, b in pairwise(own) if a.ends and b.begins and b.ends]
-        at: Literal["touchdown", "lift-off"] = "touchdown" if landings else "lift-off"
+        foot_stances = [s for s in all_stances if s.foot == foot]
+        landings = [(a.start_s, b.start_s, a) for a, b in pairwise(foot_stances) if a.begins and a.ends and b.begins]
+        liftings = [(a.end_s, b.end_s, b) for a, b in pairwise(foot_stances) if a.ends and b.begins and b.ends]
+        event: Literal["touchdown", "lift-off"] = "touchdown" if landings else "lift-off"
         for start, end, stance in landings or liftings:
             a, b = np.searchsorted(moved.time_s, [start, end])
             # A foot or a body that was lost in between may have hidden a stance.
             step = np.diff(moved.body_m[a : b + 1, :2], axis=0)
-            lost = not np.isfinite(step).all() or np.isnan(moved.foot_m[a : b + 1, moved.feet.index(foot)]).any()
-            if not lost and still[a : b + 1].mean() < 0.5:
+            is_lost = not np.isfinite(step).all() or np.isnan(moved.foot_m[a : b + 1, moved.feet.index(foot)]).any()
+            if not is_lost and all_stand[a : b + 1].mean() < 0.5:
                 length = float(np.linalg.norm(step, axis=1).sum())
                 sigma_s = float(np.hypot(stance.start_sigma_s, stance.end_sigma_s))
-                duty, sigma = (of / (end - start) for of in (stance.duration_s, sigma_s))
-                taken.append(Stride(foot, start, end, length, duty, sigma, at))
-    return tuple(sorted(taken, key=lambda s: (s.start_s, s.foot)))
+                duty, sigma = (seconds / (end - start) for seconds in (stance.duration_s, sigma_s))
+                result.append(Stride(foot, start, end, length, duty, sigma, event))
+    return tuple(sorted(result, key=lambda s: (s.start_s, s.foot)))
 
 
-def _all_stand(moved: Tracks, found: Sequence[Stance]) -> Bools:
-    """(N,): when all feet of an animal of four stand."""
+def _all_stand(moved: Tracks, all_stances: Sequence[Stance]) -> Bools:
+    """Return when all feet of a four-footed animal stand, shape (N,)."""
     stands = np.zeros((len(moved.time_s), len(moved.feet)), dtype=bool)
-    for stance in found:
+    for stance in all_stances:
         first, stop = np.searchsorted(moved.time_s, [stance.start_s, stance.end_s])
         stands[first:stop, moved.feet.index(stance.foot)] = True
     return np.asarray(stands.all(axis=1) & (len(moved.feet) >= 4))
 
 
-def _counted(own: tuple[Stride, ...]) -> tuple[tuple[Stride, ...], tuple[Stride, ...]]:
-    """Strides, in the order of their beginnings, that count, and those that do not."""
+def _counted(all_strides: tuple[Stride, ...]) -> tuple[tuple[Stride, ...], tuple[Stride, ...]]:
+    """Split strides, sorted by their beginnings, into those that count and those that do not."""
     counted, doubtful = [], []
-    start_s, end_s, lasts_s = (np.array([getattr(s, of) for s in own]) for of in ("start_s", "end_s", "duration_s"))
-    for stride in own:
+    start_s, end_s, lasts_s = (
+        np.array([getattr(s, field) for s in all_strides]) for field in ("start_s", "end_s", "duration_s")
+    )
+    for stride in all_strides:
         # Not all are looked at: in a long clip there are thousands.
         longest_s = lasts_s.max()
-        near = slice(*np.searchsorted(start_s, [stride.start_s - 2 * longest_s, stride.end_s + longest_s]))
-        same = (start_s[near] < stride.end_s) & (end_s[near] > stride.start_s)
-        others_s = median(lasts_s[near][same] if same.sum() > 1 else lasts_s[near])
+        nearby = slice(*np.searchsorted(start_s, [stride.start_s - 2 * longest_s, stride.end_s + longest_s]))
+        overlapping = (start_s[nearby] < stride.end_s) & (end_s[nearby] > stride.start_s)
+        others_s = median(lasts_s[nearby][overlapping] if overlapping.sum() > 1 else lasts_s[nearby])
         if abs(others_s * stride.frequency_hz - 1) <= AGREE:
             counted.append(stride)
         else:
@@ -521,135 +591,157 @@ def _counted(own: tuple[Stride, ...]) -> tuple[tuple[Stride, ...], tuple[Stride,
 
 
 def doubtful_text(stride: Stride) -> str:
-    """Why a stride does not count, in one sentence."""
+    """Return one sentence that says why a stride does not count."""
     text = f"{stride.foot}'s stride from {stride.start_s:.3f} to {stride.end_s:.3f} s does not count"
     return f"{text}: strides of all feet around its time last {stride.others_s:.3f} s"
 
 
-def _stride_time(moved: Tracks, taken: Sequence[Stride]) -> tuple[float, float]:
-    """Seconds and one standard deviation: of complete strides, or by the pose's period; NaN without either."""
-    if taken:
-        return _mean_time(taken, len(taken))
+def _stride_time(moved: Tracks, counted: Sequence[Stride]) -> tuple[float, float]:
+    """Return the stride's duration in seconds and its standard deviation, from strides or the pose's period.
+
+    NaN if neither is known.
+    """
+    if counted:
+        return _mean_time(counted, len(counted))
     period = pose_period_s(moved)
     return period, period * PERIOD_SIGMA
 
 
-def _mean_time(taken: Sequence[Stride], count: int) -> tuple[float, float]:
-    """The mean time of strides and the standard deviation of the mean of so many of them."""
-    lasts = np.array([stride.duration_s for stride in taken])
-    events = np.array([stride.duty_sigma for stride in taken]) * lasts
-    return float(lasts.mean()), float(np.hypot(lasts.std() / count**0.5, np.median(events)))
+def _mean_time(counted: Sequence[Stride], count: int) -> tuple[float, float]:
+    """Return the mean duration of strides and the standard deviation of the mean of `count` of them."""
+    durations_s = np.array([stride.duration_s for stride in counted])
+    event_sigmas_s = np.array([stride.duty_sigma for stride in counted]) * durations_s
+    return float(durations_s.mean()), float(np.hypot(durations_s.std() / count**0.5, np.median(event_sigmas_s)))
 
 
 def pose_period_s(moved: Tracks) -> float:
-    """Seconds of the stride of a clip that holds no complete one, NaN where it cannot be told.
+    """Return the stride's duration in a clip that holds no complete stride, s; NaN if unknown.
 
-    It is the period whose first two harmonics, with a weak prior against them, fit best where the feet are relative to
-    the body."""
+    The period whose first two harmonics best fit the feet's positions relative to the body, with a weak prior against
+    both harmonics.
+    """
     values = (moved.foot_m - moved.body_m[:, None])[::OVERSAMPLING].reshape(-1, 3 * len(moved.feet))
-    known = np.isfinite(values).all(axis=1)
-    time, values = moved.time_s[::OVERSAMPLING][known], values[known]
+    is_known = np.isfinite(values).all(axis=1)
+    time, values = moved.time_s[::OVERSAMPLING][is_known], values[is_known]
     if len(time) < MIN_POINTS + 5:
         return np.nan
     periods = np.linspace(*PERIOD_OF_CLIP, 100) * (time[-1] - time[0])
     phase = 2 * np.pi / periods[:, None] * (time - time.mean())
-    waves = np.stack([np.ones_like(phase), *(f(n * phase) for n in (1, 2) for f in (np.cos, np.sin))], axis=-1)
+    waves = np.stack([np.ones_like(phase), *(wave(n * phase) for n in (1, 2) for wave in (np.cos, np.sin))], axis=-1)
     moment = np.einsum("pta,tf->paf", waves, values)
     prior = 1e-3 * len(time) * np.diag([0, 1, 1, 4, 4])
-    by_wave = np.linalg.solve(np.einsum("pta,ptb->pab", waves, waves) + prior, moment)
-    left = np.sum(values**2) - np.einsum("paf,paf->p", moment, by_wave)
-    best = int(left.argmin())
-    explained = left[best] < (1 - PERIODIC) * len(time) * values.var(axis=0).sum()
+    amplitudes = np.linalg.solve(np.einsum("pta,ptb->pab", waves, waves) + prior, moment)
+    residuals = np.sum(values**2) - np.einsum("paf,paf->p", moment, amplitudes)
+    best = int(residuals.argmin())
+    explained = residuals[best] < (1 - PERIODIC) * len(time) * values.var(axis=0).sum()
     return float(periods[best]) if explained and 0 < best < len(periods) - 1 else np.nan
 
 
 def name_gait(
-    found: tuple[Stance, ...], taken: tuple[Stride, ...], stride_s: float, doubt: str | None = None
+    all_stances: tuple[Stance, ...], counted: tuple[Stride, ...], stride_s: float, why_unknown: str | None = None
 ) -> _GaitName:
-    """The gait by the four feet's phases: see `classify`. stride_s: how long a stride lasts, NaN where that is not
-    known; doubt: why there are no stances, or not of all four."""
-    duties = np.array([s.duty_factor for s in taken])
-    feet = len({s.foot for s in taken})
-    duty = median(duties), float(np.sqrt(mean([s.duty_sigma**2 for s in taken]) / feet)) if feet else np.nan
-    if doubt is None and (lacking := [foot for foot in FEET if not any(s.foot == foot for s in found)]):
-        doubt = f"no stance of {', '.join(lacking)}"
-    if doubt is None and np.isnan(stride_s):
-        doubt = "no complete stride, and too little of one to tell how long it lasts"
-    if doubt is not None:
-        return _GaitName("unknown", doubt, dict.fromkeys(FEET, np.nan), *duty)
-    period = float(np.median([s.duration_s for s in taken])) if taken else stride_s
-    phase = {"LH": 0.0} | {foot: _lag(found, "LH", foot, period) for foot in ("RH", "LF", "RF")}
+    """Name the gait by the phases of the four feet (`classify`).
+
+    stride_s: duration of a stride, NaN if unknown; why_unknown: why there are no stances, or not those of four feet.
+    """
+    duties = np.array([s.duty_factor for s in counted])
+    feet = len({s.foot for s in counted})
+    duty = median(duties), float(np.sqrt(mean([s.duty_sigma**2 for s in counted]) / feet)) if feet else np.nan
+    if why_unknown is None and (lacking := [foot for foot in FEET if not any(s.foot == foot for s in all_stances)]):
+        why_unknown = f"no stance of {', '.join(lacking)}"
+    if why_unknown is None and np.isnan(stride_s):
+        why_unknown = "no complete stride, and too little of one to tell how long it lasts"
+    if why_unknown is not None:
+        return _GaitName("unknown", why_unknown, dict.fromkeys(FEET, np.nan), *duty)
+    period = float(np.median([s.duration_s for s in counted])) if counted else stride_s
+    phase = {"LH": 0.0} | {foot: _lag(all_stances, "LH", foot, period) for foot in ("RH", "LF", "RF")}
     # A foot that never landed together with LH in view may have done so with RH.
     for foot in ("LF", "RF"):
         if np.isnan(phase[foot]):
-            phase[foot] = (phase["RH"] + _lag(found, "RH", foot, period)) % 1.0
+            phase[foot] = (phase["RH"] + _lag(all_stances, "RH", foot, period)) % 1.0
     name, criterion = classify(phase, duty[0])
-    if not taken:
+    if not counted:
         criterion = f"no complete stride, but the motion is that of one of {period:.2f} s: {criterion}"
     if name in ("walk", "trot", "pace") and 1 - MOST < (share := float(np.mean(duties > 0.5))) < MOST:
         name, criterion = "unknown", f"{criterion}: over 0.5 in {share:.0%} of the strides, walk or run is open"
     return _GaitName(name, criterion, phase, *duty)
 
 
-def _lag(found: tuple[Stance, ...], reference: str, foot: str, period_s: float) -> float:
-    """Circular mean, [0, 1), of the time from a foot's touchdown to the nearest of another, in strides.
+def _lag(all_stances: tuple[Stance, ...], reference: str, foot: str, period_s: float) -> float:
+    """Return the time from a foot's touch-down to the nearest of another foot, in strides, [0, 1), as a circular mean.
 
-    Of the lift-offs where the clip holds no touchdown of one of them; NaN if it holds neither, or if the times are not
-    `STEADY`.
+    Lift-offs are used if the clip holds no touch-down of one of the feet. NaN if it holds neither, or if the times are
+    not `STEADY`.
     """
-    for known, event in (("begins", "start_s"), ("ends", "end_s")):
-        a, b = (
-            np.array([getattr(s, event) for s in found if s.foot == f and getattr(s, known)]) for f in (reference, foot)
+    for is_known, event in (("begins", "start_s"), ("ends", "end_s")):
+        reference_s, foot_s = (
+            np.array([getattr(s, event) for s in all_stances if s.foot == label and getattr(s, is_known)])
+            for label in (reference, foot)
         )
-        if len(a) and len(b):
-            off = b - a[np.argmin(np.abs(b[:, None] - a), axis=1)]
+        if len(reference_s) and len(foot_s):
+            lags_s = foot_s - reference_s[np.argmin(np.abs(foot_s[:, None] - reference_s), axis=1)]
             # Events further apart than a stride have drifted out of step.
-            near = off[np.abs(off) <= max(period_s, np.abs(off).min())]
-            towards = np.mean(np.exp(2j * np.pi * near / period_s))
-            return float(np.angle(towards) / (2 * np.pi) % 1.0) if np.abs(towards) >= STEADY else np.nan
+            nearby_s = lags_s[np.abs(lags_s) <= max(period_s, np.abs(lags_s).min())]
+            resultant = np.mean(np.exp(2j * np.pi * nearby_s / period_s))
+            return float(np.angle(resultant) / (2 * np.pi) % 1.0) if np.abs(resultant) >= STEADY else np.nan
     return np.nan
 
 
 def classify(phase: Mapping[str, float], duty_factor: float) -> tuple[str, str]:
-    """Name and criterion from touchdown phases (strides, of LH, RH, LF, RF) and the mean duty factor.
+    """Return the name of a gait and the criterion that decided it.
 
-    After Hildebrand (1965, 1977). Symmetrical, both pairs at least 0.4 apart: walk if the duty factor is over 0.5;
-    otherwise trot or pace if the fore feet land within 0.125 of the diagonal or of the same-sided hind foot.
-    Asymmetrical, both pairs less than 0.4 apart: bound if both pairs land within 0.05, half-bound if only the hind pair
-    does; gallop if neither does, transverse if the same side leads (lands second) in both pairs, rotary if not.
+    Symmetrical, both pairs at least 0.4 apart: walk if the duty factor is over 0.5; otherwise trot or pace if the fore
+    feet land within 0.125 of the diagonal or of the same-sided hind foot. Asymmetrical, both pairs less than 0.4 apart:
+    bound if both pairs land within 0.05, half-bound if only the hind pair does; gallop if neither does, transverse if
+    the same side leads (lands second) in both pairs, rotary if not.
+
+    Parameters
+    ----------
+    phase : mapping
+        Touch-down of LH, RH, LF and RF, in strides.
+    duty_factor : float
+        Mean share of a stride for which a foot stands.
+
+    References
+    ----------
+    Hildebrand, M. (1965). Science 150:701. Hildebrand, M. (1977). BioScience 27:766.
     """
     if any(np.isnan(phase[foot]) for foot in FEET):
         lacking = ", ".join(foot for foot in FEET if np.isnan(phase[foot]))
         return "unknown", f"no steady phase of {lacking} over the strides"
     hind, fore = _signed(phase["RH"] - phase["LH"]), _signed(phase["RF"] - phase["LF"])
-    seen = f"hind feet {abs(hind):.2f} of a stride apart, {_first(hind)}; fore feet {abs(fore):.2f}, {_first(fore)}"
+    measured = f"hind feet {abs(hind):.2f} of a stride apart, {_first(hind)}; fore feet {abs(fore):.2f}, {_first(fore)}"
     if min(abs(hind), abs(fore)) >= ALTERNATE:
         sides = np.exp(2j * np.pi * np.array([phase["LF"] - phase["LH"], phase["RF"] - phase["RH"]]))
         lateral = float(np.angle(sides.mean()) / (2 * np.pi) % 1.0)
-        seen += f"; fore {lateral:.2f} after the same-sided hind foot, duty factor {duty_factor:.2f}"
+        measured += f"; fore {lateral:.2f} after the same-sided hind foot, duty factor {duty_factor:.2f}"
         if np.isnan(duty_factor):
-            return "unknown", seen + ": walk or run is open"
+            return "unknown", measured + ": walk or run is open"
         if duty_factor > 0.5:
-            return "walk", seen
+            return "walk", measured
         if abs(_signed(lateral - 0.5)) <= IN_PHASE:
-            return "trot", seen
-        return ("pace", seen) if abs(_signed(lateral)) <= IN_PHASE else ("unknown", seen + ": between trot and pace")
+            return "trot", measured
+        return (
+            ("pace", measured)
+            if abs(_signed(lateral)) <= IN_PHASE
+            else ("unknown", measured + ": between trot and pace")
+        )
     if max(abs(hind), abs(fore)) >= ALTERNATE:
-        return "unknown", seen + ": one pair alternates, the other does not"
+        return "unknown", measured + ": one pair alternates, the other does not"
     if abs(hind) < TOGETHER:
-        return ("bound" if abs(fore) < TOGETHER else "half-bound"), seen
+        return ("bound" if abs(fore) < TOGETHER else "half-bound"), measured
     if abs(fore) < TOGETHER:
-        return "unknown", seen + ": the fore pair lands together, the hind pair does not"
+        return "unknown", measured + ": the fore pair lands together, the hind pair does not"
     leads = ["right" if lag > 0 else "left" for lag in (hind, fore)]
     kind = "transverse" if leads[0] == leads[1] else "rotary"
-    return f"{kind} gallop", f"{seen}; leading: {leads[0]} hind, {leads[1]} fore"
+    return f"{kind} gallop", f"{measured}; leading: {leads[0]} hind, {leads[1]} fore"
 
 
 def _first(lag: float) -> str:
-    """By how much the right foot of a pair lands after its left one."""
+    """Return which foot of a pair lands first, from the right foot's lag behind the left one."""
     return "left first" if lag > 0 else "right first"
 
 
 def _signed(phase: float) -> float:
-    """[-0.5, 0.5)"""
+    """Return a phase in [-0.5, 0.5)."""
     return (phase + 0.5) % 1.0 - 0.5

@@ -1,23 +1,23 @@
-"""Velocity, acceleration, joint angles and their rates, with standard deviations.
+"""Return velocity, acceleration, joint angles and their rates, with standard deviations.
 
-A series is a cubic spline through the frames that have a value, evaluated at ten times the frame rate. Two kinds:
+A series is a cubic spline through the frames that have a value, evaluated at ten times the frame rate. There are two
+kinds:
 
-- exact (not-a-knot ends): passes through every value. White noise of s in the values becomes
-  about 1.2 s fps in the rate and 6 s fps^2 in the acceleration.
-- smoothing (natural ends): minimises sum(((x - f) / sigma)^2) + lam * integral(f''^2),
-  with the largest lam that leaves the sum at no more than the number of values (Reinsch 1967). Its acceleration is zero
-  at the ends by construction.
+- exact (not-a-knot ends): passes through every value. White noise of s in the values becomes about 1.2 s fps in the
+  rate and 6 s fps^2 in the acceleration.
+- smoothing (natural ends): minimises sum(((x - f) / sigma)^2) + lam * integral(f''^2), with the largest lam that leaves
+  the sum at no more than the number of values (Reinsch 1967). Its acceleration is zero at the ends by construction.
 
-Both ends of a span are weaker than its middle. Of an exact spline, the rate at the very end is about four times as
-uncertain and that of the next frame 1.3 times, the acceleration at the end 1.5 times; from the third frame on, all is
-within 10 %. The standard deviations say so. Nothing is extrapolated, and a gap longer than `max_gap_s` splits a series
-into spans; a shorter one is interpolated.
+Both ends of a span are weaker than its middle. At the very end of an exact spline the rate is about four times as
+uncertain as in the middle, in the next frame 1.3 times, and the acceleration at the end 1.5 times; from the third frame
+on, all are within 10 %. The standard deviations include this. Nothing is extrapolated. A gap longer than `max_gap_s`
+splits a series into spans; a shorter one is interpolated.
 
 For a given lam a spline is linear in its values, so that their covariance C propagates exactly: C' = W C W^T, with W
 the splines through unit vectors. Coordinates are independent of one another, and so are the `Errors` that add up; each
-has C_ij = sigma_i sigma_j exp(-((t_i - t_j) / correlation_s)^2 / 2). What a fit over time leaves is smooth: taken for
-independent frames, the rates' deviations would be too large. The choice of lam is not part of the propagation, nor is
-what smoothing takes away from the motion itself.
+has C_ij = sigma_i sigma_j exp(-((t_i - t_j) / correlation_s)^2 / 2). The errors of a fit over time are smooth: with
+independent frames, the standard deviations of the rates would be too large. The propagation includes neither the choice
+of lam nor the motion that smoothing removes.
 """
 
 from __future__ import annotations
@@ -40,48 +40,50 @@ Angle = Callable[[Array, Array, Array], Array]
 """An angle (T,) of three points (T, 3)."""
 
 MAX_GAP_S = 0.2
-"""Missing frames are bridged if the frames on their two sides are not further apart than this."""
+"""Missing frames are bridged if the frames on both sides are no further apart than this."""
 MIN_POINTS = 4
-"""A cubic needs this many."""
+"""Least number of values of a cubic."""
 OVERSAMPLING = 10
 MIN_SMOOTHING_POINTS = 5
 """Series of fewer points are not smoothed."""
 _LOG10_LAM = (-16.0, 8.0)
 """Range of lam, relative to (span / number of values)^3: from an exact spline to a straight line."""
 JITTER_LASTS_S, JITTER_TIMES = 0.05, 2.0
-"""How long errors of a method last that solves frame by frame, and how much larger they are than what jitters in that
-time: with both the deviations of its speeds are right in each of five real runs to a quarter
-(`python benchmarks/speeds.py`)."""
+"""Correlation time of the errors of a method that solves frame by frame, and their size relative to the jitter
+within that time. With these values the standard deviations of its speeds are right to a quarter in each of five real
+runs (`python benchmarks/speeds.py`)."""
 
 _WINDOW, _MARGIN = 200, 40
-"""Frames of an exact spline whose deviations are worked out at once, and how many on either side count: a value's share
-in the spline falls by 2 - sqrt(3) from frame to frame, to 1e-23 over the margin."""
+"""Frames of an exact spline whose standard deviations are computed at once, and frames on either side that enter: a
+value's share in the spline falls by 2 - sqrt(3) from frame to frame, to 1e-23 over the margin."""
 _REACH, _LEAST_PRODUCT, _AT_ONCE = 20, 1e-11, 1000
-"""The same of evenly spaced frames away from the ends, 1e-11 over the reach; which products of two values' shares
-count, relative to the largest; and of how many frames they are worked out at once."""
+"""Frames on either side that enter for evenly spaced frames away from the ends (1e-11 over the reach); least product
+of two values' shares that enters, relative to the largest; and the number of frames computed at once."""
 
 STRAIGHT_SIGMAS = 2.0
-"""An angle that is less from straight may be bent to either side."""
+"""An angle that is fewer standard deviations from straight may be bent to either side."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Errors(Brief):
-    """How far values may be wrong."""
+    """Errors of values: standard deviations and how long an error lasts."""
 
     sigma: Array
-    """Standard deviations of the values, in their shape and unit; of one error that lasts, with its signs."""
+    """Standard deviations of the values, in their shape and unit; with signs for one error that lasts."""
     correlation_s: float = 0.0
-    """How long an error lasts (see the module), 0 for frames that have nothing to do with each other, inf for one."""
+    """Correlation time of the errors; 0 for independent frames, inf for one error throughout."""
 
-    def __getitem__(self, at) -> Errors:
-        """The errors of a part of the values."""
-        return Errors(self.sigma[at], self.correlation_s)
+    def __getitem__(self, index) -> Errors:
+        """Return the errors of a part of the values."""
+        return Errors(self.sigma[index], self.correlation_s)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Series(Brief):
-    """Values in d dimensions and their derivatives on a fine grid, N = (T - 1) oversampling + 1 times. NaN where
-    unknown."""
+    """Values in d dimensions and their derivatives on a fine grid; NaN where unknown.
+
+    The grid has N = (T - 1) oversampling + 1 times.
+    """
 
     time_s: Array
     """(N,), every `oversampling`-th is a frame."""
@@ -92,7 +94,7 @@ class Series(Brief):
     acceleration: Array
     """(N, d), per second^2 in the values' unit."""
     value_sigma: Array
-    """(N, d): one standard deviation, as the next two NaN where no errors were given."""
+    """One standard deviation, shape (N, d); NaN without errors, as are the next two."""
     rate_sigma: Array
     """Standard deviations of the rates, shape (N, d)."""
     acceleration_sigma: Array
@@ -102,7 +104,7 @@ class Series(Brief):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class JointKinematics(Brief):
-    """A point's motion, world frame. NaN where nothing is known."""
+    """Motion of a point in the world frame; NaN where unknown."""
 
     series: Series
     """Position (m), velocity (m/s) and acceleration (m/s^2) vectors, (N, 3)."""
@@ -111,8 +113,8 @@ class JointKinematics(Brief):
     acceleration_m_s2: Array
     """(N,): norm of the acceleration."""
     speed_sigma_m_s: Array
-    """(N,): linear, NaN without errors (noise also biases a norm upwards, by about sigma^2 / norm, which is not
-    taken out)."""
+    """Linear standard deviation of the speed, shape (N,); NaN without errors. Noise also raises a norm by about
+    sigma^2 / norm, which is not subtracted."""
     acceleration_sigma_m_s2: Array
     """Standard deviations of the acceleration, shape (N,)."""
     distance_m: float
@@ -129,16 +131,19 @@ class JointKinematics(Brief):
 
     @property
     def why_no_acceleration(self) -> str:
-        """What figures say in place of an acceleration that is hardly known, or not at all."""
-        values, known = self.acceleration_m_s2, np.isfinite(self.acceleration_m_s2)
-        if known.any() and np.mean(self.acceleration_sigma_m_s2[known] > values[known]) <= 0.5:
+        """Return the sentence that figures show instead of an acceleration that is hardly known.
+
+        Empty if it is known.
+        """
+        values, is_known = self.acceleration_m_s2, np.isfinite(self.acceleration_m_s2)
+        if is_known.any() and np.mean(self.acceleration_sigma_m_s2[is_known] > values[is_known]) <= 0.5:
             return ""
-        return "The acceleration is hardly known, most of the time less than its standard deviation, and not shown."
+        return "The acceleration is not shown: most of the time it is smaller than its standard deviation."
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class AngleKinematics(Brief):
-    """An angle over time. NaN where nothing is known."""
+    """An angle over time; NaN where unknown."""
 
     series: Series
     """(N, 1), rad, rad/s, rad/s^2."""
@@ -151,19 +156,25 @@ class AngleKinematics(Brief):
 
     @property
     def range_of_motion_rad(self) -> float:
-        """The difference between the greatest and the least angle."""
+        """Return the difference between the greatest and the least angle."""
         return self.range_rad[1] - self.range_rad[0]
 
 
 _Kind = TypeVar("_Kind", Series, JointKinematics)
 
 
-def at_frames(of: _Kind) -> _Kind:
-    """The same without the samples between frames, which take ten times the memory; means and peaks are those of all
-    samples."""
-    series = of if isinstance(of, Series) else of.series
-    changed = {k: a[:: series.oversampling].copy() for k, a in vars(of).items() if isinstance(a, np.ndarray)}
-    return replace(of, **changed, **({"oversampling": 1} if of is series else {"series": at_frames(series)}))
+def at_frames(motion: _Kind) -> _Kind:
+    """Return the motion at the frames only, which takes a tenth of the memory.
+
+    Means and peaks remain those of all samples.
+    """
+    series = motion if isinstance(motion, Series) else motion.series
+    changed = {
+        name: values[:: series.oversampling].copy()
+        for name, values in vars(motion).items()
+        if isinstance(values, np.ndarray)
+    }
+    return replace(motion, **changed, **({"oversampling": 1} if motion is series else {"series": at_frames(series)}))
 
 
 # -- series ----------------------------------------------------------------------------------------------------------
@@ -179,67 +190,88 @@ def series_kinematics(
     oversampling: int = OVERSAMPLING,
     max_gap_s: float = MAX_GAP_S,
 ) -> Series:
-    """Values (T, d) at increasing times (T,) -> their spline; NaN in any dimension is a missing frame.
+    """Return the spline through values and its derivatives.
 
-    errors: what adds up to the values' errors, sigma (T, d) each; with smooth, the first is the weights as
-    well. A span needs four values (five with smooth). propagate: whether to work out deviations, which with smooth
-    takes memory of 8 bytes x N x T, and a spline for each value. Raises ValueError where times do not increase.
+    Parameters
+    ----------
+    time_s : ndarray
+        Increasing times, shape (T,).
+    values : ndarray
+        Values, shape (T, d); NaN in any dimension is a missing frame. A span needs four values, five with `smooth`.
+    errors : sequence of Errors
+        Errors of the values that add up, sigma (T, d) each; with `smooth` the first also gives the weights.
+    smooth : bool
+        Smooth the values instead of passing through them.
+    propagate : bool
+        Compute standard deviations, which with `smooth` takes 8 bytes x N x T of memory and a spline for each value.
+    oversampling : int
+        Samples for each frame.
+    max_gap_s : float
+        Longest gap that is bridged.
+
+    Raises
+    ------
+    ValueError
+        If the times do not increase.
     """
     T, d = values.shape
     N = (T - 1) * oversampling + 1 if T else 0
     fine_s = np.interp(np.arange(N) / oversampling, np.arange(T), time_s) if T else np.empty(0)
-    out = np.full((3, N, d), np.nan)
-    spread = np.full((3, N, d), np.nan) if len(errors) and propagate else np.broadcast_to(np.nan, (3, N, d))
+    curves = np.full((3, N, d), np.nan)
+    sigmas = np.full((3, N, d), np.nan) if len(errors) and propagate else np.broadcast_to(np.nan, (3, N, d))
     weight = 1.0 / errors[0].sigma if smooth else np.ones((T, d))
     for rows in _stretches(time_s, values, max_gap_s, MIN_SMOOTHING_POINTS if smooth else MIN_POINTS):
-        where = slice(rows[0] * oversampling, rows[-1] * oversampling + 1)
-        t, at, lam = time_s[rows], fine_s[where], np.zeros(d)
+        samples = slice(rows[0] * oversampling, rows[-1] * oversampling + 1)
+        t, sample_s, lam = time_s[rows], fine_s[samples], np.zeros(d)
         if not smooth:
-            out[:, where] = _evaluate(CubicSpline(t, values[rows]), at)
+            curves[:, samples] = _evaluate(CubicSpline(t, values[rows]), sample_s)
         for k in range(d) if smooth else ():
             lam[k] = _discrepancy_lam(t, values[rows, k], weight[rows, k])
-            out[:, where, k] = _evaluate(_curve(t, values[rows, k], weight[rows, k], lam[k]), at)
+            curves[:, samples, k] = _evaluate(_curve(t, values[rows, k], weight[rows, k], lam[k]), sample_s)
         if len(errors) and propagate:
-            spread[:, where] = _spline_sigmas(t, at, [e[rows] for e in errors], weight[rows], lam)
-    return Series(fine_s, *out, *spread, oversampling=oversampling)
+            sigmas[:, samples] = _spline_sigmas(t, sample_s, [error[rows] for error in errors], weight[rows], lam)
+    return Series(fine_s, *curves, *sigmas, oversampling=oversampling)
 
 
 def _stretches(time_s: Array, values: Array, max_gap_s: float, min_points: int) -> list[Index]:
-    """Rows of the known values (T, d), split at the gaps that are too long; those with enough of them."""
-    known = np.flatnonzero(np.isfinite(values).all(axis=1))
-    too_long = (np.diff(known) > 1) & (np.diff(time_s[known]) > max_gap_s * (1 + 1e-9))
-    return [rows for rows in np.split(known, np.flatnonzero(too_long) + 1) if len(rows) >= min_points]
+    """Return the rows of the known values (T, d), split at gaps that are too long, if they are enough."""
+    known_rows = np.flatnonzero(np.isfinite(values).all(axis=1))
+    is_too_long = (np.diff(known_rows) > 1) & (np.diff(time_s[known_rows]) > max_gap_s * (1 + 1e-9))
+    return [rows for rows in np.split(known_rows, np.flatnonzero(is_too_long) + 1) if len(rows) >= min_points]
 
 
 def _curve(t: Array, x: Array, weight: Array, lam: float) -> Curve:
-    """curve(time (M,), order of the derivative) -> (M, ...) through x (n, ...); lam 0: exact."""
+    """Return the curve(time (M,), order of the derivative) -> (M, ...) through x (n, ...); lam 0: exact."""
     return make_smoothing_spline(t, x, weight**2, lam) if lam else CubicSpline(t, x)
 
 
-def _evaluate(curve: Curve, at: Array) -> Array:
-    """(3, M, ...): value, rate and acceleration."""
-    return np.stack([curve(at, order) for order in range(3)])
+def _evaluate(curve: Curve, time_s: Array) -> Array:
+    """Return value, rate and acceleration of a curve, shape (3, M, ...)."""
+    return np.stack([curve(time_s, order) for order in range(3)])
 
 
 def _discrepancy_lam(t: Array, x: Array, weight: Array) -> float:
-    """The lam with sum((weight (x - f))^2) = n; the largest in range where a straight line is as close as that."""
+    """Return the lam with sum((weight (x - f))^2) = n.
+
+    If a straight line is as close as that, the largest lam of the range.
+    """
     scale, h, variance = np.mean(weight**2) * ((t[-1] - t[0]) / len(t)) ** 3, np.diff(t), weight**-2.0
     # Reinsch's equations of the curve's second derivatives g at the inner times: (R + lam Q' W^-1 Q) g = Q' x, whose
     # bands are these, and x - f = lam W^-1 Q g
     before, after = 1 / h[:-1], 1 / h[1:]
-    at = -before - after
-    R, pull = np.zeros((2, 3, len(at)))
+    middle = -before - after
+    R, pull = np.zeros((2, 3, len(middle)))
     R[1, 1:], R[2] = h[1:-1] / 6, (h[:-1] + h[1:]) / 3
     pull[0, 2:] = after[:-2] * variance[2:-2] * before[2:]
-    pull[1, 1:] = at[:-1] * variance[1:-2] * before[1:] + after[:-1] * variance[2:-1] * at[1:]
-    pull[2] = before**2 * variance[:-2] + at**2 * variance[1:-1] + after**2 * variance[2:]
+    pull[1, 1:] = middle[:-1] * variance[1:-2] * before[1:] + after[:-1] * variance[2:-1] * middle[1:]
+    pull[2] = before**2 * variance[:-2] + middle**2 * variance[1:-1] + after**2 * variance[2:]
     bends = np.diff(np.diff(x) / h)
 
     def excess(log10_lam: float) -> float:
         lam = 10.0**log10_lam * scale
         g = solveh_banded(R + lam * pull, bends)
-        off = lam * np.diff(np.diff(g, prepend=0, append=0) / h, prepend=0, append=0)
-        return float(np.sum(off**2 * variance)) / len(t) - 1.0
+        residual = lam * np.diff(np.diff(g, prepend=0, append=0) / h, prepend=0, append=0)
+        return float(np.sum(residual**2 * variance)) / len(t) - 1.0
 
     low, high = _LOG10_LAM
     if excess(high) <= 0:
@@ -247,100 +279,123 @@ def _discrepancy_lam(t: Array, x: Array, weight: Array) -> float:
     return 10.0 ** float(brentq(excess, low, high, xtol=1e-3)) * scale
 
 
-def _spline_sigmas(t: Array, at: Array, errors: Sequence[Errors], weight: Array, lam: Array) -> Array:
-    """Standard deviations (3, M, d) of value, rate and acceleration at times (M,) of the splines of a span (n,)."""
-    variance = np.zeros((3, len(at), len(lam)))
+def _spline_sigmas(t: Array, sample_s: Array, errors: Sequence[Errors], weight: Array, lam: Array) -> Array:
+    """Return standard deviations (3, M, d) of value, rate and acceleration of a span's splines (n,) at times (M,)."""
+    variance = np.zeros((3, len(sample_s), len(lam)))
     smooth = bool(lam.any())
     for lasting in (error for error in errors if error.correlation_s == np.inf):  # one error is a curve itself
-        curves = [_curve(t, *of) for of in zip(lasting.sigma.T, weight.T, lam, strict=True)]
-        variance += np.stack([_evaluate(curve, at) for curve in curves], axis=-1) ** 2
+        curves = [_curve(t, *column) for column in zip(lasting.sigma.T, weight.T, lam, strict=True)]
+        variance += np.stack([_evaluate(curve, sample_s) for curve in curves], axis=-1) ** 2
     errors = [error for error in errors if error.correlation_s < np.inf]
-    pieces = [(slice(None), slice(None))] if smooth else [*_windows(t, at)]
+    pieces = [(slice(None), slice(None))] if smooth else [*_windows(t, sample_s)]
     if not smooth and len(t) > 4 * _REACH and np.allclose(np.diff(t), t[1] - t[0], rtol=1e-6, atol=0):
-        per = (len(at) - 1) // (len(t) - 1)
-        first, last = _REACH * per, (len(t) - 1 - _REACH) * per
-        _fill_amid(variance[:, first:last], t, errors, per)
+        per_frame = (len(sample_s) - 1) // (len(t) - 1)
+        first, last = _REACH * per_frame, (len(t) - 1 - _REACH) * per_frame
+        _fill_amid(variance[:, first:last], t, errors, per_frame)
         pieces = [(slice(2 * _REACH), slice(first)), (slice(len(t) - 2 * _REACH, None), slice(last, None))]
     for values, samples in pieces:
         unit, operator = np.eye(len(t[values])), np.empty(0)
         for k in range(len(lam)):
             if smooth or k == 0:  # an exact spline is the same for all dimensions
-                operator = _evaluate(_curve(t[values], unit, weight[values, k], lam[k]), at[samples])
+                operator = _evaluate(_curve(t[values], unit, weight[values, k], lam[k]), sample_s[samples])
             for error in errors:
                 variance[:, samples, k] += _propagate(operator * error.sigma[values, k], t[values], error.correlation_s)
     return np.sqrt(variance, out=variance)
 
 
-def _fill_amid(variance: Array, t: Array, errors: Sequence[Errors], per: int) -> None:
-    """Fill the variances (3, M, d) of an exact spline through evenly spaced values (n,), `per` samples a frame, without
-    the `_REACH` frames at either end: there every frame's samples depend correlated on the values about it."""
-    wide, step = 2 * _REACH, (t[-1] - t[0]) / (len(t) - 1)
-    spline = CubicSpline(step * np.arange(2 * wide), np.eye(2 * wide))
-    shares = _evaluate(spline, step * (wide - 1 + np.arange(per) / per))[:, :, _REACH:-_REACH].reshape(3 * per, wide)
-    first, second = np.triu_indices(wide)
+def _fill_amid(variance: Array, t: Array, errors: Sequence[Errors], per_frame: int) -> None:
+    """Fill the variances (3, M, d) of an exact spline through evenly spaced values (n,), away from its ends.
+
+    `per_frame` samples a frame. The `_REACH` frames at either end are left out: elsewhere the samples of every frame
+    depend on the values around it in the same way.
+    """
+    width, step = 2 * _REACH, (t[-1] - t[0]) / (len(t) - 1)
+    spline = CubicSpline(step * np.arange(2 * width), np.eye(2 * width))
+    shares = _evaluate(spline, step * (width - 1 + np.arange(per_frame) / per_frame))[:, :, _REACH:-_REACH].reshape(
+        3 * per_frame, width
+    )
+    first, second = np.triu_indices(width)
     products = shares[:, first] * shares[:, second] * np.where(first == second, 1.0, 2.0)
     least = _LEAST_PRODUCT * np.max(shares**2, axis=1, keepdims=True)
-    frames = len(t) - 1 - wide
-    by_frame = variance.reshape(3, frames, per, -1)  # a view
+    frames = len(t) - 1 - width
+    by_frame = variance.reshape(3, frames, per_frame, -1)  # a view
     for error in errors:
         factors = products * _correlation(step * (second - first), error.correlation_s)
-        counts = (np.abs(factors) > least).any(axis=0)
+        matters = (np.abs(factors) > least).any(axis=0)
         for k, sigma in enumerate(error.sigma.T):
-            about = sliding_window_view(sigma, frames)[1:]
-            for at in (slice(start, start + _AT_ONCE) for start in range(0, frames, _AT_ONCE)):  # each takes memory
-                added = factors[:, counts] @ (about[first[counts], at] * about[second[counts], at])
-                by_frame[:, at, :, k] += added.reshape(3, per, -1).swapaxes(1, 2)
+            neighbours = sliding_window_view(sigma, frames)[1:]
+            for batch in (slice(start, start + _AT_ONCE) for start in range(0, frames, _AT_ONCE)):  # each takes memory
+                added = factors[:, matters] @ (neighbours[first[matters], batch] * neighbours[second[matters], batch])
+                by_frame[:, batch, :, k] += added.reshape(3, per_frame, -1).swapaxes(1, 2)
     np.maximum(variance, 0.0, out=variance)
 
 
-def _windows(t: Array, at: Array) -> Iterator[tuple[slice, slice]]:
-    """Pieces of the times `at`, each with the values of a span that its samples depend on."""
+def _windows(t: Array, sample_s: Array) -> Iterator[tuple[slice, slice]]:
+    """Yield pieces of the sample times, each with the span's values on which its samples depend."""
     for first in range(0, max(len(t) - 1, 1), _WINDOW):
         last = min(first + _WINDOW, len(t) - 1)
-        begin, end = np.searchsorted(at, [t[first], t[last]])
-        final = last == len(t) - 1
-        yield slice(max(first - _MARGIN, 0), last + _MARGIN + 1), slice(begin, len(at) if final else end)
+        begin, end = np.searchsorted(sample_s, [t[first], t[last]])
+        is_final = last == len(t) - 1
+        yield slice(max(first - _MARGIN, 0), last + _MARGIN + 1), slice(begin, len(sample_s) if is_final else end)
 
 
 def _propagate(weighted: Array, t: Array, correlation_s: float) -> Array:
-    """Variances (3, M) of operators (3, M, n), already times sigma."""
+    """Return the variances (3, M) of operators (3, M, n), already multiplied by sigma."""
     if correlation_s == 0:
         return np.sum(weighted**2, axis=-1)
     return np.maximum(np.sum((weighted @ _correlation(t[:, None] - t, correlation_s)) * weighted, axis=-1), 0.0)
 
 
-def _correlation(apart_s: Array, lasts_s: float) -> Array:
-    return np.exp(-0.5 * (apart_s / lasts_s) ** 2) if lasts_s else (apart_s == 0).astype(float)
+def _correlation(difference_s: Array, correlation_s: float) -> Array:
+    return np.exp(-0.5 * (difference_s / correlation_s) ** 2) if correlation_s else (difference_s == 0).astype(float)
 
 
 # -- points ----------------------------------------------------------------------------------------------------------
 
 
 def frame_times(frames: Array | Index, fps: float) -> Array:
-    """Times (T,) of frame numbers, seconds; frame 0 is at 0. Raises ValueError unless fps is positive."""
+    """Return the times (T,) of frame numbers in seconds; frame 0 is at 0.
+
+    Raises ValueError unless fps is positive.
+    """
     if not (np.isfinite(fps) and fps > 0):
         raise ValueError(f"a positive frame rate is needed, got {fps}")
     return np.asarray(frames, float) / fps
 
 
 def joint_index(pose: Pose3D, names: tuple[str, ...]) -> list[int]:
-    """Where the joints stand in a pose. Raises InputError with every one that it lacks."""
+    """Return the positions of joints in a pose's list.
+
+    Raises InputError that names every joint the pose lacks.
+    """
     lacking = [name for name in dict.fromkeys(names) if name not in pose.names]
     if lacking:
-        where = pose.source or "pose"
+        source = pose.source or "pose"
         shown = ", ".join(pose.names)
-        raise InputError([Problem(where, "joints", f"no '{name}'", f"one of {shown}") for name in lacking])
+        raise InputError([Problem(source, "joints", f"no '{name}'", f"one of {shown}") for name in lacking])
     return [pose.names.index(name) for name in names]
 
 
 def point_kinematics(time_s: Array, xyz_m: Array, errors: Sequence[Errors] = (), **options) -> JointKinematics:
-    """A point's path (T, 3) in metres at times (T,), errors (T, 3); options as `series_kinematics`."""
+    """Return speed, acceleration and distance of a point's path.
+
+    Parameters
+    ----------
+    time_s : ndarray
+        Increasing times, shape (T,).
+    xyz_m : ndarray
+        Positions, shape (T, 3), metres; NaN for missing frames.
+    errors : sequence of Errors
+        Errors of the positions that add up, sigma (T, 3) each.
+    **options
+        As in `series_kinematics`.
+    """
     series = series_kinematics(time_s, xyz_m, errors, **options)
     speed, speed_sigma = _norm(series.rate, series.rate_sigma)
     acceleration, acceleration_sigma = _norm(series.acceleration, series.acceleration_sigma)
     steps_m = np.linalg.norm(np.diff(series.value, axis=0), axis=1)
-    known = np.isfinite(steps_m)
-    distance, covered = float(steps_m[known].sum()), float(np.diff(series.time_s)[known].sum())
+    is_known = np.isfinite(steps_m)
+    distance, covered = float(steps_m[is_known].sum()), float(np.diff(series.time_s)[is_known].sum())
     return JointKinematics(
         series=series,
         speed_m_s=speed,
@@ -357,16 +412,16 @@ def point_kinematics(time_s: Array, xyz_m: Array, errors: Sequence[Errors] = (),
     )
 
 
-def _at_peak(values: Array, others: Array) -> float:
-    """The others (N,), where values (N,) are largest; NaN without."""
-    return float(others[np.nanargmax(values)]) if np.isfinite(values).any() else np.nan
+def _at_peak(values: Array, quantity: Array) -> float:
+    """Return the other quantity (N,) at the greatest of the values (N,); NaN if none is known."""
+    return float(quantity[np.nanargmax(values)]) if np.isfinite(values).any() else np.nan
 
 
 def frame_jitter_m(points_m: Array) -> Array:
-    """Standard deviation (d,) of what is independent from frame to frame in each coordinate of points (T, d), metres.
+    """Return the standard deviation (d,) of independent noise in each coordinate of points (T, d), metres.
 
-    Robust (median absolute value), from third differences over four frames in a row, in which a smooth motion nearly
-    vanishes and white noise has a standard deviation of sqrt(20). NaN with fewer than three of them.
+    Robust (median absolute value), from third differences over four frames in a row: a smooth motion nearly vanishes in
+    them, and white noise has a standard deviation of sqrt(20). NaN with fewer than three of them.
     """
     differences = np.diff(points_m, 3, axis=0)
     differences = differences[np.isfinite(differences).all(axis=1)]
@@ -376,74 +431,87 @@ def frame_jitter_m(points_m: Array) -> Array:
 
 
 def jitter_errors(values: Array) -> tuple[Errors]:
-    """Independent errors of the size that values (T, ...) jitter with from frame to frame."""
+    """Return independent errors of the size by which values (T, ...) jitter from frame to frame."""
     jitter = frame_jitter_m(values.reshape(len(values), -1)).reshape(values.shape[1:])
     smallest = 1e-9  # an exact series has none
     return (Errors(np.broadcast_to(np.maximum(np.nan_to_num(jitter, nan=smallest), smallest), values.shape)),)
 
 
 def lasting_errors(values: Array, fps: float) -> tuple[Errors, Errors]:
-    """The errors of values (T, ...) of a method that starts a frame from the one before and repeats its errors for some
-    time: `jitter_errors`, which smoothing goes by, and what comes with `JITTER_TIMES` the jitter from one
-    `JITTER_LASTS_S` to the next, single large errors included."""
+    """Return the errors of values (T, ...) of a method that starts each frame from the one before.
+
+    Such a method repeats its errors for some time. The first are `jitter_errors`, which set the smoothing; the second
+    have `JITTER_TIMES` the size of the jitter over `JITTER_LASTS_S`, single large errors included.
+    """
     (independent,) = jitter_errors(values)
     step = max(1, round(JITTER_LASTS_S * fps))
     differences = values[3 * step :] - 3 * values[2 * step : -step] + 3 * values[step : -2 * step] - values[: -3 * step]
     squares = np.where(np.isfinite(differences), differences**2 / 20, np.nan)
-    known = np.isfinite(squares).any(axis=0)
-    variance = np.where(known, np.nanmean(np.where(known, squares, 0.0), axis=0) if len(squares) else 0.0, 0.0)
+    is_known = np.isfinite(squares).any(axis=0)
+    variance = np.where(is_known, np.nanmean(np.where(is_known, squares, 0.0), axis=0) if len(squares) else 0.0, 0.0)
     lasting = np.sqrt(np.maximum(JITTER_TIMES**2 * variance - independent.sigma**2, 1e-18))
     return independent, Errors(lasting, JITTER_LASTS_S)
 
 
 def net_acceleration(time_s: Array, xyz_m: Array, errors: Sequence[Errors] = ()) -> tuple[float, float]:
-    """Acceleration along the way over a whole clip, m/s^2, and its standard deviation, NaN without errors: of the
-    parabola in time through a path (T, 3), z up, along its level direction from first to last, by least squares.
-    errors (T, 3): as of `series_kinematics`. NaN with fewer than four frames, or without a way."""
-    known = np.flatnonzero(np.isfinite(xyz_m).all(axis=1))
-    way = xyz_m[known[-1], :2] - xyz_m[known[0], :2] if len(known) >= MIN_POINTS else np.zeros(2)
-    if not way.any():
+    """Return the acceleration along the direction of travel over a whole clip and its standard deviation, m/s^2.
+
+    It is that of the parabola in time, by least squares, through a path (T, 3) with z up, along its level direction
+    from first to last. errors (T, 3): as in `series_kinematics`; without any the standard deviation is NaN. NaN with
+    fewer than four frames or without any travel.
+    """
+    known_rows = np.flatnonzero(np.isfinite(xyz_m).all(axis=1))
+    travel_m = xyz_m[known_rows[-1], :2] - xyz_m[known_rows[0], :2] if len(known_rows) >= MIN_POINTS else np.zeros(2)
+    if not travel_m.any():
         return np.nan, np.nan
-    ahead = way / np.linalg.norm(way)
-    along = [Errors(ahead[k] * e.sigma[known, k], e.correlation_s) for e in errors for k in range(2)]
-    return parabola_acceleration(time_s[known], xyz_m[known, :2] @ ahead, along)
+    direction = travel_m / np.linalg.norm(travel_m)
+    errors_along = [
+        Errors(direction[k] * error.sigma[known_rows, k], error.correlation_s) for error in errors for k in range(2)
+    ]
+    return parabola_acceleration(time_s[known_rows], xyz_m[known_rows, :2] @ direction, errors_along)
 
 
 def parabola_acceleration(time_s: Array, values: Array, errors: Sequence[Errors]) -> tuple[float, float]:
-    """The acceleration of the parabola in time through values (T,), by least squares, and its standard deviation, NaN
-    without errors."""
+    """Return the acceleration of the least-squares parabola in time through values (T,) and its standard deviation.
+
+    The latter is NaN without errors.
+    """
     t = time_s - time_s.mean()
     shares = 2 * np.linalg.pinv(np.stack([np.ones(len(t)), t, t**2], axis=1))[2]
-    variance = sum(_variance_of_sum(shares * e.sigma, t, e.correlation_s) for e in errors)
+    variance = sum(_variance_of_sum(shares * error.sigma, t, error.correlation_s) for error in errors)
     return float(shares @ values), float(np.sqrt(variance)) if len(errors) else np.nan
 
 
-def _variance_of_sum(sigma: Array, t: Array, lasts_s: float) -> float:
-    """The variance of the sum of errors (T,), of which those of times further apart have nothing in common."""
+def _variance_of_sum(sigma: Array, t: Array, correlation_s: float) -> float:
+    """Return the variance of the sum of errors (T,), whose correlation falls with the time between them."""
     variance = sigma @ sigma
     for lag in range(1, len(t)):
-        apart_s = t[lag:] - t[:-lag]
-        if apart_s.min() > 9 * lasts_s:
+        difference_s = t[lag:] - t[:-lag]
+        if difference_s.min() > 9 * correlation_s:
             break
-        variance += 2 * (sigma[lag:] * sigma[:-lag]) @ _correlation(apart_s, lasts_s)
+        variance += 2 * (sigma[lag:] * sigma[:-lag]) @ _correlation(difference_s, correlation_s)
     return max(float(variance), 0.0)
 
 
 def speed_at_frames(time_s: Array, xyz_m: Array, smooth: bool = False) -> Array:
-    """Speed (T,) in m/s of a path (T, 3) at its frames; smooth: by its jitter."""
+    """Return the speed (T,) of a path (T, 3) at its frames, m/s; smooth: by the path's jitter."""
     errors = jitter_errors(xyz_m) if smooth else ()
     return point_kinematics(time_s, xyz_m, errors, smooth=smooth, propagate=False, oversampling=1).speed_m_s
 
 
 def joint_kinematics(pose: Pose3D, joint: str, fps: float, errors: Sequence[Errors] = (), **options) -> JointKinematics:
-    """Motion of one joint of a pose; errors (T, J, 3) of all, metres. Raises InputError, ValueError."""
+    """Return the motion of one joint of a pose.
+
+    errors: (T, J, 3) of all joints, metres; options are those of `series_kinematics`. Raises InputError if the pose
+    lacks the joint, ValueError.
+    """
     (j,) = joint_index(pose, (joint,))
-    of_joint = [error[:, j] for error in errors]
-    return point_kinematics(frame_times(pose.frames, fps), pose.xyz_m[:, j], of_joint, **options)
+    joint_errors = [error[:, j] for error in errors]
+    return point_kinematics(frame_times(pose.frames, fps), pose.xyz_m[:, j], joint_errors, **options)
 
 
 def _norm(vector: Array, sigma: Array) -> tuple[Array, Array]:
-    """Norms (N,) of vectors (N, d), and their standard deviations: sum((v_k / |v|)^2 sigma_k^2)."""
+    """Return the norms (N,) of vectors (N, d) and their standard deviations: sum((v_k / |v|)^2 sigma_k^2)."""
     norm = np.linalg.norm(vector, axis=1)
     # At rest the direction is unknown: the mean over the directions.
     share = np.divide(vector, norm[:, None], out=np.full_like(vector, vector.shape[1] ** -0.5), where=norm[:, None] > 0)
@@ -454,7 +522,7 @@ def _norm(vector: Array, sigma: Array) -> tuple[Array, Array]:
 
 
 def angle_between(a_m: Array, b_m: Array, c_m: Array) -> Array:
-    """The angle (T,) at b between a and c, 0 to pi, from positions (T, 3); NaN where two of them coincide."""
+    """Return the angle (T,) at b between a and c, 0 to pi, from positions (T, 3); NaN where two coincide."""
     u, v = a_m - b_m, c_m - b_m
     # atan2 keeps its precision near 0 and pi, where arccos loses half the digits.
     angle = np.arctan2(np.linalg.norm(np.cross(u, v), axis=1), np.sum(u * v, axis=1))
@@ -462,35 +530,37 @@ def angle_between(a_m: Array, b_m: Array, c_m: Array) -> Array:
 
 
 def sagittal_flexion(rear_m: Array, middle_m: Array, front_m: Array) -> Array:
-    """Flexion (T,) of the back in the sagittal plane from positions (T, 3), z up: 0 when straight, rad in (-pi, pi].
+    """Return the flexion (T,) of the back in the sagittal plane, rad in (-pi, pi]; 0 when straight.
 
-    The sagittal plane is the vertical one through rear and front, so that roll is neglected. Positive: flexed, the back
-    arched upwards, the middle above the line from rear to front; negative: extended, the back hollow. It is the
-    inclination of rear -> middle less that of middle -> front.
+    Positions (T, 3) with z up. The sagittal plane is the vertical one through rear and front, so that roll is
+    neglected. Positive: flexed, the back arched upwards, the middle above the line from rear to front; negative:
+    extended, the back hollow. It is the inclination of rear -> middle minus that of middle -> front.
     """
-    ahead = (front_m - rear_m)[:, :2]
-    length = np.linalg.norm(ahead, axis=1, keepdims=True)
-    ahead = np.divide(ahead, length, out=np.full_like(ahead, np.nan), where=length > 0)
+    forward = (front_m - rear_m)[:, :2]
+    length = np.linalg.norm(forward, axis=1, keepdims=True)
+    forward = np.divide(forward, length, out=np.full_like(forward, np.nan), where=length > 0)
     links = (middle_m - rear_m, front_m - middle_m)
-    rise = [np.arctan2(link[:, 2], np.sum(link[:, :2] * ahead, axis=1)) for link in links]
-    return np.pi - np.mod(np.pi - (rise[0] - rise[1]), 2 * np.pi)
+    inclinations = [np.arctan2(link[:, 2], np.sum(link[:, :2] * forward, axis=1)) for link in links]
+    return np.pi - np.mod(np.pi - (inclinations[0] - inclinations[1]), 2 * np.pi)
 
 
 def angle_kinematics(time_s: Array, angle_rad: Array, errors: Sequence[Errors] = (), **options) -> AngleKinematics:
-    """An angle (T,) over times (T,), errors (T,) in rad, jumps of 2 pi between known frames taken out; options as
-    `series_kinematics`."""
+    """Return an angle (T,) over times (T,) with its rate and acceleration.
+
+    errors: (T,), rad. Jumps of 2 pi between known frames are removed. Options are those of `series_kinematics`.
+    """
     angle = np.array(angle_rad, float)
-    known = np.isfinite(angle)
-    angle[known] = np.unwrap(angle[known])
+    is_known = np.isfinite(angle)
+    angle[is_known] = np.unwrap(angle[is_known])
     series = series_kinematics(time_s, angle[:, None], [error[:, None] for error in errors], **options)
     value = series.value[np.isfinite(series.value)]
     low, high = (float(value.min()), float(value.max())) if len(value) else (np.nan, np.nan)
     return AngleKinematics(series, (low, high), _greatest(series.rate), _greatest(series.acceleration))
 
 
-def _greatest(of: Array) -> float:
-    known = np.abs(of[np.isfinite(of)])
-    return float(known.max()) if len(known) else np.nan
+def _greatest(values: Array) -> float:
+    magnitudes = np.abs(values[np.isfinite(values)])
+    return float(magnitudes.max()) if len(magnitudes) else np.nan
 
 
 def joint_angle(
@@ -501,26 +571,47 @@ def joint_angle(
     angle_of: Angle = angle_between,
     **options,
 ) -> AngleKinematics:
-    """The angle at joints[1] between joints[0] and joints[2], 0 to pi, or another one of three joints. errors
-    (T, J, 3), metres, of joints independent of each other. Raises InputError.
+    """Return the angle at the middle one of three joints over time.
 
-    An angle between 0 and pi turns round where the joint goes on through a straight line: its peaks are of the times at
-    which it is two standard deviations or more away from there.
+    An angle between 0 and pi turns around where the joint passes through a straight line: its peaks are taken at the
+    times at which it is at least two standard deviations away from there.
+
+    Parameters
+    ----------
+    pose : Pose3D
+        T frames of J joints.
+    joints : tuple of str
+        Three joints; the angle is at the second, 0 to pi.
+    fps : float
+        Frames a second.
+    errors : sequence of Errors
+        Errors (T, J, 3), metres, of joints independent of each other.
+    angle_of : callable
+        Function of the three joints' positions (T, 3); `angle_between` by default.
+    **options
+        As in `series_kinematics`.
+
+    Raises
+    ------
+    InputError
+        If the pose lacks a joint.
     """
-    where = joint_index(pose, joints)
-    points = pose.xyz_m[:, where]
+    joint_rows = joint_index(pose, joints)
+    points = pose.xyz_m[:, joint_rows]
     angle = angle_of(*np.moveaxis(points, 1, 0))
-    of_angle = [Errors(angle_sigma(angle_of, points, e.sigma[:, where]), e.correlation_s) for e in errors]
-    for error in of_angle:
+    angle_errors = [
+        Errors(angle_sigma(angle_of, points, error.sigma[:, joint_rows]), error.correlation_s) for error in errors
+    ]
+    for stated in angle_errors:
         # Where the angle has no first derivative there is no linear deviation either.
-        angle = np.where(np.isfinite(error.sigma) & (error.sigma > 0), angle, np.nan)
-    found = angle_kinematics(frame_times(pose.frames, fps), angle, of_angle, **options)
+        angle = np.where(np.isfinite(stated.sigma) & (stated.sigma > 0), angle, np.nan)
+    result = angle_kinematics(frame_times(pose.frames, fps), angle, angle_errors, **options)
     if angle_of is not angle_between or not errors:
-        return found
-    series = found.series
-    bent = np.minimum(series.value, np.pi - series.value) >= STRAIGHT_SIGMAS * series.value_sigma
-    peaks = _greatest(series.rate[bent]), _greatest(series.acceleration[bent])
-    return replace(found, peak_rate_rad_s=peaks[0], peak_acceleration_rad_s2=peaks[1])
+        return result
+    series = result.series
+    is_bent = np.minimum(series.value, np.pi - series.value) >= STRAIGHT_SIGMAS * series.value_sigma
+    peaks = _greatest(series.rate[is_bent]), _greatest(series.acceleration[is_bent])
+    return replace(result, peak_rate_rad_s=peaks[0], peak_acceleration_rad_s2=peaks[1])
 
 
 def spine_flexion(
@@ -530,18 +621,21 @@ def spine_flexion(
     joints: tuple[str, str, str] = ("tail_base", "spine", "neck_base"),
     **options,
 ) -> AngleKinematics:
-    """Flexion of the back, positive when arched upwards (`sagittal_flexion`); joints: rear, middle, front."""
+    """Return the flexion of the back over time, positive when arched upwards (`sagittal_flexion`).
+
+    joints: rear, middle, front.
+    """
     return joint_angle(pose, joints, fps, errors, sagittal_flexion, **options)
 
 
 def angle_sigma(angle_of: Angle, points_m: Array, sigma_m: Array) -> Array:
-    """Linear standard deviation (T,) of an angle of three points (T, 3, 3), whose nine coordinates have sigma_m.
+    """Return the linear standard deviation (T,) of an angle of three points (T, 3, 3) with errors sigma_m.
 
-    The derivatives are central differences over a micrometre.
+    The derivatives by the nine coordinates are central differences over a micrometre.
     """
     step, variance = 1e-6, np.zeros(len(points_m))
-    for way in step * np.eye(9).reshape(9, 3, 3):
-        ahead, behind = (angle_of(*np.moveaxis(points_m + one, 1, 0)) for one in (way, -way))
-        change = np.mod(ahead - behind + np.pi, 2 * np.pi) - np.pi
-        variance += (change / (2 * step) * sigma_m[:, way > 0][:, 0]) ** 2
+    for shift_m in step * np.eye(9).reshape(9, 3, 3):
+        forward, backward = (angle_of(*np.moveaxis(points_m + by_m, 1, 0)) for by_m in (shift_m, -shift_m))
+        change = np.mod(forward - backward + np.pi, 2 * np.pi) - np.pi
+        variance += (change / (2 * step) * sigma_m[:, shift_m > 0][:, 0]) ** 2
     return np.sqrt(variance)

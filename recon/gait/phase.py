@@ -1,24 +1,25 @@
-"""Links' motion relative to their parents (vector field), phase portraits and the degree of closure.
+"""Return the motion of links relative to their parents (vector field), phase portraits and the degree of closure.
 
-Vector field of a chain of joints: for each link but the first, its tip's position and velocity in the frame of the link
-before it. That frame's origin is the joint between the two, x along the parent, z to the animal's right, normal to x
-(the part of the level direction across the travel that is), y = z x x. For a parent that runs forwards y is up, for one
-that hangs down it is forwards. In the plane of x and y, in polar form,
+Vector field of a chain of joints: for each link but the first, the position and velocity of its tip in the frame of the
+link before. The origin of that frame is the joint between the two, x points along the parent, z to the animal's right
+and normal to x (the part of the level direction across the travel that is), y = z x x. For a parent that runs forwards
+y is up, for one that hangs down y is forwards. In the plane of x and y, in polar form,
 
     r = |(x, y)|,   dr = (x dx + y dy) / r,   dtheta = (x dy - y dx) / r^2
 
-so that a rigid link in the plane has dr = 0 and moves with r |dtheta|. What leaves the plane is `z`. The frame turns
-with the parent: (dx, dy, dz) are the derivatives of the coordinates. The first link is the reference of the second and
-has no motion of its own (zero by definition in published tables).
+so that a rigid link in the plane has dr = 0 and moves with r |dtheta|. The coordinate out of the plane is `z`. The
+frame turns with the parent: (dx, dy, dz) are the derivatives of the coordinates. The first link is the reference of the
+second and has no motion of its own (zero by definition in published tables).
 
-Degree of closure of a path in phase space, D = 100 (1 - d / d_max) in percent: d is the distance between the path's
-start and its end, d_max its diameter, the largest distance between any two of its points. A path that ends where it
-began has 100, one that ends as far away as it ever gets 0. Source: C. van der Leek, MSc(Eng), University of Cape Town,
-2022, which leaves d_max open.
+Degree of closure of a path in phase space: D = 100 (1 - d / d_max) in percent. The distance d lies between the path's
+start and its end, and d_max is its diameter, the largest distance between any two of its points. A path that ends at
+its start has 100; one that ends as far away as it ever gets has 0. Source: C. van der Leek, MSc(Eng), University of
+Cape Town, 2022, which leaves d_max open.
 
-Where angles have deviations, closures have one, too: that of the closures of `DRAWN` paths drawn from them. An error of
-the angle is sigma(t) z(t), z smooth noise of unit variance, and that of the rate follows z' (its deviation is known as
-well, and the ratio of the two says how fast z changes), so that start, end and turning points err as they do together.
+If angles have standard deviations, closures have one too: that of the closures of `DRAWN` paths drawn from the angles'
+errors. An error of the angle is sigma(t) z(t), with z smooth noise of unit variance, and that of the rate follows z'.
+The rate's standard deviation is also known, and the ratio of the two gives the time over which z changes, so that
+start, end and turning points have the joint distribution of their errors.
 """
 
 from __future__ import annotations
@@ -42,31 +43,32 @@ if TYPE_CHECKING:
 FORWARD = ("tail_base", "neck_base")
 CHUNK = 1000
 DRAWN, _WAVES, _DIRECTIONS = 100, 50, 32
-"""Paths that a closure's deviation comes from, waves in each, and directions in which their extent is measured."""
+"""Number of paths that a closure's standard deviation comes from, of waves in each, and of directions in which their
+extent is measured."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class LinkField(Brief):
-    """One link's tip in its parent's frame, at the T frames, NaN where unknown."""
+    """Tip of one link in its parent's frame at the T frames; NaN where unknown."""
 
     link: tuple[str, str]
     """The start and the end joint of the link."""
     parent: tuple[str, str]
     """The start and the end joint of its parent."""
     position_m: Array
-    """(T, 3): x, y, z."""
+    """Coordinates x, y, z, shape (T, 3)."""
     velocity_m_s: Array
-    """(T, 3): x, y, z."""
+    """Derivatives of the coordinates, shape (T, 3)."""
     radius_m: Array
-    """(T,): polar, in the plane of x and y, as the next two."""
+    """Distance from the joint in the plane of x and y, shape (T,); the next two are polar, too."""
     dr_m_s: Array
     """The radial velocity of the link's tip, shape (T,)."""
     dtheta_rad_s: Array
     """The angular velocity of the link's tip, shape (T,)."""
     speed_m_s: Array
-    """(T,): in that plane, the norm of (dr, r dtheta)."""
+    """Norm of (dr, r dtheta), shape (T,)."""
     dr_sigma_m_s: Array | float = np.nan
-    """(T,): one standard deviation (`field_with_sigma`), NaN where none is known."""
+    """One standard deviation (`field_with_sigma`), shape (T,); NaN if unknown."""
     dtheta_sigma_rad_s: Array | float = np.nan
     """Standard deviations of the angular velocity, shape (T,)."""
     speed_sigma_m_s: Array | float = np.nan
@@ -75,16 +77,16 @@ class LinkField(Brief):
 
 @dataclass(frozen=True)
 class Closure:
-    """Degrees of closure in percent. NaN for a path that does not move."""
+    """Degrees of closure in percent; NaN for a path that does not move."""
 
     angle: float
     """The degree of closure of the angle alone."""
     plane: float
-    """In the (angle, rate) plane, both axes divided by their ranges."""
+    """The degree in the (angle, rate) plane, with both axes divided by their ranges."""
     angle_sigma: float = np.nan
-    """Standard deviation, NaN where none is known."""
+    """One standard deviation, NaN if unknown."""
     plane_sigma: float = np.nan
-    """Standard deviation, NaN where none is known."""
+    """One standard deviation, NaN if unknown."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -98,17 +100,33 @@ class Portrait(Brief):
     rate_rad_s: Array
     """The rate of the angle at the N times, shape (N,), NaN where it is unknown."""
     angle_sigma_rad: Array | float = np.nan
-    """(N,): standard deviation, NaN where none is known."""
+    """One standard deviation, shape (N,); NaN if unknown."""
     rate_sigma_rad_s: Array | float = np.nan
-    """(N,): standard deviation, NaN where none is known."""
+    """One standard deviation, shape (N,); NaN if unknown."""
 
 
 # -- vector field ----------------------------------------------------------------------------------------------------
 
 
 def vector_field(time_s: Array, joints_m: Array, names: tuple[str, ...], forward_m: Array) -> tuple[LinkField, ...]:
-    """Fields of the links of a chain of J >= 3 joints (T, J, 3) in order, J - 2 links; forward_m (T, 3): any vector
-    from rear to front (its horizontal part counts). Raises ValueError."""
+    """Return the fields of the J - 2 links of a chain of joints that have a parent.
+
+    Parameters
+    ----------
+    time_s : ndarray
+        Times, shape (T,).
+    joints_m : ndarray
+        Positions of J >= 3 joints in order, shape (T, J, 3).
+    names : tuple of str
+        Their names.
+    forward_m : ndarray
+        Any vector from rear to front, shape (T, 3); only its horizontal part enters.
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than three joints, or the shapes differ.
+    """
     if len(names) < 3 or joints_m.shape != (len(time_s), len(names), 3):
         raise ValueError(f"positions (T, J, 3) of at least three joints expected, got {joints_m.shape} of {len(names)}")
     along = np.moveaxis(tips(joints_m, forward_m), 1, 0)
@@ -118,51 +136,60 @@ def vector_field(time_s: Array, joints_m: Array, names: tuple[str, ...], forward
 def pose_vector_field(
     pose: Pose3D, chain: tuple[str, ...], fps: float, forward: tuple[str, str] = FORWARD
 ) -> tuple[LinkField, ...]:
-    """The field of a chain of a pose's joints, as (spine, tail_base, l_back_knee, l_back_ankle, l_back_paw); forward:
-    two joints, from rear to front. Raises InputError with every joint that the pose lacks, ValueError."""
-    where, (rear, front) = joint_index(pose, (*chain, *forward))[: len(chain)], joint_index(pose, forward)
-    ahead = pose.xyz_m[:, front] - pose.xyz_m[:, rear]
-    return vector_field(frame_times(pose.frames, fps), pose.xyz_m[:, where], chain, ahead)
+    """Return the field of a chain of a pose's joints.
+
+    chain: such as (spine, tail_base, l_back_knee, l_back_ankle, l_back_paw). forward: two joints, from rear to front.
+    Raises InputError that names every joint the pose lacks, ValueError.
+    """
+    joint_rows, (rear, front) = joint_index(pose, (*chain, *forward))[: len(chain)], joint_index(pose, forward)
+    forward_m = pose.xyz_m[:, front] - pose.xyz_m[:, rear]
+    return vector_field(frame_times(pose.frames, fps), pose.xyz_m[:, joint_rows], chain, forward_m)
 
 
 def field_means(fields: Sequence[LinkField]) -> pd.DataFrame:
-    """A row for each link: means over its known frames of the speed in the plane and in space, |dr| and |dtheta|; the
-    speed's deviation at one frame, root mean square over them; and their number. NaN without any."""
+    """Return a table with a row for each link: means over its known frames, and their number.
+
+    Means of the speed in the plane and in space, of |dr| and of |dtheta|, and the root mean square of the speed's
+    standard deviation at one frame. NaN without any known frame.
+    """
     import pandas as pd
 
     rows = []
     for field in fields:
         space = np.linalg.norm(field.velocity_m_s, axis=1)
         values = np.abs(np.stack([field.speed_m_s, space, field.dr_m_s, field.dtheta_rad_s]))
-        known = np.isfinite(values).all(axis=0)
-        means = [mean(of[known]) for of in values]
-        sigma = np.sqrt(mean(np.broadcast_to(field.speed_sigma_m_s, known.shape)[known] ** 2))
-        rows.append(("-".join(field.link), "-".join(field.parent), *means, float(sigma), int(known.sum())))
+        is_known = np.isfinite(values).all(axis=0)
+        means = [mean(quantity[is_known]) for quantity in values]
+        sigma = np.sqrt(mean(np.broadcast_to(field.speed_sigma_m_s, is_known.shape)[is_known] ** 2))
+        rows.append(("-".join(field.link), "-".join(field.parent), *means, float(sigma), int(is_known.sum())))
     columns = ["link", "parent", "speed_m_s", "speed_3d_m_s", "dr_m_s", "dtheta_rad_s", "speed_sigma_m_s", "frames"]
     return pd.DataFrame(rows, columns=columns)
 
 
 def tips(joints_m: Array, forward_m: Array) -> Array:
-    """(T, J - 2, 3): the positions of `vector_field`, of joints (T, J, 3) and forward_m (T, 3)."""
+    """Return the positions (T, J - 2, 3) of `vector_field` for joints (T, J, 3) and forward_m (T, 3)."""
     right = np.stack([forward_m[:, 1], -forward_m[:, 0], np.zeros(len(forward_m))], axis=1)
-    found = []
-    for before, start, end in zip(*(np.moveaxis(joints_m, 1, 0)[i:] for i in range(3)), strict=False):
-        x_axis = _unit(start - before)
+    result = []
+    for parent, start, end in zip(*(np.moveaxis(joints_m, 1, 0)[i:] for i in range(3)), strict=False):
+        x_axis = _unit(start - parent)
         z_axis = _unit(right - np.sum(right * x_axis, axis=1, keepdims=True) * x_axis)
         axes = np.stack([x_axis, np.cross(z_axis, x_axis), z_axis], axis=1)
-        found.append(np.einsum("tij,tj->ti", axes, end - start))
-    return np.stack(found, axis=1)
+        result.append(np.einsum("tij,tj->ti", axes, end - start))
+    return np.stack(result, axis=1)
 
 
 def field_with_sigma(field: LinkField, moved_m_s: Array) -> LinkField:
-    """With deviations. moved_m_s (K, T, 3): what K errors that are independent of each other, each of one standard
-    deviation, add to the tip's velocity. Linear; at rest and at radius 0 unknown."""
+    """Return the field with standard deviations.
+
+    moved_m_s (K, T, 3): change of the tip's velocity by K independent errors of one standard deviation each. Linear;
+    unknown at rest and at radius 0.
+    """
     (x, y), (dx, dy) = field.position_m[:, :2].T, field.velocity_m_s[:, :2].T
     ex, ey = moved_m_s[..., 0], moved_m_s[..., 1]
 
-    def sigma(change: Array, by: Array) -> Array:
+    def sigma(change: Array, divisor: Array) -> Array:
         total = np.sqrt(np.sum(change**2, axis=0))
-        return np.divide(total, by, out=np.full_like(total, np.nan), where=by > 0)
+        return np.divide(total, divisor, out=np.full_like(total, np.nan), where=divisor > 0)
 
     return replace(
         field,
@@ -177,9 +204,9 @@ def _link_field(time_s: Array, tip_m: Array, names: tuple[str, str, str]) -> Lin
     position, velocity = series.value, series.rate
     (x, y), (dx, dy) = position[:, :2].T, velocity[:, :2].T
     radius = np.hypot(x, y)
-    known = radius > 0
-    dr = np.divide(x * dx + y * dy, radius, out=np.full_like(radius, np.nan), where=known)
-    dtheta = np.divide(x * dy - y * dx, radius**2, out=np.full_like(radius, np.nan), where=known)
+    is_known = radius > 0
+    dr = np.divide(x * dx + y * dy, radius, out=np.full_like(radius, np.nan), where=is_known)
+    dtheta = np.divide(x * dy - y * dx, radius**2, out=np.full_like(radius, np.nan), where=is_known)
     return LinkField(
         link=(names[1], names[2]),
         parent=(names[0], names[1]),
@@ -193,7 +220,7 @@ def _link_field(time_s: Array, tip_m: Array, names: tuple[str, str, str]) -> Lin
 
 
 def _unit(vectors: Array) -> Array:
-    """Unit vectors (T, 3), NaN for those shorter than a nanometre (a parent that points exactly across, say)."""
+    """Return unit vectors (T, 3), NaN for those shorter than a nanometre."""
     length = np.linalg.norm(vectors, axis=1, keepdims=True)
     return np.divide(vectors, length, out=np.full_like(vectors, np.nan), where=length > 1e-9)
 
@@ -202,17 +229,20 @@ def _unit(vectors: Array) -> Array:
 
 
 def phase_portrait(angle: AngleKinematics, start_s: float = -np.inf, end_s: float = np.inf) -> Portrait:
-    """The path of (angle, rate), on the fine grid of `angle`, between two times, both inclusive, as of a stride."""
+    """Return the path of (angle, rate) on the fine grid of `angle` between two times, both inclusive."""
     s = angle.series
     # The times of a grid carry rounding errors.
-    inside = (s.time_s >= start_s - 1e-9) & (s.time_s <= end_s + 1e-9)
-    quantities = (of[inside, 0] for of in (s.value, s.rate, s.value_sigma, s.rate_sigma))
-    return Portrait(s.time_s[inside], *quantities)
+    is_inside = (s.time_s >= start_s - 1e-9) & (s.time_s <= end_s + 1e-9)
+    columns = (values[is_inside, 0] for values in (s.value, s.rate, s.value_sigma, s.rate_sigma))
+    return Portrait(s.time_s[is_inside], *columns)
 
 
 def closure(portrait: Portrait) -> Closure:
-    """Degrees of closure of a path, from its first to its last point. Raises ValueError if a point in it is unknown or
-    it has fewer than two: what is missing may have been the turning point."""
+    """Return the degrees of closure of a path, from its first to its last point.
+
+    Raises ValueError if a point in the path is unknown or there are fewer than two: a missing point may have been the
+    turning point.
+    """
     path = np.column_stack([portrait.angle_rad, portrait.rate_rad_s])
     if len(path) < 2 or not np.isfinite(path).all():
         raise ValueError("a closure needs a path of two points or more without gaps")
@@ -220,40 +250,40 @@ def closure(portrait: Portrait) -> Closure:
 
 
 def _closure_sigma(portrait: Portrait) -> tuple[float, float]:
-    """Standard deviations of the closures of the angle and in the plane; see the module's text."""
-    lasting = np.sum(portrait.angle_sigma_rad), np.sum(portrait.rate_sigma_rad_s)
-    if not lasting[1] > 0:  # nor NaN
+    """Return the standard deviations of the closures of the angle and in the plane (see the module)."""
+    sums = np.sum(portrait.angle_sigma_rad), np.sum(portrait.rate_sigma_rad_s)
+    if not sums[1] > 0:  # nor NaN
         return np.nan, np.nan
-    lasts_s = lasting[0] / lasting[1]
-    turns = np.array([NormalDist().inv_cdf((k + 0.5) / _WAVES) for k in range(_WAVES)])  # over lasts_s
-    phase = np.outer(turns, portrait.time_s / lasts_s)
+    correlation_s = sums[0] / sums[1]
+    turn_rates = np.array([NormalDist().inv_cdf((k + 0.5) / _WAVES) for k in range(_WAVES)])  # over lasts_s
+    phase = np.outer(turn_rates, portrait.time_s / correlation_s)
     a, b = np.random.default_rng(0).normal(0, _WAVES**-0.5, (2, DRAWN, _WAVES))
     noise = a @ np.cos(phase) + b @ np.sin(phase)
-    change = (b * turns) @ np.cos(phase) - (a * turns) @ np.sin(phase)
+    change = (b * turn_rates) @ np.cos(phase) - (a * turn_rates) @ np.sin(phase)
     angle = portrait.angle_rad + portrait.angle_sigma_rad * noise
     rate = portrait.rate_rad_s + portrait.rate_sigma_rad_s * change
-    alone = np.abs(angle[:, -1] - angle[:, 0]) / np.ptp(angle, axis=1)
+    angle_gap = np.abs(angle[:, -1] - angle[:, 0]) / np.ptp(angle, axis=1)
     plane = np.stack([values / np.ptp(values, axis=1, keepdims=True) for values in (angle, rate)], axis=2)
-    around = np.linspace(0, np.pi, _DIRECTIONS, endpoint=False)
-    widest = np.ptp(plane @ np.stack([np.cos(around), np.sin(around)]), axis=1).max(axis=1)
-    apart = np.linalg.norm(plane[:, -1] - plane[:, 0], axis=1) / widest
-    return float(100 * alone.std()), float(100 * apart.std())
+    directions_rad = np.linspace(0, np.pi, _DIRECTIONS, endpoint=False)
+    extent = np.ptp(plane @ np.stack([np.cos(directions_rad), np.sin(directions_rad)]), axis=1).max(axis=1)
+    plane_gap = np.linalg.norm(plane[:, -1] - plane[:, 0], axis=1) / extent
+    return float(100 * angle_gap.std()), float(100 * plane_gap.std())
 
 
 def degree_of_closure(path: Array) -> float:
-    """D = 100 (1 - d / d_max) of a path (N, d) as it stands, in percent; NaN if all points coincide."""
+    """Return D = 100 (1 - d / d_max) of a path (N, d) in percent; NaN if all points coincide."""
     extent = diameter(path)
     return float(100 * (1 - np.linalg.norm(path[-1] - path[0]) / extent)) if extent > 0 else np.nan
 
 
 def scaled(path: Array) -> Array:
-    """The path (N, d) with each axis divided by its range; an axis without range becomes 0."""
+    """Return the path (N, d) with each axis divided by its range; an axis without range becomes 0."""
     span = np.ptp(path, axis=0)
     return np.divide(path - path.min(axis=0), span, out=np.zeros_like(path), where=span > 0)
 
 
 def diameter(path: Array) -> float:
-    """Largest distance between any two points of a path (N, d)."""
+    """Return the largest distance between any two points of a path (N, d)."""
     if path.shape[1] == 1:
         return float(np.ptp(path))
     with suppress(QhullError):  # flat
