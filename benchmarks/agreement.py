@@ -52,7 +52,7 @@ def views_of_run(run: Path) -> tuple[list[View], float]:
         skeleton=SKELETON,
     )
     given = prepare(settings)
-    return [view.credible() for view in views_of(given.sources)], given.fps
+    return [view.mask_outside_image() for view in views_of(given.sources)], given.fps
 
 
 def judged(views: Sequence[View], fps: float) -> tuple[Finding, ...]:
@@ -66,7 +66,7 @@ def judged(views: Sequence[View], fps: float) -> tuple[Finding, ...]:
 
 def cases(views: list[View]) -> Iterator[Case]:
     def with_one(v: int, view: View) -> list[View]:
-        return [*views[:v], view.credible(), *views[v + 1 :]]
+        return [*views[:v], view.mask_outside_image(), *views[v + 1 :]]
 
     for v, view in enumerate(views):
         for axis, name in enumerate(("tilted", "panned", "rolled")):
@@ -77,7 +77,7 @@ def cases(views: list[View]) -> Iterator[Case]:
     for a, b in combinations(range(len(views)), 2):
         swapped = [*views]
         swapped[a], swapped[b] = (
-            replace(views[here], xy_px=views[there].xy_px, confidence=views[there].confidence).credible()
+            replace(views[here], xy_px=views[there].xy_px, confidence=views[there].confidence).mask_outside_image()
             for here, there in ((a, b), (b, a))
         )
         yield "two files exchanged", swapped, "cameras_exchanged", (a, b)

@@ -221,7 +221,7 @@ def left_out(runs: Sequence[Run], known: str = "other runs", **options: float) -
             others = [c for c in run.views if c != camera]
             solution = solved(run, others, knowing(known, run, runs), fast=True, **options)
             for points_m, out in ((solution.markers_m, found), (run.truth_m, true)):
-                pixels, _ = view.project(view.at_its_time(points_m))
+                pixels, _ = view.project(view.shift_to_exposure(points_m))
                 seen = view.present & np.isfinite(run.truth_m[..., 0]) & np.isfinite(solution.joints_m[..., 0])
                 out.append(np.linalg.norm(pixels - view.xy_px, axis=-1)[seen])
         medians = [float(np.nanmedian(np.concatenate(values))) for values in (found, true)]

@@ -27,7 +27,7 @@ from trajectory import body_of, meta_of, prior_of, truth_of
 
 from recon import Body, FitSettings, Pose3D, read_pose3d
 from recon.animal.measured import detector_toml
-from recon.clip import together, views_of
+from recon.clip import align_cameras, views_of
 from recon.fit import TrajectoryOptions
 from recon.fit.clip_problem import ClipProblem
 from recon.fit.shape import Shape, fit_shape
@@ -98,7 +98,7 @@ def plate_run(folder: Path) -> Run:
             keypoints=(folder / f"cam{number}.csv",), camera=(folder / f"cam{number}.toml",), fps=meta_of(folder)["fps"]
         )
         given.append(prepare(one).sources[0])
-    sources = together(given, (0.0,) * len(given))
+    sources = align_cameras(given, (0.0,) * len(given))
     frames, points_m = truth_of(folder)
     own = sources[0].keypoints.frames
     _, here, there = np.intersect1d(own, frames, return_indices=True)

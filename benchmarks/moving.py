@@ -30,7 +30,7 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 from trajectory import body_of, prior_of
 
-from recon.clip import View, held
+from recon.clip import View, fill_from_nearest
 from recon.fit import TrajectoryOptions, TrajectorySolution, constants, solve_trajectory
 from recon.fit.terms import StanceVelocity
 from recon.geometry.frames import rigid
@@ -46,7 +46,7 @@ FAR_M = 10.0
 def panned(view: View, fps: float) -> tuple[View, View, int]:
     """The view and the same of a camera that pans, and how many points both have lost."""
     rays, R, centre = view.rays(), view.T_camera_world[:3, :3], view.centre_m[0]
-    middle = held(_median(rays))
+    middle = fill_from_nearest(_median(rays))
     azimuth = np.unwrap(np.arctan2(middle[:, 0], middle[:, 1])) - np.arctan2(R[2, 0], R[2, 1])
     azimuth = gaussian_filter1d(azimuth, SMOOTH_S * fps, mode="nearest")
     turn = np.tile(np.eye(3), (len(rays), 1, 1))

@@ -261,7 +261,7 @@ def frame_ranges(frames: np.ndarray) -> tuple[tuple[int, int], ...]:
     return tuple((int(run[0]), int(run[-1]) + 1) for run in runs)
 
 
-def busiest(counts: Integers, n: int) -> slice:
+def densest_window(counts: Integers, n: int) -> slice:
     """The stretch of so many rows, at most, in which the sum is largest."""
     n, total = min(n, len(counts)), np.concatenate([[0], np.cumsum(counts)])
     first = int(np.argmax(total[n:] - total[: len(total) - n]))
@@ -362,11 +362,11 @@ class View(Brief):
         """With a camera whose focal lengths are longer by a factor, given by its logarithm; not of one that zooms."""
         return replace(self, camera=self.camera.with_focal_scale(log_scale)) if log_scale else self
 
-    def credible(self) -> View:
+    def mask_outside_image(self) -> View:
         """Without what no detector can have found in the picture (`Camera.sees`)."""
         return replace(self, xy_px=np.where(self.seen[..., None], self.xy_px, np.nan))
 
-    def at_its_time(self, points_m: Array) -> Array:
+    def shift_to_exposure(self, points_m: Array) -> Array:
         """Points (T, J, 3) of the clip's frames when this view's pictures were taken."""
         if not self.offset_frames or len(points_m) < 2:
             return points_m
@@ -465,7 +465,7 @@ class FramePoses(Brief):
         """Which of the T frames have a camera pose, shape (T,)."""
         return np.isfinite(self.T_camera_world[:, 0, 0])
 
-    def each(self, change: Callable[[Array], Array]) -> FramePoses:
+    def map_arrays(self, change: Callable[[Array], Array]) -> FramePoses:
         """With all that there is changed."""
         zoom, sigma = (None if a is None else change(a) for a in (self.intrinsics_px, self.rotation_sigma_rad))
         return FramePoses(change(self.T_camera_world), zoom, sigma)
@@ -498,13 +498,13 @@ def views_of(sources: Sequence[Source]) -> tuple[View, ...]:
     still = [source.camera for source in sources if not source.moves]
     poses, views = iter(camera_poses(still) if still else ()), []
     for source in sources:
-        where = FramePoses(next(poses)) if source.poses is None else source.poses.each(held)
+        where = FramePoses(next(poses)) if source.poses is None else source.poses.map_arrays(fill_from_nearest)
         seen = (source.keypoints.xy_px, source.keypoints.confidence, where.intrinsics_px, source.offset_frames)
         views.append(View(source.camera, where.T_camera_world, *seen, where.rotation_sigma_rad))
     return tuple(views)
 
 
-def held(values: Array) -> Array:
+def fill_from_nearest(values: Array) -> Array:
     """Values (T, ...), where they are NaN those of the nearest frame that has some."""
     known = np.flatnonzero(np.isfinite(values.reshape(len(values), -1)[:, 0]))
     frames = np.arange(len(values))
@@ -514,7 +514,7 @@ def held(values: Array) -> Array:
     return values[known[nearest]]
 
 
-def together(sources: Sequence[Source], later_frames: Sequence[float]) -> tuple[Source, ...]:
+def align_cameras(sources: Sequence[Source], later_frames: Sequence[float]) -> tuple[Source, ...]:
     """Sources on all frames that one of them has, but those far from all that was seen. later_frames: how much later
     each camera's frame 0 was taken than the first's."""
     shifts = [int(np.floor(later)) for later in later_frames]
@@ -557,4 +557,4 @@ def _on_frames(source: Source, start: int, frames: Integers) -> Source:
 
     xy_px, confidence = spread(keypoints.xy_px), spread(keypoints.confidence, 0.0)
     keypoints = replace(keypoints, xy_px=xy_px, confidence=confidence, frames=frames)
-    return replace(source, keypoints=keypoints, poses=source.poses and source.poses.each(spread))
+    return replace(source, keypoints=keypoints, poses=source.poses and source.poses.map_arrays(spread))

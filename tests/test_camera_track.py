@@ -13,7 +13,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from recon import FitSettings, Motion, find_clips, fit_clip, read_keypoints
-from recon.clip import Keypoints, View, held, views_of
+from recon.clip import Keypoints, View, fill_from_nearest, views_of
 from recon.geometry import Camera, inverse, rigid
 from recon.io import read_camera_track, read_pose3d, write_camera, write_csv
 from recon.workflows import identity, prepare
@@ -143,7 +143,9 @@ def test_short_gaps_are_filled_and_long_ones_are_not(tmp_path):
     np.testing.assert_allclose(found.intrinsics_px[found.known], zoom[[0, 1, 2, 3, 7, 8]])
     assert np.isnan(found.T_camera_world[~found.known]).all()
     assert np.isnan(found.intrinsics_px[~found.known]).all()
-    np.testing.assert_array_equal(held(np.array([np.nan, 1.0, np.nan, np.nan, 4.0, np.nan])), [1, 1, 1, 4, 4, 4])
+    np.testing.assert_array_equal(
+        fill_from_nearest(np.array([np.nan, 1.0, np.nan, np.nan, 4.0, np.nan])), [1, 1, 1, 4, 4, 4]
+    )
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from recon import Camera, FitSettings, Keypoints, Motion, clean, fit_clip
-from recon.clip import Source, View, together
+from recon.clip import Source, View, align_cameras
 from recon.fit import TrajectorySolution, solve_extrinsics, solve_trajectory
 from recon.io import read_cameras, read_keypoints, write_cameras, write_csv
 from recon.workflows import prepare
@@ -124,12 +124,12 @@ def test_cameras_that_began_later():
     """By two frames and a quarter: its frame 0 belongs between the clip's frames 2 and 3."""
     xy_px = np.arange(5.0)[:, None, None] + np.zeros((5, len(BODY.markers), 2))
     sources = [Source(CAMERA, *clean(keypoints_of(values), 0.5), BODY.markers) for values in (xy_px + 100, xy_px + 200)]
-    first, late = together(sources, [0.0, 2.25])
+    first, late = align_cameras(sources, [0.0, 2.25])
     np.testing.assert_array_equal(first.keypoints.frames, np.arange(7))
     assert (first.offset_frames, late.offset_frames) == (0.0, 0.25)
     assert np.isnan(first.keypoints.xy_px[5:]).all()
     np.testing.assert_array_equal(late.keypoints.xy_px[:, 0, 0], [np.nan, np.nan, 200, 201, 202, 203, 204])
-    _, early = together(sources, [0.0, -0.25])
+    _, early = align_cameras(sources, [0.0, -0.25])
     assert early.offset_frames == 0.75
     assert early.keypoints.frames[0] == -1
 

@@ -172,7 +172,7 @@ def test_where_points_are_between_two_frames_and_at_the_end_of_a_stretch():
     points[3] = np.nan
     late = replace(view_of(np.ones((6, 1, 3)), AHEAD), offset_frames=0.25)
     expected = [0.25, 1.25, 2.25, np.nan, 4.25, 5.25]
-    np.testing.assert_allclose(late.at_its_time(points)[:, 0, 0], expected)
+    np.testing.assert_allclose(late.shift_to_exposure(points)[:, 0, 0], expected)
 
 
 def test_a_camera_half_a_frame_late_is_no_worse_for_it():

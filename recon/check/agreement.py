@@ -30,7 +30,7 @@ from scipy.spatial.transform import Rotation
 from recon.animal.body import Body
 from recon.base import Array, Index, InputError, Problem, raise_problems
 from recon.check.codes import finding
-from recon.clip import Source, View, busiest, together, views_of
+from recon.clip import Source, View, align_cameras, densest_window, views_of
 from recon.fit import Finding, Motion, StanceVelocity, TrajectorySolution, constants
 
 MAX_LEVEL = 1.6
@@ -90,7 +90,7 @@ def agreement_findings(motion: Motion, sigma_px: float, keypoint_sigma_m: float)
     if len(views) < 2:
         return ()
     together = (np.sum([view.present for view in views], axis=0) > 1).sum(axis=1)
-    rows, fps = busiest(together, FRAMES), motion.fps
+    rows, fps = densest_window(together, FRAMES), motion.fps
     views = [view.part(rows) for view in views]
     compared = (int(motion.frames[rows][0]), int(motion.frames[rows][-1]) + 1)
     names, everyone = [view.camera.name for view in views], tuple(range(len(views)))
@@ -183,7 +183,8 @@ def _code(found: Numbers, limit: float) -> str:
 def _with_exchanged(views: Sequence[View], a: int, b: int) -> list[View]:
     there = dict(enumerate(views)) | {a: views[b], b: views[a]}
     return [
-        replace(view, xy_px=there[v].xy_px, confidence=there[v].confidence).credible() for v, view in enumerate(views)
+        replace(view, xy_px=there[v].xy_px, confidence=there[v].confidence).mask_outside_image()
+        for v, view in enumerate(views)
     ]
 
 
@@ -483,7 +484,7 @@ def solved_in_step(
     tell."""
     later, fps = np.array(later_frames), apart[0].keypoints.fps
     assert fps is not None
-    begun = views_of(together(apart, later_frames))
+    begun = views_of(align_cameras(apart, later_frames))
     found = search_offsets(begun, fps, sigma_px, keypoint_sigma_m)
     names = [source.camera.name for source in apart]
     alone = [name for name, frames in zip(names, found, strict=True) if np.isnan(frames)]
@@ -491,13 +492,13 @@ def solved_in_step(
         expected = "keypoints that it sees together with another camera, in 30 or more points"
         raise InputError(Problem("--set find-offsets", f"camera {name}", "too few", expected) for name in alone)
     later = later + found
-    sources = together(apart, later.tolist())
+    sources = align_cameras(apart, later.tolist())
     solution = solve(sources)
     for _ in range(1, FIT_ROUNDS):
         if np.abs(solution.time_offset_frames).max() < CLOSE_FRAMES:
             break
         later = later + solution.time_offset_frames
-        sources = together(apart, later.tolist())
+        sources = align_cameras(apart, later.tolist())
         solution = solve(sources)
     raise_problems(_problems(names, later, solution.time_offset_frames, solution.time_offset_sigma_frames))
     return sources, solution
@@ -532,7 +533,7 @@ def _medians_px(solution: TrajectorySolution) -> np.ndarray:
     """(V,): median distance between detections and reprojected markers; infinite where none has a pose."""
     medians = []
     for view in solution.views:
-        pixels, _ = view.project(view.at_its_time(solution.markers_m))
+        pixels, _ = view.project(view.shift_to_exposure(solution.markers_m))
         off = np.linalg.norm(pixels - view.xy_px, axis=-1)[view.present]
         off = np.where(np.isfinite(off), off, np.inf)
         medians.append(float(np.median(off)) if off.size else 1.0)

@@ -280,7 +280,7 @@ MOST = 0.5
 def outlier_ratios(view: View, markers_m: Array, noise_px: Array) -> Array:
     """(T,): how much likelier a frame's keypoints are if each lies anywhere in the picture rather than at its marker
     (T, J, 3) with noise (T, J), as a logarithm; NaN without keypoints or a pose."""
-    projected, valid = view.project(view.at_its_time(markers_m))
+    projected, valid = view.project(view.shift_to_exposure(markers_m))
     density = -2.0 * np.log(noise_px) - np.log(2 * np.pi) - log_tail((projected - view.xy_px) / noise_px[..., None])
     width, height = view.camera.image_size_px
     anywhere = -float(np.log(width * height))

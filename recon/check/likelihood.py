@@ -21,7 +21,7 @@ import numpy as np
 from recon.animal.prior import ANGLES, NONE, mean_speed_m_s
 from recon.base.arrays import Array, Bools, mean_along
 from recon.check.codes import finding
-from recon.clip import View, busiest, frame_ranges
+from recon.clip import View, densest_window, frame_ranges
 from recon.fit import (
     APPROACH_HZ,
     Estimate,
@@ -107,7 +107,7 @@ def _seen(clip: ClipProblem, states: Array) -> float:
     """What one view sees of keypoints around a motion (T, D)."""
     (view,), markers = clip.views, clip.markers(states)
     (sigma_px,) = clip.noise_px(markers, np.ones((1, markers.shape[1])))
-    projected, _ = view.project(view.at_its_time(clip.in_world(markers)))
+    projected, _ = view.project(view.shift_to_exposure(clip.in_world(markers)))
     return unlikely(view, projected, sigma_px, clip.correlation_frames)
 
 
@@ -171,7 +171,7 @@ def either_side(given: Baseline, other: View, which: Bools) -> tuple[Array, Arra
         states = problem.minimise(states, _TOLERANCE, _ITERATIONS).states
         markers = part.markers(between(states, every, len(part)))
         sigma_px[rows] = LOOSE * part.noise_px(markers, ones)[0]
-        projected[rows], _ = part.views[0].project(part.views[0].at_its_time(part.in_world(markers)))
+        projected[rows], _ = part.views[0].project(part.views[0].shift_to_exposure(part.in_world(markers)))
     return projected, sigma_px
 
 
@@ -186,7 +186,7 @@ def baseline_of(clip: ClipProblem, number: int, states: Array, size: float) -> B
 def best_seen(view: View, fps: float) -> slice:
     """The stretch of `AT_ONCE_S`, or less, in which most is seen."""
     counts = view.present.sum(axis=1)
-    part = busiest(counts, round(AT_ONCE_S * fps))
+    part = densest_window(counts, round(AT_ONCE_S * fps))
     seen = part.start + np.flatnonzero(counts[part])
     return slice(int(seen[0]), int(seen[-1]) + 1) if len(seen) else slice(0, 0)
 
@@ -328,7 +328,7 @@ def of_lens(given: Baseline, noise_px: Array) -> Iterator[Finding]:
 
 def _without_lens(clip: ClipProblem, flat: Camera) -> float:
     """How much likelier the stretch in which most is seen is if the camera bends nothing, solved both ways."""
-    clip = clip.part(busiest(clip.present().sum(axis=1), round(RATE_S * clip.fps)))
+    clip = clip.part(densest_window(clip.present().sum(axis=1), round(RATE_S * clip.fps)))
     bent, straight = (
         solve_trajectory(views, clip.body, clip.prior, clip.fps, replace(clip.options, fast=False))
         for views in (clip.views, [replace(view, camera=flat) for view in clip.views])
@@ -371,7 +371,7 @@ def other_rate(clip: ClipProblem, states: Array, stated_hz: float | None, by_mot
         return finding("frame_rate_stated", given_hz=clip.fps, other_hz=stated_hz)
     if clip.prior.name == NONE or not by_motion:
         return None
-    rows = busiest(clip.present().sum(axis=1), round(RATE_S * clip.fps))
+    rows = densest_window(clip.present().sum(axis=1), round(RATE_S * clip.fps))
     clip, states, step = clip.part(rows), states[rows], max(1, round(clip.fps / APPROACH_HZ))
     thin, few, alike = clip.thinned(step), states[::step], clip.correlation_frames
 

@@ -81,7 +81,7 @@ class ClipProblem:
         """The problem of a whole clip: see `recon.fit.trajectory.solve_trajectory`."""
         if ground_near_zero is None:
             ground_near_zero = all(view.camera.knows_up for view in views)
-        views = tuple(view.credible() for view in views)
+        views = tuple(view.mask_outside_image() for view in views)
         origin_m = np.mean(views[0].centre_m, axis=0)
         return cls(views, body, prior, fps, options, origin_m, ground_near_zero, constants.TIME_OFFSET_FRAMES)
 

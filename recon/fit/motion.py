@@ -458,11 +458,11 @@ class Motion:
         solution = self.solution
         found = []
         for source, view, *rest in zip(self.sources, solution.views, solution.noise_px, solution.weight, strict=True):
-            pixels, _ = view.project(view.at_its_time(solution.markers_m))
+            pixels, _ = view.project(view.shift_to_exposure(solution.markers_m))
             if source.poses is not None:
                 pixels = np.where(source.poses.known[:, None, None], pixels, np.nan)
             T_reference_camera = self.T_reference_world @ inverse(view.T_camera_world)
-            joints_m = view.to_camera(view.at_its_time(solution.joints_m))
+            joints_m = view.to_camera(view.shift_to_exposure(solution.joints_m))
             found.append(Picture(source, T_reference_camera, joints_m, pixels, *rest))
         return tuple(found)
 

@@ -206,7 +206,7 @@ def _spread_m(body: Body, solved: Sequence[tuple[ClipProblem, SegmentFit]]) -> d
         world_m, px_per_m = part.in_world(points_m, segment.size), part.px_per_m(points_m, segment.size)
         terms = [term for term in segment.problem.terms if isinstance(term, Reprojection)]
         for view, term, scale in zip(part.views, terms, px_per_m, strict=True):
-            at = view.at_its_time(world_m)
+            at = view.shift_to_exposure(world_m)
             weight = np.nan_to_num(term.weights(at))[..., None]
             off_m = np.where(weight > 0, view.xy_px - view.project(at)[0], 0.0) / scale[:, None, None]
             seen = np.flatnonzero(view.present.sum(axis=0) >= one.correlation_frames)

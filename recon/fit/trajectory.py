@@ -31,7 +31,7 @@ from threadpoolctl import threadpool_limits
 from recon.animal.body import MIN_JOINTS, MIN_REACH_PX, Body
 from recon.animal.prior import ANGLES, NONE, MotionPrior
 from recon.base import Array, Bools, Progress, silent
-from recon.clip import BRIDGED_S, View, busiest
+from recon.clip import BRIDGED_S, View, densest_window
 from recon.fit import constants
 from recon.fit.banded import eliminated
 from recon.fit.clip_problem import ClipProblem, TrajectoryOptions, contacts
@@ -261,7 +261,7 @@ def _noise_factors(clip: ClipProblem, points_m: Array, size: float, factors: Arr
     found = []
     expected = clip.noise_px(points_m, np.ones_like(factors), size)
     for view, factor, expected_px in zip(clip.views, factors, expected, strict=True):
-        projected, valid = view.project(view.at_its_time(world))
+        projected, valid = view.project(view.shift_to_exposure(world))
         seen = view.present & valid
         q = np.where(seen, np.sum((projected - view.xy_px) ** 2, axis=-1) / expected_px**2, 0.0)
         for _ in range(10):
@@ -343,7 +343,7 @@ def _of_segment(
     reprojections = [term for term in one.problem.terms if isinstance(term, Reprojection)]
     views = in_step(clip.part(one.rows), one).views
     seen_by = [replace(term, view=view) for term, view in zip(reprojections, views, strict=True)]
-    weight = [term.weights(term.view.at_its_time(markers)) for term in seen_by]
+    weight = [term.weights(term.view.shift_to_exposure(markers)) for term in seen_by]
     in_world, joints_m = states.copy(), clip.in_world(points, size)
     in_world[:, ROOT] = clip.in_world(states[:, ROOT], size)
     covariance_m2 = with_size(known.covariance_m2, by_size, size, size_sigma)
@@ -393,7 +393,7 @@ def _second_camera(clip: ClipProblem, one: SegmentFit) -> SecondCamera:
     too small. The ground follows the feet: as it is, it would hold the world. Judged is the stretch in which both
     cameras see most: what is not quite as the model says, and lasts, would grow with a clip's length."""
     together = np.all([view.present[one.rows] for view in clip.views], axis=0).sum(axis=1)
-    rows = busiest(together, round(JUDGED_S * clip.fps))
+    rows = densest_window(together, round(JUDGED_S * clip.fps))
     if rows.stop - rows.start < len(together):
         estimate = replace(one.estimate, states=one.estimate.states[rows])
         start = one.rows.start

@@ -417,7 +417,7 @@ def solve_frames(
     the camera's picture are left out (`Camera.sees`). progress is called with the count of frames, the one in hand
     included.
     """
-    view = view.credible()
+    view = view.mask_outside_image()
     solver = FrameSolver(view, chain, fps, options)
     covariance = np.full((*solver.states.shape, chain.n_state), np.nan)
     reports: list[_FrameReport | None] = []
@@ -635,7 +635,7 @@ class FrameSolver:
     def __init__(
         self, view: View, chain: Chain, fps: float, options: FrameOptions, states: Array | None = None
     ) -> None:
-        view = view.credible()
+        view = view.mask_outside_image()
         nominal, sigma = base_length(chain, options)
         self.chain, self.options = replace(chain, nominal_base_length_m=nominal), replace(options, base_sigma_m=sigma)
         self.camera, self.fps = view.camera, fps

@@ -20,7 +20,17 @@ from recon.animal.prior import MotionPrior, load_prior
 from recon.animal.skeleton_file import load_skeleton, with_detector_offsets
 from recon.base import Array, InputError, Problem, Progress, collect_problems, mean_along, raise_problems, silent
 from recon.base.documents import require_file
-from recon.clip import Keypoints, Source, View, clean, held, leave_out, parse_frame_range, together, views_of
+from recon.clip import (
+    Keypoints,
+    Source,
+    View,
+    align_cameras,
+    clean,
+    fill_from_nearest,
+    leave_out,
+    parse_frame_range,
+    views_of,
+)
 from recon.fit import TrajectorySolution, solve_trajectory
 from recon.fit.motion import Motion
 from recon.geometry.camera import Camera
@@ -142,7 +152,7 @@ class ClipInputs:
     @cached_property
     def sources(self) -> tuple[Source, ...]:
         """On the frames of the clip."""
-        return together(self.apart, self.later_frames)
+        return align_cameras(self.apart, self.later_frames)
 
 
 def prepare(settings: FitSettings, read_shared: Callable[[FitSettings], Unknown] | None = None) -> ClipInputs:
@@ -275,7 +285,7 @@ def _cleaned(body: Body, settings: FitSettings, fps: float, file: Keypoints, of:
         from recon.workflows.rigs import with_poses
 
         keypoints, cleaning, poses = with_poses(keypoints, cleaning, track, fps)
-    lenses = None if poses is None else poses.each(held).intrinsics_px
+    lenses = None if poses is None else poses.map_arrays(fill_from_nearest).intrinsics_px
     view = View(camera, np.eye(4), keypoints.xy_px, keypoints.confidence, lenses)
     keypoints, cleaning = leave_out(keypoints, cleaning, keypoints.present & ~view.seen, _FAR_OUTSIDE)
     return Source(camera, keypoints, cleaning, file.names, 0.0, poses)

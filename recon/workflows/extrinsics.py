@@ -15,7 +15,7 @@ from rich.console import Console
 from recon.base import Array, InputError, Problem, Progress, collect_problems, length_text, raise_problems, silent
 from recon.base.files import require_free_file
 from recon.base.settings import Number, OneOrMore, Option, Settings
-from recon.clip import Source, View, camera_poses, together
+from recon.clip import Source, View, align_cameras, camera_poses
 from recon.fit.clip_problem import ClipProblem
 from recon.fit.extrinsics import LEVEL_RAD, search_offsets, solve_extrinsics
 from recon.geometry.camera import Camera
@@ -212,7 +212,7 @@ def _in_step(clip: FitSettings, given: Sequence[ClipInputs]) -> tuple[Source, ..
     """The sources of a clip on its frames, by the offsets that are given, or found to whole frames beside those."""
     apart, fps = [one.sources[0] for one in given], given[0].fps
     later = np.array(clip.offset_s or np.zeros(len(given))) * fps
-    sources = together(apart, (later - later[0]).tolist())
+    sources = align_cameras(apart, (later - later[0]).tolist())
     if not clip.find_offsets:
         return sources
     cameras = [replace(source.camera, rotation=None, translation_m=None) for source in sources]
@@ -222,7 +222,7 @@ def _in_step(clip: FitSettings, given: Sequence[ClipInputs]) -> tuple[Source, ..
         found = f"no offset at which it sees the motion that {cameras[0].name} sees"
         expected = "clips that both see well, or --set offset-s in place of it"
         raise InputError(Problem("--set find-offsets", f"camera {name}", found, expected) for name in lost)
-    return together(apart, (later - later[0] + frames).tolist())
+    return align_cameras(apart, (later - later[0] + frames).tolist())
 
 
 def _setting(

@@ -32,7 +32,7 @@ from recon.base.documents import builtin_file
 from recon.base.files import require_free_file, require_free_folder, write_text
 from recon.base.settings import File, OneOrMore, Option, Positive, Settings
 from recon.check.agreement import points_m
-from recon.clip import Source, clean, together, views_of
+from recon.clip import Source, align_cameras, clean, views_of
 from recon.geometry.kinematics import ANGLE_OF_AXIS, AXES
 from recon.io import read_keypoints
 from recon.io.deeplabcut_project import bodyparts, find_project
@@ -258,7 +258,7 @@ def _of_geometry(settings: _SkeletonDraftSettings) -> SkeletonDraft:
         Source(camera, *clean(arrange(file, first.names), given.likelihood_min), file.names)
         for file, (camera, _) in zip(files, cameras, strict=True)
     ]
-    views = views_of(together(sources, (0.0,) * len(sources)))
+    views = views_of(align_cameras(sources, (0.0,) * len(sources)))
     places_m = points_m(views, given.trajectory_options().sigma_px, 0.0)
     known, text = drafted(first.names, places_m, first.fps, settings.out.stem, source)
     return {name: name for name in known}, tuple(n for n in first.names if n not in known), text
