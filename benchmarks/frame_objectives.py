@@ -23,8 +23,9 @@ from recordings import recordings
 
 from recon import FitSettings, Pose3D, evaluate, fit_clip, read_pose3d
 from recon.gait.kinematics import frame_jitter_m
-from recon.thesis import FrameSolution, frame
-from recon.thesis.frame import Objective, ResidualAndJacobian
+from recon.thesis import FrameSolution
+from recon.thesis import solver as frame
+from recon.thesis.objectives import Objective, ResidualAndJacobian, frame_objectives
 
 LIMITS = ("theta range", "phi range", "theta rate", "phi rate")
 """f2, f3, f4 and f5."""
@@ -63,7 +64,7 @@ class Faded:
 
 def measured(run: Path, kept: tuple[str, ...], options: dict[str, Any]) -> tuple[float, float, float, float]:
     """Pixels, MPJPE in mm, the share of f2 to f5, and the jitter of the thetas in degrees."""
-    every, meta = frame.frame_objectives, json.loads((run / "meta.json").read_text())
+    every, meta = frame_objectives, json.loads((run / "meta.json").read_text())
     camera = meta["monocular_camera"]
     settings = FitSettings(
         keypoints=(run / f"cam{camera}.csv",),

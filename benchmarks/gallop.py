@@ -19,11 +19,12 @@ from typing import Literal
 
 import numpy as np
 
-from recon.animal.chain import Chain, Side, euler_angles, load_chain
+from recon.animal.body import Side
 from recon.base.arrays import Array, Bools
 from recon.clip import Keypoints
 from recon.geometry.camera import Camera
 from recon.geometry.frames import euler_rotation
+from recon.thesis.chain import UnknownsChain, euler_angles, load_chain
 
 Direction = Literal["right", "left"]
 CameraModel = Literal["pinhole", "fisheye"]
@@ -179,7 +180,7 @@ def _series(name: str, phase: Array, swing: Array) -> Array:
     )
 
 
-def _thetas(chain: Chain, phase: Array, swing: Array, hind_lag: float, fore_lag: float) -> Array:
+def _thetas(chain: UnknownsChain, phase: Array, swing: Array, hind_lag: float, fore_lag: float) -> Array:
     """Sagittal angles (T, A) of the links to their parents."""
     trunk = {name: _series(name, phase, swing) for name in ("T5", "T1")}
     hind = {name: _series(name, phase - hind_lag, swing) for name in ("T6", "T7", "T8")}
@@ -191,7 +192,7 @@ def _thetas(chain: Chain, phase: Array, swing: Array, hind_lag: float, fore_lag:
 
 
 def _run(
-    chain: Chain, t: Array, heading_rad: float, direction: Direction, waves: list[_Waves]
+    chain: UnknownsChain, t: Array, heading_rad: float, direction: Direction, waves: list[_Waves]
 ) -> tuple[Array, Array, Array, Array]:
     """The animal at times t (T,), seconds.
 

@@ -16,10 +16,10 @@ import numpy as np
 from gallop import SyntheticClip, add_noise, gallop
 
 from recon.animal.body import MIN_JOINTS
-from recon.animal.chain import load_chain
 from recon.clip import still_view
 from recon.fit.result import OUTLIER_SIGMAS
 from recon.thesis import FrameOptions, solve_frames
+from recon.thesis.chain import load_chain
 
 SKELETON = load_chain("cheetah-8u")
 CLEAN = FrameOptions(sigma_px=1.0, keypoint_sigma_m=0.0, base_sigma_m=0.001)

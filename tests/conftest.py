@@ -27,14 +27,14 @@ from command_line import copy_results, run
 from motions import with_first
 
 from recon import FitSettings
-from recon.animal import load_chain, load_skeleton
+from recon.animal import load_skeleton
 from recon.clip import Keypoints, Source, camera_poses, clean, still_view, views_of
 from recon.fit import Ground, Motion, MotionSegment, TrajectorySolution
 from recon.geometry import Camera, inverse, moved
 from recon.ik import clip as ik_clip
 from recon.show.plots import style
 from recon.thesis import FrameOptions, solve_frames
-from recon.thesis.frame import mean_pose
+from recon.thesis.chain import load_chain, mean_pose
 from recon.workflows import analyse, run_clip
 from recon.workflows.cli import Answer
 

@@ -11,15 +11,14 @@ from command_line import compare, refusal, says
 from recon import InputError
 from recon.animal import (
     Body,
-    Chain,
     builtin_chains,
     builtin_names,
     builtin_subjects,
-    load_chain,
     load_skeleton,
     other_side,
 )
 from recon.geometry import euler_rotation, rigid
+from recon.thesis.chain import UnknownsChain, load_chain
 
 DOCS = (Path(__file__).parents[1] / "docs" / "skeletons.md").read_text(encoding="utf-8")
 SUBJECT = DOCS.split("```toml")[1].split("```")[0]
@@ -44,7 +43,7 @@ def body(request: pytest.FixtureRequest) -> Body:
 
 
 @pytest.fixture(params=builtin_chains())
-def chain(request: pytest.FixtureRequest) -> Chain:
+def chain(request: pytest.FixtureRequest) -> UnknownsChain:
     return load_chain(request.param)
 
 
@@ -285,7 +284,7 @@ def test_a_body_is_no_chain(tmp_path: Path):
     assert "cheetah-24" not in builtin_chains()
 
 
-def test_a_chain_is_posed_as_its_body_is(chain: Chain):
+def test_a_chain_is_posed_as_its_body_is(chain: UnknownsChain):
     """Wherever the camera is, in one place or in one for each frame."""
     body = chain.body
     assert body.markers == chain.joints

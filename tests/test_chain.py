@@ -9,7 +9,8 @@ import pytest
 from command_line import refusal
 
 from recon import InputError
-from recon.animal import Chain, builtin_chains, load_chain
+from recon.animal import builtin_chains
+from recon.thesis.chain import UnknownsChain, load_chain
 
 LINKS = ("r5", "r1", "r2", "r3", "r4", "r6", "r7", "r8")
 MEASURED_M = {
@@ -19,18 +20,18 @@ MEASURED_M = {
 
 
 @pytest.fixture(params=builtin_chains())
-def skeleton(request: pytest.FixtureRequest) -> Chain:
+def skeleton(request: pytest.FixtureRequest) -> UnknownsChain:
     return load_chain(request.param)
 
 
-def random_states(skeleton: Chain, n: int) -> np.ndarray:
+def random_states(skeleton: UnknownsChain, n: int) -> np.ndarray:
     rng = np.random.default_rng(0)
     states = rng.uniform(-3, 3, (n, skeleton.n_state))
     states[:, skeleton.base_index] = rng.uniform(0.1, 0.3, n)
     return states
 
 
-def test_links_keep_their_lengths_for_any_angles(skeleton: Chain):
+def test_links_keep_their_lengths_for_any_angles(skeleton: UnknownsChain):
     states = random_states(skeleton, 200)
     joints = skeleton.local_joints(states)
     at = {name: joints[:, i] for i, name in enumerate(skeleton.joints)}
@@ -39,7 +40,7 @@ def test_links_keep_their_lengths_for_any_angles(skeleton: Chain):
         np.testing.assert_allclose(length, link.length_ratio * states[:, -1], rtol=0, atol=1e-12)
 
 
-def test_jacobian_against_central_differences(skeleton: Chain):
+def test_jacobian_against_central_differences(skeleton: UnknownsChain):
     states, h = random_states(skeleton, 10), 1e-5
     exact = skeleton.pose_with_jacobian(states)
     steps = h * np.eye(skeleton.n_state)

@@ -10,11 +10,11 @@ import pytest
 from command_line import compare, refusal, says
 
 from recon import FitSettings, InputError, fit_clip, samples_folder, write_clip
-from recon.animal import load_chain
 from recon.base import read_manifest
 from recon.clip import still_view
 from recon.io import read_camera, read_keypoints, write_csv
 from recon.thesis import FrameOptions, solve_frames
+from recon.thesis.chain import load_chain
 from recon.workflows import OUTPUT_FILES, prepare, run_clip
 
 EXAMPLE = (Path(__file__).parent / "files" / "trunk-and-leg.toml").read_text()

@@ -6,10 +6,11 @@ import numpy as np
 from matplotlib.collections import LineCollection
 from matplotlib.colors import to_rgb
 
-from recon.animal import Side, load_chain, load_skeleton
+from recon.animal import Side, load_skeleton
 from recon.geometry import YAW
 from recon.show import plots
 from recon.show.plots.configurations import SIDE_COLOURS
+from recon.thesis.chain import load_chain
 
 LIMBS = {"trunk": (0, 1), "near leg": (0, 2), "off leg": (0, 3)}
 SIDES: dict[str, Side | None] = {"trunk": None, "near leg": "left", "off leg": "right"}

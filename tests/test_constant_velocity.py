@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from gallop import gallop
 
-from recon.animal import facing_side, load_chain, upright_rotation
+from recon.animal import facing_side, upright_rotation
 from recon.fit import constant_velocity, position_on_rays, starts
-from recon.thesis.frame import estimate_travel, geometric_start, mean_pose
+from recon.thesis.chain import load_chain, mean_pose
+from recon.thesis.start import estimate_travel, geometric_start
 
 SK = load_chain("cheetah-8u")
 

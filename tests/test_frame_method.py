@@ -8,19 +8,14 @@ import numpy as np
 import pytest
 from gallop import add_noise, gallop
 
-from recon.animal import load_chain
 from recon.clip import still_view
 from recon.geometry import inverse
-from recon.thesis import FrameOptions, FrameProblem, FrameSolver, frame, solve_frames
-from recon.thesis.frame import (
-    CONVERGED,
-    JointReprojection,
-    Travel,
-    base_length,
-    mean_pose,
-    posterior_covariance,
-    precision_shares,
-)
+from recon.thesis import FrameOptions, FrameProblem, FrameSolver, solve_frames
+from recon.thesis import solver as frame
+from recon.thesis.chain import load_chain, mean_pose
+from recon.thesis.objectives import JointReprojection, base_length
+from recon.thesis.solver import CONVERGED, posterior_covariance, precision_shares
+from recon.thesis.start import Travel
 
 SK = load_chain("cheetah-8u")
 EXACT = FrameOptions(sigma_px=1.0, keypoint_sigma_m=0.0, base_sigma_m=0.001)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from gallop import gallop
 
-from recon.animal import load_chain, load_skeleton
+from recon.animal import load_skeleton
 from recon.geometry import ROOT, YAW, inverse, rigid
 from recon.ik.chain import (
     body_chain,
@@ -16,6 +16,7 @@ from recon.ik.chain import (
     projected_chain,
     spine_front_leg,
 )
+from recon.thesis.chain import load_chain
 
 # -- the spine-front-leg chain ---------------------------------------------------------------------------------------
 

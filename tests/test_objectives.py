@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from recon.animal import load_chain
 from recon.geometry import Camera
-from recon.thesis.frame import (
+from recon.thesis.chain import load_chain
+from recon.thesis.objectives import (
     AngleRange,
     DirectionPrior,
     GaussianPrior,

@@ -20,7 +20,7 @@ from recon.fit.result import SecondCamera
 from recon.show import TO_DO, to_plain, write_report
 from recon.show import report as reports
 from recon.show.report import SCHEMA_VERSION, console_summary, is_unsolved
-from recon.thesis.frame import in_world
+from recon.thesis.solution import in_world
 
 DOCS = Path(__file__).resolve().parents[1] / "docs" / "report.md"
 

@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from recon.animal import euler_angles
 from recon.geometry import euler_rotation, euler_rotation_with_jacobian
+from recon.thesis.chain import euler_angles
 
 
 def elementary(axis: str, angle: float) -> np.ndarray:

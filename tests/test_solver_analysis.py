@@ -14,8 +14,8 @@ from scipy.sparse import load_npz
 from recon.fit import Motion
 from recon.show import build_report
 from recon.thesis import SolverRecord, read_solver
-from recon.thesis import solver as solver_plots
-from recon.thesis.solver import TABLES
+from recon.thesis import figures as solver_plots
+from recon.thesis.inspect import TABLES
 
 
 @pytest.fixture(scope="module")
@@ -97,7 +97,7 @@ def test_the_search_of_a_frame_ends_where_the_fit_did(frame):
         np.linalg.norm(search.problem.at(search.x)[1], axis=0), frame.column_norm[row], rtol=1e-3
     )
     free, held = (
-        np.ptp(s.chain_states[:, s.chain.euler_slice], axis=0) for s in (frame.motion.solution, frame.otherwise)
+        np.ptp(s.chain_states[:, s.chain.euler_slice], axis=0) for s in (frame.motion.solution, frame.other_solution)
     )
     assert held.max() < 1e-12 < 0.05 < free.max()
 

@@ -6,7 +6,7 @@ from recon.base import lazily
 
 if TYPE_CHECKING:
     from recon.animal.body import MIN_JOINTS, Body, Side, opposites, other_side, side_of
-    from recon.animal.chain import Chain, builtin_chains, euler_angles, facing_side, load_chain, upright_rotation
+    from recon.animal.chain import Chain, builtin_chains, facing_side, load_chain, upright_rotation
     from recon.animal.measured import detector_toml, save_prior, subject_toml
     from recon.animal.naming import (
         NameMap,

@@ -1,411 +1,408 @@
-"""The command `recon solver`: what the optimiser of the frame method did, its tables and its figures.
+"""The solver of the published problem: 21 unknowns, one frame after the other, by Levenberg-Marquardt.
 
-It minimises half the squared norm of residuals r, divided by their standard deviations, with a Jacobian J; of robust
-terms r and J are as the solver weighs them, so that J'r is the gradient and J'J the curvature. Columns of the tables:
-docs/solver.md.
+scipy's `least_squares(method="lm")` (MINPACK) minimises the stacked residuals of all objectives. A frame starts from
+the solution of the frame before, its position carried on along its path. The first frame starts from geometry alone
+(`recon.thesis.start`). Frames whose solution leaves points unexplained get further starts, and the lowest cost wins.
 """
 
 from __future__ import annotations
 
-import io
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
-from typing import Annotated, Any
 
 import numpy as np
-import pandas as pd
-from matplotlib.axes import Axes
-from matplotlib.colors import LogNorm
-from matplotlib.figure import Figure
-from matplotlib.image import AxesImage
-from scipy.sparse import block_diag
-from threadpoolctl import threadpool_limits
+from scipy.linalg import eigh
+from scipy.optimize import least_squares
 
-from recon.base import Progress
-from recon.base.arrays import Array, mean
-from recon.base.errors import InputError, Problem
-from recon.base.files import read_manifest, require_free_folder, sole_writer, staged_folder, write_bytes
-from recon.base.settings import Integer, Option, Settings
-from recon.fit.motion import Motion
-from recon.show.plain import to_json
-from recon.show.plots import style
-from recon.thesis.frame import FrameOptions, FrameSearch, FrameSolution, FrameSolver, solve_frames
-from recon.workflows.cli import Answer
-from recon.workflows.clip_results import CONFIG, read_config
+from recon.animal.body import MIN_JOINTS, MIN_REACH_PX
+from recon.base.arrays import Array, Index
+from recon.clip import View
+from recon.geometry.camera import Camera
+from recon.thesis.chain import ChainPose, UnknownsChain
+from recon.thesis.objectives import FrameOptions, JointReprojection, Objective, base_length, frame_objectives
+from recon.thesis.solution import FrameSolution, _FrameReport, in_world
+from recon.thesis.start import estimate_travel, geometric_start
 
-FOLDER, SUMMARY, JACOBIAN = "solver", "solver.json", "jacobian.npz"
-"""By default the folder lies in the results' own."""
-TABLES = ("solver_frames.csv", "solver_unknowns.csv", "image_errors.csv", "solver_frame.csv")
-COUNTS = ("iterations", "function_evaluations", "starts", "optimizer_status")
-CAMERA_ANGLES = ("xi", "psi", "zeta")
-FIGURES_BEGIN = 0.5
-"""Share of the progress before the figures."""
+CONVERGED = (1, 2, 3, 4)
+"""Status values of scipy's least_squares that name a tolerance that was met."""
+MOST_SIZE = 10.0
+"""A base length this many times larger or smaller than expected is no animal's."""
+_WIDE_MAX = 50.0
+"""Largest factor on the noise while a start far off is approached."""
+_WIDE_UNSEEN = 10.0
+"""The factor where the start has joints that cannot be projected."""
+_WIDE_TOLERANCE = 1e-3
+_FIRST_TURNS_RAD = (0.0, 0.5, -0.5)
+"""Turns of the first frame's starts from the direction of travel."""
 
 
-class _SolverSettings(Settings):
-    """What `recon solver` is told."""
+def solve_frames(
+    view: View,
+    chain: UnknownsChain,
+    fps: float,
+    options: FrameOptions,
+    progress: Callable[[int], None] = lambda frame: None,
+) -> FrameSolution:
+    """Fit the chain frame by frame to what a still camera saw.
 
-    folder: Annotated[Path, Option(argument="DIR")]
-    """Folder of results of recon frame, as in results/clip."""
-    out: Path | None = None
-    """Folder for tables and figures. (default: solver in DIR)"""
-    frame: Integer | None = None
-    """The frame whose search is shown. (default: the one with most evaluations)"""
-    figures: bool = True
-    """PNG and SVG beside the tables."""
-    overwrite: bool = False
-    """Replace earlier tables."""
+    A frame that cannot be solved raises nothing: its report says so. Detections outside the camera's picture are left
+    out (`Camera.sees`).
 
-
-def solver(settings: _SolverSettings, progress: Progress) -> Answer:
-    """What the optimiser of `recon frame` did: cost, gradient, Jacobian, limits.
-
-    Writes tables (CSV), the Jacobian (NPZ) and figures (PNG, SVG).
-
-    Example: recon solver results/clip
+    Parameters
+    ----------
+    view : keypoints in the order of the chain's joints
+    fps : frames a second
+    progress : called with the count of frames, the present one included
     """
-    out = settings.folder / FOLDER if settings.out is None else settings.out
-    motion = Motion.load(settings.folder)
-    with sole_writer(out):
-        require_free_folder(out, (SUMMARY, *TABLES, JACOBIAN), settings.overwrite, "what the optimiser did")
-        progress("problem", 0.1)
-        with threadpool_limits(1, user_api="blas"):  # of small matrices, threads cost more than they bring
-            record = read_solver(motion, settings.folder, settings.frame)
-            summary = record.summary()
-        progress("tables", FIGURES_BEGIN - 0.1)
-        with staged_folder(out) as staging:
-            for name, table in record.tables().items():
-                table.to_csv(staging / name, index=False, lineterminator="\n")
-            record.write_jacobian(staging / JACOBIAN)
-            (staging / SUMMARY).write_text(to_json(summary), encoding="utf-8")
-        if settings.figures:
-            with staged_folder(out) as staging:
-                for done, draw in enumerate(FIGURES):
-                    progress(f"figures: {draw.__name__}", FIGURES_BEGIN + (1.0 - FIGURES_BEGIN) * done / len(FIGURES))
-                    style.save(draw(record), staging, draw.__name__)
-    return Answer(summary, [f"{len(TABLES) + 2 + 2 * len(FIGURES) * settings.figures} files are in {out}."])
-
-
-# -- what it did ------------------------------------------------------------------------------------------------------
-
-
-def read_solver(motion: Motion, folder: Path, frame: int | None = None) -> SolverRecord:
-    """folder: of the results that the motion was loaded from, for the fit's settings. frame: whose search is looked
-    into, by default that with most evaluations. Raises InputError where settings are no longer there, for results of
-    the other method, and for a frame without a pose."""
-    if not isinstance(motion.solution, FrameSolution):
-        raise InputError(Problem(folder, "results", "a fit of all frames at once", "results of recon frame"))
-    solution = motion.solution
-    read_manifest(folder).require(CONFIG)
-    options = FrameOptions.of(read_config(folder / CONFIG, {}).plain())
-    solved = np.flatnonzero(motion.solved)
-    if not len(solved):
-        raise InputError(Problem(folder, "frames", "none with a pose", "one at least"))
-    if frame is None:
-        row = int(solved[np.argmax(solution.reported("function_evaluations")[solved])])
-    elif frame in motion.frames[solved]:
-        row = int(np.flatnonzero(motion.frames == frame)[0])
-    else:
-        expected = f"one with a pose, from {motion.frames[solved[0]]} to {motion.frames[solved[-1]]}"
-        raise InputError(Problem("--frame", "frame", str(frame), expected))
-    given = solution.views[0], solution.chain, motion.fps
-    again = FrameSolver(*given, options, np.where(motion.solved[:, None], solution.chain_states, np.nan))
-    other = "free" if options.camera_rotation == "fixed" else "fixed"
-    otherwise = solve_frames(*given, replace(options, camera_rotation=other))
-    sigma_px = solution.reported("sigma_px")
-    rows = {t: again.problem(t, sigma_px[t]).by_term(again.states[t]) for t in solved.tolist()}
-    return SolverRecord(motion, solution, rows, again.search(row)[0], otherwise)
+    view = view.mask_outside_image()
+    solver = FrameSolver(view, chain, fps, options)
+    covariance = np.full((*solver.states.shape, chain.n_state), np.nan)
+    reports: list[_FrameReport | None] = []
+    for frame, detections in enumerate(np.isfinite(solver.rays[..., 0]).sum(axis=1)):
+        progress(frame + 1)
+        if detections < MIN_JOINTS:
+            reports.append(None)
+            continue
+        state, C, report = solver.solve(frame)
+        reports.append(report)
+        if report.in_view:  # a pose that diverged is no start for the next frame
+            solver.states[frame], covariance[frame] = state, C
+    names = tuple(term.name for term in solver.objectives)
+    more = {"reports": tuple(reports), "travel": solver.travel, "objectives": names, "fps": fps}
+    return in_world(view, chain, solver.states, covariance, **more)
 
 
 @dataclass(frozen=True, eq=False)
-class SolverRecord:
-    """What `recon solver` shows, of T frames with D unknowns each. Arrays are NaN in frames without a pose."""
+class FrameProblem:
+    """The least-squares problem of one frame: residuals as functions of its unknowns x (D,)."""
 
-    motion: Motion
-    solution: FrameSolution
-    rows: dict[int, dict[str, tuple[Array, Array]]]
-    """Residuals (M,) and Jacobian (M, D) at the solution, by row of the clip and term, the frame before being held."""
-    search: FrameSearch
-    """How the frame that is looked into was solved."""
-    otherwise: FrameSolution
-    """The clip with the camera's rotation held still, or free where the fit held it."""
+    chain: UnknownsChain
+    terms: tuple[Objective, ...]
+    """f1, the reprojection, comes first."""
+    frame: int
+    """The row of the clip."""
+    previous: ChainPose | None
+    """The frame before, dt_s earlier, which is fixed; None for terms that read this frame only."""
+    dt_s: float
 
-    @property
-    def frame(self) -> int:
-        """The number of the frame that is looked into."""
-        return int(self.motion.frames[self.search.problem.frame])
+    def by_term(self, x: Array) -> dict[str, tuple[Array, Array]]:
+        """Return each term's residuals (M,) and their Jacobian (M, D), by its name."""
+        pose = self.chain.pose_with_jacobian(x[None])
+        return {term.name: term.evaluate(pose, self.previous, self.frame, self.dt_s) for term in self.terms}
 
-    @property
-    def unknowns(self) -> tuple[str, ...]:
-        """(D,): the names of the chain's unknowns."""
-        return self.solution.chain.state_names
-
-    @cached_property
-    def cost(self) -> pd.DataFrame:
-        """Half the squared residuals by term."""
-        costs = {t: {term: 0.5 * np.sum(r**2) for term, (r, _) in terms.items()} for t, terms in self.rows.items()}
-        return pd.DataFrame.from_dict(costs, orient="index").fillna(0.0).reindex(range(len(self.motion.frames)))
-
-    @cached_property
-    def gradient(self) -> Array:
-        """The gradient of the cost in each frame (T, D)."""
-        return self._by_frame({t: np.sum([J.T @ r for r, J in of.values()], axis=0) for t, of in self.rows.items()})
-
-    @cached_property
-    def column_norm(self) -> Array:
-        """Norms of the Jacobian's columns (T, D)."""
-        return self._by_frame({t: np.linalg.norm(self.jacobian(t), axis=0) for t in self.rows})
-
-    def jacobian(self, row: int) -> Array:
-        """(M, D), of a row of the clip."""
-        return np.concatenate([J for _, J in self.rows[row].values()])
-
-    def _by_frame(self, found: dict[int, Array]) -> Array:
-        whole = np.full((len(self.motion.frames), len(self.unknowns)), np.nan)
-        whole[[*found]] = np.array([*found.values()])
-        return whole
+    def at(self, x: Array) -> tuple[Array, Array]:
+        """Return the residuals (M,) and the Jacobian (M, D) of all terms, stacked."""
+        residuals, jacobians = zip(*self.by_term(x).values(), strict=True)
+        return np.concatenate(residuals), np.concatenate(jacobians)
 
     @property
-    def optimality(self) -> Array:
-        """(T,): the largest part of the gradient."""
-        return np.abs(self.gradient).max(axis=1)
+    def pixels(self) -> JointReprojection:
+        """The objective f1."""
+        first = self.terms[0]
+        assert isinstance(first, JointReprojection)
+        return first
+
+    def with_noise(self, sigma_px: float) -> FrameProblem:
+        """Return the problem with another standard deviation of the detections."""
+        return replace(self, terms=(replace(self.pixels, sigma_px=sigma_px), *self.terms[1:]))
+
+    def sigmas_off(self, x: Array) -> Array:
+        """Return the distances (n,) of detections from reprojections in standard deviations.
+
+        They are infinite where a joint cannot be projected.
+        """
+        pixels, valid = self.pixels.camera.project(self.chain.pose(x[None]).joints_m[0])
+        detected = self.pixels.xy_px[self.frame]
+        distance = np.where(valid, np.linalg.norm(pixels - detected, axis=1), np.inf)
+        return distance[np.isfinite(detected[:, 0])] / self.pixels.sigma_px
+
+    def in_view(self, x: Array) -> bool:
+        """Return whether every detected joint can be projected, and the animal has a size and is near enough."""
+        base, nominal = float(x[self.chain.base_index]), self.chain.nominal_base_length_m
+        if not nominal / MOST_SIZE < base < nominal * MOST_SIZE:
+            return False
+        depth = float(np.median(self.chain.pose(x[None]).joints_m[0, :, 2]))
+        reach = sum(link.length_ratio for link in self.chain.links) * base * _focal_px(self.pixels.camera)
+        return reach > MIN_REACH_PX * depth and bool(np.all(np.isfinite(self.sigmas_off(x))))
+
+
+@dataclass(frozen=True, eq=False)
+class FrameSearch:
+    """The search of one frame from a start to its minimum: K accepted points, approach with a wide loss included."""
+
+    problem: FrameProblem
+    cost: float
+    """Half the squared residuals at the minimum."""
+    status: int
+    """The status of scipy's least_squares."""
+    evaluations: int
+    iterations: int
+    points: Array
+    """(K, D), the start first."""
+    evaluations_at: Index
+    """(K,): evaluations of the residuals when the point was accepted."""
+    sigma_px: Array
+    """(K,): noise in the loss of the step from the point; the last is the detections' own."""
 
     @property
-    def image_error_px(self) -> Array:
-        """(T, J): from detections to reprojections, NaN without one of them."""
-        return self.motion.pictures[0].distance_px
+    def x(self) -> Array:
+        """The minimum (D,)."""
+        return self.points[-1]
 
     @property
-    def active(self) -> dict[str, Array]:
-        """How many angles lie beyond their expected ranges, and rates beyond their limits, by name (T,)."""
-        limits = {"ranges": self.solution.beyond_range_rad, "rates": self.solution.beyond_rate_rad_s}
-        return {name: (beyond > 0).sum(axis=1) for name, beyond in limits.items()}
+    def step_norms(self) -> Array:
+        """(K - 1,): length of the step from each point."""
+        return np.linalg.norm(np.diff(self.points, axis=0), axis=1)
 
-    def summary(self) -> dict[str, object]:
-        """The figures that solver.json holds."""
-        return {
-            "cost_by_term": {name: float(c) for name, c in self.cost.sum().items()},
-            "largest_gradient": float(np.nanmax(self.optimality)),
-            "largest_step": float(np.nanmax(self.solution.reported("step_norm"))),
-            "limits_passed": {name: int(count.sum()) for name, count in self.active.items()},
-            "iterations": int(np.nansum(self.solution.reported("iterations"))),
-            "frames_converged": self.solution.status.count("converged"),
-        }
+    @property
+    def step_norm(self) -> float:
+        """Length of the last step that moved."""
+        steps = self.step_norms
+        return float(np.append(0.0, steps[steps > 0])[-1])
 
-    def tables(self) -> dict[str, pd.DataFrame]:
-        """Every table by the name of its file (`TABLES`)."""
-        motion, solution, search = self.motion, self.solution, self.search
-        frames: dict[str, Any] = {"frame": motion.frames, "time_s": motion.time_s}
-        frames |= {name: solution.reported(name) for name in COUNTS}
-        frames |= {"optimality": self.optimality, "last_step": solution.reported("step_norm")}
-        frames |= {f"cost_{str(term).replace(' ', '_')}": cost for term, cost in self.cost.items()}
-        frames |= {f"{limit}_passed": count for limit, count in self.active.items()}
-        frames |= {f"{name}_rad": solution.unknown(name) for name in CAMERA_ANGLES}
-        frames["base_length_m"] = solution.unknown("base_length_m")
-
-        gradient, norm = np.abs(self.gradient[motion.solved]), self.column_norm[motion.solved]
-        unknowns = {"unknown": self.unknowns}
-        unknowns |= {"gradient_median": np.median(gradient, 0), "gradient_max": gradient.max(0)}
-        unknowns |= {f"column_norm_{f.__name__}": f(norm, axis=0) for f in (np.min, np.median, np.max)}
-        errors = {"camera": motion.pictures[0].name, "frame": motion.frames}
-        errors |= {f"{name}_px": of_joint for name, of_joint in zip(motion.names, self.image_error_px.T, strict=True)}
-        points = {"frame": self.frame, "point": range(len(search.points))}
-        points |= {"evaluations": search.evaluations_at, "cost": search.costs, "damping": [*search.damping, np.nan]}
-        return dict(zip(TABLES, map(pd.DataFrame, (frames, unknowns, errors, points)), strict=True))
-
-    def write_jacobian(self, path: Path) -> None:
-        """As NPZ that `scipy.sparse.load_npz` reads as a matrix (M, T D), column t D + d: the unknown d of row t of the
-        clip; with it unknowns (D,), and of every row its residual, term, and the frame that it stands for."""
-        empty = np.zeros((0, len(self.unknowns)))
-        every = range(len(self.motion.frames))
-        matrix = block_diag([self.jacobian(t) if t in self.rows else empty for t in every], "csr")
-        told = [(t, term, r) for t, found in self.rows.items() for term, (r, _) in found.items()]
-        made = io.BytesIO()
-        np.savez_compressed(
-            made,
-            format=np.array(b"csr"),
-            shape=np.array(matrix.shape),
-            indptr=matrix.indptr,
-            indices=matrix.indices,
-            data=matrix.data,
-            residual=np.concatenate([r for _, _, r in told]),
-            term=np.repeat([term for _, term, _ in told], [len(r) for _, _, r in told]),
-            clip_row=np.repeat([t for t, _, _ in told], [len(r) for _, _, r in told]),
-            unknowns=np.array(self.unknowns),
+    def after(self, earlier: FrameSearch) -> FrameSearch:
+        """Return the search together with the one that led to its start."""
+        spent = earlier.evaluations_at[-1]
+        return replace(
+            self,
+            evaluations=earlier.evaluations + self.evaluations,
+            iterations=earlier.iterations + self.iterations,
+            points=np.concatenate([earlier.points[:-1], self.points]),
+            evaluations_at=np.concatenate([earlier.evaluations_at[:-1], spent + self.evaluations_at]),
+            sigma_px=np.concatenate([earlier.sigma_px[:-1], self.sigma_px]),
         )
-        write_bytes(path, made.getvalue())
+
+    @cached_property
+    def costs(self) -> Array:
+        """(K,): half the squared residuals, by the last loss."""
+        return np.array([0.5 * float(np.sum(self.problem.at(x)[0] ** 2)) for x in self.points])
+
+    @cached_property
+    def damping(self) -> Array:
+        """(K - 1,): lambda of the step from each point, (J'J + lambda S) step = -J'r.
+
+        S has the largest squared norms that columns of J have had. It is MINPACK's damping, found from the step taken.
+        """
+        damping, scale, sigma_px = [], np.zeros(self.points.shape[1]), 0.0
+        for x, step, step_sigma_px in zip(self.points, np.diff(self.points, axis=0), self.sigma_px, strict=False):
+            r, J = self.problem.with_noise(step_sigma_px).at(x)
+            scale = np.maximum(scale if step_sigma_px == sigma_px else 0.0, np.sum(J**2, axis=0))
+            scaled, sigma_px = np.where(scale > 0, scale, 1.0) * step, step_sigma_px
+            damping.append(max(float(-(scaled @ J.T @ (r + J @ step)) / max(float(scaled @ scaled), 1e-300)), 0.0))
+        return np.array(damping)
 
 
-# -- figures ----------------------------------------------------------------------------------------------------------
+class FrameSolver:
+    """Solve a clip frame by frame.
 
-_LEAST = 1e-12
-"""The least that is drawn on a logarithmic axis."""
-_DECADES = 1e-6
-"""The least of a logarithmic axis, of its most: what is less hardly matters."""
-_UNDAMPED = 1e-8
-"""Below it a step is Gauss and Newton's."""
-EXIT_FLAGS = {
-    0: "evaluations used up",
-    1: "gradient small",
-    2: "cost settled",
-    3: "step small",
-    4: "cost and step settled",
-}
-"""What the status of scipy's `least_squares` means."""
+    Parameters
+    ----------
+    view : detections, in the order of the chain's joints
+    fps : frames a second
+    states : (T, D), solutions from before, NaN elsewhere; None: there are none
+    """
+
+    def __init__(
+        self, view: View, chain: UnknownsChain, fps: float, options: FrameOptions, states: Array | None = None
+    ) -> None:
+        view = view.mask_outside_image()
+        nominal, sigma = base_length(chain, options)
+        self.chain, self.options = replace(chain, nominal_base_length_m=nominal), replace(options, base_sigma_m=sigma)
+        self.camera, self.fps = view.camera, fps
+        self.states = np.full((len(view.xy_px), chain.n_state), np.nan) if states is None else states
+        self.rays, _ = view.camera.rays(view.xy_px)
+        self.travel = estimate_travel(view.camera, self.chain, view.xy_px, fps)
+        self.objectives = frame_objectives(
+            view.camera, self.chain, view.xy_px, view.confidence, self.travel, self.options
+        )
+
+    def before(self, frame: int) -> list[int]:
+        """Return the last two solved frames before this one, newest last."""
+        return np.flatnonzero(np.isfinite(self.states[:frame, 0]))[-2:].tolist()
+
+    def problem(self, frame: int, sigma_px: float) -> FrameProblem:
+        """Return a frame's problem with its noise; without a frame before, the terms that tie frames are left out."""
+        if before := self.before(frame):
+            previous, dt_s = self.chain.pose(self.states[before[-1]][None]), (frame - before[-1]) / self.fps
+        else:
+            previous, dt_s = None, 1.0 / self.fps
+        terms = tuple(term for term in self.objectives if previous is not None or not term.ties)
+        return FrameProblem(self.chain, terms, frame, previous, dt_s).with_noise(sigma_px)
+
+    def solve(self, frame: int) -> tuple[Array, Array, _FrameReport]:
+        """Return the state (D,), its covariance (D, D) given the frame before, and the report."""
+        began = time.perf_counter()
+        best, starts = self.search(frame)
+        problem, parts = best.problem, best.problem.by_term(best.x)
+        costs = {name: float(np.sum(r**2)) for name, (r, _) in parts.items()}
+        total, in_view = sum(costs.values()), problem.in_view(best.x)
+        C = posterior_covariance(np.concatenate([J for _, J in parts.values()]))
+        C = C if in_view else np.full_like(C, np.nan)
+        distance = problem.sigmas_off(best.x)
+        trust = (1.0 + (distance / self.options.robust_c) ** 2) ** -2.0
+        report = _FrameReport(
+            status="converged" if best.status in CONVERGED and in_view else "not_converged",
+            starts=starts,
+            iterations=best.iterations,
+            function_evaluations=best.evaluations,
+            optimizer_status=best.status,
+            squared_norm=total,
+            cost_shares={name: cost / total if total > 0 else 0.0 for name, cost in costs.items()},
+            step_norm=best.step_norm,
+            sigma_px=problem.pixels.sigma_px,
+            data_share=precision_shares(C, parts[problem.pixels.name][1]),
+            mean_weight=float(np.mean(trust)) if in_view else np.nan,
+            solve_s=time.perf_counter() - began,
+            in_view=in_view,
+        )
+        return best.x, C, report
+
+    def search(self, frame: int) -> tuple[FrameSearch, int]:
+        """Return the best of the minima, and the number of starts."""
+        rays, heading, before = self.rays[frame], self.travel.heading[frame], self.before(frame)
+        starts = [self._carried_on(frame, before)] if before else self._first_starts(rays, heading)
+        problem = self.problem(frame, self._noise_px(starts[0]))
+        searches = [self._solve_from(start, problem) for start in starts]
+        # Converged, and no detection further off than c sigma: no point is left unexplained.
+        is_explained = problem.sigmas_off(searches[0].x) < self.options.robust_c
+        if before and not (searches[0].status in CONVERGED and is_explained.all()):
+            more_starts = self._more_starts(rays, heading, self.states[before[-1]])
+            searches += [self._solve_from(start, problem) for start in more_starts]
+        # The lowest cost among the poses that the camera can see, or among all if it can see none.
+        best = min(searches, key=lambda search: (not search.problem.in_view(search.x), search.cost))
+        return best, len(searches)
+
+    # -- starts ------------------------------------------------------------------------------------------------------
+
+    def _first_starts(self, rays: Array, heading: Array) -> list[Array]:
+        """Return the mean pose along the direction of travel, and turned to either side of it."""
+        across = np.cross(self.camera.up, heading)
+        return [
+            geometric_start(self.camera, self.chain, rays, np.cos(turn) * heading + np.sin(turn) * across)
+            for turn in _FIRST_TURNS_RAD
+        ]
+
+    def _carried_on(self, frame: int, before: Sequence[int]) -> Array:
+        """Return the state before, its root moved on along its path.
+
+        The point R p0 is moved, never p0: R turns p0 with a long lever arm.
+        """
+        poses = self.chain.pose(self.states[before])
+        position = poses.joints_m[-1, 0]
+        if len(before) == 2:
+            step = position - poses.joints_m[0, 0]
+            position = position + step * (frame - before[1]) / (before[1] - before[0])
+        return self._placed(self.states[before[-1]], position if position[2] > 0 else poses.joints_m[-1, 0])
+
+    def _more_starts(self, rays: Array, heading: Array, last: Array) -> list[Array]:
+        """Return the mean pose along the direction of travel, and the last pose where the rays put the mean pose."""
+        mean = geometric_start(self.camera, self.chain, rays, heading)
+        if self.options.camera_rotation == "fixed":
+            mean[self.chain.euler_slice] = last[self.chain.euler_slice]
+        position = self.chain.pose(mean[None]).joints_m[0, 0]
+        return [mean, self._placed(last, position)]
+
+    def _placed(self, state: Array, position_m: Array) -> Array:
+        """Return the state with its root at a position (3,) in the camera frame."""
+        placed = state.copy()
+        placed[self.chain.place_slice] = self.chain.pose(state[None]).rotation[0].T @ position_m
+        return placed
+
+    def _noise_px(self, start: Array) -> float:
+        """Return the standard deviation of a detection: the detector's noise and, at the start's distance, the
+        keypoints'.
+        """
+        options = self.options
+        depth = max(float(self.chain.pose(start[None]).joints_m[0, :, 2].mean()), 0.1)
+        keypoint_m = self.chain.file.keypoint_sigma_m if options.keypoint_sigma_m is None else options.keypoint_sigma_m
+        keypoint_px = min(keypoint_m * _focal_px(self.camera) / depth, options.keypoint_sigma_max_px)
+        return float(np.hypot(options.sigma_px, keypoint_px))
+
+    # -- one optimisation --------------------------------------------------------------------------------------------
+
+    def _solve_from(self, start: Array, problem: FrameProblem) -> FrameSearch:
+        """Return the search from one start, approached with a wide loss where the start is far off for the noise.
+
+        Geman-McClure residuals beyond c sigma hardly pull: a start that far off would stay there.
+        """
+        distance = float(np.nanmedian(problem.sigmas_off(start)))
+        if distance <= self.options.robust_c / 2:
+            return self._minimise(start, problem, self.options.tolerance)
+        factor = min(distance, _WIDE_MAX) if np.isfinite(distance) else _WIDE_UNSEEN
+        wide_px = problem.pixels.sigma_px * factor
+        approach = self._minimise(start, problem.with_noise(wide_px), _WIDE_TOLERANCE)
+        return self._minimise(approach.x, problem, self.options.tolerance).after(approach)
+
+    def _minimise(self, start: Array, problem: FrameProblem, tolerance: float) -> FrameSearch:
+        """Return MINPACK's search from one start; a fixed rotation is taken out of the unknowns."""
+        free = np.ones(self.chain.n_state, dtype=bool)
+        if self.options.camera_rotation == "fixed" and problem.previous is not None:
+            free[self.chain.euler_slice] = False
+        x, last, evaluations = start.copy(), (start, start, start), 0
+        steps: list[Array] = []
+        counts: list[int] = []
+
+        def residual(y: Array) -> Array:
+            nonlocal evaluations, last
+            evaluations += 1
+            x[free] = y
+            last = y.copy(), *problem.at(x)
+            return last[1]
+
+        def jacobian(y: Array) -> Array:
+            # MINPACK asks for the Jacobian at accepted points only: their differences are the steps taken.
+            steps.append(y.copy())
+            counts.append(evaluations)
+            if not np.array_equal(last[0], y):
+                residual(y)
+            return last[2][:, free]
+
+        tolerance = max(tolerance, float(np.finfo(float).eps))  # less is the same to MINPACK
+        result = least_squares(
+            residual,
+            start[free],
+            jacobian,  # type: ignore[arg-type]  # the stubs want a function of any array type
+            method="lm",
+            x_scale="jac",
+            ftol=tolerance,
+            xtol=tolerance,
+            gtol=tolerance,
+            max_nfev=self.options.max_evaluations,
+        )
+        if not np.array_equal(steps[-1], result.x):
+            steps.append(result.x)
+            counts.append(evaluations)
+        points = np.tile(start, (len(steps), 1))
+        points[:, free] = steps
+        spent = int(result.nfev), int(result.njev or 0)
+        noise_px = np.full(len(points), problem.pixels.sigma_px)
+        return FrameSearch(problem, float(result.cost), int(result.status), *spent, points, np.array(counts), noise_px)
 
 
-def solver_search(record: SolverRecord) -> Figure:
-    """Over time: cost by term, the largest part of the gradient, the steps' length, how often the residuals were
-    evaluated, coloured by why MINPACK ended, and limits passed."""
-    status = record.solution.status
-    title = f"{status.count('converged')} of {len(status)} frames converged, each solved by itself"
-    time_s, names = record.motion.time_s, [str(n) if c.sum() > 0 else f"{n}: 0" for n, c in record.cost.items()]
-    with style.drawing(170 + style.legend_shape(names)[1], title=title) as figure:
-        rows = figure.subplots(5, 1, sharex=True, height_ratios=(1.8, 1, 1, 1, 1))
-        cost, optimality, step, evaluations, limits = rows
-        _logarithmic(cost, time_s, [*record.cost.to_numpy().T])
-        _logarithmic(optimality, time_s, [record.optimality])
-        _logarithmic(step, time_s, [record.solution.reported("step_norm")])
-        flags, spent = (record.solution.reported(name) for name in ("optimizer_status", "function_evaluations"))
-        for i, flag in enumerate(np.unique(flags[np.isfinite(flags)]).astype(int).tolist()):
-            ended, drawn = flags == flag, {"color": style.look(i)["color"], "label": f"{flag}: {EXIT_FLAGS[flag]}"}
-            evaluations.bar(time_s[ended], spent[ended], 0.7 / record.motion.fps, **drawn)
-        evaluations.margins(y=0.6)
-        evaluations.legend(loc="upper right", ncols=3)
-        for i, (limit, count) in enumerate(record.active.items()):
-            limits.step(time_s, count, where="mid", label=limit, **style.look(i))
-        limits.set_ylim(0, 1.6 * max(1.0, *(count.max() for count in record.active.values())))
-        limits.yaxis.get_major_locator().set_params(integer=True)
-        limits.legend(loc="upper right", ncols=2)
-        labels = ("cost (½σ²)", "max |gradient|", "last step (rad, m)", "evaluations", "limits passed")
-        _over_time(figure, rows, labels)
-        style.add_legend(figure, cost.lines, names)
-    return figure
+def _focal_px(camera: Camera) -> float:
+    return float(np.sqrt(camera.matrix[0, 0] * camera.matrix[1, 1]))
 
 
-def image_errors(record: SolverRecord) -> Figure:
-    """Distances of detections from reprojections, joints x frames; white: not detected."""
-    names, frames, values = record.motion.names, record.motion.frames, record.image_error_px.T
-    with style.drawing(min(4.0 * len(names) + 8, style.PAGE_MM - 20) + 14) as figure:
-        axes = figure.subplots()
-        most = max(float(np.nanmax(values, initial=0.0)), 10.0)
-        image = _logarithmic_image(figure, axes, values, 0.5, most, "error in the picture (px)")
-        image.set_extent((frames[0] - 0.5, frames[-1] + 0.5, len(names) - 0.5, -0.5))
-        axes.set_yticks(range(len(names)), names)
-        axes.tick_params(axis="y", length=0)
-        axes.set_title(f"{record.motion.pictures[0].name}: mean {mean(values):.1f} px", loc="left")
-        axes.set_xlabel("frame")
-    return figure
+def posterior_covariance(J: Array) -> Array:
+    """Return C = (J'J)^-1 (D, D) for the Jacobian J (M, D) of all residuals; all NaN where J'J is singular."""
+    scale = np.maximum(np.linalg.norm(J, axis=0), 1e-12)
+    values, vectors = eigh((J / scale).T @ (J / scale))
+    if values[0] < 1e-10 * values[-1]:
+        return np.full((J.shape[1], J.shape[1]), np.nan)
+    return (vectors / values) @ vectors.T / np.outer(scale, scale)
 
 
-def solver_unknowns(record: SolverRecord) -> Figure:
-    """Parts of the gradient by every unknown, and norms of the Jacobian's columns, over the frames."""
-    names = record.unknowns
-    says = "dots: median of the frames, lines: from the least to the most"
-    with style.drawing(min(4.0 * len(names) + 20, style.PAGE_MM), title=says) as figure:
-        panels = figure.subplots(1, 2, sharey=True)
-        given = (np.abs(record.gradient), "|gradient|"), (record.column_norm, "norm of the Jacobian's column")
-        for axes, (values, label) in zip(panels, given, strict=True):
-            known = values[record.motion.solved]
-            low, middle, high = (np.maximum(f(known, axis=0), _LEAST) for f in (np.min, np.median, np.max))
-            at = np.arange(len(names))
-            axes.hlines(at, low, high, color=style.GREY, lw=1.0)
-            axes.plot(middle, at, "o", ms=3.5, color=style.look(0)["color"])
-            axes.set_xscale("log")
-            axes.set_xlim(left=max(axes.get_xlim()[0], _DECADES * float(high.max())))
-            style.plain_logarithm(axes.xaxis)
-            axes.set_xlabel(label)
-            axes.tick_params(axis="y", length=0)
-            axes.grid(color=style.PALE, lw=0.4)
-            axes.set_axisbelow(True)
-        panels[0].set_yticks(range(len(names)), names, fontsize=style.SMALL)
-        panels[0].set_ylim(len(names) - 0.5, -0.5)
-    return figure
+def precision_shares(C: Array, J_data: Array) -> Array:
+    """Return the pixels' share (D,) in the precision of the unknowns.
 
+    With C^-1 = H_data + H_priors, C = C H_data C + C H_priors C splits every variance of the posterior covariance
+    C (D, D) into two parts that are not negative; the share is the first one's. It is NaN where C is.
 
-def solver_frame(record: SolverRecord) -> Figure:
-    """Within the frame that is looked into: objective and damping from one accepted point to the next."""
-    search = record.search
-    title = f"frame {record.frame}: {len(search.damping)} steps, {search.evaluations_at[-1]} evaluations"
-    labels = ("objective (½σ²)", f"damping λ ({_UNDAMPED:g}: none)")
-    with style.drawing(80, title=title) as figure:
-        rows = figure.subplots(2, 1, sharex=True)
-        for i, (axes, values) in enumerate(zip(rows, (search.costs, search.damping.clip(_UNDAMPED)), strict=True)):
-            axes.plot(np.arange(len(values)), values, **style.dots(len(values), 3.0), **style.look(i))
-            axes.set_yscale("log")
-            style.plain_logarithm(axes.yaxis)
-            axes.xaxis.get_major_locator().set_params(integer=True)
-        _over_time(figure, rows, labels, "accepted point")
-    return figure
-
-
-def solver_matrices(record: SolverRecord) -> Figure:
-    """The Jacobian of the frame that is looked into at its minimum, residuals x unknowns, and J'J; white is zero."""
-    search, names = record.search, record.unknowns
-    parts = search.problem.by_term(search.x)
-    counts, J = np.array([len(r) for r, _ in parts.values()]), np.concatenate([J for _, J in parts.values()])
-    with style.drawing(140, title=f"frame {record.frame}, at the minimum") as figure:
-        panels = figure.subplots(1, 2)
-        for axes, (matrix, label) in zip(panels, ((J, "|J|"), (J.T @ J, "|J'J|")), strict=True):
-            size = np.where(matrix == 0, np.nan, np.abs(matrix))
-            most = float(np.nanmax(size, initial=1.0))
-            _logarithmic_image(figure, axes, size, _DECADES * most, most, label)
-            axes.set_xticks(range(len(names)), names, rotation=90, fontsize=style.SMALL)
-            axes.tick_params(length=0)
-        panels[0].set_yticks(np.cumsum(counts) - counts / 2 - 0.5, [*parts], fontsize=style.SMALL)
-        panels[1].set_yticks(range(len(names)), names, fontsize=style.SMALL)
-    return figure
-
-
-def solver_rotation(record: SolverRecord) -> Figure:
-    """The camera's rotation held still beside free: its angles, the base length, and the mean error in the picture,
-    over time."""
-    (view,) = record.otherwise.views
-    labels, names = (*(f"{name} (°)" for name in CAMERA_ANGLES), "base length (m)", "error (px)"), []
-    with style.drawing(24 * len(labels) + 20) as figure:
-        rows = figure.subplots(len(labels), 1, sharex=True)
-        for i, (solution, which) in enumerate(((record.solution, "as fitted"), (record.otherwise, "otherwise"))):
-            off_px = np.linalg.norm(view.xy_px - view.project(solution.joints_m)[0], axis=2)
-            angles = [np.degrees(solution.unknown(name)) for name in CAMERA_ANGLES]
-            still = max(float(np.nanmax(angle) - np.nanmin(angle)) for angle in angles) < _LEAST
-            names.append(f"{which}: {'held still' if still else 'free'}")
-            error_px = np.array([mean(of_frame) for of_frame in off_px])
-            for axes, values in zip(rows, (*angles, solution.unknown("base_length_m"), error_px), strict=True):
-                axes.plot(record.motion.time_s, values, **style.dots(len(values), 2.2), **style.look(i))
-                axes.ticklabel_format(useOffset=False)
-        low, high = rows[3].get_ylim()
-        if high - low < 0.02:  # a length that does not move should not look as if it did
-            rows[3].set_ylim((low + high) / 2 - 0.01, (low + high) / 2 + 0.01)
-        _over_time(figure, rows, labels)
-        style.add_legend(figure, rows[0].lines, names)
-    return figure
-
-
-FIGURES = (solver_search, solver_unknowns, image_errors, solver_frame, solver_matrices, solver_rotation)
-"""What is drawn, each under its name."""
-
-
-def _over_time(figure: Figure, rows: Sequence[Axes], labels: Sequence[str], across: str = "time (s)") -> None:
-    for axes, label in zip(rows, labels, strict=True):
-        axes.set_ylabel(label)
-    rows[-1].set_xlabel(across)
-    figure.align_ylabels()
-
-
-def _logarithmic_image(figure: Figure, axes: Axes, values: Array, least: float, most: float, label: str) -> AxesImage:
-    """Rows of values as colours; white: none."""
-    image = axes.imshow(values, aspect="auto", norm=LogNorm(least, most), interpolation="none")
-    bar = figure.colorbar(image, ax=axes, label=label, extend="min", aspect=40, pad=0.02)
-    style.plain_logarithm(bar.ax.yaxis)
-    return image
-
-
-def _logarithmic(axes: Axes, time_s: Array, curves: Sequence[Array]) -> None:
-    for i, values in enumerate(curves):
-        axes.plot(time_s, np.where(values > _LEAST, values, np.nan), **style.dots(len(time_s), 2.2), **style.look(i))
-    axes.set_yscale("log")
-    low, high = axes.get_ylim()
-    axes.set_ylim(max(low, _DECADES * high), high)
-    style.plain_logarithm(axes.yaxis)
+    Parameters
+    ----------
+    C : (D, D), posterior covariance
+    J_data : (M, D), the reprojection's rows of the Jacobian
+    """
+    return np.clip(np.diag(C @ (J_data.T @ J_data) @ C) / np.diag(C), 0, 1)

@@ -377,7 +377,7 @@ COMMANDS = {
         "robot dh": (_ROBOTICS + "dh:dh", "A leg or chain by its Denavit-Hartenberg table, forward and inverse."),
         "climb": (_ROBOTICS + "climb.plan:climb", "A four-legged robot climbs a step by potential fields."),
         "frame": (_THESIS + "clip:frame", "Fit one side of the animal, one frame after the other."),
-        "solver": (_THESIS + "solver:solver", "What the optimiser of recon frame did: costs, Jacobian, limits."),
+        "solver": (_THESIS + "clip:solver", "What the optimiser of recon frame did: costs, Jacobian, limits."),
     },
     "This installation": {
         "doctor": (_CORE + "doctor:doctor", "Check versions, optional parts, the viewer, and a fit of the sample."),

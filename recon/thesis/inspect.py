@@ -1,0 +1,212 @@
+"""The command `recon solver`: what the optimiser of the frame method did, as tables.
+
+The optimiser minimises half the squared norm of residuals r, divided by their standard deviations, with a Jacobian J.
+Robust terms enter r and J as the solver weighs them, so that J'r is the gradient and J'J the curvature. Columns of the
+tables: docs/solver.md. Figures: `recon.thesis.figures`.
+"""
+
+from __future__ import annotations
+
+import io
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from scipy.sparse import block_diag
+
+from recon.base.arrays import Array
+from recon.base.errors import InputError, Problem
+from recon.base.files import read_manifest, write_bytes
+from recon.fit.motion import Motion
+from recon.thesis.objectives import FrameOptions
+from recon.thesis.solution import FrameSolution
+from recon.thesis.solver import FrameSearch, FrameSolver, solve_frames
+from recon.workflows.clip_results import CONFIG, read_config
+
+TABLES = ("solver_frames.csv", "solver_unknowns.csv", "image_errors.csv", "solver_frame.csv")
+COUNTS = ("iterations", "function_evaluations", "starts", "optimizer_status")
+CAMERA_ANGLES = ("xi", "psi", "zeta")
+EXIT_FLAGS = {
+    0: "evaluations used up",
+    1: "gradient small",
+    2: "cost settled",
+    3: "step small",
+    4: "cost and step settled",
+}
+"""Meaning of the status of scipy's `least_squares`."""
+
+
+def read_solver(motion: Motion, folder: Path, frame: int | None = None) -> SolverRecord:
+    """Set the problem up again and evaluate it at the solution.
+
+    Parameters
+    ----------
+    folder : of the results that the motion was loaded from, for the fit's settings
+    frame : number of the frame whose search is shown; None: the one with most evaluations
+
+    Raises
+    ------
+    InputError
+        Where the settings are missing, for results of the other method, and for a frame without a pose.
+    """
+    if not isinstance(motion.solution, FrameSolution):
+        raise InputError(Problem(folder, "results", "a fit of all frames at once", "results of recon frame"))
+    solution = motion.solution
+    read_manifest(folder).require(CONFIG)
+    options = FrameOptions.of(read_config(folder / CONFIG, {}).plain())
+    solved = np.flatnonzero(motion.solved)
+    if not len(solved):
+        raise InputError(Problem(folder, "frames", "none with a pose", "one at least"))
+    if frame is None:
+        row = int(solved[np.argmax(solution.reported("function_evaluations")[solved])])
+    elif frame in motion.frames[solved]:
+        row = int(np.flatnonzero(motion.frames == frame)[0])
+    else:
+        expected = f"one with a pose, from {motion.frames[solved[0]]} to {motion.frames[solved[-1]]}"
+        raise InputError(Problem("--frame", "frame", str(frame), expected))
+    problem = solution.views[0], solution.chain, motion.fps
+    solver = FrameSolver(*problem, options, np.where(motion.solved[:, None], solution.chain_states, np.nan))
+    rotation = "free" if options.camera_rotation == "fixed" else "fixed"
+    other_solution = solve_frames(*problem, replace(options, camera_rotation=rotation))
+    sigma_px = solution.reported("sigma_px")
+    terms = {t: solver.problem(t, sigma_px[t]).by_term(solver.states[t]) for t in solved.tolist()}
+    return SolverRecord(motion, solution, terms, solver.search(row)[0], other_solution)
+
+
+@dataclass(frozen=True, eq=False)
+class SolverRecord:
+    """Hold what `recon solver` shows of T frames with D unknowns. Arrays are NaN in frames without a pose."""
+
+    motion: Motion
+    solution: FrameSolution
+    terms: dict[int, dict[str, tuple[Array, Array]]]
+    """Residuals (M,) and Jacobian (M, D) at the solution, by row of the clip and term; the frame before is fixed."""
+    search: FrameSearch
+    """The search of the frame that is shown."""
+    other_solution: FrameSolution
+    """The clip with the camera's rotation fixed, or free where the fit has it fixed."""
+
+    @property
+    def frame(self) -> int:
+        """The number of the frame that is shown."""
+        return int(self.motion.frames[self.search.problem.frame])
+
+    @property
+    def unknowns(self) -> tuple[str, ...]:
+        """(D,): the names of the chain's unknowns."""
+        return self.solution.chain.state_names
+
+    @cached_property
+    def cost(self) -> pd.DataFrame:
+        """Half the squared residuals by term."""
+        costs = {row: {term: 0.5 * np.sum(r**2) for term, (r, _) in terms.items()} for row, terms in self.terms.items()}
+        return pd.DataFrame.from_dict(costs, orient="index").fillna(0.0).reindex(range(len(self.motion.frames)))
+
+    @cached_property
+    def gradient(self) -> Array:
+        """(T, D): the gradient of the cost in each frame."""
+        return self._by_frame(
+            {row: np.sum([J.T @ r for r, J in terms.values()], axis=0) for row, terms in self.terms.items()}
+        )
+
+    @cached_property
+    def column_norm(self) -> Array:
+        """(T, D): norms of the Jacobian's columns."""
+        return self._by_frame({row: np.linalg.norm(self.jacobian(row), axis=0) for row in self.terms})
+
+    def jacobian(self, row: int) -> Array:
+        """Return the Jacobian (M, D) of a row of the clip."""
+        return np.concatenate([J for _, J in self.terms[row].values()])
+
+    def _by_frame(self, values: dict[int, Array]) -> Array:
+        """Return values (D,) by row as (T, D), NaN in the other rows."""
+        table = np.full((len(self.motion.frames), len(self.unknowns)), np.nan)
+        table[[*values]] = np.array([*values.values()])
+        return table
+
+    @property
+    def optimality(self) -> Array:
+        """(T,): the largest component of the gradient."""
+        return np.abs(self.gradient).max(axis=1)
+
+    @property
+    def image_error_px(self) -> Array:
+        """(T, J): distance of detections from reprojections, NaN where either is missing."""
+        return self.motion.pictures[0].distance_px
+
+    @property
+    def active(self) -> dict[str, Array]:
+        """(T,) by name: number of angles beyond their expected ranges, and of rates beyond their limits."""
+        limits = {"ranges": self.solution.beyond_range_rad, "rates": self.solution.beyond_rate_rad_s}
+        return {name: (beyond > 0).sum(axis=1) for name, beyond in limits.items()}
+
+    def summary(self) -> dict[str, object]:
+        """Return the figures of solver.json."""
+        return {
+            "cost_by_term": {name: float(c) for name, c in self.cost.sum().items()},
+            "largest_gradient": float(np.nanmax(self.optimality)),
+            "largest_step": float(np.nanmax(self.solution.reported("step_norm"))),
+            "limits_passed": {name: int(count.sum()) for name, count in self.active.items()},
+            "iterations": int(np.nansum(self.solution.reported("iterations"))),
+            "frames_converged": self.solution.status.count("converged"),
+        }
+
+    def tables(self) -> dict[str, pd.DataFrame]:
+        """Return every table by the name of its file (`TABLES`)."""
+        tables = (self._frames_table(), self._unknowns_table(), self._errors_table(), self._search_table())
+        return dict(zip(TABLES, map(pd.DataFrame, tables), strict=True))
+
+    def _frames_table(self) -> dict[str, Any]:
+        motion, solution = self.motion, self.solution
+        columns: dict[str, Any] = {"frame": motion.frames, "time_s": motion.time_s}
+        columns |= {name: solution.reported(name) for name in COUNTS}
+        columns |= {"optimality": self.optimality, "last_step": solution.reported("step_norm")}
+        columns |= {f"cost_{str(term).replace(' ', '_')}": cost for term, cost in self.cost.items()}
+        columns |= {f"{limit}_passed": count for limit, count in self.active.items()}
+        columns |= {f"{name}_rad": solution.unknown(name) for name in CAMERA_ANGLES}
+        return columns | {"base_length_m": solution.unknown("base_length_m")}
+
+    def _unknowns_table(self) -> dict[str, Any]:
+        gradient, norm = np.abs(self.gradient[self.motion.solved]), self.column_norm[self.motion.solved]
+        columns: dict[str, Any] = {"unknown": self.unknowns}
+        columns |= {"gradient_median": np.median(gradient, 0), "gradient_max": gradient.max(0)}
+        return columns | {f"column_norm_{f.__name__}": f(norm, axis=0) for f in (np.min, np.median, np.max)}
+
+    def _errors_table(self) -> dict[str, Any]:
+        by_joint = zip(self.motion.names, self.image_error_px.T, strict=True)
+        columns: dict[str, Any] = {"camera": self.motion.pictures[0].name, "frame": self.motion.frames}
+        return columns | {f"{name}_px": errors for name, errors in by_joint}
+
+    def _search_table(self) -> dict[str, Any]:
+        search = self.search
+        columns: dict[str, Any] = {"frame": self.frame, "point": range(len(search.points))}
+        columns |= {"evaluations": search.evaluations_at, "cost": search.costs}
+        return columns | {"damping": [*search.damping, np.nan]}
+
+    def write_jacobian(self, path: Path) -> None:
+        """Write the Jacobian as NPZ that `scipy.sparse.load_npz` reads as a matrix (M, T D).
+
+        Column t D + d is the unknown d of row t of the clip. The file also has unknowns (D,) and, for every row of the
+        matrix, its residual, its term, and its row of the clip.
+        """
+        empty = np.zeros((0, len(self.unknowns)))
+        rows = range(len(self.motion.frames))
+        matrix = block_diag([self.jacobian(t) if t in self.terms else empty for t in rows], "csr")
+        blocks = [(t, term, r) for t, terms in self.terms.items() for term, (r, _) in terms.items()]
+        content = io.BytesIO()
+        np.savez_compressed(
+            content,
+            format=np.array(b"csr"),
+            shape=np.array(matrix.shape),
+            indptr=matrix.indptr,
+            indices=matrix.indices,
+            data=matrix.data,
+            residual=np.concatenate([r for _, _, r in blocks]),
+            term=np.repeat([term for _, term, _ in blocks], [len(r) for _, _, r in blocks]),
+            clip_row=np.repeat([t for t, _, _ in blocks], [len(r) for _, _, r in blocks]),
+            unknowns=np.array(self.unknowns),
+        )
+        write_bytes(path, content.getvalue())

@@ -1,0 +1,137 @@
+"""Sections of report.json, summary and page of the frame method."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from recon.base.arrays import median
+from recon.fit.motion import MEASURED_SHARE, Motion
+from recon.gait.clip import ClipAnalysis
+from recon.geometry.frames import level_axes
+from recon.show import report as sections
+from recon.show.plain import number, spread
+from recon.show.report import Line, Section
+from recon.thesis.objectives import FrameOptions, base_length
+from recon.thesis.solution import frame_solution
+
+
+def skeleton(motion: Motion) -> dict[str, Any]:
+    """Return the skeleton's section, with the unknowns and the objectives."""
+    solution = frame_solution(motion)
+    return sections.skeleton(motion) | {"unknowns": solution.chain.state_names, "objectives": solution.objectives}
+
+
+def assumptions(motion: Motion) -> dict[str, Any]:
+    """Return the assumptions behind the result, in numbers and in sentences."""
+    base = _base_length(motion)
+    scale = "It is not measured: distances, speeds and sizes scale with it."
+    if base["measured"]:
+        scale = f"The pixels give {base['data_share']:.0%} of its precision."
+    sentences = [
+        f"The scale: the base length has a prior of {base['nominal_m']:g} m with a standard deviation of "
+        f"{base['sigma_m']:g} m. {scale}",
+        *sections.sentences(motion),
+    ]
+    if motion.settings.get("angle_prior") == "none":
+        sentences.append("Without the Gaussian priors the pixels leave the depth of the limbs undetermined.")
+    return {"base_length": base, **sections.upright(motion), "sentences": sentences}
+
+
+def _base_length(motion: Motion) -> dict[str, Any]:
+    solution = frame_solution(motion)
+    nominal, sigma = base_length(solution.chain, FrameOptions.of(motion.settings))
+    share = median([r.data_share[solution.chain.base_index] for r in solution.reports if r is not None])
+    return {"nominal_m": nominal, "sigma_m": sigma, "data_share": share, "measured": bool(share >= MEASURED_SHARE)}
+
+
+def summary(motion: Motion) -> dict[str, Any]:
+    """Return the counts of frames, the joints' uncertainty, and the solver's effort."""
+    solution = frame_solution(motion)
+    R = solution.views[0].rotation
+    variance = np.diagonal(R @ solution.covariance_m2 @ R.T, axis1=2, axis2=3)  # along the camera's x, y, z
+    return {
+        "frames": len(motion.frames),
+        "frames_with_pose": int(motion.solved.sum()),
+        "frames_flagged": sum(bool(flags) for flags in motion.flags),
+        **{f"frames_{s}": solution.status.count(s) for s in ("converged", "not_converged", "no_data")},
+        "frames_diverged": sum("diverged" in flags for flags in motion.flags),
+        **sections.counts(motion),
+        "joint_sigma_across_m": median(np.sqrt(variance[..., :2].mean(axis=-1))),
+        "joint_sigma_depth_m": median(np.sqrt(variance[..., 2])),
+        "iterations_median": median(solution.reported("iterations")),
+        "function_evaluations_median": median(solution.reported("function_evaluations")),
+    }
+
+
+def summary_lines(motion: Motion, data: Any) -> Iterator[Line]:
+    """Yield the summary's lines on frames, uncertainty and effort."""
+    yield (
+        "frames",
+        f"{data['frames_converged']} of {data['frames']} converged, {data['frames_not_converged']} did not, "
+        f"{data['frames_no_data']} without data",
+    )
+    across, depth = (number(data[f"joint_sigma_{direction}_m"], ".2f") for direction in ("across", "depth"))
+    size = "size and distance included (one sigma)"
+    yield "uncertainty", f"{across} m across the picture, {depth} m in depth, {size}"
+    text, timing = f"{number(data['iterations_median'], '.0f')} iterations a frame (median)", motion.timing_s
+    if "solve_s" in timing:
+        times = median(frame_solution(motion).reported("solve_s"))
+        per_frame = f", {1000 * times:.0f} ms a frame (median)" if np.isfinite(times) else ""
+        text += f"{per_frame}; {timing['solve_s']:.1f} s with reading"
+    yield "effort", text
+
+
+def travel(motion: Motion) -> dict[str, Any]:
+    """Return the heading and the speed of the straight run that the search started from."""
+    run = frame_solution(motion).travel
+    _, away = level_axes(motion.camera.up)
+    to_picture = np.arcsin(np.clip(run.heading @ away, -1.0, 1.0))
+    moving = run.speed_m_s > 0
+    return {
+        "heading_to_picture_rad": median(to_picture[moving] if moving.any() else to_picture),
+        "median_speed_m_s": median(run.speed_m_s[moving]),
+    }
+
+
+def travel_lines(motion: Motion, data: Any) -> Iterator[Line]:
+    """Yield the summary's lines on speed, path and heading."""
+    speed = data["median_speed_m_s"]
+    known = f"{number(speed, '.1f')} m/s, of a straight run through all frames"
+    yield "speed", "not told by a path this short or slow" if speed is None else known
+    root, frame = sections.root_path(motion), f"{motion.frame_of_reference} frame"
+    if (reason := ClipAnalysis(motion).why_no_speed) is not None:
+        above = "; take the speed above" if speed is not None else ""
+        yield "path", f"too uncertain in depth for its speed ({frame}): {reason}{above}"
+    else:
+        path, smoothing = root["smoothed"] or root["exact"], "smoothed" if root["smoothed"] else "not smoothed"
+        distance, peak = (number(path[name], ".1f") for name in ("distance_m", "peak_speed_m_s"))
+        yield "path", f"{distance} m, peak {peak} m/s ({frame}, {smoothing})"
+    yield "heading", sections.heading_text(data["heading_to_picture_rad"])
+
+
+def size_lines(motion: Motion, data: Any) -> Iterator[Line]:
+    """Yield the summary's line on the base length."""
+    base = _base_length(motion)
+    share = number(base["data_share"], ".0%").lstrip("-")
+    expected = f"expected {base['nominal_m']:.3f} ± {base['sigma_m']:.3f} m"
+    yield "size", f"base length {number(data['mean'], '.3f')} m; {expected}; {share} of its precision from pixels"
+
+
+_OWN = {
+    "skeleton": Section("skeleton", skeleton),
+    "assumptions": Section("assumptions", assumptions),
+    "summary": Section("summary", summary, summary_lines),
+    "root_path": Section("root_path", sections.root_path),
+    "heading": Section("travel", travel, travel_lines),
+    "size": Section("size", lambda motion: {"factor": motion.solution.size}),
+    "prior": Section(
+        "base_length_m", lambda motion: spread(frame_solution(motion).unknown("base_length_m")), size_lines
+    ),
+}
+"""Sections in place of those of the trajectory method."""
+_WITHOUT = ("detector", "segments", "stances", "alternative", "convergence")
+SECTIONS = tuple(_OWN.get(section.name, section) for section in sections.SECTIONS if section.name not in _WITHOUT)
+"""In the order of the summary."""

@@ -1,0 +1,232 @@
+"""The result of the frame method: the state and the report of every frame, and the solution in the world."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+
+from recon.base.arrays import Array, median
+from recon.check.codes import finding
+from recon.clip import View
+from recon.fit.motion import Motion
+from recon.fit.result import OUTLIER_SIGMAS, Finding, MotionSegment, Solution
+from recon.geometry.frames import inverse, moved
+from recon.geometry.kinematics import ROLL, YAW
+from recon.thesis.chain import AnyChain, UnknownsChain
+from recon.thesis.start import Travel
+
+Status = Literal["converged", "not_converged", "no_data"]
+
+FEW_POINTS_SHARE = 0.75
+"""Frames with a smaller share of the joints detected are flagged "few points"."""
+GOOD_SHARE = 1 / 3
+"""Frames with a smaller share of the joints detected and trusted are flagged "data poor"."""
+WARN_LIMITS = 0.25
+"""Share of the solved frames from which angles beyond their ranges are a finding."""
+_DIFFERENCE_RAD = 1e-6
+"""Step of the differences that give the root's rotation by the Euler angles."""
+
+
+@dataclass(frozen=True)
+class _FrameReport:
+    """Report what the optimiser did for one frame; residuals have no unit."""
+
+    status: Status
+    starts: int
+    """Number of starts that were solved."""
+    iterations: int
+    """Levenberg-Marquardt iterations of the best start, counted by their Jacobian evaluations. Iterations and function
+    evaluations include its approach with a wide loss."""
+    function_evaluations: int
+    optimizer_status: int
+    """The status of scipy's least_squares."""
+    squared_norm: float
+    cost_shares: dict[str, float]
+    """Each term's share of the squared norm."""
+    step_norm: float
+    """Length of the last step."""
+    sigma_px: float
+    """Standard deviation of a detection."""
+    data_share: Array
+    """(D,): share of the posterior precision that comes from the pixels, 0 to 1. NaN where data and priors together
+    leave an unknown undetermined."""
+    mean_weight: float
+    """Mean trust in the detections, 0 to 1."""
+    solve_s: float
+    """Time spent on the frame, all starts."""
+    in_view: bool
+    """Whether the camera can see the pose, and it has an animal's size. A pose that diverged is not converged, is not
+    part of the solution, and has no shares and no covariance (NaN)."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class FrameSolution(Solution):
+    """A solution of the frame method, with D unknowns of the chain. Covariances are given the frame before."""
+
+    chain: AnyChain
+    chain_states: Array
+    """(T, D): as published (`recon.thesis.chain`), NaN where a frame has no data or its pose diverged."""
+    reports: tuple[_FrameReport | None, ...]
+    """One for each frame, None without data."""
+    travel: Travel
+    """The direction of travel that the start came from."""
+    objectives: tuple[str, ...]
+    fps: float
+
+    method: ClassVar = "frame"
+    described_by: ClassVar = "recon.thesis.report"
+    jitters: ClassVar = True
+
+    @property
+    def constant_velocity_m_s(self) -> Array:
+        """(T,): the speed of the straight run that the search started from."""
+        return self.travel.speed_m_s
+
+    def reported(self, field: str) -> Array:
+        """Return what is reported of each frame (T,), NaN without data."""
+        return np.array([np.nan if report is None else getattr(report, field) for report in self.reports], dtype=float)
+
+    def unknown(self, name: str) -> Array:
+        """Return one of the chain's unknowns (T,), NaN without a pose."""
+        return self.chain_states[:, self.chain.state_names.index(name)]
+
+    @cached_property
+    def status(self) -> tuple[Status, ...]:
+        """The status of each of the T frames: converged, not_converged or no_data."""
+        return tuple("no_data" if report is None else report.status for report in self.reports)
+
+    def findings(self) -> tuple[Finding, ...]:
+        """Return the findings on frames that were not solved well."""
+        total, failed = len(self.flags), self.status.count("not_converged")
+        solved, findings = total - self.status.count("no_data"), []
+        if failed:
+            findings.append(finding("frames_not_converged", count=failed, frames_total=total))
+        at_limit = sum("at range limit" in flags for flags in self.flags)
+        if at_limit > WARN_LIMITS * solved:
+            findings.append(finding("at_range_limits", count=at_limit, frames_total=solved))
+        return tuple(findings)
+
+    def _expected(self, field: str) -> Array:
+        """Return what the skeleton expects of theta and phi (2 A,)."""
+        return np.concatenate([getattr(ranges, field) for ranges in (self.chain.theta, self.chain.phi)])
+
+    @property
+    def _angles_rad(self) -> Array:
+        """(T, 2 A): theta and phi of the free links."""
+        return self.chain_states[:, : 2 * self.chain.n_angles]
+
+    @cached_property
+    def beyond_range_rad(self) -> Array:
+        """(T, 2 A): distance of angles beyond their expected ranges; negative inside, NaN without a pose."""
+        return np.abs(self._angles_rad - self._expected("mean_rad")) - self._expected("tolerance_rad")
+
+    @cached_property
+    def beyond_rate_rad_s(self) -> Array:
+        """(T, 2 A): chord rate since the solved frame before, above its limit; NaN for the first and without a pose."""
+        angles = self._angles_rad
+        rows = np.flatnonzero(np.isfinite(angles[:, 0]))
+        beyond = np.full(angles.shape, np.nan)
+        chord = 2 * np.abs(np.sin(np.diff(angles[rows], axis=0) / 2)) * self.fps / np.diff(rows)[:, None]
+        beyond[rows[1:]] = chord - self._expected("max_rate_rad_s")
+        return beyond
+
+
+def frame_solution(motion: Motion) -> FrameSolution:
+    """Return the solution of a motion that the frame method solved."""
+    assert isinstance(motion.solution, FrameSolution)
+    return motion.solution
+
+
+def in_world(view: View, chain: UnknownsChain, states: Array, covariance: Array, **more: Any) -> FrameSolution:
+    """Return the solution in the world.
+
+    Parameters
+    ----------
+    states : (T, D), the chain's
+    covariance : (T, D, D), of the states
+    more : reports, travel, objectives and fps of the solution
+    """
+    (T, J), reports = view.present.shape, more["reports"]
+    T_world_camera = inverse(view.T_camera_world)
+    pose = chain.pose_with_jacobian(states)
+    assert pose.joints_jacobian is not None
+    by_state = T_world_camera[:3, :3] @ pose.joints_jacobian
+    absolute, relative = (
+        np.einsum("tjad,tde,tjbe->tjab", jacobian, covariance, jacobian, optimize=True)
+        for jacobian in (by_state, by_state - by_state.mean(axis=1, keepdims=True))
+    )
+    body_states, sizes = chain.to_body(states, T_world_camera)
+    no_share = np.full(chain.n_state, np.nan)
+    shares = np.array([no_share if report is None else report.data_share for report in reports])
+    angle_sigma, angle_share = _body_angles(chain, states, covariance, shares, T_world_camera)
+    sigma_px, trust = (
+        np.array([np.nan if report is None else getattr(report, field) for report in reports])
+        for field in ("sigma_px", "mean_weight")
+    )
+    solution = FrameSolution(
+        body=chain.body,
+        views=(view,),
+        states=body_states,
+        size=median(sizes) if np.isfinite(sizes).any() else 1.0,
+        joints_m=moved(T_world_camera, pose.joints_m),
+        covariance_m2=absolute,
+        relative_covariance_m2=relative,
+        angle_sigma_rad=angle_sigma,
+        angle_data_share=angle_share,
+        noise_px=np.repeat(sigma_px[None, :, None], J, axis=2),
+        weight=np.where(view.present, trust[:, None], np.nan)[None],
+        flags=(),
+        alternative_m=np.full(T, np.nan),  # only the best of all starts is kept
+        contact=np.zeros((T, len(chain.body.feet))),
+        segments=(MotionSegment(slice(0, T), None),),
+        stage_s={},
+        chain=chain,
+        chain_states=states,
+        **more,
+    )
+    return replace(solution, flags=_flags(solution))
+
+
+def _body_angles(
+    chain: UnknownsChain, states: Array, covariance: Array, shares: Array, T_world_camera: Array
+) -> tuple[Array, Array]:
+    """Return standard deviations and the pixels' shares (T, D' - 3) of the body's angles.
+
+    states (T, D), covariance (T, D, D) and shares (T, D) are the chain's. The root's rotation follows the Euler angles:
+    its shares are theirs, weighted by what they contribute to its variance.
+    """
+    angles = np.arange(2 * chain.n_angles)
+    by_state = np.zeros((len(states), chain.body.n_state - YAW, chain.n_state))
+    by_state[:, chain.body_angles - YAW, angles] = 1.0
+    for k in range(chain.n_state)[chain.euler_slice]:
+        unit = _DIFFERENCE_RAD * np.eye(chain.n_state)[k]
+        lower, upper = (
+            chain.to_body(end, T_world_camera)[0][:, YAW : ROLL + 1] for end in (states - unit, states + unit)
+        )
+        by_state[:, :3, k] = (np.mod(upper - lower + np.pi, 2 * np.pi) - np.pi) / (2 * _DIFFERENCE_RAD)
+    weight = by_state**2 * np.diagonal(covariance, axis1=1, axis2=2)[:, None]
+    variance = np.einsum("nik,nkl,nil->ni", by_state, covariance, by_state)
+    return np.sqrt(variance), np.sum(weight * shares[:, None], axis=2) / np.sum(weight, axis=2)
+
+
+def _flags(solution: FrameSolution) -> tuple[tuple[str, ...], ...]:
+    """Return the flags of each of the T frames."""
+    (view,), reports, J = solution.views, solution.reports, len(solution.chain.joints)
+    sigma_px, trust = solution.noise_px[0], solution.reported("mean_weight")
+    present = view.present.sum(axis=1)
+    distance_px = np.linalg.norm(view.project(solution.joints_m)[0] - view.xy_px, axis=-1)
+    is_flagged: dict[str, Sequence[bool] | Array] = {
+        "no data": [report is None for report in reports],
+        "diverged": [report is not None and not report.in_view for report in reports],
+        "few points": [report is not None for report in reports] & (present < FEW_POINTS_SHARE * J),
+        "data poor": present * trust < GOOD_SHARE * J,
+        "outliers": (distance_px > OUTLIER_SIGMAS * sigma_px).any(axis=1),
+        "not converged": [status == "not_converged" for status in solution.status],
+        "at range limit": (solution.beyond_range_rad > 0).any(axis=1),
+        "at rate limit": (solution.beyond_rate_rad_s > 0).any(axis=1),
+    }
+    return tuple(tuple(name for name, frames in is_flagged.items() if frames[t]) for t in range(len(reports)))

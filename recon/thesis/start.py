@@ -1,0 +1,99 @@
+"""The start of the search: direction of travel and a rough pose from geometry, without measured angles.
+
+The mean pose is put on the detections' rays (`recon.fit.starts`), over many headings and all frames of a stretch. The
+heading is chosen whose chain fits and agrees with the path that it implies.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from recon.animal.body import MIN_JOINTS
+from recon.animal.chain import upright_rotation
+from recon.base.arrays import Array
+from recon.fit.starts import constant_velocity, position_on_rays
+from recon.geometry.camera import Camera
+from recon.geometry.frames import level_axes
+from recon.thesis.chain import UnknownsChain, euler_angles, mean_pose
+
+_HEADINGS = 36
+_STRETCH_S = 1.0
+_MIN_SPEED_M_S = 1.0
+"""A slower path says nothing about the heading."""
+_MIN_STRETCH_S = 0.15
+"""Nor does a path over a shorter time, half a stride."""
+
+
+@dataclass(frozen=True)
+class Travel:
+    """Hold the direction of travel and the speed of every frame."""
+
+    heading: Array
+    """(T, 3): level unit vector in the camera frame that the animal faces."""
+    speed_m_s: Array
+    """(T,): along the path, 0 where it is too slow or too rarely seen to have one."""
+
+
+def estimate_travel(camera: Camera, chain: UnknownsChain, xy_px: Array, fps: float) -> Travel:
+    """Return heading and speed over the clip, about one second of straight path at a time.
+
+    Stretches without five joints in at least five frames take the heading of the nearest stretch that has them.
+
+    Parameters
+    ----------
+    xy_px : (T, J, 2), detections, NaN where missing
+    """
+    T = len(xy_px)
+    rays, _ = camera.rays(xy_px)
+    usable = np.isfinite(rays[..., 0]).sum(axis=1) >= MIN_JOINTS
+    right, away = level_axes(camera.up)
+    angle = 2 * np.pi * np.arange(_HEADINGS) / _HEADINGS
+    headings = np.cos(angle)[:, None] * right + np.sin(angle)[:, None] * away
+    shapes = chain.local_joints(mean_pose(chain)[None])[0] @ upright_rotation(headings, camera.up).transpose(0, 2, 1)
+
+    stretches = np.array_split(np.arange(T), max(1, round(T / fps / _STRETCH_S)))
+    runs = np.full((len(stretches), 4), np.nan)
+    for s, rows in enumerate(stretches):
+        rows = rows[usable[rows]]
+        if len(rows) >= MIN_JOINTS:
+            runs[s] = _stretch_travel(headings, shapes, camera.up, rays[rows], rows / fps)
+    known = np.flatnonzero(np.isfinite(runs[:, 0]))
+    if len(known) == 0:
+        return Travel(np.tile(right, (T, 1)), np.zeros(T))
+    nearest = known[np.argmin(np.abs(np.arange(len(stretches))[:, None] - known), axis=1)]
+    speed = np.where(np.isfinite(runs[:, 3]), runs[:, 3], 0.0)
+    lengths = [len(rows) for rows in stretches]
+    return Travel(np.repeat(runs[nearest, :3], lengths, axis=0), np.repeat(speed, lengths))
+
+
+def _stretch_travel(headings: Array, shapes: Array, up: Array, rays: Array, time_s: Array) -> Array:
+    """Return heading and speed (4,) of one stretch; the speed is NaN where the path is too short or slow.
+
+    For every heading the mean pose runs straight ahead, with a constant acceleration and a slope of the ground. The
+    heading whose run fits all rays best is taken: foreshortening of the shape and the path both decide.
+    """
+    time_s = time_s - time_s.mean()
+    misfit, runs = constant_velocity(headings, shapes, up, rays, time_s)
+    speeds = np.abs(runs[:, 3])
+    best = int(np.argmin(misfit))
+    # The minimum between grid points, from the parabola through the best three.
+    left, middle, right = misfit[[best - 1, best, (best + 1) % len(headings)]]
+    bend = left - 2 * middle + right
+    turn = 0.5 * (left - right) / bend * 2 * np.pi / len(headings) if bend > 0 else 0.0
+    heading = np.cos(turn) * headings[best] + np.sin(turn) * np.cross(up, headings[best])
+    moves = speeds[best] >= _MIN_SPEED_M_S and np.ptp(time_s) >= _MIN_STRETCH_S
+    return np.append(heading, speeds[best] if moves else np.nan)
+
+
+def geometric_start(camera: Camera, chain: UnknownsChain, rays: Array, heading: Array) -> Array:
+    """Return the state (D,) of the mean pose facing `heading` (3,), put on one frame's rays (J, 3)."""
+    state = mean_pose(chain)
+    rotation = upright_rotation(heading, camera.up)
+    position = position_on_rays(chain.local_joints(state[None])[0] @ rotation.T, rays[None])
+    # Contradictory rays can meet behind the camera; the solver needs a start that is in view.
+    in_front = position[0] if position[0, 2] > 0 else -position[0]
+    state[chain.place_slice] = rotation.T @ in_front
+    state[chain.euler_slice] = euler_angles(rotation)
+    return state
