@@ -1,10 +1,10 @@
-"""A reconstruction drawn on a frame of its video, with the pose from three sides beneath: plain arrays and OpenCV.
+"""Draw a reconstruction on a frame of its video, with the pose from three sides beneath: plain arrays and OpenCV.
 
-On the picture: limbs in the colour of their side, light and thick where they are nearer to the camera than the animal's
-middle, dark and thin where they are farther away; rings where the detector saw a keypoint, red crosses with a line to
-the reprojection where the pose does not explain it. Beneath, so that nothing of the picture is hidden: the pose from
-its side, from above and from ahead, at one scale, turned with the animal, and the key to the colours. An animal that is
-small in the picture is shown enlarged in a corner that it hardly comes to.
+On the picture: limbs in the colour of their side, light and thick if they are nearer to the camera than the animal's
+middle, dark and thin if they are farther away; rings for detections within the expected error, red crosses for
+detections further off, with a line to the reprojection. Beneath, so that nothing of the picture is hidden: the pose
+from its side, from above and from the front, at one scale, turned with the animal, and the key to the colours. An
+animal that is small in the picture is enlarged in the corner that its path avoids most.
 """
 
 from __future__ import annotations
@@ -36,22 +36,22 @@ SHIFT = 4
 STRIP_SHARE = 0.3
 """Height of the strip with the three views, relative to 9/16 of the width."""
 COLUMNS = {"side": 0.38, "from above": 0.26, "from ahead": 0.18}
-"""Shares of the width; what remains is the key's."""
+"""Shares of the width; the key has the rest."""
 TILE_PX, TILE_UNIT = (480, 300), 0.55
 """The size of a still in pixels, and the scale of what is drawn on it."""
 DARKENED = 0.35
-"""What a text's ground keeps of the picture."""
+"""Share of the picture's brightness behind a text."""
 _FILLED = 0.8
 """The share of a tile that the largest animal fills."""
 CLOSE_UP, WORTH = 0.36, 1.6
-"""The close-up's share of the picture's sides, and what it has to enlarge by to be shown."""
+"""Share of the picture's sides that the close-up takes, and the least enlargement with which it is shown."""
 HEADING_S = 0.25
-"""The views turn with the trunk's direction, averaged over this time, so that they do not shake."""
+"""Time over which the views average the trunk's direction, so that they do not shake."""
 
 
 @dataclass(frozen=True, eq=False)
 class Overlay:
-    """What is drawn on a video: T frames of J joints."""
+    """Drawing of T frames of J joints on a video."""
 
     frames: Integers
     """The numbers of the T frames, shape (T,)."""
@@ -61,33 +61,36 @@ class Overlay:
     colours: Sequence[Colour]
     """One colour for each limb."""
     detected_px: Array
-    """(T, J, 2), NaN where there is none."""
+    """Detections (T, J, 2), NaN if missing."""
     reprojected_px: Array
-    """(T, J, 2), NaN where there is none."""
+    """Reprojections (T, J, 2), NaN if missing."""
     outliers: Bools
-    """(T, J): detections that the pose does not explain."""
+    """Detections further from the pose than the expected error, shape (T, J)."""
     depth_m: Array
-    """(T, J): how far joints are from the camera, from any origin."""
+    """Depths of the joints from any origin, shape (T, J)."""
     upright_m: Array
-    """(T, J, 3): z up."""
+    """Joints with z up, shape (T, J, 3)."""
     trunk: tuple[int, int]
     """Two joints, from rear to front."""
     flags: Sequence[Sequence[str]]
-    """(T): what is doubtful about each frame."""
+    """Flags of each of the T frames."""
     speed: float = 1.0
     """The speed of the playback, 1 is real time."""
 
     @cached_property
     def nearness(self) -> Array:
-        """(T, J): 1 near, -1 far, 0 at the middle of the animal; the same scale over the clip."""
+        """Return how near joints are, (T, J): 1 near, -1 far, 0 at the animal's middle, on one scale over the clip."""
         relative = self.depth_m - mean_along(self.depth_m, axis=1)[:, None]
-        known = np.abs(finite(relative))
-        reach = float(np.percentile(known, 95)) if len(known) else 1.0
+        known_m = np.abs(finite(relative))
+        reach = float(np.percentile(known_m, 95)) if len(known_m) else 1.0
         return np.clip(-relative / max(reach, 1e-9), -1.0, 1.0)
 
     @cached_property
     def views(self) -> dict[str, Array]:
-        """By name, (T, J, 3): metres to the right, upwards and towards the viewer; heights from the lowest joints."""
+        """Return the joints (T, J, 3) of each view: metres to the right, upwards and towards the viewer.
+
+        Heights count from the lowest joints.
+        """
         rear, front = self.trunk
         along = smoothed_headings(self.upright_m[:, front] - self.upright_m[:, rear], self.fps)
         left = np.stack((-along[:, 1], along[:, 0]), axis=1)
@@ -105,44 +108,46 @@ class Overlay:
 
     @cached_property
     def _sides_px(self) -> Array:
-        """(N, 2): sides of the box about the joints, of each frame with all of them; infinite where there is none."""
-        known = self.reprojected_px[np.isfinite(self.reprojected_px).all(axis=(1, 2))]
-        return np.ptp(known, axis=1) if len(known) else np.full((1, 2), np.inf)
+        """Return the sides (N, 2) of the box about the joints in each complete frame; infinite without any."""
+        complete_px = self.reprojected_px[np.isfinite(self.reprojected_px).all(axis=(1, 2))]
+        return np.ptp(complete_px, axis=1) if len(complete_px) else np.full((1, 2), np.inf)
 
     @cached_property
     def extent_px(self) -> float:
-        """Length of the animal in the picture: the diagonal of its joints' box, in the median of the frames."""
+        """Return the animal's length in the picture: the median diagonal of its joints' box."""
         return float(np.median(np.linalg.norm(self._sides_px, axis=1)))
 
     @cached_property
     def joints_px(self) -> Array:
-        """(N, 2): all of the clip."""
+        """Return all known joints of the clip, shape (N, 2)."""
         return self.reprojected_px[np.isfinite(self.reprojected_px).all(axis=2)]
 
     @cached_property
     def box_px(self) -> Array:
-        """(2,): sides of the largest box about the joints of a frame, but for poses that went astray."""
+        """Return the sides (2,) of the largest box about the joints of a frame, stray poses apart."""
         return np.maximum(np.percentile(self._sides_px, 98, axis=0), 1.0)
 
     @cached_property
     def _facing(self) -> float:
-        """1 where the animal faces right in the picture, -1 where it faces left."""
+        """Return 1 if the animal faces right in the picture, -1 if it faces left."""
         rear, front = self.trunk
-        ahead = self.reprojected_px[:, front, 0] - self.reprojected_px[:, rear, 0]
-        return -1.0 if np.isfinite(ahead).any() and float(np.nanmedian(ahead)) < 0 else 1.0
+        forward_px = self.reprojected_px[:, front, 0] - self.reprojected_px[:, rear, 0]
+        return -1.0 if np.isfinite(forward_px).any() and float(np.nanmedian(forward_px)) < 0 else 1.0
 
     @cached_property
     def bounds(self) -> dict[str, tuple[Array, Array]]:
-        """By view: lowest and highest (2,), metres, over the clip but for poses that went astray."""
-        known = {name: points[np.isfinite(points).all(axis=-1)][:, :2] for name, points in self.views.items()}
-        unknown = -np.ones(2), np.ones(2)
-        return {name: (*np.percentile(xy, (1, 99), axis=0),) if len(xy) else unknown for name, xy in known.items()}
+        """Return the lowest and highest coordinates (2,) of each view over the clip, metres, stray poses apart."""
+        points_of_view = {name: points[np.isfinite(points).all(axis=-1)][:, :2] for name, points in self.views.items()}
+        unit_box = -np.ones(2), np.ones(2)
+        return {
+            name: (*np.percentile(xy, (1, 99), axis=0),) if len(xy) else unit_box for name, xy in points_of_view.items()
+        }
 
 
 def smoothed_headings(forward_m: Array, fps: float) -> Array:
-    """Level unit vectors (T, 2) along forward_m (T, 3), averaged over `HEADING_S`.
+    """Return level unit vectors (T, 2) along forward_m (T, 3), averaged over `HEADING_S`.
 
-    Where there is none, that of the last frame that has one; x where there is none at all.
+    Frames without one have that of the last frame with one; x if there is none at all.
     """
     frames = 2 * round(0.5 * HEADING_S * fps) + 1
     level = pd.DataFrame(forward_m[:, :2]).rolling(frames, center=True, min_periods=1).mean()
@@ -151,35 +156,42 @@ def smoothed_headings(forward_m: Array, fps: float) -> Array:
 
 
 def clip_frames(frames: Integers, video: Path, first_frame: int) -> Iterator[tuple[int, int | None, float, Image]]:
-    """The pictures of a clip's frames in its video: each one's number, its row among the frames, None for one between
-    them, its time stamp in seconds, and its picture; and the frame after them, if the video has one. first_frame: the
-    number that the video's first frame has in the clip. Raises InputError where the video ends before the clip."""
+    """Yield the pictures of a clip's frames: number, row among the frames, time stamp in seconds, and picture.
+
+    The row is None for a frame between the clip's. The last item is the frame after the clip, if the video has one.
+    first_frame: number that the video's first frame has in the clip. Raises InputError if the video ends before the
+    clip.
+    """
     rows = {int(frame): t for t, frame in enumerate(frames)}
-    first, last, read = max(min(rows), first_frame), max(rows), 0  # a camera that began later lacks the first ones
+    first, last, frames_read = (
+        max(min(rows), first_frame),
+        max(rows),
+        0,
+    )  # a camera that began later lacks the first ones
     for index, stamp_s, picture in timed_frames(video, first - first_frame, last + 2 - first_frame):
-        read += 1
+        frames_read += 1
         yield index + first_frame, rows.get(index + first_frame), stamp_s, picture
-    if read < last + 1 - first:
-        decoded, stated = first - first_frame + read, probe(video).stated_frames
-        found = f"{decoded} frames that can be decoded"
+    if frames_read < last + 1 - first:
+        decoded, stated = first - first_frame + frames_read, probe(video).stated_frames
+        decoded_text = f"{decoded} frames that can be decoded"
         if stated is not None and stated > decoded:
-            found += f" of the {stated} that the file states"
+            decoded_text += f" of the {stated} that the file states"
         expected = f"{last + 1 - first_frame} or more, for the frames {first} to {last}: the video of this clip"
         expected += f", or --first-frame {first} if it was cut to begin there"
-        raise InputError(Problem(video, "video", found, expected))
+        raise InputError(Problem(video, "video", decoded_text, expected))
 
 
 def canvas_size(size_px: tuple[int, int]) -> tuple[int, int]:
-    """(width, height) of what `draw_frame` makes of a picture of this size: even, as codecs want."""
+    """Return (width, height) of `draw_frame`'s result for a picture of this size: even, as codecs need."""
     width, height = size_px
     strip = round(STRIP_SHARE * width * 9 / 16)
     return width + width % 2, height + strip + (height + strip) % 2
 
 
 def draw_frame(overlay: Overlay, t: int | None, frame: int, picture: Image) -> Image:
-    """The picture (height, width, 3) of a frame with all that is known about it, and the strip beneath.
+    """Return the picture (height, width, 3) of a frame with all marks, and the strip beneath.
 
-    t: the frame's row; None for a frame that the reconstruction does not have.
+    t: the frame's row; None for a frame without a reconstruction.
     """
     height, width = picture.shape[:2]
     canvas_w, canvas_h = canvas_size((width, height))
@@ -198,16 +210,18 @@ def draw_frame(overlay: Overlay, t: int | None, frame: int, picture: Image) -> I
 
 
 def draw_tiles(overlay: Overlay, rows: Sequence[int] | Index, pictures: Sequence[Image] | None = None) -> list[Image]:
-    """These frames, each cut out about the animal, at one scale. pictures: of each of them, in the pixels of the
-    overlay; without, on a plain ground."""
+    """Return these frames, each cut out about the animal, at one scale.
+
+    pictures: of each frame, in the pixels of the overlay; without, on a plain background.
+    """
     boxes = np.array([(np.nanmin(xy, axis=0), np.nanmax(xy, axis=0)) for xy in overlay.reprojected_px[list(rows)]])
     largest = np.max(boxes[:, 1] - boxes[:, 0], axis=0)
     scale = float(np.min(_FILLED * np.array(TILE_PX) / np.maximum(largest, 1.0)))
     corners = boxes.mean(axis=1) - 0.5 * np.array(TILE_PX) / scale
     tiles = []
     for i, (t, corner) in enumerate(zip(rows, corners, strict=True)):
-        cut, ground = _Cut(corner, scale), np.full((TILE_PX[1], TILE_PX[0], 3), PAPER, np.uint8)
-        tile = ground if pictures is None else cut.of(pictures[i], TILE_PX)
+        cut, background = _Cut(corner, scale), np.full((TILE_PX[1], TILE_PX[0], 3), PAPER, np.uint8)
+        tile = background if pictures is None else cut.of(pictures[i], TILE_PX)
         _draw_pose(tile, overlay, int(t), TILE_UNIT, cut)
         _draw_caption(tile, overlay, int(t), int(overlay.frames[t]), TILE_PX, TILE_UNIT)
         tiles.append(tile)
@@ -222,10 +236,11 @@ class _Cut:
     scale: float
 
     def place(self, points_px: Array) -> Array:
+        """Return the points (N, 2) of the picture in the cut."""
         return self.scale * (points_px - self.corner_px)
 
     def of(self, picture: Image, size_px: tuple[int, int]) -> Image:
-        """The cut of a picture (height, width, 3)."""
+        """Return the cut of a picture (height, width, 3)."""
         (x, y), scale = self.corner_px, self.scale
         to_cut = np.array([[scale, 0.0, -scale * x], [0.0, scale, -scale * y]])
         return np.asarray(cv2.warpAffine(picture, to_cut, size_px, flags=cv2.INTER_LINEAR, borderValue=PAPER), np.uint8)
@@ -235,8 +250,10 @@ WHOLE = _Cut(np.zeros(2), 1.0)
 
 
 def _draw_close_up(image: Image, overlay: Overlay, t: int, picture: Image, unit: float) -> None:
-    """Into the corner of the picture that holds the fewest of the clip's joints, but for the caption's, if it is worth
-    it."""
+    """Draw the close-up into the corner with the fewest of the clip's joints, the caption's corner excluded.
+
+    Only if it enlarges enough.
+    """
     height, width = picture.shape[:2]
     size = np.array([round(CLOSE_UP * width), round(CLOSE_UP * height)])
     xy = overlay.reprojected_px[t]
@@ -244,22 +261,24 @@ def _draw_close_up(image: Image, overlay: Overlay, t: int, picture: Image, unit:
     if scale < WORTH or not np.isfinite(xy).any():
         return
     corners = np.array([[width, height], [0, height], [width, 0]]) - size * [[1, 1], [0, 1], [1, 0]]
-    inside = [((overlay.joints_px >= at) & (overlay.joints_px <= at + size)).all(axis=1).sum() for at in corners]
-    left, top = corners[int(np.argmin(inside))].tolist()
-    wide, high = size.tolist()
+    joint_counts = [
+        ((overlay.joints_px >= corner) & (overlay.joints_px <= corner + size)).all(axis=1).sum() for corner in corners
+    ]
+    left, top = corners[int(np.argmin(joint_counts))].tolist()
+    tile_width, tile_height = size.tolist()
     cut = _Cut(0.5 * (np.nanmin(xy, axis=0) + np.nanmax(xy, axis=0)) - 0.5 * size / scale, scale)
-    tile = image[top : top + high, left : left + wide]
-    tile[:] = cut.of(picture, (wide, high))
+    tile = image[top : top + tile_height, left : left + tile_width]
+    tile[:] = cut.of(picture, (tile_width, tile_height))
     _draw_pose(tile, overlay, t, 0.8 * unit, cut)
-    cv2.rectangle(tile, (0, 0), (wide - 1, high - 1), INK, max(1, round(2 * unit)))
-    draw_text(tile, f"{scale:.1f} times larger", (round(14 * unit), high - round(16 * unit)), 0.7 * unit, INK)
+    cv2.rectangle(tile, (0, 0), (tile_width - 1, tile_height - 1), INK, max(1, round(2 * unit)))
+    draw_text(tile, f"{scale:.1f} times larger", (round(14 * unit), tile_height - round(16 * unit)), 0.7 * unit, INK)
 
 
 def _draw_pose(image: Image, overlay: Overlay, t: int, unit: float, cut: _Cut = WHOLE) -> None:
-    """The skeleton, and on it the detections."""
-    xy, near = cut.place(overlay.reprojected_px[t]), overlay.nearness[t]
+    """Draw the skeleton, and on it the detections."""
+    xy, nearness_of_joint = cut.place(overlay.reprojected_px[t]), overlay.nearness[t]
     segments = [
-        (0.5 * (near[a] + near[b]), a, b, colour)
+        (0.5 * (nearness_of_joint[a] + nearness_of_joint[b]), a, b, colour)
         for limb, colour in zip(overlay.limbs, overlay.colours, strict=True)
         for a, b in pairwise(limb)
         if np.isfinite(xy[[a, b]]).all()
@@ -269,22 +288,22 @@ def _draw_pose(image: Image, overlay: Overlay, t: int, unit: float, cut: _Cut = 
         draw_line(image, xy[a], xy[b], SHADOW, thick + 2)
         draw_line(image, xy[a], xy[b], shade(colour, nearness), thick)
     size, thick = 7 * unit, max(1, round(1.5 * unit))
-    for at, to, outlier in zip(cut.place(overlay.detected_px[t]), xy, overlay.outliers[t], strict=True):
-        if not np.isfinite(at).all():
+    for detected, reprojected, outlier in zip(cut.place(overlay.detected_px[t]), xy, overlay.outliers[t], strict=True):
+        if not np.isfinite(detected).all():
             continue
         if outlier:
-            if np.isfinite(to).all():
-                draw_line(image, at, to, OUTLIER, thick)
-            draw_line(image, at - size, at + size, OUTLIER, thick + 1)
+            if np.isfinite(reprojected).all():
+                draw_line(image, detected, reprojected, OUTLIER, thick)
+            draw_line(image, detected - size, detected + size, OUTLIER, thick + 1)
             across = np.array([size, -size])
-            draw_line(image, at - across, at + across, OUTLIER, thick + 1)
+            draw_line(image, detected - across, detected + across, OUTLIER, thick + 1)
         else:
-            draw_circle(image, at, size + 0.5 * thick + 0.5, SHADOW, 1)
-            draw_circle(image, at, size, DETECTION, thick)
+            draw_circle(image, detected, size + 0.5 * thick + 0.5, SHADOW, 1)
+            draw_circle(image, detected, size, DETECTION, thick)
 
 
 def shade(colour: Colour, nearness: float) -> Colour:
-    """A colour mixed with white where it is near (1), with black where it is far (-1)."""
+    """Return a colour mixed with white where it is near (1), with black where it is far (-1)."""
     target, amount = (255.0, 0.45 * nearness) if nearness > 0 else (0.0, -0.45 * nearness)
     blue, green, red = (round(c + (target - c) * amount) for c in colour)
     return blue, green, red
@@ -293,22 +312,22 @@ def shade(colour: Colour, nearness: float) -> Colour:
 def _draw_caption(
     canvas: Image, overlay: Overlay, t: int | None, frame: int, size_px: tuple[int, int], unit: float
 ) -> None:
-    """Frame number and time; what is doubtful, with a border around the picture."""
-    slow = "" if overlay.speed == 1 else f"   {overlay.speed:.3g}x"
+    """Draw frame number and time; for a doubtful frame also its flags, and a border around the picture."""
+    speed_text = "" if overlay.speed == 1 else f"   {overlay.speed:.3g}x"
     x, y, scale = round(24 * unit), round(48 * unit), 1.1 * unit
-    draw_text(canvas, f"frame {frame}   {frame / overlay.fps:.3f} s{slow}", (x, y), scale, INK)
+    draw_text(canvas, f"frame {frame}   {frame / overlay.fps:.3f} s{speed_text}", (x, y), scale, INK)
     flags = list(overlay.flags[t]) if t is not None else ["not reconstructed"]
     if t is not None and not np.isfinite(overlay.reprojected_px[t]).any() and not flags:
         flags = ["no pose"]
     if flags:
         draw_text(canvas, ", ".join(flags), (x, y + round(46 * unit)), scale, DOUBT)
         edge = max(2, round(6 * unit))
-        inside, (wide, high) = edge // 2, size_px
-        cv2.rectangle(canvas, (inside, inside), (wide - 1 - inside, high - 1 - inside), DOUBT, edge)
+        inset, (width, height) = edge // 2, size_px
+        cv2.rectangle(canvas, (inset, inset), (width - 1 - inset, height - 1 - inset), DOUBT, edge)
 
 
 def _draw_strip(canvas: Image, overlay: Overlay, t: int | None, top: int, width: int) -> None:
-    """The three views beneath the picture, and the key."""
+    """Draw the three views beneath the picture, and the key."""
     height = round(STRIP_SHARE * width * 9 / 16)
     unit = width / 1920
     pad, foot = round(18 * unit), round(44 * unit)
@@ -318,39 +337,39 @@ def _draw_strip(canvas: Image, overlay: Overlay, t: int | None, top: int, width:
         left += share
     scale = min(
         side / max(extent, 1e-6)
-        for name, (_, _, w, h) in boxes.items()
-        for side, extent in zip((w, h), np.subtract(*overlay.bounds[name][::-1]), strict=True)
+        for name, (_, _, box_width, box_height) in boxes.items()
+        for side, extent in zip((box_width, box_height), np.subtract(*overlay.bounds[name][::-1]), strict=True)
     )
-    for name, (x, y, w, h) in boxes.items():
-        middle_m, middle = 0.5 * np.add(*overlay.bounds[name]), np.array([x + w / 2, y + h / 2])
+    for name, (x, y, box_width, box_height) in boxes.items():
+        middle_m, middle = 0.5 * np.add(*overlay.bounds[name]), np.array([x + box_width / 2, y + box_height / 2])
         if name != "from above":
             ground = float(middle[1] + middle_m[1] * scale)
-            draw_line(canvas, np.array([x, ground]), np.array([x + w, ground]), FAINT, max(1, round(unit)))
+            draw_line(canvas, np.array([x, ground]), np.array([x + box_width, ground]), FAINT, max(1, round(unit)))
         if t is not None:
             points = overlay.views[name][t]
-            places = middle + (points[:, :2] - middle_m) * scale * [1.0, -1.0]
-            _draw_view(canvas, overlay, places, points[:, 2], max(1, round(3 * unit)))
+            points_px = middle + (points[:, :2] - middle_m) * scale * [1.0, -1.0]
+            _draw_view(canvas, overlay, points_px, points[:, 2], max(1, round(3 * unit)))
         draw_text(canvas, name, (x, top + height - round(14 * unit)), 0.7 * unit, INK)
     _draw_scale(canvas, boxes["side"], scale, top + height - round(20 * unit), unit)
     _draw_key(canvas, overlay, (round(left * width) + pad, top + pad + round(16 * unit)), unit)
 
 
-def _draw_view(canvas: Image, overlay: Overlay, places: Array, nearness: Array, thickness: int) -> None:
-    """The limbs of a pose whose joints are at these places (J, 2), the nearest (J,) to the viewer last."""
-    drawn = [
+def _draw_view(canvas: Image, overlay: Overlay, points_px: Array, nearness: Array, thickness: int) -> None:
+    """Draw the limbs of a pose with joints (J, 2) on the canvas, the nearest (J,) to the viewer last."""
+    limbs = [
         (float(np.nanmean(nearness[list(limb)])), limb, colour)
         for limb, colour in zip(overlay.limbs, overlay.colours, strict=True)
         if np.isfinite(nearness[list(limb)]).any()
     ]
-    for _, limb, colour in sorted(drawn, key=lambda d: d[0]):
-        known = [pair for pair in pairwise(places[list(limb)]) if np.isfinite(pair).all()]
+    for _, limb, colour in sorted(limbs, key=lambda d: d[0]):
+        pieces = [pair for pair in pairwise(points_px[list(limb)]) if np.isfinite(pair).all()]
         for paint, width in ((PAPER, thickness + 2), (colour, thickness)):
-            for start, end in known:
+            for start, end in pieces:
                 draw_line(canvas, start, end, paint, width)
 
 
 def _draw_scale(canvas: Image, box: tuple[int, int, int, int], scale: float, y: int, unit: float) -> None:
-    """A bar of a round length, about a fifth of the view."""
+    """Draw a bar of a round length, about a fifth of the view."""
     x, _, w, _ = box
     length = min((0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0), key=lambda m: abs(math.log(m * scale / (0.2 * w))))
     start, end = np.array([[x + 0.5 * w, y], [x + 0.5 * w + length * scale, y]])
@@ -382,21 +401,23 @@ def _draw_key(canvas: Image, overlay: Overlay, corner: tuple[int, int], unit: fl
 
 
 def draw_line(image: Image, start: Array, end: Array, colour: Colour, thickness: int) -> None:
+    """Draw an anti-aliased line between points (2,), px."""
     ends = np.rint(np.clip([start, end], -30000, 30000) * 2**SHIFT).astype(int).tolist()
     cv2.line(image, tuple(ends[0]), tuple(ends[1]), colour, thickness, cv2.LINE_AA, SHIFT)
 
 
 def draw_circle(image: Image, centre: Array, radius: float, colour: Colour, thickness: int) -> None:
+    """Draw an anti-aliased circle, px."""
     x, y = np.rint(np.clip(centre, -30000, 30000) * 2**SHIFT).astype(int).tolist()
     cv2.circle(image, (x, y), round(radius * 2**SHIFT), colour, thickness, cv2.LINE_AA, SHIFT)
 
 
-def draw_text(image: Image, text: str, place: tuple[int, int], scale: float, colour: Colour) -> None:
-    """On a darker ground, as pictures may be of any brightness."""
+def draw_text(image: Image, text: str, position: tuple[int, int], scale: float, colour: Colour) -> None:
+    """Draw text on a darkened background, as pictures may have any brightness."""
     scale = max(scale, 0.35)
-    thick, pad = max(1, round(2 * scale)), round(8 * scale)
-    (wide, high), below = cv2.getTextSize(text, FONT, scale, thick)
-    left, top = max(place[0] - pad, 0), max(place[1] - high - pad // 2, 0)
-    ground = image[top : place[1] + below + pad // 2, left : place[0] + wide + pad]
-    ground[:] = PAPER + DARKENED * (ground - np.array(PAPER, dtype=float))
-    cv2.putText(image, text, place, FONT, scale, colour, thick, cv2.LINE_AA)
+    thickness, pad = max(1, round(2 * scale)), round(8 * scale)
+    (text_width, text_height), below = cv2.getTextSize(text, FONT, scale, thickness)
+    left, top = max(position[0] - pad, 0), max(position[1] - text_height - pad // 2, 0)
+    background = image[top : position[1] + below + pad // 2, left : position[0] + text_width + pad]
+    background[:] = PAPER + DARKENED * (background - np.array(PAPER, dtype=float))
+    cv2.putText(image, text, position, FONT, scale, colour, thickness, cv2.LINE_AA)

@@ -1,4 +1,4 @@
-"""Plain JSON types, and the few statistics that a report needs."""
+"""Convert values to plain JSON types and summarise them for a report."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from recon.base.arrays import Array, finite, mean, to_plain
 
 
 def write_report(report: Mapping[str, Any], path: Path) -> None:
-    """report.json: indented, with each list of numbers on one line."""
+    """Write report.json, indented, with each list of numbers on one line."""
     text = json.dumps(report, indent=1, allow_nan=False, ensure_ascii=False)
     # A line break never stands inside a JSON string, so that this changes only the white space between values.
     text = re.sub(r"\[[^\[\]{}]*\]", lambda match: re.sub(r"\s*\n\s*", " ", match[0]), text)
@@ -23,27 +23,29 @@ def write_report(report: Mapping[str, Any], path: Path) -> None:
 
 
 def to_json(value: Any) -> str:
-    """The text of a file, and what `--json` prints."""
+    """Return the JSON text of a file, which `--json` also prints."""
     return json.dumps(to_plain(value), indent=1, allow_nan=False, ensure_ascii=False) + "\n"
 
 
 def file_name(path: str | None) -> str | None:
-    """Without its folders, which are nobody's business whom a report is passed on to; a name of no file as it is."""
+    """Return the name of a file without its folders, which readers of a report need not know."""
     return None if path is None else Path(path).name
 
 
-def picked(of: Any, *names: str) -> dict[str, Any]:
-    """Attributes of something by their names."""
-    return {name: getattr(of, name) for name in names}
+def picked(source: Any, *names: str) -> dict[str, Any]:
+    """Return attributes of an object by their names."""
+    return {name: getattr(source, name) for name in names}
 
 
 def by_name(names: Sequence[str], values: Sequence[Any]) -> dict[str, Any]:
+    """Return values by their names."""
     return dict(zip(names, values, strict=True))
 
 
 def spread(values: Array) -> dict[str, float]:
-    known = finite(values)
-    low, high = (float(known.min()), float(known.max())) if len(known) else (np.nan, np.nan)
+    """Return mean, least and greatest of the known values."""
+    known_values = finite(values)
+    low, high = (float(known_values.min()), float(known_values.max())) if len(known_values) else (np.nan, np.nan)
     return {"mean": mean(values), "min": low, "max": high}
 
 
@@ -53,4 +55,5 @@ def number(value: float | None, spec: str) -> str:
 
 
 def frame_count(n: int) -> str:
+    """Return "1 frame" or "7 frames"."""
     return "1 frame" if n == 1 else f"{n} frames"

@@ -1,7 +1,7 @@
-"""Pages to look at and to pass on: of one result, and of a batch. Each is one HTML file that fetches nothing.
+"""Write pages to read and to pass on: of one result, and of a batch. Each is one HTML file that fetches nothing.
 
-The words, tables and numbers are the report's, the figures those of `recon.show.plots`, the frame around them that of
-`templates/`, filled in by Jinja2, which escapes whatever comes from a file or its name.
+Words, tables and numbers are those of the report, figures those of `recon.show.plots`; Jinja2 fills in `templates/` and
+escapes all text from files and their names.
 """
 
 from __future__ import annotations
@@ -12,13 +12,13 @@ from pathlib import Path
 from recon.base.errors import InputError, Problem
 
 PAGE, SUMMARY_PAGE = "report.html", "summary.html"
-"""In the folder of a result, and in that of a batch."""
+"""Names of the page in the folder of a result, and in that of a batch."""
 GENERATED = '<meta name="generator" content="recon">'
-"""By which a page is known again."""
+"""Mark by which recon recognises its own pages."""
 
 
 def require_own_page(path: Path) -> None:
-    """Raises InputError where a file is in the page's place that recon has not made."""
+    """Raise InputError if a file of this name exists that recon has not made."""
     with suppress(FileNotFoundError, NotADirectoryError), path.open(encoding="utf-8", errors="replace") as file:
         if GENERATED not in file.read(2000):
             raise InputError(Problem(path, "file", "one that recon has not made", f"a place for {path.name}"))

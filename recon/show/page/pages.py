@@ -1,5 +1,7 @@
-"""The page of one result, and that of a batch, which is a table of its clips, the doubtful first: templates filled in,
-with pictures as a part of the page."""
+"""Fill in the pages of one result and of a batch.
+
+The page of a batch is a table of its clips, the doubtful ones first. Pictures are part of the page.
+"""
 
 from __future__ import annotations
 
@@ -34,11 +36,11 @@ from recon.show.report import TO_DO, build_report, in_sentences, warnings
 JPEG_QUALITY = 80
 PNG_DPI = 190.0
 UNSEEN = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u061c\u200e\u200f\u202a-\u202e\u2066-\u2069]")
-"""Characters of control, and for the direction of text, as in names of files."""
+"""Control characters and marks of text direction, which can stand in file names."""
 
 
 def rendered(template: str, **content: Any) -> str:
-    """A page. All text is escaped but what the template calls safe: figures."""
+    """Return a page. All text is escaped except figures, which the template marks safe."""
     environment = Environment(
         loader=FileSystemLoader(Path(__file__).parent / "templates"),
         autoescape=True,
@@ -47,21 +49,19 @@ def rendered(template: str, **content: Any) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    given = {"generated": GENERATED, "version": version(), "today": date.today().isoformat()}
-    return environment.get_template(template).render(given | content)
+    common = {"generated": GENERATED, "version": version(), "today": date.today().isoformat()}
+    return environment.get_template(template).render(common | content)
 
 
 def _without_unseen(value: Any) -> Any:
-    """Text with codes in place of marks that would turn what follows the other way, and of those that command a
-    terminal."""
+    """Return text with codes instead of marks that reverse text or control a terminal."""
     if not isinstance(value, str) or not UNSEEN.search(value):
         return value
     return type(value)(UNSEEN.sub(lambda mark: printable(mark[0]), value))
 
 
 def inline(figure: Figure, largest: int) -> str:
-    """A figure as it stands in a page: <svg>, or a PNG where that would have more than `largest` characters, as of a
-    long clip."""
+    """Return a figure for a page: <svg>, or a PNG if that would have more than `largest` characters."""
     svg = svg_of(figure)
     if len(svg) <= largest:
         return svg  # matplotlib has escaped its texts
@@ -69,7 +69,7 @@ def inline(figure: Figure, largest: int) -> str:
 
 
 def jpeg(picture: Image) -> str:
-    """A picture as the source of an <img>."""
+    """Return a picture as the source of an <img>."""
     return _data("image/jpeg", cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1].tobytes())
 
 
@@ -80,41 +80,46 @@ def _data(kind: str, content: bytes) -> str:
 # -- of one result -----------------------------------------------------------------------------------------------------
 
 SECTION_CHARACTERS = 600_000
-"""The most that the vector graphics of a section take; three sections and the stills are below 3 MB."""
+"""Largest size of a section's vector graphics; three sections and the stills are below 3 MB."""
 SHOWN = 100
 """Rows of the table of doubtful frames."""
 SPEED_MM = 100.0
 LENGTHS, POSES, STRETCHES = 4.0, 7, 3
-"""How many times its length an animal runs in a figure of so many poses, in so many stretches of the clip at most."""
+"""Body lengths that an animal runs in one figure, poses in it, and largest number of figures."""
 SOLID_FRAMES = 600
-"""How many frames can be turned by hand, every other one or fewer of a longer clip: 100 kB of the page."""
+"""Frames that can be turned by hand, evenly chosen in a longer clip: 100 kB of the page."""
 
 
 def clip_page(
     motion: Motion, stills: Sequence[tuple[str, str]], behind: str | None, files: Sequence[str], number: int = 0
 ) -> str:
-    """HTML of a motion. stills: frames' pictures, and what to say where one is not shown; behind: the video's name
-    behind the stills, None: a plain ground; files: their names beside the page, with forward slashes, for links;
-    number: of the camera whose stills they are."""
+    """Return the HTML of a motion.
+
+    stills: frames' pictures, and the text if one is not shown; behind: name of the video behind the stills, None: a
+    plain background; files: names of the files in the page's folder, with forward slashes, for links; number: of the
+    camera whose stills they are.
+    """
     report = build_report(motion)
-    posed = np.isfinite(motion.upright.xyz_m).all(axis=(1, 2))
-    found = ClipAnalysis(motion) if posed.sum() >= MIN_POINTS else None
+    has_pose = np.isfinite(motion.upright.xyz_m).all(axis=(1, 2))
+    analysis = ClipAnalysis(motion) if has_pose.sum() >= MIN_POINTS else None
     doubtful, reason = list(doubtful_frames(motion)), "" if motion.verdict is None else motion.verdict.reason
     return rendered(
         "report.html",
         title=", ".join(dict.fromkeys(_base(camera["keypoints"]) for camera in report["cameras"])),
         subtitle=_subtitle(motion),
-        words=list(_words(report, found)),
+        words=list(_words(report, analysis)),
         verdict=motion.verdict,
         expected=verdict_lines(motion.verdict)[1:],
         to_do="" if motion.verdict is None else TO_DO.get(motion.verdict.level, ""),
         warnings=[text for text in warnings(report) if text not in reason],
-        notes=[one["text"] for one in report["findings"] if one["severity"] == "note" and one["text"] not in reason],
+        notes=[
+            item["text"] for item in report["findings"] if item["severity"] == "note" and item["text"] not in reason
+        ],
         stills=stills,
         behind=behind,
         camera=motion.cameras[number].name if len(motion.cameras) > 1 else "the camera",
-        solid=_solid(motion, np.asarray(posed), found and found.gait),
-        sections=[] if found is None else list(_sections(found)),
+        solid=_solid(motion, np.asarray(has_pose), analysis and analysis.gait),
+        sections=[] if analysis is None else list(_sections(analysis)),
         doubtful=doubtful[:SHOWN],
         more_doubtful=max(0, len(doubtful) - SHOWN),
         meaning={flag: text for flag, text in FLAGS.items() if any(flag in flags for flags in motion.flags)},
@@ -126,40 +131,40 @@ def clip_page(
 
 
 def _base(path: str | None) -> str:
-    """The name of a file of any system, without its folders."""
+    """Return the name of a file of any system, without its folders."""
     return (path or "clip").replace("\\", "/").rsplit("/", 1)[-1]
 
 
 def _plain(value: Any) -> str:
-    """The names of files: their folders are nobody's business whom the page is passed on to."""
+    """Return a setting with the names of files without their folders, which readers of the page need not know."""
     return ", ".join(map(_plain, value)) if isinstance(value, list) else _base(str(value))
 
 
 def _subtitle(motion: Motion) -> str:
     frames = motion.frames
-    many = f" · {len(motion.cameras)} cameras" if len(motion.cameras) > 1 else ""
+    cameras_text = f" · {len(motion.cameras)} cameras" if len(motion.cameras) > 1 else ""
     first_s, last_s = motion.time_s[[0, -1]]
     times = f"{first_s:.3f} to {last_s:.3f} s at {motion.fps:g} frames a second"
-    return f"frames {frames[0]} to {frames[-1]}, {times}{many} · {motion.title}"
+    return f"frames {frames[0]} to {frames[-1]}, {times}{cameras_text} · {motion.title}"
 
 
 # -- words ------------------------------------------------------------------------------------------------------------
 
 
-def _words(report: Mapping[str, Any], found: ClipAnalysis | None) -> Iterator[str]:
-    """The result in a few sentences."""
+def _words(report: Mapping[str, Any], analysis: ClipAnalysis | None) -> Iterator[str]:
+    """Yield the result in a few sentences."""
     yield f"Frames: {dict(report['lines'])['frames']}."
-    if found is None:
+    if analysis is None:
         yield "Too few frames have a pose for a speed or a gait."
     else:
-        yield from in_sentences(found.motion, found.reference_motion, found.gait, found.why_no_speed)
+        yield from in_sentences(analysis.motion, analysis.reference_motion, analysis.gait, analysis.why_no_speed)
 
 
 def doubtful_frames(motion: Motion) -> Iterator[tuple[str, str]]:
-    """Runs of frames with the same flags: numbers and flags in words."""
-    for flags, run in groupby(range(len(motion.flags)), lambda t: motion.flags[t]):
+    """Yield runs of frames with the same flags: numbers and flags in words."""
+    for flags, frames_of_run in groupby(range(len(motion.flags)), lambda t: motion.flags[t]):
         if flags:
-            rows = [*run]
+            rows = [*frames_of_run]
             first, last = motion.frames[[rows[0], rows[-1]]]
             yield (f"{first}" if first == last else f"{first} to {last}"), ", ".join(flags)
 
@@ -168,31 +173,36 @@ def doubtful_frames(motion: Motion) -> Iterator[tuple[str, str]]:
 
 
 def _group(heading: str, text: str, figures: Sequence[Figure], width: str = "wide") -> dict[str, Any]:
-    """Figures with a heading and what they show. width: small ones are several beside each other, wide ones scroll on a
-    phone, narrow ones do neither."""
+    """Return figures with a heading and a text.
+
+    width: several small figures share a line, wide ones scroll on a phone, narrow ones do neither.
+    """
     drawn = [inline(figure, SECTION_CHARACTERS // len(figures)) for figure in figures]
     return {"heading": heading, "text": text, "figures": drawn, "width": width}
 
 
-def _sections(found: ClipAnalysis) -> Iterator[dict[str, Any]]:
-    motion, moved, gait = found.motion, found.reference_motion, found.gait
+def _sections(analysis: ClipAnalysis) -> Iterator[dict[str, Any]]:
+    motion, reference_motion, gait = analysis.motion, analysis.reference_motion, analysis.gait
     ground = None if gait is None else gait.tracks.grounds
-    drawn = {"ground": ground, "sides": motion.limb_sides}
+    options = {"ground": ground, "sides": motion.limb_sides}
     slope = " The grey line is the ground that feet stand on: a slope is the ground's, or the camera's tilt is off."
     yield _group(
         "From the side, from above and from ahead",
         f"Poses evenly spaced in time, turned so that the animal runs to the right.{slope if ground else ''}",
-        [plots.composites(m, motion.limbs, motion.time_s, **drawn) for m in _stretches(motion, moved)],
+        [
+            plots.composites(stretch, motion.limbs, motion.time_s, **options)
+            for stretch in _stretches(motion, reference_motion)
+        ],
     )
-    name, why_not = motion.reference, moved.why_no_acceleration
-    banded = ", with bands of 90 %" * bool(np.isfinite(moved.speed_sigma_m_s).any())
-    text = f"How fast {name} moves along its path{banded}. {why_not}"
-    shown = {"width_mm": SPEED_MM, "unknown": found.why_no_speed is not None, "acceleration": not why_not}
-    yield _group("Speed", text, [plots.speeds({name: moved}, **shown)], "narrow")
+    name, reason = motion.reference, reference_motion.why_no_acceleration
+    banded = ", with bands of 90 %" * bool(np.isfinite(reference_motion.speed_sigma_m_s).any())
+    text = f"How fast {name} moves along its path{banded}. {reason}"
+    speed_options = {"width_mm": SPEED_MM, "unknown": analysis.why_no_speed is not None, "acceleration": not reason}
+    yield _group("Speed", text, [plots.speeds({name: reference_motion}, **speed_options)], "narrow")
     if gait is not None:
         text = "When each foot stands: by its speed over the ground and its height, and by its path below the body."
         yield _group("Footfalls", text, [plots.footfall({"gait": gait}, motion.fps)])
-        dynamics = None if motion.jitters else found.dynamics
+        dynamics = None if motion.jitters else analysis.dynamics
         if dynamics is not None and len(dynamics.forces):
             text = (
                 "Each foot, in body weights: from its stances and the impulse that a stride needs on level ground, "
@@ -210,8 +220,11 @@ def _sections(found: ClipAnalysis) -> Iterator[dict[str, Any]]:
 
 
 def _solid(motion: Motion, posed: Bools, gait: Gait | None) -> dict[str, Any] | None:
-    """What `solid.js` draws: of up to `SOLID_FRAMES` frames with a pose their numbers, the joints as whole numbers of
-    `unit_m` from `origin_m`, little-endian and three after the other, and the ground below each pose; and the limbs."""
+    """Return the data that `solid.js` draws.
+
+    Numbers of up to `SOLID_FRAMES` frames with a pose, the joints as whole numbers of `unit_m` from `origin_m`,
+    little-endian and three after the other, the ground below each pose, and the limbs.
+    """
     rows = np.flatnonzero(posed)
     if not len(rows):
         return None
@@ -222,8 +235,8 @@ def _solid(motion: Motion, posed: Bools, gait: Gait | None) -> dict[str, Any] | 
     unit_m = max(float(np.abs(joints_m - origin_m).max()) / 32_000, 1e-5)
     middle_m, ground_m = joints_m.mean(axis=1), joints_m[..., 2].min(axis=1)
     for within, plane in () if gait is None else gait.tracks.grounds:
-        own = (rows >= (within.start or 0)) & (rows < (len(posed) if within.stop is None else within.stop))
-        ground_m[own] = middle_m[own, 2] - plane.above(middle_m[own])
+        in_segment = (rows >= (within.start or 0)) & (rows < (len(posed) if within.stop is None else within.stop))
+        ground_m[in_segment] = middle_m[in_segment, 2] - plane.above(middle_m[in_segment])
     limbs = zip(motion.limbs.values(), motion.limb_sides.values(), strict=True)
     size_m = float(np.median(np.ptp(joints_m, axis=1).max(axis=1)))
     units = np.round((joints_m - origin_m) / unit_m).astype("<i2")
@@ -241,21 +254,21 @@ def _solid(motion: Motion, posed: Bools, gait: Gait | None) -> dict[str, Any] | 
     }
 
 
-def _stretches(motion: Motion, moved: JointKinematics) -> Iterator[Array]:
-    """Some of the poses (T, J, 3), in parts of the clip that are short enough to be seen; the rest is NaN."""
+def _stretches(motion: Motion, path: JointKinematics) -> Iterator[Array]:
+    """Yield some of the poses (T, J, 3), in parts of the clip that are short enough to be seen; the rest is NaN."""
     joints_m = motion.upright.xyz_m
-    posed = np.flatnonzero(np.isfinite(joints_m).all(axis=(1, 2)))
-    long_m = float(np.median(np.ptp(joints_m[posed], axis=1), axis=0).max())
-    count = int(np.clip(np.round(np.nan_to_num(moved.distance_m) / (LENGTHS * long_m)), 1, STRETCHES))
-    shown = posed[np.round(np.linspace(0, len(posed) - 1, count * POSES)).astype(int)]
-    for rows in np.split(shown, count):
+    pose_rows = np.flatnonzero(np.isfinite(joints_m).all(axis=(1, 2)))
+    length_m = float(np.median(np.ptp(joints_m[pose_rows], axis=1), axis=0).max())
+    count = int(np.clip(np.round(np.nan_to_num(path.distance_m) / (LENGTHS * length_m)), 1, STRETCHES))
+    shown_rows = pose_rows[np.round(np.linspace(0, len(pose_rows) - 1, count * POSES)).astype(int)]
+    for rows in np.split(shown_rows, count):
         part = np.full_like(joints_m, np.nan)
         part[rows] = joints_m[rows]
         yield part
 
 
 def _angles(motion: Motion) -> dict[str, dict[str, AngleCurve]]:
-    """By title: an angle with its counterpart of the other side."""
+    """Return each angle with its counterpart of the other side, by title."""
     shares, panels = motion.data_shares, dict[str, dict[str, AngleCurve]]()
     for name, angle, sigma in zip(motion.posture_names, motion.posture_rad.T, motion.posture_sigma_rad.T, strict=True):
         panel = panels.setdefault(both_sides(name).replace("_", " "), {})
@@ -266,7 +279,7 @@ def _angles(motion: Motion) -> dict[str, dict[str, AngleCurve]]:
 # -- of a batch --------------------------------------------------------------------------------------------------------
 
 FIRST = ("failed", "unsolved", "pending")
-"""The statuses that stand above all others."""
+"""Statuses listed above all others."""
 NUMBERS = {
     "pose_mm": ("pose off by, mm (90%)", ".0f"),
     "position_m": ("position off by, m (90%)", ".2f"),
@@ -280,14 +293,14 @@ NUMBERS = {
 """Columns of summary.csv that the table has, with their headings and formats."""
 THUMBNAIL_PX = (96, 60)
 FOLDERS = re.compile(r"(?<![\w.])(?:[A-Za-z]:)?[/\\](?:[^/\\:]+[/\\])+")
-"""The folders of a file that an error names: they stay in the house."""
+"""Folders of a file that an error names, which readers of the page need not know."""
 
 
 def batch_page(out: Path, rows: Sequence[Mapping[str, str]]) -> str:
-    """HTML of the batch in a folder, whose summary.csv has these rows."""
+    """Return the HTML of the batch in a folder, whose summary.csv has these rows."""
     clips = sorted((_clip_row(out, row) for row in rows), key=lambda clip: clip["rank"])
-    counted = Counter(row["verdict"] or row["status"] for row in rows)
-    counts = {name: counted[name] for name in dict.fromkeys((*FIRST, *LEVELS, *counted)) if counted[name]}
+    counter = Counter(row["verdict"] or row["status"] for row in rows)
+    counts = {name: counter[name] for name in dict.fromkeys((*FIRST, *LEVELS, *counter)) if counter[name]}
     return rendered(
         "summary.html",
         title=out.absolute().name or "batch",
@@ -300,10 +313,13 @@ def batch_page(out: Path, rows: Sequence[Mapping[str, str]]) -> str:
 
 
 def _clip_row(out: Path, cells: Mapping[str, str]) -> dict[str, Any]:
-    """One clip: the cells of its row of summary.csv; the reason of its verdict, if it says something; the numbers as
-    they are shown, each with its 90 % interval, if it has one; its page, beside the summary, with forward slashes; how
-    many of its frames are doubtful, None where there is no result, and their share; its thumbnail; its state, the
-    verdict or what has kept the clip from one; and its rank, of which the smallest is the one to look at first."""
+    """Return one clip of the table.
+
+    The cells of its row of summary.csv; the reason of its verdict, if it says something; the numbers with their 90 %
+    intervals; its page, relative to the summary, with forward slashes; the number of its doubtful frames, None without
+    a result, and their share; its thumbnail; its state, the verdict or the reason why there is none; and its rank, by
+    which the clips to look at come first.
+    """
     folder, order = out / cells["clip"], (*FIRST, *LEVELS)
     try:
         motion = Motion.load(folder)
@@ -313,8 +329,8 @@ def _clip_row(out: Path, cells: Mapping[str, str]) -> dict[str, Any]:
     state = cells["status"] if cells["status"] in FIRST else cells["verdict"]
     numbers = dict[str, list[str]]()
     for name, (_, spec) in NUMBERS.items():
-        shown = [format(float(x), spec) for end in ("", "_low", "_high") if (x := cells.get(name + end))]
-        numbers[name] = [shown[0], f"({' to '.join(shown[1:])})"] if len(shown) > 1 else shown
+        texts = [format(float(x), spec) for end in ("", "_low", "_high") if (x := cells.get(name + end))]
+        numbers[name] = [texts[0], f"({' to '.join(texts[1:])})"] if len(texts) > 1 else texts
     return {
         "cells": {**cells, "error": FOLDERS.sub("", cells["error"])},
         "reason": cells["reason"] if state == cells["verdict"] and cells["reason"] != NOTHING_AGAINST else "",
@@ -329,18 +345,23 @@ def _clip_row(out: Path, cells: Mapping[str, str]) -> dict[str, Any]:
 
 
 def _thumbnail(motion: Motion) -> list[tuple[str, str]]:
-    """A pose as the first camera saw it: its lines, each with its side, in a box of `THUMBNAIL_PX`. It is that of the
-    frame with a pose that is nearest to the middle."""
+    """Return the lines of a pose in the first camera, each with its side, in a box of `THUMBNAIL_PX`.
+
+    The pose is that of the frame with a pose nearest to the middle.
+    """
     reprojected_px = motion.pictures[0].reprojected_px
-    posed = np.flatnonzero(np.isfinite(reprojected_px).any(axis=(1, 2)))
-    if not len(posed):
+    pose_rows = np.flatnonzero(np.isfinite(reprojected_px).any(axis=(1, 2)))
+    if not len(pose_rows):
         return []
-    points = reprojected_px[min(posed, key=lambda t: abs(t - len(reprojected_px) / 2))]
+    points = reprojected_px[min(pose_rows, key=lambda t: abs(t - len(reprojected_px) / 2))]
     low, high = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
     scale = float(np.min(0.9 * np.array(THUMBNAIL_PX) / np.maximum(high - low, 1.0)))
-    places = (points - (low + high) / 2) * scale + np.array(THUMBNAIL_PX) / 2
+    points_px = (points - (low + high) / 2) * scale + np.array(THUMBNAIL_PX) / 2
     lines = [
-        (str(motion.limb_sides[limb] or "middle"), " ".join(f"{x:.0f},{y:.0f}" for x, y in places[list(along)]))
-        for limb, along in motion.limbs.items()
+        (
+            str(motion.limb_sides[limb] or "middle"),
+            " ".join(f"{x:.0f},{y:.0f}" for x, y in points_px[list(joints_along)]),
+        )
+        for limb, joints_along in motion.limbs.items()
     ]
     return [line for line in lines if "nan" not in line[1]]

@@ -1,6 +1,8 @@
-"""Configurations from the side, from above and from ahead: through a clip, along the run, coloured by time;
-in the animal's own frame, left and right in colours; and what a skeleton expects, with how far its angles go.
-Which angles the pixels show, over time and by where the camera stands; and what a calibration rests on.
+"""Draw configurations from the side, from above and from the front.
+
+Figures of a clip along the run, coloured by time; of a clip in the animal's own frame; of the pose a skeleton expects
+and its angles' ranges; of the angles that the pixels determine, over time and by the camera's position; and of a
+calibration.
 """
 
 from __future__ import annotations
@@ -32,16 +34,16 @@ from recon.show.plots import style
 
 CONFIGURATIONS = 10
 STILL = 0.1
-"""A path shorter than this part of the animal has no direction."""
+"""Least length of a path that has a direction, relative to the animal's length."""
 STYLES: dict[Side | None, tuple[Any, float, str]] = {
     "left": ((0, (2.2, 1.0)), 0.9, "left side"),
     "right": ("-", 0.9, "right side"),
     None: ("-", 1.6, "the rest"),
 }
-"""Styles of the limbs of each side: dashes, width, and what to call them."""
+"""Style of the limbs of each side: dashes, width, and label."""
 NO_SIDES: Mapping[str, Side | None] = MappingProxyType({})
 _WIDE_MM, _HEIGHT_MM, _FRONT_MM, _LABELS_MM = 160.0, 120.0, 45.0, 36.0
-"""The width and height of the side and top view together at most, the front view's height, and room for all names."""
+"""Largest width and height of the side and top view together, the front view's height, and room for all labels."""
 
 
 def composites(
@@ -52,12 +54,23 @@ def composites(
     title: str = "",
     sides: Mapping[str, Side | None] = NO_SIDES,
 ) -> Figure:
-    """Up to `CONFIGURATIONS` configurations, evenly spaced among the known ones, coloured by time.
+    """Draw up to `CONFIGURATIONS` configurations, evenly spaced among the known ones, coloured by time.
 
-    joints_m (T, J, 3): metres, upright, z up; time_s (T,). limbs: joints along each, by name; sides: of the limbs,
-    those on the left are dashed, and those without a side thick. ground: planes with the rows that they lie under. The
-    mean motion is turned to run to the right; places count from the mean of the first configuration, heights are as
-    given. The front view looks back at the animal and has its own scale.
+    The mean motion is turned to run to the right. Positions count from the mean of the first configuration, heights are
+    unchanged. The front view shows the animal from ahead at its own scale.
+
+    Parameters
+    ----------
+    joints_m : ndarray
+        Positions (T, J, 3), metres, upright, z up.
+    limbs : mapping
+        Joints along each limb, by name.
+    time_s : ndarray
+        Times, shape (T,).
+    ground : sequence, optional
+        Planes, each with the rows that it lies under.
+    sides : mapping
+        Sides of the limbs: left ones are dashed, those without a side thick.
     """
     rows = chosen(joints_m, limbs)
     if not len(rows):
@@ -65,38 +78,38 @@ def composites(
             return figure
     R, origin = run_frame(joints_m, rows)
     points = (joints_m[rows] - origin) @ R.T
-    x, y, z = np.nanmax(points, axis=(0, 1)) - np.nanmin(points, axis=(0, 1)) + 0.1
-    scale = min(_WIDE_MM / x, _HEIGHT_MM / (y + z))
-    heights = [max(scale * z, 16.0), max(scale * y, 12.0), _FRONT_MM]
+    width_m, depth_m, z = np.nanmax(points, axis=(0, 1)) - np.nanmin(points, axis=(0, 1)) + 0.1
+    scale = min(_WIDE_MM / width_m, _HEIGHT_MM / (depth_m + z))
+    heights = [max(scale * z, 16.0), max(scale * depth_m, 12.0), _FRONT_MM]
     with style.drawing(sum(heights) + _LABELS_MM, title=title) as figure:
         cells = figure.subplot_mosaic([["side", "side"], ["top", "top"], ["front", "key"]], height_ratios=heights)
         views = (cells["side"], 0, 2), (cells["top"], 0, 1), (cells["front"], 1, 2)
         cells["top"].sharex(cells["side"])
         cmap, norm = style.time_colours(time_s[rows])
-        for axes, i, j in views:
-            for pose, t in zip(points, time_s[rows], strict=True):
+        for axes, horizontal, vertical in views:
+            for pose, instant_s in zip(points, time_s[rows], strict=True):
                 for limb, joints in limbs.items():
-                    dashes, thick, _ = STYLES[sides.get(limb)]
-                    look = {"color": cmap(norm(t)), "lw": thick, "linestyle": dashes, "zorder": 2}
-                    axes.plot(*pose[list(joints)][:, [i, j]].T, **look)
+                    dashes, line_width, _ = STYLES[sides.get(limb)]
+                    line_style = {"color": cmap(norm(instant_s)), "lw": line_width, "linestyle": dashes, "zorder": 2}
+                    axes.plot(*pose[list(joints)][:, [horizontal, vertical]].T, **line_style)
             axes.set_aspect("equal", adjustable="datalim")
             axes.locator_params(axis="y", nbins=4)
         for part, plane in ground or ():
             inside = np.isin(rows, np.arange(rows.max() + 1)[part])
             if inside.any():
                 own = points[inside].reshape(-1, 3)
-                low, high = np.nanmin(own, axis=0), np.nanmax(own, axis=0)
-                for axes, i in ((cells["side"], 0), (cells["front"], 1)):
-                    ends = np.tile([*(low + high)[:2] / 2, 0.0], (2, 1))
-                    ends[:, i] = low[i], high[i]
+                low_m, high_m = np.nanmin(own, axis=0), np.nanmax(own, axis=0)
+                for axes, horizontal in ((cells["side"], 0), (cells["front"], 1)):
+                    ends = np.tile([*(low_m + high_m)[:2] / 2, 0.0], (2, 1))
+                    ends[:, horizontal] = low_m[horizontal], high_m[horizontal]
                     height_m = -plane.above(ends @ R + origin)
-                    axes.plot(ends[:, i], height_m, color=style.GREY, lw=0.8, zorder=1, gid="ground")
+                    axes.plot(ends[:, horizontal], height_m, color=style.GREY, lw=0.8, zorder=1, gid="ground")
         cells["side"].tick_params(labelbottom=False)
-        for (axes, *_), across, up in zip(
+        for (axes, *_), label, upwards in zip(
             views, ("", "along the run (m)", "left (m)"), ("height", "left", "height"), strict=True
         ):
-            axes.set_xlabel(across)
-            axes.set_ylabel(f"{up} (m)")
+            axes.set_xlabel(label)
+            axes.set_ylabel(f"{upwards} (m)")
         cells["key"].axis("off")
         cells["key"].legend(handles=_handles({sides.get(limb) for limb in limbs}, ground is not None), loc="center")
         bar = figure.colorbar(ScalarMappable(norm, cmap), ax=cells["key"], location="bottom", label="time (s)")
@@ -105,20 +118,20 @@ def composites(
 
 
 def chosen(joints_m: Array, limbs: Mapping[str, Sequence[int]]) -> Index:
-    """Rows of the configurations that are drawn, of those with at least half as many known joints as any."""
-    drawn = sorted({j for joints in limbs.values() for j in joints})
-    known = np.isfinite(joints_m[:, drawn]).all(axis=2).sum(axis=1)
-    rows = np.flatnonzero((known > 1) & (2 * known >= known.max(initial=0)))
+    """Return the rows of the drawn configurations, which have at least half as many known joints as any."""
+    drawn_joints = sorted({j for joints in limbs.values() for j in joints})
+    known_counts = np.isfinite(joints_m[:, drawn_joints]).all(axis=2).sum(axis=1)
+    rows = np.flatnonzero((known_counts > 1) & (2 * known_counts >= known_counts.max(initial=0)))
     count = min(CONFIGURATIONS, len(rows))
     return rows[np.round(np.linspace(0, len(rows) - 1, count)).astype(int)] if count else rows
 
 
 def run_frame(joints_m: Array, rows: Index) -> tuple[Array, Array]:
-    """R (3, 3), which turns the mean motion to +x, and the point (3,) that becomes the origin, at height 0."""
+    """Return R (3, 3), which turns the mean motion to +x, and the point (3,) that becomes the origin, at height 0."""
     first, last = joints_m[rows[0]], joints_m[rows[-1]]
     origin = np.append(np.nanmean(first[:, :2], axis=0), 0.0)
-    moved = (last - first)[np.isfinite(last - first).all(axis=1), :2]
-    velocity = moved.mean(axis=0) if len(moved) else np.zeros(2)
+    moved_m = (last - first)[np.isfinite(last - first).all(axis=1), :2]
+    velocity = moved_m.mean(axis=0) if len(moved_m) else np.zeros(2)
     size = float(np.linalg.norm(np.nanmax(first, axis=0) - np.nanmin(first, axis=0)))
     if np.linalg.norm(velocity) <= STILL * size:
         return np.eye(3), origin
@@ -127,8 +140,8 @@ def run_frame(joints_m: Array, rows: Index) -> tuple[Array, Array]:
 
 
 def _handles(sides: set[Side | None], ground: bool) -> list[Line2D]:
-    shown = [look for side, look in STYLES.items() if side in sides] if sides != {None} else []
-    lines = [Line2D([], [], color="k", lw=lw, linestyle=dashes, label=label) for dashes, lw, label in shown]
+    visible = [look for side, look in STYLES.items() if side in sides] if sides != {None} else []
+    lines = [Line2D([], [], color="k", lw=lw, linestyle=dashes, label=label) for dashes, lw, label in visible]
     return lines + [Line2D([], [], color=style.GREY, lw=0.8, label="ground")] * ground
 
 
@@ -137,14 +150,17 @@ def _handles(sides: set[Side | None], ground: bool) -> list[Line2D]:
 SIDE_COLOURS: Mapping[Side | None, str] = {"left": style.COLOURS[0], "right": style.COLOURS[1], None: style.COLOURS[-1]}
 LABELS = ("U, forwards (m)", "V, down (m)", "W, to the left (m)")
 _SAYS = "left blue, right orange; pale: first, full colour: last configuration; +: the reference joint"
+"""Key to the colours and marks."""
 _PALEST = 0.25
 """The palest share of a side's colour, in the first configuration."""
 _ROOM = 0.04
 
 
 def in_body(body: Body, states: Array, size: Array | float, reference: str) -> Array:
-    """Joints (T, J, 3) along U forwards, V down, W to the left of the root segment, relative to the marker `reference`,
-    metres, for states (T, D) and sizes."""
+    """Return joints (T, J, 3) in the frame of the root segment, relative to the marker `reference`, metres.
+
+    U forwards, V down, W to the left; for states (T, D) and sizes.
+    """
     turned = states.copy()
     turned[:, ROOT] = 0.0
     turned[:, 3:6] = 0.0
@@ -160,11 +176,10 @@ def body_fixed(
     sides: Mapping[str, Side | None] = NO_SIDES,
     title: str = "",
 ) -> Figure:
-    """Up to ten configurations on top of each other, from the side, from above and from ahead at one scale, as large as
-    the page allows.
+    """Draw up to ten configurations on top of each other, from the side, above and the front, at one scale.
 
-    joints_m (T, J, 3): as `in_body` gives them; limbs: joints along each, by name; time_s (T,). The first configuration
-    is pale, the last has the full colour of its side.
+    joints_m (T, J, 3): as `in_body` returns; limbs: joints along each, by name; time_s (T,). The first configuration is
+    pale, the last has the full colour of its side.
     """
     rows = chosen(joints_m, limbs)
     if not len(rows):
@@ -204,50 +219,53 @@ def _draw(axes: Axes, paths_m: Array, side: Side | None) -> None:
 # -- a skeleton in its expected pose --------------------------------------------------------------------------------
 
 VIEWS = {"side": [0, 2], "top": [0, 1], "front": [1, 2]}
-"""Coordinates to the right and upwards, x forwards, y left, z up: the animal faces right, and in the last view us."""
+"""Coordinates to the right and upwards, with x forwards, y left, z up. The animal faces right, and in the last view
+the reader."""
 _NAME_MM, _LONG_MM = 3.4, 0.42 * style.WIDTH_MM
-"""The height of a name, and the animal's length."""
+"""Height of a name, and length of the animal."""
 _SAME = 0.01
-"""Points nearer to each other than this part of the picture share a name."""
+"""Points closer to each other than this part of the picture share a name."""
 
 
 def views(body: Body, title: str = "") -> Figure:
-    """The expected pose from the side, from above and from ahead, with names in columns beside it."""
+    """Draw the expected pose from the side, from above and from the front, with the names in columns on both sides."""
     points = body.expected_points_m()
-    long = np.ptp(points[:, 0])
+    length_m = np.ptp(points[:, 0])
     labels = {view: _labels(points[:, axes], body.markers) for view, axes in VIEWS.items()}
-    named_mm = [_NAME_MM * (len(names) + 1) / 2 + 6 for names in labels.values()]
-    drawn_mm = [_LONG_MM * np.ptp(points[:, axes[1]]) / long + 8 for axes in VIEWS.values()]
-    heights = np.maximum(np.maximum(named_mm, drawn_mm), 30.0).tolist()
+    names_mm = [_NAME_MM * (len(names) + 1) / 2 + 6 for names in labels.values()]
+    pose_mm = [_LONG_MM * np.ptp(points[:, axes[1]]) / length_m + 8 for axes in VIEWS.values()]
+    heights = np.maximum(np.maximum(names_mm, pose_mm), 30.0).tolist()
     with style.drawing(sum(heights) + 12, title=title) as figure:
         panels = figure.subplots(len(VIEWS), 1, height_ratios=heights)
         for axes, (view, coordinates) in zip(panels, VIEWS.items(), strict=True):
             _draw_limbs(axes, body, points[:, coordinates])
             for point, marker in zip(points[:, coordinates], body.markers, strict=True):
                 axes.plot(*point, ".", color=SIDE_COLOURS[body.side_of(marker)], markersize=4)
-            _name(axes, points[:, coordinates], labels[view], long)
-            _scale(axes, points[:, coordinates], long)
+            _name(axes, points[:, coordinates], labels[view], length_m)
+            _scale(axes, points[:, coordinates], length_m)
             _frame(axes)
             axes.set_title(view, loc="left")
     return figure
 
 
 def angle_ranges(body: Body, reach_sigmas: float, title: str = "") -> Figure:
-    """What each angle does so many standard deviations to either side of its mean, all others at their means. Where a
-    left angle has a right counterpart, the left one stands for both."""
+    """Draw the pose with each angle `reach_sigmas` standard deviations to either side of its mean.
+
+    All other angles are at their means. A left angle stands for its right counterpart, too.
+    """
     names = body.state_names[4:]
-    shown = [i for i, name in enumerate(names) if not (side_of(name) == "right" and other_side(name) in names)]
+    shown_angles = [i for i, name in enumerate(names) if not (side_of(name) == "right" and other_side(name) in names)]
     mean = body.expected_points_m()
-    rows, columns = style.grid_shape(len(shown), style.WIDTH_MM, 0.9, least=4)
+    rows, columns = style.grid_shape(len(shown_angles), style.WIDTH_MM, 0.9, least=4)
     with style.drawing(rows * 38 + 14, title=title) as figure:
         panels = figure.subplots(rows, columns, squeeze=False).ravel()
-        for axes, i in zip(panels, shown, strict=False):
+        for axes, i in zip(panels, shown_angles, strict=False):
             coordinates = VIEWS[{"y": "side", "z": "top", "x": "front"}[body.tree.axes[i + 1]]]
             _draw_limbs(axes, body, mean[:, coordinates], style.PALE)
             reach_rad = reach_sigmas * body.sigma_rad[i]
             for end, colour in ((-reach_rad, style.COLOURS[4]), (reach_rad, style.COLOURS[5])):
-                moved = body.expected_points_m(i, end)
-                _draw_limbs(axes, body, moved[:, coordinates], colour, (moved != mean).any(axis=1))
+                moved_m = body.expected_points_m(i, end)
+                _draw_limbs(axes, body, moved_m[:, coordinates], colour, (moved_m != mean).any(axis=1))
             low, high = np.degrees(body.mean_rad[i] + np.array([-reach_rad, reach_rad]))
             axes.set_title(f"{names[i].replace('_', ' ')}\n{low:.0f}° to {high:.0f}°", fontsize=style.SMALL)
         for axes in panels:
@@ -256,51 +274,54 @@ def angle_ranges(body: Body, reach_sigmas: float, title: str = "") -> Figure:
 
 
 def _draw_limbs(axes: Axes, body: Body, points: Array, colour: str | None = None, only: Bools | None = None) -> None:
-    """Lines along the limbs; only: those that end in a marker that is in it."""
+    """Draw lines along the limbs; only: those that end in a marker of it."""
     sides = body.limb_sides()
     for limb, along in body.limb_rows.items():
-        parts = [
+        pieces = [
             [points[a], points[b], [np.nan, np.nan]] for a, b in pairwise(along) if only is None or only[[a, b]].any()
         ]
-        own = colour or SIDE_COLOURS[sides[limb]]
-        axes.plot(*np.reshape(parts, (-1, 2)).T, color=own, linewidth=1.2, solid_capstyle="round")
+        line_colour = colour or SIDE_COLOURS[sides[limb]]
+        axes.plot(*np.reshape(pieces, (-1, 2)).T, color=line_colour, linewidth=1.2, solid_capstyle="round")
 
 
 def _labels(points: Array, markers: Sequence[str]) -> list[tuple[float, float, str]]:
-    """(right, up, text) of every place with markers, from the left; a pair that is seen as one is named once."""
-    near = _SAME * float(np.ptp(points, axis=0).max())
-    places: dict[int, list[str]] = {}
+    """Return (right, up, text) of every position with markers, from the left; a pair at one position is named once."""
+    tolerance = _SAME * float(np.ptp(points, axis=0).max())
+    positions: dict[int, list[str]] = {}
     for i, marker in enumerate(markers):
-        same = next((k for k in places if np.linalg.norm(points[k] - points[i]) < near), i)
-        places.setdefault(same, []).append(marker)
-    found = []
-    for k, names in places.items():
-        said = dict.fromkeys(both_sides(name) if other_side(name) in names else name for name in names)
-        found.append((*points[k].tolist(), ", ".join(said)))
-    return sorted(found)
+        first_index = next((k for k in positions if np.linalg.norm(points[k] - points[i]) < tolerance), i)
+        positions.setdefault(first_index, []).append(marker)
+    labels = []
+    for k, names in positions.items():
+        unique_names = dict.fromkeys(both_sides(name) if other_side(name) in names else name for name in names)
+        labels.append((*points[k].tolist(), ", ".join(unique_names)))
+    return sorted(labels)
 
 
-def _name(axes: Axes, points: Array, labels: Sequence[tuple[float, float, str]], long: float) -> None:
-    """Names in a column on each side, with lines to their points."""
+def _name(axes: Axes, points: Array, labels: Sequence[tuple[float, float, str]], length_m: float) -> None:
+    """Write names in a column on each side, with lines to their points."""
     (low_x, low_y), (high_x, high_y) = points.min(axis=0), points.max(axis=0)
     centre, half = (low_x + high_x) / 2, len(labels) // 2
     for column, sign, align in ((labels[:half], -1, "right"), (labels[half:], 1, "left")):
-        x = centre + sign * 0.62 * long
-        step = max(_NAME_MM / _LONG_MM * long, (high_y - low_y) / max(len(column), 1))
-        for i, (at_x, at_y, text) in enumerate(sorted(column, key=lambda label: label[1])):
+        x = centre + sign * 0.62 * length_m
+        step = max(_NAME_MM / _LONG_MM * length_m, (high_y - low_y) / max(len(column), 1))
+        for i, (point_x, point_y, text) in enumerate(sorted(column, key=lambda label: label[1])):
             y = (low_y + high_y) / 2 + step * (i - (len(column) - 1) / 2)
-            axes.plot([at_x, x - sign * 0.01 * long], [at_y, y], color=style.PALE, linewidth=0.4, zorder=0)
+            axes.plot([point_x, x - sign * 0.01 * length_m], [point_y, y], color=style.PALE, linewidth=0.4, zorder=0)
             axes.text(x, y, text, ha=align, va="center", fontsize=style.SMALL)
-    axes.set_xlim(centre - 1.15 * long, centre + 1.15 * long)
+    axes.set_xlim(centre - 1.15 * length_m, centre + 1.15 * length_m)
 
 
-def _scale(axes: Axes, points: Array, long: float) -> None:
-    """A bar of at most a half of the animal's length, below it."""
-    length = style.round_below(0.5 * long)
-    x, y = float(points[:, 0].min() + points[:, 0].max() - length) / 2, float(points[:, 1].min() - 0.08 * long)
+def _scale(axes: Axes, points: Array, length_of_animal_m: float) -> None:
+    """Draw a bar of at most half of the animal's length below the animal."""
+    length = style.round_below(0.5 * length_of_animal_m)
+    x, y = (
+        float(points[:, 0].min() + points[:, 0].max() - length) / 2,
+        float(points[:, 1].min() - 0.08 * length_of_animal_m),
+    )
     axes.plot([x, x + length], [y, y], color=style.GREY, linewidth=2, solid_capstyle="butt")
-    look = {"ha": "center", "va": "top", "fontsize": style.SMALL, "color": style.GREY}
-    axes.text(x + length / 2, y - 0.02 * long, f"{length:g} m", **look)
+    text_style = {"ha": "center", "va": "top", "fontsize": style.SMALL, "color": style.GREY}
+    axes.text(x + length / 2, y - 0.02 * length_of_animal_m, f"{length:g} m", **text_style)
 
 
 def _frame(axes: Axes) -> None:
@@ -317,19 +338,21 @@ _SHARES = f"share of the precision that comes from the pixels;  grey: less than 
 
 
 def share_colours() -> ListedColormap:
-    """Colours of information fractions from 0 to 1: greys below `MEASURED_SHARE`, blues from there on."""
+    """Return colours of information fractions from 0 to 1: greys below `MEASURED_SHARE`, blues from there on."""
     low = round(256 * MEASURED_SHARE)
     greys, blues = mpl.colormaps["Greys"](np.linspace(0.1, 0.45, low)), mpl.colormaps["Blues"](np.linspace(0.5, 1, 256))
     return ListedColormap([*greys, *blues[:: -(-256 // (256 - low))]])
 
 
 def observability(body: Body, share: Array, time_s: Array, title: str = "", whole: Array | None = None) -> Figure:
-    """share (T, D - 4): of the precision of the root's pitch and roll and of the joints' angles, what comes from the
-    pixels, NaN where unknown; time_s (T,). Over time, with the medians beside them. whole: the same of the whole clip,
-    for the medians, where time_s is a stride's."""
+    """Draw the share of the angles' precision that comes from the pixels, over time, with medians.
+
+    share (T, D - 4): of the root's pitch and roll and of the joints' angles, NaN where unknown; time_s (T,). whole: the
+    shares of the whole clip, for the medians, if time_s is a stride's.
+    """
     names = [name.replace("_", " ") for name in body.state_names[4:]]
     with style.drawing(min(_ROW_MM * len(names) + _REST_MM, style.PAGE_MM), title=title) as figure:
-        medians = np.array([median(of_angle) for of_angle in (share if whole is None else whole).T])
+        medians = np.array([median(column) for column in (share if whole is None else whole).T])
         if np.isnan(medians).all():
             return figure
         axes, half = figure.subplots(), 0.5 * float(np.median(np.diff(time_s))) if len(time_s) > 1 else 0.5
@@ -338,11 +361,11 @@ def observability(body: Body, share: Array, time_s: Array, title: str = "", whol
         image = axes.imshow(share.T, cmap=share_colours(), extent=extent, **scale)
         axes.set_yticks(range(len(names)), names)
         axes.tick_params(axis="y", length=0)
-        look = {"transform": axes.get_yaxis_transform(), "va": "center", "fontsize": style.SMALL}
+        text_style = {"transform": axes.get_yaxis_transform(), "va": "center", "fontsize": style.SMALL}
         for row, (label, middle) in enumerate(zip(axes.get_yticklabels(), medians, strict=True)):
             text = f"{middle:.0%}" if np.isfinite(middle) else "–"
             colour = "k" if middle >= MEASURED_SHARE else style.GREY
-            axes.text(1.01, row, text, color=colour, **look)
+            axes.text(1.01, row, text, color=colour, **text_style)
             label.set_color(colour)
         axes.set_xlabel(f"time (s);  right: median over {'these frames' if whole is None else 'the whole clip'}")
         bar = figure.colorbar(image, ax=axes, location="bottom", aspect=60, pad=0.01, shrink=0.7)
@@ -356,16 +379,19 @@ ROUND = {0: "ahead", 90: "left side", 180: "behind", 270: "right side"}
 _PANEL_MM, _BESIDE_MM = 52.0, 26.0
 
 
-def camera_advice(found: Sequence[Advice]) -> Figure:
-    """One panel a camera, each beside those before it: the pixels' share by azimuth and height, and one sigma."""
-    with style.drawing(_PANEL_MM * len(found) + _BESIDE_MM) as figure:
-        panels = figure.subplots(len(found), 1, squeeze=False)[:, 0]
+def camera_advice(advices: Sequence[Advice]) -> Figure:
+    """Draw the pixels' share and one standard deviation by the camera's azimuth and height, one panel a camera.
+
+    Each camera is added to those before it.
+    """
+    with style.drawing(_PANEL_MM * len(advices) + _BESIDE_MM) as figure:
+        panels = figure.subplots(len(advices), 1, squeeze=False)[:, 0]
         figure.suptitle(
-            f"{found[0].of}: how well it is known, by where the camera is, {found[0].distance_m:.3g} m away"
+            f"{advices[0].of}: how well it is known, by where the camera is, {advices[0].distance_m:.3g} m away"
         )
-        for number, (axes, advice) in enumerate(zip(panels, found, strict=True), start=1):
+        for number, (axes, advice) in enumerate(zip(panels, advices, strict=True), start=1):
             _grid(axes, advice)
-            if len(found) > 1:
+            if len(advices) > 1:
                 axes.set_title(f"camera {number}" + (", with the first (+)" if number > 1 else ""), loc="left", pad=3)
         panels[-1].set_xlabel("azimuth about the animal, from above counter-clockwise")
         bar = figure.colorbar(panels[-1].get_images()[0], ax=panels.tolist(), location="bottom", aspect=60, shrink=0.7)
@@ -375,7 +401,7 @@ def camera_advice(found: Sequence[Advice]) -> Figure:
 
 def _grid(axes: Axes, advice: Advice) -> None:
     degrees = np.round(np.degrees(AZIMUTHS_RAD)).astype(int)
-    raised = np.round(np.degrees(ELEVATIONS_RAD)).astype(int)
+    elevations_deg = np.round(np.degrees(ELEVATIONS_RAD)).astype(int)
     rows, columns = advice.share.shape
     axes.imshow(advice.share, cmap=share_colours(), vmin=0, vmax=1, aspect="auto", origin="lower")
     for (row, column), share in np.ndenumerate(advice.share):
@@ -386,11 +412,11 @@ def _grid(axes: Axes, advice: Advice) -> None:
     axes.add_patch(Rectangle((column - 0.5, row - 0.5), 1, 1, fill=False, lw=2.5, clip_on=False))
     if advice.beside is not None:
         azimuth, elevation = advice.beside
-        at = np.argmin(np.abs(AZIMUTHS_RAD - azimuth)), np.argmin(np.abs(ELEVATIONS_RAD - elevation))
-        axes.plot(at[0] + 0.38, at[1] + 0.32, "k+", ms=7, mew=1.6)
+        other_cell = np.argmin(np.abs(AZIMUTHS_RAD - azimuth)), np.argmin(np.abs(ELEVATIONS_RAD - elevation))
+        axes.plot(other_cell[0] + 0.38, other_cell[1] + 0.32, "k+", ms=7, mew=1.6)
     axes.set_xticks(range(columns), [f"{d}°\n{ROUND.get(int(d), '')}" for d in degrees], fontsize=style.SMALL)
     heights = advice.distance_m * np.sin(ELEVATIONS_RAD)
-    axes.set_yticks(range(rows), [f"{h:.2g} m ({r}°)" for h, r in zip(heights, raised, strict=True)])
+    axes.set_yticks(range(rows), [f"{h:.2g} m ({r}°)" for h, r in zip(heights, elevations_deg, strict=True)])
     axes.set_ylabel("above its middle")
     axes.tick_params(length=0)
     for spine in axes.spines.values():
@@ -398,19 +424,21 @@ def _grid(axes: Axes, advice: Advice) -> None:
 
 
 def in_words(sigma: float, unit: str) -> str:
-    """A standard deviation in degrees, or in centimetres."""
+    """Return a standard deviation in degrees, or in centimetres, with its unit."""
     return f"{np.degrees(sigma):.1f}°" if unit == "rad" else f"{100 * sigma:.1f} cm"
 
 
 # -- a calibration ----------------------------------------------------------------------------------------------------
 
 
-def calibration(found: Calibration) -> Figure:
-    """Shaded: covered by a board. Lines: a square grid as this lens sees it. Dots: all corners, coloured by the error
-    of their picture; red crosses: those of pictures that were left out."""
-    camera, used, covered = found.camera, found.used, coverage(found)
+def calibration(result: Calibration) -> Figure:
+    """Draw a calibration: shaded the part of the picture that a board covered, lines a square grid through the lens.
+
+    Dots: all corners, coloured by the error of their picture; red crosses: those of pictures that were left out.
+    """
+    camera, used, covered = result.camera, result.used, coverage(result)
     width, height = camera.image_size_px
-    left_out = [view for view in found.views if not view.used]
+    left_out = [view for view in result.views if not view.used]
     pictures = f"{len(used)} pictures" + (f", {len(left_out)} left out (red)" if left_out else "")
     title = f"{camera.model}, {width}x{height} px, {pictures}; covered: {covered.mean():.0%} of the picture"
     with style.drawing(min(style.WIDTH_MM * height / width + 24, style.PAGE_MM), title=title) as figure:
@@ -423,11 +451,14 @@ def calibration(found: Calibration) -> Figure:
         step = min(float(np.nanmax(np.abs(ideal[0]))), 3.0) / 8
         for values in ideal:
             axes.contour(x, y, values, step * np.arange(-24, 25), colors=style.PALE, linewidths=0.7, linestyles="solid")
-        at, errors = np.concatenate([view.xy_px for view in used]), [np.full(len(v.ids), v.rms_px) for v in used]
-        dots = axes.scatter(*at.T, c=np.concatenate(errors), s=4, vmin=0.0, linewidths=0)
+        corners_px, errors = (
+            np.concatenate([view.xy_px for view in used]),
+            [np.full(len(v.ids), v.rms_px) for v in used],
+        )
+        dots = axes.scatter(*corners_px.T, c=np.concatenate(errors), s=4, vmin=0.0, linewidths=0)
         for view in left_out:
             axes.plot(*view.xy_px.T, "rx", markersize=3)
         axes.set(xlim=edges[:2], ylim=edges[2:], xticks=[], yticks=[])
         bar = figure.colorbar(dots, ax=axes, location="bottom", aspect=60, pad=0.02, shrink=0.7)
-        bar.set_label(f"error of the picture, px (root mean square; of all {found.rms_px:.2f})")
+        bar.set_label(f"error of the picture, px (root mean square; of all {result.rms_px:.2f})")
     return figure

@@ -1,6 +1,7 @@
-"""Figures over time: stances, the vertical forces of the feet, speeds, and angles; and in phase space: phase
-portraits, the rate of an angle over it, coloured by time; and vector fields, the velocity of each link's tip in its
-parent's frame, along time.
+"""Draw quantities over time: stances, vertical forces, speeds, angles; phase portraits and vector fields.
+
+A phase portrait is the rate of an angle over the angle, coloured by time. A vector field is the velocity of each link's
+tip in its parent's frame, along time.
 """
 
 from __future__ import annotations
@@ -36,42 +37,44 @@ ROWS = ("LH", "RH", "RF", "LF")
 """The feet's rows from the top."""
 HATCHES = ("", "////", "....", "xxxx")
 _BAR = 0.76
-"""The height of the bars of a row, all gaits together."""
+"""Height of the bars of a row, all gaits together."""
 
 
 def footfall(gaits: Mapping[str, Gait], fps: float, title: str = "") -> Figure:
-    """Stances by foot, those of several gaits, by name, one above the other; the second axis counts frames,
-    of which 0 is at 0 s.
+    """Draw the stances by foot; those of several gaits, by name, one above the other.
 
-    Left feet are blue and right ones orange, or each gait has a colour. A stance that the clip cuts has no edge there,
-    but an arrow: it is at least as long as its bar. Lines across the edges hold touch-downs, above, and lift-offs,
-    below, with 90 %; thin lines with ticks are complete strides. Below: what each gait is called and why.
+    The second axis counts frames, and frame 0 is at 0 s. Left feet are blue and right ones orange, or each gait has a
+    colour. A stance that the clip cuts has no edge there but an arrow: it is at least as long as its bar. Lines across
+    the edges are the 90 % intervals of touch-downs, above, and lift-offs, below; thin lines with ticks are complete
+    strides. Below: the name of each gait and its criterion.
     """
     captions = [_caption(name, gait) for name, gait in gaits.items()]
     lines = sum(caption.count("\n") + 1 for caption in captions)
-    others = [foot for gait in gaits.values() for foot in gait.tracks.feet if foot not in ROWS]
-    feet = [foot for foot in ROWS if any(foot in g.tracks.feet for g in gaits.values())] + list(dict.fromkeys(others))
+    other_feet = [foot for gait in gaits.values() for foot in gait.tracks.feet if foot not in ROWS]
+    feet = [foot for foot in ROWS if any(foot in g.tracks.feet for g in gaits.values())] + list(
+        dict.fromkeys(other_feet)
+    )
     with style.drawing(9.0 * len(feet) + 32 + 3.4 * lines + 4 * bool(title), title=title) as figure:
         if not gaits:
             return figure
         axes = figure.subplots()
-        thick = _BAR / len(gaits)
+        bar_height = _BAR / len(gaits)
         for m, gait in enumerate(gaits.values()):
-            place = {foot: row - _BAR / 2 + (m + 0.5) * thick for row, foot in enumerate(feet)}
-            ends = [[(s.start_s, place[s.foot]), (s.end_s, place[s.foot])] for s in gait.strides]
+            row_of_foot = {foot: row - _BAR / 2 + (m + 0.5) * bar_height for row, foot in enumerate(feet)}
+            ends = [[(s.start_s, row_of_foot[s.foot]), (s.end_s, row_of_foot[s.foot])] for s in gait.strides]
             axes.add_collection(LineCollection(ends, color="k", lw=0.7, zorder=3.5), autolim=False)
             axes.plot(*np.reshape(ends, (-1, 2)).T, "k|", ms=5, zorder=3.5)
-            for foot, y in place.items():
+            for foot, y in row_of_foot.items():
                 colour = style.foot_colour(foot) if len(gaits) == 1 else style.COLOURS[m % len(style.COLOURS)]
-                _bars(axes, [s for s in gait.stances if s.foot == foot], y, 0.86 * thick, colour, m)
+                _bars(axes, [s for s in gait.stances if s.foot == foot], y, 0.86 * bar_height, colour, m)
         axes.set_yticks(range(len(feet)), feet)
         axes.set_ylim(len(feet) - 0.5, -0.5)
         axes.tick_params(axis="y", length=0)
         for row in range(1, len(feet)):
             axes.axhline(row - 0.5, color=style.PALE, lw=0.5, zorder=0)
         times = np.concatenate([g.tracks.time_s for g in gaits.values()])
-        room = 0.02 * float(np.ptp(times)) or 0.5 / fps
-        axes.set_xlim(times.min() - room, times.max() + room)
+        margin_s = 0.02 * float(np.ptp(times)) or 0.5 / fps
+        axes.set_xlim(times.min() - margin_s, times.max() + margin_s)
         axes.set_xlabel("time (s)\n\n" + "\n".join(captions), loc="left", fontsize=style.SMALL)
         frames = axes.secondary_xaxis("top", functions=(lambda t: np.multiply(t, fps), lambda f: np.divide(f, fps)))
         frames.set_xlabel("frame")
@@ -83,7 +86,7 @@ def footfall(gaits: Mapping[str, Gait], fps: float, title: str = "") -> Figure:
 
 
 def _bars(axes: Axes, stances: Sequence[Stance], y: float, height: float, colour: str, m: int = 0) -> None:
-    """The bars of one foot, of the m-th gait."""
+    """Draw the bars of one foot, of the m-th gait."""
     low, high, edges = y - height / 2, y + height / 2, []
     axes.broken_barh([(s.start_s, s.duration_s) for s in stances], (low, height), **_fill(colour, m), lw=0, zorder=2)
     for stance in stances:
@@ -91,14 +94,16 @@ def _bars(axes: Axes, stances: Sequence[Stance], y: float, height: float, colour
         left, right = stance.start_s, stance.end_s
         edges += [[(left, low), (right, low)], [(left, high), (right, high)]]
         edges += [[(left, low), (left, high)]] * stance.begins + [[(right, low), (right, high)]] * stance.ends
-        for at, marker in [(left, "<")] * (not stance.begins) + [(right, ">")] * (not stance.ends):
-            axes.plot(at, y, marker=marker, ms=4, color=colour, mec="w", mew=0.4, zorder=4, clip_on=False)
+        for cut_s, marker in [(left, "<")] * (not stance.begins) + [(right, ">")] * (not stance.ends):
+            axes.plot(cut_s, y, marker=marker, ms=4, color=colour, mec="w", mew=0.4, zorder=4, clip_on=False)
     lines = LineCollection(edges, color=colour, lw=1.1, capstyle="projecting", zorder=3)
     axes.add_collection(lines, autolim=False)
-    intervals = np.array([of for stance in stances for of in (stance.start_interval_s, stance.end_interval_s)])
-    sides = y + height / 4 * np.tile([-1, 1], len(stances))  # apart: those of a short stance overlap
-    known = [[(a, at), (b, at)] for (a, b), at in zip(intervals, sides, strict=True) if np.isfinite(a)]
-    axes.add_collection(LineCollection(known, color="0.35", lw=0.7, zorder=3.2), autolim=False)
+    intervals = np.array(
+        [interval for stance in stances for interval in (stance.start_interval_s, stance.end_interval_s)]
+    )
+    offsets = y + height / 4 * np.tile([-1, 1], len(stances))  # apart: those of a short stance overlap
+    segments = [[(a, row), (b, row)] for (a, b), row in zip(intervals, offsets, strict=True) if np.isfinite(a)]
+    axes.add_collection(LineCollection(segments, color="0.35", lw=0.7, zorder=3.2), autolim=False)
 
 
 def _caption(name: str, gait: Gait) -> str:
@@ -123,21 +128,23 @@ def _legend(figure: Figure, gaits: Mapping[str, Gait], feet: Sequence[str]) -> N
 
 
 def _fill(colour: str, m: int) -> dict[str, Any]:
-    """Pale, with the hatch of the m-th gait and an edge."""
+    """Return a pale fill with the hatch of the m-th gait and an edge."""
     return {"fc": [0.55 + 0.45 * c for c in to_rgb(colour)], "ec": colour, "hatch": HATCHES[m % len(HATCHES)]}
 
 
 def forces(d: Dynamics, gait: Gait) -> Figure:
-    """Footfalls above, and beneath each other the vertical force of each foot in body weights with the band that holds
-    it with 90 %; below, likewise, the height of the centre of mass."""
+    """Draw footfalls, the vertical force of each foot in body weights, and the height of the centre of mass.
+
+    Forces and the height have 90 % bands.
+    """
     feet = [foot for foot in ROWS if foot in d.force] or list(d.force)
     with style.drawing(26.0 + 24.0 * (len(feet) + 1)) as figure:
         heights = [0.7, *[1.0] * len(feet), 1.0]
         top, *below, last = figure.subplots(len(feet) + 2, 1, sharex=True, gridspec_kw={"height_ratios": heights})
         time_s = gait.tracks.time_s
         for row, foot in enumerate(feet):
-            own, colour = [s for s in gait.stances if s.foot == foot], style.foot_colour(foot)
-            _bars(top, own, row, 0.7, colour)
+            foot_stances, colour = [s for s in gait.stances if s.foot == foot], style.foot_colour(foot)
+            _bars(top, foot_stances, row, 0.7, colour)
             middle, low, high = d.force[foot].T
             below[row].fill_between(time_s, low, high, color=colour, alpha=0.25, lw=0)
             below[row].plot(time_s, d.force[foot][:, 1:], color=colour, lw=0.4)
@@ -145,13 +152,13 @@ def forces(d: Dynamics, gait: Gait) -> Figure:
             below[row].set_ylabel(f"{foot}\n(body weights)")
             below[row].sharey(below[0])
             if np.isnan(middle).any() and not np.nan_to_num(middle).any():
-                drawn = {"transform": below[row].transAxes, "ha": "center", "va": "center", "color": style.GREY}
-                below[row].text(0.5, 0.5, "not known: the clip cuts its stances", **drawn)
+                text_style = {"transform": below[row].transAxes, "ha": "center", "va": "center", "color": style.GREY}
+                below[row].text(0.5, 0.5, "not known: the clip cuts its stances", **text_style)
                 below[row].tick_params(left=False, labelleft=False)  # the axis is that of all feet
         top.set_yticks(range(len(feet)), feet)
         top.invert_yaxis()
-        about = "bands: 90 %; gaps: stances that the clip cuts; left blue, right orange"
-        top.set_title(f"stances, and each foot's force ({about})", loc="left")
+        key = "bands: 90 %; gaps: stances that the clip cuts; left blue, right orange"
+        top.set_title(f"stances, and each foot's force ({key})", loc="left")
         below[0].set_ylim(bottom=0)
         series = d.centre.series
         height = series.value[:, 2] - d.ground_m
@@ -165,8 +172,8 @@ def forces(d: Dynamics, gait: Gait) -> Figure:
 # -- speed ------------------------------------------------------------------------------------------------------------
 
 BAND_ROOM = 3.0
-"""Bands may take the axis up to this times the highest curve, which keeps a third of the panel: by one camera the band
-of an acceleration is wider than that at many instants, and any band at a spline's ends."""
+"""Largest height of the axis relative to the highest curve, which leaves a third of the panel to the curve: from one
+camera the band of an acceleration is often wider, and so is any band at a spline's ends."""
 
 
 def speeds(
@@ -176,11 +183,11 @@ def speeds(
     unknown: bool = False,
     acceleration: bool = True,
 ) -> Figure:
-    """Speed and acceleration of one joint or of several, by name, with bands of 90 % where known.
+    """Draw speed and acceleration of one joint or of several, by name, with 90 % bands if known.
 
-    Dots are frames, the rest is the spline between them; it is open where the path is not known. The legend gives the
-    peak, which has a ring. unknown: that they are errors of the path rather than speeds; grey, without peaks.
-    acceleration: whether it is drawn, too.
+    Dots are frames, the line is the spline between them; the line has gaps where the path is unknown. The legend gives
+    the peak, which has a ring. unknown: the curves are errors of the path rather than speeds; grey, without peaks.
+    acceleration: draw the acceleration, too.
     """
     peaks = ["not known, errors of the path" if unknown else _peak(motion, acceleration) for motion in curves.values()]
     labels = [f"{name}: {peak}" for name, peak in zip(curves, peaks, strict=True)]
@@ -188,12 +195,15 @@ def speeds(
     height_mm = 14 + 42 * len(quantities) + style.legend_shape(labels, width_mm)[1]
     with style.drawing(height_mm, width_mm, title) as figure:
         panels, lines = figure.subplots(len(quantities), 1, sharex=True, squeeze=False)[:, 0], []
-        for axes, (name, of, unit) in zip(panels, quantities, strict=True):
-            known = [(getattr(m, f"{name}_{of}"), getattr(m, f"{name}_sigma_{of}")) for m in curves.values()]
+        for axes, (name, suffix, unit) in zip(panels, quantities, strict=True):
+            pairs = [(getattr(m, f"{name}_{suffix}"), getattr(m, f"{name}_sigma_{suffix}")) for m in curves.values()]
             series = [motion.series for motion in curves.values()]
-            lines = [_curve(axes, i, s, *k, unknown) for i, (s, k) in enumerate(zip(series, known, strict=True))]
+            lines = [
+                _curve(axes, i, one_series, *pair, unknown)
+                for i, (one_series, pair) in enumerate(zip(series, pairs, strict=True))
+            ]
             axes.set_ylabel(f"{name} ({unit})")
-            _limit(axes, known)
+            _limit(axes, pairs)
         banded = any(np.isfinite(motion.speed_sigma_m_s).any() for motion in curves.values())
         panels[-1].set_xlabel("time (s)" + ("; bands, ±: 90 %" if banded else ""))
         style.add_legend(figure, lines, labels, width_mm)
@@ -201,14 +211,14 @@ def speeds(
 
 
 def _curve(axes: Axes, i: int, series: Series, value: Array, sigma: Array, unknown: bool) -> Line2D:
-    drawn: dict[str, Any] = style.look(i) | ({"color": style.GREY} if unknown else {})
-    t, every = series.time_s, series.oversampling
-    (line,) = axes.plot(t, value, **style.dots(len(t) // every, 2.2), markevery=every, zorder=3, **drawn)
+    line_style: dict[str, Any] = style.look(i) | ({"color": style.GREY} if unknown else {})
+    time_s, every = series.time_s, series.oversampling
+    (line,) = axes.plot(time_s, value, **style.dots(len(time_s) // every, 2.2), markevery=every, zorder=3, **line_style)
     if np.isfinite(sigma).any():
-        style.draw_band(axes, t, value, sigma, drawn["color"])
+        style.draw_band(axes, time_s, value, sigma, line_style["color"])
     if np.isfinite(value).any() and not unknown:
         k = int(np.nanargmax(value))
-        axes.plot(t[k], value[k], "o", ms=6, mfc="none", mec=drawn["color"], mew=1.0, zorder=4)
+        axes.plot(time_s[k], value[k], "o", ms=6, mfc="none", mec=line_style["color"], mew=1.0, zorder=4)
     return line
 
 
@@ -245,13 +255,16 @@ _BOX = (0.12, 0.21, 0.85, 0.64)
 
 
 AngleCurve = tuple[Array, Array, bool]
-"""One angle of a clip of T frames: (T,) rad, NaN where there is none, its standard deviation (T,), and whether the
-pixels say more of it than what was expected."""
+"""One angle of a clip of T frames: (T,) rad, NaN if unknown, its standard deviation (T,), and whether most of its
+precision comes from the pixels."""
 
 
 def angle_over_time(time_s: Array, title: str, curves: Mapping[str, AngleCurve], doubtful: Bools) -> Figure:
-    """Degrees, with a band of 90 %; the left side's are blue, the right side's orange, those that are
-    mostly expected grey. time_s (T,); doubtful (T,): frames with a grey background."""
+    """Draw angles in degrees with 90 % bands.
+
+    The left side is blue, the right side orange, and angles mostly from the prior grey. time_s (T,); doubtful (T,):
+    frames with a grey background.
+    """
     width, height = ANGLES_MM
     with style.drawing(height, width) as figure:
         figure.set_layout_engine("none")  # which takes longer than all the rest
@@ -282,7 +295,7 @@ _LEAST = (0.05, 0.5)
 """Half of the least range of an axis, degrees and degrees per second."""
 _ASPECT, _REST_MM = 0.9, 24.0
 _BAND, _UNSEEN = "#E6E6E6", "#9A9A9A"
-"""The colours of a band about a path, and of a path that is mostly expected."""
+"""Colours of a band about a path, and of a path mostly from the prior."""
 _ALONG = 0.25
 """Half axes between ellipses of a band."""
 
@@ -293,11 +306,11 @@ def phase_portraits(
     title: str = "",
     shares: Mapping[str, float] | None = None,
 ) -> Figure:
-    """(angle, rate) in degrees and degrees per second, one panel for each angle, on one page.
+    """Draw (angle, rate) in degrees and degrees per second, one panel for each angle, on one page.
 
-    closed: degrees of closure; shares: of the angle's precision, what comes from the pixels, both by the same names.
-    With less than `MEASURED_SHARE` the path is grey. A band holds angle and rate with 90 % each.
-    Each panel has its own axes.
+    closed: degrees of closure; shares: share of the angle's precision that comes from the pixels, both by the same
+    names. With less than `MEASURED_SHARE` the path is grey. Bands are 90 % of angle and rate each. Each panel has its
+    own axes.
     """
     count = len(portraits)
     width = style.COLUMN_MM if count == 1 else style.WIDTH_MM
@@ -313,9 +326,9 @@ def phase_portraits(
             if value is not None:
                 angle, plane = _percent(value.angle, value.angle_sigma), _percent(value.plane, value.plane_sigma)
                 heading += f"\n{angle} / {plane} %"
-            unseen = share < MEASURED_SHARE
-            axes.set_title(heading, fontsize=style.SMALL, pad=3, color=style.GREY if unseen else "k")
-            _draw(axes, portrait, None if unseen else colours)
+            is_unseen = share < MEASURED_SHARE
+            axes.set_title(heading, fontsize=style.SMALL, pad=3, color=style.GREY if is_unseen else "k")
+            _draw(axes, portrait, None if is_unseen else colours)
         for axes in panels[count:]:
             axes.set_axis_off()
         gap = "\n" if count == 1 else "   "
@@ -339,42 +352,44 @@ def _known(portrait: Portrait) -> Bools:
 
 
 def _draw(axes: Axes, portrait: Portrait, colours: tuple[ListedColormap, Normalize] | None) -> None:
-    """colours: of the times; None: grey."""
-    known = np.flatnonzero(_known(portrait))
-    if not len(known):
+    """Draw one portrait; colours: of the times, None: grey."""
+    rows = np.flatnonzero(_known(portrait))
+    if not len(rows):
         style.blank(axes)
         return
     path = np.degrees(np.column_stack([portrait.angle_rad, portrait.rate_rad_s]))
-    cuts = np.unique(np.linspace(known[0], known[-1], SHADES + 1).astype(int))
+    cuts = np.unique(np.linspace(rows[0], rows[-1], SHADES + 1).astype(int))
     pieces = [path[a : b + 1] for a, b in pairwise(cuts)]
     middles = [float(np.mean(portrait.time_s[[a, b]])) for a, b in pairwise(cuts)]
     shades: dict[str, Any] = {"color": _UNSEEN}
     if colours is not None:
         shades = {"cmap": colours[0], "norm": colours[1], "array": np.array(middles)}
     axes.add_collection(LineCollection(pieces, lw=1.2, capstyle="round", **shades), autolim=False)
-    axes.update_datalim(path[known])
+    axes.update_datalim(path[rows])
     if np.isfinite(portrait.angle_sigma_rad).any():
         sigma = np.degrees(np.column_stack([portrait.angle_sigma_rad, portrait.rate_sigma_rad_s]))
-        _band(axes, path[known], style.REACH * sigma[known])
+        _band(axes, path[rows], style.REACH * sigma[rows])
     # What does not move should not look as if it did.
-    middle = (path[known].min(axis=0) + path[known].max(axis=0)) / 2
+    middle = (path[rows].min(axis=0) + path[rows].max(axis=0)) / 2
     axes.update_datalim([middle - _LEAST, middle + _LEAST])
     axes.autoscale_view()
-    axes.plot(*path[known[0]], "o", ms=4, mfc="w", mec="k", mew=0.9, zorder=3)
-    axes.plot(*path[known[-1]], "s", ms=4, mfc="k", mec="k", zorder=3)
+    axes.plot(*path[rows[0]], "o", ms=4, mfc="w", mec="k", mew=0.9, zorder=3)
+    axes.plot(*path[rows[-1]], "s", ms=4, mfc="k", mec="k", zorder=3)
     axes.locator_params(nbins=4, steps=[1, 2, 5, 10])
     axes.ticklabel_format(useOffset=False)
     axes.tick_params(labelsize=6, pad=1.5, length=2)
 
 
 def _band(axes: Axes, path: Array, half: Array) -> None:
-    """Ellipses of half axes (N, 2) along a path (N, 2), close enough to look like one shape, which they are."""
+    """Draw ellipses of half axes (N, 2) along a path (N, 2), close enough to look like one shape."""
     steps = np.linalg.norm(np.diff(path, axis=0) / np.maximum(half[1:], 1e-12), axis=1)
-    along = np.concatenate([[0.0], np.cumsum(steps)])
-    some = np.unique(np.searchsorted(along, np.arange(0.0, along[-1] + _ALONG, _ALONG)).clip(max=len(path) - 1))
+    arc_length = np.concatenate([[0.0], np.cumsum(steps)])
+    chosen = np.unique(
+        np.searchsorted(arc_length, np.arange(0.0, arc_length[-1] + _ALONG, _ALONG)).clip(max=len(path) - 1)
+    )
     circle = Path.unit_circle()
-    corners = path[some, None] + half[some, None] * np.asarray(circle.vertices)
-    codes = np.tile(np.asarray(circle.codes), len(some))
+    corners = path[chosen, None] + half[chosen, None] * np.asarray(circle.vertices)
+    codes = np.tile(np.asarray(circle.codes), len(chosen))
     axes.add_artist(PathPatch(Path(corners.reshape(-1, 2), codes), fc=_BAND, lw=0))
     axes.update_datalim(np.concatenate([path - half, path + half]))
 
@@ -388,17 +403,17 @@ def _percent(value: float, sigma: float) -> str:
 # -- vector fields ----------------------------------------------------------------------------------------------------
 
 ARROWS = 45
-"""At most, in a row."""
+"""Largest number of arrows in a row."""
 _ROW_MM, _ABOUT_MM = 24.0, 26.0
 _LONGEST = 0.46
-"""The longest arrow, as a share of the height of a row."""
+"""Length of the longest arrow relative to the height of a row."""
 
 
 def vector_fields(fields: tuple[LinkField, ...], time_s: Array, title: str = "") -> Figure:
-    """One row per link: arrows (dx, dy) along time and the speed in the plane, to the same scale; time_s (T,).
+    """Draw one row per link: arrows (dx, dy) along time and the speed in the plane, to the same scale; time_s (T,).
 
-    Right is along the parent, up is the normal to it. Arrows are left out evenly where there are more than `ARROWS`.
-    Grey is a link whose mean speed is below its deviation: it may as well stand still, or move much more.
+    Right is along the parent, up is the normal to it. Arrows are left out evenly if there are more than `ARROWS`. Grey
+    is a link whose mean speed is below its standard deviation.
     """
     every = max(1, -(-len(time_s) // ARROWS))
     fastest = max((np.nanmax(f.speed_m_s) for f in fields if np.isfinite(f.speed_m_s).any()), default=np.nan)
@@ -418,20 +433,20 @@ def vector_fields(fields: tuple[LinkField, ...], time_s: Array, title: str = "")
                 style.blank(right)
                 continue
             speed, sigma = field_means((field,)).iloc[0][["speed_m_s", "speed_sigma_m_s"]]
-            grey = sigma > speed
-            colour = style.GREY if grey else style.COLOURS[0]
-            drawn = _arrows(left, field, time_s, every, float(fastest), colour)
+            is_grey = sigma > speed
+            colour = style.GREY if is_grey else style.COLOURS[0]
+            quiver = _arrows(left, field, time_s, every, float(fastest), colour)
             if arrows is None:
-                _key(left, arrows := drawn, float(fastest), every, height)
+                _key(left, arrows := quiver, float(fastest), every, height)
             right.plot(time_s, field.speed_m_s, color=colour, **style.dots(len(time_s), 1.8))
             if np.isfinite(field.speed_sigma_m_s).any():
                 style.draw_band(right, time_s, field.speed_m_s, field.speed_sigma_m_s, colour)
             right.set_ylim(0, 1.08 * fastest or 1.0)
             right.locator_params(axis="y", nbins=3)
             text = f"mean {speed:.2f}{f', sigma {sigma:.2f}' if np.isfinite(sigma) else ''} m/s"
-            right.set_title(text, loc="right", pad=2, fontsize=style.SMALL, color=style.GREY if grey else "k")
-        room = 0.08 * float(np.ptp(time_s)) or 0.5
-        panels[0, 0].set_xlim(time_s[0] - room, time_s[-1] + room)
+            right.set_title(text, loc="right", pad=2, fontsize=style.SMALL, color=style.GREY if is_grey else "k")
+        margin_s = 0.08 * float(np.ptp(time_s)) or 0.5
+        panels[0, 0].set_xlim(time_s[0] - margin_s, time_s[-1] + margin_s)
         for axes in panels[:-1, 0]:
             axes.spines["bottom"].set_visible(False)
             axes.tick_params(bottom=False)
@@ -443,18 +458,18 @@ def vector_fields(fields: tuple[LinkField, ...], time_s: Array, title: str = "")
 
 
 def _arrows(axes: Axes, field: LinkField, time_s: Array, every: int, fastest: float, colour: str) -> Quiver:
-    known = np.isfinite(field.velocity_m_s[:, :2]).all(axis=1) & (np.arange(len(time_s)) % every == 0)
+    is_drawn = np.isfinite(field.velocity_m_s[:, :2]).all(axis=1) & (np.arange(len(time_s)) % every == 0)
     axes.axhline(0, color=style.PALE, lw=0.6, zorder=1)
-    dx, dy = field.velocity_m_s[known, :2].T
+    dx, dy = field.velocity_m_s[is_drawn, :2].T
     scale = {"angles": "uv", "scale_units": "height", "scale": (fastest or 1.0) / _LONGEST, "units": "inches"}
     looks = {"width": 0.013, "headwidth": 4, "clip_on": False, "color": colour, "zorder": 2}
-    arrows = axes.quiver(time_s[known], np.zeros(known.sum()), dx, dy, **scale, **looks)
+    arrows = axes.quiver(time_s[is_drawn], np.zeros(is_drawn.sum()), dx, dy, **scale, **looks)
     arrows.set_in_layout(False)
     return arrows
 
 
 def _key(axes: Axes, arrows: Quiver, fastest: float, every: int, height_mm: float) -> None:
     size = style.round_below(fastest / 2)
-    shown = "" if every == 1 else f" (one frame of {every})"
-    place = {"X": 0.73, "Y": 1 - 3.0 / height_mm, "coordinates": "figure", "labelpos": "E"}
-    axes.quiverkey(arrows, U=size, label=f"{size:g} m/s{shown}", fontproperties={"size": style.SMALL}, **place)
+    note = "" if every == 1 else f" (one frame of {every})"
+    position = {"X": 0.73, "Y": 1 - 3.0 / height_mm, "coordinates": "figure", "labelpos": "E"}
+    axes.quiverkey(arrows, U=size, label=f"{size:g} m/s{note}", fontproperties={"size": style.SMALL}, **position)

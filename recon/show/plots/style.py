@@ -1,11 +1,11 @@
-"""How the figures look, and how they are written.
+"""Set the look of the figures and write them.
 
 Widths are those of a page (180 mm) or a column (85 mm), text is 8 points. Colours are those of Okabe and Ito without
 yellow, which is pale on paper; lines that have to be told apart differ in dashes too. Time is viridis without its
 palest tenth.
 
-A figure is laid out once, when it is drawn. All files are the same byte for byte for the same data and version of
-matplotlib, whatever the user's own settings of matplotlib are, and those are left alone.
+A figure is laid out once, when it is drawn. All files are byte-identical for the same data and version of matplotlib,
+whatever the user's own settings of matplotlib are, and those are left unchanged.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ PNG_DPI = 200
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000")
 DASHES = ("-", (0, (5, 1.5)), (0, (1, 1)), (0, (5, 1, 1, 1)))
 MOST_DOTS = 500
-"""In a line: more would touch, and take long to draw."""
+"""Largest number of dots in a line: more would touch and be slow to draw."""
 GREY, PALE = "#666666", "#BBBBBB"
 SMALL = 7.0
 """Points: ticks, legends, captions."""
@@ -52,7 +52,10 @@ _SHEET = Path(__file__).with_name("recon.mplstyle")
 
 @contextmanager
 def drawing(height_mm: float, width_mm: float = WIDTH_MM, title: str | None = None) -> Iterator[Figure]:
-    """A new figure to draw on, laid out for good at the end of the block. title: above all, None leaves no room."""
+    """Yield a new figure to draw on, which is laid out at the end of the block.
+
+    title: above everything; None leaves no room.
+    """
     with _settings():
         figure = Figure(figsize=(width_mm * MM, height_mm * MM), layout="constrained")
         FigureCanvasAgg(figure)
@@ -67,7 +70,10 @@ def drawing(height_mm: float, width_mm: float = WIDTH_MM, title: str | None = No
 
 
 def save(figure: Figure, folder: str | Path, stem: str) -> tuple[Path, Path]:
-    """Writes stem.png (`PNG_DPI`) and stem.svg (text as text) into the folder, which is made; returns their paths."""
+    """Write stem.png (`PNG_DPI`) and stem.svg (text as text) into the folder and return their paths.
+
+    The folder is made if it does not exist.
+    """
     with staged_folder(folder) as staging:
         write_bytes(staging / f"{stem}.png", png_of(figure))
         write_bytes(staging / f"{stem}.svg", _content(figure, "svg"))
@@ -75,21 +81,21 @@ def save(figure: Figure, folder: str | Path, stem: str) -> tuple[Path, Path]:
 
 
 def svg_of(figure: Figure) -> str:
-    """The element <svg> by itself, for a page: no ground behind it, and text as text."""
+    """Return the element <svg> by itself, for a page: transparent, and text as text."""
     text = _content(figure, "svg", transparent=True).decode()
     return re.sub(r"<metadata>.*?</metadata>|<style .*?</style>", "", text[text.index("<svg") :], flags=re.DOTALL)
 
 
 def png_of(figure: Figure, dpi: float = PNG_DPI, transparent: bool = False) -> bytes:
-    """The PNG of a figure; transparent: with no ground behind it."""
+    """Return the PNG of a figure; transparent: without background."""
     return _content(figure, "png", dpi=dpi, transparent=transparent)
 
 
 def _content(figure: Figure, kind: str, **how: Any) -> bytes:
-    """The file of a figure, without what differs from one time to the next."""
-    content, unsaid = io.BytesIO(), {"png": ("Software",), "svg": ("Date", "Creator")}[kind]
+    """Return the file of a figure without metadata that changes from run to run."""
+    content, left_out = io.BytesIO(), {"png": ("Software",), "svg": ("Date", "Creator")}[kind]
     with _settings():
-        figure.savefig(content, format=kind, metadata=dict.fromkeys(unsaid), **how)
+        figure.savefig(content, format=kind, metadata=dict.fromkeys(left_out), **how)
     return content.getvalue()
 
 
@@ -98,17 +104,17 @@ def _settings() -> AbstractContextManager[None]:
 
 
 def look(i: int) -> dict[str, Any]:
-    """Colour and dashes of the i-th of several lines; 28 differ."""
+    """Return colour and dashes of the i-th of several lines; 28 differ."""
     return {"color": COLOURS[i % len(COLOURS)], "linestyle": DASHES[i % len(DASHES)]}
 
 
 def foot_colour(foot: str) -> str:
-    """Blue for left feet, orange for right ones, by their labels (LH, RF and so on)."""
+    """Return blue for left feet, orange for right ones, by their labels (LH, RF and so on)."""
     return COLOURS[foot.startswith("R")]
 
 
 def dots(count: int, size: float) -> dict[str, Any]:
-    """The marker of a line through count samples, where there is room for them."""
+    """Return the marker of a line through count samples; none if the dots would touch."""
     return {"marker": "o", "ms": size} if count <= MOST_DOTS else {}
 
 
@@ -117,13 +123,13 @@ REACH = radius(INTERVAL)
 
 
 def draw_band(axes: Axes, time_s: Array, value: Array, sigma: Array | float, colour: str, least: float = 0.0) -> None:
-    """What holds a value that is never below `least` with 90 %, by its standard deviation; all (N,)."""
+    """Draw the 90 % band of a value that is never below `least`, by its standard deviation; all (N,)."""
     _, low, high = interval_of(value, sigma)
     axes.fill_between(time_s, np.maximum(low, least), high, color=colour, alpha=0.2, lw=0)
 
 
 def legend_shape(labels: Sequence[str], width_mm: float = WIDTH_MM) -> tuple[int, float]:
-    """Columns of a legend that fits a width, and its height (mm)."""
+    """Return the columns of a legend that fits a width, and its height (mm)."""
     longest = max((len(label) for label in labels), default=0)
     columns = int(np.clip((width_mm - 4) / (1.2 * longest + 15), 1, max(len(labels), 1)))
     return columns, 3.9 * -(-len(labels) // columns)
@@ -135,7 +141,7 @@ def add_legend(figure: Figure, handles: Sequence[Any], labels: Sequence[str], wi
 
 
 def blank(axes: Axes) -> None:
-    """Says that there is nothing to show."""
+    """Write "no data" into the axes."""
     axes.text(0.5, 0.5, "no data", transform=axes.transAxes, ha="center", va="center", color=GREY)
     axes.set_xticks([])
     axes.set_yticks([])
@@ -150,15 +156,15 @@ def plain_logarithm(axis: Axis) -> None:
 
 
 def time_colours(time_s: Array) -> tuple[ListedColormap, Normalize]:
-    """The colours of times, from the first to the last that is known."""
-    known = time_s[np.isfinite(time_s)]
-    low, high = (float(known.min()), float(known.max())) if len(known) else (0.0, 1.0)
+    """Return the colours of times, from the first to the last that is known."""
+    known_s = time_s[np.isfinite(time_s)]
+    low, high = (float(known_s.min()), float(known_s.max())) if len(known_s) else (0.0, 1.0)
     colours = mpl.colormaps["viridis"](np.linspace(0.0, 0.9, 256))
     return ListedColormap(colours), Normalize(low, high if high > low else low + 1.0)
 
 
 def grid_shape(count: int, width_mm: float, aspect: float, least: int = 1) -> tuple[int, int]:
-    """Rows and columns of count small figures of height aspect x width, as few columns as fit on a page."""
+    """Return rows and columns of count small figures of height aspect x width, as few columns as fit on a page."""
     columns = min(least, count)
     while -(-count // columns) * aspect * width_mm / columns > PAGE_MM:
         columns += 1
@@ -166,7 +172,7 @@ def grid_shape(count: int, width_mm: float, aspect: float, least: int = 1) -> tu
 
 
 def round_below(value: float) -> float:
-    """The nearest 1, 2 or 5 times a power of ten below."""
+    """Return the nearest 1, 2 or 5 times a power of ten below."""
     if not value > 0:
         return 1.0
     power = 10.0 ** np.floor(np.log10(value))

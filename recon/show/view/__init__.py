@@ -47,30 +47,30 @@ from recon.show.view import scene as scenes
 from recon.show.view.scene import Log, Scene, TimePlot, limb_colours, recording
 
 OVERVIEW_ASPECT, OVERVIEW_RAISED, VIEW_RAD = 3.0, 0.4, np.radians(55.0)
-"""Width to height of the overview's place, how much higher than aside its eye is, and the viewer's angle of view in
-height."""
+"""Width to height of the overview, how much higher than sideways its eye is, and the viewer's vertical angle of
+view."""
 LINE_OF_LEGEND = 0.1
 """Share of a plot's height that a line of its legend takes."""
 DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET")
-"""Environment variables, one of which says where a screen is on Linux."""
+"""Environment variables of which one names the screen on Linux."""
 
 
 def write(
     motion: Motion,
     path: Path,
-    found: ClipAnalysis | None = None,
+    analysis: ClipAnalysis | None = None,
     video: Path | None = None,
     first_frame: int = 0,
     camera: int = 0,
 ) -> None:
     """Write the recording `motion.rrd`, with the blueprint that lays out its views.
 
-    The viewer plays it in a loop, slowly where it is short. found: the analysis, whose plots get tabs of their own;
-    video: what is behind the picture of a camera, by its number, with the number of the video's first frame.
+    The viewer plays it in a loop, slowly if it is short. analysis: its plots get tabs of their own; video: behind the
+    picture of a camera, by its number, with the number of the video's first frame.
     """
-    scene, stands = Scene.of(motion), (found or ClipAnalysis(motion)).standing
-    plots = [*angle_plots(motion), *other_plots(motion), *(() if found is None else analysis_plots(found))]
-    rows = states(motion, stands)
+    scene, standing = Scene.of(motion), (analysis or ClipAnalysis(motion)).standing
+    plots = [*angle_plots(motion), *other_plots(motion), *(() if analysis is None else analysis_plots(analysis))]
+    rows = states(motion, standing)
     with recording(path, blueprint(motion, scene, plots, [*rows])) as stream:
         stream.send_recording_name(Path(motion.keypoints.source or motion.title).stem)
         log = Log(stream, motion.frames, motion.time_s)
@@ -78,13 +78,13 @@ def write(
         log.fix("/", rr.AnnotationContext([(i, limb, colour) for i, (limb, colour) in enumerate(labels)]))
         scenes.write_world(motion, scene, log)
         scenes.write_pictures(motion, log)
-        scenes.write_uncertainty(motion, log, stands)
+        scenes.write_uncertainty(motion, log, standing)
         for plot in plots:
             log.plot(plot)
         for entity, (text, colour, holds) in rows.items():
             log.state(entity, text, colour, holds)
-        if found is not None:
-            write_forces(found, log)
+        if analysis is not None:
+            write_forces(analysis, log)
         if video is not None:
             scenes.write_video(motion, log, video, first_frame, camera)
 
@@ -93,34 +93,38 @@ def write(
 
 
 def blueprint(motion: Motion, scene: Scene, plots: Sequence[TimePlot], rows: Sequence[str]) -> rrb.Blueprint:
-    """plots: those without a tab stand in the row that is in front, the angles among them in one place; rows: entities
-    of states."""
+    """Return the layout of the views.
+
+    plots: those without a tab stand in the front row, all angles in one tab group; rows: entities of states.
+    """
     several = "s" if len(motion.pictures) > 1 else ""
     skeleton = _in_space(_title(motion), _eye_on_animal(motion, scene))
     overview = _in_space(f"Overview with the camera{several}", _eye_on_all(motion, scene))
     front = [plot for plot in plots if not plot.tab]
     angles = [time_view(plot) for plot in front if plot.entity.startswith("angles/")]
-    others = [time_view(plot) for plot in front if not plot.entity.startswith("angles/")]
-    marks = state_rows(rows, "Doubtful frames, feet that stand")
-    shares = [4, *([3] * len(others)), 4]
-    below: rrb.Container = rrb.Horizontal(rrb.Tabs(*angles, active_tab=0), *others, marks, column_shares=shares)
+    other_plots_shown = [time_view(plot) for plot in front if not plot.entity.startswith("angles/")]
+    state_view = state_rows(rows, "Doubtful frames, feet that stand")
+    column_shares = [4, *([3] * len(other_plots_shown)), 4]
+    lower: rrb.Container = rrb.Horizontal(
+        rrb.Tabs(*angles, active_tab=0), *other_plots_shown, state_view, column_shares=column_shares
+    )
     if tabs := dict.fromkeys(plot.tab for plot in plots if plot.tab):
-        added = [rrb.Horizontal(*(time_view(plot) for plot in plots if plot.tab == tab), name=tab) for tab in tabs]
-        below = rrb.Tabs(rrb.Vertical(below, name="Reconstruction"), *added, active_tab=0)
-    seen = rrb.Vertical(_pictures(motion.pictures), overview, row_shares=[5, 4])
-    content = rrb.Vertical(rrb.Horizontal(skeleton, seen, column_shares=[11, 9]), below, row_shares=[5, 3])
+        tab_views = [rrb.Horizontal(*(time_view(plot) for plot in plots if plot.tab == tab), name=tab) for tab in tabs]
+        lower = rrb.Tabs(rrb.Vertical(lower, name="Reconstruction"), *tab_views, active_tab=0)
+    pictures = rrb.Vertical(_pictures(motion.pictures), overview, row_shares=[5, 4])
+    content = rrb.Vertical(rrb.Horizontal(skeleton, pictures, column_shares=[11, 9]), lower, row_shares=[5, 3])
     return laid_out(content, min(motion.fps, max(5.0, len(motion.frames) / 5)))
 
 
 def laid_out(content: rrb.Container, fps: float) -> rrb.Blueprint:
-    """The viewer shows this and nothing else, and plays it in a loop."""
+    """Return a blueprint with this content only, played in a loop."""
     hidden = rrb.BlueprintPanel(state="hidden"), rrb.SelectionPanel(state="hidden")
     time = rrb.TimePanel(state="collapsed", timeline="frame", fps=fps, play_state="playing", loop_mode="all")
     return rrb.Blueprint(content, *hidden, time, auto_layout=False, auto_views=False)
 
 
 def _in_space(name: str, eye: rrb.EyeControls3D) -> rrb.Spatial3DView:
-    """The world, with the trail up to the current frame."""
+    """Return the world view, with the trail up to the current frame."""
     start, end = rr.TimeRangeBoundary.infinite(), rr.TimeRangeBoundary.cursor_relative()
     upto_now = rrb.VisibleTimeRanges([rr.VisibleTimeRange(t, start=start, end=end) for t in ("frame", "time")])
     return rrb.Spatial3DView(
@@ -134,13 +138,13 @@ def _in_space(name: str, eye: rrb.EyeControls3D) -> rrb.Spatial3DView:
 
 
 def _pictures(pictures: Sequence[Picture]) -> rrb.Tabs:
-    """A close look and the whole picture; of several cameras all of them side by side."""
+    """Return a close view and the whole picture; several cameras side by side."""
     closeups, wholes = [], []
     entities = scenes.by_camera(scenes.CLOSEUP, pictures), scenes.by_camera(scenes.PICTURE, pictures)
-    for picture, close, whole in zip(pictures, *entities, strict=True):
+    for picture, close_entity, whole_entity in zip(pictures, *entities, strict=True):
         reach, (low, high) = scenes.CLOSE * scenes.middle_and_reach_px(picture)[1], scenes.picture_bounds(picture)
-        closeups.append(_flat(close, picture.name, -reach, reach))
-        wholes.append(_flat(whole, picture.name, low, high))
+        closeups.append(_flat(close_entity, picture.name, -reach, reach))
+        wholes.append(_flat(whole_entity, picture.name, low, high))
     if len(pictures) == 1:
         closeups[0].name, wholes[0].name = f"Picture, {_MARKS}", "Whole picture"
         return rrb.Tabs(closeups[0], wholes[0], active_tab=0)
@@ -164,22 +168,23 @@ def _title(motion: Motion) -> str:
 
 
 def time_view(series: TimePlot) -> rrb.TimeSeriesView:
-    """One line alone is named by the title; the names of several stand above the lines."""
+    """Return the view of a plot: the title names a single line, a legend names several."""
     values = series.values[np.isfinite(series.values)]
     low, high = (values.min(), values.max()) if len(values) else (0.0, 0.0)
-    named = len(series.names) if len(series.names) > 1 else 0
-    share = min(named * LINE_OF_LEGEND, 0.5)
-    room = (high - low) * share / (1 - share)
+    legend_lines = len(series.names) if len(series.names) > 1 else 0
+    share = min(legend_lines * LINE_OF_LEGEND, 0.5)
+    headroom = (high - low) * share / (1 - share)
     return rrb.TimeSeriesView(
         origin=series.entity,
         name=series.title,
-        axis_y=rrb.ScalarAxis(range=(low, high + room)) if room else None,
-        plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop, visible=named > 0),
+        axis_y=rrb.ScalarAxis(range=(low, high + headroom)) if headroom else None,
+        plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop, visible=legend_lines > 0),
         background=PlotBackground(color=scenes.BACKGROUND),
     )
 
 
 def state_rows(entities: Sequence[str], name: str) -> rrb.StateTimelineView:
+    """Return the view of states over time."""
     return rrb.StateTimelineView(origin="/", contents=[f"/{entity}" for entity in entities], name=name)
 
 
@@ -187,7 +192,7 @@ _orbit = partial(rrb.EyeControls3D, kind=rrb.Eye3DKind.Orbital)
 
 
 def _eye_on_animal(motion: Motion, scene: Scene) -> rrb.EyeControls3D:
-    """Going along with the animal, on the camera's side of it, and slightly raised."""
+    """Return an eye that follows the animal on the camera's side, slightly raised."""
     up = scene.axes[2]
     poses, path = motion.joints_m[motion.solved], motion.root_m[motion.solved]
     if not len(poses):
@@ -206,7 +211,7 @@ def _eye_on_animal(motion: Motion, scene: Scene) -> rrb.EyeControls3D:
 
 
 def _eye_on_all(motion: Motion, scene: Scene) -> rrb.EyeControls3D:
-    """On the cameras and the animal's way."""
+    """Return an eye that sees the cameras and the animal's path."""
     cameras_m = [picture.T_reference_camera[..., :3, 3].reshape(-1, 3) for picture in motion.pictures]
     box_m = np.array([*product(*zip(scene.low_m, scene.high_m, strict=True))]) @ scene.axes
     points = np.concatenate([box_m, *cameras_m])
@@ -215,27 +220,31 @@ def _eye_on_all(motion: Motion, scene: Scene) -> rrb.EyeControls3D:
 
 
 def fitting_eye(points_m: Array, axes: Array, margin_m: float = 0.0) -> tuple[Array, Array]:
-    """Where an eye is, slightly above points (N, 3), that sees them from as near as they fit into the overview, and
-    what it looks at. axes: as in `Scene`."""
-    found = []
+    """Return an eye, slightly above points (N, 3), that sees them from as near as they fit, and its target.
+
+    axes: as in `Scene`.
+    """
+    candidates = []
     for turn_rad in np.linspace(0.0, 2 * np.pi, 72, endpoint=False):
         right = np.array([np.cos(turn_rad), np.sin(turn_rad)]) @ axes[:2]
         back = (np.cross(right, axes[2]) + OVERVIEW_RAISED * axes[2]) / np.hypot(1.0, OVERVIEW_RAISED)
         seen_m = points_m @ (view := np.stack((right, np.cross(back, right), back))).T
         middle_m = (seen_m.min(axis=0) + seen_m.max(axis=0)) / 2
-        across, upright, near = (seen_m - middle_m).T
+        across, upright, depth = (seen_m - middle_m).T
         reach = np.maximum(np.abs(upright), np.abs(across) / OVERVIEW_ASPECT) / np.tan(VIEW_RAD / 2)
-        found.append((float(np.max(near + reach)), back, middle_m @ view))
-    away_m, back, target_m = min(found, key=lambda one: one[0])
-    return target_m + (1.1 * away_m + margin_m) * back, target_m
+        candidates.append((float(np.max(depth + reach)), back, middle_m @ view))
+    distance_m, back, target_m = min(candidates, key=lambda candidate: candidate[0])
+    return target_m + (1.1 * distance_m + margin_m) * back, target_m
 
 
 # -- the viewer -------------------------------------------------------------------------------------------------------
 
 
 def open_viewer(path: Path) -> None:
-    """Show a recording in rerun's viewer; returns when the viewer is closed. Raises InputError where the viewer cannot
-    run."""
+    """Show a recording in rerun's viewer and wait until it is closed.
+
+    Raises InputError if the viewer cannot run.
+    """
     if sys.platform == "linux" and not any(os.environ.get(name) for name in DISPLAYS):
         expected = "a screen; without one: a page, by recon report DIR, or a recording, by --out FILE.rrd, for rerun"
         raise InputError(Problem("recon view", "viewer", "no display", expected))
@@ -250,18 +259,19 @@ def open_viewer(path: Path) -> None:
 # -- quantities over time: what the plots show -------------------------------------------------------------------------
 
 MAX_LINES = 4
-"""How many angles one plot has at most, as far as they can be told apart by what they belong to: their names stand
-above them."""
+"""Largest number of angles in one plot, if their names can be split by the part they belong to."""
 
 
-def states(motion: Motion, stands: Bools) -> dict[str, tuple[str, scenes.Colour, Bools]]:
-    """By entity: which frames have a flag, a row for each, and when the feet stand, (T, F). An entity has no parent,
-    whose name the viewer would write beside it, and no blanks, which it writes with backslashes."""
-    named = dict.fromkeys(flag for some in motion.flags for flag in some)
-    flags = {flag: np.array([flag in some for some in motion.flags]) for flag in named}
+def states(motion: Motion, standing: Bools) -> dict[str, tuple[str, scenes.Colour, Bools]]:
+    """Return, by entity, the frames of each flag, and the times when the feet stand, (T, F).
+
+    Entities have no parent, whose name the viewer would write, and no blanks, which it would escape.
+    """
+    flag_names = dict.fromkeys(flag for frame_flags in motion.flags for flag in frame_flags)
+    flags = {flag: np.array([flag in frame_flags for frame_flags in motion.flags]) for flag in flag_names}
     rows = {flag.replace(" ", "_"): (flag, scenes.OUTLIER, holds) for flag, holds in flags.items()}
-    for foot, label, stood in zip(motion.feet, motion.foot_labels, stands.T, strict=True):
-        rows[motion.names[foot]] = "stance", _foot_colour(label), stood
+    for foot, label, stands in zip(motion.feet, motion.foot_labels, standing.T, strict=True):
+        rows[motion.names[foot]] = "stance", _foot_colour(label), stands
     return {rr.escape_entity_path_part(name): row for name, row in rows.items()}
 
 
@@ -272,37 +282,41 @@ def _plot(
     tab: str = "",
     colours: Sequence[scenes.Colour] = scenes.LINE_COLOURS,
 ) -> TimePlot:
-    """A plot of lines (T,) by their names, which take the colours in turn."""
-    own = [colours[i % len(colours)] for i in range(len(lines))]
-    return TimePlot(entity, title, [*lines], own, np.stack([*lines.values()], axis=1), tab)
+    """Return a plot of lines (T,) by their names, which take the colours in turn."""
+    line_colours = [colours[i % len(colours)] for i in range(len(lines))]
+    return TimePlot(entity, title, [*lines], line_colours, np.stack([*lines.values()], axis=1), tab)
 
 
 # -- of every motion ----------------------------------------------------------------------------------------------
 
 
 def angle_plots(motion: Motion) -> Iterator[TimePlot]:
-    """In degrees, by side; those that are too many for one plot by end of the animal, or by kind."""
+    """Yield the angles in degrees by side; too many for one plot are split by part of the animal, or by kind."""
     keys: dict[str, dict[str, str]] = {kind: {} for kind in ("left", "right", "middle")}
     for name in motion.angle_names:
         words, side = without_side(name).split("_"), side_of(name)
         keys[side or "middle"][name] = words[-1] if side is None and words[0] not in ("theta", "phi") else words[0]
-    for kind, own in keys.items():
-        for key, names in _parts(own):
+    for kind, keys_of_kind in keys.items():
+        for key, names in _parts(keys_of_kind):
             entity = f"angles/{kind}" + f"/{key.replace(', ', '_')}" * bool(key)
             degrees = np.degrees(motion.angles_rad[:, [motion.angle_names.index(name) for name in names]])
-            lines = {without_side(name).replace("_", " "): of for name, of in zip(names, degrees.T, strict=True)}
+            lines = {
+                without_side(name).replace("_", " "): column for name, column in zip(names, degrees.T, strict=True)
+            }
             yield _plot(entity, f"{kind} {key}".strip().capitalize() + " (°)", lines)
 
 
 def _parts(keys: Mapping[str, str]) -> Iterator[tuple[str, list[str]]]:
-    """Names of one plot, by what they have in common: all of them, where a plot has room for them, or else those with
-    the same key, and the next as well, as far as there is room."""
+    """Yield the names of each plot: all if there is room, otherwise those with the same key.
+
+    The next key's names are added if they fit.
+    """
     if len(keys) <= MAX_LINES:
         yield from [("", [*keys])] if keys else []
         return
     parts: list[tuple[str, list[str]]] = []
     for key in dict.fromkeys(keys.values()):
-        names = [name for name, own in keys.items() if own == key]
+        names = [name for name, value in keys.items() if value == key]
         if parts and len(parts[-1][1]) + len(names) <= MAX_LINES:
             parts[-1] = (f"{parts[-1][0]}, {key}", [*parts[-1][1], *names])
         else:
@@ -311,7 +325,10 @@ def _parts(keys: Mapping[str, str]) -> Iterator[tuple[str, list[str]]]:
 
 
 def other_plots(motion: Motion) -> Iterator[TimePlot]:
-    """Speed, errors in the pictures (the largest without outliers, which would hide the rest), and uncertainty."""
+    """Yield speed, errors in the pictures, and uncertainty.
+
+    The largest error is without outliers, which would hide the rest.
+    """
     speed = np.where(motion.solved, speed_at_frames(motion.time_s, motion.root_m), np.nan)
     run_m_s, lines, title = motion.solution.constant_velocity_m_s, {"speed": speed}, "Speed (m/s)"
     if run_m_s is not None:
@@ -325,10 +342,10 @@ def other_plots(motion: Motion) -> Iterator[TimePlot]:
 
     distance = np.concatenate([picture.distance_px for picture in motion.pictures], axis=1)
     outliers = np.concatenate([picture.outliers for picture in motion.pictures], axis=1)
-    known, middle = np.isfinite(distance).any(axis=1), np.full(len(distance), np.nan)
-    middle[known] = np.nanmedian(distance[known], axis=1)
+    is_known, median_px = np.isfinite(distance).any(axis=1), np.full(len(distance), np.nan)
+    median_px[is_known] = np.nanmedian(distance[is_known], axis=1)
     worst = np.fmax.reduce(np.where(outliers, np.nan, distance), axis=1)
-    lines = {"median of the joints": middle, "worst but for outliers": worst}
+    lines = {"median of the joints": median_px, "worst but for outliers": worst}
     yield _plot("residuals", "Reprojection (px)", lines, colours=(scenes.LIMB_COLOURS[1], scenes.EDGE))
 
     lines = {"joint within the pose": motion.relative_rms_m, "position in depth": motion.place_sigma_m}
@@ -338,56 +355,69 @@ def other_plots(motion: Motion) -> Iterator[TimePlot]:
 # -- of an analysis -----------------------------------------------------------------------------------------------
 
 
-def analysis_plots(found: ClipAnalysis) -> Iterator[TimePlot]:
-    """Speed, acceleration and flexion with what holds them with 90 %, the links' speeds, and the feet's vertical
-    forces: left feet blue, right ones orange, fore feet paler."""
-    moved, times_s = found.joints[found.reference], found.motion.time_s
-    every, name = moved.series.oversampling, found.reference
-    shown: list[tuple[str, str, Array, Array]] = [
-        ("speed", f"Speed of {name} (m/s)", moved.speed_m_s, moved.speed_sigma_m_s),
-        ("acceleration", f"Acceleration of {name} (m/s²)", moved.acceleration_m_s2, moved.acceleration_sigma_m_s2),
+def analysis_plots(analysis: ClipAnalysis) -> Iterator[TimePlot]:
+    """Yield speed, acceleration and flexion with 90 % intervals, the links' speeds, and the feet's vertical forces.
+
+    Left feet are blue, right ones orange, fore feet paler.
+    """
+    reference_motion, times_s = analysis.joints[analysis.reference], analysis.motion.time_s
+    every, name = reference_motion.series.oversampling, analysis.reference
+    quantities: list[tuple[str, str, Array, Array]] = [
+        ("speed", f"Speed of {name} (m/s)", reference_motion.speed_m_s, reference_motion.speed_sigma_m_s),
+        (
+            "acceleration",
+            f"Acceleration of {name} (m/s²)",
+            reference_motion.acceleration_m_s2,
+            reference_motion.acceleration_sigma_m_s2,
+        ),
     ]
-    if "spine_flexion" in found.angles:
-        flexion = found.angles["spine_flexion"].series
-        bent, sigma = (np.degrees(of[:, 0]) for of in (flexion.value, flexion.value_sigma))
-        shown.append(("spine", "Flexion of the spine (°)", bent, sigma))
-    for entity, title, values, sigma in shown:
+    if "spine_flexion" in analysis.angles:
+        flexion = analysis.angles["spine_flexion"].series
+        bent, sigma = (np.degrees(column[:, 0]) for column in (flexion.value, flexion.value_sigma))
+        quantities.append(("spine", "Flexion of the spine (°)", bent, sigma))
+    for entity, title, values, sigma in quantities:
         lines = {entity: values[::every]}
         if np.isfinite(sigma).any() and entity != "acceleration":  # whose deviations are many times as large as it is
             _, low, high = interval_of(values, sigma)
             lines |= {"90 %: from": low[::every], "90 %: to": high[::every]}
         yield _plot(f"analysis/{entity}", title, lines, "Kinematics", (scenes.TRAIL, scenes.LINK, scenes.LINK))
-    if found.dynamics is not None and found.gait is not None:
-        rows = np.searchsorted(found.gait.tracks.time_s, times_s - 1e-6)
-        forces = {foot: force[rows, 0] for foot, force in found.dynamics.force.items()}
+    if analysis.dynamics is not None and analysis.gait is not None:
+        rows = np.searchsorted(analysis.gait.tracks.time_s, times_s - 1e-6)
+        forces = {foot: force[rows, 0] for foot, force in analysis.dynamics.force.items()}
         colours = [_foot_colour(foot, paler=foot.endswith("F")) for foot in forces]
         yield _plot("analysis/forces", "Vertical force (body weights)", forces, "Forces", colours)
-    paws = {*found.motion.foot_names.values()}
-    for limb, fields in found.fields.items():
+    paws = {*analysis.motion.foot_names.values()}
+    for limb, fields in analysis.fields.items():
         speeds = {field.link[1].replace("_", " "): field.speed_m_s for field in fields}
         tab = "Legs, tips about parents" if fields[-1].link[1] in paws else "Trunk, tips about parents"
         yield _plot(f"analysis/links/{limb.replace(' ', '_')}", f"{limb} (m/s)", speeds, tab)
 
 
 def _foot_colour(foot: str, paler: bool = False) -> scenes.Colour:
-    """A foot's side's, halfway to white if it is paler."""
+    """Return the colour of a foot's side, halfway to white if paler."""
     red, green, blue = scenes.RIGHT if foot.startswith("R") else scenes.LEFT
     return ((red + 255) // 2, (green + 255) // 2, (blue + 255) // 2) if paler else (red, green, blue)
 
 
-def write_forces(found: ClipAnalysis, log: Log) -> None:
-    """Arrows under the feet in the colours of their sides, of which a body weight is as long as the centre of mass is
-    high, and its path."""
-    if (d := found.dynamics) is None or found.gait is None:
+def write_forces(analysis: ClipAnalysis, log: Log) -> None:
+    """Write arrows under the feet and the path of the centre of mass.
+
+    A body weight is as long as the centre of mass is high.
+    """
+    if (d := analysis.dynamics) is None or analysis.gait is None:
         return
-    tracks, motion, centre_m = found.gait.tracks, found.motion, d.centre.series.value
+    tracks, motion, centre_m = analysis.gait.tracks, analysis.motion, d.centre.series.value
     rows = np.searchsorted(tracks.time_s, motion.time_s - 1e-6)
     force = np.stack([d.force[foot][rows, 0] for foot in tracks.feet], axis=1)
     high_m = float(np.nanmedian(centre_m[:, 2] - d.ground_m))
     up = motion.in_reference(np.array([0.0, 0.0, high_m])) - motion.in_reference(np.zeros(3))
-    there, origins_m = force > 0, motion.in_reference(tracks.foot_m[rows])
-    own = np.broadcast_to(np.array([_foot_colour(foot) for foot in tracks.feet], np.uint8), (*there.shape, 3))[there]
-    coloured = rr.Arrows3D.columns(vectors=force[there][:, None] * up, origins=origins_m[there], colors=own)
-    log.draw("world/forces", rr.Arrows3D, coloured.partition(there.sum(axis=1)), radii=0.01)
+    has_force, origins_m = force > 0, motion.in_reference(tracks.foot_m[rows])
+    arrow_colours = np.broadcast_to(
+        np.array([_foot_colour(foot) for foot in tracks.feet], np.uint8), (*has_force.shape, 3)
+    )[has_force]
+    columns = rr.Arrows3D.columns(
+        vectors=force[has_force][:, None] * up, origins=origins_m[has_force], colors=arrow_colours
+    )
+    log.draw("world/forces", rr.Arrows3D, columns.partition(has_force.sum(axis=1)), radii=0.01)
     path = motion.in_reference(centre_m[np.isfinite(centre_m).all(axis=1)])
     log.fix("world/forces/centre_of_mass", rr.LineStrips3D([path], colors=scenes.TRAIL, radii=0.006))

@@ -1,8 +1,9 @@
-"""The animal in space, and in the cameras' pictures; and what the views share: colours, the geometry of the scene, and
-how lines, plots and states are written.
+"""Write the animal in space and in the cameras' pictures as a recording for rerun.
 
-Recordings for rerun. On a full disk rerun's own writer waits for ever, so that it writes into a pipe, and what comes
-out of it is written here: a long recording is never in memory as a whole."""
+Also what the views share: colours, the geometry of the scene, and how lines, plots and states are written. On a full
+disk rerun's own writer waits for ever. It therefore writes into a pipe, from which the file is written here: a long
+recording is never in memory as a whole.
+"""
 
 from __future__ import annotations
 
@@ -43,19 +44,21 @@ LINE_COLOURS: tuple[Colour, ...] = (*LIMB_COLOURS, LINK, (213, 94, 0), (200, 200
 BACKGROUND = (18, 21, 27)
 
 CAMERAS, PICTURE, CLOSEUP = "world/camera", "picture", "closeup"
-"""Entities of a camera, or of all (`by_camera`)."""
+"""Entities of a camera, or the parents of several (`by_camera`)."""
 _FRAMES_AT_ONCE = 4000
-"""What takes most memory in a long clip is written in pieces of so many frames."""
+"""Frames written at once of data that takes much memory."""
 GRID_SPACING_M = 1.0
 CLOSE = 1.1
-"""The share of the animal's reach that the close look shows."""
+"""Share of the animal's reach that the close view shows."""
 GRID_MARGIN_M, MAX_GRID_LINES = 1.5, 200
 
 
 @dataclass(frozen=True)
 class TimePlot:
-    """One plot: values (T, lines), and a name and a colour for each line. tab: the name of the tab that it stands in,
-    side by side with others of that name."""
+    """One plot: values (T, lines), and a name and a colour for each line.
+
+    tab: name of the tab that holds it, together with other plots of that name.
+    """
 
     entity: str
     title: str
@@ -67,7 +70,7 @@ class TimePlot:
 
 @dataclass(frozen=True)
 class Log:
-    """Where the entities of T frames are written to."""
+    """Destination of the entities of T frames."""
 
     stream: rr.RecordingStream
     frames: Integers
@@ -76,7 +79,7 @@ class Log:
     """The times of the T frames, shape (T,)."""
 
     def send(self, entity: str, columns: rr.ComponentColumnList, rows: Sequence[int] | slice = slice(None)) -> None:
-        """Columns of an entity with a row for each of these rows of the clip."""
+        """Write columns of an entity with a row for each of these rows of the clip."""
         times = [
             rr.TimeColumn("frame", sequence=self.frames[rows]),
             rr.TimeColumn("time", duration=self.time_s[rows]),
@@ -84,39 +87,43 @@ class Log:
         self.stream.send_columns(entity, times, columns)
 
     def fix(self, entity: str, archetype: rr.AsComponents) -> None:
-        """What is the same in all frames."""
+        """Write an archetype that is the same in all frames."""
         self.stream.log(entity, archetype, static=True)
 
     def draw(self, entity: str, kind: Any, columns: rr.ComponentColumnList, **style: Any) -> None:
-        """Columns of a kind of archetype with a row for each frame, of which the rest is the same in all frames."""
+        """Write columns of an archetype with a row for each frame; the style is the same in all frames."""
         self.send(entity, columns)
         self.fix(entity, kind.from_fields(**style))
 
-    def points(self, entity: str, places: Array, shown: Bools, **style: Any) -> None:
-        """Points (T, N, 2 or 3), in each frame those that are shown, (T, N)."""
-        kind = rr.Points2D if places.shape[-1] == 2 else rr.Points3D
-        self.draw(entity, kind, kind.columns(positions=places[shown]).partition(shown.sum(axis=1)), **style)
+    def points(self, entity: str, positions: Array, is_shown: Bools, **style: Any) -> None:
+        """Write points (T, N, 2 or 3), in each frame those that are shown, (T, N)."""
+        kind = rr.Points2D if positions.shape[-1] == 2 else rr.Points3D
+        self.draw(entity, kind, kind.columns(positions=positions[is_shown]).partition(is_shown.sum(axis=1)), **style)
 
     def plot(self, plot: TimePlot) -> None:
-        """A value that is NaN breaks its line; where all are, the row is empty."""
-        known, count = np.isfinite(plot.values).any(axis=1), plot.values.shape[1]
-        columns = rr.Scalars.columns(scalars=plot.values[known].ravel())
+        """Write a plot. A NaN breaks its line; a row is empty if all values are NaN."""
+        is_known, count = np.isfinite(plot.values).any(axis=1), plot.values.shape[1]
+        columns = rr.Scalars.columns(scalars=plot.values[is_known].ravel())
         style = {"names": plot.names, "colors": plot.colours, "widths": [1.8] * count}
-        self.draw(plot.entity, rr.SeriesLines, columns.partition(np.where(known, count, 0)), **style)
+        self.draw(plot.entity, rr.SeriesLines, columns.partition(np.where(is_known, count, 0)), **style)
 
     def state(self, entity: str, text: str, colour: Colour, holds: Bools) -> None:
-        """A row of states: when something holds, (T,). Its text is blank: the row's name says it, and the viewer would
-        write the value without one."""
+        """Write a row of states, (T,).
+
+        Its text is blank because the row's name says it; without a text the viewer would write the value.
+        """
         columns = rr.StateChange.columns(state=[text] * int(holds.sum()))
         self.send(entity, columns.partition(holds.astype(int)))
         self.fix(entity, rr.StateConfiguration(values=[text], labels=[" "], colors=[colour]))
 
     def follow(self, entity: str, middle_m: Array, half_m: float, rows: Bools | None = None) -> None:
-        """An invisible entity for the viewer to go along with, which it frames by its bounds: middle_m (T, 3) and half
-        their size. rows (T,): those that have one, None: all."""
+        """Write an invisible entity for the viewer to follow, which it frames by its bounds.
+
+        middle_m (T, 3) and half their size. rows (T,): those that have one, None: all.
+        """
         corners = np.stack((middle_m - half_m, middle_m + half_m), axis=1)
-        shown = np.ones(corners.shape[:2], bool) if rows is None else np.repeat(rows[:, None], 2, axis=1)
-        self.points(entity, corners, shown, colors=(0, 0, 0, 0), radii=0.0)
+        is_shown = np.ones(corners.shape[:2], bool) if rows is None else np.repeat(rows[:, None], 2, axis=1)
+        self.points(entity, corners, is_shown, colors=(0, 0, 0, 0), radii=0.0)
 
 
 @dataclass(frozen=True)
@@ -124,8 +131,8 @@ class Scene:
     """Geometry that views and entities share, in the motion's frame of reference.
 
     axes (3, 3): rows are two level unit vectors and the upward one. low_m, high_m (3,): bounds of the animal over the
-    clip along the axes. size_m: diagonal of the animal. camera_m (3,): centre of projection of the first camera, of
-    one that moves the mean.
+    clip along the axes. size_m: diagonal of the animal. camera_m (3,): centre of projection of the first camera; the
+    mean of one that moves.
     """
 
     axes: Array
@@ -136,6 +143,7 @@ class Scene:
 
     @classmethod
     def of(cls, motion: Motion) -> Scene:
+        """Return the geometry of a motion."""
         camera = motion.camera
         axes, centre = level_from_camera(camera.up), np.zeros(3)
         if motion.frame_of_reference == "world":
@@ -150,18 +158,18 @@ class Scene:
 
     @property
     def centre_m(self) -> Array:
-        """(3,): middle of the clip's motion."""
+        """Return the middle of the clip's motion, shape (3,)."""
         return (self.low_m + self.high_m) / 2 @ self.axes
 
 
 def bounds(joints_m: Array) -> tuple[Array, Array]:
-    """The box around joints (N, J, 3). Single poses that went astray do not enlarge it."""
+    """Return the box around joints (N, J, 3). Single stray poses do not enlarge it."""
     low, high = np.percentile(joints_m.reshape(-1, 3), (1, 99), axis=0)
     return low, high
 
 
 def by_camera(root: str, pictures: Sequence[Picture]) -> list[str]:
-    """The entity of each camera: the root itself, or, where there are several, the camera's part of it."""
+    """Return the entity of each camera: the root itself, or a child of it if there are several."""
     if len(pictures) == 1:
         return [root]
     return [f"{root}/{rr.escape_entity_path_part(picture.name)}" for picture in pictures]
@@ -171,85 +179,92 @@ def by_camera(root: str, pictures: Sequence[Picture]) -> list[str]:
 
 
 def limb_colours(motion: Motion) -> list[Colour]:
-    """One per limb: of a whole animal by its side, otherwise one after the other."""
+    """Return one colour per limb: by its side in a whole animal, otherwise one after the other."""
     if motion.side is not None:
         return [LIMB_COLOURS[i % len(LIMB_COLOURS)] for i in range(len(motion.limbs))]
     return [SIDE_COLOURS[side] for side in motion.limb_sides.values()]
 
 
 def joint_limbs(motion: Motion) -> Integers:
-    """(J,): the limb that each joint is drawn with: the trunk if it is part of it, or else the one that it ends or
-    continues."""
+    """Return the limb that each joint is drawn with, (J,).
+
+    The trunk if the joint is part of it, otherwise the limb that it ends or continues.
+    """
     limbs = list(motion.limbs.values())
     trunk = max(range(len(limbs)), key=lambda i: len({*motion.forward} & {*limbs[i]}), default=0)
     chosen = []
     for j in range(len(motion.joints)):
-        on = [i for i, limb in enumerate(limbs) if j in limb]
-        later = [i for i in on if limbs[i][0] != j]
-        chosen.append(trunk if trunk in on or not on else (later or on)[0])
+        limbs_of_joint = [i for i, limb in enumerate(limbs) if j in limb]
+        not_first = [i for i in limbs_of_joint if limbs[i][0] != j]
+        chosen.append(trunk if trunk in limbs_of_joint or not limbs_of_joint else (not_first or limbs_of_joint)[0])
     return np.array(chosen)
 
 
 # -- lines --------------------------------------------------------------------------------------------------------
 
 
-def limb_strips(points: Array, limbs: Mapping[str, Sequence[int]], shown: Bools) -> rr.ComponentColumnList:
-    """Lines along the limbs of joints (T, J, 3), in frames that are shown (T,)."""
-    along = points[shown][:, [joint for limb in limbs.values() for joint in limb]]
-    counts = np.tile([len(limb) for limb in limbs.values()], len(along))
-    return _strips(along.reshape(-1, 3), counts).partition(np.where(shown, len(limbs), 0))
+def limb_strips(points: Array, limbs: Mapping[str, Sequence[int]], is_shown: Bools) -> rr.ComponentColumnList:
+    """Return lines along the limbs of joints (T, J, 3), in frames that are shown (T,)."""
+    points_along = points[is_shown][:, [joint for limb in limbs.values() for joint in limb]]
+    counts = np.tile([len(limb) for limb in limbs.values()], len(points_along))
+    return _strips(points_along.reshape(-1, 3), counts).partition(np.where(is_shown, len(limbs), 0))
 
 
 def strips(frames: Sequence[Sequence[Array]]) -> rr.ComponentColumnList:
-    """Columns of line strips: any number a frame, each of shape (points, 3)."""
-    every = [strip for strips in frames for strip in strips]
-    points = np.concatenate([np.zeros((0, 3)), *every])
-    return _strips(points, [len(strip) for strip in every]).partition([len(strips) for strips in frames])
+    """Return columns of line strips: any number a frame, each of shape (points, 3)."""
+    all_strips = [strip for strips in frames for strip in strips]
+    points = np.concatenate([np.zeros((0, 3)), *all_strips])
+    return _strips(points, [len(strip) for strip in all_strips]).partition([len(strips) for strips in frames])
 
 
 def lines(ends: Array, counts: Integers, **columns: Any) -> rr.ComponentColumnList:
-    """The same of straight lines between ends (N, 2, 2 or 3), so many in each frame (T,). columns: others, by line."""
+    """Return columns of straight lines between ends (N, 2, 2 or 3), `counts` in each frame (T,).
+
+    columns: others, by line.
+    """
     return _strips(ends.reshape(-1, ends.shape[-1]), np.full(len(ends), 2), **columns).partition(counts)
 
 
 def _strips(points: Array, counts: Sequence[int] | Integers, **columns: Any) -> Any:
-    """Strips of so many of the points (N, 2 or 3) each, as rerun has them in the end: its own way there makes an
-    object of every strip, which takes longer than the fit of a long clip."""
+    """Return strips of `counts` points each from points (N, 2 or 3), in rerun's final layout.
+
+    rerun's own conversion makes an object of every strip, which takes longer than the fit of a long clip.
+    """
     import pyarrow as pa  # rerun has it
 
-    of, batch = rr.LineStrips3D, rr.components.LineStrip3DBatch
+    archetype, batch = rr.LineStrips3D, rr.components.LineStrip3DBatch
     if points.shape[1] == 2:
-        of, batch = rr.LineStrips2D, rr.components.LineStrip2DBatch
+        archetype, batch = rr.LineStrips2D, rr.components.LineStrip2DBatch
     kind = batch([]).as_arrow_array().type
     values = pa.array(np.ascontiguousarray(points, dtype=np.float32).ravel())
     ends = pa.array(np.concatenate([[0], np.cumsum(counts)]), pa.int32())
-    every = pa.FixedSizeListArray.from_arrays(values, type=kind.value_type)
-    return of.columns(strips=pa.ListArray.from_arrays(ends, every, type=kind), **columns)
+    point_array = pa.FixedSizeListArray.from_arrays(values, type=kind.value_type)
+    return archetype.columns(strips=pa.ListArray.from_arrays(ends, point_array, type=kind), **columns)
 
 
 def unbroken(points: Array) -> list[Array]:
-    """The stretches of a line (N, 2 or 3) without NaN that have at least two points."""
-    known = frame_ranges(np.flatnonzero(np.isfinite(points[:, 0])))
-    return [points[first:stop] for first, stop in known if stop > first + 1]
+    """Return the stretches of a line (N, 2 or 3) without NaN that have at least two points."""
+    ranges = frame_ranges(np.flatnonzero(np.isfinite(points[:, 0])))
+    return [points[first:stop] for first, stop in ranges if stop > first + 1]
 
 
 def grid_lines(low_m: Array, high_m: Array, spacing_m: float) -> list[Array]:
-    """Lines (2, 2) at multiples of the spacing, from corner to corner (2,) of a rectangle."""
-    found = []
+    """Return lines (2, 2) at multiples of the spacing, from corner to corner (2,) of a rectangle."""
+    result = []
     for axis in (0, 1):
-        for at in np.arange(low_m[axis], high_m[axis] + spacing_m / 2, spacing_m):
+        for coordinate in np.arange(low_m[axis], high_m[axis] + spacing_m / 2, spacing_m):
             line = np.empty((2, 2))
-            line[:, axis] = at
+            line[:, axis] = coordinate
             line[:, 1 - axis] = low_m[1 - axis], high_m[1 - axis]
-            found.append(line)
-    return found
+            result.append(line)
+    return result
 
 
 # -- the animal in space --------------------------------------------------------------------------------------------
 
 
 def write_world(motion: Motion, scene: Scene, log: Log) -> None:
-    """Skeleton, path, ground and cameras."""
+    """Write skeleton, path, ground and cameras."""
     joints, solved = motion.joints_m, motion.solved
     if motion.frame_of_reference == "camera":
         log.fix("world", rr.ViewCoordinates.RDF)
@@ -283,27 +298,29 @@ def write_world(motion: Motion, scene: Scene, log: Log) -> None:
         _write_camera(entity, picture, scene, log)
     if len(motion.pictures) > 1:
         shape = len(motion.frames), 3
-        places_m = [np.broadcast_to(picture.T_reference_camera[..., :3, 3], shape) for picture in motion.pictures]
-        places_m, radius = np.stack(places_m, axis=1), rr.Radius.ui_points(2.0)
+        centres_m = [np.broadcast_to(picture.T_reference_camera[..., :3, 3], shape) for picture in motion.pictures]
+        centres_m, radius = np.stack(centres_m, axis=1), rr.Radius.ui_points(2.0)
         style = {"labels": [picture.name for picture in motion.pictures], "show_labels": True}
-        log.points("world/camera_names", places_m, np.isfinite(places_m[..., 0]), colors=CAMERA, radii=radius, **style)
+        log.points(
+            "world/camera_names", centres_m, np.isfinite(centres_m[..., 0]), colors=CAMERA, radii=radius, **style
+        )
 
 
 def _write_camera(entity: str, picture: Picture, scene: Scene, log: Log) -> None:
-    """Its frustum."""
+    """Write the frustum of a camera."""
     camera, pose = picture.camera, picture.T_reference_camera
     if pose.ndim == 3:
         log.send(entity, rr.Transform3D.columns(translation=pose[:, :3, 3], mat3x3=pose[:, :3, :3]))
     else:
         log.fix(entity, rr.Transform3D(translation=pose[:3, 3], mat3x3=pose[:3, :3]))
-    away_m = float(np.linalg.norm(scene.centre_m - np.nanmean(pose[..., :3, 3].reshape(-1, 3), axis=0)))
+    distance_m = float(np.linalg.norm(scene.centre_m - np.nanmean(pose[..., :3, 3].reshape(-1, 3), axis=0)))
     log.fix(
         entity,
         rr.Pinhole(
             image_from_camera=camera.matrix,
             resolution=camera.image_size_px,
             camera_xyz=rr.ViewCoordinates.RDF,
-            image_plane_distance=max(0.25, 0.15 * away_m),
+            image_plane_distance=max(0.25, 0.15 * distance_m),
             color=CAMERA,
             line_width=-1.0,  # negative: on the screen, not in metres
         ),
@@ -311,8 +328,10 @@ def _write_camera(entity: str, picture: Picture, scene: Scene, log: Log) -> None
 
 
 def _grid(motion: Motion, scene: Scene, segment: MotionSegment) -> list[Array]:
-    """Lines (2, 3) on the ground under a segment's path, at whole metres of the level axes. Where no foot stood, the
-    ground is level, and as low as the feet."""
+    """Return lines (2, 3) on the ground under a segment's path, at whole metres of the level axes.
+
+    If no foot stood, the ground is level, and as low as the feet.
+    """
     joints = motion.joints_m[segment.rows][motion.solved[segment.rows]] @ scene.axes.T
     up, below = scene.axes[2], motion.below_m(segment)
     point_m, normal = float(np.percentile(joints[:, motion.feet or slice(None), 2], 10)) * up, up
@@ -328,36 +347,35 @@ def _grid(motion: Motion, scene: Scene, segment: MotionSegment) -> list[Array]:
     return [*(flat + rise[..., None] * up)]
 
 
-def write_uncertainty(motion: Motion, log: Log, stands: Bools) -> None:
-    """How far the pose can be trusted: an ellipsoid around every joint, red in frames with a flag. And the feet that
-    stand, (T, F)."""
-    joints, flagged = motion.joints_m, np.array([bool(flags) for flags in motion.flags])
+def write_uncertainty(motion: Motion, log: Log, standing: Bools) -> None:
+    """Write an ellipsoid around every joint, red in frames with a flag, and the feet that stand, (T, F)."""
+    joints, has_flag = motion.joints_m, np.array([bool(flags) for flags in motion.flags])
     solved = motion.solved & np.isfinite(motion.relative_rms_m)  # the frame method has poses without uncertainty
     of_limb = np.array(limb_colours(motion))[joint_limbs(motion)]
     for first in range(0, len(joints), _FRAMES_AT_ONCE):
         rows = slice(first, first + _FRAMES_AT_ONCE)
-        shown = solved[rows]
-        variance, axes = np.linalg.eigh(motion.relative_covariance_m2(rows)[shown].reshape(-1, 3, 3))
+        is_shown = solved[rows]
+        variance, axes = np.linalg.eigh(motion.relative_covariance_m2(rows)[is_shown].reshape(-1, 3, 3))
         axes[np.linalg.det(axes) < 0, :, 0] *= -1
-        colours = np.where(flagged[rows][shown][:, None, None], OUTLIER, of_limb).reshape(-1, 3)
+        colours = np.where(has_flag[rows][is_shown][:, None, None], OUTLIER, of_limb).reshape(-1, 3)
         columns = rr.Ellipsoids3D.columns(
-            centers=joints[rows][shown].reshape(-1, 3),
+            centers=joints[rows][is_shown].reshape(-1, 3),
             half_sizes=np.sqrt(np.maximum(variance, 1e-8)),
             quaternions=Rotation.from_matrix(axes).as_quat(),
             colors=np.column_stack((colours, np.full(len(colours), 70))).astype(np.uint8),
         )
-        log.send("world/uncertainty", columns.partition(np.where(shown, joints.shape[1], 0)), rows)
+        log.send("world/uncertainty", columns.partition(np.where(is_shown, joints.shape[1], 0)), rows)
     style = {"fill_mode": FillMode.MajorWireframe, "line_radii": rr.Radius.ui_points(0.8), "show_labels": False}
     log.fix("world/uncertainty", rr.Ellipsoids3D.from_fields(**style))
 
-    log.points("world/stance", joints[:, motion.feet], stands, colors=DETECTION, radii=0.05)
+    log.points("world/stance", joints[:, motion.feet], standing, colors=DETECTION, radii=0.05)
 
 
 # -- the pictures -------------------------------------------------------------------------------------------------
 
 
 def write_pictures(motion: Motion, log: Log) -> None:
-    """The points twice: where they are in the picture, and around the middle of the animal, for a close look."""
+    """Write the points twice: at their positions in the picture, and around the middle of the animal."""
     wholes, closeups = by_camera(PICTURE, motion.pictures), by_camera(CLOSEUP, motion.pictures)
     for picture, whole, closeup in zip(motion.pictures, wholes, closeups, strict=True):
         size = np.array(picture.camera.image_size_px, dtype=float)
@@ -367,41 +385,41 @@ def write_pictures(motion: Motion, log: Log) -> None:
 
 
 def _write_points(root: str, origin_px: Array, motion: Motion, picture: Picture, log: Log) -> None:
-    """origin_px (T, 2): what is drawn at (0, 0)."""
+    """Write the points of a picture; origin_px (T, 2) is drawn at (0, 0)."""
     outliers = picture.outliers
     detected, reprojected = (xy - origin_px[:, None] for xy in (picture.detected_px, picture.reprojected_px))
-    for entity, colour, chosen in (("detections", DETECTION, ~outliers), ("outliers", OUTLIER, outliers)):
-        shown = chosen & np.isfinite(detected[..., 0])
-        log.points(f"{root}/{entity}", detected, shown, colors=colour, radii=rr.Radius.ui_points(2.0))
+    for entity, colour, selection in (("detections", DETECTION, ~outliers), ("outliers", OUTLIER, outliers)):
+        is_shown = selection & np.isfinite(detected[..., 0])
+        log.points(f"{root}/{entity}", detected, is_shown, colors=colour, radii=rr.Radius.ui_points(2.0))
 
-    along = [(c, *bone) for c, limb in enumerate(motion.limbs.values()) for bone in pairwise(limb)]
-    pairs = np.array(along, dtype=int).reshape(-1, 3)
+    bone_list = [(c, *bone) for c, limb in enumerate(motion.limbs.values()) for bone in pairwise(limb)]
+    pairs = np.array(bone_list, dtype=int).reshape(-1, 3)
     bones = reprojected[:, pairs[:, 1:]]
-    drawn = np.isfinite(bones[..., 0]).all(axis=2)
-    classes = np.broadcast_to(pairs[:, 0], drawn.shape)[drawn]
-    columns, style = lines(bones[drawn], drawn.sum(axis=1), class_ids=classes), {"show_labels": False}
-    log.draw(f"{root}/reprojections", rr.LineStrips2D, columns, radii=rr.Radius.ui_points(1.5), **style)
-    seen = np.isfinite(reprojected[..., 0])
-    classes = np.broadcast_to(joint_limbs(motion), seen.shape)[seen]
-    columns = rr.Points2D.columns(positions=reprojected[seen], class_ids=classes).partition(seen.sum(axis=1))
-    log.draw(f"{root}/reprojections/joints", rr.Points2D, columns, radii=rr.Radius.ui_points(3.5), **style)
+    is_drawn = np.isfinite(bones[..., 0]).all(axis=2)
+    classes = np.broadcast_to(pairs[:, 0], is_drawn.shape)[is_drawn]
+    columns, fixed_style = lines(bones[is_drawn], is_drawn.sum(axis=1), class_ids=classes), {"show_labels": False}
+    log.draw(f"{root}/reprojections", rr.LineStrips2D, columns, radii=rr.Radius.ui_points(1.5), **fixed_style)
+    is_seen = np.isfinite(reprojected[..., 0])
+    classes = np.broadcast_to(joint_limbs(motion), is_seen.shape)[is_seen]
+    columns = rr.Points2D.columns(positions=reprojected[is_seen], class_ids=classes).partition(is_seen.sum(axis=1))
+    log.draw(f"{root}/reprojections/joints", rr.Points2D, columns, radii=rr.Radius.ui_points(3.5), **fixed_style)
 
-    both = np.isfinite(picture.distance_px)
+    has_both = np.isfinite(picture.distance_px)
     ends = np.stack((detected, reprojected), axis=2)
-    colours = np.where(outliers[both][:, None], OUTLIER, LINK).astype(np.uint8)
-    columns = lines(ends[both], both.sum(axis=1), colors=colours)
+    colours = np.where(outliers[has_both][:, None], OUTLIER, LINK).astype(np.uint8)
+    columns = lines(ends[has_both], has_both.sum(axis=1), colors=colours)
     log.draw(f"{root}/links", rr.LineStrips2D, columns, radii=rr.Radius.ui_points(1.5))
 
 
 def middle_and_reach_px(picture: Picture) -> tuple[Array, Array]:
-    """(T, 2): middle of the reprojected skeleton, 0 without one; (2,): how far its joints lie from there in x and y."""
-    seen = np.isfinite(picture.reprojected_px[..., 0])
+    """Return the middle of the reprojected skeleton (T, 2), 0 without one, and its joints' reach (2,) from there."""
+    is_seen = np.isfinite(picture.reprojected_px[..., 0])
     middle = np.nan_to_num(mean_along(picture.reprojected_px, axis=1))
-    return middle, np.abs(picture.reprojected_px - middle[:, None])[seen].max(axis=0, initial=1.0)
+    return middle, np.abs(picture.reprojected_px - middle[:, None])[is_seen].max(axis=0, initial=1.0)
 
 
 def picture_bounds(picture: Picture) -> tuple[Array, Array]:
-    """Corners (2,), (2,) of the part of the picture that the animal passes through, with a margin."""
+    """Return the corners (2,), (2,) of the part of the picture that the animal passes through, with a margin."""
     size = np.array(picture.camera.image_size_px, dtype=float)
     explained = np.where(picture.outliers[..., None], np.nan, picture.detected_px)
     points = np.concatenate((explained.reshape(-1, 2), picture.reprojected_px.reshape(-1, 2)))
@@ -415,18 +433,19 @@ def picture_bounds(picture: Picture) -> tuple[Array, Array]:
 
 
 ASPECT = 2.4
-"""Width to height of what is shown of a video around the animal: of its place in the layout."""
+"""Width to height of the part of a video around the animal that is shown."""
 JPEG_QUALITY = 85
 
 
 def write_video(motion: Motion, log: Log, video: Path, first_frame: int = 0, number: int = 0) -> None:
-    """The frames of a video that go with a motion: `picture/video`, or `picture/<name>/video` of one of several
-    cameras, and `closeup/video`, what lies around the animal. first_frame: the number that the video's first frame has
-    in it; number: of the camera whose video it is, of the same size. Raises InputError where the video lacks frames.
+    """Write the frames of a video: `picture/video`, and `closeup/video`, the part around the animal.
 
-    A JPEG for each frame of the playback is what every viewer shows; of the codecs of videos it decodes only AV1 by
-    itself, and the others jump from key frame to key frame where there is no ffmpeg. rerun has the corner of the top
-    left pixel at (0, 0), where the points have its centre: the whole picture lies half a pixel to the right and below.
+    Several cameras have `picture/<name>/video`. first_frame: number that the video's first frame has in the clip;
+    number: of the camera whose video it is, of the same size. Raises InputError if the video lacks frames.
+
+    Every viewer shows a JPEG for each frame; of the codecs of videos it decodes only AV1 by itself, and the others jump
+    from key frame to key frame without ffmpeg. In rerun the corner of the top left pixel is at (0, 0), in keypoints its
+    centre: the whole picture lies half a pixel to the right and below.
     """
     import cv2  # which takes long, and most playbacks are without a video
 
@@ -437,19 +456,21 @@ def write_video(motion: Motion, log: Log, video: Path, first_frame: int = 0, num
         return rr.EncodedImage.columns(blob=[content], media_type=["image/jpeg"])
 
     middles, reach = middle_and_reach_px(motion.pictures[number])
-    posed = np.asarray(np.isfinite(motion.pictures[number].reprojected_px).any(axis=(1, 2)))
-    wide, high = 2 * CLOSE * reach
-    size_px = np.ceil([max(wide, ASPECT * high), max(high, wide / ASPECT)]).astype(int)
-    whole, close = (f"{by_camera(root, motion.pictures)[number]}/video" for root in (PICTURE, CLOSEUP))
-    log.fix(close, rr.Transform3D(translation=[*(-size_px / 2), 0.0]))
+    has_pose = np.asarray(np.isfinite(motion.pictures[number].reprojected_px).any(axis=(1, 2)))
+    width_px, height_px = 2 * CLOSE * reach
+    size_px = np.ceil([max(width_px, ASPECT * height_px), max(height_px, width_px / ASPECT)]).astype(int)
+    whole_entity, close_entity = (f"{by_camera(root, motion.pictures)[number]}/video" for root in (PICTURE, CLOSEUP))
+    log.fix(close_entity, rr.Transform3D(translation=[*(-size_px / 2), 0.0]))
     for _, t, _, image in clip_frames(motion.frames, video, first_frame):
         if t is None:
             continue
-        log.send(whole, jpeg(image), [t])
-        if posed[t]:  # the animal's middle in the middle
-            off = (size_px - 1) / 2 - middles[t]
-            move = np.hstack([np.eye(2), off[:, None]])
-            log.send(close, jpeg(cv2.warpAffine(image, move, size_px.tolist(), borderValue=BACKGROUND[::-1])), [t])
+        log.send(whole_entity, jpeg(image), [t])
+        if has_pose[t]:  # the animal's middle in the middle
+            offset_px = (size_px - 1) / 2 - middles[t]
+            shift = np.hstack([np.eye(2), offset_px[:, None]])
+            log.send(
+                close_entity, jpeg(cv2.warpAffine(image, shift, size_px.tolist(), borderValue=BACKGROUND[::-1])), [t]
+            )
 
 
 # -- recordings --------------------------------------------------------------------------------------------------------
@@ -459,7 +480,7 @@ _AT_ONCE = 1 << 20
 
 @contextmanager
 def recording(path: Path, layout: rrb.Blueprint) -> Iterator[rr.RecordingStream]:
-    """A recording to log to, which is written to `path`; there is none when the block raises.
+    """Yield a recording to log to, which is written to `path`; no file is left if the block raises.
 
     Raises OSError that names the path.
     """
@@ -493,8 +514,10 @@ def recording(path: Path, layout: rrb.Blueprint) -> Iterator[rr.RecordingStream]
 
 
 def _copy(source: int, path: Path) -> None:
-    """All of a pipe into a file. Where that cannot be written, the pipe is read to its end all the same: whoever fills
-    it would wait for ever."""
+    """Copy a pipe into a file.
+
+    If the file cannot be written, the pipe is still read to its end: its writer would wait for ever.
+    """
     with open(source, "rb") as pipe:
         try:
             with path.open("wb") as file:
