@@ -1,4 +1,4 @@
-"""Cameras found from pictures of a board, from a video, or planned."""
+"""Find cameras from pictures of a board or from a video, and plan where to put them."""
 
 from typing import TYPE_CHECKING
 

@@ -1,26 +1,25 @@
-"""Calibration boards: what they look like, where their corners are in a picture, and views of them from pictures or
-from a video, of which the sharp and different frames are enough.
+"""Detect calibration boards and calibrate a camera from views of them.
 
-A board's frame lies in its surface: x to the right, y down, z away from the viewer, metres; a board that is seen
-squarely is parallel to the camera frame. Corners are where four squares meet.
+Views come from pictures or from a video, of which the sharp and different frames are used. A board's frame lies in its
+surface: x to the right, y down, z away from the viewer, metres; a board that is seen squarely is parallel to the camera
+frame. Corners are the points in which four squares meet.
 
-From views of a board to a camera: OpenCV's solvers, what they leave over, and how certain the result is.
+From views to a camera: OpenCV's solvers, their residuals, and the uncertainty of the result. Model of a corner: the
+board's point through the view's pose (6 unknowns for each view), the lens and the matrix. OpenCV finds the least
+squares. The residuals are those of `Camera.project`, the model that the rest of the package uses, so that a difference
+between the two would show as an error.
 
-Model of a corner: the board's point through the view's pose (6 unknowns for each view), the lens and the matrix. OpenCV
-finds the least squares. The residuals are those of `Camera.project`, the model that the rest of the
-package uses, so that a difference between the two would show as an error.
+A picture whose error (root mean square over its corners) is more than `DROP_FACTOR` times that of the median picture is
+left out, and the rest solved again, up to `ROUNDS` times. Errors of good pictures lie within a factor of two of the
+median, whatever the lens. A picture beyond three has moved, bent or wrongly read corners. Since least squares are not
+robust, one such picture moves the focal length by more than all others determine it. Errors below `DROP_FLOOR_PX` are
+those of a good detector and are never left out. Pictures that are left out are listed with the error that caused it.
 
-A picture whose error (root mean square over its corners) is more than `DROP_FACTOR` times that of the median picture
-is left out, and the rest solved again, up to `ROUNDS` times. Errors of good pictures lie within a factor of two of the
-median, whatever the lens; a picture beyond three has moved, bent or wrongly read corners, and since least squares are
-not robust, one of those moves the focal length by more than all others determine it. Errors below `DROP_FLOOR_PX` are
-those of a good detector and never dropped. Dropped pictures are listed with the error for which they were.
-
-**Whether it is good enough to use.** Each limit has two steps: beyond the first it is a warning, beyond the second a
-reason to refuse. What matters for a reconstruction is the scale of the picture (the focal length: 1 % is 1 % of every
-distance from the camera, and little beside the 3 to 10 % to which an animal's size is known), the direction of the axis
-(the principal point: 1 % of the width is about 0.6 degrees), and a lens model that holds where the animal is, which is
-anywhere in the picture.
+**Is the result good enough?** Each limit has two steps: beyond the first it is a warning, beyond the second a reason to
+refuse. Three quantities matter for a reconstruction. The first is the scale of the picture (the focal length: 1 % is 1
+% of every distance from the camera, little compared with the 3 to 10 % to which an animal's size is known). The second
+is the direction of the axis (the principal point: 1 % of the width is about 0.6 degrees). The third is a lens model
+that holds all over the picture, since the animal may be anywhere in it.
 """
 
 from __future__ import annotations
@@ -47,7 +46,8 @@ from recon.io.video import probe, read_frames, read_picture
 Gray = npt.NDArray[np.uint8]
 UNITS_M = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
 MIN_CORNERS = 8
-"""A pose has six unknowns and needs four corners; twice that leaves residuals which can show that it is wrong."""
+"""Least number of corners: a pose has six unknowns and needs four corners; twice that leaves residuals that can
+reveal a wrong pose."""
 
 CHESSBOARD_FORM = "chessboard:9x6:25mm (inner corners, one fewer than squares each way; side of a square)"
 _SIZE = r"(\d+)x(\d+):(\d+(?:\.\d*)?|\.\d+)(mm|cm|m)"
@@ -56,15 +56,16 @@ _CHARUCO = re.compile(rf"charuco:{_SIZE}:(\d+(?:\.\d*)?|\.\d+)(mm|cm|m):(\w+)(:l
 CHARUCO_FORM = "charuco:5x7:40mm:30mm:DICT_4X4_50 (squares; side of a square; side of a marker; dictionary)"
 IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp")
 MAX_VIEWS = 40
-"""How many pictures of a video are taken. Standard deviations fall with the square root of the number: more add time
+"""Largest number of pictures of a video. Standard deviations fall with the square root of the number: more add time
 and little else."""
 MAX_EXAMINED = 600
-"""Frames of a video in which the board is looked for."""
+"""Largest number of frames of a video in which the board is searched."""
 EXAMINED_HZ = 5.0
 SHARPNESS_KEPT = 0.7
-"""A frame that is less sharp than this share of the sharp ones (their 75th percentile) is left out."""
+"""Least sharpness of a frame, relative to the sharp ones (their 75th percentile)."""
 MIN_DIFFERENCE = 0.02
-"""Two frames between which the board's outline moved by less, relative to the picture's diagonal, are the same view."""
+"""Least movement of the board's outline between two views, relative to the picture's diagonal; below it they are the
+same view."""
 
 
 Corners = tuple[Index, Array]
@@ -73,10 +74,10 @@ Corners = tuple[Index, Array]
 
 @dataclass(frozen=True)
 class Board:
-    """A board of squares, or a ChArUco board, which has markers in the light ones."""
+    """A board of squares, or a ChArUco board, which has markers in the light squares."""
 
     columns: int
-    """The number of inner corners across; of squares, where there are markers."""
+    """Number of inner corners across; of squares, if there are markers."""
     rows: int
     square_m: float
     """The side of a square in metres."""
@@ -96,7 +97,7 @@ class Board:
 
     @cached_property
     def charuco(self) -> cv2.aruco.CharucoBoard:
-        """OpenCV's board, of one with markers."""
+        """Return OpenCV's board, for one with markers."""
         assert self.marker_m is not None
         size = (self.columns, self.rows)
         board = cv2.aruco.CharucoBoard(size, self.square_m, self.marker_m, _dictionary(self.dictionary))
@@ -105,25 +106,28 @@ class Board:
 
     @cached_property
     def points_m(self) -> Array:
-        """Corners (K, 3), board frame, metres: row by row, as OpenCV numbers them."""
+        """Return the corners (K, 3) in the board frame, metres, row by row, as OpenCV numbers them."""
         first = 0 if self.marker_m is None else 1
         y, x = np.mgrid[first : self.rows, first : self.columns]
         return self.square_m * np.stack((x.ravel(), y.ravel(), np.zeros(x.size)), axis=1)
 
     @cached_property
     def outline_m(self) -> Array:
-        """Corners (4, 3) of the outermost squares."""
+        """Return the corners (4, 3) of the outermost squares."""
         x0 = y0 = -1 if self.marker_m is None else 0
         x1, y1 = self.columns, self.rows
         return self.square_m * np.array([(x0, y0, 0.0), (x1, y0, 0), (x1, y1, 0), (x0, y1, 0)])
 
     def detect(self, image: Gray) -> Corners | None:
-        """The corners in a picture (height, width), or None: a chessboard is found whole or not at all, of a ChArUco
-        board the corners between markers that were read, where they are enough."""
+        """Return the corners in a picture (height, width), or None.
+
+        A chessboard is found whole or not at all; a ChArUco board has the corners between markers that were read, if
+        they are enough.
+        """
         if self.marker_m is None:
             size = (self.columns, self.rows)
-            found, xy = cv2.findChessboardCornersSB(image, size, flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
-            if not found:
+            is_found, xy = cv2.findChessboardCornersSB(image, size, flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
+            if not is_found:
                 return None
             xy = np.asarray(xy, dtype=float).reshape(-1, 2)
             if xy[0].sum() > xy[-1].sum():
@@ -139,14 +143,14 @@ class Board:
 
 
 def parse_board(text: str) -> Board:
-    """A board from its description, as in `CHESSBOARD_FORM` and `CHARUCO_FORM`; `:legacy` may follow the second.
+    """Return the board of a description such as `CHESSBOARD_FORM` or `CHARUCO_FORM`; `:legacy` may follow the second.
 
     Raises InputError.
     """
-    form = _CHESSBOARD.fullmatch(text.strip()) or _CHARUCO.fullmatch(text.strip())
-    if form is None:
+    match = _CHESSBOARD.fullmatch(text.strip()) or _CHARUCO.fullmatch(text.strip())
+    if match is None:
         raise InputError(Problem("--board", "board", repr(text), f"{CHESSBOARD_FORM}, or {CHARUCO_FORM}"))
-    columns, rows, square, unit, *markers = form.groups()
+    columns, rows, square, unit, *markers = match.groups()
     board = Board(int(columns), int(rows), float(square) * UNITS_M[unit])
     problems = []
     if min(board.columns, board.rows) < 3 or not board.square_m > 0:
@@ -158,12 +162,14 @@ def parse_board(text: str) -> Board:
         if not 0 < marker_m < board.square_m:
             expected = f"less than {square}{unit} of a square"
             problems.append(Problem("--board", "side of a marker", size + unit, expected))
-        known = sorted(name for name in dir(cv2.aruco) if name.startswith("DICT_") and name == name.upper())
+        dictionaries = sorted(name for name in dir(cv2.aruco) if name.startswith("DICT_") and name == name.upper())
         needed = board.columns * board.rows // 2
-        if board.dictionary not in known:
-            problems.append(Problem("--board", "dictionary", repr(dictionary), f"one of {', '.join(known)}"))
-        elif (held := len(_dictionary(board.dictionary).bytesList)) < needed:
-            problems.append(Problem("--board", "dictionary", f"{held} markers in {dictionary}", f"{needed} or more"))
+        if board.dictionary not in dictionaries:
+            problems.append(Problem("--board", "dictionary", repr(dictionary), f"one of {', '.join(dictionaries)}"))
+        elif (marker_count := len(_dictionary(board.dictionary).bytesList)) < needed:
+            problems.append(
+                Problem("--board", "dictionary", f"{marker_count} markers in {dictionary}", f"{needed} or more")
+            )
     raise_problems(problems)
     return board
 
@@ -173,10 +179,10 @@ def _dictionary(name: str) -> cv2.aruco.Dictionary:
 
 
 def _refined_corners(image: Gray, xy_px: Array, reach: float) -> Array:
-    """Corners (N, 2) moved to where the gradients around them say, within `reach` of the distance to the next corner.
+    """Return corners (N, 2) moved to the edges' intersection, within `reach` of the distance to the next corner.
 
-    That halves the error of what the detectors give. The window must see neither the board's edge nor a neighbour:
-    real chessboards have the smallest errors with 0.3, and from 0.4 outer corners drift. One that would move by more
+    That halves the error of the detectors' corners. The window must see neither the board's edge nor a neighbour: real
+    chessboards have the smallest errors with 0.3, and from 0.4 outer corners drift. A corner that would move by more
     than the window stays.
     """
     distance = np.linalg.norm(xy_px[:, None] - xy_px, axis=2) + np.diag(np.full(len(xy_px), np.inf))
@@ -184,8 +190,8 @@ def _refined_corners(image: Gray, xy_px: Array, reach: float) -> Array:
     half = int(np.clip(round(reach * np.percentile(distance.min(axis=1), 20)), 2, 15))
     criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_MAX_ITER, 100, 1e-4)
     start = xy_px.astype(np.float32).reshape(-1, 1, 2)
-    moved = np.asarray(cv2.cornerSubPix(image, start, (half, half), (-1, -1), criteria), dtype=float).reshape(-1, 2)
-    return np.where(np.linalg.norm(moved - xy_px, axis=1, keepdims=True) <= half, moved, xy_px)
+    moved_px = np.asarray(cv2.cornerSubPix(image, start, (half, half), (-1, -1), criteria), dtype=float).reshape(-1, 2)
+    return np.where(np.linalg.norm(moved_px - xy_px, axis=1, keepdims=True) <= half, moved_px, xy_px)
 
 
 # -- views ------------------------------------------------------------------------------------------------------------
@@ -193,48 +199,51 @@ def _refined_corners(image: Gray, xy_px: Array, reach: float) -> Array:
 
 @dataclass(frozen=True)
 class BoardView:
-    """One picture in which the board was found. name: the file's, or the frame's number."""
+    """One picture in which the board was found.
+
+    name: the file's, or the frame's number.
+    """
 
     name: str
     ids: Index
-    """(N,), rows of the board's `points_m`."""
+    """Rows of the board's `points_m`, shape (N,)."""
     xy_px: Array
     """The corners in pixels, shape (N, 2)."""
 
 
 @dataclass(frozen=True)
 class BoardViews:
-    """The pictures of a board in some files."""
+    """Pictures of a board in some files."""
 
     board: Board
     image_size_px: tuple[int, int]
     views: tuple[BoardView, ...]
-    """The views of the board that the calibration is made from."""
+    """Views of the board from which the calibration is made."""
     without_board: tuple[str, ...]
-    """Names of the pictures in which it was not found."""
+    """Names of the pictures without the board."""
     found: int
-    """In how many pictures the board was."""
+    """Number of pictures with the board."""
 
     @property
     def examined(self) -> int:
-        """How many pictures were looked at."""
+        """Return the number of pictures that were examined."""
         return self.found + len(self.without_board)
 
 
 def collect(paths: Iterable[Path]) -> list[Path]:
-    """Pictures, those in folders included; or one video, alone.
+    """Return pictures, including those in folders, or one video alone.
 
-    Raises InputError for every path with nothing behind it, every folder without pictures, and a video among others.
+    Raises InputError for every path that does not exist, every folder without pictures, and a video among others.
     """
     files: list[Path] = []
     problems = []
     for path in paths:
         if path.is_dir():
-            inside = sorted(file for file in path.iterdir() if file.suffix.lower() in IMAGE_SUFFIXES)
-            if not inside:
+            pictures = sorted(file for file in path.iterdir() if file.suffix.lower() in IMAGE_SUFFIXES)
+            if not pictures:
                 expected = f"pictures ({', '.join(IMAGE_SUFFIXES)})"
                 problems.append(Problem(path, "folder", "no pictures", expected))
-            files += inside
+            files += pictures
         elif not path.exists():
             problems.append(Problem(path, "file", "nothing there", "a picture, a folder of pictures or a video"))
         else:
@@ -248,13 +257,13 @@ def collect(paths: Iterable[Path]) -> list[Path]:
 
 
 def find_views(files: Sequence[Path], board: Board, progress: Progress = silent) -> BoardViews:
-    """Find a board in pictures or in one video, as `collect` gives them.
+    """Find a board in pictures or in one video, as `collect` returns them.
 
-    Raises InputError, with every problem at once, for files that cannot be read, pictures that differ in size, and
-    where the board is in none of them.
+    Raises InputError, with every problem at once, for files that cannot be read, pictures that differ in size, and if
+    no picture shows the board.
     """
     is_video, sizes = _is_video(files[0]), dict[str, tuple[int, int]]()
-    problems, without, found = list[Problem](), list[str](), list[BoardView]()
+    problems, names_without, views_found = list[Problem](), list[str](), list[BoardView]()
     sharpness, outlines = list[float](), list[Array]()
     for name, share, image in _frames(files[0]) if is_video else _images(files):
         progress("looking for the board", share)
@@ -266,24 +275,24 @@ def find_views(files: Sequence[Path], board: Board, progress: Progress = silent)
             continue  # it is an error already; what remains is to name all of it
         corners = board.detect(image)
         if corners is None:
-            without.append(name)
+            names_without.append(name)
             continue
-        found.append(BoardView(name, *corners))
+        views_found.append(BoardView(name, *corners))
         if is_video:
             sharpness.append(corner_sharpness(image, corners[1]))
             outlines.append(_outline(board, *corners) / math.hypot(*sizes[name]))
     if len(set(sizes.values())) > 1:
         problems.append(_mixed_sizes(sizes))
     raise_problems(problems)
-    if not found:
+    if not views_found:
         expected = f"a {board}: is that the board? It may have the layout of OpenCV before 4.6: try :legacy"
         if board.marker_m is None:
             expected = f"a {board}, whole and with a white margin: is that the board? --board counts inner corners, "
             expected += "one fewer than squares each way"
-        looked = f"none in {len(without)} {'frames' if is_video else 'pictures'}"
-        raise InputError(Problem(files[0] if len(files) == 1 else "pictures", "board", looked, expected))
-    views = [found[i] for i in choose(np.array(sharpness), np.array(outlines))] if is_video else found
-    return BoardViews(board, next(iter(sizes.values())), tuple(views), tuple(without), len(found))
+        examined_text = f"none in {len(names_without)} {'frames' if is_video else 'pictures'}"
+        raise InputError(Problem(files[0] if len(files) == 1 else "pictures", "board", examined_text, expected))
+    views = [views_found[i] for i in choose(np.array(sharpness), np.array(outlines))] if is_video else views_found
+    return BoardViews(board, next(iter(sizes.values())), tuple(views), tuple(names_without), len(views_found))
 
 
 def _is_video(path: Path) -> bool:
@@ -291,8 +300,10 @@ def _is_video(path: Path) -> bool:
 
 
 def _images(files: Sequence[Path]) -> Iterator[tuple[str, float, Gray | None]]:
-    """The name of each picture, how much of all came before it, and the picture turned upright as its camera says, None
-    where it cannot be read."""
+    """Yield the name of each picture, the share of all before it, and the picture, upright as its camera says.
+
+    None instead of a picture that cannot be read.
+    """
     unique = len({file.name for file in files}) == len(files)
     for done, file in enumerate(files):
         image = read_picture(file, cv2.IMREAD_GRAYSCALE)
@@ -301,7 +312,7 @@ def _images(files: Sequence[Path]) -> Iterator[tuple[str, float, Gray | None]]:
 
 
 def _frames(path: Path) -> Iterator[tuple[str, float, Gray]]:
-    """The same of some frames of a video."""
+    """Yield some frames of a video, as `_images` does pictures."""
     info = probe(path)
     count = info.stated_frames or sum(1 for _ in read_frames(path, step=2**31))
     step = max(1, math.ceil(max((info.fps or 30.0) / EXAMINED_HZ, count / MAX_EXAMINED)))
@@ -311,38 +322,41 @@ def _frames(path: Path) -> Iterator[tuple[str, float, Gray]]:
 
 
 def _mixed_sizes(sizes: dict[str, tuple[int, int]]) -> Problem:
-    named = {size: [name for name, other in sizes.items() if other == size] for size in sizes.values()}
-    found = "; ".join(f"{width}x{height} ({', '.join(names[:3])})" for (width, height), names in named.items())
+    names_of_size = {size: [name for name, own_size in sizes.items() if own_size == size] for size in sizes.values()}
+    found_sizes = "; ".join(
+        f"{width}x{height} ({', '.join(names[:3])})" for (width, height), names in names_of_size.items()
+    )
     expected = "one size, that of the clips, and all upright or all lying: a calibration holds for one resolution"
-    return Problem("pictures", "size", found, expected)
+    return Problem("pictures", "size", found_sizes, expected)
 
 
 def choose(sharpness: Array, outlines: Array, most: int = MAX_VIEWS) -> list[int]:
-    """Frames that are sharp and as different as can be, in order.
+    """Return frames that are sharp and as different as possible, in order.
 
     sharpness: (N,). outlines: (N, 4, 2), the board's corners relative to the picture's diagonal. The first is the
-    sharpest; every next one is, of the sharp ones, the one that is farthest from all that were chosen (root mean square
-    over the outline), until `most` are chosen or the farthest is a repetition.
+    sharpest; every next one is, among the sharp ones, the farthest from all chosen (root mean square over the outline),
+    until `most` are chosen or the farthest is a repetition.
     """
-    sharp = np.flatnonzero(sharpness >= SHARPNESS_KEPT * np.percentile(sharpness, 75))
+    sharp_rows = np.flatnonzero(sharpness >= SHARPNESS_KEPT * np.percentile(sharpness, 75))
     first = int(np.argmax(sharpness))
     chosen = [first]
-    distance = np.full(len(sharp), np.inf)
+    distance = np.full(len(sharp_rows), np.inf)
     while len(chosen) < most:
-        step = outlines[sharp] - outlines[chosen[-1]]
-        distance = np.minimum(distance, np.sqrt((step**2).sum(axis=2).mean(axis=1)))
+        change = outlines[sharp_rows] - outlines[chosen[-1]]
+        distance = np.minimum(distance, np.sqrt((change**2).sum(axis=2).mean(axis=1)))
         farthest = int(np.argmax(distance))
         if distance[farthest] < MIN_DIFFERENCE:
             break
-        chosen.append(int(sharp[farthest]))
+        chosen.append(int(sharp_rows[farthest]))
     return sorted(chosen)
 
 
 def corner_sharpness(image: Gray, xy_px: Array) -> float:
-    """How sharp a board is in a picture (height, width), from its corners (N, 2): about 1 / the width of an edge (px).
+    """Return the sharpness of a board in a picture (height, width): about 1 / the width of an edge (px).
 
-    Around each corner, the root of the smaller eigenvalue of the mean outer product of the gradients, relative to the
-    contrast: motion in one direction blurs the edges across it, and leaves the larger eigenvalue as it is.
+    Around each of its corners (N, 2), the root of the smaller eigenvalue of the mean outer product of the gradients,
+    relative to the contrast: motion in one direction blurs the edges across it, and leaves the larger eigenvalue
+    unchanged.
     """
     half = 5
     scores = []
@@ -358,7 +372,7 @@ def corner_sharpness(image: Gray, xy_px: Array) -> float:
 
 
 def _outline(board: Board, ids: Index, xy_px: Array) -> Array:
-    """The board's outermost corners (4, 2) in the picture, extrapolated as if there was no distortion."""
+    """Return the board's outermost corners (4, 2) in the picture, extrapolated without distortion."""
     points = board.points_m[ids, :2]
     homography, _ = cv2.findHomography(points, xy_px)
     if homography is None:  # all corners on one line
@@ -373,62 +387,66 @@ DROP_FLOOR_PX = 0.3
 ROUNDS = 3
 COVERAGE_COLUMNS = 320
 MIN_VIEWS = 3
-"""Each view of a plane gives two equations for the four numbers of the matrix; one more than needed."""
+"""Least number of views. Each view of a plane gives two equations for the four numbers of the matrix; this is one
+more than needed."""
 FISHEYE_STARTS_DEG = (60.0, 100.0, 140.0, 180.0)
 _CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-10)
 
 
 @dataclass(frozen=True)
 class _FittedBoardView(BoardView):
-    """One picture, of N corners."""
+    """One picture, with N corners."""
 
     rotation: Array
-    """(3, 3): X_camera = rotation X_board + translation_m."""
+    """Rotation (3, 3): X_camera = rotation X_board + translation_m."""
     translation_m: Array
-    """(3,)"""
+    """Translation, shape (3,)."""
     residual_px: Array
-    """(N, 2), projected less found."""
+    """Projected minus detected corners, shape (N, 2)."""
     used: bool
-    """Whether it counted, or was left out as an outlier."""
+    """False for an outlier that was left out."""
 
     @cached_property
     def rms_px(self) -> float:
+        """Return the root mean square error of the corners."""
         return math.sqrt((self.residual_px**2).sum(axis=1).mean())
 
     @cached_property
     def max_px(self) -> float:
+        """Return the largest error of a corner."""
         return float(np.linalg.norm(self.residual_px, axis=1).max())
 
     @property
     def tilt_rad(self) -> float:
-        """Angle between the board and the picture's plane."""
+        """Return the angle between the board and the picture's plane."""
         return math.acos(min(1.0, abs(float(self.rotation[2, 2]))))
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """A camera and what it was found from."""
+    """A camera and the views that it comes from."""
 
     camera: Camera
     board: Board
     views: tuple[_FittedBoardView, ...]
     sigma: tuple[float, ...]
-    """One standard deviation of each parameter (see `parameters`), from the residuals and the views' geometry; what
-    the lens model cannot express is not in it."""
+    """One standard deviation of each parameter (see `parameters`), from the residuals and the views' geometry,
+    without errors of the lens model."""
 
     @cached_property
     def used(self) -> tuple[_FittedBoardView, ...]:
+        """Return the views that were used."""
         return tuple(view for view in self.views if view.used)
 
     @cached_property
     def rms_px(self) -> float:
-        """Root mean square distance of projected and found corners, over the pictures that were used."""
+        """Return the root mean square distance of projected and detected corners over the used pictures."""
         residual = np.concatenate([view.residual_px for view in self.used])
         return math.sqrt((residual**2).sum(axis=1).mean())
 
     @property
     def parameters(self) -> dict[str, float]:
-        """fx, fy, cx, cy (px) and the lens's coefficients, by name."""
+        """Return fx, fy, cx, cy (px) and the lens's coefficients by name."""
         matrix = self.camera.matrix
         values = (matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], *self.camera.distortion)
         names = ("fx", "fy", "cx", "cy", *self.camera.lens.coefficients)
@@ -436,24 +454,27 @@ class Calibration:
 
 
 def calibrate(views: BoardViews, model: str, name: str = "cam1") -> Calibration:
-    """The camera that explains the views best. Raises InputError where they are too few or determine nothing."""
+    """Return the camera that explains the views best.
+
+    Raises InputError if they are too few or determine nothing.
+    """
     if len(views.views) < MIN_VIEWS:
-        found = f"the board in {len(views.views)} of {views.examined} pictures"
-        raise InputError(Problem("pictures", "views", found, f"{MIN_VIEWS} or more; 12 to 40 are good"))
+        found_views = f"the board in {len(views.views)} of {views.examined} pictures"
+        raise InputError(Problem("pictures", "views", found_views, f"{MIN_VIEWS} or more; 12 to 40 are good"))
     left_out = dict[str, _FittedBoardView]()
     camera, fitted = _solve(views, model, name)
     for _ in range(ROUNDS):
         errors = np.array([view.rms_px for view in fitted])
-        good = errors <= max(DROP_FACTOR * float(np.median(errors)), DROP_FLOOR_PX)
-        if good.all() or good.sum() < MIN_VIEWS:
+        is_good = errors <= max(DROP_FACTOR * float(np.median(errors)), DROP_FLOOR_PX)
+        if is_good.all() or is_good.sum() < MIN_VIEWS:
             break
-        bad = [view for view, is_good in zip(fitted, good, strict=True) if not is_good]
-        left_out |= {view.name: replace(view, used=False) for view in bad}
+        outliers = [view for view, keep in zip(fitted, is_good, strict=True) if not keep]
+        left_out |= {view.name: replace(view, used=False) for view in outliers}
         used = tuple(view for view in fitted if view.name not in left_out)
         camera, fitted = _solve(replace(views, views=used), model, name)
-    every = left_out | {view.name: view for view in fitted}
+    all_views = left_out | {view.name: view for view in fitted}
     sigma = _sigma(fitted, views.board.points_m, camera)
-    return Calibration(camera, views.board, tuple(every[view.name] for view in views.views), tuple(sigma.tolist()))
+    return Calibration(camera, views.board, tuple(all_views[view.name] for view in views.views), tuple(sigma.tolist()))
 
 
 def _solve(views: BoardViews, model: str, name: str) -> tuple[Camera, list[_FittedBoardView]]:
@@ -466,8 +487,8 @@ def _solve(views: BoardViews, model: str, name: str) -> tuple[Camera, list[_Fitt
         expected = "boards tilted in different ways, over the whole picture"
         raise InputError(Problem("pictures", f"{model} model", "no solution", expected)) from error
     fitted = []
-    for view, turn, place in zip(views.views, rotations, translations, strict=True):
-        rotation, translation = np.asarray(cv2.Rodrigues(turn)[0], dtype=float), np.ravel(place)
+    for view, rotation_vector, translation_vector in zip(views.views, rotations, translations, strict=True):
+        rotation, translation = np.asarray(cv2.Rodrigues(rotation_vector)[0], dtype=float), np.ravel(translation_vector)
         projected, valid = camera.project(points[view.ids] @ rotation.T + translation)
         # Where the lens model folds there is no projection: as wrong as can be, and finite.
         residual = np.where(valid[:, None], projected - view.xy_px, math.hypot(*size))
@@ -476,7 +497,7 @@ def _solve(views: BoardViews, model: str, name: str) -> tuple[Camera, list[_Fitt
 
 
 def _solve_standard(views: Sequence[BoardView], points: Array, size: tuple[int, int], coefficients: int) -> Any:
-    """With OpenCV's first five coefficients, or with none."""
+    """Solve with OpenCV's first five coefficients, or with none."""
     fixed = cv2.CALIB_ZERO_TANGENT_DIST | cv2.CALIB_FIX_K1 | cv2.CALIB_FIX_K2 | cv2.CALIB_FIX_K3
     objects = [points[view.ids].astype(np.float32) for view in views]
     images = [view.xy_px.astype(np.float32).reshape(-1, 1, 2) for view in views]
@@ -487,30 +508,32 @@ def _solve_standard(views: Sequence[BoardView], points: Array, size: tuple[int, 
 
 
 def _solve_fisheye(views: Sequence[BoardView], points: Array, size: tuple[int, int], coefficients: int) -> Any:
-    """Started from several fields of view, because OpenCV keeps to the one it is given."""
+    """Solve from several fields of view, because OpenCV stays near the one it starts from."""
     objects = [points[view.ids].reshape(1, -1, 3) for view in views]
     images = [view.xy_px.reshape(1, -1, 2) for view in views]
     names = ("CALIB_USE_INTRINSIC_GUESS", "CALIB_RECOMPUTE_EXTRINSIC", "CALIB_FIX_SKEW")
     # OpenCV 4 has flags of its own for fisheyes, of other values; OpenCV 5 has one set for all lenses.
     flags = sum(getattr(cv2.fisheye if hasattr(cv2.fisheye, "CALIB_FIX_SKEW") else cv2, name) for name in names)
-    found: list[Any] = []
+    solutions: list[Any] = []
     for field_deg in FISHEYE_STARTS_DEG:
         focal = size[0] / math.radians(field_deg)
         guess = np.array([[focal, 0, (size[0] - 1) / 2], [0, focal, (size[1] - 1) / 2], [0, 0, 1]])
-        given = (objects, images, size, guess, np.zeros(coefficients))
+        inputs = (objects, images, size, guess, np.zeros(coefficients))
         with suppress(cv2.error):  # there is nothing to be found from some starts
-            found.append(cv2.fisheye.calibrate(*given, flags=flags, criteria=_CRITERIA))
-    finite = [one for one in found if math.isfinite(one[0])]
-    if not finite:
+            solutions.append(cv2.fisheye.calibrate(*inputs, flags=flags, criteria=_CRITERIA))
+    finite_solutions = [solution for solution in solutions if math.isfinite(solution[0])]
+    if not finite_solutions:
         raise ValueError("no finite solution")
-    _, matrix, distortion, rotations, translations = min(finite, key=lambda one: one[0])
+    _, matrix, distortion, rotations, translations = min(finite_solutions, key=lambda solution: solution[0])
     return matrix, np.ravel(distortion), rotations, translations
 
 
 def _sigma(views: Sequence[_FittedBoardView], points: Array, camera: Camera) -> Array:
-    """Standard deviations of the camera's parameters, infinite where the pictures do not tell them: of all unknowns,
-    those and the poses, by the Jacobian of all residuals, whose variance is their sum of squares over the degrees of
-    freedom."""
+    """Return standard deviations of the camera's parameters, infinite if the pictures do not determine them.
+
+    The unknowns are the parameters and the poses. The residuals' variance is their sum of squares over the degrees of
+    freedom.
+    """
     by_camera, by_pose = zip(*(_jacobian(view, points, camera) for view in views), strict=True)
     jacobian = np.hstack([np.vstack(by_camera), block_diag(*by_pose)])
     residual, n = np.concatenate([view.residual_px for view in views]), 4 + camera.distortion.size
@@ -524,7 +547,7 @@ def _sigma(views: Sequence[_FittedBoardView], points: Array, camera: Camera) -> 
 
 
 def _jacobian(view: _FittedBoardView, points: Array, camera: Camera) -> tuple[Array, Array]:
-    """Derivatives of a view's pixels with respect to the camera (2N, 4 + coefficients) and the pose (2N, 6)."""
+    """Return derivatives of a view's pixels by the camera (2N, 4 + coefficients) and the pose (2N, 6)."""
     rotation = np.asarray(cv2.Rodrigues(view.rotation)[0], dtype=float)
     objects = points[view.ids].reshape(-1, 1, 3)
     pose, n = (rotation, view.translation_m), camera.distortion.size
@@ -544,31 +567,32 @@ Verdict = Literal["ok", "warning", "refused"]
 
 @dataclass(frozen=True)
 class _CalibrationCheck:
-    """A measured value, and what it is held against."""
+    """A measured value and its limits."""
 
     name: str
     what: str
     unit: str
     warn: float
-    """A warning where the value is beyond it (below it, if `at_least`)."""
+    """Limit of a warning: a largest value, or a least one if `at_least`."""
     refuse: float
-    """A reason to refuse where the value is beyond it (below it, if `at_least`)."""
+    """Limit of a refusal: a largest value, or a least one if `at_least`."""
     at_least: bool
     advice: str
     value: float
 
     @property
     def verdict(self) -> Verdict:
+        """Return the verdict on the value."""
         if self._beyond(self.refuse):
             return "refused"
         return "warning" if self._beyond(self.warn) else "ok"
 
     def _beyond(self, bound: float) -> bool:
-        """Never of a bound that is NaN, and always of a value that is."""
+        """Return whether the value is beyond a bound: never for a NaN bound, always for a NaN value."""
         return not math.isnan(bound) and not (self.value >= bound if self.at_least else self.value <= bound)
 
     def __str__(self) -> str:
-        """What was found, the limit that it is beyond, by how much, and what to do."""
+        """Return the measured value, the limit that it exceeds, by how much, and advice."""
         bound = self.refuse if self.verdict == "refused" else self.warn
         unit = f" {self.unit}" if self.unit else ""
         if self.verdict == "ok":
@@ -610,11 +634,11 @@ LIMITS = (
     ("folded", "part of the picture where the lens model has no ray", "%", 0.0, 5.0, False,
      "cover the borders, or use another --model"),
 )  # fmt: skip
-"""The first fields of each `_CalibrationCheck`, all but its value."""
+"""First fields of each `_CalibrationCheck`, all but its value."""
 
 
 def check(calibration: Calibration) -> tuple[_CalibrationCheck, ...]:
-    """The checks of a calibration: those of `LIMITS`, with their values."""
+    """Return the checks of `LIMITS` with a calibration's values."""
     camera, used = calibration.camera, calibration.used
     width, height = camera.image_size_px
     values, sigma = calibration.parameters, calibration.sigma
@@ -641,7 +665,7 @@ def check(calibration: Calibration) -> tuple[_CalibrationCheck, ...]:
 
 
 def coverage(calibration: Calibration) -> Bools:
-    """Which cells of the picture lie among the corners of some picture that was used: (rows, columns)."""
+    """Return which cells of the picture lie among the corners of some used picture, shape (rows, columns)."""
     width, height = calibration.camera.image_size_px
     scale = COVERAGE_COLUMNS / width
     mask = np.zeros((max(1, round(height * scale)), COVERAGE_COLUMNS), dtype=np.uint8)

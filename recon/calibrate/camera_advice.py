@@ -1,8 +1,8 @@
-"""Where to put a camera so that its pixels say something of an angle, or of a joint.
+"""Find camera positions from which the pixels determine an angle, or a joint.
 
 A mean stride runs through the middle of the picture: the prior's mean pose, which swings along its two widest
-directions. Nothing is searched for: the posterior is that of a fit which has found this motion, and only needs the
-curvature of the problem there (`recon.fit.posterior`).
+directions. No search is needed: the posterior is that of a fit that has found this motion, and only needs the curvature
+of the problem there (`recon.fit.posterior`).
 """
 
 from __future__ import annotations
@@ -22,45 +22,47 @@ from recon.fit.posterior import posterior
 from recon.geometry import ROOT, Camera
 
 AZIMUTHS_RAD = np.radians(np.arange(0, 360, 30))
-"""About the animal, from above counter-clockwise: 0 ahead of it, a quarter turn to its left."""
+"""Azimuths about the animal, from above counter-clockwise: 0 ahead of it, a quarter turn to its left."""
 ELEVATIONS_RAD = np.radians([5, 30, 55, 80])
-"""Above the level of the animal's middle."""
+"""Elevations above the level of the animal's middle."""
 FPS, FRAMES = 60.0, 21
 STRIDES_HZ, LENGTHS_S = 3.0, 5.0
-"""How often the stride repeats in a second, and how many of its own lengths the animal runs in a second."""
+"""Strides a second, and body lengths that the animal runs in a second."""
 AWAY_LENGTHS = 4.0
-"""Distance of the camera by default, in lengths of the animal."""
+"""Default distance of the camera in lengths of the animal."""
 PICTURE_PX = (1920, 1080)
 SAME = 1e-6
-"""Relative difference of deviations that are equal but for rounding."""
+"""Relative difference of standard deviations that are equal within rounding."""
 
 
 @dataclass(frozen=True, eq=False)
 class Advice:
-    """One camera on a sphere about the animal, in every place of the grid of `AZIMUTHS_RAD` and `ELEVATIONS_RAD`."""
+    """One camera on a sphere about the animal, at every position of the grid of `AZIMUTHS_RAD` and `ELEVATIONS_RAD`."""
 
     of: str
-    """What is to be seen."""
+    """Angle or joint to be seen."""
     unit: str
     """"rad" of an angle, "m" of joints."""
     distance_m: float
     sigma: Array
-    """(E, A): standard deviation, the median over the frames; infinite where the animal is not in the picture."""
+    """Median standard deviation over the frames, shape (E, A); infinite if the animal is not in the picture."""
     share: Array
-    """(E, A): of its precision, what comes from the pixels of all cameras."""
+    """Share of the precision that comes from the pixels of all cameras, shape (E, A)."""
     beside: tuple[float, float] | None = None
-    """Azimuth and elevation of another camera that is there already."""
+    """Azimuth and elevation of another camera that is present already."""
 
     @property
     def best(self) -> tuple[int, int]:
-        """Indices of elevation and azimuth of the place with the least deviation. Of places that are equally good, as
-        both sides of an animal can be, it is the first."""
+        """Return the indices of elevation and azimuth with the least standard deviation.
+
+        The first if several are equally good, such as both sides of an animal.
+        """
         row, column = np.argwhere(self.sigma <= (1 + SAME) * self.sigma.min())[0]
         return int(row), int(column)
 
     @property
     def place(self) -> tuple[float, float]:
-        """The best azimuth and elevation."""
+        """Return the best azimuth and elevation."""
         row, column = self.best
         return float(AZIMUTHS_RAD[column]), float(ELEVATIONS_RAD[row])
 
@@ -74,34 +76,53 @@ def advise(
     cameras: int = 1,
     progress: Callable[[float], None] = lambda share: None,
 ) -> list[Advice]:
-    """On one camera, or on a second one as well, beside the first in its best place. of: an angle of the body's states,
-    without its place and heading, or a marker; None: all markers. distance_m: of a camera from the animal's middle, by
-    default `AWAY_LENGTHS`. Raises ValueError for a name that the body lacks, and for a field of view outside (0, 180)
-    degrees."""
+    """Return advice on one camera, or also on a second one added to the first in its best position.
+
+    Parameters
+    ----------
+    body, prior : Body, MotionPrior
+        The animal and its motion.
+    of : str, optional
+        An angle of the body's states, without its position and heading, or a marker; None: all markers.
+    hfov_deg : float
+        Horizontal field of view.
+    distance_m : float, optional
+        Distance of a camera from the animal's middle, by default `AWAY_LENGTHS`.
+    cameras : int
+        1 or 2.
+
+    Raises
+    ------
+    ValueError
+        For a name that the body lacks, and for a field of view outside (0, 180) degrees.
+    """
     states, lens = mean_stride(body, prior), Camera.from_hfov(hfov_deg, PICTURE_PX)
     middle = body.tree.pose(states).points_m.mean(axis=(0, 1))
     distance = AWAY_LENGTHS * length_m(body) if distance_m is None else distance_m
-    found, shape = list[Advice](), (len(ELEVATIONS_RAD), len(AZIMUTHS_RAD))
+    advices, shape = list[Advice](), (len(ELEVATIONS_RAD), len(AZIMUTHS_RAD))
     for number in range(cameras):
-        beside = found[0].place if found else None
-        others = [placed(replace(lens, name="beside"), middle, *beside, distance)] if beside else []
+        beside = advices[0].place if advices else None
+        fixed_cameras = [placed(replace(lens, name="beside"), middle, *beside, distance)] if beside else []
         grid = np.empty((*shape, 2))
         for done, (row, column) in enumerate(np.ndindex(shape)):
-            place = float(AZIMUTHS_RAD[column]), float(ELEVATIONS_RAD[row])
-            there = placed(replace(lens, name="there"), middle, *place, distance)
+            position = float(AZIMUTHS_RAD[column]), float(ELEVATIONS_RAD[row])
+            candidate = placed(replace(lens, name="there"), middle, *position, distance)
             with threadpool_limits(1, user_api="blas"):
-                grid[row, column] = known(body, prior, states, [*others, there], of)
+                grid[row, column] = known(body, prior, states, [*fixed_cameras, candidate], of)
             progress((number + (done + 1) / math.prod(shape)) / cameras)
         unit = "rad" if of in body.state_names[4:] else "m"
-        found.append(Advice(of or "all joints", unit, distance, grid[..., 0], grid[..., 1], beside))
-    return found
+        advices.append(Advice(of or "all joints", unit, distance, grid[..., 0], grid[..., 1], beside))
+    return advices
 
 
 def known(
     body: Body, prior: MotionPrior, states: Array, cameras: Sequence[Camera], of: str | None = None
 ) -> tuple[float, float]:
-    """Standard deviation (rad, or m of a joint within the pose) and the pixels' share of the precision, medians over
-    frames, where cameras see the motion of states (T, D). (inf, 0) where none sees it. See `advise`."""
+    """Return the standard deviation and the pixels' share of the precision, medians over frames.
+
+    The standard deviation is in rad, or in m for a joint within the pose. cameras see the motion of states (T, D);
+    (inf, 0) if none does. See `advise`.
+    """
     views = [_seen(body, states, camera) for camera in cameras]
     if not any(view.present.any() for view in views):
         return np.inf, 0.0
@@ -111,19 +132,19 @@ def known(
     around_m = clip.markers(at_origin)
     noise_px = clip.noise_px(around_m, np.ones((len(views), len(body.markers))))
     problem = clip.problem(noise_px, temperature=1.0, around_m=around_m)
-    found = Estimate(at_origin, 0.0, 0, True, problem.expected())
-    result = posterior(problem, body, found, max(constants.ERROR_TIME_S * FPS, 1.0))
+    estimate = Estimate(at_origin, 0.0, 0, True, problem.expected())
+    result = posterior(problem, body, estimate, max(constants.ERROR_TIME_S * FPS, 1.0))
     if of in body.state_names[4:]:
         column = body.state_names[3:].index(of)
         sigma, share = np.sqrt(result.angle_variance[0][:, column]), result.angle_data_share[:, column]
         return float(np.median(sigma)), float(np.median(share))
-    which = slice(None) if of is None else [body.markers.index(of)]
-    variance = np.trace(result.relative_covariance_m2[:, which], axis1=2, axis2=3).mean(axis=1)
-    return float(np.median(np.sqrt(variance))), float(np.nanmean(result.data_share[which]))
+    markers = slice(None) if of is None else [body.markers.index(of)]
+    variance = np.trace(result.relative_covariance_m2[:, markers], axis1=2, axis2=3).mean(axis=1)
+    return float(np.median(np.sqrt(variance))), float(np.nanmean(result.data_share[markers]))
 
 
 def mean_stride(body: Body, prior: MotionPrior) -> Array:
-    """(FRAMES, D): along x through the origin of the world."""
+    """Return the states (FRAMES, D) of a mean stride along x through the origin of the world."""
     values, vectors = np.linalg.eigh(prior.covariance)
     time_s = (np.arange(FRAMES) - FRAMES // 2) / FPS
     phase = 2 * np.pi * STRIDES_HZ * time_s
@@ -136,12 +157,12 @@ def mean_stride(body: Body, prior: MotionPrior) -> Array:
 
 
 def length_m(body: Body) -> float:
-    """From end to end, in the expected pose."""
+    """Return the animal's length from end to end in the expected pose."""
     return float(np.ptp(body.expected_points_m()[:, 0]))
 
 
 def placed(camera: Camera, target_m: Array, azimuth_rad: float, elevation_rad: float, distance_m: float) -> Camera:
-    """The camera in that place about an animal that faces x, with the target in the middle of its upright picture."""
+    """Return the camera at a position about an animal that faces x, with the target in the middle of its picture."""
     level = np.array([np.cos(azimuth_rad), np.sin(azimuth_rad), 0.0])
     towards = -np.cos(elevation_rad) * level - np.sin(elevation_rad) * np.array([0.0, 0.0, 1.0])
     right = np.array([-level[1], level[0], 0.0])
@@ -150,7 +171,7 @@ def placed(camera: Camera, target_m: Array, azimuth_rad: float, elevation_rad: f
 
 
 def _seen(body: Body, states: Array, camera: Camera) -> View:
-    """What a detector sees of the markers that are in the picture."""
+    """Return the detections of the markers that are in the picture."""
     pixels, valid = camera.project(camera.world_to_camera(body.detected.pose(states).points_m))
-    seen = valid & camera.in_image(pixels)
-    return still_view(camera, np.where(seen[..., None], pixels, np.nan), seen.astype(float))
+    is_seen = valid & camera.in_image(pixels)
+    return still_view(camera, np.where(is_seen[..., None], pixels, np.nan), is_seen.astype(float))

@@ -1,4 +1,4 @@
-"""How a camera that turns about a fixed point was turned in each frame of its video, from the background."""
+"""Find how a camera that turns about a fixed point was turned in each frame of its video, from the background."""
 
 from __future__ import annotations
 

@@ -1,9 +1,8 @@
-"""Points of a picture that can be found again in another one, how the camera has turned between the two, and which way
-is up, as said, marked in the pictures, or supposed.
+"""Follow points between pictures and find how the camera has turned between them, and which way is up.
 
-A subject that is followed covers much of the picture, has more structure than the background, and agrees with itself.
-It lies together, though, where the background lies all around: a turn is worth what its points cover times how widely
-they are spread, not how many they are.
+A subject that the camera follows covers much of the picture, has more structure than the background, and its points
+agree with each other. They lie together, though, while the background surrounds them: a turn is worth the area of its
+points times their spread, not their number.
 """
 
 from __future__ import annotations
@@ -24,16 +23,17 @@ from recon.io.common import first_problems, frame_number, number, text_rows
 from recon.io.video import Image
 
 WORK_PX = 1280
-"""Longest side of the pictures that are worked on: larger ones are made smaller by a whole number."""
+"""Longest side of the working pictures: larger pictures are reduced by a whole number."""
 CELLS = (16, 9)
-"""Across the longer and the shorter side: points are taken from each cell, so that a finely structured part of the
-picture does not outnumber the rest of it."""
+"""Cells across the longer and the shorter side. Points are taken from each cell, so that a finely structured part of
+the picture does not outnumber the rest."""
 POINTS_IN_CELL = 3
 BLOCK_PX, LEVELS = 5, 3
 MIN_CORNER = 4e-5
-"""Smaller eigenvalue of the structure: noise of two grey levels stays below 3e-5."""
+"""Least smaller eigenvalue of the structure: noise of two grey levels stays below 3e-5."""
 MAX_UNLIKE, LEAST_UNLIKE = 3.0, 8.0
-"""Grey levels by which a point's surroundings may differ, against the median of all: more where it is hidden now."""
+"""Largest difference of a point's surroundings, relative to the median of all, and in grey levels: larger if it is
+hidden."""
 ORB_POINTS, MIN_SAME = 700, 20
 MIN_ALIKE = 0.7
 HULL_MARGIN = 0.15
@@ -41,13 +41,14 @@ HULL_MARGIN = 0.15
 
 @dataclass(frozen=True)
 class GreyPicture:
-    """A grey picture, made smaller by `scale`."""
+    """A grey picture, reduced by `scale`."""
 
     grey: Image
     scale: int
 
     @classmethod
     def of(cls, picture: Image) -> GreyPicture:
+        """Return the grey picture of a colour picture."""
         grey = cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)
         scale = -(-max(grey.shape) // WORK_PX)
         if scale > 1:
@@ -57,26 +58,33 @@ class GreyPicture:
 
     @property
     def window_px(self) -> int:
-        """Side of what is compared around a point: less in small pictures, for it should lie on one thing."""
+        """Return the side of the window compared around a point.
+
+        Smaller in small pictures, as the window should lie on one object.
+        """
         return int(np.clip(max(self.grey.shape) // 40, 11, 21)) | 1
 
     def full_px(self, work_px: Array) -> Array:
-        """Pixels (N, 2) of the original."""
+        """Return pixels (N, 2) of the original."""
         return (work_px + 0.5) * self.scale - 0.5
 
     def work_px(self, full_px: Array) -> Array:
+        """Return pixels (N, 2) of the working picture."""
         return (full_px + 0.5) / self.scale - 0.5
 
 
 def corners(frame: GreyPicture, masked: Bools | None = None) -> Array:
-    """Pixels (N, 2) of the original: the strongest corners of every cell, without what is masked of the small one."""
+    """Return the strongest corners of every cell, pixels (N, 2) of the original, outside the mask.
+
+    masked: of the working picture.
+    """
     grey = cv2.GaussianBlur(frame.grey, (0, 0), 1.0)
     strength = cv2.cornerMinEigenVal(grey, BLOCK_PX)
     peak = (strength == cv2.dilate(strength, np.ones((9, 9), np.uint8))) & (strength > MIN_CORNER)
     edge = frame.window_px // 2
-    inside = np.zeros_like(peak)
-    inside[edge:-edge, edge:-edge] = True
-    peak &= inside if masked is None else inside & ~masked
+    is_inside = np.zeros_like(peak)
+    is_inside[edge:-edge, edge:-edge] = True
+    peak &= is_inside if masked is None else is_inside & ~masked
     y, x = np.nonzero(peak)
     height, width = grey.shape
     across, down = CELLS if width >= height else CELLS[::-1]
@@ -84,15 +92,18 @@ def corners(frame: GreyPicture, masked: Bools | None = None) -> Array:
     order = np.lexsort((-strength[y, x], cell))
     cell = cell[order]
     rank = np.arange(len(cell)) - np.searchsorted(cell, cell)
-    kept = order[rank < POINTS_IN_CELL]
-    return frame.full_px(np.column_stack([x[kept], y[kept]]).astype(float))
+    chosen = order[rank < POINTS_IN_CELL]
+    return frame.full_px(np.column_stack([x[chosen], y[chosen]]).astype(float))
 
 
 def followed(before: GreyPicture, after: GreyPicture, points_px: Array, guess_px: Array) -> tuple[Array, Bools]:
-    """Where points (N, 2) of one picture are in another, and which were found; guess_px (N, 2): about where."""
+    """Return the positions of points (N, 2) in another picture, and which were found.
+
+    guess_px (N, 2): expected positions.
+    """
     if not len(points_px):
         return np.zeros((0, 2)), np.zeros(0, bool)
-    found, status, unlike = cv2.calcOpticalFlowPyrLK(
+    found_px, status, unlike = cv2.calcOpticalFlowPyrLK(
         before.grey,
         after.grey,
         before.work_px(points_px).astype(np.float32),
@@ -103,15 +114,15 @@ def followed(before: GreyPicture, after: GreyPicture, points_px: Array, guess_px
         flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
     )
     height, width = after.grey.shape
-    inside = ((found > 2) & (found < (width - 3, height - 3))).all(axis=1)
-    good = (status[:, 0] > 0) & inside
-    if good.any():
-        good &= unlike[:, 0] < max(LEAST_UNLIKE, MAX_UNLIKE * float(np.median(unlike[good])))
-    return after.full_px(found.astype(float)), good
+    is_inside = ((found_px > 2) & (found_px < (width - 3, height - 3))).all(axis=1)
+    is_good = (status[:, 0] > 0) & is_inside
+    if is_good.any():
+        is_good &= unlike[:, 0] < max(LEAST_UNLIKE, MAX_UNLIKE * float(np.median(unlike[is_good])))
+    return after.full_px(found_px.astype(float)), is_good
 
 
 def described(frame: GreyPicture) -> tuple[Array, Image]:
-    """Pixels (N, 2) and descriptors (N, 32) of points that are found again wherever they have gone."""
+    """Return pixels (N, 2) and descriptors (N, 32) of points that can be recognised at any position."""
     side = frame.window_px * 3 // 2
     finder = cv2.ORB.create(ORB_POINTS, edgeThreshold=side, patchSize=side)
     points, descriptors = finder.detectAndCompute(frame.grey, None)
@@ -122,24 +133,24 @@ def described(frame: GreyPicture) -> tuple[Array, Image]:
 
 
 def same_scene(a: tuple[Array, Image], b: tuple[Array, Image]) -> bool:
-    """Whether points of two pictures (pixels, descriptors) can be laid over each other, if not by a turn."""
+    """Return whether points of two pictures (pixels, descriptors) match by a homography, if not by a turn."""
     pairs = matched(a[1], b[1])
     if len(pairs) < MIN_SAME:
         return False
-    places = [one[0][pairs[:, i]].astype(np.float32) for i, one in enumerate((a, b))]
-    limit = 0.01 * float(np.ptp(places[0], axis=0).max())
-    _, same = cv2.findHomography(places[0], places[1], cv2.RANSAC, max(limit, 2.0))
-    return same is not None and int(same.sum()) >= MIN_SAME
+    positions = [picture[0][pairs[:, i]].astype(np.float32) for i, picture in enumerate((a, b))]
+    limit = 0.01 * float(np.ptp(positions[0], axis=0).max())
+    _, is_same = cv2.findHomography(positions[0], positions[1], cv2.RANSAC, max(limit, 2.0))
+    return is_same is not None and int(is_same.sum()) >= MIN_SAME
 
 
 def similar(a: GreyPicture, b: GreyPicture) -> bool:
-    """Whether light and dark lie about alike in two pictures, as they do in neighbours of one take."""
-    small = [cv2.resize(one.grey, (16, 16), interpolation=cv2.INTER_AREA).ravel() for one in (a, b)]
+    """Return whether light and dark lie similarly in two pictures, as in neighbours of one take."""
+    small = [cv2.resize(picture.grey, (16, 16), interpolation=cv2.INTER_AREA).ravel() for picture in (a, b)]
     return bool(np.asarray(np.corrcoef(small))[0, 1] > MIN_ALIKE)
 
 
 def matched(a: Image, b: Image) -> Integers:
-    """Pairs (N, 2) of descriptors that are each other's nearest."""
+    """Return pairs (N, 2) of descriptors that are each other's nearest."""
     if not len(a) or not len(b):
         return np.zeros((0, 2), np.int64)
     matches = cv2.BFMatcher(cv2.NORM_HAMMING, crossCheck=True).match(a, b)
@@ -147,31 +158,33 @@ def matched(a: Image, b: Image) -> Integers:
 
 
 def hull_mask(frame: GreyPicture, points_px: Array) -> Bools:
-    """A mask (height, width) of the small picture: what the hull of points (N, 2) covers, widened by a share of its
-    size."""
+    """Return a mask (height, width) of the working picture: the widened hull of points (N, 2)."""
     mask = np.zeros(frame.grey.shape, np.uint8)
     points = frame.work_px(points_px[np.isfinite(points_px).all(axis=1)])
     if len(points):
         hull = cv2.convexHull(points.astype(np.float32)).reshape(-1, 2)
-        wide = max(4, round(HULL_MARGIN * float(np.linalg.norm(np.ptp(points, axis=0)))))
+        margin_px = max(4, round(HULL_MARGIN * float(np.linalg.norm(np.ptp(points, axis=0)))))
         polygon = [hull.round().astype(np.int32)]
         cv2.fillPoly(mask, polygon, 1)
-        cv2.polylines(mask, polygon, True, 1, 2 * wide)
+        cv2.polylines(mask, polygon, True, 1, 2 * margin_px)
     return mask.astype(bool)
 
 
 def focus_px(camera: Camera) -> Array:
-    """(2,): the point that zooming leaves where it is."""
+    """Return the point (2,) that zooming does not move."""
     return camera.matrix[:2, 2]
 
 
 def rays_of(camera: Camera, pixels: Array, zoom: float = 1.0) -> tuple[Array, Bools]:
-    """Unit rays (N, 3) of pixels (N, 2), and validity. zoom: focal length in the camera file's."""
+    """Return unit rays (N, 3) of pixels (N, 2), and their validity.
+
+    zoom: focal length relative to the camera file's.
+    """
     return camera.rays(focus_px(camera) + (pixels - focus_px(camera)) / zoom)
 
 
 def pixels_of(camera: Camera, rays: Array, zoom: float = 1.0) -> tuple[Array, Bools]:
-    """The pixels (N, 2) of rays: the inverse of `rays_of`."""
+    """Return the pixels (N, 2) of rays: the inverse of `rays_of`."""
     pixels, valid = camera.project(rays)
     return focus_px(camera) + zoom * (pixels - focus_px(camera)), valid
 
@@ -181,17 +194,19 @@ def pixels_of(camera: Camera, rays: Array, zoom: float = 1.0) -> tuple[Array, Bo
 GRID = (12, 12)
 TRIALS, CANDIDATES = 300, 10
 MIN_APART = 0.12
-"""How far apart the two points are at least that a rotation is tried from, as a share of the picture's diagonal."""
+"""Least distance of the two points from which a rotation is tried, as a share of the picture's diagonal."""
 MIN_POINTS, MIN_SPREAD = 15, 0.2
 FINAL_LIMIT, LEAST_LIMIT = 0.5, 0.2
-"""The limits that rotations are tried with: what a point may be off at most, however widely the others scatter, and
-what it may always be."""
+"""Factors of the limit of a rotation that is tried: the largest, however widely the points scatter, and the least."""
 ROUNDS = 6
 
 
 @dataclass(frozen=True, eq=False)
 class Orientation:
-    """rotation (3, 3): world to camera. zoom: focal length in the camera file's."""
+    """Orientation and zoom of a camera.
+
+    rotation (3, 3): world to camera. zoom: focal length relative to the camera file's.
+    """
 
     rotation: Array
     zoom: float = 1.0
@@ -199,9 +214,11 @@ class Orientation:
 
 @dataclass(frozen=True, eq=False)
 class AgreedOrientation:
-    """A turn and what supports it. weights: (N,), 0 of points that do not agree. residual_px: (N, 2), seen less
-    expected. jacobian: (N, 2, 4) of the expected pixels, by a small turn (rad) in the camera frame and by log zoom.
-    spread: what it is worth."""
+    """A turn and its support.
+
+    weights: (N,), 0 for points that do not agree. residual_px: (N, 2), seen minus expected. jacobian: (N, 2, 4) of the
+    expected pixels, by a small turn (rad) in the camera frame and by log zoom. spread: value of the turn.
+    """
 
     orientation: Orientation
     weights: Array
@@ -212,19 +229,22 @@ class AgreedOrientation:
 
     @property
     def agree(self) -> Bools:
+        """Return which points agree, shape (N,)."""
         return self.weights > 0
 
 
 def spread(pixels: Array, size_px: tuple[int, int], weights: Array) -> tuple[Array, Array]:
-    """What H sets of points (H, N weights from 0 to 1) cover of the picture (0 to 1), and how widely: the area of the
-    cells' spread, 1 for an evenly covered picture."""
+    """Return the area of the picture (0 to 1) that H sets of points cover, and their spread.
+
+    weights: (H, N), from 0 to 1. The spread is 1 for an evenly covered picture.
+    """
     across, down = GRID
     x, y = (np.clip(pixels[:, i] / size_px[i] * GRID[i], 0, GRID[i] - 1).astype(int) for i in (0, 1))
-    inside = np.zeros((len(pixels), across * down))
-    inside[np.arange(len(pixels)), y * across + x] = 1.0
-    taken = np.minimum(weights @ inside, 1.0)
+    in_cell = np.zeros((len(pixels), across * down))
+    in_cell[np.arange(len(pixels)), y * across + x] = 1.0
+    covered = np.minimum(weights @ in_cell, 1.0)
     cx, cy = np.tile(np.arange(across) / across, down), np.repeat(np.arange(down) / down, across)
-    moments = taken @ np.column_stack([np.ones_like(cx), cx, cy, cx * cx, cy * cy, cx * cy])
+    moments = covered @ np.column_stack([np.ones_like(cx), cx, cy, cx * cx, cy * cy, cx * cy])
     total = np.maximum(moments[:, 0], 1e-9)
     mx, my, xx, yy, xy = (moments[:, i] / total for i in range(1, 6))
     determinant = (xx - mx * mx) * (yy - my * my) - (xy - mx * my) ** 2
@@ -234,49 +254,48 @@ def spread(pixels: Array, size_px: tuple[int, int], weights: Array) -> tuple[Arr
 def agreed_turn(
     camera: Camera, rays: Array, seen_px: Array, background: Array, zoom: float, solve_zoom: bool, limit_px: float
 ) -> AgreedOrientation | None:
-    """The turn that takes world rays (N, 3) to the pixels (N, 2) where they are seen, all of which have a ray, at about
-    that zoom.
+    """Return the turn that takes world rays (N, 3) to the pixels (N, 2) of their points, at about that zoom.
 
-    background: (N,) from 0 to 1, how far each has been background so far. limit_px: what a point may be off at most.
-    None where too few points agree or they cover too little.
+    background: (N,) from 0 to 1, how far each point has been background so far. limit_px: largest error of a point.
+    None if too few points agree or they cover too little.
     """
     if len(rays) < MIN_POINTS:
         return None
     seen_rays, _ = rays_of(camera, seen_px, zoom)
-    tried = _tried(rays, seen_rays, seen_px, camera.image_size_px)
-    if not len(tried):
+    turns = _tried(rays, seen_rays, seen_px, camera.image_size_px)
+    if not len(turns):
         return None
-    off = 1 - np.einsum("hij,nj,ni->hn", tried, rays, seen_rays, optimize=True)
+    misalignment = 1 - np.einsum("hij,nj,ni->hn", turns, rays, seen_rays, optimize=True)
     angle = limit_px / (camera.matrix[0, 0] * zoom)
-    weights = background**2 * (off < 0.5 * angle**2)
+    weights = background**2 * (misalignment < 0.5 * angle**2)
     coverage, area = spread(seen_px, camera.image_size_px, weights)
     best: AgreedOrientation | None = None
-    looked_at: list[Array] = []
+    examined: list[Array] = []
     for h in np.argsort(-coverage * area)[:CANDIDATES]:
-        if any(np.trace(tried[h] @ other.T) > 1 + 2 * np.cos(2 * angle) for other in looked_at):
+        if any(np.trace(turns[h] @ earlier.T) > 1 + 2 * np.cos(2 * angle) for earlier in examined):
             continue
-        looked_at.append(tried[h])
-        found = refined(camera, rays, seen_px, Orientation(tried[h], zoom), solve_zoom, limit_px)
-        if found is None:
+        examined.append(turns[h])
+        result = refined(camera, rays, seen_px, Orientation(turns[h], zoom), solve_zoom, limit_px)
+        if result is None:
             continue
-        c, a = spread(seen_px, camera.image_size_px, (background**2 * found.agree)[None])
-        found = replace(found, spread=float(c[0] * a[0]))
-        if a[0] >= MIN_SPREAD and (best is None or found.spread > best.spread):
-            best = found
+        c, a = spread(seen_px, camera.image_size_px, (background**2 * result.agree)[None])
+        result = replace(result, spread=float(c[0] * a[0]))
+        if a[0] >= MIN_SPREAD and (best is None or result.spread > best.spread):
+            best = result
     return best
 
 
 def _tried(rays: Array, seen: Array, pixels: Array, size_px: tuple[int, int]) -> Array:
-    """(H, 3, 3): turns from pairs of points that lie apart."""
+    """Return turns (H, 3, 3) from pairs of points that are far enough from each other."""
     rng = np.random.default_rng(0)
     i, j = rng.integers(0, len(rays), (2, 2 * TRIALS))
-    apart = np.linalg.norm(pixels[i] - pixels[j], axis=1) > MIN_APART * np.hypot(*size_px)
-    i, j = i[apart][:TRIALS], j[apart][:TRIALS]
+    is_apart = np.linalg.norm(pixels[i] - pixels[j], axis=1) > MIN_APART * np.hypot(*size_px)
+    i, j = i[is_apart][:TRIALS], j[is_apart][:TRIALS]
     return _axes(seen[i], seen[j]) @ _axes(rays[i], rays[j]).swapaxes(1, 2)
 
 
 def _axes(a: Array, b: Array) -> Array:
-    """(H, 3, 3): right-handed axes, as columns, of pairs of rays."""
+    """Return right-handed axes (H, 3, 3), as columns, of pairs of rays."""
     columns = [a + b, a - b, np.cross(b, a)]
     return np.stack([c / np.linalg.norm(c, axis=1, keepdims=True) for c in columns], axis=2)
 
@@ -284,8 +303,11 @@ def _axes(a: Array, b: Array) -> Array:
 def refined(
     camera: Camera, rays: Array, seen_px: Array, orientation: Orientation, solve_zoom: bool, limit_px: float
 ) -> AgreedOrientation | None:
-    """Robust least squares in pixels, from a turn nearby (Tukey's weights, with a limit that follows the scatter)."""
-    free = slice(0, 4 if solve_zoom else 3)
+    """Return the turn after robust least squares in pixels, from a turn nearby.
+
+    Tukey's weights, with a limit that follows the scatter.
+    """
+    free_columns = slice(0, 4 if solve_zoom else 3)
     limit, rounds = limit_px, ROUNDS
     while True:
         residual, jacobian = _linearised(camera, rays, seen_px, orientation)
@@ -297,7 +319,7 @@ def refined(
             sigma = float(np.sqrt((weights * size**2).sum() / (2 * weights.sum())))
             return AgreedOrientation(orientation, weights, residual, jacobian, max(sigma, 1e-3), 0.0)
         step, rounds = np.zeros(4), rounds - 1
-        step[free] = np.linalg.solve(*normal_equations(jacobian[:, :, free], weights, residual))
+        step[free_columns] = np.linalg.solve(*normal_equations(jacobian[:, :, free_columns], weights, residual))
         orientation = Orientation(
             Rotation.from_rotvec(step[:3]).as_matrix() @ orientation.rotation, orientation.zoom * float(np.exp(step[3]))
         )
@@ -306,31 +328,33 @@ def refined(
 
 
 def tukey(size: Array, limit: float) -> Array:
-    """Tukey's weights of residuals of such a size, 0 from the limit on."""
+    """Return Tukey's weights of residuals of these sizes, 0 from the limit on."""
     return np.maximum(1 - (size / limit) ** 2, 0) ** 2
 
 
 def normal_equations(jacobian: Array, weights: Array, residual_px: Array) -> tuple[Array, Array]:
-    """Matrix (P, P) and right-hand side (P,) of N points: (N, 2, P), (N,), (N, 2)."""
+    """Return the matrix (P, P) and the right-hand side (P,) of N points: (N, 2, P), (N,), (N, 2)."""
     flat = jacobian.reshape(-1, jacobian.shape[-1])
     weighted = (jacobian * weights[:, None, None]).reshape(flat.shape)
     return weighted.T @ flat, weighted.T @ residual_px.ravel()
 
 
 def _linearised(camera: Camera, rays: Array, seen_px: Array, orientation: Orientation) -> tuple[Array, Array]:
-    there = rays @ orientation.rotation.T
-    pixels, by_point, _ = camera.project_with_jacobian(there)
+    camera_rays = rays @ orientation.rotation.T
+    pixels, by_point, _ = camera.project_with_jacobian(camera_rays)
     from_focus = orientation.zoom * (pixels - focus_px(camera))
-    x, y, z = there.T
+    x, y, z = camera_rays.T
     zero = np.zeros_like(x)
     by_turn = np.stack([zero, z, -y, -z, zero, x, y, -x, zero], axis=1).reshape(-1, 3, 3)  # of exp(w) p, that is w x p
     jacobian = np.concatenate([orientation.zoom * by_point @ by_turn, from_focus[:, :, None]], axis=2)
-    known = np.isfinite(from_focus[:, :1])
-    return np.where(known, seen_px - focus_px(camera) - from_focus, 1e9), np.where(known[:, :, None], jacobian, 0.0)
+    is_known = np.isfinite(from_focus[:, :1])
+    return np.where(is_known, seen_px - focus_px(camera) - from_focus, 1e9), np.where(
+        is_known[:, :, None], jacobian, 0.0
+    )
 
 
 def expected_px(camera: Camera, rays: Array, orientation: Orientation) -> tuple[Array, Bools]:
-    """Pixels (N, 2) of world rays (N, 3), and whether they are in the picture."""
+    """Return the pixels (N, 2) of world rays (N, 3), and whether they are in the picture."""
     pixels, valid = pixels_of(camera, rays @ orientation.rotation.T, orientation.zoom)
     return pixels, valid & camera.in_image(np.where(valid[:, None], pixels, -1e9))
 
@@ -340,41 +364,41 @@ def expected_px(camera: Camera, rays: Array, orientation: Orientation) -> tuple[
 COLUMNS = ("kind", "frame", "x1", "y1", "x2", "y2")
 EXPECTED = f"a table (.csv) with the columns {', '.join(COLUMNS)}: horizon or vertical, and two points of it, px"
 MARKED_PX = 2.0
-"""How exactly a point is marked."""
+"""One standard deviation of a marked point."""
 MAX_SIGMA_RAD = math.radians(3.0)
-"""Marks that say less of the upward direction do not say it: a single vertical, or parallel ones."""
+"""Largest uncertainty of the upward direction: a single vertical, or parallel ones, do not determine it."""
 
 
 LevelMark = tuple[str, int, tuple[tuple[float, float], tuple[float, float]]]
-"""horizon or vertical, a frame, and two points (px) of the horizon, or of something upright, in its picture."""
+"""Horizon or vertical, a frame, and two points (px) of the horizon, or of an upright object, in its picture."""
 
 
 def as_level(orientations: Sequence[Orientation], up: Array | None) -> tuple[Orientation, ...]:
-    """The turns from a world with z up, y away from the camera.
+    """Return the turns from a world with z up, y away from the camera.
 
     up: (3,) in the first frame's camera. None: the mean frame looks level.
     """
     reference = orientations[0].rotation
     if up is None:
-        reference = Rotation.from_matrix([one.rotation for one in orientations]).mean().as_matrix()
+        reference = Rotation.from_matrix([turn.rotation for turn in orientations]).mean().as_matrix()
         up = tilted(0.0)
     level = level_from_camera(up) @ reference  # of the old world
     return tuple(replace(orientation, rotation=orientation.rotation @ level.T) for orientation in orientations)
 
 
 def tilted(tilt_rad: float) -> Array:
-    """Up (3,) in a camera that looks down so far, its picture level to the sides."""
+    """Return up (3,) in a camera that looks down by an angle, its picture level sideways."""
     return np.array([0.0, -math.cos(tilt_rad), -math.sin(tilt_rad)])
 
 
 def up_by_marks(
     source: Path, marks: Sequence[LevelMark], camera: Camera, orientations: Mapping[int, Orientation]
 ) -> tuple[Array, float]:
-    """Up (3,) in the first frame's camera, and its standard deviation in rad. turns: by frame.
+    """Return up (3,) in the first frame's camera, and its standard deviation in rad.
 
-    The horizon's rays lie level, and something upright lies in the plane through its ends' rays: up is at right angles
-    to all of the first and to the normals of the second. Raises InputError for a frame without a turn, a point
-    outside the lens's range, and for marks that do not tell.
+    The horizon's rays lie level, and an upright object lies in the plane through its ends' rays: up is at right angles
+    to all of the former and to the normals of the latter. orientations: by frame. Raises InputError for a frame without
+    a turn, a point outside the lens's range, and for marks that do not determine up.
     """
     first = orientations[min(orientations)].rotation
     rows, problems = [], []
@@ -395,14 +419,19 @@ def up_by_marks(
     _, size, directions = np.linalg.svd(A, full_matrices=True)
     sigma = math.sqrt(np.sum(size[:2] ** -2.0)) if len(size) > 1 and size[1] > 0 else math.inf
     if sigma > MAX_SIGMA_RAD:
-        found = "marks that leave the upward direction open"
-        raise InputError(Problem(source, "marks", found, "two points of the horizon, or verticals far from each other"))
+        found_text = "marks that leave the upward direction open"
+        raise InputError(
+            Problem(source, "marks", found_text, "two points of the horizon, or verticals far from each other")
+        )
     up = directions[2]
     return (up if up[1] < 0 else -up), sigma
 
 
 def read_marks(path: Path) -> tuple[LevelMark, ...]:
-    """From a CSV table of `COLUMNS`. Raises InputError with every problem."""
+    """Read marks from a CSV table of `COLUMNS`.
+
+    Raises InputError with every problem.
+    """
     require_file(path, EXPECTED)
     (_, header), *rows = [*text_rows(path, ",")] or [(1, [])]
     if tuple(cell.strip() for cell in header) != COLUMNS:
@@ -418,8 +447,8 @@ def read_marks(path: Path) -> tuple[LevelMark, ...]:
 
 
 def _mark(kind: str, frame: str, *ends: str) -> LevelMark:
-    at, (x1, y1, x2, y2) = frame_number(frame), map(number, ends)
-    known = kind in ("horizon", "vertical") and np.isfinite([x1, y1, x2, y2]).all()
-    if at is None or not known or (x1, y1) == (x2, y2):
+    frame_index, (x1, y1, x2, y2) = frame_number(frame), map(number, ends)
+    is_valid = kind in ("horizon", "vertical") and np.isfinite([x1, y1, x2, y2]).all()
+    if frame_index is None or not is_valid or (x1, y1) == (x2, y2):
         raise ValueError
-    return kind, at, ((x1, y1), (x2, y2))
+    return kind, frame_index, ((x1, y1), (x2, y2))
