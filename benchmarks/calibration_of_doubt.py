@@ -155,7 +155,7 @@ def one_clip(skeleton: str, motion_s: float, noise_s: float, animal: str | None,
     body, (n, J, _) = motion.body, motion.points_m.shape
     options, scale, size = TrajectoryOptions(ground="none"), extent(body), 1.0 + body.size_sigma * rng.normal()
     blank = still_view(camera, np.zeros((n, J, 2)), np.ones((n, J)))
-    setting = ClipProblem.of([blank], body, motion.prior, motion.fps, options)
+    setting = ClipProblem.from_views([blank], body, motion.prior, motion.fps, options)
     place_m = scale * np.array([0.0, rng.uniform(3.0, 12.0), -rng.uniform(0.0, 1.5)])
     points_m, marked_m = motion.points_m + place_m, motion.marked_m + place_m
     px_per_m = setting.px_per_m(marked_m)[0]
@@ -176,7 +176,7 @@ def one_clip(skeleton: str, motion_s: float, noise_s: float, animal: str | None,
     view = View(camera, blank.T_camera_world, pixels, (~gone).astype(float))
     rear, front = (points_m[:, body.markers.index(marker)].mean(axis=0) for marker in body.forward)
     x, y = (front - rear)[:2]
-    return _scored(ClipProblem.of([view], body, motion.prior, motion.fps, options), size * points_m) | {
+    return _scored(ClipProblem.from_views([view], body, motion.prior, motion.fps, options), size * points_m) | {
         "end on": float(abs(x) < np.sin(np.radians(END_ON_DEG)) * np.hypot(x, y)),
         "seen": float(1 - gone.mean()),
     }
@@ -225,7 +225,7 @@ def pull_of_the_mode(setting: ClipProblem, solved: SegmentFit) -> float:
         by_state = np.zeros(states.shape)
         by_state[:, ROOT] = middle_m / np.sum(middle_m**2, axis=1, keepdims=True) / len(states)
         H = factored(problem.normal(states).blocks)
-        followed = H.coloured(H.white(by_state))
+        followed = H.unwhiten(H.whiten(by_state))
         variance = float(np.sum(by_state * followed))
         return float(np.log(H.band[0]).sum() + np.log(variance) / 2), variance, followed / variance
 

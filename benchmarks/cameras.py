@@ -134,8 +134,8 @@ def too_far(run: Run, solution: TrajectorySolution) -> float:
 
 def with_poses(run: Run, cameras: Iterable[int], body: Body) -> ClipProblem:
     """Some cameras' setting, with the poses and headings that the reference has."""
-    plain = ClipProblem.of([run.views[c] for c in cameras], body, prior_of(PRIOR), run.fps, TrajectoryOptions())
-    return replace(plain, known=states_of(run, plain.origin_m))
+    plain = ClipProblem.from_views([run.views[c] for c in cameras], body, prior_of(PRIOR), run.fps, TrajectoryOptions())
+    return replace(plain, known_states=states_of(run, plain.origin_m))
 
 
 def states_of(run: Run, origin_m: np.ndarray) -> np.ndarray:
@@ -149,11 +149,11 @@ def states_of(run: Run, origin_m: np.ndarray) -> np.ndarray:
 def _detector(runs: tuple[Run, ...], posed: bool) -> Body:
     """A body as the detector sees it in these runs. posed: where the reference has the animal's poses."""
     settings = [with_poses(o, o.views, body_of(o.subject)) for o in runs]
-    shape = Shape.of(body_of(), lengths=False, offsets=True)
+    shape = Shape.of_body(body_of(), lengths=False, offsets=True)
     if posed:
         shape = replace(shape, offset_sigma_m=POSED_OFFSET_SIGMA_M)
     else:
-        settings = [replace(one, known=None) for one in settings]
+        settings = [replace(one, known_states=None) for one in settings]
     return fit_shape(shape, settings).seen(body_of())
 
 

@@ -86,8 +86,10 @@ def measured(label: str, runs: Sequence[Run], bodies: dict[Run, Body]) -> None:
 
 def detector_of(runs: Sequence[Run], bodies: dict[Run, Body]) -> Body:
     views = [(run, list(run.views.values())) for run in runs]
-    clips = [ClipProblem.of(seen, bodies[run], prior_of(PRIOR), run.fps, TrajectoryOptions()) for run, seen in views]
-    return fit_shape(Shape.of(body_of(), lengths=False, offsets=True), clips).seen(body_of())
+    clips = [
+        ClipProblem.from_views(seen, bodies[run], prior_of(PRIOR), run.fps, TrajectoryOptions()) for run, seen in views
+    ]
+    return fit_shape(Shape.of_body(body_of(), lengths=False, offsets=True), clips).seen(body_of())
 
 
 def plate_run(folder: Path) -> Run:

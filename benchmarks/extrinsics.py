@@ -57,7 +57,7 @@ FIELD_M = 1.5
 def without_poses(views: Sequence[View], body: Body, fps: float, find_offsets: bool = False) -> ClipProblem:
     lenses = [replace(view.camera, rotation=None, translation_m=None) for view in views]
     bare = [still_view(lens, view.xy_px, view.confidence) for lens, view in zip(lenses, views, strict=True)]
-    return ClipProblem.of(
+    return ClipProblem.from_views(
         bare, body, prior_of(PRIOR), fps, TrajectoryOptions(find_offsets=find_offsets), ground_near_zero=False
     )
 

@@ -338,7 +338,7 @@ def margin_rows(view: View, name: str, case: Case, folder: Path) -> list[dict[st
     the error of the clip mended over that as it is."""
     motion, changed = fitted(view, case, folder)
     solution, everywhere = motion.solution, np.ones(len(changed), dtype=bool)
-    setting = ClipProblem.of(solution.views, motion.body, prior_of(PRIOR), motion.fps, TrajectoryOptions())
+    setting = ClipProblem.from_views(solution.views, motion.body, prior_of(PRIOR), motion.fps, TrajectoryOptions())
     setting = replace(setting, prior_weight=min(segment.prior_weight for segment in solution.segments))
     given = baseline_of(setting, 0, solution.states, solution.size)
     with least_margin():

@@ -99,7 +99,7 @@ def together(clips: Sequence[Run], views: Sequence[Sequence[View]], bodies: Sequ
         settings = []
         for run, of, body in zip(clips, views, bodies, strict=True):
             placed = [replace(view, T_camera_world=at.T_camera_world) for view, at in zip(of, first, strict=True)]
-            settings.append(ClipProblem.of(placed, body, prior_of(PRIOR), run.fps, TrajectoryOptions()))
+            settings.append(ClipProblem.from_views(placed, body, prior_of(PRIOR), run.fps, TrajectoryOptions()))
         rig = solve_extrinsics(settings, posed=True)
         return [replace(view, T_camera_world=T) for view, T in zip(first, rig.T_camera_world, strict=True)], rig.sigma
 

@@ -124,10 +124,10 @@ def drawn(
     """(DRAWS, n): how many standard deviations the joints are off that are drawn as stated, pose and place; and
     (DRAWS,) how many mm in the mean."""
     problem, states = solved.problem, solved.estimate.states
-    problem = replace(problem, shared=[*problem.shared, *problem.doubtful], doubtful=())
+    problem = replace(problem, shared=[*problem.shared, *problem.nuisance], nuisance=())
     normal, (T, D) = problem.normal(states, problem.expected() | dict(solved.estimate.shared)), states.shape
     own = factored(normal.blocks)
-    Y = own.coloured(own.white(normal.border))
+    Y = own.unwhiten(own.whiten(normal.border))
     S = normal.corner - np.tensordot(normal.border, Y, ((0, 1), (0, 1)))
     shared = np.linalg.solve(np.linalg.cholesky(S).T, rng.normal(size=(len(S), DRAWS)))
     moved, _ = dtbtrs(own.band, rng.normal(size=(T * D, DRAWS)), uplo="L", trans="T")
@@ -151,7 +151,7 @@ def worst_views(runs: Sequence[Run], found: Sequence[Fit]) -> None:
     for run in runs:
         body = as_seen(body_of(run.subject), run, runs, posed=True)
         for view in run.views.values():
-            setting = ClipProblem.of([view], body, prior_of(PRIOR), run.fps, TrajectoryOptions())
+            setting = ClipProblem.from_views([view], body, prior_of(PRIOR), run.fps, TrajectoryOptions())
             segment = max(solve_segments(setting), key=lambda one: one.rows.stop - one.rows.start)
             part, truth_m = setting.part(segment.rows), run.truth_m[segment.rows] - setting.origin_m
             for what, (off, off_mm) in drawn(part, segment, rng).items():

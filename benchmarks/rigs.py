@@ -86,7 +86,7 @@ def rig(body: Body, count: int, random: np.random.Generator) -> list[Camera]:
 def clip(body: Body, wrong: float, count: int, seed: int) -> tuple[list[View], np.ndarray]:
     """Views of an animal, and where its markers are."""
     random = np.random.default_rng(seed)
-    shape = Shape.of(body)
+    shape = Shape.of_body(body)
     factors = random.normal(size=len(shape)) * np.log1p(wrong)
     offsets = {marker: tuple(random.normal(0, BIAS * body.keypoint_sigma_m, 3)) for marker in body.markers}
     true = replace(shape.applied(body, factors), keypoint_offset_m=offsets)

@@ -69,7 +69,7 @@ def split(dense, T, D, W):
 
 
 def solved(factor, b: np.ndarray) -> np.ndarray:
-    return factor.coloured(factor.white(b))
+    return factor.unwhiten(factor.whiten(b))
 
 
 def assert_close(actual, expected, rtol=1e-9):

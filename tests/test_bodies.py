@@ -33,7 +33,7 @@ from recon import (
 from recon.animal import fitting_maps, load_names, new_names, prior_from_body
 from recon.clip import View, camera_poses, still_view
 from recon.fit import ClipProblem, TrajectoryOptions, TrajectorySolution, solve_trajectory
-from recon.fit.posterior import about_keypoint_bias
+from recon.fit.posterior import with_noise_about_bias
 from recon.fit.trajectory import solve_segments
 from recon.gait import LEVELS
 from recon.geometry import rigid
@@ -130,7 +130,7 @@ def seen_by_two(body: Body, true_m: np.ndarray, random: np.random.Generator) -> 
 def test_two_cameras_in_their_places_are_not_named(skeleton, frames, size, monkeypatch):
     """One goes in a circle for longer than is judged; the small one is as large as one of ten."""
     monkeypatch.setattr(rigs, "T", frames)
-    monkeypatch.setattr("recon.fit.trajectory.JUDGED_S", 2.0)
+    monkeypatch.setattr("recon.fit.trajectory.TESTED_S", 2.0)
     body, random = load_skeleton(skeleton), np.random.default_rng(0)
     states, ahead = rigs.motion(body, random), 2 * np.pi * np.arange(frames) / 360
     states[:, 3] = ahead + np.pi / 2
@@ -159,9 +159,9 @@ def test_keypoint_bias_is_no_noise(cameras):
     cameras takes hardly more than the first for noise; of one, whose keypoints show no bias in common, all of it."""
     body = load_skeleton("human-25")
     views, _ = clip(body, 0.0, cameras, 0)
-    setting = ClipProblem.of(views, body, prior_from_body(body), rigs.FPS, TrajectoryOptions(fast=True))
+    setting = ClipProblem.from_views(views, body, prior_from_body(body), rigs.FPS, TrajectoryOptions(fast=True))
     (one,) = solve_segments(setting)
-    counted = about_keypoint_bias(one.problem, one.estimate, setting.correlation_frames)
+    counted = with_noise_about_bias(one.problem, one.estimate, setting.correlation_frames)
     seen, noise_px = views[0].present, float(np.median(one.noise_px[0]))
     given, now = (problem.terms[0].view.confidence[seen].mean() for problem in (one.problem, counted))
     assert noise_px > 1.8 * rigs.SIGMA_PX

@@ -138,7 +138,7 @@ def test_each_markers_noise_is_its_own():
 
     def noise_px(sigma_m: float | None) -> np.ndarray:
         options = TrajectoryOptions(sigma_px=0.0, keypoint_sigma_m=sigma_m)
-        setting = ClipProblem.of([view], seen, prior_from_body(seen), 90.0, options)
+        setting = ClipProblem.from_views([view], seen, prior_from_body(seen), 90.0, options)
         return setting.noise_px(points_m, np.ones((1, 24)))[0, 0]
 
     own, alike = noise_px(None), noise_px(0.03)

@@ -10,7 +10,7 @@ from command_line import refusal
 from recon.base import silent
 from recon.clip import View, still_view
 from recon.fit import ClipProblem, TrajectoryOptions, solve_extrinsics
-from recon.fit.extrinsics import _beside_first, _level, _placed
+from recon.fit.extrinsics import _initial_poses, _level_prior, _sigma_to_first
 from recon.geometry import euler_rotation, inverse, moved, rigid
 from recon.workflows.extrinsics import DISAGREEMENT
 from tests.test_trajectory import BODY, FPS, PRIOR
@@ -29,7 +29,7 @@ def across() -> np.ndarray:
 def setting(views: list[View], posed: bool = False) -> ClipProblem:
     lenses = [replace(view.camera, rotation=None, translation_m=None) for view in views]
     bare = [still_view(lens, view.xy_px, view.confidence) for lens, view in zip(lenses, views, strict=True)]
-    return ClipProblem.of(views if posed else bare, BODY, PRIOR, FPS, TrajectoryOptions(fast=True), False)
+    return ClipProblem.from_views(views if posed else bare, BODY, PRIOR, FPS, TrajectoryOptions(fast=True), False)
 
 
 def blind(view: View) -> View:
@@ -89,8 +89,8 @@ def test_cameras_are_placed_beside_those_already_placed(monkeypatch):
         joints[unseen[i]] = np.nan
         return joints
 
-    monkeypatch.setattr("recon.fit.extrinsics._alone", alone)
-    (placed,) = _placed([setting(views)], silent)
+    monkeypatch.setattr("recon.fit.extrinsics._joints_by_view", alone)
+    (placed,) = _initial_poses([setting(views)], silent)
     for view, true in zip(placed.views, poses, strict=True):
         relative = view.T_camera_world @ inverse(placed.views[0].T_camera_world)
         np.testing.assert_allclose(relative, true @ inverse(AHEAD), atol=1e-9)
@@ -145,13 +145,13 @@ def test_deviations_beside_the_first_camera():
     step = 1e-6
     slopes = np.stack([(relative(step * e) - relative(-step * e)) / (2 * step) for e in np.eye(18)], axis=-1)
     expected = np.sqrt(np.einsum("vap,pq,vaq->va", slopes, root @ root.T, slopes))
-    np.testing.assert_allclose(_beside_first(poses, root @ root.T), expected, rtol=1e-6, atol=1e-6)
+    np.testing.assert_allclose(_sigma_to_first(poses, root @ root.T), expected, rtol=1e-6, atol=1e-6)
 
 
 def test_level_cameras_have_their_minimum_where_up_is_up():
     turned = rigid(euler_rotation([0.02, 0.3, -0.03]), np.zeros(3)) @ ASIDE
     view = replace(view_of(truth_m(), ASIDE), T_camera_world=turned)
-    curvature, gradient = _level([view], 0.1)
+    curvature, gradient = _level_prior([view], 0.1)
     step = -np.linalg.lstsq(curvature[:3, :3], gradient[:3], rcond=None)[0]
     up = moved(rigid(euler_rotation(step), np.zeros(3)), turned[:3, 2])
     np.testing.assert_allclose(up, view.camera.up, atol=2e-3)

@@ -65,7 +65,7 @@ def view() -> View:
 
 
 def given(changed: View, rows: slice = slice(None)):
-    setting = ClipProblem.of([changed.part(rows)], BODY, PRIOR, FPS, TrajectoryOptions())
+    setting = ClipProblem.from_views([changed.part(rows)], BODY, PRIOR, FPS, TrajectoryOptions())
     return baseline_of(setting, 0, plain().states[rows], plain().size)
 
 
@@ -76,7 +76,7 @@ def solved(changed: View) -> TrajectorySolution:
 
 def fitted(changed: View):
     """As a fit to these keypoints finds it."""
-    setting = ClipProblem.of([changed], BODY, PRIOR, FPS, TrajectoryOptions())
+    setting = ClipProblem.from_views([changed], BODY, PRIOR, FPS, TrajectoryOptions())
     return baseline_of(setting, 0, solved(changed).states, solved(changed).size)
 
 
@@ -163,7 +163,9 @@ def test_a_whole_clip_that_only_looks_exchanged_is_to_be_looked_at(monkeypatch):
 
 
 def test_two_frames_of_a_camera_between_those_of_another_have_no_swaps():
-    setting = ClipProblem.of([replace(view(), offset_frames=0.3).part(slice(2))], BODY, PRIOR, FPS, TrajectoryOptions())
+    setting = ClipProblem.from_views(
+        [replace(view(), offset_frames=0.3).part(slice(2))], BODY, PRIOR, FPS, TrajectoryOptions()
+    )
     assert swaps(baseline_of(setting, 0, plain().states[:2], plain().size)) == []
 
 
@@ -280,7 +282,7 @@ def test_without_a_prior_of_motions_neither_sides_nor_rates_are_judged():
     (found,) = input_findings(wrong, PRIOR, TrajectoryOptions(), NAMED)
     assert (found.code, found.frames, found.camera) == ("left_right_swap", (115, 125), CAMERA.name)
     assert input_findings(wrong, prior_from_body(BODY), TrajectoryOptions(), NAMED) == ()
-    setting = ClipProblem.of([view()], BODY, prior_from_body(BODY), 2 * FPS, TrajectoryOptions())
+    setting = ClipProblem.from_views([view()], BODY, prior_from_body(BODY), 2 * FPS, TrajectoryOptions())
     assert other_rate(setting, given(view()).states, None) is None
 
 
@@ -385,7 +387,7 @@ def test_a_smaller_video():
 
 
 def test_the_frame_rate_that_the_file_states():
-    setting = ClipProblem.of([view()], BODY, PRIOR, FPS, TrajectoryOptions())
+    setting = ClipProblem.from_views([view()], BODY, PRIOR, FPS, TrajectoryOptions())
     found = other_rate(setting, plain().states, 120.0)
     assert found == finding("frame_rate_stated", given_hz=FPS, other_hz=120.0)
     assert other_rate(setting, plain().states, 90.5) is None
@@ -393,7 +395,7 @@ def test_the_frame_rate_that_the_file_states():
 
 @pytest.mark.parametrize("factor", [0.5, 0.6, 2.0])
 def test_a_motion_at_another_rate_than_it_was_filmed_at(factor):
-    setting = ClipProblem.of([view()], BODY, PRIOR, FPS * factor, TrajectoryOptions())
+    setting = ClipProblem.from_views([view()], BODY, PRIOR, FPS * factor, TrajectoryOptions())
     found = other_rate(setting, given(view()).states, None)
     assert found is not None
     assert found.code == "frame_rate"

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from recon.fit import Estimate, LeastSquares, Unknown
+from recon.fit import Estimate, LeastSquares, SharedUnknown
 from recon.fit import least_squares as module
 from recon.fit.posterior import posterior
 from recon.fit.terms import (
@@ -23,7 +23,7 @@ from recon.fit.terms import (
     climb_term,
     dynamics_term,
     extrinsic_correction,
-    focal,
+    focal_scale,
     keypoint_bias,
     pose_term,
     root_term,
@@ -85,12 +85,12 @@ def seen_late(shared: bool = True) -> LeastSquares:
         Reprojection(of, sigma, 3.0, np.zeros(3), i, 0.1 * rng.normal(size=(T, J, 3)), rng.uniform(100, 200, T))
         for i, of in enumerate((view(xy_px), replace(view(xy_px), offset_frames=0.3)))
     ]
-    unknown = [Unknown(SIZE, np.ones(1), np.array([0.1])), Unknown(SIDESLIP, np.zeros(1), np.array([0.2]))]
-    unknown += [Unknown(time_offset(i), np.zeros(1), np.array([0.3])) for i in range(2)]
-    unknown += [Unknown(focal(i), np.zeros(1), np.array([0.1])) for i in range(2)]
-    unknown += [Unknown(extrinsic_correction(1), np.zeros(6), np.repeat([0.1, 0.5], 3))]
-    displaced = [Unknown(keypoint_bias(i), np.zeros(2 * J), np.full(2 * J, 0.03)) for i in range(2)]
-    common = [] if shared else [Unknown(COMMON_KEYPOINT_BIAS, np.zeros(3 * J), np.full(3 * J, 0.02))]
+    unknown = [SharedUnknown(SIZE, np.ones(1), np.array([0.1])), SharedUnknown(SIDESLIP, np.zeros(1), np.array([0.2]))]
+    unknown += [SharedUnknown(time_offset(i), np.zeros(1), np.array([0.3])) for i in range(2)]
+    unknown += [SharedUnknown(focal_scale(i), np.zeros(1), np.array([0.1])) for i in range(2)]
+    unknown += [SharedUnknown(extrinsic_correction(1), np.zeros(6), np.repeat([0.1, 0.5], 3))]
+    displaced = [SharedUnknown(keypoint_bias(i), np.zeros(2 * J), np.full(2 * J, 0.03)) for i in range(2)]
+    common = [] if shared else [SharedUnknown(COMMON_KEYPOINT_BIAS, np.zeros(3 * J), np.full(3 * J, 0.02))]
     linear = [t for t in terms() if isinstance(t, Linear)]
     held = Linear("held", (0,), 0.01 * np.eye(BODY.n_state)[None], np.zeros(BODY.n_state))  # the last frame by one view
     free = [*unknown, *displaced] if shared else unknown
@@ -154,7 +154,7 @@ def test_the_posterior_is_that_of_the_dense_equations():
     problem, states = seen_late(shared=False), some_states()
     shared, factor = some_shared(problem), 3.0
     found = posterior(problem, BODY, Estimate(states, 0.0, 1, True, shared), factor)
-    every = replace(problem, shared=[*problem.shared, *problem.doubtful], doubtful=())
+    every = replace(problem, shared=[*problem.shared, *problem.nuisance], nuisance=())
     normal = every.normal(states, every.expected() | shared)
     n, P = states.size, len(normal.corner)
     border = normal.border.reshape(n, P)
@@ -178,7 +178,7 @@ def test_a_step_equals_the_dense_one():
     r, J = dense_rows(problem, states)
     H, g = equations(problem, states)
     factor = factored(H, np.full(g.shape, 1e-3))
-    step = factor.coloured(factor.white(-g))
+    step = factor.unwhiten(factor.whiten(-g))
     dense = np.linalg.solve(J.T @ J + 1e-3 * np.eye(states.size), -J.T @ r)
     np.testing.assert_allclose(step.ravel(), dense, rtol=1e-6, atol=1e-8)
 

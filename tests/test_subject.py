@@ -25,7 +25,7 @@ def body() -> Body:
 
 
 def test_derivatives_are_exact():
-    shape = Shape.of(body(), lengths=True, offsets=True)
+    shape = Shape.of_body(body(), lengths=True, offsets=True)
     rng = np.random.default_rng(0)
     values, states = 0.05 * rng.normal(size=len(shape)), rng.normal(size=(3, body().n_state))
     exact = shape.jacobian(shape.applied(body(), values), states)
@@ -36,7 +36,7 @@ def test_derivatives_are_exact():
 
 
 def test_left_and_right_share_their_unknowns():
-    shape = Shape.of(body(), lengths=True, offsets=True)
+    shape = Shape.of_body(body(), lengths=True, offsets=True)
     assert not any(name.startswith("r_") for name in (*shape.lengths, *shape.offsets))
     values = np.zeros(len(shape))
     values[shape.names.index("l_hip_y")] = 0.01
@@ -54,10 +54,10 @@ def fitted(shape: Shape, true: np.ndarray, posed: bool = False) -> ShapeFit:
     points = _run_of(shape.applied(body(), true))
     views = [view_of(points, AHEAD, 1.0), view_of(points, ASIDE, 1.0, seed=1)]
     options = TrajectoryOptions(fast=True, keypoint_sigma_m=0.005, sigma_px=1.0)
-    setting = ClipProblem.of(views, shape.body, PRIOR, FPS, options)
+    setting = ClipProblem.from_views(views, shape.body, PRIOR, FPS, options)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(constants, "ERROR_TIME_S", 0.0)
-        return fit_shape(shape, [replace(setting, known=solve_points(BODY, truth_m())[0] if posed else None)])
+        return fit_shape(shape, [replace(setting, known_states=solve_points(BODY, truth_m())[0] if posed else None)])
 
 
 def true_values(shape: Shape) -> np.ndarray:
@@ -66,7 +66,7 @@ def true_values(shape: Shape) -> np.ndarray:
 
 def test_lengths_are_found():
     """Two segments of other lengths, of an animal whose size was hardly known: to half a per cent."""
-    shape = Shape.of(replace(body(), size_sigma=0.1))
+    shape = Shape.of_body(replace(body(), size_sigma=0.1))
     fit = fitted(shape, true_values(shape))
     assert fit.converged
     np.testing.assert_allclose(fit.values, true_values(shape), atol=0.01)
@@ -75,7 +75,7 @@ def test_lengths_are_found():
 
 def test_offsets_are_found():
     """Keypoints of the paws one and a half centimetres above them, and those of the knees outside."""
-    shape = Shape.of(body(), lengths=False, offsets=True)
+    shape = Shape.of_body(body(), lengths=False, offsets=True)
     true = np.zeros(len(shape))
     moved = [shape.names.index("l_front_paw_z"), shape.names.index("l_back_knee_y")]
     true[moved] = 0.015
@@ -86,7 +86,7 @@ def test_offsets_are_found():
 
 def test_beside_known_poses_an_offset_is_no_other_pose():
     """The keypoints of a whole fore leg four centimetres ahead of it."""
-    shape = replace(Shape.of(body(), lengths=False, offsets=True), offset_sigma_m=0.02)
+    shape = replace(Shape.of_body(body(), lengths=False, offsets=True), offset_sigma_m=0.02)
     true = np.zeros(len(shape))
     moved = [shape.names.index(f"l_{name}_x") for name in ("shoulder", "front_knee", "front_ankle", "front_paw")]
     true[moved] = 0.04
@@ -96,7 +96,7 @@ def test_beside_known_poses_an_offset_is_no_other_pose():
 
 
 def test_lengths_and_offsets_together_are_less_certain():
-    shape = Shape.of(replace(body(), size_sigma=0.1), lengths=True, offsets=True)
+    shape = Shape.of_body(replace(body(), size_sigma=0.1), lengths=True, offsets=True)
     fit = fitted(shape, true_values(shape))
     assert (np.abs(fit.values - true_values(shape)) < 3 * fit.sigma).all()
     assert fit.sigma[shape.names.index("l_fore_lower")] > 0.015
@@ -144,7 +144,7 @@ def test_a_few_frames_say_little_and_nothing_else_is_said(folder, tmp_path):  # 
 
 def _mean_factor(animal: Body) -> float:
     generic = load_skeleton("cheetah-24")
-    shape = Shape.of(generic)
+    shape = Shape.of_body(generic)
     both = [{i.name: i.offset_m for i in (*b.tree.segments, *b.tree.markers)} for b in (animal, generic)]
     lengths = np.array([[np.linalg.norm(of[name]) for name in shape.lengths] for of in both])
     return float(np.exp(np.log(lengths[0] / lengths[1]).mean()))

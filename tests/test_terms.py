@@ -189,5 +189,5 @@ def test_joints_behind_the_camera_cost_much_and_finitely():
 def test_spans_overlap_by_one_frame():
     """Each row stands for a frame once, however the clip is cut."""
     pose = BODY.tree.pose_with_jacobian(some_states())
-    assert Span(0, some_states(), pose, last=True).own == slice(0, T)
-    assert Span(0, some_states(), pose, last=False).own == slice(0, T - 1)
+    assert Span(0, some_states(), pose, is_last=True).own_rows == slice(0, T)
+    assert Span(0, some_states(), pose, is_last=False).own_rows == slice(0, T - 1)

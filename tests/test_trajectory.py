@@ -236,7 +236,7 @@ def test_fast_is_near_the_full_solution():
     assert errors_m(quick, run()).mean() < errors_m(plain(), run()).mean() + 0.004
     view = still_view(CAMERA, seen(run()), np.ones((len(run()), len(BODY.markers))))
     for fast, count in ((True, 1), (False, 2)):
-        tried = approach(ClipProblem.of([view], BODY, PRIOR, FPS, TrajectoryOptions(fast=fast)))
+        tried = approach(ClipProblem.from_views([view], BODY, PRIOR, FPS, TrajectoryOptions(fast=fast)))
         assert sum(len(start.states) == len(run()) for start in tried) == count
 
 

@@ -97,7 +97,7 @@ def test_keypoints_noise_is_as_many_pixels_as_the_lens_makes_of_it():
     found = []
     for heading in (np.pi / 2, np.pi / 2 + 0.5):
         view = replace(view_of(points, pose([0.0, 0.0, 0.0], heading)), camera=lens)
-        found.append(ClipProblem.of([view], BODY, PRIOR, FPS, TrajectoryOptions()).px_per_m(points)[0])
+        found.append(ClipProblem.from_views([view], BODY, PRIOR, FPS, TrajectoryOptions()).px_per_m(points)[0])
         middle = np.median(points, axis=1, keepdims=True)
         steps = 1e-6 * np.concatenate([np.eye(3), -np.eye(3)])
         moved, at = view.project(middle + steps)[0], view.project(middle)[0]

@@ -137,7 +137,7 @@ def test_a_picture_that_zooms_is_named(times, ways):
     centre = CAMERA.matrix[:2, 2]
     zoom = np.linspace(1.0, times, len(seen(run())))[:, None, None]
     solution = solve(centre + zoom * (seen(run()) - centre))
-    setting = ClipProblem.of(solution.views, BODY, PRIOR, FPS, TrajectoryOptions())
+    setting = ClipProblem.from_views(solution.views, BODY, PRIOR, FPS, TrajectoryOptions())
     found = [*of_lens(baseline_of(setting, 0, solution.states, solution.size), solution.noise_px[0])]
     assert [one.numbers["way"] for one in found] == ways
 
@@ -147,7 +147,7 @@ def test_keypoints_without_the_lens_that_the_camera_has_are_named(kept, codes):
     bent = replace(CAMERA, model="radtan", distortion=np.array([-0.6, 0.3, 0.0, 0.0]))
     xy_px = bent.project(run())[0] if kept else seen(run(), 0.0)
     solution = solve(xy_px + np.random.default_rng(0).normal(0, 2, xy_px.shape), camera=bent)
-    setting = ClipProblem.of(solution.views, BODY, PRIOR, FPS, TrajectoryOptions())
+    setting = ClipProblem.from_views(solution.views, BODY, PRIOR, FPS, TrajectoryOptions())
     found = of_lens(baseline_of(setting, 0, solution.states, solution.size), solution.noise_px[0])
     assert [one.code for one in found] == codes
 

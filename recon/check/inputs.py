@@ -47,7 +47,7 @@ def input_findings(
     """
     solution, body, fps = motion.solution, motion.body, motion.fps
     assert isinstance(solution, TrajectorySolution)
-    clip = ClipProblem.of(solution.views, body, prior, fps, options)
+    clip = ClipProblem.from_views(solution.views, body, prior, fps, options)
     weighed = replace(clip, prior_weight=min((segment.prior_weight for segment in solution.segments), default=1.0))
     too_fast = mean_speed_m_s(solution.states, fps) > FASTEST_M_S  # nor does the prior know it
     unlike = too_fast or any(segment.unlike_prior for segment in solution.segments)

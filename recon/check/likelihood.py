@@ -28,11 +28,11 @@ from recon.fit import (
     Finding,
     LeastSquares,
     TrajectorySolution,
-    between,
+    interpolate_states,
     prior_misfit_of,
     solve_trajectory,
 )
-from recon.fit.clip_problem import ClipProblem, above_ground, contacts
+from recon.fit.clip_problem import ClipProblem, contacts, sigmas_above_ground
 from recon.fit.terms import MOTION
 from recon.geometry import ROOT, Camera
 
@@ -83,7 +83,7 @@ class Refit:
         costs = clip.problem(noise_px, 1.0).costs(states)
         pixels, own, ground = costs["reprojection"], sum(costs.values()), 0.0
         if clip.ground_known and len(clip.feet):  # of feet that are off it all the time
-            ground = 0.5 * above_ground(clip, clip.markers(states)) ** 2
+            ground = 0.5 * sigmas_above_ground(clip, clip.markers(states)) ** 2
         return cls(states, _seen(clip, states) + ground + own - pixels, own)
 
     def likelier(self, other: Refit) -> float:
@@ -169,7 +169,7 @@ def either_side(given: Baseline, other: View, which: Bools) -> tuple[Array, Arra
         states[:, ANGLES] = clip.prior.mean
         problem = thin.problem(LOOSE * thin.noise_px(thin.markers(states), ones))
         states = problem.minimise(states, _TOLERANCE, _ITERATIONS).states
-        markers = part.markers(between(states, every, len(part)))
+        markers = part.markers(interpolate_states(states, every, len(part)))
         sigma_px[rows] = LOOSE * part.noise_px(markers, ones)[0]
         projected[rows], _ = part.views[0].project(part.views[0].shift_to_exposure(part.in_world(markers)))
     return projected, sigma_px

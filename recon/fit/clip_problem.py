@@ -1,4 +1,4 @@
-"""What a trajectory is solved for: views of a clip, a body, what is expected of its motion, and the options."""
+"""State what a trajectory is solved for: views of a clip, a body, what is expected of its motion, and the options."""
 
 from __future__ import annotations
 
@@ -12,24 +12,24 @@ from recon.animal import Body, MotionPrior, prior_from_body
 from recon.base.arrays import Array, Bools, Index
 from recon.clip import View
 from recon.fit import constants, terms
-from recon.fit.least_squares import LeastSquares, Unknown, piece_of
+from recon.fit.least_squares import LeastSquares, SharedUnknown, piece_of
 from recon.fit.result import Ground
 
 UP = np.array([0.0, 0.0, 1.0])
 _NEAREST_M = 0.3
-"""Nearer than this to a camera nothing is taken to be."""
-_APART_M = 1e-6
+"""Least distance of anything from a camera."""
+_SAME_CENTRE_M = 1e-6
 """Cameras nearer to the origin than this are in it."""
 
 
 @dataclass(frozen=True)
 class TrajectoryOptions:
-    """What users say of how a clip is fitted; the numbers that nobody sets are in `recon.fit.constants`."""
+    """Hold what users choose for the fit of a clip; `recon.fit.constants` has the numbers that nobody sets."""
 
     fast: bool = False
-    """Fewer starts, one of them to the end, and looser tolerances."""
+    """Whether fewer starts are tried, one of them to the end, with looser tolerances."""
     ground: Literal["auto", "none"] = "auto"
-    """auto: feet that stand are still and on one plane; none: nothing is said about them."""
+    """auto: standing feet are still and on one plane; none: nothing is assumed about them."""
     sigma_px: float = 3.0
     """Standard deviation of the detector's noise."""
     keypoint_sigma_m: float | None = None
@@ -37,20 +37,20 @@ class TrajectoryOptions:
     size_sigma: float | None = None
     """Standard deviation of the size, relative, in place of the body's."""
     find_offsets: bool = False
-    """Other cameras began to film some frames later or earlier than said, and it is found how many."""
+    """Whether the other cameras' time offsets are unknowns."""
     refine_cameras: bool = False
-    """All cameras but the first lie beside their poses, and it is found where."""
+    """Whether the poses of all cameras but the first are unknowns."""
     focal_sigma: float | None = None
     """Standard deviation of all cameras' focal lengths, relative, of several cameras; None: they are exact."""
 
     def keypoint_noise_m(self, body: Body) -> float:
-        """How far a body's keypoints lie from the markers."""
+        """Return the standard deviation of a body's keypoints about its markers."""
         return body.keypoint_sigma_m if self.keypoint_sigma_m is None else self.keypoint_sigma_m
 
 
 @dataclass(frozen=True, eq=False)
 class ClipProblem:
-    """What does not change on the way to a solution, of all T frames of a clip or a part of them."""
+    """Hold the fixed inputs of one fit, for all T frames of a clip or a part of them."""
 
     views: tuple[View, ...]
     body: Body
@@ -62,14 +62,14 @@ class ClipProblem:
     ground_near_zero: bool
     """Whether the ground is known to lie near the world's z = 0."""
     time_offset_frames: float
-    """Standard deviation: how much later or earlier than said pictures are taken, where that is not to be found."""
+    """Standard deviation of the time offset of pictures, where it is not to be found."""
     prior_weight: float = 1.0
     """See `MotionSegment.prior_weight`."""
-    known: Array | None = None
-    """(T, D): states whose heading and angles the animal has, NaN in frames where they are not known."""
+    known_states: Array | None = None
+    """(T, D): states whose heading and angles the animal has, NaN in frames where they are not known; None: nowhere."""
 
     @classmethod
-    def of(
+    def from_views(
         cls,
         views: Sequence[View],
         body: Body,
@@ -78,7 +78,7 @@ class ClipProblem:
         options: TrajectoryOptions,
         ground_near_zero: bool | None = None,
     ) -> ClipProblem:
-        """The problem of a whole clip: see `recon.fit.trajectory.solve_trajectory`."""
+        """Return the problem of a whole clip: see `recon.fit.trajectory.solve_trajectory`."""
         if ground_near_zero is None:
             ground_near_zero = all(view.camera.knows_up for view in views)
         views = tuple(view.mask_outside_image() for view in views)
@@ -86,15 +86,16 @@ class ClipProblem:
         return cls(views, body, prior, fps, options, origin_m, ground_near_zero, constants.TIME_OFFSET_FRAMES)
 
     def __len__(self) -> int:
-        """T"""
+        """Return T, the number of frames."""
         return len(self.views[0].xy_px)
 
     def part(self, frames: slice | Index) -> ClipProblem:
-        known = None if self.known is None else self.known[frames]
-        return replace(self, views=tuple(view.part(frames) for view in self.views), known=known)
+        """Return the problem of some of the frames."""
+        known = None if self.known_states is None else self.known_states[frames]
+        return replace(self, views=tuple(view.part(frames) for view in self.views), known_states=known)
 
     def thinned(self, step: int) -> ClipProblem:
-        """The problem of every step-th frame, which counts for those left out."""
+        """Return the problem of every step-th frame, which also counts for the frames left out."""
         thin = self.part(slice(None, None, step))
         views = tuple(
             replace(view, confidence=step * view.confidence, offset_frames=view.offset_frames / step)
@@ -105,115 +106,129 @@ class ClipProblem:
     # -- the scene ------------------------------------------------------------------------------------------------
 
     @property
-    def right(self) -> Array:
-        """(3,): the level direction to the right of the first camera's picture."""
+    def image_right(self) -> Array:
+        """Return the level direction to the right of the first camera's picture, (3,)."""
         x = self.views[0].T_camera_world.reshape(-1, 4, 4)[0, 0, :3]
         level = x - UP * x[2]
         return level / np.linalg.norm(level)
 
     @property
     def feet(self) -> Index:
+        """Return the markers of the feet, (F,)."""
         return np.array([self.body.markers.index(foot) for foot in self.body.feet], dtype=np.intp)
 
     @property
     def ground_known(self) -> bool:
+        """Return whether the ground lies near z = 0 and is used."""
         return self.ground_near_zero and self.options.ground == "auto"
 
     @property
     def size_sigma(self) -> float:
-        """Prior standard deviation of the size, around 1."""
+        """Return the prior standard deviation of the size, around 1."""
         return self.body.size_sigma if self.options.size_sigma is None else self.options.size_sigma
 
     @property
     def shows_size(self) -> bool:
-        """Whether a picture was taken from elsewhere than the origin."""
-        return any(np.abs(view.centre_m - self.origin_m).max() > _APART_M for view in self.views)
+        """Return whether a picture was taken from elsewhere than the origin."""
+        return any(np.abs(view.centre_m - self.origin_m).max() > _SAME_CENTRE_M for view in self.views)
 
     def present(self) -> Bools:
-        """(T, J): seen by a camera."""
+        """Return which markers a camera saw, (T, J)."""
         return np.any([view.present for view in self.views], axis=0)
 
     def markers(self, states: Array) -> Array:
-        """(T, J, 3): where the detector sees them, at nominal size about the origin."""
+        """Return where the detector sees the markers, (T, J, 3), at nominal size about the origin."""
         return self.body.detected.pose(states).points_m
 
     def in_world(self, points_m: Array, size: float = 1.0) -> Array:
-        """Points (..., 3) of nominal size about the origin."""
+        """Return points (..., 3) of nominal size about the origin in the world."""
         return self.origin_m + size * points_m
 
     # -- the problem ----------------------------------------------------------------------------------------------
 
     @property
     def correlation_frames(self) -> float:
-        """How many neighbouring frames' errors are alike and count once in the uncertainty."""
+        """Return the correlation length of errors: neighbouring frames within it count once in the uncertainty."""
         return max(constants.ERROR_TIME_S * self.fps, 1.0)
 
     @property
     def keypoint_sigma_m(self) -> float:
+        """Return the standard deviation of keypoints about the markers."""
         return self.options.keypoint_noise_m(self.body)
 
     @property
     def keypoint_bias_m(self) -> float:
-        """How far a keypoint lies from its marker all the time, if nothing else is known of it."""
+        """Return the expected keypoint bias, the distance from its marker that lasts all clip."""
         return constants.KEYPOINT_BIAS_SHARE * self.keypoint_sigma_m
 
     @property
     def in_frame_m(self) -> Array:
-        """(J,): how far the keypoints of each marker lie off in a single frame."""
-        known = self.body.keypoint_noise_m if self.options.keypoint_sigma_m is None else {}
-        return np.array([known.get(marker, self.keypoint_sigma_m) for marker in self.body.markers])
+        """Return the standard deviation of each marker's keypoints in a single frame, (J,)."""
+        noise_m = self.body.keypoint_noise_m if self.options.keypoint_sigma_m is None else {}
+        return np.array([noise_m.get(marker, self.keypoint_sigma_m) for marker in self.body.markers])
 
     def px_per_m(self, points_m: Array, size: float = 1.0) -> Array:
-        """(V, T): how large a metre of the nominal body is in the picture, in the middle of its markers (T, J, 3)."""
+        """Return the pixels per metre of the nominal body in the middle of its markers (T, J, 3), shape (V, T)."""
         middle = self.in_world(np.median(points_m, axis=1, keepdims=True), size)
-        found = []
+        scales = []
         for view in self.views:
             nearest = np.max(view.focal_px) / _NEAREST_M
             _, by_point, valid = view.project_with_jacobian(middle)
-            along = np.sqrt(0.5 * np.sum(by_point[:, 0] ** 2, axis=(1, 2)))
-            far = view.focal_px / np.maximum(np.linalg.norm(middle[:, 0] - view.centre_m, axis=1), _NEAREST_M)
-            found.append(size * np.where(valid[:, 0], np.minimum(along, nearest), far))
-        return np.array(found)
+            image_scale = np.sqrt(0.5 * np.sum(by_point[:, 0] ** 2, axis=(1, 2)))
+            distant_scale = view.focal_px / np.maximum(np.linalg.norm(middle[:, 0] - view.centre_m, axis=1), _NEAREST_M)
+            scales.append(size * np.where(valid[:, 0], np.minimum(image_scale, nearest), distant_scale))
+        return np.array(scales)
 
     def noise_px(self, points_m: Array, factor: Array, size: float = 1.0) -> Array:
-        """(V, T, J): the detector's noise and the keypoints', times sqrt(factor) (V, J), and that of a camera's turn,
-        for markers (T, J, 3) at nominal size."""
+        """Return the noise of detections (V, T, J) for markers (T, J, 3) at nominal size.
+
+        It is the detector's noise and the keypoints', times sqrt(factor) (V, J), and that of a camera's rotation.
+        """
         px_per_m = self.px_per_m(points_m, size)[..., None]
         noise = np.hypot(self.options.sigma_px, self.in_frame_m * px_per_m) * np.sqrt(factor)[:, None]
         if all(view.rotation_sigma_rad is None for view in self.views):
             return noise
-        turned = np.array([np.broadcast_to(view.turn_px, len(self)) for view in self.views])
-        return np.hypot(noise, turned[..., None])
+        rotation_px = np.array([np.broadcast_to(view.turn_px, len(self)) for view in self.views])
+        return np.hypot(noise, rotation_px[..., None])
 
-    def shared(self, shifts_m: Array | None = None) -> tuple[list[Unknown], list[Unknown]]:
-        """What all frames share: the unknowns that pictures can tell, and those that only add to the uncertainty, as a
-        single camera's time offset and an animal's sideslip. shifts_m (V,): how far cameras that are refined may stand
-        from their places. Standard deviations are of what lasts: many frames make it no better known."""
-        o, V, root = self.options, len(self.views), np.sqrt(self.correlation_frames)
+    def shared_unknowns(self, shifts_m: Array | None = None) -> tuple[list[SharedUnknown], list[SharedUnknown]]:
+        """Return the unknowns that all frames share: those that pictures can show, and the nuisance ones.
 
-        def lasting(name: str, sigma: Array | float) -> Unknown:
-            each = np.asarray(np.atleast_1d(sigma) / root, dtype=float)
-            return Unknown(name, np.zeros(len(each)), each)
+        Nuisance unknowns only add to the uncertainty, as a single camera's time offset and an animal's sideslip.
+        shifts_m (V,): the expected shift of cameras that are refined. Standard deviations are of what lasts: more
+        frames make it no better known.
+        """
+        options, V, root_correlation = self.options, len(self.views), np.sqrt(self.correlation_frames)
 
-        size = [Unknown(terms.SIZE, np.ones(1), np.array([self.size_sigma]))] if self.shows_size else []
-        first, late = (1, constants.SOUGHT_OFFSET_FRAMES) if o.find_offsets else (0, self.time_offset_frames)
-        time_offsets = [lasting(terms.time_offset(i), late) for i in range(first, V)]
+        def lasting(name: str, sigma: Array | float) -> SharedUnknown:  # counted once, whatever the number of frames
+            sigmas = np.asarray(np.atleast_1d(sigma) / root_correlation, dtype=float)
+            return SharedUnknown(name, np.zeros(len(sigmas)), sigmas)
+
+        size = [SharedUnknown(terms.SIZE, np.ones(1), np.array([self.size_sigma]))] if self.shows_size else []
+        first_view, sigma_frames = (
+            (1, constants.SOUGHT_OFFSET_FRAMES) if options.find_offsets else (0, self.time_offset_frames)
+        )
+        time_offsets = [lasting(terms.time_offset(i), sigma_frames) for i in range(first_view, V)]
         common = constants.COMMON_BIAS_SHARE if V > 1 else 0.0
-        off_m = np.array([self.body.keypoint_spread_m.get(m, self.keypoint_bias_m) for m in self.body.markers])
-        own_m, common_m = np.repeat(off_m * (1 - common) ** 0.5, 2), np.repeat(off_m * common**0.5, 3)
+        bias_m = np.array([self.body.keypoint_spread_m.get(m, self.keypoint_bias_m) for m in self.body.markers])
+        own_m, common_m = np.repeat(bias_m * (1 - common) ** 0.5, 2), np.repeat(bias_m * common**0.5, 3)
         biases = [lasting(terms.keypoint_bias(i), own_m) for i in range(V)] if own_m.all() else []
         biases += [lasting(terms.COMMON_KEYPOINT_BIAS, common_m)] if common_m.all() else []
         if V == 1:
             return size, [*time_offsets, *biases]
         sideslip = [lasting(terms.SIDESLIP, constants.SIDESLIP_RAD)] if len(self) > 1 else []
-        shifts = [] if shifts_m is None or not o.refine_cameras else [*enumerate(shifts_m.tolist())][1:]
+        shifts = [] if shifts_m is None or not options.refine_cameras else [*enumerate(shifts_m.tolist())][1:]
         rotation = [constants.CAMERA_ROTATION_RAD] * 3
         corrections = [lasting(terms.extrinsic_correction(i), np.array([*rotation, *[m] * 3])) for i, m in shifts]
-        focals = [] if o.focal_sigma is None else [lasting(terms.focal(i), o.focal_sigma) for i in range(V)]
+        focals = (
+            []
+            if options.focal_sigma is None
+            else [lasting(terms.focal_scale(i), options.focal_sigma) for i in range(V)]
+        )
         return [*size, *sideslip, *time_offsets, *corrections, *focals], biases
 
     def shifts_m(self, around_m: Array, size: float) -> Array:
-        """(V,): how far cameras may stand from their places. Those of a small rig are measured as much better."""
+        """Return how far cameras may stand from their positions, (V,); a small rig is measured better."""
         middle = self.in_world(around_m.mean(axis=1), size)
         distances_m = [np.median(np.linalg.norm(middle - view.centre_m, axis=1)) for view in self.views]
         return np.minimum(constants.CAMERA_SHIFT_M, constants.CAMERA_SHIFT_SHARE * np.array(distances_m))
@@ -226,94 +241,111 @@ class ClipProblem:
         around_m: Array | None = None,
         size: float = 1.0,
     ) -> LeastSquares:
-        """All terms, each switched on here. noise_px (V, T, J). temperature: of the mixture of poses; None: one
-        Gaussian. around_m (T, J, 3): a solution's markers, and its size; then what all frames share is unknown."""
+        """Return the problem with all terms; each is switched on here.
+
+        Parameters
+        ----------
+        noise_px
+            (V, T, J): the noise of each detection.
+        temperature
+            That of the mixture of poses; None: one Gaussian.
+        contact_terms
+            Terms of the feet and the ground: see `contacts`.
+        around_m
+            (T, J, 3): a solution's markers, and `size` its size. With them the shared unknowns are free.
+        """
         D, T = self.body.n_state, len(self)
         rear, front = (self.body.markers.index(marker) for marker in self.body.forward)
-        seen = [
+        reprojections = [
             terms.Reprojection(view, sigma_px, constants.ROBUST_C, self.origin_m, i)
             for i, (view, sigma_px) in enumerate(zip(self.views, noise_px, strict=True))
         ]
-        shared, doubtful = ([], []) if around_m is None else self.shared(self.shifts_m(around_m, size))
+        shared, nuisance = ([], []) if around_m is None else self.shared_unknowns(self.shifts_m(around_m, size))
         if around_m is not None:
             drift_m = np.gradient(around_m, axis=0) if T > 1 else np.zeros_like(around_m)
             px_per_m = self.px_per_m(around_m, size)
-            seen = [replace(term, drift_m=drift_m, px_per_m=px) for term, px in zip(seen, px_per_m, strict=True)]
-        pose, motion = (weight * self.prior_weight for weight in (constants.POSE_WEIGHT, constants.MOTION_WEIGHT))
+            reprojections = [
+                replace(term, drift_m=drift_m, px_per_m=px) for term, px in zip(reprojections, px_per_m, strict=True)
+            ]
+        pose_weight, motion_weight = (
+            weight * self.prior_weight for weight in (constants.POSE_WEIGHT, constants.MOTION_WEIGHT)
+        )
         accelerations = np.array(constants.ACCELERATION_M_S2), constants.YAW_ACCELERATION_RAD_S2
         linear = [terms.climb_term(D, self.fps, constants.CLIMB_M_S), terms.root_term(D, self.fps, *accelerations)]
-        linear.append(terms.dynamics_term(self.prior, D, self.fps, motion))
-        others: list[terms.Term] = [*seen]
+        linear.append(terms.dynamics_term(self.prior, D, self.fps, motion_weight))
+        nonlinear: list[terms.Term] = [*reprojections]
         if temperature is None:
-            linear.append(terms.pose_term(self.prior, D, self.fps, pose))
+            linear.append(terms.pose_term(self.prior, D, self.fps, pose_weight))
         else:
-            others.append(terms.PoseMixture(self.prior, self.fps, pose, temperature))
+            nonlinear.append(terms.PoseMixture(self.prior, self.fps, pose_weight, temperature))
         if self.prior_weight < 1:
-            plain = prior_from_body(self.body)
-            linear.append(terms.pose_term(plain, D, self.fps, constants.POSE_WEIGHT - pose))
-            linear.append(terms.dynamics_term(plain, D, self.fps, constants.MOTION_WEIGHT - motion))
-        if self.known is not None:
-            others.append(terms.KnownAngles(self.known))
+            body_prior = prior_from_body(self.body)
+            linear.append(terms.pose_term(body_prior, D, self.fps, constants.POSE_WEIGHT - pose_weight))
+            linear.append(terms.dynamics_term(body_prior, D, self.fps, constants.MOTION_WEIGHT - motion_weight))
+        if self.known_states is not None:
+            nonlinear.append(terms.KnownAngles(self.known_states))
         if T > 1:
-            others.append(terms.Heading(rear, front, self.fps, constants.LATERAL_M_S))
-        return LeastSquares(self.body.detected, linear, [*others, *contact_terms], shared, doubtful, piece_of(self.fps))
+            nonlinear.append(terms.Heading(rear, front, self.fps, constants.LATERAL_M_S))
+        return LeastSquares(
+            self.body.detected, linear, [*nonlinear, *contact_terms], shared, nuisance, piece_of(self.fps)
+        )
 
 
 LOW_FEET = 0.1
-"""The share of the frames in which the lowest foot is taken to be on the ground."""
-ELSEWHERE = 2.0
-"""A ground further off z = 0, in standard deviations of what is expected, is not taken to lie there."""
+"""Share of the frames in which the lowest foot is taken to be on the ground."""
+OFF_ZERO_SIGMAS = 2.0
+"""Number of standard deviations from z = 0 at which the ground is not taken to lie there."""
 
 
-def above_ground(clip: ClipProblem, points_m: Array, size: float = 1.0) -> float:
-    """By how many standard deviations the lowest feet of markers (T, J, 3) are above a ground at z = 0."""
+def sigmas_above_ground(clip: ClipProblem, points_m: Array, size: float = 1.0) -> float:
+    """Return by how many standard deviations the lowest feet of markers (T, J, 3) are above a ground at z = 0."""
     low_m = float(np.quantile(points_m[:, clip.feet, 2].min(axis=1), LOW_FEET))
     sigma_m = float(np.hypot(constants.GROUND_HEIGHT_M, clip.size_sigma * low_m))
     return (float(clip.origin_m[2]) / size + low_m) / sigma_m
 
 
 def contacts(clip: ClipProblem, points_m: Array, size: float) -> tuple[Array, Ground | None, tuple[terms.Term, ...]]:
-    """Contact (T, F) of the feet of markers (T, J, 3), the ground under them, and the terms that hold both.
+    """Return contact (T, F) of the feet of markers (T, J, 3), the ground under them, and the terms of both.
 
-    What one moving camera sees tells the size by feet that stand, which would go as the camera does if the animal were
-    of another size, and not by those in swing; the more the camera goes along with the animal, whose feet it sees going
-    both ways, the more by all of them."""
+    The ground is a plane through the feet that stand, found by reweighted least squares; it is None where too few
+    stand.
+    """
     feet = clip.feet
     stance = terms.StanceVelocity(feet, clip.fps, constants.SLIP_M_S, constants.SLIP_C)
-    _, _, still = stance.contact(points_m, size)
+    _, _, slow = stance.contact(points_m, size)
     if len(clip.views) == 1 and clip.shows_size:
         camera = np.diff(clip.views[0].centre_m, axis=0)[:, None]
         body = np.diff(points_m.mean(axis=1), axis=0)[:, None] + (1.0 - 1.0 / size) * camera  # of the expected size
-        along = np.clip(np.sum(body * camera) / max(np.sum(body**2), 1e-12), 0.0, 1.0)
-        seen = (1.0 - along) * np.where(still[..., None] > 0.5, 0.0, camera) / size
-        by_size = (seen + along * np.diff(points_m[:, feet], axis=0)) * clip.fps
+        co_movement = np.clip(np.sum(body * camera) / max(np.sum(body**2), 1e-12), 0.0, 1.0)
+        seen_velocity = (1.0 - co_movement) * np.where(slow[..., None] > 0.5, 0.0, camera) / size
+        by_size = (seen_velocity + co_movement * np.diff(points_m[:, feet], axis=0)) * clip.fps
         stance = replace(stance, at=size, by_size=by_size)
     middle = 0.5 * (points_m[1:, feet] + points_m[:-1, feet])
     height, sigma = float(np.percentile(middle[..., 2], 10)), 10.0
-    near_zero = abs(above_ground(clip, points_m, size)) < ELSEWHERE if clip.ground_known else None
+    near_zero = abs(sigmas_above_ground(clip, points_m, size)) < OFF_ZERO_SIGMAS if clip.ground_known else None
     if near_zero:
         height = -float(clip.origin_m[2]) / size
         sigma = float(np.hypot(constants.GROUND_HEIGHT_M, clip.size_sigma * height))
     spread = np.array([sigma, constants.GROUND_SLOPE, constants.GROUND_SLOPE])
     centre = np.median(middle[..., :2].reshape(-1, 2), axis=0)
     rows = np.concatenate([np.ones((*middle.shape[:2], 1)), middle[..., :2] - centre], axis=-1)
-    plane, covariance, contact = np.array([height, 0.0, 0.0]), np.diag(spread**2), still
+    plane, covariance, contact = np.array([height, 0.0, 0.0]), np.diag(spread**2), slow
     count = terms.REFERENCE_HZ / clip.fps / constants.GROUND_FOOT_M**2
     for _ in range(5):
         above = middle[..., 2] - rows @ plane
-        contact = still / (1.0 + (above / (3 * constants.GROUND_FOOT_M)) ** 2) ** 2
+        contact = slow / (1.0 + (above / (3 * constants.GROUND_FOOT_M)) ** 2) ** 2
         normal = np.einsum("tf,tfa,tfb->ab", contact, rows, rows) * count + np.diag(spread**-2.0)
         covariance = np.linalg.inv(normal)
         pull = np.einsum("tf,tfa,tf->a", contact, rows, middle[..., 2]) * count + spread**-2.0 * (height, 0.0, 0.0)
         plane = covariance @ pull
-    both = np.concatenate([contact[:1], np.maximum(contact[1:], contact[:-1]), contact[-1:]])
+    contact_of_frames = np.concatenate([contact[:1], np.maximum(contact[1:], contact[:-1]), contact[-1:]])
     if contact.sum() < 3:  # no foot stands: nothing is known of the ground
-        return both, None, (stance,)
+        return contact_of_frames, None, (stance,)
     # Several cameras see where it lies, and at nominal size it would pull at the size; those that are refined see less.
     in_world = len(clip.views) > 1 and (near_zero or not clip.options.refine_cameras)
-    at = size if in_world else None
-    on_ground = terms.OnGround(feet, contact, plane, centre, clip.fps, constants.GROUND_FOOT_M, at)
+    plane_size = size if in_world else None
+    on_ground = terms.OnGround(feet, contact, plane, centre, clip.fps, constants.GROUND_FOOT_M, plane_size)
     slope = plane[1:]
     sigma = float(np.sqrt(covariance[0, 0] * clip.correlation_frames))
     ground = Ground(float(plane[0] - slope @ centre), slope, sigma, near_zero)
-    return both, ground, (stance, on_ground)
+    return contact_of_frames, ground, (stance, on_ground)

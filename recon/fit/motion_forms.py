@@ -1,6 +1,6 @@
-"""The forms that a motion is handed over in: its file, tables of pandas and movement, and what a notebook shows.
+"""Write a motion in other forms: its file, tables of pandas and movement, and what a notebook shows.
 
-`recon.fit.motion.Motion` calls all of these, which is why none is typed by it.
+`recon.fit.motion.Motion` calls all of these; therefore none is typed by it.
 """
 
 from __future__ import annotations
@@ -24,20 +24,20 @@ MOTION = "motion.npz"
 SCHEMA = {"name": "recon.motion", "version": 2}
 EXPECTED = "the motion that `recon fit` or `Motion.save` wrote"
 _REPORT, _CONFIG = "report.json", "config.toml"
-"""Beside a motion, in the folder of results that `recon fit` wrote."""
+"""Files next to a motion in the folder of results that `recon fit` wrote."""
 _OF_A_FIT = (_REPORT, _CONFIG, "angles.csv", "pose3d.csv", "quality.csv")
-"""Files that a fit puts beside the motion. Where one is there and the manifest is not, a run was interrupted."""
+"""Files of a fit. If one is there and the manifest is not, a run was interrupted."""
 
 
-def load(of: type[Any], folder: Path) -> Any:
-    """The motion, of that class, in a folder. Raises InputError as `Motion.load` says."""
+def load(motion_class: type[Any], folder: Path) -> Any:
+    """Return the motion, of the given class, in a folder. Raise InputError as `Motion.load` says."""
     path = folder / MOTION
     if not path.is_file():
         raise InputError(_no_motion(folder))
     if any((folder / name).exists() for name in (MANIFEST, *_OF_A_FIT)):  # not a motion that was saved by itself
         read_manifest(folder).require(MOTION)
-    again = f"; of an earlier version, make it again by {_again(folder)}" if (folder / _CONFIG).is_file() else ""
-    motion = load_record(of, path, SCHEMA, EXPECTED + again)
+    hint = f"; of an earlier version, make it again by {_again(folder)}" if (folder / _CONFIG).is_file() else ""
+    motion = load_record(motion_class, path, SCHEMA, EXPECTED + hint)
     try:
         faults = _misfits(motion)
         _ = motion.limbs, motion.foot_names, motion.forward_names  # names of joints that there are
@@ -49,7 +49,7 @@ def load(of: type[Any], folder: Path) -> Any:
 
 
 def _misfits(motion: Any) -> list[tuple[str, str, str]]:
-    """Arrays whose shapes do not fit each other: their names, the shapes that they have, and those expected."""
+    """Return the arrays whose shapes do not fit each other, as name, shape and expected shape."""
     sizes = {"T": len(motion.frames), "J": len(motion.joints), "V": len(motion.sources), "D": motion.body.n_state}
     sizes |= {"F": len(motion.body.feet), "A": motion.body.n_state - YAW, "2": 2, "3": 3, "4": 4}
     solution = motion.solution
@@ -62,8 +62,12 @@ def _misfits(motion: Any) -> list[tuple[str, str, str]]:
         if source.poses is not None:
             arrays[f"sources.{i}.poses.T_camera_world"] = (source.poses.T_camera_world, "T44")
     arrays |= {f"solution.views.{i}.xy_px": (view.xy_px, "TJ2") for i, view in enumerate(solution.views)}
-    fits = {name: tuple(sizes[letter] for letter in letters) for name, (_, letters) in arrays.items()}
-    return [(name, str(of.shape), str(fits[name])) for name, (of, _) in arrays.items() if of.shape != fits[name]]
+    expected = {name: tuple(sizes[letter] for letter in letters) for name, (_, letters) in arrays.items()}
+    return [
+        (name, str(array.shape), str(expected[name]))
+        for name, (array, _) in arrays.items()
+        if array.shape != expected[name]
+    ]
 
 
 def _again(folder: Path) -> str:
@@ -71,7 +75,7 @@ def _again(folder: Path) -> str:
 
 
 def _no_motion(folder: Path) -> Problem:
-    """What a folder without a motion is instead."""
+    """Return the problem of a folder without a motion."""
     own = "the folder of results that `recon fit` wrote"
     if (folder / _REPORT).is_file() and (folder / _CONFIG).is_file():
         found = f"no {MOTION}: results of an earlier version"
@@ -85,7 +89,7 @@ def _no_motion(folder: Path) -> Problem:
 
 
 def table_of(motion: Any, wide: bool) -> pd.DataFrame:
-    """The table that `Motion.to_dataframe` gives."""
+    """Return the table that `Motion.to_dataframe` gives."""
     import pandas as pd
 
     T, J = len(motion.frames), len(motion.names)
@@ -100,20 +104,20 @@ def table_of(motion: Any, wide: bool) -> pd.DataFrame:
 
 
 def dataset_of(motion: Any) -> Any:
-    """The data set that `Motion.to_xarray` gives."""
+    """Return the data set that `Motion.to_xarray` gives."""
     from recon.io import hdf5_poses
 
-    made = hdf5_poses.dataset_of(motion.upright)
-    made["position_sigma"] = (made["position"].dims, motion.upright_sigma_m.transpose(0, 2, 1)[..., None])
+    dataset = hdf5_poses.dataset_of(motion.upright)
+    dataset["position_sigma"] = (dataset["position"].dims, motion.upright_sigma_m.transpose(0, 2, 1)[..., None])
     verdict = motion.verdict
-    said = {} if verdict is None else {"verdict": verdict.level, "verdict_reason": verdict.reason}
-    return made.assign_attrs(said | {"source_file": motion.file})
+    verdict_attributes = {} if verdict is None else {"verdict": verdict.level, "verdict_reason": verdict.reason}
+    return dataset.assign_attrs(verdict_attributes | {"source_file": motion.file})
 
 
 def html_of(motion: Any) -> str:
-    """What a notebook shows: the verdict, the errors to expect, a picture of the poses, and what they are of."""
-    said = () if motion.verdict is None else motion.verdict.lines
-    rows: dict[str, str] = dict(zip(("verdict", "expected"), said, strict=False))
+    """Return what a notebook shows: the verdict, the expected errors, and the poses from the side."""
+    verdict_texts = () if motion.verdict is None else motion.verdict.lines
+    rows: dict[str, str] = dict(zip(("verdict", "expected"), verdict_texts, strict=False))
     rows["clip"] = f"{Path(motion.file).name}, frames {motion.frames[0]} to {motion.frames[-1]} at {motion.fps:g} fps"
     rows["camera"] = ", ".join(camera.name for camera in motion.cameras)
     rows["animal"] = motion.title
@@ -125,17 +129,19 @@ def html_of(motion: Any) -> str:
 
 
 def _from_the_side(joints_m: Array, limbs: Iterable[Sequence[int]]) -> str:
-    """A picture of eight of the poses (T, J, 3), z up, evenly spaced in time, from where the animal passes by; none
-    without two."""
+    """Return a picture of eight of the poses (T, J, 3), z up, evenly spaced in time, seen from the side.
+
+    It is empty with fewer than two poses.
+    """
     posed = joints_m[np.isfinite(joints_m).all(axis=(1, 2))]
     if len(posed) < 2:
         return ""
-    way = (posed[-1] - posed[0]).mean(axis=0)[:2]
-    along = way / np.linalg.norm(way) if way.any() else np.array([1.0, 0.0])
+    travel = (posed[-1] - posed[0]).mean(axis=0)[:2]
+    direction = travel / np.linalg.norm(travel) if travel.any() else np.array([1.0, 0.0])
     shown = posed[np.linspace(0, len(posed) - 1, min(8, len(posed)), dtype=int)]
-    points = np.stack([shown[..., :2] @ along, -shown[..., 2]], axis=-1)
+    points = np.stack([shown[..., :2] @ direction, -shown[..., 2]], axis=-1)
     (x, y), (width, height) = points.min(axis=(0, 1)), np.ptp(points, axis=(0, 1))
-    drawn = (" ".join(f"{a:.3f},{b:.3f}" for a, b in pose[[*limb]]) for pose in points for limb in limbs)
-    lines = "".join(f"<polyline vector-effect='non-scaling-stroke' points='{line}'/>" for line in drawn)
+    polylines = (" ".join(f"{a:.3f},{b:.3f}" for a, b in pose[[*limb]]) for pose in points for limb in limbs)
+    lines = "".join(f"<polyline vector-effect='non-scaling-stroke' points='{line}'/>" for line in polylines)
     box = f"viewBox='{x:.3f} {y:.3f} {width:.3f} {height:.3f}' width='640' height='240'"
     return f"<svg {box} role='img' fill='none' stroke='#0072b2' stroke-width='1.6' overflow='visible'>{lines}</svg>"

@@ -1,4 +1,4 @@
-"""Markers in 3D -> states: what a body's angles were, where its markers are known already."""
+"""Solve for the states of a body whose markers are known in 3D."""
 
 from __future__ import annotations
 
@@ -9,31 +9,49 @@ from recon.base.arrays import Array
 from recon.geometry.kinematics import PITCH, ROOT, YAW
 
 MIN_MARKERS = 8
-"""A frame with fewer known markers stays without a state."""
+"""Least number of known markers of a frame that gets a state."""
 
 _BLOCK = 512
-"""Frames that are solved together: bounds the memory that the Jacobians take."""
+"""Number of frames that are solved together: it bounds the memory of the Jacobians."""
 _ITERATIONS = 300
 _TOLERANCE = 1e-10
-"""A frame is done when a step changes no angle by more (rad) and no length (m)."""
+"""A frame is done when a step changes no angle (rad) and no length (m) by more."""
 _SIZE_ROUNDS = 20
 _RETRIES = 2
 _DAMPING = (1e-12, 1e12)
-"""Smallest and largest; at the largest no step is left that helps."""
+"""Least and largest damping; at the largest no step is left that helps."""
 
 
 def solve_points(
     body: Body, points_m: Array, size: float | None = 1.0, pull_m_per_rad: float = 1e-2
 ) -> tuple[Array, Array, float]:
-    """States (T, D) whose markers are nearest to points_m (T, J, 3), rms_m (T,), the distance that is left, and the
-    size.
+    """Return the states whose markers are nearest to given points.
 
-    points_m: metres, world z up, NaN where missing; size: the factor on the body's lengths, one for all frames, None to
-    estimate it. pull_m_per_rad holds the angles to the body's expectations: weakly, so that angles that nothing else
-    says, such as a yaw about an axis that points along the segment, do not wander. The heading is continuous over time.
-    Frames with fewer than `MIN_MARKERS` markers are NaN.
+    Parameters
+    ----------
+    body
+        The body with J markers and D unknowns a frame.
+    points_m
+        (T, J, 3): the points in the world, z up, metres, NaN where missing.
+    size
+        Factor on the body's lengths, the same for all frames; None: it is estimated.
+    pull_m_per_rad
+        Weight of the angles' deviations from the body's expectations. It is weak: it only keeps angles from drifting
+        that the points do not determine, such as a yaw about an axis along the segment.
 
-    Raises ValueError if the points do not fit the body, or if a size is to be estimated from nothing.
+    Returns
+    -------
+    states : (T, D) array
+        NaN in frames with fewer than `MIN_MARKERS` markers. The heading is continuous over time.
+    rms_m : (T,) array
+        Root mean square distance of the markers from the points.
+    size : float
+        The factor on the body's lengths.
+
+    Raises
+    ------
+    ValueError
+        If the points do not fit the body, or if no frame has enough markers to estimate a size.
     """
     points_m = np.asarray(points_m, dtype=float)
     if points_m.ndim != 3 or points_m.shape[1:] != (len(body.markers), 3):
@@ -48,25 +66,25 @@ def solve_points(
         return states, rms_m, size
     targets, weight = np.where(known[..., None], points_m, 0.0)[enough], known[enough].astype(float)
     factor = 1.0 if size is None else size
-    found = _start(body, targets, weight, factor)
+    solved = _start(body, targets, weight, factor)
     for _ in range(_SIZE_ROUNDS if size is None else 0):
-        found = _solve(body, targets, weight, factor, pull_m_per_rad, found)
-        step = _log_size_step(body, targets, weight, factor, pull_m_per_rad, found)
+        solved = _solve(body, targets, weight, factor, pull_m_per_rad, solved)
+        step = _log_size_step(body, targets, weight, factor, pull_m_per_rad, solved)
         factor *= float(np.exp(np.clip(step, -0.3, 0.3)))
         if abs(step) < 1e-9:
             break
-    found = _nearest_turns(body, _solve(body, targets, weight, factor, pull_m_per_rad, found))
+    solved = _nearest_turns(body, _solve(body, targets, weight, factor, pull_m_per_rad, solved))
     for _ in range(_RETRIES):
-        found = _retried(body, targets, weight, factor, pull_m_per_rad, found)
-    found[:, YAW] = np.unwrap(found[:, YAW])
-    states[enough] = found
-    squares = (weight[..., None] * (body.tree.pose(found, factor).points_m - targets) ** 2).sum(axis=(1, 2))
+        solved = _retried(body, targets, weight, factor, pull_m_per_rad, solved)
+    solved[:, YAW] = np.unwrap(solved[:, YAW])
+    states[enough] = solved
+    squares = (weight[..., None] * (body.tree.pose(solved, factor).points_m - targets) ** 2).sum(axis=(1, 2))
     rms_m[enough] = np.sqrt(squares / weight.sum(axis=1))
     return states, rms_m, factor
 
 
 def _start(body: Body, targets: Array, weight: Array, size: float) -> Array:
-    """The expected angles, turned about the vertical and moved to where the markers are."""
+    """Return the expected pose, turned about the vertical and moved to the markers."""
     states = np.zeros((len(targets), body.n_state))
     states[:, PITCH:] = body.mean_rad
     share = (weight / weight.sum(axis=1, keepdims=True))[..., None]
@@ -80,37 +98,40 @@ def _start(body: Body, targets: Array, weight: Array, size: float) -> Array:
 
 
 def _nearest_turns(body: Body, states: Array) -> Array:
-    """With every angle the one nearest to its expectation, of those that differ by whole turns."""
+    """Return the states with each angle within half a turn of its expectation."""
     off = states[:, PITCH:] - body.mean_rad
     return np.concatenate([states[:, :PITCH], body.mean_rad + np.remainder(off + np.pi, 2 * np.pi) - np.pi], axis=1)
 
 
 def _retried(body: Body, targets: Array, weight: Array, size: float, pull: float, states: Array) -> Array:
-    """Frames in an odd pose or with a large misfit, solved again from the poses of the frames around them.
+    """Solve frames in an odd pose or with a large misfit again, from the poses of the frames around them.
 
     A segment that turns about two axes points the same way with both turned over (yaw + pi, pi - pitch): a second
     minimum, from which no small step leads back. The lower cost wins.
     """
     cost = _cost(body, targets, weight, size, pull, states)
     odd = (np.abs(states[:, PITCH:] - body.mean_rad) > np.pi / 2).any(axis=1) | (cost > 4 * np.median(cost))
-    sound, again = np.nonzero(~odd)[0], np.nonzero(odd)[0]
-    if not len(again) or not len(sound):
+    good_frames, odd_frames = np.nonzero(~odd)[0], np.nonzero(odd)[0]
+    if not len(odd_frames) or not len(good_frames):
         return states
-    start = states[again]
+    start = states[odd_frames]
     for a in range(PITCH, states.shape[1]):
-        start[:, a] = np.interp(again, sound, states[sound, a])
-    tried = _nearest_turns(body, _solve(body, targets[again], weight[again], size, pull, start))
-    better = _cost(body, targets[again], weight[again], size, pull, tried) < cost[again]
+        start[:, a] = np.interp(odd_frames, good_frames, states[good_frames, a])
+    tried = _nearest_turns(body, _solve(body, targets[odd_frames], weight[odd_frames], size, pull, start))
+    better = _cost(body, targets[odd_frames], weight[odd_frames], size, pull, tried) < cost[odd_frames]
     states = states.copy()
-    states[again[better]] = tried[better]
+    states[odd_frames[better]] = tried[better]
     return states
 
 
 def _normal_equations(
     body: Body, targets: Array, weight: Array, size: float, pull: float, states: Array
 ) -> tuple[Array, Array, Array, Array]:
-    """Hessian (N, D, D), gradient (N, D), and those of the size's logarithm with the state, (N, D + 1), last: its own
-    entry; then its gradient (N,)."""
+    """Return the normal equations of N frames with the size.
+
+    They are the Hessian (N, D, D), the gradient (N, D), the curvature of the size's logarithm with the states and,
+    last, with itself (N, D + 1), and the gradient by it (N,).
+    """
     N, D = states.shape
     pose = body.tree.pose_with_jacobian(states, size)
     jacobian = (pose.jacobian * weight[..., None, None]).reshape(N, -1, D)
@@ -126,14 +147,14 @@ def _normal_equations(
 
 
 def _cost(body: Body, targets: Array, weight: Array, size: float, pull: float, states: Array) -> Array:
-    """(N,): half the squared distances, and the pull."""
+    """Return half the squared distances plus the pull towards the expected angles, (N,)."""
     off = (body.tree.pose(states, size).points_m - targets) * weight[..., None]
     pulled = pull * (states[:, PITCH:] - body.mean_rad)
     return 0.5 * ((off**2).sum(axis=(1, 2)) + (pulled**2).sum(axis=1))
 
 
 def _solve(body: Body, targets: Array, weight: Array, size: float, pull: float, start: Array) -> Array:
-    """Levenberg-Marquardt on all frames of a block at once; each has a damping of its own and leaves when done."""
+    """Minimise all frames of a block at once by Levenberg-Marquardt; each has its own damping."""
     states, damping, diagonal = start.copy(), np.full(len(start), 1e-3), np.arange(start.shape[1])
     cost = _cost(body, targets, weight, size, pull, states)
     for active in np.array_split(np.arange(len(states)), range(_BLOCK, len(states), _BLOCK)):
@@ -155,7 +176,7 @@ def _solve(body: Body, targets: Array, weight: Array, size: float, pull: float, 
 
 
 def _log_size_step(body: Body, targets: Array, weight: Array, size: float, pull: float, states: Array) -> float:
-    """Gauss-Newton step of the size's logarithm with all states eliminated, at their minimum."""
+    """Return the Gauss-Newton step of the size's logarithm with all states eliminated, at their minimum."""
     curvature = gradient = 0.0
     for first in range(0, len(states), _BLOCK):
         block = slice(first, first + _BLOCK)

@@ -1,8 +1,9 @@
-"""Where a clip's solution starts from: the mean pose at constant velocity, and the way in from the best of them.
+"""Find where the solution of a clip starts: the mean pose at constant velocity, and the approach from the best starts.
 
 For a given heading, the position that brings a shape nearest to the rays of one frame is a small linear problem, and
-its distance follows from the shape's size. The path over a stretch decides what a single frame cannot: whether the
-animal comes nearer or goes away."""
+its distance follows from the shape's size. The path over a window decides what a single frame cannot: whether the
+animal comes nearer or goes away.
+"""
 
 from __future__ import annotations
 
@@ -21,26 +22,39 @@ _MISFIT_M = 0.15
 
 
 def position_on_rays(joints_m: Array, rays: Array) -> Array:
-    """Translations (..., 3) that bring a rigid shape joints_m (..., J, 3) nearest to viewing rays (..., J, 3), unit
-    vectors, NaN where missing, at least two a row. Leading axes broadcast.
+    """Return the translations that bring a rigid shape nearest to viewing rays.
 
-    The first guess is the median over joints, at the median distance over pairs of joints; Gauss-Newton steps on the
-    angles, with Geman-McClure weights, follow (distances from the rays would draw the shape towards the camera)."""
+    The first guess is the median over joints, at the median distance over pairs of joints. Gauss-Newton steps on the
+    angles follow, with Geman-McClure weights: distances from the rays would draw the shape towards the camera. Leading
+    axes broadcast.
+
+    Parameters
+    ----------
+    joints_m
+        (..., J, 3): the shape, metres.
+    rays
+        (..., J, 3): unit vectors, NaN where missing, at least two a row.
+
+    Returns
+    -------
+    (..., 3) array
+        Metres.
+    """
     seen = np.isfinite(rays[..., 0])
     middle = np.nanmedian(rays, axis=-2)
     middle /= np.linalg.norm(middle, axis=-1, keepdims=True)
     i, j = np.triu_indices(rays.shape[-2], 1)
-    between = joints_m[..., i, :] - joints_m[..., j, :]
-    along = (between @ middle[..., None])[..., 0]
-    apart_m = np.sqrt(np.maximum(np.sum(between**2, axis=-1) - along**2, 0.0))
+    between_joints = joints_m[..., i, :] - joints_m[..., j, :]
+    along = (between_joints @ middle[..., None])[..., 0]
+    apart_m = np.sqrt(np.maximum(np.sum(between_joints**2, axis=-1) - along**2, 0.0))
     apart_rad = np.linalg.norm(rays[..., i, :] - rays[..., j, :], axis=-1)
     depth = np.nanmedian(apart_m / np.maximum(apart_rad, 1e-6), axis=-1)
     t = np.nanmedian(rays * depth[..., None, None] - joints_m, axis=-2)
 
     for _ in range(6):
-        off = _off_rays(joints_m + t[..., None, :], rays)
-        miss = np.sqrt(_dot(off[2], off[2])) * depth[..., None]
-        normal, pull = _normal(*off, seen / (1.0 + (miss / _MISFIT_M) ** 2) ** 2)
+        deviations = _off_rays(joints_m + t[..., None, :], rays)
+        miss = np.sqrt(_dot(deviations[2], deviations[2])) * depth[..., None]
+        normal, pull = _normal(*deviations, seen / (1.0 + (miss / _MISFIT_M) ** 2) ** 2)
         step = -_solution(normal + 1e-9 * np.eye(3), pull)[..., 0]
         length = np.linalg.norm(step, axis=-1)
         t = t + step * np.minimum(1.0, 0.3 * depth / np.maximum(length, 1e-9))[..., None]
@@ -48,13 +62,16 @@ def position_on_rays(joints_m: Array, rays: Array) -> Array:
 
 
 def _dot(a: Array, b: Array) -> Array:
-    """Scalar products (...) of vectors (..., 3)."""
+    """Return scalar products (...) of vectors (..., 3)."""
     return np.einsum("...i,...i->...", a, b)
 
 
 def _off_rays(points_m: Array, rays: Array) -> tuple[Array, Array, Array]:
-    """Points (..., J, 3) as vectors q / r, (..., J, 3), of their direction q by their distance r; the cosines (..., J)
-    between q and their rays d (0 where missing), and what of d lies across q, m = d - c q, as long as the sine."""
+    """Return the deviations of points (..., J, 3) from their rays.
+
+    They are vectors q / r, (..., J, 3), of the points' directions q by their distances r; the cosines c (..., J)
+    between q and the rays d (0 where missing); and the part of d across q, m = d - c q, whose length is the sine.
+    """
     square, rays = _dot(points_m, points_m), np.nan_to_num(rays)
     cosine = _dot(points_m, rays) / np.sqrt(square)
     near = points_m / square[..., None]
@@ -62,9 +79,12 @@ def _off_rays(points_m: Array, rays: Array) -> tuple[Array, Array, Array]:
 
 
 def _normal(near: Array, cosine: Array, across: Array, weight: Array) -> tuple[Array, Array]:
-    """Normal equations (..., 3, 3) and (..., 3, 1) of a translation that brings points towards their rays, as
-    `_off_rays` has them, summed over the joints with weights (..., J). The residual is q - c d, its slope by the point
-    S = (I - d d' - (q - c d) q') / r, so that S'S = (I - m m' - q q') / r^2 and S'(q - c d) = -c m / r."""
+    """Return the normal equations (..., 3, 3) and (..., 3, 1) of a translation that brings points towards their rays.
+
+    The deviations are those of `_off_rays`, summed over the joints with weights (..., J). The residual is q - c d, its
+    derivative by the point S = (I - d d' - (q - c d) q') / r, so that S'S = (I - m m' - q q') / r^2 and S'(q - c d) =
+    -c m / r.
+    """
     square = weight * _dot(near, near)  # weight / r^2
     along = np.concatenate([across * np.sqrt(square)[..., None], near * np.sqrt(weight)[..., None]], axis=-2)
     normal = np.sum(square, axis=-1)[..., None, None] * np.eye(3) - along.swapaxes(-1, -2) @ along
@@ -72,7 +92,7 @@ def _normal(near: Array, cosine: Array, across: Array, weight: Array) -> tuple[A
 
 
 def run_path(heading: Array, up: Array, time_s: Array) -> Array:
-    """(F, 3, 6): places at times (F,) by the unknowns of `constant_velocity`."""
+    """Return the derivatives of positions at times (F,) by the unknowns of `constant_velocity`, (F, 3, 6)."""
     motion = np.zeros((len(time_s), 3, 6))
     motion[:, :, :3] = np.eye(3)
     motion[:, :, 3] = heading * time_s[:, None]
@@ -84,135 +104,161 @@ def run_path(heading: Array, up: Array, time_s: Array) -> Array:
 def constant_velocity(
     headings: Array, shapes: Array, up: Array, rays: Array, time_s: Array, centres_m: Array | None = None
 ) -> tuple[Array, Array]:
-    """Shapes (H, J, 3), each running along its heading (H, 3), fitted to rays (F, J, 3), from centres (F, 3) or the
-    origin, at times (F,) of mean zero. The runs' misfits (H,), 0 to 1 (or up to 2 where one would run backwards), and
-    their unknowns (H, 6): place at time zero, m, speed and acceleration along the heading, m/s and m/s^2, and climb,
-    m/s. Gauss-Newton with Geman-McClure weights, all headings at once."""
+    """Fit shapes that each run straight along a heading to rays from one or more cameras.
+
+    It takes Gauss-Newton steps with Geman-McClure weights, all H headings at once.
+
+    Parameters
+    ----------
+    headings
+        (H, 3): unit vectors.
+    shapes
+        (H, J, 3): the shape of each heading, metres.
+    up
+        (3,): the vertical, along which a run may climb.
+    rays
+        (F, J, 3): unit vectors, NaN where missing.
+    time_s
+        (F,): times of the rays, of mean zero.
+    centres_m
+        (F, 3): the points that the rays come from; None: the origin.
+
+    Returns
+    -------
+    misfits : (H,) array
+        0 to 1, or up to 2 where a run would go backwards.
+    unknowns : (H, 6) array
+        Position at time zero (m), speed and acceleration along the heading (m/s, m/s^2), and climb (m/s).
+    """
     (H, J), F = shapes.shape[:2], len(rays)
     centres = np.zeros((F, 3)) if centres_m is None else centres_m
-    places = position_on_rays(shapes[:, None], rays)  # (H, F, 3)
-    scale = np.median(np.linalg.norm(places, axis=2), axis=1)[:, None, None] / _MISFIT_M
+    positions = position_on_rays(shapes[:, None], rays)  # (H, F, 3)
+    scale = np.median(np.linalg.norm(positions, axis=2), axis=1)[:, None, None] / _MISFIT_M
     seen = np.isfinite(rays[..., 0])
     motion = np.stack([run_path(heading, up, time_s) for heading in headings])  # (H, F, 3, 6)
     # A wide, soft preference keeps what short clips do not show in bounds: m, m/s, m/s^2, m/s.
     prior = np.diag(1.0 / np.array([1e3, 1e3, 1e3, 15.0, 10.0, 1.0]) ** 2)
     x = np.zeros((H, 6))
-    x[:, :3] = np.median(places + centres, axis=1)
-    x[:, 3] = np.maximum(np.sum(_robust_slopes(time_s, places + centres) * headings, axis=1), 0.0)
+    x[:, :3] = np.median(positions + centres, axis=1)
+    x[:, 3] = np.maximum(np.sum(_robust_slopes(time_s, positions + centres) * headings, axis=1), 0.0)
     miss = np.zeros((H, F, J))
     for _ in range(8):
         path = (motion @ x[:, None, :, None])[..., 0] - centres  # (H, F, 3)
-        off = _off_rays(shapes[:, None] + path[:, :, None], rays)
-        miss = np.where(off[1] > 0, np.sqrt(_dot(off[2], off[2])) * scale, np.inf)
-        curvature, pull = _normal(*off, scale**2 * seen / (1.0 + miss**2) ** 2)
-        turned = motion.swapaxes(-1, -2)
-        normal = np.sum(turned @ curvature @ motion, axis=1) + prior + 1e-9 * np.eye(6)
-        gradient = np.sum(turned @ pull, axis=1)[..., 0] + x @ prior
+        deviations = _off_rays(shapes[:, None] + path[:, :, None], rays)
+        miss = np.where(deviations[1] > 0, np.sqrt(_dot(deviations[2], deviations[2])) * scale, np.inf)
+        curvature, pull = _normal(*deviations, scale**2 * seen / (1.0 + miss**2) ** 2)
+        transposed = motion.swapaxes(-1, -2)
+        normal = np.sum(transposed @ curvature @ motion, axis=1) + prior + 1e-9 * np.eye(6)
+        gradient = np.sum(transposed @ pull, axis=1)[..., 0] + x @ prior
         x = x - _solution(normal, gradient[..., None])[..., 0]
     share = np.where(seen, 1.0 - 1.0 / (1.0 + miss**2), 0.0)
     return share.sum(axis=(1, 2)) / max(int(seen.sum()), 1) + (x[:, 3] < 0), x
 
 
 def _solution(matrix: Array, right: Array) -> Array:
-    """matrix^-1 right (N, n, m) of normal equations (N, n, n), held a little where one is singular to rounding."""
+    """Return matrix^-1 right (N, n, m), regularised if one of the matrices (N, n, n) is singular to rounding."""
     try:
         return np.asarray(np.linalg.solve(matrix, right), dtype=float)
     except np.linalg.LinAlgError:
-        held = 1e-9 * np.trace(matrix, axis1=-2, axis2=-1)[..., None, None] * np.eye(matrix.shape[-1])
-        return np.linalg.solve(matrix + held, right)
+        regularisation = 1e-9 * np.trace(matrix, axis1=-2, axis2=-1)[..., None, None] * np.eye(matrix.shape[-1])
+        return np.linalg.solve(matrix + regularisation, right)
 
 
-def _robust_slopes(time_s: Array, places_m: Array) -> Array:
-    """Velocities (H, 3) of straight paths through places (H, N, 3), by least absolute distances."""
+def _robust_slopes(time_s: Array, positions_m: Array) -> Array:
+    """Return the velocities (H, 3) of straight paths through positions (H, N, 3), by least absolute distances."""
     design = np.stack([np.ones_like(time_s), time_s - time_s.mean()], axis=1)
-    weight, line = np.ones(places_m.shape[:2]), np.zeros((len(places_m), 2, 3))
+    weight, line = np.ones(positions_m.shape[:2]), np.zeros((len(positions_m), 2, 3))
     for _ in range(10):
         weighted = (design * weight[..., None]).swapaxes(1, 2)  # (H, 2, N)
-        line = np.asarray(np.linalg.solve(weighted @ design + 1e-12 * np.eye(2), weighted @ places_m), dtype=float)
-        weight = 1.0 / np.maximum(np.linalg.norm(places_m - design @ line, axis=2), 0.05)
+        line = np.asarray(np.linalg.solve(weighted @ design + 1e-12 * np.eye(2), weighted @ positions_m), dtype=float)
+        weight = 1.0 / np.maximum(np.linalg.norm(positions_m - design @ line, axis=2), 0.05)
     return line[:, 1]
 
 
 APPROACH_HZ = 30.0
-"""Frames a second that are enough on the way in."""
+"""Frames per second that are enough for the approach."""
 _HEADINGS = 18
 _APART_RAD = 0.5
-"""Starts nearer to each other than this are one."""
-_WIDE = (8.0, 4.0, 2.0, 1.0)
-"""Factors on the noise on the way in."""
+"""Starts whose headings differ by less are one."""
+_NOISE_FACTORS = (8.0, 4.0, 2.0, 1.0)
+"""Factors on the noise during the approach."""
 _MIN_RAYS = 2
-"""A row of rays places a shape from so many on."""
+"""Least number of rays of a frame that give a shape its position."""
 
 
 def approach(clip: ClipProblem) -> list[Estimate]:
-    """The starts of one window, approached with noise that narrows, best first. Only the first two, of a fast fit the
-    first, are carried to the end, at all frames of the window."""
-    fast, ones = clip.options.fast, np.ones((len(clip.views), len(clip.body.markers)))
+    """Return the starts of one window, approached with noise that narrows, best first.
+
+    Only the first two, in a fast fit the first, are solved to the end, at all frames of the window.
+    """
+    fast, no_factor = clip.options.fast, np.ones((len(clip.views), len(clip.body.markers)))
     step = max(1, round(clip.fps / APPROACH_HZ))
-    thin, every = clip.thinned(step), np.arange(0, len(clip), step)
+    thin, kept_frames = clip.thinned(step), np.arange(0, len(clip), step)
 
     def minimum(states: Array, widen: float, tolerance: float, iterations: int) -> Estimate:
-        noise = thin.noise_px(thin.markers(states), ones) * widen
+        noise = thin.noise_px(thin.markers(states), no_factor) * widen
         return thin.problem(noise).minimise(states, tolerance, iterations)
 
-    tried = [minimum(states[every], _WIDE[0], 1e-2, 12) for states in _starts(clip)]
-    tried.sort(key=lambda start: start.cost)
+    starts = [minimum(states[kept_frames], _NOISE_FACTORS[0], 1e-2, 12) for states in _starts(clip)]
+    starts.sort(key=lambda start: start.cost)
     count, finished = 1 if fast else 2, list[Estimate]()
-    for estimate in tried[:count]:
-        for widen in _WIDE[1:]:
+    for estimate in starts[:count]:
+        for widen in _NOISE_FACTORS[1:]:
             estimate = minimum(estimate.states, widen, 3e-3 if fast else 1e-3, 15)
-        finished.append(replace(estimate, states=between(estimate.states, every, len(clip))))
-    return [*sorted(finished, key=lambda start: start.cost), *tried[count:]]
+        finished.append(replace(estimate, states=interpolate_states(estimate.states, kept_frames, len(clip))))
+    return [*sorted(finished, key=lambda start: start.cost), *starts[count:]]
 
 
-def between(states: Array, at: Index, T: int) -> Array:
-    """States (T, D) through those (n, D) at some frames (n,), along straight lines between them."""
+def interpolate_states(states: Array, at: Index, T: int) -> Array:
+    """Return states (T, D) interpolated linearly between those (n, D) at some frames (n,)."""
     states = states.copy()
     states[:, YAW] = np.unwrap(states[:, YAW])
     return np.stack([np.interp(np.arange(T), at, column) for column in states.T], axis=1)
 
 
 def _starts(clip: ClipProblem) -> list[Array]:
-    """The states of the best runs, and for one camera of the best one's mirror image in depth."""
+    """Return the states of the best runs and, for one camera, of the best run's mirror image in depth."""
     misfit, headings_rad, states = _runs(clip)
     best = int(np.argmin(misfit))
-    dips = [i for i in range(len(misfit)) if misfit[i] <= misfit[i - 1] and misfit[i] <= misfit[(i + 1) % len(misfit)]]
-    order = sorted(dips, key=lambda i: misfit[i])[: 2 if clip.options.fast else 3]
+    minima = [
+        i for i in range(len(misfit)) if misfit[i] <= misfit[i - 1] and misfit[i] <= misfit[(i + 1) % len(misfit)]
+    ]
+    order = sorted(minima, key=lambda i: misfit[i])[: 2 if clip.options.fast else 3]
     chosen: list[int] = []
     for i in [*order, -best % len(misfit)] if len(clip.views) == 1 else order:
-        apart = [abs(np.angle(np.exp(1j * (headings_rad[i] - headings_rad[j])))) for j in chosen]
-        if all(a > _APART_RAD for a in apart):
+        angles = [abs(np.angle(np.exp(1j * (headings_rad[i] - headings_rad[j])))) for j in chosen]
+        if all(a > _APART_RAD for a in angles):
             chosen.append(i)
     return [states[i] for i in chosen]
 
 
 def _runs(clip: ClipProblem) -> tuple[Array, Array, Array]:
-    """Misfits (H,) and states (H, T, D) of the mean pose at constant velocity, for headings (H,) around the clock."""
+    """Return misfits (H,), headings (H,) and states (H, T, D) of the mean pose at constant velocity."""
     T, count = len(clip), _HEADINGS // 2 if clip.options.fast else _HEADINGS
     rays, centres, frames = _rays(clip)
     time_s, middle = np.arange(T) / clip.fps, frames.mean() / clip.fps
     headings_rad = 2 * np.pi * np.arange(count) / count
-    yaw_rad = headings_rad + np.arctan2(clip.right[1], clip.right[0])
-    turned = np.zeros((count, clip.body.n_state))
-    turned[:, YAW], turned[:, ANGLES] = yaw_rad, clip.prior.mean
+    yaw_rad = headings_rad + np.arctan2(clip.image_right[1], clip.image_right[0])
+    first_states = np.zeros((count, clip.body.n_state))
+    first_states[:, YAW], first_states[:, ANGLES] = yaw_rad, clip.prior.mean
     headings = np.stack([np.cos(yaw_rad), np.sin(yaw_rad), np.zeros(count)], axis=1)
-    shapes = clip.markers(turned)
+    shapes = clip.markers(first_states)
     misfits, runs = constant_velocity(headings, shapes, UP, rays, frames / clip.fps - middle, centres)
-    states = np.repeat(turned[:, None], T, axis=1)
-    for heading, run, of_run in zip(headings, runs, states, strict=True):
-        of_run[:, ROOT] = run_path(heading, UP, time_s - middle) @ run
+    states = np.repeat(first_states[:, None], T, axis=1)
+    for heading, run, run_states in zip(headings, runs, states, strict=True):
+        run_states[:, ROOT] = run_path(heading, UP, time_s - middle) @ run
     return misfits, headings_rad, states
 
 
 def _rays(clip: ClipProblem) -> tuple[Array, Array, Array]:
-    """Rays (F, J, 3), the centres (F, 3) that they come from, about the origin, and their frames (F,), of all views."""
+    """Return rays (F, J, 3) of all views, their centres (F, 3) about the origin, and their frames (F,)."""
     rays, centres, frames = [], [], []
     counts = [view.present.sum(axis=1) for view in clip.views]
-    enough = MIN_JOINTS if max(count.max() for count in counts) >= MIN_JOINTS else _MIN_RAYS
+    min_rays = MIN_JOINTS if max(count.max() for count in counts) >= MIN_JOINTS else _MIN_RAYS
     for view, count in zip(clip.views, counts, strict=True):
-        usable = np.flatnonzero(count >= enough)
-        some = usable[:: max(1, min(3, len(usable) // 6))]
-        rays.append(view.part(some).rays())
-        centres.append(view.centre_m[some] - clip.origin_m)
-        frames.append(some)
+        usable = np.flatnonzero(count >= min_rays)
+        chosen = usable[:: max(1, min(3, len(usable) // 6))]
+        rays.append(view.part(chosen).rays())
+        centres.append(view.centre_m[chosen] - clip.origin_m)
+        frames.append(chosen)
     return np.concatenate(rays), np.concatenate(centres), np.concatenate(frames)

@@ -1,15 +1,17 @@
 """The terms of the trajectory problem: one small class each.
 
-For N frames, from a span's first on, a term gives its cost (N,), residual r (N, M), jacobian J (N, M, S, D) and, by
-name, the derivatives (N, M, P) by unknowns that all frames share, such that J'r is the exact gradient of the cost and
-J'J its curvature: residuals are divided by standard deviations, and reweighted by the square root of a robust loss'
-slope (so that the cost is not half of r'r). The stencil (S,) are the offsets of the frames that a row reads.
+For N frames, from a span's first frame on, a term gives its cost (N,), residual r (N, M), Jacobian J (N, M, S, D) and,
+by name, the derivatives (N, M, P) by unknowns that all frames share. J'r is the exact gradient of the cost, and J'J its
+curvature. Residuals are divided by standard deviations and multiplied by the square root of a robust loss' slope, so
+that the cost is not half of r'r. The stencil (S,) is the offsets of the frames that a row reads.
 
 States are those of a body of nominal size about an origin, the first camera's centre: the point p of such a scene lies
-at origin + size p in the world. Larger animals move further in proportion, so no prior could tell the size, nor can a
+at origin + size p in the world. Larger animals move further in proportion, so no prior could show the size, nor can a
 camera that stays in the origin: only `Reprojection` of other cameras reads it.
 
-Errors last: priors count as many times a second as they were weighed at, whatever the frame rate (`REFERENCE_HZ`)."""
+Errors last. Priors therefore count as many times a second as they were weighed at, whatever the frame rate
+(`REFERENCE_HZ`).
+"""
 
 from __future__ import annotations
 
@@ -25,67 +27,73 @@ from recon.clip import View
 from recon.geometry import ROOT, YAW, TreePose, euler_rotation_with_jacobian
 
 SIZE = "size"
-"""The shared unknown: a factor on all lengths. 1 where it is not one."""
+"""Name of the shared unknown: a factor on all lengths, 1 where it is no unknown."""
 COMMON_KEYPOINT_BIAS = "common keypoint bias"
-"""The shared unknowns (3J,): the same that all cameras see, in the marker's segment, for the uncertainty only."""
+"""Name of the shared unknowns (3J,): the bias that all cameras see, in the marker's segment, for the uncertainty only.
+"""
 SIDESLIP = "sideslip"
-"""The shared unknown: by how much an animal goes to the left of where it looks all the time, rad."""
+"""Name of the shared unknown: the angle, to the left, between the animal's trunk and its direction of travel, rad."""
 _ONE, _ZERO = np.ones(1), np.zeros(1)
 
 
 def time_offset(view: int) -> str:
-    """The shared unknown: by how many frames a camera's pictures were taken later than its view says."""
+    """Return the name of a shared unknown: the delay of a camera's pictures, in frames, against its view."""
     return f"time offset {view}"
 
 
 def keypoint_bias(view: int) -> str:
-    """The shared unknowns (2J,): how far a view's keypoints lie beside their markers, metres to the right and down."""
+    """Return the name of shared unknowns (2J,): keypoints minus markers of a view, metres right and down."""
     return f"keypoint bias {view}"
 
 
 def extrinsic_correction(view: int) -> str:
-    """The shared unknowns (6,): how far a camera lies beside its pose, as in `View.corrected`."""
+    """Return the name of shared unknowns (6,): a camera's correction of its pose, as in `View.corrected`."""
     return f"extrinsic correction {view}"
 
 
-def focal(view: int) -> str:
-    """The shared unknown: by what factor a camera's focal lengths are longer than said, its logarithm."""
+def focal_scale(view: int) -> str:
+    """Return the name of a shared unknown: the logarithm of a camera's factor on its focal lengths."""
     return f"focal {view}"
 
 
 def size_of(shared: Mapping[str, Array]) -> float:
-    """Among the values of shared unknowns."""
+    """Return the size among the values of shared unknowns, 1 where it is not one."""
     return float(shared.get(SIZE, _ONE)[0])
 
 
 REFERENCE_HZ = 90.0
+"""Frames per second at which the priors were weighed."""
 OUT_OF_SIGHT = 50.0
-"""Squared sigmas, in units of the loss's c^2, of a detected joint that the camera cannot project."""
+"""Squared residual, in units of the loss's c^2, of a detected joint that the camera cannot project."""
 PRIOR_TERMS = POSE, MOTION = "pose prior", "motion prior"
-"""The names of the terms that a prior makes."""
+"""Names of the terms that a prior makes."""
 
 
 @dataclass(frozen=True)
 class Span:
-    """Frames first, first + 1, ... of a clip: states (n, D), posed markers, and by name the values of the unknowns that
-    all frames share. Unless `last`, the last frame is there only for stencils that reach it."""
+    """Hold the frames first, first + 1, ... of a clip, with posed markers and the shared unknowns by name.
+
+    Unless `is_last`, the last frame is there only for stencils that reach it.
+    """
 
     first: int
     states: Array
+    """(n, D)."""
     pose: TreePose
-    last: bool
+    is_last: bool
     shared: Mapping[str, Array] = field(default_factory=dict)
-    turned: Array | None = None
-    """(n, J, 3, 3): orientations of the markers' segments, where `COMMON_KEYPOINT_BIAS` is asked for."""
+    rotations: Array | None = None
+    """(n, J, 3, 3): rotations of the markers' segments, where `COMMON_KEYPOINT_BIAS` is an unknown."""
 
     @property
-    def own(self) -> slice:
-        return slice(0, len(self.states) - (not self.last))
+    def own_rows(self) -> slice:
+        """Return the rows of the frames that belong to this span."""
+        return slice(0, len(self.states) - (not self.is_last))
 
 
 @dataclass(frozen=True)
 class _TermRows:
-    """See the module's text. Without Jacobian, residual and what follows are empty."""
+    """Hold what a term gives: see the module's text. Without Jacobian all but the cost are empty."""
 
     cost: Array
     residual: Array = field(default_factory=lambda: _ZERO[:0])
@@ -97,16 +105,26 @@ class Term(Protocol):
     """A term of the problem: see the module's text."""
 
     @property
-    def name(self) -> str: ...
+    def name(self) -> str:
+        """Return the name of the term in the costs."""
+        ...
+
     @property
-    def stencil(self) -> tuple[int, ...]: ...
-    def evaluate(self, span: Span, jacobian: bool) -> _TermRows: ...
+    def stencil(self) -> tuple[int, ...]:
+        """Return the offsets (S,) of the frames that a row reads."""
+        ...
+
+    def evaluate(self, span: Span, jacobian: bool) -> _TermRows:
+        """Return the term's cost and, if asked for, its residual and derivatives."""
+        ...
 
 
 @dataclass(frozen=True)
 class Linear:
-    """A Gaussian term with a constant Jacobian: r = sum of slots[s] x(frame + stencil[s]) - target, for every frame
-    whose stencil fits. slots (S, M, D) and target (M,) are divided by standard deviations."""
+    """A Gaussian term with a constant Jacobian: r = sum of slots[s] x(frame + stencil[s]) - target.
+
+    It holds for every frame whose stencil fits. slots (S, M, D) and target (M,) are divided by standard deviations.
+    """
 
     name: str
     stencil: tuple[int, ...]
@@ -114,36 +132,37 @@ class Linear:
     target: Array
 
     def frames(self, T: int) -> Index:
+        """Return the frames (N,) of a clip of T frames whose stencil fits."""
         return np.arange(-self.stencil[0], max(T - self.stencil[-1], -self.stencil[0]))
 
     def residual(self, states: Array) -> Array:
-        """(N, M) of a whole clip (T, D)."""
-        at = self.frames(len(states))
-        r = np.tile(-self.target, (len(at), 1))
+        """Return the residual (N, M) of a whole clip (T, D)."""
+        frames = self.frames(len(states))
+        r = np.tile(-self.target, (len(frames), 1))
         for offset, slot in zip(self.stencil, self.slots, strict=True):
-            r += states[at + offset] @ slot.T
+            r += states[frames + offset] @ slot.T
         return r
 
 
 def _rate(fps: float, weight: float) -> float:
-    """Factor on residuals."""
+    """Return the factor on residuals for a frame rate."""
     return float(np.sqrt(weight * REFERENCE_HZ / fps))
 
 
 def _whitener(covariance: Array) -> Array:
-    """L' with L L' = covariance^-1: residuals L' d have unit covariance."""
+    """Return L' with L L' = covariance^-1: residuals L' d have unit covariance."""
     return np.asarray(np.linalg.cholesky(np.linalg.inv(covariance)).swapaxes(-1, -2), dtype=np.float64)
 
 
 def pose_term(prior: MotionPrior, n_state: int, fps: float, weight: float) -> Linear:
-    """The term of one Gaussian of poses."""
+    """Return the term of one Gaussian of poses."""
     rows = np.zeros((len(prior.mean), n_state))
     rows[:, ANGLES] = _whitener(prior.covariance) * _rate(fps, weight)
     return Linear(POSE, (0,), rows[None], rows[:, ANGLES] @ prior.mean)
 
 
 def dynamics_term(prior: MotionPrior, n_state: int, fps: float, weight: float) -> Linear:
-    """The angles' acceleration is what the prior expects of pose and rates, white noise apart."""
+    """Return the term of the angles' acceleration: what the prior expects of pose and rates, plus white noise."""
     A = len(prior.mean)
     white = _whitener(prior.acceleration_covariance) * _rate(fps, weight)
     by_angle, by_rate = prior.drift[:, :A], prior.drift[:, A:]
@@ -155,7 +174,7 @@ def dynamics_term(prior: MotionPrior, n_state: int, fps: float, weight: float) -
 
 
 def root_term(n_state: int, fps: float, acceleration_m_s2: Array, yaw_acceleration_rad_s2: float) -> Linear:
-    """The root's acceleration (level x, y, z) and its yaw's are Gaussian about zero."""
+    """Return the term of the root's acceleration (level x, y, z) and its yaw's: Gaussian about zero."""
     rows = np.zeros((4, n_state))
     rows[:3, ROOT] = np.diag(1.0 / np.asarray(acceleration_m_s2))
     rows[3, YAW] = 1.0 / yaw_acceleration_rad_s2
@@ -164,7 +183,7 @@ def root_term(n_state: int, fps: float, acceleration_m_s2: Array, yaw_accelerati
 
 
 def climb_term(n_state: int, fps: float, sigma_m_s: float) -> Linear:
-    """The root climbs or sinks slowly."""
+    """Return the term that keeps the root from climbing or sinking fast."""
     row = np.zeros((1, n_state))
     row[0, 2] = fps / sigma_m_s * _rate(fps, 1.0)
     return Linear("climb", (0, 1), np.array([-row, row]), np.zeros(1))
@@ -172,8 +191,10 @@ def climb_term(n_state: int, fps: float, sigma_m_s: float) -> Linear:
 
 @dataclass(frozen=True)
 class PoseMixture:
-    """A mixture of Gaussians of poses, -log sum_k w_k N(z; mean_k, cov_k), flattened by a temperature >= 1. The rows
-    are those of the Gaussian with the components' mean precision that has the mixture's gradient."""
+    """A mixture of Gaussians of poses, -log sum_k w_k N(z; mean_k, cov_k), flattened by a temperature >= 1.
+
+    The rows are those of the Gaussian with the components' mean precision that has the mixture's gradient.
+    """
 
     prior: MotionPrior
     fps: float
@@ -193,10 +214,11 @@ class PoseMixture:
         object.__setattr__(self, "_offset", offset - offset.min())
 
     def evaluate(self, span: Span, jacobian: bool) -> _TermRows:
-        z = span.states[span.own, ANGLES]
+        """Return the cost, residual and derivatives: see `Term`."""
+        z = span.states[span.own_rows, ANGLES]
         N, A = z.shape
-        off = (z[:, None] - self.prior.means).transpose(1, 0, 2)  # (K, N, A)
-        white = off @ self._white.swapaxes(1, 2)
+        deviation = (z[:, None] - self.prior.means).transpose(1, 0, 2)  # (K, N, A)
+        white = deviation @ self._white.swapaxes(1, 2)
         level = 0.5 * np.sum(white**2, axis=2).T + self._offset
         least = level.min(axis=1, keepdims=True)
         share = np.exp(-(level - least) / self.temperature)
@@ -216,45 +238,50 @@ class PoseMixture:
 
 @dataclass(frozen=True)
 class Reprojection:
-    """Projected minus detected position, one robust loss per point: c^2/2 log(1 + |e|^2 / (c sigma)^2) (Cauchy), times
-    the view's confidence. sigma_px (T, J) is frozen: one that followed the depth would decide the distance."""
+    """Projected minus detected position of each marker, with one robust loss per point.
+
+    The loss is c^2/2 log(1 + |e|^2 / (c sigma)^2) (Cauchy), times the view's confidence. sigma_px (T, J) is frozen: if
+    it followed the depth, it would decide the distance.
+    """
 
     view: View
     sigma_px: Array
     c: float
     origin_m: Array
     number: int = 0
-    """The number of the view, in the names of the unknowns that are its own."""
+    """Number of the view, in the names of the unknowns that are its own."""
     drift_m: Array | None = None
     """(T, J, 3), frozen: how far the markers go in a frame, at nominal size. None: no time offset is read."""
     px_per_m: Array | None = None
-    """(T,), frozen: how large a metre is in the picture at the animal's distance. None: no `keypoint_bias` is read."""
+    """(T,), frozen: pixels per metre at the animal's distance. None: no `keypoint_bias` is read."""
     name: str = "reprojection"
 
     @property
     def stencil(self) -> tuple[int, ...]:
+        """Return the offsets of the frames between which the pictures were taken."""
         return (0, 1) if self.view.offset_frames else (0,)
 
     def evaluate(self, span: Span, jacobian: bool) -> _TermRows:
+        """Return the cost, residual and derivatives: see `Term`."""
         parts = self._parts(span)
         points = np.sum([share * span.pose.points_m[part] for part, share in parts], axis=0)
         frames = slice(span.first, span.first + len(points))
         view, sigma = self.view.part(frames), self.sigma_px[frames]
-        size, late = size_of(span.shared), span.shared.get(time_offset(self.number))
-        off = span.shared.get(keypoint_bias(self.number))
-        if late is not None and self.drift_m is not None:
-            points = points + late * self.drift_m[frames]
+        size, offset_frames = size_of(span.shared), span.shared.get(time_offset(self.number))
+        bias_m = span.shared.get(keypoint_bias(self.number))
+        if offset_frames is not None and self.drift_m is not None:
+            points = points + offset_frames * self.drift_m[frames]
         world, correction = self.origin_m + size * points, span.shared.get(extrinsic_correction(self.number))
-        before, view = view, view if correction is None else view.corrected(correction)
-        longer = span.shared.get(focal(self.number))
-        view = view if longer is None else view.with_focal_scale(float(longer[0]))
+        given_view, view = view, view if correction is None else view.corrected(correction)
+        log_focal = span.shared.get(focal_scale(self.number))
+        view = view if log_focal is None else view.with_focal_scale(float(log_focal[0]))
         if jacobian:
             projected, by_point, valid = view.project_with_jacobian(world)
         else:
             (projected, valid), by_point = view.project(world), None
-        in_picture = projected
-        if off is not None and self.px_per_m is not None:
-            projected = projected + self.px_per_m[frames, None, None] * off.reshape(-1, 2)
+        unbiased_px = projected
+        if bias_m is not None and self.px_per_m is not None:
+            projected = projected + self.px_per_m[frames, None, None] * bias_m.reshape(-1, 2)
         present = view.present
         seen = present & valid
         e = np.where(seen[..., None], projected - view.xy_px, 0.0) / sigma[..., None]
@@ -264,40 +291,42 @@ class Reprojection:
         cost = 0.5 * self.c**2 * np.sum(loss * confidence, axis=1)
         if by_point is None:
             return _TermRows(cost)
-        root = np.sqrt(np.where(seen, confidence / (1.0 + q), 0.0))[..., None]
-        by_point = by_point * np.where(seen[..., None], root / sigma[..., None], 0.0)[..., None]
+        root_weight = np.sqrt(np.where(seen, confidence / (1.0 + q), 0.0))[..., None]
+        by_point = by_point * np.where(seen[..., None], root_weight / sigma[..., None], 0.0)[..., None]
         N, J = q.shape
         by_state, D = by_point * size, span.pose.jacobian.shape[-1]  # of a single frame beside none, N is 0
         slots = [(by_state * share @ span.pose.jacobian[part]).reshape(N, 2 * J, 1, D) for part, share in parts]
         rows = slots[0] if len(slots) == 1 else np.concatenate(slots, axis=2)
         by_shared = {SIZE: (by_point @ points[..., None]).reshape(N, 2 * J, 1)} if SIZE in span.shared else {}
-        if late is not None and self.drift_m is not None:
+        if offset_frames is not None and self.drift_m is not None:
             by_shared[time_offset(self.number)] = (by_state @ self.drift_m[frames, ..., None]).reshape(N, 2 * J, 1)
-        if off is not None and self.px_per_m is not None:
-            each = np.repeat((root / sigma[..., None])[..., 0] * self.px_per_m[frames, None], 2, axis=1)
-            by_shared[keypoint_bias(self.number)] = each[..., None] * np.eye(2 * J)
-        if span.turned is not None:
-            of_marker, each = np.zeros((N, J, 2, J, 3)), np.arange(J)
+        if bias_m is not None and self.px_per_m is not None:
+            px_per_bias = np.repeat((root_weight / sigma[..., None])[..., 0] * self.px_per_m[frames, None], 2, axis=1)
+            by_shared[keypoint_bias(self.number)] = px_per_bias[..., None] * np.eye(2 * J)
+        if span.rotations is not None:
+            by_common_bias, px_per_bias = np.zeros((N, J, 2, J, 3)), np.arange(J)
             for part, share in parts:
-                of_marker[:, each, :, each] += (by_state * share @ span.turned[part]).swapaxes(0, 1)
-            by_shared[COMMON_KEYPOINT_BIAS] = of_marker.reshape(N, 2 * J, 3 * J)
-        if longer is not None:
-            off_centre = np.where(seen[..., None], in_picture - view.camera.matrix[:2, 2], 0.0)
-            by_shared[focal(self.number)] = (off_centre * root / sigma[..., None]).reshape(N, 2 * J, 1)
+                by_common_bias[:, px_per_bias, :, px_per_bias] += (by_state * share @ span.rotations[part]).swapaxes(
+                    0, 1
+                )
+            by_shared[COMMON_KEYPOINT_BIAS] = by_common_bias.reshape(N, 2 * J, 3 * J)
+        if log_focal is not None:
+            off_centre = np.where(seen[..., None], unbiased_px - view.camera.matrix[:2, 2], 0.0)
+            by_shared[focal_scale(self.number)] = (off_centre * root_weight / sigma[..., None]).reshape(N, 2 * J, 1)
         if correction is not None:
             by_camera = by_point @ view.rotation.swapaxes(-1, -2)
-            rotation = euler_rotation_with_jacobian(correction[:3])[1] @ before.to_camera(world)[..., None, :, None]
+            rotation = euler_rotation_with_jacobian(correction[:3])[1] @ given_view.to_camera(world)[..., None, :, None]
             by_correction = np.concatenate([by_camera @ rotation[..., 0].swapaxes(-1, -2), by_camera], axis=-1)
             by_shared[extrinsic_correction(self.number)] = by_correction.reshape(N, 2 * J, 6)
-        return _TermRows(cost, (e * root).reshape(N, 2 * J), rows, by_shared)
+        return _TermRows(cost, (e * root_weight).reshape(N, 2 * J), rows, by_shared)
 
     def _parts(self, span: Span) -> list[tuple[slice, float]]:
-        """The span's frames that each picture lies between, and their shares."""
-        lead, n = self.view.offset_frames, len(span.states)
-        return [(slice(0, n - 1), 1.0 - lead), (slice(1, n), lead)] if lead else [(span.own, 1.0)]
+        """Return the span's frames that each picture lies between, and their shares."""
+        share, count = self.view.offset_frames, len(span.states)
+        return [(slice(0, count - 1), 1.0 - share), (slice(1, count), share)] if share else [(span.own_rows, 1.0)]
 
     def weights(self, points_m: Array) -> Array:
-        """(T, J): how far each detection is trusted, 1 to 0, NaN where missing, for markers (T, J, 3) of the world."""
+        """Return the weights (T, J) of detections, 1 to 0, NaN where missing, for markers (T, J, 3) of the world."""
         projected, valid = self.view.project(points_m)
         q = np.sum((projected - self.view.xy_px) ** 2, axis=-1) / (self.c * self.sigma_px) ** 2
         return np.where(self.view.present, np.where(valid, 1.0 / (1.0 + q), 0.0), np.nan)
@@ -305,7 +334,7 @@ class Reprojection:
 
 @dataclass(frozen=True, eq=False)
 class KnownAngles:
-    """Heading and angles are those of states (T, D) of the whole clip, in frames that have them; the place is free."""
+    """Heading and angles are those of given states (T, D), in frames that have them; the position is free."""
 
     states: Array
     sigma_rad: float = 1e-4
@@ -313,21 +342,25 @@ class KnownAngles:
     stencil: tuple[int, ...] = (0,)
 
     def evaluate(self, span: Span, jacobian: bool) -> _TermRows:
-        own = span.states[span.own]
-        frames = slice(span.first, span.first + len(own))
-        r = np.nan_to_num((own - self.states[frames])[:, YAW:] / self.sigma_rad)
+        """Return the cost, residual and derivatives: see `Term`."""
+        states = span.states[span.own_rows]
+        frames = slice(span.first, span.first + len(states))
+        r = np.nan_to_num((states - self.states[frames])[:, YAW:] / self.sigma_rad)
         cost = 0.5 * np.sum(r * r, axis=1)
         if not jacobian:
             return _TermRows(cost)
         known = np.isfinite(self.states[frames][:, YAW:])[..., None]
-        rows = np.where(known, np.eye(own.shape[1])[YAW:] / self.sigma_rad, 0.0)
+        rows = np.where(known, np.eye(states.shape[1])[YAW:] / self.sigma_rad, 0.0)
         return _TermRows(cost, r, rows[:, :, None])
 
 
 @dataclass(frozen=True)
 class Heading:
-    """The animal goes where it looks, or `SIDESLIP` beside it: of each pair of frames (v x u) / sigma, m/s, with the
-    root's velocity v and the direction u from the marker `rear` to `front`."""
+    """The animal goes where it looks, or `SIDESLIP` off it.
+
+    The residual of each pair of frames is (v x u) / sigma, m/s, with the root's velocity v and the direction u from the
+    marker `rear` to `front`.
+    """
 
     rear: int
     front: int
@@ -337,13 +370,14 @@ class Heading:
     stencil: tuple[int, ...] = (0, 1)
 
     def evaluate(self, span: Span, jacobian: bool) -> _TermRows:
+        """Return the cost, residual and derivatives: see `Term`."""
         n = len(span.states) - 1
         forward = span.pose.points_m[:, self.front, :2] - span.pose.points_m[:, self.rear, :2]
         length = np.maximum(np.linalg.norm(forward, axis=1, keepdims=True), 1e-6)
         u = forward / length
         angle = float(span.shared.get(SIDESLIP, _ZERO)[0])
-        turned = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
-        v = np.diff(span.states[:, :2], axis=0) * self.fps @ turned.T
+        sideslip_rotation = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+        v = np.diff(span.states[:, :2], axis=0) * self.fps @ sideslip_rotation.T
         scale = _rate(self.fps, 1.0) / self.sigma_m_s
         mean = 0.5 * (u[1:] + u[:-1])
         r = scale * (mean[:, 0] * v[:, 1] - mean[:, 1] * v[:, 0])
@@ -354,7 +388,7 @@ class Heading:
         d_u = (rotation - u[..., None] * (u[:, None] @ rotation)) / length[..., None]
         rows = np.zeros((n, 1, 2, D))
         across = np.stack([v[:, 1], -v[:, 0]], axis=1)
-        by_velocity = np.stack([-mean[:, 1], mean[:, 0]], axis=1) @ turned
+        by_velocity = np.stack([-mean[:, 1], mean[:, 0]], axis=1) @ sideslip_rotation
         for slot, sign in enumerate((-1.0, 1.0)):
             rows[:, 0, slot] = 0.5 * scale * (across[:, None] @ d_u[slot : n + slot])[:, 0]
             rows[:, 0, slot, :2] += sign * scale * self.fps * by_velocity
@@ -365,12 +399,16 @@ class Heading:
 
 @dataclass(frozen=True)
 class StanceVelocity:
-    """A foot (F,) that nearly stands, stands: its velocity with the loss of Geman and McClure, (c sigma)^2 / 2 at most.
-    In the world: at nominal size, feet that a moving camera follows would stand for any animal that is large enough.
+    """A foot (F,) that nearly stands, stands: its velocity has the loss of Geman and McClure, (c sigma)^2 / 2 at most.
 
-    by_size (n, F, 3), frozen: how velocities follow the size about `at`, m/s, with the states held. By default they are
-    in proportion. Of an animal that one moving camera sees, they then are in proportion relative to the camera, so that
-    the feet of a smaller one are slower before a slow camera, which says nothing of its size: see `contacts`."""
+    Velocities are those in the world: at nominal size, feet that a moving camera follows would stand for any animal
+    that is large enough.
+
+    by_size (n, F, 3), frozen: the derivative of velocities by the size about `at`, m/s, with fixed states. By default
+    they are in proportion to the size. If one moving camera sees the animal, they are in proportion relative to the
+    camera, so that the feet of a smaller animal are slower in front of a slow camera, which says nothing of its size:
+    see `contacts`.
+    """
 
     feet: Index
     fps: float
@@ -382,7 +420,7 @@ class StanceVelocity:
     stencil: tuple[int, ...] = (0, 1)
 
     def contact(self, points_m: Array, size: float) -> tuple[Array, Array, Array]:
-        """Velocity (n, F, 3), loss (n, F) and its slope (n, F) between frames of markers (n + 1, J, 3)."""
+        """Return the velocity (n, F, 3), loss (n, F) and its slope (n, F) between frames of markers (n + 1, J, 3)."""
         v = np.diff(points_m[:, self.feet], axis=0) * self.fps * size
         return v, *self._loss(v)
 
@@ -392,6 +430,7 @@ class StanceVelocity:
         return q * shrink, shrink**2
 
     def evaluate(self, span: Span, jacobian: bool) -> _TermRows:
+        """Return the cost, residual and derivatives: see `Term`."""
         n, F = len(span.states) - 1, len(self.feet)
         size = size_of(span.shared)
         nominal = np.diff(span.pose.points_m[:, self.feet], axis=0) * self.fps
@@ -413,9 +452,11 @@ class StanceVelocity:
 
 @dataclass(frozen=True)
 class OnGround:
-    """Feet in stance lie on a plane: (z - height - slope . (x - middle)) sqrt(contact) / sigma, with feet at x and z
-    times the size relative to `at`. feet (F,); contact (T - 1, F), frozen; plane (3,): height, slope x, slope y; middle
-    (2,)."""
+    """Feet in stance lie on a plane: r = (z - height - slope . (x - middle)) sqrt(contact) / sigma.
+
+    Feet are at x and z times the size relative to `at`. feet (F,); contact (T - 1, F), frozen; plane (3,): height,
+    slope x, slope y; middle (2,).
+    """
 
     feet: Index
     contact: Array
@@ -424,11 +465,12 @@ class OnGround:
     fps: float
     sigma_m: float
     at: float | None = None
-    """The size at which the plane was found, where it stays in the world; None: it goes along with the size."""
+    """Size at which the plane was found, where it stays in the world; None: the plane scales with the size."""
     name: str = "ground"
     stencil: tuple[int, ...] = (0, 1)
 
     def evaluate(self, span: Span, jacobian: bool) -> _TermRows:
+        """Return the cost, residual and derivatives: see `Term`."""
         n = len(span.states) - 1
         frames = slice(span.first, span.first + n)
         foot = span.pose.points_m[:, self.feet]

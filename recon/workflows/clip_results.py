@@ -330,7 +330,8 @@ def problem_of(motion: Motion, folder: Path) -> ClipProblem:
     prior = load_prior(settings.prior, motion.body)
     if prior.name != motion.solution.prior:
         raise InputError(Problem(config, "prior", prior.name, f"{motion.solution.prior}: {AS_THEY_WERE}"))
-    return ClipProblem.of(views_of(motion.sources), motion.body, prior, motion.fps, settings.trajectory_options())
+    views = views_of(motion.sources)
+    return ClipProblem.from_views(views, motion.body, prior, motion.fps, settings.trajectory_options())
 
 
 def replaced_files(config: Path, given: Mapping[str, Any], settings: FitSettings) -> list[Path]:

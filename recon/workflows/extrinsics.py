@@ -240,7 +240,7 @@ def _setting(
             view = View(camera, pose, points.xy_px, points.confidence, offset_frames=source.offset_frames)
         views.append(view)
     knows_up = bool(clip.refine_cameras) and None  # where the ground is, the camera file says
-    return ClipProblem.of(views, first.body, first.prior, first.fps, clip.trajectory_options(), knows_up)
+    return ClipProblem.from_views(views, first.body, first.prior, first.fps, clip.trajectory_options(), knows_up)
 
 
 def _each_alone(settings: FitSettings) -> list[ClipInputs]:

@@ -381,7 +381,7 @@ def run_subject_fit(settings: SubjectFitSettings) -> dict[str, Any]:
         fits = [replace(one, detector=NONE) for one in fits]
     each = zip(fits, settings.clips, known or (None,) * len(settings.clips), strict=True)
     given = collect_problems(*(partial(_problem, *of) for of in each))
-    shape = Shape.of(given[0].body, settings.lengths, settings.offsets)
+    shape = Shape.of_body(given[0].body, settings.lengths, settings.offsets)
     if known:
         shape = replace(shape, offset_sigma_m=POSED_OFFSET_SIGMA_M)
     try:
@@ -425,13 +425,13 @@ def _problem(settings: FitSettings, path: Path, pose: Pose3D | None) -> ClipProb
         expected = "a whole animal: a chain's lengths stand in its own skeleton file"
         raise InputError(Problem(path, "skeleton", given.body.name, expected))
     views, options = views_of(given.sources), settings.trajectory_options()
-    problem = ClipProblem.of(views, given.body, given.prior, given.fps, options)
+    problem = ClipProblem.from_views(views, given.body, given.prior, given.fps, options)
     if not problem.shows_size:
         found = f"one camera that stands still, {given.sources[0].camera.name}"
         raise InputError(Problem(path, "cameras", found, "several cameras, or a moving one: one cannot tell lengths"))
     if pose is None:
         return problem
-    return replace(problem, known=_states_known(problem, given.sources[0].keypoints.frames, pose))
+    return replace(problem, known_states=_states_known(problem, given.sources[0].keypoints.frames, pose))
 
 
 def _states_known(setting: ClipProblem, frames: Integers, pose: Pose3D) -> Array:
