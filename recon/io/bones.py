@@ -1,13 +1,12 @@
-"""An animal as bones that turn against each other, for programs that know bones rather than points: plain data, and
-the files that hold it, BVH, an OpenSim model and glTF 2.0.
+"""Describe an animal as bones that turn against each other, and write BVH, OpenSim and glTF 2.0.
 
-Axes are x forwards, y up, z right, metres. With all angles 0 every bone's axes are those of the world. Angles keep
-their names and signs: yaw turns about y, pitch about -z and roll about x. `recon.show.rig` makes an armature of
-a fit. Joints are bones without a turn, that end limbs.
+For programs that work with bones, not points. Axes are x forwards, y up, z right, metres. With all angles 0 every
+bone's axes are those of the world. Angles keep their names and signs: yaw turns about y, pitch about -z and roll about
+x. `recon.show.rig` makes an armature from a fit. Joints are bones without a turn, at the ends of limbs.
 
-BVH files of others are read as the joints' positions, y up by custom; the unit is not stated. Channels of position take
-the place of a joint's OFFSET, as most programs have it. End sites are joints, called as their parents with `_end`,
-unless they have no length.
+BVH files of other programs are read as the joints' positions, y up by custom, without a unit. Position channels replace
+a joint's OFFSET, as in most programs. End sites are joints with the parent's name and `_end`, unless they have no
+length.
 """
 
 from __future__ import annotations
@@ -34,7 +33,7 @@ from recon.io.common import Pose3D, StoredPoints
 from recon.io.markers import write_trc
 
 AXIS: dict[str, tuple[int, int, int]] = {"yaw": (0, 1, 0), "pitch": (0, 0, -1), "roll": (1, 0, 0)}
-"""What each kind of angle turns about."""
+"""Axis of each kind of angle."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,16 +42,16 @@ class BoneAngle:
 
     name: str
     kind: str
-    """Which angle it is: yaw, pitch or roll."""
+    """Kind of angle: yaw, pitch or roll."""
     angle_rad: Array
     mean_rad: float
     range_rad: tuple[float, float]
-    """What the skeleton expects: three standard deviations about the mean, or, where it says nothing, any angle."""
+    """Expected range: three standard deviations about the mean, or any angle if the skeleton has none."""
 
 
 @dataclass(frozen=True, eq=False)
 class Bone:
-    """A segment. parent: None of the root, which follows a path."""
+    """A segment; `parent` is None for the root, which follows a path."""
 
     name: str
     parent: int | None
@@ -60,29 +59,29 @@ class Bone:
     """(3,): its origin in its parent's frame."""
     turns: tuple[BoneAngle, ...]
     mass_kg: float
-    """0 where the skeleton has no masses."""
+    """0 if the skeleton has no masses."""
     centre_m: Array
-    """(3,): of its mass, in its frame."""
+    """(3,): centre of mass in its frame."""
     inertia_kg_m2: Array
-    """(3, 3): about that centre."""
+    """(3, 3): moments of inertia about that centre."""
 
 
 @dataclass(frozen=True, eq=False)
 class Armature:
-    """Bones, each after its parent, and J joints fixed on them, in T frames that follow one another without a gap."""
+    """Bones, parents first, and J joints fixed on them, in T consecutive frames."""
 
     name: str
     title: str
     bones: tuple[Bone, ...]
     joints: tuple[str, ...]
-    """As their keypoints are called."""
+    """Names of the keypoints."""
     joint_bones: tuple[int, ...]
     joint_offsets_m: Array
-    """(J, 3): in their bones' frames."""
+    """(J, 3): joints in their bones' frames."""
     capsules: tuple[Capsule, ...]
-    """The capsules of the bones, in the segments' frames, where z is up."""
+    """Capsules of the bones, in the segments' frames, where z is up."""
     root_m: Array
-    """(T, 3): the origin of the first bone."""
+    """(T, 3): origin of the first bone."""
     pose: Pose3D
     """The joints in these frames, z up."""
     fps: float
@@ -90,7 +89,7 @@ class Armature:
 
 
 def turned(turns: tuple[BoneAngle, ...], count: int) -> Array:
-    """(count, 3, 3): rotations from a bone's frame to its parent's, in each frame."""
+    """Return rotations from a bone's frame to its parent's in each frame, (count, 3, 3)."""
     R = Rotation.identity(count)
     for turn in turns:
         R = R * Rotation.from_rotvec(np.outer(turn.angle_rad, AXIS[turn.kind]))
@@ -105,27 +104,31 @@ _CHANNEL = {"yaw": "Yrotation", "pitch": "Zrotation", "roll": "Xrotation"}
 
 @dataclass
 class _Joint:
-    """A joint as the file lists it."""
+    """A joint of a BVH file."""
 
     name: str
     parent: int
-    """Its place in the list, -1 for the root."""
+    """Index of the parent, -1 for the root."""
     offset: list[float] = field(default_factory=list)
     channels: list[str] = field(default_factory=list)
-    """The names of the channels, such as Xposition."""
+    """Names of the channels, such as Xposition."""
     column: int = 0
-    """The column of the first channel."""
+    """Column of the first channel."""
     end: bool = False
 
 
 def recognises_bvh(path: Path) -> bool:
+    """Return whether it is a BVH file."""
     return common.starts_with_text(path, b"HIERARCHY")
 
 
 def read_bvh(path: Path, individual: str | None = None) -> StoredPoints:
-    """The joints' positions, by forward kinematics. Raises InputError for a file that is cut off or no BVH."""
+    """Return the joints' positions, by forward kinematics.
+
+    Raises InputError for a file that is cut off or no BVH.
+    """
     lines = enumerate(read_text(path, "a BVH file").splitlines(), start=1)
-    rows = ((at, line.split()) for at, line in lines if line.strip())
+    rows = ((number, line.split()) for number, line in lines if line.strip())
     joints = _hierarchy(words for _, words in rows)
     count = common.frame_number(_value(next(rows)[1], r"Frames:\s*(\S+)")) or 0
     frame_time_s = common.number(_value(next(rows)[1], r"Frame Time:\s*(\S+)"))
@@ -137,16 +140,18 @@ def read_bvh(path: Path, individual: str | None = None) -> StoredPoints:
     if not 0 < frame_time_s < float("inf"):
         problems.append(Problem(path, "Frame Time", f"{frame_time_s:g}", "seconds above 0"))
     raise_problems(common.first_problems(problems, path))
-    kept = {j: joint.parent for j, joint in enumerate(joints) if not joint.end or any(joint.offset)}
-    xyz = _positions(joints, motion)[:, [*kept]]
-    names, fps = tuple(joints[j].name for j in kept), float(f"{1 / frame_time_s:.9g}")
-    edges = tuple((joints[p].name, joints[j].name) for j, p in kept.items() if p in kept)
+    parent_of = {j: joint.parent for j, joint in enumerate(joints) if not joint.end or any(joint.offset)}
+    xyz = _positions(joints, motion)[:, [*parent_of]]
+    names, fps = tuple(joints[j].name for j in parent_of), float(f"{1 / frame_time_s:.9g}")
+    edges = tuple((joints[p].name, joints[j].name) for j, p in parent_of.items() if p in parent_of)
     return common.one_animal(path, individual, StoredPoints(names, xyz, np.arange(count), fps=fps, edges=edges))
 
 
 def _hierarchy(lines: Iterable[list[str]]) -> list[_Joint]:
-    """The joints in the order of their channels, each after its parent, from lines of words. Raises whatever a damaged
-    file causes."""
+    """Return the joints in the order of their channels, parents first, from lines of words.
+
+    Raises whatever a damaged file causes.
+    """
     joints: list[_Joint] = []
     open_: list[int] = []
     for word, *rest in lines:
@@ -178,7 +183,10 @@ def _value(words: Sequence[str], pattern: str) -> str:
 
 
 def _positions(joints: list[_Joint], motion: np.ndarray) -> np.ndarray:
-    """(T, J, 3): p = p_parent + R_parent t, with R = R_parent R_1 R_2 R_3 in the order of the channels."""
+    """Return joint positions (T, J, 3).
+
+    p = p_parent + R_parent t, with R = R_parent R_1 R_2 R_3 in the order of the channels.
+    """
     xyz = np.zeros((len(motion), len(joints), 3))
     turned: list[Rotation] = []
     for j, joint in enumerate(joints):
@@ -197,16 +205,16 @@ def _positions(joints: list[_Joint], motion: np.ndarray) -> np.ndarray:
 
 
 def write_bvh(rig: Armature, path: Path) -> None:
-    """Bones that turn, in metres, y up. A bone's OFFSET is its origin in its parent's frame, its channels are its
-    angles in degrees; the root has its path, too. Joints are bones without a turn, that end where they begin.
+    """Write bones that turn as BVH, in metres, y up.
 
-    Raises InputError for names with blanks or braces.
+    A bone's OFFSET is its origin in its parent's frame, its channels are its angles in degrees; the root also has its
+    path. Joints are bones of length 0 without a turn. Raises InputError for names with blanks or braces.
     """
     writing.require_names([bone.name for bone in rig.bones] + list(rig.joints), r"\s|[{}]", "BVH")
     lines, columns = ["HIERARCHY"], [rig.root_m]
 
     def add(kind: str, name: str, offset_m: np.ndarray, bone: int | None, depth: int) -> None:
-        """A bone, or, of no bone, a joint."""
+        """Append a bone, or a joint if `bone` is None."""
         indent = "  " * depth
         turns = () if bone is None else rig.bones[bone].turns
         angles = {turn.kind: sum(AXIS[turn.kind]) * np.degrees(turn.angle_rad) for turn in turns}
@@ -216,8 +224,8 @@ def write_bvh(rig: Armature, path: Path) -> None:
         channels += [_CHANNEL[kind] for kind in angles]
         lines.extend([f"{indent}{kind} {name}", f"{indent}{{", f"{indent}  OFFSET {_numbers(offset_m)}"])
         lines.append(f"{indent}  CHANNELS {len(channels)} {' '.join(channels)}")
-        children = [i for i, of_it in enumerate(rig.bones) if bone is not None and of_it.parent == bone]
-        joints = [j for j, at in enumerate(rig.joint_bones) if at == bone]
+        children = [i for i, other_bone in enumerate(rig.bones) if bone is not None and other_bone.parent == bone]
+        joints = [j for j, carrier in enumerate(rig.joint_bones) if carrier == bone]
         for child in children:
             add("JOINT", rig.bones[child].name, rig.bones[child].offset_m, child, depth + 1)
         for joint in joints:
@@ -240,14 +248,15 @@ def _numbers(values: Array | Sequence[float]) -> str:
 
 OPENSIM, OPENSIM_VERSION = "OpenSim model", "40000"
 PLACE = {"x_m": (1, 0, 0), "y_m": (0, 0, -1), "z_m": (0, 1, 0)}
-"""Coordinates of the root's origin, and along which axes they lie."""
+"""Coordinates of the root's origin, and their axes."""
 
 
 def write_opensim(rig: Armature, path: Path) -> None:
-    """The model, and its motion (.mot) and its markers' paths (.trc) under the same name, times as in the keypoint
-    file. Without masses in the skeleton bodies have none: the model is for kinematics then.
+    """Write the model, with its motion (.mot) and its markers' paths (.trc) under the same name.
 
-    Raises InputError for names with blanks or slashes."""
+    Times are those of the keypoint file. If the skeleton has no masses, the bodies have none, and the model is for
+    kinematics only. Raises InputError for names with blanks or slashes.
+    """
     writing.require_names([bone.name for bone in rig.bones] + list(rig.joints), r"[\s/\\*+]", OPENSIM)
     document = Element("OpenSimDocument", Version=OPENSIM_VERSION)
     units = {"length_units": "meters", "force_units": "N"}
@@ -260,8 +269,8 @@ def write_opensim(rig: Armature, path: Path) -> None:
         mass = {"mass": repr(bone.mass_kg), "mass_center": _numbers(bone.centre_m), "inertia": moments}
         _draw(_add(bodies, "Body", bone.name, **mass), rig, bone)
         _join(joints, rig, bone)
-    for name, at, offset_m in zip(rig.joints, rig.joint_bones, rig.joint_offsets_m, strict=True):
-        frame = f"/bodyset/{rig.bones[at].name}"
+    for name, carrier, offset_m in zip(rig.joints, rig.joint_bones, rig.joint_offsets_m, strict=True):
+        frame = f"/bodyset/{rig.bones[carrier].name}"
         _add(markers, "Marker", name, socket_parent_frame=frame, location=_numbers(offset_m))
     indent(document)
     text = '<?xml version="1.0" encoding="UTF-8"?>\n' + tostring(document, encoding="unicode") + "\n"
@@ -271,12 +280,12 @@ def write_opensim(rig: Armature, path: Path) -> None:
 
 
 def _join(joints: Element, rig: Armature, bone: Bone) -> None:
-    """To its parent, or the ground."""
+    """Add a bone's joint to its parent, or to the ground."""
     frames = {"socket_parent_frame": "origin", "socket_child_frame": f"/bodyset/{bone.name}"}
     joint = _add(joints, "CustomJoint" if bone.turns else "WeldJoint", bone.name, **frames)
     above = "/ground" if bone.parent is None else f"/bodyset/{rig.bones[bone.parent].name}"
-    place = {"socket_parent": above, "translation": _numbers(bone.offset_m), "orientation": "0 0 0"}
-    _add(_add(joint, "frames"), "PhysicalOffsetFrame", "origin", **place)
+    frame_of_joint = {"socket_parent": above, "translation": _numbers(bone.offset_m), "orientation": "0 0 0"}
+    _add(_add(joint, "frames"), "PhysicalOffsetFrame", "origin", **frame_of_joint)
     if not bone.turns:
         return
     coordinates = _add(joint, "coordinates")
@@ -286,35 +295,35 @@ def _join(joints: Element, rig: Armature, bone: Bone) -> None:
         limits = {"default_value": repr(turn.mean_rad), "range": _numbers(turn.range_rad)}
         _add(coordinates, "Coordinate", turn.name, **limits, clamped="false")
     transform = _add(joint, "SpatialTransform")
-    # Three axes are needed, also where there are fewer angles.
+    # OpenSim needs three axes, even for fewer angles.
     of_kind = {turn.kind: turn.name for turn in bone.turns}
     turns = [(of_kind.get(kind, ""), AXIS[kind]) for kind in dict.fromkeys((*of_kind, *AXIS))]
     moves = [(name if bone.parent is None else "", axis) for name, axis in PLACE.items()]
-    for what, axes in (("rotation", turns), ("translation", moves)):
+    for kind_of_axis, axes in (("rotation", turns), ("translation", moves)):
         for i, (name, axis) in enumerate(axes, start=1):
-            element = _add(transform, "TransformAxis", f"{what}{i}", coordinates=name, axis=_numbers(axis))
+            element = _add(transform, "TransformAxis", f"{kind_of_axis}{i}", coordinates=name, axis=_numbers(axis))
             if name:
                 _add(element, "LinearFunction", "function", coefficients="1 0")
 
 
 def _draw(body: Element, rig: Armature, bone: Bone) -> None:
-    """Cylinders where its capsules are."""
-    of_it = [c for c in rig.capsules if rig.bones[c.segment] is bone]
-    components = _add(body, "components") if of_it else body
-    for i, capsule in enumerate(of_it):
+    """Add a cylinder for each of a bone's capsules."""
+    capsules = [c for c in rig.capsules if rig.bones[c.segment] is bone]
+    components = _add(body, "components") if capsules else body
+    for i, capsule in enumerate(capsules):
         end = writing.y_up_from_z_up(np.array(capsule.end_m))
-        # It lies along y, and the capsule in the x-y plane.
+        # The cylinder lies along y, and the capsule in the x-y plane.
         turn = _numbers([0.0, 0.0, float(np.arctan2(-end[0], end[1]))])
-        place = {"socket_parent": "..", "translation": _numbers(end / 2), "orientation": turn}
-        frame = _add(components, "PhysicalOffsetFrame", f"shape_{i}", **place)
+        pose = {"socket_parent": "..", "translation": _numbers(end / 2), "orientation": turn}
+        frame = _add(components, "PhysicalOffsetFrame", f"shape_{i}", **pose)
         size = {"radius": repr(capsule.radius_m), "half_height": repr(float(np.linalg.norm(end)) / 2)}
         _add(_add(frame, "attached_geometry"), "Cylinder", "cylinder", **size)
 
 
 def _write_motion(rig: Armature, path: Path) -> None:
     turns = [turn for bone in rig.bones for turn in bone.turns]
-    place = rig.root_m @ np.array([*PLACE.values()], dtype=float).T
-    values = np.column_stack([rig.pose.frames / rig.fps, place, *(turn.angle_rad for turn in turns)])
+    root = rig.root_m @ np.array([*PLACE.values()], dtype=float).T
+    values = np.column_stack([rig.pose.frames / rig.fps, root, *(turn.angle_rad for turn in turns)])
     columns = ["time", *PLACE, *(turn.name for turn in turns)]
     sizes = [f"nRows={len(values)}", f"nColumns={len(columns)}"]
     header = ["Coordinates", "version=1", *sizes, "inDegrees=no", "endheader"]
@@ -323,11 +332,11 @@ def _write_motion(rig: Armature, path: Path) -> None:
 
 
 def _add(parent: Element, kind: str, called: str | None = None, **elements: str) -> Element:
-    """A new element, with its name, and elements of text in it."""
-    found = SubElement(parent, kind, {} if called is None else {"name": called})
+    """Return a new child element with its name and elements of text."""
+    element = SubElement(parent, kind, {} if called is None else {"name": called})
     for name, text in elements.items():
-        SubElement(found, name).text = text
-    return found
+        SubElement(element, name).text = text
+    return element
 
 
 # -- glTF -------------------------------------------------------------------------------------------------------------
@@ -337,15 +346,15 @@ COLOURS: dict[Side | None, tuple[float, float, float]] = {
     "right": (0.79, 0.35, 0.0),
     None: (0.0, 0.34, 0.17),
 }
-"""Linear, of the playback's."""
+"""Colours of the playback, linear."""
 _RINGS, _SECTORS = 5, 16
-"""The numbers of rings of either end of a capsule, and of sectors around it."""
+"""Rings of each end of a capsule, and sectors around it."""
 _TYPES = {1: "SCALAR", 3: "VEC3", 4: "VEC4", 16: "MAT4"}
 _COMPONENTS = {"float32": 5126, "uint32": 5125, "uint16": 5123}
 
 
 class _Buffer:
-    """The numbers of a file: accessors into one block of bytes."""
+    """Numbers of a file, as accessors into one block of bytes."""
 
     def __init__(self) -> None:
         self.content = bytearray()
@@ -353,7 +362,7 @@ class _Buffer:
         self.accessors: list[dict[str, Any]] = []
 
     def add(self, values: Array, kind: str = "float32") -> int:
-        """An accessor of values (N,) or (N, width), with their bounds."""
+        """Add an accessor of values (N,) or (N, width) with their bounds, and return its index."""
         rows = np.asarray(values, dtype=kind).reshape(len(values), -1)
         self.views.append({"buffer": 0, "byteOffset": len(self.content), "byteLength": rows.nbytes})
         self.content += rows.astype(rows.dtype.newbyteorder("<")).tobytes()
@@ -364,7 +373,7 @@ class _Buffer:
 
 
 def write_gltf(rig: Armature, path: Path) -> None:
-    """Capsules around the bones, which a skin moves; the animation begins at 0 s."""
+    """Write capsules around the bones, moved by a skin; the animation begins at 0 s."""
     buffer = _Buffer()
     offsets_m = np.concatenate([[bone.offset_m for bone in rig.bones], rig.joint_offsets_m])
     parents = [bone.parent for bone in rig.bones] + list(rig.joint_bones)
@@ -375,8 +384,8 @@ def write_gltf(rig: Armature, path: Path) -> None:
     unbind[:, 3, :3] = -at_rest  # by columns
     turns = [_unbroken(Rotation.from_matrix(turned(bone.turns, len(rig.root_m))).as_quat()) for bone in rig.bones]
     names = [*(bone.name for bone in rig.bones), *rig.joints]
-    places = np.concatenate([rig.root_m[:1], offsets_m[1:]]).tolist()
-    nodes: list[dict[str, Any]] = [{"name": a, "translation": b} for a, b in zip(names, places, strict=True)]
+    translations = np.concatenate([rig.root_m[:1], offsets_m[1:]]).tolist()
+    nodes: list[dict[str, Any]] = [{"name": a, "translation": b} for a, b in zip(names, translations, strict=True)]
     for node, turn in zip(nodes, turns, strict=False):
         node["rotation"] = turn[0].tolist()
     for i, parent in enumerate(parents):
@@ -390,15 +399,17 @@ def write_gltf(rig: Armature, path: Path) -> None:
     moved += [(i, "rotation", turns[i]) for i, bone in enumerate(rig.bones) if bone.turns]
     animation = {
         "name": rig.name,
-        "channels": [{"sampler": k, "target": {"node": i, "path": what}} for k, (i, what, _) in enumerate(moved)],
+        "channels": [
+            {"sampler": k, "target": {"node": i, "path": path_kind}} for k, (i, path_kind, _) in enumerate(moved)
+        ],
         "samplers": [{"input": time_s, "output": buffer.add(values)} for _, _, values in moved],
     }
     surface = {"metallicFactor": 0.0, "roughnessFactor": 0.7}
     colours = {side or "middle": {"baseColorFactor": [*COLOURS[side], 1.0], **surface} for side in sides}
     materials = [{"name": name, "pbrMetallicRoughness": colour} for name, colour in colours.items()]
-    about = {"version": "2.0", "generator": f"recon {version()}", "extras": {"first_frame": int(rig.pose.frames[0])}}
+    asset = {"version": "2.0", "generator": f"recon {version()}", "extras": {"first_frame": int(rig.pose.frames[0])}}
     document: dict[str, Any] = {
-        "asset": about,
+        "asset": asset,
         "scene": 0,
         "scenes": [{"name": rig.title, "nodes": [0, len(nodes)]}],
         "nodes": [*nodes, {"name": rig.name, "mesh": 0, "skin": 0}],
@@ -418,10 +429,10 @@ def write_gltf(rig: Armature, path: Path) -> None:
 
 
 def _primitive(buffer: _Buffer, rig: Armature, side: Side | None, at_rest: Array, material: int) -> dict[str, Any]:
-    """The capsules of one side, each moved by its own bone."""
-    own = [capsule for capsule in rig.capsules if capsule.side == side]
-    points, normals = np.swapaxes([_surface(capsule) for capsule in own], 0, 1)  # (capsules, N, 3)
-    bones = np.array([capsule.segment for capsule in own])
+    """Return the mesh of the capsules of one side, each moved by its bone."""
+    capsules = [capsule for capsule in rig.capsules if capsule.side == side]
+    points, normals = np.swapaxes([_surface(capsule) for capsule in capsules], 0, 1)  # (capsules, N, 3)
+    bones = np.array([capsule.segment for capsule in capsules])
     joints = np.repeat(bones, points.shape[1])[:, None] * [1, 0, 0, 0]
     attributes = {
         "POSITION": buffer.add((points + at_rest[bones, None]).reshape(-1, 3)),
@@ -429,12 +440,12 @@ def _primitive(buffer: _Buffer, rig: Armature, side: Side | None, at_rest: Array
         "JOINTS_0": buffer.add(joints, "uint16"),
         "WEIGHTS_0": buffer.add(np.tile([1.0, 0.0, 0.0, 0.0], (len(joints), 1))),
     }
-    triangles = _TRIANGLES + points.shape[1] * np.arange(len(own))[:, None, None]
+    triangles = _TRIANGLES + points.shape[1] * np.arange(len(capsules))[:, None, None]
     return {"attributes": attributes, "indices": buffer.add(triangles.ravel(), "uint32"), "material": material}
 
 
 def _triangles() -> Array:
-    """(N, 3): between the points of neighbouring rings, from pole to pole."""
+    """Return triangles (N, 3) between the points of neighbouring rings, from pole to pole."""
     ring, sector = np.divmod(np.arange((2 * _RINGS - 1) * _SECTORS), _SECTORS)
     a, b = ring * _SECTORS + sector, ring * _SECTORS + (sector + 1) % _SECTORS
     lower, upper = np.column_stack([a, b, b + _SECTORS]), np.column_stack([a, b + _SECTORS, a + _SECTORS])
@@ -445,21 +456,21 @@ _TRIANGLES = _triangles()
 
 
 def _surface(capsule: Capsule) -> tuple[Array, Array]:
-    """Points and normals (N, 3) of rings around the capsule from its first pole to the other, in its bone's frame."""
+    """Return points and normals (N, 3) of rings around a capsule, from pole to pole, in its bone's frame."""
     end = writing.y_up_from_z_up(np.array(capsule.end_m))
-    along = end / np.linalg.norm(end)
-    beside = np.array([0.0, 0.0, 1.0])  # capsules lie in the x-y plane
+    axis = end / np.linalg.norm(end)
+    perpendicular = np.array([0.0, 0.0, 1.0])  # capsules lie in the x-y plane
     quarter = np.linspace(0.0, np.pi / 2, _RINGS)
     latitude = np.concatenate([-quarter[::-1], quarter])[:, None, None]
     longitude = np.linspace(0.0, 2 * np.pi, _SECTORS, endpoint=False)[:, None]
-    around = np.cos(longitude) * beside + np.sin(longitude) * np.cross(along, beside)
-    normals = np.cos(latitude) * around + np.sin(latitude) * along
+    radial = np.cos(longitude) * perpendicular + np.sin(longitude) * np.cross(axis, perpendicular)
+    normals = np.cos(latitude) * radial + np.sin(latitude) * axis
     points = capsule.radius_m * normals
     points[_RINGS:] += end
     return points.reshape(-1, 3), normals.reshape(-1, 3)
 
 
 def _unbroken(turns: Array) -> Array:
-    """Quaternions (T, 4) with the sign that is nearer to the one before."""
+    """Return quaternions (T, 4), each with the sign nearer to the previous one."""
     signs = np.where(np.einsum("tq,tq->t", turns[1:], turns[:-1]) < 0, -1.0, 1.0)
     return turns * np.cumprod([1.0, *signs])[:, None]

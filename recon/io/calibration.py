@@ -1,7 +1,9 @@
-"""Cameras from calibration files of any known format, with every value checked; and our own camera files.
+"""Read cameras from calibration files of any known format, and from our own camera files.
 
-A reader gives a `CameraRecord` for each camera, a table of unchecked values. Ours are TOML with one table `[camera]`
-with `format = "recon-camera"`, or several in `[[cameras]]`; those of other programs are in `recon.io.camera_files`."""
+Every value is checked. A reader returns a `CameraRecord` for each camera, a table of unchecked values. Our files are
+TOML with one table `[camera]` with `format = "recon-camera"`, or several in `[[cameras]]`. Files of other programs are
+in `recon.io.camera_files`.
+"""
 
 from __future__ import annotations
 
@@ -35,33 +37,46 @@ class CameraRecord:
     name: Any
     place: str
     values: Mapping[str, Any]
-    """Unchecked, by field of `Camera`."""
+    """Unchecked values, by field of `Camera`."""
     called: Mapping[str, str]
-    """What the file calls a field, where it calls it otherwise."""
+    """The file's keys, by field, where they differ."""
     lenses: Iterable[str] = tuple(LENS_MODELS)
-    """What the file can call its lens."""
+    """Names that the file can have for its lens."""
 
 
 def read_cameras(path: CameraFiles, image_size_px: tuple[int, int] | None = None) -> tuple[Camera, ...]:
-    """All cameras of a calibration file, in its order. Cameras without a name are called cam1, cam2, ... Of several
-    files, one after the other; a file's only camera is called as the file where two have one name. image_size_px:
-    (width, height) for files that do not hold it. Raises InputError with every problem, also where it contradicts."""
+    """Return all cameras of a calibration file, or of several files, in order.
+
+    Cameras without a name are called cam1, cam2, ... Of several files, a file's only camera is called as the file if
+    two have the same name.
+
+    Parameters
+    ----------
+    path : path, or sequence of paths
+    image_size_px : (width, height), optional
+        For files without it; must agree where a file has it.
+
+    Raises
+    ------
+    InputError
+        With every problem.
+    """
     if not isinstance(path, str | Path):
-        of_file = collect_problems(*(partial(read_cameras, one, image_size_px) for one in path))
+        of_file = collect_problems(*(partial(read_cameras, file, image_size_px) for file in path))
         names = [camera.name for cameras in of_file for camera in cameras]
-        found: list[Camera] = []
-        for one, cameras in zip(path, of_file, strict=True):
+        renamed: list[Camera] = []
+        for file, cameras in zip(path, of_file, strict=True):
             alone = len(cameras) == 1 and names.count(cameras[0].name) > 1
-            found += [replace(cameras[0], name=one.stem)] if alone else cameras
-        twice = [f"{name}, as in another file" for name in _twice(found)]
+            renamed += [replace(cameras[0], name=file.stem)] if alone else cameras
+        twice = [f"{name}, as in another file" for name in _twice(renamed)]
         raise_problems(Problem(path[-1], "camera", name, "a name of its own") for name in twice)
-        return tuple(found)
+        return tuple(renamed)
     path = Path(path)
     suffixes = sorted({suffix for f in FORMATS if "cameras" in f.reads for suffix in f.suffixes})
     if path.suffix.lower() not in suffixes:
         expected = f"a calibration file: {', '.join(suffixes)}"
-        what = "a folder" if path.is_dir() else f"suffix {path.suffix!r}"
-        raise InputError(Problem(path, "format", what, expected))
+        kind = "a folder" if path.is_dir() else f"suffix {path.suffix!r}"
+        raise InputError(Problem(path, "format", kind, expected))
     reader = recognised(path, "cameras")
     if reader is None:
         parse_json(read_calibration(path), path)
@@ -72,7 +87,7 @@ def read_cameras(path: CameraFiles, image_size_px: tuple[int, int] | None = None
 def cameras_of(
     records: Sequence[CameraRecord], path: Path, image_size_px: tuple[int, int] | None = None
 ) -> tuple[Camera, ...]:
-    """The cameras of a file's records. Raises InputError with every problem."""
+    """Return the cameras of a file's records; raise InputError with every problem."""
     cameras = collect_problems(
         *(partial(_camera, record, i, path, image_size_px) for i, record in enumerate(records, 1))
     )
@@ -91,8 +106,11 @@ def _twice(cameras: Sequence[Camera]) -> dict[str, int]:
 def read_camera(
     path: CameraFiles, name: str | int | None = None, image_size_px: tuple[int, int] | None = None
 ) -> Camera:
-    """One camera of a calibration file, by name, or by a whole number N for camN or cam_0N, which in a file without
-    names is the Nth. Raises InputError as `read_cameras`, and without such a camera, or a choice."""
+    """Return one camera of a calibration file.
+
+    `name` is the camera's name, or a whole number N for camN or cam_0N, which is the Nth camera in a file without
+    names. Raises InputError as `read_cameras`, and without such a camera or a choice.
+    """
     cameras = read_cameras(path, image_size_px)
     wanted = "" if name is None else str(name)
     matches = [camera for camera in cameras if name is None or camera.name == wanted]
@@ -101,15 +119,15 @@ def read_camera(
         matches = [camera for camera in cameras if pattern.fullmatch(camera.name)]
     if len(matches) == 1:
         return matches[0]
-    many = f"{len(matches) or 'no'} camera{'s' * (len(matches) > 1)}"
-    found = f"{many} and no choice" if name is None else f"{many} called {wanted!r}"
+    count_text = f"{len(matches) or 'no'} camera{'s' * (len(matches) > 1)}"
+    detail = f"{count_text} and no choice" if name is None else f"{count_text} called {wanted!r}"
     expected = f"one of {', '.join(camera.name for camera in cameras)}{' by --camera-name' if name is None else ''}"
     path = path if isinstance(path, str | Path) else ", ".join(map(str, path))
-    raise InputError(Problem(path, "camera", found, expected))
+    raise InputError(Problem(path, "camera", detail, expected))
 
 
 def read_calibration(path: Path) -> str:
-    """Its text. Raises InputError for anything else."""
+    """Return the text of a calibration file; raise InputError for anything else."""
     return read_text(path, "a calibration", MAX_BYTES)
 
 
@@ -117,82 +135,89 @@ def read_calibration(path: Path) -> str:
 
 
 def recognises_own(path: Path) -> bool:
+    """Return whether it is a camera file of ours."""
     return path.suffix.lower() == ".toml" and re.search(r"(?m)^\s*format\s*=", read_calibration(path)) is not None
 
 
 def read_own(path: Path, individual: str | None = None) -> list[CameraRecord]:
-    """Raises InputError for another version, too."""
+    """Return the cameras of our own file; raise InputError, also for another version."""
     document = parse_toml(read_calibration(path), path)
-    one, several = document.get("camera"), document.get("cameras")
-    tables = {"camera.": one} if one is not None else {}
+    single, several = document.get("camera"), document.get("cameras")
+    tables = {"camera.": single} if single is not None else {}
     if not tables and isinstance(several, list):
         tables = {f"cameras[{i}].": table for i, table in enumerate(several)}
     if not tables or not all(isinstance(table, dict) for table in tables.values()):
         raise InputError(Problem(path, "format", "no table of a camera", f'[camera] with format = "{FORMAT}"'))
     words, expected = "format {!r}, version {!r}", (FORMAT, VERSION)
     stated = {f"{place}format": (table.get("format"), table.get("version")) for place, table in tables.items()}
-    wrong = {field: found for field, found in stated.items() if found != expected}
+    wrong = {field: values for field, values in stated.items() if values != expected}
     raise_problems(
-        Problem(path, field, words.format(*found), words.format(*expected)) for field, found in wrong.items()
+        Problem(path, field, words.format(*values), words.format(*expected)) for field, values in wrong.items()
     )
-    up = {"world_z_up": True}
-    return [CameraRecord(table.get("name"), place, up | table, {}) for place, table in tables.items()]
+    defaults = {"world_z_up": True}
+    return [CameraRecord(table.get("name"), place, defaults | table, {}) for place, table in tables.items()]
 
 
 # -- from records to cameras ------------------------------------------------------------------------------------------
 
 
 def _camera(record: CameraRecord, number: int, path: Path, image_size_px: tuple[int, int] | None) -> Camera:
-    """The camera of a record. Raises InputError with everything that is wrong with it."""
+    """Return the camera of a record; raise InputError with every problem."""
     values, camera = record.values, None
     faults: dict[str, tuple[str, str]] = {}
-    """By field, what was found and expected."""
-    given: dict[str, Any] = {"name": f"cam{number}" if record.name is None else str(record.name)}
-    given |= {"world_z_up": values["world_z_up"], "tilt_rad": values.get("tilt_rad", 0.0), "model": values.get("model")}
+    """Found and expected, by field."""
+    arguments: dict[str, Any] = {"name": f"cam{number}" if record.name is None else str(record.name)}
+    arguments |= {
+        "world_z_up": values["world_z_up"],
+        "tilt_rad": values.get("tilt_rad", 0.0),
+        "model": values.get("model"),
+    }
     for field, kinds, expected in (("world_z_up", bool, "true or false"), ("tilt_rad", int | float, TILT)):
-        if not isinstance(given[field], kinds):
-            faults[field] = repr(given.pop(field)), expected
+        if not isinstance(arguments[field], kinds):
+            faults[field] = repr(arguments.pop(field)), expected
     for field, (_, expected) in BLOCKS.items():
-        given[field] = _numbers(values.get(field))
-        if given[field] is None and values.get(field) is not None:
+        arguments[field] = _numbers(values.get(field))
+        if arguments[field] is None and values.get(field) is not None:
             faults[field] = "something other than a block of numbers", expected
-    given["image_size_px"], fault = _image_size(values.get("image_size_px"), image_size_px)
+    arguments["image_size_px"], fault = _image_size(values.get("image_size_px"), image_size_px)
     faults |= {"image_size_px": fault} if fault else {}
-    if values.get("matrix") is None and given["model"] not in (None, *LENS_MODELS):  # it tells numbers apart
-        faults = {"model": (repr(given["model"]), f"one of: {', '.join(record.lenses)}")}
+    if values.get("matrix") is None and arguments["model"] not in (None, *LENS_MODELS):  # it tells numbers apart
+        faults = {"model": (repr(arguments["model"]), f"one of: {', '.join(record.lenses)}")}
     else:
         try:
-            camera = Camera(**_as_a_camera_has_them(given))
+            camera = Camera(**_reshaped(arguments))
         except InputError as error:
-            faults = {one.field: (one.found, one.expected) for one in error.problems} | faults
+            faults = {problem.field: (problem.found, problem.expected) for problem in error.problems} | faults
     if faults or camera is None:
-        where = {field: record.place + record.called.get(field, field) for field in faults}
-        raise InputError(Problem(path, where[field], *fault) for field, fault in faults.items())
+        keys = {field: record.place + record.called.get(field, field) for field in faults}
+        raise InputError(Problem(path, keys[field], *fault) for field, fault in faults.items())
     return camera
 
 
-def _as_a_camera_has_them(given: dict[str, Any]) -> dict[str, Any]:
-    """Numbers in the shapes of a camera, where they can have them, and without coefficients that nobody estimated."""
-    matrix, bent, rotation, translation = (given[field] for field in BLOCKS)
+def _reshaped(arguments: dict[str, Any]) -> dict[str, Any]:
+    """Reshape numbers as a camera has them, and drop trailing coefficients that are 0."""
+    matrix, bent, rotation, translation = (arguments[field] for field in BLOCKS)
     if matrix is not None and matrix.size == 9:
-        given["matrix"] = matrix.reshape(3, 3)
-    if bent is not None and given["model"] in tuple(LENS_MODELS):
+        arguments["matrix"] = matrix.reshape(3, 3)
+    if bent is not None and arguments["model"] in tuple(LENS_MODELS):
         bent = bent.ravel()
-        given["model"] = given["model"] if bent.size else "pinhole"
-        counts = LENS_MODELS[given["model"]].counts
+        arguments["model"] = arguments["model"] if bent.size else "pinhole"
+        counts = LENS_MODELS[arguments["model"]].counts
         while bent.size not in counts and bent.size > min(counts) and bent[-1] == 0:
             bent = bent[:-1]  # such as OpenCV's thin prism and tilt
-        given["distortion"] = bent
+        arguments["distortion"] = bent
     if rotation is not None and rotation.size in (3, 9) and (np.abs(rotation) <= LARGEST).all():
-        given["rotation"] = _rotation(rotation)
+        arguments["rotation"] = _rotation(rotation)
     if translation is not None and translation.size == 3:
-        given["translation_m"] = translation.ravel()
-    return given
+        arguments["translation_m"] = translation.ravel()
+    return arguments
 
 
 def _image_size(value: Any, given: tuple[int, int] | None) -> tuple[tuple[int, int], tuple[str, str] | None]:
-    """The image size from the file and from the caller, which must agree where both are known; and what was found and
-    expected, where there is none."""
+    """Return the image size, and what was found and expected if there is none.
+
+    The file's size and the given one must agree.
+    """
     expected = "the image size: width and height in pixels"
     if value is None:
         return given or (1, 1), None if given else ("nothing", f"{expected}, in the file or by --image-size")
@@ -206,7 +231,7 @@ def _image_size(value: Any, given: tuple[int, int] | None) -> tuple[tuple[int, i
 
 
 def _numbers(value: Any) -> Array | None:
-    """Array of a number, a nested list, or {rows, cols, data}; None for anything else."""
+    """Return an array of a number, a nested list, or {rows, cols, data}; None for anything else."""
     try:
         if isinstance(value, Mapping):
             array = np.asarray(value["data"]).reshape(int(value["rows"]), int(value["cols"]))
@@ -218,7 +243,7 @@ def _numbers(value: Any) -> Array | None:
 
 
 def _rotation(array: Array) -> Array:
-    """Rotation matrix of a Rodrigues vector; a 3x3 matrix made orthonormal, where it is nearly."""
+    """Return the matrix of a Rodrigues vector, or a nearly orthonormal 3x3 matrix made exact."""
     if array.size == 3:
         from scipy.spatial.transform import Rotation  # hardly any file has one
 

@@ -1,17 +1,16 @@
-"""Calibration files of other programs, as they are: for each camera a table of unchecked values; and how ours are
-written.
+"""Read calibration files of other programs as tables of unchecked values, and write ours.
 
 - OpenCV YAML, JSON and XML (`camera_matrix`, `distortion_coefficients`, `image_width`, `image_height`, and the other
   spellings in use), including ROS camera_info YAML with `distortion_model`. The lens is a fisheye where the file says
   `fisheye: 1` or `distortion_model: equidistant`, else radial-tangential. A pose is optional (`R`, `T`; `rotation`,
-  `translation`; `rvec`, `tvec`; world to camera). Whether z points up is only known where the file has `world_z_up: 1`.
+  `translation`; `rvec`, `tvec`; world to camera). z is known to point up only where the file has `world_z_up: 1`.
 - AcinoSet JSON: a scene (`cameras` with `k`, `d`, `r`, `t` and perhaps `name`) or one camera (`k`, `d`). Fisheye
   lenses, world to camera, metres, world z up.
 - Anipose and Pose2Sim TOML: one table per camera. World to camera in the length unit of the calibration board, which
-  the file does not name: it is taken to be metres here, and `camera_unit` of a fit's settings says otherwise. The board
+  the file does not name: metres are assumed here, and `camera_unit` of a fit's settings states another unit. The board
   defines the world, so z need not point up.
 - OpenDroneMap's `cameras.json` and OpenSfM's `camera_models.json`: by name, focal lengths and centres as shares of the
-  picture's longer side. No poses: those are tracks (`recon.io.camera_track`).
+  picture's longer side. They have no poses, which are in tracks (`recon.io.camera_track`).
 """
 
 from __future__ import annotations
@@ -40,9 +39,9 @@ ALIASES = {
     "image_size_px": ("size", "camera_resolution", "image_size_px"),
     "model": ("distortion_model",),
 }
-"""What programs call a field."""
+"""Keys of each field in other programs."""
 MAX_NESTING = 5_000
-"""How deep a file may be nested: OpenCV dies at 20,000."""
+"""Deepest nesting of a file; OpenCV crashes at 20,000."""
 
 
 def _is(path: Path, suffixes: tuple[str, ...], pattern: str = "") -> bool:
@@ -50,14 +49,14 @@ def _is(path: Path, suffixes: tuple[str, ...], pattern: str = "") -> bool:
 
 
 def _tables(path: Path, value: Any, expected: str) -> dict[str, dict[str, Any]]:
-    """Tables by name. Raises InputError for anything else, or none."""
+    """Return tables by name; raise InputError for anything else, or none."""
     if not isinstance(value, dict) or not value or not all(isinstance(table, dict) for table in value.values()):
         raise InputError(Problem(path, "cameras", "no table of a camera", expected))
     return value
 
 
 def record_of(name: Any, place: str, table: Mapping[str, Any], **more: Any) -> CameraRecord:
-    """From a table with keys of its own (`ALIASES`), and more values by field."""
+    """Return the record of a table with other programs' keys (`ALIASES`), and further values by field."""
     called = {field: next((key for key in keys if key in table), keys[0]) for field, keys in ALIASES.items()}
     values = {field: table.get(key) for field, key in called.items()}
     return CameraRecord(name, place, values | {"model": "radtan", "world_z_up": False} | more, called)
@@ -67,20 +66,21 @@ def record_of(name: Any, place: str, table: Mapping[str, Any], **more: Any) -> C
 
 
 def recognises_anipose(path: Path) -> bool:
+    """Return whether it is TOML, which our own reader has passed over."""
     return _is(path, (".toml",))
 
 
 def read_anipose(path: Path, individual: str | None = None) -> list[CameraRecord]:
-    """The cameras of an Anipose or Pose2Sim TOML file. Raises InputError."""
+    """Return the cameras of an Anipose or Pose2Sim TOML file; raise InputError."""
     document = parse_toml(read_calibration(path), path)
     expected = f'[camera] with format = "{FORMAT}", or one table per camera as Anipose and Pose2Sim write'
     known, records = {key for keys in ALIASES.values() for key in keys}, []
     # others are metadata, or the file is about something else
     tables = {key: table for key, table in document.items() if isinstance(table, dict) and known & table.keys()}
     for section, table in _tables(path, tables, expected).items():
-        bent = table.get("distortions")
-        if isinstance(bent, list) and len(bent) == 1:
-            table = table | {"distortions": bent + [0.0] * 3}  # k1 alone, the others were not estimated
+        coefficients = table.get("distortions")
+        if isinstance(coefficients, list) and len(coefficients) == 1:
+            table = table | {"distortions": coefficients + [0.0] * 3}  # k1 alone, the others were not estimated
         model = "fisheye" if table.get("fisheye") else "radtan"
         records.append(record_of(table.get("name", section), f"{section}.", table, model=model))
     return records
@@ -90,19 +90,22 @@ def read_anipose(path: Path, individual: str | None = None) -> list[CameraRecord
 
 
 def recognises_acinoset(path: Path) -> bool:
+    """Return whether it is JSON of cameras, other than OpenCV's."""
     return _is(path, (".json",), r'"(cameras|k)"\s*:') and not _is(path, (".json",), '"opencv-matrix"')
 
 
 def read_acinoset(path: Path, individual: str | None = None) -> list[CameraRecord]:
-    """The cameras of an AcinoSet JSON file. Raises InputError."""
+    """Return the cameras of an AcinoSet JSON file; raise InputError."""
     document = parse_json(read_calibration(path), path)
     entries = document.get("cameras", [document]) if isinstance(document, dict) else None
     if not isinstance(entries, list) or not entries or not all(isinstance(entry, dict) for entry in entries):
         raise InputError(Problem(path, "cameras", "no list of cameras", "a list with k, d, r and t of each camera"))
-    of_all = {"camera_resolution": document.get("camera_resolution")}
-    more = {"model": "fisheye", "world_z_up": True}
-    places = [f"cameras[{i}]." if "cameras" in document else "" for i in range(len(entries))]
-    return [record_of(e.get("name"), place, of_all | e, **more) for e, place in zip(entries, places, strict=True)]
+    shared = {"camera_resolution": document.get("camera_resolution")}
+    fixed = {"model": "fisheye", "world_z_up": True}
+    locations = [f"cameras[{i}]." if "cameras" in document else "" for i in range(len(entries))]
+    return [
+        record_of(e.get("name"), location, shared | e, **fixed) for e, location in zip(entries, locations, strict=True)
+    ]
 
 
 # -- OpenDroneMap, OpenSfM, COLMAP -----------------------------------------------------------------------------------
@@ -115,19 +118,23 @@ OPENSFM_LENSES = {
     "fisheye": ("fisheye", ("k1", "k2")),
     "fisheye_opencv": ("fisheye", ("k1", "k2", "k3", "k4")),
 }
-"""By OpenSfM's name: our lens, and the coefficients that it has, of which the others are 0."""
+"""Our lens, and the coefficients that it has, by OpenSfM's name; the others are 0."""
 COLMAP_LENSES = {
-    name: (lens.name, of_it.split()) for lens in LENS_MODELS.values() for name, of_it in lens.colmap.items()
+    name: (lens.name, parameters.split()) for lens in LENS_MODELS.values() for name, parameters in lens.colmap.items()
 }
-"""By COLMAP's name: our lens, and the parameters in their order."""
+"""Our lens, and its parameters in order, by COLMAP's name."""
 
 
 def recognises_opensfm(path: Path) -> bool:
+    """Return whether it is OpenDroneMap's or OpenSfM's JSON."""
     return _is(path, (".json",), r'"projection_type"\s*:')
 
 
 def read_opensfm(path: Path, individual: str | None = None) -> list[CameraRecord]:
-    """Shares of the picture's longer side, from its middle, in pixels. Raises InputError."""
+    """Return the cameras of OpenDroneMap's or OpenSfM's file, in pixels; raise InputError.
+
+    Lengths in the file are shares of the picture's longer side, from its middle.
+    """
     document = parse_json(read_calibration(path), path)
     if isinstance(document, list) and document and isinstance(document[0], dict):  # reconstruction.json
         document = document[0].get("cameras")
@@ -137,8 +144,8 @@ def read_opensfm(path: Path, individual: str | None = None) -> list[CameraRecord
     for name, table in _tables(path, document, expected).items():
         values: dict[str, Any] = {"model": table.get("projection_type"), "world_z_up": False}
         with suppress(KeyError, TypeError, ValueError, OverflowError):  # what is missing then is said
-            values["model"], given = OPENSFM_LENSES[table["projection_type"]]
-            n = {key: float(table.get(key, 0.0)) for key in given} | {"w": float(table["width"])}
+            values["model"], names = OPENSFM_LENSES[table["projection_type"]]
+            n = {key: float(table.get(key, 0.0)) for key in names} | {"w": float(table["width"])}
             n["h"] = float(table["height"])
             longer = max(n["w"], n["h"])
             for axis, side in (("x", "w"), ("y", "h")):
@@ -150,8 +157,11 @@ def read_opensfm(path: Path, individual: str | None = None) -> list[CameraRecord
 
 
 def read_colmap(path: Path) -> list[CameraRecord]:
-    """The lenses of cameras.txt, by their numbers: CAMERA_ID MODEL WIDTH HEIGHT PARAMS. Their pixels begin at the
-    corner of the first one, ours in its middle. Raises InputError."""
+    """Return the cameras of COLMAP's cameras.txt, without poses; raise InputError.
+
+    Lines are CAMERA_ID MODEL WIDTH HEIGHT PARAMS. COLMAP's pixel (0, 0) is the corner of the first pixel, ours its
+    centre.
+    """
     records = []
     for line, cells in enumerate(map(str.split, read_calibration(path).splitlines()), start=1):
         if not cells or cells[0].startswith("#"):
@@ -169,8 +179,7 @@ def read_colmap(path: Path) -> list[CameraRecord]:
 
 
 def _of_numbers(model: str, n: dict[str, float]) -> dict[str, Any]:
-    """Values of a record, of w, h, fx, fy, cx, cy, and the coefficients of the lens, of which those that are not there
-    are 0."""
+    """Return values of a record from w, h, fx, fy, cx, cy and the lens's coefficients, 0 where absent."""
     lens = LENS_MODELS[model]
     count = min(count for count in lens.counts if count >= sum(name in n for name in lens.coefficients))
     matrix = [[n["fx"], 0.0, n["cx"]], [0.0, n["fy"], n["cy"]], [0.0, 0.0, 1.0]]
@@ -182,12 +191,13 @@ def _of_numbers(model: str, n: dict[str, float]) -> dict[str, Any]:
 
 
 def recognises_opencv(path: Path) -> bool:
+    """Return whether it is OpenCV's or ROS' YAML, XML or JSON."""
     keys = "opencv-matrix|camera_matrix|cameraMatrix|K"
     return _is(path, (".yaml", ".yml", ".xml")) or _is(path, (".json",), f'"({keys})"')
 
 
 def read_opencv(path: Path, individual: str | None = None) -> list[CameraRecord]:
-    """The cameras of an OpenCV or ROS file. Raises InputError."""
+    """Return the camera of an OpenCV or ROS file; raise InputError."""
     text = read_calibration(path)
     if path.suffix.lower() == ".json" and '"opencv-matrix"' not in text:
         document = parse_json(text, path)
@@ -199,18 +209,18 @@ def read_opencv(path: Path, individual: str | None = None) -> list[CameraRecord]
     model = document.get("distortion_model")
     if model is None:
         model = "fisheye" if document.get("fisheye") or document.get("fisheye_model") else "radtan"
-    more: dict[str, Any] = {
+    stated: dict[str, Any] = {
         "image_size_px": None if None in size else size,
         "model": lens_named(str(model)) or model,
         "world_z_up": bool(document.get("world_z_up", False)),
     }
     if "R" in document and not {"T", "translation", "tvec"} & document.keys():
-        more["rotation"] = None  # ROS: the rectification, not a pose
-    return [record_of(document.get("camera_name"), "", document, **more)]
+        stated["rotation"] = None  # ROS: the rectification, not a pose
+    return [record_of(document.get("camera_name"), "", document, **stated)]
 
 
 def _of_file_storage(path: Path, text: str) -> Any:
-    """A document of OpenCV's FileStorage as plain dictionaries, lists, strings and numbers."""
+    """Return OpenCV's FileStorage as plain dictionaries, lists, strings and numbers."""
     import cv2  # slow to import
 
     if path.suffix.lower() in (".yaml", ".yml"):
@@ -223,14 +233,16 @@ def _of_file_storage(path: Path, text: str) -> Any:
         return _plain_node(storage.root())
     except (cv2.error, SystemError) as error:  # the constructor's cv2.error arrives wrapped in a SystemError
         reason = str(error.__cause__ or error).strip().splitlines()[-1].rpartition("error)")[2].strip()
-        found = f"text that OpenCV cannot parse: {reason}"
-        raise InputError(Problem(path, "file", found, "YAML, XML or JSON")) from error
+        detail = f"text that OpenCV cannot parse: {reason}"
+        raise InputError(Problem(path, "file", detail, "YAML, XML or JSON")) from error
 
 
 def _nesting(text: str) -> int:
-    """A bound on how deeply OpenCV's parsers, which know no limit, go into a text: brackets, elements, or what stands
-    in one line of YAML, times the lines that are indented ever more. Whether they are closed does not matter: what
-    looks like it may be a comment."""
+    """Return an upper bound on how deeply OpenCV's parsers descend into a text.
+
+    OpenCV has no limit of its own. The bound counts brackets, elements, and for YAML the markers in a line times the
+    number of indents. Closing brackets do not count, because they may stand in comments.
+    """
     inline = max((len(re.findall(r"[-:?](?=\s)", line)) for line in text.splitlines()), default=0)
     indents = {len(spaces) for spaces in re.findall(r"(?m)^ *(?=\S)", text)}
     return max(len(re.findall(r"[\[{]", text)), len(re.findall(r"<[^/?!]", text)), inline * len(indents))
@@ -255,7 +267,7 @@ def write_cameras(cameras: Sequence[Camera], path: str | Path) -> None:
 
 
 def write_camera(camera: Camera, path: str | Path) -> None:
-    """The same of one, that `read_camera` reads back without its name."""
+    """Write one camera, which `read_camera` reads back without its name."""
     write_text(path, tomli_w.dumps({"camera": _table(camera)}))
 
 

@@ -1,17 +1,15 @@
-"""Where a camera that moves was in each frame: tracks, from a CSV table, a COLMAP model as text, or OpenDroneMap.
+"""Read camera tracks, the poses of a moving camera, from CSV, a COLMAP model as text, or OpenDroneMap.
 
-- CSV: columns frame, qw, qx, qy, qz, tx, ty, tz, of a camera that zooms fx, fy, cx, cy, and sigma_deg where it is known
-  how exact a turn is, in any order; others are not read. Unit quaternion and translation take points from the world to
-  the camera, X_camera = R X_world + t.
-  The camera's place may stand in x, y, z in the place of tx, ty, tz: then the quaternion goes the other way, from the
-  camera to the world, X_world = R X_camera + (x, y, z).
+- CSV: columns frame, qw, qx, qy, qz, tx, ty, tz; fx, fy, cx, cy for a camera that zooms; and sigma_deg for the standard
+  deviation of a rotation, in any order. Other columns are ignored. Unit quaternion and translation take points from the
+  world to the camera, X_camera = R X_world + t. The camera's position may be in x, y, z instead of tx, ty, tz: then the
+  quaternion takes points from the camera to the world, X_world = R X_camera + (x, y, z).
 - COLMAP: images.txt with cameras.txt beside it, or their folder. Frame numbers are the last digits of the images'
-  names. Its pixels begin at the corner of the first one, ours in its middle: half a pixel is taken off.
+  names. COLMAP's pixel (0, 0) is the corner of the first pixel, ours its centre: half a pixel is subtracted.
+- OpenDroneMap, OpenSfM: reconstruction.json (`shots`), or shots.geojson with the cameras' positions in UTM. Frame
+  numbers are the last digits of the pictures' names.
 
-- OpenDroneMap, OpenSfM: reconstruction.json (`shots`), or shots.geojson with the cameras' places in UTM. Frame numbers
-  are the last digits of the pictures' names.
-
-In all the world has to be in metres with z up, which no format promises.
+The world has to be in metres with z up, which no format guarantees.
 """
 
 from __future__ import annotations
@@ -39,17 +37,17 @@ from recon.io.common import MAX_FRAME, first_problems, frame_number, number_rows
 POSE, INTRINSICS = ("qw", "qx", "qy", "qz", "tx", "ty", "tz"), ("fx", "fy", "cx", "cy")
 SIGMA = "sigma_deg"
 Columns = dict[str, Array]
-"""Numbers (N,) of N poses: frame and `POSE`, and `INTRINSICS` or `SIGMA` where they are known."""
+"""Numbers (N,) of N poses: frame and `POSE`, and `INTRINSICS` or `SIGMA` if known."""
 UNIT_TOLERANCE = 1e-2
-"""The tolerance of a quaternion's length: rounded to three digits it is within this."""
+"""Tolerance of a quaternion's length; three digits are enough."""
 MAX_PLACE_M, MAX_PX, MAX_SIGMA_DEG, MAX_ROTATION_RAD = 1e7, 1e6, 10.0, 100.0
 LEANING_MAX_RAD = np.radians(60)
-"""A camera that leans further for most of the time, and does not look down, hangs in a world whose z axis does not
-point up."""
+"""A camera that leans further most of the time, and does not look down, is in a world whose z axis does not point up.
+"""
 LOOKING_DOWN_RAD = np.radians(45)
-"""When a camera looks down more steeply, as a drone's, any edge of the picture may be the upper one."""
+"""If a camera looks down more steeply, as a drone's, any edge of the picture may be the upper one."""
 PLACE = ("x", "y", "z")
-"""In the place of tx, ty, tz: poses from the camera to the world."""
+"""Columns in place of tx, ty, tz, for poses from the camera to the world."""
 IMAGES, CAMERAS = "images.txt", "cameras.txt"
 SHOTS = (".json", ".geojson")
 EXPECTED = (
@@ -57,7 +55,7 @@ EXPECTED = (
     "reconstruction.json or shots.geojson"
 )
 MAX_SHOTS_BYTES = 1 << 28
-"""The largest size of a reconstruction, which has its points, too."""
+"""Largest size of a reconstruction, which includes its points."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -65,38 +63,40 @@ class CameraTrack(FramePoses):
     """The poses of one camera in N frames of its video; the world is in metres and has z up."""
 
     max_gap_s: ClassVar[float] = 0.1
-    """Poses further apart have none in between."""
+    """Poses further apart are not interpolated."""
 
     source: Path
     frames: Integers
-    """The numbers of the N frames, shape (N,), increasing."""
+    """(N,): increasing frame numbers."""
     camera: Camera | None = None
-    """The lens, where the track comes with one. It has no pose."""
+    """The lens, if the track has one, without a pose."""
 
     def at(self, frames: Integers, fps: float) -> tuple[FramePoses, Bools]:
-        """In each of T increasing frames; between poses no more than `max_gap_s` apart turned and moved evenly. And
-        which these are, (T,)."""
-        after = np.clip(np.searchsorted(self.frames, frames), 0, len(self.frames) - 1)
-        before = np.maximum(after - (self.frames[after] > frames), 0)
-        gap = self.frames[after] - self.frames[before]
-        exact = self.frames[after] == frames
-        inside = (self.frames[before] < frames) & (frames < self.frames[after])
+        """Return the poses in T increasing frames, and which of them are interpolated, (T,).
+
+        Poses at most `max_gap_s` apart are interpolated, at constant rotation and velocity.
+        """
+        following = np.clip(np.searchsorted(self.frames, frames), 0, len(self.frames) - 1)
+        previous = np.maximum(following - (self.frames[following] > frames), 0)
+        gap = self.frames[following] - self.frames[previous]
+        exact = self.frames[following] == frames
+        inside = (self.frames[previous] < frames) & (frames < self.frames[following])
         filled = inside & (gap <= self.max_gap_s * fps + 1e-9)
-        share = np.where(filled, (frames - self.frames[before]) / np.maximum(gap, 1), 1.0)
+        share = np.where(filled, (frames - self.frames[previous]) / np.maximum(gap, 1), 1.0)
         known = exact | filled
-        poses = _between(self.T_camera_world[before], self.T_camera_world[after], share)
+        poses = _between(self.T_camera_world[previous], self.T_camera_world[following], share)
         poses[~known] = np.nan
         intrinsics = None
         if self.intrinsics_px is not None:
-            a, b = self.intrinsics_px[before], self.intrinsics_px[after]
+            a, b = self.intrinsics_px[previous], self.intrinsics_px[following]
             intrinsics = np.where(known[:, None], a + share[:, None] * (b - a), np.nan)
         sigma = self.rotation_sigma_rad
-        sigmas = None if sigma is None else np.maximum(sigma[before], sigma[after])
+        sigmas = None if sigma is None else np.maximum(sigma[previous], sigma[following])
         return FramePoses(poses, intrinsics, sigmas), filled
 
 
 def _between(a: Array, b: Array, share: Array) -> Array:
-    """Poses (T, 4, 4) at a share (T,) of the way from a to b: the camera turns evenly, and its centre moves evenly."""
+    """Return poses (T, 4, 4) at a share (T,) from a to b, at constant rotation and velocity of the centre."""
     turn = b[:, :3, :3] @ a[:, :3, :3].swapaxes(1, 2)
     rotation = Rotation.from_rotvec(share[:, None] * Rotation.from_matrix(turn).as_rotvec()).as_matrix() @ a[:, :3, :3]
     start, end = inverse(a)[:, :3, 3], inverse(b)[:, :3, 3]
@@ -108,51 +108,56 @@ def _between(a: Array, b: Array, share: Array) -> Array:
 
 
 def track_files(path: Path) -> tuple[Path, ...]:
-    """The files that a track, as it is given, is read from."""
+    """Return the files that a track is read from."""
     images = path / IMAGES if path.is_dir() else path
     if images.suffix.lower() in (".csv", *SHOTS):
         return (images,)
-    beside = images.with_name(CAMERAS)
-    return (images, beside) if beside.is_file() else (images,)
+    cameras = images.with_name(CAMERAS)
+    return (images, cameras) if cameras.is_file() else (images,)
 
 
 def track_label(path: Path) -> str:
-    """What a track is called by, for whose it is: a table's name without suffix, or the folder of a COLMAP model."""
+    """Return a track's name: a table's name without suffix, or the folder of a COLMAP model."""
     if path.suffix.lower() in (".csv", *SHOTS):
         return path.stem
     return path.parent.name if path.name == IMAGES else path.name
 
 
 def read_camera_track(path: Path) -> CameraTrack:
-    """Raises InputError with everything that is wrong with the file, and where its world has not z up."""
-    first, *beside = track_files(path)
+    """Return the track of a file.
+
+    Raises InputError with every problem, also where z does not point up in its world.
+    """
+    first, *further = track_files(path)
     if first.suffix.lower() == ".csv":
         track = _read_csv(path)
     elif first.suffix.lower() in SHOTS:
         track = _read_shots(path)
     elif first.suffix.lower() == ".txt":
-        track = _read_colmap(first, beside[0] if beside else None)
+        track = _read_colmap(first, further[0] if further else None)
     else:
         raise InputError(Problem(path, "format", f"suffix {path.suffix!r}", EXPECTED))
     upward, downward = -track.T_camera_world[:, 1:3, 2].T  # along z: of the picture's upward direction, of the view
     leans = (upward < np.cos(LEANING_MAX_RAD)) & (downward < np.sin(LOOKING_DOWN_RAD))
     if leans.mean() > 0.5:
-        found = f"a camera whose picture's upper edge is not up by z in {leans.sum()} of {len(leans)} frames"
+        detail = f"a camera whose picture's upper edge is not up by z in {leans.sum()} of {len(leans)} frames"
         expected = "a world with z up, and poses from the world to the camera: turn the model so that z points up"
-        raise InputError(Problem(path, "poses", found, expected))
+        raise InputError(Problem(path, "poses", detail, expected))
     return track
 
 
 def _checked_track(
     path: Path, places: Sequence[str], columns: Columns, problems: Sequence[Problem], camera: Camera | None = None
 ) -> CameraTrack:
-    """The track of N rows with their places in the file. Raises InputError with the known problems, or what is wrong in
-    the rows."""
+    """Return the track of N rows with their places in the file.
+
+    Raises InputError with the known problems, or with those of the rows.
+    """
     raise_problems(first_problems(problems, path))
     if not len(places):
         raise InputError(Problem(path, "rows", "none", "a pose for each frame"))
     frames, sigma = columns["frame"], columns.get(SIGMA, np.zeros(len(places)))
-    quaternion, place = _joined(columns, POSE[:4]), _joined(columns, POSE[4:])
+    quaternion, translation = _joined(columns, POSE[:4]), _joined(columns, POSE[4:])
     zoom = _joined(columns, INTRINSICS) if INTRINSICS[0] in columns else np.ones((len(places), 4))
     _, row_of, count = np.unique(frames, return_inverse=True, return_counts=True)
     with np.errstate(all="ignore"):
@@ -160,16 +165,16 @@ def _checked_track(
         checks = (
             ("frame", f"a whole number up to {MAX_FRAME}", (np.abs(frames) <= MAX_FRAME) & (frames % 1 == 0)),
             ("frame", "one pose for each frame, of one camera", count[row_of] == 1),
-            ("numbers", "finite numbers", np.isfinite(np.hstack([quaternion, place, zoom])).all(axis=1)),
+            ("numbers", "finite numbers", np.isfinite(np.hstack([quaternion, translation, zoom])).all(axis=1)),
             ("qw, qx, qy, qz", f"unit quaternions (to {UNIT_TOLERANCE:g})", ~(np.abs(lengths - 1) > UNIT_TOLERANCE)),
-            ("tx, ty, tz", f"metres, no more than {MAX_PLACE_M:g}", ~(np.abs(place) > MAX_PLACE_M).any(axis=1)),
+            ("tx, ty, tz", f"metres, no more than {MAX_PLACE_M:g}", ~(np.abs(translation) > MAX_PLACE_M).any(axis=1)),
             ("fx, fy, cx, cy", lens_text, ~((zoom[:, :2] <= 0).any(axis=1) | (np.abs(zoom) > MAX_PX).any(axis=1))),
             (SIGMA, f"0 to {MAX_SIGMA_DEG:g} degrees", (sigma >= 0) & (sigma <= MAX_SIGMA_DEG)),
         )
     wrong = [(kind, [*compress(places, np.logical_not(right))], expected) for kind, expected, right in checks]
     raise_problems(Problem(path, kind, f"others in {_some(rows)}", expected) for kind, rows, expected in wrong if rows)
     order = np.argsort(frames)
-    poses = rigid(_rotations(quaternion[order]), place[order])
+    poses = rigid(_rotations(quaternion[order]), translation[order])
     zooms = zoom[order] if INTRINSICS[0] in columns else None
     sigmas = np.radians(sigma[order]) if SIGMA in columns else None
     return CameraTrack(poses, zooms, sigmas, source=path, frames=frames[order].astype(np.int64), camera=camera)
@@ -180,14 +185,14 @@ def _joined(columns: Columns, names: Sequence[str]) -> Array:
 
 
 def _rotations(quaternion: Array) -> Array:
-    """(N, 3, 3), of quaternions (N, 4) with w first and nearly of length 1."""
+    """Return rotations (N, 3, 3) of quaternions (N, 4), w first and nearly of length 1."""
     unit = quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)
     return Rotation.from_quat(unit[:, [1, 2, 3, 0]]).as_matrix()
 
 
 def _some(items: Sequence[Any]) -> str:
-    more = f" and {len(items) - 3} more" if len(items) > 3 else ""
-    return ", ".join(map(str, items[:3])) + more
+    rest = f" and {len(items) - 3} more" if len(items) > 3 else ""
+    return ", ".join(map(str, items[:3])) + rest
 
 
 # -- CSV ------------------------------------------------------------------------------------------------------------
@@ -202,23 +207,23 @@ def _read_csv(path: Path) -> CameraTrack:
     wanted = ["frame", *POSE[:4], *(PLACE if outward else POSE[4:]), *(INTRINSICS if zooms else ())]
     wanted += [SIGMA] * (SIGMA in header)
     wrong = [f"{name} more than once" if name in header else f"no {name}" for name in wanted if header.count(name) != 1]
-    raise_problems(Problem(path, "columns", found, EXPECTED) for found in wrong)
-    at = [header.index(name) for name in wanted]
+    raise_problems(Problem(path, "columns", detail, EXPECTED) for detail in wrong)
+    indices = [header.index(name) for name in wanted]
     places: list[str] = []
 
     def chosen() -> Iterator[tuple[int, list[str]]]:
         for line, row in rows:
-            yield line, [row[column] for column in at if column < len(row)]
+            yield line, [row[column] for column in indices if column < len(row)]
             places.append(f"line {line}")
 
     _, values, problems = number_rows(path, chosen(), wanted)  # row by row: a long track has many
     columns = dict(zip(wanted, values.T, strict=True))
     if outward:
-        quaternion, place = _joined(columns, POSE[:4]) * [1, -1, -1, -1], _joined(columns, PLACE)
+        quaternion, position = _joined(columns, POSE[:4]) * [1, -1, -1, -1], _joined(columns, PLACE)
         largest = np.abs(quaternion).max(axis=1, initial=0)
         usable = np.isfinite(values[:, 1:8]).all(axis=1) & (largest > 0.1) & (largest < 10)  # others are refused
-        place[usable] = -(_rotations(quaternion[usable]) @ place[usable, :, None])[..., 0]
-        columns |= dict(zip(POSE, np.hstack([quaternion, place]).T, strict=True))
+        position[usable] = -(_rotations(quaternion[usable]) @ position[usable, :, None])[..., 0]
+        columns |= dict(zip(POSE, np.hstack([quaternion, position]).T, strict=True))
     return _checked_track(path, places, columns, problems)
 
 
@@ -226,32 +231,32 @@ def _read_csv(path: Path) -> CameraTrack:
 
 
 def _read_shots(path: Path) -> CameraTrack:
-    """The poses of one video; its lens comes from elsewhere, as from cameras.json. Raises InputError."""
+    """Return the poses of one video, without its lens; raise InputError."""
     document = parse_json(read_text(path, EXPECTED, MAX_SHOTS_BYTES), path)
     whole = document[0] if isinstance(document, list) and len(document) == 1 else document
     features = whole.get("features") if isinstance(whole, dict) else None
     shots = whole.get("shots") if isinstance(whole, dict) else None
     if isinstance(features, list):
-        found = [of.get("properties") for of in features if isinstance(of, dict)]
-        shots = {str(of.get("filename")): of for of in found if isinstance(of, dict)}
+        properties = [feature.get("properties") for feature in features if isinstance(feature, dict)]
+        shots = {str(feature.get("filename")): feature for feature in properties if isinstance(feature, dict)}
     if not isinstance(shots, dict) or not shots:
         several = f"{len(document)} reconstructions" if isinstance(document, list) else "no shots"
         raise InputError(Problem(path, "shots", several, EXPECTED))
     rows: dict[str, list[float]] = {}
     problems: list[Problem] = []
     for name, shot in shots.items():
-        frame, turn, at = _frame_of_name(name), *np.full((2, 3), np.nan)
+        frame, turn, translation = _frame_of_name(name), *np.full((2, 3), np.nan)
         with suppress(KeyError, TypeError, ValueError, OverflowError):
-            turn, at = (np.array(shot[key], dtype=float).reshape(3) for key in ("rotation", "translation"))
-        if frame is None or not np.isfinite([turn, at]).all() or np.abs(turn).max() > MAX_ROTATION_RAD:
+            turn, translation = (np.array(shot[key], dtype=float).reshape(3) for key in ("rotation", "translation"))
+        if frame is None or not np.isfinite([turn, translation]).all() or np.abs(turn).max() > MAX_ROTATION_RAD:
             expected = "rotation and translation of 3 numbers each, and the frame's number last in the name"
             problems.append(Problem(path, f"shots.{name[:60]}", "others", expected))
             continue
         rotation = Rotation.from_rotvec(turn)
         if features is not None:  # places, not translations
-            at = -rotation.apply(at)
+            translation = -rotation.apply(translation)
         x, y, z, w = rotation.as_quat().tolist()
-        rows[f"shots.{name}"] = [frame, w, x, y, z, *at]
+        rows[f"shots.{name}"] = [frame, w, x, y, z, *translation]
     return _checked_track(path, [*rows], _columns(rows), problems)
 
 
@@ -259,13 +264,15 @@ def _read_shots(path: Path) -> CameraTrack:
 
 
 def _read_colmap(images: Path, cameras: Path | None) -> CameraTrack:
-    """Every image has two lines, the second for its points. Without cameras.txt the lens comes from elsewhere. Raises
-    InputError."""
+    """Return the poses of COLMAP's images.txt, with the lens of cameras.txt if given; raise InputError.
+
+    Every image has two lines, the second for its points.
+    """
     lines = enumerate(read_text(images, EXPECTED).splitlines(), start=1)
     rows: dict[str, list[float]] = {}
     of_camera: list[str] = []
     problems: list[Problem] = []
-    for at, line in lines:
+    for number, line in lines:
         if not line.strip() or line.lstrip().startswith("#"):
             continue
         cells = line.split(maxsplit=9)
@@ -273,19 +280,19 @@ def _read_colmap(images: Path, cameras: Path | None) -> CameraTrack:
         frame = _frame_of_name(cells[9]) if len(cells) == 10 else None
         if len(values) < 7 or wrong or frame is None:
             expected = "IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, with the frame's number last in the name"
-            problems.append(Problem(images, f"line {at}", repr(line.strip()[:60]), expected))
+            problems.append(Problem(images, f"line {number}", repr(line.strip()[:60]), expected))
         else:
             of_camera.append(cells[8])
-            rows[f"line {at}"] = [frame, *values]
-        at, points = next(lines, (0, ""))
+            rows[f"line {number}"] = [frame, *values]
+        number, points = next(lines, (0, ""))
         if len(points.split()) % 3:
             expected = "the points of the image above, X Y POINT3D_ID each, or an empty line"
-            problems.append(Problem(images, f"line {at}", repr(points.strip()[:60]), expected))
+            problems.append(Problem(images, f"line {number}", repr(points.strip()[:60]), expected))
     lenses = {} if cameras is None else _lenses(cameras, dict.fromkeys(of_camera))
     columns, camera = _columns(rows), None
     if lenses:
-        own = np.array([lenses[key].matrix[[0, 1, 0, 1], [0, 1, 2, 2]] for key in of_camera])
-        columns |= dict(zip(INTRINSICS, own.T, strict=True)) if np.ptp(own, axis=0).any() else {}
+        intrinsics = np.array([lenses[key].matrix[[0, 1, 0, 1], [0, 1, 2, 2]] for key in of_camera])
+        columns |= dict(zip(INTRINSICS, intrinsics.T, strict=True)) if np.ptp(intrinsics, axis=0).any() else {}
         camera = replace(lenses[of_camera[0]], name=track_label(images))
     return _checked_track(images, [*rows], columns, problems, camera)
 
@@ -295,18 +302,21 @@ def _columns(rows: Mapping[str, Sequence[float]]) -> Columns:
 
 
 def _frame_of_name(name: str) -> int | None:
-    """The last digits of a file's name: 12 of run/frame_0012.png."""
+    """Return the last digits of a file's name: 12 of run/frame_0012.png."""
     digits = re.findall(r"[0-9]+", re.sub(r"\.[A-Za-z0-9]*$", "", re.split(r"[/\\]", name.strip())[-1]))
     return frame_number(digits[-1]) if digits else None
 
 
 def _lenses(path: Path, wanted: dict[str, None]) -> dict[str, Camera]:
-    """By COLMAP's number, those that images have. They may differ in focal length and centre only."""
+    """Return the cameras that images have, by COLMAP's number.
+
+    They may differ only in focal length and centre.
+    """
     records = [record for record in read_colmap(path) if record.name in wanted]
-    found = {camera.name: camera for camera in cameras_of(records, path)}
-    missing = [key for key in wanted if key not in found]
+    lenses = {camera.name: camera for camera in cameras_of(records, path)}
+    missing = [key for key in wanted if key not in lenses]
     raise_problems([Problem(path, "cameras", f"no camera {_some(missing)}", f"those of {IMAGES}")] if missing else [])
-    if len({(c.model, c.image_size_px, *c.distortion.tolist()) for c in found.values()}) > 1:
+    if len({(c.model, c.image_size_px, *c.distortion.tolist()) for c in lenses.values()}) > 1:
         expected = "one lens, whose focal length and centre alone may change from image to image"
-        raise InputError(Problem(path, "cameras", f"{len(found)} with different lenses or picture sizes", expected))
-    return found
+        raise InputError(Problem(path, "cameras", f"{len(lenses)} with different lenses or picture sizes", expected))
+    return lenses

@@ -1,13 +1,13 @@
-"""Plain tables, long (one row for each frame and point) or wide (one row for each frame), as CSV or Parquet; and tables
-in memory, pandas' and movement's, which are read as the files that hold the same.
+"""Read and write plain tables, long (a row per frame and point) or wide (a row per frame).
 
-Which column is what says a map, or names that people use. A map looks like this; capitals do not matter where columns
-are recognised by their names:
+Tables are CSV, Parquet, or in memory (pandas, movement), which are read as the files with the same content. Names in
+common use say what each column is, or a map does. A map looks like this; case does not matter where columns are
+recognised by their names:
 
     frame=Frame, bodypart=Node, x=X, y=Y, likelihood=Score          (long: one row for each frame and point)
     frame=Frame, x={bodypart} X, y={bodypart} Y                     (wide: one row for each frame)
 
-An end of a coordinate's column such as _px, _m or _mm is its unit.
+A suffix of a coordinate's column such as _px, _m or _mm is its unit.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ ROLES: dict[str, tuple[str, ...]] = {
     "likelihood": ("likelihood", "confidence", "score", "conf", "prob", "p"),
     "fps": ("fps",),
 }
-"""What a column is for, and what it may be called without a map; capitals do not matter."""
+"""Roles of columns, and their names without a map, in lower case."""
 OF_POINTS = ("x", "y", "z", "likelihood")
 UNIT = r"(?:[ _]?[\[(]?(px|m|cm|mm)[\])]?)?"
 OF_PART = re.compile(rf"(.+?)[ _.:/-](?:([xyz]){UNIT}|({'|'.join(ROLES['likelihood'])}))", re.IGNORECASE)
@@ -61,58 +61,70 @@ METADATA = b"recon"
 
 
 _Meaning = tuple[str, str, str | None]
-"""What a column is: a bodypart, empty where it is for all of them; a role of `ROLES`; and a unit, where it says one."""
+"""A column's bodypart, empty if it is for all; its role, of `ROLES`; and its unit, if it states one."""
 _Layout = tuple[dict[tuple[str, str], str], str | None, list[str]]
-"""Columns by bodypart and role, in a long table for all bodyparts; the unit of the coordinates, if all have the same;
-and the other columns of the table."""
+"""Columns by bodypart (empty in a long table) and role; the unit of the coordinates, if all have the same; and the
+other columns.
+"""
 
 
 def parse_map(text: str) -> dict[str, str]:
-    """The column map "frame=Frame, x=X, ..." by role. Raises InputError with everything that is wrong with it."""
-    given: dict[str, str] = {}
+    """Return the column map "frame=Frame, x=X, ..." by role; raise InputError with every problem."""
+    columns: dict[str, str] = {}
     problems = []
-    for part in text.split(","):
-        role, _, column = (piece.strip() for piece in part.partition("="))
-        if not column or role not in ROLES or role in given:
+    for item in text.split(","):
+        role, _, column = (piece.strip() for piece in item.partition("="))
+        if not column or role not in ROLES or role in columns:
             expected = f"ROLE=COLUMN, each role once, one of: {', '.join(ROLES)}"
-            problems.append(Problem("--columns", "map", f"'{part.strip()}'", expected))
-        given[role] = column
-    wide = {role for role, column in given.items() if PART in column}
-    lacking = ({"x", "y"} if wide else {"x", "y", "bodypart"}) - given.keys()
+            problems.append(Problem("--columns", "map", f"'{item.strip()}'", expected))
+        columns[role] = column
+    wide = {role for role, column in columns.items() if PART in column}
+    lacking = ({"x", "y"} if wide else {"x", "y", "bodypart"}) - columns.keys()
     if lacking:
         expected = f"a column for each, or x and y with {PART} in them"
         problems.append(Problem("--columns", "map", f"no {', '.join(sorted(lacking))}", expected))
-    if not {"frame", "time"} & given.keys():
+    if not {"frame", "time"} & columns.keys():
         problems.append(Problem("--columns", "map", "no frame", "a column with frame numbers, or time in seconds"))
-    if wide and wide != set(OF_POINTS) & given.keys() | {"bodypart"} & given.keys():
-        found = f"{PART} in {', '.join(sorted(wide))}"
+    if wide and wide != set(OF_POINTS) & columns.keys() | {"bodypart"} & columns.keys():
+        detail = f"{PART} in {', '.join(sorted(wide))}"
         expected = f"a wide table with {PART} in x, y and likelihood, or a long one with bodypart=COLUMN"
-        problems.append(Problem("--columns", "map", found, expected))
+        problems.append(Problem("--columns", "map", detail, expected))
     raise_problems(problems)
-    return given
+    return columns
 
 
 def _layout(columns: Sequence[str], meaning: Callable[[str], _Meaning | None]) -> _Layout | None:
-    """None where there is no table of points in these columns. Bodyparts without x or y are none."""
-    found: dict[tuple[str, str], tuple[str, str | None]] = {}
+    """Return the layout of a table of points, None if these columns are none.
+
+    Bodyparts without x or y are ignored.
+    """
+    meanings: dict[tuple[str, str], tuple[str, str | None]] = {}
     for column in columns:
-        if of := meaning(column):
-            found.setdefault(of[:2], (column, of[2]))
-    is_long = {("", "bodypart"), ("", "x"), ("", "y")} <= found.keys()
-    parts = {part for part, _ in found if part and {(part, "x"), (part, "y")} <= found.keys() and not is_long}
-    if not (is_long or parts) or not {("", "frame"), ("", "time")} & found.keys():
+        if described := meaning(column):
+            meanings.setdefault(described[:2], (column, described[2]))
+    is_long = {("", "bodypart"), ("", "x"), ("", "y")} <= meanings.keys()
+    bodyparts = {
+        bodypart
+        for bodypart, _ in meanings
+        if bodypart and {(bodypart, "x"), (bodypart, "y")} <= meanings.keys() and not is_long
+    }
+    if not (is_long or bodyparts) or not {("", "frame"), ("", "time")} & meanings.keys():
         return None
-    of_all = [*ROLES] if is_long else ["frame", "time", "individual", "fps"]
-    kept = {key: of for key, of in found.items() if key[0] in parts or (not key[0] and key[1] in of_all)}
-    units = {unit for (_, role), (_, unit) in kept.items() if role in "xyz"}
-    used = {key: column for key, (column, _) in kept.items()}
-    those = {*used.values()}
-    ignored = [column for column in columns if column.strip() and column not in those]
+    shared = [*ROLES] if is_long else ["frame", "time", "individual", "fps"]
+    chosen = {
+        key: described
+        for key, described in meanings.items()
+        if key[0] in bodyparts or (not key[0] and key[1] in shared)
+    }
+    units = {unit for (_, role), (_, unit) in chosen.items() if role in "xyz"}
+    used = {key: column for key, (column, _) in chosen.items()}
+    used_columns = {*used.values()}
+    ignored = [column for column in columns if column.strip() and column not in used_columns]
     return used, units.pop() if len(units) == 1 else None, ignored
 
 
 def _by_name(column: str) -> _Meaning | None:
-    """What a column is that is called as people call it."""
+    """Return the meaning of a column with a name in common use."""
     text = column.strip()
     for role, known in ROLES.items():
         if match := re.fullmatch(f"(?:{'|'.join(known)}){UNIT if role in 'xyz' else '()'}", text.lower()):
@@ -121,16 +133,16 @@ def _by_name(column: str) -> _Meaning | None:
     return (match[1], (match[2] or "likelihood").lower(), match[3]) if match else None
 
 
-def _by_map(given: Mapping[str, str]) -> Callable[[str], _Meaning | None]:
-    """The same of columns that a map names."""
+def _by_map(columns: Mapping[str, str]) -> Callable[[str], _Meaning | None]:
+    """Return a function that gives the meaning of a column by a map."""
     patterns = {
         role: re.compile(re.escape(column).replace(re.escape(PART), "(.+)"))
-        for role, column in sorted(given.items(), key=lambda item: PART in item[1])
+        for role, column in sorted(columns.items(), key=lambda item: PART in item[1])
     }
 
     def meaning(column: str) -> _Meaning | None:
-        found = ((match, role) for role, pattern in patterns.items() if (match := pattern.fullmatch(column)))
-        match, role = next(found, (None, ""))
+        matches = ((match, role) for role, pattern in patterns.items() if (match := pattern.fullmatch(column)))
+        match, role = next(matches, (None, ""))
         return ("".join(match.groups()), role, None) if match else None
 
     return meaning
@@ -140,7 +152,7 @@ def _by_map(given: Mapping[str, str]) -> Callable[[str], _Meaning | None]:
 
 
 def recognises_long(path: Path) -> bool:
-    """Whether it is a text table whose columns are obvious, long or wide, 2D or 3D."""
+    """Return whether it is a text table whose columns are obvious, long or wide, 2D or 3D."""
     with path.open("rb") as file:
         first = file.readline(1 << 20)
     try:
@@ -152,7 +164,7 @@ def recognises_long(path: Path) -> bool:
 
 
 def read_long(path: Path, individual: str | None = None, columns: Mapping[str, str] | None = None) -> StoredPoints:
-    """The points of one animal; columns: a map as `parse_map` gives it. Raises InputError."""
+    """Return the points of one animal; `columns` is a map of `parse_map`. Raises InputError."""
     rows = common.text_rows(path)
     header = next(rows, (1, []))[1]
     table, problems = [], []
@@ -168,11 +180,12 @@ def read_long(path: Path, individual: str | None = None, columns: Mapping[str, s
 
 
 def recognises_parquet(path: Path) -> bool:
+    """Return whether it is a Parquet file."""
     return common.starts_with(path, b"PAR1")
 
 
 def read_parquet(path: Path, individual: str | None = None) -> StoredPoints:
-    """The 3D positions of a Parquet file. Raises InputError."""
+    """Return the 3D positions of a Parquet file; raise InputError."""
     with writing.formats_extra(path):
         import pyarrow as pa
         import pyarrow.parquet as pq
@@ -180,47 +193,54 @@ def read_parquet(path: Path, individual: str | None = None) -> StoredPoints:
     unpacked = sum(size.row_group(group).total_byte_size for group in range(size.num_row_groups))
     if size.num_rows * size.num_columns > VALUES_MAX or size.num_columns > COLUMNS_MAX or unpacked > MAX_UNPACKED:
         raise ValueError(f"{size.num_rows} rows of {size.num_columns} columns, {unpacked >> 20} MB, are too much")
-    # Texts stay numbers of a list: one that stands in every row takes room once.
+    # Texts are read as indices of a list, so that repeated texts take memory once.
     fields = pq.read_schema(path)
     kinds = pa.types.is_string, pa.types.is_large_string, pa.types.is_string_view, pa.types.is_dictionary
     texts = [field.name for field in fields if any(kind(field.type) for kind in kinds)]
     values = [field.name for field in fields if pa.types.is_integer(field.type) or pa.types.is_floating(field.type)]
     table = pq.read_table(path, columns=texts + values, read_dictionary=texts, use_threads=False)
-    own = json.loads((table.schema.metadata or {}).get(METADATA, b"{}"))
+    metadata = json.loads((table.schema.metadata or {}).get(METADATA, b"{}"))
     columns = {}
     for name, column in zip(table.column_names, table.columns, strict=True):
         if pa.types.is_integer(column.type) or pa.types.is_floating(column.type):
             columns[name] = np.asarray(column.to_numpy(), dtype=float)
         elif pa.types.is_dictionary(column.type):
-            one = column.unify_dictionaries().combine_chunks()
-            columns[name] = np.array([*one.dictionary.to_pylist(), None], object)[one.indices.fill_null(-1).to_numpy()]
+            dictionary_column = column.unify_dictionaries().combine_chunks()
+            columns[name] = np.array([*dictionary_column.dictionary.to_pylist(), None], object)[
+                dictionary_column.indices.fill_null(-1).to_numpy()
+            ]
     pose = gathered(path, columns, individual, None)
-    return replace(pose, fps=pose.fps or common.rate(own.get("fps")), up="z" if own.get("up") == "z" else None)
+    return replace(
+        pose, fps=pose.fps or common.rate(metadata.get("fps")), up="z" if metadata.get("up") == "z" else None
+    )
 
 
-def gathered(path: Path, table: Columns, individual: str | None, given: Mapping[str, str] | None) -> StoredPoints:
-    """The table by frame and point, of one animal; given: a map of its columns. Raises InputError for columns that mean
-    nothing, cells that are no numbers, points that appear twice in a frame, coordinates that are missing."""
-    absent = [column for column in (given or {}).values() if PART not in column and column not in table]
-    layout = _layout([*table], _by_name if given is None else _by_map(given))
+def gathered(path: Path, table: Columns, individual: str | None, column_map: Mapping[str, str] | None) -> StoredPoints:
+    """Return the points of one animal in a table, by frame and point.
+
+    `given` is a map of its columns. Raises InputError for unknown columns, cells that are no numbers, points that
+    appear twice in a frame, and missing coordinates.
+    """
+    absent = [column for column in (column_map or {}).values() if PART not in column and column not in table]
+    layout = _layout([*table], _by_name if column_map is None else _by_map(column_map))
     if layout is None or absent:
         expected = "frame, bodypart, x, y or frame, NAME_x, NAME_y, ...; or a map of columns (--columns)"
-        found = f"no '{absent[0]}' in {', '.join(table)[:120]}" if absent else ", ".join(table)[:120]
-        raise InputError(Problem(path, "columns", found, expected))
+        detail = f"no '{absent[0]}' in {', '.join(table)[:120]}" if absent else ", ".join(table)[:120]
+        raise InputError(Problem(path, "columns", detail, expected))
     columns, unit, ignored = layout
-    role = {role: column for (part, role), column in columns.items() if not part}
-    whose = [str(cell).strip() for cell in table[role["individual"]]] if "individual" in role else []
-    animals = list(dict.fromkeys(whose)) or [""]
+    role = {role: column for (bodypart, role), column in columns.items() if not bodypart}
+    owners = [str(cell).strip() for cell in table[role["individual"]]] if "individual" in role else []
+    animals = list(dict.fromkeys(owners)) or [""]
     animal = animals[common.choose(path, animals, individual)]
     problems: list[Problem] = []
-    rows = np.flatnonzero([w == animal for w in whose] or np.ones(len(table[next(iter(role.values()))])))
+    rows = np.flatnonzero([owner == animal for owner in owners] or np.ones(len(table[next(iter(role.values()))])))
 
     def cells_of(column: str) -> np.ndarray:
-        """As floats; those that are no numbers, or infinite, become problems."""
+        """Return cells as floats; those that are no numbers, or infinite, become problems."""
         cells, expected = table[column], "a number or an empty cell"
         values, wrong = common.numbers(cells[row] for row in rows)
-        found = [(f"line {row + 2}, {column}", f"'{str(cells[row]).strip()}'") for row in rows[wrong]]
-        problems.extend(Problem(path, *one, expected) for one in found)
+        detail = [(f"line {row + 2}, {column}", f"'{str(cells[row]).strip()}'") for row in rows[wrong]]
+        problems.extend(Problem(path, *fault, expected) for fault in detail)
         return values
 
     rates = {*cells_of(role["fps"]).tolist()} if "fps" in role else {None}
@@ -239,7 +259,9 @@ def gathered(path: Path, table: Columns, individual: str | None, given: Mapping[
         point_of = np.array([index[point] for point in points], dtype=int)
         repeated = row_of * len(index) + point_of
     else:
-        index = {part: k for k, part in enumerate(dict.fromkeys(part for part, _ in columns if part))}
+        index = {
+            bodypart: k for k, bodypart in enumerate(dict.fromkeys(bodypart for bodypart, _ in columns if bodypart))
+        }
         point_of, repeated = row_of, row_of
     if len(first := np.unique(repeated, return_index=True)[1]) < len(rows):
         line = rows[np.setdiff1d(np.arange(len(rows)), first)[0]] + 2
@@ -247,17 +269,19 @@ def gathered(path: Path, table: Columns, individual: str | None, given: Mapping[
     common.require_span(len(distinct), len(index), path)
     coords = ("x", "y", "z") if any(role == "z" for _, role in columns) else ("x", "y")
     values = np.full((len(distinct), len(index), len(coords) + 1), np.nan)
-    for (part, what), column in columns.items():
-        if what in OF_POINTS:
-            point: Any = index[part] if part else point_of
-            values[row_of, point, (*coords, "likelihood").index(what)] = cells_of(column)
-    flat = [part for part in index if "z" in coords and "bodypart" not in role and (part, "z") not in columns]
-    problems += [Problem(path, f"bodypart {part}", "no z", ", ".join(coords)) for part in flat]
+    for (bodypart, kind), column in columns.items():
+        if kind in OF_POINTS:
+            point: Any = index[bodypart] if bodypart else point_of
+            values[row_of, point, (*coords, "likelihood").index(kind)] = cells_of(column)
+    flat = [
+        bodypart for bodypart in index if "z" in coords and "bodypart" not in role and (bodypart, "z") not in columns
+    ]
+    problems += [Problem(path, f"bodypart {bodypart}", "no z", ", ".join(coords)) for bodypart in flat]
     raise_problems(common.first_problems(problems, path))
     frames, fps = (distinct, fps) if "frame" in role else frames_of_times(path, distinct, fps)
-    notes = (f"Columns left out: {', '.join(ignored)}.",) if ignored and given is None else ()
-    more: dict[str, Any] = {"fps": fps, "unit": unit if unit != "px" else None, "notes": notes}
-    stored = StoredPoints(tuple(index), values[..., :-1], frames, values[..., -1], **more)
+    notes = (f"Columns left out: {', '.join(ignored)}.",) if ignored and column_map is None else ()
+    extra: dict[str, Any] = {"fps": fps, "unit": unit if unit != "px" else None, "notes": notes}
+    stored = StoredPoints(tuple(index), values[..., :-1], frames, values[..., -1], **extra)
     return common.one_animal(path, animal or None, stored, [animal] if animal else [])
 
 
@@ -265,7 +289,7 @@ def gathered(path: Path, table: Columns, individual: str | None, given: Mapping[
 
 
 def write_long(keypoints: Keypoints, path: Path) -> None:
-    """One row for each frame and keypoint: frame, individual (if named), bodypart, x, y, likelihood, fps."""
+    """Write a row for each frame and keypoint: frame, individual (if named), bodypart, x, y, likelihood, fps."""
     start = {} if keypoints.individual is None else {"individual": keypoints.individual}
     end = {} if keypoints.fps is None else {"fps": keypoints.fps}
     values = np.concatenate([keypoints.xy_px, keypoints.confidence[..., None]], axis=2)
@@ -278,7 +302,7 @@ def write_long(keypoints: Keypoints, path: Path) -> None:
 
 
 def write_parquet(pose: Pose3D, path: Path) -> None:
-    """One row for each frame and joint: frame, joint, x_m, y_m, z_m (metres, z up)."""
+    """Write a row for each frame and joint: frame, joint, x_m, y_m, z_m (metres, z up)."""
     with writing.formats_extra("Parquet"):
         import pyarrow as pa
         import pyarrow.parquet as pq
@@ -289,10 +313,10 @@ def write_parquet(pose: Pose3D, path: Path) -> None:
     if pose.sigma_m is not None and pose.flags is not None:
         columns |= {f"{axis}_sigma_m": pa.array(pose.sigma_m[..., i].ravel()) for i, axis in enumerate("xyz")}
         columns["flags"] = pa.array(np.repeat(pose.flags, J))
-    about = {"fps": pose.fps, "unit": "m", "up": "z", "notes": pose.notes}
-    made = BytesIO()
-    pq.write_table(pa.table(columns).replace_schema_metadata({METADATA: json.dumps(about)}), made)
-    write_bytes(path, made.getvalue())
+    metadata = {"fps": pose.fps, "unit": "m", "up": "z", "notes": pose.notes}
+    buffer = BytesIO()
+    pq.write_table(pa.table(columns).replace_schema_metadata({METADATA: json.dumps(metadata)}), buffer)
+    write_bytes(path, buffer.getvalue())
 
 
 # -- in memory ---------------------------------------------------------------------------------------------------------
@@ -302,7 +326,7 @@ INDIVIDUALS = ("individuals", "individual")
 
 
 def from_dataframe(table: pd.DataFrame, fps: float | None, individual: str | None) -> Keypoints:
-    """Keypoints from a pandas table; see `recon.Keypoints.from_dataframe`."""
+    """Return keypoints from a pandas table; see `recon.Keypoints.from_dataframe`."""
     source = Path("DataFrame")
     with damage_named(source, "numbers, in DeepLabCut's levels or in columns frame, keypoint, x, y, confidence"):
         if table.columns.nlevels > 1:
@@ -313,15 +337,17 @@ def from_dataframe(table: pd.DataFrame, fps: float | None, individual: str | Non
 
 
 def _of_levels(source: Path, table: pd.DataFrame, individual: str | None) -> StoredPoints:
-    """From DeepLabCut's levels, whose names may be missing: the last is then of the coordinates, the one before of the
-    bodyparts."""
+    """Return points of a table with DeepLabCut's levels.
+
+    If the levels have no names, the last is the coordinates and the one before the bodyparts.
+    """
     levels = [str(name or "").lower() for name in table.columns.names]
-    part = next((i for i, level in enumerate(levels) if level in BODYPARTS), len(levels) - 2)
-    animal = next((i for i, level in enumerate(levels) if level in INDIVIDUALS), None)
+    part_level = next((i for i, level in enumerate(levels) if level in BODYPARTS), len(levels) - 2)
+    animal_level = next((i for i, level in enumerate(levels) if level in INDIVIDUALS), None)
     labels = []
     for column in table.columns:
         coord = "likelihood" if str(column[-1]).lower() in ROLES["likelihood"] else str(column[-1])
-        labels.append(("", "" if animal is None else str(column[animal]), str(column[part]), coord))
+        labels.append(("", "" if animal_level is None else str(column[animal_level]), str(column[part_level]), coord))
     frames = table.index.to_numpy() if table.index.to_numpy().dtype.kind in "iu" else np.arange(len(table))
     names = ("scorer", "individuals", "bodyparts", "coords")
     index = [(str(frame),) for frame in frames]
@@ -329,7 +355,7 @@ def _of_levels(source: Path, table: pd.DataFrame, individual: str | None) -> Sto
 
 
 def from_xarray(dataset: Any, fps: float | None, individual: str | None) -> Keypoints:
-    """Keypoints from movement's dataset; see `recon.Keypoints.from_xarray`."""
+    """Return keypoints from movement's dataset; see `recon.Keypoints.from_xarray`."""
     from recon.io.hdf5_poses import points_of_dataset
 
     source = Path("Dataset")
@@ -340,5 +366,5 @@ def from_xarray(dataset: Any, fps: float | None, individual: str | None) -> Keyp
 def _keypoints(source: Path, stored: StoredPoints, fps: float | None) -> Keypoints:
     if stored.in_space:
         raise InputError(Problem(source, "space", "x, y, z", "x, y: pixels of one camera"))
-    found = as_keypoints(source, stored)
-    return replace(found, fps=found.fps if fps is None else fps, source=None)
+    keypoints = as_keypoints(source, stored)
+    return replace(keypoints, fps=keypoints.fps if fps is None else fps, source=None)

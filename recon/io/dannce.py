@@ -1,14 +1,13 @@
-"""DANNCE's files: Label3D's `*_dannce.mat` with cameras (`params`) and labels (`labelData`), a camera's own file, and
-predictions (`save_data_AVG.mat`: `pred`, `sampleID`).
+"""Read DANNCE's files: Label3D's `*_dannce.mat`, a camera's own file, and predictions.
 
-Poses and matrices are MATLAB's: rows are points, X_camera = X_world r + t and pixels X_camera K, and the first pixel is
-(1, 1). Lengths are in the unit of the calibration, by custom millimetres. Points have no names unless the file has a
-`skeleton`. Frames are those of the first camera's video, `data_frame`, and of predictions `sampleID`.
+Label3D's file has cameras (`params`) and labels (`labelData`); predictions are `save_data_AVG.mat` (`pred`,
+`sampleID`). Poses and matrices are MATLAB's: rows are points, X_camera = X_world r + t and pixels X_camera K, and the
+first pixel is (1, 1). Lengths are in the unit of the calibration, by custom millimetres. Points have no names unless
+the file has a `skeleton`. Frames are those of the first camera's video, `data_frame`, and `sampleID` for predictions.
 
-MATLAB's files of versions 5 to 7 are read here without running or trusting anything (damaged ones crash scipy): a file
-is a list of elements, a type, a size in bytes, and as much data, or, compressed, one such element. A matrix holds its
-flags, sizes, name and data as elements again. Every size is checked against what there is before anything is taken.
-Version 7.3 is HDF5.
+MATLAB's files of versions 5 to 7 are read here without running or trusting anything, since damaged ones crash scipy. A
+file is a list of elements: a type, a size in bytes, and data; or one such element, compressed. A matrix holds its
+flags, sizes, name and data as elements. Every size is checked before memory is taken. Version 7.3 is HDF5.
 """
 
 from __future__ import annotations
@@ -31,35 +30,36 @@ MAX_BYTES, MAX_UNPACKED = 1 << 28, 1 << 28
 MAX_DEPTH, MAX_ITEMS = 12, 100_000
 _MATRIX, _COMPRESSED = 14, 15
 _NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
-"""NumPy's by the type of an element."""
+"""NumPy's type, by the type of an element."""
 _TEXTS = {1: "latin-1", 2: "latin-1", 4: "utf-16-le", 16: "utf-8", 17: "utf-16-le"}
 _CELL, _STRUCT, _CHAR = 1, 2, 4
 
 
 def recognises(path: Path) -> bool:
+    """Return whether it is a MATLAB file."""
     return starts_with(path, b"MATLAB ") and path.suffix.lower() == ".mat"
 
 
 def read(path: Path, individual: str | None = None) -> StoredPoints:
-    """3D labels or predictions. Raises InputError."""
-    found = _variables(path)
-    label = found.get("labelData", [None])
+    """Return 3D labels or predictions; raise InputError."""
+    variables = _variables(path)
+    label = variables.get("labelData", [None])
     label = label[0] if isinstance(label, list) else label
     if isinstance(label, dict):
         values, frames = label["data_3d"], label["data_frame"]
         values = values.reshape(len(values), -1, 3)
-    elif "pred" in found:
-        values, frames = found["pred"].swapaxes(-2, -1), found["sampleID"]  # perhaps by animal
+    elif "pred" in variables:
+        values, frames = variables["pred"].swapaxes(-2, -1), variables["sampleID"]  # perhaps by animal
     else:
         expected = "labelData with data_3d (frames, 3 for each point), or pred (frames, 3, points)"
         raise InputError(Problem(path, "data_3d", "nothing", expected))
-    skeleton = found.get("skeleton")
+    skeleton = variables.get("skeleton")
     names = _all_texts(skeleton.get("joint_names")) if isinstance(skeleton, dict) else ()
     return one_animal(path, individual, StoredPoints(names, values, frames.ravel()))
 
 
 def _all_texts(value: Any) -> tuple[str, ...]:
-    """A cell of texts; none for anything else."""
+    """Return a cell of texts; empty for anything else."""
     return tuple(value) if isinstance(value, list) and all(isinstance(text, str) for text in value) else ()
 
 
@@ -67,13 +67,20 @@ recognises_cameras = recognises
 
 
 def read_cameras(path: Path, individual: str | None = None) -> list[CameraRecord]:
-    """The cameras of `params`, called as `camnames` says, or the one that the file is of. Raises InputError."""
-    found = _variables(path)
-    params = found.get("params", [found])
-    tables = [one for one in (params if isinstance(params, list) else [params]) if isinstance(one, dict) and "K" in one]
+    """Return the cameras of `params`, with the names of `camnames`, or the file's only camera.
+
+    Raises InputError.
+    """
+    variables = _variables(path)
+    params = variables.get("params", [variables])
+    tables = [
+        table
+        for table in (params if isinstance(params, list) else [params])
+        if isinstance(table, dict) and "K" in table
+    ]
     if not tables:
         raise InputError(Problem(path, "params", "no cameras", "K, r, t, RDistort and TDistort of each"))
-    names = _all_texts(found.get("camnames"))
+    names = _all_texts(variables.get("camnames"))
     records = []
     for i, table in enumerate(tables):
         k = [*table["RDistort"].ravel(), 0.0]
@@ -83,7 +90,7 @@ def read_cameras(path: Path, individual: str | None = None) -> list[CameraRecord
             "r": table["r" if "r" in table else "R"].T,
             "t": table["t"],
         }
-        name, place = names[i] if len(names) == len(tables) else None, f"params[{i}]." * ("params" in found)
+        name, place = names[i] if len(names) == len(tables) else None, f"params[{i}]." * ("params" in variables)
         records.append(record_of(name, place, values))
     return records
 
@@ -92,8 +99,11 @@ def read_cameras(path: Path, individual: str | None = None) -> list[CameraRecord
 
 
 def _variables(path: Path) -> dict[str, Any]:
-    """By name: arrays of numbers (with MATLAB's shape), texts, dictionaries of structs (lists of them, where there are
-    several), lists of cells, and None for anything else. Raises InputError."""
+    """Return a file's variables by name.
+
+    Values are arrays of numbers (with MATLAB's shape), texts, dictionaries of structs (or lists of several), lists of
+    cells, and None for anything else. Raises InputError.
+    """
     content = read_content(path, "a MATLAB file", MAX_BYTES)
     if content.startswith(b"MATLAB 7.3") or content[126:128] != b"IM":
         expected = "version 7 or older: in MATLAB, save(name, '-v7')"
@@ -102,8 +112,10 @@ def _variables(path: Path) -> dict[str, Any]:
 
 
 class _File:
-    """What is left of the memory and of the items that a file may ask for. Its methods raise whatever a damaged file
-    causes."""
+    """Reader with the memory and the number of items left for one file.
+
+    Its methods raise whatever a damaged file causes.
+    """
 
     def __init__(self) -> None:
         self.left, self.items = MAX_UNPACKED, MAX_ITEMS
@@ -121,53 +133,56 @@ class _File:
                 yield self.matrix(body, 0)
 
     def elements(self, data: memoryview, packed: bool = False) -> Iterator[tuple[int, memoryview]]:
-        """Type and data of each. packed: at the top of a file, where compressed ones are not padded."""
-        at = 0
-        while at + 8 <= len(data):
-            kind, size = struct.unpack_from("<II", data, at)
+        """Yield type and data of each element.
+
+        `packed` is for the top of a file, where compressed elements are not padded.
+        """
+        position = 0
+        while position + 8 <= len(data):
+            kind, size = struct.unpack_from("<II", data, position)
             if kind >> 16:  # up to 4 bytes beside the type
-                size, kind, begin, step = kind >> 16, kind & 0xFFFF, at + 4, 8
+                size, kind, begin, step = kind >> 16, kind & 0xFFFF, position + 4, 8
                 if size > 4:
                     raise ValueError("an element that is too large for its place")
             else:
-                begin = at + 8
+                begin = position + 8
                 step = 8 + (size if packed and kind == _COMPRESSED else (size + 7) // 8 * 8)
             if begin + size > len(data):
                 raise ValueError("an element beyond the end")
             yield kind, data[begin : begin + size]
-            at += step
+            position += step
 
     def matrix(self, body: memoryview, depth: int) -> tuple[str, Any]:
-        """Its name and its value."""
+        """Return a matrix' name and value."""
         self.items -= 1
         if depth > MAX_DEPTH or self.items < 0:
             raise ValueError("more in one another than a file of poses has")
         if not len(body):
             return "", None
-        parts = [*self.elements(body)]
-        flags, shape = int(self.numbers(*parts[0])[0]), self.numbers(*parts[1]).tolist()
-        kind, name = flags & 0xFF, bytes(parts[2][1]).decode("ascii")
+        elements = [*self.elements(body)]
+        flags, shape = int(self.numbers(*elements[0])[0]), self.numbers(*elements[1]).tolist()
+        kind, name = flags & 0xFF, bytes(elements[2][1]).decode("ascii")
         if kind == _CELL:
-            return name, [self.matrix(part, depth + 1)[1] for _, part in parts[3:]]
+            return name, [self.matrix(element, depth + 1)[1] for _, element in elements[3:]]
         if kind == _STRUCT:
-            return name, self.structs(parts[3:], depth)
+            return name, self.structs(elements[3:], depth)
         if kind == _CHAR:
-            of, text = parts[3]
-            return name, bytes(text).decode(_TEXTS[of])
+            text_type, text = elements[3]
+            return name, bytes(text).decode(_TEXTS[text_type])
         if not 6 <= kind < 16 or flags & 0x0800:  # neither numbers, nor real ones
             return name, None
-        values = self.numbers(*parts[3]) if len(parts) > 3 else np.zeros(0)
+        values = self.numbers(*elements[3]) if len(elements) > 3 else np.zeros(0)
         if min(shape) < 0:
             raise ValueError("sizes below 0")
         return name, values.reshape(shape, order="F")
 
-    def structs(self, parts: list[tuple[int, memoryview]], depth: int) -> Any:
-        length = int(self.numbers(*parts[0])[0])
-        text = bytes(parts[1][1])
+    def structs(self, elements: list[tuple[int, memoryview]], depth: int) -> Any:
+        length = int(self.numbers(*elements[0])[0])
+        text = bytes(elements[1][1])
         if not 0 < length <= 64:
             raise ValueError("names of another length than MATLAB's")
         fields = [text[i : i + length].split(b"\0")[0].decode("ascii") for i in range(0, len(text), length)]
-        values = [self.matrix(part, depth + 1)[1] for _, part in parts[2:]]
+        values = [self.matrix(element, depth + 1)[1] for _, element in elements[2:]]
         rows = [dict(zip(fields, values[i:], strict=False)) for i in range(0, len(values), max(len(fields), 1))]
         return rows[0] if len(rows) == 1 else rows
 

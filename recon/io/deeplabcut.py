@@ -1,10 +1,12 @@
-"""DeepLabCut's files: predictions and labels, of one animal or several, and 3D positions.
+"""Read and write DeepLabCut's tables: predictions and labels, of one or several animals, and 3D positions.
 
-Both are a table with one row per frame and a header of several levels: `scorer`, `individuals` (several animals only),
+A table has one row per frame and a header of several levels: `scorer`, `individuals` (several animals only),
 `bodyparts`, `coords`. Prediction files number their rows by frame. Label files index them by image path, in one column
-or three, and have no likelihood. Our own have the frame rate in the scorer, `recon_90fps`: there is no other place.
+or three, and have no likelihood. Our own files have the frame rate in the scorer, `recon_90fps`, because there is no
+other place.
 
-Here are the table and its CSV files; `recon.io.hdf5_poses` has its H5 files."""
+This module has the table and its CSV files; `recon.io.hdf5_poses` has its H5 files.
+"""
 
 from __future__ import annotations
 
@@ -33,18 +35,18 @@ PADDING = -1.0
 """x, y and likelihood of an animal that DeepLabCut 3 did not see in a frame."""
 PLACES = {"l", "r", "left", "right", "f", "h", "front", "back", "fore", "hind", "rear", "upper", "lower", "near", "far"}
 MIN_PARTS = 3
-"""What names of one animal's bodyparts may begin with, and of how many each animal has that names tell apart."""
+"""Beginnings of bodypart names, and the least number of bodyparts of each animal whose names begin with its own."""
 
 
 def recognises_csv(path: Path) -> bool:
-    """Whether a text has DeepLabCut's header rows."""
+    """Return whether a text has DeepLabCut's header rows."""
     with path.open("rb") as file:
         head = file.read(64).removeprefix(b"\xef\xbb\xbf")
     return re.match(rb'\s*"?\s*(scorer|individuals|bodyparts)\s*"?\s*([,;\t\r\n]|$)', head) is not None
 
 
 def read_csv(path: Path, individual: str | None = None) -> StoredPoints:
-    """The points of one animal in a CSV file (see `points_of_table`). Raises InputError."""
+    """Return the points of one animal in a CSV file (see `points_of_table`); raise InputError."""
     rows = common.text_rows(path)
     header, index_columns = _read_header(path, rows)
     return points_of_rows(path, header, rows, index_columns, individual)
@@ -53,15 +55,18 @@ def read_csv(path: Path, individual: str | None = None) -> StoredPoints:
 def points_of_rows(
     path: Path, header: dict[str, list[str]], rows: common.Rows, index_columns: int, individual: str | None = None
 ) -> StoredPoints:
-    """header: the texts of the data's columns by level; rows: with their lines, each of so many cells that say the
-    frame, and one for each column. Raises InputError."""
+    """Return the points of one animal in rows of text.
+
+    `header` has the texts of the data's columns by level. Each row begins with `index_columns` cells that give the
+    frame. Raises InputError.
+    """
     labels = list(zip(*header.values(), strict=True))
     index, values, problems = common.number_rows(path, rows, ["/".join(label[-2:]) for label in labels], index_columns)
     return points_of_table(path, individual, [*header], labels, index, values, problems)
 
 
 def _read_header(path: Path, rows: Iterator[tuple[int, list[str]]]) -> tuple[dict[str, list[str]], int]:
-    """The texts of the data's columns by level, and the number of columns before them."""
+    """Return the texts of the data's columns by level, and the number of columns before them."""
     header: dict[str, list[str]] = {}
     first = ""
     for _, row in rows:
@@ -74,8 +79,8 @@ def _read_header(path: Path, rows: Iterator[tuple[int, list[str]]]) -> tuple[dic
     else:
         raise InputError(header_problem(path, f"the end of the file after {', '.join(header)}"))
     if tuple(header) not in HEADERS:
-        found = ", ".join(dict.fromkeys((*header, first[:40])))
-        raise InputError(header_problem(path, f"rows that begin with '{found}'"))
+        detail = ", ".join(dict.fromkeys((*header, first[:40])))
+        raise InputError(header_problem(path, f"rows that begin with '{detail}'"))
     if len({len(row) for row in header.values()}) != 1:
         lengths = ", ".join(f"{len(row)} in {name}" for name, row in header.items())
         raise InputError(Problem(path, "header rows", f"cells: {lengths}", "the same number of cells in each"))
@@ -85,11 +90,12 @@ def _read_header(path: Path, rows: Iterator[tuple[int, list[str]]]) -> tuple[dic
 
 
 def header_problem(path: Path, found: str) -> Problem:
+    """Return the problem of a header that is not DeepLabCut's."""
     return Problem(path, "header", found, "; or ".join(", ".join(h) for h in HEADERS))
 
 
 def _without_fps(scorer: str) -> tuple[str, float | None]:
-    """The scorer, and the frame rate that files of ours have behind it."""
+    """Return the scorer, and the frame rate that our own files have behind it."""
     match = re.fullmatch(rf"(?:(.*)_)?{SCORER}_([0-9.e+-]+)fps", scorer)
     fps = common.rate(match[2]) if match else None
     return (scorer, None) if match is None or fps is None else (match[1] or SCORER, fps)
@@ -104,18 +110,34 @@ def points_of_table(
     values: np.ndarray,
     problems: Sequence[Problem] = (),
 ) -> StoredPoints:
-    """The points of one animal, of a table whose columns have several levels, as the file states them. labels: those of
-    the C columns, one text for each level; rows: what names the T rows, one text or several for each; values: (T, C),
-    NaN in empty cells; problems: what is already known to be wrong. Raises InputError."""
+    """Return the points of one animal in a table whose columns have several levels.
+
+    Parameters
+    ----------
+    levels : sequence of str
+        Names of the levels.
+    labels : sequence of tuple of str
+        For each of C columns, a text per level.
+    rows : sequence of sequence of str
+        Index texts of T rows.
+    values : (T, C)
+        NaN in empty cells.
+    problems : sequence of Problem
+        Known problems.
+
+    Raises
+    ------
+    InputError
+    """
     named = [dict(zip(levels, label, strict=True)) for label in labels]
     raw = [(n.get("individuals", ""), n["bodyparts"], n["coords"]) for n in named]
-    columns = [(animal.strip(), part.strip(), coord.strip()) for animal, part, coord in raw]
+    columns = [(animal.strip(), bodypart.strip(), coord.strip()) for animal, bodypart, coord in raw]
     blank = dict.fromkeys(name for column in raw for name in column[:2] if name != name.strip())
     notes = tuple(f"'{name}' is read as '{name.strip()}'." for name in blank)
     frames, images, frame_problems = _frame_numbers(path, rows)
     raise_problems(common.first_problems([*_column_problems(path, columns), *problems, *frame_problems], path))
-    if {animal for animal, _, _ in columns} == {""} and _prefixes(part for _, part, _ in columns):
-        columns = [(part.partition("_")[0], part.partition("_")[2], coord) for _, part, coord in columns]
+    if {animal for animal, _, _ in columns} == {""} and _prefixes(bodypart for _, bodypart, _ in columns):
+        columns = [(bodypart.partition("_")[0], bodypart.partition("_")[2], coord) for _, bodypart, coord in columns]
     everyone = list(dict.fromkeys(animal for animal, _, _ in columns))
     animals = [name for name in everyone if name != UNIQUE_BODYPARTS] or everyone
     of_animal = {name: [j for j, column in enumerate(columns) if column[0] == name] for name in everyone}
@@ -141,56 +163,59 @@ def points_of_table(
     if common.FMPOSE3D in (scorer or ""):
         from recon.io.json_poses import true_names
 
-        names, said = true_names(names, scorer or "", in_space)
-        notes += said
-    more: dict[str, Any] = {"unit": "m", "up": "z"} if in_space and scorer == SCORER else {}
-    more |= {"fps": fps, "scorer": None if in_space else scorer, "notes": notes}
-    more["images"] = tuple(images[i] for i in order) if images else ()
-    stored = StoredPoints(names, points, frames[order], likelihood, **more)
+        names, renaming = true_names(names, scorer or "", in_space)
+        notes += renaming
+    extra: dict[str, Any] = {"unit": "m", "up": "z"} if in_space and scorer == SCORER else {}
+    extra |= {"fps": fps, "scorer": None if in_space else scorer, "notes": notes}
+    extra["images"] = tuple(images[i] for i in order) if images else ()
+    stored = StoredPoints(names, points, frames[order], likelihood, **extra)
     return common.one_animal(path, animal or None, stored, [animal] if animal else [])
 
 
 def _column_problems(path: Path, columns: Sequence[tuple[str, str, str]]) -> Iterator[Problem]:
     if not columns:
         yield Problem(path, "header rows", "no columns", "at least one bodypart")
-    for animal, part, coord in dict.fromkeys(columns):
-        place = f"column {'/'.join(filter(None, (animal, part, coord)))}"
+    for animal, bodypart, coord in dict.fromkeys(columns):
+        location = f"column {'/'.join(filter(None, (animal, bodypart, coord)))}"
         if coord not in COORDS:
-            yield Problem(path, place, f"coordinate '{coord}'", ", ".join(COORDS))
-        if not part or not f"{animal}{part}".isprintable():
-            yield Problem(path, place, "a bodypart without a name that can be printed", "letters, digits and signs")
+            yield Problem(path, location, f"coordinate '{coord}'", ", ".join(COORDS))
+        if not bodypart or not f"{animal}{bodypart}".isprintable():
+            yield Problem(path, location, "a bodypart without a name that can be printed", "letters, digits and signs")
 
 
 def _points(
     path: Path, columns: Sequence[tuple[int, str, str]], values: np.ndarray
 ) -> tuple[tuple[str, ...], np.ndarray]:
-    """The bodyparts, and their coordinates (T, K, 3), of columns with their places in the table. Raises InputError."""
+    """Return the bodyparts and their coordinates (T, K, 3), of columns (index, bodypart, coordinate).
+
+    Raises InputError.
+    """
     required = ("x", "y", "z") if any(coord == "z" for _, _, coord in columns) else ("x", "y")
     coords = required if "z" in required else COORDS_2D
-    places: dict[str, dict[str, list[int]]] = {}
-    for j, part, coord in columns:
-        places.setdefault(part, {}).setdefault(coord, []).append(j)
+    indices_of: dict[str, dict[str, list[int]]] = {}
+    for j, bodypart, coord in columns:
+        indices_of.setdefault(bodypart, {}).setdefault(coord, []).append(j)
     problems = []
-    points = np.full((len(values), len(places), 3), np.nan)
-    for k, (part, of_part) in enumerate(places.items()):
-        if any(len(of) > 1 for of in of_part.values()):
-            problems.append(Problem(path, f"bodypart {part}", "more than one column of a kind", "one"))
-        if lacking := [coord for coord in required if coord not in of_part]:
-            problems.append(Problem(path, f"bodypart {part}", f"no {', '.join(lacking)}", ", ".join(required)))
+    points = np.full((len(values), len(indices_of), 3), np.nan)
+    for k, (bodypart, by_coord) in enumerate(indices_of.items()):
+        if any(len(indices) > 1 for indices in by_coord.values()):
+            problems.append(Problem(path, f"bodypart {bodypart}", "more than one column of a kind", "one"))
+        if lacking := [coord for coord in required if coord not in by_coord]:
+            problems.append(Problem(path, f"bodypart {bodypart}", f"no {', '.join(lacking)}", ", ".join(required)))
         for i, coord in enumerate(coords):
-            if coord in of_part:
-                points[:, k, i] = values[:, of_part[coord][0]]
+            if coord in by_coord:
+                points[:, k, i] = values[:, by_coord[coord][0]]
     raise_problems(common.first_problems(problems, path))
-    return tuple(places), points
+    return tuple(indices_of), points
 
 
 def _frame_numbers(path: Path, index: Sequence[Sequence[str]]) -> tuple[np.ndarray, list[str], list[Problem]]:
-    """Frame numbers (T,) from the index cells, the pictures' names of labels, and what is wrong with them."""
+    """Return frame numbers (T,) of the index cells, the pictures' names of labels, and problems."""
     texts = ["/".join(cell for cell in cells if cell).strip() for cells in index]
     labels = bool(texts) and re.search(r"[/\\]|\.[A-Za-z]\w*$", texts[0]) is not None
     frames, problems = [], []
     for row, text in enumerate(texts, 1):
-        # A Windows path splits at both kinds of slash.
+        # PureWindowsPath splits at both kinds of slash.
         stem, pattern = (PureWindowsPath(text).stem, r".*?([0-9]+)") if labels else (text, r"(-?[0-9]+)(?:\.0*)?")
         match = re.fullmatch(pattern, stem, re.DOTALL)
         frame = common.frame_number(match[1], -common.MAX_FRAME) if match else None
@@ -200,28 +225,30 @@ def _frame_numbers(path: Path, index: Sequence[Sequence[str]]) -> tuple[np.ndarr
         frames.append(frame or 0)
     folders = list(dict.fromkeys(PureWindowsPath(text).parent.as_posix() for text in texts)) if labels else []
     if len(folders) > 1:
-        found = f"{len(folders)} folders: {', '.join(folders[:3])}"
-        problems.append(Problem(path, "images", found, "the images of one video"))
+        detail = f"{len(folders)} folders: {', '.join(folders[:3])}"
+        problems.append(Problem(path, "images", detail, "the images of one video"))
     return np.array(frames, dtype=np.int64), texts if labels else [], problems
 
 
 def _prefixes(bodyparts: Iterable[str]) -> tuple[str, ...]:
-    """The prefixes of animals that are told apart by the first part of every name, as B and W in B_nose, B_tail,
-    W_nose, W_tail; none where that is a place on an animal, or where some parts are one's only."""
-    parts: dict[str, set[str]] = {}
+    """Return the animals' prefixes of bodypart names, as B and W in B_nose, B_tail, W_nose, W_tail.
+
+    Empty if a prefix is a position on an animal, or if the animals have different bodyparts.
+    """
+    bodyparts: dict[str, set[str]] = {}
     for name in bodyparts:
-        animal, _, part = name.partition("_")
-        parts.setdefault(animal, set()).add(part)
-    same_parts = len(parts) > 1 and len({*map(frozenset, parts.values())}) == 1
-    many = min(map(len, parts.values()), default=0) >= MIN_PARTS
-    return tuple(parts) if same_parts and many and not PLACES & {name.lower() for name in parts} else ()
+        animal, _, bodypart = name.partition("_")
+        bodyparts.setdefault(animal, set()).add(bodypart)
+    same_parts = len(bodyparts) > 1 and len({*map(frozenset, bodyparts.values())}) == 1
+    least_count = min(map(len, bodyparts.values()), default=0) >= MIN_PARTS
+    return tuple(bodyparts) if same_parts and least_count and not PLACES & {name.lower() for name in bodyparts} else ()
 
 
 # -- writing ---------------------------------------------------------------------------------------------------------
 
 
 def write_csv(data: Keypoints | Pose3D, path: Path) -> None:
-    """x, y and likelihood, or x, y, z in metres with z up."""
+    """Write x, y and likelihood, or x, y, z in metres with z up."""
     from recon.io.writing import deeplabcut_layout, write_table
 
     header, frames, values = deeplabcut_layout(data)

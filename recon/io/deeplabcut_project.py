@@ -1,7 +1,7 @@
-"""DeepLabCut's project folder: `config.yaml`, `labeled-data` and `videos`.
+"""Find the files of DeepLabCut's project folder: `config.yaml`, `labeled-data` and `videos`.
 
-Of the configuration only names are needed: no reader of YAML is. DeepLabCut writes its lists with one item a line, and
-its mappings with one key a line, and so do people who edit them.
+Only names are needed from the configuration, so no YAML reader is. DeepLabCut, and people who edit its files, write
+lists with one item per line and mappings with one key per line.
 """
 
 from __future__ import annotations
@@ -15,38 +15,41 @@ from recon.base.documents import read_text
 
 CONFIG = "config.yaml"
 SEVERAL = "MULTI!"
-"""In place of the bodyparts, where a project has several animals: they are in `multianimalbodyparts`."""
+"""Replaces the bodyparts if a project has several animals; they are in `multianimalbodyparts`."""
 _ENTRY = re.compile(r"([A-Za-z_]\w*)\s*:(?:\s+(.*))?")
 _LABELS = ("labeled-data/*/CollectedData_*", "*/CollectedData_*", "CollectedData_*")
 _PREDICTED = re.compile(
     r"(?P<video>.+?)_?(?P<network>(?:DLC|superanimal)_?.+?)(?P<tracker>_(?:el|bx|sk|ctd))?(?P<filtered>_filtered)?"
 )
 _TRACKERS = ("_el", "_ctd", "_sk", "_bx", None)
-"""Ends of tables of tracked animals, by the method, the better first."""
+"""Suffixes of tables of tracked animals by method, the best first."""
 _OTHERS = ("_skeleton", "_3d")
-"""Ends of tables that are no keypoints: lengths and angles, and 3D positions."""
+"""Suffixes of tables that are not keypoints: lengths and angles, and 3D positions."""
 
 
 @dataclass(frozen=True)
 class Project:
-    """What the configuration says. The names are empty where it does not have them."""
+    """Content of the configuration; names are empty where absent."""
 
     config: Path
     scorer: str
-    """The name of who labelled."""
+    """Name of the labeller."""
     bodyparts: tuple[str, ...]
-    """The bodyparts of one animal."""
+    """Bodyparts of one animal."""
     video_sets: tuple[str, ...]
-    """Paths of the videos, perhaps of another computer."""
+    """Paths of the videos, perhaps on another computer."""
 
     @property
     def folder(self) -> Path:
+        """Folder of the configuration."""
         return self.config.parent
 
 
 def find_project(path: Path) -> Project | None:
-    """The project of a folder or of its `config.yaml`; None where it is neither. Raises InputError for a file that
-    cannot be read."""
+    """Return the project of a folder or of its `config.yaml`; None for anything else.
+
+    Raises InputError for a file that cannot be read.
+    """
     config = path / CONFIG if path.is_dir() else path
     if config.suffix.lower() not in (".yaml", ".yml") or not config.is_file():
         return None
@@ -60,7 +63,7 @@ def find_project(path: Path) -> Project | None:
 
 
 def refuse_several(path: Path) -> None:
-    """Raises InputError for a folder, and for a project, which have several files to choose from."""
+    """Raise InputError for a folder or a project, which have several files."""
     if find_project(path):
         expected = (
             "one of its tables, as videos/run1DLC_*.h5; the project as a whole is for recon batch, recon train and "
@@ -74,8 +77,8 @@ def refuse_several(path: Path) -> None:
 
 
 def _entries(text: str) -> dict[str, list[str]]:
-    """By each key of the document its value, the items of its list, or the keys of its mapping."""
-    found: dict[str, list[str]] = {}
+    """Return the value, list items or mapping keys of each key of the document."""
+    entries: dict[str, list[str]] = {}
     key, depth = "", 0
     for line in text.splitlines():
         plain = re.sub(r"(^|\s)#.*$", "", line).rstrip()
@@ -87,13 +90,13 @@ def _entries(text: str) -> dict[str, list[str]]:
             key, depth = entry[1], 0
             value = entry[2] or ""
             inside = value[1:-1].split(",") if value[:1] + value[-1:] == "[]" else [value]
-            found[key] = [text for item in inside if (text := _text(item))]
+            entries[key] = [text for item in inside if (text := _text(item))]
         elif key and bare.startswith("- ") and not bare.startswith("- -"):
-            found[key].append(_text(bare[2:]))
+            entries[key].append(_text(bare[2:]))
         elif key and indent and (depth := depth or indent) == indent and not bare.startswith(": "):
             # A key that is too long for its line begins with "? ", and its value, in the next, with ": ".
-            found[key].append(_text(bare.removeprefix("? ").removesuffix(":")))
-    return found
+            entries[key].append(_text(bare.removeprefix("? ").removesuffix(":")))
+    return entries
 
 
 def _text(item: str) -> str:
@@ -102,7 +105,7 @@ def _text(item: str) -> str:
 
 
 def bodyparts(project: Project) -> tuple[str, ...]:
-    """Names of its keypoints. Raises InputError where it has none."""
+    """Return the names of a project's keypoints; raise InputError if it has none."""
     if not project.bodyparts:
         expected = "the names of the keypoints, under bodyparts, or multianimalbodyparts of several animals"
         raise InputError(Problem(project.config, "bodyparts", "none", expected))
@@ -110,8 +113,10 @@ def bodyparts(project: Project) -> tuple[str, ...]:
 
 
 def label_files(folder: Path, scorer: str = "") -> list[Path]:
-    """One file of each folder with labels: where several people labelled it the scorer's, else that of the first in the
-    alphabet; of CSV and H5 the first."""
+    """Return one file of each folder with labels.
+
+    If several people labelled, the scorer's, else the first in the alphabet; CSV before H5.
+    """
     for pattern in _LABELS:
         by_folder: dict[Path, list[Path]] = {}
         for file in sorted(folder.glob(pattern)):
@@ -123,16 +128,16 @@ def label_files(folder: Path, scorer: str = "") -> list[Path]:
 
 
 def predictions(project: Project) -> tuple[dict[str, Path], tuple[str, ...]]:
-    """What a network found in the project's videos: a table for each video, by its name, and what is left out.
+    """Return a table of predictions for each of a project's videos, by name, and the files left out.
 
-    They lie beside the videos: in `videos`, or where the configuration has them. Of one network's tables of a video
-    what it found counts before what DeepLabCut filtered, tracked animals before others, and H5 before CSV. Raises
-    InputError where there is none, and for a video with those of several networks.
+    Tables lie beside the videos: in `videos`, or where the configuration has them. Within one network's tables of a
+    video, unfiltered ones count before filtered, tracked animals before others, and H5 before CSV. Raises InputError if
+    there is none, and for a video with tables of several networks.
     """
-    places = dict.fromkeys(
+    video_folders = dict.fromkeys(
         (project.folder / "videos", *(Path(v).parent for v in project.video_sets if Path(v).is_file()))
     )
-    folders = [place for place in places if place.is_dir()]
+    folders = [folder for folder in video_folders if folder.is_dir()]
     by_video: dict[str, dict[str, list[tuple[bool, int, bool, Path]]]] = {}
     for file in (file for folder in folders for file in sorted(folder.iterdir())):
         named = None if file.stem.endswith(_OTHERS) else _PREDICTED.fullmatch(file.stem)
@@ -146,11 +151,15 @@ def predictions(project: Project) -> tuple[dict[str, Path], tuple[str, ...]]:
         )
         raise InputError(Problem(project.config, "predictions", f"none in {project.folder / 'videos'}", expected))
     problems, pattern = [], f"of one, chosen by a pattern in place of the project: '{project.folder / 'videos'}/*"
-    for video, of in by_video.items():
-        if len(of) > 1:
-            found = f"of {len(of)} networks: {', '.join(of)}"
-            problems.append(Problem(project.config, f"predictions of {video}", found, f"{pattern}{next(iter(of))}.*'"))
+    for video, tables in by_video.items():
+        if len(tables) > 1:
+            detail = f"of {len(tables)} networks: {', '.join(tables)}"
+            problems.append(
+                Problem(project.config, f"predictions of {video}", detail, f"{pattern}{next(iter(tables))}.*'")
+            )
     raise_problems(problems)
-    chosen = {video: min(next(iter(of.values())))[-1] for video, of in by_video.items()}
-    left_out = (file.name for of in by_video.values() for files in of.values() for *_, file in sorted(files)[1:])
+    chosen = {video: min(next(iter(tables.values())))[-1] for video, tables in by_video.items()}
+    left_out = (
+        file.name for tables in by_video.values() for files in tables.values() for *_, file in sorted(files)[1:]
+    )
     return chosen, tuple(left_out)

@@ -1,7 +1,8 @@
-"""The table of file formats, and reading points by it.
+"""List the file formats in one table, and read points by it.
 
 A new format is one module with `recognises(path)`, `read(path, individual)` and `write(data, path)`, whichever it has,
-and one line in `FORMATS`: `recon fit`, `batch`, `evaluate` and `convert` take it from there."""
+and one line in `FORMATS`. `recon fit`, `batch`, `evaluate` and `convert` take it from there.
+"""
 
 from __future__ import annotations
 
@@ -28,44 +29,50 @@ class Format:
     """One kind of file: how it is recognised, read and written."""
 
     name: str
-    """The name of the format for `--to`."""
+    """Name of the format for `--to`."""
     title: str
     suffixes: tuple[str, ...]
-    """The first is the usual one."""
+    """Suffixes, the usual one first."""
     code: str
-    """The module of this room that reads and writes it, which is imported when it is used; for "module/ending" its
-    functions end so, as in `read_ending`."""
+    """Module of this room that reads and writes the format, imported on use. For "module/ending" its functions end so,
+    as in `read_ending`.
+    """
     reads: tuple[Kind, ...] = ()
     writes: tuple[Kind, ...] = ()
     fps: str = ""
-    """Where it has the frame rate, or needed if it cannot be without."""
+    """Where the file has the frame rate, or "needed" if it requires one."""
     frames: str = ""
-    """Where it has the frame numbers."""
+    """Where the file has the frame numbers."""
     axes: str = ""
-    """Unit and axes of 3D positions as they are written."""
+    """Unit and axes of 3D positions as written."""
     unit: str | None = None
-    """The unit of 3D positions where the file does not say it; None for one that the user has to give."""
+    """Unit of 3D positions if the file does not state one; None if the user has to give it."""
     up: str = "z"
-    """Likewise, the axis that points up."""
+    """Upward axis if the file does not state one."""
     beside: tuple[str, ...] = ()
     """Suffixes of further files that are written under the same name."""
 
     def recognises(self, path: Path) -> bool:
-        """Whether a readable file, not empty, has content of this format. Raises InputError where damage hides it."""
+        """Return whether a readable, not empty file has content of this format.
+
+        Raises InputError if damage hides it.
+        """
         return self.function("recognises")(path)
 
     def read(self, path: Path, individual: str | None = None) -> Any:
-        """From a file that is recognised, the `StoredPoints` of one animal, by its name, or a list of `CameraRecord`;
-        raises InputError, also for what Python and libraries say of a damaged file."""
+        """Return the `StoredPoints` of one animal, or a list of `CameraRecord`, from a recognised file.
+
+        Raises InputError, also for what Python and libraries raise on a damaged file.
+        """
         with damage_named(path, f"a whole file: {self.title}"):
             return self.function("read")(path, individual)
 
     def write(self, data: Any, path: Path) -> None:
-        """`Keypoints`, `Pose3D`, `Armature` or cameras, which it `writes`, as a new file; raises InputError."""
+        """Write `Keypoints`, `Pose3D`, `Armature` or cameras, as in `writes`, to a new file; raise InputError."""
         self.function("write")(data, path)
 
     def function(self, verb: str) -> Callable[..., Any]:
-        """What recognises, reads or writes it, in its module."""
+        """Return the function of its module that recognises, reads or writes the format."""
         module, _, ending = self.code.partition("/")
         return getattr(import_module(f"recon.io.{module}"), f"{verb}_{ending}" if ending else verb)
 
@@ -110,24 +117,27 @@ FORMATS: tuple[Format, ...] = (
            "camera_files/opencv", _CAMERAS),
 )
 # fmt: on
-"""A file is of the first that recognises it. Where an extension has several, the first that writes it is meant unless
-`--to` names another."""
+"""A file has the first format that recognises it. If a suffix has several, the first that writes it is meant unless
+`--to` names another.
+"""
 CONVERTED = tuple(f for f in FORMATS if f.writes)
-"""What `recon convert` can write."""
+"""Formats that `recon convert` can write."""
 PLAIN = next(f for f in FORMATS if f.name == "long")
 
 LIKELIHOOD_MARGIN = 0.5
-"""Networks whose scores are no probabilities, such as SLEAP's, go somewhat beyond 1."""
+"""Networks whose scores are no probabilities, such as SLEAP's, exceed 1 by up to this."""
 
 
 def recognised(path: Path, kind: Kind | None = None) -> Format | None:
-    """The format of a readable file that can hold such data, by default points; None where there is none. Raises
-    InputError for a file so damaged that this cannot be told."""
+    """Return the format of a readable file that can hold such data, by default points; None if unknown.
+
+    Raises InputError for a file too damaged to tell.
+    """
     return next((f for f in _reading(kind) if f.recognises(path)), None)
 
 
 def titles(kind: Kind | None = None) -> str:
-    """The formats that such data, by default points, are read from, for a message."""
+    """Return the formats that such data, by default points, are read from, for a message."""
     return ", ".join(f.title for f in _reading(kind))
 
 
@@ -140,16 +150,31 @@ def _reading(kind: Kind | None) -> list[Format]:
 
 
 def read_keypoints(path: str | Path, individual: str | None = None) -> Keypoints:
-    """The keypoints of one animal, as a file of any known format states them. individual: the animal's name, needed
-    where there are several. Raises InputError."""
+    """Return the keypoints of one animal, as a file of any known format has them.
+
+    `individual` is the animal's name, needed if there are several. Raises InputError.
+    """
     return as_keypoints(Path(path), read_points(path, individual, "2D")[1])
 
 
 def read_points(
     path: str | Path, individual: str | None = None, kind: Kind | None = None, by: Mapping[str, str] | None = None
 ) -> tuple[Format, StoredPoints]:
-    """The points of one animal, and the format of the file. Raises InputError likewise. kind: what they have to be; by:
-    the columns of a plain table (`recon.io.columns.parse_map`)."""
+    """Return the format of a file, and the points of one animal.
+
+    Parameters
+    ----------
+    individual : str, optional
+        Name of the animal, needed if there are several.
+    kind : Kind, optional
+        Required kind of points.
+    by : mapping, optional
+        Columns of a plain table (`recon.io.columns.parse_map`).
+
+    Raises
+    ------
+    InputError
+    """
     path = Path(path)
     if os.path.isdir(path) or path.suffix.lower() in (".yaml", ".yml"):
         from recon.io.deeplabcut_project import refuse_several
@@ -158,38 +183,41 @@ def read_points(
     head = read_head(path)
     if by is not None:
         return PLAIN, PLAIN.function("read")(path, individual, by)
-    found = recognised(path)
-    if found is None:
+    reader = recognised(path)
+    if reader is None:
         raise InputError(Problem(path, "format", describe(head), f"one of: {titles(kind)}"))
     try:
-        stored = found.read(path, individual) if kind is None or kind in found.reads else None
+        stored = reader.read(path, individual) if kind is None or kind in reader.reads else None
     except NoChoiceError as error:
-        _require_kind(path, kind, found, found.read(path, error.animals[0]))  # or else a choice would not help
+        _require_kind(path, kind, reader, reader.read(path, error.animals[0]))  # or else a choice would not help
         raise
-    stored = _require_kind(path, kind, found, stored)
+    stored = _require_kind(path, kind, reader, stored)
     if np.isinf(stored.values).any():
         raise InputError(Problem(path, "points", "infinite coordinates", "numbers, or nothing where one is missing"))
-    return found, stored
+    return reader, stored
 
 
-def _require_kind(path: Path, kind: Kind | None, found: Format, stored: StoredPoints | None) -> StoredPoints:
+def _require_kind(path: Path, kind: Kind | None, reader: Format, stored: StoredPoints | None) -> StoredPoints:
     if kind == "2D" and (stored is None or stored.in_space):
         raise InputError(Problem(path, "coords", "x, y, z: 3D positions", "2D keypoints in pixels (x, y)"))
     if stored is None or (kind == "3D" and not stored.in_space):
-        raise InputError(Problem(path, "coords", f"no z ({found.title})", "x, y, z: 3D positions"))
+        raise InputError(Problem(path, "coords", f"no z ({reader.title})", "x, y, z: 3D positions"))
     return stored
 
 
 def as_keypoints(path: Path, stored: StoredPoints) -> Keypoints:
-    """The 2D points of a file, with a note where likelihoods lie beside 0 to 1. Raises InputError where they are
-    infinite or so far from it that they mean something else, such as per cent: every one would pass for certain."""
+    """Return the 2D points of a file, with a note if likelihoods lie slightly outside 0 to 1.
+
+    Raises InputError if likelihoods are infinite or so far outside that they mean something else, such as per cent:
+    every point would pass as certain.
+    """
     scorer, notes = (stored.scorer or "").strip(), stored.notes
     likelihood = np.full(stored.values.shape[:2], np.nan) if stored.likelihood is None else stored.likelihood
     stated = likelihood[~np.isnan(likelihood)]
     low, high = (float(stated.min()), float(stated.max())) if stated.size else (0.0, 1.0)
     if low < -LIKELIHOOD_MARGIN or high > 1 + LIKELIHOOD_MARGIN:
-        found = f"{low:g} to {high:g}{', as if in per cent' * (low >= 0 and 1 < high <= 100)}"
-        raise InputError(Problem(path, "likelihood", found, "numbers from 0 to 1"))
+        detail = f"{low:g} to {high:g}{', as if in per cent' * (low >= 0 and 1 < high <= 100)}"
+        raise InputError(Problem(path, "likelihood", detail, "numbers from 0 to 1"))
     if low < 0 or high > 1:
         notes = (*notes, f"Likelihoods range from {low:g} to {high:g}; they should lie between 0 and 1.")
     return Keypoints(
@@ -207,18 +235,18 @@ def as_keypoints(path: Path, stored: StoredPoints) -> Keypoints:
 
 
 def individuals(path: str | Path) -> tuple[str, ...]:
-    """The animals with points in a file of several; none for a file of one, or one that cannot be read."""
+    """Return the animals with points in a file of several; empty for a file of one, or an unreadable file."""
     try:
         read_keypoints(path)
     except NoChoiceError as error:
         return error.animals
-    except InputError:  # said when it is read
+    except InputError:  # reported when the file is read
         pass
     return ()
 
 
 def describe(head: bytes) -> str:
-    """What the first bytes of a file of no known format look like, in the user's words."""
+    """Return in plain words what the first bytes of a file of no known format look like."""
     if head.startswith(b"\x89HDF\r\n\x1a\n"):
         return "an HDF5 file of another kind"
     if head[4:8] == b"ftyp" or head[8:12] == b"AVI " or head.startswith(b"\x1aE\xdf\xa3"):
@@ -226,7 +254,7 @@ def describe(head: bytes) -> str:
     if head.startswith((b"\xff\xfe", b"\xfe\xff")):
         return "a text in UTF-16 (save it in UTF-8)"
     text = head.decode("utf-8", errors="ignore").lstrip("\ufeff").strip()
-    # The head may end in the middle of a character of up to 4 bytes; more than that is lost only from binary files.
+    # The head may end within a character of up to 4 bytes; only binary files lose more than that.
     if len(text.encode()) < len(head.strip()) - 6 or not all(c.isprintable() or c.isspace() for c in text):
         return "a binary file"
     if not text:

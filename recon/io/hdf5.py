@@ -1,7 +1,7 @@
-"""HDF5 files of unknown origin, read with h5py: numbers and texts, and nothing else.
+"""Read numbers and texts, and nothing else, from HDF5 files of unknown origin, with h5py.
 
-h5py runs nothing that a file holds. What the HDF5 library itself hangs in, or asks too much memory for, is checked
-before: heaps of texts that lead nowhere, sizes that the file cannot fill, data in other files, types of other kinds.
+h5py runs nothing that a file holds. Anything that makes the HDF5 library hang or take too much memory is checked first:
+heaps of texts without an end, sizes that the file cannot fill, data in other files, other types.
 """
 
 from __future__ import annotations
@@ -22,14 +22,16 @@ from recon.base.documents import MAX_UNPACKED, damage_named
 from recon.io.common import starts_with
 
 FREE_BYTES = 1 << 26
-"""What a dataset or a piece of it may take in any case; beyond that what it takes in the file, or, up to
-`MAX_UNPACKED`, `MAX_RATIO` times that."""
+"""Memory that a dataset or a piece of it may take in any case. Beyond that it may take its size in the file, or, up to
+`MAX_UNPACKED`, `MAX_RATIO` times that.
+"""
 MAX_RATIO = 1100
+"""gzip can compress by at most 1032."""
 USUAL_RATIO = 100
-"""Up to this, a table may be four times larger: tracks of many animals are mostly empty."""
+"""Up to this ratio a table may be four times larger, because tracks of many animals are mostly empty."""
 """The most that gzip can compress is 1032 times."""
 FILTERS = (1, 2, 3, 32000)
-"""gzip, shuffle, Fletcher's checksum, LZF: those that every h5py has, and whose decoders hold."""
+"""gzip, shuffle, Fletcher's checksum, LZF: the filters of every h5py, with robust decoders."""
 MAX_ATTRIBUTE_BYTES = 1 << 24
 MAX_TEXTS = 100_000
 MAX_DEPTH = 12
@@ -38,14 +40,16 @@ MAX_HOPS = 8
 
 
 def is_hdf5(path: Path) -> bool:
+    """Return whether it is an HDF5 file."""
     return starts_with(path, b"\x89HDF\r\n\x1a\n")
 
 
 @contextmanager
 def opened(path: Path, outline: bool = False) -> Iterator[h5py.File]:
-    """A file to read. Raises InputError where it is damaged, also for what h5py says of that inside the block.
+    """Open a file to read.
 
-    outline: only names and types are looked at, which is safe without `_require_sound_heaps`.
+    `outline` is for reading names and types only, which is safe without `_require_sound_heaps`. Raises InputError for a
+    damaged file, also for h5py's errors inside the block.
     """
     with damage_named(path, "an HDF5 file that is whole and undamaged"):
         if not outline:
@@ -53,18 +57,19 @@ def opened(path: Path, outline: bool = False) -> Iterator[h5py.File]:
         try:
             file = h5py.File(path, "r")
         except OSError:
-            found = "an HDF5 file that is cut off or damaged"
-            raise InputError(Problem(path, "file", found, "a whole file")) from None
+            detail = "an HDF5 file that is cut off or damaged"
+            raise InputError(Problem(path, "file", detail, "a whole file")) from None
         with file:
             yield file
 
 
 def _require_sound_heaps(path: Path) -> None:
-    """Raises ValueError where a global heap, which holds texts of any length, has an object without an end: the
-    library would look for the next one for ever.
+    """Raise ValueError for a global heap with an object without an end.
 
-    Header: signature, version, 3 bytes, size (8); objects: number (2), references (2), 4 bytes, size (8), data in steps
-    of 8 bytes; number 0 is the free rest, which counts its header in its size."""
+    A global heap holds texts of any length. The library would look for the next object for ever. Header: signature,
+    version, 3 bytes, size (8); objects: number (2), references (2), 4 bytes, size (8), data in steps of 8 bytes. Number
+    0 is the free rest, whose size includes its header.
+    """
     with path.open("rb") as file:
         head = file.read(24)
         if (head[13:15] if head[8:9] < b"\2" else head[9:11]) != b"\x08\x08":
@@ -73,21 +78,21 @@ def _require_sound_heaps(path: Path) -> None:
             heap = content.find(b"GCOL\1")
             while heap >= 0:
                 end = heap + int.from_bytes(content[heap + 8 : heap + 16], "little")
-                at = heap + 16
-                while at + 16 <= min(end, len(content)):
-                    number = int.from_bytes(content[at : at + 2], "little")
-                    length = int.from_bytes(content[at + 8 : at + 16], "little")
+                position = heap + 16
+                while position + 16 <= min(end, len(content)):
+                    number = int.from_bytes(content[position : position + 2], "little")
+                    length = int.from_bytes(content[position + 8 : position + 16], "little")
                     step = 16 + (length + 7) // 8 * 8 if number else length
-                    if step < 16 or at + step > end:
+                    if step < 16 or position + step > end:
                         raise ValueError("a damaged heap of texts")
-                    at += step
+                    position += step
                 heap = content.find(b"GCOL\1", heap + 5)
 
 
 def outline(path: Path) -> frozenset[str]:
-    """The names at the root of a file, of its groups, datasets and attributes; empty for a file of another kind.
+    """Return the names of groups, datasets and attributes at the root of a file; empty if it is not HDF5.
 
-    Raises InputError where it cannot be opened.
+    Raises InputError if it cannot be opened.
     """
     if not is_hdf5(path):
         return frozenset()
@@ -99,39 +104,41 @@ def outline(path: Path) -> frozenset[str]:
 
 
 def names(group: h5py.Group) -> tuple[str, ...]:
-    """The names of what a group holds."""
+    """Return the names in a group."""
     return tuple(name for name in group if isinstance(name, str))
 
 
 def child(group: h5py.Group, path: str, hops: int = MAX_HOPS) -> Any:
-    """The group or dataset that a group holds under a name, or a path; None where there is nothing, or a link into
-    another file."""
-    found: Any = group.file["/"] if path.startswith("/") else group
+    """Return a group's member by name or path; None if absent, or a link into another file."""
+    item: Any = group.file["/"] if path.startswith("/") else group
     for name in path.split("/"):
-        if name in ("", ".") or found is None:
+        if name in ("", ".") or item is None:
             continue
-        if not isinstance(found, h5py.Group) or not found.id.links.exists(name.encode()):
+        if not isinstance(item, h5py.Group) or not item.id.links.exists(name.encode()):
             return None
-        link = found.get(name, getlink=True)
+        link = item.get(name, getlink=True)
         if isinstance(link, h5py.HardLink):
-            found = found[name]
+            item = item[name]
         elif isinstance(link, h5py.SoftLink) and hops > 0:
-            found = child(found, link.path, hops - 1)
+            item = child(item, link.path, hops - 1)
         else:
             return None
-    return found if isinstance(found, h5py.Group | h5py.Dataset) else None
+    return item if isinstance(item, h5py.Group | h5py.Dataset) else None
 
 
 def member(group: h5py.Group, name: str) -> Any:
-    """What a group has to hold. Raises ValueError where it does not."""
-    found = child(group, name)
-    if found is None:
+    """Return a required member of a group; raise ValueError if it is absent."""
+    item = child(group, name)
+    if item is None:
         raise ValueError(f"no {name} in {', '.join(names(group))[:200] or 'an empty group'}")
-    return found
+    return item
 
 
 def groups(file: h5py.File) -> Iterator[h5py.Group]:
-    """All groups, the root first, each once. Raises ValueError for more than a file of poses can have."""
+    """Yield all groups, the root first, each once.
+
+    Raises ValueError for more groups than a file of poses can have.
+    """
     seen: set[Any] = set()
     pending: list[tuple[h5py.Group, int]] = [(file["/"], 0)]  # pyright: ignore[reportAssignmentType]
     while pending:
@@ -144,18 +151,18 @@ def groups(file: h5py.File) -> Iterator[h5py.Group]:
         yield group
         for name in reversed(names(group)):
             if isinstance(group.get(name, getlink=True), h5py.HardLink):
-                found = group[name]
-                if isinstance(found, h5py.Group):
-                    pending.append((found, depth + 1))
+                item = group[name]
+                if isinstance(item, h5py.Group):
+                    pending.append((item, depth + 1))
 
 
 def is_scale(item: Any) -> bool:
-    """Whether it is a dataset that names a dimension of others."""
+    """Return whether it is a dataset that names a dimension of others."""
     return isinstance(item, h5py.Dataset) and attribute(item, "CLASS") == "DIMENSION_SCALE"
 
 
 def scale_of(scale: Any, dataset: Any) -> list[int]:
-    """The axes of a dataset that a scale says it belongs to."""
+    """Return the axes of a dataset that a scale refers to."""
     if not h5py.h5a.exists(scale.id, b"REFERENCE_LIST"):
         return []
     stored = h5py.h5a.open(scale.id, b"REFERENCE_LIST")
@@ -173,9 +180,10 @@ def scale_of(scale: Any, dataset: Any) -> list[int]:
 
 
 def attribute(holder: h5py.Group | h5py.Dataset, name: str) -> Any:
-    """A number, a text, an array of numbers or a list of texts; None where there is none. Bytes are read as UTF-8.
+    """Return an attribute: a number, a text, an array of numbers or a list of texts; None if absent.
 
-    Raises ValueError for anything else."""
+    Bytes are read as UTF-8. Raises ValueError for anything else.
+    """
     value = raw_attribute(holder, name)
     if isinstance(value, bytes):
         return value.decode("utf-8")
@@ -187,15 +195,15 @@ def attribute(holder: h5py.Group | h5py.Dataset, name: str) -> Any:
 
 
 def raw_attribute(holder: h5py.Group | h5py.Dataset, name: str) -> Any:
-    """The same, with bytes as they are."""
+    """Return an attribute, with bytes unchanged."""
     if not h5py.h5a.exists(holder.id, name.encode()):
         return None
     stored = h5py.h5a.open(holder.id, name.encode())
     kind = stored.get_type()
     if not _is_readable(kind) or kind.get_class() == h5t.COMPOUND:
         raise ValueError(f"attribute {name} is neither number nor text")
-    many = int(np.prod(stored.shape or (1,), dtype=float))
-    if many * kind.get_size() > MAX_ATTRIBUTE_BYTES or (many > MAX_TEXTS and _of_any_length(kind)):
+    count = int(np.prod(stored.shape or (1,), dtype=float))
+    if count * kind.get_size() > MAX_ATTRIBUTE_BYTES or (count > MAX_TEXTS and _of_any_length(kind)):
         raise ValueError(f"attribute {name} is too large")
     value = holder.attrs[name]
     if isinstance(value, h5py.Empty):
@@ -204,7 +212,10 @@ def raw_attribute(holder: h5py.Group | h5py.Dataset, name: str) -> Any:
 
 
 def numbers(dataset: Any) -> np.ndarray:
-    """A dataset of numbers. Raises ValueError for one of another kind, or that asks for more than the file has."""
+    """Return a dataset of numbers.
+
+    Raises ValueError for other types, and for more data than the file has.
+    """
     values = read_values(dataset)
     if values.dtype.kind not in "fiub":
         raise ValueError(f"{dataset.name} has no numbers")
@@ -212,11 +223,12 @@ def numbers(dataset: Any) -> np.ndarray:
 
 
 def is_text(dataset: h5py.Dataset) -> bool:
+    """Return whether a dataset has texts."""
     return dataset.id.get_type().get_class() == h5t.STRING
 
 
 def texts(dataset: Any) -> list[str]:
-    """A dataset of texts, of any shape, one after the other. Raises ValueError as `numbers` does."""
+    """Return a dataset of texts, of any shape, in one list; raise ValueError as `numbers` does."""
     _require_readable(dataset)
     if not dataset.size:
         return []
@@ -225,24 +237,24 @@ def texts(dataset: Any) -> list[str]:
     if dataset.size > MAX_TEXTS:
         raise ValueError(f"{dataset.name} has {dataset.size} texts")
     _require_short_texts(dataset)
-    left, found = FREE_BYTES, []
+    remaining_bytes, items = FREE_BYTES, []
     for index in np.ndindex(dataset.shape):
         item = dataset[index]
-        left -= len(item)
-        if left < 0 or not isinstance(item, bytes | str) or isinstance(item, h5py.Empty):
+        remaining_bytes -= len(item)
+        if remaining_bytes < 0 or not isinstance(item, bytes | str) or isinstance(item, h5py.Empty):
             raise ValueError(f"{dataset.name} has no texts, or too many")
-        found.append(_text_of(item))
-    return found
+        items.append(_text_of(item))
+    return items
 
 
 def texts_in(group: h5py.Group, name: str) -> list[str]:
-    """The texts of a dataset in a group; none where it is not there, or is empty."""
+    """Return the texts of a dataset in a group; empty if absent or empty."""
     dataset = child(group, name)
     return texts(dataset) if getattr(dataset, "size", 0) else []
 
 
 def read_values(dataset: Any) -> np.ndarray:
-    """A dataset of numbers, of texts of one length, or of records of those. Raises ValueError as `numbers` does."""
+    """Return a dataset of numbers, texts of one length, or records of them; raise ValueError as `numbers` does."""
     _require_readable(dataset)
     if _of_any_length(dataset.id.get_type()):
         raise ValueError(f"{dataset.name} has texts of any length")
@@ -254,8 +266,10 @@ def _text_of(item: Any) -> str:
 
 
 def _require_readable(dataset: Any) -> None:
-    """Raises ValueError for a dataset that is none, whose type is none of ours, whose data lie in other files, or that
-    asks for more than the file has."""
+    """Raise ValueError for a dataset that must not be read.
+
+    These are: no dataset, other types, data in other files, and more data than the file has.
+    """
     if not isinstance(dataset, h5py.Dataset):
         raise ValueError(f"{getattr(dataset, 'name', 'something')} is no dataset")
     kind, layout = dataset.id.get_type(), dataset.id.get_create_plist()
@@ -276,16 +290,16 @@ def _require_readable(dataset: Any) -> None:
 
 
 def _is_readable(kind: Any, inside: bool = False) -> bool:
-    """Whether a type is of numbers or texts, or of records or short rows of those."""
-    which = kind.get_class()
-    if which == h5t.COMPOUND:
+    """Return whether a type is numbers or texts, or records or short rows of them."""
+    type_class = kind.get_class()
+    if type_class == h5t.COMPOUND:
         members = [kind.get_member_type(i) for i in range(kind.get_nmembers())]
         return (
             not inside and not any(_of_any_length(m) for m in members) and all(_is_readable(m, True) for m in members)
         )
-    if which == h5t.ARRAY:
+    if type_class == h5t.ARRAY:
         return inside and kind.get_super().get_class() in (h5t.INTEGER, h5t.FLOAT, h5t.STRING, h5t.BITFIELD)
-    return which in (h5t.INTEGER, h5t.FLOAT, h5t.STRING, h5t.ENUM, h5t.BITFIELD)
+    return type_class in (h5t.INTEGER, h5t.FLOAT, h5t.STRING, h5t.ENUM, h5t.BITFIELD)
 
 
 def _of_any_length(kind: Any) -> bool:
@@ -293,13 +307,15 @@ def _of_any_length(kind: Any) -> bool:
 
 
 def _require_short_texts(dataset: Any) -> None:
-    """Raises ValueError where a text claims to be longer than the file, for which the library would take memory. Each
-    stands in the data as its length (4), the address of its heap (8), and its number there (4)."""
-    where = dataset.id.get_offset()
-    if where is None:
+    """Raise ValueError where a text claims to be longer than the file, for which the library would take memory.
+
+    Each text is stored as its length (4), the address of its heap (8), and its number there (4).
+    """
+    start = dataset.id.get_offset()
+    if start is None:
         return
     with Path(dataset.file.filename).open("rb") as file:
-        file.seek(where)
+        file.seek(start)
         stored = file.read(16 * int(dataset.size))
         size = file.seek(0, 2)
     lengths = np.frombuffer(stored[: len(stored) // 16 * 16], "<u4")[::4]

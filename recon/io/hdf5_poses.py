@@ -1,20 +1,20 @@
-"""Poses in HDF5 files: DeepLabCut, SLEAP, sleap-anipose, movement, and NWB with the extension ndx-pose.
+"""Read and write poses in HDF5 files: DeepLabCut, SLEAP, sleap-anipose, movement, and NWB with ndx-pose.
 
-- DeepLabCut's H5: the table of `recon.io.deeplabcut`, as pandas keeps it. pandas and PyTables would unpickle whatever a
-  file holds. Here tables are read without them, in pandas' fixed and in its table layout: cells are numbers or texts,
-  and the column labels, which are pickled in the table layout, are lists and tuples of texts; anything else is refused.
-- SLEAP's analysis: `tracks`, `point_scores`, `track_occupancy`, `node_names`, `track_names`. The order of the axes is
-  in the attribute `dims` of each dataset; files without it have SLEAP's first order. The frame axis counts from frame 0
+- DeepLabCut's H5: the table of `recon.io.deeplabcut`, as pandas stores it. pandas and PyTables would unpickle whatever
+  a file holds. Tables are read without them here, in pandas' fixed and table layouts. Cells are numbers or texts.
+  Column labels, which are pickled in the table layout, are lists and tuples of texts; anything else is refused.
+- SLEAP's analysis: `tracks`, `point_scores`, `track_occupancy`, `node_names`, `track_names`. The attribute `dims` of
+  each dataset has the order of its axes; files without it have SLEAP's first order. The frame axis counts from frame 0
   of the video. Frames in which a track is not occupied are left out.
 - sleap-anipose's points3d.h5: `tracks` (frame, track, node, xyz), and perhaps `frames`, the first and the end. Files of
   others have names beside them, and the rate as `recording_frame_rate`.
 - movement's netCDF 4: `position (time, space, keypoint, individual)` and `confidence`. Dimensions are called
   `keypoints` and `individuals` in files of movement before 0.17. `space` is x, y in pixels, or x, y, z in a unit that
-  only our own files state (`length_unit`, `up_axis`). They have the names of movement 0.17, and times in seconds since
-  frame 0 where the frame rate is known, and otherwise in frames.
-- NWB: one `PoseEstimationSeries` for each point, in one container for each animal. They are read by the types that the
-  groups say they have, so that files of every version of the extension are taken alike. Ours are given 1970-01-01 as
-  the start of their session, which NWB asks for and nobody knows here.
+  only our own files state (`length_unit`, `up_axis`). Our files have the names of movement 0.17, and times in seconds
+  since frame 0 if the frame rate is known, otherwise in frames.
+- NWB: one `PoseEstimationSeries` for each point, in one container for each animal. Groups are found by the types that
+  they state, so that all versions of the extension are read. Our files state 1970-01-01 as the start of their session,
+  which NWB requires and nobody knows here.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ from recon.io.positions import UNIT_NAMES, frames_of_times
 
 PANDAS_KEY = "df_with_missing"
 ANY_PANDAS = "0.15.2"
-"""As the version of pandas that wrote a file: with it, pandas 2 and 3 read it alike."""
+"""Stated version of pandas; pandas 2 and 3 read it the same way."""
 MAX_PICKLE_BYTES = 1 << 24
 PLAIN_PICKLES = {
     *("INT", "BININT", "BININT1", "BININT2", "LONG", "LONG1", "LONG4", "FLOAT", "BINFLOAT"),
@@ -63,13 +63,15 @@ _Table = tuple[Sequence[str | None], list[Label], list[Label], np.ndarray]
 
 
 def recognises_deeplabcut(path: Path) -> bool:
-    """Whether an HDF5 file has a pandas table. Raises InputError for one that cannot be opened."""
+    """Return whether an HDF5 file has a pandas table; raise InputError for one that cannot be opened."""
     return hdf5.is_hdf5(path) and bool(_keys(path))
 
 
 def read_deeplabcut(path: Path, individual: str | None = None) -> StoredPoints:
-    """The points of one animal (see `recon.io.deeplabcut.points_of_table`). Raises InputError, also for anything else
-    than one table, and for cells or labels that are pickled Python objects."""
+    """Return the points of one animal (see `recon.io.deeplabcut.points_of_table`).
+
+    Raises InputError, also for several tables, and for cells or labels that are pickled Python objects.
+    """
     keys = _keys(path)
     if len(keys) != 1:
         raise InputError(Problem(path, "keys", ", ".join(keys) or "none", "one table"))
@@ -88,7 +90,7 @@ def read_deeplabcut(path: Path, individual: str | None = None) -> StoredPoints:
 
 
 def _keys(path: Path) -> list[str]:
-    """Where in an HDF5 file pandas stored something. Raises InputError for a file that cannot be opened."""
+    """Return where in an HDF5 file pandas stored something; raise InputError if it cannot be opened."""
     with opened(path, outline=True) as file:
         return [str(group.name) for group in hdf5.groups(file) if h5py.h5a.exists(group.id, b"pandas_type")]
 
@@ -99,7 +101,7 @@ def _keys(path: Path) -> list[str]:
 def _fixed_frame(group: Any) -> _Table:
     levels, columns = _axis(group, "axis0")
     _, index = _axis(group, "axis1")
-    place_of = {label: at for at, label in enumerate(columns)}  # those of one label are refused later
+    place_of = {label: column for column, label in enumerate(columns)}  # those of one label are refused later
     cells = np.full((len(index), len(columns)), np.nan)
     for block in range(int(attribute(group, "nblocks"))):
         _, items = _axis(group, f"block{block}_items")
@@ -111,24 +113,24 @@ def _fixed_frame(group: Any) -> _Table:
 
 
 def _axis(group: Any, name: str) -> tuple[list[str | None], list[Label]]:
-    """Names of the levels, and labels."""
+    """Return names of the levels, and labels."""
     if attribute(group, f"{name}_variety") != "multi":
         dataset = member(group, name)
         return [_attribute_value(dataset, "name")], [(label,) for label in _labels(group, dataset)]
-    levels, parts = [], []
+    levels, level_labels = [], []
     for i in range(int(attribute(group, f"{name}_nlevels"))):
         level = member(group, f"{name}_level{i}")
         texts = np.array([*_labels(group, level), "nan"], object)  # code -1
         codes = numbers(member(group, f"{name}_label{i}")).ravel()
         if codes.min(initial=0) < -1:
             raise ValueError(f"{name}_label{i} has codes without a label")
-        parts.append(texts[codes].tolist())
+        level_labels.append(texts[codes].tolist())
         levels.append(_attribute_value(level, "name"))
-    return levels, list(zip(*parts, strict=True))
+    return levels, list(zip(*level_labels, strict=True))
 
 
 def _labels(group: Any, dataset: Any) -> list[str]:
-    """One level of labels as texts."""
+    """Return one level of labels as texts."""
     return [] if _is_empty(dataset) else _texts_of(group, read_values(dataset).ravel())
 
 
@@ -140,8 +142,10 @@ def _texts_of(group: Any, values: np.ndarray) -> list[str]:
 
 
 def _is_empty(dataset: Any) -> bool:
-    """pandas stores an array without elements as one with one, and its shape beside it. Raises ValueError for cells
-    that are pickled."""
+    """Return whether a dataset is empty; raise ValueError for pickled cells.
+
+    pandas stores an empty array as one with one element, with its shape as an attribute.
+    """
     if attribute(dataset, "PSEUDOATOM") is not None:
         raise ValueError("cells that are pickled Python objects, which could run anything")
     return 0 in (_attribute_value(dataset, "shape") or ())
@@ -151,14 +155,14 @@ def _is_empty(dataset: Any) -> bool:
 
 
 def _table_frame(group: Any) -> _Table:
-    ((_, given),) = _attribute_value(group, "non_index_axes")
-    columns = [_label(label) for label in given]
+    ((_, stored_columns),) = _attribute_value(group, "non_index_axes")
+    columns = [_label(label) for label in stored_columns]
     dataset = member(group, "table")
     rows = read_values(dataset)
     cells = np.full((len(rows), len(columns)), np.nan)
     for name in _attribute_value(group, "values_cols"):
-        places = [columns.index(_label(label)) for label in _attribute_value(dataset, f"{name}_kind")]
-        cells[:, places] = rows[str(name)].reshape(len(rows), -1)
+        indices = [columns.index(_label(label)) for label in _attribute_value(dataset, f"{name}_kind")]
+        cells[:, indices] = rows[str(name)].reshape(len(rows), -1)
     names = ((_attribute_value(group, "info") or {}).get(1) or {}).get("names")
     levels = names if names and len(names) == len(columns[0]) else [None] * len(columns[0])
     return levels, columns, [(text,) for text in _texts_of(group, rows["index"])], cells
@@ -169,7 +173,7 @@ def _label(label: Any) -> Label:
 
 
 def _attribute_value(holder: Any, name: str) -> Any:
-    """An attribute as PyTables writes it: a text or number as it is, anything else pickled, which ends in a dot."""
+    """Return an attribute of PyTables: a text or number, or anything else pickled, which ends in a dot."""
     value = raw_attribute(holder, name)
     if not isinstance(value, bytes):
         return value
@@ -182,8 +186,11 @@ def _attribute_value(holder: Any, name: str) -> Any:
 
 
 def plain_pickle(content: bytes) -> Any:
-    """The value of a pickle of plain values. A pickle is a program: it is run only if all of its instructions are among
-    `PLAIN_PICKLES`. Raises ValueError that says what else is in it."""
+    """Return the value of a pickle of plain values.
+
+    A pickle is a program. It is run only if all its instructions are in `PLAIN_PICKLES`. Raises ValueError that names
+    any other instruction.
+    """
     if len(content) > MAX_PICKLE_BYTES:
         raise ValueError(f"a pickle of {len(content)} bytes")
     try:
@@ -198,7 +205,7 @@ def plain_pickle(content: bytes) -> Any:
 
 
 def write_deeplabcut(data: Keypoints | Pose3D, path: Path) -> None:
-    """x, y and likelihood, or x, y, z in metres with z up, by pandas, as DeepLabCut writes its own."""
+    """Write x, y and likelihood, or x, y, z in metres with z up, by pandas, as DeepLabCut does."""
     import pandas as pd
 
     with writing.formats_extra("DeepLabCut H5"):
@@ -221,20 +228,24 @@ SLEAP_AXES = {
     "point_scores": ("track", "node", "frame"),
     "track_occupancy": ("frame", "track"),
 }
-"""The orders of axes in files without `dims`."""
+"""Orders of axes in files without `dims`."""
 WANTED = ("frame", "track", "node", "xy")
 
 
 def recognises_sleap(path: Path) -> bool:
+    """Return whether it is SLEAP's analysis file."""
     return {"tracks", "node_names"} <= outline(path)
 
 
 def read_sleap(path: Path, individual: str | None = None) -> StoredPoints:
-    """The keypoints of one track: a file without scores has unknown ones, without occupancy every track in every frame.
-    Raises InputError for a file that is damaged or whose arrays do not fit."""
+    """Return the keypoints of one track.
+
+    Scores are unknown if the file has none; every track is in every frame if it has no occupancy. Raises InputError for
+    a file that is damaged or whose arrays do not fit.
+    """
     with opened(path) as file:
-        there = [name for name in SLEAP_AXES if child(file, name) is not None]
-        arrays = {name: _sleap_array(path, child(file, name), name) for name in there}
+        available = [name for name in SLEAP_AXES if child(file, name) is not None]
+        arrays = {name: _sleap_array(path, child(file, name), name) for name in available}
         nodes, tracks = hdf5.texts_in(file, "node_names"), hdf5.texts_in(file, "track_names")
     xy = arrays["tracks"]
     score = arrays.get("point_scores", np.full(xy.shape[:3], np.nan))
@@ -244,7 +255,7 @@ def read_sleap(path: Path, individual: str | None = None) -> StoredPoints:
 
 
 def _sleap_array(path: Path, dataset: Any, name: str) -> np.ndarray:
-    """One array with its axes in the order of `WANTED`."""
+    """Return one array with its axes in the order of `WANTED`."""
     dims = attribute(dataset, "dims")
     order = SLEAP_AXES[name] if dims is None else tuple(str(axis) for axis in json.loads(dims))
     if dims is None and name == "tracks" and attribute(dataset.file, "transpose") in (False, 0):
@@ -252,15 +263,16 @@ def _sleap_array(path: Path, dataset: Any, name: str) -> np.ndarray:
     wanted = [axis for axis in WANTED if axis in SLEAP_AXES[name]]
     values = numbers(dataset)
     if sorted(order) != sorted(wanted) or values.ndim != len(wanted):
-        found = f"{values.dtype} {values.shape} with the axes {', '.join(order)[:80]}"
+        detail = f"{values.dtype} {values.shape} with the axes {', '.join(order)[:80]}"
         expected = f"numbers with the axes {', '.join(SLEAP_AXES[name])}, or as dims says"
-        raise InputError(Problem(path, name, found, expected))
+        raise InputError(Problem(path, name, detail, expected))
     return values.transpose([order.index(axis) for axis in wanted])
 
 
 def recognises_points3d(path: Path) -> bool:
-    there = outline(path)
-    if "tracks" not in there or {"point_scores", "track_occupancy", "edge_inds", "instance_scores"} & there:
+    """Return whether it is sleap-anipose's file of 3D points."""
+    available = outline(path)
+    if "tracks" not in available or {"point_scores", "track_occupancy", "edge_inds", "instance_scores"} & available:
         return False
     with opened(path) as file:
         shape = getattr(child(file, "tracks"), "shape", ())
@@ -268,7 +280,7 @@ def recognises_points3d(path: Path) -> bool:
 
 
 def read_points3d(path: Path, individual: str | None = None) -> StoredPoints:
-    """The 3D points of one track. Raises InputError."""
+    """Return the 3D points of one track; raise InputError."""
     with opened(path) as file:
         nodes, tracks = hdf5.texts_in(file, "node_names"), hdf5.texts_in(file, "track_names")
         values = numbers(child(file, "tracks"))
@@ -286,16 +298,16 @@ def read_points3d(path: Path, individual: str | None = None) -> StoredPoints:
 VARIABLES = ("position", "confidence", "time", "space", "keypoint", "individual", "keypoints", "individuals")
 ATTRIBUTES = ("ds_type", "fps", "time_unit", "length_unit", "up_axis")
 PACKING = ("scale_factor", "add_offset", "missing_value")
-"""Attributes of variables that netCDF packs in another unit, which nobody does with poses."""
+"""Attributes of variables that netCDF packs in another unit; files of poses do not have them."""
 NO_VARIABLE = "This is a netCDF dimension but not a netCDF variable"
-"""At the beginning of the attribute NAME of a dimension without labels."""
+"""Beginning of the attribute NAME of a dimension without labels."""
 POSITION = ("time", "individual", "keypoint", "space")
 Variables = Mapping[str, tuple[tuple[str, ...], np.ndarray]]
-"""By name, as files have it today: the names of an array's axes, and the array."""
+"""Names of an array's axes, and the array, by its current name."""
 
 
 def recognises_movement(path: Path) -> bool:
-    """Whether the file is movement's, 2D or 3D."""
+    """Return whether the file is movement's, 2D or 3D."""
     if common.starts_with(path, b"CDF"):
         expected = "netCDF 4: in Python, xarray.load_dataset(old).to_netcdf(new, engine='h5netcdf')"
         raise InputError(Problem(path, "format", "netCDF 3", expected))
@@ -303,28 +315,28 @@ def recognises_movement(path: Path) -> bool:
 
 
 def read_movement(path: Path, individual: str | None = None) -> StoredPoints:
-    """The points of one animal. Raises InputError."""
-    found = {}
+    """Return the points of one animal; raise InputError."""
+    variables = {}
     with opened(path) as file:
         scales = {name: item for name in names(file) if hdf5.is_scale(item := child(file, name))}
         for name in VARIABLES:
             dataset = child(file, name)
-            about = "" if dataset is None else str(attribute(dataset, "NAME") or "")
-            if not isinstance(dataset, h5py.Dataset) or about.startswith(NO_VARIABLE):
+            stored_name = "" if dataset is None else str(attribute(dataset, "NAME") or "")
+            if not isinstance(dataset, h5py.Dataset) or stored_name.startswith(NO_VARIABLE):
                 continue
             if any(attribute(dataset, packing) is not None for packing in PACKING):
                 raise ValueError(f"{name} has packed numbers ({', '.join(PACKING)})")
             is_text = hdf5.is_text(dataset)
             values = np.array(texts(dataset), object).reshape(dataset.shape) if is_text else numbers(dataset)
-            found[name.removesuffix("s")] = _axes(dataset, name, scales), values
+            variables[name.removesuffix("s")] = _axes(dataset, name, scales), values
         attributes = {name: attribute(file, name) for name in ATTRIBUTES}
     plain = str | int | float | np.integer | np.floating
     attributes = {name: value if isinstance(value, plain) else None for name, value in attributes.items()}
-    return _of_variables(path, found, attributes, individual)
+    return _of_variables(path, variables, attributes, individual)
 
 
 def points_of_dataset(source: Path, dataset: Any, fps: float | None, individual: str | None) -> StoredPoints:
-    """The same from an `xarray.Dataset`. fps: what it is to be taken for. Raises InputError."""
+    """Return the points of an `xarray.Dataset`, with `fps` if given; raise InputError."""
     stored = {}
     for name in (name for name in VARIABLES if name in dataset.variables):
         axes = tuple(str(dim).removesuffix("s") for dim in dataset[name].dims)
@@ -335,11 +347,11 @@ def points_of_dataset(source: Path, dataset: Any, fps: float | None, individual:
 
 def _of_variables(path: Path, stored: Variables, attributes: Mapping[str, Any], individual: str | None) -> StoredPoints:
     def ordered(name: str, dims: tuple[str, ...]) -> np.ndarray:
-        """A variable with its axes in this order; without any element where there is none."""
+        """Return a variable with its axes in this order; empty if absent."""
         axes, values = stored.get(name, (dims, np.zeros([0] * len(dims))))
         if sorted(axes) != sorted(dims):
-            found = f"{values.dtype} with the dimensions {', '.join(axes)}"
-            raise InputError(Problem(path, name, found, ", ".join(dims)))
+            detail = f"{values.dtype} with the dimensions {', '.join(axes)}"
+            raise InputError(Problem(path, name, detail, ", ".join(dims)))
         return values.transpose([axes.index(dim) for dim in dims])
 
     values, confidence = ordered("position", POSITION), ordered("confidence", POSITION[:-1])
@@ -353,45 +365,53 @@ def _of_variables(path: Path, stored: Variables, attributes: Mapping[str, Any], 
         "space": (", ".join(space)[:80], "x, y or x, y, z", (space or coords) == coords),
     }
     raise_problems(
-        Problem(path, field, found, expected) for field, (found, expected, right) in wrong.items() if not right
+        Problem(path, field, detail, expected) for field, (detail, expected, right) in wrong.items() if not right
     )
     ticks, fps = stored["time"][1] if "time" in stored else np.arange(len(values)), common.rate(attributes["fps"])
     # Without the attribute, whole numbers are frames.
     in_frames = (attributes["time_unit"] or ("frames" if ticks.dtype.kind in "iu" else "seconds")) == "frames"
     frames, rate = frames_of_times(path, ticks.astype(float), 1.0 if in_frames else fps)
-    more: dict[str, Any] = {"fps": fps if in_frames else rate}
-    more["unit"], up = UNIT_NAMES.get(str(attributes["length_unit"])), str(attributes["up_axis"])
-    more |= {"up": up if up in ("x", "y", "z") else None}
+    extra: dict[str, Any] = {"fps": fps if in_frames else rate}
+    extra["unit"], up_axis = UNIT_NAMES.get(str(attributes["length_unit"])), str(attributes["up_axis"])
+    extra |= {"up": up_axis if up_axis in ("x", "y", "z") else None}
     sure = confidence if "confidence" in stored else None
     return common.one_animal(
-        path, individual, StoredPoints(tuple(keypoints), values, frames, sure, **more), individuals
+        path, individual, StoredPoints(tuple(keypoints), values, frames, sure, **extra), individuals
     )
 
 
 def _axes(dataset: Any, name: str, scales: Mapping[str, Any]) -> tuple[str, ...]:
-    """The names of a variable's dimensions, each of which is a dataset of the file: by their numbers, or by what each
-    says it belongs to. (HDF5's own functions for this crash with damaged files.)"""
+    """Return the names of a variable's dimensions, each of which is a dataset of the file.
+
+    They are found by number, or by what each dimension refers to. HDF5's own functions for this crash with damaged
+    files.
+    """
     if name in scales:
         return (name.removesuffix("s"), *(f"{name}_{axis}" for axis in range(1, dataset.ndim)))
     listed = attribute(dataset, "_Netcdf4Coordinates")
     if listed is not None:
-        found = {attribute(scale, "_Netcdf4Dimid"): other for other, scale in scales.items()}
+        dimensions = {attribute(scale, "_Netcdf4Dimid"): scale_name for scale_name, scale in scales.items()}
         numbered = np.atleast_1d(listed).tolist()
     else:
-        found = {axis: other for other, scale in scales.items() for axis in hdf5.scale_of(scale, dataset)}
+        dimensions = {
+            axis: scale_name for scale_name, scale in scales.items() for axis in hdf5.scale_of(scale, dataset)
+        }
         numbered = range(dataset.ndim)
-    return tuple(found.get(number, "?").removesuffix("s") for number in numbered)
+    return tuple(dimensions.get(number, "?").removesuffix("s") for number in numbered)
 
 
 def write_movement(data: Keypoints | Pose3D, path: Path) -> None:
-    """x, y in pixels, or x, y, z in metres with z up; of these the confidence, which the format asks for, is NaN."""
+    """Write x, y in pixels, or x, y, z in metres with z up.
+
+    The format requires a confidence; it is NaN for 3D.
+    """
     with writing.formats_extra("movement netCDF"):
         import h5netcdf  # noqa: F401  what xarray writes with
     write_bytes(path, bytes(dataset_of(data).to_netcdf(None, engine="h5netcdf")))
 
 
 def dataset_of(data: Keypoints | Pose3D) -> Any:
-    """The same as an `xarray.Dataset`. Raises InputError where xarray is not installed."""
+    """Return the data as an `xarray.Dataset`; raise InputError if xarray is not installed."""
     with writing.formats_extra("movement netCDF"):
         import xarray
     points = writing.points_of(data)
@@ -416,24 +436,24 @@ def dataset_of(data: Keypoints | Pose3D) -> Any:
 NWB = "ndx-pose NWB"
 IN_PICTURE = "(0, 0) is the upper left corner of the picture, x to the right, y down"
 RATE_TEXT = "frame number = time in seconds x {fps!r} Hz"
-"""In the comments of our own series, whose times may be irregular."""
+"""Comment in our own series, whose times may be irregular."""
 UP_TEXT = "z up"
-"""At the end of the frame of reference of our own 3D series."""
+"""End of the frame of reference of our own 3D series."""
 
 
 def recognises_nwb(path: Path) -> bool:
-    """Whether the file is NWB's, with poses or without."""
+    """Return whether the file is NWB's, with poses or without."""
     return "nwb_version" in outline(path)
 
 
 def read_nwb(path: Path, individual: str | None = None) -> StoredPoints:
-    """The points of one animal, which a file of several calls by its container. Raises InputError."""
+    """Return the points of one animal, named by its container in a file of several; raise InputError."""
     with opened(path) as file:
         containers = {}
         for group in hdf5.groups(file):
             of_type: dict[str, list[Any]] = {}
-            for one in (child(group, name) for name in names(group)):
-                of_type.setdefault("" if one is None else str(attribute(one, "neurodata_type")), []).append(one)
+            for item in (child(group, name) for name in names(group)):
+                of_type.setdefault("" if item is None else str(attribute(item, "neurodata_type")), []).append(item)
             if "PoseEstimationSeries" in of_type:
                 containers[_last(group)] = group, of_type
         if not containers:
@@ -441,31 +461,33 @@ def read_nwb(path: Path, individual: str | None = None) -> StoredPoints:
         name = [*containers][common.choose(path, [*containers], individual)]
         group, of_type = containers[name]
         # The first version of the extension had the skeleton's nodes in the container itself.
-        skeleton = next((one for one in (group, *of_type.get("Skeleton", ())) if child(one, "nodes") is not None), None)
+        skeleton = next(
+            (item for item in (group, *of_type.get("Skeleton", ())) if child(item, "nodes") is not None), None
+        )
         nodes = [] if skeleton is None else texts(child(skeleton, "nodes"))
         linked = None if skeleton is None else child(skeleton, "edges")
         edges = [] if linked is None else numbers(linked).reshape(-1, 2).tolist()
-        scorer, found = "".join(hdf5.texts_in(group, "scorer")), of_type["PoseEstimationSeries"]
-        common.require_span(max(len(child(one, "data")) for one in found), len(found), path)
-        found.sort(key=lambda one: nodes.index(_last(one)) if _last(one) in nodes else len(nodes))
-        points = [_last(one) for one in found]
-        values, confidence, times_s, rates = zip(*(_series(path, one) for one in found), strict=True)
-        unit = UNIT_NAMES.get(str(attribute(child(found[0], "data"), "unit") or ""))
-        z_up = "".join(hdf5.texts_in(found[0], "reference_frame")).endswith(UP_TEXT)
+        scorer, series = "".join(hdf5.texts_in(group, "scorer")), of_type["PoseEstimationSeries"]
+        common.require_span(max(len(child(item, "data")) for item in series), len(series), path)
+        series.sort(key=lambda item: nodes.index(_last(item)) if _last(item) in nodes else len(nodes))
+        points = [_last(item) for item in series]
+        values, confidence, times_s, rates = zip(*(_series(path, item) for item in series), strict=True)
+        unit = UNIT_NAMES.get(str(attribute(child(series[0], "data"), "unit") or ""))
+        z_up = "".join(hdf5.texts_in(series[0], "reference_frame")).endswith(UP_TEXT)
     problems, first = [], points[0]
-    for other, own, own_s in zip(points, values, times_s, strict=True):
-        if own.shape != values[0].shape:
+    for point, positions, point_times_s in zip(points, values, times_s, strict=True):
+        if positions.shape != values[0].shape:
             expected = f"{values[0].shape}, as in {first}"
-            problems.append(Problem(path, f"{name}/{other}", f"{own.shape} positions", expected))
-        elif not np.allclose(own_s, times_s[0], rtol=0, atol=1e-6):
-            problems.append(Problem(path, f"{name}/{other}", f"other times than in {first}", "one time line"))
+            problems.append(Problem(path, f"{name}/{point}", f"{positions.shape} positions", expected))
+        elif not np.allclose(point_times_s, times_s[0], rtol=0, atol=1e-6):
+            problems.append(Problem(path, f"{name}/{point}", f"other times than in {first}", "one time line"))
     raise_problems(problems)
     frames, fps = frames_of_times(path, times_s[0], rates[0])
     links = tuple((nodes[a], nodes[b]) for a, b in edges) if {*nodes} == {*points} else ()
-    more: dict[str, Any] = {"fps": fps, "scorer": scorer, "unit": unit, "up": "z" if z_up else None, "edges": links}
-    stored = StoredPoints(tuple(points), np.stack(values, axis=1), frames, np.stack(confidence, axis=1), **more)
-    called = [name] if len(containers) > 1 or not name.startswith("PoseEstimation") else []
-    return common.one_animal(path, None, stored, called)
+    extra: dict[str, Any] = {"fps": fps, "scorer": scorer, "unit": unit, "up": "z" if z_up else None, "edges": links}
+    stored = StoredPoints(tuple(points), np.stack(values, axis=1), frames, np.stack(confidence, axis=1), **extra)
+    animal_names = [name] if len(containers) > 1 or not name.startswith("PoseEstimation") else []
+    return common.one_animal(path, None, stored, animal_names)
 
 
 def _last(group: Any) -> str:
@@ -473,9 +495,9 @@ def _last(group: Any) -> str:
 
 
 def _series(path: Path, group: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray, float | None]:
-    """One point in T frames: (T, 2 or 3), its confidences and times in seconds (T,), and the frame rate."""
-    parts = ("data", "confidence", "timestamps", "starting_time")
-    data, confidence, stamps, start = (child(group, name) for name in parts)
+    """Return positions (T, 2 or 3), confidences and times in seconds (T,) of one point, and the frame rate."""
+    keys = ("data", "confidence", "timestamps", "starting_time")
+    data, confidence, stamps, start = (child(group, name) for name in keys)
     scale, shift = attribute(data, "conversion"), attribute(data, "offset")
     values = numbers(data).astype(float) * float(1 if scale is None else scale) + float(shift or 0)
     T = len(values)
@@ -491,13 +513,13 @@ def _series(path: Path, group: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray,
     else:
         raise InputError(Problem(path, _last(group), "no times", "timestamps, or starting_time with a rate"))
     if sure.shape != (T,) or times_s.shape != (T,):
-        found = f"{T} positions, {len(sure)} confidences and {len(times_s)} times"
-        raise InputError(Problem(path, _last(group), found, "as many of each"))
+        detail = f"{T} positions, {len(sure)} confidences and {len(times_s)} times"
+        raise InputError(Problem(path, _last(group), detail, "as many of each"))
     return values, sure, times_s, fps
 
 
 def write_nwb(data: Keypoints | Pose3D, path: Path) -> None:
-    """x, y in pixels; or x, y, z in metres with z up, and joints that are linked as the skeleton's edges.
+    """Write x, y in pixels, or x, y, z in metres with z up and linked joints as the skeleton's edges.
 
     Raises InputError without a frame rate, or for names that NWB cannot hold.
     """
@@ -510,7 +532,7 @@ def write_nwb(data: Keypoints | Pose3D, path: Path) -> None:
         from pynwb import NWBHDF5IO, NWBFile
     frames, edges = points.frames, points.edges
     regular = int(frames[-1] - frames[0]) + 1 == len(frames)
-    of_all: dict[str, Any] = {
+    shared: dict[str, Any] = {
         "unit": "metres" if points.in_space else "pixels",
         "reference_frame": f"x, y and z in metres, right-handed, {UP_TEXT}" if points.in_space else IN_PICTURE,
         "comments": RATE_TEXT.format(fps=fps),
@@ -519,14 +541,18 @@ def write_nwb(data: Keypoints | Pose3D, path: Path) -> None:
     for k, name in enumerate(points.names):
         sure = {} if points.likelihood is None else {"confidence": points.likelihood[:, k]}
         sure |= {"confidence_definition": "likelihood of the detection, 0 to 1"} if sure else {}
-        series.append(PoseEstimationSeries(name=name, data=points.values[:, k], **of_all, **sure))
-    few = len(points.names) < 256
-    linked = {"edges": writing.index_edges(points.names, edges).astype(np.uint8)} if edges and few else {}
+        series.append(PoseEstimationSeries(name=name, data=points.values[:, k], **shared, **sure))
+    edges_fit = len(points.names) < 256
+    linked = {"edges": writing.index_edges(points.names, edges).astype(np.uint8)} if edges and edges_fit else {}
     skeleton = Skeleton(name="skeleton", nodes=list(points.names), **linked)
-    about = {"description": "Points of one animal.", "scorer": points.scorer or "recon", "source_software": "recon"}
-    poses = PoseEstimation(name=container, pose_estimation_series=series, skeleton=skeleton, **about)
-    said, start = "Poses of an animal; the session's start is not known.", datetime(1970, 1, 1, tzinfo=UTC)
-    file: Any = NWBFile(session_description=said, identifier=str(uuid4()), session_start_time=start)
+    description = {
+        "description": "Points of one animal.",
+        "scorer": points.scorer or "recon",
+        "source_software": "recon",
+    }
+    poses = PoseEstimation(name=container, pose_estimation_series=series, skeleton=skeleton, **description)
+    session, start = "Poses of an animal; the session's start is not known.", datetime(1970, 1, 1, tzinfo=UTC)
+    file: Any = NWBFile(session_description=session, identifier=str(uuid4()), session_start_time=start)
     behavior = file.create_processing_module("behavior", "processed behavioral data")
     behavior.add([Skeletons(skeletons=[skeleton]), poses])
     writer: Any = NWBHDF5IO

@@ -1,18 +1,18 @@
-"""Keypoints as JSON: COCO's, and MMPose's and OpenPose's, which are put the same way; and FMPose3D's 3D poses.
+"""Read keypoints as JSON: COCO, MMPose and OpenPose; and FMPose3D's 3D poses.
 
 - COCO: `images`, `annotations` with `keypoints` [x, y, v, ...], and `categories` with their names. v is 0 for a missing
-  point. A score for each point is read from `keypoint_scores`, where there is one. The animal of an annotation is its
-  `individual`, as files of recon 0.2 have it, or its `track_id`. Those have the frame rate in `info`.
+  point. Scores are read from `keypoint_scores` if present. The animal of an annotation is its `individual`, as in files
+  of recon 0.2, or its `track_id`. Those files have the frame rate in `info`.
 - MMPose: `meta_info` with the keypoints' names, `instance_info` with the animals of each frame. Its demo scripts write
   them (`--save-predictions`), and count a video's frames from 1.
-- OpenPose: a file for each frame; any one of them stands for all of its folder that are called alike:
-  run_000000000012_keypoints.json, or run_000012.json of RTMPose's tools, which write the same; the number is the
-  frame's. Points have no names there: how many there are says which list it is. Persons are numbered from 1 as each
-  frame has them, which nothing ties to the frame before: with several, the files have to be tracked first.
-- FMPose3D: `run_DLC_fmpose3d_animals_3d.json` of DeepLabCut, with `model`, `bodyparts`, `poses_3d`. A pose is of one
-  picture: relative to a point of the body, in the network's own axes and unit. Frames are numbered from 0, and those
-  without an animal are empty. Beside it lies the same as a table, `..._3d.h5`. FMPose3D's own demo writes `.npz` files
-  (`recon.io.npz`).
+- OpenPose: a file for each frame. Any one of them stands for all files in its folder with the same name but for the
+  number: run_000000000012_keypoints.json, or run_000012.json from RTMPose's tools, which write the same; the number is
+  the frame's. Points have no names: their number says which list it is. Persons are numbered from 1 within each frame,
+  which nothing ties to the previous frame: files with several persons have to be tracked first.
+- FMPose3D: `run_DLC_fmpose3d_animals_3d.json` of DeepLabCut, with `model`, `bodyparts`, `poses_3d`. A pose comes from
+  one picture: relative to a point of the body, in the network's own axes and unit. Frames are numbered from 0, and
+  those without an animal are empty. Beside it lies the same as a table, `..._3d.h5`. FMPose3D's own demo writes `.npz`
+  files (`recon.io.npz`).
 """
 
 from __future__ import annotations
@@ -38,18 +38,18 @@ class _Seen(NamedTuple):
     """One animal in one picture."""
 
     where: str
-    """In the file, for a message."""
+    """Location in the file, for a message."""
     frame: int
     animal: str
-    """Empty where the file does not tell animals apart."""
+    """Empty if the file does not distinguish animals."""
     xy_px: np.ndarray
     """(K, 2), NaN where a point is missing."""
     score: np.ndarray
-    """(K,): 0 where a point is missing, NaN where the file does not say."""
+    """(K,): 0 where a point is missing, NaN where the file has none."""
 
 
 def _mentions(path: Path, *keys: bytes) -> bool:
-    """Whether it is JSON with one of the keys; it need not be whole."""
+    """Return whether it is JSON with one of the keys; it need not be whole."""
     content = path.read_bytes() if common.starts_with_text(path, b"{") else b""
     return any(b'"%s"' % key in content for key in keys)
 
@@ -61,11 +61,13 @@ def _points(
     frames: Iterable[int],
     seen: Sequence[_Seen],
     named: bool = False,
-    **more: Any,
+    **extra: Any,
 ) -> StoredPoints:
-    """The points of one animal in all frames, whatever the format. named: whether a file's only animal has a name.
-    Raises InputError."""
-    animals = list(dict.fromkeys(one.animal for one in seen)) or [""]
+    """Return the points of one animal in all frames, for any of these formats.
+
+    `named` says whether a file's only animal has a name. Raises InputError.
+    """
+    animals = list(dict.fromkeys(detection.animal for detection in seen)) or [""]
     if "" in animals and len(animals) > 1:
         expected = "one for each animal in every annotation"
         raise InputError(Problem(path, "annotations", "some without track_id", expected))
@@ -75,53 +77,54 @@ def _points(
     row = {int(number): t for t, number in enumerate(numbers)}
     xy, score = np.full((len(numbers), len(names), 2), np.nan), np.zeros((len(numbers), len(names)))
     problems: list[Problem] = []
-    taken: set[int] = set()
-    for one in (one for one in seen if one.animal == chosen):
-        if one.xy_px.shape != xy.shape[1:] or one.score.shape != score.shape[1:]:
-            found = f"{len(one.xy_px)} points and {len(one.score)} scores"
-            problems.append(Problem(path, one.where, found, f"one for each of {len(names)} keypoints"))
-        elif one.frame in taken:
-            found = f"a second animal in frame {one.frame}"
-            problems.append(Problem(path, one.where, found, "one animal, or a track_id for each"))
+    filled_frames: set[int] = set()
+    for detection in (detection for detection in seen if detection.animal == chosen):
+        if detection.xy_px.shape != xy.shape[1:] or detection.score.shape != score.shape[1:]:
+            detail = f"{len(detection.xy_px)} points and {len(detection.score)} scores"
+            problems.append(Problem(path, detection.where, detail, f"one for each of {len(names)} keypoints"))
+        elif detection.frame in filled_frames:
+            detail = f"a second animal in frame {detection.frame}"
+            problems.append(Problem(path, detection.where, detail, "one animal, or a track_id for each"))
         else:
-            taken.add(one.frame)
-            xy[row[one.frame]], score[row[one.frame]] = one.xy_px, one.score
+            filled_frames.add(detection.frame)
+            xy[row[detection.frame]], score[row[detection.frame]] = detection.xy_px, detection.score
     raise_problems(common.first_problems(problems, path))
-    called = [chosen] if len(animals) > 1 or named else []
-    return common.one_animal(path, None, StoredPoints(tuple(names), xy, numbers, score, **more), called)
+    animal_names = [chosen] if len(animals) > 1 or named else []
+    return common.one_animal(path, None, StoredPoints(tuple(names), xy, numbers, score, **extra), animal_names)
 
 
 # -- COCO -------------------------------------------------------------------------------------------------------------
 
 
 def recognises_coco(path: Path) -> bool:
+    """Return whether it is COCO's JSON."""
     return _mentions(path, b"images") and _mentions(path, b"annotations", b"categories")
 
 
 def read_coco(path: Path, individual: str | None = None) -> StoredPoints:
-    """The keypoints of one animal. Raises InputError."""
+    """Return the keypoints of one animal; raise InputError."""
     content = read_json(path, _EXPECTED)
-    annotations = [one for one in content["annotations"] if "keypoints" in one]
+    annotations = [annotation for annotation in content["annotations"] if "keypoints" in annotation]
     numbers, notes = _frame_numbers(path, content["images"])
     seen = []
-    for one in annotations:
-        points = np.asarray(one["keypoints"], dtype=float).reshape(-1, 3)
+    for annotation in annotations:
+        points = np.asarray(annotation["keypoints"], dtype=float).reshape(-1, 3)
         known = points[:, 2] > 0
         xy = np.where(known[:, None], points[:, :2], np.nan)
-        stated = [np.nan if score is None else score for score in one.get("keypoint_scores", ())]
+        stated = [np.nan if score is None else score for score in annotation.get("keypoint_scores", ())]
         score = np.array(stated, dtype=float) if stated else np.where(known, np.nan, 0.0)
-        animal = one.get("individual", one.get("track_id"))
-        place = f"annotation {one.get('id', '?')}", numbers[one["image_id"]]
-        seen.append(_Seen(*place, "" if animal is None else str(animal), xy, score))
+        animal = annotation.get("individual", annotation.get("track_id"))
+        location = f"annotation {annotation.get('id', '?')}", numbers[annotation["image_id"]]
+        seen.append(_Seen(*location, "" if animal is None else str(animal), xy, score))
     info, names = content.get("info"), _names(path, content["categories"], annotations)
-    more: dict[str, Any] = {"fps": common.rate(info.get("fps")) if isinstance(info, dict) else None, "notes": notes}
-    more["image_size_px"] = _size(content["images"])
-    named = any("individual" in one for one in annotations)  # the number of the only track is no name
-    return _points(path, individual, names, numbers.values(), seen, named, **more)
+    extra: dict[str, Any] = {"fps": common.rate(info.get("fps")) if isinstance(info, dict) else None, "notes": notes}
+    extra["image_size_px"] = _size(content["images"])
+    named = any("individual" in annotation for annotation in annotations)  # the number of the only track is no name
+    return _points(path, individual, names, numbers.values(), seen, named, **extra)
 
 
 def _names(path: Path, categories: list[Table], annotations: list[Table]) -> tuple[str, ...]:
-    """The keypoints of the one category that is used."""
+    """Return the keypoints of the only category in use."""
     used = {a.get("category_id") for a in annotations}
     with_points = [c for c in categories if c.get("keypoints") and (c.get("id") in used or len(categories) == 1)]
     lists = {tuple(str(name) for name in c["keypoints"]) for c in with_points}
@@ -131,7 +134,7 @@ def _names(path: Path, categories: list[Table], annotations: list[Table]) -> tup
 
 
 def _frame_numbers(path: Path, images: list[Table]) -> tuple[dict[Any, int], tuple[str, ...]]:
-    """Image id to frame number: as stated, else from the ends of the file names, else the id."""
+    """Return frame numbers by image id: as stated, else from the ends of the file names, else the id."""
     ids = [image["id"] for image in images]
     stated = ("frame_id", "frame_index", "frame_number")
     key = next((k for k in stated if images and all(isinstance(image.get(k), int) for image in images)), None)
@@ -148,7 +151,7 @@ def _frame_numbers(path: Path, images: list[Table]) -> tuple[dict[Any, int], tup
 
 
 def _size(images: list[Table]) -> tuple[int, int] | None:
-    """(width, height), where all images have the same."""
+    """Return (width, height) if all images have the same."""
     sizes = {(image.get("width"), image.get("height")) for image in images}
     (width, height) = sizes.pop() if len(sizes) == 1 else (None, None)
     return (width, height) if isinstance(width, int) and isinstance(height, int) and width > 0 < height else None
@@ -158,19 +161,22 @@ def _size(images: list[Table]) -> tuple[int, int] | None:
 
 
 def recognises_mmpose(path: Path) -> bool:
+    """Return whether it is MMPose's JSON."""
     return _mentions(path, b"instance_info")
 
 
 def read_mmpose(path: Path, individual: str | None = None) -> StoredPoints:
-    """The keypoints of one animal. Raises InputError."""
+    """Return the keypoints of one animal; raise InputError."""
     content = read_json(path, _EXPECTED)
     names = content["meta_info"]["keypoint_id2name"]
     instances = {frame["frame_id"]: frame["instances"] for frame in content["instance_info"]}
     first = min(1, min(instances, default=1))
     seen = []
-    for number, one in ((number, one) for number, some in instances.items() for one in some):
-        points, scores = (np.array(one[key], dtype=float) for key in ("keypoints", "keypoint_scores"))
-        seen.append(_Seen(f"frame {number}", number - first, str(one.get("track_id", "")), points, scores))
+    for number, instance in (
+        (number, instance) for number, frame_instances in instances.items() for instance in frame_instances
+    ):
+        points, scores = (np.array(instance[key], dtype=float) for key in ("keypoints", "keypoint_scores"))
+        seen.append(_Seen(f"frame {number}", number - first, str(instance.get("track_id", "")), points, scores))
     names = [str(names[str(k)]) for k in range(len(names))]
     return _points(path, individual, names, [number - first for number in instances], seen)
 
@@ -191,35 +197,42 @@ LISTS = {
         f"{_COCO} Head Neck Hip {_TOES}".split(),
     )
 }
-"""By their number: COCO's 17, OpenPose's COCO with a neck (18), BODY_25, and Halpe's 26, each in its order."""
+"""Names of the points by their number: COCO's 17, OpenPose's COCO with a neck (18), BODY_25, and Halpe's 26, each in
+its order.
+"""
 _FILE_NAME = re.compile(r"(.*?)(\d+)((?:_keypoints)?\.json)", re.IGNORECASE | re.DOTALL)
 
 
 def recognises_openpose(path: Path) -> bool:
+    """Return whether it is OpenPose's JSON."""
     return _mentions(path, b"people")
 
 
 def clip_of_frame(path: Path) -> Path | None:
-    """What the clip is called that a file has a frame of, the same for all its frames; None for a file of another
-    format. Pose2Sim has them in a folder for each camera, as in cam1_json/cam1_000000.json."""
+    """Return the path that stands for the clip of a file with one frame; None for other formats.
+
+    It is the same for all frames. Pose2Sim has them in a folder for each camera, as in cam1_json/cam1_000000.json.
+    """
     name = _FILE_NAME.fullmatch(path.name)
     if name is None or not os.access(path, os.R_OK) or not recognises_openpose(path):
         return None
-    called = name[1].rstrip("_-. ")
-    folder = path.parent.parent if path.parent.name == f"{called}_json" else path.parent
-    return folder / f"{called}{name[3]}"
+    clip_name = name[1].rstrip("_-. ")
+    folder = path.parent.parent if path.parent.name == f"{clip_name}_json" else path.parent
+    return folder / f"{clip_name}{name[3]}"
 
 
 def read_openpose(path: Path, individual: str | None = None) -> StoredPoints:
-    """The points of one person in the frames of all files that are called as this one but for the number. Raises
-    InputError."""
-    own = _FILE_NAME.fullmatch(path.name)
-    if own is None:
+    """Return the points of one person in all files whose names differ from this one's only in the number.
+
+    Raises InputError.
+    """
+    own_name = _FILE_NAME.fullmatch(path.name)
+    if own_name is None:
         raise InputError(Problem(path, "file", "a name without a number", "a frame's, as run_000012_keypoints.json"))
-    named = {path: own} | {
-        other: found for other in path.parent.iterdir() if (found := _FILE_NAME.fullmatch(other.name))
+    named = {path: own_name} | {
+        file_beside: match for file_beside in path.parent.iterdir() if (match := _FILE_NAME.fullmatch(file_beside.name))
     }
-    files = {file: int(found[2]) for file, found in named.items() if (found[1], found[3]) == (own[1], own[3])}
+    files = {file: int(match[2]) for file, match in named.items() if (match[1], match[3]) == (own_name[1], own_name[3])}
     seen: list[_Seen] = []
     for file, number in files.items():
         content = read_json(file, _EXPECTED)
@@ -230,12 +243,12 @@ def read_openpose(path: Path, individual: str | None = None) -> StoredPoints:
             known = np.isfinite(points).all(axis=1) & (points[:, 2] > 0)
             xy, score = np.where(known[:, None], points[:, :2], np.nan), np.where(known, points[:, 2], 0.0)
             seen.append(_Seen(f"frame {number}", number, str(k), xy, score))
-    counts = sorted({len(one.score) for one in seen})
+    counts = sorted({len(person.score) for person in seen})
     if len(counts) > 1 or not {*counts} <= {*LISTS}:
         expected = f"one number of points throughout, of {', '.join(map(str, LISTS))}"
         raise InputError(Problem(path, KEY, " and ".join(map(str, counts)), expected))
-    if all(one.animal == "1" for one in seen):
-        seen = [one._replace(animal="") for one in seen]
+    if all(person.animal == "1" for person in seen):
+        seen = [person._replace(animal="") for person in seen]
     return _points(path, individual, LISTS[counts[0] if counts else 25], files.values(), seen)
 
 
@@ -246,20 +259,24 @@ _BY_DEEPLABCUT = (
     "right_front_paw left_hip left_knee left_back_paw right_hip right_knee right_back_paw withers throat left_ear "
     "right_ear mouth chin left_hock right_hock tail_tip"
 )
-"""Names in the network's order, by DeepLabCut (3.0, 2026): another list's, so that the left front paw is "neck"."""
+"""Names that DeepLabCut (3.0, 2026) gives, in the network's order. They are another list's, so that the left front paw
+is "neck".
+"""
 ANIMAL3D = (
     "left_eye right_eye mouth_mid left_front_paw right_front_paw left_back_paw right_back_paw tail_base "
     "left_front_thigh right_front_thigh left_back_thigh right_back_thigh left_shoulder right_shoulder left_front_knee "
     "right_front_knee left_back_knee right_back_knee neck tail_end left_ear right_ear left_mouth right_mouth nose "
     "tail_mid"
 )
-"""Their own, Animal3D's: that of FMPose3D's conversion from SuperAnimal's points."""
+"""True names, Animal3D's, as in FMPose3D's conversion from SuperAnimal's points."""
 LENGTHS = "FMPose3D's lengths have no unit, and its axes are its own: compare them after scaling and turning (PA) only."
 
 
 def true_names(names: Sequence[str], model: str, in_space: bool = True) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Names of FMPose3D's points, in any order, and notes, also where they were not those of the points. model: what
-    found them, or a table's scorer, which has it."""
+    """Return the true names of FMPose3D's points, in any order, and notes.
+
+    `model` is the network's name, or a table's scorer, which contains it.
+    """
     notes = (LENGTHS,) if in_space else ()
     true: dict[str, str] = dict(zip(_BY_DEEPLABCUT.split(), ANIMAL3D.split(), strict=True))
     if f"{common.FMPOSE3D}animals" not in model or {*names} != {*true}:
@@ -272,15 +289,16 @@ def true_names(names: Sequence[str], model: str, in_space: bool = True) -> tuple
 
 
 def recognises_fmpose3d(path: Path) -> bool:
+    """Return whether it is FMPose3D's JSON."""
     return _mentions(path, b"poses_3d")
 
 
 def read_fmpose3d(path: Path, individual: str | None = None) -> StoredPoints:
-    """The poses of the one animal. Raises InputError."""
+    """Return the poses of the only animal; raise InputError."""
     content = read_json(path, _EXPECTED)
     written = tuple(map(str, content["bodyparts"]))
-    nothing = np.full((len(written), 3), np.nan)
+    missing = np.full((len(written), 3), np.nan)
     common.require_span(len(content["poses_3d"]), len(written), path)
-    values = np.array([pose or nothing for pose in content["poses_3d"]], dtype=float)
+    values = np.array([pose or missing for pose in content["poses_3d"]], dtype=float)
     names, notes = true_names(written, str(content.get("model")))
     return common.one_animal(path, individual, StoredPoints(names, values, np.arange(len(values)), notes=notes))

@@ -1,12 +1,12 @@
-"""TRC and C3D: positions of markers, as motion capture has them.
+"""Read and write positions of markers in motion capture's formats, TRC and C3D.
 
-TRC is text, separated by tabs or commas, the unit in the header, y up by custom.
+TRC is text, separated by tabs or commas, with the unit in the header and y up by custom.
 
-C3D (c3d.org, user guide): blocks of 512 bytes; a header, a section of parameters in groups, and for each frame four
-numbers of every point, x, y, z and a word with the residual, -1 of a missing point, followed by the analog samples. The
-unit and the screen's axes are in the header. Numbers are those of Intel's or MIPS' processors; DEC's floats are not
+C3D (c3d.org, user guide) has blocks of 512 bytes: a header, a section of parameters in groups, and for each frame four
+numbers of every point, x, y, z and a word with the residual, -1 for a missing point, followed by the analog samples.
+The unit and the screen's axes are in the header. Numbers are those of Intel's or MIPS' processors; DEC's floats are not
 read. C3D counts frames from 1: its frame 1 is frame 0 here. Our own files list their frame numbers, which may have
-gaps, in which all points are missing. (ezc3d dies of damaged files.)
+gaps, in which all points are missing. Files are read without ezc3d, which crashes on damaged ones.
 """
 
 from __future__ import annotations
@@ -28,16 +28,17 @@ from recon.io.positions import PER_METRE, UNIT_NAMES
 # -- TRC --------------------------------------------------------------------------------------------------------------
 
 UP_TEXT = "y up: x forwards, y up, z right"
-"""At the end of the first line of our own files."""
+"""End of the first line of our own files."""
 HEADER_LINES = 5
 
 
 def recognises_trc(path: Path) -> bool:
+    """Return whether it is a TRC file."""
     return common.starts_with_text(path, b"PathFileType")
 
 
 def read_trc(path: Path, individual: str | None = None) -> StoredPoints:
-    """Raises InputError for a header or cells that cannot be used."""
+    """Return the markers of a TRC file; raise InputError for an unusable header or cells."""
     lines = read_text(path, "a TRC file").splitlines()
     separator = "\t" if "\t" in lines[0] else ","
     cells = [[cell.strip() for cell in line.split(separator)] for line in lines]
@@ -55,15 +56,15 @@ def read_trc(path: Path, individual: str | None = None) -> StoredPoints:
     if header.get("NumFrames") != str(len(values)):
         notes = (f"The header announces {header.get('NumFrames', 'no number of')} frames, the file has {len(values)}.",)
     unit = header.get("Units") or None
-    more: dict[str, Any] = {"unit": UNIT_NAMES.get(str(unit), unit), "up": "y" if UP_TEXT in cells[0] else None}
+    extra: dict[str, Any] = {"unit": UNIT_NAMES.get(str(unit), unit), "up": "y" if UP_TEXT in cells[0] else None}
     xyz = values[:, 2:].reshape(len(values), len(names), 3)
     fps = common.rate(header.get("DataRate"))
-    stored = StoredPoints(tuple(names), xyz, values[:, 0], fps=fps, notes=notes, **more)
+    stored = StoredPoints(tuple(names), xyz, values[:, 0], fps=fps, notes=notes, **extra)
     return common.one_animal(path, individual, stored)
 
 
 def write_trc(pose: Pose3D, path: Path) -> None:
-    """Metres, y up (x forwards, y up, z right), as OpenSim takes it; gaps are empty cells.
+    """Write metres, y up (x forwards, y up, z right), as OpenSim takes it; gaps are empty cells.
 
     Raises InputError without a frame rate, or for names with tabs or line breaks.
     """
@@ -89,20 +90,20 @@ def write_trc(pose: Pose3D, path: Path) -> None:
 # -- C3D --------------------------------------------------------------------------------------------------------------
 
 UNIT = "mm"
-"""The unit that our own files are written in."""
+"""Unit of our own files."""
 OWN_GROUP = "RECON"
 WORD_MAX, TEXT_MAX = 65_535, 255
 BLOCK = 512
 KEY = 0x50
 INTEL, MIPS = 84, 86
-"""Kinds of processor, which say the order of bytes."""
+"""Kinds of processor, which give the order of bytes."""
 
 Parameters = dict[str, dict[str, Any]]
-"""By group and name: lists of texts, or arrays of numbers."""
+"""Lists of texts, or arrays of numbers, by group and name."""
 
 
 def recognises_c3d(path: Path) -> bool:
-    """By the key of the header and the kind of processor of the parameters."""
+    """Return whether it is a C3D file, by the key of the header and the kind of processor."""
     with path.open("rb") as file:
         head = file.read(2)
         if len(head) < 2 or head[1] != KEY or not head[0]:
@@ -112,7 +113,7 @@ def recognises_c3d(path: Path) -> bool:
 
 
 def read_c3d(path: Path, individual: str | None = None) -> StoredPoints:
-    """Raises InputError for a damaged file."""
+    """Return the markers of a C3D file; raise InputError for a damaged file."""
     parameters, xyz, first = _content(path.read_bytes())
     point = parameters.get("POINT", {})
     labels = sorted((name for name in point if name.startswith("LABELS")), key=len)  # of 255 names each
@@ -123,21 +124,23 @@ def read_c3d(path: Path, individual: str | None = None) -> StoredPoints:
     if listed is not None and listed[-1] - listed[0] == len(xyz) - 1:  # and not of frames that were cut since
         frames, xyz = listed, xyz[listed - listed[0]]
     unit, screen = ("".join(point.get(name, ())[:1]) for name in ("UNITS", "Y_SCREEN"))
-    up = {"+Z": "z", "Z": "z", "+Y": "y", "Y": "y"}.get(screen.upper())
-    stored = StoredPoints(tuple(names), xyz, frames, fps=fps, unit=UNIT_NAMES.get(unit), up=up)
+    up_axis = {"+Z": "z", "Z": "z", "+Y": "y", "Y": "y"}.get(screen.upper())
+    stored = StoredPoints(tuple(names), xyz, frames, fps=fps, unit=UNIT_NAMES.get(unit), up=up_axis)
     return common.one_animal(path, individual, stored)
 
 
 def _content(content: bytes) -> tuple[Parameters, np.ndarray, int]:
-    """Parameters, positions (T, J, 3), NaN where a point is missing, and the number of the first frame, from 1. Raises
-    what `damage_named` takes for a file that is damaged or cut off."""
+    """Return parameters, positions (T, J, 3), NaN where missing, and the number of the first frame, from 1.
+
+    Raises what `damage_named` takes for a file that is damaged or cut off.
+    """
     start = BLOCK * (content[0] - 1)
     order = ">" if content[start + 3] == MIPS else "<"
     points, analogs, first, last, _, scale, block = struct.unpack_from(f"{order}5HfH", content, 2)
     parameters = _parameters(content[start : start + BLOCK * content[start + 2]], order)
     if "SCALE" in parameters.get("POINT", {}):
         scale = float(parameters["POINT"]["SCALE"].ravel()[0])
-    # What the header is too small for stands in two words each of TRIAL, the lower first.
+    # Numbers too large for the header are in two words each of TRIAL, the lower first.
     trial = parameters.get("TRIAL", {})
     first = _of_words(trial.get("ACTUAL_START_FIELD"), first)
     last = _of_words(trial.get("ACTUAL_END_FIELD"), last)
@@ -154,7 +157,7 @@ def _content(content: bytes) -> tuple[Parameters, np.ndarray, int]:
 
 
 def _of_words(value: Any, otherwise: int) -> int:
-    """The number that two words make; another one for anything else than two words."""
+    """Return the number that two words make, or `otherwise`."""
     if not isinstance(value, np.ndarray) or value.size != 2 or value.dtype.kind != "i":
         return otherwise
     low, high = (int(word) & 0xFFFF for word in value.ravel())
@@ -162,35 +165,38 @@ def _of_words(value: Any, otherwise: int) -> int:
 
 
 def _parameters(section: bytes, order: str) -> Parameters:
-    """Records: length of the name (negative: locked), number of the group (negative: a group itself), name, distance
-    to the next record from here, and for a parameter its type, dimensions and data."""
+    """Return the parameters of a section.
+
+    A record is the length of the name (negative: locked), the number of the group (negative: the group itself), the
+    name, the distance to the next record from here, and for a parameter its type, dimensions and data.
+    """
     groups: dict[int, str] = {}
-    found: dict[int, dict[str, Any]] = {}
-    at, distance = 4, 2
-    while at + 2 <= len(section) and distance:
-        length, group = struct.unpack_from("bb", section, at)
+    by_group: dict[int, dict[str, Any]] = {}
+    position, distance = 4, 2
+    while position + 2 <= len(section) and distance:
+        length, group = struct.unpack_from("bb", section, position)
         if not length or not group:
             break
-        name = section[at + 2 : at + 2 + abs(length)].decode("latin-1").upper()
-        at += 2 + abs(length)
-        distance = struct.unpack_from(f"{order}h", section, at)[0]
+        name = section[position + 2 : position + 2 + abs(length)].decode("latin-1").upper()
+        position += 2 + abs(length)
+        distance = struct.unpack_from(f"{order}h", section, position)[0]
         if group < 0:
             groups[-group] = name
         else:
-            found.setdefault(group, {})[name] = _value(section, at + 2, order)
+            by_group.setdefault(group, {})[name] = _value(section, position + 2, order)
         if distance and distance < 2:
             raise ValueError("parameters that do not follow one another")
-        at += distance
-    return {groups.get(group, f"{group}"): values for group, values in found.items()}
+        position += distance
+    return {groups.get(group, f"{group}"): values for group, values in by_group.items()}
 
 
-def _value(section: bytes, at: int, order: str) -> Any:
-    """A parameter's data: texts of type -1, bytes of 1, whole numbers of 2, floats of 4."""
-    kind, dimensions = struct.unpack_from("bB", section, at)
-    shape = tuple(section[at + 2 : at + 2 + dimensions])
-    at += 2 + dimensions
+def _value(section: bytes, position: int, order: str) -> Any:
+    """Return a parameter's data: texts of type -1, bytes of 1, whole numbers of 2, floats of 4."""
+    kind, dimensions = struct.unpack_from("bB", section, position)
+    shape = tuple(section[position + 2 : position + 2 + dimensions])
+    position += 2 + dimensions
     size = int(np.prod(shape, dtype=np.int64)) * abs(kind)
-    data = section[at : at + size]
+    data = section[position : position + size]
     if len(shape) != dimensions or dimensions > 7 or len(data) < size:
         raise ValueError("a parameter that is cut off")
     if kind == -1:
@@ -207,17 +213,19 @@ def _text(data: bytes) -> str:
 
 
 def write_c3d(pose: Pose3D, path: Path) -> None:
-    """Millimetres, z up. Raises InputError without a frame rate, and for names, numbers of frames or gaps that C3D
-    cannot hold."""
+    """Write millimetres, z up.
+
+    Raises InputError without a frame rate, and for names, numbers of frames or gaps that C3D cannot hold.
+    """
     fps = writing.required_fps(pose.fps, "C3D")
     writing.require_names(pose.names, r"^\s|\s$|\x00", "C3D", bytes_max=TEXT_MAX)
     with writing.formats_extra("C3D"):
         import ezc3d
     xyz = writing.without_gaps(pose.frames, pose.xyz_m * PER_METRE[UNIT], "C3D")
     ranges = writing.frames_text(pose.frames)
-    for what, count, most in (("frames", len(xyz), WORD_MAX), ("gaps", len(ranges) - 1, TEXT_MAX - 1)):
-        if count > most:
-            raise InputError(Problem("C3D", what, str(count), f"at most {most}"))
+    for quantity, count, limit in (("frames", len(xyz), WORD_MAX), ("gaps", len(ranges) - 1, TEXT_MAX - 1)):
+        if count > limit:
+            raise InputError(Problem("C3D", quantity, str(count), f"at most {limit}"))
     points = np.ones((4, len(pose.names), len(xyz)))
     points[:3] = np.nan_to_num(xyz, nan=0.0).transpose(2, 1, 0)
     missing = np.any(np.isnan(xyz), axis=2)

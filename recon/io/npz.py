@@ -1,5 +1,8 @@
-"""NumPy archives of 3D positions: our own, with `names`, `xyz_m`, `frames`, `fps` (NaN if not known), `edges`, z up;
-and those of FMPose3D's demo for animals, `pose3D/0000_3D.npz` with the points of a picture as `pose3d`."""
+"""Read and write NumPy archives of 3D positions: our own, and those of FMPose3D's demo for animals.
+
+Ours have `names`, `xyz_m`, `frames`, `fps` (NaN if unknown) and `edges`, z up. FMPose3D's are `pose3D/0000_3D.npz` with
+the points of a picture as `pose3d`.
+"""
 
 from __future__ import annotations
 
@@ -20,16 +23,17 @@ from recon.io.json_poses import ANIMAL3D, LENGTHS
 
 
 def recognises(path: Path) -> bool:
-    """Whether it is a NumPy archive with positions. Of a damaged archive `read` says so."""
+    """Return whether it is a NumPy archive with positions; `read` reports damage."""
     return _has(path, "xyz_m.npy", damaged=True)
 
 
 def recognises_fmpose3d(path: Path) -> bool:
+    """Return whether it is an archive of FMPose3D's demo."""
     return _has(path, "pose3d.npy", damaged=False)
 
 
 def _has(path: Path, name: str, damaged: bool) -> bool:
-    """Whether it is an archive with that file in it; damaged: of one that cannot be read."""
+    """Return whether an archive has that file in it, and `damaged` for an unreadable archive."""
     if not common.starts_with(path, b"PK\x03\x04"):
         return False
     try:
@@ -40,17 +44,19 @@ def _has(path: Path, name: str, damaged: bool) -> bool:
 
 
 def read(path: Path, individual: str | None = None) -> StoredPoints:
-    """Raises InputError for a damaged file or arrays that do not fit."""
+    """Return the positions; raise InputError for a damaged file or arrays that do not fit."""
     arrays = arrays_of(read_content(path, "a whole file", MAX_UNPACKED), f"{KINDS}U")
     names = [str(name) for name in arrays["names"].tolist()]
     edges = tuple((names[a], names[b]) for a, b in arrays["edges"])
-    more: dict[str, Any] = {"fps": rate(arrays["fps"]), "unit": "m", "up": "z", "edges": edges}
-    return one_animal(path, individual, StoredPoints(tuple(names), arrays["xyz_m"], arrays["frames"], **more))
+    extra: dict[str, Any] = {"fps": rate(arrays["fps"]), "unit": "m", "up": "z", "edges": edges}
+    return one_animal(path, individual, StoredPoints(tuple(names), arrays["xyz_m"], arrays["frames"], **extra))
 
 
 def read_fmpose3d(path: Path, individual: str | None = None) -> StoredPoints:
-    """The poses of all files in the folder that are numbered as this one; one without a number is frame 0. Raises
-    InputError."""
+    """Return the poses of all numbered files in the folder; a file without a number is frame 0.
+
+    Raises InputError.
+    """
     named = [(re.fullmatch(r"(\d+)_3D", file.stem), file) for file in path.parent.glob("*.npz")]
     files = sorted((int(number[1]), file) for number, file in named if number)
     files = files if path in [file for _, file in files] else [(0, path)]
@@ -61,7 +67,10 @@ def read_fmpose3d(path: Path, individual: str | None = None) -> StoredPoints:
 
 
 def _pose_of(path: Path, points: int) -> np.ndarray:
-    """(1, points, 3): the pose of one picture, of a size that is known before the next file is read."""
+    """Return the pose of one picture, (1, points, 3).
+
+    Its size is checked before the next file is read.
+    """
     expected = f"the {points} points of one animal as pose3d"
     with damage_named(path, expected):
         pose = arrays_of(read_content(path, "a whole file", MAX_UNPACKED), KINDS)["pose3d"]
@@ -71,6 +80,7 @@ def _pose_of(path: Path, points: int) -> np.ndarray:
 
 
 def write(pose: Pose3D, path: Path) -> None:
+    """Write positions as a new archive."""
     made = BytesIO()
     arrays: dict[str, Any] = {"names": np.array(pose.names), "xyz_m": pose.xyz_m, "frames": pose.frames}
     arrays |= {"fps": np.array(pose.fps, dtype=float), "edges": writing.index_edges(pose.names, pose.edges)}

@@ -1,4 +1,4 @@
-"""Units of lengths and times as files state them, and 3D positions in metres, z up, from files of any format."""
+"""Convert 3D positions of any format to metres, z up, and times to frames."""
 
 from __future__ import annotations
 
@@ -20,13 +20,16 @@ UNIT_NAMES = {
     **dict.fromkeys(("mm", "millimetre", "millimetres", "millimeter", "millimeters"), "mm"),
 }
 IRREGULAR = 0.25
-"""By how much of a frame a time may miss its frame."""
+"""Largest distance of a time from its frame, in frames."""
 
 
 def frames_of_times(path: Path, times_s: np.ndarray, fps: float | None) -> tuple[np.ndarray, float | None]:
-    """Frame numbers (T,) int, of the frame rate that is given or that regular times have, and that rate. Frame 0 is at
-    0 s. A gap must be a whole number of frames. Without a rate, a single time is frame 0. Raises InputError for times
-    that do not increase or that no frame rate fits."""
+    """Return frame numbers (T,) int of times, and the frame rate.
+
+    The rate is the given one, or that of regular times. Frame 0 is at 0 s. A gap must be a whole number of frames.
+    Without a rate, a single time is frame 0. Raises InputError for times that do not increase or that fit no frame
+    rate.
+    """
     if not len(times_s):
         return np.zeros(0, np.int64), fps
     steps_s = np.diff(times_s)
@@ -39,10 +42,10 @@ def frames_of_times(path: Path, times_s: np.ndarray, fps: float | None) -> tuple
     if max(steps.sum(), abs(float(times_s[0])) / step_s) > MAX_FRAME:
         raise InputError(Problem(path, "time", f"{times_s[0]:g} to {times_s[-1]:g} s", "the times of a clip"))
     since_start = np.concatenate([[0.0], np.cumsum(steps)]).astype(np.int64)
-    off = np.abs(steps_s / step_s - np.diff(since_start))
-    if (np.diff(since_start) < 1).any() or (off > IRREGULAR).any():
-        found = f"times that are no multiples of {step_s:.6g} s apart"
-        raise InputError(Problem(path, "time", found, "a frame rate; gaps are whole frames"))
+    misses = np.abs(steps_s / step_s - np.diff(since_start))
+    if (np.diff(since_start) < 1).any() or (misses > IRREGULAR).any():
+        detail = f"times that are no multiples of {step_s:.6g} s apart"
+        raise InputError(Problem(path, "time", detail, "a frame rate; gaps are whole frames"))
     if fps is None:
         fps = float(f"{since_start[-1] / (times_s[-1] - times_s[0]):.9g}")
     return since_start + round(float(times_s[0]) * fps), fps
@@ -51,26 +54,35 @@ def frames_of_times(path: Path, times_s: np.ndarray, fps: float | None) -> tuple
 def read_pose3d(
     path: str | Path, individual: str | None = None, unit: str | None = None, up: str | None = None
 ) -> Pose3D:
-    """Positions in any known format, in metres, z up.
+    """Return positions of any known format, in metres, z up.
 
-    unit (m, cm, mm) and up (y, z): what the file does not say of itself. Where neither says it, DeepLabCut's layouts
-    are metres, TRC and BVH y up, and all others z up. individual: the animal's name, needed where there are several.
-    Raises InputError for a file that is missing, of no known format, or faulty, and for a unit that nobody states.
+    Parameters
+    ----------
+    individual : str, optional
+        Name of the animal, needed if there are several.
+    unit, up : str, optional
+        Unit (m, cm, mm) and upward axis (y, z), if the file does not state them. If neither states them, DeepLabCut's
+        layouts are metres, TRC and BVH y up, and all others z up.
+
+    Raises
+    ------
+    InputError
+        For a file that is missing, of no known format, or faulty, and for an unknown unit.
     """
     reader, stored = read_points(path, individual, "3D")
     return in_metres(Path(path), reader, stored, unit, up)
 
 
 def in_metres(path: Path, reader: Format, stored: StoredPoints, unit: str | None, up: str | None) -> Pose3D:
-    """The positions of a file in our unit and axes; unit and up as for `read_pose3d`. Raises InputError."""
+    """Return a file's positions in our unit and axes; unit and up as in `read_pose3d`. Raises InputError."""
     notes, problems = list(stored.notes), []
-    for name, given, stated in (("unit", unit, stored.unit), ("up", up, stored.up)):
-        if given is not None and stated is not None and given != stated:
-            problems.append(Problem(path, name, f"{given} as given, but {stated} in the file", "one of the two"))
+    for name, option, stated in (("unit", unit, stored.unit), ("up", up, stored.up)):
+        if option is not None and stated is not None and option != stated:
+            problems.append(Problem(path, name, f"{option} as given, but {stated} in the file", "one of the two"))
     unit = unit or stored.unit or reader.unit
     if unit not in PER_METRE:
-        found = "none in the file" if unit is None else unit
-        problems.append(Problem(path, "unit", found, f"one of: {', '.join(PER_METRE)} (--unit)"))
+        detail = "none in the file" if unit is None else unit
+        problems.append(Problem(path, "unit", detail, f"one of: {', '.join(PER_METRE)} (--unit)"))
     if up is None and stored.up is None and reader.up != "z":
         notes.append(f"The file does not say which way is up: read as {reader.up} up, as is the custom (or --up z).")
     up = up or stored.up or reader.up
@@ -92,8 +104,11 @@ def in_metres(path: Path, reader: Format, stored: StoredPoints, unit: str | None
 
 
 def read_pose_segments(path: str | Path) -> dict[str, Pose3D]:
-    """Several pieces of motion in one CSV file, by name: a first header row `segment, frame, <joints>`, a second with
-    x, y, z, and metres. A file as `read_pose3d` takes it is one piece, named after the file. Raises InputError."""
+    """Return several pieces of motion in one CSV file, by name.
+
+    The file has a first header row `segment, frame, <joints>`, a second with x, y, z, and metres. Any other file that
+    `read_pose3d` takes is one piece with the file's name. Raises InputError.
+    """
     path = Path(path)
     if not read_head(path).removeprefix(b"\xef\xbb\xbf").startswith(b"segment,frame,"):
         return {path.stem: read_pose3d(path)}
@@ -108,10 +123,10 @@ def read_pose_segments(path: str | Path) -> dict[str, Pose3D]:
         raise InputError(Problem(path, "rows", "no frames", "at least one row below the header"))
     header = {"bodyparts": names[2:], "coords": coords[2:]}
     try:
-        found = collect_problems(*(partial(_piece, path, header, rows) for rows in pieces.values()))
+        segments = collect_problems(*(partial(_piece, path, header, rows) for rows in pieces.values()))
     except InputError as error:  # all pieces have the same header
         raise InputError(list(dict.fromkeys(error.problems))) from None
-    return dict(zip(pieces, found, strict=True))
+    return dict(zip(pieces, segments, strict=True))
 
 
 def _piece(path: Path, header: dict[str, list[str]], rows: list[tuple[int, list[str]]]) -> Pose3D:

@@ -1,6 +1,6 @@
-"""Videos: frames in, one after the other, and frames out.
+"""Read and write videos, frame by frame.
 
-Frames are counted from 0 in the order in which they are decoded, never by seeking: seeking is inexact in many formats,
+Frames are counted from 0 in the order in which they are decoded, never by seeking. Seeking is inexact in many formats,
 and a detector that went through the video counted its frames in this way. The number of frames that a file states is
 only an estimate.
 """
@@ -25,14 +25,16 @@ from recon.geometry.camera import Camera
 
 Image = npt.NDArray[np.uint8]
 CODECS = {".mp4": "mp4v", ".avi": "MJPG"}
-"""What OpenCV's own wheels can encode quickly: MPEG-4 part 2, which players show but browsers do not, and Motion JPEG.
-They hold no encoder for H.264, and VP9 takes half a second for a picture of 1920x1080."""
+"""Codecs that OpenCV's own wheels encode quickly: MPEG-4 part 2, which players show but browsers do not, and Motion
+JPEG. The wheels have no encoder for H.264, and VP9 takes half a second for a picture of 1920x1080.
+"""
 
 UNEVEN, STAMP_S = 0.3, 1e-3
-"""How far the time between frames may be from a multiple of the usual one, as a share of that, and beside it: time
-stamps of Matroska are whole milliseconds."""
+"""Largest deviation of the time between frames from a multiple of the usual one: a share of it, plus seconds.
+Matroska's time stamps are whole milliseconds.
+"""
 DRIFT, DRIFT_FRAMES = 0.05, 30
-"""How far the rate over so many frames may be from the usual one: telephones film slower in the dark."""
+"""Largest deviation of the rate over so many frames from the usual one. Telephones film slower in the dark."""
 MOST_PLACES = 5
 
 SUFFIXES = (".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg", ".wmv", ".mts")
@@ -40,37 +42,42 @@ SUFFIXES = (".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg", ".
 
 @dataclass(frozen=True)
 class VideoInfo:
-    """What a video's file says about it."""
+    """Size, rate and number of frames that a video file states."""
 
     size_px: tuple[int, int]
-    """The size of the picture: (width, height)."""
+    """Width and height of the picture."""
     fps: float | None
-    """None where the file does not say."""
+    """None if the file does not state it."""
     stated_frames: int | None
-    """What the file says, None where it says nothing; the frames that can be decoded may be fewer or more."""
+    """None if the file does not state it; fewer or more frames may be decodable."""
 
 
 def probe(path: str | Path) -> VideoInfo:
-    """What a video says about itself; its first frame is decoded. Raises InputError for a file that is no video."""
+    """Return what a video states about itself, after decoding its first frame.
+
+    Raises InputError for a file that is no video.
+    """
     with _opened(Path(path)) as capture:
         fps, count = capture.get(cv2.CAP_PROP_FPS), capture.get(cv2.CAP_PROP_FRAME_COUNT)
-        found, image = capture.read()
-    if not found:
+        decoded, image = capture.read()
+    if not decoded:
         raise InputError(Problem(path, "video", "no frame that can be decoded", "a video"))
     known = np.isfinite(fps) and 0 < fps < 1e5
     return VideoInfo((image.shape[1], image.shape[0]), float(fps) if known else None, int(count) if count > 0 else None)
 
 
 def size_problems(video: Path, info: VideoInfo, camera: Camera) -> Iterator[Problem]:
-    """Where a video has another size than the camera is calibrated for."""
-    found, wanted = ("{}x{}".format(*size) for size in (info.size_px, camera.image_size_px))
-    if found != wanted:
-        yield Problem(video, "size", found, f"{wanted}, the size that the camera is calibrated for")
+    """Yield a problem where a video has another size than the camera is calibrated for."""
+    video_size, camera_size = ("{}x{}".format(*size) for size in (info.size_px, camera.image_size_px))
+    if video_size != camera_size:
+        yield Problem(video, "size", video_size, f"{camera_size}, the size that the camera is calibrated for")
 
 
 def read_picture(path: Path, how: int) -> Image | None:
-    """A picture, turned upright as its camera says, None where it cannot be read or has more pixels than OpenCV takes.
-    how: as OpenCV's flags say."""
+    """Return a picture, upright by its orientation tag; None if unreadable or too large for OpenCV.
+
+    `how` are OpenCV's flags.
+    """
     image = None
     if not path.is_file():  # a pipe would be waited for
         return None
@@ -84,8 +91,10 @@ def read_picture(path: Path, how: int) -> Image | None:
 
 
 def missing_frames(times_s: Array) -> dict[int, int] | None:
-    """How many frames are missing before a frame, by its number: where the time stamps (T,) of evenly spaced frames
-    leave a gap. Empty where there are no time stamps either; None where they are uneven, and tell nothing."""
+    """Return the number of frames missing before each frame, where time stamps (T,) of even frames have a gap.
+
+    Empty if there are no time stamps; None if they are uneven, and tell nothing.
+    """
     steps = np.diff(times_s)
     if not steps.any():
         return {}
@@ -100,12 +109,19 @@ def missing_frames(times_s: Array) -> dict[int, int] | None:
     due_s, spent_s = due_s[window:] - due_s[:-window], times_s[window:] - times_s[:-window]
     if (np.abs(spent_s - due_s) > DRIFT * due_s + 2 * STAMP_S).any():
         return None
-    return {int(at) + 1: int(counts[at]) - 1 for at in np.flatnonzero(counts > 1)}
+    return {int(index) + 1: int(counts[index]) - 1 for index in np.flatnonzero(counts > 1)}
 
 
 def missing_note(path: str | Path, times_s: Array, first_frame: int = 0, before: int | None = 0) -> str | None:
-    """What to say of a video whose frames are not all there, or are uneven in time. times_s: of those that can be
-    decoded, from first_frame on, as it is numbered; before: how many come before them, None where more follow."""
+    """Return a note about a video with missing or uneven frames, if any.
+
+    Parameters
+    ----------
+    times_s : (T,)
+        Time stamps of the frames that can be decoded, from `first_frame`.
+    before : int or None
+        Number of frames before them; None if more follow.
+    """
     name, stated = Path(path).name, probe(path).stated_frames
     counted = "Frames are numbered as they are decoded, as DeepLabCut does, so that keypoints of this file are in step"
     missing = missing_frames(times_s)
@@ -116,12 +132,12 @@ def missing_note(path: str | Path, times_s: Array, first_frame: int = 0, before:
             f"as even: speeds are wrong. {counted}; convert the video to a constant frame rate, then detect keypoints"
         )
     if missing:
-        places = [f"{count} before frame {at + first_frame}" for at, count in missing.items()]
-        more = ", ..." if len(places) > MOST_PLACES else ""
-        at = next(iter(missing)) + first_frame
+        gaps = [f"{count} before frame {frame + first_frame}" for frame, count in missing.items()]
+        rest = ", ..." if len(gaps) > MOST_PLACES else ""
+        gap_frame = next(iter(missing)) + first_frame
         return (
-            f"by its time stamps {name} lacks frames ({', '.join(places[:MOST_PLACES])}{more}): speeds are wrong "
-            f"there. {counted}; fit the parts between by themselves, the first with --frames :{at}"
+            f"by its time stamps {name} lacks frames ({', '.join(gaps[:MOST_PLACES])}{rest}): speeds are wrong "
+            f"there. {counted}; fit the parts between by themselves, the first with --frames :{gap_frame}"
         )
     if before is not None and stated is not None and (decoded := before + len(times_s)) < stated:
         return (
@@ -134,8 +150,10 @@ def missing_note(path: str | Path, times_s: Array, first_frame: int = 0, before:
 def read_frames(
     path: str | Path, first: int = 0, stop: int | None = None, step: int = 1
 ) -> Iterator[tuple[int, Image]]:
-    """Numbers and pictures (height, width, 3; blue, green, red) of every `step`th frame from `first` up to, but
-    without, `stop`, as far as the video goes. One picture is held at a time."""
+    """Yield numbers and pictures (height, width, 3; blue, green, red) of every `step`th frame.
+
+    Frames run from `first` up to, but without, `stop`, as far as the video goes. One picture is held at a time.
+    """
     for number, _, image in timed_frames(path, first, stop, step):
         yield number, image
 
@@ -143,14 +161,14 @@ def read_frames(
 def timed_frames(
     path: str | Path, first: int = 0, stop: int | None = None, step: int = 1
 ) -> Iterator[tuple[int, float, Image]]:
-    """As `read_frames`, with each frame's time stamp in seconds between its number and its picture."""
+    """Yield number, time stamp in seconds and picture, as `read_frames`."""
     number = 0
     with _opened(Path(path)) as capture:
         while (stop is None or number < stop) and capture.grab():
             if number >= first and (number - first) % step == 0:
                 stamp_s = capture.get(cv2.CAP_PROP_POS_MSEC) / 1e3
-                found, image = capture.retrieve()
-                if not found:
+                decoded, image = capture.retrieve()
+                if not decoded:
                     return
                 yield number, stamp_s, np.asarray(image, dtype=np.uint8)
             number += 1
@@ -158,22 +176,22 @@ def timed_frames(
 
 @contextmanager
 def video_writer(path: str | Path, size_px: tuple[int, int], fps: float) -> Iterator[Callable[[Image], None]]:
-    """A function that appends a picture (height, width, 3; blue, green, red) to a new video.
+    """Yield a function that appends a picture (height, width, 3; blue, green, red) to a new video.
 
-    size_px: (width, height), even. The file appears, or replaces its predecessor, when the block ends without an
-    exception; otherwise nothing is left. Raises InputError for a suffix that is not in `CODECS`, or where OpenCV lacks
-    the encoder; OSError where the disk does not hold all of it.
+    size_px is (width, height), even. The file appears, or replaces its predecessor, when the block ends without an
+    exception; otherwise nothing is left. Raises InputError for a suffix that is not in `CODECS`, or if OpenCV lacks the
+    encoder; OSError if the disk is full.
     """
     path = Path(path)
     codec = require_codec(path)
     with staged_file(path) as staged, _quiet():
-        staged.touch()  # an OSError with the reason, where OpenCV would only say no
+        staged.touch()  # raises an OSError with the reason, which OpenCV would not give
         writer: Any = cv2.VideoWriter(_local(staged), cv2.CAP_FFMPEG, cv2.VideoWriter.fourcc(*codec), fps, size_px)
         written = 0
         try:
             if not writer.isOpened():
-                found = f"an OpenCV without an encoder for {codec} of {size_px[0]}x{size_px[1]} px"
-                raise InputError(Problem(path, "video", found, "one of the suffixes " + ", ".join(CODECS)))
+                detail = f"an OpenCV without an encoder for {codec} of {size_px[0]}x{size_px[1]} px"
+                raise InputError(Problem(path, "video", detail, "one of the suffixes " + ", ".join(CODECS)))
 
             def write(image: Image) -> None:
                 nonlocal written
@@ -192,7 +210,7 @@ def video_writer(path: str | Path, size_px: tuple[int, int], fps: float) -> Iter
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """What OpenCV and FFmpeg print on standard error about a full disk is said here, in one line."""
+    """Silence what OpenCV and FFmpeg print on standard error."""
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # read when the first video of a process is opened
     level = cv2.utils.logging.getLogLevel()
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
@@ -203,23 +221,23 @@ def _quiet() -> Iterator[None]:
 
 
 def _ends_as_it_says(path: Path) -> bool:
-    """Whether the parts of an AVI (RIFF) or MP4 file, of which each states its length, are all of it."""
-    end, at = path.stat().st_size, 0
+    """Return whether an AVI (RIFF) or MP4 file is as long as its parts state."""
+    end, position = path.stat().st_size, 0
     with path.open("rb") as file:
-        while at < end:
-            file.seek(at)
+        while position < end:
+            file.seek(position)
             head = file.read(16).ljust(16, b"\0")
             if path.suffix.lower() == ".avi":
                 length = 8 + int.from_bytes(head[4:8], "little")
             else:
                 length = int.from_bytes(head[:4], "big")
                 length = int.from_bytes(head[8:], "big") if length == 1 else length
-            at += max(length, 8)
-    return at == end
+            position += max(length, 8)
+    return position == end
 
 
 def require_codec(path: Path) -> str:
-    """The codec for a video of this name. Raises InputError for a suffix without one."""
+    """Return the codec for a video of this name; raise InputError for a suffix without one."""
     codec = CODECS.get(path.suffix.lower())
     if codec is None:
         raise InputError(Problem(path, "suffix", repr(path.suffix), "one of " + ", ".join(CODECS)))
@@ -227,7 +245,7 @@ def require_codec(path: Path) -> str:
 
 
 def _local(path: Path) -> str:
-    """A name that ffmpeg takes for a file: run10:30.mp4, or a folder called http:, would be a protocol."""
+    """Return a name that ffmpeg takes for a file: run10:30.mp4, or a folder called http:, would be a protocol."""
     return str(path.absolute())
 
 

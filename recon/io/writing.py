@@ -1,5 +1,7 @@
-"""What writers of several formats share: points as a file is to have them, names and frames that it can hold, and
-tables of text, whose numbers read back exactly."""
+"""Share what writers of several formats need.
+
+Points as a file is to have them, names and frames that it can hold, and tables of text whose numbers read back exactly.
+"""
 
 from __future__ import annotations
 
@@ -19,18 +21,18 @@ from recon.io.common import MAX_FRAME, SCORER, Pose3D, StoredPoints, require_spa
 
 @contextmanager
 def formats_extra(path: str | Path) -> Iterator[None]:
-    """Around the import of a library of the extra `formats`: an InputError says what to install where it is missing."""
+    """Raise InputError with the command to install, if a library of the extra `formats` is missing in the block."""
     try:
         yield
     except ModuleNotFoundError as error:
         from recon.base.package import install_command
 
-        found = f"a format that needs the package {(error.name or '').split('.')[0]}, which is not installed"
-        raise InputError(Problem(path, "format", found, install_command("formats"))) from None
+        detail = f"a format that needs the package {(error.name or '').split('.')[0]}, which is not installed"
+        raise InputError(Problem(path, "format", detail, install_command("formats"))) from None
 
 
 def points_of(data: Keypoints | Pose3D) -> StoredPoints:
-    """As a file is to have them: px, or metres with z up."""
+    """Return points as a file is to have them: pixels, or metres with z up."""
     if isinstance(data, Keypoints):
         return StoredPoints(
             data.names, data.xy_px, data.frames, data.confidence, data.fps, data.individual, scorer=data.scorer
@@ -39,22 +41,22 @@ def points_of(data: Keypoints | Pose3D) -> StoredPoints:
 
 
 def y_up_from_z_up(xyz: np.ndarray) -> np.ndarray:
-    """Points (..., 3) with x forwards, y up, z right, from ours: x forwards, y left, z up."""
+    """Return points (..., 3) with x forwards, y up, z right, from ours: x forwards, y left, z up."""
     return np.stack([xyz[..., 0], xyz[..., 2], -xyz[..., 1]], axis=-1)
 
 
 def index_edges(names: Sequence[str], edges: Sequence[tuple[str, str]]) -> np.ndarray:
-    """(E, 2) int: the pairs of names as indices."""
+    """Return the pairs of names as indices, (E, 2) int."""
     return np.array([[names.index(a), names.index(b)] for a, b in edges], dtype=np.int64).reshape(-1, 2)
 
 
 def frames_text(frames: np.ndarray) -> list[str]:
-    """Increasing frame numbers as ranges with both ends: 10, 11, 12, 15 is ["10-12", "15"]."""
+    """Return increasing frame numbers as ranges with both ends: 10, 11, 12, 15 is ["10-12", "15"]."""
     return [f"{a}" if b == a + 1 else f"{a}-{b - 1}" for a, b in frame_ranges(frames)]
 
 
 def frames_of_text(ranges: Iterable[str]) -> np.ndarray | None:
-    """The opposite of `frames_text`; None for anything else."""
+    """Return the frame numbers of `frames_text`; None for anything else."""
     frames: list[np.ndarray] = []
     last = -MAX_FRAME - 1
     for text in ranges:
@@ -68,26 +70,26 @@ def frames_of_text(ranges: Iterable[str]) -> np.ndarray | None:
 
 
 def required_fps(fps: float | None, title: str) -> float:
-    """Raises InputError without a frame rate."""
+    """Return the frame rate; raise InputError without one."""
     if fps is None:
-        found = "nothing, and no frame rate in the input"
-        raise InputError(Problem("--fps", "fps", found, f"frames per second, as in 90: {title} cannot do without"))
+        detail = "nothing, and no frame rate in the input"
+        raise InputError(Problem("--fps", "fps", detail, f"frames per second, as in 90: {title} cannot do without"))
     return fps
 
 
 def require_names(names: Sequence[str], forbidden: str, title: str, bytes_max: int = 65_535) -> None:
-    """Raises InputError for names with a character that matches the pattern `forbidden`, or that are too long."""
+    """Raise InputError for names that match the pattern `forbidden` or are too long."""
     problems = []
     for name in names:
-        if found := re.search(forbidden, name):
-            problems.append(Problem(title, "name", f"'{name}', with {found.group()!r} in it", "one without it"))
+        if match := re.search(forbidden, name):
+            problems.append(Problem(title, "name", f"'{name}', with {match.group()!r} in it", "one without it"))
         if (size := len(name.encode())) > bytes_max:
             problems.append(Problem(title, "name", f"'{name}', {size} bytes in UTF-8", f"at most {bytes_max}"))
     raise_problems(problems[:10])
 
 
 def without_gaps(frames: np.ndarray, values: np.ndarray, title: str) -> np.ndarray:
-    """Values (T, ...) with rows of NaN for the frame numbers that are absent between the first and the last.
+    """Return values (T, ...) with rows of NaN for absent frame numbers.
 
     Raises InputError if the gaps would make the file absurdly long.
     """
@@ -99,12 +101,12 @@ def without_gaps(frames: np.ndarray, values: np.ndarray, title: str) -> np.ndarr
 
 
 def write_table(path: Path, header: Iterable[Sequence[str]], frames: np.ndarray, values: np.ndarray) -> None:
-    """Header rows as they are, then one row per frame: its number, and values (T, C); NaN is an empty cell."""
+    """Write header rows, then one row per frame: its number, and values (T, C); NaN is an empty cell."""
     write_rows(path, header, ([frame, *row.tolist()] for frame, row in zip(frames.tolist(), values, strict=True)))
 
 
 def write_rows(path: Path, header: Iterable[Sequence[str]], rows: Iterable[Sequence[Any]]) -> None:
-    """The same for rows of text, whole numbers and floats."""
+    """Write header rows, then rows of text, whole numbers and floats; NaN is an empty cell."""
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerows(header)
@@ -112,8 +114,10 @@ def write_rows(path: Path, header: Iterable[Sequence[str]], rows: Iterable[Seque
 
 
 def write_columns(path: Path, columns: Mapping[str, np.ndarray]) -> None:
-    """A long table by its columns (N,), of floats, whole numbers or text without commas; NaN is an empty cell. Much
-    faster than row by row."""
+    """Write a long table by its columns (N,), of floats, whole numbers or text without commas.
+
+    NaN is an empty cell. Much faster than row by row.
+    """
     import pyarrow as pa  # rerun has it
     from pyarrow import csv as arrow_csv
 
@@ -124,13 +128,13 @@ def write_columns(path: Path, columns: Mapping[str, np.ndarray]) -> None:
 
 
 def _cell(value: Any) -> Any:
-    """What the writer turns into the shortest text that reads back exactly."""
+    """Return a value that the writer turns into the shortest text that reads back exactly."""
     plain = value.item() if isinstance(value, np.generic) else value
     return "" if plain != plain else plain
 
 
 def deeplabcut_layout(data: Keypoints | Pose3D) -> tuple[dict[str, list[str]], np.ndarray, np.ndarray]:
-    """The header cells by level, frame numbers (T,) and values (T, 3K) of DeepLabCut's tables."""
+    """Return header cells by level, frame numbers (T,) and values (T, 3K) of DeepLabCut's tables."""
     points = points_of(data)
     coords, values = ("x", "y", "z"), points.values
     if points.likelihood is not None:
@@ -144,7 +148,7 @@ def deeplabcut_layout(data: Keypoints | Pose3D) -> tuple[dict[str, list[str]], n
 
 
 def _with_fps(scorer: str | None, fps: float | None) -> str:
-    """The scorer with the frame rate behind it, as ours; of points that another program found, its own stays."""
+    """Return the scorer with the frame rate behind it; another program's scorer stays in front."""
     ours = SCORER if fps is None else f"{SCORER}_{repr(fps).removesuffix('.0')}fps"
     if scorer in (None, SCORER):
         return ours
