@@ -32,22 +32,13 @@ from recon.animal.chain import load_chain
 from recon.animal.skeleton_file import load_skeleton
 from recon.fit.points import solve_points
 from recon.gait.gait import pose_gait
-from recon.ik.chain import (
-    SerialChain,
-    StridePath,
-    body_chain,
-    body_chain_angles,
-    chain_angles,
-    find_stride,
-    projected_chain,
-    spine_front_leg,
-)
-from recon.ik.clip import LAST, Limb, fit_parameter_series, follow_stride, stride_lasts_s
+from recon.ik.animal_chain import body_chain, body_chain_angles, chain_angles, projected_chain, spine_front_leg
+from recon.ik.chain import SerialChain
+from recon.ik.costs import Cost, harmonic_map, joint_differences, pose_distance, rotational_energy
+from recon.ik.drive import degree_of_closure, drive_to, follow
+from recon.ik.limb import LAST, Limb, fit_parameter_series, follow_stride, stride_lasts_s
 from recon.ik.methods import (
-    Cost,
     ExtendedJacobian,
-    Fit,
-    Frames,
     GradientProjection,
     JacobianTranspose,
     LeastNorm,
@@ -55,19 +46,11 @@ from recon.ik.methods import (
     SelectivelyDamped,
     best_scale,
     damped_least_squares,
-    degree_of_closure,
-    drive_to,
-    explained_by,
-    fits,
-    follow,
-    harmonic_map,
-    joint_differences,
-    pose_distance,
-    rates_of,
-    rotational_energy,
-    to_null_space_optimum,
     weighted_least_norm,
 )
+from recon.ik.null_space import to_null_space_optimum
+from recon.ik.parameters import Fit, Frames, explained_by, fits, rates_of
+from recon.ik.stride import StridePath, find_stride
 
 Array = np.ndarray
 

@@ -6,25 +6,11 @@ import numpy as np
 import pytest
 
 from recon import load_skeleton
-from recon.animal import load_chain
-from recon.ik.chain import (
-    body_chain,
-    joint_chain,
-    manipulability,
-    mobility,
-    null_basis,
-    planar_chain,
-    summed_chain,
-    two_link,
-)
-from recon.ik.methods import (
-    harmonic_map,
-    joint_differences,
-    pose_distance,
-    rotational_energy,
-    user_cost,
-    weighted_sum,
-)
+from recon.ik.animal_chain import body_chain
+from recon.ik.chain import joint_chain, manipulability, mobility, null_basis, planar_chain, summed_chain
+from recon.ik.costs import harmonic_map, joint_differences, pose_distance, rotational_energy, user_cost, weighted_sum
+from recon.ik.two_link import two_link
+from recon.thesis.chain import load_chain
 
 LENGTHS = (0.4, 0.3, 0.25, 0.28, 0.2)
 CHAINS = {"planar": planar_chain(LENGTHS), "summed": summed_chain(LENGTHS)}

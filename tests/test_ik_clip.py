@@ -17,19 +17,11 @@ from scipy.interpolate import CubicSpline
 from recon.fit import Motion
 from recon.gait import pose_gait
 from recon.ik import IkSettings, limb_of, methods_of, run_ik
-from recon.ik.clip import METHODS, cost_of, fit_parameters, follow_stride, stride_lasts_s, stride_of
-from recon.ik.methods import (
-    PULL,
-    RANGE,
-    Frames,
-    LeastNorm,
-    damped_least_squares,
-    drive_to,
-    explained_by,
-    fits,
-    rates_of,
-    weighted_least_norm,
-)
+from recon.ik.clip import METHODS
+from recon.ik.drive import drive_to
+from recon.ik.limb import cost_of, fit_parameters, follow_stride, stride_lasts_s, stride_of
+from recon.ik.methods import LeastNorm, damped_least_squares, weighted_least_norm
+from recon.ik.parameters import PULL, RANGE, Frames, explained_by, fits, rates_of
 from recon.io import Pose3D
 
 pytestmark = pytest.mark.usefixtures("small_pictures")

@@ -8,7 +8,10 @@ import numpy as np
 import pytest
 
 from recon.animal import load_chain
-from recon.ik.chain import null_basis, planar_chain, spine_front_leg
+from recon.ik.animal_chain import spine_front_leg
+from recon.ik.chain import null_basis, planar_chain
+from recon.ik.costs import harmonic_map, joint_differences, rotational_energy, user_cost
+from recon.ik.drive import degree_of_closure, drive_to, follow
 from recon.ik.methods import (
     ExtendedJacobian,
     GradientProjection,
@@ -16,16 +19,9 @@ from recon.ik.methods import (
     LeastNorm,
     SelectivelyDamped,
     damped_least_squares,
-    degree_of_closure,
-    drive_to,
-    follow,
-    harmonic_map,
-    joint_differences,
-    rotational_energy,
-    to_null_space_optimum,
-    user_cost,
     weighted_least_norm,
 )
+from recon.ik.null_space import to_null_space_optimum
 
 STARTS = 12
 

@@ -7,14 +7,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from recon.ik.chain import joint_chain, planar_chain, unreachable
-from recon.ik.methods import (
-    ExtendedJacobian,
-    LeastNorm,
-    damped_least_squares,
-    drive_to,
-    joint_differences,
-    rotational_energy,
-)
+from recon.ik.costs import joint_differences, rotational_energy
+from recon.ik.drive import drive_to
+from recon.ik.methods import ExtendedJacobian, LeastNorm, damped_least_squares
 
 SLIDING = np.array([False, True, False, False, False, True])
 

@@ -9,27 +9,19 @@ import pytest
 from scipy.linalg import orthogonal_procrustes
 
 from recon.ik.chain import null_basis, planar_chain, summed_chain
+from recon.ik.costs import harmonic_map, joint_differences, rotational_energy, user_cost, weighted_sum
 from recon.ik.methods import (
-    PULL,
     ExtendedJacobian,
-    Frames,
     GradientProjection,
     JacobianTranspose,
     LeastNorm,
     SelectivelyDamped,
     damped_least_squares,
-    explained_by,
-    fits,
-    harmonic_map,
-    joint_differences,
-    rates_of,
     reduced_gradient,
     right_inverse,
-    rotational_energy,
-    user_cost,
     weighted_least_norm,
-    weighted_sum,
 )
+from recon.ik.parameters import PULL, Frames, explained_by, fits, rates_of
 
 LENGTHS = (0.4, 0.3, 0.25, 0.28, 0.2)
 CHAINS = {"planar": planar_chain(LENGTHS), "summed": summed_chain(LENGTHS)}

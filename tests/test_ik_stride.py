@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from recon.ik.chain import farthest_reach, find_stride, planar_chain
-from recon.ik.methods import LeastNorm, follow
+from recon.ik.chain import planar_chain
+from recon.ik.drive import follow
+from recon.ik.methods import LeastNorm
+from recon.ik.stride import farthest_reach, find_stride
 
 CHAIN = planar_chain((0.5, 0.4, 0.3))
 

@@ -27,9 +27,10 @@ from recon.gait import (
     vector_field,
 )
 from recon.gait.gait import BODY, FEET, Plane, Stance, Stride, gait, pose_tracks
-from recon.ik import clip as ik_plots
+from recon.ik import figures as ik_plots
 from recon.ik.chain import planar_chain, summed_chain
-from recon.ik.methods import JacobianTranspose, LeastNorm, damped_least_squares, drive_to, follow
+from recon.ik.drive import drive_to, follow
+from recon.ik.methods import JacobianTranspose, LeastNorm, damped_least_squares
 from recon.io.common import Pose3D
 from recon.show import plots
 from recon.show.plots import configurations, over_time, style

@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from recon.ik.costs import joint_differences
+from recon.ik.drive import drive_to
 from recon.ik.methods import (
     ExtendedJacobian,
     GradientProjection,
@@ -11,8 +13,6 @@ from recon.ik.methods import (
     LeastNorm,
     SelectivelyDamped,
     damped_least_squares,
-    drive_to,
-    joint_differences,
     weighted_least_norm,
 )
 from recon.robotics.dh import DHRow, all_solutions, dh_chain, dh_table

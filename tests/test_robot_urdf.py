@@ -8,6 +8,8 @@ from command_line import refusal
 from robot_urdf import HEAD, JOINT, a1_urdf, moving
 
 from recon import InputError
+from recon.ik.costs import joint_differences
+from recon.ik.drive import drive_to
 from recon.ik.methods import (
     ExtendedJacobian,
     GradientProjection,
@@ -15,8 +17,6 @@ from recon.ik.methods import (
     LeastNorm,
     SelectivelyDamped,
     damped_least_squares,
-    drive_to,
-    joint_differences,
     weighted_least_norm,
 )
 from recon.robotics import LEGS, load_robot, simulated

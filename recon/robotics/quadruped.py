@@ -55,7 +55,8 @@ from recon.base.errors import InputError, Problem, raise_problems
 from recon.base.package import install_command
 from recon.geometry.kinematics import Marker, Segment, Tree
 from recon.ik.chain import MAX_RATE_RAD_S, SerialChain, joint_chain
-from recon.ik.methods import LeastNorm, drive_to
+from recon.ik.drive import drive_to
+from recon.ik.methods import LeastNorm
 
 LEGS = ("LF", "RF", "LH", "RH")
 IK_TOLERANCE_M = 1e-5

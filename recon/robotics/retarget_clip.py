@@ -43,7 +43,7 @@ from recon.fit.motion import Motion
 from recon.fit.result import TrajectorySolution
 from recon.fit.sampling import draws
 from recon.gait.gait import doubtful_text
-from recon.ik.methods import control_columns
+from recon.ik.drive import control_columns
 from recon.io.writing import write_rows
 from recon.robotics import physics
 from recon.robotics.quadruped import LEGS, Quadruped, builtin_robots, load_robot

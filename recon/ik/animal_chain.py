@@ -1,0 +1,200 @@
+"""The chains of an animal, from the root of a skeleton to a foot, and their joint angles in a reconstruction.
+
+They sit in a level base frame at the root. The spine-front-leg chain of the 8U skeleton and planar chains have U along
+the direction of travel, V down, W to the side, right-handed; x and y of planar chains are U and V. The spine's first
+link, which lies on the skeleton's U and has no angles there, is free here: the angles follow from the rotation of the
+skeleton. The chains of whole animals have x along the direction of travel, y left, z up, as in
+`recon.geometry.kinematics`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from recon.animal.body import Body
+from recon.animal.chain import UVW_BODY, Chain, upright_rotation
+from recon.base.arrays import Array
+from recon.geometry.kinematics import PITCH, ROOT, YAW, Tree
+from recon.ik.chain import FREE, MAX_RATE_RAD_S, SerialChain, _each, planar_chain, summed_chain
+
+BASE_THETA_RAD = 0.9
+"""Limit of the first link's pitch: three standard deviations of a running animal's."""
+LIMIT_SIGMAS = 3.0
+"""Limits of a whole animal's angles, in standard deviations."""
+_TRAVEL_M = 0.1
+"""A shorter path of the root has no direction."""
+_UP = np.array([0.0, 0.0, 1.0])
+
+
+def spine_front_leg(
+    chain: Chain, base_length_m: float | None = None, dim: Literal[2, 3] = 3, limited: bool = True
+) -> SerialChain:
+    """The chain from the root to the front foot, r5, r1, r2, r3, r4 of the 8U skeleton, in its level base frame.
+
+    Its joints are called as the chain's own angles, after the joint at the link's end: theta_9, theta_1 to theta_4, and
+    so the phis. base_length_m: None for the nominal one. Limits are the skeleton's expected ranges, those of the first
+    link `BASE_THETA_RAD` and three standard deviations of the heading about the direction of travel; it turns no faster
+    than the next one. limited: False leaves them out, but for the rates'.
+    """
+    links = _path(chain)
+    base = chain.nominal_base_length_m if base_length_m is None else base_length_m
+    lengths = [chain.links[i].length_ratio * base for i in links]
+    free = _angle_index(chain, links)
+    lower, upper, rate = [], [], []
+    for ranges, base_limit in ((chain.theta, BASE_THETA_RAD), (chain.phi, 3 * chain.file.prior.travel_sigma_rad)):
+        rates = [float(ranges.max_rate_rad_s[k]) for k in free if k is not None]
+        for k in free:
+            lower.append(-base_limit if k is None else ranges.mean_rad[k] - ranges.tolerance_rad[k])
+            upper.append(base_limit if k is None else ranges.mean_rad[k] + ranges.tolerance_rad[k])
+            rate.append(rates[0] if k is None else ranges.max_rate_rad_s[k])
+    kind = planar_chain if dim == 2 else summed_chain
+    n = len(links) * (dim - 1)
+    numbers = [chain.links[i].end.lstrip("J") for i in links]
+    names = tuple(f"{angle}_{number}" for angle in ("theta", "phi")[: dim - 1] for number in numbers)
+    return replace(kind(lengths, (lower[:n], upper[:n]) if limited else FREE, rate[:n]), names=names)
+
+
+def chain_angles(chain: Chain, states: Array, travel: Array | None = None, dim: Literal[2, 3] = 3) -> Array:
+    """Joint angles (T, n) of `spine_front_leg` in its level base frame, for states (T, D) of the chain's body.
+
+    travel: direction of travel, (3,) or (T, 3), of which the level part counts; None: as `body_travel`. All links keep
+    their directions in space exactly (dim 3); of the two angle pairs for a direction, and of their turns, it is the one
+    nearer to that of the chain without roll. dim 2: the thetas, the chain turned into the sagittal plane.
+    """
+    R = chain.body.tree.orientations(states)[:, 0] @ UVW_BODY.T
+    heading = (body_travel(states) if travel is None else np.asarray(travel, float)) * (1.0, 1.0, 0.0)
+    heading = np.broadcast_to(heading / np.linalg.norm(heading, axis=-1, keepdims=True), (len(states), 3))
+    R_base_local = upright_rotation(heading, _UP).transpose(0, 2, 1) @ R
+
+    free = _angle_index(chain, _path(chain))
+    zero, angles = np.zeros(len(states)), states[:, chain.body_angles]
+    theta, phi = (
+        np.cumsum([zero if k is None else of_kind[:, k] for k in free], axis=0).T
+        for of_kind in np.split(angles, 2, axis=1)
+    )
+    local = np.stack([np.cos(theta) * np.cos(phi), np.sin(theta), np.cos(theta) * np.sin(phi)], axis=-1)
+    U = R_base_local[:, None, :, 0]
+    T, P = _angles_near(
+        local @ R_base_local.transpose(0, 2, 1),
+        theta + np.arcsin(np.clip(U[..., 1], -1, 1)),
+        phi + np.arctan2(U[..., 2], U[..., 0]),
+    )
+    joints = [np.diff(sums, axis=1, prepend=0.0) for sums in (T, P)]
+    return joints[0] if dim == 2 else np.concatenate(joints, axis=1)
+
+
+def _angles_near(directions: Array, theta: Array, phi: Array) -> tuple[Array, Array]:
+    """T, P (T, L) of unit vectors (T, L, 3), nearest to theta, phi (T, L)."""
+    T = np.arcsin(np.clip(directions[..., 1], -1, 1))
+    P = np.arctan2(directions[..., 2], directions[..., 0])
+    pairs = [
+        (theta + np.angle(np.exp(1j * (t - theta))), phi + np.angle(np.exp(1j * (p - phi))))
+        for t, p in ((T, P), (np.pi - T, P + np.pi))
+    ]
+    # Phi counts as far as it turns the link.
+    far = [(t - theta) ** 2 + (np.cos(t) * (p - phi)) ** 2 for t, p in pairs]
+    first = far[0] <= far[1]
+    return np.where(first, pairs[0][0], pairs[1][0]), np.where(first, pairs[0][1], pairs[1][1])
+
+
+def _path(chain: Chain) -> list[int]:
+    """Indices of the links from the root to the fore foot."""
+    joint = chain.body.feet_by_label().get("F")
+    if joint is None:
+        raise ValueError(f"{chain.name} has no fore foot")
+    into = {link.end: i for i, link in enumerate(chain.links)}
+    links = []
+    while joint in into:
+        links.insert(0, into[joint])
+        joint = chain.links[links[0]].start
+    return links
+
+
+def _angle_index(chain: Chain, links: list[int]) -> list[int | None]:
+    """Where links have their theta among the thetas, None for a link without."""
+    free = [i for i, link in enumerate(chain.links) if link.free]
+    return [free.index(i) if i in free else None for i in links]
+
+
+def body_chain(body: Body, foot: str, size: float = 1.0, limited: bool = True) -> SerialChain:
+    """The chain from the root segment's origin to a marker, its joints' names those of the state.
+
+    The first joints are the root's yaw against the direction of travel, its pitch and its roll. Limits are the body's
+    expectations, `LIMIT_SIGMAS` standard deviations each way, of the yaw half a turn. limited: False leaves them out,
+    but for the rates'. Raises ValueError for a marker that the body lacks, or one behind joints whose angles add up.
+    """
+    marker = next((m for m in body.tree.markers if m.name == foot), None)
+    if marker is None:
+        raise ValueError(f"{body.name} has no marker {foot}, only {', '.join(body.markers)}")
+    by_name = {segment.name: segment for segment in body.tree.segments}
+    way = [by_name[marker.segment]]
+    while way[0].parent is not None:
+        way.insert(0, by_name[way[0].parent])
+    if summed := [segment.name for segment in way if segment.joint == "summed"]:
+        raise ValueError(f"{body.name}: the angles of {summed[0]} add up, which is `summed_chain`")
+    tree = Tree(tuple(way), (marker,)).scaled(size)
+    names = tree.state_names[3:]
+    where = np.array([body.state_names.index(name) for name in names])
+    mean, sigma = np.concatenate([[0.0], body.mean_rad]), np.concatenate([[np.inf], body.sigma_rad])
+    low, high = ((mean + sign * LIMIT_SIGMAS * sigma)[where - YAW] for sign in (-1, 1))
+    low[0], high[0] = -np.pi, np.pi
+    groups = (tuple(i for i, about in enumerate(tree.axes) if about == axis) for axis in "zyx")
+    limits = _each(len(names), *((low, high) if limited else FREE), MAX_RATE_RAD_S)
+    columns = 3 + np.arange(len(names))
+    return SerialChain(tree, columns, names, tuple(group for group in groups if group), *limits)
+
+
+def body_chain_angles(body: Body, foot: str, states: Array, travel: Array | None = None) -> Array:
+    """Joint angles (T, n) of `body_chain` for states (T, D) of the body, in a world with z up.
+
+    travel: direction of travel, (3,) or (T, 3), of which the level part counts; None: from the first to the last place
+    of the root, or the way the animal faces where that is short.
+    """
+    q = states[:, [body.state_names.index(name) for name in body_chain(body, foot).names]]
+    ahead = body_travel(states) if travel is None else np.asarray(travel, float)
+    yaw = q[:, 0] - np.arctan2(ahead[..., 1], ahead[..., 0])
+    q[:, 0] = _unwrapped(np.angle(np.exp(1j * yaw)))
+    return q
+
+
+def body_travel(states: Array) -> Array:
+    """Direction of travel (3,), level, of states (T, D) of a body: from the first to the last place of the root, or the
+    way the animal faces where that is short."""
+    known = states[np.isfinite(states).all(axis=1)]
+    if not len(known):
+        return np.full(3, np.nan)
+    chord = known[-1, ROOT] - known[0, ROOT]
+    if np.hypot(chord[0], chord[1]) < _TRAVEL_M:
+        yaw, pitch = known[:, YAW], known[:, PITCH]
+        chord = np.array([np.cos(yaw) * np.cos(pitch), np.sin(yaw) * np.cos(pitch), 0 * yaw]).mean(axis=1)
+    return np.array([chord[0], chord[1], 0.0]) / np.hypot(chord[0], chord[1])
+
+
+def projected_chain(points_m: Array, travel: ArrayLike) -> tuple[SerialChain, Array, Array]:
+    """A planar chain through consecutive joints of any skeleton: the chain, q (T, K - 1), and its misfit (T,), metres.
+
+    points_m (T, K, 3): joints, world z up, NaN where missing; travel (3,). Everything is projected into the vertical
+    plane along the travel. Lengths are the medians of the projected ones, so that the chain's end does not lie quite
+    where the last joint is seen: the misfit is that distance. Angles do not jump by whole turns. Without limits.
+    """
+    ahead = np.asarray(travel, float) * (1.0, 1.0, 0.0)
+    plane = np.array([ahead / np.linalg.norm(ahead), -_UP])
+    points = (points_m - points_m[:, :1]) @ plane.T
+    links = np.diff(points, axis=1)
+    lengths = np.nanmedian(np.linalg.norm(links, axis=2), axis=0)
+    directions = np.arctan2(links[..., 1], links[..., 0])
+    turns = np.diff(directions, axis=1, prepend=0.0)
+    q = np.apply_along_axis(_unwrapped, 0, np.angle(np.exp(1j * turns)))
+    chain = planar_chain(lengths)
+    return chain, q, np.linalg.norm(chain.end(q) - points[:, -1], axis=1)
+
+
+def _unwrapped(angle: Array) -> Array:
+    """(T,) without jumps of whole turns between known frames."""
+    out, known = angle.copy(), np.isfinite(angle)
+    out[known] = np.unwrap(angle[known])
+    return out

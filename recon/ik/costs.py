@@ -1,0 +1,108 @@
+"""Costs on the joint angles of redundant chains, with their gradients and Hessians.
+
+They are the thesis' (C. van der Leek, 2022). In the rotational energies each link has its own length (printed with r5
+throughout).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from recon.base.arrays import Array
+from recon.ik.chain import SerialChain
+
+
+@dataclass(frozen=True, eq=False)
+class Cost:
+    """A cost on joint angles q (n,), rad: three functions of them."""
+
+    value: Callable[[Array], float]
+    gradient: Callable[[Array], Array]
+    """The gradient of the cost, shape (n,)."""
+    hessian: Callable[[Array], Array]
+    """The second derivatives of the cost, shape (n, n)."""
+
+
+def quadratic(matrix: Array, about: Array | float = 0.0) -> Cost:
+    """g = (q - about)' H (q - about) / 2 with a constant symmetric matrix H (n, n); about: (n,), or 0 for all."""
+    return Cost(
+        lambda q: float((q - about) @ matrix @ (q - about)) / 2, lambda q: matrix @ (q - about), lambda _: matrix
+    )
+
+
+def joint_differences(chain: SerialChain) -> Cost:
+    """sum (q_{k+1} - q_k)^2 over the joints that follow each other, thetas and phis apart: an even bend."""
+    D = np.concatenate([np.diff(np.eye(chain.n)[[*group]], axis=0) for group in chain.groups])
+    return quadratic(2 * D.T @ D)
+
+
+def rotational_energy(chain: SerialChain) -> Cost:
+    """sum (r_k q_k)^2 with each joint's own link length r_k, m^2: least rotation, least in the long links."""
+    return quadratic(2 * np.diag(chain.joint_lengths_m**2))
+
+
+def pose_distance(pose: Array) -> Cost:
+    """sum (q_k - p_k)^2 from a pose p (n,), of the animal for instance."""
+    return quadratic(2 * np.eye(len(pose)), pose)
+
+
+def weighted_sum(costs: Sequence[Cost], weights: Sequence[float]) -> Cost:
+    """sum_i w_i g_i of other costs."""
+
+    def added(part: str, q: Array) -> Any:
+        return sum(w * getattr(cost, part)(q) for w, cost in zip(weights, costs, strict=True))
+
+    return Cost(partial(added, "value"), partial(added, "gradient"), partial(added, "hessian"))
+
+
+def harmonic_map(a: float = 1.0, b: float = 0.0, joints: Sequence[int] = (2, 3, 4)) -> Cost:
+    """g = q2 (a q1 + b) sqrt(1 + q1^2) with q1 = q[i] - q[j], q2 = q[k] - q[j].
+
+    joints: (i, j, k), by default theta_2, theta_3, theta_4 of the spine-front-leg chain. Its Hessian has rank 2, and
+    its stationary points are saddles: the extended Jacobian can be singular at G = 0.
+    """
+    i, j, k = joints
+
+    def parts(q: Array) -> tuple[float, float, float, float]:
+        """q2, f, f' and f'' of f = (a q1 + b) sqrt(1 + q1^2)."""
+        q1, q2 = float(q[i] - q[j]), float(q[k] - q[j])
+        root, line = math.sqrt(1 + q1 * q1), a * q1 + b
+        first = a * root + line * q1 / root
+        second = (3 * a * q1 + b) / root - line * q1 * q1 / root**3
+        return q2, line * root, first, second
+
+    def differences(q: Array) -> Array:
+        """(2, n): q1 and q2 by q."""
+        out = np.zeros((2, len(q)))
+        out[[0, 1], [i, k]], out[:, j] = 1.0, -1.0
+        return out
+
+    def gradient(q: Array) -> Array:
+        q2, f, first, _ = parts(q)
+        return np.array([q2 * first, f]) @ differences(q)
+
+    def hessian(q: Array) -> Array:
+        q2, _, first, second = parts(q)
+        return differences(q).T @ np.array([[q2 * second, first], [first, 0.0]]) @ differences(q)
+
+    return Cost(lambda q: math.prod(parts(q)[:2]), gradient, hessian)
+
+
+def user_cost(function: Callable[[Array], float], step_rad: float = 1e-4) -> Cost:
+    """Any smooth function of q (n,), with derivatives from central differences over step_rad."""
+
+    def slopes(of: Callable[[Array], Array | float], q: Array) -> Array:
+        with np.errstate(invalid="ignore"):  # a cost that is infinite has no slope
+            return np.array([np.subtract(of(q + e), of(q - e)) for e in step_rad * np.eye(len(q))]) / (2 * step_rad)
+
+    def hessian(q: Array) -> Array:
+        bent = slopes(lambda x: slopes(function, x), q)
+        return (bent + bent.T) / 2
+
+    return Cost(lambda q: float(function(q)), lambda q: slopes(function, q), hessian)

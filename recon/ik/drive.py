@@ -1,0 +1,290 @@
+"""Motion of a chain's end effector to a target or along a path by one of the methods.
+
+One iteration is an interval of time. The end effector is sent to the next point at the velocity that reaches it in the
+interval (which removes the drift of the iteration before), by no more than `MAX_STEP_M`. The method gives the rates,
+and the joints move by rates times interval. Joints that would leave their limits stay, and are taken out of the chain
+for that iteration. The extended Jacobian starts at G = 0 (`recon.ik.null_space`) and is kept there by a gain of
+1 / interval.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from recon.base.arrays import Array, Bools
+from recon.gait import phase
+from recon.ik.chain import SerialChain, manipulability, unreachable
+from recon.ik.methods import ALL, INTERVAL_S, ExtendedJacobian, JointRates, Method
+from recon.ik.null_space import _listed, to_null_space_optimum
+
+TOLERANCE_M = 0.003
+MAX_STEP_M = 0.02
+"""Longest way of the end effector in one iteration."""
+PATIENCE = 100
+"""Iterations in which the distance has to shrink by `PROGRESS`."""
+PROGRESS = 0.01
+STILL_RAD = 1e-10
+"""Rounding, no motion."""
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """What a chain did on its way to a target or along a path: K configurations, K - 1 steps."""
+
+    q: Array
+    """(K, n), rad."""
+    dq: Array
+    """(K, n), rad/s: the rates with which each configuration is left. The last ones are 0 at a target, those with which
+    a closed path begins anew, or those with which an open one ends."""
+    interval_s: float
+    """From one configuration to the next."""
+    end_m: Array
+    """(K, dim)"""
+    aim_m: Array
+    """The target (dim,), or the points of the path (K, dim)."""
+    manipulability: Array
+    """(K,): sqrt(det J J')."""
+    singular: Bools
+    """(K - 1,): whether the step was damped at a singular configuration."""
+    solve_s: Array
+    """(K - 1,): computing time of each step."""
+    limits: dict[str, str]
+    """By joint that a limit stopped, in their order: which limit, and in which step the first time."""
+    closed: bool
+    """Whether it was along a closed path."""
+    note: str
+    """What kept it from a target, "unreachable: ...", "singular: ...", "limits: ..." or "no progress: ..."; along a
+    path the first thing that went wrong, with its step. Empty where nothing did."""
+
+    @property
+    def driven(self) -> bool:
+        """Whether it was to a target."""
+        return self.aim_m.ndim == 1
+
+    @property
+    def distance_m(self) -> Array:
+        """How far the end effector is from the target, or from the path, shape (K,)."""
+        return np.linalg.norm(self.aim_m - self.end_m, axis=1)
+
+    @property
+    def reached(self) -> bool:
+        return not self.note
+
+    @property
+    def reason(self) -> str:
+        """Why a way to a target ended."""
+        return self.note or "reached"
+
+    @property
+    def time_s(self) -> Array:
+        """The times of the K steps from the start, shape (K,)."""
+        return np.asarray(self.interval_s * np.arange(len(self.q)), float)
+
+    @cached_property
+    def control(self) -> tuple[Array, Array]:
+        """Rates and accelerations (K, n) as a controller takes them: those of the parabola through a sample and its
+        neighbours. The way along a closed path comes from where its last step came from, any other starts at rest."""
+        q, interval_s = self.q, self.interval_s
+        before = q[0] - (q[-1] - q[-2]) if self.closed else q[0]
+        known = np.vstack([before, q, q[-1] + interval_s * self.dq[-1]])
+        return (known[2:] - known[:-2]) / (2 * interval_s), (known[2:] - 2 * q + known[:-2]) / interval_s**2
+
+    @property
+    def iterations(self) -> int:
+        return len(self.q) - 1
+
+    @property
+    def length_m(self) -> float:
+        """The length of the end effector's path."""
+        return float(np.linalg.norm(np.diff(self.end_m, axis=0), axis=1).sum())
+
+    @property
+    def roughness_rad2(self) -> float:
+        """Mean over the inner configurations of |q_{k+1} - 2 q_k + q_{k-1}|^2: 0 is smoothest."""
+        return float(np.mean(np.sum(np.diff(self.q, 2, axis=0) ** 2, axis=1))) if len(self.q) > 2 else 0.0
+
+    def closures(self) -> dict[str, Array]:
+        """Degrees of closure in percent of each joint (n,), from the first configuration to the last: of its "angle",
+        and of its path in the (angle, rate) "plane". NaN for a joint that does not move."""
+        planes = [np.column_stack(path) for path in zip(self.q.T, self.dq.T, strict=True)]
+        return {
+            "angle": np.array([degree_of_closure(plane[:, 0]) for plane in planes]),
+            "plane": np.array([degree_of_closure(plane) for plane in planes]),
+        }
+
+    def measures(self) -> dict[str, Any]:
+        """The figures of the run for the tables."""
+        if self.driven:
+            found = {"reached": self.reached, "reason": self.reason, "iterations": self.iterations}
+        else:
+            found = {"worst_error_m": float(self.distance_m.max()), "note": self.note}
+        return found | {
+            "us_per_step": 1e6 * float(np.median(self.solve_s)) if len(self.solve_s) else None,
+            "length_m": self.length_m,
+            "roughness_rad2": self.roughness_rad2,
+            "least_manipulability": float(self.manipulability.min()),
+            "limits_hit": list(self.limits),
+            "first_limit": next(iter(self.limits.values()), ""),
+        }
+
+
+def control_columns(names: Sequence[str]) -> list[str]:
+    """What the rates and accelerations of joints are called in tables."""
+    return [f"{name}_{what}" for what in ("rate_rad_s", "acceleration_rad_s2") for name in names]
+
+
+def drive_to(
+    chain: SerialChain,
+    q0: ArrayLike,
+    target_m: ArrayLike,
+    method: Method,
+    tolerance_m: float = TOLERANCE_M,
+    max_iterations: int = 2000,
+    interval_s: float = INTERVAL_S,
+) -> Run:
+    """Drives the end effector from q0 (n,) to a target (dim,). What goes wrong is the run's note.
+
+    The extended Jacobian goes to G = 0 first; those configurations are not part of the path.
+    """
+    q, target = chain.inside_limits(np.asarray(q0, float)), np.asarray(target_m, float)
+    note = unreachable(chain, target, tolerance_m)
+    if not np.isfinite(q).all():
+        q, note = np.zeros(chain.n), "no progress: the start is not finite"
+    if not note and isinstance(method, ExtendedJacobian):
+        q = to_null_space_optimum(chain, q, method.cost)[0]
+    best, best_at = np.inf, 0
+
+    def ask(k: int, end: Array, last: JointRates, stopped: list[int]) -> Array | str:
+        nonlocal best, best_at
+        distance = float(np.linalg.norm(target - end))
+        if note or distance <= tolerance_m:
+            return note
+        if distance < (1 - PROGRESS) * best:
+            best, best_at = distance, k
+        if k >= max_iterations or k - best_at >= PATIENCE or (k and float(np.abs(last.dq).max()) <= STILL_RAD):
+            left = f"{1000 * distance:.1f} mm left after {k} iterations"
+            if stopped:
+                return f"limits: joints {_listed(chain, stopped)} at theirs, {left}"
+            if last.singular:
+                return f"{last.note}, {left}"
+            return f"no progress: {left}" + (", the most that are allowed" if k >= max_iterations else "")
+        return (target - end) * (min(1.0, MAX_STEP_M / distance) / interval_s)
+
+    return _moved(chain, q, target, ask, lambda _: method, interval_s)
+
+
+def follow(
+    chain: SerialChain,
+    q0: ArrayLike,
+    path_m: Array,
+    method: Method | Callable[[int], Method],
+    turns: int = 1,
+    interval_s: float = INTERVAL_S,
+) -> Run:
+    """Follows a path (K, dim), whose points are an interval apart, from q0 (n,), whose end effector is at its start.
+
+    Each step goes from where the end effector is to the next point, and the extended Jacobian (full) keeps G. method:
+    one for all steps, or a function of the step's number. turns: a closed path (last point = first) again and again.
+    Raises ValueError for a path that is not one.
+    """
+    path = np.asarray(path_m, float)
+    if path.ndim != 2 or len(path) < 2 or path.shape[1] != chain.dim or not np.isfinite(path).all():
+        raise ValueError(f"a finite path (K, {chain.dim}) of two points or more expected, got {path.shape}")
+    closed = bool(np.allclose(path[0], path[-1], rtol=0, atol=1e-9))
+    if turns > 1 and not closed:
+        raise ValueError("only a closed path can be followed more than once")
+    points = np.concatenate([path[:1], *[path[1:]] * turns])
+    note = ""
+
+    def of_step(k: int) -> Method:
+        return method if isinstance(method, Method) else method(k)
+
+    def ask(k: int, end: Array, last: JointRates, stopped: list[int]) -> Array | str:
+        nonlocal note
+        if not note and last.note:
+            note = f"{last.note} (step {k - 1})"
+        return note if k == len(points) - 1 else (points[k + 1] - end) / interval_s
+
+    run = _moved(chain, chain.inside_limits(np.asarray(q0, float)), points, ask, of_step, interval_s)
+    again = path[1] - path[0] if closed else path[-1] - path[-2]
+    last = _one_interval(chain, run.q[-1], again / interval_s, of_step(run.iterations), interval_s)[0].dq
+    return replace(run, dq=np.vstack([run.dq[:-1], last]), closed=closed)
+
+
+def _moved(
+    chain: SerialChain,
+    q: Array,
+    aim_m: Array,
+    ask: Callable[[int, Array, JointRates, list[int]], Array | str],
+    method: Callable[[int], Method],
+    interval_s: float,
+) -> Run:
+    """From q (n,) on, an interval after the other, at the velocity (dim,) that ask(k, end, last rates, joints stopped)
+    wants in step k, until it gives the run's note in its place."""
+    path, ends, limits = [q], [chain.end(q)], {}
+    steps: list[JointRates] = []
+    times: list[float] = []
+    last, stopped = JointRates(np.zeros(chain.n)), []
+    while not isinstance(dx := ask(len(steps), ends[-1], last, stopped), str):
+        started = time.perf_counter()
+        last, q, stopped = _one_interval(chain, q, dx, method(len(steps)), interval_s)
+        times.append(time.perf_counter() - started)
+        for joint in stopped:
+            low, high = float(chain.lower_rad[joint]), float(chain.upper_rad[joint])
+            side, limit = ("upper", high) if 2 * float(q[joint]) > low + high else ("lower", low)
+            name = chain.names[joint]
+            limits.setdefault(name, f"{name} at its {side} limit of {limit:.2f} rad (step {len(steps)})")
+        steps.append(last)
+        path.append(q)
+        ends.append(chain.end(q))
+    return Run(
+        q=np.array(path),
+        dq=np.array([*(step.dq for step in steps), np.zeros(chain.n)]),
+        interval_s=interval_s,
+        end_m=np.array(ends),
+        aim_m=aim_m,
+        manipulability=manipulability(chain.jacobian(np.array(path))),
+        singular=np.array([step.singular for step in steps], bool),
+        solve_s=np.array(times),
+        limits=limits,
+        closed=False,
+        note=dx,
+    )
+
+
+def degree_of_closure(path: Array) -> float:
+    """D = 100 (1 - d / d_max) in percent: d from start to end, d_max the path's diameter; NaN if it does not move.
+
+    path: an angle (K,), or (angle, rate) (K, 2), whose axes are divided by their ranges. An angle that stays within
+    `STILL_RAD` does not move.
+    """
+    if np.ptp(path if path.ndim == 1 else path[:, 0]) <= STILL_RAD:
+        return math.nan
+    return phase.degree_of_closure(path[:, None] if path.ndim == 1 else phase.scaled(path))
+
+
+def _one_interval(
+    chain: SerialChain, q: Array, dx: Array, method: Method, interval_s: float
+) -> tuple[JointRates, Array, list[int]]:
+    """One interval: the step, where it leads, and the joints that a limit stopped. The extended Jacobian has the gain
+    that keeps it at G = 0."""
+    if isinstance(method, ExtendedJacobian) and method.full and not method.gain_per_s:
+        method = replace(method, gain_per_s=1 / interval_s)
+    free = np.ones(chain.n, bool)
+    while True:
+        step = method.rates(chain, q, dx, ALL if free.all() else free)
+        moved = q + interval_s * step.dq
+        outside = chain.inside_limits(moved) != moved
+        if not outside.any():
+            return step, moved, (~free).nonzero()[0].tolist()
+        free &= ~outside
+        if not free.any():
+            return JointRates(np.zeros(chain.n), step.singular, step.note), q, [*range(chain.n)]

@@ -1,0 +1,248 @@
+"""A limb of a fitted clip: its chain and joint angles, the methods' parameters fitted to it, and its stride."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+import pandas as pd
+from scipy.interpolate import CubicSpline
+
+from recon.animal.chain import Chain
+from recon.base.arrays import Array
+from recon.base.errors import InputError, Problem, raise_problems
+from recon.fit.motion import Motion
+from recon.gait.clip import ClipAnalysis, limb_chains, stride_given
+from recon.gait.gait import AGREE, Gait, doubtful_text
+from recon.gait.kinematics import MIN_POINTS
+from recon.ik.animal_chain import (
+    body_chain,
+    body_chain_angles,
+    body_travel,
+    chain_angles,
+    projected_chain,
+    spine_front_leg,
+)
+from recon.ik.chain import SerialChain
+from recon.ik.costs import Cost, harmonic_map, joint_differences, pose_distance, rotational_energy, weighted_sum
+from recon.ik.drive import Run, follow
+from recon.ik.methods import STANDARD, ExtendedJacobian, GradientProjection, Method
+from recon.ik.null_space import to_null_space_optimum
+from recon.ik.parameters import PARAMETERS, PULL, Frames, ParameterFit, explained_by, fits, rates_of
+from recon.ik.stride import OVERSAMPLING, StridePath, find_stride
+
+EXTENDED = "extended"
+"""The extended Jacobian with the cost that is asked for."""
+Dim = Literal[2, 3]
+SLOWER = 10
+"""How many times slower than the animal a stride is followed: rate limits are what is expected of its joints, and would
+hold back a method that moves others than the animal does. Closures do not depend on it."""
+LAST = 3
+"""Frames before each that parameters are refitted to on the way."""
+
+
+@dataclass(frozen=True, eq=False)
+class Limb:
+    """A chain of the animal, and its joint angles in the clip."""
+
+    foot: str
+    chain: SerialChain
+    q: Array
+    """(T, n)"""
+    fps: float
+    first_s: float
+    """Time of the clip's first frame."""
+    base: Literal["UVW", "xyz"]
+    """What the base frame's axes mean, U forwards, V down and W left, or x forwards, y left and z up."""
+    misfit_m: float
+    """Distance of the chain's end from the foot, median."""
+
+
+COSTS: dict[str, Callable[[Limb], Cost]] = {
+    "differences": lambda limb: joint_differences(limb.chain),
+    "energy": lambda limb: rotational_energy(limb.chain),
+    "harmonic": lambda limb: harmonic_map(joints=max(limb.chain.groups, key=len)[-3:]),
+    "pose": lambda limb: pose_distance(np.nanmean(limb.q, axis=0)),
+}
+
+
+def limb_of(motion: Motion, foot: str | None = None, dim: Dim = 3, limited: bool = True) -> Limb:
+    """The chain to a foot, by its label (LF) or joint, by default the first fore foot. Raises InputError.
+
+    Of the 8U chain that is the spine and the front leg. Of a whole animal, in space, all joints from the root to the
+    foot, and in the plane the joints' projections onto the vertical plane of travel.
+    """
+    label = _foot_label(motion, foot)
+    name = motion.foot_names[label]
+    base: Literal["UVW", "xyz"] = "UVW"
+    misfit = np.zeros(1)
+    if isinstance(motion.chain, Chain):
+        chain = spine_front_leg(motion.chain, motion.size * motion.chain.nominal_base_length_m, dim, limited)
+        q = chain_angles(motion.chain, motion.states, dim=dim)
+    elif dim == 3:
+        marker, base = motion.joints[motion.names.index(name)], "xyz"
+        chain = body_chain(motion.body, marker, motion.size, limited)
+        q = body_chain_angles(motion.body, marker, motion.states)
+    else:
+        along = next(along for along in limb_chains(motion).values() if along[-1] == name)
+        points = motion.upright.xyz_m[:, [motion.names.index(joint) for joint in along]]
+        chain, q, misfit = projected_chain(points, body_travel(motion.states))
+        chain = replace(chain, names=tuple(along[:-1]))
+    return Limb(name, chain, q, motion.fps, float(motion.time_s[0]), base, float(np.nanmedian(misfit)))
+
+
+def _foot_label(motion: Motion, foot: str | None) -> str:
+    """LH, RH, LF or RF."""
+    chain = motion.body.one_sided
+    there = [label for label in motion.foot_names if label.endswith("F")] if chain else list(motion.foot_names)
+    if foot is None and there:
+        return next((label for label in there if label.endswith("F")), there[0])
+    found = next((label for label in there if foot in (label, motion.foot_names[label])), None)
+    if found is None:
+        expected = ", ".join(f"{label} ({motion.foot_names[label]})" for label in there) or "a skeleton with feet"
+        raise InputError(Problem("--foot", "foot", repr(foot or "none"), expected))
+    return found
+
+
+def methods_of(
+    limb: Limb,
+    names: tuple[str, ...],
+    parameters: Mapping[str, ParameterFit],
+    fitted: bool = False,
+    cost: Cost | None = None,
+    alpha: float | Literal["step"] | None = None,
+) -> dict[str, Method]:
+    """The methods by name (`METHODS`, `EXTENDED`), with their standard parameters, or those fitted to the clip
+    (`fit_parameters`). Weights have no standard, and are fitted in any case.
+
+    cost: of `EXTENDED`, which needs one, and of gradient projection, by default the joint differences. alpha: a factor
+    on all rates, or "step" for the one of each step with which the foot moves nearest to what is asked for.
+    """
+
+    costs = {name: COSTS[name.removeprefix("extended-")](limb) for name in names if name.startswith("extended-")}
+    costs |= {} if cost is None else {EXTENDED: cost}
+    standard = STANDARD | {name: ExtendedJacobian(of) for name, of in costs.items()}
+    standard["gradient-projection"] = GradientProjection(cost or joint_differences(limb.chain))
+    own = {name: of.method for name, of in parameters.items()}
+    every = standard | own if fitted else own | standard
+    chosen = {name: every[name] for name in names}
+    if alpha is None:
+        return chosen
+    return {name: replace(one, alpha=None if alpha == "step" else alpha) for name, one in chosen.items()}
+
+
+def cost_of(limb: Limb, text: str) -> Cost:
+    """A cost of `COSTS`, or a sum of some with weights, as in "energy,differences=0.1". Raises InputError."""
+    costs, weights, problems = [], [], []
+    for part in text.split(","):
+        name, _, weight = part.strip().partition("=")
+        try:
+            weights.append(float(weight or 1))
+            costs.append(COSTS[name](limb))
+        except (ValueError, KeyError):
+            expected = f"{', '.join(COSTS)}, or a sum with weights, as in energy,differences=0.1"
+            problems.append(Problem("--cost", "cost", repr(part), expected))
+    raise_problems(problems)
+    return weighted_sum(costs, weights)
+
+
+def fit_parameters(limb: Limb, cost: Cost | None = None) -> dict[str, ParameterFit]:
+    """By method, by least squares to the joint rates of the clip, from a spline through its angles. cost: of gradient
+    projection; None: any constant vector. Raises InputError for fewer than four frames in a row."""
+    frames, _ = _rates_of(limb)
+    return {name: fit(frames) for name, fit in fits(() if cost is None else (cost,)).items()}
+
+
+def fit_parameter_series(
+    limb: Limb, stride: StridePath, cost: Cost | None = None, last: int = 0
+) -> tuple[pd.DataFrame, dict[str, list[Method]]]:
+    """The same fitted to each frame of a stride by itself, or to the `last` ones before it: the methods, and a row for
+    each frame: time_s in the clip, and of every method its parameter (`PARAMETERS`; one for each joint where there are
+    as many), <method>_best_alpha, and <method>_explained, of the frame's own rates.
+
+    cost: of gradient projection; by default, where a frame stands by itself, the joint differences, of which k is
+    fitted. Raises InputError as `fit_parameters`.
+    """
+    frames, at_s = _rates_of(limb)
+    first, stop = np.searchsorted(at_s, [stride.start_s - 1e-6, stride.end_s + 1e-6]).tolist()
+    costs = (cost or joint_differences(limb.chain),) if cost is not None or not last else ()
+    columns, methods = {"time_s": limb.first_s + at_s[first:stop]}, {}
+    for name, fit in fits(costs, PULL).items():
+        rows = [slice(max(t - last, 0), max(t, 1)) if last else slice(t, t + 1) for t in range(first, stop)]
+        found = [fit(frames[window]) for window in rows]
+        methods[name] = [one.method for one in found]
+        values = np.array([one.parameter for one in found])
+        called = limb.chain.names if values.shape[1] == limb.chain.n else PARAMETERS.get(name, ())
+        columns |= {f"{name}_{part}": of_part for part, of_part in zip(called, values.T, strict=True)}
+        columns[f"{name}_best_alpha"] = np.array([one.alpha for one in found])
+        own = zip(methods[name], (frames[t : t + 1] for t in range(first, stop)), strict=True)
+        columns[f"{name}_explained"] = np.array([explained_by(rates_of(one, of), of.dq) for one, of in own])
+    return pd.DataFrame(columns), methods
+
+
+def _rates_of(limb: Limb) -> tuple[Frames, Array]:
+    """The frames with a pose, and their times (T,) from the first frame on."""
+    known = np.flatnonzero(np.isfinite(limb.q).all(axis=1))
+    if len(known) < MIN_POINTS:
+        raise InputError(Problem("results", "frames", f"{len(known)} with a pose", f"at least {MIN_POINTS}"))
+    q, at_s = limb.q[known], known / limb.fps
+    dq = CubicSpline(at_s, q)(at_s, 1)
+    return Frames.of(limb.chain, q, (limb.chain.jacobian(q) @ dq[..., None])[..., 0], dq), at_s
+
+
+def stride_of(motion: Motion, limb: Limb, stride_s: tuple[float, float] | None = None) -> StridePath:
+    """The stride that is given; or the first of the foot that counts (`recon.gait.gait`); or, of a clip without any,
+    where the foot comes back to nearest in the time that a stride takes. Raises InputError for a clip that shows too
+    little."""
+    found, how, notes, lasts_s = None, "", [], (0.0, np.inf)
+    if stride_s is not None:
+        found, how = stride_given(motion, stride_s), "given"
+    else:
+        gait = ClipAnalysis(motion).gait
+        assert gait is not None  # the limb has a foot
+        label = next(label for label, joint in motion.foot_names.items() if joint == limb.foot)
+        notes = [doubtful_text(doubt) for doubt in gait.doubtful if doubt.foot == label]
+        if not motion.jitters:  # of poses that jitter, touch-downs are told worse than the pose's return is
+            found = next((s for s in gait.strides if s.foot == label), None)
+        if found is None:
+            lasts_s = stride_lasts_s(gait)
+        else:
+            how = "gait"
+    span_s = None if found is None else (found.start_s - limb.first_s, found.end_s - limb.first_s)
+    try:
+        stride = find_stride(limb.chain, limb.q, limb.fps, span_s, lasts_s)
+    except ValueError as error:
+        raise InputError(Problem(motion.file, "stride", str(error), "a clip that shows more of one")) from None
+    return replace(stride, how=how or stride.how, notes=tuple(notes))
+
+
+def stride_lasts_s(gait: Gait) -> tuple[float, float]:
+    """How long a stride of a foot without a complete one lasts, at least and at most: about as long as the clip says.
+    In one that is too short to hold what it says, and in which no foot lands twice, it takes the time from the first
+    touchdown to the end at least, to half a frame."""
+    time_s = gait.tracks.time_s
+    if 0 < gait.stride_s < time_s[-1] - time_s[0]:
+        return (1 - AGREE) * gait.stride_s, (1 + AGREE) * gait.stride_s
+    landed = [s for s in gait.stances if s.begins]
+    if len({s.foot for s in landed}) < len(landed):
+        return 0.0, np.inf
+    first_s = min((s.start_s for s in landed), default=time_s[-1])
+    return float(time_s[-1] - first_s - OVERSAMPLING / 2 * (time_s[1] - time_s[0])), np.inf
+
+
+def follow_stride(
+    chain: SerialChain, stride: StridePath, method: Method, turns: int = 1, each: Sequence[Method] = ()
+) -> Run:
+    """Along the stride, `SLOWER` than the animal; times and rates are the animal's again. The extended Jacobian starts
+    where its cost is stationary, with the foot in the same place. each: a method for every frame of the stride."""
+    q0, steps = stride.q[0], len(stride.path_m) - 1
+    if isinstance(method, ExtendedJacobian):
+        q0 = to_null_space_optimum(chain, q0, method.cost)[0]
+
+    def of_step(k: int) -> Method:
+        return each[min(k % steps // OVERSAMPLING, len(each) - 1)]
+
+    run = follow(chain, q0, stride.path_m, of_step if each else method, turns, SLOWER * stride.interval_s)
+    return replace(run, dq=SLOWER * run.dq, interval_s=stride.interval_s)

@@ -1,0 +1,94 @@
+"""Motion along the null space to a stationary point of a cost, with the end effector fixed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from recon.base.arrays import Array, Bools
+from recon.ik.chain import SerialChain, null_basis
+from recon.ik.costs import Cost
+from recon.ik.methods import LeastNorm, reduced_gradient, right_inverse
+
+_NULL_STEP_RAD = 0.3
+"""Longest step along the null space."""
+_TOLERANCE = 1e-10
+"""On |G|, relative to 1 + |Hess g|."""
+_MAX_ITERATIONS = 500
+KINDS = ("minimum", "saddle", "maximum", "degenerate")
+
+
+def _listed(chain: SerialChain, joints: Iterable[int]) -> str:
+    return ", ".join(chain.names[joint] for joint in joints)
+
+
+def to_null_space_optimum(chain: SerialChain, q0: ArrayLike, cost: Cost) -> tuple[Array, str]:
+    """Moves along the null space of J to G = N' grad g = 0 and keeps the end effector where it is at q0 (n,): q (n,),
+    and what it is of the cost, "minimum", "saddle", "maximum" or "degenerate", or what kept it from there.
+
+    Newton steps on N' M N (see `ExtendedJacobian`), with the eigenvalues' magnitudes and a line search, down to a
+    minimum; where that finds none, plain ones to the stationary point nearby, which can be a saddle. Limits hold; a
+    joint at one is taken out.
+    """
+    q0 = chain.inside_limits(np.asarray(q0, float))
+    found = _null_space_newton(chain, q0, cost, descend=True)
+    if found[1] in KINDS:
+        return found
+    other = _null_space_newton(chain, q0, cost, descend=False)
+    return other if other[1] in KINDS else found
+
+
+def _null_space_newton(chain: SerialChain, q0: Array, cost: Cost, descend: bool) -> tuple[Array, str]:
+    home, q, stuck = chain.end(q0), q0, np.zeros(chain.n, bool)
+    for _ in range(_MAX_ITERATIONS):
+        free = ~stuck
+        J, curvature = chain.derivatives(q)
+        J = J[:, free]
+        if J.shape[1] <= chain.dim:
+            return q, f"limits: joints {_listed(chain, stuck.nonzero()[0].tolist())}"
+        N = null_basis(J)
+        g, M = reduced_gradient(cost, q, right_inverse(J)[0], curvature, free)
+        G = N.T @ g
+        gradient = float(np.linalg.norm(G))
+        if not (np.isfinite(gradient) and np.isfinite(M).all()):
+            return q, "no progress: the cost's derivatives are not finite"
+        values, vectors = np.linalg.eigh(N.T @ M @ N)
+        if gradient <= _TOLERANCE * (1 + float(np.abs(M).max())):
+            if np.abs(values).min() <= 1e-8 * np.abs(values).max():
+                return q, "degenerate"
+            return q, "minimum" if values[0] > 0 else "maximum" if values[-1] < 0 else "saddle"
+        floor = 1e-8 * float(np.abs(values).max()) + 1e-300
+        size = np.maximum(np.abs(values), floor)
+        parts = (vectors.T @ G) / (size if descend else np.where(values < 0, -size, size))
+        step = np.zeros(chain.n)
+        step[free] = -N @ (vectors @ parts)
+        step *= min(1.0, _NULL_STEP_RAD / max(float(np.linalg.norm(step)), 1e-300))
+        moved, here, share = q, cost.value(q), 1.0
+        for _ in range(30):
+            moved = _back_home(chain, q + share * step, home, free)
+            if moved is not None and (not descend or cost.value(moved) <= here + 1e-14 * (1 + abs(here))):
+                break
+            share /= 2
+        else:
+            return q, "singular: no step along the null space keeps the end effector and lowers the cost"
+        assert moved is not None
+        inside = chain.inside_limits(moved)
+        outside = (inside != moved) & free
+        if outside.any():
+            # The joint stays where it is, which is within its limits, and the others go on.
+            stuck = stuck | outside
+            continue
+        q = moved
+    return q, "no progress: out of iterations"
+
+
+def _back_home(chain: SerialChain, q: Array, home: Array, free: Bools) -> Array | None:
+    """q with the end effector back at home, by least-norm steps; None if they do not lead there."""
+    for _ in range(12):
+        miss = home - chain.end(q)
+        if float(np.linalg.norm(miss)) <= 1e-13:
+            return q
+        q = q + LeastNorm().rates(chain, q, miss, free).dq
+    return q if float(np.linalg.norm(home - chain.end(q))) <= 1e-9 else None

@@ -1,0 +1,178 @@
+"""Parameters of the methods, from given joint rates by least squares: sum |dq - rates|^2 over frames.
+
+The rates are those of the formulas, without limits. To make the parameters identifiable, diag W has mean 1, and the
+motion along the null space has k = 1. Frames of several chains of one kind can be joined, and a fit to some can be
+tested on others. One frame alone gives the parameters of one configuration.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import least_squares, minimize_scalar
+
+from recon.base.arrays import Array
+from recon.ik.chain import SerialChain
+from recon.ik.costs import Cost, weighted_sum
+from recon.ik.methods import (
+    GradientProjection,
+    JacobianTranspose,
+    LeastNorm,
+    Method,
+    SelectivelyDamped,
+    best_scale,
+    damped_least_squares,
+    right_inverse,
+    weighted_least_norm,
+)
+
+RANGE = (1e-4, 1e2)
+"""Limits of lambda (m) and of gamma_max (rad): beyond, it makes no difference, or no motion."""
+WEIGHT_RANGE = 1e3
+"""Greatest ratio of a weight to the one it starts from."""
+PULL = 0.01
+"""The pull of the weights of one configuration towards even ones, which otherwise many explain: what a factor of e
+costs, as a share of the rates."""
+PARAMETERS = {
+    "transpose": ("alpha_1_m2",),
+    "gradient-projection": ("k_1_s",),
+    "damped": ("lambda_m",),
+    "selectively-damped": ("gamma_max_rad",),
+}
+"""What the only parameter of some methods is called in tables."""
+
+
+@dataclass(frozen=True, eq=False)
+class Frames:
+    """T frames of a chain, or, one after the other, of several of one kind."""
+
+    q: Array
+    """(T, n), rad."""
+    jacobian: Array
+    """(T, dim, n)"""
+    dx: Array
+    """(T, dim), m/s."""
+    dq: Array
+    """(T, n), rad/s."""
+    names: tuple[str, ...]
+    """(n,): of the joints."""
+
+    @classmethod
+    def of(cls, chain: SerialChain, q: Array, dx: Array, dq: Array) -> Frames:
+        """The frames without a NaN. Raises ValueError where there is none."""
+        known = np.isfinite(np.concatenate([q, dx, dq], axis=1)).all(axis=1)
+        if not known.any():
+            raise ValueError("no frame without a missing value")
+        return cls(q[known], chain.jacobian(q[known]), dx[known], dq[known], chain.names)
+
+    def __getitem__(self, rows: slice) -> Frames:
+        return Frames(self.q[rows], self.jacobian[rows], self.dx[rows], self.dq[rows], self.names)
+
+
+@dataclass(frozen=True, eq=False)
+class ParameterFit:
+    """A method with its parameter, and how well it fits."""
+
+    method: Method
+    parameter: Array
+    """(p,)"""
+    rms_rad_s: float
+    """The root mean square of the residuals."""
+    explained: float
+    """As `explained_by`, of the frames that it was fitted to."""
+    alpha: float
+    """The factor on the rates with which they would explain the most of those."""
+    note: str
+    """Where a parameter lies at the edge of its range."""
+
+
+Fit = Callable[[Frames], ParameterFit]
+
+
+def fits(costs: Sequence[Cost] = (), pull: float = 0.0) -> dict[str, Fit]:
+    """By method with a parameter that can be fitted, and least norm for comparison.
+
+    Of the transpose its alpha, 1/m^2; of gradient projection, with k = 1, coefficients of the costs, or without costs a
+    constant g (n,), of several solutions the smallest; diag W, positive with mean 1, for pull see `PULL`; lambda,
+    metres; gamma_max, rad, for `INTERVAL_S`.
+    """
+
+    def projection(c: Array) -> Method:
+        return GradientProjection(weighted_sum(costs, c.tolist()) if len(costs) else lambda _: c, k=1.0)
+
+    return {
+        "least-norm": lambda frames: _fitted(LeastNorm(), np.empty(0), frames),
+        "transpose": lambda frames: _linear(lambda c: JacobianTranspose(float(c[0])), 1, frames),
+        "gradient-projection": lambda frames: _linear(projection, len(costs) or frames.q.shape[1], frames),
+        "weighted": lambda frames: _weights(frames, pull),
+        "damped": lambda frames: _in_range(damped_least_squares, ("lambda", "m"), frames),
+        "selectively-damped": lambda frames: _in_range(SelectivelyDamped, ("gamma_max", "rad"), frames),
+    }
+
+
+def rates_of(method: Method, frames: Frames) -> Array:
+    """(T, n): what the method's formula gives."""
+    given = zip(frames.jacobian, frames.dx, frames.q, strict=True)
+    return np.array([method.formula(J, dx, q) for J, dx, q in given])
+
+
+def explained_by(rates: Array, dq: Array) -> float:
+    """The share of sum dq^2 that rates (T, n) explain, 1 - sum |dq - rates|^2 / sum dq^2."""
+    total = float(np.sum(dq**2))
+    return 1 - float(np.sum((dq - rates) ** 2)) / total if total > 0 else float("nan")
+
+
+def _weights(frames: Frames, pull: float) -> ParameterFit:
+    dq = frames.dq
+    n, bound = dq.shape[1], np.log(WEIGHT_RANGE)
+    held = pull * float(np.sqrt(np.sum(dq**2))) * np.eye(n)
+
+    def residuals(p: Array) -> Array:
+        return np.concatenate([(rates_of(weighted_least_norm(np.exp(p)), frames) - dq).ravel(), held @ p])
+
+    def derivatives(p: Array) -> Array:
+        rates = rates_of(weighted_least_norm(np.exp(p)), frames)
+        inverse = np.array([right_inverse(J, J / np.exp(p))[0] for J in frames.jacobian])
+        change = (inverse @ frames.jacobian - np.eye(n)) * rates[:, None, :]
+        return np.concatenate([change.reshape(-1, n), held])
+
+    p = least_squares(residuals, np.zeros(n), derivatives, bounds=(-bound, bound), x_scale=1.0).x
+    w = np.exp(p) / np.exp(p).mean()
+    edge = np.flatnonzero(np.abs(p) > 0.99 * bound)
+    note = f"weights of {', '.join(frames.names[j] for j in edge)} at the edge of their range" if len(edge) else ""
+    return _fitted(weighted_least_norm(w), w, frames, note)
+
+
+def _linear(method: Callable[[Array], Method], n: int, frames: Frames) -> ParameterFit:
+    """A fit of n coefficients on which the rates depend linearly."""
+    base = rates_of(method(np.zeros(n)), frames)
+    columns = np.array([(rates_of(method(one), frames) - base).ravel() for one in np.eye(n)])
+    c = np.array(np.linalg.lstsq(columns.T, (frames.dq - base).ravel())[0], float)
+    return _fitted(method(c), c, frames)
+
+
+def _in_range(method: Callable[[float], Method], called: tuple[str, str], frames: Frames) -> ParameterFit:
+    """The parameter within `RANGE` whose rates are nearest to the frames': the best of a logarithmic grid, refined."""
+
+    def cost(log_value: float) -> float:
+        return float(np.sum((rates_of(method(float(np.exp(log_value))), frames) - frames.dq) ** 2))
+
+    grid = np.linspace(np.log(RANGE[0]), np.log(RANGE[1]), 61)
+    i = int(np.argmin([cost(x) for x in grid]))
+    around = grid[max(i - 1, 0)], grid[min(i + 1, len(grid) - 1)]
+    refined = float(minimize_scalar(cost, bounds=around, method="bounded", options={"xatol": 1e-8}).x)
+    value = float(np.exp(refined if cost(refined) < cost(grid[i]) else grid[i]))
+    (low, high), (name, unit), note = RANGE, called, ""
+    if i in (0, len(grid) - 1):
+        note = f"{name} at the edge of {low:g} to {high:g} {unit}"
+    elif np.array_equal(rates_of(method(value), frames), rates_of(method(high), frames)):
+        note = f"nothing is damped, with this {name} or any from there to {high:g} {unit}"
+    return _fitted(method(value), np.array([value]), frames, note)
+
+
+def _fitted(method: Method, parameter: Array, frames: Frames, note: str = "") -> ParameterFit:
+    rates, dq = rates_of(method, frames), frames.dq
+    rms = float(np.sqrt(np.mean((dq - rates) ** 2)))
+    return ParameterFit(method, parameter, rms, explained_by(rates, dq), best_scale(rates, dq), note)

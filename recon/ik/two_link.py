@@ -1,0 +1,35 @@
+"""The planar arm of two links, solved in closed form."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from recon.base.arrays import Array
+from recon.ik.chain import planar_chain, unreachable
+
+
+def two_link(lengths_m: tuple[float, float], target_m: ArrayLike) -> tuple[Array, str]:
+    """Both branches (2, 2) of a planar arm for a target (2,), metres: (q1, q2) with q2 <= 0, then with q2 >= 0, in
+    (-pi, pi], NaN without a solution; and why there is none or only one, empty for two.
+
+    cos q2 = (x^2 + y^2 - r1^2 - r2^2) / (2 r1 r2),   q1 = atan2(y, x) - atan2(r2 sin q2, r1 + r2 cos q2)
+
+    Angle 0 lies along +x, the second is relative to the first link. Raises ValueError for lengths that are not
+    positive.
+    """
+    target = np.asarray(target_m, float)
+    # Rounding must not put the stretched arm out of its own reach.
+    reason = unreachable(planar_chain(lengths_m), target, 1e-12 * sum(lengths_m))
+    if reason:
+        return np.full((2, 2), np.nan), reason
+    (r1, r2), (x, y) = lengths_m, target.tolist()
+    cosine = (x * x + y * y - r1 * r1 - r2 * r2) / (2 * r1 * r2)
+    bend = math.acos(max(-1.0, min(1.0, cosine)))
+    q2 = np.array([-bend, bend])
+    q1 = math.atan2(y, x) - np.arctan2(r2 * np.sin(q2), r1 + r2 * np.cos(q2))
+    singular = "singular: " + ("stretched" if bend < 1.0 else "folded") + ", the branches coincide"
+    branches = np.column_stack([math.pi - (math.pi - q1) % (2 * math.pi), q2])
+    return branches, singular if math.sin(bend) < 1e-9 else ""
