@@ -161,7 +161,9 @@ def one_clip(skeleton: str, motion_s: float, noise_s: float, animal: str | None,
     px_per_m = setting.px_per_m(marked_m)[0]
     late_m = marked_m + constants.TIME_OFFSET_FRAMES * rng.normal() * np.gradient(marked_m, axis=0)
     beside_m = (
-        setting.shared()[1][-1].sigma.reshape(J, 2) * np.sqrt(setting.correlation_frames) * rng.normal(size=(J, 2))
+        setting.shared_unknowns()[1][-1].sigma.reshape(J, 2)
+        * np.sqrt(setting.correlation_frames)
+        * rng.normal(size=(J, 2))
     )
     in_frame_m = np.sqrt(np.maximum(setting.in_frame_m**2 - beside_m.var(), 0.0))
     noise_px = np.hypot(options.sigma_px, in_frame_m * px_per_m[:, None])[..., None] * lasting_noise(
