@@ -38,7 +38,7 @@ from recon.animal.body import other_side
 from recon.animal.prior import prior_from_body
 from recon.animal.prior_fit import fit_prior
 from recon.animal.skeleton_file import builtin_subjects
-from recon.check import Finding, input_findings, likelihood, mends
+from recon.check import Finding, input_findings, likelihood, swap_improves
 from recon.check.likelihood import baseline_of
 from recon.check.swaps import _Stretch, swaps
 from recon.clip import Keypoints, Source, clean, views_of
@@ -355,7 +355,7 @@ def margin_rows(view: View, name: str, case: Case, folder: Path) -> list[dict[st
         again, _ = fitted(mended, CASES["untouched"], folder)
         assert isinstance(solution, TrajectorySolution)
         assert isinstance(again.solution, TrajectorySolution)
-        if not mends(again.solution, solution):  # nothing is said of it, and nothing mended
+        if not swap_improves(again.solution, solution):  # nothing is said of it, and nothing mended
             break
         wrong.append(wrongly)
         ratios.append(error_mm(view, again, everywhere) / mm)

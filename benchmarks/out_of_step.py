@@ -23,7 +23,7 @@ from cameras import PRIOR, Run, errors, most_different, runs_given, solved
 from markdown_table import print_table
 from trajectory import body_of, prior_of
 
-from recon.check.agreement import solved_in_step
+from recon.check.agreement import solve_time_offsets
 from recon.clip import Source, views_of
 from recon.fit import TrajectoryOptions, TrajectorySolution, solve_trajectory
 
@@ -72,7 +72,7 @@ def rows(run: Run) -> Iterator[dict]:
     def found(other: Source) -> tuple[float, float, float]:
         """The offset and its standard deviation in frames, and MPJPE."""
         noise = (options.sigma_px, options.keypoint_noise_m(body))
-        sources, solution = solved_in_step([first, other], [0.0, 0.0], solve, *noise)
+        sources, solution = solve_time_offsets([first, other], [0.0, 0.0], solve, *noise)
         truth_m = np.full((len(sources[0].keypoints.frames), *run.truth_m.shape[1:]), np.nan)
         truth_m[first.keypoints.frames - sources[0].keypoints.frames[0]] = run.truth_m
         error_mm = errors(replace(run, truth_m=truth_m), solution)["mpjpe_mm"]

@@ -16,4 +16,4 @@ def narrow_networks(patch: pytest.MonkeyPatch) -> None:
         patch.setattr(network, name, value)
     patch.setattr(train, "EVALUATIONS", EVALUATIONS)
     patch.setattr(network, "fast_half", lambda device: None)
-    patch.setattr("recon.check.inputs.of_other_picture", lambda given: None)
+    patch.setattr("recon.check.inputs.other_picture_finding", lambda given: None)

@@ -11,7 +11,7 @@ import pytest
 from command_line import says
 
 from recon import Motion
-from recon.check import CODES, FLAG_OF, FLAGS, Finding, finding, findings_of, judged, sentence
+from recon.check import CODES, FLAG_OF, FLAGS, Finding, add_verdict, finding, findings_of, sentence
 from recon.check.rules import likelihoods_low, no_pose
 from recon.show.report import keypoint_lines, keypoints
 
@@ -156,7 +156,7 @@ def test_a_clip_of_which_every_frame_has_a_flag_says_so(whole_results):
 
     def named(*flags: str) -> list[str]:
         solution = replace(motion.solution, flags=(flags,) * len(motion.frames))
-        verdict = judged(replace(motion, findings=(), solution=solution)).verdict
+        verdict = add_verdict(replace(motion, findings=(), solution=solution)).verdict
         assert verdict is not None
         return [verdict.level, verdict.reason]
 

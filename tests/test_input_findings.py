@@ -15,33 +15,33 @@ from recon import FitSettings, fit_clip, samples_folder
 from recon.animal import opposites, other_side, prior_from_body
 from recon.check import (
     Finding,
-    doubted,
+    downgrade_swap,
     finding,
-    flagged,
     input_findings,
-    mends,
+    swap_improves,
+    with_flags,
     without_gross_outliers,
     without_swaps,
 )
 from recon.check.inputs import (
     baseline_of,
-    of_other_picture,
-    of_unit_square,
-    other_rate,
+    frame_rate_finding,
+    other_picture_finding,
     outlier_ratios,
     swap_finding,
     swaps,
+    unit_square_finding,
 )
-from recon.check.likelihood import CLEAR, MARGIN, Refit, smaller, unlikely
+from recon.check.likelihood import CLEAR, MARGIN, Refit, negative_log_density, smaller
 from recon.check.swaps import (
     _Stretch,
     _SwapTrial,
     contradicts,
-    exchanged,
     jumps,
-    likely,
     pairs_of,
-    undone,
+    propose_stretches,
+    try_undone,
+    with_exchanged,
     with_undone,
 )
 from recon.clip import CleaningReport, Keypoints, Source, View, clean, still_view
@@ -100,17 +100,17 @@ def test_pairs_are_those_of_the_other_side():
 
 
 def test_swaps_are_undone_only_where_the_whole_clip_is_likelier_then():
-    swapped = solved(exchanged(view(), stretch("all", 15, 25)))
-    assert mends(plain(), swapped)
-    assert not mends(swapped, plain())
-    assert not mends(plain(), plain())
+    swapped = solved(with_exchanged(view(), stretch("all", 15, 25)))
+    assert swap_improves(plain(), swapped)
+    assert not swap_improves(swapped, plain())
+    assert not swap_improves(plain(), plain())
     one = finding("left_right_swap", (15, 25), "cam1", part="all keypoints", keypoints=(), log_likelihood_ratio=31.0)
-    assert doubted(one).code == "left_right_swap_possible"
-    assert doubted(finding("animal_still", speed_m_s=0.1)).code == "animal_still"
+    assert downgrade_swap(one).code == "left_right_swap_possible"
+    assert downgrade_swap(finding("animal_still", speed_m_s=0.1)).code == "animal_still"
 
 
 def test_tracks_jump_where_an_exchange_begins_and_ends():
-    gain = jumps(exchanged(view(), stretch("all", 15, 25)), pairs_of(BODY)["all"])
+    gain = jumps(with_exchanged(view(), stretch("all", 15, 25)), pairs_of(BODY)["all"])
     assert sorted(np.argsort(-gain)[:2].tolist()) == [15, 25]
     assert gain[[15, 25]].min() > 20
     assert np.delete(gain, [15, 25]).max() < -3
@@ -136,7 +136,7 @@ def test_missing_points_say_nothing_of_jumps():
 
 @pytest.mark.parametrize(("kind", "first", "stop"), [("all", 15, 25), ("all", 0, T), ("fore", 20, T), ("hind", 20, T)])
 def test_exchanged_sides_are_found(kind, first, stop):
-    (found,) = swaps(fitted(exchanged(view(), stretch(kind, first, stop))))
+    (found,) = swaps(fitted(with_exchanged(view(), stretch(kind, first, stop))))
     assert found.stretch.rows == slice(first, stop)
     assert found.stretch.markers == stretch(kind, first, stop).markers
     assert found.ratio > MARGIN
@@ -144,20 +144,20 @@ def test_exchanged_sides_are_found(kind, first, stop):
 
 
 def test_what_is_not_clear_is_only_to_be_looked_at():
-    assert swaps(fitted(exchanged(view(), stretch("hind", 17, 20)))) == []
+    assert swaps(fitted(with_exchanged(view(), stretch("hind", 17, 20)))) == []
     trial = _SwapTrial(stretch("hind", 14, 24), Refit(plain().states, 0.0, 0.0), MARGIN + 10.0)
     (source,) = motion_of(plain()).sources
     unclear = swap_finding(replace(trial, clear=False), source, BODY)
     assert (unclear.code, unclear.frames) == ("left_right_swap_possible", (114, 124))
     assert unclear.numbers["part"] == "the hind legs"
     assert swap_finding(trial, source, BODY).code == "left_right_swap"
-    assert not any("left-right swap" in flags for flags in flagged(motion_of(plain()), [unclear]).flags)
+    assert not any("left-right swap" in flags for flags in with_flags(motion_of(plain()), [unclear]).flags)
 
 
 def test_a_whole_clip_that_only_looks_exchanged_is_to_be_looked_at(monkeypatch):
     refit = Refit(plain().states, 0.0, 0.0)
-    monkeypatch.setattr("recon.check.swaps.undone", lambda given, one: _SwapTrial(one, refit, -20.0))
-    (found,) = swaps(fitted(exchanged(view(), stretch("all", 0, T))))
+    monkeypatch.setattr("recon.check.swaps.try_undone", lambda given, one: _SwapTrial(one, refit, -20.0))
+    (found,) = swaps(fitted(with_exchanged(view(), stretch("all", 0, T))))
     assert (found.clear, found.stretch.rows) == (False, slice(0, T))
     assert swaps(fitted(view())) == []
 
@@ -171,8 +171,8 @@ def test_two_frames_of_a_camera_between_those_of_another_have_no_swaps():
 
 def test_of_two_that_exclude_each_other_the_likelier_has_to_lead():
     one, other = stretch("hind", 0, 20), stretch("hind", 20, T)
-    swapped = fitted(exchanged(view(), other))
-    right, wrong = (undone(swapped, by) for by in (other, one))
+    swapped = fitted(with_exchanged(view(), other))
+    right, wrong = (try_undone(swapped, by) for by in (other, one))
     assert right.ratio > max(MARGIN, wrong.ratio + CLEAR)
     then = with_undone(swapped, right)
     assert contradicts(then, right, replace(wrong, ratio=1.0))
@@ -193,8 +193,8 @@ def test_of_two_that_exclude_each_other_the_likelier_has_to_lead():
 def test_of_a_whole_clip_less_evidence_is_said_as_such(monkeypatch, kind, rows, ratio, code):
     proposed, refit = iter([[stretch(kind, *rows)]]), Refit(plain().states, 0.0, 0.0)
     module = sys.modules[swaps.__module__]
-    monkeypatch.setattr(module, "likely", lambda *args: next(proposed, []))
-    monkeypatch.setattr(module, "undone", lambda given, stretch: _SwapTrial(stretch, refit, ratio))
+    monkeypatch.setattr(module, "propose_stretches", lambda *args: next(proposed, []))
+    monkeypatch.setattr(module, "try_undone", lambda given, stretch: _SwapTrial(stretch, refit, ratio))
     monkeypatch.setattr(module, "with_undone", lambda given, trial: given)
     (source,) = motion_of(plain()).sources
     found = [swap_finding(trial, source, BODY) for trial in swaps(given(view()))]
@@ -203,12 +203,12 @@ def test_of_a_whole_clip_less_evidence_is_said_as_such(monkeypatch, kind, rows, 
 
 
 def test_a_clip_without_states_has_no_exchanged_stretch():
-    nothing = given(exchanged(view(), stretch("all", 15, 25)))
-    assert likely(replace(nothing, states=np.full_like(nothing.states, np.nan)), pairs_of(BODY), False) == []
+    nothing = given(with_exchanged(view(), stretch("all", 15, 25)))
+    assert propose_stretches(replace(nothing, states=np.full_like(nothing.states, np.nan)), pairs_of(BODY), False) == []
 
 
 def test_an_end_of_a_clip_is_judged_beside_the_rest_of_it():
-    ends = {(one.rows.start, one.rows.stop) for one in likely(given_half(), pairs_of(BODY), False)}
+    ends = {(one.rows.start, one.rows.stop) for one in propose_stretches(given_half(), pairs_of(BODY), False)}
     assert {(0, 20), (20, T)} <= ends
 
 
@@ -217,37 +217,42 @@ def test_sides_of_a_whole_clip_are_tried_if_it_is_long_enough_and_has_legs(seen_
     of_leg = pairs_of(BODY)["fore"] != pairs_of(BODY)["hind"]
     shown = moved(np.where(of_leg[:, None] & ~np.bool(legs), np.nan, view().xy_px))
     n = round(seen_s * FPS)
-    stretches = likely(given(exchanged(shown, stretch("all", 0, T)), slice(0, n)), pairs_of(BODY), False)
+    stretches = propose_stretches(
+        given(with_exchanged(shown, stretch("all", 0, T)), slice(0, n)), pairs_of(BODY), False
+    )
     assert (slice(0, n) in [one.rows for one in stretches]) == told
 
 
 def given_half():
-    return fitted(exchanged(view(), stretch("hind", 20, T)))
+    return fitted(with_exchanged(view(), stretch("hind", 20, T)))
 
 
 def test_of_a_motion_that_the_prior_does_not_know_a_stretch_is_found_but_no_whole_clip():
-    (found,) = swaps(given_half(), unlike=True)
+    (found,) = swaps(given_half(), is_unlike=True)
     assert found.stretch.rows == slice(20, T)
-    assert swaps(fitted(exchanged(view(), stretch("all", 0, T))), unlike=True) == []
+    assert swaps(fitted(with_exchanged(view(), stretch("all", 0, T))), is_unlike=True) == []
 
 
 def test_an_error_that_lasts_is_likelier_than_one_that_jumps():
     xy_px = view().xy_px
     off, sigma_px = np.zeros_like(xy_px), np.full(xy_px.shape[:2], 3.0)
-    none = unlikely(view(), xy_px, sigma_px, 10.0)
+    none = negative_log_density(view(), xy_px, sigma_px, 10.0)
     off[10:30] = [3.0, 0.0]
-    lasts = unlikely(view(), xy_px + off, sigma_px, 10.0) - none
-    jumps_about = unlikely(view(), xy_px + off[np.random.default_rng(0).permutation(T)], sigma_px, 10.0) - none
+    lasts = negative_log_density(view(), xy_px + off, sigma_px, 10.0) - none
+    jumps_about = (
+        negative_log_density(view(), xy_px + off[np.random.default_rng(0).permutation(T)], sigma_px, 10.0) - none
+    )
     assert 0 < 3 * lasts < jumps_about
     # of a steady error the frames that are alike count once, but for the first ones
     each, alike = (
-        unlikely(view(), xy_px + np.array([0.3, 0.0]), sigma_px, n) - unlikely(view(), xy_px, sigma_px, n)
+        negative_log_density(view(), xy_px + np.array([0.3, 0.0]), sigma_px, n)
+        - negative_log_density(view(), xy_px, sigma_px, n)
         for n in (1.0, 10.0)
     )
     assert alike == pytest.approx(each / T * (1 + (T - 1) / 10), rel=0.01)
     hidden = view().xy_px.copy()
     hidden[:, 3] = np.nan
-    assert np.isfinite(unlikely(moved(hidden), xy_px, sigma_px, 10.0))
+    assert np.isfinite(negative_log_density(moved(hidden), xy_px, sigma_px, 10.0))
 
 
 def test_ten_frames_of_the_sample_are_found(tmp_path):
@@ -278,12 +283,12 @@ def test_an_untouched_clip_has_no_findings():
 
 
 def test_without_a_prior_of_motions_neither_sides_nor_rates_are_judged():
-    wrong = motion_of(solved(exchanged(view(), stretch("all", 15, 25))))
+    wrong = motion_of(solved(with_exchanged(view(), stretch("all", 15, 25))))
     (found,) = input_findings(wrong, PRIOR, TrajectoryOptions(), NAMED)
     assert (found.code, found.frames, found.camera) == ("left_right_swap", (115, 125), CAMERA.name)
     assert input_findings(wrong, prior_from_body(BODY), TrajectoryOptions(), NAMED) == ()
     setting = ClipProblem.from_views([view()], BODY, prior_from_body(BODY), 2 * FPS, TrajectoryOptions())
-    assert other_rate(setting, given(view()).states, None) is None
+    assert frame_rate_finding(setting, given(view()).states, None) is None
 
 
 @pytest.mark.parametrize(("stop", "code"), [(14, "left_right_swap_mended"), (19, "clip_swapped_back")])
@@ -328,7 +333,7 @@ def test_frames_of_gross_outliers_are_left_out_and_flagged(small_trajectory: Mot
     np.testing.assert_array_equal(kept.keypoints.present[:5], source.keypoints.present[:5])
     (note,) = kept.cleaning.notes
     assert says(note, "gross outliers", "left out")
-    flags = flagged(small_trajectory, [found, replace(found, code="left_right_swap_mended", frames=(10, 11))]).flags
+    flags = with_flags(small_trajectory, [found, replace(found, code="left_right_swap_mended", frames=(10, 11))]).flags
     assert [t for t, of_frame in enumerate(flags) if "gross outliers" in of_frame] == [5, 6]
     assert not any("left-right swap" in of_frame for of_frame in flags)
 
@@ -347,11 +352,11 @@ def test_where_most_frames_are_outliers_none_is_left_out(small_trajectory: Motio
 
 
 def test_keypoints_from_0_to_1():
-    found = of_unit_square(given(moved(view().xy_px / (1920, 1080))))
+    found = unit_square_finding(given(moved(view().xy_px / (1920, 1080))))
     assert found is not None
     assert (found.code, found.severity, found.camera) == ("keypoints_normalised", "error", CAMERA.name)
     assert number(found, "log_likelihood_ratio") == pytest.approx(np.log(1920 * 1080 / 4) * T / (0.16 * FPS))
-    assert of_unit_square(given(view())) is None
+    assert unit_square_finding(given(view())) is None
 
 
 @pytest.mark.parametrize(
@@ -363,18 +368,18 @@ def test_keypoints_from_0_to_1():
     ],
 )
 def test_a_picture_turned_over(code, turn):
-    found = of_other_picture(given(moved(turn(view().xy_px)), slice(10, 26)))
+    found = other_picture_finding(given(moved(turn(view().xy_px)), slice(10, 26)))
     assert found is not None
     assert found.code == code
     assert number(found, "log_likelihood_ratio") > 10 * CLEAR
 
 
 def test_a_picture_as_it_is():
-    assert of_other_picture(given(view())) is None
+    assert other_picture_finding(given(view())) is None
 
 
 def test_a_smaller_video():
-    found = of_other_picture(given(moved(view().xy_px / 2), slice(10, 26)))
+    found = other_picture_finding(given(moved(view().xy_px / 2), slice(10, 26)))
     assert found is not None
     assert (found.code, found.numbers["times"]) == ("smaller_video", 2)
     half = smaller(CAMERA, 2)
@@ -388,15 +393,15 @@ def test_a_smaller_video():
 
 def test_the_frame_rate_that_the_file_states():
     setting = ClipProblem.from_views([view()], BODY, PRIOR, FPS, TrajectoryOptions())
-    found = other_rate(setting, plain().states, 120.0)
+    found = frame_rate_finding(setting, plain().states, 120.0)
     assert found == finding("frame_rate_stated", given_hz=FPS, other_hz=120.0)
-    assert other_rate(setting, plain().states, 90.5) is None
+    assert frame_rate_finding(setting, plain().states, 90.5) is None
 
 
 @pytest.mark.parametrize("factor", [0.5, 0.6, 2.0])
 def test_a_motion_at_another_rate_than_it_was_filmed_at(factor):
     setting = ClipProblem.from_views([view()], BODY, PRIOR, FPS * factor, TrajectoryOptions())
-    found = other_rate(setting, given(view()).states, None)
+    found = frame_rate_finding(setting, given(view()).states, None)
     assert found is not None
     assert found.code == "frame_rate"
     assert number(found, "other_hz") == pytest.approx(FPS, rel=0.15)
@@ -405,7 +410,7 @@ def test_a_motion_at_another_rate_than_it_was_filmed_at(factor):
 
 def test_the_rate_of_a_motion_that_is_hardly_seen_is_not_judged(monkeypatch):
     judged: list[bool] = []
-    monkeypatch.setattr("recon.check.inputs.other_rate", lambda *_, by_motion: judged.append(by_motion))
+    monkeypatch.setattr("recon.check.inputs.frame_rate_finding", lambda *_, by_motion: judged.append(by_motion))
     for flags in ((), ("data poor",)):
         motion = motion_of(replace(plain(), flags=(flags,) * T))
         input_findings(motion, PRIOR, TrajectoryOptions(), NAMED, seek_swaps=False)

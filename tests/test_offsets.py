@@ -11,7 +11,7 @@ from command_line import refusal
 from test_cameras import folder, keypoints_of, settings
 
 from recon import fit_clip
-from recon.check import solved_in_step
+from recon.check import solve_time_offsets
 from recon.check.agreement import search_offsets
 from recon.clip import Source, clean
 from recon.fit import TrajectoryOptions, TrajectorySolution, solve_trajectory
@@ -60,7 +60,7 @@ def test_found_lags_put_the_sources_in_step_until_they_are_small():
         lag = np.array([0.0, 2.4 - asked[-1][1]])
         return SimpleNamespace(time_offset_frames=0.98 * lag, time_offset_sigma_frames=np.array([0.0, 0.1]))  # type: ignore[return-value]
 
-    found, solution = solved_in_step(sources(), [0.0, 0.0], solve, 2.0, KEYPOINT_M)
+    found, solution = solve_time_offsets(sources(), [0.0, 0.0], solve, 2.0, KEYPOINT_M)
     assert found[1].offset_s * FPS + solution.time_offset_frames[1] == pytest.approx(2.4, abs=0.01)
     assert found[1].offset_frames == pytest.approx(0.35, abs=0.02)
     assert len(asked) == 2
@@ -71,7 +71,7 @@ def test_a_motion_that_does_not_tell_is_refused():
         return SimpleNamespace(time_offset_frames=np.array([0.0, 0.04]), time_offset_sigma_frames=np.array([0.0, 1.9]))  # type: ignore[return-value]
 
     with refusal(("--set find-offsets", "camera cam1", "0.0 ± 1.9 frames", [1, "--set offset-s"])):
-        solved_in_step(sources(), [0.0, 0.0], solve, 2.0, KEYPOINT_M)
+        solve_time_offsets(sources(), [0.0, 0.0], solve, 2.0, KEYPOINT_M)
 
 
 def test_a_clip_whose_cameras_are_out_of_step(folder):

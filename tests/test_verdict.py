@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from recon.check import finding, judged, sentence, usable, verdict_lines
+from recon.check import add_verdict, finding, sentence, usable, verdict_lines
 from recon.check.verdict import LIMIT_OF_TRUNK, evidence_of, expected_pose_of_trunk, expected_position
 from recon.fit import ExpectedError, Motion, Verdict
 from recon.io import video_writer, write_csv
@@ -16,7 +16,7 @@ from tests.command_line import refused, run, says
 
 
 def level(motion: Motion) -> str:
-    verdict = judged(motion).verdict
+    verdict = add_verdict(motion).verdict
     assert verdict is not None
     return verdict.level
 
@@ -24,7 +24,7 @@ def level(motion: Motion) -> str:
 def test_the_most_serious_finding_decides(small_trajectory):
     warned = replace(small_trajectory, findings=(finding("ground_above_camera", height_m=1.0, sigma_m=0.1),))
     assert level(warned) in ("check", "do not use")
-    wrong = judged(replace(small_trajectory, findings=(finding("keypoints_y_up"), *warned.findings)))
+    wrong = add_verdict(replace(small_trajectory, findings=(finding("keypoints_y_up"), *warned.findings)))
     assert wrong.verdict.level == "do not use"
     assert wrong.verdict.reason == sentence(finding("keypoints_y_up"), named=False)
     assert wrong.verdict.pose_m is wrong.verdict.position_m is None
@@ -37,7 +37,7 @@ def test_of_several_errors_the_cause_is_the_reason(small_trajectory):
     warned = finding("ground_elsewhere", height_m=1.0, sigma_m=0.1)
     numbered = finding("cameras_exchanged", **numbers)
     both, alone = (
-        judged(replace(small_trajectory, findings=(warned, *more))) for more in ((*follows, numbered), follows)
+        add_verdict(replace(small_trajectory, findings=(warned, *more))) for more in ((*follows, numbered), follows)
     )
     assert {one.code for one in both.findings if one.severity != "note"} >= {"cameras_exchanged", "few_frames"}
     assert not {"frame_rate", "too_fast", "ground_elsewhere"} & {one.code for one in both.findings}
@@ -48,7 +48,7 @@ def test_of_several_errors_the_cause_is_the_reason(small_trajectory):
 
 def test_errors_that_a_warning_doubts_are_said_to_be_so(whole_results):
     warned = finding("ground_elsewhere", height_m=1.0, sigma_m=0.1)
-    verdict = judged(replace(Motion.load(whole_results), findings=(warned,))).verdict
+    verdict = add_verdict(replace(Motion.load(whole_results), findings=(warned,))).verdict
     assert verdict is not None
     assert (verdict.level, verdict.warned) == ("check", True)
     assert verdict.lines[1].startswith("apart from that, pose off by")
@@ -56,7 +56,7 @@ def test_errors_that_a_warning_doubts_are_said_to_be_so(whole_results):
 
 def test_a_clip_to_be_used_names_keypoints_that_do_not_fit(whole_results):
     named = finding("keypoints_do_not_fit", keypoints=("l_hip",), share=0.8, used=40)
-    verdict = judged(replace(Motion.load(whole_results), findings=(named,))).verdict
+    verdict = add_verdict(replace(Motion.load(whole_results), findings=(named,))).verdict
     assert verdict is not None
     assert says(verdict.lines[0], "use: Good", "80% of the 40 detections", "l_hip")
 
@@ -71,7 +71,7 @@ def test_expected_errors(small_trajectory):
     assert 0 < pose.low < pose.expected < pose.high
     assert pose.expected / pose.low == pytest.approx(pose.high / pose.expected)
     assert 0 < position.low < position.expected < position.high
-    verdict = judged(small_trajectory).verdict
+    verdict = add_verdict(small_trajectory).verdict
     assert verdict.pose_m == pose.times(evidence.trunk_m)
     assert verdict.pose_of_trunk == pose
     twice = replace(solution, relative_covariance_m2=4 * solution.relative_covariance_m2)
@@ -98,7 +98,7 @@ def test_how_well_a_focal_length_is_known_is_expected_of_the_position(small_traj
 
 
 def test_the_summary_says_what_one_camera_cannot_tell(small_trajectory):
-    motion = replace(judged(small_trajectory), settings={**small_trajectory.settings, "focal_sigma": 0.1})
+    motion = replace(add_verdict(small_trajectory), settings={**small_trajectory.settings, "focal_sigma": 0.1})
     known = replace(Verdict("use", "It is so."), position_m=ExpectedError(0.1, 0.05, 0.2))
     said = dict(given.verdict_lines(replace(motion, verdict=known), None))["assumed"]
     assert says(said, "focal length to 10%", "one camera")
@@ -115,7 +115,7 @@ def test_worse_evidence_expects_more(small_trajectory, name):
 def test_an_uncertain_pose_is_not_to_be_used(small_trajectory):
     solution = small_trajectory.solution
     vague = replace(solution, relative_covariance_m2=1e4 * solution.relative_covariance_m2)
-    verdict = judged(replace(small_trajectory, solution=vague)).verdict
+    verdict = add_verdict(replace(small_trajectory, solution=vague)).verdict
     assert verdict.level == "do not use"
     assert verdict.pose_of_trunk.expected > LIMIT_OF_TRUNK
     assert says(verdict.reason, "too uncertain")
@@ -124,7 +124,7 @@ def test_an_uncertain_pose_is_not_to_be_used(small_trajectory):
 def test_a_pose_of_which_nothing_says_how_far_off_it_is_is_not_to_be_used(small_trajectory):
     solution = small_trajectory.solution
     unknown = replace(solution, relative_covariance_m2=np.full_like(solution.relative_covariance_m2, np.nan))
-    verdict = judged(replace(small_trajectory, solution=unknown)).verdict
+    verdict = add_verdict(replace(small_trajectory, solution=unknown)).verdict
     assert verdict is not None
     assert (verdict.level, verdict.pose_m) == ("do not use", None)
 
@@ -132,11 +132,11 @@ def test_a_pose_of_which_nothing_says_how_far_off_it_is_is_not_to_be_used(small_
 def test_no_pose_is_not_to_be_used(small_trajectory):
     nowhere = np.full_like(small_trajectory.solution.joints_m, np.nan)
     motion = replace(small_trajectory, solution=replace(small_trajectory.solution, joints_m=nowhere))
-    assert judged(motion).verdict.level == "do not use"
+    assert add_verdict(motion).verdict.level == "do not use"
 
 
 def test_words_are_in_the_unit_that_fits(small_trajectory):
-    said, errors = verdict_lines(judged(small_trajectory).verdict)
+    said, errors = verdict_lines(add_verdict(small_trajectory).verdict)
     assert said.split(":")[0] in ("use", "check", "do not use")
     assert "pose off by" in errors
     assert "of the trunk's length; position by" in errors
@@ -144,13 +144,13 @@ def test_words_are_in_the_unit_that_fits(small_trajectory):
 
 
 def test_it_is_saved_and_loaded(small_trajectory, tmp_path):
-    motion = judged(small_trajectory)
+    motion = add_verdict(small_trajectory)
     motion.save(tmp_path)
     assert Motion.load(tmp_path).verdict == motion.verdict
 
 
 def test_what_is_made_of_a_clip_refuses_one_that_is_not_to_be_used(small_trajectory, tmp_path):
-    wrong = judged(replace(small_trajectory, findings=(finding("keypoints_y_up"),)))
+    wrong = add_verdict(replace(small_trajectory, findings=(finding("keypoints_y_up"),)))
     wrong.save(tmp_path / "clip")
     truth, video, out = tmp_path / "truth.csv", tmp_path / "clip.mp4", tmp_path / "out"
     write_csv(wrong.upright, truth)

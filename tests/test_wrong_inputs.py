@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from recon.check.inputs import baseline_of, copies, movement, of_lens
+from recon.check.inputs import baseline_of, copies, lens_findings, movement
 from recon.check.rules import ground_elsewhere, pair_disagrees, subject_unlike_species
 from recon.clip import Keypoints, Source, clean
 from recon.fit import ClipProblem, Ground, Motion, TrajectoryOptions, solve_trajectory
@@ -138,7 +138,7 @@ def test_a_picture_that_zooms_is_named(times, ways):
     zoom = np.linspace(1.0, times, len(seen(run())))[:, None, None]
     solution = solve(centre + zoom * (seen(run()) - centre))
     setting = ClipProblem.from_views(solution.views, BODY, PRIOR, FPS, TrajectoryOptions())
-    found = [*of_lens(baseline_of(setting, 0, solution.states, solution.size), solution.noise_px[0])]
+    found = [*lens_findings(baseline_of(setting, 0, solution.states, solution.size), solution.noise_px[0])]
     assert [one.numbers["way"] for one in found] == ways
 
 
@@ -148,7 +148,7 @@ def test_keypoints_without_the_lens_that_the_camera_has_are_named(kept, codes):
     xy_px = bent.project(run())[0] if kept else seen(run(), 0.0)
     solution = solve(xy_px + np.random.default_rng(0).normal(0, 2, xy_px.shape), camera=bent)
     setting = ClipProblem.from_views(solution.views, BODY, PRIOR, FPS, TrajectoryOptions())
-    found = of_lens(baseline_of(setting, 0, solution.states, solution.size), solution.noise_px[0])
+    found = lens_findings(baseline_of(setting, 0, solution.states, solution.size), solution.noise_px[0])
     assert [one.code for one in found] == codes
 
 

@@ -1,6 +1,7 @@
-"""Every code of a finding: how serious it is, and its words. The only place where a finding becomes a sentence.
+"""Every code of a finding: its severity and its words. Only here a finding becomes a sentence.
 
-docs/findings.md says of each code what it means, what it does to the result, and what to do."""
+docs/findings.md says for each code what it means, what it does to the result, and what to do.
+"""
 
 from __future__ import annotations
 
@@ -15,13 +16,13 @@ from recon.fit import Finding, Motion
 from recon.fit.result import Severity
 
 NAMED = 5
-"""Up to so many names are listed in a sentence."""
+"""Most names listed in a sentence."""
 LENGTHS = ("height", "apart", "in_cm", "in_mm")
 """Numbers that a sentence may have as lengths: height_m, with sigma_m if there is one, as height_length."""
 SWAPPED, OUTLIERS = "left-right swap", "gross outliers"
 """Flags of frames in which one camera's detections are wrong."""
 FLAG_OF: Mapping[str, str] = {"left_right_swap": SWAPPED, "gross_outliers": OUTLIERS}
-"""Flags of frames, by the code of the finding that is about them."""
+"""Flags of frames, by the code of their finding."""
 FLAGS: Mapping[str, str] = {
     "no data": "nothing was detected: the pose, if there is one, comes from the frames around",
     "diverged": "the best pose was out of the camera's sight, and the frame has none",
@@ -32,51 +33,53 @@ FLAGS: Mapping[str, str] = {
     SWAPPED: "the detections look as if left and right were swapped: the pose follows them",
     OUTLIERS: "the detections are not those of an animal: they are left out, and the pose comes from the frames around",
 }
-"""What a flag of a frame means, in the order of a summary."""
+"""Meaning of each flag of a frame, in the order of a summary."""
 _ROWS = tomllib.loads(builtin_file("check", "codes.toml").read_text(encoding="utf-8"))
 CODES: Mapping[str, tuple[Severity, str]] = {code: (row["severity"], row["text"]) for code, row in _ROWS.items()}
-"""Severity and sentence, by code, from `codes.toml`; causes before what follows from them."""
+"""Severity and sentence, by code, from `codes.toml`; causes before their consequences."""
 FOLLOWS = frozenset(code for code, row in _ROWS.items() if row.get("follows"))
-"""Codes of what may come of another mistake."""
+"""Codes of findings that may be consequences of another one."""
 _SERIOUS: tuple[Severity, ...] = ("error", "warning", "note")
 
 
 def finding(code: str, frames: tuple[int, int] | None = None, camera: str | None = None, **numbers: Any) -> Finding:
-    """One of a known code, with its severity."""
+    """Return a finding of a known code, with its severity."""
     return Finding(code, CODES[code][0], frames, camera, numbers)
 
 
-def summed_up(findings: Sequence[Finding]) -> tuple[Finding, ...]:
-    """The most serious first, then in the order of `CODES`; those of one code stay as they come. Where an error is no
-    consequence, without those that may be one."""
-    caused = any(one.severity == "error" and one.code not in FOLLOWS for one in findings)
-    said, place = (one for one in findings if not (caused and one.code in FOLLOWS)), [*CODES]
-    return tuple(sorted(said, key=lambda one: (_SERIOUS.index(one.severity), place.index(one.code))))
+def sort_findings(findings: Sequence[Finding]) -> tuple[Finding, ...]:
+    """Return findings in order: the most serious first, then in the order of `CODES`, those of one code as they come.
+
+    If an error is no consequence, findings that may be consequences are left out.
+    """
+    caused = any(item.severity == "error" and item.code not in FOLLOWS for item in findings)
+    kept, order = (item for item in findings if not (caused and item.code in FOLLOWS)), [*CODES]
+    return tuple(sorted(kept, key=lambda item: (_SERIOUS.index(item.severity), order.index(item.code))))
 
 
-def sentence(one: Finding, named: bool = True) -> str:
-    """A finding in words. named: cameras are called by their names, as where a clip has several."""
-    words = CODES[one.code][1]
-    given: dict[str, Any] = one.numbers
-    values = {name: names_text(value) if isinstance(value, tuple) else value for name, value in given.items()}
-    degrees = {f"{name[:-4]}_deg": math.degrees(value) for name, value in given.items() if name.endswith("_rad")}
-    sigma_m, known = given.get("sigma_m"), [name for name in LENGTHS if f"{name}_m" in given]
-    lengths = {f"{name}_length": length_text(given[f"{name}_m"], sigma_m) for name in known}
-    frames = given.get("late_frames", 0.0)
-    late = f"{abs(frames):.1f} frames {'late' if frames > 0 else 'early'}"
-    camera, where = one.camera if named else "the camera", _where(one.frames)
-    text = words.format(**values, **degrees, **lengths, camera=camera, where=where, late=late)
-    return f"{one.camera}: {text}" if named and one.camera and "{camera}" not in words else text
+def sentence(item: Finding, named: bool = True) -> str:
+    """Return a finding in words. named: cameras are called by their names, as where a clip has several."""
+    words = CODES[item.code][1]
+    numbers: dict[str, Any] = item.numbers
+    values = {name: names_text(value) if isinstance(value, tuple) else value for name, value in numbers.items()}
+    degrees = {f"{name[:-4]}_deg": math.degrees(value) for name, value in numbers.items() if name.endswith("_rad")}
+    sigma_m, lengths_given = numbers.get("sigma_m"), [name for name in LENGTHS if f"{name}_m" in numbers]
+    lengths = {f"{name}_length": length_text(numbers[f"{name}_m"], sigma_m) for name in lengths_given}
+    frames = numbers.get("late_frames", 0.0)
+    delay = f"{abs(frames):.1f} frames {'late' if frames > 0 else 'early'}"
+    camera, where = item.camera if named else "the camera", _where(item.frames)
+    text = words.format(**values, **degrees, **lengths, camera=camera, where=where, late=delay)
+    return f"{item.camera}: {text}" if named and item.camera and "{camera}" not in words else text
 
 
 def sentences(motion: Motion) -> Iterator[tuple[Finding, str]]:
-    """Each of a motion's findings, with its words."""
-    for one in motion.findings:
-        yield one, sentence(one, named=len(motion.sources) > 1)
+    """Yield each of a motion's findings with its words."""
+    for item in motion.findings:
+        yield item, sentence(item, named=len(motion.sources) > 1)
 
 
 def names_text(names: Sequence[str]) -> str:
-    """The first of the names, as a sentence lists them."""
+    """Return the first of the names, as a sentence lists them."""
     more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
     return ", ".join(names[:NAMED]) + more
 

@@ -1,9 +1,9 @@
-"""Input findings: copied coordinates, a camera that moves, left-right swaps, gross outliers, a picture turned over,
-another camera's by its file's name, a wrong frame rate.
+"""Find wrong inputs: copies, moving cameras, swaps, gross outliers, another picture or camera, a wrong frame rate.
 
-What was copied, and how no animal moves, is said first. Detections that are the same to the last digit were copied, not
-measured. Under a camera that pans, feet that stand slide, all of them alike. The rest is recognised by how much
-likelier the clip is with it undone (`recon.check.likelihood`)."""
+Copies, and motions that no animal makes, come first. Detections that are the same to the last digit were copied, not
+measured. Under a camera that pans, all standing feet slide together. The rest is recognised by how much likelier the
+clip is with it undone (`recon.check.likelihood`).
+"""
 
 from __future__ import annotations
 
@@ -19,19 +19,27 @@ from recon.animal import opposites
 from recon.animal.prior import NONE, MotionPrior, mean_speed_m_s
 from recon.base.arrays import Array, Bools
 from recon.check.codes import FLAG_OF, finding
-from recon.check.likelihood import CLEAR, baseline_of, log_tail, of_lens, of_other_picture, of_unit_square, other_rate
+from recon.check.likelihood import (
+    CLEAR,
+    baseline_of,
+    frame_rate_finding,
+    lens_findings,
+    log_tail,
+    other_picture_finding,
+    unit_square_finding,
+)
 from recon.check.swaps import swap_finding, swaps
 from recon.clip import Keypoints, Source, View, frame_ranges, leave_out
 from recon.fit import REFERENCE_HZ, ClipProblem, Finding, Motion, TrajectoryOptions, TrajectorySolution
 from recon.geometry.kinematics import ROOT
 
 FASTEST_M_S = 40.0
-"""No animal runs as fast: cheetahs reach 29 m/s (N. Sharp, *Timed running speed of a cheetah*, J. Zool. 1997)."""
+"""Largest speed of an animal: cheetahs reach 29 m/s (N. Sharp, *Timed running speed of a cheetah*, J. Zool. 1997)."""
 
 MOSTLY_POOR = 0.9
-"""The share of frames of which little or nothing is seen from which the motion is the prior's, and so is its rate."""
+"""Share of the frames with few or no detections from which the motion, and with it the rate, is the prior's."""
 MOVES = ("animal_still", "time_reversed", "camera_moves")
-"""What makes sides doubtful by itself."""
+"""Codes of motions in which sides cannot be told."""
 
 
 def input_findings(
@@ -42,44 +50,62 @@ def input_findings(
     stated_hz: float | None = None,
     seek_swaps: bool = True,
 ) -> tuple[Finding, ...]:
-    """The findings on the keypoints that a motion was fitted to. named: by view, the other camera that its file's name
-    says. stated_hz: the frame rate that a file states. seek_swaps: whether swaps are looked for, which takes longest.
+    """Return the findings on the keypoints that a motion was fitted to.
+
+    Parameters
+    ----------
+    motion
+        The motion of the trajectory method.
+    prior
+        The prior that it was fitted with.
+    options
+        The options of the fit.
+    named
+        For each view, the other camera that its file's name says; None: none.
+    stated_hz
+        Frame rate that a file states; None: none does.
+    seek_swaps
+        Whether swaps are searched for, which takes longest.
     """
     solution, body, fps = motion.solution, motion.body, motion.fps
     assert isinstance(solution, TrajectorySolution)
     clip = ClipProblem.from_views(solution.views, body, prior, fps, options)
-    weighed = replace(clip, prior_weight=min((segment.prior_weight for segment in solution.segments), default=1.0))
+    weighted_clip = replace(
+        clip, prior_weight=min((segment.prior_weight for segment in solution.segments), default=1.0)
+    )
     too_fast = mean_speed_m_s(solution.states, fps) > FASTEST_M_S  # nor does the prior know it
-    unlike = too_fast or any(segment.unlike_prior for segment in solution.segments)
-    found = [*copies(motion.sources, resampled=bool(motion.settings.get("camera_fps")))]
-    certain = any(one.severity == "error" for one in found)
-    moves = [] if certain else [*movement(motion)]
-    stated = certain or any(one.code in MOVES for one in moves)
-    learned = prior.name != NONE and bool(solution.posed.any())
-    elsewhere = any(segment.ground and segment.ground.near_zero is False for segment in solution.segments)
-    on_ground = replace(weighed, ground_near_zero=weighed.ground_near_zero and not elsewhere)
+    is_unlike = too_fast or any(segment.unlike_prior for segment in solution.segments)
+    findings = [*copies(motion.sources, resampled=bool(motion.settings.get("camera_fps")))]
+    is_certain = any(item.severity == "error" for item in findings)
+    moves = [] if is_certain else [*movement(motion)]
+    is_explained = is_certain or any(item.code in MOVES for item in moves)
+    has_learned_prior = prior.name != NONE and bool(solution.posed.any())
+    is_elsewhere = any(segment.ground and segment.ground.near_zero is False for segment in solution.segments)
+    ground_clip = replace(weighted_clip, ground_near_zero=weighted_clip.ground_near_zero and not is_elsewhere)
     pictures: list[Finding] = []
     with threadpool_limits(1, user_api="blas"):
         for number, source in enumerate(motion.sources):
             camera, as_given = source.camera.name, baseline_of(clip, number, solution.states, solution.size)
             if named[number] is not None:
                 pictures.append(finding("other_camera_named", camera=camera, given=camera, other=named[number]))
-            elif of_picture := of_unit_square(as_given) or of_other_picture(as_given):
-                pictures.append(of_picture)
-            elif learned and not stated:
-                given = baseline_of(on_ground, number, solution.states, solution.size)
-                swapped = [swap_finding(trial, source, body) for trial in (swaps(given, unlike) if seek_swaps else ())]
-                found += swapped
-                if len(motion.sources) == 1 and not (swapped or moves):
-                    moves += of_lens(given, solution.noise_px[number])
-        found += pictures
-        slides = [one.numbers.get("slide_m_s") for one in moves]
-        glides = any(isinstance(one, float) and one > 0 for one in slides)  # as at a rate that is too high
-        if glides or not (stated or pictures):
-            found += _of_rate(clip, solution, stated_hz)
-    if not pictures and not any(one.code.startswith("frame_rate") for one in found):
-        found += moves
-    return tuple(found)
+            elif picture_issue := unit_square_finding(as_given) or other_picture_finding(as_given):
+                pictures.append(picture_issue)
+            elif has_learned_prior and not is_explained:
+                baseline = baseline_of(ground_clip, number, solution.states, solution.size)
+                found_swaps = [
+                    swap_finding(trial, source, body) for trial in (swaps(baseline, is_unlike) if seek_swaps else ())
+                ]
+                findings += found_swaps
+                if len(motion.sources) == 1 and not (found_swaps or moves):
+                    moves += lens_findings(baseline, solution.noise_px[number])
+        findings += pictures
+        slides = [item.numbers.get("slide_m_s") for item in moves]
+        is_gliding = any(isinstance(item, float) and item > 0 for item in slides)  # as at a rate that is too high
+        if is_gliding or not (is_explained or pictures):
+            findings += _of_rate(clip, solution, stated_hz)
+    if not pictures and not any(item.code.startswith("frame_rate") for item in findings):
+        findings += moves
+    return tuple(findings)
 
 
 def _of_rate(clip: ClipProblem, solution: TrajectorySolution, stated_hz: float | None) -> Sequence[Finding]:
@@ -90,18 +116,18 @@ def _of_rate(clip: ClipProblem, solution: TrajectorySolution, stated_hz: float |
     longest = max(segments, key=lambda rows: rows.stop - rows.start)
     states = solution.states[longest].copy()
     states[:, ROOT] = (states[:, ROOT] - clip.origin_m) / solution.size
-    poor = np.mean([bool({*flags} & {"no data", "data poor"}) for flags in solution.flags[longest]]) > MOSTLY_POOR
-    found = other_rate(clip.part(longest), states, stated_hz, by_motion=not poor)
-    return () if found is None else (found,)
+    poor_share = np.mean([bool({*flags} & {"no data", "data poor"}) for flags in solution.flags[longest]]) > MOSTLY_POOR
+    rate_finding = frame_rate_finding(clip.part(longest), states, stated_hz, by_motion=not poor_share)
+    return () if rate_finding is None else (rate_finding,)
 
 
-def flagged(motion: Motion, findings: Sequence[Finding]) -> Motion:
-    """A motion with the flags of the frames that findings are about."""
+def with_flags(motion: Motion, findings: Sequence[Finding]) -> Motion:
+    """Return a motion with the flags of the frames of some findings."""
     flags = [*motion.flags]
-    for one in findings:
-        name = FLAG_OF.get(one.code)
-        if name is not None and one.frames is not None:
-            for t in range(*np.searchsorted(motion.frames, one.frames)):
+    for item in findings:
+        name = FLAG_OF.get(item.code)
+        if name is not None and item.frames is not None:
+            for t in range(*np.searchsorted(motion.frames, item.frames)):
                 flags[t] = flags[t] if name in flags[t] else (*flags[t], name)
     return replace(motion, solution=replace(motion.solution, flags=tuple(flags)))
 
@@ -109,27 +135,36 @@ def flagged(motion: Motion, findings: Sequence[Finding]) -> Motion:
 # -- copied coordinates ------------------------------------------------------------------------------------------------
 
 SHARE = 0.2
-"""So many identical coordinates, of those that could be, are no chance: hand labels in whole pixels may have a few."""
+"""Share of identical coordinates, of those that could be, that is no chance: hand labels in whole pixels have a few."""
 FRAMES = 0.05
-"""The least share of a clip's frames: fewer that repeat the one before are a hiccup of a camera."""
+"""Least share of a clip's frames that repeat the one before: fewer are a hiccup of a camera."""
 FEWEST = 4
-"""Fewer keypoints of a frame may be identical by chance."""
+"""Least number of identical keypoints of a frame: fewer may be chance."""
 STRAIGHT_PX, STRAIGHT = 0.01, 0.02
-"""A point lies on the line between its neighbours within the digits of a file, and within this part of its way."""
+"""Largest deviation of an interpolated point from the line between its neighbours, in pixels and as a part of its path.
+"""
 LONG, SHORT, SHARE_LONG = 1.45, 0.5, 0.13
-"""Times that a step is as long as the steps around it, and the share of steps that are longer: where so many are, and
-less than half as many shorter, frames were left out. At most 0.12 of the steps are long in 32 real views, also with
-half of their points missing, a side hidden, or an animal that comes into the picture; 0.2 where a quarter of the frames
-is."""
+"""Ratios of a step to the steps around it that are long or short, and share of long steps.
+
+If more are long, and less than half as many short, frames were left out. At most 0.12 of the steps are long in 32 real
+views, also with half of their points missing, a side hidden, or an animal that comes into the picture; 0.2 where a
+quarter of the frames is left out.
+"""
 ALONE, SHARE_ALONE = 1.3, 0.4
-"""So many times as long as both steps beside it, and the share of the long steps that are: legs that swing, seen alone
-or by a camera that follows, are fast for some frames. Chosen on simulated cameras and noise (cheetahs, dogs)."""
+"""Ratio of a long step to both its neighbours, and the share of long steps that have it.
+
+Swinging legs, seen alone or by a camera that follows, are fast for several frames. Chosen on simulated cameras and
+noise (cheetahs, dogs).
+"""
 AROUND, LEAST_STEP_PX, LEAST_STEPS = 7, 5.0, 20
-"""Steps of a keypoint that are compared with each other; shorter ones, or fewer in all, say nothing."""
+"""Number of steps of a keypoint that are compared; least length of a step, and least number of them."""
 
 
 def copies(sources: Sequence[Source], resampled: bool = False) -> Iterator[Finding]:
-    """Findings on points that are copies of others. resampled: points were taken between frames: lines say nothing."""
+    """Yield findings on points that are copies of others.
+
+    resampled: points were interpolated between frames, so that straight lines mean nothing.
+    """
     for source in sources:
         keypoints, camera = source.keypoints, source.camera.name
         if not resampled:
@@ -138,16 +173,16 @@ def copies(sources: Sequence[Source], resampled: bool = False) -> Iterator[Findi
             )
         yield from _copied_sides(keypoints, camera)
     for a, b in combinations(sources, 2):
-        identical, both = _identical(a.keypoints.xy_px, b.keypoints.xy_px)
-        if _many(identical, both):
-            names, share = (a.camera.name, b.camera.name), float(identical.sum() / both.sum())
+        identical, in_both = _identical(a.keypoints.xy_px, b.keypoints.xy_px)
+        if _many(identical, in_both):
+            names, share = (a.camera.name, b.camera.name), float(identical.sum() / in_both.sum())
             yield finding("same_keypoints", cameras=names, share=share)
 
 
 def _identical(a: np.ndarray, b: np.ndarray) -> tuple[Bools, Bools]:
-    """For points (..., 2): which are the same in both, and which are in both."""
-    both = np.asarray(np.isfinite(a + b).all(axis=-1))
-    return both & np.asarray((a == b).all(axis=-1)), both
+    """Return which points (..., 2) are the same in both arrays, and which are in both."""
+    in_both = np.asarray(np.isfinite(a + b).all(axis=-1))
+    return in_both & np.asarray((a == b).all(axis=-1)), in_both
 
 
 def _many(identical: Bools, of: Bools) -> bool:
@@ -155,14 +190,14 @@ def _many(identical: Bools, of: Bools) -> bool:
 
 
 def _repeated(keypoints: Keypoints, camera: str) -> Iterator[Finding]:
-    """Frames whose points are those of the frame before: every second, as of a video at twice its rate, or some."""
-    identical, both = _identical(keypoints.xy_px[1:], keypoints.xy_px[:-1])
+    """Yield a finding on frames that repeat the one before: every second, as of a video at twice its rate, or some."""
+    identical, in_both = _identical(keypoints.xy_px[1:], keypoints.xy_px[:-1])
     count = identical.sum(axis=1)
-    repeats = np.append(False, (count >= FEWEST) & (2 * count > both.sum(axis=1)))
+    repeats = np.append(False, (count >= FEWEST) & (2 * count > in_both.sum(axis=1)))
     if repeats.sum() <= FRAMES * len(repeats):
         return
-    new = np.flatnonzero(~repeats)
-    times = int(np.median(np.diff(new))) if len(new) > 2 else 1
+    new_frames = np.flatnonzero(~repeats)
+    times = int(np.median(np.diff(new_frames))) if len(new_frames) > 2 else 1
     if times > 1 and repeats.mean() < 1 - 0.5 / times:
         numbers = {"times": times, "given_hz": keypoints.fps or np.nan, "other_hz": (keypoints.fps or np.nan) / times}
         yield finding("detections_repeated", camera=camera, **numbers)
@@ -174,66 +209,78 @@ def _repeated(keypoints: Keypoints, camera: str) -> Iterator[Finding]:
 
 
 def _interpolated(keypoints: Keypoints, camera: str) -> list[Finding]:
-    """Points halfway between those before and after, although they move."""
+    """Return a finding on points halfway between those before and after, although they move."""
     xy_px = keypoints.xy_px
     bend = np.linalg.norm(xy_px[2:] - 2 * xy_px[1:-1] + xy_px[:-2], axis=-1)
-    way = 0.5 * np.linalg.norm(xy_px[2:] - xy_px[:-2], axis=-1)
-    moving = way > 0
-    straight = moving & (bend < np.minimum(STRAIGHT_PX, STRAIGHT * way))
-    if not _many(straight, moving):
+    travel = 0.5 * np.linalg.norm(xy_px[2:] - xy_px[:-2], axis=-1)
+    is_moving = travel > 0
+    is_straight = is_moving & (bend < np.minimum(STRAIGHT_PX, STRAIGHT * travel))
+    if not _many(is_straight, is_moving):
         return []
-    return [finding("detections_interpolated", camera=camera, share=float(straight.sum() / moving.sum()))]
+    return [finding("detections_interpolated", camera=camera, share=float(is_straight.sum() / is_moving.sum()))]
 
 
 def _left_out(keypoints: Keypoints, camera: str) -> Iterator[Finding]:
-    """Steps from frame to frame that are twice as long as those around, each keypoint's own: which of them are seen
-    changes, and a paw is faster than a trunk."""
+    """Yield a finding on steps between frames that are twice as long as those around, for each keypoint.
+
+    Each keypoint is compared with itself: which ones are seen changes, and a paw is faster than a trunk.
+    """
     steps = np.diff(keypoints.xy_px, axis=0)
     times = np.full(steps.shape[:2], np.nan)
     for j in range(steps.shape[1]):
-        known = np.flatnonzero(np.isfinite(steps[:, j, 0]))
-        usual_px = median_filter(steps[known, j], size=(AROUND, 1), mode="nearest")
+        known_frames = np.flatnonzero(np.isfinite(steps[:, j, 0]))
+        usual_px = median_filter(steps[known_frames, j], size=(AROUND, 1), mode="nearest")
         length_px = np.linalg.norm(usual_px, axis=1)
-        along = np.sum(steps[known, j] * usual_px, axis=1) / np.maximum(length_px, 1e-9) ** 2
-        times[known, j] = np.where(length_px > LEAST_STEP_PX, along, np.nan)
+        projected = np.sum(steps[known_frames, j] * usual_px, axis=1) / np.maximum(length_px, 1e-9) ** 2
+        times[known_frames, j] = np.where(length_px > LEAST_STEP_PX, projected, np.nan)
     times = times[np.isfinite(times).sum(axis=1) >= FEWEST]
     if len(times) < LEAST_STEPS:
         return
-    each = np.nanmedian(times, axis=1)
-    long, short = each > LONG, each < SHORT
-    alone = long[1:-1] & (each[1:-1] > ALONE * np.maximum(each[:-2], each[2:]))
-    if long.mean() > SHARE_LONG and long.sum() > 2 * short.sum() and alone.sum() > SHARE_ALONE * long.sum():
-        yield finding("frames_dropped", camera=camera, share=float(long.mean()))
+    ratios = np.nanmedian(times, axis=1)
+    is_long, is_short = ratios > LONG, ratios < SHORT
+    is_alone = is_long[1:-1] & (ratios[1:-1] > ALONE * np.maximum(ratios[:-2], ratios[2:]))
+    if (
+        is_long.mean() > SHARE_LONG
+        and is_long.sum() > 2 * is_short.sum()
+        and is_alone.sum() > SHARE_ALONE * is_long.sum()
+    ):
+        yield finding("frames_dropped", camera=camera, share=float(is_long.mean()))
 
 
 def _copied_sides(keypoints: Keypoints, camera: str) -> Iterator[Finding]:
     places = opposites(keypoints.names)
-    one = np.flatnonzero(np.arange(len(places)) < places)
-    identical, both = _identical(keypoints.xy_px[:, one], keypoints.xy_px[:, places[one]])
-    if _many(identical, both):
-        yield finding("far_side_copied", camera=camera, share=float(identical.sum() / both.sum()))
+    left = np.flatnonzero(np.arange(len(places)) < places)
+    identical, in_both = _identical(keypoints.xy_px[:, left], keypoints.xy_px[:, places[left]])
+    if _many(identical, in_both):
+        yield finding("far_side_copied", camera=camera, share=float(identical.sum() / in_both.sum()))
 
 
 # -- how no animal moves ----------------------------------------------------------------------------------------------
 
 LEAST_S = 0.25
-"""Motions that are shorter say nothing."""
+"""Least length of a motion that is tested, in seconds."""
 STILL, STILL_M_S, STILL_RAD_S, STILL_TRUNKS = 0.95, 0.3, 0.6, 0.5
-"""An animal that stands still is not faster in so many frames, nor goes by its trunk's length in a second, nor are its
-joints' angular speeds larger, by their median, nor does it leave its place by half its trunk's length."""
+"""Limits of an animal that stands still.
+
+In so many frames it is not faster than the speed, nor goes by its trunk's length in a second; its joints' angular
+speeds are not larger, by their median; nor does it leave its position by so many trunk lengths.
+"""
 BACKWARDS_M_S, BACKWARDS = 1.0, 0.9
-"""No animal runs backwards as fast, for so much of a clip."""
+"""Speed at which no animal runs backwards, and the share of a clip."""
 SLOWEST = 0.1
-"""The part of the feet, over all frames, that has the speeds of feet that stand, or less."""
+"""Share of the feet, over all frames, that has the speeds of standing feet, or less."""
 SLIDE_M_S, GLIDE_M_S = -2.5, 8.0
-"""Feet that stand are not as fast, backwards or forwards. 32 real views of running cheetahs: -0.7 to 4.1 m/s."""
+"""Speeds that standing feet do not reach, backwards and forwards. 32 real views of running cheetahs: -0.7 to 4.1 m/s.
+"""
 JOLTS = {"root acceleration": 1.0, "heading": 0.55, "climb": 1.1}
-"""Costs in 1/90 s, half squared sigmas, from which a body's path is no animal's; up to 0.5, 0.35 and 0.7 in real views,
-and 0.8 of the first in the drawn film (benchmarks/wrong_inputs.py)."""
+"""Costs in 1/90 s, half squared standard deviations, from which a body's path is no animal's.
+
+They are up to 0.5, 0.35 and 0.7 in real views, and 0.8 of the first in the drawn film (benchmarks/wrong_inputs.py).
+"""
 
 
 def movement(motion: Motion) -> Iterator[Finding]:
-    """At most one: the clearest."""
+    """Yield at most one finding on the motion: the clearest."""
     solution, posed = motion.solution, motion.solved
     assert isinstance(solution, TrajectorySolution)
     if posed.sum() < max(LEAST_S * motion.fps, 3):
@@ -244,8 +291,8 @@ def movement(motion: Motion) -> Iterator[Finding]:
     speed = np.linalg.norm(np.gradient(middle_m, axis=0), axis=1) * motion.fps
     rear, front = motion.forward
     trunk_m = float(np.nanmedian(np.linalg.norm(solution.joints_m[:, rear] - solution.joints_m[:, front], axis=1)))
-    stays = np.linalg.norm(np.nanmax(middle_m, axis=0) - np.nanmin(middle_m, axis=0)) < STILL_TRUNKS * trunk_m
-    if stays and np.nanquantile(speed, STILL) < min(STILL_M_S, trunk_m) and np.nanmedian(turns) < STILL_RAD_S:
+    is_staying = np.linalg.norm(np.nanmax(middle_m, axis=0) - np.nanmin(middle_m, axis=0)) < STILL_TRUNKS * trunk_m
+    if is_staying and np.nanquantile(speed, STILL) < min(STILL_M_S, trunk_m) and np.nanmedian(turns) < STILL_RAD_S:
         yield finding("animal_still", speed_m_s=float(np.nanmedian(speed)))
     elif np.mean(forward[np.isfinite(forward)] < -BACKWARDS_M_S) > BACKWARDS:
         yield finding("time_reversed", speed_m_s=-float(np.nanmedian(forward)))
@@ -260,7 +307,7 @@ def movement(motion: Motion) -> Iterator[Finding]:
 
 
 def _along(motion: Motion) -> tuple[Array, Array]:
-    """Speeds (T,) of the body and (T, F) of the feet along the trunk, over the ground; NaN without a pose."""
+    """Return speeds of the body (T,) and of the feet (T, F) along the trunk, over the ground; NaN without a pose."""
     rear, front = motion.forward
     joints_m = motion.solution.joints_m
     trunk = (joints_m[:, front] - joints_m[:, rear])[:, :2]
@@ -274,26 +321,28 @@ def _along(motion: Motion) -> tuple[Array, Array]:
 
 _WHY = "in frames whose detections are gross outliers"
 MOST = 0.5
-"""Where more of the frames are, the fit is wrong, or another mistake was made."""
+"""Share of frames that may be outliers: with more of them the fit is wrong, or another input."""
 
 
 def outlier_ratios(view: View, markers_m: Array, noise_px: Array) -> Array:
-    """(T,): how much likelier a frame's keypoints are if each lies anywhere in the picture rather than at its marker
-    (T, J, 3) with noise (T, J), as a logarithm; NaN without keypoints or a pose."""
+    """Return the log-likelihood gain of each frame's keypoints if they lie anywhere in the picture, (T,).
+
+    The alternative is that each lies at its marker (T, J, 3) with noise (T, J). NaN without keypoints or a pose.
+    """
     projected, valid = view.project(view.shift_to_exposure(markers_m))
     density = -2.0 * np.log(noise_px) - np.log(2 * np.pi) - log_tail((projected - view.xy_px) / noise_px[..., None])
     width, height = view.camera.image_size_px
-    anywhere = -float(np.log(width * height))
-    known = view.present & np.isfinite(markers_m[:, :1, 0])
-    each = np.where(known, anywhere - np.where(valid, density, -np.inf), 0.0)
-    return np.where(known.any(axis=1), each.sum(axis=1), np.nan)
+    uniform_density = -float(np.log(width * height))
+    is_known = view.present & np.isfinite(markers_m[:, :1, 0])
+    gains = np.where(is_known, uniform_density - np.where(valid, density, -np.inf), 0.0)
+    return np.where(is_known.any(axis=1), gains.sum(axis=1), np.nan)
 
 
 def without_gross_outliers(
     sources: Sequence[Source], solution: TrajectorySolution
 ) -> tuple[tuple[Source, ...], tuple[Finding, ...]]:
-    """The sources without the detections of frames that are gross outliers as a whole, and which those were."""
-    kept, found = [], []
+    """Return the sources without the detections of frames that are gross outliers as a whole, and findings on those."""
+    kept, findings = [], []
     for source, view, noise_px in zip(sources, solution.views, solution.noise_px, strict=True):
         ratios = outlier_ratios(view, solution.markers_m, noise_px)
         rows: Bools = ratios > CLEAR
@@ -303,5 +352,5 @@ def without_gross_outliers(
         kept.append(replace(source, keypoints=keypoints, cleaning=cleaning))
         for first, stop in frame_ranges(np.flatnonzero(rows)):
             frames, ratio = (int(numbers[first]), int(numbers[stop - 1]) + 1), float(ratios[first:stop].sum())
-            found.append(finding("gross_outliers", frames, source.camera.name, log_likelihood_ratio=ratio))
-    return tuple(kept), tuple(found)
+            findings.append(finding("gross_outliers", frames, source.camera.name, log_likelihood_ratio=ratio))
+    return tuple(kept), tuple(findings)

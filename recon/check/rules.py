@@ -1,7 +1,8 @@
-"""What a motion says by itself of how far it can be used: rules that cost nothing, one list of them.
+"""Rules that check a motion by itself, at no cost, in one list.
 
 A rule is a function of a motion that yields its findings. Those that fit the clip again are called where clips are
-fitted (`recon.check.inputs`, `recon.check.agreement`)."""
+fitted (`recon.check.inputs`, `recon.check.agreement`).
+"""
 
 from __future__ import annotations
 
@@ -11,88 +12,97 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from recon.animal import Body, builtin_names, load_skeleton, mean_speed_m_s
-from recon.check.codes import FLAG_OF, FLAGS, finding, summed_up
+from recon.check.codes import FLAG_OF, FLAGS, finding, sort_findings
 from recon.check.inputs import FASTEST_M_S
 from recon.fit import ALTERNATIVE_M, Finding, Motion, TrajectorySolution, constants
 
 Rule = Callable[[Motion], Iterator[Finding]]
 
 MANY_OUTLIERS = 0.2
-"""Share of the detections from which outliers are named: views that are right have up to 15 % (32 real ones)."""
+"""Share of the detections from which outliers are named: right views have up to 15 % (32 real ones)."""
 EXPLAINED_SIGMAS = 1.9
-"""A median detection further off than that many standard deviations is not explained: right views have 1.0 to 1.4."""
+"""Median deviation of detections that is not explained, in standard deviations: right views have 1.0 to 1.4."""
 UNEXPLAINED_SHARE = 0.1
-"""Share of outliers from which a motion that the prior does not know is not an animal's. Another gait than the prior's
-has misfits of up to 5, and hardly an outlier more (dogs that run, with the prior of dogs that walk)."""
+"""Share of outliers from which a motion that the prior does not know is not an animal's.
+
+Another gait than the prior's has misfits of up to 5, and hardly an outlier more (dogs that run, with the prior of dogs
+that walk).
+"""
 AMBIGUOUS_SHARE = 0.1
-"""Share of the frames that another solution explains, from which it is named."""
+"""Share of the frames with a second solution from which it is named."""
 KEYPOINT_SHARE, KEYPOINT_LEAST = 1 / 3, 10
 """Share, and number, of one keypoint's detections that are outliers from which it is named."""
 OUT_OF_STEP_SIGMAS = 3.0
-"""Two cameras' time offsets further apart than this, of what is expected of their difference, are a mistake in time."""
+"""Difference of two cameras' time offsets, in standard deviations of its expectation, that is an error in time."""
 MOST_REJECTED = 0.5
 """Share of the points below the least likelihood from which it is named."""
 FARTHEST = 100.0
-"""Distance between cameras in animals' sizes that can only be another unit."""
+"""Distance between cameras in animal sizes that can only be another unit."""
 FLAGGED = 0.9
-"""Share of the frames that have a flag from which it is named: who leaves them out has hardly a frame left."""
+"""Share of the frames that have a flag from which it is named: hardly any frame is left without them."""
 FEW_FRAMES = 12
-"""Fewer tell little more than one does."""
+"""Number of frames below which a clip shows little more than one frame does."""
 SIZE_SIGMAS = 2.5
-"""A size further off what is expected, in standard deviations, says that something else is wrong."""
+"""Deviation of a size, in standard deviations, that shows another error."""
 SIZE_SIGMAS_MOST, LOG_SIZE_MOST = 4.0, math.log(2.0)
-"""No grown animal is further off its kind, nor twice or half as large: of whom that is not expected, it is not so."""
+"""Largest deviation of a grown animal's size, in standard deviations and as a logarithm of its size."""
 UNITS_PER_M = {"m": 1.0, "inches": 39.37, "cm": 100.0, "mm": 1000.0}
 NEARLY_UNIT = 1.35
-"""A camera's height that is so many times right, or wrong, is still of a unit: an animal's size is not known better."""
+"""Factor within which a camera's height is that of a unit: an animal's size is not known better."""
 SUBJECT_SIGMAS = 3.0
-"""An animal's lengths further off its kind's, in standard deviations of the sizes there are, are probably wrong."""
+"""Deviation of an animal's lengths from its kind's, in standard deviations of the sizes there are."""
 
 
 def findings_of(motion: Motion) -> tuple[Finding, ...]:
-    """All findings of a motion, those that it has and those of the rules, in the order of a summary."""
+    """Return all findings of a motion, its own and those of the rules, in the order of a summary."""
     solution = motion.solution
-    own = [*motion.findings, *solution.findings()]
+    given_findings = [*motion.findings, *solution.findings()]
     rules = COMMON
     if isinstance(solution, TrajectorySolution):
         rules = (*COMMON, *OF_TRAJECTORY) if motion.solved.any() else (no_pose,)
-    return summed_up([*own, *(one for rule in rules for one in rule(motion))])
+    return sort_findings([*given_findings, *(item for rule in rules for item in rule(motion))])
 
 
 # -- both methods -----------------------------------------------------------------------------------------------------
 
 
 def many_outliers(motion: Motion) -> Iterator[Finding]:
+    """Yield a finding if many detections are outliers."""
     count, share = _outliers(motion)
     if share > MANY_OUTLIERS:
         yield finding("many_outliers", count=count, share=share)
 
 
 def detections_not_explained(motion: Motion) -> Iterator[Finding]:
-    """A finding where the median detection is far off: a few far outliers say nothing of the fit, the median does."""
-    off = np.concatenate([(one.distance_px / one.sigma_px)[one.present] for one in motion.pictures])
-    sigmas = float(np.median(off[np.isfinite(off)])) if np.isfinite(off).any() else 0.0
+    """Yield a finding if the median detection is far off; a few far outliers say nothing of the fit."""
+    deviations = np.concatenate(
+        [(picture.distance_px / picture.sigma_px)[picture.present] for picture in motion.pictures]
+    )
+    sigmas = float(np.median(deviations[np.isfinite(deviations)])) if np.isfinite(deviations).any() else 0.0
     if sigmas >= EXPLAINED_SIGMAS:
         yield finding("fit_explains_little", sigmas=sigmas)
 
 
 def keypoints_that_do_not_fit(motion: Motion) -> Iterator[Finding]:
+    """Yield a finding on keypoints of which many detections are outliers."""
     counted = [source.cleaning.keypoints for source in motion.sources]
-    used = np.array([sum(of_file[name]["used"] for of_file in counted if name in of_file) for name in motion.names])
-    off = np.sum([picture.outliers.sum(axis=0) for picture in motion.pictures], axis=0)
-    rows = np.flatnonzero(off > np.maximum(KEYPOINT_SHARE * used, KEYPOINT_LEAST))
+    used = np.array([sum(by_name[name]["used"] for by_name in counted if name in by_name) for name in motion.names])
+    outlier_counts = np.sum([picture.outliers.sum(axis=0) for picture in motion.pictures], axis=0)
+    rows = np.flatnonzero(outlier_counts > np.maximum(KEYPOINT_SHARE * used, KEYPOINT_LEAST))
     if len(rows):
-        names, share = tuple(motion.names[j] for j in rows), float(off[rows].sum() / used[rows].sum())
+        names, share = tuple(motion.names[j] for j in rows), float(outlier_counts[rows].sum() / used[rows].sum())
         yield finding("keypoints_do_not_fit", keypoints=names, share=share, used=int(used[rows].sum()))
 
 
 def camera_taken_level(motion: Motion) -> Iterator[Finding]:
+    """Yield a finding if nothing says which way is up."""
     if not motion.knows_up and motion.camera.tilt_rad == 0 and motion.settings.get("up") is None:
         option = "--set up" if motion.camera.has_extrinsics else "--tilt-deg"
         yield finding("camera_taken_level", camera=motion.camera.name, option=option)
 
 
 def missing_as_constant(motion: Motion) -> Iterator[Finding]:
+    """Yield a finding on cameras whose missing points are stored as a constant."""
     for source in motion.sources:
         if source.cleaning.constant_px is not None:
             x, y = source.cleaning.constant_px
@@ -101,6 +111,7 @@ def missing_as_constant(motion: Motion) -> Iterator[Finding]:
 
 
 def likelihoods_low(motion: Motion) -> Iterator[Finding]:
+    """Yield a finding on cameras most of whose points have low likelihoods."""
     for source in motion.sources:
         used, rejected = source.cleaning.total("used"), source.cleaning.total("rejected")
         if rejected > MOST_REJECTED * (used + rejected):
@@ -121,41 +132,49 @@ COMMON: tuple[Rule, ...] = (
 
 
 def no_pose(motion: Motion) -> Iterator[Finding]:
+    """Yield the reason why no frame has a pose."""
     centres = np.array([view.centre_m[0] for view in motion.solution.views if view.still])
-    apart = max((float(np.linalg.norm(a - b)) for a in centres for b in centres), default=0.0)
-    times = apart / _span(motion.body)
+    distance_m = max((float(np.linalg.norm(a - b)) for a in centres for b in centres), default=0.0)
+    times = distance_m / _span(motion.body)
     diverged = any("diverged" in flags for flags in motion.flags)
     if diverged and times > FARTHEST:
-        yield finding("no_pose_unit", apart_m=apart, times=times, in_cm_m=apart / 100, in_mm_m=apart / 1000)
+        yield finding(
+            "no_pose_unit", apart_m=distance_m, times=times, in_cm_m=distance_m / 100, in_mm_m=distance_m / 1000
+        )
         return
     yield finding("no_pose_diverged" if diverged else "no_pose")
 
 
 def cameras_out_of_step(motion: Motion) -> Iterator[Finding]:
-    """A time offset is expected to be a fraction of a frame: one that comes out larger is larger still. What pictures
-    hardly tell comes out small: estimates vary by the variance that is expected, less that which is left. And two are
-    out of step where that is likelier than not."""
+    """Yield a finding if two cameras' time offsets differ by more than expected.
+
+    A time offset is expected to be a fraction of a frame: an estimate that is larger than that is an underestimate.
+    Offsets that pictures hardly show come out small: estimates vary by the expected variance less the posterior one.
+    Two cameras are also out of step where that is likelier than not.
+    """
     if len(motion.sources) < 2:
         return
     solution = _solution(motion)
-    late = [v.offset_frames - s.offset_frames for v, s in zip(solution.views, motion.sources, strict=True)]
-    ends = [int(np.argmin(late)), int(np.argmax(late))]
-    apart = late[ends[1]] - late[ends[0]]
-    expected, left = constants.TIME_OFFSET_FRAMES**2, solution.time_offset_sigma_frames[ends] ** 2
-    told = np.sum(expected - left) * len(late) / (len(late) - 1)  # what all cameras have in common is not seen
-    variance = told if 0.0 < told < 2.0 * expected else 2.0 * expected
-    likelier = [one for one in solution.second_cameras if one.late > max(one.misplaced, 0.0)]
-    if likelier or apart > OUT_OF_STEP_SIGMAS * math.sqrt(variance):
-        apart = max([apart, *(abs(one.late_frames) for one in likelier)])
+    delays = [v.offset_frames - s.offset_frames for v, s in zip(solution.views, motion.sources, strict=True)]
+    ends = [int(np.argmin(delays)), int(np.argmax(delays))]
+    apart_frames = delays[ends[1]] - delays[ends[0]]
+    expected, remaining = constants.TIME_OFFSET_FRAMES**2, solution.time_offset_sigma_frames[ends] ** 2
+    explained = (
+        np.sum(expected - remaining) * len(delays) / (len(delays) - 1)
+    )  # what all cameras have in common is not seen
+    variance = explained if 0.0 < explained < 2.0 * expected else 2.0 * expected
+    likely_late = [test for test in solution.second_cameras if test.late > max(test.misplaced, 0.0)]
+    if likely_late or apart_frames > OUT_OF_STEP_SIGMAS * math.sqrt(variance):
+        apart_frames = max([apart_frames, *(abs(test.late_frames) for test in likely_late)])
         names = tuple(motion.pictures[v].name for v in ends)
-        yield finding("cameras_out_of_step", cameras=names, apart_frames=apart)
+        yield finding("cameras_out_of_step", cameras=names, apart_frames=apart_frames)
 
 
 def motion_unlike_prior(motion: Motion) -> Iterator[Finding]:
-    """A finding on the segment that the prior fits least; nothing where another frame rate explains it."""
+    """Yield a finding on the segment that the prior fits least; nothing where another frame rate explains it."""
     solution = _solution(motion)
-    explained = any(one.code in ("frame_rate", "frame_rate_stated") for one in motion.findings)
-    if any(segment.unlike_prior for segment in solution.segments) and not explained:
+    is_rate_explained = any(item.code in ("frame_rate", "frame_rate_stated") for item in motion.findings)
+    if any(segment.unlike_prior for segment in solution.segments) and not is_rate_explained:
         misfit = max(segment.prior_misfit for segment in solution.segments if segment.prior_misfit is not None)
         weight = min(segment.prior_weight for segment in solution.segments)
         share = _outliers(motion)[1]
@@ -167,6 +186,7 @@ def motion_unlike_prior(motion: Motion) -> Iterator[Finding]:
 
 
 def ground_above_camera(motion: Motion) -> Iterator[Finding]:
+    """Yield a finding on each segment whose ground lies above the first camera."""
     for segment in motion.solution.segments:
         ground, below = segment.ground, motion.below_m(segment)
         if ground is None or below is None:
@@ -179,18 +199,22 @@ def ground_above_camera(motion: Motion) -> Iterator[Finding]:
 
 
 def ground_elsewhere(motion: Motion) -> Iterator[Finding]:
-    """A finding on the first segment whose feet stand elsewhere than near z = 0; a camera about as many times too high
-    as there are of another unit in a metre is in that unit, and in metres where it is as many times too low as there
-    are of the unit that was given."""
+    """Yield a finding on the first segment whose feet stand elsewhere than near z = 0.
+
+    The camera is in another unit if its height is about as many times too high as there are of that unit in a metre. It
+    is in metres if the height is as many times too low as there are of the unit that was given.
+    """
     for segment in motion.solution.segments:
         ground, below = segment.ground, motion.below_m(segment)
         if ground is not None and below is not None and ground.near_zero is False:
             camera_m = motion.solution.views[0].centre_m[0]
             times = camera_m[2] / (camera_m[2] - below[2])
-            aside_m = math.hypot(camera_m[0], camera_m[1])
-            given = UNITS_PER_M[motion.settings.get("camera_unit") or "m"]
-            for unit, per_m in UNITS_PER_M.items() if given == 1.0 else [("metres", 1 / given)]:
-                in_metres = 1.0 < aside_m < min(50.0, 0.5 * per_m)  # in that unit the camera would stand in the origin
+            distance_m = math.hypot(camera_m[0], camera_m[1])
+            given_per_m = UNITS_PER_M[motion.settings.get("camera_unit") or "m"]
+            for unit, per_m in UNITS_PER_M.items() if given_per_m == 1.0 else [("metres", 1 / given_per_m)]:
+                in_metres = (
+                    1.0 < distance_m < min(50.0, 0.5 * per_m)
+                )  # in that unit the camera would stand in the origin
                 if per_m != 1.0 and not in_metres and 1 / NEARLY_UNIT < times / per_m < NEARLY_UNIT:
                     yield finding("camera_unit", unit=unit, times=float(times))
                     return
@@ -199,7 +223,7 @@ def ground_elsewhere(motion: Motion) -> Iterator[Finding]:
 
 
 def subject_unlike_species(motion: Motion) -> Iterator[Finding]:
-    """Measured lengths against those of the skeleton that they belong to."""
+    """Yield a finding on measured lengths that are unlike those of their skeleton."""
     skeleton = motion.settings.get("skeleton") or motion.body.name
     if motion.body.subject is None or (motion.settings.get("skeleton") is None and skeleton not in builtin_names()):
         return
@@ -210,13 +234,13 @@ def subject_unlike_species(motion: Motion) -> Iterator[Finding]:
 
 
 def _span(body: Body) -> float:
-    """Root mean square of the markers' distances from their mean, all angles being 0."""
+    """Return the root mean square of the markers' distances from their mean, all angles being 0."""
     points = body.tree.pose(np.zeros((1, body.n_state))).points_m[0]
     return float(np.sqrt(np.mean(np.sum((points - points.mean(axis=0)) ** 2, axis=1))))
 
 
 def solution_unusual(motion: Motion) -> Iterator[Finding]:
-    """Findings on single numbers of the solution: its minimum, its size, its speed, and how many frames it has."""
+    """Yield findings on single numbers of the solution: its minimum, size, speed, and number of frames."""
     solution, speed, solved = _solution(motion), mean_speed_m_s(motion.states, motion.fps), int(motion.solved.sum())
     if solution.status != "converged":
         yield finding("not_converged")
@@ -231,31 +255,34 @@ def solution_unusual(motion: Motion) -> Iterator[Finding]:
 
 
 def pair_disagrees(motion: Motion) -> Iterator[Finding]:
-    """A finding on two cameras of which one is likelier turned or moved than not, also where their rays still meet: the
-    animal has then another size in one picture than in the other, or than is expected."""
-    likelier = max(
-        (one.misplaced for one in _solution(motion).second_cameras if one.misplaced >= one.late), default=0.0
+    """Yield a finding on two cameras if one is likelier turned or moved than not, also where their rays still meet.
+
+    The animal then has another size in one picture than in the other, or than is expected.
+    """
+    largest_gain = max(
+        (test.misplaced for test in _solution(motion).second_cameras if test.misplaced >= test.late), default=0.0
     )
-    if likelier > 0:
+    if largest_gain > 0:
         names = tuple(picture.name for picture in motion.pictures)
-        yield finding("pair_disagrees", cameras=names, log_likelihood_ratio=likelier)
+        yield finding("pair_disagrees", cameras=names, log_likelihood_ratio=largest_gain)
 
 
 def second_solution(motion: Motion) -> Iterator[Finding]:
-    named = np.array(["ambiguous depth" in flags for flags in motion.flags])
-    rows = named & (np.nan_to_num(motion.alternative_m) > ALTERNATIVE_M)
+    """Yield a finding if another solution explains many frames nearly as well."""
+    is_ambiguous = np.array(["ambiguous depth" in flags for flags in motion.flags])
+    rows = is_ambiguous & (np.nan_to_num(motion.alternative_m) > ALTERNATIVE_M)
     if rows.sum() > AMBIGUOUS_SHARE * len(rows):
-        apart = float(motion.alternative_m[rows].max())
-        yield finding("second_solution", count=int(rows.sum()), frames_total=len(rows), apart_m=apart)
+        distance_m = float(motion.alternative_m[rows].max())
+        yield finding("second_solution", count=int(rows.sum()), frames_total=len(rows), apart_m=distance_m)
 
 
 def frames_flagged(motion: Motion) -> Iterator[Finding]:
-    """Nothing of flags that another finding is about."""
+    """Yield a finding if most frames have a flag; flags of other findings do not count."""
     flags = [{*flags}.difference(FLAG_OF.values()) for flags, t in zip(motion.flags, motion.solved, strict=True) if t]
     count = sum(map(bool, flags))
     if count > FLAGGED * len(flags):
-        most = max(FLAGS, key=lambda name: sum(name in of for of in flags))
-        yield finding("frames_flagged", count=count, frames_total=len(flags), flag=most, meaning=FLAGS[most])
+        commonest = max(FLAGS, key=lambda name: sum(name in frame_flags for frame_flags in flags))
+        yield finding("frames_flagged", count=count, frames_total=len(flags), flag=commonest, meaning=FLAGS[commonest])
 
 
 OF_TRAJECTORY: tuple[Rule, ...] = (
@@ -272,7 +299,7 @@ OF_TRAJECTORY: tuple[Rule, ...] = (
 
 
 def _outliers(motion: Motion) -> tuple[int, float]:
-    """Detections that the pose does not explain: their number, and their share of all."""
+    """Return the number of detections that the pose does not explain, and their share of all."""
     count = sum(int(picture.outliers.sum()) for picture in motion.pictures)
     detections = sum(int(picture.present.sum()) for picture in motion.pictures)
     return count, count / max(detections, 1)

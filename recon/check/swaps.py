@@ -1,10 +1,11 @@
-"""Left-right swaps: in single frames, a stretch or a whole clip, of all keypoints or of one pair of legs.
+"""Find left-right swaps: in single frames, a stretch or a whole clip, of all keypoints or of one pair of legs.
 
-A fit follows exchanged keypoints. Stretches are proposed cheaply: where an exchange begins or ends, the keypoints of
-both sides jump at once, unless the legs cross there; and a fit to which each keypoint of a leg may be either side's
-says which of them it looks like in each frame. The few likeliest stretches are undone, one by one, and their second of
-the clip is solved anew. What makes it clearly likelier (`believed`), also than any other stretch that contradicts it,
-is a swap. Between two that are about as likely, none is chosen."""
+A fit follows exchanged keypoints. Stretches are proposed cheaply. Where an exchange begins or ends, the keypoints of
+both sides jump at once, unless the legs cross there. And a fit in which each keypoint of a leg may belong to either
+side shows which one it looks like in each frame. The few likeliest stretches are undone, one by one, and their second
+of the clip is solved again. One that makes it clearly likelier (`exceeds_margin`), also than any other stretch that
+contradicts it, is a swap. Between two that are about as likely, none is chosen.
+"""
 
 from __future__ import annotations
 
@@ -22,57 +23,62 @@ from recon.clip import Keypoints, Source, View
 from recon.fit.result import Finding
 
 JUMP = -3.0
-"""Exchanges begin and end where that makes the tracks so much likelier, as a logarithm: legs that cross hardly jump."""
+"""Log-likelihood gain from which an exchange may begin or end: legs that cross hardly jump."""
 LIKELY, REFITTED, STRETCHES = 15.0, 3, 4
-"""Stretches are undone that are so likely, so many at a time, and so many exchanges are found in a clip."""
+"""Log-likelihood gain of a stretch that is tried, number tried at a time, and most exchanges of a clip."""
 LOOKS = -10.0
-"""A whole clip is undone unless it looks so much likelier as it is. One that is likelier undone, and not as much as is
-believed, or only looks `LIKELY` to be exchanged, is to be looked at, as nothing else shows a mirrored video: undone,
-32 that are right are less likely by 6 at least, or not tried, and look so by 9 at most."""
+"""Least log-likelihood gain at which a whole clip is tried.
+
+A clip that is likelier undone, but below the margin, or only looks `LIKELY` to be exchanged, is to be looked at, as
+nothing else shows a mirrored video. In 32 clips that are right, undoing loses 6 at least or is not tried, and gains 9
+in looks at most.
+"""
 LEAST_S = 0.25
-"""The sides of a shorter clip, less than a stride, cannot be told as a whole; nor can they without a leg."""
+"""Least length of a clip whose sides can be tested as a whole, in seconds: less than a stride; it also needs a leg."""
 OF_LEG = 3
-"""How many of a leg's last markers tell its side: what is above hardly does."""
+"""Number of a leg's last markers that show its side: the upper ones hardly do."""
 _STRAIGHT = 3
-"""So many frames before and after an end, tracks are straight lines."""
+"""Number of frames before and after an end in which tracks are straight lines."""
 _LEAST_OFF_PX = 3.0
+"""Least deviation of tracks from a line, in pixels."""
 STEADY = 1.0
-"""Tracks that usually lie off a line by more than this part of how far the sides lie apart say nothing."""
+"""Largest usual deviation from a line, as a part of the distance between the sides, at which tracks are used."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Stretch:
-    """Rows of a clip, first and stop, and the permutation (J,) of its markers there."""
+    """Hold rows of a clip, and the permutation (J,) of its markers there."""
 
     rows: slice
     places: Index
 
     @property
     def markers(self) -> tuple[int, ...]:
+        """Return the markers that are exchanged."""
         return tuple(int(j) for j in np.flatnonzero(self.places != np.arange(len(self.places))))
 
     def mask(self, T: int) -> Bools:
-        """(T, J): what is exchanged."""
-        of = np.zeros((T, len(self.places)), dtype=bool)
-        of[self.rows, self.markers] = True
-        return of
+        """Return which markers are exchanged in which frames, (T, J)."""
+        is_exchanged = np.zeros((T, len(self.places)), dtype=bool)
+        is_exchanged[self.rows, self.markers] = True
+        return is_exchanged
 
 
-def exchanged(view: View, stretch: _Stretch) -> View:
-    """The view with the sides of a stretch exchanged."""
+def with_exchanged(view: View, stretch: _Stretch) -> View:
+    """Return the view with the sides of a stretch exchanged."""
     return replace(view, **exchanged_rows(view, stretch.rows, stretch.places))
 
 
 def exchanged_rows(seen: View | Keypoints, rows: slice, places: Index) -> dict[str, Array]:
-    """What was seen, with its keypoints taken from other places (J,) in some rows."""
+    """Return the detections with the keypoints of some rows permuted by `places` (J,)."""
     values = {"xy_px": seen.xy_px.copy(), "confidence": seen.confidence.copy()}
-    for of in values.values():
-        of[rows] = of[rows][:, places]
+    for array in values.values():
+        array[rows] = array[rows][:, places]
     return values
 
 
 def pairs_of(body: Body) -> dict[str, Index]:
-    """By kind, the permutation (J,) of the markers that are exchanged: of all, and of the fore and the hind legs."""
+    """Return the permutation (J,) of the exchanged markers by kind: of all, of the fore and of the hind legs."""
     places, none = opposites(body.markers), np.arange(len(body.markers))
     kinds = {"all": places}
     for name, end in (("fore", "F"), ("hind", "H")):
@@ -82,91 +88,103 @@ def pairs_of(body: Body) -> dict[str, Index]:
     return {name: places for name, places in kinds.items() if (places != none).any()}
 
 
-def swaps(given: Baseline, unlike: bool = False) -> list[_SwapTrial]:
-    """The left-right swaps in one view of a clip, under a prior learned from motions; nothing follows one that is not
-    clear. unlike: the prior does not know this motion, and a whole clip is not tried: nothing else tells it."""
-    kinds, found = pairs_of(given.clip.body), list[_SwapTrial]()
-    while len(found) < STRETCHES and "all" in kinds:
-        trials = sorted((undone(given, one) for one in likely(given, kinds, unlike)), key=lambda one: -one.ratio)
-        if not trials or not likelihood.believed(trials[0].ratio):
+def swaps(given: Baseline, is_unlike: bool = False) -> list[_SwapTrial]:
+    """Return the left-right swaps in one view of a clip, under a prior learned from motions.
+
+    Nothing follows a swap that is not clear. is_unlike: the prior does not know this motion, and a whole clip is not
+    tried, since nothing else shows it.
+    """
+    kinds, found_swaps = pairs_of(given.clip.body), list[_SwapTrial]()
+    while len(found_swaps) < STRETCHES and "all" in kinds:
+        trials = sorted(
+            (try_undone(given, trial) for trial in propose_stretches(given, kinds, is_unlike)),
+            key=lambda trial: -trial.ratio,
+        )
+        if not trials or not likelihood.exceeds_margin(trials[0].ratio):
             T = len(given.states)
-            for one in (one for one in trials if one.stretch.rows == slice(0, T) and not found):
-                if one.ratio > 0 or _evidence(given, kinds)["all"].sum() > LIKELY:
-                    found.append(replace(one, clear=False))
+            for trial in (trial for trial in trials if trial.stretch.rows == slice(0, T) and not found_swaps):
+                if trial.ratio > 0 or _evidence(given, kinds)["all"].sum() > LIKELY:
+                    found_swaps.append(replace(trial, clear=False))
             break
-        best, *others = trials
-        then = with_undone(given, best)
-        rival = next((one for one in others if contradicts(then, best, one)), None)
-        clear = rival is None or likelihood.believed(best.ratio - rival.ratio, surely=True)
-        found.append(replace(best, clear=clear))
+        best, *other_trials = trials
+        undone_baseline = with_undone(given, best)
+        rival = next((trial for trial in other_trials if contradicts(undone_baseline, best, trial)), None)
+        clear = rival is None or likelihood.exceeds_margin(best.ratio - rival.ratio, surely=True)
+        found_swaps.append(replace(best, clear=clear))
         if not clear:
             break
-        given = then
-    return found
+        given = undone_baseline
+    return found_swaps
 
 
 @dataclass(frozen=True, eq=False)
 class _SwapTrial:
-    """A stretch that was exchanged, the solution of its part of the clip then, and how much likelier that is, as a
-    logarithm. clear: no other stretch is about as likely in its place."""
+    """Hold a stretch that was exchanged, the solution of its part of the clip then, and its log-likelihood gain."""
 
     stretch: _Stretch
     refit: Refit
     ratio: float
     clear: bool = True
+    """Whether no other stretch is about as likely in its place."""
 
 
-def contradicts(then: Baseline, best: _SwapTrial, other: _SwapTrial) -> bool:
-    """Whether another stretch that makes the clip likelier may be exchanged in place of the best: one beside it, or one
-    that no longer does so once the best is undone; none that is nearly the same."""
-    (a, of_best), (b, of_other) = ((one.stretch.rows, one.stretch.mask(len(then.states))) for one in (best, other))
-    both = of_best & of_other
-    if not (of_other & ~of_best).any() or 2 * both.sum() >= (of_best | of_other).sum() or other.ratio <= 0:
+def contradicts(undone_baseline: Baseline, best: _SwapTrial, other: _SwapTrial) -> bool:
+    """Return whether another stretch that makes the clip likelier may be exchanged in place of the best one.
+
+    It is one next to it, or one that gains nothing once the best is undone, but not one that is nearly the same.
+    """
+    (a, best_mask), (b, other_mask) = (
+        (trial.stretch.rows, trial.stretch.mask(len(undone_baseline.states))) for trial in (best, other)
+    )
+    overlap = best_mask & other_mask
+    if not (other_mask & ~best_mask).any() or 2 * overlap.sum() >= (best_mask | other_mask).sum() or other.ratio <= 0:
         return False
-    beside = a.start <= b.stop and b.start <= a.stop and {*best.stretch.markers} & {*other.stretch.markers}
-    return bool(beside) or not likelihood.believed(undone(then, other.stretch).ratio)
+    is_adjacent = a.start <= b.stop and b.start <= a.stop and {*best.stretch.markers} & {*other.stretch.markers}
+    return bool(is_adjacent) or not likelihood.exceeds_margin(try_undone(undone_baseline, other.stretch).ratio)
 
 
-def undone(given: Baseline, stretch: _Stretch) -> _SwapTrial:
-    """With its part of the clip solved anew."""
+def try_undone(given: Baseline, stretch: _Stretch) -> _SwapTrial:
+    """Exchange a stretch, and solve its part of the clip again."""
     part = _part(given.view, stretch.rows, given.clip.fps)
-    refit = likelihood.refitted(given.other(exchanged(given.view, stretch)).part(part))
-    return _SwapTrial(stretch, refit, refit.likelier(given.refit(part)))
+    refit = likelihood.refit_view(given.other(with_exchanged(given.view, stretch)).part(part))
+    return _SwapTrial(stretch, refit, refit.gain_over(given.refit(part)))
 
 
 def with_undone(given: Baseline, trial: _SwapTrial) -> Baseline:
-    """With a stretch exchanged, and the motion that was found then."""
+    """Return the baseline with a stretch exchanged, and the motion that was found then."""
     states = given.states.copy()
     states[_part(given.view, trial.stretch.rows, given.clip.fps)] = trial.refit.states
-    return Baseline(given.other(exchanged(given.view, trial.stretch)), states)
+    return Baseline(given.other(with_exchanged(given.view, trial.stretch)), states)
 
 
-def likely(given: Baseline, kinds: dict[str, Index], unlike: bool) -> list[_Stretch]:
-    """The stretches that tracks and looks say most of."""
+def propose_stretches(given: Baseline, kinds: dict[str, Index], is_unlike: bool) -> list[_Stretch]:
+    """Return the stretches for which tracks and looks give most evidence."""
     if not np.isfinite(given.states).any():
         return []
     T, evidence = len(given.states), _evidence(given, kinds)
     suspects = [
-        one for name, places in kinds.items() for one in _suspects(jumps(given.view, places), evidence[name], name)
+        suspect
+        for name, places in kinds.items()
+        for suspect in _suspects(jumps(given.view, places), evidence[name], name)
     ]
     whole = float(evidence["all"].sum())
     suspects = sorted(suspects, reverse=True)[:REFITTED]
-    told = T / given.clip.fps > LEAST_S and evidence["all"].any() and not unlike
-    if told and whole > LOOKS:
+    can_tell_whole = T / given.clip.fps > LEAST_S and evidence["all"].any() and not is_unlike
+    if can_tell_whole and whole > LOOKS:
         suspects.append((whole, "all", (0, T)))
     chosen = [(name, rows) for _, name, ends in suspects for rows in _parts(*ends, T)]
     return [_Stretch(slice(*ends), kinds[name]) for name, ends in dict.fromkeys(chosen)]
 
 
 def _parts(first: int, stop: int, T: int) -> list[tuple[int, int]]:
-    """A stretch, and what is left of the clip before or after it: which of them is exchanged only the motion tells."""
-    rest = [] if stop - first == T else [(stop, T)] if first == 0 else [(0, first)] if stop == T else []
-    return [(first, stop), *rest]
+    """Return a stretch, and the rest of the clip before or after it: either may be exchanged."""
+    remainders = [] if stop - first == T else [(stop, T)] if first == 0 else [(0, first)] if stop == T else []
+    return [(first, stop), *remainders]
 
 
 def _part(view: View, rows: slice, fps: float) -> slice:
-    """The second around a stretch, or around an end of a longer one; of a whole clip that in which most is seen."""
-    T, n = len(view.xy_px), max(round(likelihood.AT_ONCE_S * fps), 4)
+    """Return the second around a stretch or an end of a longer one; of a whole clip the fullest one."""
+    T, n = len(view.xy_px), max(round(likelihood.TESTED_S * fps), 4)
     inner = [edge for edge in (rows.start, rows.stop) if 0 < edge < T]
     if not inner:
         return likelihood.best_seen(view, fps)
@@ -176,16 +194,16 @@ def _part(view: View, rows: slice, fps: float) -> slice:
 
 
 def _suspects(jump: Array, evidence: Array, name: str) -> list[tuple[float, str, tuple[int, int]]]:
-    """Stretches of a kind that hardly overlap, the likeliest first: how likely, the kind, first and stop."""
+    """Return stretches of a kind that hardly overlap, the likeliest first: gain, kind, first and stop."""
     T = len(jump)
     ends = np.concatenate([[0], 1 + np.flatnonzero(jump[1:] > JUMP), [T]])
     gain = np.concatenate([[0.0], jump[ends[1:-1]], [0.0]])
     sums = np.concatenate([[0.0], np.cumsum(evidence)])[ends]
     low, high = sums - gain, sums + gain
-    ahead, behind = np.full(len(ends), -np.inf), np.full(len(ends), np.inf)
-    ahead[:-1], behind[1:] = np.maximum.accumulate(high[:0:-1])[::-1], np.minimum.accumulate(low[:-1])
-    some = (ahead - low > LIKELY) | (high - behind > LIKELY)  # of a long clip next to none
-    ends, low, high = ends[some], low[some], high[some]
+    best_ahead, best_behind = np.full(len(ends), -np.inf), np.full(len(ends), np.inf)
+    best_ahead[:-1], best_behind[1:] = np.maximum.accumulate(high[:0:-1])[::-1], np.minimum.accumulate(low[:-1])
+    is_candidate = (best_ahead - low > LIKELY) | (high - best_behind > LIKELY)  # of a long clip next to none
+    ends, low, high = ends[is_candidate], low[is_candidate], high[is_candidate]
     first, stop = ends[:, None], ends[None]
     score = np.where((stop > first) & (stop - first < T), high[None] - low[:, None], -np.inf)
     found: list[tuple[float, str, tuple[int, int]]] = []
@@ -198,51 +216,59 @@ def _suspects(jump: Array, evidence: Array, name: str) -> list[tuple[float, str,
 
 
 def _evidence(given: Baseline, kinds: dict[str, Index]) -> dict[str, Array]:
-    """By kind, (T,): how much likelier a frame's keypoints are exchanged, as a logarithm; "all" is all legs."""
+    """Return the log-likelihood gain of each frame if its keypoints are exchanged, (T,), by kind; "all" is all legs."""
     legs = {name: places != np.arange(len(places)) for name, places in kinds.items() if name != "all"}
-    which = np.any([np.zeros(len(kinds["all"]), dtype=bool), *legs.values()], axis=0)
-    places, seen = np.where(which, kinds["all"], np.arange(len(which))), given.view.xy_px
-    projected, sigma_px = likelihood.either_side(given, exchanged(given.view, _Stretch(slice(None), places)), which)
-    straight, other = (
+    in_legs = np.any([np.zeros(len(kinds["all"]), dtype=bool), *legs.values()], axis=0)
+    places, seen = np.where(in_legs, kinds["all"], np.arange(len(in_legs))), given.view.xy_px
+    projected, sigma_px = likelihood.project_either_side(
+        given, with_exchanged(given.view, _Stretch(slice(None), places)), in_legs
+    )
+    given_cost, exchanged_cost = (
         likelihood.log_tail((points - seen) / sigma_px[..., None]) for points in (projected, projected[:, places])
     )
-    likelier = np.where(np.isfinite(given.states[:, :1]), straight - other, 0.0)
-    return {name: likelier[:, of].sum(axis=1) for name, of in (legs | {"all": which}).items()}
+    gains = np.where(np.isfinite(given.states[:, :1]), given_cost - exchanged_cost, 0.0)
+    return {name: gains[:, markers].sum(axis=1) for name, markers in (legs | {"all": in_legs}).items()}
 
 
 def jumps(view: View, places: Index) -> Array:
-    """(T,): how much likelier the tracks are if the sides are exchanged from a frame on, as a logarithm: what lies
-    between the points of a pair goes along a straight line for a few frames. Minus infinity where nothing is seen
-    meanwhile, or where all pairs jump about as far as their points lie apart."""
+    """Return the log-likelihood gain of the tracks if the sides are exchanged from a frame on, (T,).
+
+    The difference between the points of a pair follows a straight line for a few frames. It is minus infinity where
+    nothing is seen meanwhile, or where all pairs jump about as far as their points are apart.
+    """
     n, pairs = 2 * _STRAIGHT, [(j, int(k)) for j, k in enumerate(places) if j < k]
-    apart = view.xy_px[:, [j for j, _ in pairs]] - view.xy_px[:, [k for _, k in pairs]]
-    gain = np.full(len(apart), -np.inf)
-    if len(apart) < n:
+    differences = view.xy_px[:, [j for j, _ in pairs]] - view.xy_px[:, [k for _, k in pairs]]
+    gain = np.full(len(differences), -np.inf)
+    if len(differences) < n:
         return gain
     line = np.vander(np.arange(n), 2)
-    off = np.eye(n) - line @ np.linalg.pinv(line)
+    off_line = np.eye(n) - line @ np.linalg.pinv(line)
     flip = np.where(np.arange(n) < _STRAIGHT, -1.0, 1.0)
-    around = np.lib.stride_tricks.sliding_window_view(apart, n, axis=0)  # (N, P, 2, n)
-    given, other = (np.sum((around @ by) * around, axis=(2, 3)) for by in (off, flip[:, None] * off * flip))
-    known, freedom = np.isfinite(given), 2 * (n - 2)
+    windows = np.lib.stride_tricks.sliding_window_view(differences, n, axis=0)  # (N, P, 2, n)
+    given_squares, exchanged_squares = (
+        np.sum((windows @ by) * windows, axis=(2, 3)) for by in (off_line, flip[:, None] * off_line * flip)
+    )
+    is_known, freedom = np.isfinite(given_squares), 2 * (n - 2)
     with np.errstate(all="ignore"), warnings.catch_warnings(action="ignore"):  # of a pair that is never seen
-        square_px = np.nanmedian(np.where(known, given, np.nan), axis=0) / freedom
-        far_px = np.nanmedian(np.sum(apart**2, axis=-1), axis=0)
-    seen = np.lib.stride_tricks.sliding_window_view(view.present.any(axis=1), n).all(axis=1)
-    steady = square_px < (STEADY**2) * far_px
+        square_px = np.nanmedian(np.where(is_known, given_squares, np.nan), axis=0) / freedom
+        side_square_px = np.nanmedian(np.sum(differences**2, axis=-1), axis=0)
+    is_seen = np.lib.stride_tricks.sliding_window_view(view.present.any(axis=1), n).all(axis=1)
+    is_steady = square_px < (STEADY**2) * side_square_px
     scale = likelihood.TAILS * np.maximum(np.nan_to_num(square_px), _LEAST_OFF_PX**2)
-    likelier = np.log1p(np.where(known, given, 0.0) / scale) - np.log1p(np.where(known, other, 0.0) / scale)
-    evidence = 0.5 * (likelihood.TAILS + freedom) * likelier.sum(axis=1)
-    gain[_STRAIGHT : len(gain) - _STRAIGHT + 1] = np.where(seen & steady.any(), evidence, -np.inf)
+    gains = np.log1p(np.where(is_known, given_squares, 0.0) / scale) - np.log1p(
+        np.where(is_known, exchanged_squares, 0.0) / scale
+    )
+    evidence = 0.5 * (likelihood.TAILS + freedom) * gains.sum(axis=1)
+    gain[_STRAIGHT : len(gain) - _STRAIGHT + 1] = np.where(is_seen & is_steady.any(), evidence, -np.inf)
     return gain
 
 
 PARTS = {"all": "all keypoints", "fore": "the fore legs", "hind": "the hind legs"}
-"""What is swapped, in words."""
+"""Swapped parts, in words."""
 
 
 def swap_finding(trial: _SwapTrial, source: Source, body: Body) -> Finding:
-    """What a swap in one camera's keypoints is said by."""
+    """Return the finding on a swap in one camera's keypoints."""
     stretch, numbers = trial.stretch, source.keypoints.frames
     frames = int(numbers[stretch.rows.start]), int(numbers[stretch.rows.stop - 1]) + 1
     part = next(PARTS[name] for name, places in pairs_of(body).items() if np.array_equal(places, stretch.places))

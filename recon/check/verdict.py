@@ -1,8 +1,9 @@
-"""The verdict on a clip: use, check or do not use, why, and the errors that are expected of its poses and its place.
+"""Give the verdict on a clip: use, check or do not use, with its reason and the expected errors of pose and position.
 
-What the posterior states is right on average, and does not tell a good view from a bad one. The expected error of the
-pose is therefore a product of powers of what does (`Evidence.factors`), which `benchmarks/verdict.py` fits. The
-position is expected as far off as the posterior states."""
+The posterior is right on average, but does not separate good views from bad ones. Therefore the expected error of the
+pose is a product of powers of quantities that do (`Evidence.factors`), which `benchmarks/verdict.py` fits. The expected
+error of the position is that of the posterior.
+"""
 
 from __future__ import annotations
 
@@ -20,57 +21,72 @@ from recon.fit import ExpectedError, Finding, Motion, TrajectorySolution, Verdic
 from recon.fit.result import Level
 
 LIMIT_OF_TRUNK = 0.2
-"""A mean error of the joints as large as this, of the trunk's length, spoils most uses: with a cheetah 14 cm. A clip is
-to be used if its error is below that with 95 %, and not to be used if it is above more likely than not."""
+"""Mean error of the joints, relative to the trunk's length, that spoils most uses: 14 cm for a cheetah.
+
+A clip is to be used if its error is below that with 95 %, and not to be used if it is above more likely than not.
+"""
 POWERS = {"posterior": 0.66, "distance": 0.14, "end_on": 0.78, "unseen": 0.80}
+"""Powers of `Evidence.factors`."""
 SCALE, SPREAD, SPREAD_UNSEEN = -1.30, 0.23, 0.45
-"""The constant of the logarithm of the pose's error by the trunk; its standard deviation in runs left out where pixels
-say everything; and another where they say nothing, since what only the prior says is off by the same in all frames."""
+"""Constant of the logarithm of the pose's error by the trunk, and its standard deviations.
+
+The first is that in runs left out where the pixels show everything. The second is added where they show nothing,
+because the error of what only the prior says is the same in all frames.
+"""
 USUAL = {"posterior": -2.4, "distance": 1.9, "end_on": 0.05, "unseen": 0.0}
-"""`Evidence.factors` of a view like most."""
+"""`Evidence.factors` of a typical view."""
 WHY = {
     "posterior": "The detections leave the poses too uncertain.",
     "distance": "The animal is far away, so that the poses are uncertain.",
     "end_on": "The animal is seen from the front or the back, which hardly shows its pose: a camera at its side does.",
     "unseen": "Much of the animal is hardly ever detected: its pose there is only what is usual.",
 }
+"""Reasons, by the factor that raises the expected error most."""
 NOTHING_AGAINST = "Nothing in the clip speaks against it."
-"""The reason of "use" that needs no saying in a list of clips."""
+"""Reason of "use" that a list of clips leaves out."""
 _SIGMAS = 1.645
 """5 % of a normal distribution lie further up."""
 _MEAN_OF_NORM = 0.92
 """Mean length of a vector of three equal normal components, in roots of their summed variance."""
 _LEAST_M2 = 1e-8
-"""A variance that is all the size's has rounding left."""
+"""Least variance: one that is all the size's has rounding left."""
 _FRAME_BY_FRAME = 1.9
-"""What a method that solves each frame by itself states is too small by that: its errors are 1.6 times those of the
-trajectory method that state as much (median of 15 views of five runs; 1.0 to 2.2)."""
+"""Factor on the stated error of a method that solves each frame by itself.
+
+Its errors are 1.6 times those of the trajectory method that states as much (median of 15 views of five runs; 1.0 to
+2.2).
+"""
 _MEAN_OF_SIGMA = 0.8
-"""The mean distance of a quantity from its middle, in standard deviations."""
+"""Mean distance of a quantity from its middle, in standard deviations."""
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """What an expected error is worked out from, means over the frames with a pose."""
+    """Hold the quantities from which an expected error is computed, means over the frames with a pose."""
 
     trunk_m: float
+    """Length of the trunk."""
     posterior_m: float
-    """Mean distance of the joints that the posterior expects, both poses centred, at the size that was found: how large
-    the animal is moves all joints alike, and animals are as large as expected more often than stated."""
+    """Mean distance of the joints that the posterior expects, both poses centred, at the size that was found.
+
+    The size moves all joints together, and animals are as large as expected more often than stated.
+    """
     misfit: float
-    """The misfit of the prior, 1 where there is none: the scale of the variances that it should have had."""
+    """Prior misfit, the scale of the variances that the prior should have had; 1 without a prior."""
     distance_m: float
-    """The distance from the nearest camera."""
+    """Distance from the nearest camera."""
     end_on: float
-    """The cosine between the trunk and the line of sight of the camera that sees the animal most from the side."""
+    """Cosine between the trunk and the line of sight of the camera that sees the animal most from the side."""
     unseen: float
-    """The part of the joints' variance that is not from the pixels; 0 by a method that solves each frame by itself."""
+    """Part of the joints' variance that is not from the pixels; 0 for a method that solves each frame by itself."""
     position_sigma_m: float
-    """As the posterior states, and with what is said of one camera's focal length: the distance goes with it."""
+    """Posterior standard deviation, and that of a given uncertainty of one camera's focal length, which scales the
+    distance.
+    """
 
     @property
     def factors(self) -> dict[str, float]:
-        """Whose powers make the error relative to the trunk, as logarithms."""
+        """Return the logarithms of the quantities whose powers make the error relative to the trunk."""
         return {
             "posterior": math.log(self.posterior_m * math.sqrt(self.misfit) / self.trunk_m),
             "distance": math.log(self.distance_m / self.trunk_m),
@@ -80,7 +96,7 @@ class Evidence:
 
 
 def evidence_of(motion: Motion) -> Evidence:
-    """The numbers of a motion, of which some frame has a pose, that a verdict rests on."""
+    """Return the evidence for the verdict on a motion of which some frame has a pose."""
     solution, posed = motion.solution, motion.solved
     joints_m, relative = solution.joints_m[posed], solution.relative_covariance_m2[posed]
     middle_m = joints_m.mean(axis=1)
@@ -90,20 +106,22 @@ def evidence_of(motion: Motion) -> Evidence:
         from_middle_m = np.linalg.norm(joints_m - middle_m[:, None], axis=-1)
         variance = variance - (from_middle_m * solution.size_sigma / solution.size) ** 2
     variance = np.maximum(variance, _LEAST_M2)
-    of_middle = np.trace((solution.covariance_m2[posed] - relative).mean(axis=1), axis1=1, axis2=2)
+    middle_variance = np.trace((solution.covariance_m2[posed] - relative).mean(axis=1), axis1=1, axis2=2)
     rear, front = motion.forward
     trunk_m = joints_m[:, front] - joints_m[:, rear]
     sights_m = [middle_m - np.broadcast_to(view.centre_m, (len(posed), 3))[posed] for view in solution.views]
     distance_m = min(float(np.linalg.norm(sight_m, axis=-1).mean()) for sight_m in sights_m)
-    stated = (motion.settings.get("focal_sigma") or 0.0) if len(motion.sources) == 1 else 0.0
+    focal_sigma = (motion.settings.get("focal_sigma") or 0.0) if len(motion.sources) == 1 else 0.0
     return Evidence(
         trunk_m=float(np.linalg.norm(trunk_m, axis=-1).mean()),
         posterior_m=(_FRAME_BY_FRAME if solution.jitters else 1.0) * _MEAN_OF_NORM * float(np.sqrt(variance).mean()),
-        misfit=max((one.prior_misfit for one in solution.segments if one.prior_misfit is not None), default=1.0),
+        misfit=max(
+            (segment.prior_misfit for segment in solution.segments if segment.prior_misfit is not None), default=1.0
+        ),
         distance_m=distance_m,
         end_on=min(float(np.abs(_cosine(trunk_m, sight_m)).mean()) for sight_m in sights_m),
         unseen=float(np.average(unseen, weights=variance.mean(axis=0))),
-        position_sigma_m=math.hypot(float(np.sqrt(np.maximum(of_middle, 0.0)).mean()), stated * distance_m),
+        position_sigma_m=math.hypot(float(np.sqrt(np.maximum(middle_variance, 0.0)).mean()), focal_sigma * distance_m),
     )
 
 
@@ -112,21 +130,21 @@ def _cosine(a: Array, b: Array) -> Array:
 
 
 def expected_pose_of_trunk(evidence: Evidence) -> ExpectedError:
-    """The mean error of the joints, both poses centred, relative to the length of the trunk."""
+    """Return the expected mean error of the joints, both poses centred, relative to the length of the trunk."""
     middle = SCALE + sum(POWERS[name] * value for name, value in evidence.factors.items())
     reach = _SIGMAS * math.hypot(SPREAD, SPREAD_UNSEEN * evidence.unseen)
     return ExpectedError(*map(math.exp, (middle, middle - reach, middle + reach)))
 
 
 def expected_position(evidence: Evidence) -> ExpectedError:
-    """How far the animal's middle is off, mean over the frames: in one clip, nearly all of it is common to them."""
+    """Return the expected error of the animal's middle, mean over the frames, nearly all of it common to them."""
     return ExpectedError(_MEAN_OF_SIGMA, radius(0.05), radius(0.95)).times(evidence.position_sigma_m)
 
 
-def judged(motion: Motion) -> Motion:
-    """With all its findings (`recon.check.findings_of`), and the verdict that follows from them."""
-    motion = replace(motion, findings=findings_of(motion))
-    return replace(motion, verdict=_verdict(motion))
+def add_verdict(with_findings: Motion) -> Motion:
+    """Return a motion with all its findings (`recon.check.rules.findings_of`) and its verdict."""
+    with_findings = replace(with_findings, findings=findings_of(with_findings))
+    return replace(with_findings, verdict=_verdict(with_findings))
 
 
 def _verdict(motion: Motion) -> Verdict:
@@ -153,30 +171,36 @@ def _verdict(motion: Motion) -> Verdict:
 
 
 def level_of(pose_of_trunk: ExpectedError, error: bool, warning: bool) -> Level:
-    """From what is expected, and whether there are findings of that severity."""
+    """Return the level from the expected error and whether there are findings of that severity."""
     if error or pose_of_trunk.expected > LIMIT_OF_TRUNK:
         return "do not use"
     return "check" if warning or pose_of_trunk.high > LIMIT_OF_TRUNK else "use"
 
 
 def usable(motion: Motion, folder: Path | str, anyway: bool) -> Motion:
-    """The motion of a folder. Raises InputError for one whose verdict is "do not use", unless it is wanted anyway."""
+    """Return the motion of a folder.
+
+    Raises
+    ------
+    InputError
+        If its verdict is "do not use", unless it is wanted anyway.
+    """
     verdict = motion.verdict
     if verdict is not None and verdict.level == "do not use" and not anyway:
-        found = f"do not use: {verdict.reason.rstrip('.')}"
-        raise InputError(Problem(folder, "verdict", found, "a clip to be used, or --anyway"))
+        verdict_text = f"do not use: {verdict.reason.rstrip('.')}"
+        raise InputError(Problem(folder, "verdict", verdict_text, "a clip to be used, or --anyway"))
     return motion
 
 
 def verdict_fields(motion: Motion) -> dict[str, Any] | None:
-    """As JSON has it, in everything that is made of a clip; None of a motion that was not judged."""
+    """Return the verdict as JSON has it; None for a motion without one."""
     return None if motion.verdict is None else asdict(motion.verdict)
 
 
 def verdict_lines(verdict: Verdict | None) -> tuple[str, ...]:
-    """In words, as everything begins that is made of a clip; nothing of a motion that was not judged."""
+    """Return the verdict in words; nothing for a motion without one."""
     return () if verdict is None else verdict.lines
 
 
-def _said(motion: Motion, one: Finding) -> str:
-    return sentence(one, named=len(motion.sources) > 1)
+def _said(motion: Motion, found_issue: Finding) -> str:
+    return sentence(found_issue, named=len(motion.sources) > 1)

@@ -12,7 +12,7 @@ from recon.animal.body import Body
 from recon.base import Progress, silent
 from recon.base.files import require_free_folder, sole_writer, staged_folder
 from recon.base.settings import Integer, Option, Settings
-from recon.check import judged
+from recon.check import add_verdict
 from recon.clip import views_of
 from recon.fit.motion import Motion
 from recon.show.plain import to_json
@@ -42,7 +42,7 @@ def fit_clip(settings: FitSettings, progress: Progress = silent) -> Motion:
     (view,), T = views_of(clip.sources), len(clip.sources[0].keypoints.frames)
     options = FrameOptions.of(plain)
     solution = solve_frames(view, chain, clip.fps, options, lambda count: progress("frames", count / T))
-    return judged(Motion(clip.sources, clip.side, clip.side_reason, solution, chain=chain, settings=plain))
+    return add_verdict(Motion(clip.sources, clip.side, clip.side_reason, solution, chain=chain, settings=plain))
 
 
 def load_body(settings: FitSettings) -> Body:

@@ -69,7 +69,7 @@ def fit_clip(settings: FitSettings, progress: Progress = silent) -> Motion:
 
     if options.find_offsets:
         noise = (options.sigma_px, options.keypoint_noise_m(body))
-        sources, solution = check.solved_in_step(given.apart, given.later_frames, solved, *noise)
+        sources, solution = check.solve_time_offsets(given.apart, given.later_frames, solved, *noise)
     else:
         solution = solved(sources)
     unrefined: tuple[check.Finding, ...] = ()
@@ -91,8 +91,8 @@ def fit_clip(settings: FitSettings, progress: Progress = silent) -> Motion:
     if any(one.code == "left_right_swap" for one in found):
         mended, marked = check.without_swaps(sources, found, body)
         again = solved(mended)
-        if not check.mends(again, solution):
-            found = tuple(check.doubted(one) for one in found)
+        if not check.swap_improves(again, solution):
+            found = tuple(check.downgrade_swap(one) for one in found)
         elif settings.fix_swaps:
             sources, found, solution = mended, marked, again
     stage_s = solution.stage_s | {"input_findings": time.perf_counter() - began}
@@ -104,7 +104,7 @@ def fit_clip(settings: FitSettings, progress: Progress = silent) -> Motion:
     if settings.seeks_cameras:
         placed = zip(sources, solution.extrinsic_correction, solution.focal, strict=True)
         sources = tuple(replace(s, camera=s.camera.corrected(by).with_focal_scale(longer)) for s, by, longer in placed)
-    motion = check.judged(replace(check.flagged(motion, found), sources=sources, findings=found))
+    motion = check.add_verdict(replace(check.with_flags(motion, found), sources=sources, findings=found))
     _log(motion)
     return motion
 

@@ -1,0 +1,51 @@
+"""Swap left and right back in a clip, and decide whether that makes it likelier."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from recon.animal import Body, opposites
+from recon.check import likelihood
+from recon.check.codes import finding
+from recon.check.swaps import PARTS, exchanged_rows
+from recon.clip import Source
+from recon.fit import Finding, TrajectorySolution
+
+
+def swap_improves(mended: TrajectorySolution, given: TrajectorySolution) -> bool:
+    """Return whether the fit with the swaps undone is clearly likelier as a whole than that of the clip."""
+    return likelihood.exceeds_margin(likelihood.whole_fit_gain(mended, given), surely=True)
+
+
+def downgrade_swap(swap: Finding) -> Finding:
+    """Return a swap that does not make the whole clip likelier as one to look at."""
+    if swap.code != "left_right_swap":
+        return swap
+    return finding("left_right_swap_possible", swap.frames, swap.camera, **swap.numbers)
+
+
+def without_swaps(
+    sources: Sequence[Source], findings: Sequence[Finding], body: Body
+) -> tuple[tuple[Source, ...], tuple[Finding, ...]]:
+    """Return the sources with the swaps of findings swapped back, and the findings, which say so, too."""
+    mended, marked, opposite_names = [*sources], [*findings], opposites(body.markers)
+    for i, swap in enumerate(findings):
+        if swap.code != "left_right_swap" or swap.frames is None:
+            continue
+        number = next(v for v, source in enumerate(sources) if source.camera.name == swap.camera)
+        keypoints = mended[number].keypoints
+        rows = slice(*np.searchsorted(keypoints.frames, swap.frames))
+        named = np.isin(keypoints.names, swap.names("keypoints"))
+        exchanged_back = exchanged_rows(
+            keypoints, rows, np.where(named, opposite_names, np.arange(len(opposite_names)))
+        )
+        mended[number] = replace(mended[number], keypoints=replace(keypoints, **exchanged_back))
+        is_most_of_clip = swap.numbers["part"] == PARTS["all"] and 2 * (rows.stop - rows.start) > len(keypoints.frames)
+        code = (
+            "clip_swapped_back" if is_most_of_clip else "left_right_swap_mended"
+        )  # a mirrored video looks like a swapped clip
+        marked[i] = finding(code, swap.frames, swap.camera, **swap.numbers)
+    return tuple(mended), tuple(marked)
