@@ -21,11 +21,13 @@ export PYRIGHT_PYTHON_IGNORE_WARNINGS := 1
 # Compiled modules are kept, whatever the environment says: the tests start many processes.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: help demo test lint format docs docs-version docs-figures notebooks samples benchmark wheel clean
+.PHONY: help demo test test-lowest test-quick lint format docs docs-version docs-figures notebooks samples benchmark wheel clean
 
 help:
 	@echo 'make demo       reconstruct the sample clip into $(DEMO_OUT)/'
 	@echo 'make test       ruff, pyright and the tests'
+	@echo 'make test-quick  the tests of files, commands, fits and pages, without types and style'
+	@echo 'make test-lowest  the same with the lowest versions that pyproject.toml allows'
 	@echo 'make lint       ruff and pyright only'
 	@echo 'make format     let ruff fix and format the code'
 	@echo 'make docs       the documentation site into site/'
@@ -44,6 +46,24 @@ demo: $(BASE)
 # pytest comes last, so that its summary is the last line. Tests run in one process for each processor.
 test: lint
 	$(BIN)/python -m pytest --numprocesses logical --maxprocesses 8 --dist worksteal
+
+# Files in and out, commands, fits and pages: what other versions of the packages can break.
+QUICK := $(addprefix tests/test_,$(addsuffix .py,calibrate calibration camera cli compare convert doctor documents \
+	export files io io_formats motion motion_file overlay package page plots python report settings terms video view))
+
+test-quick: $(DEV)
+	$(BIN)/python -m pytest --numprocesses logical --maxprocesses 8 --dist worksteal $(QUICK)
+
+# In an environment of its own: old packages warn of things that nobody can mend here, so warnings are no errors.
+LOWEST := build/lowest
+
+test-lowest: $(BIN)/python
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check uv
+	$(BIN)/uv venv --quiet --allow-existing --python $(BIN)/python $(LOWEST)
+	$(BIN)/uv pip install --quiet --python $(LOWEST) --resolution lowest-direct -e '.[formats]'
+	$(BIN)/uv pip install --quiet --python $(LOWEST) 'pytest>=8' pytest-xdist
+	$(LOWEST)/bin/python -m pytest -o filterwarnings=default --disable-warnings \
+		--numprocesses logical --maxprocesses 8 --dist worksteal $(QUICK)
 
 lint: $(DEV)
 	$(BIN)/ruff check .

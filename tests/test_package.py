@@ -58,26 +58,35 @@ def test_one_version_everywhere():
 
 
 def test_extras_come_from_where_the_package_came(installed, monkeypatch, tmp_path):
+    """The command is the same in every folder: also in one with a folder that is called like the package."""
     checkout = tmp_path / "my checkout"
-    checkout.mkdir()
+    (checkout / "recon" / "base").mkdir(parents=True)
     wheel = tmp_path / "recon_motion-0.1.0-py3-none-any.whl"
     wheel.touch()
-    monkeypatch.chdir(tmp_path / "my checkout")
+    elsewhere = tmp_path / "elsewhere"
+    (elsewhere / "recon").mkdir(parents=True)
+    local_url = checkout.as_uri()
+    expected = [
+        (None, "/opt/python -m pip install 'recon-motion[net]'"),
+        ({"url": "https://example.org/recon.git", "vcs_info": {}}, "/opt/python -m pip install 'recon-motion[net]'"),
+        ({"url": local_url, "dir_info": {"editable": True}}, f"/opt/python -m pip install -e '{checkout}[net]'"),
+        ({"url": local_url, "dir_info": {}}, f"/opt/python -m pip install '{checkout}[net]'"),
+        ({"url": wheel.as_uri(), "archive_info": {}}, f"/opt/python -m pip install '{wheel}[net]'"),
+        ({"url": (tmp_path / "gone").as_uri(), "dir_info": {}}, "/opt/python -m pip install 'recon-motion[net]'"),
+    ]
+    for direct_url, command in expected:
+        installed(direct_url)
+        for folder in (checkout, tmp_path, checkout / "recon", Path("/tmp"), elsewhere):
+            monkeypatch.chdir(folder)
+            assert install_command("net") == command, (direct_url, folder)
+
+
+def test_a_python_in_a_folder_with_a_space_can_be_copied_into_a_shell(installed, monkeypatch):
     installed(None)
-    assert install_command("net") == "/opt/python -m pip install 'recon-motion[net]'"
-    installed({"url": "https://example.org/recon.git", "vcs_info": {"vcs": "git", "commit_id": "1"}})
-    assert install_command("net") == "/opt/python -m pip install 'recon-motion[net]'"
-    installed({"url": checkout.as_uri(), "dir_info": {"editable": True}})
-    assert install_command("net") == "/opt/python -m pip install -e '.[net]'"
-    installed({"url": checkout.as_uri(), "dir_info": {}})
-    assert install_command("formats") == "/opt/python -m pip install '.[formats]'"
-    monkeypatch.chdir("/")
-    assert install_command("formats") == f"opt/python -m pip install '{checkout.relative_to('/')}[formats]'"
-    installed({"url": wheel.as_uri(), "archive_info": {}})
-    assert install_command("robots").endswith(f"{wheel.name}[robots]'")
-    checkout.rmdir()
-    installed({"url": checkout.as_uri(), "dir_info": {}})
-    assert install_command("net") == "opt/python -m pip install 'recon-motion[net]'"
+    monkeypatch.setattr(sys, "executable", "/opt/my env/bin/python")
+    assert install_command("net") == "'/opt/my env/bin/python' -m pip install 'recon-motion[net]'"
+    monkeypatch.setattr(sys, "platform", "win32")
+    assert install_command("net") == '"/opt/my env/bin/python" -m pip install "recon-motion[net]"'
 
 
 def test_no_text_names_the_package_of_somebody_else():

@@ -6,6 +6,7 @@ Its name is not the package's: `recon` on the public index is somebody else's.
 from __future__ import annotations
 
 import json
+import shlex
 import sys
 from importlib import metadata
 from pathlib import Path
@@ -16,30 +17,45 @@ DISTRIBUTION = "recon-motion"
 
 
 def version() -> str:
+    """Return the version of the installed distribution."""
     return metadata.version(DISTRIBUTION)
 
 
 def install_command(extra: str) -> str:
-    """What adds an extra to this very environment, from where the package came: a checkout, a file or the index."""
-    return f"{pip_command()} install {_source(extra)}"
+    """Return the command that adds an extra to this environment, from where the package came.
+
+    The command works in any folder: its paths are absolute, so that pip takes neither a folder nor a package of the
+    index for this distribution.
+    """
+    editable, source = _source()
+    return f"{pip_command()} install {'-e ' if editable else ''}{quoted(f'{source}[{extra}]')}"
 
 
 def pip_command() -> str:
-    """The pip of the Python that runs; the `pip` of a shell may be another's."""
-    return f"{_short(sys.executable)} -m pip"
+    """Return the command of this Python's pip; the `pip` of a shell may belong to another Python."""
+    return f"{quoted(sys.executable)} -m pip"
 
 
-def _source(extra: str) -> str:
-    """As pip notes it: https://packaging.python.org/en/latest/specifications/direct-url/"""
-    noted = json.loads(metadata.distribution(DISTRIBUTION).read_text("direct_url.json") or "{}")
-    url = urlsplit(noted.get("url", ""))
+def quoted(word: str) -> str:
+    """Return a word as a shell takes it whole."""
+    if sys.platform == "win32":
+        return f'"{word}"' if set(word) - set(_PLAIN) else word
+    return shlex.quote(word)
+
+
+_PLAIN = "abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789_-.\\/:"
+
+
+def _source() -> tuple[bool, str]:
+    """Return whether the install is editable, and what to give to pip: an absolute path, or the name on the index.
+
+    References
+    ----------
+    https://packaging.python.org/en/latest/specifications/direct-url/
+    """
+    direct_url = json.loads(metadata.distribution(DISTRIBUTION).read_text("direct_url.json") or "{}")
+    url = urlsplit(direct_url.get("url", ""))
     path = Path(url2pathname(url.path))
     if url.scheme != "file" or not path.exists():
-        return f"'{DISTRIBUTION}[{extra}]'"
-    return f"{'-e ' if noted.get('dir_info', {}).get('editable') else ''}'{_short(path)}[{extra}]'"
-
-
-def _short(path: str | Path) -> str:
-    """Relative to the current folder, if it is there or below."""
-    path, here = Path(path), Path.cwd()
-    return str(path.relative_to(here)) if path.is_relative_to(here) else str(path)
+        return False, DISTRIBUTION
+    return bool(direct_url.get("dir_info", {}).get("editable")), str(path.absolute())

@@ -37,7 +37,7 @@ from rich.table import Column, Table
 from rich.text import Text
 from typer.core import TyperCommand, TyperGroup
 
-from recon.base import InputError, Problem, printable, raise_problems
+from recon.base import InputError, Problem, printable, raise_problems, silent
 from recon.base.interrupts import EXIT_INTERRUPTED, MESSAGE, Interrupts, installed
 from recon.base.settings import Number, Option, SettingInfo, Settings, on_command_line, unknown_setting
 
@@ -175,9 +175,12 @@ def numbers(option: str, given: str, count: int | None = None) -> list[float]:
 
 @contextmanager
 def progress_bar(console: Console) -> Iterator[Any]:
-    """A function of a stage and how much of all is done (0 to 1)."""
+    """Give a function of a stage and of the part of the work that is done (0 to 1), which draws a bar on a terminal."""
+    if console.quiet or not console.is_terminal:  # some versions of rich end a bar that is disabled with an empty line
+        yield silent
+        return
     columns = (TextColumn("{task.description}", markup=False), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console, transient=True, disable=console.quiet or not console.is_terminal) as bar:
+    with Progress(*columns, console=console, transient=True) as bar:
         task = bar.add_task("reading", total=1.0)
         yield lambda stage, share: bar.update(task, description=stage, completed=share)
 

@@ -19,7 +19,7 @@ from rich.table import Table
 from rich.text import Text
 
 from recon.base import Progress, silent
-from recon.base.package import DISTRIBUTION, install_command, pip_command, version
+from recon.base.package import DISTRIBUTION, install_command, pip_command, quoted, version
 from recon.workflows.cli import Answer
 
 if TYPE_CHECKING:
@@ -108,7 +108,7 @@ def packages(requires: Sequence[str] | None = None) -> Iterator[_Check]:
         shown = lacking or {one: there for one, (_, there) in states.items()}
         found = what + ", ".join(f"{one.name} {state}" for one, state in shown.items())
         if not extra:
-            hint = f"{pip_command()} install " + " ".join(f"'{one.name}{one.specifier}'" for one in lacking)
+            hint = f"{pip_command()} install " + " ".join(quoted(f"{one.name}{one.specifier}") for one in lacking)
             yield _Check("packages", "broken" if lacking else "ok", found, hint)
         elif wanted:
             yield _Check(extra, "absent" if lacking else "ok", found, install_command(extra))
