@@ -19,7 +19,7 @@ from recon import FitSettings, InputError
 from recon.clip import Keypoints
 from recon.io import FORMATS, Pose3D, parse_map, read_cameras, read_keypoints, read_pose3d
 from recon.io.common import NoChoiceError
-from recon.io.positions import frames_of_times
+from recon.io.times import frames_of_times, nearest_frames
 from recon.io.writing import frames_of_text, frames_text
 from recon.workflows import ConvertSettings
 from recon.workflows.convert import convert
@@ -234,7 +234,7 @@ def test_movement_3d(tmp_path):
         (lambda d: d.assign_coords(space=["y", "x"]), ("space", "y, x", "x, y or x, y, z")),
         (lambda d: d.assign_coords(keypoint=["a", "a", "b"]), ("names of points", "'a'", "unique")),
         (lambda d: d.assign_coords(time=[0, 1, 1, 2]), ("time", "do not increase")),
-        (lambda d: d.assign_coords(time=[0, 0.04, 0.1, 0.2]), ("time", ["no multiples", "0.04 s"])),
+        (lambda d: d.assign_coords(time=[0, 0.04, 0.1, 0.2]), ("time", ["variable frame rate: 40 to 100 ms"])),
         (lambda d: d.assign_attrs(ds_type="bboxes"), ("ds_type", "bboxes", "poses")),
         (lambda d: d.isel(time=[]), ("points", "no frames")),
     ],
@@ -468,6 +468,55 @@ def test_frames_of_times():
     # A clock that is 100 ppm off, and noise of a tenth of a frame, shift no frame.
     noisy = np.arange(5000) * 1.0001 / 120 + np.random.default_rng(0).uniform(-0.1, 0.1, 5000) / 120
     assert frames(noisy + 1.0, 120)[0] == list(range(120, 5120))
+
+
+@pytest.mark.parametrize("fps", [24, 29.97, 60, 90])
+def test_times_rounded_to_hundredths(fps):
+    """The rate comes from the whole duration: the median step is 0.01 or 0.02 s, whatever the rate is."""
+    times = np.round(np.arange(100) / fps, 2)
+    found, rate = frames_of_times(Path("a"), times, None)
+    assert found.tolist() == list(range(100))
+    assert rate == pytest.approx(fps, rel=2e-3)
+
+
+@pytest.mark.parametrize("gaps", [(), (20, 21, 60)])
+def test_times_of_a_jittering_clock(gaps):
+    """With frames missing, too, and with the rate given every time gets its nearest frame."""
+    frames = np.setdiff1d(np.arange(200), gaps)
+    times = 12.3 + (frames + np.random.default_rng(1).normal(0, 0.12, len(frames))) / 60
+    found, rate = frames_of_times(Path("a"), times, None)
+    assert (found - found[0]).tolist() == frames.tolist()
+    assert rate == pytest.approx(60, rel=1e-3)
+    nearest = nearest_frames(Path("a"), times, 60.0)
+    assert (nearest - nearest[0]).tolist() == frames.tolist()
+
+
+def test_times_of_a_variable_rate():
+    """A telephone that goes from 30 to 24 frames a second: refused without a rate, and with one each time has the
+    nearest frame of it."""
+    times = np.cumsum(1 / np.linspace(30, 24, 120))
+    with refusal(("a", "time", ["variable frame rate: 33.4 to 41.7 ms"])):
+        frames_of_times(Path("a"), times, None)
+    found = nearest_frames(Path("a"), times, 30.0)
+    assert np.abs(found / 30 - times).max() <= 1 / 60 + 1e-9
+    with refusal(("a", "time", ["share a frame at 20"])):
+        nearest_frames(Path("a"), times, 20.0)
+
+
+@pytest.mark.parametrize("stamp", ["2026-05-04T12:59:{:010.7f}+02:00", "2026-05-04 12:59:{:06.3f}", "{:.2f}"])
+def test_a_table_of_times(stamp, tmp_path):
+    """ISO 8601 as Bonsai writes them, with milliseconds only, and seconds of which several are the same; --fps counts
+    in place of the rate that rounded times say."""
+    fps = 150 if "59" not in stamp else 30
+    rows = [stamp.format(2 + k / fps) + f",{k},{2 * k},0.9" for k in range(40)]
+    (tmp_path / "clip.csv").write_text("\n".join(["timestamp,nose_x,nose_y,nose_likelihood", *rows]))
+    found = read_keypoints(tmp_path / "clip.csv")
+    assert found.fps == pytest.approx(fps, rel=1e-2)
+    assert np.diff(found.frames).tolist() == [1] * 39
+    np.testing.assert_array_equal(found.xy_px[:, 0, 1], 2 * np.arange(40))
+    given = read_keypoints(tmp_path / "clip.csv", fps=float(fps))
+    assert given.fps == pytest.approx(fps, rel=1e-6)
+    assert np.diff(given.frames).tolist() == [1] * 39
 
 
 @pytest.mark.parametrize(("frames", "text"), [([0], ["0"]), ([3, 4, 5, 9, 11, 12], ["3-5", "9", "11-12"])])

@@ -31,7 +31,7 @@ from recon.io import common, writing
 from recon.io.common import Pose3D, StoredPoints
 from recon.io.deeplabcut import points_of_table
 from recon.io.formats import as_keypoints
-from recon.io.positions import frames_of_times
+from recon.io.times import seconds, with_times
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -218,7 +218,7 @@ def read_parquet(path: Path, individual: str | None = None) -> StoredPoints:
 def gathered(path: Path, table: Columns, individual: str | None, column_map: Mapping[str, str] | None) -> StoredPoints:
     """Return the points of one animal in a table, by frame and point.
 
-    `given` is a map of its columns. Raises InputError for unknown columns, cells that are no numbers, points that
+    `column_map` is a map of its columns. Raises InputError for unknown columns, cells that are no numbers, points that
     appear twice in a frame, and missing coordinates.
     """
     absent = [column for column in (column_map or {}).values() if PART not in column and column not in table]
@@ -246,11 +246,14 @@ def gathered(path: Path, table: Columns, individual: str | None, column_map: Map
     rates = {*cells_of(role["fps"]).tolist()} if "fps" in role else {None}
     fps = common.rate(rates.pop()) if len(rates) == 1 else None
     clock = role.get("frame", role.get("time", ""))
-    ticks = cells_of(clock)
+    stamps = seconds(table[clock][row] for row in rows) if "frame" not in role else None
+    ticks = cells_of(clock) if stamps is None else stamps
     for i in np.flatnonzero(np.isnan(ticks)):
         problems.append(Problem(path, f"line {rows[i] + 2}, {clock}", "nothing", "a frame number, or seconds"))
     raise_problems(common.first_problems(problems, path))
     distinct, row_of = np.unique(ticks, return_inverse=True)
+    if not {"frame", "bodypart"} & role.keys() and (np.diff(ticks) >= 0).all():  # rounded times can repeat
+        distinct, row_of = ticks, np.arange(len(ticks))
     if "bodypart" in role:
         labels = table[role["bodypart"]]
         stripped = {label: str(label).strip() for label in {*labels}}
@@ -278,10 +281,12 @@ def gathered(path: Path, table: Columns, individual: str | None, column_map: Map
     ]
     problems += [Problem(path, f"bodypart {bodypart}", "no z", ", ".join(coords)) for bodypart in flat]
     raise_problems(common.first_problems(problems, path))
-    frames, fps = (distinct, fps) if "frame" in role else frames_of_times(path, distinct, fps)
     notes = (f"Columns left out: {', '.join(ignored)}.",) if ignored and column_map is None else ()
     extra: dict[str, Any] = {"fps": fps, "unit": unit if unit != "px" else None, "notes": notes}
+    frames = distinct if "frame" in role else np.arange(len(distinct))
     stored = StoredPoints(tuple(index), values[..., :-1], frames, values[..., -1], **extra)
+    if "frame" not in role:
+        stored = with_times(path, stored, distinct, fps)
     return common.one_animal(path, animal or None, stored, [animal] if animal else [])
 
 

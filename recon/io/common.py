@@ -87,6 +87,10 @@ class StoredPoints:
     """Names of the T pictures of labels."""
     notes: tuple[str, ...] = ()
     """Decisions of the reader, in plain sentences."""
+    times_s: np.ndarray | None = None
+    """(T,): uneven times of the frames, if the file has times in place of frame numbers."""
+    time_problems: tuple[Problem, ...] = ()
+    """Problems of times that fit no frame rate; a rate given for the file solves them (`recon.io.times`)."""
 
     @property
     def in_space(self) -> bool:
@@ -218,6 +222,7 @@ def one_animal(
         names=names or tuple(f"point{k}" for k in range(1, K + 1)),
         values=values[rows, chosen].astype(float, copy=False),
         frames=frames[rows].astype(np.int64),
+        times_s=None if stored.times_s is None else stored.times_s[rows],
         likelihood=None if likelihood is None else likelihood[rows, chosen].astype(float, copy=False),
         individual=animal_names[chosen] if named else None,
         notes=stored.notes if names else (*stored.notes, unnamed),

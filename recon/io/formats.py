@@ -19,6 +19,7 @@ from recon.base import InputError, Problem
 from recon.base.documents import damage_named, read_head
 from recon.clip import Keypoints
 from recon.io.common import NoChoiceError, StoredPoints
+from recon.io.times import with_rate
 
 Kind = Literal["2D", "3D", "bones", "cameras", "robot"]
 """2D keypoints, 3D positions, bones (`recon.io.bones`), cameras, or a robot's motion, which a wing writes."""
@@ -149,16 +150,21 @@ def _reading(kind: Kind | None) -> list[Format]:
 # -- reading ---------------------------------------------------------------------------------------------------------
 
 
-def read_keypoints(path: str | Path, individual: str | None = None) -> Keypoints:
+def read_keypoints(path: str | Path, individual: str | None = None, fps: float | None = None) -> Keypoints:
     """Return the keypoints of one animal, as a file of any known format has them.
 
-    `individual` is the animal's name, needed if there are several. Raises InputError.
+    `individual` is the animal's name, needed if there are several. `fps` numbers the frames of a file that has times.
+    Raises InputError.
     """
-    return as_keypoints(Path(path), read_points(path, individual, "2D")[1])
+    return as_keypoints(Path(path), read_points(path, individual, "2D", fps=fps)[1])
 
 
 def read_points(
-    path: str | Path, individual: str | None = None, kind: Kind | None = None, by: Mapping[str, str] | None = None
+    path: str | Path,
+    individual: str | None = None,
+    kind: Kind | None = None,
+    by: Mapping[str, str] | None = None,
+    fps: float | None = None,
 ) -> tuple[Format, StoredPoints]:
     """Return the format of a file, and the points of one animal.
 
@@ -170,6 +176,8 @@ def read_points(
         Required kind of points.
     by : mapping, optional
         Columns of a plain table (`recon.io.columns.parse_map`).
+    fps : float, optional
+        Frame rate; a file with times gets the nearest frame of each.
 
     Raises
     ------
@@ -182,7 +190,7 @@ def read_points(
         refuse_several(path)
     head = read_head(path)
     if by is not None:
-        return PLAIN, PLAIN.function("read")(path, individual, by)
+        return PLAIN, with_rate(path, PLAIN.function("read")(path, individual, by), fps)
     reader = recognised(path)
     if reader is None:
         raise InputError(Problem(path, "format", describe(head), f"one of: {titles(kind)}"))
@@ -194,7 +202,7 @@ def read_points(
     stored = _require_kind(path, kind, reader, stored)
     if np.isinf(stored.values).any():
         raise InputError(Problem(path, "points", "infinite coordinates", "numbers, or nothing where one is missing"))
-    return reader, stored
+    return reader, with_rate(path, stored, fps)
 
 
 def _require_kind(path: Path, kind: Kind | None, reader: Format, stored: StoredPoints | None) -> StoredPoints:

@@ -40,7 +40,8 @@ from recon.io import common, hdf5, writing
 from recon.io.common import Pose3D, StoredPoints
 from recon.io.deeplabcut import HEADERS, header_problem, points_of_table
 from recon.io.hdf5 import attribute, child, member, names, numbers, opened, outline, raw_attribute, read_values, texts
-from recon.io.positions import UNIT_NAMES, frames_of_times
+from recon.io.positions import UNIT_NAMES
+from recon.io.times import frames_of_numbers, with_times
 
 # -- DeepLabCut --------------------------------------------------------------------------------------------------------
 
@@ -370,14 +371,14 @@ def _of_variables(path: Path, stored: Variables, attributes: Mapping[str, Any], 
     ticks, fps = stored["time"][1] if "time" in stored else np.arange(len(values)), common.rate(attributes["fps"])
     # Without the attribute, whole numbers are frames.
     in_frames = (attributes["time_unit"] or ("frames" if ticks.dtype.kind in "iu" else "seconds")) == "frames"
-    frames, rate = frames_of_times(path, ticks.astype(float), 1.0 if in_frames else fps)
-    extra: dict[str, Any] = {"fps": fps if in_frames else rate}
+    frames = frames_of_numbers(path, ticks.astype(float)) if in_frames else np.arange(len(ticks))
+    extra: dict[str, Any] = {"fps": fps}
     extra["unit"], up_axis = UNIT_NAMES.get(str(attributes["length_unit"])), str(attributes["up_axis"])
     extra |= {"up": up_axis if up_axis in ("x", "y", "z") else None}
     sure = confidence if "confidence" in stored else None
-    return common.one_animal(
-        path, individual, StoredPoints(tuple(keypoints), values, frames, sure, **extra), individuals
-    )
+    points = StoredPoints(tuple(keypoints), values, frames, sure, **extra)
+    points = points if in_frames else with_times(path, points, ticks.astype(float), fps)
+    return common.one_animal(path, individual, points, individuals)
 
 
 def _axes(dataset: Any, name: str, scales: Mapping[str, Any]) -> tuple[str, ...]:
@@ -482,10 +483,11 @@ def read_nwb(path: Path, individual: str | None = None) -> StoredPoints:
         elif not np.allclose(point_times_s, times_s[0], rtol=0, atol=1e-6):
             problems.append(Problem(path, f"{name}/{point}", f"other times than in {first}", "one time line"))
     raise_problems(problems)
-    frames, fps = frames_of_times(path, times_s[0], rates[0])
     links = tuple((nodes[a], nodes[b]) for a, b in edges) if {*nodes} == {*points} else ()
-    extra: dict[str, Any] = {"fps": fps, "scorer": scorer, "unit": unit, "up": "z" if z_up else None, "edges": links}
+    extra: dict[str, Any] = {"scorer": scorer, "unit": unit, "up": "z" if z_up else None, "edges": links}
+    frames = np.arange(len(times_s[0]))
     stored = StoredPoints(tuple(points), np.stack(values, axis=1), frames, np.stack(confidence, axis=1), **extra)
+    stored = with_times(path, stored, times_s[0], rates[0])
     animal_names = [name] if len(containers) > 1 or not name.startswith("PoseEstimation") else []
     return common.one_animal(path, None, stored, animal_names)
 

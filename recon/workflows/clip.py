@@ -221,7 +221,7 @@ def read_clips(settings: FitSettings) -> list[Keypoints]:
 
 
 def _read_clip(settings: FitSettings, path: Path, given_fps: float | None) -> Keypoints:
-    file = io.read_keypoints(path, settings.individual)
+    file = io.read_keypoints(path, settings.individual, given_fps)
     if settings.rename is not None:
         file = animal.renamed(file, animal.load_names(settings.rename))
     fps = file.fps if given_fps is None else given_fps

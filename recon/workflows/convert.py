@@ -125,7 +125,7 @@ def read_any(source: Path, settings: ConvertSettings) -> tuple[Keypoints | Pose3
         _require_none(settings, ("individual", "columns", "unit", "up"), source, "results of recon fit")
     else:
         by = None if settings.columns is None else parse_map(settings.columns)
-        found, stored = read_points(source, settings.individual, by=by)
+        found, stored = read_points(source, settings.individual, by=by, fps=settings.fps)
         if stored.in_space:
             data = in_metres(source, found, stored, settings.unit, settings.up)
         else:

@@ -1,0 +1,244 @@
+"""Convert times of frames, as files state them, to frame numbers."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from dataclasses import replace
+from datetime import datetime
+from pathlib import Path
+
+import numpy as np
+
+from recon.base.errors import InputError, Problem, raise_problems
+from recon.io.common import MAX_FRAME, StoredPoints
+
+IRREGULAR = 0.25
+"""Largest distance of a time from its frame, in frames, of regular times."""
+EVEN_MIN = 10
+"""Fewer times cannot show a rate through rounding or jitter."""
+EVEN_STEP, EVEN_OFF = 1.75, 0.75
+"""Times of consecutive frames: largest step, and largest distance from an even count, in frames."""
+JITTER_RMS = 0.2
+"""Largest root mean square distance from the nearest frame, in frames, where frames may be missing. Times that know
+nothing of a rate have 0.29."""
+ROUNDED_GAPS, ROUNDED_OFF = 3, 0.6
+"""Least number of gaps, and largest distance from even times in units, of times rounded to a unit near the period."""
+PHASE_SHARED = 0.5
+"""Length of the mean direction of the times' phases beyond which they share one."""
+_WINDOW = 16
+"""Number of times from which the rate is first estimated."""
+
+
+def frames_of_numbers(path: Path, numbers: np.ndarray) -> np.ndarray:
+    """Return frame numbers (T,) int of times in frames; raise InputError unless they are increasing whole numbers."""
+    _require_order(path, numbers, strict=True)
+    return frames_of_times(path, numbers, 1.0)[0]
+
+
+def frames_of_times(path: Path, times_s: np.ndarray, fps: float | None) -> tuple[np.ndarray, float | None]:
+    """Return frame numbers (T,) int of times, and the frame rate.
+
+    The rate is the given one, or that of the times, which may be rounded or jittered. Frame 0 is at 0 s. A gap must be
+    a whole number of frames. Without a rate, a single time is frame 0. Raises InputError for times that do not
+    increase or that fit no frame rate.
+    """
+    frames, fps, _ = _frames_of_times(path, times_s, fps)
+    return frames, fps
+
+
+def with_times(path: Path, stored: StoredPoints, times_s: np.ndarray, fps: float | None) -> StoredPoints:
+    """Return points with frame numbers of their times (T,), and a note if the times are uneven.
+
+    Uneven times are kept for `with_rate`. Those that fit no frame rate are a problem, which it raises unless a rate is
+    given.
+    """
+    try:
+        frames, fps, note = _frames_of_times(path, times_s, fps)
+    except InputError as error:
+        frames = np.arange(len(times_s))
+        return replace(stored, frames=frames, fps=fps, times_s=times_s, time_problems=error.problems)
+    if not note:
+        return replace(stored, frames=frames, fps=fps)
+    return replace(stored, frames=frames, fps=fps, times_s=times_s, notes=(*stored.notes, note))
+
+
+def with_rate(path: Path, stored: StoredPoints, fps: float | None) -> StoredPoints:
+    """Return points whose uneven times have the nearest frame number at a given rate, if any.
+
+    Raises InputError for times that fit no rate, if none is given.
+    """
+    if stored.times_s is None or fps is None or (fps == stored.fps and not stored.time_problems):
+        raise_problems(stored.time_problems)
+        return stored
+    frames = nearest_frames(path, stored.times_s, fps)
+    return replace(stored, frames=frames, fps=fps, time_problems=())
+
+
+def nearest_frames(path: Path, times_s: np.ndarray, fps: float) -> np.ndarray:
+    """Return the frame number nearest to each time (T,), at a given rate.
+
+    Times within a frame of an even count are consecutive frames. If most others have the same distance from whole
+    frames, frames are counted from there. Raises InputError for times that do not increase, and for two times in one
+    frame.
+    """
+    _require_order(path, times_s, strict=len(times_s) < EVEN_MIN)
+    position = times_s * fps
+    _require_clip(path, times_s, float(np.abs(position).max(initial=0.0)))
+    rows = np.arange(len(position))
+    ahead = position - rows
+    if len(rows) and np.abs(ahead - np.median(ahead)).max() <= EVEN_OFF:
+        return rows + round(float(np.median(ahead)))
+    common_phase = complex(np.exp(2j * np.pi * position).mean()) if len(position) else 0j
+    phase = float(np.angle(common_phase)) / (2 * np.pi) if abs(common_phase) > PHASE_SHARED else 0.0
+    nearest = np.rint(position - phase)
+    frames = rows + np.maximum.accumulate(nearest - rows) if len(rows) else nearest  # jitter can put two in one frame
+    if (np.abs(frames - (position - phase)) > 1).any():
+        found = f"{_steps_text(times_s)} between times, so that some share a frame at {fps:g} frames per second"
+        raise InputError(Problem(path, "time", found, "a frame rate that has a frame for each time, by --fps"))
+    return frames.astype(np.int64)
+
+
+def seconds(cells: Iterable[object]) -> np.ndarray | None:
+    """Return ISO 8601 time stamps as seconds after the first; None if any cell is no time stamp."""
+    stamps = [_stamp(str(cell).strip()) for cell in cells]
+    if not stamps or any(stamp is None for stamp in stamps):
+        return None
+    known = [stamp for stamp in stamps if stamp is not None]
+    first = known[0][0]
+    try:
+        return np.array([(moment - first).total_seconds() + fraction for moment, fraction in known])
+    except TypeError:  # some with a time zone, others without
+        return None
+
+
+def _stamp(text: str) -> tuple[datetime, float] | None:
+    """Return a time stamp without its fraction of a second, and that fraction, which may have any digits."""
+    match = re.fullmatch(r"(\d{4}-\d\d-\d\d[T ]\d\d:\d\d:\d\d)(?:[.,](\d+))?(Z|[+-]\d\d:?\d\d)?", text)
+    if match is None:
+        return None
+    try:
+        return datetime.fromisoformat(match[1] + (match[3] or "")), float(f"0.{match[2] or 0}")
+    except ValueError:
+        return None
+
+
+def _frames_of_times(path: Path, times_s: np.ndarray, fps: float | None) -> tuple[np.ndarray, float | None, str]:
+    """Return frame numbers, the frame rate, and a note about uneven times, which may be empty."""
+    if not len(times_s):
+        return np.zeros(0, np.int64), fps, ""
+    if fps is None and len(times_s) == 1:
+        return np.zeros(1, np.int64), None, ""
+    _require_order(path, times_s)
+    steps_s, rounded = np.diff(times_s), False
+    step_s = 1 / fps if fps is not None else float(np.median(steps_s))
+    if step_s > 0:
+        steps = np.rint(steps_s / step_s)
+        _require_clip(path, times_s, max(steps.sum(), abs(float(times_s[0])) / step_s))
+        since_start = np.concatenate([[0.0], np.cumsum(steps)]).astype(np.int64)
+        misses = np.abs(steps_s / step_s - np.diff(since_start))
+        rounded = fps is None and _is_rounded_to(step_s, times_s)
+        if (np.diff(since_start) >= 1).all() and (misses <= IRREGULAR).all() and not rounded:
+            drifts = fps is None and len(times_s) >= EVEN_MIN and _off_frames(since_start, times_s) > EVEN_OFF
+            if not drifts:
+                fps = float(f"{since_start[-1] / (times_s[-1] - times_s[0]):.9g}") if fps is None else fps
+                return since_start + round(float(times_s[0]) * fps), fps, ""
+    if fps is not None:
+        frames = nearest_frames(path, times_s, fps)
+        off = times_s * fps - frames
+        counted = (frames, 1 / fps) if off.std() <= JITTER_RMS else None
+    else:
+        counted = _even_count(times_s, rounded) if len(times_s) >= EVEN_MIN else None
+    if counted is None:
+        if (steps_s <= 0).any():
+            raise InputError(_unordered(path))
+        expected = "even times, or --fps, which gives each time the nearest frame; convert the video to a constant rate"
+        raise InputError(
+            Problem(path, "time", f"a variable frame rate: {_steps_text(times_s)} between times", expected)
+        )
+    since_start, period_s = counted
+    if fps is not None:
+        return since_start, fps, f"Times are uneven ({_steps_text(times_s)} apart): each has the nearest frame."
+    fps = float(f"{1 / period_s:.6g}")
+    note = (
+        f"Times are uneven ({_steps_text(times_s)} apart): frames are numbered at {fps:g} frames per second (or --fps)."
+    )
+    return since_start + round(float(times_s[0]) * fps), fps, note
+
+
+def _even_count(times_s: np.ndarray, rounded: bool) -> tuple[np.ndarray, float] | None:
+    """Return frame numbers from 0, and the period, of rounded or jittered times; None for a variable rate.
+
+    `rounded` says that steps longer than a period are known to be no gaps.
+    """
+    rows = np.arange(len(times_s))
+    period_s, start_s = np.polyfit(rows, times_s, 1)
+    if period_s > 0 and (rounded or np.diff(times_s).max() < EVEN_STEP * period_s):
+        off = np.abs((times_s - start_s) / period_s - rows)
+        if off.max() <= EVEN_OFF:
+            return rows, float(period_s)
+    return _count_with_gaps(times_s)
+
+
+def _off_frames(frames: np.ndarray, times_s: np.ndarray) -> float:
+    """Return the largest distance of a time from that of its frame at a constant rate, in frames."""
+    period_s, start_s = np.polyfit(frames, times_s, 1)
+    return float(np.abs((times_s - start_s) / period_s - frames).max())
+
+
+def _is_rounded_to(unit_s: float, times_s: np.ndarray) -> bool:
+    """Return whether evenly spaced times, rounded to a unit, explain what looks like gaps of some units.
+
+    Times of a clip that lacks frames do not stay within half a unit of even ones.
+    """
+    longer = np.diff(times_s) > 1.5 * unit_s
+    if longer.sum() < ROUNDED_GAPS or len(times_s) < EVEN_MIN:
+        return False
+    rows = np.arange(len(times_s))
+    period_s, start_s = np.polyfit(rows, times_s, 1)
+    return bool(np.abs(times_s - start_s - period_s * rows).max() <= ROUNDED_OFF * unit_s)
+
+
+def _count_with_gaps(times_s: np.ndarray) -> tuple[np.ndarray, float] | None:
+    """Return frame numbers from 0, and the period, of jittered times with missing frames.
+
+    The rate is estimated from the first times and refined while more are added, so that no count is lost.
+    """
+    steps_s = np.diff(times_s)
+    period_s, start_s = float(steps_s[steps_s < 1.5 * np.median(steps_s)].mean()), float(times_s[0])
+    count = min(_WINDOW, len(times_s))
+    while True:
+        if not period_s > 0:
+            return None
+        frames = np.rint((times_s[:count] - start_s) / period_s)
+        if len(np.unique(frames)) < 2:
+            return None
+        period_s, start_s = (float(value) for value in np.polyfit(frames, times_s[:count], 1))
+        if count == len(times_s):
+            break
+        count = min(2 * count, len(times_s))
+    position = (times_s - start_s) / period_s
+    frames = np.rint(position)
+    if (np.diff(frames) < 1).any() or np.sqrt(np.mean((position - frames) ** 2)) > JITTER_RMS:
+        return None
+    return (frames - frames[0]).astype(np.int64), period_s
+
+
+def _require_order(path: Path, times_s: np.ndarray, strict: bool = False) -> None:
+    steps_s = np.diff(times_s)
+    if not np.isfinite(times_s).all() or (steps_s < 0).any() or (strict and (steps_s == 0).any()):
+        raise InputError(_unordered(path))
+
+
+def _unordered(path: Path) -> Problem:
+    return Problem(path, "time", "times that do not increase", "one increasing time for each frame")
+
+
+def _require_clip(path: Path, times_s: np.ndarray, frames: float) -> None:
+    if frames > MAX_FRAME:
+        raise InputError(Problem(path, "time", f"{times_s[0]:g} to {times_s[-1]:g} s", "the times of a clip"))
+
+
+def _steps_text(times_s: np.ndarray) -> str:
+    steps_s = np.diff(times_s)
+    return f"{1e3 * steps_s.min():.3g} to {1e3 * steps_s.max():.3g} ms"
