@@ -22,12 +22,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from gallop import add_noise
 from markdown_table import print_table
 
 from recon.base.package import install_command
 from recon.clip import Keypoints
 from recon.io import read_keypoints
+from recon.testing.gallop import add_noise
 from recon.workflows.batch import RECORD
 from recon.workflows.clip_results import Record
 from recon.workflows.demo import samples_folder

@@ -8,10 +8,10 @@ from __future__ import annotations
 import time
 
 import numpy as np
-from board_pictures import poses, render
 
 from recon.calibrate.boards import BoardView, BoardViews, Calibration, calibrate, check, parse_board
 from recon.geometry.camera import Camera
+from recon.testing.boards import board_poses, draw_board
 
 SIZE = (1280, 720)
 VIEWS = 24
@@ -34,8 +34,8 @@ def views_of(board_text: str, camera: Camera, count: int, rng: np.random.Generat
     """A board rendered through the camera, with blur and noise, and found again."""
     board = parse_board(board_text)
     views, without = [], []
-    for number, (rotation, translation) in enumerate(poses(board, camera, count, rng, fill=0.6)):
-        image = render(board, camera, rotation, translation, oversample=6, blur_px=0.6, noise=2.0, rng=rng)
+    for number, (rotation, translation) in enumerate(board_poses(board, camera, count, rng, fill=0.6)):
+        image = draw_board(board, camera, rotation, translation, oversample=6, blur_px=0.6, noise=2.0, rng=rng)
         corners = board.detect(image)
         if corners is None:
             without.append(str(number))

@@ -40,7 +40,6 @@ from cameras import PRIOR, run_of, states_of
 from markdown_table import print_table
 from recordings import recordings
 from scipy.stats import kstest
-from shares import share_below, share_inside
 from trajectory import body_of, prior_of
 
 from recon import Body, Camera, load_skeleton
@@ -55,6 +54,7 @@ from recon.fit.clip_problem import ClipProblem
 from recon.fit.terms import dynamics_term, pose_term
 from recon.fit.trajectory import SegmentFit, solve_segments
 from recon.geometry.kinematics import ROOT, YAW
+from recon.testing.coverage import coverage, cumulative
 
 FPS, T = 90.0, 36
 OUTLIERS, MISSING = 0.05, 0.1
@@ -161,7 +161,9 @@ def one_clip(skeleton: str, motion_s: float, noise_s: float, animal: str | None,
     px_per_m = setting.px_per_m(marked_m)[0]
     late_m = marked_m + constants.TIME_OFFSET_FRAMES * rng.normal() * np.gradient(marked_m, axis=0)
     beside_m = (
-        setting.shared()[1][-1].sigma.reshape(J, 2) * np.sqrt(setting.correlation_frames) * rng.normal(size=(J, 2))
+        setting.shared_unknowns()[1][-1].sigma.reshape(J, 2)
+        * np.sqrt(setting.correlation_frames)
+        * rng.normal(size=(J, 2))
     )
     in_frame_m = np.sqrt(np.maximum(setting.in_frame_m**2 - beside_m.var(), 0.0))
     noise_px = np.hypot(options.sigma_px, in_frame_m * px_per_m[:, None])[..., None] * lasting_noise(
@@ -192,9 +194,9 @@ def _scored(setting: ClipProblem, truth_m: np.ndarray) -> dict[str, float]:
     row = {}
     tail = [i for i, marker in enumerate(body.markers) if "tail" in marker]
     for what, e, C in (("pose", centred, solution.relative_covariance_m2), ("place", off, solution.covariance_m2)):
-        row |= {f"{what} 90": share_inside(e, C, 0.9), f"{what} 50": share_inside(e, C, 0.5)}
+        row |= {f"{what} 90": coverage(e, C, 0.9), f"{what} 50": coverage(e, C, 0.5)}
         if what == "pose" and tail:
-            row["tail 90"] = share_inside(e[:, tail], C[:, tail], 0.9)
+            row["tail 90"] = coverage(e[:, tail], C[:, tail], 0.9)
     t = len(truth_m) // 2
     j = int(np.argmin(np.linalg.norm(truth_m[t] - truth_m[t].mean(axis=0), axis=1)))
     ray = truth_m[t, j] / np.linalg.norm(truth_m[t, j])
@@ -203,8 +205,8 @@ def _scored(setting: ClipProblem, truth_m: np.ndarray) -> dict[str, float]:
     mode = pull_of_the_mode(setting, *solve_segments(setting))
     return row | {
         "mpjpe mm": 1000 * float(np.linalg.norm(centred, axis=-1).mean()),
-        "rank": share_below(float(true - found) / sigma_m),
-        "rank without": share_below(float(true - found * np.exp(-mode)) / sigma_m),
+        "rank": cumulative(float(true - found) / sigma_m),
+        "rank without": cumulative(float(true - found * np.exp(-mode)) / sigma_m),
         "too far": float(np.log(found / true)),
         "mode": mode,
         "misfit": solution.segments[0].prior_misfit or np.nan,

@@ -25,7 +25,6 @@ import numpy as np
 from held_constants import options_with
 from markdown_table import print_table
 from recordings import recordings
-from shares import share_inside
 from trajectory import SKELETON, body_of, meta_of, prior_of, truth_of
 
 from recon import Body, FitSettings
@@ -36,6 +35,7 @@ from recon.fit.clip_problem import ClipProblem
 from recon.fit.points import solve_points
 from recon.fit.shape import POSED_OFFSET_SIGMA_M, Shape, fit_shape
 from recon.geometry.kinematics import ROOT
+from recon.testing.coverage import coverage
 from recon.workflows.clip import prepare
 
 PRIOR = "running-cheetah"
@@ -115,8 +115,8 @@ def errors(run: Run, solution: TrajectorySolution) -> dict[str, float]:
     return {
         "mpjpe_mm": 1000 * float(np.nanmean(np.linalg.norm(centred, axis=-1))),
         "mpe_mm": 1000 * float(np.nanmean(np.linalg.norm(off, axis=-1))),
-        **{f"{what} inside 90 %": share_inside(off_m, cov_m2, 0.9) for what, (off_m, cov_m2) in regions.items()},
-        **{f"{what} inside 50 %": share_inside(off_m, cov_m2, 0.5) for what, (off_m, cov_m2) in regions.items()},
+        **{f"{what} inside 90 %": coverage(off_m, cov_m2, 0.9) for what, (off_m, cov_m2) in regions.items()},
+        **{f"{what} inside 50 %": coverage(off_m, cov_m2, 0.5) for what, (off_m, cov_m2) in regions.items()},
         "size": solution.size,
         "size sigma": solution.size_sigma,
         "solve_s": solution.stage_s["all"],

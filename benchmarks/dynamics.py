@@ -21,7 +21,6 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from carried import GALLOP, TROT, Run, difference, exactly
 from dog import Clip, read_clips, write_view
 from markdown_table import print_table
 from recordings import recordings
@@ -33,6 +32,7 @@ from recon.gait.clip import ClipAnalysis, analyse
 from recon.gait.dynamics import G_M_S2, MEAN_OF_PEAK, OFF_GRAVITY, off_gravity, shape
 from recon.gait.gait import FEET, INTERVAL
 from recon.gait.kinematics import OVERSAMPLING, net_acceleration, point_kinematics
+from recon.testing.steady_gait import GALLOP, TROT, SteadyGait, compare_forces, with_exact_states
 
 
 def trials() -> list[Path]:
@@ -207,8 +207,8 @@ def carried_rows(motion: Motion) -> list[list[str]]:
         ("trot, half a sine", replace(TROT, skew=1.0), 60.0),
         ("trot, paws that leave and land at rest", replace(TROT, **at_rest), 60.0),
     ):
-        found = analyse(exactly(motion, run.states(motion.body, motion.frames / fps), fps))
-        off = difference(run, found)
+        found = analyse(with_exact_states(motion, run.states(motion.body, motion.frames / fps), fps))
+        off = compare_forces(run, found)
         rows.append(
             [
                 *(name, f"{off.centre_m:.0e}", f"{off.kinetic_j_kg:.3f}", f"{off.rms_bw:.2f}"),
@@ -222,7 +222,7 @@ VIEWS, SHARES = 5, 200
 """Clips of each simulated run, and how often the feet's shares of the impulse are drawn for each."""
 
 
-def simulated_row(name: str, run: Run, fps: float, frames: int, fore: tuple[float, float]) -> list[str]:
+def simulated_row(name: str, run: SteadyGait, fps: float, frames: int, fore: tuple[float, float]) -> list[str]:
     """A run by one camera beside it: what is in the intervals of 90 % where the feet share the impulse as stated."""
     body, rng, rows = load_skeleton("cheetah-24"), np.random.default_rng(0), []
     with tempfile.TemporaryDirectory() as written:

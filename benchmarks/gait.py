@@ -25,7 +25,6 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 from dog import Clip, read_clips, write_view
-from gallop import gallop
 from markdown_table import print_table
 from recordings import recordings
 
@@ -37,6 +36,7 @@ from recon.gait.clip import ClipAnalysis, analyse
 from recon.gait.gait import FEET, INTERVAL, Gait, Stance, gait, match_stances, pose_tracks, stances
 from recon.gait.kinematics import joint_kinematics, spine_flexion
 from recon.gait.phase import field_means, pose_vector_field
+from recon.testing.gallop import gallop
 from recon.workflows.clip_results import run_clip
 
 SAMPLES = Path(__file__).resolve().parents[1] / "data" / "samples"

@@ -3,7 +3,6 @@ along with the animal, so that nothing in it stands still. Where its points are 
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,12 +15,8 @@ from recon.io.video import video_writer
 from recon.keypoint_net import LabelSource, TrainSettings, run_training
 from recon.keypoint_net.labels import body_length_px, evaluate_2d, read_label_file
 from recon.keypoint_net.network import run_prediction
-from recon.workflows.demo import samples_folder
-
-sys.path.insert(0, str(samples_folder()))
-from draw_film import render_frames  # pyright: ignore[reportMissingImports]
-from make_rendered import FPS, film, labelled_frames, write_labels  # pyright: ignore[reportMissingImports]
-from make_samples import write_keypoints  # pyright: ignore[reportMissingImports]
+from recon.testing.files import write_keypoints, write_labels
+from recon.testing.film import FPS, film_clip, labelled_frames, render_frames
 
 SIZE_PX = (640, 480)
 LENS = 4.4
@@ -33,7 +28,7 @@ ABOVE_PX = 40
 def write_large_film(folder: Path) -> Keypoints:
     """large.mp4, labels of some of its frames, and the truth in all of them, which is returned."""
     folder.mkdir(parents=True, exist_ok=True)
-    clip, ground_m = film()
+    clip, ground_m = film_clip()
     width, height = SIZE_PX
     wide = 2 * round(0.5 * LENS * clip.camera.image_size_px[0])
     matrix = clip.camera.matrix * np.array([[LENS], [LENS], [1]])
@@ -45,7 +40,7 @@ def write_large_film(folder: Path) -> Keypoints:
     left = np.polyval(np.polyfit(frames, middle, 1), frames) - 0.5 * width
     left = np.clip(left.round().astype(int), 0, wide - width)
     xy_px[..., 0] -= left[:, None]
-    inside = ((xy_px >= 0) & (xy_px <= np.array(SIZE_PX) - 1)).all(axis=2)
+    inside = np.all((xy_px >= 0) & (xy_px <= np.array(SIZE_PX) - 1), axis=2)
     truth = replace(
         clip.keypoints, xy_px=np.where(inside[..., None], xy_px, np.nan), confidence=inside.astype(float),
         image_size_px=SIZE_PX,

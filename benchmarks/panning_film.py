@@ -13,89 +13,18 @@ drawn.
 from __future__ import annotations
 
 import argparse
-import sys
 import tempfile
-from collections.abc import Callable
-from dataclasses import dataclass, replace
-from functools import cache
 from pathlib import Path
 
 import numpy as np
-from gallop import SyntheticClip
 from markdown_table import print_header, print_row
 from net_circle import Circle, run_circle
-from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 
-from recon.geometry.camera import Camera
 from recon.io.camera_track import read_camera_track
 from recon.keypoint_net.train import TrainSettings
-from recon.workflows.demo import samples_folder
-
-sys.path.insert(0, str(samples_folder()))
-from draw_film import render_frames  # pyright: ignore[reportMissingImports]
-from make_rendered import FPS, film, write_film  # pyright: ignore[reportMissingImports]
-
-SHAKE_DEG, SHAKE_S = 0.3, 0.033
-"""Standard deviation of the shake about each axis, and over how long it is smooth."""
-FOLLOW_S = 0.05
-"""Over how long the turn after the animal is smooth."""
-
-
-@dataclass(frozen=True)
-class PanningFilm:
-    """clip: the camera without its pose, its keypoints, and the truth in the world of the camera's track: z up, the
-    origin in the camera, which looks along y in the first frame, `tilt_deg` down. rotations: (T, 3, 3), from that world
-    to the camera."""
-
-    clip: SyntheticClip
-    rotations: np.ndarray
-    tilt_deg: float
-
-
-def panning(still: SyntheticClip, seed: int = 0) -> Callable[[float], Camera]:
-    """The still camera, turned after the middle of the animal, by time in frames. The first frame has no shake."""
-    level, centre = still.camera.rotation, still.camera.centre_world
-    assert level is not None
-    to = still.truth_m.mean(axis=1) - centre
-    to_right = gaussian_filter1d(np.arctan2(to[:, 0], to[:, 1]), FOLLOW_S * FPS, mode="nearest")
-    shake = gaussian_filter1d(np.random.default_rng(seed).normal(size=(len(to), 3)), SHAKE_S * FPS, axis=0)
-    shake = np.radians(SHAKE_DEG) * (shake - shake[0]) / shake.std(axis=0)
-    frames = np.arange(len(to))
-
-    @cache
-    def at(t: float) -> Camera:
-        right, *turned = (np.interp(t, frames, angles) for angles in (to_right, *shake.T))
-        rotation = Rotation.from_rotvec(turned).as_matrix() @ level @ Rotation.from_euler("z", right).as_matrix()
-        return replace(still.camera, rotation=rotation, translation_m=-rotation @ centre)
-
-    return at
-
-
-def panning_film(still: SyntheticClip, camera_at: Callable[[float], Camera]) -> PanningFilm:
-    clip = seen_by_turning(still, camera_at)
-    rotations = np.stack([np.asarray(camera_at(t).rotation) for t in range(len(clip.truth_m))])
-    forward = rotations[0, 2]
-    to_track = Rotation.from_euler("z", np.arctan2(forward[0], forward[1])).as_matrix()
-    clip = replace(
-        clip,
-        camera=replace(still.camera, rotation=None, translation_m=None),
-        truth_m=(still.truth_m - still.camera.centre_world) @ to_track.T,
-    )
-    return PanningFilm(clip, rotations @ to_track.T, float(np.degrees(np.arcsin(-forward[2]))))
-
-
-def seen_by_turning(still: SyntheticClip, camera_at: Callable[[float], Camera]) -> SyntheticClip:
-    """The clip, its keypoints where the camera of each frame sees them."""
-    keypoints = still.keypoints
-    xy_px = np.empty(keypoints.xy_px.shape)
-    for t, points_m in enumerate(still.truth_m):
-        camera = camera_at(t)
-        xy, valid = camera.project(camera.world_to_camera(points_m))
-        xy_px[t] = np.where((valid & camera.in_image(xy))[:, None], xy, np.nan)
-    return replace(
-        still, keypoints=replace(keypoints, xy_px=xy_px, confidence=np.isfinite(xy_px[..., 0]).astype(float))
-    )
+from recon.testing.cameras import panning_camera
+from recon.testing.film import film_clip, panning_film, render_frames, write_film
 
 
 def turn_errors_deg(track: Path, truth: np.ndarray) -> np.ndarray:
@@ -130,8 +59,8 @@ def main() -> None:
     args = parser.parse_args()
     with tempfile.TemporaryDirectory() as temporary:
         out = args.out or Path(temporary)
-        still, ground_m = film()
-        camera_at = panning(still)
+        still, ground_m = film_clip()
+        camera_at = panning_camera(still)
         pan = panning_film(still, camera_at)
         (out / "film").mkdir(parents=True, exist_ok=True)
         write_film(out / "film", pan.clip, render_frames(still.truth_m, still.names, camera_at, ground_m))

@@ -13,11 +13,11 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from gallop import SyntheticClip, add_noise, gallop
 
 from recon.animal.body import MIN_JOINTS
 from recon.clip import still_view
 from recon.fit.result import OUTLIER_SIGMAS
+from recon.testing.gallop import SyntheticClip, add_noise, gallop
 from recon.thesis import FrameOptions, solve_frames
 from recon.thesis.chain import load_chain
 

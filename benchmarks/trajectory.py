@@ -28,7 +28,6 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 from cheetah_runs import PUBLISHED, view_row
-from gallop import gallop
 from held_constants import options_with
 from recordings import recordings
 
@@ -45,6 +44,7 @@ from recon.gait.clip import POSE_LASTS, POSITION_LASTS, lasts_s
 from recon.gait.evaluation import aligned, joint_errors, score
 from recon.gait.kinematics import Errors, series_kinematics
 from recon.geometry.frames import inverse, moved, rigid
+from recon.testing.gallop import gallop
 from recon.workflows.clip import arrange
 from recon.workflows.models import PriorFitSettings, run_prior_fit
 

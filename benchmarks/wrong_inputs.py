@@ -35,7 +35,6 @@ import numpy as np
 import pandas as pd
 from markdown_table import print_table
 from recordings import recordings
-from shares import share_inside
 
 from recon import Camera, FitSettings, InputError, Motion, fit_clip, read_camera, read_keypoints, read_pose3d
 from recon.animal.body import other_side
@@ -43,6 +42,7 @@ from recon.base.documents import builtin_file
 from recon.clip import Keypoints
 from recon.io import write_cameras
 from recon.io.deeplabcut import write_csv
+from recon.testing.coverage import coverage
 
 CAUSES = {
     *(
@@ -533,8 +533,8 @@ def measured(clip: Clip, given: Given, motion: Motion) -> dict[str, Any]:
     return {
         "pose_mm": pose_mm,
         "position_m": position_m,
-        "pose in 90 %": share_inside(centred, (R @ solution.relative_covariance_m2 @ R.T)[known], 0.9),
-        "position in 90 %": share_inside(off_m, (R @ solution.covariance_m2 @ R.T)[known], 0.9),
+        "pose in 90 %": coverage(centred, (R @ solution.relative_covariance_m2 @ R.T)[known], 0.9),
+        "position in 90 %": coverage(off_m, (R @ solution.covariance_m2 @ R.T)[known], 0.9),
     }
 
 

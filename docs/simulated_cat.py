@@ -1,7 +1,6 @@
 """A simulated cat: two cameras see four runs, with a detector's noise, gaps and gross errors. Needs my-cat.toml."""
 
 import json
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,9 +8,7 @@ import numpy as np
 
 import recon
 from recon.io.deeplabcut import write_csv
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
-from gallop import add_noise
+from recon.testing.gallop import add_noise
 
 FPS, FRAMES = 100.0, np.arange(40)
 file = recon.load_skeleton("my-cat.toml")

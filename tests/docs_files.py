@@ -10,8 +10,6 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from board_pictures import poses, render
-from detector_files import mmpose
 from scipy.spatial.transform import Rotation
 
 from recon import Body, Camera, Keypoints, Pose3D, load_skeleton, read_camera, read_pose3d
@@ -19,6 +17,8 @@ from recon.calibrate import parse_board
 from recon.clip import select_frames
 from recon.io import columns, read_keypoints, video_writer, write_bvh, write_csv, write_table
 from recon.show import make_rig
+from recon.testing.boards import board_poses, draw_board
+from recon.testing.detectors import write_mmpose
 from tests.fuzz.corpus import write_sleap
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -73,6 +73,10 @@ def _of_other_names(path: Path) -> None:
     names = {"spine": "mid_back", "l_eye": "left_eye", "r_eye": "left_ear"}
     file = select_frames(keypoints(), (0, 30))
     write_sleap(replace(file, names=tuple(names.get(name, name) for name in file.names)), path)
+
+
+def _mmpose(path: Path) -> None:
+    write_mmpose(path, read_keypoints(SAMPLES / "whole.csv"))
 
 
 def _two_animals(path: Path) -> None:
@@ -130,8 +134,8 @@ def _board(description: str, model: str, count: int) -> list[np.ndarray]:
     distortion = {"radtan": [-0.1, 0.02, 0, 0, 0], "fisheye": [-0.02, 0.003, 0, 0]}[model]
     camera = Camera("made", matrix, np.array(distortion), model, (640, 480))  # pyright: ignore[reportArgumentType]
     return [
-        render(board, camera, R, t, oversample=4, blur_px=0.6, noise=2.0, rng=rng)
-        for R, t in poses(board, camera, count, rng)
+        draw_board(board, camera, R, t, oversample=4, blur_px=0.6, noise=2.0, rng=rng)
+        for R, t in board_poses(board, camera, count, rng)
     ]
 
 
@@ -215,7 +219,10 @@ OF_PAGE: dict[str, dict[str, Callable[[Path], None]]] = {
     "how-to/moving-camera.md": {"clip.csv": _half},
     "how-to/scale.md": {"clip.csv": _half},
     "how-to/uncalibrated.md": {"clip.csv": _half},
-    "how-to/other-formats.md": {"clip.analysis.h5": _of_other_names, "results_clip.json": mmpose},
+    "how-to/other-formats.md": {
+        "clip.analysis.h5": _of_other_names,
+        "results_clip.json": lambda path: write_mmpose(path, read_keypoints(SAMPLES / "whole.csv")),
+    },
     "how-to/new-species.md": {"my-cat.toml": cat_file},
     "robot.md": {"arm.toml": _toml("robot.md", 0)},
     "writing-a-skeleton.md": {

@@ -10,12 +10,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import rigs
-from bodies import filmed, looking_at, running_about, walking
 from command_line import refusal, run, says
 from conftest import leave_out_layout
-from detector_files import HORSE_10, words
-from rigs import clip, scored
 from scipy.spatial.transform import Rotation
 
 from recon import (
@@ -36,24 +32,36 @@ from recon.fit import ClipProblem, TrajectoryOptions, TrajectorySolution, solve_
 from recon.fit.posterior import with_noise_about_bias
 from recon.fit.trajectory import solve_segments
 from recon.gait import LEVELS
+from recon.gait.evaluation import aligned
 from recon.geometry import rigid
 from recon.io import write_csv
 from recon.io.json_poses import LISTS
 from recon.io.markers import write_trc
+from recon.testing import rigs
+from recon.testing.cameras import aim_camera, camera_ring
+from recon.testing.coverage import coordinate_coverage
+from recon.testing.detectors import HORSE_10, split_names
+from recon.testing.rigs import write_rig_clip
+from recon.testing.walkers import running_mouse, walking_person
 from recon.workflows import draft_skeleton, prepare, run_clip
 from recon.workflows.skeleton import _SkeletonDraftSettings, drafted, skeleton_from_keypoints
 
 pytestmark = pytest.mark.usefixtures("no_playback")
 OBLIQUE_M = [[1.0, -5.5, 1.5], [4.5, -4.0, 1.7], [-4.5, 4.0, 1.8], [5.0, 4.0, 2.0]]
 ABOVE_M = [[0.35, 0.1, 0.45], [-0.1, 0.4, 0.45], [-0.35, -0.1, 0.5], [0.1, -0.4, 0.4]]
-COCO_17 = words(
+COCO_17 = split_names(
     "nose,left_eye,right_eye,left_ear,right_ear,left_shoulder,right_shoulder,left_elbow,right_elbow,left_wrist",
     "right_wrist,left_hip,right_hip,left_knee,right_knee,left_ankle,right_ankle",
 )
-MOUSE_15 = words(
+MOUSE_15 = split_names(
     "Nose,Ear_R,Ear_L,TTI,TailTip,Head,Trunk,Tail_0,Tail_1,Tail_2,Shoulder_left,Shoulder_right,Haunch_left",
     "Haunch_right,Neck",
 )
+
+
+def settings_of(files: dict[str, Path], skeleton: str, fps: float) -> FitSettings:
+    keypoints = tuple(path for name, path in files.items() if name != "rig")
+    return FitSettings(keypoints=keypoints, camera=(files["rig"],), skeleton=skeleton, fps=fps)
 
 
 def fitted(folder: Path, settings: FitSettings, truth) -> tuple[Motion, dict[str, float]]:
@@ -74,7 +82,8 @@ def test_a_person_who_walks(cameras, tmp_path):
     """1.79 m high, with keypoints 26 mm beside their markers all the time. Both feet are tracked with their stances;
     no gait has a name."""
     centres_m = np.array(OBLIQUE_M[:cameras])
-    settings, truth = filmed(tmp_path, "human-25", walking(90, 30.0), 30.0, centres_m, 1.05, 0.9, 2.0)
+    files, truth = write_rig_clip(tmp_path, "human-25", walking_person(90, 30.0), 30.0, centres_m, 1.05, 0.9, 2.0)
+    settings = settings_of(files, "human-25", 30.0)
     motion, found = fitted(tmp_path, replace(settings, fast=cameras == 4), truth)
     assert max(found["pose_mm"], found["place_mm"]) < 22
     assert min(found["place"], found["pose"]) > 0.85
@@ -93,8 +102,9 @@ def test_a_person_who_walks(cameras, tmp_path):
 
 def test_a_mouse_of_a_tenth_of_a_metre(tmp_path, monkeypatch):
     """100 mm from nose to tail base, with keypoints 3.5 mm beside their markers all the time."""
-    states = running_about(60, 60.0)
-    settings, truth = filmed(tmp_path, "mouse-top", states, 60.0, np.array(ABOVE_M), 1.14, 0.02, 0.7)
+    states = running_mouse(60, 60.0)
+    files, truth = write_rig_clip(tmp_path, "mouse-top", states, 60.0, np.array(ABOVE_M), 1.14, 0.02, 0.7)
+    settings = settings_of(files, "mouse-top", 60.0)
     motion, found = fitted(tmp_path, settings, truth)
     assert max(found["pose_mm"], found["place_mm"]) < 2
     assert min(found["place"], found["pose"]) > 0.85
@@ -112,15 +122,18 @@ def test_a_mouse_of_a_tenth_of_a_metre(tmp_path, monkeypatch):
 def test_intervals_widen_where_lengths_are_others(skeleton):
     """A fifth beside the skeleton's: several cameras see keypoints further from the markers than expected."""
     body = load_skeleton(skeleton)
-    views, true_m = clip(body, 0.2, 4, 0)
+    views, true_m = rigs.random_clip(body, 0.2, 4, 0)
     prior = prior_from_body(body)
-    place, pose, *_ = scored(solve_trajectory(views, body, prior, rigs.FPS, TrajectoryOptions(fast=True)), true_m)
+    solution = solve_trajectory(views, body, prior, rigs.FPS, TrajectoryOptions(fast=True))
+    place = coordinate_coverage(solution.joints_m - true_m, solution.covariance_m2, 0.9)
+    centred_m = aligned(solution.joints_m, true_m) - true_m
+    pose = coordinate_coverage(centred_m, solution.relative_covariance_m2, 0.9)
     assert 0.83 < min(place, pose) < max(place, pose) < 0.97  # 0.65 to 0.82 with keypoints as near as expected
 
 
 def seen_by_two(body: Body, true_m: np.ndarray, random: np.random.Generator) -> TrajectorySolution:
     views = []
-    for camera in rigs.rig(body, 2, random):
+    for camera in camera_ring(2, rigs.body_length_m(body), random):
         xy_px, valid = camera.project(camera.world_to_camera(true_m))
         views.append(still_view(camera, xy_px + random.normal(0, rigs.SIGMA_PX, xy_px.shape), valid.astype(float)))
     return solve_trajectory(views, body, prior_from_body(body), rigs.FPS, TrajectoryOptions(fast=True))
@@ -129,12 +142,11 @@ def seen_by_two(body: Body, true_m: np.ndarray, random: np.random.Generator) -> 
 @pytest.mark.parametrize(("skeleton", "frames", "size"), [("dog-27", 150, 1.1), ("mouse-top", 72, 1.2)])
 def test_two_cameras_in_their_places_are_not_named(skeleton, frames, size, monkeypatch):
     """One goes in a circle for longer than is judged; the small one is as large as one of ten."""
-    monkeypatch.setattr(rigs, "T", frames)
     monkeypatch.setattr("recon.fit.trajectory.TESTED_S", 2.0)
     body, random = load_skeleton(skeleton), np.random.default_rng(0)
-    states, ahead = rigs.motion(body, random), 2 * np.pi * np.arange(frames) / 360
+    states, ahead = rigs.random_motion(body, random, frames), 2 * np.pi * np.arange(frames) / 360
     states[:, 3] = ahead + np.pi / 2
-    states[:, :2] = 0.6 * rigs.length_m(body) * np.stack([np.cos(ahead), np.sin(ahead)], axis=1)
+    states[:, :2] = 0.6 * rigs.body_length_m(body) * np.stack([np.cos(ahead), np.sin(ahead)], axis=1)
     found = seen_by_two(body, size * body.tree.pose(states).points_m, random)
     assert found.size == pytest.approx(size, abs=0.03)
     second = found.segments[0].second_camera
@@ -146,7 +158,7 @@ def test_two_cameras_in_their_places_are_not_named(skeleton, frames, size, monke
 def test_the_ground_does_not_pull_at_the_size_that_two_cameras_find(size):
     """A dog whose root is as high as that of one of usual size, so that its feet are off z = 0."""
     body, random = load_skeleton("dog-27"), np.random.default_rng(1)
-    found = seen_by_two(body, body.tree.pose(rigs.motion(body, random), size).points_m, random)
+    found = seen_by_two(body, body.tree.pose(rigs.random_motion(body, random), size).points_m, random)
     assert found.size == pytest.approx(size, abs=0.02)
     second = found.segments[0].second_camera
     assert second is not None
@@ -158,7 +170,7 @@ def test_keypoint_bias_is_no_noise(cameras):
     """Detections have 2 px of noise, and lie 15 mm beside their markers all the time, 4 px. The posterior of two
     cameras takes hardly more than the first for noise; of one, whose keypoints show no bias in common, all of it."""
     body = load_skeleton("human-25")
-    views, _ = clip(body, 0.0, cameras, 0)
+    views, _ = rigs.random_clip(body, 0.0, cameras, 0)
     setting = ClipProblem.from_views(views, body, prior_from_body(body), rigs.FPS, TrajectoryOptions(fast=True))
     (one,) = solve_segments(setting)
     counted = with_noise_about_bias(one.problem, one.estimate, setting.correlation_frames)
@@ -174,7 +186,7 @@ def test_keypoint_bias_is_no_noise(cameras):
 def test_a_drone_that_hovers_does_not_tell_the_size():
     """8 m above a person who walks, it drifts by half a metre: feet in swing do not make the person small."""
     body, random = load_skeleton("human-25"), np.random.default_rng(0)
-    states, poses = walking(60, 30.0), np.tile(np.diag([1.0, -1.0, -1.0, 1.0]), (60, 1, 1))
+    states, poses = walking_person(60, 30.0), np.tile(np.diag([1.0, -1.0, -1.0, 1.0]), (60, 1, 1))
     centres_m = np.array([0.3, 0.2, 8.0]) + 0.3 * np.arange(-30, 30)[:, None] / 30 * [1.0, 0.0, 0.0]
     poses[:, :3, 3] = -centres_m * [1.0, -1.0, -1.0]
     lens, markers_m = Camera.from_hfov(40.0, (1920, 1080)), body.tree.pose(states).points_m
@@ -213,7 +225,9 @@ def test_lists_that_need_no_map(points):
 
 def test_a_person_of_coco(tmp_path):
     """In COCO's spelling the skeleton is named first, and then taken: no toe is seen."""
-    settings, _ = filmed(tmp_path, "human-25", walking(30, 30.0), 30.0, np.array(OBLIQUE_M[:2]), 1.0, 0.9, 2.0)
+    states = walking_person(30, 30.0)
+    files, _ = write_rig_clip(tmp_path, "human-25", states, 30.0, np.array(OBLIQUE_M[:2]), 1.0, 0.9, 2.0)
+    settings = settings_of(files, "human-25", 30.0)
     of = {new: old for old, new in load_names("coco-17").names.items()}
     for path in settings.keypoints:
         file = read_keypoints(path)
@@ -248,7 +262,7 @@ def test_no_quadruped_is_drafted_of_another_skeletons_points(names: Iterable[str
 def test_a_draft_from_geometry(skeleton, alone, tmp_path):
     """Names tell nothing; points of one of the true segments come to one of the draft's, which then fits the clip."""
     true = load_skeleton(skeleton)
-    views, true_m = clip(true, 0.0, 4, 0)
+    views, true_m = rigs.random_clip(true, 0.0, 4, 0)
     names, files = tuple(f"point {j}" for j in range(len(true.markers))), []
     for view in views:
         files.append(tmp_path / f"{view.camera.name}.csv")
@@ -302,14 +316,16 @@ def test_refined_cameras_of_a_small_rig_stay_near_their_places():
     """A mouse with a wider trunk and a longer head than the skeleton's before cameras that are turned by a degree about
     each axis: they are not moved by what is wrong with its lengths."""
     body, rng = load_skeleton("mouse-top"), np.random.default_rng(0)
-    states = running_about(60, 60.0)
+    states = running_mouse(60, 60.0)
     stretched = [
         replace(m, offset_m=(1.3 * m.offset_m[0], 1.5 * m.offset_m[1], m.offset_m[2])) for m in body.tree.markers
     ]
     true_m = replace(body.tree, markers=tuple(stretched)).pose(states).points_m
     views, true_poses = [], []
     for number, centre_m in enumerate(np.array(ABOVE_M), start=1):
-        camera = looking_at(centre_m, np.array([0.0, 0.0, 0.02]), f"cam{number}")
+        camera = aim_camera(
+            Camera.from_hfov(60.0, (1280, 1024), name=f"cam{number}"), centre_m, np.array([0.0, 0.0, 0.02])
+        )
         xy_px, _ = camera.project(camera.world_to_camera(true_m))
         (T,) = camera_poses([camera])
         true_poses.append(T)

@@ -11,7 +11,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from board_pictures import poses, render
 from command_line import refusal, says
 from matplotlib.collections import PathCollection
 from scipy.spatial.transform import Rotation
@@ -33,6 +32,7 @@ from recon.calibrate.boards import (
 )
 from recon.io import video_writer
 from recon.show import plots
+from recon.testing.boards import board_poses, draw_board
 from recon.workflows import app
 
 CHESS, CHARUCO = "chessboard:9x6:25mm", "charuco:9x6:30mm:22mm:DICT_4X4_50"
@@ -49,8 +49,8 @@ CAMERAS = {
 def pictures(camera: Camera, board_text: str, count: int, seed: int = 1, fill: float = 0.65) -> list[np.ndarray]:
     board, rng = parse_board(board_text), np.random.default_rng(seed)
     return [
-        render(board, camera, rotation, translation, oversample=4, blur_px=0.6, noise=2.0, rng=rng)
-        for rotation, translation in poses(board, camera, count, rng, fill=fill)
+        draw_board(board, camera, rotation, translation, oversample=4, blur_px=0.6, noise=2.0, rng=rng)
+        for rotation, translation in board_poses(board, camera, count, rng, fill=fill)
     ]
 
 
@@ -77,7 +77,7 @@ def radtan_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def chess_views() -> BoardViews:
     board = parse_board(CHESS)
-    where = poses(board, CAMERAS["radtan"], 14, np.random.default_rng(3), fill=0.65)
+    where = board_poses(board, CAMERAS["radtan"], 14, np.random.default_rng(3), fill=0.65)
     return exact_views(CAMERAS["radtan"], board, where)
 
 
@@ -116,7 +116,7 @@ def test_rendered_charuco_is_the_board_that_opencv_prints(text):
     board = parse_board(text)
     printed = board.charuco.generateImage((5 * 60, 8 * 60), marginSize=0)
     camera = Camera("c", np.array([[1500.0, 0, -0.5], [0, 1500, -0.5], [0, 0, 1]]), np.zeros(0), "pinhole", (300, 480))
-    seen = render(board, camera, np.eye(3), np.array([0.0, 0.0, 1.0]), oversample=4)
+    seen = draw_board(board, camera, np.eye(3), np.array([0.0, 0.0, 1.0]), oversample=4)
     inside = cv2.erode((printed > 128).astype(np.uint8), np.ones((5, 5))) != cv2.dilate(
         (printed > 128).astype(np.uint8), np.ones((5, 5))
     )
@@ -128,8 +128,8 @@ def test_rendered_charuco_is_the_board_that_opencv_prints(text):
 def test_corners_are_found_to_a_fraction_of_a_pixel(lens, text):
     camera, board = CAMERAS[lens], parse_board(text)
     rng = np.random.default_rng(5)
-    (rotation, translation), *_ = poses(board, camera, 1, rng, fill=0.8)
-    corners = board.detect(render(board, camera, rotation, translation, blur_px=0.6, noise=2.0, rng=rng))
+    (rotation, translation), *_ = board_poses(board, camera, 1, rng, fill=0.8)
+    corners = board.detect(draw_board(board, camera, rotation, translation, blur_px=0.6, noise=2.0, rng=rng))
     assert corners is not None
     truth, _ = camera.project(board.points_m @ rotation.T + translation)
     ids, xy_px = corners
@@ -186,7 +186,7 @@ def test_standard_deviations_are_those_of_opencv(chess_views, model):
 
 def test_standard_deviations_of_a_fisheye_are_the_scatter_over_noise():
     camera, board = CAMERAS["fisheye"], parse_board(CHESS)
-    where = poses(board, camera, 8, np.random.default_rng(2), fill=0.7)
+    where = board_poses(board, camera, 8, np.random.default_rng(2), fill=0.7)
     runs = [calibrate(exact_views(camera, board, where, seed=seed), "fisheye") for seed in range(9)]
     scatter = np.std([list(run.parameters.values())[:4] for run in runs], axis=0, ddof=1)
     stated = np.mean([run.sigma[:4] for run in runs], axis=0)
@@ -271,7 +271,7 @@ def test_coverage_is_the_area_of_the_boards():
     board = Board(9, 6, 0.025)
     camera = Camera("c", MATRIX, np.zeros(0), "pinhole", SIZE)
     xy = board.points_m[:, :2] / [0.2, 0.125] * [266.6, 200] + [266.7, 200]
-    views = exact_views(camera, board, poses(board, camera, 6, np.random.default_rng(0)))
+    views = exact_views(camera, board, board_poses(board, camera, 6, np.random.default_rng(0)))
     calibration = calibrate(views, "pinhole")
     one = replace(calibration.views[0], ids=np.arange(54), xy_px=xy)
     assert coverage(replace(calibration, views=(one,))).mean() == pytest.approx(1 / 9, rel=0.03)
@@ -300,7 +300,7 @@ def test_sharp_and_different_frames_are_chosen():
 
 def test_sharpness_falls_with_blur_and_with_motion_in_one_direction():
     camera, board = CAMERAS["pinhole"], parse_board(CHESS)
-    picture = render(board, camera, np.eye(3), np.array([-0.1, -0.06, 0.3]))
+    picture = draw_board(board, camera, np.eye(3), np.array([-0.1, -0.06, 0.3]))
     corners = board.detect(picture)
     assert corners is not None
 
@@ -320,7 +320,7 @@ def test_a_video_gives_some_of_its_frames(tmp_path):
     with video_writer(tmp_path / "board.avi", SIZE, 5.0) as write:
         for n, place in enumerate(glide + [glide[-1]] * 6):
             tilt = Rotation.from_rotvec([0.5 * math.sin(min(n, 11)), 0.5 * math.cos(min(n, 11)), 0]).as_matrix()
-            picture = render(board, camera, tilt, place, oversample=4)
+            picture = draw_board(board, camera, tilt, place, oversample=4)
             write(cv2.cvtColor(picture, cv2.COLOR_GRAY2BGR))
     views = find_views([tmp_path / "board.avi"], board)
     assert views.examined == 18

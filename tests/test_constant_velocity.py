@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from gallop import gallop
 
 from recon.animal import facing_side, upright_rotation
 from recon.fit import constant_velocity, position_on_rays, starts
+from recon.testing.gallop import gallop
 from recon.thesis.chain import load_chain, mean_pose
 from recon.thesis.start import estimate_travel, geometric_start
 

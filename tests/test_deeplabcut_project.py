@@ -11,13 +11,13 @@ import numpy as np
 import pandas as pd
 import pytest
 from command_line import refusal, run, says
-from detector_files import ANIMAL3D, words
 from test_net_labels import NAMES, grey, write_labels
 
 from recon import evaluate_files, find_clips
 from recon.animal import load_names
 from recon.io import find_project, predictions, read_keypoints, read_pose3d
 from recon.keypoint_net import read_labels
+from recon.testing.detectors import ANIMAL3D, split_names
 from recon.workflows.skeleton import _SkeletonDraftSettings, skeleton_from_keypoints
 
 SAMPLE = Path(__file__).parents[1] / "data" / "samples" / "whole.csv"
@@ -127,7 +127,7 @@ def test_tracked_animals_of_a_project(project):
     assert (chosen["pair"].name, len(left_out)) == (f"pair{NETWORK}_el.h5", 4)
 
 
-AS_WRITTEN = words(
+AS_WRITTEN = split_names(
     "left_eye,right_eye,nose,neck,root_of_tail,left_shoulder,left_elbow,left_front_paw,right_shoulder,right_elbow,"
     "right_front_paw,left_hip,left_knee,left_back_paw,right_hip,right_knee,right_back_paw,withers,throat,left_ear,"
     "right_ear,mouth,chin,left_hock,right_hock,tail_tip"

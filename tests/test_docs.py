@@ -31,7 +31,7 @@ from conftest import draw_small, fit_demo_from, leave_out_playback
 from docs_files import FILES, OF_PAGE
 
 from recon import find_clips
-from recon.thesis import solver
+from recon.thesis import figures
 from recon.workflows import app
 from recon.workflows import commands as commands_of_recon
 
@@ -211,7 +211,7 @@ def folder_after(made_once, whole_results, of_results) -> Callable[[Path, int], 
                 patch.setattr("recon.workflows.batch.carry_out", carry_out_here)
                 leave_out_playback(patch)
                 fit_demo_from(whole_results, patch)
-                patch.setattr(solver, "FIGURES", solver.FIGURES[:1])  # test_solver_analysis.py draws all
+                patch.setattr(figures, "FIGURES", figures.FIGURES[:1])  # test_solver_analysis.py draws all
                 do(steps(page)[count - 1], Workshop(folder, name_of(page), whole_results, of_results))
 
         return made_once(re.sub(r"\W+", "-", f"{name_of(page)}-{count}"), make)

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from carried import GALLOP, TROT, Run, difference, exactly
 from command_line import says
 
 from recon import ClipAnalysis, InputError, Motion, analyse, load_skeleton
@@ -29,6 +28,7 @@ from recon.gait.dynamics import (
 from recon.gait.kinematics import Errors
 from recon.show import clip_page, plots
 from recon.show.tables import forces, strides
+from recon.testing.steady_gait import GALLOP, TROT, SteadyGait, compare_forces, with_exact_states
 from recon.workflows import summarise
 
 SKELETON = Path(__file__).parents[1] / "recon" / "animal" / "skeletons" / "cheetah-24.toml"
@@ -121,12 +121,12 @@ def test_forces_of_a_stride_carry_the_body(found: ClipAnalysis):
 
 @pytest.mark.parametrize(("run", "fps", "name"), [(GALLOP, 120.0, "transverse gallop"), (TROT, 60.0, "trot")])
 def test_what_carries_an_animal_of_known_masses_is_found_from_exact_poses(
-    motion: Motion, run: Run, fps: float, name: str
+    motion: Motion, run: SteadyGait, fps: float, name: str
 ):
-    found = analyse(exactly(motion, run.states(motion.body, motion.frames / fps), fps))
+    found = analyse(with_exact_states(motion, run.states(motion.body, motion.frames / fps), fps))
     assert found.gait is not None
     assert found.gait.name.name == name
-    off = difference(run, found)
+    off = compare_forces(run, found)
     assert off.centre_m < 1e-12
     assert off.kinetic_j_kg < 0.002
     assert off.rms_bw < 0.15
@@ -145,7 +145,7 @@ def test_a_rigid_animal_that_turns_has_the_energy_and_the_momentum_of_its_inerti
     own = np.einsum("si,sij,sj->s", turned[:, 2], inertias_m2(tree, shape), turned[:, 2])
     apart = np.sum((at - share @ at)[:, :2] ** 2, axis=1)
     inertia = share @ (apart + own)
-    d = analyse(exactly(motion, states, motion.fps)).dynamics
+    d = analyse(with_exact_states(motion, states, motion.fps)).dynamics
     assert d is not None
     middle = slice(100, -100)
     # Rods are not thick: of the capsules' own inertia they lack some, which is little of the animal's.

@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from gallop import add_noise, gallop
 
 from recon.clip import still_view
 from recon.geometry import inverse
+from recon.testing.gallop import add_noise, gallop
 from recon.thesis import FrameOptions, FrameProblem, FrameSolver, solve_frames
 from recon.thesis import solver as frame
 from recon.thesis.chain import load_chain, mean_pose

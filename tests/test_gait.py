@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,8 +10,6 @@ import numpy as np
 import pandas as pd
 import pytest
 from command_line import says
-from dog import read_clips
-from gallop import KEYPOINT_NAMES, gallop
 
 from recon import FitSettings, InputError, Pose3D, analyse, fit_clip, load_skeleton, read_pose3d
 from recon.fit import radius
@@ -30,6 +29,7 @@ from recon.gait.gait import (
     stances,
     strides,
 )
+from recon.testing.gallop import KEYPOINT_NAMES, gallop
 
 FPS = 90.0
 NAMES = (*FEET.values(), "neck_base", "tail_base")
@@ -425,9 +425,14 @@ def test_a_walking_dog_walks(shared_data: Path):
     if not folder.is_dir():
         pytest.skip("no dog")
     body = load_skeleton("dog-27")
-    for clip in (one for one in read_clips(folder) if one.name in ("walk00", "walk01", "walk02")):
-        pose = Pose3D(body.markers, clip.markers(body), np.arange(len(clip.points_m)))
-        found = gait(pose_tracks(pose, clip.fps, feet=body.feet_by_label(), body=body.forward))
+    capture = json.loads((folder / "joints.json").read_text())
+    joints = capture["joints"]
+    for name in ("walk00", "walk01", "walk02"):
+        columns = range(3 * len(joints))
+        rows = np.loadtxt(folder / f"dog_{name}_joint_pos.txt", delimiter=",", usecols=columns)
+        points_m = rows.reshape(-1, len(joints), 3)[:, [joints.index(m) for m in body.markers]][..., [2, 0, 1]]  # y up
+        pose = Pose3D(body.markers, points_m, np.arange(len(points_m)))
+        found = gait(pose_tracks(pose, capture["fps"], feet=body.feet_by_label(), body=body.forward))
         assert found.name.name == "walk", found.name.criterion
         assert 0.54 < found.name.duty_factor < 0.66
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from gallop import gallop
 
 from recon.animal import load_skeleton
 from recon.geometry import ROOT, YAW, inverse, rigid
 from recon.ik.animal_chain import body_chain, body_chain_angles, chain_angles, projected_chain, spine_front_leg
 from recon.ik.chain import planar_chain
+from recon.testing.gallop import gallop
 from recon.thesis.chain import load_chain
 
 # -- the spine-front-leg chain ---------------------------------------------------------------------------------------

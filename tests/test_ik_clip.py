@@ -11,7 +11,6 @@ import numpy as np
 import pandas as pd
 import pytest
 from command_line import refusal, refused, run, says
-from gallop import RISE_S, START_STRIDES_HZ, TOP_STRIDES_HZ, gallop
 from scipy.interpolate import CubicSpline
 
 from recon.fit import Motion
@@ -23,6 +22,7 @@ from recon.ik.limb import cost_of, fit_parameters, follow_stride, stride_lasts_s
 from recon.ik.methods import LeastNorm, damped_least_squares, weighted_least_norm
 from recon.ik.parameters import PULL, RANGE, Frames, explained_by, fits, rates_of
 from recon.io import Pose3D
+from recon.testing.gallop import RISE_S, START_STRIDES_HZ, TOP_STRIDES_HZ, gallop
 
 pytestmark = pytest.mark.usefixtures("small_pictures")
 

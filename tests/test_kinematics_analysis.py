@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from gallop import gallop
 
 from recon import InputError
 from recon.gait import Errors, angle_kinematics, joint_kinematics, point_kinematics
@@ -21,6 +20,7 @@ from recon.gait.kinematics import (
     spine_flexion,
 )
 from recon.io import Pose3D
+from recon.testing.gallop import gallop
 
 FPS = 60.0
 TIME_S = np.arange(60) / FPS

@@ -7,11 +7,9 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
-import detector_files
 import numpy as np
 import pytest
 from command_line import refusal, refused, run, says
-from detector_files import ACINOSET, ANIMAL3D, AP_10K, HORSE_10, MMPOSE_AP_10K, SUPERANIMAL, UNSEEN
 
 from recon import ClipAnalysis, FitSettings, InputError, Keypoints, evaluate, load_skeleton, read_pose3d
 from recon.animal import (
@@ -28,8 +26,11 @@ from recon.animal import (
 from recon.fit import Motion
 from recon.io import read_keypoints, write_csv
 from recon.keypoint_net import evaluate_2d_files
-from recon.robotics import load_robot, reference_of, retarget
+from recon.robotics.quadruped import load_robot
+from recon.robotics.retarget import reference_of, retarget
 from recon.show import build_report
+from recon.testing import detectors
+from recon.testing.detectors import ACINOSET, ANIMAL3D, AP_10K, HORSE_10, MMPOSE_AP_10K, SUPERANIMAL, UNSEEN
 from recon.workflows import (
     ConvertSettings,
     check_skeleton,
@@ -59,7 +60,7 @@ def in_file(folder: Path, text: str) -> Path:
 # -- maps ----------------------------------------------------------------------------------------------------------
 
 
-WOLF = detector_files.words(
+WOLF = detectors.split_names(
     "snout,left_eye,right_eye,neck,withers,sacrum,tail_base,tail_mid,tail_tip,left_shoulder,left_elbow,left_wrist",
     "left_forepaw,right_shoulder,right_elbow,right_wrist,right_forepaw,left_hip,left_stifle,left_hock,left_hindpaw",
     "right_hip,right_stifle,right_hock,right_hindpaw",
@@ -286,12 +287,12 @@ def test_a_fit_takes_a_detectors_own_names(tmp_path):
     assert any(says(note, "19 of 39 keypoints", "superanimal-quadruped") for note in source.cleaning.notes)
 
 
-@pytest.mark.parametrize("name", detector_files.FILES)
+@pytest.mark.parametrize("name", detectors.FILES)
 def test_a_detectors_own_file(name, tmp_path):
     """In its layout, with animals and a frame that it did not see: there is no choice to make, and the points are those
     of the skeleton's own names."""
-    bundled, write = detector_files.FILES[name]
-    write(tmp_path / name)
+    bundled, write = detectors.FILES[name]
+    write(tmp_path / name, read_keypoints(SAMPLES / "whole.csv"))
     (source,) = prepare(settings(tmp_path / name, rename=bundled)).sources
     native = prepare(settings(SAMPLES / "whole.csv")).sources[0].keypoints
     found = source.keypoints
@@ -306,13 +307,13 @@ def test_a_detectors_own_file(name, tmp_path):
 
 def test_every_bundled_map_has_a_file_of_its_detector():
     of_four_legs = {*builtin_maps()} - {"coco-17", "mouse-15", "anatomical"}
-    assert of_four_legs == {bundled for bundled, _ in detector_files.FILES.values() if bundled}
+    assert of_four_legs == {bundled for bundled, _ in detectors.FILES.values() if bundled}
 
 
 def test_from_superanimals_file_to_a_robot(whole_results, tmp_path):
     """All 39 keypoints in DeepLabCut's spelling: four feet with their sides, the gait, and nearly the accuracy that the
     skeleton's own names give."""
-    detector_files.superanimal(tmp_path / "clip.csv")
+    detectors.write_superanimal(tmp_path / "clip.csv", read_keypoints(SAMPLES / "whole.csv"))
     run_clip(settings(tmp_path / "clip.csv", rename="superanimal-quadruped"), tmp_path / "clip")
     found, native = Motion.load(tmp_path / "clip"), Motion.load(whole_results)
     assert found.foot_names == {"LF": "l_front_paw", "RF": "r_front_paw", "LH": "l_back_paw", "RH": "r_back_paw"}

@@ -11,13 +11,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from board_pictures import poses, render
 from command_line import carry_out_here
 from networks import narrow_networks
 
 import recon
 from recon.calibrate import parse_board
 from recon.io import read_frames, video_writer
+from recon.testing.boards import board_poses, draw_board
 from tests.test_calibrate import CAMERAS
 
 pytestmark = pytest.mark.usefixtures("no_playback")
@@ -86,8 +86,8 @@ def test_calibration(said, folder):
     camera, board = CAMERAS["radtan"], parse_board("charuco:9x6:30mm:22mm:DICT_4X4_50")
     (folder / "board").mkdir()
     rng = np.random.default_rng(1)
-    for number, (rotation, t) in enumerate(poses(board, camera, 16, rng, fill=0.65)):
-        picture = render(board, camera, rotation, t, oversample=4, blur_px=0.6, noise=2.0, rng=rng)
+    for number, (rotation, t) in enumerate(board_poses(board, camera, 16, rng, fill=0.65)):
+        picture = draw_board(board, camera, rotation, t, oversample=4, blur_px=0.6, noise=2.0, rng=rng)
         cv2.imwrite(str(folder / "board" / f"{number:02d}.png"), picture)
     text = said("calibration")
     assert "16 of 16 pictures show the board, 16 were used" in text

@@ -1,16 +1,16 @@
 import numpy as np
 import pytest
 from scipy.stats import chi2, t
-from shares import share_below, share_inside
 
 from recon.fit import DEGREES_OF_FREEDOM, radius, sigmas
+from recon.testing.coverage import coverage, cumulative
 
 
 def test_intervals_are_those_of_students_t_with_the_stated_variance():
     for level in (0.5, 0.9, 0.99):
         scaled = float(t.ppf((1 + level) / 2, DEGREES_OF_FREEDOM) / t.std(DEGREES_OF_FREEDOM))
         assert radius(level) == pytest.approx(scaled)
-        assert share_below(scaled) - share_below(-scaled) == pytest.approx(level)
+        assert cumulative(scaled) - cumulative(-scaled) == pytest.approx(level)
     # Heavier tails: 90 % take a little more than a Gaussian's, 50 % less.
     assert 1.0 < radius(0.9, 3) / np.sqrt(chi2.ppf(0.9, 3)) < 1.05
     assert 0.85 < radius(0.5, 3) / np.sqrt(chi2.ppf(0.5, 3)) < 0.95
@@ -24,7 +24,7 @@ def test_regions_hold_errors_of_their_covariance_as_often_as_said():
     covariance = np.broadcast_to(root @ root.T, (40_000, 3, 3))
     assert np.cov(errors.T) == pytest.approx(root @ root.T, rel=0.1, abs=0.05)
     for level in (0.5, 0.9):
-        assert share_inside(errors, covariance, level) == pytest.approx(level, abs=0.01)
+        assert coverage(errors, covariance, level) == pytest.approx(level, abs=0.01)
     x = sigmas(errors[:, :1], covariance[:, :1, :1])
     assert np.mean(x < radius(0.9)) == pytest.approx(0.9, abs=0.01)
 
@@ -33,5 +33,5 @@ def test_what_is_not_known_does_not_count():
     errors, covariance = np.zeros((3, 2)), np.stack([np.eye(2)] * 3)
     errors[0], errors[1, 0], covariance[2] = 0.1, np.nan, np.nan
     assert np.isfinite(sigmas(errors, covariance)).tolist() == [True, False, False]
-    assert share_inside(errors, covariance, 0.5) == 1.0
-    assert np.isnan(share_inside(errors[1:], covariance[1:], 0.5))
+    assert coverage(errors, covariance, 0.5) == 1.0
+    assert np.isnan(coverage(errors[1:], covariance[1:], 0.5))

@@ -8,7 +8,6 @@ from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
-import bones
 import numpy as np
 import pytest
 from command_line import refusal, refused, run, says
@@ -17,6 +16,7 @@ from recon.animal import builtin_names, load_skeleton
 from recon.fit import Motion
 from recon.io import Armature, read_pose3d, write_bvh, write_gltf, write_opensim, y_up_from_z_up
 from recon.show import make_rig, rig_of
+from recon.testing import bones
 from recon.workflows import ConvertSettings
 from recon.workflows.convert import convert
 
@@ -40,7 +40,7 @@ def rig(request) -> Armature:
 
 
 def off_m(rig: Armature, joints: bones.Joints) -> float:
-    return bones.worst_m(joints, rig.joints, rig.pose.xyz_m)
+    return bones.largest_error_m(joints, rig.joints, rig.pose.xyz_m)
 
 
 # -- what is written -----------------------------------------------------------------------------------------------
@@ -63,12 +63,12 @@ def test_an_opensim_model(rig, tmp_path):
     path = tmp_path / "run.osim"
     write_opensim(rig, path)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["run.mot", "run.osim", "run.trc"]
-    assert off_m(rig, bones.osim_by_its_xml(path)) < 1e-9
+    assert off_m(rig, bones.read_osim_as_xml(path)) < 1e-9
     markers = read_pose3d(tmp_path / "run.trc")
     assert (markers.names, markers.fps) == (rig.joints, 50.0)
     assert markers.frames.tolist() == [10, 11, 12, 13, 14]
     np.testing.assert_allclose(markers.xyz_m, rig.pose.xyz_m, atol=1e-12)
-    motion = bones.table_of(tmp_path / "run.mot")
+    motion = bones.read_mot(tmp_path / "run.mot")
     np.testing.assert_allclose(motion.pop("time"), np.arange(10, 15) / 50)
     model = ElementTree.parse(path).getroot()
     coordinates = {c.get("name"): c for c in model.iter("Coordinate")}
@@ -120,7 +120,7 @@ def test_coordinates_of_an_opensim_model_are_the_skeletons(tmp_path):
     """In its terms and values, with what it expects of them."""
     rig, body = a_rig("cheetah-24"), load_skeleton("cheetah-24")
     write_opensim(rig, tmp_path / "run.osim")
-    motion = bones.table_of(tmp_path / "run.mot")
+    motion = bones.read_mot(tmp_path / "run.mot")
     assert tuple(motion)[1:] == body.state_names
     np.testing.assert_allclose(
         [motion["x_m"], motion["y_m"], motion["z_m"]], rig.root_m[:, [0, 2, 1]].T * [[1], [-1], [1]]
@@ -137,7 +137,7 @@ def test_coordinates_of_an_opensim_model_are_the_skeletons(tmp_path):
 def test_bvh(rig, tmp_path):
     path = tmp_path / "run.bvh"
     write_bvh(rig, path)
-    assert off_m(rig, bones.bvh_by_bvhio(path)) < MOST_M
+    assert off_m(rig, bones.read_bvh_with_bvhio(path)) < MOST_M
     found = read_pose3d(path, unit="m")
     at = [found.names.index(name) for name in rig.joints]
     np.testing.assert_allclose(found.xyz_m[:, at], rig.pose.xyz_m, atol=1e-12)
@@ -152,8 +152,8 @@ def test_bvh(rig, tmp_path):
 def test_gltf(rig, tmp_path):
     path = tmp_path / "run.glb"
     write_gltf(rig, path)
-    assert off_m(rig, bones.gltf_by_its_json(path)) < MOST_M
-    assert off_m(rig, bones.gltf_by_trimesh(path)) < MOST_M
+    assert off_m(rig, bones.read_gltf_as_json(path)) < MOST_M
+    assert off_m(rig, bones.read_gltf_with_trimesh(path)) < MOST_M
 
 
 def test_the_mesh_of_a_gltf_file(tmp_path):
@@ -207,7 +207,7 @@ def test_recon_convert(whole_results, tmp_path, extension):
     results = Motion.load(whole_results)
     name = {".osim": "its XML, `.osim` and `.mot`", ".glb": "its JSON", ".bvh": "bvhio"}[extension]
     joints = dict(bones.READERS[extension])[name](out)
-    assert bones.worst_m(joints, results.names, results.upright.xyz_m) < 1e-3
+    assert bones.largest_error_m(joints, results.names, results.upright.xyz_m) < 1e-3
     beside = [f"{tmp_path}/run.mot", f"{tmp_path}/run.trc"] if extension == ".osim" else []
     said = [line for line in ended.out.splitlines() if line.startswith("Beside it")]
     assert said == ([f"Beside it: {', '.join(beside)}."] if beside else [])

@@ -8,7 +8,6 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 import pytest
-from carried import TROT, exactly
 from command_line import refusal, refused, run, says
 from robot_urdf import a1_urdf
 
@@ -18,6 +17,7 @@ from recon.robotics.physics import FRICTION, RULES, carried, check, followed, ke
 from recon.robotics.quadruped import body_pose, read_model
 from recon.robotics.retarget import RobotMotion, posed
 from recon.robotics.retarget_clip import RobotSamples
+from recon.testing.steady_gait import TROT, with_exact_states
 
 NO_MASSES = ("aibo", "masses", "none")
 
@@ -113,7 +113,7 @@ def test_legs_that_meet():
 def trotting(whole_results) -> Motion:
     """The simulated animal that trots, its poses exact."""
     motion = Motion.load(whole_results)
-    return exactly(motion, TROT.states(motion.body, motion.frames / 60.0), 60.0)
+    return with_exact_states(motion, TROT.states(motion.body, motion.frames / 60.0), 60.0)
 
 
 @pytest.fixture(scope="module")

@@ -9,12 +9,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from gallop import KEYPOINT_NAMES, MARGIN_PX, SLOPE, add_noise, gallop
 
-from recon.animal import load_chain, load_skeleton, with_detector_offsets
+from recon.animal import load_skeleton, with_detector_offsets
 from recon.clip import clean
 from recon.fit import solve_points
 from recon.io import read_camera, read_cameras, read_keypoints, read_pose3d
+from recon.testing.gallop import KEYPOINT_NAMES, MARGIN_PX, SLOPE, add_noise, gallop
+from recon.thesis.chain import load_chain
 
 SAMPLES = Path(__file__).resolve().parents[1] / "data" / "samples"
 SKELETON = load_chain("cheetah-8u")

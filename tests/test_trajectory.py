@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from gallop import gallop
 
 from recon import FitSettings, evaluate, fit_clip
 from recon.animal import load_chain, load_prior, load_skeleton, other_side, prior_from_body
@@ -17,6 +16,7 @@ from recon.fit import ClipProblem, TrajectoryOptions, TrajectorySolution, solve_
 from recon.fit.starts import approach
 from recon.geometry import Camera
 from recon.io import Pose3D, read_pose3d
+from recon.testing.gallop import gallop
 
 FPS = 90.0
 CAMERA = Camera.from_hfov(60.0, (1920, 1080))

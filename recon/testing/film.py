@@ -1,20 +1,27 @@
-"""A film of a simulated cheetah: shaded limbs with a spotted coat, a textured ground with the animal's shadow, motion
-blur and sensor noise. Drawn with OpenCV; it stands for a real video where the truth has to be known.
+"""Draw a film of a simulated cheetah, for tests that need a video with a known truth.
+
+Shaded limbs with a spotted coat, a textured ground with the animal's shadow, motion blur and sensor noise.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
+from recon.base.arrays import Array, Integers
 from recon.geometry.camera import Camera
-from recon.io.video import Image
+from recon.io.camera_files import write_camera
+from recon.io.video import Image, video_writer
+from recon.testing.files import write_keypoints, write_labels, write_truth
+from recon.testing.gallop import SyntheticClip, project_clip, whole_gallop
 
-Array = NDArray[np.float64]
 Colour = tuple[float, float, float]
 
 # Markers at both ends of a part of `cheetah-24`, its radii there and how far it hangs below the markers, metres.
@@ -38,50 +45,72 @@ LIGHT = np.array([-0.35, 0.25, 0.9])
 """Towards the sun, in the world."""
 _SHIFT = 4
 
+FPS, FRAMES, LABELLED = 120, 90, 40
+"""Frame rate and length of the film, and how many of its frames have labels."""
+SIZE_PX = (640, 360)
+FOCAL_PX, DISTANCE_M, HEIGHT_M = 640.0, 11.5, 1.7
+"""Camera of the film: focal length, distance from the animal's path, and height above the ground."""
+
 
 def render_frames(
     points_m: Array, names: tuple[str, ...], camera_at: Callable[[float], Camera], ground_m: float, seed: int = 0
 ) -> Iterator[Image]:
-    """A picture (height, width, 3; blue, green, red) for each row of the markers' places (T, J, 3) in the world, taken
-    evenly around its moment. camera_at: the camera at a time in frames; one that stands still is always the same
-    object. ground_m: height of the ground. Of a seed, the world is the same for any camera."""
+    """Draw a picture (height, width, 3; blue, green, red) of each frame.
+
+    Parameters
+    ----------
+    points_m
+        Markers (T, J, 3) in the world, metres.
+    names
+        Names of the J markers of `cheetah-24`.
+    camera_at
+        The camera at a time in frames. A camera that stands still is always the same object.
+    ground_m
+        Height of the ground, metres.
+    seed
+        Seed of the ground and the coat: the same world for any camera.
+
+    Yields
+    ------
+    Image
+        One picture a frame, exposed evenly around its moment.
+    """
     rng = np.random.default_rng(seed)
-    seen = camera_at(0)
-    scene = draw_scene(seen, ground_m, rng)
+    drawn_camera = camera_at(0)
+    scene = draw_scene(drawn_camera, ground_m, rng)
     spots = {part[:2]: _spots(rng) for part in _parts()}
     for t in range(len(points_m)):
         total = np.zeros_like(scene)
         for share in (np.arange(EXPOSURES) - (EXPOSURES - 1) / 2) * EXPOSURE / EXPOSURES:
             camera = camera_at(t + share)
-            if camera is not seen:
-                seen, scene = camera, draw_scene(camera, ground_m, np.random.default_rng(seed))
+            if camera is not drawn_camera:
+                drawn_camera, scene = camera, draw_scene(camera, ground_m, np.random.default_rng(seed))
             total += _draw_animal(scene, _between(points_m, t + share), names, camera, ground_m, spots)
         noisy = total / EXPOSURES + rng.normal(0, NOISE, scene.shape)
         yield np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
 
 
 def _parts() -> list[tuple[str, str, float, float, float]]:
-    """All parts of the body, those of the legs included."""
-    found = list(PARTS)
+    """Return all parts of the body, with those of the legs."""
+    parts = list(PARTS)
     for side in "lr":
         for leg, root in (("front", "shoulder"), ("back", "hip")):
             above = f"{side}_{root}"
             for joint, upper, lower in _LEG:
                 below = f"{side}_{leg}_{joint}"
-                found.append((above, below, upper * (1.25 if leg == "back" else 1.0), lower, 0.0))
+                parts.append((above, below, upper * (1.25 if leg == "back" else 1.0), lower, 0.0))
                 above = below
-    return found
+    return parts
 
 
 def _between(points_m: Array, t: float) -> Array:
-    """At a fraction of a frame, by a line through the two nearest frames, which goes on at the ends."""
+    """Interpolate between the two nearest frames, and extrapolate at the ends."""
     a = min(max(math.floor(t), 0), len(points_m) - 2)
     return points_m[a] + (t - a) * (points_m[a + 1] - points_m[a])
 
 
 def draw_scene(camera: Camera, ground_m: float, rng: np.random.Generator) -> Array:
-    """(height, width, 3), grey levels: sky, a line of shrubs on the horizon, and sand whose grain gets finer with the
-    distance."""
+    """Draw the sky, shrubs on the horizon, and sand whose grain gets finer with distance: (height, width, 3)."""
     width, height = camera.image_size_px
     x, y = np.meshgrid(np.arange(width, dtype=float), np.arange(height, dtype=float))
     rays, _ = camera.rays(np.stack([x, y], axis=-1).reshape(-1, 2))
@@ -111,15 +140,15 @@ def draw_scene(camera: Camera, ground_m: float, rng: np.random.Generator) -> Arr
     )
 
 
-def _noise(rng: np.random.Generator, at: NDArray[np.float32], cell: float) -> Array:
-    """Smooth noise of mean 0 and standard deviation of about 1 at places (h, w, 2), its grains of the given size."""
+def _noise(rng: np.random.Generator, points: NDArray[np.float32], cell: float) -> Array:
+    """Return smooth noise of mean 0 and standard deviation of about 1 at points (h, w, 2), in grains of size `cell`."""
     table = np.pad(rng.standard_normal((256, 256)).astype(np.float32), (0, 1), mode="wrap")
-    place = np.mod(at / cell, 256).astype(np.float32)
-    return np.asarray(cv2.remap(table, place[..., 0], place[..., 1], cv2.INTER_LINEAR), float) * 1.5
+    index = np.mod(points / cell, 256).astype(np.float32)
+    return np.asarray(cv2.remap(table, index[..., 0], index[..., 1], cv2.INTER_LINEAR), float) * 1.5
 
 
 def _spots(rng: np.random.Generator) -> Array:
-    """(n, 3): place along a part (0 to 1), across it (-1 to 1), and size."""
+    """Draw spots (n, 3): position along a part (0 to 1), across it (-1 to 1), and size."""
     return np.column_stack([rng.uniform(0.03, 0.97, 22), rng.uniform(-0.8, 0.6, 22), rng.uniform(0.012, 0.022, 22)])
 
 
@@ -131,11 +160,11 @@ def _draw_animal(
     ground_m: float,
     spots: dict[tuple[str, ...], Array],
 ) -> Array:
-    place = dict(zip(names, points_m, strict=True))
-    place["head"] = 0.5 * (place["l_eye"] + place["r_eye"])
+    marker = dict(zip(names, points_m, strict=True))
+    marker["head"] = 0.5 * (marker["l_eye"] + marker["r_eye"])
     parts = []
     for part in _parts():
-        ends = np.stack([place[part[0]], place[part[1]]])
+        ends = np.stack([marker[part[0]], marker[part[1]]])
         ends[:, 2] -= part[4]
         parts.append((float(np.mean(camera.world_to_camera(ends)[:, 2])), ends, part))
     picture = _draw_shadow(scene, [(ends, part) for _, ends, part in parts], camera, ground_m)
@@ -150,7 +179,7 @@ def _draw_animal(
 def _draw_part(
     canvas: Image, ends: Array, part: tuple[str, str, float, float, float], camera: Camera, light: float, spots: Array
 ) -> None:
-    """Lit from above: from the dark outline to a bright line near the top, then the spots."""
+    """Draw a part that is lit from above, from the dark outline to a bright line near the top, then its spots."""
     at_camera = camera.world_to_camera(ends)
     xy, _ = camera.project(at_camera)
     focal = camera.matrix[0, 0]
@@ -192,7 +221,7 @@ def _draw_shadow(
 
 
 def _capsule(canvas: Image, xy: Array, radius: Array, colour: Array) -> None:
-    """Two discs and what lies between them."""
+    """Fill two discs and the quadrilateral between them."""
     along = xy[1] - xy[0]
     across = np.array([-along[1], along[0]]) / max(float(np.linalg.norm(along)), 1e-6)
     corners = np.stack(
@@ -208,3 +237,91 @@ def _capsule(canvas: Image, xy: Array, radius: Array, colour: Array) -> None:
 def _disc(canvas: Image, centre: Array, radius: float, colour: Array) -> None:
     x, y = np.rint(centre * 2**_SHIFT).astype(int).tolist()
     cv2.circle(canvas, (x, y), max(1, round(radius * 2**_SHIFT)), tuple(colour.tolist()), -1, cv2.LINE_AA, _SHIFT)
+
+
+# -- films -----------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class PanningFilm:
+    """A clip of a camera that turns after the animal."""
+
+    clip: SyntheticClip
+    """The camera without a pose, its keypoints, and the truth in the world of the camera's track.
+
+    In that world z is up, the camera is in the origin and looks along y in the first frame, `tilt_deg` down.
+    """
+    rotations: Array
+    """R_camera_world (T, 3, 3)."""
+    tilt_deg: float
+    """How far the camera looks down in the first frame, degrees."""
+
+
+def film_clip() -> tuple[SyntheticClip, float]:
+    """Return the clip of a film of a gallop by a camera that stands still, and the height of the ground in metres."""
+    clip, _ = whole_gallop(FPS, FRAMES)
+    paws = [i for i, name in enumerate(clip.names) if name.endswith("paw")]
+    ground_m = float(np.quantile(clip.truth_m[:, paws, 2], 0.02)) - 0.03
+    middle = 0.5 * (clip.truth_m[0].mean(axis=0) + clip.truth_m[-1].mean(axis=0))
+    centre = np.array([middle[0], middle[1] - DISTANCE_M, ground_m + HEIGHT_M])
+    ahead = np.array([middle[0], middle[1], ground_m + 0.75]) - centre
+    ahead = ahead / np.linalg.norm(ahead)
+    right = np.array([1.0, 0.0, 0.0])
+    rotation = np.stack([right, np.cross(ahead, right), ahead])
+    matrix = np.array([[FOCAL_PX, 0, (SIZE_PX[0] - 1) / 2], [0, FOCAL_PX, (SIZE_PX[1] - 1) / 2], [0, 0, 1]])
+    camera = Camera("film", matrix, np.zeros(0), "pinhole", SIZE_PX, rotation, -rotation @ centre)
+    return replace(clip, keypoints=project_clip(camera, clip), camera=camera), ground_m
+
+
+def labelled_frames() -> Integers:
+    """Return the frames of the film that have labels, spread evenly."""
+    return np.linspace(0, FRAMES - 1, LABELLED).round().astype(int)
+
+
+def write_film(folder: Path, clip: SyntheticClip, pictures: Iterable[Image]) -> None:
+    """Write a film with its camera, labels and truth into an existing folder, as rendered.mp4 and rendered_*."""
+    with video_writer(folder / "rendered.mp4", SIZE_PX, FPS) as write:
+        for picture in pictures:
+            write(picture)
+    write_camera(clip.camera, folder / "rendered_camera.toml")
+    write_labels(clip.keypoints, labelled_frames(), folder / "rendered_labels.csv")
+    write_keypoints(clip.keypoints, folder / "rendered_points.csv", decimals=2)
+    write_truth(clip, folder / "rendered_truth.csv", decimals=4)
+
+
+def panning_film(clip: SyntheticClip, camera_at: Callable[[float], Camera]) -> PanningFilm:
+    """Let a camera that turns film a clip.
+
+    Parameters
+    ----------
+    clip
+        The clip of a camera that stands still.
+    camera_at
+        The camera at a time in frames, as `recon.testing.cameras.panning_camera` gives it.
+
+    Returns
+    -------
+    PanningFilm
+        Detections and truth in the world of the camera's track.
+    """
+    moving = _project_moving(clip, camera_at)
+    rotations = np.stack([np.asarray(camera_at(t).rotation) for t in range(len(moving.truth_m))])
+    forward = rotations[0, 2]
+    to_track = Rotation.from_euler("z", np.arctan2(forward[0], forward[1])).as_matrix()
+    moving = replace(
+        moving,
+        camera=replace(clip.camera, rotation=None, translation_m=None),
+        truth_m=(clip.truth_m - clip.camera.centre_world) @ to_track.T,
+    )
+    return PanningFilm(moving, rotations @ to_track.T, float(np.degrees(np.arcsin(-forward[2]))))
+
+
+def _project_moving(clip: SyntheticClip, camera_at: Callable[[float], Camera]) -> SyntheticClip:
+    """Return the clip with the detections of the camera of each frame."""
+    keypoints = clip.keypoints
+    xy_px = np.empty(keypoints.xy_px.shape)
+    for t, points_m in enumerate(clip.truth_m):
+        camera = camera_at(t)
+        xy, valid = camera.project(camera.world_to_camera(points_m))
+        xy_px[t] = np.where((valid & camera.in_image(xy))[:, None], xy, np.nan)
+    return replace(clip, keypoints=replace(keypoints, xy_px=xy_px, confidence=np.isfinite(xy_px[..., 0]).astype(float)))

@@ -1,4 +1,4 @@
-"""Pictures of a board as a camera with known intrinsics takes them: calibrations with a truth.
+"""Draw pictures of a calibration board as a camera with known intrinsics takes them.
 
 The outlines of everything dark are projected through `Camera.project` and filled on a finer grid, which is then
 averaged over each pixel: no picture is warped, so that nothing but the camera model decides where a corner is.
@@ -20,7 +20,7 @@ EDGE_PARTS = 8
 FRACTION_BITS = 6
 
 
-def render(
+def draw_board(
     board: Board,
     camera: Camera,
     rotation: Array,
@@ -31,17 +31,36 @@ def render(
     noise: float = 0.0,
     rng: np.random.Generator | None = None,
 ) -> Gray:
-    """Picture (height, width) of a board at X_camera = rotation X_board + translation_m.
+    """Return a picture (height, width) of a board at X_camera = rotation X_board + translation_m.
 
-    oversample: finer cells along each side of a pixel. blur_px: standard deviation of a Gaussian blur. noise: standard
-    deviation of white noise, in grey levels of 255, drawn from `rng`.
+    Parameters
+    ----------
+    board
+        The board, as `recon.calibrate.parse_board` gives it.
+    camera
+        A camera of any lens model.
+    rotation, translation_m
+        Pose of the board in the camera's frame, (3, 3) and (3,).
+    oversample
+        Number of finer cells along each side of a pixel.
+    blur_px
+        Standard deviation of a Gaussian blur.
+    noise
+        Standard deviation of white noise, in grey levels of 255.
+    rng
+        Source of the noise.
+
+    Returns
+    -------
+    Gray
+        Grey levels (height, width), uint8.
     """
     width, height = camera.image_size_px
     image = np.full((height * oversample, width * oversample), 120, dtype=np.uint8)
     margin = board.square_m / np.linalg.norm(board.outline_m[0] - board.outline_m[1])
     centre = board.outline_m.mean(axis=0)
     sheet = centre + (1 + 2 * margin) * (board.outline_m - centre)
-    for quads, level in ((sheet[None], 225), (_dark_quads_m(board), 30)):
+    for quads, grey in ((sheet[None], 225), (_dark_quads_m(board), 30)):
         share = np.linspace(0, 1, EDGE_PARTS, endpoint=False)[:, None]
         following = np.roll(quads, -1, axis=1)
         outlines = (quads[:, :, None] * (1 - share) + following[:, :, None] * share).reshape(len(quads), -1, 3)
@@ -50,7 +69,7 @@ def render(
         fine = ((xy_px + 0.5) * oversample - 0.5) * 2**FRACTION_BITS
         for outline in fine[np.asarray(valid.all(axis=1))]:
             if np.abs(outline).max() < 2**30:
-                cv2.fillPoly(image, [np.rint(outline).astype(np.int32)], level, shift=FRACTION_BITS)
+                cv2.fillPoly(image, [np.rint(outline).astype(np.int32)], grey, shift=FRACTION_BITS)
     picture = cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA).astype(np.float32)
     if blur_px:
         picture = cv2.GaussianBlur(picture, (0, 0), blur_px)
@@ -59,17 +78,32 @@ def render(
     return np.clip(np.rint(picture), 0, 255).astype(np.uint8)
 
 
-def poses(
+def board_poses(
     board: Board, camera: Camera, count: int, rng: np.random.Generator, max_tilt_rad: float = 0.7, fill: float = 0.55
 ) -> list[tuple[Array, Array]]:
-    """Rotations (3, 3) and translations (3,) of a board held by hand: tilted every way, over the whole picture.
+    """Return poses of a board that is held by hand: tilted every way, over the whole picture.
 
-    The tilt is up to `max_tilt_rad`; a board in the middle fills about `fill` of the picture's height. Every pose has
-    all corners in the picture.
+    Parameters
+    ----------
+    board, camera
+        The board and the camera that takes the pictures.
+    count
+        Number of poses.
+    rng
+        Source of the poses.
+    max_tilt_rad
+        Largest tilt towards the picture's plane.
+    fill
+        Share of the picture's height that a board in the middle fills.
+
+    Returns
+    -------
+    list
+        Rotations (3, 3) and translations (3,), metres. All corners are in the picture.
     """
     size = np.array(camera.image_size_px)
-    found = []
-    while len(found) < count:
+    poses = []
+    while len(poses) < count:
         axis = rng.uniform(0, 2 * np.pi)
         tilt = rng.uniform(0.2, 1.0) * max_tilt_rad
         turn = Rotation.from_rotvec([0, 0, rng.normal(0, 0.2)])
@@ -79,19 +113,19 @@ def poses(
         distance = extent * camera.matrix[1, 1] / (size[1] * fill) * rng.uniform(0.7, 1.4)
         if not valid:
             continue
-        # Held towards the camera, as one does at the edge of a wide picture.
+        # At the edge of a wide picture a board is held towards the camera.
         facing, _ = Rotation.align_vectors([ray], [[0.0, 0.0, 1.0]])
         rotation = facing.as_matrix() @ rotation
         translation = ray * distance - rotation @ board.outline_m.mean(axis=0)
         xy_px, seen = camera.project(board.points_m @ rotation.T + translation)
         if seen.all() and camera.in_image(xy_px - 4).all() and camera.in_image(xy_px + 4).all():
-            found.append((rotation, translation))
-    return found
+            poses.append((rotation, translation))
+    return poses
 
 
 @cache
 def _dark_quads_m(board: Board) -> Array:
-    """Everything dark on the board, as quadrilaterals (Q, 4, 3)."""
+    """Return everything dark on the board as quadrilaterals (Q, 4, 3)."""
     return _dark_squares_m(board) if board.marker_m is None else _dark_of_charuco_m(board)
 
 
@@ -101,7 +135,7 @@ def _dark_squares_m(board: Board) -> Array:
 
 
 def _dark_of_charuco_m(board: Board) -> Array:
-    """The squares without a marker, and the dark bits of the markers."""
+    """Return the squares without a marker, and the dark bits of the markers."""
     assert board.marker_m is not None
     markers = np.asarray(board.charuco.getObjPoints(), dtype=float).reshape(-1, 4, 3)
     light = {tuple((m.mean(axis=0)[:2] / board.square_m).astype(int)) for m in markers}

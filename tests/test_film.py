@@ -1,18 +1,16 @@
-"""The rendered film: its truth is where its pixels are, and at a small size it goes through the whole circle."""
+"""The rendered film: its truth is where its pixels are."""
 
 from __future__ import annotations
 
-import re
-import shutil
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
-from networks import narrow_networks
 
-from recon.io import probe, read_frames, read_keypoints, video_writer
+from recon.io import probe, read_frames, read_keypoints
 from recon.keypoint_net import read_labels
+from recon.testing.cameras import panning_camera
+from recon.testing.film import draw_scene, film_clip, panning_film, render_frames
 
 SAMPLES = Path(__file__).resolve().parents[1] / "data" / "samples"
 
@@ -41,28 +39,18 @@ def test_the_animal_is_drawn_where_its_points_are():
         assert abs(np.median(y[near]) - np.nanmedian(points[:, 1])) < 10
 
 
-def test_the_script_draws_the_film_again(tmp_path, monkeypatch):
+def test_the_script_draws_the_film_again():
     """Its first frames; another encoder may differ in the last digits."""
-    monkeypatch.syspath_prepend(str(SAMPLES))
-    monkeypatch.delitem(sys.modules, "make_samples", raising=False)
-    from draw_film import render_frames
-    from make_rendered import film
-
-    clip, ground_m = film()
+    clip, ground_m = film_clip()
     drawn = next(iter(render_frames(clip.truth_m, clip.names, lambda t: clip.camera, ground_m)))
     _, stored = next(iter(read_frames(SAMPLES / "rendered.mp4")))
     assert np.abs(drawn.astype(float) - stored).mean() < 4
 
 
-def test_the_panning_film_shows_the_same_animal(monkeypatch):
+def test_the_panning_film_shows_the_same_animal():
     """Its points are those of its truth as the track's cameras see them, in the middle, and where a picture has it."""
-    monkeypatch.syspath_prepend(str(SAMPLES))
-    from draw_film import draw_scene, render_frames
-    from make_rendered import film
-    from panning_film import panning, panning_film
-
-    still, ground_m = film()
-    camera_at = panning(still)
+    still, ground_m = film_clip()
+    camera_at = panning_camera(still)
     pan = panning_film(still, camera_at)
     xy_px, (width, height) = pan.clip.keypoints.xy_px, pan.clip.camera.image_size_px
     assert pan.tilt_deg == pytest.approx(np.degrees(np.arcsin(0.95 / np.hypot(11.5, 0.95))), abs=0.1)
@@ -78,37 +66,3 @@ def test_the_panning_film_shows_the_same_animal(monkeypatch):
     near = (np.abs(np.stack([x, y], axis=1) - xy_px[40].mean(axis=0)) < [70, 50]).all(axis=1)
     assert near.mean() > 0.8
     np.testing.assert_allclose([np.median(x[near]), np.median(y[near])], np.median(xy_px[40], axis=0), atol=12)
-
-
-def first_frames(folder: Path, count: int) -> Path:
-    """The beginning of the film, with its files, in a folder."""
-    shutil.copytree(SAMPLES, folder, ignore=lambda path, names: {n for n in names if not n.startswith("rendered")})
-    info = probe(SAMPLES / "rendered.mp4")
-    assert info.fps
-    with video_writer(folder / "rendered.mp4", info.size_px, info.fps) as write:
-        for _, picture in read_frames(SAMPLES / "rendered.mp4", 0, count):
-            write(picture)
-    for name in ("rendered_points.csv", "rendered_labels.csv"):
-        lines = (folder / name).read_text(encoding="utf-8").splitlines(keepends=True)
-        of_frame = [int(re.sub(r"\D", "", line.partition(",")[0])) for line in lines[3:]]
-        kept = [line for line, frame in zip(lines[3:], of_frame, strict=True) if frame < count]
-        (folder / name).write_text("".join(lines[:3] + kept), encoding="utf-8")
-    return folder
-
-
-@pytest.mark.usefixtures("optimiser", "small_pictures")
-def test_the_circle_at_a_small_size(tmp_path, monkeypatch):
-    """A few steps of a narrow network: the points are poor, but every part gives what the next one takes."""
-    from net_circle import run_circle
-
-    from recon.keypoint_net import TrainSettings
-
-    narrow_networks(monkeypatch)
-    settings, film = TrainSettings(steps=4, batch=2), first_frames(tmp_path / "film", 32)
-    fit = {"likelihood_min": 0.0, "fast": True, "frames": "16:32"}
-    circle = run_circle(tmp_path, settings, samples=film, device="cpu", threads=1, **fit)
-    assert circle.points["frames"] == 32 - 14
-    assert circle.training["labelled_points"]["train"] > 270
-    assert 0.01 < circle.noisy_m < 0.2
-    assert circle.ratio > 0.5
-    assert (tmp_path / "predicted" / "pose3d.csv").is_file()

@@ -1,4 +1,4 @@
-"""Simulated clips with their truth: an accelerating cheetah in a gallop, seen by one camera.
+"""Simulate a cheetah that accelerates in a gallop, seen by one camera, with its truth.
 
 The motion is a formula. Speed and stride frequency rise towards a limit; the links' inclinations to the ground are
 short Fourier series of the stride's phase whose swing grows slowly with speed. The coefficients come from an
@@ -15,13 +15,16 @@ from __future__ import annotations
 import dataclasses
 import math
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
 from recon.animal.body import Side
+from recon.animal.skeleton_file import load_skeleton, with_detector_offsets
 from recon.base.arrays import Array, Bools
 from recon.clip import Keypoints
+from recon.fit.points import solve_points
 from recon.geometry.camera import Camera
 from recon.geometry.frames import euler_rotation
 from recon.thesis.chain import UnknownsChain, euler_angles, load_chain
@@ -69,7 +72,7 @@ _SERIES: dict[str, tuple[float, ...]] = {
 
 @dataclass(frozen=True, eq=False)
 class SyntheticClip:
-    """A simulated clip and its truth; T frames, K = 15 keypoints."""
+    """A simulated clip and its truth; T frames, K keypoints (15 of the chain `cheetah-8u`, 24 of `cheetah-24`)."""
 
     keypoints: Keypoints
     """Exact detections, missing where they fall outside the picture."""
@@ -92,11 +95,34 @@ def gallop(
     camera_model: CameraModel = "pinhole",
     seed: int = 0,
 ) -> SyntheticClip:
-    """A cheetah that accelerates: about 13 m and three strides in the first second, then to 20 m/s.
+    """Simulate a cheetah that covers about 13 m and three strides in the first second, and then reaches 20 m/s.
 
-    heading_rad: angle between the direction of travel and the picture's plane, positive when it goes away from the
-    camera; direction: which way it runs in the picture; seed: of the slow waves. The camera is still and holds the
-    first second in the picture; what runs out of the picture later is missing. Raises ValueError.
+    The camera is still and holds the first second in the picture. Points that leave the picture later are missing.
+
+    Parameters
+    ----------
+    fps
+        Frame rate, Hz.
+    n_frames
+        Number of frames T.
+    heading_rad
+        Angle between the direction of travel and the picture's plane; positive away from the camera.
+    direction
+        Direction of travel in the picture.
+    camera_model
+        Lens of the camera.
+    seed
+        Seed of the slow waves of the transverse angles.
+
+    Returns
+    -------
+    SyntheticClip
+        Exact detections, camera and truth.
+
+    Raises
+    ------
+    ValueError
+        If the heading is more than 1.2 rad from the picture's plane.
     """
     if abs(heading_rad) > 1.2:
         raise ValueError(f"the heading must lie within 1.2 rad of the picture's plane, got {heading_rad}")
@@ -120,8 +146,8 @@ def gallop(
     state[:, chain.place_slice] = np.einsum("tji,tj->ti", in_camera, root)
     state[:, chain.euler_slice] = np.unwrap(euler_angles(in_camera), axis=0)
 
-    other: Side = "left" if side == "right" else "right"
-    by_name = dict(zip(chain.body.keypoint_names(other), np.moveaxis(far, 1, 0), strict=True))
+    far_side: Side = "left" if side == "right" else "right"
+    by_name = dict(zip(chain.body.keypoint_names(far_side), np.moveaxis(far, 1, 0), strict=True))
     by_name |= dict(zip(chain.body.keypoint_names(side), np.moveaxis(near, 1, 0), strict=True))
     truth_m = np.stack([by_name[name] for name in KEYPOINT_NAMES], axis=1)
     xy_px, valid = camera.project(truth_m @ r.T + t)
@@ -151,7 +177,7 @@ class _Waves:
 
     @classmethod
     def draw(cls, rng: np.random.Generator, count: int) -> _Waves:
-        """Waves with standard deviations of 0.05 to 0.13 and means within 0.04."""
+        """Draw waves with standard deviations of 0.05 to 0.13 and means within 0.04."""
         return cls(
             mean=rng.uniform(-0.04, 0.04, count),
             amplitude=math.sqrt(2) * rng.uniform(0.05, 0.13, count),
@@ -165,13 +191,13 @@ class _Waves:
 
 
 def _rising(t: Array, start: float, top: float) -> tuple[Array, Array]:
-    """A quantity that rises from start towards top, and its integral over time, each (T,)."""
+    """Return a quantity that rises from start towards top, and its integral over time, each (T,)."""
     gap = (top - start) * np.exp(-t / RISE_S)
     return top - gap, top * t - RISE_S * (top - start - gap)
 
 
 def _series(name: str, phase: Array, swing: Array) -> Array:
-    """(T,): one of `_SERIES` with its excursions about the mean scaled by `swing`."""
+    """Return one of `_SERIES` (T,) with its excursions about the mean scaled by `swing`."""
     mean, *terms = _SERIES[name]
     angle = 2 * np.pi * phase
     return mean + swing * sum(
@@ -181,7 +207,7 @@ def _series(name: str, phase: Array, swing: Array) -> Array:
 
 
 def _thetas(chain: UnknownsChain, phase: Array, swing: Array, hind_lag: float, fore_lag: float) -> Array:
-    """Sagittal angles (T, A) of the links to their parents."""
+    """Return the sagittal angles (T, A) of the links to their parents."""
     trunk = {name: _series(name, phase, swing) for name in ("T5", "T1")}
     hind = {name: _series(name, phase - hind_lag, swing) for name in ("T6", "T7", "T8")}
     fore = {name: _series(name, phase - fore_lag, swing) for name in ("T2", "T3", "T4")}
@@ -194,10 +220,10 @@ def _thetas(chain: UnknownsChain, phase: Array, swing: Array, hind_lag: float, f
 def _run(
     chain: UnknownsChain, t: Array, heading_rad: float, direction: Direction, waves: list[_Waves]
 ) -> tuple[Array, Array, Array, Array]:
-    """The animal at times t (T,), seconds.
+    """Return the animal at times t (T,), seconds.
 
-    Returns states (T, D) without place and orientation, R_world_local (T, 3, 3), and the joints (T, J, 3) in the world
-    with the near and with the far legs.
+    These are states (T, D) without position and orientation, R_world_local (T, 3, 3), and the joints (T, J, 3) in the
+    world with the near and with the far legs.
     """
     speed, distance = _rising(t, START_SPEED_M_S, TOP_SPEED_M_S)
     _, strides = _rising(t, START_STRIDES_HZ, TOP_STRIDES_HZ)
@@ -240,7 +266,7 @@ def _run(
 
 
 def _place_camera(model: CameraModel, points_m: Array) -> Camera:
-    """The camera, moved back from its least distance until world points (N, 3) lie within the picture's margin."""
+    """Move the camera back from its least distance until world points (N, 3) lie within the picture's margin."""
     width, height = IMAGE_SIZE_PX
     if model == "pinhole":
         bare, distance_m = Camera.from_hfov(60.0, IMAGE_SIZE_PX, name="synthetic pinhole"), 14.0
@@ -257,27 +283,43 @@ def _place_camera(model: CameraModel, points_m: Array) -> Camera:
         if valid.all() and inside.all():
             return camera
         distance_m += 0.25
-    raise ValueError("no place of the camera holds the animal in the picture")
+    raise ValueError("no position of the camera holds the animal in the picture")
 
 
-def _look(camera: Camera, place_m: Array, target_m: Array, roll_rad: float) -> Camera:
-    """The camera at a place in the world (3,), its axis towards a target (3,), rolled about that axis."""
-    forward = (target_m - place_m) / np.linalg.norm(target_m - place_m)
+def _look(camera: Camera, centre_m: Array, target_m: Array, roll_rad: float) -> Camera:
+    """Set the camera's centre in the world (3,), its axis towards a target (3,), and its roll about that axis."""
+    forward = (target_m - centre_m) / np.linalg.norm(target_m - centre_m)
     right = np.cross(forward, [0.0, 0.0, 1.0])
     right /= np.linalg.norm(right)
     upright = np.stack([right, np.cross(forward, right), forward])
     rotation = euler_rotation(np.array([0.0, 0.0, roll_rad])) @ upright
-    return dataclasses.replace(camera, rotation=rotation, translation_m=-rotation @ place_m)
+    return dataclasses.replace(camera, rotation=rotation, translation_m=-rotation @ centre_m)
 
 
 def add_noise(
     keypoints: Keypoints, sigma_px: float = 2.0, dropout: float = 0.05, outlier: float = 0.02, seed: int = 0
 ) -> tuple[Keypoints, Bools]:
-    """Detections as a network would give them, and which of them are gross outliers, (T, K) bool.
+    """Give detections the noise, gaps and gross outliers of a keypoint network.
 
-    sigma_px: standard deviation of the Gaussian noise of each coordinate; dropout: share of points that go missing;
-    outlier: share of points that land 40 to 300 px away (uniform) in any direction, within the picture if its size is
-    known. Both shares are kept to a whole point. Good points have likelihoods of 0.9 to 1, outliers 0.6 to 0.98.
+    Parameters
+    ----------
+    keypoints
+        Exact detections.
+    sigma_px
+        Standard deviation of the Gaussian noise of each coordinate.
+    dropout
+        Share of points that go missing, to a whole point.
+    outlier
+        Share of points that land 40 to 300 px away in any direction, within the picture if its size is known; to a
+        whole point.
+    seed
+        Seed of everything random.
+
+    Returns
+    -------
+    tuple
+        The detections, and which of them are gross outliers (T, K). Good points have likelihoods of 0.9 to 1, outliers
+        of 0.6 to 0.98, missing points 0.
     """
     rng = np.random.default_rng(seed)
     shape = keypoints.confidence.shape
@@ -301,3 +343,57 @@ def add_noise(
         confidence=np.where(lost, 0.0, np.where(outliers, poor, good)),
     )
     return noisy, outliers
+
+
+# -- the whole animal ------------------------------------------------------------------------------------------------
+
+
+def project_clip(camera: Camera, clip: SyntheticClip) -> Keypoints:
+    """Return exact detections of a clip's truth by a camera; points outside the picture are missing."""
+    xy_px, valid = camera.project(camera.world_to_camera(clip.truth_m))
+    visible = valid & camera.in_image(xy_px)
+    return Keypoints(
+        names=clip.names,
+        xy_px=np.where(visible[..., None], xy_px, np.nan),
+        confidence=visible.astype(float),
+        frames=clip.keypoints.frames,
+        fps=clip.keypoints.fps,
+        image_size_px=camera.image_size_px,
+    )
+
+
+def whole_gallop(
+    fps: float = 60, n_frames: int = 60, detector: Path | None = None
+) -> tuple[SyntheticClip, SyntheticClip]:
+    """Simulate the skeleton `cheetah-24` in the gallop of `gallop`.
+
+    The poses are those nearest to the gallop's trunk and legs; the head stays level and the tail swings.
+
+    Parameters
+    ----------
+    fps, n_frames
+        As in `gallop`.
+    detector
+        TOML file of a detector's keypoint offsets; none by default.
+
+    Returns
+    -------
+    tuple
+        The clip with the markers as its truth, and the same with the points that the detector detects.
+    """
+    clip = gallop(fps=fps, n_frames=n_frames)
+    body = load_skeleton("cheetah-24")
+    points_m = np.full((len(clip.truth_m), len(body.markers), 3), np.nan)
+    points_m[:, [body.markers.index(name) for name in clip.names]] = clip.truth_m
+    states, *_ = solve_points(body, points_m)
+    column = {name: states[:, i] for i, name in enumerate(body.state_names)}
+    t = np.arange(len(states)) / fps
+    column["head_pitch"][:] = -0.7 * (column["rear_trunk_pitch"] + column["front_trunk_pitch"])
+    column["tail_1_yaw"][:] = 0.3 * np.sin(2 * np.pi * 1.3 * t)
+    column["tail_2_yaw"][:] = 0.3 * np.sin(2 * np.pi * 1.3 * t - 0.8)
+    column["tail_1_pitch"][:] = -0.45 + 0.2 * np.cos(2 * np.pi * 3.3 * t)
+    clip = dataclasses.replace(clip, truth_m=body.tree.pose(states).points_m, names=body.markers)
+    if detector is None:
+        return clip, clip
+    detected = with_detector_offsets(body, detector).detected
+    return clip, dataclasses.replace(clip, truth_m=detected.pose(states).points_m)

@@ -1,0 +1,81 @@
+"""Write keypoint, label, truth and camera files of simulated clips, as other programs write theirs."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from recon.base.arrays import Bools, Integers
+from recon.clip import Keypoints
+from recon.geometry.camera import Camera
+from recon.testing.gallop import SyntheticClip
+
+SCORER = "recon_synthetic"
+
+
+def write_keypoints(keypoints: Keypoints, path: Path, decimals: int, scorer: str = SCORER) -> None:
+    """Write DeepLabCut's CSV layout; a missing point has empty coordinates and likelihood 0."""
+    rows = [
+        ["scorer"] + [scorer] * 3 * len(keypoints.names),
+        ["bodyparts"] + [name for name in keypoints.names for _ in range(3)],
+        ["coords"] + ["x", "y", "likelihood"] * len(keypoints.names),
+    ]
+    for frame, points, likelihoods in zip(keypoints.frames, keypoints.xy_px, keypoints.confidence, strict=True):
+        row = [str(frame)]
+        for point, likelihood in zip(points, likelihoods, strict=True):
+            row += ["" if np.isnan(v) else f"{v:.{decimals}f}" for v in point] + [f"{likelihood:.{decimals}f}"]
+        rows.append(row)
+    _write(path, rows)
+
+
+def write_labels(keypoints: Keypoints, frames: Integers, path: Path, scorer: str = SCORER) -> None:
+    """Write DeepLabCut's label file of some frames: rows named by image, empty cells where a point is missing."""
+    rows = [
+        ["scorer"] + [scorer] * 2 * len(keypoints.names),
+        ["bodyparts"] + [name for name in keypoints.names for _ in range(2)],
+        ["coords"] + ["x", "y"] * len(keypoints.names),
+    ]
+    for frame in frames:
+        cells = ["" if np.isnan(v) else f"{v:.2f}" for v in keypoints.xy_px[frame].ravel()]
+        rows.append([f"labeled-data/rendered/img{frame:03d}.png", *cells])
+    _write(path, rows)
+
+
+def write_truth(clip: SyntheticClip, path: Path, decimals: int = 6) -> None:
+    """Write a clip's joint positions in the world, metres."""
+    rows = [
+        ["bodyparts"] + [name for name in clip.names for _ in range(3)],
+        ["coords"] + ["x", "y", "z"] * len(clip.names),
+    ]
+    for frame, joints in zip(clip.keypoints.frames, clip.truth_m, strict=True):
+        rows.append([str(frame)] + [f"{v:.{decimals}f}" for v in joints.ravel()])
+    _write(path, rows)
+
+
+def write_outliers(keypoints: Keypoints, outliers: Bools, path: Path) -> None:
+    """Write which detections are gross outliers (T, K), by frame and keypoint."""
+    rows = [[str(keypoints.frames[t]), keypoints.names[k]] for t, k in np.argwhere(outliers)]
+    _write(path, [["frame", "keypoint"], *rows])
+
+
+def write_scene(cameras: Sequence[Camera], path: Path) -> None:
+    """Write cameras in AcinoSet's layout."""
+    entries = [
+        {
+            "name": camera.name,
+            "k": camera.matrix.tolist(),
+            "d": camera.distortion[:, None].tolist(),
+            "r": np.array(camera.rotation).tolist(),
+            "t": np.array(camera.translation_m)[:, None].tolist(),
+        }
+        for camera in cameras
+    ]
+    document = {"camera_resolution": [*cameras[0].image_size_px], "cameras": entries}
+    path.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8", newline="\n")
+
+
+def _write(path: Path, rows: list[list[str]]) -> None:
+    path.write_text("".join(",".join(row) + "\n" for row in rows), encoding="utf-8", newline="\n")
